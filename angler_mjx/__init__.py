@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from angler_mjx.robot.control.joint_trajectory import JointTrajectory
     from angler_mjx.robot.control.trajectory import Trajectory
     from angler_mjx.runs.rollout import resume, rollout
-    from angler_mjx.runs.session.batch import BatchSession
+    from angler_mjx.runs.session.batch_session import BatchSession
     from angler_mjx.runs.session.interface import Observation, Session
     from angler_mjx.runs.simulator.simulator import Simulator
     from angler_mjx.runs.storage.folder import Run
@@ -58,7 +58,7 @@ __all__ = [
 
 _HOME = {
     "BatchPlanner": "angler_mjx.planning.planner",
-    "BatchSession": "angler_mjx.runs.session.batch",
+    "BatchSession": "angler_mjx.runs.session.batch_session",
     "BodyTwist": "angler_mjx.robot.control.commands",
     "BodyWrench": "angler_mjx.robot.control.commands",
     "JointGoal": "angler_mjx.robot.control.joint_goal",

@@ -3,7 +3,7 @@
 import importlib
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
 from importlib.util import spec_from_loader
@@ -20,12 +20,23 @@ MOVED = {
     "angler_mjx.interop": "angler_mjx.report.interop",
     "angler_mjx.physics": "angler_mjx.sim.physics",
     "angler_mjx.planning.host.ray_workers": "angler_mjx.planning.host.cluster.ray_workers",
+    "angler_mjx.planning.routes.fields": "angler_mjx.planning.routes.route_fields",
+    "angler_mjx.runs.session.batch": "angler_mjx.runs.session.batch_session",
+    "angler_mjx.runs.session.flying": "angler_mjx.runs.session.session_flight",
+    "angler_mjx.runs.session.online": "angler_mjx.runs.session.online_policy",
+    "angler_mjx.runs.storage.inputs": "angler_mjx.runs.storage.input_copies",
+    "angler_mjx.runs.storage.intervals": "angler_mjx.runs.storage.confidence_intervals",
     "angler_mjx.sensing": "angler_mjx.robot.sensing",
     "angler_mjx.session": "angler_mjx.runs.session",
+    "angler_mjx.session.batch": "angler_mjx.runs.session.batch_session",
+    "angler_mjx.session.flying": "angler_mjx.runs.session.session_flight",
+    "angler_mjx.session.online": "angler_mjx.runs.session.online_policy",
     "angler_mjx.sim.knowledge": "angler_mjx.sim.information",
     "angler_mjx.simulator": "angler_mjx.runs.simulator",
     "angler_mjx.speed": "angler_mjx.studies.speed",
     "angler_mjx.storage": "angler_mjx.runs.storage",
+    "angler_mjx.storage.inputs": "angler_mjx.runs.storage.input_copies",
+    "angler_mjx.storage.intervals": "angler_mjx.runs.storage.confidence_intervals",
     "angler_mjx.tasks": "angler_mjx.world.tasks",
     "angler_mjx.trials": "angler_mjx.studies.trials",
     "angler_mjx.tuning": "angler_mjx.studies.tuning",
@@ -36,6 +47,10 @@ MOVED = {
 """Package or module of before, and of today; modules below have the same names."""
 
 RENAMED = {
+    "angler_mjx.learning.environment": {"make": "make_env"},
+    "angler_mjx.planning.routes.route_fields": {"draw": "compute_routes"},
+    "angler_mjx.runs.session.online_policy": {"problem_of": "build_session_problem"},
+    "angler_mjx.runs.session.session_flight": {"fly": "fly_session"},
     "angler_mjx.sim.information": {
         "KnownCurrent": "CurrentInformation",
         "KnownObstacles": "ObstacleInformation",
@@ -76,6 +91,28 @@ def renamed(module: str, name: str) -> Any:
         stacklevel=3,
     )
     return getattr(sys.modules[module], today)
+
+
+def renamed_attribute(instance: object, name: str, names: Mapping[str, str]) -> Any:
+    """Return an attribute of an object by its name of before, with a DeprecationWarning.
+
+    Args:
+        instance: that lacks the name; its ``__getattr__`` calls this.
+        name: of the attribute.
+        names: those of today by those of before.
+
+    Raises:
+        AttributeError: the name is none of before either.
+    """
+    kind, today = type(instance).__name__, names.get(name)
+    if today is None:
+        raise AttributeError(f"{kind!r} object has no attribute {name!r}")
+    warnings.warn(
+        f"{kind}.{name} is {today} since 0.2; the old name works until 1.0",
+        DeprecationWarning,
+        stacklevel=3,
+    )
+    return getattr(instance, today)
 
 
 class _Finder(MetaPathFinder, Loader):

@@ -12,16 +12,16 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-SHOWN = 60
+MAX_VALUE_CHARACTERS = 60
 """Characters of a value that a message repeats."""
 
-RAISED = 300
+MAX_ERROR_CHARACTERS = 300
 """Characters of an exception's text that a message repeats."""
 
-_ENDLESS = re.compile(r"\S{400,}")
+_UNBROKEN_TEXT = re.compile(r"\S{400,}")
 """A name or value that a message repeats and that nobody would read."""
 
-_LEVELS = 3
+_MAX_LEVELS = 3
 """Of tables and lists within one another that a message repeats."""
 
 
@@ -30,7 +30,10 @@ class AnglerError(Exception):
 
     def __str__(self) -> str:
         """The message; control characters in it are escaped, and what has no end is cut."""
-        return _ENDLESS.sub(lambda word: word[0][:SHOWN] + "...", escaped(super().__str__()))
+        return _UNBROKEN_TEXT.sub(
+            lambda word: word[0][:MAX_VALUE_CHARACTERS] + "...",
+            escape_control_characters(super().__str__()),
+        )
 
 
 class ConfigError(AnglerError, ValueError):
@@ -45,30 +48,32 @@ class RunError(AnglerError, RuntimeError):
     """A run cannot start or go on: folder, disk, device."""
 
 
-def described(error: BaseException, file: Path | None = None, most: int = RAISED) -> str:
+def describe_error(
+    error: BaseException, file: Path | None = None, max_characters: int = MAX_ERROR_CHARACTERS
+) -> str:
     """Return type, text and place of an exception that a user's code raised, on one line.
 
     Args:
         error: that was caught.
         file: of the user's code, where it is one file.
-        most: characters of the exception's text.
+        max_characters: characters of the exception's text.
 
     Returns:
         As in "KeyError: 'start' (straight.py:7)": the innermost line of the traceback in a user's
         file.
     """
-    name, text = type(error).__name__, " ".join(str(error).split())[:most].rstrip()
-    said = f"{name}: {text}" if text else name
-    line = _innermost(error, file)
-    return said if line is None else f"{said} ({Path(line.filename).name}:{line.lineno})"
+    name, text = type(error).__name__, " ".join(str(error).split())[:max_characters].rstrip()
+    message = f"{name}: {text}" if text else name
+    line = _innermost_frame(error, file)
+    return message if line is None else f"{message} ({Path(line.filename).name}:{line.lineno})"
 
 
 @contextmanager
-def raised_by(who: str, file: Path | None = None) -> Iterator[None]:
+def report_user_errors(description: str, file: Path | None = None) -> Iterator[None]:
     """Turn what a user's code raises into one message.
 
     Args:
-        who: names the code in the message.
+        description: names the code in the message.
         file: of the code, where it is one file.
 
     Raises:
@@ -79,18 +84,20 @@ def raised_by(who: str, file: Path | None = None) -> Iterator[None]:
     except AnglerError:
         raise
     except Exception as error:  # a user's code may raise any exception
-        raise ConfigError(f"{who} raised {described(error, file)}") from error
+        raise ConfigError(f"{description} raised {describe_error(error, file)}") from error
 
 
-def _innermost(error: BaseException, file: Path | None) -> traceback.FrameSummary | None:
+def _innermost_frame(error: BaseException, file: Path | None) -> traceback.FrameSummary | None:
     """Return the innermost line in a user's file; that of any code outside angler where none is."""
     lines = list(traceback.extract_tb(error.__traceback__))
     if isinstance(error, SyntaxError) and error.filename:
         lines.append(traceback.FrameSummary(error.filename, error.lineno, ""))
-    outside = [line for line in lines if not _is_of(line.filename, _ANGLER)]
-    in_file = [line for line in lines if file is not None and line.filename == str(file)]
-    by_user = [line for line in outside if not _is_of(line.filename, _LIBRARIES)]
-    return next((found[-1] for found in (by_user, in_file, outside, lines) if found), None)
+    outside_frames = [line for line in lines if not _is_of(line.filename, _ANGLER)]
+    file_frames = [line for line in lines if file is not None and line.filename == str(file)]
+    user_frames = [line for line in outside_frames if not _is_of(line.filename, _LIBRARIES)]
+    return next(
+        (frames[-1] for frames in (user_frames, file_frames, outside_frames, lines) if frames), None
+    )
 
 
 _LIBRARIES = tuple({sysconfig.get_path(key) for key in ("stdlib", "platstdlib", "purelib")})
@@ -102,7 +109,7 @@ def _is_of(filename: str, folders: tuple[str, ...]) -> bool:
     return filename.startswith(folders)
 
 
-def escaped(text: str, *, keep: str = "\n") -> str:
+def escape_control_characters(text: str, *, keep: str = "\n") -> str:
     """A text whose characters that do not print (but for those to keep) are written as Python does.
 
     A terminal takes orders by such characters, and the names and values of files can hold them.
@@ -114,48 +121,58 @@ def escaped(text: str, *, keep: str = "\n") -> str:
     )
 
 
-def shown(value: Any, most: int = SHOWN) -> str:
-    """A value for a message, on one line, cut where it is longer than ``most`` characters."""
-    text = "".join(_pieces(value, most, _LEVELS))
-    return text if len(text) <= most else text[: most - 3] + "..."
+def format_value(value: Any, max_characters: int = MAX_VALUE_CHARACTERS) -> str:
+    """Return a value for a message, on one line, cut after ``max_characters`` characters."""
+    text = "".join(_value_pieces(value, max_characters, _MAX_LEVELS))
+    return text if len(text) <= max_characters else text[: max_characters - 3] + "..."
 
 
-def size(n_byte: float) -> str:
+def format_bytes(n_byte: float) -> str:
     """A number of bytes for a message, in the unit that fits it, as in "3.46 MB"."""
-    for unit, of in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
-        if n_byte >= of:
-            return f"{n_byte / of:.3g} {unit}"
+    for unit, n_unit_bytes in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
+        if n_byte >= n_unit_bytes:
+            return f"{n_byte / n_unit_bytes:.3g} {unit}"
     return f"{n_byte:.0f} bytes"
 
 
-def _pieces(value: Any, most: int, levels: int) -> Iterator[str]:
-    """Pieces of a value's text, of which little more than ``most`` characters are made."""
+def _value_pieces(value: Any, max_characters: int, levels: int) -> Iterator[str]:
+    """Yield pieces of a value's text, little more than ``max_characters`` characters in all."""
     match value:
         case str():
-            yield repr(value[: most + 1])
+            yield repr(value[: max_characters + 1])
         case int() if value.bit_length() > 190:
             yield f"(an integer of {value.bit_length()} bits)"
         case Mapping() | list() | tuple() if levels == 0:
             yield "{...}" if isinstance(value, Mapping) else "[...]"
         case Mapping():
             entries = (
-                [f"{shown(key, most)}: ", *_pieces(entry, most, levels - 1)]
+                [
+                    f"{format_value(key, max_characters)}: ",
+                    *_value_pieces(entry, max_characters, levels - 1),
+                ]
                 for key, entry in value.items()
             )
-            yield from _within("{", entries, "}", most)
+            yield from _enclosed_pieces("{", entries, "}", max_characters)
         case list() | tuple():
-            yield from _within("[", (_pieces(x, most, levels - 1) for x in value), "]", most)
+            yield from _enclosed_pieces(
+                "[",
+                (_value_pieces(x, max_characters, levels - 1) for x in value),
+                "]",
+                max_characters,
+            )
         case _:
             yield repr(value)
 
 
-def _within(begin: str, entries: Iterable[Iterable[str]], end: str, most: int) -> Iterator[str]:
+def _enclosed_pieces(
+    begin: str, entries: Iterable[Iterable[str]], end: str, max_characters: int
+) -> Iterator[str]:
     length = 0
     yield begin
     for i, entry in enumerate(entries):
         piece = (", " if i else "") + "".join(entry)
         length += len(piece)
         yield piece
-        if length > most:
+        if length > max_characters:
             return
     yield end

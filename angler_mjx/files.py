@@ -8,41 +8,54 @@ sees it.
 import json
 import re
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAliasType, get_args
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, model_validator
 
-from angler_mjx.errors import ConfigError, escaped, shown
+from angler_mjx.errors import ConfigError, escape_control_characters, format_value
 
-TOML_BYTES, JSON_BYTES = 1 << 19, 1 << 24
+MAX_TOML_BYTES, MAX_JSON_BYTES = 1 << 19, 1 << 24
 """Largest files that are read: what a person writes is far smaller, and so is a fleet's plan."""
 
-FOLDER = "folder"
+FOLDER_CONTEXT = "folder"
 """Context of a check: where paths in a file begin; the working directory if it is not there."""
+_SOURCE_CONTEXT = "source"
+"""Context of a check: name of the file, for warnings."""
 
-_DEEPEST = 32
+_MAX_LEVELS = 32
 """Tables within tables that a file may hold; models have 8 at most."""
-_FAULTS = 20
+_MAX_FAULTS = 20
 """Faults of a file that are told; a file with more is another kind of file."""
-_FAULTS_READ = 1000
-_LINE = 400
+_MAX_FAULTS_READ = 1000
+_MAX_FAULT_CHARACTERS = 400
 """Characters of a fault."""
-_PARTS = 64
+_MAX_KEY_PARTS = 64
 """Parts of a dotted key. Python's reader takes time with the square of their number."""
 
-_PART = r"(?:(?<![\w-])[\w-]++|\"[^\"\n]*+\"|'[^'\n]*+')[ \t]*+\.[ \t]*+"
-_DOTTED = re.compile(f"(?:{_PART}){{{_PARTS}}}")
+_KEY_PART = r"(?:(?<![\w-])[\w-]++|\"[^\"\n]*+\"|'[^'\n]*+')[ \t]*+\.[ \t]*+"
+_LONG_DOTTED_KEY = re.compile(f"(?:{_KEY_PART}){{{_MAX_KEY_PARTS}}}")
+
+
+class RenamedKeyWarning(FutureWarning):
+    """A file or a caller uses a key by its name of before; it is read until 1.0."""
 
 
 class FileModel(BaseModel):
     """Base of every model that is read from a file: frozen, no unknown keys, no NaN, no inf.
 
     Types are strict: an integer will do for a float, but neither text nor true for a number.
+
+    Attributes:
+        renamed_keys: keys of before by the field's name of today, read until 1.0 with a
+            `RenamedKeyWarning`; without one from JSON, which holds what programs wrote.
     """
+
+    renamed_keys: ClassVar[Mapping[str, str]] = {}
 
     model_config = ConfigDict(
         frozen=True,
@@ -54,19 +67,105 @@ class FileModel(BaseModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _plain(cls, data: Any) -> Any:
-        """Lists are tuples here, for those who build a model in Python too."""
-        return _tamed(data, 0) if isinstance(data, Mapping) else data
+    def _normalise_table(cls, data: Any, info: ValidationInfo) -> Any:
+        """Return a table with tuples for lists and today's keys, for callers in Python too."""
+        if not isinstance(data, Mapping):
+            return data
+        table = _normalise_value(data, 0)
+        return _rename_keys(cls, table, (info.context or {}).get(_SOURCE_CONTEXT, ""))
+
+    if not TYPE_CHECKING:  # a checker would take every attribute for one
+
+        def __getattr__(self, name: str) -> Any:
+            """Return a field by its name of before, with a `RenamedKeyWarning`."""
+            today = type(self).renamed_keys.get(name)
+            if today is None:
+                return super().__getattr__(name)
+            warnings.warn(
+                f"{type(self).__name__}.{name} is {today} since 0.2; the old name works until 1.0",
+                RenamedKeyWarning,
+                stacklevel=2,
+            )
+            return getattr(self, today)
 
 
-def folder_of(info: ValidationInfo) -> Path:
-    """Where paths begin in the table that is checked: see `FOLDER`."""
-    return Path((info.context or {}).get(FOLDER) or Path.cwd())
+def rename_keys(model: type[FileModel], table: Mapping[str, Any], source: str) -> dict[str, Any]:
+    """Return a table with today's keys, those of tables within it too, before others are merged.
+
+    Args:
+        model: of the table.
+        table: plain tables and values.
+        source: name of the file, for warnings; none are given for JSON.
+
+    Raises:
+        ValueError: a key is there by both of its names.
+    """
+    renamed = _rename_keys(model, dict(table), source)
+    for name, field in model.model_fields.items():
+        value, models = renamed.get(name), list(_file_models(field.annotation))
+        for entry_model in models:
+            if isinstance(value, Mapping):
+                value = rename_keys(entry_model, value, source)
+            elif isinstance(value, list | tuple):
+                value = [
+                    rename_keys(entry_model, entry, source) if isinstance(entry, Mapping) else entry
+                    for entry in value
+                ]
+        if models and name in renamed:
+            renamed[name] = value
+    return renamed
 
 
-def absolute(file: str, info: ValidationInfo) -> str:
+def _rename_keys(model: type[FileModel], table: dict[str, Any], source: str) -> dict[str, Any]:
+    for key in model.renamed_keys.keys() & table.keys():
+        name = model.renamed_keys[key]
+        if name in table:
+            raise ValueError(f"{key} is {name} since 0.2; give {name} alone")
+        if not source.endswith(".json"):
+            where = f"{format_path(source)}: " if source else ""
+            warnings.warn(
+                f"{where}key {key} is {name} since 0.2; the old name is read until 1.0",
+                RenamedKeyWarning,
+                stacklevel=3,
+            )
+        table = {name if entry == key else entry: value for entry, value in table.items()}
+    return table
+
+
+def dump_for_digest(model: FileModel) -> dict[str, Any]:
+    """Return the JSON table of a model with keys as they were first called, so digests last."""
+    table: dict[str, Any] = model.model_dump(mode="json")
+    for name in type(model).model_fields:
+        value = getattr(model, name)
+        if isinstance(value, FileModel):
+            table[name] = dump_for_digest(value)
+        elif isinstance(value, tuple):
+            table[name] = [
+                dump_for_digest(entry) if isinstance(entry, FileModel) else dumped
+                for entry, dumped in zip(value, table[name], strict=True)
+            ]
+    old_names = {new: old for old, new in model.renamed_keys.items()}
+    return {old_names.get(name, name): entry for name, entry in table.items()}
+
+
+def _file_models(annotation: Any) -> Iterator[type[FileModel]]:
+    """Yield the models that a field's type names."""
+    if isinstance(annotation, TypeAliasType):
+        annotation = annotation.__value__
+    if isinstance(annotation, type) and issubclass(annotation, FileModel):
+        yield annotation
+    for argument in get_args(annotation):
+        yield from _file_models(argument)
+
+
+def base_folder(info: ValidationInfo) -> Path:
+    """Where paths begin in the table that is checked: see `FOLDER_CONTEXT`."""
+    return Path((info.context or {}).get(FOLDER_CONTEXT) or Path.cwd())
+
+
+def absolute_path(file: str, info: ValidationInfo) -> str:
     """A path from the folder of the file that names it, made absolute; for validators."""
-    return str((folder_of(info) / file).absolute())
+    return str((base_folder(info) / file).absolute())
 
 
 @dataclass(frozen=True)
@@ -88,30 +187,30 @@ class FaultyError(Exception):
         self.faults = tuple(faults)
 
 
-def named(path: Path | str) -> str:
+def format_path(path: Path | str) -> str:
     """A path for a message: on one line whatever its characters are."""
-    return escaped(str(path), keep="")
+    return escape_control_characters(str(path), keep="")
 
 
-def read_text(path: Path, most_bytes: int) -> str:
+def read_text(path: Path, max_bytes: int) -> str:
     """Read a text file in UTF-8; a byte order mark at its beginning is no part of the text.
 
     Raises:
-        ConfigError: the file is missing, unreadable, not UTF-8, or larger than ``most_bytes``.
+        ConfigError: the file is missing, unreadable, not UTF-8, or larger than ``max_bytes``.
     """
     try:
         with path.open("rb") as file:
-            data = file.read(most_bytes + 1)
-        if len(data) > most_bytes:
+            data = file.read(max_bytes + 1)
+        if len(data) > max_bytes:
             raise ConfigError(
-                f"{named(path)}: has more than {most_bytes / 2**20:g} MiB; "
+                f"{format_path(path)}: has more than {max_bytes / 2**20:g} MiB; "
                 "this is no file of the kind that is read here"
             )
         return data.decode("utf-8-sig")
     except (OSError, ValueError) as error:  # ValueError: not UTF-8, or a name with a zero byte
         if isinstance(error, ConfigError):
             raise
-        raise ConfigError(f"{named(path)}: cannot be read ({error})") from error
+        raise ConfigError(f"{format_path(path)}: cannot be read ({error})") from error
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -120,20 +219,20 @@ def read_toml(path: Path) -> dict[str, Any]:
     Raises:
         ConfigError: the file is missing, unreadable or not TOML.
     """
-    return toml_of(read_text(path, TOML_BYTES), named(path))
+    return parse_toml(read_text(path, MAX_TOML_BYTES), format_path(path))
 
 
-def toml_of(text: str, source: str) -> dict[str, Any]:
+def parse_toml(text: str, source: str) -> dict[str, Any]:
     """What a text in TOML holds.
 
     Raises:
         ConfigError: it is not TOML; ``source`` is what the message calls it.
     """
-    if _DOTTED.search(text):
+    if _LONG_DOTTED_KEY.search(text):
         raise ConfigError(
-            f"{source}: a key has {_PARTS} parts or more; write shorter keys, in tables"
+            f"{source}: a key has {_MAX_KEY_PARTS} parts or more; write shorter keys, in tables"
         )
-    table: dict[str, Any] = _understood(source, "TOML", lambda: tomllib.loads(text))
+    table: dict[str, Any] = _parse_text(source, "TOML", lambda: tomllib.loads(text))
     return table
 
 
@@ -143,28 +242,28 @@ def read_json(path: Path) -> Any:
     Raises:
         ConfigError: the file is missing, unreadable or not JSON.
     """
-    return json_of(read_text(path, JSON_BYTES), named(path))
+    return parse_json(read_text(path, MAX_JSON_BYTES), format_path(path))
 
 
-def json_of(text: str, source: str) -> Any:
+def parse_json(text: str, source: str) -> Any:
     """What a text in JSON holds; a key that stands twice in an object is refused.
 
     Raises:
         ConfigError: it is not JSON; ``source`` is what the message calls it.
     """
-    return _understood(source, "JSON", lambda: json.loads(text, object_pairs_hook=_once))
+    return _parse_text(source, "JSON", lambda: json.loads(text, object_pairs_hook=_unique_keys))
 
 
-def _understood(source: str, kind: str, read: Callable[[], Any]) -> Any:
+def _parse_text(source: str, kind: str, parser: Callable[[], Any]) -> Any:
     try:
-        return read()
-    except _TwiceError as error:
+        return parser()
+    except _DuplicateKeyError as error:
         raise ConfigError(
             f"{source}: key {error} is there twice in one object; give it once"
         ) from error
     except RecursionError as error:
         raise ConfigError(
-            f"{source}: not valid {kind}: nested too deep; {_DEEPEST} levels can be read"
+            f"{source}: not valid {kind}: nested too deep; {_MAX_LEVELS} levels can be read"
         ) from error
     except ValueError as error:
         # Beside faults of the language: numbers with more digits than Python converts.
@@ -172,21 +271,25 @@ def _understood(source: str, kind: str, read: Callable[[], Any]) -> Any:
         raise ConfigError(f"{source}: not valid {kind}: {reason}") from error
 
 
-class _TwiceError(Exception):
+class _DuplicateKeyError(Exception):
     """A key that an object has twice."""
 
 
-def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     table = dict(pairs)
     if len(table) < len(pairs):
-        left = list(table)
+        unique_keys = list(table)
         # The keys of a table stand in the order in which they first came.
-        twice = next(name for i, (name, _) in enumerate(pairs) if i >= len(left) or name != left[i])
-        raise _TwiceError(shown(twice))
+        duplicate = next(
+            name
+            for i, (name, _) in enumerate(pairs)
+            if i >= len(unique_keys) or name != unique_keys[i]
+        )
+        raise _DuplicateKeyError(format_value(duplicate))
     return table
 
 
-def parse[M: FileModel](
+def parse_model[M: FileModel](
     model: type[M], data: Any, *, source: str, context: Mapping[str, Any] | None = None
 ) -> M:
     """Check ``data`` against ``model``.
@@ -201,13 +304,15 @@ def parse[M: FileModel](
         ConfigError: one message that lists every fault with its key, value and reason.
     """
     try:
-        return check(model, data, context)
+        return validate_model(model, data, {**(context or {}), _SOURCE_CONTEXT: source})
     except FaultyError as error:
-        raise ConfigError(listed(source, [fault.text for fault in error.faults])) from error
+        raise ConfigError(format_faults(source, [fault.text for fault in error.faults])) from error
 
 
-def check[M: FileModel](model: type[M], data: Any, context: Mapping[str, Any] | None = None) -> M:
-    """As `parse`, for callers that put the message together themselves.
+def validate_model[M: FileModel](
+    model: type[M], data: Any, context: Mapping[str, Any] | None = None
+) -> M:
+    """As `parse_model`, for callers that put the message together themselves.
 
     Args:
         model: The model to build.
@@ -218,25 +323,27 @@ def check[M: FileModel](model: type[M], data: Any, context: Mapping[str, Any] | 
         FaultyError: with every fault.
     """
     try:
-        return model.model_validate(_tamed(data, 0), context=dict(context or {}))
+        return model.model_validate(_normalise_value(data, 0), context=dict(context or {}))
     except ValidationError as error:
-        if error.error_count() > _FAULTS_READ:
+        if error.error_count() > _MAX_FAULTS_READ:
             text = f"{error.error_count()} faults; this is another kind of file"
             raise FaultyError([Fault((), text)]) from error
         entries = [dict(entry) for entry in error.errors(include_url=False)]
-        raise FaultyError([_fault(entry) for entry in entries if not _bogus(entry)]) from error
+        raise FaultyError(
+            [_build_fault(entry) for entry in entries if not _is_consequent(entry)]
+        ) from error
 
 
-def listed(source: str, faults: Sequence[str]) -> str:
+def format_faults(source: str, faults: Sequence[str]) -> str:
     """The message of a file's faults: a line for each."""
-    head = f"{named(source)}: {len(faults)} fault{'s' if len(faults) != 1 else ''}"
-    lines = [f"  {fault}" for fault in faults[:_FAULTS]]
-    more = [f"  and {len(faults) - _FAULTS} more"] if len(faults) > _FAULTS else []
+    head = f"{format_path(source)}: {len(faults)} fault{'s' if len(faults) != 1 else ''}"
+    lines = [f"  {fault}" for fault in faults[:_MAX_FAULTS]]
+    more = [f"  and {len(faults) - _MAX_FAULTS} more"] if len(faults) > _MAX_FAULTS else []
     return "\n".join([head, *lines, *more])
 
 
 @dataclass(frozen=True)
-class _Refused:
+class _RejectedValue:
     """Stands for a value that no model may see."""
 
     text: str
@@ -246,61 +353,68 @@ class _Refused:
         return self.text
 
 
-def _tamed(value: Any, level: int) -> Any:
-    """The same with tuples for lists, and with `_Refused` for what no model can take."""
+def _normalise_value(value: Any, level: int) -> Any:
+    """The same with tuples for lists, and with `_RejectedValue` for what no model can take."""
     match value:
-        case Mapping() | list() | tuple() if level > _DEEPEST:
-            return _Refused("...", f"nested too deep; {_DEEPEST} levels can be read")
+        case Mapping() | list() | tuple() if level > _MAX_LEVELS:
+            return _RejectedValue("...", f"nested too deep; {_MAX_LEVELS} levels can be read")
         case Mapping():
             return {
-                (escaped(key, keep="") if isinstance(key, str) else key): _tamed(entry, level + 1)
+                (
+                    escape_control_characters(key, keep="") if isinstance(key, str) else key
+                ): _normalise_value(entry, level + 1)
                 for key, entry in value.items()
             }
         case list() | tuple():
-            return tuple(_tamed(entry, level + 1) for entry in value)
+            return tuple(_normalise_value(entry, level + 1) for entry in value)
         case int() if value.bit_length() > 63:
-            return _Refused(shown(value), "beyond 64 bits; give a smaller number")
+            return _RejectedValue(format_value(value), "beyond 64 bits; give a smaller number")
         case str() if any("\ud800" <= char <= "\udfff" for char in value):
-            return _Refused(shown(value), "holds half of a character (a surrogate); write it whole")
+            return _RejectedValue(
+                format_value(value), "holds half of a character (a surrogate); write it whole"
+            )
         case np.generic():
-            return _tamed(value.item(), level)
+            return _normalise_value(value.item(), level)
     return value
 
 
-def _bogus(entry: Mapping[str, Any]) -> bool:
+def _is_consequent(entry: Mapping[str, Any]) -> bool:
     """Whether an entry follows from others: a tuple lacks its faulty members to pydantic."""
     if entry["type"] != "too_short":
         return False
     return len(entry["input"]) >= int(entry["ctx"]["min_length"])
 
 
-def _fault(entry: dict[str, Any]) -> Fault:
+def _build_fault(entry: dict[str, Any]) -> Fault:
     key = tuple(part for part in entry["loc"] if not str(part).startswith("function-"))
     path = "".join(
-        f"[{part}]" if isinstance(part, int) else f".{escaped(part, keep='')}" for part in key
+        f"[{part}]" if isinstance(part, int) else f".{escape_control_characters(part, keep='')}"
+        for part in key
     )
-    path = _cut(path.lstrip(".") or "(whole file)", 120)
+    path = _shorten(path.lstrip(".") or "(whole file)", 120)
     value = entry["input"]
     if entry["type"] == "missing":
         return Fault(key, f"{path}: missing; add it")
-    if isinstance(value, _Refused):
+    if isinstance(value, _RejectedValue):
         return Fault(key, f"{path} = {value!r}: {value.reason}")
     if entry["type"] == "extra_forbidden":
-        remedy = "unknown key; remove it or correct spelling and unit"
-        return Fault(key, f"{path} = {shown(value)}: {remedy}")
+        advice = "unknown key; remove it or correct spelling and unit"
+        return Fault(key, f"{path} = {format_value(value)}: {advice}")
     message = str(entry["msg"]).removeprefix("Value error, ").replace("valid tuple", "valid list")
     if entry["type"] in ("too_short", "too_long"):
-        least = entry["type"] == "too_short"
-        bound = entry["ctx"]["min_length" if least else "max_length"]
-        message = f"has {len(value)} entries; give {'at least' if least else 'at most'} {bound}"
-    message = "\n  ".join(_cut(line, _LINE) for line in message.splitlines())
+        is_too_short = entry["type"] == "too_short"
+        bound = entry["ctx"]["min_length" if is_too_short else "max_length"]
+        message = (
+            f"has {len(value)} entries; give {'at least' if is_too_short else 'at most'} {bound}"
+        )
+    message = "\n  ".join(_shorten(line, _MAX_FAULT_CHARACTERS) for line in message.splitlines())
     if entry["type"] == "value_error" and isinstance(value, Mapping):
         # Of a whole table: the message says which of its keys.
         return Fault(key, f"{path}: {message}")
-    return Fault(key, f"{path} = {shown(value)}: {message}")
+    return Fault(key, f"{path} = {format_value(value)}: {message}")
 
 
-def _cut(text: str, most: int) -> str:
-    """A text of ``most`` characters at most, its middle left out."""
-    half = most // 2 - 3
-    return text if len(text) <= most else f"{text[:half]} ... {text[-half:]}"
+def _shorten(text: str, max_characters: int) -> str:
+    """A text of ``max_characters`` characters at most, its middle left out."""
+    half = max_characters // 2 - 3
+    return text if len(text) <= max_characters else f"{text[:half]} ... {text[-half:]}"

@@ -24,7 +24,7 @@ def vector_enu_to_ned[A: (jax.Array, np.ndarray)](vector: A) -> A:
     Returns:
         [..., 3] in NED.
     """
-    return _join(vector, [vector[..., 1], vector[..., 0], -vector[..., 2]])
+    return _stack_components(vector, [vector[..., 1], vector[..., 0], -vector[..., 2]])
 
 
 def vector_ned_to_enu[A: (jax.Array, np.ndarray)](vector: A) -> A:
@@ -42,7 +42,7 @@ def body_flu_to_frd[A: (jax.Array, np.ndarray)](vector: A) -> A:
         The same shape, in FRD.
     """
     sign = (1, -1, -1) * (vector.shape[-1] // 3)
-    return _join(vector, [s * vector[..., i] for i, s in enumerate(sign)])
+    return _stack_components(vector, [s * vector[..., i] for i, s in enumerate(sign)])
 
 
 def body_frd_to_flu[A: (jax.Array, np.ndarray)](vector: A) -> A:
@@ -64,7 +64,7 @@ def quaternion_enu_to_ned[A: (jax.Array, np.ndarray)](quaternion: A) -> A:
     """
     w, x, y, z = (quaternion[..., i] for i in range(4))
     parts = [w + z, x + y, x - y, w - z]
-    return _join(quaternion, [_HALF_SQRT * part for part in parts])
+    return _stack_components(quaternion, [_HALF_SQRT * part for part in parts])
 
 
 def quaternion_ned_to_enu[A: (jax.Array, np.ndarray)](quaternion: A) -> A:
@@ -72,6 +72,6 @@ def quaternion_ned_to_enu[A: (jax.Array, np.ndarray)](quaternion: A) -> A:
     return quaternion_enu_to_ned(quaternion)
 
 
-def _join[A: (jax.Array, np.ndarray)](like: A, parts: list[Any]) -> A:
+def _stack_components[A: (jax.Array, np.ndarray)](like: A, parts: list[Any]) -> A:
     joined: A = like.__array_namespace__().stack(parts, axis=-1)
     return joined

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 
 
-def children(key: jax.Array, count: int) -> jax.Array:
+def fold_keys(key: jax.Array, count: int) -> jax.Array:
     """Keys [count] of one key: that of number i is ``jax.random.fold_in(key, i)``."""
     keys: jax.Array = jax.vmap(jax.random.fold_in, (None, 0))(
         key, jnp.arange(count, dtype=jnp.uint32)
@@ -19,7 +19,7 @@ def children(key: jax.Array, count: int) -> jax.Array:
     return keys
 
 
-def uniforms(keys: jax.Array, count: int, dtype: Any = float) -> jax.Array:
+def uniform_rows(keys: jax.Array, count: int, dtype: Any = float) -> jax.Array:
     """From 0 to 1: row i [count] of [n_key, count] is ``jax.random.uniform(keys[i], (count,))``.
 
     The first numbers of a row are the same however long it is.
@@ -28,6 +28,6 @@ def uniforms(keys: jax.Array, count: int, dtype: Any = float) -> jax.Array:
     return rows
 
 
-def between(share: jax.Array, low: float, high: float) -> jax.Array:
+def scale_uniform(fraction: jax.Array, low: float, high: float) -> jax.Array:
     """Numbers from ``low`` to ``high`` of shares from 0 to 1, as `jax.random.uniform` has them."""
-    return jnp.maximum(low, share * (high - low) + low)
+    return jnp.maximum(low, fraction * (high - low) + low)

@@ -4,7 +4,7 @@ import importlib.resources
 import os.path
 from pathlib import Path
 
-from angler_mjx.errors import ConfigError, shown
+from angler_mjx.errors import ConfigError, format_value
 
 
 def list_shipped(package: str) -> dict[str, Path]:
@@ -39,6 +39,6 @@ def find_shipped(
         return path
     folder = " or of a results folder" if folders else ""
     raise ConfigError(
-        f"unknown {kind} {shown(str(name_or_path))}; there is {', '.join(files)}, "
+        f"unknown {kind} {format_value(str(name_or_path))}; there is {', '.join(files)}, "
         f"or give the path of a .toml file{folder}"
     )

@@ -83,7 +83,7 @@ def pytest_sessionfinish(session, exitstatus):
 
 def write(path, found, exitstatus):
     """One entry a key, with the greatest value and every test that asked."""
-    from angler_mjx.testing.validation.host import describe
+    from angler_mjx.testing.validation.host import describe_host
 
     merged = {}
     for entry in found:
@@ -101,7 +101,7 @@ def write(path, found, exitstatus):
             held["tests"].append(test)
     record = {
         "about": {
-            **describe(),
+            **describe_host(),
             "at_utc": datetime.now(UTC).isoformat(timespec="seconds"),
             "exit_status": exitstatus,
         },

@@ -9,7 +9,7 @@ import pytest
 from angler_mjx.robot.vehicles import library, properties
 from angler_mjx.studies.speed import chart
 from angler_mjx.studies.speed import rows as speed
-from angler_mjx.studies.speed.compare import latest
+from angler_mjx.studies.speed.compare import select_latest
 
 ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "benchmarks" / "results.jsonl"
@@ -48,7 +48,7 @@ CLAIMS = {
 
 @pytest.fixture(scope="module")
 def rows():
-    return latest(speed.read(RESULTS))
+    return select_latest(speed.read_rows(RESULTS))
 
 
 @pytest.mark.parametrize("claim", CLAIMS)
@@ -61,7 +61,7 @@ def test_a_rate_is_that_of_its_row(rows, claim):
     assert mine, f"no row of {wanted}"
     row = mine[-1]
     said = f"{file} says {found[0]}, the row of commit {row['commit']}: {row['median']:.3g}"
-    assert found[0] == chart.short(row["median"]), said
+    assert found[0] == chart.format_rate(row["median"]), said
 
 
 def test_several_devices_scale_as_said(rows):
@@ -80,7 +80,7 @@ def test_several_devices_scale_as_said(rows):
 def test_the_table_of_performance_is_that_of_the_rows():
     text = (ROOT / "docs" / "performance.md").read_text()
     between = text.partition(chart.BEGIN)[2].partition(chart.END)[0]
-    assert between.strip() == chart.table(RESULTS), (
+    assert between.strip() == chart.format_table(RESULTS), (
         "write it again: angler bench --table benchmarks/results.jsonl --out docs/performance.md"
     )
 
@@ -253,9 +253,9 @@ def test_every_number_of_the_table_is_held():
 def test_sets_of_a_vehicle_differ_in_top_speed_as_said():
     (said,) = re.findall(r"differ by (\S+) in top speed", (ROOT / "README.md").read_text())
     ratios = []
-    for config in map(library.load, library.available()):
+    for config in map(library.load_vehicle, library.list_vehicles()):
         tops = [
-            properties.describe(config, name, 16.0).terminal_speed_mps[0]
+            properties.describe_vehicle(config, name, 16.0).terminal_speed_mps[0]
             for name in config.parameter_sets
         ]
         ratios.append(max(tops) / min(tops))

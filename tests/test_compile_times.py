@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import pytest
 from jax import monitoring
 
-from angler_mjx.runs.simulator import cache
+from angler_mjx.runs.simulator import compile_cache
 
 from .compile_times import CompileTimes
 
@@ -39,7 +39,7 @@ def test_a_program_is_compiled_once_and_loaded_then(tmp_path):
 
     tables = []
     argument = jnp.ones((3, 3))
-    with cache.kept_in(tmp_path):
+    with compile_cache.use_cache_folder(tmp_path):
         for _ in range(2):
             times = CompileTimes()
             monitoring.register_event_duration_secs_listener(times.listen)

@@ -16,7 +16,7 @@ ROOT = Path(__file__).parent.parent
 @pytest.mark.parametrize("kind", ["scenario", "vehicle"])
 def test_the_reference_is_that_of_the_models(kind):
     page = (ROOT / "docs" / f"reference_{kind}.md").read_text(encoding="utf-8")
-    assert page == reference.page(kind)
+    assert page == reference.format_page(kind)
     rows = [line for line in page.splitlines() if line.startswith("| `")]
     assert len(rows) > 40
     assert not [row for row in rows if row.endswith("|  |")]  # every key has a meaning
@@ -27,7 +27,7 @@ def test_the_reference_has_every_key_of_the_shipped_files():
         ("scenario", ROOT / "angler_mjx" / "scenario" / "shipped"),
         ("vehicle", ROOT / "angler_mjx" / "robot" / "vehicles" / "data"),
     ):
-        page = reference.page(kind)
+        page = reference.format_page(kind)
         for path in folder.rglob("*.toml"):
             for key in re.findall(r"^([a-z_0-9]+) = ", path.read_text(), re.M):
                 assert f"| `{key}` |" in page, f"{path.name}: {key}"

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from angler_mjx.robot.vehicles import library
-from angler_mjx.scenario.scenario import load_scenario, shipped
+from angler_mjx.scenario.scenario import load_scenario, shipped_scenarios
 
 ROOT = Path(__file__).parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
@@ -86,7 +86,7 @@ def test_make_help_lists_the_two_commands():
 
 
 def test_scenarios_of_the_package_are_the_named_ones():
-    assert set(shipped()) == {
+    assert set(shipped_scenarios()) == {
         "corridor_delivery",
         "dense_dynamic",
         "heterogeneous",
@@ -98,7 +98,7 @@ def test_scenarios_of_the_package_are_the_named_ones():
     }
 
 
-@pytest.mark.parametrize("name", sorted(shipped()))
+@pytest.mark.parametrize("name", sorted(shipped_scenarios()))
 def test_shipped_scenario_is_valid_and_named_after_its_file(name):
     scenario = load_scenario(name)
     assert scenario.name == name
@@ -121,8 +121,8 @@ def test_heterogeneous_holds_every_vehicle_with_every_set():
     }
     shipped_sets = {
         (name, chosen)
-        for name in library.available()
-        for chosen in library.load(name).parameter_sets
+        for name in library.list_vehicles()
+        for chosen in library.load_vehicle(name).parameter_sets
     }
     assert held == shipped_sets
 

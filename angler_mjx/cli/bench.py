@@ -3,14 +3,14 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from angler_mjx.cli.shared.device import Device, choose
+from angler_mjx.cli.shared.device import Device, choose_device
 from angler_mjx.errors import ConfigError, RunError
 
 if TYPE_CHECKING:
     from angler_mjx.studies.speed.rows import SpeedRow
 
-RESULTS = Path("benchmarks/results.jsonl")
-CHART = Path("docs/images/performance.png")
+RESULTS_PATH = Path("benchmarks/results.jsonl")
+CHART_PATH = Path("docs/images/performance.png")
 
 
 def bench(
@@ -60,16 +60,16 @@ def bench(
     if [compare, chart, table].count(None) < 2:
         raise ConfigError("--compare, --chart, --table: give one of them")
     if compare is not None:
-        _compare(*compare, out or RESULTS)
+        _print_comparison(*compare, out or RESULTS_PATH)
     elif chart is not None:
-        _chart(chart, out or CHART)
+        _save_chart(chart, out or CHART_PATH)
     elif table is not None:
-        _table(table, out)
+        _print_table(table, out)
     else:
-        choose(device)
+        choose_device(device)
         from angler_mjx.studies.speed.workloads import SpeedRequest
 
-        asked = SpeedRequest(
+        request = SpeedRequest(
             profile=profile,
             workloads=workload,
             scenarios=scenario,
@@ -80,19 +80,19 @@ def bench(
             controllers=controller,
             repeats=repeats,
             devices=devices,
-            folder=(out or RESULTS).parent,
+            folder=(out or RESULTS_PATH).parent,
         )
-        _measure(asked, out or RESULTS)
+        _run_measurements(request, out or RESULTS_PATH)
 
 
-def _measure(asked: Any, out: Path) -> None:
+def _run_measurements(request: Any, out: Path) -> None:
     from rich.console import Console
 
     from angler_mjx.studies.speed import measuring, roofline, workloads
-    from angler_mjx.studies.speed.report import around, complete
-    from angler_mjx.studies.speed.rows import record
+    from angler_mjx.studies.speed.report import compare_with_bound, describe_conditions
+    from angler_mjx.studies.speed.rows import append_row
 
-    chosen = workloads.cases(asked)
+    cases = workloads.build_cases(request)
     console = Console(stderr=True)
     console.print("the device itself ...", style="dim")
     device = roofline.measure()
@@ -100,84 +100,86 @@ def _measure(asked: Any, out: Path) -> None:
         f"device: copies {device.copy_bytes_per_s:.3g} bytes/s, "
         f"{device.fma_flops_per_s:.3g} multiply-add flops/s, both measured"
     )
-    about = around(device)
+    machine = describe_conditions(device)
 
-    def begin(case: Any) -> None:
+    def report_case(case: Any) -> None:
         console.print(f"{case.label}, {case.worlds} x {case.robots} ...", style="dim")
 
     rows = []
-    for row in measuring.run(chosen, begin):
-        record(row, {**about, **complete(row, device)}, out)
+    for row in measuring.measure_cases(cases, report_case):
+        append_row(row, {**machine, **compare_with_bound(row, device)}, out)
         rows.append(row)
-    _show(rows, device)
+    _print_rows(rows, device)
     print(out)
     refused = [row for row in rows if row.refused and not row.out_of_memory]
     if refused:
         raise RunError(f"{len(refused)} of {len(rows)} rows were refused; the reasons stand above")
 
 
-def _show(rows: "list[SpeedRow]", device: Any) -> None:
+def _print_rows(rows: "list[SpeedRow]", device: Any) -> None:
     from rich.console import Console
 
-    from angler_mjx.cli.shared.text_table import table as text_table
-    from angler_mjx.studies.speed.report import complete
+    from angler_mjx.cli.shared.text_table import build_text_table as text_table
+    from angler_mjx.studies.speed.report import compare_with_bound
 
-    shown = text_table("workload", "worlds x robots", "median (spread)", "of roofline", "compile")
+    table = text_table("workload", "worlds x robots", "median (spread)", "of roofline", "compile")
     console = Console()
     seconds = [row for row in rows if row.unit == "s"]
     rates = [row for row in rows if row.unit != "s"]
     for row in rates:
         engine = "/".join(part for part in (row.engine, row.kernels) if part)
-        size = _size(row)
+        size = _format_size(row)
         if row.median is None or row.low is None or row.high is None:
-            shown.add_row(f"{row.workload}\n{engine}", size, "refused, see below", "", "")
+            table.add_row(f"{row.workload}\n{engine}", size, "refused, see below", "", "")
             continue
-        share = complete(row, device)["share_of_bound"]
-        shown.add_row(
+        fraction = compare_with_bound(row, device)["share_of_bound"]
+        table.add_row(
             f"{row.workload}\n{engine}",
             size,
             f"{row.median:.2e} ({(row.high - row.low) / row.median:.0%})\n{row.unit}",
-            "" if share is None else f"{share:.1%}",
-            _compiled(row),
+            "" if fraction is None else f"{fraction:.1%}",
+            _format_compile_time(row),
         )
     if rates:
-        console.print(shown)
+        console.print(table)
     if seconds:
-        console.print(_seconds(seconds))
-    said = dict.fromkeys(f"{_name(row)}: timed is {row.inside}" for row in rows if row.inside)
-    said |= {
-        _recorded(row): None for row in rows if row.workload.startswith("recording/") and row.extra
+        console.print(_build_seconds_table(seconds))
+    notes = dict.fromkeys(f"{_row_name(row)}: timed is {row.inside}" for row in rows if row.inside)
+    notes |= {
+        _format_recording(row): None
+        for row in rows
+        if row.workload.startswith("recording/") and row.extra
     }
     refusals = [f"{r.workload}, {r.worlds} x {r.robots}: {r.refused}" for r in rows if r.refused]
-    for line in [*said, *refusals]:
+    for line in [*notes, *refusals]:
         console.print(line, highlight=False)
 
 
-def _seconds(rows: "list[SpeedRow]") -> Any:
+def _build_seconds_table(rows: "list[SpeedRow]") -> Any:
     """A table of the seconds of compiling, cold and cached side by side."""
-    from angler_mjx.cli.shared.text_table import table as text_table
+    from angler_mjx.cli.shared.text_table import build_text_table as text_table
 
-    shown = text_table("workload", "worlds x robots", "empty cache", "full cache")
-    of: dict[tuple[str, ...], list[str]] = {}
+    table = text_table("workload", "worlds x robots", "empty cache", "full cache")
+    seconds: dict[tuple[str, ...], list[str]] = {}
     for row in rows:
         engine = "/".join(part for part in (row.engine, row.kernels) if part)
-        name = (row.workload.removesuffix("/cached"), engine, _size(row))
-        of.setdefault(name, []).append(f"{row.median:.2f} s")
-    for (workload, engine, size), both in of.items():
-        shown.add_row(f"{workload} {engine}", size, *both)
-    return shown
+        name = (row.workload.removesuffix("/cached"), engine, _format_size(row))
+        seconds.setdefault(name, []).append(f"{row.median:.2f} s")
+    for (workload, engine, size), medians in seconds.items():
+        table.add_row(f"{workload} {engine}", size, *medians)
+    return table
 
 
-def _name(row: "SpeedRow") -> str:
+def _row_name(row: "SpeedRow") -> str:
     """Workload of a row; of seconds, whose rows are timed alike, without scenario and program."""
     return row.workload.partition("/")[0] if row.unit == "s" else row.workload
 
 
-def _recorded(row: "SpeedRow") -> str:
+def _format_recording(row: "SpeedRow") -> str:
     """What a row of recording has to say beside its rate."""
     x = row.extra
     return (
-        f"{row.workload}, {_size(row)}: {x['disk_ratio']:.0%} of what the disk takes, "
+        f"{row.workload}, {_format_size(row)}: {x['disk_ratio']:.0%} of what the disk takes, "
         f"{x['disk_mbps']:.0f} MB/s (spread {x['disk_spread']:.0%}); {x['samples_mbps']:.0f} MB/s "
         f"of samples before compression, {x['bytes_per_robot_sample']:.1f} bytes for a robot's "
         f"sample; at {x['vehicle_steps_per_s']:.2e} vehicle-steps/s the device would wait for the "
@@ -185,67 +187,67 @@ def _recorded(row: "SpeedRow") -> str:
     )
 
 
-def _size(row: Any) -> str:
+def _format_size(row: Any) -> str:
     """Worlds and robots of a row or a ratio."""
     size = f"{row.worlds:,} x {row.robots}"
     return size if row.devices == 1 else f"{row.devices} devices x {size}"
 
 
-def _compiled(row: "SpeedRow") -> str:
+def _format_compile_time(row: "SpeedRow") -> str:
     if row.compile_s is None:
         return ""
     return f"{row.compile_s:.1f} s" + (" (cached)" if row.cached_programs else "")
 
 
-def _compare(a: str, b: str, results: Path) -> None:
+def _print_comparison(a: str, b: str, results: Path) -> None:
     from rich.console import Console
 
-    from angler_mjx.cli.shared.text_table import table as text_table
-    from angler_mjx.studies.speed.compare import compare
+    from angler_mjx.cli.shared.text_table import build_text_table as text_table
+    from angler_mjx.studies.speed.compare import compare_rows
 
-    shown = text_table("workload", "worlds x robots", a, b, "ratio", "by the repeats")
-    found = compare(a, b, results)
-    for row in found.ratios:
+    table = text_table("workload", "worlds x robots", a, b, "ratio", "by the repeats")
+    comparison = compare_rows(a, b, results)
+    for row in comparison.ratios:
         engine = "/".join(part for part in (row.engine, row.kernels) if part)
-        shown.add_row(
+        table.add_row(
             f"{row.workload} {engine}".strip(),
-            _size(row),
-            _compared(row.before, row.unit),
-            _compared(row.after, row.unit),
+            _format_size(row),
+            _format_median(row.before, row.unit),
+            _format_median(row.after, row.unit),
             f"{row.ratio:.3f}",
-            _by_the_repeats(row),
+            _format_interval(row),
         )
     console = Console()
-    console.print(shown)
-    for line in [found.machines, *(f"left out: {line}" for line in found.left_out)]:
+    console.print(table)
+    for line in [comparison.machines, *(f"left out: {line}" for line in comparison.left_out)]:
         if line:
             console.print(line, highlight=False)
 
 
-def _compared(median: float, unit: str) -> str:
+def _format_median(median: float, unit: str) -> str:
     return f"{median:.2f} s" if unit == "s" else f"{median:.2e} {unit}"
 
 
-def _by_the_repeats(row: Any) -> str:
+def _format_interval(row: Any) -> str:
     """Least and greatest ratio that the repeats allow; of one repeat nothing can be said."""
     if row.repeats == 1:
         return "measured once"
     return f"{row.low:.2f} to {row.high:.2f}" + ("" if row.beyond_spread else ": no difference")
 
 
-def _chart(rows: Path, out: Path) -> None:
+def _save_chart(rows: Path, out: Path) -> None:
     from angler_mjx.report.viewing import style
     from angler_mjx.studies.speed import chart
 
-    style.save(chart.draw(rows), out)
+    style.save_figure(chart.plot_rows(rows), out)
     print(out)
 
 
-def _table(rows: Path, out: Path | None) -> None:
+def _print_table(rows: Path, out: Path | None) -> None:
     from angler_mjx.studies.speed import chart
 
     if out is None:
-        print("\n\n".join(filter(None, (chart.table(rows), chart.compile_table(rows)))))
+        print("\n\n".join(filter(None, (chart.format_table(rows), chart.compile_table(rows)))))
         return
     chart.write_table(rows, out)
     print(out)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from angler_mjx.cli.shared.device import Device, choose
+from angler_mjx.cli.shared.device import Device, choose_device
 from angler_mjx.errors import ConfigError
 
 
@@ -30,7 +30,7 @@ def control(
     """
     if draws < 0 or (draw is not None and draw < 0):
         raise ConfigError("--draws, --draw: give 0 or more")
-    choose(device)
+    choose_device(device)
     from angler_mjx.robot.control.stages import CONTROLLERS
     from angler_mjx.studies.flights import kinds
 
@@ -38,54 +38,56 @@ def control(
     for name in names:
         kinds.spec_of(name)
     if draw is not None:
-        _one_draw(names, draw)
+        _fly_samples(names, draw)
     else:
-        _all(names, draws, out)
+        _fly_trials(names, draws, out)
 
 
-def _one_draw(names: Sequence[str], seed: int) -> None:
-    from angler_mjx.studies.trials import listing, samples
+def _fly_samples(names: Sequence[str], seed: int) -> None:
+    from angler_mjx.studies.trials import sample_report, samples
 
     for name in names:
-        (verdict,) = samples.fly(name, [seed])
-        print(listing.verdict_text(name, verdict))
+        (verdict,) = samples.fly_samples(name, [seed])
+        print(sample_report.format_verdict(name, verdict))
 
 
-def _all(names: Sequence[str], n_draw: int, out: Path | None) -> None:
+def _fly_trials(names: Sequence[str], n_samples: int, out: Path | None) -> None:
     from rich.console import Console
 
     from angler_mjx.report.viewing import style
     from angler_mjx.studies.flights import kinds
-    from angler_mjx.studies.trials import document, figures, listing, steps, trial
+    from angler_mjx.studies.trials import document, figures, sample_report, steps, trial
 
     if out is not None:
-        document.require_place(out)
-    vehicles = kinds.shipped()
+        document.require_marks(out)
+    vehicles = kinds.shipped_vehicles()
     console = Console(stderr=True)
     trials = []
     for name in names:
         console.print(f"{name} ...", style="dim")
-        with _progress(console, n_draw) as done:
-            trials.append(trial.fly(name, vehicles, n_draw, done))
-    third: tuple[steps.TrialStep, ...] = ()
+        with _progress_bar(console, n_samples) as advance:
+            trials.append(trial.fly_trials(name, vehicles, n_samples, advance))
+    third_order_steps: tuple[steps.TrialStep, ...] = ()
     if "cascade" in names:
         console.print("cascade with rotors of third order ...", style="dim")
-        third = steps.fly("cascade", vehicles, "third_order").steps
-    body = document.text(trials, third, "images")
+        third_order_steps = steps.fly_steps("cascade", vehicles, "third_order").steps
+    body = document.format_document(trials, third_order_steps, "images")
     if out is None:
         print(body)
         return
-    document.write(out, body)
-    if n_draw:
-        listing.write_draws(out.parent / "control_draws.csv", trials)
-    for one in trials:
-        style.save(
-            figures.draw(one), out.parent / "images" / f"control_{one.controller}.png", palette=128
+    document.write_document(out, body)
+    if n_samples:
+        sample_report.write_samples(out.parent / "control_draws.csv", trials)
+    for result in trials:
+        style.save_figure(
+            figures.plot_trial(result),
+            out.parent / "images" / f"control_{result.controller}.png",
+            palette=128,
         )
     print(out)
 
 
-def _progress(console: Any, n_draw: int) -> Any:
+def _progress_bar(console: Any, n_samples: int) -> Any:
     """A bar of draws; what it gives takes the number of those just done."""
     from contextlib import contextmanager
 
@@ -94,8 +96,8 @@ def _progress(console: Any, n_draw: int) -> Any:
     @contextmanager
     def bar() -> Any:
         columns = (BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-        with Progress(*columns, console=console, transient=True) as shown:
-            task = shown.add_task("draws", total=n_draw, visible=n_draw > 0)
-            yield lambda count: shown.advance(task, count)
+        with Progress(*columns, console=console, transient=True) as display:
+            task = display.add_task("draws", total=n_samples, visible=n_samples > 0)
+            yield lambda count: display.advance(task, count)
 
     return bar()

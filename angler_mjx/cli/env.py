@@ -5,10 +5,10 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from angler_mjx.errors import ConfigError, shown
+from angler_mjx.errors import ConfigError, format_value
 
 
-def make(
+def make_environments(
     out: Path,
     preset: str = "reef",
     count: int = 100,
@@ -32,33 +32,35 @@ def make(
         placement: Where they start and go; the preset's if left out.
         tile: Worlds generated at once.
     """
-    for name, number, most in (
+    for name, number, maximum in (
         ("count", count, 10**9),
         ("robots", robots, 1024),
         ("tile", tile, 10**7),
     ):
-        if not 1 <= number <= most:
-            raise ConfigError(f"--{name} {shown(number)}: must be at least 1 and at most {most}")
+        if not 1 <= number <= maximum:
+            raise ConfigError(
+                f"--{name} {format_value(number)}: must be at least 1 and at most {maximum}"
+            )
     if not 0 <= seed < 2**32:
-        raise ConfigError(f"--seed {shown(seed)}: must be 0 to {2**32 - 1}")
+        raise ConfigError(f"--seed {format_value(seed)}: must be 0 to {2**32 - 1}")
     if not 0 < radius_m <= 1000:
         raise ConfigError(f"--radius-m {radius_m:g}: must be above 0 and at most 1000")
     import numpy as np
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
-    from angler_mjx.files import parse
+    from angler_mjx.files import parse_model
     from angler_mjx.runs.storage import environments as store
     from angler_mjx.world.config import WorldConfig
 
-    given: dict[str, Any] = {"preset": preset, "density": density, "placement": placement}
-    data = {key: value for key, value in given.items() if value is not None}
-    config = parse(WorldConfig, data, source="flags of angler env make")
+    options: dict[str, Any] = {"preset": preset, "density": density, "placement": placement}
+    data = {key: value for key, value in options.items() if value is not None}
+    config = parse_model(WorldConfig, data, source="flags of angler env make")
     columns = ("worlds", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True)) as bar:
         task = bar.add_task("worlds", total=count)
         radii = np.full(robots, radius_m)
-        invalid = store.make(
+        invalid = store.generate_file(
             out, config, radii, seed, count, tile, lambda done: bar.update(task, completed=done)
         )
     if invalid:
@@ -66,7 +68,9 @@ def make(
     print(out)
 
 
-def show(file: Annotated[Path, tyro.conf.Positional], index: int = 0, *, out: Path) -> None:
+def show_environment(
+    file: Annotated[Path, tyro.conf.Positional], index: int = 0, *, out: Path
+) -> None:
     """Draw one environment of a file.
 
     Args:
@@ -74,17 +78,19 @@ def show(file: Annotated[Path, tyro.conf.Positional], index: int = 0, *, out: Pa
         index: Which world.
         out: Picture to write, for example env.png.
     """
-    from angler_mjx.report.viewing import environment, style
+    from angler_mjx.report.viewing import environment_figure, style
     from angler_mjx.runs.storage import environments as store
 
     style.require_format(out)
-    group = store.open_file(file)
+    group = store.open_environments(file)
     valid: Any = group["valid"]
     count = valid.shape[0]
     if not 0 <= index < count:
         raise ConfigError(f"--index {index}: {file} holds worlds 0 to {count - 1}")
     config: Any = group.attrs.get("world_config")  # a run's environments carry none
     name = str(config.get("preset", file.name)) if isinstance(config, dict) else file.name
-    picture = environment.draw(store.read(group, index), title=f"{name}, world {index}")
-    style.save(picture, out)
+    figure = environment_figure.plot_environment(
+        store.read_environments(group, index), title=f"{name}, world {index}"
+    )
+    style.save_figure(figure, out)
     print(out)

@@ -7,7 +7,7 @@ import tyro
 
 from angler_mjx.errors import ConfigError
 
-MOST_DIGITS = 10
+MAX_DIGITS = 10
 """Of the index of a world: a run has 1e9 at most."""
 
 
@@ -25,41 +25,41 @@ def export(
         worlds: Indices, as in 0,3; the worst and one good world if left out.
         force: Replace an older bag.
     """
-    chosen = None if worlds is None else indices(worlds)
+    world_indices = None if worlds is None else parse_indices(worlds)
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
     from angler_mjx.report.interop import mcap as bags
-    from angler_mjx.report.viewing.choose import good_world, worst_world
+    from angler_mjx.report.viewing.world_selection import good_world, worst_world
     from angler_mjx.runs.storage.folder import Run
 
     loaded = Run(run)
     columns = ("samples", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True)) as bar:
         task = bar.add_task("samples", total=None)
-        bags.export(
+        bags.export_bag(
             loaded,
             mcap,
-            [worst_world(loaded), good_world(loaded)] if chosen is None else chosen,
+            [worst_world(loaded), good_world(loaded)] if world_indices is None else world_indices,
             force=force,
             progress=lambda done, total: bar.update(task, completed=done, total=total),
         )
     print(mcap)
 
 
-def indices(text: str) -> list[int]:
+def parse_indices(text: str) -> list[int]:
     """Whole numbers with commas between them.
 
     Raises:
         ConfigError: the text is something else, or beyond any run.
     """
-    from angler_mjx.errors import shown
+    from angler_mjx.errors import format_value
 
     parts = [part.strip() for part in text.split(",")]
     if not all(part.isdecimal() for part in parts):
         raise ConfigError(
-            f"--worlds {shown(text)}: give indices with commas between them, as in 0,3"
+            f"--worlds {format_value(text)}: give indices with commas between them, as in 0,3"
         )
-    if long := [part for part in parts if len(part) > MOST_DIGITS]:
-        raise ConfigError(f"--worlds {shown(long[0])}: no run holds so many worlds")
+    if too_long := [part for part in parts if len(part) > MAX_DIGITS]:
+        raise ConfigError(f"--worlds {format_value(too_long[0])}: no run holds so many worlds")
     return [int(part) for part in parts]

@@ -7,8 +7,9 @@ import gc
 import os
 import signal
 import sys
+import warnings
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, TextIO
 
 import tyro
 
@@ -35,88 +36,93 @@ from angler_mjx.cli.sitl import run as sitl_run
 from angler_mjx.cli.sitl import spotcheck
 from angler_mjx.cli.studies import compare, fleet_size, sweep
 from angler_mjx.errors import AnglerError
+from angler_mjx.files import RenamedKeyWarning
 
-EXIT_FAULT, EXIT_INTERRUPTED, EXIT_UNREAD = 2, 130, 141
+EXIT_FAULT, EXIT_INTERRUPTED, EXIT_BROKEN_PIPE = 2, 130, 141
 
-GARBAGE = (100_000, 20, 20)
+GC_THRESHOLDS = (100_000, 20, 20)
 """Thresholds of Python's garbage collector. With its own it looks 900 times while JAX traces what a
 command computes, finds next to nothing, and takes a fifth of that time."""
 
-QUIET = ("TF_CPP_MIN_LOG_LEVEL", "3")
+LOG_LEVEL = ("TF_CPP_MIN_LOG_LEVEL", "3")
 """Level of XLA's own log on stderr, read when JAX is imported; a level that is set is kept. From 2
 minutes on, XLA logs every compilation as an error, "Very slow compile? If you want to file a bug",
 and has no other switch. Its true errors reach Python as exceptions, and fatal ones are logged."""
 
 GROUPS: dict[str, dict[str, Callable[..., Any]]] = {
     "dataset": {
-        "make": dataset.make,
-        "show": dataset.show,
-        "verify": dataset.verify,
-        "repair": dataset.repair,
-        "merge": dataset.merge,
-        "export": dataset.export,
-        "stats": dataset.stats,
+        "make": dataset.make_dataset,
+        "show": dataset.show_dataset,
+        "verify": dataset.verify_dataset,
+        "repair": dataset.repair_dataset,
+        "merge": dataset.merge_datasets,
+        "export": dataset.export_dataset,
+        "stats": dataset.show_stats,
     },
-    "env": {"make": env.make, "show": env.show},
-    "sitl": {"install": sitl.install, "doctor": sitl.doctor, "run": sitl_run.run},
+    "env": {"make": env.make_environments, "show": env.show_environment},
+    "sitl": {"install": sitl.install_ardusub, "doctor": sitl.run_doctor, "run": sitl_run.run},
     "scenarios": {
-        "list": scenarios.list_,
-        "show": scenarios.show,
-        "reference": scenarios.reference,
+        "list": scenarios.list_scenarios,
+        "show": scenarios.show_scenario,
+        "reference": scenarios.print_reference,
     },
     "study": {"fleet_size": fleet_size.fleet_size},
-    "vehicle": {"list": vehicle.list_, "show": vehicle.show, "export": vehicle.export},
+    "vehicle": {
+        "list": vehicle.list_vehicles,
+        "show": vehicle.show_vehicle,
+        "export": vehicle.export_mjcf,
+    },
 }
 """Commands of two words."""
 
-ALONE = {"scenarios": "list"}
+DEFAULT_SUBCOMMANDS = {"scenarios": "list"}
 """What a group does when no second word is given."""
 
 
-def _env() -> None:
+def _env_group() -> None:
     """Generate environments into a file, and look at one of them."""
 
 
-def _sitl() -> None:
+def _sitl_group() -> None:
     """Install a real ArduSub, look whether it can be run here, fly scenarios on it."""
 
 
-def _scenarios() -> None:
+def _scenarios_group() -> None:
     """List the shipped scenarios, print one, or print what a file of yours may hold."""
 
 
-def _study() -> None:
+def _study_group() -> None:
     """Answer a question with as many worlds as it takes: how many robots does a task need."""
 
 
-def _vehicle() -> None:
+def _vehicle_group() -> None:
     """List vehicles, show what one can do, export its MuJoCo model."""
 
 
-def _dataset() -> None:
+def _dataset_group() -> None:
     """Make datasets of flights for planners that learn, judge and show them."""
 
 
 COMMANDS: dict[str, Callable[..., Any]] = {
     "rollout": rollout.rollout,
     "plan": plan.plan,
-    "problems": plan.problems,
+    "problems": plan.write_problems,
     "warm": warm.warm,
-    "scenarios": _scenarios,
+    "scenarios": _scenarios_group,
     "figures": rollout.figures,
     "replay": rollout.replay,
     "sweep": sweep.sweep,
     "compare": compare.compare,
-    "study": _study,
+    "study": _study_group,
     "verify": verify.verify,
     "export": export.export,
     "teleop": teleop.teleop,
     "fly": fly.fly,
-    "env": _env,
-    "dataset": _dataset,
-    "sitl": _sitl,
+    "env": _env_group,
+    "dataset": _dataset_group,
+    "sitl": _sitl_group,
     "spotcheck": spotcheck.spotcheck,
-    "vehicle": _vehicle,
+    "vehicle": _vehicle_group,
     "benchmark": benchmark.benchmark,
     "bench": bench.bench,
     "control": control.control,
@@ -124,6 +130,41 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "validate": validate.validate,
 }
 """Commands of one word; the groups stand here for the help text alone."""
+
+
+RENAMED_FLAGS = {
+    "--knows": "--information",
+    "--most-minutes": "--max-minutes",
+    "--most-worlds": "--max-worlds",
+}
+"""Flags by their names before 0.2, accepted until 1.0 with a note on stderr."""
+
+
+def _rename_flag(argument: str) -> str:
+    name, sign, value = argument.partition("=")
+    today = RENAMED_FLAGS.get(name.replace("_", "-"))
+    if today is None:
+        return argument
+    print(f"angler: {name} is {today} since 0.2; the old flag works until 1.0", file=sys.stderr)
+    return f"{today}{sign}{value}"
+
+
+_show_warning = warnings.showwarning
+
+
+def _print_warning(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    """Print a warning of a file's key as a message of the command; any other as Python does."""
+    if issubclass(category, RenamedKeyWarning):
+        print(f"angler: {message}", file=sys.stderr)
+    else:
+        _show_warning(message, category, filename, lineno, file, line)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -136,17 +177,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """
     # What stops a job on a cluster is to end it as cleanly as Ctrl-C does.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    gc.set_threshold(*GARBAGE)
-    os.environ.setdefault(*QUIET)
-    given = list(sys.argv[1:] if arguments is None else arguments)
+    gc.set_threshold(*GC_THRESHOLDS)
+    os.environ.setdefault(*LOG_LEVEL)
+    warnings.showwarning = _print_warning
+    args = [_rename_flag(arg) for arg in (sys.argv[1:] if arguments is None else arguments)]
     prog, commands = "angler", COMMANDS
-    if given == ["--version"]:
+    if args == ["--version"]:
         print(f"angler {__version__}")
         return
-    if len(given) == 1 and given[0] in ALONE:
-        given.append(ALONE[given[0]])
-    if given and given[0] in GROUPS:
-        prog, commands = f"angler {given[0]}", GROUPS[given.pop(0)]
+    if len(args) == 1 and args[0] in DEFAULT_SUBCOMMANDS:
+        args.append(DEFAULT_SUBCOMMANDS[args[0]])
+    if args and args[0] in GROUPS:
+        prog, commands = f"angler {args[0]}", GROUPS[args.pop(0)]
     try:
         try:
             tyro.extras.subcommand_cli_from_dict(
@@ -154,7 +196,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 prog=prog,
                 description="Underwater multi-robot simulation in batches, on JAX and MJX. "
                 "angler --version tells which.",
-                args=given,
+                args=args,
                 config=(tyro.conf.OmitArgPrefixes,),
             )
         except SystemExit:  # --help ends so, with all of it still to be written
@@ -164,7 +206,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except BrokenPipeError:
         # Who read it has read enough (angler --help | head): what is left goes nowhere.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(EXIT_UNREAD)
+        sys.exit(EXIT_BROKEN_PIPE)
     except AnglerError as error:
         print(f"angler: {error}", file=sys.stderr)
         sys.exit(EXIT_FAULT)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from angler_mjx.cli.shared.device import Device, choose, join, keep_all_programs
+from angler_mjx.cli.shared.device import Device, choose_device, join_processes, keep_all_programs
 from angler_mjx.errors import ConfigError, UnsupportedError
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ def rollout(
     process: int | None = None,
     planner: str | None = None,
     replan_hz: float | None = None,
-    knows: str | None = None,
+    information: str | None = None,
     order: Literal["auto", "free", "kept"] | None = None,
     policy: Literal["none", "mppi", "routes"] | None = None,
     workers: int | None = None,
@@ -67,7 +67,7 @@ def rollout(
         planner: That gives robots their paths; the scenario's if left out. One that angler plan
             --list names, or FILE.py:CLASS.
         replan_hz: How often robots are planned for anew while they fly; 0: never.
-        knows: What planners and policies are told of what moves, such as
+        information: Information level of what moves for planners and policies, such as
             obstacles=observed,current=predicted; of what is not named, nothing. The scenario's if
             left out.
         order: Whether robots that are in time wait for those that are to pass a place before them.
@@ -80,9 +80,9 @@ def rollout(
         figures: Draw figures and write a replay at the end.
         json: Print one JSON object instead of the table.
     """
-    choose(device, distributed=distributed)
+    choose_device(device, distributed=distributed)
     keep_all_programs()
-    shared = join(
+    process_group = join_processes(
         device,
         distributed=distributed,
         coordinator=coordinator,
@@ -90,67 +90,71 @@ def rollout(
         process=process,
     )
     from angler_mjx.cli.shared.inputs import (
-        at_least_one,
-        flag,
-        knows_given,
-        planner_given,
-        policy_given,
-        require_planned,
-        scenario_given,
-        scenario_to_fly,
+        build_flyable_scenario,
+        build_planner_table,
+        build_policy_table,
+        build_scenario,
+        format_flag,
+        parse_information,
+        require_plans,
+        require_positive,
     )
-    from angler_mjx.cli.shared.progress import Bar
+    from angler_mjx.cli.shared.progress import RunBar
     from angler_mjx.runs import rollout as runs
 
-    given = {
+    flag_values = {
         "worlds": worlds,
         "seed": seed,
         "engine": engine,
         "kernels": kernels,
         "tile": tile,
-        "planner": planner_given(planner, replan_hz=replan_hz, knows=knows_given(knows)),
+        "planner": build_planner_table(
+            planner, replan_hz=replan_hz, information=parse_information(information)
+        ),
         "execution": None if order is None else {"order": order},
-        "policy": policy_given(policy, knows_given(knows)),
+        "policy": build_policy_table(policy, parse_information(information)),
     }
     if planner is not None and plans is not None:
         raise ConfigError("--planner and --plans: give one of them; plans are made already")
-    overrides: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
+    overrides: dict[str, Any] = {
+        key: value for key, value in flag_values.items() if value is not None
+    }
     if record_hz is not None:
         overrides["time"] = {"record_hz": record_hz}
     if resume and overrides:
         tables = ("time", "planner", "execution", "policy")
-        named = [
+        override_keys = [
             key if x == "name" else x
             for key in overrides
             for x in (overrides[key] if key in tables else [key])
         ]
-        flags = ", ".join(dict.fromkeys(map(flag, named)))
+        flags = ", ".join(dict.fromkeys(map(format_flag, override_keys)))
         raise ConfigError(f"--resume takes everything from the run folder; leave out {flags}")
-    loaded = scenario_given(scenario) if resume else scenario_to_fly(scenario, **overrides)
-    place = out or Path("runs") / loaded.name
-    with Bar(quiet=json or shared.index > 0) as bar:
-        how: dict[str, Any] = {
+    loaded = build_scenario(scenario) if resume else build_flyable_scenario(scenario, **overrides)
+    out_path = out or Path("runs") / loaded.name
+    with RunBar(quiet=json or process_group.index > 0) as bar:
+        options: dict[str, Any] = {
             "chunk": chunk,
             "progress": bar,
             "devices": devices,
-            "processes": shared,
-            "workers": at_least_one("workers", workers),
+            "processes": process_group,
+            "workers": require_positive("workers", workers),
             "plans": plans,
         }
         run = (
-            runs.resume(place, scenario=loaded, **how)
+            runs.resume(out_path, scenario=loaded, **options)
             if resume
-            else runs.rollout(loaded, out=place, **how)
+            else runs.rollout(loaded, out=out_path, **options)
         )
-    shared.leave()
-    if shared.index == 0:
+    process_group.leave()
+    if process_group.index == 0:
         if figures:
-            _draw(run)
-        _report(run, as_json=json)
+            _write_figures(run)
+        _print_summary(run, as_json=json)
     if not run.summary["complete"]:
         sys.exit(130)
-    who = f"planner {run.scenario.planner.name}" if plans is None else f"--plans {plans}"
-    require_planned(run.summary["planning"], who)
+    source = f"planner {run.scenario.planner.name}" if plans is None else f"--plans {plans}"
+    require_plans(run.summary["planning"], source)
 
 
 def figures(
@@ -178,16 +182,16 @@ def figures(
     if beside is None:
         if world is not None or robot is not None or at:
             raise ConfigError("--world, --robot and --at: choose what is drawn with --beside RUN")
-        _draw(Run(run))
+        _write_figures(Run(run))
         print(run / "figures")
         return
     from angler_mjx.report.viewing import style
-    from angler_mjx.report.viewing.maps import beside as pictures
-    from angler_mjx.report.viewing.maps import pairing
+    from angler_mjx.report.viewing.maps import comparison
+    from angler_mjx.report.viewing.maps import comparison_map as pictures
 
-    what = pairing.choose([Run(run), Run(beside)], world, robot, at)
-    name = f"beside_world_{what.scenes[0].world}_robot_{what.robot}.png"
-    print(style.save(pictures.draw(what), run / FIGURES / name, palette=128))
+    pair = comparison.read_comparison([Run(run), Run(beside)], world, robot, at)
+    name = f"beside_world_{pair.scenes[0].world}_robot_{pair.robot}.png"
+    print(style.save_figure(pictures.plot_comparison(pair), run / FIGURES / name, palette=128))
 
 
 def replay(
@@ -206,51 +210,51 @@ def replay(
     from angler_mjx.runs.storage.folder import Run
 
     loaded = Run(run)
-    chosen = viewer.worst_world(loaded) if world is None else world
-    done = set(loaded.episodes["world"].to_pylist())
-    if chosen not in done:
-        raise ConfigError(f"--world {chosen}: {run} holds worlds 0 to {max(done)}")
+    world_index = viewer.worst_world(loaded) if world is None else world
+    finished = set(loaded.episodes["world"].to_pylist())
+    if world_index not in finished:
+        raise ConfigError(f"--world {world_index}: {run} holds worlds 0 to {max(finished)}")
     if out is None:
-        viewer.show(loaded, chosen)
+        viewer.show_world(loaded, world_index)
         return
-    print(viewer.write(loaded, [chosen], out))
+    print(viewer.write_replay(loaded, [world_index], out))
 
 
-def _draw(run: "Run") -> None:
+def _write_figures(run: "Run") -> None:
     """Figures and replay of a run; without trajectories or viewer it says what is missing."""
     from angler_mjx.report.viewing import figures as drawing
     from angler_mjx.report.viewing import replay as viewer
 
-    drawing.make(run)
+    drawing.plot_figures(run)
     if run.scenario.time.record_hz == 0:
         print("no maps and no replay: the run stored no trajectories", file=sys.stderr)
         return
     try:
-        viewer.write(run)
+        viewer.write_replay(run)
     except UnsupportedError as error:
         print(error, file=sys.stderr)
 
 
-def _count(number: int, noun: str) -> str:
+def _format_count(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
-def _of_task(task: dict[str, Any]) -> str:
+def _format_task(task: dict[str, Any]) -> str:
     """How the tasks of the worlds went, in a line."""
-    rate, taken = task["completed"], task["completed_s"]
-    share = (
+    rate, duration = task["completed"], task["completed_s"]
+    completed = (
         f"task completed in {rate['count']} worlds, {100 * rate['rate']:.1f} % "
         f"(95 %: {100 * rate['low']:.1f} to {100 * rate['high']:.1f} %)"
     )
-    if taken["mean"] is None:
-        return f"{share}; on average {100 * task['progress']:.1f} % of it was done"
+    if duration["mean"] is None:
+        return f"{completed}; on average {100 * task['progress']:.1f} % of it was done"
     spread = ""
-    if taken["interval"] is not None:
-        spread = " (95 %: {:.0f} to {:.0f} s)".format(*taken["interval"])
-    return f"{share}, after {taken['mean']:.0f} s on average{spread}"
+    if duration["interval"] is not None:
+        spread = " (95 %: {:.0f} to {:.0f} s)".format(*duration["interval"])
+    return f"{completed}, after {duration['mean']:.0f} s on average{spread}"
 
 
-def _report(run: "Run", *, as_json: bool) -> None:
+def _print_summary(run: "Run", *, as_json: bool) -> None:
     """End of a run: one JSON object, or the table and the place of the run folder."""
     summary = run.summary
     if as_json:
@@ -258,8 +262,8 @@ def _report(run: "Run", *, as_json: bool) -> None:
         return
     from rich.console import Console
 
-    from angler_mjx.cli.shared.text_table import table as text_table
-    from angler_mjx.runs.storage import planned
+    from angler_mjx.cli.shared.text_table import build_text_table as text_table
+    from angler_mjx.runs.storage import planning_summary
 
     table = text_table(
         "outcome",
@@ -282,20 +286,20 @@ def _report(run: "Run", *, as_json: bool) -> None:
         kinds.add_row(name, str(row["robots"]), f"{100 * reached['rate']:.1f} %", interval)
     console = Console()
     if "task" in summary:
-        console.print(_of_task(summary["task"]), highlight=False)
+        console.print(_format_task(summary["task"]), highlight=False)
     console.print(table)
-    early = planned.early(summary.get("passed_goal_early", 0))
-    for line in (*planned.lines(planning), *early):
+    early = planning_summary.early_lines(summary.get("passed_goal_early", 0))
+    for line in (*planning_summary.reason_lines(planning), *early):
         console.print(line, highlight=False, markup=False, soft_wrap=True)
     console.print(kinds)
     timing, arrival = summary["timing"], summary["time_to_goal_s"]["p50"]
-    did, time = "arrived", "time to goal"
+    label, time = "arrived", "time to goal"
     if "task" in summary:
-        did, time = "did its part", "time of a robot's part"
-    median = f"no robot {did}" if arrival is None else f"median {time} {arrival:.0f} s"
+        label, time = "did its part", "time of a robot's part"
+    median = f"no robot {label}" if arrival is None else f"median {time} {arrival:.0f} s"
     console.print(
         f"{median}; {timing['vehicle_steps_per_s']:.2e} vehicle-steps/s on "
-        f"{_count(summary['devices'], 'device')}, "
+        f"{_format_count(summary['devices'], 'device')}, "
         f"{timing['simulate_s']:.1f} s simulating, {timing['compile_s']:.1f} s compiling",
         highlight=False,
     )

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from angler_mjx.cli.shared.device import Device, choose, keep_all_programs
-from angler_mjx.cli.sitl.run import Level, Source, prepare
-from angler_mjx.cli.sitl.run import opener as real_autopilots
+from angler_mjx.cli.shared.device import Device, choose_device, keep_all_programs
+from angler_mjx.cli.sitl.run import CommandLevel, PositionSource, require_sitl
+from angler_mjx.cli.sitl.run import build_opener as real_autopilots
 from angler_mjx.errors import ConfigError
 
 if TYPE_CHECKING:
-    from angler_mjx.teleop.loop import Driven
+    from angler_mjx.teleop.loop import DriveResult
 
 
 def teleop(
@@ -30,8 +30,8 @@ def teleop(
     speed: float = 0.5,
     turn: float = 0.5,
     silence: float = 0.8,
-    level: Level | None = None,
-    source: Source | None = None,
+    level: CommandLevel | None = None,
+    source: PositionSource | None = None,
     gcs: str | None = None,
     isolate: bool = False,
     ardusub: Path | None = None,
@@ -65,15 +65,18 @@ def teleop(
             one.
         device: Where to compute.
     """
-    given = {"level": level, "source": source, "gcs": gcs, "ardusub": ardusub}
-    named = [*(f for f, value in given.items() if value is not None), *["isolate"] * isolate]
-    if session == "batch" and named:
-        raise ConfigError(f"--{named[0]}: only real autopilots have that; add --session sitl")
+    sitl_flags = {"level": level, "source": source, "gcs": gcs, "ardusub": ardusub}
+    sitl_only = [
+        *(f for f, value in sitl_flags.items() if value is not None),
+        *["isolate"] * isolate,
+    ]
+    if session == "batch" and sitl_only:
+        raise ConfigError(f"--{sitl_only[0]}: only real autopilots have that; add --session sitl")
     if session == "sitl":
-        prepare(isolate=isolate, gcs=gcs)
-    choose(device)
+        require_sitl(isolate=isolate, gcs=gcs)
+    choose_device(device)
     keep_all_programs()
-    from angler_mjx.cli.shared.inputs import scenario_given
+    from angler_mjx.cli.shared.inputs import build_scenario
     from angler_mjx.teleop import driving, opening
 
     settings = driving.TeleopSettings(
@@ -88,23 +91,26 @@ def teleop(
         turn_radps=turn,
         silence_s=silence,
     )
-    loaded = scenario_given(scenario, seed=seed)
-    opener: opening.Opener = opening.simulated
+    loaded = build_scenario(scenario, seed=seed)
+    opener: opening.SessionOpener = opening.open_simulated
     if session == "sitl":
         opener = real_autopilots(
             level=level or "poshold", source=source or "vision", gcs=gcs, ardusub=ardusub
         )
-    tell = partial(print, file=sys.stderr)
-    done, run = driving.run(loaded, settings, tell=tell, opener=opener)
-    _report(done)
+    report = partial(print, file=sys.stderr)
+    result, run = driving.run_teleop(loaded, settings, report=report, opener=opener)
+    _print_drive(result)
     if run is not None:
         print(run.path)
 
 
-def _report(done: "Driven") -> None:
+def _print_drive(result: "DriveResult") -> None:
     """How it went, in a line for all and a line for each robot."""
-    pace = "as fast as possible" if done.overruns is None else str(done.overruns)
-    print(f"{done.scene_s:.2f} s of the scene in {done.wall_s:.2f} s, {done.steps} steps, {pace}")
-    for i, status in enumerate(done.last.status):
+    pace = "as fast as possible" if result.overruns is None else str(result.overruns)
+    print(
+        f"{result.scene_s:.2f} s of the scene in {result.wall_s:.2f} s, {result.steps} steps, "
+        f"{pace}"
+    )
+    for i, status in enumerate(result.last.status):
         refused = f", refused: {status.refused}" if status.refused else ""
         print(f"robot_{i}: {status.outcome.name.lower()}{refused}")

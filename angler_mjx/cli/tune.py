@@ -13,8 +13,8 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from angler_mjx.cli.shared.device import Device, choose
-from angler_mjx.cli.shared.progress import Shown
+from angler_mjx.cli.shared.device import Device, choose_device
+from angler_mjx.cli.shared.progress import ProgressDisplay
 
 
 def tune(
@@ -49,7 +49,7 @@ def tune(
         resume: Go on with an interrupted tuning in the same folder, with the same arguments.
         device: Where to compute; JAX's choice if left out.
     """
-    choose(device)
+    choose_device(device)
     from angler_mjx.scenario.scenario import load_scenario
     from angler_mjx.studies.tuning import problem
     from angler_mjx.studies.tuning import tune as tuning
@@ -65,23 +65,23 @@ def tune(
         generations=generations,
         seed=seed,
     )
-    place = out or Path("runs") / f"tune-{controller}-{objective}"
-    with _Bar() as bar:
-        found = tuning.tune(settings, place, bar, resume=resume)
+    out_path = out or Path("runs") / f"tune-{controller}-{objective}"
+    with _TuningBar() as bar:
+        result = tuning.tune(settings, out_path, bar, resume=resume)
     print(
-        f"objective, 1 before: {found.train.cost:.3f} on the flights tuned on, "
-        f"{found.held_out.cost:.3f} on others"
+        f"objective, 1 before: {result.train.cost:.3f} on the flights tuned on, "
+        f"{result.held_out.cost:.3f} on others"
     )
-    for knob, turn in zip(found.problem.knobs, found.turns, strict=True):
-        for name, before, after in zip(knob.gains, knob.start, knob.values(turn), strict=True):
+    for knob, value in zip(result.problem.knobs, result.turns, strict=True):
+        for name, before, after in zip(knob.gains, knob.start, knob.values(value), strict=True):
             print(f"  {knob.stage}.{name}: {before:g} -> {after:g}")
-    print(place)
-    if not found.complete:
+    print(out_path)
+    if not result.complete:
         print("interrupted: go on with --resume", file=sys.stderr)
         sys.exit(130)
 
 
-class _Bar(Shown):
+class _TuningBar(ProgressDisplay):
     """Flights done, the least cost so far, and the time left, on stderr."""
 
     def __init__(self) -> None:

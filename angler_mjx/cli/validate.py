@@ -33,12 +33,12 @@ def validate(
     """
     from angler_mjx.testing.validation import terms
     from angler_mjx.testing.validation.validate import ValidationRequest
-    from angler_mjx.testing.validation.validate import validate as run
+    from angler_mjx.testing.validation.validate import run_validation as run
 
     request = ValidationRequest(
         quick=quick, measured=from_, page_only=page, check=check, store=store, out=out
     )
-    bad = run(request, terms.checkout(), lambda line: print(line, file=sys.stderr, flush=True))
+    bad = run(request, terms.find_checkout(), lambda line: print(line, file=sys.stderr, flush=True))
     for fault in bad:
         print(f"angler validate: {fault}")
     if bad:

@@ -6,19 +6,19 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 if TYPE_CHECKING:
-    from angler_mjx.robot.vehicles.properties import Properties
+    from angler_mjx.robot.vehicles.properties import VehicleProperties
 
 
-def list_() -> None:
+def list_vehicles() -> None:
     """List the shipped vehicles and their parameter sets."""
     from rich.console import Console
 
-    from angler_mjx.cli.shared.text_table import table as text_table
-    from angler_mjx.robot.vehicles.library import available, load
+    from angler_mjx.cli.shared.text_table import build_text_table as text_table
+    from angler_mjx.robot.vehicles.library import list_vehicles, load_vehicle
 
     table = text_table("vehicle", "thrusters", "parameter sets (default first)", "description")
-    for name in available():
-        config = load(name)
+    for name in list_vehicles():
+        config = load_vehicle(name)
         others = [key for key in config.parameter_sets if key != config.default_set]
         table.add_row(
             name,
@@ -29,7 +29,7 @@ def list_() -> None:
     Console().print(table)
 
 
-def show(
+def show_vehicle(
     name: Annotated[str, tyro.conf.Positional],
     parameter_set: Annotated[str | None, tyro.conf.arg(name="set")] = None,
     voltage_v: Annotated[float, tyro.conf.arg(name="voltage")] = 16.0,
@@ -45,17 +45,17 @@ def show(
     from rich.console import Console
     from rich.table import Table
 
-    from angler_mjx.robot.vehicles.library import load
-    from angler_mjx.robot.vehicles.properties import describe
+    from angler_mjx.robot.vehicles.library import load_vehicle
+    from angler_mjx.robot.vehicles.properties import describe_vehicle
 
-    config = load(name)
-    facts = describe(config, parameter_set, voltage_v)
+    config = load_vehicle(name)
+    properties = describe_vehicle(config, parameter_set, voltage_v)
     console = Console()
     numbers = Table(
-        title=f"{config.name}, set {facts.parameter_set}, {voltage_v:g} V, still fresh water",
+        title=f"{config.name}, set {properties.parameter_set}, {voltage_v:g} V, still fresh water",
         show_header=False,
     )
-    for label, value in _rows(facts):
+    for label, value in _format_properties(properties):
         numbers.add_row(label, value)
     console.print(numbers)
     wrench = Table(
@@ -67,12 +67,12 @@ def show(
     wrench.add_column("")
     for thruster in config.thrusters.layout:
         wrench.add_column(thruster.name.removeprefix("thruster_"), justify="right")
-    for label, row in zip(_WRENCH_ROWS, facts.wrench_matrix, strict=True):
+    for label, row in zip(_WRENCH_ROWS, properties.wrench_matrix, strict=True):
         wrench.add_row(label, *(f"{entry + 0.0:.4f}" for entry in row))
     console.print(wrench)
 
 
-def export(
+def export_mjcf(
     name: Annotated[str, tyro.conf.Positional],
     out: Annotated[Path, tyro.conf.Positional],
     parameter_set: Annotated[str | None, tyro.conf.arg(name="set")] = None,
@@ -85,10 +85,10 @@ def export(
         parameter_set: Parameter set; the vehicle's default if left out.
     """
     from angler_mjx.errors import ConfigError
-    from angler_mjx.robot.vehicles.library import load
+    from angler_mjx.robot.vehicles.library import load_vehicle
     from angler_mjx.robot.vehicles.mjcf import to_xml
 
-    text = to_xml(load(name), parameter_set)
+    text = to_xml(load_vehicle(name), parameter_set)
     try:
         file = out.open("x", encoding="utf-8")
     except FileExistsError as error:
@@ -107,28 +107,28 @@ def export(
 _WRENCH_ROWS = ("x", "y", "z", "roll", "pitch", "yaw")
 
 
-def _rows(facts: "Properties") -> list[tuple[str, str]]:
+def _format_properties(properties: "VehicleProperties") -> list[tuple[str, str]]:
     speeds = zip(
         ("surge", "sway", "heave"),
-        facts.terminal_speed_mps,
-        facts.speed_time_constant_s,
+        properties.terminal_speed_mps,
+        properties.speed_time_constant_s,
         strict=True,
     )
     return [
-        ("mass", f"{facts.mass_kg:.3f} kg"),
-        ("weight", f"{facts.weight_n:.2f} N"),
-        ("buoyancy", f"{facts.buoyancy_n:.2f} N"),
-        ("net (up is positive)", f"{facts.buoyancy_n - facts.weight_n:+.2f} N"),
-        *((f"{axis} at full thrust", _speed(speed, lag)) for axis, speed, lag in speeds),
-        ("natural roll period", _period(facts.roll_period_s)),
-        ("natural pitch period", _period(facts.pitch_period_s)),
-        ("rotor time constant", f"{facts.rotor_time_constant_s:g} s"),
+        ("mass", f"{properties.mass_kg:.3f} kg"),
+        ("weight", f"{properties.weight_n:.2f} N"),
+        ("buoyancy", f"{properties.buoyancy_n:.2f} N"),
+        ("net (up is positive)", f"{properties.buoyancy_n - properties.weight_n:+.2f} N"),
+        *((f"{axis} at full thrust", _format_speed(speed, lag)) for axis, speed, lag in speeds),
+        ("natural roll period", _format_period(properties.roll_period_s)),
+        ("natural pitch period", _format_period(properties.pitch_period_s)),
+        ("rotor time constant", f"{properties.rotor_time_constant_s:g} s"),
     ]
 
 
-def _speed(speed: float, lag: float) -> str:
+def _format_speed(speed: float, lag: float) -> str:
     return f"{speed:.2f} m/s, time constant {lag:.2f} s" if speed > 0 else "none by itself"
 
 
-def _period(seconds: float | None) -> str:
+def _format_period(seconds: float | None) -> str:
     return "none: nothing rights it" if seconds is None else f"{seconds:.2f} s"

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from angler_mjx.cli.export import indices
+from angler_mjx.cli.export import parse_indices
 
 if TYPE_CHECKING:
     from angler_mjx.testing.referee import RefereeVerdict
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 EXIT_DISAGREES = 1
 EXIT_INCONCLUSIVE = 3
 
-SHOWN = 100
+MAX_DIFFERENCES = 100
 """Differences that are printed; the JSON object holds all."""
 
 
@@ -43,34 +43,34 @@ def verify(
 
     from angler_mjx.testing import referee
 
-    chosen = None if worlds is None else indices(worlds)
+    world_indices = None if worlds is None else parse_indices(worlds)
     columns = ("worlds", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True, quiet=json)) as bar:
         task = bar.add_task("worlds", total=None)
         verdict = referee.judge(
-            run, chosen, lambda done, total: bar.update(task, completed=done, total=total)
+            run, world_indices, lambda done, total: bar.update(task, completed=done, total=total)
         )
     if json:
         print(text.dumps(verdict.table()))
     else:
-        _report(verdict)
+        _print_verdict(verdict)
     if verdict.conclusion == "disagrees":
         sys.exit(EXIT_DISAGREES)
     if verdict.conclusion == "inconclusive":
         sys.exit(EXIT_INCONCLUSIVE)
 
 
-def _report(verdict: "RefereeVerdict") -> None:
+def _print_verdict(verdict: "RefereeVerdict") -> None:
     from rich.console import Console
 
-    from angler_mjx.cli.shared.text_table import table as text_table
-    from angler_mjx.runs.storage import planned
+    from angler_mjx.cli.shared.text_table import build_text_table as text_table
+    from angler_mjx.runs.storage import planning_summary
     from angler_mjx.testing.referee import QUANTITIES, TASK_QUANTITIES
 
-    for one in verdict.differences[:SHOWN]:
-        print(one.line())
-    if (more := len(verdict.differences) - SHOWN) > 0:
-        print(f"... and {more} more; --json holds all of them")
+    for finding in verdict.differences[:MAX_DIFFERENCES]:
+        print(finding.line())
+    if (n_hidden := len(verdict.differences) - MAX_DIFFERENCES) > 0:
+        print(f"... and {n_hidden} more; --json holds all of them")
     if verdict.finished_worlds < verdict.planned_worlds:
         print(f"{verdict.finished_worlds} of {verdict.planned_worlds} worlds have results")
     table = text_table(
@@ -93,12 +93,12 @@ def _report(verdict: "RefereeVerdict") -> None:
         table.add_row(name, *map(str, numbers), largest)
     Console().print(table)
     print(f"outcomes: {verdict.counts['outcome'].text()}")
-    for line in planned.early(verdict.passed_goal_early):
+    for line in planning_summary.early_lines(verdict.passed_goal_early):
         print(line)
-    print(_conclusion(verdict))
+    print(_format_conclusion(verdict))
 
 
-def _conclusion(verdict: "RefereeVerdict") -> str:
+def _format_conclusion(verdict: "RefereeVerdict") -> str:
     """Return the last line: what the findings come to."""
     if verdict.conclusion == "disagrees":
         wrong = sum(count.disagrees for count in verdict.counts.values())

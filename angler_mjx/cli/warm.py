@@ -4,7 +4,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from angler_mjx.cli.shared.device import Device, choose, keep_all_programs
+from angler_mjx.cli.shared.device import Device, choose_device, keep_all_programs
 
 
 def warm(
@@ -32,24 +32,24 @@ def warm(
         tile: Worlds in one device call.
         record_hz: Rate of the stored trajectories; 0 stores none.
     """
-    choose(device)
+    choose_device(device)
     keep_all_programs()
     import jax
 
-    from angler_mjx.cli.shared.inputs import scenario_given
+    from angler_mjx.cli.shared.inputs import build_scenario
     from angler_mjx.runs.simulator.simulator import Simulator
 
-    given = {"worlds": worlds, "engine": engine, "kernels": kernels, "tile": tile}
-    overrides: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
+    flags = {"worlds": worlds, "engine": engine, "kernels": kernels, "tile": tile}
+    overrides: dict[str, Any] = {key: value for key, value in flags.items() if value is not None}
     if record_hz is not None:
         overrides["time"] = {"record_hz": record_hz}
-    simulator = Simulator(scenario_given(scenario, **overrides), devices=devices)
-    took = simulator.compile()
-    for name, seconds in took.by_program().items():
+    simulator = Simulator(build_scenario(scenario, **overrides), devices=devices)
+    compile_time = simulator.compile()
+    for name, seconds in compile_time.by_program().items():
         print(f"{name:8} {seconds:6.1f} s")
     count = f"{simulator.tile} world{'' if simulator.tile == 1 else 's'} a tile"
     print(
-        f"{took.total_s:.1f} s in all: {simulator.scenario.name}, engine "
+        f"{compile_time.total_s:.1f} s in all: {simulator.scenario.name}, engine "
         f"{simulator.scenario.engine}, {count}, {simulator.devices} x "
         f"{jax.local_devices()[0].device_kind}"
     )

@@ -13,17 +13,17 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.robot.control.commands import BodyTwist, BodyWrench, PoseTarget, ThrusterPwm
 from angler_mjx.sim.physics.step import VehicleState
 
-POSE = (2.0, 2.0, 2.0, 3.14159265)
+POSE_RANGE = (2.0, 2.0, 2.0, 3.14159265)
 """Offset along forward, left (level), up, m, and of the heading, rad."""
-TWIST = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
+TWIST_RANGE = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
 """Velocity over ground in F, m/s and rad/s."""
-WRENCH = (80.0, 80.0, 80.0, 15.0, 15.0, 15.0)
+WRENCH_RANGE = (80.0, 80.0, 80.0, 15.0, 15.0, 15.0)
 """Wrench in F, N and N m."""
-PWM = (400.0,)
+PWM_RANGE_US = (400.0,)
 """Of each thruster, us from neutral."""
 NEUTRAL_US = 1500.0
 
-type Make = Callable[[jax.Array, VehicleState, jax.Array, jax.Array], Any]
+type MakeCommand = Callable[[jax.Array, VehicleState, jax.Array, jax.Array], Any]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,63 +37,69 @@ class ActionSpace:
     range: tuple[float, ...]
     command: type | None
     """That it becomes; None: the robots follow their plans."""
-    make: Make
+    make_command: MakeCommand
     """Of scaled numbers [W, R, size], the robots [W, R, ...], and position [W, R, 3] and heading
     [W, R] of the aim."""
 
 
-def _plan(_: jax.Array, __: VehicleState, ___: jax.Array, ____: jax.Array) -> None:
+def _make_no_command(_: jax.Array, __: VehicleState, ___: jax.Array, ____: jax.Array) -> None:
     return None
 
 
-def _level(yaw_rad: jax.Array, offset: jax.Array) -> jax.Array:
+def _rotate_by_heading(yaw_rad: jax.Array, offset: jax.Array) -> jax.Array:
     """An offset [..., 3] forward, left and up of a heading, in W."""
     c, s = jnp.cos(yaw_rad), jnp.sin(yaw_rad)
     x, y, z = jnp.moveaxis(offset, -1, 0)
     return jnp.stack([c * x - s * y, s * x + c * y, z], axis=-1)
 
 
-def _pose(a: jax.Array, robots: VehicleState, _: jax.Array, __: jax.Array) -> PoseTarget:
+def _make_relative_pose(
+    a: jax.Array, robots: VehicleState, _: jax.Array, __: jax.Array
+) -> PoseTarget:
     yaw = jax.vmap(jax.vmap(quaternion.yaw))(robots.q)
     return PoseTarget(
-        position_m=robots.p + _level(yaw, a[..., :3]),
+        position_m=robots.p + _rotate_by_heading(yaw, a[..., :3]),
         velocity_mps=jnp.zeros_like(robots.p),
         yaw_rad=yaw + a[..., 3],
     )
 
 
-def _aim(a: jax.Array, robots: VehicleState, aim_m: jax.Array, yaw_rad: jax.Array) -> PoseTarget:
+def _make_aim_pose(
+    a: jax.Array, robots: VehicleState, aim_m: jax.Array, yaw_rad: jax.Array
+) -> PoseTarget:
     return PoseTarget(
-        position_m=aim_m + _level(yaw_rad, a[..., :3]),
+        position_m=aim_m + _rotate_by_heading(yaw_rad, a[..., :3]),
         velocity_mps=jnp.zeros_like(robots.p),
         yaw_rad=yaw_rad + a[..., 3],
     )
 
 
-def _twist(a: jax.Array, _: VehicleState, __: jax.Array, ___: jax.Array) -> BodyTwist:
+def _make_twist(a: jax.Array, _: VehicleState, __: jax.Array, ___: jax.Array) -> BodyTwist:
     return BodyTwist(nu=a)
 
 
-def _wrench(a: jax.Array, _: VehicleState, __: jax.Array, ___: jax.Array) -> BodyWrench:
+def _make_wrench(a: jax.Array, _: VehicleState, __: jax.Array, ___: jax.Array) -> BodyWrench:
     return BodyWrench(tau=a)
 
 
-def _pwm(a: jax.Array, _: VehicleState, __: jax.Array, ___: jax.Array) -> ThrusterPwm:
+def _make_pwm(a: jax.Array, _: VehicleState, __: jax.Array, ___: jax.Array) -> ThrusterPwm:
     return ThrusterPwm(pwm_us=NEUTRAL_US + a)
 
 
-KINDS: dict[str, tuple[str, tuple[float, ...], type | None, Make]] = {
-    "plan": ("", (), None, _plan),
-    "waypoint": ("m, rad; from the robot, level", POSE, PoseTarget, _pose),
-    "pose": ("m, rad; from the aim, level", POSE, PoseTarget, _aim),
-    "twist": ("m/s, rad/s, in F", TWIST, BodyTwist, _twist),
-    "wrench": ("N, N m, in F", WRENCH, BodyWrench, _wrench),
-    "pwm": ("us from 1500", PWM, ThrusterPwm, _pwm),
+KINDS: dict[str, tuple[str, tuple[float, ...], type | None, MakeCommand]] = {
+    "plan": ("", (), None, _make_no_command),
+    "waypoint": ("m, rad; from the robot, level", POSE_RANGE, PoseTarget, _make_relative_pose),
+    "pose": ("m, rad; from the aim, level", POSE_RANGE, PoseTarget, _make_aim_pose),
+    "twist": ("m/s, rad/s, in F", TWIST_RANGE, BodyTwist, _make_twist),
+    "wrench": ("N, N m, in F", WRENCH_RANGE, BodyWrench, _make_wrench),
+    "pwm": ("us from 1500", PWM_RANGE_US, ThrusterPwm, _make_pwm),
 }
 """By name: unit, range, command, and how it is made."""
 
 
-def named(name: str, thrusters: int, scale: tuple[float, ...] | None = None) -> ActionSpace:
+def build_action_space(
+    name: str, thrusters: int, scale: tuple[float, ...] | None = None
+) -> ActionSpace:
     """An action by its name.
 
     Args:
@@ -108,21 +114,23 @@ def named(name: str, thrusters: int, scale: tuple[float, ...] | None = None) -> 
     if name not in KINDS:
         raise ConfigError(f"action = {name!r}: there is {', '.join(KINDS)}")
     unit, default, command, make = KINDS[name]
-    wanted = default * thrusters if name == "pwm" else default
-    chosen = wanted if scale is None else tuple(scale)
-    if len(chosen) != len(wanted) or not all(0 < x < float("inf") for x in chosen):
+    expected = default * thrusters if name == "pwm" else default
+    chosen = expected if scale is None else tuple(scale)
+    if len(chosen) != len(expected) or not all(0 < x < float("inf") for x in chosen):
         raise ConfigError(
-            f"scale = {chosen}: action {name!r} has {len(wanted)} numbers ({unit or 'none'}); "
+            f"scale = {chosen}: action {name!r} has {len(expected)} numbers ({unit or 'none'}); "
             "give what 1 stands for in each, above 0"
         )
-    if name == "pwm" and max(chosen) > PWM[0]:
-        raise ConfigError(f"scale = {chosen}: action 'pwm' reaches {PWM[0]:g} us from 1500 at most")
+    if name == "pwm" and max(chosen) > PWM_RANGE_US[0]:
+        raise ConfigError(
+            f"scale = {chosen}: action 'pwm' reaches {PWM_RANGE_US[0]:g} us from 1500 at most"
+        )
     return ActionSpace(
-        name=name, unit=unit, size=len(wanted), range=chosen, command=command, make=make
+        name=name, unit=unit, size=len(expected), range=chosen, command=command, make_command=make
     )
 
 
-def check(action: Any, shape: tuple[int, ...]) -> None:
+def check_actions(action: Any, shape: tuple[int, ...]) -> None:
     """Refuse actions of another shape, and numbers that are not finite where values are known.
 
     Raises:

@@ -9,7 +9,7 @@ import numpy as np
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.runs.simulator.simulator import Simulator
-from angler_mjx.sim.state import Laid, World, WorldState
+from angler_mjx.sim.state import EngineConstants, World, WorldState
 
 
 @jax.tree_util.register_dataclass
@@ -18,22 +18,24 @@ class WorldBank:
     """[B] worlds, and how each begins."""
 
     worlds: World
-    begun: WorldState
-    laid: Laid
-    """See `Engine.lay_out`."""
+    initial_state: WorldState
+    laid: EngineConstants
+    """See `Engine.pack_constants`."""
 
     @property
     def count(self) -> int:
         """How many."""
-        return int(self.begun.step.shape[0])
+        return int(self.initial_state.step.shape[0])
 
-    def begin(self, rows: jax.Array) -> WorldState:
+    def select_initial_state(self, rows: jax.Array) -> WorldState:
         """States at t = 0 of worlds ``rows`` int32 [W]."""
-        state: WorldState = jax.tree.map(lambda leaf: leaf[rows], self.begun)
+        state: WorldState = jax.tree.map(lambda leaf: leaf[rows], self.initial_state)
         return state
 
 
-def draw(simulator: Simulator, count: int, *, first: int = 0, seed: int | None = None) -> WorldBank:
+def sample_worlds(
+    simulator: Simulator, count: int, *, first: int = 0, seed: int | None = None
+) -> WorldBank:
     """A bank of worlds first, first + 1 and on.
 
     Args:
@@ -48,29 +50,31 @@ def draw(simulator: Simulator, count: int, *, first: int = 0, seed: int | None =
     if not isinstance(count, int) or isinstance(count, bool) or count < 1:
         raise ConfigError(f"bank = {count!r}: give a whole number of worlds above 0")
     tiles = [
-        simulator.worlds(first + begin, seed=seed) for begin in range(0, count, simulator.tile)
+        simulator.worlds(first + offset, seed=seed) for offset in range(0, count, simulator.tile)
     ]
-    return of(simulator, _joined(tiles, count), [simulator.reset(tile) for tile in tiles])
+    return build_bank(
+        simulator, _concatenate(tiles, count), [simulator.reset(tile) for tile in tiles]
+    )
 
 
-def of(simulator: Simulator, worlds: World, begun: list[WorldState]) -> WorldBank:
+def build_bank(simulator: Simulator, worlds: World, initial_states: list[WorldState]) -> WorldBank:
     """A bank of worlds that are there, and their states at t = 0 tile by tile."""
     count = worlds.variant.shape[0]
-    kept = loose(simulator.admitted(worlds))
-    lay_out = jax.jit(simulator.engine.lay_out)
-    laid = lay_out(loose(simulator.fleet), kept)
-    return WorldBank(worlds=kept, begun=_joined(begun, count), laid=laid)
+    validated = to_default_device(simulator.validate_worlds(worlds))
+    lay_out = jax.jit(simulator.engine.pack_constants)
+    laid = lay_out(to_default_device(simulator.fleet), validated)
+    return WorldBank(worlds=validated, initial_state=_concatenate(initial_states, count), laid=laid)
 
 
-def loose(tree: Any) -> Any:
+def to_default_device(tree: Any) -> Any:
     """Arrays that lie nowhere in particular: a simulator's belong to its devices' mesh."""
     return jax.tree.map(jnp.asarray, jax.device_get(tree))
 
 
-def _joined(tiles: list[Any], count: int) -> Any:
+def _concatenate(tiles: list[Any], count: int) -> Any:
     """The first ``count`` worlds of tiles."""
 
-    def one(*leaves: np.ndarray) -> jax.Array:
+    def join_leaves(*leaves: np.ndarray) -> jax.Array:
         return jnp.asarray(np.concatenate(leaves)[:count])
 
-    return jax.tree.map(one, *map(jax.device_get, tiles))
+    return jax.tree.map(join_leaves, *map(jax.device_get, tiles))

@@ -12,6 +12,7 @@ from typing import Any, Literal
 import jax
 import jax.numpy as jnp
 
+from angler_mjx._moved import renamed as _renamed
 from angler_mjx.errors import ConfigError
 from angler_mjx.learning import actions, observations, rewards
 from angler_mjx.learning import bank as banks
@@ -28,7 +29,7 @@ from angler_mjx.sim.world_phases import sensing
 type Aim = Literal["goal", "start"]
 """What robots are rewarded for being near to: their goals, or the poses that they start at."""
 
-OBSERVE = ("velocity", "upright", "goal", "heading")
+DEFAULT_OBSERVATION = ("velocity", "upright", "goal", "heading")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -52,7 +53,7 @@ class EnvironmentRules:
 class EnvState:
     """What changes from step to step; [W] leads but in ``key``."""
 
-    flight: WorldState
+    world_state: WorldState
     row: jax.Array
     """int32 [W] which world of the bank each is."""
     action: jax.Array
@@ -61,7 +62,7 @@ class EnvState:
     """Of the worlds that come."""
 
 
-type Stepped = tuple[EnvState, jax.Array, jax.Array, jax.Array, jax.Array, dict[str, Any]]
+type StepResult = tuple[EnvState, jax.Array, jax.Array, jax.Array, jax.Array, dict[str, Any]]
 
 
 @jax.tree_util.register_dataclass
@@ -75,7 +76,7 @@ class FleetEnv:
 
     bank: WorldBank
     fleet: Fleet
-    observed: jax.Array
+    initial_observation: jax.Array
     """[B, R, size] what is seen of each world of the bank at its beginning."""
     rules: EnvironmentRules = field(metadata={"static": True})
     worlds: int = field(metadata={"static": True})
@@ -83,7 +84,7 @@ class FleetEnv:
     @property
     def robots(self) -> int:
         """In each world."""
-        return int(self.observed.shape[1])
+        return int(self.initial_observation.shape[1])
 
     @property
     def action_shape(self) -> tuple[int, int, int]:
@@ -93,7 +94,7 @@ class FleetEnv:
     @property
     def observation_shape(self) -> tuple[int, int, int]:
         """[world, robot, number]."""
-        return self.worlds, self.robots, int(self.observed.shape[2])
+        return self.worlds, self.robots, int(self.initial_observation.shape[2])
 
     def reset(self, key: jax.Array | None = None) -> tuple[EnvState, jax.Array]:
         """All worlds at t = 0.
@@ -105,10 +106,10 @@ class FleetEnv:
         Returns:
             The state, and observations [W, R, size].
         """
-        begun: tuple[EnvState, jax.Array] = _begin(self, key)
-        return begun
+        result: tuple[EnvState, jax.Array] = _reset(self, key)
+        return result
 
-    def step(self, state: EnvState, action: jax.Array) -> Stepped:
+    def step(self, state: EnvState, action: jax.Array) -> StepResult:
         """One step of all worlds; those that end begin anew as others.
 
         It is ``action_repeat`` control steps long, all with one action.
@@ -131,18 +132,18 @@ class FleetEnv:
             ConfigError: the action has another shape, or, outside of compiled functions, a number
                 that is not finite.
         """
-        actions.check(action, self.action_shape)
-        rules, before = self.rules, state.flight
+        actions.check_actions(action, self.action_shape)
+        rules, before = self.rules, state.world_state
         raw = jnp.asarray(action, state.action.dtype)
         finite = jnp.isfinite(raw)
-        wanted = jnp.where(finite, jnp.clip(raw, -1.0, 1.0), 0.0)
-        aim_m, yaw = self._aim(state.row)
-        scaled = wanted * jnp.asarray(rules.action.range, wanted.dtype)
-        estimate, _ = self._estimate(before, state.row)
+        clipped = jnp.where(finite, jnp.clip(raw, -1.0, 1.0), 0.0)
+        aim_m, yaw = self._aim_pose(state.row)
+        scaled = clipped * jnp.asarray(rules.action.range, clipped.dtype)
+        estimate, _ = self._estimate_motion(before, state.row)
         # A robot without a sound action gets no command at all: NaN, which it diverges by.
-        sound = jnp.all(finite, axis=-1, keepdims=True)
-        scaled = jnp.where(sound, scaled, jnp.nan)
-        command = rules.action.make(scaled, estimate, aim_m, yaw)
+        is_finite = jnp.all(finite, axis=-1, keepdims=True)
+        scaled = jnp.where(is_finite, scaled, jnp.nan)
+        command = rules.action.make_command(scaled, estimate, aim_m, yaw)
         after, _ = rules.engine.control_step(
             rules.spec,
             self.fleet,
@@ -150,29 +151,31 @@ class FleetEnv:
             before,
             command,
             rows=state.row,
-            laid=self.bank.laid,
+            constants=self.bank.laid,
             steps=rules.action_repeat,
         )
         after = _with_finite_energy(after, before)
-        reward, terms = rewards.of(
+        reward, terms = rewards.compute_reward(
             rules.weights,
             rewards.RewardStep(
                 before=before,
                 after=after,
                 aim_m=aim_m,
                 aim_yaw_rad=yaw,
-                last=state.action,
-                action=wanted,
+                last_action=state.action,
+                action=clipped,
                 dt_s=rules.spec.control_dt_s * rules.action_repeat,
             ),
         )
-        seen = self._see(after, state.row, wanted)
+        final_observation = self._observe(after, state.row, clipped)
         terminated = jnp.all(after.tally.outcome != Outcome.RUNNING, axis=1)
         truncated = (after.step >= rules.horizon) & ~terminated
-        now = EnvState(flight=after, row=state.row, action=wanted, key=state.key)
-        now, observation = self._replace(now, seen, terminated | truncated)
+        next_state = EnvState(world_state=after, row=state.row, action=clipped, key=state.key)
+        next_state, observation = self._replace_ended(
+            next_state, final_observation, terminated | truncated
+        )
         info = {
-            "final_obs": seen,
+            "final_obs": final_observation,
             "reward_terms": terms,
             "outcome": after.tally.outcome,
             "energy_j": after.tally.energy_j,
@@ -182,56 +185,65 @@ class FleetEnv:
             "clipped": jnp.sum(finite & (jnp.abs(raw) > 1.0), axis=-1, dtype=jnp.int32),
             "not_finite": jnp.sum(~finite, axis=-1, dtype=jnp.int32),
         }
-        return now, observation, reward, terminated, truncated, info
+        return next_state, observation, reward, terminated, truncated, info
 
-    def _draw(self, key: jax.Array) -> jax.Array:
+    def _sample_rows(self, key: jax.Array) -> jax.Array:
         row: jax.Array = jax.random.randint(key, (self.worlds,), 0, self.bank.count, jnp.int32)
         return row
 
-    def _replace(
-        self, state: EnvState, seen: jax.Array, ended: jax.Array
+    def _replace_ended(
+        self, state: EnvState, observation: jax.Array, ended: jax.Array
     ) -> tuple[EnvState, jax.Array]:
         """Put worlds of the bank in the place of those that ended [W]."""
 
-        def put() -> tuple[EnvState, jax.Array]:
-            key, now = jax.random.split(state.key)
-            row = self._draw(now)
+        def replace_worlds() -> tuple[EnvState, jax.Array]:
+            key, row_key = jax.random.split(state.key)
+            row = self._sample_rows(row_key)
             fresh = EnvState(
-                flight=self.bank.begin(row), row=row, action=jnp.zeros_like(state.action), key=key
+                world_state=self.bank.select_initial_state(row),
+                row=row,
+                action=jnp.zeros_like(state.action),
+                key=key,
             )
 
-            def choose(new: jax.Array, old: jax.Array) -> jax.Array:
+            def select_new(new: jax.Array, old: jax.Array) -> jax.Array:
                 return jnp.where(ended.reshape(-1, *(1,) * (old.ndim - 1)), new, old)
 
-            kept = EnvState(flight=state.flight, row=state.row, action=state.action, key=key)
-            both = jax.tree.map(choose, _of_worlds(fresh), _of_worlds(kept))
-            after_key = jnp.where(jnp.any(ended), key, state.key)
-            after = EnvState(flight=both[0], row=both[1], action=both[2], key=after_key)
-            return after, choose(self.observed[row], seen)
-
-        def if_any() -> tuple[EnvState, jax.Array]:
-            both: tuple[EnvState, jax.Array] = jax.lax.cond(
-                jnp.any(ended), put, lambda: (state, seen)
+            kept = EnvState(
+                world_state=state.world_state, row=state.row, action=state.action, key=key
             )
-            return both
+            selected = jax.tree.map(select_new, _world_leaves(fresh), _world_leaves(kept))
+            after_key = jnp.where(jnp.any(ended), key, state.key)
+            after = EnvState(
+                world_state=selected[0], row=selected[1], action=selected[2], key=after_key
+            )
+            return after, select_new(self.initial_observation[row], observation)
+
+        def replace_if_any() -> tuple[EnvState, jax.Array]:
+            selected: tuple[EnvState, jax.Array] = jax.lax.cond(
+                jnp.any(ended), replace_worlds, lambda: (state, observation)
+            )
+            return selected
 
         # A branch costs a GPU more than the copies that it saves.
-        after: tuple[EnvState, jax.Array] = jax.lax.platform_dependent(cuda=put, default=if_any)
+        after: tuple[EnvState, jax.Array] = jax.lax.platform_dependent(
+            cuda=replace_worlds, default=replace_if_any
+        )
         return after
 
-    def _aim(self, rows: jax.Array) -> tuple[jax.Array, jax.Array]:
-        there = self.bank.worlds.environment
-        place = there.goal_m if self.rules.aim == "goal" else there.start_m
-        return place[rows], there.start_yaw_rad[rows]
+    def _aim_pose(self, rows: jax.Array) -> tuple[jax.Array, jax.Array]:
+        environment = self.bank.worlds.environment
+        aim_m = environment.goal_m if self.rules.aim == "goal" else environment.start_m
+        return aim_m[rows], environment.start_yaw_rad[rows]
 
-    def _estimate(self, state: WorldState, rows: jax.Array) -> tuple[Any, Any]:
+    def _estimate_motion(self, state: WorldState, rows: jax.Array) -> tuple[Any, Any]:
         """Return the robots' own motion and the current [W, R, 3], m/s in W, at a state's time.
 
         Both are the truth, or what the instruments of that time give: the same that the
         controllers use in the control step that begins with this state.
         """
         t = state.step * self.rules.spec.control_dt_s
-        flow = observations.flow_at(self.bank.worlds, rows, state.vehicles.p, t)
+        flow = observations.current_at(self.bank.worlds, rows, state.vehicles.p, t)
         if not self.rules.spec.instrumented:
             return state.vehicles, flow
         worlds = jax.tree.map(lambda leaf: leaf[rows], self.bank.worlds)
@@ -239,20 +251,20 @@ class FleetEnv:
         _, belief = read(worlds, state.senses, state.step, state.vehicles, flow)
         return belief, belief.flow
 
-    def _see(self, state: WorldState, rows: jax.Array, action: jax.Array) -> jax.Array:
-        aim_m, yaw = self._aim(rows)
-        told, flow = self._estimate(state, rows)
-        sight = ObservedState(
+    def _observe(self, state: WorldState, rows: jax.Array, action: jax.Array) -> jax.Array:
+        aim_m, yaw = self._aim_pose(rows)
+        estimate, flow = self._estimate_motion(state, rows)
+        observed = ObservedState(
             worlds=self.bank.worlds,
             rows=rows,
             state=state,
-            told=told,
+            estimate=estimate,
             flow=flow,
             aim_m=aim_m,
             aim_yaw_rad=yaw,
             action=action,
         )
-        return observations.see(self.rules.parts, sight)
+        return observations.build_observation(self.rules.parts, observed)
 
 
 def _with_finite_energy(after: WorldState, before: WorldState) -> WorldState:
@@ -264,30 +276,32 @@ def _with_finite_energy(after: WorldState, before: WorldState) -> WorldState:
 
 
 @jax.jit
-def _begin(env: FleetEnv, key: jax.Array | None) -> tuple[EnvState, jax.Array]:
+def _reset(env: FleetEnv, key: jax.Array | None) -> tuple[EnvState, jax.Array]:
     """See `FleetEnv.reset`; compiled, so that its arrays lie where those of `step` do."""
     if key is None:
         key, row = jax.random.key(0), jnp.arange(env.worlds, dtype=jnp.int32) % env.bank.count
     else:
-        key, now = jax.random.split(key)
-        row = env._draw(now)
-    action = jnp.zeros(env.action_shape, env.observed.dtype)
-    state = EnvState(flight=env.bank.begin(row), row=row, action=action, key=key)
-    return state, env.observed[row]
+        key, row_key = jax.random.split(key)
+        row = env._sample_rows(row_key)
+    action = jnp.zeros(env.action_shape, env.initial_observation.dtype)
+    state = EnvState(
+        world_state=env.bank.select_initial_state(row), row=row, action=action, key=key
+    )
+    return state, env.initial_observation[row]
 
 
-def _of_worlds(state: EnvState) -> tuple[WorldState, jax.Array, jax.Array]:
-    return state.flight, state.row, state.action
+def _world_leaves(state: EnvState) -> tuple[WorldState, jax.Array, jax.Array]:
+    return state.world_state, state.row, state.action
 
 
-def make(
+def make_env(
     simulator: Simulator,
     *,
     worlds: int,
     bank: int | WorldBank | None = None,
     action: str = "twist",
     scale: tuple[float, ...] | None = None,
-    observe: Sequence[str] = OBSERVE,
+    observe: Sequence[str] = DEFAULT_OBSERVATION,
     reward: Mapping[str, float] | None = None,
     aim: Aim = "goal",
     horizon: int | None = None,
@@ -303,7 +317,7 @@ def make(
         action: one of `actions.KINDS`.
         scale: what 1 stands for in each number of the action.
         observe: parts of `observations.PARTS`.
-        reward: weights of terms of `rewards.TERMS`; `rewards.DEFAULT` if left out.
+        reward: weights of terms of `rewards.TERMS`; `rewards.DEFAULT_WEIGHTS` if left out.
         aim: what robots are to be near to.
         horizon: control steps of an episode; the scenario's if left out.
         seed: of the bank, instead of the scenario's.
@@ -326,8 +340,8 @@ def make(
             "an environment wants a simulator with devices=1 and no policy: the agent is the "
             f"policy{instead}"
         )
-    most = simulator.scenario.time.control_steps
-    steps = most if horizon is None else horizon
+    max_steps = simulator.scenario.time.control_steps
+    steps = max_steps if horizon is None else horizon
     if aim not in ("goal", "start"):
         raise ConfigError(f"aim = {aim!r}: there is goal, start")
     for name, value in (
@@ -337,27 +351,29 @@ def make(
     ):
         if not isinstance(value, int) or isinstance(value, bool) or value < 1:
             raise ConfigError(f"{name} = {value!r}: give a whole number above 0")
-    if steps > most:
-        raise ConfigError(f"horizon = {steps}: the scenario's is {most} control steps; give less")
+    if steps > max_steps:
+        raise ConfigError(
+            f"horizon = {steps}: the scenario's is {max_steps} control steps; give less"
+        )
     if steps % action_repeat:
         raise ConfigError(
             f"action_repeat = {action_repeat}: the horizon of {steps} control steps is no whole "
             "number of these; give one that divides it, or another horizon"
         )
     thrusters = int(simulator.fleet.control.vehicle.B.shape[-1])
-    kind = actions.named(action, thrusters, scale)
+    kind = actions.build_action_space(action, thrusters, scale)
     if kind.command is not None:
-        stack.entry(simulator.spec.stages, kind.command)
-    parts = observations.chosen(observe, kind.size)
+        stack.find_entry(simulator.spec.stages, kind.command)
+    parts = observations.select_parts(observe, kind.size)
     tells_current = not simulator.spec.instrumented or stack.wants_flow(simulator.spec.stages)
     if "current" in observe and not tells_current:
         raise ConfigError(
             "observe: 'current' is told by nobody here: robots have instruments, and their "
             "controllers do not ask for it; leave it out"
         )
-    weights = rewards.weighed(rewards.DEFAULT if reward is None else reward)
+    weights = rewards.check_weights(rewards.DEFAULT_WEIGHTS if reward is None else reward)
     if not isinstance(bank, WorldBank):
-        bank = banks.draw(simulator, 2 * worlds if bank is None else bank, seed=seed)
+        bank = banks.sample_worlds(simulator, 2 * worlds if bank is None else bank, seed=seed)
     rules = EnvironmentRules(
         spec=simulator.spec,
         engine=simulator.engine,
@@ -370,8 +386,8 @@ def make(
     )
     env = FleetEnv(
         bank=bank,
-        fleet=banks.loose(simulator.fleet),
-        observed=jnp.zeros((bank.count, *bank.worlds.variant.shape[1:], 0)),
+        fleet=banks.to_default_device(simulator.fleet),
+        initial_observation=jnp.zeros((bank.count, *bank.worlds.variant.shape[1:], 0)),
         rules=rules,
         worlds=worlds,
     )
@@ -379,12 +395,21 @@ def make(
 
 
 def _with_first_observations(env: FleetEnv) -> FleetEnv:
-    def look(env: FleetEnv) -> jax.Array:
+    def observe_initial(env: FleetEnv) -> jax.Array:
         rows = jnp.arange(env.bank.count, dtype=jnp.int32)
-        still = jnp.zeros((env.bank.count, env.robots, env.rules.action.size))
-        return env._see(env.bank.begun, rows, still)
+        zero_action = jnp.zeros((env.bank.count, env.robots, env.rules.action.size))
+        return env._observe(env.bank.initial_state, rows, zero_action)
 
-    seen = jax.jit(look)(env)
+    observation = jax.jit(observe_initial)(env)
     return FleetEnv(
-        bank=env.bank, fleet=env.fleet, observed=seen, rules=env.rules, worlds=env.worlds
+        bank=env.bank,
+        fleet=env.fleet,
+        initial_observation=observation,
+        rules=env.rules,
+        worlds=env.worlds,
     )
+
+
+def __getattr__(name: str) -> Any:
+    """Return what had another name before 0.2."""
+    return _renamed(__name__, name)

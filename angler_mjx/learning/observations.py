@@ -16,11 +16,11 @@ from angler_mjx.sim.state import World, WorldState
 from angler_mjx.world import currents
 from angler_mjx.world.obstacles import bounding_radius
 
-NEAREST = 3
+NUM_NEAREST = 3
 """Robots and obstacles that are told, the nearest first."""
-REACH_M = 10.0
+RANGE_M = 10.0
 """How far robots and obstacles are seen; who is farther stands at this distance, ahead."""
-WINDOW = np.array(list(product((-1, 0, 1), repeat=3)), np.int32)
+CELL_OFFSETS = np.array(list(product((-1, 0, 1), repeat=3)), np.int32)
 """Points around a robot in F, edges of a cell, in the order in which they are told."""
 LAYOUT = 2
 """Version of the meaning of observations, to be stored with learned weights: parts of the same name
@@ -36,7 +36,7 @@ class ObservedState:
     rows: jax.Array
     """int32 [W] which of them."""
     state: WorldState
-    told: VehicleState
+    estimate: VehicleState
     """[W, R] the robots' motion as they are told it; ``p``, ``q`` and ``nu`` are looked at."""
     flow: jax.Array
     """[W, R, 3] current as they are told it, m/s, in W."""
@@ -47,106 +47,110 @@ class ObservedState:
     action: jax.Array
     """[W, R, size] the last one, from -1 to 1."""
 
-    def turned(self, vector: jax.Array) -> jax.Array:
+    def to_body_frame(self, vector: jax.Array) -> jax.Array:
         """Vectors [W, R, ..., 3] of W in F."""
-        q = self.told.q.reshape(*self.told.q.shape[:2], *(1,) * (vector.ndim - 3), 4)
+        q = self.estimate.q.reshape(*self.estimate.q.shape[:2], *(1,) * (vector.ndim - 3), 4)
         turn = jnp.vectorize(quaternion.rotate_inverse, signature="(4),(3)->(3)")
         turned: jax.Array = turn(q, vector)
         return turned
 
-    def in_world(self, offsets: jax.Array) -> jax.Array:
+    def to_world_frame(self, offsets: jax.Array) -> jax.Array:
         """Return offsets [n, 3] from each robot in F, along the axes of W, [W, R, n, 3]."""
         turn = jax.vmap(quaternion.rotate, (None, 0))
-        turned: jax.Array = jax.vmap(jax.vmap(turn, (0, None)), (0, None))(self.told.q, offsets)
+        turned: jax.Array = jax.vmap(jax.vmap(turn, (0, None)), (0, None))(self.estimate.q, offsets)
         return turned
 
 
-def velocity(sight: ObservedState) -> jax.Array:
+def observe_velocity(observed: ObservedState) -> jax.Array:
     """[6] velocity over ground as told, m/s and rad/s, in F."""
-    return sight.told.nu
+    return observed.estimate.nu
 
 
-def upright(sight: ObservedState) -> jax.Array:
+def observe_upright(observed: ObservedState) -> jax.Array:
     """[3] the world's z axis in F: attitude without heading, 1."""
-    up = jnp.zeros_like(sight.told.p).at[..., 2].set(1.0)
-    return sight.turned(up)
+    up = jnp.zeros_like(observed.estimate.p).at[..., 2].set(1.0)
+    return observed.to_body_frame(up)
 
 
-def goal(sight: ObservedState) -> jax.Array:
+def observe_goal(observed: ObservedState) -> jax.Array:
     """[3] from the robot to its aim (goal, or the pose to hold), m, in F."""
-    return sight.turned(sight.aim_m - sight.told.p)
+    return observed.to_body_frame(observed.aim_m - observed.estimate.p)
 
 
-def heading(sight: ObservedState) -> jax.Array:
+def observe_heading(observed: ObservedState) -> jax.Array:
     """[2] cosine and sine of the aim's heading less the robot's, 1."""
-    off = sight.aim_yaw_rad - jax.vmap(jax.vmap(quaternion.yaw))(sight.told.q)
-    return jnp.stack([jnp.cos(off), jnp.sin(off)], axis=-1)
+    error_rad = observed.aim_yaw_rad - jax.vmap(jax.vmap(quaternion.yaw))(observed.estimate.q)
+    return jnp.stack([jnp.cos(error_rad), jnp.sin(error_rad)], axis=-1)
 
 
-def depth(sight: ObservedState) -> jax.Array:
+def observe_depth(observed: ObservedState) -> jax.Array:
     """[1] z of the robot, m, in W: 0 at the surface, negative below."""
-    return sight.told.p[..., 2:]
+    return observed.estimate.p[..., 2:]
 
 
-def current(sight: ObservedState) -> jax.Array:
+def observe_current(observed: ObservedState) -> jax.Array:
     """[3] velocity of the water at the robot as told, m/s, in F."""
-    return sight.turned(sight.flow)
+    return observed.to_body_frame(observed.flow)
 
 
-def robots(sight: ObservedState) -> jax.Array:
-    """[3 * `NEAREST`] from the robot to the nearest others, as they are, m, in F."""
-    there, n = sight.state.vehicles.p, sight.told.p.shape[1]
-    to = there[:, None, :] - sight.told.p[:, :, None]
-    seen = jnp.broadcast_to(~np.eye(n, dtype=bool), to.shape[:-1])
-    return _nearest(sight, to, seen)[0].reshape(*to.shape[:2], -1)
+def observe_robots(observed: ObservedState) -> jax.Array:
+    """[3 * `NUM_NEAREST`] from the robot to the nearest others, as they are, m, in F."""
+    positions_m, n = observed.state.vehicles.p, observed.estimate.p.shape[1]
+    offset_m = positions_m[:, None, :] - observed.estimate.p[:, :, None]
+    is_other = jnp.broadcast_to(~np.eye(n, dtype=bool), offset_m.shape[:-1])
+    return _select_nearest(observed, offset_m, is_other)[0].reshape(*offset_m.shape[:2], -1)
 
 
-def obstacles(sight: ObservedState) -> jax.Array:
-    """[4 * `NEAREST`] from the robot to the nearest obstacles' centres, m, in F; radii, m."""
-    body = sight.worlds.environment.obstacles
-    exists = body.exists[sight.rows]
-    to = sight.state.obstacles.p[:, None, :] - sight.told.p[:, :, None]
-    seen = jnp.broadcast_to(exists[:, None], to.shape[:-1])
-    at, index, near = _nearest(sight, to, seen)
-    radius = jax.vmap(jax.vmap(bounding_radius))(body.kind[sight.rows], body.size_m[sight.rows])
-    spread = jnp.broadcast_to(radius[:, None], to.shape[:-1])
-    size = jnp.take_along_axis(spread, index, axis=2)
-    size = jnp.pad(jnp.where(near, size, 0.0), ((0, 0), (0, 0), (0, NEAREST - size.shape[2])))
-    return jnp.concatenate([at, size[..., None]], axis=-1).reshape(*to.shape[:2], -1)
+def observe_obstacles(observed: ObservedState) -> jax.Array:
+    """[4 * `NUM_NEAREST`] from the robot to the nearest obstacles' centres, m, in F; radii, m."""
+    body = observed.worlds.environment.obstacles
+    exists = body.exists[observed.rows]
+    offset_m = observed.state.obstacles.p[:, None, :] - observed.estimate.p[:, :, None]
+    is_visible = jnp.broadcast_to(exists[:, None], offset_m.shape[:-1])
+    offsets_m, index, is_near = _select_nearest(observed, offset_m, is_visible)
+    radius = jax.vmap(jax.vmap(bounding_radius))(
+        body.kind[observed.rows], body.size_m[observed.rows]
+    )
+    radii_m = jnp.broadcast_to(radius[:, None], offset_m.shape[:-1])
+    size = jnp.take_along_axis(radii_m, index, axis=2)
+    size = jnp.pad(
+        jnp.where(is_near, size, 0.0), ((0, 0), (0, 0), (0, NUM_NEAREST - size.shape[2]))
+    )
+    return jnp.concatenate([offsets_m, size[..., None]], axis=-1).reshape(*offset_m.shape[:2], -1)
 
 
-def cells(sight: ObservedState) -> jax.Array:
+def observe_cells(observed: ObservedState) -> jax.Array:
     """[27] 1 where a point is in rock or outside: 3 x 3 x 3 points in F, edges of a cell apart."""
-    grid = sight.worlds.environment.grid
+    grid = observed.worlds.environment.grid
     shape = np.array(grid.occupied.shape[1:])
-    origin, size = grid.origin_m[sight.rows], grid.cell_m[sight.rows]
-    offset = sight.in_world(jnp.asarray(WINDOW, sight.told.p.dtype))
-    at = (sight.told.p - origin[:, None]) / size[:, None, None]
+    origin, size = grid.origin_m[observed.rows], grid.cell_m[observed.rows]
+    offset = observed.to_world_frame(jnp.asarray(CELL_OFFSETS, observed.estimate.p.dtype))
+    at = (observed.estimate.p - origin[:, None]) / size[:, None, None]
     at = jnp.floor(at[:, :, None] + offset).astype(jnp.int32)
     outside = jnp.any((at < 0) | (at >= shape), axis=-1)
     x, y, z = jnp.moveaxis(jnp.clip(at, 0, shape - 1), -1, 0)
-    rock = grid.occupied[sight.rows[:, None, None], x, y, z]
-    return (rock | outside).astype(sight.told.p.dtype)
+    rock = grid.occupied[observed.rows[:, None, None], x, y, z]
+    return (rock | outside).astype(observed.estimate.p.dtype)
 
 
-def action(sight: ObservedState) -> jax.Array:
+def observe_action(observed: ObservedState) -> jax.Array:
     """[size] the last action, from -1 to 1."""
-    return sight.action
+    return observed.action
 
 
-def _nearest(
-    sight: ObservedState, to: jax.Array, seen: jax.Array
+def _select_nearest(
+    observed: ObservedState, offset_m: jax.Array, is_visible: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """The `NEAREST` of vectors [W, R, n, 3] in F, filled up, their places, if they are seen."""
-    far = jnp.sum(to * to, axis=-1)
-    far = jnp.where(seen & (far < REACH_M**2), far, jnp.inf)
-    least, index = jax.lax.top_k(-far, min(NEAREST, to.shape[2]))
-    near = jnp.isfinite(least)
-    chosen = sight.turned(jnp.take_along_axis(to, index[..., None], axis=2))
-    ahead = jnp.asarray([REACH_M, 0.0, 0.0], to.dtype)
-    chosen = jnp.where(near[..., None], chosen, ahead)
-    missing = jnp.broadcast_to(ahead, (*to.shape[:2], NEAREST - index.shape[2], 3))
-    return jnp.concatenate([chosen, missing], axis=2), index, near
+    """The `NUM_NEAREST` of vectors [W, R, n, 3] in F, filled up, their places, if they are seen."""
+    distance_sq = jnp.sum(offset_m * offset_m, axis=-1)
+    distance_sq = jnp.where(is_visible & (distance_sq < RANGE_M**2), distance_sq, jnp.inf)
+    nearest, index = jax.lax.top_k(-distance_sq, min(NUM_NEAREST, offset_m.shape[2]))
+    is_near = jnp.isfinite(nearest)
+    chosen = observed.to_body_frame(jnp.take_along_axis(offset_m, index[..., None], axis=2))
+    out_of_range = jnp.asarray([RANGE_M, 0.0, 0.0], offset_m.dtype)
+    chosen = jnp.where(is_near[..., None], chosen, out_of_range)
+    missing = jnp.broadcast_to(out_of_range, (*offset_m.shape[:2], NUM_NEAREST - index.shape[2], 3))
+    return jnp.concatenate([chosen, missing], axis=2), index, is_near
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,7 +158,7 @@ class ObservationPart:
     """A part of an observation."""
 
     name: str
-    see: Callable[[ObservedState], jax.Array]
+    observe: Callable[[ObservedState], jax.Array]
     size: int
     unit: str
     low: float
@@ -165,37 +169,61 @@ PARTS = {
     part.name: part
     for part in (
         ObservationPart(
-            name="velocity", see=velocity, size=6, unit="m/s, rad/s", low=-5.0, high=5.0
-        ),
-        ObservationPart(name="upright", see=upright, size=3, unit="1", low=-1.0, high=1.0),
-        ObservationPart(name="goal", see=goal, size=3, unit="m", low=-100.0, high=100.0),
-        ObservationPart(name="heading", see=heading, size=2, unit="1", low=-1.0, high=1.0),
-        ObservationPart(name="depth", see=depth, size=1, unit="m", low=-1000.0, high=0.0),
-        ObservationPart(name="current", see=current, size=3, unit="m/s", low=-5.0, high=5.0),
-        ObservationPart(
-            name="robots", see=robots, size=3 * NEAREST, unit="m", low=-REACH_M, high=REACH_M
+            name="velocity", observe=observe_velocity, size=6, unit="m/s, rad/s", low=-5.0, high=5.0
         ),
         ObservationPart(
-            name="obstacles", see=obstacles, size=4 * NEAREST, unit="m", low=-REACH_M, high=REACH_M
+            name="upright", observe=observe_upright, size=3, unit="1", low=-1.0, high=1.0
         ),
-        ObservationPart(name="cells", see=cells, size=len(WINDOW), unit="1", low=0.0, high=1.0),
-        ObservationPart(name="action", see=action, size=0, unit="1", low=-1.0, high=1.0),
+        ObservationPart(
+            name="goal", observe=observe_goal, size=3, unit="m", low=-100.0, high=100.0
+        ),
+        ObservationPart(
+            name="heading", observe=observe_heading, size=2, unit="1", low=-1.0, high=1.0
+        ),
+        ObservationPart(
+            name="depth", observe=observe_depth, size=1, unit="m", low=-1000.0, high=0.0
+        ),
+        ObservationPart(
+            name="current", observe=observe_current, size=3, unit="m/s", low=-5.0, high=5.0
+        ),
+        ObservationPart(
+            name="robots",
+            observe=observe_robots,
+            size=3 * NUM_NEAREST,
+            unit="m",
+            low=-RANGE_M,
+            high=RANGE_M,
+        ),
+        ObservationPart(
+            name="obstacles",
+            observe=observe_obstacles,
+            size=4 * NUM_NEAREST,
+            unit="m",
+            low=-RANGE_M,
+            high=RANGE_M,
+        ),
+        ObservationPart(
+            name="cells", observe=observe_cells, size=len(CELL_OFFSETS), unit="1", low=0.0, high=1.0
+        ),
+        ObservationPart(
+            name="action", observe=observe_action, size=0, unit="1", low=-1.0, high=1.0
+        ),
     )
 }
-"""By name; numbers are clipped to their bounds. ``action`` has as many as the action."""
+"""By name; numbers are clipped to their bounds. ``observe_action`` has as many as the action."""
 
 
-def chosen(names: Sequence[str], action_size: int) -> tuple[ObservationPart, ...]:
+def select_parts(names: Sequence[str], action_size: int) -> tuple[ObservationPart, ...]:
     """Parts by their names, in their order.
 
     Raises:
         ConfigError: none is named, or one twice, or one that does not exist.
     """
-    wrong = [name for name in names if name not in PARTS]
-    if wrong or not names or len(set(names)) != len(names) or isinstance(names, str):
+    unknown = [name for name in names if name not in PARTS]
+    if unknown or not names or len(set(names)) != len(names) or isinstance(names, str):
         raise ConfigError(
             f"observe = {list(names)}: give some of {', '.join(PARTS)}, each once"
-            + (f"; there is no {wrong[0]!r}" if wrong else "")
+            + (f"; there is no {unknown[0]!r}" if unknown else "")
         )
     sized = {"action": action_size}
     return tuple(
@@ -204,22 +232,22 @@ def chosen(names: Sequence[str], action_size: int) -> tuple[ObservationPart, ...
     )
 
 
-def bounds(parts: Sequence[ObservationPart]) -> tuple[Any, Any]:
+def build_bounds(parts: Sequence[ObservationPart]) -> tuple[Any, Any]:
     """Lowest and highest numbers [size] of an observation of one robot."""
     low = np.concatenate([np.full(part.size, part.low, np.float32) for part in parts])
     high = np.concatenate([np.full(part.size, part.high, np.float32) for part in parts])
     return low, high
 
 
-def see(parts: Sequence[ObservationPart], sight: ObservedState) -> jax.Array:
+def build_observation(parts: Sequence[ObservationPart], observed: ObservedState) -> jax.Array:
     """Observations [W, R, size], parts one after the other."""
-    seen = [jnp.clip(part.see(sight), part.low, part.high) for part in parts]
-    return jnp.concatenate(seen, axis=-1)
+    values = [jnp.clip(part.observe(observed), part.low, part.high) for part in parts]
+    return jnp.concatenate(values, axis=-1)
 
 
-def flow_at(worlds: World, rows: jax.Array, p: jax.Array, t: jax.Array) -> jax.Array:
+def current_at(worlds: World, rows: jax.Array, p: jax.Array, t: jax.Array) -> jax.Array:
     """True current [W, R, 3] m/s in W at p [W, R, 3] and t [W] s, of ``rows`` of a bank."""
-    here = jax.tree.map(lambda leaf: leaf[rows], worlds.environment.current)
-    at = jax.vmap(jax.vmap(currents.velocity, (None, 0, None)))
-    flow: jax.Array = at(here, p, t)
+    current = jax.tree.map(lambda leaf: leaf[rows], worlds.environment.current)
+    velocity_at = jax.vmap(jax.vmap(currents.velocity, (None, 0, None)))
+    flow: jax.Array = velocity_at(current, p, t)
     return flow

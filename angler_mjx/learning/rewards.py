@@ -25,30 +25,30 @@ class RewardStep:
     """[W, R, 3] in W."""
     aim_yaw_rad: jax.Array
     """[W, R]."""
-    last: jax.Array
+    last_action: jax.Array
     """[W, R, size] action before."""
     action: jax.Array
     """[W, R, size]."""
     dt_s: float
 
 
-def _away(state: WorldState, aim_m: jax.Array) -> jax.Array:
+def _distance_to_aim(state: WorldState, aim_m: jax.Array) -> jax.Array:
     return jnp.sqrt(jnp.sum((state.vehicles.p - aim_m) ** 2, axis=-1))
 
 
 def progress(step: RewardStep) -> jax.Array:
     """M by which the robot came nearer to its aim."""
-    return _away(step.before, step.aim_m) - _away(step.after, step.aim_m)
+    return _distance_to_aim(step.before, step.aim_m) - _distance_to_aim(step.after, step.aim_m)
 
 
 def distance(step: RewardStep) -> jax.Array:
     """M s: distance to the aim after the step, times its length."""
-    return _away(step.after, step.aim_m) * step.dt_s
+    return _distance_to_aim(step.after, step.aim_m) * step.dt_s
 
 
 def square(step: RewardStep) -> jax.Array:
     """M^2 s: its square, times the step's length."""
-    return _away(step.after, step.aim_m) ** 2 * step.dt_s
+    return _distance_to_aim(step.after, step.aim_m) ** 2 * step.dt_s
 
 
 def heading(step: RewardStep) -> jax.Array:
@@ -65,11 +65,11 @@ def energy(step: RewardStep) -> jax.Array:
 def clearance(step: RewardStep) -> jax.Array:
     """M by which the least distance so far to anything fell in this step, below `MARGIN_M`."""
 
-    def short(state: WorldState) -> jax.Array:
-        least = jnp.minimum(state.tally.min_clearance_m, state.tally.min_separation_m)
-        return jnp.clip(MARGIN_M - least, 0.0, MARGIN_M)
+    def margin_shortfall(state: WorldState) -> jax.Array:
+        min_distance_m = jnp.minimum(state.tally.min_clearance_m, state.tally.min_separation_m)
+        return jnp.clip(MARGIN_M - min_distance_m, 0.0, MARGIN_M)
 
-    return short(step.after) - short(step.before)
+    return margin_shortfall(step.after) - margin_shortfall(step.before)
 
 
 def collision(step: RewardStep) -> jax.Array:
@@ -89,7 +89,7 @@ def roughness(step: RewardStep) -> jax.Array:
     """Mean square of the change of the action's numbers since the step before."""
     if not step.action.shape[-1]:
         return jnp.zeros(step.action.shape[:-1], step.action.dtype)
-    return jnp.mean((step.action - step.last) ** 2, axis=-1)
+    return jnp.mean((step.action - step.last_action) ** 2, axis=-1)
 
 
 TERMS: dict[str, Callable[[RewardStep], jax.Array]] = {
@@ -100,33 +100,41 @@ TERMS: dict[str, Callable[[RewardStep], jax.Array]] = {
 }  # fmt: skip
 """By name; each gives [W, R], 0 for robots whose episode had ended."""
 
-DEFAULT = {"progress": 1.0, "energy": -0.1, "clearance": -1.0, "collision": -10.0, "arrival": 10.0}
+DEFAULT_WEIGHTS = {
+    "progress": 1.0,
+    "energy": -0.1,
+    "clearance": -1.0,
+    "collision": -10.0,
+    "arrival": 10.0,
+}
 
 
-def weighed(weights: Mapping[str, float]) -> tuple[tuple[str, float], ...]:
+def check_weights(weights: Mapping[str, float]) -> tuple[tuple[str, float], ...]:
     """Weights of terms as they are kept.
 
     Raises:
         ConfigError: a term does not exist, none is given, or a weight is no finite number.
     """
-    wrong = [name for name in weights if name not in TERMS]
-    if wrong or not weights:
+    unknown = [name for name in weights if name not in TERMS]
+    if unknown or not weights:
         raise ConfigError(
             f"reward = {dict(weights)}: give weights to some of {', '.join(TERMS)}"
-            + (f"; there is no {wrong[0]!r}" if wrong else "")
+            + (f"; there is no {unknown[0]!r}" if unknown else "")
         )
     for name, weight in weights.items():
-        number = isinstance(weight, int | float) and not isinstance(weight, bool)
-        if not number or not isfinite(weight):
+        is_number = isinstance(weight, int | float) and not isinstance(weight, bool)
+        if not is_number or not isfinite(weight):
             raise ConfigError(f"reward.{name} = {weight!r}: give a finite number")
     return tuple((name, float(weight)) for name, weight in weights.items())
 
 
-def of(
+def compute_reward(
     weights: tuple[tuple[str, float], ...], step: RewardStep
 ) -> tuple[jax.Array, dict[str, jax.Array]]:
     """Reward [W, R], and its terms by name, weighted, whose sum it is."""
-    counts = step.before.tally.outcome == Outcome.RUNNING
-    terms = {name: jnp.where(counts, weight * TERMS[name](step), 0.0) for name, weight in weights}
+    is_running = step.before.tally.outcome == Outcome.RUNNING
+    terms = {
+        name: jnp.where(is_running, weight * TERMS[name](step), 0.0) for name, weight in weights
+    }
     total = jnp.sum(jnp.stack(list(terms.values())), axis=0)
     return total, terms

@@ -14,7 +14,7 @@ from gymnasium.vector.utils import batch_space
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.learning import observations
-from angler_mjx.learning.actions import check
+from angler_mjx.learning.actions import check_actions
 from angler_mjx.learning.environment import EnvState, FleetEnv
 
 type Numbers = np.ndarray[Any, Any]
@@ -33,7 +33,7 @@ class FleetVectorEnv(VectorEnv[Numbers, Numbers, Numbers]):
         self._env = env
         self._state: EnvState | None = None
         self._step, self._reset = jax.jit(FleetEnv.step), FleetEnv.reset
-        low, high = observations.bounds(env.rules.parts)
+        low, high = observations.build_bounds(env.rules.parts)
         self.num_envs = env.worlds
         self.single_observation_space = Box(
             np.tile(low, (env.robots, 1)), np.tile(high, (env.robots, 1)), dtype=np.float32
@@ -70,8 +70,8 @@ class FleetVectorEnv(VectorEnv[Numbers, Numbers, Numbers]):
         key = None if self._state is None else self._state.key
         if seed is not None:
             key = jax.random.key(int(seed) % 2**32)
-        self._state, seen = self._reset(self._env, key)
-        return np.array(seen, np.float32), {}
+        self._state, observation = self._reset(self._env, key)
+        return np.array(observation, np.float32), {}
 
     def step(self, actions: Numbers) -> tuple[Numbers, Numbers, Numbers, Numbers, dict[str, Any]]:
         """One control step of all worlds.
@@ -82,27 +82,27 @@ class FleetVectorEnv(VectorEnv[Numbers, Numbers, Numbers]):
         """
         if self._state is None:
             raise ConfigError("step: the environment was not reset; call reset first")
-        wanted = np.asarray(actions, np.float32)
-        check(wanted, self._env.action_shape)
-        self._state, seen, reward, terminated, truncated, info = self._step(
-            self._env, self._state, wanted
+        clean_actions = np.asarray(actions, np.float32)
+        check_actions(clean_actions, self._env.action_shape)
+        self._state, observation, reward, terminated, truncated, info = self._step(
+            self._env, self._state, clean_actions
         )
-        now = jax.device_get((seen, reward, terminated, truncated, info))
-        seen, reward, terminated, truncated, info = now
-        final = np.array(info.pop("final_obs"), np.float32)
+        host_values = jax.device_get((observation, reward, terminated, truncated, info))
+        observation, reward, terminated, truncated, info = host_values
+        final_observation = np.array(info.pop("final_obs"), np.float32)
         ended = terminated | truncated
-        told = _masked(info, ~ended)
+        step_info = _add_masks(info, ~ended)
         if ended.any():
-            told |= {"final_obs": final, "_final_obs": ended}
-            told |= {"final_info": _masked(info, ended), "_final_info": ended}
-        total = reward.sum(axis=1)
-        return np.array(seen, np.float32), total, terminated, truncated, told
+            step_info |= {"final_obs": final_observation, "_final_obs": ended}
+            step_info |= {"final_info": _add_masks(info, ended), "_final_info": ended}
+        total_reward = reward.sum(axis=1)
+        return np.array(observation, np.float32), total_reward, terminated, truncated, step_info
 
 
-def _masked(info: dict[str, Any], worlds: Numbers) -> dict[str, Any]:
+def _add_masks(info: dict[str, Any], mask: Numbers) -> dict[str, Any]:
     """Return info with a mask bool [W] beside each entry, in dictionaries of it too."""
     masked: dict[str, Any] = {}
     for name, value in info.items():
-        masked[name] = _masked(value, worlds) if isinstance(value, dict) else value
-        masked[f"_{name}"] = worlds.copy()
+        masked[name] = _add_masks(value, mask) if isinstance(value, dict) else value
+        masked[f"_{name}"] = mask.copy()
     return masked

@@ -11,8 +11,8 @@ from typing import Any, Literal, cast
 
 import numpy as np
 
-from angler_mjx.errors import shown
-from angler_mjx.planning.planner import MOST_POINTS, NoPlan, Path
+from angler_mjx.errors import format_value
+from angler_mjx.planning.planner import MAX_POINTS, NoPlan, Path
 from angler_mjx.planning.problem import Problem
 from angler_mjx.robot.control.joint_trajectory import (
     CUBIC,
@@ -21,7 +21,7 @@ from angler_mjx.robot.control.joint_trajectory import (
     VEHICLE_JOINTS,
     JointState,
     JointTrajectory,
-    segment,
+    interpolate_segment,
 )
 from angler_mjx.robot.control.trajectory import Trajectory
 
@@ -31,7 +31,7 @@ type Status = Literal["planned", "partial", "none", "timeout", "error", "died"]
 START_M = 0.01
 """How far from the robot's start a path may begin."""
 
-FASTER = 0.01
+SPEED_TOLERANCE = 0.01
 """By what share a path may be faster than the robot's cruise speed, for rounding."""
 
 ROUNDING_M = 1e-4
@@ -40,10 +40,10 @@ ROUNDING_M = 1e-4
 ROUNDING_S = 1e-3
 """How much after the horizon a path may end."""
 
-MOST_TOLD = 1000
+MAX_PROGRESS_POINTS = 1000
 """Better paths of which a planner may tell."""
 
-LOOKS = 32
+SPEED_SAMPLES = 32
 """Times within a segment at which the speed along a curve is looked at."""
 
 
@@ -66,12 +66,12 @@ class Answer:
     that path, in a measure of its own."""
 
 
-def answer(
-    given: Any,
+def check_answer(
+    returned: Any,
     problem: Problem,
     planning_s: float,
     extras: Any,
-    most_points: int = MOST_POINTS,
+    max_points: int = MAX_POINTS,
     progress: Any = None,
     *,
     any_speed: bool = False,
@@ -79,20 +79,20 @@ def answer(
     """What can be flown of what a planner gave; one that is no list of paths is an error.
 
     Args:
-        given: what ``plan`` returned, whatever it is.
+        returned: what ``plan`` returned, whatever it is.
         problem: that it was asked.
         planning_s: wall time inside ``plan``.
         extras: of the planner, a mapping of names to numbers; others are left out.
-        most_points: of one path.
+        max_points: of one path.
         progress: of the planner, a sequence of pairs of a time, s, and a cost, in order of time;
-            what is not so is left out, and what is more than `MOST_TOLD`.
+            what is not so is left out, and what is more than `MAX_PROGRESS_POINTS`.
         any_speed: paths may be faster over ground than the robot cruises, as those of planners are
             that count on a current.
     """
-    wrong = _malformed(given, problem.robots)
+    wrong = _malformed(returned, problem.robots)
     if wrong is not None:
-        return failed(problem.robots, "error", wrong, planning_s)
-    paths = checked(given, problem, most_points, any_speed=any_speed)
+        return failed_answer(problem.robots, "error", wrong, planning_s)
+    paths = check_paths(returned, problem, max_points, any_speed=any_speed)
     missing = [(i, path.reason) for i, path in enumerate(paths) if isinstance(path, NoPlan)]
     reasons = {reason for _, reason in missing}
     if len(missing) == len(paths) and len(reasons) == 1:
@@ -105,41 +105,44 @@ def answer(
         status="none" if len(missing) == len(paths) else status,
         reason=reason,
         planning_s=planning_s,
-        extras=_numbers(extras),
-        progress=_pairs(progress),
+        extras=_select_numbers(extras),
+        progress=_select_progress(progress),
     )
 
 
-def failed(robots: int, status: Status, reason: str, planning_s: float) -> Answer:
+def failed_answer(robots: int, status: Status, reason: str, planning_s: float) -> Answer:
     """No robot of a team has a path, for one reason."""
     paths: list[Path | NoPlan] = [NoPlan(reason) for _ in range(robots)]
     return Answer(paths=paths, status=status, reason=reason, planning_s=planning_s)
 
 
-def checked(
-    given: Any, problem: Problem, most_points: int = MOST_POINTS, *, any_speed: bool = False
+def check_paths(
+    returned: Any, problem: Problem, max_points: int = MAX_POINTS, *, any_speed: bool = False
 ) -> list[Path | NoPlan]:
     """A path of each robot that can be flown, or why there is none.
 
     Args:
-        given: what a planner's ``plan`` returned, whatever it is.
+        returned: what a planner's ``plan`` returned, whatever it is.
         problem: that it was asked, in arrays of NumPy.
-        most_points: of one path.
-        any_speed: see `answer`.
+        max_points: of one path.
+        any_speed: see `check_answer`.
     """
     robots = problem.robots
-    wrong = _malformed(given, robots)
+    wrong = _malformed(returned, robots)
     if wrong is not None:
         return [NoPlan(wrong)] * robots
-    return [_path(path, problem, robot, most_points, any_speed) for robot, path in enumerate(given)]
+    return [
+        _check_path(path, problem, robot, max_points, any_speed)
+        for robot, path in enumerate(returned)
+    ]
 
 
-def _malformed(given: Any, robots: int) -> str | None:
+def _malformed(paths: Any, robots: int) -> str | None:
     """Return why a planner's answer is no list of a path for each robot; None if it is one."""
-    if not isinstance(given, Sequence) or isinstance(given, str | bytes):
-        return f"gave no list of paths but {type(given).__name__}"
-    if len(given) != robots:
-        return f"gave {len(given)} paths for {robots} robots"
+    if not isinstance(paths, Sequence) or isinstance(paths, str | bytes):
+        return f"gave no list of paths but {type(paths).__name__}"
+    if len(paths) != robots:
+        return f"gave {len(paths)} paths for {robots} robots"
     return None
 
 
@@ -147,58 +150,62 @@ class _RefusedError(Exception):
     """A path cannot be flown; its text is the reason."""
 
 
-def _path(path: Any, problem: Problem, robot: int, most: int, any_speed: bool) -> Path | NoPlan:
+def _check_path(
+    path: Any, problem: Problem, robot: int, max_points: int, any_speed: bool
+) -> Path | NoPlan:
     try:
         match path:
             case NoPlan():
                 return NoPlan(str(path.reason))
             case Trajectory():
-                kept: Path = _lines(path, most)
+                checked: Path = _check_trajectory(path, max_points)
             case JointTrajectory():
-                kept = _joints(path, most)
+                checked = _check_joint_trajectory(path, max_points)
             case _:
                 raise _RefusedError(f"no path but {type(path).__name__}")
-        _judge(kept, problem, robot, any_speed)
-    except _RefusedError as refused:
-        return NoPlan(str(refused))
-    return kept
+        _check_motion(checked, problem, robot, any_speed)
+    except _RefusedError as error:
+        return NoPlan(str(error))
+    return checked
 
 
-def _lines(path: Trajectory, most: int) -> Trajectory:
-    time = _times(path.time_s, most)
-    position = _array("points", path.position_m, (len(time), 3))
-    if not bool(_array("found", path.found, (), bool)):
+def _check_trajectory(path: Trajectory, max_points: int) -> Trajectory:
+    time = _check_times(path.time_s, max_points)
+    position = _check_array("points", path.position_m, (len(time), 3))
+    if not bool(_check_array("found", path.found, (), bool)):
         raise _RefusedError("no way was found")
     return Trajectory(time_s=time, position_m=position, found=cast(Any, np.asarray(True)))
 
 
-def _joints(path: JointTrajectory, most: int) -> JointTrajectory:
+def _check_joint_trajectory(path: JointTrajectory, max_points: int) -> JointTrajectory:
     if tuple(path.joints) != VEHICLE_JOINTS:
-        raise _RefusedError(f"has the joints {shown(path.joints)}, not {shown(VEHICLE_JOINTS)}")
-    time = _times(path.time_s, most)
+        raise _RefusedError(
+            f"has the joints {format_value(path.joints)}, not {format_value(VEHICLE_JOINTS)}"
+        )
+    time = _check_times(path.time_s, max_points)
     shape = (len(time), len(VEHICLE_JOINTS))
-    degree = _array("degrees", path.degree, shape[:1])
+    degree = _check_array("degrees", path.degree, shape[:1])
     if not np.all(np.isin(degree, (LINEAR, CUBIC, QUINTIC))):
         raise _RefusedError("has segments of a degree that is not 1, 3 or 5")
     return JointTrajectory(
         joints=VEHICLE_JOINTS,
         time_s=time,
-        position=_array("points", path.position, shape),
-        velocity=_array("velocities", path.velocity, shape),
-        acceleration=_array("accelerations", path.acceleration, shape),
+        position=_check_array("points", path.position, shape),
+        velocity=_check_array("velocities", path.velocity, shape),
+        acceleration=_check_array("accelerations", path.acceleration, shape),
         degree=degree.astype(np.int32),
-        commanded=_array("commanded", path.commanded, shape[1:], bool),
+        commanded=_check_array("commanded", path.commanded, shape[1:], bool),
     )
 
 
-def _times(values: Any, most: int) -> Any:
-    time = _array("times", values, None)
+def _check_times(values: Any, max_points: int) -> Any:
+    time = _check_array("times", values, None)
     if time.ndim != 1:
         raise _RefusedError(f"has times of shape {list(time.shape)}, not [n]")
     if len(time) < 2:
         raise _RefusedError(f"has {len(time)} points; at least 2 are needed")
-    if len(time) > most:
-        raise _RefusedError(f"has {len(time)} points; at most {most} can be flown")
+    if len(time) > max_points:
+        raise _RefusedError(f"has {len(time)} points; at most {max_points} can be flown")
     if time[0] != 0.0:
         raise _RefusedError(f"begins at {time[0]:.3g} s, not at 0")
     back = np.flatnonzero(np.diff(time) < 0)
@@ -210,7 +217,9 @@ def _times(values: Any, most: int) -> Any:
     return time
 
 
-def _array(name: str, values: Any, shape: tuple[int, ...] | None, kind: Any = np.float32) -> Any:
+def _check_array(
+    name: str, values: Any, shape: tuple[int, ...] | None, kind: Any = np.float32
+) -> Any:
     """As NumPy's array of a shape (None: any) and type, all finite."""
     try:
         array = np.asarray(values)
@@ -228,62 +237,64 @@ def _array(name: str, values: Any, shape: tuple[int, ...] | None, kind: Any = np
     return array
 
 
-def _judge(path: Path, problem: Problem, robot: int, any_speed: bool) -> None:
+def _check_motion(path: Path, problem: Problem, robot: int, any_speed: bool) -> None:
     """Start, end and speed of a path whose arrays are sound."""
     time = np.asarray(path.time_s, np.float64)
     points = path.position_m if isinstance(path, Trajectory) else path.position[:, :3]
-    place = np.asarray(points, np.float64)
-    off = np.linalg.norm(place[0] - np.asarray(problem.team.start_m)[robot])
-    if off > START_M:
-        raise _RefusedError(f"begins {off:.3g} m from the robot's start")
+    position_m = np.asarray(points, np.float64)
+    start_error_m = np.linalg.norm(position_m[0] - np.asarray(problem.team.start_m)[robot])
+    if start_error_m > START_M:
+        raise _RefusedError(f"begins {start_error_m:.3g} m from the robot's start")
     if time[-1] > problem.horizon_s + ROUNDING_S:
         raise _RefusedError(f"ends at {time[-1]:.4g} s, after the horizon of {problem.horizon_s:g}")
     cruise = float(np.asarray(problem.team.cruise_speed_mps)[robot])
-    span, way = np.diff(time), np.linalg.norm(np.diff(place, axis=0), axis=1)
-    most = np.where(any_speed & (span > 0.0), np.inf, (1.0 + FASTER) * cruise * span)
-    over = np.flatnonzero(way > most + ROUNDING_M)
-    if len(over):
-        at = over[0]
+    span, length_m = np.diff(time), np.linalg.norm(np.diff(position_m, axis=0), axis=1)
+    max_length_m = np.where(
+        any_speed & (span > 0.0), np.inf, (1.0 + SPEED_TOLERANCE) * cruise * span
+    )
+    too_fast = np.flatnonzero(length_m > max_length_m + ROUNDING_M)
+    if len(too_fast):
+        at = too_fast[0]
         if span[at] == 0.0:
-            raise _RefusedError(f"jumps {way[at]:.3g} m at {time[at]:.4g} s (point {at + 1})")
-        _too_fast(way[at] / span[at], cruise, at, time)
+            raise _RefusedError(f"jumps {length_m[at]:.3g} m at {time[at]:.4g} s (point {at + 1})")
+        _reject_speed(length_m[at] / span[at], cruise, at, time)
     if isinstance(path, JointTrajectory) and not any_speed:
-        _curves(path, cruise, time)
+        _check_curve_speeds(path, cruise, time)
 
 
-def _curves(path: JointTrajectory, cruise: float, time: np.ndarray) -> None:
+def _check_curve_speeds(path: JointTrajectory, cruise: float, time: np.ndarray) -> None:
     """Speeds within the segments that are bent."""
     bent = np.flatnonzero((np.asarray(path.degree)[:-1] > LINEAR) & (np.diff(time) > 0))
     if not len(bent):
         return
-    places: list[Any] = [
+    states: list[Any] = [
         np.asarray(values, np.float64)[:, None, :3]
         for values in (path.position, path.velocity, path.acceleration)
     ]
     begin, end = (
         JointState(position=p[rows], velocity=v[rows], acceleration=a[rows])
         for rows in (bent, bent + 1)
-        for p, v, a in [places]
+        for p, v, a in [states]
     )
     span: Any = (time[bent + 1] - time[bent])[:, None, None]
-    share: Any = np.linspace(0.0, 1.0, LOOKS + 1)[None, :, None]
+    fraction: Any = np.linspace(0.0, 1.0, SPEED_SAMPLES + 1)[None, :, None]
     degree: Any = np.asarray(path.degree)[bent][:, None, None]
-    moving = segment(begin, end, span, share, degree)
+    moving = interpolate_segment(begin, end, span, fraction, degree)
     speed = np.linalg.norm(np.asarray(moving.velocity), axis=-1).max(axis=-1)
-    allowed = (1.0 + FASTER) * cruise + ROUNDING_M / span[:, 0, 0]
-    over = np.flatnonzero(speed > allowed)
-    if len(over):
-        _too_fast(speed[over[0]], cruise, bent[over[0]], time)
+    allowed = (1.0 + SPEED_TOLERANCE) * cruise + ROUNDING_M / span[:, 0, 0]
+    too_fast = np.flatnonzero(speed > allowed)
+    if len(too_fast):
+        _reject_speed(speed[too_fast[0]], cruise, bent[too_fast[0]], time)
 
 
-def _too_fast(speed: float, cruise: float, at: int, time: np.ndarray) -> None:
+def _reject_speed(speed: float, cruise: float, at: int, time: np.ndarray) -> None:
     raise _RefusedError(
         f"moves at {speed:.3g} m/s after {time[at]:.4g} s (points {at} and {at + 1}); "
         f"at most {cruise:.3g} m/s, its cruise speed"
     )
 
 
-def _numbers(extras: Any) -> dict[str, float]:
+def _select_numbers(extras: Any) -> dict[str, float]:
     if not isinstance(extras, dict):
         return {}
     return {
@@ -293,16 +304,20 @@ def _numbers(extras: Any) -> dict[str, float]:
     }
 
 
-def _pairs(progress: Any) -> tuple[tuple[float, float], ...]:
+def _select_progress(progress: Any) -> tuple[tuple[float, float], ...]:
     if not isinstance(progress, Sequence):
         return ()
-    kept: list[tuple[float, float]] = []
+    pairs: list[tuple[float, float]] = []
     for pair in progress:
         try:
-            when, cost = (float(value) for value in pair)
+            time_s, cost = (float(value) for value in pair)
         except (TypeError, ValueError):
             continue
-        before = kept[-1][0] if kept else 0.0
-        if when >= before and np.isfinite([when, cost]).all() and len(kept) < MOST_TOLD:
-            kept.append((when, cost))
-    return tuple(kept)
+        last_s = pairs[-1][0] if pairs else 0.0
+        if (
+            time_s >= last_s
+            and np.isfinite([time_s, cost]).all()
+            and len(pairs) < MAX_PROGRESS_POINTS
+        ):
+            pairs.append((time_s, cost))
+    return tuple(pairs)

@@ -17,11 +17,11 @@ import jax
 import jax.numpy as jnp
 
 from angler_mjx.planning.path_search.bodies import bodies_traffic
-from angler_mjx.planning.path_search.lattice import terrain
-from angler_mjx.planning.path_search.robot import WayConfig, grown, plan_one
-from angler_mjx.planning.path_search.starts import meets_starts, only, standing
+from angler_mjx.planning.path_search.lattice import build_terrain
+from angler_mjx.planning.path_search.robot_search import PathSearchConfig, grow_bodies, plan_robot
+from angler_mjx.planning.path_search.starts import meets_starts, select_flyable, select_paths
 from angler_mjx.planning.path_search.traffic import GridTraffic, PlannedTraffic
-from angler_mjx.robot.control.trajectory import Trajectory, hold
+from angler_mjx.robot.control.trajectory import Trajectory, hold_position
 from angler_mjx.sim.information import ObstacleInformation
 from angler_mjx.world.environment import Environment
 
@@ -30,7 +30,7 @@ from angler_mjx.world.environment import Environment
 class GridSettings:
     """What a scenario can choose of it, in [planner.grid]."""
 
-    start_hold_s: float = WayConfig.start_hold_s
+    start_hold_s: float = PathSearchConfig.start_hold_s
     """How long the start of a robot that is not planned yet is kept clear."""
 
     def __post_init__(self) -> None:
@@ -40,17 +40,17 @@ class GridSettings:
 
 
 class GridPlanner:
-    """What scenarios call grid; `plan` is part of the program that draws the worlds."""
+    """What scenarios call grid; `plan_grid` is part of the program that draws the worlds."""
 
     Settings = GridSettings
 
 
-def plan(
+def plan_grid(
     environment: Environment,
     radius_m: jax.Array,
     speed_mps: jax.Array,
-    config: WayConfig,
-    known: ObstacleInformation | None = None,
+    config: PathSearchConfig,
+    obstacles: ObstacleInformation | None = None,
 ) -> Trajectory:
     """Plan the fleet of one world.
 
@@ -59,18 +59,18 @@ def plan(
         radius_m: [R] radius of the sphere about each robot's centre of mass that holds its hull.
         speed_mps: [R] cruise speed, positive.
         config: static.
-        known: obstacles that may move; none do, if left out.
+        obstacles: obstacles that may move; none do, if left out.
 
     Returns:
         Trajectory with a leading axis R on every leaf: from start_m at time 0 to goal_m, never
         faster than the cruise speed; where ``found`` is False every row is the start.
     """
-    land = terrain(environment)
+    terrain_map = build_terrain(environment)
     n_robot = radius_m.shape[0]
-    held = hold(environment.start_m, config.n_point)
-    bodies = None if known is None else bodies_traffic(known, config.horizon_s)
+    hold_paths = hold_position(environment.start_m, config.n_point)
+    bodies = None if obstacles is None else bodies_traffic(obstacles, config.horizon_s)
 
-    def one(plans: Trajectory, index: jax.Array) -> tuple[Trajectory, None]:
+    def plan_next(plans: Trajectory, index: jax.Array) -> tuple[Trajectory, None]:
         planned = jnp.arange(n_robot) < index
         traffic = GridTraffic(
             time_s=plans.time_s,
@@ -78,35 +78,37 @@ def plan(
             reach_m=radius_m + radius_m[index] + config.margin_m,
             until_s=jnp.where(planned, jnp.inf, config.start_hold_s).at[index].set(-1.0),
         )
-        new = plan_one(
-            land,
-            PlannedTraffic(robots=traffic, bodies=grown(bodies, radius_m[index] + config.margin_m)),
+        path = plan_robot(
+            terrain_map,
+            PlannedTraffic(
+                robots=traffic, bodies=grow_bodies(bodies, radius_m[index] + config.margin_m)
+            ),
             environment.start_m[index],
             environment.goal_m[index],
             radius_m[index] + config.margin_m,
             speed_mps[index],
             config,
         )
-        return jax.tree.map(lambda all_, row: all_.at[index].set(row), plans, new), None
+        return jax.tree.map(lambda leaf, new_leaf: leaf.at[index].set(new_leaf), plans, path), None
 
-    plans, _ = jax.lax.scan(one, held, jnp.arange(n_robot))
-    return _withdraw(plans, held, radius_m, config)
+    plans, _ = jax.lax.scan(plan_next, hold_paths, jnp.arange(n_robot))
+    return _withdraw_conflicting(plans, hold_paths, radius_m, config)
 
 
-def _withdraw(
-    plans: Trajectory, held: Trajectory, radius_m: jax.Array, config: WayConfig
+def _withdraw_conflicting(
+    plans: Trajectory, held: Trajectory, radius_m: jax.Array, config: PathSearchConfig
 ) -> Trajectory:
     """Take back every path that comes too near to the start of a robot without one.
 
     Only robots planned later can be met so: the others' paths were made with that start in view.
     """
     n_robot = radius_m.shape[0]
-    reach = radius_m[:, None] + radius_m + config.margin_m
+    distance_m = radius_m[:, None] + radius_m + config.margin_m
 
     def meets(row: jax.Array) -> jax.Array:
         path = jax.tree.map(lambda leaf: leaf[row], plans)
-        return meets_starts(path, held.position_m[:, 0], reach[row], config.horizon_s)
+        return meets_starts(path, held.position_m[:, 0], distance_m[row], config.horizon_s)
 
-    met = jax.vmap(meets)(jnp.arange(n_robot)) & ~jnp.eye(n_robot, dtype=bool)
-    found = standing(plans.found, met)
-    return replace(only(found, plans, held), found=found)
+    is_met = jax.vmap(meets)(jnp.arange(n_robot)) & ~jnp.eye(n_robot, dtype=bool)
+    is_found = select_flyable(plans.found, is_met)
+    return replace(select_paths(is_found, plans, held), found=is_found)

@@ -19,7 +19,7 @@ from angler_mjx.robot.control.trajectory import Trajectory
 type Path = Plan
 """Of one robot: way-points joined by lines; or points with headings, and with velocities cubics."""
 
-MOST_POINTS = 1024
+MAX_POINTS = 1024
 """Of one path."""
 
 
@@ -85,9 +85,9 @@ def way_points(time_s: Any, position_m: Any) -> Trajectory:
         position_m: [n, 3] m, W; the first is the robot's start.
     """
     return Trajectory(
-        time_s=_real(time_s),
-        position_m=_real(position_m),
-        found=_real(True).astype(bool),
+        time_s=_as_float32(time_s),
+        position_m=_as_float32(position_m),
+        found=_as_float32(True).astype(bool),
     )
 
 
@@ -102,21 +102,21 @@ def joint_path(
         yaw_rad: [n] heading about z up, 0 = east; unwrapped: a step of a turn is a turn.
         velocity: [n, 4] of x, y, z in m/s and of the heading in rad/s; lines where left out.
     """
-    time = _real(time_s)
-    position = np.concatenate([_real(position_m), _real(yaw_rad)[:, None]], axis=1)
+    time = _as_float32(time_s)
+    position = np.concatenate([_as_float32(position_m), _as_float32(yaw_rad)[:, None]], axis=1)
     degree = LINEAR if velocity is None else CUBIC
-    still: Any = np.zeros_like(position)
+    zeros: Any = np.zeros_like(position)
     return JointTrajectory(
         joints=VEHICLE_JOINTS,
         time_s=time,
-        position=_real(position),
-        velocity=still if velocity is None else _real(velocity),
-        acceleration=still,
+        position=_as_float32(position),
+        velocity=zeros if velocity is None else _as_float32(velocity),
+        acceleration=zeros,
         degree=(0.0 * time + degree).astype(np.int32),
-        commanded=(still[0] == 0.0),
-        found=_real(True).astype(bool),
+        commanded=(zeros[0] == 0.0),
+        found=_as_float32(True).astype(bool),
     )
 
 
-def _real(values: Any) -> Any:
+def _as_float32(values: Any) -> Any:
     return np.asarray(values, np.float32)

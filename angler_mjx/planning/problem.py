@@ -6,18 +6,19 @@ surface at z = 0); robots are told apart by their number.
 """
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from angler_mjx._moved import renamed_attribute
 from angler_mjx.sim.information import CurrentInformation, Information, ObstacleInformation
 from angler_mjx.world.grid import Grid
 
 
 @dataclass(frozen=True, kw_only=True)
-class Name:
+class ProblemName:
     """Which problem it is: the same name is the same problem, wherever it is drawn."""
 
     scenario: str
@@ -85,12 +86,18 @@ class Problem:
     """Nothing is flown after it."""
     goal_tolerance_m: float = field(metadata={"static": True})
     """A robot has arrived when its centre is this near to its goal."""
-    knows: Information = field(metadata={"static": True})
+    information: Information = field(metadata={"static": True})
     """What may be known; ``obstacles`` and ``current`` hold no more than that."""
     deadline_s: float = field(metadata={"static": True})
     """Wall-clock time that a planner has for this problem."""
-    name: Name | None = field(default=None, metadata={"static": True})
+    name: ProblemName | None = field(default=None, metadata={"static": True})
     """None where many problems lie in one batch."""
+
+    if not TYPE_CHECKING:  # a checker would take every attribute for one
+
+        def __getattr__(self, name: str) -> Any:
+            """Return a field by its name before 0.2, with a DeprecationWarning."""
+            return renamed_attribute(self, name, {"knows": "information"})
 
     @property
     def robots(self) -> int:
@@ -118,9 +125,9 @@ class Problem:
         Returns:
             [n, 3] m/s, W, float32 of NumPy; zero where nothing is known.
         """
-        return np.asarray(_flow(self.current, jnp.asarray(p), jnp.asarray(t)))
+        return np.asarray(_current_velocity(self.current, jnp.asarray(p), jnp.asarray(t)))
 
 
 @jax.jit
-def _flow(current: CurrentInformation, p: jax.Array, t: jax.Array) -> jax.Array:
+def _current_velocity(current: CurrentInformation, p: jax.Array, t: jax.Array) -> jax.Array:
     return jax.vmap(current.velocity)(p, t)

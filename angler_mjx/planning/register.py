@@ -20,9 +20,9 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from angler_mjx.errors import ConfigError, UnsupportedError, described, shown
-from angler_mjx.planning.automatic import AUTO, CHOICES
-from angler_mjx.planning.planner import MOST_POINTS
+from angler_mjx.errors import ConfigError, UnsupportedError, describe_error, format_value
+from angler_mjx.planning.planner import MAX_POINTS
+from angler_mjx.planning.planner_choice import AUTO, AUTO_PLANNERS
 
 GROUP = "angler_mjx.planners"
 """Of entry points by which other packages bring planners: NAME = "module:Class"."""
@@ -68,20 +68,20 @@ class PlannerReference:
             ConfigError: there is no such class, or the file cannot be run.
             UnsupportedError: it needs a library that is not installed.
         """
-        home = _of_file(self) if self.file else _of_module(self)
-        found = home
+        module = _load_file_module(self) if self.file else _import_module(self)
+        value = module
         try:
             for part in self.qualname.split("."):
-                found = getattr(found, part)
+                value = getattr(value, part)
         except AttributeError as error:
-            there = ", ".join(_classes(home)) or "none"
+            class_names = ", ".join(_class_names(module)) or "none"
             raise ConfigError(
-                f"planner {self.name}: {self.module} holds no {shown(self.qualname)}; "
-                f"classes there: {there}"
+                f"planner {self.name}: {self.module} holds no {format_value(self.qualname)}; "
+                f"classes there: {class_names}"
             ) from error
-        if not isinstance(found, type):
+        if not isinstance(value, type):
             raise ConfigError(f"planner {self.name}: {self.qualname} is no class")
-        return found
+        return value
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,7 +91,7 @@ class PlannerSpec:
     reference: PlannerReference
     settings: Mapping[str, Any] = field(default_factory=dict)
     """Those that differ from their defaults; checked before."""
-    most_points: int = MOST_POINTS
+    max_points: int = MAX_POINTS
     """Of one path that can be flown; who gives more is refused."""
 
     def make(self) -> Any:
@@ -100,23 +100,23 @@ class PlannerSpec:
         Raises:
             ConfigError, UnsupportedError: as `PlannerReference.load`.
         """
-        found = self.reference.load()
-        chosen = settings_of(found)
-        return found() if chosen is None else found(chosen(**self.settings))
+        planner_class = self.reference.load()
+        settings = settings_class(planner_class)
+        return planner_class() if settings is None else planner_class(settings(**self.settings))
 
 
-def names() -> list[str]:
+def planner_names() -> list[str]:
     """Return the planners that can be named anywhere, the built-in ones first; auto is none."""
-    return [*DEVICE, *sorted(_installed())]
+    return [*DEVICE, *sorted(_installed_planners())]
 
 
-def beside(name: str, folder: Path) -> str:
+def resolve_planner_name(name: str, folder: Path) -> str:
     """The same name; a class of a file with the file's path from a folder, made absolute."""
     path, _, qualname = name.rpartition(":")
-    return f"{(folder / path).absolute()}:{qualname}" if _is_file(path) else name
+    return f"{(folder / path).absolute()}:{qualname}" if _is_file_path(path) else name
 
 
-def _is_file(path: str) -> bool:
+def _is_file_path(path: str) -> bool:
     """Whether what stands before a colon is the file of a class."""
     return path.endswith(".py")
 
@@ -131,9 +131,9 @@ def find(name: str) -> PlannerReference:
         ConfigError: there is no planner of that name, or no such file.
     """
     path, _, qualname = name.rpartition(":")
-    if _is_file(path):
+    if _is_file_path(path):
         file = Path(path)
-        data = _bytes(file, name)
+        data = _read_file(file, name)
         return PlannerReference(
             name=name,
             module=str(file.resolve()),
@@ -143,62 +143,62 @@ def find(name: str) -> PlannerReference:
         )
     if name == AUTO:
         raise ConfigError(
-            f"planner {shown(AUTO)}: is chosen in a scenario, by the number of robots; name "
-            f"{' or '.join(CHOICES)}"
+            f"planner {format_value(AUTO)}: is chosen in a scenario, by the number of robots; name "
+            f"{' or '.join(AUTO_PLANNERS)}"
         )
-    place = DEVICE.get(name) or _installed().get(name)
-    if place is None:
+    location = DEVICE.get(name) or _installed_planners().get(name)
+    if location is None:
         raise ConfigError(
-            f"unknown planner {shown(name)}; there is {', '.join(names())}, "
+            f"unknown planner {format_value(name)}; there is {', '.join(planner_names())}, "
             "or give a class of a file as FILE.py:CLASS"
         )
-    module, _, qualname = place.partition(":")
+    module, _, qualname = location.partition(":")
     return PlannerReference(name=name, module=module, qualname=qualname)
 
 
-def settings_of(planner: type) -> type | None:
+def settings_class(planner: type) -> type | None:
     """The dataclass of a planner's settings; None where it has none."""
-    chosen = getattr(planner, "Settings", None)
-    if chosen is None:
+    settings = getattr(planner, "Settings", None)
+    if settings is None:
         return None
-    if not (isinstance(chosen, type) and is_dataclass(chosen)):
+    if not (isinstance(settings, type) and is_dataclass(settings)):
         raise ConfigError(f"planner {planner.__name__}: Settings is no dataclass")
-    without = [one.name for one in fields(chosen) if _required(one)]
-    if without:
+    required = [setting.name for setting in fields(settings) if _is_required(setting)]
+    if required:
         raise ConfigError(
-            f"planner {planner.__name__}: Settings.{without[0]} has no default; give it one"
+            f"planner {planner.__name__}: Settings.{required[0]} has no default; give it one"
         )
-    return chosen
+    return settings
 
 
-def gives_joints(spec: PlannerSpec) -> bool:
+def plans_joints(spec: PlannerSpec) -> bool:
     """Whether a planner's paths are trajectories of joints: ``joints`` of its settings or class."""
-    found = spec.reference.load()
-    chosen = settings_of(found)
-    of_class = getattr(found, "joints", False)
-    if chosen is None:
-        return bool(of_class)
-    return bool(getattr(chosen(**spec.settings), "joints", of_class))
+    planner_class = spec.reference.load()
+    settings = settings_class(planner_class)
+    default = getattr(planner_class, "joints", False)
+    if settings is None:
+        return bool(default)
+    return bool(getattr(settings(**spec.settings), "joints", default))
 
 
-def _required(one: "Field[Any]") -> bool:
-    return one.default is MISSING and one.default_factory is MISSING
+def _is_required(setting: "Field[Any]") -> bool:
+    return setting.default is MISSING and setting.default_factory is MISSING
 
 
-def _bytes(file: Path, name: str) -> bytes:
+def _read_file(file: Path, name: str) -> bytes:
     try:
         return file.read_bytes()
     except OSError as error:
         raise ConfigError(
-            f"planner {shown(name)}: {file} cannot be read ({error.strerror or error})"
+            f"planner {format_value(name)}: {file} cannot be read ({error.strerror or error})"
         ) from error
 
 
-def _installed() -> dict[str, str]:
+def _installed_planners() -> dict[str, str]:
     return {point.name: point.value for point in entry_points(group=GROUP)}
 
 
-def _of_module(reference: PlannerReference) -> Any:
+def _import_module(reference: PlannerReference) -> Any:
     try:
         return importlib.import_module(reference.module)
     except ModuleNotFoundError as error:
@@ -208,7 +208,7 @@ def _of_module(reference: PlannerReference) -> Any:
         ) from error
 
 
-def _of_file(reference: PlannerReference) -> Any:
+def _load_file_module(reference: PlannerReference) -> Any:
     """Run the text of a file as a module, once in each process; it can import files beside it.
 
     Another text is another module. The text is that of the time when the planner was chosen, so a
@@ -227,11 +227,11 @@ def _of_file(reference: PlannerReference) -> Any:
         exec(compile(text, str(path), "exec"), vars(module))
     except Exception as error:  # a user's code may raise any exception; the message names it
         del sys.modules[name]
-        raise ConfigError(f"{path}: cannot be run ({described(error, path)})") from error
+        raise ConfigError(f"{path}: cannot be run ({describe_error(error, path)})") from error
     return module
 
 
-def _classes(module: Any) -> Iterator[str]:
+def _class_names(module: Any) -> Iterator[str]:
     for name, value in vars(module).items():
         if inspect.isclass(value) and value.__module__ == module.__name__:
             yield name

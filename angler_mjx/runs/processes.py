@@ -17,10 +17,10 @@ import jax
 
 from angler_mjx.errors import ConfigError, RunError
 
-ROOT = "angler"
-BEAT_S = 2.0
+KEY_ROOT = "angler"
+HEARTBEAT_S = 2.0
 """Between two signs of life of a process."""
-GONE_S = 60.0
+LOST_AFTER_S = 60.0
 """A process that showed none for this long is taken for dead. A busy host may be slow to answer."""
 DISCONNECT_S = 0.5
 """From a process's last word to the end of its connection."""
@@ -61,7 +61,7 @@ class Processes(Protocol):
         ...
 
 
-class OneOfMany:
+class RunProcesses:
     """Processes that share one run of several, one run after another; see `Processes`.
 
     What is met for is told apart by the run's name, and nobody leaves at the end of one.
@@ -98,7 +98,7 @@ class OneOfMany:
 
 
 @contextmanager
-def telling(processes: Processes) -> Iterator[None]:
+def reporting_failure(processes: Processes) -> Iterator[None]:
     """Tell the other processes if this one cannot go on, and part from them."""
     try:
         yield
@@ -130,12 +130,12 @@ class OneProcess:
         """See `Processes`."""
 
 
-def join(
+def join_processes(
     coordinator: str | None = None,
     processes: int | None = None,
     process: int | None = None,
     *,
-    gone_s: float = GONE_S,
+    gone_s: float = LOST_AFTER_S,
 ) -> "ManyProcesses":
     """Join the other processes; before JAX computes anything.
 
@@ -168,10 +168,10 @@ def join(
     # Every process waits here until all have told each other their devices; after that, one may
     # fail without another one waiting for it inside JAX.
     jax.local_devices()
-    return ManyProcesses(_store(), gone_s)
+    return ManyProcesses(_key_value_store(), gone_s)
 
 
-def _store() -> Any:
+def _key_value_store() -> Any:
     """Return the key-value store of JAX's coordinator, after `jax.distributed.initialize`.
 
     JAX gives no public access to it, and no public function replaces it: those of
@@ -197,17 +197,19 @@ class ManyProcesses:
     """Several processes; see `Processes`."""
 
     def __init__(self, store: Any, gone_s: float) -> None:
-        """Begin to show signs of life; see `join`."""
+        """Begin to show signs of life; see `join_processes`."""
         self.index: int = jax.process_index()
         self.count: int = jax.process_count()
         self._client = store
         self._gone_s = gone_s
-        self._seen: dict[int, tuple[str, float]] = {}
-        self._gone: set[int] = set()
-        self._trouble: str | None = None
+        self._last_beats: dict[int, tuple[str, float]] = {}
+        self._lost: set[int] = set()
+        self._failure: str | None = None
         self._stopping = False
         self._left = threading.Event()
-        self._thread = threading.Thread(target=self._watch, name="angler-processes", daemon=True)
+        self._thread = threading.Thread(
+            target=self._watch_others, name="angler-processes", daemon=True
+        )
         self._thread.start()
         # A thread inside JAX when the interpreter ends would take the process down.
         atexit.register(self._end_watch)
@@ -219,36 +221,36 @@ class ManyProcesses:
 
     def check(self) -> None:
         """See `Processes`."""
-        if self._trouble is not None:
+        if self._failure is not None:
             raise RunError(
-                f"{self._trouble}; process {self.index} ends too, finished worlds are kept: go on "
+                f"{self._failure}; process {self.index} ends too, finished worlds are kept: go on "
                 "with --resume"
             )
 
     def meet(self, name: str, value: Any = None) -> list[Any]:
         """See `Processes`."""
-        self._client.key_value_set(f"{ROOT}/{name}/{self.index}", json.dumps(value))
+        self._client.key_value_set(f"{KEY_ROOT}/{name}/{self.index}", json.dumps(value))
         while True:
-            there = self._read(name)
-            if len(there) == self.count:
-                return [json.loads(there[i]) for i in range(self.count)]
+            values = self._read_values(name)
+            if len(values) == self.count:
+                return [json.loads(values[i]) for i in range(self.count)]
             self.check()
             time.sleep(0.05)
 
     def stop(self) -> None:
         """See `Processes`."""
-        self._client.key_value_set(f"{ROOT}/stop/{self.index}", "", allow_overwrite=True)
+        self._client.key_value_set(f"{KEY_ROOT}/stop/{self.index}", "", allow_overwrite=True)
 
     def fail(self, reason: str) -> None:
         """See `Processes`."""
-        self._client.key_value_set(f"{ROOT}/failed/{self.index}", reason, allow_overwrite=True)
+        self._client.key_value_set(f"{KEY_ROOT}/failed/{self.index}", reason, allow_overwrite=True)
 
     def leave(self) -> None:
         """See `Processes`."""
-        self._client.key_value_set(f"{ROOT}/left/{self.index}", "", allow_overwrite=True)
+        self._client.key_value_set(f"{KEY_ROOT}/left/{self.index}", "", allow_overwrite=True)
         if self.index == 0:
             # JAX aborts whoever is still connected when the coordinator ends.
-            while len(self._read("left").keys() | self._gone) < self.count:
+            while len(self._read_values("left").keys() | self._lost) < self.count:
                 time.sleep(0.05)
             time.sleep(DISCONNECT_S)
         self._end_watch()
@@ -258,43 +260,43 @@ class ManyProcesses:
         self._left.set()
         self._thread.join()
 
-    def _read(self, name: str) -> dict[int, str]:
+    def _read_values(self, name: str) -> dict[int, str]:
         """Values under a name by process."""
         try:
-            found = self._client.key_value_dir_get(f"{ROOT}/{name}/")
+            entries = self._client.key_value_dir_get(f"{KEY_ROOT}/{name}/")
         except jax.errors.JaxRuntimeError as error:
-            self._trouble = f"process 0 cannot be reached ({str(error).splitlines()[0]})"
-            self._gone.add(0)
+            self._failure = f"process 0 cannot be reached ({str(error).splitlines()[0]})"
+            self._lost.add(0)
             return {}
-        return {int(key.rsplit("/", 1)[1]): value for key, value in found}
+        return {int(key.rsplit("/", 1)[1]): value for key, value in entries}
 
-    def _watch(self) -> None:
+    def _watch_others(self) -> None:
         """Show signs of life and look for those of the others, until this process leaves."""
         beat = 0
         while not self._left.is_set():
             beat += 1
             try:
                 self._client.key_value_set(
-                    f"{ROOT}/beat/{self.index}", str(beat), allow_overwrite=True
+                    f"{KEY_ROOT}/beat/{self.index}", str(beat), allow_overwrite=True
                 )
             except jax.errors.JaxRuntimeError as error:
-                self._trouble = f"process 0 cannot be reached ({str(error).splitlines()[0]})"
+                self._failure = f"process 0 cannot be reached ({str(error).splitlines()[0]})"
                 return
-            self._stopping = self._stopping or bool(self._read("stop"))
-            for other, reason in self._read("failed").items():
-                self._trouble = self._trouble or f"process {other} failed: {reason}"
-            self._look_for_the_dead(self._read("beat"))
-            self._left.wait(min(BEAT_S, self._gone_s / 4))
+            self._stopping = self._stopping or bool(self._read_values("stop"))
+            for other, reason in self._read_values("failed").items():
+                self._failure = self._failure or f"process {other} failed: {reason}"
+            self._find_lost_processes(self._read_values("beat"))
+            self._left.wait(min(HEARTBEAT_S, self._gone_s / 4))
 
-    def _look_for_the_dead(self, beats: dict[int, str]) -> None:
+    def _find_lost_processes(self, beats: dict[int, str]) -> None:
         """Note who showed a new sign of life, and who has not for too long."""
         now = time.monotonic()
         for other in range(self.count):
             beat = beats.get(other, "")
-            last, when = self._seen.get(other, ("", now))
-            self._seen[other] = (beat, now if beat != last else when)
-            if now - self._seen[other][1] > self._gone_s:
-                self._gone.add(other)
-                self._trouble = self._trouble or (
+            last_beat, seen_s = self._last_beats.get(other, ("", now))
+            self._last_beats[other] = (beat, now if beat != last_beat else seen_s)
+            if now - self._last_beats[other][1] > self._gone_s:
+                self._lost.add(other)
+                self._failure = self._failure or (
                     f"process {other} is gone: no sign of life for {self._gone_s:g} s"
                 )

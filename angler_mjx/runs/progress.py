@@ -2,7 +2,7 @@
 
 from typing import Protocol
 
-from angler_mjx.runs.simulator.compiling import CompileTime
+from angler_mjx.runs.simulator.compilation import CompileTime
 
 
 class Progress(Protocol):
@@ -14,7 +14,7 @@ class Progress(Protocol):
     def compiling(self) -> None:
         """Compilation begins."""
 
-    def compiled(self, took: CompileTime) -> None:
+    def compiled(self, compile_time: CompileTime) -> None:
         """Compilation is over."""
 
     def advance(self, worlds: float, vehicle_steps: int) -> None:
@@ -28,16 +28,16 @@ class SilentProgress:
     """A progress that says nothing."""
 
     def start(self, worlds: int, done: int) -> None:
-        """See `Progress`."""
+        """See `SampleProgress`."""
 
     def compiling(self) -> None:
-        """See `Progress`."""
+        """See `SampleProgress`."""
 
-    def compiled(self, took: CompileTime) -> None:
-        """See `Progress`."""
+    def compiled(self, compile_time: CompileTime) -> None:
+        """See `SampleProgress`."""
 
     def advance(self, worlds: float, vehicle_steps: int) -> None:
-        """See `Progress`."""
+        """See `SampleProgress`."""
 
     def tell(self, text: str) -> None:
-        """See `Progress`."""
+        """See `SampleProgress`."""

@@ -14,7 +14,7 @@ import jax
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.runs.storage import folder
-from angler_mjx.runs.storage.damage import read_table
+from angler_mjx.runs.storage.read_errors import read_table
 from angler_mjx.sim import policy as policies
 from angler_mjx.sim.policy import Policy
 
@@ -24,21 +24,21 @@ def describe_environment() -> dict[str, Any]:
     packages = ("angler-mjx", "jax", "jaxlib", "mujoco", "mujoco-mjx", "numpy", "zarr", "pyarrow")
     device = jax.devices()[0]
     return {
-        "versions": {name: _version(name) for name in packages},
+        "versions": {name: _package_version(name) for name in packages},
         "python": platform.python_version(),
         "platform": platform.platform(),
-        "processor": processor(),
+        "processor": processor_name(),
         "cpu_count": cpu_count(),
         "xla_flags": os.environ.get("XLA_FLAGS", ""),
         "backend": device.platform,
         "device": device.device_kind,
         "device_count": jax.device_count(),
-        "commit": _commit(),
+        "commit": _read_commit(),
         "command": shlex.join(["angler", *sys.argv[1:]]),
     }
 
 
-def processor() -> str:
+def processor_name() -> str:
     """Return the model name of the processor; empty where the system does not say."""
     try:
         with open("/proc/cpuinfo", encoding="utf-8") as file:
@@ -60,26 +60,26 @@ def peak_memory_bytes() -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
-def _version(package: str) -> str | None:
+def _package_version(package: str) -> str | None:
     try:
         return version(package)
     except PackageNotFoundError:
         return None
 
 
-def _commit() -> str | None:
+def _read_commit() -> str | None:
     """Commit of the checkout that runs, with a mark if it was changed; None outside a checkout.
 
     ``ANGLER_COMMIT`` stands for it where it is set: a copied tree has no history.
     """
-    if said := os.environ.get("ANGLER_COMMIT"):
-        return said
+    if commit_override := os.environ.get("ANGLER_COMMIT"):
+        return commit_override
     git = ["git", "-C", str(Path(__file__).parent)]
     try:
         commit = subprocess.run(
             [*git, "rev-parse", "HEAD"], capture_output=True, text=True, check=True, timeout=10
         ).stdout.strip()
-        changed = subprocess.run(
+        changed_files = subprocess.run(
             [*git, "status", "--porcelain", "--untracked-files=no"],
             capture_output=True,
             text=True,
@@ -88,13 +88,13 @@ def _commit() -> str | None:
         ).stdout.strip()
     except (OSError, subprocess.SubprocessError):
         return None
-    return f"{commit}-changed" if changed else commit
+    return f"{commit}-changed" if changed_files else commit
 
 
 def write_policy(building: Path, policy: Policy | None) -> None:
     """Say in a new run which policy commands its robots, if one does."""
     if policy is not None:
-        folder.write_json(building / folder.POLICY, policies.describe(policy))
+        folder.write_json(building / folder.POLICY, policies.describe_policy(policy))
 
 
 def require_policy(building: Path, policy: Policy | None) -> None:
@@ -104,12 +104,16 @@ def require_policy(building: Path, policy: Policy | None) -> None:
         ConfigError: it was begun with another one, or what says so is damaged.
     """
     path = building / folder.POLICY
-    before = read_table(path) if path.exists() else None
-    now = None if policy is None else policies.describe(policy)
-    if before != now:
-        had, has = ("no policy" if one is None else str(one.get("class")) for one in (before, now))
-        other = " of other numbers" if had == has else ""
+    stored = read_table(path) if path.exists() else None
+    current = None if policy is None else policies.describe_policy(policy)
+    if stored != current:
+        stored_class, current_class = (
+            "no policy" if description is None else str(description.get("class"))
+            for description in (stored, current)
+        )
+        suffix = " of other numbers" if stored_class == current_class else ""
         raise ConfigError(
-            f"{path}: the run was begun with {had} and is to go on with {has}{other}; "
+            f"{path}: the run was begun with {stored_class} and is to go on with "
+            f"{current_class}{suffix}; "
             "give the policy that it was begun with"
         )

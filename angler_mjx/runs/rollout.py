@@ -13,22 +13,22 @@ from typing import Any
 import numpy as np
 
 from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.planning.online import host_planner
+from angler_mjx.planning.online import host_replanner
 from angler_mjx.planning.online.policy import Online
-from angler_mjx.runs import device_batches, opening, sizes
+from angler_mjx.runs import device_batches, folder_setup, sizes
 from angler_mjx.runs.log import Log
-from angler_mjx.runs.processes import OneProcess, Processes, telling
+from angler_mjx.runs.processes import OneProcess, Processes, reporting_failure
 from angler_mjx.runs.progress import Progress, SilentProgress
 from angler_mjx.runs.provenance import peak_memory_bytes, require_policy
 from angler_mjx.runs.simulator import scenario_policy
-from angler_mjx.runs.simulator.compiling import CompileTime
+from angler_mjx.runs.simulator.compilation import CompileTime
 from angler_mjx.runs.simulator.simulator import Simulator
-from angler_mjx.runs.storage import device_to_host, folder, output_lock, planned, results
+from angler_mjx.runs.storage import device_to_host, folder, output_lock, planning_summary, results
+from angler_mjx.runs.storage.background_writer import BackgroundWriter
 from angler_mjx.runs.storage.device_to_host import FinishedTile
 from angler_mjx.runs.storage.output_lock import OutputLock
 from angler_mjx.runs.storage.plans.read import PlanFile, open_plans
 from angler_mjx.runs.storage.recorder import Recorder
-from angler_mjx.runs.storage.writer import Writer
 from angler_mjx.scenario import notices
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.policy import Policy
@@ -39,11 +39,11 @@ class NothingKeptError(RunError):
 
 
 @dataclass(kw_only=True)
-class _Clock:
+class _RunTimer:
     """Where the time of a run went, and the steps it was spent on."""
 
     compile: CompileTime
-    begun: float = field(default_factory=time.perf_counter)
+    started_s: float = field(default_factory=time.perf_counter)
     simulate_s: float = 0.0
     disk_wait_s: float = 0.0
     vehicle_steps: int = 0
@@ -88,35 +88,38 @@ def rollout(
         RunError: the disk or the device's memory is full, a world cannot hold the fleet, or another
             process of the run failed.
     """
-    place, processes = Path(out), processes or OneProcess()
-    with telling(processes), ExitStack() as stack:
+    path, processes = Path(out), processes or OneProcess()
+    with reporting_failure(processes), ExitStack() as stack:
         if processes.index == 0:
-            folder.require_none(place)
-        found = None if plans is None else open_plans(Path(plans), scenario)
+            folder.require_none(path)
+        plan_file = None if plans is None else open_plans(Path(plans), scenario)
         if simulator is None:
             simulator = Simulator(
                 scenario,
                 devices=devices,
                 policy=policy,
                 workers=workers,
-                paths=None if found is None else found.shape,
+                paths=None if plan_file is None else plan_file.shape,
             )
             stack.callback(simulator.close)
         if simulator.scenario != scenario:
             raise ConfigError("simulator: was made for another scenario")
-        if found is not None and simulator.paths != found.shape:
+        if plan_file is not None and simulator.paths != plan_file.shape:
             raise ConfigError(
-                f"simulator: flies {simulator.paths}, and {found.path} holds {found.shape}; make "
+                f"simulator: flies {simulator.paths}, and {plan_file.path} holds "
+                f"{plan_file.shape}; make "
                 "it with paths=open_plans(...).shape"
             )
-        room = sizes.room(simulator, chunk)
-        claimed = None
+        buffered_tiles = sizes.max_buffered_tiles(simulator, chunk)
+        lock = None
         if processes.index == 0:
-            claimed = opening.begin(simulator, place, found)
-            stack.enter_context(opening.held(claimed, new=processes.count == 1))
+            lock = folder_setup.create_run_folder(simulator, path, plan_file)
+            stack.enter_context(folder_setup.hold_lock(lock, is_new=processes.count == 1))
         processes.meet("folder")
         run_progress = progress or SilentProgress()
-        return _Rollout(simulator, place, room, run_progress, processes, claimed, found).run()
+        return _Rollout(
+            simulator, path, buffered_tiles, run_progress, processes, lock, plan_file
+        ).run()
 
 
 def resume(
@@ -154,47 +157,53 @@ def resume(
             is of another scenario or policy, or its vehicle files were edited since.
         RunError: as in `rollout`.
     """
-    place, processes = Path(out), processes or OneProcess()
+    path, processes = Path(out), processes or OneProcess()
     run_progress = progress or SilentProgress()
-    with telling(processes), ExitStack() as stack:
-        claimed = None
+    with reporting_failure(processes), ExitStack() as stack:
+        lock = None
         if processes.index == 0:
             if scenario is not None:
-                opening.require_same(place, scenario)
-            begun = folder.where(place)
+                folder_setup.require_same_scenario(path, scenario)
+            existing = folder.locate_folder(path)
             require_policy(
-                begun, _commands(begun, policy) if simulator is None else simulator.policy
+                existing,
+                _resolve_policy(existing, policy) if simulator is None else simulator.policy,
             )
-            claimed = folder.reopen(place, run_progress.tell)
-            stack.enter_context(opening.held(claimed, new=False))
+            lock = folder.reopen_folder(path, run_progress.tell)
+            stack.enter_context(folder_setup.hold_lock(lock, is_new=False))
         processes.meet("found")
-        building = output_lock.partial_path(place)
+        building = output_lock.partial_path(path)
         stored = folder.read_scenario(building)
-        found = opening.plans_again(building, plans, stored)
+        plan_file = folder_setup.reopen_plans(building, plans, stored)
         if simulator is None:
             simulator = Simulator(
                 stored,
                 devices=devices,
                 policy=policy,
                 workers=workers,
-                paths=None if found is None else found.shape,
+                paths=None if plan_file is None else plan_file.shape,
             )
             stack.callback(simulator.close)
         require_policy(building, simulator.policy)
-        if simulator.scenario.model_copy(update=opening.resolved(simulator)) != stored:
+        if (
+            simulator.scenario.model_copy(update=folder_setup.resolved_settings(simulator))
+            != stored
+        ):
             raise ConfigError("simulator: was made for another scenario")
-        room = sizes.room(simulator, chunk)
+        buffered_tiles = sizes.max_buffered_tiles(simulator, chunk)
         if processes.index == 0 and stored.time.record_hz > 0:
-            opening.mend(simulator, building, run_progress)
+            folder_setup.repair_trajectories(simulator, building, run_progress)
         processes.meet("folder")
-        return _Rollout(simulator, place, room, run_progress, processes, claimed, found).run()
+        return _Rollout(
+            simulator, path, buffered_tiles, run_progress, processes, lock, plan_file
+        ).run()
 
 
-def _commands(building: Path, policy: Policy | None) -> Policy | None:
+def _resolve_policy(building: Path, policy: Policy | None) -> Policy | None:
     """What will command the robots of a run that goes on."""
     if not (building / folder.CONFIG).exists():
         return policy
-    return scenario_policy.policy_of(folder.read_scenario(building), policy)
+    return scenario_policy.resolve_policy(folder.read_scenario(building), policy)
 
 
 class _Rollout:
@@ -204,25 +213,25 @@ class _Rollout:
         self,
         simulator: Simulator,
         out: Path,
-        room: int,
+        buffered_tiles: int,
         progress: Progress,
         processes: Processes,
-        claimed: OutputLock | None,
+        lock: OutputLock | None,
         plans: PlanFile | None,
     ) -> None:
         self._plans = plans
         self._sim = simulator
         self._scenario = simulator.scenario
-        self._claimed = claimed
+        self._lock = lock
         """Process 0's alone."""
         self._building = output_lock.partial_path(out)
         self._out = out
-        self._room = room
+        self._buffered_tiles = buffered_tiles
         number = f".{processes.index}" if processes.index else ""
         self._progress = Log(self._building / f"{folder.LOG}{number}", progress)
         self._processes = processes
-        self._shape = sizes.shape_of(simulator)
-        self._failures = planned.PlanningFailures(self._progress.tell)
+        self._shape = sizes.trajectory_shape(simulator)
+        self._failures = planning_summary.PlanningFailures(self._progress.tell)
         self._recorder: Recorder | None = None
         if self._scenario.time.record_hz > 0:
             self._recorder = Recorder.reopen(
@@ -242,48 +251,48 @@ class _Rollout:
 
     def _run(self) -> folder.Run:
         processes = self._processes
-        tiles, done = self._share()
+        tiles, done = self._assign_tiles()
         total = sum(min(self._sim.tile, self._scenario.worlds - first) for first in tiles)
         self._progress.start(done + total, done)
         commanded = not isinstance(self._sim.policy, Online | None)
-        for line in notices.lines(
-            self._scenario, planned=self._sim.planner is not None, commanded=commanded
+        for line in notices.run_notices(
+            self._scenario, uses_planner=self._sim.planner is not None, is_commanded=commanded
         ):
             self._progress.tell(line)
         self._progress.compiling()
-        clock = _Clock(compile=self._sim.compile())
+        clock = _RunTimer(compile=self._sim.compile())
         self._progress.compiled(clock.compile)
         # Nobody writes a tile before everybody has looked which ones there are.
         processes.meet("start")
-        interrupted = self._simulate(tiles, clock)
-        figures = {
+        interrupted = self._simulate_tiles(tiles, clock)
+        statistics = {
             "devices": self._sim.devices,
             "interrupted": interrupted,
             "simulate_s": clock.simulate_s,
             "disk_wait_s": clock.disk_wait_s,
             "vehicle_steps": clock.vehicle_steps,
         }
-        shares = processes.meet("end", figures)
+        reports = processes.meet("end", statistics)
         if processes.index == 0:
-            self._close(clock, shares)
+            self._close_folder(clock, reports)
         processes.meet("closed")
         return folder.Run(self._out)
 
-    def _share(self) -> tuple[list[int], int]:
+    def _assign_tiles(self) -> tuple[list[int], int]:
         """First worlds of this process's tiles, and the worlds that were finished before."""
-        before = folder.read_parts(self._building)
-        finished = set() if before is None else set(before["world"].to_pylist())
-        left = []
+        stored = folder.read_parts(self._building)
+        finished = set() if stored is None else set(stored["world"].to_pylist())
+        remaining = []
         for first in range(0, self._scenario.worlds, self._sim.tile):
             worlds = range(first, min(first + self._sim.tile, self._scenario.worlds))
-            if not finished.issuperset(worlds) or self._lost(first):
-                left.append(first)
+            if not finished.issuperset(worlds) or self._has_lost_arrays(first):
+                remaining.append(first)
                 finished.difference_update(worlds)
-        return left[self._processes.index :: self._processes.count], len(finished)
+        return remaining[self._processes.index :: self._processes.count], len(finished)
 
-    def _lost(self, first: int) -> bool:
+    def _has_lost_arrays(self, first: int) -> bool:
         """Whether trajectories of a finished tile are not there any more."""
-        name = None if self._recorder is None else self._recorder.lacks(first)
+        name = None if self._recorder is None else self._recorder.find_missing(first)
         if name is not None and self._processes.index == 0:
             self._progress.tell(
                 f"{self._building / folder.TRAJECTORIES / name}: worlds {first} and on are missing "
@@ -291,14 +300,14 @@ class _Rollout:
             )
         return name is not None
 
-    def _simulate(self, tiles: list[int], clock: _Clock) -> bool:
+    def _simulate_tiles(self, tiles: list[int], clock: _RunTimer) -> bool:
         """Run the tiles and write them; returns whether that was interrupted."""
         processes, interrupted = self._processes, False
         recorded = self._recorder is not None
-        writer = Writer[FinishedTile](self._write, room=self._room)
-        begun = time.perf_counter()
+        writer = BackgroundWriter[FinishedTile](self._write_tile, max_waiting=self._buffered_tiles)
+        started_s = time.perf_counter()
         try:
-            for finished in device_batches.simulate(
+            for finished in device_batches.simulate_tiles(
                 self._sim,
                 tiles,
                 recorded=recorded,
@@ -317,26 +326,26 @@ class _Rollout:
             interrupted = True
             processes.stop()
         finally:
-            clock.simulate_s = time.perf_counter() - begun
+            clock.simulate_s = time.perf_counter() - started_s
             writer.close()
             clock.disk_wait_s = writer.waited_s
-            for reason, count in host_planner.take_failures():
+            for reason, count in host_replanner.take_failures():
                 self._progress.tell(f"planning in flight failed {count} times: {reason}")
         return interrupted
 
-    def _write(self, tile: FinishedTile) -> None:
+    def _write_tile(self, tile: FinishedTile) -> None:
         """Write a finished tile; its episodes last, for they say that it is whole."""
         try:
             if self._recorder is not None and tile.constants.environment is not None:
-                arrays = device_to_host.arrays(tile, self._shape.samples)
+                arrays = device_to_host.recorded_arrays(tile, self._shape.samples)
                 self._recorder.write(tile.first, arrays, tile.constants.environment)
                 self._recorder.sync(tile.first)
-            result = device_to_host.tile_result(tile)
+            result = device_to_host.build_tile_result(tile)
             self._failures.add(result.world, result.notes)
             rows = results.episode_table(result, self._sim.labels(), self._scenario.seed)
             folder.write_part(self._building, tile.first, rows)
         except OSError as error:
-            kept = (
+            advice = (
                 "nothing was finished before, and nothing is kept"
                 if not folder.holds_results(self._building)
                 else f"what was finished before is in {self._building}; make room and go on "
@@ -344,53 +353,53 @@ class _Rollout:
             )
             raise RunError(
                 f"--out {self._out}: writing worlds {tile.first} and on failed "
-                f"({error.strerror or error}); {kept}"
+                f"({error.strerror or error}); {advice}"
             ) from error
 
-    def _close(self, clock: _Clock, shares: list[dict[str, Any]]) -> None:
+    def _close_folder(self, clock: _RunTimer, reports: list[dict[str, Any]]) -> None:
         """Put the results together and give the folder its name."""
         episodes = folder.read_parts(self._building)
-        if episodes is None or self._claimed is None:
-            if self._claimed is not None and not folder.holds_results(self._building):
-                self._claimed.withdraw()
+        if episodes is None or self._lock is None:
+            if self._lock is not None and not folder.holds_results(self._building):
+                self._lock.withdraw()
             raise NothingKeptError(
                 "interrupted before the first tile was finished; nothing was kept"
             )
         done = len(set(episodes["world"].to_pylist()))
-        simulate_s = max(share["simulate_s"] for share in shares)
-        steps = sum(share["vehicle_steps"] for share in shares)
+        simulate_s = max(report["simulate_s"] for report in reports)
+        steps = sum(report["vehicle_steps"] for report in reports)
         timing = {
             "compile_s": clock.compile.total_s,
             "simulate_s": simulate_s,
-            "disk_wait_s": max(share["disk_wait_s"] for share in shares),
-            "total_s": time.perf_counter() - clock.begun + clock.compile.total_s,
+            "disk_wait_s": max(report["disk_wait_s"] for report in reports),
+            "total_s": time.perf_counter() - clock.started_s + clock.compile.total_s,
             "vehicle_steps": steps,
             "vehicle_steps_per_s": steps / max(simulate_s, 1e-9),
         }
-        interrupted = any(share["interrupted"] for share in shares)
+        interrupted = any(report["interrupted"] for report in reports)
         summary = {
             "scenario": self._scenario.name,
             "engine": self._scenario.engine,
             "kernels": self._sim.kernels,
             "seed": self._scenario.seed,
             "tile": self._sim.tile,
-            "devices": sum(share["devices"] for share in shares),
-            "processes": len(shares),
+            "devices": sum(report["devices"] for report in reports),
+            "processes": len(reports),
             "worlds": self._scenario.worlds,
             "worlds_done": done,
             "complete": done == self._scenario.worlds and not interrupted,
-            **results.summarise(episodes),
+            **results.summarise_episodes(episodes),
             "timing": timing,
             "peak_memory_bytes": peak_memory_bytes(),
             "run": str(self._out),
         }
-        early = planned.early(summary["passed_goal_early"])
-        for line in (*planned.lines(summary["planning"]), *early):
+        early = planning_summary.early_lines(summary["passed_goal_early"])
+        for line in (*planning_summary.reason_lines(summary["planning"]), *early):
             self._progress.write(line)
         self._progress.write(f"{done} of {self._scenario.worlds} worlds are finished")
         self._progress.close()
         try:
-            folder.finish(self._claimed, episodes, summary)
+            folder.finish_folder(self._lock, episodes, summary)
         except OSError as error:
             raise RunError(
                 f"--out {self._out}: cannot be written ({error.strerror or error}); all finished "

@@ -1,6 +1,7 @@
 """The table of a scenario file that says how many robots break down on their way, and when."""
 
-from typing import Self
+from collections.abc import Mapping
+from typing import ClassVar, Self
 
 from pydantic import Field, model_validator
 
@@ -15,7 +16,11 @@ class BreakdownsConfig(FileModel):
     robot more in the fleet changes nothing for those before it. Nothing else that is drawn changes.
     """
 
-    share: float = Field(default=0.0, ge=0.0, le=1.0)
+    renamed_keys: ClassVar[Mapping[str, str]] = {
+        "share": "fraction",
+    }
+
+    fraction: float = Field(default=0.0, ge=0.0, le=1.0)
     """Of the robots: the chance of each; 0 for none."""
     earliest_s: float = Field(default=0.0, ge=0.0, le=86400.0)
     """Times are drawn evenly from here on. A robot ends with the first control period that is over
@@ -24,10 +29,12 @@ class BreakdownsConfig(FileModel):
     """To here; the horizon if left out."""
 
     @model_validator(mode="after")
-    def _there_are_some(self) -> Self:
-        given = self.model_fields_set - {"share"}
-        if self.share == 0.0 and (self.earliest_s > 0.0 or self.latest_s is not None):
-            raise ValueError(f"{', '.join(sorted(given))}: no robot breaks down; give share")
+    def _check_times_used(self) -> Self:
+        unused_keys = self.model_fields_set - {"fraction"}
+        if self.fraction == 0.0 and (self.earliest_s > 0.0 or self.latest_s is not None):
+            raise ValueError(
+                f"{', '.join(sorted(unused_keys))}: no robot breaks down; give fraction"
+            )
         return self
 
     def span_s(self, horizon_s: float) -> tuple[float, float]:

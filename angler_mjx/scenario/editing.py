@@ -7,65 +7,65 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, ValidationInfo
 
-from angler_mjx.errors import ConfigError, shown
-from angler_mjx.files import folder_of
-from angler_mjx.scenario.paths import anchored
+from angler_mjx.errors import ConfigError, format_value
+from angler_mjx.files import base_folder
+from angler_mjx.scenario.path_resolution import resolve_paths
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.scenario.tables import PlannerConfig
 
 
-def _from_its_file(table: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
-    return anchored(table, folder_of(info))
+def _anchor_changes(table: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
+    return resolve_paths(table, base_folder(info))
 
 
-type Changes = Annotated[dict[str, Any], AfterValidator(_from_its_file)]
+type Changes = Annotated[dict[str, Any], AfterValidator(_anchor_changes)]
 """Keys of a scenario in another file; paths in them begin at that file's folder."""
 
 
-def merged(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+def merge_tables(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
     """A table with other values; tables within it are merged, all else is replaced."""
-    made = dict(table)
+    result = dict(table)
     for key, value in changes.items():
-        before = made.get(key)
-        if isinstance(value, Mapping) and isinstance(before, Mapping):
-            made[key] = merged(before, value)
+        old_value = result.get(key)
+        if isinstance(value, Mapping) and isinstance(old_value, Mapping):
+            result[key] = merge_tables(old_value, value)
         else:
-            made[key] = value
-    return made
+            result[key] = value
+    return result
 
 
-def first_difference(now: Mapping[str, Any], then: Mapping[str, Any]) -> str | None:
+def first_changed_key(current: Mapping[str, Any], stored: Mapping[str, Any]) -> str | None:
     """The dotted key of the first value that a table has otherwise than one that was written.
 
     Args:
-        now: plain values; tuples are lists.
-        then: read from a file; keys that it has at the top alone do not count.
+        current: plain values; tuples are lists.
+        stored: read from a file; keys that it has at the top alone do not count.
     """
-    for key, value in now.items():
-        before = then.get(key)
-        if json.dumps(value, sort_keys=True) == json.dumps(before, sort_keys=True):
+    for key, value in current.items():
+        stored_value = stored.get(key)
+        if json.dumps(value, sort_keys=True) == json.dumps(stored_value, sort_keys=True):
             continue
-        if isinstance(value, Mapping) and isinstance(before, Mapping):
-            every = {name: value.get(name) for name in sorted({*value, *before})}
-            return f"{key}.{first_difference(every, before)}"
+        if isinstance(value, Mapping) and isinstance(stored_value, Mapping):
+            values = {name: value.get(name) for name in sorted({*value, *stored_value})}
+            return f"{key}.{first_changed_key(values, stored_value)}"
         return key
     return None
 
 
-def table_of(scenario: Scenario) -> dict[str, Any]:
+def scenario_table(scenario: Scenario) -> dict[str, Any]:
     """What a scenario's file said, in plain values; paths in it are absolute."""
     table = scenario.model_dump(mode="json", exclude_unset=True)
-    table["fleet"] = [one.model_dump(mode="json", exclude_unset=True) for one in scenario.fleet]
+    table["fleet"] = [entry.model_dump(mode="json", exclude_unset=True) for entry in scenario.fleet]
     return table
 
 
-def without_horizon(table: dict[str, Any]) -> dict[str, Any]:
+def remove_horizon(table: dict[str, Any]) -> dict[str, Any]:
     """A table whose horizon is that of its world's preset: for one that gets another world."""
     time = {key: value for key, value in table.get("time", {}).items() if key != "horizon_s"}
     return {**table, "time": time}
 
 
-def with_value(table: dict[str, Any], key: str, value: Any) -> dict[str, Any]:
+def set_value(table: dict[str, Any], key: str, value: Any) -> dict[str, Any]:
     """A table in which one key has another value.
 
     Args:
@@ -81,29 +81,31 @@ def with_value(table: dict[str, Any], key: str, value: Any) -> dict[str, Any]:
     parts = key.split(".")
     if parts[0] == "planner" and len(parts) > 2 and parts[1] not in PlannerConfig.model_fields:
         parts.insert(1, "settings")
-    made = copy.deepcopy(table)
-    _put(made, parts, 0, value)
-    return made
+    changed = copy.deepcopy(table)
+    _set_value(changed, parts, 0, value)
+    return changed
 
 
-def _put(at: Any, parts: list[str], i: int, value: Any) -> None:
+def _set_value(container: Any, parts: list[str], i: int, value: Any) -> None:
     """Put a value into a table or list, where the parts from i on lead to."""
-    part, last = parts[i], i == len(parts) - 1
-    key, here = ".".join(parts), ".".join(parts[:i])
-    if isinstance(at, list):
-        held = range(len(at))
-        steps: list[Any] = [n for n in held if part in ("*", str(n))]
+    part, is_last = parts[i], i == len(parts) - 1
+    key, parent_key = ".".join(parts), ".".join(parts[:i])
+    if isinstance(container, list):
+        indices = range(len(container))
+        steps: list[Any] = [n for n in indices if part in ("*", str(n))]
         if not steps:
-            entries = f"entries 0 to {len(at) - 1}" if at else "no entries"
-            raise ConfigError(f"{key}: {here} is a list with {entries}; there is no {part}")
-    elif isinstance(at, dict):
+            entries = f"entries 0 to {len(container) - 1}" if container else "no entries"
+            raise ConfigError(f"{key}: {parent_key} is a list with {entries}; there is no {part}")
+    elif isinstance(container, dict):
         steps = [part]
-        if not last:
-            at.setdefault(part, {})
+        if not is_last:
+            container.setdefault(part, {})
     else:
-        raise ConfigError(f"{key}: {here} = {shown(at)} is no table; no key can stand in it")
+        raise ConfigError(
+            f"{key}: {parent_key} = {format_value(container)} is no table; no key can stand in it"
+        )
     for step in steps:
-        if last:
-            at[step] = copy.deepcopy(value)
+        if is_last:
+            container[step] = copy.deepcopy(value)
         else:
-            _put(at[step], parts, i + 1, value)
+            _set_value(container[step], parts, i + 1, value)

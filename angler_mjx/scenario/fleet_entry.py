@@ -6,11 +6,11 @@ from typing import Annotated, Any, Self
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from angler_mjx.errors import ConfigError, shown
-from angler_mjx.files import FileModel, absolute
+from angler_mjx.errors import ConfigError, format_value
+from angler_mjx.files import FileModel, absolute_path
 from angler_mjx.robot.sensing.config import SensorsConfig
 from angler_mjx.robot.vehicles import library
-from angler_mjx.robot.vehicles.drive import Drive, drive, require_flyable, wrench_matrix
+from angler_mjx.robot.vehicles.drive import Drive, compute_drive, require_flyable, wrench_matrix
 from angler_mjx.robot.vehicles.rotor_config import RotorResponse
 from angler_mjx.robot.vehicles.thrusters import tables_at
 from angler_mjx.scenario import instrumented
@@ -51,15 +51,15 @@ class FleetEntry(FileModel):
 
     @field_validator("vehicle")
     @classmethod
-    def _found(cls, name: str, info: ValidationInfo) -> str:
+    def _resolve_vehicle(cls, name: str, info: ValidationInfo) -> str:
         """A path from the scenario's folder, made absolute; of a file without faults."""
         if name.endswith(".toml"):
-            name = absolute(name, info)
-        library.load_thruster(library.load(name).rotor.model)
+            name = absolute_path(name, info)
+        library.load_thruster(library.load_vehicle(name).rotor.model)
         return name
 
     @model_validator(mode="after")
-    def _goes_together(self) -> Self:
+    def _check_consistent(self) -> Self:
         faults = []
         if self.parameter_mix and self.parameter_set is not None:
             faults.append("give parameter_set or parameter_mix, not both")
@@ -67,11 +67,11 @@ class FleetEntry(FileModel):
             faults.append(
                 'sensors: not used with estimate = "truth"; set estimate = "noisy" or "ekf"'
             )
-        config = library.load(self.vehicle)
-        for name in self._weights(config.default_set):
+        config = library.load_vehicle(self.vehicle)
+        for name in self._parameter_weights(config.default_set):
             if name not in config.parameter_sets:
                 faults.append(
-                    f"parameter set {shown(name)} is not in vehicle {config.name!r}; "
+                    f"parameter set {format_value(name)} is not in vehicle {config.name!r}; "
                     f"there is {', '.join(sorted(config.parameter_sets))}"
                 )
         checks: tuple[Any, ...] = (
@@ -88,31 +88,31 @@ class FleetEntry(FileModel):
             raise ValueError("; ".join(faults))
         return self
 
-    def _weights(self, default: str) -> dict[str, float]:
+    def _parameter_weights(self, default: str) -> dict[str, float]:
         return self.parameter_mix or {self.parameter_set or default: 1.0}
 
     def _require_flyable(self) -> None:
-        config = library.load(self.vehicle)
-        for able in self.drives():
-            require_flyable(config, able)
+        config = library.load_vehicle(self.vehicle)
+        for limits in self.drive_limits():
+            require_flyable(config, limits)
 
-    def drives(self) -> list[Drive]:
+    def drive_limits(self) -> list[Drive]:
         """What the vehicle can do, with each of the parameter sets that it can have.
 
         Raises:
             ConfigError: battery_v lies outside the thruster file.
         """
-        config = library.load(self.vehicle)
+        config = library.load_vehicle(self.vehicle)
         try:
             thrust_n, _ = tables_at(library.load_thruster(config.rotor.model), self.battery_v)
         except ConfigError as error:
             raise ConfigError(f"battery_v: {error}") from error
         wrench = wrench_matrix(config)
-        found = []
-        for name in self._weights(config.default_set):
+        limits = []
+        for name in self._parameter_weights(config.default_set):
             damping = config.find_set(name).damping
-            found.append(
-                drive(
+            limits.append(
+                compute_drive(
                     wrench,
                     float(thrust_n[0]),
                     float(thrust_n[-1]),
@@ -120,24 +120,24 @@ class FleetEntry(FileModel):
                     np.asarray(damping.quadratic[:3], float),
                 )
             )
-        return found
+        return limits
 
-    def told(self) -> tuple[instrumented.Source, SensorsConfig]:
+    def state_source(self) -> tuple[instrumented.Source, SensorsConfig]:
         """What the controllers are told, and the instruments."""
         return self.estimate, self.sensors or SensorsConfig()
 
-    def member(self, number: int, randomise: RandomiseConfig) -> Member:
+    def build_member(self, number: int, randomise: RandomiseConfig) -> Member:
         """The robots of this entry as the simulator takes them.
 
         Args:
             number: of the entry.
             randomise: how they differ from their files.
         """
-        config = library.load(self.vehicle)
-        weights = self._weights(config.default_set)
-        variants, chances = [], []
+        config = library.load_vehicle(self.vehicle)
+        weights = self._parameter_weights(config.default_set)
+        variants, probabilities = [], []
         for name, weight in weights.items():
-            one = Variant(
+            variant = Variant(
                 vehicle=self.vehicle,
                 parameter_set=name,
                 battery_v=self.battery_v,
@@ -145,19 +145,22 @@ class FleetEntry(FileModel):
                 fault_known=self.fault_known,
                 rotor_response=self.rotor_response,
             )
-            bank = [one]
-            if randomise.of_vehicles:
-                drawn = randomise.bank(number, name, len(config.thrusters.layout))
-                known = randomise.known
-                bank = [replace(one, variation=v, variation_known=known) for v in drawn]
+            bank = [variant]
+            if randomise.changes_vehicles:
+                variations = randomise.sample_variations(number, name, len(config.thrusters.layout))
+                is_variation_visible = randomise.known
+                bank = [
+                    replace(variant, variation=v, variation_known=is_variation_visible)
+                    for v in variations
+                ]
             variants += bank
-            chances += [weight / len(bank)] * len(bank)
+            probabilities += [weight / len(bank)] * len(bank)
         return Member(
             variants=tuple(variants),
-            weights=tuple(chances),
+            weights=tuple(probabilities),
             cruise_speed_mps=self.cruise_speed_mps,
         )
 
-    def sets(self) -> list[str]:
+    def parameter_set_names(self) -> list[str]:
         """The parameter sets that its robots can have."""
-        return list(self._weights(library.load(self.vehicle).default_set))
+        return list(self._parameter_weights(library.load_vehicle(self.vehicle).default_set))

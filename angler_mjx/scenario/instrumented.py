@@ -17,12 +17,12 @@ type Source = Literal["truth", "noisy", "ekf"]
 """What controllers are told: the true state, that with white noise, or a filter's estimate."""
 
 
-def told_truth(source: Source, config: SensorsConfig) -> bool:
+def uses_true_state(source: Source, config: SensorsConfig) -> bool:
     """Whether controllers are told the truth: noise that is switched off is none."""
     return source == "truth" or (source == "noisy" and not config.noise)
 
 
-def build(
+def build_groups(
     robots: Sequence[tuple[Source, SensorsConfig]], control_dt_s: float, gravity_mps2: float
 ) -> tuple[InstrumentedRobots, ...]:
     """Compile the instruments of a fleet (host side).
@@ -33,33 +33,37 @@ def build(
         gravity_mps2: m/s^2.
 
     Raises:
-        ConfigError: see `angler_mjx.robot.sensing.params.check`.
+        ConfigError: see `angler_mjx.robot.sensing.params.check_sensors`.
     """
     groups, first = [], 0
-    for (source, true, _), members in itertools.groupby(robots, _alike):
-        row = [params.build(config, control_dt_s, gravity_mps2) for _, config in members]
-        if source != "truth" and not true:
-            sensors: params.SensorParams = jax.tree.map(lambda *x: jnp.stack(x), *row)
+    for (source, is_true, _), members in itertools.groupby(robots, _group_key):
+        sensor_params = [
+            params.build_sensors(config, control_dt_s, gravity_mps2) for _, config in members
+        ]
+        if source != "truth" and not is_true:
+            sensors: params.SensorParams = jax.tree.map(lambda *x: jnp.stack(x), *sensor_params)
             groups.append(
                 InstrumentedRobots(
                     first=first,
-                    count=len(row),
+                    count=len(sensor_params),
                     source=source,
-                    params=_for_each(NavigationParams(sensors=sensors), len(row)),
+                    params=_repeat_parameters(
+                        NavigationParams(sensors=sensors), len(sensor_params)
+                    ),
                 )
             )
-        first += len(row)
+        first += len(sensor_params)
     return tuple(groups)
 
 
-def _alike(robot: tuple[Source, SensorsConfig]) -> tuple[Source, bool, bool]:
+def _group_key(robot: tuple[Source, SensorsConfig]) -> tuple[Source, bool, bool]:
     """What the robots of a group have in common."""
     source, config = robot
-    return source, told_truth(source, config), config.noise
+    return source, uses_true_state(source, config), config.noise
 
 
-def _for_each(believes: NavigationParams, count: int) -> NavigationParams:
+def _repeat_parameters(navigation: NavigationParams, count: int) -> NavigationParams:
     """With the numbers of the beginning for every robot."""
-    names = [name for name in vars(believes) if name != "sensors"]
-    rows: dict[str, Any] = {name: jnp.full(count, getattr(believes, name)) for name in names}
-    return replace(believes, **rows)
+    names = [name for name in vars(navigation) if name != "sensors"]
+    rows: dict[str, Any] = {name: jnp.full(count, getattr(navigation, name)) for name in names}
+    return replace(navigation, **rows)

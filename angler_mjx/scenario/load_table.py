@@ -9,10 +9,10 @@ from pydantic import Field
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import FileModel
 from angler_mjx.robot.vehicles import library
-from angler_mjx.robot.vehicles.load import Load, laden
-from angler_mjx.robot.vehicles.variation import Variation, heave
+from angler_mjx.robot.vehicles.load import Load, add_load
+from angler_mjx.robot.vehicles.variation import Variation, heave_forces
 from angler_mjx.scenario.fleet_entry import FleetEntry
-from angler_mjx.scenario.randomise_table import SPARE
+from angler_mjx.scenario.randomise_table import MAX_HEAVE_FRACTION
 
 SPHERE_CD = 0.47
 """Drag coefficient of a sphere below the drag crisis (Hoerner, Fluid-Dynamic Drag, 1965, ch. 3)."""
@@ -46,12 +46,12 @@ class LoadConfig(FileModel):
             density_kgpm3: of the water.
         """
         radius = (3.0 * self.volume_m3 / (4.0 * math.pi)) ** (1.0 / 3.0)
-        area, added = SPHERE_CD * math.pi * radius**2, 0.5 * density_kgpm3 * self.volume_m3
+        area_m2, added_kg = SPHERE_CD * math.pi * radius**2, 0.5 * density_kgpm3 * self.volume_m3
         return Load(
             mass_kg=self.mass_kg,
             volume_m3=self.volume_m3,
-            drag_area_m2=self.drag_area_m2 or (area, area, area),
-            added_mass_kg=self.added_mass_kg or (added, added, added),
+            drag_area_m2=self.drag_area_m2 or (area_m2, area_m2, area_m2),
+            added_mass_kg=self.added_mass_kg or (added_kg, added_kg, added_kg),
             density_kgpm3=density_kgpm3,
         )
 
@@ -69,15 +69,15 @@ def check_load(load: Load, fleet: Sequence[FleetEntry]) -> None:
         ValueError: naming the table and the vehicle.
     """
     for i, entry in enumerate(fleet):
-        config = library.load(entry.vehicle)
-        for name in entry.sets():
-            told = (name, Variation(), entry.battery_v, load.density_kgpm3)
+        config = library.load_vehicle(entry.vehicle)
+        for name in entry.parameter_set_names():
+            conditions = (name, Variation(), entry.battery_v, load.density_kgpm3)
             try:
-                own_n, force_n = heave(config, *told)
-                lift_n, _ = heave(laden(config, name, load), *told)
+                unladen_n, force_n = heave_forces(config, *conditions)
+                lift_n, _ = heave_forces(add_load(config, name, load), *conditions)
             except ConfigError as error:
                 raise ValueError(f"fleet[{i}]: {error}") from error
-            if abs(own_n) <= SPARE * force_n < abs(lift_n):
+            if abs(unladen_n) <= MAX_HEAVE_FRACTION * force_n < abs(lift_n):
                 raise ValueError(
                     f"task.load: {load.mass_kg:g} kg of {load.volume_m3:g} m3: with it fleet[{i}], "
                     f"vehicle {config.name!r}, parameter set {name!r}, "

@@ -3,37 +3,39 @@
 from angler_mjx.scenario.scenario import Scenario
 
 
-def lines(scenario: Scenario, *, planned: bool = True, commanded: bool = False) -> list[str]:
+def run_notices(
+    scenario: Scenario, *, uses_planner: bool = True, is_commanded: bool = False
+) -> list[str]:
     """Return the lines that a run of a scenario begins with.
 
     Args:
         scenario: of the run.
-        planned: whether the scenario's planner makes the plans.
-        commanded: whether a policy of the caller's commands the robots.
+        uses_planner: whether the scenario's planner makes the plans.
+        is_commanded: whether a policy of the caller's commands the robots.
     """
-    said = [
-        planner(scenario) if planned else None,
-        None if commanded else order(scenario),
-        blind(scenario),
+    notices = [
+        planner_notice(scenario) if uses_planner else None,
+        None if is_commanded else order_notice(scenario),
+        missing_information_notice(scenario),
     ]
-    return [line for line in said if line]
+    return [line for line in notices if line]
 
 
-def planner(scenario: Scenario) -> str | None:
+def planner_notice(scenario: Scenario) -> str | None:
     """Return a line on the planner that auto resolved to; None where the file names one."""
     if not scenario.planner.by_auto:
         return None
     return f"planner: {scenario.planner.title(sum(entry.count for entry in scenario.fleet))}"
 
 
-def order(scenario: Scenario) -> str | None:
+def order_notice(scenario: Scenario) -> str | None:
     """Return a line on the order of passing where auto keeps it; None where it does not."""
     if not scenario.keeps_order_by_auto:
         return None
     return f"order: kept (auto: {sum(entry.count for entry in scenario.fleet)} robots)"
 
 
-def blind(scenario: Scenario) -> str | None:
+def missing_information_notice(scenario: Scenario) -> str | None:
     """Return a line on a scenario that steers in flight without information about moving obstacles.
 
     Args:
@@ -45,12 +47,18 @@ def blind(scenario: Scenario) -> str | None:
     """
     replan_hz, policy = scenario.planner.replan_hz, scenario.policy
     if policy.name != "none":
-        knows = policy.knows or scenario.planner.knows
-        who = f"policy {policy.name} flies blind"
+        information = policy.information or scenario.planner.information
+        subject = f"policy {policy.name} flies blind"
     elif replan_hz > 0.0:
-        knows, who = scenario.planner.knows, f"planner.replan_hz = {replan_hz:g} plans blind"
+        information, subject = (
+            scenario.planner.information,
+            f"planner.replan_hz = {replan_hz:g} plans blind",
+        )
     else:
         return None
-    if knows.obstacles != "nothing" or not scenario.obstacles_move:
+    if information.obstacles != "nothing" or not scenario.obstacles_move:
         return None
-    return f"{who}: it has no information about obstacles that move; add --knows obstacles=observed"
+    return (
+        f"{subject}: it has no information about obstacles that move; "
+        "add --information obstacles=observed"
+    )

@@ -1,12 +1,12 @@
 """Tables of a scenario file that say what policy commands the robots, if any does."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from typing import Literal, Self
+from typing import ClassVar, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from angler_mjx.errors import shown
+from angler_mjx.errors import format_value
 from angler_mjx.files import FileModel
 from angler_mjx.planning.mppi.costs import Weights
 from angler_mjx.planning.mppi.policy import Output
@@ -18,10 +18,10 @@ from angler_mjx.scenario.tables import (
     InformationConfig,
     PlannerConfig,
     TimeConfig,
-    whole,
+    check_whole_ratio,
 )
 
-MOST_STEPS = 1000
+MAX_STEPS = 1000
 """Of a sample: 50 s at 50 ms."""
 
 
@@ -46,23 +46,27 @@ class MppiConfig(FileModel):
 
     @field_validator("weights")
     @classmethod
-    def _are_weights(cls, given: dict[str, float]) -> dict[str, float]:
-        known = asdict(Weights())
-        for key, value in given.items():
-            if key not in known:
-                raise ValueError(f"{shown(key)}: no such weight; there is {', '.join(known)}")
-            divides = key in ("margin_m", "temperature", "noise", "response_s")
-            if value < 0.0 or (divides and value == 0.0):
-                least = "above 0" if divides else "0 or more"
-                raise ValueError(f"{key} = {value:g}: give a number {least}")
-        return given
+    def _check_weights(cls, weights: dict[str, float]) -> dict[str, float]:
+        defaults = asdict(Weights())
+        for key, value in weights.items():
+            if key not in defaults:
+                raise ValueError(
+                    f"{format_value(key)}: no such weight; there is {', '.join(defaults)}"
+                )
+            is_divisor = key in ("margin_m", "temperature", "noise", "response_s")
+            if value < 0.0 or (is_divisor and value == 0.0):
+                bound = "above 0" if is_divisor else "0 or more"
+                raise ValueError(f"{key} = {value:g}: give a number {bound}")
+        return weights
 
     @model_validator(mode="after")
-    def _fits(self) -> Self:
-        whole(f"horizon_s = {self.horizon_s:g}: horizon_s / dt_s", self.horizon_s, self.dt_s)
-        if self.steps > MOST_STEPS:
+    def _check_sampling(self) -> Self:
+        check_whole_ratio(
+            f"horizon_s = {self.horizon_s:g}: horizon_s / dt_s", self.horizon_s, self.dt_s
+        )
+        if self.steps > MAX_STEPS:
             raise ValueError(
-                f"dt_s = {self.dt_s:g}: {self.steps} steps in {self.horizon_s:g} s; {MOST_STEPS} "
+                f"dt_s = {self.dt_s:g}: {self.steps} steps in {self.horizon_s:g} s; {MAX_STEPS} "
                 "are the most: take a longer dt_s"
             )
         if self.knots > self.steps + 1:
@@ -78,7 +82,7 @@ class MppiConfig(FileModel):
         return round(self.horizon_s / self.dt_s)
 
     @property
-    def commands(self) -> type:
+    def command_type(self) -> type:
         """What it gives to the controllers."""
         return BodyTwist if self.output == "twist" else BodyWrench
 
@@ -88,7 +92,7 @@ class MppiConfig(FileModel):
         Raises:
             ValueError: it is no whole number.
         """
-        return _steps("policy.mppi.hz", self.hz, time)
+        return _steps_per_period("policy.mppi.hz", self.hz, time)
 
 
 class RoutesConfig(FileModel):
@@ -105,45 +109,47 @@ class RoutesConfig(FileModel):
         Raises:
             ValueError: it is no whole number.
         """
-        return _steps("policy.routes.hz", self.hz, time)
+        return _steps_per_period("policy.routes.hz", self.hz, time)
 
 
 class PolicyConfig(FileModel):
     """What commands the robots while they fly, instead of their plans; see `docs/policies.md`."""
 
+    renamed_keys: ClassVar[Mapping[str, str]] = {"knows": "information"}
+
     name: Literal["none", "mppi", "routes"] = "none"
     """None: robots fly their plans. mppi: each flies to its goal by path integral control, plan or
     no plan. routes: each flies along a way that was worked out for every place of the world, and
     gets out of the way of what it meets."""
-    knows: InformationConfig | None = None
-    """Information level of what moves, whenever the policy acts. If left out: `planner.knows` where
-    the file gives that, else obstacles = "observed". Set explicitly to "nothing", the policy
+    information: InformationConfig | None = None
+    """Information level of what moves, whenever the policy acts. If left out: `planner.information`
+    where the file gives that, else obstacles = "observed". Set explicitly to "nothing", the policy
     receives no obstacle, and commands say so."""
     mppi: MppiConfig = MppiConfig()
     routes: RoutesConfig = RoutesConfig()
 
 
-def default_knows(policy: PolicyConfig, planner: PlannerConfig) -> InformationConfig:
+def default_information(policy: PolicyConfig, planner: PlannerConfig) -> InformationConfig:
     """Return the information level of a policy whose own table gives none.
 
-    A policy that steers in flight observes obstacles unless ``planner.knows`` gives a level.
-    Run folders of older versions store ``knows = null``: the level that was flown then is kept.
+    A policy that steers in flight observes obstacles unless ``planner.information`` gives a level.
+    Run folders of older versions store null: the level that was flown then is kept.
     """
-    if "knows" in policy.model_fields_set:  # null, which no file in TOML can hold
-        is_open = policy.name == "routes" and planner.knows == InformationConfig()
+    if "information" in policy.model_fields_set:  # null, which no file in TOML can hold
+        observes_obstacles = policy.name == "routes" and planner.information == InformationConfig()
     else:
-        is_open = not planner.knows.model_fields_set
-    return InformationConfig(obstacles="observed") if is_open else planner.knows
+        observes_obstacles = not planner.information.model_fields_set
+    return InformationConfig(obstacles="observed") if observes_obstacles else planner.information
 
 
-def _steps(key: str, hz: float, time: TimeConfig) -> int:
+def _steps_per_period(key: str, hz: float, time: TimeConfig) -> int:
     """Control steps from one time to the next at ``hz``; a ValueError if it is no whole number."""
     dt_s = time.control_dt_s
-    whole(f"{key} = {hz:g}: 1 / (hz control_dt_s)", 1.0, hz * dt_s)
+    check_whole_ratio(f"{key} = {hz:g}: 1 / (hz control_dt_s)", 1.0, hz * dt_s)
     return round(1.0 / (hz * dt_s))
 
 
-def check_flyable(
+def check_policy(
     policy: PolicyConfig,
     time: TimeConfig,
     controller: ControllerConfig,
@@ -156,7 +162,7 @@ def check_flyable(
     """
     if policy.name == "routes":
         policy.routes.period(time)
-        if not any(PoseTarget in x.takes for x in controller.stack()[0]):
+        if not any(PoseTarget in stage.takes for stage in controller.stack()[0]):
             raise ValueError(
                 f'policy.name = "routes": guides robots by poses, and no stage of controller '
                 f"{controller.title!r} takes one; take another, such as cascade"
@@ -164,15 +170,15 @@ def check_flyable(
         return
     settings = policy.mppi
     settings.period(time)
-    if not any(settings.commands in x.takes for x in controller.stack()[0]):
+    if not any(settings.command_type in stage.takes for stage in controller.stack()[0]):
         raise ValueError(
             f"policy.mppi.output = {settings.output!r}: no stage of controller "
-            f"{controller.title!r} takes a {settings.commands.__name__}; take another, "
+            f"{controller.title!r} takes a {settings.command_type.__name__}; take another, "
             "such as cascade"
         )
     for i, entry in enumerate(fleet if settings.output == "wrench" else ()):
-        if any("sway" in able.missing for able in entry.drives()):
+        if any("sway" in drive.missing_axes for drive in entry.drive_limits()):
             raise ValueError(
                 f"policy.mppi.output = 'wrench': pushes to the side, and fleet[{i}], vehicle "
-                f'{library.load(entry.vehicle).name!r}, has no sway; take output = "twist"'
+                f'{library.load_vehicle(entry.vehicle).name!r}, has no sway; take output = "twist"'
             )

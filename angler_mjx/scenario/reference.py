@@ -17,13 +17,13 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
 from angler_mjx.files import FileModel
-from angler_mjx.quantities import FASTEST_MPS, no_faster
+from angler_mjx.quantities import MAX_SPEED_MPS, check_speed
 from angler_mjx.robot.vehicles import checks
 from angler_mjx.robot.vehicles.config import VehicleConfig
 from angler_mjx.robot.vehicles.thruster_config import ThrusterTable
 from angler_mjx.scenario.scenario import Scenario
 
-type Kind = Literal["scenario", "vehicle"]
+type ReferenceKind = Literal["scenario", "vehicle"]
 
 _PAGES: dict[str, tuple[str, str, tuple[tuple[str, type[FileModel]], ...]]] = {
     "scenario": (
@@ -58,22 +58,22 @@ _UNITS = (
 )  # fmt: skip
 """Unit by the end of a key."""
 
-_WORDS: dict[Any, str] = {
+_TYPE_NAMES: dict[Any, str] = {
     float: "float",
     int: "integer",
     str: "text",
     bool: "true or false",
     Any: "anything",
 }
-_COMMON = {
+_COMMON_MEANINGS = {
     "source": "Where the numbers come from.",
     "type": "Which kind this is.",
     "shape": "Which kind this is.",
 }
-_LIMITS = {"gt": "> ", "ge": "≥ ", "lt": "< ", "le": "≤ "}
+_BOUND_SIGNS = {"gt": "> ", "ge": "≥ ", "lt": "< ", "le": "≤ "}
 
 
-def page(kind: str) -> str:
+def format_page(kind: str) -> str:
     """The page of a kind of file, in Markdown."""
     title, head, models = _PAGES[kind]
     lines = [f"# {title}", "", "<!-- made by python -m angler_mjx.scenario.reference docs -->", ""]
@@ -82,147 +82,157 @@ def page(kind: str) -> str:
         if name:
             lines += [f"# {name}", ""]
         seen: set[type] = set()
-        for path, table in _tables("", model):
+        for path, table in _nested_tables("", model):
             if table not in seen:
                 seen.add(table)
-                lines += _section(path, table)
+                lines += _format_section(path, table)
     return "\n".join(lines).rstrip() + "\n"
 
 
-def _section(path: str, model: type[FileModel]) -> list[str]:
+def _format_section(path: str, model: type[FileModel]) -> list[str]:
     heading = f"## `{path}`" if path else "## The file itself"
     lines = [heading, "", inspect.getdoc(model) or "", ""]
-    meanings = _docstrings(model)
+    meanings = _field_docstrings(model)
     lines += ["| key | type | unit | default | meaning |", "|---|---|---|---|---|"]
     for name, entry in model.model_fields.items():
-        inner = next((model for model, _ in _models(entry.annotation, "")), None)
-        said = meanings.get(name) or (
-            inspect.getdoc(inner) or "" if inner else _COMMON.get(name, "")
+        inner = next((model for model, _ in _nested_models(entry.annotation, "")), None)
+        text = meanings.get(name) or (
+            inspect.getdoc(inner) or "" if inner else _COMMON_MEANINGS.get(name, "")
         )
-        meaning = " ".join(said.split("\n\n")[0].split())
-        cells = [f"`{name}`", _type(entry), _unit(name), _default(entry), meaning]
+        meaning = " ".join(text.split("\n\n")[0].split())
+        cells = [f"`{name}`", _format_type(entry), _unit_of(name), _format_default(entry), meaning]
         lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
     return [*lines, ""]
 
 
-def _tables(path: str, model: type[FileModel]) -> Iterator[tuple[str, type[FileModel]]]:
+def _nested_tables(path: str, model: type[FileModel]) -> Iterator[tuple[str, type[FileModel]]]:
     """A model and those within it, by where they stand in a file."""
     yield path, model
     for name, entry in model.model_fields.items():
-        here = f"{path}.{name}".lstrip(".")
-        for inner, mark in _models(entry.annotation, ""):
-            place = f"[[{here}]]" if mark == "[]" else f"[{here}]"
+        key_path = f"{path}.{name}".lstrip(".")
+        for inner, mark in _nested_models(entry.annotation, ""):
+            heading = f"[[{key_path}]]" if mark == "[]" else f"[{key_path}]"
             kind = inner.model_fields.get("type") or inner.model_fields.get("shape")
-            if kind is not None and _choices(kind.annotation):
+            if kind is not None and _format_choices(kind.annotation):
                 key = "type" if "type" in inner.model_fields else "shape"
-                place += f" with {key} = {_choices(kind.annotation)}"
-            under = f"{here}.NAME" if mark == "{}" else here
+                heading += f" with {key} = {_format_choices(kind.annotation)}"
+            inner_path = f"{key_path}.NAME" if mark == "{}" else key_path
             if mark == "{}":
-                place = f"[{under}]"
-            for where, table in _tables(under, inner):
-                yield (place if table is inner else where), table
+                heading = f"[{inner_path}]"
+            for inner_heading, table in _nested_tables(inner_path, inner):
+                yield (heading if table is inner else inner_heading), table
 
 
-def _models(annotation: Any, mark: str) -> Iterator[tuple[type[FileModel], str]]:
+def _nested_models(annotation: Any, mark: str) -> Iterator[tuple[type[FileModel], str]]:
     """Models that an annotation holds; the mark says how: [] many in a row, {} by name."""
-    annotation = _open(annotation)[0]
+    annotation = _unwrap_annotation(annotation)[0]
     if inspect.isclass(annotation) and issubclass(annotation, FileModel):
         yield annotation, mark
         return
     origin = get_origin(annotation)
     mark = {tuple: "[]", dict: "{}"}.get(origin, mark) if origin else mark
     for inner in get_args(annotation):
-        yield from _models(inner, mark)
+        yield from _nested_models(inner, mark)
 
 
-def _open(annotation: Any) -> tuple[Any, list[Any]]:
+def _unwrap_annotation(annotation: Any) -> tuple[Any, list[Any]]:
     """An annotation without its aliases, and what was said beside it."""
-    beside: list[Any] = []
+    metadata: list[Any] = []
     while True:
         if isinstance(annotation, TypeAliasType):
             annotation = annotation.__value__
         elif hasattr(annotation, "__metadata__"):
-            beside += annotation.__metadata__
+            metadata += annotation.__metadata__
             annotation = annotation.__origin__
         else:
-            return annotation, beside
+            return annotation, metadata
 
 
-def _choices(annotation: Any) -> str:
-    annotation = _open(annotation)[0]
+def _format_choices(annotation: Any) -> str:
+    annotation = _unwrap_annotation(annotation)[0]
     if get_origin(annotation) is not Literal:
         return ""
     values = get_args(annotation)
     return " or ".join(f'"{x}"' if isinstance(x, str) else str(x) for x in values)
 
 
-def _type(entry: FieldInfo) -> str:
-    return _describe(entry.annotation, entry.metadata)
+def _format_type(entry: FieldInfo) -> str:
+    return _describe_type(entry.annotation, entry.metadata)
 
 
-def _describe(annotation: Any, beside: list[Any]) -> str:
-    annotation, more = _open(annotation)
-    beside = [*more, *beside]
-    if any(isinstance(x, BeforeValidator) and x.func in _BEFORE for x in beside):
-        return next(_BEFORE[x.func] for x in beside if getattr(x, "func", None) in _BEFORE)
-    bounds = _bounds(beside)
-    if choices := _choices(annotation):
+def _describe_type(annotation: Any, metadata: list[Any]) -> str:
+    annotation, alias_metadata = _unwrap_annotation(annotation)
+    metadata = [*alias_metadata, *metadata]
+    if any(isinstance(x, BeforeValidator) and x.func in _BEFORE_VALIDATOR_TYPES for x in metadata):
+        return next(
+            _BEFORE_VALIDATOR_TYPES[x.func]
+            for x in metadata
+            if getattr(x, "func", None) in _BEFORE_VALIDATOR_TYPES
+        )
+    bounds = _format_bounds(metadata)
+    if choices := _format_choices(annotation):
         return choices
-    if annotation in _WORDS:
-        return f"{_WORDS[annotation]}{bounds}"
+    if annotation in _TYPE_NAMES:
+        return f"{_TYPE_NAMES[annotation]}{bounds}"
     if inspect.isclass(annotation) and issubclass(annotation, FileModel):
         return "table"
     origin, inner = get_origin(annotation), get_args(annotation)
     if origin in (Union, types.UnionType):
-        held = [_describe(x, []) for x in inner if x is not types.NoneType]
-        return " or ".join(dict.fromkeys(held)) + bounds
+        inner_types = [_describe_type(x, []) for x in inner if x is not types.NoneType]
+        return " or ".join(dict.fromkeys(inner_types)) + bounds
     if origin is dict:
-        return f"table of {_describe(inner[1], [])}"
+        return f"table of {_describe_type(inner[1], [])}"
     if inner[-1] is Ellipsis:
-        return f"list of {_describe(inner[0], [])}{bounds}"
-    return f"list of {len(inner)} {_describe(inner[0], [])}{bounds}"
+        return f"list of {_describe_type(inner[0], [])}{bounds}"
+    return f"list of {len(inner)} {_describe_type(inner[0], [])}{bounds}"
 
 
-_BEFORE = {
-    checks.inertia: "list of 3, or 3 lists of 3 float",
-    checks.added_mass: "list of 6, or 6 lists of 6 float",
+_BEFORE_VALIDATOR_TYPES = {
+    checks.check_inertia: "list of 3, or 3 lists of 3 float",
+    checks.check_added_mass: "list of 6, or 6 lists of 6 float",
 }
 
 
-def _bounds(beside: list[Any]) -> str:
-    said = []
-    beside = [x for one in beside for x in (one.metadata if isinstance(one, FieldInfo) else [one])]
-    for one in beside:
-        said += [f"{sign}{_number(getattr(one, name))}" for name, sign in _LIMITS.items()
-                 if getattr(one, name, None) is not None]  # fmt: skip
-        if getattr(one, "min_length", None):
-            said.append(f"{one.min_length} or more long")
-        if getattr(one, "max_length", None) is not None:
-            said.append(f"at most {one.max_length} long")
-        if getattr(one, "pattern", None):
-            said.append(f"like `{one.pattern}`")
-        if isinstance(one, AfterValidator):
-            said += _AFTER.get(one.func, [])
-    return f", {', '.join(said)}" if said else ""
+def _format_bounds(metadata: list[Any]) -> str:
+    bounds = []
+    metadata = [
+        x
+        for constraint in metadata
+        for x in (constraint.metadata if isinstance(constraint, FieldInfo) else [constraint])
+    ]
+    for constraint in metadata:
+        for name, sign in _BOUND_SIGNS.items():
+            bound = getattr(constraint, name, None)
+            if bound is not None:
+                bounds.append(f"{sign}{_format_number(bound)}")
+        if getattr(constraint, "min_length", None):
+            bounds.append(f"{constraint.min_length} or more long")
+        if getattr(constraint, "max_length", None) is not None:
+            bounds.append(f"at most {constraint.max_length} long")
+        if getattr(constraint, "pattern", None):
+            bounds.append(f"like `{constraint.pattern}`")
+        if isinstance(constraint, AfterValidator):
+            bounds += _AFTER_VALIDATOR_BOUNDS.get(constraint.func, [])
+    return f", {', '.join(bounds)}" if bounds else ""
 
 
-_AFTER: dict[Any, list[str]] = {
-    no_faster: [f"≤ {FASTEST_MPS:g} either way"],
-    checks.positive: [f"{checks.SMALLEST:g} to {checks.LARGEST:g}"],
-    checks.damping: ["six of them, none negative"],
-    checks.unit_vector: ["a unit vector"],
+_AFTER_VALIDATOR_BOUNDS: dict[Any, list[str]] = {
+    check_speed: [f"≤ {MAX_SPEED_MPS:g} either way"],
+    checks.check_positive: [f"{checks.SMALLEST:g} to {checks.LARGEST:g}"],
+    checks.check_damping: ["six of them, none negative"],
+    checks.check_unit_vector: ["a unit vector"],
 }
 
 
-def _number(value: float) -> str:
+def _format_number(value: float) -> str:
     return f"{value:,}" if isinstance(value, int) else f"{value:g}"
 
 
-def _unit(name: str) -> str:
+def _unit_of(name: str) -> str:
     return next((unit for end, unit in _UNITS if name.endswith(end)), "")
 
 
-def _default(entry: FieldInfo) -> str:
+def _format_default(entry: FieldInfo) -> str:
     if entry.is_required():
         return "required"
     default = entry.default
@@ -239,30 +249,30 @@ def _default(entry: FieldInfo) -> str:
     return f'"{default}"' if isinstance(default, str) else f"{default:g}"
 
 
-def _docstrings(model: type[FileModel]) -> dict[str, str]:
+def _field_docstrings(model: type[FileModel]) -> dict[str, str]:
     """What stands below each field of a model and of its bases."""
-    found: dict[str, str] = {}
+    docstrings: dict[str, str] = {}
     for base in reversed(model.__mro__):
         if not issubclass(base, FileModel) or base is FileModel:
             continue
         body = ast.parse(textwrap.dedent(inspect.getsource(base))).body[0]
         assert isinstance(body, ast.ClassDef)
-        for before, after in zip(body.body, body.body[1:], strict=False):
+        for statement, next_statement in zip(body.body, body.body[1:], strict=False):
             if (
-                isinstance(before, ast.AnnAssign)
-                and isinstance(before.target, ast.Name)
-                and isinstance(after, ast.Expr)
-                and isinstance(after.value, ast.Constant)
+                isinstance(statement, ast.AnnAssign)
+                and isinstance(statement.target, ast.Name)
+                and isinstance(next_statement, ast.Expr)
+                and isinstance(next_statement.value, ast.Constant)
             ):
-                found[before.target.id] = str(after.value.value)
-    return found
+                docstrings[statement.target.id] = str(next_statement.value.value)
+    return docstrings
 
 
 def main() -> None:
     """Write all pages into the folder that is named."""
     folder = Path(sys.argv[1])
     for kind in _PAGES:
-        (folder / f"reference_{kind}.md").write_text(page(kind), encoding="utf-8")
+        (folder / f"reference_{kind}.md").write_text(format_page(kind), encoding="utf-8")
 
 
 if __name__ == "__main__":

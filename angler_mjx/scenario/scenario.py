@@ -9,17 +9,28 @@ from typing import Any, Literal, Self
 from pydantic import Field, model_validator
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.files import FOLDER, Fault, FaultyError, FileModel, check, listed, read_toml
-from angler_mjx.planning.automatic import LARGE_TEAM
-from angler_mjx.quantities import FARTHEST_M, SchemaVersion
+from angler_mjx.files import (
+    FOLDER_CONTEXT,
+    Fault,
+    FaultyError,
+    FileModel,
+    dump_for_digest,
+    format_faults,
+    format_path,
+    read_toml,
+    rename_keys,
+    validate_model,
+)
+from angler_mjx.planning.planner_choice import LARGE_TEAM
+from angler_mjx.quantities import MAX_COORDINATE_M, SchemaVersion
 from angler_mjx.robot.vehicles import library
 from angler_mjx.robot.vehicles.load import Load
-from angler_mjx.scenario import fits, instrumented
+from angler_mjx.scenario import instrumented, table_checks
 from angler_mjx.scenario.breakdowns_table import BreakdownsConfig, check_breakdowns
 from angler_mjx.scenario.fleet_entry import FleetEntry
 from angler_mjx.scenario.load_table import check_load
-from angler_mjx.scenario.paths import anchored
-from angler_mjx.scenario.policy_tables import PolicyConfig, check_flyable, default_knows
+from angler_mjx.scenario.path_resolution import resolve_paths
+from angler_mjx.scenario.policy_tables import PolicyConfig, check_policy, default_information
 from angler_mjx.scenario.randomise_table import RandomiseConfig
 from angler_mjx.scenario.store_table import StoreConfig
 from angler_mjx.scenario.tables import (
@@ -28,14 +39,14 @@ from angler_mjx.scenario.tables import (
     PlannerConfig,
     TimeConfig,
     WaterConfig,
-    check_online,
+    check_replanning,
 )
 from angler_mjx.scenario.task_table import (
     DeliverTask,
     GoalTask,
     TaskConfig,
-    check_flown,
-    spec_of,
+    build_task_spec,
+    check_task_policy,
 )
 from angler_mjx.shipped import find_shipped, list_shipped
 from angler_mjx.sim.fleet import Member
@@ -44,7 +55,7 @@ from angler_mjx.sim.state import SimSpec
 from angler_mjx.world import presets
 from angler_mjx.world.acoustics.channel import Channel
 from angler_mjx.world.acoustics.config import AcousticsConfig
-from angler_mjx.world.config import WorldConfig, resolve
+from angler_mjx.world.config import WorldConfig, resolve_world
 from angler_mjx.world.currents import GridConfig
 from angler_mjx.world.tasks.spec import TaskSpec
 
@@ -69,7 +80,7 @@ class Scenario(FileModel):
     """Of everything that is drawn; world i of a seed is the same in every run."""
     tile: int | None = Field(default=None, ge=1, le=10**7)
     """Worlds in one device call; chosen for the device if left out. Part of the result's bytes."""
-    goal_tolerance_m: float = Field(default=0.3, gt=0.0, le=FARTHEST_M)
+    goal_tolerance_m: float = Field(default=0.3, gt=0.0, le=MAX_COORDINATE_M)
     """A robot has reached its goal within this distance."""
     time: TimeConfig = TimeConfig()
     water: WaterConfig = WaterConfig()
@@ -88,28 +99,32 @@ class Scenario(FileModel):
     breakdowns: BreakdownsConfig = BreakdownsConfig()
 
     @model_validator(mode="after")
-    def _horizon_of_preset(self) -> Self:
+    def _set_horizon(self) -> Self:
         """The horizon of a file that gives none; before the checks of what fits it."""
-        self.__dict__["time"] = self.time.by_default(presets.load(self.world.preset).horizon_s)
+        self.__dict__["time"] = self.time.with_default_horizon(
+            presets.load_preset(self.world.preset).horizon_s
+        )
         return self
 
     @model_validator(mode="after")
-    def _planner_of_team(self) -> Self:
+    def _set_planner(self) -> Self:
         """Put the planner of this team in place of auto."""
-        self.__dict__["planner"] = self.planner.resolved(sum(entry.count for entry in self.fleet))
+        self.__dict__["planner"] = self.planner.resolve_auto(
+            sum(entry.count for entry in self.fleet)
+        )
         return self
 
     @model_validator(mode="after")
-    def _policy_of_task(self) -> Self:
+    def _set_policy(self) -> Self:
         """Who flies from place to place, where the file does not say."""
         if not isinstance(self.task, GoalTask) and "name" not in self.policy.model_fields_set:
             self.__dict__["policy"] = self.policy.model_copy(update={"name": "routes"})
         return self
 
     @model_validator(mode="after")
-    def _order_of_team(self) -> Self:
+    def _set_order(self) -> Self:
         """Put the order that this team's plans are flown in in place of auto."""
-        kept = (
+        keeps_order = (
             self.planner.by_auto
             and sum(entry.count for entry in self.fleet) >= LARGE_TEAM
             and self.water_or_obstacles_move
@@ -117,60 +132,60 @@ class Scenario(FileModel):
             and self.planner.replan_hz == 0.0
             and self.acoustics.model == "perfect"
             and isinstance(self.task, GoalTask)
-            and fits.takes_poses(self.controller)
+            and table_checks.takes_poses(self.controller)
         )
-        self.__dict__["execution"] = self.execution.resolved(kept=kept)
+        self.__dict__["execution"] = self.execution.resolve_auto(kept=keeps_order)
         return self
 
     @model_validator(mode="after")
-    def _information_of_policy(self) -> Self:
+    def _set_policy_information(self) -> Self:
         """Set the information level of the policy, where the file gives none to it."""
-        if self.policy.name != "none" and self.policy.knows is None:
-            knows = default_knows(self.policy, self.planner)
-            policy = self.policy.model_copy(update={"knows": knows})
-            policy.model_fields_set.discard("knows")
+        if self.policy.name != "none" and self.policy.information is None:
+            information = default_information(self.policy, self.planner)
+            policy = self.policy.model_copy(update={"information": information})
+            policy.model_fields_set.discard("information")
             self.__dict__["policy"] = policy
         return self
 
     @model_validator(mode="after")
-    def _kernels_of_engine(self) -> Self:
+    def _check_kernels(self) -> Self:
         if self.engine == "mjx" and self.kernels == "triton":
             raise ValueError('kernels = "triton": the mjx engine has none; use engine = "fused"')
         return self
 
     @model_validator(mode="after")
-    def _tables_fit(self) -> Self:
-        fits.check_instruments(self.fleet, self.time)
-        fits.check_currents(self.world, self.time)
-        fits.check_room(self.world, self.fleet)
-        fits.check_randomised(self.randomise, self.fleet, self.world, self.water)
-        fits.check_rotors(self.fleet)
-        fits.check_steering(self.controller, self.fleet)
+    def _check_tables(self) -> Self:
+        table_checks.check_instruments(self.fleet, self.time)
+        table_checks.check_currents(self.world, self.time)
+        table_checks.check_fleet_fits(self.world, self.fleet)
+        table_checks.check_randomisation(self.randomise, self.fleet, self.world, self.water)
+        table_checks.check_rotors(self.fleet)
+        table_checks.check_steering(self.controller, self.fleet)
         return self
 
     @model_validator(mode="after")
-    def _breaks_down_in_time(self) -> Self:
+    def _check_breakdowns(self) -> Self:
         check_breakdowns(self.breakdowns, self.time)
         return self
 
     @model_validator(mode="after")
-    def _flies_online(self) -> Self:
-        check_online(self.planner, self.time)
+    def _check_replanning(self) -> Self:
+        check_replanning(self.planner, self.time)
         if self.online:
-            fits.check_guided(self.planner, self.execution, self.controller)
+            table_checks.check_takes_poses(self.planner, self.execution, self.controller)
         return self
 
     @model_validator(mode="after")
-    def _talks(self) -> Self:
+    def _check_acoustics(self) -> Self:
         try:
             self.channel()
         except ValueError as error:
             raise ValueError(f"acoustics.{error}") from error
-        fits.check_heard(self.acoustics, self.store, self.planner)
+        table_checks.check_acoustics(self.acoustics, self.store, self.planner)
         return self
 
     @model_validator(mode="after")
-    def _flies_by_policy(self) -> Self:
+    def _check_policy(self) -> Self:
         if self.policy.name == "none":
             return self
         if self.online:
@@ -179,12 +194,12 @@ class Scenario(FileModel):
                 f"policy.name = {self.policy.name!r}: {key} commands the robots already; leave out "
                 "one of them"
             )
-        check_flyable(self.policy, self.time, self.controller, self.fleet)
+        check_policy(self.policy, self.time, self.controller, self.fleet)
         return self
 
     @model_validator(mode="after")
-    def _task_can_be_done(self) -> Self:
-        check_flown(self.task, self.policy, online=self.online)
+    def _check_task(self) -> Self:
+        check_task_policy(self.task, self.policy, online=self.online)
         self.task_spec()
         if load := self.carried():
             check_load(load, self.fleet)
@@ -199,7 +214,7 @@ class Scenario(FileModel):
     def task_spec(self) -> TaskSpec | None:
         """What the task is compiled from; None where each robot has a goal of its own."""
         robots = sum(entry.count for entry in self.fleet)
-        return spec_of(self.task, resolve(self.world), robots, self.time)
+        return build_task_spec(self.task, resolve_world(self.world), robots, self.time)
 
     @property
     def flown(self) -> bool:
@@ -219,9 +234,9 @@ class Scenario(FileModel):
     @property
     def obstacles_move(self) -> bool:
         """Whether the worlds have obstacles that move."""
-        obstacles = resolve(self.world).obstacles
+        obstacles = resolve_world(self.world).obstacles
         return obstacles.dynamic.count > 0 or any(
-            one.motion.type != "static" for one in obstacles.explicit
+            obstacle.motion.type != "static" for obstacle in obstacles.explicit
         )
 
     @property
@@ -232,22 +247,28 @@ class Scenario(FileModel):
     @property
     def senses(self) -> bool:
         """Whether the controllers of any robot are told something other than the truth."""
-        return any(not instrumented.told_truth(*entry.told()) for entry in self.fleet)
+        return any(not instrumented.uses_true_state(*entry.state_source()) for entry in self.fleet)
 
     def channel(self) -> Channel | None:
         """That robots talk by; None where everybody knows everything."""
         return self.acoustics.channel(
             sum(entry.count for entry in self.fleet),
-            resolve(self.world).size_m,
+            resolve_world(self.world).size_m,
             self.time.control_dt_s,
             self.time.horizon_s,
         )
 
     def members(self) -> list[Member]:
         """The fleet, one member a robot."""
-        each = [entry.member(i, self.randomise) for i, entry in enumerate(self.fleet)]
+        entry_members = [
+            entry.build_member(i, self.randomise) for i, entry in enumerate(self.fleet)
+        ]
         counts = [entry.count for entry in self.fleet]
-        return [member for member, count in zip(each, counts, strict=True) for _ in range(count)]
+        return [
+            member
+            for member, count in zip(entry_members, counts, strict=True)
+            for _ in range(count)
+        ]
 
     def digest(self) -> str:
         """Hexadecimal, of everything that the problems of a seed are drawn from.
@@ -255,32 +276,32 @@ class Scenario(FileModel):
         Scenarios that differ in other things (engine, controllers, planner, recording) pose the
         same problems.
         """
-        world = self.world.model_dump(mode="json")
+        world = dump_for_digest(self.world)
         for table, current in zip(world["currents"], self.world.currents, strict=True):
             if isinstance(current, GridConfig):
                 table["file"] = current.field.digest
         if self.world.bathymetry is None:  # as before there were any: problems stay what they were
             del world["bathymetry"]
-        drawn = {
+        problem_table = {
             "world": world,
-            "fleet": [_as_drawn(entry) for entry in self.fleet],
+            "fleet": [_problem_table(entry) for entry in self.fleet],
             "horizon_s": self.time.horizon_s,
             "control_dt_s": self.time.control_dt_s,
             "density_kgpm3": self.water.density_kgpm3,
             "goal_tolerance_m": self.goal_tolerance_m,
         }
         if not isinstance(self.task, GoalTask):
-            drawn["task"] = self.task.model_dump(mode="json")
-        if self.randomise.of_vehicles or self.randomise.of_worlds:
-            drawn["randomise"] = self.randomise.model_dump(mode="json")
-        text = json.dumps(drawn, sort_keys=True)
+            problem_table["task"] = dump_for_digest(self.task)
+        if self.randomise.changes_vehicles or self.randomise.changes_worlds:
+            problem_table["randomise"] = dump_for_digest(self.randomise)
+        text = json.dumps(problem_table, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
     def sim_spec(self) -> SimSpec:
         """The simulator's settings."""
         controllers, gains = self.controller.stack()
         water = Water(density_kgpm3=self.water.density_kgpm3)
-        told = [entry.told() for entry in self.fleet for _ in range(entry.count)]
+        state_sources = [entry.state_source() for entry in self.fleet for _ in range(entry.count)]
         return SimSpec(
             physics_dt_s=self.time.physics_dt_s,
             physics_steps=self.time.physics_steps,
@@ -288,22 +309,24 @@ class Scenario(FileModel):
             water=water,
             stages=controllers,
             gains=gains,
-            instrumented=instrumented.build(told, self.time.control_dt_s, water.gravity_mps2),
+            instrumented=instrumented.build_groups(
+                state_sources, self.time.control_dt_s, water.gravity_mps2
+            ),
             also=self.store.also,
             acoustics=self.channel(),
             task=self.task_spec(),
         )
 
 
-def _as_drawn(entry: FleetEntry) -> dict[str, Any]:
+def _problem_table(entry: FleetEntry) -> dict[str, Any]:
     """An entry of the fleet without what only its flight shows; its vehicle as it is now."""
     table = entry.model_dump(mode="json", exclude={"estimate", "sensors", "fault_known"})
-    vehicle = library.load(entry.vehicle)
+    vehicle = library.load_vehicle(entry.vehicle)
     thruster = library.load_thruster(vehicle.rotor.model)
     return {**table, "vehicle": [vehicle.model_dump(mode="json"), thruster.model_dump(mode="json")]}
 
 
-def shipped() -> dict[str, Path]:
+def shipped_scenarios() -> dict[str, Path]:
     """Names and files of the scenarios that come with the package."""
     return list_shipped("angler_mjx.scenario")
 
@@ -325,13 +348,13 @@ def load_scenario(name_or_path: str | Path, **overrides: Any) -> Scenario:
     return read_scenario(name_or_path, overrides)
 
 
-def load_beside(name: str, folder: Path) -> Scenario:
+def load_relative_scenario(name: str, folder: Path) -> Scenario:
     """The scenario that another file names: a shipped one, or a path from that file's folder.
 
     Raises:
         ConfigError: as of `load_scenario`.
     """
-    return load_scenario(name if name in shipped() else folder / name)
+    return load_scenario(name if name in shipped_scenarios() else folder / name)
 
 
 def read_scenario(
@@ -340,61 +363,73 @@ def read_scenario(
     blame: Callable[[str], str] = lambda key: f"{key} (given with the scenario)",
 ) -> Scenario:
     """As `load_scenario`; ``blame`` says what a person calls an override, e.g. ``--worlds``."""
-    path = find(name_or_path)
-    data = read_toml(path)
-    overrides = anchored(overrides, Path.cwd())
-    whole = {**data, **{key: _merged(data.get(key), x) for key, x in overrides.items()}}
-    beside = {FOLDER: path.absolute().parent}
+    path = find_scenario(name_or_path)
     try:
-        found = check(Scenario, whole, beside)
+        data = rename_keys(Scenario, read_toml(path), str(path))
+        overrides = rename_keys(Scenario, resolve_paths(overrides, Path.cwd()), "")
+    except ValueError as error:
+        raise ConfigError(f"{format_path(path)}: {error}") from error
+    merged = {
+        **data,
+        **{key: _merge_value(data.get(key), value) for key, value in overrides.items()},
+    }
+    context = {FOLDER_CONTEXT: path.absolute().parent}
+    try:
+        scenario = validate_model(Scenario, merged, context)
     except FaultyError as error:
-        own = _faults(data, beside) if overrides else {fault.text for fault in error.faults}
-        its = [fault.text for fault in error.faults if fault.text in own]
-        theirs = [
-            _blamed(fault, overrides, blame) for fault in error.faults if fault.text not in own
+        file_faults = (
+            _file_faults(data, context) if overrides else {fault.text for fault in error.faults}
+        )
+        file_texts = [fault.text for fault in error.faults if fault.text in file_faults]
+        override_texts = [
+            _attribute_fault(fault, overrides, blame)
+            for fault in error.faults
+            if fault.text not in file_faults
         ]
-        of_file = [listed(str(path), its)] if its else []
-        raise ConfigError("\n".join([*theirs, *of_file])) from error
+        file_message = [format_faults(str(path), file_texts)] if file_texts else []
+        raise ConfigError("\n".join([*override_texts, *file_message])) from error
     try:
-        found.planner.chosen()
+        scenario.planner.planner_spec()
     except ConfigError as error:
         raise ConfigError(str(error) if "planner" in overrides else f"{path}: {error}") from error
-    return found
+    return scenario
 
 
-def _merged(before: Any, value: Any) -> Any:
-    both = isinstance(value, dict) and isinstance(before, dict)
-    return {**before, **value} if both else value
+def _merge_value(before: Any, value: Any) -> Any:
+    are_tables = isinstance(value, dict) and isinstance(before, dict)
+    return {**before, **value} if are_tables else value
 
 
-def _faults(data: Mapping[str, Any], context: Mapping[str, Any]) -> set[str]:
+def _file_faults(data: Mapping[str, Any], context: Mapping[str, Any]) -> set[str]:
     """What is wrong with a file itself."""
     try:
-        check(Scenario, data, context)
+        validate_model(Scenario, data, context)
     except FaultyError as error:
         return {fault.text for fault in error.faults}
     return set()
 
 
-def _blamed(fault: Fault, overrides: Mapping[str, Any], blame: Callable[[str], str]) -> str:
+def _attribute_fault(
+    fault: Fault, overrides: Mapping[str, Any], blame: Callable[[str], str]
+) -> str:
     """A fault that an override brought, by what a person calls that override."""
-    given: list[tuple[str, ...]] = []
+    overridden: list[tuple[str, ...]] = []
     for key, value in overrides.items():
-        given += [(key, name) for name in value] if isinstance(value, dict) else [(key,)]
-    exact = [key for key in given if fault.key[: len(key)] == key]
-    if exact:
-        return fault.text.replace(".".join(exact[0]), blame(".".join(exact[0])), 1)
+        overridden += [(key, name) for name in value] if isinstance(value, dict) else [(key,)]
+    matching = [key for key in overridden if fault.key[: len(key)] == key]
+    if matching:
+        return fault.text.replace(".".join(matching[0]), blame(".".join(matching[0])), 1)
     text = fault.text
     if not fault.key:  # Of a whole file: the message says which keys.
         text = fault.text.removeprefix("(whole file): ")
-        said = [key for key in given if key[1:] and f"{'.'.join(key)} = " in text]
-        if said:
-            return text.replace(".".join(said[0]), blame(".".join(said[0])), 1)
-    near = [key for key in given if key[: len(fault.key)] == fault.key] or given
-    return f"{', '.join(blame('.'.join(key)) for key in near)}: {text}"
+        mentioned = [key for key in overridden if key[1:] and f"{'.'.join(key)} = " in text]
+        if mentioned:
+            return text.replace(".".join(mentioned[0]), blame(".".join(mentioned[0])), 1)
+    candidates = [key for key in overridden if key[: len(fault.key)] == fault.key] or overridden
+    return f"{', '.join(blame('.'.join(key)) for key in candidates)}: {text}"
 
 
-def find(name_or_path: str | Path) -> Path:
+def find_scenario(name_or_path: str | Path) -> Path:
     """The file of a scenario.
 
     Raises:

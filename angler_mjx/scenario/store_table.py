@@ -3,7 +3,7 @@
 from pydantic import Field, field_validator
 
 from angler_mjx.files import FileModel
-from angler_mjx.sim.record import Also
+from angler_mjx.sim.record import RecordOption
 
 
 class StoreConfig(FileModel):
@@ -13,7 +13,7 @@ class StoreConfig(FileModel):
     exact.
     """
 
-    also: tuple[Also, ...] = ()
+    also: tuple[RecordOption, ...] = ()
     """Recorded beside what all runs have: the thrusters' `wrench`; `clearance`, distances to what
     is near; `acoustics`, share of packets heard and age of what is known."""
     position_mm: float | None = Field(default=None, ge=0.01, le=1000.0)
@@ -29,10 +29,10 @@ class StoreConfig(FileModel):
 
     @field_validator("also")
     @classmethod
-    def _once_each(cls, also: tuple[Also, ...]) -> tuple[Also, ...]:
-        twice = sorted({word for word in also if also.count(word) > 1})
-        if twice:
-            raise ValueError(f"{twice[0]} is named twice; name it once")
+    def _check_unique(cls, also: tuple[RecordOption, ...]) -> tuple[RecordOption, ...]:
+        repeated = sorted({name for name in also if also.count(name) > 1})
+        if repeated:
+            raise ValueError(f"{repeated[0]} is named twice; name it once")
         return also
 
     def step(self, unit: str, dims: tuple[str, ...]) -> float | None:
@@ -44,7 +44,7 @@ class StoreConfig(FileModel):
         """
         if "wxyz" in dims:
             return self.attitude_mrad and 0.5e-3 * self.attitude_mrad
-        given = {
+        steps = {
             "m": self.position_mm,
             "m/s": self.velocity_mmps,
             "m/s, rad/s": self.velocity_mmps,
@@ -53,5 +53,5 @@ class StoreConfig(FileModel):
         }
         if unit == "us":
             return self.pwm_us
-        found = given.get(unit)
-        return found and 1e-3 * found
+        step = steps.get(unit)
+        return step and 1e-3 * step

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import fields
-from typing import Annotated, Any, Literal, Self, get_type_hints
+from typing import Annotated, Any, ClassVar, Literal, Self, get_type_hints
 
 from pydantic import (
     AfterValidator,
@@ -15,11 +15,11 @@ from pydantic import (
     model_validator,
 )
 
-from angler_mjx.errors import ConfigError, shown
-from angler_mjx.files import FileModel, folder_of
+from angler_mjx.errors import ConfigError, format_value
+from angler_mjx.files import FileModel, base_folder
 from angler_mjx.planning import register
-from angler_mjx.planning.automatic import AUTO, CHOICES, for_team
-from angler_mjx.planning.planner import MOST_POINTS
+from angler_mjx.planning.planner import MAX_POINTS
+from angler_mjx.planning.planner_choice import AUTO, AUTO_PLANNERS, choose_planner
 from angler_mjx.planning.register import PlannerReference, PlannerSpec
 from angler_mjx.quantities import Length
 from angler_mjx.robot.control import stack, stages
@@ -48,15 +48,17 @@ class TimeConfig(FileModel):
     """Rate of the stored trajectories; 0 stores none."""
 
     @model_validator(mode="after")
-    def _commensurate(self) -> Self:
-        whole("control_dt_s / physics_dt_s", self.control_dt_s, self.physics_dt_s)
-        whole("horizon_s / control_dt_s", self.horizon_s, self.control_dt_s)
+    def _check_commensurate(self) -> Self:
+        check_whole_ratio("control_dt_s / physics_dt_s", self.control_dt_s, self.physics_dt_s)
+        check_whole_ratio("horizon_s / control_dt_s", self.horizon_s, self.control_dt_s)
         if self.record_hz > 0:
-            whole("1 / (record_hz control_dt_s)", 1.0, self.record_hz * self.control_dt_s)
-            whole("horizon_s record_hz", self.horizon_s * self.record_hz, 1.0)
+            check_whole_ratio(
+                "1 / (record_hz control_dt_s)", 1.0, self.record_hz * self.control_dt_s
+            )
+            check_whole_ratio("horizon_s record_hz", self.horizon_s * self.record_hz, 1.0)
         return self
 
-    def by_default(self, horizon_s: float) -> Self:
+    def with_default_horizon(self, horizon_s: float) -> Self:
         """The same with another horizon, unless it has been given one.
 
         Raises:
@@ -64,12 +66,12 @@ class TimeConfig(FileModel):
         """
         if "horizon_s" in self.model_fields_set or horizon_s == self.horizon_s:
             return self
-        whole("horizon_s / control_dt_s", horizon_s, self.control_dt_s)
+        check_whole_ratio("horizon_s / control_dt_s", horizon_s, self.control_dt_s)
         if self.record_hz > 0:
-            whole("horizon_s record_hz", horizon_s * self.record_hz, 1.0)
-        made = self.model_copy(update={"horizon_s": horizon_s})
-        made.model_fields_set.discard("horizon_s")
-        return made
+            check_whole_ratio("horizon_s record_hz", horizon_s * self.record_hz, 1.0)
+        changed = self.model_copy(update={"horizon_s": horizon_s})
+        changed.model_fields_set.discard("horizon_s")
+        return changed
 
     @property
     def physics_steps(self) -> int:
@@ -87,17 +89,17 @@ class TimeConfig(FileModel):
         return round(1.0 / (self.record_hz * self.control_dt_s)) if self.record_hz > 0 else 0
 
 
-def whole(what: str, part: float, unit: float) -> None:
+def check_whole_ratio(description: str, dividend: float, divisor: float) -> None:
     """Refuse a part that is no whole number of units, at least 1.
 
     Raises:
-        ValueError: saying so of ``what``.
+        ValueError: saying so of ``description``.
     """
-    ratio = part / unit if unit > 0 else math.inf
+    ratio = dividend / divisor if divisor > 0 else math.inf
     if not math.isfinite(ratio):
-        raise ValueError(f"{what} is too large; take numbers nearer to one another")
+        raise ValueError(f"{description} is too large; take numbers nearer to one another")
     if ratio < 0.999999 or abs(ratio - round(ratio)) > 1e-6 * ratio:
-        raise ValueError(f"{what} = {ratio:g} must be a whole number of at least 1")
+        raise ValueError(f"{description} = {ratio:g} must be a whole number of at least 1")
 
 
 class ControllerConfig(FileModel):
@@ -117,9 +119,9 @@ class ControllerConfig(FileModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _gains_by_stage(cls, data: Any) -> Any:
-        given = data.get("gains") if isinstance(data, dict) else None
-        for name, value in (given if isinstance(given, dict) else {}).items():
+    def _check_gains_by_stage(cls, data: Any) -> Any:
+        gains = data.get("gains") if isinstance(data, dict) else None
+        for name, value in (gains if isinstance(gains, dict) else {}).items():
             if not isinstance(value, dict):
                 raise ValueError(
                     f"gains.{name} = {value!r}: gains stand by stage, as in "
@@ -128,20 +130,20 @@ class ControllerConfig(FileModel):
         return data
 
     @model_validator(mode="after")
-    def _is_a_stack(self) -> Self:
+    def _check_stack(self) -> Self:
         if self.stages is not None and self.name is not None:
             raise ValueError("give name or stages, not both")
         if self.name is not None and self.name not in stages.CONTROLLERS:
             raise ValueError(
-                f"name = {shown(self.name)}: there is {', '.join(stages.CONTROLLERS)}; "
+                f"name = {format_value(self.name)}: there is {', '.join(stages.CONTROLLERS)}; "
                 "or give stages"
             )
         first = self.stack()[0][0]
         if Trajectory not in first.takes:
+            names = [stage.name for stage in stages.STAGES.values() if Trajectory in stage.takes]
             raise ValueError(
-                f"stages: the first one, {first.name!r}, takes {stack.takes(first)}; the planner "
-                "gives a Trajectory: begin with "
-                f"{' or '.join(x.name for x in stages.STAGES.values() if Trajectory in x.takes)}"
+                f"stages: the first one, {first.name!r}, takes {stack.describe_inputs(first)}; the "
+                f"planner gives a Trajectory: begin with {' or '.join(names)}"
             )
         return self
 
@@ -152,7 +154,7 @@ class ControllerConfig(FileModel):
             ConfigError: they are not a stack, or gains make no sense.
         """
         names = self.stages or stages.CONTROLLERS[self.name or "cascade"]
-        return stages.build(names, self.gains)
+        return stages.build_stack(names, self.gains)
 
 
 class InformationConfig(FileModel):
@@ -165,21 +167,23 @@ class InformationConfig(FileModel):
     """Nothing; observed, its mean at the robots' starts at t = 0; predicted, all of it at t = 0,
     taken to stay; truth, all of it for all time."""
 
-    def knows(self) -> Information:
+    def to_information(self) -> Information:
         """As planners are told."""
         return Information(obstacles=self.obstacles, current=self.current)
 
 
-def _from_its_file(name: str, info: ValidationInfo) -> str:
-    return register.beside(name, folder_of(info))
+def _resolve_name(name: str, info: ValidationInfo) -> str:
+    return register.resolve_planner_name(name, base_folder(info))
 
 
-type PlannerName = Annotated[str, Field(max_length=4096), AfterValidator(_from_its_file)]
+type PlannerName = Annotated[str, Field(max_length=4096), AfterValidator(_resolve_name)]
 """Of a planner; the path of FILE.py:CLASS begins at the folder of the file that names it."""
 
 
 class PlannerConfig(FileModel):
     """The planner that gives each robot its path; its own settings stand in [planner.NAME]."""
+
+    renamed_keys: ClassVar[Mapping[str, str]] = {"knows": "information"}
 
     name: PlannerName = AUTO
     """One that `angler plan --list` names, or FILE.py:CLASS of a file of yours. auto: grid or
@@ -189,12 +193,12 @@ class PlannerConfig(FileModel):
     hand."""
     margin_m: Length = 0.1
     """Kept free around each robot beside its own radius."""
-    points: int = Field(default=32, ge=2, le=MOST_POINTS)
+    points: int = Field(default=32, ge=2, le=MAX_POINTS)
     """Most way-points of a path; a planner's path of more is none. Paths of a file of plans
     (`--plans`) may have up to 1,024, whatever this says. Part of the result's bytes."""
     deadline_s: float = Field(default=5.0, gt=0.0, le=86400.0)
     """Wall-clock time for each world; a planner that takes a tenth more is ended."""
-    knows: InformationConfig = InformationConfig()
+    information: InformationConfig = InformationConfig()
     replan_hz: float = Field(default=0.0, ge=0.0, le=1e4)
     """How often robots are planned for anew while they fly; 0: never. A whole number of control
     steps from one time to the next; see `docs/online.md`."""
@@ -206,24 +210,34 @@ class PlannerConfig(FileModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _settings_by_name(cls, data: Any) -> Any:
+    def _collect_settings(cls, data: Any) -> Any:
         """Tables of planners out of what stands beside our own keys."""
         if not isinstance(data, Mapping):
             return data
-        own = {key: value for key, value in data.items() if key in cls.model_fields}
-        tables = {key: x for key, x in data.items() if key not in own and isinstance(x, Mapping)}
-        rest = {key: value for key, value in data.items() if key not in own and key not in tables}
+        field_keys = cls.model_fields.keys() | cls.renamed_keys.keys()
+        table_keys = {key: value for key, value in data.items() if key in field_keys}
+        tables = {
+            key: table
+            for key, table in data.items()
+            if key not in table_keys and isinstance(table, Mapping)
+        }
+        unknfield_keys = {
+            key: value for key, value in data.items() if key not in table_keys and key not in tables
+        }
         if tables:
-            before = own.get("settings", {})
-            own["settings"] = {**(before if isinstance(before, Mapping) else {}), **tables}
-        return {**own, **rest}
+            settings = table_keys.get("settings", {})
+            table_keys["settings"] = {
+                **(settings if isinstance(settings, Mapping) else {}),
+                **tables,
+            }
+        return {**table_keys, **unknfield_keys}
 
     @property
     def by_auto(self) -> bool:
         """Whether auto chose the planner; not where code put another name in its place later."""
-        return self.requested is not None and self.name in CHOICES
+        return self.requested is not None and self.name in AUTO_PLANNERS
 
-    def resolved(self, robots: int) -> Self:
+    def resolve_auto(self, robots: int) -> Self:
         """Return the table with the planner of a team of ``robots`` in place of auto.
 
         A table with another name is returned as it is. The name counts as left out: a table made
@@ -231,9 +245,9 @@ class PlannerConfig(FileModel):
         """
         if self.name != AUTO:
             return self
-        made = self.model_copy(update={"name": for_team(robots), "requested": AUTO})
-        made.model_fields_set.difference_update(("name", "requested"))
-        return made
+        resolved = self.model_copy(update={"name": choose_planner(robots), "requested": AUTO})
+        resolved.model_fields_set.difference_update(("name", "requested"))
+        return resolved
 
     def title(self, robots: int) -> str:
         """Return the planner's name, with the reason where auto chose it for a team."""
@@ -245,7 +259,7 @@ class PlannerConfig(FileModel):
         """Name of the chosen planner's own table: of a class in a file, that of the class."""
         return self.name.rpartition(":")[2]
 
-    def chosen(self) -> PlannerSpec:
+    def planner_spec(self) -> PlannerSpec:
         """The planner with its settings.
 
         Raises:
@@ -253,16 +267,16 @@ class PlannerConfig(FileModel):
             UnsupportedError: its libraries are not installed.
         """
         reference = register.find(self.name)
-        usable = CHOICES if self.by_auto else (self.table,)
-        others = sorted(set(self.settings) - set(usable))
-        if others:
+        usable = AUTO_PLANNERS if self.by_auto else (self.table,)
+        unused = sorted(set(self.settings) - set(usable))
+        if unused:
             raise ConfigError(
-                f"[planner.{others[0]}]: the planner is {self.name}; its settings stand in "
+                f"[planner.{unused[0]}]: the planner is {self.name}; its settings stand in "
                 f"[planner.{self.table}]"
             )
         for name in usable:
-            owner = reference if name == self.table else register.find(name)
-            _check_table(owner, self.settings.get(name, {}), name)
+            named = reference if name == self.table else register.find(name)
+            _check_settings_table(named, self.settings.get(name, {}), name)
         return PlannerSpec(reference=reference, settings=self.settings.get(self.table, {}))
 
 
@@ -282,20 +296,20 @@ class ExecutionConfig(FileModel):
         """Whether auto chose the order."""
         return self.requested is not None
 
-    def resolved(self, *, kept: bool) -> Self:
+    def resolve_auto(self, *, kept: bool) -> Self:
         """Return the table with free or kept in place of auto; another table as it is.
 
-        The order counts as left out, as in `PlannerConfig.resolved`.
+        The order counts as left out, as in `PlannerConfig.resolve_auto`.
         """
         if self.order != AUTO:
             return self
         order = "kept" if kept else "free"
-        made = self.model_copy(update={"order": order, "requested": AUTO})
-        made.model_fields_set.difference_update(("order", "requested"))
-        return made
+        resolved = self.model_copy(update={"order": order, "requested": AUTO})
+        resolved.model_fields_set.difference_update(("order", "requested"))
+        return resolved
 
 
-def check_online(planner: PlannerConfig, time: TimeConfig) -> None:
+def check_replanning(planner: PlannerConfig, time: TimeConfig) -> None:
     """Refuse replanning that does not fit the control period.
 
     Raises:
@@ -310,17 +324,19 @@ def check_online(planner: PlannerConfig, time: TimeConfig) -> None:
         return
     hz, delay = planner.replan_hz, planner.delay_s
     try:
-        whole(
+        check_whole_ratio(
             f"planner.replan_hz = {hz:g}: 1 / (replan_hz control_dt_s)", 1.0, hz * time.control_dt_s
         )
     except ValueError as error:
-        most = 1.0 / time.control_dt_s
+        max_hz = 1.0 / time.control_dt_s
         raise ValueError(
-            f"{error}; control_dt_s = {time.control_dt_s:g} allows {most:g} Hz at most, and that "
-            f"over whole numbers: {most:g}, {most / 2:g}, {most / 4:g}"
+            f"{error}; control_dt_s = {time.control_dt_s:g} allows {max_hz:g} Hz at most, and that "
+            f"over whole numbers: {max_hz:g}, {max_hz / 2:g}, {max_hz / 4:g}"
         ) from error
     if delay > 0.0:
-        whole(f"planner.delay_s = {delay:g}: delay_s / control_dt_s", delay, time.control_dt_s)
+        check_whole_ratio(
+            f"planner.delay_s = {delay:g}: delay_s / control_dt_s", delay, time.control_dt_s
+        )
     if delay * hz > 1.0 + 1e-6:
         raise ValueError(
             f"planner.delay_s = {delay:g}: longer than the {1 / hz:g} s from one plan to the next "
@@ -331,32 +347,36 @@ def check_online(planner: PlannerConfig, time: TimeConfig) -> None:
 _STRICT = ConfigDict(strict=True, allow_inf_nan=False)
 
 
-def _check_table(reference: PlannerReference, given: Mapping[str, Any], table: str) -> None:
+def _check_settings_table(
+    reference: PlannerReference, settings: Mapping[str, Any], table: str
+) -> None:
     """Refuse settings of a planner that has none, or other ones."""
-    model = register.settings_of(reference.load())
-    if model is None and given:
+    model = register.settings_class(reference.load())
+    if model is None and settings:
         raise ConfigError(f"[planner.{table}]: this planner has no settings")
     if model is not None:
-        _check_settings(model, given, table)
+        _check_settings(model, settings, table)
 
 
-def _check_settings(model: type, given: Mapping[str, Any], table: str) -> None:
+def _check_settings(model: type, settings: Mapping[str, Any], table: str) -> None:
     """Refuse settings that a planner does not have, and values that are none."""
-    known = [one.name for one in fields(model)]
-    unknown = [key for key in given if key not in known]
+    names = [setting.name for setting in fields(model)]
+    unknown = [key for key in settings if key not in names]
     if unknown:
         raise ConfigError(
-            f"[planner.{table}] {shown(unknown[0])}: no setting of this planner; "
-            f"there is {', '.join(known) or 'none'}"
+            f"[planner.{table}] {format_value(unknown[0])}: no setting of this planner; "
+            f"there is {', '.join(names) or 'none'}"
         )
     types = get_type_hints(model)
-    for key, value in given.items():
+    for key, value in settings.items():
         try:
             TypeAdapter(types[key], config=_STRICT).validate_python(value)
         except ValidationError as error:
-            said = error.errors()[0]["msg"]
-            raise ConfigError(f"[planner.{table}] {key} = {shown(value)}: {said}") from error
+            message = error.errors()[0]["msg"]
+            raise ConfigError(
+                f"[planner.{table}] {key} = {format_value(value)}: {message}"
+            ) from error
     try:
-        model(**given)
+        model(**settings)
     except (TypeError, ValueError) as error:
         raise ConfigError(f"[planner.{table}]: {error}") from error

@@ -9,25 +9,32 @@ from pydantic import Field, field_validator, model_validator
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import FileModel
-from angler_mjx.quantities import FARTHEST_M
+from angler_mjx.quantities import MAX_COORDINATE_M
 from angler_mjx.scenario.load_table import LoadConfig
 from angler_mjx.scenario.policy_tables import PolicyConfig
-from angler_mjx.scenario.tables import TimeConfig, whole
+from angler_mjx.scenario.tables import TimeConfig, check_whole_ratio
 from angler_mjx.world.config import Vector, WorldRecipe
 from angler_mjx.world.rules import OpenRule
-from angler_mjx.world.tasks import allocation, sight
+from angler_mjx.world.tasks import allocation, visibility
 from angler_mjx.world.tasks.sampling import WHOLE, GoalSampling
-from angler_mjx.world.tasks.spec import MOST_JOBS, After, Dropped, Surface, SurveySpec, TaskSpec
+from angler_mjx.world.tasks.spec import (
+    MAX_JOBS,
+    Surface,
+    SurveySpec,
+    TaskSpec,
+    WhenDropped,
+    WhenFinished,
+)
 
-MOST_ROBOTS = 64
+MAX_ROBOTS = 64
 """Of a fleet with a task."""
-PLACES, GOODS = 8, 4
+DEFAULT_POSITIONS, DEFAULT_GOODS = 8, 4
 """Of a task whose file gives no number."""
-MOST_CELLS = 8192
+MAX_CELLS = 8192
 """That a robot looks at, at a time."""
 
-type Share = Annotated[float, Field(ge=0.0, le=1.0)]
-type Corner = tuple[Share, Share, Share]
+type Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
+type Corner = tuple[Fraction, Fraction, Fraction]
 
 
 class GoalTask(FileModel):
@@ -39,20 +46,20 @@ class GoalTask(FileModel):
 class _Task(FileModel):
     """What all tasks with several jobs have in common."""
 
-    tolerance_m: float = Field(default=0.5, gt=0.0, le=FARTHEST_M)
+    tolerance_m: float = Field(default=0.5, gt=0.0, le=MAX_COORDINATE_M)
     """How near the centre of a robot has to come to a place."""
     look_s: float = Field(default=0.5, gt=0.0, le=60.0)
     """Time from one look at what is done to the next; a whole number of control periods."""
     allocation: str = "nearest"
     """Who shares the jobs out: nearest, auction, sweep, or MODULE:FUNCTION; see `docs/tasks.md`."""
-    after: After = "hold"
+    after: WhenFinished = "hold"
     """Whether a robot returns to its start when nothing is left for it; it ends its episode then,
     and not before all that it knows of is done."""
 
     @field_validator("allocation")
     @classmethod
-    def _can_share_out(cls, name: str) -> str:
-        allocation.by_name(name)
+    def _check_allocation(cls, name: str) -> str:
+        allocation.find_allocator(name)
         return name
 
 
@@ -60,12 +67,12 @@ class TourTask(_Task):
     """Places that are to be visited."""
 
     type: Literal["tour"]
-    places: int | None = Field(default=None, ge=1, le=MOST_JOBS)
+    places: int | None = Field(default=None, ge=1, le=MAX_JOBS)
     """Number of places, drawn for each world among the cells that all robots can reach; 8 if left
     out."""
     within: tuple[Corner, Corner] = WHOLE
     """Part of the cube that they are drawn in: lower and upper corner, as shares of its edges."""
-    places_m: tuple[Vector, ...] = Field(default=(), max_length=MOST_JOBS)
+    places_m: tuple[Vector, ...] = Field(default=(), max_length=MAX_JOBS)
     """The places, instead of drawing; one that cannot be reached in a world is moved to the nearest
     cell that can."""
     shared: bool = True
@@ -74,7 +81,7 @@ class TourTask(_Task):
     """Whether each robot visits them in their order; for those that are not shared."""
 
     @model_validator(mode="after")
-    def _is_a_tour(self) -> Self:
+    def _check_tour(self) -> Self:
         if self.ordered and self.shared:
             raise ValueError(
                 "ordered = true: one robot after the other would have to wait; give shared = false"
@@ -86,7 +93,7 @@ class TourTask(_Task):
     @property
     def count(self) -> int:
         """Number of places."""
-        return len(self.places_m) or self.places or PLACES
+        return len(self.places_m) or self.places or DEFAULT_POSITIONS
 
 
 class SurveyTask(_Task):
@@ -97,13 +104,13 @@ class SurveyTask(_Task):
     """What is to be seen: the sea floor and the rock that stands on it, faces of rock, or both."""
     half_angle_deg: float = Field(default=45.0, gt=0.0, le=180.0)
     """Of the cone about a robot's downward axis that it sees; 180 sees everything around."""
-    range_m: float = Field(default=5.0, gt=0.0, le=FARTHEST_M)
+    range_m: float = Field(default=5.0, gt=0.0, le=MAX_COORDINATE_M)
     """How far it sees."""
-    altitude_m: float = Field(default=3.0, gt=0.0, le=FARTHEST_M)
+    altitude_m: float = Field(default=3.0, gt=0.0, le=MAX_COORDINATE_M)
     """Height of viewpoints above what they look at; to the nearest cell."""
     coverage: float = Field(default=0.95, gt=0.0, le=1.0)
     """Share of what can be seen that has to be."""
-    viewpoints: int = Field(default=64, ge=1, le=MOST_JOBS)
+    viewpoints: int = Field(default=64, ge=1, le=MAX_JOBS)
     """Most viewpoints of a world; a run ends where they do not see enough."""
 
 
@@ -111,35 +118,35 @@ class DeliverTask(_Task):
     """Goods that are to be brought to other places; a robot carries one at a time."""
 
     type: Literal["deliver"]
-    goods: int | None = Field(default=None, ge=1, le=MOST_JOBS)
+    goods: int | None = Field(default=None, ge=1, le=MAX_JOBS)
     """Number of goods; as many as from_m or to_m has places, or 4, if left out."""
     from_within: tuple[Corner, Corner] = WHOLE
     """Part of the cube that they lie in: lower and upper corner, as shares of its edges."""
     to_within: tuple[Corner, Corner] = WHOLE
     """Part that they are to be brought to."""
-    from_m: tuple[Vector, ...] = Field(default=(), max_length=MOST_JOBS)
+    from_m: tuple[Vector, ...] = Field(default=(), max_length=MAX_JOBS)
     """Where they lie, instead of drawing; moved as places_m of a tour are."""
-    to_m: tuple[Vector, ...] = Field(default=(), max_length=MOST_JOBS)
+    to_m: tuple[Vector, ...] = Field(default=(), max_length=MAX_JOBS)
     """Where each is to be brought, instead of drawing."""
     load: LoadConfig | None = None
     """What each of the goods is; nothing that a robot would feel, if left out."""
-    dropped: Dropped = "lost"
+    dropped: WhenDropped = "lost"
     """What becomes of goods whose robot collides or breaks down: lost, or back where they lay."""
 
     @model_validator(mode="after")
-    def _goods_have_places(self) -> Self:
+    def _check_position_counts(self) -> Self:
         for name in ("from_m", "to_m"):
-            places = getattr(self, name)
-            if places and len(places) != self.count:
+            positions_m = getattr(self, name)
+            if positions_m and len(positions_m) != self.count:
                 raise ValueError(
-                    f"{name} has {len(places)} places for {self.count} goods: give one to each"
+                    f"{name} has {len(positions_m)} places for {self.count} goods: give one to each"
                 )
         return self
 
     @property
     def count(self) -> int:
         """Number of goods."""
-        return self.goods or len(self.from_m) or len(self.to_m) or GOODS
+        return self.goods or len(self.from_m) or len(self.to_m) or DEFAULT_GOODS
 
 
 type TaskConfig = Annotated[
@@ -147,7 +154,9 @@ type TaskConfig = Annotated[
 ]
 
 
-def spec_of(task: TaskConfig, world: WorldRecipe, robots: int, time: TimeConfig) -> TaskSpec | None:
+def build_task_spec(
+    task: TaskConfig, world: WorldRecipe, robots: int, time: TimeConfig
+) -> TaskSpec | None:
     """What a task is compiled from; None where each robot has a goal of its own.
 
     Raises:
@@ -155,14 +164,14 @@ def spec_of(task: TaskConfig, world: WorldRecipe, robots: int, time: TimeConfig)
     """
     if isinstance(task, GoalTask):
         return None
-    if robots > MOST_ROBOTS:
+    if robots > MAX_ROBOTS:
         raise ValueError(
-            f"task.type = {task.type!r}: the fleet has {robots} robots; {MOST_ROBOTS} are the most"
+            f"task.type = {task.type!r}: the fleet has {robots} robots; {MAX_ROBOTS} are the most"
         )
     dt_s = time.control_dt_s
-    whole(f"task.look_s = {task.look_s:g}: look_s / control_dt_s", task.look_s, dt_s)
-    for name, wanted, count in drawn_places(task):
-        _check_places(f"task.{name}", wanted, count, world)
+    check_whole_ratio(f"task.look_s = {task.look_s:g}: look_s / control_dt_s", task.look_s, dt_s)
+    for name, sampling, count in task_positions(task):
+        _check_positions(f"task.{name}", sampling, count, world)
     spec = TaskSpec(
         kind=task.type,
         jobs=1,
@@ -176,56 +185,56 @@ def spec_of(task: TaskConfig, world: WorldRecipe, robots: int, time: TimeConfig)
         return replace(spec, jobs=task.count, shared=task.shared, ordered=task.ordered)
     if isinstance(task, DeliverTask):
         return replace(spec, jobs=task.count, dropped=task.dropped)
-    timed = time.record_hz > 0.0
-    return replace(spec, jobs=task.viewpoints, survey=_survey(task, world), timed=timed)
+    is_timed = time.record_hz > 0.0
+    return replace(spec, jobs=task.viewpoints, survey=_survey_spec(task, world), timed=is_timed)
 
 
-def drawn_places(task: TaskConfig) -> tuple[tuple[str, GoalSampling, int], ...]:
+def task_positions(task: TaskConfig) -> tuple[tuple[str, GoalSampling, int], ...]:
     """Places of a task by the keys that say where they are, where jobs begin first."""
     if isinstance(task, TourTask):
-        where = GoalSampling(within=task.within, given_m=task.places_m)
-        return (("places_m" if task.places_m else "within", where, task.count),)
+        sampling = GoalSampling(within=task.within, fixed_m=task.places_m)
+        return (("places_m" if task.places_m else "within", sampling, task.count),)
     if isinstance(task, DeliverTask):
-        begin = GoalSampling(within=task.from_within, given_m=task.from_m)
-        end = GoalSampling(within=task.to_within, given_m=task.to_m)
+        pickup = GoalSampling(within=task.from_within, fixed_m=task.from_m)
+        delivery = GoalSampling(within=task.to_within, fixed_m=task.to_m)
         return (
-            ("from_m" if task.from_m else "from_within", begin, task.count),
-            ("to_m" if task.to_m else "to_within", end, task.count),
+            ("from_m" if task.from_m else "from_within", pickup, task.count),
+            ("to_m" if task.to_m else "to_within", delivery, task.count),
         )
     return ()
 
 
-def _check_places(key: str, wanted: GoalSampling, count: int, world: WorldRecipe) -> None:
+def _check_positions(key: str, sampling: GoalSampling, count: int, world: WorldRecipe) -> None:
     low = np.array(world.origin_m)
     high = low + world.size_m
     low[2] = max(low[2], world.floor_z_m)
-    for i, place in enumerate(wanted.given_m):
-        if np.any(place < low) or np.any(place > high):
+    for i, position_m in enumerate(sampling.fixed_m):
+        if np.any(position_m < low) or np.any(position_m > high):
             raise ValueError(
-                f"{key}[{i}] = {place}: outside the world, {low.tolist()} to {high.tolist()}"
+                f"{key}[{i}] = {position_m}: outside the world, {low.tolist()} to {high.tolist()}"
             )
-    if wanted.given_m:
+    if sampling.fixed_m:
         return
-    first, last = wanted.within
+    first, last = sampling.within
     if not all(a < b for a, b in zip(first, last, strict=True)):
-        raise ValueError(f"{key} = {wanted.within}: the second corner must lie above the first")
+        raise ValueError(f"{key} = {sampling.within}: the second corner must lie above the first")
     cells = 1
     for n, a, b in zip(world.shape, first, last, strict=True):
-        share = (np.arange(n) + 0.5) / n
-        cells *= int(np.sum((share >= a) & (share <= b)))
+        fractions = (np.arange(n) + 0.5) / n
+        cells *= int(np.sum((fractions >= a) & (fractions <= b)))
     if count > cells:
         raise ValueError(
-            f"{key} = {wanted.within}: {count} places do not fit {cells} cells; take fewer, or a "
+            f"{key} = {sampling.within}: {count} places do not fit {cells} cells; take fewer, or a "
             "larger part of the world"
         )
 
 
-def _survey(task: SurveyTask, world: WorldRecipe) -> SurveySpec:
+def _survey_spec(task: SurveyTask, world: WorldRecipe) -> SurveySpec:
     cell_m = world.cell_m
-    seen = sight.footprint(math.radians(task.half_angle_deg), task.range_m, cell_m)
+    footprint = visibility.build_footprint(math.radians(task.half_angle_deg), task.range_m, cell_m)
     spec = SurveySpec(
         of=task.of,
-        footprint=seen,
+        footprint=footprint,
         altitude_cells=max(1, round(task.altitude_m / cell_m)),
         coverage=task.coverage,
     )
@@ -239,30 +248,32 @@ def _survey(task: SurveyTask, world: WorldRecipe) -> SurveySpec:
     if spec.altitude_cells >= world.shape[2]:
         raise ValueError(f"task.altitude_m = {task.altitude_m:g}: higher than the world's cells")
     _check_footprint(task, spec, cell_m)
-    cells = sight.window_size(spec)
-    if cells > MOST_CELLS:
+    n_cells = visibility.window_size(spec)
+    if n_cells > MAX_CELLS:
         raise ValueError(
-            f"task.range_m = {task.range_m:g}: a robot would look at {cells} cells at a time; "
-            f"{MOST_CELLS} are the most: take a shorter range, or a larger world.cell_m"
+            f"task.range_m = {task.range_m:g}: a robot would look at {n_cells} cells at a time; "
+            f"{MAX_CELLS} are the most: take a shorter range, or a larger world.cell_m"
         )
     return spec
 
 
 def _check_footprint(task: SurveyTask, spec: SurveySpec, cell_m: float) -> None:
     """Refuse a footprint in which nothing lies, however steadily a viewpoint is held."""
-    half, height = math.radians(task.half_angle_deg), spec.altitude_cells * cell_m
-    ahead = task.tolerance_m / math.sin(half) if half < math.pi - 1e-3 else 0.0
-    farthest = task.range_m - task.tolerance_m
-    if height > farthest or (half < math.pi / 2 and ahead >= height):
+    half_angle_rad, height_m = math.radians(task.half_angle_deg), spec.altitude_cells * cell_m
+    offset_m = (
+        task.tolerance_m / math.sin(half_angle_rad) if half_angle_rad < math.pi - 1e-3 else 0.0
+    )
+    max_height_m = task.range_m - task.tolerance_m
+    if height_m > max_height_m or (half_angle_rad < math.pi / 2 and offset_m >= height_m):
         raise ValueError(
             f"task.range_m = {task.range_m:g}, half_angle_deg = {task.half_angle_deg:g}: the "
-            f"footprint of a robot {height:g} m (altitude_m in whole cells) above a surface and "
+            f"footprint of a robot {height_m:g} m (altitude_m in whole cells) above a surface and "
             f"up to tolerance_m = {task.tolerance_m:g} beside its viewpoint holds nothing; take a "
             "longer range, a wider cone, a smaller tolerance or another altitude"
         )
 
 
-def check_flown(task: TaskConfig, policy: PolicyConfig, *, online: bool) -> None:
+def check_task_policy(task: TaskConfig, policy: PolicyConfig, *, online: bool) -> None:
     """Refuse what flies to one goal alone.
 
     Raises:
@@ -282,15 +293,15 @@ def check_flown(task: TaskConfig, policy: PolicyConfig, *, online: bool) -> None
         )
 
 
-def refuse_task(task: TaskConfig, who: str) -> None:
+def require_goal_task(task: TaskConfig, reason: str) -> None:
     """Refuse a task where each robot must have a goal of its own.
 
     Args:
         task: of a scenario.
-        who: cannot do it, and what to do instead, for the message.
+        reason: cannot do it, and what to do instead, for the message.
 
     Raises:
         ConfigError: it is another task.
     """
     if not isinstance(task, GoalTask):
-        raise ConfigError(f"task.type = {task.type!r}: {who}")
+        raise ConfigError(f"task.type = {task.type!r}: {reason}")

@@ -6,7 +6,7 @@ import jax
 
 from angler_mjx.robot.control import mixed, plans
 from angler_mjx.robot.control.joint_trajectory import JointTrajectory
-from angler_mjx.robot.control.mixed import Mixed
+from angler_mjx.robot.control.mixed import MixedCommand
 from angler_mjx.robot.control.trajectory import Trajectory
 from angler_mjx.sim.state import SimSpec, World
 
@@ -22,11 +22,13 @@ def last_approaches_s(spec: SimSpec, world: World, command: Any = None) -> jax.A
     Returns:
         None where the goal alone counts: a task, or commands that are no plans.
     """
-    flown = world.path if command is None else command
-    if spec.by_task or not isinstance(flown, Trajectory | JointTrajectory | Mixed):
+    executed = world.path if command is None else command
+    if spec.by_task or not isinstance(executed, Trajectory | JointTrajectory | MixedCommand):
         return None
-    of_one: Any = mixed.last_approach_s if isinstance(flown, Mixed) else plans.last_approach_s
-    begin_s: jax.Array = jax.vmap(of_one, (0, 0, None))(
-        flown, world.environment.goal_m, spec.goal_tolerance_m
+    robot_last_approach_s: Any = (
+        mixed.last_approach_s if isinstance(executed, MixedCommand) else plans.last_approach_s
+    )
+    begin_s: jax.Array = jax.vmap(robot_last_approach_s, (0, 0, None))(
+        executed, world.environment.goal_m, spec.goal_tolerance_m
     )
     return begin_s

@@ -48,7 +48,7 @@ class Contact:
     """[R] relative speed of the centres."""
 
 
-def detect(
+def detect_contacts(
     environment: Environment,
     vehicles: VehicleParams,
     state: VehicleState,
@@ -62,9 +62,9 @@ def detect(
         state: [R] leads.
         obstacles: now.
     """
-    place = jax.vmap(jax.vmap(_place, (None, None, 0)))
-    a = place(state.p, state.q, vehicles.capsule_a_m)
-    b = place(state.p, state.q, vehicles.capsule_b_m)
+    to_world = jax.vmap(jax.vmap(_transform_point, (None, None, 0)))
+    a = to_world(state.p, state.q, vehicles.capsule_a_m)
+    b = to_world(state.p, state.q, vehicles.capsule_b_m)
     r = vehicles.capsule_r_m
     v = jax.vmap(quaternion.rotate)(state.q, state.nu[:, :3])
     grid = environment.grid
@@ -85,9 +85,9 @@ def detect(
     other_v = jnp.where(
         (nearest == Touched.ROBOT)[:, None],
         v[robot],
-        jnp.where((nearest == Touched.OBSTACLE)[:, None], _rows(obstacle_v, obstacle), 0.0),
+        jnp.where((nearest == Touched.OBSTACLE)[:, None], _take_rows(obstacle_v, obstacle), 0.0),
     )
-    stands = _rows(environment.obstacles.motion == STATIC, obstacle)
+    stands = _take_rows(environment.obstacles.motion == STATIC, obstacle)
     return Contact(
         clearance_m=jnp.min(distances[:3], axis=0),
         separation_m=to_robot,
@@ -100,7 +100,7 @@ def detect(
     )
 
 
-def distances(
+def compute_distances(
     environment: Environment,
     vehicles: VehicleParams,
     p: jax.Array,
@@ -109,7 +109,7 @@ def distances(
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Distances [R] of the hulls of one world to rock and floor, to obstacles, and to other hulls.
 
-    As exact as those of `detect`, each as far as it is on its own.
+    As exact as those of `detect_contacts`, each as far as it is on its own.
 
     Args:
         environment: of the world.
@@ -118,8 +118,8 @@ def distances(
         q: [R, 4].
         obstacles: now.
     """
-    place = jax.vmap(jax.vmap(_place, (None, None, 0)))
-    a, b = place(p, q, vehicles.capsule_a_m), place(p, q, vehicles.capsule_b_m)
+    to_world = jax.vmap(jax.vmap(_transform_point, (None, None, 0)))
+    a, b = to_world(p, q, vehicles.capsule_a_m), to_world(p, q, vehicles.capsule_b_m)
     r, grid = vehicles.capsule_r_m, environment.grid
     to_cells = jax.vmap(clearance.capsules_grid, (0, 0, 0, 0, None, None, None))(
         a, b, r, p, grid.occupied, grid.origin_m, grid.cell_m
@@ -131,7 +131,7 @@ def distances(
     return to_rock, to_obstacle, to_robot
 
 
-def _place(p: jax.Array, q: jax.Array, point: jax.Array) -> jax.Array:
+def _transform_point(p: jax.Array, q: jax.Array, point: jax.Array) -> jax.Array:
     """Point [3] of a body at p [3], q [4], in W."""
     return p + quaternion.rotate(q, point)
 
@@ -140,18 +140,18 @@ def _nearest_obstacle(
     environment: Environment, a: jax.Array, b: jax.Array, r: jax.Array, now: ObstacleState
 ) -> tuple[jax.Array, jax.Array]:
     """Distance [R] to the nearest obstacle and its row [R]; inf and 0 where there is none."""
-    given = environment.obstacles
-    n_robot, n_obstacle = a.shape[0], given.kind.shape[0]
+    obstacles = environment.obstacles
+    n_robot, n_obstacle = a.shape[0], obstacles.kind.shape[0]
     if n_obstacle == 0:
         return jnp.full(n_robot, jnp.inf, a.dtype), jnp.zeros(n_robot, jnp.int32)
 
-    def one(a: jax.Array, b: jax.Array, r: jax.Array, row: tuple[jax.Array, ...]) -> jax.Array:
+    def hull_gap(a: jax.Array, b: jax.Array, r: jax.Array, row: tuple[jax.Array, ...]) -> jax.Array:
         p, q, kind, size, exists = row
-        gap = clearance.capsules_obstacle(a, b, r, p, q, kind, size, given.kinds)
+        gap = clearance.capsules_obstacle(a, b, r, p, q, kind, size, obstacles.kinds)
         return jnp.where(exists, gap, jnp.inf)
 
-    rows = (now.p, now.q, given.kind, given.size_m, given.exists)
-    gaps = jax.vmap(jax.vmap(one, (None, None, None, 0)), (0, 0, 0, None))(a, b, r, rows)
+    rows = (now.p, now.q, obstacles.kind, obstacles.size_m, obstacles.exists)
+    gaps = jax.vmap(jax.vmap(hull_gap, (None, None, None, 0)), (0, 0, 0, None))(a, b, r, rows)
     return jnp.min(gaps, axis=1), jnp.argmin(gaps, axis=1).astype(jnp.int32)
 
 
@@ -168,11 +168,11 @@ def _nearest_robot(
         return jnp.full(1, jnp.inf, p.dtype), jnp.zeros(1, jnp.int32)
     if n <= ALL_PAIRS_UP_TO:
         return _nearest_of_all(*hulls)
-    return neighbour_search.nearest(
+    return neighbour_search.find_nearest(
         p,
         radius,
         hulls,
-        lambda one, other: clearance.capsules_capsules(*one, *other),
+        lambda hull, other: clearance.capsules_capsules(*hull, *other),
         SEPARATION_RADIUS_M,
     )
 
@@ -187,12 +187,12 @@ def _nearest_of_all(a: jax.Array, b: jax.Array, r: jax.Array) -> tuple[jax.Array
     pair = np.zeros((n, n), np.int32)
     pair[first, second] = pair[second, first] = np.arange(first.size)
     gaps = jnp.where(np.eye(n, dtype=bool), jnp.inf, gap[pair])
-    least = jnp.min(gaps, axis=1)
-    index = jnp.where(least < SEPARATION_RADIUS_M, jnp.argmin(gaps, axis=1), -1)
-    return jnp.minimum(least, SEPARATION_RADIUS_M), index.astype(jnp.int32)
+    min_gap = jnp.min(gaps, axis=1)
+    index = jnp.where(min_gap < SEPARATION_RADIUS_M, jnp.argmin(gaps, axis=1), -1)
+    return jnp.minimum(min_gap, SEPARATION_RADIUS_M), index.astype(jnp.int32)
 
 
-def _rows(values: jax.Array, index: jax.Array) -> jax.Array:
+def _take_rows(values: jax.Array, index: jax.Array) -> jax.Array:
     """``values[index]``, or zeros where there are no rows at all."""
     if values.shape[0] == 0:
         return jnp.zeros((*index.shape, *values.shape[1:]), values.dtype)

@@ -20,11 +20,11 @@ from angler_mjx.robot.control import allocation
 from angler_mjx.robot.control.stack import ControlParams
 from angler_mjx.robot.vehicles import library, mjcf, params
 from angler_mjx.robot.vehicles.config import VehicleConfig
-from angler_mjx.robot.vehicles.load import Load, laden
+from angler_mjx.robot.vehicles.load import Load, add_load
 from angler_mjx.robot.vehicles.params import VehicleParams
 from angler_mjx.robot.vehicles.rotor_config import RotorResponse
-from angler_mjx.robot.vehicles.variation import Variation, varied
-from angler_mjx.sampling import children
+from angler_mjx.robot.vehicles.variation import Variation, apply_variation
+from angler_mjx.sampling import fold_keys
 from angler_mjx.sim.physics import mjx_engine
 from angler_mjx.sim.physics.mjx_engine import BodyInertia, MjxPhysics
 from angler_mjx.sim.state import World
@@ -101,39 +101,41 @@ class Fleet:
     """All robots, in order."""
 
     @property
-    def carries(self) -> bool:
+    def can_carry(self) -> bool:
         """Whether its robots can carry a load."""
         return self.cruise_mps.shape != self.log_weight.shape
 
-    def numbered(self, variant: jax.Array, loaded: jax.Array) -> jax.Array:
+    def loaded_variant(self, variant: jax.Array, loaded: jax.Array) -> jax.Array:
         """Variants of robots [...] as they are now, with the load or without."""
         return variant + jnp.where(loaded, self.log_weight.shape[1], 0)
 
 
-CRUISE_SHARE = 0.6
+CRUISE_FRACTION = 0.6
 """A robot cruises at no more than this share of its terminal speed: the rest is for control."""
 
 
-def variants(members: Sequence[Member]) -> list[Variant]:
+def list_variants(members: Sequence[Member]) -> list[Variant]:
     """The distinct variants of a fleet, in order of first appearance."""
     return list(dict.fromkeys(v for member in members for v in member.variants))
 
 
-def described(members: Sequence[Member]) -> list[dict[str, Any]]:
+def describe_variants(members: Sequence[Member]) -> list[dict[str, Any]]:
     """What each variant of a fleet is, by its number in ``World.variant``; for files."""
-    labels = library.labels(kind.vehicle for kind in variants(members))
+    labels = library.label_vehicles(kind.vehicle for kind in list_variants(members))
     rows = []
-    for number, kind in enumerate(variants(members)):
+    for number, kind in enumerate(list_variants(members)):
         row = {"variant": number, **asdict(kind), "vehicle": labels[kind.vehicle]}
-        drawn = row.pop("variation") or {}
-        volts = drawn.pop("battery_v", None)
+        sampled = row.pop("variation") or {}
+        volts = sampled.pop("battery_v", None)
         rows.append(
-            {**row, "battery_v": kind.battery_v if volts is None else volts, "drawn": drawn}
+            {**row, "battery_v": kind.battery_v if volts is None else volts, "drawn": sampled}
         )
     return rows
 
 
-def build(members: Sequence[Member], *, multibody: bool = True, load: Load | None = None) -> Fleet:
+def build_fleet(
+    members: Sequence[Member], *, multibody: bool = True, load: Load | None = None
+) -> Fleet:
     """Compile a fleet (host side).
 
     Args:
@@ -145,19 +147,26 @@ def build(members: Sequence[Member], *, multibody: bool = True, load: Load | Non
         ConfigError: unknown vehicle, set or thruster, a file with faults, or rotors of more than
             one kind.
     """
-    kinds = variants(members)
-    _refuse_mixed_rotors(kinds, [_robot(kind) for kind in kinds])
+    kinds = list_variants(members)
+    _refuse_mixed_rotors(kinds, [_build_robot(kind) for kind in kinds])
     each: list[tuple[Variant, Load | None]] = [(kind, None) for kind in kinds]
     if load is not None:
         each += [(kind, load) for kind in kinds]
-    stacked = params.stack([_robot(*one) for one in each])
+    stacked = params.stack_vehicles([_build_robot(*variant_and_load) for variant_and_load in each])
     nominal = None
     if any(kind.variation and not kind.variation_known for kind in kinds):
-        nominal = params.stack([_robot(_taken_for(kind), carried) for kind, carried in each])
+        nominal = params.stack_vehicles(
+            [_build_robot(_nominal_variant(kind), carried) for kind, carried in each]
+        )
     believed = stacked if nominal is None else nominal
-    known = np.array([[kind.fault_known] for kind, _ in each])
-    specs = [mjcf.to_spec(_config(*one), one[0].parameter_set, shapes=False) for one in each]
-    surge = CRUISE_SHARE * np.asarray(believed.terminal_speed_mps)[:, 0]
+    fault_mask = np.array([[kind.fault_known] for kind, _ in each])
+    specs = [
+        mjcf.to_spec(
+            _load_config(*variant_and_load), variant_and_load[0].parameter_set, shapes=False
+        )
+        for variant_and_load in each
+    ]
+    surge = CRUISE_FRACTION * np.asarray(believed.terminal_speed_mps)[:, 0]
     cruise = np.array([np.minimum(member.cruise_speed_mps, surge) for member in members])
     chance = np.zeros((len(members), len(kinds)))
     for row, member in zip(chance, members, strict=True):
@@ -165,10 +174,14 @@ def build(members: Sequence[Member], *, multibody: bool = True, load: Load | Non
             row[kinds.index(kind)] += weight
     with np.errstate(divide="ignore"):
         log_weight = np.log(chance)
-    engine, body = mjx_engine.build(specs) if multibody else (None, mjx_engine.without(specs))
+    engine, body = (
+        mjx_engine.build_engine(specs) if multibody else (None, mjx_engine.empty_inertia(specs))
+    )
     control = ControlParams(
         vehicle=stacked,
-        allocation=allocation.build(believed, np.where(known, believed.thruster_health, 1.0)),
+        allocation=allocation.build_allocation(
+            believed, np.where(fault_mask, believed.thruster_health, 1.0)
+        ),
         cruise_speed_mps=jnp.zeros(len(each)),
         nominal=nominal,
     )
@@ -176,25 +189,25 @@ def build(members: Sequence[Member], *, multibody: bool = True, load: Load | Non
         engine=engine,
         body=body,
         control=control,
-        groups=_groups(members, kinds, control),
+        groups=_group_robots(members, kinds, control),
         cruise_mps=jnp.asarray(cruise, float),
         log_weight=jnp.asarray(log_weight, float),
     )
 
 
-def _config(kind: Variant, load: Load | None = None) -> VehicleConfig:
+def _load_config(kind: Variant, load: Load | None = None) -> VehicleConfig:
     """The vehicle file of a variant, its parameter set varied, with what it carries."""
-    config = library.load(kind.vehicle)
+    config = library.load_vehicle(kind.vehicle)
     if kind.variation is not None:
-        config = varied(config, kind.parameter_set, kind.variation)
-    return config if load is None else laden(config, kind.parameter_set, load)
+        config = apply_variation(config, kind.parameter_set, kind.variation)
+    return config if load is None else add_load(config, kind.parameter_set, load)
 
 
-def _robot(kind: Variant, load: Load | None = None) -> VehicleParams:
+def _build_robot(kind: Variant, load: Load | None = None) -> VehicleParams:
     """The parameters of a variant as it is, with what it carries."""
     volts = kind.variation.battery_v if kind.variation else None
-    return params.build(
-        _config(kind, load),
+    return params.build_vehicle(
+        _load_config(kind, load),
         kind.parameter_set,
         kind.battery_v if volts is None else volts,
         thruster_health=dict(kind.thruster_health),
@@ -203,7 +216,7 @@ def _robot(kind: Variant, load: Load | None = None) -> VehicleParams:
     )
 
 
-def _taken_for(kind: Variant) -> Variant:
+def _nominal_variant(kind: Variant) -> Variant:
     """What controllers and planners take a variant for."""
     return kind if kind.variation_known else replace(kind, variation=None)
 
@@ -219,7 +232,7 @@ def _refuse_mixed_rotors(kinds: Sequence[Variant], robots: Sequence[VehicleParam
             )
 
 
-def _groups(
+def _group_robots(
     members: Sequence[Member], kinds: Sequence[Variant], stacked: ControlParams
 ) -> tuple[VehicleGroup, ...]:
     """Runs of robots with the same vehicles."""
@@ -228,16 +241,22 @@ def _groups(
     for _, run in itertools.groupby(range(len(members)), key=lambda i: vehicles[i]):
         rows = list(run)
         possible = {kinds.index(variant) for i in rows for variant in members[i].variants}
-        one, every = min(possible), stacked.cruise_speed_mps.shape[0]
+        first_variant, every = min(possible), stacked.cruise_speed_mps.shape[0]
         with_load = [k + more for k in possible for more in range(0, every, len(kinds))]
-        letters = _sameness(stacked, sorted(with_load))
+        letters = _classify_elements(stacked, sorted(with_load))
         groups.append(
-            VehicleGroup(rows[0], len(rows), one, letters, _shared(stacked, one, letters))
+            VehicleGroup(
+                rows[0],
+                len(rows),
+                first_variant,
+                letters,
+                _shared_values(stacked, first_variant, letters),
+            )
         )
     return tuple(groups)
 
 
-def _sameness(stacked: ControlParams, possible: Sequence[int]) -> tuple[str, ...]:
+def _classify_elements(stacked: ControlParams, possible: Sequence[int]) -> tuple[str, ...]:
     letters = []
     for leaf in jax.tree.leaves(stacked):
         rows = np.asarray(leaf).reshape(leaf.shape[0], -1)[possible]
@@ -246,7 +265,7 @@ def _sameness(stacked: ControlParams, possible: Sequence[int]) -> tuple[str, ...
     return tuple(letters)
 
 
-def _shared(
+def _shared_values(
     stacked: ControlParams, variant: int, sameness: Sequence[str]
 ) -> tuple[tuple[float, ...], ...]:
     values = []
@@ -265,12 +284,12 @@ def radius_bound(fleet: Fleet) -> jax.Array:
     return jnp.max(jnp.where(possible, radius_m, 0.0), axis=1)
 
 
-def parameters(fleet: Fleet, variant: jax.Array) -> tuple[ControlParams, BodyInertia]:
+def select_parameters(fleet: Fleet, variant: jax.Array) -> tuple[ControlParams, BodyInertia]:
     """Parameters and multibody fields of robots [...] by their variants; cruise speeds are 0."""
-    found: tuple[ControlParams, BodyInertia] = jax.tree.map(
+    selected: tuple[ControlParams, BodyInertia] = jax.tree.map(
         lambda leaf: leaf[variant], (fleet.control, fleet.body)
     )
-    return found
+    return selected
 
 
 def laden_cruise(fleet: Fleet, worlds: World) -> jax.Array:
@@ -285,7 +304,7 @@ def laden_cruise(fleet: Fleet, worlds: World) -> jax.Array:
     return jnp.minimum(worlds.control.cruise_speed_mps, bound)
 
 
-def carrying(fleet: Fleet | None, world: World, loaded: jax.Array | None) -> World:
+def apply_loads(fleet: Fleet | None, world: World, loaded: jax.Array | None) -> World:
     """One world with the parameters of those of its robots that carry something.
 
     Args:
@@ -293,14 +312,14 @@ def carrying(fleet: Fleet | None, world: World, loaded: jax.Array | None) -> Wor
         world: with the parameters of robots that carry nothing.
         loaded: bool [n_robot] who does; None where nobody can.
     """
-    if fleet is None or loaded is None or not fleet.carries:
+    if fleet is None or loaded is None or not fleet.can_carry:
         return world
-    control, body = parameters(fleet, fleet.numbered(world.variant, loaded))
+    control, body = select_parameters(fleet, fleet.loaded_variant(world.variant, loaded))
     cruise = jnp.where(loaded, laden_cruise(fleet, world), world.control.cruise_speed_mps)
     return replace(world, control=replace(control, cruise_speed_mps=cruise), body=body)
 
 
-def draw(fleet: Fleet, key: jax.Array) -> tuple[jax.Array, ControlParams, BodyInertia]:
+def sample_variants(fleet: Fleet, key: jax.Array) -> tuple[jax.Array, ControlParams, BodyInertia]:
     """Which variant each robot of one world is.
 
     A robot's number and its own chances decide, nothing else: a robot more, of whatever vehicle,
@@ -318,8 +337,8 @@ def draw(fleet: Fleet, key: jax.Array) -> tuple[jax.Array, ControlParams, BodyIn
         chosen = jnp.zeros(n_robot, jnp.int32)
     else:
         # Of one row at a time: the first numbers of a row are the same however long it is.
-        of_robot = children(key, n_robot)
+        of_robot = fold_keys(key, n_robot)
         chosen = jax.vmap(jax.random.categorical)(of_robot, fleet.log_weight).astype(jnp.int32)
-    control, body = parameters(fleet, chosen)
+    control, body = select_parameters(fleet, chosen)
     speed = jnp.take_along_axis(fleet.cruise_mps, chosen[:, None], axis=1)[:, 0]
     return chosen, replace(control, cruise_speed_mps=speed), body

@@ -18,7 +18,7 @@ from angler_kernels.quaternion import rotate
 from angler_mjx._moved import renamed as _renamed
 from angler_mjx.world import obstacles as bodies
 from angler_mjx.world.currents import Current, Uniform, velocity
-from angler_mjx.world.environment import Environment, region
+from angler_mjx.world.environment import Environment, region_corners
 from angler_mjx.world.obstacles import DRIFT, STATIC, ObstacleState, bounding_radius
 
 type InformationLevel = Literal["nothing", "observed", "predicted", "truth"]
@@ -71,11 +71,11 @@ class ObstacleInformation:
     @property
     def size_m(self) -> Any:
         """[n, 3] the former name of `half_size_m`, with the same meaning."""
-        warnings.warn(renamed(type(self)), DeprecationWarning, stacklevel=2)
+        warnings.warn(rename_warning(type(self)), DeprecationWarning, stacklevel=2)
         return self.half_size_m
 
 
-def renamed(kind: type) -> str:
+def rename_warning(kind: type) -> str:
     """Return the warning of a class whose ``size_m`` has another name now."""
     return (
         f"{kind.__name__}.size_m is called half_size_m now: it holds half edges of boxes, where "
@@ -113,7 +113,7 @@ class SceneObservation:
     """[R, 3] where the robots are."""
 
 
-def current(
+def current_information(
     environment: Environment,
     level: InformationLevel,
     at_m: jax.Array | None = None,
@@ -133,16 +133,16 @@ def current(
     if level == "observed":
         robots = environment.start_m if at_m is None else at_m
         t = jnp.zeros((), robots.dtype) if begin_s is None else begin_s
-        there = jax.vmap(lambda p: velocity(whole, p, t))(robots)
+        velocities = jax.vmap(lambda p: velocity(whole, p, t))(robots)
         return CurrentInformation(
-            components=(Uniform(velocity_mps=jnp.mean(there, axis=0)),), stays=True
+            components=(Uniform(velocity_mps=jnp.mean(velocities, axis=0)),), stays=True
         )
     return CurrentInformation(components=whole, stays=level == "predicted", begin_s=begin_s)
 
 
-def obstacles(
+def obstacle_information(
     environment: Environment,
-    knows: Information,
+    information: Information,
     horizon_s: float,
     dt_s: float,
     density: float,
@@ -153,52 +153,54 @@ def obstacles(
 
     Args:
         environment: one world.
-        knows: what may be known; of the current, for what is predicted.
+        information: what may be known; of the current, for what is predicted.
         horizon_s: as far ahead as truth and prediction go.
         dt_s: step of the obstacles' motion: the control period of the simulation.
         density: of the water, kg/m^3.
         gravity: m/s^2, positive.
         now: what is observed; the start of the flight if left out.
     """
-    body, level = environment.obstacles, knows.obstacles
+    body, level = environment.obstacles, information.obstacles
     moves = body.motion != STATIC
     still = all(motion == STATIC for motion in body.motions)
     if now is None:
         begin = bodies.reset(body, environment.current, density, gravity)
     else:
         begin = now.obstacles
-    time, places = jnp.zeros(1), jax.tree.map(lambda leaf: leaf[None], begin)
+    time, states = jnp.zeros(1), jax.tree.map(lambda leaf: leaf[None], begin)
     if level in ("predicted", "truth") and not still:
-        told, runs = environment, True
+        predicted, runs = environment, True
         if level == "predicted":
             at_m, begin_s = (None, None) if now is None else (now.at_m, now.time_s)
-            known = current(environment, knows.current, at_m, begin_s)
-            told = replace(environment, current=known.components)
-            runs = not known.stays
+            observed = current_information(environment, information.current, at_m, begin_s)
+            predicted = replace(environment, current=observed.components)
+            runs = not observed.stays
         since = None if now is None else now.time_s
-        time, places = _ahead(told, begin, horizon_s, dt_s, density, gravity, since, runs)
+        time, states = _predict_motion(
+            predicted, begin, horizon_s, dt_s, density, gravity, since, runs
+        )
     at_start = jax.vmap(lambda q, nu: rotate(q, nu[:3]))(begin.q, begin.nu)
-    where, turned = jnp.swapaxes(places.p, 0, 1), jnp.swapaxes(places.q, 0, 1)
+    positions, attitudes = jnp.swapaxes(states.p, 0, 1), jnp.swapaxes(states.q, 0, 1)
     if level == "predicted":
-        on = begin.p[:, None] + at_start[:, None] * time[:, None]
+        straight = begin.p[:, None] + at_start[:, None] * time[:, None]
         scripted = moves & (body.motion != DRIFT)
-        where = jnp.where(scripted[:, None, None], on, where)
-    told_of = ~moves | (level != "nothing")
+        positions = jnp.where(scripted[:, None, None], straight, positions)
+    is_included = ~moves | (level != "nothing")
     return ObstacleInformation(
         kind=body.kind,
-        half_size_m=jnp.where(told_of[:, None], body.size_m, 0.0),
-        radius_m=jnp.where(told_of, jax.vmap(bounding_radius)(body.kind, body.size_m), 0.0),
-        exists=body.exists & told_of,
+        half_size_m=jnp.where(is_included[:, None], body.size_m, 0.0),
+        radius_m=jnp.where(is_included, jax.vmap(bounding_radius)(body.kind, body.size_m), 0.0),
+        exists=body.exists & is_included,
         moves=moves,
-        velocity_mps=jnp.where((moves & told_of)[:, None], at_start, 0.0),
+        velocity_mps=jnp.where((moves & is_included)[:, None], at_start, 0.0),
         time_s=time,
-        p_m=jnp.where(told_of[:, None, None], where, 0.0),
-        q=jnp.where(told_of[:, None, None], turned, jnp.array([1.0, 0.0, 0.0, 0.0])),
+        p_m=jnp.where(is_included[:, None, None], positions, 0.0),
+        q=jnp.where(is_included[:, None, None], attitudes, jnp.array([1.0, 0.0, 0.0, 0.0])),
         some_stand=STATIC in body.motions,
     )
 
 
-def _ahead(
+def _predict_motion(
     environment: Environment,
     begin: ObstacleState,
     horizon_s: float,
@@ -214,7 +216,7 @@ def _ahead(
     """
     every = max(1, round(STEP_S / dt_s))
     count = -(-round(horizon_s / dt_s) // every)
-    lo, hi = region(environment)
+    lo, hi = region_corners(environment)
 
     def step(state: ObstacleState, number: jax.Array) -> tuple[ObstacleState, None]:
         if since_s is None:
@@ -235,11 +237,13 @@ def _ahead(
         )
         return after, None
 
-    def some(state: ObstacleState, number: jax.Array) -> tuple[ObstacleState, ObstacleState]:
+    def advance_interval(
+        state: ObstacleState, number: jax.Array
+    ) -> tuple[ObstacleState, ObstacleState]:
         after, _ = jax.lax.scan(step, state, number * every + jnp.arange(every))
         return after, after
 
-    _, later = jax.lax.scan(some, begin, jnp.arange(count))
+    _, later = jax.lax.scan(advance_interval, begin, jnp.arange(count))
     states = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), begin, later)
     return jnp.arange(count + 1) * (every * dt_s), states
 

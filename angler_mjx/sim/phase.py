@@ -19,7 +19,7 @@ type Slots = Mapping[str, Any]
 Of robots: ``vehicle`` `VehicleState`, ``memory`` of the controllers, ``tally`` `Tally`; within one
 step also ``known`` (`Belief`, or the vehicle where robots are told the truth), ``thrust_n``,
 ``power_w``, ``before_m``, ``broken``. Of obstacles: ``obstacles`` `ObstacleState`. Of worlds:
-``senses``, ``radio``, ``task`` and ``policy``, their memories; within one step ``known``, ``heard``
+``senses``, ``modem``, ``task`` and ``policy``, their memories; within one step ``known``, ``heard``
 (bool [R, R], who understood a packet of whom), ``command``,
 ``finished`` and ``loaded``.
 """
@@ -78,7 +78,9 @@ class BatchContext(Protocol):
     def flow(self, vehicle: VehicleState) -> Any:
         """[3] velocity of the water at the robots at the beginning of the step, m/s, in W."""
 
-    def each(self, function: Callable[..., Any], *bodies: Any, shared: tuple[Any, ...] = ()) -> Any:
+    def map_bodies(
+        self, function: Callable[..., Any], *bodies: Any, shared: tuple[Any, ...] = ()
+    ) -> Any:
         """A function of one body for all; ``shared`` is what all of a world have in common."""
 
     def repeat(self, times: int, body: Callable[[jax.Array, Any], Any], tree: Any) -> Any:
@@ -101,13 +103,13 @@ class BatchContext(Protocol):
         """The nearest thing to each robot, among all that have moved."""
 
 
-def nothing() -> dict[str, Any]:
+def no_slots() -> dict[str, Any]:
     """What a phase gives that gives nothing."""
     return {}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Done:
+class PhaseResult:
     """What came of a phase, worked out when it is asked for.
 
     The record is asked for first, while what it tells of is at hand, and by kernels only in those
@@ -115,7 +117,7 @@ class Done:
     """
 
     slots: Callable[[], dict[str, Any]]
-    record: Callable[[], dict[str, Any]] = nothing
+    record: Callable[[], dict[str, Any]] = no_slots
     """Fields that `angler_mjx.sim.record` declares for the phase."""
 
 
@@ -125,7 +127,7 @@ class Phase:
 
     name: str
     of: Literal["world", "robot", "obstacle"]
-    run: Callable[[Any, Slots], Done]
+    run: Callable[[Any, Slots], PhaseResult]
     """Of `BatchContext` (`WorldContext` for worlds) and what it reads; pure."""
     reads: tuple[str, ...]
     gives: tuple[str, ...]
@@ -133,7 +135,7 @@ class Phase:
     """Whether it looks at other bodies: it begins when all have gone through the phases before."""
 
 
-def run(here: Any, phases: tuple[Phase, ...], slots: Slots) -> tuple[dict[str, Any], Any]:
+def run_phases(context: Any, phases: tuple[Phase, ...], slots: Slots) -> tuple[dict[str, Any], Any]:
     """Phases one after another.
 
     Returns:
@@ -142,7 +144,7 @@ def run(here: Any, phases: tuple[Phase, ...], slots: Slots) -> tuple[dict[str, A
     now, record = dict(slots), dict[str, Any]()
     for phase in phases:
         with jax.named_scope(phase.name):
-            done = phase.run(here, now)
+            done = phase.run(context, now)
             record.update(done.record())
             now.update(done.slots())
     return now, record

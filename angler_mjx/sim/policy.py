@@ -7,20 +7,24 @@ of the compiled programs and have derivatives; what is static must be hashable.
 """
 
 import hashlib
+import inspect
+import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, get_args
+from operator import attrgetter
+from typing import TYPE_CHECKING, Any, ClassVar, get_args
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from angler_mjx._moved import renamed as _renamed
+from angler_mjx._moved import renamed_attribute
 from angler_mjx.errors import ConfigError
 from angler_mjx.periods import every_n_steps
 from angler_mjx.robot.control import command_checks, stack
-from angler_mjx.robot.control.mixed import Mixed
+from angler_mjx.robot.control.mixed import MixedCommand
 from angler_mjx.robot.control.plans import Plan
 from angler_mjx.robot.control.stack import ControlParams, Stages
 from angler_mjx.sim.information import (
@@ -30,14 +34,14 @@ from angler_mjx.sim.information import (
     ObstacleInformation,
 )
 from angler_mjx.sim.record import Belief
-from angler_mjx.world.acoustics.channel import HeardRobots, unheard
+from angler_mjx.world.acoustics.channel import HeardRobots, init_heard
 from angler_mjx.world.grid import Grid
 from angler_mjx.world.routes import Routes
 
-OF_RESET = 2**32 - 1
+RESET_STEP = 2**32 - 1
 """What a world's key is folded with for `Policy.reset`; no step has this number."""
 
-MOST_S = 86400
+MAX_AHEAD_S = 86400
 """Farthest ahead that motion is told."""
 
 
@@ -48,7 +52,7 @@ class PolicyInput:
 
     Of their own motion nothing is the truth where a scenario tells the robots something else;
     outcomes and other worlds are not in it. What a policy commanded before, it can keep itself.
-    The scenery is told to a policy that asks by `Policy.knows`, and None for any other.
+    The scenery is given to a policy with `Policy.information`, and None to any other.
     """
 
     belief: Belief
@@ -73,8 +77,14 @@ class PolicyInput:
     """What robots have heard of each other; None where everybody knows everything."""
     routes: Routes | None = None
     """Ways to places of the world, for a policy that asks by `Policy.routes_margin_m`."""
-    place: jax.Array | None = None
-    """int32 [R] which place of the routes each robot is to go to; -1: none, it stays."""
+    goal_index: jax.Array | None = None
+    """int32 [R] place of the routes to which each robot goes; -1: none, it stays."""
+
+    if not TYPE_CHECKING:  # a checker would take every attribute for one
+
+        def __getattr__(self, name: str) -> Any:
+            """Return a field by its name before 0.2, with a DeprecationWarning."""
+            return renamed_attribute(self, name, {"place": "goal_index"})
 
 
 class Policy(ABC):
@@ -82,42 +92,70 @@ class Policy(ABC):
 
     Attributes:
         period: control steps from one call of `act` to the next; its command holds until then.
-        knows: what may be known of the scenery at each call; None: nothing is told of it.
-        looks: control steps from one look at the scenery to the next; obstacles are not told
-            (none exists) in the steps between. Where looking far ahead is dear.
+        information: levels of the scenery at each call; None: no scenery is given.
+        observation_period: control steps from one observation of the scenery to the next; no
+            obstacle exists in the steps between. For policies that look far ahead at a high cost.
         ahead_s: how far ahead of a call true and predicted motion of obstacles is told.
         routes_margin_m: worlds are drawn with ways to places that keep so much beside the widest
             robot's radius; None: without.
     """
 
+    renamed_attributes: ClassVar[Mapping[str, str]] = {
+        "flown": "executed_plans",
+        "knows": "information",
+        "looks": "observation_period",
+        "says": "payload",
+    }
+    """Attributes by their names before 0.2; policies that have those work until 1.0."""
     period: int = 1
-    knows: Information | None = None
-    looks: int = 1
+    information: Information | None = None
+    observation_period: int = 1
     ahead_s: float = 0.0
     routes_margin_m: float | None = None
 
-    def reset(self, known: PolicyInput, key: jax.Array) -> Any:
+    def __init_subclass__(cls, **arguments: Any) -> None:
+        """Accept attributes and methods by their names before 0.2."""
+        super().__init_subclass__(**arguments)
+        members = {**inspect.get_annotations(cls), **cls.__dict__}
+        for old, new in cls.renamed_attributes.items():
+            if old not in members or new in members:
+                continue
+            warnings.warn(
+                f"policy {cls.__name__}: {old} is {new} since 0.2; the old name works until 1.0",
+                DeprecationWarning,
+                stacklevel=2,
+            )
+            is_method = inspect.isfunction(members[old])
+            setattr(cls, new, members[old] if is_method else property(attrgetter(old)))
+
+    if not TYPE_CHECKING:  # a checker would take every attribute for one
+
+        def __getattr__(self, name: str) -> Any:
+            """Return an attribute by its name before 0.2, with a DeprecationWarning."""
+            return renamed_attribute(self, name, type(self).renamed_attributes)
+
+    def reset(self, inputs: PolicyInput, key: jax.Array) -> Any:
         """Memory at t = 0: a pytree of arrays.
 
         Args:
-            known: what the robots know then.
+            inputs: what the robots know then.
             key: of this world's policy.
         """
         return ()
 
-    def says(self, carry: Any) -> Any:
+    def payload(self, carry: Any) -> Any:
         """What robots put into their packets beside where they are, where they talk by acoustics.
 
         Args:
             carry: memory.
 
         Returns:
-            A pytree of arrays, [R] leading, which others find in ``known.others.words``; None if
+            A pytree of arrays, [R] leading, which others find in ``inputs.others.payload``; None if
             nothing.
         """
         return None
 
-    def flown(self, carry: Any, path: Plan) -> tuple[Plan, jax.Array] | None:
+    def executed_plans(self, carry: Any, path: Plan) -> tuple[Plan, jax.Array] | None:
         """Return the plans that the robots fly, and their times along them.
 
         Args:
@@ -133,13 +171,13 @@ class Policy(ABC):
 
     @abstractmethod
     def act(
-        self, carry: Any, known: PolicyInput, key: jax.Array, step: jax.Array
+        self, carry: Any, inputs: PolicyInput, key: jax.Array, step: jax.Array
     ) -> tuple[Any, Any]:
         """Command the robots.
 
         Args:
             carry: memory.
-            known: what the robots know.
+            inputs: what the robots know.
             key: of this world and step.
             step: int32 [] control steps taken.
 
@@ -159,66 +197,78 @@ class PolicyMemory:
     """That holds until the next call; None for a policy that is called in every step."""
 
 
-def begin(policy: Policy, stages: Stages, policy_key: jax.Array | None, known: PolicyInput) -> Any:
+def begin_policy(
+    policy: Policy, stages: Stages, policy_key: jax.Array | None, inputs: PolicyInput
+) -> Any:
     """Memory of a policy at t = 0.
 
     Args:
         policy: of the world.
         stages: of the controllers that it commands.
         policy_key: uint32 [2] of the world.
-        known: what the robots know then.
+        inputs: what the robots know then.
 
     Raises:
         ConfigError: no stage takes what it commands, or not in these shapes, or its memory changes
             its shape, or its period is no whole number above 0, or the world has no key for it.
     """
-    check_knows(policy)
+    check_information(policy)
     name, period = type(policy).__name__, policy.period
     if not isinstance(period, int) or isinstance(period, bool) or period < 1:
         raise ConfigError(f"policy {name}: period = {period!r}; give a whole number above 0")
-    key = _key(policy, policy_key)
-    carry = policy.reset(known, jax.random.fold_in(key, OF_RESET))
-    if known.others is not None:
-        known = replace(known, others=unheard(known.belief.p, policy.says(carry)))
+    key = _wrap_key(policy, policy_key)
+    carry = policy.reset(inputs, jax.random.fold_in(key, RESET_STEP))
+    if inputs.others is not None:
+        inputs = replace(inputs, others=init_heard(inputs.belief.p, policy.payload(carry)))
     step = jax.ShapeDtypeStruct((), jnp.int32)
-    after, command = jax.eval_shape(policy.act, carry, known, key, step)
-    _check(name, stages, command, known)
-    if _shapes(carry) != _shapes(after):
+    after, command = jax.eval_shape(policy.act, carry, inputs, key, step)
+    _check_command(name, stages, command, inputs)
+    if _list_shapes(carry) != _list_shapes(after):
         raise ConfigError(
             f"policy {name}: act gives a memory of other shapes or types than reset: "
-            f"{_shapes(after)} instead of {_shapes(carry)}"
+            f"{_list_shapes(after)} instead of {_list_shapes(carry)}"
         )
     held = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), command)
     return PolicyMemory(carry=carry, command=held if period > 1 else None)
 
 
-def check_knows(policy: Policy) -> None:
+def check_information(policy: Policy) -> None:
     """Refuse a policy that asks for what nobody can tell.
 
     Raises:
-        ConfigError: ``knows`` is none, or names no level, or ``looks`` is no whole number above 0,
-            or ``ahead_s`` is no time.
+        ConfigError: ``information`` is none, or names no level, or ``observation_period`` is no
+            whole number above 0, or ``ahead_s`` is no time.
     """
-    name, knows, ahead = type(policy).__name__, policy.knows, policy.ahead_s
-    if knows is None:
+    name, information, ahead = type(policy).__name__, policy.information, policy.ahead_s
+    if information is None:
         return
-    if not isinstance(knows, Information):
-        raise ConfigError(f"policy {name}: knows = {knows!r}; give a Knows, or None")
+    if not isinstance(information, Information):
+        raise ConfigError(
+            f"policy {name}: information = {information!r}; give an Information, or None"
+        )
     levels = get_args(InformationLevel.__value__)
-    for what in ("obstacles", "current"):
-        if getattr(knows, what) not in levels:
+    for subject in ("obstacles", "current"):
+        if getattr(information, subject) not in levels:
             raise ConfigError(
-                f"policy {name}: knows.{what} = {getattr(knows, what)!r}; "
+                f"policy {name}: information.{subject} = {getattr(information, subject)!r}; "
                 f"there is {', '.join(levels)}"
             )
-    looks = policy.looks
-    if not isinstance(looks, int) or isinstance(looks, bool) or looks < 1:
-        raise ConfigError(f"policy {name}: looks = {looks!r}; give a whole number above 0")
-    if isinstance(ahead, bool) or not isinstance(ahead, int | float) or not 0 <= ahead <= MOST_S:
-        raise ConfigError(f"policy {name}: ahead_s = {ahead!r}; give a time from 0 to {MOST_S} s")
+    period = policy.observation_period
+    if not isinstance(period, int) or isinstance(period, bool) or period < 1:
+        raise ConfigError(
+            f"policy {name}: observation_period = {period!r}; give a whole number above 0"
+        )
+    if (
+        isinstance(ahead, bool)
+        or not isinstance(ahead, int | float)
+        or not 0 <= ahead <= MAX_AHEAD_S
+    ):
+        raise ConfigError(
+            f"policy {name}: ahead_s = {ahead!r}; give a time from 0 to {MAX_AHEAD_S} s"
+        )
 
 
-def _key(policy: Policy, policy_key: jax.Array | None) -> jax.Array:
+def _wrap_key(policy: Policy, policy_key: jax.Array | None) -> jax.Array:
     if policy_key is None:
         raise ConfigError(
             f"policy {type(policy).__name__}: the worlds were drawn without keys for it; give it "
@@ -228,13 +278,13 @@ def _key(policy: Policy, policy_key: jax.Array | None) -> jax.Array:
     return key
 
 
-def _check(name: str, stages: Stages, command: Any, known: PolicyInput) -> None:
-    lead, thrusters = (1, known.goal_m.shape[0]), known.params.vehicle.B.shape[-1]
+def _check_command(name: str, stages: Stages, command: Any, inputs: PolicyInput) -> None:
+    lead, thrusters = (1, inputs.goal_m.shape[0]), inputs.params.vehicle.B.shape[-1]
     command = jax.tree.map(lambda x: jax.ShapeDtypeStruct((1, *x.shape), x.dtype), command)
     try:
-        for one in command.commands if isinstance(command, Mixed) else [command]:
-            stack.check_command(stages, one, lead, thrusters)
-        if isinstance(command, Mixed):
+        for part in command.commands if isinstance(command, MixedCommand) else [command]:
+            stack.check_command(stages, part, lead, thrusters)
+        if isinstance(command, MixedCommand):
             command_checks.check_choice(command, lead)
     except ConfigError as error:
         raise ConfigError(f"policy {name}: {error}") from None
@@ -246,14 +296,14 @@ def require_alike(policy: Policy, other: Policy) -> None:
     Raises:
         ConfigError: it is of another class, static part or shape.
     """
-    if _shapes(policy) != _shapes(other):
+    if _list_shapes(policy) != _list_shapes(other):
         raise ConfigError(
             f"policy {type(other).__name__}: is made otherwise than the simulator's "
             f"{type(policy).__name__}; only the numbers in it may differ"
         )
 
 
-def describe(policy: Policy) -> dict[str, str]:
+def describe_policy(policy: Policy) -> dict[str, str]:
     """What tells policies apart: class, static part, and a hash of their numbers."""
     digest = hashlib.sha256()
     leaves, structure = jax.tree.flatten(policy)
@@ -269,7 +319,7 @@ def describe(policy: Policy) -> dict[str, str]:
     }
 
 
-def _shapes(tree: Any) -> Any:
+def _list_shapes(tree: Any) -> Any:
     leaves, structure = jax.tree.flatten(tree)
     return [f"{jnp.result_type(leaf)}{list(jnp.shape(leaf))}" for leaf in leaves], structure
 
@@ -278,7 +328,7 @@ def step(
     policy: Policy,
     policy_key: jax.Array | None,
     memory: PolicyMemory,
-    known: Callable[[], PolicyInput],
+    inputs: Callable[[], PolicyInput],
     number: jax.Array,
     every: int = 1,
 ) -> tuple[PolicyMemory, Any]:
@@ -288,17 +338,17 @@ def step(
         policy: of the world.
         policy_key: uint32 [2] of the world.
         memory: of the policy.
-        known: what the robots know, worked out where the policy is called.
+        inputs: what the robots know, worked out where the policy is called.
         number: int32 [] control steps taken.
         every: what ``number`` is known to be a multiple of.
 
     Returns:
         The memory, and the command of the robots.
     """
-    key = jax.random.fold_in(_key(policy, policy_key), number)
+    key = jax.random.fold_in(_wrap_key(policy, policy_key), number)
 
     def act() -> tuple[Any, Any]:
-        acted: tuple[Any, Any] = policy.act(memory.carry, known(), key, number)
+        acted: tuple[Any, Any] = policy.act(memory.carry, inputs(), key, number)
         return acted
 
     if policy.period == 1:

@@ -30,12 +30,12 @@ ESTIMATE = "estimate"
 TASK = "task"
 """Group of how far the task is."""
 
-type Phase = Literal[
+type PhaseName = Literal[
     "sense", "hear", "work", "policy", "decide", "move", "obstacles", "judge", "sample"
 ]
-"""``sample`` gives what is worked out from the rest of a sample (`angler_mjx.sim.nearness`)."""
+"""``sample`` computes it from the rest of a sample (`angler_mjx.sim.sample_clearances`)."""
 
-type Also = Literal["wrench", "clearance", "acoustics"]
+type RecordOption = Literal["wrench", "clearance", "acoustics"]
 """What is recorded only where it is asked for."""
 
 
@@ -43,7 +43,7 @@ type Also = Literal["wrench", "clearance", "acoustics"]
 class FieldMetadata:
     """What is said of a recorded field where it is declared."""
 
-    phase: Phase
+    phase: PhaseName
     """Gives it."""
     array: str
     """Its name on disk."""
@@ -61,11 +61,13 @@ class FieldMetadata:
     """Least value, which stands on disk where there is none; NaN does if this is not given."""
     state: bool = False
     """Whether it is of the state, so that it is kept once more after the last sample."""
-    asked: Also | None = None
+    option: RecordOption | None = None
     """By which word it has to be asked for; None for what all runs have."""
 
 
-def _given(phase: Phase, array: str, axes: str, unit: str, text: str, **more: Any) -> Any:
+def _field_metadata(
+    phase: PhaseName, array: str, axes: str, unit: str, text: str, **more: Any
+) -> Any:
     """Metadata of a field: what `FieldMetadata` says, the axes with blanks between."""
     names = tuple(axes.split())
     return {
@@ -82,7 +84,7 @@ class Belief:
     """
 
     p: jax.Array = field(
-        metadata=_given(
+        metadata=_field_metadata(
             "sense",
             f"{ESTIMATE}/p_m",
             "robot xyz",
@@ -92,7 +94,7 @@ class Belief:
     )
     """[R, 3] m in W."""
     q: jax.Array = field(
-        metadata=_given(
+        metadata=_field_metadata(
             "sense",
             f"{ESTIMATE}/q",
             "robot wxyz",
@@ -102,7 +104,7 @@ class Belief:
     )
     """[R, 4]."""
     nu: jax.Array = field(
-        metadata=_given(
+        metadata=_field_metadata(
             "sense",
             f"{ESTIMATE}/nu",
             "robot uvwpqr",
@@ -114,7 +116,7 @@ class Belief:
     flow: jax.Array | None
     """[R, 3] current, m/s in W; None where nobody wants it. Zero, still water, from a filter."""
     position_std_m: jax.Array = field(
-        metadata=_given(
+        metadata=_field_metadata(
             "sense",
             f"{ESTIMATE}/position_std_m",
             "robot xyz",
@@ -124,7 +126,7 @@ class Belief:
     )
     """[R, 3] along the axes of W, as the two that follow."""
     velocity_std_mps: jax.Array = field(
-        metadata=_given(
+        metadata=_field_metadata(
             "sense",
             f"{ESTIMATE}/velocity_std_mps",
             "robot xyz",
@@ -134,7 +136,7 @@ class Belief:
     )
     """[R, 3]"""
     attitude_std_rad: jax.Array = field(
-        metadata=_given(
+        metadata=_field_metadata(
             "sense",
             f"{ESTIMATE}/attitude_std_rad",
             "robot xyz",
@@ -147,29 +149,29 @@ class Belief:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Talk:
+class AcousticsRecord:
     """What came of the packets that robots sent; [R] leads."""
 
-    share: jax.Array = field(
-        metadata=_given(
+    fraction: jax.Array = field(
+        metadata=_field_metadata(
             "hear",
             f"{ACOUSTICS}/share",
             "robot",
             "1",
             "share of the packets of the others so far that the robot understood; NaN before any",
-            asked="acoustics",
+            option="acoustics",
         )
     )
     """[R]"""
     age_s: jax.Array = field(
-        metadata=_given(
+        metadata=_field_metadata(
             "hear",
             f"{ACOUSTICS}/age_s",
             "robot",
             "s",
             "age of what the robot knows of the others, mean over these; since the start of whom "
             "it has not heard; NaN in a fleet of one",
-            asked="acoustics",
+            option="acoustics",
         )
     )
     """[R]"""
@@ -180,8 +182,8 @@ class Talk:
 class ProgressRecord:
     """How far the task of a world is, and who does what."""
 
-    share: jax.Array = field(
-        metadata=_given(
+    fraction: jax.Array = field(
+        metadata=_field_metadata(
             "work",
             f"{TASK}/share",
             "",
@@ -191,7 +193,7 @@ class ProgressRecord:
     )
     """[]"""
     target: jax.Array = field(
-        metadata=_given(
+        metadata=_field_metadata(
             "work",
             f"{TASK}/target",
             "robot",
@@ -203,7 +205,7 @@ class ProgressRecord:
     )
     """int32 [R]."""
     carrying: jax.Array = field(
-        metadata=_given(
+        metadata=_field_metadata(
             "work",
             f"{TASK}/carrying",
             "robot",
@@ -215,7 +217,7 @@ class ProgressRecord:
     )
     """int32 [R]."""
     done: jax.Array = field(
-        metadata=_given(
+        metadata=_field_metadata(
             "work",
             f"{TASK}/done",
             "robot",
@@ -234,38 +236,38 @@ class Clearance:
     """Distances of the hulls at the sample, negative where they overlap; [R] leads."""
 
     rock_m: jax.Array = field(
-        metadata=_given(
+        metadata=_field_metadata(
             "sample",
             f"{CLEARANCE}/rock_m",
             "robot",
             "m",
             "distance of the hull to rock and sea floor; at most the edge of a cell less the "
             "radius of the hull, negative where it overlaps",
-            asked="clearance",
+            option="clearance",
         )
     )
     """[R]"""
     obstacle_m: jax.Array = field(
-        metadata=_given(
+        metadata=_field_metadata(
             "sample",
             f"{CLEARANCE}/obstacle_m",
             "robot",
             "m",
             "distance of the hull to the nearest obstacle, negative where it overlaps; inf where "
             "there is none",
-            asked="clearance",
+            option="clearance",
         )
     )
     """[R]"""
     robot_m: jax.Array = field(
-        metadata=_given(
+        metadata=_field_metadata(
             "sample",
             f"{CLEARANCE}/robot_m",
             "robot",
             "m",
             "distance of the hull to the nearest other hull, at most 1, negative where they "
             "overlap; inf in a fleet of one",
-            asked="clearance",
+            option="clearance",
         )
     )
     """[R]"""
@@ -277,7 +279,7 @@ class Sample:
     """One record of one world: the truth and the command at one time."""
 
     p: jax.Array = field(
-        metadata=_given(
+        metadata=_field_metadata(
             "move",
             "p_m",
             "robot xyz",
@@ -288,7 +290,7 @@ class Sample:
     )
     """[R, 3] m in W."""
     q: jax.Array = field(
-        metadata=_given(
+        metadata=_field_metadata(
             "move",
             "q",
             "robot wxyz",
@@ -299,7 +301,7 @@ class Sample:
     )
     """[R, 4]."""
     nu: jax.Array = field(
-        metadata=_given(
+        metadata=_field_metadata(
             "move",
             "nu",
             "robot uvwpqr",
@@ -310,19 +312,19 @@ class Sample:
     )
     """[R, 6] in F."""
     target_m: jax.Array = field(
-        metadata=_given(
+        metadata=_field_metadata(
             "decide", "target_m", "robot xyz", "m", "where the controller aims, world frame"
         )
     )
     """[R, 3] where the controller aims, in W; the robot itself where it aims at no place."""
     current_mps: jax.Array = field(
-        metadata=_given(
+        metadata=_field_metadata(
             "move", "current_mps", "robot xyz", "m/s", "water velocity at the robot, world frame"
         )
     )
     """[R, 3] water velocity at the robot, in W."""
     pwm_us: jax.Array = field(
-        metadata=_given(
+        metadata=_field_metadata(
             "decide",
             "pwm_us",
             "robot thruster",
@@ -334,7 +336,7 @@ class Sample:
     )
     """[R, n_thruster] command of the control step that begins here."""
     outcome: jax.Array = field(
-        metadata=_given(
+        metadata=_field_metadata(
             "move",
             "outcome",
             "robot",
@@ -348,7 +350,7 @@ class Sample:
     )
     """int32 [R]."""
     obstacle_p: jax.Array = field(
-        metadata=_given(
+        metadata=_field_metadata(
             "obstacles",
             "obstacle_p_m",
             "obstacle xyz",
@@ -359,7 +361,7 @@ class Sample:
     )
     """[n_obstacle, 3] m in W."""
     obstacle_q: jax.Array = field(
-        metadata=_given(
+        metadata=_field_metadata(
             "obstacles",
             "obstacle_q",
             "obstacle wxyz",
@@ -373,7 +375,7 @@ class Sample:
     """What the controllers were told; None where all are told the truth."""
     wrench: jax.Array | None = field(
         default=None,
-        metadata=_given(
+        metadata=_field_metadata(
             "move",
             "wrench",
             "robot xyzkmn",
@@ -381,13 +383,13 @@ class Sample:
             "force and moment [X Y Z K M N] of the thrusters about the centre of mass, body frame, "
             "at the sample: behind the lag of the rotors, before the new signals act; NaN of a "
             "robot that diverged",
-            asked="wrench",
+            option="wrench",
         ),
     )
     """[R, 6] in F, where it is asked for."""
     clearance: Clearance | None = field(default=None, metadata={"parts": Clearance})
     """Distances to what is near, where they are asked for."""
-    talk: Talk | None = field(default=None, metadata={"parts": Talk})
+    talk: AcousticsRecord | None = field(default=None, metadata={"parts": AcousticsRecord})
     """What was heard, where it is asked for."""
     task: ProgressRecord | None = field(default=None, metadata={"parts": ProgressRecord})
     """How far the task is; None where each robot has a goal of its own."""
@@ -402,13 +404,13 @@ class RecordedField:
     about: FieldMetadata
 
     @property
-    def optional(self) -> bool:
+    def is_optional(self) -> bool:
         """Whether samples of some runs do not have it."""
-        return len(self.path) > 1 or self.about.asked is not None
+        return len(self.path) > 1 or self.about.option is not None
 
-    def wanted(self, also: Sequence[str]) -> bool:
+    def is_recorded(self, also: Sequence[str]) -> bool:
         """Whether it needs no asking, or is asked for by one of these words."""
-        return self.about.asked is None or self.about.asked in also
+        return self.about.option is None or self.about.option in also
 
     @property
     def stored(self) -> np.dtype[Any]:
@@ -423,49 +425,49 @@ class RecordedField:
         """Lengths of its axes, those of robots, obstacles and thrusters being given."""
         return tuple({**SIZES, **sizes}[axis] for axis in self.about.axes)
 
-    def of_one(self, sizes: Mapping[str, int]) -> tuple[int, ...]:
+    def element_shape(self, sizes: Mapping[str, int]) -> tuple[int, ...]:
         """The same of one robot, one obstacle, or one world."""
         axes = [axis for axis in self.about.axes if axis not in ("robot", "obstacle")]
         return tuple({**SIZES, **sizes}[axis] for axis in axes)
 
 
-def _declared(kind: type, above: tuple[str, ...] = ()) -> tuple[RecordedField, ...]:
-    found: list[RecordedField] = []
-    for one in dataclasses.fields(kind):
-        path = (*above, one.name)
-        if "about" in one.metadata:
-            found.append(RecordedField(path=path, about=one.metadata["about"]))
-        elif "parts" in one.metadata:
-            found += _declared(one.metadata["parts"], path)
-    return tuple(found)
+def _collect_fields(kind: type, above: tuple[str, ...] = ()) -> tuple[RecordedField, ...]:
+    collected: list[RecordedField] = []
+    for declared in dataclasses.fields(kind):
+        path = (*above, declared.name)
+        if "about" in declared.metadata:
+            collected.append(RecordedField(path=path, about=declared.metadata["about"]))
+        elif "parts" in declared.metadata:
+            collected += _collect_fields(declared.metadata["parts"], path)
+    return tuple(collected)
 
 
-FIELDS: tuple[RecordedField, ...] = _declared(Sample)
+FIELDS: tuple[RecordedField, ...] = _collect_fields(Sample)
 """All of them, in the order of their declarations."""
 
-STATES: tuple[RecordedField, ...] = tuple(one for one in FIELDS if one.about.state)
+STATE_FIELDS: tuple[RecordedField, ...] = tuple(one for one in FIELDS if one.about.state)
 """Those of the state."""
 
 
 def of_phase(phase: str, also: Sequence[str] = ()) -> tuple[RecordedField, ...]:
     """Those of the sample itself that a phase gives by their names, ``also`` being asked for."""
     return tuple(
-        one
-        for one in FIELDS
-        if one.about.phase == phase and len(one.path) == 1 and one.wanted(also)
+        entry
+        for entry in FIELDS
+        if entry.about.phase == phase and len(entry.path) == 1 and entry.is_recorded(also)
     )
 
 
-def asked_in(sample: Sample) -> tuple[Also, ...]:
+def recorded_options(sample: Sample) -> tuple[RecordOption, ...]:
     """What was asked for of a sample that has it."""
-    words = (one.about.asked for one in FIELDS if one.of(sample) is not None)
-    return tuple(dict.fromkeys(word for word in words if word is not None))
+    options = (entry.about.option for entry in FIELDS if entry.of(sample) is not None)
+    return tuple(dict.fromkeys(option for option in options if option is not None))
 
 
 def sizes_of(sample: Sample, lead: int) -> dict[str, int]:
     """Numbers of robots, obstacles and thrusters of a sample with ``lead`` axes in front."""
     sizes: dict[str, int] = {}
-    for one in FIELDS:
-        if (value := one.of(sample)) is not None:
-            sizes.update(zip(one.about.axes, value.shape[lead:], strict=True))
+    for entry in FIELDS:
+        if (value := entry.of(sample)) is not None:
+            sizes.update(zip(entry.about.axes, value.shape[lead:], strict=True))
     return {name: size for name, size in sizes.items() if name not in SIZES}

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from angler_kernels import rigid_body, thruster
 from angler_mjx.robot.control import mixed, stack
 from angler_mjx.robot.control.commands import Estimate, ThrusterPwm
-from angler_mjx.robot.control.mixed import Mixed
+from angler_mjx.robot.control.mixed import MixedCommand
 from angler_mjx.robot.control.stack import ControlMemory, ControlParams
 from angler_mjx.robot.vehicles.params import VehicleParams
 from angler_mjx.robot.vehicles.thrusters import PWM_LOW_US, PWM_STEP_US
@@ -20,16 +20,16 @@ from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.record import Belief
 from angler_mjx.sim.state import Outcome, SimSpec, Tally, Touched
 
-SPEED_OF_NONSENSE_MPS = 50.0
+DIVERGED_SPEED_MPS = 50.0
 """A robot faster than this has diverged: ten times what any of them can reach."""
 
 
-def begin(spec: SimSpec, state: VehicleState, yaw_rad: jax.Array) -> ControlMemory:
+def reset_controllers(spec: SimSpec, state: VehicleState, yaw_rad: jax.Array) -> ControlMemory:
     """The controllers' memory of a robot at its start, with its heading [] rad."""
     return stack.reset(spec.stages, Estimate(p=state.p, q=state.q, nu=state.nu), yaw_rad)
 
 
-def decide(
+def run_controllers(
     spec: SimSpec,
     params: ControlParams,
     carry: ControlMemory,
@@ -50,7 +50,7 @@ def decide(
     Returns:
         Their new memory, the position [3] that they aim at, and the thruster signals.
     """
-    step = mixed.step if isinstance(command, Mixed) else stack.step
+    step = mixed.step if isinstance(command, MixedCommand) else stack.step
     action = step(
         spec.stages,
         spec.gains,
@@ -73,7 +73,7 @@ def thrust_and_power(vehicle: VehicleParams, pwm: ThrusterPwm) -> tuple[jax.Arra
     return thrust, jnp.sum(jnp.where(vehicle.thruster_exists, power, 0.0))
 
 
-def wrench(vehicle: VehicleParams, outcome: jax.Array, thrust: jax.Array) -> jax.Array:
+def thruster_wrench(vehicle: VehicleParams, outcome: jax.Array, thrust: jax.Array) -> jax.Array:
     """Force and moment [6] of the thrusters, N and N m, in F; NaN once the robot has diverged.
 
     Args:
@@ -82,8 +82,8 @@ def wrench(vehicle: VehicleParams, outcome: jax.Array, thrust: jax.Array) -> jax
         thrust: of its `VehicleState`.
     """
     thrust_n = thrust if thrust.ndim == 1 else thrust[0]
-    given = rigid_body.matrix_times(vehicle.B, thrust_n)
-    return jnp.where(outcome == Outcome.DIVERGED, jnp.nan, given)
+    body_wrench = rigid_body.matrix_times(vehicle.B, thrust_n)
+    return jnp.where(outcome == Outcome.DIVERGED, jnp.nan, body_wrench)
 
 
 def hold_if_ended(
@@ -101,7 +101,7 @@ def hold_if_ended(
     """
     speed = jnp.sum(jnp.abs(after.nu))
     sound = jnp.isfinite(speed) & jnp.isfinite(jnp.sum(after.p)) & jnp.isfinite(jnp.sum(after.q))
-    sound &= speed < SPEED_OF_NONSENSE_MPS
+    sound &= speed < DIVERGED_SPEED_MPS
     alive = (outcome == Outcome.RUNNING) | (outcome == Outcome.REACHED)
     goes_on = alive & sound
     held = VehicleState(
@@ -114,7 +114,7 @@ def hold_if_ended(
     return held, alive & ~sound
 
 
-def approaches(
+def is_on_last_approach(
     spec: SimSpec, memory: ControlMemory, command: Any, last_approach_s: jax.Array
 ) -> jax.Array:
     """Return whether a robot is on the last approach of its plan to its goal, bool [].
@@ -122,14 +122,14 @@ def approaches(
     Args:
         spec: settings.
         memory: of the controllers, after the step.
-        command: the plan, or a `Mixed` command that may hold one.
+        command: the plan, or a `MixedCommand` command that may hold one.
         last_approach_s: [] s, of `plans.last_approach_s`.
     """
-    progress_s = mixed.progress_s if isinstance(command, Mixed) else stack.progress_s
+    progress_s = mixed.progress_s if isinstance(command, MixedCommand) else stack.progress_s
     return progress_s(spec.stages, memory, command) >= last_approach_s
 
 
-def account(
+def update_tally(
     spec: SimSpec,
     goal_m: jax.Array,
     lo: jax.Array,
@@ -175,7 +175,7 @@ def account(
             finished = finished & approaching
     fails = None if fails_at_s is None else t + dt >= fails_at_s
     outcome = jnp.where(
-        running, _judge(finished, fails, lo, hi, after_m, contact, broken), tally.outcome
+        running, _judge_outcome(finished, fails, lo, hi, after_m, contact, broken), tally.outcome
     )
     hit = running & (
         (outcome == Outcome.COLLISION_STATIC)
@@ -199,7 +199,7 @@ def account(
     )
 
 
-def _judge(
+def _judge_outcome(
     finished: jax.Array,
     fails: jax.Array | None,
     lo: jax.Array,

@@ -11,16 +11,16 @@ from angler_kernels import quaternion
 from angler_mjx.errors import ConfigError
 from angler_mjx.sim import policy as policies
 from angler_mjx.sim import robot
-from angler_mjx.sim.detection import detect
+from angler_mjx.sim.detection import detect_contacts
 from angler_mjx.sim.physics import step as physics
 from angler_mjx.sim.physics.step import Multibody
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.state import SimSpec, Tally, World, WorldState
 from angler_mjx.sim.world_phases import hearing, phases, sensing
-from angler_mjx.sim.world_phases.context import Sent, WorldContext
+from angler_mjx.sim.world_phases.context import GoalAssignment, WorldContext
 from angler_mjx.world import obstacles as obstacle_motion
 from angler_mjx.world.acoustics import channel
-from angler_mjx.world.tasks import work as tasks
+from angler_mjx.world.tasks import task_update as tasks
 from angler_mjx.world.tasks.spec import TaskState
 
 
@@ -53,11 +53,11 @@ def reset(
     moving = obstacle_motion.reset(
         environment.obstacles, environment.current, water.density_kgpm3, water.gravity_mps2
     )
-    contact = detect(environment, world.control.vehicle, vehicles, moving)
+    contact = detect_contacts(environment, world.control.vehicle, vehicles, moving)
     n, dtype = environment.start_m.shape[0], environment.start_m.dtype
     state = WorldState(
         vehicles=vehicles,
-        carry=jax.vmap(partial(robot.begin, spec))(vehicles, environment.start_yaw_rad),
+        carry=jax.vmap(partial(robot.reset_controllers, spec))(vehicles, environment.start_yaw_rad),
         obstacles=moving,
         tally=Tally(
             outcome=jnp.zeros(n, jnp.int32),
@@ -73,31 +73,31 @@ def reset(
         ),
         step=jnp.zeros((), jnp.int32),
         senses=sensing.reset(spec, world, vehicles),
-        task=_begun(spec, world),
+        task=_begin_task(spec, world),
     )
     if policy is not None:
-        state = _commanded(spec, world, state, policy)
+        state = _begin_policy(spec, world, state, policy)
     if spec.acoustics is None:
         return state
     start_m = environment.start_m
-    radio = hearing.reset(spec.acoustics, start_m, policy, state.policy, state.task)
-    return replace(state, radio=radio)
+    modem_state = hearing.reset(spec.acoustics, start_m, policy, state.policy, state.task)
+    return replace(state, modem=modem_state)
 
 
-def _begun(spec: SimSpec, world: World) -> TaskState | None:
+def _begin_task(spec: SimSpec, world: World) -> TaskState | None:
     """The task of a world, of which nothing is done."""
     if spec.task is None:
         return None
     if world.task is None:
         raise ConfigError("the worlds have no task, and the simulation is of one; draw them for it")
-    return tasks.begin(
+    return tasks.begin_task(
         spec.task, world.task, world.environment.start_m, heard=spec.acoustics is not None
     )
 
 
-def _commanded(spec: SimSpec, world: World, state: WorldState, policy: Policy) -> WorldState:
+def _begin_policy(spec: SimSpec, world: World, state: WorldState, policy: Policy) -> WorldState:
     """A state with the memory of a policy, which knows what the first step tells the robots."""
-    here = WorldContext(
+    context = WorldContext(
         spec=spec,
         policy=policy,
         world=world,
@@ -106,11 +106,11 @@ def _commanded(spec: SimSpec, world: World, state: WorldState, policy: Policy) -
         obstacles=state.obstacles,
         outcome=state.tally.outcome,
     )
-    belief = phases.sense(here, {"senses": state.senses}).slots().get("known")
-    others = None if spec.acoustics is None else channel.unheard(world.environment.start_m)
+    belief = phases.sense_motion(context, {"senses": state.senses}).slots().get("estimate")
+    others = None if spec.acoustics is None else channel.init_heard(world.environment.start_m)
     sent = None
     if state.task is not None:  # The first look at the task comes with the first step.
-        sent = Sent(goal_m=state.task.goal_m, place=state.task.target)
-    known = here.known(belief, others, sent)
-    memory = policies.begin(policy, spec.stages, world.policy_key, known)
+        sent = GoalAssignment(goal_m=state.task.goal_m, goal_index=state.task.target)
+    inputs = context.build_policy_input(belief, others, sent)
+    memory = policies.begin_policy(policy, spec.stages, world.policy_key, inputs)
     return replace(state, policy=memory)

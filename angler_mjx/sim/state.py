@@ -21,8 +21,8 @@ from angler_mjx.world.obstacles import ObstacleState
 from angler_mjx.world.routes import Routes
 from angler_mjx.world.tasks.spec import TaskSpec, TaskState, TaskWorld
 
-type Laid = tuple[jax.Array, ...]
-"""A bank's constants as an engine reads them; see `Engine.lay_out`."""
+type EngineConstants = tuple[jax.Array, ...]
+"""A bank's constants as an engine reads them; see `Engine.pack_constants`."""
 
 
 class Outcome(IntEnum):
@@ -49,7 +49,7 @@ class Touched(IntEnum):
     ROBOT = 4
 
 
-CASCADE = stages.named("cascade")
+CASCADE = stages.find_controller("cascade")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,7 +82,7 @@ class SimSpec:
     instrumented: tuple[InstrumentedRobots, ...] = ()
     """All other robots' controllers are told the truth."""
     also: tuple[str, ...] = ()
-    """What is recorded only where it is asked for (`angler_mjx.sim.record.Also`)."""
+    """What is recorded only where it is asked for (`angler_mjx.sim.record.RecordOption`)."""
     acoustics: Channel | None = None
     """That robots talk by; None: everybody knows everything at once."""
     task: TaskSpec | None = None
@@ -101,7 +101,7 @@ class SimSpec:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Factors:
+class WorldFactors:
     """What was drawn for one world beside what its files say; its current has its own already."""
 
     current: jax.Array
@@ -136,9 +136,9 @@ class World:
     """uint32 [n_robot, 2] key of each robot's instruments; None where the fleet has none."""
     policy_key: jax.Array | None = None
     """uint32 [2] key of the world's policy; None where the simulator has none."""
-    radio_key: jax.Array | None = None
+    acoustics_key: jax.Array | None = None
     """uint32 [2] key of the channel that its robots share; None where they share none."""
-    factors: Factors | None = None
+    factors: WorldFactors | None = None
     """None where current and noise are as the files say."""
     fails_at_s: jax.Array | None = None
     """[n_robot] when each robot breaks down, s; inf for never. None where none can."""
@@ -151,7 +151,7 @@ class World:
     @property
     def planned(self) -> jax.Array:
         """Bool [n_robot] whether the planner found a way; the others are told to hold."""
-        return plans.found(self.path)
+        return plans.is_found(self.path)
 
 
 @jax.tree_util.register_dataclass
@@ -183,7 +183,7 @@ class Tally:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Senses:
+class SensingMemory:
     """Memory of `InstrumentedRobots`; [count] leads."""
 
     instruments: SensorCarry
@@ -202,11 +202,11 @@ class WorldState:
     tally: Tally
     step: jax.Array
     """int32 [] control steps taken."""
-    senses: tuple[Senses | None, ...] = ()
+    senses: tuple[SensingMemory | None, ...] = ()
     """Of each group of `InstrumentedRobots`; None for noise on the truth, which has no memory."""
     policy: PolicyMemory | None = None
     """Of the policy, where there is one."""
-    radio: ModemState | None = None
+    modem: ModemState | None = None
     """Of the channel that the robots share, if they share one."""
     task: TaskState | None = None
     """Of the task, where there is one."""

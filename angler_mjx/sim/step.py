@@ -24,7 +24,7 @@ import jax.numpy as jnp
 from angler_mjx.robot.control import stack
 from angler_mjx.sim import robot
 from angler_mjx.sim.detection import Contact
-from angler_mjx.sim.phase import BatchContext, Done, Phase, Slots
+from angler_mjx.sim.phase import BatchContext, Phase, PhaseResult, Slots
 from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.record import Belief
 from angler_mjx.sim.state import Tally
@@ -32,53 +32,60 @@ from angler_mjx.sim.world_phases import phases as world_phases
 from angler_mjx.world.obstacles import ObstacleState
 
 
-def decide(here: BatchContext, now: Slots) -> Done:
+def decide_commands(context: BatchContext, now: Slots) -> PhaseResult:
     """The controllers give signals, and the thrusters settle at what these ask for."""
-    spec, known = here.spec, now["known"]
-    if isinstance(known, Belief):
-        flow = known.flow
+    spec, estimate = context.spec, now["estimate"]
+    if isinstance(estimate, Belief):
+        flow = estimate.flow
     else:
-        flow = here.flow(known) if stack.wants_flow(spec.stages) else None
-    memory, target, pwm = here.each(
-        partial(robot.decide, spec), here.params, now["memory"], known, here.command, flow
+        flow = context.flow(estimate) if stack.wants_flow(spec.stages) else None
+    memory, target, pwm = context.map_bodies(
+        partial(robot.run_controllers, spec),
+        context.params,
+        now["memory"],
+        estimate,
+        context.command,
+        flow,
     )
-    thrust, power = here.each(robot.thrust_and_power, here.params.vehicle, pwm)
-    return Done(
+    thrust, power = context.map_bodies(robot.thrust_and_power, context.params.vehicle, pwm)
+    return PhaseResult(
         slots=lambda: {"memory": memory, "thrust_n": thrust, "power_w": power},
         record=partial(record_decided, pwm.pwm_us, target),
     )
 
 
 def record_decided(pwm_us: Any, target_m: Any) -> dict[str, Any]:
-    """What is recorded of `decide`."""
+    """What is recorded of `decide_commands`."""
     return {"pwm_us": pwm_us, "target_m": target_m}
 
 
-def move(here: BatchContext, now: Slots) -> Done:
+def move_robots(context: BatchContext, now: Slots) -> PhaseResult:
     """The physics steps of a control period; who failed or diverged stays where it was."""
     before, outcome = now["vehicle"], now["tally"].outcome
-    params, current = here.params, here.current  # asked for once, not in every physics step
+    params, current = context.params, context.current  # asked for once, not in every physics step
 
-    def one(i: jax.Array, vehicle: VehicleState) -> VehicleState:
-        t = here.t + i.astype(here.t.dtype) * here.spec.physics_dt_s
-        return here.physics_step(params, vehicle, now["thrust_n"], current, t)
+    def physics_substep(i: jax.Array, vehicle: VehicleState) -> VehicleState:
+        t = context.t + i.astype(context.t.dtype) * context.spec.physics_dt_s
+        return context.physics_step(params, vehicle, now["thrust_n"], current, t)
 
     def slots() -> dict[str, Any]:
-        moved = here.repeat(here.spec.physics_steps, one, before)
-        after, broken = here.each(robot.hold_if_ended, outcome, before, moved)
+        moved = context.repeat(context.spec.physics_steps, physics_substep, before)
+        after, broken = context.map_bodies(robot.hold_if_ended, outcome, before, moved)
         return {"vehicle": after, "before_m": before.p, "broken": broken}
 
     def record() -> dict[str, Any]:
-        seen = record_motion(before, outcome, here.flow(before))
-        if "wrench" in here.spec.also:
-            seen["wrench"] = here.each(robot.wrench, params.vehicle, outcome, before.thrust)
+        seen = record_motion(before, outcome, context.flow(before))
+        if "wrench" in context.spec.also:
+            seen["wrench"] = context.map_bodies(
+                robot.thruster_wrench, params.vehicle, outcome, before.thrust
+            )
         return seen
 
-    return Done(slots=slots, record=record)
+    return PhaseResult(slots=slots, record=record)
 
 
 def record_motion(vehicle: VehicleState, outcome: Any, flow: Any) -> dict[str, Any]:
-    """What is recorded of `move`, at its beginning."""
+    """What is recorded of `move_robots`, at its beginning."""
     return {
         "p": vehicle.p,
         "q": vehicle.q,
@@ -88,11 +95,11 @@ def record_motion(vehicle: VehicleState, outcome: Any, flow: Any) -> dict[str, A
     }
 
 
-def advance_obstacles(here: BatchContext, now: Slots) -> Done:
+def advance_obstacles(context: BatchContext, now: Slots) -> PhaseResult:
     """Drifting and scripted bodies go on by a control period."""
     before = now["obstacles"]
-    return Done(
-        slots=lambda: {"obstacles": here.advance(before)},
+    return PhaseResult(
+        slots=lambda: {"obstacles": context.advance(before)},
         record=lambda: record_obstacles(before),
     )
 
@@ -102,19 +109,22 @@ def record_obstacles(obstacles: ObstacleState) -> dict[str, Any]:
     return {"obstacle_p": obstacles.p, "obstacle_q": obstacles.q}
 
 
-def approaching(here: BatchContext, now: Slots) -> Any:
+def is_approaching(context: BatchContext, now: Slots) -> Any:
     """Return whether robots are on the last approach of their plans, bool [].
 
     None where no plan is flown, or a task says who has finished: there the approach does not count.
     """
-    if here.last_approach_s is None:
-        return here.approaching
-    return here.each(
-        partial(robot.approaches, here.spec), now["memory"], here.command, here.last_approach_s
+    if context.last_approach_s is None:
+        return context.approaching
+    return context.map_bodies(
+        partial(robot.is_on_last_approach, context.spec),
+        now["memory"],
+        context.command,
+        context.last_approach_s,
     )
 
 
-def judge(here: BatchContext, now: Slots) -> Done:
+def judge_robots(context: BatchContext, now: Slots) -> PhaseResult:
     """What the step came to for each robot."""
 
     def account(
@@ -132,8 +142,8 @@ def judge(here: BatchContext, now: Slots) -> Done:
         hi: jax.Array,
         t: jax.Array,
     ) -> Tally:
-        return robot.account(
-            here.spec,
+        return robot.update_tally(
+            context.spec,
             goal_m,
             lo,
             hi,
@@ -149,39 +159,39 @@ def judge(here: BatchContext, now: Slots) -> Done:
             approaching,
         )
 
-    tally = here.each(
+    tally = context.map_bodies(
         account,
-        here.goal_m,
+        context.goal_m,
         now["tally"],
         now["before_m"],
         now["vehicle"].p,
-        here.contact(now),
+        context.contact(now),
         now["power_w"],
         now["broken"],
-        here.finished,
-        here.fails_at_s,
-        approaching(here, now),
-        shared=(*here.corners, here.t),
+        context.finished,
+        context.fails_at_s,
+        is_approaching(context, now),
+        shared=(*context.corners, context.t),
     )
-    return Done(slots=lambda: {"tally": tally}, record=lambda: record_judged(tally))
+    return PhaseResult(slots=lambda: {"tally": tally}, record=lambda: record_judged(tally))
 
 
 def record_judged(tally: Tally) -> dict[str, Any]:
-    """What is recorded of `judge`, at the end of the step."""
+    """What is recorded of `judge_robots`, at the end of the step."""
     return {}
 
 
 DECIDE = Phase(
     name="decide",
     of="robot",
-    run=decide,
-    reads=("known", "memory"),
+    run=decide_commands,
+    reads=("estimate", "memory"),
     gives=("memory", "thrust_n", "power_w"),
 )
 MOVE = Phase(
     name="move",
     of="robot",
-    run=move,
+    run=move_robots,
     reads=("vehicle", "tally", "thrust_n"),
     gives=("vehicle", "before_m", "broken"),
 )
@@ -195,7 +205,7 @@ OBSTACLES = Phase(
 JUDGE = Phase(
     name="judge",
     of="robot",
-    run=judge,
+    run=judge_robots,
     reads=("tally", "vehicle", "before_m", "power_w", "broken", "memory"),
     gives=("tally",),
     meets=True,
@@ -204,18 +214,22 @@ JUDGE = Phase(
 PHASES = (*world_phases.PHASES, DECIDE, MOVE, OBSTACLES, JUDGE)
 """A control step, in order."""
 
-ALONE = tuple(phase for phase in PHASES if phase.of == "robot" and not phase.meets)
+INDEPENDENT_PHASES = tuple(phase for phase in PHASES if phase.of == "robot" and not phase.meets)
 """What each robot does by itself; obstacles move beside them."""
-MEETING = tuple(phase for phase in PHASES if phase.of == "robot" and phase.meets)
+INTERACTION_PHASES = tuple(phase for phase in PHASES if phase.of == "robot" and phase.meets)
 """What follows when everything has moved."""
 
-KEPT = ("vehicle", "memory", "tally")
+PERSISTENT_SLOTS = ("vehicle", "memory", "tally")
 """Slots of robots that last from step to step."""
-LASTING = tuple(dict.fromkeys((*KEPT, *(name for phase in MEETING for name in phase.reads))))
+LATER_SLOTS = tuple(
+    dict.fromkeys(
+        (*PERSISTENT_SLOTS, *(name for phase in INTERACTION_PHASES for name in phase.reads))
+    )
+)
 """Those, and what is still read when everything has moved."""
 
 
-def handed_on(number: Any, thrusters: Any) -> dict[str, Any]:
+def scratch_shapes(number: Any, thrusters: Any) -> dict[str, Any]:
     """Shapes of what phases of one robot hand to each other within a step.
 
     Args:

@@ -28,9 +28,9 @@ from angler_mjx.sim.fleet import Fleet
 from angler_mjx.sim.physics.mjx_engine import BodyInertia
 from angler_mjx.sim.state import World
 
-type Pack = Callable[[jax.Array], jax.Array]
+type PackCells = Callable[[jax.Array], jax.Array]
 """Cells [W, nx, ny, nz] to `clearance.cell_neighbours` of each world."""
-type Take = Callable[[jax.Array], tuple[ControlParams, BodyInertia]]
+type SelectParameters = Callable[[jax.Array], tuple[ControlParams, BodyInertia]]
 """Variants [W, R] to `fleet.parameters`."""
 
 
@@ -43,16 +43,16 @@ class _ValidatedWorlds:
     packed: Callable[[], jax.Array | None]
     """Their cells; not kept alive where they came with the worlds."""
 
-    def holds(self, leaves: Sequence[Any]) -> bool:
+    def is_same(self, leaves: Sequence[Any]) -> bool:
         return len(leaves) == len(self.leaves) and all(
-            known() is leaf for known, leaf in zip(self.leaves, leaves, strict=True)
+            reference() is leaf for reference, leaf in zip(self.leaves, leaves, strict=True)
         )
 
 
 class WorldValidator:
     """Where worlds enter the engine of one fleet."""
 
-    def __init__(self, fleet: Fleet, *, take: Take, pack: Pack | None) -> None:
+    def __init__(self, fleet: Fleet, *, take: SelectParameters, pack: PackCells | None) -> None:
         """A gate that knows no world yet.
 
         Args:
@@ -60,35 +60,37 @@ class WorldValidator:
             take: its parameters.
             pack: for engines that look cells up in the packed form.
         """
-        self._take, self._pack = take, pack
+        self._select_parameters, self._pack_cells = take, pack
         self._possible = np.isfinite(np.asarray(fleet.log_weight))
-        self._leaves = _named({"control": fleet.control, "body": fleet.body})
-        self._admitted: list[_ValidatedWorlds] = []
+        self._leaves = _name_leaves({"control": fleet.control, "body": fleet.body})
+        self._validated: list[_ValidatedWorlds] = []
 
-    def own(self, worlds: World) -> World:
+    def accept_sampled(self, worlds: World) -> World:
         """Worlds that were made of this fleet: they are taken as they are from now on."""
         came = worlds.cell_neighbours
         traced = came is None or isinstance(came, jax.core.Tracer)
-        self._remember(_guarded(worlds), (lambda: None) if traced else weakref.ref(came))
+        self._remember_worlds(
+            _list_guarded(worlds), (lambda: None) if traced else weakref.ref(came)
+        )
         return worlds
 
-    def admit(self, worlds: World) -> World:
+    def validate_worlds(self, worlds: World) -> World:
         """Worlds as the engine may read them; those that are traced are taken as they are.
 
         Raises:
             ConfigError: they hold what the engine would not see.
         """
-        guarded = _guarded(worlds)
+        guarded = _list_guarded(worlds)
         if any(isinstance(leaf, jax.core.Tracer) for leaf in guarded):
             return worlds
-        for known in self._admitted:
-            if known.holds(guarded):
-                return _packed(worlds, known.packed())
-        self._check(worlds)
+        for validated in self._validated:
+            if validated.is_same(guarded):
+                return _with_packed(worlds, validated.packed())
+        self._check_worlds(worlds)
         cells = worlds.environment.grid.occupied
-        packed = None if self._pack is None else self._pack(cells)
-        self._remember(guarded, lambda: packed)
-        return _packed(worlds, packed)
+        packed = None if self._pack_cells is None else self._pack_cells(cells)
+        self._remember_worlds(guarded, lambda: packed)
+        return _with_packed(worlds, packed)
 
     def adopt(self, worlds: World) -> World:
         """Worlds with the parameters that this fleet gives to their variants.
@@ -97,32 +99,36 @@ class WorldValidator:
             ConfigError: a robot cannot be its variant.
         """
         self._check_variants(worlds)
-        control, body = self._take(worlds.variant)
+        control, body = self._select_parameters(worlds.variant)
         speed = worlds.control.cruise_speed_mps
         return replace(worlds, control=replace(control, cruise_speed_mps=speed), body=body)
 
-    def _remember(self, leaves: Sequence[Any], packed: Callable[[], jax.Array | None]) -> None:
+    def _remember_worlds(
+        self, leaves: Sequence[Any], packed: Callable[[], jax.Array | None]
+    ) -> None:
         # NumPy's arrays can be written to, and a tracer is gone after its trace.
         fixed = all(isinstance(leaf, jax.Array) for leaf in leaves)
         if not fixed or any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
             return
         alive = [
-            known for known in self._admitted if all(ref() is not None for ref in known.leaves)
+            validated
+            for validated in self._validated
+            if all(ref() is not None for ref in validated.leaves)
         ]
-        self._admitted = [
+        self._validated = [
             *alive,
             _ValidatedWorlds(leaves=tuple(map(weakref.ref, leaves)), packed=packed),
         ]
 
-    def _check(self, worlds: World) -> None:
+    def _check_worlds(self, worlds: World) -> None:
         """Refuse what would not be seen (host side)."""
         self._check_variants(worlds)
         variant = np.asarray(worlds.variant)
-        given = _named({"control": worlds.control, "body": worlds.body})
-        if other := given.keys() ^ self._leaves.keys():
+        leaves = _name_leaves({"control": worlds.control, "body": worlds.body})
+        if other := leaves.keys() ^ self._leaves.keys():
             names = ", ".join(f"World.{name}" for name in sorted(other)[:3])
             raise ConfigError(f"{names}: this fleet and the worlds do not both have it; {_ADVICE}")
-        for name, leaf in given.items():
+        for name, leaf in leaves.items():
             if name != _SPEED:
                 _check_leaf(name, np.asarray(leaf), np.asarray(self._leaves[name]), variant)
         _check_obstacles(worlds)
@@ -155,7 +161,7 @@ _ADVICE = (
 )
 
 
-def _guarded(worlds: World) -> list[Any]:
+def _list_guarded(worlds: World) -> list[Any]:
     """The arrays that are looked at."""
     obstacles = worlds.environment.obstacles
     return [
@@ -168,7 +174,7 @@ def _guarded(worlds: World) -> list[Any]:
     ]
 
 
-def _named(trees: dict[str, Any]) -> dict[str, Any]:
+def _name_leaves(trees: dict[str, Any]) -> dict[str, Any]:
     """Leaves by the names that a user sees."""
     return {
         name + jax.tree_util.keystr(path): leaf
@@ -177,26 +183,26 @@ def _named(trees: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _check_leaf(name: str, given: np.ndarray, ours: np.ndarray, variant: np.ndarray) -> None:
+def _check_leaf(name: str, values: np.ndarray, ours: np.ndarray, variant: np.ndarray) -> None:
     """Refuse a leaf [W, R, ...] that is not that of the fleet [n_variant, ...]."""
     right = ours[variant]
-    if given.shape != right.shape:
+    if values.shape != right.shape:
         raise ConfigError(
-            f"World.{name} has the shape {given.shape}: must be {right.shape}; {_ADVICE}"
+            f"World.{name} has the shape {values.shape}: must be {right.shape}; {_ADVICE}"
         )
-    wrong = given != right
+    wrong = values != right
     if right.dtype.kind == "f":
-        wrong &= ~(np.isnan(given) & np.isnan(right))
+        wrong &= ~(np.isnan(values) & np.isnan(right))
     if wrong.any():
         world, robot, *element = at = tuple(int(i) for i in np.argwhere(wrong)[0])
         where = f"[{', '.join(map(str, element))}]" if element else ""
         raise ConfigError(
-            f"World.{name}{where} of world {world}, robot {robot} is {float(given[at]):g}: its "
+            f"World.{name}{where} of world {world}, robot {robot} is {float(values[at]):g}: its "
             f"variant, {variant[world, robot]}, has {float(right[at]):g}; {_ADVICE}"
         )
 
 
-def _packed(worlds: World, packed: jax.Array | None) -> World:
+def _with_packed(worlds: World, packed: jax.Array | None) -> World:
     """The same worlds with other packed cells."""
     if worlds.cell_neighbours is packed:
         return worlds
@@ -208,12 +214,12 @@ def _check_obstacles(worlds: World) -> None:
     obstacles = worlds.environment.obstacles
     exists = np.asarray(obstacles.exists)
     for name, made in (("kind", obstacles.kinds), ("motion", obstacles.motions)):
-        given = np.asarray(getattr(obstacles, name))
-        wrong = exists & ~np.isin(given, made)
+        values = np.asarray(getattr(obstacles, name))
+        wrong = exists & ~np.isin(values, made)
         if wrong.any():
             world, which = np.argwhere(wrong)[0]
             raise ConfigError(
                 f"World.environment.obstacles.{name} of world {world}, obstacle {which} is "
-                f"{given[world, which]}: obstacles.{name}s = {made} says what programs are made "
+                f"{values[world, which]}: obstacles.{name}s = {made} says what programs are made "
                 f"for; replace {name}s too"
             )

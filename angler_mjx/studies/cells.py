@@ -7,17 +7,17 @@ from dataclasses import dataclass
 from typing import Any
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.files import FaultyError, check, listed
-from angler_mjx.runs.several import RUNS
-from angler_mjx.runs.simulator.on_device import device_planner
-from angler_mjx.scenario.editing import with_value, without_horizon
-from angler_mjx.scenario.reachable import check_reachable
+from angler_mjx.files import FaultyError, format_faults, validate_model
+from angler_mjx.runs.multi_run import RUNS_FOLDER
+from angler_mjx.runs.simulator.device_planning import build_device_planner
+from angler_mjx.scenario.editing import remove_horizon, set_value
+from angler_mjx.scenario.horizon_check import check_reachable
 from angler_mjx.scenario.scenario import Scenario
-from angler_mjx.studies.settings import SettingAxis
+from angler_mjx.studies.sweep_axes import SettingAxis
 
-MOST = 10_000
+MAX_CELLS = 10_000
 """Cells of a sweep."""
-_NAME = 80
+_MAX_NAME_LENGTH = 80
 """Characters of a run folder's name."""
 
 
@@ -35,12 +35,12 @@ class StudyCell:
     @property
     def path(self) -> str:
         """Of its run, below the sweep's folder."""
-        words = [f"{key.rpartition('.')[2]}_{name}" for key, name in self.names.items()]
-        text = re.sub(r"[^A-Za-z0-9_.-]+", "_", "_".join(words))[:_NAME].strip("._")
-        return f"{RUNS}/{self.number:03d}_{text}"
+        parts = [f"{key.rpartition('.')[2]}_{name}" for key, name in self.names.items()]
+        text = re.sub(r"[^A-Za-z0-9_.-]+", "_", "_".join(parts))[:_MAX_NAME_LENGTH].strip("._")
+        return f"{RUNS_FOLDER}/{self.number:03d}_{text}"
 
 
-def cells(
+def build_cells(
     table: Mapping[str, Any], axes: Sequence[SettingAxis], source: str
 ) -> tuple[StudyCell, ...]:
     """All cells; the last axis changes fastest.
@@ -48,7 +48,7 @@ def cells(
     A cell whose world has another preset gets that one's horizon, unless one is set.
 
     Args:
-        table: of the scenario (`angler_mjx.scenario.editing.table_of`).
+        table: of the scenario (`angler_mjx.scenario.editing.scenario_table`).
         axes: to be varied.
         source: of the scenario, for messages.
 
@@ -58,49 +58,59 @@ def cells(
     count = 1
     for axis in axes:
         count *= len(axis.values)
-    if count > MOST:
-        raise ConfigError(f"--set: makes {count:,} cells; {MOST:,} are the most: vary less")
-    made: list[StudyCell] = []
+    if count > MAX_CELLS:
+        raise ConfigError(f"--set: makes {count:,} cells; {MAX_CELLS:,} are the most: vary less")
+    study_cells: list[StudyCell] = []
     faults: dict[str, list[Mapping[str, str]]] = {}
     for number, chosen in enumerate(itertools.product(*(range(len(x.values)) for x in axes))):
         names = {axis.key: axis.names[i] for axis, i in zip(axes, chosen, strict=True)}
         values = {axis.key: axis.values[i] for axis, i in zip(axes, chosen, strict=True)}
         try:
-            scenario = _scenario(table, values)
+            scenario = _build_scenario(table, values)
         except FaultyError as error:
             for fault in error.faults:
                 faults.setdefault(fault.text, []).append(names)
         except ConfigError as error:
             faults.setdefault(str(error), []).append(names)
         else:
-            made.append(StudyCell(number=number, names=names, values=values, scenario=scenario))
+            study_cells.append(
+                StudyCell(number=number, names=names, values=values, scenario=scenario)
+            )
     if faults:
-        several = [axis.key for axis in axes if len(axis.values) > 1]
-        raise ConfigError(listed(source, [_told(x, at, several) for x, at in faults.items()]))
-    return tuple(made)
+        varied_keys = [axis.key for axis in axes if len(axis.values) > 1]
+        raise ConfigError(
+            format_faults(source, [_format_fault(x, at, varied_keys) for x, at in faults.items()])
+        )
+    return tuple(study_cells)
 
 
-def _scenario(table: Mapping[str, Any], values: Mapping[str, Any]) -> Scenario:
+def _build_scenario(table: Mapping[str, Any], values: Mapping[str, Any]) -> Scenario:
     """The scenario of a cell.
 
     Raises:
         FaultyError, ConfigError: it cannot be flown.
     """
-    whole = dict(table)
-    anew = values.get("world.preset", whole["world"].get("preset")) != whole["world"].get("preset")
-    if anew and "time.horizon_s" not in values:
-        whole = without_horizon(whole)
+    scenario_table = dict(table)
+    is_other_preset = values.get(
+        "world.preset", scenario_table["world"].get("preset")
+    ) != scenario_table["world"].get("preset")
+    if is_other_preset and "time.horizon_s" not in values:
+        scenario_table = remove_horizon(scenario_table)
     for key, value in values.items():
-        whole = with_value(whole, key, value)
-    made = check(Scenario, whole)
-    spec = made.planner.chosen()
+        scenario_table = set_value(scenario_table, key, value)
+    scenario = validate_model(Scenario, scenario_table)
+    spec = scenario.planner.planner_spec()
     if spec.reference.on_device:
-        device_planner(made, spec)  # refuses what it can make no use of
-    check_reachable(made)
-    return made
+        build_device_planner(scenario, spec)  # refuses what it can make no use of
+    check_reachable(scenario)
+    return scenario
 
 
-def _told(text: str, at: Sequence[Mapping[str, str]], keys: Sequence[str]) -> str:
+def _format_fault(text: str, settings: Sequence[Mapping[str, str]], keys: Sequence[str]) -> str:
     """A fault, and the settings that all cells share that have it."""
-    shared = [f"--set {key}={at[0][key]}" for key in keys if all(x[key] == at[0][key] for x in at)]
+    shared = [
+        f"--set {key}={settings[0][key]}"
+        for key in keys
+        if all(x[key] == settings[0][key] for x in settings)
+    ]
     return f"{text} ({' '.join(shared)})" if shared else text

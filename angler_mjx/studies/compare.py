@@ -6,22 +6,24 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from angler_mjx.errors import ConfigError, shown
+from angler_mjx.errors import ConfigError, format_value
 from angler_mjx.robot.vehicles import library
-from angler_mjx.runs.storage import planned
+from angler_mjx.runs.storage import planning_summary
 from angler_mjx.runs.storage.folder import Run
 from angler_mjx.runs.storage.results import completion_times
 from angler_mjx.studies import paired
-from angler_mjx.studies.measures import arrived_of, numbers, plain, worlds_of
+from angler_mjx.studies.measures import arrived_of, read_numbers, to_plain, worlds_of
 
 
-def compare(first: Run, second: Run) -> dict[str, Any]:
+def compare_runs(first: Run, second: Run) -> dict[str, Any]:
     """What the second of two runs changed.
 
     Returns:
         ``first`` and ``second`` (paths), ``config``: keys that differ with both values,
-        ``same_problems``, what `paired.pair` found, ``outcomes``: robots by outcome in the first
-        and in the second, ``planning``: of both (`runs.storage.planned.summarise`), and
+        ``same_problems``, what `paired.pair_runs` found, ``outcomes``: robots by outcome in the
+        first
+        and in the second, ``planning``: of both
+        (`runs.storage.planning_summary.summarise_planning`), and
         ``changed``: worlds in which the task was completed, or any robot ended, otherwise or at
         another time, those that changed most first.
 
@@ -29,28 +31,35 @@ def compare(first: Run, second: Run) -> dict[str, Any]:
         ConfigError: the runs are not of the same seed, worlds and robots; the key is named.
     """
     _require_pairs(first, second)
-    differ = {
+    changed_keys = {
         key: values
-        for key, values in differences(_table(first), _table(second)).items()
+        for key, values in find_differences(_scenario_table(first), _scenario_table(second)).items()
         if key != "description"
     }
-    one, other = first.episodes, second.episodes
-    common = np.intersect1d(worlds_of(one), worlds_of(other))
-    one, other = (rows.filter(np.isin(worlds_of(rows), common)) for rows in (one, other))
+    first_rows, second_rows = first.episodes, second.episodes
+    common = np.intersect1d(worlds_of(first_rows), worlds_of(second_rows))
+    first_rows, second_rows = (
+        rows.filter(np.isin(worlds_of(rows), common)) for rows in (first_rows, second_rows)
+    )
     return {
         "first": str(first.path),
         "second": str(second.path),
-        "config": [{"key": key, "first": a, "second": b} for key, (a, b) in sorted(differ.items())],
+        "config": [
+            {"key": key, "first": a, "second": b} for key, (a, b) in sorted(changed_keys.items())
+        ],
         "same_problems": first.scenario.digest() == second.scenario.digest(),
         "asked": first.scenario.worlds,
-        **plain(paired.pair(one, other)),
-        "planning": {"first": planned.summarise(one), "second": planned.summarise(other)},
-        "outcomes": _outcomes(one, other),
-        "changed": _changed(one, other),
+        **to_plain(paired.pair_runs(first_rows, second_rows)),
+        "planning": {
+            "first": planning_summary.summarise_planning(first_rows),
+            "second": planning_summary.summarise_planning(second_rows),
+        },
+        "outcomes": _count_outcomes(first_rows, second_rows),
+        "changed": _list_changed_worlds(first_rows, second_rows),
     }
 
 
-def _table(run: Run) -> dict[str, Any]:
+def _scenario_table(run: Run) -> dict[str, Any]:
     table: dict[str, Any] = run.scenario.model_dump(mode="json")
     return table
 
@@ -64,12 +73,16 @@ def _require_pairs(first: Run, second: Run) -> None:
         ("fleet", len(a.fleet), len(b.fleet)),
     ]
     for i, (x, y) in enumerate(zip(a.fleet, b.fleet, strict=False)):
-        mine, others = (library.load(one.vehicle).name for one in (x, y))
-        pairs += [(f"fleet[{i}].count", x.count, y.count), (f"fleet[{i}].vehicle", mine, others)]
-    for key, mine, others in pairs:
-        if mine != others:
+        first_value, second_value = (library.load_vehicle(entry.vehicle).name for entry in (x, y))
+        pairs += [
+            (f"fleet[{i}].count", x.count, y.count),
+            (f"fleet[{i}].vehicle", first_value, second_value),
+        ]
+    for key, first_value, second_value in pairs:
+        if first_value != second_value:
             raise ConfigError(
-                f"{first.path} and {second.path}: {key} = {shown(mine)} and {shown(others)}; "
+                f"{first.path} and {second.path}: {key} = {format_value(first_value)} and "
+                f"{format_value(second_value)}; "
                 "compare runs of the same seed, worlds and robots"
             )
     for run in (first, second):
@@ -77,7 +90,7 @@ def _require_pairs(first: Run, second: Run) -> None:
             raise ConfigError(f"{run.path}: holds no episodes")
 
 
-def differences(first: Any, second: Any, key: str = "") -> dict[str, tuple[Any, Any]]:
+def find_differences(first: Any, second: Any, key: str = "") -> dict[str, tuple[Any, Any]]:
     """Values that differ, by dotted key; None stands for what is not there.
 
     Args:
@@ -85,15 +98,15 @@ def differences(first: Any, second: Any, key: str = "") -> dict[str, tuple[Any, 
         second: plain values.
         key: of both.
     """
-    found: dict[str, tuple[Any, Any]] = {}
+    changes: dict[str, tuple[Any, Any]] = {}
     if first == second:
-        return found
-    for name, a, b in _parts(first, second):
-        found |= differences(a, b, f"{key}.{name}" if key else name)
-    return found or {key: (first, second)}
+        return changes
+    for name, a, b in _iterate_parts(first, second):
+        changes |= find_differences(a, b, f"{key}.{name}" if key else name)
+    return changes or {key: (first, second)}
 
 
-def _parts(first: Any, second: Any) -> Iterator[tuple[str, Any, Any]]:
+def _iterate_parts(first: Any, second: Any) -> Iterator[tuple[str, Any, Any]]:
     """Parts of two tables, or of two lists of tables; nothing of other values."""
     if isinstance(first, Mapping) and isinstance(second, Mapping):
         for name in sorted({*first, *second}):
@@ -104,20 +117,20 @@ def _parts(first: Any, second: Any) -> Iterator[tuple[str, Any, Any]]:
 
 
 def _is_tables(value: Any) -> bool:
-    return isinstance(value, list) and all(isinstance(one, Mapping) for one in value)
+    return isinstance(value, list) and all(isinstance(entry, Mapping) for entry in value)
 
 
-def _outcomes(first: pa.Table, second: pa.Table) -> list[dict[str, Any]]:
+def _count_outcomes(first: pa.Table, second: pa.Table) -> list[dict[str, Any]]:
     """Robots by their two outcomes, the most first."""
     pairs = list(zip(first["outcome"].to_pylist(), second["outcome"].to_pylist(), strict=True))
     counts = {pair: pairs.count(pair) for pair in dict.fromkeys(pairs)}
     return [
         {"first": a, "second": b, "robots": count}
-        for (a, b), count in sorted(counts.items(), key=lambda one: -one[1])
+        for (a, b), count in sorted(counts.items(), key=lambda item: -item[1])
     ]
 
 
-def _changed(first: pa.Table, second: pa.Table) -> list[dict[str, Any]]:
+def _list_changed_worlds(first: pa.Table, second: pa.Table) -> list[dict[str, Any]]:
     """Return worlds that changed, those that changed most first.
 
     Of runs with a task: worlds that completed it in one run alone, then by the change of the time
@@ -126,10 +139,10 @@ def _changed(first: pa.Table, second: pa.Table) -> list[dict[str, Any]]:
     """
     worlds, arrived = worlds_of(first), [arrived_of(rows) for rows in (first, second)]
     ended = [rows["outcome"].to_pylist() for rows in (first, second)]
-    late = numbers(second, "time_to_goal_s") - numbers(first, "time_to_goal_s")
+    late = read_numbers(second, "time_to_goal_s") - read_numbers(first, "time_to_goal_s")
     completed = [completion_times(rows) for rows in (first, second)]
     lost, won = arrived[0] & ~arrived[1], ~arrived[0] & arrived[1]
-    made = []
+    changed_worlds = []
     begins = np.flatnonzero(np.r_[True, np.diff(worlds) != 0])
     for number, (begin, end) in enumerate(zip(begins, [*begins[1:], len(worlds)], strict=True)):
         rows = range(begin, end)
@@ -141,7 +154,7 @@ def _changed(first: pa.Table, second: pa.Table) -> list[dict[str, Any]]:
         ]
         task = _task_change(*(None if x is None else float(x[number]) for x in completed))
         if robots or any(both) or (task is not None and task["first_s"] != task["second_s"]):
-            made.append(
+            changed_worlds.append(
                 {
                     "world": int(worlds[begin]),
                     "task": task,
@@ -153,18 +166,18 @@ def _changed(first: pa.Table, second: pa.Table) -> list[dict[str, Any]]:
                     "robots": robots,
                 }
             )
-    return sorted(made, key=_order)
+    return sorted(changed_worlds, key=_sort_key)
 
 
 def _task_change(first_s: float | None, second_s: float | None) -> dict[str, float | None] | None:
     """Return the times of completion of a world in both runs; None where a run has no task."""
     if first_s is None or second_s is None:
         return None
-    times: dict[str, float | None] = plain({"first_s": first_s, "second_s": second_s})
+    times: dict[str, float | None] = to_plain({"first_s": first_s, "second_s": second_s})
     return times
 
 
-def _order(changed: Mapping[str, Any]) -> tuple[float, ...]:
+def _sort_key(changed: Mapping[str, Any]) -> tuple[float, ...]:
     """Return the sort key of a world that changed."""
     task: tuple[float, float] = 0.0, 0.0
     if changed["task"] is not None:

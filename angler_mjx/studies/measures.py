@@ -7,10 +7,15 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from angler_mjx.runs.storage import planned as how_planned
+from angler_mjx.runs.storage import planning_summary as how_planned
+from angler_mjx.runs.storage.confidence_intervals import (
+    ClusteredMean,
+    clustered_mean,
+    clustered_rates,
+    wilson_interval,
+)
 from angler_mjx.runs.storage.folder import Run
-from angler_mjx.runs.storage.intervals import Mean, clustered, clustered_mean, wilson
-from angler_mjx.runs.storage.results import completion_times, rates
+from angler_mjx.runs.storage.results import completion_times, outcome_rates
 
 COSTS = {
     "time_to_goal_s": "of robots that arrived",
@@ -21,59 +26,61 @@ COSTS = {
 """Columns of episodes whose means are taken, and of whom."""
 
 
-def of_run(run: Run) -> dict[str, Any]:
+def measure_run(run: Run) -> dict[str, Any]:
     """Measures of a run.
 
     Returns:
         ``worlds``, ``robots`` (of a world), ``problems`` (`Scenario.digest`), ``planned``: robots
-        that have a path, ``planning`` (`runs.storage.planned.summarise`), ``outcomes``
-        (`runs.storage.results.rates`), ``team``: worlds in which all robots arrived, with Wilson's
-        interval; ``task``: of runs with a task, the worlds that completed it (``completed``) and
-        when (``completed_s``), else None; by cost its mean; and what it took.
+        that have a path, ``planning`` (`runs.storage.planning_summary.summarise`), ``outcomes``
+        (`runs.storage.results.outcome_rates`), ``team``: worlds in which all robots arrived, with
+        Wilson's interval; ``task``: of runs with a task, the worlds that completed it
+        (``completed``) and when (``completed_s``), else None; by cost its mean; and what it took.
     """
     episodes = run.episodes
     world, arrived = worlds_of(episodes), arrived_of(episodes)
-    each = by_world(arrived, world)
+    each = mean_by_world(arrived, world)
     timing = run.summary["timing"]
     return {
         "worlds": len(each),
         "robots": len(run.scenario.members()),
         "problems": run.scenario.digest(),
-        "planned": _share(np.asarray(episodes["planned"].to_numpy(zero_copy_only=False)), world),
-        "planning": how_planned.summarise(episodes),
-        "outcomes": rates(episodes),
-        "team": _of_worlds(each == 1.0),
-        "task": _task(episodes),
-        **{name: plain(cost(episodes, name)) for name in COSTS},
+        "planned": _robot_rate(
+            np.asarray(episodes["planned"].to_numpy(zero_copy_only=False)), world
+        ),
+        "planning": how_planned.summarise_planning(episodes),
+        "outcomes": outcome_rates(episodes),
+        "team": _world_rate(each == 1.0),
+        "task": _measure_task(episodes),
+        **{name: to_plain(mean_cost(episodes, name)) for name in COSTS},
         "vehicle_steps_per_s": timing["vehicle_steps_per_s"],
         "simulate_s": timing["simulate_s"],
         "compile_s": timing["compile_s"],
     }
 
 
-def _of_worlds(hit: np.ndarray) -> dict[str, Any]:
+def _world_rate(hit: np.ndarray) -> dict[str, Any]:
     """Share of worlds, with Wilson's interval."""
     count = int(np.sum(hit))
-    low, high = wilson(count, len(hit))
+    low, high = wilson_interval(count, len(hit))
     return {"count": count, "rate": count / len(hit), "low": low, "high": high}
 
 
-def _task(episodes: pa.Table) -> dict[str, Any] | None:
+def _measure_task(episodes: pa.Table) -> dict[str, Any] | None:
     when = completion_times(episodes)
     if when is None:
         return None
     mean = clustered_mean(when, np.arange(len(when)))
-    return {"completed": _of_worlds(np.isfinite(when)), "completed_s": plain(mean)}
+    return {"completed": _world_rate(np.isfinite(when)), "completed_s": to_plain(mean)}
 
 
-def _share(hit: np.ndarray, world: np.ndarray) -> dict[str, Any]:
+def _robot_rate(hit: np.ndarray, world: np.ndarray) -> dict[str, Any]:
     """Share of robots, with its interval by world."""
-    return asdict(clustered({"yes": hit, "no": ~hit}, world)["yes"])
+    return asdict(clustered_rates({"yes": hit, "no": ~hit}, world)["yes"])
 
 
-def cost(episodes: pa.Table, name: str) -> Mean:
+def mean_cost(episodes: pa.Table, name: str) -> ClusteredMean:
     """Mean of a cost, of those robots that it is taken of."""
-    values = numbers(episodes, name)
+    values = read_numbers(episodes, name)
     if COSTS[name] != "of all robots":
         values = np.where(arrived_of(episodes), values, np.nan)
     return clustered_mean(values, worlds_of(episodes))
@@ -89,21 +96,21 @@ def arrived_of(episodes: pa.Table) -> np.ndarray:
     return np.array([name == "reached" for name in episodes["outcome"].to_pylist()], bool)
 
 
-def numbers(episodes: pa.Table, name: str) -> np.ndarray:
+def read_numbers(episodes: pa.Table, name: str) -> np.ndarray:
     """[n] values of a column, NaN where there is none."""
     return np.asarray(episodes[name].to_numpy(zero_copy_only=False), float)
 
 
-def by_world(values: np.ndarray, world: Sequence[int] | np.ndarray) -> np.ndarray:
+def mean_by_world(values: np.ndarray, world: Sequence[int] | np.ndarray) -> np.ndarray:
     """[w] means over the robots of each world, in the worlds' order."""
-    of = np.unique(world, return_inverse=True)[1]
-    found: np.ndarray = np.bincount(of, weights=values) / np.bincount(of)
-    return found
+    world_index = np.unique(world, return_inverse=True)[1]
+    means: np.ndarray = np.bincount(world_index, weights=values) / np.bincount(world_index)
+    return means
 
 
-def plain(found: Any) -> Any:
+def to_plain(data: Any) -> Any:
     """Dataclasses of numbers as tables, null for NaN."""
-    table = asdict(found) if is_dataclass(found) and not isinstance(found, type) else found
+    table = asdict(data) if is_dataclass(data) and not isinstance(data, type) else data
     if isinstance(table, dict):
-        return {key: plain(value) for key, value in table.items()}
+        return {key: to_plain(value) for key, value in table.items()}
     return None if isinstance(table, float) and not np.isfinite(table) else table

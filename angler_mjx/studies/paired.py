@@ -6,7 +6,7 @@ and completed tasks have the exact test of McNemar and Newcombe's interval
 Student's interval of the mean difference over worlds, and the exact sign test on the worlds that it
 differs in (Dixon and Mood, JASA 41, 1946: the same binomial as McNemar's). Costs are differences of
 robots that both runs have a value of, their mean with the interval of
-`angler_mjx.runs.storage.intervals.clustered_mean`.
+`angler_mjx.runs.storage.confidence_intervals.clustered_mean`.
 """
 
 from dataclasses import dataclass
@@ -15,14 +15,18 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from angler_mjx.runs.storage.intervals import Mean, clustered_mean, wilson
+from angler_mjx.runs.storage.confidence_intervals import (
+    ClusteredMean,
+    clustered_mean,
+    wilson_interval,
+)
 from angler_mjx.runs.storage.results import completion_times
 from angler_mjx.studies.benchmark.report.paired import mcnemar, newcombe
-from angler_mjx.studies.measures import COSTS, arrived_of, by_world, numbers, worlds_of
+from angler_mjx.studies.measures import COSTS, arrived_of, mean_by_world, read_numbers, worlds_of
 
 
 @dataclass(frozen=True, kw_only=True)
-class Change:
+class RateChange:
     """Pairs of yes and no, second run against first."""
 
     both: int
@@ -38,7 +42,7 @@ class Change:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Shift:
+class MeanShift:
     """Pairs of numbers, second run minus first."""
 
     pairs: int
@@ -51,29 +55,29 @@ class Shift:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Pairing:
+class RunPairing:
     """What the second of two runs changed."""
 
     worlds: int
     """That both hold."""
-    teams: Change
+    teams: RateChange
     """Worlds in which all robots arrived."""
-    tasks: Change | None
+    tasks: RateChange | None
     """Worlds that completed their task; None where a run has none."""
-    task_s: Shift | None
+    task_s: MeanShift | None
     """When, of worlds that did in both."""
-    robots: Change | None
+    robots: RateChange | None
     """Robots that arrived; counts are of robots, difference and p of worlds. None where the fleets
     have different sizes."""
-    share: Shift
+    share: MeanShift
     """Share of a world's robots that arrived."""
     share_p: float
     """Of the sign test on that share."""
-    costs: dict[str, Shift]
+    costs: dict[str, MeanShift]
     """By column; empty where the fleets have different sizes."""
 
 
-def pair(first: pa.Table, second: pa.Table) -> Pairing:
+def pair_runs(first: pa.Table, second: pa.Table) -> RunPairing:
     """Compare the episodes of two runs over the worlds that both hold.
 
     Args:
@@ -81,27 +85,31 @@ def pair(first: pa.Table, second: pa.Table) -> Pairing:
         second: of the other.
     """
     common = np.intersect1d(worlds_of(first), worlds_of(second))
-    tables = [one.filter(np.isin(worlds_of(one), common)) for one in (first, second)]
-    arrived = [arrived_of(one) for one in tables]
-    worlds = [worlds_of(one) for one in tables]
-    shares = [by_world(a, w) for a, w in zip(arrived, worlds, strict=True)]
-    share = _mean_shift(*shares)
-    share_p = sign_test(shares[1] - shares[0])
-    alike = np.array_equal(worlds[0], worlds[1])
+    tables = [rows.filter(np.isin(worlds_of(rows), common)) for rows in (first, second)]
+    arrived = [arrived_of(rows) for rows in tables]
+    worlds = [worlds_of(rows) for rows in tables]
+    fractions = [mean_by_world(a, w) for a, w in zip(arrived, worlds, strict=True)]
+    fraction_shift = _mean_shift(*fractions)
+    fraction_p = sign_test(fractions[1] - fractions[0])
+    same_worlds = np.array_equal(worlds[0], worlds[1])
     robots = None
-    if alike:
-        counts = _counts(*arrived)
-        robots = Change(
-            **counts, difference=share.difference, low=share.low, high=share.high, p=share_p
+    if same_worlds:
+        counts = _count_pairs(*arrived)
+        robots = RateChange(
+            **counts,
+            difference=fraction_shift.difference,
+            low=fraction_shift.low,
+            high=fraction_shift.high,
+            p=fraction_p,
         )
-    return Pairing(
+    return RunPairing(
         worlds=len(common),
-        teams=_of_worlds(*(one == 1.0 for one in shares)),
-        **_tasks(*(completion_times(one) for one in tables)),
+        teams=_compare_worlds(*(rows == 1.0 for rows in fractions)),
+        **_compare_tasks(*(completion_times(rows) for rows in tables)),
         robots=robots,
-        share=share,
-        share_p=share_p,
-        costs={name: _cost(name, tables, arrived) for name in COSTS} if alike else {},
+        share=fraction_shift,
+        share_p=fraction_p,
+        costs={name: _compare_cost(name, tables, arrived) for name in COSTS} if same_worlds else {},
     )
 
 
@@ -110,7 +118,7 @@ def sign_test(differences: np.ndarray) -> float:
     return mcnemar(int(np.sum(differences > 0)), int(np.sum(differences < 0)))
 
 
-def _counts(first: np.ndarray, second: np.ndarray) -> dict[str, Any]:
+def _count_pairs(first: np.ndarray, second: np.ndarray) -> dict[str, Any]:
     return {
         "both": int(np.sum(first & second)),
         "only_first": int(np.sum(first & ~second)),
@@ -119,24 +127,24 @@ def _counts(first: np.ndarray, second: np.ndarray) -> dict[str, Any]:
     }
 
 
-def _tasks(first: np.ndarray | None, second: np.ndarray | None) -> dict[str, Any]:
+def _compare_tasks(first: np.ndarray | None, second: np.ndarray | None) -> dict[str, Any]:
     """What became of the tasks, from the times at which worlds completed them."""
     if first is None or second is None:
         return {"tasks": None, "task_s": None}
     done = np.isfinite(first), np.isfinite(second)
     first, second = (times[done[0] & done[1]] for times in (first, second))
-    found = clustered_mean(second - first, np.arange(len(first)))
+    mean_change = clustered_mean(second - first, np.arange(len(first)))
     return {
-        "tasks": _of_worlds(*done),
-        "task_s": _shift(found, first, second, found.low, found.high),
+        "tasks": _compare_worlds(*done),
+        "task_s": _build_shift(mean_change, first, second, mean_change.low, mean_change.high),
     }
 
 
-def _of_worlds(first: np.ndarray, second: np.ndarray) -> Change:
-    counts = _counts(first, second)
+def _compare_worlds(first: np.ndarray, second: np.ndarray) -> RateChange:
+    counts = _count_pairs(first, second)
     lost, won = counts["only_first"], counts["only_second"]
     low, high = newcombe(counts["both"], won, lost, counts["neither"])
-    return Change(
+    return RateChange(
         **counts,
         difference=(won - lost) / max(len(first), 1),
         low=low,
@@ -145,35 +153,37 @@ def _of_worlds(first: np.ndarray, second: np.ndarray) -> Change:
     )
 
 
-def _mean_shift(first: np.ndarray, second: np.ndarray) -> Shift:
+def _mean_shift(first: np.ndarray, second: np.ndarray) -> MeanShift:
     """Of shares of worlds."""
     change = second - first
-    found = clustered_mean(change, np.arange(len(change)))
-    low, high = found.low, found.high
+    mean_change = clustered_mean(change, np.arange(len(change)))
+    low, high = mean_change.low, mean_change.high
     if len(change) and np.all(change == change[0]):
         # No spread was seen. Of other worlds at most this share does otherwise, with 95 %.
-        other = wilson(0, len(change))[1]
-        low = found.mean - other * (1.0 + found.mean)
-        high = found.mean + other * (1.0 - found.mean)
-    return _shift(found, first, second, max(low, -1.0), min(high, 1.0))
+        other = wilson_interval(0, len(change))[1]
+        low = mean_change.mean - other * (1.0 + mean_change.mean)
+        high = mean_change.mean + other * (1.0 - mean_change.mean)
+    return _build_shift(mean_change, first, second, max(low, -1.0), min(high, 1.0))
 
 
-def _cost(name: str, tables: list[pa.Table], arrived: list[np.ndarray]) -> Shift:
-    first, second = (numbers(one, name) for one in tables)
+def _compare_cost(name: str, tables: list[pa.Table], arrived: list[np.ndarray]) -> MeanShift:
+    first, second = (read_numbers(table, name) for table in tables)
     used = np.isfinite(first) & np.isfinite(second)
     if COSTS[name] != "of all robots":
         used &= arrived[0] & arrived[1]
     first, second = first[used], second[used]
-    found = clustered_mean(second - first, worlds_of(tables[0])[used])
-    return _shift(found, first, second, found.low, found.high)
+    mean_change = clustered_mean(second - first, worlds_of(tables[0])[used])
+    return _build_shift(mean_change, first, second, mean_change.low, mean_change.high)
 
 
-def _shift(found: Mean, first: np.ndarray, second: np.ndarray, low: float, high: float) -> Shift:
-    return Shift(
-        pairs=found.count,
+def _build_shift(
+    mean_change: ClusteredMean, first: np.ndarray, second: np.ndarray, low: float, high: float
+) -> MeanShift:
+    return MeanShift(
+        pairs=mean_change.count,
         first=float(np.mean(first)) if len(first) else float("nan"),
         second=float(np.mean(second)) if len(second) else float("nan"),
-        difference=found.mean,
+        difference=mean_change.mean,
         low=low,
         high=high,
     )

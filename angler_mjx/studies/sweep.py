@@ -16,20 +16,20 @@ import pyarrow as pa
 
 from angler_mjx.errors import AnglerError, ConfigError, RunError
 from angler_mjx.report.viewing import style
-from angler_mjx.runs import several
-from angler_mjx.runs.processes import OneProcess, Processes, telling
+from angler_mjx.runs import multi_run
+from angler_mjx.runs.multi_run import RunsProgress
+from angler_mjx.runs.processes import OneProcess, Processes, reporting_failure
 from angler_mjx.runs.provenance import describe_environment
 from angler_mjx.runs.rollout import NothingKeptError
-from angler_mjx.runs.several import RunsProgress
 from angler_mjx.runs.storage import folder, output_lock
-from angler_mjx.runs.storage.damage import read_table
 from angler_mjx.runs.storage.folder import Run
 from angler_mjx.runs.storage.output_lock import OutputLock
-from angler_mjx.scenario.editing import table_of
+from angler_mjx.runs.storage.read_errors import read_table
+from angler_mjx.scenario.editing import scenario_table
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.studies import cells, chart, measures, paired, tables
 from angler_mjx.studies.cells import StudyCell
-from angler_mjx.studies.settings import SettingAxis
+from angler_mjx.studies.sweep_axes import SettingAxis
 
 SWEEP, TABLE, PAGE, FIGURE = "sweep.json", "sweep.parquet", "sweep.md", "sweep.png"
 
@@ -64,20 +64,20 @@ def build_request(scenario: Scenario, axes: Sequence[SettingAxis], source: str) 
     Raises:
         ConfigError: naming what is wrong with any cell.
     """
-    table = table_of(scenario)
+    table = scenario_table(scenario)
     return SweepRequest(
         name=scenario.name,
         table=table,
         axes=tuple(axes),
-        cells=cells.cells(table, axes, source),
+        cells=cells.build_cells(table, axes, source),
     )
 
 
-def make(
-    asked: SweepRequest,
+def run_sweep(
+    request: SweepRequest,
     out: Path,
     *,
-    told: RunsProgress,
+    progress: RunsProgress,
     resume: bool = False,
     devices: int | None = None,
     workers: int | None = None,
@@ -86,9 +86,9 @@ def make(
     """Make a sweep, or go on with one.
 
     Args:
-        asked: what is to be in it.
+        request: what is to be in it.
         out: folder to make.
-        told: of how far it is.
+        progress: of how far it is.
         resume: go on with an interrupted one.
         devices: to fly on; all if left out. Changes no byte of the results.
         workers: processes that plan, where a planner is one of the host.
@@ -103,30 +103,32 @@ def make(
             stand in the folder with their tables, as after an interruption.
     """
     together = processes or OneProcess()
-    with telling(together), ExitStack() as stack:
-        claimed = None
+    with reporting_failure(together), ExitStack() as stack:
+        lock = None
         if together.index == 0:
-            claimed = (
-                _again(asked, out) if resume else several.begin(out, "sweep", asked.resolved())
+            lock = (
+                _resume_sweep(request, out)
+                if resume
+                else multi_run.create_folder(out, "sweep", request.resolved())
             )
-            stack.callback(claimed.release)
+            stack.callback(lock.release)
         together.meet("sweep")
         building = output_lock.partial_path(out)
-        flights = [(cell.path, cell.scenario) for cell in asked.cells]
-        how = {"devices": devices, "workers": workers}
+        flights = [(cell.path, cell.scenario) for cell in request.cells]
+        options = {"devices": devices, "workers": workers}
         try:
-            complete = _fly(flights, building, told, together, how)
+            complete = _fly_cells(flights, building, progress, together, options)
         except AnglerError:
-            if claimed is not None and _any_whole(flights, building):
-                _close(asked, claimed, complete=False)
+            if lock is not None and _has_whole_cell(flights, building):
+                _write_results(request, lock, complete=False)
             raise
-        if claimed is not None:
-            _close(asked, claimed, complete=complete)
+        if lock is not None:
+            _write_results(request, lock, complete=complete)
         together.meet("closed")
-    return read(out)
+    return read_sweep(out)
 
 
-def read(out: Path) -> dict[str, Any]:
+def read_sweep(out: Path) -> dict[str, Any]:
     """What the ``sweep.json`` of a folder holds.
 
     Raises:
@@ -137,103 +139,103 @@ def read(out: Path) -> dict[str, Any]:
     return read_table(out / SWEEP)
 
 
-def _again(asked: SweepRequest, out: Path) -> OutputLock:
-    whole = (out / SWEEP).is_file() and bool(read(out).get("complete"))
-    return several.again(out, "sweep", asked.resolved(), whole=whole)
+def _resume_sweep(request: SweepRequest, out: Path) -> OutputLock:
+    whole = (out / SWEEP).is_file() and bool(read_sweep(out).get("complete"))
+    return multi_run.resume_folder(out, "sweep", request.resolved(), is_complete=whole)
 
 
-def _fly(
+def _fly_cells(
     flights: Sequence[tuple[str, Scenario]],
     building: Path,
-    told: RunsProgress,
+    progress: RunsProgress,
     together: Processes,
-    how: Mapping[str, Any],
+    options: Mapping[str, Any],
 ) -> bool:
     """Fly the cells; whether all are whole. An interruption keeps what was finished."""
     try:
-        return several.fly(flights, building, told, together, how)
+        return multi_run.fly_runs(flights, building, progress, together, options)
     except (KeyboardInterrupt, NothingKeptError):
-        if together.count > 1 or not _any_whole(flights, building):
+        if together.count > 1 or not _has_whole_cell(flights, building):
             raise
         return False
 
 
-def _any_whole(flights: Sequence[tuple[str, Scenario]], building: Path) -> bool:
-    return any(several.stands(building / path) == "whole" for path, _ in flights)
+def _has_whole_cell(flights: Sequence[tuple[str, Scenario]], building: Path) -> bool:
+    return any(multi_run.run_status(building / path) == "whole" for path, _ in flights)
 
 
-def _close(asked: SweepRequest, claimed: OutputLock, *, complete: bool) -> None:
+def _write_results(request: SweepRequest, lock: OutputLock, *, complete: bool) -> None:
     """Table, page and figure; then the folder gets its name."""
-    place = claimed.building
+    building = lock.building
     try:
-        found = _gather(asked, place, complete=complete)
-        folder.write_json(place / SWEEP, found)
-        tables.write_parquet(found, place / TABLE)
-        tables.write_page(found, place / PAGE)
-        style.save(chart.draw(found), place / FIGURE, palette=128)
+        results = _gather_results(request, building, complete=complete)
+        folder.write_json(building / SWEEP, results)
+        tables.write_parquet(results, building / TABLE)
+        tables.write_page(results, building / PAGE)
+        style.save_figure(chart.plot_sweep(results), building / FIGURE, palette=128)
         if complete:
-            (place / several.MAKING).unlink()
+            (building / multi_run.REQUEST_FILE).unlink()
     except OSError as error:
         raise RunError(
-            f"--out {claimed.out}: cannot be written ({error.strerror or error}); its flights are "
-            f"in {place}: make room and go on with --resume"
+            f"--out {lock.out}: cannot be written ({error.strerror or error}); its flights are "
+            f"in {building}: make room and go on with --resume"
         ) from error
-    claimed.publish()
+    lock.publish()
 
 
-def _gather(asked: SweepRequest, place: Path, *, complete: bool) -> dict[str, Any]:
+def _gather_results(request: SweepRequest, building: Path, *, complete: bool) -> dict[str, Any]:
     """Everything that is known of the cells that are whole."""
     rows, episodes = [], {}
-    for cell in asked.cells:
-        if several.stands(place / cell.path) != "whole":
+    for cell in request.cells:
+        if multi_run.run_status(building / cell.path) != "whole":
             continue
-        run = Run(place / cell.path)
+        run = Run(building / cell.path)
         episodes[cell.number] = run.episodes
         rows.append(
             {
                 "cell": cell.number,
                 "run": cell.path,
                 "set": dict(cell.names),
-                **measures.of_run(run),
+                **measures.measure_run(run),
             }
         )
-    first = asked.cells[0].scenario
+    first = request.cells[0].scenario
     return {
-        "scenario": asked.name,
+        "scenario": request.name,
         "worlds": first.worlds,
         "seed": first.seed,
         "complete": complete,
         "axes": [
-            {"key": x.key, "names": list(x.names), "values": list(x.values)} for x in asked.axes
+            {"key": x.key, "names": list(x.names), "values": list(x.values)} for x in request.axes
         ],
         "cells": rows,
-        "pairs": _pairs(asked.axes, rows, episodes),
+        "pairs": _compare_pairs(request.axes, rows, episodes),
         "environment": describe_environment(),
     }
 
 
-def _pairs(
+def _compare_pairs(
     axes: Sequence[SettingAxis], rows: Sequence[Mapping[str, Any]], episodes: Mapping[int, pa.Table]
 ) -> list[dict[str, Any]]:
     """Every value of an axis against its first, all other settings being the same."""
     held = {tuple(row["set"].values()): row for row in rows}
-    made = []
+    comparisons = []
     for i, axis in enumerate(axes):
         others = [other.names for other in (*axes[:i], *axes[i + 1 :])]
-        for beside in itertools.product(*others):
-            cell = [(*beside[:i], name, *beside[i:]) for name in axis.names]
-            there = [held.get(one) for one in cell]
-            for second in there[1:]:
-                if there[0] is None or second is None:
+        for fixed_names in itertools.product(*others):
+            cell = [(*fixed_names[:i], name, *fixed_names[i:]) for name in axis.names]
+            axis_rows = [held.get(settings) for settings in cell]
+            for second in axis_rows[1:]:
+                if axis_rows[0] is None or second is None:
                     continue
-                pairing = paired.pair(episodes[there[0]["cell"]], episodes[second["cell"]])
-                made.append(
+                pairing = paired.pair_runs(episodes[axis_rows[0]["cell"]], episodes[second["cell"]])
+                comparisons.append(
                     {
                         "key": axis.key,
-                        "first": there[0]["cell"],
+                        "first": axis_rows[0]["cell"],
                         "second": second["cell"],
-                        "same_problems": there[0]["problems"] == second["problems"],
-                        **measures.plain(pairing),
+                        "same_problems": axis_rows[0]["problems"] == second["problems"],
+                        **measures.to_plain(pairing),
                     }
                 )
-    return made
+    return comparisons

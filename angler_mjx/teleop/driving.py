@@ -7,17 +7,17 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
-from angler_mjx.errors import ConfigError, RunError, shown
-from angler_mjx.report.viewing import replay, window
+from angler_mjx.errors import ConfigError, RunError, format_value
+from angler_mjx.report.viewing import replay, viewer_window
 from angler_mjx.runs.storage import folder
 from angler_mjx.runs.storage.folder import Run
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.teleop import live_view, opening, script
-from angler_mjx.teleop.loop import Driven, Watcher, drive
-from angler_mjx.teleop.pilot import SILENCE_S, TeleopPilot
-from angler_mjx.teleop.recording import Recording
-from angler_mjx.teleop.script import Script
-from angler_mjx.teleop.signals import Stop, breakable, stoppable
+from angler_mjx.teleop.loop import DriveResult, Watcher, drive_session
+from angler_mjx.teleop.pilot import KEY_TIMEOUT_S, TeleopPilot
+from angler_mjx.teleop.recording import TeleopRecording
+from angler_mjx.teleop.script import KeyScript
+from angler_mjx.teleop.signals import StopRequest, break_on_signal, stop_on_signal
 from angler_mjx.teleop.terminal import Keyboard, Screen, has_screen
 
 
@@ -38,7 +38,7 @@ class TeleopSettings:
     duration_s: float | None = None
     speed_mps: float = 0.5
     turn_radps: float = 0.5
-    silence_s: float = SILENCE_S
+    silence_s: float = KEY_TIMEOUT_S
 
     def __post_init__(self) -> None:
         """Refuse numbers that make no sense.
@@ -46,29 +46,29 @@ class TeleopSettings:
         Raises:
             ConfigError: naming the flag and its value.
         """
-        given = {
+        flags = {
             "duration": self.duration_s,
             "speed": self.speed_mps,
             "turn": self.turn_radps,
             "silence": self.silence_s,
         }
-        for flag, value in given.items():
+        for flag, value in flags.items():
             if value is not None and not 0.0 < value < math.inf:
                 raise ConfigError(f"--{flag} {value:g}: give a number above 0")
 
 
-def run(
+def run_teleop(
     scenario: Scenario,
     settings: TeleopSettings,
-    tell: opening.Tell | None = None,
-    opener: opening.Opener = opening.simulated,
-) -> tuple[Driven, Run | None]:
+    report: opening.Report | None = None,
+    opener: opening.SessionOpener = opening.open_simulated,
+) -> tuple[DriveResult, Run | None]:
     """Drive robots of one world of a scenario.
 
     Args:
         scenario: whose world and robots.
         settings: who is driven, and how.
-        tell: told why nothing moves yet.
+        report: told why nothing moves yet.
         opener: of the session that is driven.
 
     Returns:
@@ -81,26 +81,28 @@ def run(
             disk gave out, and what there is stays in the hidden folder.
     """
     if not 0 <= settings.world < 2**31:
-        raise ConfigError(f"--world {shown(settings.world)}: give an index from 0 to {2**31 - 1}")
-    driven = opening.choose(settings.robots, len(scenario.members()))
-    keys = Keyboard() if settings.script is None else Script(script.load(settings.script))
+        raise ConfigError(
+            f"--world {format_value(settings.world)}: give an index from 0 to {2**31 - 1}"
+        )
+    robots = opening.parse_robots(settings.robots, len(scenario.members()))
+    keys = Keyboard() if settings.script is None else KeyScript(script.load_keys(settings.script))
     if settings.rerun:
-        live_view.require(settings.out)
+        live_view.require_viewer(settings.out)
     with ExitStack() as stack:
-        interrupt = stack.enter_context(breakable())
+        interrupt = stack.enter_context(break_on_signal())
         recording = None
         if settings.out is not None:
-            recording = stack.enter_context(Recording(settings.out, scenario, settings.world))
-        begun = time.perf_counter()
+            recording = stack.enter_context(TeleopRecording(settings.out, scenario, settings.world))
+        start_s = time.perf_counter()
         logs = None if recording is None else recording.building / folder.ROBOTS
-        opened = opener(scenario, settings.world, logs, tell)
+        opened = opener(scenario, settings.world, logs, report)
         session = opened.session
-        compile_s = time.perf_counter() - begun
+        compile_s = time.perf_counter() - start_s
         stack.callback(session.close)
         interrupt.check()
         pilot = TeleopPilot(
             session.robots,
-            driven,
+            robots,
             speed_mps=settings.speed_mps,
             turn_radps=settings.turn_radps,
             silence_s=settings.silence_s,
@@ -110,35 +112,35 @@ def run(
         if recording is not None:
             recording.begin(session)
             watchers.append(recording)
-        if settings.rerun and window.has_display():
+        if settings.rerun and viewer_window.has_display():
             watchers.append(live_view.open_viewer(session, pilot, title, settings.world))
-        stop = stack.enter_context(stoppable())
-        done = _drive(session, pilot, keys, title, stop, settings, watchers)
+        stop = stack.enter_context(stop_on_signal())
+        result = _drive_session(session, pilot, keys, title, stop, settings, watchers)
         stop.closing = True
-        recorded = None if recording is None else recording.finish(done, compile_s)
+        recorded = None if recording is None else recording.finish(result, compile_s)
         if recorded is not None and settings.rerun:
-            replay.write(recorded)
-    if done.broken:
-        kept = "" if recorded is None else f"; what was driven until then is in {recorded.path}"
-        raise RunError(done.broken + kept)
-    return done, recorded
+            replay.write_replay(recorded)
+    if result.broken:
+        note = "" if recorded is None else f"; what was driven until then is in {recorded.path}"
+        raise RunError(result.broken + note)
+    return result, recorded
 
 
-def _drive(
+def _drive_session(
     session: opening.Drivable,
     pilot: TeleopPilot,
-    keys: Keyboard | Script,
+    keys: Keyboard | KeyScript,
     title: str,
-    stop: Stop,
+    stop: StopRequest,
     settings: TeleopSettings,
     watchers: Sequence[Watcher],
-) -> Driven:
+) -> DriveResult:
     """Drive with the terminal taken, if there is one, and give it back."""
     with ExitStack() as terminal:
         screen = terminal.enter_context(Screen()) if has_screen() else None
         if isinstance(keys, Keyboard):
             terminal.enter_context(keys)
-        return drive(
+        return drive_session(
             session,
             pilot,
             keys,

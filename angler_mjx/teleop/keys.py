@@ -101,8 +101,8 @@ HELP = (
 """For the screen; 80 columns at most."""
 
 
-def name(key: str) -> str:
+def format_key(key: str) -> str:
     """How a file of keys writes a key; those that it cannot write all stop, as ``<space>`` does."""
-    named = {value: f"<{word}>" for word, value in NAMES.items()}
+    named = {value: f"<{key_name}>" for key_name, value in NAMES.items()}
     written = key if key.isprintable() and key != "#" else "<space>"
     return named.get(key, written)

@@ -1,6 +1,6 @@
 """The Rerun viewer beside the terminal: the world, and the robots as they are driven.
 
-Imported only where Rerun is installed; `require` says so where it is not.
+Imported only where Rerun is installed; `require_viewer` says so where it is not.
 """
 
 import importlib.util
@@ -13,16 +13,16 @@ import jax
 import numpy as np
 
 from angler_mjx.errors import UnsupportedError
-from angler_mjx.report.viewing import style, window
+from angler_mjx.report.viewing import style, viewer_window
 from angler_mjx.report.viewing.scene import ReplayScene
 from angler_mjx.robot.control import plans
 from angler_mjx.robot.vehicles import library
-from angler_mjx.runs.session.batch import Inside
+from angler_mjx.runs.session.batch_session import SessionInternals
 from angler_mjx.runs.session.interface import Floats, Observation, RobotStatus, Session
 from angler_mjx.sim.state import Outcome, World
-from angler_mjx.teleop import chase
+from angler_mjx.teleop import chase_camera
 from angler_mjx.teleop.pilot import TeleopPilot
-from angler_mjx.teleop.status import drives
+from angler_mjx.teleop.status import format_drive_mode
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -31,10 +31,10 @@ if TYPE_CHECKING:
 MOVE_S, TRAIL_S = 0.1, 1.0
 """From one pose to the next, and from one piece of a trail to the next, in seconds of the scene."""
 
-_WHITE = (255, 255, 255, 255)
+_WHITE_RGBA = (255, 255, 255, 255)
 
 
-def require(out: Path | None) -> None:
+def require_viewer(out: Path | None) -> None:
     """Refuse a view that could neither be opened nor saved.
 
     Raises:
@@ -45,7 +45,7 @@ def require(out: Path | None) -> None:
             "--rerun: Rerun is not installed; install the extra `view` "
             "(pip install 'angler-mjx[view]'), or leave --rerun out"
         )
-    if not window.has_display() and out is None:
+    if not viewer_window.has_display() and out is None:
         raise UnsupportedError(
             "--rerun: no display to open the viewer on; give --out RUN as well, and the replay is "
             "saved there at the end, or leave --rerun out"
@@ -55,7 +55,7 @@ def require(out: Path | None) -> None:
 class Viewable(Session, Protocol):
     """A session whose world can be shown."""
 
-    def inside(self) -> Inside:
+    def inside(self) -> SessionInternals:
         """What lies behind it."""
         ...
 
@@ -81,46 +81,46 @@ class LiveView:
         self._root, self._space, self._robots = root, f"{root}/space", session.robots
         self._world: World = jax.tree.map(lambda leaf: np.asarray(leaf)[0], session.inside().worlds)
         self._steps = 0
-        self._move = max(1, round(MOVE_S / session.dt_s))
+        self._pose_period = max(1, round(MOVE_S / session.dt_s))
         # A whole number of moves, so that both fall on the same steps.
-        self._extend = self._move * max(1, round(TRAIL_S / MOVE_S))
+        self._trail_period = self._pose_period * max(1, round(TRAIL_S / MOVE_S))
         self._trails: list[list[Floats]] = [[] for _ in self._robots]
         self._labels = ["" for _ in self._robots]
-        self._log_still()
+        self._log_static()
 
     def after(self, observation: Observation) -> None:
         """Log what moved, and trails where they are due."""
-        if self._steps % self._move == 0:
+        if self._steps % self._pose_period == 0:
             self._recording.set_time("time", duration=observation.time_s)
-            known = observation.truth or observation.estimate
-            p, q = np.asarray(known.p), np.asarray(known.q)
+            motion = observation.truth or observation.estimate
+            p, q = np.asarray(motion.p), np.asarray(motion.q)
             self._log_robots(p, q)
             self._log_labels(observation.status)
             self._log_water(observation, p)
-            for trail, now in zip(self._trails, p, strict=True):
-                trail.append(now)
-            if self._steps % self._extend == 0:
+            for trail, position_m in zip(self._trails, p, strict=True):
+                trail.append(position_m)
+            if self._steps % self._trail_period == 0:
                 self._log_trails()
         self._steps += 1
 
-    def _log_still(self) -> None:
+    def _log_static(self) -> None:
         import rerun as rr
 
         from angler_mjx.report.viewing import entities
 
         recording, path = self._recording, self._world.path
         recording.log(self._root, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-        begin = self._scene(0.0, None)
-        entities.log_surroundings(recording, begin, self._space)
-        entities.log_obstacles(recording, begin, f"{self._space}/obstacles")
+        start = self._scene(0.0, None)
+        entities.log_surroundings(recording, start, self._space)
+        entities.log_obstacles(recording, start, f"{self._space}/obstacles")
         for i, robot in enumerate(self._robots):
-            entities.log_still(
+            entities.log_robot(
                 recording,
-                library.load(robot.vehicle),
+                library.load_vehicle(robot.vehicle),
                 i,
                 f"{self._space}/{robot.name}",
                 goal_m=np.asarray(self._world.environment.goal_m[i]),
-                plan_m=plans.course(plans.of_robot(path, i))[1],
+                plan_m=plans.trace_path(plans.of_robot(path, i))[1],
             )
         lens = rr.Pinhole(
             fov_y=1.0,
@@ -137,15 +137,15 @@ class LiveView:
         from angler_mjx.report.viewing import entities
 
         moved = {}
-        driven = self._pilot.chosen[0]
+        driven = self._pilot.selected[0]
         if np.isfinite(p[driven]).all():  # it may have diverged
             grid = self._world.environment.grid
-            moved[f"{self._root}/camera"] = chase.pose(p[driven], q[driven], grid)
+            moved[f"{self._root}/camera"] = chase_camera.camera_pose(p[driven], q[driven], grid)
         for i, robot in enumerate(self._robots):
             moved[f"{self._space}/{robot.name}/vehicle"] = (p[i], q[i])
-        for path, (place, attitude) in moved.items():
-            turn = rr.Quaternion(xyzw=entities.xyzw(attitude))
-            self._recording.log(path, rr.Transform3D(translation=place, quaternion=turn))
+        for path, (position_m, attitude) in moved.items():
+            turn = rr.Quaternion(xyzw=entities.to_xyzw(attitude))
+            self._recording.log(path, rr.Transform3D(translation=position_m, quaternion=turn))
 
     def _log_labels(self, status: Sequence[RobotStatus]) -> None:
         """What drives a robot and how it ended, where that is new.
@@ -157,12 +157,12 @@ class LiveView:
         from angler_mjx.report.viewing import entities
 
         for i, robot in enumerate(self._robots):
-            driven, outcome = i in self._pilot.chosen, status[i].outcome
-            label = f"{'> ' * driven}{i}: {drives(i, self._pilot, status[i])}"
-            color = _WHITE if driven else entities.color_of(i)
+            driven, outcome = i in self._pilot.selected, status[i].outcome
+            label = f"{'> ' * driven}{i}: {format_drive_mode(i, self._pilot, status[i])}"
+            color = _WHITE_RGBA if driven else entities.robot_rgba(i)
             if outcome is not Outcome.RUNNING:
                 label += f", {style.OUTCOME_TEXT[outcome.name.lower()]}"
-                color = entities.ending(arrived=outcome is Outcome.REACHED)
+                color = entities.ending_color(arrived=outcome is Outcome.REACHED)
             if label == self._labels[i]:
                 continue
             self._labels[i] = label
@@ -181,14 +181,14 @@ class LiveView:
 
         sample = self._session.inside().sample
         if sample is not None:
-            flow = entities.arrows(np.asarray(sample.current_mps)[0])
+            flow = entities.current_arrows(np.asarray(sample.current_mps)[0])
             arrow = rr.Arrows3D.from_fields(origins=p, vectors=flow)
             self._recording.log(f"{self._space}/current", arrow)
         if observation.obstacles is not None:
-            now = self._scene(observation.time_s, observation)
-            for name, shape, fields in entities.poses(now):
-                there = shape.from_fields(**{key: rows[0] for key, rows in fields.items()})
-                self._recording.log(f"{self._space}/obstacles/{name}", there)
+            scene = self._scene(observation.time_s, observation)
+            for name, shape, fields in entities.obstacle_poses(scene):
+                archetype = shape.from_fields(**{key: rows[0] for key, rows in fields.items()})
+                self._recording.log(f"{self._space}/obstacles/{name}", archetype)
 
     def _log_trails(self) -> None:
         """The way since the last time; the view shows all the pieces."""
@@ -201,11 +201,11 @@ class LiveView:
 
     def _scene(self, time_s: float, observation: Observation | None) -> ReplayScene:
         """The world at one time, as pictures take it."""
-        given = self._world.environment.obstacles
-        p, q = np.array(given.p0), np.array(given.q0)
+        obstacles = self._world.environment.obstacles
+        p, q = np.array(obstacles.p0), np.array(obstacles.q0)
         if observation is not None and observation.obstacles is not None:
-            there = np.asarray(given.exists)
-            p[there], q[there] = observation.obstacles.position_m, observation.obstacles.attitude
+            exists = np.asarray(obstacles.exists)
+            p[exists], q[exists] = observation.obstacles.position_m, observation.obstacles.attitude
         return ReplayScene(
             world=0,
             time_s=np.array([time_s]),
@@ -234,7 +234,7 @@ def open_viewer(session: Viewable, pilot: TeleopPilot, title: str, world: int) -
 
     recording, root = rr.RecordingStream("angler_mjx"), f"world_{world}"
     recording.send_recording_name(title)
-    window.open_on(recording, _blueprint(session, f"/{root}"))
+    viewer_window.open_viewer(recording, _blueprint(session, f"/{root}"))
     return LiveView(recording, session, pilot, root)
 
 
@@ -248,7 +248,11 @@ def _blueprint(session: Viewable, root: str) -> "rrb.Blueprint":
     trails = [f"{root}/space/{robot.name}/trail" for robot in session.robots]
     space, camera = f"{root}/space/**", f"{root}/camera"
     behind = rrb.EyeControls3D(tracking_entity=camera)
-    chased = window.space_view([space, camera], root, "Driven robot", behind, trails)
-    whole = window.space_view([space], root, "World", window.from_above((low, high)), trails)
+    chased = viewer_window.space_view([space, camera], root, "Driven robot", behind, trails)
+    whole = viewer_window.space_view(
+        [space], root, "World", viewer_window.eye_above((low, high)), trails
+    )
     panel = rrb.TimePanel(timeline="time", play_state="following", state="collapsed")
-    return window.layout(rrb.Horizontal(chased, whole, column_shares=[1.2, 1.0]), panel)
+    return viewer_window.build_blueprint(
+        rrb.Horizontal(chased, whole, column_shares=[1.2, 1.0]), panel
+    )

@@ -8,16 +8,16 @@ from typing import Protocol
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.runs.session.interface import Observation, Session
 from angler_mjx.teleop import status
-from angler_mjx.teleop.pace import Overruns, Pace
+from angler_mjx.teleop.pace import Overruns, RealTimePacer
 from angler_mjx.teleop.pilot import TeleopPilot
 from angler_mjx.teleop.script import TimedKey
-from angler_mjx.teleop.signals import Stop
+from angler_mjx.teleop.signals import StopRequest
 
-PAINT_S = 0.1
+REFRESH_S = 0.1
 """From one painting of the screen to the next, by the wall clock."""
 
 
-class Keys(Protocol):
+class KeySource(Protocol):
     """Where keys come from."""
 
     @property
@@ -47,7 +47,7 @@ class Watcher(Protocol):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Driven:
+class DriveResult:
     """How it went."""
 
     steps: int
@@ -63,18 +63,18 @@ class Driven:
     """What broke it off; empty if it came to its end."""
 
 
-def drive(
+def drive_session(
     session: Session,
     pilot: TeleopPilot,
-    keys: Keys,
+    keys: KeySource,
     *,
     title: str,
-    stop: Stop,
+    stop: StopRequest,
     realtime: bool,
     duration_s: float | None = None,
     screen: Painter | None = None,
     watchers: Sequence[Watcher] = (),
-) -> Driven:
+) -> DriveResult:
     """Drive a session until a key, a signal, the duration or the end of the keys ends it.
 
     Args:
@@ -89,25 +89,27 @@ def drive(
         watchers: told of every step.
     """
     observation = session.observe()
-    begun, begin_s, steps = time.perf_counter(), observation.time_s, 0
-    pace = Pace(session.dt_s) if realtime else None
+    start_s, start_time_s, steps = time.perf_counter(), observation.time_s, 0
+    pace = RealTimePacer(session.dt_s) if realtime else None
     pressed: list[TimedKey] = []
-    painted, broken = -PAINT_S, ""
-    while not stop.asked:
-        now = observation.time_s
-        if screen is not None and time.perf_counter() - painted >= PAINT_S:
+    painted, broken = -REFRESH_S, ""
+    while not stop.requested:
+        time_s = observation.time_s
+        if screen is not None and time.perf_counter() - painted >= REFRESH_S:
             painted = time.perf_counter()
             overruns = None if pace is None else pace.overruns
-            screen.paint(status.lines(title, session.robots, observation, pilot, overruns))
-        for key in keys.read(now):
-            pressed.append(TimedKey(now, key))
-            pilot.press(key, now)
+            screen.paint(status.format_screen(title, session.robots, observation, pilot, overruns))
+        for key in keys.read(time_s):
+            pressed.append(TimedKey(time_s, key))
+            pilot.press(key, time_s)
         # A thousandth of a period: times are sums in floating point.
-        over = duration_s is not None and now - begin_s > duration_s - 1e-3 * session.dt_s
-        if pilot.ended or over or (duration_s is None and keys.finished):
+        is_timed_out = (
+            duration_s is not None and time_s - start_time_s > duration_s - 1e-3 * session.dt_s
+        )
+        if pilot.ended or is_timed_out or (duration_s is None and keys.finished):
             break
         try:
-            observation = _step(session, pilot, observation)
+            observation = _step_session(session, pilot, observation)
         except RunError as error:  # what was driven until then is not lost
             broken = str(error)
             break
@@ -116,10 +118,10 @@ def drive(
             watcher.after(observation)
         if pace is not None:
             pace.wait()
-    return Driven(
+    return DriveResult(
         steps=steps,
-        scene_s=observation.time_s - begin_s,
-        wall_s=time.perf_counter() - begun,
+        scene_s=observation.time_s - start_time_s,
+        wall_s=time.perf_counter() - start_s,
         overruns=None if pace is None else pace.overruns,
         keys=tuple(pressed),
         last=observation,
@@ -127,12 +129,12 @@ def drive(
     )
 
 
-def _step(session: Session, pilot: TeleopPilot, observation: Observation) -> Observation:
+def _step_session(session: Session, pilot: TeleopPilot, observation: Observation) -> Observation:
     """One step; a robot that has no plan to go back to stops instead."""
-    orders = pilot.orders(observation)
-    for robot in orders.resume:
+    commands = pilot.build_commands(observation)
+    for robot in commands.resume:
         try:
             session.resume_plan(robot)
         except ConfigError as error:
             pilot.refuse(robot, str(error), observation.time_s)
-    return session.step(orders.commands)
+    return session.step(commands.commands)

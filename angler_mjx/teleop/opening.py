@@ -10,13 +10,13 @@ import jax.numpy as jnp
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.robot.control.commands import BodyTwist
-from angler_mjx.runs.session.batch import BatchSession
+from angler_mjx.runs.session.batch_session import BatchSession
 from angler_mjx.runs.session.interface import Session
 from angler_mjx.runs.session.recording import Recordable
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.teleop.loop import Watcher
 
-type Tell = Callable[[str], None]
+type Report = Callable[[str], None]
 """Told in words why nothing moves yet."""
 
 
@@ -25,41 +25,41 @@ class Drivable(Session, Recordable, Protocol):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Opened:
+class OpenedSession:
     """A session that is ready, and who else is told of its steps."""
 
     session: Drivable
     watchers: Sequence[Watcher] = ()
 
 
-type Opener = Callable[[Scenario, int, Path | None, Tell | None], Opened]
+type SessionOpener = Callable[[Scenario, int, Path | None, Report | None], OpenedSession]
 """Opens a session: its scenario, the index of its world, a folder for the robots' own logs (none:
 they are not kept), and whom to tell."""
 
 
-def simulated(
-    scenario: Scenario, world: int, _: Path | None = None, tell: Tell | None = None
-) -> Opened:
+def open_simulated(
+    scenario: Scenario, world: int, _: Path | None = None, report: Report | None = None
+) -> OpenedSession:
     """One world of the simulator, compiled and reset.
 
     Args:
         scenario: whose world and robots.
         world: global index of the world.
         _: simulated robots keep no logs.
-        tell: told that it takes a while.
+        report: told that it takes a while.
 
     Raises:
         ConfigError: there is no such world.
     """
-    if tell is not None:
-        tell(f"{scenario.name}: drawing and compiling world {world} ...")
+    if report is not None:
+        report(f"{scenario.name}: drawing and compiling world {world} ...")
     session = BatchSession(scenario, world=world)
-    _compile(session)
+    _warm_up(session)
     session.reset()
-    return Opened(session=session)
+    return OpenedSession(session=session)
 
 
-def _compile(session: BatchSession) -> None:
+def _warm_up(session: BatchSession) -> None:
     """Let a simulated scene compile now what a key would otherwise wait for while it is driven."""
     session.reset()
     session.step({0: BodyTwist(nu=jnp.zeros(6))})
@@ -68,7 +68,7 @@ def _compile(session: BatchSession) -> None:
     session.step()
 
 
-def choose(text: str | None, robots: int) -> tuple[int, ...]:
+def parse_robots(text: str | None, robots: int) -> tuple[int, ...]:
     """Indices of the robots to drive; all of them if nothing is given.
 
     Args:
@@ -83,9 +83,9 @@ def choose(text: str | None, robots: int) -> tuple[int, ...]:
     parts = [part.strip() for part in text.split(",")]
     if not all(part.isdecimal() for part in parts):
         raise ConfigError(f"--robots {text}: give indices with commas between them, as in 0,2")
-    chosen = tuple(dict.fromkeys(int(part) for part in parts))
-    if bad := [i for i in chosen if i >= robots]:
+    selected = tuple(dict.fromkeys(int(part) for part in parts))
+    if bad := [i for i in selected if i >= robots]:
         raise ConfigError(
             f"--robots {text}: there is no robot {bad[0]}; the scenario has 0 to {robots - 1}"
         )
-    return chosen
+    return selected

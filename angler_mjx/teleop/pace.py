@@ -20,7 +20,7 @@ class Overruns:
         return f"{self.count} overrun{'s' * (self.count > 1)}, worst {1e3 * self.worst_s:.0f} ms"
 
 
-class Pace:
+class RealTimePacer:
     """Keeps a loop at real time.
 
     A step that is late moves all later ones: the scene falls behind the wall clock, and never

@@ -19,7 +19,7 @@ from angler_mjx.robot.control.stack import Command
 from angler_mjx.runs.session.interface import Observation, RobotInfo
 from angler_mjx.teleop.keys import ACTIONS, FACTORS, MOVES, STILL, Direction, KeyAction
 
-SILENCE_S = 0.8
+KEY_TIMEOUT_S = 0.8
 """Without a key for so long a robot stops. A key that is held repeats only after a while: 0.66 s on
 an X server that nobody configured, 0.5 s on most desktops. A shorter time would stop the robot in
 that gap; in a longer one it goes on blindly, 0.4 m in 0.8 s at 0.5 m/s."""
@@ -37,7 +37,7 @@ RIGHTING_PER_S = 1.0
 that a turn or a stream leaves would stay: nothing in a twist says where up is."""
 
 
-class Mode(Enum):
+class DriveMode(Enum):
     """What drives a robot."""
 
     PLAN = "plan"
@@ -50,11 +50,11 @@ class Mode(Enum):
 class _RobotControl:
     """One robot's."""
 
-    mode: Mode = Mode.PLAN
+    mode: DriveMode = DriveMode.PLAN
     direction: Direction = STILL
     since_s: float = 0.0
     """The last key while it is driven, or when it began to brake."""
-    told: bool = True
+    is_sent: bool = True
     """Whether the session knows of the mode."""
     remark: str = ""
     """What a person should know, until the next key."""
@@ -88,28 +88,28 @@ class TeleopPilot:
         *,
         speed_mps: float,
         turn_radps: float,
-        silence_s: float = SILENCE_S,
+        silence_s: float = KEY_TIMEOUT_S,
     ) -> None:
         """Everybody follows the plan; keys go to the first of ``driven``."""
         self.driven = tuple(driven)
-        self.chosen: tuple[int, ...] = self.driven[:1]
+        self.selected: tuple[int, ...] = self.driven[:1]
         self.speed_mps = speed_mps
         self.turn_radps = turn_radps
         self.silence_s = silence_s
-        self.help_wanted = False
+        self.is_help_shown = False
         self.ended = False
         self._robots = robots
-        self._helms = {i: _RobotControl() for i in self.driven}
+        self._controls = {i: _RobotControl() for i in self.driven}
 
-    def mode(self, robot: int) -> Mode:
+    def mode(self, robot: int) -> DriveMode:
         """What drives a robot; the plan, for one that is not driven from here."""
-        helm = self._helms.get(robot)
-        return Mode.PLAN if helm is None else helm.mode
+        control = self._controls.get(robot)
+        return DriveMode.PLAN if control is None else control.mode
 
     def remark(self, robot: int) -> str:
         """What a person should know of a robot; empty if nothing."""
-        helm = self._helms.get(robot)
-        return "" if helm is None else helm.remark
+        control = self._controls.get(robot)
+        return "" if control is None else control.remark
 
     def press(self, key: str, time_s: float) -> None:
         """Take a key.
@@ -118,87 +118,95 @@ class TeleopPilot:
             key: one character.
             time_s: when, in seconds of the scene.
         """
-        for helm in self._chosen():
-            helm.remark = ""
+        for control in self._selected_controls():
+            control.remark = ""
         if key in MOVES and MOVES[key] != STILL:
-            for helm in self._chosen():
-                helm.mode, helm.direction, helm.since_s = Mode.TELEOP, MOVES[key], time_s
+            for control in self._selected_controls():
+                control.mode, control.direction, control.since_s = (
+                    DriveMode.TELEOP,
+                    MOVES[key],
+                    time_s,
+                )
         elif key in FACTORS:
             linear, angular = FACTORS[key]
             self.speed_mps *= linear
             self.turn_radps *= angular
-            for helm in self._chosen():
-                if helm.mode is Mode.TELEOP:
-                    helm.since_s = time_s
+            for control in self._selected_controls():
+                if control.mode is DriveMode.TELEOP:
+                    control.since_s = time_s
         elif key in ACTIONS:
-            self._act(ACTIONS[key])
+            self._apply_action(ACTIONS[key])
         else:
-            for robot in self.chosen:
+            for robot in self.selected:
                 self.stop(robot, time_s)
 
     def stop(self, robot: int, time_s: float) -> None:
         """Brake a robot, whatever drives it; one that brakes or holds already goes on with that."""
-        helm = self._helms[robot]
-        if helm.mode in (Mode.PLAN, Mode.TELEOP):
-            helm.mode, helm.since_s, helm.told = Mode.STOPPING, time_s, False
+        control = self._controls[robot]
+        if control.mode in (DriveMode.PLAN, DriveMode.TELEOP):
+            control.mode, control.since_s, control.is_sent = DriveMode.STOPPING, time_s, False
 
     def refuse(self, robot: int, reason: str, time_s: float) -> None:
         """A robot cannot do what was asked for: it stops, and a person is told why."""
         self.stop(robot, time_s)
-        self._helms[robot].remark = reason
+        self._controls[robot].remark = reason
 
-    def orders(self, observation: Observation) -> TeleopCommands:
+    def build_commands(self, observation: Observation) -> TeleopCommands:
         """What follows from the keys so far, for the step that begins now."""
         time_s, estimate = observation.time_s, observation.estimate
         commands: dict[int, Command] = {}
         resume = []
-        for robot, helm in self._helms.items():
+        for robot, control in self._controls.items():
             q, nu = np.asarray(estimate.q)[robot], np.asarray(estimate.nu)[robot]
-            if helm.mode is Mode.TELEOP and time_s - helm.since_s > self.silence_s:
+            if control.mode is DriveMode.TELEOP and time_s - control.since_s > self.silence_s:
                 self.stop(robot, time_s)
-            if helm.mode is Mode.STOPPING and helm.told and _over(helm, nu, time_s):
-                helm.mode, helm.told = Mode.HOLD, False
-            if helm.mode is Mode.TELEOP:
+            if (
+                control.mode is DriveMode.STOPPING
+                and control.is_sent
+                and _is_at_rest(control, nu, time_s)
+            ):
+                control.mode, control.is_sent = DriveMode.HOLD, False
+            if control.mode is DriveMode.TELEOP:
                 # Told anew at each step: the level frame turns within F as the robot tilts.
-                nu = level_twist(self._velocity(helm.direction), q)
-                commands[robot] = BodyTwist(nu=jnp.asarray(within(nu, self._robots[robot])))
-            elif not helm.told:
-                if helm.mode is Mode.PLAN:
+                nu = level_twist(self._scale_direction(control.direction), q)
+                commands[robot] = BodyTwist(nu=jnp.asarray(limit_twist(nu, self._robots[robot])))
+            elif not control.is_sent:
+                if control.mode is DriveMode.PLAN:
                     resume.append(robot)
-                elif helm.mode is Mode.HOLD:
+                elif control.mode is DriveMode.HOLD:
                     takes = PoseTarget in self._robots[robot].accepts
-                    commands[robot] = hold_here(estimate, robot) if takes else _still()
+                    commands[robot] = hold_pose(estimate, robot) if takes else _stop_command()
                 else:
-                    commands[robot] = _still()
-            helm.told = True
+                    commands[robot] = _stop_command()
+            control.is_sent = True
         return TeleopCommands(commands=commands, resume=tuple(resume))
 
-    def _chosen(self) -> list[_RobotControl]:
-        return [self._helms[i] for i in self.chosen]
+    def _selected_controls(self) -> list[_RobotControl]:
+        return [self._controls[i] for i in self.selected]
 
-    def _act(self, action: KeyAction) -> None:
+    def _apply_action(self, action: KeyAction) -> None:
         match action:
             case KeyAction.NEXT:
-                at = self.driven.index(self.chosen[-1]) + 1
-                self.chosen = (self.driven[at % len(self.driven)],)
+                at = self.driven.index(self.selected[-1]) + 1
+                self.selected = (self.driven[at % len(self.driven)],)
             case KeyAction.ALL:
-                self.chosen = self.driven
+                self.selected = self.driven
             case KeyAction.PLAN | KeyAction.HOLD:
-                mode = Mode.PLAN if action is KeyAction.PLAN else Mode.HOLD
-                for helm in self._chosen():
-                    if helm.mode is not mode:
-                        helm.mode, helm.told = mode, False
+                mode = DriveMode.PLAN if action is KeyAction.PLAN else DriveMode.HOLD
+                for control in self._selected_controls():
+                    if control.mode is not mode:
+                        control.mode, control.is_sent = mode, False
             case KeyAction.HELP:
-                self.help_wanted = not self.help_wanted
+                self.is_help_shown = not self.is_help_shown
             case KeyAction.QUIT:
                 self.ended = True
 
-    def _velocity(self, direction: Direction) -> np.ndarray:
+    def _scale_direction(self, direction: Direction) -> np.ndarray:
         """[4] surge, sway, heave in m/s and turn in rad/s, as set."""
         return np.append(self.speed_mps * np.array(direction[:3]), self.turn_radps * direction.yaw)
 
 
-def _still() -> BodyTwist:
+def _stop_command() -> BodyTwist:
     """Stop; of those who take velocities alone, also the nearest thing to holding."""
     return BodyTwist(nu=jnp.zeros(6))
 
@@ -226,7 +234,7 @@ def level_twist(velocity: np.ndarray, q: np.ndarray) -> np.ndarray:
     return np.append(_to_body(q, linear), turn * upright + righting)
 
 
-def within(nu: np.ndarray, robot: RobotInfo) -> np.ndarray:
+def limit_twist(nu: np.ndarray, robot: RobotInfo) -> np.ndarray:
     """A twist nu [6] in F, slowed to what a robot can do; its direction stays."""
     linear, angular = nu[:3], nu[3:]
     speeds = np.abs(linear) / np.asarray(robot.max_speed_mps)
@@ -237,12 +245,12 @@ def within(nu: np.ndarray, robot: RobotInfo) -> np.ndarray:
 def _to_body(q: np.ndarray, vector: np.ndarray) -> np.ndarray:
     """A vector [3] of W in F, on the host: a few operations of JAX take longer than a step."""
     w, axis = float(q[0]), -np.asarray(q[1:], float)
-    once = 2.0 * np.cross(axis, vector)
-    turned: np.ndarray = vector + w * once + np.cross(axis, once)
+    double_cross = 2.0 * np.cross(axis, vector)
+    turned: np.ndarray = vector + w * double_cross + np.cross(axis, double_cross)
     return turned
 
 
-def hold_here(estimate: Estimate, robot: int) -> PoseTarget:
+def hold_pose(estimate: Estimate, robot: int) -> PoseTarget:
     """The pose at which a robot of a scene is, to be held."""
     q = np.asarray(estimate.q)[robot]
     return PoseTarget(
@@ -258,7 +266,7 @@ def heading(q: np.ndarray) -> float:
     return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
 
-def _over(helm: _RobotControl, nu: np.ndarray, time_s: float) -> bool:
+def _is_at_rest(control: _RobotControl, nu: np.ndarray, time_s: float) -> bool:
     """Whether a robot that brakes has come to rest, or has tried for long enough."""
-    slow = np.linalg.norm(nu[:3]) < REST_MPS and np.linalg.norm(nu[3:]) < REST_RADPS
-    return bool(slow) or time_s - helm.since_s > BRAKE_S
+    is_slow = np.linalg.norm(nu[:3]) < REST_MPS and np.linalg.norm(nu[3:]) < REST_RADPS
+    return bool(is_slow) or time_s - control.since_s > BRAKE_S

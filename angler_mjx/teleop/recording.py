@@ -10,16 +10,16 @@ from angler_mjx.errors import RunError
 from angler_mjx.runs.session.recording import RecordedCourse, SessionRecording
 from angler_mjx.runs.storage.folder import Run
 from angler_mjx.teleop import script
-from angler_mjx.teleop.loop import Driven
+from angler_mjx.teleop.loop import DriveResult
 
-KEYS = "keys.txt"
+KEYS_FILE = "keys.txt"
 """Name of the file of keys in a run folder."""
 
 
-class Recording(SessionRecording):
+class TeleopRecording(SessionRecording):
     """A run folder in the making; see `SessionRecording`."""
 
-    def finish(self, driven: Driven, compile_s: float) -> Run | None:
+    def finish(self, driven: DriveResult, compile_s: float) -> Run | None:
         """Write the run.
 
         Args:
@@ -35,23 +35,23 @@ class Recording(SessionRecording):
         if not driven.steps:
             return None
         try:
-            script.save(self.building / KEYS, driven.keys)
+            script.save_keys(self.building / KEYS_FILE, driven.keys)
         except OSError as error:
             raise RunError(
-                f"{self.building / KEYS}: cannot be written ({error.strerror or error})"
+                f"{self.building / KEYS_FILE}: cannot be written ({error.strerror or error})"
             ) from error
         return self.close(
             RecordedCourse(
                 steps=driven.steps,
                 wall_s=driven.wall_s,
                 compile_s=compile_s,
-                more={"teleop": _summary(driven)},
+                more={"teleop": _build_summary(driven)},
                 interrupted=driven.broken,
             )
         )
 
 
-def _summary(driven: Driven) -> dict[str, Any]:
+def _build_summary(driven: DriveResult) -> dict[str, Any]:
     overruns = driven.overruns
     return {
         "steps": driven.steps,

@@ -10,22 +10,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from angler_mjx.errors import ConfigError, shown
-from angler_mjx.files import named, read_text
+from angler_mjx.errors import ConfigError, format_value
+from angler_mjx.files import format_path, read_text
 from angler_mjx.teleop import keys
 
 REPEAT_S = 0.1
 """Between two keys of one that is held: no faster than a control loop looks, no slower than a
 dead-man's time allows."""
 
-LATEST_S = 86_400.0
+MAX_TIME_S = 86_400.0
 """A scene is over by then: the longest horizon of a scenario."""
-MOST = 1_000_000
+MAX_KEYS = 1_000_000
 """Keys of a file, those of held ones counted each."""
-_MOST_BYTES, _LONGEST = 1 << 24, 200
+_MAX_BYTES, _MAX_LINE_LENGTH = 1 << 24, 200
 """Of a file, and characters of a line."""
 
-SHOWN = 10
+MAX_FAULTS = 10
 """Faults of a file that are told; a file with more is not one of keys."""
 
 _SLACK_S = 1e-6
@@ -42,7 +42,7 @@ class TimedKey:
     key: str
 
 
-class Script:
+class KeyScript:
     """Keys that come at their times."""
 
     def __init__(self, timed: Sequence[TimedKey]) -> None:
@@ -63,7 +63,7 @@ class Script:
         return self._next == len(self._timed)
 
 
-def load(path: Path) -> list[TimedKey]:
+def load_keys(path: Path) -> list[TimedKey]:
     """Read a file of keys.
 
     Raises:
@@ -71,7 +71,7 @@ def load(path: Path) -> list[TimedKey]:
             their numbers).
     """
     try:
-        text = read_text(path, _MOST_BYTES)
+        text = read_text(path, _MAX_BYTES)
     except ConfigError as error:
         raise ConfigError(f"--script {error}") from error
     timed: list[TimedKey] = []
@@ -81,61 +81,65 @@ def load(path: Path) -> list[TimedKey]:
         if not (stripped := re.sub(r"(^|\s)#.*", "", line).strip()):
             continue
         try:
-            begin, presses, pressed = _parse(stripped)
+            begin, presses, pressed = _parse_line(stripped)
             if begin < latest:
                 raise ValueError(f"comes before the line above it ({latest:g} s); sort the lines")
-            if len(timed) + presses > MOST:  # asked before they are made
-                raise ValueError(f"more than {MOST:,} keys up to here; drive for a shorter time")
+            if len(timed) + presses > MAX_KEYS:  # asked before they are made
+                raise ValueError(
+                    f"more than {MAX_KEYS:,} keys up to here; drive for a shorter time"
+                )
         except ValueError as error:
-            faults.append(f"  line {number}: {shown(stripped)}: {error}")
+            faults.append(f"  line {number}: {format_value(stripped)}: {error}")
             continue
         latest = begin
         timed += [TimedKey(begin + i * REPEAT_S, pressed) for i in range(presses)]
     if faults:
         count = f"{len(faults)} fault{'s' if len(faults) > 1 else ''}"
-        more = [f"  and {len(faults) - SHOWN} more"] if len(faults) > SHOWN else []
-        raise ConfigError("\n".join([f"--script {named(path)}: {count}", *faults[:SHOWN], *more]))
+        more = [f"  and {len(faults) - MAX_FAULTS} more"] if len(faults) > MAX_FAULTS else []
+        raise ConfigError(
+            "\n".join([f"--script {format_path(path)}: {count}", *faults[:MAX_FAULTS], *more])
+        )
     if not timed:
-        raise ConfigError(f"--script {named(path)}: holds no key; give lines such as `2.0 i`")
+        raise ConfigError(f"--script {format_path(path)}: holds no key; give lines such as `2.0 i`")
     # A held key goes on past the lines that follow it.
-    return sorted(timed, key=lambda one: one.time_s)
+    return sorted(timed, key=lambda timed_key: timed_key.time_s)
 
 
-def save(path: Path, timed: Sequence[TimedKey]) -> None:
-    """Write a file that `load` reads: the same keys at the same times."""
-    lines = [f"{one.time_s!r} {keys.name(one.key)}\n" for one in timed]
+def save_keys(path: Path, timed: Sequence[TimedKey]) -> None:
+    """Write a file that `load_keys` reads: the same keys at the same times."""
+    lines = [f"{timed_key.time_s!r} {keys.format_key(timed_key.key)}\n" for timed_key in timed]
     path.write_text("".join(["# seconds of the scene, key\n", *lines]), encoding="utf-8")
 
 
-def _parse(line: str) -> tuple[float, int, str]:
+def _parse_line(line: str) -> tuple[float, int, str]:
     """The first time of a line, how often its key comes, and the key.
 
     Raises:
         ValueError: saying what of it makes no sense.
     """
-    if len(line) > _LONGEST or (match := _LINE.fullmatch(line)) is None:
+    if len(line) > _MAX_LINE_LENGTH or (match := _LINE.fullmatch(line)) is None:
         raise ValueError("give a time in seconds and a key, as in `2.0 i`")
-    begin = _seconds(match["begin"])
-    key = _key(match["key"])
+    begin = _parse_seconds(match["begin"])
+    key = _parse_key(match["key"])
     if match["end"] is None:
         return begin, 1, key
-    end = _seconds(match["end"])
+    end = _parse_seconds(match["end"])
     if end <= begin:
         raise ValueError(f"is held until {end:g} s, which is not after {begin:g} s")
     return begin, int((end - begin) / REPEAT_S + _SLACK_S) + 1, key
 
 
-def _seconds(text: str) -> float:
+def _parse_seconds(text: str) -> float:
     try:
         value = float(text)
     except ValueError:
-        raise ValueError(f"{shown(text)} is not a time in seconds") from None
-    if not 0.0 <= value <= LATEST_S:
-        raise ValueError(f"{text} is not a time from 0 s on, {LATEST_S:g} s at most")
+        raise ValueError(f"{format_value(text)} is not a time in seconds") from None
+    if not 0.0 <= value <= MAX_TIME_S:
+        raise ValueError(f"{text} is not a time from 0 s on, {MAX_TIME_S:g} s at most")
     return value
 
 
-def _key(text: str) -> str:
+def _parse_key(text: str) -> str:
     """The key of its written form.
 
     Raises:
@@ -143,8 +147,8 @@ def _key(text: str) -> str:
     """
     if len(text) == 1:
         return text
-    word = text[1:-1].lower()
-    if text.startswith("<") and text.endswith(">") and word in keys.NAMES:
-        return keys.NAMES[word]
-    known = ", ".join(f"<{name}>" for name in keys.NAMES)
-    raise ValueError(f"{shown(text)} is not a key; give one character, or {known}")
+    key_name = text[1:-1].lower()
+    if text.startswith("<") and text.endswith(">") and key_name in keys.NAMES:
+        return keys.NAMES[key_name]
+    available = ", ".join(f"<{name}>" for name in keys.NAMES)
+    raise ValueError(f"{format_value(text)} is not a key; give one character, or {available}")

@@ -9,58 +9,58 @@ from typing import Any
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
-class Stop:
+class StopRequest:
     """Whether a signal asked for the end: then the step that is being made is still finished."""
 
     def __init__(self) -> None:
         """Nobody did."""
-        self.asked = False
+        self.requested = False
         self.closing = False
         """Whether what was driven is being put away, which nothing breaks off."""
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
         """Take a signal; a second one breaks off a step that does not end."""
-        if self.asked and not self.closing:
+        if self.requested and not self.closing:
             signal.default_int_handler(number, frame)
-        self.asked = True
+        self.requested = True
 
 
 @contextmanager
-def stoppable() -> Iterator[Stop]:
+def stop_on_signal() -> Iterator[StopRequest]:
     """Ctrl-C, SIGTERM and a lost terminal (SIGHUP) ask for the end instead of breaking off."""
-    stop = Stop()
-    with _handled(stop):
+    stop = StopRequest()
+    with _install_handler(stop):
         yield stop
 
 
-class Break:
+class BreakRequest:
     """Breaks off what is being done, by KeyboardInterrupt."""
 
     def __init__(self) -> None:
         """Nobody asked for it."""
-        self._asked = False
+        self._requested = False
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
         """Take a signal."""
-        self._asked = True
+        self._requested = True
         signal.default_int_handler(number, frame)
 
     def check(self) -> None:
         """Raise it again: one that falls into a callback of a library is swallowed there."""
-        if self._asked:
+        if self._requested:
             raise KeyboardInterrupt
 
 
 @contextmanager
-def breakable() -> Iterator[Break]:
+def break_on_signal() -> Iterator[BreakRequest]:
     """All three break off what is being done, so that what was begun is taken away."""
-    interrupt = Break()
-    with _handled(interrupt):
+    interrupt = BreakRequest()
+    with _install_handler(interrupt):
         yield interrupt
 
 
 @contextmanager
-def _handled(handler: Callable[[int, FrameType | None], Any]) -> Iterator[None]:
+def _install_handler(handler: Callable[[int, FrameType | None], Any]) -> Iterator[None]:
     before = {number: signal.signal(number, handler) for number in _SIGNALS}
     try:
         yield

@@ -11,7 +11,7 @@ from angler_mjx.robot.control.commands import PoseTarget
 from angler_mjx.runs.session.interface import Observation, RobotInfo, RobotStatus
 from angler_mjx.teleop.keys import HELP
 from angler_mjx.teleop.pace import Overruns
-from angler_mjx.teleop.pilot import Mode, TeleopPilot, heading
+from angler_mjx.teleop.pilot import DriveMode, TeleopPilot, heading
 
 WIDTH = 79
 """Of a terminal of 80 columns, all that can be used."""
@@ -19,7 +19,7 @@ WIDTH = 79
 _HEAD = "  robot     depth m  hdg   m/s clear m  driven by  outcome"
 
 
-def lines(
+def format_screen(
     title: str,
     robots: Sequence[RobotInfo],
     observation: Observation,
@@ -36,58 +36,59 @@ def lines(
         overruns: so far; None where nobody keeps real time.
     """
     pace = "as fast as possible" if overruns is None else str(overruns)
-    told = [
+    rows = [
         f"{title}  {observation.time_s:.1f} s  {pace}",
         f"speed {pilot.speed_mps:.2f} m/s  turn {pilot.turn_radps:.2f} rad/s  "
         f"stops after {pilot.silence_s:g} s of silence  ?: help  Q: end",
         "",
         _HEAD,
-        *(_robot(i, robot, observation, pilot) for i, robot in enumerate(robots)),
+        *(_format_robot(i, robot, observation, pilot) for i, robot in enumerate(robots)),
         "",
     ]
     for i, (robot, status) in enumerate(zip(robots, observation.status, strict=True)):
-        told += _remarks(robot, status, pilot.remark(i))
-    if pilot.help_wanted:
-        told += ["", *HELP]
-    return [line[:WIDTH] for line in told]
+        rows += _format_remarks(robot, status, pilot.remark(i))
+    if pilot.is_help_shown:
+        rows += ["", *HELP]
+    return [line[:WIDTH] for line in rows]
 
 
-def drives(robot: int, pilot: TeleopPilot, status: RobotStatus) -> str:
+def format_drive_mode(robot: int, pilot: TeleopPilot, status: RobotStatus) -> str:
     """What drives a robot, in a word or two."""
     if status.refused:
         return "hold"
     mode = pilot.mode(robot)
-    if mode is not Mode.PLAN:
+    if mode is not DriveMode.PLAN:
         return str(mode.value)
-    return str(Mode.HOLD.value) if status.command == PoseTarget.__name__ else status.command
+    return str(DriveMode.HOLD.value) if status.command == PoseTarget.__name__ else status.command
 
 
-def compass_deg(q: np.ndarray) -> float:
+def compass_heading_deg(q: np.ndarray) -> float:
     """Heading on a compass: degrees from north, clockwise, in [0, 360), of q [4], F to W."""
     return math.degrees(heading(frames.quaternion_enu_to_ned(np.asarray(q, float)))) % 360.0
 
 
-def _robot(i: int, robot: RobotInfo, observation: Observation, pilot: TeleopPilot) -> str:
+def _format_robot(i: int, robot: RobotInfo, observation: Observation, pilot: TeleopPilot) -> str:
     p, q, nu = (
         np.asarray(part)[i]
         for part in (observation.estimate.p, observation.estimate.q, observation.estimate.nu)
     )
     status = observation.status[i]
     clearance = "-" if observation.clearance_m is None else f"{observation.clearance_m[i]:.2f}"
-    mark = ">" if i in pilot.chosen else " "
+    mark = ">" if i in pilot.selected else " "
     return (
-        f"{mark} {robot.name:<9.9} {-p[2]:7.2f} {round(compass_deg(q)) % 360:4d} "
-        f"{np.linalg.norm(nu[:3]):5.2f} {clearance:>7}  {drives(i, pilot, status):<9.9}  "
+        f"{mark} {robot.name:<9.9} {-p[2]:7.2f} {round(compass_heading_deg(q)) % 360:4d} "
+        f"{np.linalg.norm(nu[:3]):5.2f} {clearance:>7}  {format_drive_mode(i, pilot, status):<9.9} "
+        " "
         f"{status.outcome.name.lower():<17}  {'refused' if status.refused else ''}"
     ).rstrip()
 
 
-def _remarks(robot: RobotInfo, status: RobotStatus, remark: str) -> list[str]:
+def _format_remarks(robot: RobotInfo, status: RobotStatus, remark: str) -> list[str]:
     """What its driver and the pilot have to say of a robot, on lines of their own."""
-    said = [f"refused: {status.refused}"] if status.refused else []
-    said += [text for text in (status.note, remark) if text]
+    texts = [f"refused: {status.refused}"] if status.refused else []
+    texts += [text for text in (status.note, remark) if text]
     return [
         line
-        for text in said
+        for text in texts
         for line in textwrap.wrap(f"{robot.name}: {text}", WIDTH, subsequent_indent="    ")
     ]

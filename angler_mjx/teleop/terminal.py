@@ -35,7 +35,7 @@ _HANGUP = "\x03"
 """A terminal that is gone is read as Ctrl-C."""
 
 
-def keys_of(text: str) -> list[str]:
+def parse_keys(text: str) -> list[str]:
     """Keys in what a terminal sent; those of several characters come as Escape."""
     return [part[0] for part in _SEQUENCE.findall(text)]
 
@@ -62,12 +62,12 @@ class Keyboard:
         """Take keys as they are pressed; what was typed before is dropped."""
         self._before = termios.tcgetattr(self._file)
         tty.setcbreak(self._file, termios.TCSAFLUSH)
-        now = termios.tcgetattr(self._file)
-        now[_IFLAG] &= ~termios.IXON
+        attributes = termios.tcgetattr(self._file)
+        attributes[_IFLAG] &= ~termios.IXON
         disabled = os.fpathconf(self._file, "PC_VDISABLE").to_bytes(1, "little")
-        for place in (termios.VSUSP, termios.VQUIT):
-            now[_CC][place] = disabled
-        termios.tcsetattr(self._file, termios.TCSADRAIN, now)
+        for slot in (termios.VSUSP, termios.VQUIT):
+            attributes[_CC][slot] = disabled
+        termios.tcsetattr(self._file, termios.TCSADRAIN, attributes)
         return self
 
     def __exit__(
@@ -96,7 +96,7 @@ class Keyboard:
                 sent += more
         except OSError:
             return [_HANGUP]
-        return keys_of(self._decoder.decode(sent))
+        return parse_keys(self._decoder.decode(sent))
 
 
 class Screen:

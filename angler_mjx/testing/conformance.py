@@ -45,14 +45,14 @@ class Result:
     """What did not hold; empty if all did."""
 
 
-def _check(run: Callable[[Session, Bounds], None]) -> Check:
+def _build_check(run: Callable[[Session, Bounds], None]) -> Check:
     """A check from its function: its name, and the first line of what it says."""
-    said = (run.__doc__ or "").strip().splitlines()[0]
-    return Check(name=run.__name__, asserts=said, run=run)
+    description = (run.__doc__ or "").strip().splitlines()[0]
+    return Check(name=run.__name__, asserts=description, run=run)
 
 
 CHECKS: tuple[Check, ...] = tuple(
-    _check(run)
+    _build_check(run)
     for run in (
         session_checks.reset_repeats,
         session_checks.time_advances,
@@ -109,7 +109,7 @@ def check_session(
             results.append(Result(name=check.name))
     if only is not None and closing not in only:
         session.close()
-    if faults := [f"{one.name}: {one.fault}" for one in results if one.fault]:
+    if faults := [f"{result.name}: {result.fault}" for result in results if result.fault]:
         raise NonConformanceError(
             "\n".join([f"{len(faults)} of {len(results)} checks failed", *faults])
         )

@@ -8,7 +8,7 @@ import numpy as np
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.robot.control.commands import BodyTwist, PoseTarget
-from angler_mjx.runs.session.interface import Floats, Observation, Order, Session
+from angler_mjx.runs.session.interface import Floats, Observation, Session, SessionCommand
 
 
 class NonConformanceError(AssertionError):
@@ -53,14 +53,14 @@ def require(holds: bool | np.bool_, message: str) -> None:
         raise NonConformanceError(message)
 
 
-def accepts(session: Session, robot: int, kind: type) -> None:
+def require_accepts(session: Session, robot: int, kind: type) -> None:
     """Skip a check whose command a robot does not take."""
     if kind not in session.robots[robot].accepts:
         raise Skipped(f"{session.robots[robot].name} takes no {kind.__name__}")
 
 
-def run(
-    session: Session, seconds: float, commands: Mapping[int, Order] | None = None
+def run_steps(
+    session: Session, seconds: float, commands: Mapping[int, SessionCommand] | None = None
 ) -> list[Observation]:
     """Step for a while; commands are given once, at the beginning.
 
@@ -71,7 +71,7 @@ def run(
     return [session.step(commands), *(session.step() for _ in range(steps - 1))]
 
 
-def refused(session: Session, robot: int, order: Any) -> str:
+def refusal_reason(session: Session, robot: int, order: Any) -> str:
     """Why `Session.check` refuses an order; empty if it does not."""
     try:
         session.check(robot, order)
@@ -98,19 +98,19 @@ def heading(observation: Observation, robot: int) -> float:
     return float(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
 
 
-def turned(a: float, b: float) -> float:
+def heading_difference(a: float, b: float) -> float:
     """Angle between two headings, at least 0."""
     return float(abs((a - b + np.pi) % (2 * np.pi) - np.pi))
 
 
-def twist(*parts: float) -> BodyTwist:
+def make_twist(*parts: float) -> BodyTwist:
     """A twist of six numbers."""
     nu: Any = np.array(parts)
     return BodyTwist(nu=nu)
 
 
-def pose(p: Floats, yaw_rad: float) -> PoseTarget:
+def make_pose(p: Floats, yaw_rad: float) -> PoseTarget:
     """A pose at rest."""
-    place: Any = np.asarray(p)
+    position_m: Any = np.asarray(p)
     yaw: Any = np.asarray(yaw_rad)
-    return PoseTarget(position_m=place, velocity_mps=0.0 * place, yaw_rad=yaw)
+    return PoseTarget(position_m=position_m, velocity_mps=0.0 * position_m, yaw_rad=yaw)

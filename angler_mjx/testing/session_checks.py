@@ -14,14 +14,14 @@ from angler_mjx.runs.session.interface import Floats, Observation, Session
 from angler_mjx.testing.driving import (
     Bounds,
     Skipped,
-    accepts,
     heading,
-    pose,
+    heading_difference,
+    make_pose,
+    make_twist,
     position,
     require,
-    run,
-    turned,
-    twist,
+    require_accepts,
+    run_steps,
     velocity,
 )
 
@@ -32,9 +32,9 @@ def reset_repeats(session: Session, bounds: Bounds) -> None:
     for _ in range(2):
         begin = session.reset(seed=11)
         require(begin.time_s == 0.0, f"time after a reset is {begin.time_s}, not 0")
-        told = {bounds.robot: twist(bounds.speed_mps, 0, 0, 0, 0, 0)}
-        accepts(session, bounds.robot, BodyTwist)
-        ends.append((begin, run(session, 1.0, told)[-1]))
+        commands = {bounds.robot: make_twist(bounds.speed_mps, 0, 0, 0, 0, 0)}
+        require_accepts(session, bounds.robot, BodyTwist)
+        ends.append((begin, run_steps(session, 1.0, commands)[-1]))
     for first, second in zip(*ends, strict=True):
         apart = np.abs(np.asarray(first.estimate.p) - np.asarray(second.estimate.p)).max()
         require(
@@ -46,7 +46,7 @@ def reset_repeats(session: Session, bounds: Bounds) -> None:
 def time_advances(session: Session, bounds: Bounds) -> None:
     """Each step takes one control period."""
     before = session.reset().time_s
-    for number, now in enumerate(run(session, 0.5), 1):
+    for number, now in enumerate(run_steps(session, 0.5), 1):
         due = before + number * session.dt_s
         require(
             abs(now.time_s - due) <= bounds.clock_s,
@@ -57,7 +57,7 @@ def time_advances(session: Session, bounds: Bounds) -> None:
 def observing_changes_nothing(session: Session, bounds: Bounds) -> None:
     """Looking twice shows the same, and shows what the step showed."""
     session.reset()
-    after = run(session, 0.5)[-1]
+    after = run_steps(session, 0.5)[-1]
     for look in ("first", "second"):
         now = session.observe()
         require(now.time_s == after.time_s, f"time moved at the {look} look")
@@ -67,9 +67,9 @@ def observing_changes_nothing(session: Session, bounds: Bounds) -> None:
 
 def commands_are_latched(session: Session, bounds: Bounds) -> None:
     """A robot goes on with its last command until it is given another."""
-    accepts(session, bounds.robot, BodyTwist)
+    require_accepts(session, bounds.robot, BodyTwist)
     session.reset()
-    seen = run(session, 5.0, {bounds.robot: twist(bounds.speed_mps, 0, 0, 0, 0, 0)})
+    seen = run_steps(session, 5.0, {bounds.robot: make_twist(bounds.speed_mps, 0, 0, 0, 0, 0)})
     for now in seen:
         name = now.status[bounds.robot].command
         require(name == "BodyTwist", f"it follows {name!r} at {now.time_s:.3g} s, not BodyTwist")
@@ -82,13 +82,13 @@ def commands_are_latched(session: Session, bounds: Bounds) -> None:
 
 def twists_are_in_the_body_frame(session: Session, bounds: Bounds) -> None:
     """A robot told a twist moves so along its own axes, and turns left for a positive yaw rate."""
-    accepts(session, bounds.robot, BodyTwist)
+    require_accepts(session, bounds.robot, BodyTwist)
     for axis, name in ((0, "surge"), (1, "sway"), (2, "heave"), (5, "yaw")):
         begin = session.reset()
         wanted = np.zeros(6)
         # Downwards: a start may be just below the surface.
         wanted[axis] = -bounds.speed_mps if axis == 2 else bounds.speed_mps
-        seen = run(session, 5.0, {bounds.robot: twist(*wanted)})
+        seen = run_steps(session, 5.0, {bounds.robot: make_twist(*wanted)})
         late = np.mean([velocity(now, bounds.robot) for now in seen[-20:]], axis=0)
         held = [0, 1, 2, 5]  # roll and pitch are the vehicle's own to balance
         off = np.abs(late - wanted)[held].max()
@@ -96,41 +96,45 @@ def twists_are_in_the_body_frame(session: Session, bounds: Bounds) -> None:
             off <= bounds.velocity_mps,
             f"told a {name} of {wanted[axis]:.3g} it moves with nu = {np.round(late, 3)}",
         )
-        _went_there(begin, seen[-1], bounds, axis, name)
+        _require_direction(begin, seen[-1], bounds, axis, name)
 
 
-def _went_there(begin: Observation, end: Observation, bounds: Bounds, axis: int, name: str) -> None:
+def _require_direction(
+    begin: Observation, end: Observation, bounds: Bounds, axis: int, name: str
+) -> None:
     """Whether the way in W is that of the command, by the heading at the start."""
     if axis == 5:
         left = heading(end, bounds.robot) - heading(begin, bounds.robot)
         require(
-            turned(left, 0.0) > 0.5 and np.sin(left) > 0, f"told to turn left it turned {left:.3g}"
+            heading_difference(left, 0.0) > 0.5 and np.sin(left) > 0,
+            f"told to turn left it turned {left:.3g}",
         )
         return
     yaw = heading(begin, bounds.robot)
-    ahead = {
+    direction = {
         0: np.array([np.cos(yaw), np.sin(yaw), 0.0]),
         1: np.array([-np.sin(yaw), np.cos(yaw), 0.0]),
         2: np.array([0.0, 0.0, -1.0]),
     }[axis]
-    way = position(end, bounds.robot) - position(begin, bounds.robot)
-    along = float(way @ ahead)
+    offset_m = position(end, bounds.robot) - position(begin, bounds.robot)
+    distance_m = float(offset_m @ direction)
     require(
-        along > 2.0 * bounds.speed_mps and np.linalg.norm(way - along * ahead) < 0.5 * along,
-        f"told a {name} for 5 s it went {np.round(way, 3)} m in W, heading {yaw:.3g} rad",
+        distance_m > 2.0 * bounds.speed_mps
+        and np.linalg.norm(offset_m - distance_m * direction) < 0.5 * distance_m,
+        f"told a {name} for 5 s it went {np.round(offset_m, 3)} m in W, heading {yaw:.3g} rad",
     )
 
 
 def poses_are_reached(session: Session, bounds: Bounds) -> None:
     """A pose a metre off, turned by a radian, is reached and kept."""
-    accepts(session, bounds.robot, PoseTarget)
+    require_accepts(session, bounds.robot, PoseTarget)
     begin = session.reset()
     goal = position(begin, bounds.robot) + np.array([0.6, 0.5, -0.6])
     yaw = heading(begin, bounds.robot) + 1.0
-    seen = run(session, bounds.settle_s + 2.0, {bounds.robot: pose(goal, yaw)})
+    seen = run_steps(session, bounds.settle_s + 2.0, {bounds.robot: make_pose(goal, yaw)})
     for now in seen[round(bounds.settle_s / session.dt_s) :]:
         away = float(np.linalg.norm(position(now, bounds.robot) - goal))
-        off = turned(heading(now, bounds.robot), yaw)
+        off = heading_difference(heading(now, bounds.robot), yaw)
         require(
             max(away, off) <= bounds.pose_m,
             f"at {now.time_s:.3g} s it is {away:.3g} m and {off:.3g} rad from its pose",
@@ -139,29 +143,29 @@ def poses_are_reached(session: Session, bounds: Bounds) -> None:
 
 def wrenches_push(session: Session, bounds: Bounds) -> None:
     """A wrench forward drives a robot forward."""
-    accepts(session, bounds.robot, BodyWrench)
+    require_accepts(session, bounds.robot, BodyWrench)
     session.reset()
     tau: Any = np.array([15.0, 0, 0, 0, 0, 0])
-    end = run(session, 2.0, {bounds.robot: BodyWrench(tau=tau)})[-1]
+    end = run_steps(session, 2.0, {bounds.robot: BodyWrench(tau=tau)})[-1]
     surge = velocity(end, bounds.robot)[0]
     require(surge > 0.1, f"2 s of 15 N forward leave it at a surge of {surge:.3g} m/s")
 
 
 def neutral_signals_let_it_drift(session: Session, bounds: Bounds) -> None:
     """With neutral signals nothing is held: a moving robot coasts, and slows down by drag."""
-    accepts(session, bounds.robot, ThrusterPwm)
-    accepts(session, bounds.robot, BodyTwist)
+    require_accepts(session, bounds.robot, ThrusterPwm)
+    require_accepts(session, bounds.robot, BodyTwist)
     robot = session.robots[bounds.robot]
     session.reset()
-    fast = run(session, 5.0, {bounds.robot: twist(bounds.speed_mps, 0, 0, 0, 0, 0)})[-1]
+    fast = run_steps(session, 5.0, {bounds.robot: make_twist(bounds.speed_mps, 0, 0, 0, 0, 0)})[-1]
     signals: Any = np.full(len(robot.thrusters), 1500.0)
-    seen = run(session, 5.0, {bounds.robot: ThrusterPwm(pwm_us=signals)})
+    seen = run_steps(session, 5.0, {bounds.robot: ThrusterPwm(pwm_us=signals)})
     for now in seen:
         sent = np.asarray(now.pwm.pwm_us, float)[bounds.robot][: len(robot.thrusters)]
         require(bool(np.all(sent == 1500.0)), f"told 1500 us it was sent {sent}")
-    way = np.linalg.norm(position(seen[-1], bounds.robot) - position(fast, bounds.robot))
+    distance_m = np.linalg.norm(position(seen[-1], bounds.robot) - position(fast, bounds.robot))
     before, after = (velocity(now, bounds.robot)[0] for now in (fast, seen[-1]))
-    require(way > 0.02, f"it stopped within {way:.3g} m without thrust")
+    require(distance_m > 0.02, f"it stopped within {distance_m:.3g} m without thrust")
     require(
         after < 0.7 * before, f"its surge is {after:.3g} m/s after 5 s of drag, from {before:.3g}"
     )
@@ -169,8 +173,8 @@ def neutral_signals_let_it_drift(session: Session, bounds: Bounds) -> None:
 
 def trajectories_are_followed_and_held(session: Session, bounds: Bounds) -> None:
     """A JointTrajectory is followed in time, its end is held, and the note says so."""
-    accepts(session, bounds.robot, JointGoal)
-    begin = _held(session, bounds)
+    require_accepts(session, bounds.robot, JointGoal)
+    begin = _hold_start(session, bounds)
     start, yaw = position(begin, bounds.robot), heading(begin, bounds.robot)
     times = np.array([4.0, 8.0, 12.0])
     offsets = np.array([[0.8, 0.0, 0.0], [0.8, 0.6, -0.4], [0.0, 0.6, -0.4]])
@@ -179,9 +183,9 @@ def trajectories_are_followed_and_held(session: Session, bounds: Bounds) -> None
         for t, off in zip(times, offsets, strict=True)
     )
     goal = JointGoal(joint_names=("x", "y", "z", "yaw"), points=points)
-    seen = run(session, times[-1] + bounds.settle_s, {bounds.robot: goal})
+    seen = run_steps(session, times[-1] + bounds.settle_s, {bounds.robot: goal})
     for now in seen:
-        wanted = start + _along(now.time_s - begin.time_s, times, offsets)
+        wanted = start + _interpolate_path(now.time_s - begin.time_s, times, offsets)
         away = float(np.linalg.norm(position(now, bounds.robot) - wanted))
         require(
             away <= bounds.track_m, f"at {now.time_s:.3g} s it is {away:.3g} m from its trajectory"
@@ -194,16 +198,16 @@ def trajectories_are_followed_and_held(session: Session, bounds: Bounds) -> None
     )
 
 
-def _held(session: Session, bounds: Bounds) -> Observation:
+def _hold_start(session: Session, bounds: Bounds) -> Observation:
     """A robot that holds its start: a path is joined to what its plan was about to do, else."""
     begin = session.reset()
     if PoseTarget not in session.robots[bounds.robot].accepts:
         return begin
-    here = pose(position(begin, bounds.robot), heading(begin, bounds.robot))
-    return run(session, 2.0, {bounds.robot: here})[-1]
+    start_pose = make_pose(position(begin, bounds.robot), heading(begin, bounds.robot))
+    return run_steps(session, 2.0, {bounds.robot: start_pose})[-1]
 
 
-def _along(t: float, times: Floats, offsets: Floats) -> Floats:
+def _interpolate_path(t: float, times: Floats, offsets: Floats) -> Floats:
     """Where a trajectory of lines from rest is; its first piece ends with the next one's speed."""
     knots = np.concatenate([[0.0], times])
     rows = np.concatenate([np.zeros((1, 3)), offsets])
@@ -212,46 +216,52 @@ def _along(t: float, times: Floats, offsets: Floats) -> Floats:
 
 def trajectories_are_replaced_smoothly(session: Session, bounds: Bounds) -> None:
     """Another JointTrajectory in mid-course is joined without a jump of the place aimed at."""
-    accepts(session, bounds.robot, JointGoal)
-    begin = _held(session, bounds)
+    require_accepts(session, bounds.robot, JointGoal)
+    begin = _hold_start(session, bounds)
     x, y, _ = position(begin, bounds.robot)
     first = JointGoal(joint_names=("x",), points=(JointPoint(time_s=6.0, positions=(x + 1.2,)),))
     second = JointGoal(joint_names=("y",), points=(JointPoint(time_s=6.0, positions=(y + 1.0,)),))
-    seen = run(session, 3.0, {bounds.robot: first}) + run(session, 4.0, {bounds.robot: second})
+    seen = run_steps(session, 3.0, {bounds.robot: first}) + run_steps(
+        session, 4.0, {bounds.robot: second}
+    )
     # A quintic from rest to rest moves at 15/8 of its mean speed.
-    smooth(session, bounds, seen, speed_mps=0.4)
+    require_smooth(session, bounds, seen, speed_mps=0.4)
 
 
 def plans_are_taken_up_again_smoothly(session: Session, bounds: Bounds) -> None:
     """Plan, twist, plan: one robot is handed over and back without a jump, the others go on."""
-    accepts(session, bounds.robot, BodyTwist)
+    require_accepts(session, bounds.robot, BodyTwist)
     begin = session.reset()
     if begin.status[bounds.robot].command != "plan":
         raise Skipped(f"{session.robots[bounds.robot].name} has no plan")
-    run(session, 4.0)
-    away = run(session, 3.0, {bounds.robot: twist(0, bounds.speed_mps, 0, 0, 0, 0)})
+    run_steps(session, 4.0)
+    away = run_steps(session, 3.0, {bounds.robot: make_twist(0, bounds.speed_mps, 0, 0, 0, 0)})
     try:
         session.resume_plan(bounds.robot)
     except ConfigError as error:
         raise Skipped(str(error)) from error
-    back = run(session, 6.0)
+    back = run_steps(session, 6.0)
     for now in back:
         name = now.status[bounds.robot].command
         require(name == "plan", f"after resume_plan it follows {name!r}")
     if back[0].target_m is not None:
         jump = np.linalg.norm(back[0].target_m[bounds.robot] - position(away[-1], bounds.robot))
         require(jump < 0.3, f"its plan begins {jump:.3g} m from where it was handed back")
-    smooth(session, bounds, back, session.robots[bounds.robot].cruise_speed_mps)
+    require_smooth(session, bounds, back, session.robots[bounds.robot].cruise_speed_mps)
     for i, status in enumerate(back[-1].status):
         require(
             i == bounds.robot or status.command == begin.status[i].command,
             f"{session.robots[i].name} follows {status.command!r} now",
         )
-    way = np.linalg.norm(position(back[-1], bounds.robot) - position(back[0], bounds.robot))
-    require(way > 0.3, f"it went {way:.3g} m in 6 s after it was given back to its plan")
+    distance_m = np.linalg.norm(position(back[-1], bounds.robot) - position(back[0], bounds.robot))
+    require(
+        distance_m > 0.3, f"it went {distance_m:.3g} m in 6 s after it was given back to its plan"
+    )
 
 
-def smooth(session: Session, bounds: Bounds, seen: list[Observation], speed_mps: float) -> None:
+def require_smooth(
+    session: Session, bounds: Bounds, seen: list[Observation], speed_mps: float
+) -> None:
     """Require that the place aimed at does not step, nor the velocity in the first second.
 
     Later a path may have corners.

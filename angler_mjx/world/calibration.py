@@ -17,10 +17,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from angler_kernels.bit_grid import population
+from angler_kernels.bit_grid import count_cells
 from angler_mjx.errors import ConfigError
-from angler_mjx.files import FileModel, parse
-from angler_mjx.world.rules import AutomatonRule, Shape, draw_cells
+from angler_mjx.files import FileModel, parse_model
+from angler_mjx.world.rules import AutomatonRule, Shape, sample_cells
 
 _FILE = "calibration.json"
 _EDGES = (8, 12, 16, 24, 32)
@@ -54,13 +54,13 @@ def fill_for_density(rule: AutomatonRule, shape: Shape, density: float) -> float
     Raises:
         ConfigError: the rule was never measured, or the density is outside what was measured.
     """
-    table = _tables().get(rule)
+    table = _load_tables().get(rule)
     if table is None:
         raise ConfigError(
             f"rule = {rule.model_dump()}: its density has not been measured; give fill instead of "
             "density, or a rule of one of the presets"
         )
-    densities = _densities(table, shape)
+    densities = _densities_for(table, shape)
     if not densities[0] <= density <= densities[-1]:
         raise ConfigError(
             f"density = {density}: this rule reaches {densities[0]:.4f} to {densities[-1]:.3f} on "
@@ -69,27 +69,29 @@ def fill_for_density(rule: AutomatonRule, shape: Shape, density: float) -> float
     return float(np.interp(density, densities, table.fill))
 
 
-def _densities(table: CalibrationTable, shape: Shape) -> np.ndarray:
+def _densities_for(table: CalibrationTable, shape: Shape) -> np.ndarray:
     """Densities at the fills of the table, for a shape."""
-    face_share = float(np.mean(1.0 / np.array(shape)))
-    known = 1.0 / np.array(table.edge_cells)
-    if not known.min() <= face_share <= known.max():
+    face_fraction = float(np.mean(1.0 / np.array(shape)))
+    table_fractions = 1.0 / np.array(table.edge_cells)
+    if not table_fractions.min() <= face_fraction <= table_fractions.max():
         raise ConfigError(
             f"shape = {shape}: density is known for grids like cubes of {min(table.edge_cells)} to "
             f"{max(table.edge_cells)} cells; give fill instead of density"
         )
     columns = np.array(table.density).T
-    return np.array([np.interp(face_share, known[::-1], column[::-1]) for column in columns])
+    return np.array(
+        [np.interp(face_fraction, table_fractions[::-1], column[::-1]) for column in columns]
+    )
 
 
 @cache
-def _tables() -> dict[AutomatonRule, CalibrationTable]:
+def _load_tables() -> dict[AutomatonRule, CalibrationTable]:
     path = resources.files("angler_mjx.world") / "data" / _FILE
     data = json.loads(path.read_text(encoding="utf-8"))
-    return {table.rule: table for table in parse(_Tables, data, source=_FILE).tables}
+    return {table.rule: table for table in parse_model(_Tables, data, source=_FILE).tables}
 
 
-def measure(
+def measure_densities(
     rule: AutomatonRule, fills: np.ndarray, edges: tuple[int, ...] = _EDGES
 ) -> CalibrationTable:
     """Mean densities of a rule; the same random numbers serve all fills, so the curve is smooth."""
@@ -110,13 +112,13 @@ def measure(
 def _mean_density(
     rule: AutomatonRule, shape: Shape, n_world: int, fill: jax.Array, key: jax.Array
 ) -> jax.Array:
-    occupied = draw_cells(rule, shape, fill, jax.random.split(key, n_world))
-    return jnp.mean(population(occupied).astype(jnp.float32)) / math.prod(shape)
+    occupied = sample_cells(rule, shape, fill, jax.random.split(key, n_world))
+    return jnp.mean(count_cells(occupied).astype(jnp.float32)) / math.prod(shape)
 
 
 def main() -> None:
     """Measure all rules of the presets and rewrite the table."""
-    tables = tuple(measure(rule, fills) for rule, fills in _RULES.items())
+    tables = tuple(measure_densities(rule, fills) for rule, fills in _RULES.items())
     content = _Tables(made_by="python -m angler_mjx.world.calibration", tables=tables)
     Path(__file__).with_name("data").joinpath(_FILE).write_text(
         json.dumps(content.model_dump(), indent=1) + "\n", encoding="utf-8"

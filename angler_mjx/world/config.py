@@ -1,6 +1,6 @@
 """What a scenario file may say about the world, and what comes of it.
 
-`WorldConfig` is what a person writes: a preset and a few changes to it. `resolve` fills in
+`WorldConfig` is what a person writes: a preset and a few changes to it. `resolve_world` fills in
 everything else from the preset and gives a `WorldRecipe`: complete, hashable, one meaning. The
 recipe is what `generate` reads as a static argument.
 """
@@ -11,17 +11,17 @@ from pydantic import Field, field_validator, model_validator
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import FileModel
-from angler_mjx.quantities import Length, Place, PositiveLength
+from angler_mjx.quantities import Coordinate, Length, PositiveLength
 from angler_mjx.world import calibration, presets
 from angler_mjx.world.currents import CurrentConfig, GridConfig, ground
 from angler_mjx.world.currents.ground import BathymetryConfig
 from angler_mjx.world.obstacles import ObstaclesConfig
 from angler_mjx.world.rules import AutomatonRule, OpenRule, Rule, WallsRule
 
-type Vector = tuple[Place, Place, Place]
+type Vector = tuple[Coordinate, Coordinate, Coordinate]
 type Placement = Literal["cross", "parallel", "random", "given"]
 Cells = Annotated[int, Field(ge=2, le=128)]
-Share = Annotated[float, Field(ge=0, lt=1)]
+Fraction = Annotated[float, Field(ge=0, lt=1)]
 
 
 class WorldConfig(FileModel):
@@ -30,9 +30,9 @@ class WorldConfig(FileModel):
     preset: str = "reef"
     """Name of a world that ships: angler2024, sparse, reef, dense, corridor, open,
     angler_nine_boxes."""
-    density: Share | None = None
+    density: Fraction | None = None
     """Share of cells that are occupied, on average over worlds."""
-    fill: Share | None = None
+    fill: Fraction | None = None
     """Instead of density: share of walls before the rule is applied."""
     shape: tuple[Cells, Cells, Cells] | None = None
     """Number of cells along x, y, z."""
@@ -66,30 +66,30 @@ class WorldConfig(FileModel):
     @property
     def files(self) -> tuple[str, ...]:
         """Files of ocean models that it uses, each once."""
-        found = [one.file for one in self.currents if isinstance(one, GridConfig)]
-        found += [self.bathymetry.file] if self.bathymetry else []
-        return tuple(dict.fromkeys(found))
+        files = [component.file for component in self.currents if isinstance(component, GridConfig)]
+        files += [self.bathymetry.file] if self.bathymetry else []
+        return tuple(dict.fromkeys(files))
 
     @property
     def held_bytes(self) -> int:
         """Of the fields of its currents, which programs hold once for all worlds."""
-        grids = [one for one in self.currents if isinstance(one, GridConfig)]
-        return sum(sum(part.nbytes for part in one.field.numbers) for one in grids)
+        grids = [component for component in self.currents if isinstance(component, GridConfig)]
+        return sum(sum(part.nbytes for part in component.field.numbers) for component in grids)
 
     @field_validator("preset")
     @classmethod
-    def _exists(cls, name: str) -> str:
-        presets.load(name)
+    def _check_preset(cls, name: str) -> str:
+        presets.load_preset(name)
         return name
 
     @model_validator(mode="after")
-    def _lies_together(self) -> Self:
-        ground.check(self.currents, self.bathymetry)
+    def _check_files(self) -> Self:
+        ground.check_files(self.currents, self.bathymetry)
         return self
 
     @model_validator(mode="after")
-    def _has_a_meaning(self) -> Self:
-        resolve(self)
+    def _check_resolves(self) -> Self:
+        resolve_world(self)
         return self
 
 
@@ -116,7 +116,9 @@ class WorldRecipe(FileModel):
     @property
     def has_ground(self) -> bool:
         """Whether files say where there is rock."""
-        coasts = [one.coast for one in self.currents if isinstance(one, GridConfig)]
+        coasts = [
+            component.coast for component in self.currents if isinstance(component, GridConfig)
+        ]
         return self.bathymetry is not None or any(coasts)
 
     @property
@@ -132,13 +134,13 @@ class WorldRecipe(FileModel):
         return x, y, z
 
 
-def resolve(config: WorldConfig) -> WorldRecipe:
+def resolve_world(config: WorldConfig) -> WorldRecipe:
     """The recipe that a world config stands for.
 
     Raises:
         ConfigError: unknown preset, or values that do not go together.
     """
-    preset = presets.load(config.preset)
+    preset = presets.load_preset(config.preset)
     shape = config.shape or preset.shape
     cell = config.cell_m or preset.cell_m
     depth = preset.depth_m if config.depth_m is None else config.depth_m
@@ -158,14 +160,14 @@ def resolve(config: WorldConfig) -> WorldRecipe:
             f"smaller in radius than a cell (cell_m = {cell})"
         )
     placement = config.placement or preset.placement
-    _check_given(config, placement)
+    _check_positions(config, placement)
     return WorldRecipe(
         shape=shape,
         cell_m=cell,
         origin_m=(-0.5 * shape[0] * cell, -0.5 * shape[1] * cell, -depth - shape[2] * cell),
         floor_z_m=-floor_depth,
         rule=rule,
-        fill=_fill(config, preset, rule, shape),
+        fill=_resolve_fill(config, preset, rule, shape),
         min_obstacles=(
             preset.min_obstacles if config.min_obstacles is None else config.min_obstacles
         ),
@@ -180,7 +182,7 @@ def resolve(config: WorldConfig) -> WorldRecipe:
     )
 
 
-def _fill(
+def _resolve_fill(
     config: WorldConfig, preset: presets.Preset, rule: Rule, shape: tuple[int, int, int]
 ) -> float:
     """Share of walls before the rule; 0 for rules that do not start from random walls."""
@@ -204,7 +206,7 @@ def _fill(
     return calibration.fill_for_density(rule, shape, density)
 
 
-def _check_given(config: WorldConfig, placement: str) -> None:
+def _check_positions(config: WorldConfig, placement: str) -> None:
     n_start, n_goal = len(config.start_m), len(config.goal_m)
     if n_start != n_goal:
         raise ConfigError(f"start_m has {n_start} places and goal_m {n_goal}: needs one each")

@@ -13,14 +13,14 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
-from angler_kernels.bit_grid import shift, unpack
-from angler_kernels.programs import MOST_LANES, on_gpu
+from angler_kernels.bit_grid import shift_grid, unpack_grid
+from angler_kernels.programs import MAX_LANES, on_gpu
 from angler_mjx.world import groups, path_length_kernel
 
 type Move = tuple[int, ...]
 type _Settling = tuple[jax.Array, jax.Array, jax.Array]
 """Groups that had their turn, lengths [n_pair], and whether each is settled."""
-type _PathLengths = tuple[jax.Array, jax.Array, jax.Array, jax.Array]
+type _SearchState = tuple[jax.Array, jax.Array, jax.Array, jax.Array]
 """Rounds, ways [nx, ny, nz, n] to a group's goals, their lengths [n], and which are settled."""
 MOVES: tuple[Move, ...] = tuple(m for m in itertools.product((-1, 0, 1), repeat=3) if any(m))
 _STRIDE = (9, 3, 1)
@@ -30,13 +30,13 @@ _EDGE = 1 << 18
 so is the question whether a way can still be improved. The rounded square roots of 2 and 3 are
 within 1.1e-6 of the true ones."""
 _COST = {n_axis: round(_EDGE * math.sqrt(n_axis)) for n_axis in (1, 2, 3)}
-_NONE = 1 << 30
+_NO_PATH = 1 << 30
 """No way: 4,096 edges, which is many times the longest way through any grid that is drawn here."""
 LENGTHS = path_length_kernel.Lengths(
-    of_axes=(_COST[1], _COST[2], _COST[3]), none=_NONE, strides=_STRIDE
+    of_axes=(_COST[1], _COST[2], _COST[3]), none=_NO_PATH, strides=_STRIDE
 )
 """The same for kernels."""
-_GROUP_SHARE = 8
+_GROUP_DIVISOR = 8
 """A group of pairs is this part of all of them."""
 
 
@@ -62,43 +62,43 @@ def shortest_paths(passable: jax.Array, nz: int, start: jax.Array, goal: jax.Arr
     """
     nx, ny = passable.shape[:2]
     _, n, n_world = start.shape
-    if on_gpu() and path_length_kernel.lanes_needed((nx, ny, nz)) <= MOST_LANES:
+    if on_gpu() and path_length_kernel.lanes_needed((nx, ny, nz)) <= MAX_LANES:
         return in_cells(by_kernel(passable, nz, start, goal))
     n_pair = n * n_world
-    size = -(-n_pair // _GROUP_SHARE)
-    moves, free = _moves_into(passable, nz), unpack(passable, nz)
+    size = -(-n_pair // _GROUP_DIVISOR)
+    moves, free = _moves_into(passable, nz), unpack_grid(passable, nz)
     index = jnp.arange(nx * ny * nz, dtype=jnp.int32).reshape(nx, ny, nz, 1)
-    start, to_cell = start.reshape(3, n_pair), _flat(goal, (nx, ny, nz)).reshape(n_pair)
+    start, to_cell = start.reshape(3, n_pair), _flat_index(goal, (nx, ny, nz)).reshape(n_pair)
 
     def settle_group(carry: _Settling) -> _Settling:
         turn, length, settled = carry
-        group = groups.chosen(turn, ~settled, size)
+        group = groups.choose_group(turn, ~settled, size)
         read, world = group.read, group.read % n_world
         theirs, their_start = moves[..., world], start[:, read]
         at_goal = (index == to_cell[read]) & free[..., world]
-        to_the_end = groups.had_one(turn, n_pair, size)
+        to_the_end = groups.all_had_turn(turn, n_pair, size)
 
-        def unsettled(state: _PathLengths) -> jax.Array:
+        def unsettled(state: _SearchState) -> jax.Array:
             more: jax.Array = (state[0] == 0) | (~jnp.all(state[3]) & to_the_end)
             return more
 
-        def go_on(state: _PathLengths) -> _PathLengths:
+        def go_on(state: _SearchState) -> _SearchState:
             # Tied to what changes, the moves stay bits: XLA would take the test of each bit out of
             # the loop, as 26 grids to be read instead of one.
-            way, moves = jax.lax.optimization_barrier((state[1], theirs))
-            way = _round(way, moves)
-            return state[0] + 1, way, *_length(way, moves, their_start)
+            distance, moves = jax.lax.optimization_barrier((state[1], theirs))
+            distance = _sweep_all(distance, moves)
+            return state[0] + 1, distance, *_length_at_start(distance, moves, their_start)
 
-        nowhere = jnp.full(at_goal.shape, _NONE, jnp.int32)
+        nowhere = jnp.full(at_goal.shape, _NO_PATH, jnp.int32)
         begin = (jnp.int32(0), jnp.where(at_goal, 0, nowhere), length[read], settled[read])
-        _, _, found, done = jax.lax.while_loop(unsettled, go_on, begin)
+        _, _, new_length, done = jax.lax.while_loop(unsettled, go_on, begin)
         return (
             turn + 1,
-            length.at[group.index].set(found, mode="drop"),
+            length.at[group.index].set(new_length, mode="drop"),
             settled.at[group.index].set(done, mode="drop"),
         )
 
-    none = (jnp.int32(0), jnp.full(n_pair, _NONE, jnp.int32), jnp.zeros(n_pair, bool))
+    none = (jnp.int32(0), jnp.full(n_pair, _NO_PATH, jnp.int32), jnp.zeros(n_pair, bool))
     _, length, _ = jax.lax.while_loop(lambda carry: ~jnp.all(carry[2]), settle_group, none)
     return in_cells(length.reshape(n, n_world))
 
@@ -114,110 +114,114 @@ def by_kernel(
     """Return lengths int32 [n, n_world] as of `shortest_paths`, by a GPU program for each pair."""
     moves = jnp.moveaxis(_moves_into(passable, nz), -1, 0)
     at_goal = jnp.take_along_axis(
-        unpack(passable, nz).reshape(-1, passable.shape[-1]),
-        _flat(goal, (*passable.shape[:2], nz)),
+        unpack_grid(passable, nz).reshape(-1, passable.shape[-1]),
+        _flat_index(goal, (*passable.shape[:2], nz)),
         axis=0,
     )
 
     def of_world(moves: jax.Array, starts: jax.Array, goals: jax.Array) -> jax.Array:
         return jax.vmap(
-            lambda a, b: path_length_kernel.least(moves, a, b, LENGTHS, interpret=interpret),
+            lambda a, b: path_length_kernel.shortest_length(
+                moves, a, b, LENGTHS, interpret=interpret
+            ),
             in_axes=1,
         )(starts, goals)
 
     length = jax.vmap(of_world, in_axes=(0, 2, 2), out_axes=1)(moves, start, goal)
-    return jnp.where(at_goal, length, _NONE)
+    return jnp.where(at_goal, length, _NO_PATH)
 
 
 def in_cells(length: jax.Array) -> jax.Array:
     """Lengths in cell edges; inf where there is no way."""
     edges = length.astype(float) / _EDGE
-    return jnp.where(edges < _NONE // _EDGE, edges, jnp.inf)
+    return jnp.where(edges < _NO_PATH // _EDGE, edges, jnp.inf)
 
 
-def open_ways(passable: jax.Array, nz: int, start: jax.Array, goal: jax.Array) -> jax.Array:
+def open_path_lengths(passable: jax.Array, nz: int, start: jax.Array, goal: jax.Array) -> jax.Array:
     """As `shortest_paths`, where the passable cells are a box: nothing is searched.
 
     A way that never leaves the box that its two ends span is as short as a way can be.
     """
-    flat = unpack(passable, nz).reshape(-1, passable.shape[-1])
+    flat = unpack_grid(passable, nz).reshape(-1, passable.shape[-1])
     shape = (*passable.shape[:2], nz)
-    in_box = [jnp.take_along_axis(flat, _flat(cell, shape), axis=0) for cell in (start, goal)]
-    way = _unhindered([jnp.abs(a - b) for a, b in zip(start, goal, strict=True)])
-    return jnp.where(in_box[0] & in_box[1], way.astype(float) / _EDGE, jnp.inf)
+    in_box = [jnp.take_along_axis(flat, _flat_index(cell, shape), axis=0) for cell in (start, goal)]
+    length = _free_length([jnp.abs(a - b) for a, b in zip(start, goal, strict=True)])
+    return jnp.where(in_box[0] & in_box[1], length.astype(float) / _EDGE, jnp.inf)
 
 
-def _unhindered(apart: Sequence[jax.Array]) -> jax.Array:
+def _free_length(apart: Sequence[jax.Array]) -> jax.Array:
     """Length of the shortest way between cells that are so many cells apart along each axis."""
     shortest = jnp.minimum(jnp.minimum(apart[0], apart[1]), apart[2])
     longest = jnp.maximum(jnp.maximum(apart[0], apart[1]), apart[2])
     middle = apart[0] + apart[1] + apart[2] - shortest - longest
     longer, longest = middle - shortest, longest - middle
-    way: jax.Array = _COST[3] * shortest + _COST[2] * longer + _COST[1] * longest
-    return way
+    length: jax.Array = _COST[3] * shortest + _COST[2] * longer + _COST[1] * longest
+    return length
 
 
 def bit_of(move: Move) -> jax.Array:
     """The bit of a move in a word of moves: its place in a block of 3 x 3 x 3."""
-    place = sum(stride * (k + 1) for stride, k in zip(_STRIDE, move, strict=True))
-    bit: jax.Array = jnp.uint32(1 << place)
+    position = sum(stride * (k + 1) for stride, k in zip(_STRIDE, move, strict=True))
+    bit: jax.Array = jnp.uint32(1 << position)
     return bit
 
 
 def _moves_into(passable: jax.Array, nz: int) -> jax.Array:
     """Which moves may end in each cell: uint32 [nx, ny, nz, n_world], bits as `bit_of` has them."""
-    found = jnp.zeros((), jnp.uint32)
+    allowed = jnp.zeros((), jnp.uint32)
     blocks: dict[Move, jax.Array] = {(0, 0, 0): passable}
     # A block is that of one axis less, and the same one cell back along the axis.
     for move in sorted(MOVES, key=lambda m: sum(map(abs, m))):
         axis = next(a for a in range(3) if move[a])
         fewer = blocks[tuple(0 if a == axis else move[a] for a in range(3))]
-        blocks[move] = fewer & shift(fewer, axis, move[axis], nz)
-        found = found | jnp.where(unpack(blocks[move], nz), bit_of(move), jnp.uint32(0))
-    return found
+        blocks[move] = fewer & shift_grid(fewer, axis, move[axis], nz)
+        allowed = allowed | jnp.where(unpack_grid(blocks[move], nz), bit_of(move), jnp.uint32(0))
+    return allowed
 
 
-def _round(way: jax.Array, moves: jax.Array) -> jax.Array:
+def _sweep_all(distance: jax.Array, moves: jax.Array) -> jax.Array:
     """Ways [nx, ny, nz, ...] after a sweep to either side of each axis."""
     for axis in range(3):
-        way = _sweeps(way, moves, axis)
-    return way
+        distance = _sweep_axis(distance, moves, axis)
+    return distance
 
 
-def _length(way: jax.Array, moves: jax.Array, start: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _length_at_start(
+    distance: jax.Array, moves: jax.Array, start: jax.Array
+) -> tuple[jax.Array, jax.Array]:
     """Length [...] at each start [3, ...], and whether no relaxation can change it."""
-    flat = _flat(start, way.shape)
-    length = jnp.take_along_axis(way.reshape(-1, *flat.shape), flat[None], axis=0)[0]
-    new = relaxed(widened(way, (0, 1, 2)), way.shape, moves, MOVES)
+    flat = _flat_index(start, distance.shape)
+    length = jnp.take_along_axis(distance.reshape(-1, *flat.shape), flat[None], axis=0)[0]
+    new = relax_moves(pad_axes(distance, (0, 1, 2)), distance.shape, moves, MOVES)
     # Fused with the reduction, the relaxation would not use a CPU's vectors.
     new = jax.lax.optimization_barrier(new)
     apart = [
-        jnp.abs(jnp.arange(n).reshape([n if a == axis else 1 for a in range(way.ndim)]) - cell)
-        for axis, (n, cell) in enumerate(zip(way.shape, start, strict=False))
+        jnp.abs(jnp.arange(n).reshape([n if a == axis else 1 for a in range(distance.ndim)]) - cell)
+        for axis, (n, cell) in enumerate(zip(distance.shape, start, strict=False))
     ]
-    improved = (new < way) & (new + _unhindered(apart) < length)
+    improved = (new < distance) & (new + _free_length(apart) < length)
     return length, ~jnp.any(improved, axis=(0, 1, 2))
 
 
-def _flat(cell: jax.Array, shape: Sequence[int]) -> jax.Array:
+def _flat_index(cell: jax.Array, shape: Sequence[int]) -> jax.Array:
     """Flat index of cells [3, ...] of a grid."""
     return (cell[0] * shape[1] + cell[1]) * shape[2] + cell[2]
 
 
-def _sweeps(way: jax.Array, moves: jax.Array, axis: int) -> jax.Array:
+def _sweep_axis(distance: jax.Array, moves: jax.Array, axis: int) -> jax.Array:
     """Ways after a sweep to either side: layer by layer, each from the one before it.
 
     Args:
-        way: [nx, ny, nz, ...] lengths so far.
+        distance: [nx, ny, nz, ...] lengths so far.
         moves: uint32 [nx, ny, nz, ...] (see `_moves_into`).
         axis: to sweep along.
     """
-    n = way.shape[axis]
+    n = distance.shape[axis]
     across = [a for a in range(3) if a != axis]
     back = [move for move in MOVES if move[axis] == -1]
     layer_of = partial(jax.lax.dynamic_index_in_dim, axis=axis)
 
-    def sweep(turn: jax.Array, way: jax.Array) -> jax.Array:
+    def sweep(turn: jax.Array, distance: jax.Array) -> jax.Array:
         # Either side reads the same cells of the layer before: only the bits differ, by a shift.
         first, step = jnp.where(turn == 0, 0, n - 1), 1 - 2 * turn
         shift = jnp.where(turn == 0, 2 * _STRIDE[axis], 0).astype(jnp.uint32)
@@ -225,27 +229,29 @@ def _sweeps(way: jax.Array, moves: jax.Array, axis: int) -> jax.Array:
         def advance(
             k: jax.Array, carry: tuple[jax.Array, jax.Array]
         ) -> tuple[jax.Array, jax.Array]:
-            before, way = carry
+            before, distance = carry
             i = first + k * step
             may = layer_of(moves, i) >> shift
-            new = relaxed(widened(before, across), before.shape, may, back)
-            layer = jnp.minimum(layer_of(way, i), new)
-            return layer, jax.lax.dynamic_update_index_in_dim(way, layer, i, axis)
+            new = relax_moves(pad_axes(before, across), before.shape, may, back)
+            layer = jnp.minimum(layer_of(distance, i), new)
+            return layer, jax.lax.dynamic_update_index_in_dim(distance, layer, i, axis)
 
-        swept: jax.Array = jax.lax.fori_loop(1, n, advance, (layer_of(way, first), way))[1]
+        swept: jax.Array = jax.lax.fori_loop(1, n, advance, (layer_of(distance, first), distance))[
+            1
+        ]
         return swept
 
-    both: jax.Array = jax.lax.fori_loop(0, 2, sweep, way)
+    both: jax.Array = jax.lax.fori_loop(0, 2, sweep, distance)
     return both
 
 
-def widened(way: jax.Array, axes: Sequence[int]) -> jax.Array:
+def pad_axes(distance: jax.Array, axes: Sequence[int]) -> jax.Array:
     """Ways with one more cell at both ends of some axes, from which no way leads."""
-    pad = [(1, 1) if axis in axes else (0, 0) for axis in range(way.ndim)]
-    return jnp.pad(way, pad, constant_values=_NONE)
+    pad = [(1, 1) if axis in axes else (0, 0) for axis in range(distance.ndim)]
+    return jnp.pad(distance, pad, constant_values=_NO_PATH)
 
 
-def relaxed(
+def relax_moves(
     wide: jax.Array,
     shape: tuple[int, ...],
     moves: jax.Array,
@@ -254,13 +260,13 @@ def relaxed(
     """Least length of a way to each cell that ends with one of some moves.
 
     Args:
-        wide: ways to where the moves come from, widened (see `widened`) along some axes; along the
+        wide: ways to where the moves come from, widened (see `pad_axes`) along some axes; along the
             others, the cells that the moves come from are those of the same index.
         shape: of the result.
         moves: uint32, which moves may end in each cell.
         which: moves to try.
     """
-    nothing = jnp.int32(_NONE)
+    nothing = jnp.int32(_NO_PATH)
     best: jax.Array = nothing
     for n_axis, cost in _COST.items():
         nearest = nothing
@@ -289,8 +295,8 @@ def line_is_free(occupied: jax.Array, start: jax.Array, goal: jax.Array) -> jax.
     """
     enter, leave = jnp.zeros((), start.dtype), jnp.ones((), start.dtype)
     for axis, n in enumerate(occupied.shape[:3]):
-        place = [n if a == axis else 1 for a in range(3)] + [1] * (occupied.ndim - 3)
-        lower = jnp.arange(n, dtype=start.dtype).reshape(place)
+        shape = [n if a == axis else 1 for a in range(3)] + [1] * (occupied.ndim - 3)
+        lower = jnp.arange(n, dtype=start.dtype).reshape(shape)
         along = goal[axis] - start[axis]
         still = along == 0
         safe = jnp.where(still, 1.0, along)

@@ -43,7 +43,7 @@ class Environment:
     """bool [] False only where the redraw limit was reached; such a world is never simulated."""
 
 
-def region(environment: Environment) -> tuple[jax.Array, jax.Array]:
+def region_corners(environment: Environment) -> tuple[jax.Array, jax.Array]:
     """Lower and upper corner [3] of the cube that fleets work in, m, in W."""
     grid = environment.grid
     size = jnp.array(grid.occupied.shape, grid.origin_m.dtype) * grid.cell_m

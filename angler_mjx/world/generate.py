@@ -1,7 +1,7 @@
 """Whole worlds from a recipe and a key: cells, starts and goals, obstacles, current, difficulty.
 
-`generate` makes one world and is pure; `generate_batch` is the boundary where it is compiled and
-batched. World i of a seed is the same whatever batch it is made in.
+`generate_world` makes one world and is pure; `generate_batch` is the boundary where it is compiled
+and batched. World i of a seed is the same whatever batch it is made in.
 """
 
 import math
@@ -13,19 +13,19 @@ import numpy as np
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.world import currents, obstacles
-from angler_mjx.world.config import WorldConfig, WorldRecipe, resolve
+from angler_mjx.world.config import WorldConfig, WorldRecipe, resolve_world
 from angler_mjx.world.currents import ground
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.grid import Grid
-from angler_mjx.world.ocean.floor import Centres
-from angler_mjx.world.placement import check_given
-from angler_mjx.world.sampling import draw
+from angler_mjx.world.ocean.floor import CellCentres
+from angler_mjx.world.placement import check_positions
+from angler_mjx.world.sampling import sample_world
 
 _SEA_FLOOR = 0x464C4F4F
 """Folded into a world's key for the place of its sea floor: no other draw has it."""
 
 
-def generate(
+def generate_world(
     recipe: WorldRecipe,
     radius_m: jax.Array,
     key: jax.Array,
@@ -47,23 +47,23 @@ def generate(
     cells_key, obstacles_key, current_key = jax.random.split(key, 3)
     current = None
     if recipe.has_ground:
-        current, rock = _grounded(recipe, key, current_key, horizon_s)
-        drawing = draw(recipe, radius_m, cells_key, rock)
+        current, rock = _sample_ground(recipe, key, current_key, horizon_s)
+        sample = sample_world(recipe, radius_m, cells_key, rock)
     else:
-        drawing = draw(recipe, radius_m, cells_key)
-    lo, hi = _region(recipe)
+        sample = sample_world(recipe, radius_m, cells_key)
+    lo, hi = _region_corners(recipe)
     grid = Grid(
-        occupied=drawing.occupied,
+        occupied=sample.occupied,
         origin_m=jnp.array(recipe.origin_m, float),
         cell_m=jnp.array(recipe.cell_m, float),
     )
-    keep_out = jnp.concatenate([drawing.start, drawing.goal])
+    keep_out = jnp.concatenate([sample.start, sample.goal])
     keep_out_radius = jnp.tile(radius_m + recipe.clearance_m, 2)
-    to_goal = drawing.goal - drawing.start
+    to_goal = sample.goal - sample.start
     return Environment(
         grid=grid,
         floor_z_m=jnp.array(recipe.floor_z_m, float),
-        obstacles=obstacles.draw(
+        obstacles=obstacles.sample_obstacles(
             recipe.obstacles,
             obstacles_key,
             grid,
@@ -74,52 +74,52 @@ def generate(
             water_density_kgm3,
         ),
         current=(
-            currents.draw(recipe.currents, current_key, lo, hi, horizon_s)
+            currents.sample_current(recipe.currents, current_key, lo, hi, horizon_s)
             if current is None
             else current
         ),
-        start_m=drawing.start,
+        start_m=sample.start,
         start_yaw_rad=jnp.arctan2(to_goal[:, 1], to_goal[:, 0]),
-        goal_m=drawing.goal,
-        density=jnp.mean(drawing.occupied, dtype=lo.dtype),
-        path_ratio=drawing.path_ratio,
-        line_free=drawing.line_free,
-        redraws=drawing.redraws,
-        valid=drawing.fits,
+        goal_m=sample.goal,
+        density=jnp.mean(sample.occupied, dtype=lo.dtype),
+        path_ratio=sample.path_ratio,
+        line_free=sample.line_free,
+        redraws=sample.redraws,
+        valid=sample.fits,
     )
 
 
-def draw_current(recipe: WorldRecipe, key: jax.Array, horizon_s: float) -> currents.Current:
-    """The current alone of the world that `generate` makes; arguments as there."""
-    lo, hi = _region(recipe)
-    return currents.draw(recipe.currents, jax.random.split(key, 3)[2], lo, hi, horizon_s)
+def sample_current(recipe: WorldRecipe, key: jax.Array, horizon_s: float) -> currents.Current:
+    """The current alone of the world that `generate_world` makes; arguments as there."""
+    lo, hi = _region_corners(recipe)
+    return currents.sample_current(recipe.currents, jax.random.split(key, 3)[2], lo, hi, horizon_s)
 
 
-def _region(recipe: WorldRecipe) -> tuple[jax.Array, jax.Array]:
+def _region_corners(recipe: WorldRecipe) -> tuple[jax.Array, jax.Array]:
     """Lower and upper corner [3] of the water of the grid, m, W."""
     lo = jnp.array(recipe.origin_m, float)
     hi = lo + jnp.array(recipe.size_m, float)
     return lo.at[2].max(recipe.floor_z_m), hi
 
 
-def _grounded(
+def _sample_ground(
     recipe: WorldRecipe, key: jax.Array, current_key: jax.Array, horizon_s: float
 ) -> tuple[currents.Current, jax.Array | None]:
     """The current of a world, and the rock of the file in which it lies."""
-    lo, hi = _region(recipe)
-    current = currents.draw(recipe.currents, current_key, lo, hi, horizon_s)
+    lo, hi = _region_corners(recipe)
+    current = currents.sample_current(recipe.currents, current_key, lo, hi, horizon_s)
     x, y, z = (
         jnp.array(low + recipe.cell_m * (np.arange(n) + 0.5), float)
         for low, n in zip(recipe.origin_m, recipe.shape, strict=True)
     )
-    rock = ground.rock(
+    rock = ground.find_rock(
         recipe.currents,
         current,
         recipe.bathymetry,
         jax.random.fold_in(key, _SEA_FLOOR),
         lo,
         hi,
-        Centres(x=x, y=y, z=z),
+        CellCentres(x=x, y=y, z=z),
     )
     return current, rock
 
@@ -151,13 +151,15 @@ def generate_batch(
     Raises:
         ConfigError: a robot that no cell could hold, or more robots than places in the file.
     """
-    recipe = resolve(config)
+    recipe = resolve_world(config)
     radius = np.asarray(radius_m)
     if not 0 <= seed < 2**32:
         raise ConfigError(f"seed = {seed}: must lie between 0 and 2^32 - 1")
     check_fleet(recipe, radius)
     radii = jnp.broadcast_to(jnp.asarray(radius, float), (count, radius.shape[-1]))
-    batch: Environment = _batch(recipe, radii, seed, first_index, horizon_s, water_density_kgm3)
+    batch: Environment = _generate_batch(
+        recipe, radii, seed, first_index, horizon_s, water_density_kgm3
+    )
     return batch
 
 
@@ -189,7 +191,7 @@ def check_fleet(recipe: WorldRecipe, radius_m: np.ndarray | jax.Array) -> None:
             f"(cell_m) is {recipe.cell_m} m"
         )
     if recipe.placement == "given":
-        check_given(recipe, radius.reshape(-1, n_robot).max(axis=0))
+        check_positions(recipe, radius.reshape(-1, n_robot).max(axis=0))
 
 
 def require_valid(environment: Environment, first_index: int = 0) -> None:
@@ -209,7 +211,7 @@ def require_valid(environment: Environment, first_index: int = 0) -> None:
 
 
 @partial(jax.jit, static_argnames=("recipe", "horizon_s"))
-def _batch(
+def _generate_batch(
     recipe: WorldRecipe,
     radius_m: jax.Array,
     seed: jax.Array,
@@ -220,8 +222,8 @@ def _batch(
     index = jnp.uint32(first_index) + jnp.arange(radius_m.shape[0], dtype=jnp.uint32)
     root = jax.random.key(jnp.uint32(seed))
 
-    def one(i: jax.Array, radius: jax.Array) -> Environment:
+    def generate_one(i: jax.Array, radius: jax.Array) -> Environment:
         key = jax.random.fold_in(root, i)
-        return generate(recipe, radius, key, horizon_s, water_density_kgm3)
+        return generate_world(recipe, radius, key, horizon_s, water_density_kgm3)
 
-    return jax.vmap(one)(index, radius_m)
+    return jax.vmap(generate_one)(index, radius_m)

@@ -29,9 +29,9 @@ def height_above_bottom(grid: Grid, floor_z_m: jax.Array, p: jax.Array) -> jax.A
         p: [3] in W; beside the grid there is only the floor.
     """
     shape = grid.occupied.shape
-    place = jnp.floor((p - grid.origin_m) / grid.cell_m).astype(jnp.int32)
-    inside = jnp.all((place[:2] >= 0) & (place[:2] < jnp.array(shape[:2])))
-    column = grid.occupied[jnp.clip(place[0], 0, shape[0] - 1), jnp.clip(place[1], 0, shape[1] - 1)]
+    cell = jnp.floor((p - grid.origin_m) / grid.cell_m).astype(jnp.int32)
+    inside = jnp.all((cell[:2] >= 0) & (cell[:2] < jnp.array(shape[:2])))
+    column = grid.occupied[jnp.clip(cell[0], 0, shape[0] - 1), jnp.clip(cell[1], 0, shape[1] - 1)]
     top = grid.origin_m[2] + grid.cell_m * jnp.arange(1, shape[2] + 1)
     below = inside & column & (top <= p[2])
     return p[2] - jnp.maximum(floor_z_m, jnp.max(jnp.where(below, top, -jnp.inf)))

@@ -21,7 +21,7 @@ class WorldGroup:
     """int32 [size]; where an empty place reads something that there is."""
 
 
-def chosen(turn: jax.Array, left: jax.Array, size: int) -> WorldGroup:
+def choose_group(turn: jax.Array, left: jax.Array, size: int) -> WorldGroup:
     """The group of a turn: neighbours until all had one, then the first that are left.
 
     Args:
@@ -31,10 +31,10 @@ def chosen(turn: jax.Array, left: jax.Array, size: int) -> WorldGroup:
     """
     n = left.shape[0]
     (again,) = jnp.nonzero(left, size=size, fill_value=n)
-    index = jnp.where(had_one(turn, n, size), again, turn * size + jnp.arange(size))
+    index = jnp.where(all_had_turn(turn, n, size), again, turn * size + jnp.arange(size))
     return WorldGroup(index=index, read=jnp.minimum(index, n - 1))
 
 
-def had_one(turn: jax.Array, n: int, size: int) -> jax.Array:
+def all_had_turn(turn: jax.Array, n: int, size: int) -> jax.Array:
     """Whether all of n things had a turn before this one, bool []."""
     return turn >= -(-n // size)

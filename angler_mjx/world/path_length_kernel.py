@@ -34,7 +34,7 @@ class Lengths:
     """From a move's bit to that of the next move along each axis; the middle bit is no move."""
 
 
-def least(
+def shortest_length(
     moves: jax.Array,
     start: jax.Array,
     goal: jax.Array,
@@ -51,7 +51,7 @@ def least(
         lengths: static.
         interpret: run as ordinary JAX, on any device.
     """
-    kernel = _Kernel.of(moves.shape, lengths, interpret)
+    kernel = _PathLengthKernel.of(moves.shape, lengths, interpret)
     length, _ = kernel.program.run(
         kernel,
         [jnp.concatenate([start, goal]).astype(jnp.int32), moves.reshape(-1)],
@@ -64,7 +64,7 @@ def least(
 
 
 @dataclass(frozen=True)
-class _Kernel:
+class _PathLengthKernel:
     shape: tuple[int, ...]
     lengths: Lengths
     program: BlockProgram
@@ -72,7 +72,7 @@ class _Kernel:
     __name__ = "shortest_ways"
 
     @classmethod
-    def of(cls, shape: tuple[int, ...], lengths: Lengths, interpret: bool) -> "_Kernel":
+    def of(cls, shape: tuple[int, ...], lengths: Lengths, interpret: bool) -> "_PathLengthKernel":
         return cls(shape, lengths, BlockProgram.of(lanes_needed(shape), interpret=interpret))
 
     @property
@@ -92,45 +92,45 @@ class _Kernel:
         _, ny, nz = self.shape
         return ny * nz, nz, 1
 
-    def __call__(self, ends: Any, moves: Any, length: Any, way: Any) -> None:
+    def __call__(self, ends: Any, moves: Any, length: Any, distance: Any) -> None:
         program, none = self.program, self.lengths.none
         lane = jnp.arange(program.lanes, dtype=jnp.int32)
         nowhere = jnp.full((program.lanes,), none, jnp.int32)
 
         def empty(k: Any, unchanged: Any) -> Any:
             at = k * program.lanes + lane
-            program.store(way, at, nowhere, at < self.total)
+            program.store(distance, at, nowhere, at < self.total)
             return unchanged
 
         jax.lax.fori_loop(0, -(-self.total // program.lanes), empty, jnp.int32(0))
         program.barrier()
         start, goal = ([ends[3 * end + axis] for axis in range(3)] for end in (0, 1))
         first = sum((c + 1) * s for c, s in zip(goal, self.wide, strict=True))
-        way[first] = jnp.int32(0)
+        distance[first] = jnp.int32(0)
         program.barrier()
         last = sum((c + 1) * s for c, s in zip(start, self.wide, strict=True))
 
         # Shorter than this is none: most pairs need a sweep or two.
-        bound = self._unhindered([jnp.abs(a - b) for a, b in zip(start, goal, strict=True)])
+        bound = self._free_length([jnp.abs(a - b) for a, b in zip(start, goal, strict=True)])
 
         def again(_: Any) -> Any:
             for axis, b, c in _LAYERS:
-                sweeps = partial(self._sweeps, way, moves, lane, axis, b, c)
-                program.when(way[last] > bound, sweeps)
-            found = way[last]
+                sweeps = partial(self._sweep_axis, distance, moves, lane, axis, b, c)
+                program.when(distance[last] > bound, sweeps)
+            shortest = distance[last]
             more = jax.lax.cond(
-                found > bound,
-                lambda: self._improved(way, moves, lane, start, found),
-                lambda: 0 * found,  # Triton takes no constant as what a branch gives.
+                shortest > bound,
+                lambda: self._can_improve(distance, moves, lane, start, shortest),
+                lambda: 0 * shortest,  # Triton takes no constant as what a branch gives.
             )
-            return found, more
+            return shortest, more
 
-        found, _ = jax.lax.while_loop(
+        shortest, _ = jax.lax.while_loop(
             lambda state: state[1] > 0, again, (jnp.int32(none), jnp.int32(1))
         )
-        length[0] = found
+        length[0] = shortest
 
-    def _sweeps(self, way: Any, moves: Any, lane: Any, axis: int, b: int, c: int) -> None:
+    def _sweep_axis(self, distance: Any, moves: Any, lane: Any, axis: int, b: int, c: int) -> None:
         """To either side of an axis, layer by layer."""
         n = self.shape[axis]
         real = lane < self.shape[b] * self.shape[c]
@@ -148,15 +148,15 @@ class _Kernel:
                 layer = begin + side * k
                 at = (layer + 1) * wide[axis] + in_layer
                 may = self.program.load(moves, layer * near[axis] + of_moves, real, 0)
-                before = self.program.load(way, at, real, self.lengths.none)
-                new = jnp.minimum(before, self._relaxed(way, at, may, real, which))
-                self.program.store(way, at, new, real)
+                before = self.program.load(distance, at, real, self.lengths.none)
+                new = jnp.minimum(before, self._relax_moves(distance, at, may, real, which))
+                self.program.store(distance, at, new, real)
                 self.program.barrier()
                 return unchanged
 
             jax.lax.fori_loop(1, n, advance, jnp.int32(0))
 
-    def _relaxed(self, way: Any, at: Any, may: Any, real: Any, which: Any) -> Any:
+    def _relax_moves(self, distance: Any, at: Any, may: Any, real: Any, which: Any) -> Any:
         """Least length of a way to each cell that ends with one of some moves."""
         none = jnp.int32(self.lengths.none)
         best = none
@@ -166,14 +166,14 @@ class _Kernel:
                 if sum(map(abs, move)) != count:
                     continue
                 came = sum(m * s for m, s in zip(move, self.wide, strict=True))
-                source = self.program.load(way, at - came, real, none)
-                place = sum((m + 1) * s for m, s in zip(move, self.lengths.strides, strict=True))
-                allowed = (may & jnp.uint32(1 << place)) != 0
+                source = self.program.load(distance, at - came, real, none)
+                bit = sum((m + 1) * s for m, s in zip(move, self.lengths.strides, strict=True))
+                allowed = (may & jnp.uint32(1 << bit)) != 0
                 nearest = jnp.minimum(nearest, jnp.where(allowed, source, none))
             best = jnp.minimum(best, nearest + cost)
         return best
 
-    def _unhindered(self, apart: list[Any]) -> Any:
+    def _free_length(self, apart: list[Any]) -> Any:
         """Length of the shortest way between cells that are so many cells apart along each axis."""
         one, two, three = self.lengths.of_axes
         shortest = jnp.minimum(jnp.minimum(apart[0], apart[1]), apart[2])
@@ -181,7 +181,7 @@ class _Kernel:
         middle = apart[0] + apart[1] + apart[2] - shortest - longest
         return three * shortest + two * (middle - shortest) + one * (longest - middle)
 
-    def _improved(self, way: Any, moves: Any, lane: Any, start: Any, found: Any) -> Any:
+    def _can_improve(self, distance: Any, moves: Any, lane: Any, start: Any, shortest: Any) -> Any:
         """Whether a way through any cell that can be improved could be shorter; int32 []."""
         nx, ny, nz = self.shape
         real = lane < ny * nz
@@ -192,10 +192,10 @@ class _Kernel:
         def look(i: Any, seen: Any) -> Any:
             at = (i + 1) * self.wide[0] + in_layer
             may = self.program.load(moves, i * self.strides[0] + lane, real, 0)
-            here = self.program.load(way, at, real, self.lengths.none)
-            relaxed = self._relaxed(way, at, may, real, _MOVES)
-            ahead = self._unhindered([jnp.abs(i - start[0]), *across])
-            better = real & (relaxed < here) & (relaxed + ahead < found)
+            current = self.program.load(distance, at, real, self.lengths.none)
+            relaxed = self._relax_moves(distance, at, may, real, _MOVES)
+            ahead = self._free_length([jnp.abs(i - start[0]), *across])
+            better = real & (relaxed < current) & (relaxed + ahead < shortest)
             return jnp.maximum(seen, better.astype(jnp.int32))
 
         seen = jax.lax.fori_loop(0, nx, look, jnp.zeros((self.program.lanes,), jnp.int32))

@@ -13,11 +13,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from angler_kernels.bit_grid import pack, shift, unpack
+from angler_kernels.bit_grid import pack_grid, shift_grid, unpack_grid
 from angler_kernels.caverns import largest_cavern
 from angler_kernels.clearance import capsules_obstacle
 from angler_mjx.errors import ConfigError
-from angler_mjx.sampling import children, uniforms
+from angler_mjx.sampling import fold_keys, uniform_rows
 from angler_mjx.world.config import WorldRecipe
 from angler_mjx.world.obstacles import STATIC, Obstacles
 from angler_mjx.world.obstacles.explicit import explicit_rows
@@ -55,10 +55,10 @@ def passable_cells(
     Returns:
         Packed cells, as ``free``.
     """
-    keep = partial(_narrow, nz=ground.shape[2])
+    keep = partial(_erode_axis, nz=ground.shape[2])
     x, y, z = (keep(free, axis) for axis in range(3))
     xy, yz, zx = keep(x, 1), keep(y, 2), keep(z, 0)
-    passable = free & pack(ground[..., None] >= radius_m)
+    passable = free & pack_grid(ground[..., None] >= radius_m)
     for n_axis, clear in ((1, x & y & z), (2, xy & yz & zx), (3, keep(xy, 2))):
         fits = radius_m <= 0.5 * math.sqrt(n_axis) * cell_m
         passable = jnp.where(fits, passable, passable & clear)
@@ -73,19 +73,19 @@ def obstacle_gap(obstacles: Obstacles, points: jax.Array, only_static: bool) -> 
         points: [..., 3] m, W.
         only_static: leave out those that move.
     """
-    gaps = jax.vmap(partial(_gaps, obstacles))(points.reshape(-1, 3))
+    gaps = jax.vmap(partial(_obstacle_gaps, obstacles))(points.reshape(-1, 3))
     counts = obstacles.exists & ((obstacles.motion == STATIC) | (not only_static))
     return jnp.min(jnp.where(counts, gaps, jnp.inf), axis=1).reshape(points.shape[:-1])
 
 
-def _gaps(obstacles: Obstacles, p: jax.Array) -> jax.Array:
+def _obstacle_gaps(obstacles: Obstacles, p: jax.Array) -> jax.Array:
     """Distance [n] of a point to each obstacle's surface at its start, m."""
     point, zero = p[None], jnp.zeros(1, p.dtype)
     to_one = partial(capsules_obstacle, point, point, zero, kinds=obstacles.kinds)
     return jax.vmap(to_one)(obstacles.p0, obstacles.q0, obstacles.kind, obstacles.size_m)
 
 
-def check_given(recipe: WorldRecipe, radius_m: np.ndarray) -> None:
+def check_positions(recipe: WorldRecipe, radius_m: np.ndarray) -> None:
     """Refuse starts and goals of a file that lie outside the grid or touch an explicit obstacle.
 
     Args:
@@ -105,17 +105,19 @@ def check_given(recipe: WorldRecipe, radius_m: np.ndarray) -> None:
     low[2] = max(low[2], recipe.floor_z_m)
     explicit = recipe.obstacles.explicit
     faults = []
-    for key, places in (("start_m", recipe.start_m), ("goal_m", recipe.goal_m)):
-        for i, place_m in enumerate(places):
-            if np.any(place_m < low) or np.any(place_m > high):
-                faults.append(f"{key}[{i}] = {place_m}: outside {low.tolist()} to {high.tolist()}")
+    for key, positions in (("start_m", recipe.start_m), ("goal_m", recipe.goal_m)):
+        for i, position_m in enumerate(positions):
+            if np.any(position_m < low) or np.any(position_m > high):
+                faults.append(
+                    f"{key}[{i}] = {position_m}: outside {low.tolist()} to {high.tolist()}"
+                )
             if not explicit:
                 continue
             rows = explicit_rows(explicit, 1000.0)  # The water's density changes no shape.
             counts = (np.asarray(rows.motion) == STATIC) | (key == "start_m")
-            gaps = np.asarray(_gaps(rows, jnp.array(place_m, float)))
+            gaps = np.asarray(_obstacle_gaps(rows, jnp.array(position_m, float)))
             faults += [
-                f"{key}[{i}] = {place_m}: {gaps[j]:.2f} m from obstacles.explicit[{j}]; "
+                f"{key}[{i}] = {position_m}: {gaps[j]:.2f} m from obstacles.explicit[{j}]; "
                 f"the robot's radius is {radius_m[i]:.2f} m"
                 for j in np.flatnonzero(counts & (gaps < radius_m[i]))
             ]
@@ -123,7 +125,7 @@ def check_given(recipe: WorldRecipe, radius_m: np.ndarray) -> None:
         raise ConfigError("\n  ".join(["places that are not free", *faults]))
 
 
-def place(
+def choose_positions(
     recipe: WorldRecipe,
     free: jax.Array,
     passable: jax.Array,
@@ -151,42 +153,46 @@ def place(
     """
     n_robot = radius_m.shape[0]
     nz = recipe.shape[2]
-    open_cell = unpack(passable if recipe.is_empty else _open_cells(free, passable, nz), nz)
+    open_cell = unpack_grid(passable if recipe.is_empty else _open_cells(free, passable, nz), nz)
     open_cell = open_cell.reshape(-1, open_cell.shape[-1])
     if recipe.placement == "given":
-        return _given(recipe, open_cell, start_gap.ravel(), radius_m)
+        return _fixed_positions(recipe, open_cell, start_gap.ravel(), radius_m)
     point = cell_centres(recipe).reshape(-1, 3).T[..., None]
 
     def at_random(key: jax.Array) -> tuple[jax.Array, ...]:
-        of_noise, *others = children(key, 3)
+        of_noise, *others = fold_keys(key, 3)
         # One field serves all robots: taking the least value left is drawing without putting back.
         noise = jax.random.uniform(of_noise, (2, point.shape[1]), jnp.float32)
-        mirror, from_here = uniforms(jnp.stack(others), max(3, n_robot), jnp.float32)
-        from_here = from_here[:n_robot].at[0].set(0.0)
-        return noise, from_here, *_targets(recipe, n_robot, mirror[:3] < 0.5)
+        mirror, rotation = uniform_rows(jnp.stack(others), max(3, n_robot), jnp.float32)
+        rotation = rotation[:n_robot].at[0].set(0.0)
+        return noise, rotation, *_target_points(recipe, n_robot, mirror[:3] < 0.5)
 
-    noise, from_here, *targets = jax.vmap(at_random, out_axes=-1)(keys)
-    least_way = 0.5 * max(recipe.size_m)
+    noise, rotation, *targets = jax.vmap(at_random, out_axes=-1)(keys)
+    min_length = 0.5 * max(recipe.size_m)
 
-    def place_one(
+    def choose_one(
         gaps: tuple[jax.Array, jax.Array], robot: tuple[jax.Array, ...]
     ) -> tuple[tuple[jax.Array, jax.Array], tuple[jax.Array, jax.Array, jax.Array]]:
         start_gap, goal_gap = gaps
         radius, turned, near_start, near_goal = robot
         margin = radius + recipe.clearance_m
         may = open_cell & (start_gap >= margin)
-        start, fits = _cheapest(may, _score(recipe, point, near_start, noise[0], turned), point)
-        way = _distance(point, start)
-        may = open_cell & (goal_gap >= margin) & (way >= least_way)
-        goal, fits_too = _cheapest(may, _score(recipe, point, near_goal, noise[1], turned), point)
-        start_gap = jnp.minimum(start_gap, way - radius)
-        goal_gap = jnp.minimum(goal_gap, _distance(point, goal) - radius)
+        start, fits = _cheapest_cell(
+            may, _cell_cost(recipe, point, near_start, noise[0], turned), point
+        )
+        distance = _point_distance(point, start)
+        may = open_cell & (goal_gap >= margin) & (distance >= min_length)
+        goal, fits_too = _cheapest_cell(
+            may, _cell_cost(recipe, point, near_goal, noise[1], turned), point
+        )
+        start_gap = jnp.minimum(start_gap, distance - radius)
+        goal_gap = jnp.minimum(goal_gap, _point_distance(point, goal) - radius)
         return (start_gap, goal_gap), (start, goal, fits & fits_too)
 
     # Distance of each cell's centre to everything that a start, or a goal, must keep clear of.
     far = jnp.full(open_cell.shape, jnp.inf)
     gaps = jnp.minimum(start_gap.reshape(-1, 1), far), far
-    _, (start, goal, fits) = jax.lax.scan(place_one, gaps, (radius_m, from_here, *targets))
+    _, (start, goal, fits) = jax.lax.scan(choose_one, gaps, (radius_m, rotation, *targets))
     return start, goal, jnp.all(fits, axis=0)
 
 
@@ -206,7 +212,7 @@ def _open_cells(free: jax.Array, passable: jax.Array, nz: int) -> jax.Array:
     return jnp.where(whole, passable, largest_cavern(jnp.where(whole, 0, passable), nz))
 
 
-def _given(
+def _fixed_positions(
     recipe: WorldRecipe, open_cell: jax.Array, start_gap: jax.Array, radius_m: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """The places of the file; they hold where the cells that they lie in would be taken."""
@@ -223,20 +229,24 @@ def _given(
     return start, goal, jnp.all(fits, axis=0)
 
 
-def _cheapest(may: jax.Array, price: jax.Array, point: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _cheapest_cell(
+    may: jax.Array, price: jax.Array, point: jax.Array
+) -> tuple[jax.Array, jax.Array]:
     """Centre [3, n_world] of the cheapest cell [cells, n_world] that may be taken, if there is one.
 
     Two plain minima, of the price and of the index among the cheapest: vectors serve them, which
     they do not a search for the index of the least.
     """
     price = jnp.where(may, price, jnp.inf)
-    least = jnp.min(price, axis=0)
+    lowest = jnp.min(price, axis=0)
     index = jnp.arange(may.shape[0], dtype=jnp.int32)[:, None]
-    first = jnp.min(jnp.where(price == least, index, may.shape[0] - 1), axis=0)
-    return point[:, first, 0], jnp.isfinite(least)
+    first = jnp.min(jnp.where(price == lowest, index, may.shape[0] - 1), axis=0)
+    return point[:, first, 0], jnp.isfinite(lowest)
 
 
-def _targets(recipe: WorldRecipe, n_robot: int, mirrored: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _target_points(
+    recipe: WorldRecipe, n_robot: int, mirrored: jax.Array
+) -> tuple[jax.Array, jax.Array]:
     """Points [n_robot, 3] that the robots' starts and goals should be near to, m, W.
 
     Args:
@@ -260,7 +270,7 @@ def _targets(recipe: WorldRecipe, n_robot: int, mirrored: jax.Array) -> tuple[ja
     return lo + size * bits, lo + size * ~bits
 
 
-def _score(
+def _cell_cost(
     recipe: WorldRecipe, point: jax.Array, target: jax.Array, noise: jax.Array, turned: jax.Array
 ) -> jax.Array:
     """What a robot pays for each cell, [cells, n_world]; the cheapest is taken.
@@ -271,15 +281,15 @@ def _score(
     if recipe.placement == "random":
         return (noise + turned) % 1.0
     jitter = _JITTER_CELLS[recipe.placement] * recipe.cell_m
-    return _distance(point, target) + jitter * noise
+    return _point_distance(point, target) + jitter * noise
 
 
-def _distance(point: jax.Array, to: jax.Array) -> jax.Array:
+def _point_distance(point: jax.Array, to: jax.Array) -> jax.Array:
     """Distances [cells, n_world] of points [3, cells, 1] to one [3, n_world] in each world."""
     x, y, z = (point[axis] - to[axis] for axis in range(3))
     return jnp.sqrt(x * x + y * y + z * z)
 
 
-def _narrow(free: jax.Array, axis: int, nz: int) -> jax.Array:
+def _erode_axis(free: jax.Array, axis: int, nz: int) -> jax.Array:
     """Cells that are free with both neighbours along an axis; what lies outside is not free."""
-    return free & shift(free, axis, 1, nz) & shift(free, axis, -1, nz)
+    return free & shift_grid(free, axis, 1, nz) & shift_grid(free, axis, -1, nz)

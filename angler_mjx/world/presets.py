@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from angler_mjx.errors import ConfigError, shown
-from angler_mjx.files import FileModel, parse, read_toml
+from angler_mjx.errors import ConfigError, format_value
+from angler_mjx.files import FileModel, parse_model, read_toml
 from angler_mjx.world.obstacles import ObstaclesConfig
 from angler_mjx.world.rules import Rule
 
@@ -34,7 +34,7 @@ class Preset(FileModel):
     obstacles: ObstaclesConfig = ObstaclesConfig()
 
 
-def available() -> tuple[str, ...]:
+def list_presets() -> tuple[str, ...]:
     """Names of all presets, sorted."""
     folder = resources.files("angler_mjx.world") / _FOLDER
     names = (entry.name for entry in folder.iterdir())
@@ -42,13 +42,15 @@ def available() -> tuple[str, ...]:
 
 
 @cache
-def load(name: str) -> Preset:
+def load_preset(name: str) -> Preset:
     """A preset by name.
 
     Raises:
         ConfigError: there is none of that name.
     """
-    if name not in available():
-        raise ConfigError(f"{shown(name)} is no preset; there are {', '.join(available())}")
+    if name not in list_presets():
+        raise ConfigError(
+            f"{format_value(name)} is no preset; there are {', '.join(list_presets())}"
+        )
     with resources.as_file(resources.files("angler_mjx.world") / _FOLDER / f"{name}.toml") as path:
-        return parse(Preset, read_toml(path), source=f"preset {name}")
+        return parse_model(Preset, read_toml(path), source=f"preset {name}")

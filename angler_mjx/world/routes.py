@@ -3,7 +3,7 @@
 For each place there is a field over the cells of the grid: the length of the shortest free way from
 the cell's centre to the place's cell, by steps to any of the 26 neighbours, and the first of these
 steps. Both stand in one word of 16 bits. A field has no local minimum but its place, so whoever
-goes down it arrives. `angler_mjx.planning.routes.fields` works fields out.
+goes down it arrives. `angler_mjx.planning.routes.route_fields` works fields out.
 """
 
 from collections.abc import Sequence
@@ -17,9 +17,9 @@ MOVE_BITS = 5
 STAY = 13
 PARTS = 8
 """Parts of a cell's edge that lengths are counted in: 0.19 m for cells of 1.5 m."""
-MOST_PARTS = 2**11 - 2
+MAX_PARTS = 2**11 - 2
 """Longest way that is told, 255 cell edges; longer ones are told as this, with the right step."""
-NO_WAY = ((MOST_PARTS + 1) << MOVE_BITS) | STAY
+NO_PATH = ((MAX_PARTS + 1) << MOVE_BITS) | STAY
 """The word of a cell from which no way leads to the place."""
 FINER = 4
 """Cubes that a cell's edge is divided into, where `Routes.clear` is looked up."""
@@ -30,7 +30,7 @@ FINER = 4
 class Routes:
     """Ways to P places of one world, for any of its robots."""
 
-    place_m: jax.Array
+    position_m: jax.Array
     """[P, 3] in W."""
     words: jax.Array
     """uint16 [nx, ny, nz, P] length and first step of the way from each cell; ways from one cell to
@@ -56,39 +56,41 @@ def centre_m(routes: Routes, cell: jax.Array) -> jax.Array:
     return routes.origin_m + (cell + 0.5) * routes.cell_m
 
 
-def step_on(routes: Routes, place: jax.Array, cell: jax.Array) -> tuple[jax.Array, jax.Array]:
+def step_toward(
+    routes: Routes, goal_index: jax.Array, cell: jax.Array
+) -> tuple[jax.Array, jax.Array]:
     """One step down the field of a place.
 
     Args:
         routes: of the world.
-        place: int32 [] one of P.
+        goal_index: int32 [] one of P.
         cell: int32 [3].
 
     Returns:
         The next cell int32 [3], the same where there is none, and the length [] of the way from
         ``cell`` on in m; inf where there is none.
     """
-    step, length = _read(routes, place, cell)
+    step, length = _read_word(routes, goal_index, cell)
     return cell + jnp.stack(step), length
 
 
-def _read(
-    routes: Routes, place: jax.Array, cell: jax.Array
+def _read_word(
+    routes: Routes, goal_index: jax.Array, cell: jax.Array
 ) -> tuple[tuple[jax.Array, ...], jax.Array]:
-    """Step along each axis, -1, 0 or 1, and length, as `step_on` gives them."""
-    return _told(routes.words[cell[0], cell[1], cell[2], place], routes.cell_m)
+    """Step along each axis, -1, 0 or 1, and length, as `step_toward` gives them."""
+    return _decode_word(routes.words[cell[0], cell[1], cell[2], goal_index], routes.cell_m)
 
 
-def _told(word: jax.Array, cell_m: jax.Array) -> tuple[tuple[jax.Array, ...], jax.Array]:
+def _decode_word(word: jax.Array, cell_m: jax.Array) -> tuple[tuple[jax.Array, ...], jax.Array]:
     """Step along each axis, -1, 0 or 1, and length that words [...] tell."""
     word = word.astype(jnp.int32)
     move = word & (2**MOVE_BITS - 1)
     step = (move // 9 - 1, move // 3 % 3 - 1, move % 3 - 1)
     length = (word >> MOVE_BITS) * (cell_m / PARTS)
-    return step, jnp.where(word == NO_WAY, jnp.inf, length)
+    return step, jnp.where(word == NO_PATH, jnp.inf, length)
 
 
-def distance(routes: Routes, place: jax.Array, p: jax.Array) -> jax.Array:
+def distance_to_goal(routes: Routes, goal_index: jax.Array, p: jax.Array) -> jax.Array:
     """Length [] of the free way from p [3] in W to a place int32 [], m; inf where there is none.
 
     Straight to the centre of the next cell of the way, and along the way from there; straight to
@@ -96,12 +98,13 @@ def distance(routes: Routes, place: jax.Array, p: jax.Array) -> jax.Array:
     and lengths are told in eighths of a cell's edge.
     """
     # Worked out once for all places that a robot's ways are compared to.
-    here = jax.lax.optimization_barrier(cell_of(routes, p))
-    word = routes.words[here[0], here[1], here[2], place]
+    cell = jax.lax.optimization_barrier(cell_of(routes, p))
+    word = routes.words[cell[0], cell[1], cell[2], goal_index]
     to, origin = (
-        tuple(x[axis] for axis in range(3)) for x in (routes.place_m[place], routes.origin_m)
+        tuple(x[axis] for axis in range(3))
+        for x in (routes.position_m[goal_index], routes.origin_m)
     )
-    return length_m(word, tuple(here), tuple(p), to, origin, routes.cell_m)
+    return length_m(word, tuple(cell), tuple(p), to, origin, routes.cell_m)
 
 
 type _Axes = Sequence[jax.Array]
@@ -109,27 +112,27 @@ type _Axes = Sequence[jax.Array]
 
 
 def length_m(
-    word: jax.Array, here: _Axes, p: _Axes, place_m: _Axes, origin_m: _Axes, cell_m: jax.Array
+    word: jax.Array, cell: _Axes, p: _Axes, position_m: _Axes, origin_m: _Axes, cell_m: jax.Array
 ) -> jax.Array:
-    """As `distance` [...], from what is read for it.
+    """As `distance_to_goal` [...], from what is read for it.
 
     Args:
         word: uint16 [...] of ``Routes.words``, of the cell and the place.
-        here: int32 [...] the cell that holds p.
+        cell: int32 [...] the cell that holds p.
         p: [...] m in W.
-        place_m: [...] the place.
+        position_m: [...] the place.
         origin_m: [...] of the grid.
         cell_m: [...] edge of a cell.
     """
-    step, length = _told(word, cell_m)
+    step, length = _decode_word(word, cell_m)
     # The word says what is left after the step as well: another read would cost more.
     axes = abs(step[0]) + abs(step[1]) + abs(step[2])
     rest = length - cell_m * jnp.sqrt(axes.astype(length.dtype))
     last = rest < 0.5 * cell_m
     square = jnp.zeros((), length.dtype)
     for axis, along in enumerate(step):
-        centre = origin_m[axis] + (here[axis] + along + 0.5) * cell_m
-        square += (jnp.where(last, place_m[axis], centre) - p[axis]) ** 2
+        centre = origin_m[axis] + (cell[axis] + along + 0.5) * cell_m
+        square += (jnp.where(last, position_m[axis], centre) - p[axis]) ** 2
     whole = jnp.sqrt(square) + jnp.where(last, 0.0, rest)
     return jnp.where(jnp.isinf(length), jnp.inf, whole)
 

@@ -1,6 +1,6 @@
 """How the static cells of a world come about: the rules that a preset or a file can name.
 
-Each rule is a model for files; `draw_cells` turns one and random keys into cells, one world for
+Each rule is a model for files; `sample_cells` turns one and random keys into cells, one world for
 each key. What it gives is always one cavern: free cells that the largest cavern does not reach are
 filled.
 """
@@ -12,9 +12,9 @@ import jax
 import jax.numpy as jnp
 from pydantic import Field
 
-from angler_kernels.bit_grid import everywhere, pack
+from angler_kernels.bit_grid import full_grid, pack_grid
 from angler_kernels.caverns import largest_cavern
-from angler_kernels.cellular_automaton import step
+from angler_kernels.cellular_automaton import apply_rule
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import FileModel
 
@@ -64,7 +64,7 @@ class OpenRule(FileModel):
 type Rule = Annotated[AutomatonRule | WallsRule | OpenRule, Field(discriminator="type")]
 
 
-def draw_cells(
+def sample_cells(
     rule: AutomatonRule | WallsRule | OpenRule,
     shape: Shape,
     fill: float | jax.Array,
@@ -81,30 +81,32 @@ def draw_cells(
     Returns:
         Packed cells, uint32 [nx, ny, words, n_world] (see `angler_kernels.bit_grid`).
     """
-    whole = everywhere(shape)[..., None]
+    whole = full_grid(shape)[..., None]
     match rule:
         case AutomatonRule():
 
             def at_random(key: jax.Array) -> jax.Array:
                 # Drawn flat: the same numbers, and a third of the time to compile.
                 wall = jax.random.uniform(key, (math.prod(shape),), jnp.float32) < fill
-                return pack(wall.reshape(shape))
+                return pack_grid(wall.reshape(shape))
 
             wall = jax.vmap(at_random, out_axes=-1)(keys)
             wall = jax.lax.fori_loop(
                 0,
                 rule.steps,
-                lambda _, wall: step(wall, rule.die_below, rule.born_above, shape[2]),
+                lambda _, wall: apply_rule(wall, rule.die_below, rule.born_above, shape[2]),
                 wall,
             )
             return whole & ~largest_cavern(whole & ~wall, shape[2])
         case WallsRule():
-            return jax.vmap(lambda key: pack(_walls(rule, shape, key)), out_axes=-1)(keys)
+            return jax.vmap(lambda key: pack_grid(_sample_walls(rule, shape, key)), out_axes=-1)(
+                keys
+            )
         case OpenRule():
             return jnp.zeros((*whole.shape[:3], keys.shape[0]), jnp.uint32)
 
 
-def _walls(rule: WallsRule, shape: Shape, key: jax.Array) -> jax.Array:
+def _sample_walls(rule: WallsRule, shape: Shape, key: jax.Array) -> jax.Array:
     """Evenly spaced walls; the gate of each is drawn uniformly over all its places."""
     nx, ny, nz = shape
     # i-th wall of n: the cells before, between and after differ by one at most.

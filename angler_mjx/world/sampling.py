@@ -1,10 +1,10 @@
 """The part of a world that may have to be drawn again: its cells, and where the fleet stands.
 
 A world alone is drawn in a loop until it can hold its fleet. Under ``vmap`` that loop would repeat
-for all worlds what a few of them need, so `draw` brings its own rule for a batch: group by group
-all worlds are drawn once, and then only those that failed (`groups`). Large batches go through in
-tiles of worlds that the device's caches and memory can hold. What a world looks like depends on its
-key alone. The functions behind `draw` have their axis of worlds last (see
+for all worlds what a few of them need, so `sample_world` brings its own rule for a batch: group by
+group all worlds are drawn once, and then only those that failed (`groups`). Large batches go
+through in tiles of worlds that the device's caches and memory can hold. What a world looks like
+depends on its key alone. The functions behind `sample_world` have their axis of worlds last (see
 `angler_kernels.bit_grid`).
 """
 
@@ -13,15 +13,21 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from angler_kernels.bit_grid import everywhere, pack, population, unpack
+from angler_kernels.bit_grid import count_cells, full_grid, pack_grid, unpack_grid
 from angler_mjx.world import groups
 from angler_mjx.world.config import WorldRecipe
-from angler_mjx.world.difficulty import line_is_free, open_ways, shortest_paths
+from angler_mjx.world.difficulty import line_is_free, open_path_lengths, shortest_paths
 from angler_mjx.world.obstacles.explicit import explicit_rows
-from angler_mjx.world.placement import cell_centres, cell_of, obstacle_gap, passable_cells, place
-from angler_mjx.world.rules import draw_cells
+from angler_mjx.world.placement import (
+    cell_centres,
+    cell_of,
+    choose_positions,
+    obstacle_gap,
+    passable_cells,
+)
+from angler_mjx.world.rules import sample_cells
 
-_GROUP_SHARE = 4
+_GROUP_DIVISOR = 4
 """A group of worlds that are drawn together is this part of a tile."""
 _TILE_NUMBERS = {"cpu": 1 << 21}
 """Lengths of ways that a tile may hold, by platform: 8 MiB, what caches hold, on a CPU."""
@@ -31,7 +37,7 @@ _TILE_NUMBERS_ELSEWHERE = 1 << 28
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Drawing:
+class WorldSample:
     """Cells of one world, where its fleet stands, and how hard its ways are."""
 
     occupied: jax.Array
@@ -52,7 +58,7 @@ class Drawing:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class _Try:
+class _WorldAttempt:
     """One try at each of many worlds; the axis of worlds is the last of every leaf."""
 
     occupied: jax.Array
@@ -65,9 +71,9 @@ class _Try:
     redraws: jax.Array
 
 
-def draw(
+def sample_world(
     recipe: WorldRecipe, radius_m: jax.Array, key: jax.Array, rock: jax.Array | None = None
-) -> Drawing:
+) -> WorldSample:
     """Cells and places of one world, drawn until the fleet fits or the recipe's limit is reached.
 
     Args:
@@ -76,45 +82,49 @@ def draw(
         key: random key of this world's cells.
         rock: bool [nx, ny, nz] cells that are occupied whatever is drawn; none if left out.
     """
-    given = (radius_m, key) if rock is None else (radius_m, key, rock)
+    inputs = (radius_m, key) if rock is None else (radius_m, key, rock)
 
     @jax.custom_batching.custom_vmap
-    def one(*given: jax.Array) -> Drawing:
-        alone: Drawing = jax.tree.map(
-            lambda leaf: leaf[0], _draw_tile(recipe, *(part[None] for part in given))
+    def sample_one(*inputs: jax.Array) -> WorldSample:
+        alone: WorldSample = jax.tree.map(
+            lambda leaf: leaf[0], _sample_tile(recipe, *(part[None] for part in inputs))
         )
         return alone
 
-    @one.def_vmap
-    def _batch(n_world: int, batched: list[bool], *given: jax.Array) -> tuple[Drawing, Drawing]:
-        worlds = draw_many(
+    @sample_one.def_vmap
+    def _batch(
+        n_world: int, batched: list[bool], *inputs: jax.Array
+    ) -> tuple[WorldSample, WorldSample]:
+        worlds = sample_worlds(
             recipe,
             *(
                 part if is_one else jnp.broadcast_to(part, (n_world, *part.shape))
-                for part, is_one in zip(given, batched, strict=True)
+                for part, is_one in zip(inputs, batched, strict=True)
             ),
         )
         return worlds, jax.tree.map(lambda _: True, worlds)
 
-    drawing: Drawing = one(*given)
-    return drawing
+    sample: WorldSample = sample_one(*inputs)
+    return sample
 
 
-def draw_many(
+def sample_worlds(
     recipe: WorldRecipe, radius_m: jax.Array, keys: jax.Array, rock: jax.Array | None = None
-) -> Drawing:
-    """As `draw`, for worlds [n_world, n_robot] and [n_world], tile by tile."""
+) -> WorldSample:
+    """As `sample_world`, for worlds [n_world, n_robot] and [n_world], tile by tile."""
     n_world, n_robot = radius_m.shape
-    most = tile_size(recipe, n_robot)
-    if n_world <= most:
-        return _draw_tile(recipe, radius_m, keys, rock)
-    n_tile = -(-n_world // most)
+    max_worlds = tile_size(recipe, n_robot)
+    if n_world <= max_worlds:
+        return _sample_tile(recipe, radius_m, keys, rock)
+    n_tile = -(-n_world // max_worlds)
     tile = -(-n_world // n_tile)
     # The last tile is filled up with the first worlds once more; they are cut off again.
     index = jnp.arange(n_tile * tile).reshape(n_tile, tile) % n_world
-    given = (radius_m, keys) if rock is None else (radius_m, keys, rock)
-    tiles = jax.lax.map(lambda i: _draw_tile(recipe, *(part[i] for part in given)), index)
-    worlds: Drawing = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:n_world], tiles)
+    inputs = (radius_m, keys) if rock is None else (radius_m, keys, rock)
+    tiles = jax.lax.map(lambda i: _sample_tile(recipe, *(part[i] for part in inputs)), index)
+    worlds: WorldSample = jax.tree.map(
+        lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:n_world], tiles
+    )
     return worlds
 
 
@@ -125,16 +135,18 @@ def tile_size(recipe: WorldRecipe, n_robot: int) -> int:
     return max(1, numbers // (nx * ny * nz * n_robot))
 
 
-def _draw_tile(
+def _sample_tile(
     recipe: WorldRecipe, radius_m: jax.Array, keys: jax.Array, rock: jax.Array | None = None
-) -> Drawing:
+) -> WorldSample:
     """Worlds [n_world, n_robot], [n_world], all at once."""
     radius = radius_m.T
-    packed = None if rock is None else pack(jnp.moveaxis(rock, 0, -1))
-    made = _redrawn(recipe, radius, keys, packed)
-    occupied = unpack(made.occupied, recipe.shape[2])
-    path_ratio, line_free = difficulty(recipe, occupied, made.passable, made.start, made.goal)
-    last = Drawing(
+    packed = None if rock is None else pack_grid(jnp.moveaxis(rock, 0, -1))
+    made = _resample_worlds(recipe, radius, keys, packed)
+    occupied = unpack_grid(made.occupied, recipe.shape[2])
+    path_ratio, line_free = measure_difficulty(
+        recipe, occupied, made.passable, made.start, made.goal
+    )
+    last = WorldSample(
         occupied=occupied,
         start=made.start,
         goal=made.goal,
@@ -143,13 +155,13 @@ def _draw_tile(
         redraws=made.redraws,
         fits=made.fits,
     )
-    worlds: Drawing = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), last)
+    worlds: WorldSample = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), last)
     return worlds
 
 
-def _redrawn(
+def _resample_worlds(
     recipe: WorldRecipe, radius: jax.Array, keys: jax.Array, rock: jax.Array | None
-) -> _Try:
+) -> _WorldAttempt:
     """Worlds drawn until each holds its fleet or reached the limit.
 
     Args:
@@ -159,48 +171,48 @@ def _redrawn(
         rock: packed cells that are always occupied; None for none.
     """
     n_world = keys.shape[0]
-    size = -(-n_world // _GROUP_SHARE)
+    size = -(-n_world // _GROUP_DIVISOR)
 
-    def unfit(worlds: _Try) -> jax.Array:
+    def unfit(worlds: _WorldAttempt) -> jax.Array:
         return ~worlds.fits & (worlds.redraws < recipe.redraw_limit)
 
-    def draw_group(carry: tuple[jax.Array, _Try]) -> tuple[jax.Array, _Try]:
+    def sample_group(carry: tuple[jax.Array, _WorldAttempt]) -> tuple[jax.Array, _WorldAttempt]:
         turn, worlds = carry
-        group = groups.chosen(turn, unfit(worlds), size)
+        group = groups.choose_group(turn, unfit(worlds), size)
         read = group.read
         always = None if rock is None else rock[..., read]
-        new = try_worlds(recipe, radius[:, read], keys[read], worlds.redraws[read] + 1, always)
-        renewed: _Try = jax.tree.map(
+        new = attempt_worlds(recipe, radius[:, read], keys[read], worlds.redraws[read] + 1, always)
+        renewed: _WorldAttempt = jax.tree.map(
             lambda old, some: old.at[..., group.index].set(some, mode="drop"), worlds, new
         )
         return turn + 1, renewed
 
-    def unfinished(carry: tuple[jax.Array, _Try]) -> jax.Array:
+    def unfinished(carry: tuple[jax.Array, _WorldAttempt]) -> jax.Array:
         turn, worlds = carry
-        more: jax.Array = ~groups.had_one(turn, n_world, size) | jnp.any(unfit(worlds))
+        more: jax.Array = ~groups.all_had_turn(turn, n_world, size) | jnp.any(unfit(worlds))
         return more
 
-    cells = jnp.zeros((*everywhere(recipe.shape).shape, n_world), jnp.uint32)
-    places = jnp.zeros((radius.shape[0], 3, n_world))
-    none = _Try(
+    cells = jnp.zeros((*full_grid(recipe.shape).shape, n_world), jnp.uint32)
+    positions = jnp.zeros((radius.shape[0], 3, n_world))
+    none = _WorldAttempt(
         occupied=cells,
         passable=cells,
-        start=places,
-        goal=places,
+        start=positions,
+        goal=positions,
         fits=jnp.zeros(n_world, bool),
         redraws=jnp.full(n_world, -1, jnp.int32),
     )
-    _, last = jax.lax.while_loop(unfinished, draw_group, (jnp.int32(0), none))
+    _, last = jax.lax.while_loop(unfinished, sample_group, (jnp.int32(0), none))
     return last
 
 
-def try_worlds(
+def attempt_worlds(
     recipe: WorldRecipe,
     radius: jax.Array,
     keys: jax.Array,
     redraws: jax.Array,
     rock: jax.Array | None = None,
-) -> _Try:
+) -> _WorldAttempt:
     """One try at each world.
 
     Args:
@@ -214,25 +226,25 @@ def try_worlds(
     def keys_of_try(key: jax.Array, redraws: jax.Array) -> jax.Array:
         return jax.random.split(jax.random.fold_in(key, redraws))
 
-    cells_keys, places_keys = jax.vmap(keys_of_try, out_axes=1)(keys, redraws)
-    occupied = draw_cells(recipe.rule, recipe.shape, recipe.fill, cells_keys)
-    drawn = occupied
-    occupied = drawn if rock is None else drawn | rock
-    free = ~occupied & everywhere(recipe.shape)[..., None]
-    ground, start_gap = _gaps(recipe)
+    cells_keys, position_keys = jax.vmap(keys_of_try, out_axes=1)(keys, redraws)
+    occupied = sample_cells(recipe.rule, recipe.shape, recipe.fill, cells_keys)
+    sampled = occupied
+    occupied = sampled if rock is None else sampled | rock
+    free = ~occupied & full_grid(recipe.shape)[..., None]
+    ground, start_gap = _obstacle_gaps(recipe)
     passable = passable_cells(free, ground, recipe.cell_m, jnp.max(radius, axis=0))
-    start, goal, fits = place(recipe, free, passable, start_gap, radius, places_keys)
-    return _Try(
+    start, goal, fits = choose_positions(recipe, free, passable, start_gap, radius, position_keys)
+    return _WorldAttempt(
         occupied=occupied,
         passable=passable,
         start=start,
         goal=goal,
-        fits=fits & (population(drawn) >= recipe.min_obstacles),
+        fits=fits & (count_cells(sampled) >= recipe.min_obstacles),
         redraws=redraws,
     )
 
 
-def difficulty(
+def measure_difficulty(
     recipe: WorldRecipe,
     occupied: jax.Array,
     passable: jax.Array,
@@ -250,8 +262,8 @@ def difficulty(
     """
     start, goal = (jnp.moveaxis(p, 1, -1) for p in (start, goal))
     from_cell, to_cell = (jnp.moveaxis(cell_of(recipe, p), -1, 0) for p in (start, goal))
-    ways = open_ways if recipe.is_empty else shortest_paths
-    length = ways(passable, recipe.shape[2], from_cell, to_cell)
+    path_lengths = open_path_lengths if recipe.is_empty else shortest_paths
+    length = path_lengths(passable, recipe.shape[2], from_cell, to_cell)
     straight = jnp.sqrt(jnp.sum((to_cell - from_cell) ** 2, axis=0).astype(length.dtype))
     ratio = jnp.where(straight > 0, length / jnp.maximum(straight, 1.0), 1.0)
     origin = jnp.array(recipe.origin_m, float)
@@ -261,7 +273,7 @@ def difficulty(
     return jnp.maximum(ratio, 1.0), line_free
 
 
-def _gaps(recipe: WorldRecipe) -> tuple[jax.Array, jax.Array]:
+def _obstacle_gaps(recipe: WorldRecipe) -> tuple[jax.Array, jax.Array]:
     """Distances [nx, ny, nz] of the cells' centres to what no rule draws, m.
 
     To floor and explicit obstacles that stand still, and to all explicit obstacles at the start.

@@ -15,7 +15,7 @@ ACROSS, SLICES = 12, 120
 
 
 @dataclass(frozen=True, kw_only=True)
-class Slices:
+class CurrentSlices:
     """Velocities of the water on the same n places east and north in each of k slices."""
 
     sample: np.ndarray
@@ -32,7 +32,7 @@ class Slices:
     """From one point to the next."""
 
 
-def _slices(environment: Environment, time_s: np.ndarray, z_m: np.ndarray) -> dict[str, Any]:
+def _sample_slices(environment: Environment, time_s: np.ndarray, z_m: np.ndarray) -> dict[str, Any]:
     """Fields of slices at times [k] and heights [k]."""
     grid = environment.grid
     occupied, cell = np.asarray(grid.occupied), float(grid.cell_m)
@@ -67,9 +67,9 @@ def _slices(environment: Environment, time_s: np.ndarray, z_m: np.ndarray) -> di
     }
 
 
-def through(
+def slice_flight(
     environment: Environment, time_s: np.ndarray, p_m: np.ndarray, running: np.ndarray
-) -> Slices:
+) -> CurrentSlices:
     """Slices at the middle height of a fleet, as it flies.
 
     Args:
@@ -84,7 +84,7 @@ def through(
     z, grid = np.empty(len(at)), environment.grid
     last = float(grid.origin_m[2] + 0.5 * grid.cell_m * grid.occupied.shape[2])
     for i, k in enumerate(at):
-        there = height[k][np.isfinite(height[k])]
-        last = float(there.mean()) if there.size else last
+        heights = height[k][np.isfinite(height[k])]
+        last = float(heights.mean()) if heights.size else last
         z[i] = last
-    return Slices(sample=at, time_s=time_s[at], **_slices(environment, time_s[at], z))
+    return CurrentSlices(sample=at, time_s=time_s[at], **_sample_slices(environment, time_s[at], z))

@@ -23,7 +23,7 @@ CASES: dict[str, dict[str, Any]] = {
 COLLISIONS = (Outcome.COLLISION_STATIC, Outcome.COLLISION_DYNAMIC, Outcome.COLLISION_ROBOT)
 
 
-def fly(scenario: Scenario) -> tuple[np.ndarray, Any]:
+def fly_worlds(scenario: Scenario) -> tuple[np.ndarray, Any]:
     """Outcomes [world, robot] and samples [world, sample, robot, ...] of a tile."""
     simulator = Simulator(scenario)
     worlds = simulator.worlds()
@@ -35,19 +35,22 @@ def fly(scenario: Scenario) -> tuple[np.ndarray, Any]:
     return np.asarray(state.tally.outcome), samples
 
 
-def row(name: str, outcome: np.ndarray, samples: Any) -> str:
+def format_row(name: str, outcome: np.ndarray, samples: Any) -> str:
     """A line of the table; errors are root mean squares over samples of robots on their way."""
-    on_way = samples.outcome == Outcome.RUNNING
-    aim = np.linalg.norm(samples.p - samples.target_m, axis=-1)[on_way]
+    is_running = samples.outcome == Outcome.RUNNING
+    aim_error_m = np.linalg.norm(samples.p - samples.target_m, axis=-1)[is_running]
     cells = [name]
     cells += [f"{100 * np.mean(np.isin(outcome, x)):.0f} %" for x in (Outcome.REACHED, COLLISIONS)]
-    cells.append(f"{_rms(aim):.3f}")
+    cells.append(f"{_rms(aim_error_m):.3f}")
     if samples.belief is None:
         return f"| {' | '.join([*cells, *'----'])} |"
-    off = (samples.belief.p - samples.p)[on_way]
-    units = off / samples.belief.position_std_m[on_way]
-    cells += [f"{_rms(np.hypot(off[:, 0], off[:, 1])):.3f}", f"{_rms(off[:, 2]):.3f}"]
-    cells += [f"{np.abs(off).max():.2f}", f"{np.abs(units).max():.1f}"]
+    estimate_error_m = (samples.belief.p - samples.p)[is_running]
+    normalised_error = estimate_error_m / samples.belief.position_std_m[is_running]
+    cells += [
+        f"{_rms(np.hypot(estimate_error_m[:, 0], estimate_error_m[:, 1])):.3f}",
+        f"{_rms(estimate_error_m[:, 2]):.3f}",
+    ]
+    cells += [f"{np.abs(estimate_error_m).max():.2f}", f"{np.abs(normalised_error).max():.1f}"]
     return f"| {' | '.join(cells)} |"
 
 
@@ -69,10 +72,10 @@ def main(
         "| told | reached | collided | behind the aim, m | horizontal, m | depth, m | largest, m | "
         "largest, std |\n|---|---:|---:|---:|---:|---:|---:|---:|"
     )
-    for case, told in CASES.items():
+    for case, estimate_options in CASES.items():
         data = base.model_dump(mode="json")
-        data["fleet"] = [{**entry, **told} for entry in data["fleet"]]
-        print(row(case, *fly(Scenario.model_validate(data))), flush=True)
+        data["fleet"] = [{**entry, **estimate_options} for entry in data["fleet"]]
+        print(format_row(case, *fly_worlds(Scenario.model_validate(data))), flush=True)
 
 
 if __name__ == "__main__":

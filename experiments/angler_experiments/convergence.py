@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from angler_experiments.shared import schemes
-from angler_experiments.shared.driving import CASES, HOLD_S, DrivingCase, draw_commands
+from angler_experiments.shared.driving import CASES, HOLD_S, DrivingCase, sample_commands
 from angler_kernels import quaternion
 from angler_kernels.current_field import lamb_oseen_circulation
 from angler_mjx.robot.vehicles import library, mjcf, params
@@ -30,7 +30,7 @@ from angler_mjx.robot.vehicles.params import VehicleParams
 from angler_mjx.sim.physics import mjx_engine, step
 from angler_mjx.sim.physics.mjx_engine import BodyInertia, MjxPhysics
 from angler_mjx.sim.physics.step import VehicleState, Water
-from angler_mjx.testing.validation.results import Number, save_result
+from angler_mjx.testing.validation.results import StudyNumber, save_result
 from angler_mjx.world.currents import Current, Uniform, Vortices
 
 type Array = NDArray[np.float64]
@@ -71,10 +71,10 @@ class ConvergenceRow:
     """By scheme; NaN where it blew up."""
 
 
-def set_up(variants: Sequence[tuple[str, str]]) -> ConvergenceSetup:
+def build_setup(variants: Sequence[tuple[str, str]]) -> ConvergenceSetup:
     """Compile the vehicles and the current in JAX's present float type."""
-    configs = [(library.load(vehicle), chosen) for vehicle, chosen in variants]
-    engine, body = mjx_engine.build(
+    configs = [(library.load_vehicle(vehicle), chosen) for vehicle, chosen in variants]
+    engine, body = mjx_engine.build_engine(
         [mjcf.to_spec(config, chosen, shapes=False) for config, chosen in configs]
     )
     core = jnp.array([1.5])
@@ -86,7 +86,9 @@ def set_up(variants: Sequence[tuple[str, str]]) -> ConvergenceSetup:
     return ConvergenceSetup(
         engine=engine,
         body=body,
-        vehicles=params.stack([params.build(c, chosen, BATTERY_V) for c, chosen in configs]),
+        vehicles=params.stack_vehicles(
+            [params.build_vehicle(c, chosen, BATTERY_V) for c, chosen in configs]
+        ),
         current=(Uniform(velocity_mps=jnp.array([0.15, 0.1, 0.0])), vortex),
     )
 
@@ -102,10 +104,12 @@ def first_state(n_thruster: int) -> VehicleState:
     )
 
 
-def simulator(setup: ConvergenceSetup, scheme: schemes.Scheme) -> Callable[[Array, int], Array]:
+def build_simulator(
+    setup: ConvergenceSetup, scheme: schemes.Scheme
+) -> Callable[[Array, int], Array]:
     """A function (commands, step_ms) -> positions [n_variant, n_command, 3] after each command."""
 
-    def one(
+    def simulate_vehicle(
         body: BodyInertia,
         vehicle: VehicleParams,
         commands: jax.Array,
@@ -118,32 +122,34 @@ def simulator(setup: ConvergenceSetup, scheme: schemes.Scheme) -> Callable[[Arra
         state = step.start_multistep(setup.engine, body, vehicle, state, setup.current, zero, water)
 
         def hold(state: VehicleState, command: jax.Array) -> tuple[VehicleState, jax.Array]:
-            def once(_: jax.Array, state: VehicleState) -> VehicleState:
+            def take_step(_: jax.Array, state: VehicleState) -> VehicleState:
                 return scheme(
                     setup.engine, body, vehicle, state, command, setup.current, zero, dt, water
                 )
 
             # A traced number of steps: one compilation a scheme, whatever the step.
-            state = jax.lax.fori_loop(0, steps, once, state)
+            state = jax.lax.fori_loop(0, steps, take_step, state)
             return state, state.p
 
         return jax.lax.scan(hold, state, commands)[1]
 
-    many = jax.jit(jax.vmap(one, (0, 0, 0, None, None)))
+    simulate_all = jax.jit(jax.vmap(simulate_vehicle, (0, 0, 0, None, None)))
 
     def run(commands: Array, step_ms: int) -> Array:
         steps = round(HOLD_S * 1e3 / step_ms)
-        return np.asarray(many(setup.body, setup.vehicles, commands, HOLD_S / steps, steps))
+        return np.asarray(simulate_all(setup.body, setup.vehicles, commands, HOLD_S / steps, steps))
 
     return run
 
 
-def reference(setup: ConvergenceSetup, commands: Array) -> Array:
+def integrate_reference(setup: ConvergenceSetup, commands: Array) -> Array:
     """States [n_variant, n_command, 13 + n_thruster] by DOP853, after each command."""
     n, n_thruster = len(commands), commands.shape[-1]
     start = first_state(n_thruster)
 
-    def one(body: BodyInertia, vehicle: VehicleParams, y: jax.Array, f: jax.Array) -> jax.Array:
+    def state_rate(
+        body: BodyInertia, vehicle: VehicleParams, y: jax.Array, f: jax.Array
+    ) -> jax.Array:
         state = replace(start, p=y[:3], q=y[3:7], nu=y[7:13], thrust=y[13:])
         zero = jnp.zeros(())
         a = schemes.accelerate(
@@ -157,7 +163,7 @@ def reference(setup: ConvergenceSetup, commands: Array) -> Array:
     # The setup is closed over, not passed: its hundreds of leaves would be counted at every call.
     @jax.jit
     def rate(y: jax.Array, command: jax.Array) -> jax.Array:
-        rows = jax.vmap(one)(setup.body, setup.vehicles, y.reshape(n, -1), command)
+        rows = jax.vmap(state_rate)(setup.body, setup.vehicles, y.reshape(n, -1), command)
         return jnp.ravel(rows)
 
     y = np.tile(np.concatenate([start.p, start.q, start.nu, start.thrust]), n)
@@ -178,7 +184,7 @@ def reference(setup: ConvergenceSetup, commands: Array) -> Array:
     return np.stack(states, axis=1)
 
 
-def study(
+def run_study(
     seconds: float = 60.0,
     cases: Sequence[DrivingCase] = CASES,
     steps_ms: Sequence[int] = STEPS_MS,
@@ -200,11 +206,11 @@ def study(
     n_command = round(seconds / HOLD_S)
     rows = []
     with jax.enable_x64(True):
-        setup = set_up(variants)
-        runs = {name: simulator(setup, schemes.SCHEMES[name]) for name in names}
+        setup = build_setup(variants)
+        runs = {name: build_simulator(setup, schemes.SCHEMES[name]) for name in names}
         for seed, case in enumerate(cases):
-            commands = draw_commands(case, setup.vehicles, n_command, seed)
-            truth = reference(setup, commands)
+            commands = sample_commands(case, setup.vehicles, n_command, seed)
+            truth = integrate_reference(setup, commands)
             error = {
                 (name, step_ms): _greatest_distance(run(commands, step_ms), truth)
                 for name, run in runs.items()
@@ -244,19 +250,19 @@ def to_markdown(rows: Sequence[ConvergenceRow]) -> str:
     for row in rows:
         case = f"{row.case} (to {row.greatest_speed_mps:.1f} m/s, {row.greatest_tilt_deg:.0f}°)"
         cells = [case, f"{row.vehicle}, {row.parameter_set}", str(row.step_ms)]
-        cells += [_centimetres(row.error_cm[scheme]) for scheme in names]
+        cells += [_format_centimetres(row.error_cm[scheme]) for scheme in names]
         lines.append(" | ".join(cells))
     return "\n".join(f"| {line} |" for line in lines)
 
 
-def _centimetres(value: float) -> str:
+def _format_centimetres(value: float) -> str:
     return f"{value:.2g}" if value < 10 else f"{value:.0f}" if value < 1e4 else "blows up"
 
 
-def numbers(rows: Sequence[ConvergenceRow]) -> Mapping[str, Number]:
+def result_numbers(rows: Sequence[ConvergenceRow]) -> Mapping[str, StudyNumber]:
     """The errors of the scheme that is used, by case, vehicle, set and step."""
     return {
-        f"{row.case}.{row.vehicle}.{row.parameter_set}.{row.step_ms}_ms": Number(
+        f"{row.case}.{row.vehicle}.{row.parameter_set}.{row.step_ms}_ms": StudyNumber(
             value=row.error_cm["ours"], unit="cm", worse="scheme"
         )
         for row in rows
@@ -273,11 +279,11 @@ def main(
         seconds: Length of each run.
         quick: Only the scheme that is used, at its default step, in moderate manoeuvres.
     """
-    rows = study(seconds, **QUICK) if quick else study(seconds)
+    rows = run_study(seconds, **QUICK) if quick else run_study(seconds)
     table = to_markdown(rows)
     print(table)
     if json is not None:
-        save_result(json, dict(numbers(rows)), table)
+        save_result(json, dict(result_numbers(rows)), table)
     return rows
 
 

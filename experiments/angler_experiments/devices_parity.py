@@ -28,7 +28,7 @@ from angler_experiments.shared.tracing import Trace
 from angler_mjx.errors import RunError
 from angler_mjx.scenario.scenario import Scenario, load_scenario
 from angler_mjx.sim.state import Outcome
-from angler_mjx.testing.validation.results import Number, save_result
+from angler_mjx.testing.validation.results import StudyNumber, save_result
 
 DEVICES = {"gpu": "cuda", "cpu": "cpu"}
 """What JAX is told."""
@@ -51,10 +51,10 @@ class ParitySettings:
         chosen = load_scenario(
             self.scenario, worlds=self.worlds, seed=self.seed, time={"horizon_s": self.seconds}
         )
-        return flights.at_control_rate(chosen)
+        return flights.record_at_control_rate(chosen)
 
 
-def compare(
+def fly_both(
     settings: ParitySettings,
     platforms: tuple[str, str],
     tiles: tuple[int, int],
@@ -67,54 +67,60 @@ def compare(
     """
     with tempfile.TemporaryDirectory() as folder:
         files = [Path(folder) / f"side_{k}.npz" for k in range(2)]
-        running = []
+        processes = []
         for k, file in enumerate(files):
             environment = {**os.environ, "JAX_PLATFORMS": DEVICES[platforms[k]]}
             if k == 1 and second_flags is not None:
                 environment["XLA_FLAGS"] = second_flags
-            words = ["--side", str(file), "--tiles", str(tiles[k]), str(tiles[k])]
+            arguments = ["--side", str(file), "--tiles", str(tiles[k]), str(tiles[k])]
             for name in ParitySettings.__dataclass_fields__:
-                words += [f"--{name}", str(getattr(settings, name))]
-            command = [sys.executable, "-m", "angler_experiments.devices_parity", *words]
-            running.append(subprocess.Popen(command, env=environment))
+                arguments += [f"--{name}", str(getattr(settings, name))]
+            command = [sys.executable, "-m", "angler_experiments.devices_parity", *arguments]
+            processes.append(subprocess.Popen(command, env=environment))
         # Both are waited for, so that none is left behind.
-        codes = [process.wait() for process in running]
+        codes = [process.wait() for process in processes]
         for platform, code in zip(platforms, codes, strict=True):
             if code:
                 raise RunError(f"the run on {platform} ended with {code}; its words stand above")
-        first, second = (flights.load(file) for file in files)
+        first, second = (flights.load_flight(file) for file in files)
     return first, second
 
 
-def ways(a: StudyFlight, b: StudyFlight) -> np.ndarray:
+def path_length_differences(a: StudyFlight, b: StudyFlight) -> np.ndarray:
     """Differences of path length of robots that ended the same way."""
-    same = ~tracing.different(a, b)
-    apart: np.ndarray = np.abs(a.path_length_m.astype(np.float64) - b.path_length_m)[same]
-    return apart
+    is_same_end = ~tracing.is_different(a, b)
+    difference_m: np.ndarray = np.abs(a.path_length_m.astype(np.float64) - b.path_length_m)[
+        is_same_end
+    ]
+    return difference_m
 
 
-def numbers(a: StudyFlight, b: StudyFlight, traces: list[Trace]) -> dict[str, Number]:
+def result_numbers(a: StudyFlight, b: StudyFlight, traces: list[Trace]) -> dict[str, StudyNumber]:
     """What is compared from one time to the next."""
-    apart = ways(a, b)
+    difference_m = path_length_differences(a, b)
     return {
-        "other_end": Number(value=float(len(traces)), unit="robots", worse="count"),
-        "path_median": Number(value=float(np.median(apart)), unit="m", worse="rounding"),
+        "other_end": StudyNumber(value=float(len(traces)), unit="robots", worse="count"),
+        "path_median": StudyNumber(
+            value=float(np.median(difference_m)), unit="m", worse="rounding"
+        ),
     }
 
 
 def to_markdown(a: StudyFlight, b: StudyFlight, traces: list[Trace], names: tuple[str, str]) -> str:
     """What was found, as it stands on the page."""
-    apart = ways(a, b)
+    difference_m = path_length_differences(a, b)
     arrived = [int(np.sum(side.outcome == Outcome.REACHED)) for side in (a, b)]
-    other = sum(trace.outcomes[0] != trace.outcomes[1] for trace in traces)
+    n_other_outcome = sum(trace.outcomes[0] != trace.outcomes[1] for trace in traces)
     same_plans = bool(np.array_equal(a.planned, b.planned))
-    share = f"{100 * len(traces) / a.outcome.size:.1f} %"
+    percentage = f"{100 * len(traces) / a.outcome.size:.1f} %"
     lines = [
-        f"{names[0]} and {names[1]}: of {a.outcome.size:,} robots {other} have another outcome, "
-        f"{len(traces)} ({share}) another outcome or another thing touched; arrivals {arrived[0]} "
+        f"{names[0]} and {names[1]}: of {a.outcome.size:,} robots {n_other_outcome} have another "
+        "outcome, "
+        f"{len(traces)} ({percentage}) another outcome or another thing touched; arrivals "
+        f"{arrived[0]} "
         f"and {arrived[1]}; which plans are found is {'' if same_plans else 'not '}the same. "
-        f"Path length where they end alike: median {np.median(apart):.1e} m, 99 % "
-        f"{np.quantile(apart, 0.99):.1e} m, greatest {apart.max():.1e} m.",
+        f"Path length where they end alike: median {np.median(difference_m):.1e} m, 99 % "
+        f"{np.quantile(difference_m, 0.99):.1e} m, greatest {difference_m.max():.1e} m.",
     ]
     if not traces:
         return lines[0]
@@ -154,16 +160,16 @@ def main(
     """
     scenario = settings.load()
     if side is not None:
-        flights.save(flights.fly(scenario, tiles[0]), side)
+        flights.save_flight(flights.fly_scenario(scenario, tiles[0]), side)
         return
-    a, b = compare(settings, platforms, tiles, second_flags)
+    a, b = fly_both(settings, platforms, tiles, second_flags)
     physics_steps = scenario.sim_spec().physics_steps
-    traces = tracing.trace(a, b, scenario.time.control_dt_s, physics_steps)
+    traces = tracing.trace_differences(a, b, scenario.time.control_dt_s, physics_steps)
     names = (f"{platforms[0]}, tile {tiles[0]}", f"{platforms[1]}, tile {tiles[1]}")
     text = to_markdown(a, b, traces, names)
     print(text)
     if out is not None:
-        save_result(out, numbers(a, b, traces), text)
+        save_result(out, result_numbers(a, b, traces), text)
 
 
 if __name__ == "__main__":

@@ -25,63 +25,65 @@ REPEATS = 5
 HORIZON_S = 120.0
 
 
-def problems(scenario: str, worlds: int) -> list[Problem]:
+def sample_problems(scenario: str, worlds: int) -> list[Problem]:
     """The first worlds of a scenario, with the true motion of what moves."""
     sim = Simulator(load_scenario(scenario, worlds=worlds), tile=worlds)
-    knows = Information(obstacles="truth")
+    information = Information(obstacles="truth")
     batch = jax.jit(
-        jax.vmap(lambda world, seed: build_problems(world, seed, sim.spec, knows, HORIZON_S, 5.0))
+        jax.vmap(
+            lambda world, seed: build_problems(world, seed, sim.spec, information, HORIZON_S, 5.0)
+        )
     )(sim.worlds(0), np.arange(worlds, dtype=np.uint32))
     return [jax.tree.map(lambda x, i=i: np.asarray(x)[i], batch) for i in range(worlds)]
 
 
-def kinds(
+def iterate_edge_kinds(
     problem: Problem, checker: EdgeChecker, n: int
 ) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
     """Names of the kinds, and edges [n, 3 R] of each."""
     rng = np.random.default_rng(0)
     low, high = np.asarray(problem.lower_m, float), np.asarray(problem.upper_m, float)
 
-    def anywhere(count: int) -> np.ndarray:
+    def sample_states(count: int) -> np.ndarray:
         return rng.uniform(low, high, (count, checker.robots, 3))
 
-    def free() -> np.ndarray:
-        found: list[np.ndarray] = []
-        while sum(map(len, found)) < n:
-            places = anywhere(4 * n)
-            found.append(places[checker.states(places)])
-        return np.concatenate(found)[:n]
+    def sample_free_states() -> np.ndarray:
+        free_states: list[np.ndarray] = []
+        while sum(map(len, free_states)) < n:
+            states = sample_states(4 * n)
+            free_states.append(states[checker.states(states)])
+        return np.concatenate(free_states)[:n]
 
-    start = free()
-    way = rng.normal(size=start.shape)
-    way /= np.linalg.norm(way, axis=-1, keepdims=True)
-    near = start + way * rng.uniform(1.0, 3.0, (n, checker.robots, 1))
+    start = sample_free_states()
+    direction = rng.normal(size=start.shape)
+    direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
+    near = start + direction * rng.uniform(1.0, 3.0, (n, checker.robots, 1))
     for name, a, b in (
-        ("anywhere", anywhere(n), anywhere(n)),
-        ("free to free", start, free()),
+        ("anywhere", sample_states(n), sample_states(n)),
+        ("free to free", start, sample_free_states()),
         ("1 to 3 m", start, near),
     ):
         yield name, a.reshape(n, -1), b.reshape(n, -1)
 
 
-def seconds(call: Callable[[], object]) -> float:
+def median_seconds(call: Callable[[], object]) -> float:
     """Median time of a call that has been made before."""
     call()
-    taken = []
+    durations = []
     for _ in range(REPEATS):
-        begin = time.perf_counter()
+        start_s = time.perf_counter()
         call()
-        taken.append(time.perf_counter() - begin)
-    return float(np.median(taken))
+        durations.append(time.perf_counter() - start_s)
+    return float(np.median(durations))
 
 
-def rates(checker: EdgeChecker, a: np.ndarray, b: np.ndarray) -> tuple[float, float, float]:
+def measure_rates(checker: EdgeChecker, a: np.ndarray, b: np.ndarray) -> tuple[float, float, float]:
     """Share of edges that are free, edges/s at once, and edges/s one after another."""
     rows, ends, check = list(a[: len(a) // 4]), list(b[: len(a) // 4]), checker.edge_flat
     flat = (a.reshape(len(a), -1, 3), b.reshape(len(b), -1, 3))
-    many = seconds(lambda: checker.edges(*flat))
-    one = seconds(lambda: [check(p, q) for p, q in zip(rows, ends, strict=True)])
-    return float(checker.edges(*flat).mean()), len(a) / many, len(rows) / one
+    batch_s = median_seconds(lambda: checker.edges(*flat))
+    sequential_s = median_seconds(lambda: [check(p, q) for p, q in zip(rows, ends, strict=True)])
+    return float(checker.edges(*flat).mean()), len(a) / batch_s, len(rows) / sequential_s
 
 
 def main(
@@ -95,11 +97,15 @@ def main(
         n: edges of each kind.
     """
     print("world | kind | free | edges/s at once | edges/s one by one")
-    for number, problem in enumerate(problems(scenario, worlds)):
+    for number, problem in enumerate(sample_problems(scenario, worlds)):
         checker = EdgeChecker(problem, moving="at_start")
-        for name, a, b in kinds(problem, checker, n):
-            free, many, one = rates(checker, a, b)
-            print(f"{number} | {name} | {free:.3f} | {many:.3g} | {one:.3g}", flush=True)
+        for name, a, b in iterate_edge_kinds(problem, checker, n):
+            free_fraction, batch_rate, sequential_rate = measure_rates(checker, a, b)
+            print(
+                f"{number} | {name} | {free_fraction:.3f} | {batch_rate:.3g} | "
+                f"{sequential_rate:.3g}",
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ from angler_mjx.robot.vehicles import library
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import Scenario, load_scenario
 from angler_mjx.sim.state import Outcome
-from angler_mjx.testing.validation.results import Number, save_result
+from angler_mjx.testing.validation.results import StudyNumber, save_result
 
 type Array = NDArray[np.float64]
 
@@ -31,10 +31,10 @@ STANDARD_DEVIATIONS = 5.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Parity:
+class EngineParity:
     """What was found; [n] robots of all worlds."""
 
-    apart_m: Array
+    distance_m: Array
     """[n, samples] distance of the two runs."""
     bound_m: Array
     """[samples] what rounding can explain."""
@@ -48,18 +48,18 @@ class Parity:
     """[n] which vehicle and set."""
 
     @property
-    def within(self) -> NDArray[np.bool_]:
+    def is_within(self) -> NDArray[np.bool_]:
         """[n] robots that stay within the bound to the end."""
-        inside: NDArray[np.bool_] = np.all(self.apart_m <= self.bound_m, axis=1)
-        return inside
+        is_inside: NDArray[np.bool_] = np.all(self.distance_m <= self.bound_m, axis=1)
+        return is_inside
 
     @property
-    def same(self) -> NDArray[np.bool_]:
+    def is_same(self) -> NDArray[np.bool_]:
         """[n] robots whose episodes end the same way, on the same thing."""
-        alike: NDArray[np.bool_] = (self.outcome[0] == self.outcome[1]) & np.all(
+        is_alike: NDArray[np.bool_] = (self.outcome[0] == self.outcome[1]) & np.all(
             self.touched[0] == self.touched[1], axis=1
         )
-        return alike
+        return is_alike
 
 
 def bound_m(steps: Array, reach_m: float) -> Array:
@@ -80,20 +80,20 @@ def bound_m(steps: Array, reach_m: float) -> Array:
     return bound
 
 
-def everything(scenario: Scenario) -> Scenario:
+def all_vehicles_scenario(scenario: Scenario) -> Scenario:
     """The scenario with two robots of each shipped vehicle, which draw any of its sets."""
     fleet = [
         {
             "vehicle": vehicle,
             "count": 2,
-            "parameter_mix": dict.fromkeys(library.load(vehicle).parameter_sets, 1.0),
+            "parameter_mix": dict.fromkeys(library.load_vehicle(vehicle).parameter_sets, 1.0),
         }
-        for vehicle in library.available()
+        for vehicle in library.list_vehicles()
     ]
     return Scenario.model_validate({**scenario.model_dump(), "fleet": fleet})
 
 
-def compare(scenario: Scenario, tile: int = 125) -> Parity:
+def compare_engines(scenario: Scenario, tile: int = 125) -> EngineParity:
     """Run all worlds of a scenario by both engines.
 
     Args:
@@ -104,15 +104,19 @@ def compare(scenario: Scenario, tile: int = 125) -> Parity:
         Simulator(scenario.model_copy(update={"engine": name}), tile=tile)
         for name in ("mjx", "fused")
     ]
-    parts = [_tile(engines, first) for first in range(0, scenario.worlds, tile)]
+    parts = [_run_tile(engines, first) for first in range(0, scenario.worlds, tile)]
     runs = [[part[k] for part in parts] for k in range(2)]
     p, outcome, touched, end = (
         np.stack([np.concatenate([run[i] for run in side]) for side in runs]) for i in range(4)
     )
-    one = engines[0]
-    steps = np.arange(p.shape[2], dtype=np.float64) * one.steps_per_sample * one.spec.physics_steps
-    return Parity(
-        apart_m=np.linalg.norm(p[0] - p[1], axis=2),
+    simulator = engines[0]
+    steps = (
+        np.arange(p.shape[2], dtype=np.float64)
+        * simulator.steps_per_sample
+        * simulator.spec.physics_steps
+    )
+    return EngineParity(
+        distance_m=np.linalg.norm(p[0] - p[1], axis=2),
         bound_m=bound_m(steps, float(np.abs(p).max())),
         outcome=outcome,
         touched=touched,
@@ -121,7 +125,7 @@ def compare(scenario: Scenario, tile: int = 125) -> Parity:
     )
 
 
-def _tile(engines: list[Simulator], first: int) -> tuple[Any, Any, Any]:
+def _run_tile(engines: list[Simulator], first: int) -> tuple[Any, Any, Any]:
     """One tile by mjx and by fused, and the variants; [n] robots lead."""
     worlds = engines[0].worlds(first)
     runs = []
@@ -147,69 +151,72 @@ def _tile(engines: list[Simulator], first: int) -> tuple[Any, Any, Any]:
     return runs[0], runs[1], np.asarray(worlds.variant).ravel()
 
 
-def report(parity: Parity, names: list[str]) -> str:
+def format_report(parity: EngineParity, names: list[str]) -> str:
     """The numbers as a person reads them."""
-    within, same = parity.within, parity.same
-    greatest = parity.apart_m.max(axis=1)
+    is_within, is_same = parity.is_within, parity.is_same
+    max_distance_m = parity.distance_m.max(axis=1)
     lines = [
-        f"{same.size} robots; bound at the end {parity.bound_m[-1]:.1e} m",
-        f"within the bound to the end: {within.sum()}; greatest distance among them "
-        f"{greatest[within].max(initial=0.0):.1e} m, median {np.median(greatest):.1e} m",
-        f"other outcome or other thing touched: {np.sum(~same)}; "
-        f"of those within the bound: {np.sum(~same & within)}",
+        f"{is_same.size} robots; bound at the end {parity.bound_m[-1]:.1e} m",
+        f"within the bound to the end: {is_within.sum()}; greatest distance among them "
+        f"{max_distance_m[is_within].max(initial=0.0):.1e} m, median "
+        f"{np.median(max_distance_m):.1e} m",
+        f"other outcome or other thing touched: {np.sum(~is_same)}; "
+        f"of those within the bound: {np.sum(~is_same & is_within)}",
         f"ends at another step: {np.sum(parity.end_time_s[0] != parity.end_time_s[1])}; "
         f"of those within the bound: "
-        f"{np.sum((parity.end_time_s[0] != parity.end_time_s[1]) & within)}",
+        f"{np.sum((parity.end_time_s[0] != parity.end_time_s[1]) & is_within)}",
     ]
     for outcome in Outcome:
         count = [int(np.sum(side == outcome)) for side in parity.outcome]
         if any(count):
             lines.append(f"{outcome.name.lower()}: mjx {count[0]}, fused {count[1]}")
     for i, name in enumerate(names):
-        mine = parity.variants == i
-        if mine.any():
+        is_variant = parity.variants == i
+        if is_variant.any():
             lines.append(
-                f"{name}: {mine.sum()} robots, {np.sum(within & mine)} within the bound, "
-                f"{np.sum(~same & mine)} with another outcome"
+                f"{name}: {is_variant.sum()} robots, {np.sum(is_within & is_variant)} within the "
+                "bound, "
+                f"{np.sum(~is_same & is_variant)} with another outcome"
             )
     return "\n".join(lines)
 
 
-def numbers(parity: Parity, size: str) -> dict[str, Number]:
+def result_numbers(parity: EngineParity, size: str) -> dict[str, StudyNumber]:
     """What is compared from one time to the next; counts in robots.
 
     Args:
         parity: of the two runs.
         size: of the runs, for the keys.
     """
-    greatest = parity.apart_m.max(axis=1)
+    max_distance_m = parity.distance_m.max(axis=1)
     other_end = parity.end_time_s[0] != parity.end_time_s[1]
     counts = {
-        "other_outcome": np.sum(~parity.same),
-        "beyond_the_bound": np.sum(~parity.within),
+        "other_outcome": np.sum(~parity.is_same),
+        "beyond_the_bound": np.sum(~parity.is_within),
         "other_end": np.sum(other_end),
     }
-    found = {
-        f"{size}.{name}": Number(value=float(count), unit="robots", worse="count")
+    study_numbers = {
+        f"{size}.{name}": StudyNumber(value=float(count), unit="robots", worse="count")
         for name, count in counts.items()
     }
-    median = Number(value=float(np.median(greatest)), unit="m", worse="rounding")
-    return {**found, f"{size}.median": median}
+    median = StudyNumber(value=float(np.median(max_distance_m)), unit="m", worse="rounding")
+    return {**study_numbers, f"{size}.median": median}
 
 
-def to_markdown(parity: Parity) -> str:
+def to_markdown(parity: EngineParity) -> str:
     """The numbers as they stand on the page."""
-    within, same = parity.within, parity.same
-    greatest = parity.apart_m.max(axis=1)
+    is_within, is_same = parity.is_within, parity.is_same
+    max_distance_m = parity.distance_m.max(axis=1)
     other_end = parity.end_time_s[0] != parity.end_time_s[1]
+    bound_m, within_m = parity.bound_m[-1], max_distance_m[is_within].max(initial=0.0)
     rows = {
-        "robots": f"{same.size:,}",
-        "another outcome, or another thing touched": f"{np.sum(~same):,}",
+        "robots": f"{is_same.size:,}",
+        "another outcome, or another thing touched": f"{np.sum(~is_same):,}",
         "episode ends at another control step": f"{np.sum(other_end):,}",
-        f"positions within the bound ({parity.bound_m[-1]:.1e} m at the end)": f"{within.sum():,}",
-        "greatest distance of a robot, median": f"{np.median(greatest):.1e} m",
-        "greatest distance among those within": f"{greatest[within].max(initial=0.0):.1e} m",
-        "greatest distance of all": f"{greatest.max():.1e} m",
+        f"positions within the bound ({bound_m:.1e} m at the end)": f"{is_within.sum():,}",
+        "greatest distance of a robot, median": f"{np.median(max_distance_m):.1e} m",
+        "greatest distance among those within": f"{within_m:.1e} m",
+        "greatest distance of all": f"{max_distance_m.max():.1e} m",
     }
     for outcome in Outcome:
         count = [int(np.sum(side == outcome)) for side in parity.outcome]
@@ -224,7 +231,7 @@ def main(
     worlds: int = 250,
     seconds: float = 120.0,
     json: Path | None = None,
-) -> Parity:
+) -> EngineParity:
     """Run the same worlds by mjx and by fused, and say how far they are apart.
 
     Args:
@@ -234,13 +241,15 @@ def main(
         json: file for the result, as `angler validate` reads it.
     """
     tile = math.gcd(worlds, 125)
-    chosen = everything(load_scenario(scenario, worlds=worlds, time={"horizon_s": seconds}))
-    parity = compare(chosen, tile)
+    chosen = all_vehicles_scenario(
+        load_scenario(scenario, worlds=worlds, time={"horizon_s": seconds})
+    )
+    parity = compare_engines(chosen, tile)
     names = [" ".join(kind) for kind in Simulator(chosen, tile=tile).variants()]
-    print(report(parity, names))
+    print(format_report(parity, names))
     if json is not None:
         size = f"{worlds}_worlds_{seconds:g}_s"
-        save_result(json, numbers(parity, size), to_markdown(parity))
+        save_result(json, result_numbers(parity, size), to_markdown(parity))
     return parity
 
 

@@ -16,18 +16,18 @@ from typing import Literal
 import numpy as np
 import tyro
 
-from angler_mjx.planning.answers import Answer, answer
+from angler_mjx.planning.answers import Answer, check_answer
 from angler_mjx.planning.host.ompl.planners import PLANNERS
 from angler_mjx.planning.problem import Problem
 from angler_mjx.robot.control.trajectory import Trajectory
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import load_scenario
 
-APART_M = 0.01
+SAMPLE_SPACING_M = 0.01
 """Between the places of a path that are looked at."""
 
 
-def problems(scenario: str, robots: int, count: int, deadline_s: float) -> list[Problem]:
+def build_problems(scenario: str, robots: int, count: int, deadline_s: float) -> list[Problem]:
     """Problems of worlds 0, 1 and on.
 
     Args:
@@ -38,24 +38,26 @@ def problems(scenario: str, robots: int, count: int, deadline_s: float) -> list[
     """
     shipped = load_scenario(scenario)
     kinds = [kind.model_dump(exclude_unset=True) for kind in shipped.fleet[:2]]
-    shares = [robots - robots // 2, robots // 2] if len(kinds) > 1 else [robots]
+    counts = [robots - robots // 2, robots // 2] if len(kinds) > 1 else [robots]
     fleet = [
-        {**kind, "count": share} for kind, share in zip(kinds, shares, strict=True) if share > 0
+        {**kind, "count": count_of_kind}
+        for kind, count_of_kind in zip(kinds, counts, strict=True)
+        if count_of_kind > 0
     ]
     loaded = load_scenario(scenario, fleet=fleet, worlds=count)
-    drawn = Simulator(loaded, tile=count).problems(0, count)
-    return [replace(problem, deadline_s=deadline_s) for problem in drawn]
+    sampled = Simulator(loaded, tile=count).problems(0, count)
+    return [replace(problem, deadline_s=deadline_s) for problem in sampled]
 
 
-def nearest(given: Answer, problem: Problem) -> float:
+def min_clearance_m(answer: Answer, problem: Problem) -> float:
     """Least distance of any robot's sphere to rock, face, floor or another robot's; m."""
-    paths = [path for path in given.paths if isinstance(path, Trajectory)]
+    paths = [path for path in answer.paths if isinstance(path, Trajectory)]
     end = max(float(path.time_s[-1]) for path in paths)
-    when = np.linspace(0.0, end, 2 + int(end * 0.5 / APART_M))
-    place = np.stack(
+    time_s = np.linspace(0.0, end, 2 + int(end * 0.5 / SAMPLE_SPACING_M))
+    position_m = np.stack(
         [
             np.stack(
-                [np.interp(when, path.time_s, path.position_m[:, n]) for n in range(3)], axis=-1
+                [np.interp(time_s, path.time_s, path.position_m[:, n]) for n in range(3)], axis=-1
             )
             for path in paths
         ],
@@ -66,16 +68,18 @@ def nearest(given: Answer, problem: Problem) -> float:
     occupied = np.asarray(problem.grid.occupied)
     low = np.maximum(origin, [-np.inf, -np.inf, float(problem.floor_z_m)])
     high = origin + edge * np.array(occupied.shape)
-    least = float((np.minimum(place - low, high - place).min(axis=-1) - radius).min())
+    clearance_m = float(
+        (np.minimum(position_m - low, high - position_m).min(axis=-1) - radius).min()
+    )
     for cell in np.argwhere(occupied):
         corner = origin + edge * cell
-        gap = np.maximum(np.maximum(corner - place, place - corner - edge), 0.0)
-        least = min(least, float((np.linalg.norm(gap, axis=-1) - radius).min()))
+        gap = np.maximum(np.maximum(corner - position_m, position_m - corner - edge), 0.0)
+        clearance_m = min(clearance_m, float((np.linalg.norm(gap, axis=-1) - radius).min()))
     for i in range(len(paths)):
         for j in range(i):
-            gap = np.linalg.norm(place[:, i] - place[:, j], axis=-1)
-            least = min(least, float(gap.min() - radius[i] - radius[j]))
-    return least
+            gap = np.linalg.norm(position_m[:, i] - position_m[:, j], axis=-1)
+            clearance_m = min(clearance_m, float(gap.min() - radius[i] - radius[j]))
+    return clearance_m
 
 
 def main(
@@ -98,33 +102,35 @@ def main(
         mode: of the planner.
         look: problems of each size whose paths are looked at anew.
     """
-    kind = PLANNERS[planner]
-    asked = kind(kind.Settings(mode=mode))
+    planner_class = PLANNERS[planner]
+    planner_instance = planner_class(planner_class.Settings(mode=mode))
     print("robots  solved  search ms: median  p95  plan ms: median  p95  edges  nearest m")
     for team in robots:
-        drawn = problems(scenario, team, count, deadline_s)
-        asked.warm_up(drawn[0])
+        sampled = build_problems(scenario, team, count, deadline_s)
+        planner_instance.warm_up(sampled[0])
         answers = []
-        for problem in drawn:
-            begin = time.perf_counter()
-            paths = asked.plan(problem)
-            answers.append(answer(paths, problem, time.perf_counter() - begin, asked.extras))
-        print(row(team, answers, drawn, look), flush=True)
+        for problem in sampled:
+            start_s = time.perf_counter()
+            paths = planner_instance.plan(problem)
+            answers.append(
+                check_answer(paths, problem, time.perf_counter() - start_s, planner_instance.extras)
+            )
+        print(format_row(team, answers, sampled, look), flush=True)
 
 
-def row(team: int, answers: list[Answer], drawn: list[Problem], look: int) -> str:
+def format_row(team: int, answers: list[Answer], problems: list[Problem], look: int) -> str:
     """One line of the table; all problems count in the times, those without a plan as they took."""
-    solved = [one.status == "planned" for one in answers]
-    search = 1e3 * np.array([one.extras.get("search_s", np.nan) for one in answers])
-    whole = 1e3 * np.array([one.planning_s for one in answers])
-    edges = np.nanmedian([one.extras.get("edges", np.nan) for one in answers])
-    good = [pair for pair in zip(answers, drawn, strict=True) if pair[0].status == "planned"]
-    looked = [nearest(*pair) for pair in good[:look]]
-    reasons = {one.reason for one in answers if one.reason}
+    solved = [answer.status == "planned" for answer in answers]
+    search = 1e3 * np.array([answer.extras.get("search_s", np.nan) for answer in answers])
+    whole = 1e3 * np.array([answer.planning_s for answer in answers])
+    edges = np.nanmedian([answer.extras.get("edges", np.nan) for answer in answers])
+    planned = [pair for pair in zip(answers, problems, strict=True) if pair[0].status == "planned"]
+    clearances = [min_clearance_m(*pair) for pair in planned[:look]]
+    reasons = {answer.reason for answer in answers if answer.reason}
     return (
         f"{team:6d}  {np.mean(solved):6.1%}  {np.nanmedian(search):17.3g}  "
         f"{np.nanpercentile(search, 95):.3g}  {np.median(whole):15.3g}  "
-        f"{np.percentile(whole, 95):.3g}  {edges:5.0f}  {min(looked, default=np.nan):.3f}"
+        f"{np.percentile(whole, 95):.3g}  {edges:5.0f}  {min(clearances, default=np.nan):.3f}"
         + (f"  ({'; '.join(sorted(reasons)[:3])})" if reasons else "")
     )
 

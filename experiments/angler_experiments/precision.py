@@ -13,17 +13,20 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from angler_experiments.devices_parity import ParitySettings, numbers, to_markdown
+from angler_experiments.devices_parity import ParitySettings, result_numbers, to_markdown
 from angler_experiments.shared import flights, tracing
 from angler_experiments.shared.flights import StudyFlight
-from angler_mjx.testing.validation.results import Number, save_result
+from angler_mjx.testing.validation.results import StudyNumber, save_result
 
 
-def energy(single: StudyFlight, double: StudyFlight) -> float:
+def energy_difference(single: StudyFlight, double: StudyFlight) -> float:
     """Median relative difference of the electrical energy of robots that ended the same way."""
-    same = ~tracing.different(single, double)
-    ours, theirs = single.energy_j.astype(np.float64)[same], double.energy_j[same]
-    return float(np.median(np.abs(ours - theirs) / np.maximum(theirs, 1.0)))
+    is_same_end = ~tracing.is_different(single, double)
+    single_j, double_j = (
+        single.energy_j.astype(np.float64)[is_same_end],
+        double.energy_j[is_same_end],
+    )
+    return float(np.median(np.abs(single_j - double_j) / np.maximum(double_j, 1.0)))
 
 
 def main(worlds: int = 64, seconds: float = 120.0, json: Path | None = None) -> None:
@@ -37,19 +40,22 @@ def main(worlds: int = 64, seconds: float = 120.0, json: Path | None = None) -> 
     scenario = ParitySettings(worlds=worlds, seconds=seconds).load()
     single, double = flights.fly_in_double(scenario, math.gcd(worlds, 128))
     physics_steps = scenario.sim_spec().physics_steps
-    traces = tracing.trace(single, double, scenario.time.control_dt_s, physics_steps)
+    traces = tracing.trace_differences(single, double, scenario.time.control_dt_s, physics_steps)
     text = to_markdown(single, double, traces, ("float32", "float64"))
-    share = energy(single, double)
-    text += f"\n\nElectrical energy of robots that end alike: {share:.1e} apart (median)."
+    fraction = energy_difference(single, double)
+    text += f"\n\nElectrical energy of robots that end alike: {fraction:.1e} apart (median)."
     print(text)
     if json is not None:
-        found = {**numbers(single, double, traces), "energy_median": _share(share)}
+        study_numbers = {
+            **result_numbers(single, double, traces),
+            "energy_median": _fraction_number(fraction),
+        }
         size = f"{worlds}_worlds_{seconds:g}_s"
-        save_result(json, {f"{size}.{key}": number for key, number in found.items()}, text)
+        save_result(json, {f"{size}.{key}": number for key, number in study_numbers.items()}, text)
 
 
-def _share(value: float) -> Number:
-    return Number(value=value, unit="of the energy", worse="rounding")
+def _fraction_number(value: float) -> StudyNumber:
+    return StudyNumber(value=value, unit="of the energy", worse="rounding")
 
 
 if __name__ == "__main__":

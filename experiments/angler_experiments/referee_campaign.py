@@ -15,7 +15,7 @@ from typing import Literal
 import tyro
 
 from angler_mjx.runs.rollout import rollout
-from angler_mjx.scenario.scenario import Scenario, load_scenario, shipped
+from angler_mjx.scenario.scenario import Scenario, load_scenario, shipped_scenarios
 from angler_mjx.testing import referee
 from angler_mjx.testing.referee import RefereeVerdict
 
@@ -40,7 +40,7 @@ class CampaignFlight:
     verdict: RefereeVerdict
 
 
-def prepared(name: str, engine: Engine, robots: int, horizon_s: float) -> Scenario:
+def prepare_scenario(name: str, engine: Engine, robots: int, horizon_s: float) -> Scenario:
     """A shipped scenario with about so many robots in all, recorded at the control rate."""
     scenario = load_scenario(name, engine=engine)
     worlds = max(1, round(robots / len(scenario.members())))
@@ -48,25 +48,27 @@ def prepared(name: str, engine: Engine, robots: int, horizon_s: float) -> Scenar
     return load_scenario(name, engine=engine, worlds=worlds, time=timing)
 
 
-def fly(
+def fly_and_judge(
     names: tuple[str, ...], engines: tuple[Engine, ...], robots: int, horizon_s: float
 ) -> Iterator[CampaignFlight]:
     """Fly and judge, one run after another; no run stays on the disk."""
     for name in names:
         for engine in engines:
             with tempfile.TemporaryDirectory() as folder:
-                place = Path(folder) / "run"
-                rollout(prepared(name, engine, robots, horizon_s), out=place)
-                yield CampaignFlight(scenario=name, engine=engine, verdict=referee.judge(place))
+                run_folder = Path(folder) / "run"
+                rollout(prepare_scenario(name, engine, robots, horizon_s), out=run_folder)
+                yield CampaignFlight(
+                    scenario=name, engine=engine, verdict=referee.judge(run_folder)
+                )
 
 
-def row(flown: CampaignFlight) -> str:
+def format_row(flight: CampaignFlight) -> str:
     """A row of the table."""
-    verdict = flown.verdict
+    verdict = flight.verdict
     wrong = sum(count.disagrees for count in verdict.counts.values())
     undecided = len(verdict.differences) - wrong
     largest = " | ".join(f"{verdict.counts[name].largest:.1e}" for name in DEVIATIONS)
-    cells = f"{flown.scenario}, {flown.engine} | {verdict.worlds} | {verdict.robots}"
+    cells = f"{flight.scenario}, {flight.engine} | {verdict.worlds} | {verdict.robots}"
     return f"| {cells} | {wrong} | {undecided} | {largest} |"
 
 
@@ -86,10 +88,12 @@ def main(
     """
     print(f"| run | worlds | robots | disagree | undecided | {' | '.join(DEVIATIONS)} |")
     print(f"| --- | {' | '.join(['---:'] * (4 + len(DEVIATIONS)))} |")
-    for flown in fly(scenarios or tuple(shipped()), engines, robots, horizon_s):
-        print(row(flown), flush=True)
-        for one in flown.verdict.differences:
-            print(f"  {one.line()}", flush=True)
+    for flight in fly_and_judge(
+        scenarios or tuple(shipped_scenarios()), engines, robots, horizon_s
+    ):
+        print(format_row(flight), flush=True)
+        for difference in flight.verdict.differences:
+            print(f"  {difference.line()}", flush=True)
 
 
 if __name__ == "__main__":

@@ -22,34 +22,35 @@ from angler_mjx.scenario.scenario import load_scenario
 SCENARIO = "sitl_formation"
 MOVE_S, HOLD_S, STEP_S = 60.0, 10.0, 4.0
 SHIFT_M = np.array([9.0, 0.0, -2.0])
-TURN_RAD, WIDEN = math.pi / 2, 1.2
+TURN_RAD, WIDENING = math.pi / 2, 1.2
 _H_S = 1e-3
 """For differences of places."""
 
 
-def places(start_m: np.ndarray, time_s: float) -> np.ndarray:
+def robot_positions(start_m: np.ndarray, time_s: float) -> np.ndarray:
     """Where the robots are to be [n, 3], m in W.
 
     Args:
         start_m: [n, 3] where they begin.
         time_s: since then.
     """
-    share = min(max(time_s / MOVE_S, 0.0), 1.0)
+    fraction = min(max(time_s / MOVE_S, 0.0), 1.0)
     # Rest, and no acceleration, at both ends.
-    done = share**3 * (10.0 + share * (6.0 * share - 15.0))
+    progress = fraction**3 * (10.0 + fraction * (6.0 * fraction - 15.0))
     middle = start_m.mean(axis=0)
-    cos, sin = math.cos(TURN_RAD * done), math.sin(TURN_RAD * done)
+    cos, sin = math.cos(TURN_RAD * progress), math.sin(TURN_RAD * progress)
     turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-    wide = 1.0 + (WIDEN - 1.0) * done
-    made: np.ndarray = middle + done * SHIFT_M + wide * (start_m - middle) @ turn.T
-    return made
+    widening = 1.0 + (WIDENING - 1.0) * progress
+    positions_m: np.ndarray = middle + progress * SHIFT_M + widening * (start_m - middle) @ turn.T
+    return positions_m
 
 
-def goals(start_m: np.ndarray) -> dict[int, JointGoal]:
+def build_goals(start_m: np.ndarray) -> dict[int, JointGoal]:
     """A JointTrajectory for each robot, held at its end for a while."""
     times = np.append(np.arange(0.0, MOVE_S + STEP_S / 2, STEP_S), MOVE_S + HOLD_S)
     p, before, after = (
-        np.stack([places(start_m, t + shift) for t in times]) for shift in (0.0, -_H_S, _H_S)
+        np.stack([robot_positions(start_m, t + shift) for t in times])
+        for shift in (0.0, -_H_S, _H_S)
     )
     v, a = (after - before) / (2 * _H_S), (after - 2 * p + before) / _H_S**2
     v[[0, -1]], a[[0, -1]] = 0.0, 0.0
@@ -83,7 +84,7 @@ def main(out: Annotated[Path, tyro.conf.Positional], force: bool = False) -> Non
         force: Replace an older file.
     """
     start_m = np.array(load_scenario(SCENARIO).world.start_m)
-    joint_trajectory_file.write(out, goals(start_m), force=force)
+    joint_trajectory_file.write_trajectories(out, build_goals(start_m), force=force)
     print(out)
 
 

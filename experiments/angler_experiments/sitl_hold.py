@@ -19,7 +19,7 @@ from angler_mjx.sim.record import ESTIMATE
 
 
 @dataclass(frozen=True, kw_only=True)
-class Kept:
+class HoldingError:
     """Of one robot, over the last seconds of a run; m."""
 
     robot: int
@@ -28,7 +28,7 @@ class Kept:
     filter_worst_m: float
     """NaN where it was not recorded."""
 
-    def row(self) -> str:
+    def format_row(self) -> str:
         """One line of the table."""
         return f"{self.robot:5d} {self.worst_m:9.3f} {self.rms_m:9.3f} {self.filter_worst_m:13.3f}"
 
@@ -36,7 +36,7 @@ class Kept:
 HEAD = "robot   worst m     rms m  filter off m"
 
 
-def measure(run: Run, last_s: float) -> list[Kept]:
+def measure_errors(run: Run, last_s: float) -> list[HoldingError]:
     """Every robot of the last world of a run.
 
     Args:
@@ -46,21 +46,21 @@ def measure(run: Run, last_s: float) -> list[Kept]:
     stored: Any = run.trajectories
     world = int(run.episodes["world"].to_numpy()[-1])
     time_s = np.asarray(stored["time_s"])
-    late = time_s >= time_s[-1] - last_s
-    p, target = (np.asarray(stored[name][world])[late] for name in ("p_m", "target_m"))
-    off = np.linalg.norm(p - target, axis=-1)
-    filtered = np.full_like(off, np.nan)
+    is_late = time_s >= time_s[-1] - last_s
+    p, target = (np.asarray(stored[name][world])[is_late] for name in ("p_m", "target_m"))
+    distance_m = np.linalg.norm(p - target, axis=-1)
+    filtered = np.full_like(distance_m, np.nan)
     if ESTIMATE in stored:
-        known = np.asarray(stored[f"{ESTIMATE}/p_m"][world])[late]
-        filtered = np.linalg.norm(p - known, axis=-1)
+        estimated = np.asarray(stored[f"{ESTIMATE}/p_m"][world])[is_late]
+        filtered = np.linalg.norm(p - estimated, axis=-1)
     return [
-        Kept(
+        HoldingError(
             robot=i,
-            worst_m=float(off[:, i].max()),
-            rms_m=float(np.sqrt(np.mean(off[:, i] ** 2))),
+            worst_m=float(distance_m[:, i].max()),
+            rms_m=float(np.sqrt(np.mean(distance_m[:, i] ** 2))),
             filter_worst_m=float(filtered[:, i].max()),
         )
-        for i in range(off.shape[1])
+        for i in range(distance_m.shape[1])
     ]
 
 
@@ -72,8 +72,8 @@ def main(run: Annotated[Path, tyro.conf.Positional], last_s: float = 30.0) -> No
         last_s: Seconds at the end that are looked at.
     """
     print(HEAD)
-    for kept in measure(Run(run), last_s):
-        print(kept.row())
+    for error in measure_errors(Run(run), last_s):
+        print(error.format_row())
 
 
 if __name__ == "__main__":

@@ -18,18 +18,18 @@ import tyro
 from angler_mjx.robot.vehicles import library
 from angler_mjx.scenario.scenario import Scenario, load_scenario
 from angler_sitl.firmware import binary, parameters
-from angler_sitl.firmware.process import Instance, Launch, kill_all
+from angler_sitl.firmware.process import AutopilotProcess, LaunchSpec, kill_processes
 from angler_sitl.scene import motion
 from angler_sitl.scene.scene import AutopilotScene
-from angler_sitl.wire.lockstep import LockStep, Spent
-from angler_sitl.wire.ports import Ports, allocate
+from angler_sitl.wire.lockstep import LockStep, LockStepTimes
+from angler_sitl.wire.ports import Ports, allocate_ports
 
 BOOT_S = 6.0
 """Simulated time until the autopilots have booted and their filters run."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Speed:
+class SitlSpeed:
     """What was measured; wall time a step in microseconds."""
 
     robots: int
@@ -40,7 +40,7 @@ class Speed:
     waiting_us: float
     judge_us: float
 
-    def row(self) -> str:
+    def format_row(self) -> str:
         """One line of the table."""
         return (
             f"{self.robots:6d} {self.real_time:9.1f}x {self.physics_us:9.1f} {self.judge_us:9.1f} "
@@ -51,7 +51,9 @@ class Speed:
 HEAD = "robots  real time   physics     judge  text+sockets   waiting   (us a step)"
 
 
-def measure(scenario: Scenario, ardusub: binary.Binary, folder: Path, sim_s: float) -> Speed:
+def measure_speed(
+    scenario: Scenario, ardusub: binary.Binary, folder: Path, sim_s: float
+) -> SitlSpeed:
     """Run one fleet for some simulated seconds.
 
     Args:
@@ -63,24 +65,28 @@ def measure(scenario: Scenario, ardusub: binary.Binary, folder: Path, sim_s: flo
     scene = AutopilotScene(scenario)
     names = [f"robot_{i}" for i in range(len(scene.states.numbers))]
     vehicles = [member.variants[0].vehicle for member in scenario.members()]
-    ports = allocate(len(names))
-    instances: list[Instance] = []
+    ports = allocate_ports(len(names))
+    instances: list[AutopilotProcess] = []
     try:
         for i, (name, vehicle) in enumerate(zip(names, vehicles, strict=True)):
-            given = parameters.for_vehicle(library.load(vehicle), "guided", "vision", log=False)
-            instances.append(Instance(_launch(ardusub, folder, name, i + 1, ports[i], given)))
+            parameter_values = parameters.for_vehicle(
+                library.load_vehicle(vehicle), "guided", "vision", log=False
+            )
+            instances.append(
+                AutopilotProcess(_launch(ardusub, folder, name, i + 1, ports[i], parameter_values))
+            )
         steps = LockStep(
-            [one.fdm for one in ports],
+            [port_set.fdm for port_set in ports],
             scene,
             names=names,
             fault=lambda i: instances[i].fault(),
             condition=lambda i: instances[i].condition(),
         )
-        return _timed(scene, steps, sim_s)
+        return _time_lockstep(scene, steps, sim_s)
     finally:
-        kill_all(instances)
-        for one in ports:
-            one.close()
+        kill_processes(instances)
+        for port_set in ports:
+            port_set.close()
 
 
 def _launch(
@@ -89,38 +95,38 @@ def _launch(
     name: str,
     sysid: int,
     ports: Ports,
-    given: dict[str, float],
-) -> Launch:
-    return Launch(
+    parameter_values: dict[str, float],
+) -> LaunchSpec:
+    return LaunchSpec(
         binary=ardusub,
         folder=folder / name,
         name=name,
         sysid=sysid,
         ports=ports,
-        parameters=given,
+        parameters=parameter_values,
     )
 
 
-def _timed(scene: AutopilotScene, steps: LockStep, sim_s: float) -> Speed:
+def _time_lockstep(scene: AutopilotScene, steps: LockStep, sim_s: float) -> SitlSpeed:
     steps.advance(round(BOOT_S / scene.dt_s))
     scene.moored = False
-    judge_s, steps.spent = 0.0, Spent()
-    periods = round(sim_s / (scene.period * scene.dt_s))
+    judge_s, steps.spent = 0.0, LockStepTimes()
+    periods = round(sim_s / (scene.steps_per_period * scene.dt_s))
     began = time.perf_counter()
     for _ in range(periods):
-        steps.advance(scene.period)
+        steps.advance(scene.steps_per_period)
         before = time.perf_counter()
         scene.judge()
         judge_s += time.perf_counter() - before
     wall_s = time.perf_counter() - began
-    spent, each = steps.spent, 1e6 / steps.spent.barriers
-    return Speed(
+    time_spent, us_per_step = steps.spent, 1e6 / steps.spent.barriers
+    return SitlSpeed(
         robots=len(scene.states.numbers),
-        real_time=periods * scene.period * scene.dt_s / wall_s,
-        physics_us=each * spent.physics_s,
-        replies_us=each * spent.replies_s,
-        waiting_us=each * spent.waiting_s,
-        judge_us=each * judge_s,
+        real_time=periods * scene.steps_per_period * scene.dt_s / wall_s,
+        physics_us=us_per_step * time_spent.physics_s,
+        replies_us=us_per_step * time_spent.replies_s,
+        waiting_us=us_per_step * time_spent.waiting_s,
+        judge_us=us_per_step * judge_s,
     )
 
 
@@ -141,13 +147,13 @@ def main(
         ardusub: The autopilot; else ANGLER_ARDUSUB, else the installed one.
     """
     motion.compute_inline()
-    chosen = binary.find(ardusub)
+    chosen = binary.find_binary(ardusub)
     print(f"ArduSub {chosen.version}\n{HEAD}", flush=True)
     for count in robots:
         fleet = [{"vehicle": vehicle, "count": count}]
         with tempfile.TemporaryDirectory() as folder:
-            given = load_scenario(scenario, worlds=1, fleet=fleet)
-            print(measure(given, chosen, Path(folder), sim_s).row(), flush=True)
+            loaded = load_scenario(scenario, worlds=1, fleet=fleet)
+            print(measure_speed(loaded, chosen, Path(folder), sim_s).format_row(), flush=True)
 
 
 if __name__ == "__main__":

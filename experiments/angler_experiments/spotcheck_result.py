@@ -17,7 +17,7 @@ import numpy as np
 import tyro
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.testing.validation.results import Number, write
+from angler_mjx.testing.validation.results import StudyNumber, write_json
 
 HEAD = ("flown by", "against", "same outcome", "track, m", "way, m", "endpoint, m")
 
@@ -38,29 +38,38 @@ def read_gaps(folder: Path) -> list[dict[str, str]]:
     return rows
 
 
-def add_up(rows: list[dict[str, str]]) -> dict[tuple[str, str], dict[str, float]]:
+def summarise_gaps(rows: list[dict[str, str]]) -> dict[tuple[str, str], dict[str, float]]:
     """By level and reference: robots, how many ended otherwise, medians of the distances."""
-    found = {}
+    summaries = {}
     for pair in dict.fromkeys((row["level"], row["against"]) for row in rows):
-        mine = [row for row in rows if (row["level"], row["against"]) == pair]
-        alike = [row for row in mine if row["outcome"] == row["other_outcome"]]
-        sums = {"robots": float(len(mine)), "other_outcome": float(len(mine) - len(alike))}
-        for name, held in (("track_rms_m", mine), ("path_rms_m", mine), ("endpoint_m", alike)):
-            values = np.array([float(row[name]) for row in held])
-            half, ninety = np.nanquantile(values, [0.5, 0.9]) if values.size else (np.nan, np.nan)
-            sums |= {name: float(half), f"{name}_90": float(ninety)}
-        found[pair] = sums
-    return found
+        pair_rows = [row for row in rows if (row["level"], row["against"]) == pair]
+        same_outcome = [row for row in pair_rows if row["outcome"] == row["other_outcome"]]
+        sums = {
+            "robots": float(len(pair_rows)),
+            "other_outcome": float(len(pair_rows) - len(same_outcome)),
+        }
+        for name, selected in (
+            ("track_rms_m", pair_rows),
+            ("path_rms_m", pair_rows),
+            ("endpoint_m", same_outcome),
+        ):
+            values = np.array([float(row[name]) for row in selected])
+            median, quantile_90 = (
+                np.nanquantile(values, [0.5, 0.9]) if values.size else (np.nan, np.nan)
+            )
+            sums |= {name: float(median), f"{name}_90": float(quantile_90)}
+        summaries[pair] = sums
+    return summaries
 
 
 def to_markdown(sums: dict[tuple[str, str], dict[str, float]], autopilot: str) -> str:
     """The table, and what its columns are."""
     lines = [" | ".join(HEAD), " | ".join(["---", "---", *["---:"] * (len(HEAD) - 2)])]
-    for (level, reference), one in sums.items():
-        alike = one["robots"] - one["other_outcome"]
-        cells = [level, reference, f"{alike:.0f} of {one['robots']:.0f}"]
+    for (level, reference), summary in sums.items():
+        n_same = summary["robots"] - summary["other_outcome"]
+        cells = [level, reference, f"{n_same:.0f} of {summary['robots']:.0f}"]
         cells += [
-            f"{one[name]:.3f}, {one[f'{name}_90']:.2f}"
+            f"{summary[name]:.3f}, {summary[f'{name}_90']:.2f}"
             for name in ("track_rms_m", "path_rms_m", "endpoint_m")
         ]
         lines.append(" | ".join(cells))
@@ -82,27 +91,27 @@ def main(folder: Annotated[Path, tyro.conf.Positional], json: Path) -> None:
     """
     table = folder / "spotcheck.json"
     try:
-        held: dict[str, Any] = json_text.loads(table.read_text(encoding="utf-8"))
-        origin, autopilot = held["provenance"], held["asked"]["ardusub"]
+        spotcheck: dict[str, Any] = json_text.loads(table.read_text(encoding="utf-8"))
+        origin, autopilot = spotcheck["provenance"], spotcheck["asked"]["ardusub"]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ConfigError(f"{table}: is no table of a spot check ({error})") from error
-    sums = add_up(read_gaps(folder))
+    sums = summarise_gaps(read_gaps(folder))
     numbers = {}
-    for (level, reference), one in sums.items():
+    for (level, reference), summary in sums.items():
         name = f"{level}.{reference}"
-        numbers[f"{name}.other_outcome"] = Number(
-            value=one["other_outcome"], unit="robots", worse="count"
+        numbers[f"{name}.other_outcome"] = StudyNumber(
+            value=summary["other_outcome"], unit="robots", worse="count"
         )
-        numbers[f"{name}.track_median"] = Number(
-            value=one["track_rms_m"], unit="m", worse="behaviour"
+        numbers[f"{name}.track_median"] = StudyNumber(
+            value=summary["track_rms_m"], unit="m", worse="behaviour"
         )
     written = datetime.fromtimestamp(table.stat().st_mtime, UTC)
-    kept = ("versions", "python", "platform", "cpu_count", "backend", "device", "commit")
-    about = {name: origin[name] for name in kept} | {"ardusub": True}
+    about_keys = ("versions", "python", "platform", "cpu_count", "backend", "device", "commit")
+    about = {name: origin[name] for name in about_keys} | {"ardusub": True}
     about["at_utc"] = written.isoformat(timespec="seconds")
     result = {name: number.model_dump() for name, number in numbers.items()}
     text = to_markdown(sums, autopilot)
-    write(json, {"about": about, "numbers": result, "text": text})
+    write_json(json, {"about": about, "numbers": result, "text": text})
     print(text)
 
 

@@ -31,12 +31,12 @@ TUNED = (
     ("velocity", "integral_per_s2"),
 )
 """Stages of the cascade, and their gains."""
-MEMORY = (0.9, 0.99)
+ADAM_DECAY = (0.9, 0.99)
 """Adam's averages of the gradient and of its square: shares kept from one iteration to the next."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Tuning:
+class TuningResult:
     """What came of it."""
 
     before: dict[str, float]
@@ -56,7 +56,7 @@ def tune(
     seconds: float = 10.0,
     iterations: int = 40,
     rate: float = 0.1,
-) -> Tuning:
+) -> TuningResult:
     """Tune the gains of a scenario.
 
     Args:
@@ -75,29 +75,34 @@ def tune(
     steps = max(1, round(seconds / spec.control_dt_s))
 
     @jax.jit
-    def evaluate(theta: jax.Array, kinds: Any, some: Any, start: Any) -> Any:
+    def evaluate(theta: jax.Array, kinds: Any, worlds_state: Any, start: Any) -> Any:
         def cost(theta: jax.Array) -> jax.Array:
-            gains = with_logs(spec, theta)
-            return tracking_cost(gains, engine, spec, kinds, some, start, control_steps=steps)
+            gains = replace_tuned_gains(spec, theta)
+            return tracking_cost(
+                gains, engine, spec, kinds, worlds_state, start, control_steps=steps
+            )
 
         return jax.value_and_grad(cost)(theta)
 
-    before = {f"{stage}.{gain}": getattr(of_stage(spec, stage), gain) for stage, gain in TUNED}
+    before = {f"{stage}.{gain}": getattr(stage_gains(spec, stage), gain) for stage, gain in TUNED}
     theta = jnp.log(jnp.array(list(before.values())))
-    seen, unseen = simulator.worlds(0), simulator.worlds(worlds)
-    start, other = simulator.reset(seen), simulator.reset(unseen)
-    clock = time.perf_counter()
-    compiled = evaluate.lower(theta, simulator.fleet, seen, start).compile()
-    compile_s = time.perf_counter() - clock
-    first, _ = compiled(theta, simulator.fleet, unseen, other)
-    clock = time.perf_counter()
+    tuning_worlds, unseen_worlds = simulator.worlds(0), simulator.worlds(worlds)
+    start, unseen_start = simulator.reset(tuning_worlds), simulator.reset(unseen_worlds)
+    start_s = time.perf_counter()
+    compiled = evaluate.lower(theta, simulator.fleet, tuning_worlds, start).compile()
+    compile_s = time.perf_counter() - start_s
+    first, _ = compiled(theta, simulator.fleet, unseen_worlds, unseen_start)
+    start_s = time.perf_counter()
     costs, theta = _descend(
-        lambda theta: compiled(theta, simulator.fleet, seen, start), theta, iterations, rate
+        lambda theta: compiled(theta, simulator.fleet, tuning_worlds, start),
+        theta,
+        iterations,
+        rate,
     )
-    tune_s = time.perf_counter() - clock
-    last, _ = compiled(theta, simulator.fleet, unseen, other)
+    tune_s = time.perf_counter() - start_s
+    last, _ = compiled(theta, simulator.fleet, unseen_worlds, unseen_start)
     numbers = [float(x) for x in jnp.exp(theta)]
-    return Tuning(
+    return TuningResult(
         before=before,
         after=dict(zip(before, numbers, strict=True)),
         costs_m2=costs,
@@ -107,13 +112,13 @@ def tune(
     )
 
 
-def of_stage(spec: SimSpec, stage: str) -> Any:
+def stage_gains(spec: SimSpec, stage: str) -> Any:
     """The gains of a stage of the controllers.
 
     Raises:
         ConfigError: they have no such stage.
     """
-    names = [known.name for known in spec.stages]
+    names = [stage_spec.name for stage_spec in spec.stages]
     if stage not in names:
         raise ConfigError(
             f"stage {stage!r}: what is tuned is the cascade, and the scenario's controllers are "
@@ -122,7 +127,7 @@ def of_stage(spec: SimSpec, stage: str) -> Any:
     return spec.gains[names.index(stage)]
 
 
-def with_logs(spec: SimSpec, theta: jax.Array) -> tuple[Any, ...]:
+def replace_tuned_gains(spec: SimSpec, theta: jax.Array) -> tuple[Any, ...]:
     """The gains of all stages, with those in `TUNED` replaced by exp(theta) [5]."""
     tuned: dict[str, dict[str, Any]] = {}
     for i, (stage, gain) in enumerate(TUNED):
@@ -141,7 +146,7 @@ def _descend(
 ) -> tuple[list[float], jax.Array]:
     """Adam (Kingma and Ba 2015) with a rate that falls to zero; costs before each iteration."""
     mean, square = jnp.zeros_like(theta), jnp.zeros_like(theta)
-    slow, slower = MEMORY
+    slow, slower = ADAM_DECAY
     costs = []
     for i in range(iterations):
         cost, gradient = evaluate(theta)
@@ -160,7 +165,7 @@ def main(
     seconds: float = 10.0,
     iterations: int = 40,
     rate: float = 0.1,
-) -> Tuning:
+) -> TuningResult:
     """Tune the gains of a scenario's cascade, and print them before and after.
 
     Args:

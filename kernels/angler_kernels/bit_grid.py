@@ -2,7 +2,8 @@
 
 A packed grid is uint32 [nx, ny, words, ...]. Further axes, such as one of worlds, stand last: a
 shift along the grid then moves whole runs of worlds, which both a CPU's vectors and a GPU's threads
-read in one go. Bits above the grid's upper face are 0 in every grid that `pack` or `shift` gives.
+read in one go. Bits above the grid's upper face are 0 in every grid that `pack_grid` or
+`shift_grid` gives.
 """
 
 import jax
@@ -12,34 +13,34 @@ WORD = 32
 """Cells in a word."""
 
 
-def pack(cells: jax.Array) -> jax.Array:
+def pack_grid(cells: jax.Array) -> jax.Array:
     """Packed grid, uint32 [nx, ny, words, ...], of a boolean one [nx, ny, nz, ...]."""
     nx, ny, nz, *batch = cells.shape
-    words = -(-nz // WORD)
-    pad = [(0, 0), (0, 0), (0, words * WORD - nz)] + [(0, 0)] * len(batch)
-    bits = jnp.pad(cells, pad).reshape(nx, ny, words, WORD, *batch)
-    place = jnp.arange(WORD, dtype=jnp.uint32).reshape(WORD, *[1] * len(batch))
-    return jnp.sum(bits.astype(jnp.uint32) << place, axis=3, dtype=jnp.uint32)
+    n_words = -(-nz // WORD)
+    pad = [(0, 0), (0, 0), (0, n_words * WORD - nz)] + [(0, 0)] * len(batch)
+    bits = jnp.pad(cells, pad).reshape(nx, ny, n_words, WORD, *batch)
+    bit = jnp.arange(WORD, dtype=jnp.uint32).reshape(WORD, *[1] * len(batch))
+    return jnp.sum(bits.astype(jnp.uint32) << bit, axis=3, dtype=jnp.uint32)
 
 
-def unpack(grid: jax.Array, nz: int) -> jax.Array:
+def unpack_grid(grid: jax.Array, nz: int) -> jax.Array:
     """Boolean grid [nx, ny, nz, ...] of a packed one [nx, ny, words, ...]."""
     z = jnp.arange(nz)
-    place = (z % WORD).astype(jnp.uint32).reshape(nz, *[1] * (grid.ndim - 3))
-    return (jnp.repeat(grid, WORD, axis=2)[:, :, :nz] >> place & 1).astype(bool)
+    bit = (z % WORD).astype(jnp.uint32).reshape(nz, *[1] * (grid.ndim - 3))
+    return (jnp.repeat(grid, WORD, axis=2)[:, :, :nz] >> bit & 1).astype(bool)
 
 
-def everywhere(shape: tuple[int, int, int]) -> jax.Array:
+def full_grid(shape: tuple[int, int, int]) -> jax.Array:
     """Packed grid [nx, ny, words] with every cell set."""
-    return pack(jnp.ones(shape, bool))
+    return pack_grid(jnp.ones(shape, bool))
 
 
-def population(grid: jax.Array) -> jax.Array:
+def count_cells(grid: jax.Array) -> jax.Array:
     """Number of set cells, int32 [...], of a packed grid [nx, ny, words, ...]."""
     return jnp.sum(jax.lax.population_count(grid), axis=(0, 1, 2), dtype=jnp.int32)
 
 
-def shift(grid: jax.Array, axis: int, step: int, nz: int) -> jax.Array:
+def shift_grid(grid: jax.Array, axis: int, step: int, nz: int) -> jax.Array:
     """The grid moved by one cell; what comes in from outside is free (0).
 
     Args:
@@ -49,10 +50,10 @@ def shift(grid: jax.Array, axis: int, step: int, nz: int) -> jax.Array:
         nz: cells along z; a bit moved past them is dropped.
     """
     if axis < 2:
-        return _along(grid, axis, step)
+        return _shift_axis(grid, axis, step)
     if step == -1:
-        return grid >> 1 | _along(grid, 2, -1) << (WORD - 1)
-    moved = grid << 1 | _along(grid, 2, 1) >> (WORD - 1)
+        return grid >> 1 | _shift_axis(grid, 2, -1) << (WORD - 1)
+    moved = grid << 1 | _shift_axis(grid, 2, 1) >> (WORD - 1)
     if nz % WORD == 0:
         return moved
     top = [WORD] * (grid.shape[2] - 1) + [nz % WORD]
@@ -60,7 +61,7 @@ def shift(grid: jax.Array, axis: int, step: int, nz: int) -> jax.Array:
     return moved & used.reshape(len(top), *[1] * (grid.ndim - 3))
 
 
-def _along(grid: jax.Array, axis: int, step: int) -> jax.Array:
+def _shift_axis(grid: jax.Array, axis: int, step: int) -> jax.Array:
     """The array moved by one along an axis, with zeros coming in."""
     n = grid.shape[axis]
     pad = [(0, 0)] * grid.ndim

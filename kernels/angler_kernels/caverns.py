@@ -10,17 +10,17 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from angler_kernels.bit_grid import population, shift
+from angler_kernels.bit_grid import count_cells, shift_grid
 
 _SPREADS = 4
 """Cells that water spreads by before it is asked whether it still rises; asking costs more than a
 spread, and one to three spreads in vain cost less than an answer each time."""
 
 
-class _Search(NamedTuple):
+class _CavernSearch(NamedTuple):
     """Which caverns have been seen; packed grids, and counts of cells."""
 
-    left: jax.Array
+    unfilled: jax.Array
     """Cells of no cavern that was filled; the one being filled is still among them."""
     water: jax.Array
     """What is filled of the present cavern."""
@@ -40,35 +40,37 @@ def largest_cavern(free: jax.Array, nz: int) -> jax.Array:
         As ``free``; empty where nothing is free.
     """
 
-    def unfinished(search: _Search) -> jax.Array:
-        return jnp.any(search.best_size < population(search.left))
+    def is_unfinished(search: _CavernSearch) -> jax.Array:
+        return jnp.any(search.best_size < count_cells(search.unfilled))
 
-    def advance(search: _Search) -> _Search:
+    def advance(search: _CavernSearch) -> _CavernSearch:
         water = search.water
         for _ in range(_SPREADS):
-            water = _spread(water, free, nz)
-        full = jnp.all(water == search.water, axis=(0, 1, 2))
-        size = population(water)
-        larger = full & (size > search.best_size)
-        left = jnp.where(full, search.left & ~water, search.left)
-        return _Search(
-            left=left,
-            water=jnp.where(full, _first_cell(left), water),
-            best=jnp.where(larger, water, search.best),
-            best_size=jnp.where(larger, size, search.best_size),
+            water = _spread_water(water, free, nz)
+        is_full = jnp.all(water == search.water, axis=(0, 1, 2))
+        size = count_cells(water)
+        is_larger = is_full & (size > search.best_size)
+        unfilled = jnp.where(is_full, search.unfilled & ~water, search.unfilled)
+        return _CavernSearch(
+            unfilled=unfilled,
+            water=jnp.where(is_full, _first_cell(unfilled), water),
+            best=jnp.where(is_larger, water, search.best),
+            best_size=jnp.where(is_larger, size, search.best_size),
         )
 
-    nothing = jnp.zeros_like(free)
-    start = _Search(left=free, water=_first_cell(free), best=nothing, best_size=population(nothing))
-    return jax.lax.while_loop(unfinished, advance, start).best
+    empty = jnp.zeros_like(free)
+    start = _CavernSearch(
+        unfilled=free, water=_first_cell(free), best=empty, best_size=count_cells(empty)
+    )
+    return jax.lax.while_loop(is_unfinished, advance, start).best
 
 
-def _spread(water: jax.Array, free: jax.Array, nz: int) -> jax.Array:
+def _spread_water(water: jax.Array, free: jax.Array, nz: int) -> jax.Array:
     """Water and the free cells that share a face with it."""
     wet = water
     for axis in range(3):
         for step in (1, -1):
-            wet = wet | shift(water, axis, step, nz)
+            wet = wet | shift_grid(water, axis, step, nz)
     # Without the barrier, XLA would fuse spreads and evaluate each seven times for the next.
     spread: jax.Array = jax.lax.optimization_barrier(wet & free)
     return spread
@@ -76,9 +78,9 @@ def _spread(water: jax.Array, free: jax.Array, nz: int) -> jax.Array:
 
 def _first_cell(grid: jax.Array) -> jax.Array:
     """The grid with nothing but its first cell in flat order; empty if it is."""
-    nx, ny, words = grid.shape[:3]
-    n = nx * ny * words
-    flat = jnp.arange(n, dtype=jnp.int32).reshape(nx, ny, words, *[1] * (grid.ndim - 3))
+    nx, ny, n_words = grid.shape[:3]
+    n = nx * ny * n_words
+    flat = jnp.arange(n, dtype=jnp.int32).reshape(nx, ny, n_words, *[1] * (grid.ndim - 3))
     first = jnp.min(jnp.where(grid != 0, flat, n), axis=(0, 1, 2))
     # x & -x is the lowest bit of x.
     return jnp.where(flat == first, grid & -grid, 0)

@@ -10,13 +10,13 @@ from functools import reduce
 import jax
 import jax.numpy as jnp
 
-from angler_kernels.bit_grid import everywhere, shift
+from angler_kernels.bit_grid import full_grid, shift_grid
 
-type Count = list[jax.Array]
+type BinaryCount = list[jax.Array]
 """Binary digits of a number in each cell, the lowest first: one packed grid per digit."""
 
 
-def block_count(wall: jax.Array, nz: int) -> Count:
+def block_count(wall: jax.Array, nz: int) -> BinaryCount:
     """Number of walls in the 3x3x3 block about each cell, itself included.
 
     The sum is separable: three sums of three along the axes.
@@ -28,15 +28,15 @@ def block_count(wall: jax.Array, nz: int) -> Count:
     Returns:
         Five digits of 0 to 27.
     """
-    count, most = [wall], 1
+    count, max_count = [wall], 1
     for axis in (2, 1, 0):
-        before, after = ([shift(digit, axis, step, nz) for digit in count] for step in (1, -1))
-        most *= 3
-        count = _add_three(before, count, after)[: most.bit_length()]
+        before, after = ([shift_grid(digit, axis, step, nz) for digit in count] for step in (1, -1))
+        max_count *= 3
+        count = _add_three(before, count, after)[: max_count.bit_length()]
     return count
 
 
-def step(wall: jax.Array, die_below: int, born_above: int, nz: int) -> jax.Array:
+def apply_rule(wall: jax.Array, die_below: int, born_above: int, nz: int) -> jax.Array:
     """Apply the rule once to all cells at the same time.
 
     A wall with fewer than ``die_below`` neighbouring walls becomes free; a free cell with more
@@ -52,23 +52,23 @@ def step(wall: jax.Array, die_below: int, born_above: int, nz: int) -> jax.Array
         As ``wall``.
     """
     count = block_count(wall, nz)
-    whole = everywhere((wall.shape[0], wall.shape[1], nz))
-    inside = whole.reshape(whole.shape + (1,) * (wall.ndim - 3))
+    full = full_grid((wall.shape[0], wall.shape[1], nz))
+    inside = full.reshape(full.shape + (1,) * (wall.ndim - 3))
     # The block of a wall holds the wall itself, so one more than its neighbours.
-    stays = _at_least(count, die_below + 1)
-    born = _at_least(count, born_above + 1)
-    return (wall & stays | ~wall & born) & inside
+    is_staying = _reaches_minimum(count, die_below + 1)
+    is_born = _reaches_minimum(count, born_above + 1)
+    return (wall & is_staying | ~wall & is_born) & inside
 
 
-def _add_three(a: Count, b: Count, c: Count) -> Count:
+def _add_three(a: BinaryCount, b: BinaryCount, c: BinaryCount) -> BinaryCount:
     """Digits of a + b + c, numbers of as many digits."""
     ones, carries = zip(
         *(_full_adder(*digits) for digits in zip(a, b, c, strict=True)), strict=True
     )
     # The sum is that of `ones`, and of `carries` one place higher: added with ripple carry.
     total, carry = [ones[0]], jnp.zeros_like(ones[0])
-    for one, other in zip(ones[1:], carries[:-1], strict=True):
-        digit, carry = _full_adder(one, other, carry)
+    for unit, other in zip(ones[1:], carries[:-1], strict=True):
+        digit, carry = _full_adder(unit, other, carry)
         total.append(digit)
     return [*total, carries[-1] ^ carry, carries[-1] & carry]
 
@@ -79,15 +79,15 @@ def _full_adder(a: jax.Array, b: jax.Array, c: jax.Array) -> tuple[jax.Array, ja
     return half ^ c, a & b | c & half
 
 
-def _at_least(count: Count, least: int) -> jax.Array:
+def _reaches_minimum(count: BinaryCount, minimum: int) -> jax.Array:
     """All bits set where the count is at least a number."""
-    if least <= 0:
+    if minimum <= 0:
         return jnp.full_like(count[0], ~jnp.uint32(0))
-    if least >= 1 << len(count):
+    if minimum >= 1 << len(count):
         return jnp.zeros_like(count[0])
     # From the lowest digit up: a higher digit decides unless it is equal.
     equal = jnp.full_like(count[0], ~jnp.uint32(0))
     digits = enumerate(count)
     return reduce(
-        lambda so_far, d: d[1] & so_far if least >> d[0] & 1 else d[1] | so_far, digits, equal
+        lambda reached, d: d[1] & reached if minimum >> d[0] & 1 else d[1] | reached, digits, equal
     )

@@ -10,7 +10,7 @@ import math
 import jax
 import jax.numpy as jnp
 
-from angler_kernels.table import count_not_above, take
+from angler_kernels.table import count_not_above, take_row
 
 type Field = tuple[jax.Array, jax.Array, jax.Array]
 
@@ -37,14 +37,16 @@ def smooth_knots(t: jax.Array, knots: jax.Array, knot_dt: jax.Array) -> Field:
     phase = jnp.clip(t / knot_dt, 0.0, last)
     k = jnp.clip(jnp.floor(phase).astype(jnp.int32), 0, last - 1)
     s = phase - k
-    here = jax.lax.dynamic_index_in_dim(knots, k, keepdims=False)
-    jump = jax.lax.dynamic_index_in_dim(knots, k + 1, keepdims=False) - here
-    v = here + (s * s * (3.0 - 2.0 * s)) * jump
+    begin = jax.lax.dynamic_index_in_dim(knots, k, keepdims=False)
+    jump = jax.lax.dynamic_index_in_dim(knots, k + 1, keepdims=False) - begin
+    v = begin + (s * s * (3.0 - 2.0 * s)) * jump
     v_t = (6.0 * s * (1.0 - s) / knot_dt) * jump
     return v, v_t, jnp.zeros((3, 3), v.dtype)
 
 
-def lamb_oseen(p: jax.Array, centre: jax.Array, circulation: jax.Array, core: jax.Array) -> Field:
+def lamb_oseen_vortices(
+    p: jax.Array, centre: jax.Array, circulation: jax.Array, core: jax.Array
+) -> Field:
     """Steady Lamb-Oseen vortices with vertical axes.
 
     Each turns the water at v_theta = Gamma / (2 pi r) (1 - exp(-r^2 / a^2)) (Saffman, Vortex
@@ -65,7 +67,7 @@ def lamb_oseen(p: jax.Array, centre: jax.Array, circulation: jax.Array, core: ja
     bend = 2.0 * inverse * rate * slope
     shear = jnp.sum(bend * x * y)
     v = jnp.stack([-jnp.sum(turn * y), jnp.sum(turn * x), jnp.zeros_like(shear)])
-    J = _level(shear, jnp.sum(turn + bend * y * y), jnp.sum(turn + bend * x * x))
+    J = _level_jacobian(shear, jnp.sum(turn + bend * y * y), jnp.sum(turn + bend * x * x))
     return v, jnp.zeros_like(v), J
 
 
@@ -79,7 +81,9 @@ def lamb_oseen_circulation(peak_speed: jax.Array, core: jax.Array) -> jax.Array:
     return 2.0 * math.pi * core * peak_speed * (1.0 + 2.0 * x * x) / (2.0 * x)
 
 
-def rankine(p: jax.Array, centre: jax.Array, circulation: jax.Array, core: jax.Array) -> Field:
+def rankine_vortices(
+    p: jax.Array, centre: jax.Array, circulation: jax.Array, core: jax.Array
+) -> Field:
     """Steady Rankine vortices with vertical axes.
 
     Each turns the water at v_theta = Gamma r / (2 pi a^2) within its core, r <= a, and at
@@ -99,7 +103,7 @@ def rankine(p: jax.Array, centre: jax.Array, circulation: jax.Array, core: jax.A
     bend = jnp.where(square > inside, -2.0 * turn * inverse, 0.0)
     shear = jnp.sum(bend * x * y)
     v = jnp.stack([-jnp.sum(turn * y), jnp.sum(turn * x), jnp.zeros_like(shear)])
-    J = _level(shear, jnp.sum(turn + bend * y * y), jnp.sum(turn + bend * x * x))
+    J = _level_jacobian(shear, jnp.sum(turn + bend * y * y), jnp.sum(turn + bend * x * x))
     return v, jnp.zeros_like(v), J
 
 
@@ -141,7 +145,7 @@ def double_gyre(
     sway = 2.0 * e_t * (X - 1.0) * cos_f - math.pi * f_x * f_t * sin_f
     v_t = jnp.stack([-a * ky * math.pi * f_t * cos_f * cos_y, a * kx * sway * sin_y, zero])
     bow = 2.0 * e * cos_f - math.pi * f_x * f_x * sin_f
-    J = _level(
+    J = _level_jacobian(
         a * math.pi * kx * ky * f_x * cos_f * cos_y,
         -a * math.pi * ky * ky * sin_f * sin_y,
         a * kx * kx * bow * sin_y,
@@ -176,13 +180,13 @@ def depth_profile(p: jax.Array, depth: jax.Array, knots: jax.Array, slopes: jax.
         slopes: [n, 2] their derivatives by depth, 1/s, zero at both ends (see `monotone_slopes`).
     """
     last = depth.shape[0] - 1
-    here = jnp.clip(-p[2], take(depth, jnp.int32(0)), take(depth, jnp.int32(last)))
-    k = jnp.clip(count_not_above(depth, here) - 1, 0, last - 1)
-    begin = take(depth, k)
-    length = take(depth, k + 1) - begin
-    s = (here - begin) / length
-    start, jump = take(knots, k), take(knots, k + 1) - take(knots, k)
-    first, second = length * take(slopes, k), length * take(slopes, k + 1)
+    clamped_depth = jnp.clip(-p[2], take_row(depth, jnp.int32(0)), take_row(depth, jnp.int32(last)))
+    k = jnp.clip(count_not_above(depth, clamped_depth) - 1, 0, last - 1)
+    begin = take_row(depth, k)
+    length = take_row(depth, k + 1) - begin
+    s = (clamped_depth - begin) / length
+    start, jump = take_row(knots, k), take_row(knots, k + 1) - take_row(knots, k)
+    first, second = length * take_row(slopes, k), length * take_row(slopes, k + 1)
     square, cube = 3.0 * jump - 2.0 * first - second, first + second - 2.0 * jump
     level = start + s * (first + s * (square + s * cube))
     by_z = -(first + s * (2.0 * square + 3.0 * s * cube)) / length
@@ -208,12 +212,14 @@ def monotone_slopes(depth: jax.Array, knots: jax.Array) -> jax.Array:
     before, after = chord[:-1], chord[1:]
     w, x = 2.0 * step[1:] + step[:-1], step[1:] + 2.0 * step[:-1]
     alike = before * after > 0.0
-    safe_before, safe_after = (jnp.where(alike, one, 1.0) for one in (before, after))
+    safe_before, safe_after = (
+        jnp.where(alike, chord_slope, 1.0) for chord_slope in (before, after)
+    )
     inner = jnp.where(alike, (w + x) / (w / safe_before + x / safe_after), 0.0)
     return jnp.pad(inner, ((1, 1), (0, 0)))
 
 
-def tide(
+def tidal_current(
     t: jax.Array, speed: jax.Array, phase: jax.Array, cosine: jax.Array, sine: jax.Array
 ) -> Field:
     """Tidal constituents: the same level velocity everywhere, each turning along an ellipse.
@@ -232,11 +238,11 @@ def tide(
     level = jnp.sum(cosine * cos + sine * sin, axis=0)
     level_t = jnp.sum(rate * (sine * cos - cosine * sin), axis=0)
     zero = jnp.zeros_like(t)
-    v, v_t = (jnp.stack([one[0], one[1], zero]) for one in (level, level_t))
+    v, v_t = (jnp.stack([part[0], part[1], zero]) for part in (level, level_t))
     return v, v_t, jnp.zeros((3, 3), v.dtype)
 
 
-def _level(shear: jax.Array, down: jax.Array, up: jax.Array) -> jax.Array:
+def _level_jacobian(shear: jax.Array, down: jax.Array, up: jax.Array) -> jax.Array:
     """[[-shear, -down, 0], [up, shear, 0], 0]: the Jacobian of a level flow free of divergence."""
     zero = jnp.zeros_like(shear)
     rows = ((-shear, -down, zero), (up, shear, zero), (zero, zero, zero))
@@ -257,22 +263,22 @@ def _phi(s: jax.Array) -> tuple[jax.Array, jax.Array]:
     Near zero both are power series with as many terms as the type has digits; the closed form,
     which cancels there, is given a harmless argument so that gradients stay finite.
     """
-    small = s < _SERIES_BELOW
-    safe = jnp.where(small, 1.0, s)
+    is_small = s < _SERIES_BELOW
+    safe = jnp.where(is_small, 1.0, s)
     inverse = 1.0 / safe
     fall = jnp.exp(-safe)
     far = (1.0 - fall) * inverse
     far_slope = (fall - far) * inverse
     near, near_slope = jnp.zeros_like(s), jnp.zeros_like(s)
-    for k in range(_terms(s.dtype) - 1, 0, -1):
+    for k in range(_count_terms(s.dtype) - 1, 0, -1):
         near = (near + _SERIES[k]) * s
         near_slope = near_slope * s + k * _SERIES[k]
-    return jnp.where(small, near + _SERIES[0], far), jnp.where(small, near_slope, far_slope)
+    return jnp.where(is_small, near + _SERIES[0], far), jnp.where(is_small, near_slope, far_slope)
 
 
-def _terms(dtype: jnp.dtype) -> int:
+def _count_terms(dtype: jnp.dtype) -> int:
     """Terms of the series of phi's derivative that a type can tell from none at the threshold."""
-    least = 2.0 ** (-56 if dtype.itemsize > 4 else -27)
+    threshold = 2.0 ** (-56 if dtype.itemsize > 4 else -27)
     return next(
-        k for k, c in enumerate(_SERIES) if k and k * abs(c) * _SERIES_BELOW ** (k - 1) < least
+        k for k, c in enumerate(_SERIES) if k and k * abs(c) * _SERIES_BELOW ** (k - 1) < threshold
     )

@@ -12,11 +12,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from angler_kernels.table import count_not_above, take
+from angler_kernels.table import count_not_above, take_row
 
 
 @dataclass(frozen=True, kw_only=True)
-class Axis:
+class GridAxis:
     """One axis of a grid."""
 
     count: int
@@ -28,15 +28,17 @@ class Axis:
     """Where steps differ and knots are few: their places, which programs then hold as numbers."""
 
 
-FEW = 16
+MAX_STATIC_KNOTS = 16
 """Most knots that programs hold as numbers."""
 
-type Spot = tuple[jax.Array, jax.Array, jax.Array]
+type AxisPosition = tuple[jax.Array, jax.Array, jax.Array]
 """Lower knot int32 [], share of the way to the next [], and derivative of that share [] by the
 place on the axis: 0 beyond the ends, where the field is held."""
 
 
-def locate(axis: Axis, knots: jax.Array | None, knot: jax.Array, rest: jax.Array) -> Spot:
+def locate_knot(
+    axis: GridAxis, knots: jax.Array | None, knot: jax.Array, rest: jax.Array
+) -> AxisPosition:
     """Between which knots of an axis a place lies.
 
     Args:
@@ -53,37 +55,37 @@ def locate(axis: Axis, knots: jax.Array | None, knot: jax.Array, rest: jax.Array
         inverse = 1.0 / axis.step
         low, high = (-knot).astype(rest.dtype), (last - knot).astype(rest.dtype)
         steps = rest * inverse
-        held = jnp.clip(steps, low, high)
-        lower = jnp.minimum(jnp.floor(held), high - 1.0)
-        inside = (steps >= low) & (steps <= high)
-        return knot + lower.astype(jnp.int32), held - lower, jnp.where(inside, inverse, 0.0)
+        clamped = jnp.clip(steps, low, high)
+        lower = jnp.minimum(jnp.floor(clamped), high - 1.0)
+        is_inside = (steps >= low) & (steps <= high)
+        return knot + lower.astype(jnp.int32), clamped - lower, jnp.where(is_inside, inverse, 0.0)
     if axis.knots:
-        known: Any = np.asarray(axis.knots, rest.dtype)
-        lengths: Any = np.diff(known)
-        begin = take(known, knot)
-        lower = jnp.sum(known[1:last] <= begin + rest, dtype=jnp.int32)
-        before, length = take(known, lower), take(lengths, lower)
+        positions: Any = np.asarray(axis.knots, rest.dtype)
+        lengths: Any = np.diff(positions)
+        begin = take_row(positions, knot)
+        lower = jnp.sum(positions[1:last] <= begin + rest, dtype=jnp.int32)
+        before, length = take_row(positions, lower), take_row(lengths, lower)
     elif knots is not None:
-        begin = take(knots, knot)
+        begin = take_row(knots, knot)
         lower = jnp.clip(count_not_above(knots, begin + rest) - 1, 0, last - 1)
-        before = take(knots, lower)
-        length = take(knots, lower + 1) - before
+        before = take_row(knots, lower)
+        length = take_row(knots, lower + 1) - before
     else:
         raise TypeError("an axis of steps that differ needs its knots")
-    share = (rest - (before - begin)) / length
-    held = jnp.clip(share, 0.0, 1.0)
-    return lower, held, jnp.where(share == held, 1.0 / length, 0.0)
+    fraction = (rest - (before - begin)) / length
+    clamped = jnp.clip(fraction, 0.0, 1.0)
+    return lower, clamped, jnp.where(fraction == clamped, 1.0 / length, 0.0)
 
 
-def multilinear(
-    values: jax.Array, shape: tuple[int, int, int, int, int], spots: Sequence[Spot]
+def interpolate_linear(
+    values: jax.Array, shape: tuple[int, int, int, int, int], spots: Sequence[AxisPosition]
 ) -> list[jax.Array]:
     """A field between its knots, and its derivatives by the places on the axes.
 
     Args:
         values: flat, of ``shape`` [y, x, depth, time, component] in row-major order.
         shape: static.
-        spots: on each axis, from `locate`.
+        spots: on each axis, from `locate_knot`.
 
     Returns:
         The value [component], then its derivatives [component] by time, depth, x and y.
@@ -91,38 +93,38 @@ def multilinear(
     count = shape[4]
     steps = [min(n, 2) for n in shape[:4]]
 
-    def row(lower: list[jax.Array]) -> list[list[jax.Array]]:
+    def read_row(lower: list[jax.Array]) -> list[list[jax.Array]]:
         """Values at one or two times."""
-        place = lower[0]
+        index = lower[0]
         for k, n in zip(lower[1:], shape[1:4], strict=True):
-            place = place * n + k
+            index = index * n + k
         part = jax.lax.dynamic_slice(
-            values, (place * count,), (steps[3] * count,), allow_negative_indices=False
+            values, (index * count,), (steps[3] * count,), allow_negative_indices=False
         )
         return [[part[k * count : (k + 1) * count]] for k in range(steps[3])]
 
-    def along(axis: int, lower: list[jax.Array]) -> list[jax.Array]:
+    def interpolate_axis(axis: int, lower: list[jax.Array]) -> list[jax.Array]:
         """The field where the knots of the axes before ``axis`` are chosen."""
-        k, share, slope = spots[axis]
+        k, fraction, slope = spots[axis]
         if axis == 3:
-            ends = row([*lower, k])
+            ends = read_row([*lower, k])
         else:
-            ends = [along(axis + 1, [*lower, k + i]) for i in range(steps[axis])]
+            ends = [interpolate_axis(axis + 1, [*lower, k + i]) for i in range(steps[axis])]
         if len(ends) == 1:
             return [*ends[0], jnp.zeros_like(ends[0][0])]
         low, high = ends
-        mixed = [x + share * (y - x) for x, y in zip(low, high, strict=True)]
-        return [*mixed, slope * (high[0] - low[0])]
+        interpolated = [x + fraction * (y - x) for x, y in zip(low, high, strict=True)]
+        return [*interpolated, slope * (high[0] - low[0])]
 
-    return along(0, [])
+    return interpolate_axis(0, [])
 
 
-def gridded(
+def gridded_velocity(
     p: jax.Array,
     t: jax.Array,
     values: jax.Array,
     shape: tuple[int, int, int, int, int],
-    axes: Sequence[tuple[Axis, jax.Array | None]],
+    axes: Sequence[tuple[GridAxis, jax.Array | None]],
     knot: jax.Array,
     rest: jax.Array,
     rate: jax.Array,
@@ -133,7 +135,8 @@ def gridded(
     Args:
         p: [3] m.
         t: [] s.
-        values: as in `multilinear`; components are those along x, y and, if there are three, z.
+        values: as in `interpolate_linear`; components are those along x, y and, if there are three,
+            z.
         shape: static.
         axes: y, x, depth and time, each with its knots where their steps differ.
         knot: int32 [4] of each axis, from which p = 0 and t = 0 are said.
@@ -141,20 +144,20 @@ def gridded(
         rate: [4] places on the axes by metre along y, x and z, and by second.
         factor: [3] of the velocity along x, y and z.
     """
-    moved = (p[1], p[0], p[2], t)
+    coordinates = (p[1], p[0], p[2], t)
     spots = [
-        locate(axis, knots, knot[i], rest[i] + rate[i] * moved[i])
+        locate_knot(axis, knots, knot[i], rest[i] + rate[i] * coordinates[i])
         for i, (axis, knots) in enumerate(axes)
     ]
-    level, *slopes = multilinear(values, shape, spots)
+    level, *slopes = interpolate_linear(values, shape, spots)
     by_t, by_z, by_x, by_y = (
         slope * rate[i] for slope, i in zip(slopes, (3, 2, 1, 0), strict=True)
     )
     zero = jnp.zeros_like(t)
 
-    def whole(part: jax.Array) -> jax.Array:
+    def build_vector(part: jax.Array) -> jax.Array:
         up = factor[2] * part[2] if shape[4] == 3 else zero
         return jnp.stack([factor[0] * part[0], factor[1] * part[1], up])
 
-    v, v_t, *columns = (whole(part) for part in (level, by_t, by_x, by_y, by_z))
+    v, v_t, *columns = (build_vector(part) for part in (level, by_t, by_x, by_y, by_z))
     return v, v_t, jnp.stack(columns, axis=1)

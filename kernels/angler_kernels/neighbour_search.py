@@ -21,11 +21,11 @@ SLACK = 1.0001
 """Cells are this much larger than they have to be, so that rounding cannot part neighbours."""
 
 
-AT_ONCE = 4
+CANDIDATES_PER_ROUND = 4
 """Candidates looked at in one round of a loop, since a round has a price of its own. On the CPU 1,
 4 and 8 cost the same."""
 
-QUEUE = 4
+QUEUE_LENGTH = 4
 """Candidates kept from one look at all of them."""
 
 
@@ -37,7 +37,7 @@ class _Stretches(NamedTuple):
     end: jax.Array
     """int32 [9] number of candidates in this stretch and those before it."""
 
-    def place(self, i: jax.Array) -> jax.Array:
+    def sorted_index(self, i: jax.Array) -> jax.Array:
         """Place [] in the sorted list of candidate i [] of one body."""
         shift = self.shift[0]
         for k in range(8):
@@ -45,16 +45,16 @@ class _Stretches(NamedTuple):
         return i + shift
 
 
-def nearest(
+def find_nearest(
     centre: jax.Array,
     radius: jax.Array,
     bodies: Any,
     distance: Callable[[Any, Any], jax.Array],
-    within: jax.Array | float,
+    limit_m: jax.Array | float,
 ) -> tuple[jax.Array, jax.Array]:
     """Distance [n] of each body to the nearest other and the index of that one, int32 [n].
 
-    Exact up to ``within``; ``within`` and -1 where nothing is nearer. Derivatives are those of
+    Exact up to ``limit_m``; ``limit_m`` and -1 where nothing is nearer. Derivatives are those of
     ``distance`` for the pair found.
 
     Args:
@@ -63,35 +63,45 @@ def nearest(
         bodies: pytree of what ``distance`` needs to know, [n] leads.
         distance: of two bodies, [] m; never less than the gap of their spheres. It is called with
             the body of the lower index first, so both of a pair get the same number.
-        within: [] m, >= 0.
+        limit_m: [] m, >= 0.
     """
     n = centre.shape[0]
     if n == 1:
-        return jnp.full(1, within, centre.dtype), jnp.full(1, -1, jnp.int32)
-    held = jax.lax.stop_gradient((centre, radius, bodies, jnp.asarray(within, centre.dtype)))
-    order, stretches = _sort(held[0], 2.0 * jnp.max(held[1]) + held[3])
+        return jnp.full(1, limit_m, centre.dtype), jnp.full(1, -1, jnp.int32)
+    constants = jax.lax.stop_gradient((centre, radius, bodies, jnp.asarray(limit_m, centre.dtype)))
+    order, stretches = _sort_bodies(constants[0], 2.0 * jnp.max(constants[1]) + constants[3])
 
-    def gap(one: jax.Array, other: jax.Array, of: Any) -> jax.Array:
-        first, second = jnp.minimum(one, other), jnp.maximum(one, other)
-        return distance(*(jax.tree.map(lambda x, i=i: x[i], of) for i in (first, second)))
+    def gap(body: jax.Array, other: jax.Array, body_tree: Any) -> jax.Array:
+        first, second = jnp.minimum(body, other), jnp.maximum(body, other)
+        return distance(*(jax.tree.map(lambda x, i=i: x[i], body_tree) for i in (first, second)))
 
-    def search(me: jax.Array, mine: _Stretches) -> jax.Array:
-        def sphere_gap(place: jax.Array) -> _Pair:
-            j = order[place]
-            apart = jnp.sqrt(jnp.sum((held[0][j] - held[0][me]) ** 2)) - held[1][j] - held[1][me]
-            return _Pair(jnp.where(j == me, jnp.inf, apart), j)
+    def search(self_index: jax.Array, body_stretches: _Stretches) -> jax.Array:
+        def sphere_gap(sorted_index: jax.Array) -> _Pair:
+            j = order[sorted_index]
+            centre_gap = (
+                jnp.sqrt(jnp.sum((constants[0][j] - constants[0][self_index]) ** 2))
+                - constants[1][j]
+                - constants[1][self_index]
+            )
+            return _Pair(jnp.where(j == self_index, jnp.inf, centre_gap), j)
 
-        return _search(me, mine, sphere_gap, lambda j: gap(me, j, held[2]), held[3])
+        return _search_nearest(
+            self_index,
+            body_stretches,
+            sphere_gap,
+            lambda j: gap(self_index, j, constants[2]),
+            constants[3],
+        )
 
-    me = jnp.arange(n, dtype=jnp.int32)
-    index = jax.vmap(search)(me, stretches)
+    self_index = jnp.arange(n, dtype=jnp.int32)
+    index = jax.vmap(search)(self_index, stretches)
     # A body without a neighbour is paired with any other, never with itself: that has no gradient.
-    other = jnp.where(index >= 0, index, (me + 1) % n)
-    found = jax.vmap(lambda one, other: gap(one, other, bodies))(me, other)
-    return jnp.where(index >= 0, found, within), index
+    other = jnp.where(index >= 0, index, (self_index + 1) % n)
+    distances = jax.vmap(lambda body, other: gap(body, other, bodies))(self_index, other)
+    return jnp.where(index >= 0, distances, limit_m), index
 
 
-def _sort(centre: jax.Array, reach: jax.Array) -> tuple[jax.Array, _Stretches]:
+def _sort_bodies(centre: jax.Array, reach: jax.Array) -> tuple[jax.Array, _Stretches]:
     """Bodies int32 [n] in the order of their cells, and the candidates of each body."""
     cell = jnp.floor((centre - jnp.min(centre, axis=0)) / (SLACK * reach))
     # One ring of cells without bodies lies around.
@@ -113,11 +123,11 @@ class _Pair(NamedTuple):
     gap: jax.Array
     body: jax.Array
 
-    def before(self, other: "_Pair") -> jax.Array:
+    def is_before(self, other: "_Pair") -> jax.Array:
         """Whether this one is nearer; of equals the lower index, and a limit before any body."""
         return (self.gap < other.gap) | ((self.gap == other.gap) & (self.body < other.body))
 
-    def instead_of(self, other: "_Pair", where: jax.Array) -> "_Pair":
+    def replace_where(self, other: "_Pair", where: jax.Array) -> "_Pair":
         """This one where told so."""
         return _Pair(*(jnp.where(where, new, old) for new, old in zip(self, other, strict=True)))
 
@@ -125,66 +135,70 @@ class _Pair(NamedTuple):
 type _Queue = tuple[_Pair, ...]
 
 
-def _search(
-    me: jax.Array,
+def _search_nearest(
+    self_index: jax.Array,
     stretches: _Stretches,
     sphere_gap: Callable[[jax.Array], _Pair],
     distance: Callable[[jax.Array], jax.Array],
-    within: jax.Array,
+    limit_m: jax.Array,
 ) -> jax.Array:
-    """Index int32 [] of the body nearest to body ``me``; -1 if none is nearer than ``within``.
+    """Return the index int32 [] of the body nearest to ``self_index``; -1 beyond ``limit_m``.
 
     Args:
-        me: int32 [].
+        self_index: int32 [].
         stretches: of this body.
-        sphere_gap: of the body at a place of the sorted list, inf for ``me``.
+        sphere_gap: of the body at a place of the sorted list, inf for ``self_index``.
         distance: to the body of an index.
-        within: [] m.
+        limit_m: [] m.
     """
-    nobody = jnp.full_like(me, -1)
+    no_body = jnp.full_like(self_index, -1)
     total = stretches.end[8]
 
-    def next_ones(wanted: jax.Array, last: _Pair, limit: jax.Array) -> _Queue:
+    def next_candidates(is_needed: jax.Array, last: _Pair, limit: jax.Array) -> _Queue:
         """The candidates that follow the last one in the order of sphere gaps, below a limit."""
 
-        def look(carry: tuple[jax.Array, _Queue]) -> tuple[jax.Array, _Queue]:
+        def scan_candidates(carry: tuple[jax.Array, _Queue]) -> tuple[jax.Array, _Queue]:
             i, queue = carry
-            for _ in range(AT_ONCE):
-                seen = sphere_gap(stretches.place(i))
-                counts = (i < total) & last.before(seen)
-                queue = _insert(queue, seen._replace(gap=jnp.where(counts, seen.gap, jnp.inf)))
+            for _ in range(CANDIDATES_PER_ROUND):
+                pair = sphere_gap(stretches.sorted_index(i))
+                is_candidate = (i < total) & last.is_before(pair)
+                queue = _insert_sorted(
+                    queue, pair._replace(gap=jnp.where(is_candidate, pair.gap, jnp.inf))
+                )
                 i = i + 1
             return i, queue
 
         # A body that wants none begins at the end: the loop is not entered if no body wants any.
-        start = (jnp.where(wanted, 0, total), (_Pair(limit, nobody),) * QUEUE)
-        return jax.lax.while_loop(lambda carry: carry[0] < total, look, start)[1]
+        start = (jnp.where(is_needed, 0, total), (_Pair(limit, no_body),) * QUEUE_LENGTH)
+        return jax.lax.while_loop(lambda carry: carry[0] < total, scan_candidates, start)[1]
 
     def take_first(carry: tuple[_Queue, jax.Array, _Pair]) -> tuple[_Queue, jax.Array, _Pair]:
         queue, may_follow, best = carry
-        found = _Pair(distance(queue[0].body), queue[0].body)
-        best = found.instead_of(best, found.before(best))
-        left = (*queue[1:], _Pair(best.gap, nobody))
-        used_up = may_follow & (left[0].body < 0) & (queue[0].gap < best.gap)
-        more = next_ones(used_up, queue[0], best.gap)
-        queue = tuple(new.instead_of(old, used_up) for new, old in zip(more, left, strict=True))
-        return queue, jnp.where(used_up, more[-1].body >= 0, may_follow), best
+        candidate = _Pair(distance(queue[0].body), queue[0].body)
+        best = candidate.replace_where(best, candidate.is_before(best))
+        remaining = (*queue[1:], _Pair(best.gap, no_body))
+        is_used_up = may_follow & (remaining[0].body < 0) & (queue[0].gap < best.gap)
+        refilled = next_candidates(is_used_up, queue[0], best.gap)
+        queue = tuple(
+            new.replace_where(old, is_used_up) for new, old in zip(refilled, remaining, strict=True)
+        )
+        return queue, jnp.where(is_used_up, refilled[-1].body >= 0, may_follow), best
 
-    def going_on(carry: tuple[_Queue, jax.Array, _Pair]) -> jax.Array:
+    def has_candidates(carry: tuple[_Queue, jax.Array, _Pair]) -> jax.Array:
         first, best = carry[0][0], carry[2]
         return (first.body >= 0) & (first.gap < best.gap)
 
-    first = _Pair(jnp.full_like(within, -jnp.inf), nobody)
-    queue = next_ones(jnp.ones_like(me, bool), first, within)
-    start = (queue, queue[-1].body >= 0, _Pair(within, nobody))
-    return jax.lax.while_loop(going_on, take_first, start)[2].body
+    first = _Pair(jnp.full_like(limit_m, -jnp.inf), no_body)
+    queue = next_candidates(jnp.ones_like(self_index, bool), first, limit_m)
+    start = (queue, queue[-1].body >= 0, _Pair(limit_m, no_body))
+    return jax.lax.while_loop(has_candidates, take_first, start)[2].body
 
 
-def _insert(queue: _Queue, new: _Pair) -> _Queue:
+def _insert_sorted(queue: _Queue, new: _Pair) -> _Queue:
     """A sorted queue of the same length with one more candidate, less the last."""
     out = []
     for old in queue:
-        goes_here = new.before(old)
-        out.append(new.instead_of(old, goes_here))
-        new = old.instead_of(new, goes_here)
+        is_before = new.is_before(old)
+        out.append(new.replace_where(old, is_before))
+        new = old.replace_where(new, is_before)
     return tuple(out)

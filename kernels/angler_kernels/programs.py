@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jax.experimental import pallas as pl
 from jax.experimental.pallas import triton as plt
 
-MOST_LANES = 2048
+MAX_LANES = 2048
 """Two for each thread that a program can have; more would not fit its registers."""
 
 
@@ -35,14 +35,16 @@ class BlockProgram:
     """
 
     lanes: int
-    lanes_a_warp: int = 64
+    lanes_per_warp: int = 64
     interpret: bool = False
 
     @classmethod
-    def of(cls, needed: int, *, lanes_a_warp: int = 64, interpret: bool = False) -> "BlockProgram":
+    def of(
+        cls, min_lanes: int, *, lanes_per_warp: int = 64, interpret: bool = False
+    ) -> "BlockProgram":
         """With at least so many lanes."""
-        lanes = max(32, 1 << (needed - 1).bit_length())
-        return cls(lanes=lanes, lanes_a_warp=lanes_a_warp, interpret=interpret)
+        lanes = max(32, 1 << (min_lanes - 1).bit_length())
+        return cls(lanes=lanes, lanes_per_warp=lanes_per_warp, interpret=interpret)
 
     def run(
         self,
@@ -56,7 +58,7 @@ class BlockProgram:
             out_shape=list(out),
             grid=(1,),
             compiler_params=plt.CompilerParams(
-                num_warps=max(1, self.lanes // self.lanes_a_warp), num_stages=1
+                num_warps=max(1, self.lanes // self.lanes_per_warp), num_stages=1
             ),
             interpret=self.interpret,
         )(*arrays)
@@ -72,14 +74,14 @@ class BlockProgram:
             plt.store(ref.at[at], value, mask=mask)
             return
         # Interpreted, a lane that is masked writes what it found, over what another one wrote.
-        whole = ref[...]
-        ref[...] = whole.at[jnp.where(mask, at, whole.size)].set(value, mode="drop")
+        values = ref[...]
+        ref[...] = values.at[jnp.where(mask, at, values.size)].set(value, mode="drop")
 
     def barrier(self) -> None:
         """What any lane wrote before, all lanes read afterwards."""
         if not self.interpret:
             plt.debug_barrier()
 
-    def when(self, condition: Any, do: Callable[[], None]) -> None:
+    def when(self, condition: Any, action: Callable[[], None]) -> None:
         """Do something if a number of the whole program says so."""
-        pl.when(condition)(do)
+        pl.when(condition)(action)

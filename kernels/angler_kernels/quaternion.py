@@ -37,7 +37,7 @@ def rotate_inverse(q: jax.Array, v: jax.Array) -> jax.Array:
     return rotate(conjugate(q), v)
 
 
-def up(q: jax.Array) -> jax.Array:
+def world_up(q: jax.Array) -> jax.Array:
     """The world's unit vector z, [3], in the body frame; q [4] rotates body to world."""
     w, x, y, z = q[0], q[1], q[2], q[3]
     return jnp.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)])

@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 
 from angler_kernels import spd_solve
-from angler_kernels.quaternion import exp_small, multiply, rotate, rotate_inverse, up
+from angler_kernels.quaternion import exp_small, multiply, rotate, rotate_inverse, world_up
 
 
 def rigid_body_coriolis(mass: jax.Array, inertia: jax.Array, nu: jax.Array) -> jax.Array:
@@ -59,7 +59,7 @@ def submerged_fraction(z: jax.Array, height: jax.Array) -> jax.Array:
 
 def buoyancy_wrench(q: jax.Array, lift: jax.Array, p_cb: jax.Array) -> jax.Array:
     """Wrench [6] of an upward force ``lift`` [] N (world) at ``p_cb`` [3] m (body), for q [4]."""
-    force = lift * up(q)
+    force = lift * world_up(q)
     return jnp.concatenate([force, jnp.cross(p_cb, force)])
 
 
@@ -121,7 +121,7 @@ def water_wrench(
     """
     v_c_body, Dv_c_body = rotate_inverse(q, v_c), rotate_inverse(q, Dv_c)
     nu_r = jnp.concatenate([nu[:3] - v_c_body, nu[3:]])
-    z_cb = z + jnp.sum(up(q) * p_cb)
+    z_cb = z + jnp.sum(world_up(q) * p_cb)
     displaced = density * volume * submerged_fraction(z_cb, height)
     return (
         damping_wrench(D_l, D_q, nu_r)
@@ -183,11 +183,11 @@ def advance_damped_velocity(
     implicit = M + 0.5 * dt * slope[:, None] * jnp.eye(slope.shape[0], dtype=slope.dtype)
     impulse = (1.5 * dt) * force - (0.5 * dt) * force_before + dt * mean_thrust
     change = spd_solve.solve(implicit, impulse[:, None])[:, 0]
-    now = damping_wrench(D_l, D_q, nu_r)
+    damping = damping_wrench(D_l, D_q, nu_r)
     # Newton again: what the slope has missed of the change of damping.
-    missed = damping_wrench(D_l, D_q, nu_r + change) - now + slope * change
-    change = change + spd_solve.solve(implicit, 0.5 * dt * missed[:, None])[:, 0]
-    return nu + change, force + damping_wrench(D_l, D_q, nu_r + change) - now
+    residual = damping_wrench(D_l, D_q, nu_r + change) - damping + slope * change
+    change = change + spd_solve.solve(implicit, 0.5 * dt * residual[:, None])[:, 0]
+    return nu + change, force + damping_wrench(D_l, D_q, nu_r + change) - damping
 
 
 def advance_pose(

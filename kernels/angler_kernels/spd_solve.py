@@ -9,12 +9,12 @@ import jax
 import jax.numpy as jnp
 
 
-def solve(matrix: jax.Array, right: jax.Array) -> jax.Array:
+def solve(matrix: jax.Array, rhs: jax.Array) -> jax.Array:
     """Solve ``matrix @ x = right``.
 
     Args:
         matrix: [n, n] symmetric positive definite; the lower triangle is read.
-        right: [n, k] right-hand sides.
+        rhs: [n, k] right-hand sides.
 
     Returns:
         x [n, k].
@@ -38,11 +38,11 @@ def solve(matrix: jax.Array, right: jax.Array) -> jax.Array:
         inverse.append(1.0 / value)
     forward: list[jax.Array] = []
     for i in range(n):
-        value = right[i]
+        value = rhs[i]
         for k in range(i):
             value = value - lower[i][k] * forward[k]
         forward.append(value)
-    x: list[jax.Array] = [jnp.zeros_like(right[0])] * n
+    x: list[jax.Array] = [jnp.zeros_like(rhs[0])] * n
     for i in reversed(range(n)):
         value = forward[i] * inverse[i]
         for k in range(i + 1, n):

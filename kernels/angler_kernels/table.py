@@ -12,7 +12,7 @@ import jax.numpy as jnp
 type Predicate = Callable[[jax.Array], jax.Array]
 
 
-def take(table: jax.Array, i: jax.Array) -> jax.Array:
+def take_row(table: jax.Array, i: jax.Array) -> jax.Array:
     """Row ``i`` [] of ``table`` [n, ...]; i must lie within [0, n)."""
     row: jax.Array = jax.lax.dynamic_index_in_dim(table, i, keepdims=False)
     return row
@@ -20,15 +20,15 @@ def take(table: jax.Array, i: jax.Array) -> jax.Array:
 
 def count_below(table: jax.Array, value: jax.Array) -> jax.Array:
     """How many entries (int32 []) of a non-decreasing ``table`` [n] are less than ``value`` []."""
-    return _count(table, lambda entry: entry < value)
+    return _count_prefix(table, lambda entry: entry < value)
 
 
 def count_not_above(table: jax.Array, value: jax.Array) -> jax.Array:
     """How many entries (int32 []) of a non-decreasing ``table`` [n] are at most ``value`` []."""
-    return _count(table, lambda entry: entry <= value)
+    return _count_prefix(table, lambda entry: entry <= value)
 
 
-def last_not_above(table: jax.Array, value: jax.Array, near: jax.Array) -> jax.Array:
+def last_not_above(table: jax.Array, value: jax.Array, start_index: jax.Array) -> jax.Array:
     """Where the last entry that is at most ``value`` stands, looked for from a place on.
 
     A search from the last place found costs two reads where the value has moved on by no entry or
@@ -37,31 +37,31 @@ def last_not_above(table: jax.Array, value: jax.Array, near: jax.Array) -> jax.A
     Args:
         table: [n] non-decreasing.
         value: [] to look for; no derivative is taken of it.
-        near: int32 [] place in [0, n) to begin at.
+        start_index: int32 [] place in [0, n) to begin at.
 
     Returns:
         int32 [], the same wherever it begins; 0 where no entry is.
     """
     last = table.shape[0] - 1
-    begin = jnp.where(take(table, near) <= value, near, 0)
+    begin = jnp.where(take_row(table, start_index) <= value, start_index, 0)
 
-    def on(k: jax.Array) -> jax.Array:
-        return (k < last) & (take(table, jnp.minimum(k + 1, last)) <= value)
+    def is_next(k: jax.Array) -> jax.Array:
+        return (k < last) & (take_row(table, jnp.minimum(k + 1, last)) <= value)
 
-    found: jax.Array = jax.lax.while_loop(on, lambda k: k + 1, begin)
-    return found
+    index: jax.Array = jax.lax.while_loop(is_next, lambda k: k + 1, begin)
+    return index
 
 
-def _count(table: jax.Array, holds: Predicate) -> jax.Array:
+def _count_prefix(table: jax.Array, holds: Predicate) -> jax.Array:
     """Length of the stretch at the beginning of ``table`` [n] for which ``holds``, bit by bit."""
     n = table.shape[0]
     digits = n.bit_length()
 
-    def one(digit: jax.Array, count: jax.Array) -> jax.Array:
+    def extend_prefix(digit: jax.Array, count: jax.Array) -> jax.Array:
         longer = count + (jnp.int32(1) << (digits - 1 - digit))
         inside = longer <= n
-        entry = take(table, jnp.minimum(longer, n) - 1)
+        entry = take_row(table, jnp.minimum(longer, n) - 1)
         return jnp.where(inside & holds(entry), longer, count)
 
-    found: jax.Array = jax.lax.fori_loop(0, digits, one, jnp.zeros((), jnp.int32))
-    return found
+    length: jax.Array = jax.lax.fori_loop(0, digits, extend_prefix, jnp.zeros((), jnp.int32))
+    return length

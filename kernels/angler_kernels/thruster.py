@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 
-from angler_kernels.table import count_below, take
+from angler_kernels.table import count_below, take_row
 
 
 def lookup(
@@ -20,7 +20,7 @@ def lookup(
     x = jnp.clip((pwm - first) / step, 0.0, table.shape[0] - 1.0)
     i = jnp.clip(jnp.floor(x).astype(jnp.int32), 0, table.shape[0] - 2)
     fraction = x - i
-    return take(table, i) * (1.0 - fraction) + take(table, i + 1) * fraction
+    return take_row(table, i) * (1.0 - fraction) + take_row(table, i + 1) * fraction
 
 
 def inverse_lookup(
@@ -32,11 +32,11 @@ def inverse_lookup(
     ``first`` [] and ``step`` [] as in `lookup`.
     """
     n = table.shape[0]
-    wanted = jnp.clip(value, table[0], table[-1])
-    i = jnp.clip(count_below(table, wanted), 1, n - 1)
-    left = take(table, i - 1)
-    rise = take(table, i) - left
-    return first + step * (i - 1 + (wanted - left) / jnp.where(rise > 0, rise, 1.0))
+    clipped = jnp.clip(value, table[0], table[-1])
+    i = jnp.clip(count_below(table, clipped), 1, n - 1)
+    left = take_row(table, i - 1)
+    rise = take_row(table, i) - left
+    return first + step * (i - 1 + (clipped - left) / jnp.where(rise > 0, rise, 1.0))
 
 
 def rotor_lag(
@@ -82,7 +82,7 @@ def rotor_filter(
         States at the end of the step, and the mean thrust over it: dt times it is the impulse.
     """
     lead = (..., *(None,) * command.ndim)
-    rest = settled[lead] * command
-    gap = states - rest
-    after = rest + jnp.sum(transition[lead] * gap, axis=1)
+    settled_states = settled[lead] * command
+    gap = states - settled_states
+    after = settled_states + jnp.sum(transition[lead] * gap, axis=1)
     return after, command + jnp.sum(mean[lead] * gap, axis=0)

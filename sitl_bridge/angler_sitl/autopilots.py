@@ -14,24 +14,28 @@ from angler_mjx.robot.vehicles import library
 from angler_mjx.runs.session.interface import RobotInfo
 from angler_sitl.firmware import parameters as firmware
 from angler_sitl.firmware.binary import Binary
-from angler_sitl.firmware.boot import Ready, WorldOrigin, boot
-from angler_sitl.firmware.parameters import Level, Source
+from angler_sitl.firmware.boot import BootTimes, WorldOrigin, boot_autopilots
+from angler_sitl.firmware.parameters import CommandLevel, PositionSource
 from angler_sitl.firmware.process import (
     HOME_LAT_DEG,
     HOME_LON_DEG,
-    Instance,
-    Launch,
-    kill_all,
+    AutopilotProcess,
+    LaunchSpec,
+    kill_processes,
 )
 from angler_sitl.scene.scene import AutopilotScene
 from angler_sitl.steering import sticks
-from angler_sitl.steering.levels import MODES
+from angler_sitl.steering.autopilot_commander import (
+    AutopilotCommander,
+    EstimatedMotion,
+    collect_motion,
+)
+from angler_sitl.steering.levels import LEVEL_MODES
 from angler_sitl.steering.navigation import Navigation
-from angler_sitl.steering.pilot import AutopilotCommander, PilotMotion, motion_of
-from angler_sitl.wire import calling
 from angler_sitl.wire import ports as sockets
+from angler_sitl.wire import source_ports
 from angler_sitl.wire.lockstep import LockStep
-from angler_sitl.wire.tlog import NAME, Telemetry
+from angler_sitl.wire.tlog import FILE_NAME, TelemetryLog
 
 FIX_AGE_S = 0.03
 """How old external navigation is when it is sent. The firmware takes it for so much older than when
@@ -55,8 +59,8 @@ class AutopilotSettings:
     """
 
     binary: Binary
-    level: Level = "guided"
-    source: Source = "vision"
+    level: CommandLevel = "guided"
+    source: PositionSource = "vision"
     speed: float | None = None
     folder: Path | None = None
     parameters: Mapping[str, float] = field(default_factory=dict)
@@ -85,20 +89,22 @@ class Autopilots:
         self._settings, self._scene = settings, scene
         self._exit = ExitStack()
         try:
-            began = time.perf_counter()
-            self._start(robots)
-            self._lockstep.pace(None)  # nothing moves until they are armed
-            ready = boot(
+            start_s = time.perf_counter()
+            self._start_processes(robots)
+            self._lockstep.set_speed(None)  # nothing moves until they are armed
+            ready = boot_autopilots(
                 self.pilots,
                 self._advance_boot,
-                mode=MODES[settings.level],
+                mode=LEVEL_MODES[settings.level],
                 source=settings.source,
                 home=WorldOrigin(lat_deg=HOME_LAT_DEG, lon_deg=HOME_LON_DEG),
             )
-            self._lockstep.pace(settings.speed)
-            self.ready = Ready(sim_s=ready.sim_s, wall_s=time.perf_counter() - began)
+            self._lockstep.set_speed(settings.speed)
+            self.ready = BootTimes(sim_s=ready.sim_s, wall_s=time.perf_counter() - start_s)
             self.differences = {
-                pilot.name: firmware.differences(self._given[i], pilot.link.parameters)
+                pilot.name: firmware.find_differences(
+                    self._parameter_sets[i], pilot.link.parameters
+                )
                 for i, pilot in enumerate(self.pilots)
             }
         except BaseException:
@@ -128,14 +134,14 @@ class Autopilots:
         """What steps them."""
         return self._lockstep
 
-    def motion(self) -> PilotMotion:
+    def estimate_motion(self) -> EstimatedMotion:
         """What they believe of their own motion, now."""
-        return motion_of(self.pilots, self.time_s)
+        return collect_motion(self.pilots, self.time_s)
 
     def note(self, robot: int) -> str:
         """How one of them stands."""
-        why = self._lockstep.lost.get(robot)
-        return self.pilots[robot].note() if why is None else f"lost: {why.partition('; ')[0]}"
+        reason = self._lockstep.lost.get(robot)
+        return self.pilots[robot].note() if reason is None else f"lost: {reason.partition('; ')[0]}"
 
     def advance(self) -> None:
         """One control period: step, take what they say, and tell them where they were.
@@ -143,14 +149,14 @@ class Autopilots:
         Raises:
             RunError: one of them crashed, hangs or began anew.
         """
-        half = round(FIX_AGE_S / self._scene.dt_s)
-        self._lockstep.advance(self._scene.period - half)
-        fixes = self._navigation.fixes() if self._settings.source == "vision" else ()
-        self._lockstep.advance(half)
+        steps_after_fix = round(FIX_AGE_S / self._scene.dt_s)
+        self._lockstep.advance(self._scene.steps_per_period - steps_after_fix)
+        fixes = self._navigation.build_fixes() if self._settings.source == "vision" else ()
+        self._lockstep.advance(steps_after_fix)
         for pilot in self.pilots:
             pilot.tick(self.time_s)
         for pilot, fix in zip(self.pilots, fixes, strict=False):
-            pilot.navigate(self.time_s, fix)
+            pilot.send_fix(self.time_s, fix)
 
     def close(self) -> None:
         """End them all; twice does no harm."""
@@ -160,39 +166,39 @@ class Autopilots:
         if self._settings.level == "thrusters":
             # Without a word of ours these outputs are 0, which its battery takes for full reverse.
             for pilot in self.pilots:
-                pilot.neutral()
+                pilot.send_neutral()
         self.advance()
         return self.time_s
 
-    def _start(self, robots: tuple[RobotInfo, ...]) -> None:
+    def _start_processes(self, robots: tuple[RobotInfo, ...]) -> None:
         settings = self._settings
-        self._given = [self._parameters(robot) for robot in robots]
+        self._parameter_sets = [self._build_parameters(robot) for robot in robots]
         folder = settings.folder or Path(tempfile.mkdtemp(prefix="angler_sitl_"))
         if settings.folder is None:
             self._exit.callback(shutil.rmtree, folder, ignore_errors=True)
-        bound = sockets.allocate(len(robots))
-        for ports in bound:
+        all_ports = sockets.allocate_ports(len(robots))
+        for ports in all_ports:
             self._exit.callback(ports.close)
         launches = [
-            Launch(
+            LaunchSpec(
                 binary=settings.binary,
                 folder=folder / robot.name,
                 name=robot.name,
                 sysid=i + 1,
-                ports=bound[i],
-                parameters=self._given[i],
+                ports=all_ports[i],
+                parameters=self._parameter_sets[i],
             )
             for i, robot in enumerate(robots)
         ]
-        self.instances: list[Instance] = []
-        self._exit.callback(kill_all, self.instances)
+        self.instances: list[AutopilotProcess] = []
+        self._exit.callback(kill_processes, self.instances)
         for launch in launches:
-            self.instances.append(Instance(launch))
-        calling.settle(self.instances)
-        self.pilots = [self._pilot(launch) for launch in launches]
+            self.instances.append(AutopilotProcess(launch))
+        source_ports.restart_shared_ports(self.instances)
+        self.pilots = [self._connect_commander(launch) for launch in launches]
         self._navigation = Navigation(self._scene, self._scene.simulator.spec)
         self._lockstep = LockStep(
-            [ports.fdm for ports in bound],
+            [ports.fdm for ports in all_ports],
             self._scene,
             names=[robot.name for robot in robots],
             fault=lambda i: self.instances[i].fault(),
@@ -201,20 +207,20 @@ class Autopilots:
             on_crash=settings.on_crash,
         )
 
-    def _pilot(self, launch: Launch) -> AutopilotCommander:
+    def _connect_commander(self, launch: LaunchSpec) -> AutopilotCommander:
         if self._settings.folder is None:
             return AutopilotCommander(launch.name, launch.sysid, launch.ports)
-        log = Telemetry(launch.folder / NAME)
+        log = TelemetryLog(launch.folder / FILE_NAME)
         self._exit.callback(log.close)
-        return AutopilotCommander(launch.name, launch.sysid, launch.ports, tap=log.tap)
+        return AutopilotCommander(launch.name, launch.sysid, launch.ports, tap=log.log_packet)
 
-    def _parameters(self, robot: RobotInfo) -> dict[str, float]:
+    def _build_parameters(self, robot: RobotInfo) -> dict[str, float]:
         settings = self._settings
-        ours = firmware.for_vehicle(
-            library.load(robot.vehicle),
+        vehicle_parameters = firmware.for_vehicle(
+            library.load_vehicle(robot.vehicle),
             settings.level,
             settings.source,
             log=settings.folder is not None,
         )
-        scales = sticks.parameters(settings.level, robot)
-        return {**ours, **scales, **settings.parameters}
+        scales = sticks.stick_parameters(settings.level, robot)
+        return {**vehicle_parameters, **scales, **settings.parameters}

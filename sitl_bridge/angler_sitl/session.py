@@ -17,15 +17,24 @@ from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.robot.control.commands import PoseTarget
 from angler_mjx.robot.control.joint_tolerance import Tolerances
 from angler_mjx.robot.vehicles import library
-from angler_mjx.runs.session import checks, fleet_facts, paths, presence
-from angler_mjx.runs.session.batch import POINTS, START_TOLERANCE, Inside
-from angler_mjx.runs.session.checks import CommandLimits, RobotPosition
-from angler_mjx.runs.session.command_queue import PLAN, CommandQueue
+from angler_mjx.runs.session import (
+    command_preparation,
+    command_validation,
+    fleet_facts,
+    robot_checks,
+)
+from angler_mjx.runs.session.batch_session import (
+    DEFAULT_POINTS,
+    DEFAULT_START_TOLERANCE,
+    SessionInternals,
+)
+from angler_mjx.runs.session.command_queue import PLAN_COMMAND, CommandQueue
+from angler_mjx.runs.session.command_validation import CommandLimits, RobotPosition
 from angler_mjx.runs.session.interface import (
     Observation,
-    Order,
     RobotInfo,
     RobotStatus,
+    SessionCommand,
 )
 from angler_mjx.runs.session.rejoin import RejoinPaths
 from angler_mjx.scenario.scenario import Scenario
@@ -33,10 +42,10 @@ from angler_mjx.sim.state import World
 from angler_sitl.autopilots import Autopilots, AutopilotSettings
 from angler_sitl.firmware import binary as binaries
 from angler_sitl.firmware import parameters as firmware
-from angler_sitl.firmware.parameters import Level, Source
-from angler_sitl.missions.choosing import scenario_of, speed_of
+from angler_sitl.firmware.parameters import CommandLevel, PositionSource
+from angler_sitl.missions.scenario_options import parse_speed, select_scenario
 from angler_sitl.scene.scene import AutopilotScene
-from angler_sitl.scene.sight import SessionView
+from angler_sitl.scene.session_view import SessionView
 from angler_sitl.steering import levels
 from angler_sitl.steering.command_sender import CommandSender
 from angler_sitl.steering.levels import STICK_LEVELS
@@ -50,8 +59,8 @@ class SitlSession:
         scenario: Scenario | str | Path,
         *,
         world: int = 0,
-        level: Level = "guided",
-        source: Source = "vision",
+        level: CommandLevel = "guided",
+        source: PositionSource = "vision",
         estimate: Literal["ekf", "truth"] = "ekf",
         speed: Literal["max"] | float = "max",
         binary: Path | None = None,
@@ -59,8 +68,8 @@ class SitlSession:
         robots: int | None = None,
         on_crash: Literal["end", "hold"] = "end",
         parameters: Mapping[str, float] | None = None,
-        points: int = POINTS,
-        start_tolerance: float = START_TOLERANCE,
+        points: int = DEFAULT_POINTS,
+        start_tolerance: float = DEFAULT_START_TOLERANCE,
         tolerances: Tolerances | None = None,
     ) -> None:
         """Compile the scene, start the autopilots and bring them up.
@@ -88,27 +97,27 @@ class SitlSession:
         """
         if world < 0:
             raise ConfigError(f"world = {world}: worlds are counted from 0")
-        self._scenario = scenario_of(scenario, robots)
+        self._scenario = select_scenario(scenario, robots)
         for entry in self._scenario.fleet:  # at once, and not after a minute of compiling
-            firmware.for_vehicle(library.load(entry.vehicle), level, source)
-        self._allowed = paths.stacked(tolerances, self._scenario)
+            firmware.for_vehicle(library.load_vehicle(entry.vehicle), level, source)
+        self._tolerances = command_preparation.stack_tolerances(tolerances, self._scenario)
         self._points, self._start_tolerance = points, start_tolerance
         self._estimate, self._closed = estimate, False
         self.settings = AutopilotSettings(  # of the next reset
-            binary=binaries.find(binary),
+            binary=binaries.find_binary(binary),
             level=level,
             source=source,
-            speed=speed_of(speed),
+            speed=parse_speed(speed),
             folder=folder,
             parameters=dict(parameters or {}),
             on_crash=on_crash,
         )
         self._scene = AutopilotScene(self._scenario, world=world)
         self._simulator = self._scene.simulator
-        self._spec = levels.spec_of(level, self._simulator.spec)
-        self._helm = CommandSender(level, self._spec)
+        self._spec = levels.build_level_spec(level, self._simulator.spec)
+        self._command_sender = CommandSender(level, self._spec)
         self._autopilots: Autopilots | None = None
-        self._drawn: int | None = None
+        self._sampled_seed: int | None = None
         self.reset()
 
     def __enter__(self) -> Self:
@@ -122,7 +131,7 @@ class SitlSession:
         trace: TracebackType | None,
     ) -> None:
         """End the autopilots."""
-        self._down()
+        self._stop_autopilots()
 
     @property
     def robots(self) -> Sequence[RobotInfo]:
@@ -137,19 +146,19 @@ class SitlSession:
     @property
     def autopilots(self) -> Autopilots:
         """The autopilots, for those who look at them closely."""
-        self._open()
+        self._require_open()
         if self._autopilots is None:
             raise RunError("the autopilots are down; reset the session")
         return self._autopilots
 
-    def inside(self) -> Inside:
+    def inside(self) -> SessionInternals:
         """What lies behind the scene, for recordings; it is to be looked at, not to be changed."""
-        self._open()
-        return Inside(
+        self._require_open()
+        return SessionInternals(
             simulator=self._simulator,
             worlds=self._scene.worlds,
             state=self._scene.state,
-            sample=self._sight.sample,
+            sample=self._view.sample,
         )
 
     def reset(self, seed: int | None = None, *, worlds: World | None = None) -> Observation:
@@ -157,94 +166,113 @@ class SitlSession:
 
         No world is drawn if ``worlds`` is one; [1] leads, shapes stay.
         """
-        self._open()
-        self._down()
-        number = self._scenario.seed if seed is None else seed
-        self._scene.reset(number, worlds)
-        if worlds is not None or number != self._drawn:
-            here = jax.device_get(self._scene.worlds)  # an index on the device is a program each
-            gathered = fleet_facts.gather(self._simulator, here)
-            self._facts = levels.facts_of(self.settings.level, gathered)
-            self._ways = RejoinPaths(jax.tree.map(lambda x: x[0], here.environment))
-            self._drawn = number if worlds is None else None
+        self._require_open()
+        self._stop_autopilots()
+        used_seed = self._scenario.seed if seed is None else seed
+        self._scene.reset(used_seed, worlds)
+        if worlds is not None or used_seed != self._sampled_seed:
+            worlds_on_host = jax.device_get(
+                self._scene.worlds
+            )  # an index on the device is a program each
+            facts = fleet_facts.gather_facts(self._simulator, worlds_on_host)
+            self._facts = levels.adapt_facts(self.settings.level, facts)
+            self._rejoin_paths = RejoinPaths(
+                jax.tree.map(lambda x: x[0], worlds_on_host.environment)
+            )
+            self._sampled_seed = used_seed if worlds is None else None
         dtype = self._scene.state.vehicles.p.dtype
-        self._orders = CommandQueue(self._spec.stages, self._facts, self._limits, dtype)
-        self._helm.reset(self._scene, self._orders.slots.commands())
+        self._command_queue = CommandQueue(self._spec.stages, self._facts, self._limits, dtype)
+        self._command_sender.reset(self._scene, self._command_queue.slots.commands())
         self._autopilots = Autopilots(self.settings, self._scene, tuple(self.robots))
         self._scene.moored, self._steps = False, 0
-        self._sight = SessionView(
-            self._scene, self._facts, self._allowed, truth=self._estimate == "truth"
+        self._view = SessionView(
+            self._scene, self._facts, self._tolerances, use_truth=self._estimate == "truth"
         )
-        self._sight.begin(self._autopilots, self._orders, self._helm)
+        self._view.begin(self._autopilots, self._command_queue, self._command_sender)
         if self.settings.level in STICK_LEVELS:  # nobody can follow a plan there
             for robot in range(len(self.robots)):
-                here = paths.hold((PoseTarget,), self._sight.seen, robot, self._limits)
-                self._orders.tell(robot, here, self._sight.seen, 0.0)
+                hold = command_preparation.hold_command(
+                    (PoseTarget,), self._view.estimated_view, robot, self._limits
+                )
+                self._command_queue.give_command(robot, hold, self._view.estimated_view, 0.0)
         return self.observe()
 
-    def step(self, commands: Mapping[int, Order] | None = None) -> Observation:
+    def step(self, commands: Mapping[int, SessionCommand] | None = None) -> Observation:
         """See `Session.step`."""
-        self._open()
+        self._require_open()
         for robot in commands or {}:
-            presence.is_there(self.robots, robot)
+            robot_checks.require_robot(self.robots, robot)
         # Half a period: times are sums in floating point.
-        soon_s = self._time_s + 0.5 * self.dt_s
-        for robot, order in {**self._orders.due(soon_s), **(commands or {})}.items():
+        due_time_s = self._time_s + 0.5 * self.dt_s
+        for robot, command in {**self._command_queue.due(due_time_s), **(commands or {})}.items():
             try:
-                self.check(robot, order)
+                self.check(robot, command)
             except ConfigError as error:
-                self._orders.refuse(robot, str(error), self._sight.seen)
+                self._command_queue.refuse(robot, str(error), self._view.estimated_view)
             else:
-                self._orders.tell(robot, order, self._sight.seen, soon_s)
+                self._command_queue.give_command(
+                    robot, command, self._view.estimated_view, due_time_s
+                )
         try:
-            self._go_on()
+            self._advance_period()
         except BaseException:
-            self._down()
+            self._stop_autopilots()
             raise
-        self._sight.look(self.autopilots, self._orders, self._helm)
-        self._orders.report(self._sight.seen)
+        self._view.update(self.autopilots, self._command_queue, self._command_sender)
+        self._command_queue.report(self._view.estimated_view)
         return self.observe()
 
     def observe(self) -> Observation:
         """See `Session.observe`."""
-        self._open()
-        return self._sight.observation(self._time_s, self._status())
+        self._require_open()
+        return self._view.make_observation(self._time_s, self._collect_status())
 
-    def check(self, robot: int, command: Order) -> None:
+    def check(self, robot: int, command: SessionCommand) -> None:
         """See `Session.check`."""
-        self._goes_on(robot)
-        info, seen = self.robots[robot], self._sight.seen
-        place = RobotPosition(
-            p=np.asarray(seen.p[robot], float), yaw_rad=float(seen.yaw_rad[robot])
+        self._require_drivable(robot)
+        info, view = self.robots[robot], self._view.estimated_view
+        position = RobotPosition(
+            p=np.asarray(view.p[robot], float), yaw_rad=float(view.yaw_rad[robot])
         )
-        checks.check(info, place, self._limits, command, self._time_s)
+        command_validation.check_command(info, position, self._limits, command, self._time_s)
 
     def resume_plan(self, robot: int) -> None:
         """See `Session.resume_plan`; what moves is not looked at on the way back."""
-        self._goes_on(robot)
-        info, told, level = self.robots[robot], self._orders[robot], self.settings.level
+        self._require_drivable(robot)
+        info, command_state, level = (
+            self.robots[robot],
+            self._command_queue[robot],
+            self.settings.level,
+        )
         if level in STICK_LEVELS:
             raise ConfigError(f"{info.name}: at the level {level} robots are driven by hand alone")
         if not self._facts.found[robot]:
             raise ConfigError(f"{info.name}: has no plan: the planner found no way for it")
-        if told.command == PLAN:
+        if command_state.command == PLAN_COMMAND:
             return
-        clearance = info.radius_m + self._scenario.planner.margin_m - paths.SLACK_M
-        seen, speed = self._sight.seen, info.cruise_speed_mps
-        p, velocity = np.asarray(seen.p[robot], float), paths.over_ground(seen, robot)
-        yaw = float(seen.yaw_rad[robot])
-        back = self._ways.back(p, velocity, told.plan, told.left_s, clearance, speed, yaw)
-        if back is None or back.time_s.size > self._limits.rows(back.kind):
+        clearance = (
+            info.radius_m + self._scenario.planner.margin_m - command_preparation.CLEARANCE_SLACK_M
+        )
+        view, speed = self._view.estimated_view, info.cruise_speed_mps
+        p, velocity = (
+            np.asarray(view.p[robot], float),
+            command_preparation.ground_velocity(view, robot),
+        )
+        yaw = float(view.yaw_rad[robot])
+        rejoin_path = self._rejoin_paths.plan_rejoin(
+            p, velocity, command_state.plan, command_state.plan_time_s, clearance, speed, yaw
+        )
+        if rejoin_path is None or rejoin_path.time_s.size > self._limits.rows(rejoin_path.kind):
             raise ConfigError(
                 f"{info.name}: no way back to its plan was found from ({p[0]:.2f}, {p[1]:.2f}, "
                 f"{p[2]:.2f}) m; bring it nearer"
             )
-        self._orders.resume(robot, back)
+        self._command_queue.resume(robot, rejoin_path)
 
     def close(self) -> None:
         """See `Session.close`: no autopilot is left running."""
-        self._open()
-        self._down()
+        self._require_open()
+        self._stop_autopilots()
         self._closed = True
 
     @property
@@ -253,41 +281,45 @@ class SitlSession:
 
     @property
     def _limits(self) -> CommandLimits:
-        return self._facts.limits(self._points, self._start_tolerance)
+        return self._facts.command_limits(self._points, self._start_tolerance)
 
-    def _go_on(self) -> None:
+    def _advance_period(self) -> None:
         """One control period: decide, send, step, judge."""
         scene, autopilots = self._scene, self.autopilots
         before = scene.state
-        decision = self._helm.steer(
-            scene, autopilots.pilots, self.robots, self._sight.belief, self._orders.slots.commands()
+        decision = self._command_sender.steer(
+            scene,
+            autopilots.pilots,
+            self.robots,
+            self._view.belief,
+            self._command_queue.slots.commands(),
         )
         autopilots.advance()
         scene.judge(np.asarray(decision.approaching)[0])
         self._steps += 1
-        self._sight.keep(before, decision)
+        self._view.record_step(before, decision)
 
-    def _status(self) -> tuple[RobotStatus, ...]:
+    def _collect_status(self) -> tuple[RobotStatus, ...]:
         """As of the orders, and how each autopilot stands."""
-        told = self._orders.status(np.asarray(self._sight.view.outcome).tolist())
-        stands = [self.autopilots.note(i) for i in range(len(told))]
+        statuses = self._command_queue.status(np.asarray(self._view.view.outcome).tolist())
+        notes = [self.autopilots.note(i) for i in range(len(statuses))]
         return tuple(
             replace(status, note="; ".join(part for part in (status.note, note) if part))
-            for status, note in zip(told, stands, strict=True)
+            for status, note in zip(statuses, notes, strict=True)
         )
 
-    def _open(self) -> None:
+    def _require_open(self) -> None:
         if self._closed:
             raise RunError("the session is closed; make a new one")
 
-    def _goes_on(self, robot: int) -> None:
+    def _require_drivable(self, robot: int) -> None:
         """Refuse to drive a robot that failed, or whose autopilot is gone."""
-        self._open()
-        if why := self.autopilots.lockstep.lost.get(robot):
-            raise ConfigError(f"{self.robots[robot].name}: cannot go on: {why}")
-        presence.goes_on(self.robots, robot, self._sight.view.outcome)
+        self._require_open()
+        if reason := self.autopilots.lockstep.lost.get(robot):
+            raise ConfigError(f"{self.robots[robot].name}: cannot go on: {reason}")
+        robot_checks.require_running(self.robots, robot, self._view.view.outcome)
 
-    def _down(self) -> None:
+    def _stop_autopilots(self) -> None:
         """End the autopilots, if there are any."""
         if self._autopilots is not None:
             self._autopilots.close()

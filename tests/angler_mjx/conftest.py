@@ -44,7 +44,7 @@ HORIZON_S = 20.0
 NO_OBSTACLES = ObstaclesConfig()
 ALL_OBSTACLES = ObstaclesConfig.model_validate(
     {
-        "dynamic": {"count": 3, "cube_share": 0.5},
+        "dynamic": {"count": 3, "cube_fraction": 0.5},
         "explicit": [
             {"type": "box", "position_m": [3.0, 3.0, -5.0], "size_m": [0.5, 1.0, 0.4]},
             {
@@ -104,10 +104,10 @@ def every_variant() -> list[Member]:
     The last is not what its file says, and its controllers do not know.
     """
     members = []
-    for vehicle in reversed(library.available()):
+    for vehicle in reversed(library.list_vehicles()):
         kinds = [
             Variant(vehicle=vehicle, parameter_set=chosen, battery_v=16.0)
-            for chosen in sorted(library.load(vehicle).parameter_sets)
+            for chosen in sorted(library.load_vehicle(vehicle).parameter_sets)
         ]
         members += [
             Member(variants=(kind,), weights=(1.0,), cruise_speed_mps=0.5) for kind in kinds
@@ -115,7 +115,7 @@ def every_variant() -> list[Member]:
     other = replace(members[-1].variants[0], variation=OTHERWISE)
     members[-1] = replace(members[-1], variants=(other,))
     heavy = members[0].variants[0].vehicle
-    mix = tuple(kind for kind in fleet.variants(members) if kind.vehicle == heavy)
+    mix = tuple(kind for kind in fleet.list_variants(members) if kind.vehicle == heavy)
     return [Member(variants=mix, weights=(1.0,) * len(mix), cruise_speed_mps=0.4), *members]
 
 
@@ -149,13 +149,13 @@ def one_water(
         cell_m=jnp.asarray(CELL_M, float),
     )
     path = jax.vmap(_polyline)(points)
-    rows = obstacles.draw(config, next(keys), grid, lo, hi, points[:, 0], 0.5, 1000.0)
+    rows = obstacles.sample_obstacles(config, next(keys), grid, lo, hi, points[:, 0], 0.5, 1000.0)
     of_fleet = next(keys)
     environment = Environment(
         grid=grid,
         floor_z_m=lo[2],
         obstacles=rows,
-        current=currents.draw(CURRENT, next(keys), lo, hi, HORIZON_S),
+        current=currents.sample_current(CURRENT, next(keys), lo, hi, HORIZON_S),
         start_m=points[:, 0],
         start_yaw_rad=jax.random.uniform(next(keys), (n,), float, -3.0, 3.0),
         goal_m=points[:, -1],
@@ -196,8 +196,8 @@ def build_scene(
     n: int, *, seed: int = 0, members: Any = None, config: ObstaclesConfig = ALL_OBSTACLES
 ) -> Scene:
     """``n`` random worlds, in JAX's present float type."""
-    kinds = fleet.build(every_variant() if members is None else members)
-    draw = quickly(partial(fleet.draw, kinds))
+    kinds = fleet.build_fleet(every_variant() if members is None else members)
+    draw = quickly(partial(fleet.sample_variants, kinds))
     # One after another: one program for any number of worlds.
     drawn = [
         one_world(kinds, draw, config, key) for key in jax.random.split(jax.random.key(seed), n)
@@ -210,7 +210,7 @@ def one_robot(vehicle: str) -> list[Member]:
     """A fleet of one that draws its parameter set."""
     kinds = tuple(
         Variant(vehicle=vehicle, parameter_set=chosen, battery_v=16.0)
-        for chosen in sorted(library.load(vehicle).parameter_sets)
+        for chosen in sorted(library.load_vehicle(vehicle).parameter_sets)
     )
     return [Member(variants=kinds, weights=(1.0,) * len(kinds), cruise_speed_mps=0.5)]
 

@@ -21,7 +21,7 @@ def check(sample, lead, sizes, *, told=False, also=(), dtype=jnp.float64):
     for one in record.FIELDS:
         value = one.of(sample)
         of_belief = told and one.about.phase == "sense"
-        there = one.wanted(also) if one.about.asked else of_belief or not one.optional
+        there = one.is_recorded(also) if one.about.option else of_belief or not one.is_optional
         assert (value is not None) == there, one.path
         if value is not None:
             assert value.shape == (*lead, *one.shape(sizes)), one.path

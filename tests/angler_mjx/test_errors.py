@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from angler_mjx.errors import ConfigError, UnsupportedError, described, raised_by
+from angler_mjx.errors import ConfigError, UnsupportedError, describe_error, report_user_errors
 
 FILES = {
     "planner.py": """import numpy as np
@@ -62,21 +62,21 @@ def planner(tmp_path, monkeypatch):
 def test_the_innermost_line_in_a_users_file_is_named(planner, function, words):
     with pytest.raises(Exception) as caught:
         getattr(planner, function)()
-    assert described(caught.value) == words
+    assert describe_error(caught.value) == words
 
 
 def test_a_text_without_end_is_cut_before_the_line(planner):
     with pytest.raises(ValueError, match="far") as caught:
         planner.long()
-    said = described(caught.value, most=20)
+    said = describe_error(caught.value, max_characters=20)
     assert said == "ValueError: far far far far far (planner.py:22)"
 
 
 def test_what_angler_itself_raises_passes_through(planner):
-    with pytest.raises(UnsupportedError, match="no such extra"), raised_by("planner X"):
+    with pytest.raises(UnsupportedError, match="no such extra"), report_user_errors("planner X"):
         raise UnsupportedError("no such extra")
     with (
         pytest.raises(ConfigError, match=r"^planner X: plan_batch raised KeyError: .*py:6\)$"),
-        raised_by("planner X: plan_batch"),
+        report_user_errors("planner X: plan_batch"),
     ):
         planner.by_itself()

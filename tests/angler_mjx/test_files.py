@@ -5,8 +5,14 @@ from typing import Annotated
 import pytest
 from pydantic import Field
 
-from angler_mjx.errors import SHOWN, ConfigError, escaped, shown, size
-from angler_mjx.files import FileModel, json_of, parse, read_json, read_text, read_toml
+from angler_mjx.errors import (
+    MAX_VALUE_CHARACTERS,
+    ConfigError,
+    escape_control_characters,
+    format_bytes,
+    format_value,
+)
+from angler_mjx.files import FileModel, parse_json, parse_model, read_json, read_text, read_toml
 
 
 class Inner(FileModel):
@@ -24,12 +30,12 @@ class Model(FileModel):
 
 def told(data):
     with pytest.raises(ConfigError) as caught:
-        parse(Model, data, source="a.toml")
+        parse_model(Model, data, source="a.toml")
     return str(caught.value)
 
 
 def test_integers_do_for_floats_and_lists_for_tuples():
-    made = parse(Model, {"speed_mps": 2, "place": [1, 2.5]}, source="a.toml")
+    made = parse_model(Model, {"speed_mps": 2, "place": [1, 2.5]}, source="a.toml")
     assert (made.speed_mps, made.place) == (2.0, (1.0, 2.5))
 
 
@@ -71,7 +77,7 @@ def test_a_tuple_is_not_called_short_for_its_members_faults():
 
     for held, count in (([{"share": "a"}], 1), ([], 1), ([{"share": "a"}, {"x": 1}], 2)):
         with pytest.raises(ConfigError) as caught:
-            parse(Outer, {"inner": held}, source="a.toml")
+            parse_model(Outer, {"inner": held}, source="a.toml")
         assert str(caught.value).count("\n") == count
 
 
@@ -100,7 +106,7 @@ def test_toml_that_would_break_its_reader_is_refused(kind, tmp_path):
 )
 def test_json_that_would_break_its_reader_is_refused(text):
     with pytest.raises(ConfigError, match="a file: "):
-        json_of(text, "a file")
+        parse_json(text, "a file")
 
 
 def test_large_endless_missing_and_named_oddly(tmp_path):
@@ -141,21 +147,21 @@ def test_a_file_of_another_kind_is_not_told_fault_by_fault():
     ids=["integer", "lists", "table", "bell"],
 )
 def test_how_values_are_shown(value, text):
-    assert shown(value) == text
+    assert format_value(value) == text
 
 
 def test_a_size_is_never_nought_point_nought_gigabytes():
-    said = [size(n) for n in (0, 999, 1000, 1_843_200, 3.46e9, 1.2e12)]
+    said = [format_bytes(n) for n in (0, 999, 1000, 1_843_200, 3.46e9, 1.2e12)]
     assert said == ["0 bytes", "999 bytes", "1 kB", "1.84 MB", "3.46 GB", "1.2e+03 GB"]
 
 
 def test_no_value_is_shown_in_full_length():
     for value in ("x" * 10**6, list(range(10**6)), {"k" * 10**6: 1}, [["y" * 100] * 100] * 100):
-        assert len(shown(value)) == SHOWN
+        assert len(format_value(value)) == MAX_VALUE_CHARACTERS
 
 
 def test_escapes_keep_what_prints():
-    assert escaped("Ångström 12 °C\n") == "Ångström 12 °C\n"
-    assert escaped("a\r\x9b\u202e") == r"a\r\x9b\u202e"
+    assert escape_control_characters("Ångström 12 °C\n") == "Ångström 12 °C\n"
+    assert escape_control_characters("a\r\x9b\u202e") == r"a\r\x9b\u202e"
     assert str(ConfigError("a\tb")) == r"a\tb"
     assert len(str(ConfigError("a " + "b" * 10**6))) < 100

@@ -8,7 +8,7 @@ import pytest
 from angler_mjx.errors import AnglerError
 from angler_sitl.firmware import binary
 from angler_sitl.firmware.binary import Binary
-from angler_sitl.wire.ports import allocate
+from angler_sitl.wire.ports import allocate_ports
 
 STAND_IN = Path(__file__).parent / "stand_in.py"
 
@@ -26,7 +26,7 @@ def stand_in(tmp_path_factory):
 def ardusub():
     """A real ArduSub."""
     try:
-        return binary.find()
+        return binary.find_binary()
     except AnglerError as error:
         pytest.skip(f"no real ArduSub here: {error}")
 
@@ -34,6 +34,6 @@ def ardusub():
 @pytest.fixture
 def ports():
     """Sockets of one vehicle."""
-    (given,) = allocate(1)
+    (given,) = allocate_ports(1)
     yield given
     given.close()

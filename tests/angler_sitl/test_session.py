@@ -13,11 +13,11 @@ import pytest
 
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.robot.control.commands import BodyTwist, PoseTarget
-from angler_mjx.teleop.loop import Driven
-from angler_mjx.teleop.recording import Recording
+from angler_mjx.teleop.loop import DriveResult
+from angler_mjx.teleop.recording import TeleopRecording
 from angler_mjx.testing import Bounds, check_session
-from angler_mjx.testing.driving import run, twist
-from angler_sitl.missions.choosing import scenario_of
+from angler_mjx.testing.driving import make_twist, run_steps
+from angler_sitl.missions.scenario_options import select_scenario
 from angler_sitl.session import SitlSession
 
 pytestmark = pytest.mark.sitl
@@ -99,7 +99,7 @@ def scenario(tmp_path_factory):
     def write(text):
         path = tmp_path_factory.mktemp("scene") / "scene.toml"
         path.write_text(text)
-        return scenario_of(path, None)
+        return select_scenario(path, None)
 
     return write
 
@@ -134,7 +134,7 @@ def test_thrusters_conform(ardusub, scenario):
 
 def test_what_the_autopilots_say_is_shown_and_logged(guided):
     guided.reset()
-    seen = run(guided, 2.0)[-1]
+    seen = run_steps(guided, 2.0)[-1]
     for status in seen.status:
         assert "GUIDED, armed, EKF good" in status.note
     # External navigation is the truth here; the filter runs up to a step of 10 ms beside it.
@@ -150,11 +150,11 @@ def test_what_the_autopilots_say_is_shown_and_logged(guided):
 
 def test_a_session_is_recorded_as_a_run(guided, scenario, tmp_path):
     guided.reset()
-    with Recording(tmp_path / "run", scenario(CALM), world=0) as recording:
+    with TeleopRecording(tmp_path / "run", scenario(CALM), world=0) as recording:
         recording.begin(guided)
         for _ in range(40):
             recording.after(guided.step())
-        driven = Driven(
+        driven = DriveResult(
             steps=40, scene_s=2.0, wall_s=1.0, overruns=None, keys=(), last=guided.observe()
         )
         stored = recording.finish(driven, compile_s=0.0)
@@ -166,11 +166,11 @@ def test_a_session_is_recorded_as_a_run(guided, scenario, tmp_path):
 
 def test_an_autopilot_that_is_killed_is_named_and_all_go_down(guided, pids):
     guided.reset()
-    run(guided, 0.5)
+    run_steps(guided, 0.5)
     first, second = pids()
     os.kill(second, signal.SIGKILL)
     with pytest.raises(RunError, match=r"robot_1: .*SIGKILL"):
-        run(guided, 5.0)
+        run_steps(guided, 5.0)
     for pid in (first, second):
         assert not Path(f"/proc/{pid}").exists()
     with pytest.raises(RunError, match="down"):
@@ -182,13 +182,13 @@ def test_the_others_go_on_without_it_where_that_is_asked_for(guided, pids):
     guided.settings = replace(guided.settings, on_crash="hold")
     try:
         guided.reset()
-        run(guided, 0.5, {1: twist(0.2, 0, 0, 0, 0, 0)})
+        run_steps(guided, 0.5, {1: make_twist(0.2, 0, 0, 0, 0, 0)})
         os.kill(pids()[0], signal.SIGKILL)
-        seen = run(guided, 4.0)[-1]
+        seen = run_steps(guided, 4.0)[-1]
         assert seen.status[0].note.startswith("lost: robot_0: ")
         assert np.all(np.asarray(seen.pwm.pwm_us)[0] == 1500.0)
         assert np.asarray(seen.truth.nu)[1, 0] > 0.1
-        refused = guided.step({0: twist(0, 0, 0, 0, 0, 0)}).status[0].refused
+        refused = guided.step({0: make_twist(0, 0, 0, 0, 0, 0)}).status[0].refused
         assert "robot_0: cannot go on" in refused
     finally:
         guided.settings = replace(guided.settings, on_crash="end")
@@ -201,14 +201,14 @@ def test_poshold_holds_in_a_stream_and_takes_sticks_for_velocities(ardusub, scen
         with pytest.raises(ConfigError, match=r"poshold.*by hand"):
             session.resume_plan(0)
         assert session.observe().status[0].command == PoseTarget.__name__
-        held = run(session, 20.0)
+        held = run_steps(session, 20.0)
         late = [np.asarray(now.truth.p)[0] for now in held[-100:]]
         # It is carried off until its integral has built up, and comes back over half a minute.
         assert np.ptp(late, axis=0).max() < 0.3
         for axis, speed in ((0, 0.3), (2, -0.2)):
             told = np.zeros(6)
             told[axis] = speed
-            seen = run(session, 5.0, {0: twist(*told)})[-40:]
+            seen = run_steps(session, 5.0, {0: make_twist(*told)})[-40:]
             # The firmware's loops overshoot by a tenth; without the dead zone it would be a third.
             moved = np.mean([np.asarray(now.truth.nu)[0, axis] for now in seen])
             assert moved == pytest.approx(speed, abs=0.06)

@@ -43,8 +43,8 @@ class Command:
 def _verb(program, words):
     if program == "angler":
         two = bool(words) and words[0] in cli.GROUPS
-        if two and len(words) == 1 and words[0] in cli.ALONE:
-            return f"angler {words[0]} {cli.ALONE[words[0]]}"
+        if two and len(words) == 1 and words[0] in cli.DEFAULT_SUBCOMMANDS:
+            return f"angler {words[0]} {cli.DEFAULT_SUBCOMMANDS[words[0]]}"
         return " ".join(("angler", *words[: 2 if two else 1]))
     if program == "python" and words[:1] == ("-m",):
         return f"python -m {words[1]}"

@@ -14,7 +14,7 @@ def test_the_shown_study_says_what_its_page_does() -> None:
     """Six robots are enough where all know all and too few by modem; many touch each other."""
     known, heard = (
         {size["size"]: size for size in sizes}
-        for sizes in fleets.conditions(STUDY, ("still water", "acoustic"))
+        for sizes in fleets.read_conditions(STUDY, ("still water", "acoustic"))
     )
     assert known[6]["low"] >= 0.95
     assert heard[6]["high"] < 0.95 <= heard[8]["low"]
@@ -26,17 +26,17 @@ def test_the_shown_study_says_what_its_page_does() -> None:
 
 def test_a_condition_that_was_not_flown_is_refused_and_the_others_named() -> None:
     with pytest.raises(ConfigError, match=r"survey_reef.json: no condition 'loud'; it has 'still"):
-        fleets.conditions(STUDY, ("still water", "loud"))
+        fleets.read_conditions(STUDY, ("still water", "loud"))
 
 
 def test_a_file_that_is_no_study_is_refused(tmp_path: Path) -> None:
     other = tmp_path / "study.json"
     other.write_text("[1, 2]")
     with pytest.raises(ConfigError, match=r"study.json: is no study.json of angler study"):
-        fleets.conditions(other, ("still water", "acoustic"))
+        fleets.read_conditions(other, ("still water", "acoustic"))
 
 
 def test_the_picture_is_drawn(tmp_path: Path) -> None:
-    both = fleets.conditions(STUDY, ("still water", "acoustic"))
-    fleets.draw(both, ("known", "heard"), tmp_path / "both.png")
+    both = fleets.read_conditions(STUDY, ("still water", "acoustic"))
+    fleets.plot_conditions(both, ("known", "heard"), tmp_path / "both.png")
     assert (tmp_path / "both.png").stat().st_size > 5_000

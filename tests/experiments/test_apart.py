@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from angler_experiments.benchmarks.apart import least_gap
+from angler_experiments.benchmarks.plan_separation import min_gap_m
 
 
 def test_least_gap_is_that_of_close_sampling():
@@ -24,10 +24,10 @@ def test_least_gap_is_that_of_close_sampling():
             for j in range(i)
         ]
         # Sampling misses what two robots move in half a sample: 0.6 ms at 40 m/s each.
-        assert min(gaps) - 0.05 < least_gap(times, places, radius) <= min(gaps) + 1e-9
+        assert min(gaps) - 0.05 < min_gap_m(times, places, radius) <= min(gaps) + 1e-9
 
 
 def test_robots_that_stand_keep_their_distance():
     still = [np.zeros(1), np.zeros(1)]
     places = [np.array([[0.0, 0.0, 0.0]]), np.array([[0.0, 3.0, 4.0]])]
-    assert least_gap(still, places, np.array([1.0, 2.0])) == 2.0
+    assert min_gap_m(still, places, np.array([1.0, 2.0])) == 2.0

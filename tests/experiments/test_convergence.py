@@ -5,12 +5,12 @@ import math
 import pytest
 
 from angler_experiments import convergence
-from angler_mjx.testing.validation.results import TermResult, read
+from angler_mjx.testing.validation.results import TermResult, read_model
 
 
 @pytest.fixture(scope="module")
 def rows():
-    return convergence.study(
+    return convergence.run_study(
         seconds=3.0,
         cases=convergence.CASES[:1],
         steps_ms=(20, 10),
@@ -33,9 +33,9 @@ def test_schemes_converge_at_their_order(rows):
 
 @pytest.mark.nightly(by="test_motion.py, and angler validate runs the study")
 def test_the_result_holds_the_errors_and_the_table(rows, tmp_path, monkeypatch):
-    monkeypatch.setattr(convergence, "study", lambda *_, **__: rows)
+    monkeypatch.setattr(convergence, "run_study", lambda *_, **__: rows)
     convergence.main(json=tmp_path / "result.json")
-    result = read(TermResult, tmp_path / "result.json")
+    result = read_model(TermResult, tmp_path / "result.json")
     assert result.text.splitlines() == convergence.to_markdown(rows).splitlines()
     assert len({line.count("|") for line in result.text.splitlines()}) == 1
     assert {number.value for number in result.numbers.values()} == {

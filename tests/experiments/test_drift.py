@@ -8,7 +8,7 @@ from angler_experiments.ocean import drift, headland
 
 @pytest.fixture(scope="module")
 def found(tmp_path_factory):
-    return drift.study(tmp_path_factory.mktemp("drift"), 6)
+    return drift.run_study(tmp_path_factory.mktemp("drift"), 6)
 
 
 def test_a_day_of_drift_ends_where_scipys_does(found):
@@ -19,12 +19,12 @@ def test_a_day_of_drift_ends_where_scipys_does(found):
 
 
 def test_places_are_drawn_in_water_and_flow_along_the_coast(tmp_path):
-    current = drift.current_of(headland.write(tmp_path / "headland.nc"))
-    begin = drift.seeds(current[0], 200)
-    assert np.all(drift.in_water(current[0], begin))
+    current = drift.build_current(headland.write_dataset(tmp_path / "headland.nc"))
+    begin = drift.sample_starts(current[0], 200)
+    assert np.all(drift.is_in_water(current[0], begin))
     assert np.ptp(begin, axis=0).min() > 13.0
     on_land = np.array([[0.0, -3500.0, -2.0]])
-    assert not drift.in_water(current[0], on_land)[0]
+    assert not drift.is_in_water(current[0], on_land)[0]
 
 
 def test_no_water_crosses_the_coast_of_the_made_stream():

@@ -9,25 +9,25 @@ from angler_mjx.scenario.scenario import load_scenario
 
 @pytest.fixture(scope="module")
 def parity():
-    scenario = engine_parity.everything(
+    scenario = engine_parity.all_vehicles_scenario(
         load_scenario("reef_fleet", worlds=32, time={"horizon_s": 20.0})
     )
-    return engine_parity.compare(scenario, tile=32)
+    return engine_parity.compare_engines(scenario, tile=32)
 
 
 @pytest.mark.nightly(by="test_fused.py, and angler validate runs the study")
 def test_runs_agree_but_for_decisions(parity):
     n = parity.outcome.shape[1]
     assert n == 32 * 4
-    assert parity.apart_m.shape == (n, 100)
+    assert parity.distance_m.shape == (n, 100)
     # All vehicles and sets are there.
     assert set(np.unique(parity.variants)) == set(range(5))
     # A few go past the bound, by a decision that rounding tipped: 8 of 4,000 in 120 s. A fault of
     # an equation would take all robots of a kind there.
-    assert parity.within.mean() > 0.97
+    assert parity.is_within.mean() > 0.97
     # Within the bound outcomes are the same but where a threshold is as near as the bound.
-    assert np.sum(~parity.same & parity.within) <= 1
-    assert np.median(parity.apart_m.max(axis=1)) < 1e-5
+    assert np.sum(~parity.is_same & parity.is_within) <= 1
+    assert np.median(parity.distance_m.max(axis=1)) < 1e-5
     # Some episodes have ended.
     assert len(np.unique(parity.outcome)) >= 2
 
@@ -35,7 +35,7 @@ def test_runs_agree_but_for_decisions(parity):
 @pytest.mark.nightly(by="test_fused.py, and angler validate runs the study")
 def test_says_what_it_found(parity):
     names = [f"kind {i}" for i in range(5)]
-    text = engine_parity.report(parity, names)
+    text = engine_parity.format_report(parity, names)
     assert "128 robots" in text
     assert all(name in text for name in names)
 

@@ -9,7 +9,7 @@ import pytest
 from angler_experiments.benchmarks import fleets
 from angler_mjx.errors import ConfigError
 from angler_mjx.shipped import list_shipped
-from angler_mjx.studies.benchmark import questions
+from angler_mjx.studies.benchmark import problem_settings
 from angler_mjx.studies.benchmark.columns import RUN_SCHEMA
 
 PLANNERS = [
@@ -77,26 +77,26 @@ def parts(tmp_path):
 
 
 def test_arrivals_are_those_counted_by_hand(parts):
-    study = fleets.read(parts)
-    lines = fleets.by_team(study, "observed")
+    study = fleets.read_study(parts)
+    lines = fleets.format_by_team(study, "observed")
     # Of teams 1 of 4, and of robots 4 of 8; of four robots 1 of 2 teams, who has no room aside.
     assert "| grid | 25 (50) | 50 (50) |" in lines
     assert "| grid, 1 Hz | 75 (88) | - |" in lines
     assert "| mppi | 100 (100) | - |" in lines
-    assert "**reef, 2 robots**" in (known := fleets.by_level(study))
+    assert "**reef, 2 robots**" in (known := fleets.format_by_level(study))
     assert "**reef, 4 robots**" not in known
     assert "| mppi | 0 (0) | 100 (100) | - | - |" in known
     assert "| grid, 1 Hz | - | 75 (88) | - | - |" in known
 
 
 def test_failed_replans_are_a_robots_mean_and_of_those_alone_that_plan_anew(parts):
-    lines = fleets.replans(fleets.read(parts))
+    lines = fleets.format_replans(fleets.read_study(parts))
     # 0 + 3 + 6 + 9 of 8 robots
     assert lines[3:] == ["| reef, grid, 1 Hz | `observed` | 2.2 | - |"]
 
 
 def test_planning_anew_is_compared_with_the_same_planner_on_the_same_problems(parts):
-    lines = fleets.pairs(fleets.read(parts))
+    lines = fleets.format_pairs(fleets.read_study(parts))
     assert len(lines) == 4
     assert lines[3].startswith("| anew | 4 | +50.0 (")
 
@@ -106,7 +106,7 @@ def test_folders_may_be_named_in_any_order(tmp_path):
     rows = [{**one, "energy_j": 100.0 + one["world"], "makespan_s": 50.0} for one in ROWS]
     small, large = ([one for one in rows if one["robots"] == n] for n in (2, 4))
     parts = [folder(tmp_path / "b", large, [4]), folder(tmp_path / "a", small, [2])]
-    there, back = (fleets.pairs(fleets.read(some)) for some in (parts, parts[::-1]))
+    there, back = (fleets.format_pairs(fleets.read_study(some)) for some in (parts, parts[::-1]))
     assert there == back
     assert len(there) == 4
 
@@ -128,7 +128,7 @@ def test_what_is_still_to_be_flown_has_not_failed(tmp_path, capsys):
 
 def test_a_run_that_is_there_twice_is_not_counted_twice(parts):
     with pytest.raises(ConfigError, match="planner 'grid', reef, 2 robots, world 0 is there twice"):
-        fleets.read([*parts, parts[0]])
+        fleets.read_study([*parts, parts[0]])
 
 
 def test_tables_and_figures_come_of_one_command(parts, tmp_path, capsys):
@@ -145,13 +145,13 @@ def study_file():
 
 
 def test_the_studys_file_asks_what_its_page_says():
-    made = questions.read(study_file())
-    asked = [(s, one) for s in made.settings for one in made.asked(s)]
+    made = problem_settings.read_benchmark(study_file())
+    asked = [(s, one) for s in made.settings for one in made.select_planners(s)]
     assert {s.preset for s, _ in asked} == {"open", "reef", "dense", "corridor"}
     assert {s.robots for s, _ in asked} == {1, 4, 16, 64}
     assert all(one.spec is None or one.spec.reference.on_device for _, one in asked)
     levels = {
-        (s.robots, one.name, s.knows.obstacles)
+        (s.robots, one.name, s.information.obstacles)
         for s, one in asked
         if s.preset == "dense" and not one.online
     }

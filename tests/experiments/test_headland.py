@@ -14,7 +14,7 @@ from angler_mjx.world.generate import generate_batch
 
 @pytest.mark.parametrize("name", ["tidal_headland", "headland_survey"])
 def test_scenarios_find_room_off_the_headland(name, tmp_path):
-    headland.write(tmp_path / "headland.nc")
+    headland.write_dataset(tmp_path / "headland.nc")
     beside = Path(angler_experiments.ocean.__file__).parent / f"{name}.toml"
     scenario = load_scenario(Path(shutil.copy(beside, tmp_path)))
     worlds = generate_batch(scenario.world, np.full(2, 0.4), 1, 0, 4)

@@ -6,8 +6,8 @@ import pytest
 
 from angler_experiments import spotcheck_result
 from angler_mjx.errors import ConfigError
-from angler_mjx.testing.validation.host import describe
-from angler_mjx.testing.validation.results import TermResult, read
+from angler_mjx.testing.validation.host import describe_host
+from angler_mjx.testing.validation.results import TermResult, read_model
 
 ROWS = """\
 level,robots,against,world,robot,outcome,other_outcome,track_rms_m,path_rms_m,endpoint_m
@@ -20,7 +20,7 @@ guided,2,recorded,8,0,reached,reached,0.2,0.1,0.1
 @pytest.fixture
 def folder(tmp_path):
     table = {
-        "provenance": {**describe(), "command": "angler spotcheck"},
+        "provenance": {**describe_host(), "command": "angler spotcheck"},
         "asked": {"run": "runs/reef", "ardusub": "4.6"},
     }
     (tmp_path / "spotcheck.json").write_text(json.dumps(table))
@@ -31,7 +31,7 @@ def folder(tmp_path):
 def test_numbers_and_table(folder):
     out = folder / "result.json"
     spotcheck_result.main(folder, out)
-    result = read(TermResult, out)
+    result = read_model(TermResult, out)
     assert (
         "| thrusters | recorded | 1 of 2 | 0.020, 0.03 | 0.010, 0.01 | 0.020, 0.02 |" in result.text
     )

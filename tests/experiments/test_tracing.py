@@ -72,7 +72,7 @@ def moved(flight, name, at, by):
 
 
 def only(a, b):
-    (found,) = tracing.trace(a, b, DT_S, PHYSICS_STEPS)
+    (found,) = tracing.trace_differences(a, b, DT_S, PHYSICS_STEPS)
     assert (found.world, found.robot) == MINE
     return found
 
@@ -83,7 +83,7 @@ AFTER = (MINE[0], slice(100, None))
 
 def test_flights_that_end_alike_are_not_traced(flight):
     other = moved(flight, "p", (*AFTER, 0), 0.5)
-    assert tracing.trace(flight, other, DT_S, PHYSICS_STEPS) == []
+    assert tracing.trace_differences(flight, other, DT_S, PHYSICS_STEPS) == []
 
 
 def test_a_tie_of_the_planner(flight):
@@ -151,18 +151,18 @@ def test_what_comes_after_the_first_end_is_no_cause(flight):
 
 
 def test_a_flight_goes_through_a_file(flight, tmp_path):
-    flights.save(flight, tmp_path / "flight.npz")
-    again = flights.load(tmp_path / "flight.npz")
+    flights.save_flight(flight, tmp_path / "flight.npz")
+    again = flights.load_flight(tmp_path / "flight.npz")
     for field in fields(flight):
         np.testing.assert_array_equal(getattr(again, field.name), getattr(flight, field.name))
 
 
 def test_the_page_counts_and_lists_them(flight):
     other = ended(moved(flight, "p", (*AFTER, 0), 0.1), *HIT)
-    traces = tracing.trace(flight, other, DT_S, PHYSICS_STEPS)
+    traces = tracing.trace_differences(flight, other, DT_S, PHYSICS_STEPS)
     text = devices_parity.to_markdown(flight, other, traces, ("cpu", "gpu"))
     assert "of 4 robots 1 have another outcome" in text
     assert "arrivals 4 and 3" in text
     assert "| 1, 0 | reached, 9.00 s | collision_dynamic, 8.00 s | its own motion | 5.00 |" in text
-    assert devices_parity.numbers(flight, other, traces)["other_end"].value == 1.0
+    assert devices_parity.result_numbers(flight, other, traces)["other_end"].value == 1.0
     assert "What differed first" not in devices_parity.to_markdown(flight, flight, [], ("a", "b"))

@@ -61,7 +61,7 @@ def _autopilot(folder):
     program.chmod(0o755)
     found = binaries.Binary(path=program, version="stand-in", sha256="")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(binaries, "find", lambda _: found)
+        patch.setattr(binaries, "find_binary", lambda _: found)
         yield
 
 

@@ -169,8 +169,8 @@ def _randomise(rng: random.Random, scenario: dict[str, Any]) -> dict[str, Any]:
 def _fleet(rng: random.Random, *, rock: bool) -> tuple[list[dict[str, Any]], dict[str, str]]:
     entries, vehicles, rotor = [], {}, rng.choice(["first_order", "first_order", "third_order"])
     for i in range(rng.choice([1, 1, 2, 2, 3])):
-        name = rng.choice(library.available())
-        config = library.load(name)
+        name = rng.choice(library.list_vehicles())
+        config = library.load_vehicle(name)
         sets = list(config.parameter_sets)
         entry: dict[str, Any] = {
             "vehicle": name,
@@ -183,7 +183,7 @@ def _fleet(rng: random.Random, *, rock: bool) -> tuple[list[dict[str, Any]], dic
         if rng.random() < 0.4:
             entry["vehicle"] = f"ballast-{i}.toml"
             vehicles[entry["vehicle"]] = ballast(
-                rng, library.locate(name).read_text(encoding="utf-8")
+                rng, library.locate_vehicle(name).read_text(encoding="utf-8")
             )
         if rng.random() < 0.4:
             layout = [thruster.name for thruster in config.thrusters.layout]

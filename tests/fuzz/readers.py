@@ -10,20 +10,20 @@ from pathlib import Path
 from typing import Any
 
 from angler_mjx.errors import AnglerError
-from angler_mjx.files import FaultyError, check, parse
+from angler_mjx.files import FaultyError, parse_model, validate_model
 from angler_mjx.report.interop import joint_trajectory_file
 from angler_mjx.robot.vehicles import library, mjcf
 from angler_mjx.robot.vehicles.thrusters import tables_at
 from angler_mjx.scenario.fleet_entry import FleetEntry
-from angler_mjx.scenario.scenario import Scenario, load_scenario, shipped
-from angler_mjx.studies.benchmark import questions
+from angler_mjx.scenario.scenario import Scenario, load_scenario, shipped_scenarios
+from angler_mjx.studies.benchmark import problem_settings
 from angler_mjx.studies.speed import compare, rows
-from angler_mjx.studies.speed.chart import table
+from angler_mjx.studies.speed.chart import format_table
 from angler_mjx.teleop import script
-from angler_mjx.teleop.terminal import keys_of
+from angler_mjx.teleop.terminal import parse_keys
 from angler_sitl.firmware import parameters
 from angler_sitl.wire import ground_station, packets
-from angler_sitl.wire.link import Link, dialect
+from angler_sitl.wire.link import MavlinkLink, dialect
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT / "angler_mjx" / "robot" / "vehicles" / "data"
@@ -71,7 +71,7 @@ close_after = 2
 set.engine = "fused"
 set.fleet = [{ vehicle = "bluerov2", count = 2 }]
 
-[[knows]]
+[[information]]
 obstacles = "nothing"
 
 [[scene]]
@@ -86,7 +86,7 @@ settings = { start_hold_s = 10.0 }
 [[planner]]
 name = "grid"
 label = "other"
-knows = { obstacles = "nothing", current = "nothing" }
+information = { obstacles = "nothing", current = "nothing" }
 """
 PARAMETERS = b"# tuned\nPSC_POSXY_P,1.25\nATC_RAT_YAW_P 0.18 # for people\nSERVO1_TRIM,1500\n"
 KEYS = b"# drive\n0.5 i\n1-3.5 u\n4 <tab>\n4.5 <space>\n5 Q\n"
@@ -119,22 +119,22 @@ PULSES = range(1500, 1532)
 def _scenario(path):
     loaded = load_scenario(path)
     loaded.members()
-    again = parse(Scenario, json.loads(loaded.model_dump_json()), source="again")
+    again = parse_model(Scenario, json.loads(loaded.model_dump_json()), source="again")
     assert again == loaded
 
 
 def _benchmark(path):
-    found = questions.read(path)
+    found = problem_settings.read_benchmark(path)
     resolved = json.loads(json.dumps(found.resolved()))
-    again = questions.again(path.parent, resolved, {})
+    again = problem_settings.rebuild_benchmark(path.parent, resolved, {})
     assert [str(one) for one in again.settings] == [str(one) for one in found.settings]
     assert again.resolved()["problems"] == resolved["problems"]
 
 
 def _vehicle(path):
-    config = library.load(str(path))
+    config = library.load_vehicle(str(path))
     try:
-        check(FleetEntry, {"vehicle": str(path)})
+        validate_model(FleetEntry, {"vehicle": str(path)})
     except FaultyError:
         return
     for name in config.parameter_sets:
@@ -150,20 +150,20 @@ def _thruster(path):
 
 
 def _trajectory(path):
-    goals = joint_trajectory_file.read(path, robots=2)
-    joint_trajectory_file.write(path.with_suffix(".again"), goals, force=True)
-    assert joint_trajectory_file.read(path.with_suffix(".again")) == goals
+    goals = joint_trajectory_file.read_trajectories(path, robots=2)
+    joint_trajectory_file.write_trajectories(path.with_suffix(".again"), goals, force=True)
+    assert joint_trajectory_file.read_trajectories(path.with_suffix(".again")) == goals
 
 
 def _keys(path):
-    timed = script.load(path)
-    script.save(path.with_suffix(".again"), timed[:1000])
-    keys_of(path.read_bytes().decode("utf-8", "replace"))
+    timed = script.load_keys(path)
+    script.save_keys(path.with_suffix(".again"), timed[:1000])
+    parse_keys(path.read_bytes().decode("utf-8", "replace"))
 
 
 def _rows(path):
-    if compare.latest(rows.read(path)):
-        table(path)
+    if compare.select_latest(rows.read_rows(path)):
+        format_table(path)
 
 
 class _Datagram:
@@ -185,10 +185,10 @@ class _Datagram:
 
 
 def _mavlink(path):
-    link = Link(_Datagram(path.read_bytes()), name="robot_0", sysid=1)
+    link = MavlinkLink(_Datagram(path.read_bytes()), name="robot_0", sysid=1)
     link.tick(0.0)
     link.tick(2.0)
-    assert link.last_words().isprintable() or "\n" not in link.last_words(100)
+    assert link.format_last_texts().isprintable() or "\n" not in link.format_last_texts(100)
 
 
 def _servo(path):
@@ -198,7 +198,7 @@ def _servo(path):
 
 
 def _address(path):
-    ground_station.parse(path.read_bytes().decode("utf-8", "replace"))
+    ground_station.parse_address(path.read_bytes().decode("utf-8", "replace"))
 
 
 def _mavlink_inputs():
@@ -232,12 +232,16 @@ def _files(folder, end=".toml"):
 READERS = {
     reader.name: reader
     for reader in (
-        Reader("scenario", (*(p.read_bytes() for p in shipped().values()), GAINS), _scenario),
+        Reader(
+            "scenario", (*(p.read_bytes() for p in shipped_scenarios().values()), GAINS), _scenario
+        ),
         Reader("benchmark", (BENCHMARK,), _benchmark),
         Reader("vehicle", _files(DATA), _vehicle),
         Reader("thruster", _files(DATA / "thrusters"), _thruster),
         Reader("trajectory", (TRAJECTORY,), _trajectory, ".json"),
-        Reader("parameters", (PARAMETERS,), lambda path: parameters.read(path), ".param"),
+        Reader(
+            "parameters", (PARAMETERS,), lambda path: parameters.read_parameters(path), ".param"
+        ),
         Reader("keys", (KEYS,), _keys, ".keys"),
         Reader(
             "rows",

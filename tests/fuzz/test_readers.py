@@ -53,7 +53,7 @@ WIRE = {
     for name in (
         "worker",
         "workers",
-        "processes/queued",
+        "processes/queued_pool",
         "processes/runner",
         "cluster/ray_workers",
         "cluster/runner",

@@ -6,7 +6,7 @@ import jax
 import numpy as np
 import pytest
 
-from angler_kernels.bit_grid import pack, unpack
+from angler_kernels.bit_grid import pack_grid, unpack_grid
 from angler_kernels.caverns import largest_cavern
 
 SHAPE = (9, 8, 7)
@@ -14,8 +14,8 @@ SHAPE = (9, 8, 7)
 
 def largest(free):
     """Largest caverns of boolean grids [nx, ny, nz, ...]."""
-    find = jax.jit(lambda free: largest_cavern(pack(free), free.shape[2]))
-    return np.asarray(unpack(find(free), free.shape[2]))
+    find = jax.jit(lambda free: largest_cavern(pack_grid(free), free.shape[2]))
+    return np.asarray(unpack_grid(find(free), free.shape[2]))
 
 
 def labels_by_search(free):

@@ -4,8 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from angler_kernels.bit_grid import pack, unpack
-from angler_kernels.cellular_automaton import block_count, step
+from angler_kernels.bit_grid import pack_grid, unpack_grid
+from angler_kernels.cellular_automaton import apply_rule, block_count
 
 from ..angler_mjx.compiling import quickly
 
@@ -29,8 +29,8 @@ def walls():
 
 
 def test_count_is_that_of_the_surrounding_block(walls):
-    digits = quickly(lambda wall: block_count(pack(wall), SHAPE[2]))(walls)
-    count = sum(np.asarray(unpack(d, SHAPE[2])) << i for i, d in enumerate(digits))
+    digits = quickly(lambda wall: block_count(pack_grid(wall), SHAPE[2]))(walls)
+    count = sum(np.asarray(unpack_grid(d, SHAPE[2])) << i for i, d in enumerate(digits))
     np.testing.assert_array_equal(count - walls, count_by_hand(walls))
     # A block without a wall and a full one are both among the cases.
     assert set(np.unique(count)) >= {0, 27}
@@ -38,15 +38,17 @@ def test_count_is_that_of_the_surrounding_block(walls):
 
 @pytest.mark.parametrize(("die_below", "born_above"), [(2, 12), (6, 8), (0, 26), (27, -1)])
 def test_rule_is_applied_to_all_cells_at_once(walls, die_below, born_above):
-    after = quickly(lambda wall: step(pack(wall), die_below, born_above, SHAPE[2]))(walls)
+    after = quickly(lambda wall: apply_rule(pack_grid(wall), die_below, born_above, SHAPE[2]))(
+        walls
+    )
     count = count_by_hand(walls)
     expected = np.where(walls, ~(count < die_below), count > born_above)
-    np.testing.assert_array_equal(unpack(after, SHAPE[2]), expected)
+    np.testing.assert_array_equal(unpack_grid(after, SHAPE[2]), expected)
     # Nothing is born above the grid's upper face, in the unused bits of the last word.
-    np.testing.assert_array_equal(after, pack(jnp.asarray(expected)))
+    np.testing.assert_array_equal(after, pack_grid(jnp.asarray(expected)))
 
 
 def test_outside_counts_as_free():
-    digits = block_count(pack(jnp.ones((3, 3, 3), bool)), 3)
-    count = sum(np.asarray(unpack(d, 3)) << i for i, d in enumerate(digits))
+    digits = block_count(pack_grid(jnp.ones((3, 3, 3), bool)), 3)
+    count = sum(np.asarray(unpack_grid(d, 3)) << i for i, d in enumerate(digits))
     assert count[0, 0, 0] == 8

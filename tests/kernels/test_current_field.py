@@ -22,7 +22,7 @@ def _double():
 
 
 def vortices(p):
-    return current_field.lamb_oseen(
+    return current_field.lamb_oseen_vortices(
         p, jnp.asarray(CENTRE), jnp.asarray(CIRCULATION), jnp.asarray(CORE)
     )
 

@@ -20,20 +20,20 @@ SIZES = (5, 7, 11, 13, 17, 19)
 ARRAYS = ("jax.Array", "jax.Array | float")
 NOT_SAID = {
     # Of any number of axes.
-    "bit_grid.pack",
-    "bit_grid.population",
+    "bit_grid.pack_grid",
+    "bit_grid.count_cells",
     "current_field.lamb_oseen_circulation",
     "rigid_body.advance_velocity",
-    "table.take",
+    "table.take_row",
     "thruster.rotor_filter",
     "thruster.rotor_lag",
     # They give a tree, `Field`, whose fields say their shapes.
     "current_field.depth_profile",
     "current_field.double_gyre",
-    "current_field.lamb_oseen",
-    "current_field.rankine",
+    "current_field.lamb_oseen_vortices",
+    "current_field.rankine_vortices",
     "current_field.smooth_knots",
-    "current_field.tide",
+    "current_field.tidal_current",
 }
 """The only ones whose shapes are not read. A new kernel says its own."""
 

@@ -19,7 +19,7 @@ def _double():
 
 
 def vortices(p, t):
-    return current_field.rankine(p, *map(jnp.asarray, (CENTRE, CIRCULATION, CORE)))
+    return current_field.rankine_vortices(p, *map(jnp.asarray, (CENTRE, CIRCULATION, CORE)))
 
 
 def gyre(p, t, epsilon=0.3):
@@ -62,7 +62,7 @@ def test_circulation_around_a_circle_is_that_of_the_core_within(radius, share):
 def test_jacobian_jumps_at_the_rim_and_the_velocity_does_not():
     one = [jnp.asarray(x[:1]) for x in (CENTRE, CIRCULATION, CORE)]
     near = [jnp.array([0.5 + r, -1.0, 0.0]) for r in (1 - 1e-9, 1 + 1e-9)]
-    (v, _, J), (w, _, K) = (current_field.rankine(p, *one) for p in near)
+    (v, _, J), (w, _, K) = (current_field.rankine_vortices(p, *one) for p in near)
     np.testing.assert_allclose(v, w, atol=1e-8)
     assert float(v[1]) == pytest.approx(CIRCULATION[0] / (2 * np.pi), rel=1e-8)
     # dv_theta/dr: Gamma / (2 pi a^2) within, its negative outside.

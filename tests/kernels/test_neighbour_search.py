@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from angler_kernels.neighbour_search import nearest
+from angler_kernels.neighbour_search import find_nearest
 
 from ..angler_mjx.compiling import quickly
 
@@ -27,7 +27,7 @@ def ball_gap(one, other):
 
 
 def one_world(centre, sphere, place, r, within):
-    return nearest(centre, sphere, (place, r), ball_gap, within)
+    return find_nearest(centre, sphere, (place, r), ball_gap, within)
 
 
 worlds = jax.vmap(one_world, (0, 0, 0, 0, None))

@@ -45,7 +45,7 @@ def test_rotation_of_vectors(deviation):
     deviation.close("quaternion.rotation", there, scipy(q).apply(v), **NEAR)
     np.testing.assert_allclose(jax.vmap(quaternion.rotate_inverse)(q, there), v, **NEAR)
     np.testing.assert_allclose(jax.vmap(quaternion.to_matrix)(q), scipy(q).as_matrix(), **NEAR)
-    np.testing.assert_allclose(jax.vmap(quaternion.up)(q), scipy(q).as_matrix()[:, 2], **NEAR)
+    np.testing.assert_allclose(jax.vmap(quaternion.world_up)(q), scipy(q).as_matrix()[:, 2], **NEAR)
 
 
 def test_exponential_from_nothing_to_a_whole_turn(deviation):

@@ -48,4 +48,4 @@ def test_nothing_is_below_nan():
 def test_takes_rows_of_any_shape():
     rows = np.random.default_rng(0).normal(size=(7, 2, 3)).astype(np.float32)
     for i in range(7):
-        np.testing.assert_array_equal(table.take(jnp.asarray(rows), jnp.int32(i)), rows[i])
+        np.testing.assert_array_equal(table.take_row(jnp.asarray(rows), jnp.int32(i)), rows[i])

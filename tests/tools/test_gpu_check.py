@@ -11,13 +11,13 @@ import pytest
 
 from angler_mjx.planning.register import DEVICE
 from angler_mjx.scenario.policy_tables import PolicyConfig
-from angler_mjx.scenario.scenario import shipped
+from angler_mjx.scenario.scenario import shipped_scenarios
 from angler_mjx.sim.engines.base import by_name
 from angler_mjx.studies.speed.workloads import WORKLOADS, Engine, Kernels
 from tools.gpu_check import __main__ as command
 from tools.gpu_check import work, workloads
-from tools.gpu_check.checks import CHECKS, RATES, names
-from tools.gpu_check.comparing import ErrorBound, differences
+from tools.gpu_check.checks import CHECKS, RATES, list_checks
+from tools.gpu_check.comparing import ErrorBound, compare_arrays
 from tools.gpu_check.running import CheckOutcome, judge_tests
 
 ROOT = Path(__file__).parents[2]
@@ -66,7 +66,7 @@ def test_every_kernel_is_checked():
         ("planner", set(DEVICE)),
         ("replanning", set(DEVICE)),
         ("policy", set(get_args(PolicyConfig.model_fields["name"].annotation))),
-        ("scenario", set(shipped())),
+        ("scenario", set(shipped_scenarios())),
         ("workload", set(WORKLOADS)),
     ],
 )
@@ -75,29 +75,30 @@ def test_every_name_is_checked(kind, every):
 
 
 def test_every_rate_is_measured_once_and_last():
-    assert sorted(names()[-len(RATES) :]) == sorted(f"rate/{name}" for name in WORKLOADS)
-    assert len(set(names())) == len(names())
+    assert sorted(list_checks()[-len(RATES) :]) == sorted(f"rate/{name}" for name in WORKLOADS)
+    assert len(set(list_checks())) == len(list_checks())
 
 
 def test_arrays_are_compared_within_their_bounds():
     ours = {"p": np.array([[0.0, 1.0], [np.nan, 2.0], [3.0, 3.0]]), "n": np.array([1, 2, 3])}
-    assert differences(ours, ours, {}) == ([], [])
+    assert compare_arrays(ours, ours, {}) == ([], [])
     moved = {**ours, "p": ours["p"] + np.array([[0.0, 0.0], [0.0, 0.0], [0.0, 0.5]])}
-    (fault,), notes = differences(moved, ours, {})
+    (fault,), notes = compare_arrays(moved, ours, {})
     assert "p: 0.6667 of 3 rows within 0, 1 must be; first at (2,)" in fault
     assert not notes
-    assert differences(moved, ours, {"p": ErrorBound(atol=0.6)}) == ([], [])
-    faults, (note,) = differences(moved, ours, {"p": ErrorBound(fraction=0.6)})
+    assert compare_arrays(moved, ours, {"p": ErrorBound(atol=0.6)}) == ([], [])
+    faults, (note,) = compare_arrays(moved, ours, {"p": ErrorBound(fraction=0.6)})
     assert not faults
     assert "largest difference 0.5" in note
-    assert differences(moved, ours, {"p": ErrorBound(fraction=0.7)})[0]
+    assert compare_arrays(moved, ours, {"p": ErrorBound(fraction=0.7)})[0]
     infinite = {**ours, "p": np.where(np.isnan(ours["p"]), 0.0, ours["p"])}
-    assert differences(infinite, ours, {"p": ErrorBound(atol=1e9)})[0]
+    assert compare_arrays(infinite, ours, {"p": ErrorBound(atol=1e9)})[0]
     assert (
-        "shape (2,), on the CPU (3,)" in differences({**ours, "n": ours["n"][:2]}, ours, {})[0][0]
+        "shape (2,), on the CPU (3,)"
+        in compare_arrays({**ours, "n": ours["n"][:2]}, ours, {})[0][0]
     )
-    assert "arrays differ: ['n']" in differences({"p": ours["p"]}, ours, {})[0][0]
-    assert differences({"p": np.zeros(0)}, {"p": np.zeros(0)}, {})[0]
+    assert "arrays differ: ['n']" in compare_arrays({"p": ours["p"]}, ours, {})[0][0]
+    assert compare_arrays({"p": np.zeros(0)}, {"p": np.zeros(0)}, {})[0]
 
 
 def test_rows_are_compared_only_where_another_array_agrees():
@@ -110,11 +111,11 @@ def test_rows_are_compared_only_where_another_array_agrees():
         "plan_m": ErrorBound(fraction=0.5, axes=2),
         "early_m": ErrorBound(atol=0.1, axes=2, equal="plan_m"),
     }
-    faults, (note,) = differences(moved, cpu, bounds)
+    faults, (note,) = compare_arrays(moved, cpu, bounds)
     assert not faults
     assert note.startswith("plan_m: 0.6667 of 3 rows")
     moved["early_m"][0, 1] = 1.0
-    (fault,), _ = differences(moved, cpu, bounds)
+    (fault,), _ = compare_arrays(moved, cpu, bounds)
     assert fault.startswith("early_m: 0.5000 of 2 rows within 0.1, 1 must be; first at (0,)")
 
 
@@ -122,7 +123,7 @@ def test_rows_are_compared_only_where_another_array_agrees():
 def test_durations_may_differ_by_a_fraction_of_the_cpus(ratio, faults):
     cpu = {"plan_s": np.array([[50.0, 0.0, np.inf]])}
     ours = {"plan_s": np.array([[50.0 * ratio, 0.0, np.inf]])}
-    assert len(differences(ours, cpu, {"plan_s": ErrorBound(rtol=0.02, axes=2)})[0]) == faults
+    assert len(compare_arrays(ours, cpu, {"plan_s": ErrorBound(rtol=0.02, axes=2)})[0]) == faults
 
 
 ROW = {"median": 89.0, "worlds": 4, "robots": 1, "unit": "steps/s"}
@@ -147,7 +148,7 @@ COMPILED = {**KNOWN, **SECONDS, "median": 18.1}
     ],
 )
 def test_a_rate_is_judged_by_the_stored_median(row, known, status):
-    judged, reason = workloads.judge(row, known)
+    judged, reason = workloads.judge_rate(row, known)
     assert judged == status
     rate = f"{row['median']:.1f} s" if row["unit"] == "s" else f"{row['median']:.3e} steps/s"
     assert reason.startswith(rate)
@@ -155,12 +156,12 @@ def test_a_rate_is_judged_by_the_stored_median(row, known, status):
 
 def test_medians_are_stored_by_card_beside_others(tmp_path):
     path = tmp_path / "medians.json"
-    assert workloads.stored("A", path) == {}
-    workloads.store("A", {"dynamics": KNOWN}, path)
-    workloads.store("B", {"dynamics": {**KNOWN, "median": 7.0}}, path)
-    workloads.store("A", {"mjx": KNOWN}, path)
-    assert set(workloads.stored("A", path)) == {"dynamics", "mjx"}
-    assert workloads.stored("B", path)["dynamics"]["median"] == 7.0
+    assert workloads.read_medians("A", path) == {}
+    workloads.write_medians("A", {"dynamics": KNOWN}, path)
+    workloads.write_medians("B", {"dynamics": {**KNOWN, "median": 7.0}}, path)
+    workloads.write_medians("A", {"mjx": KNOWN}, path)
+    assert set(workloads.read_medians("A", path)) == {"dynamics", "mjx"}
+    assert workloads.read_medians("B", path)["dynamics"]["median"] == 7.0
 
 
 ABOUT = {
@@ -175,7 +176,7 @@ ABOUT = {
 @pytest.fixture
 def on_cpu(tmp_path, monkeypatch):
     """Run chosen checks of a CPU whose description is known; their results file."""
-    monkeypatch.setattr(command, "_about", lambda machine: ABOUT)
+    monkeypatch.setattr(command, "_describe_device", lambda machine: ABOUT)
     results = tmp_path / "results.jsonl"
 
     def run(*only, **options):

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from tools.mutants import inside, relevance, report, stored, trying
-from tools.mutants.trees import Ran, StoppedError, Tree
+from tools.mutants import mutant_list, pytest_plugin, relevance, report, trials
+from tools.mutants.trees import PytestRun, StoppedError, WorkerTree
 
 CODE = '''
 """Ten is 10."""
@@ -67,24 +67,24 @@ def tree(tmp_path):
 
 
 def test_relevant_are_those_that_import_a_module_the_nearest_first(tree):
-    imports = relevance.Imports(tree)
+    imports = relevance.ImportGraph(tree)
     low, high, everything = (
         f"tests/{name}.py"
         for name in ("angler_mjx/rooms/test_low", "angler_mjx/rooms/test_high", "test_all")
     )
-    far = imports.distances("angler_mjx/rooms/low.py")
+    far = imports.measure_distances("angler_mjx/rooms/low.py")
     assert far == {low: 1, everything: 1, high: 2}
     seconds = {low: 9.0, high: 1.0, everything: 2.0}
     # At first hand before at second, and beside the module before elsewhere.
-    assert imports.ranked("angler_mjx/rooms/low.py", seconds) == [low, everything, high]
-    assert imports.ranked("angler_mjx/rooms/low.py", seconds, 1) == [low]
-    assert imports.ranked("angler_mjx/rooms/low.py", {high: 1.0}) == [high]
+    assert imports.rank_tests("angler_mjx/rooms/low.py", seconds) == [low, everything, high]
+    assert imports.rank_tests("angler_mjx/rooms/low.py", seconds, 1) == [low]
+    assert imports.rank_tests("angler_mjx/rooms/low.py", {high: 1.0}) == [high]
     # Through a helper beside the test.
-    assert imports.distances("angler_mjx/rooms/alone.py") == {
+    assert imports.measure_distances("angler_mjx/rooms/alone.py") == {
         "tests/angler_mjx/rooms/test_alone.py": 1
     }
     # What a conftest imports may not be used: farther than what the test names itself.
-    used = imports.distances("angler_mjx/rooms/used.py")
+    used = imports.measure_distances("angler_mjx/rooms/used.py")
     assert used.pop("tests/angler_mjx/rooms/test_used.py") == 1
     assert set(used.values()) == {2}
     assert len(used) == 3
@@ -136,17 +136,17 @@ class Played:
     def __init__(self, root, ends):
         self.root, self.ends, self.held = root, ends, []
 
-    def holding(self, file, code):
+    def replace_file(self, file, code):
         self.held.append(file)
         return contextlib.nullcontext()
 
-    def test(self, files, limit_s):
+    def run_tests(self, files, limit_s):
         return self.ends[tuple(files)]
 
 
-PASSED = Ran(code=0, seconds=1.0, failed="")
-FAILED = Ran(code=1, seconds=1.0, failed="tests/b.py::test_b")
-STOPPED = Ran(code=None, seconds=1.0, failed="")
+PASSED = PytestRun(code=0, seconds=1.0, failed="")
+FAILED = PytestRun(code=1, seconds=1.0, failed="tests/b.py::test_b")
+STOPPED = PytestRun(code=None, seconds=1.0, failed="")
 
 
 @pytest.mark.parametrize(
@@ -161,13 +161,13 @@ STOPPED = Ran(code=None, seconds=1.0, failed="")
 def test_files_are_run_nearest_first_until_one_fails(tree, ends, outcome, by, tried, left):
     one = Faulty("angler_mjx/rooms/low.py")
     seconds = {"a": 10.0, "b": 20.0, "c": 200.0}
-    result = trying.attempt(Played(tree, ends), one, list(seconds), seconds, 100.0)
+    result = trials.try_mutant(Played(tree, ends), one, list(seconds), seconds, 100.0)
     assert (result.outcome, result.by, result.tried, result.left) == (outcome, by, tried, left)
 
 
 def test_no_file_is_begun_when_the_time_is_up(tree):
     one = Faulty("angler_mjx/rooms/low.py")
-    result = trying.attempt(Played(tree, {}), one, ["a"], {"a": 1.0}, 0.0)
+    result = trials.try_mutant(Played(tree, {}), one, ["a"], {"a": 1.0}, 0.0)
     assert (result.outcome, result.left) == ("survived", 1)
 
 
@@ -181,11 +181,11 @@ class Faulty:
 
 def test_a_cut_line_is_no_result_and_the_next_stands_on_its_own(tmp_path):
     file = tmp_path / "results.jsonl"
-    book = trying.MutantLog(file)
+    book = trials.MutantLog(file)
     book.write({"mutant": "a"})
     file.write_bytes(file.read_bytes() + b'{"mutant": "b", "outc')
-    trying.MutantLog(file).write({"mutant": "c"})
-    assert [row["mutant"] for row in trying.read(file)] == ["a", "c"]
+    trials.MutantLog(file).write({"mutant": "c"})
+    assert [row["mutant"] for row in trials.read_rows(file)] == ["a", "c"]
 
 
 class Worker:
@@ -200,7 +200,7 @@ class Worker:
 
 def test_work_is_shared_and_an_error_ends_it():
     trees = [Worker(), Worker()]
-    trying.all_of(trees, range(20), lambda tree, one: tree.done.append(one))
+    trials.run_all(trees, range(20), lambda tree, one: tree.done.append(one))
     assert sorted(trees[0].done + trees[1].done) == list(range(20))
     assert not trees[0].stopped
 
@@ -210,13 +210,13 @@ def test_work_is_shared_and_an_error_ends_it():
         tree.done.append(one)
 
     with pytest.raises(ValueError, match="1"):
-        trying.all_of([one := Worker()], range(50), fail)
+        trials.run_all([one := Worker()], range(50), fail)
     assert one.stopped
 
 
 def test_the_share_is_that_of_wilson():
     # Wilson 1927 for 8 of 10: 0.490 to 0.943 (as in R's prop.test without correction).
-    p, low, high = report.share(8, 10)
+    p, low, high = report.caught_fraction(8, 10)
     assert (p, low, high) == pytest.approx((0.8, 0.4902, 0.9433), abs=1e-4)
 
 
@@ -245,7 +245,7 @@ def test_equivalent_mutants_do_not_count_and_survivors_are_shown(tmp_path):
             '''
         )
     )
-    text = report.report(["a/b", "a/c"], rows, 2, report.equivalents(file))
+    text = report.format_report(["a/b", "a/c"], rows, 2, report.read_equivalents(file))
     assert "| a/b | 4 | 1 | 1 | 1 | 1 | 66.7 %" in text.replace("%", " %")
     assert "| a/c | 0 | 0 | 0 | 0 | 0 |  |" in text
     assert "a/b/z.py:1" in text
@@ -287,7 +287,7 @@ def test_a_stored_mutant_is_what_patch_makes_of_its_diff(tree, tmp_path):
     """Lines were put above it, and one of its context was edited, since it was stored."""
     path = tree / LOW
     path.write_text("SIZE = 2\n\n" + path.read_text().replace("if a < b:", "if b > a:"))
-    loaded = stored.load(tree, stored_list(tmp_path, ZIP, SUM))
+    loaded = mutant_list.load_list(tree, stored_list(tmp_path, ZIP, SUM))
     assert [one.line for one in loaded.mutants] == [25, 26]
     assert loaded.rooms == ("angler_mjx/rooms",)
     assert not loaded.gone
@@ -316,7 +316,7 @@ def test_a_row_is_gone_when_its_lines_do_not_stand_once(tree, tmp_path, old, new
     path.write_text(
         "\n" + text.replace("strict=True", "strict=False").replace("return jnp", "return  jnp")
     )
-    loaded = stored.load(tree, stored_list(tmp_path, SUM))
+    loaded = mutant_list.load_list(tree, stored_list(tmp_path, SUM))
     assert loaded.gone == [f"{LOW}:1"]
     assert not loaded.mutants
 
@@ -325,12 +325,14 @@ def test_a_row_whose_lines_stand_twice_is_that_of_the_line_that_was_stored(tree,
     path = tree / LOW
     text = path.read_text()
     path.write_text(text + text[text.index("def least") :])
-    assert [one.line for one in stored.load(tree, stored_list(tmp_path, SUM)).mutants] == [24]
+    assert [
+        one.line for one in mutant_list.load_list(tree, stored_list(tmp_path, SUM)).mutants
+    ] == [24]
 
 
 def test_a_row_of_a_removed_file_is_gone_and_in_no_count(tree, tmp_path):
-    loaded = stored.load(tree, stored_list(tmp_path, SUM, file="angler_mjx/rooms/old.py"))
-    text = report.report(loaded.rooms, [], len(loaded.mutants), {}, loaded.gone)
+    loaded = mutant_list.load_list(tree, stored_list(tmp_path, SUM, file="angler_mjx/rooms/old.py"))
+    text = report.format_report(loaded.rooms, [], len(loaded.mutants), {}, loaded.gone)
     assert "1 of the list gone, in no count: angler_mjx/rooms/old.py:1." in text
     assert "| all | 0 |" in text
     assert "not tried yet" not in text
@@ -348,13 +350,13 @@ def test_a_list_that_cannot_be_read_is_refused(tree, tmp_path, text, folders, sa
     path = stored_list(tmp_path, SUM)
     if text is not None:
         path.write_text(text)
-    with pytest.raises(stored.ListError, match=said):
-        stored.load(tree, path, folders)
+    with pytest.raises(mutant_list.ListError, match=said):
+        mutant_list.load_list(tree, path, folders)
 
 
 def test_the_stored_list_of_the_project_is_read_with_its_ten_rooms():
     root = Path(__file__).parents[2]
-    loaded = stored.load(root, root / "tools/mutants/samples/ten_rooms.jsonl")
+    loaded = mutant_list.load_list(root, root / "tools/mutants/samples/ten_rooms.jsonl")
     assert len(loaded.rooms) == 10
     assert len(loaded.mutants) + len(loaded.gone) == 200
     assert len(loaded.gone) < 100
@@ -381,7 +383,7 @@ def test_a_copy_runs_its_own_code_and_is_put_back(tmp_path):
         "angler_mjx/__init__.py": "SIZE = 3\n",
         **{f"{folder}/empty.py": "" for folder in ("kernels", "sitl_bridge", "experiments")},
         "tools/mutants/__init__.py": "",
-        "tools/mutants/inside.py": Path(inside.__file__).read_text(),
+        "tools/mutants/pytest_plugin.py": Path(pytest_plugin.__file__).read_text(),
         "pyproject.toml": "[tool.pytest.ini_options]\naddopts = ['--import-mode=importlib']\n"
         "markers = ['gpu', 'sitl']\n",
         "tests/test_size.py": TEST_SIZE.format(core=core),
@@ -391,14 +393,14 @@ def test_a_copy_runs_its_own_code_and_is_put_back(tmp_path):
     for name, text in files.items():
         (root / name).parent.mkdir(parents=True, exist_ok=True)
         (root / name).write_text(text)
-    copy = Tree(root, tmp_path / "copy", tmp_path / "xla", [core])
-    assert copy.test(["tests/test_size.py"], 60.0).passed
-    with copy.holding("angler_mjx/__init__.py", "SIZE = 4\n"):
-        ran = copy.test(["tests/test_size.py"], 60.0)
+    copy = WorkerTree(root, tmp_path / "copy", tmp_path / "xla", [core])
+    assert copy.run_tests(["tests/test_size.py"], 60.0).has_passed
+    with copy.replace_file("angler_mjx/__init__.py", "SIZE = 4\n"):
+        ran = copy.run_tests(["tests/test_size.py"], 60.0)
         assert (ran.code, ran.failed) == (1, "tests/test_size.py::test_size")
-        assert copy.test(["tests/test_size.py"], 0.01).code is None
-    assert copy.test(["tests/test_size.py"], 60.0).passed
+        assert copy.run_tests(["tests/test_size.py"], 0.01).code is None
+    assert copy.run_tests(["tests/test_size.py"], 60.0).has_passed
     copy.stop()
     with pytest.raises(StoppedError):
-        copy.test(["tests/test_size.py"], 60.0)
+        copy.run_tests(["tests/test_size.py"], 60.0)
     assert (root / "angler_mjx/__init__.py").read_text() == "SIZE = 3\n"

@@ -13,9 +13,9 @@ from angler_mjx.cli import main as cli
 from tools.value_digests import __main__ as tool
 
 
-@pytest.mark.parametrize("name", sorted(tool.items()))
+@pytest.mark.parametrize("name", sorted(tool.list_items()))
 def test_every_line_begins_with_a_command_and_writes_into_out(name):
-    words = shlex.split(tool.items()[name])
+    words = shlex.split(tool.list_items()[name])
     names = ("COMMANDS", "GROUPS")
     assert words[0] in {key for table in names for key in getattr(cli, table, {})}
     assert words[-2:] == ["--out", "out"]
@@ -26,7 +26,7 @@ def _folder(path, values, text="a", seconds=1.0):
     group.create_array("p_m", data=np.asarray(values))
     rows = pa.table({"outcome": [text, None], "x": [1.0, 2.0], "planning_s": [seconds, seconds]})
     pq.write_table(rows, path / "run" / "rows.parquet")
-    return dict(tool.digests(path / "run"))
+    return dict(tool.iterate_digests(path / "run"))
 
 
 def test_equal_values_have_equal_digests_whatever_the_clock_said(tmp_path):
@@ -65,5 +65,7 @@ def test_what_differs_is_named(tmp_path, capsys, after, code, words):
     later, names = tmp_path / "after.json", tmp_path / "names.json"
     later.write_text(json.dumps(after))
     names.write_text(json.dumps({"w": "x"}))
-    assert tool.compare(tool.Compare(before=before, after=later, renamed=names)) == code
+    assert (
+        tool.compare_digests(tool.CompareOptions(before=before, after=later, renamed=names)) == code
+    )
     assert words in capsys.readouterr().out

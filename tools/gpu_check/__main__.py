@@ -16,7 +16,17 @@ import tyro
 from tools.gpu_check import checks, running, workloads
 from tools.gpu_check.running import CheckOutcome, Machine
 
-KEPT = ("worlds", "robots", "unit", "engine", "kernels", "median", "low", "high", *workloads.HOST)
+ROW_FIELDS = (
+    "worlds",
+    "robots",
+    "unit",
+    "engine",
+    "kernels",
+    "median",
+    "low",
+    "high",
+    *workloads.HOST,
+)
 """Fields of a row that are stored."""
 
 
@@ -53,107 +63,113 @@ def main(options: GpuCheckOptions) -> int:
     cache.mkdir(parents=True, exist_ok=True)
     deadline = time.monotonic() + 60.0 * options.minutes
     machine = Machine(device=options.device, cache=cache, deadline=deadline)
-    about = _about(machine)
+    about = _describe_device(machine)
     mark = [about["commit"], about["device"], options.device]
-    chosen = [n for n in checks.names() if not options.only or n.startswith(options.only)]
+    chosen = [n for n in checks.list_checks() if not options.only or n.startswith(options.only)]
     if not chosen:
         print(f"--only {' '.join(options.only)}: no check begins so", file=sys.stderr)
         return 2
     if options.fresh:
         options.results.unlink(missing_ok=True)
-    known = _read(options.results, mark)
+    outcomes = _read_outcomes(options.results, mark)
     done = {
         name: outcome
-        for name, outcome in known.items()
+        for name, outcome in outcomes.items()
         if outcome.status == "passed" or (outcome.status != "unfinished" and not options.again)
     }
     if options.list:
         for name in chosen:
-            print(name, known[name].status if name in known else "")
+            print(name, outcomes[name].status if name in outcomes else "")
         return 0
-    begun = time.monotonic()
+    start_s = time.monotonic()
 
     def report(outcome: CheckOutcome) -> None:
-        known[outcome.name] = outcome
+        outcomes[outcome.name] = outcome
         line = {**asdict(outcome), "mark": mark, "at_utc": datetime.now(UTC).isoformat()}
         options.results.parent.mkdir(parents=True, exist_ok=True)
         with options.results.open("a") as file:
             file.write(json.dumps(line) + "\n")
         print(
-            f"[{time.monotonic() - begun:5.0f} s] {outcome.status:10} {outcome.name} "
+            f"[{time.monotonic() - start_s:5.0f} s] {outcome.status:10} {outcome.name} "
             f"({outcome.seconds:.0f} s) {outcome.reason}",
             flush=True,
         )
 
-    left = [name for name in chosen if name not in done]
-    beside = [name for name in left if name not in checks.RATES]
-    running.run_side_by_side(machine, beside, options.jobs, report)
-    _rates(machine, [name for name in left if name in checks.RATES], about["device"], report)
+    remaining = [name for name in chosen if name not in done]
+    side_by_side = [name for name in remaining if name not in checks.RATES]
+    running.run_side_by_side(machine, side_by_side, options.jobs, report)
+    _run_rates(
+        machine, [name for name in remaining if name in checks.RATES], about["device"], report
+    )
     if options.store:
-        _store(known, about)
-    return _summary(chosen, known, about)
+        _store_medians(outcomes, about)
+    return _print_summary(chosen, outcomes, about)
 
 
-def _about(machine: Machine) -> dict[str, Any]:
+def _describe_device(machine: Machine) -> dict[str, Any]:
     """Describe the device, from a process of its own: this one holds no device memory."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder, "about.json")
-        if text := running.compute(machine, "about", machine.device, out):
+        if text := running.run_work(machine, "about", machine.device, out):
             raise SystemExit(f"device {machine.device!r} cannot be checked here:\n{text}")
         if not out.is_file():
             raise SystemExit("time was up before the device answered: give more --minutes")
-        found: dict[str, Any] = json.loads(out.read_text())
-    return found
+        description: dict[str, Any] = json.loads(out.read_text())
+    return description
 
 
-def _rates(
+def _run_rates(
     machine: Machine, names: list[str], device: str, report: Callable[[CheckOutcome], None]
 ) -> None:
-    medians = workloads.stored(device)
+    medians = workloads.read_medians(device)
     for name in names:
         if time.monotonic() >= machine.deadline:
             return
         report(running.run_rate(machine, name, medians.get(name.removeprefix("rate/"))))
 
 
-def _read(results: Path, mark: list[Any]) -> dict[str, CheckOutcome]:
+def _read_outcomes(results: Path, mark: list[Any]) -> dict[str, CheckOutcome]:
     """Return the last outcome of each check of this commit and device."""
-    known = {}
+    outcomes = {}
     lines = results.read_text().splitlines() if results.is_file() else []
     for line in lines:
-        found = json.loads(line)
-        if found.pop("mark") == mark:
-            found.pop("at_utc")
-            known[found["name"]] = CheckOutcome(**found)
-    return known
+        row = json.loads(line)
+        if row.pop("mark") == mark:
+            row.pop("at_utc")
+            outcomes[row["name"]] = CheckOutcome(**row)
+    return outcomes
 
 
-def _store(known: dict[str, CheckOutcome], about: dict[str, Any]) -> None:
-    origin = {
+def _store_medians(outcomes: dict[str, CheckOutcome], about: dict[str, Any]) -> None:
+    provenance = {
         "commit": about["commit"],
         "date": datetime.now(UTC).date().isoformat(),
         "driver": about["driver"],
         "jax": about["versions"]["jax"],
     }
     rows = {
-        name.removeprefix("rate/"): {key: outcome.row[key] for key in KEPT} | origin
-        for name, outcome in known.items()
+        name.removeprefix("rate/"): {key: outcome.row[key] for key in ROW_FIELDS} | provenance
+        for name, outcome in outcomes.items()
         if outcome.row
     }
-    workloads.store(about["device"], rows)
+    workloads.write_medians(about["device"], rows)
     print(f"{workloads.STORED}: {len(rows)} medians of {about['device']}")
 
 
-def _summary(chosen: list[str], known: dict[str, CheckOutcome], about: dict[str, Any]) -> int:
+def _print_summary(
+    chosen: list[str], outcomes: dict[str, CheckOutcome], about: dict[str, Any]
+) -> int:
     """Print what became of each check and of all; return the exit status."""
-    of = {name: known[name].status if name in known else "unfinished" for name in chosen}
+    statuses = {
+        name: outcomes[name].status if name in outcomes else "unfinished" for name in chosen
+    }
     print()
     for status in ("skipped", "unfinished", "slower", "failed"):
-        for name in (name for name in chosen if of[name] == status):
-            reason = known[name].reason if name in known else "not begun"
+        for name in (name for name in chosen if statuses[name] == status):
+            reason = outcomes[name].reason if name in outcomes else "not begun"
             print(f"{status:10} {name}: {(reason.splitlines() or [''])[-1]}")
     counts = {
-        status: sum(found == status for found in of.values())
+        status: sum(other_status == status for other_status in statuses.values())
         for status in ("passed", "failed", "slower", "skipped", "unfinished")
     }
     print(

@@ -30,42 +30,48 @@ class GpuCheck:
     """Packages without which the check is skipped."""
 
 
-WATER = "float32 rounds differently in each of 100 steps of numbers of order 10"
+ROUNDING_REASON = "float32 rounds differently in each of 100 steps of numbers of order 10"
 
 
-def _kernels() -> list[GpuCheck]:
-    free = ErrorBound(atol=2e-4, why=WATER)
-    found: list[tuple[str, Run, dict[str, ErrorBound]]] = [
-        ("angler_kernels.matching", kernels.matching, {}),
-        ("angler_mjx.world.tasks.pairs", kernels.pairs, {}),
-        ("angler_mjx.planning.path_search.search_kernel", kernels.reachable, {}),
-        ("angler_mjx.planning.current.search_kernel", kernels.costs_to_goal, {}),
-        ("angler_mjx.world.path_length_kernel", kernels.shortest_ways, {}),
-        ("angler_mjx.sim.engines.dynamics", kernels.dynamics, {"p": free, "q": free, "nu": free}),
+def _kernel_checks() -> list[GpuCheck]:
+    bound = ErrorBound(atol=2e-4, why=ROUNDING_REASON)
+    cases: list[tuple[str, Run, dict[str, ErrorBound]]] = [
+        ("angler_kernels.matching", kernels.run_matching, {}),
+        ("angler_mjx.world.tasks.pairs", kernels.run_pairs, {}),
+        ("angler_mjx.planning.path_search.search_kernel", kernels.run_reachable, {}),
+        ("angler_mjx.planning.current.search_kernel", kernels.run_costs_to_goal, {}),
+        ("angler_mjx.world.path_length_kernel", kernels.run_shortest_paths, {}),
+        (
+            "angler_mjx.sim.engines.dynamics",
+            kernels.run_dynamics,
+            {"p": bound, "q": bound, "nu": bound},
+        ),
     ]
     return [
-        GpuCheck(name=f"kernel/{of}", run=run, bounds=bounds, covers=frozenset({f"kernel:{of}"}))
-        for of, run, bounds in found
+        GpuCheck(
+            name=f"kernel/{module}", run=run, bounds=bounds, covers=frozenset({f"kernel:{module}"})
+        )
+        for module, run, bounds in cases
     ]
 
 
-FAST = {"record_hz": 1.0}
+RECORDING = {"record_hz": 1.0}
 
 
-def _flight(name: str, scenario: str, covers: set[str], **changes: Any) -> GpuCheck:
+def _flight_check(name: str, scenario: str, covers: set[str], **changes: Any) -> GpuCheck:
     """Fly a scenario on the fused engine, with its default kernels, unless changes say another."""
     return GpuCheck(
         name=f"flight/{name}",
-        run=partial(simulations.fly, scenario, **{"engine": "fused", **changes}),
+        run=partial(simulations.fly_worlds, scenario, **{"engine": "fused", **changes}),
         bounds=simulations.BOUNDS,
         covers=frozenset({f"scenario:{scenario}", *covers}),
     )
 
 
-def _flights() -> list[GpuCheck]:
+def _flight_checks() -> list[GpuCheck]:
     """Every engine, device planner, policy, allocation and shipped scenario."""
-    reef: dict[str, Any] = {"worlds": 16, "time": FAST}
-    brief: dict[str, Any] = {"worlds": 8, "time": {**FAST, "horizon_s": 40.0}}
+    reef: dict[str, Any] = {"worlds": 16, "time": RECORDING}
+    brief: dict[str, Any] = {"worlds": 8, "time": {**RECORDING, "horizon_s": 40.0}}
     triton = {
         "engine:fused/xla",
         "engine:fused/triton",
@@ -73,53 +79,59 @@ def _flights() -> list[GpuCheck]:
         "planner:grid",
         "kernel:angler_mjx.sim.engines.triton",
     }
-    anew: dict[str, Any] = {"replan_hz": 0.5, "knows": {"obstacles": "observed"}}
+    replanning: dict[str, Any] = {"replan_hz": 0.5, "information": {"obstacles": "observed"}}
     few = {"samples": 64}
     nearest = {"task": {"allocation": "nearest"}}
     return [
-        _flight("reef_fleet", "reef_fleet", triton, **reef),
-        _flight("reef_fleet-xla", "reef_fleet", {"engine:fused/xla"}, kernels="xla", **reef),
-        _flight("reef_fleet-mjx", "reef_fleet", {"engine:mjx/xla"}, engine="mjx", **reef),
+        _flight_check("reef_fleet", "reef_fleet", triton, **reef),
+        _flight_check("reef_fleet-xla", "reef_fleet", {"engine:fused/xla"}, kernels="xla", **reef),
+        _flight_check("reef_fleet-mjx", "reef_fleet", {"engine:mjx/xla"}, engine="mjx", **reef),
         # 7 of 128 worlds have plans of another duration, 2 of them among the first 16: a share of
         # 16 could not tell that from the bound.
-        _flight(
+        _flight_check(
             "priority",
             "reef_fleet",
             {"planner:priority"},
             planner={"name": "priority"},
             **{**reef, "worlds": 64},
         ),
-        _flight("current", "reef_fleet", {"planner:current"}, planner={"name": "current"}, **reef),
-        _flight(
+        _flight_check(
+            "current", "reef_fleet", {"planner:current"}, planner={"name": "current"}, **reef
+        ),
+        _flight_check(
             "mppi", "reef_fleet", {"policy:mppi"}, policy={"name": "mppi", "mppi": few}, **brief
         ),
-        _flight("routes", "reef_survey", {"policy:routes"}, **brief),
-        _flight("delivery", "corridor_delivery", set(), **brief),
-        _flight("delivery-mjx", "corridor_delivery", set(), engine="mjx", **brief, **nearest),
+        _flight_check("routes", "reef_survey", {"policy:routes"}, **brief),
+        _flight_check("delivery", "corridor_delivery", set(), **brief),
+        _flight_check("delivery-mjx", "corridor_delivery", set(), engine="mjx", **brief, **nearest),
         *(
-            _flight(
+            _flight_check(
                 f"replanning-{name}",
                 "reef_fleet",
                 {f"replanning:{name}"},
-                planner={"name": name, **anew},
+                planner={"name": name, **replanning},
                 **brief,
             )
             for name in ("grid", "priority", "current")
         ),
-        _flight("order", "reef_fleet", {"order:kept"}, execution={"order": "kept"}, **brief),
-        _flight("dense_dynamic", "dense_dynamic", set(), **brief),
-        _flight("heterogeneous", "heterogeneous", set(), **brief),
-        _flight("open_water_current", "open_water_current", set(), **brief),
-        _flight("sitl_hold", "sitl_hold", set(), worlds=2, time={**FAST, "horizon_s": 40.0}),
-        _flight("sitl_formation", "sitl_formation", set(), worlds=2, time={"horizon_s": 20.0}),
+        _flight_check("order", "reef_fleet", {"order:kept"}, execution={"order": "kept"}, **brief),
+        _flight_check("dense_dynamic", "dense_dynamic", set(), **brief),
+        _flight_check("heterogeneous", "heterogeneous", set(), **brief),
+        _flight_check("open_water_current", "open_water_current", set(), **brief),
+        _flight_check(
+            "sitl_hold", "sitl_hold", set(), worlds=2, time={**RECORDING, "horizon_s": 40.0}
+        ),
+        _flight_check(
+            "sitl_formation", "sitl_formation", set(), worlds=2, time={"horizon_s": 20.0}
+        ),
     ]
 
 
-def _workloads() -> list[GpuCheck]:
+def _workload_checks() -> list[GpuCheck]:
     return [
         GpuCheck(
             name=f"bench/{name}",
-            run=partial(workloads.end, name),
+            run=partial(workloads.run_to_end, name),
             covers=frozenset({f"workload:{name}"}),
             compared=False,
         )
@@ -128,7 +140,7 @@ def _workloads() -> list[GpuCheck]:
 
 
 CHECKS: dict[str, GpuCheck] = {
-    check.name: check for check in (*_flights(), *_workloads(), *_kernels())
+    check.name: check for check in (*_flight_checks(), *_workload_checks(), *_kernel_checks())
 }
 """Those that compile longest come first."""
 
@@ -138,6 +150,6 @@ RATES = [f"rate/{name}" for name in WORKLOADS]
 """Timed alone, after all others."""
 
 
-def names() -> list[str]:
+def list_checks() -> list[str]:
     """Return all names in the order of running."""
     return [TESTS, *CHECKS, *RATES]

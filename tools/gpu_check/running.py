@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from tools.gpu_check.checks import CHECKS, TESTS
-from tools.gpu_check.comparing import differences
+from tools.gpu_check.comparing import compare_arrays
 
 ROOT = Path(__file__).parents[2]
 REFERENCE_FLAGS = (
@@ -50,7 +50,9 @@ class Machine:
     deadline: float
     """Of `time.monotonic`: processes that still run then are ended."""
 
-    def start(self, module: Sequence[str], platform: str, log: Path) -> subprocess.Popen[bytes]:
+    def start_module(
+        self, module: Sequence[str], platform: str, log: Path
+    ) -> subprocess.Popen[bytes]:
         """Start a Python module on one platform, its output in a file."""
         with log.open("wb") as file:
             return subprocess.Popen(
@@ -64,10 +66,10 @@ class Machine:
 
     def _environment(self, platform: str) -> dict[str, str]:
         paths = [ROOT, *(ROOT / name for name in ("kernels", "sitl_bridge", "experiments"))]
-        known = [path for path in [os.environ.get("PYTHONPATH")] if path]
-        found = {
+        inherited = [path for path in [os.environ.get("PYTHONPATH")] if path]
+        environment = {
             **os.environ,
-            "PYTHONPATH": os.pathsep.join([*map(str, paths), *known]),
+            "PYTHONPATH": os.pathsep.join([*map(str, paths), *inherited]),
             "JAX_PLATFORMS": "cpu" if platform == "cpu" else "cuda",
             "XLA_PYTHON_CLIENT_PREALLOCATE": "false",
             "JAX_COMPILATION_CACHE_DIR": str(self.cache),
@@ -75,10 +77,10 @@ class Machine:
             "TF_CPP_MIN_LOG_LEVEL": "1",
         }
         if platform == "cpu":
-            found["XLA_FLAGS"] = REFERENCE_FLAGS
-        return found
+            environment["XLA_FLAGS"] = REFERENCE_FLAGS
+        return environment
 
-    def finish(self, process: subprocess.Popen[bytes]) -> bool:
+    def wait_for(self, process: subprocess.Popen[bytes]) -> bool:
         """Wait for a process; return whether it ended before the deadline."""
         try:
             process.wait(max(0.0, self.deadline - time.monotonic()))
@@ -89,54 +91,56 @@ class Machine:
         return True
 
 
-def compute(machine: Machine, name: str, platform: str, out: Path) -> str | None:
+def run_work(machine: Machine, name: str, platform: str, out: Path) -> str | None:
     """Run `tools.gpu_check.work` to its end.
 
     Returns:
         Empty if it ended well, None if time was up, else the last lines of its output.
     """
     log = out.with_suffix(".log")
-    process = machine.start(["tools.gpu_check.work", name, str(out)], platform, log)
-    if not machine.finish(process):
+    process = machine.start_module(["tools.gpu_check.work", name, str(out)], platform, log)
+    if not machine.wait_for(process):
         return None
-    return "" if process.returncode == 0 else _tail(log, process.returncode)
+    return "" if process.returncode == 0 else _last_lines(log, process.returncode)
 
 
 def run_check(machine: Machine, name: str) -> CheckOutcome:
     """Compute one check on both platforms at once, and compare."""
-    begun, check = time.monotonic(), CHECKS[name]
+    start_s, check = time.monotonic(), CHECKS[name]
 
-    def ended(status: str, reason: str = "") -> CheckOutcome:
-        seconds = round(time.monotonic() - begun, 1)
+    def build_outcome(status: str, reason: str = "") -> CheckOutcome:
+        seconds = round(time.monotonic() - start_s, 1)
         return CheckOutcome(name=name, status=status, seconds=seconds, reason=reason)
 
     if missing := [package for package in check.needs if not importlib.util.find_spec(package)]:
-        return ended("skipped", f"{', '.join(missing)} is not installed")
+        return build_outcome("skipped", f"{', '.join(missing)} is not installed")
     with tempfile.TemporaryDirectory() as folder:
         outs = {"device": Path(folder, "device.npz"), "cpu": Path(folder, "cpu.npz")}
         platforms = {"device": machine.device, "cpu": "cpu"}
         if not check.compared:
             del outs["cpu"]
-        with ThreadPoolExecutor(len(outs)) as both:
-            made = {
-                side: both.submit(compute, machine, name, platforms[side], out)
+        with ThreadPoolExecutor(len(outs)) as pool:
+            futures = {
+                side: pool.submit(run_work, machine, name, platforms[side], out)
                 for side, out in outs.items()
             }
-        said = {side: future.result() for side, future in made.items()}
-        if any(text for text in said.values()):
-            return ended("failed", "; ".join(f"{s}: {text}" for s, text in said.items() if text))
-        if None in said.values():
-            return ended("unfinished", "time was up")
+        messages = {side: future.result() for side, future in futures.items()}
+        if any(message for message in messages.values()):
+            return build_outcome(
+                "failed", "; ".join(f"{s}: {message}" for s, message in messages.items() if message)
+            )
+        if None in messages.values():
+            return build_outcome("unfinished", "time was up")
         arrays = {side: dict(np.load(out)) for side, out in outs.items()}
     if not check.compared:
-        return ended("passed")
-    faults, notes = differences(arrays["device"], arrays["cpu"], check.bounds)
-    return ended("failed" if faults else "passed", "; ".join(faults or notes))
+        return build_outcome("passed")
+    faults, notes = compare_arrays(arrays["device"], arrays["cpu"], check.bounds)
+    return build_outcome("failed" if faults else "passed", "; ".join(faults or notes))
 
 
 def run_tests(machine: Machine) -> CheckOutcome:
     """Run the tests that are marked for a GPU."""
-    begun = time.monotonic()
+    start_s = time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder, "pytest.log")
         arguments = [
@@ -149,10 +153,10 @@ def run_tests(machine: Machine) -> CheckOutcome:
             "no:cacheprovider",
             "tests/angler_mjx/sim/engines",
         ]
-        process = machine.start(arguments, machine.device, log)
-        in_time = machine.finish(process)
-        text = _tail(log, process.returncode)
-    seconds = round(time.monotonic() - begun, 1)
+        process = machine.start_module(arguments, machine.device, log)
+        in_time = machine.wait_for(process)
+        text = _last_lines(log, process.returncode)
+    seconds = round(time.monotonic() - start_s, 1)
     if not in_time:
         return CheckOutcome(name=TESTS, status="unfinished", seconds=seconds, reason="time was up")
     status, reason = judge_tests(process.returncode, text)
@@ -201,24 +205,24 @@ def run_side_by_side(
                 report(future.result())
 
 
-def run_rate(machine: Machine, name: str, known: Mapping[str, Any] | None) -> CheckOutcome:
+def run_rate(machine: Machine, name: str, reference: Mapping[str, Any] | None) -> CheckOutcome:
     """Measure the rate of a workload alone, and judge it by the stored row."""
-    from tools.gpu_check.workloads import judge
+    from tools.gpu_check.workloads import judge_rate
 
-    begun = time.monotonic()
+    start_s = time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder, "row.json")
-        text = compute(machine, name, machine.device, out)
+        text = run_work(machine, name, machine.device, out)
         row = json.loads(out.read_text()) if text == "" else {}
-    seconds = round(time.monotonic() - begun, 1)
+    seconds = round(time.monotonic() - start_s, 1)
     if text is None:
         return CheckOutcome(name=name, status="unfinished", seconds=seconds, reason="time was up")
     if text:
         return CheckOutcome(name=name, status="failed", seconds=seconds, reason=text)
-    status, reason = judge(row, dict(known) if known else None)
+    status, reason = judge_rate(row, dict(reference) if reference else None)
     return CheckOutcome(name=name, status=status, seconds=seconds, reason=reason, row=row)
 
 
-def _tail(log: Path, code: int) -> str:
+def _last_lines(log: Path, code: int) -> str:
     lines = [line for line in log.read_text(errors="replace").splitlines() if line.strip()]
     return "\n".join(lines[-12:]) or f"exit status {code}, and nothing printed"

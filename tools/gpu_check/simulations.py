@@ -24,7 +24,7 @@ BOUNDS = {
 team counts: which robot of a team waits for another can be a tie."""
 
 
-def fly(scenario: str, **changes: Any) -> dict[str, np.ndarray]:
+def fly_worlds(scenario: str, **changes: Any) -> dict[str, np.ndarray]:
     """Simulate every world of a scenario to its horizon.
 
     Args:

@@ -17,17 +17,17 @@ def main(name: str, out: Path) -> None:
         out: file to write: arrays of a check (.npz), JSON of the others.
     """
     if name == "about":
-        for needed in NEEDED:
-            importlib.import_module(needed)
+        for module in NEEDED:
+            importlib.import_module(module)
         from angler_mjx.runs.provenance import describe_environment
-        from angler_mjx.studies.speed.roofline import driver
+        from angler_mjx.studies.speed.roofline import read_driver_version
 
-        out.write_text(json.dumps({**describe_environment(), "driver": driver()}))
+        out.write_text(json.dumps({**describe_environment(), "driver": read_driver_version()}))
         return
     if name.startswith("rate/"):
-        from tools.gpu_check.workloads import measure
+        from tools.gpu_check.workloads import measure_workload
 
-        out.write_text(json.dumps(measure(name.removeprefix("rate/"))))
+        out.write_text(json.dumps(measure_workload(name.removeprefix("rate/"))))
         return
     import numpy as np
 

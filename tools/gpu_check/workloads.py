@@ -11,18 +11,18 @@ import numpy as np
 SIZES = {"dynamics": 65536}
 """Worlds in one call where they are not `WORLDS`."""
 WORLDS = 1024
-COMPILED = {"cpu": "open_water_current", "gpu": "reef_fleet"}
+COMPILED_SCENARIO = {"cpu": "open_water_current", "gpu": "reef_fleet"}
 """Scenario that ``compile`` compiles; its row is of all programs, with an empty cache."""
-TINY = 2
+CPU_WORLDS = 2
 """Worlds on a CPU, where only the script itself is tested."""
-LOSS = 0.10
+MAX_LOSS = 0.10
 """Loss of a rate that is named."""
 HOST = ("processor", "cpu_count")
 """What seconds of compiling depend on beside the card."""
 STORED = Path(__file__).parents[2] / "benchmarks" / "gpu_medians.json"
 
 
-def measure(workload: str) -> dict[str, Any]:
+def measure_workload(workload: str) -> dict[str, Any]:
     """Measure one workload of `angler bench` to its end.
 
     Returns:
@@ -35,34 +35,34 @@ def measure(workload: str) -> dict[str, Any]:
 
     from angler_mjx.runs.provenance import describe_environment
     from angler_mjx.studies.speed import measuring
-    from angler_mjx.studies.speed.workloads import SpeedRequest, cases
+    from angler_mjx.studies.speed.workloads import SpeedRequest, build_cases
 
     backend = jax.default_backend()
     is_cpu = backend == "cpu"
-    worlds = TINY if is_cpu else SIZES.get(workload, WORLDS)
+    worlds = CPU_WORLDS if is_cpu else SIZES.get(workload, WORLDS)
     robots = (1,) if is_cpu else ()
     with tempfile.TemporaryDirectory() as folder:
         request = SpeedRequest(
             workloads=(workload,),
-            scenarios=(COMPILED[backend],) if workload == "compile" else (),
+            scenarios=(COMPILED_SCENARIO[backend],) if workload == "compile" else (),
             worlds=(worlds,),
             robots=robots,
             folder=Path(folder),
         )
-        row, *_ = measuring.run(cases(request), lambda case: None)
+        row, *_ = measuring.measure_cases(build_cases(request), lambda case: None)
     if row.refused is not None:
         raise RuntimeError(row.refused)
     about = describe_environment()
     return asdict(row) | {name: about[name] for name in HOST}
 
 
-def end(workload: str) -> dict[str, np.ndarray]:
+def run_to_end(workload: str) -> dict[str, np.ndarray]:
     """Run a workload to its end beside others: no rate is taken from it."""
-    row = measure(workload)
+    row = measure_workload(workload)
     return {"has_number": np.array([row["median"] > 0])}
 
 
-def stored(device: str, path: Path = STORED) -> dict[str, dict[str, Any]]:
+def read_medians(device: str, path: Path = STORED) -> dict[str, dict[str, Any]]:
     """Medians of a card by workload; empty where none are stored."""
     if not path.is_file():
         return {}
@@ -70,30 +70,31 @@ def stored(device: str, path: Path = STORED) -> dict[str, dict[str, Any]]:
     return medians
 
 
-def store(device: str, rows: dict[str, dict[str, Any]], path: Path = STORED) -> None:
+def write_medians(device: str, rows: dict[str, dict[str, Any]], path: Path = STORED) -> None:
     """Write medians of a card by workload, beside those of other cards and workloads."""
-    known = json.loads(path.read_text()) if path.is_file() else {}
-    known[device] = {**known.get(device, {}), **rows}
-    path.write_text(json.dumps(known, indent=2, sort_keys=True) + "\n")
+    medians = json.loads(path.read_text()) if path.is_file() else {}
+    medians[device] = {**medians.get(device, {}), **rows}
+    path.write_text(json.dumps(medians, indent=2, sort_keys=True) + "\n")
 
 
-def judge(row: dict[str, Any], known: dict[str, Any] | None) -> tuple[str, str]:
+def judge_rate(row: dict[str, Any], reference: dict[str, Any] | None) -> tuple[str, str]:
     """Return a status, ``passed``, ``slower`` or ``skipped``, and its reason.
 
     Args:
         row: measured.
-        known: stored row of the same card and workload, if any.
+        reference: stored row of the same card and workload, if any.
     """
     is_duration = row["unit"] == "s"
     rate = f"{row['median']:.1f} s" if is_duration else f"{row['median']:.3e} {row['unit']}"
-    if known is None:
+    if reference is None:
         return "skipped", f"{rate}; no median of this card is stored: --store writes it"
-    same = ("worlds", "robots", "unit", *(HOST if is_duration else ()))
-    different = [name for name in same if row[name] != known[name]]
+    compared = ("worlds", "robots", "unit", *(HOST if is_duration else ()))
+    different = [name for name in compared if row[name] != reference[name]]
     if different:
         return "skipped", f"{rate}; the stored median has another {', '.join(different)}"
-    ratio = row["median"] / known["median"]
+    ratio = row["median"] / reference["median"]
     if is_duration:
         ratio = 1.0 / ratio
-    when = f"{ratio:.3f} of the speed of {known['median']:.3e} ({known['date']}, {known['commit']})"
-    return ("slower" if ratio < 1.0 - LOSS else "passed"), f"{rate}, {when}"
+    stored = f"{reference['median']:.3e} ({reference['date']}, {reference['commit']})"
+    comparison = f"{ratio:.3f} of the speed of {stored}"
+    return ("slower" if ratio < 1.0 - MAX_LOSS else "passed"), f"{rate}, {comparison}"

@@ -10,9 +10,9 @@ from typing import Any
 
 import tyro
 
-from tools.mutants import report, stored, trying
+from tools.mutants import mutant_list, report, trials
 from tools.mutants.mutant import Mutant
-from tools.mutants.relevance import Imports
+from tools.mutants.relevance import ImportGraph
 
 ROOT = Path(__file__).parents[2]
 FOLDERS = (
@@ -65,90 +65,97 @@ class MutantOptions:
 def main(options: MutantOptions) -> int:
     """Run as told."""
     if options.workers < 1:
-        return _refuse(f"--workers {options.workers}: must be at least 1")
+        return _print_error(f"--workers {options.workers}: must be at least 1")
     try:
-        folders, mutants, gone = _mutants(options)
+        folders, mutants, gone = _select_mutants(options)
     except ValueError as error:
-        return _refuse(str(error))
+        return _print_error(str(error))
     if options.list:
-        imports = Imports(ROOT)
-        for one in mutants:
-            print(f"{one.name} {one.operator} {len(imports.distances(one.file))}\n{one.diff}\n")
+        imports = ImportGraph(ROOT)
+        for mutant in mutants:
+            print(
+                f"{mutant.name} {mutant.operator} "
+                f"{len(imports.measure_distances(mutant.file))}\n{mutant.diff}\n"
+            )
         return 0
     if not options.report:
-        _try(options, mutants)
-    known = _known(options)
-    rows = [known[one.name] for one in mutants if one.name in known]
-    reasons = report.equivalents(Path(__file__).with_name("equivalent.toml"))
-    text = report.report(folders, rows, len(mutants) - len(rows), reasons, gone)
+        _try_mutants(options, mutants)
+    results = _read_results(options)
+    rows = [results[mutant.name] for mutant in mutants if mutant.name in results]
+    reasons = report.read_equivalents(Path(__file__).with_name("equivalent.toml"))
+    text = report.format_report(folders, rows, len(mutants) - len(rows), reasons, gone)
     print(text)
     if rows:
         (options.out / "report.md").write_text(text + "\n")
     return 0
 
 
-def _mutants(options: MutantOptions) -> tuple[Sequence[str], list[Mutant], list[str]]:
+def _select_mutants(options: MutantOptions) -> tuple[Sequence[str], list[Mutant], list[str]]:
     """Return the folders of the report, the mutants, and the rows of a list that are gone.
 
     Raises:
-        ValueError: a folder or the extra is missing, the sample is empty, or see `stored.load`.
+        ValueError: a folder or the extra is missing, the sample is empty, or see
+            `mutant_list.load_list`.
     """
     if options.stored is not None:
-        listed = stored.load(ROOT, options.stored, options.folders)
+        listed = mutant_list.load_list(ROOT, options.stored, options.folders)
         return listed.rooms, listed.mutants, listed.gone
     folders = FOLDERS if options.folders is None else options.folders
-    if wrong := [folder for folder in folders if not (ROOT / folder).is_dir()]:
-        raise ValueError(f"there is no folder {', '.join(wrong)} in {ROOT}")
+    if missing := [folder for folder in folders if not (ROOT / folder).is_dir()]:
+        raise ValueError(f"there is no folder {', '.join(missing)} in {ROOT}")
     if options.sample < 1:
         raise ValueError(f"--sample {options.sample}: must be at least 1")
     try:
-        from tools.mutants.positions import sample
+        from tools.mutants.positions import sample_mutants
     except ModuleNotFoundError as error:
         if error.name is None or not error.name.startswith(("cosmic_ray", "parso", "stevedore")):
             raise
         raise ValueError(f"{error.name} is missing; install the extra `mutants`") from None
-    return folders, sample(ROOT, folders, options.sample, options.seed), []
+    return folders, sample_mutants(ROOT, folders, options.sample, options.seed), []
 
 
-def _refuse(why: str) -> int:
-    print(f"mutants: {why}", file=sys.stderr)
+def _print_error(reason: str) -> int:
+    print(f"mutants: {reason}", file=sys.stderr)
     return 2
 
 
-def _known(options: MutantOptions) -> dict[str, dict[str, Any]]:
+def _read_results(options: MutantOptions) -> dict[str, dict[str, Any]]:
     """The last result of each mutant."""
-    return {row["mutant"]: row for row in trying.read(options.out / "results.jsonl")}
+    return {row["mutant"]: row for row in trials.read_rows(options.out / "results.jsonl")}
 
 
-def _try(options: MutantOptions, mutants: Sequence[Mutant]) -> None:
+def _try_mutants(options: MutantOptions, mutants: Sequence[Mutant]) -> None:
     """Put to the tests what is not known yet, or survived and is to be tried again."""
-    known = _known(options)
+    results = _read_results(options)
     todo = [
-        one
-        for one in mutants
-        if one.name not in known or (options.again and known[one.name]["outcome"] == "survived")
+        mutant_to_try
+        for mutant_to_try in mutants
+        if mutant_to_try.name not in results
+        or (options.again and results[mutant_to_try.name]["outcome"] == "survived")
     ]
     print(f"mutants: {len(mutants)} drawn, {len(todo)} to try", flush=True)
     if not todo:
         return
-    end = time.monotonic() + 3600 * options.hours
-    trees = trying.plant(ROOT, options.out, options.workers)
-    imports = Imports(trees[0].root)
-    changed = {one.file for one in todo}
-    wanted = {test for file in changed for test in imports.ranked(file, nearest=options.nearest)}
-    seconds = trying.measure(trees, sorted(wanted), options.out)
+    end_s = time.monotonic() + 3600 * options.hours
+    trees = trials.copy_trees(ROOT, options.out, options.workers)
+    imports = ImportGraph(trees[0].root)
+    changed = {mutant_to_try.file for mutant_to_try in todo}
+    needed_tests = {
+        test for file in changed for test in imports.rank_tests(file, nearest=options.nearest)
+    }
+    seconds = trials.measure_tests(trees, sorted(needed_tests), options.out)
 
     def ranked(mutant: Mutant) -> list[str]:
-        return imports.ranked(mutant.file, seconds, options.nearest)
+        return imports.rank_tests(mutant.file, seconds, options.nearest)
 
-    trying.try_all(
+    trials.try_all(
         trees,
         todo,
         options.out,
         seconds,
         ranked=ranked,
         limit_s=60 * options.minutes,
-        until=end,
+        until=end_s,
     )
 
 

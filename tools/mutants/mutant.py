@@ -20,7 +20,9 @@ class Mutant:
     """The whole file."""
 
 
-def changed(*, file: str, before: str, after: str, line: int, operator: str, fault: str) -> Mutant:
+def build_mutant(
+    *, file: str, before: str, after: str, line: int, operator: str, fault: str
+) -> Mutant:
     """Return the mutant that has ``after`` where the file has ``before``.
 
     Args:

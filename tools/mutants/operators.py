@@ -19,12 +19,15 @@ _BITS = ("BitOr", "BitAnd", "BitXor")
 _SHIFTS = ("LShift", "RShift")
 _ORDER = ("Eq", "NotEq", "Lt", "LtE", "Gt", "GtE")
 
-_TWINS = [
+_COUNTERPART_PAIRS = [
     *[("minimum", "maximum"), ("min", "max"), ("argmin", "argmax"), ("cummin", "cummax")],
     *[("any", "all"), ("logical_and", "logical_or"), ("sin", "cos"), ("floor", "ceil")],
     *[("zeros", "ones"), ("zeros_like", "ones_like"), ("sum", "max"), ("cumsum", "cumprod")],
 ]
-TWIN = {a: b for pair in _TWINS for a, b in (pair, pair[::-1])} | {"max": "min", "sum": "max"}
+COUNTERPARTS = {a: b for pair in _COUNTERPART_PAIRS for a, b in (pair, pair[::-1])} | {
+    "max": "min",
+    "sum": "max",
+}
 """Functions of `jax.numpy` that take the same arguments and mean something else."""
 
 _MODULES = {"jnp", "np", "lax"}
@@ -37,12 +40,12 @@ class SwapTwin(Operator):
 
     def mutation_positions(self, node: Any) -> Iterator[Position]:
         """Where such a function is named."""
-        if isinstance(node, Name) and node.value in TWIN and _of_numpy(node):
+        if isinstance(node, Name) and node.value in COUNTERPARTS and _is_numpy_attribute(node):
             yield node.start_pos, node.end_pos
 
     def mutate(self, node: Any, index: int) -> Any:
         """Name the other one."""
-        node.value = TWIN[node.value]
+        node.value = COUNTERPARTS[node.value]
         return node
 
     @classmethod
@@ -56,9 +59,9 @@ class SwapWhere(Operator):
 
     def mutation_positions(self, node: Any) -> Iterator[Position]:
         """Where three arguments are chosen by."""
-        if node.type == "arglist" and len(_given(node)) == 3:
+        if node.type == "arglist" and len(_positional_arguments(node)) == 3:
             name = node.get_previous_sibling().get_previous_leaf()
-            if isinstance(name, Name) and name.value == "where" and _of_numpy(name):
+            if isinstance(name, Name) and name.value == "where" and _is_numpy_attribute(name):
                 yield name.start_pos, name.end_pos
 
     def mutate(self, node: Any, index: int) -> Any:
@@ -73,42 +76,49 @@ class SwapWhere(Operator):
         return (Example("jnp.where(c, a, b)", "jnp.where(jnp.logical_not(c), a, b)"),)
 
 
-def _of_numpy(name: Any) -> bool:
+def _is_numpy_attribute(name: Any) -> bool:
     dot = name.get_previous_leaf()
     if dot is None or dot.value != ".":
         return False
     return dot.get_previous_leaf().value in _MODULES
 
 
-def _given(arguments: Any) -> list[Any]:
+def _positional_arguments(arguments: Any) -> list[Any]:
     """Arguments by position."""
     rows = [child for child in arguments.children if child.type not in ("operator", "argument")]
     return rows if len(rows) * 2 - 1 <= len(arguments.children) else []
 
 
-def _among(prefix: str, names: tuple[str, ...]) -> list[str]:
+def _replacement_names(prefix: str, names: tuple[str, ...]) -> list[str]:
     return [f"{prefix}_{a}_{b}" for a in names for b in names if a != b]
 
 
-def families() -> dict[str, dict[str, Operator]]:
+def build_families() -> dict[str, dict[str, Operator]]:
     """Families of operators: of all faults that a family can put in a place, one is drawn."""
     replace = "ReplaceBinaryOperator"
-    binary = [name for group in (_ARITHMETIC, _BITS, _SHIFTS) for name in _among(replace, group)]
+    binary = [
+        name
+        for group in (_ARITHMETIC, _BITS, _SHIFTS)
+        for name in _replacement_names(replace, group)
+    ]
     unary = [f"ReplaceUnaryOperator_Delete_{name}" for name in ("USub", "Invert", "Not")]
-    order = _among("ReplaceComparisonOperator", _ORDER)
-    same = _among("ReplaceComparisonOperator", ("Is", "IsNot"))
-    named = {
+    order = _replacement_names("ReplaceComparisonOperator", _ORDER)
+    identity = _replacement_names("ReplaceComparisonOperator", ("Is", "IsNot"))
+    names_by_family = {
         "arithmetic": binary,
         "sign": unary,
-        "comparison": [*order, *same],
+        "comparison": [*order, *identity],
         "number": ["NumberReplacer"],
         "truth": ["ReplaceTrueWithFalse", "ReplaceFalseWithTrue"],
         "logic": ["ReplaceAndWithOr", "ReplaceOrWithAnd", "AddNot"],
         "loop": ["ReplaceBreakWithContinue", "ReplaceContinueWithBreak", "ZeroIterationForLoop"],
         "exception": ["ExceptionReplacer"],
     }
-    found = {
+    operators_by_family = {
         family: {name: get_operator(f"core/{name}")() for name in names}
-        for family, names in named.items()
+        for family, names in names_by_family.items()
     }
-    return found | {"twin": {"SwapTwin": SwapTwin()}, "where": {"SwapWhere": SwapWhere()}}
+    return operators_by_family | {
+        "twin": {"SwapTwin": SwapTwin()},
+        "where": {"SwapWhere": SwapWhere()},
+    }

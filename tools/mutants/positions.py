@@ -10,8 +10,8 @@ from cosmic_ray.ast import ast_nodes, get_ast
 from cosmic_ray.mutating import mutate_code
 from cosmic_ray.operators.operator import Operator
 
-from tools.mutants.mutant import Mutant, changed
-from tools.mutants.operators import families
+from tools.mutants.mutant import Mutant, build_mutant
+from tools.mutants.operators import build_families
 
 _TRIES = 20
 """Faults that are drawn at one place until one of them is Python and changes something."""
@@ -26,7 +26,7 @@ class _CodePosition:
     """Operators, and which of its occurrences in the file this is."""
 
 
-def sample(root: Path, folders: Sequence[str], count: int, seed: int) -> list[Mutant]:
+def sample_mutants(root: Path, folders: Sequence[str], count: int, seed: int) -> list[Mutant]:
     """Mutants at ``count`` places, all places being equally likely; one at each.
 
     Args:
@@ -35,59 +35,65 @@ def sample(root: Path, folders: Sequence[str], count: int, seed: int) -> list[Mu
         count: how many; all places in random order if there are fewer.
         seed: of the choice.
     """
-    operators = families()
-    found = [
-        place
+    operators = build_families()
+    positions = [
+        position
         for folder in folders
         for file in sorted((root / folder).rglob("*.py"))
-        for place in _places(operators, file.relative_to(root).as_posix(), file.read_text())
+        for position in _find_positions(
+            operators, file.relative_to(root).as_posix(), file.read_text()
+        )
     ]
     rng = random.Random(seed)
-    rng.shuffle(found)
-    known = {name: one for family in operators.values() for name, one in family.items()}
+    rng.shuffle(positions)
+    operators_by_name = {
+        name: operator for family in operators.values() for name, operator in family.items()
+    }
     mutants: list[Mutant] = []
-    for place in found:
+    for position in positions:
         if len(mutants) == count:
             break
-        mutant = _mutant(known, root, place, rng)
+        mutant = _make_mutant(operators_by_name, root, position, rng)
         if mutant is not None:
             mutants.append(mutant)
     return mutants
 
 
-def _places(
+def _find_positions(
     operators: dict[str, dict[str, Operator]], file: str, code: str
 ) -> Iterator[_CodePosition]:
     """All places of a file, in the order of the operators' families and then of the file."""
     nodes = list(ast_nodes(get_ast(code)))
     # The bare stars and strokes of parameters are no products: a call by name is the same.
-    bare = [node for node in nodes if node.type == "operator" and node.parent.type == "parameters"]
-    spared = [*_spared(code), *((node.start_pos, node.end_pos) for node in bare)]
-    for family, each in operators.items():
-        at: dict[tuple[int, int], list[tuple[str, int]]] = {}
-        for name, operator in each.items():
+    bare_nodes = [
+        node for node in nodes if node.type == "operator" and node.parent.type == "parameters"
+    ]
+    spared_ranges = [*_find_spared(code), *((node.start_pos, node.end_pos) for node in bare_nodes)]
+    for family, family_operators in operators.items():
+        choices_by_start: dict[tuple[int, int], list[tuple[str, int]]] = {}
+        for name, operator in family_operators.items():
             starts = (start for node in nodes for start, _ in operator.mutation_positions(node))
             for occurrence, start in enumerate(starts):
-                at.setdefault(start, []).append((name, occurrence))
-        for start, choices in sorted(at.items()):
-            if not any(low <= start < high for low, high in spared):
+                choices_by_start.setdefault(start, []).append((name, occurrence))
+        for start, choices in sorted(choices_by_start.items()):
+            if not any(low <= start < high for low, high in spared_ranges):
                 yield _CodePosition(file=file, family=family, start=start, choices=tuple(choices))
 
 
-def _mutant(
-    known: dict[str, Operator], root: Path, place: _CodePosition, rng: random.Random
+def _make_mutant(
+    operators_by_name: dict[str, Operator], root: Path, position: _CodePosition, rng: random.Random
 ) -> Mutant | None:
-    before = (root / place.file).read_text()
+    before = (root / position.file).read_text()
     for _ in range(_TRIES):
-        operator, occurrence = rng.choice(place.choices)
-        after = mutate_code(before, known[operator], occurrence)
+        operator, occurrence = rng.choice(position.choices)
+        after = mutate_code(before, operators_by_name[operator], occurrence)
         if after is None or not _is_other_python(before, after):
             continue
-        return changed(
-            file=place.file,
+        return build_mutant(
+            file=position.file,
             before=before,
             after=after,
-            line=place.start[0],
+            line=position.start[0],
             operator=operator,
             fault=str(occurrence),
         )
@@ -101,7 +107,7 @@ def _is_other_python(before: str, after: str) -> bool:
         return False
 
 
-def _spared(code: str) -> list[tuple[tuple[int, int], tuple[int, int]]]:
+def _find_spared(code: str) -> list[tuple[tuple[int, int], tuple[int, int]]]:
     """Ranges that no test could or should judge: from (line, column) up to before another.
 
     Annotations, decorators, imports, what is raised and what it says, formatted text, ``__repr__``,
@@ -109,18 +115,21 @@ def _spared(code: str) -> list[tuple[tuple[int, int], tuple[int, int]]]:
     """
     lines = code.splitlines(keepends=True)
 
-    def place(line: int, column: int) -> tuple[int, int]:
+    def to_characters(line: int, column: int) -> tuple[int, int]:
         """Python counts bytes, Cosmic Ray characters."""
         return line, len(lines[line - 1].encode()[:column].decode())
 
     return [
-        (place(node.lineno, node.col_offset), place(node.end_lineno, node.end_col_offset))
-        for node in _unjudged(ast.parse(code))
+        (
+            to_characters(node.lineno, node.col_offset),
+            to_characters(node.end_lineno, node.end_col_offset),
+        )
+        for node in _iterate_unjudged(ast.parse(code))
         if node.end_lineno is not None and node.end_col_offset is not None
     ]
 
 
-def _unjudged(tree: ast.Module) -> Iterator[ast.expr | ast.stmt]:
+def _iterate_unjudged(tree: ast.Module) -> Iterator[ast.expr | ast.stmt]:
     for node in ast.walk(tree):
         match node:
             case ast.FunctionDef() | ast.AsyncFunctionDef():

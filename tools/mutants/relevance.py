@@ -10,7 +10,7 @@ SOURCES = (".", "kernels", "sitl_bridge", "experiments")
 PACKAGES = ("angler_mjx", "angler_kernels", "angler_sitl", "angler_experiments")
 
 
-class Imports:
+class ImportGraph:
     """The project's modules, and what each of them and each test file imports."""
 
     def __init__(self, root: Path) -> None:
@@ -18,39 +18,41 @@ class Imports:
         self._root = root
         self._module: dict[str, str] = {}
         """Of a file its module."""
-        found = [
+        package_folders = [
             (root / source / package, root / source)
             for source in SOURCES
             for package in PACKAGES
             if (root / source / package).is_dir()
         ]
-        for folder, source in found:
+        for folder, source in package_folders:
             for file in folder.rglob("*.py"):
                 parts = file.relative_to(source).with_suffix("").parts
                 name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
                 self._module[file.relative_to(root).as_posix()] = name
-        self._known = set(self._module.values())
-        self._imports = {name: self._read(root / file, name) for file, name in self._module.items()}
+        self._module_names = set(self._module.values())
+        self._imports = {
+            name: self._read_imports(root / file, name) for file, name in self._module.items()
+        }
         self._tests = {
-            file.relative_to(root).as_posix(): self._of_test(file)
+            file.relative_to(root).as_posix(): self._test_imports(file)
             for file in sorted((root / "tests").rglob("test_*.py"))
         }
 
-    def distances(self, file: str) -> dict[str, int]:
+    def measure_distances(self, file: str) -> dict[str, int]:
         """Test files that import a module, and over how many others; 1 is at first hand.
 
         Args:
             file: of the module, from the root.
         """
-        wanted = self._module[file]
-        found = {}
+        target = self._module[file]
+        distance_by_test = {}
         for test, direct in self._tests.items():
-            steps = self._steps(direct, wanted)
+            steps = self._count_steps(direct, target)
             if steps is not None:
-                found[test] = steps
-        return found
+                distance_by_test[test] = steps
+        return distance_by_test
 
-    def ranked(
+    def rank_tests(
         self, file: str, seconds: Mapping[str, float] | None = None, nearest: int | None = None
     ) -> list[str]:
         """Test files of a module, the nearest first.
@@ -62,74 +64,78 @@ class Imports:
             seconds: what each test file takes; one that is not among them is left out.
             nearest: no more than so many of all, whatever they take.
         """
-        far = self.distances(file)
-        beside = {test: not _mirrors(test, file) for test in far}
-        named = {test: Path(test).stem != f"test_{Path(file).stem}" for test in far}
-        names = sorted(far, key=lambda t: (far[t], beside[t], named[t], t))[:nearest]
+        distance = self.measure_distances(file)
+        is_elsewhere = {test: not _is_beside(test, file) for test in distance}
+        is_other_name = {test: Path(test).stem != f"test_{Path(file).stem}" for test in distance}
+        names = sorted(distance, key=lambda t: (distance[t], is_elsewhere[t], is_other_name[t], t))[
+            :nearest
+        ]
         if seconds is None:
             return names
-        known = [test for test in names if test in seconds]
-        return sorted(known, key=lambda t: (far[t], beside[t], named[t], seconds[t], t))
+        timed = [test for test in names if test in seconds]
+        return sorted(
+            timed, key=lambda t: (distance[t], is_elsewhere[t], is_other_name[t], seconds[t], t)
+        )
 
-    def _steps(self, direct: Mapping[str, int], wanted: str) -> int | None:
+    def _count_steps(self, direct: Mapping[str, int], target: str) -> int | None:
         """From what a test file imports, at the steps given, to a module."""
-        at = dict(direct)
-        queue = deque(sorted(at, key=lambda name: at[name]))
+        steps = dict(direct)
+        queue = deque(sorted(steps, key=lambda name: steps[name]))
         while queue:
             name = queue.popleft()
             for further in self._imports.get(name, set()):
-                if at[name] + 1 < at.get(further, len(self._known)):
-                    at[further] = at[name] + 1
+                if steps[name] + 1 < steps.get(further, len(self._module_names)):
+                    steps[further] = steps[name] + 1
                     queue.append(further)
-        return at.get(wanted)
+        return steps.get(target)
 
-    def _of_test(self, file: Path) -> dict[str, int]:
+    def _test_imports(self, file: Path) -> dict[str, int]:
         """What a test file and its helpers import: 1; what only a conftest does: 2."""
         conftests = [
             self._root / folder / "conftest.py"
             for folder in file.relative_to(self._root).parents
             if (self._root / folder / "conftest.py").is_file()
         ]
-        return dict.fromkeys(self._with_helpers(conftests), 2) | dict.fromkeys(
-            self._with_helpers([file]), 1
+        return dict.fromkeys(self._imports_with_helpers(conftests), 2) | dict.fromkeys(
+            self._imports_with_helpers([file]), 1
         )
 
-    def _with_helpers(self, files: list[Path]) -> set[str]:
+    def _imports_with_helpers(self, files: list[Path]) -> set[str]:
         """Modules of the project that files import, with the helpers beside them."""
-        found, queue, seen = set[str](), list(files), set[Path]()
+        modules, queue, seen = set[str](), list(files), set[Path]()
         while queue:
-            one = queue.pop()
-            if one not in seen:
-                seen.add(one)
-                found |= self._read(one, "")
-                queue += self._helpers(one)
-        return found
+            path = queue.pop()
+            if path not in seen:
+                seen.add(path)
+                modules |= self._read_imports(path, "")
+                queue += self._find_helpers(path)
+        return modules
 
-    def _helpers(self, file: Path) -> list[Path]:
+    def _find_helpers(self, file: Path) -> list[Path]:
         """Files beside a test file that it imports by a relative name."""
-        found = []
+        helpers = []
         for node in ast.walk(ast.parse(file.read_text())):
             if isinstance(node, ast.ImportFrom) and node.level:
                 folder = file.parents[node.level - 1]
                 names = [node.module] if node.module else [alias.name for alias in node.names]
                 for name in names:
                     helper = folder.joinpath(*name.split(".")).with_suffix(".py")
-                    found += [helper] if helper.is_file() else []
-        return found
+                    helpers += [helper] if helper.is_file() else []
+        return helpers
 
-    def _read(self, file: Path, module: str) -> set[str]:
+    def _read_imports(self, file: Path, module: str) -> set[str]:
         """Modules of the project that a file imports."""
-        found = set()
+        modules = set()
         for node in ast.walk(ast.parse(file.read_text())):
             if isinstance(node, ast.Import):
-                found |= {alias.name for alias in node.names}
+                modules |= {alias.name for alias in node.names}
             elif isinstance(node, ast.ImportFrom) and not node.level and node.module:
-                found.add(node.module)
-                found |= {f"{node.module}.{alias.name}" for alias in node.names}
-        return (found & self._known) - {module}
+                modules.add(node.module)
+                modules |= {f"{node.module}.{alias.name}" for alias in node.names}
+        return (modules & self._module_names) - {module}
 
 
-def _mirrors(test: str, file: str) -> bool:
+def _is_beside(test: str, file: str) -> bool:
     """Whether a test file stands where its module does: tests/a/b/test_x.py and a/b/y.py."""
     folder = test.removeprefix("tests/").rpartition("/")[0]
     return file.startswith(folder + "/") or f"/{folder}/" in f"/{file}"

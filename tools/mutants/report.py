@@ -9,23 +9,25 @@ from typing import Any
 _TWO_SIDED_95 = 1.96
 
 
-def share(caught: int, of: int) -> tuple[float, float, float]:
+def caught_fraction(caught: int, total: int) -> tuple[float, float, float]:
     """Share caught, and its interval of 95 % after Wilson."""
-    if of == 0:
+    if total == 0:
         return math.nan, 0.0, 1.0
-    p, z2 = caught / of, _TWO_SIDED_95**2
-    middle = (p + z2 / (2 * of)) / (1 + z2 / of)
-    half = _TWO_SIDED_95 / (1 + z2 / of) * math.sqrt(p * (1 - p) / of + z2 / (4 * of * of))
-    return p, middle - half, middle + half
+    p, z2 = caught / total, _TWO_SIDED_95**2
+    centre = (p + z2 / (2 * total)) / (1 + z2 / total)
+    half_width = (
+        _TWO_SIDED_95 / (1 + z2 / total) * math.sqrt(p * (1 - p) / total + z2 / (4 * total * total))
+    )
+    return p, centre - half_width, centre + half_width
 
 
-def equivalents(file: Path) -> dict[tuple[str, str], str]:
+def read_equivalents(file: Path) -> dict[tuple[str, str], str]:
     """Faults that were read and change nothing that matters: file and changed lines -> why."""
     rows = tomllib.loads(file.read_text()).get("equivalent", [])
-    return {(row["file"], _change(row["diff"])): row["why"] for row in rows}
+    return {(row["file"], _changed_lines(row["diff"])): row["why"] for row in rows}
 
 
-def _change(diff: str) -> str:
+def _changed_lines(diff: str) -> str:
     """The lines that go and come in a diff, without how far they stand to the right."""
     return "\n".join(
         f"{line[0]} {line[1:].strip()}"
@@ -34,7 +36,7 @@ def _change(diff: str) -> str:
     )
 
 
-def report(
+def format_report(
     folders: Sequence[str],
     rows: Sequence[dict[str, Any]],
     missing: int,
@@ -47,40 +49,44 @@ def report(
         folders: that were mutated.
         rows: results.
         missing: mutants of the sample that were not tried yet.
-        reasons: see `equivalents`.
+        reasons: see `read_equivalents`.
         gone: ``file:line`` of rows of a stored list whose lines no longer stand in their file;
             they are in no count.
     """
     kinds = ("caught", "stuck", "equivalent", "survived")
     lines = [f"| folder | mutants | {' | '.join(kinds)} | share (95 %) |", "|---|" + "---|" * 6]
-    rows = [row | {"why": reasons.get((row["file"], _change(row["diff"])))} for row in rows]
+    rows = [row | {"why": reasons.get((row["file"], _changed_lines(row["diff"])))} for row in rows]
     for folder in [*folders, "all"]:
-        of = [row for row in rows if folder == "all" or row["file"].startswith(folder + "/")]
+        folder_rows = [
+            row for row in rows if folder == "all" or row["file"].startswith(folder + "/")
+        ]
         count = dict.fromkeys(kinds, 0)
-        for row in of:
-            count["equivalent" if _let_pass(row) else row["outcome"]] += 1
-        judged = len(of) - count["equivalent"]
-        p, low, high = share(count["caught"] + count["stuck"], judged)
+        for row in folder_rows:
+            count["equivalent" if _is_equivalent(row) else row["outcome"]] += 1
+        judged = len(folder_rows) - count["equivalent"]
+        p, low, high = caught_fraction(count["caught"] + count["stuck"], judged)
         rate = f"{p:.1%} ({low:.1%} to {high:.1%})" if judged else ""
-        lines.append(f"| {folder} | {' | '.join(map(str, [len(of), *count.values()]))} | {rate} |")
+        lines.append(
+            f"| {folder} | {' | '.join(map(str, [len(folder_rows), *count.values()]))} | {rate} |"
+        )
     if missing:
         lines += ["", f"{missing} of the sample not tried yet."]
     if gone:
         lines += ["", f"{len(gone)} of the list gone, in no count: {', '.join(gone)}."]
     for row in rows:
-        if row["outcome"] == "survived" and not _let_pass(row):
-            lines += _survivor(row)
+        if row["outcome"] == "survived" and not _is_equivalent(row):
+            lines += _format_survivor(row)
     return "\n".join(lines)
 
 
-def _let_pass(row: dict[str, Any]) -> bool:
+def _is_equivalent(row: dict[str, Any]) -> bool:
     return row["outcome"] == "survived" and row["why"] is not None
 
 
-def _survivor(row: dict[str, Any]) -> list[str]:
-    short = f"; {row['left']} more had no time" if row["left"] else ""
+def _format_survivor(row: dict[str, Any]) -> list[str]:
+    not_run = f"; {row['left']} more had no time" if row["left"] else ""
     return [
         *["", f"### {row['mutant']} {row['file']}:{row['line']} ({row['operator']})", ""],
-        *[f"{len(row['tried'])} test files passed in {row['seconds']:.0f} s{short}.", ""],
+        *[f"{len(row['tried'])} test files passed in {row['seconds']:.0f} s{not_run}.", ""],
         *["```diff", row["diff"], "```"],
     ]

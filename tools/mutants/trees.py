@@ -12,21 +12,21 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from tools.mutants.inside import CORES
+from tools.mutants.pytest_plugin import CORES
 from tools.mutants.relevance import SOURCES
 
-_LEFT_ANYWHERE = {"__pycache__"}
-_LEFT_AT_THE_TOP = {".git", ".venv", ".cache", ".hypothesis", ".mutants", "build", "dist", "runs"}
+_IGNORED_ANYWHERE = {"__pycache__"}
+_IGNORED_AT_TOP = {".git", ".venv", ".cache", ".hypothesis", ".mutants", "build", "dist", "runs"}
 _FAILED = re.compile(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", re.M)
 _NO_TESTS = 5
 _OPTIONS = (
     *("-x", "-q", "-n", "0", "--tb=no", "-m", "not gpu and not sitl"),
-    *("-p", "no:cacheprovider", "-p", "tools.mutants.inside"),
+    *("-p", "no:cacheprovider", "-p", "tools.mutants.pytest_plugin"),
 )
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ran:
+class PytestRun:
     """A run of pytest."""
 
     code: int | None
@@ -36,7 +36,7 @@ class Ran:
     """The test that failed first, or the last lines where no test could begin."""
 
     @property
-    def passed(self) -> bool:
+    def has_passed(self) -> bool:
         """Whether nothing failed; that all is skipped is no failure."""
         return self.code in (0, _NO_TESTS)
 
@@ -45,7 +45,7 @@ class StoppedError(RuntimeError):
     """The tests were ended from outside: their result says nothing."""
 
 
-class Tree:
+class WorkerTree:
     """A worker's copy of the tree.
 
     Files are compiled once, and Python checks them by what they hold: a file that is changed twice
@@ -66,11 +66,11 @@ class Tree:
         self._stopped = False
         shutil.rmtree(copy, ignore_errors=True)
 
-        def left(folder: str, names: list[str]) -> set[str]:
-            at_the_top = _LEFT_AT_THE_TOP if Path(folder) == root else set[str]()
-            return (_LEFT_ANYWHERE | at_the_top) & set(names)
+        def ignored_names(folder: str, names: list[str]) -> set[str]:
+            ignored_at_top = _IGNORED_AT_TOP if Path(folder) == root else set[str]()
+            return (_IGNORED_ANYWHERE | ignored_at_top) & set(names)
 
-        shutil.copytree(root, copy, ignore=left, symlinks=True)
+        shutil.copytree(root, copy, ignore=ignored_names, symlinks=True)
         # The copy before whatever else is on the path, which may hold the tree itself.
         path = [*(str(copy / source) for source in SOURCES), os.environ.get("PYTHONPATH", "")]
         self._environment = os.environ | {
@@ -87,7 +87,7 @@ class Tree:
         subprocess.run([sys.executable, "-m", "compileall", "-q", *check, *packages], check=True)
 
     @contextlib.contextmanager
-    def holding(self, file: str, code: str) -> Iterator[None]:
+    def replace_file(self, file: str, code: str) -> Iterator[None]:
         """With other code in a file."""
         path = self.root / file
         before = path.read_bytes()
@@ -97,7 +97,7 @@ class Tree:
         finally:
             path.write_bytes(before)
 
-    def test(self, files: Sequence[str], limit_s: float) -> Ran:
+    def run_tests(self, files: Sequence[str], limit_s: float) -> PytestRun:
         """Run test files in this order, up to the first failure.
 
         Args:
@@ -120,28 +120,30 @@ class Tree:
         ) as process:
             self._running = process
             try:
-                said, _ = process.communicate(timeout=limit_s)
+                output, _ = process.communicate(timeout=limit_s)
                 code: int | None = process.returncode
             except subprocess.TimeoutExpired:
-                said, code = "", None
+                output, code = "", None
             finally:
                 self._running = None
-                _end(process)
+                _kill_group(process)
         if self._stopped:
             raise StoppedError("stopped while tests ran")
-        found = _FAILED.search(said)
-        first = found[1] if found else said.strip()[-300:]
-        return Ran(code=code, seconds=round(time.monotonic() - began, 2), failed=first)
+        match = _FAILED.search(output)
+        first_failure = match[1] if match else output.strip()[-300:]
+        return PytestRun(
+            code=code, seconds=round(time.monotonic() - began, 2), failed=first_failure
+        )
 
     def stop(self) -> None:
         """End what runs, and run nothing more; from another thread."""
         self._stopped = True
         process = self._running
         if process is not None:
-            _end(process)
+            _kill_group(process)
 
 
-def _end(process: subprocess.Popen[str]) -> None:
+def _kill_group(process: subprocess.Popen[str]) -> None:
     """End pytest and whatever its tests started."""
     with contextlib.suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)

@@ -37,7 +37,7 @@ type Digests = dict[str, dict[str, str]]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Make:
+class MakeOptions:
     """Run the commands of items.toml and write the digests of their results."""
 
     out: Path
@@ -47,7 +47,7 @@ class Make:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Compare:
+class CompareOptions:
     """Compare two files of digests; exit with 1 where a value differs."""
 
     before: Path
@@ -58,7 +58,7 @@ class Compare:
     """JSON file of an object: name of an array or column before, to its name after."""
 
 
-def items() -> dict[str, str]:
+def list_items() -> dict[str, str]:
     """Return the command line of each item, by name."""
     lines = {
         f"{name}/{engine}": f"rollout {line} --engine {engine} --record-hz 5 --no-figures --out out"
@@ -68,18 +68,18 @@ def items() -> dict[str, str]:
     return lines | ITEMS["commands"]
 
 
-def make(options: Make) -> int:
+def make_digests(options: MakeOptions) -> int:
     """Digest the chosen items; return 0, or 1 where a command failed."""
     done: Digests = json.loads(options.out.read_text()) if options.out.exists() else {}
     failed = []
-    for name, line in items().items():
+    for name, line in list_items().items():
         if name in done or (options.only and not name.startswith(options.only)):
             continue
         start = time.monotonic()
         with tempfile.TemporaryDirectory() as folder:
-            error = _run(Path(folder), line)
+            error = _run_command(Path(folder), line)
             if error is None:
-                done[name] = dict(sorted(digests(Path(folder) / "out")))
+                done[name] = dict(sorted(iterate_digests(Path(folder) / "out")))
                 options.out.write_text(json.dumps(done, indent=1, sort_keys=True) + "\n")
         print(f"{time.monotonic() - start:6.1f} s  {name}  {error or len(done[name])}", flush=True)
         if error is not None:
@@ -87,12 +87,12 @@ def make(options: Make) -> int:
     return 1 if failed else 0
 
 
-def _run(folder: Path, line: str) -> str | None:
+def _run_command(folder: Path, line: str) -> str | None:
     """Run a command of `angler` in a folder; return its last words where it fails."""
     write_inputs(folder)
     paths = os.pathsep.join(str(ROOT / p) for p in ("", "kernels", "sitl_bridge", "experiments"))
     try:
-        ended = subprocess.run(
+        completed = subprocess.run(
             [sys.executable, "-c", COMMAND, *shlex.split(line)],
             cwd=folder,
             env=os.environ | {"PYTHONPATH": paths + os.pathsep + os.environ.get("PYTHONPATH", "")},
@@ -103,20 +103,20 @@ def _run(folder: Path, line: str) -> str | None:
         )
     except subprocess.TimeoutExpired:
         return f"not done after {LIMIT_S:.0f} s"
-    if ended.returncode and not (folder / "out").exists():
-        return f"exit code {ended.returncode}: {ended.stderr[-400:]}"
+    if completed.returncode and not (folder / "out").exists():
+        return f"exit code {completed.returncode}: {completed.stderr[-400:]}"
     return None
 
 
-def digests(folder: Path) -> Iterator[tuple[str, str]]:
+def iterate_digests(folder: Path) -> Iterator[tuple[str, str]]:
     """Yield ``FILE:NAME`` and the digest of each array and column below a folder, or of a file."""
     left_out = ITEMS["left_out"]
-    for name, values in _values(folder):
+    for name, values in _iterate_values(folder):
         if not any(part in name for part in left_out["parts"]):
-            yield name, digest(values)
+            yield name, hash_values(values)
 
 
-def _values(folder: Path) -> Iterator[tuple[str, np.ndarray]]:
+def _iterate_values(folder: Path) -> Iterator[tuple[str, np.ndarray]]:
     tops = [folder] if _is_group(folder) or folder.is_file() else []
     for path in tops or sorted(folder.rglob("*")):
         name = path.relative_to(folder.parent).as_posix()
@@ -128,14 +128,14 @@ def _values(folder: Path) -> Iterator[tuple[str, np.ndarray]]:
         elif path.suffix == ".parquet":
             table = pq.read_table(path)
             for key in table.column_names:
-                yield f"{name}:{key}", _column(table[key])
+                yield f"{name}:{key}", _column_values(table[key])
 
 
 def _is_group(path: Path) -> bool:
     return (path / "zarr.json").exists() or (path / ".zgroup").exists()
 
 
-def _column(column: pa.ChunkedArray) -> np.ndarray:
+def _column_values(column: pa.ChunkedArray) -> np.ndarray:
     """Return a column as an array: numbers as they are, all else as JSON, nulls kept."""
     if column.null_count == 0 and (
         pa.types.is_integer(column.type) or pa.types.is_floating(column.type)
@@ -144,7 +144,7 @@ def _column(column: pa.ChunkedArray) -> np.ndarray:
     return np.asarray([json.dumps(value, default=str) for value in column.to_pylist()])
 
 
-def digest(values: np.ndarray) -> str:
+def hash_values(values: np.ndarray) -> str:
     """Return the digest of an array's type, shape and bytes."""
     if values.dtype.hasobject or values.dtype.kind in "TU":
         values = np.asarray(values.tolist(), dtype=str)
@@ -152,31 +152,31 @@ def digest(values: np.ndarray) -> str:
     return hashlib.sha256(head + np.ascontiguousarray(values).tobytes()).hexdigest()[:16]
 
 
-def compare(options: Compare) -> int:
+def compare_digests(options: CompareOptions) -> int:
     """Print what differs; return 1 if anything does."""
     before: Digests = json.loads(options.before.read_text())
     after: Digests = json.loads(options.after.read_text())
     names: dict[str, str] = json.loads(options.renamed.read_text()) if options.renamed else {}
-    wrong = 0
+    n_wrong = 0
     for item in sorted(before.keys() | after.keys()):
-        old = {_renamed(name, names): value for name, value in before.get(item, {}).items()}
+        old = {_rename_key(name, names): value for name, value in before.get(item, {}).items()}
         new = after.get(item, {})
         missing, added = sorted(old.keys() - new.keys()), sorted(new.keys() - old.keys())
-        other = sorted(name for name in old.keys() & new.keys() if old[name] != new[name])
-        wrong += bool(missing or other)
-        for label, found in (("missing", missing), ("differs", other), ("new", added)):
-            if found:
-                print(f"{item}: {label}: {', '.join(found[:6])}{' ...' * (len(found) > 6)}")
+        differing = sorted(name for name in old.keys() & new.keys() if old[name] != new[name])
+        n_wrong += bool(missing or differing)
+        for label, listed in (("missing", missing), ("differs", differing), ("new", added)):
+            if listed:
+                print(f"{item}: {label}: {', '.join(listed[:6])}{' ...' * (len(listed) > 6)}")
     count = sum(len(values) for values in before.values())
-    print(f"{count} values of {len(before)} items; {wrong} items differ")
-    return 1 if wrong else 0
+    print(f"{count} values of {len(before)} items; {n_wrong} items differ")
+    return 1 if n_wrong else 0
 
 
-def _renamed(name: str, names: dict[str, str]) -> str:
+def _rename_key(name: str, names: dict[str, str]) -> str:
     file, _, key = name.rpartition(":")
     return f"{file}:{'/'.join(names.get(part, part) for part in key.split('/'))}"
 
 
 if __name__ == "__main__":
-    chosen = tyro.extras.subcommand_cli_from_dict({"make": Make, "compare": Compare})
-    sys.exit(make(chosen) if isinstance(chosen, Make) else compare(chosen))
+    chosen = tyro.extras.subcommand_cli_from_dict({"make": MakeOptions, "compare": CompareOptions})
+    sys.exit(make_digests(chosen) if isinstance(chosen, MakeOptions) else compare_digests(chosen))

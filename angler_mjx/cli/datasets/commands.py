@@ -7,18 +7,18 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from angler_mjx.cli.shared.device import Device, choose, join, keep_all_programs
+from angler_mjx.cli.shared.device import Device, choose_device, join_processes, keep_all_programs
 from angler_mjx.errors import ConfigError, RunError
 
 if TYPE_CHECKING:
     from angler_mjx.learning.datasets.manifest import Manifest
 
 
-SHOWN = 100
+MAX_FINDINGS = 100
 """Findings that are printed."""
 
 
-def make(
+def make_dataset(
     config: Annotated[Path, tyro.conf.Positional],
     episodes: int,
     out: Path | None = None,
@@ -49,44 +49,48 @@ def make(
         processes: How many processes there are; Slurm and Open MPI tell it.
         process: Index of this one, from 0; Slurm and Open MPI tell it.
     """
-    choose(device, distributed=distributed)
+    choose_device(device, distributed=distributed)
     keep_all_programs()
-    shared = join(
+    process_group = join_processes(
         device,
         distributed=distributed,
         coordinator=coordinator,
         processes=processes,
         process=process,
     )
-    from angler_mjx.cli.shared.inputs import at_least_one
+    from angler_mjx.cli.shared.inputs import require_positive
     from angler_mjx.cli.shared.progress import PartsBar
-    from angler_mjx.learning.datasets import making, manifest
-    from angler_mjx.runs.processes import telling
+    from angler_mjx.learning.datasets import generation, manifest
+    from angler_mjx.runs.processes import reporting_failure
     from angler_mjx.shipped import find_shipped
 
-    with telling(shared):
+    with reporting_failure(process_group):
         config = find_shipped(config, "angler_mjx.learning.datasets", "dataset file")
-        asked = making.read_request(config, episodes)
-    place = out or Path("datasets") / asked.config.name
-    with PartsBar(quiet=shared.index > 0) as bar:
-        made = making.make(
-            asked,
-            place,
-            told=bar,
+        request = generation.read_request(config, episodes)
+    out_path = out or Path("datasets") / request.config.name
+    with PartsBar(quiet=process_group.index > 0) as bar:
+        dataset_path = generation.make_dataset(
+            request,
+            out_path,
+            progress=bar,
             resume=resume,
             devices=devices,
-            workers=at_least_one("workers", workers),
-            processes=shared,
+            workers=require_positive("workers", workers),
+            processes=process_group,
         )
-    shared.leave()
-    if made is None:
-        print(f"interrupted; go on with --resume --out {place}", file=sys.stderr)
+    process_group.leave()
+    if dataset_path is None:
+        print(f"interrupted; go on with --resume --out {out_path}", file=sys.stderr)
         sys.exit(130)
-    if shared.index == 0 and (fault := _report(made, manifest.read(made))):
-        raise RunError(f"the planner of every part {fault}; {made} holds flights without plans")
+    if process_group.index == 0 and (
+        fault := _print_dataset(dataset_path, manifest.read_manifest(dataset_path))
+    ):
+        raise RunError(
+            f"the planner of every part {fault}; {dataset_path} holds flights without plans"
+        )
 
 
-def show(dataset: Annotated[Path, tyro.conf.Positional]) -> None:
+def show_dataset(dataset: Annotated[Path, tyro.conf.Positional]) -> None:
     """Say what is in a dataset.
 
     Args:
@@ -94,47 +98,49 @@ def show(dataset: Annotated[Path, tyro.conf.Positional]) -> None:
     """
     from angler_mjx.learning.datasets import manifest
 
-    _report(dataset, manifest.read(dataset))
+    _print_dataset(dataset, manifest.read_manifest(dataset))
 
 
-def _report(place: Path, found: "Manifest") -> str | None:
+def _print_dataset(path: Path, dataset_manifest: "Manifest") -> str | None:
     """Print what is in a dataset; return why no robot has a plan, where planners raised."""
     from rich.console import Console
 
-    from angler_mjx.cli.shared.text_table import table as text_table
-    from angler_mjx.runs.storage import planned
+    from angler_mjx.cli.shared.text_table import build_text_table as text_table
+    from angler_mjx.runs.storage import planning_summary
     from angler_mjx.runs.storage.folder import Run
 
-    title = f"{found.name}: {found.episodes:,} episodes"
-    head = ("part", "expert", "robots", "worlds", "with a plan", "split")
-    shown = text_table(*head, fixed=0, title=title)
-    for column in shown.columns[2:5]:
+    title = f"{dataset_manifest.name}: {dataset_manifest.episodes:,} episodes"
+    header = ("part", "expert", "robots", "worlds", "with a plan", "split")
+    table = text_table(*header, fixed=0, title=title)
+    for column in table.columns[2:5]:
         column.justify = "right"
     reasons: list[str] = []
     faults: list[str | None] = []
-    for part in found.parts:
+    for part in dataset_manifest.parts:
         split = part.split or "by environment"
-        planning = planned.summarise(Run(place / part.path).episodes)
-        share = planned.percent(planning)
-        shown.add_row(part.path, part.expert, str(part.robots), f"{part.worlds:,}", share, split)
-        reasons += [f"{part.path}: {line}" for line in planned.lines(planning)]
-        faults.append(planned.fault(planning))
+        planning = planning_summary.summarise_planning(Run(path / part.path).episodes)
+        percent = planning_summary.format_percent(planning)
+        table.add_row(part.path, part.expert, str(part.robots), f"{part.worlds:,}", percent, split)
+        reasons += [f"{part.path}: {line}" for line in planning_summary.reason_lines(planning)]
+        faults.append(planning_summary.planner_fault(planning))
     console = Console()
-    console.print(shown)
+    console.print(table)
     for line in reasons:
         console.print(line, highlight=False, markup=False, soft_wrap=True)
-    console.print(", ".join(f"{name}: {count:,}" for name, count in found.splits.items()))
-    if found.sample.asks:
-        said = (
-            f"{name}: {found.chosen.get(name, 0):,} of {count:,}"
-            for name, count in found.splits.items()
+    console.print(
+        ", ".join(f"{name}: {count:,}" for name, count in dataset_manifest.splits.items())
+    )
+    if dataset_manifest.sample.has_bounds:
+        split_texts = (
+            f"{name}: {dataset_manifest.chosen.get(name, 0):,} of {count:,}"
+            for name, count in dataset_manifest.splits.items()
         )
-        console.print(f"chosen of {', '.join(said)}")
-    console.print(str(place), highlight=False, soft_wrap=True)
+        console.print(f"chosen of {', '.join(split_texts)}")
+    console.print(str(path), highlight=False, soft_wrap=True)
     return faults[0] if all(faults) else None
 
 
-def verify(
+def verify_dataset(
     dataset: Annotated[Path, tyro.conf.Positional],
     again: int = 0,
     device: Device | None = None,
@@ -157,32 +163,34 @@ def verify(
 
     if again < 0:
         raise ConfigError(f"--again {again}: must be 0 or more")
-    choose(device, distributed=False)
+    choose_device(device, distributed=False)
     keep_all_programs()
-    from angler_mjx.learning.datasets.verifying import judging
+    from angler_mjx.learning.datasets.verifying import verification
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     with Progress(*columns, console=Console(stderr=True, quiet=json)) as bar:
         task = bar.add_task("files", total=None)
-        report = judging.verify(
+        report = verification.verify_dataset(
             dataset,
             again,
-            lambda what, done, of: bar.update(task, description=what, completed=done, total=of),
+            lambda check_name, done, total: bar.update(
+                task, description=check_name, completed=done, total=total
+            ),
         )
     if json:
         print(text.dumps(report.table()))
     else:
-        for one in report.findings[:SHOWN]:
-            print(one.line())
-        if (more := len(report.findings) - SHOWN) > 0:
-            print(f"... and {more} more; --json holds all of them")
+        for finding in report.findings[:MAX_FINDINGS]:
+            print(finding.line())
+        if (n_hidden := len(report.findings) - MAX_FINDINGS) > 0:
+            print(f"... and {n_hidden} more; --json holds all of them")
         for check in report.checks:
             print(check.line())
     if not report.agrees:
         sys.exit(1)
 
 
-def repair(
+def repair_dataset(
     dataset: Annotated[Path, tyro.conf.Positional],
     accept: bool = False,
     device: Device | None = None,
@@ -194,23 +202,23 @@ def repair(
         accept: Keep flights that come out otherwise than before, on another device or version.
         device: Where to compute; JAX's choice if left out.
     """
-    choose(device, distributed=False)
+    choose_device(device, distributed=False)
     keep_all_programs()
     from angler_mjx.cli.shared.progress import PartsBar
-    from angler_mjx.learning.datasets.keeping import repair as keeping
+    from angler_mjx.learning.datasets.maintenance import repair as keeping
 
     with PartsBar() as bar:
-        done = keeping.repair(dataset, bar, accept=accept)
-    if not done.damaged:
+        result = keeping.repair_dataset(dataset, bar, accept=accept)
+    if not result.damaged:
         print("nothing is damaged")
         return
-    print(f"{len(done.damaged)} files were damaged or lost, {done.damaged[0]} first")
-    print(f"flown again: {', '.join(done.parts) or 'nothing'}")
-    if done.other:
-        print(f"{len(done.other)} files have other bytes than before, {done.other[0]} first")
+    print(f"{len(result.damaged)} files were damaged or lost, {result.damaged[0]} first")
+    print(f"flown again: {', '.join(result.parts) or 'nothing'}")
+    if result.other:
+        print(f"{len(result.other)} files have other bytes than before, {result.other[0]} first")
 
 
-def merge(datasets: Annotated[tuple[Path, ...], tyro.conf.Positional], out: Path) -> None:
+def merge_datasets(datasets: Annotated[tuple[Path, ...], tyro.conf.Positional], out: Path) -> None:
     """Make one dataset of several that were recorded in one way.
 
     Args:
@@ -218,13 +226,13 @@ def merge(datasets: Annotated[tuple[Path, ...], tyro.conf.Positional], out: Path
         out: Folder to make; files are linked into it where the disk can.
     """
     from angler_mjx.learning.datasets import manifest
-    from angler_mjx.learning.datasets.keeping import merge as keeping
+    from angler_mjx.learning.datasets.maintenance import merge as keeping
 
-    made = keeping.merge(datasets, out)
-    _report(made, manifest.read(made))
+    dataset_path = keeping.merge_datasets(datasets, out)
+    _print_dataset(dataset_path, manifest.read_manifest(dataset_path))
 
 
-def stats(
+def show_stats(
     dataset: Annotated[Path, tyro.conf.Positional],
     json: Annotated[bool, tyro.conf.arg(name="json")] = False,
 ) -> None:
@@ -236,49 +244,50 @@ def stats(
     """
     from rich.console import Console
 
-    from angler_mjx.cli.shared.text_table import table as text_table
-    from angler_mjx.errors import size
-    from angler_mjx.learning.datasets.keeping import counting
+    from angler_mjx.cli.shared.text_table import build_text_table as text_table
+    from angler_mjx.errors import format_bytes
+    from angler_mjx.learning.datasets.maintenance import summary
 
-    found = counting.stats(dataset)
+    counts_by_name = summary.compute_stats(dataset)
     if json:
-        print(text.dumps(found))
+        print(text.dumps(counts_by_name))
         return
     console = Console()
     console.print(
-        f"{found['name']}: {found['episodes']:,} episodes, {found['chosen']:,} of them chosen, "
-        f"{found['robots']:,} robots, "
-        f"{size(found['bytes'])}"
+        f"{counts_by_name['name']}: {counts_by_name['episodes']:,} episodes, "
+        f"{counts_by_name['chosen']:,} of them chosen, "
+        f"{counts_by_name['robots']:,} robots, "
+        f"{format_bytes(counts_by_name['bytes'])}"
     )
-    for column, values in found["by"].items():
+    for column, values in counts_by_name["by"].items():
         table = text_table(column, "episodes", "robots with a plan", "whole teams that arrive")
         for name, value in values.items():
-            shares = (f"{100 * value[key]:.1f} %" for key in ("planned", "success"))
-            table.add_row(name, f"{value['episodes']:,}", *shares)
+            percents = (f"{100 * value[key]:.1f} %" for key in ("planned", "success"))
+            table.add_row(name, f"{value['episodes']:,}", *percents)
         console.print(table)
     table = text_table("robots that ended by", "number", "share")
-    total = sum(found["outcomes"].values())
-    for name, count in sorted(found["outcomes"].items(), key=lambda one: -one[1]):
+    total = sum(counts_by_name["outcomes"].values())
+    for name, count in sorted(counts_by_name["outcomes"].items(), key=lambda item: -item[1]):
         table.add_row(name, f"{count:,}", f"{100 * count / total:.1f} %")
     console.print(table)
     table = text_table("of episodes", "10 %", "median", "90 %")
-    for name, value in found["quantiles"].items():
+    for name, value in counts_by_name["quantiles"].items():
         table.add_row(name, *(f"{value[key]:.3g}" for key in ("p10", "p50", "p90")))
     console.print(table)
     table = text_table("field", "mean", "standard deviation")
-    rows = list(found["fields"].items())
-    for vehicle, fields in found["fields_by_vehicle"].items():
+    rows = list(counts_by_name["fields"].items())
+    for vehicle, fields in counts_by_name["fields_by_vehicle"].items():
         rows += [(f"{name} of {vehicle}", value) for name, value in fields.items()]
     for name, value in rows:
-        table.add_row(name, *(_numbers(value[key]) for key in ("mean", "std")))
+        table.add_row(name, *(_format_numbers(value[key]) for key in ("mean", "std")))
     console.print(table)
 
 
-def _numbers(values: list[float | None]) -> str:
+def _format_numbers(values: list[float | None]) -> str:
     return " ".join("-" if value is None else f"{value:.3g}" for value in values)
 
 
-def export(
+def export_dataset(
     dataset: Annotated[Path, tyro.conf.Positional],
     to: Literal["lerobot", "minari", "mpinets", "parquet"],
     out: Path,
@@ -299,18 +308,18 @@ def export(
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
-    from angler_mjx.learning.datasets.exports import writing
+    from angler_mjx.learning.datasets.exports import formats
 
     columns = ("flights", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True)) as bar:
         task = bar.add_task("flights", total=None)
-        made = writing.export(
+        written_path = formats.export_dataset(
             dataset,
             out,
             to=to,
             action=action,
             split=split,
             success=success,
-            tell=lambda done, of: bar.update(task, completed=done, total=of),
+            progress=lambda done, total: bar.update(task, completed=done, total=total),
         )
-    print(made)
+    print(written_path)

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from angler_mjx.cli.shared.device import Device, choose, keep_all_programs
+from angler_mjx.cli.shared.device import Device, choose_device, keep_all_programs
 from angler_mjx.errors import ConfigError, RunError
 
 if TYPE_CHECKING:
     from angler_mjx.planning.host.pool import Pool
-    from angler_mjx.studies.benchmark.again import FolderComparison
+    from angler_mjx.studies.benchmark.folder_comparison import FolderComparison
 
 
 def benchmark(
@@ -43,67 +43,71 @@ def benchmark(
         report: Only make tables, figures and page of a results folder anew.
         device: Where to fly; JAX's choice if left out.
     """
-    choose(device)
+    choose_device(device)
     keep_all_programs()
-    from angler_mjx.cli.shared.inputs import at_least_one
+    from angler_mjx.cli.shared.inputs import require_positive
     from angler_mjx.shipped import find_shipped
     from angler_mjx.studies.benchmark import running
 
     if report:
         if out or workers or ray or resume or presets or teams or problems:
             raise ConfigError("--report: makes the page of a results folder; leave out other flags")
-        print(running.report(source))
+        print(running.rebuild_report(source))
         return
     source = find_shipped(source, "angler_mjx.studies.benchmark", "benchmark", folders=True)
-    given = {"presets": presets, "teams": teams, "problems": problems}
-    found = running.read(source, **{key: x for key, x in given.items() if x is not None})
-    name = f"{found.config.name}-again" if source.is_dir() else found.config.name
-    place = out or Path("runs") / name
-    if source.is_dir() and resume and (place / "about.json").is_file():
-        _compare(source, place)
+    filters = {"presets": presets, "teams": teams, "problems": problems}
+    study = running.read_benchmark(
+        source, **{key: x for key, x in filters.items() if x is not None}
+    )
+    name = f"{study.config.name}-again" if source.is_dir() else study.config.name
+    out_path = out or Path("runs") / name
+    if source.is_dir() and resume and (out_path / "about.json").is_file():
+        _print_comparison(source, out_path)
         return
-    for line in found.blind():
+    for line in study.list_blind_planners():
         print(line, file=sys.stderr)
-    pool = _pool(at_least_one("workers", workers), ray)
-    with _Bar() as bar:
+    pool = _build_pool(require_positive("workers", workers), ray)
+    with _BenchmarkBar() as bar:
         try:
-            running.run(found, source, place, workers=pool, resume=resume, told=bar)
+            running.run_benchmark(
+                study, source, out_path, workers=pool, resume=resume, progress=bar
+            )
         except KeyboardInterrupt:
             bar.stop()
-            print(f"interrupted: go on with --resume --out {place}", file=sys.stderr)
+            print(f"interrupted: go on with --resume --out {out_path}", file=sys.stderr)
             sys.exit(130)
-    print(running.summary(place))
-    print(place / "report.html")
-    if why := running.fault(place):
-        raise RunError(f"every planner raised; the first {why}")
+    print(running.format_summary(out_path))
+    print(out_path / "report.html")
+    if reason := running.find_planning_fault(out_path):
+        raise RunError(f"every planner raised; the first {reason}")
     if source.is_dir():
-        _compare(source, place)
+        _print_comparison(source, out_path)
 
 
-def _compare(first: Path, second: Path) -> None:
+def _print_comparison(first: Path, second: Path) -> None:
     """Say whether two results folders are the same; ends with 1 if not."""
-    from angler_mjx.studies.benchmark import again
+    from angler_mjx.studies.benchmark import folder_comparison
 
-    compared = again.compare(first, second)
+    compared = folder_comparison.compare_folders(first, second)
     print(_format_comparison(compared))
     if not compared.same:
         sys.exit(1)
 
 
-def _pool(workers: int | None, address: str | None) -> "Callable[[], Pool]":
+def _build_pool(workers: int | None, address: str | None) -> "Callable[[], Pool]":
     import os
 
-    def local() -> "Pool":
+    def build_local() -> "Pool":
         from angler_mjx.planning.host.workers import Workers
 
         return Workers(None, workers or os.cpu_count() or 1)
 
-    def remote() -> "Pool":
+    def build_remote() -> "Pool":
         from angler_mjx.planning.host.cluster.ray_workers import RayWorkers
 
         return RayWorkers(address or "", workers)
 
-    return local if address is None else remote
+    return build_local if address is None else build_remote
 
 
 def _format_comparison(compared: "FolderComparison") -> str:
@@ -124,7 +128,7 @@ def _format_comparison(compared: "FolderComparison") -> str:
     return "\n".join(lines)
 
 
-class _Bar:
+class _BenchmarkBar:
     """A progress bar on stderr; a `studies.benchmark.running.BenchmarkProgress`."""
 
     def __init__(self) -> None:
@@ -141,7 +145,7 @@ class _Bar:
         self._bar = Progress(*columns, console=Console(stderr=True))
         self._task = self._bar.add_task("runs", total=None, at="")
 
-    def __enter__(self) -> "_Bar":
+    def __enter__(self) -> "_BenchmarkBar":
         self._bar.start()
         return self
 

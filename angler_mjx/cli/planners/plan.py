@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from angler_mjx.cli.shared.device import Device, choose, keep_all_programs
+from angler_mjx.cli.shared.device import Device, choose_device, keep_all_programs
 from angler_mjx.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 def plan(
     scenario: Annotated[str | None, tyro.conf.Positional] = None,
     planner: str | None = None,
-    knows: str | None = None,
+    information: str | None = None,
     worlds: int | None = None,
     seed: int | None = None,
     out: Path | None = None,
@@ -33,7 +33,7 @@ def plan(
     Args:
         scenario: Name of a shipped scenario, or path of a scenario file (.toml).
         planner: That plans; the scenario's if left out. One that --list names, or FILE.py:CLASS.
-        knows: What it is told of what moves, such as
+        information: Information level of what moves, such as
             obstacles=observed,current=predicted; of what is not named, nothing. The scenario's if
             left out.
         worlds: Number of worlds; the scenario's if left out.
@@ -49,20 +49,20 @@ def plan(
         device: Where to draw the worlds; JAX's choice if left out.
         list_: Name the planners there are, and end.
     """
-    choose(device)
+    choose_device(device)
     keep_all_programs()
     from angler_mjx.cli.shared.inputs import (
-        at_least_one,
-        knows_given,
-        planner_given,
-        require_planned,
-        scenario_to_fly,
+        build_flyable_scenario,
+        build_planner_table,
+        parse_information,
+        require_plans,
+        require_positive,
     )
     from angler_mjx.planning import register
-    from angler_mjx.planning.automatic import AUTO
+    from angler_mjx.planning.planner_choice import AUTO
 
     if list_:
-        print("\n".join([AUTO, *register.names()]))
+        print("\n".join([AUTO, *register.planner_names()]))
         return
     if scenario is None:
         raise ConfigError("angler plan: name a scenario; angler scenarios lists those that ship")
@@ -70,25 +70,27 @@ def plan(
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
     from angler_mjx.runs.simulator.simulator import Simulator
-    from angler_mjx.runs.storage.planned import lines as planned_lines
+    from angler_mjx.runs.storage.planning_summary import reason_lines as planned_lines
     from angler_mjx.runs.storage.plans import write as plan_writer
-    from angler_mjx.runs.storage.plans.read import how_planned
+    from angler_mjx.runs.storage.plans.read import summarise_plan_file
     from angler_mjx.scenario import notices
 
     table = {
-        **(planner_given(planner, knows=knows_given(knows)) or {}),
+        **(build_planner_table(planner, information=parse_information(information)) or {}),
         "deadline_s": deadline_s,
         "points": points,
     }
-    chosen = {key: value for key, value in table.items() if value is not None}
-    loaded = scenario_to_fly(scenario, worlds=worlds, seed=seed, planner=chosen or None)
-    if line := notices.planner(loaded):
+    planner_table = {key: value for key, value in table.items() if value is not None}
+    loaded = build_flyable_scenario(
+        scenario, worlds=worlds, seed=seed, planner=planner_table or None
+    )
+    if line := notices.planner_notice(loaded):
         print(line, file=sys.stderr)
     if debug is not None:
-        _debug(loaded, debug)
+        _print_plans(loaded, debug)
         return
-    place = out or Path("plans") / f"{loaded.name}.zarr"
-    count = at_least_one("workers", workers)
+    out_path = out or Path("plans") / f"{loaded.name}.zarr"
+    count = require_positive("workers", workers)
     simulator = Simulator(loaded, workers=count)
     robots = len(loaded.members())
     columns = ("worlds", BarColumn(), MofNCompleteColumn(), "{task.fields[found]}")
@@ -99,38 +101,40 @@ def plan(
             bar.update(task, completed=done, found=f"{planned} paths")
 
         try:
-            planned = plan_writer.make(place, loaded, simulator, resume=resume, advance=advance)
+            planned = plan_writer.plan_worlds(
+                out_path, loaded, simulator, resume=resume, advance=advance
+            )
         except KeyboardInterrupt:
             bar.stop()
-            print(f"interrupted: go on with --resume --out {place}", file=sys.stderr)
+            print(f"interrupted: go on with --resume --out {out_path}", file=sys.stderr)
             sys.exit(130)
         finally:
             simulator.close()
-    planning = how_planned(place)
+    planning = summarise_plan_file(out_path)
     for line in planned_lines(planning):
         print(line)
     print(f"{planned} of {loaded.worlds * robots} robots have a path")
-    print(place)
-    require_planned(planning, f"planner {loaded.planner.name}")
+    print(out_path)
+    require_plans(planning, f"planner {loaded.planner.name}")
 
 
-def _debug(scenario: "Scenario", world: int) -> None:
+def _print_plans(scenario: "Scenario", world: int) -> None:
     """Plan one world in this process, and print what each robot got."""
     from angler_mjx.planning.planner import NoPlan
     from angler_mjx.runs.simulator import debugging
 
-    for robot, path in enumerate(debugging.plan(scenario, world)):
+    for robot, path in enumerate(debugging.plan_in_process(scenario, world)):
         if isinstance(path, NoPlan):
             print(f"robot {robot}: no path: {path.reason}")
         else:
             print(f"robot {robot}: {len(path.time_s)} points, ends at {path.time_s[-1]:.1f} s")
 
 
-def problems(
+def write_problems(
     scenario: Annotated[str, tyro.conf.Positional],
     worlds: int | None = None,
     seed: int | None = None,
-    knows: str | None = None,
+    information: str | None = None,
     raw: bool = False,
     out: Path | None = None,
     device: Device | None = None,
@@ -139,8 +143,9 @@ def problems(
 
     Args:
         scenario: Name of a shipped scenario, or path of a scenario file (.toml).
-        knows: Information level of what moves, such as obstacles=observed,current=predicted; of
-            what is not named, nothing. The scenario's if left out.
+        information: Information level of what moves, such as
+            obstacles=observed,current=predicted; nothing where left out. The scenario's levels if
+            left out altogether.
         raw: Write plain little-endian numbers, an array of a world a file, that a program without
             a Zarr library can read.
         worlds: Number of worlds; the scenario's if left out.
@@ -148,22 +153,24 @@ def problems(
         out: File to make; problems/NAME.zarr if left out.
         device: Where to draw the worlds; JAX's choice if left out.
     """
-    choose(device)
+    choose_device(device)
     keep_all_programs()
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
-    from angler_mjx.cli.shared.inputs import knows_given, planner_given, scenario_given
+    from angler_mjx.cli.shared.inputs import build_planner_table, build_scenario, parse_information
     from angler_mjx.planning.planner import PathShape
     from angler_mjx.runs.simulator.simulator import Simulator
     from angler_mjx.runs.storage.plans import problems as store
 
-    planner = planner_given(None, knows=knows_given(knows))
-    loaded = scenario_given(scenario, worlds=worlds, seed=seed, planner=planner)
-    place = out or Path("problems") / f"{loaded.name}.zarr"
+    planner = build_planner_table(None, information=parse_information(information))
+    loaded = build_scenario(scenario, worlds=worlds, seed=seed, planner=planner)
+    out_path = out or Path("problems") / f"{loaded.name}.zarr"
     simulator = Simulator(loaded, paths=PathShape(points=2))
     columns = ("worlds", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True)) as bar:
         task = bar.add_task("worlds", total=loaded.worlds)
-        store.make(place, simulator, lambda done: bar.update(task, completed=done), raw=raw)
-    print(place)
+        store.write_problems(
+            out_path, simulator, lambda done: bar.update(task, completed=done), raw=raw
+        )
+    print(out_path)

@@ -11,24 +11,24 @@ if TYPE_CHECKING:
 type Device = Literal["cpu", "gpu"]
 
 
-def choose(device: Device | None, *, distributed: bool = False) -> None:
+def choose_device(device: Device | None, *, distributed: bool = False) -> None:
     """Make JAX compute on ``device``, or on its own choice if None, with a compile cache.
 
-    Compiled programs are kept: see `angler_mjx.runs.simulator.cache`.
+    Compiled programs are kept: see `angler_mjx.runs.simulator.compile_cache`.
 
     Args:
         device: where to compute.
-        distributed: whether `join` follows: processes that share a run must find each other before
-            one of them looks at its devices.
+        distributed: whether `join_processes` follows: processes that share a run must find each
+            other before one of them looks at its devices.
 
     Raises:
         ConfigError: there is no such device.
     """
     import jax
 
-    from angler_mjx.runs.simulator import cache
+    from angler_mjx.runs.simulator import compile_cache
 
-    cache.switch_on()
+    compile_cache.enable_cache()
     if device == "cpu":
         jax.config.update("jax_platforms", "cpu")
     if device == "gpu" and not distributed:
@@ -47,7 +47,7 @@ def keep_all_programs() -> None:
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 
-def join(
+def join_processes(
     device: Device | None,
     *,
     distributed: bool,
@@ -58,7 +58,7 @@ def join(
     """The processes that share a run: this one alone, or all that were started with it.
 
     Args:
-        device: as given to `choose`.
+        device: as given to `choose_device`.
         distributed: whether there are others.
         coordinator: host and port of process 0; as the next two, told by Slurm and Open MPI.
         processes: how many there are.
@@ -69,15 +69,15 @@ def join(
         RunError: the others did not come.
     """
     from angler_mjx.runs.processes import OneProcess
-    from angler_mjx.runs.processes import join as join_others
+    from angler_mjx.runs.processes import join_processes as join_others
 
     if distributed:
-        joined = join_others(coordinator, processes, process)
+        group = join_others(coordinator, processes, process)
         if device == "gpu":
             _require_gpu()
-        return joined
-    given = {"coordinator": coordinator, "processes": processes, "process": process}
-    for name, value in given.items():
+        return group
+    flags = {"coordinator": coordinator, "processes": processes, "process": process}
+    for name, value in flags.items():
         if value is not None:
             raise ConfigError(f"--{name} {value}: belongs to --distributed; give that as well")
     return OneProcess()

@@ -16,10 +16,10 @@ from rich.progress import (
 from rich.text import Text
 
 if TYPE_CHECKING:
-    from angler_mjx.runs.simulator.compiling import CompileTime
+    from angler_mjx.runs.simulator.compilation import CompileTime
 
 
-class _Speed(ProgressColumn):
+class _SpeedColumn(ProgressColumn):
     """Vehicle-steps per second since the simulation began."""
 
     def render(self, task: Task) -> Text:
@@ -29,7 +29,7 @@ class _Speed(ProgressColumn):
         return Text(f"{steps / seconds:.2e} vehicle-steps/s" if steps and seconds else "")
 
 
-class Shown:
+class ProgressDisplay:
     """What is seen on stderr while it is entered, and stays as it stands at the end."""
 
     def __init__(self, *columns: ProgressColumn, quiet: bool = False) -> None:
@@ -51,8 +51,8 @@ class Shown:
         self._bar.stop()
 
 
-class Bar(Shown):
-    """A progress bar on stderr; a `runs.rollout.Progress`."""
+class RunBar(ProgressDisplay):
+    """A progress bar on stderr; a `runs.rollout.SampleProgress`."""
 
     def __init__(self, *, quiet: bool) -> None:
         """A bar, or nothing at all if ``quiet``."""
@@ -60,7 +60,7 @@ class Bar(Shown):
             TextColumn("{task.description}"),
             BarColumn(),
             MofNCompleteColumn(),
-            _Speed(),
+            _SpeedColumn(),
             TimeRemainingColumn(),
             quiet=quiet,
         )
@@ -69,16 +69,16 @@ class Bar(Shown):
         self._task = self._bar.add_task("drawing up", total=None, steps=0)
 
     def start(self, worlds: int, done: int) -> None:
-        """See `Progress`."""
+        """See `SampleProgress`."""
         self._worlds, self._done = worlds, float(done)
 
     def compiling(self) -> None:
-        """See `Progress`."""
+        """See `SampleProgress`."""
         self._bar.update(self._task, description="compiling")
 
-    def compiled(self, took: "CompileTime") -> None:
-        """See `Progress`."""
-        self._bar.console.print(f"compiled in {took.total_s:.1f} s", highlight=False)
+    def compiled(self, compile_time: "CompileTime") -> None:
+        """See `SampleProgress`."""
+        self._bar.console.print(f"compiled in {compile_time.total_s:.1f} s", highlight=False)
         self._bar.reset(
             self._task,
             description="worlds",
@@ -88,24 +88,24 @@ class Bar(Shown):
         )
 
     def advance(self, worlds: float, vehicle_steps: int) -> None:
-        """See `Progress`."""
+        """See `SampleProgress`."""
         self._done += worlds
         steps = self._bar.tasks[0].fields["steps"] + vehicle_steps
         self._bar.update(self._task, completed=int(self._done + 1e-6), steps=steps)
 
     def tell(self, text: str) -> None:
-        """See `Progress`."""
+        """See `SampleProgress`."""
         self._bar.console.print(text, highlight=False, markup=False)
 
 
-class PartsBar(Bar):
-    """The same for several runs, one by one; a `runs.several.Told`."""
+class PartsBar(RunBar):
+    """The same for several runs, one by one; a `runs.multi_run.Told`."""
 
     def __init__(self, *, quiet: bool = False) -> None:
         """A bar, or nothing at all if ``quiet``."""
         super().__init__(quiet=quiet)
 
-    def part(self, number: int, of: int, name: str) -> None:
+    def part(self, number: int, total: int, name: str) -> None:
         """See `Told`."""
-        self._bar.console.print(f"run {number + 1} of {of}: {name}", highlight=False)
+        self._bar.console.print(f"run {number + 1} of {total}: {name}", highlight=False)
         self._bar.reset(self._task, description="drawing up", total=None, steps=0)

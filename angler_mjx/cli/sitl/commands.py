@@ -10,7 +10,7 @@ import tyro
 from angler_mjx.errors import ConfigError, UnsupportedError
 
 
-def install(
+def install_ardusub(
     from_: Annotated[Path | None, tyro.conf.arg(name="from")] = None,
     url: str | None = None,
     version: str = "stable-4.5.3",
@@ -27,42 +27,44 @@ def install(
         version: Which official build: stable-4.5.3, latest, ...
         sha256: Refuse it unless its checksum is this one.
     """
-    need_extra()
+    require_pymavlink()
     if from_ is not None and url is not None:
         raise ConfigError("--from and --url: give one of them")
     from angler_sitl.firmware import install as installing
 
     if from_ is not None:
-        done = installing.from_file(from_.expanduser(), checksum=sha256)
+        installed = installing.install_from_file(from_.expanduser(), checksum=sha256)
     else:
-        with _Bar() as bar:
-            done = installing.from_network(version, url, bar.tell, checksum=sha256)
-    print(f"ArduSub {done.version}, sha256 {done.sha256}", file=sys.stderr)
-    print(done.path)
+        with _TransferBar() as bar:
+            installed = installing.install_from_network(
+                version, url, bar.update_progress, checksum=sha256
+            )
+    print(f"ArduSub {installed.version}, sha256 {installed.sha256}", file=sys.stderr)
+    print(installed.path)
 
 
-def doctor(ardusub: Path | None = None, isolate: bool = False) -> None:
+def run_doctor(ardusub: Path | None = None, isolate: bool = False) -> None:
     """Look whether real autopilots can be run here, in one table.
 
     Args:
         ardusub: The ArduSub to look at; else ANGLER_ARDUSUB, else the installed one.
         isolate: Do it in a network namespace, where no socket can be reached from outside.
     """
-    need_extra()
+    require_pymavlink()
     if isolate:
         from angler_sitl.firmware import isolation
 
-        isolation.isolate()
+        isolation.isolate_network()
     from rich.console import Console
 
-    from angler_mjx.cli.shared.text_table import table as text_table
-    from angler_sitl.firmware.doctor import examine
+    from angler_mjx.cli.shared.text_table import build_text_table as text_table
+    from angler_sitl.firmware.doctor import run_checks
 
     table = text_table("", "looked at", "found")
     marks = {True: "[green]good", False: "[red]fault", None: "[yellow]note"}
     faults = []
     with Console(stderr=True).status("looking"):
-        for check in examine(ardusub):
+        for check in run_checks(ardusub):
             table.add_row(marks[check.good], check.name, check.text)
             if check.good is False:
                 faults.append(check.name)
@@ -71,7 +73,7 @@ def doctor(ardusub: Path | None = None, isolate: bool = False) -> None:
         raise ConfigError(f"at fault: {', '.join(faults)}; see the table")
 
 
-def need_extra() -> None:
+def require_pymavlink() -> None:
     """Refuse to go on without pymavlink.
 
     Raises:
@@ -81,7 +83,7 @@ def need_extra() -> None:
         raise UnsupportedError("real autopilots need pymavlink: pip install 'angler-mjx[sitl]'")
 
 
-class _Bar:
+class _TransferBar:
     """Progress of a transfer on stderr."""
 
     def __init__(self) -> None:
@@ -93,13 +95,13 @@ class _Bar:
         )
         self._task = self._bar.add_task("ardusub", total=None)
 
-    def __enter__(self) -> "_Bar":
+    def __enter__(self) -> "_TransferBar":
         self._bar.start()
         return self
 
     def __exit__(self, *ended: object) -> None:
         self._bar.stop()
 
-    def tell(self, here: int, total: int | None) -> None:
-        """See `angler_sitl.firmware.fetch.Tell`."""
-        self._bar.update(self._task, completed=here, total=total)
+    def update_progress(self, done: int, total: int | None) -> None:
+        """See `angler_sitl.firmware.download.TransferProgress`."""
+        self._bar.update(self._task, completed=done, total=total)

@@ -7,17 +7,17 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from angler_mjx.cli.shared.device import Device, choose, keep_all_programs
+from angler_mjx.cli.shared.device import Device, choose_device, keep_all_programs
 from angler_mjx.errors import ConfigError
 
 if TYPE_CHECKING:
-    from angler_mjx.teleop.opening import Opener
+    from angler_mjx.teleop.opening import SessionOpener
     from angler_sitl.missions.flight import MissionFlight
 
-type Level = Literal["thrusters", "guided", "poshold", "althold", "manual"]
-type Source = Literal["vision", "vicon", "gps"]
+type CommandLevel = Literal["thrusters", "guided", "poshold", "althold", "manual"]
+type PositionSource = Literal["vision", "vicon", "gps"]
 
-_INTERRUPTED = 130
+_EXIT_INTERRUPTED = 130
 
 
 def run(
@@ -25,9 +25,9 @@ def run(
     robots: int | None = None,
     world: int = 0,
     seed: int | None = None,
-    level: Level = "guided",
+    level: CommandLevel = "guided",
     plan: tuple[str, ...] = ("grid",),
-    source: Source = "vision",
+    source: PositionSource = "vision",
     speed: Literal["max"] | float = "max",
     duration: float | None = None,
     out: Path | None = None,
@@ -63,20 +63,20 @@ def run(
             robots.
         device: Where to compute.
     """
-    prepare(isolate=isolate, gcs=gcs)
-    choose(device)
+    require_sitl(isolate=isolate, gcs=gcs)
+    choose_device(device)
     keep_all_programs()
-    from angler_mjx.cli.shared.inputs import scenario_given
+    from angler_mjx.cli.shared.inputs import build_scenario
     from angler_mjx.cli.sitl.status_table import status_table
     from angler_sitl.missions import mission
-    from angler_sitl.missions.choosing import scenario_of
+    from angler_sitl.missions.scenario_options import select_scenario
     from angler_sitl.scene import motion
 
     motion.compute_inline()
-    loaded = scenario_given(scenario, seed=seed)
-    chosen = scenario_of(loaded, robots)
+    loaded = build_scenario(scenario, seed=seed)
+    selected = select_scenario(loaded, robots)
     settings = mission.MissionSettings(
-        out=out or Path("runs") / f"{chosen.name}-sitl",
+        out=out or Path("runs") / f"{selected.name}-sitl",
         world=world,
         level=level,
         source=source,
@@ -88,15 +88,17 @@ def run(
         binary=ardusub,
         parameters=parameters,
     )
-    flight, made = mission.run(chosen, settings, partial(print, file=sys.stderr), status_table)
-    _report(flight)
-    print(made.path)
+    flight, run_folder = mission.run_mission(
+        selected, settings, partial(print, file=sys.stderr), status_table
+    )
+    _print_flight(flight)
+    print(run_folder.path)
     if flight.by_signal:
         print("angler: interrupted; what was flown until then is kept", file=sys.stderr)
-        sys.exit(_INTERRUPTED)
+        sys.exit(_EXIT_INTERRUPTED)
 
 
-def prepare(*, isolate: bool, gcs: str | None) -> None:
+def require_sitl(*, isolate: bool, gcs: str | None) -> None:
     """Look whether there is what real autopilots need, and shut the network out if asked to.
 
     Call it before anything is loaded that starts threads: see `angler_sitl.firmware.isolation`.
@@ -105,28 +107,30 @@ def prepare(*, isolate: bool, gcs: str | None) -> None:
         ConfigError: a ground station is to join a network that nobody can join.
         UnsupportedError: pymavlink is not installed, or the system gives no network namespace.
     """
-    from angler_mjx.cli.sitl.commands import need_extra
+    from angler_mjx.cli.sitl.commands import require_pymavlink
 
-    need_extra()
+    require_pymavlink()
     if not isolate:
         return
     if gcs is not None:
         raise ConfigError(f"--gcs {gcs}: with --isolate nobody can join; leave out one of them")
     from angler_sitl.firmware import isolation
 
-    isolation.isolate()
+    isolation.isolate_network()
 
 
-def opener(*, level: Level, source: Source, gcs: str | None, ardusub: Path | None) -> "Opener":
+def build_opener(
+    *, level: CommandLevel, source: PositionSource, gcs: str | None, ardusub: Path | None
+) -> "SessionOpener":
     """Opens real autopilots for `angler teleop`; arguments as of `run`."""
-    from angler_sitl.driven import opener as of_autopilots
     from angler_sitl.scene import motion
+    from angler_sitl.teleop_opener import build_session_opener as of_autopilots
 
     motion.compute_inline()
     return of_autopilots(level=level, source=source, gcs=gcs, binary=ardusub)
 
 
-def _report(flight: "MissionFlight") -> None:
+def _print_flight(flight: "MissionFlight") -> None:
     """How it went, in a line for all and a line for each robot."""
     print(
         f"{flight.scene_s:.2f} s of the scene in {flight.wall_s:.2f} s "

@@ -14,8 +14,8 @@ from rich.progress import (
     TimeElapsedColumn,
 )
 
-from angler_mjx.cli.shared.device import choose, keep_all_programs
-from angler_mjx.cli.shared.progress import Shown
+from angler_mjx.cli.shared.device import choose_device, keep_all_programs
+from angler_mjx.cli.shared.progress import ProgressDisplay
 from angler_mjx.errors import ConfigError, UnsupportedError
 
 
@@ -64,13 +64,13 @@ def spotcheck(
     if isolate:
         from angler_sitl.firmware import isolation
 
-        isolation.isolate()
-    choose(None)
+        isolation.isolate_network()
+    choose_device(None)
     keep_all_programs()
     from angler_mjx.learning.datasets.manifest import MANIFEST
     from angler_sitl.scene.motion import compute_inline
-    from angler_sitl.spotcheck import checking, page
     from angler_sitl.spotcheck import dataset as of_dataset
+    from angler_sitl.spotcheck import report_page, runner
     from angler_sitl.spotcheck.results import SpotcheckSettings
 
     compute_inline()
@@ -82,52 +82,57 @@ def spotcheck(
         levels=tuple(dict.fromkeys(level)),
         robots=robots,
         source=source,
-        speed=_speed(speed),
+        speed=_parse_speed(speed),
         binary=ardusub,
     )
-    place = out or run.with_name(f"{run.resolve().name}-spotcheck")
+    out_path = out or run.with_name(f"{run.resolve().name}-spotcheck")
     if (run / MANIFEST).is_file():
-        with _Bar() as bar:
-            made = of_dataset.check(run, settings, place, bar, resume=resume)
-        for row in () if made is None else made.rows:
-            _say(
+        with _SpotcheckBar() as bar:
+            report = of_dataset.check_dataset(run, settings, out_path, bar, resume=resume)
+        for row in () if report is None else report.rows:
+            _print_agreement(
                 f"{row.flown_by}, against {row.against}",
                 (row.agree, row.robots),
                 row.track_rms_m[0],
                 row.path_rms_m[0],
             )
-        if made is not None and made.left_out:
-            print(f"not checked, nothing was flown of them: {', '.join(made.left_out)}")
-        _end(place, complete=made is not None)
+        if report is not None and report.left_out:
+            print(f"not checked, nothing was flown of them: {', '.join(report.left_out)}")
+        _print_result(out_path, complete=report is not None)
         return
-    with _Bar() as bar:
-        found = checking.check(run, settings, place, bar, resume=resume)
-    for name, count, reference, one in page.rows(found):
-        _say(
+    with _SpotcheckBar() as bar:
+        results = runner.run_spot_check(run, settings, out_path, bar, resume=resume)
+    for name, count, reference, comparison in report_page.summarise_rows(results):
+        _print_agreement(
             f"{name}, {count} robots, against {reference}",
-            (one.agree, one.robots),
-            one.track_rms_m[0],
-            one.path_rms_m[0],
+            (comparison.agree, comparison.robots),
+            comparison.track_rms_m[0],
+            comparison.path_rms_m[0],
         )
-    _end(place, complete=found.complete)
+    _print_result(out_path, complete=results.complete)
 
 
-def _say(what: str, agree: tuple[int, int], track_m: float | None, path_m: float | None) -> None:
+def _print_agreement(
+    label: str, agree: tuple[int, int], track_m: float | None, path_m: float | None
+) -> None:
     """One line: of how many robots how many ended alike, and two medians."""
-    track, way = ("-" if value is None else f"{value:.2f} m" for value in (track_m, path_m))
+    track_text, path_text = (
+        "-" if value is None else f"{value:.2f} m" for value in (track_m, path_m)
+    )
     print(
-        f"{what}: {agree[0]} of {agree[1]} ended the same way; track {track}, way {way} (medians)"
+        f"{label}: {agree[0]} of {agree[1]} ended the same way; track {track_text}, way "
+        f"{path_text} (medians)"
     )
 
 
-def _end(place: Path, *, complete: bool) -> None:
-    print(place)
+def _print_result(path: Path, *, complete: bool) -> None:
+    print(path)
     if not complete:
         print("interrupted: go on with --resume", file=sys.stderr)
         sys.exit(130)
 
 
-def _speed(text: str) -> Literal["max"] | float:
+def _parse_speed(text: str) -> Literal["max"] | float:
     if text == "max":
         return "max"
     try:
@@ -136,7 +141,7 @@ def _speed(text: str) -> Literal["max"] | float:
         raise ConfigError(f"--speed {text}: give a positive number, or max") from None
 
 
-class _Bar(Shown):
+class _SpotcheckBar(ProgressDisplay):
     """Flights done, and how far the one in the air is, on stderr."""
 
     def __init__(self) -> None:
@@ -152,19 +157,19 @@ class _Bar(Shown):
         self._done = 0.0
 
     def start(self, flights: int, done: int) -> None:
-        """See `angler_sitl.spotcheck.checking.SpotcheckProgress`."""
+        """See `angler_sitl.spotcheck.runner.SpotcheckProgress`."""
         self._done = float(done)
         self._bar.reset(self._all, total=flights, completed=done)
 
-    def doing(self, what: str) -> None:
-        """See `angler_sitl.spotcheck.checking.SpotcheckProgress`."""
-        self._bar.update(self._all, description=what)
+    def report_task(self, description: str) -> None:
+        """See `angler_sitl.spotcheck.runner.SpotcheckProgress`."""
+        self._bar.update(self._all, description=description)
 
-    def at(self, share: float) -> None:
-        """See `angler_sitl.spotcheck.checking.SpotcheckProgress`."""
-        self._bar.update(self._all, completed=self._done + share)
+    def update_fraction(self, fraction: float) -> None:
+        """See `angler_sitl.spotcheck.runner.SpotcheckProgress`."""
+        self._bar.update(self._all, completed=self._done + fraction)
 
-    def flown(self) -> None:
-        """See `angler_sitl.spotcheck.checking.SpotcheckProgress`."""
+    def finish_flight(self) -> None:
+        """See `angler_sitl.spotcheck.runner.SpotcheckProgress`."""
         self._done += 1.0
         self._bar.update(self._all, completed=self._done)

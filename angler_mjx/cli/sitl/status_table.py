@@ -13,33 +13,33 @@ from rich.table import Table
 from angler_mjx.errors import RunError
 from angler_mjx.runs.session.interface import Observation
 from angler_mjx.teleop.loop import Watcher
-from angler_sitl.missions import standing
-from angler_sitl.missions.standing import MissionStatus
+from angler_sitl.missions import robot_status
+from angler_sitl.missions.robot_status import MissionStatus
 from angler_sitl.session import SitlSession
 
-PAINT_S = 0.25
+REFRESH_S = 0.25
 """From one table to the next, by the wall clock."""
-LINES_S = 10.0
+LINE_PERIOD_S = 10.0
 """From one set of lines to the next, in seconds of the scene."""
 
 
 def status_table(session: SitlSession) -> AbstractContextManager[Watcher]:
     """What suits the place that stderr goes to."""
     console = Console(stderr=True)
-    return _Table(session, console) if console.is_terminal else _Lines(session, console)
+    return _LiveTable(session, console) if console.is_terminal else _LinePrinter(session, console)
 
 
-class _Table:
+class _LiveTable:
     """A live table; the last one stays."""
 
     def __init__(self, session: SitlSession, console: Console) -> None:
         self._session, self._latest = session, session.observe()
         self._live = Live(console=console, auto_refresh=False)
-        self._painted = 0.0
+        self._refreshed_s = 0.0
 
     def __enter__(self) -> Self:
         self._live.start()
-        self._paint()
+        self._refresh()
         return self
 
     def __exit__(
@@ -49,22 +49,22 @@ class _Table:
         trace: TracebackType | None,
     ) -> None:
         with suppress(RunError):  # where a crash took the autopilots away
-            self._paint()
+            self._refresh()
         self._live.stop()
 
     def after(self, observation: Observation) -> None:
         """See `Watcher`."""
         self._latest = observation
-        if time.perf_counter() - self._painted >= PAINT_S:
-            self._paint()
+        if time.perf_counter() - self._refreshed_s >= REFRESH_S:
+            self._refresh()
 
-    def _paint(self) -> None:
-        self._painted = time.perf_counter()
-        rows = standing.look(self._session, self._latest)
-        self._live.update(table(self._latest.time_s, rows), refresh=True)
+    def _refresh(self) -> None:
+        self._refreshed_s = time.perf_counter()
+        rows = robot_status.collect_status(self._session, self._latest)
+        self._live.update(build_table(self._latest.time_s, rows), refresh=True)
 
 
-class _Lines:
+class _LinePrinter:
     """Lines, for a file or a pipe."""
 
     def __init__(self, session: SitlSession, console: Console) -> None:
@@ -87,27 +87,27 @@ class _Lines:
         # A thousandth of a second: times are sums in floating point.
         if observation.time_s < self._due_s - 1e-3:
             return
-        self._due_s += LINES_S
-        for row in standing.look(self._session, observation):
-            line = f"{observation.time_s:7.2f} s  {row.line()}"
+        self._due_s += LINE_PERIOD_S
+        for row in robot_status.collect_status(self._session, observation):
+            line = f"{observation.time_s:7.2f} s  {row.format_line()}"
             self._console.print(line, highlight=False, markup=False, soft_wrap=True)
 
 
-def table(time_s: float, rows: Sequence[MissionStatus]) -> Table:
+def build_table(time_s: float, rows: Sequence[MissionStatus]) -> Table:
     """All robots at one time."""
-    made = Table(title=f"{time_s:.2f} s", title_justify="left")
+    status = Table(title=f"{time_s:.2f} s", title_justify="left")
     for name in ("robot", "mode", "armed", "EKF", "off m", "clear m", "outcome", "remark"):
         side: Literal["right", "left"] = "right" if name.endswith(" m") else "left"
-        made.add_column(name, justify=side, overflow="fold")
+        status.add_column(name, justify=side, overflow="fold")
     for row in rows:
-        made.add_row(
+        status.add_row(
             row.name,
             row.mode,
             "armed" if row.armed else "[red]no",
-            "good" if row.located else "[red]bad",
+            "good" if row.has_position else "[red]bad",
             f"{row.off_m:.2f}",
             f"{row.clearance_m:.2f}",
             row.outcome,
             row.remark.replace("[", r"\["),
         )
-    return made
+    return status

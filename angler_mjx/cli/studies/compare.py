@@ -28,7 +28,7 @@ def compare(
 
     if figure is not None:
         style.require_format(figure, flag="--figure")
-    found = comparing.compare(Run(first), Run(second))
-    print(text.dumps(found) if json else comparison_report.text(found))
+    comparison = comparing.compare_runs(Run(first), Run(second))
+    print(text.dumps(comparison) if json else comparison_report.format_comparison(comparison))
     if figure is not None:
-        style.save(comparison_report.draw(found), figure)
+        style.save_figure(comparison_report.plot_comparison(comparison), figure)

@@ -8,8 +8,8 @@ from typing import Annotated, Any
 import tyro
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
 
-from angler_mjx.cli.shared.device import Device, choose, join, keep_all_programs
-from angler_mjx.cli.shared.progress import Shown
+from angler_mjx.cli.shared.device import Device, choose_device, join_processes, keep_all_programs
+from angler_mjx.cli.shared.progress import ProgressDisplay
 
 
 def fleet_size(
@@ -17,8 +17,8 @@ def fleet_size(
     out: Path | None = None,
     only: tuple[str, ...] = (),
     batch: int | None = None,
-    most_worlds: int | None = None,
-    most_minutes: float | None = None,
+    max_worlds: int | None = None,
+    max_minutes: float | None = None,
     smoke: bool = False,
     resume: bool = False,
     device: Device | None = None,
@@ -40,8 +40,8 @@ def fleet_size(
         out: Folder to make; runs/NAME if left out, runs/NAME-smoke with --smoke.
         only: Names of the conditions to look at; all of the file if left out.
         batch: Worlds of one size and condition at a time; the file's if left out.
-        most_worlds: Of one size and condition; the file's if left out.
-        most_minutes: No batch begins later than this; the file's if left out.
+        max_worlds: Of one size and condition; the file's if left out.
+        max_minutes: No batch begins later than this; the file's if left out.
         smoke: Fly four worlds of two sizes in each condition, to see that it runs: of the smallest
             and of the one in the middle of those that are flown first.
         resume: Go on with an interrupted study in the same folder; nothing is flown twice.
@@ -55,67 +55,73 @@ def fleet_size(
         process: Index of this one, from 0; Slurm and Open MPI tell it.
         json: Print one JSON object instead of the tables.
     """
-    choose(device, distributed=distributed)
+    choose_device(device, distributed=distributed)
     keep_all_programs()
-    shared = join(
+    process_group = join_processes(
         device,
         distributed=distributed,
         coordinator=coordinator,
         processes=processes,
         process=process,
     )
-    from angler_mjx.runs.processes import telling
+    from angler_mjx.runs.processes import reporting_failure
     from angler_mjx.shipped import find_shipped
     from angler_mjx.studies.fleet_size import conditions, running
 
-    with telling(shared):
+    with reporting_failure(process_group):
         source = find_shipped(source, "angler_mjx.studies.fleet_size", "study")
-        study = conditions.read(
+        study = conditions.read_study(
             source,
             only,
             smoke=smoke,
             batch=batch,
-            most_worlds=most_worlds,
-            most_minutes=most_minutes,
+            max_worlds=max_worlds,
+            max_minutes=max_minutes,
         )
-    place = out or Path("runs") / (f"{study.config.name}-smoke" if smoke else study.config.name)
-    with _Bar(quiet=json or shared.index > 0) as bar:
-        found = running.run(
-            study, source, place, told=bar, resume=resume, devices=devices, processes=shared
+    out_path = out or Path("runs") / (f"{study.config.name}-smoke" if smoke else study.config.name)
+    with _StudyBar(quiet=json or process_group.index > 0) as bar:
+        results = running.run_study(
+            study,
+            source,
+            out_path,
+            progress=bar,
+            resume=resume,
+            devices=devices,
+            processes=process_group,
         )
-    shared.leave()
-    if shared.index == 0:
-        _report(found, place, as_json=json)
-    if found["ended"] == running.STOPPED:
-        print(f"interrupted: go on with --resume --out {place}", file=sys.stderr)
+    process_group.leave()
+    if process_group.index == 0:
+        _print_study(results, out_path, as_json=json)
+    if results["ended"] == running.STOPPED:
+        print(f"interrupted: go on with --resume --out {out_path}", file=sys.stderr)
         sys.exit(130)
 
 
-def _report(found: dict[str, Any], place: Path, *, as_json: bool) -> None:
+def _print_study(results: dict[str, Any], path: Path, *, as_json: bool) -> None:
     """End of a study: one JSON object, or the table and the place of the folder."""
     if as_json:
-        print(text.dumps({**found, "study": str(place)}))
+        print(text.dumps({**results, "study": str(path)}))
         return
     from rich.console import Console
 
-    from angler_mjx.cli.shared.text_table import table as text_table
+    from angler_mjx.cli.shared.text_table import build_text_table as text_table
     from angler_mjx.studies.fleet_size import report
 
-    head, rows = report.answers_table(found)
-    shown = text_table(
-        *head,
-        title=f"{found['name']}: done within {found['deadline_s']:g} s with a probability of "
-        f"{100 * found['probability']:g} %",
+    header, rows = report.answers_table(results)
+    table = text_table(
+        *header,
+        title=f"{results['name']}: done within {results['deadline_s']:g} s with a probability of "
+        f"{100 * results['probability']:g} %",
     )
     for row in rows:
-        shown.add_row(*row)
+        table.add_row(*row)
     console = Console()
-    console.print(shown)
-    console.print(report.ENDED[found["ended"]], highlight=False)
-    print(place / "page.md")
+    console.print(table)
+    console.print(report.ENDING_TEXTS[results["ended"]], highlight=False)
+    print(path / "page.md")
 
 
-class _Bar(Shown):
+class _StudyBar(ProgressDisplay):
     """What is flown, and the answer so far, on stderr; a `fleet_size.running.StudyProgress`."""
 
     def __init__(self, *, quiet: bool) -> None:
@@ -128,7 +134,7 @@ class _Bar(Shown):
             quiet=quiet,
         )
         self._task = self._bar.add_task("setting up", total=None)
-        self._said: dict[str, str] = {}
+        self._reported: dict[str, str] = {}
 
     def tell(self, text: str) -> None:
         """See `angler_mjx.studies.fleet_size.running.StudyProgress`."""
@@ -141,6 +147,6 @@ class _Bar(Shown):
     def flown(self, condition: str, worlds: int, so_far: str) -> None:
         """See `angler_mjx.studies.fleet_size.running.StudyProgress`."""
         self._bar.advance(self._task, worlds)
-        if self._said.get(condition) != so_far:
-            self._said[condition] = so_far
+        if self._reported.get(condition) != so_far:
+            self._reported[condition] = so_far
             self._bar.console.print(f"{condition}: {so_far}", highlight=False, markup=False)

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from angler_mjx.cli.shared.device import Device, choose, join, keep_all_programs
+from angler_mjx.cli.shared.device import Device, choose_device, join_processes, keep_all_programs
 
 
 def sweep(
@@ -57,25 +57,25 @@ def sweep(
         process: Index of this one, from 0; Slurm and Open MPI tell it.
         json: Print one JSON object instead of the tables.
     """
-    choose(device, distributed=distributed)
+    choose_device(device, distributed=distributed)
     keep_all_programs()
-    shared = join(
+    process_group = join_processes(
         device,
         distributed=distributed,
         coordinator=coordinator,
         processes=processes,
         process=process,
     )
-    from angler_mjx.cli.shared.inputs import at_least_one, require_planned, scenario_given
+    from angler_mjx.cli.shared.inputs import build_scenario, require_plans, require_positive
     from angler_mjx.cli.shared.progress import PartsBar
-    from angler_mjx.runs.processes import telling
-    from angler_mjx.runs.storage import planned
-    from angler_mjx.studies import settings
+    from angler_mjx.runs.processes import reporting_failure
+    from angler_mjx.runs.storage import planning_summary
     from angler_mjx.studies import sweep as sweeping
+    from angler_mjx.studies import sweep_axes
 
-    with telling(shared):
-        axes = settings.axes(set)
-        loaded = scenario_given(
+    with reporting_failure(process_group):
+        axes = sweep_axes.parse_axes(set)
+        loaded = build_scenario(
             scenario,
             worlds=worlds,
             seed=seed,
@@ -84,49 +84,49 @@ def sweep(
             tile=tile,
             time={"record_hz": record_hz},
         )
-        asked = sweeping.build_request(loaded, axes, scenario)
-    place = out or Path("runs") / f"{loaded.name}-sweep"
-    with PartsBar(quiet=json or shared.index > 0) as bar:
-        found = sweeping.make(
-            asked,
-            place,
-            told=bar,
+        request = sweeping.build_request(loaded, axes, scenario)
+    out_path = out or Path("runs") / f"{loaded.name}-sweep"
+    with PartsBar(quiet=json or process_group.index > 0) as bar:
+        results = sweeping.run_sweep(
+            request,
+            out_path,
+            progress=bar,
             resume=resume,
             devices=devices,
-            workers=at_least_one("workers", workers),
-            processes=shared,
+            workers=require_positive("workers", workers),
+            processes=process_group,
         )
-    shared.leave()
-    if shared.index == 0:
-        _report(found, place, as_json=json)
-    if not found["complete"]:
-        print(f"interrupted; go on with --resume --out {place}", file=sys.stderr)
+    process_group.leave()
+    if process_group.index == 0:
+        _print_sweep(results, out_path, as_json=json)
+    if not results["complete"]:
+        print(f"interrupted; go on with --resume --out {out_path}", file=sys.stderr)
         sys.exit(130)
-    if all(planned.fault(row.get("planning")) for row in found["cells"]):
-        require_planned(found["cells"][0]["planning"], "in every cell the planner")
+    if all(planning_summary.planner_fault(row.get("planning")) for row in results["cells"]):
+        require_plans(results["cells"][0]["planning"], "in every cell the planner")
 
 
-def _report(found: dict[str, Any], place: Path, *, as_json: bool) -> None:
+def _print_sweep(results: dict[str, Any], path: Path, *, as_json: bool) -> None:
     """End of a sweep: one JSON object, or the tables and the place of the folder."""
     if as_json:
-        print(text.dumps({**found, "sweep": str(place)}))
+        print(text.dumps({**results, "sweep": str(path)}))
         return
     from rich.console import Console
 
-    from angler_mjx.cli.shared.text_table import table as text_table
+    from angler_mjx.cli.shared.text_table import build_text_table as text_table
     from angler_mjx.studies import tables
 
     console = Console()
-    titles = (f"{found['scenario']}: {found['worlds']:,} worlds a cell", "what changes, paired")
+    titles = (f"{results['scenario']}: {results['worlds']:,} worlds a cell", "what changes, paired")
     for title, table in zip(
-        titles, (tables.cells_table(found), tables.pairs_table(found)), strict=True
+        titles, (tables.cells_table(results), tables.pairs_table(results)), strict=True
     ):
-        for i, (head, rows) in enumerate(tables.to_fit(table, console.width)):
+        for i, (header, rows) in enumerate(tables.fit_to_width(table, console.width)):
             name = title if i == 0 else None
-            shown = text_table(*head, fixed=0, title=name, title_justify="left")
+            printed = text_table(*header, fixed=0, title=name, title_justify="left")
             for row in rows:
-                shown.add_row(*row)
-            console.print(shown)
-    for line in tables.without_plans(found):
+                printed.add_row(*row)
+            console.print(printed)
+    for line in tables.without_plans(results):
         print(line)
-    print(place / "sweep.md")
+    print(path / "sweep.md")

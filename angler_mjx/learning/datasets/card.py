@@ -8,21 +8,21 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from angler_mjx.errors import size
+from angler_mjx.errors import format_bytes
 from angler_mjx.learning.datasets import croissant, figures, gaps
 from angler_mjx.learning.datasets.manifest import SPLITS, Manifest
-from angler_mjx.learning.datasets.sampling import DIFFICULTIES, FAILED, is_of
-from angler_mjx.runs.several import RUNS
-from angler_mjx.runs.storage import atomic, folder, results
+from angler_mjx.learning.datasets.sampling import DIFFICULTIES, FAILED, is_kind
+from angler_mjx.runs.multi_run import RUNS_FOLDER
+from angler_mjx.runs.storage import atomic_files, folder, results
 
 README, CROISSANT = "README.md", "croissant.json"
 
 
-def write(place: Path, manifest: Manifest, table: pa.Table) -> None:
+def write_card(root: Path, manifest: Manifest, table: pa.Table) -> None:
     """Write both, and the figures, of what lies in a dataset's folder.
 
     Args:
-        place: of the dataset.
+        root: of the dataset.
         manifest: of it; what its sums are does not matter.
         table: its index.
 
@@ -31,45 +31,45 @@ def write(place: Path, manifest: Manifest, table: pa.Table) -> None:
         RunError: a figure cannot be written.
         OSError: the disk gave out.
     """
-    figures.draw(place, manifest, table)
-    write_text(place, manifest, table)
-    folder.write_json(place / CROISSANT, croissant.table(place, manifest))
+    figures.plot_figures(root, manifest, table)
+    write_readme(root, manifest, table)
+    folder.write_json(root / CROISSANT, croissant.build_metadata(root, manifest))
 
 
-def write_text(place: Path, manifest: Manifest, table: pa.Table) -> None:
+def write_readme(root: Path, manifest: Manifest, table: pa.Table) -> None:
     """Write the card alone; what else it names lies there.
 
     Raises:
         ConfigError: a run or the spot check is damaged.
         OSError: the disk gave out.
     """
-    said = text(
+    card_text = format_card(
         manifest,
         table,
-        _outcomes(place, manifest),
-        _bytes(place),
-        drawn=_randomised(place, manifest),
-        flown=gaps.text(gaps.read(place)),
+        _count_outcomes(root, manifest),
+        _count_bytes(root),
+        randomised=_describe_randomisation(root, manifest),
+        spotcheck=gaps.format_spot_check(gaps.read_spot_check(root)),
     )
-    atomic.write_text(place / README, said)
+    atomic_files.write_text(root / README, card_text)
 
 
-def _outcomes(place: Path, manifest: Manifest) -> dict[str, Counter[str]]:
+def _count_outcomes(root: Path, manifest: Manifest) -> dict[str, Counter[str]]:
     """How robots ended, by scene and expert."""
-    found: dict[str, Counter[str]] = {}
+    outcomes: dict[str, Counter[str]] = {}
     for part in manifest.parts:
-        ended = folder.Run(place / part.path).episodes["outcome"].to_pylist()
-        found.setdefault(f"{part.scene}, {part.expert}", Counter()).update(ended)
-    return found
+        ended = folder.Run(root / part.path).episodes["outcome"].to_pylist()
+        outcomes.setdefault(f"{part.scene}, {part.expert}", Counter()).update(ended)
+    return outcomes
 
 
-def _randomised(place: Path, manifest: Manifest) -> list[str]:
+def _describe_randomisation(root: Path, manifest: Manifest) -> list[str]:
     """What was drawn of robots, water and instruments, by scene; nothing where nothing was."""
     scenes: dict[str, str] = {}
     for part in manifest.parts:
-        given = folder.Run(place / part.path).scenario.randomise
-        if given.of_vehicles or given.of_worlds:
-            table = given.model_dump(mode="json", exclude_defaults=True)
+        randomisation = folder.Run(root / part.path).scenario.randomise
+        if randomisation.changes_vehicles or randomisation.changes_worlds:
+            table = randomisation.model_dump(mode="json", exclude_defaults=True)
             scenes[part.scene] = "; ".join(f"`{key}` {value}" for key, value in table.items())
     if not scenes:
         return []
@@ -79,24 +79,24 @@ def _randomised(place: Path, manifest: Manifest) -> list[str]:
         "Factors of what the files say, low and high; `variants.json` of each run folder has those "
         "of every variant, `episodes.parquet` which one a robot was and what its world has.",
         "",
-        *[f"- {scene}: {said}" for scene, said in scenes.items()],
+        *[f"- {scene}: {factors}" for scene, factors in scenes.items()],
         "",
     ]
 
 
-def _bytes(place: Path) -> int:
+def _count_bytes(root: Path) -> int:
     """Of the run folders: what tells of them is written after this."""
-    return sum(path.stat().st_size for path in (place / RUNS).rglob("*") if path.is_file())
+    return sum(path.stat().st_size for path in (root / RUNS_FOLDER).rglob("*") if path.is_file())
 
 
-def text(
+def format_card(
     manifest: Manifest,
     table: pa.Table,
     outcomes: dict[str, Counter[str]],
     n_byte: int,
     *,
-    drawn: Sequence[str],
-    flown: Sequence[str],
+    randomised: Sequence[str],
+    spotcheck: Sequence[str],
 ) -> str:
     """The card.
 
@@ -105,12 +105,12 @@ def text(
         table: its index.
         outcomes: of robots, by scene and expert.
         n_byte: of its run folders.
-        drawn: lines on how robots differ from their files.
-        flown: lines on what real autopilots made of it.
+        randomised: lines on how robots differ from their files.
+        spotcheck: lines on what real autopilots made of it.
     """
     robots = pc.sum(table["robots"]).as_py()
     hours = pc.sum(pc.multiply(table["duration_s"], pc.cast(table["robots"], pa.float32())))
-    made = manifest.environment
+    environment = manifest.environment
     lines = [
         "---",
         f"license: {manifest.licence}",
@@ -122,9 +122,9 @@ def text(
         *([manifest.description, ""] if manifest.description else []),
         f"{manifest.episodes:,} flights of teams of underwater robots, {robots:,} robots and "
         f"{hours.as_py() / 3600:,.0f} robot-hours at {manifest.time['record_hz']:g} Hz; "
-        f"{size(n_byte)}, {size(n_byte / manifest.episodes)} an episode. Made by "
-        f"`{manifest.command}` with angler-mjx {made['versions'].get('angler-mjx')} on "
-        f"{made['device']} ({manifest.created}).",
+        f"{format_bytes(n_byte)}, {format_bytes(n_byte / manifest.episodes)} an episode. Made by "
+        f"`{manifest.command}` with angler-mjx {environment['versions'].get('angler-mjx')} on "
+        f"{environment['device']} ({manifest.created}).",
         "",
         "Simulated, not measured at sea. Robots that failed are in it, labelled: who learns from "
         "this is to say whether from all, or from `success` alone.",
@@ -149,30 +149,30 @@ def text(
         "or in any other dataset of the same shares. `test_...` are shifted: nothing like them is "
         "in `train`.",
         "",
-        *_split_table(table),
+        *_format_split_table(table),
         "",
-        f"![Counts]({figures.COUNTS})",
+        f"![Counts]({figures.COUNTS_FILE})",
         "",
-        *_chosen(manifest, table),
+        *_format_sample_table(manifest, table),
         "## Who flew, and how it ended",
         "",
-        *_outcome_table(outcomes),
+        *_format_outcome_table(outcomes),
         "",
-        *drawn,
+        *randomised,
         "## How hard",
         "",
         "`trivial`: every straight line is free and none passes another within 1.5 m; `crossing`: "
         "some do; `blocked`: rock alone is in the way.",
         "",
-        *_counts(table, "difficulty"),
+        *_format_counts(table, "difficulty"),
         "",
-        f"![Lengths, times and clearances]({figures.LENGTHS})",
+        f"![Lengths, times and clearances]({figures.LENGTHS_FILE})",
         "",
-        f"![Some flights from above]({figures.FLIGHTS})",
+        f"![Some flights from above]({figures.FLIGHTS_FILE})",
         "",
         "## On real autopilots",
         "",
-        *flown,
+        *spotcheck,
         "",
         "## Conventions",
         "",
@@ -206,7 +206,7 @@ def text(
     return "\n".join(lines)
 
 
-def _split_table(table: pa.Table) -> list[str]:
+def _format_split_table(table: pa.Table) -> list[str]:
     split = np.array(table["split"].to_pylist())
     rock = np.array(table["environment"].to_pylist())
     success = table["success"].to_numpy(zero_copy_only=False)
@@ -216,17 +216,17 @@ def _split_table(table: pa.Table) -> list[str]:
         "|---|---|---|---|---|",
     ]
     for name in sorted(set(split.tolist())):
-        mine = split == name
+        in_split = split == name
         lines.append(
-            f"| {name} | {mine.sum():,} | {chosen[mine].sum():,} | "
-            f"{len(set(rock[mine].tolist())):,} | {100 * success[mine].mean():.1f} |"
+            f"| {name} | {in_split.sum():,} | {chosen[in_split].sum():,} | "
+            f"{len(set(rock[in_split].tolist())):,} | {100 * success[in_split].mean():.1f} |"
         )
     return lines
 
 
-def _chosen(manifest: Manifest, table: pa.Table) -> list[str]:
+def _format_sample_table(manifest: Manifest, table: pa.Table) -> list[str]:
     """What was wished of the chosen episodes, and what they have."""
-    if not manifest.sample.asks:
+    if not manifest.sample.has_bounds:
         return []
     thinned = table.filter(pc.is_in(table["split"], pa.array(SPLITS)))
     lines = [
@@ -238,33 +238,33 @@ def _chosen(manifest: Manifest, table: pa.Table) -> list[str]:
     ]
     chosen = thinned["chosen"].to_numpy(zero_copy_only=False)
     for kind in (*DIFFICULTIES, FAILED):
-        flown = is_of(thinned, kind)
-        shares = " | ".join(_percent(flown[which]) for which in (slice(None), chosen))
-        lines.append(f"| {kind} | {manifest.sample.said(kind)} | {shares} |")
+        flown = is_kind(thinned, kind)
+        fractions = " | ".join(_format_percent(flown[rows]) for rows in (slice(None), chosen))
+        lines.append(f"| {kind} | {manifest.sample.format_bounds(kind)} | {fractions} |")
     return [*lines, ""]
 
 
-def _percent(values: np.ndarray) -> str:
+def _format_percent(values: np.ndarray) -> str:
     return f"{100 * values.mean():.1f}" if values.size else "-"
 
 
-def _outcome_table(outcomes: dict[str, Counter[str]]) -> list[str]:
-    names = [name for name in results.OUTCOMES if any(found[name] for found in outcomes.values())]
+def _format_outcome_table(outcomes: dict[str, Counter[str]]) -> list[str]:
+    names = [name for name in results.OUTCOMES if any(counts[name] for counts in outcomes.values())]
     lines = [
         "| scene, expert | robots | " + " | ".join(f"{name}, %" for name in names) + " |",
         "|---" * (2 + len(names)) + "|",
     ]
-    for key, found in outcomes.items():
-        total = found.total()
-        cells = " | ".join(f"{100 * found[name] / total:.1f}" for name in names)
+    for key, counts in outcomes.items():
+        total = counts.total()
+        cells = " | ".join(f"{100 * counts[name] / total:.1f}" for name in names)
         lines.append(f"| {key} | {total:,} | {cells} |")
     return lines
 
 
-def _counts(table: pa.Table, column: str) -> list[str]:
-    found = Counter(table[column].to_pylist())
-    share: Sequence[str] = [
+def _format_counts(table: pa.Table, column: str) -> list[str]:
+    counts = Counter(table[column].to_pylist())
+    rows: Sequence[str] = [
         f"| {name} | {count:,} | {100 * count / len(table):.1f} |"
-        for name, count in sorted(found.items())
+        for name, count in sorted(counts.items())
     ]
-    return [f"| {column} | episodes | % |", "|---|---|---|", *share]
+    return [f"| {column} | episodes | % |", "|---|---|---|", *rows]

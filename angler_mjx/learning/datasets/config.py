@@ -11,16 +11,16 @@ from angler_mjx.quantities import SchemaVersion
 from angler_mjx.scenario.editing import Changes
 from angler_mjx.studies.benchmark.config import PlannerEntry
 
-OURS = ("worlds", "seed", "policy", "execution")
+RESERVED_KEYS = ("worlds", "seed", "policy", "execution")
 """Keys of a scenario that a dataset file says by keys of its own."""
 
-type Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$", max_length=60)]
+type DatasetName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$", max_length=60)]
 
 
 class DatasetScene(FileModel):
     """Worlds of one kind, with teams of some sizes."""
 
-    name: Name
+    name: DatasetName
     weight: float = Field(default=1.0, gt=0.0, le=1e6)
     """Its share of the episodes, beside the weights of the other scenes."""
     set: Changes = Field(default_factory=dict)
@@ -51,7 +51,7 @@ class SplitConfig(FileModel):
     test: float = Field(default=0.1, ge=0.0, le=1.0)
 
     @model_validator(mode="after")
-    def _whole(self) -> Self:
+    def _check_sum(self) -> Self:
         total = self.train + self.val + self.test
         if not math.isclose(total, 1.0, abs_tol=1e-9):
             raise ValueError(f"train + val + test = {total:g}: must be 1")
@@ -63,7 +63,7 @@ class DatasetConfig(FileModel):
 
     schema_version: SchemaVersion = 1
     """Of this form of files."""
-    name: Name
+    name: DatasetName
     """Of the dataset, and of its folder if it is given none."""
     description: str = ""
     """For people."""
@@ -82,25 +82,27 @@ class DatasetConfig(FileModel):
     expert: tuple[Expert, ...] = Field(min_length=1, max_length=64)
 
     @model_validator(mode="after")
-    def _names_differ(self) -> Self:
-        for what, names in (
+    def _check_unique_names(self) -> Self:
+        for kind, names in (
             ("scene", [scene.name for scene in self.scene]),
             ("expert", [expert.title for expert in self.expert]),
         ):
-            twice = next((name for name in names if names.count(name) > 1), None)
-            if twice is not None:
-                other = "label" if what == "expert" else "name"
-                raise ValueError(f"{what} {twice!r} is there twice; give each a {other} of its own")
+            duplicate = next((name for name in names if names.count(name) > 1), None)
+            if duplicate is not None:
+                key = "label" if kind == "expert" else "name"
+                raise ValueError(
+                    f"{kind} {duplicate!r} is there twice; give each a {key} of its own"
+                )
         return self
 
     @model_validator(mode="after")
-    def _ours_left(self) -> Self:
-        for where, table in (
+    def _check_reserved_keys(self) -> Self:
+        for location, table in (
             ("set", self.set),
             *((f"scene {scene.name!r}, set", scene.set) for scene in self.scene),
         ):
-            taken = next((key for key in OURS if key in table), None)
-            if taken is not None:
-                instead = {"worlds": "--episodes", "seed": "seed"}.get(taken, "[[expert]]")
-                raise ValueError(f"{where}.{taken}: give {instead} instead")
+            reserved = next((key for key in RESERVED_KEYS if key in table), None)
+            if reserved is not None:
+                instead = {"worlds": "--episodes", "seed": "seed"}.get(reserved, "[[expert]]")
+                raise ValueError(f"{location}.{reserved}: give {instead} instead")
         return self

@@ -5,7 +5,7 @@ from typing import Any
 
 import pyarrow as pa
 
-from angler_mjx.learning.datasets import sums
+from angler_mjx.learning.datasets import checksums
 from angler_mjx.learning.datasets.index import SCHEMA
 from angler_mjx.learning.datasets.manifest import INDEX, SUMS, Manifest
 
@@ -50,11 +50,11 @@ _CONTEXT: dict[str, Any] = {
 }
 
 
-def table(place: Path, manifest: Manifest) -> dict[str, Any]:
+def build_metadata(root: Path, manifest: Manifest) -> dict[str, Any]:
     """The dataset's ``croissant.json``.
 
     Args:
-        place: of the dataset, with its index.
+        root: of the dataset, with its index.
         manifest: of it.
     """
     return {
@@ -85,7 +85,7 @@ def table(place: Path, manifest: Manifest) -> dict[str, Any]:
                 "description": "A row an episode.",
                 "contentUrl": INDEX,
                 "encodingFormat": "application/x-parquet",
-                "sha256": sums.of_file(place / INDEX),
+                "sha256": checksums.hash_file(root / INDEX),
             },
             {
                 "@type": "cr:FileSet",
@@ -113,30 +113,30 @@ def table(place: Path, manifest: Manifest) -> dict[str, Any]:
                 "name": "episodes",
                 "description": "Flights of a team, one each.",
                 "key": {"@id": "episodes/episode"},
-                "field": [_field(one) for one in SCHEMA],
+                "field": [_describe_field(field) for field in SCHEMA],
             }
         ],
     }
 
 
-def _field(one: pa.Field) -> dict[str, Any]:
-    about = {key.decode(): value.decode() for key, value in (one.metadata or {}).items()}
-    unit = f" ({about['unit']})" if about.get("unit", "1") not in ("", "1") else ""
+def _describe_field(field: pa.Field) -> dict[str, Any]:
+    metadata = {key.decode(): value.decode() for key, value in (field.metadata or {}).items()}
+    unit = f" ({metadata['unit']})" if metadata.get("unit", "1") not in ("", "1") else ""
     return {
         "@type": "cr:Field",
-        "@id": f"episodes/{one.name}",
-        "name": one.name,
-        "description": about["description"] + unit,
-        "dataType": _type(one.type),
-        "source": {"fileObject": {"@id": "index"}, "extract": {"column": one.name}},
+        "@id": f"episodes/{field.name}",
+        "name": field.name,
+        "description": metadata["description"] + unit,
+        "dataType": _data_type(field.type),
+        "source": {"fileObject": {"@id": "index"}, "extract": {"column": field.name}},
     }
 
 
-def _type(kind: pa.DataType) -> str:
-    if pa.types.is_boolean(kind):
+def _data_type(dtype: pa.DataType) -> str:
+    if pa.types.is_boolean(dtype):
         return "sc:Boolean"
-    if pa.types.is_integer(kind):
+    if pa.types.is_integer(dtype):
         return "sc:Integer"
-    if pa.types.is_floating(kind):
+    if pa.types.is_floating(dtype):
         return "sc:Float"
     return "sc:Text"

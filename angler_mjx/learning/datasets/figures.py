@@ -13,20 +13,20 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from angler_mjx.learning.datasets import describing
+from angler_mjx.learning.datasets import manifest_building
 from angler_mjx.learning.datasets.manifest import Manifest
 from angler_mjx.report.viewing import scene, style
-from angler_mjx.report.viewing.maps import ground
+from angler_mjx.report.viewing.maps import base_map
 from angler_mjx.runs.storage.folder import Run
 from angler_mjx.runs.storage.results import OUTCOMES
 
-COUNTS, LENGTHS, FLIGHTS = "counts.png", "lengths.png", "flights.png"
+COUNTS_FILE, LENGTHS_FILE, FLIGHTS_FILE = "counts.png", "lengths.png", "flights.png"
 
-COLUMNS = ("split", "difficulty", "preset", "expert")
+COUNTED_COLUMNS = ("split", "difficulty", "preset", "expert")
 """Of the index, whose values are counted."""
-MAPS = 6
+MAX_MAPS = 6
 """Episodes that are mapped."""
-PALETTE = 128
+NUM_COLORS = 128
 """Colours of a file."""
 
 _MEASURES = (
@@ -36,15 +36,15 @@ _MEASURES = (
     ("path_ratio", "shortest way around rock over straight line", "episodes"),
 )
 """Distributions: column of the index or of the runs, what it is, and of what."""
-_BINS = (10, 40)
+_BIN_LIMITS = (10, 40)
 """At least and at most."""
 
 
-def draw(place: Path, manifest: Manifest, table: pa.Table) -> None:
+def plot_figures(root: Path, manifest: Manifest, table: pa.Table) -> None:
     """Draw all figures of a dataset into its folder.
 
     Args:
-        place: of the dataset.
+        root: of the dataset.
         manifest: of it.
         table: its index.
 
@@ -52,26 +52,29 @@ def draw(place: Path, manifest: Manifest, table: pa.Table) -> None:
         ConfigError: a run is damaged.
         RunError: a file cannot be written.
     """
-    robots = _robots(place, manifest)
+    robots = _read_robots(root, manifest)
     for figure, name in (
-        (counts(manifest, table, describing.counts(robots, "outcome")), COUNTS),
-        (lengths(table, robots), LENGTHS),
-        (flights(place, manifest, table), FLIGHTS),
+        (
+            plot_counts(manifest, table, manifest_building.count_values(robots, "outcome")),
+            COUNTS_FILE,
+        ),
+        (plot_distributions(table, robots), LENGTHS_FILE),
+        (plot_flights(root, manifest, table), FLIGHTS_FILE),
     ):
-        style.save(figure, place / name, palette=PALETTE)
+        style.save_figure(figure, root / name, palette=NUM_COLORS)
 
 
-def _robots(place: Path, manifest: Manifest) -> pa.Table:
+def _read_robots(root: Path, manifest: Manifest) -> pa.Table:
     """Columns of all parts' robots, and the expert of each."""
     names = ["outcome", *(name for name, _, of in _MEASURES if of == "robots")]
     parts = []
     for part in manifest.parts:
-        rows = Run(place / part.path).episodes.select(names)
+        rows = Run(root / part.path).episodes.select(names)
         parts.append(rows.append_column("expert", pa.repeat(part.expert, len(rows))))
     return pa.concat_tables(parts)
 
 
-def counts(manifest: Manifest, table: pa.Table, ended: Mapping[str, int]) -> Figure:
+def plot_counts(manifest: Manifest, table: pa.Table, ended: Mapping[str, int]) -> Figure:
     """How robots ended, and how many episodes there are of each split, difficulty and so on.
 
     Args:
@@ -80,22 +83,26 @@ def counts(manifest: Manifest, table: pa.Table, ended: Mapping[str, int]) -> Fig
         ended: robots by outcome.
     """
     chosen = table.filter(table["chosen"])
-    bars = [(c, describing.counts(table, c), describing.counts(chosen, c)) for c in COLUMNS]
+    bars = [
+        (c, manifest_building.count_values(table, c), manifest_building.count_values(chosen, c))
+        for c in COUNTED_COLUMNS
+    ]
     names = [name for name in OUTCOMES if name in ended]
     upper = max(len(names), len(bars[0][1]), len(bars[1][1]))
     lower = max(len(bars[2][1]), len(bars[3][1]), 2)
-    with style.styled():
+    with style.figure_style():
         figure = style.new_figure(10.4, 1.9 + 0.36 * (upper + lower), headline_in=0.65)
-        share = ended.get("reached", 0) / sum(ended.values())
-        style.headline(
+        success_fraction = ended.get("reached", 0) / sum(ended.values())
+        style.add_headline(
             figure,
-            f"{manifest.name}: {len(table):,} episodes, {100 * share:.0f} % of robots arrived",
+            f"{manifest.name}: {len(table):,} episodes, {100 * success_fraction:.0f} % of robots "
+            "arrived",
             f"{len(chosen):,} episodes are chosen (dark)"
-            if manifest.sample.asks
+            if manifest.sample.has_bounds
             else f"{sum(ended.values()):,} robots",
         )
         grid = figure.subplots(2, 3, height_ratios=[upper + 0.8, lower + 0.8])
-        _bars(
+        _plot_bars(
             grid[0, 0],
             "robots that",
             [style.OUTCOME_TEXT[name] for name in names],
@@ -106,7 +113,7 @@ def counts(manifest: Manifest, table: pa.Table, ended: Mapping[str, int]) -> Fig
             (grid[0, 1], grid[0, 2], grid[1, 0], grid[1, 1]), bars, strict=True
         ):
             labels = sorted(all_of)
-            _bars(
+            _plot_bars(
                 panel,
                 f"episodes by {column}",
                 labels,
@@ -117,7 +124,7 @@ def counts(manifest: Manifest, table: pa.Table, ended: Mapping[str, int]) -> Fig
     return figure
 
 
-def _bars(
+def _plot_bars(
     panel: Axes,
     title: str,
     labels: Sequence[str],
@@ -127,34 +134,34 @@ def _bars(
     colors: Sequence[str] | None = None,
 ) -> None:
     """Bars with their numbers; ``dark`` is the part of each that is drawn dark."""
-    at = np.arange(len(labels))
-    panel.barh(at, values, height=0.66, color=style.FAINT if colors is None else colors)
+    positions = np.arange(len(labels))
+    panel.barh(positions, values, height=0.66, color=style.FAINT if colors is None else colors)
     if dark is not None:
-        panel.barh(at, dark, height=0.66, color=style.ROBOTS[0])
-    most = max(values, default=1)
+        panel.barh(positions, dark, height=0.66, color=style.ROBOTS[0])
+    max_value = max(values, default=1)
     for i, (value, part) in enumerate(zip(values, dark or values, strict=True)):
-        said = f"{value:,}" if part == value else f"{part:,} of {value:,}"
-        panel.text(value + 0.02 * most, i, said, va="center", fontsize=8.5)
-    panel.set_yticks(at, labels)
+        label = f"{value:,}" if part == value else f"{part:,} of {value:,}"
+        panel.text(value + 0.02 * max_value, i, label, va="center", fontsize=8.5)
+    panel.set_yticks(positions, labels)
     panel.tick_params(axis="y", length=0, labelcolor=style.INK)
     panel.invert_yaxis()
-    panel.set_xlim(0.0, 1.32 * most)
+    panel.set_xlim(0.0, 1.32 * max_value)
     panel.set_xticks([])
     panel.spines["bottom"].set_visible(False)
     panel.set_title(title, fontsize=10.0)
 
 
-def lengths(table: pa.Table, robots: pa.Table) -> Figure:
+def plot_distributions(table: pa.Table, robots: pa.Table) -> Figure:
     """How long flights took, how far they went, and how near to things they came, by expert.
 
     Args:
         table: the index.
         robots: rows of all robots.
     """
-    experts = sorted(describing.counts(table, "expert"))
-    with style.styled():
+    experts = sorted(manifest_building.count_values(table, "expert"))
+    with style.figure_style():
         figure = style.new_figure(10.4, 6.2, headline_in=0.65)
-        style.headline(
+        style.add_headline(
             figure,
             "How long, how far, how near",
             "share of each expert's episodes or robots; what is beyond a side counts to its bar",
@@ -163,7 +170,7 @@ def lengths(table: pa.Table, robots: pa.Table) -> Figure:
         for panel, (name, label, of) in zip(panels, _MEASURES, strict=True):
             rows = table if of == "episodes" else robots
             expert = pc.index_in(rows["expert"], pa.array(experts)).to_numpy()
-            _distribution(panel, rows[name].to_numpy().astype(float), expert, len(experts))
+            _plot_distribution(panel, rows[name].to_numpy().astype(float), expert, len(experts))
             panel.set(xlabel=label, ylabel=f"share of {of}, %")
         handles = [
             Line2D([], [], color=style.robot_color(i), linewidth=2.0, label=expert)
@@ -173,48 +180,52 @@ def lengths(table: pa.Table, robots: pa.Table) -> Figure:
     return figure
 
 
-def _distribution(panel: Axes, values: np.ndarray, expert: np.ndarray, experts: int) -> None:
+def _plot_distribution(panel: Axes, values: np.ndarray, expert: np.ndarray, experts: int) -> None:
     """Outlines of histograms, one an expert, between the 1st and the 99th of 100 of all."""
-    known = np.isfinite(values)
+    is_finite = np.isfinite(values)
     panel.grid(axis="y")
-    if not known.any():
+    if not is_finite.any():
         panel.text(0.5, 0.5, "there is none", ha="center", transform=panel.transAxes)
         return
-    low, high = np.quantile(values[known], [0.01, 0.99])
-    bins = int(np.clip(2.0 * np.sqrt(known.sum() / experts), *_BINS))
+    low, high = np.quantile(values[is_finite], [0.01, 0.99])
+    bins = int(np.clip(2.0 * np.sqrt(is_finite.sum() / experts), *_BIN_LIMITS))
     edges = np.linspace(low, max(high, low + 1e-3), bins + 1)
     for i in range(experts):
-        mine = np.clip(values[known & (expert == i)], edges[0], edges[-1])
-        if mine.size:
-            count, _ = np.histogram(mine, edges)
-            panel.stairs(100 * count / mine.size, edges, color=style.robot_color(i), linewidth=1.5)
+        clipped = np.clip(values[is_finite & (expert == i)], edges[0], edges[-1])
+        if clipped.size:
+            count, _ = np.histogram(clipped, edges)
+            panel.stairs(
+                100 * count / clipped.size, edges, color=style.robot_color(i), linewidth=1.5
+            )
     panel.set_ylim(bottom=0.0)
 
 
-def flights(place: Path, manifest: Manifest, table: pa.Table) -> Figure:
+def plot_flights(root: Path, manifest: Manifest, table: pa.Table) -> Figure:
     """Some episodes from above, evenly spread over the chosen ones.
 
     Args:
-        place: of the dataset.
+        root: of the dataset.
         manifest: of it.
         table: its index.
     """
     rows = table.filter(table["chosen"]) if pc.any(table["chosen"]).as_py() else table
-    which = np.unique(np.linspace(0, len(rows) - 1, min(MAPS, len(rows))).round().astype(int))
-    with style.styled():
-        figure = style.new_figure(10.4, 3.7 * -(-len(which) // 3) + 0.95, headline_in=0.65)
-        style.headline(
+    selected = np.unique(
+        np.linspace(0, len(rows) - 1, min(MAX_MAPS, len(rows))).round().astype(int)
+    )
+    with style.figure_style():
+        figure = style.new_figure(10.4, 3.7 * -(-len(selected) // 3) + 0.95, headline_in=0.65)
+        style.add_headline(
             figure,
             "Some flights from above",
             "line: way taken; dashes: plan; disc: start; star: goal; cross: failure",
         )
-        panels = figure.subplots(-(-len(which) // 3), 3, squeeze=False).ravel()
-        for panel in panels[len(which) :]:
+        panels = figure.subplots(-(-len(selected) // 3), 3, squeeze=False).ravel()
+        for panel in panels[len(selected) :]:
             panel.set_axis_off()
-        for panel, at in zip(panels, which, strict=False):
-            row = rows.slice(int(at), 1).to_pylist()[0]
-            run = Run(place / manifest.parts[row["part"]].path)
-            _map(panel, scene.read(run, row["world"]))
+        for panel, index in zip(panels, selected, strict=False):
+            row = rows.slice(int(index), 1).to_pylist()[0]
+            run = Run(root / manifest.parts[row["part"]].path)
+            _plot_map(panel, scene.read_scene(run, row["world"]))
             panel.set_title(
                 f"{row['episode']:,}: {row['scene']}, {row['expert']}\n"
                 f"{row['difficulty']}, {row['reached']} of {row['robots']} arrived",
@@ -228,18 +239,20 @@ def flights(place: Path, manifest: Manifest, table: pa.Table) -> Figure:
     return figure
 
 
-def _map(panel: Axes, one: scene.ReplayScene) -> None:
-    low, high = one.bounds_m
-    ground.bounds(panel, one, ground.ABOVE)
-    ground.rock(panel, one.environment.grid, ground.ABOVE, Normalize(low[2], high[2]))
-    for i in np.flatnonzero(np.asarray(one.environment.obstacles.exists)):
-        way = one.obstacle_p_m[:, i]
-        panel.plot(way[:, 0], way[:, 1], ":", color=style.OBSTACLE_DYNAMIC, linewidth=1.0, zorder=3)
-    for robot in one.robots:
+def _plot_map(panel: Axes, replay: scene.ReplayScene) -> None:
+    low, high = replay.bounds_m
+    base_map.plot_bounds(panel, replay, base_map.ABOVE)
+    base_map.plot_rock(panel, replay.environment.grid, base_map.ABOVE, Normalize(low[2], high[2]))
+    for i in np.flatnonzero(np.asarray(replay.environment.obstacles.exists)):
+        path_m = replay.obstacle_p_m[:, i]
+        panel.plot(
+            path_m[:, 0], path_m[:, 1], ":", color=style.OBSTACLE_DYNAMIC, linewidth=1.0, zorder=3
+        )
+    for robot in replay.robots:
         color = style.robot_color(robot.index)
-        way = one.way_taken(robot)
+        path_m = replay.flown_path(robot)
         panel.plot(*robot.plan_m[:, :2].T, "--", color=color, linewidth=0.7, alpha=0.8, zorder=4)
-        panel.plot(*way[:, :2].T, color=color, linewidth=1.5, zorder=5)
+        panel.plot(*path_m[:, :2].T, color=color, linewidth=1.5, zorder=5)
         panel.plot(*robot.goal_m[:2], "*", color=color, ms=10, mec=style.PAPER, mew=0.5, zorder=6)
         panel.plot(*robot.start_m[:2], "o", color=color, ms=5, mec=style.PAPER, mew=0.5, zorder=7)
         if not robot.arrived and np.isfinite(robot.failure_m).all():

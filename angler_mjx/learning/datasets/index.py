@@ -12,10 +12,10 @@ import pyarrow.parquet as pq
 from angler_mjx.errors import ConfigError
 from angler_mjx.learning.datasets.config import SplitConfig
 from angler_mjx.learning.datasets.manifest import INDEX, SPLITS, Manifest
-from angler_mjx.learning.datasets.sampling import chosen
-from angler_mjx.runs.storage import atomic, layout
-from angler_mjx.runs.storage.damage import reading
+from angler_mjx.learning.datasets.sampling import select_episodes
+from angler_mjx.runs.storage import atomic_files, trajectory_layout
 from angler_mjx.runs.storage.folder import Run
+from angler_mjx.runs.storage.read_errors import wrap_read_errors
 
 _COLUMNS: tuple[tuple[str, pa.DataType, str, str], ...] = (
     ("episode", pa.int64(), "1", "number of the row"),
@@ -75,22 +75,22 @@ ROUNDING_M = 1e-3
 """Positions are stored in float32 and in steps of a millimetre."""
 
 
-def rows(
-    place: Path, part: int, entry: Mapping[str, Any], shares: SplitConfig, first: int
+def build_rows(
+    root: Path, part: int, entry: Mapping[str, Any], fractions: SplitConfig, first: int
 ) -> pa.Table:
     """Rows of a part, all of them chosen.
 
     Args:
-        place: run folder of the part.
+        root: run folder of the part.
         part: its index.
         entry: its scene, expert and split.
-        shares: of environments by split.
+        fractions: of environments by split.
         first: number of its first episode.
 
     Raises:
         ConfigError: the run is damaged.
     """
-    run = Run(place)
+    run = Run(root)
     episodes, scenario = run.episodes, run.scenario
     robots = len(scenario.members())
     world = episodes["world"].to_numpy()[::robots]
@@ -103,20 +103,20 @@ def rows(
     ended = np.where(
         by_world("outcome") == "reached", by_world("time_to_goal_s"), by_world("failure_time_s")
     ).max(axis=1)
-    around = [_drawn(one) for one in _environments(run, len(world))]
-    hashes = [digest for one in around for digest in one["environment"]]
-    drawn = {
-        name: np.concatenate([one[name] for one in around])
+    environments = [_describe_environments(batch) for batch in _read_environments(run, len(world))]
+    hashes = [digest for batch in environments for digest in batch["environment"]]
+    environment_columns = {
+        name: np.concatenate([batch[name] for batch in environments])
         for name in ("density", "path_ratio", "free_lines", "crossings")
     }
-    free, crossings = drawn["free_lines"], drawn["crossings"]
+    free, crossings = environment_columns["free_lines"], environment_columns["crossings"]
     hz = scenario.time.record_hz
     policy = scenario.policy
-    knows = scenario.planner.knows
-    if policy.name != "none" and policy.knows is not None:
-        knows = policy.knows
+    information = scenario.planner.information
+    if policy.name != "none" and policy.information is not None:
+        information = policy.information
     stored: Any = run.trajectories
-    most = stored["p_m"].shape[1]
+    max_samples = stored["p_m"].shape[1]
     split = entry["split"]
     count = len(world)
     columns: dict[str, Any] = {
@@ -127,57 +127,59 @@ def rows(
         "scene": [entry["scene"]] * count,
         "preset": [scenario.world.preset] * count,
         "expert": [entry["expert"]] * count,
-        "knows_obstacles": [knows.obstacles] * count,
-        "knows_current": [knows.current] * count,
+        "knows_obstacles": [information.obstacles] * count,
+        "knows_current": [information.current] * count,
         "robots": np.full(count, robots, np.int32),
-        "split": [split or split_of(digest, shares) for digest in hashes],
+        "split": [split or assign_split(digest, fractions) for digest in hashes],
         "environment": hashes,
-        "samples": np.clip(np.ceil(ended * hz - 1e-6), 1, most).astype(np.int32),
+        "samples": np.clip(np.ceil(ended * hz - 1e-6), 1, max_samples).astype(np.int32),
         "duration_s": ended.astype(np.float32),
         "planned": by_world("planned").sum(axis=1).astype(np.int32),
         "reached": reached.astype(np.int32),
         "success": reached == robots,
         "energy_j": by_world("energy_j").sum(axis=1).astype(np.float32),
-        "density": drawn["density"].astype(np.float32),
-        "path_ratio": drawn["path_ratio"].astype(np.float32),
+        "density": environment_columns["density"].astype(np.float32),
+        "path_ratio": environment_columns["path_ratio"].astype(np.float32),
         "free_lines": free.astype(np.int32),
         "crossings": crossings.astype(np.int32),
-        "difficulty": difficulty(free, crossings, robots),
+        "difficulty": classify_difficulty(free, crossings, robots),
         "chosen": np.ones(count, bool),
     }
     return pa.table(columns, schema=SCHEMA)
 
 
-def _environments(run: Run, worlds: int) -> Iterator[dict[str, np.ndarray]]:
+def _read_environments(run: Run, worlds: int) -> Iterator[dict[str, np.ndarray]]:
     """What the index looks at of the worlds' environments, some worlds at a time."""
-    group: Any = run.trajectories[layout.ENVIRONMENT]
+    group: Any = run.trajectories[trajectory_layout.ENVIRONMENT_GROUP]
     names = ["grid/occupied", "floor_z_m", "start_m", "goal_m", "line_free", "density"]
     names += ["path_ratio", *(n for n in ("obstacles/p0", "obstacles/size_m") if n in group)]
     arrays = {name: group[name] for name in names}
     step = arrays["density"].chunks[0]
     for first in range(0, worlds, step):
-        with reading(run.path):
-            here = slice(first, min(first + step, worlds))
-            yield {name: np.asarray(array[here]) for name, array in arrays.items()}
+        with wrap_read_errors(run.path):
+            batch = slice(first, min(first + step, worlds))
+            yield {name: np.asarray(array[batch]) for name, array in arrays.items()}
 
 
-def _drawn(around: Mapping[str, np.ndarray]) -> dict[str, Any]:
+def _describe_environments(environments: Mapping[str, np.ndarray]) -> dict[str, Any]:
     """What the index says of some worlds: hashes, and how hard they are."""
-    rest = [around[name] for name in sorted(around) if name not in ("density", "path_ratio")]
+    rest = [
+        environments[name] for name in sorted(environments) if name not in ("density", "path_ratio")
+    ]
     hashes = [
-        environment_hash(rock, b"".join(array[i].tobytes() for array in rest))
-        for i, rock in enumerate(around["grid/occupied"])
+        hash_environment(rock, b"".join(array[i].tobytes() for array in rest))
+        for i, rock in enumerate(environments["grid/occupied"])
     ]
     return {
         "environment": hashes,
-        "density": around["density"],
-        "path_ratio": around["path_ratio"].mean(axis=1),
-        "free_lines": around["line_free"].sum(axis=1),
-        "crossings": crossing_pairs(around["start_m"], around["goal_m"]),
+        "density": environments["density"],
+        "path_ratio": environments["path_ratio"].mean(axis=1),
+        "free_lines": environments["line_free"].sum(axis=1),
+        "crossings": count_crossings(environments["start_m"], environments["goal_m"]),
     }
 
 
-def environment_hash(occupied: np.ndarray, rest: bytes) -> str:
+def hash_environment(occupied: np.ndarray, rest: bytes) -> str:
     """What tells environments apart, hexadecimal.
 
     The rock alone where there is any: who has seen it with one team has seen it with all.
@@ -187,21 +189,21 @@ def environment_hash(occupied: np.ndarray, rest: bytes) -> str:
         rest: all else that was drawn, for worlds without rock.
     """
     shape = np.array(occupied.shape, "<i8").tobytes()
-    seen = np.packbits(occupied).tobytes() if occupied.any() else rest
-    return hashlib.sha256(shape + seen).hexdigest()[:16]
+    content = np.packbits(occupied).tobytes() if occupied.any() else rest
+    return hashlib.sha256(shape + content).hexdigest()[:16]
 
 
-def split_of(digest: str, shares: SplitConfig) -> str:
+def assign_split(digest: str, fractions: SplitConfig) -> str:
     """The split of an environment: by its hash alone, so it is the same in every dataset."""
-    at = int(hashlib.sha256(digest.encode()).hexdigest()[:13], 16) / 16**13
+    fraction = int(hashlib.sha256(digest.encode()).hexdigest()[:13], 16) / 16**13
     for name in SPLITS[:-1]:
-        at -= getattr(shares, name)
-        if at < 0.0:
+        fraction -= getattr(fractions, name)
+        if fraction < 0.0:
             return name
     return SPLITS[-1]
 
 
-def difficulty(free_lines: np.ndarray, crossings: np.ndarray, robots: int) -> np.ndarray:
+def classify_difficulty(free_lines: np.ndarray, crossings: np.ndarray, robots: int) -> np.ndarray:
     """Return the level of each episode, str [n]: one of `sampling.DIFFICULTIES`.
 
     Lines that cross alone do not tell episodes apart where every team starts in other corners and
@@ -221,7 +223,7 @@ def difficulty(free_lines: np.ndarray, crossings: np.ndarray, robots: int) -> np
     return level
 
 
-def crossing_pairs(start_m: np.ndarray, goal_m: np.ndarray) -> np.ndarray:
+def count_crossings(start_m: np.ndarray, goal_m: np.ndarray) -> np.ndarray:
     """Return the number of pairs of robots [n] whose straight lines cross.
 
     Lines cross that pass within `CROSSING_M` of each other, and nearer than the robots are at their
@@ -234,7 +236,10 @@ def crossing_pairs(start_m: np.ndarray, goal_m: np.ndarray) -> np.ndarray:
     a, b = np.triu_indices(start_m.shape[1], 1)
     start_m, goal_m = start_m.astype(float), goal_m.astype(float)
     gap = segment_gap_m(start_m[:, a], goal_m[:, a], start_m[:, b], goal_m[:, b])
-    ends = [np.linalg.norm(at[:, a] - at[:, b], axis=-1) for at in (start_m, goal_m)]
+    ends = [
+        np.linalg.norm(positions_m[:, a] - positions_m[:, b], axis=-1)
+        for positions_m in (start_m, goal_m)
+    ]
     nearer = gap < np.minimum(*ends) - ROUNDING_M
     pairs: np.ndarray = ((gap < CROSSING_M) & nearer).sum(axis=-1)
     return pairs
@@ -259,56 +264,58 @@ def segment_gap_m(p: np.ndarray, q: np.ndarray, r: np.ndarray, s: np.ndarray) ->
     return gap
 
 
-def of_manifest(place: Path, manifest: Manifest) -> pa.Table:
+def build_index(root: Path, manifest: Manifest) -> pa.Table:
     """The index of all parts of a dataset.
 
     Raises:
         ConfigError: a run is damaged.
     """
-    shares = SplitConfig(**manifest.split_shares)
+    fractions = SplitConfig(**manifest.split_shares)
     tables: list[pa.Table] = []
     first = 0
     for number, part in enumerate(manifest.parts):
         entry = {"scene": part.scene, "expert": part.expert, "split": part.split}
-        tables.append(rows(place / part.path, number, entry, shares, first))
+        tables.append(build_rows(root / part.path, number, entry, fractions, first))
         first += len(tables[-1])
     whole = pa.concat_tables(tables)
-    at = SCHEMA.get_field_index("chosen")
-    return whole.set_column(at, SCHEMA.field(at), pa.array(chosen(whole, manifest.sample, SPLITS)))
+    column = SCHEMA.get_field_index("chosen")
+    return whole.set_column(
+        column, SCHEMA.field(column), pa.array(select_episodes(whole, manifest.sample, SPLITS))
+    )
 
 
-def shared_environment(table: pa.Table) -> tuple[str, str, str] | None:
+def find_shared_environment(table: pa.Table) -> tuple[str, str, str] | None:
     """Two splits that share an environment, and that; None where none do.
 
     What is in two splits is learned by heart.
     """
-    seen: dict[str, str] = {}
+    splits_by_rock: dict[str, str] = {}
     rocks, splits = table["environment"].to_pylist(), table["split"].to_pylist()
     for rock, split in zip(rocks, splits, strict=True):
-        before = seen.setdefault(rock, split)
-        if before != split:
-            return min(before, split), max(before, split), rock
+        first_split = splits_by_rock.setdefault(rock, split)
+        if first_split != split:
+            return min(first_split, split), max(first_split, split), rock
     return None
 
 
-def write(place: Path, table: pa.Table) -> None:
+def write_index(root: Path, table: pa.Table) -> None:
     """Write the index with checksums, whole or not at all.
 
     Raises:
         OSError: the disk gave out.
     """
-    with atomic.whole(place / INDEX) as writing:
+    with atomic_files.write_atomically(root / INDEX) as writing:
         pq.write_table(table, writing, compression="zstd", write_page_checksum=True)
 
 
-def read(place: Path) -> pa.Table:
+def read_index(root: Path) -> pa.Table:
     """The index of a dataset.
 
     Raises:
         ConfigError: it is damaged, or holds something else.
     """
-    path = place / INDEX
-    with reading(path):
+    path = root / INDEX
+    with wrap_read_errors(path):
         table = pq.read_table(path, page_checksum_verification=True)
     if table.schema.names != SCHEMA.names or table.schema.types != SCHEMA.types:
         raise ConfigError(

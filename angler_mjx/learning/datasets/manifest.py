@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.files import FileModel, parse, read_json
+from angler_mjx.files import FileModel, parse_model, read_json
 from angler_mjx.learning.datasets.sampling import SampleConfig
 from angler_mjx.runs.storage import folder
 
@@ -104,19 +104,19 @@ def require_inside(path: str) -> None:
         raise ValueError(f"path {path!r} leaves the dataset's folder")
 
 
-def read(place: Path) -> Manifest:
+def read_manifest(root: Path) -> Manifest:
     """The manifest of a dataset.
 
     Raises:
         ConfigError: there is none, or it is damaged, or of a version that is not known here.
     """
-    path = place / MANIFEST
+    path = root / MANIFEST
     if not path.is_file():
-        unfinished = place.parent / f".{place.name}.partial"
-        more = ""
+        unfinished = root.parent / f".{root.name}.partial"
+        hint = ""
         if unfinished.exists():
-            more = f"; it is being made, or was broken off, in {unfinished}: go on with --resume"
-        raise ConfigError(f"{place}: not a dataset (no {MANIFEST} in it){more}")
+            hint = f"; it is being made, or was broken off, in {unfinished}: go on with --resume"
+        raise ConfigError(f"{root}: not a dataset (no {MANIFEST} in it){hint}")
     table = read_json(path)
     version = table.get("schema_version") if isinstance(table, dict) else None
     if version != SCHEMA_VERSION:
@@ -124,13 +124,13 @@ def read(place: Path) -> Manifest:
             f"{path}: schema_version = {version!r}, and {SCHEMA_VERSION} is known here; read it "
             "with the version of angler-mjx that made it"
         )
-    return parse(Manifest, table, source=str(path))
+    return parse_model(Manifest, table, source=str(path))
 
 
-def write(place: Path, manifest: Manifest) -> None:
+def write_manifest(root: Path, manifest: Manifest) -> None:
     """Write the manifest, whole or not at all.
 
     Raises:
         OSError: the disk gave out.
     """
-    folder.write_json(place / MANIFEST, manifest.model_dump(mode="json"))
+    folder.write_json(root / MANIFEST, manifest.model_dump(mode="json"))

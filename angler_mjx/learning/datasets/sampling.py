@@ -31,49 +31,56 @@ class SampleConfig(FileModel):
     at_most: dict[Kind, float] = Field(default_factory=dict)
 
     @model_validator(mode="after")
-    def _possible(self) -> Self:
-        for key, shares in (("at_least", self.at_least), ("at_most", self.at_most)):
-            for kind, share in shares.items():
-                if not 0.0 <= share <= 1.0:
-                    raise ValueError(f"{key}.{kind} = {share:g}: must be from 0 to 1")
+    def _check_feasible(self) -> Self:
+        for key, fractions in (("at_least", self.at_least), ("at_most", self.at_most)):
+            for kind, fraction in fractions.items():
+                if not 0.0 <= fraction <= 1.0:
+                    raise ValueError(f"{key}.{kind} = {fraction:g}: must be from 0 to 1")
         for kind in self.at_least.keys() & self.at_most.keys():
             if self.at_least[kind] > self.at_most[kind]:
                 raise ValueError(
                     f"at_least.{kind} = {self.at_least[kind]:g} is more than at_most.{kind} = "
                     f"{self.at_most[kind]:g}; no dataset has such a share"
                 )
-        least = sum(self.at_least.get(kind, 0.0) for kind in DIFFICULTIES)
-        most = sum(self.at_most.get(kind, 1.0) for kind in DIFFICULTIES)
-        if least > 1.0 + 1e-9:
+        min_total = sum(self.at_least.get(kind, 0.0) for kind in DIFFICULTIES)
+        max_total = sum(self.at_most.get(kind, 1.0) for kind in DIFFICULTIES)
+        if min_total > 1.0 + 1e-9:
             raise ValueError(
-                f"at_least: {' + '.join(DIFFICULTIES)} = {least:g}: must be 1 or less, for an "
+                f"at_least: {' + '.join(DIFFICULTIES)} = {min_total:g}: must be 1 or less, for an "
                 "episode is one of them"
             )
-        if most < 1.0 - 1e-9:
+        if max_total < 1.0 - 1e-9:
             raise ValueError(
-                f"at_most: {' + '.join(DIFFICULTIES)} = {most:g}: must be 1 or more, for every "
+                f"at_most: {' + '.join(DIFFICULTIES)} = {max_total:g}: must be 1 or more, for "
+                "every "
                 "episode is one of them"
             )
         return self
 
     @property
-    def asks(self) -> bool:
+    def has_bounds(self) -> bool:
         """Whether any share is bounded."""
         return bool(self.at_least or self.at_most)
 
-    def said(self, kind: Kind) -> str:
+    def format_bounds(self, kind: Kind) -> str:
         """What is wished of a kind, in words."""
         bounds = (("at least", self.at_least), ("at most", self.at_most))
-        words = [f"{word} {100 * of[kind]:g} %" for word, of in bounds if kind in of]
-        return ", ".join(words) or "any"
+        texts = [
+            f"{label} {100 * fractions[kind]:g} %"
+            for label, fractions in bounds
+            if kind in fractions
+        ]
+        return ", ".join(texts) or "any"
 
-    def caps(self) -> list[tuple[np.ndarray, float]]:
-        """Every bound as cells of `CELLS` and the share that they may have at most."""
-        most = [(CELLS[kind], share) for kind, share in self.at_most.items()]
-        return most + [(~CELLS[kind], 1.0 - share) for kind, share in self.at_least.items()]
+    def upper_bounds(self) -> list[tuple[np.ndarray, float]]:
+        """Every bound as cells of `CELL_MASKS` and the share that they may have at most."""
+        bounds = [(CELL_MASKS[kind], fraction) for kind, fraction in self.at_most.items()]
+        return bounds + [
+            (~CELL_MASKS[kind], 1.0 - fraction) for kind, fraction in self.at_least.items()
+        ]
 
 
-CELLS: Mapping[Kind, np.ndarray] = {
+CELL_MASKS: Mapping[Kind, np.ndarray] = {
     **{
         kind: np.repeat([one == kind for one in DIFFICULTIES], 2)
         for kind in get_args(Kind.__value__)
@@ -83,46 +90,46 @@ CELLS: Mapping[Kind, np.ndarray] = {
 """Bool [8]: which kinds of episodes, by difficulty and whether they failed, each name holds."""
 
 
-def is_of(table: pa.Table, kind: Kind) -> np.ndarray:
+def is_kind(table: pa.Table, kind: Kind) -> np.ndarray:
     """Which episodes of an index are of a kind; bool [episode]."""
-    found: np.ndarray
+    matches: np.ndarray
     if kind == FAILED:
-        found = ~table["success"].to_numpy(zero_copy_only=False)
+        matches = ~table["success"].to_numpy(zero_copy_only=False)
     else:
-        found = np.asarray(table["difficulty"]) == kind
-    return found
+        matches = np.asarray(table["difficulty"]) == kind
+    return matches
 
 
-def chosen(table: pa.Table, wished: SampleConfig, thin: Sequence[str]) -> np.ndarray:
+def select_episodes(table: pa.Table, config: SampleConfig, thin: Sequence[str]) -> np.ndarray:
     """Which episodes of an index are chosen; bool [episode].
 
     All of other splits are: shifted scenes test what is as it is there.
 
     Args:
         table: the index, with all its columns but this one.
-        wished: shares.
+        config: shares.
         thin: splits in which they are to hold, in each by itself.
     """
     keep = np.ones(len(table), bool)
-    if not wished.asks:
+    if not config.has_bounds:
         return keep
-    level = sum(i * is_of(table, kind) for i, kind in enumerate(DIFFICULTIES))
-    cell = 2 * level + is_of(table, FAILED)
-    ticket = tickets(table["seed"].to_numpy(), table["world"].to_numpy())
+    level = sum(i * is_kind(table, kind) for i, kind in enumerate(DIFFICULTIES))
+    cell = 2 * level + is_kind(table, FAILED)
+    ticket = hash_worlds(table["seed"].to_numpy(), table["world"].to_numpy())
     splits = np.asarray(table["split"])
     for split in thin:
-        mine = np.flatnonzero(splits == split)
-        if not mine.size:
+        rows = np.flatnonzero(splits == split)
+        if not rows.size:
             continue
-        counts = np.bincount(cell[mine], minlength=2 * len(DIFFICULTIES))
-        kept = thinned(counts, wished.caps())
-        ordered = mine[np.lexsort((ticket[mine], cell[mine]))]
-        place = np.arange(mine.size) - np.repeat(np.cumsum(counts) - counts, counts)
-        keep[ordered] = place < np.repeat(kept, counts)
+        counts = np.bincount(cell[rows], minlength=2 * len(DIFFICULTIES))
+        n_kept = thin_counts(counts, config.upper_bounds())
+        ordered = rows[np.lexsort((ticket[rows], cell[rows]))]
+        rank = np.arange(rows.size) - np.repeat(np.cumsum(counts) - counts, counts)
+        keep[ordered] = rank < np.repeat(n_kept, counts)
     return keep
 
 
-def thinned(counts: np.ndarray, caps: list[tuple[np.ndarray, float]]) -> np.ndarray:
+def thin_counts(counts: np.ndarray, caps: list[tuple[np.ndarray, float]]) -> np.ndarray:
     """How many of each cell stay, so that no cap is exceeded.
 
     Args:
@@ -132,23 +139,23 @@ def thinned(counts: np.ndarray, caps: list[tuple[np.ndarray, float]]) -> np.ndar
     kept = counts.astype(np.int64)
     while True:
         before = kept.sum()
-        for cells, share in caps:
+        for cells, fraction in caps:
             inside = int(kept[cells].sum())
-            room = _room(int(kept.sum()) - inside, share)
-            if inside > room:
-                kept[cells] = in_proportion(kept[cells], room)
+            limit = _max_inside(int(kept.sum()) - inside, fraction)
+            if inside > limit:
+                kept[cells] = scale_counts(kept[cells], limit)
         if kept.sum() == before:
             return kept
 
 
-def _room(outside: int, share: float) -> int:
+def _max_inside(outside: int, fraction: float) -> int:
     """How many there may be so that they are a share of themselves and the others at most."""
-    if share >= 1.0:
+    if fraction >= 1.0:
         return int(np.iinfo(np.int64).max)
-    return int(np.floor(outside * share / (1.0 - share) + 1e-9))
+    return int(np.floor(outside * fraction / (1.0 - fraction) + 1e-9))
 
 
-def in_proportion(counts: np.ndarray, total: int) -> np.ndarray:
+def scale_counts(counts: np.ndarray, total: int) -> np.ndarray:
     """Numbers of a sum as near to the proportions of counts as whole numbers can be.
 
     Args:
@@ -162,7 +169,7 @@ def in_proportion(counts: np.ndarray, total: int) -> np.ndarray:
     return down
 
 
-def tickets(seed: np.ndarray, world: np.ndarray) -> np.ndarray:
+def hash_worlds(seed: np.ndarray, world: np.ndarray) -> np.ndarray:
     """A number of each world of a seed, uint64 [episode], as good as drawn.
 
     The mixer of SplitMix64 (G. Steele, D. Lea, C. Flood, Fast splittable pseudorandom number

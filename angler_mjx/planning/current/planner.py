@@ -15,22 +15,22 @@ import jax.numpy as jnp
 from angler_kernels.programs import on_gpu
 from angler_mjx.planning.current import search, search_kernel
 from angler_mjx.planning.current.map import step_costs
-from angler_mjx.planning.current.pace import Objective, PowerModel, power_model
-from angler_mjx.planning.current.shaping import descended, evened, legs, shortened
-from angler_mjx.planning.current.timetable import scheduled
+from angler_mjx.planning.current.motion_cost import Objective, PowerModel, power_model
+from angler_mjx.planning.current.shaping import descend_path, leg_costs, resample_path, shorten_path
+from angler_mjx.planning.current.timetable import schedule_departures
 from angler_mjx.planning.path_search.bodies import bodies_traffic
-from angler_mjx.planning.path_search.lattice import Terrain, terrain
-from angler_mjx.planning.path_search.robot import WayConfig
+from angler_mjx.planning.path_search.lattice import Terrain, build_terrain
+from angler_mjx.planning.path_search.robot_search import PathSearchConfig
 from angler_mjx.planning.priority import planner as priority
 from angler_mjx.planning.problem import Team
-from angler_mjx.robot.control.trajectory import Trajectory, hold
+from angler_mjx.robot.control.trajectory import Trajectory, hold_position
 from angler_mjx.sim.information import CurrentInformation, ObstacleInformation
 from angler_mjx.world.environment import Environment
 
-AT_ONCE = 4096
+MAX_ROBOTS_AT_ONCE = 4096
 """Robots whose costs are in memory at once: 0.2 MB each in worlds of 16^3 cells."""
 
-_SET_OFF_S = 2.0
+_DEPARTURE_STEP_S = 2.0
 """Between the times at which a robot can set off."""
 
 
@@ -71,19 +71,19 @@ class CurrentConfig:
     """Kept beyond the radii."""
     n_point: int
     """Way-points of a path."""
-    foresees: bool
+    observes_moving_obstacles: bool
     """Whether obstacles that move are known of."""
-    ways: WayConfig
+    search_config: PathSearchConfig
     """How ways are sought for those for whom no time suits."""
 
 
 class CurrentPlanner:
-    """What scenarios call current; `plan` is part of the program that draws the worlds."""
+    """What scenarios call current; `plan_paths` is part of the program that draws the worlds."""
 
     Settings = CurrentSettings
 
 
-def plan(
+def plan_paths(
     environments: Environment,
     teams: Team,
     current: CurrentInformation,
@@ -105,22 +105,22 @@ def plan(
         Trajectory [W, R] from the starts at time 0 to the goals; where ``found`` is False every row
         is the start. No two paths meet, nor does one meet a robot without a way.
     """
-    paths = _in_parts(environments, teams, current, obstacles, config)
+    paths = _plan_in_chunks(environments, teams, current, obstacles, config)
     if config.settings.budget == 0:
         return paths
-    return priority.plan(
+    return priority.plan_teams(
         environments,
         teams.radius_m,
         teams.cruise_speed_mps,
         seeds,
-        config.ways,
+        config.search_config,
         config.settings.budget,
-        obstacles if config.foresees else None,
+        obstacles if config.observes_moving_obstacles else None,
         first=paths,
     )
 
 
-def _in_parts(
+def _plan_in_chunks(
     environments: Environment,
     teams: Team,
     current: CurrentInformation,
@@ -128,26 +128,26 @@ def _in_parts(
     config: CurrentConfig,
 ) -> Trajectory:
     worlds, robots = teams.radius_m.shape
-    chunk = max(1, AT_ONCE // robots)
+    chunk = max(1, MAX_ROBOTS_AT_ONCE // robots)
     if worlds <= chunk:
-        return _batch(environments, teams, current, obstacles, config)
+        return _plan_batch(environments, teams, current, obstacles, config)
     parts = -(-worlds // chunk)
     rows = jnp.minimum(jnp.arange(parts * chunk), worlds - 1).reshape(parts, chunk)
 
-    def some(row: jax.Array) -> Trajectory:
-        place, team, flow, bodies = jax.tree.map(
+    def plan_chunk(row: jax.Array) -> Trajectory:
+        environment, team, flow, bodies = jax.tree.map(
             lambda leaf: leaf[row], (environments, teams, current, obstacles)
         )
-        return _batch(place, team, flow, bodies, config)
+        return _plan_batch(environment, team, flow, bodies, config)
 
-    found = jax.lax.map(some, rows)
+    chunk_paths = jax.lax.map(plan_chunk, rows)
     paths: Trajectory = jax.tree.map(
-        lambda leaf: leaf.reshape(parts * chunk, *leaf.shape[2:])[:worlds], found
+        lambda leaf: leaf.reshape(parts * chunk, *leaf.shape[2:])[:worlds], chunk_paths
     )
     return paths
 
 
-def _batch(
+def _plan_batch(
     environments: Environment,
     teams: Team,
     current: CurrentInformation,
@@ -156,7 +156,7 @@ def _batch(
 ) -> Trajectory:
     worlds, robots = teams.radius_m.shape
     settings = config.settings
-    lands = jax.vmap(terrain)(environments)
+    terrains = jax.vmap(build_terrain)(environments)
 
     def of_team(team: Team) -> PowerModel:
         return jax.vmap(power_model, in_axes=(0, 0, 0, None, None))(
@@ -167,53 +167,59 @@ def _batch(
             settings.least,
         )
 
-    swimmers = jax.vmap(of_team)(teams)
+    models = jax.vmap(of_team)(teams)
     clearance = teams.radius_m + config.margin_m
 
     def costs(
-        land: Terrain, team: PowerModel, clear: jax.Array, known: CurrentInformation
+        land: Terrain, team: PowerModel, clearance_m: jax.Array, flow: CurrentInformation
     ) -> jax.Array:
-        zero = jnp.zeros((), clear.dtype)
-        return step_costs(land, team, clear, lambda p: known.velocity(p, zero))
+        zero = jnp.zeros((), clearance_m.dtype)
+        return step_costs(land, team, clearance_m, lambda p: flow.velocity(p, zero))
 
-    cost = jax.vmap(costs)(lands, swimmers, clearance, current)
-    start, goal = (jax.vmap(_cells)(lands, place) for place in (teams.start_m, teams.goal_m))
+    cost = jax.vmap(costs)(terrains, models, clearance, current)
+    start, goal = (
+        jax.vmap(_cells_at)(terrains, points_m) for points_m in (teams.start_m, teams.goal_m)
+    )
     flat = cost.reshape(worlds * robots, *cost.shape[2:])
-    value = _least(flat, goal.reshape(-1, 3))
+    value = _costs_to_goal(flat, goal.reshape(-1, 3))
     value = value.reshape(worlds, robots, *value.shape[1:])
 
     def of_robot(
         land: Terrain,
         floor_z_m: jax.Array,
-        known: CurrentInformation,
-        one: PowerModel,
-        clear: jax.Array,
+        flow: CurrentInformation,
+        robot: PowerModel,
+        clearance_m: jax.Array,
         cost: jax.Array,
         value: jax.Array,
         ends: tuple[jax.Array, jax.Array, jax.Array],
     ) -> Trajectory:
-        return _ways(land, floor_z_m, known, one, clear - 1e-4, cost, value, ends, config)
+        return _departure_paths(
+            land, floor_z_m, flow, robot, clearance_m - 1e-4, cost, value, ends, config
+        )
 
     def of_world(
         land: Terrain,
         floor_z_m: jax.Array,
-        known: CurrentInformation,
+        flow: CurrentInformation,
         bodies: ObstacleInformation,
         team: Team,
-        one: PowerModel,
-        clear: jax.Array,
+        robot: PowerModel,
+        clearance_m: jax.Array,
         cost: jax.Array,
         value: jax.Array,
         start: jax.Array,
     ) -> Trajectory:
         ends = (start, team.start_m, team.goal_m)
-        ways = jax.vmap(of_robot, in_axes=(None, None, None, 0, 0, 0, 0, 0))(
-            land, floor_z_m, known, one, clear, cost, value, ends
+        paths = jax.vmap(of_robot, in_axes=(None, None, None, 0, 0, 0, 0, 0))(
+            land, floor_z_m, flow, robot, clearance_m, cost, value, ends
         )
-        moving = bodies_traffic(bodies, config.horizon_s) if config.foresees else None
-        return scheduled(
-            ways,
-            hold(team.start_m, config.n_point),
+        moving = (
+            bodies_traffic(bodies, config.horizon_s) if config.observes_moving_obstacles else None
+        )
+        return schedule_departures(
+            paths,
+            hold_position(team.start_m, config.n_point),
             team.radius_m,
             moving,
             config.margin_m,
@@ -221,12 +227,12 @@ def _batch(
         )
 
     return jax.vmap(of_world)(
-        lands,
+        terrains,
         environments.floor_z_m,
         current,
         obstacles,
         teams,
-        swimmers,
+        models,
         clearance,
         cost,
         value,
@@ -234,24 +240,24 @@ def _batch(
     )
 
 
-def _least(cost: jax.Array, goal: jax.Array) -> jax.Array:
+def _costs_to_goal(cost: jax.Array, goal: jax.Array) -> jax.Array:
     """`search.costs_to_goal`, by a program for each robot where that is possible."""
     if on_gpu():
         return jax.vmap(search_kernel.costs_to_goal)(cost, goal)
     return search.costs_to_goal(cost, goal)
 
 
-def _cells(land: Terrain, place: jax.Array) -> jax.Array:
+def _cells_at(land: Terrain, position_m: jax.Array) -> jax.Array:
     """Cells int32 [R, 3] that hold places [R, 3]."""
     top = jnp.array(land.layout.shape) - 1
-    at = jnp.floor((place - land.grid.origin_m) / land.grid.cell_m).astype(jnp.int32)
+    at = jnp.floor((position_m - land.grid.origin_m) / land.grid.cell_m).astype(jnp.int32)
     return jnp.clip(at, 0, top)
 
 
-def _ways(
+def _departure_paths(
     land: Terrain,
     floor_z_m: jax.Array,
-    known: CurrentInformation,
+    current: CurrentInformation,
     robot: PowerModel,
     clearance_m: jax.Array,
     cost: jax.Array,
@@ -261,26 +267,30 @@ def _ways(
 ) -> Trajectory:
     """The way of one robot for each time at which it can set off, [H] leading."""
     cell, start_m, goal_m = ends
-    cells, reached = search.way(cost, value, cell, 2 * sum(land.layout.shape))
+    cells, reached = search.trace_path(cost, value, cell, 2 * sum(land.layout.shape))
     centres = land.grid.origin_m + (cells + 0.5) * land.grid.cell_m
     # From the middle of the goal's cell to the goal itself, and there for the rest.
-    there = jnp.cumsum(jnp.all(cells == cells[-1], axis=-1)) > 1
-    centres = jnp.where(there[:, None], goal_m, centres)
-    rough = jnp.concatenate([start_m[None], centres, goal_m[None]])
-    most = config.n_point - 1
-    short, enough = shortened(land, robot, rough, clearance_m, known.velocity, most)
-    points = evened(short, most)
-    way = descended(land, robot, points, clearance_m, floor_z_m, known.velocity, known.stays)
-    count = int(config.settings.start_hold_s // _SET_OFF_S) + 1
+    is_at_goal = jnp.cumsum(jnp.all(cells == cells[-1], axis=-1)) > 1
+    centres = jnp.where(is_at_goal[:, None], goal_m, centres)
+    rough_m = jnp.concatenate([start_m[None], centres, goal_m[None]])
+    max_points = config.n_point - 1
+    shortened_m, is_short_enough = shorten_path(
+        land, robot, rough_m, clearance_m, current.velocity, max_points
+    )
+    points = resample_path(shortened_m, max_points)
+    path_m = descend_path(
+        land, robot, points, clearance_m, floor_z_m, current.velocity, current.stays
+    )
+    count = int(config.settings.start_hold_s // _DEPARTURE_STEP_S) + 1
 
-    def leaving(at_s: jax.Array) -> Trajectory:
-        leg = legs(robot, way, known.velocity, at_s, known.stays)
+    def departing_path(at_s: jax.Array) -> Trajectory:
+        leg = leg_costs(robot, path_m, current.velocity, at_s, current.stays)
         time = at_s + jnp.concatenate([jnp.zeros(1, at_s.dtype), jnp.cumsum(leg.span_s)])
-        can = jnp.all(leg.cost < search.FAR) & jnp.all(jnp.isfinite(time))
+        is_possible = jnp.all(leg.cost < search.NO_PATH_COST) & jnp.all(jnp.isfinite(time))
         return Trajectory(
             time_s=jnp.concatenate([jnp.zeros(1, at_s.dtype), time]),
-            position_m=jnp.concatenate([way[:1], way]),
-            found=reached & enough & can & (time[-1] <= config.horizon_s),
+            position_m=jnp.concatenate([path_m[:1], path_m]),
+            found=reached & is_short_enough & is_possible & (time[-1] <= config.horizon_s),
         )
 
-    return jax.vmap(leaving)(_SET_OFF_S * jnp.arange(count, dtype=start_m.dtype))
+    return jax.vmap(departing_path)(_DEPARTURE_STEP_S * jnp.arange(count, dtype=start_m.dtype))

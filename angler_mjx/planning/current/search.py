@@ -10,14 +10,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-FAR = 1e9
+NO_PATH_COST = 1e9
 """Cost from where there is no way, metres of still water."""
 
 STEPS = np.array([s for s in itertools.product((-1, 0, 1), repeat=3) if s != (0, 0, 0)])
 """[26, 3] cells."""
 
 
-def most_sweeps(shape: tuple[int, ...]) -> int:
+def max_sweeps(shape: tuple[int, ...]) -> int:
     """More are not made over cells of this shape."""
     return 4 * sum(shape)
 
@@ -26,43 +26,44 @@ def costs_to_goal(cost: jax.Array, goal: jax.Array) -> jax.Array:
     """Least cost from every cell.
 
     Args:
-        cost: [B, 26, nx, ny, nz] of the step from a cell along each of `STEPS`; `FAR` for none.
+        cost: [B, 26, nx, ny, nz] of the step from a cell along each of `STEPS`; `NO_PATH_COST` for
+            none.
         goal: int32 [B, 3] cells.
 
     Returns:
-        [B, nx, ny, nz]; `FAR` or more where there is no way.
+        [B, nx, ny, nz]; `NO_PATH_COST` or more where there is no way.
     """
     shape = cost.shape[2:]
     axes = [jnp.arange(n) for n in shape]
     at = jnp.stack(jnp.meshgrid(*axes, indexing="ij"), axis=-1)
     is_goal = jnp.all(at == goal[:, None, None, None, :], axis=-1)
-    begin = jnp.where(is_goal, 0.0, FAR).astype(jnp.float32)
+    begin = jnp.where(is_goal, 0.0, NO_PATH_COST).astype(jnp.float32)
 
-    def going(state: tuple[jax.Array, jax.Array, jax.Array]) -> jax.Array:
+    def is_changing(state: tuple[jax.Array, jax.Array, jax.Array]) -> jax.Array:
         _, changed, count = state
-        return changed & (count < most_sweeps(shape))
+        return changed & (count < max_sweeps(shape))
 
     def sweep(
         state: tuple[jax.Array, jax.Array, jax.Array],
     ) -> tuple[jax.Array, jax.Array, jax.Array]:
         value, _, count = state
         new = value
-        wide = jnp.pad(value, ((0, 0), (1, 1), (1, 1), (1, 1)), constant_values=FAR)
+        padded = jnp.pad(value, ((0, 0), (1, 1), (1, 1), (1, 1)), constant_values=NO_PATH_COST)
         for number, (x, y, z) in enumerate(STEPS):
-            beside = wide[
+            neighbour_value = padded[
                 :,
                 1 + x : 1 + x + shape[0],
                 1 + y : 1 + y + shape[1],
                 1 + z : 1 + z + shape[2],
             ]
-            new = jnp.minimum(new, cost[:, number].astype(jnp.float32) + beside)
+            new = jnp.minimum(new, cost[:, number].astype(jnp.float32) + neighbour_value)
         return new, jnp.any(new < value), count + 1
 
-    value, _, _ = jax.lax.while_loop(going, sweep, (begin, jnp.array(True), jnp.array(0)))
+    value, _, _ = jax.lax.while_loop(is_changing, sweep, (begin, jnp.array(True), jnp.array(0)))
     return value
 
 
-def way(
+def trace_path(
     cost: jax.Array, value: jax.Array, start: jax.Array, length: int
 ) -> tuple[jax.Array, jax.Array]:
     """Cells of the way of one robot.
@@ -81,15 +82,19 @@ def way(
     steps = jnp.asarray(STEPS)
 
     def step(cell: jax.Array, _: None) -> tuple[jax.Array, jax.Array]:
-        beside = cell + steps
-        inside = jnp.all((beside >= 0) & (beside < shape), axis=-1)
-        there = jnp.clip(beside, 0, shape - 1)
+        neighbours = cell + steps
+        inside = jnp.all((neighbours >= 0) & (neighbours < shape), axis=-1)
+        neighbour_cells = jnp.clip(neighbours, 0, shape - 1)
         total = cost[:, cell[0], cell[1], cell[2]].astype(jnp.float32)
-        total += jnp.where(inside, value[there[:, 0], there[:, 1], there[:, 2]], FAR)
+        total += jnp.where(
+            inside,
+            value[neighbour_cells[:, 0], neighbour_cells[:, 1], neighbour_cells[:, 2]],
+            NO_PATH_COST,
+        )
         best = jnp.argmin(total)
-        here = value[cell[0], cell[1], cell[2]]
-        goes = (here > 0.0) & (here < FAR) & (total[best] < FAR)
-        after = jnp.where(goes, there[best], cell)
+        cell_value = value[cell[0], cell[1], cell[2]]
+        can_step = (cell_value > 0.0) & (cell_value < NO_PATH_COST) & (total[best] < NO_PATH_COST)
+        after = jnp.where(can_step, neighbour_cells[best], cell)
         return after, cell
 
     last, cells = jax.lax.scan(step, start, None, length=length)

@@ -5,19 +5,19 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.planning.path_search.bodies import STANDS_S
-from angler_mjx.planning.path_search.pulling import keeps_clear
-from angler_mjx.planning.path_search.starts import meets_starts, only, standing
-from angler_mjx.planning.path_search.traffic import GridTraffic, met_by
+from angler_mjx.planning.path_search.bodies import GOAL_CLEAR_S
+from angler_mjx.planning.path_search.starts import meets_starts, select_flyable, select_paths
+from angler_mjx.planning.path_search.string_pulling import is_path_clear
+from angler_mjx.planning.path_search.traffic import GridTraffic, meets_traffic
 from angler_mjx.robot.control.trajectory import Trajectory
 
-_ROUNDS = 3
+_N_ORDERS = 3
 """Orders of the team that are tried; who was left without a time goes first in the next."""
 
 
-def scheduled(
-    ways: Trajectory,
-    held: Trajectory,
+def schedule_departures(
+    candidates: Trajectory,
+    hold_paths: Trajectory,
     radius_m: jax.Array,
     bodies: GridTraffic | None,
     margin_m: float,
@@ -26,9 +26,9 @@ def scheduled(
     """One of its ways for each robot of a team, none of which meet.
 
     Args:
-        ways: [R, H]: the way of each robot for each time at which it can set off, the first
-            preferred; ``found`` says whether there is one.
-        held: [R] paths that stay at the starts.
+        candidates: [R, H]: the way of each robot for each time at which it can set off, the first
+            preferred; ``is_found`` says whether there is one.
+        hold_paths: [R] paths that stay at the starts.
         radius_m: [R].
         bodies: obstacles that move; None where none is known of.
         margin_m: kept beyond the radii.
@@ -38,61 +38,69 @@ def scheduled(
         [R] paths; those of the others stay at the starts.
     """
     n = radius_m.shape[0]
-    reach = radius_m[:, None] + radius_m + margin_m
-    possible = jax.vmap(lambda robot, radius: _clear_of_bodies(robot, bodies, radius + margin_m))(
-        ways, radius_m
-    )
+    distance_m = radius_m[:, None] + radius_m + margin_m
+    is_clear_of_bodies = jax.vmap(
+        lambda robot, radius: _is_clear_of_bodies(robot, bodies, radius + margin_m)
+    )(candidates, radius_m)
 
-    def one(
+    def schedule_robot(
         state: tuple[Trajectory, jax.Array, jax.Array], robot: jax.Array
     ) -> tuple[tuple[Trajectory, jax.Array, jax.Array], None]:
-        plans, done, found = state
+        plans, is_scheduled, is_found = state
         traffic = GridTraffic(
             time_s=plans.time_s,
             position_m=plans.position_m,
-            reach_m=reach[robot],
-            until_s=jnp.where(done, jnp.inf, -1.0),
+            reach_m=distance_m[robot],
+            until_s=jnp.where(is_scheduled, jnp.inf, -1.0),
         )
-        mine: Trajectory = jax.tree.map(lambda leaf: leaf[robot], ways)
-        free = possible[robot] & ~jax.vmap(lambda way: jnp.any(met_by(way, traffic)))(mine)
+        robot_candidates: Trajectory = jax.tree.map(lambda leaf: leaf[robot], candidates)
+        free = is_clear_of_bodies[robot] & ~jax.vmap(
+            lambda candidate: jnp.any(meets_traffic(candidate, traffic))
+        )(robot_candidates)
         first = jnp.argmax(free)
-        goes = free[first]
-        path = jax.tree.map(lambda way, stay: jnp.where(goes, way[first], stay[robot]), mine, held)
+        is_possible = free[first]
+        path = jax.tree.map(
+            lambda candidate, stay: jnp.where(is_possible, candidate[first], stay[robot]),
+            robot_candidates,
+            hold_paths,
+        )
         plans = jax.tree.map(lambda all_, row: all_.at[robot].set(row), plans, path)
-        return (plans, done.at[robot].set(True), found.at[robot].set(goes)), None
+        return (plans, is_scheduled.at[robot].set(True), is_found.at[robot].set(is_possible)), None
 
-    def order(
+    def try_order(
         state: tuple[Trajectory, jax.Array], _: None
     ) -> tuple[tuple[Trajectory, jax.Array], None]:
         best, rank = state
-        turn = jnp.argsort(rank)
-        begin = (held, jnp.zeros(n, bool), jnp.zeros(n, bool))
-        (plans, _all, found), _none = jax.lax.scan(one, begin, turn)
-        met = jax.vmap(lambda path, far: meets_starts(path, held.position_m[:, 0], far, horizon_s))(
-            plans, reach
-        )
-        found = standing(found, met & ~jnp.eye(n, dtype=bool))
-        more = jnp.sum(found) > jnp.sum(best.found)
-        plans = replace(only(found, plans, held), found=found)
-        best = jax.tree.map(lambda new, old: jnp.where(more, new, old), plans, best)
+        order_of_robots = jnp.argsort(rank)
+        begin = (hold_paths, jnp.zeros(n, bool), jnp.zeros(n, bool))
+        (plans, _all, is_found), _none = jax.lax.scan(schedule_robot, begin, order_of_robots)
+        is_met = jax.vmap(
+            lambda path, far: meets_starts(path, hold_paths.position_m[:, 0], far, horizon_s)
+        )(plans, distance_m)
+        is_found = select_flyable(is_found, is_met & ~jnp.eye(n, dtype=bool))
+        is_better = jnp.sum(is_found) > jnp.sum(best.found)
+        plans = replace(select_paths(is_found, plans, hold_paths), found=is_found)
+        best = jax.tree.map(lambda new, old: jnp.where(is_better, new, old), plans, best)
         # Those without any way stand from the beginning; then those that were left out.
-        none = ~jnp.any(possible, axis=1)
-        rank = jnp.where(found, rank, rank - n * (1 + none))
+        has_no_candidate = ~jnp.any(is_clear_of_bodies, axis=1)
+        rank = jnp.where(is_found, rank, rank - n * (1 + has_no_candidate))
         return (best, rank), None
 
-    nothing = replace(held, found=jnp.zeros(n, bool))
-    first = jnp.arange(n) - 2 * n * ~jnp.any(possible, axis=1)
-    (best, _), _ = jax.lax.scan(order, (nothing, first), None, length=_ROUNDS)
+    no_paths = replace(hold_paths, found=jnp.zeros(n, bool))
+    first = jnp.arange(n) - 2 * n * ~jnp.any(is_clear_of_bodies, axis=1)
+    (best, _), _ = jax.lax.scan(try_order, (no_paths, first), None, length=_N_ORDERS)
     return best
 
 
-def _clear_of_bodies(ways: Trajectory, bodies: GridTraffic | None, by_m: jax.Array) -> jax.Array:
+def _is_clear_of_bodies(
+    candidates: Trajectory, bodies: GridTraffic | None, by_m: jax.Array
+) -> jax.Array:
     """Which ways [H] of a robot are there, and clear of bodies until they are over, bool [H]."""
     if bodies is None:
-        return ways.found
-    wide = replace(bodies, reach_m=bodies.reach_m + by_m)
+        return candidates.found
+    inflated = replace(bodies, reach_m=bodies.reach_m + by_m)
 
-    def clear(way: Trajectory) -> jax.Array:
-        return keeps_clear(wide, way, way.time_s[-1] + STANDS_S)
+    def is_clear(candidate: Trajectory) -> jax.Array:
+        return is_path_clear(inflated, candidate, candidate.time_s[-1] + GOAL_CLEAR_S)
 
-    return ways.found & jax.vmap(clear)(ways)
+    return candidates.found & jax.vmap(is_clear)(candidates)

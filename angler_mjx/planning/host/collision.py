@@ -13,7 +13,7 @@ import pinocchio as pin
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning.host import scenery
-from angler_mjx.planning.host.robots import PlannedRobot, build, owner, team
+from angler_mjx.planning.host.robots import PlannedRobot, build_model, owner_index, team_hulls
 from angler_mjx.planning.problem import Problem
 
 
@@ -56,11 +56,11 @@ class TeamModel:
         if not robots:
             raise ConfigError("a team has one robot at least")
         self._problem = problem
-        self._rock = scenery.enclosed(np.asarray(problem.grid.occupied))
-        self.model, self.geometry, self._joints = build(robots)
-        owners = np.array([owner(item.name) for item in self.geometry.geometryObjects])
+        self._rock = scenery.enclosed_rock(np.asarray(problem.grid.occupied))
+        self.model, self.geometry, self._joints = build_model(robots)
+        owners = np.array([owner_index(item.name) for item in self.geometry.geometryObjects])
         self._count = len(owners)
-        self._moved = self._surround()
+        self._moved = self._add_scenery()
         items = list(self.geometry.geometryObjects)
         others = np.not_equal.outer(owners, owners)
         self._meets = np.ones((self._count, len(items)), bool)
@@ -68,7 +68,7 @@ class TeamModel:
         pairs = np.zeros((len(items), len(items)), bool)
         pairs[: self._count] = self._meets
         self.geometry.setCollisionPairs(pairs | pairs.T)
-        self._data, self._shown = self.model.createData(), pin.GeometryData(self.geometry)
+        self._data, self._geometry_data = self.model.createData(), pin.GeometryData(self.geometry)
         for item in items:
             item.geometry.computeLocalAABB()
         self._names = [item.name for item in items]
@@ -82,7 +82,7 @@ class TeamModel:
         for body in self._objects[self._count :]:
             self._world.registerObject(body)
         self._turn, self._centre = np.zeros((len(items), 3, 3)), np.zeros((len(items), 3))
-        self._place(pin.neutral(self.model))
+        self._update_placements(pin.neutral(self.model))
         self._reach = np.zeros(len(robots))
         along = np.linalg.norm(self._centre[: self._count, :2], axis=1)
         np.maximum.at(self._reach, owners, along + self._radius[: self._count])
@@ -91,42 +91,46 @@ class TeamModel:
     @classmethod
     def from_problem(cls, problem: Problem) -> Self:
         """The team of a problem, in its world."""
-        return cls(team(problem), problem)
+        return cls(team_hulls(problem), problem)
 
-    def q(self, place: np.ndarray) -> np.ndarray:
+    def q(self, pose: np.ndarray) -> np.ndarray:
         """Configuration of a team, place [R, 4] of x, y, z, heading; arms at their neutral."""
-        found = np.array(pin.neutral(self.model))
-        for row, joint in zip(np.asarray(place, float), self._joints, strict=True):
-            found[joint : joint + 4] = row
-        return found
+        configuration = np.array(pin.neutral(self.model))
+        for row, joint in zip(np.asarray(pose, float), self._joints, strict=True):
+            configuration[joint : joint + 4] = row
+        return configuration
 
     def at(self, time_s: float) -> None:
         """Put the obstacles where they are known to be at a time."""
         items = self.geometry.geometryObjects
         for row, number in self._moved:
-            items[number].placement = pin.SE3(*scenery.pose(self._problem, row, time_s))
+            items[number].placement = pin.SE3(*scenery.obstacle_pose(self._problem, row, time_s))
         for number in range(self._count, len(items)):
-            self._put(number, items[number].placement)
+            self._set_placement(number, items[number].placement)
         self._world.update()
 
     def state(self, q: np.ndarray) -> bool:
         """Whether the team touches nothing at q."""
-        self._place(q)
-        if self._buried() is not None:
+        self._update_placements(q)
+        if self._find_buried() is not None:
             return False
         for body in self._objects[: self._count]:
             hit = coal.CollisionCallBackDefault()
             self._world.collide(body, hit)
             if hit.data.result.isCollision():
                 return False
-        own = slice(0, self._count)
-        apart = np.linalg.norm(self._centre[own, None] - self._centre[None, own], axis=-1)
-        near = self._meets[:, own] & (apart <= np.add.outer(self._radius[own], self._radius[own]))
+        robots = slice(0, self._count)
+        distance_m = np.linalg.norm(
+            self._centre[robots, None] - self._centre[None, robots], axis=-1
+        )
+        is_near = self._meets[:, robots] & (
+            distance_m <= np.add.outer(self._radius[robots], self._radius[robots])
+        )
         return not any(
             coal.collide(
                 self._objects[i], self._objects[j], coal.CollisionRequest(), coal.CollisionResult()
             )
-            for i, j in np.argwhere(near)
+            for i, j in np.argwhere(is_near)
         )
 
     def edge(self, a: np.ndarray, b: np.ndarray, resolution_m: float) -> bool:
@@ -138,14 +142,14 @@ class TeamModel:
             resolution_m: no point of a hull moves farther from one sample to the next; an arm's own
                 joints do not count.
         """
-        way = 0.0
+        length_m = 0.0
         for joint, reach in zip(self._joints, self._reach, strict=True):
             step = b[joint : joint + 4] - a[joint : joint + 4]
-            way = max(way, float(np.linalg.norm(step[:3]) + reach * abs(step[3])))
-        count = max(1, int(np.ceil(way / resolution_m)))
+            length_m = max(length_m, float(np.linalg.norm(step[:3]) + reach * abs(step[3])))
+        count = max(1, int(np.ceil(length_m / resolution_m)))
         return all(
-            self.state(pin.interpolate(self.model, a, b, share))
-            for share in np.linspace(0.0, 1.0, count + 1)
+            self.state(pin.interpolate(self.model, a, b, fraction))
+            for fraction in np.linspace(0.0, 1.0, count + 1)
         )
 
     def clearance(self, q: np.ndarray) -> float:
@@ -158,65 +162,71 @@ class TeamModel:
         Pairs are worked out in the order of a lower bound of their distance, until that is no less
         than the least found.
         """
-        self._place(q)
-        buried = self._buried()
+        self._update_placements(q)
+        buried = self._find_buried()
         if buried is not None:
-            here = self._centre[buried].copy()
-            return NearestObstacle(-np.inf, here, here, self._names[buried], "rock")
-        bounds = self._bounds()
+            point_m = self._centre[buried].copy()
+            return NearestObstacle(-np.inf, point_m, point_m, self._names[buried], "rock")
+        bounds = self._distance_bounds()
         best = NearestObstacle(np.inf, np.full(3, np.nan), np.full(3, np.nan), "", "")
         for flat in np.argsort(bounds, axis=None):
             i, j = divmod(int(flat), bounds.shape[1])
             if bounds[i, j] >= best.distance_m:
                 break
-            found = coal.DistanceResult()
-            distance = coal.distance(self._objects[i], self._objects[j], _request(), found)
+            result = coal.DistanceResult()
+            distance = coal.distance(
+                self._objects[i], self._objects[j], _distance_request(), result
+            )
             if distance < best.distance_m:
-                points = (np.array(found.getNearestPoint1()), np.array(found.getNearestPoint2()))
+                points = (np.array(result.getNearestPoint1()), np.array(result.getNearestPoint2()))
                 best = NearestObstacle(distance, *points, self._names[i], self._names[j])
         return best
 
-    def _surround(self) -> list[tuple[int, int]]:
+    def _add_scenery(self) -> list[tuple[int, int]]:
         """Add what is no robot; rows of obstacles and their numbers among the bodies."""
-        moved = []
-        given = self._problem
-        for part in (scenery.cells(given), scenery.walls(given), scenery.obstacles(given)):
-            for body in part:
+        moving = []
+        problem = self._problem
+        for bodies in (
+            scenery.rock_bodies(problem),
+            scenery.wall_bodies(problem),
+            scenery.obstacle_bodies(problem),
+        ):
+            for body in bodies:
                 placement = pin.SE3(body.rotation, body.centre_m)
                 number = self.geometry.addGeometryObject(
                     pin.GeometryObject(body.name, 0, placement, body.shape)
                 )
                 if body.name.startswith("obstacle_"):
-                    moved.append((int(body.name.split("_")[1]), int(number)))
-        return moved
+                    moving.append((int(body.name.split("_")[1]), int(number)))
+        return moving
 
-    def _place(self, q: np.ndarray) -> None:
+    def _update_placements(self, q: np.ndarray) -> None:
         """Put the robots' bodies where q has them."""
         pin.updateGeometryPlacements(
-            self.model, self._data, self.geometry, self._shown, np.asarray(q, float)
+            self.model, self._data, self.geometry, self._geometry_data, np.asarray(q, float)
         )
         for number in range(self._count):
-            self._put(number, self._shown.oMg[number])
+            self._set_placement(number, self._geometry_data.oMg[number])
 
-    def _put(self, number: int, placement: Any) -> None:
+    def _set_placement(self, number: int, placement: Any) -> None:
         body = self._objects[number]
         self._turn[number], self._centre[number] = placement.rotation, placement.translation
         body.setTransform(coal.Transform3s(placement.rotation, placement.translation))
         body.computeAABB()
 
-    def _buried(self) -> int | None:
+    def _find_buried(self) -> int | None:
         """A body whose origin lies in rock that has no geometry, if there is one.
 
         One that touches no rock that can be touched lies on one side of it with all its points.
         """
         grid = self._problem.grid
-        places = self._centre[: self._count] - np.asarray(grid.origin_m, float)
-        index = np.floor(places / float(grid.cell_m)).astype(int)
-        found = np.flatnonzero(((index >= 0) & (index < self._rock.shape)).all(axis=1))
-        hit = found[self._rock[tuple(index[found].T)]]
+        positions_m = self._centre[: self._count] - np.asarray(grid.origin_m, float)
+        index = np.floor(positions_m / float(grid.cell_m)).astype(int)
+        inside = np.flatnonzero(((index >= 0) & (index < self._rock.shape)).all(axis=1))
+        hit = inside[self._rock[tuple(index[inside].T)]]
         return int(hit[0]) if len(hit) else None
 
-    def _bounds(self) -> np.ndarray:
+    def _distance_bounds(self) -> np.ndarray:
         """Lower bounds [robots' bodies, all bodies] of distances; -inf where two may overlap.
 
         The ball about a robot's body against the box of the other's own frame.
@@ -228,9 +238,9 @@ class TeamModel:
         return np.where(self._meets, np.where(bound > 0.0, bound, -np.inf), np.inf)
 
 
-def _request() -> Any:
+def _distance_request() -> Any:
     """Distances with their points, signed, to 1e-5 m: coal stops at the square of a length."""
-    wanted = coal.DistanceRequest(True, True)
-    wanted.gjk_tolerance = 1e-10
-    wanted.gjk_max_iterations = 1000
-    return wanted
+    request = coal.DistanceRequest(True, True)
+    request.gjk_tolerance = 1e-10
+    request.gjk_max_iterations = 1000
+    return request

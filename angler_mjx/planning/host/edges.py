@@ -12,12 +12,12 @@ import numpy as np
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning.host.compiled import sweeping
-from angler_mjx.planning.host.compiled.mapping import measure
-from angler_mjx.planning.host.compiled.packed import Moving, Packed, pack
+from angler_mjx.planning.host.compiled.cell_map import measure_rings
+from angler_mjx.planning.host.compiled.packed import Moving, PackedProblem, pack_problem
 from angler_mjx.planning.host.timed import Traffic, timed_edge, timed_edges
 from angler_mjx.planning.problem import Problem
 
-FAR = 0.99
+MAX_NEAR_REACH = 0.99
 """Edges of a cell; spheres that reach farther ask how far the rock is."""
 
 
@@ -38,7 +38,7 @@ class EdgeChecker:
     robots: int
     edge_flat: Callable[[np.ndarray, np.ndarray], bool]
     state_flat: Callable[[np.ndarray], bool]
-    packed: Packed
+    packed: PackedProblem
 
     def __init__(
         self,
@@ -61,31 +61,33 @@ class EdgeChecker:
             ConfigError: the margin is negative, there is no such robot, or a number of the problem
                 is not finite.
         """
-        self.packed = pack(problem, margin_m, robots, moving, far=False)
+        self.packed = pack_problem(problem, margin_m, robots, moving, far=False)
         reach = float(np.max(problem.team.radius_m)) + margin_m
-        self._far = False
-        if reach >= FAR * float(problem.grid.cell_m):
-            self._look_far()
+        self._has_rings = False
+        if reach >= MAX_NEAR_REACH * float(problem.grid.cell_m):
+            self._measure_rings()
         self.robots = int(self.packed.head[0])
-        self.edge_flat = partial(sweeping.edge, *self.packed)
-        self.state_flat = partial(sweeping.state, *self.packed)
+        self.edge_flat = partial(sweeping.is_edge_free, *self.packed)
+        self.state_flat = partial(sweeping.is_state_free, *self.packed)
 
     def state(self, p: np.ndarray) -> bool:
         """Whether the team can be at p [R, 3], m, W."""
-        return self.state_flat(self._one(p))
+        return self.state_flat(self._flatten_state(p))
 
     def states(self, p: np.ndarray) -> np.ndarray:
         """Whether the team can be at each of p [n, R, 3]; bool [n]."""
-        flat = self._many(p)
-        return sweeping.edges(*self.packed, flat, flat)
+        flat = self._flatten_states(p)
+        return sweeping.are_edges_free(*self.packed, flat, flat)
 
     def edge(self, a: np.ndarray, b: np.ndarray) -> bool:
         """Whether the team can go from a [R, 3] to b [R, 3], m, W."""
-        return self.edge_flat(self._one(a), self._one(b))
+        return self.edge_flat(self._flatten_state(a), self._flatten_state(b))
 
     def edges(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """Whether the team can go from each of a to each of b [n, R, 3]; bool [n]."""
-        return sweeping.edges(*self.packed, self._many(a), self._many(b))
+        return sweeping.are_edges_free(
+            *self.packed, self._flatten_states(a), self._flatten_states(b)
+        )
 
     def clearance(self, p: np.ndarray) -> float:
         """Least distance of any robot's sphere to anything, m; negative where they overlap."""
@@ -93,8 +95,8 @@ class EdgeChecker:
 
     def clearances(self, p: np.ndarray) -> np.ndarray:
         """The same for each of p [n, R, 3]; float64 [n]."""
-        self._look_far()
-        return sweeping.clearances(*self.packed, self._many(p))
+        self._measure_rings()
+        return sweeping.team_clearances(*self.packed, self._flatten_states(p))
 
     def timed_edge(
         self,
@@ -119,9 +121,17 @@ class EdgeChecker:
             t_b: not before t_a; inf for one who stays.
             traffic: the other robots' paths.
         """
-        own = self._number(robot)
-        here, there = (np.ascontiguousarray(p, np.float64).reshape(3) for p in (a, b))
-        return timed_edge(*self.packed, *_flat(traffic), own, here, float(t_a), there, float(t_b))
+        robot_index = self._check_robot_index(robot)
+        start_m, goal_m = (np.ascontiguousarray(p, np.float64).reshape(3) for p in (a, b))
+        return timed_edge(
+            *self.packed,
+            *_traffic_arrays(traffic),
+            robot_index,
+            start_m,
+            float(t_a),
+            goal_m,
+            float(t_b),
+        )
 
     def timed_edges(
         self,
@@ -133,27 +143,29 @@ class EdgeChecker:
         traffic: Traffic,
     ) -> np.ndarray:
         """The same for each of a, b [n, 3] and t_a, t_b [n]; bool [n]."""
-        own = self._number(robot)
-        here, there = (np.ascontiguousarray(p, np.float64).reshape(-1, 3) for p in (a, b))
+        robot_index = self._check_robot_index(robot)
+        starts_m, goals_m = (np.ascontiguousarray(p, np.float64).reshape(-1, 3) for p in (a, b))
         begin, end = (np.ascontiguousarray(t, np.float64).reshape(-1) for t in (t_a, t_b))
-        return timed_edges(*self.packed, *_flat(traffic), own, here, begin, there, end)
+        return timed_edges(
+            *self.packed, *_traffic_arrays(traffic), robot_index, starts_m, begin, goals_m, end
+        )
 
-    def _look_far(self) -> None:
-        if not self._far:
-            measure(self.packed.cells)
-        self._far = True
+    def _measure_rings(self) -> None:
+        if not self._has_rings:
+            measure_rings(self.packed.cells)
+        self._has_rings = True
 
-    def _number(self, robot: int) -> int:
+    def _check_robot_index(self, robot: int) -> int:
         if not 0 <= robot < self.robots:
             raise ConfigError(f"robot = {robot}: give one of 0 to {self.robots - 1}")
         return int(robot)
 
-    def _one(self, p: np.ndarray) -> np.ndarray:
+    def _flatten_state(self, p: np.ndarray) -> np.ndarray:
         return np.ascontiguousarray(p, np.float64).reshape(3 * self.robots)
 
-    def _many(self, p: np.ndarray) -> np.ndarray:
+    def _flatten_states(self, p: np.ndarray) -> np.ndarray:
         return np.ascontiguousarray(p, np.float64).reshape(-1, 3 * self.robots)
 
 
-def _flat(traffic: Traffic) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _traffic_arrays(traffic: Traffic) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return traffic.time_s, traffic.position_m, traffic.radius_m

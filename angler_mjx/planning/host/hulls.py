@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 
 from angler_mjx.planning.host.compiled import advancing
-from angler_mjx.planning.host.compiled.packed import Moving, pack
+from angler_mjx.planning.host.compiled.packed import Moving, pack_problem
 from angler_mjx.planning.problem import Problem
 
 
@@ -34,7 +34,7 @@ class HullChecker:
         moving: Moving = "ignored",
     ) -> None:
         """Make a problem ready; arguments and errors are those of `edges.EdgeChecker`."""
-        self._packed = pack(problem, margin_m, robots, moving)
+        self._packed = pack_problem(problem, margin_m, robots, moving)
         self.robots = int(self._packed.head[0])
         team = problem.team
         chosen = list(range(problem.robots) if robots is None else robots)
@@ -43,11 +43,11 @@ class HullChecker:
         ends = np.maximum(np.hypot(*hull[..., :2].T), np.hypot(*hull[..., 3:5].T)).T
         self._hull = np.ascontiguousarray(hull)
         self._turning = (ends + hull[..., 6]).max(axis=1)
-        self.edge_flat = partial(advancing.edge, *self._packed, self._hull, self._turning)
+        self.edge_flat = partial(advancing.is_edge_free, *self._packed, self._hull, self._turning)
 
     def state(self, q: np.ndarray) -> bool:
         """Whether the team can be at q [R, 4]: x, y, z (m, W), heading (rad)."""
-        flat = self._many(q)[0]
+        flat = self._flatten_states(q)[0]
         return self.edge_flat(flat, flat)
 
     def states(self, q: np.ndarray) -> np.ndarray:
@@ -56,12 +56,16 @@ class HullChecker:
 
     def edge(self, a: np.ndarray, b: np.ndarray) -> bool:
         """Whether the team can go from a [R, 4] to b [R, 4]."""
-        return self.edge_flat(self._many(a)[0], self._many(b)[0])
+        return self.edge_flat(self._flatten_states(a)[0], self._flatten_states(b)[0])
 
     def edges(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """The same for each of a and b [n, R, 4]; bool [n]."""
-        return advancing.edges(
-            *self._packed, self._hull, self._turning, self._many(a), self._many(b)
+        return advancing.are_edges_free(
+            *self._packed,
+            self._hull,
+            self._turning,
+            self._flatten_states(a),
+            self._flatten_states(b),
         )
 
     def clearances(self, q: np.ndarray) -> np.ndarray:
@@ -69,7 +73,7 @@ class HullChecker:
 
         Exact up to the least radius of the robots' spheres; a lower bound beyond.
         """
-        return advancing.clearances(*self._packed, self._hull, self._many(q))
+        return advancing.team_clearances(*self._packed, self._hull, self._flatten_states(q))
 
-    def _many(self, q: np.ndarray) -> np.ndarray:
+    def _flatten_states(self, q: np.ndarray) -> np.ndarray:
         return np.ascontiguousarray(q, np.float64).reshape(-1, 4 * self.robots)

@@ -41,7 +41,7 @@ class PlannedRobot:
         )
 
     @classmethod
-    def ball(cls, radius_m: float) -> Self:
+    def from_radius(cls, radius_m: float) -> Self:
         """A sphere about the centre of mass."""
         return cls(
             capsule_a_m=np.zeros((1, 3)),
@@ -50,10 +50,10 @@ class PlannedRobot:
         )
 
 
-def team(problem: Problem) -> list[PlannedRobot]:
+def team_hulls(problem: Problem) -> list[PlannedRobot]:
     """The hulls of the team of a problem."""
-    given = problem.team
-    rows = zip(given.capsule_a_m, given.capsule_b_m, given.capsule_r_m, strict=True)
+    hulls = problem.team
+    rows = zip(hulls.capsule_a_m, hulls.capsule_b_m, hulls.capsule_r_m, strict=True)
     return [
         PlannedRobot(
             capsule_a_m=np.asarray(a, float),
@@ -64,7 +64,7 @@ def team(problem: Problem) -> list[PlannedRobot]:
     ]
 
 
-def build(robots: Sequence[PlannedRobot]) -> tuple[Any, Any, list[int]]:
+def build_model(robots: Sequence[PlannedRobot]) -> tuple[Any, Any, list[int]]:
     """Model and geometry model of a team, and where each robot's numbers begin in q.
 
     Bodies are named ``robot_N_capsule_M``, and those of arms ``robot_N_`` and their own name.
@@ -72,48 +72,50 @@ def build(robots: Sequence[PlannedRobot]) -> tuple[Any, Any, list[int]]:
     model, geometry, first = pin.Model(), pin.GeometryModel(), []
     for number, robot in enumerate(robots):
         base, name = pin.SE3.Identity(), f"robot_{number}"
-        place = model.addJoint(0, pin.JointModelTranslation(), base, f"{name}_place")
-        turn = model.addJoint(place, pin.JointModelRZ(), base, f"{name}_heading")
-        first.append(int(model.joints[place].idx_q))
+        joint = model.addJoint(0, pin.JointModelTranslation(), base, f"{name}_place")
+        heading_joint = model.addJoint(joint, pin.JointModelRZ(), base, f"{name}_heading")
+        first.append(int(model.joints[joint].idx_q))
         rows = zip(robot.capsule_a_m, robot.capsule_b_m, robot.capsule_r_m, strict=True)
         unique = dict.fromkeys((tuple(a), tuple(b), float(r)) for a, b, r in rows)
         for count, (a, b, r) in enumerate(unique):
-            shape, placement = _capsule(np.array(a), np.array(b), r)
+            shape, placement = _capsule_geometry(np.array(a), np.array(b), r)
             geometry.addGeometryObject(
-                pin.GeometryObject(f"{name}_capsule_{count}", turn, placement, shape)
+                pin.GeometryObject(f"{name}_capsule_{count}", heading_joint, placement, shape)
             )
         if robot.arm is not None:
-            model, geometry = _attach(model, geometry, name, turn, robot.arm)
+            model, geometry = _attach_arm(model, geometry, name, heading_joint, robot.arm)
     return model, geometry, first
 
 
-def owner(name: str) -> int:
+def owner_index(name: str) -> int:
     """Number of the robot that a body belongs to."""
     return int(name.split("_")[1])
 
 
-def _attach(
+def _attach_arm(
     model: Any, geometry: Any, name: str, joint: int, arm: tuple[Any, Any]
 ) -> tuple[Any, Any]:
     """Both with an arm below a robot's heading."""
-    own, bodies = (part.copy() for part in arm)
-    for index in range(1, own.njoints):
-        own.names[index] = f"{name}_{own.names[index]}"
-    for frame in own.frames:
+    arm_model, bodies = (part.copy() for part in arm)
+    for index in range(1, arm_model.njoints):
+        arm_model.names[index] = f"{name}_{arm_model.names[index]}"
+    for frame in arm_model.frames:
         frame.name = f"{name}_{frame.name}"
     for item in bodies.geometryObjects:
         item.name = f"{name}_{item.name}"
     base = pin.Frame(f"{name}_base", joint, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME)
     at = model.addFrame(base)
-    both: tuple[Any, Any] = pin.appendModel(model, own, geometry, bodies, at, pin.SE3.Identity())
-    return both
+    combined: tuple[Any, Any] = pin.appendModel(
+        model, arm_model, geometry, bodies, at, pin.SE3.Identity()
+    )
+    return combined
 
 
-def _capsule(a: np.ndarray, b: np.ndarray, r: float) -> tuple[Any, Any]:
+def _capsule_geometry(a: np.ndarray, b: np.ndarray, r: float) -> tuple[Any, Any]:
     """Geometry and placement of a capsule by the ends of its axis."""
-    way = b - a
-    length = float(np.linalg.norm(way))
+    axis = b - a
+    length = float(np.linalg.norm(axis))
     if length == 0.0:
         return coal.Sphere(r), pin.SE3(np.eye(3), a)
-    turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), way / length).matrix()
-    return coal.Capsule(r, length), pin.SE3(turn, 0.5 * (a + b))
+    rotation = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis / length).matrix()
+    return coal.Capsule(r, length), pin.SE3(rotation, 0.5 * (a + b))

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import coal
 import numpy as np
 
-from angler_mjx.planning.host.compiled.packed import matrix
+from angler_mjx.planning.host.compiled.packed import rotation_matrix
 from angler_mjx.planning.problem import Problem
 
 _WALLS = ("west", "east", "south", "north", "floor", "ceiling")
@@ -24,7 +24,7 @@ class SceneryBody(NamedTuple):
     """[3] W."""
 
 
-def enclosed(occupied: np.ndarray) -> np.ndarray:
+def enclosed_rock(occupied: np.ndarray) -> np.ndarray:
     """Rock bool [nx, ny, nz] with rock across all six faces: nothing touches it first."""
     solid = np.pad(np.asarray(occupied, bool), 1)
     core = (slice(1, -1),) * 3
@@ -35,19 +35,19 @@ def enclosed(occupied: np.ndarray) -> np.ndarray:
     return inside
 
 
-def cells(problem: Problem) -> Iterator[SceneryBody]:
+def rock_bodies(problem: Problem) -> Iterator[SceneryBody]:
     """Boxes of the rock that can be touched: ``cell_I_J_K``."""
     grid = problem.grid
     edge, origin = float(grid.cell_m), np.asarray(grid.origin_m, float)
     rock = np.asarray(grid.occupied, bool)
-    for index in np.argwhere(rock & ~enclosed(rock)):
+    for index in np.argwhere(rock & ~enclosed_rock(rock)):
         name = "cell_" + "_".join(str(i) for i in index)
         yield SceneryBody(
             name, coal.Box(edge, edge, edge), np.eye(3), origin + edge * (index + 0.5)
         )
 
 
-def walls(problem: Problem) -> Iterator[SceneryBody]:
+def wall_bodies(problem: Problem) -> Iterator[SceneryBody]:
     """Boxes around the cube, the floor among them, each as thick as the cube is wide."""
     grid = problem.grid
     low = np.asarray(grid.origin_m, float).copy()
@@ -63,31 +63,33 @@ def walls(problem: Problem) -> Iterator[SceneryBody]:
         yield SceneryBody(name, coal.Box(*extent), np.eye(3), centre)
 
 
-def obstacles(problem: Problem) -> Iterator[SceneryBody]:
+def obstacle_bodies(problem: Problem) -> Iterator[SceneryBody]:
     """Bodies that are known to exist, where they are at t = 0: ``obstacle_N``."""
-    known = problem.obstacles
-    for row in np.flatnonzero(known.exists):
-        size = np.asarray(known.half_size_m[row], float)
+    information = problem.obstacles
+    for row in np.flatnonzero(information.exists):
+        size = np.asarray(information.half_size_m[row], float)
         shape = (
             coal.Sphere(size[0]),
             coal.Box(*(2.0 * size)),
             coal.Capsule(size[0], 2.0 * size[1]),
-        )[int(known.kind[row])]
-        yield SceneryBody(f"obstacle_{row}", shape, *pose(problem, int(row), 0.0))
+        )[int(information.kind[row])]
+        yield SceneryBody(f"obstacle_{row}", shape, *obstacle_pose(problem, int(row), 0.0))
 
 
-def pose(problem: Problem, row: int, time_s: float) -> tuple[np.ndarray, np.ndarray]:
+def obstacle_pose(problem: Problem, row: int, time_s: float) -> tuple[np.ndarray, np.ndarray]:
     """Matrix [3, 3] and centre [3] of an obstacle: between two known places on the line.
 
     Attitudes between are the normed mean of their quaternions; the last is held.
     """
-    known = problem.obstacles
-    times = np.asarray(known.time_s, float)
-    after = int(np.clip(np.searchsorted(times, time_s, side="right"), 1, max(len(times) - 1, 1)))
-    first, then = (0, 0) if len(times) == 1 else (after - 1, after)
-    span = times[then] - times[first]
-    share = float(np.clip((time_s - times[first]) / span, 0.0, 1.0)) if span > 0.0 else 0.0
-    p, q = np.asarray(known.p_m[row], float), np.asarray(known.q[row], float)
-    later = q[then] if q[first] @ q[then] >= 0.0 else -q[then]
-    centre = (1.0 - share) * p[first] + share * p[then]
-    return matrix((1.0 - share) * q[first] + share * later), centre
+    obstacles = problem.obstacles
+    times = np.asarray(obstacles.time_s, float)
+    next_index = int(
+        np.clip(np.searchsorted(times, time_s, side="right"), 1, max(len(times) - 1, 1))
+    )
+    row_before, next_row = (0, 0) if len(times) == 1 else (next_index - 1, next_index)
+    span = times[next_row] - times[row_before]
+    fraction = float(np.clip((time_s - times[row_before]) / span, 0.0, 1.0)) if span > 0.0 else 0.0
+    p, q = np.asarray(obstacles.p_m[row], float), np.asarray(obstacles.q[row], float)
+    next_q = q[next_row] if q[row_before] @ q[next_row] >= 0.0 else -q[next_row]
+    centre = (1.0 - fraction) * p[row_before] + fraction * p[next_row]
+    return rotation_matrix((1.0 - fraction) * q[row_before] + fraction * next_q), centre

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
 
-from angler_mjx.errors import AnglerError, described
-from angler_mjx.planning.answers import Answer, answer, failed
+from angler_mjx.errors import AnglerError, describe_error
+from angler_mjx.planning.answers import Answer, check_answer, failed_answer
 from angler_mjx.planning.host.processes.ending import end_with
 from angler_mjx.planning.planner import Planner
 from angler_mjx.planning.problem import Problem
@@ -24,18 +24,18 @@ from angler_mjx.planning.register import PlannerSpec
 
 
 @dataclass
-class _Kept:
+class _LoadedPlanner:
     """A planner that was made here."""
 
     planner: Planner
-    most_points: int
+    max_points: int
     file: Path | None
     """Of its class, where it is one of a user's."""
     warm: Callable[[Problem], object] | None
     """Until it was called."""
 
 
-class _Refused(str):
+class _LoadFailure(str):
     """Why a planner cannot be made."""
 
 
@@ -48,71 +48,80 @@ def main(pipe: int, watch: int) -> None:
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with(watch)
-    kept: dict[bytes, _Kept | _Refused] = {}
-    with Connection(pipe) as wire:
+    planners: dict[bytes, _LoadedPlanner | _LoadFailure] = {}
+    with Connection(pipe) as connection:
         try:
-            own = wire.recv_bytes()
-            if own != pickle.dumps(None):
-                kept[own] = made = _made(own)
-                if isinstance(made, _Refused):
-                    wire.send(("cannot", str(made)))
+            packed_planner = connection.recv_bytes()
+            if packed_planner != pickle.dumps(None):
+                planners[packed_planner] = planner = _load_planner(packed_planner)
+                if isinstance(planner, _LoadFailure):
+                    connection.send(("cannot", str(planner)))
                     return
-            wire.send(("ready",))
+            connection.send(("ready",))
             while True:
-                _serve(wire, kept)
+                _serve_problem(connection, planners)
         except (EOFError, BrokenPipeError, ConnectionResetError):
             return
 
 
-def _serve(wire: Connection, kept: dict[bytes, _Kept | _Refused]) -> None:
+def _serve_problem(
+    connection: Connection, planners: dict[bytes, _LoadedPlanner | _LoadFailure]
+) -> None:
     """Answers one problem."""
-    made_of = wire.recv_bytes()
-    problem: Problem = pickle.loads(wire.recv_bytes())
-    if made_of not in kept:
-        kept[made_of] = _made(made_of)
-    made = kept[made_of]
-    if isinstance(made, _Refused):
-        why = f"the planner cannot be made: {made}"
-        wire.send(("began",))
-        wire.send(("done", failed(problem.robots, "error", why, 0.0)))
+    packed_planner = connection.recv_bytes()
+    problem: Problem = pickle.loads(connection.recv_bytes())
+    if packed_planner not in planners:
+        planners[packed_planner] = _load_planner(packed_planner)
+    planner = planners[packed_planner]
+    if isinstance(planner, _LoadFailure):
+        reason = f"the planner cannot be made: {planner}"
+        connection.send(("began",))
+        connection.send(("done", failed_answer(problem.robots, "error", reason, 0.0)))
         return
     warm_up_s = 0.0
-    if made.warm is not None:
+    if planner.warm is not None:
         begin = time.perf_counter()
         try:
-            made.warm(problem)
+            planner.warm(problem)
         except BaseException as error:
-            wire.send(("began",))
-            wire.send(("done", failed(problem.robots, "error", described(error, made.file), 0.0)))
+            connection.send(("began",))
+            connection.send(
+                (
+                    "done",
+                    failed_answer(
+                        problem.robots, "error", describe_error(error, planner.file), 0.0
+                    ),
+                )
+            )
             return
-        made.warm, warm_up_s = None, time.perf_counter() - begin
-    wire.send(("began",))
-    given = _planned(made, problem)
+        planner.warm, warm_up_s = None, time.perf_counter() - begin
+    connection.send(("began",))
+    result = _run_planner(planner, problem)
     if warm_up_s:
-        given.extras["warm_up_s"] = warm_up_s
-    wire.send(("done", given))
+        result.extras["warm_up_s"] = warm_up_s
+    connection.send(("done", result))
 
 
-def _made(made_of: bytes) -> _Kept | _Refused:
+def _load_planner(packed_planner: bytes) -> _LoadedPlanner | _LoadFailure:
     file = None
     try:
-        spec: PlannerSpec = pickle.loads(made_of)
+        spec: PlannerSpec = pickle.loads(packed_planner)
         file = spec.reference.file
         planner = spec.make()
-        return _Kept(planner, spec.most_points, file, getattr(planner, "warm_up", None))
+        return _LoadedPlanner(planner, spec.max_points, file, getattr(planner, "warm_up", None))
     except AnglerError as error:
-        return _Refused(error)
+        return _LoadFailure(error)
     except BaseException as error:
-        return _Refused(described(error, file))
+        return _LoadFailure(describe_error(error, file))
 
 
-def _planned(kept: _Kept, problem: Problem) -> Answer:
+def _run_planner(loaded: _LoadedPlanner, problem: Problem) -> Answer:
     begin = time.perf_counter()
     try:
-        paths = kept.planner.plan(problem)
+        paths = loaded.planner.plan(problem)
     except BaseException as error:
-        why = described(error, kept.file)
-        return failed(problem.robots, "error", why, time.perf_counter() - begin)
+        reason = describe_error(error, loaded.file)
+        return failed_answer(problem.robots, "error", reason, time.perf_counter() - begin)
     planning_s = time.perf_counter() - begin
-    extras, progress = (getattr(kept.planner, name, None) for name in ("extras", "progress"))
-    return answer(paths, problem, planning_s, extras, kept.most_points, progress)
+    extras, progress = (getattr(loaded.planner, name, None) for name in ("extras", "progress"))
+    return check_answer(paths, problem, planning_s, extras, loaded.max_points, progress)

@@ -6,7 +6,7 @@ dies is replaced, and the pool goes on. All end with the process that made them,
 
 import pickle
 
-from angler_mjx.planning.host.processes.queued import QueuedPool
+from angler_mjx.planning.host.processes.queued_pool import QueuedPool
 from angler_mjx.planning.host.processes.runner import ProcessRunner
 from angler_mjx.planning.register import PlannerSpec
 

@@ -42,13 +42,13 @@ class CostBodies:
     """[n] least distance between centres without contact; far below zero for none."""
 
 
-def nearness(weights: Weights, gap_m: jax.Array) -> jax.Array:
+def nearness_cost(weights: Weights, gap_m: jax.Array) -> jax.Array:
     """Cost per second of gaps [...] to a body."""
-    missing = jnp.clip(1.0 - gap_m / weights.margin_m, 0.0, 1.0)
-    return weights.near_per_s * missing**2 + weights.touch_per_s * (gap_m < 0.0)
+    shortfall = jnp.clip(1.0 - gap_m / weights.margin_m, 0.0, 1.0)
+    return weights.near_per_s * shortfall**2 + weights.touch_per_s * (gap_m < 0.0)
 
 
-def danger(
+def risk_cost(
     weights: Weights, p: jax.Array, clear_m: jax.Array, centre_m: jax.Array, reach_m: jax.Array
 ) -> jax.Array:
     """Cost per second [S] of being where samples are.
@@ -60,6 +60,6 @@ def danger(
         centre_m: [n, 3] of bodies, in W.
         reach_m: [n] as in `CostBodies`.
     """
-    away = centre_m[..., None] - p
-    apart = jnp.sqrt(jnp.sum(away**2, axis=1)) - reach_m[:, None]
-    return nearness(weights, clear_m) + jnp.sum(nearness(weights, apart), axis=0)
+    offset_m = centre_m[..., None] - p
+    gap_m = jnp.sqrt(jnp.sum(offset_m**2, axis=1)) - reach_m[:, None]
+    return nearness_cost(weights, clear_m) + jnp.sum(nearness_cost(weights, gap_m), axis=0)

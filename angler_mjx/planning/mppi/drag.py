@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.robot.control.laws.model import SPEED_SHARE
+from angler_mjx.robot.control.laws.model import SPEED_FRACTION
 from angler_mjx.robot.control.stack import ControlParams
 
 
@@ -29,7 +29,7 @@ class DragHull:
     """[] buoyancy less weight."""
     thrusters: jax.Array
     """[n_thruster, 3] thrust per newton of a force."""
-    most_n: jax.Array
+    max_thrust_n: jax.Array
     """[] thrust of a thruster, either way."""
     fastest_mps: jax.Array
     """[3] through the water, along the robot's axes."""
@@ -37,14 +37,14 @@ class DragHull:
     """[]"""
 
 
-def hull(
+def build_drag_hull(
     params: ControlParams, yaw_rad: jax.Array, density_kgpm3: float, gravity_mps2: float
 ) -> DragHull:
     """The numbers of one robot as its controllers know it.
 
     A vehicle without thrust in some direction is taken to turn its bow there.
     """
-    vehicle = params.known
+    vehicle = params.vehicle_model
     speed = vehicle.terminal_speed_mps
     return DragHull(
         heading=jnp.stack([jnp.cos(yaw_rad), jnp.sin(yaw_rad)]),
@@ -53,8 +53,8 @@ def hull(
         quadratic=vehicle.D_q[:3],
         lift_n=(density_kgpm3 * vehicle.volume_m3 - vehicle.mass_kg) * gravity_mps2,
         thrusters=params.allocation.B_inverse[:, :3],
-        most_n=jnp.minimum(vehicle.thrust_n[-1], -vehicle.thrust_n[0]),
-        fastest_mps=SPEED_SHARE * jnp.where(speed > 0.0, speed, jnp.max(speed)),
+        max_thrust_n=jnp.minimum(vehicle.thrust_n[-1], -vehicle.thrust_n[0]),
+        fastest_mps=SPEED_FRACTION * jnp.where(speed > 0.0, speed, jnp.max(speed)),
         cruise_mps=params.cruise_speed_mps,
     )
 
@@ -71,32 +71,36 @@ def to_world(hull: DragHull, x: jax.Array) -> jax.Array:
     return jnp.stack([c * x[0] - s * x[1], s * x[0] + c * x[1], x[2]])
 
 
-def resistance(hull: DragHull, through: jax.Array) -> jax.Array:
+def drag_coefficient(hull: DragHull, through: jax.Array) -> jax.Array:
     """Drag [3, S] over velocity, N s/m, of velocities [3, S] through the water."""
     return hull.linear[:, None] + hull.quadratic[:, None] * jnp.abs(through)
 
 
-def lift(hull: DragHull) -> jax.Array:
+def lift_force(hull: DragHull) -> jax.Array:
     """Buoyancy less weight, a force [3, 1] along the robot's axes."""
     up = jnp.array([0.0, 0.0, 1.0], hull.lift_n.dtype)
     return (hull.lift_n * up)[:, None]
 
 
-def reachable(hull: DragHull, through: jax.Array) -> jax.Array:
+def limit_velocity(hull: DragHull, through: jax.Array) -> jax.Array:
     """Velocities [3, S] through the water, shortened to what thrust can hold.
 
     Surge and sway take the same thrusters: at each half of what it can do alone, forces add up.
     Those of quadratic drag then leave an ellipse of velocities. Heave has its own.
     """
-    share = through / hull.fastest_mps[:, None]
-    level = jnp.sqrt(share[0] ** 2 + share[1] ** 2 + 1e-12)
-    keep = 1.0 / jnp.maximum(level, 1.0)
+    speed_ratio = through / hull.fastest_mps[:, None]
+    level_ratio = jnp.sqrt(speed_ratio[0] ** 2 + speed_ratio[1] ** 2 + 1e-12)
+    scale = 1.0 / jnp.maximum(level_ratio, 1.0)
     return jnp.stack(
-        [through[0] * keep, through[1] * keep, through[2] / jnp.maximum(jnp.abs(share[2]), 1.0)]
+        [
+            through[0] * scale,
+            through[1] * scale,
+            through[2] / jnp.maximum(jnp.abs(speed_ratio[2]), 1.0),
+        ]
     )
 
 
-def thrusts(hull: DragHull, force: jax.Array) -> tuple[jax.Array, jax.Array]:
+def allocate_thrust(hull: DragHull, force: jax.Array) -> tuple[jax.Array, jax.Array]:
     """What thrusters can do of forces [3, S] along the robot's axes.
 
     Surge and sway are cut by one factor, heave by its own, so that no thruster runs past its end by
@@ -107,20 +111,20 @@ def thrusts(hull: DragHull, force: jax.Array) -> tuple[jax.Array, jax.Array]:
     """
     level = jnp.einsum("ti,is->ts", hull.thrusters[:, :2], force[:2])
     heave = hull.thrusters[:, 2:] * force[2]
-    of_level = jnp.minimum(1.0, hull.most_n / (jnp.max(jnp.abs(level), axis=0) + 1e-6))
-    of_heave = jnp.minimum(1.0, hull.most_n / (jnp.max(jnp.abs(heave), axis=0) + 1e-6))
-    given = jnp.stack([force[0] * of_level, force[1] * of_level, force[2] * of_heave])
-    return given, level * of_level + heave * of_heave
+    level_scale = jnp.minimum(1.0, hull.max_thrust_n / (jnp.max(jnp.abs(level), axis=0) + 1e-6))
+    heave_scale = jnp.minimum(1.0, hull.max_thrust_n / (jnp.max(jnp.abs(heave), axis=0) + 1e-6))
+    achieved_n = jnp.stack([force[0] * level_scale, force[1] * level_scale, force[2] * heave_scale])
+    return achieved_n, level * level_scale + heave * heave_scale
 
 
-def power(hull: DragHull, thrust_n: jax.Array) -> jax.Array:
+def relative_power(hull: DragHull, thrust_n: jax.Array) -> jax.Array:
     """Power [S] of thrusts [n_thruster, S], over that of cruising ahead through still water.
 
     A propeller takes power as the 3/2 of its thrust.
     """
     ahead = hull.cruise_mps * jnp.array([1.0, 0.0, 0.0])[:, None]
-    _, cruising = thrusts(hull, resistance(hull, ahead) * ahead)
-    return _three_halves(thrust_n) / jnp.maximum(_three_halves(cruising), 1e-6)
+    _, cruise_thrust_n = allocate_thrust(hull, drag_coefficient(hull, ahead) * ahead)
+    return _three_halves(thrust_n) / jnp.maximum(_three_halves(cruise_thrust_n), 1e-6)
 
 
 def _three_halves(thrust_n: jax.Array) -> jax.Array:

@@ -9,10 +9,10 @@ from angler_mjx.robot.control.laws import model
 from angler_mjx.robot.vehicles.params import VehicleParams
 
 
-def twist(
+def build_twist(
     vehicle: VehicleParams,
     estimate: Estimate,
-    asked_mps: jax.Array,
+    target_mps: jax.Array,
     yaw_rad: jax.Array,
     attitude_per_s: jax.Array | float,
 ) -> BodyTwist:
@@ -21,19 +21,19 @@ def twist(
     Args:
         vehicle: one without sway turns its bow to where it goes.
         estimate: of its motion.
-        asked_mps: [3] velocity over ground, in W.
+        target_mps: [3] velocity over ground, in W.
         yaw_rad: [] heading to hold.
         attitude_per_s: turn per radian of error.
     """
-    heading = model.heading(vehicle, estimate, asked_mps, yaw_rad)
+    heading = model.choose_heading(vehicle, estimate, target_mps, yaw_rad)
     turn = attitude_per_s * model.attitude_error(estimate.q, heading)
-    return BodyTwist(nu=jnp.concatenate([quaternion.rotate_inverse(estimate.q, asked_mps), turn]))
+    return BodyTwist(nu=jnp.concatenate([quaternion.rotate_inverse(estimate.q, target_mps), turn]))
 
 
-def wrench(
+def build_wrench(
     vehicle: VehicleParams,
     estimate: Estimate,
-    asked_mps: jax.Array,
+    target_mps: jax.Array,
     yaw_rad: jax.Array,
     attitude_per_s: jax.Array | float,
     response_s: jax.Array | float,
@@ -49,7 +49,7 @@ def wrench(
     Args:
         vehicle: as its controllers know it.
         estimate: of its motion, and of the current there.
-        asked_mps: [3] velocity over ground, in W.
+        target_mps: [3] velocity over ground, in W.
         yaw_rad: [] heading to hold.
         attitude_per_s: rate of the return to it.
         response_s: time constant of the velocity.
@@ -57,7 +57,7 @@ def wrench(
         gravity_mps2: of the place.
     """
     q, nu = estimate.q, estimate.nu
-    linear = (quaternion.rotate_inverse(q, asked_mps) - nu[:3]) / response_s
+    linear = (quaternion.rotate_inverse(q, target_mps) - nu[:3]) / response_s
     error = model.attitude_error(q, yaw_rad)
     turn = attitude_per_s * (attitude_per_s * error - 2.0 * nu[3:])
     # Rates are those of components in F, which turns.

@@ -11,11 +11,11 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.planning.mppi.costs import CostBodies, Weights, danger
-from angler_mjx.planning.mppi.field import DistanceField, read
-from angler_mjx.planning.mppi.models import Model
+from angler_mjx.planning.mppi.costs import CostBodies, Weights, risk_cost
+from angler_mjx.planning.mppi.distance_field import DistanceField, interpolate
+from angler_mjx.planning.mppi.models import RobotModel
 
-type Lanes = tuple[jax.Array, jax.Array, jax.Array, jax.Array]
+type SampleState = tuple[jax.Array, jax.Array, jax.Array, jax.Array]
 """Places, velocities [3, S], way left and cost [S] of samples."""
 
 
@@ -37,18 +37,18 @@ class RolloutScene:
     """[] no knot is faster, over ground."""
 
 
-def shifted(knots: jax.Array, by_s: jax.Array | float, horizon_s: float) -> jax.Array:
+def shift_knots(knots: jax.Array, by_s: jax.Array | float, horizon_s: float) -> jax.Array:
     """Knots [K, 3] as they are ``by_s`` [] later; held after the last."""
     last = knots.shape[0] - 1
     at = jnp.clip(jnp.arange(last + 1) + by_s * (last / horizon_s), 0.0, last)
     low = jnp.minimum(at.astype(jnp.int32), last - 1)
-    share = (at - low)[:, None]
-    return knots[low] * (1.0 - share) + knots[low + 1] * share
+    fraction = (at - low)[:, None]
+    return knots[low] * (1.0 - fraction) + knots[low + 1] * fraction
 
 
-def improve(
+def improve_mean(
     weights: Weights,
-    model: Model,
+    model: RobotModel,
     scene: RolloutScene,
     p: jax.Array,
     v: jax.Array,
@@ -74,35 +74,35 @@ def improve(
         Knots [K, 3], and places [H, 3] at the end of each step.
     """
     noise = weights.noise * scene.limit_mps * jax.random.normal(key, (*knots.shape, samples))
-    drawn = knots[..., None] + noise.at[..., 0].set(0.0)
-    drawn = _bounded(drawn.at[..., 1].set(0.0), scene.limit_mps)
-    cost = costs(weights, model, scene, p, v, drawn, dt_s)
-    share = jnp.exp((jnp.min(cost) - cost) / weights.temperature)
-    mean = jnp.sum(drawn * (share / jnp.sum(share)), axis=-1)
-    return mean, places(model, scene, p, v, mean, dt_s)
+    samples_mps = knots[..., None] + noise.at[..., 0].set(0.0)
+    samples_mps = _limit_speed(samples_mps.at[..., 1].set(0.0), scene.limit_mps)
+    cost = rollout_costs(weights, model, scene, p, v, samples_mps, dt_s)
+    weight = jnp.exp((jnp.min(cost) - cost) / weights.temperature)
+    mean = jnp.sum(samples_mps * (weight / jnp.sum(weight)), axis=-1)
+    return mean, rollout_path(model, scene, p, v, mean, dt_s)
 
 
-def costs(
+def rollout_costs(
     weights: Weights,
-    model: Model,
+    model: RobotModel,
     scene: RolloutScene,
     p: jax.Array,
     v: jax.Array,
     knots: jax.Array,
     dt_s: float,
 ) -> jax.Array:
-    """Costs [S] of knots [K, 3, S], m; other arguments as in `improve`."""
+    """Costs [S] of knots [K, 3, S], m; other arguments as in `improve_mean`."""
     steps, near_m = scene.flow_mps.shape[0], 1.5 * scene.field.spacing_m
 
-    def step(carry: Lanes, i: jax.Array) -> tuple[Lanes, None]:
+    def step(carry: SampleState, i: jax.Array) -> tuple[SampleState, None]:
         p, v, _, cost = carry
-        p, v, power = _moved(model, scene, p, v, knots, i, dt_s)
-        gap, left = read(scene.field, (p[0], p[1], p[2]))
+        p, v, power = _step_samples(model, scene, p, v, knots, i, dt_s)
+        gap, left = interpolate(scene.field, (p[0], p[1], p[2]))
         # Lines between nodes are blunt at the goal; no wall is so thin as to lie within this.
         to_goal = jnp.sqrt(jnp.sum((p - scene.goal_m[:, None]) ** 2, axis=0))
         left = jnp.where(to_goal < near_m, to_goal, left)
         bodies = scene.bodies
-        risk = danger(weights, p, gap - scene.radius_m, bodies.centre_m[i], bodies.reach_m)
+        risk = risk_cost(weights, p, gap - scene.radius_m, bodies.centre_m[i], bodies.reach_m)
         running = weights.along * left + weights.effort * power
         return (p, v, left, cost + dt_s * risk + running / steps), None
 
@@ -112,21 +112,26 @@ def costs(
     return cost + weights.end * left
 
 
-def places(
-    model: Model, scene: RolloutScene, p: jax.Array, v: jax.Array, knots: jax.Array, dt_s: float
+def rollout_path(
+    model: RobotModel,
+    scene: RolloutScene,
+    p: jax.Array,
+    v: jax.Array,
+    knots: jax.Array,
+    dt_s: float,
 ) -> jax.Array:
     """Places [H, 3] to which knots [K, 3] lead, at the end of each step."""
 
     def step(carry: tuple[jax.Array, jax.Array], i: jax.Array) -> tuple[Any, jax.Array]:
-        p, v, _ = _moved(model, scene, *carry, knots[..., None], i, dt_s)
+        p, v, _ = _step_samples(model, scene, *carry, knots[..., None], i, dt_s)
         return (p, v), p[:, 0]
 
-    _, way = jax.lax.scan(step, (p[:, None], v[:, None]), jnp.arange(scene.flow_mps.shape[0]))
-    return way
+    _, path_m = jax.lax.scan(step, (p[:, None], v[:, None]), jnp.arange(scene.flow_mps.shape[0]))
+    return path_m
 
 
-def _moved(
-    model: Model,
+def _step_samples(
+    model: RobotModel,
     scene: RolloutScene,
     p: jax.Array,
     v: jax.Array,
@@ -138,11 +143,11 @@ def _moved(
     last = knots.shape[0] - 1
     at = i * (last / scene.flow_mps.shape[0])
     low = jnp.minimum(at.astype(jnp.int32), last - 1)
-    asked = knots[low] * (1.0 - (at - low)) + knots[low + 1] * (at - low)
-    after, power = model.step(v, asked, scene.flow_mps[i], dt_s)
-    return p + 0.5 * dt_s * (v + after), after, power
+    target_mps = knots[low] * (1.0 - (at - low)) + knots[low + 1] * (at - low)
+    next_velocity, power = model.step(v, target_mps, scene.flow_mps[i], dt_s)
+    return p + 0.5 * dt_s * (v + next_velocity), next_velocity, power
 
 
-def _bounded(knots: jax.Array, limit_mps: jax.Array) -> jax.Array:
+def _limit_speed(knots: jax.Array, limit_mps: jax.Array) -> jax.Array:
     length = jnp.sqrt(jnp.sum(knots**2, axis=1, keepdims=True) + 1e-12)
     return knots * jnp.minimum(1.0, limit_mps / length)

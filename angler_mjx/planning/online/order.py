@@ -24,7 +24,7 @@ SAMPLES = 128
 _ROUNDING = 0.1
 """Share of half a sample by which clocks that are level may differ: of two that wait at
 the same time each would be taken to be behind the other, by a last bit."""
-_SOON_S = 1.0
+_STUCK_MOTION_S = 1.0
 """Kept clear, too: where robots that get no further may be so soon. Most are carried about by the
 current."""
 
@@ -40,13 +40,13 @@ class PassingOrder:
     """[] a place stands for so much time before and after its own."""
     needs_s: jax.Array
     """[b, K, a] what the clock of a must have passed before b may be there; -inf: nothing."""
-    place_m: jax.Array
+    position_m: jax.Array
     """[b, K, 3] the places."""
     reach_m: jax.Array
     """[b, K, a] between a's centre and the place; nearer ones are in each other's way."""
 
 
-def of(plan: Plan, reach_m: jax.Array, samples: int = SAMPLES) -> PassingOrder:
+def build_order(plan: Plan, reach_m: jax.Array, samples: int = SAMPLES) -> PassingOrder:
     """The order of a team's plans.
 
     Args:
@@ -57,8 +57,10 @@ def of(plan: Plan, reach_m: jax.Array, samples: int = SAMPLES) -> PassingOrder:
     end = jnp.maximum(jnp.max(plan.time_s), 1e-3)
     time = jnp.linspace(0.0, 1.0, samples) * end
     half = 0.5 * end / (samples - 1)
-    where = jax.vmap(lambda one: jax.vmap(lambda t: plans.place(one, t))(time))(plan)
-    leg = jnp.sqrt(jnp.sum((where[:, 1:] - where[:, :-1]) ** 2, axis=-1))
+    position_m = jax.vmap(
+        lambda robot_plan: jax.vmap(lambda t: plans.position_at(robot_plan, t))(time)
+    )(plan)
+    leg = jnp.sqrt(jnp.sum((position_m[:, 1:] - position_m[:, :-1]) ** 2, axis=-1))
     # A place stands for its neighbourhood: half of the longer leg beside it.
     before, after = jnp.pad(leg, ((0, 0), (1, 0))), jnp.pad(leg, ((0, 0), (0, 1)))
     width = 0.5 * jnp.maximum(before, after)
@@ -66,26 +68,26 @@ def of(plan: Plan, reach_m: jax.Array, samples: int = SAMPLES) -> PassingOrder:
     level = time - half - _ROUNDING * half
 
     def of_robot(_: None, b: jax.Array) -> tuple[None, jax.Array]:
-        gap = jnp.sqrt(jnp.sum((where[b][None, :, None] - where[:, None]) ** 2, axis=-1))
-        near = gap < reach_m[b][:, None, None] + width[b][None, :, None] + width[:, None]
-        passed = jnp.max(jnp.where(near & earlier, time + half, -jnp.inf), axis=-1)
+        gap = jnp.sqrt(jnp.sum((position_m[b][None, :, None] - position_m[:, None]) ** 2, axis=-1))
+        is_near = gap < reach_m[b][:, None, None] + width[b][None, :, None] + width[:, None]
+        passed = jnp.max(jnp.where(is_near & earlier, time + half, -jnp.inf), axis=-1)
         return None, jnp.minimum(passed, level).T
 
     robots = jnp.arange(reach_m.shape[0])
     _, needs = jax.lax.scan(of_robot, None, robots)
-    itself = jnp.eye(reach_m.shape[0], dtype=bool)
+    is_self = jnp.eye(reach_m.shape[0], dtype=bool)
     return PassingOrder(
         time_s=time,
         half_s=half,
-        needs_s=jnp.where(itself[:, None], -jnp.inf, needs),
-        place_m=where,
-        reach_m=jnp.where(itself[:, None], -jnp.inf, reach_m[:, None] + width[:, :, None]),
+        needs_s=jnp.where(is_self[:, None], -jnp.inf, needs),
+        position_m=position_m,
+        reach_m=jnp.where(is_self[:, None], -jnp.inf, reach_m[:, None] + width[:, :, None]),
     )
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Seen:
+class ObservedTeam:
     """What each robot of a world takes the others for; [who, whom] leads."""
 
     clock_s: jax.Array
@@ -98,13 +100,13 @@ class Seen:
     """[R, R]"""
 
 
-def limits(
+def clock_limits(
     order: PassingOrder,
     clock_s: jax.Array,
     stands: jax.Array | None = None,
     at_m: jax.Array | None = None,
     speed_mps: jax.Array | None = None,
-    seen: Seen | None = None,
+    observed: ObservedTeam | None = None,
 ) -> tuple[jax.Array, jax.Array]:
     """How far the clock of each robot may go now.
 
@@ -114,34 +116,34 @@ def limits(
         stands: bool [R] whose clock nobody waits for: others only keep clear of where it is.
         at_m: [R, 3] where the robots are.
         speed_mps: [R] how fast they are.
-        seen: what each takes the others for, where that is not what they are.
+        observed: what each takes the others for, where that is not what they are.
 
     Returns:
         [R], inf where nothing is in its way; and bool [R] whose way is barred by one that stands.
     """
     entry = order.time_s - order.half_s
     # Who is there, or was, is not kept from it any more.
-    comes = (entry >= clock_s[:, None] - _ROUNDING * order.half_s)[..., None]
+    is_ahead_of_entry = (entry >= clock_s[:, None] - _ROUNDING * order.half_s)[..., None]
     theirs_s, others_m = clock_s, at_m
-    if seen is not None:
-        theirs_s, others_m = seen.clock_s[:, None], seen.at_m[:, None]
-        stands, speed_mps = seen.stands[:, None], seen.speed_mps[:, None]
-    waits = (theirs_s < order.needs_s) & comes
-    bars = jnp.zeros_like(waits)
+    if observed is not None:
+        theirs_s, others_m = observed.clock_s[:, None], observed.at_m[:, None]
+        stands, speed_mps = observed.stands[:, None], observed.speed_mps[:, None]
+    must_wait = (theirs_s < order.needs_s) & is_ahead_of_entry
+    is_barred = jnp.zeros_like(must_wait)
     if stands is not None and at_m is not None and others_m is not None and speed_mps is not None:
-        gap = _distance(order.place_m[:, :, None], others_m)
+        gap = _point_distance(order.position_m[:, :, None], others_m)
         # Who is near already may go away.
-        apart = _distance(at_m[:, None], at_m if seen is None else seen.at_m)
-        nearer = gap < apart[:, None]
+        apart = _point_distance(at_m[:, None], at_m if observed is None else observed.at_m)
+        is_nearer = gap < apart[:, None]
         ahead = (order.time_s + order.half_s > clock_s[:, None])[..., None]
-        bars = stands & (gap < order.reach_m + _SOON_S * speed_mps) & nearer & ahead
-        waits &= ~stands
+        is_barred = stands & (gap < order.reach_m + _STUCK_MOTION_S * speed_mps) & is_nearer & ahead
+        must_wait &= ~stands
     late, barred = (
         jnp.min(jnp.where(jnp.any(held, axis=-1), entry, jnp.inf), axis=-1)
-        for held in (waits, bars)
+        for held in (must_wait, is_barred)
     )
     return jnp.minimum(late, barred), (barred <= late) & jnp.isfinite(barred)
 
 
-def _distance(a: jax.Array, b: jax.Array) -> jax.Array:
+def _point_distance(a: jax.Array, b: jax.Array) -> jax.Array:
     return jnp.sqrt(jnp.sum((a - b) ** 2, axis=-1))

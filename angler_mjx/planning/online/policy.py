@@ -6,7 +6,7 @@ import jax
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning.online import guidance, order, replanning
-from angler_mjx.planning.online.guidance import Heard, PlanProgress, PlanStatus
+from angler_mjx.planning.online.guidance import HeardProgress, PlanProgress, PlanStatus
 from angler_mjx.planning.online.order import PassingOrder
 from angler_mjx.planning.online.replanning import FleetPlans, Replanning
 from angler_mjx.robot.control.commands import Estimate, PoseTarget
@@ -25,7 +25,7 @@ class ReplanningMemory:
     clocks: FollowCarry
     """[R]"""
     order: PassingOrder | None
-    standing: PlanStatus | None
+    status: PlanStatus | None
     """Who is waited for no longer, where order is kept."""
     plans: FleetPlans | None
     """Where they are made anew; otherwise the world's own are flown."""
@@ -44,11 +44,11 @@ class Online(Policy):
     keeps_order: bool = field(default=False, metadata={"static": True})
     """Whether robots wait for those who are to pass first."""
     replanning: Replanning | None = field(default=None, metadata={"static": True})
-    knows: Information | None = field(default=None, metadata={"static": True})
-    looks: int = field(default=1, metadata={"static": True})
+    information: Information | None = field(default=None, metadata={"static": True})
+    observation_period: int = field(default=1, metadata={"static": True})
     ahead_s: float = field(default=0.0, metadata={"static": True})
 
-    def reset(self, known: PolicyInput, key: jax.Array) -> ReplanningMemory:
+    def reset(self, inputs: PolicyInput, key: jax.Array) -> ReplanningMemory:
         """See `Policy.reset`.
 
         Raises:
@@ -56,24 +56,24 @@ class Online(Policy):
         """
         plans = None
         if self.replanning is not None:
-            if not isinstance(known.path, Trajectory):
+            if not isinstance(inputs.path, Trajectory):
                 raise ConfigError(
-                    f"planner.replan_hz: the plans at the start are {type(known.path).__name__}s; "
+                    f"planner.replan_hz: the plans at the start are {type(inputs.path).__name__}s; "
                     "replanning goes on from a Trajectory"
                 )
-            plans = replanning.begin(self.replanning, known)
-        path = known.path if plans is None else plans.now
-        clocks = guidance.begin(known.belief.q)
+            plans = replanning.initial_plans(self.replanning, inputs)
+        path = inputs.path if plans is None else plans.now
+        clocks = guidance.initial_clocks(inputs.belief.q)
         return ReplanningMemory(
             clocks=clocks,
-            order=self._order(path, known),
-            standing=guidance.moving(clocks.clock_s) if self.keeps_order else None,
+            order=self._build_order(path, inputs),
+            status=guidance.initial_status(clocks.clock_s) if self.keeps_order else None,
             plans=plans,
-            progress=self._begun(known, clocks),
+            progress=self._initial_progress(inputs, clocks),
         )
 
-    def _begun(self, known: PolicyInput, clocks: FollowCarry) -> PlanProgress | None:
-        if known.others is None:
+    def _initial_progress(self, inputs: PolicyInput, clocks: FollowCarry) -> PlanProgress | None:
+        if inputs.others is None:
             return None
         if self.replanning is not None:
             raise ConfigError(
@@ -82,24 +82,24 @@ class Online(Policy):
             )
         if not self.keeps_order:
             return None
-        return guidance.progress(clocks.clock_s, None)
+        return guidance.build_progress(clocks.clock_s, None)
 
-    def says(self, carry: ReplanningMemory) -> PlanProgress | None:
+    def payload(self, carry: ReplanningMemory) -> PlanProgress | None:
         """See `Policy.says`."""
         return carry.progress
 
     def act(
-        self, carry: ReplanningMemory, known: PolicyInput, key: jax.Array, step: jax.Array
+        self, carry: ReplanningMemory, inputs: PolicyInput, key: jax.Array, step: jax.Array
     ) -> tuple[ReplanningMemory, PoseTarget]:
         """See `Policy.act`."""
         if self.replanning is not None:
-            carry = self._anew(self.replanning, carry, known, key, step)
-        path = known.path if carry.plans is None else carry.plans.now
-        estimate = Estimate(p=known.belief.p, q=known.belief.q, nu=known.belief.nu)
-        cruise, heard = known.params.cruise_speed_mps, None
-        if carry.progress is not None and known.others is not None:
-            heard = Heard(others=known.others, time_s=known.time_s)
-        clocks, target, standing = guidance.step(
+            carry = self._replan_if_due(self.replanning, carry, inputs, key, step)
+        path = inputs.path if carry.plans is None else carry.plans.now
+        estimate = Estimate(p=inputs.belief.p, q=inputs.belief.q, nu=inputs.belief.nu)
+        cruise, heard = inputs.params.cruise_speed_mps, None
+        if carry.progress is not None and inputs.others is not None:
+            heard = HeardProgress(others=inputs.others, time_s=inputs.time_s)
+        clocks, target, status = guidance.step(
             self.gains,
             carry.clocks,
             estimate,
@@ -107,46 +107,46 @@ class Online(Policy):
             carry.order,
             cruise,
             self.dt_s,
-            carry.standing,
+            carry.status,
             heard,
         )
-        said = None
+        progress = None
         if heard is not None:
-            passed = guidance.passed_s(carry.clocks, estimate, path, cruise)
-            said = guidance.progress(passed, carry.standing)
-        return replace(carry, clocks=clocks, standing=standing, progress=said), target
+            progress_s = guidance.progress_s(carry.clocks, estimate, path, cruise)
+            progress = guidance.build_progress(progress_s, carry.status)
+        return replace(carry, clocks=clocks, status=status, progress=progress), target
 
-    def flown(self, carry: ReplanningMemory, path: Plan) -> tuple[Plan, jax.Array]:
+    def executed_plans(self, carry: ReplanningMemory, path: Plan) -> tuple[Plan, jax.Array]:
         """See `Policy.flown`."""
         return path if carry.plans is None else carry.plans.now, carry.clocks.clock_s
 
-    def _order(self, path: Plan, known: PolicyInput) -> PassingOrder | None:
+    def _build_order(self, path: Plan, inputs: PolicyInput) -> PassingOrder | None:
         if not self.keeps_order:
             return None
-        return order.of(path, guidance.reach_m(known.params.known.radius_m))
+        return order.build_order(path, guidance.reach_m(inputs.params.vehicle_model.radius_m))
 
-    def _anew(
+    def _replan_if_due(
         self,
         settings: Replanning,
         carry: ReplanningMemory,
-        known: PolicyInput,
+        inputs: PolicyInput,
         key: jax.Array,
         step: jax.Array,
     ) -> ReplanningMemory:
         """Make plans, and take them up, in the steps in which that is due."""
-        makes, takes = replanning.due(settings, step)
-        cruise = known.params.cruise_speed_mps
+        makes, takes = replanning.check_schedule(settings, step)
+        cruise = inputs.params.cruise_speed_mps
 
         def make(carry: ReplanningMemory) -> ReplanningMemory:
-            plans = replanning.make(settings, _of(carry), carry.clocks, known, key)
+            plans = replanning.replan(settings, _require_plans(carry), carry.clocks, inputs, key)
             return replace(carry, plans=plans)
 
         def take(carry: ReplanningMemory) -> ReplanningMemory:
-            plans, clocks = replanning.take_up(_of(carry), carry.clocks, cruise)
-            order, standing = self._order(plans.now, known), carry.standing
-            if standing is not None:
-                standing = guidance.begun_anew(standing, carry.clocks.clock_s, clocks.clock_s)
-            return replace(carry, clocks=clocks, order=order, standing=standing, plans=plans)
+            plans, clocks = replanning.take_up(_require_plans(carry), carry.clocks, cruise)
+            order, status = self._build_order(plans.now, inputs), carry.status
+            if status is not None:
+                status = guidance.shift_status(status, carry.clocks.clock_s, clocks.clock_s)
+            return replace(carry, clocks=clocks, order=order, status=status, plans=plans)
 
         # Those that were a whole period on their way are taken up before others take their place.
         parts = [(makes, make), (takes, take)]
@@ -155,7 +155,7 @@ class Online(Policy):
         return carry
 
 
-def _of(carry: ReplanningMemory) -> FleetPlans:
+def _require_plans(carry: ReplanningMemory) -> FleetPlans:
     if carry.plans is None:
         raise RuntimeError("plans are made anew by a policy that keeps none")
     return carry.plans

@@ -12,11 +12,11 @@ import jax.numpy as jnp
 
 
 @jax.custom_batching.custom_vmap
-def least_of_batch(x: jax.Array) -> jax.Array:
+def min_of_batch(x: jax.Array) -> jax.Array:
     """The least ``x`` [] of all worlds under vmap; ``x`` itself without."""
     return x
 
 
-@least_of_batch.def_vmap
-def _least(_: int, in_batched: Sequence[bool], x: jax.Array) -> tuple[jax.Array, bool]:
-    return least_of_batch(jnp.min(x, axis=0) if in_batched[0] else x), False
+@min_of_batch.def_vmap
+def _min_of_batch_vmap(_: int, in_batched: Sequence[bool], x: jax.Array) -> tuple[jax.Array, bool]:
+    return min_of_batch(jnp.min(x, axis=0) if in_batched[0] else x), False

@@ -45,18 +45,18 @@ class Edge:
         return self.axes + 1
 
 
-def _edges() -> tuple[Edge, ...]:
-    found = []
+def _build_edges() -> tuple[Edge, ...]:
+    edges = []
     for step in itertools.product((-1, 0, 1), repeat=3):
         if step > (0, 0, 0):
             x, y, z = step
             near = (max(-x, 0), max(-y, 0), max(-z, 0))
             far = (max(x, 0), max(y, 0), max(z, 0))
-            found.append(Edge(near=near, far=far, block=(abs(x), abs(y), abs(z))))
-    return tuple(sorted(found, key=lambda edge: edge.axes))
+            edges.append(Edge(near=near, far=far, block=(abs(x), abs(y), abs(z))))
+    return tuple(sorted(edges, key=lambda edge: edge.axes))
 
 
-EDGES = _edges()
+EDGES = _build_edges()
 """The 13 undirected edges, shortest first."""
 BLOCKS = tuple(dict.fromkeys(edge.block for edge in EDGES))
 """The 7 kinds of block; the middle of a block is the middle of every edge across it."""
@@ -74,7 +74,7 @@ class LatticeLayout:
         return self.shape[1] + 1
 
     @property
-    def guard(self) -> int:
+    def guard_size(self) -> int:
         """Guard words at each end."""
         return self.row + 1
 
@@ -86,34 +86,34 @@ class LatticeLayout:
     @property
     def total(self) -> int:
         """Words in all."""
-        return self.inner + 2 * self.guard
+        return self.inner + 2 * self.guard_size
 
     def pad(self, inner: jax.Array) -> jax.Array:
         """Words [inner] with the guards put on, [total]."""
-        return jnp.pad(inner, self.guard)
+        return jnp.pad(inner, self.guard_size)
 
-    def pack(self, cells: jax.Array) -> jax.Array:
+    def pack_cells(self, cells: jax.Array) -> jax.Array:
         """Cells bool [nx, ny, nz] as words [total]."""
-        columns = jnp.pad(column_words(cells), ((0, 0), (0, 1)))
+        columns = jnp.pad(column_bits(cells), ((0, 0), (0, 1)))
         return self.pad(columns.reshape(self.inner))
 
-    def look(self, words: jax.Array, dx: int, dy: int, dz: int) -> jax.Array:
+    def shift_to_neighbour(self, packed: jax.Array, dx: int, dy: int, dz: int) -> jax.Array:
         """What stands at each cell's neighbour (dx, dy, dz), words [inner]."""
-        at = self.guard + dx * self.row + dy
-        seen = words[at : at + self.inner]
+        at = self.guard_size + dx * self.row + dy
+        neighbours = packed[at : at + self.inner]
         if dz > 0:
-            return seen >> dz
-        return seen << -dz if dz < 0 else seen
+            return neighbours >> dz
+        return neighbours << -dz if dz < 0 else neighbours
 
-    def centres(self, grid: Grid) -> tuple[jax.Array, jax.Array]:
+    def column_centres(self, grid: Grid) -> tuple[jax.Array, jax.Array]:
         """X and y [total] of the centre of each word's column, m."""
-        n = jnp.arange(self.total) - self.guard
+        n = jnp.arange(self.total) - self.guard_size
         x = grid.origin_m[0] + (n // self.row + 0.5) * grid.cell_m
         y = grid.origin_m[1] + (n % self.row + 0.5) * grid.cell_m
         return x, y
 
 
-def column_words(cells: jax.Array) -> jax.Array:
+def column_bits(cells: jax.Array) -> jax.Array:
     """Cells bool [nx, ny, nz] as one word per column, uint32 [nx, ny].
 
     Raises:
@@ -164,7 +164,7 @@ class FreeSpace:
     """uint32 [13, total] edges that are clear, at the lowest corner of their block."""
 
 
-def terrain(environment: Environment) -> Terrain:
+def build_terrain(environment: Environment) -> Terrain:
     """Build the part of the planner's world that all robots share."""
     grid, obstacles = environment.grid, environment.obstacles
     shape = grid.occupied.shape
@@ -181,7 +181,7 @@ def terrain(environment: Environment) -> Terrain:
         )
     return Terrain(
         grid=grid,
-        columns=column_words(grid.occupied),
+        columns=column_bits(grid.occupied),
         gap_m=jnp.minimum(_rock_gap(grid), floor),
         obstacles=obstacles,
         cell_gap_m=cell_gap,
@@ -200,16 +200,16 @@ def free_space(land: Terrain, clearance_m: jax.Array) -> FreeSpace:
     clear = land.gap_m >= clearance_m
     if land.cell_gap_m is not None:
         clear &= land.cell_gap_m >= clearance_m
-    cells = layout.pack(clear)
+    cells = layout.pack_cells(clear)
     blocks = {}
     for block in BLOCKS:
-        free = layout.look(cells, 0, 0, 0)
+        free = layout.shift_to_neighbour(cells, 0, 0, 0)
         for corner in itertools.product(*(range(n + 1) for n in block)):
-            free &= layout.look(cells, *corner)
+            free &= layout.shift_to_neighbour(cells, *corner)
         blocks[block] = layout.pad(free)
     edges = jnp.stack([blocks[edge.block] for edge in EDGES])
     if land.edge_gap_m is not None:
-        edges &= jax.vmap(layout.pack)(land.edge_gap_m >= clearance_m)
+        edges &= jax.vmap(layout.pack_cells)(land.edge_gap_m >= clearance_m)
     return FreeSpace(cells=cells, edges=edges)
 
 
@@ -280,12 +280,12 @@ def _obstacle_gap(obstacles: Obstacles, a: jax.Array, b: jax.Array) -> jax.Array
     if a.ndim > 1:
         return jax.vmap(lambda start, end: _obstacle_gap(obstacles, start, end))(a, b)
 
-    def one(p: jax.Array, q: jax.Array, kind: jax.Array, size: jax.Array) -> jax.Array:
+    def gap_to_obstacle(p: jax.Array, q: jax.Array, kind: jax.Array, size: jax.Array) -> jax.Array:
         axis_radius = jnp.zeros((1,), a.dtype)
         return capsules_obstacle(
             a[None], b[None], axis_radius, p, q, kind, size, kinds=obstacles.kinds
         )
 
-    gap = jax.vmap(one)(obstacles.p0, obstacles.q0, obstacles.kind, obstacles.size_m)
-    standing = obstacles.exists & (obstacles.motion == STATIC)
-    return jnp.min(jnp.where(standing, gap, jnp.inf))
+    gap = jax.vmap(gap_to_obstacle)(obstacles.p0, obstacles.q0, obstacles.kind, obstacles.size_m)
+    is_static = obstacles.exists & (obstacles.motion == STATIC)
+    return jnp.min(jnp.where(is_static, gap, jnp.inf))

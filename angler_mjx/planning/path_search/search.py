@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.planning.path_search.batching import least_of_batch
+from angler_mjx.planning.path_search.batching import min_of_batch
 from angler_mjx.planning.path_search.lattice import (
     BLOCKS,
     EDGES,
@@ -29,13 +29,13 @@ from angler_mjx.planning.path_search.traffic import Balls
 QUARTER = {axes: 0.25 * axes**0.5 for axes in (0, 1, 2, 3)}
 """Radius of the balls that cover a step over so many axes, cells; 0 axes: waiting."""
 
-AT_ONCE = 16
+ROBOTS_PER_LOOP = 16
 """Robots that are marked without a loop: unrolled for 256, compiling takes minutes."""
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Lines:
+class LayerLines:
     """What the next layer needs of those before; words [..., total], newest last."""
 
     reached: jax.Array
@@ -53,14 +53,14 @@ class Lines:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class _Search:
+class _SearchState:
     layer: jax.Array
-    lines: Lines
+    lines: LayerLines
     history: jax.Array
     arrival: jax.Array
 
 
-def reachable(
+def search_reachable(
     land: Terrain,
     free: FreeSpace,
     balls: Balls,
@@ -87,43 +87,43 @@ def reachable(
     layout = land.layout
     n_layer = balls.radius_m.shape[0]
     goal_word = goal[0] * layout.row + goal[1]
-    stamp = _Stamp(land)
+    stamp = _TrafficStamp(land)
 
-    def layer(state: _Search) -> _Search:
+    def layer(state: _SearchState) -> _SearchState:
         n, lines = state.layer, state.lines
         seed = jnp.where(n == first, start, jnp.uint32(0))
-        reached = layout.pad(_advance(layout, free, lines)) | seed
+        reached = layout.pad(_advance_layer(layout, free, lines)) | seed
         rest, middle = stamp(balls.centre_m[n], balls.radius_m[n])
-        inner = reached[layout.guard : layout.guard + layout.inner]
-        there = ((inner[goal_word] >> goal[2].astype(jnp.uint32)) & 1) == 1
-        return _Search(
+        inner = reached[layout.guard_size : layout.guard_size + layout.inner]
+        is_at_goal = ((inner[goal_word] >> goal[2].astype(jnp.uint32)) & 1) == 1
+        return _SearchState(
             layer=n + 1,
-            lines=_shift(lines, reached, rest, middle),
+            lines=_shift_lines(lines, reached, rest, middle),
             history=state.history.at[n].set(inner),
-            arrival=jnp.where(there & may_stay[n] & (state.arrival < 0), n, state.arrival),
+            arrival=jnp.where(is_at_goal & may_stay[n] & (state.arrival < 0), n, state.arrival),
         )
 
-    def going(state: _Search) -> jax.Array:
-        slowest: jax.Array = least_of_batch(state.arrival)
+    def is_searching(state: _SearchState) -> jax.Array:
+        slowest: jax.Array = min_of_batch(state.arrival)
         return (state.layer < n_layer) & (slowest < 0)
 
-    begin = _Search(
+    begin = _SearchState(
         layer=jnp.array(0),
-        lines=_no_lines(layout),
+        lines=_empty_lines(layout),
         history=jnp.zeros((n_layer, layout.inner), jnp.uint32),
         arrival=jnp.array(-1),
     )
-    end = jax.lax.while_loop(going, layer, begin)
+    end = jax.lax.while_loop(is_searching, layer, begin)
     return end.history, jnp.maximum(end.arrival, 0), end.arrival >= 0
 
 
-def _no_lines(layout: LatticeLayout) -> Lines:
+def _empty_lines(layout: LatticeLayout) -> LayerLines:
     """The lines before the first layer: nothing reached, nothing taken."""
 
     def zeros(*lead: int) -> jax.Array:
         return jnp.zeros((*lead, layout.total), jnp.uint32)
 
-    return Lines(
+    return LayerLines(
         reached=zeros(),
         leave=(zeros(2), zeros(3), zeros(4)),
         rest=zeros(4),
@@ -131,9 +131,9 @@ def _no_lines(layout: LatticeLayout) -> Lines:
     )
 
 
-def _shift(
-    lines: Lines, reached: jax.Array, rest: jax.Array, middle: tuple[jax.Array, ...]
-) -> Lines:
+def _shift_lines(
+    lines: LayerLines, reached: jax.Array, rest: jax.Array, middle: tuple[jax.Array, ...]
+) -> LayerLines:
     """The lines one layer later."""
     leave = [
         jnp.concatenate([line[1:], (reached & ~rest[axes])[None]])
@@ -143,7 +143,7 @@ def _shift(
         jnp.concatenate([line[1:], new[None]])
         for line, new in zip(lines.middle, middle, strict=True)
     ]
-    return Lines(
+    return LayerLines(
         reached=reached,
         leave=(leave[0], leave[1], leave[2]),
         rest=rest,
@@ -151,7 +151,7 @@ def _shift(
     )
 
 
-def _advance(layout: LatticeLayout, free: FreeSpace, lines: Lines) -> jax.Array:
+def _advance_layer(layout: LatticeLayout, free: FreeSpace, lines: LayerLines) -> jax.Array:
     """Cells [inner] that are reached one layer after the last of ``lines``."""
     taken = (
         lines.middle[0][0] | lines.middle[0][1],
@@ -163,40 +163,42 @@ def _advance(layout: LatticeLayout, free: FreeSpace, lines: Lines) -> jax.Array:
         for axes in (1, 2, 3)
         for index, block in enumerate(b for b in BLOCKS if sum(b) == axes)
     }
-    reached = layout.look(lines.reached & ~lines.rest[0], 0, 0, 0)
+    reached = layout.shift_to_neighbour(lines.reached & ~lines.rest[0], 0, 0, 0)
     for axes in (1, 2, 3):
         arrived = jnp.zeros_like(reached)
         for edge, clear in zip(EDGES, free.edges, strict=True):
             if edge.axes != axes:
                 continue
             for a, b in ((edge.near, edge.far), (edge.far, edge.near)):
-                came = layout.look(
+                came = layout.shift_to_neighbour(
                     lines.leave[axes - 1][0], *(i - k for i, k in zip(a, b, strict=True))
                 )
                 back = tuple(-k for k in b)
                 arrived |= (
-                    came & layout.look(clear, *back) & ~layout.look(blocks[edge.block], *back)
+                    came
+                    & layout.shift_to_neighbour(clear, *back)
+                    & ~layout.shift_to_neighbour(blocks[edge.block], *back)
                 )
-        reached |= arrived & ~layout.look(lines.rest[axes], 0, 0, 0)
-    return reached & layout.look(free.cells, 0, 0, 0)
+        reached |= arrived & ~layout.shift_to_neighbour(lines.rest[axes], 0, 0, 0)
+    return reached & layout.shift_to_neighbour(free.cells, 0, 0, 0)
 
 
-class _Stamp:
+class _TrafficStamp:
     """Marks what the other robots take during a layer."""
 
     def __init__(self, land: Terrain) -> None:
         self.grid = land.grid
-        self.x, self.y = land.layout.centres(land.grid)
+        self.x, self.y = land.layout.column_centres(land.grid)
 
     def __call__(
         self, centre: jax.Array, radius: jax.Array
     ) -> tuple[jax.Array, tuple[jax.Array, jax.Array, jax.Array]]:
         """Taken cells [4, total] (waiting, steps over 1, 2, 3 axes) and middles, per axes."""
-        rest = [self._cylinders(centre, radius, (0, 0, 0), QUARTER[axes]) for axes in range(4)]
+        rest = [self._mark_cylinders(centre, radius, (0, 0, 0), QUARTER[axes]) for axes in range(4)]
         middle = [
             jnp.stack(
                 [
-                    self._cylinders(centre, radius, block, QUARTER[axes])
+                    self._mark_cylinders(centre, radius, block, QUARTER[axes])
                     for block in BLOCKS
                     if sum(block) == axes
                 ]
@@ -205,7 +207,7 @@ class _Stamp:
         ]
         return jnp.stack(rest), (middle[0], middle[1], middle[2])
 
-    def _cylinders(
+    def _mark_cylinders(
         self, centre: jax.Array, radius: jax.Array, block: tuple[int, int, int], grow: float
     ) -> jax.Array:
         """Words [total] of the points at the middle of ``block`` inside any robot's cylinder.
@@ -217,28 +219,30 @@ class _Stamp:
             grow: what the radius grows by, cells.
         """
         cell = self.grid.cell_m
-        wide = jnp.where(radius >= 0.0, radius + grow * cell, -1.0)
+        inflated = jnp.where(radius >= 0.0, radius + grow * cell, -1.0)
         x, y = self.x + 0.5 * block[0] * cell, self.y + 0.5 * block[1] * cell
         z = (centre[:, 2] - self.grid.origin_m[2]) / cell - 0.5 - 0.5 * block[2]
-        up = jnp.clip(jnp.floor(z + wide / cell), -1.0, 32.0).astype(jnp.int32)
-        down = jnp.clip(jnp.ceil(z - wide / cell), -1.0, 32.0).astype(jnp.int32)
+        up = jnp.clip(jnp.floor(z + inflated / cell), -1.0, 32.0).astype(jnp.int32)
+        down = jnp.clip(jnp.ceil(z - inflated / cell), -1.0, 32.0).astype(jnp.int32)
         bits = span_bits(down, up)
         n_robot = centre.shape[0]
 
-        def mark(words: jax.Array, k: int | jax.Array) -> jax.Array:
+        def mark(packed: jax.Array, k: int | jax.Array) -> jax.Array:
             square = (x - centre[k, 0]) ** 2 + (y - centre[k, 1]) ** 2
-            inside = (square < wide[k] ** 2) & (wide[k] >= 0.0)
-            return words | jnp.where(inside, bits[k], jnp.uint32(0))
+            inside = (square < inflated[k] ** 2) & (inflated[k] >= 0.0)
+            return packed | jnp.where(inside, bits[k], jnp.uint32(0))
 
-        def mark_some(group: jax.Array, words: jax.Array) -> jax.Array:
-            for k in range(AT_ONCE):
-                words = mark(words, jnp.minimum(group * AT_ONCE + k, n_robot - 1))
-            return words
+        def mark_some(group: jax.Array, packed: jax.Array) -> jax.Array:
+            for k in range(ROBOTS_PER_LOOP):
+                packed = mark(packed, jnp.minimum(group * ROBOTS_PER_LOOP + k, n_robot - 1))
+            return packed
 
-        words = jnp.zeros((x.shape[0],), jnp.uint32)
-        if n_robot > AT_ONCE:
-            marked: jax.Array = jax.lax.fori_loop(0, -(-n_robot // AT_ONCE), mark_some, words)
+        packed = jnp.zeros((x.shape[0],), jnp.uint32)
+        if n_robot > ROBOTS_PER_LOOP:
+            marked: jax.Array = jax.lax.fori_loop(
+                0, -(-n_robot // ROBOTS_PER_LOOP), mark_some, packed
+            )
             return marked
         for k in range(n_robot):
-            words = mark(words, k)
-        return words
+            packed = mark(packed, k)
+        return packed

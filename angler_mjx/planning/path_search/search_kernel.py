@@ -35,7 +35,7 @@ _ENDS = tuple(
 """Ends of steps in other columns than that of the block: axes of the step, and the column."""
 _SCRATCH = _LEAVING + len(_ENDS)
 
-AT_ONCE = 4
+BALLS_PER_LOOP = 4
 """Balls that are marked without a loop."""
 
 _SPANS = tuple((axes, up) for up in (0, 1) for axes in range(4) if axes >= up)
@@ -47,7 +47,7 @@ _SPANS = tuple((axes, up) for up in (0, 1) for axes in range(4) if axes >= up)
 class Cylinders:
     """Balls as the kernel takes them: upright cylinders, in the order of the layers."""
 
-    place: jax.Array
+    centre_xy_m: jax.Array
     """[L, R, 2] x and y, m."""
     square: jax.Array
     """[L, R, 4] squared radius per number of axes, m^2; negative where it does not count."""
@@ -55,7 +55,7 @@ class Cylinders:
     """uint32 [L, R, 7] bits along z, in the order of _SPANS."""
 
 
-def cylinders(land: Terrain, balls: Balls) -> Cylinders:
+def build_cylinders(land: Terrain, balls: Balls) -> Cylinders:
     """The cylinders around balls, each with a quarter of the steps' lengths more."""
     cell = land.grid.cell_m
     counts = balls.radius_m >= 0.0
@@ -67,13 +67,13 @@ def cylinders(land: Terrain, balls: Balls) -> Cylinders:
         bottom = jnp.clip(jnp.ceil(z - wide[axes] / cell), -1.0, 32.0).astype(jnp.int32)
         spans.append(span_bits(bottom, top))
     return Cylinders(
-        place=balls.centre_m[..., :2],
+        centre_xy_m=balls.centre_m[..., :2],
         square=jnp.stack([jnp.where(counts, w * w, -1.0) for w in wide], axis=-1),
         span=jnp.stack(spans, axis=-1),
     )
 
 
-def reachable(
+def search_reachable(
     land: Terrain,
     free: FreeSpace,
     balls: Balls,
@@ -83,7 +83,7 @@ def reachable(
     *,
     interpret: bool = False,
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """As `search.reachable`; layers of the history after the arrival are not written.
+    """As `search.search_reachable`; layers of the history after the arrival are not written.
 
     Args:
         land: the world.
@@ -95,23 +95,23 @@ def reachable(
         interpret: run as ordinary JAX, on any device.
     """
     layout = land.layout
-    around = cylinders(land, _whole_groups(balls))
-    n_layer, n_ball, _ = around.place.shape
+    around = build_cylinders(land, _pad_to_groups(balls))
+    n_layer, n_ball, _ = around.centre_xy_m.shape
     program = BlockProgram.of(layout.shape[0] * layout.shape[1], interpret=interpret)
-    x, y = layout.centres(land.grid)
+    x, y = layout.column_centres(land.grid)
     half = 0.5 * land.grid.cell_m
     cell, first = start
     numbers = jnp.stack(
         [
             first,
-            layout.guard + cell[0] * layout.row + cell[1],
+            layout.guard_size + cell[0] * layout.row + cell[1],
             cell[2],
             goal[0] * layout.row + goal[1],
             goal[2],
         ]
     ).astype(jnp.int32)
     history, arrival, _ = program.run(
-        _Kernel(layout, program, n_layer, n_ball),
+        _SearchKernel(layout, program, n_layer, n_ball),
         [
             numbers,
             may_stay.astype(jnp.int32),
@@ -119,7 +119,7 @@ def reachable(
             free.edges.reshape(-1),
             jnp.stack([x, y]).reshape(-1),
             half[None],
-            around.place.reshape(-1),
+            around.centre_xy_m.reshape(-1),
             around.square.reshape(-1),
             around.span.reshape(-1),
         ],
@@ -136,21 +136,21 @@ def reachable(
     )
 
 
-def _whole_groups(balls: Balls) -> Balls:
+def _pad_to_groups(balls: Balls) -> Balls:
     """Balls with as many more, which do not count, as fill the last group."""
-    more = -balls.radius_m.shape[1] % AT_ONCE
+    more = -balls.radius_m.shape[1] % BALLS_PER_LOOP
     return Balls(
         centre_m=jnp.pad(balls.centre_m, ((0, 0), (0, more), (0, 0))),
         radius_m=jnp.pad(balls.radius_m, ((0, 0), (0, more)), constant_values=-1.0),
     )
 
 
-type _Words = Any
+type _Bits = Any
 """uint32 [lanes]."""
 
 
 @dataclass(frozen=True)
-class _Kernel:
+class _SearchKernel:
     layout: LatticeLayout
     program: BlockProgram
     n_layer: int
@@ -166,7 +166,7 @@ class _Kernel:
         edges: Any,
         centres: Any,
         half: Any,
-        place: Any,
+        centre_xy: Any,
         square: Any,
         span: Any,
         history: Any,
@@ -175,163 +175,167 @@ class _Kernel:
     ) -> None:
         layout = self.layout
         lane = jnp.arange(self.program.lanes)
-        real = lane < layout.shape[0] * layout.shape[1]
-        column = jnp.where(real, lane, 0)
+        is_column = lane < layout.shape[0] * layout.shape[1]
+        column = jnp.where(is_column, lane, 0)
         inner = column // layout.shape[1] * layout.row + column % layout.shape[1]
-        at = inner + layout.guard
+        at = inner + layout.guard_size
         zero = jnp.zeros((self.program.lanes,), jnp.uint32)
 
-        def words(ref: Any, offset: Any) -> _Words:
-            return self.program.load(ref, at + offset, real, 0)
+        def load_bits(ref: Any, offset: Any) -> _Bits:
+            return self.program.load(ref, at + offset, is_column, 0)
 
-        self._clear(scratch, lane)
-        free = words(cells, 0)
-        open_edges = [words(edges, k * layout.total) for k in range(len(EDGES))]
-        x = self.program.load(centres, at, real, 0.0)
-        y = self.program.load(centres, at + layout.total, real, 0.0)
+        self._clear_scratch(scratch, lane)
+        free = load_bits(cells, 0)
+        open_edges = [load_bits(edges, k * layout.total) for k in range(len(EDGES))]
+        x = self.program.load(centres, at, is_column, 0.0)
+        y = self.program.load(centres, at + layout.total, is_column, 0.0)
         step = half[0]
         first, start_at, start_z = numbers[0], numbers[1], numbers[2]
         goal_at, goal_z = numbers[3], numbers[4]
         start = jnp.where(
-            real & (at == start_at), jnp.uint32(1) << start_z.astype(jnp.uint32), zero
+            is_column & (at == start_at), jnp.uint32(1) << start_z.astype(jnp.uint32), zero
         )
 
         def layer(state: Any) -> Any:
             n, arrived, lines = state
             for k in range(_LEAVING):
-                self.program.store(scratch, at + k * layout.total, lines[1][k][0], real)
+                self.program.store(scratch, at + k * layout.total, lines[1][k][0], is_column)
             self.program.barrier()
             # Written before the barrier, so that every lane may read it.
             before = jnp.maximum(n - 1, 0)
             word = history[before * layout.inner + goal_at]
-            there = (word >> goal_z.astype(jnp.uint32)) & 1
-            arrives = (n > 0) & (there == 1) & (may_stay[before] == 1)
+            is_at_goal = (word >> goal_z.astype(jnp.uint32)) & 1
+            arrives = (n > 0) & (is_at_goal == 1) & (may_stay[before] == 1)
             arrived = jnp.where(arrives, n - 1, arrived)
             seed = jnp.where(n == first, start, zero)
-            reached = self._advance(scratch, at, real, lines, open_edges) & free | seed
+            reached = self._advance_layer(scratch, at, is_column, lines, open_edges) & free | seed
             now = jnp.minimum(n, self.n_layer - 1)
-            self.program.store(history, now * layout.inner + inner, reached, real & (n == now))
-            taken = self._taken(now * self.n_ball, x, y, step, place, square, span)
-            return n + 1, arrived, _shift(lines, reached, taken)
+            self.program.store(history, now * layout.inner + inner, reached, is_column & (n == now))
+            taken = self._mark_taken(now * self.n_ball, x, y, step, centre_xy, square, span)
+            return n + 1, arrived, _shift_lines(lines, reached, taken)
 
-        def going(state: Any) -> Any:
+        def is_searching(state: Any) -> Any:
             return (state[1] < 0) & (state[0] <= self.n_layer)
 
-        nothing = (
+        no_lines = (
             zero,
             tuple((zero,) * n for n in (2, 3, 4)),
             (zero,) * 4,
             tuple(((zero,) * n) * k for n, k in ((2, 3), (3, 3), (3, 1))),
         )
-        _, arrived, _ = jax.lax.while_loop(going, layer, (jnp.int32(0), jnp.int32(-1), nothing))
+        _, arrived, _ = jax.lax.while_loop(
+            is_searching, layer, (jnp.int32(0), jnp.int32(-1), no_lines)
+        )
         arrival[0] = arrived
 
-    def _clear(self, scratch: Any, lane: Any) -> None:
+    def _clear_scratch(self, scratch: Any, lane: Any) -> None:
         """Guards are never written again."""
         size = _SCRATCH * self.layout.total
         zero = jnp.zeros((self.program.lanes,), jnp.uint32)
 
-        def one(k: Any, unchanged: Any) -> Any:
+        def clear_part(k: Any, unchanged: Any) -> Any:
             at = k * self.program.lanes + lane
             self.program.store(scratch, at, zero, at < size)
             return unchanged
 
-        jax.lax.fori_loop(0, -(-size // self.program.lanes), one, jnp.int32(0))
+        jax.lax.fori_loop(0, -(-size // self.program.lanes), clear_part, jnp.int32(0))
         self.program.barrier()
 
-    def _advance(
-        self, scratch: Any, at: Any, real: Any, lines: Any, open_edges: list[_Words]
-    ) -> _Words:
+    def _advance_layer(
+        self, scratch: Any, at: Any, real: Any, lines: Any, open_edges: list[_Bits]
+    ) -> _Bits:
         """Cells that are reached one layer after the last of ``lines``; not free ones too."""
         layout = self.layout
 
-        def place(line: int, x: int, y: int) -> Any:
+        def scratch_index(line: int, x: int, y: int) -> Any:
             return at + (line * layout.total + x * layout.row + y)
 
         reached, leave, rest, middle = lines
         leaving = {(axes, (0, 0)): leave[axes - 1][0] for axes in (1, 2, 3)}
         for axes, (x, y) in _ENDS:
-            leaving[axes, (x, y)] = self.program.load(scratch, place(axes - 1, x, y), real, 0)
-        blocked = _blocked(middle)
+            leaving[axes, (x, y)] = self.program.load(
+                scratch, scratch_index(axes - 1, x, y), real, 0
+            )
+        blocked = _blocked_blocks(middle)
         ends = {key: jnp.zeros_like(reached) for key in leaving}
         for edge, is_open in zip(EDGES, open_edges, strict=True):
             clear = is_open & ~blocked[edge.block]
             for a, b in ((edge.near, edge.far), (edge.far, edge.near)):
-                step = _up(leaving[edge.axes, a[:2]], a[2]) & clear
-                ends[edge.axes, b[:2]] |= _up(step, -b[2])
+                step = _shift_up(leaving[edge.axes, a[:2]], a[2]) & clear
+                ends[edge.axes, b[:2]] |= _shift_up(step, -b[2])
         for line, key in enumerate(_ENDS, start=_LEAVING):
-            self.program.store(scratch, place(line, 0, 0), ends[key], real)
+            self.program.store(scratch, scratch_index(line, 0, 0), ends[key], real)
         self.program.barrier()
         for line, (axes, (x, y)) in enumerate(_ENDS, start=_LEAVING):
-            ends[axes, (0, 0)] |= self.program.load(scratch, place(line, -x, -y), real, 0)
+            ends[axes, (0, 0)] |= self.program.load(scratch, scratch_index(line, -x, -y), real, 0)
         after = reached & ~rest[0]
         for axes in (1, 2, 3):
             after |= ends[axes, (0, 0)] & ~rest[axes]
         return after
 
-    def _taken(
-        self, row: Any, x: Any, y: Any, half: Any, place: Any, square: Any, span: Any
-    ) -> tuple[_Words, ...]:
+    def _mark_taken(
+        self, row: Any, x: Any, y: Any, half: Any, centre_xy: Any, square: Any, span: Any
+    ) -> tuple[_Bits, ...]:
         """What the balls of a layer take: waiting and steps over 1, 2, 3 axes, then middles."""
         zero = jnp.zeros((self.program.lanes,), jnp.uint32)
         kinds = ((0, 0, 0),) * 4 + BLOCKS
         grows = (0, 1, 2, 3, *(sum(block) for block in BLOCKS))
 
-        def mark(ball: Any, words: tuple[_Words, ...]) -> tuple[_Words, ...]:
-            off_x, off_y = x - place[2 * ball], y - place[2 * ball + 1]
+        def mark(ball: Any, bits_by_block: tuple[_Bits, ...]) -> tuple[_Bits, ...]:
+            off_x, off_y = x - centre_xy[2 * ball], y - centre_xy[2 * ball + 1]
             x2 = (off_x**2, (off_x + half) ** 2)
             y2 = (off_y**2, (off_y + half) ** 2)
             wide = [square[4 * ball + axes] for axes in range(4)]
             bits = {key: span[len(_SPANS) * ball + i] for i, key in enumerate(_SPANS)}
             inside: dict[tuple[int, int, int], Any] = {}
             out = []
-            for line, block, axes in zip(words, kinds, grows, strict=True):
+            for line, block, axes in zip(bits_by_block, kinds, grows, strict=True):
                 key = (block[0], block[1], axes)
                 if key not in inside:
                     inside[key] = x2[block[0]] + y2[block[1]] < wide[axes]
                 out.append(line | jnp.where(inside[key], bits[axes, block[2]], jnp.uint32(0)))
             return tuple(out)
 
-        def mark_some(group: Any, words: tuple[_Words, ...]) -> tuple[_Words, ...]:
-            for k in range(AT_ONCE):
-                words = mark(row + group * AT_ONCE + k, words)
-            return words
+        def mark_some(group: Any, bits_by_block: tuple[_Bits, ...]) -> tuple[_Bits, ...]:
+            for k in range(BALLS_PER_LOOP):
+                bits_by_block = mark(row + group * BALLS_PER_LOOP + k, bits_by_block)
+            return bits_by_block
 
-        nothing = (zero,) * len(kinds)
-        if self.n_ball == AT_ONCE:
-            return mark_some(0, nothing)
-        marked: tuple[_Words, ...] = jax.lax.fori_loop(
-            0, self.n_ball // AT_ONCE, mark_some, nothing
+        no_bits = (zero,) * len(kinds)
+        if self.n_ball == BALLS_PER_LOOP:
+            return mark_some(0, no_bits)
+        marked: tuple[_Bits, ...] = jax.lax.fori_loop(
+            0, self.n_ball // BALLS_PER_LOOP, mark_some, no_bits
         )
         return marked
 
 
-def _up(words: _Words, dz: int) -> _Words:
+def _shift_up(bits: _Bits, dz: int) -> _Bits:
     """What stands dz cells above."""
     if dz > 0:
-        return words >> dz
-    return words << -dz if dz < 0 else words
+        return bits >> dz
+    return bits << -dz if dz < 0 else bits
 
 
-def _blocked(middle: Any) -> dict[tuple[int, int, int], _Words]:
+def _blocked_blocks(middle: Any) -> dict[tuple[int, int, int], _Bits]:
     """Kinds of block whose middle is taken while a step over it would be there."""
     blocked = {}
     for axes, count in ((1, 2), (2, 3), (3, 2)):
         of_axes = [block for block in BLOCKS if sum(block) == axes]
         for k, block in enumerate(of_axes):
             taken = middle[axes - 1][k * (axes if axes == 3 else axes + 1) :][:count]
-            blocked[block] = _any(taken)
+            blocked[block] = _bitwise_or(taken)
     return blocked
 
 
-def _any(words: Any) -> _Words:
-    out = words[0]
-    for more in words[1:]:
-        out = out | more
-    return out
+def _bitwise_or(bits: Any) -> _Bits:
+    union = bits[0]
+    for next_bits in bits[1:]:
+        union = union | next_bits
+    return union
 
 
-def _shift(lines: Any, reached: _Words, taken: tuple[_Words, ...]) -> Any:
+def _shift_lines(lines: Any, reached: _Bits, taken: tuple[_Bits, ...]) -> Any:
     """The lines one layer later: reached, leave per axes, rest, middles per axes."""
     _, leave, _, middle = lines
     rest, middles = taken[:4], dict(zip(BLOCKS, taken[4:], strict=True))
@@ -342,7 +346,7 @@ def _shift(lines: Any, reached: _Words, taken: tuple[_Words, ...]) -> Any:
     for axes, old in zip((1, 2, 3), middle, strict=True):
         of_axes = [block for block in BLOCKS if sum(block) == axes]
         size = len(old) // len(of_axes)
-        rows: tuple[_Words, ...] = ()
+        rows: tuple[_Bits, ...] = ()
         for k, block in enumerate(of_axes):
             rows += (*old[k * size + 1 : (k + 1) * size], middles[block])
         shifted.append(rows)

@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.planning.path_search.traffic import GridTraffic, clear_of
+from angler_mjx.planning.path_search.traffic import GridTraffic, is_motion_clear
 from angler_mjx.robot.control.trajectory import Trajectory
 
 _ROUNDING_M = 1e-3
@@ -22,47 +22,47 @@ def meets_starts(
         horizon_s: nothing is flown after it.
     """
 
-    def one(start: jax.Array, reach: jax.Array) -> jax.Array:
-        alone = GridTraffic(
+    def meets_start(start: jax.Array, reach: jax.Array) -> jax.Array:
+        path_traffic = GridTraffic(
             time_s=path.time_s[None],
             position_m=path.position_m[None],
             reach_m=reach[None] - _ROUNDING_M,
             until_s=jnp.full((1,), jnp.inf, reach.dtype),
         )
         zero = jnp.zeros((), reach.dtype)
-        return ~clear_of(alone, start, zero, start, zero + horizon_s)
+        return ~is_motion_clear(path_traffic, start, zero, start, zero + horizon_s)
 
-    return jax.vmap(one)(start_m, reach_m)
+    return jax.vmap(meets_start)(start_m, reach_m)
 
 
-def standing(found: jax.Array, met: jax.Array) -> jax.Array:
+def select_flyable(is_found: jax.Array, is_met: jax.Array) -> jax.Array:
     """Which paths may be flown, bool [R]: none that meets the start of a robot that stays there.
 
     A path that is taken back is one more robot at its start, hence the rounds.
 
     Args:
-        found: bool [R] whose paths there are.
-        met: bool [R, R] whether the path of a robot (row) comes too near to another's start.
+        is_found: bool [R] whose paths there are.
+        is_met: bool [R, R] whether the path of a robot (row) comes too near to another's start.
     """
 
-    def again(_: int, found: jax.Array) -> jax.Array:
-        return found & ~jnp.any(met & ~found, axis=1)
+    def remove_meeting(_: int, is_found: jax.Array) -> jax.Array:
+        return is_found & ~jnp.any(is_met & ~is_found, axis=1)
 
-    kept: jax.Array = jax.lax.fori_loop(0, found.shape[0], again, found)
-    return kept
+    is_kept: jax.Array = jax.lax.fori_loop(0, is_found.shape[0], remove_meeting, is_found)
+    return is_kept
 
 
-def only(which: jax.Array, plans: Trajectory, held: Trajectory) -> Trajectory:
+def select_paths(is_selected: jax.Array, plans: Trajectory, hold_paths: Trajectory) -> Trajectory:
     """Some robots' paths [R]; the others hold their starts, and are not found.
 
     Args:
-        which: bool [R].
+        is_selected: bool [R].
         plans: [R].
-        held: [R] paths that stay at the starts.
+        hold_paths: [R] paths that stay at the starts.
     """
 
     def choose(a: jax.Array, b: jax.Array) -> jax.Array:
-        return jnp.where(which.reshape((-1,) + (1,) * (a.ndim - 1)), a, b)
+        return jnp.where(is_selected.reshape((-1,) + (1,) * (a.ndim - 1)), a, b)
 
-    chosen: Trajectory = jax.tree.map(choose, plans, held)
+    chosen: Trajectory = jax.tree.map(choose, plans, hold_paths)
     return chosen

@@ -22,19 +22,25 @@ def _backward_tables() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, 
         2: [(1.0, 3), (0.5, 3), (0.5, 2), (0.5, 1), (0.0, 1)],
         3: [(1.0, 4), (0.5, 3), (0.5, 2), (0.0, 1), (0.0, 1)],
     }
-    steps, layers, share, when, grow = [], [], [], [], []
+    steps, layers, fractions, layers_before, grow = [], [], [], [], []
     for edge in EDGES:
         step = np.subtract(edge.far, edge.near)
         for sign in (1, -1):
             steps.append(sign * step)
             layers.append(edge.layers)
-            share.append([row[0] for row in cover[edge.axes]])
-            when.append([row[1] for row in cover[edge.axes]])
+            fractions.append([row[0] for row in cover[edge.axes]])
+            layers_before.append([row[1] for row in cover[edge.axes]])
             grow.append(QUARTER[edge.axes])
-    return np.array(steps), np.array(layers), np.array(share), np.array(when), np.array(grow)
+    return (
+        np.array(steps),
+        np.array(layers),
+        np.array(fractions),
+        np.array(layers_before),
+        np.array(grow),
+    )
 
 
-_STEPS, _LAYERS, _SHARE, _WHEN, _GROW = _backward_tables()
+_STEPS, _LAYERS, _REMAINING_FRACTION, _LAYERS_BEFORE, _INFLATION = _backward_tables()
 
 
 @jax.tree_util.register_dataclass
@@ -56,7 +62,7 @@ class Route:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class _Walk:
+class _WalkState:
     cell: jax.Array
     layer: jax.Array
     last: jax.Array
@@ -95,7 +101,7 @@ def trace_back(
         The route; it begins at the start's cell only if the goal was reached.
     """
     size = history.shape[0] // 2 + 2
-    walk = _Walk(
+    walk = _WalkState(
         cell=goal[0],
         layer=goal[1],
         last=goal[1],
@@ -106,8 +112,8 @@ def trace_back(
         whole=jnp.array(True),
     )
 
-    def back(walk: _Walk) -> _Walk:
-        return _back(land, free, balls, history, start, walk)
+    def back(walk: _WalkState) -> _WalkState:
+        return _step_back(land, free, balls, history, start, walk)
 
     walk = jax.lax.while_loop(lambda walk: walk.layer > start[1], back, walk)
     first = jnp.arange(size) == walk.row
@@ -123,39 +129,39 @@ def trace_back(
     )
 
 
-def _back(
+def _step_back(
     land: Terrain,
     free: FreeSpace,
     balls: Balls,
     history: jax.Array,
     start: tuple[jax.Array, jax.Array],
-    walk: _Walk,
-) -> _Walk:
+    walk: _WalkState,
+) -> _WalkState:
     """One wait of a layer or one step, backwards."""
     recent: Balls = jax.tree.map(
         lambda leaf: jax.lax.dynamic_slice_in_dim(leaf, jnp.maximum(walk.layer - 4, 0), 4), balls
     )
     before = jnp.concatenate([walk.cell[None], walk.cell - _STEPS])
-    took = jnp.concatenate([jnp.ones((1,), jnp.int32), jnp.array(_LAYERS, jnp.int32)])
-    possible = _was_reached(land.layout, history, before, walk.layer - took)
-    possible &= walk.layer - took >= start[1]
+    layers = jnp.concatenate([jnp.ones((1,), jnp.int32), jnp.array(_LAYERS, jnp.int32)])
+    possible = _was_reached(land.layout, history, before, walk.layer - layers)
+    possible &= walk.layer - layers >= start[1]
     possible &= jnp.concatenate([jnp.ones((1,), bool), _edges_to(land.layout, free, walk.cell)])
-    possible &= _undisturbed(land, recent, walk)
+    possible &= _is_clear_of_balls(land, recent, walk)
     off = _off_line(walk.cell - _STEPS, start[0], walk.cell)
     # Waiting comes first, what is impossible last.
     cost = jnp.where(possible, jnp.concatenate([jnp.full((1,), -1.0, off.dtype), off]), jnp.inf)
     best = jnp.argmin(cost)
-    moved = best > 0
-    layer = walk.layer - took[best]
-    here = (jnp.arange(walk.arrive.shape[0]) == walk.row) & moved
-    return _Walk(
+    has_moved = best > 0
+    layer = walk.layer - layers[best]
+    is_row = (jnp.arange(walk.arrive.shape[0]) == walk.row) & has_moved
+    return _WalkState(
         cell=before[best],
         layer=layer,
-        last=jnp.where(moved, layer, walk.last),
-        row=walk.row - moved,
-        cells=jnp.where(here[:, None], walk.cell, walk.cells),
-        arrive=jnp.where(here, walk.layer, walk.arrive),
-        leave=jnp.where(here, walk.last, walk.leave),
+        last=jnp.where(has_moved, layer, walk.last),
+        row=walk.row - has_moved,
+        cells=jnp.where(is_row[:, None], walk.cell, walk.cells),
+        arrive=jnp.where(is_row, walk.layer, walk.arrive),
+        leave=jnp.where(is_row, walk.last, walk.leave),
         whole=walk.whole & (cost[best] < jnp.inf),
     )
 
@@ -166,34 +172,34 @@ def _was_reached(
     """Whether each of ``cells`` [n, 3] is in the reached set of its layer [n], bool [n]."""
     inside = jnp.all((cells >= 0) & (cells < jnp.array(layout.shape)), axis=-1) & (layers >= 0)
     at = layers * layout.inner + cells[:, 0] * layout.row + cells[:, 1]
-    words = history.reshape(-1)[jnp.where(inside, at, 0)]
-    return inside & (((words >> jnp.maximum(cells[:, 2], 0).astype(jnp.uint32)) & 1) == 1)
+    packed = history.reshape(-1)[jnp.where(inside, at, 0)]
+    return inside & (((packed >> jnp.maximum(cells[:, 2], 0).astype(jnp.uint32)) & 1) == 1)
 
 
 def _edges_to(layout: LatticeLayout, free: FreeSpace, cell: jax.Array) -> jax.Array:
     """Whether the edges of the 26 steps to ``cell`` [3] are free, bool [26]; guards are not."""
     low = cell + np.minimum(0, -_STEPS)
-    word = layout.guard + low[:, 0] * layout.row + low[:, 1]
+    word = layout.guard_size + low[:, 0] * layout.row + low[:, 1]
     edge = np.repeat(np.arange(len(EDGES)), 2)
     bit = jnp.maximum(low[:, 2], 0).astype(jnp.uint32)
     return ((free.edges[edge, word] >> bit) & 1) == 1
 
 
-def _undisturbed(land: Terrain, recent: Balls, walk: _Walk) -> jax.Array:
+def _is_clear_of_balls(land: Terrain, recent: Balls, walk: _WalkState) -> jax.Array:
     """Whether waiting and each of the 26 steps to the cell keep clear of the balls, bool [27]."""
     cell = land.grid.cell_m
-    here = land.grid.origin_m + (walk.cell + 0.5) * cell
+    centre_m = land.grid.origin_m + (walk.cell + 0.5) * cell
     first = jnp.maximum(walk.layer - 4, 0)
-    index = jnp.maximum(walk.layer - _WHEN - first, 0)
-    place = here - _SHARE[..., None] * _STEPS[:, None, :] * cell
+    index = jnp.maximum(walk.layer - _LAYERS_BEFORE - first, 0)
+    points_m = centre_m - _REMAINING_FRACTION[..., None] * _STEPS[:, None, :] * cell
     centre, radius = recent.centre_m[index], recent.radius_m[index]
-    apart = jnp.sum((place[:, :, None, :] - centre) ** 2, axis=-1)
-    wide = radius + (_GROW * cell)[:, None, None]
-    hit = (radius >= 0.0) & (apart < wide * wide)
+    square_distance = jnp.sum((points_m[:, :, None, :] - centre) ** 2, axis=-1)
+    inflated = radius + (_INFLATION * cell)[:, None, None]
+    is_hit = (radius >= 0.0) & (square_distance < inflated * inflated)
     now = walk.layer - 1 - first
-    rest = jnp.sum((here - recent.centre_m[now]) ** 2, axis=-1)
+    rest = jnp.sum((centre_m - recent.centre_m[now]) ** 2, axis=-1)
     stays = (recent.radius_m[now] < 0.0) | (rest >= recent.radius_m[now] ** 2)
-    return jnp.concatenate([jnp.all(stays)[None], ~jnp.any(hit, axis=(1, 2))])
+    return jnp.concatenate([jnp.all(stays)[None], ~jnp.any(is_hit, axis=(1, 2))])
 
 
 def _off_line(points: jax.Array, a: jax.Array, b: jax.Array) -> jax.Array:

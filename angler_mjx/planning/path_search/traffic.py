@@ -45,7 +45,7 @@ class Balls:
     does not count."""
 
 
-def balls(traffic: GridTraffic, layer_s: jax.Array, n_layer: int) -> Balls:
+def build_balls(traffic: GridTraffic, layer_s: jax.Array, n_layer: int) -> Balls:
     """Balls that hold the traffic during layers of ``layer_s`` [] from time 0 on.
 
     Within a layer a robot cannot be farther from where it is at the middle than the length of path
@@ -56,22 +56,24 @@ def balls(traffic: GridTraffic, layer_s: jax.Array, n_layer: int) -> Balls:
     leg = point[:, 1:] - point[:, :-1]
     span = time[:, 1:] - time[:, :-1]
     safe = jnp.where(span > 0.0, span, 1.0)
-    share = jnp.clip((half[:, None, None] - time[:, :-1]) / safe, 0.0, 1.0)
+    fraction = jnp.clip((half[:, None, None] - time[:, :-1]) / safe, 0.0, 1.0)
     length = jnp.sqrt(jnp.sum(leg * leg, axis=-1))
-    way = jnp.sum(share * length, axis=-1)
-    walked = jnp.sum(share[1::2, ..., None] * leg, axis=2)
-    off = jnp.maximum(way[2::2] - way[1:-1:2], way[1:-1:2] - way[:-2:2])
+    length_walked = jnp.sum(fraction * length, axis=-1)
+    displacement_m = jnp.sum(fraction[1::2, ..., None] * leg, axis=2)
+    max_deviation = jnp.maximum(
+        length_walked[2::2] - length_walked[1:-1:2], length_walked[1:-1:2] - length_walked[:-2:2]
+    )
     counts = half[:-1:2, None] <= traffic.until_s
     # 2 mm: rounding of the sums must not make a way look free that the exact test refuses.
-    radius = traffic.reach_m + off + 2e-3
-    return Balls(centre_m=point[:, 0] + walked, radius_m=jnp.where(counts, radius, -1.0))
+    radius = traffic.reach_m + max_deviation + 2e-3
+    return Balls(centre_m=point[:, 0] + displacement_m, radius_m=jnp.where(counts, radius, -1.0))
 
 
-def beside(a: GridTraffic, b: GridTraffic) -> GridTraffic:
+def concatenate_traffic(a: GridTraffic, b: GridTraffic) -> GridTraffic:
     """Two sets of rows as one; shorter ones repeat their last point."""
     points = max(a.time_s.shape[1], b.time_s.shape[1])
 
-    def long(rows: GridTraffic) -> GridTraffic:
+    def pad_rows(rows: GridTraffic) -> GridTraffic:
         extra = points - rows.time_s.shape[1]
         return GridTraffic(
             time_s=jnp.pad(rows.time_s, ((0, 0), (0, extra)), mode="edge"),
@@ -80,11 +82,13 @@ def beside(a: GridTraffic, b: GridTraffic) -> GridTraffic:
             until_s=rows.until_s,
         )
 
-    both: GridTraffic = jax.tree.map(lambda x, y: jnp.concatenate([x, y]), long(a), long(b))
-    return both
+    combined: GridTraffic = jax.tree.map(
+        lambda x, y: jnp.concatenate([x, y]), pad_rows(a), pad_rows(b)
+    )
+    return combined
 
 
-def clear_of(
+def is_motion_clear(
     traffic: GridTraffic, a: jax.Array, t_a: jax.Array, b: jax.Array, t_b: jax.Array
 ) -> jax.Array:
     """Whether steady motion from a [3] at t_a [] to b [3] at t_b >= t_a keeps the reach; exact.
@@ -95,26 +99,26 @@ def clear_of(
     Returns:
         bool [].
     """
-    return ~jnp.any(_meetings(traffic, a, t_a, b, t_b))
+    return ~jnp.any(_meets_legs(traffic, a, t_a, b, t_b))
 
 
-def met_by(path: Trajectory, traffic: GridTraffic) -> jax.Array:
+def meets_traffic(path: Trajectory, traffic: GridTraffic) -> jax.Array:
     """Whom of the traffic a path meets, its end held for ever; exact.
 
     Returns:
         bool [R].
     """
-    place = jnp.concatenate([path.position_m, path.position_m[-1:]])
+    position_m = jnp.concatenate([path.position_m, path.position_m[-1:]])
     # Nothing moves after the last way-point of all: standing so long is standing for ever.
     last = jnp.maximum(jnp.max(traffic.time_s), path.time_s[-1]) + 1.0
     time = jnp.append(path.time_s, last)
-    legs = jax.vmap(_meetings, in_axes=(None, 0, 0, 0, 0))(
-        traffic, place[:-1], time[:-1], place[1:], time[1:]
+    legs = jax.vmap(_meets_legs, in_axes=(None, 0, 0, 0, 0))(
+        traffic, position_m[:-1], time[:-1], position_m[1:], time[1:]
     )
     return jnp.any(legs, axis=(0, 2))
 
 
-def _meetings(
+def _meets_legs(
     traffic: GridTraffic, a: jax.Array, t_a: jax.Array, b: jax.Array, t_b: jax.Array
 ) -> jax.Array:
     """Whether steady motion comes within reach of each leg of the traffic, bool [R, P]."""
@@ -133,12 +137,12 @@ def _meetings(
         other = (goes_to - point) * per_s
         near.append(point + other * (low - begin) - a[axis] - rate[axis] * (low - t_a))
         step.append((other - rate[axis]) * (high - low))
-    square = _dot(step, step)
-    s = jnp.clip(-_dot(near, step) / jnp.where(square > 0.0, square, 1.0), 0.0, 1.0)
+    square = _dot_product(step, step)
+    s = jnp.clip(-_dot_product(near, step) / jnp.where(square > 0.0, square, 1.0), 0.0, 1.0)
     gap = [n + s * d for n, d in zip(near, step, strict=True)]
-    meets = _dot(gap, gap) < (traffic.reach_m**2)[:, None]
+    meets = _dot_product(gap, gap) < (traffic.reach_m**2)[:, None]
     return meets & (low <= high)
 
 
-def _dot(a: list[jax.Array], b: list[jax.Array]) -> jax.Array:
+def _dot_product(a: list[jax.Array], b: list[jax.Array]) -> jax.Array:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

@@ -24,7 +24,7 @@ class _Slots[State, Out]:
     out: Out
 
 
-def work_off[Task, State, Out](
+def run_slots[Task, State, Out](
     tasks: Task,
     count: int,
     slots: int,
@@ -50,38 +50,40 @@ def work_off[Task, State, Out](
     """
     slots = min(slots, count)
 
-    def of(world: jax.Array) -> Task:
+    def tasks_of(world: jax.Array) -> Task:
         at = jnp.minimum(world, count - 1)
         some: Task = jax.tree.map(lambda leaf: leaf[at], tasks)
         return some
 
-    def going(now: _Slots[State, Out]) -> jax.Array:
+    def is_running(now: _Slots[State, Out]) -> jax.Array:
         return jnp.any(now.world < count)
 
-    def turn(now: _Slots[State, Out]) -> _Slots[State, Out]:
-        mine = of(now.world)
-        state = jax.vmap(step)(mine, now.state)
-        done = jax.vmap(ended)(state) & (now.world < count)
-        given = jax.vmap(result)(state)
-        place = jnp.where(done, now.world, count)
-        out = jax.tree.map(lambda all_, some: all_.at[place].set(some, mode="drop"), now.out, given)
-        world = jnp.where(done, now.taken + jnp.cumsum(done) - 1, now.world)
-        fresh = jax.vmap(begin)(of(world))
+    def step_slots(now: _Slots[State, Out]) -> _Slots[State, Out]:
+        slot_tasks = tasks_of(now.world)
+        state = jax.vmap(step)(slot_tasks, now.state)
+        is_done = jax.vmap(ended)(state) & (now.world < count)
+        results = jax.vmap(result)(state)
+        out_index = jnp.where(is_done, now.world, count)
+        out = jax.tree.map(
+            lambda all_, some: all_.at[out_index].set(some, mode="drop"), now.out, results
+        )
+        world = jnp.where(is_done, now.taken + jnp.cumsum(is_done) - 1, now.world)
+        new_state = jax.vmap(begin)(tasks_of(world))
 
         def choose(a: jax.Array, b: jax.Array) -> jax.Array:
-            return jnp.where(done.reshape((-1,) + (1,) * (a.ndim - 1)), a, b)
+            return jnp.where(is_done.reshape((-1,) + (1,) * (a.ndim - 1)), a, b)
 
         return _Slots(
-            state=jax.tree.map(choose, fresh, state),
+            state=jax.tree.map(choose, new_state, state),
             world=world.astype(jnp.int32),
-            taken=now.taken + jnp.sum(done, dtype=jnp.int32),
+            taken=now.taken + jnp.sum(is_done, dtype=jnp.int32),
             out=out,
         )
 
     world = jnp.arange(slots, dtype=jnp.int32)
-    state = jax.vmap(begin)(of(world))
-    one = jax.eval_shape(lambda: jax.vmap(result)(state))
-    out = jax.tree.map(lambda leaf: jnp.zeros((count, *leaf.shape[1:]), leaf.dtype), one)
+    state = jax.vmap(begin)(tasks_of(world))
+    result_shape = jax.eval_shape(lambda: jax.vmap(result)(state))
+    out = jax.tree.map(lambda leaf: jnp.zeros((count, *leaf.shape[1:]), leaf.dtype), result_shape)
     start = _Slots(state=state, world=world, taken=jnp.int32(slots), out=out)
-    end: _Slots[State, Out] = jax.lax.while_loop(going, turn, start)
+    end: _Slots[State, Out] = jax.lax.while_loop(is_running, step_slots, start)
     return end.out

@@ -16,21 +16,21 @@ import jax
 import jax.numpy as jnp
 
 from angler_mjx.planning.path_search.lattice import Terrain
-from angler_mjx.planning.path_search.robot import WayConfig, grown, plan_one
-from angler_mjx.planning.path_search.starts import meets_starts, only, standing
-from angler_mjx.planning.path_search.traffic import GridTraffic, PlannedTraffic, met_by
-from angler_mjx.robot.control.trajectory import Trajectory, hold
+from angler_mjx.planning.path_search.robot_search import PathSearchConfig, grow_bodies, plan_robot
+from angler_mjx.planning.path_search.starts import meets_starts, select_flyable, select_paths
+from angler_mjx.planning.path_search.traffic import GridTraffic, PlannedTraffic, meets_traffic
+from angler_mjx.robot.control.trajectory import Trajectory, hold_position
 
 _NEVER = 2**31 - 1
 
-_LEFT_OUT = 0.25
+_IGNORED_FRACTION = 0.25
 """Fraction of the planned robots that is not looked at, for each try that failed before."""
 
 _STAGES = 2
 """Searches of a robot among all that are planned: with all the room beyond the margin, then with
 half of it."""
 
-_LEAST_ROOM = 0.25
+_MIN_ROOM_FRACTION = 0.25
 """Fraction of the room that every search keeps."""
 
 
@@ -54,7 +54,7 @@ class PriorityTask:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Search:
+class TeamSearch:
     """Where the search of one team stands."""
 
     plans: Trajectory
@@ -71,88 +71,98 @@ class Search:
     """int32 [] searches so far."""
 
 
-def begin(task: PriorityTask, config: WayConfig) -> Search:
+def begin_search(task: PriorityTask, config: PathSearchConfig) -> TeamSearch:
     """Who has no path yet and needs longest is first."""
     n_robot = task.radius_m.shape[0]
-    held = hold(task.start_m, config.n_point)
-    first = held if task.first is None else only(task.first.found, task.first, held)
+    hold_paths = hold_position(task.start_m, config.n_point)
+    first = (
+        hold_paths if task.first is None else select_paths(task.first.found, task.first, hold_paths)
+    )
     gap = task.goal_m - task.start_m
-    needs = jnp.sqrt(jnp.sum(gap * gap, axis=-1)) / task.speed_mps
-    none = jnp.zeros((n_robot,), jnp.int32)
-    return Search(
+    needed_s = jnp.sqrt(jnp.sum(gap * gap, axis=-1)) / task.speed_mps
+    zeros = jnp.zeros((n_robot,), jnp.int32)
+    return TeamSearch(
         plans=first,
         best=first,
-        tries=none,
+        tries=zeros,
         # Below all numbers of searches, which are the turns of those that are taken out.
-        turn=jnp.argsort(jnp.argsort(-needs)).astype(jnp.int32) - n_robot,
+        turn=jnp.argsort(jnp.argsort(-needed_s)).astype(jnp.int32) - n_robot,
         hopeless=jnp.zeros((n_robot,), bool),
         used=jnp.zeros((), jnp.int32),
     )
 
 
-def ended(search: Search, budget: int) -> jax.Array:
+def is_finished(search: TeamSearch, budget: int) -> jax.Array:
     """Whether nothing is left to be searched, or the budget (a robot) is used up; bool []."""
     settled = jnp.all(search.plans.found | search.hopeless)
     return settled | (search.used >= budget * search.tries.shape[0])
 
 
-def step(task: PriorityTask, search: Search, config: WayConfig) -> Search:
+def search_next_robot(
+    task: PriorityTask, search: TeamSearch, config: PathSearchConfig
+) -> TeamSearch:
     """Search one robot a way."""
     planned = search.plans.found
-    waits = ~planned & ~search.hopeless
-    i = jnp.argmin(jnp.where(waits, search.turn, _NEVER))
+    is_waiting = ~planned & ~search.hopeless
+    i = jnp.argmin(jnp.where(is_waiting, search.turn, _NEVER))
     tries = search.tries[i]
     stages = _STAGES if config.room_m > 0.0 else 0
-    chance = jnp.clip(_LEFT_OUT * (tries - stages), 0.0, 1.0)
-    room = config.room_m * jnp.clip(1.0 - tries / _STAGES, _LEAST_ROOM, 1.0)
+    chance = jnp.clip(_IGNORED_FRACTION * (tries - stages), 0.0, 1.0)
+    room = config.room_m * jnp.clip(1.0 - tries / _STAGES, _MIN_ROOM_FRACTION, 1.0)
     key = jax.random.fold_in(jax.random.key(task.seed), search.used)
-    seen = planned & (jax.random.uniform(key, planned.shape) >= chance)
-    held = hold(task.start_m, config.n_point)
+    is_seen = planned & (jax.random.uniform(key, planned.shape) >= chance)
+    hold_paths = hold_position(task.start_m, config.n_point)
     reach = task.radius_m + task.radius_m[i] + config.margin_m + room
     # Who is not looked at is taken to stand at its start for a while, less at each try; who has no
     # hope stands there for ever.
     stays = jnp.where(search.hopeless, jnp.inf, config.start_hold_s * (1.0 - chance))
-    until = jnp.where(seen, jnp.inf, jnp.where(chance < 1.0, stays, -1.0)).at[i].set(-1.0)
-    shown = _traffic(only(seen, search.plans, held), reach, until)
+    until = jnp.where(is_seen, jnp.inf, jnp.where(chance < 1.0, stays, -1.0)).at[i].set(-1.0)
+    visible_traffic = _build_traffic(select_paths(is_seen, search.plans, hold_paths), reach, until)
     clearance = task.radius_m[i] + config.margin_m
-    path = plan_one(
+    path = plan_robot(
         task.land,
-        PlannedTraffic(robots=shown, bodies=grown(task.bodies, clearance)),
+        PlannedTraffic(robots=visible_traffic, bodies=grow_bodies(task.bodies, clearance)),
         task.start_m[i],
         task.goal_m[i],
         clearance,
         task.speed_mps[i],
         config,
     )
-    all_planned = _traffic(search.plans, reach, jnp.where(planned, jnp.inf, -1.0))
+    all_planned = _build_traffic(search.plans, reach, jnp.where(planned, jnp.inf, -1.0))
     # Those it was proved against are not asked again: rounding must not take them out.
-    out = path.found & planned & ~seen & met_by(path, all_planned)
-    kept = only(planned & ~out, search.plans, held)
-    plans: Trajectory = jax.tree.map(lambda many, one: many.at[i].set(one), kept, path)
-    better = jnp.sum(plans.found) > jnp.sum(search.best.found)
-    return Search(
+    displaced = path.found & planned & ~is_seen & meets_traffic(path, all_planned)
+    kept_plans = select_paths(planned & ~displaced, search.plans, hold_paths)
+    plans: Trajectory = jax.tree.map(
+        lambda rows, new_row: rows.at[i].set(new_row), kept_plans, path
+    )
+    is_better = jnp.sum(plans.found) > jnp.sum(search.best.found)
+    return TeamSearch(
         plans=plans,
-        best=jax.tree.map(lambda a, b: jnp.where(better, a, b), plans, search.best),
+        best=jax.tree.map(lambda a, b: jnp.where(is_better, a, b), plans, search.best),
         tries=search.tries.at[i].set(jnp.where(path.found, 0, search.tries[i] + 1)),
-        turn=jnp.where(out, search.used, search.turn),
+        turn=jnp.where(displaced, search.used, search.turn),
         hopeless=search.hopeless.at[i].set(~path.found & (chance >= 1.0)),
         used=search.used + 1,
     )
 
 
-def to_fly(task: PriorityTask, best: Trajectory, config: WayConfig) -> Trajectory:
+def select_flyable_paths(
+    task: PriorityTask, best: Trajectory, config: PathSearchConfig
+) -> Trajectory:
     """Of the best paths [R] those that meet no start of a robot that stays there."""
     reach = task.radius_m[:, None] + task.radius_m + config.margin_m
 
     def meets(path: Trajectory, reach_m: jax.Array) -> jax.Array:
         return meets_starts(path, task.start_m, reach_m, config.horizon_s)
 
-    met = jax.vmap(meets)(best, reach) & ~jnp.eye(reach.shape[0], dtype=bool)
-    found = standing(best.found, met)
-    return replace(only(found, best, hold(task.start_m, config.n_point)), found=found)
+    is_met = jax.vmap(meets)(best, reach) & ~jnp.eye(reach.shape[0], dtype=bool)
+    is_found = select_flyable(best.found, is_met)
+    return replace(
+        select_paths(is_found, best, hold_position(task.start_m, config.n_point)), found=is_found
+    )
 
 
-def _traffic(plans: Trajectory, reach_m: jax.Array, until_s: jax.Array) -> GridTraffic:
+def _build_traffic(plans: Trajectory, reach_m: jax.Array, until_s: jax.Array) -> GridTraffic:
     return GridTraffic(
         time_s=plans.time_s,
         position_m=plans.position_m,

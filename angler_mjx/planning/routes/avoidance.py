@@ -24,24 +24,24 @@ ANGLES_RAD = tuple(math.radians(angle) for angle in (15.0, 35.0, 60.0, 95.0, 140
 """Of the velocities that are tried, off the wanted one."""
 SIDES = 6
 """Directions about the wanted one at each angle."""
-SPEEDS = (1.0, 0.5)
+SPEED_FRACTIONS = (1.0, 0.5)
 """Shares of the cruise speed at which they are tried."""
-SLOWER = (1.0, 0.7, 0.35, 0.0)
+SLOWER_FRACTIONS = (1.0, 0.7, 0.35, 0.0)
 """Shares of the wanted velocity that are tried."""
 CONTACT_S = 1.5
 """A contact in so many seconds costs as much as a velocity that is off the wanted one by the cruise
 speed; one at the horizon costs nothing."""
-ROCK = 6.0
+ROCK_COST = 6.0
 """What flying into rock at once costs, likewise."""
 ROCK_S = (0.5, 1.0, 1.5, 2.0)
 """Times ahead at which rock is looked for."""
-RIGHT = 0.03
+LEFT_TURN_COST = 0.03
 """What going straight to the left costs more than to the right, likewise."""
 RESPONSE_S = 0.3
 """Time in which a robot takes up a velocity."""
 STANDS_MPS = 0.05
 """A robot slower than this is not taken to get out of the way."""
-STANDING = 1.5
+STANDING_COST = 1.5
 """What standing still costs a robot that came no nearer to its place for long, likewise."""
 ROOM_M = 0.5
 """Beside the margin, that robots with nowhere to go leave to others."""
@@ -68,12 +68,12 @@ class AvoidedBodies:
     """bool [n] whether the body avoids this robot as this robot does it."""
 
 
-def choose(
+def choose_velocity(
     routes: Routes,
     bodies: AvoidedBodies,
     p: jax.Array,
     v: jax.Array,
-    wanted: jax.Array,
+    preferred_mps: jax.Array,
     speed_mps: jax.Array,
     horizon_s: jax.Array | float,
     held_up: jax.Array | float = 0.0,
@@ -85,36 +85,43 @@ def choose(
         bodies: that are known.
         p: [3] of the robot, in W.
         v: [3] its velocity over ground.
-        wanted: [3] velocity that it would have alone.
+        preferred_mps: [3] velocity that it would have alone.
         speed_mps: [] its cruise speed.
         horizon_s: contacts later than this do not count.
         held_up: [] 0 to 1, how little of its way the robot made of late. Before a body that stands,
             too, nothing is as near to the wanted velocity as to stand there for ever.
     """
-    tried = candidates(wanted, speed_mps)
-    off = jnp.sqrt(sum((tried[i] - wanted[i]) ** 2 for i in range(3))) / speed_mps
-    when = jnp.min(contact_s(bodies, p, v, tried), axis=0, initial=jnp.inf)
-    late = jnp.maximum(1.0 / jnp.maximum(when, 0.1) - 1.0 / horizon_s, 0.0)
+    candidates_mps = candidate_velocities(preferred_mps, speed_mps)
+    deviation = (
+        jnp.sqrt(sum((candidates_mps[i] - preferred_mps[i]) ** 2 for i in range(3))) / speed_mps
+    )
+    contact_time_s = jnp.min(contact_s(bodies, p, v, candidates_mps), axis=0, initial=jnp.inf)
+    urgency = jnp.maximum(1.0 / jnp.maximum(contact_time_s, 0.1) - 1.0 / horizon_s, 0.0)
     # Reached with a lag: the robot drifts on as it does now for a moment.
     ahead_s = jnp.array(ROCK_S)[:, None]
-    ahead = [p[i] + RESPONSE_S * (v[i] - tried[i]) + ahead_s * tried[i] for i in range(3)]
-    share = np.linspace(2.0, 0.0, len(ROCK_S) + 1)[:-1, None] / len(ROCK_S)
-    rock = jnp.sum(jnp.where(reading.is_clear(routes, *ahead), 0.0, share), axis=0)
-    aside = (tried[0] * wanted[1] - tried[1] * wanted[0]) / speed_mps**2
-    slow = 1.0 - jnp.sqrt(sum(each**2 for each in tried)) / speed_mps
+    ahead = [
+        p[i] + RESPONSE_S * (v[i] - candidates_mps[i]) + ahead_s * candidates_mps[i]
+        for i in range(3)
+    ]
+    rock_weights = np.linspace(2.0, 0.0, len(ROCK_S) + 1)[:-1, None] / len(ROCK_S)
+    rock = jnp.sum(jnp.where(reading.is_clear(routes, *ahead), 0.0, rock_weights), axis=0)
+    turn_side = (
+        candidates_mps[0] * preferred_mps[1] - candidates_mps[1] * preferred_mps[0]
+    ) / speed_mps**2
+    slowness = 1.0 - jnp.sqrt(sum(each**2 for each in candidates_mps)) / speed_mps
     cost = (
-        off
-        + STANDING * held_up * slow
-        + CONTACT_S * late
-        + ROCK * rock
-        - RIGHT * jnp.clip(aside, -1.0, 1.0)
+        deviation
+        + STANDING_COST * held_up * slowness
+        + CONTACT_S * urgency
+        + ROCK_COST * rock
+        - LEFT_TURN_COST * jnp.clip(turn_side, -1.0, 1.0)
     )
     # One thread for each velocity, and then the least: threads of a whole robot would be too few.
     best = jnp.argmin(jax.lax.optimization_barrier(cost))
-    return jnp.stack([each[best] for each in tried])
+    return jnp.stack([each[best] for each in candidates_mps])
 
 
-def make_way(bodies: AvoidedBodies, p: jax.Array) -> jax.Array:
+def make_room(bodies: AvoidedBodies, p: jax.Array) -> jax.Array:
     """Where to a robot with nowhere to go leaves others room, [3]: at most 1 long, 0 to stay."""
     apart = p - bodies.p_m
     far = jnp.sqrt(jnp.sum(apart**2, axis=-1) + 1e-12)
@@ -123,21 +130,21 @@ def make_way(bodies: AvoidedBodies, p: jax.Array) -> jax.Array:
     return away / jnp.maximum(jnp.sqrt(jnp.sum(away**2) + 1e-12), 1.0)
 
 
-def doubted(bodies: AvoidedBodies, p: jax.Array, doubt_m: jax.Array) -> AvoidedBodies:
+def inflate_for_doubt(bodies: AvoidedBodies, p: jax.Array, doubt_m: jax.Array) -> AvoidedBodies:
     """Bodies that may be somewhere else by [n] m, but not so that the robot were too near now."""
-    far = jnp.sqrt(jnp.sum((bodies.p_m - p) ** 2, axis=-1) + 1e-12)
-    least = jnp.maximum(bodies.reach_m, (1.0 - SLIP) * far)
-    wide = jnp.minimum(bodies.reach_m + doubt_m, least)
-    wide = jnp.where(bodies.reach_m > 0.0, wide, -1.0)
+    distance_m = jnp.sqrt(jnp.sum((bodies.p_m - p) ** 2, axis=-1) + 1e-12)
+    max_reach_m = jnp.maximum(bodies.reach_m, (1.0 - SLIP) * distance_m)
+    inflated_m = jnp.minimum(bodies.reach_m + doubt_m, max_reach_m)
+    inflated_m = jnp.where(bodies.reach_m > 0.0, inflated_m, -1.0)
     # Once for each body, not again for each velocity that is tried.
-    return replace(bodies, reach_m=jax.lax.optimization_barrier(wide))
+    return replace(bodies, reach_m=jax.lax.optimization_barrier(inflated_m))
 
 
-def candidates(wanted: jax.Array, speed_mps: jax.Array) -> list[jax.Array]:
+def candidate_velocities(preferred_mps: jax.Array, speed_mps: jax.Array) -> list[jax.Array]:
     """Velocities to be tried, x, y, z [m]: slower ones, and others about the wanted one [3]."""
-    length = jnp.sqrt(jnp.sum(wanted**2) + 1e-12)
+    length = jnp.sqrt(jnp.sum(preferred_mps**2) + 1e-12)
     still = jnp.array([1.0, 0.0, 0.0])
-    ahead = jnp.where(length > 1e-3, wanted / length, still)
+    ahead = jnp.where(length > 1e-3, preferred_mps / length, still)
     flat = jnp.sqrt(ahead[0] ** 2 + ahead[1] ** 2)
     right = jnp.where(
         flat > 1e-3,
@@ -148,17 +155,19 @@ def candidates(wanted: jax.Array, speed_mps: jax.Array) -> list[jax.Array]:
     angle = np.repeat(ANGLES_RAD, SIDES)
     side = np.tile(2.0 * np.pi * np.arange(SIDES) / SIDES, len(ANGLES_RAD))
     turned, along = np.cos(angle), [np.sin(angle) * np.cos(side), np.sin(angle) * np.sin(side)]
-    found = []
+    velocities = []
     for i in range(3):
         about = turned * ahead[i] + along[0] * right[i] + along[1] * up[i]
         around = jnp.append(about, -ahead[i]) * speed_mps
-        slower = np.array(SLOWER) * wanted[i]
-        found.append(jnp.concatenate([slower, *(share * around for share in SPEEDS)]))
-    return found
+        slower = np.array(SLOWER_FRACTIONS) * preferred_mps[i]
+        velocities.append(
+            jnp.concatenate([slower, *(fraction * around for fraction in SPEED_FRACTIONS)])
+        )
+    return velocities
 
 
 def contact_s(
-    bodies: AvoidedBodies, p: jax.Array, v: jax.Array, tried: Sequence[jax.Array]
+    bodies: AvoidedBodies, p: jax.Array, v: jax.Array, candidates_mps: Sequence[jax.Array]
 ) -> jax.Array:
     """Times [n, m] to the first contact with each body at velocities x, y, z [m]; inf for none.
 
@@ -171,7 +180,7 @@ def contact_s(
     # Whoever avoids likewise changes by the other half of what this robot changes by.
     times = jnp.where(bodies.yields, 2.0, 1.0)
     goes = bodies.v_mps + (times - 1.0)[:, None] * v
-    closing = [times[:, None] * tried[i] - goes[:, i, None] for i in range(3)]
+    closing = [times[:, None] * candidates_mps[i] - goes[:, i, None] for i in range(3)]
     a = sum(each**2 for each in closing)
     b = sum(each * apart[:, i, None] for i, each in enumerate(closing))
     c = (square - bodies.reach_m**2)[:, None]

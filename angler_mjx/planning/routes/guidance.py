@@ -25,18 +25,18 @@ class Aim:
 
     point_m: jax.Array
     """[3] in W."""
-    at_place: jax.Array
+    is_at_goal: jax.Array
     """bool [] whether that is the place itself."""
     exists: jax.Array
     """bool [] whether there is a way at all."""
 
 
-def aim(routes: Routes, place: jax.Array, p: jax.Array) -> Aim:
+def compute_aim(routes: Routes, goal_index: jax.Array, p: jax.Array) -> Aim:
     """The point to fly towards.
 
     Args:
         routes: of the world.
-        place: int32 [] one of its places.
+        goal_index: int32 [] one of its places.
         p: [3] of the robot, in W.
 
     Returns:
@@ -44,40 +44,42 @@ def aim(routes: Routes, place: jax.Array, p: jax.Array) -> Aim:
         is, which lies farther from any rock than the robot does. A robot in a cell that does not
         keep the clearance is led to the next one that does.
     """
-    target = routes.place_m[place]
+    target = routes.position_m[goal_index]
     last = reading.cell_of(routes, target)
-    here = reading.cell_of(routes, p)
+    robot_cell = reading.cell_of(routes, p)
 
     def walk(cell: jax.Array, _: None) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
-        after = reading.step_on(routes, place, cell)[0]
+        after = reading.step_toward(routes, goal_index, cell)[0]
         ends = jnp.all(after == last)
         return after, (jnp.where(ends, target, reading.centre_m(routes, after)), ends)
 
-    after, length = reading.step_on(routes, place, here)
-    _, (points, ends) = jax.lax.scan(walk, here, length=CELLS, unroll=True)
-    seen = jnp.int32(0)
-    for more in _HALVINGS:
-        tried = jnp.minimum(seen + more, CELLS)
-        seen = jnp.where(sees(routes, p, points[tried - 1]), tried, seen)
-    middle = reading.centre_m(routes, here)
-    kept = reading.is_clear(routes, *middle)
-    nearest = jnp.where(kept, middle, reading.centre_m(routes, after))
+    after, length = reading.step_toward(routes, goal_index, robot_cell)
+    _, (points, ends) = jax.lax.scan(walk, robot_cell, length=CELLS, unroll=True)
+    n_visible = jnp.int32(0)
+    for stride in _HALVINGS:
+        n_tried = jnp.minimum(n_visible + stride, CELLS)
+        n_visible = jnp.where(is_line_clear(routes, p, points[n_tried - 1]), n_tried, n_visible)
+    middle = reading.centre_m(routes, robot_cell)
+    is_clear = reading.is_clear(routes, *middle)
+    nearest = jnp.where(is_clear, middle, reading.centre_m(routes, after))
     # In the place's own cell the line ends there, seen or not: a place may stand near rock.
-    own = jnp.all(here == last)
-    point = jnp.where(own, target, jnp.where(seen > 0, points[seen - 1], nearest))
+    is_goal_cell = jnp.all(robot_cell == last)
+    point = jnp.where(
+        is_goal_cell, target, jnp.where(n_visible > 0, points[n_visible - 1], nearest)
+    )
     return Aim(
         point_m=point,
-        at_place=own | ((seen > 0) & ends[seen - 1]),
+        is_at_goal=is_goal_cell | ((n_visible > 0) & ends[n_visible - 1]),
         exists=jnp.isfinite(length),
     )
 
 
-def sees(routes: Routes, a: jax.Array, b: jax.Array) -> jax.Array:
+def is_line_clear(routes: Routes, a: jax.Array, b: jax.Array) -> jax.Array:
     """Whether a robot can go straight from a [3] to b [3] in W, bool [].
 
     Looked up at points at most 1.08 cubes apart, for the longest line to `CELLS` cells of a way.
     """
     count = int(CELLS * 3**0.5 * FINER) + FINER
-    share = (jnp.arange(count) + 1.0) / count
-    x, y, z = (a[i] + share * (b[i] - a[i]) for i in range(3))
+    fraction = (jnp.arange(count) + 1.0) / count
+    x, y, z = (a[i] + fraction * (b[i] - a[i]) for i in range(3))
     return jnp.all(reading.is_clear(routes, x, y, z))

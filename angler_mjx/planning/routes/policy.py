@@ -12,12 +12,12 @@ from angler_mjx.planning.routes import guidance
 from angler_mjx.planning.routes.avoidance import (
     STANDS_MPS,
     AvoidedBodies,
-    choose,
-    doubted,
-    make_way,
+    choose_velocity,
+    inflate_for_doubt,
+    make_room,
 )
 from angler_mjx.robot.control.commands import PoseTarget
-from angler_mjx.robot.control.laws.model import wrap
+from angler_mjx.robot.control.laws.model import wrap_angle
 from angler_mjx.sim.information import Information, ObstacleInformation
 from angler_mjx.sim.policy import Policy, PolicyInput
 from angler_mjx.world.routes import Routes
@@ -65,106 +65,124 @@ class AlongRoutes(Policy):
     """How fast the heading follows the course."""
     routes_margin_m: float = field(default=0.1, metadata={"static": True})
     period: int = field(default=5, metadata={"static": True})
-    looks: int = field(default=5, metadata={"static": True})
-    knows: Information = field(default=Information(obstacles="observed"), metadata={"static": True})
+    observation_period: int = field(default=5, metadata={"static": True})
+    information: Information = field(
+        default=Information(obstacles="observed"), metadata={"static": True}
+    )
 
-    def reset(self, known: PolicyInput, key: jax.Array) -> RoutesMemory:
+    def reset(self, inputs: PolicyInput, key: jax.Array) -> RoutesMemory:
         """See `Policy.reset`."""
-        _, place = _routes_and_goals(known)
+        _, goal_index = _routes_and_goals(inputs)
         return RoutesMemory(
-            stay_m=known.belief.p,
-            stays=jnp.zeros(place.shape, bool),
-            yaw_rad=jax.vmap(quaternion.yaw)(known.belief.q),
-            held_up=jnp.zeros(place.shape, known.belief.p.dtype),
+            stay_m=inputs.belief.p,
+            stays=jnp.zeros(goal_index.shape, bool),
+            yaw_rad=jax.vmap(quaternion.yaw)(inputs.belief.q),
+            held_up=jnp.zeros(goal_index.shape, inputs.belief.p.dtype),
         )
 
-    def act(self, carry: RoutesMemory, known: PolicyInput, key: jax.Array, step: jax.Array) -> Any:
+    def act(self, carry: RoutesMemory, inputs: PolicyInput, key: jax.Array, step: jax.Array) -> Any:
         """See `Policy.act`."""
-        routes, place = _routes_and_goals(known)
-        p = known.belief.p
-        v = jax.vmap(quaternion.rotate)(known.belief.q, known.belief.nu[:, :3])
-        aims = jax.vmap(lambda place, p: guidance.aim(routes, jnp.maximum(place, 0), p))(place, p)
-        stays = (place < 0) | ~aims.exists
+        routes, goal_index = _routes_and_goals(inputs)
+        p = inputs.belief.p
+        v = jax.vmap(quaternion.rotate)(inputs.belief.q, inputs.belief.nu[:, :3])
+        aims = jax.vmap(
+            lambda goal_index, p: guidance.compute_aim(routes, jnp.maximum(goal_index, 0), p)
+        )(goal_index, p)
+        stays = (goal_index < 0) | ~aims.exists
         stay = jnp.where((stays & ~carry.stays)[:, None], p, carry.stay_m)
         point = jnp.where(stays[:, None], stay, aims.point_m)
-        ends = stays | aims.at_place
-        cruise, radius = known.params.cruise_speed_mps, known.params.known.radius_m
-        left = point - p
-        far = jnp.sqrt(jnp.sum(left**2, axis=-1) + 1e-12)
-        speed = jnp.where(ends, jnp.minimum(cruise, NEAR_PER_S * far), cruise)
-        wanted = left * (speed / far)[:, None]
+        ends = stays | aims.is_at_goal
+        cruise, radius = inputs.params.cruise_speed_mps, inputs.params.vehicle_model.radius_m
+        offset_m = point - p
+        distance_m = jnp.sqrt(jnp.sum(offset_m**2, axis=-1) + 1e-12)
+        speed = jnp.where(ends, jnp.minimum(cruise, NEAR_PER_S * distance_m), cruise)
+        preferred_mps = offset_m * (speed / distance_m)[:, None]
         hold_s = self.dt_s * self.period
-        lacks = jnp.clip((speed - jnp.sum(v * left, axis=-1) / far) / cruise, 0.0, 1.0)
-        held_up = carry.held_up + hold_s / (PATIENCE_S + hold_s) * (lacks - carry.held_up)
+        shortfall = jnp.clip(
+            (speed - jnp.sum(v * offset_m, axis=-1) / distance_m) / cruise, 0.0, 1.0
+        )
+        held_up = carry.held_up + hold_s / (PATIENCE_S + hold_s) * (shortfall - carry.held_up)
         fastest = jnp.where(stays, IDLE, 1.0) * cruise
-        told = _obstacles(known.obstacles)
-        robots = jnp.arange(place.shape[0])
+        moving_bodies = _moving_bodies(inputs.obstacles)
+        robots = jnp.arange(goal_index.shape[0])
 
         def robots_of(i: jax.Array) -> tuple[jax.Array, jax.Array]:
             """Places and velocities [R, 3] of all robots, as far as robot i knows."""
-            if known.others is None:
+            if inputs.others is None:
                 return p, v
-            return known.others.place_m(known.time_s)[i], known.others.v_mps[i]
+            return inputs.others.extrapolate_m(inputs.time_s)[i], inputs.others.v_mps[i]
 
-        def one(i: jax.Array) -> tuple[jax.Array, jax.Array]:
-            there, goes = robots_of(i)
+        def choose_robot_velocity(i: jax.Array) -> tuple[jax.Array, jax.Array]:
+            positions_m, goes = robots_of(i)
             reach = radius[i] + radius + self.margin_m
             team = AvoidedBodies(
-                p_m=there,
+                p_m=positions_m,
                 v_mps=goes,
                 reach_m=jnp.where(robots == i, -1.0, reach),
                 yields=jnp.sum(goes**2, axis=-1) > STANDS_MPS**2,
             )
-            away = make_way(team, p[i])
-            gives = stays[i] & jnp.any(away != 0.0)
-            if known.others is not None:
-                gone = jnp.sqrt(jnp.sum(goes**2, axis=-1)) * (known.time_s - known.others.time_s[i])
-                team = doubted(team, p[i], jnp.minimum(DOUBT * gone, DOUBT_M))
-            wide = jnp.where(told.reach_m > 0.0, radius[i] + self.margin_m + told.reach_m, -1.0)
-            around = jax.tree.map(
-                lambda *both: jnp.concatenate(both), team, replace(told, reach_m=wide)
+            away = make_room(team, p[i])
+            makes_room = stays[i] & jnp.any(away != 0.0)
+            if inputs.others is not None:
+                travelled_m = jnp.sqrt(jnp.sum(goes**2, axis=-1)) * (
+                    inputs.time_s - inputs.others.time_s[i]
+                )
+                team = inflate_for_doubt(team, p[i], jnp.minimum(DOUBT * travelled_m, DOUBT_M))
+            inflated_m = jnp.where(
+                moving_bodies.reach_m > 0.0, radius[i] + self.margin_m + moving_bodies.reach_m, -1.0
             )
-            goal = jnp.where(gives, fastest[i] * away, wanted[i])
-            chosen = choose(
+            around = jax.tree.map(
+                lambda *both: jnp.concatenate(both),
+                team,
+                replace(moving_bodies, reach_m=inflated_m),
+            )
+            goal = jnp.where(makes_room, fastest[i] * away, preferred_mps[i])
+            chosen = choose_velocity(
                 routes, around, p[i], v[i], goal, fastest[i], self.horizon_s, held_up[i]
             )
-            return chosen, gives
+            return chosen, makes_room
 
-        chosen, gives = jax.vmap(one)(robots)
-        stay = jnp.where(gives[:, None], p, stay)
-        yaw = _turned(carry.yaw_rad, chosen, self.yaw_rate_radps * hold_s)
+        chosen, makes_room = jax.vmap(choose_robot_velocity)(robots)
+        stay = jnp.where(makes_room[:, None], p, stay)
+        yaw = _turn_headings(carry.yaw_rad, chosen, self.yaw_rate_radps * hold_s)
         # The loop of position adds what is left to the point; half the time that it holds.
         command = PoseTarget(position_m=p + 0.5 * hold_s * chosen, velocity_mps=chosen, yaw_rad=yaw)
         return RoutesMemory(stay_m=stay, stays=stays, yaw_rad=yaw, held_up=held_up), command
 
 
-def _routes_and_goals(known: PolicyInput) -> tuple[Routes, jax.Array]:
+def _routes_and_goals(inputs: PolicyInput) -> tuple[Routes, jax.Array]:
     """Routes of the world, and the robots' places."""
-    if known.routes is None or known.place is None:
+    if inputs.routes is None or inputs.goal_index is None:
         raise ConfigError(
             "policy AlongRoutes: the worlds were drawn without routes; give it to the Simulator "
             "that draws them"
         )
-    return known.routes, known.place
+    return inputs.routes, inputs.goal_index
 
 
-def _turned(yaw: jax.Array, velocity: jax.Array, most: jax.Array | float) -> jax.Array:
-    """Headings [R] turned towards the courses of velocities [R, 3], by ``most`` rad."""
+def _turn_headings(
+    yaw: jax.Array, velocity: jax.Array, max_turn_rad: jax.Array | float
+) -> jax.Array:
+    """Headings [R] turned towards the courses of velocities [R, 3], by ``max_turn_rad`` rad."""
     moves = velocity[:, 0] ** 2 + velocity[:, 1] ** 2 > MOVES_MPS**2
     course = jnp.arctan2(
         jnp.where(moves, velocity[:, 1], 0.0), jnp.where(moves, velocity[:, 0], 1.0)
     )
-    return jnp.where(moves, wrap(yaw + jnp.clip(wrap(course - yaw), -most, most)), yaw)
+    return jnp.where(
+        moves,
+        wrap_angle(yaw + jnp.clip(wrap_angle(course - yaw), -max_turn_rad, max_turn_rad)),
+        yaw,
+    )
 
 
-def _obstacles(known: ObstacleInformation | None) -> AvoidedBodies:
+def _moving_bodies(information: ObstacleInformation | None) -> AvoidedBodies:
     """Those that move, as bounding spheres; those that stand are rock to the routes already."""
-    if known is None:
+    if information is None:
         none = jnp.zeros((0, 3))
         return AvoidedBodies(p_m=none, v_mps=none, reach_m=none[:, 0], yields=jnp.zeros(0, bool))
     return AvoidedBodies(
-        p_m=known.p_m[:, 0],
-        v_mps=known.velocity_mps,
-        reach_m=jnp.where(known.exists & known.moves, known.radius_m, -1.0),
-        yields=jnp.zeros(known.exists.shape, bool),
+        p_m=information.p_m[:, 0],
+        v_mps=information.velocity_mps,
+        reach_m=jnp.where(information.exists & information.moves, information.radius_m, -1.0),
+        yields=jnp.zeros(information.exists.shape, bool),
     )

@@ -11,7 +11,7 @@ from mcap.writer import Writer
 # The package's own writer cannot say which topics are kept for late listeners.
 from mcap_ros2._dynamic import serialize_dynamic
 
-from angler_mjx.report.interop.ros_definitions import definition
+from angler_mjx.report.interop.ros_definitions import message_definition
 
 _KEEP_LAST, _RELIABLE, _TRANSIENT_LOCAL, _VOLATILE, _AUTOMATIC = 1, 1, 1, 2, 1
 """Values of ``rmw_qos_profile_t``; as numbers every ROS 2 since Humble reads them."""
@@ -48,7 +48,7 @@ class Bag:
         finally:
             self._file.close()
 
-    def topic(self, name: str, message: str, *, latched: bool = False) -> None:
+    def declare_topic(self, name: str, message: str, *, latched: bool = False) -> None:
         """Declare a topic before anything is written to it.
 
         Args:
@@ -57,7 +57,7 @@ class Bag:
             latched: a listener that comes late gets the last message too.
         """
         if message not in self._schemas:
-            text, full = definition(message), message.replace("/", "/msg/")
+            text, full = message_definition(message), message.replace("/", "/msg/")
             self._schemas[message] = self._writer.register_schema(
                 full, SchemaEncoding.ROS2, text.encode()
             )
@@ -66,7 +66,7 @@ class Bag:
             topic=name,
             message_encoding="cdr",
             schema_id=self._schemas[message],
-            metadata={"offered_qos_profiles": _quality(latched=latched)},
+            metadata={"offered_qos_profiles": _qos_profile(latched=latched)},
         )
         self._channels[name] = channel, self._encoders[message]
 
@@ -84,7 +84,7 @@ class Bag:
         )
 
 
-def _quality(*, latched: bool) -> str:
+def _qos_profile(*, latched: bool) -> str:
     """A topic's quality of service, as rosbag2 writes it beside a channel."""
     return "\n".join(
         [

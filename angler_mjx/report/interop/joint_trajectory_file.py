@@ -20,11 +20,11 @@ from typing import Annotated
 from pydantic import Field
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.files import FileModel, listed, named, parse, read_json
+from angler_mjx.files import FileModel, format_faults, format_path, parse_model, read_json
 from angler_mjx.quantities import SchemaVersion
 from angler_mjx.report.interop.ros_messages import NANO, joint_trajectory
 from angler_mjx.robot.control.joint_goal import JointGoal, JointPoint, shape_faults
-from angler_mjx.runs.storage.atomic import replacing
+from angler_mjx.runs.storage.atomic_files import replace_file
 
 SCHEMA_VERSION = 1
 
@@ -89,7 +89,7 @@ class _File(FileModel):
     robots: tuple[_Robot, ...]
 
 
-def read(path: Path, *, robots: int | None = None) -> dict[int, JointGoal]:
+def read_trajectories(path: Path, *, robots: int | None = None) -> dict[int, JointGoal]:
     """Trajectories of a file.
 
     Args:
@@ -104,11 +104,13 @@ def read(path: Path, *, robots: int | None = None) -> dict[int, JointGoal]:
     """
     data = read_json(path)
     if not isinstance(data, dict):
-        raise ConfigError(f"{named(path)}: must hold an object with schema_version and robots")
-    held = parse(_File, data, source=str(path)).robots
+        raise ConfigError(
+            f"{format_path(path)}: must hold an object with schema_version and robots"
+        )
+    entries = parse_model(_File, data, source=str(path)).robots
     faults: list[str] = []
     goals: dict[int, JointGoal] = {}
-    for i, entry in enumerate(held):
+    for i, entry in enumerate(entries):
         goal = entry.trajectory.goal()
         if entry.robot in goals:
             faults.append(f"robots[{i}].robot = {entry.robot}: is there twice; give it once")
@@ -119,11 +121,11 @@ def read(path: Path, *, robots: int | None = None) -> dict[int, JointGoal]:
         faults += [f"robots[{i}].trajectory.{fault}" for fault in shape_faults(goal)]
         goals[entry.robot] = goal
     if faults:
-        raise ConfigError(listed(str(path), faults))
+        raise ConfigError(format_faults(str(path), faults))
     return goals
 
 
-def write(path: Path, goals: Mapping[int, JointGoal], *, force: bool = False) -> None:
+def write_trajectories(path: Path, goals: Mapping[int, JointGoal], *, force: bool = False) -> None:
     """Write the trajectories of a fleet.
 
     Args:
@@ -145,5 +147,5 @@ def write(path: Path, goals: Mapping[int, JointGoal], *, force: bool = False) ->
         ],
     }
     text = json.dumps(table, indent=1, allow_nan=False)
-    with replacing(path, flag="file", force=force) as writing:
+    with replace_file(path, flag="file", force=force) as writing:
         writing.write_text(text + "\n", encoding="utf-8")

@@ -66,15 +66,15 @@ FIELDS: dict[str, str] = {
 _SEPARATOR = "\n" + "=" * 80 + "\n"
 
 
-def definition(name: str) -> str:
+def message_definition(name: str) -> str:
     """The text that a bag stores for a message: its fields, then those of every message in it.
 
     Args:
         name: package/Name, one of ``FIELDS``.
     """
     needed = [name]
-    for one in needed:  # grows while it is gone through
-        held = re.findall(r"^(\w+/\w+)", FIELDS[one], flags=re.MULTILINE)
-        needed += [each for each in dict.fromkeys(held) if each not in needed]
-    rest = [f"MSG: {each}\n{FIELDS[each]}" for each in needed[1:]]
+    for message in needed:  # grows while it is gone through
+        used = re.findall(r"^(\w+/\w+)", FIELDS[message], flags=re.MULTILINE)
+        needed += [used_name for used_name in dict.fromkeys(used) if used_name not in needed]
+    rest = [f"MSG: {used_name}\n{FIELDS[used_name]}" for used_name in needed[1:]]
     return _SEPARATOR.join([FIELDS[name], *rest])

@@ -20,39 +20,39 @@ CUBE, SPHERE, CYLINDER, LINE_LIST, CUBE_LIST, SPHERE_LIST, TEXT = 1, 2, 3, 5, 6,
 """Kinds of ``visualization_msgs/Marker``."""
 
 
-def nanoseconds(time_s: float) -> int:
+def to_nanoseconds(time_s: float) -> int:
     """A time in whole nanoseconds."""
     return round(time_s * NANO)
 
 
-def stamp(time_s: float) -> Message:
+def make_stamp(time_s: float) -> Message:
     """A time as ``builtin_interfaces/Time`` or ``Duration``."""
-    sec, nanosec = divmod(nanoseconds(time_s), NANO)
+    sec, nanosec = divmod(to_nanoseconds(time_s), NANO)
     return {"sec": sec, "nanosec": nanosec}
 
 
-def header(time_s: float, frame: str) -> Message:
+def make_header(time_s: float, frame: str) -> Message:
     """As ``std_msgs/Header``."""
-    return {"stamp": stamp(time_s), "frame_id": frame}
+    return {"stamp": make_stamp(time_s), "frame_id": frame}
 
 
-def vector(values: np.ndarray) -> Message:
+def make_vector(values: np.ndarray) -> Message:
     """[3] as ``geometry_msgs/Point`` or ``Vector3``."""
     return dict(zip("xyz", values.tolist(), strict=True))
 
 
-def quaternion(q: np.ndarray) -> Message:
+def make_quaternion(q: np.ndarray) -> Message:
     """[4] wxyz as ``geometry_msgs/Quaternion``."""
     return dict(zip("wxyz", q.tolist(), strict=True))
 
 
-def pose(p: np.ndarray, q: np.ndarray | None = None) -> Message:
+def make_pose(p: np.ndarray, q: np.ndarray | None = None) -> Message:
     """Position [3] and attitude [4] wxyz as ``geometry_msgs/Pose``; level if left out."""
     level: Message = {"w": 1.0}
-    return {"position": vector(p), "orientation": level if q is None else quaternion(q)}
+    return {"position": make_vector(p), "orientation": level if q is None else make_quaternion(q)}
 
 
-def odometry(
+def make_odometry(
     time_s: float, frame: str, child: str, p: np.ndarray, q: np.ndarray, nu: np.ndarray
 ) -> Message:
     """A robot's true motion as ``nav_msgs/Odometry``: covariances are 0.
@@ -65,40 +65,40 @@ def odometry(
         q: [4] F to W.
         nu: [6] velocity over ground in F.
     """
-    twist = {"linear": vector(nu[:3]), "angular": vector(nu[3:])}
+    twist = {"linear": make_vector(nu[:3]), "angular": make_vector(nu[3:])}
     return {
-        "header": header(time_s, frame),
+        "header": make_header(time_s, frame),
         "child_frame_id": child,
-        "pose": {"pose": pose(p, q), "covariance": [0.0] * 36},
+        "pose": {"pose": make_pose(p, q), "covariance": [0.0] * 36},
         "twist": {"twist": twist, "covariance": [0.0] * 36},
     }
 
 
-def transform(
+def make_transform(
     time_s: float, frame: str, child: str, p: np.ndarray, q: np.ndarray | None = None
 ) -> Message:
     """As ``geometry_msgs/TransformStamped``: where a child frame is."""
-    turn: Message = {"w": 1.0} if q is None else quaternion(q)
+    turn: Message = {"w": 1.0} if q is None else make_quaternion(q)
     return {
-        "header": header(time_s, frame),
+        "header": make_header(time_s, frame),
         "child_frame_id": child,
-        "transform": {"translation": vector(p), "rotation": turn},
+        "transform": {"translation": make_vector(p), "rotation": turn},
     }
 
 
-def path(frame: str, time_s: np.ndarray, points_m: np.ndarray) -> Message:
+def make_path(frame: str, time_s: np.ndarray, points_m: np.ndarray) -> Message:
     """Way-points [n, 3] at times [n] as ``nav_msgs/Path``."""
     poses = [
-        {"header": header(float(t), frame), "pose": pose(p)}
+        {"header": make_header(float(t), frame), "pose": make_pose(p)}
         for t, p in zip(time_s, points_m, strict=True)
     ]
-    return {"header": header(0.0, frame), "poses": poses}
+    return {"header": make_header(0.0, frame), "poses": poses}
 
 
 def joint_trajectory(goal: JointGoal, frame: str = "") -> Message:
     """As ``trajectory_msgs/JointTrajectory``."""
     return {
-        "header": header(goal.stamp_s, frame),
+        "header": make_header(goal.stamp_s, frame),
         "joint_names": list(goal.joint_names),
         "points": [
             {
@@ -106,7 +106,7 @@ def joint_trajectory(goal: JointGoal, frame: str = "") -> Message:
                 "velocities": list(point.velocities),
                 "accelerations": list(point.accelerations),
                 "effort": [],
-                "time_from_start": stamp(point.time_s),
+                "time_from_start": make_stamp(point.time_s),
             }
             for point in goal.points
         ],
@@ -122,12 +122,12 @@ def thruster_pwm(pwm_us: np.ndarray) -> Message:
     }
 
 
-def marker(
+def make_marker(
     head: Message,
     name: str,
     index: int,
     kind: int,
-    where: Message,
+    pose: Message,
     scale_m: Sequence[float],
     rgba: Sequence[float],
     points_m: np.ndarray | None = None,
@@ -141,7 +141,7 @@ def marker(
         name: its namespace.
         index: its number in that.
         kind: one of those above.
-        where: its pose.
+        pose: its pose.
         scale_m: [3] size, or that of each point's body; of lines the first is their width, of text
             the last its height.
         rgba: [4] colour.
@@ -154,11 +154,11 @@ def marker(
         "ns": name,
         "id": index,
         "type": kind,
-        "pose": where,
+        "pose": pose,
         "scale": dict(zip("xyz", map(float, scale_m), strict=True)),
         "color": dict(zip("rgba", rgba, strict=True)),
         "frame_locked": kind == TEXT,
-        "points": [] if points_m is None else [vector(point) for point in points_m],
+        "points": [] if points_m is None else [make_vector(point) for point in points_m],
         "colors": []
         if colors is None
         else [dict(zip("rgba", row, strict=True)) for row in colors.tolist()],

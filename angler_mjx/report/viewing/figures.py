@@ -5,12 +5,12 @@ from pathlib import Path
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.report.viewing import scene, statistics, style, task_figure
-from angler_mjx.report.viewing.choose import good_world, worst_world
-from angler_mjx.report.viewing.maps import one_world
+from angler_mjx.report.viewing.maps import world_map
+from angler_mjx.report.viewing.world_selection import good_world, worst_world
 from angler_mjx.runs.storage.folder import FIGURES, Run
 
 
-def make(run: Run, worlds: Sequence[int] | None = None) -> list[Path]:
+def plot_figures(run: Run, worlds: Sequence[int] | None = None) -> list[Path]:
     """Draw all figures of a run; older ones of the same name are replaced.
 
     ``outcomes.png``, ``distances.png`` and ``time_to_goal.png`` about all robots, and one
@@ -30,57 +30,57 @@ def make(run: Run, worlds: Sequence[int] | None = None) -> list[Path]:
     """
     folder = run.path / FIGURES
     name, episodes = run.scenario.name, run.episodes
-    chosen = _chosen(run, worlds) if run.scenario.time.record_hz > 0 else {}
+    selected = _select_worlds(run, worlds) if run.scenario.time.record_hz > 0 else {}
     paths = [
-        style.save(statistics.outcomes(episodes, name), folder / "outcomes.png"),
-        style.save(statistics.distances(episodes, name), folder / "distances.png"),
-        style.save(
-            statistics.times(episodes, name, run.scenario.time.horizon_s),
+        style.save_figure(statistics.plot_outcomes(episodes, name), folder / "outcomes.png"),
+        style.save_figure(statistics.plot_distances(episodes, name), folder / "distances.png"),
+        style.save_figure(
+            statistics.plot_times(episodes, name, run.scenario.time.horizon_s),
             folder / "time_to_goal.png",
         ),
     ]
-    paths += [world_map(run, world, word) for world, word in chosen.items()]
+    paths += [save_world_map(run, world, label) for world, label in selected.items()]
     if run.scenario.task_spec() is not None:
-        paths += [task_map(run, world) for world in chosen]
+        paths += [save_task_map(run, world) for world in selected]
     return paths
 
 
-def task_map(run: Run, world: int) -> Path:
+def save_task_map(run: Run, world: int) -> Path:
     """Draw what a team did of its task in one world.
 
     Args:
         run: run folder of a scenario with a task, with trajectories.
         world: global index.
     """
-    figure = task_figure.draw(run, scene.read(run, world))
-    return style.save(figure, run.path / FIGURES / f"task_world_{world}.png")
+    figure = task_figure.plot_task(run, scene.read_scene(run, world))
+    return style.save_figure(figure, run.path / FIGURES / f"task_world_{world}.png")
 
 
-def world_map(run: Run, world: int, word: str = "") -> Path:
+def save_world_map(run: Run, world: int, label: str = "") -> Path:
     """Draw the map of one world.
 
     Args:
         run: run folder, with trajectories.
         world: global index.
-        word: why this one, for the title.
+        label: why this one, for the title.
     """
-    one = scene.read(run, world)
-    density = float(one.environment.density)
+    world_scene = scene.read_scene(run, world)
+    density = float(world_scene.environment.density)
     rock = f"{100 * density:.1f} % of the cells are rock" if density > 0 else "no rock"
-    figure = one_world.draw(
-        one,
-        title=f"World {world}{word}: {one_world.describe(one)}",
+    figure = world_map.plot_world(
+        world_scene,
+        title=f"World {world}{label}: {world_map.describe_outcomes(world_scene)}",
         subtitle=f"{run.scenario.name}, seed {run.scenario.seed}; {rock}",
     )
-    return style.save(figure, run.path / FIGURES / f"map_world_{world}.png")
+    return style.save_figure(figure, run.path / FIGURES / f"map_world_{world}.png")
 
 
-def _chosen(run: Run, worlds: Sequence[int] | None) -> dict[int, str]:
+def _select_worlds(run: Run, worlds: Sequence[int] | None) -> dict[int, str]:
     """Worlds to map, and what to call them."""
     if worlds is not None:
-        held = set(run.episodes["world"].to_pylist())
+        indices = set(run.episodes["world"].to_pylist())
         for world in worlds:
-            if world not in held:
+            if world not in indices:
                 raise ConfigError(f"world {world} is not in {run.path}")
         return dict.fromkeys(worlds, "")
     worst, good = worst_world(run), good_world(run)

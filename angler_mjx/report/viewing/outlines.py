@@ -8,7 +8,7 @@ _RIM = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
 _CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
 
 
-def outline(
+def project_outline(
     kind: int, size_m: np.ndarray, p: np.ndarray, q: np.ndarray, axes: tuple[int, int]
 ) -> np.ndarray:
     """Outline of an obstacle seen along a world axis.
@@ -26,17 +26,17 @@ def outline(
     flat = list(axes)
     rim = np.stack([np.cos(_RIM), np.sin(_RIM)], axis=1)
     if kind == BOX:
-        corners = (_CORNERS * size_m) @ rotation(q).T
-        return _hull(p[flat] + corners[:, flat])
+        corners = (_CORNERS * size_m) @ rotation_matrix(q).T
+        return _convex_hull(p[flat] + corners[:, flat])
     if kind == CAPSULE:
-        arm = rotation(q)[:, 2] * size_m[1]
+        arm = rotation_matrix(q)[:, 2] * size_m[1]
         ends = np.concatenate([rim * size_m[0] + arm[flat], rim * size_m[0] - arm[flat]])
-        return _hull(p[flat] + ends)
+        return _convex_hull(p[flat] + ends)
     circle: np.ndarray = p[flat] + rim * size_m[0]
     return circle
 
 
-def rotation(q: np.ndarray) -> np.ndarray:
+def rotation_matrix(q: np.ndarray) -> np.ndarray:
     """Rotation matrix [3, 3] of a unit quaternion wxyz."""
     w, x, y, z = q
     return np.array(
@@ -48,21 +48,21 @@ def rotation(q: np.ndarray) -> np.ndarray:
     )
 
 
-def _hull(points: np.ndarray) -> np.ndarray:
+def _convex_hull(points: np.ndarray) -> np.ndarray:
     """Convex hull of points [n, 2], anticlockwise (Andrew's monotone chain)."""
     ordered = points[np.lexsort((points[:, 1], points[:, 0]))]
-    lower, upper = _chain(ordered), _chain(ordered[::-1])
+    lower, upper = _hull_chain(ordered), _hull_chain(ordered[::-1])
     return np.array(lower[:-1] + upper[:-1])
 
 
-def _chain(points: np.ndarray) -> list[np.ndarray]:
-    kept: list[np.ndarray] = []
+def _hull_chain(points: np.ndarray) -> list[np.ndarray]:
+    chain: list[np.ndarray] = []
     for point in points:
-        while len(kept) > 1 and _turn(kept[-2], kept[-1], point) <= 0:
-            kept.pop()
-        kept.append(point)
-    return kept
+        while len(chain) > 1 and _turn_direction(chain[-2], chain[-1], point) <= 0:
+            chain.pop()
+        chain.append(point)
+    return chain
 
 
-def _turn(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> float:
+def _turn_direction(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> float:
     return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))

@@ -6,26 +6,26 @@ from types import ModuleType
 from typing import TYPE_CHECKING
 
 from angler_mjx.errors import RunError, UnsupportedError
-from angler_mjx.report.viewing import scene, window
-from angler_mjx.report.viewing.choose import good_world, worst_world
-from angler_mjx.report.viewing.maps import one_world
-from angler_mjx.runs.storage.atomic import replacing
+from angler_mjx.report.viewing import scene, viewer_window
+from angler_mjx.report.viewing.maps import world_map
+from angler_mjx.report.viewing.world_selection import good_world, worst_world
+from angler_mjx.runs.storage.atomic_files import replace_file
 from angler_mjx.runs.storage.folder import REPLAY, Run
 
 if TYPE_CHECKING:
     import rerun as rr
     import rerun.blueprint as rrb
 
-__all__ = ["good_world", "show", "worst_world", "write"]
+__all__ = ["good_world", "show_world", "worst_world", "write_replay"]
 
-SERVED_TO = "127.0.0.1"
+SERVER_ADDRESS = "127.0.0.1"
 """Address of this machine alone; without ``--bind`` Rerun's server listens on all interfaces."""
 
 _PLAYBACK_SPEED = 4.0
 """Seconds of the run in one of the viewer's: a crossing takes a quarter of a minute."""
 
 
-def write(run: Run, worlds: Sequence[int] | None = None, out: Path | None = None) -> Path:
+def write_replay(run: Run, worlds: Sequence[int] | None = None, out: Path | None = None) -> Path:
     """Write a replay file; an older one is replaced.
 
     Args:
@@ -40,15 +40,15 @@ def write(run: Run, worlds: Sequence[int] | None = None, out: Path | None = None
         RunError: the file cannot be written.
     """
     chosen = list(dict.fromkeys([worst_world(run), good_world(run)] if worlds is None else worlds))
-    rr = _rerun(run, chosen[0])
-    scenes = [scene.read(run, world) for world in chosen]
+    rr = _import_rerun(run, chosen[0])
+    scenes = [scene.read_scene(run, world) for world in chosen]
     path = run.path / REPLAY if out is None else out
-    recording = rr.RecordingStream("angler_mjx", recording_id=_name(run))
+    recording = rr.RecordingStream("angler_mjx", recording_id=_recording_id(run))
     try:
-        with replacing(path, flag="--out", force=True) as writing:
+        with replace_file(path, flag="--out", force=True) as writing:
             recording.save(writing)
-            window.activate(recording, _blueprint(scenes))
-            _log(recording, scenes)
+            viewer_window.activate_blueprint(recording, _build_blueprint(scenes))
+            _log_scenes(recording, scenes)
             recording.flush()
             recording.disconnect()
     except OSError as error:
@@ -56,7 +56,7 @@ def write(run: Run, worlds: Sequence[int] | None = None, out: Path | None = None
     return path
 
 
-def show(run: Run, world: int) -> None:
+def show_world(run: Run, world: int) -> None:
     """Open the Rerun viewer on one world of a run.
 
     Args:
@@ -67,23 +67,23 @@ def show(run: Run, world: int) -> None:
         UnsupportedError: Rerun is not installed, or there is no display.
         ConfigError: the run stored no trajectories, or does not hold that world.
     """
-    rr = _rerun(run, world)
-    if not window.has_display():
+    rr = _import_rerun(run, world)
+    if not viewer_window.has_display():
         name = f"world_{world}.rrd"
         raise UnsupportedError(
             "no display to open the viewer on; write this world to a file with "
             f"`angler replay {run.path} --world {world} --out {name}`, then open the file on a "
             f"machine with a display (`rerun {name}`), or serve it to browsers of this machine "
-            f"alone (`rerun --serve-web --bind {SERVED_TO} {name}`)"
+            f"alone (`rerun --serve-web --bind {SERVER_ADDRESS} {name}`)"
         )
-    scenes = [scene.read(run, world)]
-    recording = rr.RecordingStream("angler_mjx", recording_id=_name(run))
-    window.open_on(recording, _blueprint(scenes))
-    _log(recording, scenes)
+    scenes = [scene.read_scene(run, world)]
+    recording = rr.RecordingStream("angler_mjx", recording_id=_recording_id(run))
+    viewer_window.open_viewer(recording, _build_blueprint(scenes))
+    _log_scenes(recording, scenes)
     recording.flush()
 
 
-def _rerun(run: Run, world: int) -> ModuleType:
+def _import_rerun(run: Run, world: int) -> ModuleType:
     try:
         import rerun
     except ImportError as error:
@@ -96,26 +96,26 @@ def _rerun(run: Run, world: int) -> ModuleType:
     return rerun
 
 
-def _name(run: Run) -> str:
+def _recording_id(run: Run) -> str:
     return f"{run.path.name} ({run.scenario.name}, seed {run.scenario.seed})"
 
 
-def _root(world: int) -> str:
+def _world_root(world: int) -> str:
     return f"world_{world}"
 
 
-def _log(recording: "rr.RecordingStream", scenes: Sequence[scene.ReplayScene]) -> None:
+def _log_scenes(recording: "rr.RecordingStream", scenes: Sequence[scene.ReplayScene]) -> None:
     from angler_mjx.report.viewing.replay_world import log_world
 
-    for one in scenes:
-        log_world(recording, one, _root(one.world))
+    for world_scene in scenes:
+        log_world(recording, world_scene, _world_root(world_scene.world))
 
 
-def _blueprint(scenes: Sequence[scene.ReplayScene]) -> "rrb.Blueprint":
+def _build_blueprint(scenes: Sequence[scene.ReplayScene]) -> "rrb.Blueprint":
     """One tab a world; the run plays at once and again when it is over."""
     import rerun.blueprint as rrb
 
-    tabs = [_tab(one) for one in scenes]
+    tabs = [_build_tab(world_scene) for world_scene in scenes]
     panel = rrb.TimePanel(
         timeline="time",
         playback_speed=_PLAYBACK_SPEED,
@@ -123,38 +123,40 @@ def _blueprint(scenes: Sequence[scene.ReplayScene]) -> "rrb.Blueprint":
         loop_mode="all",
         state="collapsed",
     )
-    return window.layout(rrb.Tabs(*tabs) if len(tabs) > 1 else tabs[0], panel)
+    return viewer_window.build_blueprint(rrb.Tabs(*tabs) if len(tabs) > 1 else tabs[0], panel)
 
 
-def _tab(one: scene.ReplayScene) -> "rrb.Horizontal":
+def _build_tab(world_scene: scene.ReplayScene) -> "rrb.Horizontal":
     """The world in space; beside it the fleet's table, distances to goal or progress, events."""
     import rerun.blueprint as rrb
 
-    from angler_mjx.report.viewing.entities import MOST_NAMED
+    from angler_mjx.report.viewing.entities import MAX_NAMED
 
-    root = f"/{_root(one.world)}"
-    eye = window.from_above(one.bounds_m)
-    space = window.space_view([f"{root}/space/**"], root, "World", eye)
-    whole = rrb.TimeRange(
+    root = f"/{_world_root(world_scene.world)}"
+    eye = viewer_window.eye_above(world_scene.bounds_m)
+    space = viewer_window.space_view([f"{root}/space/**"], root, "World", eye)
+    time_range = rrb.TimeRange(
         start=rrb.TimeRangeBoundary.absolute(seconds=0.0),
-        end=rrb.TimeRangeBoundary.absolute(seconds=float(one.time_s[-1])),
+        end=rrb.TimeRangeBoundary.absolute(seconds=float(world_scene.time_s[-1])),
     )
     columns = rrb.TextLogColumns(timeline_columns=["time"], text_log_columns=["LogLevel", "Body"])
     plotted, name = "distance_to_goal_m", "Distance to goal, m"
-    if one.task is not None:
+    if world_scene.task is not None:
         plotted, name = "progress", "Progress, %"
-    named = one.task is None and len(one.robots) <= MOST_NAMED
+    named = world_scene.task is None and len(world_scene.robots) <= MAX_NAMED
     side = rrb.Vertical(
         rrb.TextDocumentView(origin=f"{root}/fleet", name="Fleet"),
         rrb.TimeSeriesView(
             origin=f"{root}/{plotted}",
             name=name,
-            axis_x=rrb.TimeAxis(view_range=whole),
-            axis_y=None if one.task is None else rrb.ScalarAxis(range=(0.0, 102.0)),
+            axis_x=rrb.TimeAxis(view_range=time_range),
+            axis_y=None if world_scene.task is None else rrb.ScalarAxis(range=(0.0, 102.0)),
             plot_legend=rrb.PlotLegend(visible=named),
         ),
         rrb.TextLogView(origin=f"{root}/events", name="Events", columns=columns),
         row_shares=[3, 3, 2],
     )
-    arrived = one_world.describe(one).split(",")[0]
-    return rrb.Horizontal(space, side, column_shares=[3, 1.4], name=f"World {one.world}: {arrived}")
+    arrived = world_map.describe_outcomes(world_scene).split(",")[0]
+    return rrb.Horizontal(
+        space, side, column_shares=[3, 1.4], name=f"World {world_scene.world}: {arrived}"
+    )

@@ -12,7 +12,7 @@ from angler_mjx.report.viewing.entities import task as of_task
 from angler_mjx.report.viewing.entities.water import log_flow
 from angler_mjx.report.viewing.scene import ReplayScene, RobotTrack
 from angler_mjx.robot.vehicles import library
-from angler_mjx.world.tasks.history import Doing, Goods, TaskHistory
+from angler_mjx.world.tasks.history import GoodsStatus, RobotActivity, TaskHistory
 
 _TRAIL_POINTS = 2_000_000
 """Points in all growing trails of a world, at most: 24 MB."""
@@ -29,11 +29,11 @@ def log_world(recording: rr.RecordingStream, scene: ReplayScene, root: str) -> N
     recording.log(root, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     entities.log_surroundings(recording, scene, f"{root}/space")
     entities.log_obstacles(recording, scene, f"{root}/space/obstacles")
-    times = [entities.times(scene.time_s)]
-    for name, shape, fields in entities.poses(scene):
+    times = [entities.time_column(scene.time_s)]
+    for name, shape, fields in entities.obstacle_poses(scene):
         recording.send_columns(f"{root}/space/obstacles/{name}", times, shape.columns(**fields))
     for robot in scene.robots:
-        _robot(recording, scene, robot, root)
+        _log_robot(recording, scene, robot, root)
     scale_s = log_flow(recording, scene, f"{root}/space/flow")
     origins = np.stack([robot.p_m for robot in scene.robots], axis=1)
     current = np.stack([robot.current_mps for robot in scene.robots], axis=1)
@@ -46,160 +46,168 @@ def log_world(recording: rr.RecordingStream, scene: ReplayScene, root: str) -> N
         recording.log(f"{root}/fleet", _fleet_table(scene), static=True)
     else:
         of_task.log_task(recording, scene, scene.task, f"{root}/space/task")
-        _progress(recording, scene, scene.task, root)
-    _events(recording, scene, f"{root}/events")
+        _log_progress(recording, scene, scene.task, root)
+    _log_events(recording, scene, f"{root}/events")
 
 
-def _robot(recording: rr.RecordingStream, scene: ReplayScene, robot: RobotTrack, root: str) -> None:
+def _log_robot(
+    recording: rr.RecordingStream, scene: ReplayScene, robot: RobotTrack, root: str
+) -> None:
     name = f"robot_{robot.index}"
-    space, times = f"{root}/space/{name}", [entities.times(scene.time_s)]
-    entities.log_still(
+    space, times = f"{root}/space/{name}", [entities.time_column(scene.time_s)]
+    entities.log_robot(
         recording,
-        library.load(robot.vehicle_file),
+        library.load_vehicle(robot.vehicle_file),
         robot.index,
         space,
         goal_m=robot.goal_m,
         plan_m=robot.plan_m,
-        named=len(scene.robots) <= entities.MOST_NAMED,
+        named=len(scene.robots) <= entities.MAX_NAMED,
     )
     recording.send_columns(
         f"{space}/vehicle",
         times,
-        rr.Transform3D.columns(translation=robot.p_m, quaternion=entities.xyzw(robot.q)),
+        rr.Transform3D.columns(translation=robot.p_m, quaternion=entities.to_xyzw(robot.q)),
     )
-    _trail(recording, scene, robot, f"{space}/trail")
-    _label(recording, scene, robot, f"{space}/vehicle/label")
+    _log_trail(recording, scene, robot, f"{space}/trail")
+    _log_label(recording, scene, robot, f"{space}/vehicle/label")
     if not np.isfinite(robot.goal_m).all():
         return
-    away = np.linalg.norm(robot.p_m - robot.goal_m, axis=1)
+    distance_m = np.linalg.norm(robot.p_m - robot.goal_m, axis=1)
     series = f"{root}/distance_to_goal_m/{name}"
-    color = entities.color_of(robot.index)
+    color = entities.robot_rgba(robot.index)
     recording.log(
         series, rr.SeriesLines(colors=[color], names=[str(robot.index)], widths=[2]), static=True
     )
-    recording.send_columns(series, times, rr.Scalars.columns(scalars=away))
+    recording.send_columns(series, times, rr.Scalars.columns(scalars=distance_m))
 
 
-def _trail(recording: rr.RecordingStream, scene: ReplayScene, robot: RobotTrack, path: str) -> None:
+def _log_trail(
+    recording: rr.RecordingStream, scene: ReplayScene, robot: RobotTrack, path: str
+) -> None:
     """The way taken so far: a line that grows about once a second."""
-    flown = scene.way_taken(robot)
-    count = len(flown)
+    path_m = scene.flown_path(robot)
+    count = len(path_m)
     step = max(1, round(1.0 / max(float(scene.time_s[1]), 1e-3))) if len(scene.time_s) > 1 else 1
     # n updates of a line of T points hold n T / 2 points; a large fleet gets fewer updates.
-    most = max(2 * _TRAIL_POINTS // (len(scene.robots) * max(count, 1)), 1)
-    step = max(step, -(-count // most))
+    max_lines = max(2 * _TRAIL_POINTS // (len(scene.robots) * max(count, 1)), 1)
+    step = max(step, -(-count // max_lines))
     ends = np.unique(np.r_[np.arange(2, count, step), count])
     recording.send_columns(
         path,
-        [entities.times(scene.time_s[ends - 1])],
-        rr.LineStrips3D.columns(strips=[flown[:end] for end in ends]),
+        [entities.time_column(scene.time_s[ends - 1])],
+        rr.LineStrips3D.columns(strips=[path_m[:end] for end in ends]),
     )
 
 
-def _label(recording: rr.RecordingStream, scene: ReplayScene, robot: RobotTrack, path: str) -> None:
+def _log_label(
+    recording: rr.RecordingStream, scene: ReplayScene, robot: RobotTrack, path: str
+) -> None:
     """The robot's number above it, with the outcome once it is known; a crowd's failures alone."""
-    few = len(scene.robots) <= entities.MOST_NAMED
-    at, words = [0.0], [str(robot.index)]
+    is_named = len(scene.robots) <= entities.MAX_NAMED
+    times_s, labels = [0.0], [str(robot.index)]
     if scene.task is not None:
-        at, words = _phases(scene.task, robot)
-    until = [t for t in at if t < robot.end_time_s]
-    count = len(until)
-    words = [*words[:count], f"{robot.index}: {scene.ended(robot)}"]
-    color, end = entities.color_of(robot.index), entities.ending(arrived=robot.arrived)
+        times_s, labels = _label_phases(scene.task, robot)
+    times_until_end = [t for t in times_s if t < robot.end_time_s]
+    count = len(times_until_end)
+    labels = [*labels[:count], f"{robot.index}: {scene.ended(robot)}"]
+    color, end = entities.robot_rgba(robot.index), entities.ending_color(arrived=robot.arrived)
     recording.send_columns(
         path,
-        [entities.times(np.array([*until, robot.end_time_s]))],
+        [entities.time_column(np.array([*times_until_end, robot.end_time_s]))],
         rr.Points3D.columns(
-            labels=words,
+            labels=labels,
             colors=[*[color] * count, end],
             radii=[*[entities.DOT] * count, entities.LARGE_DOT],
-            show_labels=[*[few] * count, few or not robot.arrived],
+            show_labels=[*[is_named] * count, is_named or not robot.arrived],
         ),
     )
 
 
-def _phases(task: TaskHistory, robot: RobotTrack) -> tuple[list[float], list[str]]:
+def _label_phases(task: TaskHistory, robot: RobotTrack) -> tuple[list[float], list[str]]:
     """Times at which a robot begins to do something else, and its label from then on."""
-    words = [
-        str(robot.index) if doing == Doing.GOES else f"{robot.index}: {task.does(k, robot.index)}"
+    labels = [
+        str(robot.index)
+        if doing == RobotActivity.GOES
+        else f"{robot.index}: {task.describe_activity(k, robot.index)}"
         for k, doing in enumerate(task.doing[:, robot.index])
     ]
-    at = [k for k in range(len(words)) if k == 0 or words[k] != words[k - 1]]
-    return task.time_s[at].tolist(), [words[k] for k in at]
+    samples = [k for k in range(len(labels)) if k == 0 or labels[k] != labels[k - 1]]
+    return task.time_s[samples].tolist(), [labels[k] for k in samples]
 
 
-def _events(recording: rr.RecordingStream, scene: ReplayScene, path: str) -> None:
-    told = [] if scene.task is None else _jobs(scene.task)
+def _log_events(recording: rr.RecordingStream, scene: ReplayScene, path: str) -> None:
+    events = [] if scene.task is None else _job_events(scene.task)
     for robot in scene.robots:
         text = f"robot {robot.index} {scene.ended(robot)}"
         if robot.failure_pair != "none":
             text += f" ({robot.failure_pair})"
-        told.append((robot.end_time_s, text, "INFO" if robot.arrived else "ERROR"))
-    for at_s, text, level in sorted(told, key=lambda one: one[0]):
+        events.append((robot.end_time_s, text, "INFO" if robot.arrived else "ERROR"))
+    for at_s, text, level in sorted(events, key=lambda event: event[0]):
         recording.set_time("time", duration=at_s)
         recording.log(path, rr.TextLog(f"{at_s:.1f} s: {text}", level=level))
     recording.reset_time()
 
 
-def _jobs(task: TaskHistory) -> list[tuple[float, str, str]]:
+def _job_events(task: TaskHistory) -> list[tuple[float, str, str]]:
     """Times, texts and levels of what was done of a task; viewpoints of a survey are too many."""
-    told = []
+    events = []
     for job in np.flatnonzero(task.exists).tolist():
         at_s, by = float(task.done_at_s[job]), int(task.by[job])
         if np.isfinite(at_s) and task.spec.kind == "tour":
-            who = f"by robot {by}" if task.spec.shared else f"by all, robot {by} the last"
-            told.append((at_s, f"place {job} visited {who}", "INFO"))
+            doer = f"by robot {by}" if task.spec.shared else f"by all, robot {by} the last"
+            events.append((at_s, f"place {job} visited {doer}", "INFO"))
         elif np.isfinite(at_s) and task.spec.kind == "deliver":
-            told.append((at_s, f"goods {job} brought by robot {by}", "INFO"))
+            events.append((at_s, f"goods {job} brought by robot {by}", "INFO"))
         if task.spec.kind == "deliver":
-            told += _handled(task, job)
+            events += _goods_events(task, job)
     if np.isfinite(task.completed_s):
-        told.append((task.completed_s, "the task is complete", "INFO"))
-    return told
+        events.append((task.completed_s, "the task is complete", "INFO"))
+    return events
 
 
-def _handled(task: TaskHistory, job: int) -> list[tuple[float, str, str]]:
+def _goods_events(task: TaskHistory, job: int) -> list[tuple[float, str, str]]:
     """When goods were taken up, and lost or back where they were, as far as samples tell."""
-    where, told = task.goods[:, job], []
-    for k in (np.flatnonzero(where[1:] != where[:-1]) + 1).tolist():
+    goods_state, events = task.goods[:, job], []
+    for k in (np.flatnonzero(goods_state[1:] != goods_state[:-1]) + 1).tolist():
         at_s, robot = float(task.time_s[k]), int(task.carrier[k - 1, job])
-        if where[k] == Goods.TRAVEL:
+        if goods_state[k] == GoodsStatus.TRAVEL:
             taken = f"goods {job} taken up by robot {task.carrier[k, job]}"
-            told.append((at_s, taken, "INFO"))
-        elif where[k] in (Goods.LOST, Goods.WAIT):
-            fate = "lost" if where[k] == Goods.LOST else "back where they were"
-            told.append((at_s, f"goods {job} {fate}: robot {robot} ended", "ERROR"))
-    return told
+            events.append((at_s, taken, "INFO"))
+        elif goods_state[k] in (GoodsStatus.LOST, GoodsStatus.WAIT):
+            fate = "lost" if goods_state[k] == GoodsStatus.LOST else "back where they were"
+            events.append((at_s, f"goods {job} {fate}: robot {robot} ended", "ERROR"))
+    return events
 
 
-def _progress(
+def _log_progress(
     recording: rr.RecordingStream, scene: ReplayScene, task: TaskHistory, root: str
 ) -> None:
     """The share of a task over time; and its words with a table of what each robot does."""
-    share = f"{root}/progress/share"
+    fraction_path = f"{root}/progress/share"
     line = rr.SeriesLines(colors=[of_task.SEEN], names=["share"], widths=[2])
-    recording.log(share, line, static=True)
-    columns = rr.Scalars.columns(scalars=100.0 * task.share)
-    recording.send_columns(share, [entities.times(task.time_s)], columns)
-    told: list[str] = []
-    at: list[int] = []
+    recording.log(fraction_path, line, static=True)
+    columns = rr.Scalars.columns(scalars=100.0 * task.progress)
+    recording.send_columns(fraction_path, [entities.time_column(task.time_s)], columns)
+    texts: list[str] = []
+    samples: list[int] = []
     for sample in range(len(task.time_s)):
         text = _task_table(scene, task, sample)
-        if not told or text != told[-1]:
-            told.append(text)
-            at.append(sample)
+        if not texts or text != texts[-1]:
+            texts.append(text)
+            samples.append(sample)
     recording.send_columns(
         f"{root}/fleet",
-        [entities.times(task.time_s[at])],
-        rr.TextDocument.columns(text=told, media_type=[rr.MediaType.MARKDOWN] * len(at)),
+        [entities.time_column(task.time_s[samples])],
+        rr.TextDocument.columns(text=texts, media_type=[rr.MediaType.MARKDOWN] * len(samples)),
     )
 
 
 def _task_table(scene: ReplayScene, task: TaskHistory, sample: int) -> str:
     def does(robot: RobotTrack) -> str:
-        return task.does(sample, robot.index) or scene.ended(robot)
+        return task.describe_activity(sample, robot.index) or scene.ended(robot)
 
-    lines = [f"# World {scene.world}", "", f"**{task.words(sample)}**", ""]
+    lines = [f"# World {scene.world}", "", f"**{task.describe_progress(sample)}**", ""]
     lines += ["| | vehicle | does | jobs done |", "|---|---|---|---|"]
     lines += [
         f"| **{robot.index}** | {robot.vehicle} | {does(robot)} | {task.did[sample, robot.index]} |"

@@ -11,9 +11,9 @@ import pyarrow.compute as pc
 from angler_mjx.errors import ConfigError
 from angler_mjx.report.viewing import style
 from angler_mjx.runs.storage import environments as store
-from angler_mjx.runs.storage import layout
-from angler_mjx.runs.storage.damage import reading
+from angler_mjx.runs.storage import trajectory_layout
 from angler_mjx.runs.storage.folder import TRAJECTORIES, Run
+from angler_mjx.runs.storage.read_errors import wrap_read_errors
 from angler_mjx.runs.storage.results import end_time_s
 from angler_mjx.world import currents
 from angler_mjx.world.environment import Environment
@@ -81,11 +81,11 @@ class ReplayScene:
         low = np.asarray(grid.origin_m)
         return low, low + float(grid.cell_m) * np.asarray(grid.occupied.shape)
 
-    def way_taken(self, robot: RobotTrack) -> np.ndarray:
+    def flown_path(self, robot: RobotTrack) -> np.ndarray:
         """Positions [n, 3] of a robot until its end; a diverged one's last are left out."""
         until_end = self.time_s <= robot.end_time_s + 1e-6
-        way: np.ndarray = robot.p_m[until_end & np.isfinite(robot.p_m).all(axis=1)]
-        return way
+        path_m: np.ndarray = robot.p_m[until_end & np.isfinite(robot.p_m).all(axis=1)]
+        return path_m
 
     def ended(self, robot: RobotTrack) -> str:
         """How a robot ended, in words; with a task it has no goal to reach."""
@@ -101,7 +101,7 @@ class ReplayScene:
         return np.asarray(field(self.environment.current, points, time))
 
 
-def read(run: Run, world: int) -> ReplayScene:
+def read_scene(run: Run, world: int) -> ReplayScene:
     """One world of a run.
 
     Args:
@@ -114,19 +114,19 @@ def read(run: Run, world: int) -> ReplayScene:
     rows = run.episodes.filter(pc.field("world") == world).to_pylist()
     if not rows:
         raise ConfigError(f"world {world} is not in {run.path}")
-    with reading(run.path / TRAJECTORIES):
-        return _read(run, world, rows)
+    with wrap_read_errors(run.path / TRAJECTORIES):
+        return _load_scene(run, world, rows)
 
 
-def _read(run: Run, world: int, rows: list[dict[str, Any]]) -> ReplayScene:
+def _load_scene(run: Run, world: int, rows: list[dict[str, Any]]) -> ReplayScene:
     stored: Any = run.trajectories
     files = {label: run.vehicle_file(label) for label in {row["vehicle"] for row in rows}}
-    environment = store.read(stored["environment"], world)
+    environment = store.read_environments(stored["environment"], world)
     last = max(end_time_s(row) for row in rows)
     time = np.asarray(stored["time_s"])
     count = min(time.size, int(np.searchsorted(time, last)) + 1)
     robots = {name: stored[name][world, :count] for name in ("p_m", "q", "current_mps")}
-    courses = layout.courses(stored, world)
+    courses = trajectory_layout.plan_courses(stored, world)
     spec = run.scenario.task_spec()
     tracks = tuple(
         RobotTrack(
@@ -156,7 +156,7 @@ def _read(run: Run, world: int, rows: list[dict[str, Any]]) -> ReplayScene:
         replan_hz=run.scenario.planner.replan_hz,
         task=None
         if spec is None
-        else layout.read_task(
+        else trajectory_layout.read_task(
             stored,
             world,
             spec,

@@ -11,10 +11,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
 from angler_mjx.report.viewing import style
-from angler_mjx.runs.storage.results import OUTCOMES, completion_times, rates
+from angler_mjx.runs.storage.results import OUTCOMES, completion_times, outcome_rates
 
 
-def kinds(episodes: pa.Table) -> list[tuple[str, str]]:
+def robot_kinds(episodes: pa.Table) -> list[tuple[str, str]]:
     """Vehicle and parameter set of all kinds of robot in a run, sorted."""
     pairs = zip(episodes["vehicle"].to_pylist(), episodes["parameter_set"].to_pylist(), strict=True)
     return sorted(set(pairs))
@@ -27,29 +27,29 @@ def rows_of(episodes: pa.Table, kind: tuple[str, str]) -> pa.Table:
     )
 
 
-def outcomes(episodes: pa.Table, name: str) -> Figure:
+def plot_outcomes(episodes: pa.Table, name: str) -> Figure:
     """Share of robots by outcome, with 95 % intervals clustered by world, of all and of each kind.
 
     Args:
         episodes: rows of the run.
         name: of the scenario, for the title.
     """
-    groups = kinds(episodes)
-    with style.styled():
+    groups = robot_kinds(episodes)
+    with style.figure_style():
         figure = style.new_figure(9.6, 5.4 + 0.46 * len(groups), headline_in=0.65)
         top, bottom = figure.subplots(
             2, 1, height_ratios=[len(OUTCOMES) + 0.5, 1.2 + 0.9 * len(groups)]
         )
-        all_rates = rates(episodes)
+        all_rates = outcome_rates(episodes)
         _rate_bars(top, all_rates)
-        style.headline(
+        style.add_headline(
             figure,
             f"{name}: {_headline(episodes, all_rates['reached']['rate'])}",
             f"{episodes.num_rows:,} robots in {len(set(episodes['world'].to_pylist())):,} worlds; "
             "lines are 95 % intervals, clustered by world",
         )
         top.set_title("All robots")
-        _stacked_kinds(bottom, {kind: rates(rows_of(episodes, kind)) for kind in groups})
+        _stacked_kinds(bottom, {kind: outcome_rates(rows_of(episodes, kind)) for kind in groups})
     return figure
 
 
@@ -58,18 +58,18 @@ def _headline(episodes: pa.Table, reached: float) -> str:
     completed_s = completion_times(episodes)
     if completed_s is None:
         return f"{100 * reached:.0f} % of robots arrived"
-    share = 100 * np.mean(np.isfinite(completed_s))
-    return f"{share:.0f} % of tasks completed, {100 * reached:.0f} % of robots did their part"
+    percent = 100 * np.mean(np.isfinite(completed_s))
+    return f"{percent:.0f} % of tasks completed, {100 * reached:.0f} % of robots did their part"
 
 
 def _rate_bars(axes: Axes, table: Mapping[str, Mapping[str, float]]) -> None:
-    for place, outcome in enumerate(OUTCOMES):
+    for row_index, outcome in enumerate(OUTCOMES):
         row = table[outcome]
-        axes.barh(place, row["rate"], height=0.66, color=style.OUTCOMES[outcome])
-        axes.plot([row["low"], row["high"]], [place, place], color=style.INK, linewidth=1.3)
+        axes.barh(row_index, row["rate"], height=0.66, color=style.OUTCOMES[outcome])
+        axes.plot([row["low"], row["high"]], [row_index, row_index], color=style.INK, linewidth=1.3)
         axes.text(
             max(row["high"], row["rate"]) + 0.012,
-            place,
+            row_index,
             f"{100 * row['rate']:.1f} %  ({row['count']:,})",
             va="center",
             fontsize=8.8,
@@ -78,8 +78,8 @@ def _rate_bars(axes: Axes, table: Mapping[str, Mapping[str, float]]) -> None:
     axes.set_yticks(range(len(OUTCOMES)), [style.OUTCOME_TEXT[outcome] for outcome in OUTCOMES])
     axes.tick_params(axis="y", length=0, labelcolor=style.INK)
     axes.invert_yaxis()
-    most = max(row["high"] for row in table.values())
-    axes.set_xlim(0.0, min(1.16, most + 0.16))
+    max_rate = max(row["high"] for row in table.values())
+    axes.set_xlim(0.0, min(1.16, max_rate + 0.16))
     axes.xaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
     axes.set_xlabel("share of robots")
     axes.grid(axis="x")
@@ -90,12 +90,12 @@ def _stacked_kinds(
     axes: Axes, tables: Mapping[tuple[str, str], Mapping[str, Mapping[str, float]]]
 ) -> None:
     """One bar a kind of robot, its outcomes side by side; the interval is that of arrival."""
-    for place, table in enumerate(tables.values()):
+    for row_index, table in enumerate(tables.values()):
         left = 0.0
         for outcome in OUTCOMES:
             rate = table[outcome]["rate"]
             axes.barh(
-                place,
+                row_index,
                 rate,
                 left=left,
                 height=0.62,
@@ -106,7 +106,7 @@ def _stacked_kinds(
             if rate > 0.06:
                 axes.text(
                     left + 0.008,
-                    place,
+                    row_index,
                     f"{100 * rate:.0f} %",
                     va="center",
                     color=style.PAPER,
@@ -115,11 +115,11 @@ def _stacked_kinds(
                 )
             left += rate
         reached = table["reached"]
-        below = place + 0.39  # beside the bar, where it crosses no number
+        below = row_index + 0.39  # beside the bar, where it crosses no number
         axes.plot([reached["low"], reached["high"]], [below, below], color=style.INK, linewidth=1.6)
     labels = [
-        f"{vehicle}\n{chosen} ({round(sum(row['count'] for row in table.values())):,})"
-        for (vehicle, chosen), table in tables.items()
+        f"{vehicle}\n{parameter_set} ({round(sum(row['count'] for row in table.values())):,})"
+        for (vehicle, parameter_set), table in tables.items()
     ]
     axes.set_yticks(range(len(labels)), labels)
     axes.tick_params(axis="y", length=0, labelcolor=style.INK)
@@ -131,7 +131,7 @@ def _stacked_kinds(
     axes.spines["left"].set_visible(False)
 
 
-def distances(episodes: pa.Table, name: str) -> Figure:
+def plot_distances(episodes: pa.Table, name: str) -> Figure:
     """How near robots came to rock, floor and obstacles, and to each other.
 
     Args:
@@ -142,27 +142,27 @@ def distances(episodes: pa.Table, name: str) -> Figure:
         ("min_clearance_m", "least distance of the hull to rock, floor and obstacles, m"),
         ("min_separation_m", "least distance to another robot's hull, m"),
     ]
-    shown = [(column, label) for column, label in names if _finite(episodes, column).size]
-    arrived = _arrived(episodes)
-    with style.styled():
+    shown = [(column, label) for column, label in names if _finite_values(episodes, column).size]
+    arrived = _arrived_mask(episodes)
+    with style.figure_style():
         figure = style.new_figure(5.2 * max(len(shown), 1), 4.6, headline_in=0.65)
-        style.headline(
+        style.add_headline(
             figure,
-            f"{name}: {_passed(episodes)}",
+            f"{name}: {_describe_clearance(episodes)}",
             "least distances of whole episodes; 0 is touch; the last bar holds all beyond",
         )
         for axes, (column, label) in zip(
             figure.subplots(1, max(len(shown), 1), squeeze=False)[0], shown, strict=False
         ):
-            values = _column(episodes, column)
-            there = np.isfinite(values)
-            _touch_histogram(axes, values[there], arrived[there], label)
+            values = _read_column(episodes, column)
+            is_finite = np.isfinite(values)
+            _touch_histogram(axes, values[is_finite], arrived[is_finite], label)
     return figure
 
 
-def _passed(episodes: pa.Table) -> str:
+def _describe_clearance(episodes: pa.Table) -> str:
     """How near half of the robots that arrived came to something, in words."""
-    clearance = _column(episodes, "min_clearance_m")[_arrived(episodes)]
+    clearance = _read_column(episodes, "min_clearance_m")[_arrived_mask(episodes)]
     clearance = clearance[np.isfinite(clearance)]
     if clearance.size == 0:
         return "no robot arrived"
@@ -190,7 +190,7 @@ def _touch_histogram(axes: Axes, values: np.ndarray, arrived: np.ndarray, label:
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
 
 
-def times(episodes: pa.Table, name: str, horizon_s: float) -> Figure:
+def plot_times(episodes: pa.Table, name: str, horizon_s: float) -> Figure:
     """Share of robots that had arrived by a time, of each vehicle and parameter set.
 
     Robots that never arrive count in the share, so a curve ends at the rate of arrival. Of a run
@@ -201,25 +201,25 @@ def times(episodes: pa.Table, name: str, horizon_s: float) -> Figure:
         name: of the scenario, for the title.
         horizon_s: end of the run, s.
     """
-    completed_s, groups = completion_times(episodes), kinds(episodes)
+    completed_s, groups = completion_times(episodes), robot_kinds(episodes)
     never, unit = "none arrived", "robots at their goal"
     if completed_s is not None:
         never, unit = "none did its part", "worlds with the task completed, robots done"
-    with style.styled():
+    with style.figure_style():
         figure = style.new_figure(9.6, 4.6 + 0.11 * len(groups), headline_in=0.65)
         axes = figure.subplots()
-        shown = _finite(episodes, "time_to_goal_s")
+        shown = _finite_values(episodes, "time_to_goal_s")
         if completed_s is not None:
             done_s = completed_s[np.isfinite(completed_s)]
             total = len(completed_s)
-            _curve(axes, done_s, total, horizon_s, "task completed", "never", color=style.INK)
+            _plot_curve(axes, done_s, total, horizon_s, "task completed", "never", color=style.INK)
             shown = np.r_[shown, done_s]
         for i, kind in enumerate(groups):
             rows = rows_of(episodes, kind)
             line = ("-", "--", ":")[i // len(style.ROBOTS) % 3]
-            _curve(
+            _plot_curve(
                 axes,
-                _finite(rows, "time_to_goal_s"),
+                _finite_values(rows, "time_to_goal_s"),
                 rows.num_rows,
                 horizon_s,
                 f"{kind[0]}, {kind[1]}",
@@ -227,15 +227,15 @@ def times(episodes: pa.Table, name: str, horizon_s: float) -> Figure:
                 color=style.robot_color(i),
                 linestyle=line,
             )
-        style.headline(
+        style.add_headline(
             figure,
-            f"{name}: {_need(episodes, completed_s)}",
+            f"{name}: {_describe_time(episodes, completed_s)}",
             "a curve levels off at the share of its robots that ever arrive"
             if completed_s is None
             else "a curve levels off at the share of worlds that complete the task, or of robots "
             "that do their part",
         )
-        axes.set_xlim(*_window(shown, horizon_s))
+        axes.set_xlim(*_time_window(shown, horizon_s))
         axes.set_ylim(0.0, 1.02)
         axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
         axes.set_xlabel("time since the start, s")
@@ -245,18 +245,18 @@ def times(episodes: pa.Table, name: str, horizon_s: float) -> Figure:
     return figure
 
 
-def _need(episodes: pa.Table, completed_s: np.ndarray | None) -> str:
+def _describe_time(episodes: pa.Table, completed_s: np.ndarray | None) -> str:
     """Return the median time of what a run is about, in words."""
     if completed_s is None:
-        every = _finite(episodes, "time_to_goal_s")
-        none, those = "no robot arrived", "those that arrive need"
+        times_s = _finite_values(episodes, "time_to_goal_s")
+        none_text, subject = "no robot arrived", "those that arrive need"
     else:
-        every = completed_s[np.isfinite(completed_s)]
-        none, those = "no task was completed", "the tasks that are completed take"
-    return f"half of {those} at most {np.median(every):.0f} s" if every.size else none
+        times_s = completed_s[np.isfinite(completed_s)]
+        none_text, subject = "no task was completed", "the tasks that are completed take"
+    return f"half of {subject} at most {np.median(times_s):.0f} s" if times_s.size else none_text
 
 
-def _curve(
+def _plot_curve(
     axes: Axes,
     times_s: np.ndarray,
     total: int,
@@ -267,11 +267,11 @@ def _curve(
 ) -> None:
     """Draw the share of ``total`` that was done by each time, and name its median."""
     ordered = np.sort(times_s)
-    share = np.arange(1, ordered.size + 1) / max(total, 1)
+    fraction = np.arange(1, ordered.size + 1) / max(total, 1)
     median = f"median {np.median(ordered):.0f} s" if ordered.size else never
     axes.step(
         np.r_[0.0, ordered, horizon_s],
-        np.r_[0.0, share, share[-1] if ordered.size else 0.0],
+        np.r_[0.0, fraction, fraction[-1] if ordered.size else 0.0],
         where="post",
         linewidth=2.0,
         label=f"{name}: {median}",
@@ -279,7 +279,7 @@ def _curve(
     )
 
 
-def _window(arrival: np.ndarray, horizon_s: float) -> tuple[float, float]:
+def _time_window(arrival: np.ndarray, horizon_s: float) -> tuple[float, float]:
     """Part of the time axis in which robots arrive, with some room; all of it if none does."""
     if arrival.size == 0:
         return 0.0, horizon_s
@@ -287,16 +287,16 @@ def _window(arrival: np.ndarray, horizon_s: float) -> tuple[float, float]:
     return 10.0 * np.floor(first / 10.0), min(horizon_s, 10.0 * np.ceil(last / 10.0))
 
 
-def _column(episodes: pa.Table, name: str) -> np.ndarray:
+def _read_column(episodes: pa.Table, name: str) -> np.ndarray:
     values: np.ndarray = episodes[name].to_numpy()
     return values
 
 
-def _finite(episodes: pa.Table, name: str) -> np.ndarray:
-    values = _column(episodes, name)
-    kept: np.ndarray = values[np.isfinite(values)]
-    return kept
+def _finite_values(episodes: pa.Table, name: str) -> np.ndarray:
+    values = _read_column(episodes, name)
+    finite: np.ndarray = values[np.isfinite(values)]
+    return finite
 
 
-def _arrived(episodes: pa.Table) -> np.ndarray:
+def _arrived_mask(episodes: pa.Table) -> np.ndarray:
     return np.array([outcome == "reached" for outcome in episodes["outcome"].to_pylist()])

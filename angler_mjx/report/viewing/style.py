@@ -13,8 +13,8 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from PIL import Image
 
 from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.files import named
-from angler_mjx.runs.storage.atomic import whole
+from angler_mjx.files import format_path
+from angler_mjx.runs.storage.atomic_files import write_atomically
 
 INK, QUIET, FAINT, PAPER = "#1b2733", "#5d6b78", "#c9d1d8", "#ffffff"
 WATER = "#eef5f8"
@@ -61,7 +61,7 @@ def robot_color(index: int) -> str:
 
 
 @contextmanager
-def styled() -> Iterator[None]:
+def figure_style() -> Iterator[None]:
     """The look of all figures, inside a ``with``; nothing global is changed."""
     settings: Any = {
         "font.family": "DejaVu Sans",
@@ -97,7 +97,7 @@ def new_figure(width_in: float, height_in: float, *, headline_in: float = 0.0) -
     Args:
         width_in: width, inch.
         height_in: height, inch.
-        headline_in: height kept free at the top for `headline`, inch.
+        headline_in: height kept free at the top for `add_headline`, inch.
     """
     engine = ConstrainedLayoutEngine(
         rect=(0.0, 0.0, 1.0, 1.0 - headline_in / height_in), w_pad=0.1, h_pad=0.07
@@ -107,14 +107,14 @@ def new_figure(width_in: float, height_in: float, *, headline_in: float = 0.0) -
     return figure
 
 
-def headline(figure: Figure, title: str, subtitle: str) -> None:
+def add_headline(figure: Figure, title: str, subtitle: str) -> None:
     """Title and a quieter line below it, at the top left of a figure."""
     left, inch = 0.1 / figure.get_figwidth(), 1.0 / figure.get_figheight()
     figure.text(left, 1 - 0.1 * inch, title, fontsize=13.5, fontweight="bold", va="top")
     figure.text(left, 1 - 0.38 * inch, subtitle, fontsize=9.5, color=QUIET, va="top")
 
 
-FORMATS = (".png", ".pdf", ".svg", ".jpg")
+FIGURE_FORMATS = (".png", ".pdf", ".svg", ".jpg")
 """Ends of the names of figures that can be written."""
 
 
@@ -124,11 +124,13 @@ def require_format(path: Path, flag: str = "--out") -> None:
     Raises:
         ConfigError: naming those that there are.
     """
-    if path.suffix.lower() not in FORMATS:
-        raise ConfigError(f"{flag} {named(path)}: give a name that ends in {', '.join(FORMATS)}")
+    if path.suffix.lower() not in FIGURE_FORMATS:
+        raise ConfigError(
+            f"{flag} {format_path(path)}: give a name that ends in {', '.join(FIGURE_FORMATS)}"
+        )
 
 
-def save(figure: Figure, path: Path, *, palette: int | None = None) -> Path:
+def save_figure(figure: Figure, path: Path, *, palette: int | None = None) -> Path:
     """Write a figure, as PNG or what its name says; returns the path.
 
     Args:
@@ -148,11 +150,11 @@ def save(figure: Figure, path: Path, *, palette: int | None = None) -> Path:
         )
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with whole(path) as writing:
+        with write_atomically(path) as writing:
             figure.savefig(writing, dpi=160)
             if palette is not None:
-                with Image.open(writing) as drawn:
-                    drawn.convert("RGB").quantize(palette).save(writing, optimize=True)
+                with Image.open(writing) as image:
+                    image.convert("RGB").quantize(palette).save(writing, optimize=True)
     except OSError as error:
         raise RunError(f"{path}: cannot be written ({error.strerror or error})") from error
     return path

@@ -23,7 +23,7 @@ from angler_mjx.robot.vehicles.thrusters import PWM_LOW_US, PWM_STEP_US, FloatAr
 
 NEUTRAL_US = 1500.0
 """The signal of a thruster that stands still."""
-LEAST_THRUST_N = 0.005
+MIN_THRUST_N = 0.005
 """Half a unit of the last place of the thrust data: less than this is no thrust. Without it the
 rounding of a balanced wrench would switch a thruster between the two edges of its dead band."""
 _GROUPS = ((0, 0, 0, 1, 1, 1), (0, 0, 1, 0, 0, 0), (1, 1, 0, 0, 0, 0))
@@ -52,7 +52,7 @@ class AllocationParams:
     """[n_thruster] number of the mode that a thruster belongs to."""
 
 
-def build(vehicles: VehicleParams, health: ArrayLike | None = None) -> AllocationParams:
+def build_allocation(vehicles: VehicleParams, health: ArrayLike | None = None) -> AllocationParams:
     """Allocation of each variant; leading axis [n_variant] as in ``vehicles`` (host side).
 
     An axis that the thrusters command only through the geometry's small offsets (pitch on the
@@ -63,15 +63,15 @@ def build(vehicles: VehicleParams, health: ArrayLike | None = None) -> Allocatio
         health: [n_variant, n_thruster] share of its thrust that each thruster gives, as far as the
             allocation knows; that of ``vehicles`` if left out.
     """
-    known = np.asarray(vehicles.thruster_health if health is None else health, np.float64)
-    matrices = np.asarray(vehicles.B, np.float64) * known[:, None, :]
+    factors = np.asarray(vehicles.thruster_health if health is None else health, np.float64)
+    matrices = np.asarray(vehicles.B, np.float64) * factors[:, None, :]
     inverses, modes, owners = [], [], []
     for matrix in matrices:
         commanded = np.diag(matrix @ np.linalg.pinv(matrix, rcond=_RELATIVE_RANK)) > 0.5
         inverse = np.linalg.pinv(matrix * commanded[:, None], rcond=_RELATIVE_RANK)
         inverse[np.abs(inverse) < 1e-7 * np.abs(inverse).max()] = 0.0  # B has 24 bits
         inverses.append(inverse)
-        mode, owner = _modes(matrix, inverse)
+        mode, owner = _find_modes(matrix, inverse)
         modes.append(mode)
         owners.append(owner)
     return AllocationParams(
@@ -83,7 +83,7 @@ def build(vehicles: VehicleParams, health: ArrayLike | None = None) -> Allocatio
     )
 
 
-def _modes(matrix: FloatArray, inverse: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _find_modes(matrix: FloatArray, inverse: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Redundancies of the thrusters, each of other thrusters than the rest: [n] and [n].
 
     I - B^+ B projects on the thrusts without a wrench; thrusters that it joins make one block. A
@@ -117,7 +117,7 @@ def allocate(params: AllocationParams, command: BodyWrench) -> ThrusterPwm:
         command: wrench [6] at the centre of mass, in F.
 
     Returns:
-        PWM [n_thruster]; a demand below ``LEAST_THRUST_N`` gives the neutral signal.
+        PWM [n_thruster]; a demand below ``MIN_THRUST_N`` gives the neutral signal.
     """
     low, high = params.thrust_n[0], params.thrust_n[-1]
     tau = command.tau
@@ -125,8 +125,8 @@ def allocate(params: AllocationParams, command: BodyWrench) -> ThrusterPwm:
     thrust = jnp.zeros(params.B_inverse.shape[0], tau.dtype)
     for group in groups:
         extra = matrix_times(params.B_inverse, tau * group)
-        thrust = thrust + _largest_share(thrust, extra, low, high) * extra
-    return _signals(params, thrust)
+        thrust = thrust + _largest_fraction(thrust, extra, low, high) * extra
+    return _to_pwm(params, thrust)
 
 
 def allocate_to_limits(params: AllocationParams, command: BodyWrench) -> ThrusterPwm:
@@ -149,17 +149,17 @@ def allocate_to_limits(params: AllocationParams, command: BodyWrench) -> Thruste
     thrust = jnp.zeros(params.B_inverse.shape[0], tau.dtype)
     for group in jnp.array(_GROUPS, tau.dtype):
         extra = matrix_times(params.B_inverse, tau * group)
-        share = _reachable_share(params, thrust, extra, low, high)
-        thrust = thrust + share * extra
-    least, most = _room(params, thrust, low, high)
+        fraction = _reachable_fraction(params, thrust, extra, low, high)
+        thrust = thrust + fraction * extra
+    lower, upper = _mode_range(params, thrust, low, high)
     same = params.mode_of[:, None] == params.mode_of
-    least = jnp.max(jnp.where(same, least, -jnp.inf), axis=1)
-    most = jnp.min(jnp.where(same, most, jnp.inf), axis=1)
-    thrust = thrust + params.mode * jnp.minimum(jnp.maximum(0.0, least), most)
-    return _signals(params, jnp.clip(thrust, low, high))
+    lower = jnp.max(jnp.where(same, lower, -jnp.inf), axis=1)
+    upper = jnp.min(jnp.where(same, upper, jnp.inf), axis=1)
+    thrust = thrust + params.mode * jnp.minimum(jnp.maximum(0.0, lower), upper)
+    return _to_pwm(params, jnp.clip(thrust, low, high))
 
 
-def realised(params: AllocationParams, pwm: ThrusterPwm) -> BodyWrench:
+def realised_wrench(params: AllocationParams, pwm: ThrusterPwm) -> BodyWrench:
     """Wrench that signals settle at: what becomes of a demand, as far as the allocation knows.
 
     Args:
@@ -174,21 +174,23 @@ def realised(params: AllocationParams, pwm: ThrusterPwm) -> BodyWrench:
     return BodyWrench(tau=matrix_times(params.B, thrust))
 
 
-def _signals(params: AllocationParams, thrust: jax.Array) -> ThrusterPwm:
+def _to_pwm(params: AllocationParams, thrust: jax.Array) -> ThrusterPwm:
     pwm = jax.vmap(thruster.inverse_lookup, (None, 0, None, None))(
         params.thrust_n, thrust, PWM_LOW_US, PWM_STEP_US
     )
-    return ThrusterPwm(pwm_us=jnp.where(jnp.abs(thrust) < LEAST_THRUST_N, NEUTRAL_US, pwm))
+    return ThrusterPwm(pwm_us=jnp.where(jnp.abs(thrust) < MIN_THRUST_N, NEUTRAL_US, pwm))
 
 
-def _largest_share(base: jax.Array, extra: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
+def _largest_fraction(
+    base: jax.Array, extra: jax.Array, low: jax.Array, high: jax.Array
+) -> jax.Array:
     """Largest factor in [0, 1] that keeps ``base + factor * extra`` [n] within [low, high]."""
     moving = jnp.abs(extra) > _STILL_N
     room = jnp.where(extra > 0, high - base, low - base) / jnp.where(moving, extra, 1.0)
     return jnp.clip(jnp.min(jnp.where(moving, room, 1.0)), 0.0, 1.0)
 
 
-def _reachable_share(
+def _reachable_fraction(
     params: AllocationParams, base: jax.Array, extra: jax.Array, low: jax.Array, high: jax.Array
 ) -> jax.Array:
     """Largest factor in [0, 1] for which some z keeps ``base + factor * extra + z mode`` in limits.
@@ -197,22 +199,22 @@ def _reachable_share(
     d = extra / mode. There is such a z as long as no lower bound l_i passes an upper one u_j.
     """
     free = params.mode != 0.0
-    alone = _largest_share(base, jnp.where(free, 0.0, extra), low, high)
-    least, most = _room(params, base, low, high)
+    alone = _largest_fraction(base, jnp.where(free, 0.0, extra), low, high)
+    lower, upper = _mode_range(params, base, low, high)
     rate = extra / jnp.where(free, params.mode, 1.0)
     closing = rate[None, :] - rate[:, None]  # of [i, j]: of l_i on u_j
     pair = free[:, None] & (params.mode_of[:, None] == params.mode_of) & (closing > _STILL_N)
-    gap = (most[None, :] - least[:, None]) / jnp.where(pair, closing, 1.0)
+    gap = (upper[None, :] - lower[:, None]) / jnp.where(pair, closing, 1.0)
     together = jnp.min(jnp.where(pair, gap, 1.0))
     return jnp.clip(jnp.minimum(alone, together), 0.0, 1.0)
 
 
-def _room(
+def _mode_range(
     params: AllocationParams, thrust: jax.Array, low: jax.Array, high: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """How far each thruster's mode may go down and up, [n] each; nowhere without a mode."""
     free, up = params.mode != 0.0, params.mode > 0.0
     each = jnp.where(free, params.mode, 1.0)
-    least = jnp.where(free, (jnp.where(up, low, high) - thrust) / each, 0.0)
-    most = jnp.where(free, (jnp.where(up, high, low) - thrust) / each, 0.0)
-    return least, most
+    lower = jnp.where(free, (jnp.where(up, low, high) - thrust) / each, 0.0)
+    upper = jnp.where(free, (jnp.where(up, high, low) - thrust) / each, 0.0)
+    return lower, upper

@@ -75,19 +75,20 @@ def check_arrays(command: Any, lead: tuple[int, ...], thrusters: int) -> None:
         wanted = (*lead, *(sizes.get(n, n) if isinstance(n, str) else n for n in axes[name]))
         if value.shape != wanted:
             raise ConfigError(
-                f"{where} has the shape {_said(value.shape)}: must be {_said(wanted)}, for "
-                f"{_said(('world', 'robot', *axes[name]))}"
+                f"{where} has the shape {_format_shape(value.shape)}: must be "
+                f"{_format_shape(wanted)}, for "
+                f"{_format_shape(('world', 'robot', *axes[name]))}"
             )
 
 
 def check_choice(mixed: Any, lead: tuple[int, ...]) -> None:
-    """Refuse a `Mixed` that does not choose for every robot of every world; as `check_arrays`."""
+    """Refuse a `MixedCommand` that lacks a choice for any robot; as `check_arrays`."""
     for name in ("which", "fresh"):
         value = getattr(mixed, name)
         if getattr(value, "shape", None) != lead:
             raise ConfigError(
-                f"command Mixed: {name} has the shape {_said(np.shape(value))}: must be "
-                f"{_said(lead)}, for [world, robot]"
+                f"command Mixed: {name} has the shape {_format_shape(np.shape(value))}: must be "
+                f"{_format_shape(lead)}, for [world, robot]"
             )
 
 
@@ -114,5 +115,5 @@ def check_pulses(command: Any) -> None:
         )
 
 
-def _said(shape: tuple[int | str, ...]) -> str:
+def _format_shape(shape: tuple[int | str, ...]) -> str:
     return f"[{', '.join(map(str, shape))}]"

@@ -30,16 +30,16 @@ def skew(v: jax.Array) -> jax.Array:
     )
 
 
-def rows(*given: tuple[slice, jax.Array]) -> jax.Array:
+def build_rows(*blocks: tuple[slice, jax.Array]) -> jax.Array:
     """A matrix [m, 19] of what there is of it, by the parts of the error state; else zero."""
-    count, dtype = given[0][1].shape[0], given[0][1].dtype
-    found = {part.start: columns for part, columns in given}
+    count, dtype = blocks[0][1].shape[0], blocks[0][1].dtype
+    columns_by_start = {part.start: columns for part, columns in blocks}
     zero = [jnp.zeros((count, part.stop - part.start), dtype) for part in PARTS]
-    columns = [found.get(part.start, z) for part, z in zip(PARTS, zero, strict=True)]
+    columns = [columns_by_start.get(part.start, z) for part, z in zip(PARTS, zero, strict=True)]
     return jnp.concatenate(columns, axis=1)
 
 
-def propagate(
+def propagate_covariance(
     covariance: jax.Array, rotation: jax.Array, force: jax.Array, dt: jax.Array
 ) -> jax.Array:
     """Covariance F P F^T [19, 19] after one period, without process noise.
@@ -56,17 +56,17 @@ def propagate(
 
     def move(x: jax.Array) -> jax.Array:
         v, theta, gyro_bias = x[V], x[THETA], x[GYRO_BIAS]
-        faster = v + times(of_attitude, theta) + times(of_bias, x[ACCEL_BIAS])
+        faster = v + multiply_3x3(of_attitude, theta) + multiply_3x3(of_bias, x[ACCEL_BIAS])
         return jnp.concatenate(
             [
                 x[P] + 0.5 * dt * (v + faster),
                 faster,
-                theta + times(of_bias, gyro_bias),
+                theta + multiply_3x3(of_bias, gyro_bias),
                 x[9:],
             ]
         )
 
-    return symmetric(move(move(covariance).T))
+    return make_symmetric(move(move(covariance).T))
 
 
 def add_noise(
@@ -103,7 +103,7 @@ def add_noise(
     )
 
 
-def fuse(
+def fuse_measurement(
     covariance: jax.Array,
     error: jax.Array,
     rows: jax.Array,
@@ -143,11 +143,11 @@ def fuse(
     return jnp.where(taken, after, covariance), jnp.where(taken, moved, error), taken
 
 
-def symmetric(matrix: jax.Array) -> jax.Array:
+def make_symmetric(matrix: jax.Array) -> jax.Array:
     """The symmetric part of a matrix [n, n]."""
     return 0.5 * (matrix + matrix.T)
 
 
-def times(a: jax.Array, b: jax.Array) -> jax.Array:
+def multiply_3x3(a: jax.Array, b: jax.Array) -> jax.Array:
     """Product of [3, 3] and [3, n], elementwise."""
     return a[:, 0, None] * b[0] + a[:, 1, None] * b[1] + a[:, 2, None] * b[2]

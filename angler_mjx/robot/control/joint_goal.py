@@ -1,7 +1,8 @@
 """JointTrajectory messages on the host: checked against a robot, and made into arrays.
 
-A message names some of a robot's joints, in any order. `validate` refuses what the robot cannot
-follow before anything moves; `build` fills in the other joints, unwraps angles and pads.
+A message names some of a robot's joints, in any order. `validate_goal` refuses what the robot
+cannot follow before anything moves; `build_trajectory` fills in the other joints, unwraps angles
+and pads.
 """
 
 import math
@@ -20,11 +21,11 @@ from angler_mjx.robot.control.joint_trajectory import (
     QUINTIC,
     JointState,
     JointTrajectory,
-    segment,
-    turns,
+    interpolate_segment,
+    is_continuous,
 )
 
-_SHARES: Any = np.linspace(0.0, 1.0, 9)
+_SPEED_CHECK_FRACTIONS: Any = np.linspace(0.0, 1.0, 9)
 """Places on a segment at which its speed is looked at."""
 
 
@@ -78,7 +79,7 @@ def shape_faults(goal: JointGoal) -> list[str]:
     return faults
 
 
-def validate(
+def validate_goal(
     goal: JointGoal,
     *,
     robot: str,
@@ -126,10 +127,10 @@ def validate(
         raise GoalError("\n  ".join([head + "s" * (len(faults) > 1), *faults]), code)
 
 
-def build(
+def build_trajectory(
     goal: JointGoal, *, joints: Sequence[str], position: Sequence[float], size: int = 0
 ) -> JointTrajectory:
-    """Arrays of a message that `shape_faults` and `validate` have nothing against.
+    """Arrays of a message that `shape_faults` and `validate_goal` have nothing against.
 
     A segment is a quintic where both its ends have velocities and accelerations, a cubic where both
     have velocities, and a line otherwise. A first point later than 0 is reached from rest at
@@ -144,7 +145,7 @@ def build(
     Returns:
         The trajectory of all joints.
     """
-    tables, time, degree = _tables(goal, joints, np.asarray(position, float))
+    tables, time, degree = _build_tables(goal, joints, np.asarray(position, float))
     rows = max(size, len(time), 2)
     padding = ((0, rows - len(time)), (0, 0))
     p, v, a = (jnp.asarray(np.pad(table, padding, mode="edge")) for table in tables)
@@ -159,31 +160,31 @@ def build(
     )
 
 
-def _tables(
+def _build_tables(
     goal: JointGoal, joints: Sequence[str], position: np.ndarray
 ) -> tuple[list[Any], Any, Any]:
     """Positions, velocities and accelerations [n, n_joint]; times and degrees [n]."""
     column = [list(joints).index(name) for name in goal.joint_names]
     p = np.tile(position, (len(goal.points), 1))
     v, a = np.zeros_like(p), np.zeros_like(p)
-    given = np.full(len(p), LINEAR)
+    degrees = np.full(len(p), LINEAR)
     for i, point in enumerate(goal.points):
         p[i, column] = point.positions
         if point.velocities:
             v[i, column] = point.velocities
-            given[i] = CUBIC
+            degrees[i] = CUBIC
         if point.velocities and point.accelerations:
             a[i, column] = point.accelerations
-            given[i] = QUINTIC
+            degrees[i] = QUINTIC
     time = np.array([point.time_s for point in goal.points])
     if time[0] > 0:
         rest = np.zeros_like(position)
         p, v, a = (np.vstack([row, table]) for row, table in ((position, p), (rest, v), (rest, a)))
-        time, given = np.append(0.0, time), np.append(QUINTIC, given)
-    turning = [i for i, name in enumerate(joints) if turns(name)]
+        time, degrees = np.append(0.0, time), np.append(QUINTIC, degrees)
+    turning = [i for i, name in enumerate(joints) if is_continuous(name)]
     whole = np.vstack([position, p])[:, turning]
     p[:, turning] = np.unwrap(whole, axis=0)[1:]
-    degree = np.append(np.minimum(given[:-1], given[1:]), LINEAR)
+    degree = np.append(np.minimum(degrees[:-1], degrees[1:]), LINEAR)
     return [p, v, a], time, degree
 
 
@@ -211,11 +212,13 @@ def _start_faults(
     if first.time_s > 0 or tolerance <= 0:
         return
     for name, value in zip(goal.joint_names, first.positions, strict=True):
-        here = float(position[list(joints).index(name)])
-        away = abs(math.remainder(value - here, math.tau) if turns(name) else value - here)
+        current = float(position[list(joints).index(name)])
+        away = abs(
+            math.remainder(value - current, math.tau) if is_continuous(name) else value - current
+        )
         if away > tolerance:
             yield (
-                f"points[0], joint {name!r} = {value:g}: the robot is at {here:g}, farther than "
+                f"points[0], joint {name!r} = {value:g}: the robot is at {current:g}, farther than "
                 f"the start tolerance {tolerance:g}; start nearer, or give the point a time above 0"
             )
 
@@ -232,15 +235,18 @@ def _speed_faults(
     goal: JointGoal, joints: Sequence[str], position: Sequence[float], limit: Mapping[str, float]
 ) -> Iterator[str]:
     """For each point and joint, the top speed on the way there."""
-    (p, v, a), time, degree = _tables(goal, joints, np.asarray(position, float))
+    (p, v, a), time, degree = _build_tables(goal, joints, np.asarray(position, float))
     shift = len(time) - len(goal.points)
     for k in range(len(time) - 1):
         begin, end = (
             JointState(position=p[i], velocity=v[i], acceleration=a[i]) for i in (k, k + 1)
         )
         span = time[k + 1] - time[k]
-        there = [segment(begin, end, span, s, degree[k]).velocity for s in _SHARES]
-        fastest = np.max(np.abs(there), axis=0)
+        speeds = [
+            interpolate_segment(begin, end, span, s, degree[k]).velocity
+            for s in _SPEED_CHECK_FRACTIONS
+        ]
+        fastest = np.max(np.abs(speeds), axis=0)
         for name in goal.joint_names:
             speed = float(fastest[list(joints).index(name)])
             # A path planned at the very limit passes in spite of rounding.

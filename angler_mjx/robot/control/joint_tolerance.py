@@ -13,7 +13,12 @@ import jax
 import jax.numpy as jnp
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.robot.control.joint_trajectory import JointState, JointTrajectory, sample, turns
+from angler_mjx.robot.control.joint_trajectory import (
+    JointState,
+    JointTrajectory,
+    is_continuous,
+    sample_state,
+)
 
 
 class ResultCode(IntEnum):
@@ -53,7 +58,7 @@ class Tolerances:
     """[] how long after the last point the goal may be reached; infinite: for ever."""
 
 
-def tolerances(
+def build_tolerances(
     joints: Sequence[str],
     *,
     path: Mapping[str, JointTolerance] | None = None,
@@ -77,24 +82,24 @@ def tolerances(
     Raises:
         ConfigError: a joint is unknown, or a number is negative but not -1.
     """
-    given = {"path_tolerance": path or {}, "goal_tolerance": goal or {}}
-    for key, table in given.items():
-        for joint, one in table.items():
+    tables = {"path_tolerance": path or {}, "goal_tolerance": goal or {}}
+    for key, table in tables.items():
+        for joint, tolerance in table.items():
             if joint not in joints:
                 raise ConfigError(
                     f"{key} of joint {joint!r}: no such joint; have {', '.join(joints)}"
                 )
-            for quantity, value in vars(one).items():
-                _check(f"{key} of joint {joint!r}, {quantity}", value)
-    _check("goal_time_tolerance", goal_time_s)
+            for quantity, value in vars(tolerance).items():
+                _check_tolerance(f"{key} of joint {joint!r}, {quantity}", value)
+    _check_tolerance("goal_time_tolerance", goal_time_s)
     return Tolerances(
-        path=_limits(joints, given["path_tolerance"], default_path or JointTolerance()),
-        goal=_limits(joints, given["goal_tolerance"], default_goal or JointTolerance()),
-        goal_time_s=jnp.asarray(_limit(goal_time_s, default_goal_time_s)),
+        path=_build_limits(joints, tables["path_tolerance"], default_path or JointTolerance()),
+        goal=_build_limits(joints, tables["goal_tolerance"], default_goal or JointTolerance()),
+        goal_time_s=jnp.asarray(_resolve_limit(goal_time_s, default_goal_time_s)),
     )
 
 
-def result(
+def evaluate_goal(
     trajectory: JointTrajectory,
     allowed: Tolerances,
     t: jax.Array,
@@ -113,47 +118,47 @@ def result(
     Returns:
         int32 [] a `ResultCode`; one that ends the goal stays.
     """
-    wanted = sample(trajectory, t)
+    wanted = sample_state(trajectory, t)
     end = trajectory.time_s[-1]
-    on_path = _within(trajectory.joints, wanted, measured, allowed.path)
-    at_goal = _within(trajectory.joints, wanted, measured, allowed.goal)
-    under_way = jnp.where(on_path, ResultCode.ACTIVE, ResultCode.PATH_TOLERANCE_VIOLATED)
+    on_path = _is_within(trajectory.joints, wanted, measured, allowed.path)
+    at_goal = _is_within(trajectory.joints, wanted, measured, allowed.goal)
+    path_code = jnp.where(on_path, ResultCode.ACTIVE, ResultCode.PATH_TOLERANCE_VIOLATED)
     late = t > end + allowed.goal_time_s
     waiting = jnp.where(late, ResultCode.GOAL_TOLERANCE_VIOLATED, ResultCode.ACTIVE)
-    over = jnp.where(at_goal, ResultCode.SUCCESSFUL, waiting)
-    now = jnp.where(t < end, under_way, over)
+    end_code = jnp.where(at_goal, ResultCode.SUCCESSFUL, waiting)
+    now = jnp.where(t < end, path_code, end_code)
     return jnp.where(before == ResultCode.ACTIVE, now, before).astype(jnp.int32)
 
 
-def _check(name: str, value: float) -> None:
+def _check_tolerance(name: str, value: float) -> None:
     if not (value >= 0 or value == -1):
         raise ConfigError(f"{name} = {value}: give a positive number, 0 (default) or -1 (none)")
 
 
-def _limit(value: float, default: float) -> float:
+def _resolve_limit(value: float, default: float) -> float:
     chosen = default if value == 0 else value
     return chosen if chosen > 0 else float("inf")
 
 
-def _limits(
-    joints: Sequence[str], given: Mapping[str, JointTolerance], default: JointTolerance
+def _build_limits(
+    joints: Sequence[str], by_joint: Mapping[str, JointTolerance], default: JointTolerance
 ) -> JointState:
     def row(quantity: str) -> jax.Array:
-        of = [getattr(given.get(joint, JointTolerance()), quantity) for joint in joints]
-        return jnp.asarray([_limit(value, getattr(default, quantity)) for value in of])
+        values = [getattr(by_joint.get(joint, JointTolerance()), quantity) for joint in joints]
+        return jnp.asarray([_resolve_limit(value, getattr(default, quantity)) for value in values])
 
     return JointState(
         position=row("position"), velocity=row("velocity"), acceleration=row("acceleration")
     )
 
 
-def _within(
+def _is_within(
     joints: tuple[str, ...], wanted: JointState, measured: JointState, limit: JointState
 ) -> jax.Array:
     """Whether all errors are at most their limit; a turning joint errs by half a turn at most."""
     away = measured.position - wanted.position
     turn = 2 * jnp.pi * jnp.round(away / (2 * jnp.pi))
-    away = away - jnp.where(jnp.asarray([turns(joint) for joint in joints]), turn, 0.0)
+    away = away - jnp.where(jnp.asarray([is_continuous(joint) for joint in joints]), turn, 0.0)
     return (
         (jnp.abs(away) <= limit.position)
         & (jnp.abs(measured.velocity - wanted.velocity) <= limit.velocity)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import jax
 import jax.numpy as jnp
 
-from angler_kernels.table import take
+from angler_kernels.table import take_row
 from angler_mjx.robot.control.commands import PoseTarget
 from angler_mjx.robot.control.trajectory import Trajectory, segment_at
 
@@ -63,7 +63,7 @@ class JointTrajectory:
     its start. None where no planner was asked."""
 
 
-def hold(start_m: jax.Array, yaw_rad: jax.Array, n_point: int) -> JointTrajectory:
+def hold_position(start_m: jax.Array, yaw_rad: jax.Array, n_point: int) -> JointTrajectory:
     """Trajectories [R] that stay where robots start: no way was found, or none is known yet.
 
     Args:
@@ -72,8 +72,8 @@ def hold(start_m: jax.Array, yaw_rad: jax.Array, n_point: int) -> JointTrajector
         n_point: rows of each.
     """
     n_robot = start_m.shape[0]
-    place = jnp.concatenate([start_m, yaw_rad[:, None].astype(start_m.dtype)], axis=1)
-    position = jnp.repeat(place[:, None], n_point, axis=1)
+    pose = jnp.concatenate([start_m, yaw_rad[:, None].astype(start_m.dtype)], axis=1)
+    position = jnp.repeat(pose[:, None], n_point, axis=1)
     return JointTrajectory(
         joints=VEHICLE_JOINTS,
         time_s=jnp.zeros((n_robot, n_point), start_m.dtype),
@@ -86,12 +86,12 @@ def hold(start_m: jax.Array, yaw_rad: jax.Array, n_point: int) -> JointTrajector
     )
 
 
-def turns(joint: str) -> bool:
+def is_continuous(joint: str) -> bool:
     """Whether a joint is an angle without an end: a full turn leaves it where it was."""
     return joint == "yaw"
 
 
-def sample(
+def sample_state(
     trajectory: JointTrajectory, t: jax.Array, segment_of: jax.Array | None = None
 ) -> JointState:
     """The reference at a time.
@@ -106,12 +106,14 @@ def sample(
     """
     time = trajectory.time_s
     k = segment_at(time, t) if segment_of is None else segment_of
-    begin, end = _row(trajectory, k), _row(trajectory, k + 1)
-    start = take(time, k)
-    span = take(time, k + 1) - start
+    begin, end = _state_at_row(trajectory, k), _state_at_row(trajectory, k + 1)
+    start = take_row(time, k)
+    span = take_row(time, k + 1) - start
     inside = (span > 0) & (t < time[-1])
     span = jnp.where(span > 0, span, 1.0)
-    moving = segment(begin, end, span, (t - start) / span, take(trajectory.degree, k))
+    moving = interpolate_segment(
+        begin, end, span, (t - start) / span, take_row(trajectory.degree, k)
+    )
     return JointState(
         position=jnp.where(inside, moving.position, trajectory.position[-1]),
         velocity=jnp.where(inside, moving.velocity, 0.0),
@@ -119,7 +121,7 @@ def sample(
     )
 
 
-def segment(
+def interpolate_segment(
     begin: JointState, end: JointState, span: jax.Array, s: jax.Array, degree: jax.Array
 ) -> JointState:
     r"""State between two points.
@@ -188,7 +190,7 @@ def replace_at(old: JointTrajectory, t: jax.Array, new: JointTrajectory) -> Join
     Returns:
         The new trajectory, its time from now; the same shapes as ``new``.
     """
-    now = sample(old, t)
+    now = sample_state(old, t)
     named = new.commanded
     position = jnp.where(named, new.position[1:], now.position)
     velocity = jnp.where(named, new.velocity[1:], 0.0)
@@ -196,10 +198,10 @@ def replace_at(old: JointTrajectory, t: jax.Array, new: JointTrajectory) -> Join
     # Led on to a point where they already are, joints that are not named would swing out and back.
     start_velocity = jnp.where(named, now.velocity, 0.0)
     start_acceleration = jnp.where(named, now.acceleration, 0.0)
-    turning = jnp.asarray([turns(joint) for joint in new.joints])
+    turning = jnp.asarray([is_continuous(joint) for joint in new.joints])
     position = position - jnp.where(turning, _whole_turns(position[0] - now.position), 0.0)
     first = new.degree[0]
-    line = _slope(new.time_s, position)
+    line = _line_velocity(new.time_s, position)
     after = jnp.where(first == LINEAR, jnp.where(named, line, 0.0), velocity[0])
     return replace(
         new,
@@ -256,7 +258,7 @@ def pose_target(trajectory: JointTrajectory, t: jax.Array) -> PoseTarget:
     Returns:
         The pose, its heading within [-pi, pi].
     """
-    now = sample(trajectory, t)
+    now = sample_state(trajectory, t)
     yaw = now.position[3]
     return PoseTarget(
         position_m=now.position[:3],
@@ -265,15 +267,15 @@ def pose_target(trajectory: JointTrajectory, t: jax.Array) -> PoseTarget:
     )
 
 
-def _row(trajectory: JointTrajectory, k: jax.Array) -> JointState:
+def _state_at_row(trajectory: JointTrajectory, k: jax.Array) -> JointState:
     return JointState(
-        position=take(trajectory.position, k),
-        velocity=take(trajectory.velocity, k),
-        acceleration=take(trajectory.acceleration, k),
+        position=take_row(trajectory.position, k),
+        velocity=take_row(trajectory.velocity, k),
+        acceleration=take_row(trajectory.acceleration, k),
     )
 
 
-def _slope(time_s: jax.Array, position: jax.Array) -> jax.Array:
+def _line_velocity(time_s: jax.Array, position: jax.Array) -> jax.Array:
     """Velocity [n_joint] of the line after the first of the points [n - 1, n_joint]; 0 if none."""
     if position.shape[0] < 2:
         return jnp.zeros_like(position[0])

@@ -1,7 +1,7 @@
 """Robots of one step driven at different levels of the same stack: one by its path, one by a twist.
 
-A `Mixed` command holds a command of each type that may be given, and says which one counts. All
-stages are worked out; where a robot's own command enters, it takes the place of what comes from
+A `MixedCommand` command holds a command of each type that may be given, and says which one counts.
+All stages are worked out; where a robot's own command enters, it takes the place of what comes from
 above, and the stages above it keep their memory. What is not chosen costs its arithmetic, so this
 is for scenes that are driven step by step; batches give one type to all.
 """
@@ -32,7 +32,7 @@ from angler_mjx.robot.control.trajectory import Trajectory
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Mixed:
+class MixedCommand:
     """Commands of several types for one robot, of which one counts."""
 
     which: jax.Array
@@ -44,7 +44,7 @@ class Mixed:
     """Each of another type; those that do not count hold any numbers."""
 
 
-def last_approach_s(mixed: Mixed, goal_m: jax.Array, tolerance_m: float) -> jax.Array:
+def last_approach_s(mixed: MixedCommand, goal_m: jax.Array, tolerance_m: float) -> jax.Array:
     """Return `plans.last_approach_s` [] s of one robot's command; zero unless it is a plan."""
     begin = jnp.zeros_like(goal_m[0])
     for k, command in enumerate(mixed.commands):
@@ -54,7 +54,7 @@ def last_approach_s(mixed: Mixed, goal_m: jax.Array, tolerance_m: float) -> jax.
     return begin
 
 
-def progress_s(stages: Stages, memory: ControlMemory, mixed: Mixed) -> jax.Array:
+def progress_s(stages: Stages, memory: ControlMemory, mixed: MixedCommand) -> jax.Array:
     """Return `stack.progress_s` [] s of one robot's command; zero unless it is a plan."""
     progress: Any = 0.0
     for k, command in enumerate(mixed.commands):
@@ -70,7 +70,7 @@ def step(
     params: ControlParams,
     memory: ControlMemory,
     estimate: Estimate,
-    mixed: Mixed,
+    mixed: MixedCommand,
     dt: float,
     density: float,
     gravity: float,
@@ -95,7 +95,7 @@ def step(
     Raises:
         ConfigError: no stage takes one of the commands.
     """
-    entries = [stack.entry(stages, type(command)) for command in mixed.commands]
+    entries = [stack.find_entry(stages, type(command)) for command in mixed.commands]
     chosen = [mixed.which == k for k in range(len(entries))]
     yaw = quaternion.yaw(estimate.q)
     below: Any = None
@@ -105,19 +105,19 @@ def step(
     for i, stage in enumerate(stages):
         entering = [
             (flag, command)
-            for flag, command, place in zip(chosen, mixed.commands, entries, strict=True)
-            if place == i
+            for flag, command, entry_index in zip(chosen, mixed.commands, entries, strict=True)
+            if entry_index == i
         ]
         for flag, command in entering:
-            aim = jnp.where(flag, _aim(command, aim), aim)
-            demanded = jnp.where(flag, _wrench(command, demanded), demanded)
+            aim = jnp.where(flag, _target_position(command, aim), aim)
+            demanded = jnp.where(flag, _demanded_wrench(command, demanded), demanded)
         used = reduce(jnp.logical_or, (flag for flag, _ in entering), used)
         if below is None and not entering:
             carries.append(memory.stages[i])
             continue
         new = mixed.fresh > i
         before = _select(new, stage.reset(estimate, yaw), memory.stages[i])
-        given = StageInput(
+        inputs = StageInput(
             params=params,
             estimate=estimate,
             realised=_select_realised(stage, memory, new),
@@ -125,13 +125,13 @@ def step(
             density=density,
             gravity=gravity,
         )
-        carry, below = _through(stage, gains[i], before, given, below, entering)
+        carry, below = _run_stage(stage, gains[i], before, inputs, below, entering)
         carries.append(_select(used, carry, memory.stages[i]))
-        aim = jnp.where(used, _aim(below, aim), aim)
-        demanded = jnp.where(used, _wrench(below, demanded), demanded)
+        aim = jnp.where(used, _target_position(below, aim), aim)
+        demanded = jnp.where(used, _demanded_wrench(below, demanded), demanded)
         realised_used = realised_used | used if stage.wants_realised else realised_used
-    for flag, command, place in zip(chosen, mixed.commands, entries, strict=True):
-        if place == len(stages):
+    for flag, command, entry_index in zip(chosen, mixed.commands, entries, strict=True):
+        if entry_index == len(stages):
             below = command if below is None else _select(flag, command, below)
             demanded = jnp.where(flag, jnp.nan, demanded)
     return Action(
@@ -140,7 +140,7 @@ def step(
             realised=None
             if memory.realised is None
             else _select(
-                realised_used, allocation.realised(params.allocation, below), memory.realised
+                realised_used, allocation.realised_wrench(params.allocation, below), memory.realised
             ),
             demanded=None if memory.demanded is None else BodyWrench(tau=demanded),
         ),
@@ -150,11 +150,11 @@ def step(
     )
 
 
-def _through(
+def _run_stage(
     stage: Stage,
     gains: Any,
     carry: Any,
-    given: StageInput,
+    stage_input: StageInput,
     above: Any,
     entering: Sequence[tuple[jax.Array, Any]],
 ) -> tuple[Any, Any]:
@@ -167,7 +167,7 @@ def _through(
         else:
             inputs[kind] = (flag, command)
     results = [
-        (flag, stage.step(gains, carry, given, stage_command))
+        (flag, stage.step(gains, carry, stage_input, stage_command))
         for flag, stage_command in inputs.values()
     ]
     chosen: tuple[Any, Any] = results[0][1]
@@ -187,13 +187,13 @@ def _select(flag: Any, yes: Any, no: Any) -> Any:
     return jax.tree.map(lambda a, b: jnp.where(flag, a, b), yes, no)
 
 
-def _aim(command: Any, before: jax.Array) -> jax.Array:
+def _target_position(command: Any, before: jax.Array) -> jax.Array:
     aims: jax.Array = (
         command.position_m if isinstance(command, PoseTarget | TrackingTarget) else before
     )
     return aims
 
 
-def _wrench(command: Any, before: jax.Array) -> jax.Array:
-    asked: jax.Array = command.tau if isinstance(command, BodyWrench) else before
-    return asked
+def _demanded_wrench(command: Any, before: jax.Array) -> jax.Array:
+    demanded: jax.Array = command.tau if isinstance(command, BodyWrench) else before
+    return demanded

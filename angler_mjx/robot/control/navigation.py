@@ -53,7 +53,7 @@ class NavigationParams:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Navigated:
+class NavigationOutput:
     """What the filter gives at a control step."""
 
     estimate: Estimate
@@ -105,12 +105,12 @@ def reset(params: NavigationParams, estimate: Estimate, key: jax.Array) -> Navig
     if not sensors.noise:
         return carry
     off = std[:9] * jax.random.normal(key, (9,), dtype)
-    return _corrected(carry, jnp.concatenate([off, jnp.zeros(N_STATE - 9, dtype)]))
+    return _apply_error(carry, jnp.concatenate([off, jnp.zeros(N_STATE - 9, dtype)]))
 
 
 def step(
     params: NavigationParams, carry: NavigationCarry, reading: Reading
-) -> tuple[NavigationCarry, Navigated]:
+) -> tuple[NavigationCarry, NavigationOutput]:
     """One control step: move with the IMU, correct with what is fresh.
 
     Args:
@@ -122,24 +122,24 @@ def step(
         The memory, and the estimate with its standard deviations.
     """
     carry = predict(params.sensors, carry, reading)
-    arm = measurements.arm(params.sensors, carry, params.sensors.usbl.offset_m)
+    arm = measurements.lever_arm(params.sensors, carry, params.sensors.usbl.offset_m)
     carry = replace(carry, from_ping=jnp.where(reading.usbl_pinged, -arm, carry.from_ping))
     carry, rejected = correct(params.sensors, carry, reading)
     rate = reading.imu.rate_radps - carry.gyro_bias
     offset = params.sensors.imu.offset_m
     velocity = quaternion.rotate_inverse(carry.q, carry.v) - jnp.cross(rate, offset)
-    return carry, Navigated(
+    return carry, NavigationOutput(
         estimate=Estimate(
             p=carry.p - quaternion.rotate(carry.q, offset),
             q=carry.q,
             nu=jnp.concatenate([velocity, rate]),
         ),
-        std=_std(carry),
+        std=_standard_deviations(carry),
         rejected=rejected,
     )
 
 
-def _std(carry: NavigationCarry) -> jax.Array:
+def _standard_deviations(carry: NavigationCarry) -> jax.Array:
     """Standard deviations [19]."""
     variance = jnp.stack([carry.covariance[i, i] for i in range(N_STATE)])
     return jnp.sqrt(jnp.maximum(variance, 0.0))
@@ -158,20 +158,22 @@ def predict(sensors: SensorParams, carry: NavigationCarry, reading: Reading) -> 
     force = quaternion.rotate(middle, reading.imu.specific_force_mps2 - carry.accel_bias)
     zero = jnp.zeros_like(dt)
     v = carry.v + dt * (force - jnp.stack([zero, zero, sensors.gravity_mps2]))
-    way = 0.5 * dt * (carry.v + v)
-    covariance = error_state.propagate(carry.covariance, quaternion.to_matrix(middle), force, dt)
+    displacement = 0.5 * dt * (carry.v + v)
+    covariance = error_state.propagate_covariance(
+        carry.covariance, quaternion.to_matrix(middle), force, dt
+    )
     covariance = error_state.add_noise(
         covariance, imu.gyro_std, imu.accel_std, imu.gyro_walk_std, imu.accel_walk_std, dt
     )
-    way = jnp.where(fresh, way, 0.0)
+    displacement = jnp.where(fresh, displacement, 0.0)
     q = quaternion.multiply(carry.q, quaternion.exp(rotation))
     return replace(
         carry,
-        p=carry.p + way,
+        p=carry.p + displacement,
         v=jnp.where(fresh, v, carry.v),
         q=jnp.where(fresh, q, carry.q),
         covariance=jnp.where(fresh, covariance, carry.covariance),
-        from_ping=carry.from_ping + way,
+        from_ping=carry.from_ping + displacement,
     )
 
 
@@ -186,25 +188,25 @@ def correct(
         The memory, and bool [5] what was fresh but not believed.
     """
     fresh = [
-        (reading.depth_fresh, measurements.depth(sensors, carry, reading)),
-        (reading.ahrs_fresh, measurements.attitude(sensors, carry, reading)),
-        (reading.dvl_fresh, measurements.dvl(sensors, carry, reading)),
-        (reading.usbl_fresh, measurements.usbl(sensors, carry, reading)),
-        (reading.gps_fresh, measurements.gps(sensors, carry, reading)),
+        (reading.depth_fresh, measurements.linearize_depth(sensors, carry, reading)),
+        (reading.ahrs_fresh, measurements.linearize_attitude(sensors, carry, reading)),
+        (reading.dvl_fresh, measurements.linearize_dvl(sensors, carry, reading)),
+        (reading.usbl_fresh, measurements.linearize_usbl(sensors, carry, reading)),
+        (reading.gps_fresh, measurements.linearize_gps(sensors, carry, reading)),
     ]
     covariance, error = carry.covariance, jnp.zeros_like(carry.covariance[0])
     rejected = []
     for is_fresh, (matrix, residual, variance) in fresh:
         gate = GATES[matrix.shape[0] - 1]
-        covariance, error, taken = error_state.fuse(
+        covariance, error, taken = error_state.fuse_measurement(
             covariance, error, matrix, residual, variance, gate, is_fresh
         )
         rejected.append(is_fresh & ~taken)
-    carry = _corrected(replace(carry, covariance=covariance), error)
+    carry = _apply_error(replace(carry, covariance=covariance), error)
     return carry, jnp.stack(rejected)
 
 
-def _corrected(carry: NavigationCarry, error: jax.Array) -> NavigationCarry:
+def _apply_error(carry: NavigationCarry, error: jax.Array) -> NavigationCarry:
     """The believed state with an error [19] taken out of it."""
     q = quaternion.multiply(quaternion.exp(error[THETA]), carry.q)
     return replace(

@@ -21,7 +21,7 @@ from angler_mjx.robot.control.joint_trajectory import (
     VEHICLE_JOINTS,
     JointState,
     JointTrajectory,
-    segment,
+    interpolate_segment,
 )
 from angler_mjx.robot.control.stack import Stages
 from angler_mjx.robot.control.trajectory import Trajectory
@@ -36,7 +36,7 @@ APPROACH_M = 1.0
 for a robot that is behind, so no robot that keeps to its plan is at the goal before."""
 
 
-def found(plan: Plan) -> jax.Array:
+def is_found(plan: Plan) -> jax.Array:
     """Whether the planner found a way, bool with the leading axes of the plan."""
     if plan.found is not None:
         return plan.found
@@ -49,19 +49,19 @@ def points_m(plan: Plan) -> jax.Array:
 
 
 def between(plan: JointTrajectory) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return places within the segments of plans, which divide each into `PIECES`.
+    """Return positions within the segments of plans, which divide each into `PIECES`.
 
     Args:
         plan: of one robot, or with any axes leading.
 
     Returns:
-        Times [..., n_point - 1, PIECES - 1] s, places [..., n_point - 1, PIECES - 1, 3] m in W, and
+        Times [..., n_point - 1, PIECES - 1] s, p [..., n_point - 1, PIECES - 1, 3] m in W, and
         whether the segment is bent there, bool as the times: not a line, and no padding.
     """
     time, degree = plan.time_s, plan.degree[..., :-1, None]
-    share = jnp.arange(1, PIECES, dtype=time.dtype) / PIECES
+    fraction = jnp.arange(1, PIECES, dtype=time.dtype) / PIECES
     span = (time[..., 1:] - time[..., :-1])[..., None]
-    times = time[..., :-1, None] + span * share
+    times = time[..., :-1, None] + span * fraction
     joints = (plan.position, plan.velocity, plan.acceleration)
     ends: list[Any] = [
         [leaf[..., rows, None, :3] for leaf in joints] for rows in (slice(None, -1), slice(1, None))
@@ -71,18 +71,20 @@ def between(plan: JointTrajectory) -> tuple[jax.Array, jax.Array, jax.Array]:
         for position, velocity, acceleration in ends
     )
     whole = jnp.where(span > 0, span, 1.0)[..., None]
-    places = segment(begin, end, whole, share[:, None], degree[..., None]).position
+    positions_m = interpolate_segment(
+        begin, end, whole, fraction[:, None], degree[..., None]
+    ).position
     bent = jnp.broadcast_to((degree > LINEAR) & (span > 0), times.shape)
-    return times, places, bent
+    return times, positions_m, bent
 
 
 def length_m(plan: Plan) -> jax.Array:
     """Return the lengths [...] of plans, m; bent segments as `PIECES` lines."""
     point = points_m(plan)
     if isinstance(plan, JointTrajectory):
-        _, places, bent = between(plan)
-        first = jnp.broadcast_to(point[..., :-1, None, :], places.shape)
-        inner = jnp.where(bent[..., None], places, first)
+        _, positions_m, bent = between(plan)
+        first = jnp.broadcast_to(point[..., :-1, None, :], positions_m.shape)
+        inner = jnp.where(bent[..., None], positions_m, first)
         pieces = jnp.concatenate([first[..., :1, :], inner], axis=-2)
         pieces = pieces.reshape(*pieces.shape[:-3], -1, 3)
         point = jnp.concatenate([pieces, point[..., -1:, :]], axis=-2)
@@ -94,7 +96,7 @@ def last_approach_s(plan: Plan, goal_m: jax.Array, tolerance_m: float) -> jax.Ar
     """Return the time [] s at which the last approach of one robot's plan to its goal begins.
 
     The last approach begins at the last way-point at least ``tolerance_m + APPROACH_M`` from the
-    goal, or at the farthest way-point where none is so far; places within bent segments count as
+    goal, or at the farthest way-point where none is so far; positions within bent segments count as
     way-points (`between`). A stay at the goal after it is part of the approach.
 
     Args:
@@ -108,22 +110,22 @@ def last_approach_s(plan: Plan, goal_m: jax.Array, tolerance_m: float) -> jax.Ar
     time, point = plan.time_s, points_m(plan)
     away = jnp.sqrt(jnp.sum((point - goal_m) ** 2, axis=-1))
     if isinstance(plan, JointTrajectory):
-        times, places, bent = between(plan)
-        off = jnp.where(bent, jnp.sqrt(jnp.sum((places - goal_m) ** 2, axis=-1)), 0.0)
+        times, positions_m, bent = between(plan)
+        off = jnp.where(bent, jnp.sqrt(jnp.sum((positions_m - goal_m) ** 2, axis=-1)), 0.0)
         time = jnp.concatenate([time, times.reshape(-1)])
         away = jnp.concatenate([away, off.reshape(-1)])
     far = away >= jnp.minimum(tolerance_m + APPROACH_M, jnp.max(away))
-    return jnp.max(jnp.where(far & found(plan), time, 0.0))
+    return jnp.max(jnp.where(far & is_found(plan), time, 0.0))
 
 
-def place(plan: Plan, t: jax.Array) -> jax.Array:
+def position_at(plan: Plan, t: jax.Array) -> jax.Array:
     """Position [3] m in W of the plan of one robot at a time [] s."""
     if isinstance(plan, Trajectory):
-        return trajectory.sample(plan, t)[0]
-    return joint_trajectory.sample(plan, t).position[:3]
+        return trajectory.sample_reference(plan, t)[0]
+    return joint_trajectory.sample_state(plan, t).position[:3]
 
 
-def checked[P](of: Stages, plan: P) -> P:
+def check_plan[P](of: Stages, plan: P) -> P:
     """A plan that controllers can fly.
 
     Args:
@@ -139,9 +141,13 @@ def checked[P](of: Stages, plan: P) -> P:
         raise ConfigError(f"World.path: joints = {plan.joints}: must be {VEHICLE_JOINTS}")
     if not any(kind in stage.takes for stage in of):
         kinds = (Trajectory, JointTrajectory)
-        taken = [one.__name__ for one in kinds if any(one in stage.takes for stage in of)]
+        taken = [
+            plan_type.__name__
+            for plan_type in kinds
+            if any(plan_type in stage.takes for stage in of)
+        ]
         raise ConfigError(
-            f"World.path is a {kind.__name__}: {stages.called(of)} takes "
+            f"World.path is a {kind.__name__}: {stages.describe_stages(of)} takes "
             f"{' or '.join(taken) or 'no plan'}; choose another controller, or give plans of "
             "another type"
         )
@@ -150,18 +156,18 @@ def checked[P](of: Stages, plan: P) -> P:
 
 def of_robot(plan: Plan, i: int) -> Plan:
     """The plan of one robot of a world, whose plans [R] lead."""
-    one: Plan = jax.tree.map(lambda leaf: leaf[i], plan)
-    return one
+    robot_plan: Plan = jax.tree.map(lambda leaf: leaf[i], plan)
+    return robot_plan
 
 
-def course(plan: Plan) -> tuple[np.ndarray, np.ndarray]:
+def trace_path(plan: Plan) -> tuple[np.ndarray, np.ndarray]:
     """Where the plan of one robot leads, for pictures; bent segments as `PIECES` lines (host side).
 
     Args:
         plan: of arrays of NumPy, or that become such.
 
     Returns:
-        Times [n] s and places [n, 3] m in W, padding dropped.
+        Times [n] s and positions_m [n, 3] m in W, padding dropped.
     """
     time, point = np.asarray(plan.time_s), np.asarray(points_m(plan))
     rows = np.r_[True, np.diff(time) > 0]
@@ -174,7 +180,7 @@ def course(plan: Plan) -> tuple[np.ndarray, np.ndarray]:
     return times, np.asarray(joints_at(plan, times).position)[:, :3]
 
 
-def message(plan: Plan) -> JointGoal:
+def to_joint_goal(plan: Plan) -> JointGoal:
     """The plan of one robot as the message that `joint_goal.build` makes the same motion of.
 
     Joints x, y and z of way-points; the heading too of a JointTrajectory. A message says of points,
@@ -196,17 +202,17 @@ def message(plan: Plan) -> JointGoal:
     uses = np.maximum(np.r_[degree, LINEAR], np.r_[LINEAR, degree])
     divided = np.flatnonzero(np.minimum(uses[:-1], uses[1:]) > degree)
     middles = joints_at(plan, 0.5 * (time[rows[divided]] + time[rows[divided + 1]]))
-    ends = _row(plan, rows)
-    made = [_point(time[row], ends, i, uses[i]) for i, row in enumerate(rows)]
+    ends = _state_at_row(plan, rows)
+    made = [_joint_point(time[row], ends, i, uses[i]) for i, row in enumerate(rows)]
     for i, k in enumerate(divided):
         middle = 0.5 * (time[rows[k]] + time[rows[k + 1]])
-        made.append(_point(middle, middles, i, degree[k]))
+        made.append(_joint_point(middle, middles, i, degree[k]))
     return JointGoal(
         joint_names=plan.joints, points=tuple(sorted(made, key=lambda point: point.time_s))
     )
 
 
-def _point(time_s: float, joints: JointState, i: int, uses: int) -> JointPoint:
+def _joint_point(time_s: float, joints: JointState, i: int, uses: int) -> JointPoint:
     """Row ``i`` of some points, with as many derivatives as a polynomial of that degree uses."""
     return JointPoint(
         time_s=float(time_s),
@@ -220,12 +226,12 @@ def joints_at(plan: JointTrajectory, time_s: Any) -> JointState:
     """Joints [n, n_joint] of one robot at times [n] from 0, in double precision (host side)."""
     t, time = np.asarray(time_s, float)[:, None], np.asarray(plan.time_s, float)
     k = np.clip(np.searchsorted(time, t[:, 0], side="right") - 1, 0, time.size - 2)
-    begin, end = (_row(plan, rows) for rows in (k, k + 1))
+    begin, end = (_state_at_row(plan, rows) for rows in (k, k + 1))
     span = (time[k + 1] - time[k])[:, None]
     inside = (span > 0) & (t < time[-1])
     span = np.where(span > 0, span, 1.0)
     degree = np.asarray(plan.degree)[k][:, None]
-    bend: Any = segment  # arithmetic alone: arrays of NumPy do as well
+    bend: Any = interpolate_segment  # arithmetic alone: arrays of NumPy do as well
     moving: JointState = bend(begin, end, span, (t - time[k][:, None]) / span, degree)
     at: dict[str, Any] = {
         "position": np.where(inside, moving.position, np.asarray(plan.position, float)[-1]),
@@ -235,7 +241,7 @@ def joints_at(plan: JointTrajectory, time_s: Any) -> JointState:
     return JointState(**at)
 
 
-def _row(plan: JointTrajectory, k: Any) -> JointState:
+def _state_at_row(plan: JointTrajectory, k: Any) -> JointState:
     rows: Any = [
         np.asarray(leaf, float)[k] for leaf in (plan.position, plan.velocity, plan.acceleration)
     ]

@@ -56,7 +56,7 @@ class ControlParams:
     """What controllers and planners take the vehicle for; None: for what it is."""
 
     @property
-    def known(self) -> VehicleParams:
+    def vehicle_model(self) -> VehicleParams:
         """The vehicle as controllers and planners know it."""
         return self.vehicle if self.nominal is None else self.nominal
 
@@ -141,12 +141,12 @@ class Action:
     """The wrench that the thrusters were asked for; None where there was none above the signals."""
 
 
-def takes(stage: Stage) -> str:
+def describe_inputs(stage: Stage) -> str:
     """The commands of a stage, in words."""
     return " or ".join(kind.__name__ for kind in stage.takes)
 
 
-def entry(stages: Stages, command: type) -> int:
+def find_entry(stages: Stages, command: type) -> int:
     """Number of the first stage that takes a type of command; that of stages for the signals.
 
     Raises:
@@ -176,7 +176,7 @@ def check_command(stages: Stages, command: Command, lead: tuple[int, ...], thrus
     Raises:
         ConfigError: no stage takes it, or an array of it has another shape than its robots want.
     """
-    entry(stages, type(command))
+    find_entry(stages, type(command))
     command_checks.check_arrays(command, lead, thrusters)
 
 
@@ -191,7 +191,7 @@ def progress_s(stages: Stages, memory: ControlMemory, plan: Any) -> jax.Array:
     Raises:
         ConfigError: no stage takes the plan.
     """
-    i = entry(stages, type(plan))
+    i = find_entry(stages, type(plan))
     progress = stages[i].progress
     if progress is None:
         raise ConfigError(f"stage {stages[i].name} does not say how far along a plan a robot is")
@@ -239,13 +239,13 @@ def step(
     Raises:
         ConfigError: no stage takes the command.
     """
-    first = entry(stages, type(command))
+    first = find_entry(stages, type(command))
     carries = list(memory.stages)
-    aim, told = _aim(command, estimate.p), False
+    aim, realised_used = _target_position(command, estimate.p), False
     demanded = command if isinstance(command, BodyWrench) else None
     for i in range(first, len(stages)):
         stage = stages[i]
-        given = StageInput(
+        inputs = StageInput(
             params=params,
             estimate=estimate,
             realised=memory.realised if stage.wants_realised else None,
@@ -253,16 +253,18 @@ def step(
             density=density,
             gravity=gravity,
         )
-        carries[i], command = stage.step(gains[i], carries[i], given, command)
-        aim = _aim(command, aim)
+        carries[i], command = stage.step(gains[i], carries[i], inputs, command)
+        aim = _target_position(command, aim)
         demanded = command if isinstance(command, BodyWrench) else demanded
-        told |= stage.wants_realised
+        realised_used |= stage.wants_realised
     return Action(
         memory=ControlMemory(
             stages=tuple(carries),
             # Of a step in which those who want it had no say they would learn nothing.
-            realised=allocation.realised(params.allocation, command) if told else memory.realised,
-            demanded=None if memory.demanded is None else _known(demanded, estimate),
+            realised=allocation.realised_wrench(params.allocation, command)
+            if realised_used
+            else memory.realised,
+            demanded=None if memory.demanded is None else _demanded_or_nan(demanded, estimate),
         ),
         target_m=aim,
         pwm=command,
@@ -270,12 +272,12 @@ def step(
     )
 
 
-def _known(demanded: BodyWrench | None, estimate: Estimate) -> BodyWrench:
+def _demanded_or_nan(demanded: BodyWrench | None, estimate: Estimate) -> BodyWrench:
     """A wrench, of NaN where there is none."""
     return demanded or BodyWrench(tau=jnp.full_like(estimate.nu, jnp.nan))
 
 
-def _aim(command: Any, before: jax.Array) -> jax.Array:
+def _target_position(command: Any, before: jax.Array) -> jax.Array:
     """Position [3] that a command aims at; ``before`` where it does not aim."""
     aims: jax.Array = (
         command.position_m if isinstance(command, PoseTarget | TrackingTarget) else before

@@ -53,21 +53,21 @@ def _of_law(
 ) -> Stage:
     """A stage of a law that knows its vehicle and the water."""
 
-    def step(gains: Any, carry: Any, given: StageInput, command: Any) -> tuple[Any, Any]:
+    def step(gains: Any, carry: Any, inputs: StageInput, command: Any) -> tuple[Any, Any]:
         more: dict[str, Any] = {}
         if flow:
-            more["flow"] = given.estimate.flow
+            more["flow"] = inputs.estimate.flow
         if realised:
-            more["realised"] = given.realised
+            more["realised"] = inputs.realised
         after: tuple[Any, Any] = law.step(
             gains,
-            given.params.known,
+            inputs.params.vehicle_model,
             carry,
-            given.estimate,
+            inputs.estimate,
             command,
-            given.dt,
-            given.density,
-            given.gravity,
+            inputs.dt,
+            inputs.density,
+            inputs.gravity,
             **more,
         )
         return after
@@ -90,35 +90,37 @@ def _of_law(
     )
 
 
-def _nothing(_: Estimate, __: jax.Array) -> tuple[()]:
+def _no_memory(_: Estimate, __: jax.Array) -> tuple[()]:
     """Memory of a stage that has none."""
     return ()
 
 
-def _follow(gains: Any, carry: Any, given: StageInput, command: Any) -> tuple[Any, Any]:
-    return follow.step(gains, carry, given.estimate, command, given.dt)
+def _step_follow(gains: Any, carry: Any, inputs: StageInput, command: Any) -> tuple[Any, Any]:
+    return follow.step(gains, carry, inputs.estimate, command, inputs.dt)
 
 
-def _track(gains: Any, carry: Any, given: StageInput, command: Any) -> tuple[Any, Any]:
-    return follow.track(gains, carry, given.estimate, command, given.dt)
+def _step_track(gains: Any, carry: Any, inputs: StageInput, command: Any) -> tuple[Any, Any]:
+    return follow.track_target(gains, carry, inputs.estimate, command, inputs.dt)
 
 
-def _clock(carry: follow.FollowCarry, _: Any) -> jax.Array:
+def _plan_clock(carry: follow.FollowCarry, _: Any) -> jax.Array:
     return carry.clock_s
 
 
-def _pose(gains: Any, carry: Any, given: StageInput, command: Any) -> tuple[Any, Any]:
-    params = given.params
-    return carry, pose.step(gains, params.known, params.cruise_speed_mps, given.estimate, command)
+def _step_pose(gains: Any, carry: Any, inputs: StageInput, command: Any) -> tuple[Any, Any]:
+    params = inputs.params
+    return carry, pose.step(
+        gains, params.vehicle_model, params.cruise_speed_mps, inputs.estimate, command
+    )
 
 
-def _allocation(name: str, allocate: Callable[..., ThrusterPwm]) -> Stage:
+def _allocation_stage(name: str, allocate: Callable[..., ThrusterPwm]) -> Stage:
     """A stage that allocates a wrench."""
 
-    def step(_: Any, carry: Any, given: StageInput, command: Any) -> tuple[Any, Any]:
-        return carry, allocate(given.params.allocation, command)
+    def step(_: Any, carry: Any, inputs: StageInput, command: Any) -> tuple[Any, Any]:
+        return carry, allocate(inputs.params.allocation, command)
 
-    return Stage(name=name, takes=(BodyWrench,), gives=ThrusterPwm, step=step, reset=_nothing)
+    return Stage(name=name, takes=(BodyWrench,), gives=ThrusterPwm, step=step, reset=_no_memory)
 
 
 _ALL = (
@@ -126,29 +128,29 @@ _ALL = (
         name="follow",
         takes=_PATHS,
         gives=PoseTarget,
-        step=_follow,
+        step=_step_follow,
         reset=lambda _, yaw_rad: follow.reset(yaw_rad),
         gains=follow.FollowGains,
         check=follow.check,
-        progress=_clock,
+        progress=_plan_clock,
     ),
     Stage(
         name="reference",
         takes=_PATHS,
         gives=TrackingTarget,
-        step=_track,
+        step=_step_track,
         reset=lambda _, yaw_rad: follow.reset(yaw_rad),
         gains=follow.FollowGains,
         check=lambda gains: follow.check(gains, "reference"),
-        progress=_clock,
+        progress=_plan_clock,
     ),
     _of_law("los", los, los.LosGains, (Trajectory,), BodyTwist, progress=los.progress_s),
     Stage(
         name="pose",
         takes=_POSES,
         gives=BodyTwist,
-        step=_pose,
-        reset=_nothing,
+        step=_step_pose,
+        reset=_no_memory,
         gains=pose.PoseGains,
         check=pose.check,
     ),
@@ -181,8 +183,8 @@ _ALL = (
         BodyWrench,
         flow=True,
     ),
-    _allocation("pseudo_inverse", allocation.allocate),
-    _allocation("prioritized", allocation.allocate_to_limits),
+    _allocation_stage("pseudo_inverse", allocation.allocate),
+    _allocation_stage("prioritized", allocation.allocate_to_limits),
     _of_law("ardusub", ardusub, ardusub.ArduSubGains, _POSES, ThrusterPwm, sway=True),
 )
 
@@ -204,21 +206,21 @@ current forward (tracking, computed_torque) are told it; those that reject what 
 (ismc, aitsm, and all with an integral alone) are not."""
 
 
-def named(controller: str) -> Stages:
+def find_controller(controller: str) -> Stages:
     """The stages of a stack that has a name."""
     return tuple(STAGES[name] for name in CONTROLLERS[controller])
 
 
-def called(stages: Stages) -> str:
+def describe_stages(stages: Stages) -> str:
     """A stack in words: its name, or its stages."""
     names = tuple(stage.name for stage in stages)
-    for name, own in CONTROLLERS.items():
-        if own == names:
+    for name, members in CONTROLLERS.items():
+        if members == names:
             return f"controller {name!r}"
-    return f"the controller of stages {_quoted(names)}"
+    return f"the controller of stages {_quote_names(names)}"
 
 
-def build(
+def build_stack(
     names: Sequence[str],
     gains: Mapping[str, Mapping[str, float]],
 ) -> tuple[Stages, tuple[Any, ...]]:
@@ -233,7 +235,7 @@ def build(
             not fit; one message with every fault.
     """
     if unknown := [name for name in names if name not in STAGES]:
-        raise ConfigError(f"stages: unknown {_quoted(unknown)}; there is {', '.join(STAGES)}")
+        raise ConfigError(f"stages: unknown {_quote_names(unknown)}; there is {', '.join(STAGES)}")
     stages = tuple(STAGES[name] for name in names)
     faults = fit_faults(stages)
     faults += [
@@ -244,14 +246,14 @@ def build(
     made = []
     for stage in stages:
         numbers = gains.get(stage.name, {})
-        known_gains = [entry.name for entry in fields(stage.gains())]
+        gain_names = [entry.name for entry in fields(stage.gains())]
         faults += [
             f"gains.{stage.name}.{name} = {value:g}: unknown gain; there is "
-            + (", ".join(known_gains) or "none")
+            + (", ".join(gain_names) or "none")
             for name, value in numbers.items()
-            if name not in known_gains
+            if name not in gain_names
         ]
-        made.append(stage.gains(**{name: x for name, x in numbers.items() if name in known_gains}))
+        made.append(stage.gains(**{name: x for name, x in numbers.items() if name in gain_names}))
         try:
             if stage.check is not None:
                 stage.check(made[-1])
@@ -268,7 +270,7 @@ def fit_faults(stages: Stages) -> list[str]:
         return ["stages: empty; name at least one"]
     faults = [
         f"stages: {upper.name!r} gives {upper.gives.__name__}, but {lower.name!r} below it takes "
-        f"{stack.takes(lower)}"
+        f"{stack.describe_inputs(lower)}"
         for upper, lower in itertools.pairwise(stages)
         if upper.gives not in lower.takes
     ]
@@ -280,9 +282,9 @@ def fit_faults(stages: Stages) -> list[str]:
     names = [stage.name for stage in stages]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
-        faults.append(f"stages: {_quoted(twice)} more than once; its gains would be one")
+        faults.append(f"stages: {_quote_names(twice)} more than once; its gains would be one")
     return faults
 
 
-def _quoted(names: Sequence[str]) -> str:
+def _quote_names(names: Sequence[str]) -> str:
     return ", ".join(map(repr, names))

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from angler_kernels.table import count_not_above, last_not_above, take
+from angler_kernels.table import count_not_above, last_not_above, take_row
 
 
 @jax.tree_util.register_dataclass
@@ -24,7 +24,7 @@ class Trajectory:
     """bool [] False where the planner found no way: the robot is told to hold its start."""
 
 
-def hold(start_m: jax.Array, n_point: int) -> Trajectory:
+def hold_position(start_m: jax.Array, n_point: int) -> Trajectory:
     """Trajectories [R] that stay at ``start_m`` [R, 3]: no way was found, or none is known yet."""
     n_robot = start_m.shape[0]
     return Trajectory(
@@ -47,11 +47,11 @@ def segment_at(time_s: jax.Array, t: jax.Array, near: jax.Array | None = None) -
     if near is None:
         return jnp.clip(count_not_above(time_s, t) - 1, 0, n - 2)
     # Padding is not walked along.
-    until = jnp.where(t < time_s[-1], t, take(time_s, near))
+    until = jnp.where(t < time_s[-1], t, take_row(time_s, near))
     return jnp.minimum(last_not_above(time_s, until, near), n - 2)
 
 
-def sample(
+def sample_reference(
     trajectory: Trajectory, t: jax.Array, segment: jax.Array | None = None
 ) -> tuple[jax.Array, jax.Array]:
     """Position and velocity of the reference at a time.
@@ -66,10 +66,10 @@ def sample(
     """
     time, point = trajectory.time_s, trajectory.position_m
     k = segment_at(time, t) if segment is None else segment
-    begin, start, end = take(time, k), take(point, k), point[-1]
-    span = take(time, k + 1) - begin
+    begin, start, end = take_row(time, k), take_row(point, k), point[-1]
+    span = take_row(time, k + 1) - begin
     inside = (span > 0) & (t < time[-1])
-    rate = (take(point, k + 1) - start) / jnp.where(span > 0, span, 1.0)
+    rate = (take_row(point, k + 1) - start) / jnp.where(span > 0, span, 1.0)
     velocity = jnp.where(inside, rate, 0.0)
     position = jnp.where(inside, start + rate * (t - begin), end)
     return position, velocity

@@ -9,9 +9,9 @@ from typing import Annotated
 from pydantic import Field
 
 from angler_mjx.files import FileModel
-from angler_mjx.quantities import Place, PositiveLength
+from angler_mjx.quantities import Coordinate, PositiveLength
 
-type Vector = tuple[Place, Place, Place]
+type Vector = tuple[Coordinate, Coordinate, Coordinate]
 type Rate = Annotated[float, Field(ge=1e-3, le=1e6)]
 type Seconds = Annotated[float, Field(ge=1e-3, le=1e6)]
 type NotNegative = Annotated[float, Field(ge=0, le=1e6)]
@@ -139,7 +139,7 @@ class GpsConfig(FileModel):
     """Place, from the centre of mass, in F."""
     noise_m: NotNegative = 0.5
     """Stonefish."""
-    max_depth_m: Place = 0.1
+    max_depth_m: Coordinate = 0.1
     """Depth of the antenna's place down to which it is taken to be dry. Assumed."""
 
 

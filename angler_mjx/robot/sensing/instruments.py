@@ -18,12 +18,12 @@ from angler_mjx.robot.sensing.params import (
 from angler_mjx.robot.sensing.readings import SensorCarry, Truth
 
 
-def due(every: jax.Array, step: jax.Array, phase: jax.Array | int = 0) -> jax.Array:
+def is_due(every: jax.Array, step: jax.Array, phase: jax.Array | int = 0) -> jax.Array:
     """Whether an instrument speaks (bool []) at a step, counted from 0; ``every`` 0: never."""
     return (every > 0) & (step % jnp.maximum(every, 1) == phase)
 
 
-def place(truth: Truth, offset: jax.Array) -> jax.Array:
+def point_position(truth: Truth, offset: jax.Array) -> jax.Array:
     """Where [3] a point of the robot is, in W; ``offset`` [3] in F."""
     return truth.p + quaternion.rotate(truth.q, offset)
 
@@ -33,7 +33,7 @@ def velocity_at(nu: jax.Array, offset: jax.Array) -> jax.Array:
     return nu[:3] + jnp.cross(nu[3:], offset)
 
 
-def turned(before: jax.Array, after: jax.Array) -> jax.Array:
+def rotation_between(before: jax.Array, after: jax.Array) -> jax.Array:
     """Rotation vector [3], rad, of the rotation conj(before) after, between two attitudes [4].
 
     The logarithm of SO(3), 2 atan2(|u|, w) u / |u|; its series 2 u / w for the smallest angles.
@@ -47,7 +47,7 @@ def turned(before: jax.Array, after: jax.Array) -> jax.Array:
     return r[1:] * jnp.where(small, series, 2.0 * jnp.arctan2(length, r[0]) / length)
 
 
-def inertial(
+def measure_inertial(
     before_q: jax.Array,
     before_velocity: jax.Array,
     q: jax.Array,
@@ -70,17 +70,17 @@ def inertial(
     Returns:
         [3] rad/s and [3] m/s^2, in F.
     """
-    rotation = turned(before_q, q)
+    rotation = rotation_between(before_q, q)
     middle = quaternion.multiply(before_q, quaternion.exp(0.5 * rotation))
     up = jnp.stack([jnp.zeros_like(gravity), jnp.zeros_like(gravity), gravity])
     return rotation / dt, quaternion.rotate_inverse(middle, (velocity - before_velocity) / dt + up)
 
 
-def depth(
+def measure_depth(
     params: DepthParams, surface: jax.Array, truth: Truth, normal: jax.Array, noise: bool
 ) -> jax.Array:
     """Depth [] of the sensor's place, m: -z + offset of the scale + noise, in whole steps."""
-    exact = -place(truth, params.offset_m)[2]
+    exact = -point_position(truth, params.offset_m)[2]
     if not noise:
         return exact
     value = exact + surface + params.std_m * normal
@@ -88,7 +88,7 @@ def depth(
     return jnp.where(params.resolution_m > 0, jnp.round(value / step) * step, value)
 
 
-def attitude(
+def measure_attitude(
     params: AhrsParams, carry: SensorCarry, truth: Truth, normal: jax.Array, noise: bool
 ) -> jax.Array:
     """Attitude [4] as the AHRS has it: the true one turned in W by its errors.
@@ -132,7 +132,7 @@ def dvl_std(params: DvlParams, velocity: jax.Array) -> jax.Array:
 
 def dvl_locked(params: DvlParams, truth: Truth, normal: jax.Array, noise: bool) -> jax.Array:
     """Whether a DVL gives a velocity (bool []): bottom lock, and no dropout; ``normal`` []."""
-    altitude, tilt = truth.altitude_m, quaternion.up(truth.q)[2]
+    altitude, tilt = truth.altitude_m, quaternion.world_up(truth.q)[2]
     lock = (altitude >= params.min_altitude_m) & (altitude <= params.max_altitude_m)
     lock &= tilt >= params.min_cos_tilt
     return lock & ~(normal < params.dropout_below) if noise else lock
@@ -140,7 +140,7 @@ def dvl_locked(params: DvlParams, truth: Truth, normal: jax.Array, noise: bool) 
 
 def usbl_fix(params: UsblParams, truth: Truth, normal: jax.Array, noise: bool) -> jax.Array:
     """Position [3] of the transponder in W, m; ``normal`` [7]: noise, outlier, whether it is."""
-    exact = place(truth, params.offset_m)
+    exact = point_position(truth, params.offset_m)
     if not noise:
         return exact
     outlier = jnp.where(normal[6] < params.outlier_below, params.outlier_std_m, 0.0)
@@ -149,22 +149,22 @@ def usbl_fix(params: UsblParams, truth: Truth, normal: jax.Array, noise: bool) -
 
 def usbl_std(params: UsblParams, position: jax.Array) -> jax.Array:
     """Standard deviation [] of a USBL's axis, m: additive, and in proportion to the range."""
-    way = position - params.transceiver_m
-    return jnp.sqrt(params.std_m**2 + params.std_per_range**2 * jnp.sum(way * way))
+    offset = position - params.transceiver_m
+    return jnp.sqrt(params.std_m**2 + params.std_per_range**2 * jnp.sum(offset * offset))
 
 
 def gps_position(params: GpsParams, truth: Truth, normal: jax.Array, noise: bool) -> jax.Array:
     """Position [2] of the antenna, east and north, m; ``normal`` [2]."""
-    exact = place(truth, params.offset_m)[:2]
+    exact = point_position(truth, params.offset_m)[:2]
     return exact + params.std_m * normal if noise else exact
 
 
 def gps_received(params: GpsParams, truth: Truth) -> jax.Array:
     """Whether the antenna is at the surface (bool [])."""
-    return -place(truth, params.offset_m)[2] <= params.max_depth_m
+    return -point_position(truth, params.offset_m)[2] <= params.max_depth_m
 
 
-def disturbed(params: TruthNoiseParams, truth: Truth, normal: jax.Array, noise: bool) -> Truth:
+def disturb_truth(params: TruthNoiseParams, truth: Truth, normal: jax.Array, noise: bool) -> Truth:
     """The true state with white noise; ``normal`` [12]. The altitude stays as it is."""
     if not noise:
         return truth

@@ -136,7 +136,7 @@ class SensorParams:
     with bottom lock or at the surface. The figures above remain what a filter believes."""
 
 
-def louder(params: SensorParams, factor: jax.Array) -> SensorParams:
+def scale_noise(params: SensorParams, factor: jax.Array) -> SensorParams:
     """The same instruments with ``factor`` [] times the noise.
 
     Standard deviations are scaled, those of biases too; rates, dropouts, the share of echoes and
@@ -144,14 +144,14 @@ def louder(params: SensorParams, factor: jax.Array) -> SensorParams:
     """
 
     def scaled(part: Any) -> Any:
-        names = [one.name for one in fields(part) if "std" in one.name]
+        names = [entry.name for entry in fields(part) if "std" in entry.name]
         return replace(part, **{name: factor * getattr(part, name) for name in names})
 
     parts = ("imu", "depth", "ahrs", "dvl", "usbl", "gps", "truth")
     return replace(params, **{name: scaled(getattr(params, name)) for name in parts})
 
 
-def check(config: SensorsConfig, control_dt_s: float) -> None:
+def check_sensors(config: SensorsConfig, control_dt_s: float) -> None:
     """Refuse instruments that cannot be (host side).
 
     Args:
@@ -177,7 +177,7 @@ def check(config: SensorsConfig, control_dt_s: float) -> None:
         )
 
 
-def build(config: SensorsConfig, control_dt_s: float, gravity_mps2: float) -> SensorParams:
+def build_sensors(config: SensorsConfig, control_dt_s: float, gravity_mps2: float) -> SensorParams:
     """Compile the instruments of one robot.
 
     Rates become whole control periods: the nearest, at least one.
@@ -188,109 +188,113 @@ def build(config: SensorsConfig, control_dt_s: float, gravity_mps2: float) -> Se
         gravity_mps2: m/s^2.
 
     Raises:
-        ConfigError: as `check`.
+        ConfigError: as `check_sensors`.
     """
-    check(config, control_dt_s)
+    check_sensors(config, control_dt_s)
     depth, ahrs, dvl, gps, truth = config.depth, config.ahrs, config.dvl, config.gps, config.truth
 
     def every(fitted: bool, rate_hz: float) -> jax.Array:
-        return _steps(fitted, 1.0 / rate_hz, control_dt_s)
+        return _period_steps(fitted, 1.0 / rate_hz, control_dt_s)
 
     return SensorParams(
-        imu=_imu(config.imu, control_dt_s),
+        imu=_build_imu(config.imu, control_dt_s),
         depth=DepthParams(
             every=every(depth.fitted, depth.rate_hz),
-            offset_m=_vector(depth.offset_m),
-            std_m=_number(depth.noise_m),
-            resolution_m=_number(depth.resolution_m),
-            surface_std_m=_number(depth.surface_offset_m),
+            offset_m=_vector_array(depth.offset_m),
+            std_m=_scalar_array(depth.noise_m),
+            resolution_m=_scalar_array(depth.resolution_m),
+            surface_std_m=_scalar_array(depth.surface_offset_m),
         ),
         ahrs=AhrsParams(
             every=every(ahrs.fitted, ahrs.rate_hz),
-            level_std_rad=_number(math.radians(ahrs.level_noise_deg)),
-            heading_std_rad=_number(math.radians(ahrs.heading_noise_deg)),
-            heading_bias_std_rad=_number(math.radians(ahrs.heading_bias_deg)),
-            hard_iron_std=_number(ahrs.hard_iron),
+            level_std_rad=_scalar_array(math.radians(ahrs.level_noise_deg)),
+            heading_std_rad=_scalar_array(math.radians(ahrs.heading_noise_deg)),
+            heading_bias_std_rad=_scalar_array(math.radians(ahrs.heading_bias_deg)),
+            hard_iron_std=_scalar_array(ahrs.hard_iron),
         ),
         dvl=DvlParams(
             every=every(dvl.fitted, dvl.rate_hz),
-            offset_m=_vector(dvl.offset_m),
-            std_mps=_number(dvl.noise_mps),
-            std_per_speed=_number(0.01 * dvl.noise_percent_of_speed),
-            min_altitude_m=_number(dvl.min_altitude_m),
-            max_altitude_m=_number(dvl.max_altitude_m),
-            min_cos_tilt=_number(math.cos(math.radians(dvl.max_tilt_deg))),
-            dropout_below=_below(dvl.dropout),
+            offset_m=_vector_array(dvl.offset_m),
+            std_mps=_scalar_array(dvl.noise_mps),
+            std_per_speed=_scalar_array(0.01 * dvl.noise_percent_of_speed),
+            min_altitude_m=_scalar_array(dvl.min_altitude_m),
+            max_altitude_m=_scalar_array(dvl.max_altitude_m),
+            min_cos_tilt=_scalar_array(math.cos(math.radians(dvl.max_tilt_deg))),
+            dropout_below=_normal_quantile(dvl.dropout),
         ),
-        usbl=_usbl(config.usbl, control_dt_s),
+        usbl=_build_usbl(config.usbl, control_dt_s),
         gps=GpsParams(
             every=every(gps.fitted, gps.rate_hz),
-            offset_m=_vector(gps.offset_m),
-            std_m=_number(gps.noise_m),
-            max_depth_m=_number(gps.max_depth_m),
+            offset_m=_vector_array(gps.offset_m),
+            std_m=_scalar_array(gps.noise_m),
+            max_depth_m=_scalar_array(gps.max_depth_m),
         ),
         truth=TruthNoiseParams(
-            position_std_m=_number(truth.position_m),
-            attitude_std_rad=_number(math.radians(truth.attitude_deg)),
-            velocity_std_mps=_number(truth.velocity_mps),
-            rate_std_radps=_number(truth.rate_radps),
-            current_std_mps=_number(truth.current_mps),
+            position_std_m=_scalar_array(truth.position_m),
+            attitude_std_rad=_scalar_array(math.radians(truth.attitude_deg)),
+            velocity_std_mps=_scalar_array(truth.velocity_mps),
+            rate_std_radps=_scalar_array(truth.rate_radps),
+            current_std_mps=_scalar_array(truth.current_mps),
         ),
-        dt_s=_number(control_dt_s),
-        gravity_mps2=_number(gravity_mps2),
+        dt_s=_scalar_array(control_dt_s),
+        gravity_mps2=_scalar_array(gravity_mps2),
         noise=config.noise,
     )
 
 
-def _imu(config: ImuConfig, dt: float) -> ImuParams:
-    gyro_kept, gyro_walk = _walk(config.gyro_walk_radps2_per_rthz, config.gyro_walk_time_s, dt)
-    accel_kept, accel_walk = _walk(config.accel_walk_mps3_per_rthz, config.accel_walk_time_s, dt)
+def _build_imu(config: ImuConfig, dt: float) -> ImuParams:
+    gyro_kept, gyro_walk = _random_walk_step(
+        config.gyro_walk_radps2_per_rthz, config.gyro_walk_time_s, dt
+    )
+    accel_kept, accel_walk = _random_walk_step(
+        config.accel_walk_mps3_per_rthz, config.accel_walk_time_s, dt
+    )
     return ImuParams(
-        offset_m=_vector(config.offset_m),
-        gyro_std=_number(config.gyro_noise_radps_per_rthz / math.sqrt(dt)),
-        gyro_walk_std=_number(gyro_walk),
-        gyro_walk_kept=_number(gyro_kept),
-        gyro_turn_on_std=_number(config.gyro_turn_on_radps),
-        accel_std=_number(config.accel_noise_mps2_per_rthz / math.sqrt(dt)),
-        accel_walk_std=_number(accel_walk),
-        accel_walk_kept=_number(accel_kept),
-        accel_turn_on_std=_number(config.accel_turn_on_mps2),
+        offset_m=_vector_array(config.offset_m),
+        gyro_std=_scalar_array(config.gyro_noise_radps_per_rthz / math.sqrt(dt)),
+        gyro_walk_std=_scalar_array(gyro_walk),
+        gyro_walk_kept=_scalar_array(gyro_kept),
+        gyro_turn_on_std=_scalar_array(config.gyro_turn_on_radps),
+        accel_std=_scalar_array(config.accel_noise_mps2_per_rthz / math.sqrt(dt)),
+        accel_walk_std=_scalar_array(accel_walk),
+        accel_walk_kept=_scalar_array(accel_kept),
+        accel_turn_on_std=_scalar_array(config.accel_turn_on_mps2),
     )
 
 
-def _walk(density: float, tau: float, dt: float) -> tuple[float, float]:
+def _random_walk_step(density: float, tau: float, dt: float) -> tuple[float, float]:
     """What is kept and what is added in one step of db/dt = -b / tau + density w(t), exactly."""
     added = density * math.sqrt(-0.5 * tau * math.expm1(-2 * dt / tau))
     return math.exp(-dt / tau), added
 
 
-def _usbl(config: UsblConfig, dt: float) -> UsblParams:
+def _build_usbl(config: UsblConfig, dt: float) -> UsblParams:
     latency = round(config.latency_s / dt)
     return UsblParams(
-        every=_steps(config.fitted, config.period_s, dt),
+        every=_period_steps(config.fitted, config.period_s, dt),
         latency=jnp.asarray(latency, jnp.int32),
-        latency_s=_number(latency * dt),
-        offset_m=_vector(config.offset_m),
-        transceiver_m=_vector(config.transceiver_m),
-        std_m=_number(config.noise_m),
-        std_per_range=_number(0.01 * config.noise_percent_of_range),
-        outlier_below=_below(config.outlier),
-        outlier_std_m=_number(config.outlier_m),
+        latency_s=_scalar_array(latency * dt),
+        offset_m=_vector_array(config.offset_m),
+        transceiver_m=_vector_array(config.transceiver_m),
+        std_m=_scalar_array(config.noise_m),
+        std_per_range=_scalar_array(0.01 * config.noise_percent_of_range),
+        outlier_below=_normal_quantile(config.outlier),
+        outlier_std_m=_scalar_array(config.outlier_m),
     )
 
 
-def _steps(fitted: bool, period_s: float, dt: float) -> jax.Array:
+def _period_steps(fitted: bool, period_s: float, dt: float) -> jax.Array:
     return jnp.asarray(max(1, round(period_s / dt)) if fitted else 0, jnp.int32)
 
 
-def _below(probability: float) -> jax.Array:
+def _normal_quantile(probability: float) -> jax.Array:
     """Where a standard normal number lies below with this probability."""
-    return _number(NormalDist().inv_cdf(probability) if probability > 0 else -math.inf)
+    return _scalar_array(NormalDist().inv_cdf(probability) if probability > 0 else -math.inf)
 
 
-def _number(value: float) -> jax.Array:
+def _scalar_array(value: float) -> jax.Array:
     return jnp.asarray(value, float)
 
 
-def _vector(value: tuple[float, float, float]) -> jax.Array:
+def _vector_array(value: tuple[float, float, float]) -> jax.Array:
     return jnp.asarray(value, float)

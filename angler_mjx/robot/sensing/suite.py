@@ -1,8 +1,8 @@
 """All instruments of one robot at one control step, with memory and randomness made explicit.
 
-Randomness comes in as standard normal numbers. ``draw`` makes them from the robot's key and the
-number of the step, nothing else; ``measure`` is elementwise arithmetic, so it runs under ``vmap``,
-in ``scan`` and on `angler_kernels.lanes` alike; ``step`` is both.
+Randomness comes in as standard normal numbers. ``sample_noise`` makes them from the robot's key and
+the number of the step, nothing else; ``read_instruments`` is elementwise arithmetic, so it runs
+under ``vmap``, in ``scan`` and on `angler_kernels.lanes` alike; ``step`` is both.
 """
 
 from dataclasses import replace
@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from angler_kernels import quaternion
 from angler_mjx.robot.sensing import instruments
-from angler_mjx.robot.sensing.instruments import due
+from angler_mjx.robot.sensing.instruments import is_due
 from angler_mjx.robot.sensing.params import SensorParams
 from angler_mjx.robot.sensing.readings import ImuReading, Reading, SensorCarry, Truth
 
@@ -21,7 +21,7 @@ N_NORMAL = 29
 3 + 1, USBL 7, GPS 2."""
 
 
-def draw(params: SensorParams, key: jax.Array, step: jax.Array) -> jax.Array:
+def sample_noise(params: SensorParams, key: jax.Array, step: jax.Array) -> jax.Array:
     """Standard normal numbers [N_NORMAL] of a robot's step.
 
     Args:
@@ -41,7 +41,7 @@ def reset(params: SensorParams, key: jax.Array, truth: Truth) -> SensorCarry:
 
     Args:
         params: of the robot.
-        key: of the robot, as for ``draw``.
+        key: of the robot, as for ``sample_noise``.
         truth: its motion at the first step.
     """
     dtype = truth.p.dtype
@@ -67,11 +67,11 @@ def reset(params: SensorParams, key: jax.Array, truth: Truth) -> SensorCarry:
 def step(
     params: SensorParams, carry: SensorCarry, key: jax.Array, step: jax.Array, truth: Truth
 ) -> tuple[SensorCarry, Reading]:
-    """Read all instruments: ``measure`` with what ``draw`` gives."""
-    return measure(params, carry, draw(params, key, step), step, truth)
+    """Read all instruments: ``read_instruments`` with what ``sample_noise`` gives."""
+    return read_instruments(params, carry, sample_noise(params, key, step), step, truth)
 
 
-def measure(
+def read_instruments(
     params: SensorParams, carry: SensorCarry, normal: jax.Array, step: jax.Array, truth: Truth
 ) -> tuple[SensorCarry, Reading]:
     """Read all instruments.
@@ -87,17 +87,17 @@ def measure(
         The memory and the readings.
     """
     noise, depth, dvl, usbl, gps = params.noise, params.depth, params.dvl, params.usbl, params.gps
-    carry, imu = _inertial(params, carry, normal[:12], truth)
-    depth_fresh = due(depth.every, step)
-    ahrs_fresh = due(params.ahrs.every, step)
-    dvl_fresh = due(dvl.every, step) & instruments.dvl_locked(dvl, truth, normal[19], noise)
-    gps_fresh = due(gps.every, step) & instruments.gps_received(gps, truth)
-    pinged = due(usbl.every, step)
+    carry, imu = _measure_imu(params, carry, normal[:12], truth)
+    depth_fresh = is_due(depth.every, step)
+    ahrs_fresh = is_due(params.ahrs.every, step)
+    dvl_fresh = is_due(dvl.every, step) & instruments.dvl_locked(dvl, truth, normal[19], noise)
+    gps_fresh = is_due(gps.every, step) & instruments.gps_received(gps, truth)
+    pinged = is_due(usbl.every, step)
     fix = instruments.usbl_fix(usbl, truth, normal[20:27], noise)
     fix = jnp.where(pinged, fix, carry.usbl_fix_m)
-    usbl_fresh = due(usbl.every, step, usbl.latency)
-    depth_m = instruments.depth(depth, carry.surface_m, truth, normal[12], noise)
-    ahrs_q = instruments.attitude(params.ahrs, carry, truth, normal[13:16], noise)
+    usbl_fresh = is_due(usbl.every, step, usbl.latency)
+    depth_m = instruments.measure_depth(depth, carry.surface_m, truth, normal[12], noise)
+    ahrs_q = instruments.measure_attitude(params.ahrs, carry, truth, normal[13:16], noise)
     velocity = instruments.dvl_velocity(dvl, truth, normal[16:19], noise)
     gps_m = instruments.gps_position(gps, truth, normal[27:29], noise)
     return replace(carry, usbl_fix_m=fix), Reading(
@@ -116,14 +116,14 @@ def measure(
     )
 
 
-def disturb(params: SensorParams, key: jax.Array, step: jax.Array, truth: Truth) -> Truth:
+def disturb_truth(params: SensorParams, key: jax.Array, step: jax.Array, truth: Truth) -> Truth:
     """The true state with white noise, without any instrument; exact with ``noise`` False."""
     if not params.noise:
         return truth
     # A branch of its own: what it draws must not depend on whether instruments are read too.
     key = jax.random.fold_in(jax.random.fold_in(key, step + 1), 1)
     normal = jax.random.normal(key, (12,), truth.p.dtype)
-    return instruments.disturbed(params.truth, truth, normal, params.noise)
+    return instruments.disturb_truth(params.truth, truth, normal, params.noise)
 
 
 def disturb_current(
@@ -143,12 +143,12 @@ def _imu_velocity(params: SensorParams, truth: Truth) -> jax.Array:
     return quaternion.rotate(truth.q, velocity)
 
 
-def _inertial(
+def _measure_imu(
     params: SensorParams, carry: SensorCarry, normal: jax.Array, truth: Truth
 ) -> tuple[SensorCarry, ImuReading]:
     """The IMU: biases move on, then mean and present values with the same noise."""
     imu, velocity = params.imu, _imu_velocity(params, truth)
-    mean_rate, force = instruments.inertial(
+    mean_rate, force = instruments.measure_inertial(
         carry.before_q, carry.before_velocity, truth.q, velocity, params.dt_s, params.gravity_mps2
     )
     rate = truth.nu[3:]

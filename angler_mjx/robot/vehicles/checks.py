@@ -20,7 +20,7 @@ PWM_LOW_US, PWM_HIGH_US = 1100, 1900
 _RELATIVE_TOLERANCE = 1e-6
 
 
-def _symmetric(value: Any, size: int) -> np.ndarray:
+def _symmetric_matrix(value: Any, size: int) -> np.ndarray:
     """Turn a diagonal or a full matrix of a file into a symmetric array, or say what is wrong."""
     shape_hint = f"give {size} diagonal values or {size} rows of {size} values"
     rows = value if isinstance(value, tuple | list) else ()
@@ -42,13 +42,13 @@ def _symmetric(value: Any, size: int) -> np.ndarray:
     return (matrix + matrix.T) / 2
 
 
-def _rows(matrix: np.ndarray) -> Matrix:
+def _to_rows(matrix: np.ndarray) -> Matrix:
     return tuple(tuple(float(entry) for entry in row) for row in matrix)
 
 
-def inertia(value: Any) -> Matrix:
+def check_inertia(value: Any) -> Matrix:
     """Check rotational inertia (3 diagonal values or 3 x 3) and return the full matrix."""
-    matrix = _symmetric(value, 3)
+    matrix = _symmetric_matrix(value, 3)
     low, middle, high = np.linalg.eigvalsh(matrix)
     if low < SMALLEST:
         raise ValueError(
@@ -59,19 +59,19 @@ def inertia(value: Any) -> Matrix:
             f"no rigid body has principal moments {low:.4g}, {middle:.4g}, {high:.4g}: "
             "the two smaller ones must add up to at least the largest"
         )
-    return _rows(matrix)
+    return _to_rows(matrix)
 
 
-def added_mass(value: Any) -> Matrix:
+def check_added_mass(value: Any) -> Matrix:
     """Check added mass (6 diagonal values or 6 x 6) and return the full matrix."""
-    matrix = _symmetric(value, 6)
+    matrix = _symmetric_matrix(value, 6)
     low, *_, high = np.linalg.eigvalsh(matrix)
     if low < -_RELATIVE_TOLERANCE * max(high, 0.0):
         raise ValueError("must not be negative; give added mass as positive numbers")
-    return _rows(matrix)
+    return _to_rows(matrix)
 
 
-def damping(value: tuple[float, ...]) -> tuple[float, ...]:
+def check_damping(value: tuple[float, ...]) -> tuple[float, ...]:
     """Check six damping coefficients."""
     if len(value) != 6 or min(value) < 0 or max(value) > LARGEST:
         raise ValueError(
@@ -80,14 +80,14 @@ def damping(value: tuple[float, ...]) -> tuple[float, ...]:
     return value
 
 
-def names_differ(kind: str, names: list[str]) -> None:
+def check_distinct_names(kind: str, names: list[str]) -> None:
     """Check that no name occurs twice."""
     if len(set(names)) < len(names):
         twice = sorted({name for name in names if names.count(name) > 1})
         raise ValueError(f"{kind} names must differ; more than once: {', '.join(twice)}")
 
 
-def unit_vector(value: tuple[float, float, float]) -> tuple[float, float, float]:
+def check_unit_vector(value: tuple[float, float, float]) -> tuple[float, float, float]:
     """Check a direction."""
     length = float(np.linalg.norm(value))
     if abs(length - 1) > _RELATIVE_TOLERANCE:
@@ -95,7 +95,7 @@ def unit_vector(value: tuple[float, float, float]) -> tuple[float, float, float]
     return value
 
 
-def positive(value: float) -> float:
+def check_positive(value: float) -> float:
     """Check a number above zero that float32 can compute with."""
     if not SMALLEST <= value <= LARGEST:
         raise ValueError(f"must lie between {SMALLEST:g} and {LARGEST:g} (SI units)")

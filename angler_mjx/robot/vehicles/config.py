@@ -11,16 +11,16 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 
-from angler_mjx.errors import ConfigError, shown
+from angler_mjx.errors import ConfigError, format_value
 from angler_mjx.files import FileModel
-from angler_mjx.quantities import Place, Sign
+from angler_mjx.quantities import Coordinate, Sign
 from angler_mjx.robot.vehicles import checks
 from angler_mjx.robot.vehicles.checks import Matrix
 from angler_mjx.robot.vehicles.rotor_config import Positive, Rotor, RotorResponse, Source
 
-type Vector3 = tuple[Place, Place, Place]
+type Vector3 = tuple[Coordinate, Coordinate, Coordinate]
 type Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_\-]+$", max_length=64)]
-type Share = Annotated[float, Field(ge=0, le=1)]
+type Fraction = Annotated[float, Field(ge=0, le=1)]
 
 
 class Capsule(FileModel):
@@ -34,7 +34,7 @@ class Capsule(FileModel):
     """Of the cylinder and its ends."""
 
     @model_validator(mode="after")
-    def _has_a_length(self) -> Self:
+    def _check_length(self) -> Self:
         # MuJoCo takes no capsule without a length; files give millimetres.
         if math.dist(self.from_m, self.to_m) < 1e-3:
             raise ValueError("from_m and to_m: must be at least 1 mm apart, also for a ball")
@@ -66,7 +66,7 @@ class Thruster(FileModel):
     """For faults of thrusters, and in tables."""
     position_m: Vector3
     """Of the rotor."""
-    direction: Annotated[tuple[float, float, float], AfterValidator(checks.unit_vector)]
+    direction: Annotated[tuple[float, float, float], AfterValidator(checks.check_unit_vector)]
     """Unit vector of the force on the vehicle at positive thrust (PWM above neutral)."""
     spin: Sign
     """+1 if the rotor turns right-handed about ``direction`` at positive thrust."""
@@ -81,15 +81,15 @@ class Thrusters(FileModel):
 
     @field_validator("layout")
     @classmethod
-    def _distinct(cls, value: tuple[Thruster, ...]) -> tuple[Thruster, ...]:
-        checks.names_differ("thruster", [thruster.name for thruster in value])
+    def _check_distinct(cls, value: tuple[Thruster, ...]) -> tuple[Thruster, ...]:
+        checks.check_distinct_names("thruster", [thruster.name for thruster in value])
         return value
 
 
 class _Shape(FileModel):
     name: Name
     """Of the geometry in the MuJoCo model."""
-    rgba: tuple[Share, Share, Share, Share]
+    rgba: tuple[Fraction, Fraction, Fraction, Fraction]
     """Colour, and opacity."""
 
 
@@ -137,8 +137,8 @@ class Visual(FileModel):
 
     @field_validator("shapes")
     @classmethod
-    def _distinct(cls, value: tuple[Shape, ...]) -> tuple[Shape, ...]:
-        checks.names_differ("shape", [shape.name for shape in value])
+    def _check_distinct(cls, value: tuple[Shape, ...]) -> tuple[Shape, ...]:
+        checks.check_distinct_names("shape", [shape.name for shape in value])
         return value
 
 
@@ -147,7 +147,7 @@ class RigidBody(FileModel):
 
     mass_kg: Positive
     """Dry mass."""
-    inertia_kgm2: Annotated[Matrix, BeforeValidator(checks.inertia)]
+    inertia_kgm2: Annotated[Matrix, BeforeValidator(checks.check_inertia)]
     """Three diagonal values or a full 3 x 3 matrix."""
     source: Source
 
@@ -165,7 +165,7 @@ class Buoyancy(FileModel):
 class AddedMass(FileModel):
     """Added mass at the centre of mass, in F, as positive numbers."""
 
-    coefficients: Annotated[Matrix, BeforeValidator(checks.added_mass)]
+    coefficients: Annotated[Matrix, BeforeValidator(checks.check_added_mass)]
     """Six diagonal values or a full 6 x 6 matrix; kg, kg m, kg m^2."""
     source: Source
 
@@ -173,14 +173,14 @@ class AddedMass(FileModel):
 class Damping(FileModel):
     """Diagonal damping at the centre of mass, in F, as positive numbers."""
 
-    linear: Annotated[tuple[float, ...], AfterValidator(checks.damping)]
+    linear: Annotated[tuple[float, ...], AfterValidator(checks.check_damping)]
     """N s/m (first three), N m s/rad."""
-    quadratic: Annotated[tuple[float, ...], AfterValidator(checks.damping)]
+    quadratic: Annotated[tuple[float, ...], AfterValidator(checks.check_damping)]
     """N s^2/m^2 (first three), N m s^2/rad^2."""
     source: Source
 
     @model_validator(mode="after")
-    def _some(self) -> Self:
+    def _check_damped(self) -> Self:
         free = [
             i
             for i, pair in enumerate(zip(self.linear, self.quadratic, strict=True))
@@ -233,10 +233,10 @@ class VehicleConfig(FileModel):
     """By name."""
 
     @model_validator(mode="after")
-    def _default_exists(self) -> Self:
+    def _check_default(self) -> Self:
         if self.default_set not in self.parameter_sets:
             raise ValueError(
-                f"default_set = {shown(self.default_set)} is none of "
+                f"default_set = {format_value(self.default_set)} is none of "
                 + ", ".join(self.parameter_sets)
             )
         return self
@@ -250,7 +250,7 @@ class VehicleConfig(FileModel):
         chosen = self.default_set if name is None else name
         if chosen not in self.parameter_sets:
             raise ConfigError(
-                f"vehicle {self.name!r} has no parameter set {shown(chosen)}; "
+                f"vehicle {self.name!r} has no parameter set {format_value(chosen)}; "
                 f"it has {', '.join(self.parameter_sets)}"
             )
         return self.parameter_sets[chosen]
@@ -279,15 +279,15 @@ class VehicleConfig(FileModel):
             ConfigError: the vehicle has no thruster of a name, or a share is out of range.
         """
         names = [thruster.name for thruster in self.thrusters.layout]
-        for name, share in health.items():
+        for name, fraction in health.items():
             if name not in names:
                 raise ConfigError(
-                    f"vehicle {self.name!r} has no thruster {shown(name)}; it has "
+                    f"vehicle {self.name!r} has no thruster {format_value(name)}; it has "
                     + ", ".join(names)
                 )
-            if not 0.0 <= share <= 1.0:
+            if not 0.0 <= fraction <= 1.0:
                 raise ConfigError(
-                    f"thruster {name!r} of vehicle {self.name!r}: health {share} is not between "
+                    f"thruster {name!r} of vehicle {self.name!r}: health {fraction} is not between "
                     "0 (dead) and 1 (sound)"
                 )
         return tuple(health.get(name, 1.0) for name in names)

@@ -14,10 +14,10 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.robot.vehicles.config import VehicleConfig
 from angler_mjx.robot.vehicles.thrusters import FloatArray
 
-SLOW_SHARE = 0.1
+MIN_SWAY_FRACTION = 0.1
 """A sway slower than this share of surge is not counted: all ways together would be held to it."""
 
-_WAYS = {"surge": 0, "sway": 1, "heave": 2, "yaw": 5}
+_AXES = {"surge": 0, "sway": 1, "heave": 2, "yaw": 5}
 """Rows of the wrench matrix."""
 _ALONE = 1e-2
 """Share of a push along one way that may go along the others, and of the largest singular value
@@ -34,13 +34,15 @@ class Drive:
     """Whether it can turn about the vertical alone."""
 
     @property
-    def missing(self) -> tuple[str, ...]:
+    def missing_axes(self) -> tuple[str, ...]:
         """Ways that are not there."""
-        there = [*(self.terminal_speed_mps > 0), self.yaw]
-        return tuple(way for way, is_there in zip(_WAYS, there, strict=True) if not is_there)
+        available = [*(self.terminal_speed_mps > 0), self.yaw]
+        return tuple(
+            axis for axis, is_available in zip(_AXES, available, strict=True) if not is_available
+        )
 
 
-def drive(
+def compute_drive(
     B: FloatArray, reverse_n: float, forward_n: float, D_l: FloatArray, D_q: FloatArray
 ) -> Drive:
     """What thrusters and damping make of a vehicle.
@@ -52,16 +54,16 @@ def drive(
         D_l: [3] linear damping of surge, sway, heave, N s/m.
         D_q: [3] quadratic damping, N s^2/m^2.
     """
-    level = B[list(_WAYS.values())]
+    level = B[list(_AXES.values())]
     reach = level @ np.linalg.pinv(level, rcond=_ALONE)
     alone = np.linalg.norm(reach - np.eye(4), axis=0) < _ALONE
     force = full_force(level, reverse_n, forward_n)
-    there = alone & (force > 0)
-    speed, can = np.zeros(3), there[:3]
+    available = alone & (force > 0)
+    speed, can = np.zeros(3), available[:3]
     speed[can] = terminal_speed(force[:3][can], D_l[can], D_q[can])
-    if speed[1] < SLOW_SHARE * speed[0]:
+    if speed[1] < MIN_SWAY_FRACTION * speed[0]:
         speed[1] = 0.0
-    return Drive(terminal_speed_mps=speed, yaw=bool(there[3]))
+    return Drive(terminal_speed_mps=speed, yaw=bool(available[3]))
 
 
 def require_flyable(config: VehicleConfig, able: Drive) -> None:
@@ -70,7 +72,7 @@ def require_flyable(config: VehicleConfig, able: Drive) -> None:
     Raises:
         ConfigError: naming it and the ways that it lacks.
     """
-    lacking = [way for way in able.missing if way != "sway"]
+    lacking = [axis for axis in able.missing_axes if axis != "sway"]
     if lacking:
         raise ConfigError(
             f"vehicle {config.name!r} cannot fly a path: no thrust in {' or '.join(lacking)} "

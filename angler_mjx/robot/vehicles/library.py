@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from angler_mjx.errors import ConfigError, shown
-from angler_mjx.files import TOML_BYTES, named, parse, read_text, toml_of
+from angler_mjx.errors import ConfigError, format_value
+from angler_mjx.files import MAX_TOML_BYTES, format_path, parse_model, parse_toml, read_text
 from angler_mjx.robot.vehicles.config import VehicleConfig
 from angler_mjx.robot.vehicles.thruster_config import ThrusterTable
 
@@ -15,12 +15,12 @@ _VEHICLES = Path(__file__).parent / "data"
 _THRUSTERS = _VEHICLES / "thrusters"
 
 
-def available() -> list[str]:
+def list_vehicles() -> list[str]:
     """Names of the shipped vehicles, sorted."""
-    return list(_names(_VEHICLES))
+    return list(_list_names(_VEHICLES))
 
 
-def load(name_or_path: str) -> VehicleConfig:
+def load_vehicle(name_or_path: str) -> VehicleConfig:
     """Read a vehicle file.
 
     Args:
@@ -29,14 +29,14 @@ def load(name_or_path: str) -> VehicleConfig:
     Raises:
         ConfigError: there is no such vehicle, or its file has faults (all are listed).
     """
-    path = _locate(name_or_path, _VEHICLES, "vehicle")
-    return _load(path, read_text(path, TOML_BYTES))
+    path = _locate_file(name_or_path, _VEHICLES, "vehicle")
+    return _parse_vehicle(path, read_text(path, MAX_TOML_BYTES))
 
 
 @lru_cache(maxsize=64)
-def _load(path: Path, text: str) -> VehicleConfig:
+def _parse_vehicle(path: Path, text: str) -> VehicleConfig:
     """Of a file with this text: a scenario asks for the same one many times."""
-    config = parse(VehicleConfig, toml_of(text, named(path)), source=str(path))
+    config = parse_model(VehicleConfig, parse_toml(text, format_path(path)), source=str(path))
     if not config.rotor.model.endswith(".toml"):
         return config
     # A path in a vehicle file means a file beside it, wherever the program was started.
@@ -44,17 +44,17 @@ def _load(path: Path, text: str) -> VehicleConfig:
     return config.model_copy(update={"rotor": config.rotor.model_copy(update={"model": model})})
 
 
-def locate(name_or_path: str) -> Path:
-    """File of a vehicle; arguments and errors as in `load`."""
-    return _locate(name_or_path, _VEHICLES, "vehicle")
+def locate_vehicle(name_or_path: str) -> Path:
+    """File of a vehicle; arguments and errors as in `load_vehicle`."""
+    return _locate_file(name_or_path, _VEHICLES, "vehicle")
 
 
 def locate_thruster(name_or_path: str) -> Path:
     """File of a thruster; arguments and errors as in `load_thruster`."""
-    return _locate(name_or_path, _THRUSTERS, "thruster")
+    return _locate_file(name_or_path, _THRUSTERS, "thruster")
 
 
-def labels(vehicles: Iterable[str]) -> dict[str, str]:
+def label_vehicles(vehicles: Iterable[str]) -> dict[str, str]:
     """What to call vehicles in tables: the names in their files, unless two files share one.
 
     Args:
@@ -63,7 +63,7 @@ def labels(vehicles: Iterable[str]) -> dict[str, str]:
     Raises:
         ConfigError: a file cannot be read.
     """
-    names = {named: load(named).name for named in vehicles}
+    names = {named: load_vehicle(named).name for named in vehicles}
     shared = {name for name in names.values() if list(names.values()).count(name) > 1}
     return {named: named if name in shared else name for named, name in names.items()}
 
@@ -77,13 +77,13 @@ def load_thruster(name_or_path: str) -> ThrusterTable:
     Raises:
         ConfigError: there is no such thruster, or its file has faults (all are listed).
     """
-    path = _locate(name_or_path, _THRUSTERS, "thruster")
-    return _load_thruster(path, read_text(path, TOML_BYTES))
+    path = _locate_file(name_or_path, _THRUSTERS, "thruster")
+    return _parse_thruster(path, read_text(path, MAX_TOML_BYTES))
 
 
 @lru_cache(maxsize=64)
-def _load_thruster(path: Path, text: str) -> ThrusterTable:
-    return parse(ThrusterTable, toml_of(text, named(path)), source=str(path))
+def _parse_thruster(path: Path, text: str) -> ThrusterTable:
+    return parse_model(ThrusterTable, parse_toml(text, format_path(path)), source=str(path))
 
 
 def reach_m(config: VehicleConfig) -> float:
@@ -97,17 +97,18 @@ def reach_m(config: VehicleConfig) -> float:
 
 
 @lru_cache
-def _names(folder: Path) -> tuple[str, ...]:
+def _list_names(folder: Path) -> tuple[str, ...]:
     """Of the files that are shipped, which do not change."""
     return tuple(sorted(path.stem for path in folder.glob("*.toml")))
 
 
-def _locate(name_or_path: str, folder: Path, kind: str) -> Path:
+def _locate_file(name_or_path: str, folder: Path, kind: str) -> Path:
     if name_or_path.endswith(".toml"):
         return Path(name_or_path)
-    if name_or_path not in _names(folder):
+    if name_or_path not in _list_names(folder):
         raise ConfigError(
-            f"unknown {kind} {shown(name_or_path)}; there is {', '.join(_names(folder))}, "
+            f"unknown {kind} {format_value(name_or_path)}; there is "
+            f"{', '.join(_list_names(folder))}, "
             "or give the path of a .toml file"
         )
     return folder / f"{name_or_path}.toml"

@@ -31,7 +31,7 @@ class Load:
     """Of the water, for the drag."""
 
 
-def laden(config: VehicleConfig, parameter_set: str, load: Load) -> VehicleConfig:
+def add_load(config: VehicleConfig, parameter_set: str, load: Load) -> VehicleConfig:
     """The vehicle file of a robot that carries a load: what one of its sets says, and the load's.
 
     The load's mass has no inertia about the centre of mass; its buoyancy acts there too, so the
@@ -40,19 +40,19 @@ def laden(config: VehicleConfig, parameter_set: str, load: Load) -> VehicleConfi
     Raises:
         ConfigError: there is no such set.
     """
-    given = config.find_set(parameter_set)
-    body, water, damping = given.rigid_body, given.buoyancy, given.damping
+    parameters = config.find_set(parameter_set)
+    body, water, damping = parameters.rigid_body, parameters.buoyancy, parameters.damping
     volume = water.volume_m3 + load.volume_m3
     center = np.asarray(water.center_of_buoyancy_m) * (water.volume_m3 / volume)
     drag = 0.5 * load.density_kgpm3 * np.array([*load.drag_area_m2, 0.0, 0.0, 0.0])
-    added = np.asarray(given.added_mass.coefficients) + np.diag([*load.added_mass_kg, 0, 0, 0])
-    made = given.model_copy(
+    added = np.asarray(parameters.added_mass.coefficients) + np.diag([*load.added_mass_kg, 0, 0, 0])
+    made = parameters.model_copy(
         update={
             "rigid_body": body.model_copy(update={"mass_kg": body.mass_kg + load.mass_kg}),
             "buoyancy": water.model_copy(
                 update={"volume_m3": volume, "center_of_buoyancy_m": tuple(center.tolist())}
             ),
-            "added_mass": given.added_mass.model_copy(
+            "added_mass": parameters.added_mass.model_copy(
                 update={"coefficients": tuple(map(tuple, added.tolist()))}
             ),
             "damping": damping.model_copy(

@@ -119,19 +119,19 @@ def _add_shapes(body: mujoco.MjsBody, config: VehicleConfig, center: FloatArray)
     for shape in config.visual.shapes:
         match shape:
             case Box():
-                placed = {
+                geometry = {
                     "type": mujoco.mjtGeom.mjGEOM_BOX,
                     "pos": shape.position_m - center,
                     "size": np.asarray(shape.size_m) / 2,
                 }
             case Cylinder():
-                placed = {
+                geometry = {
                     "type": mujoco.mjtGeom.mjGEOM_CYLINDER,
                     "fromto": [*(shape.from_m - center), *(shape.to_m - center)],
                     "size": [shape.radius_m, 0, 0],
                 }
             case Sphere():
-                placed = {
+                geometry = {
                     "type": mujoco.mjtGeom.mjGEOM_SPHERE,
                     "pos": shape.position_m - center,
                     "size": [shape.radius_m, 0, 0],
@@ -142,7 +142,7 @@ def _add_shapes(body: mujoco.MjsBody, config: VehicleConfig, center: FloatArray)
             group=_SHAPE_GROUP,
             contype=0,
             conaffinity=0,
-            **placed,
+            **geometry,
         )
 
 

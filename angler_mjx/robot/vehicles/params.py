@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from angler_mjx.robot.vehicles.config import VehicleConfig
-from angler_mjx.robot.vehicles.drive import drive, wrench_matrix
+from angler_mjx.robot.vehicles.drive import compute_drive, wrench_matrix
 from angler_mjx.robot.vehicles.library import load_thruster
 from angler_mjx.robot.vehicles.rotor import RotorFilter
 from angler_mjx.robot.vehicles.rotor_config import RotorResponse
@@ -24,7 +24,7 @@ from angler_mjx.robot.vehicles.thrusters import tables_at
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class VehicleParams:
-    """One robot. ``n_t`` thrusters and ``c`` capsules include padding after ``stack``."""
+    """One robot. ``n_t`` thrusters and ``c`` capsules include padding after ``stack_vehicles``."""
 
     mass_kg: jax.Array
     """[] dry mass."""
@@ -60,7 +60,7 @@ class VehicleParams:
     """[] smallest sphere about the centre of mass that holds the hull."""
     terminal_speed_mps: jax.Array
     """[3] surge, sway, heave at full thrust in still water; the slower of the two directions. 0 for
-    a way in which thrusters cannot push alone (see `angler_mjx.robot.vehicles.drive`)."""
+    a way in which thrusters cannot push alone (see `angler_mjx.robot.vehicles.compute_drive`)."""
     thruster_exists: jax.Array
     """bool [n_t] False for padding and for dead thrusters: neither draws power."""
     thruster_health: jax.Array
@@ -71,7 +71,7 @@ class VehicleParams:
     """Whether some of these vehicles have no sway, so that controllers must look."""
 
 
-def build(
+def build_vehicle(
     config: VehicleConfig,
     parameter_set: str | None,
     voltage_v: float,
@@ -102,7 +102,7 @@ def build(
     B = wrench_matrix(config)
     D_l = np.asarray(chosen.damping.linear, dtype=np.float64)
     D_q = np.asarray(chosen.damping.quadratic, dtype=np.float64)
-    speed = drive(B, thrust_n[0], thrust_n[-1], D_l[:3], D_q[:3]).terminal_speed_mps
+    speed = compute_drive(B, thrust_n[0], thrust_n[-1], D_l[:3], D_q[:3]).terminal_speed_mps
     center = np.asarray(config.base.center_of_mass_m)
     capsules = config.hull.capsules
     start = np.array([capsule.from_m for capsule in capsules]) - center
@@ -110,31 +110,31 @@ def build(
     radius = np.array([capsule.radius_m for capsule in capsules])
     reach = np.maximum(np.linalg.norm(start, axis=1), np.linalg.norm(end, axis=1)) + radius
     return VehicleParams(
-        mass_kg=_array(chosen.rigid_body.mass_kg),
-        inertia_kgm2=_array(chosen.rigid_body.inertia_kgm2),
-        M_A=_array(chosen.added_mass.coefficients),
-        D_l=_array(D_l),
-        D_q=_array(D_q),
-        volume_m3=_array(chosen.buoyancy.volume_m3),
-        p_cb_m=_array(chosen.buoyancy.center_of_buoyancy_m),
-        hull_height_m=_array(config.hull.height_m),
-        B=_array(B),
-        thrust_n=_array(thrust_n),
-        power_w=_array(power_w),
-        tau_s=_array(config.rotor.lag.time_constant_s),
-        capsule_a_m=_array(start),
-        capsule_b_m=_array(end),
-        capsule_r_m=_array(radius),
-        radius_m=_array(reach.max()),
-        terminal_speed_mps=_array(speed),
+        mass_kg=_device_array(chosen.rigid_body.mass_kg),
+        inertia_kgm2=_device_array(chosen.rigid_body.inertia_kgm2),
+        M_A=_device_array(chosen.added_mass.coefficients),
+        D_l=_device_array(D_l),
+        D_q=_device_array(D_q),
+        volume_m3=_device_array(chosen.buoyancy.volume_m3),
+        p_cb_m=_device_array(chosen.buoyancy.center_of_buoyancy_m),
+        hull_height_m=_device_array(config.hull.height_m),
+        B=_device_array(B),
+        thrust_n=_device_array(thrust_n),
+        power_w=_device_array(power_w),
+        tau_s=_device_array(config.rotor.lag.time_constant_s),
+        capsule_a_m=_device_array(start),
+        capsule_b_m=_device_array(end),
+        capsule_r_m=_device_array(radius),
+        radius_m=_device_array(reach.max()),
+        terminal_speed_mps=_device_array(speed),
         thruster_exists=jnp.asarray(health > 0.0),
-        thruster_health=_array(health),
-        rotor=_rotor(config, rotor_response),
+        thruster_health=_device_array(health),
+        rotor=_build_rotor(config, rotor_response),
         steered=bool(speed[1] == 0),
     )
 
 
-def stack(variants: list[VehicleParams]) -> VehicleParams:
+def stack_vehicles(variants: list[VehicleParams]) -> VehicleParams:
     """Put robots of any kind side by side, padded to common numbers of thrusters and capsules.
 
     Args:
@@ -146,28 +146,28 @@ def stack(variants: list[VehicleParams]) -> VehicleParams:
     n_t = max(variant.B.shape[1] for variant in variants)
     n_capsule = max(variant.capsule_r_m.shape[0] for variant in variants)
     steered = any(variant.steered for variant in variants)
-    padded = [replace(_pad(one, n_t, n_capsule), steered=steered) for one in variants]
+    padded = [replace(_pad_vehicle(robot, n_t, n_capsule), steered=steered) for robot in variants]
     stacked: VehicleParams = jax.device_put(jax.tree.map(lambda *rows: np.stack(rows), *padded))
     return stacked
 
 
-def _rotor(config: VehicleConfig, response: RotorResponse | None) -> RotorFilter | None:
-    given = config.rotor.third_order
-    if config.find_response(response) == "first_order" or given is None:
+def _build_rotor(config: VehicleConfig, response: RotorResponse | None) -> RotorFilter | None:
+    third_order = config.rotor.third_order
+    if config.find_response(response) == "first_order" or third_order is None:
         return None
-    lead, *a = given.denominator
-    b_2, b_1, b_0 = (value / lead for value in given.numerator)
+    lead, *a = third_order.denominator
+    b_2, b_1, b_0 = (value / lead for value in third_order.numerator)
     a_2, a_1, a_0 = (value / lead for value in a)
     return RotorFilter(numerator=(b_2, b_1, b_0), denominator=(a_2, a_1, a_0))
 
 
-def _array(value: ArrayLike) -> jax.Array:
+def _device_array(value: ArrayLike) -> jax.Array:
     # Rounded by NumPy: for JAX each shape is a program to compile, and so for the padding below.
     array: jax.Array = jax.device_put(np.asarray(value, jnp.result_type(float)))
     return array
 
 
-def _pad(params: VehicleParams, n_t: int, n_capsule: int) -> VehicleParams:
+def _pad_vehicle(params: VehicleParams, n_t: int, n_capsule: int) -> VehicleParams:
     more_t = n_t - params.B.shape[1]
     more_c = n_capsule - params.capsule_r_m.shape[0]
     padded: dict[str, Any] = {

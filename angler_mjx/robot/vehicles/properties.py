@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from angler_mjx.robot.vehicles.config import ParameterSet, VehicleConfig
-from angler_mjx.robot.vehicles.drive import drive, wrench_matrix
+from angler_mjx.robot.vehicles.drive import compute_drive, wrench_matrix
 from angler_mjx.robot.vehicles.library import load_thruster
 from angler_mjx.robot.vehicles.thrusters import FloatArray, tables_at
 
@@ -16,7 +16,7 @@ FRESH_WATER_KGPM3 = 1000.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Properties:
+class VehicleProperties:
     """One vehicle with one parameter set at one voltage, in still fresh water."""
 
     parameter_set: str
@@ -35,7 +35,9 @@ class Properties:
     rotor_time_constant_s: float
 
 
-def describe(config: VehicleConfig, parameter_set: str | None, voltage_v: float) -> Properties:
+def describe_vehicle(
+    config: VehicleConfig, parameter_set: str | None, voltage_v: float
+) -> VehicleProperties:
     """Work out the properties of a vehicle.
 
     Raises:
@@ -46,11 +48,11 @@ def describe(config: VehicleConfig, parameter_set: str | None, voltage_v: float)
     B = wrench_matrix(config)
     linear = np.asarray(chosen.damping.linear[:3])
     quadratic = np.asarray(chosen.damping.quadratic[:3])
-    speed = drive(B, thrust_n[0], thrust_n[-1], linear, quadratic).terminal_speed_mps
+    speed = compute_drive(B, thrust_n[0], thrust_n[-1], linear, quadratic).terminal_speed_mps
     slope = linear + 2 * quadratic * speed
     M_A = np.asarray(chosen.added_mass.coefficients)
     virtual_mass = chosen.rigid_body.mass_kg + np.diag(M_A)[:3]
-    return Properties(
+    return VehicleProperties(
         parameter_set=config.default_set if parameter_set is None else parameter_set,
         mass_kg=chosen.rigid_body.mass_kg,
         weight_n=chosen.rigid_body.mass_kg * GRAVITY_MPS2,

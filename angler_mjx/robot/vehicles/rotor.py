@@ -40,7 +40,7 @@ ORDER = 3
 
 
 @lru_cache(maxsize=64)
-def discretise(rotor: RotorFilter, dt: float) -> RotorStep:
+def discretise_rotor(rotor: RotorFilter, dt: float) -> RotorStep:
     """The exact step of ``dt`` seconds for a command that is held.
 
     States of the observer form, x_1 = f, x_1' = -a_2 x_1 + x_2 + b_2 u, x_2' = -a_1 x_1 + x_3 +
@@ -53,7 +53,7 @@ def discretise(rotor: RotorFilter, dt: float) -> RotorStep:
     # exp of [[A, I], [0, 0]] t holds exp(A t) and its integral from 0 to t.
     both = np.zeros((2 * ORDER, 2 * ORDER))
     both[:ORDER, :ORDER], both[:ORDER, ORDER:] = A, np.eye(ORDER)
-    exponential = _exponential(both * dt)
+    exponential = _matrix_exponential(both * dt)
     return RotorStep(
         settled=np.array([1.0, (a_2 - b_2) / a_2, (a_1 - b_1) / a_1]),
         transition=exponential[:ORDER, :ORDER],
@@ -61,7 +61,7 @@ def discretise(rotor: RotorFilter, dt: float) -> RotorStep:
     )
 
 
-def _exponential(matrix: FloatArray) -> FloatArray:
+def _matrix_exponential(matrix: FloatArray) -> FloatArray:
     """Exp of a small matrix: Taylor's series of a 2^-n part of it, squared n times."""
     halvings = max(0, math.ceil(math.log2(max(np.abs(matrix).sum(axis=1).max(), 1.0)))) + 2
     part = matrix / 2.0**halvings

@@ -8,7 +8,7 @@ from angler_mjx.files import FileModel
 from angler_mjx.robot.vehicles import checks
 
 type RotorResponse = Literal["first_order", "third_order"]
-type Positive = Annotated[float, Field(gt=0), AfterValidator(checks.positive)]
+type Positive = Annotated[float, Field(gt=0), AfterValidator(checks.check_positive)]
 type Number = Annotated[float, Field(ge=-checks.LARGEST, le=checks.LARGEST)]
 type Source = Annotated[str, Field(min_length=1)]
 """Where the numbers come from."""
@@ -32,7 +32,7 @@ class ThirdOrder(FileModel):
     source: Source
 
     @model_validator(mode="after")
-    def _settles(self) -> Self:
+    def _check_settles(self) -> Self:
         a_3, a_2, a_1, a_0 = self.denominator
         if not a_2 * a_1 > a_3 * a_0:
             raise ValueError(
@@ -67,7 +67,7 @@ class Rotor(FileModel):
     reaction_torque: ReactionTorque
 
     @model_validator(mode="after")
-    def _given(self) -> Self:
+    def _check_third_order(self) -> Self:
         if self.response == "third_order" and self.third_order is None:
             raise ValueError('response = "third_order" needs a table [rotor.third_order]')
         return self

@@ -29,7 +29,7 @@ class ThrusterTable(FileModel):
     """As ``thrust_n``; electrical power, never negative."""
 
     @model_validator(mode="after")
-    def _consistent(self) -> Self:
+    def _check_consistent(self) -> Self:
         shape = (len(self.pwm_us), len(self.voltage_v))
         for key in ("thrust_n", "power_w"):
             rows: tuple[tuple[float, ...], ...] = getattr(self, key)

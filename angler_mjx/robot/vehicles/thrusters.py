@@ -40,12 +40,12 @@ def tables_at(table: ThrusterTable, voltage_v: float) -> tuple[FloatArray, Float
         )
     pwm = np.asarray(table.pwm_us, dtype=np.float64)
     return (
-        _interpolate(pwm, volts, np.asarray(table.thrust_n, dtype=np.float64), voltage_v),
-        _interpolate(pwm, volts, np.asarray(table.power_w, dtype=np.float64), voltage_v),
+        _interpolate_table(pwm, volts, np.asarray(table.thrust_n, dtype=np.float64), voltage_v),
+        _interpolate_table(pwm, volts, np.asarray(table.power_w, dtype=np.float64), voltage_v),
     )
 
 
-def _interpolate(
+def _interpolate_table(
     pwm: FloatArray, volts: FloatArray, values: FloatArray, voltage_v: float
 ) -> FloatArray:
     column = np.array([np.interp(voltage_v, volts, row) for row in values])

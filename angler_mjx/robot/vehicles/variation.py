@@ -42,45 +42,49 @@ class Variation:
     """V; the robot's own if left out."""
 
 
-def varied(config: VehicleConfig, parameter_set: str, variation: Variation) -> VehicleConfig:
+def apply_variation(
+    config: VehicleConfig, parameter_set: str, variation: Variation
+) -> VehicleConfig:
     """The vehicle file of one robot: what its ``parameter_set`` says is varied.
 
     Raises:
         ConfigError: there is no such set.
     """
-    given = config.find_set(parameter_set)
-    body, water = given.rigid_body, given.buoyancy
+    parameters = config.find_set(parameter_set)
+    body, water = parameters.rigid_body, parameters.buoyancy
     root = np.sqrt(np.asarray(variation.added_mass))
-    added = np.asarray(given.added_mass.coefficients) * np.outer(root, root)
+    added = np.asarray(parameters.added_mass.coefficients) * np.outer(root, root)
     damping: dict[str, Any] = {
         name: tuple((np.asarray(values) * np.asarray(variation.damping)).tolist())
         for name, values in (
-            ("linear", given.damping.linear),
-            ("quadratic", given.damping.quadratic),
+            ("linear", parameters.damping.linear),
+            ("quadratic", parameters.damping.quadratic),
         )
     }
     inertia = np.asarray(body.inertia_kgm2) * variation.mass
-    made = given.model_copy(
+    made = parameters.model_copy(
         update={
             "rigid_body": body.model_copy(
-                update={"mass_kg": body.mass_kg * variation.mass, "inertia_kgm2": _rows(inertia)}
+                update={"mass_kg": body.mass_kg * variation.mass, "inertia_kgm2": _to_rows(inertia)}
             ),
             "buoyancy": water.model_copy(
                 update={"volume_m3": water.volume_m3 * variation.buoyancy}
             ),
-            "added_mass": given.added_mass.model_copy(update={"coefficients": _rows(added)}),
-            "damping": given.damping.model_copy(update=damping),
+            "added_mass": parameters.added_mass.model_copy(
+                update={"coefficients": _to_rows(added)}
+            ),
+            "damping": parameters.damping.model_copy(update=damping),
         }
     )
     sets: Mapping[str, Any] = {**config.parameter_sets, parameter_set: made}
     return config.model_copy(update={"parameter_sets": sets})
 
 
-def _rows(matrix: np.ndarray) -> tuple[tuple[float, ...], ...]:
+def _to_rows(matrix: np.ndarray) -> tuple[tuple[float, ...], ...]:
     return tuple(tuple(map(float, row)) for row in matrix)
 
 
-def heave(
+def heave_forces(
     config: VehicleConfig,
     parameter_set: str,
     variation: Variation,
@@ -102,7 +106,7 @@ def heave(
     Raises:
         ConfigError: there is no such set, or the voltage lies outside the thruster's data.
     """
-    chosen = varied(config, parameter_set, variation).find_set(parameter_set)
+    chosen = apply_variation(config, parameter_set, variation).find_set(parameter_set)
     volts = battery_v if variation.battery_v is None else variation.battery_v
     thrust_n, _ = tables_at(load_thruster(config.rotor.model), volts)
     row = wrench_matrix(config)[2:3] * np.asarray(variation.thrust or 1.0)

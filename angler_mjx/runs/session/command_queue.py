@@ -9,18 +9,18 @@ import numpy as np
 from angler_mjx.robot.control.joint_goal import JointGoal
 from angler_mjx.robot.control.joint_tolerance import ResultCode
 from angler_mjx.robot.control.joint_trajectory import JointTrajectory
-from angler_mjx.robot.control.plans import checked
+from angler_mjx.robot.control.plans import check_plan
 from angler_mjx.robot.control.stack import Stages
-from angler_mjx.runs.session import paths
-from angler_mjx.runs.session.checks import CommandLimits
-from angler_mjx.runs.session.fleet_facts import Facts
-from angler_mjx.runs.session.interface import Order, RobotStatus
-from angler_mjx.runs.session.plan import Plan
-from angler_mjx.runs.session.slots import Sizes, Slots
-from angler_mjx.runs.session.view import StateView
+from angler_mjx.runs.session import command_preparation
+from angler_mjx.runs.session.command_slots import CommandSlots, SlotSizes
+from angler_mjx.runs.session.command_validation import CommandLimits
+from angler_mjx.runs.session.fleet_facts import FleetFacts
+from angler_mjx.runs.session.interface import RobotStatus, SessionCommand
+from angler_mjx.runs.session.robot_plan import RobotPlan
+from angler_mjx.runs.session.state_view import StateView
 from angler_mjx.sim.state import Outcome
 
-PLAN = "plan"
+PLAN_COMMAND = "plan"
 """What a robot follows that was told nothing else."""
 
 
@@ -28,16 +28,16 @@ PLAN = "plan"
 class CommandState:
     """The order of one robot, and how it stands with it."""
 
-    plan: Plan
+    plan: RobotPlan
     """As it was told it last."""
-    command: str = PLAN
-    left_s: float = 0.0
+    command: str = PLAN_COMMAND
+    plan_time_s: float = 0.0
     """How far along its plan it was when it was told something else."""
     refused: str = ""
     note: str = ""
     result: ResultCode = ResultCode.SUCCESSFUL
     """Of its JointTrajectory; ACTIVE while it follows one."""
-    waiting: JointGoal | None = None
+    pending: JointGoal | None = None
     """One that begins later."""
 
 
@@ -48,16 +48,18 @@ class CommandQueue:
         slots: what the controllers are told.
     """
 
-    def __init__(self, stages: Stages, facts: Facts, limits: CommandLimits, dtype: Any) -> None:
+    def __init__(
+        self, stages: Stages, facts: FleetFacts, limits: CommandLimits, dtype: Any
+    ) -> None:
         """Every robot is told its plan.
 
         Raises:
             ConfigError: the controllers do not take plans of its type.
         """
         self._stages, self._limits, self._dtype = stages, limits, dtype
-        self.slots = Slots(
+        self.slots = CommandSlots(
             stages,
-            Sizes(
+            SlotSizes(
                 robots=len(facts.robots),
                 thrusters=facts.thrusters,
                 points=limits.points,
@@ -91,23 +93,27 @@ class CommandQueue:
             for state, outcome in zip(self._states, outcomes, strict=True)
         )
 
-    def due(self, now_s: float) -> dict[int, Order]:
+    def due(self, now_s: float) -> dict[int, SessionCommand]:
         """JointTrajectories that waited for this time."""
         return {
-            robot: state.waiting
+            robot: state.pending
             for robot, state in enumerate(self._states)
-            if state.waiting is not None and state.waiting.stamp_s <= now_s
+            if state.pending is not None and state.pending.stamp_s <= now_s
         }
 
-    def tell(self, robot: int, order: Order, view: StateView, now_s: float) -> None:
+    def give_command(
+        self, robot: int, order: SessionCommand, view: StateView, now_s: float
+    ) -> None:
         """Give a robot an order that was checked."""
         if isinstance(order, JointGoal) and order.stamp_s > now_s:
             state = self._states[robot]
-            state.waiting, state.refused = order, ""
+            state.pending, state.refused = order, ""
             state.note = f"a JointTrajectory begins at {order.stamp_s:g} s"
             return
-        command = paths.ready(self.slots, view, robot, order, self._limits, now_s)
-        self._put(robot, command, type(command).__name__, view)
+        command = command_preparation.prepare_command(
+            self.slots, view, robot, order, self._limits, now_s
+        )
+        self._put_command(robot, command, type(command).__name__, view)
         if isinstance(command, JointTrajectory):
             state = self._states[robot]
             state.result, state.note = ResultCode.ACTIVE, ResultCode.ACTIVE.name
@@ -115,14 +121,14 @@ class CommandQueue:
     def refuse(self, robot: int, reason: str, view: StateView) -> None:
         """Refuse a robot's order: it holds; refused again, where it was refused first."""
         if not self._states[robot].refused:
-            self._hold(robot, view)
+            self._hold_position(robot, view)
         self._states[robot].refused = reason
 
-    def resume(self, robot: int, plan: Plan) -> None:
+    def resume(self, robot: int, plan: RobotPlan) -> None:
         """Let a robot follow its plan from its beginning."""
         self._states[robot] = CommandState(plan=plan)
-        told = plan.padded(self._limits.rows(plan.kind), self._dtype)
-        self.slots.put(robot, checked(self._stages, told))
+        padded_plan = plan.padded(self._limits.rows(plan.kind), self._dtype)
+        self.slots.put(robot, check_plan(self._stages, padded_plan))
 
     def report(self, view: StateView) -> None:
         """Say how JointTrajectories stand; one that failed ends where the robot is."""
@@ -132,19 +138,20 @@ class CommandQueue:
             code = ResultCode(int(view.result[robot]))
             state.result, note = code, code.name
             if code in (ResultCode.PATH_TOLERANCE_VIOLATED, ResultCode.GOAL_TOLERANCE_VIOLATED):
-                note = f"{code.name}: {paths.farthest(self.slots, view, robot)}; it holds here"
-                self._hold(robot, view)
+                joint = command_preparation.describe_farthest_joint(self.slots, view, robot)
+                note = f"{code.name}: {joint}; it holds here"
+                self._hold_position(robot, view)
             self._states[robot].note = note
 
-    def _hold(self, robot: int, view: StateView) -> None:
-        command = paths.hold(self.slots.kinds, view, robot, self._limits)
-        self._put(robot, command, "hold", view)
+    def _hold_position(self, robot: int, view: StateView) -> None:
+        command = command_preparation.hold_command(self.slots.kinds, view, robot, self._limits)
+        self._put_command(robot, command, "hold", view)
 
-    def _put(self, robot: int, command: Any, name: str, view: StateView) -> None:
+    def _put_command(self, robot: int, command: Any, name: str, view: StateView) -> None:
         """Tell a robot something else than what it had."""
         state = self._states[robot]
-        left = state.left_s
-        if state.command == PLAN:
-            left = paths.along(self._stages, state.plan, view, robot)
-        self._states[robot] = CommandState(plan=state.plan, command=name, left_s=left)
+        plan_time_s = state.plan_time_s
+        if state.command == PLAN_COMMAND:
+            plan_time_s = command_preparation.plan_progress_s(self._stages, state.plan, view, robot)
+        self._states[robot] = CommandState(plan=state.plan, command=name, plan_time_s=plan_time_s)
         self.slots.put(robot, command)

@@ -12,19 +12,19 @@ from angler_mjx.robot.control.joint_trajectory import JointTrajectory
 from angler_mjx.robot.control.plans import of_robot
 from angler_mjx.robot.vehicles import library
 from angler_mjx.robot.vehicles.drive import full_force, terminal_speed
-from angler_mjx.runs.session.checks import CommandLimits
+from angler_mjx.runs.session.command_slots import command_types
+from angler_mjx.runs.session.command_validation import CommandLimits
 from angler_mjx.runs.session.interface import Floats, RobotInfo
-from angler_mjx.runs.session.plan import Plan
-from angler_mjx.runs.session.slots import kinds_of
+from angler_mjx.runs.session.robot_plan import RobotPlan
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.sim.state import World
 
-WAY_BACK = 32
+REJOIN_WAYPOINTS = 32
 """Way-points that a way back to a plan may have beside those of the plan."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class ControlRows:
+class ObstacleRows:
     """Obstacles that are there."""
 
     which: NDArray[np.integer[Any]]
@@ -33,11 +33,11 @@ class ControlRows:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Facts:
+class FleetFacts:
     """Of one world; [R] leads."""
 
     robots: tuple[RobotInfo, ...]
-    plans: tuple[Plan, ...]
+    plans: tuple[RobotPlan, ...]
     found: tuple[bool, ...]
     """Whether the planner found a way for each robot."""
     radius_m: tuple[float, ...]
@@ -48,24 +48,24 @@ class Facts:
     """Of the planner's paths."""
     jointed: bool
     """Whether these are trajectories of joints."""
-    obstacles: ControlRows
+    obstacles: ObstacleRows
 
-    def limits(self, points: int, start_tolerance: float) -> CommandLimits:
+    def command_limits(self, points: int, start_tolerance: float) -> CommandLimits:
         """What a session of this world can take: no less than its own plans.
 
         Args:
             points: of a JointTrajectory, as its caller wants it.
             start_tolerance: see `CommandLimits`.
         """
-        most = self.way_points + WAY_BACK
+        max_waypoints = self.way_points + REJOIN_WAYPOINTS
         return CommandLimits(
             start_tolerance=start_tolerance,
-            points=max(points, most) if self.jointed else points,
-            way_points=most,
+            points=max(points, max_waypoints) if self.jointed else points,
+            way_points=max_waypoints,
         )
 
 
-def gather(simulator: Simulator, worlds: World) -> Facts:
+def gather_facts(simulator: Simulator, worlds: World) -> FleetFacts:
     """Read a world.
 
     Args:
@@ -74,30 +74,30 @@ def gather(simulator: Simulator, worlds: World) -> Facts:
     """
     count = worlds.variant.shape[1]
     path: Any = jax.tree.map(lambda leaf: leaf[0], jax.device_get(worlds.path))
-    given = worlds.environment.obstacles
-    rows = np.flatnonzero(np.asarray(given.exists)[0])
-    robots = tuple(_info(simulator, worlds, i) for i in range(count))
-    return Facts(
+    obstacles = worlds.environment.obstacles
+    rows = np.flatnonzero(np.asarray(obstacles.exists)[0])
+    robots = tuple(_robot_info(simulator, worlds, i) for i in range(count))
+    return FleetFacts(
         robots=robots,
-        plans=tuple(Plan.of(of_robot(path, i)) for i in range(count)),
+        plans=tuple(RobotPlan.of(of_robot(path, i)) for i in range(count)),
         found=tuple(map(bool, np.asarray(worlds.planned)[0])),
         radius_m=tuple(robot.radius_m for robot in robots),
         cruise_mps=tuple(robot.cruise_speed_mps for robot in robots),
         thrusters=worlds.control.vehicle.B.shape[-1],
         way_points=path.time_s.shape[-1],
         jointed=isinstance(path, JointTrajectory),
-        obstacles=ControlRows(
+        obstacles=ObstacleRows(
             which=rows,
-            kind=np.asarray(given.kind)[0][rows],
-            size_m=np.asarray(given.size_m)[0][rows],
+            kind=np.asarray(obstacles.kind)[0][rows],
+            size_m=np.asarray(obstacles.size_m)[0][rows],
         ),
     )
 
 
-def _info(simulator: Simulator, worlds: World, i: int) -> RobotInfo:
-    vehicle, chosen = simulator.variants()[int(worlds.variant[0, i])]
+def _robot_info(simulator: Simulator, worlds: World, i: int) -> RobotInfo:
+    vehicle, parameter_set = simulator.variants()[int(worlds.variant[0, i])]
     params = worlds.control.vehicle
-    accepts = kinds_of(simulator.spec.stages)
+    accepts = command_types(simulator.spec.stages)
     wrench, table, linear, quadratic = (
         np.asarray(x, float)[0, i] for x in (params.B, params.thrust_n, params.D_l, params.D_q)
     )
@@ -105,11 +105,13 @@ def _info(simulator: Simulator, worlds: World, i: int) -> RobotInfo:
     return RobotInfo(
         name=f"robot_{i}",
         vehicle=vehicle,
-        parameter_set=chosen,
+        parameter_set=parameter_set,
         radius_m=float(params.radius_m[0, i]),
         cruise_speed_mps=float(worlds.control.cruise_speed_mps[0, i]),
         max_speed_mps=np.asarray(params.terminal_speed_mps, float)[0, i],
         max_turn_radps=float(terminal_speed(moment, linear[5:], quadratic[5:])[0]),
-        thrusters=tuple(one.name for one in library.load(vehicle).thrusters.layout),
+        thrusters=tuple(
+            thruster.name for thruster in library.load_vehicle(vehicle).thrusters.layout
+        ),
         accepts=(*accepts, JointGoal) if JointTrajectory in accepts else accepts,
     )

@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 from angler_mjx.robot.control.commands import BodyWrench, Estimate, ThrusterPwm
 from angler_mjx.robot.control.joint_goal import JointGoal
 from angler_mjx.robot.control.stack import Command
-from angler_mjx.sim.information import renamed
+from angler_mjx.sim.information import rename_warning
 from angler_mjx.sim.state import Outcome
 
 type Floats = NDArray[np.floating[Any]]
 
-type Order = Command | JointGoal
+type SessionCommand = Command | JointGoal
 """What a robot can be told: a command of one robot, or a JointTrajectory as a message."""
 
 
@@ -76,7 +76,7 @@ class SceneObstacles:
     @property
     def size_m(self) -> Floats:
         """[n, 3] the former name of `half_size_m`, with the same meaning."""
-        warnings.warn(renamed(type(self)), DeprecationWarning, stacklevel=2)
+        warnings.warn(rename_warning(type(self)), DeprecationWarning, stacklevel=2)
         return self.half_size_m
 
 
@@ -133,7 +133,7 @@ class Session(Protocol):
         """
         ...
 
-    def step(self, commands: Mapping[int, Order] | None = None) -> Observation:
+    def step(self, commands: Mapping[int, SessionCommand] | None = None) -> Observation:
         """One control period.
 
         Args:
@@ -150,7 +150,7 @@ class Session(Protocol):
         """The scene as it is; nothing moves."""
         ...
 
-    def check(self, robot: int, command: Order) -> None:
+    def check(self, robot: int, command: SessionCommand) -> None:
         """Refuse a command that the robot cannot follow from where it is.
 
         Raises:

@@ -16,21 +16,21 @@ import numpy as np
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.robot.control.joint_trajectory import LINEAR
 from angler_mjx.runs.provenance import describe_environment, peak_memory_bytes
-from angler_mjx.runs.session.batch import Inside
+from angler_mjx.runs.session.batch_session import SessionInternals
 from angler_mjx.runs.session.interface import Floats, Observation
 from angler_mjx.runs.storage import device_to_host, folder, results
-from angler_mjx.runs.storage import inputs as copies
+from angler_mjx.runs.storage import input_copies as copies
 from angler_mjx.runs.storage.device_to_host import FinishedTile
 from angler_mjx.runs.storage.output_lock import OutputLock
-from angler_mjx.runs.storage.recorder import Recorder, Shape
+from angler_mjx.runs.storage.recorder import Recorder, TrajectoryShape
 from angler_mjx.scenario.scenario import Scenario
-from angler_mjx.sim.record import Sample, asked_in, sizes_of
+from angler_mjx.sim.record import Sample, recorded_options, sizes_of
 
 
 class Recordable(Protocol):
     """A session whose truth can be recorded."""
 
-    def inside(self) -> Inside:
+    def inside(self) -> SessionInternals:
         """What lies behind it."""
         ...
 
@@ -54,14 +54,14 @@ class FlownPath:
             joints: whether the plans of the run are trajectories of joints.
         """
         times = np.linspace(self.time_s[0], self.time_s[-1], rows)
-        given = np.column_stack([self.position_m, self.yaw_rad])
-        place = np.column_stack([np.interp(times, self.time_s, column) for column in given.T])
-        made = {"plan_time_s": times, "plan_m": place[:, :3]}
+        columns = np.column_stack([self.position_m, self.yaw_rad])
+        sampled = np.column_stack([np.interp(times, self.time_s, column) for column in columns.T])
+        arrays = {"plan_time_s": times, "plan_m": sampled[:, :3]}
         if joints:
-            still = np.zeros_like(place)
-            made |= {"plan_yaw_rad": place[:, 3], "plan_degree": np.full(rows, LINEAR)}
-            made |= {"plan_velocity": still, "plan_acceleration": still}
-        return made
+            zeros = np.zeros_like(sampled)
+            arrays |= {"plan_yaw_rad": sampled[:, 3], "plan_degree": np.full(rows, LINEAR)}
+            arrays |= {"plan_velocity": zeros, "plan_acceleration": zeros}
+        return arrays
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,27 +105,27 @@ class SessionRecording:
                 f"--out {out}: the scenario stores no trajectories (time.record_hz = 0); "
                 "set a rate, for example record_hz = 5"
             )
-        self._every = scenario.time.steps_per_sample
+        self._steps_per_sample = scenario.time.steps_per_sample
         self._steps = 0
         self._samples: list[Sample] = []
-        self._ways: dict[int, FlownPath] = {}
+        self._paths: dict[int, FlownPath] = {}
         self._inputs = tuple(inputs)
-        self._claimed: OutputLock | None = None
+        self._lock: OutputLock | None = None
 
     def __enter__(self) -> Self:
         """Take the folder's name, so that nobody waits for an hour in vain, and copy the inputs."""
-        claimed = folder.create(self._out)
+        lock = folder.create_folder(self._out)
         try:
             vehicles = [entry.vehicle for entry in self._scenario.fleet]
-            files = [*copies.of_world(self._scenario.world), *self._inputs]
-            copies.take(claimed.building, vehicles, files)
+            files = [*copies.world_files(self._scenario.world), *self._inputs]
+            copies.copy_inputs(lock.building, vehicles, files)
         except OSError as error:
-            claimed.withdraw()
+            lock.withdraw()
             raise ConfigError(f"--out {self._out}: cannot be written ({error.strerror})") from error
         except BaseException:
-            claimed.withdraw()
+            lock.withdraw()
             raise
-        self._claimed = claimed
+        self._lock = lock
         return self
 
     def __exit__(
@@ -135,8 +135,8 @@ class SessionRecording:
         trace: TracebackType | None,
     ) -> None:
         """Take away what was not finished."""
-        if self._claimed is not None:
-            self._claimed.withdraw()
+        if self._lock is not None:
+            self._lock.withdraw()
 
     @property
     def building(self) -> Path:
@@ -145,22 +145,22 @@ class SessionRecording:
         Raises:
             RunError: it is not open.
         """
-        if self._claimed is None:
+        if self._lock is None:
             raise RunError("the recording is not open")
-        return self._claimed.building
+        return self._lock.building
 
     def begin(self, session: Recordable) -> None:
         """Record a session from here on; it runs the same scenario."""
         self._session = session
 
-    def plan(self, robot: int, way: FlownPath) -> None:
+    def plan(self, robot: int, path: FlownPath) -> None:
         """Keep this as a robot's plan, and not the planner's path."""
-        self._ways[robot] = way
+        self._paths[robot] = path
 
     def after(self, observation: Observation) -> None:
         """Keep a sample, if one is due; called after every step."""
         sample = self._session.inside().sample
-        if sample is not None and self._steps % self._every == 0:
+        if sample is not None and self._steps % self._steps_per_sample == 0:
             self._samples.append(jax.tree.map(np.asarray, sample))
         self._steps += 1
 
@@ -173,60 +173,67 @@ class SessionRecording:
         Raises:
             RunError: the disk gave out.
         """
-        if self._claimed is None or not self._samples:
+        if self._lock is None or not self._samples:
             return None
-        claimed, self._claimed = self._claimed, None
-        building = claimed.building
+        lock, self._lock = self._lock, None
+        building = lock.building
         try:
-            inside = self._session.inside()
-            tile = self._tile(inside)
-            scenario = self._resolved(inside)
+            internals = self._session.inside()
+            tile = self._build_tile(internals)
+            scenario = self._resolved_scenario(internals)
             folder.write_json(building / folder.CONFIG, scenario.model_dump(mode="json"))
             folder.write_json(building / folder.ENVIRONMENT, describe_environment())
             self._write_trajectories(building, tile)
             episodes = results.episode_table(
-                device_to_host.tile_result(tile), inside.simulator.labels(), scenario.seed
+                device_to_host.build_tile_result(tile), internals.simulator.labels(), scenario.seed
             )
-            summary = {**self._summary(scenario, course), **results.summarise(episodes)}
-            return folder.finish(claimed, episodes, summary)
+            summary = {
+                **self._build_summary(scenario, course),
+                **results.summarise_episodes(episodes),
+            }
+            return folder.finish_folder(lock, episodes, summary)
         except OSError as error:
             raise RunError(
                 f"--out {self._out}: cannot be written ({error.strerror or error}); what there is "
                 f"lies in {building}"
             ) from error
         finally:
-            claimed.release()
+            lock.release()
 
-    def _tile(self, inside: Inside) -> FinishedTile:
+    def _build_tile(self, internals: SessionInternals) -> FinishedTile:
         """The world as the tile of a run, its samples joined to [1, n, ...]."""
         joined: Sample = jax.tree.map(lambda *leaves: np.stack(leaves, axis=1), *self._samples)
-        kept = jax.tree.map(np.array, device_to_host.constants(inside.worlds, recorded=True))
-        for robot, way in self._ways.items():
-            kept.planned[0, robot] = True
+        constants = jax.tree.map(
+            np.array, device_to_host.select_constants(internals.worlds, recorded=True)
+        )
+        for robot, path in self._paths.items():
+            constants.planned[0, robot] = True
             # In as many rows as the planner's paths have.
-            rows = kept.plan["plan_time_s"].shape[-1]
-            for name, values in way.arrays(rows, joints="plan_degree" in kept.plan).items():
-                kept.plan[name][0, robot] = values
+            rows = constants.plan["plan_time_s"].shape[-1]
+            for name, values in path.arrays(rows, joints="plan_degree" in constants.plan).items():
+                constants.plan[name][0, robot] = values
         return FinishedTile(
             first=self._world,
             kept=1,
-            constants=kept,
-            end=jax.tree.map(np.asarray, device_to_host.end(inside.state, recorded=True)),
+            constants=constants,
+            end=jax.tree.map(np.asarray, device_to_host.select_end(internals.state, recorded=True)),
             parts=[joined],
         )
 
-    def _resolved(self, inside: Inside) -> Scenario:
+    def _resolved_scenario(self, internals: SessionInternals) -> Scenario:
         """The scenario as it was run. Its horizon stays: what is drawn in time depends on it."""
-        changed: dict[str, Any] = {
+        changes: dict[str, Any] = {
             # As many as are needed for this index; the others are not in the run.
             "worlds": self._world + 1,
             "tile": 1,
             # Of flights on real autopilots nothing is recorded beside what all have.
-            "store": self._scenario.store.model_copy(update={"also": asked_in(self._samples[0])}),
-            "engine": inside.simulator.scenario.engine,
-            "kernels": inside.simulator.kernels,
+            "store": self._scenario.store.model_copy(
+                update={"also": recorded_options(self._samples[0])}
+            ),
+            "engine": internals.simulator.scenario.engine,
+            "kernels": internals.simulator.kernels,
         }
-        return self._scenario.model_copy(update=changed)
+        return self._scenario.model_copy(update=changes)
 
     def _write_trajectories(self, building: Path, tile: FinishedTile) -> None:
         environment = tile.constants.environment
@@ -235,7 +242,7 @@ class SessionRecording:
         plan = tile.constants.plan
         if environment is None or plan is None:
             raise RunError("the session keeps no environment to record")
-        shape = Shape(
+        shape = TrajectoryShape(
             worlds=self._world + 1,
             samples=len(self._samples),
             robots=sizes["robot"],
@@ -244,8 +251,8 @@ class SessionRecording:
             plan_points=plan["plan_time_s"].shape[-1],
             estimated=first.belief is not None,
             jointed="plan_degree" in plan,
-            finely=self._scenario.store,
-            also=asked_in(first),
+            store_config=self._scenario.store,
+            also=recorded_options(first),
             task=device_to_host.task_sizes(tile.constants.task),
         )
         recorder = Recorder.create(
@@ -255,13 +262,13 @@ class SessionRecording:
             tile=1,
             sample_dt_s=1.0 / self._scenario.time.record_hz,
         )
-        recorder.write(tile.first, device_to_host.arrays(tile, shape.samples), environment)
+        recorder.write(tile.first, device_to_host.recorded_arrays(tile, shape.samples), environment)
         recorder.sync(tile.first)
 
-    def _summary(self, scenario: Scenario, course: RecordedCourse) -> dict[str, Any]:
+    def _build_summary(self, scenario: Scenario, course: RecordedCourse) -> dict[str, Any]:
         """As of every run, and how it went."""
         steps = course.steps * scenario.time.physics_steps * len(scenario.members())
-        broken = {"interrupted": course.interrupted} if course.interrupted else {}
+        interruption = {"interrupted": course.interrupted} if course.interrupted else {}
         return {
             "scenario": scenario.name,
             "engine": scenario.engine,
@@ -273,7 +280,7 @@ class SessionRecording:
             "worlds": scenario.worlds,
             "worlds_done": 1,
             "complete": not course.interrupted,
-            **broken,
+            **interruption,
             "timing": {
                 "compile_s": course.compile_s,
                 "simulate_s": course.wall_s,

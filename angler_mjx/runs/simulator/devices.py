@@ -1,7 +1,8 @@
 """The devices of a simulation: a 1-D mesh of tiles, and whether what is asked for fits on them.
 
 Worlds do not talk to each other, so a device runs the program of one tile whatever the number of
-devices beside it: `on_each` wraps that program in ``shard_map`` and XLA is left nothing to divide.
+devices beside it: `shard_function` wraps that program in ``shard_map`` and XLA is left nothing to
+divide.
 """
 
 from collections.abc import Callable
@@ -13,19 +14,19 @@ import numpy as np
 import psutil
 from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 
-from angler_mjx.errors import ConfigError, RunError, size
+from angler_mjx.errors import ConfigError, RunError, format_bytes
 
 AXIS = "worlds"
-EACH = PartitionSpec(AXIS)
+SHARDED = PartitionSpec(AXIS)
 """A leaf whose leading axis is spread over the devices."""
-SAME = PartitionSpec()
+REPLICATED = PartitionSpec()
 """A leaf that every device holds whole."""
 
-USABLE = 0.95
+USABLE_FRACTION = 0.95
 """Share of the memory limit that a suggested tile fills: allocation leaves gaps."""
 
 
-def mesh(devices: int | None) -> Mesh:
+def build_mesh(devices: int | None) -> Mesh:
     """Devices of this process in a row.
 
     Args:
@@ -34,29 +35,34 @@ def mesh(devices: int | None) -> Mesh:
     Raises:
         ConfigError: there are fewer.
     """
-    here = jax.local_devices()
-    wanted = len(here) if devices is None else devices
-    if not 1 <= wanted <= len(here):
+    local_devices = jax.local_devices()
+    count = len(local_devices) if devices is None else devices
+    if not 1 <= count <= len(local_devices):
         raise ConfigError(
-            f"--devices {wanted}: there {'is' if len(here) == 1 else 'are'} {len(here)} "
-            f"({here[0].device_kind}) here; give 1 to {len(here)}"
+            f"--devices {count}: there {'is' if len(local_devices) == 1 else 'are'} "
+            f"{len(local_devices)} "
+            f"({local_devices[0].device_kind}) here; give 1 to {len(local_devices)}"
         )
-    return jax.make_mesh((wanted,), (AXIS,), axis_types=(AxisType.Auto,), devices=here[:wanted])
+    return jax.make_mesh(
+        (count,), (AXIS,), axis_types=(AxisType.Auto,), devices=local_devices[:count]
+    )
 
 
-def on_each(mesh: Mesh, function: Callable[..., Any], *specs: PartitionSpec) -> Callable[..., Any]:
+def shard_function(
+    mesh: Mesh, function: Callable[..., Any], *specs: PartitionSpec
+) -> Callable[..., Any]:
     """``function`` of one tile as a function of one tile a device.
 
     Args:
-        mesh: from `mesh`.
+        mesh: from `build_mesh`.
         function: of arrays; the results' leading axis is that of the tile's worlds.
-        *specs: ``EACH`` or ``SAME`` for each argument.
+        *specs: ``SHARDED`` or ``REPLICATED`` for each argument.
     """
     # No check of what varies over the mesh: loop carries begin as constants in the engines.
-    return jax.shard_map(function, mesh=mesh, in_specs=specs, out_specs=EACH, check_vma=False)
+    return jax.shard_map(function, mesh=mesh, in_specs=specs, out_specs=SHARDED, check_vma=False)
 
 
-def placed(tree: Any, mesh: Mesh, spec: PartitionSpec) -> Any:
+def with_sharding(tree: Any, mesh: Mesh, spec: PartitionSpec) -> Any:
     """Shapes with the sharding that they will have."""
     sharding = NamedSharding(mesh, spec)
     return jax.tree.map(
@@ -64,7 +70,7 @@ def placed(tree: Any, mesh: Mesh, spec: PartitionSpec) -> Any:
     )
 
 
-def shards(tree: Any, count: int) -> list[Any]:
+def split_shards(tree: Any, count: int) -> list[Any]:
     """The parts of a spread tree on the first ``count`` devices, in the order of the mesh.
 
     The copies to the host have begun when this returns; ``np.asarray`` of a leaf waits for its own.
@@ -94,16 +100,17 @@ class DeviceMemory:
         return max(self.prepare, self.segment)
 
 
-def analyse(prepare: Any, reset: Any, segment: Any) -> DeviceMemory | None:
+def analyse_memory(prepare: Any, reset: Any, segment: Any) -> DeviceMemory | None:
     """Memory of the compiled functions by XLA's own account; None where it gives none."""
     parts = [function.memory_analysis() for function in (prepare, reset, segment)]
     if any(part is None for part in parts):
         return None
-    made, begun, run = parts
-    worlds, state = made.output_size_in_bytes, begun.output_size_in_bytes
-    sample = run.output_size_in_bytes - run.alias_size_in_bytes
+    prepare_stats, reset_stats, segment_stats = parts
+    worlds, state = prepare_stats.output_size_in_bytes, reset_stats.output_size_in_bytes
+    sample = segment_stats.output_size_in_bytes - segment_stats.alias_size_in_bytes
     return DeviceMemory(
-        prepare=_total(made) + worlds + state + 2 * sample, segment=_total(run) + sample
+        prepare=_total_bytes(prepare_stats) + worlds + state + 2 * sample,
+        segment=_total_bytes(segment_stats) + sample,
     )
 
 
@@ -113,40 +120,43 @@ def limit_bytes(device: jax.Device) -> int:
     return int(stats.get("bytes_limit") or psutil.virtual_memory().total)
 
 
-def require_room(held: int) -> None:
+def require_memory(held_bytes: int) -> None:
     """Refuse what programs hold for all worlds where it fills a device.
 
     Args:
-        held: bytes in each of the three programs that a run has loaded.
+        held_bytes: bytes in each of the three programs that a run has loaded.
 
     Raises:
         ConfigError: a quarter of a device's memory would not hold them.
     """
     limit = limit_bytes(jax.local_devices()[0])
-    if 3 * held > limit // 4:
+    if 3 * held_bytes > limit // 4:
         raise ConfigError(
-            f"world.currents: the fields of files take {size(held)} in each of three programs, "
-            f"and a device has {size(limit)}, a quarter of which is for them: take fewer depths or "
+            f"world.currents: the fields of files take {format_bytes(held_bytes)} in each of three "
+            "programs, "
+            f"and a device has {format_bytes(limit)}, a quarter of which is for them: take fewer "
+            "depths or "
             "times, or a smaller area (see docs/ocean.md)"
         )
 
 
 def largest_tile(tile: int, needed: int, limit: int) -> int:
     """Largest tile that fits, memory being proportional to the worlds."""
-    return max(int(tile * USABLE * limit / max(needed, 1)), 0)
+    return max(int(tile * USABLE_FRACTION * limit / max(needed, 1)), 0)
 
 
-def too_large(tile: int, needed: int | None, limit: int, cause: str) -> RunError:
+def tile_too_large(tile: int, needed: int | None, limit: int, cause: str) -> RunError:
     """The error that says what would fit."""
-    fits = 0 if needed is None else min(largest_tile(tile, needed, limit), tile - 1)
-    wants = "" if needed is None else f", {size(needed)} a device are needed"
+    max_tile = 0 if needed is None else min(largest_tile(tile, needed, limit), tile - 1)
+    need_text = "" if needed is None else f", {format_bytes(needed)} a device are needed"
     advice = (
-        f"the largest tile that fits is about {fits} worlds"
-        if fits
+        f"the largest tile that fits is about {max_tile} worlds"
+        if max_tile
         else f"not one world is sure to fit; try a tile smaller than {tile}"
     )
     return RunError(
-        f"--tile {tile}: out of device memory ({cause}): a device has {size(limit)}{wants}; "
+        f"--tile {tile}: out of device memory ({cause}): a device has "
+        f"{format_bytes(limit)}{need_text}; "
         f"{advice}; the tile of an interrupted run cannot change, so begin a new one for that"
     )
 
@@ -163,6 +173,6 @@ def tree_bytes(tree: Any) -> int:
     )
 
 
-def _total(part: Any) -> int:
+def _total_bytes(part: Any) -> int:
     whole = part.argument_size_in_bytes + part.output_size_in_bytes + part.temp_size_in_bytes
     return int(whole - part.alias_size_in_bytes)

@@ -1,8 +1,9 @@
 """Compiled functions of a scenario, shared by simulators of this process that need the same ones.
 
 Tracing and compiling a scenario takes seconds to a minute, and a grid of cells, a notebook or a
-test needs the same programs many times. `shared` returns those made before where everything that
-was traced into them is equal. Programs that hold a planner or policy of a caller, or fields of
+test needs the same programs many times. `shared_programs` returns those made before where
+everything that was traced into them is equal. Programs that hold a planner or policy of a caller,
+or fields of
 files, are made anew for each simulator: their code and their files may have changed.
 """
 
@@ -24,17 +25,22 @@ from angler_mjx.planning.planner import PathShape
 from angler_mjx.planning.register import PlannerSpec
 from angler_mjx.robot.control.stack import Command
 from angler_mjx.runs.simulator import devices as on_devices
-from angler_mjx.runs.simulator.compiling import Compiled, CompileTime, PendingProgram, Together
+from angler_mjx.runs.simulator.compilation import (
+    CompiledFunction,
+    CompileTime,
+    ParallelCompiler,
+    PendingProgram,
+)
 from angler_mjx.runs.simulator.devices import (
-    EACH,
-    SAME,
+    REPLICATED,
+    SHARDED,
     DeviceMemory,
     limit_bytes,
-    placed,
-    too_large,
+    tile_too_large,
     tree_bytes,
+    with_sharding,
 )
-from angler_mjx.runs.simulator.prepare import ask_all, preparer
+from angler_mjx.runs.simulator.world_preparation import build_preparer, build_tile_problems
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim import fleet
 from angler_mjx.sim.engines import base as engines
@@ -44,21 +50,21 @@ from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.record import Sample
 from angler_mjx.sim.state import Outcome, SimSpec, World, WorldState
 from angler_mjx.world import generate
-from angler_mjx.world.config import resolve
+from angler_mjx.world.config import resolve_world
 
-type Segment = tuple[WorldState, Sample, jax.Array]
+type SegmentResult = tuple[WorldState, Sample, jax.Array]
 """State after a segment, samples of it, and the number of running robots of each world."""
 
-HELD = 16
-"""Maximum number of sets that `shared` keeps; the least recently used one is dropped."""
+MAX_SHARED = 16
+"""Maximum number of sets that `shared_programs` keeps; the least recently used one is dropped."""
 
 SEGMENT_SAMPLES, SEGMENT_STEPS = 25, 100
 """Maximum number of samples of a segment, or of control steps where that is more. A call took an
 H200 2 ms to begin: as long as 70 control steps of 1,024 worlds of 8 robots."""
 
-LABELS = {"name", "description", "worlds", "seed", "tile"}
+UNTRACED_KEYS = {"name", "description", "worlds", "seed", "tile"}
 """Keys of a scenario that no program depends on; its tile is given beside it."""
-PLANNER_LABELS = {"name", "requested", "settings"}
+UNTRACED_PLANNER_KEYS = {"name", "requested", "settings"}
 """Keys of a planner that no program depends on where it plans on the host, or paths are given."""
 
 
@@ -76,17 +82,17 @@ class ProgramSetup:
     """A planner that is part of the programs; None where paths come from outside them."""
     policy: tuple[Policy, ...]
     """On the devices of the mesh; empty without one."""
-    owned: bool
+    has_user_code: bool
     """Whether code of a caller is traced: a policy object, or a class with ``plan_batch``."""
 
     def key(self) -> Hashable | None:
         """Return a value equal for equal programs; None where they cannot be shared."""
         world = self.scenario.world
-        if self.owned or world.files:
+        if self.has_user_code or world.files:
             return None
-        excluded: dict[str, Any] = dict.fromkeys(LABELS, True)
+        excluded: dict[str, Any] = dict.fromkeys(UNTRACED_KEYS, True)
         if self.planner is None and not self.scenario.planner.replan_hz:
-            excluded["planner"] = PLANNER_LABELS
+            excluded["planner"] = UNTRACED_PLANNER_KEYS
         numbers = [(leaf.shape, str(leaf.dtype)) for leaf in jax.tree.leaves(self.policy)]
         return (
             self.scenario.digest(),
@@ -129,51 +135,59 @@ class Programs:
         self._setup, scenario = setup, setup.scenario
         self.spec: SimSpec = scenario.sim_spec()
         self.fleet: Fleet = jax.device_put(
-            fleet.build(
+            fleet.build_fleet(
                 scenario.members(), multibody=scenario.engine == "mjx", load=scenario.carried()
             ),
-            NamedSharding(setup.mesh, SAME),
+            NamedSharding(setup.mesh, REPLICATED),
         )
         radius = np.asarray(jax.jit(fleet.radius_bound)(self.fleet))
-        generate.check_fleet(resolve(scenario.world), radius)
+        generate.check_fleet(resolve_world(scenario.world), radius)
         self.samples, self.steps_per_sample = _segment_size(scenario)
         self.engine = engines.by_name(scenario.engine, setup.kernels)
         self.memory: DeviceMemory | None = None
-        self._problems: dict[Information, Compiled] = {}
+        self._problems: dict[Information, CompiledFunction] = {}
         self._compiled, self._lock = False, threading.Lock()
         policy = setup.policy[0] if setup.policy else None
-        sampling = preparer(scenario, setup.planner, setup.tile, shape=setup.paths, policy=policy)
-        self.prepare = self._spread(sampling, SAME, SAME, EACH)
+        sampling = build_preparer(
+            scenario, setup.planner, setup.tile, shape=setup.paths, policy=policy
+        )
+        self.prepare = self._shard(sampling, REPLICATED, REPLICATED, SHARDED)
         # A policy is an argument of the programs: one with other numbers needs no compilation.
-        driver = (SAME,) * len(setup.policy)
+        policy_specs = (REPLICATED,) * len(setup.policy)
         reset, step = (
             partial(function, self.spec)
             for function in (self.engine.reset, self.engine.control_step)
         )
-        self.reset = self._spread(reset, SAME, EACH, *driver)
-        self.step = self._spread(step, SAME, EACH, EACH, EACH, *driver)
+        self.reset = self._shard(reset, REPLICATED, SHARDED, *policy_specs)
+        self.step = self._shard(step, REPLICATED, SHARDED, SHARDED, SHARDED, *policy_specs)
         # Of runs, whose segments begin where the one before ended; and of any.
         steps = self.samples * self.steps_per_sample
         of_run, of_any = (partial(self._run_segment, n) for n in (steps, 1))
-        self.segment = self._spread(of_run, SAME, EACH, EACH, *driver, donate_argnums=2)
-        self.from_anywhere = self._spread(of_any, SAME, EACH, EACH, *driver, donate_argnums=2)
-        self.commanded = self._spread(self._run_commanded, SAME, EACH, EACH, EACH, donate_argnums=2)
-        self.take = partial(self._spread(fleet.parameters, SAME, EACH), self.fleet)
-        looked_up = scenario.engine == "fused"
-        self.pack = self._spread(jax.vmap(cell_neighbours), EACH) if looked_up else None
+        self.segment = self._shard(
+            of_run, REPLICATED, SHARDED, SHARDED, *policy_specs, donate_argnums=2
+        )
+        self.segment_any_step = self._shard(
+            of_any, REPLICATED, SHARDED, SHARDED, *policy_specs, donate_argnums=2
+        )
+        self.commanded = self._shard(
+            self._run_commanded, REPLICATED, SHARDED, SHARDED, SHARDED, donate_argnums=2
+        )
+        self.take = partial(self._shard(fleet.select_parameters, REPLICATED, SHARDED), self.fleet)
+        uses_neighbours = scenario.engine == "fused"
+        self.pack = self._shard(jax.vmap(cell_neighbours), SHARDED) if uses_neighbours else None
 
-    def problem(self, knows: Information) -> Compiled:
+    def problem(self, information: Information) -> CompiledFunction:
         """Return the program that makes problems of worlds at an information level."""
-        if knows not in self._problems:
-            build = partial(ask_all, self._setup.scenario, knows)
-            self._problems[knows] = self._spread(build, EACH, SAME, EACH)
-        return self._problems[knows]
+        if information not in self._problems:
+            build = partial(build_tile_problems, self._setup.scenario, information)
+            self._problems[information] = self._shard(build, SHARDED, REPLICATED, SHARDED)
+        return self._problems[information]
 
     @cached_property
-    def wave_shape(self) -> World:
-        """Shapes, types and places of a wave of worlds; tracing the planner takes a while."""
+    def batch_shape(self) -> World:
+        """Shapes, types and shardings of a device batch; tracing a planner takes long."""
         shapes = self.prepare.shape(*self._seed_shapes())
-        worlds: World = placed(shapes, self._setup.mesh, EACH)
+        worlds: World = with_sharding(shapes, self._setup.mesh, SHARDED)
         return worlds
 
     def compile(self) -> CompileTime:
@@ -188,9 +202,9 @@ class Programs:
         with self._lock:
             if self._compiled:
                 return CompileTime()
-            took = self._compile()
+            compile_time = self._compile()
             self._compiled = True
-            return took
+            return compile_time
 
     def explain(self, error: Exception) -> None:
         """Turn a device's error for want of memory into one that names a tile that would fit.
@@ -204,24 +218,26 @@ class Programs:
         # What failed needs more than there is, whatever the account says.
         needed = None if self.memory is None else max(self.memory.needed, limit)
         cause = str(error).splitlines()[0][:120]
-        raise too_large(self._setup.tile, needed, limit, cause) from error
+        raise tile_too_large(self._setup.tile, needed, limit, cause) from error
 
     def _compile(self) -> CompileTime:
         start, mesh = time.perf_counter(), self._setup.mesh
-        worlds, state, begun = self._begin_all()
+        worlds, state, pending = self._start_compilation()
         try:
-            made = [program.result() for program in begun]
+            results = [program.result() for program in pending]
         except jax.errors.JaxRuntimeError as error:
             # There is no account yet of what the programs need: what they give is the least.
-            least = (2 * tree_bytes(worlds) + tree_bytes(state)) // mesh.size
-            self.memory = DeviceMemory(prepare=least, segment=least)
+            min_bytes = (2 * tree_bytes(worlds) + tree_bytes(state)) // mesh.size
+            self.memory = DeviceMemory(prepare=min_bytes, segment=min_bytes)
             self.explain(error)
             raise
-        functions, seconds = zip(*made, strict=True)
-        self.memory = on_devices.analyse(*functions)
+        functions, seconds = zip(*results, strict=True)
+        self.memory = on_devices.analyse_memory(*functions)
         limit = limit_bytes(mesh.devices.flat[0])
         if self.memory is not None and self.memory.needed > limit:
-            raise too_large(self._setup.tile, self.memory.needed, limit, "before the first world")
+            raise tile_too_large(
+                self._setup.tile, self.memory.needed, limit, "before the first world"
+            )
         programs = (self.prepare, self.reset, self.segment)
         for program, executable in zip(programs, functions, strict=True):
             program.keep(executable)
@@ -233,18 +249,18 @@ class Programs:
             total_s=time.perf_counter() - start,
         )
 
-    def _begin_all(self) -> tuple[World, WorldState, list[PendingProgram]]:
+    def _start_compilation(self) -> tuple[World, WorldState, list[PendingProgram]]:
         """Shapes of worlds and their states; prepare, reset and segment, compiled side by side."""
         mesh = self._setup.mesh
         kinds, number, firsts = self._seed_shapes()
-        driver = placed(self._setup.policy, mesh, SAME)
-        with Together(3) as programs:
+        policy_shapes = with_sharding(self._setup.policy, mesh, REPLICATED)
+        with ParallelCompiler(3) as programs:
             # Each is traced for the shapes that come of the one before: tracing that gave them.
             prepare = programs.begin(self.prepare, kinds, number, firsts)
-            worlds = self.wave_shape
-            reset = programs.begin(self.reset, kinds, worlds, *driver)
-            state = placed(self.reset.shape(kinds, worlds, *driver), mesh, EACH)
-            segment = programs.begin(self.segment, kinds, worlds, state, *driver)
+            worlds = self.batch_shape
+            reset = programs.begin(self.reset, kinds, worlds, *policy_shapes)
+            state = with_sharding(self.reset.shape(kinds, worlds, *policy_shapes), mesh, SHARDED)
+            segment = programs.begin(self.segment, kinds, worlds, state, *policy_shapes)
         return worlds, state, [prepare, reset, segment]
 
     def _seed_shapes(self) -> tuple[Fleet, Any, Any]:
@@ -253,22 +269,22 @@ class Programs:
         number = jax.ShapeDtypeStruct((), jnp.uint32)
         firsts = jax.ShapeDtypeStruct((mesh.size,), jnp.uint32)
         return (
-            placed(self.fleet, mesh, SAME),
-            placed(number, mesh, SAME),
-            placed(firsts, mesh, EACH),
+            with_sharding(self.fleet, mesh, REPLICATED),
+            with_sharding(number, mesh, REPLICATED),
+            with_sharding(firsts, mesh, SHARDED),
         )
 
-    def _spread(
+    def _shard(
         self, function: Callable[..., Any], *specs: PartitionSpec, **options: Any
-    ) -> Compiled:
+    ) -> CompiledFunction:
         """A compiled function that runs on each device, on its tiles.
 
         Results say themselves that they lie tile by tile: what takes them is then one program,
         whether it was compiled ahead of time or is called.
         """
-        return Compiled(
-            on_devices.on_each(self._setup.mesh, function, *specs),
-            out_shardings=NamedSharding(self._setup.mesh, EACH),
+        return CompiledFunction(
+            on_devices.shard_function(self._setup.mesh, function, *specs),
+            out_shardings=NamedSharding(self._setup.mesh, SHARDED),
             **options,
         )
 
@@ -280,7 +296,7 @@ class Programs:
         state: WorldState,
         policy: Policy | None = None,
         command: Command | None = None,
-    ) -> Segment:
+    ) -> SegmentResult:
         after, sample = self.engine.segment(
             self.spec,
             kinds,
@@ -297,15 +313,15 @@ class Programs:
 
     def _run_commanded(
         self, kinds: Fleet, worlds: World, state: WorldState, command: Command
-    ) -> Segment:
+    ) -> SegmentResult:
         return self._run_segment(1, kinds, worlds, state, None, command)
 
 
-_held: OrderedDict[Hashable, Programs] = OrderedDict()
+_shared: OrderedDict[Hashable, Programs] = OrderedDict()
 _lock = threading.Lock()
 
 
-def shared(setup: ProgramSetup) -> Programs:
+def shared_programs(setup: ProgramSetup) -> Programs:
     """Return the programs of a setup: those of an equal setup if they are still held.
 
     Raises:
@@ -315,32 +331,32 @@ def shared(setup: ProgramSetup) -> Programs:
     if key is None:
         return Programs(setup)
     with _lock:
-        held = _held.get(key)
-    made = held or Programs(setup)
+        cached = _shared.get(key)
+    created = cached or Programs(setup)
     with _lock:
-        kept = _held.setdefault(key, made)
-        _held.move_to_end(key)
-        while len(_held) > HELD:
-            _held.popitem(last=False)
-    return kept
+        stored = _shared.setdefault(key, created)
+        _shared.move_to_end(key)
+        while len(_shared) > MAX_SHARED:
+            _shared.popitem(last=False)
+    return stored
 
 
-def forget() -> None:
+def clear_shared() -> None:
     """Drop all shared programs; simulators that use them keep theirs."""
     with _lock:
-        _held.clear()
+        _shared.clear()
 
 
 def _segment_size(scenario: Scenario) -> tuple[int, int]:
     """Samples in one segment, and control steps from one to the next."""
     timing = scenario.time
-    steps = timing.steps_per_sample or _divisor(timing.control_steps, 100)
+    steps = timing.steps_per_sample or _largest_divisor(timing.control_steps, 100)
     if not timing.steps_per_sample:
         return 1, steps
-    most = max(SEGMENT_SAMPLES, SEGMENT_STEPS // steps)
-    return _divisor(timing.control_steps // steps, most), steps
+    max_samples = max(SEGMENT_SAMPLES, SEGMENT_STEPS // steps)
+    return _largest_divisor(timing.control_steps // steps, max_samples), steps
 
 
-def _divisor(total: int, most: int) -> int:
-    """Largest divisor of ``total`` up to ``most``: short segments make a steady progress bar."""
-    return max(n for n in range(1, most + 1) if total % n == 0)
+def _largest_divisor(total: int, max_divisor: int) -> int:
+    """Return the largest divisor of ``total`` up to ``max_divisor``."""
+    return max(n for n in range(1, max_divisor + 1) if total % n == 0)

@@ -7,66 +7,68 @@ from typing import Any
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning.mppi.costs import Weights
 from angler_mjx.planning.mppi.policy import Mppi
-from angler_mjx.planning.online.host_planner import HostReplanner
-from angler_mjx.planning.online.planners import (
+from angler_mjx.planning.online.device_replanners import (
     BatchReplanner,
     CurrentReplanner,
     GridReplanner,
     PriorityReplanner,
 )
+from angler_mjx.planning.online.host_replanner import HostReplanner
 from angler_mjx.planning.online.policy import Online
 from angler_mjx.planning.online.replanning import Replanning
 from angler_mjx.planning.problem import Problem
-from angler_mjx.planning.register import PlannerSpec, gives_joints
+from angler_mjx.planning.register import PlannerSpec, plans_joints
 from angler_mjx.planning.routes.policy import AlongRoutes
 from angler_mjx.robot.control.laws.follow import FollowGains
 from angler_mjx.robot.control.trajectory import Trajectory
-from angler_mjx.runs.simulator.on_device import (
+from angler_mjx.runs.simulator.device_planning import (
     CURRENT,
     GRID,
     current_config,
+    path_search_config,
     priority_budget,
-    ways_config,
 )
-from angler_mjx.scenario.policy_tables import default_knows
+from angler_mjx.scenario.policy_tables import default_information
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.information import Information
 from angler_mjx.sim.policy import Policy
 
 
-def policy_of(scenario: Scenario, given: Policy | None) -> Policy | None:
+def resolve_policy(scenario: Scenario, policy: Policy | None) -> Policy | None:
     """What commands the robots of a scenario.
 
     Args:
         scenario: that may name a policy, or ask for order or replanning.
-        given: a policy of the caller's; it takes the place of an order that auto chose.
+        policy: a policy of the caller's; it takes the place of an order that auto chose.
 
     Raises:
         ConfigError: both ask for the robots, or the planner cannot plan while they fly.
     """
-    if given is not None and scenario.keeps_order_by_auto:
-        return given
+    if policy is not None and scenario.keeps_order_by_auto:
+        return policy
     if not scenario.flown:
-        if given is None and scenario.task_spec() is not None:
+        if policy is None and scenario.task_spec() is not None:
             raise ConfigError(
                 f"task.type = {scenario.task.type!r}: plans lead to one goal, and nobody flies "
                 "from place to place; leave policy.name out, or give a policy of your own"
             )
-        return given
-    if given is not None:
+        return policy
+    if policy is not None:
         key = "planner.replan_hz" if scenario.planner.replan_hz else 'execution.order = "kept"'
         if not scenario.online:
             key = f'policy.name = "{scenario.policy.name}"'
         raise ConfigError(
-            f"policy {type(given).__name__}: the scenario's {key} commands the robots already; "
+            f"policy {type(policy).__name__}: the scenario's {key} commands the robots already; "
             "leave out one of them"
         )
     if scenario.online:
-        return made(scenario)
-    return along_routes(scenario) if scenario.policy.name == "routes" else mppi(scenario)
+        return build_online_policy(scenario)
+    return (
+        build_routes_policy(scenario) if scenario.policy.name == "routes" else build_mppi(scenario)
+    )
 
 
-def along_routes(scenario: Scenario) -> AlongRoutes:
+def build_routes_policy(scenario: Scenario) -> AlongRoutes:
     """Flight along routes with a scenario's settings."""
     settings = scenario.policy.routes
     period = settings.period(scenario.time)
@@ -75,12 +77,12 @@ def along_routes(scenario: Scenario) -> AlongRoutes:
         horizon_s=settings.horizon_s,
         routes_margin_m=scenario.planner.margin_m,
         period=period,
-        looks=period,
-        knows=_knows(scenario),
+        observation_period=period,
+        information=_policy_information(scenario),
     )
 
 
-def mppi(scenario: Scenario) -> Mppi:
+def build_mppi(scenario: Scenario) -> Mppi:
     """Path integral control with a scenario's settings."""
     settings, time = scenario.policy.mppi, scenario.time
     return Mppi(
@@ -93,76 +95,78 @@ def mppi(scenario: Scenario) -> Mppi:
         dt_s=settings.dt_s,
         knots=settings.knots,
         period=settings.period(time),
-        knows=_knows(scenario),
+        information=_policy_information(scenario),
         ahead_s=settings.horizon_s,
     )
 
 
-def _knows(scenario: Scenario) -> Information:
+def _policy_information(scenario: Scenario) -> Information:
     """Return the information level of the policy that the scenario names."""
-    return (scenario.policy.knows or default_knows(scenario.policy, scenario.planner)).knows()
+    return (
+        scenario.policy.information or default_information(scenario.policy, scenario.planner)
+    ).to_information()
 
 
-def made(scenario: Scenario) -> Online:
+def build_online_policy(scenario: Scenario) -> Online:
     """The policy of a scenario that flies its plans online.
 
     Raises:
         ConfigError: the planner cannot plan while robots fly.
     """
     _, gains = scenario.controller.stack()
-    follows = gains[0] if isinstance(gains[0], FollowGains) else FollowGains()
-    dt_s, settings = scenario.time.control_dt_s, _replanning(scenario)
+    follow_gains = gains[0] if isinstance(gains[0], FollowGains) else FollowGains()
+    dt_s, settings = scenario.time.control_dt_s, _replanning_settings(scenario)
     return Online(
-        gains=follows,
+        gains=follow_gains,
         dt_s=dt_s,
         keeps_order=scenario.execution.order == "kept",
         replanning=settings,
-        knows=None if settings is None else settings.knows,
-        looks=1 if settings is None else settings.every,
+        information=None if settings is None else settings.information,
+        observation_period=1 if settings is None else settings.every,
         ahead_s=0.0 if settings is None else scenario.time.horizon_s,
     )
 
 
-def _replanning(scenario: Scenario) -> Replanning | None:
+def _replanning_settings(scenario: Scenario) -> Replanning | None:
     planner, time = scenario.planner, scenario.time
     if planner.replan_hz == 0.0:
         return None
     return Replanning(
-        planner=_anew(scenario),
+        planner=_build_replanner(scenario),
         every=round(1.0 / (planner.replan_hz * time.control_dt_s)),
         delay=round(planner.delay_s / time.control_dt_s),
         dt_s=time.control_dt_s,
         points=planner.points,
         margin_m=planner.margin_m,
-        knows=planner.knows.knows(),
+        information=planner.information.to_information(),
         horizon_s=time.horizon_s,
         goal_tolerance_m=scenario.goal_tolerance_m,
         deadline_s=_deadline_s(scenario),
     )
 
 
-def _anew(scenario: Scenario) -> Callable[[Problem], Trajectory]:
-    spec = scenario.planner.chosen()
+def _build_replanner(scenario: Scenario) -> Callable[[Problem], Trajectory]:
+    spec = scenario.planner.planner_spec()
     if spec.reference.name == CURRENT:
         return CurrentReplanner(config=current_config(scenario, spec))
     if spec.reference.on_device:
-        config = ways_config(scenario, spec)
+        config = path_search_config(scenario, spec)
         if spec.reference.name == GRID:
             return GridReplanner(config=config)
         return PriorityReplanner(config=replace(config, room_m=0.0), budget=priority_budget(spec))
     settings = tuple(sorted(spec.settings.items()))
-    if _on_host(spec):
-        return _of_host(scenario, spec, settings)
+    if _is_host_planner(spec):
+        return _build_host_replanner(scenario, spec, settings)
     return BatchReplanner(reference=spec.reference, settings=settings)
 
 
-def _on_host(spec: PlannerSpec) -> bool:
+def _is_host_planner(spec: PlannerSpec) -> bool:
     if spec.reference.on_device:
         return False
     return not callable(getattr(spec.reference.load(), "plan_batch", None))
 
 
-def _of_host(
+def _build_host_replanner(
     scenario: Scenario, spec: PlannerSpec, settings: tuple[tuple[str, Any], ...]
 ) -> HostReplanner:
     name, rate = spec.reference.name, f"planner.replan_hz = {scenario.planner.replan_hz:g}"
@@ -172,7 +176,7 @@ def _of_host(
             "the device in flight: take grid, priority, current or a class with plan_batch, leave "
             "out replan_hz, or fly one scene with angler fly (or one world at a time: tile = 1)"
         )
-    if gives_joints(spec):
+    if plans_joints(spec):
         raise ConfigError(
             f"{rate}: planner {name} gives headings (JointTrajectory), and replanning goes on from "
             "way-points; leave out its heading, or replan_hz"
@@ -185,6 +189,6 @@ def _of_host(
 def _deadline_s(scenario: Scenario) -> float:
     """Wall-clock time for a plan: one of the host has to be made when it is to be taken up."""
     planner = scenario.planner
-    if not _on_host(planner.chosen()):
+    if not _is_host_planner(planner.planner_spec()):
         return planner.deadline_s
     return min(planner.deadline_s, planner.delay_s or 1.0 / planner.replan_hz)

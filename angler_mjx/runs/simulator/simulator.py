@@ -16,19 +16,19 @@ from jax.sharding import NamedSharding
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning.planner import Path, PathShape
-from angler_mjx.planning.problem import Name, Problem
+from angler_mjx.planning.problem import Problem, ProblemName
 from angler_mjx.planning.register import PlannerSpec
 from angler_mjx.robot.control import command_checks, stack
-from angler_mjx.robot.control.mixed import Mixed
+from angler_mjx.robot.control.mixed import MixedCommand
 from angler_mjx.robot.control.stack import Command
 from angler_mjx.robot.vehicles import library
-from angler_mjx.runs.simulator import cache, hosted, programs, scenario_policy
+from angler_mjx.runs.simulator import compile_cache, host_planning, programs, scenario_policy
 from angler_mjx.runs.simulator import devices as on_devices
-from angler_mjx.runs.simulator.compiling import CompileTime
-from angler_mjx.runs.simulator.devices import EACH, SAME
-from angler_mjx.runs.simulator.hosted import PlanNotes, SampledBatch
-from angler_mjx.runs.simulator.prepare import key_number, with_paths
-from angler_mjx.runs.simulator.programs import Programs, Segment
+from angler_mjx.runs.simulator.compilation import CompileTime
+from angler_mjx.runs.simulator.devices import REPLICATED, SHARDED
+from angler_mjx.runs.simulator.host_planning import PlanNotes, SampledBatch
+from angler_mjx.runs.simulator.programs import Programs, SegmentResult
+from angler_mjx.runs.simulator.world_preparation import check_key_number, replace_paths
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim import fleet
 from angler_mjx.sim import policy as policies
@@ -49,15 +49,15 @@ def default_tile(worlds: int) -> int:
     return min(worlds, DEFAULT_TILE.get(jax.default_backend(), DEFAULT_TILE["cpu"]))
 
 
-LEAST_POINTS = 2
+MIN_POINTS = 2
 """Of paths that nobody flies."""
 
 
 class Simulator:
-    """Compiled simulation of one scenario, a wave of tiles at a time: one tile on each device.
+    """Compiled simulation of one scenario, in device batches: one tile of worlds on each device.
 
-    With one device, a wave is a tile. Every leaf that a method gives or takes has [devices * tile]
-    worlds leading, spread over the devices.
+    With one device, a device batch is a tile. Every leaf that a method gives or takes has [devices
+    * tile] worlds leading, spread over the devices.
 
     Attributes:
         scenario: what is simulated.
@@ -87,18 +87,19 @@ class Simulator:
             policy: that commands the robots in every control step, instead of their paths.
             workers: processes that plan, where the planner is one of the host; one for each
                 processor if left out. Changes no byte of the results.
-            paths: what those that `with_paths` will give are like, where no planner is to be asked.
+            paths: what those that `replace_paths` will give are like, where no planner is to be
+                asked.
 
         Raises:
             ConfigError: a vehicle file has faults, the fleet does not fit the world's cells, or
                 there are fewer devices.
         """
-        cache.switch_on()
-        on_devices.require_room(scenario.world.held_bytes)
-        given = policy is not None
-        self.scenario, policy = scenario, scenario_policy.policy_of(scenario, policy)
+        compile_cache.enable_cache()
+        on_devices.require_memory(scenario.world.held_bytes)
+        has_policy = policy is not None
+        self.scenario, policy = scenario, scenario_policy.resolve_policy(scenario, policy)
         self.tile = tile or scenario.tile or default_tile(scenario.worlds)
-        self._mesh = on_devices.mesh(devices)
+        self._mesh = on_devices.build_mesh(devices)
         self.devices = self._mesh.size
         self.kernels = scenario.kernels or engines.default_kernels(
             scenario.engine, jax.default_backend()
@@ -110,35 +111,39 @@ class Simulator:
             )
         by_task = scenario.task_spec() is not None
         # Where robots have one place after another to go to, nobody plans a way to one goal.
-        unplanned = paths is not None or by_task
-        self._spec_of_planner = None if unplanned else scenario.planner.chosen()
-        points = LEAST_POINTS if by_task else scenario.planner.points
-        self.paths = paths or hosted.shape_of(self._spec_of_planner, points)
-        self._planners = hosted.begin(self._spec_of_planner, self.paths, workers)
-        self._driver: tuple[Policy, ...] = () if policy is None else (self._on_all(policy),)
+        is_unplanned = paths is not None or by_task
+        self._planner_spec = None if is_unplanned else scenario.planner.planner_spec()
+        points = MIN_POINTS if by_task else scenario.planner.points
+        self.paths = paths or host_planning.path_shape(self._planner_spec, points)
+        self._planners = host_planning.start_planners(self._planner_spec, self.paths, workers)
+        self._policy_numbers: tuple[Policy, ...] = (
+            () if policy is None else (self._replicate_policy(policy),)
+        )
         setup = programs.ProgramSetup(
             scenario=scenario,
             tile=self.tile,
             mesh=self._mesh,
             kernels=self.kernels,
             paths=self.paths,
-            planner=None if self._planners else self._spec_of_planner,
-            policy=self._driver,
-            owned=given or self._traces_a_planner(),
+            planner=None if self._planners else self._planner_spec,
+            policy=self._policy_numbers,
+            has_user_code=has_policy or self._traces_planner(),
         )
-        self._programs = programs.shared(setup)
+        self._programs = programs.shared_programs(setup)
         self.samples = self._programs.samples
         self.steps_per_sample = self._programs.steps_per_sample
-        self._gate = WorldValidator(self.fleet, take=self._programs.take, pack=self._programs.pack)
+        self._validator = WorldValidator(
+            self.fleet, take=self._programs.take, pack=self._programs.pack
+        )
 
-    def _traces_a_planner(self) -> bool:
+    def _traces_planner(self) -> bool:
         """Whether code of a planner of somebody else is a part of the programs."""
         if self.scenario.planner.replan_hz:
-            return not self.scenario.planner.chosen().reference.on_device
-        spec = self._spec_of_planner
+            return not self.scenario.planner.planner_spec().reference.on_device
+        spec = self._planner_spec
         return spec is not None and self._planners is None and not spec.reference.on_device
 
-    def _on_all(self, policy: Policy) -> Policy:
+    def _replicate_policy(self, policy: Policy) -> Policy:
         """A policy with its numbers, as arrays of JAX's types, on every device."""
         numbers = jax.tree.map(
             lambda leaf: (
@@ -146,25 +151,25 @@ class Simulator:
             ),
             policy,
         )
-        placed: Policy = jax.device_put(numbers, NamedSharding(self._mesh, SAME))
-        return placed
+        sharded: Policy = jax.device_put(numbers, NamedSharding(self._mesh, REPLICATED))
+        return sharded
 
-    def _driven(self, policy: Policy | None) -> tuple[Policy, ...]:
+    def _policy_arguments(self, policy: Policy | None) -> tuple[Policy, ...]:
         """The last argument of the programs: the simulator's policy, or one with other numbers."""
         if policy is None:
-            return self._driver
-        if not self._driver:
+            return self._policy_numbers
+        if not self._policy_numbers:
             raise ConfigError(
                 f"policy {type(policy).__name__}: the simulator was made without one; "
                 "give it to Simulator(scenario, policy=...)"
             )
-        policies.require_alike(self._driver[0], policy)
-        return (self._on_all(policy),)
+        policies.require_alike(self._policy_numbers[0], policy)
+        return (self._replicate_policy(policy),)
 
     @property
     def policy(self) -> Policy | None:
         """That commands the robots."""
-        return self._driver[0] if self._driver else None
+        return self._policy_numbers[0] if self._policy_numbers else None
 
     @property
     def fleet(self) -> Fleet:
@@ -188,14 +193,14 @@ class Simulator:
 
     def variants(self) -> list[tuple[str, str]]:
         """Vehicle and parameter set of each variant, in the order of ``World.variant``."""
-        kinds = fleet.variants(self.scenario.members())
+        kinds = fleet.list_variants(self.scenario.members())
         return [(kind.vehicle, kind.parameter_set) for kind in kinds]
 
     def labels(self) -> list[tuple[str, str]]:
         """As `variants`, for tables: a vehicle is called what its file says, wherever that lies."""
         variants = self.variants()
-        names = library.labels(vehicle for vehicle, _ in variants)
-        return [(names[vehicle], chosen) for vehicle, chosen in variants]
+        names = library.label_vehicles(vehicle for vehicle, _ in variants)
+        return [(names[vehicle], parameter_set) for vehicle, parameter_set in variants]
 
     def worlds(self, first: int = 0, *, seed: int | None = None) -> World:
         """Worlds first, first + 1 and on: drawn, furnished and planned.
@@ -210,9 +215,9 @@ class Simulator:
         Raises:
             ConfigError: index or seed is no whole number from 0 to 2**32 - 1.
         """
-        return self.wave([first + i * self.tile for i in range(self.devices)], seed=seed)
+        return self.device_batch([first + i * self.tile for i in range(self.devices)], seed=seed)
 
-    def wave(self, firsts: Sequence[int], *, seed: int | None = None) -> World:
+    def device_batch(self, firsts: Sequence[int], *, seed: int | None = None) -> World:
         """As `worlds`, with the first world of each device's tile given on its own.
 
         Args:
@@ -223,13 +228,13 @@ class Simulator:
             ConfigError: as `worlds`.
         """
         worlds, notes = self.finish(self.begin(firsts, seed=seed))
-        hosted.warn_of_failures(notes, firsts[0])
+        host_planning.warn_of_failures(notes, firsts[0])
         return worlds
 
     @property
     def planner(self) -> PlannerSpec | None:
         """That plans; None where paths are given, or robots go from place to place."""
-        return self._spec_of_planner
+        return self._planner_spec
 
     @property
     def hosted(self) -> bool:
@@ -237,62 +242,67 @@ class Simulator:
         return self._planners is not None
 
     def begin(
-        self, firsts: Sequence[int], *, seed: int | None = None, kept: Sequence[int] | None = None
+        self, firsts: Sequence[int], *, seed: int | None = None, counts: Sequence[int] | None = None
     ) -> SampledBatch:
-        """Begin with a wave: draw its worlds, and hand their problems to who plans on the host.
+        """Sample the worlds of a device batch, and hand their problems to planners on the host.
 
-        Other arguments and errors as in `wave`. `finish` gives the worlds; in between the device
-        can fly others.
+        Errors as of `device_batch`. `finish` returns the worlds; in between the device can fly
+        others.
 
         Args:
-            firsts: as in `wave`.
-            seed: as in `wave`.
-            kept: how many worlds of each tile will be looked at; nothing on the host is planned for
-                the others.
+            firsts: as of `device_batch`.
+            seed: as of `device_batch`.
+            counts: number of worlds of each tile that count; the host plans for no others.
         """
-        run = self.scenario.seed if seed is None else seed
-        number = key_number("seed", run)
-        indices = [key_number("first", first) for first in firsts]
+        run_seed = self.scenario.seed if seed is None else seed
+        number = check_key_number("seed", run_seed)
+        indices = [check_key_number("first", first) for first in firsts]
         # Put in their places, as `compile` says they are: otherwise it is another program.
         numbers = jax.device_put(
             (number, np.asarray(indices, np.uint32)),
-            (NamedSharding(self._mesh, SAME), NamedSharding(self._mesh, EACH)),
+            (NamedSharding(self._mesh, REPLICATED), NamedSharding(self._mesh, SHARDED)),
         )
-        worlds = self._gate.own(self._programs.prepare(self.fleet, *numbers))
+        worlds = self._validator.accept_sampled(self._programs.prepare(self.fleet, *numbers))
         if self._planners is None:
             return SampledBatch(worlds=worlds)
-        names = [self._name(int(run), first + i) for first in firsts for i in range(self.tile)]
-        asked = hosted.one_by_one(self._programs.problem(self._knows)(worlds, *numbers), names)
-        kept = [self.tile] * len(firsts) if kept is None else kept
-        wanted = [t * self.tile + i for t, count in enumerate(kept) for i in range(count)]
+        names = [
+            self._problem_name(int(run_seed), first + i)
+            for first in firsts
+            for i in range(self.tile)
+        ]
+        problems = host_planning.split_problems(
+            self._programs.problem(self._information)(worlds, *numbers), names
+        )
+        counts = [self.tile] * len(firsts) if counts is None else counts
+        rows = [t * self.tile + i for t, count in enumerate(counts) for i in range(count)]
         return SampledBatch(
-            worlds=worlds, tickets=self._planners.begin({i: asked[i] for i in wanted})
+            worlds=worlds, tickets=self._planners.begin({i: problems[i] for i in rows})
         )
 
-    def finish(self, drawn: SampledBatch) -> tuple[World, PlanNotes | None]:
-        """The worlds of a wave that was begun, planned.
+    def finish(self, sampled: SampledBatch) -> tuple[World, PlanNotes | None]:
+        """The worlds of a device batch that was begun, planned.
 
         Returns:
-            As `wave`, and how they were planned, where that was not on the device.
+            As `device batch`, and how they were planned, where that was not on the device.
 
         Raises:
             RunError: the planner cannot be made.
         """
         if self._planners is None:
-            return drawn.worlds, None
-        held = jax.device_get(drawn.worlds.path)
-        path, notes = hosted.gather(self._planners.finish(drawn.tickets), held)
-        return self.with_paths(drawn.worlds, path), notes
+            return sampled.worlds, None
+        initial = jax.device_get(sampled.worlds.path)
+        path, notes = host_planning.gather_paths(self._planners.finish(sampled.tickets), initial)
+        return self.with_paths(sampled.worlds, path), notes
 
-    def asked(
-        self, first: int = 0, *, seed: int | None = None, knows: Information | None = None
+    def sample_problems(
+        self, first: int = 0, *, seed: int | None = None, information: Information | None = None
     ) -> tuple[World, Problem]:
-        """A wave of worlds that nobody has planned, and what a planner is asked in them.
+        """A device batch of worlds that nobody has planned, and what a planner is asked in them.
 
         Args:
             first: global index of the first world; each device has the same tile.
             seed: instead of the scenario's.
-            knows: what may be known; instead of what the scenario says.
+            information: what may be known; instead of what the scenario says.
 
         Returns:
             Worlds, and problems with [devices * tile] leading.
@@ -300,14 +310,14 @@ class Simulator:
         Raises:
             ConfigError: as `worlds`.
         """
-        run = self.scenario.seed if seed is None else seed
-        number, index = key_number("seed", run), key_number("first", first)
+        run_seed = self.scenario.seed if seed is None else seed
+        number, index = check_key_number("seed", run_seed), check_key_number("first", first)
         numbers = jax.device_put(
             (number, np.full(self.devices, index, np.uint32)),
-            (NamedSharding(self._mesh, SAME), NamedSharding(self._mesh, EACH)),
+            (NamedSharding(self._mesh, REPLICATED), NamedSharding(self._mesh, SHARDED)),
         )
-        worlds = self._gate.own(self._programs.prepare(self.fleet, *numbers))
-        return worlds, self._programs.problem(knows or self._knows)(worlds, *numbers)
+        worlds = self._validator.accept_sampled(self._programs.prepare(self.fleet, *numbers))
+        return worlds, self._programs.problem(information or self._information)(worlds, *numbers)
 
     def problems(
         self,
@@ -315,7 +325,7 @@ class Simulator:
         count: int = 1,
         *,
         seed: int | None = None,
-        knows: Information | None = None,
+        information: Information | None = None,
     ) -> list[Problem]:
         """What a planner is asked in worlds first, first + 1 and on, in arrays of NumPy.
 
@@ -323,14 +333,14 @@ class Simulator:
             first: global index of the first world.
             count: how many, at most a tile.
             seed: instead of the scenario's.
-            knows: as in `asked`.
+            information: as in `asked`.
 
         Raises:
             ConfigError: as `worlds`.
         """
         if not 0 < count <= self.tile:
             raise ConfigError(f"count = {count}: must be 1 to {self.tile}, the worlds of a tile")
-        batch = self.asked(first, seed=seed, knows=knows)[1]
+        batch = self.sample_problems(first, seed=seed, information=information)[1]
         return self.named(batch, first, count, seed=seed)
 
     def named(
@@ -344,12 +354,14 @@ class Simulator:
             count: how many of them.
             seed: of their worlds; the scenario's if left out.
         """
-        run = int(self.scenario.seed if seed is None else seed)
-        return hosted.one_by_one(problems, [self._name(run, first + i) for i in range(count)])
+        run_seed = int(self.scenario.seed if seed is None else seed)
+        return host_planning.split_problems(
+            problems, [self._problem_name(run_seed, first + i) for i in range(count)]
+        )
 
     @property
-    def _knows(self) -> Information:
-        return self.scenario.planner.knows.knows()
+    def _information(self) -> Information:
+        return self.scenario.planner.information.to_information()
 
     def with_paths(self, worlds: World, path: Path) -> World:
         """Worlds whose robots are told other paths.
@@ -361,11 +373,11 @@ class Simulator:
         Raises:
             ConfigError: the paths have another shape than the simulator's.
         """
-        there = jax.device_put(path, NamedSharding(self._mesh, EACH))
-        return with_paths(worlds, there, self.scenario.planner.name, self.paths)
+        sharded = jax.device_put(path, NamedSharding(self._mesh, SHARDED))
+        return replace_paths(worlds, sharded, self.scenario.planner.name, self.paths)
 
-    def _name(self, seed: int, world: int) -> Name:
-        return Name(
+    def _problem_name(self, seed: int, world: int) -> ProblemName:
+        return ProblemName(
             scenario=self.scenario.name,
             preset=self.scenario.world.preset,
             seed=seed,
@@ -394,9 +406,9 @@ class Simulator:
         Raises:
             ConfigError: a robot cannot be its variant.
         """
-        return self._gate.adopt(worlds)
+        return self._validator.adopt(worlds)
 
-    def admitted(self, worlds: World) -> World:
+    def validate_worlds(self, worlds: World) -> World:
         """Worlds as programs of one's own may give them to `engine`: checked, cells packed.
 
         Args:
@@ -405,7 +417,7 @@ class Simulator:
         Raises:
             ConfigError: as `reset`.
         """
-        return self._gate.admit(worlds)
+        return self._validator.validate_worlds(worlds)
 
     @property
     def engine(self) -> engines.Engine:
@@ -418,7 +430,7 @@ class Simulator:
         def of_tile(leaf: jax.ShapeDtypeStruct) -> jax.ShapeDtypeStruct:
             return jax.ShapeDtypeStruct((self.tile, *leaf.shape[1:]), leaf.dtype)
 
-        shapes: World = jax.tree.map(of_tile, self._programs.wave_shape)
+        shapes: World = jax.tree.map(of_tile, self._programs.batch_shape)
         return shapes
 
     def reset(self, worlds: World, *, policy: Policy | None = None) -> WorldState:
@@ -434,15 +446,18 @@ class Simulator:
                 controllers takes what the policy commands, or it is made otherwise than the
                 simulator's.
         """
-        admitted, driver = self._gate.admit(worlds), self._driven(policy)
-        state: WorldState = self._programs.reset(self.fleet, admitted, *driver)
+        validated, policy_arguments = (
+            self._validator.validate_worlds(worlds),
+            self._policy_arguments(policy),
+        )
+        state: WorldState = self._programs.reset(self.fleet, validated, *policy_arguments)
         return state
 
     def step(
         self,
         worlds: World,
         state: WorldState,
-        command: Command | Mixed | None = None,
+        command: Command | MixedCommand | None = None,
         *,
         policy: Policy | None = None,
     ) -> tuple[WorldState, Sample]:
@@ -452,8 +467,8 @@ class Simulator:
             worlds: from ``worlds``.
             state: from ``reset`` or the step before.
             command: to the controllers of all robots instead of their paths, [world, robot]
-                leading; it enters at the first stage that takes its type. `Mixed` drives each
-                robot by a command of another type. A policy is not asked then.
+                leading; it enters at the first stage that takes its type. `MixedCommand` drives
+                each robot by a command of another type. A policy is not asked then.
             policy: the simulator's with other numbers in it.
 
         Returns:
@@ -466,9 +481,11 @@ class Simulator:
         """
         if command is not None:
             self._check(command, worlds, state)
-        admitted = self._gate.admit(worlds)
-        driver = self._driven(policy)
-        after, sample = self._programs.step(self.fleet, admitted, state, command, *driver)
+        validated = self._validator.validate_worlds(worlds)
+        policy_arguments = self._policy_arguments(policy)
+        after, sample = self._programs.step(
+            self.fleet, validated, state, command, *policy_arguments
+        )
         return after, sample
 
     def segment(
@@ -497,30 +514,42 @@ class Simulator:
             if int(state.step[0]) % self.segment_steps == 0:
                 after, sample, _ = self.advance(worlds, state, policy=policy)
                 return after, sample
-            admitted, driver = self._gate.admit(worlds), self._driven(policy)
-            after, sample, _ = self._programs.from_anywhere(self.fleet, admitted, state, *driver)
+            validated, policy_arguments = (
+                self._validator.validate_worlds(worlds),
+                self._policy_arguments(policy),
+            )
+            after, sample, _ = self._programs.segment_any_step(
+                self.fleet, validated, state, *policy_arguments
+            )
             return after, sample
         self._check(command, worlds, state)
-        admitted = self._gate.admit(worlds)
-        after, sample, _ = self._programs.commanded(self.fleet, admitted, state, command)
+        validated = self._validator.validate_worlds(worlds)
+        after, sample, _ = self._programs.commanded(self.fleet, validated, state, command)
         return after, sample
 
-    def advance(self, worlds: World, state: WorldState, *, policy: Policy | None = None) -> Segment:
+    def advance(
+        self, worlds: World, state: WorldState, *, policy: Policy | None = None
+    ) -> SegmentResult:
         """As `segment`, and int32 [world]: how many robots of each are still on their way.
 
         The state is of `reset` or of the segment before: of whole segments.
         The count is an array of its own: it can be read after the state was used up.
         """
-        admitted, driver = self._gate.admit(worlds), self._driven(policy)
-        after, sample, running = self._programs.segment(self.fleet, admitted, state, *driver)
+        validated, policy_arguments = (
+            self._validator.validate_worlds(worlds),
+            self._policy_arguments(policy),
+        )
+        after, sample, running = self._programs.segment(
+            self.fleet, validated, state, *policy_arguments
+        )
         return after, sample, running
 
-    def _check(self, command: Command | Mixed, worlds: World, state: WorldState) -> None:
+    def _check(self, command: Command | MixedCommand, worlds: World, state: WorldState) -> None:
         """Refuse commands that the controllers cannot be given."""
         lead, thrusters = state.tally.outcome.shape, worlds.control.vehicle.B.shape[-1]
-        for one in command.commands if isinstance(command, Mixed) else [command]:
-            stack.check_command(self.spec.stages, one, lead, thrusters)
-        if isinstance(command, Mixed):  # of its commands some hold any numbers
+        for part in command.commands if isinstance(command, MixedCommand) else [command]:
+            stack.check_command(self.spec.stages, part, lead, thrusters)
+        if isinstance(command, MixedCommand):  # of its commands some hold any numbers
             command_checks.check_choice(command, lead)
         else:
             command_checks.check_pulses(command)

@@ -13,21 +13,21 @@ from angler_mjx.errors import RunError
 from angler_mjx.planning.online.policy import ReplanningMemory
 from angler_mjx.planning.online.replanning import FleetPlans
 from angler_mjx.robot.control.plans import length_m
-from angler_mjx.runs.simulator.hosted import PlanNotes
-from angler_mjx.runs.storage.layout import END, plan_arrays
+from angler_mjx.runs.simulator.host_planning import PlanNotes
 from angler_mjx.runs.storage.results import TaskResult, TileResult
-from angler_mjx.sim.record import FIELDS, STATES, TASK, RecordedField, Sample
-from angler_mjx.sim.state import Factors, Outcome, Tally, World, WorldState
+from angler_mjx.runs.storage.trajectory_layout import END_GROUP, plan_arrays
+from angler_mjx.sim.record import FIELDS, STATE_FIELDS, TASK, RecordedField, Sample
+from angler_mjx.sim.state import Outcome, Tally, World, WorldFactors, WorldState
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.tasks.spec import TaskState, TaskWorld
 
-type Arrays = dict[str, Callable[[slice], np.ndarray]]
+type TileArrays = dict[str, Callable[[slice], np.ndarray]]
 """Recorded arrays of a tile by name: each gives its part of a slice of worlds, [n, ...]."""
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Constants:
+class TileConstants:
     """What the host keeps of the worlds of a tile; [tile] leads."""
 
     valid: jax.Array
@@ -41,8 +41,8 @@ class Constants:
     environment: Environment | None
     """None where nothing is recorded, as the plans."""
     plan: dict[str, jax.Array] | None
-    """By the names of their arrays; see `runs.storage.layout`."""
-    factors: Factors | None = None
+    """By the names of their arrays; see `runs.storage.trajectory_layout`."""
+    factors: WorldFactors | None = None
     """None where none were drawn."""
     task: TaskWorld | None = None
     """None where each robot has a goal of its own."""
@@ -50,7 +50,7 @@ class Constants:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Last:
+class LastState:
     """The state after the last sample of a tile; [tile] leads.
 
     A sample is the state at the beginning of a step: without this one nobody could see where a
@@ -74,7 +74,7 @@ class TileEnd:
 
     tally: Tally
     p: jax.Array
-    last: Last | None = None
+    last: LastState | None = None
     """What follows on the samples; None where nothing is recorded."""
     failed_replans: jax.Array | None = None
     """int32 [tile, r] until each robot's end; None where nothing was planned anew."""
@@ -91,7 +91,7 @@ class FinishedTile:
     first: int
     kept: int
     """Worlds of the run in it: fewer than the tile at the end of a run."""
-    constants: Constants
+    constants: TileConstants
     end: TileEnd
     parts: list[Sample]
     """Samples of its segments, until all robots had ended; empty where nothing is recorded."""
@@ -102,9 +102,9 @@ class FinishedTile:
 _length_m = jax.jit(length_m)
 
 
-def constants(worlds: World, *, recorded: bool) -> Constants:
+def select_constants(worlds: World, *, recorded: bool) -> TileConstants:
     """What to keep of worlds."""
-    return Constants(
+    return TileConstants(
         valid=worlds.environment.valid,
         task=worlds.task,
         redraws=worlds.environment.redraws,
@@ -118,9 +118,9 @@ def constants(worlds: World, *, recorded: bool) -> Constants:
     )
 
 
-def end(state: WorldState, *, recorded: bool) -> TileEnd:
+def select_end(state: WorldState, *, recorded: bool) -> TileEnd:
     """What to keep of the last state."""
-    last = Last(
+    last = LastState(
         step=state.step,
         p=state.vehicles.p,
         q=state.vehicles.q,
@@ -135,13 +135,13 @@ def end(state: WorldState, *, recorded: bool) -> TileEnd:
         last=last if recorded else None,
         failed_replans=_failed_replans(state),
         task=state.task,
-        packets=_packets(state),
+        packets=_packet_counts(state),
     )
 
 
-def _packets(state: WorldState) -> jax.Array | None:
-    radio = state.radio
-    return None if radio is None else jnp.stack([radio.air.sent, radio.caught], axis=-1)
+def _packet_counts(state: WorldState) -> jax.Array | None:
+    modem = state.modem
+    return None if modem is None else jnp.stack([modem.in_flight.sent, modem.n_received], axis=-1)
 
 
 def _failed_replans(state: WorldState) -> jax.Array | None:
@@ -158,7 +158,7 @@ def _failed_until(plans: FleetPlans, outcome: jax.Array, end_time_s: jax.Array) 
     return plans.failed(jnp.where(outcome == Outcome.RUNNING, jnp.inf, end_time_s))
 
 
-def last_in(following: Sample, step: int) -> Last:
+def last_state_from(following: Sample, step: int) -> LastState:
     """The state after the last sample of a tile, from the samples that follow on it.
 
     Args:
@@ -166,14 +166,14 @@ def last_in(following: Sample, step: int) -> Last:
         step: control steps taken until its first one.
     """
     first: dict[str, Any] = {
-        field.path[-1]: np.asarray(field.of(following))[:, 0] for field in STATES
+        field.path[-1]: np.asarray(field.of(following))[:, 0] for field in STATE_FIELDS
     }
-    return Last(step=np.full(len(first["p"]), step, np.int32), **first)  # type: ignore[arg-type]
+    return LastState(step=np.full(len(first["p"]), step, np.int32), **first)  # type: ignore[arg-type]
 
 
-def require_valid(constants: Constants, first: int, kept: int) -> None:
+def require_valid(constants: TileConstants, first: int, n_worlds: int) -> None:
     """Refuse a run in which a world could not be furnished for the fleet."""
-    valid = np.asarray(constants.valid)[:kept]
+    valid = np.asarray(constants.valid)[:n_worlds]
     if not valid.all():
         bad = first + int(np.flatnonzero(~valid)[0])
         raise RunError(
@@ -183,9 +183,9 @@ def require_valid(constants: Constants, first: int, kept: int) -> None:
         )
     if constants.task is None:
         return
-    fits = np.asarray(constants.task.fits)[:kept]
-    if not fits.all():
-        bad = first + int(np.flatnonzero(~fits)[0])
+    task_fits = np.asarray(constants.task.fits)[:n_worlds]
+    if not task_fits.all():
+        bad = first + int(np.flatnonzero(~task_fits)[0])
         raise RunError(
             f"world {bad} has no room for its task: robots reach too few of the cells that its "
             "places are drawn in, or task.viewpoints are too few to see task.coverage of what is "
@@ -194,15 +194,15 @@ def require_valid(constants: Constants, first: int, kept: int) -> None:
         )
 
 
-def tile_result(tile: FinishedTile) -> TileResult:
+def build_tile_result(tile: FinishedTile) -> TileResult:
     """A tile's end as host arrays, the horizon's end turned into time-outs."""
-    kept, factors = tile.kept, tile.constants.factors
-    tally = jax.tree.map(lambda leaf: np.asarray(leaf)[:kept], tile.end.tally)
+    n_worlds, factors = tile.kept, tile.constants.factors
+    tally = jax.tree.map(lambda leaf: np.asarray(leaf)[:n_worlds], tile.end.tally)
     outcome = np.where(tally.outcome == Outcome.RUNNING, Outcome.TIMEOUT, tally.outcome)
     return TileResult(
-        world=np.arange(tile.first, tile.first + kept),
-        variant=np.asarray(tile.constants.variant)[:kept],
-        planned=np.asarray(tile.constants.planned)[:kept],
+        world=np.arange(tile.first, tile.first + n_worlds),
+        variant=np.asarray(tile.constants.variant)[:n_worlds],
+        planned=np.asarray(tile.constants.planned)[:n_worlds],
         outcome=outcome,
         end_time_s=tally.end_time_s,
         passed_early=tally.passed_early,
@@ -213,18 +213,20 @@ def tile_result(tile: FinishedTile) -> TileResult:
         touched=tally.touched,
         touched_index=tally.touched_index,
         impact_speed_mps=tally.impact_speed_mps,
-        p=np.asarray(tile.end.p)[:kept],
-        plan_length_m=np.asarray(tile.constants.plan_length_m)[:kept],
-        plan_end_s=np.asarray(tile.constants.plan_end_s)[:kept],
-        notes=None if tile.notes is None else tile.notes.rows(slice(kept)),
-        redraws=np.asarray(tile.constants.redraws)[:kept],
+        p=np.asarray(tile.end.p)[:n_worlds],
+        plan_length_m=np.asarray(tile.constants.plan_length_m)[:n_worlds],
+        plan_end_s=np.asarray(tile.constants.plan_end_s)[:n_worlds],
+        notes=None if tile.notes is None else tile.notes.rows(slice(n_worlds)),
+        redraws=np.asarray(tile.constants.redraws)[:n_worlds],
         task=_task_result(tile),
-        packets=None if tile.end.packets is None else np.asarray(tile.end.packets)[:kept],
+        packets=None if tile.end.packets is None else np.asarray(tile.end.packets)[:n_worlds],
         failed_replans=None
         if tile.end.failed_replans is None
-        else np.asarray(tile.end.failed_replans)[:kept],
-        current_factor=None if factors is None else np.asarray(factors.current)[:kept],
-        sensor_noise_factor=None if factors is None else np.asarray(factors.sensor_noise)[:kept],
+        else np.asarray(tile.end.failed_replans)[:n_worlds],
+        current_factor=None if factors is None else np.asarray(factors.current)[:n_worlds],
+        sensor_noise_factor=None
+        if factors is None
+        else np.asarray(factors.sensor_noise)[:n_worlds],
     )
 
 
@@ -234,7 +236,7 @@ def task_sizes(task: TaskWorld | None) -> dict[str, int]:
         return {}
     cells = () if task.survey is None else task.survey.cells.shape[-3:]
     return {
-        "place": task.place_m.shape[-2],
+        "place": task.position_m.shape[-2],
         "job": task.exists.shape[-1],
         **dict(zip("xyz", cells, strict=False)),
     }
@@ -251,65 +253,69 @@ def _task_result(tile: FinishedTile) -> TaskResult | None:
     )
 
 
-def _task_arrays(tile: FinishedTile) -> Arrays:
+def _task_arrays(tile: FinishedTile) -> TileArrays:
     """What a task was, and how far it was at the end."""
     world, state = tile.constants.task, tile.end.task
     if world is None or state is None:
         return {}
-    made = {
-        "place_m": world.place_m,
+    task_arrays = {
+        "place_m": world.position_m,
         "exists": np.asarray(world.exists).astype(np.uint8),
         "by": np.asarray(state.by).astype(np.int16),
         "done_at_s": state.done_at_s,
     }
     if world.survey is not None:
         cells = np.asarray(world.survey.cells)
-        words = np.asarray(state.seen).astype("<u4").view(np.uint8)
-        seen = np.unpackbits(words, axis=-1, count=cells.shape[-1], bitorder="little")
-        made["cells"] = cells.astype(np.uint8) + (seen & cells)
+        packed = np.asarray(state.seen).astype("<u4").view(np.uint8)
+        seen = np.unpackbits(packed, axis=-1, count=cells.shape[-1], bitorder="little")
+        task_arrays["cells"] = cells.astype(np.uint8) + (seen & cells)
         if state.seen_at_s is not None:
-            made["seen_at_s"] = np.where(cells, state.seen_at_s, np.nan)
-    return {f"{TASK}/{name}": partial(_rows, values) for name, values in made.items()}
+            task_arrays["seen_at_s"] = np.where(cells, state.seen_at_s, np.nan)
+    return {f"{TASK}/{name}": partial(_select_rows, values) for name, values in task_arrays.items()}
 
 
-def arrays(tile: FinishedTile, samples: int) -> Arrays:
+def recorded_arrays(tile: FinishedTile, samples: int) -> TileArrays:
     """Recorded arrays of a tile.
 
     Args:
         tile: with its parts.
         samples: in the whole horizon.
     """
-    made: Arrays = {}
+    result: TileArrays = {}
     for field in FIELDS:
         rows = [values for part in tile.parts if (values := field.of(part)) is not None]
         if rows:
-            made[field.about.array] = partial(_as_stored, field, partial(_joined, rows, samples))
+            result[field.about.array] = partial(
+                _convert_stored, field, partial(_join_parts, rows, samples)
+            )
     if tile.end.last is not None:
-        made[f"{END}/step"] = partial(_rows, tile.end.last.step)
-        for field in STATES:
-            made[f"{END}/{field.about.array}"] = partial(_rows, field.of(tile.end.last))
+        result[f"{END_GROUP}/step"] = partial(_select_rows, tile.end.last.step)
+        for field in STATE_FIELDS:
+            result[f"{END_GROUP}/{field.about.array}"] = partial(
+                _select_rows, field.of(tile.end.last)
+            )
     for name, values in (tile.constants.plan or {}).items():
-        made[name] = partial(_rows, values)
-    return made | _task_arrays(tile)
+        result[name] = partial(_select_rows, values)
+    return result | _task_arrays(tile)
 
 
-def _joined(parts: list[np.ndarray], samples: int, worlds: slice) -> np.ndarray:
+def _join_parts(parts: list[np.ndarray], samples: int, worlds: slice) -> np.ndarray:
     """[n, samples, ...]: NaN, or for whole numbers the last value, where the tile had ended."""
     count = len(parts[0][worlds])
-    whole = np.empty((count, samples, *parts[0].shape[2:]), parts[0].dtype)
-    at = 0
+    joined = np.empty((count, samples, *parts[0].shape[2:]), parts[0].dtype)
+    offset = 0
     for part in parts:
-        whole[:, at : at + part.shape[1]] = part[worlds]
-        at += part.shape[1]
-    whole[:, at:] = np.nan if whole.dtype.kind == "f" else whole[:, at - 1 : at]
-    return whole
+        joined[:, offset : offset + part.shape[1]] = part[worlds]
+        offset += part.shape[1]
+    joined[:, offset:] = np.nan if joined.dtype.kind == "f" else joined[:, offset - 1 : offset]
+    return joined
 
 
-def _rows(values: Any, worlds: slice) -> np.ndarray:
+def _select_rows(values: Any, worlds: slice) -> np.ndarray:
     return np.asarray(values)[worlds]
 
 
-def _as_stored(
+def _convert_stored(
     field: RecordedField, make: Callable[[slice], np.ndarray], worlds: slice
 ) -> np.ndarray:
     """As it is stored, but for the type of floats: these are converted block by block."""

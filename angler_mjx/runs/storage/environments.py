@@ -16,10 +16,10 @@ import zarr
 from zarr.codecs import BloscCodec
 
 from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.runs.storage import arrays, inputs, output_lock
-from angler_mjx.runs.storage.damage import reading
+from angler_mjx.runs.storage import array_metadata, input_copies, output_lock
+from angler_mjx.runs.storage.read_errors import wrap_read_errors
 from angler_mjx.world import currents, ocean
-from angler_mjx.world.config import WorldConfig, resolve
+from angler_mjx.world.config import WorldConfig, resolve_world
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.generate import generate_batch, require_valid
 from angler_mjx.world.grid import Grid
@@ -65,11 +65,11 @@ _DIMS = {
 _SHARED = {"world", "robot", "obstacle", "xyz", "wxyz", "uvwpqr"}
 """Dimensions of one size in a whole group."""
 
-MOST_BYTES = 2**30
+MAX_BYTES = 2**30
 """Of one world's array: what claims more is damaged."""
 
 
-def describe(group: zarr.Group, environment: Environment, count: int, tile: int) -> None:
+def create_arrays(group: zarr.Group, environment: Environment, count: int, tile: int) -> None:
     """Make the arrays of a group; nothing is written into them yet.
 
     Args:
@@ -90,24 +90,24 @@ def describe(group: zarr.Group, environment: Environment, count: int, tile: int)
             "obstacle_motions": list(environment.obstacles.motions),
         }
     )
-    files = [_file(component) for component in environment.current]
+    files = [_describe_field(component) for component in environment.current]
     if any(files):
         group.attrs["current_file"] = files
     current = tuple(type(component).__name__ for component in environment.current)
-    for name, leaf in leaves(environment).items():
-        tail, meaning = leaf.shape[1:], arrays.about(name, current)
+    for name, leaf in named_leaves(environment).items():
+        tail, metadata = leaf.shape[1:], array_metadata.describe_array(name, current)
         group.create_array(
             name,
             shape=(count, *tail),
             chunks=(min(tile, count), *tail),
             dtype=np.dtype(leaf.dtype),
             compressors=BloscCodec(cname="lz4", shuffle="shuffle", clevel=1),
-            attributes=meaning.attributes(),
-            dimension_names=["world", *meaning.axes],
+            attributes=metadata.attributes(),
+            dimension_names=["world", *metadata.axes],
         )
 
 
-def _file(component: currents.Component) -> dict[str, str | None] | None:
+def _describe_field(component: currents.Component) -> dict[str, str | None] | None:
     """Where the field of a current is kept, which no world holds; None where there is none."""
     if not isinstance(component, currents.Gridded):
         return None
@@ -116,7 +116,7 @@ def _file(component: currents.Component) -> dict[str, str | None] | None:
     return {"file": field.source, "digest": field.digest, "u": u, "v": v, "w": w}
 
 
-def write(group: zarr.Group, first: int, environment: Environment) -> None:
+def write_batch(group: zarr.Group, first: int, environment: Environment) -> None:
     """Write a batch; worlds past the end of the group are dropped.
 
     Args:
@@ -124,13 +124,13 @@ def write(group: zarr.Group, first: int, environment: Environment) -> None:
         first: index of the batch's first world in the group.
         environment: batch of worlds.
     """
-    for name, leaf in leaves(environment).items():
+    for name, leaf in named_leaves(environment).items():
         array: Any = group[name]
         last = min(first + leaf.shape[0], array.shape[0])
         array[first:last] = np.asarray(leaf)[: last - first]
 
 
-def read(group: zarr.Group, index: int | slice) -> Environment:
+def read_environments(group: zarr.Group, index: int | slice) -> Environment:
     """One world of a group, or a batch of them; leaves are host arrays.
 
     Args:
@@ -140,16 +140,16 @@ def read(group: zarr.Group, index: int | slice) -> Environment:
     Raises:
         ConfigError: the group is damaged.
     """
-    with reading(_place(group)):
-        return _read(group, index)
+    with wrap_read_errors(_group_path(group)):
+        return _read_group(group, index)
 
 
-def check(nodes: Mapping[str, Any], where: Path) -> None:
+def check_arrays(nodes: Mapping[str, Any], path: Path) -> None:
     """Refuse a group whose arrays do not fit together, before anything of them is read.
 
     Args:
         nodes: of the group, by their names.
-        where: it lies, for messages.
+        path: it lies, for messages.
 
     Raises:
         ConfigError: naming the array.
@@ -158,35 +158,35 @@ def check(nodes: Mapping[str, Any], where: Path) -> None:
     for name, array in nodes.items():
         if not isinstance(array, zarr.Array):
             continue
-        dims = ("world", *_dims(name, array.ndim - 1))
+        dims = ("world", *_array_dims(name, array.ndim - 1))
         # Other dimensions are an array's own.
         keys = [dim if dim in _SHARED else f"{name} {dim}" for dim in dims]
         fits = len(dims) == array.ndim and all(
             sizes.setdefault(key, size) == size for key, size in zip(keys, array.shape, strict=True)
         )
-        if not fits or array.nbytes > MOST_BYTES * max(1, array.shape[0]):
+        if not fits or array.nbytes > MAX_BYTES * max(1, array.shape[0]):
             raise ConfigError(
-                f"{where}/{name}: has the shape {array.shape}, which does not fit the "
+                f"{path}/{name}: has the shape {array.shape}, which does not fit the "
                 "others; copy its zarr.json again, or make the file anew"
             )
 
 
-def _place(group: zarr.Group) -> Path:
+def _group_path(group: zarr.Group) -> Path:
     return Path(str(getattr(group.store, "root", ""))) / group.path
 
 
-def _dims(name: str, count: int) -> tuple[str, ...]:
+def _array_dims(name: str, count: int) -> tuple[str, ...]:
     """Dimensions of an array after ``world``."""
-    last = name.rsplit("/", 1)[-1]
-    known = _DIMS.get(name)
-    if known is None and count == 1 and name.startswith("obstacles/"):
-        known = ("obstacle",)
-    if known is not None and len(known) == count:
-        return known
-    return tuple(f"{last}_{i}" for i in range(count))
+    field_name = name.rsplit("/", 1)[-1]
+    dims = _DIMS.get(name)
+    if dims is None and count == 1 and name.startswith("obstacles/"):
+        dims = ("obstacle",)
+    if dims is not None and len(dims) == count:
+        return dims
+    return tuple(f"{field_name}_{i}" for i in range(count))
 
 
-def _read(group: zarr.Group, index: int | slice) -> Environment:
+def _read_group(group: zarr.Group, index: int | slice) -> Environment:
     attributes: Any = group.attrs
 
     def part(kind: type, prefix: str, **static: Any) -> Any:
@@ -194,8 +194,11 @@ def _read(group: zarr.Group, index: int | slice) -> Environment:
         return kind(**{name: group[prefix + name][index] for name in names}, **static)  # type: ignore[index]
 
     kinds = [_CURRENTS[name] for name in attributes["current"]]
-    kept = attributes.get("current_file") or [None] * len(kinds)
-    files = [{} if one is None else {"field": _field(group, one), "numbers": None} for one in kept]
+    field_files = attributes.get("current_file") or [None] * len(kinds)
+    files = [
+        {} if field_file is None else {"field": _load_field(group, field_file), "numbers": None}
+        for field_file in field_files
+    ]
     environment: Environment = part(
         Environment,
         "",
@@ -214,20 +217,20 @@ def _read(group: zarr.Group, index: int | slice) -> Environment:
     return environment
 
 
-def _field(group: zarr.Group, about: dict[str, str | None]) -> ocean.OceanField:
+def _load_field(group: zarr.Group, metadata: dict[str, str | None]) -> ocean.OceanField:
     """The field that worlds were made with: of the run's copy of its file, or of the file."""
-    place, source = _place(group), str(about["file"])
+    group_path, source = _group_path(group), str(metadata["file"])
     # Those of a run lie in its trajectories.
-    copies = inputs.ocean_stand_ins(place.parent.parent) if group.path else {}
-    field = ocean.load(copies.get(source, source), about)
-    if field.digest != about["digest"]:
+    copies = input_copies.ocean_stand_ins(group_path.parent.parent) if group.path else {}
+    field = ocean.load_field(copies.get(source, source), metadata)
+    if field.digest != metadata["digest"]:
         raise ConfigError(
             f"{source}: is not the file that these worlds were made with; put that one back"
         )
     return field
 
 
-def make(
+def generate_file(
     path: Path,
     config: WorldConfig,
     radius_m: np.ndarray,
@@ -256,57 +259,59 @@ def make(
     """
     tile = min(tile, count)
     # What a process that was killed left cannot be gone on with: it is made anew.
-    claimed = output_lock.acquire(path, what="file of environments", left=lambda building: None)
+    lock = output_lock.acquire(path, kind="file of environments", advise=lambda building: None)
     invalid, done = 0, 0
     try:
-        group = zarr.open_group(claimed.building, mode="a")
+        group = zarr.open_group(lock.building, mode="a")
         for first in range(0, count, tile):
             batch = generate_batch(config, radius_m, seed, first, tile)
             if first == 0:
-                describe(group, batch, count, tile)
+                create_arrays(group, batch, count, tile)
                 group.attrs["world_config"] = config.model_dump(mode="json")
-                group.attrs["world_recipe"] = resolve(config).model_dump(mode="json")
+                group.attrs["world_recipe"] = resolve_world(config).model_dump(mode="json")
                 group.attrs["radius_m"] = np.asarray(radius_m).tolist()
                 group.attrs["seed"] = seed
                 require_valid(batch)
-            write(group, first, batch)
+            write_batch(group, first, batch)
             done = min(first + tile, count)
             invalid += int(np.sum(~np.asarray(batch.valid)[: done - first]))
             advance(done)
     except OSError as error:
-        claimed.withdraw()
+        lock.withdraw()
         raise RunError(f"{path}: cannot be written ({error.strerror or error})") from error
     except BaseException:
-        claimed.withdraw()
+        lock.withdraw()
         raise
-    claimed.publish()
+    lock.publish()
     return invalid
 
 
-def open_file(path: Path) -> zarr.Group:
-    """A file that `make` wrote, or the environments of a run folder.
+def open_environments(path: Path) -> zarr.Group:
+    """A file that `generate_file` wrote, or the environments of a run folder.
 
     Raises:
         ConfigError: there is none, or it is something else.
     """
     inside = path / "trajectories.zarr" / "environment"
     path = inside if inside.exists() else path
-    with reading(path, "give a file of angler env make, or a run folder with trajectories"):
+    with wrap_read_errors(
+        path, "give a file of angler env make, or a run folder with trajectories"
+    ):
         group = zarr.open_group(path, mode="r")
-        about: Any = dict(group.attrs)
-    version = about.get("schema_version")
-    if about.get("schema") != "angler_mjx environment" or version != SCHEMA_VERSION:
+        attributes: Any = dict(group.attrs)
+    version = attributes.get("schema_version")
+    if attributes.get("schema") != "angler_mjx environment" or version != SCHEMA_VERSION:
         raise ConfigError(f"{path}: holds no environments of schema version {SCHEMA_VERSION}")
-    with reading(path):
-        check(dict(group.members(max_depth=None)), path)
+    with wrap_read_errors(path):
+        check_arrays(dict(group.members(max_depth=None)), path)
     return group
 
 
-def leaves(tree: Any) -> dict[str, Any]:
+def named_leaves(tree: Any) -> dict[str, Any]:
     """Arrays of an environment, or another dataclass, by their names in a group."""
-    found = jax.tree_util.tree_flatten_with_path(tree)[0]
-    return {"/".join(_word(step) for step in path): leaf for path, leaf in found}
+    named = jax.tree_util.tree_flatten_with_path(tree)[0]
+    return {"/".join(_key_name(step) for step in path): leaf for path, leaf in named}
 
 
-def _word(step: Any) -> str:
+def _key_name(step: Any) -> str:
     return str(step.idx) if isinstance(step, jax.tree_util.SequenceKey) else str(step.name)

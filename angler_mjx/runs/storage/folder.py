@@ -21,11 +21,18 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import zarr
 
-from angler_mjx.errors import ConfigError, RunError, size
-from angler_mjx.files import parse
-from angler_mjx.runs.storage import atomic, environments, inputs, layout, output_lock, results
-from angler_mjx.runs.storage.damage import read_table, reading
+from angler_mjx.errors import ConfigError, RunError, format_bytes
+from angler_mjx.files import parse_model
+from angler_mjx.runs.storage import (
+    atomic_files,
+    environments,
+    input_copies,
+    output_lock,
+    results,
+    trajectory_layout,
+)
 from angler_mjx.runs.storage.output_lock import OutputLock, partial_path
+from angler_mjx.runs.storage.read_errors import read_table, wrap_read_errors
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim import fleet
 
@@ -77,36 +84,36 @@ class Run:
         Raises:
             ConfigError: the run stored none, or an array is missing or described wrongly.
         """
-        place, scenario = self.path / TRAJECTORIES, self.scenario
-        if not place.exists():
+        path, scenario = self.path / TRAJECTORIES, self.scenario
+        if not path.exists():
             if scenario.time.record_hz > 0:
                 raise ConfigError(
-                    f"{place}: is missing: the run stored no trajectories, or they were removed; "
+                    f"{path}: is missing: the run stored no trajectories, or they were removed; "
                     "copy it again, or make the run anew"
                 )
             raise ConfigError(f"{self.path}: this run stored no trajectories (record_hz = 0)")
-        with reading(place):
-            group = zarr.open_group(place, mode="r")
+        with wrap_read_errors(path):
+            group = zarr.open_group(path, mode="r")
             nodes = dict(group.members(max_depth=None))
-            layout.check(
+            trajectory_layout.check_layout(
                 nodes,
-                str(place),
+                str(path),
                 worlds=scenario.worlds,
                 robots=len(scenario.members()),
                 estimated=scenario.senses,
                 also=scenario.store.also,
                 tasked=scenario.task_spec() is not None,
             )
-            inside = f"{layout.ENVIRONMENT}/"
-            environments.check(
+            inside = f"{trajectory_layout.ENVIRONMENT_GROUP}/"
+            environments.check_arrays(
                 {n.removeprefix(inside): node for n, node in nodes.items() if n.startswith(inside)},
-                place / layout.ENVIRONMENT,
+                path / trajectory_layout.ENVIRONMENT_GROUP,
             )
         return group
 
     def vehicle_file(self, label: str) -> str:
         """The vehicle of a row of ``episodes``, as `robot.vehicles.library.load` takes it."""
-        return inputs.vehicle_file(self.path, label)
+        return input_copies.vehicle_file(self.path, label)
 
 
 def read_scenario(path: Path) -> Scenario:
@@ -117,15 +124,15 @@ def read_scenario(path: Path) -> Scenario:
     """
     source = path / CONFIG
     table = read_table(source)
-    instead = inputs.stand_ins(path)
-    with reading(source):
+    replacements = input_copies.vehicle_stand_ins(path)
+    with wrap_read_errors(source):
         for entry in table["fleet"]:
-            entry["vehicle"] = instead.get(entry["vehicle"], entry["vehicle"])
-        inputs.put_ocean(table["world"], inputs.ocean_stand_ins(path))
+            entry["vehicle"] = replacements.get(entry["vehicle"], entry["vehicle"])
+        input_copies.replace_ocean_files(table["world"], input_copies.ocean_stand_ins(path))
         if "name" in table.get("planner", {}):
-            name = inputs.planner_stand_in(path, table["planner"]["name"])
+            name = input_copies.planner_stand_in(path, table["planner"]["name"])
             table["planner"]["name"] = name
-    return parse(Scenario, table, source=str(source))
+    return parse_model(Scenario, table, source=str(source))
 
 
 def read_episodes(path: Path) -> pa.Table:
@@ -134,47 +141,47 @@ def read_episodes(path: Path) -> pa.Table:
     Raises:
         ConfigError: the file is damaged or holds something else.
     """
-    with reading(path):
+    with wrap_read_errors(path):
         table = pq.read_table(path, page_checksum_verification=True)
-        return results.checked(table)
+        return results.check_table(table)
 
 
-def left(building: Path) -> str | None:
+def recovery_advice(building: Path) -> str | None:
     """What can be done about the hidden folder of a process that is gone; None if it holds nothing.
 
     A run can go on as soon as it says of what it is; logs of robots are kept.
     """
     if (building / CONFIG).exists():
         return output_lock.RESUMABLE
-    held = (building / ROBOTS).exists() or holds_results(building)
-    return output_lock.BROKEN_OFF if held else None
+    has_content = (building / ROBOTS).exists() or holds_results(building)
+    return output_lock.BROKEN_OFF if has_content else None
 
 
 def require_none(out: Path) -> None:
     """Refuse the name of a run that is taken; see `output_lock.require_none`."""
-    output_lock.require_none(out, left=left)
+    output_lock.require_none(out, advise=recovery_advice)
 
 
-def create(out: Path) -> OutputLock:
+def create_folder(out: Path) -> OutputLock:
     """Take the name of a run and make the hidden folder in which it is built.
 
     Raises:
         ConfigError: ``out`` exists, or its parent cannot be written.
     """
-    claimed = output_lock.acquire(out, left=left)
+    lock = output_lock.acquire(out, advise=recovery_advice)
     try:
-        (claimed.building / PARTS).mkdir()
+        (lock.building / PARTS).mkdir()
     except OSError as error:
-        claimed.withdraw()
+        lock.withdraw()
         raise ConfigError(f"--out {out}: cannot be written ({error.strerror})") from error
-    return claimed
+    return lock
 
 
-def begin(
+def write_start_files(
     building: Path,
     scenario: Scenario,
     environment: dict[str, Any],
-    others: list[tuple[str, Path]] | None = None,
+    extra_files: list[tuple[str, Path]] | None = None,
 ) -> None:
     """Write what is known before the first step.
 
@@ -182,10 +189,10 @@ def begin(
         building: the hidden folder.
         scenario: resolved.
         environment: versions and machine.
-        others: role and file of what is used beside the scenario's vehicles.
+        extra_files: role and file of what is used beside the scenario's vehicles.
     """
-    files = [*inputs.of_world(scenario.world), *(others or [])]
-    inputs.take(building, [entry.vehicle for entry in scenario.fleet], files)
+    files = [*input_copies.world_files(scenario.world), *(extra_files or [])]
+    input_copies.copy_inputs(building, [entry.vehicle for entry in scenario.fleet], files)
     write_json(building / CONFIG, scenario.model_dump(mode="json"))
     _write_variants(building, scenario)
     write_json(building / ENVIRONMENT, environment)
@@ -193,22 +200,22 @@ def begin(
 
 def _write_variants(building: Path, scenario: Scenario) -> None:
     """Say what each variant is, where vehicles are randomised."""
-    if scenario.randomise.of_vehicles:
-        write_json(building / VARIANTS, {"variants": fleet.described(scenario.members())})
+    if scenario.randomise.changes_vehicles:
+        write_json(building / VARIANTS, {"variants": fleet.describe_variants(scenario.members())})
 
 
-def where(out: Path) -> Path:
+def locate_folder(out: Path) -> Path:
     """Where the run of this name lies: hidden while it is built, also by one that was killed."""
     building = partial_path(out)
     return building if building.exists() else out
 
 
-def reopen(out: Path, tell: Callable[[str], None]) -> OutputLock:
+def reopen_folder(out: Path, report: Callable[[str], None]) -> OutputLock:
     """Make an interrupted run of ``out`` ready to go on; returns the folder to build in.
 
     Args:
         out: name of the run.
-        tell: told what is damaged and made again.
+        report: told what is damaged and made again.
 
     Raises:
         ConfigError: there is none, it is complete, it goes on, or its vehicles were edited.
@@ -219,30 +226,32 @@ def reopen(out: Path, tell: Callable[[str], None]) -> OutputLock:
             raise ConfigError(f"--resume {out}: this run is complete; nothing is left to do")
         if "interrupted" in summary:
             raise ConfigError(f"--resume {out}: this scene broke off and cannot go on; run it anew")
-    place = where(out)
-    if not (place / CONFIG).is_file():
+    existing = locate_folder(out)
+    if not (existing / CONFIG).is_file():
         raise ConfigError(f"--resume {out}: there is no interrupted run of that name")
-    scenario = read_scenario(place)  # before anything is moved, as the next
-    inputs.require_unchanged(place, flag=f"--resume {out}")
-    if (place / inputs.FOLDER).resolve() in Path(scenario.planner.name).parents:
-        tell(f"the planner's file is another one now; the run goes on with {scenario.planner.name}")
-    claimed = output_lock.acquire_unfinished(out)
-    if claimed is None:
+    scenario = read_scenario(existing)  # before anything is moved, as the next
+    input_copies.require_unchanged(existing, flag=f"--resume {out}")
+    if (existing / input_copies.INPUTS_FOLDER).resolve() in Path(scenario.planner.name).parents:
+        report(
+            f"the planner's file is another one now; the run goes on with {scenario.planner.name}"
+        )
+    lock = output_lock.acquire_unfinished(out)
+    if lock is None:
         raise ConfigError(f"--resume {out}: there is no interrupted run of that name")
     try:
-        _unfold(claimed.building)
-        _set_aside(claimed.building, tell)
-        _write_variants(claimed.building, scenario)
+        _restore_parts(lock.building)
+        _set_damaged_aside(lock.building, report)
+        _write_variants(lock.building, scenario)
     except OSError as error:
-        claimed.release()
+        lock.release()
         raise ConfigError(f"--resume {out}: cannot be written ({error.strerror})") from error
     except BaseException:
-        claimed.release()
+        lock.release()
         raise
-    return claimed
+    return lock
 
 
-def _unfold(building: Path) -> None:
+def _restore_parts(building: Path) -> None:
     """Take the end of a run back: its rows are parts again."""
     (building / PARTS).mkdir(exist_ok=True)
     if (building / EPISODES).exists():
@@ -252,14 +261,14 @@ def _unfold(building: Path) -> None:
     (building / REPLAY).unlink(missing_ok=True)
 
 
-def _set_aside(building: Path, tell: Callable[[str], None]) -> None:
+def _set_damaged_aside(building: Path, report: Callable[[str], None]) -> None:
     """Rename parts that cannot be read: their worlds are computed again."""
     for part in sorted((building / PARTS).glob("*.parquet")):
         try:
             read_episodes(part)
         except ConfigError as error:
             part.replace(part.with_suffix(".damaged"))
-            tell(f"{error}; its worlds are computed again")
+            report(f"{error}; its worlds are computed again")
 
 
 def read_parts(building: Path) -> pa.Table | None:
@@ -282,12 +291,12 @@ def read_parts(building: Path) -> pa.Table | None:
 def write_part(building: Path, first_world: int, episodes: pa.Table) -> None:
     """Keep the episodes of finished tiles: on the disk when this returns."""
     write_episodes(building / PARTS / f"{first_world:012d}.parquet", episodes)
-    atomic.sync(building / PARTS)
+    atomic_files.sync_path(building / PARTS)
 
 
 def write_episodes(path: Path, episodes: pa.Table) -> None:
     """Write rows with checksums, whole or not at all."""
-    with atomic.whole(path) as writing:
+    with atomic_files.write_atomically(path) as writing:
         pq.write_table(episodes, writing, write_page_checksum=True)
 
 
@@ -297,23 +306,23 @@ def holds_results(building: Path) -> bool:
     return (building / EPISODES).exists() or (parts.is_dir() and any(parts.iterdir()))
 
 
-def finish(claimed: OutputLock, episodes: pa.Table, summary: dict[str, Any]) -> Run:
+def finish_folder(lock: OutputLock, episodes: pa.Table, summary: dict[str, Any]) -> Run:
     """Close the run: results in place, the folder under its own name, parts gone.
 
     Raises:
         RunError: the name cannot be had; the run stays whole where it was built.
         OSError: the disk gave out; the run can be resumed.
     """
-    write_episodes(claimed.building / EPISODES, episodes)
-    write_json(claimed.building / SUMMARY, summary)
-    claimed.publish()
-    shutil.rmtree(claimed.out / PARTS, ignore_errors=True)
-    return Run(claimed.out)
+    write_episodes(lock.building / EPISODES, episodes)
+    write_json(lock.building / SUMMARY, summary)
+    lock.publish()
+    shutil.rmtree(lock.out / PARTS, ignore_errors=True)
+    return Run(lock.out)
 
 
 def write_json(path: Path, table: dict[str, Any]) -> None:
     """Write a table as indented JSON, whole or not at all."""
-    atomic.write_text(path, json.dumps(table, indent=2, allow_nan=False) + "\n")
+    atomic_files.write_text(path, json.dumps(table, indent=2, allow_nan=False) + "\n")
 
 
 def require_space(out: Path, needed_bytes: int) -> None:
@@ -322,12 +331,12 @@ def require_space(out: Path, needed_bytes: int) -> None:
     Raises:
         RunError: the free space is smaller than what the run will write at most.
     """
-    place = out.absolute().parent
-    while not place.exists():
-        place = place.parent
-    free = shutil.disk_usage(place).free
+    parent = out.absolute().parent
+    while not parent.exists():
+        parent = parent.parent
+    free = shutil.disk_usage(parent).free
     if needed_bytes > free:
         raise RunError(
-            f"--out {out}: the trajectories need up to {size(needed_bytes)}, "
-            f"{size(free)} are free; lower --record-hz (0 stores none) or --worlds"
+            f"--out {out}: the trajectories need up to {format_bytes(needed_bytes)}, "
+            f"{format_bytes(free)} are free; lower --record-hz (0 stores none) or --worlds"
         )

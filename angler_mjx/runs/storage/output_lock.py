@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.runs.storage import atomic
+from angler_mjx.runs.storage import atomic_files
 
 LOCK = "lock"
 PREFIX, SUFFIX = ".", ".partial"
@@ -47,7 +47,7 @@ class OutputLock:
             RunError: the name was taken by another; the folder stays whole where it was built.
         """
         try:
-            atomic.sync(self.building)
+            atomic_files.sync_path(self.building)
             self.building.rename(self.out)
         except OSError as error:
             self.release()
@@ -57,7 +57,7 @@ class OutputLock:
                 f"another name, for example with mv {self.building} NAME"
             ) from error
         with suppress(OSError):  # it has its name: nothing is lost any more
-            atomic.sync(self.out.parent)
+            atomic_files.sync_path(self.out.parent)
             (self.out / LOCK).unlink()
         self._unlock()
 
@@ -84,7 +84,7 @@ def partial_path(out: Path) -> Path:
     return out.parent / f"{PREFIX}{out.name}{SUFFIX}"
 
 
-def kept(building: Path) -> str | None:
+def default_advice(building: Path) -> str | None:
     """What can be done about a hidden folder that holds anything but its lock."""
     return RESUMABLE if any(path.name != LOCK for path in building.iterdir()) else None
 
@@ -93,8 +93,8 @@ def acquire(
     out: Path,
     *,
     flag: str = "--out",
-    what: str = "run",
-    left: Callable[[Path], str | None] = kept,
+    kind: str = "run",
+    advise: Callable[[Path], str | None] = default_advice,
 ) -> OutputLock:
     """Take a name and make the hidden folder.
 
@@ -103,28 +103,28 @@ def acquire(
     Args:
         out: the folder to be.
         flag: how a person named it.
-        what: is made, in a word.
-        left: what can be done about the hidden folder that a dead process left, for a message;
+        kind: is made, in a word.
+        advise: what can be done about the hidden folder that a dead process left, for a message;
             None if nothing in it is worth keeping.
 
     Raises:
         ConfigError: the name is taken, by something unfinished perhaps, or cannot be had.
     """
     require_name(out, flag=flag)
-    require_place(out, flag=flag)
+    require_writable(out, flag=flag)
     building = partial_path(out)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ConfigError(f"{flag} {out}: cannot be written ({error.strerror})") from error
     try:
-        require_none(out, flag=flag, what=what, left=left)
+        require_none(out, flag=flag, kind=kind, advise=advise)
         if building.is_dir():
-            _sweep(out, building, f"{flag} {out}", what)
+            _remove_leftover(out, building, f"{flag} {out}", kind)
         building.mkdir()
         try:
             out.mkdir()
-            handle = _lock(building / LOCK, f"{flag} {out}", what)
+            handle = _lock_file(building / LOCK, f"{flag} {out}", kind)
         except BaseException:
             shutil.rmtree(building, ignore_errors=True)
             raise
@@ -145,8 +145,8 @@ def require_none(
     out: Path,
     *,
     flag: str = "--out",
-    what: str = "run",
-    left: Callable[[Path], str | None] = kept,
+    kind: str = "run",
+    advise: Callable[[Path], str | None] = default_advice,
 ) -> None:
     """Refuse a name that is taken: by a link to nothing too, or by something unfinished of worth.
 
@@ -156,19 +156,19 @@ def require_none(
         ConfigError: it is.
     """
     require_name(out, flag=flag)
-    require_place(out, flag=flag)
+    require_writable(out, flag=flag)
     building = partial_path(out)
     if building.is_dir():
         locked = (building / LOCK).exists()
-        os.close(_lock(building / LOCK, f"{flag} {out}", what))
+        os.close(_lock_file(building / LOCK, f"{flag} {out}", kind))
         # Without a lock another process may be about to make one.
-        advice = left(building)
+        advice = advise(building)
         if advice is None and locked and _is_bare(out):
             return
-        both = f"{out} and {building}" if os.path.lexists(out) else str(building)
+        paths_text = f"{out} and {building}" if os.path.lexists(out) else str(building)
         raise ConfigError(
-            f"{flag} {out}: an unfinished {what} lies in {building}, and its process has ended; "
-            f"{advice or BROKEN_OFF} {both}"
+            f"{flag} {out}: an unfinished {kind} lies in {building}, and its process has ended; "
+            f"{advice or BROKEN_OFF} {paths_text}"
         )
     if os.path.lexists(out):
         link = "" if out.exists() else " as a link to nothing"
@@ -182,9 +182,9 @@ def _is_bare(out: Path) -> bool:
     return out.is_dir() and not out.is_symlink() and not any(out.iterdir())
 
 
-def _sweep(out: Path, building: Path, named: str, what: str) -> None:
+def _remove_leftover(out: Path, building: Path, label: str, kind: str) -> None:
     """Take away what a dead process left, while nobody else can."""
-    handle = _lock(building / LOCK, named, what)
+    handle = _lock_file(building / LOCK, label, kind)
     try:
         with suppress(FileNotFoundError):
             out.rmdir()
@@ -194,7 +194,7 @@ def _sweep(out: Path, building: Path, named: str, what: str) -> None:
 
 
 def acquire_unfinished(
-    out: Path, *, flag: str = "--resume", what: str = "run"
+    out: Path, *, flag: str = "--resume", kind: str = "run"
 ) -> OutputLock | None:
     """Take up the folder of a process that ended, or a folder that it had given its name.
 
@@ -208,9 +208,9 @@ def acquire_unfinished(
     building = partial_path(out)
     try:
         if building.is_dir():
-            handle = _lock(building / LOCK, f"{flag} {out}", what)
+            handle = _lock_file(building / LOCK, f"{flag} {out}", kind)
         elif out.is_dir() and any(out.iterdir()):
-            handle = _lock(out / LOCK, f"{flag} {out}", what)
+            handle = _lock_file(out / LOCK, f"{flag} {out}", kind)
             out.rename(building)
         else:
             return None
@@ -227,46 +227,48 @@ def require_name(out: Path, *, flag: str) -> None:
     Raises:
         ConfigError: naming the longest that it can.
     """
-    around = len(PREFIX + SUFFIX)
+    affix_length = len(PREFIX + SUFFIX)
     try:
-        place = out.absolute().parent
-        while not place.exists():
-            place = place.parent
-        most = os.pathconf(place, "PC_NAME_MAX")
+        parent = out.absolute().parent
+        while not parent.exists():
+            parent = parent.parent
+        max_length = os.pathconf(parent, "PC_NAME_MAX")
     except OSError as error:
         shown = str(out) if len(str(out)) <= 60 else f"{str(out)[:57]}..."
         raise ConfigError(
             f"{flag} {shown}: cannot be the name of a folder ({error.strerror}); give another one"
         ) from error
     length = len(os.fsencode(out.name))
-    if length > most - around:
+    if length > max_length - affix_length:
         raise ConfigError(
-            f"{flag} {out.name[:40]}...: the name has {length} bytes, {most - around} are the most "
+            f"{flag} {out.name[:40]}...: the name has {length} bytes, {max_length - affix_length} "
+            "are the most "
             "here; give a shorter one"
         )
 
 
-def require_place(out: Path, *, flag: str) -> None:
+def require_writable(out: Path, *, flag: str) -> None:
     """Refuse a name under which this process can make no folder, as far as can be seen beforehand.
 
     Raises:
         ConfigError: saying what of its path is no folder, or cannot be written.
     """
-    place = out.absolute().parent
-    while not os.path.lexists(place):
-        place = place.parent
-    if not place.is_dir():
+    parent = out.absolute().parent
+    while not os.path.lexists(parent):
+        parent = parent.parent
+    if not parent.is_dir():
         raise ConfigError(
             f"{flag} {out}: cannot be written (a part of {out.parent} is no folder); "
             "give another folder"
         )
-    if not os.access(place, os.W_OK | os.X_OK):
+    if not os.access(parent, os.W_OK | os.X_OK):
         raise ConfigError(
-            f"{flag} {out}: cannot be written (nothing can be made in {place}); give another folder"
+            f"{flag} {out}: cannot be written (nothing can be made in {parent}); give another "
+            "folder"
         )
 
 
-def _lock(path: Path, named: str, what: str) -> int:
+def _lock_file(path: Path, label: str, kind: str) -> int:
     """Lock a file as long as this process lives.
 
     Raises:
@@ -277,56 +279,56 @@ def _lock(path: Path, named: str, what: str) -> int:
     try:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            free = os.path.samestat(os.fstat(handle), path.stat())
+            is_free = os.path.samestat(os.fstat(handle), path.stat())
         except (BlockingIOError, FileNotFoundError):
-            free = False
+            is_free = False
         except OSError:  # a file system without locks: by what the file says
-            free = not _lives(_owner(handle))
-        if not free:
-            owner = _owner(handle)
-            who = "it has just begun"
+            is_free = not _is_alive(_read_owner(handle))
+        if not is_free:
+            owner = _read_owner(handle)
+            owner_text = "it has just begun"
             if {"pid", "host", "since"} <= owner.keys():
-                who = f"{owner['pid']} on {owner['host']}, since {owner['since']}"
+                owner_text = f"{owner['pid']} on {owner['host']}, since {owner['since']}"
             raise ConfigError(
-                f"{named}: another process makes this {what}: {who}; "
+                f"{label}: another process makes this {kind}: {owner_text}; "
                 f"wait for it or end it (if it is gone for sure, remove {path})"
             )
         os.ftruncate(handle, 0)
-        os.pwrite(handle, json.dumps(_myself()).encode(), 0)
+        os.pwrite(handle, json.dumps(_process_identity()).encode(), 0)
     except BaseException:
         os.close(handle)
         raise
     return handle
 
 
-def _myself() -> dict[str, Any]:
+def _process_identity() -> dict[str, Any]:
     return {
         "pid": os.getpid(),
         "host": platform.node(),
         "since": time.strftime("%Y-%m-%d %H:%M:%S %z"),
-        "started": _started(os.getpid()),
+        "started": _process_start(os.getpid()),
     }
 
 
-def _owner(handle: int) -> dict[str, Any]:
+def _read_owner(handle: int) -> dict[str, Any]:
     try:
-        found = json.loads(os.pread(handle, 4096, 0))
+        owner = json.loads(os.pread(handle, 4096, 0))
     except (OSError, ValueError, RecursionError):
         return {}
-    return found if isinstance(found, dict) else {}
+    return owner if isinstance(owner, dict) else {}
 
 
-def _lives(owner: dict[str, Any]) -> bool:
+def _is_alive(owner: dict[str, Any]) -> bool:
     """Whether the process that a lock names goes on; one on another host may."""
     if not owner:
         return False
     if owner.get("host") != platform.node():
         return True
     started = owner.get("started")
-    return started is not None and started == _started(owner.get("pid"))
+    return started is not None and started == _process_start(owner.get("pid"))
 
 
-def _started(pid: Any) -> str | None:
+def _process_start(pid: Any) -> str | None:
     """When a process of this host began, in ticks since boot; None if there is none."""
     try:
         return Path(f"/proc/{int(pid)}/stat").read_text().rpartition(")")[2].split()[19]

@@ -1,7 +1,7 @@
 """Trajectories on disk: one sharded Zarr v3 group, a chunk per world, a shard per tile.
 
 Chunks are compressed by LZ4 after a shuffle of bytes, where they are not stored in steps
-(`angler_mjx.runs.storage.stepped`). Samples of ``reef_fleet`` at 10 Hz, two busy
+(`angler_mjx.runs.storage.build_quantization`). Samples of ``reef_fleet`` at 10 Hz, two busy
 cores, a disk that takes 2 GB/s, median rates in samples before compression and bytes left: LZ4 with
 byte shuffle 1.4 GB/s, 53 %; without shuffle 1.4 GB/s, 65 %; with bit shuffle 1.1 GB/s, 52 %;
 Zstandard 1 with byte shuffle 0.7 GB/s, 50 %; no compression 1.4 GB/s, 100 %. So LZ4 costs nothing
@@ -22,20 +22,20 @@ import zarr
 from numcodecs.blosc import SHUFFLE, Blosc
 from zarr.codecs import BloscCodec
 
-from angler_mjx.runs.storage import atomic, layout, shards
+from angler_mjx.runs.storage import atomic_files, shards, trajectory_layout
 from angler_mjx.runs.storage import environments as store
-from angler_mjx.runs.storage.damage import reading
-from angler_mjx.runs.storage.device_to_host import Arrays
-from angler_mjx.runs.storage.stepped import Stepped, stepped
+from angler_mjx.runs.storage.device_to_host import TileArrays
+from angler_mjx.runs.storage.quantization import Quantization, build_quantization
+from angler_mjx.runs.storage.read_errors import wrap_read_errors
 from angler_mjx.scenario.store_table import StoreConfig
 from angler_mjx.world.environment import Environment
 
 SCHEMA_VERSION = 1
 
-ENCODERS = min(os.cpu_count() or 1, 8)
+ENCODER_THREADS = min(os.cpu_count() or 1, 8)
 """Threads that put worlds together and compress them. LZ4 on a host of 16 (hyper-)threads: 1, 2, 4,
 8, 16 threads make 0.9, 1.6, 2.6, 4.2, 3.0 GB/s; more of them only wait for memory to be mapped."""
-WRITERS = 4
+WRITER_THREADS = 4
 """Arrays of a tile that are written at once."""
 BLOCK_BYTES = 2**22
 """Samples that a thread puts together before it compresses them: they stay in its cache."""
@@ -45,7 +45,7 @@ _ENCODER = Blosc(cname="lz4", shuffle=SHUFFLE, clevel=1)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Shape:
+class TrajectoryShape:
     """Sizes of a run's trajectories."""
 
     worlds: int
@@ -58,7 +58,7 @@ class Shape:
     """Whether any robot's controllers were told something other than the truth."""
     jointed: bool = False
     """Whether the plans are trajectories of joints, with headings and velocities."""
-    finely: StoreConfig = field(default_factory=StoreConfig)
+    store_config: StoreConfig = field(default_factory=StoreConfig)
     """How finely samples are stored."""
     also: tuple[str, ...] = ()
     """What the run asked for beside what all have."""
@@ -79,31 +79,32 @@ class Shape:
 
     def names(self) -> list[str]:
         """Arrays of the run; see `layout`."""
-        return layout.names(
+        return trajectory_layout.array_names(
             self.sizes, estimated=self.estimated, jointed=self.jointed, also=self.also
         )
 
-    def stepped(self, name: str) -> Stepped | None:
+    def stepped(self, name: str) -> Quantization | None:
         """How an array is stored in steps; None where it is stored exactly."""
-        kind = layout.ARRAYS[name]
+        kind = trajectory_layout.ARRAYS[name]
         if kind.dims[:1] != ("time",) or not np.issubdtype(kind.dtype, np.floating):
             return None
-        return stepped(self.finely.step(kind.unit, kind.dims), kind.unit)
+        return build_quantization(self.store_config.step(kind.unit, kind.dims), kind.unit)
 
     def disk_bytes_per_world(self) -> int:
         """What a world takes on the disk at most; in steps a byte a value, twice what is usual."""
-        found = 0
+        total = 0
         for name in self.names():
-            kind, steps = layout.ARRAYS[name], self.stepped(name)
-            each = 1 if steps else np.dtype(kind.dtype).itemsize
-            found += math.prod(layout.tail(kind, self.sizes)) * each
-        return found
+            kind, steps = trajectory_layout.ARRAYS[name], self.stepped(name)
+            value_bytes = 1 if steps else np.dtype(kind.dtype).itemsize
+            total += math.prod(trajectory_layout.array_shape(kind, self.sizes)) * value_bytes
+        return total
 
     def bytes_per_world(self) -> int:
         """Uncompressed size of one world's samples and plan."""
-        kinds = [layout.ARRAYS[name] for name in self.names()]
+        kinds = [trajectory_layout.ARRAYS[name] for name in self.names()]
         return sum(
-            math.prod(layout.tail(kind, self.sizes)) * np.dtype(kind.dtype).itemsize
+            math.prod(trajectory_layout.array_shape(kind, self.sizes))
+            * np.dtype(kind.dtype).itemsize
             for kind in kinds
         )
 
@@ -111,35 +112,35 @@ class Shape:
 class Recorder:
     """Writes the trajectories of finished tiles into ``trajectories.zarr``."""
 
-    def __init__(self, path: Path, group: zarr.Group, shape: Shape, *, tile: int) -> None:
+    def __init__(self, path: Path, group: zarr.Group, shape: TrajectoryShape, *, tile: int) -> None:
         """Write into ``group`` at ``path``; see ``create`` and ``reopen``."""
         self._path = path
         self._group = group
         self._shape = shape
         self._tile = tile
         # Their threads end with the recorder. Writers wait for the disk, or for encoders.
-        self._encoders = ThreadPoolExecutor(ENCODERS)
-        self._writers = ThreadPoolExecutor(WRITERS)
+        self._encoders = ThreadPoolExecutor(ENCODER_THREADS)
+        self._writers = ThreadPoolExecutor(WRITER_THREADS)
 
     @classmethod
-    def reopen(cls, path: Path, shape: Shape, *, tile: int) -> "Recorder":
+    def reopen(cls, path: Path, shape: TrajectoryShape, *, tile: int) -> "Recorder":
         """Go on with the group of an interrupted run.
 
         Raises:
             ConfigError: it cannot be read.
         """
-        with reading(path):
+        with wrap_read_errors(path):
             return cls(path, zarr.open_group(path, mode="r+"), shape, tile=tile)
 
-    def lacks(self, first_world: int) -> str | None:
+    def find_missing(self, first_world: int) -> str | None:
         """Name of an array of which a tile is missing or damaged; None if all is there.
 
         Every file's own account of its length is compared, not every sample.
         """
         number = first_world // self._tile
-        for name, array in {**self._arrays, **self._around()}.items():
-            if not shards.sound(
-                _place(self._path / name, number, array.ndim),
+        for name, array in {**self._arrays, **self._environment_arrays()}.items():
+            if not shards.is_sound(
+                _shard_path(self._path / name, number, array.ndim),
                 shard=self._tile if name in self._arrays else None,
             ):
                 return name
@@ -152,25 +153,31 @@ class Recorder:
             OSError: the disk gave out.
         """
         number = first_world // self._tile
-        places = [
-            _place(self._path / name, number, array.ndim)
-            for name, array in {**self._arrays, **self._around()}.items()
+        paths = [
+            _shard_path(self._path / name, number, array.ndim)
+            for name, array in {**self._arrays, **self._environment_arrays()}.items()
         ]
         # Together: one after another, many small files would wait for the disk once each.
-        for done in [self._encoders.submit(atomic.sync, place) for place in places]:
+        for done in [self._encoders.submit(atomic_files.sync_path, path) for path in paths]:
             done.result()
 
-    def _around(self) -> dict[str, Any]:
+    def _environment_arrays(self) -> dict[str, Any]:
         """Arrays of the environments that are not empty, by their names in the whole group."""
         return {
-            f"{layout.ENVIRONMENT}/{name}": node
+            f"{trajectory_layout.ENVIRONMENT_GROUP}/{name}": node
             for name, node in self._environment.items()
             if isinstance(node, zarr.Array) and node.size
         }
 
     @classmethod
     def create(
-        cls, path: Path, shape: Shape, environment: Environment, *, tile: int, sample_dt_s: float
+        cls,
+        path: Path,
+        shape: TrajectoryShape,
+        environment: Environment,
+        *,
+        tile: int,
+        sample_dt_s: float,
     ) -> "Recorder":
         """Make the group and its arrays; nothing is written yet but their descriptions.
 
@@ -183,11 +190,13 @@ class Recorder:
         """
         group = zarr.open_group(path, mode="w-")
         recorder = cls(path, group, shape, tile=tile)
-        recorder._describe(sample_dt_s)
-        store.describe(group.create_group(layout.ENVIRONMENT), environment, shape.worlds, tile)
+        recorder._create_arrays(sample_dt_s)
+        store.create_arrays(
+            group.create_group(trajectory_layout.ENVIRONMENT_GROUP), environment, shape.worlds, tile
+        )
         return recorder
 
-    def _describe(self, sample_dt_s: float) -> None:
+    def _create_arrays(self, sample_dt_s: float) -> None:
         shape = self._shape
         self._group.attrs.update(
             {
@@ -200,13 +209,16 @@ class Recorder:
         )
         time = np.arange(shape.samples) * sample_dt_s
         self._group.create_array(
-            layout.TIME, data=time, attributes={"unit": "s"}, dimension_names=["time"]
+            trajectory_layout.TIME_ARRAY,
+            data=time,
+            attributes={"unit": "s"},
+            dimension_names=["time"],
         )
         for name in shape.names():
-            self._create(name, layout.ARRAYS[name])
+            self._create_array(name, trajectory_layout.ARRAYS[name])
 
-    def _create(self, name: str, kind: layout.FolderKind) -> None:
-        tail = layout.tail(kind, self._shape.sizes)
+    def _create_array(self, name: str, kind: trajectory_layout.ArrayKind) -> None:
+        tail = trajectory_layout.array_shape(kind, self._shape.sizes)
         steps = self._shape.stepped(name)
         self._group.create_array(
             name,
@@ -223,20 +235,22 @@ class Recorder:
             dimension_names=["world", *kind.dims],
         )
 
-    def _write_environment(self, number: int, kept: int, environment: Environment) -> None:
-        """Write the chunks of a tile's environments, as `store.write` does, without its calls."""
-        for name, leaf in store.leaves(environment).items():
+    def _write_environment(self, number: int, count: int, environment: Environment) -> None:
+        """Write the chunks of a tile's environments as `store.write_batch`, without its calls."""
+        for name, leaf in store.named_leaves(environment).items():
             array = self._environment[name]
             values = np.zeros(array.chunks, array.dtype)
-            values[:kept] = np.asarray(leaf)[:kept]
+            values[:count] = np.asarray(leaf)[:count]
             if values.size:
-                place = _place(self._path / layout.ENVIRONMENT / name, number, array.ndim)
-                shards.write_file(place, [_ENCODER.encode(values)])
+                path = _shard_path(
+                    self._path / trajectory_layout.ENVIRONMENT_GROUP / name, number, array.ndim
+                )
+                shards.write_file(path, [_ENCODER.encode(values)])
 
     @cached_property
     def _environment(self) -> dict[str, Any]:
         """Arrays of the environments by name, opened once."""
-        group: Any = self._group[layout.ENVIRONMENT]
+        group: Any = self._group[trajectory_layout.ENVIRONMENT_GROUP]
         return {name: node for name, node in group.members(max_depth=None)}
 
     @cached_property
@@ -244,7 +258,7 @@ class Recorder:
         """By name, opened once: opening costs as much as writing a small tile."""
         return {name: self._group[name] for name in self._shape.names()}
 
-    def write(self, first_world: int, arrays: Arrays, environment: Environment) -> int:
+    def write(self, first_world: int, arrays: TileArrays, environment: Environment) -> int:
         """Write one tile.
 
         Args:
@@ -255,44 +269,49 @@ class Recorder:
         Returns:
             Bytes on disk, the environment's not counted.
         """
-        number, kept = first_world // self._tile, self._shape.worlds - first_world
-        kept = min(kept, self._tile)
+        number, count = first_world // self._tile, self._shape.worlds - first_world
+        count = min(count, self._tile)
         names = [name for name in arrays if name in self._arrays]
 
-        def one(name: str) -> int:
+        def write_array(name: str) -> int:
             array = self._arrays[name]
-            encode = partial(_encoded, arrays[name], array.dtype, self._shape.stepped(name))
-            blocks = self._encoders.map(encode, _blocks(array, kept))
-            place = _place(self._path / name, number, array.ndim)
-            return shards.write(place, blocks, shard=self._tile)
+            encode = partial(_encode_chunks, arrays[name], array.dtype, self._shape.stepped(name))
+            blocks = self._encoders.map(encode, _split_blocks(array, count))
+            path = _shard_path(self._path / name, number, array.ndim)
+            return shards.write_shard(path, blocks, shard=self._tile)
 
-        around = self._writers.submit(self._write_environment, number, kept, environment)
-        written = [self._writers.submit(one, name) for name in names]
+        environment_write = self._writers.submit(
+            self._write_environment, number, count, environment
+        )
+        written = [self._writers.submit(write_array, name) for name in names]
         # All of them end before an error is told: nobody writes after this has returned.
         wait(written)
-        wait([around])
-        around.result()
+        wait([environment_write])
+        environment_write.result()
         return sum(future.result() for future in written)
 
 
-def _place(array: Path, shard: int, ndim: int) -> Path:
+def _shard_path(array: Path, shard: int, ndim: int) -> Path:
     """File of a shard; only the worlds are divided."""
     return array / "c" / "/".join([str(shard), *"0" * (ndim - 1)])
 
 
-def _blocks(array: Any, kept: int) -> list[slice]:
+def _split_blocks(array: Any, count: int) -> list[slice]:
     """Worlds [0, kept) in slices of about ``BLOCK_BYTES``."""
     world_bytes = array.nbytes // array.shape[0]
     step = max(1, BLOCK_BYTES // world_bytes)
-    return [slice(first, min(first + step, kept)) for first in range(0, kept, step)]
+    return [slice(first, min(first + step, count)) for first in range(0, count, step)]
 
 
-def _encoded(
-    take: Callable[[slice], np.ndarray], dtype: np.dtype, steps: Stepped | None, worlds: slice
+def _encode_chunks(
+    read_rows: Callable[[slice], np.ndarray],
+    dtype: np.dtype,
+    steps: Quantization | None,
+    worlds: slice,
 ) -> list[bytes]:
     """Chunks of some worlds, a chunk each."""
     if steps is not None:
-        return steps.encoded(take(worlds))
-    values = np.ascontiguousarray(take(worlds).astype(dtype, copy=False))
+        return steps.encode_worlds(read_rows(worlds))
+    values = np.ascontiguousarray(read_rows(worlds).astype(dtype, copy=False))
     # Blosc takes the size of an element from the array, and lets other threads run meanwhile.
     return [_ENCODER.encode(value) for value in values]

@@ -8,10 +8,15 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from angler_mjx.runs.simulator.hosted import PlanNotes, status_of
-from angler_mjx.runs.storage import intervals
-from angler_mjx.runs.storage import planned as how_planned
-from angler_mjx.runs.storage.columns import EPISODE_SCHEMA, MISSING, SINCE, UNSAID
+from angler_mjx.runs.simulator.host_planning import PlanNotes, planning_status
+from angler_mjx.runs.storage import confidence_intervals
+from angler_mjx.runs.storage import planning_summary as how_planned
+from angler_mjx.runs.storage.episode_columns import (
+    ADDED_COLUMNS,
+    EPISODE_SCHEMA,
+    NULLABLE_NUMBERS,
+    NULLABLE_OTHERS,
+)
 from angler_mjx.sim.state import Outcome, Touched
 
 OUTCOMES = tuple(o.name.lower() for o in Outcome if o is not Outcome.RUNNING)
@@ -83,12 +88,12 @@ def episode_table(result: TileResult, variants: Sequence[tuple[str, str]], seed:
     n_world, n_robot = result.outcome.shape
     outcome = result.outcome.reshape(-1)
     reached = outcome == Outcome.REACHED
-    place = result.p.reshape(-1, 3)
+    position_m = result.p.reshape(-1, 3)
     kind = result.variant.reshape(-1)
     end = result.end_time_s.reshape(-1)
 
     def unless_reached(values: np.ndarray) -> pa.Array:
-        return _known(np.where(reached, np.nan, values))
+        return _nullable_column(np.where(reached, np.nan, values))
 
     columns: dict[str, Any] = {
         "world": np.repeat(result.world, n_robot),
@@ -98,54 +103,56 @@ def episode_table(result: TileResult, variants: Sequence[tuple[str, str]], seed:
         "parameter_set": [variants[k][1] for k in kind],
         "planned": result.planned.reshape(-1),
         "outcome": [Outcome(o).name.lower() for o in outcome],
-        "time_to_goal_s": _known(np.where(reached, end, np.nan)),
+        "time_to_goal_s": _nullable_column(np.where(reached, end, np.nan)),
         "path_length_m": result.path_length_m.reshape(-1),
         "energy_j": result.energy_j.reshape(-1),
         "min_clearance_m": result.min_clearance_m.reshape(-1),
-        "min_separation_m": _known(result.min_separation_m.reshape(-1)),
+        "min_separation_m": _nullable_column(result.min_separation_m.reshape(-1)),
         "failure_time_s": unless_reached(end),
-        "failure_x_m": unless_reached(place[:, 0]),
-        "failure_y_m": unless_reached(place[:, 1]),
-        "failure_z_m": unless_reached(place[:, 2]),
+        "failure_x_m": unless_reached(position_m[:, 0]),
+        "failure_y_m": unless_reached(position_m[:, 1]),
+        "failure_z_m": unless_reached(position_m[:, 2]),
         "failure_pair": [
-            _pair(kind, index)
+            _format_pair(kind, index)
             for kind, index in zip(
                 result.touched.reshape(-1), result.touched_index.reshape(-1), strict=True
             )
         ],
-        "impact_speed_mps": _known(result.impact_speed_mps.reshape(-1)),
+        "impact_speed_mps": _nullable_column(result.impact_speed_mps.reshape(-1)),
         "redraws": np.repeat(result.redraws, n_robot).astype(np.int32),
     }
-    more = {
+    extra_columns = {
         **_plan_columns(result, end, reached),
         **_factor_columns(result),
         **_task_columns(result),
         **_packet_columns(result),
         "passed_goal_early": result.passed_early.reshape(-1),
     }
-    return pa.table({**columns, **more}, schema=EPISODE_SCHEMA)
+    return pa.table({**columns, **extra_columns}, schema=EPISODE_SCHEMA)
 
 
 def _plan_columns(result: TileResult, end: np.ndarray, reached: np.ndarray) -> dict[str, Any]:
     """What the plans were; [w * r] values each."""
     robots, notes = result.outcome.shape[1], result.notes
     planned = result.planned.reshape(-1)
-    over = np.where(planned, result.plan_end_s.reshape(-1), np.nan)
+    plan_end_s = np.where(planned, result.plan_end_s.reshape(-1), np.nan)
     if notes is None:
         seconds = np.full(planned.shape, np.nan)
-        status = np.repeat(status_of(result.planned), robots).tolist()
+        status = np.repeat(planning_status(result.planned), robots).tolist()
         reason = [None] * planned.size
     else:
         seconds = np.repeat(notes.planning_s, robots)
         status = np.repeat(notes.status, robots).tolist()
         reason = [text or None for text in notes.reason.reshape(-1)]
     return {
-        "planning_s": _known(seconds),
+        "planning_s": _nullable_column(seconds),
         "plan_status": status,
         "plan_reason": pa.array(reason, pa.string()),
-        "plan_length_m": _known(np.where(planned, result.plan_length_m.reshape(-1), np.nan)),
-        "plan_end_s": _known(over),
-        "late_s": _known(np.where(reached, end - over, np.nan)),
+        "plan_length_m": _nullable_column(
+            np.where(planned, result.plan_length_m.reshape(-1), np.nan)
+        ),
+        "plan_end_s": _nullable_column(plan_end_s),
+        "late_s": _nullable_column(np.where(reached, end - plan_end_s, np.nan)),
         "failed_replans": pa.nulls(planned.size, pa.int32())
         if result.failed_replans is None
         else pa.array(result.failed_replans.reshape(-1), pa.int32()),
@@ -155,14 +162,14 @@ def _plan_columns(result: TileResult, end: np.ndarray, reached: np.ndarray) -> d
 def _factor_columns(result: TileResult) -> dict[str, Any]:
     """What was drawn for the robots and their water; [w * r] values each."""
     shape = result.variant.shape
-    nothing = np.full(shape, np.nan)
+    blank = np.full(shape, np.nan)
     of_world, of_robot = result.current_factor, result.sensor_noise_factor
-    current = nothing if of_world is None else np.broadcast_to(of_world[:, None], shape)
-    noise = nothing if of_robot is None else of_robot
+    current = blank if of_world is None else np.broadcast_to(of_world[:, None], shape)
+    noise = blank if of_robot is None else of_robot
     return {
         "variant": result.variant.reshape(-1).astype(np.int32),
-        "current_factor": _known(current.reshape(-1)),
-        "sensor_noise_factor": _known(noise.reshape(-1)),
+        "current_factor": _nullable_column(current.reshape(-1)),
+        "sensor_noise_factor": _nullable_column(noise.reshape(-1)),
     }
 
 
@@ -170,16 +177,16 @@ def _task_columns(result: TileResult) -> dict[str, Any]:
     """How far the task was; [w * r] values each."""
     robots, size, task = result.outcome.shape[1], result.outcome.size, result.task
     if task is None:
-        nothing = pa.nulls(size, pa.float32())
+        blank = pa.nulls(size, pa.float32())
         return {
             "jobs_done": pa.nulls(size, pa.int32()),
-            "task_progress": nothing,
-            "task_completed_s": nothing,
+            "task_progress": blank,
+            "task_completed_s": blank,
         }
     return {
         "jobs_done": pa.array(task.jobs_done.reshape(-1), pa.int32()),
-        "task_progress": _known(np.repeat(task.progress, robots)),
-        "task_completed_s": _known(np.repeat(task.completed_s, robots)),
+        "task_progress": _nullable_column(np.repeat(task.progress, robots)),
+        "task_completed_s": _nullable_column(np.repeat(task.completed_s, robots)),
     }
 
 
@@ -192,40 +199,40 @@ def _packet_columns(result: TileResult) -> dict[str, Any]:
     return {name: pa.array(rows[:, i], pa.int32()) for i, name in enumerate(names)}
 
 
-def _known(values: np.ndarray) -> pa.Array:
+def _nullable_column(values: np.ndarray) -> pa.Array:
     """A column with nulls where nothing is known."""
     return pa.array(values.astype(np.float32), mask=~np.isfinite(values))
 
 
-def checked(table: pa.Table) -> pa.Table:
+def check_table(table: pa.Table) -> pa.Table:
     """Rows that were read back: with our columns, and nulls where older runs wrote NaN.
 
     Raises:
         ValueError: they are something else.
     """
-    table = _with_plans(table)
+    table = _add_missing_columns(table)
     if table.schema.names != EPISODE_SCHEMA.names or table.schema.types != EPISODE_SCHEMA.types:
         raise ValueError(f"holds the columns {', '.join(table.schema.names)}")
     table.validate(full=True)
     if table.num_rows == 0:
         raise ValueError("holds no rows")
-    for at, field in enumerate(EPISODE_SCHEMA):
+    for index, field in enumerate(EPISODE_SCHEMA):
         column = table[field.name]
-        if field.name in MISSING:
-            known = pc.fill_null(pc.is_finite(column), False)
-            column = pc.if_else(known, column, pa.scalar(None, field.type))
-        elif column.null_count and field.name not in UNSAID:
+        if field.name in NULLABLE_NUMBERS:
+            is_finite = pc.fill_null(pc.is_finite(column), False)
+            column = pc.if_else(is_finite, column, pa.scalar(None, field.type))
+        elif column.null_count and field.name not in NULLABLE_OTHERS:
             raise ValueError(f"has nulls in {field.name}")
-        table = table.set_column(at, field, column)
+        table = table.set_column(index, field, column)
     unknown = set(table["outcome"].unique().to_pylist()) - set(OUTCOMES)
     if unknown:
         raise ValueError(f"knows outcomes that are none: {', '.join(sorted(unknown))}")
     return table
 
 
-def _with_plans(table: pa.Table) -> pa.Table:
+def _add_missing_columns(table: pa.Table) -> pa.Table:
     """Rows with the columns that older runs lack, empty."""
-    lacking = next((n for n in SINCE if table.schema.names == EPISODE_SCHEMA.names[:-n]), 0)
+    lacking = next((n for n in ADDED_COLUMNS if table.schema.names == EPISODE_SCHEMA.names[:-n]), 0)
     for field in list(EPISODE_SCHEMA)[len(EPISODE_SCHEMA) - lacking :]:
         table = table.append_column(field, pa.nulls(table.num_rows, field.type))
     return table
@@ -236,7 +243,7 @@ def end_time_s(row: Mapping[str, Any]) -> float:
     return float(row["time_to_goal_s" if row["outcome"] == "reached" else "failure_time_s"])
 
 
-def _pair(kind: int, index: int) -> str:
+def _format_pair(kind: int, index: int) -> str:
     name = {
         Touched.NOTHING: "none",
         Touched.CELL: "cell",
@@ -247,7 +254,7 @@ def _pair(kind: int, index: int) -> str:
     return name[Touched(kind)]
 
 
-def rates(episodes: pa.Table) -> dict[str, Any]:
+def outcome_rates(episodes: pa.Table) -> dict[str, Any]:
     """Count, rate and 95 % interval of every outcome, clustered by world.
 
     Args:
@@ -255,14 +262,14 @@ def rates(episodes: pa.Table) -> dict[str, Any]:
 
     Returns:
         By outcome ``count``, ``rate``, ``low``, ``high``, and ``effective``: how many independent
-        robots the rows are worth; see `angler_mjx.runs.storage.intervals`.
+        robots the rows are worth; see `angler_mjx.runs.storage.confidence_intervals`.
     """
     names = episodes["outcome"].combine_chunks()
-    ended = {
+    has_outcome = {
         name: np.asarray(pc.equal(names, name).to_numpy(zero_copy_only=False)) for name in OUTCOMES
     }
-    found = intervals.clustered(ended, episodes["world"].to_numpy())
-    return {name: asdict(interval) for name, interval in found.items()}
+    by_outcome = confidence_intervals.clustered_rates(has_outcome, episodes["world"].to_numpy())
+    return {name: asdict(interval) for name, interval in by_outcome.items()}
 
 
 def completion_times(episodes: pa.Table) -> np.ndarray | None:
@@ -277,15 +284,14 @@ def completion_times(episodes: pa.Table) -> np.ndarray | None:
     return np.asarray(rows["task_completed_s"].to_numpy(), float)
 
 
-def summarise(episodes: pa.Table) -> dict[str, Any]:
+def summarise_episodes(episodes: pa.Table) -> dict[str, Any]:
     """What the rows add up to: outcomes, and quantiles of the main figures.
 
     Returns:
         Keys ``robots``, ``task`` (of runs with a task), ``outcomes``, ``planned_rate``,
-        ``planning`` (`runs.storage.planned.summarise`; None where robots have a task),
-        ``passed_goal_early`` (number of robots), ``time_to_goal_s``, ``path_length_m``,
-        ``energy_j``, ``min_clearance_m``, ``redraws``,
-        ``by_vehicle``.
+        ``planning`` (`runs.storage.planning_summary.summarise_episodes`; None where robots have a
+        task), ``passed_goal_early`` (number of robots), ``time_to_goal_s``, ``path_length_m``,
+        ``energy_j``, ``min_clearance_m``, ``redraws``, ``by_vehicle``.
     """
     world, redraws = episodes["world"].to_numpy(), episodes["redraws"].to_numpy()
     first_rows = np.unique(world, return_index=True)[1]
@@ -296,23 +302,23 @@ def summarise(episodes: pa.Table) -> dict[str, Any]:
     )
     by_vehicle = {}
     for vehicle, parameter_set in kinds:
-        chosen = episodes.filter(
+        selected = episodes.filter(
             (pc.field("vehicle") == vehicle) & (pc.field("parameter_set") == parameter_set)
         )
-        reached = rates(chosen)["reached"]
-        by_vehicle[f"{vehicle}/{parameter_set}"] = {"robots": chosen.num_rows, "reached": reached}
+        reached = outcome_rates(selected)["reached"]
+        by_vehicle[f"{vehicle}/{parameter_set}"] = {"robots": selected.num_rows, "reached": reached}
     planned = episodes["planned"].to_numpy(zero_copy_only=False)
     return {
         "robots": episodes.num_rows,
-        **_of_task(episodes.take(first_rows)),
-        "outcomes": rates(episodes),
+        **_summarise_task(episodes.take(first_rows)),
+        "outcomes": outcome_rates(episodes),
         "planned_rate": float(planned.mean()) if planned.size else 0.0,
-        "planning": how_planned.summarise(episodes),
+        "planning": how_planned.summarise_planning(episodes),
         "passed_goal_early": pc.sum(episodes["passed_goal_early"], min_count=0).as_py(),
-        "time_to_goal_s": _quantiles(episodes["time_to_goal_s"]),
-        "path_length_m": _quantiles(episodes["path_length_m"]),
-        "energy_j": _quantiles(episodes["energy_j"]),
-        "min_clearance_m": _quantiles(episodes["min_clearance_m"]),
+        "time_to_goal_s": _compute_quantiles(episodes["time_to_goal_s"]),
+        "path_length_m": _compute_quantiles(episodes["path_length_m"]),
+        "energy_j": _compute_quantiles(episodes["energy_j"]),
+        "min_clearance_m": _compute_quantiles(episodes["min_clearance_m"]),
         "redraws": {
             "total": int(redraws[first_rows].sum()),
             "worlds": int((redraws[first_rows] > 0).sum()),
@@ -321,7 +327,7 @@ def summarise(episodes: pa.Table) -> dict[str, Any]:
     }
 
 
-def _of_task(worlds: pa.Table) -> dict[str, Any]:
+def _summarise_task(worlds: pa.Table) -> dict[str, Any]:
     """Share of worlds whose task was completed, and how long that took; one row a world.
 
     The interval of the mean time is Student's, of the worlds that completed theirs.
@@ -329,30 +335,34 @@ def _of_task(worlds: pa.Table) -> dict[str, Any]:
     progress = worlds["task_progress"].to_numpy()
     if not np.isfinite(progress).any():
         return {}
-    taken = worlds["task_completed_s"].to_numpy()
-    done = np.isfinite(taken)
-    count, total = int(done.sum()), len(taken)
-    low, high = intervals.wilson(count, total)
-    mean = spread = None
+    times_s = worlds["task_completed_s"].to_numpy()
+    done = np.isfinite(times_s)
+    count, total = int(done.sum()), len(times_s)
+    low, high = confidence_intervals.wilson_interval(count, total)
+    mean = interval = None
     if count:
-        mean = float(taken[done].mean())
+        mean = float(times_s[done].mean())
     if count > 1:
-        half = intervals.student(count - 1) * float(taken[done].std(ddof=1)) / count**0.5
-        spread = [max(mean - half, 0.0), mean + half]
+        half_width = (
+            confidence_intervals.student_quantile(count - 1)
+            * float(times_s[done].std(ddof=1))
+            / count**0.5
+        )
+        interval = [max(mean - half_width, 0.0), mean + half_width]
     return {
         "task": {
             "completed": {"count": count, "rate": count / total, "low": low, "high": high},
             "completed_s": {
                 "mean": mean,
-                "interval": spread,
-                **_quantiles(worlds["task_completed_s"]),
+                "interval": interval,
+                **_compute_quantiles(worlds["task_completed_s"]),
             },
             "progress": float(np.nanmean(progress)),
         }
     }
 
 
-def _quantiles(column: pa.ChunkedArray) -> dict[str, float | None]:
+def _compute_quantiles(column: pa.ChunkedArray) -> dict[str, float | None]:
     values = column.to_numpy()
     values = values[np.isfinite(values)]
     if values.size == 0:

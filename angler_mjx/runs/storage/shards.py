@@ -13,13 +13,13 @@ from pathlib import Path
 import google_crc32c
 import numpy as np
 
-from angler_mjx.runs.storage import atomic
+from angler_mjx.runs.storage import atomic_files
 
 ABSENT = np.uint64(2**64 - 1)
 """Offset and length of a chunk that is not there."""
 
 
-def write(path: Path, blocks: Iterable[Sequence[bytes]], *, shard: int) -> int:
+def write_shard(path: Path, blocks: Iterable[Sequence[bytes]], *, shard: int) -> int:
     """Write a shard, its chunks in the order in which they come.
 
     Args:
@@ -36,13 +36,13 @@ def write(path: Path, blocks: Iterable[Sequence[bytes]], *, shard: int) -> int:
     """
     lengths: list[int] = []
 
-    def all_of_it() -> Iterator[bytes]:
+    def shard_pieces() -> Iterator[bytes]:
         for block in blocks:
             lengths.extend(map(len, block))
             yield b"".join(block)  # a copy costs less than a call for each chunk
-        yield _index(lengths, shard)
+        yield _build_index(lengths, shard)
 
-    return write_file(path, all_of_it())
+    return write_file(path, shard_pieces())
 
 
 def write_file(path: Path, pieces: Iterable[bytes]) -> int:
@@ -60,15 +60,18 @@ def write_file(path: Path, pieces: Iterable[bytes]) -> int:
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     written = 0
-    with atomic.whole(path, durable=False) as writing, writing.open("wb", buffering=0) as file:
+    with (
+        atomic_files.write_atomically(path, durable=False) as writing,
+        writing.open("wb", buffering=0) as file,
+    ):
         for piece in pieces:
             _write_all(file.fileno(), memoryview(piece))
-            start_disk(file.fileno(), written, len(piece))
+            start_writeback(file.fileno(), written, len(piece))
             written += len(piece)
     return written
 
 
-def sound(path: Path, *, shard: int | None) -> bool:
+def is_sound(path: Path, *, shard: int | None) -> bool:
     """Whether a file is there with the length that it says itself.
 
     Args:
@@ -89,11 +92,11 @@ def sound(path: Path, *, shard: int | None) -> bool:
     if google_crc32c.value(tail[:-4]) != int.from_bytes(tail[-4:], "little"):
         return False
     index = np.frombuffer(tail[:-4], "<u8").reshape(shard, 2)
-    there = index[index[:, 0] != ABSENT]
-    return bool(len(there)) and int(there.sum(axis=1).max()) == size - length
+    present = index[index[:, 0] != ABSENT]
+    return bool(len(present)) and int(present.sum(axis=1).max()) == size - length
 
 
-def _index(lengths: list[int], shard: int) -> bytes:
+def _build_index(lengths: list[int], shard: int) -> bytes:
     """Where each chunk stands, and the sum that guards it."""
     index = np.full((shard, 2), ABSENT, "<u8")
     ends = np.cumsum(lengths, dtype=np.uint64)
@@ -104,7 +107,7 @@ def _index(lengths: list[int], shard: int) -> bytes:
     return tail + check.to_bytes(4, "little")
 
 
-def start_disk(file: int, offset: int, length: int) -> None:
+def start_writeback(file: int, offset: int, length: int) -> None:
     """Let the disk begin now: by itself Linux waits for 30 s, or until much memory is unwritten.
 
     Only with the part that is new: each call goes through all pages of the part that it names.

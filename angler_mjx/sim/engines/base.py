@@ -14,7 +14,7 @@ from angler_mjx.sim.engines.triton.engine import TritonEngine
 from angler_mjx.sim.fleet import Fleet
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.record import Sample
-from angler_mjx.sim.state import Laid, SimSpec, World, WorldState
+from angler_mjx.sim.state import EngineConstants, SimSpec, World, WorldState
 
 
 class Engine(Protocol):
@@ -36,7 +36,7 @@ class Engine(Protocol):
         """
         ...
 
-    def lay_out(self, fleet: Fleet, worlds: World) -> Laid:
+    def pack_constants(self, fleet: Fleet, worlds: World) -> EngineConstants:
         """A bank's constants as the engine reads them, made once for many control steps."""
         ...
 
@@ -49,7 +49,7 @@ class Engine(Protocol):
         command: Command | None,
         policy: Policy | None = None,
         rows: jax.Array | None = None,
-        laid: Laid = (),
+        constants: EngineConstants = (),
         steps: int = 1,
     ) -> tuple[WorldState, Sample]:
         """One control step, or several with one command.
@@ -63,7 +63,8 @@ class Engine(Protocol):
             policy: that commands them where ``command`` does not; the one of `reset`.
             rows: int32 [tile] which of the ``worlds`` each state is of, where they are a bank of
                 any number; each state is then at a step of its own. Without them all are at one.
-            laid: of `lay_out`, of the same fleet and worlds, or nothing: only with ``rows``.
+            constants: of `pack_constants`, of the same fleet and worlds, or nothing: only with
+                ``rows``.
             steps: how many control steps.
 
         Returns:

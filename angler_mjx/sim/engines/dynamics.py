@@ -44,47 +44,49 @@ class Dynamics:
         Returns:
             State at the end, [N] leads; derivatives are those of ``xla``.
         """
-        plain = partial(self._plain, n_steps=n_steps)
+        plain = partial(self._simulate_jax, n_steps=n_steps)
         if kernels == "xla":
             return plain(state, thrust_n)
-        fast = triton.with_gradient_of(plain, partial(self._triton, n_steps=n_steps))
+        fast = triton.with_gradient_of(plain, partial(self._simulate_triton, n_steps=n_steps))
         after: VehicleState = fast(state, thrust_n)
         return after
 
-    def _plain(self, state: VehicleState, thrust_n: jax.Array, n_steps: int) -> VehicleState:
-        after = self._steps(lanes.split(state), lanes.split(thrust_n), n_steps)
+    def _simulate_jax(self, state: VehicleState, thrust_n: jax.Array, n_steps: int) -> VehicleState:
+        after = self._run_steps(lanes.split(state), lanes.split(thrust_n), n_steps)
         moved: VehicleState = lanes.join(after)
         return moved
 
-    def _triton(self, state: VehicleState, thrust_n: jax.Array, n_steps: int) -> VehicleState:
+    def _simulate_triton(
+        self, state: VehicleState, thrust_n: jax.Array, n_steps: int
+    ) -> VehicleState:
         layout, order = PlaneLayout.of(state, 1), PlaneLayout.of(thrust_n, 1)
         dtype, count = state.p.dtype, state.p.shape[0]
 
         def kernel(order_ref: jax.Array, _: jax.Array, state_ref: jax.Array) -> None:
-            lane, _row = triton.place(LANES)
-            now = layout.read(triton.loader(state_ref), lane)
-            thrust = order.read(triton.loader(order_ref), lane)
-            after = self._steps(now, thrust, n_steps)
-            layout.write(triton.storer(state_ref, lane), lane, after)
+            lane, _row = triton.locate_lanes(LANES)
+            now = layout.read_lanes(triton.make_loader(state_ref), lane)
+            thrust = order.read_lanes(triton.make_loader(order_ref), lane)
+            after = self._run_steps(now, thrust, n_steps)
+            layout.write_lanes(triton.make_storer(state_ref, lane), lane, after)
 
         if count % LANES:
             raise ConfigError(f"{count} vehicles: kernels = triton takes multiples of {LANES}")
         constant, changed = [order.pack(thrust_n, dtype)], [layout.pack(state, dtype)]
         program = triton.LaunchedProgram(lanes=LANES, warps=WARPS)
-        (flat,) = triton.call(kernel, program, count, 1, constant, changed)
+        (flat,) = triton.call_kernel(kernel, program, count, 1, constant, changed)
         moved: VehicleState = layout.unpack(flat, (count,))
         return moved
 
-    def _steps(self, state: VehicleState, thrust_n: np.ndarray, n_steps: int) -> VehicleState:
+    def _run_steps(self, state: VehicleState, thrust_n: np.ndarray, n_steps: int) -> VehicleState:
         """The same on lanes."""
         zero = jnp.zeros((), state.p[0].dtype)
 
-        def one(_: jax.Array, now: VehicleState) -> VehicleState:
+        def advance(_: jax.Array, now: VehicleState) -> VehicleState:
             step = partial(lane_steps.physics_step, self.physics_dt_s, self.water)
             after: VehicleState = lanes.apply(step, self.vehicle, now, thrust_n, (), zero)
             return after
 
-        after: VehicleState = lanes.repeat(n_steps, one, state)
+        after: VehicleState = lanes.repeat(n_steps, advance, state)
         return after
 
 
@@ -92,7 +94,7 @@ LANES, WARPS = 128, 4
 """Vehicles and warps of a program."""
 
 
-def build(
+def build_dynamics(
     vehicle: str,
     parameter_set: str | None = None,
     *,
@@ -104,13 +106,15 @@ def build(
     Raises:
         ConfigError: unknown vehicle or set, or a file with faults.
     """
-    given = params.build(library.load(vehicle), parameter_set, battery_v)
-    nothing = jnp.zeros(1)  # tables are for the controller
-    given = replace(given, thrust_n=nothing, power_w=nothing)
+    vehicle_params = params.build_vehicle(library.load_vehicle(vehicle), parameter_set, battery_v)
+    empty_table = jnp.zeros(1)  # tables are for the controller
+    vehicle_params = replace(vehicle_params, thrust_n=empty_table, power_w=empty_table)
 
     def hold(leaf: jax.Array) -> np.ndarray:
         value = np.asarray(leaf)
         held: np.ndarray = lanes.pack([value[i] for i in np.ndindex(*value.shape)], value.shape)
         return held
 
-    return Dynamics(vehicle=jax.tree.map(hold, given), water=Water(), physics_dt_s=physics_dt_s)
+    return Dynamics(
+        vehicle=jax.tree.map(hold, vehicle_params), water=Water(), physics_dt_s=physics_dt_s
+    )

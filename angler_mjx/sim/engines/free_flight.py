@@ -44,7 +44,7 @@ class FreeFlight:
     """[n, n_thruster] signals of the step."""
 
 
-def fly(
+def simulate_flight(
     spec: SimSpec,
     params: ControlParams,
     start_m: jax.Array,
@@ -75,19 +75,21 @@ def fly(
     engine = ClosedForm(gravity_mps2=spec.water.gravity_mps2)
     q = quaternion.from_yaw(yaw_rad)
     state = physics.reset(engine, vehicle, vehicle, start_m, q, current, spec.water)
-    memory = stack.reset(spec.stages, _estimate(state, None), yaw_rad)
-    told = stack.wants_flow(spec.stages)
+    memory = stack.reset(spec.stages, _build_estimate(state, None), yaw_rad)
+    wants_flow = stack.wants_flow(spec.stages)
 
-    def one(carry: tuple[VehicleState, ControlMemory], i: jax.Array) -> tuple[Any, FreeFlight]:
+    def control_step(
+        carry: tuple[VehicleState, ControlMemory], i: jax.Array
+    ) -> tuple[Any, FreeFlight]:
         state, memory = carry
         t = i.astype(state.p.dtype) * spec.control_dt_s
-        flow = currents.velocity(current, state.p, t) if told else None
+        flow = currents.velocity(current, state.p, t) if wants_flow else None
         action = stack.step(
             spec.stages,
             spec.gains,
             params,
             memory,
-            _estimate(state, flow),
+            _build_estimate(state, flow),
             command,
             spec.control_dt_s,
             spec.water.density_kgpm3,
@@ -101,18 +103,18 @@ def fly(
             target_m=action.target_m,
             pwm_us=action.pwm.pwm_us,
         )
-        after = _advance(spec, vehicle, state, settled, current, t)
+        after = _advance_physics(spec, vehicle, state, settled, current, t)
         return (after, action.memory), seen
 
-    _, flight = jax.lax.scan(one, (state, memory), jnp.arange(control_steps))
+    _, flight = jax.lax.scan(control_step, (state, memory), jnp.arange(control_steps))
     return flight
 
 
-def _estimate(state: VehicleState, flow: jax.Array | None) -> Estimate:
+def _build_estimate(state: VehicleState, flow: jax.Array | None) -> Estimate:
     return Estimate(p=state.p, q=state.q, nu=state.nu, flow=flow)
 
 
-def _advance(
+def _advance_physics(
     spec: SimSpec,
     vehicle: VehicleParams,
     state: VehicleState,
@@ -123,9 +125,9 @@ def _advance(
     """The physics steps of one control step, for thrusts [n_thruster] that are settled at."""
     step = partial(physics_step, spec.physics_dt_s, spec.water, vehicle)
 
-    def one(i: jax.Array, state: VehicleState) -> VehicleState:
+    def physics_substep(i: jax.Array, state: VehicleState) -> VehicleState:
         now = t + i.astype(t.dtype) * spec.physics_dt_s
         return step(state, settled, current, now)
 
-    after: VehicleState = jax.lax.fori_loop(0, spec.physics_steps, one, state)
+    after: VehicleState = jax.lax.fori_loop(0, spec.physics_steps, physics_substep, state)
     return after

@@ -50,15 +50,15 @@ def tracking_cost(
     spec = replace(spec, gains=gains)
 
     @jax.checkpoint
-    def one(state: WorldState, _: None) -> tuple[WorldState, tuple[jax.Array, jax.Array]]:
+    def step_cost(state: WorldState, _: None) -> tuple[WorldState, tuple[jax.Array, jax.Array]]:
         after = engine.control_step(spec, fleet, worlds, state, None)[0]
         # Robots that have not failed move in the whole step, so their positions belong to it.
-        on_way = after.tally.outcome == Outcome.RUNNING
+        is_running = after.tally.outcome == Outcome.RUNNING
         t = after.step[0].astype(after.vehicles.p.dtype) * spec.control_dt_s
-        wanted = jax.vmap(jax.vmap(plans.place, (0, None)), (0, None))(worlds.path, t)
+        wanted = jax.vmap(jax.vmap(plans.position_at, (0, None)), (0, None))(worlds.path, t)
         square = jnp.sum((after.vehicles.p - wanted) ** 2, axis=-1)
-        total = jnp.sum(jnp.where(on_way, square, 0.0))
-        return after, (total, jnp.sum(on_way, dtype=total.dtype))
+        total = jnp.sum(jnp.where(is_running, square, 0.0))
+        return after, (total, jnp.sum(is_running, dtype=total.dtype))
 
-    _, (square, count) = jax.lax.scan(one, state, length=control_steps)
+    _, (square, count) = jax.lax.scan(step_cost, state, length=control_steps)
     return jnp.sum(square) / jnp.maximum(jnp.sum(count), 1.0)

@@ -11,30 +11,30 @@ import jax.numpy as jnp
 from angler_mjx.errors import UnsupportedError
 from angler_mjx.robot.control import plans
 from angler_mjx.robot.control.stack import Command, ControlParams
-from angler_mjx.sim import nearness, start
+from angler_mjx.sim import sample_clearances, start
 from angler_mjx.sim.approach import last_approaches_s
-from angler_mjx.sim.detection import Contact, detect
-from angler_mjx.sim.fleet import Fleet, carrying
-from angler_mjx.sim.phase import Slots, run
+from angler_mjx.sim.detection import Contact, detect_contacts
+from angler_mjx.sim.fleet import Fleet, apply_loads
+from angler_mjx.sim.phase import Slots, run_phases
 from angler_mjx.sim.physics import mjx_engine
 from angler_mjx.sim.physics import step as physics
 from angler_mjx.sim.physics.step import Multibody, VehicleState
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.record import Sample
-from angler_mjx.sim.repeated import repeated
-from angler_mjx.sim.state import Laid, SimSpec, World, WorldState
-from angler_mjx.sim.step import ALONE, MEETING, OBSTACLES
+from angler_mjx.sim.state import EngineConstants, SimSpec, World, WorldState
+from angler_mjx.sim.step import INDEPENDENT_PHASES, INTERACTION_PHASES, OBSTACLES
+from angler_mjx.sim.step_repetition import repeat_steps
 from angler_mjx.sim.world_phases import running
 from angler_mjx.sim.world_phases.running import WorldMemory, WorldPhaseOutput
 from angler_mjx.world import currents
 from angler_mjx.world import obstacles as obstacle_motion
 from angler_mjx.world.currents import Current
-from angler_mjx.world.environment import region
+from angler_mjx.world.environment import region_corners
 from angler_mjx.world.obstacles import ObstacleState
 
 
 @dataclass(frozen=True, kw_only=True)
-class OneWorld:
+class SingleWorld:
     """Robots [R] and obstacles [n] of one world, as phases want them; see `phase.BatchContext`."""
 
     spec: SimSpec
@@ -42,7 +42,7 @@ class OneWorld:
     t: jax.Array
     engine: Any = None
     """A `Multibody` of the fleet; None for those who move the vehicles themselves."""
-    given: Command | None = None
+    override_command: Command | None = None
     """Instead of the paths."""
     finished: jax.Array | None = None
     """See `phase.BatchContext`."""
@@ -60,9 +60,9 @@ class OneWorld:
     @property
     def command(self) -> Any:
         """See `phase.BatchContext`."""
-        if self.given is not None:
-            return self.given
-        return plans.checked(self.spec.stages, self.world.path)
+        if self.override_command is not None:
+            return self.override_command
+        return plans.check_plan(self.spec.stages, self.world.path)
 
     @property
     def current(self) -> Current:
@@ -82,18 +82,20 @@ class OneWorld:
     @cached_property
     def corners(self) -> tuple[jax.Array, jax.Array]:
         """See `phase.BatchContext`."""
-        return region(self.world.environment)
+        return region_corners(self.world.environment)
 
     def flow(self, vehicle: VehicleState) -> jax.Array:
         """See `phase.BatchContext`."""
-        for known, flow in self._flows:  # controllers and the record ask for the same
-            if known is vehicle:
+        for cached_vehicle, flow in self._flows:  # controllers and the record ask for the same
+            if cached_vehicle is vehicle:
                 return flow
         flow = jax.vmap(currents.velocity, (None, 0, None))(self.current, vehicle.p, self.t)
         self._flows.append((vehicle, flow))
         return flow
 
-    def each(self, function: Callable[..., Any], *bodies: Any, shared: tuple[Any, ...] = ()) -> Any:
+    def map_bodies(
+        self, function: Callable[..., Any], *bodies: Any, shared: tuple[Any, ...] = ()
+    ) -> Any:
         """See `phase.BatchContext`."""
         axes = (0,) * len(bodies) + (None,) * len(shared)
         return jax.vmap(function, axes)(*bodies, *shared)
@@ -101,10 +103,10 @@ class OneWorld:
     def repeat(self, times: int, body: Callable[[jax.Array, Any], Any], tree: Any) -> Any:
         """See `phase.BatchContext`; with derivatives backwards."""
 
-        def one(now: Any, i: jax.Array) -> tuple[Any, None]:
+        def step_once(now: Any, i: jax.Array) -> tuple[Any, None]:
             return body(i, now), None
 
-        return jax.lax.scan(one, tree, jnp.arange(times))[0]
+        return jax.lax.scan(step_once, tree, jnp.arange(times))[0]
 
     def physics_step(
         self,
@@ -146,7 +148,7 @@ class OneWorld:
     def contact(self, now: Slots) -> Contact:
         """See `phase.BatchContext`."""
         vehicles = self.world.control.vehicle
-        return detect(self.world.environment, vehicles, now["vehicle"], now["obstacles"])
+        return detect_contacts(self.world.environment, vehicles, now["vehicle"], now["obstacles"])
 
 
 def control_step(
@@ -176,50 +178,50 @@ def control_step(
         The state one control period later, and the sample of the state before with its command.
     """
     t = state.step.astype(state.vehicles.p.dtype) * spec.control_dt_s
-    minds, told = WorldMemory.of(state), WorldPhaseOutput()
+    memory, output = WorldMemory.of(state), WorldPhaseOutput()
     policy = running.active_policy(policy, command)
     if running.has_world_phases(spec, policy):
         count = state.step if number is None else number
-        minds, told = running.run_world_phases(
+        memory, output = running.run_world_phases(
             spec,
             policy,
             world,
-            minds,
+            memory,
             count,
             state.vehicles,
             state.obstacles,
             state.tally.outcome,
             fleet=fleet,
         )
-    here = OneWorld(
+    context = SingleWorld(
         spec=spec,
-        world=carrying(fleet, world, told.loaded),
+        world=apply_loads(fleet, world, output.loaded),
         t=t,
         engine=engine,
-        given=told.command if command is None else command,
-        finished=told.finished,
-        last_approach_s=told.last_approach_s
+        override_command=output.command if command is None else command,
+        finished=output.finished,
+        last_approach_s=output.last_approach_s
         if policy is not None
         else last_approaches_s(spec, world, command),
-        approaching=told.approaching,
+        approaching=output.approaching,
     )
     slots = {
         "vehicle": state.vehicles,
-        "known": state.vehicles if told.known is None else told.known,
+        "estimate": state.vehicles if output.estimate is None else output.estimate,
         "memory": state.carry,
         "tally": state.tally,
         "obstacles": state.obstacles,
     }
-    now, record = run(here, (*ALONE, OBSTACLES, *MEETING), slots)
+    now, record = run_phases(context, (*INDEPENDENT_PHASES, OBSTACLES, *INTERACTION_PHASES), slots)
     after = WorldState(
         vehicles=now["vehicle"],
         carry=now["memory"],
         obstacles=now["obstacles"],
         tally=now["tally"],
         step=state.step + 1,
-        **vars(minds),
+        **vars(memory),
     )
-    return after, Sample(**told.record, **record)
+    return after, Sample(**output.record, **record)
 
 
 def segment(
@@ -243,19 +245,21 @@ def segment(
     # most of what there is to compile.
     fly = partial(control_step, spec, engine, world, command=command, policy=policy, fleet=fleet)
     shapes = jax.eval_shape(fly, state)[1]
-    nothing: Sample = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
+    empty_sample: Sample = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
 
-    def one(carry: Any, i: jax.Array) -> tuple[Any, None]:
+    def step_once(carry: Any, i: jax.Array) -> tuple[Any, None]:
         state, number, kept = carry
         state, sample = fly(state, number=number)
         kept = jax.tree.map(lambda new, old: jnp.where(i == 0, new, old), sample, kept)
         return (state, None if number is None else number + 1, kept), None
 
-    def recorded(now: Any, _: None) -> tuple[Any, Sample]:
-        (*now, kept), _ = jax.lax.scan(one, (*now, nothing), jnp.arange(steps_per_sample))
+    def record_sample(now: Any, _: None) -> tuple[Any, Sample]:
+        (*now, kept), _ = jax.lax.scan(
+            step_once, (*now, empty_sample), jnp.arange(steps_per_sample)
+        )
         return tuple(now), kept
 
-    (after, _), samples = jax.lax.scan(recorded, (state, number), length=n_sample)
+    (after, _), samples = jax.lax.scan(record_sample, (state, number), length=n_sample)
     return after, samples
 
 
@@ -266,12 +270,14 @@ class MjxEngine:
         self, spec: SimSpec, fleet: Fleet, worlds: World, policy: Policy | None = None
     ) -> WorldState:
         """See `Engine.reset`."""
-        one = partial(start.reset, spec, _multibody(spec, fleet, worlds), policy=policy)
-        state: WorldState = jax.vmap(one)(worlds.body, worlds)
+        reset_world = partial(
+            start.reset, spec, _select_multibody(spec, fleet, worlds), policy=policy
+        )
+        state: WorldState = jax.vmap(reset_world)(worlds.body, worlds)
         return state
 
-    def lay_out(self, fleet: Fleet, worlds: World) -> Laid:
-        """See `Engine.lay_out`: nothing."""
+    def pack_constants(self, fleet: Fleet, worlds: World) -> EngineConstants:
+        """See `Engine.pack_constants`: nothing."""
         del fleet, worlds
         return ()
 
@@ -284,22 +290,22 @@ class MjxEngine:
         command: Command | None,
         policy: Policy | None = None,
         rows: jax.Array | None = None,
-        laid: Laid = (),
+        constants: EngineConstants = (),
         steps: int = 1,
     ) -> tuple[WorldState, Sample]:
         """See `Engine.control_step`."""
         if rows is not None:
             worlds = jax.tree.map(lambda leaf: leaf[rows], worlds)
-        engine = _multibody(spec, fleet, worlds)
+        engine = _select_multibody(spec, fleet, worlds)
 
-        def once(state: WorldState) -> tuple[WorldState, Sample]:
-            number = _number(spec, state, policy) if rows is None else None
-            one = partial(control_step, spec, policy=policy, number=number, fleet=fleet)
+        def step_tile(state: WorldState) -> tuple[WorldState, Sample]:
+            number = _shared_step_number(spec, state, policy) if rows is None else None
+            step_world = partial(control_step, spec, policy=policy, number=number, fleet=fleet)
             after: WorldState
-            after, sample = jax.vmap(one, (None, 0, 0, 0))(engine, worlds, state, command)
-            return after, nearness.completed(spec, worlds, sample)
+            after, sample = jax.vmap(step_world, (None, 0, 0, 0))(engine, worlds, state, command)
+            return after, sample_clearances.add_clearances(spec, worlds, sample)
 
-        return repeated(once, state, steps)
+        return repeat_steps(step_tile, state, steps)
 
     def segment(
         self,
@@ -317,24 +323,29 @@ class MjxEngine:
         """See `Engine.segment`."""
         del begins
         count: dict[str, Any] = {"n_sample": n_sample, "steps_per_sample": steps_per_sample}
-        told: dict[str, Any] = {"number": _number(spec, state, policy), "fleet": fleet}
-        fly: Any = partial(segment, spec, policy=policy, **told, **count)
+        options: dict[str, Any] = {
+            "number": _shared_step_number(spec, state, policy),
+            "fleet": fleet,
+        }
+        fly: Any = partial(segment, spec, policy=policy, **options, **count)
 
-        def one(world: World, state: WorldState, command: Command | None) -> Any:
-            return fly(_multibody(spec, fleet, worlds), world, state, command=command)
+        def run_world(world: World, state: WorldState, command: Command | None) -> Any:
+            return fly(_select_multibody(spec, fleet, worlds), world, state, command=command)
 
         after: WorldState
-        after, samples = jax.vmap(one)(worlds, state, command)
-        return after, nearness.all_completed(spec, worlds, samples)
+        after, samples = jax.vmap(run_world)(worlds, state, command)
+        return after, sample_clearances.add_all_clearances(spec, worlds, samples)
 
 
-def _number(spec: SimSpec, state: WorldState, policy: Policy | None) -> jax.Array | None:
+def _shared_step_number(
+    spec: SimSpec, state: WorldState, policy: Policy | None
+) -> jax.Array | None:
     """Control steps that all worlds have taken, where a policy, task or acoustics want to know."""
     wanted = policy is not None or spec.by_task or spec.acoustics is not None
     return state.step[0] if wanted else None
 
 
-def _multibody(spec: SimSpec, fleet: Fleet, worlds: World) -> mjx_engine.MjxPhysics:
+def _select_multibody(spec: SimSpec, fleet: Fleet, worlds: World) -> mjx_engine.MjxPhysics:
     if fleet.engine is None:
         raise UnsupportedError(
             "the fleet was built without multibody models: engine mjx needs them"
@@ -344,4 +355,4 @@ def _multibody(spec: SimSpec, fleet: Fleet, worlds: World) -> mjx_engine.MjxPhys
             "the worlds were drawn of a fleet without the multibody fields of this one: engine mjx "
             "needs them (`Simulator.adopt` gives them)"
         )
-    return fleet.engine.under(spec.water.gravity_mps2)
+    return fleet.engine.with_gravity(spec.water.gravity_mps2)

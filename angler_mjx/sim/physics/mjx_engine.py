@@ -51,7 +51,7 @@ class MjxPhysics:
     data: Any
     """mjx.Data, the scratch of one evaluation."""
 
-    def under(self, gravity_mps2: float) -> "MjxPhysics":
+    def with_gravity(self, gravity_mps2: float) -> "MjxPhysics":
         """The same engine in a field of gravity of so much, m/s^2, along -z."""
         before = self.model.opt.gravity
         gravity = jnp.asarray([0.0, 0.0, -gravity_mps2], before.dtype)
@@ -85,7 +85,7 @@ class MjxPhysics:
         return M_RB, -matrix_times(T, bias) - matrix_times(M_RB, turning)
 
 
-def build(specs: Sequence[mujoco.MjSpec]) -> tuple[MjxPhysics, BodyInertia]:
+def build_engine(specs: Sequence[mujoco.MjSpec]) -> tuple[MjxPhysics, BodyInertia]:
     """The engine of a fleet, and in what its variants differ.
 
     Args:
@@ -98,34 +98,34 @@ def build(specs: Sequence[mujoco.MjSpec]) -> tuple[MjxPhysics, BodyInertia]:
         ValueError: a model is not one free body, or they differ in what MJX compiles in.
     """
     # MJX itself takes the first device of all processes, which another process may own.
-    here = jax.local_devices()[0]
-    models = [_mjx().put_model(model, device=here) for model in compiled(specs)]
-    engine = MjxPhysics(model=models[0], data=_mjx().make_data(models[0], device=here))
-    return engine, BodyInertia(fields=jax.device_put(_differing(models)))
+    device = jax.local_devices()[0]
+    models = [_import_mjx().put_model(model, device=device) for model in compile_models(specs)]
+    engine = MjxPhysics(model=models[0], data=_import_mjx().make_data(models[0], device=device))
+    return engine, BodyInertia(fields=jax.device_put(_differing_fields(models)))
 
 
-def without(specs: Sequence[mujoco.MjSpec]) -> BodyInertia:
-    """What those have who do not compute with MJX; arguments and what is refused as of `build`."""
-    compiled(specs)
+def empty_inertia(specs: Sequence[mujoco.MjSpec]) -> BodyInertia:
+    """Build what other engines need of MJX; arguments and errors as of `build_engine`."""
+    compile_models(specs)
     return BodyInertia(fields={})
 
 
-def compiled(specs: Sequence[mujoco.MjSpec]) -> list[mujoco.MjModel]:
+def compile_models(specs: Sequence[mujoco.MjSpec]) -> list[mujoco.MjModel]:
     """The models of a fleet in MuJoCo's general form, so that one program fits all.
 
-    Arguments as of `build`.
+    Arguments as of `build_engine`.
 
     Raises:
         ValueError: a model is not one free body.
     """
-    return [_general(spec) for spec in specs]
+    return [_compile_general(spec) for spec in specs]
 
 
-_CYCLE = np.full(4, 0.5)
+_AXIS_CYCLE = np.full(4, 0.5)
 """Quaternion that takes x to y, y to z and z to x: exact in any float type."""
 
 
-def _general(spec: mujoco.MjSpec) -> mujoco.MjModel:
+def _compile_general(spec: mujoco.MjSpec) -> mujoco.MjModel:
     """A model without names of its own, and without bodies that MuJoCo takes for simple ones.
 
     A body is simple where the axes of its inertia are its own; the same inertia with its axes in
@@ -134,8 +134,8 @@ def _general(spec: mujoco.MjSpec) -> mujoco.MjModel:
     spec = spec.copy()
     spec.modelname = "vehicle"
     for kind in (spec.bodies[1:], spec.joints):
-        for i, one in enumerate(kind):
-            one.name = f"{type(one).__name__}_{i}"
+        for i, element in enumerate(kind):
+            element.name = f"{type(element).__name__}_{i}"
     model = spec.compile()
     if (model.nq, model.nv, model.nbody) != (7, 6, 2):
         raise ValueError(
@@ -146,7 +146,7 @@ def _general(spec: mujoco.MjSpec) -> mujoco.MjModel:
         return model
     for i, body in enumerate(spec.bodies[1:], 1):
         axes = np.zeros(4)
-        mujoco.mju_mulQuat(axes, model.body_iquat[i], _CYCLE)
+        mujoco.mju_mulQuat(axes, model.body_iquat[i], _AXIS_CYCLE)
         body.fullinertia = np.full(6, np.nan)  # as MuJoCo says: not given
         body.inertia, body.iquat = np.roll(model.body_inertia[i], -1), axes
     model = spec.compile()
@@ -155,17 +155,17 @@ def _general(spec: mujoco.MjSpec) -> mujoco.MjModel:
     return model
 
 
-def _differing(models: Sequence[Any]) -> dict[str, np.ndarray]:
+def _differing_fields(models: Sequence[Any]) -> dict[str, np.ndarray]:
     """Arrays [n_model, ...] of all fields of mjx.Models that are not the same in all.
 
     Raises:
         ValueError: they differ in what is no array of numbers to compute with.
     """
     out = {}
-    for same_field in zip(*map(_flat, models), strict=True):
+    for same_field in zip(*map(_list_fields, models), strict=True):
         name, values = same_field[0][0], [value for _, value in same_field]
         arrays = [np.asarray(value) for value in values]
-        if all(_same(arrays[0], array) for array in arrays[1:]):
+        if all(_is_same_array(arrays[0], array) for array in arrays[1:]):
             continue
         if not isinstance(values[0], jax.Array) or len({array.shape for array in arrays}) > 1:
             raise ValueError(
@@ -177,23 +177,23 @@ def _differing(models: Sequence[Any]) -> dict[str, np.ndarray]:
     return out
 
 
-def _flat(node: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
+def _list_fields(node: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
     """All fields of a model, and of what it holds, by their names."""
     for field in fields(node):
         value = getattr(node, field.name)
         if is_dataclass(value):
-            yield from _flat(value, f"{prefix}{field.name}.")
+            yield from _list_fields(value, f"{prefix}{field.name}.")
         else:
             yield f"{prefix}{field.name}", value
 
 
-def _same(a: np.ndarray, b: np.ndarray) -> bool:
+def _is_same_array(a: np.ndarray, b: np.ndarray) -> bool:
     """Whether two arrays hold the same; NaN is the same as NaN."""
     return np.array_equal(a, b, equal_nan=a.dtype.kind == "f")
 
 
 @cache
-def _mjx() -> Any:
+def _import_mjx() -> Any:
     """MJX, loaded when it is first needed: that takes longer than to load JAX itself."""
     with contextlib.redirect_stdout(io.StringIO()):  # it prints that Warp is missing
         from mujoco import mjx
@@ -204,7 +204,7 @@ def _inertia_and_bias(
     engine: MjxPhysics, body: BodyInertia, p: jax.Array, q: jax.Array, nu: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """M [6, 6] and bias [6] of M v' + bias = 0 of the free vehicle, in MuJoCo's coordinates."""
-    mjx = _mjx()
+    mjx = _import_mjx()
     v_world = quaternion.rotate(q, nu[:3])
     model = engine.model.tree_replace(body.fields)
     data = engine.data.replace(

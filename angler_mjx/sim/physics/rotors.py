@@ -16,7 +16,7 @@ def at_rest(params: VehicleParams, dtype: Any) -> jax.Array:
     return jnp.zeros(n if params.rotor is None else (rotor.ORDER, n), dtype)
 
 
-def advance(
+def advance_rotors(
     params: VehicleParams, states: jax.Array, command: jax.Array, dt: jax.Array | float
 ) -> tuple[jax.Array, jax.Array]:
     """One step of all rotors, exact for a command held over it.
@@ -32,7 +32,7 @@ def advance(
     """
     if params.rotor is None:
         return thruster.rotor_lag(states, command, params.tau_s, dt)
-    step = rotor.discretise(params.rotor, float(dt))
+    step = rotor.discretise_rotor(params.rotor, float(dt))
     settled, transition, mean = (
         jnp.asarray(part, states.dtype) for part in (step.settled, step.transition, step.mean)
     )

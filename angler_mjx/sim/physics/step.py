@@ -87,7 +87,7 @@ def smooth_force(
         M [6, 6] with added mass, F [6] and nu_r [6], in F: without thrusters M nu' = F.
     """
     with jax.named_scope("water"):
-        v_c, Dv_c = currents.evaluate(current, state.p, t)
+        v_c, Dv_c = currents.evaluate_current(current, state.p, t)
         wrench = rigid_body.water_wrench(
             M_A=params.M_A,
             D_l=params.D_l,
@@ -169,7 +169,7 @@ def step(
     """
     M, force, nu_r = smooth_force(engine, body, params, state, current, t, water)
     with jax.named_scope("thrusters"):
-        thrust, mean_thrust = rotors.advance(params, state.thrust, thrust_command, dt)
+        thrust, mean_thrust = rotors.advance_rotors(params, state.thrust, thrust_command, dt)
         thrust_wrench = rigid_body.matrix_times(params.B, mean_thrust)
     with jax.named_scope("integrate"):
         nu, force_before = rigid_body.advance_damped_velocity(

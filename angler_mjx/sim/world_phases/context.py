@@ -24,12 +24,12 @@ from angler_mjx.world.obstacles import ObstacleState
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Sent:
+class GoalAssignment:
     """Where robots are to go, [R] leading."""
 
     goal_m: jax.Array
     """[R, 3] in W."""
-    place: jax.Array | None
+    goal_index: jax.Array | None
     """int32 [R] which place of the world's routes that is; -1: none, it stays."""
 
 
@@ -68,43 +68,46 @@ class WorldContext:
         )
         return flow
 
-    def known(
-        self, belief: Belief | None, others: HeardRobots | None = None, sent: Sent | None = None
+    def build_policy_input(
+        self,
+        belief: Belief | None,
+        others: HeardRobots | None = None,
+        assignment: GoalAssignment | None = None,
     ) -> PolicyInput:
         """What the robots know, for a policy.
 
         Args:
             belief: what they are told of their motion; None for the truth.
             others: what they have heard of each other; None where everybody knows everything.
-            sent: where the task sends them; None where each has a goal of its own.
+            assignment: where the task sends them; None where each has a goal of its own.
         """
-        to = self._goals() if sent is None else sent
+        goals = self._default_goals() if assignment is None else assignment
         return PolicyInput(
-            belief=sensing.truth_told(self.vehicles, self.flow) if belief is None else belief,
+            belief=sensing.truth_belief(self.vehicles, self.flow) if belief is None else belief,
             time_s=self.t,
-            goal_m=to.goal_m,
+            goal_m=goals.goal_m,
             path=self.world.path,
             params=self.world.control,
             others=others,
             routes=self.world.routes,
-            place=to.place,
-            **self._scenery(),
+            goal_index=goals.goal_index,
+            **self._observe_scenery(),
         )
 
-    def _goals(self) -> Sent:
+    def _default_goals(self) -> GoalAssignment:
         """Each robot to its goal, which is its place of the routes too."""
-        place = None
+        goal_index = None
         if self.world.routes is not None:
-            place = jnp.arange(self.world.variant.shape[0], dtype=jnp.int32)
-        return Sent(goal_m=self.world.environment.goal_m, place=place)
+            goal_index = jnp.arange(self.world.variant.shape[0], dtype=jnp.int32)
+        return GoalAssignment(goal_m=self.world.environment.goal_m, goal_index=goal_index)
 
-    def _scenery(self) -> dict[str, Any]:
+    def _observe_scenery(self) -> dict[str, Any]:
         """What a policy that asks for it is told of the world about the robots."""
-        if self.policy is None or self.policy.knows is None:
+        if self.policy is None or self.policy.information is None:
             return {}
         if self.obstacles is None:
             raise RuntimeError("an engine does not say where obstacles are to a policy that asks")
-        policy, knows = self.policy, self.policy.knows
+        policy, allowed = self.policy, self.policy.information
         environment, water = self.world.environment, self.spec.water
         at_m, seen = (
             self.vehicles.p,
@@ -112,9 +115,9 @@ class WorldContext:
         )
 
         def look() -> ObstacleInformation:
-            return information.obstacles(
+            return information.obstacle_information(
                 environment,
-                knows,
+                allowed,
                 policy.ahead_s,
                 self.spec.control_dt_s,
                 water.density_kgpm3,
@@ -125,16 +128,16 @@ class WorldContext:
         return {
             "grid": environment.grid,
             "floor_z_m": environment.floor_z_m,
-            "obstacles": self._at_times(look, policy.looks),
-            "current": information.current(environment, knows.current, at_m, self.t),
+            "obstacles": self._every_n_steps(look, policy.observation_period),
+            "current": information.current_information(environment, allowed.current, at_m, self.t),
         }
 
-    def _at_times[T](self, look: Callable[[], T], every: int) -> T:
+    def _every_n_steps[T](self, look: Callable[[], T], every: int) -> T:
         """What is seen in every n-th control step, and zeros of its shapes in the others."""
         shapes = jax.eval_shape(look)
 
-        def nothing() -> T:
+        def empty() -> T:
             zeros: T = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
             return zeros
 
-        return every_n_steps(every, self.number, look, nothing, self.every)
+        return every_n_steps(every, self.number, look, empty, self.every)

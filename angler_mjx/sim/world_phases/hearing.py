@@ -14,10 +14,16 @@ import jax.numpy as jnp
 from angler_kernels import quaternion
 from angler_mjx.errors import ConfigError
 from angler_mjx.sim.policy import Policy, PolicyMemory
-from angler_mjx.sim.record import Talk
+from angler_mjx.sim.record import AcousticsRecord
 from angler_mjx.sim.state import World
 from angler_mjx.world.acoustics import channel
-from angler_mjx.world.acoustics.channel import Channel, HeardRobots, ModemState, Now, Packet
+from angler_mjx.world.acoustics.channel import (
+    Channel,
+    ChannelInput,
+    HeardRobots,
+    ModemState,
+    Packet,
+)
 from angler_mjx.world.tasks import task_belief
 from angler_mjx.world.tasks.spec import TaskReport, TaskState
 
@@ -34,7 +40,9 @@ def reset(
         memory: of the policy.
         task: what is known of it, if there is one.
     """
-    return channel.begin(shared, start_m, words(policy, memory, task, {"policy": None}))
+    return channel.begin_channel(
+        shared, start_m, build_payload(policy, memory, task, {"policy": None})
+    )
 
 
 def step(
@@ -44,8 +52,8 @@ def step(
     number: jax.Array,
     t: jax.Array,
     p_m: jax.Array,
-    told: Any,
-    say: Callable[[], dict[str, Any]],
+    estimate: Any,
+    make_payload: Callable[[], dict[str, Any]],
     every: int = 1,
 ) -> tuple[ModemState, jax.Array]:
     """One control step of one world.
@@ -57,8 +65,8 @@ def step(
         number: int32 [] control steps taken.
         t: [] s.
         p_m: [R, 3] where robots are, in W.
-        told: their motion as they are told it: a belief, or their true state.
-        say: what they put into a packet beside that, worked out where one begins.
+        estimate: their motion as they are told it: a belief, or their true state.
+        make_payload: what they put into a packet beside that, worked out where one begins.
         every: what ``number`` is known to be a multiple of.
 
     Returns:
@@ -67,34 +75,34 @@ def step(
     Raises:
         ConfigError: the world has no key for its channel.
     """
-    if world.radio_key is None:
+    if world.acoustics_key is None:
         raise ConfigError(
             "acoustics: the worlds were drawn without keys for it; draw them by a scenario with "
             "the same table"
         )
 
-    def says() -> Packet:
+    def build_packet() -> Packet:
         return Packet(
-            p_m=told.p,
-            v_mps=jax.vmap(quaternion.rotate)(told.q, told.nu[:, :3]),
+            p_m=estimate.p,
+            v_mps=jax.vmap(quaternion.rotate)(estimate.q, estimate.nu[:, :3]),
             time_s=jnp.full(p_m.shape[0], t),
-            words=say(),
+            payload=make_payload(),
         )
 
-    key = jax.random.fold_in(jax.random.wrap_key_data(world.radio_key), number)
-    now = Now(
+    key = jax.random.fold_in(jax.random.wrap_key_data(world.acoustics_key), number)
+    now = ChannelInput(
         key=key,
         number=number,
         p_m=p_m,
         grid=world.environment.grid,
-        says=says,
+        make_packet=build_packet,
         every=every,
         silent=None if world.fails_at_s is None else t >= world.fails_at_s,
     )
     return channel.step(shared, memory, now)
 
 
-def words(
+def build_payload(
     policy: Policy | None,
     memory: PolicyMemory | None,
     task: TaskState | None,
@@ -110,37 +118,42 @@ def words(
         before: what they said last; the policy's again where a command stands in for it.
         running: bool [R] whose episode goes on; all if left out.
     """
-    own = before["policy"]
+    policy_payload = before["policy"]
     if policy is not None and memory is not None:
-        own = policy.says(memory.carry)
-    return {"policy": own, "task": None if task is None else task_belief.report(task, running)}
+        policy_payload = policy.payload(memory.carry)
+    return {
+        "policy": policy_payload,
+        "task": None if task is None else task_belief.build_report(task, running),
+    }
 
 
-def for_policy(radio: ModemState | None) -> HeardRobots | None:
+def policy_reports(modem: ModemState | None) -> HeardRobots | None:
     """What a policy is told of what was heard: no words but its own."""
-    return None if radio is None else replace(radio.heard, words=radio.heard.words["policy"])
+    return None if modem is None else replace(modem.heard, payload=modem.heard.payload["policy"])
 
 
-def at_work(
-    shared: Channel | None, radio: ModemState | None, t: jax.Array
+def working_robots(
+    shared: Channel | None, modem: ModemState | None, t: jax.Array
 ) -> task_belief.HeardReports | None:
     """Where each robot takes the others to be at t [] s, and who of them still is at work."""
-    if shared is None or radio is None:
+    if shared is None or modem is None:
         return None
-    heard = radio.heard
-    said: TaskReport = heard.words["task"]
+    heard = modem.heard
+    reports: TaskReport = heard.payload["task"]
     recent = t - heard.time_s < shared.lost_after_s
     return task_belief.HeardReports(
-        p=heard.place_m(t),
-        active=recent & said.at_work,
-        said=said,
+        p=heard.extrapolate_m(t),
+        active=recent & reports.at_work,
+        report=reports,
         lost_after_s=shared.lost_after_s,
     )
 
 
-def record(radio: ModemState, t: jax.Array) -> Talk:
+def record_acoustics(modem: ModemState, t: jax.Array) -> AcousticsRecord:
     """What is recorded of `hear` at t [] s."""
-    robots = radio.caught.shape[0]
-    sent = jnp.sum(radio.air.sent) - radio.air.sent
-    age = jnp.where(jnp.eye(robots, dtype=bool), 0.0, t - radio.heard.time_s)
-    return Talk(share=radio.caught / sent, age_s=jnp.sum(age, axis=1) / (robots - 1))
+    robots = modem.n_received.shape[0]
+    sent = jnp.sum(modem.in_flight.sent) - modem.in_flight.sent
+    age = jnp.where(jnp.eye(robots, dtype=bool), 0.0, t - modem.heard.time_s)
+    return AcousticsRecord(
+        fraction=modem.n_received / sent, age_s=jnp.sum(age, axis=1) / (robots - 1)
+    )

@@ -13,81 +13,94 @@ import jax
 from angler_mjx.periods import every_n_steps
 from angler_mjx.sim import policy as policies
 from angler_mjx.sim.approach import last_approaches_s
-from angler_mjx.sim.fleet import carrying
-from angler_mjx.sim.phase import Done, Phase, Slots, nothing
+from angler_mjx.sim.fleet import apply_loads
+from angler_mjx.sim.phase import Phase, PhaseResult, Slots, no_slots
 from angler_mjx.sim.record import ProgressRecord
 from angler_mjx.sim.state import Outcome
 from angler_mjx.sim.world_phases import hearing, sensing
-from angler_mjx.sim.world_phases.context import Sent, WorldContext
-from angler_mjx.world.tasks import work as tasks
+from angler_mjx.sim.world_phases.context import GoalAssignment, WorldContext
+from angler_mjx.world.tasks import task_update as tasks
 from angler_mjx.world.tasks.spec import TaskState
 from angler_mjx.world.tasks.task_belief import TaskScene
 from angler_mjx.world.tasks.travel import Travel
 
 
-def sense(here: WorldContext, now: Slots) -> Done:
+def sense_motion(context: WorldContext, now: Slots) -> PhaseResult:
     """Instruments read the truth, filters take the readings in."""
-    if not here.spec.instrumented:
-        return Done(slots=nothing)
+    if not context.spec.instrumented:
+        return PhaseResult(slots=no_slots)
     memory, belief = sensing.step(
-        here.spec, here.world, now["senses"], here.number, here.vehicles, here.flow
+        context.spec, context.world, now["senses"], context.number, context.vehicles, context.flow
     )
-    return Done(
-        slots=lambda: {"senses": memory, "known": belief}, record=lambda: {"belief": belief}
+    return PhaseResult(
+        slots=lambda: {"senses": memory, "estimate": belief}, record=lambda: {"belief": belief}
     )
 
 
-def hear(here: WorldContext, now: Slots) -> Done:
+def exchange_packets(context: WorldContext, now: Slots) -> PhaseResult:
     """Robots understand packets of others, and send theirs."""
-    shared, memory = here.spec.acoustics, now["radio"]
+    shared, memory = context.spec.acoustics, now["modem"]
     if shared is None:
-        return Done(slots=nothing)
-    belief = now.get("known")
-    running = None if here.outcome is None else here.outcome == Outcome.RUNNING
-    say = partial(
-        hearing.words, here.policy, now["policy"], now["task"], memory.air.said.words, running
+        return PhaseResult(slots=no_slots)
+    belief = now.get("estimate")
+    running = None if context.outcome is None else context.outcome == Outcome.RUNNING
+    make_payload = partial(
+        hearing.build_payload,
+        context.policy,
+        now["policy"],
+        now["task"],
+        memory.in_flight.packet.payload,
+        running,
     )
-    told = here.vehicles if belief is None else belief
-    after, came = hearing.step(
-        shared, here.world, memory, here.number, here.t, here.vehicles.p, told, say, here.every
+    estimate = context.vehicles if belief is None else belief
+    after, heard = hearing.step(
+        shared,
+        context.world,
+        memory,
+        context.number,
+        context.t,
+        context.vehicles.p,
+        estimate,
+        make_payload,
+        context.every,
     )
 
     def record() -> dict[str, Any]:
-        asked = "acoustics" in here.spec.also
-        return {"talk": hearing.record(after, here.t)} if asked else {}
+        is_recorded = "acoustics" in context.spec.also
+        return {"talk": hearing.record_acoustics(after, context.t)} if is_recorded else {}
 
-    return Done(slots=lambda: {"radio": after, "heard": came}, record=record)
+    return PhaseResult(slots=lambda: {"modem": after, "heard": heard}, record=record)
 
 
-def work(here: WorldContext, now: Slots) -> Done:
+def advance_task(context: WorldContext, now: Slots) -> PhaseResult:
     """The task: what was done of it, and where robots go next."""
-    spec, task = here.spec.task, here.world.task
+    spec, task = context.spec.task, context.world.task
     if spec is None:
-        return Done(slots=nothing)
-    if here.outcome is None or task is None:
+        return PhaseResult(slots=no_slots)
+    if context.outcome is None or task is None:
         raise RuntimeError("an engine does not say how robots ended, or a world has no task")
-    known, outcome = now.get("known"), here.outcome
+    estimate, outcome = now.get("estimate"), context.outcome
     scene = TaskScene(
-        t=here.t,
-        p=here.vehicles.p,
-        q=here.vehicles.q,
+        t=context.t,
+        p=context.vehicles.p,
+        q=context.vehicles.q,
         running=outcome == Outcome.RUNNING,
-        believed_m=here.vehicles.p if known is None else known.p,
-        grid=here.world.environment.grid,
-        others=hearing.at_work(here.spec.acoustics, now["radio"], here.t),
+        believed_m=context.vehicles.p if estimate is None else estimate.p,
+        grid=context.world.environment.grid,
+        others=hearing.working_robots(context.spec.acoustics, now["modem"], context.t),
     )
-    travel = Travel(place_m=task.place_m, routes=here.world.routes)
+    travel = Travel(position_m=task.position_m, routes=context.world.routes)
     state: TaskState = every_n_steps(
         spec.period,
-        here.number,
-        lambda: tasks.look(spec, task, now["task"], scene, travel),
+        context.number,
+        lambda: tasks.update_task(spec, task, now["task"], scene, travel),
         lambda: now["task"],
-        here.every,
+        context.every,
     )
-    return Done(
+    return PhaseResult(
         slots=lambda: {
             "task": state,
-            "sent": Sent(goal_m=state.goal_m, place=state.target),
+            "sent": GoalAssignment(goal_m=state.goal_m, goal_index=state.target),
             "finished": state.finished,
             "loaded": state.carrying >= 0 if spec.kind == "deliver" else None,
         },
@@ -96,32 +109,32 @@ def work(here: WorldContext, now: Slots) -> Done:
 
 
 def record_task(state: TaskState) -> ProgressRecord:
-    """What is recorded of `work`."""
+    """What is recorded of `advance_task`."""
     return ProgressRecord(
-        share=state.progress,
+        fraction=state.progress,
         target=state.target,
         carrying=state.carrying,
         done=state.did,
     )
 
 
-def choose(here: WorldContext, now: Slots) -> Done:
+def run_policy(context: WorldContext, now: Slots) -> PhaseResult:
     """A policy commands the robots of a world."""
-    if here.policy is None:
-        return Done(slots=nothing)
-    world = carrying(here.fleet, here.world, now.get("loaded"))
+    if context.policy is None:
+        return PhaseResult(slots=no_slots)
+    world = apply_loads(context.fleet, context.world, now.get("loaded"))
     memory, command = policies.step(
-        here.policy,
-        here.world.policy_key,
+        context.policy,
+        context.world.policy_key,
         now["policy"],
-        lambda: replace(here, world=world).known(
-            now.get("known"), hearing.for_policy(now["radio"]), now.get("sent")
+        lambda: replace(context, world=world).build_policy_input(
+            now.get("estimate"), hearing.policy_reports(now["modem"]), now.get("sent")
         ),
-        here.number,
-        here.every,
+        context.number,
+        context.every,
     )
-    approaching, begin_s = _approach(here, here.policy, memory.carry, command)
-    return Done(
+    approaching, begin_s = _find_approach(context, context.policy, memory.carry, command)
+    return PhaseResult(
         slots=lambda: {
             "policy": memory,
             "command": command,
@@ -131,38 +144,40 @@ def choose(here: WorldContext, now: Slots) -> Done:
     )
 
 
-def _approach(
-    here: WorldContext, policy: policies.Policy, carry: Any, command: Any
+def _find_approach(
+    context: WorldContext, policy: policies.Policy, carry: Any, command: Any
 ) -> tuple[jax.Array | None, jax.Array | None]:
     """Return whether robots are on their last approach, bool [R], or when that begins, [R] s."""
-    flown = policy.flown(carry, here.world.path)
-    if flown is None:
-        return None, last_approaches_s(here.spec, here.world, command)
-    plan, time_s = flown
-    begin_s = last_approaches_s(here.spec, here.world, plan)
+    executed = policy.executed_plans(carry, context.world.path)
+    if executed is None:
+        return None, last_approaches_s(context.spec, context.world, command)
+    plan, time_s = executed
+    begin_s = last_approaches_s(context.spec, context.world, plan)
     return None if begin_s is None else time_s >= begin_s, None
 
 
-SENSE = Phase(name="sense", of="world", run=sense, reads=("senses",), gives=("senses", "known"))
+SENSE = Phase(
+    name="sense", of="world", run=sense_motion, reads=("senses",), gives=("senses", "estimate")
+)
 HEAR = Phase(
     name="hear",
     of="world",
-    run=hear,
-    reads=("radio", "known", "policy", "task"),
-    gives=("radio", "heard"),
+    run=exchange_packets,
+    reads=("modem", "estimate", "policy", "task"),
+    gives=("modem", "heard"),
 )
 WORK = Phase(
     name="work",
     of="world",
-    run=work,
-    reads=("task", "known", "radio"),
+    run=advance_task,
+    reads=("task", "estimate", "modem"),
     gives=("task", "sent", "finished", "loaded"),
 )
 POLICY = Phase(
     name="policy",
     of="world",
-    run=choose,
-    reads=("policy", "known", "radio", "sent"),
+    run=run_policy,
+    reads=("policy", "estimate", "modem", "sent"),
     gives=("policy", "command", "approaching", "last_approach_s"),
 )
 

@@ -8,7 +8,7 @@ from typing import Any
 import jax
 
 from angler_mjx.sim.fleet import Fleet
-from angler_mjx.sim.phase import run
+from angler_mjx.sim.phase import run_phases
 from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.record import Belief
@@ -23,7 +23,7 @@ from angler_mjx.world.obstacles import ObstacleState
 class WorldPhaseOutput:
     """What robots are told in a control step, [R] leading; None where nothing is."""
 
-    known: Belief | None = None
+    estimate: Belief | None = None
     """Of their own motion."""
     command: Any = None
     """By a policy."""
@@ -38,7 +38,7 @@ class WorldPhaseOutput:
     record: dict[str, Any] = field(default_factory=dict)
     """Of the phases of worlds."""
 
-    def given(self) -> dict[str, Any]:
+    def to_slots(self) -> dict[str, Any]:
         """What there is of it for the phases of robots, by the names of their slots."""
         return {
             field.name: getattr(self, field.name)
@@ -55,12 +55,12 @@ class WorldMemory:
     senses: Any
     policy: Any
     task: Any
-    radio: Any
+    modem: Any
 
     @classmethod
     def of(cls, state: WorldState) -> "WorldMemory":
         """Those of a state."""
-        return cls(senses=state.senses, policy=state.policy, task=state.task, radio=state.radio)
+        return cls(senses=state.senses, policy=state.policy, task=state.task, modem=state.modem)
 
 
 def active_policy(policy: Policy | None, command: Any) -> Policy | None:
@@ -74,22 +74,22 @@ def has_world_phases(spec: SimSpec, policy: Policy | None) -> bool:
     return bool(spec.instrumented) or wanted
 
 
-def period(spec: SimSpec, policy: Policy | None) -> int:
+def phase_period(spec: SimSpec, policy: Policy | None) -> int:
     """Control steps of which the phases of worlds act in none but the first, counted from t = 0.
 
     What they give holds in the others. A phase that is not known here acts in every step.
     """
     every = {
         SENSE.name: 1 if spec.instrumented else 0,
-        HEAR.name: _hears(spec),
+        HEAR.name: _hearing_period(spec),
         WORK.name: 0 if spec.task is None else spec.task.period,
         POLICY.name: 0 if policy is None else policy.period,
     }
     return math.gcd(*(every.get(phase.name, 1) for phase in PHASES)) or 1
 
 
-def _hears(spec: SimSpec) -> int:
-    """As `period`, of what robots hear: in every step where it is recorded how much that is."""
+def _hearing_period(spec: SimSpec) -> int:
+    """As `phase_period`, of what robots hear: every step where it is recorded."""
     if spec.acoustics is None:
         return 0
     return 1 if "acoustics" in spec.also else spec.acoustics.access.period
@@ -97,14 +97,14 @@ def _hears(spec: SimSpec) -> int:
 
 def observes_obstacles(policy: Policy | None) -> bool:
     """Whether a policy asks where obstacles are."""
-    return policy is not None and policy.knows is not None
+    return policy is not None and policy.information is not None
 
 
 def run_world_phases(
     spec: SimSpec,
     policy: Policy | None,
     world: World,
-    minds: WorldMemory,
+    memory: WorldMemory,
     number: jax.Array,
     vehicles: VehicleState,
     obstacles: ObstacleState | None = None,
@@ -119,7 +119,7 @@ def run_world_phases(
         spec: settings.
         policy: that commands the robots, if one does.
         world: constants.
-        minds: memories.
+        memory: memories.
         number: int32 [] control steps taken.
         vehicles: now, [R] leading.
         obstacles: now, [n] leading, where a policy asks (`observes_obstacles`).
@@ -127,7 +127,7 @@ def run_world_phases(
         fleet: whose robots may carry loads; if left out they do not.
         every: ``number`` is a multiple of it.
     """
-    here = WorldContext(
+    context = WorldContext(
         spec=spec,
         policy=policy,
         world=world,
@@ -138,25 +138,25 @@ def run_world_phases(
         fleet=fleet,
         every=every,
     )
-    now, record = run(here, PHASES, vars(minds))
-    after = WorldMemory(**{name: now[name] for name in vars(minds)})
-    told = WorldPhaseOutput(
-        known=now.get("known"),
+    now, record = run_phases(context, PHASES, vars(memory))
+    after = WorldMemory(**{name: now[name] for name in vars(memory)})
+    output = WorldPhaseOutput(
+        estimate=now.get("estimate"),
         command=now.get("command"),
         finished=now.get("finished"),
-        loaded=now.get("loaded") if fleet is not None and fleet.carries else None,
+        loaded=now.get("loaded") if fleet is not None and fleet.can_carry else None,
         approaching=now.get("approaching"),
         last_approach_s=now.get("last_approach_s"),
         record=record,
     )
-    return after, told
+    return after, output
 
 
 def run_tile_phases(
     spec: SimSpec,
     policy: Policy | None,
     worlds: World,
-    minds: WorldMemory,
+    memory: WorldMemory,
     number: jax.Array,
     vehicles: VehicleState,
     obstacles: ObstacleState | None = None,
@@ -166,9 +166,9 @@ def run_tile_phases(
     every: int = 1,
 ) -> tuple[WorldMemory, WorldPhaseOutput]:
     """As `run_world_phases` for worlds [W], all at step ``number`` [], or each at its own, [W]."""
-    one = partial(run_world_phases, spec, policy, fleet=fleet, every=every)
+    run_world = partial(run_world_phases, spec, policy, fleet=fleet, every=every)
     axes = (0, 0, 0 if number.ndim else None, 0, 0, 0)
-    after: tuple[WorldMemory, WorldPhaseOutput] = jax.vmap(one, axes)(
-        worlds, minds, number, vehicles, obstacles, outcome
+    after: tuple[WorldMemory, WorldPhaseOutput] = jax.vmap(run_world, axes)(
+        worlds, memory, number, vehicles, obstacles, outcome
     )
     return after

@@ -16,18 +16,18 @@ from angler_mjx.robot.control import navigation
 from angler_mjx.robot.control.commands import Estimate
 from angler_mjx.robot.control.navigation import NavigationParams
 from angler_mjx.robot.sensing import suite
-from angler_mjx.robot.sensing.params import SensorParams, louder
+from angler_mjx.robot.sensing.params import SensorParams, scale_noise
 from angler_mjx.robot.sensing.readings import Truth
 from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.record import Belief
-from angler_mjx.sim.state import InstrumentedRobots, Senses, SimSpec, World
+from angler_mjx.sim.state import InstrumentedRobots, SensingMemory, SimSpec, World
 from angler_mjx.world.grid import height_above_bottom
 
-OF_FILTER = 2**32 - 1
+FILTER_STEP = 2**32 - 1
 """What a robot's key is folded with for the beginning of its filter; no step has this number."""
 
 
-def reset(spec: SimSpec, world: World, vehicles: VehicleState) -> tuple[Senses | None, ...]:
+def reset(spec: SimSpec, world: World, vehicles: VehicleState) -> tuple[SensingMemory | None, ...]:
     """Switch the instruments of one world's robots on.
 
     Args:
@@ -37,9 +37,13 @@ def reset(spec: SimSpec, world: World, vehicles: VehicleState) -> tuple[Senses |
     """
     if not spec.instrumented:
         return ()
-    truth, keys, loud = _truth(world, vehicles), world.sensing_key, _loudness(world)
+    truth, keys, noise_factor = (
+        _measured_truth(world, vehicles),
+        world.sensing_key,
+        _noise_factor(world),
+    )
     return tuple(
-        jax.vmap(_switched_on)(robots.params, *_of(robots, (keys, loud, truth)))
+        jax.vmap(_switch_on)(robots.params, *_select_robots(robots, (keys, noise_factor, truth)))
         if robots.source == "ekf"
         else None
         for robots in spec.instrumented
@@ -49,11 +53,11 @@ def reset(spec: SimSpec, world: World, vehicles: VehicleState) -> tuple[Senses |
 def step(
     spec: SimSpec,
     world: World,
-    memory: tuple[Senses | None, ...],
+    memory: tuple[SensingMemory | None, ...],
     number: jax.Array,
     vehicles: VehicleState,
     flow: jax.Array | None,
-) -> tuple[tuple[Senses | None, ...], Belief]:
+) -> tuple[tuple[SensingMemory | None, ...], Belief]:
     """One control step of one world.
 
     Args:
@@ -67,21 +71,27 @@ def step(
     Returns:
         The memory, and what the controllers are to be told.
     """
-    truth, after = _truth(world, vehicles), []
-    belief = truth_told(vehicles, flow)
+    truth, after = _measured_truth(world, vehicles), []
+    belief = truth_belief(vehicles, flow)
     for robots, senses in zip(spec.instrumented, memory, strict=True):
-        key, loud, seen, there = _of(robots, (world.sensing_key, _loudness(world), truth, flow))
+        key, noise_factor, seen, robot_flow = _select_robots(
+            robots, (world.sensing_key, _noise_factor(world), truth, flow)
+        )
         if senses is None:
-            known = jax.vmap(partial(_noisy, number=number))(robots.params, key, loud, seen, there)
+            estimate = jax.vmap(partial(_add_noise, number=number))(
+                robots.params, key, noise_factor, seen, robot_flow
+            )
         else:
-            navigated = jax.vmap(partial(_navigated, number=number))
-            senses, known = navigated(robots.params, key, loud, senses, seen, there)
+            run_filter = jax.vmap(partial(_run_filter, number=number))
+            senses, estimate = run_filter(
+                robots.params, key, noise_factor, senses, seen, robot_flow
+            )
         after.append(senses)
-        belief = _with(robots, belief, known)
+        belief = _replace_robots(robots, belief, estimate)
     return tuple(after), belief
 
 
-def truth_told(vehicles: VehicleState, flow: jax.Array | None) -> Belief:
+def truth_belief(vehicles: VehicleState, flow: jax.Array | None) -> Belief:
     """The truth in the form of what robots are told.
 
     Args:
@@ -100,7 +110,7 @@ def truth_told(vehicles: VehicleState, flow: jax.Array | None) -> Belief:
     )
 
 
-def _truth(world: World, vehicles: VehicleState) -> Truth:
+def _measured_truth(world: World, vehicles: VehicleState) -> Truth:
     """What instruments are exposed to, [R] leading. Obstacles are no bottom."""
     environment = world.environment
     bottom = jax.vmap(height_above_bottom, (None, None, 0))
@@ -112,22 +122,22 @@ def _truth(world: World, vehicles: VehicleState) -> Truth:
     )
 
 
-def _loudness(world: World) -> jax.Array | None:
+def _noise_factor(world: World) -> jax.Array | None:
     """[R] times the noise that the files say; None for just that."""
     return None if world.factors is None else world.factors.sensor_noise
 
 
-def _heard(params: NavigationParams, loud: jax.Array | None) -> SensorParams:
+def _noisy_sensors(params: NavigationParams, noise_factor: jax.Array | None) -> SensorParams:
     """The instruments of one robot as noisy as they are; its filter believes ``params``."""
-    return params.sensors if loud is None else louder(params.sensors, loud)
+    return params.sensors if noise_factor is None else scale_noise(params.sensors, noise_factor)
 
 
-def _of(robots: InstrumentedRobots, tree: Any) -> Any:
+def _select_robots(robots: InstrumentedRobots, tree: Any) -> Any:
     """The rows of some robots of arrays [R, ...]."""
     return jax.tree.map(lambda leaf: leaf[robots.first : robots.first + robots.count], tree)
 
 
-def _with(robots: InstrumentedRobots, whole: Belief, part: Belief) -> Belief:
+def _replace_robots(robots: InstrumentedRobots, whole: Belief, part: Belief) -> Belief:
     """A belief [R] with that of some robots put in its place."""
     if robots.count == whole.p.shape[0]:
         return part
@@ -136,35 +146,35 @@ def _with(robots: InstrumentedRobots, whole: Belief, part: Belief) -> Belief:
     return put
 
 
-def _switched_on(
-    params: NavigationParams, key: jax.Array, loud: jax.Array | None, truth: Truth
-) -> Senses:
+def _switch_on(
+    params: NavigationParams, key: jax.Array, noise_factor: jax.Array | None, truth: Truth
+) -> SensingMemory:
     """Instruments and filter of one robot, which begins off the truth by as much as it says."""
     wrapped = jax.random.wrap_key_data(key)
     estimate = Estimate(p=truth.p, q=truth.q, nu=truth.nu)
-    return Senses(
-        instruments=suite.reset(_heard(params, loud), wrapped, truth),
-        filter=navigation.reset(params, estimate, jax.random.fold_in(wrapped, OF_FILTER)),
+    return SensingMemory(
+        instruments=suite.reset(_noisy_sensors(params, noise_factor), wrapped, truth),
+        filter=navigation.reset(params, estimate, jax.random.fold_in(wrapped, FILTER_STEP)),
     )
 
 
-def _navigated(
+def _run_filter(
     params: NavigationParams,
     key: jax.Array,
-    loud: jax.Array | None,
-    senses: Senses,
+    noise_factor: jax.Array | None,
+    senses: SensingMemory,
     truth: Truth,
     flow: jax.Array | None,
     *,
     number: jax.Array,
-) -> tuple[Senses, Belief]:
+) -> tuple[SensingMemory, Belief]:
     """Instruments and filter of one robot. No instrument shows the current: still water."""
     wrapped = jax.random.wrap_key_data(key)
-    heard = _heard(params, loud)
-    instruments, reading = suite.step(heard, senses.instruments, wrapped, number, truth)
+    sensors = _noisy_sensors(params, noise_factor)
+    instruments, reading = suite.step(sensors, senses.instruments, wrapped, number, truth)
     carry, out = navigation.step(params, senses.filter, reading)
     estimate = out.estimate
-    return Senses(instruments=instruments, filter=carry), Belief(
+    return SensingMemory(instruments=instruments, filter=carry), Belief(
         p=estimate.p,
         q=estimate.q,
         nu=estimate.nu,
@@ -175,10 +185,10 @@ def _navigated(
     )
 
 
-def _noisy(
+def _add_noise(
     params: NavigationParams,
     key: jax.Array,
-    loud: jax.Array | None,
+    noise_factor: jax.Array | None,
     truth: Truth,
     flow: jax.Array | None,
     *,
@@ -186,16 +196,16 @@ def _noisy(
 ) -> Belief:
     """The true state of one robot with white noise."""
     wrapped, noise = jax.random.wrap_key_data(key), params.sensors.truth
-    heard = _heard(params, loud)
-    told = suite.disturb(heard, wrapped, number, truth)
+    sensors = _noisy_sensors(params, noise_factor)
+    measured = suite.disturb_truth(sensors, wrapped, number, truth)
     if flow is not None:
-        flow = suite.disturb_current(heard, wrapped, number, flow)
+        flow = suite.disturb_current(sensors, wrapped, number, flow)
     stds = (noise.position_std_m, noise.velocity_std_mps, noise.attitude_std_rad)
     position, velocity, attitude = (jnp.broadcast_to(std, (3,)) for std in stds)
     return Belief(
-        p=told.p,
-        q=told.q,
-        nu=told.nu,
+        p=measured.p,
+        q=measured.q,
+        nu=measured.nu,
         flow=flow,
         position_std_m=position,
         velocity_std_mps=velocity,

@@ -18,7 +18,7 @@ class Column(NamedTuple):
 
 _F, _I, _B, _S = pa.float64(), pa.int32(), pa.bool_(), pa.string()
 
-MEASURED: tuple[Column, ...] = (
+MEASURE_COLUMNS: tuple[Column, ...] = (
     Column("planning_s", _F, "s", "wall time inside plan(); compiling apart", "time"),
     Column("warm_up_s", _F, "s", "compiling before it, where this run was a process's first", ""),
     Column("first_s", _F, "s", "to the first plan", ""),
@@ -65,7 +65,7 @@ MEASURED: tuple[Column, ...] = (
 )
 """What is measured of a run; ``stored`` is "" where the database has the same name."""
 
-ASKED: tuple[Column, ...] = (
+KEY_COLUMNS: tuple[Column, ...] = (
     Column("run", pa.int64(), "1", "number of the run in the database; null if not asked", None),
     Column("planner", _S, "", "label of the planner", None),
     Column("planner_name", _S, "", "name of the planner", None),
@@ -90,15 +90,17 @@ ASKED: tuple[Column, ...] = (
 RUN_SCHEMA = pa.schema(
     [
         pa.field(one.name, one.kind, metadata={"unit": one.unit, "description": one.text})
-        for one in (*ASKED, *MEASURED)
+        for one in (*KEY_COLUMNS, *MEASURE_COLUMNS)
     ]
 )
 """Columns of ``runs.parquet``."""
 
-NUMBERS = tuple((one, one.stored or one.name) for one in MEASURED if one.stored is not None)
+NUMBER_COLUMNS = tuple(
+    (one, one.stored or one.name) for one in MEASURE_COLUMNS if one.stored is not None
+)
 """Columns that the database's table of runs holds, and what they are called there."""
 
-WORDS = ("plan_reason", "failure", "failure_pair")
+TEXT_COLUMNS = ("plan_reason", "failure", "failure_pair")
 """Columns that its table of words holds."""
 
 CLOSED, NO_ROOM = "closed", "no room"

@@ -5,12 +5,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from angler_mjx.errors import ConfigError, shown
-from angler_mjx.files import parse
+from angler_mjx.errors import ConfigError, format_value
+from angler_mjx.files import parse_model
 from angler_mjx.planning import register
 from angler_mjx.planning.register import PlannerSpec
 from angler_mjx.runs.simulator import scenario_policy
-from angler_mjx.scenario.editing import merged
+from angler_mjx.scenario.editing import merge_tables
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.scenario.tables import PlannerConfig
 from angler_mjx.sim.information import Information
@@ -24,7 +24,7 @@ class ComparedPlanner:
     label: str
     spec: PlannerSpec | None
     """That plans before the start; None of a policy, which flies without plans."""
-    knows: Information | None
+    information: Information | None
     """What it is told; that of the problems if None."""
     joints: bool
     """Whether its paths are trajectories of joints."""
@@ -81,7 +81,7 @@ class ComparedPlanner:
 
     def spec_of(self, scenario: Scenario) -> PlannerSpec:
         """What a worker makes its planner of, for the problems of a scenario."""
-        return replace(self.planner, most_points=scenario.planner.points)
+        return replace(self.planner, max_points=scenario.planner.points)
 
 
 def build_compared_planner(entry: PlannerEntry) -> ComparedPlanner:
@@ -91,12 +91,12 @@ def build_compared_planner(entry: PlannerEntry) -> ComparedPlanner:
         ConfigError: there is no such planner, or it has no such settings.
         UnsupportedError: its libraries are not installed.
     """
-    knows = None if entry.knows is None else entry.knows.knows()
+    information = None if entry.information is None else entry.information.to_information()
     if entry.policy is not None:
         return ComparedPlanner(
             label=entry.title,
             spec=None,
-            knows=knows,
+            information=information,
             joints=False,
             on_device=False,
             policy=entry.policy,
@@ -105,12 +105,12 @@ def build_compared_planner(entry: PlannerEntry) -> ComparedPlanner:
             teams=entry.teams,
         )
     table = {entry.name.rpartition(":")[2]: entry.settings} if entry.settings else {}
-    spec = PlannerConfig(name=entry.name, settings=table).chosen()
+    spec = PlannerConfig(name=entry.name, settings=table).planner_spec()
     return ComparedPlanner(
         label=entry.title,
         spec=spec,
-        knows=knows,
-        joints=register.gives_joints(spec),
+        information=information,
+        joints=register.plans_joints(spec),
         on_device=spec.reference.on_device
         or callable(getattr(spec.reference.load(), "plan_batch", None)),
         online=entry.online,
@@ -119,42 +119,48 @@ def build_compared_planner(entry: PlannerEntry) -> ComparedPlanner:
     )
 
 
-def flown(scenario: Scenario, knows: Information, one: ComparedPlanner, about: str) -> Scenario:
+def build_flown_scenario(
+    scenario: Scenario, information: Information, planner: ComparedPlanner, about: str
+) -> Scenario:
     """The scenario by which the robots of a contestant fly.
 
     Args:
         scenario: of the problems.
-        knows: what may be known of them.
-        one: whose flight.
+        information: what may be known of them.
+        planner: whose flight.
         about: the file and the problems, for messages.
 
     Raises:
         ConfigError: it cannot be flown so: what the scenario's own tables refuse is refused here.
     """
-    if not one.flies_itself:
+    if not planner.flies_itself:
         return scenario
-    told = {"obstacles": knows.obstacles, "current": knows.current}
+    information_table = {"obstacles": information.obstacles, "current": information.current}
     table = scenario.model_dump(mode="json", exclude_unset=True)
     table["fleet"] = [entry.model_dump(mode="json", exclude_unset=True) for entry in scenario.fleet]
-    if one.policy is None:
-        online = dict(one.online)
+    if planner.policy is None:
+        online = dict(planner.online)
         order = online.pop("order", None)
-        named = {"name": one.name, "knows": told, **online}
-        own = {one.name.rpartition(":")[2]: one.settings} if one.settings else {}
-        table = merged(table, {"planner": {**named, "settings": own}})
-        table = merged(table, {"execution": {"order": order}} if order else {})
+        named = {"name": planner.name, "information": information_table, **online}
+        settings = {planner.name.rpartition(":")[2]: planner.settings} if planner.settings else {}
+        table = merge_tables(table, {"planner": {**named, "settings": settings}})
+        table = merge_tables(table, {"execution": {"order": order}} if order else {})
     else:
-        own = {one.policy: one.settings} if one.settings else {}
-        table = merged(table, {"policy": {"name": one.policy, "knows": told, **own}})
-    source = f"{about}, planner {shown(one.label)}"
-    made = parse(Scenario, table, source=source)
+        settings = {planner.policy: planner.settings} if planner.settings else {}
+        table = merge_tables(
+            table,
+            {"policy": {"name": planner.policy, "information": information_table, **settings}},
+        )
+    source = f"{about}, planner {format_value(planner.label)}"
+    flown_scenario = parse_model(Scenario, table, source=source)
     try:
-        scenario_policy.policy_of(made, None)
+        scenario_policy.resolve_policy(flown_scenario, None)
     except ConfigError as error:
         raise ConfigError(f"{source}: {error}") from error
-    if one.joints and made.planner.replan_hz:
+    if planner.joints and flown_scenario.planner.replan_hz:
         raise ConfigError(
-            f"{source}: planner.replan_hz = {made.planner.replan_hz:g}: planner {one.name} gives "
+            f"{source}: planner.replan_hz = {flown_scenario.planner.replan_hz:g}: planner "
+            f"{planner.name} gives "
             "trajectories of joints, and plans are made anew as way-points; leave out replan_hz"
         )
-    return made
+    return flown_scenario

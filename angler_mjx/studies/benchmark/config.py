@@ -1,12 +1,13 @@
 """What a benchmark file says: planners, and the scenes whose problems all of them are asked."""
 
-from typing import Annotated, Any, Literal, Self, get_args
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 
 from pydantic import Field, field_validator, model_validator
 
-from angler_mjx.errors import shown
+from angler_mjx.errors import format_value
 from angler_mjx.files import FileModel
-from angler_mjx.planning.planner import MOST_POINTS
+from angler_mjx.planning.planner import MAX_POINTS
 from angler_mjx.quantities import SchemaVersion
 from angler_mjx.scenario.editing import Changes
 from angler_mjx.scenario.policy_tables import PolicyConfig
@@ -23,6 +24,8 @@ POLICIES = get_args(PolicyConfig.model_fields["name"].annotation)
 class PlannerEntry(FileModel):
     """One of those that are compared: a planner, flown as it planned or online, or a policy."""
 
+    renamed_keys: ClassVar[Mapping[str, str]] = {"knows": "information"}
+
     name: PlannerName = ""
     """One that `angler plan --list` names, or FILE.py:CLASS, from the folder of this file."""
     policy: str | None = None
@@ -32,7 +35,7 @@ class PlannerEntry(FileModel):
     """What tables and figures call it; its name, or its class, and how it is flown if left out."""
     settings: dict[str, Any] = Field(default_factory=dict)
     """Its own, as in the scenario's table [planner.NAME], or [policy.NAME]."""
-    knows: InformationConfig | None = None
+    information: InformationConfig | None = None
     """What it is told, whatever others are told: for planners that can make no use of more."""
     replan_hz: float = 0.0
     """As in the scenario's table [planner]: plans are made anew so often in flight."""
@@ -46,14 +49,15 @@ class PlannerEntry(FileModel):
     """Sizes of teams that it is asked; all if left out."""
 
     @model_validator(mode="after")
-    def _is_one(self) -> Self:
+    def _require_planner_or_policy(self) -> Self:
         if not self.name and self.policy is None:
             raise ValueError(
                 'name is missing: give a planner, or a policy, such as policy = "mppi"'
             )
         if self.name in POLICIES:
             raise ValueError(
-                f"name = {shown(self.name)}: is a policy; give policy = {shown(self.name)} instead"
+                f"name = {format_value(self.name)}: is a policy; give policy = "
+                f"{format_value(self.name)} instead"
             )
         if self.policy == "none":
             raise ValueError("policy = 'none': nobody flies by it; give the name of a planner")
@@ -61,30 +65,31 @@ class PlannerEntry(FileModel):
             for key in ("name", "replan_hz", "delay_s", "order"):
                 if getattr(self, key):
                     raise ValueError(
-                        f"{key} = {shown(getattr(self, key))}: policy = {shown(self.policy)} flies "
+                        f"{key} = {format_value(getattr(self, key))}: policy = "
+                        f"{format_value(self.policy)} flies "
                         f"without plans; leave out {key}, or policy"
                     )
         return self
 
     @field_validator("presets")
     @classmethod
-    def _exist(cls, names: tuple[str, ...]) -> tuple[str, ...]:
-        return _presets(names)
+    def _require_presets(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        return _check_presets(names)
 
     @property
     def online(self) -> dict[str, Any]:
         """How its plans are looked after while they are flown; empty if they are not."""
-        given = {key: getattr(self, key) for key in ("replan_hz", "delay_s", "order")}
-        return {key: value for key, value in given.items() if value}
+        options = {key: getattr(self, key) for key in ("replan_hz", "delay_s", "order")}
+        return {key: value for key, value in options.items() if value}
 
     @property
     def title(self) -> str:
         """Its label."""
         if self.label:
             return self.label
-        called = self.policy or self.name.rpartition(":")[2]
+        name = self.policy or self.name.rpartition(":")[2]
         parts = [
-            called,
+            name,
             f"{self.replan_hz:g} Hz" if self.replan_hz else "",
             f"{self.delay_s:g} s late" if self.delay_s else "",
             "order kept" if self.order == "kept" else "",
@@ -106,6 +111,8 @@ class BenchmarkConfig(FileModel):
     The problems are those of each scene in each preset, for each size of team, each seed, and each
     thing that may be known.
     """
+
+    renamed_keys: ClassVar[Mapping[str, str]] = {"knows": "information"}
 
     schema_version: SchemaVersion = 1
     """Of this form of files."""
@@ -129,11 +136,11 @@ class BenchmarkConfig(FileModel):
     """Of the worlds; the scenario's if left out."""
     problems: int = Field(default=30, ge=1, le=100_000)
     """Worlds of each scene, team and seed."""
-    knows: tuple[InformationConfig, ...] = ()
+    information: tuple[InformationConfig, ...] = ()
     """What the planners may know; the scenario's if left out."""
     deadline_s: float = Field(default=5.0, gt=0.0, le=86400.0)
     """Wall-clock time for each problem."""
-    points: int | None = Field(default=None, ge=2, le=MOST_POINTS)
+    points: int | None = Field(default=None, ge=2, le=MAX_POINTS)
     """Most way-points of a path; the scenario's if left out."""
     close_after: int = Field(default=0, ge=0)
     """A planner whose first so many problems of a scene, team and seed all ended without any plan
@@ -144,28 +151,30 @@ class BenchmarkConfig(FileModel):
 
     @field_validator("presets")
     @classmethod
-    def _exist(cls, names: tuple[str, ...]) -> tuple[str, ...]:
-        return _presets(names)
+    def _require_presets(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        return _check_presets(names)
 
     @model_validator(mode="after")
-    def _told_apart(self) -> Self:
-        _once("planner.label", [one.title for one in self.planner])
-        _once("scene.name", [one.name for one in self.scene])
-        _once("presets", self.presets)
-        _once("teams", self.teams)
-        _once("seeds", self.seeds)
-        _once("knows", [str(one) for one in self.knows])
+    def _require_unique_names(self) -> Self:
+        _require_unique("planner.label", [entry.title for entry in self.planner])
+        _require_unique("scene.name", [entry.name for entry in self.scene])
+        _require_unique("presets", self.presets)
+        _require_unique("teams", self.teams)
+        _require_unique("seeds", self.seeds)
+        _require_unique("information", [str(entry) for entry in self.information])
         return self
 
 
-def _presets(names: tuple[str, ...]) -> tuple[str, ...]:
+def _check_presets(names: tuple[str, ...]) -> tuple[str, ...]:
     """Names that are of presets."""
     for name in names:
-        presets.load(name)
+        presets.load_preset(name)
     return names
 
 
-def _once(key: str, values: Any) -> None:
-    twice = [value for i, value in enumerate(values) if value in list(values)[:i]]
-    if twice:
-        raise ValueError(f"{key}: {shown(twice[0])} is there twice; names tell them apart")
+def _require_unique(key: str, values: Any) -> None:
+    duplicates = [value for i, value in enumerate(values) if value in list(values)[:i]]
+    if duplicates:
+        raise ValueError(
+            f"{key}: {format_value(duplicates[0])} is there twice; names tell them apart"
+        )

@@ -13,16 +13,16 @@ from angler_mjx.planning.planner import NoPlan
 from angler_mjx.robot.control.plans import Plan
 from angler_mjx.runs import device_batches
 from angler_mjx.runs.progress import SilentProgress
-from angler_mjx.runs.simulator import hosted
+from angler_mjx.runs.simulator import host_planning
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.runs.storage import device_to_host, results
-from angler_mjx.runs.storage.damage import reading
 from angler_mjx.runs.storage.device_to_host import FinishedTile
+from angler_mjx.runs.storage.read_errors import wrap_read_errors
 from angler_mjx.sim.state import World
-from angler_mjx.studies.benchmark import paths as bytes_of
+from angler_mjx.studies.benchmark import path_archive as bytes_of
 from angler_mjx.studies.benchmark import scenery
-from angler_mjx.studies.benchmark.measures import of_flight
-from angler_mjx.studies.benchmark.questions import Setting
+from angler_mjx.studies.benchmark.measures import measure_flight
+from angler_mjx.studies.benchmark.problem_settings import Setting
 from angler_mjx.studies.benchmark.store import BenchmarkStore
 
 TRACK_SAMPLES = 240
@@ -41,7 +41,7 @@ class BenchmarkFlight:
     """Paths of each robot by world; None where there is none. Empty where a policy flies."""
 
 
-def to_fly(
+def find_unflown_plans(
     experiment: int, planners: Sequence[int], store: BenchmarkStore
 ) -> list[BenchmarkFlight]:
     """Plans of a setting that were not flown yet.
@@ -49,7 +49,7 @@ def to_fly(
     Raises:
         ConfigError: the database is damaged.
     """
-    made = []
+    flights = []
     for planner in planners:
         rows = store.rows(
             "SELECT runs.id, world, paths FROM runs LEFT JOIN plans ON plans.runid = runs.id "
@@ -57,17 +57,19 @@ def to_fly(
             (experiment, planner),
         )
         if rows:
-            with reading(store.path):
+            with wrap_read_errors(store.path):
                 plans = {
-                    row["world"]: [] if row["paths"] is None else bytes_of.unpacked(row["paths"])
+                    row["world"]: []
+                    if row["paths"] is None
+                    else bytes_of.unpack_paths(row["paths"])
                     for row in rows
                 }
             runs = {row["world"]: row["id"] for row in rows}
-            made.append(BenchmarkFlight(planner=planner, runs=runs, plans=plans))
-    return made
+            flights.append(BenchmarkFlight(planner=planner, runs=runs, plans=plans))
+    return flights
 
 
-def fly(
+def fly_plans(
     setting: Setting,
     simulator: Simulator,
     flights: Sequence[BenchmarkFlight],
@@ -84,33 +86,33 @@ def fly(
         store: where to keep it.
     """
     tile = simulator.tile
-    orders = [
+    flight_tiles = [
         (flight, first)
         for flight in flights
         for first in range(0, setting.scenario.worlds, tile)
         if any(first <= world < first + tile for world in flight.plans)
     ]
-    landing = iter(orders)
-    waves_of = device_batches.simulate(
+    pending_tiles = iter(flight_tiles)
+    batches = device_batches.simulate_tiles(
         simulator,
-        [first for _, first in orders],
+        [first for _, first in flight_tiles],
         recorded=setting.scenario.time.record_hz > 0,
         progress=SilentProgress(),
-        plans=_Plans(orders),
+        plans=_TilePlans(flight_tiles),
         seed=setting.seed,
         strict=False,
     )
-    for wave in waves_of:
-        for finished in wave:
-            flight, _ = next(landing)
-            _keep(flight, finished, simulator, setting, examples, store)
+    for batch in batches:
+        for finished in batch:
+            flight, _ = next(pending_tiles)
+            _store_flights(flight, finished, simulator, setting, examples, store)
 
 
-class _Plans:
+class _TilePlans:
     """Plans for tiles of worlds: which planner's, and which worlds, as they come."""
 
-    def __init__(self, orders: Sequence[tuple[BenchmarkFlight, int]]) -> None:
-        self._coming = iter(orders)
+    def __init__(self, flight_tiles: Sequence[tuple[BenchmarkFlight, int]]) -> None:
+        self._coming = iter(flight_tiles)
 
     def of(self, firsts: list[int], worlds: World, simulator: Simulator) -> tuple[Plan, None]:
         """See `device_batches.StoredPlans`; worlds without a plan hold their starts."""
@@ -119,17 +121,17 @@ class _Plans:
             flight, first = next(self._coming)
             for world, paths in flight.plans.items():
                 if paths and first <= world < first + simulator.tile:
-                    answers[t * simulator.tile + world - first] = _answer(paths)
+                    answers[t * simulator.tile + world - first] = _build_answer(paths)
         held = jax.device_get(worlds.path)
-        return hosted.gather(answers, held)[0], None
+        return host_planning.gather_paths(answers, held)[0], None
 
 
-def _answer(paths: Sequence[Any]) -> Answer:
-    given = [NoPlan("no plan") if path is None else path for path in paths]
-    return Answer(paths=given, status="planned", reason="", planning_s=0.0)
+def _build_answer(paths: Sequence[Any]) -> Answer:
+    robot_paths = [NoPlan("no plan") if path is None else path for path in paths]
+    return Answer(paths=robot_paths, status="planned", reason="", planning_s=0.0)
 
 
-def _keep(
+def _store_flights(
     flight: BenchmarkFlight,
     tile: FinishedTile,
     simulator: Simulator,
@@ -138,31 +140,33 @@ def _keep(
     store: BenchmarkStore,
 ) -> None:
     table = results.episode_table(
-        device_to_host.tile_result(tile), simulator.labels(), setting.seed
+        device_to_host.build_tile_result(tile), simulator.labels(), setting.seed
     )
-    of_world = defaultdict(list)
+    rows_by_world = defaultdict(list)
     for row in table.to_pylist():
-        of_world[row["world"]].append(row)
+        rows_by_world[row["world"]].append(row)
     hz = setting.scenario.time.record_hz
-    runs = {world: run for world, run in flight.runs.items() if world in of_world}
+    runs = {world: run for world, run in flight.runs.items() if world in rows_by_world}
     store.add_flights(
         [
             (
                 run,
-                of_flight(of_world[world], all(path is not None for path in flight.plans[world])),
-                of_world[world],
+                measure_flight(
+                    rows_by_world[world], all(path is not None for path in flight.plans[world])
+                ),
+                rows_by_world[world],
             )
             for world, run in runs.items()
         ],
         {
-            run: scenery.packed(p_m=_track(tile, world - tile.first, hz))
+            run: scenery.pack_arrays(p_m=_sample_track(tile, world - tile.first, hz))
             for world, run in runs.items()
             if world < examples and tile.parts
         },
     )
 
 
-def _track(tile: FinishedTile, world: int, record_hz: float) -> np.ndarray:
+def _sample_track(tile: FinishedTile, world: int, record_hz: float) -> np.ndarray:
     """[T, R, 3] where the robots of a world were, until the last of them had ended, m, W."""
     end = float(np.max(np.asarray(tile.end.tally.end_time_s)[world]))
     p = np.concatenate([np.asarray(part.p)[world] for part in tile.parts])

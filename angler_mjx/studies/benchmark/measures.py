@@ -7,16 +7,16 @@ import numpy as np
 
 from angler_mjx.planning.answers import Answer
 from angler_mjx.planning.planner import NoPlan, Path
-from angler_mjx.robot.control.plans import course
+from angler_mjx.robot.control.plans import trace_path
 from angler_mjx.runs.storage import results
 
 type Row = dict[str, Any]
 
-SHORTEST_M = 1e-3
+MIN_LEG_M = 1e-3
 """A leg between points that are nearer turns nobody."""
 
 
-def of_answer(answer: Answer) -> Row:
+def measure_answer(answer: Answer) -> Row:
     """Columns of a plan, by the names of `angler_mjx.studies.benchmark.columns`."""
     paths = [path for path in answer.paths if not isinstance(path, NoPlan)]
     whole = len(paths) == len(answer.paths)
@@ -29,17 +29,17 @@ def of_answer(answer: Answer) -> Row:
         "planned": whole,
         "robots_planned": len(paths),
     }
-    return {**row, **(of_paths(paths) if whole else {})}
+    return {**row, **(measure_paths(paths) if whole else {})}
 
 
-def of_paths(paths: Sequence[Path]) -> Row:
+def measure_paths(paths: Sequence[Path]) -> Row:
     """Length, times and turning of the paths of a whole team."""
     ends = [float(path.time_s[-1]) for path in paths]
     return {
-        "plan_length_m": float(sum(length_m(course(path)[1]) for path in paths)),
+        "plan_length_m": float(sum(length_m(trace_path(path)[1]) for path in paths)),
         "plan_makespan_s": max(ends),
         "plan_flowtime_s": float(sum(ends)),
-        "plan_turn_rad": float(np.mean([turn_rad(course(path)[1]) for path in paths])),
+        "plan_turn_rad": float(np.mean([turn_rad(trace_path(path)[1]) for path in paths])),
     }
 
 
@@ -51,19 +51,20 @@ def length_m(points: np.ndarray) -> float:
 def turn_rad(points: np.ndarray) -> float:
     """Sum of the angles by which lines between points [n, 3] turn, rad."""
     legs = np.diff(points.astype(float), axis=0)
-    way = np.linalg.norm(legs, axis=1)
-    unit = legs[way > SHORTEST_M] / way[way > SHORTEST_M][:, None]
+    lengths = np.linalg.norm(legs, axis=1)
+    unit = legs[lengths > MIN_LEG_M] / lengths[lengths > MIN_LEG_M][:, None]
     # The half angle's tangent is exact for small angles, where the cosine is not.
     apart = np.linalg.norm(unit[1:] - unit[:-1], axis=1)
     along = np.linalg.norm(unit[1:] + unit[:-1], axis=1)
     return float((2.0 * np.arctan2(apart, along)).sum())
 
 
-def of_flight(robots: Sequence[Mapping[str, Any]], whole: bool) -> Row:
+def measure_flight(robots: Sequence[Mapping[str, Any]], whole: bool) -> Row:
     """Columns of a flight.
 
     Args:
-        robots: rows of `angler_mjx.runs.storage.columns.EPISODE_SCHEMA`, of all robots of a world.
+        robots: rows of `angler_mjx.runs.storage.episode_columns.EPISODE_SCHEMA`, of all robots of a
+            world.
         whole: whether each of them had a path, or needed none.
     """
     reached = [robot for robot in robots if robot["outcome"] == "reached"]
@@ -76,13 +77,13 @@ def of_flight(robots: Sequence[Mapping[str, Any]], whole: bool) -> Row:
         "flown_length_m": float(sum(robot["path_length_m"] for robot in robots)),
         "energy_j": float(sum(robot["energy_j"] for robot in robots)),
         "min_clearance_m": float(min(robot["min_clearance_m"] for robot in robots)),
-        "min_separation_m": _least([robot["min_separation_m"] for robot in robots]),
-        "failed_replans": _sum([robot.get("failed_replans") for robot in robots]),
+        "min_separation_m": _min_or_none([robot["min_separation_m"] for robot in robots]),
+        "failed_replans": _sum_or_none([robot.get("failed_replans") for robot in robots]),
     }
     if success:
         ends = [float(robot["time_to_goal_s"]) for robot in robots]
         row |= {"makespan_s": max(ends), "flowtime_s": float(sum(ends))}
-        row["late_s"] = _most([robot["late_s"] for robot in robots])
+        row["late_s"] = _max_or_none([robot["late_s"] for robot in robots])
     failed = [robot for robot in robots if robot["outcome"] != "reached"]
     if failed:
         first = min(failed, key=results.end_time_s)
@@ -98,16 +99,16 @@ def of_flight(robots: Sequence[Mapping[str, Any]], whole: bool) -> Row:
     return row
 
 
-def _least(values: Sequence[float | None]) -> float | None:
-    known = [value for value in values if value is not None]
-    return float(min(known)) if known else None
+def _min_or_none(values: Sequence[float | None]) -> float | None:
+    present = [value for value in values if value is not None]
+    return float(min(present)) if present else None
 
 
-def _most(values: Sequence[float | None]) -> float | None:
-    known = [value for value in values if value is not None]
-    return float(max(known)) if known else None
+def _max_or_none(values: Sequence[float | None]) -> float | None:
+    present = [value for value in values if value is not None]
+    return float(max(present)) if present else None
 
 
-def _sum(values: Sequence[int | None]) -> int | None:
-    known = [value for value in values if value is not None]
-    return sum(known) if known else None
+def _sum_or_none(values: Sequence[int | None]) -> int | None:
+    present = [value for value in values if value is not None]
+    return sum(present) if present else None

@@ -19,13 +19,13 @@ from angler_mjx.planning.host.pool import Pool
 from angler_mjx.planning.planner import PathShape
 from angler_mjx.runs.provenance import describe_environment
 from angler_mjx.runs.simulator.simulator import Simulator
-from angler_mjx.runs.storage import output_lock, planned
+from angler_mjx.runs.storage import output_lock, planning_summary
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.information import Information
-from angler_mjx.studies.benchmark import flying, folder, planning, questions, scenery, tables
+from angler_mjx.studies.benchmark import flying, folder, planning, problem_settings, scenery, tables
 from angler_mjx.studies.benchmark.columns import POLICY
 from angler_mjx.studies.benchmark.compared_planners import ComparedPlanner
-from angler_mjx.studies.benchmark.questions import Benchmark, Setting
+from angler_mjx.studies.benchmark.problem_settings import Benchmark, Setting
 from angler_mjx.studies.benchmark.report import page
 from angler_mjx.studies.benchmark.store import FILE, STATUS, BenchmarkStore
 
@@ -50,51 +50,61 @@ class _Simulators:
     scenario: Scenario | None = None
     made: dict[tuple[bool, str, Information | None], Simulator] = field(default_factory=dict)
 
-    def of(self, setting: Setting, joints: bool, one: ComparedPlanner | None = None) -> Simulator:
+    def of(
+        self, setting: Setting, joints: bool, planner: ComparedPlanner | None = None
+    ) -> Simulator:
         """For paths of joints or not, flown as they are, or as a contestant flies."""
         if self.scenario is not setting.scenario:
             self.scenario, self.made = setting.scenario, {}
             # Programs of hundreds of settings are more than a process may map into its memory.
             gc.collect()
             jax.clear_caches()
-        own = None if one is None or not one.flies_itself else one
-        key = (joints, "" if own is None else own.label, None if own is None else setting.knows)
+        online_planner = None if planner is None or not planner.flies_itself else planner
+        key = (
+            joints,
+            "" if online_planner is None else online_planner.label,
+            None if online_planner is None else setting.information,
+        )
         if key not in self.made:
             shape = PathShape(points=setting.scenario.planner.points, joints=joints)
-            flown = setting.scenario if own is None else setting.flown(own)
-            simulator = Simulator(flown, paths=shape)
+            scenario = setting.scenario if online_planner is None else setting.flown(online_planner)
+            simulator = Simulator(scenario, paths=shape)
             simulator.compile()
             self.made[key] = simulator
         return self.made[key]
 
 
-def read(source: Path, **instead: Any) -> Benchmark:
+def read_benchmark(source: Path, **overrides: Any) -> Benchmark:
     """A benchmark from its file, or from the results folder of one that is to be made again.
 
     Args:
         source: the file or the folder.
-        **instead: top-level keys that replace those of the file.
+        **overrides: top-level keys that replace those of the file.
 
     Raises:
         ConfigError: naming the faults; or keys are given with a folder.
         UnsupportedError: the libraries of a planner are not installed.
     """
-    if source.is_dir() and instead:
+    if source.is_dir() and overrides:
         raise ConfigError(
-            f"{source}: is made again as it was; leave out {', '.join(instead)}, or give the "
+            f"{source}: is made again as it was; leave out {', '.join(overrides)}, or give the "
             "benchmark file"
         )
-    return folder.read(source) if source.is_dir() else questions.read(source, **instead)
+    return (
+        folder.read_folder(source)
+        if source.is_dir()
+        else problem_settings.read_benchmark(source, **overrides)
+    )
 
 
-def run(
+def run_benchmark(
     benchmark: Benchmark,
     source: Path,
     out: Path,
     *,
     workers: Callable[[], Pool],
     resume: bool = False,
-    told: BenchmarkProgress,
+    progress: BenchmarkProgress,
 ) -> None:
     """Make the results folder of a benchmark.
 
@@ -104,7 +114,7 @@ def run(
         out: results folder.
         workers: makes the pool in which planners of the host plan.
         resume: go on with one that was interrupted.
-        told: what to tell meanwhile.
+        progress: what to tell meanwhile.
 
     Raises:
         ConfigError: the folder is taken, or there is nothing to go on with.
@@ -112,48 +122,57 @@ def run(
         KeyboardInterrupt: interrupted; what was finished is kept.
     """
     with workers() as pool:  # before anything is made: a cluster may not answer
-        _run(benchmark, source, out, pool, resume, told)
+        _run_in_folder(benchmark, source, out, pool, resume, progress)
 
 
-def _run(
-    benchmark: Benchmark, source: Path, out: Path, pool: Pool, resume: bool, told: BenchmarkProgress
+def _run_in_folder(
+    benchmark: Benchmark,
+    source: Path,
+    out: Path,
+    pool: Pool,
+    resume: bool,
+    progress: BenchmarkProgress,
 ) -> None:
-    claimed = folder.reopen(benchmark, out) if resume else folder.begin(benchmark, source, out)
-    building = claimed.building
+    lock = (
+        folder.reopen_folder(benchmark, out)
+        if resume
+        else folder.create_folder(benchmark, source, out)
+    )
+    building = lock.building
     try:
         with BenchmarkStore(building / FILE) as store:
-            _all(benchmark, store, pool, told)
-            told.at("tables and page")
-            _results(benchmark, building, store, complete=True)
-        claimed.publish()
+            _run_settings(benchmark, store, pool, progress)
+            progress.at("tables and page")
+            _write_results(benchmark, building, store, complete=True)
+        lock.publish()
     except OSError as error:
-        claimed.release()
+        lock.release()
         raise RunError(
             f"{out}: cannot be written ({error.strerror or error}); make room and go on with "
             "--resume"
         ) from error
     except BaseException:
-        claimed.release()
+        lock.release()
         raise
 
 
-def report(place: Path) -> Path:
+def rebuild_report(results_folder: Path) -> Path:
     """Make tables, figures and page of a results folder anew; returns the page.
 
     Raises:
         ConfigError: it is none.
     """
-    benchmark = folder.read(place)
-    complete = not place.name.startswith(output_lock.PREFIX)
-    with BenchmarkStore(place / FILE) as store:
-        _results(benchmark, place, store, complete=complete)
-    return place / "report.html"
+    benchmark = folder.read_folder(results_folder)
+    complete = not results_folder.name.startswith(output_lock.PREFIX)
+    with BenchmarkStore(results_folder / FILE) as store:
+        _write_results(benchmark, results_folder, store, complete=complete)
+    return results_folder / "report.html"
 
 
-def summary(place: Path) -> str:
+def format_summary(results_folder: Path) -> str:
     """Return how the planners of a results folder did: a line each, and why teams have no plan."""
-    with BenchmarkStore(place / FILE, only_read=True) as store:
-        planning = _planning(store)
+    with BenchmarkStore(results_folder / FILE, only_read=True) as store:
+        planning = _summarise_planning(store)
         rows = store.rows(
             "SELECT name, count(*) AS runs, sum(solved) AS planned, sum(success) AS success, "
             "min(status) AS least, "
@@ -168,18 +187,23 @@ def summary(place: Path) -> str:
             + ("" if STATUS[row["least"]] == POLICY else f", {row['planned']} planned")
             + (f"; {row['closed']} problems not asked" if row["closed"] else "")
         )
-        lines += [f"  {line}" for line in planned.lines(planning.get(row["name"]), "team")]
+        lines += [
+            f"  {line}" for line in planning_summary.reason_lines(planning.get(row["name"]), "team")
+        ]
     return "\n".join(lines)
 
 
-def fault(place: Path) -> str | None:
+def find_planning_fault(results_folder: Path) -> str | None:
     """Return why nothing was planned, where every planner raised in every problem; else None."""
-    with BenchmarkStore(place / FILE, only_read=True) as store:
-        faults = [planned.fault(one) for one in _planning(store).values()]
+    with BenchmarkStore(results_folder / FILE, only_read=True) as store:
+        faults = [
+            planning_summary.planner_fault(planning)
+            for planning in _summarise_planning(store).values()
+        ]
     return faults[0] if faults and all(faults) else None
 
 
-def _planning(store: BenchmarkStore) -> dict[str, dict[str, Any]]:
+def _summarise_planning(store: BenchmarkStore) -> dict[str, dict[str, Any]]:
     """How planning ended, by the planner's name; a team that is planned for in part has no plan."""
     by_planner: dict[str, list[Any]] = {}
     for row in store.rows(
@@ -190,7 +214,7 @@ def _planning(store: BenchmarkStore) -> dict[str, dict[str, Any]]:
         if STATUS[row["status"]] != POLICY:
             by_planner.setdefault(row["name"], []).append(row)
     return {
-        name: planned.of_robots(
+        name: planning_summary.summarise_robots(
             np.array([row["run"] for row in rows]),
             np.array([bool(row["solved"]) for row in rows]),
             [STATUS[row["status"]] for row in rows],
@@ -200,69 +224,81 @@ def _planning(store: BenchmarkStore) -> dict[str, dict[str, Any]]:
     }
 
 
-def _results(benchmark: Benchmark, place: Path, store: BenchmarkStore, *, complete: bool) -> None:
-    tables.write(store, place)
-    scenery.write(store, place)
-    folder.about(benchmark, place, complete=complete)
-    page.make(place)
+def _write_results(
+    benchmark: Benchmark, results_folder: Path, store: BenchmarkStore, *, complete: bool
+) -> None:
+    tables.write_tables(store, results_folder)
+    scenery.write_examples(store, results_folder)
+    folder.write_about(benchmark, results_folder, complete=complete)
+    page.write_report(results_folder)
 
 
-def _all(benchmark: Benchmark, store: BenchmarkStore, pool: Pool, told: BenchmarkProgress) -> None:
+def _run_settings(
+    benchmark: Benchmark, store: BenchmarkStore, pool: Pool, progress: BenchmarkProgress
+) -> None:
     total = sum(
-        setting.scenario.worlds * len(benchmark.asked(setting)) for setting in benchmark.settings
+        setting.scenario.worlds * len(benchmark.select_planners(setting))
+        for setting in benchmark.settings
     )
-    told.start(total)
+    progress.start(total)
     simulators = _Simulators()
-    about = _about()
+    about = _experiment_columns()
     for setting in benchmark.settings:
         begin = time.perf_counter()
-        experiment = store.setting(setting, about)
-        asked = [(store.contestant(one), one) for one in benchmark.asked(setting)]
-        if _is_done(setting, experiment, asked, store):
-            told.advance(setting.scenario.worlds * len(asked))
+        experiment = store.ensure_setting(setting, about)
+        planners = [
+            (store.ensure_planner(planner), planner)
+            for planner in benchmark.select_planners(setting)
+        ]
+        if _is_done(setting, experiment, planners, store):
+            progress.advance(setting.scenario.worlds * len(planners))
             continue
-        _one(benchmark, setting, experiment, asked, simulators, store, pool, told)
+        _run_setting(benchmark, setting, experiment, planners, simulators, store, pool, progress)
         store.add_time(experiment, time.perf_counter() - begin)
 
 
-def _one(
+def _run_setting(
     benchmark: Benchmark,
     setting: Setting,
     experiment: int,
-    asked: Sequence[tuple[int, ComparedPlanner]],
+    planners: Sequence[tuple[int, ComparedPlanner]],
     simulators: _Simulators,
     store: BenchmarkStore,
     pool: Pool,
-    told: BenchmarkProgress,
+    progress: BenchmarkProgress,
 ) -> None:
     config = benchmark.config
-    told.at(f"{setting}: compiling")
-    joints = [one.joints for _, one in asked]
+    progress.at(f"{setting}: compiling")
+    joints = [planner.joints for _, planner in planners]
     simulator = simulators.of(setting, all(joints))
-    problems = planning.ask(setting, simulator, experiment)
+    problems = planning.sample_problems(setting, simulator, experiment)
     examples = min(config.examples, setting.scenario.worlds)
     for world in range(examples):
-        store.add_scenery(experiment, world, scenery.of(problems.problems[world]))
-    told.at(f"{setting}: planning")
-    planning.plan(problems, asked, store, pool, config.close_after, told.advance)
+        store.add_scenery(experiment, world, scenery.pack_scenery(problems.problems[world]))
+    progress.at(f"{setting}: planning")
+    planning.plan_problems(problems, planners, store, pool, config.close_after, progress.advance)
     for kind in sorted(set(joints)):
-        told.at(f"{setting}: flying")
-        numbers = [n for n, one in asked if one.joints == kind and not one.flies_itself]
-        flights = flying.to_fly(experiment, numbers, store)
+        progress.at(f"{setting}: flying")
+        numbers = [
+            n for n, planner in planners if planner.joints == kind and not planner.flies_itself
+        ]
+        flights = flying.find_unflown_plans(experiment, numbers, store)
         if flights:
-            flying.fly(setting, simulators.of(setting, kind), flights, examples, store)
-    for number, one in asked:
-        flights = flying.to_fly(experiment, [number], store) if one.flies_itself else []
+            flying.fly_plans(setting, simulators.of(setting, kind), flights, examples, store)
+    for number, planner in planners:
+        flights = (
+            flying.find_unflown_plans(experiment, [number], store) if planner.flies_itself else []
+        )
         if flights:
-            told.at(f"{setting}: flying {one.label}")
-            simulator = simulators.of(setting, one.joints, one)
-            flying.fly(setting, simulator, flights, examples, store)
+            progress.at(f"{setting}: flying {planner.label}")
+            simulator = simulators.of(setting, planner.joints, planner)
+            flying.fly_plans(setting, simulator, flights, examples, store)
 
 
 def _is_done(
     setting: Setting,
     experiment: int,
-    asked: Sequence[tuple[int, ComparedPlanner]],
+    planners: Sequence[tuple[int, ComparedPlanner]],
     store: BenchmarkStore,
 ) -> bool:
     """Whether all runs of a setting are planned and flown."""
@@ -271,16 +307,16 @@ def _is_done(
         "(SELECT count(*) FROM closed WHERE experimentid = :id) AS done",
         {"id": experiment},
     )
-    return bool(done[0]["done"] >= setting.scenario.worlds * len(asked))
+    return bool(done[0]["done"] >= setting.scenario.worlds * len(planners))
 
 
-def _about() -> dict[str, Any]:
+def _experiment_columns() -> dict[str, Any]:
     """OMPL's columns of an experiment that are the same for all."""
-    made = describe_environment()
+    environment = describe_environment()
     return {
-        "version": f"angler_mjx {made['versions']['angler-mjx'] or '0.0.0'}",
-        "hostname": made["platform"],
-        "cpuinfo": f"{made['cpu_count']} processors; {made['device']}",
+        "version": f"angler_mjx {environment['versions']['angler-mjx'] or '0.0.0'}",
+        "hostname": environment["platform"],
+        "cpuinfo": f"{environment['cpu_count']} processors; {environment['device']}",
         "date": time.strftime("%Y-%m-%d %H:%M:%S"),
         "totaltime": 0.0,
     }

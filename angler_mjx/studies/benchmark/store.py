@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import Any, Self
 
 from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.studies.benchmark.columns import NUMBERS, POLICY, WORDS
+from angler_mjx.studies.benchmark.columns import NUMBER_COLUMNS, POLICY, TEXT_COLUMNS
 from angler_mjx.studies.benchmark.compared_planners import ComparedPlanner
-from angler_mjx.studies.benchmark.questions import Setting
+from angler_mjx.studies.benchmark.problem_settings import Setting
 
 FILE = "results.sqlite"
 
@@ -84,22 +84,24 @@ class BenchmarkStore:
                 self._base.execute("PRAGMA journal_mode = WAL")
                 self._base.execute("PRAGMA synchronous = FULL")
             if new:
-                columns = ", ".join(f"{name} {_KINDS[str(one.kind)]}" for one, name in NUMBERS)
+                columns = ", ".join(
+                    f"{name} {_KINDS[str(column.kind)]}" for column, name in NUMBER_COLUMNS
+                )
                 self._base.executescript(_SCHEMA.format(columns=columns))
                 rows = [("status", i, text) for i, text in enumerate(STATUS)]
                 self._write("INSERT INTO enums VALUES (?, ?, ?)", rows)
             self._base.execute("SELECT count(*) FROM closed")
             if not only_read:
-                self._bring_up_to_date()
+                self._add_missing_columns()
         except sqlite3.DatabaseError as error:
-            raise self._named(error) from error
+            raise self._name_error(error) from error
 
-    def _bring_up_to_date(self) -> None:
+    def _add_missing_columns(self) -> None:
         """Columns of runs that a database of an older version lacks, empty."""
-        there = {row["name"] for row in self._base.execute("PRAGMA table_info(runs)")}
-        for one, name in NUMBERS:
-            if name not in there:
-                kind = _KINDS[str(one.kind)]
+        existing = {row["name"] for row in self._base.execute("PRAGMA table_info(runs)")}
+        for column, name in NUMBER_COLUMNS:
+            if name not in existing:
+                kind = _KINDS[str(column.kind)]
                 self._base.execute(f"ALTER TABLE runs ADD COLUMN {name} {kind}")
 
     def __enter__(self) -> Self:
@@ -117,42 +119,43 @@ class BenchmarkStore:
                 self._base.execute("PRAGMA journal_mode = DELETE")
         self._base.close()
 
-    def setting(self, setting: Setting, about: Mapping[str, Any]) -> int:
+    def ensure_setting(self, setting: Setting, about: Mapping[str, Any]) -> int:
         """The number of a setting's experiment; makes it if there is none.
 
         Args:
             setting: whose.
             about: more of OMPL's columns.
         """
-        knows = setting.knows
-        own = {
+        information = setting.information
+        key_values = {
             "name": setting.scene,
             "preset": setting.preset,
             "robots": setting.robots,
-            "knows_obstacles": knows.obstacles,
-            "knows_current": knows.current,
+            "knows_obstacles": information.obstacles,
+            "knows_current": information.current,
             "problem_seed": setting.seed,
         }
-        where = " AND ".join(f"{key} = :{key}" for key in own)
-        found = self.rows(f"SELECT id FROM experiments WHERE {where}", own)
-        if found:
-            return int(found[0]["id"])
-        more = {
+        where = " AND ".join(f"{key} = :{key}" for key in key_values)
+        rows = self.rows(f"SELECT id FROM experiments WHERE {where}", key_values)
+        if rows:
+            return int(rows[0]["id"])
+        other_values = {
             "timelimit": setting.scenario.planner.deadline_s,
             "runcount": setting.scenario.worlds,
             "seed": str(setting.seed),
             **about,
         }
-        return self._insert("experiments", {**own, **more})
+        return self._insert("experiments", {**key_values, **other_values})
 
-    def contestant(self, one: ComparedPlanner) -> int:
+    def ensure_planner(self, planner: ComparedPlanner) -> int:
         """The number of a planner; makes it if there is none."""
-        found = self.rows("SELECT id FROM plannerConfigs WHERE name = ?", (one.label,))
-        if found:
-            return int(found[0]["id"])
-        settings = {"name": one.name, **one.settings, **one.online}
+        rows = self.rows("SELECT id FROM plannerConfigs WHERE name = ?", (planner.label,))
+        if rows:
+            return int(rows[0]["id"])
+        settings = {"name": planner.name, **planner.settings, **planner.online}
         return self._insert(
-            "plannerConfigs", {"name": one.label, "settings": json.dumps(settings, sort_keys=True)}
+            "plannerConfigs",
+            {"name": planner.label, "settings": json.dumps(settings, sort_keys=True)},
         )
 
     def add(
@@ -179,12 +182,12 @@ class BenchmarkStore:
         Returns:
             Its number.
         """
-        own = {"experimentid": experiment, "plannerid": planner, "world": world}
-        with self._changing():
+        key_values = {"experimentid": experiment, "plannerid": planner, "world": world}
+        with self._transaction():
             run = self._insert_one(
-                "runs", {**own, "status": STATUS.index(status), **_numbers(measured)}
+                "runs", {**key_values, "status": STATUS.index(status), **_number_values(measured)}
             )
-            self._insert_one("words", {"runid": run, **_words(measured)})
+            self._insert_one("words", {"runid": run, **_text_values(measured)})
             if paths is not None:
                 self._insert_one("plans", {"runid": run, "paths": paths})
             self._base.executemany(
@@ -193,7 +196,7 @@ class BenchmarkStore:
             )
         return run
 
-    def leave(
+    def close_problems(
         self, experiment: int, planner: int, worlds: Iterable[int], status: str, reason: str
     ) -> None:
         """Say that a planner is not asked some problems, and why."""
@@ -211,20 +214,20 @@ class BenchmarkStore:
             flights: number of the run, what was measured, and a row of each robot.
             tracks: where robots of some runs were, by the runs' numbers.
         """
-        with self._changing():
+        with self._transaction():
             self._base.executemany("INSERT OR REPLACE INTO tracks VALUES (?, ?)", tracks.items())
             for run, measured, robots in flights:
-                numbers = _numbers(measured)
+                numbers = _number_values(measured)
                 keys = ", ".join(f"{key} = :{key}" for key in numbers)
                 self._base.execute(f"UPDATE runs SET {keys} WHERE id = :id", {**numbers, "id": run})
                 self._base.execute(
                     "UPDATE words SET failure = :failure, failure_pair = :failure_pair "
                     "WHERE runid = :run",
-                    {**_words(measured), "run": run},
+                    {**_text_values(measured), "run": run},
                 )
                 self._base.executemany(
                     "INSERT OR REPLACE INTO robots VALUES (?, ?, ?)",
-                    [(run, row["robot"], _json(row)) for row in robots],
+                    [(run, row["robot"], _encode_json(row)) for row in robots],
                 )
 
     def add_scenery(self, experiment: int, world: int, arrays: bytes) -> None:
@@ -248,33 +251,33 @@ class BenchmarkStore:
         try:
             return self._base.execute(query, values).fetchall()
         except sqlite3.DatabaseError as error:
-            raise self._named(error) from error
+            raise self._name_error(error) from error
 
     def _insert(self, table: str, row: Mapping[str, Any]) -> int:
-        with self._changing():
+        with self._transaction():
             return self._insert_one(table, row)
 
     def _insert_one(self, table: str, row: Mapping[str, Any]) -> int:
         names = ", ".join(row)
-        places = ", ".join(f":{name}" for name in row)
-        done = self._base.execute(f"INSERT INTO {table} ({names}) VALUES ({places})", row)
-        return int(done.lastrowid or 0)
+        placeholders = ", ".join(f":{name}" for name in row)
+        cursor = self._base.execute(f"INSERT INTO {table} ({names}) VALUES ({placeholders})", row)
+        return int(cursor.lastrowid or 0)
 
     def _write(self, query: str, rows: Sequence[Any]) -> None:
-        with self._changing():
+        with self._transaction():
             self._base.executemany(query, rows)
 
-    def _changing(self) -> "_Change":
-        return _Change(self._base, self)
+    def _transaction(self) -> "_Transaction":
+        return _Transaction(self._base, self)
 
-    def _named(self, error: sqlite3.Error) -> Exception:
-        said = f"{self.path}: {error}"
+    def _name_error(self, error: sqlite3.Error) -> Exception:
+        message = f"{self.path}: {error}"
         if isinstance(error, sqlite3.OperationalError) and "disk" in str(error):
-            return RunError(f"{said}; make room and go on with --resume")
-        return ConfigError(f"{said}; this is no database of a benchmark, or it is damaged")
+            return RunError(f"{message}; make room and go on with --resume")
+        return ConfigError(f"{message}; this is no database of a benchmark, or it is damaged")
 
 
-class _Change:
+class _Transaction:
     """A transaction, whose errors name the file."""
 
     def __init__(self, base: sqlite3.Connection, store: BenchmarkStore) -> None:
@@ -287,22 +290,26 @@ class _Change:
         try:
             self._base.__exit__(kind, error, trace)
         except sqlite3.Error as failed:
-            raise self._store._named(failed) from failed
+            raise self._store._name_error(failed) from failed
         if isinstance(error, sqlite3.Error):
-            raise self._store._named(error) from error
+            raise self._store._name_error(error) from error
 
 
-def _numbers(measured: Mapping[str, Any]) -> dict[str, Any]:
+def _number_values(measured: Mapping[str, Any]) -> dict[str, Any]:
     """By the database's names; what is not measured is left out."""
-    known = {name: measured.get(one.name) for one, name in NUMBERS if one.name in measured}
-    return {name: value for name, value in known.items() if value is not None}
+    values = {
+        name: measured.get(column.name)
+        for column, name in NUMBER_COLUMNS
+        if column.name in measured
+    }
+    return {name: value for name, value in values.items() if value is not None}
 
 
-def _json(row: Mapping[str, Any]) -> str:
+def _encode_json(row: Mapping[str, Any]) -> str:
     """As JSON, which has no NaN."""
     finite = {k: None if isinstance(x, float) and not isfinite(x) else x for k, x in row.items()}
     return json.dumps(finite)
 
 
-def _words(measured: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: measured.get(name) for name in WORDS}
+def _text_values(measured: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: measured.get(name) for name in TEXT_COLUMNS}

@@ -26,26 +26,26 @@ from collections.abc import Sequence
 
 import numpy as np
 
-WEIGHT = 10.0
+PRIOR_WORLDS = 10.0
 """Worlds that the prior counts as."""
 _HALVINGS = 60
 
 
-def log_ratio(p: float, hits: int, total: int, about: float) -> float:
+def log_ratio(p: float, hits: int, total: int, prior_mean: float) -> float:
     """Logarithm of M(p).
 
     Args:
         p: [] probability, 0 to 1.
         hits: s.
         total: n.
-        about: mean of the prior, inside 0 to 1.
+        prior_mean: mean of the prior, inside 0 to 1.
     """
-    return _averaged(hits, total, about) - _likelihood(p, hits, total)
+    return _log_averaged_likelihood(hits, total, prior_mean) - _log_likelihood(p, hits, total)
 
 
-def _averaged(hits: int, total: int, about: float) -> float:
+def _log_averaged_likelihood(hits: int, total: int, prior_mean: float) -> float:
     """Logarithm of the likelihood averaged over the prior."""
-    a, b = WEIGHT * about, WEIGHT * (1.0 - about)
+    a, b = PRIOR_WORLDS * prior_mean, PRIOR_WORLDS * (1.0 - prior_mean)
     return _log_beta(a + hits, b + total - hits) - _log_beta(a, b)
 
 
@@ -53,7 +53,7 @@ def _log_beta(a: float, b: float) -> float:
     return math.lgamma(a) + math.lgamma(b) - math.lgamma(a + b)
 
 
-def _likelihood(p: float, hits: int, total: int) -> float:
+def _log_likelihood(p: float, hits: int, total: int) -> float:
     """Logarithm of the likelihood of p."""
     missed = total - hits
     if (hits and p <= 0.0) or (missed and p >= 1.0):
@@ -61,53 +61,53 @@ def _likelihood(p: float, hits: int, total: int) -> float:
     return (hits * math.log(p) if hits else 0.0) + (missed * math.log1p(-p) if missed else 0.0)
 
 
-def low(hits: int, total: int, alpha: float, about: float) -> float:
+def lower_bound(hits: int, total: int, alpha: float, prior_mean: float) -> float:
     """Lower end: the truth is ever below it with alpha at most.
 
     Args:
         hits: worlds that met the deadline.
         total: worlds.
         alpha: of this end.
-        about: mean of the prior.
+        prior_mean: mean of the prior.
     """
     if hits == 0:
         return 0.0
-    return _edge(0.0, hits / total, hits, total, alpha, about)
+    return _find_bound(0.0, hits / total, hits, total, alpha, prior_mean)
 
 
-def high(hits: int, total: int, alpha: float, about: float) -> float:
-    """Upper end; arguments as of `low`."""
+def upper_bound(hits: int, total: int, alpha: float, prior_mean: float) -> float:
+    """Upper end; arguments as of `lower_bound`."""
     if hits == total:
         return 1.0
-    return _edge(1.0, hits / total, hits, total, alpha, about)
+    return _find_bound(1.0, hits / total, hits, total, alpha, prior_mean)
 
 
-def _edge(
-    outside: float, inside: float, hits: int, total: int, alpha: float, about: float
+def _find_bound(
+    outside: float, inside: float, hits: int, total: int, alpha: float, prior_mean: float
 ) -> float:
     """Where M passes 1 / alpha between an end of 0 to 1 and the estimate, by halving.
 
     M falls from the end to the estimate, where it is least; the end outside is returned, so that
     rounding makes the interval wider.
     """
-    least = _averaged(hits, total, about) + math.log(alpha)
+    threshold = _log_averaged_likelihood(hits, total, prior_mean) + math.log(alpha)
     for _ in range(_HALVINGS):
         middle = 0.5 * (outside + inside)
-        if _likelihood(middle, hits, total) <= least:
+        if _log_likelihood(middle, hits, total) <= threshold:
             outside = middle
         else:
             inside = middle
     return outside
 
 
-def quantile(
-    times_s: Sequence[float] | np.ndarray, share: float, alpha: float
+def estimate_quantile(
+    times_s: Sequence[float] | np.ndarray, fraction: float, alpha: float
 ) -> tuple[float, float, float]:
     """A quantile of a time and its interval.
 
     Args:
         times_s: of all worlds; inf where it never came.
-        share: of worlds that are done by the quantile.
+        fraction: of worlds that are done by the quantile.
         alpha: that the interval ever misses it, both ends together.
 
     Returns:
@@ -118,17 +118,19 @@ def quantile(
     total = len(ordered)
     if total == 0:
         return math.inf, 0.0, math.inf
-    wall = -math.log(alpha)
+    threshold = -math.log(alpha)
 
-    def may(k: int) -> bool:
+    def is_possible(k: int) -> bool:
         """Whether k worlds may be done by the quantile: it lies from the k-th time to the next."""
-        return log_ratio(share, k, total, share) < wall
+        return log_ratio(fraction, k, total, fraction) < threshold
 
     # M is convex in k and below 1 at the middle, so each way one number parts those that may be.
-    middle = round(share * total)
-    first = bisect.bisect_left(range(middle), True, key=may)
-    last = middle + bisect.bisect_left(range(middle + 1, total + 1), True, key=lambda k: not may(k))
-    estimate = ordered[min(math.ceil(share * total - 1e-9), total) - 1]
+    middle = round(fraction * total)
+    first = bisect.bisect_left(range(middle), True, key=is_possible)
+    last = middle + bisect.bisect_left(
+        range(middle + 1, total + 1), True, key=lambda k: not is_possible(k)
+    )
+    estimate = ordered[min(math.ceil(fraction * total - 1e-9), total) - 1]
     return (
         float(estimate),
         float(ordered[first - 1]) if first > 0 else 0.0,

@@ -6,15 +6,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from angler_mjx.errors import ConfigError, shown
-from angler_mjx.files import FOLDER, named, parse, read_toml
-from angler_mjx.runs.simulator.on_device import device_planner
-from angler_mjx.scenario.editing import merged, table_of, with_value
-from angler_mjx.scenario.reachable import check_reachable
-from angler_mjx.scenario.scenario import Scenario, load_beside
+from angler_mjx.errors import ConfigError, format_value
+from angler_mjx.files import FOLDER_CONTEXT, format_path, parse_model, read_toml
+from angler_mjx.runs.simulator.device_planning import build_device_planner
+from angler_mjx.scenario.editing import merge_tables, scenario_table, set_value
+from angler_mjx.scenario.horizon_check import check_reachable
+from angler_mjx.scenario.scenario import Scenario, load_relative_scenario
 from angler_mjx.studies.fleet_size.config import FleetSizeConfig
 
-PLAIN = "as it is"
+DEFAULT_CONDITION = "as it is"
 """Name of the only condition of a study that names none."""
 
 
@@ -54,30 +54,34 @@ class FleetSizeStudy:
         return self._made[key]
 
     def _scenario(self, condition: Condition, size: int) -> Scenario:
-        where = f"{named(self.source)} ({condition.name}, {size} robot{'s' if size > 1 else ''})"
+        where = (
+            f"{format_path(self.source)} ({condition.name}, {size} robot{'s' if size > 1 else ''})"
+        )
         try:
-            table = with_value(_lists(condition.table), self.config.size.key, size)
+            table = set_value(_tuples_to_lists(condition.table), self.config.size.key, size)
         except ConfigError as error:
             raise ConfigError(f"{where}: size.key: {error}") from error
-        made = parse(Scenario, table, source=where)
-        spec = made.planner.chosen()
+        scenario = parse_model(Scenario, table, source=where)
+        spec = scenario.planner.planner_spec()
         if spec.reference.on_device:
-            device_planner(made, spec)  # refuses what it can make no use of
-        return made
+            build_device_planner(scenario, spec)  # refuses what it can make no use of
+        return scenario
 
     def resolved(self) -> dict[str, Any]:
         """All of it in plain values: the same table is the same study."""
         config = self.config.model_dump(mode="json", by_alias=True)
-        config["budget"].pop("most_minutes")
+        config["budget"].pop("max_minutes")
         return {
             "study": config,
             "scenario": dict(self.table),
-            "conditions": [one.name for one in self.conditions],
-            "problems": [self.scenario(one, self.sizes[0]).digest() for one in self.conditions],
+            "conditions": [condition.name for condition in self.conditions],
+            "problems": [
+                self.scenario(condition, self.sizes[0]).digest() for condition in self.conditions
+            ],
         }
 
 
-def read(
+def read_study(
     path: Path, only: Sequence[str] = (), *, smoke: bool = False, **budget: Any
 ) -> FleetSizeStudy:
     """A study from its file.
@@ -92,56 +96,58 @@ def read(
         ConfigError: naming every fault of it, or the first of what it names.
     """
     table = read_toml(path)
-    given = {key: value for key, value in budget.items() if value is not None}
-    if given and smoke:
-        flags = ", ".join(f"--{key.replace('_', '-')}" for key in given)
+    limits = {key: value for key, value in budget.items() if value is not None}
+    if limits and smoke:
+        flags = ", ".join(f"--{key.replace('_', '-')}" for key in limits)
         raise ConfigError(
             f"--smoke: has a budget of its own, four worlds a size; leave out {flags}"
         )
-    if given:
-        table = merged(table, {"budget": given})
+    if limits:
+        table = merge_tables(table, {"budget": limits})
     folder = path.absolute().parent
-    config = parse(FleetSizeConfig, table, source=str(path), context={FOLDER: folder})
+    config = parse_model(FleetSizeConfig, table, source=str(path), context={FOLDER_CONTEXT: folder})
     config = config.smoke() if smoke else config
-    return build(config, table_of(load_beside(config.scenario, folder)), str(path), only)
+    return build_study(
+        config, scenario_table(load_relative_scenario(config.scenario, folder)), str(path), only
+    )
 
 
-def build(
+def build_study(
     config: FleetSizeConfig, table: Mapping[str, Any], source: str, only: Sequence[str] = ()
 ) -> FleetSizeStudy:
     """A study from its table and that of its scenario.
 
     Args:
         config: of the study.
-        table: of `scenario.editing.table_of`.
+        table: of `scenario.editing.scenario_table`.
         source: for messages.
-        only: as of `read`.
+        only: as of `read_study`.
 
     Raises:
-        ConfigError: as `read`.
+        ConfigError: as `read_study`.
     """
-    batches = -(-config.budget.most_worlds // config.budget.batch)
-    base = merged(
-        merged(table, config.set),
+    batches = -(-config.budget.max_worlds // config.budget.batch)
+    base = merge_tables(
+        merge_tables(table, config.set),
         {"worlds": batches * config.budget.batch, "seed": config.seed},
     )
-    made = FleetSizeStudy(
+    study = FleetSizeStudy(
         config=config,
         source=source,
         table=table,
-        conditions=_chosen(_conditions(config, base), only, source),
+        conditions=_select_conditions(_build_conditions(config, base), only, source),
         sizes=config.all_sizes(),
     )
-    for condition in made.conditions:
-        for size in (made.sizes[0], made.sizes[-1]):
-            _check(made, condition, size)
-    return made
+    for condition in study.conditions:
+        for size in (study.sizes[0], study.sizes[-1]):
+            _check_condition(study, condition, size)
+    return study
 
 
-def _check(study: FleetSizeStudy, condition: Condition, size: int) -> None:
+def _check_condition(study: FleetSizeStudy, condition: Condition, size: int) -> None:
     """Refuse what no world can decide, or no robot can do."""
     scenario = study.scenario(condition, size)
-    where = f"{named(study.source)} ({condition.name})"
+    where = f"{format_path(study.source)} ({condition.name})"
     deadline_s, horizon_s = study.config.deadline_s, scenario.time.horizon_s
     if deadline_s > horizon_s:
         raise ConfigError(
@@ -151,7 +157,7 @@ def _check(study: FleetSizeStudy, condition: Condition, size: int) -> None:
     if scenario.task_spec() is None:
         check_reachable(scenario, f"{where}: set.time.horizon_s")
         return
-    key = "share" if study.config.share < 1.0 else "arrivals"
+    key = "fraction" if study.config.fraction < 1.0 else "arrivals"
     if getattr(study.config, key) not in (1.0, None):
         raise ConfigError(
             f"{where}: {key} = {getattr(study.config, key):g}: the scenario has a task "
@@ -159,43 +165,45 @@ def _check(study: FleetSizeStudy, condition: Condition, size: int) -> None:
         )
 
 
-def _conditions(config: FleetSizeConfig, base: Mapping[str, Any]) -> list[Condition]:
+def _build_conditions(config: FleetSizeConfig, base: Mapping[str, Any]) -> list[Condition]:
     """All combinations, the last axis changing fastest."""
     axes: list[tuple[str, Mapping[str, Mapping[str, Any]]]] = []
     if config.condition:
-        axes.append(("condition", {one.name: one.set for one in config.condition}))
+        axes.append(("condition", {entry.name: entry.set for entry in config.condition}))
     axes += list(config.axis.items())
-    made = []
+    conditions = []
     for chosen in itertools.product(*(values.items() for _, values in axes)):
         table = dict(base)
         for _, changes in chosen:
-            table = merged(table, changes)
+            table = merge_tables(table, changes)
         table["time"] = {**table.get("time", {}), "record_hz": 0.0}
-        made.append(
+        conditions.append(
             Condition(
-                name=", ".join(name for name, _ in chosen) or PLAIN,
+                name=", ".join(name for name, _ in chosen) or DEFAULT_CONDITION,
                 values={axis: name for (axis, _), (name, _) in zip(axes, chosen, strict=True)},
                 table=table,
             )
         )
-    return made
+    return conditions
 
 
-def _chosen(
+def _select_conditions(
     conditions: Sequence[Condition], only: Sequence[str], source: str
 ) -> tuple[Condition, ...]:
-    names = [one.name for one in conditions]
+    names = [entry.name for entry in conditions]
     for name in only:
         if name not in names:
             raise ConfigError(
-                f"--only {shown(name)}: {named(source)} has no such condition; it has "
-                + ", ".join(shown(one) for one in names)
+                f"--only {format_value(name)}: {format_path(source)} has no such condition; it has "
+                + ", ".join(format_value(entry) for entry in names)
             )
-    return tuple(one for one in conditions if not only or one.name in only)
+    return tuple(entry for entry in conditions if not only or entry.name in only)
 
 
-def _lists(value: Any) -> Any:
+def _tuples_to_lists(value: Any) -> Any:
     """The same with lists for tuples: a checked file holds tuples."""
     if isinstance(value, Mapping):
-        return {key: _lists(entry) for key, entry in value.items()}
-    return [_lists(entry) for entry in value] if isinstance(value, list | tuple) else value
+        return {key: _tuples_to_lists(entry) for key, entry in value.items()}
+    return (
+        [_tuples_to_lists(entry) for entry in value] if isinstance(value, list | tuple) else value
+    )

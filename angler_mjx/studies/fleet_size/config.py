@@ -2,26 +2,27 @@
 
 import itertools
 import math
-from typing import Annotated, Self
+from collections.abc import Mapping
+from typing import Annotated, ClassVar, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from angler_mjx.errors import shown
+from angler_mjx.errors import format_value
 from angler_mjx.files import FileModel
 from angler_mjx.quantities import SchemaVersion
 from angler_mjx.scenario.editing import Changes
 
-MOST_CONDITIONS = 64
-MOST_WORLDS = 1_000_000
+MAX_CONDITIONS = 64
+MAX_WORLDS = 1_000_000
 
 type Name = Annotated[str, Field(min_length=1, max_length=60, pattern=r"^[^\x00-\x1f|,]+$")]
 type Size = Annotated[int, Field(ge=1, le=1024)]
 
-OURS = {
+RESERVED_KEYS = {
     "name": "name",
     "description": "description",
     "schema_version": "schema_version",
-    "worlds": "budget.most_worlds",
+    "worlds": "budget.max_worlds",
     "seed": "seed",
 }
 """Keys of a scenario that a fleet-size file says by keys of its own."""
@@ -36,7 +37,7 @@ class SpanConfig(FileModel):
     """The largest team."""
 
     @model_validator(mode="after")
-    def _rises(self) -> Self:
+    def _require_rising(self) -> Self:
         if self.to <= self.from_:
             raise ValueError(f"to = {self.to}: must be above from = {self.from_}")
         return self
@@ -52,20 +53,23 @@ class SizeConfig(FileModel):
 class BudgetConfig(FileModel):
     """How much is flown."""
 
+    renamed_keys: ClassVar[Mapping[str, str]] = {
+        "most_minutes": "max_minutes",
+        "most_worlds": "max_worlds",
+    }
+
     batch: int = Field(default=256, ge=1, le=100_000)
     """Worlds of one size and condition that are flown before the answer is looked at again."""
-    most_worlds: int = Field(default=4096, ge=1, le=MOST_WORLDS)
+    max_worlds: int = Field(default=4096, ge=1, le=MAX_WORLDS)
     """Of one size and condition; whole batches."""
-    most_minutes: float | None = Field(default=None, gt=0.0, le=1e6)
+    max_minutes: float | None = Field(default=None, gt=0.0, le=1e6)
     """No batch begins later than this after the study, or its resumption, began; no limit if left
     out. The only setting by which two runs of a study may end differently."""
 
     @model_validator(mode="after")
-    def _holds_a_batch(self) -> Self:
-        if self.most_worlds < self.batch:
-            raise ValueError(
-                f"most_worlds = {self.most_worlds}: must hold one batch of {self.batch}"
-            )
+    def _require_whole_batch(self) -> Self:
+        if self.max_worlds < self.batch:
+            raise ValueError(f"max_worlds = {self.max_worlds}: must hold one batch of {self.batch}")
         return self
 
 
@@ -80,6 +84,10 @@ class ConditionConfig(FileModel):
 
 class FleetSizeConfig(FileModel):
     """A whole fleet-size file."""
+
+    renamed_keys: ClassVar[Mapping[str, str]] = {
+        "share": "fraction",
+    }
 
     schema_version: SchemaVersion = 1
     """Of this form of files."""
@@ -97,7 +105,7 @@ class FleetSizeConfig(FileModel):
     size: SizeConfig = SizeConfig()
     deadline_s: float = Field(gt=0.0, le=1e7)
     """The task is to be done by then, from the start of a world."""
-    share: float = Field(default=1.0, gt=0.0, le=1.0)
+    fraction: float = Field(default=1.0, gt=0.0, le=1.0)
     """Where the scenario has no task but a goal for each robot: the share of the team that is to
     arrive."""
     arrivals: int | None = Field(default=None, ge=1, le=1024)
@@ -119,9 +127,9 @@ class FleetSizeConfig(FileModel):
     """Conditions that are no combination; combined with axes where both are given."""
 
     @model_validator(mode="after")
-    def _one_measure(self) -> Self:
-        if self.arrivals is not None and "share" in self.model_fields_set:
-            raise ValueError("share and arrivals: give one of them, not both")
+    def _require_one_measure(self) -> Self:
+        if self.arrivals is not None and "fraction" in self.model_fields_set:
+            raise ValueError("fraction and arrivals: give one of them, not both")
         if self.arrivals is not None and self.arrivals > self.all_sizes()[-1]:
             raise ValueError(
                 f"arrivals = {self.arrivals}: no team of sizes has so many robots; give fewer"
@@ -130,7 +138,9 @@ class FleetSizeConfig(FileModel):
 
     @field_validator("sizes")
     @classmethod
-    def _increase(cls, sizes: tuple[int, ...] | SpanConfig) -> tuple[int, ...] | SpanConfig:
+    def _require_increasing(
+        cls, sizes: tuple[int, ...] | SpanConfig
+    ) -> tuple[int, ...] | SpanConfig:
         if isinstance(sizes, tuple):
             if not sizes:
                 raise ValueError("there is none; give one or more")
@@ -141,35 +151,39 @@ class FleetSizeConfig(FileModel):
         return sizes
 
     @model_validator(mode="after")
-    def _conditions_can_be(self) -> Self:
+    def _check_conditions(self) -> Self:
         count = max(len(self.condition), 1)
         for name, values in self.axis.items():
             if not values:
                 raise ValueError(f"axis.{name}: has no values; give one or more, or leave it out")
             count *= len(values)
-        if count > MOST_CONDITIONS:
+        if count > MAX_CONDITIONS:
             raise ValueError(
-                f"axis and condition: make {count} conditions; {MOST_CONDITIONS} are the most"
+                f"axis and condition: make {count} conditions; {MAX_CONDITIONS} are the most"
             )
-        names = [one.name for one in self.condition]
-        twice = next((name for name in names if names.count(name) > 1), None)
-        if twice is not None:
-            raise ValueError(f"condition {shown(twice)} is there twice; give each its own name")
+        names = [entry.name for entry in self.condition]
+        duplicate = next((name for name in names if names.count(name) > 1), None)
+        if duplicate is not None:
+            raise ValueError(
+                f"condition {format_value(duplicate)} is there twice; give each its own name"
+            )
         return self
 
     @model_validator(mode="after")
-    def _ours_left(self) -> Self:
+    def _refuse_reserved_keys(self) -> Self:
         tables = [("set", self.set)]
-        tables += [(f"condition {shown(one.name)}, set", one.set) for one in self.condition]
+        tables += [
+            (f"condition {format_value(entry.name)}, set", entry.set) for entry in self.condition
+        ]
         tables += [
             (f"axis.{axis}.{name}", table)
             for axis, values in self.axis.items()
             for name, table in values.items()
         ]
         for where, table in tables:
-            taken = next((key for key in OURS if key in table), None)
-            if taken is not None:
-                raise ValueError(f"{where}.{taken}: give {OURS[taken]} instead")
+            reserved = next((key for key in RESERVED_KEYS if key in table), None)
+            if reserved is not None:
+                raise ValueError(f"{where}.{reserved}: give {RESERVED_KEYS[reserved]} instead")
         return self
 
     def all_sizes(self) -> tuple[int, ...]:
@@ -178,11 +192,11 @@ class FleetSizeConfig(FileModel):
             return tuple(range(self.sizes.from_, self.sizes.to + 1))
         return self.sizes
 
-    def needed(self, robots: int) -> int:
+    def required_arrivals(self, robots: int) -> int:
         """Robots of a team that have to arrive; of a task with several jobs nobody asks."""
         if self.arrivals is not None:
             return self.arrivals
-        return max(1, math.ceil(self.share * robots - 1e-9))
+        return max(1, math.ceil(self.fraction * robots - 1e-9))
 
     def smoke(self) -> "FleetSizeConfig":
         """The same with two sizes and a few worlds, to see that it runs.
@@ -192,7 +206,7 @@ class FleetSizeConfig(FileModel):
         """
         first = self.first_sizes()
         sizes = tuple(sorted({first[0], first[len(first) // 2]}))
-        budget = BudgetConfig(batch=4, most_worlds=4)
+        budget = BudgetConfig(batch=4, max_worlds=4)
         return self.model_copy(update={"sizes": sizes, "budget": budget})
 
     def first_sizes(self) -> tuple[int, ...]:

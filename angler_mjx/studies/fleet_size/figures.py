@@ -10,34 +10,35 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullFormatter, ScalarFormatter
 
 from angler_mjx.report.viewing import style
-from angler_mjx.studies.fleet_size.report import level
+from angler_mjx.studies.fleet_size.report import format_level
 
 SUCCESS, TIME = "success.png", "time.png"
 
 
-def draw(found: Mapping[str, Any], place: Path) -> list[Path]:
+def plot_figures(results: Mapping[str, Any], folder: Path) -> list[Path]:
     """Both figures of a study, into a folder."""
-    with style.styled():
+    with style.figure_style():
         return [
-            style.save(success(found), place / SUCCESS, palette=128),
-            style.save(time(found), place / TIME, palette=128),
+            style.save_figure(plot_success(results), folder / SUCCESS, palette=128),
+            style.save_figure(plot_time(results), folder / TIME, palette=128),
         ]
 
 
-def success(found: Mapping[str, Any]) -> Figure:
+def plot_success(results: Mapping[str, Any]) -> Figure:
     """Share of worlds that met the deadline, and the answers below."""
-    conditions = found["conditions"]
+    conditions = results["conditions"]
     bars_in = 0.5 + 0.24 * len(conditions)
     figure = style.new_figure(8.0, 4.4 + bars_in, headline_in=0.75)
-    style.headline(
+    style.add_headline(
         figure,
-        f"{found['name']}: how many robots does it take?",
-        f"done within {found['deadline_s']:g} s; {found['worlds']:,} worlds; bars are "
-        f"{level(found, 'share')} intervals of a share, lines below {level(found, 'answer')} "
+        f"{results['name']}: how many robots does it take?",
+        f"done within {results['deadline_s']:g} s; {results['worlds']:,} worlds; bars are "
+        f"{format_level(results, 'share')} intervals of a share, lines below "
+        f"{format_level(results, 'answer')} "
         "intervals of the answer",
     )
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=[3.6, bars_in])
-    p = found["probability"]
+    p = results["probability"]
     above.axhline(p, color=style.INK, linewidth=1.0, linestyle=(0, (4, 3)))
     above.annotate(
         f"{100 * p:g} %",
@@ -48,11 +49,11 @@ def success(found: Mapping[str, Any]) -> Figure:
         va="center",
         color=style.INK,
     )
-    for i, one in enumerate(conditions):
-        rows, color = one["sizes"], style.robot_color(i)
+    for i, condition in enumerate(conditions):
+        rows, color = condition["sizes"], style.robot_color(i)
         if not rows:
             continue
-        x = _aside([row["size"] for row in rows], i, len(conditions))
+        x = _offset_sizes([row["size"] for row in rows], i, len(conditions))
         y = np.array([row["rate"] for row in rows])
         ends = np.array([[row["rate"] - row["low"], row["high"] - row["rate"]] for row in rows]).T
         above.plot(x, y, color=color, linewidth=1.3, alpha=0.7)
@@ -65,34 +66,34 @@ def success(found: Mapping[str, Any]) -> Figure:
             markersize=3.8,
             capsize=2.0,
             linewidth=1.1,
-            label=one["name"],
+            label=condition["name"],
         )
     above.set_ylim(-0.03, 1.03)
     above.set_ylabel("worlds that met the deadline")
     above.yaxis.set_major_formatter(lambda value, _: f"{100 * value:.0f} %")
     above.grid(axis="y")
     above.legend(loc="lower right" if len(conditions) < 6 else "best")
-    _answers(below, found)
-    _sizes(below, found)
+    _plot_answers(below, results)
+    _format_size_axis(below, results)
     below.set_xlabel("robots")
     return figure
 
 
-def _answers(axes: Axes, found: Mapping[str, Any]) -> None:
+def _plot_answers(axes: Axes, results: Mapping[str, Any]) -> None:
     """The interval of each condition's answer."""
-    conditions, top = found["conditions"], found["sizes"][-1]
-    for i, one in enumerate(conditions):
-        known, color = one["answer"], style.robot_color(i)
-        low, high = known["low"], known["high"]
+    conditions, top = results["conditions"], results["sizes"][-1]
+    for i, condition in enumerate(conditions):
+        answer, color = condition["answer"], style.robot_color(i)
+        low, high = answer["low"], answer["high"]
         if low is not None:
             ends = [low, top if high is None else high]
             axes.plot(ends, [i, i], color=color, linewidth=4.0, solid_capstyle="round", alpha=0.45)
-            if known["estimate"] is not None:
-                axes.plot([known["estimate"]], [i], "o", color=color, markersize=5.5)
+            if answer["estimate"] is not None:
+                axes.plot([answer["estimate"]], [i], "o", color=color, markersize=5.5)
         if low is None or high is None:
             axes.plot([top], [i], ">", color=color, markersize=6.0)
         axes.annotate(
-            known["text"],
+            answer["text"],
             (top if low is None or high is None else high, i),
             xytext=(8, 0) if (low or top) <= top / 4 else (-8, 8),
             textcoords="offset points",
@@ -101,27 +102,28 @@ def _answers(axes: Axes, found: Mapping[str, Any]) -> None:
             fontsize=7.5,
             color=style.QUIET,
         )
-    axes.set_yticks(range(len(conditions)), [one["name"] for one in conditions])
+    axes.set_yticks(range(len(conditions)), [condition["name"] for condition in conditions])
     axes.set_ylim(len(conditions) - 0.4, -0.6)
     axes.tick_params(axis="y", length=0)
     axes.grid(axis="x")
 
 
-def time(found: Mapping[str, Any]) -> Figure:
+def plot_time(results: Mapping[str, Any]) -> Figure:
     """Median and 90 % quantile of the time that the task takes."""
-    conditions = found["conditions"]
+    conditions = results["conditions"]
     figure = style.new_figure(8.0, 4.4, headline_in=0.75)
-    style.headline(
+    style.add_headline(
         figure,
-        f"{found['name']}: how long does it take?",
-        f"median over all worlds, with its {level(found, 'quantile')} interval; dots: nine "
+        f"{results['name']}: how long does it take?",
+        f"median over all worlds, with its {format_level(results, 'quantile')} interval; dots: "
+        "nine "
         "worlds in ten are done by then",
     )
     axes = figure.subplots()
-    axes.axhline(found["deadline_s"], color=style.INK, linewidth=1.0, linestyle=(0, (4, 3)))
+    axes.axhline(results["deadline_s"], color=style.INK, linewidth=1.0, linestyle=(0, (4, 3)))
     axes.annotate(
         "deadline",
-        (1.0, found["deadline_s"]),
+        (1.0, results["deadline_s"]),
         xycoords=("axes fraction", "data"),
         xytext=(-2, 3),
         textcoords="offset points",
@@ -129,11 +131,13 @@ def time(found: Mapping[str, Any]) -> Figure:
         va="bottom",
         color=style.INK,
     )
-    horizon_s = max((row["horizon_s"] for one in conditions for row in one["sizes"]), default=1.0)
-    for i, one in enumerate(conditions):
+    horizon_s = max(
+        (row["horizon_s"] for condition in conditions for row in condition["sizes"]), default=1.0
+    )
+    for i, condition in enumerate(conditions):
         color = style.robot_color(i)
-        rows = [row for row in one["sizes"] if row["median_s"]["value"] is not None]
-        x = _aside([row["size"] for row in rows], i, len(conditions))
+        rows = [row for row in condition["sizes"] if row["median_s"]["value"] is not None]
+        x = _offset_sizes([row["size"] for row in rows], i, len(conditions))
         y = np.array([row["median_s"]["value"] for row in rows])
         low = np.array([row["median_s"]["low"] for row in rows])
         high = np.array([row["median_s"]["high"] or horizon_s for row in rows])
@@ -146,7 +150,7 @@ def time(found: Mapping[str, Any]) -> Figure:
             markersize=3.8,
             capsize=2.0,
             linewidth=1.2,
-            label=one["name"],
+            label=condition["name"],
         )
         late = [(a, row["p90_s"]["value"]) for a, row in zip(x, rows, strict=True)]
         late = [pair for pair in late if pair[1] is not None]
@@ -156,14 +160,14 @@ def time(found: Mapping[str, Any]) -> Figure:
     axes.set_xlabel("robots")
     axes.grid(axis="y")
     axes.legend(loc="best")
-    _sizes(axes, found)
+    _format_size_axis(axes, results)
     return figure
 
 
-def _sizes(axes: Axes, found: Mapping[str, Any]) -> None:
+def _format_size_axis(axes: Axes, results: Mapping[str, Any]) -> None:
     """Sizes along x, by their logarithm."""
-    sizes = found["sizes"]
-    flown = {row["size"] for one in found["conditions"] for row in one["sizes"]}
+    sizes = results["sizes"]
+    flown = {row["size"] for condition in results["conditions"] for row in condition["sizes"]}
     shown = sorted({size for size in flown if size & (size - 1) == 0} | {sizes[0], sizes[-1]})
     axes.set_xscale("log", base=2)
     axes.set_xlim(sizes[0] / 1.25, sizes[-1] * 1.25)
@@ -173,7 +177,7 @@ def _sizes(axes: Axes, found: Mapping[str, Any]) -> None:
     axes.xaxis.set_minor_formatter(NullFormatter())
 
 
-def _aside(sizes: Sequence[int], i: int, of: int) -> np.ndarray:
+def _offset_sizes(sizes: Sequence[int], i: int, count: int) -> np.ndarray:
     """Sizes moved a little, so that bars of conditions stand side by side."""
-    moved: np.ndarray = np.array(sizes, float) * 1.02 ** (i - 0.5 * (of - 1))
+    moved: np.ndarray = np.array(sizes, float) * 1.02 ** (i - 0.5 * (count - 1))
     return moved

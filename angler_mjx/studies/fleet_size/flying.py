@@ -12,30 +12,30 @@ from angler_mjx.runs import device_batches
 from angler_mjx.runs.progress import SilentProgress
 from angler_mjx.runs.storage import device_to_host
 from angler_mjx.runs.storage.device_to_host import FinishedTile
-from angler_mjx.runs.storage.planned import PlanningFailures
+from angler_mjx.runs.storage.planning_summary import PlanningFailures
 from angler_mjx.sim.state import Outcome
 from angler_mjx.studies.fleet_size.conditions import Condition, FleetSizeStudy
 from angler_mjx.studies.fleet_size.simulators import Simulators
 from angler_mjx.studies.fleet_size.store import Batch
 
-DIGITS = 4
+TIME_DIGITS = 4
 """Of a time in seconds: those of a sum of control steps in single precision."""
 
 
-type Part = Mapping[str, Any]
+type BatchPart = Mapping[str, Any]
 """Some tiles of a batch: ``first`` of each, and by name the values of the worlds of each, plain."""
 
 
-def fly(
+def fly_batch(
     study: FleetSizeStudy,
     simulators: Simulators,
     condition: Condition,
     size: int,
     first: int,
     *,
-    share: tuple[int, int] = (0, 1),
+    partition: tuple[int, int] = (0, 1),
     failures: PlanningFailures | None = None,
-) -> Part:
+) -> BatchPart:
     """Fly the worlds of one batch, or a share of its tiles.
 
     Args:
@@ -44,30 +44,30 @@ def fly(
         condition: in which they are flown.
         size: of the team.
         first: index of the first world.
-        share: which share of the tiles, of how many.
+        partition: which share of the tiles, of how many.
         failures: says what planners fail at.
 
     Raises:
         RunError: device memory is used up.
     """
     simulator = simulators.of(condition, size)
-    at, of = share
-    tiles = range(first, first + study.config.budget.batch, simulator.tile)[at::of]
+    at, count = partition
+    tiles = range(first, first + study.config.budget.batch, simulator.tile)[at::count]
     parts: list[dict[str, list[Any]]] = []
-    for wave in device_batches.simulate(
+    for device_batch in device_batches.simulate_tiles(
         simulator,
         tiles,
         recorded=False,
         progress=SilentProgress(),
         seed=study.config.seed,
         strict=False,
-        changed=partial(simulators.change, condition, size, simulator),
+        modify_worlds=partial(simulators.change, condition, size, simulator),
     ):
-        parts += [_of_tile(study, tile, failures) for tile in wave]
+        parts += [_summarise_tile(study, tile, failures) for tile in device_batch]
     return {"first": list(tiles), "tiles": parts}
 
 
-def batch(condition: Condition, size: int, first: int, parts: Sequence[Part]) -> Batch:
+def merge_parts(condition: Condition, size: int, first: int, parts: Sequence[BatchPart]) -> Batch:
     """A batch from all its tiles, in the order of its worlds.
 
     Args:
@@ -90,11 +90,11 @@ def batch(condition: Condition, size: int, first: int, parts: Sequence[Part]) ->
 _VALUES = tuple(one.name for one in fields(Batch) if one.name not in ("condition", "size", "first"))
 
 
-def _of_tile(
+def _summarise_tile(
     study: FleetSizeStudy, tile: FinishedTile, failures: PlanningFailures | None
 ) -> dict[str, list[Any]]:
     """Of each world of a tile."""
-    result = device_to_host.tile_result(tile)
+    result = device_to_host.build_tile_result(tile)
     if failures is not None:
         failures.add(result.world, result.notes)
     planned = np.sum(result.planned, axis=1).tolist()
@@ -104,12 +104,16 @@ def _of_tile(
     no_room = ~fits[: tile.kept]
     reached = result.outcome == Outcome.REACHED
     if result.task is None:
-        completed = arrival(reached, result.end_time_s, study.config.needed(reached.shape[1]))
+        completed = compute_completion_s(
+            reached, result.end_time_s, study.config.required_arrivals(reached.shape[1])
+        )
     else:
         completed = np.nan_to_num(result.task.completed_s.astype(float), nan=np.inf)
     completed = np.where(no_room, np.inf, completed)
     return {
-        "completed_s": [round(float(t), DIGITS) if math.isfinite(t) else None for t in completed],
+        "completed_s": [
+            round(float(t), TIME_DIGITS) if math.isfinite(t) else None for t in completed
+        ],
         "arrived": np.sum(reached, axis=1).tolist(),
         "lost": np.sum(~reached & (result.outcome != Outcome.TIMEOUT), axis=1).tolist(),
         "energy_j": np.sum(result.energy_j, axis=1, dtype=float).round(3).tolist(),
@@ -119,7 +123,7 @@ def _of_tile(
     }
 
 
-def arrival(reached: np.ndarray, end_time_s: np.ndarray, needed: int) -> np.ndarray:
+def compute_completion_s(reached: np.ndarray, end_time_s: np.ndarray, needed: int) -> np.ndarray:
     """When as many robots as are needed had arrived.
 
     Args:
@@ -133,5 +137,5 @@ def arrival(reached: np.ndarray, end_time_s: np.ndarray, needed: int) -> np.ndar
     times = np.sort(np.where(reached, end_time_s.astype(float), np.inf), axis=1)
     if needed > times.shape[1]:
         return np.full(len(times), np.inf)
-    found: np.ndarray = times[:, needed - 1]
-    return found
+    completion_s: np.ndarray = times[:, needed - 1]
+    return completion_s

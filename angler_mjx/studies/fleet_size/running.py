@@ -16,19 +16,23 @@ from typing import Any, Protocol
 import jax
 
 from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.runs.processes import OneProcess, Processes, telling
+from angler_mjx.runs.processes import OneProcess, Processes, reporting_failure
 from angler_mjx.runs.provenance import describe_environment
 from angler_mjx.runs.simulator.simulator import default_tile
 from angler_mjx.runs.storage import output_lock
 from angler_mjx.runs.storage.output_lock import OutputLock
-from angler_mjx.runs.storage.planned import PlanningFailures
+from angler_mjx.runs.storage.planning_summary import PlanningFailures
 from angler_mjx.studies.fleet_size import flying, folder, report
 from angler_mjx.studies.fleet_size.conditions import Condition, FleetSizeStudy
-from angler_mjx.studies.fleet_size.sequence import Rule, answer, wanted
+from angler_mjx.studies.fleet_size.sequential_test import (
+    SequentialRule,
+    build_answer,
+    select_next_sizes,
+)
 from angler_mjx.studies.fleet_size.simulators import Simulators
 from angler_mjx.studies.fleet_size.store import FILE, Batch, StudyStore
 
-GOOD, SPENT, LATE, STOPPED = "answered", "most_worlds", "most_minutes", "interrupted"
+GOOD, SPENT, LATE, STOPPED = "answered", "max_worlds", "max_minutes", "interrupted"
 """How a study ends."""
 
 
@@ -54,10 +58,10 @@ class _Work:
     """A study in the making."""
 
     study: FleetSizeStudy
-    rule: Rule
+    rule: SequentialRule
     store: StudyStore
-    told: StudyProgress
-    known: dict[tuple[str, int, int], Batch]
+    progress: StudyProgress
+    stored_batches: dict[tuple[str, int, int], Batch]
     taken: dict[str, dict[int, tuple[int, int]]]
     """Of each condition the counts of the batches that were asked for."""
     ends_at: float | None
@@ -68,16 +72,16 @@ class _Work:
     """Batches that were flown in this run."""
 
 
-def rule_of(study: FleetSizeStudy) -> Rule:
+def rule_of(study: FleetSizeStudy) -> SequentialRule:
     """What the sequential part is to know of a study."""
     config, sizes = study.config, study.sizes
-    return Rule(
+    return SequentialRule(
         sizes=sizes,
         first=tuple(sizes.index(size) for size in config.first_sizes()),
         probability=config.probability,
         confidence=config.confidence,
         within=config.within,
-        most_worlds=config.budget.most_worlds,
+        max_worlds=config.budget.max_worlds,
         min_size=config.arrivals or 1,
     )
 
@@ -89,24 +93,25 @@ def tile_of(study: FleetSizeStudy) -> int:
         ConfigError: the scenario's does not.
     """
     batch = study.config.budget.batch
-    given = study.scenario(study.conditions[0], study.sizes[0]).tile
-    if given is None:
-        most = default_tile(batch)
-        return max(n for n in range(1, most + 1) if batch % n == 0)
-    if batch % given:
+    scenario_tile = study.scenario(study.conditions[0], study.sizes[0]).tile
+    if scenario_tile is None:
+        max_tile = default_tile(batch)
+        return max(n for n in range(1, max_tile + 1) if batch % n == 0)
+    if batch % scenario_tile:
         raise ConfigError(
-            f"{study.source}: budget.batch = {batch}: must be whole tiles of {given} worlds (tile "
+            f"{study.source}: budget.batch = {batch}: must be whole tiles of {scenario_tile} "
+            "worlds (tile "
             "of the scenario)"
         )
-    return given
+    return scenario_tile
 
 
-def run(
+def run_study(
     study: FleetSizeStudy,
     source: Path,
     out: Path,
     *,
-    told: StudyProgress,
+    progress: StudyProgress,
     resume: bool = False,
     devices: int | None = None,
     simulators: Simulators | None = None,
@@ -118,7 +123,7 @@ def run(
         study: to be made.
         source: its file, of which a copy is kept.
         out: folder to make.
-        told: of how far it is.
+        progress: of how far it is.
         resume: go on with an interrupted one.
         devices: to fly on; all if left out. Changes no byte of the results.
         simulators: of the same study, to use what they have compiled; they are left open.
@@ -134,67 +139,72 @@ def run(
         KeyboardInterrupt: before the first batch was whole.
     """
     together = processes or OneProcess()
-    with telling(together), ExitStack() as stack:
-        claimed = tile = None
+    with reporting_failure(together), ExitStack() as stack:
+        lock = tile = None
         if together.index == 0:
             if resume:
-                claimed, tile = folder.reopen(study, out)
+                lock, tile = folder.reopen_folder(study, out)
             else:
                 tile = tile_of(study) if simulators is None else simulators.tile
-                claimed = folder.begin(study, source, out, tile)
-            stack.callback(claimed.release)
+                lock = folder.create_folder(study, source, out, tile)
+            stack.callback(lock.release)
         tile = int(together.meet("study", tile)[0])
         if simulators is None:
             simulators = Simulators(study, tile=tile, devices=devices)
             stack.callback(simulators.close)
         if not resume:
-            _tell_of_idle(study, tile, devices, together, told)
-        place = output_lock.partial_path(out)
-        found = _run(study, claimed, place, simulators, told, together)
+            _report_idle_devices(study, tile, devices, together, progress)
+        building = output_lock.partial_path(out)
+        results = _run_in_folder(study, lock, building, simulators, progress, together)
         together.meet("closed")
-    return folder.read(out) if found is None else found
+    return folder.read_results(out) if results is None else results
 
 
-def _tell_of_idle(
-    study: FleetSizeStudy, tile: int, devices: int | None, together: Processes, told: StudyProgress
+def _report_idle_devices(
+    study: FleetSizeStudy,
+    tile: int,
+    devices: int | None,
+    together: Processes,
+    progress: StudyProgress,
 ) -> None:
     """Say so where a batch has too few tiles for all devices."""
-    here = len(jax.local_devices()) if devices is None else devices
-    batch, of = study.config.budget.batch, here * together.count
-    if batch // tile < of:
-        told.tell(
-            f"budget.batch = {batch}: {batch // tile} of {of} devices have work, each takes whole "
+    n_devices = len(jax.local_devices()) if devices is None else devices
+    batch, total_devices = study.config.budget.batch, n_devices * together.count
+    if batch // tile < total_devices:
+        progress.tell(
+            f"budget.batch = {batch}: {batch // tile} of {total_devices} devices have work, each "
+            "takes whole "
             f"tiles of {tile} worlds; give a larger --batch, or in the file set = {{ tile = "
-            f"{max(batch // of, 1)} }}"
+            f"{max(batch // total_devices, 1)} }}"
         )
 
 
-def _run(
+def _run_in_folder(
     study: FleetSizeStudy,
-    claimed: OutputLock | None,
-    place: Path,
+    lock: OutputLock | None,
+    building: Path,
     simulators: Simulators,
-    told: StudyProgress,
+    progress: StudyProgress,
     together: Processes,
 ) -> dict[str, Any] | None:
     """What ``study.json`` holds; None of a process that does not keep the folder."""
-    minutes = study.config.budget.most_minutes
+    minutes = study.config.budget.max_minutes
     begun = time.monotonic()
-    store = StudyStore(place / FILE, writes=claimed is not None)
+    store = StudyStore(building / FILE, writes=lock is not None)
     work = _Work(
         study=study,
         rule=rule_of(study),
         store=store,
-        told=told,
-        known={(one.condition, one.size, one.first): one for one in store.batches},
-        taken={one.name: {} for one in study.conditions},
+        progress=progress,
+        stored_batches={(item.condition, item.size, item.first): item for item in store.batches},
+        taken={item.name: {} for item in study.conditions},
         ends_at=None if minutes is None else begun + 60.0 * minutes,
         together=together,
-        failures=PlanningFailures(told.tell),
+        failures=PlanningFailures(progress.tell),
     )
     together.meet("known", len(store.batches))  # nobody writes before all have read
     try:
-        ended = _rounds(work, simulators)
+        ended = _fly_rounds(work, simulators)
     except (KeyboardInterrupt, _StoppedError) as error:
         agreed = together.count == 1 or isinstance(error, _StoppedError)
         if not (store.batches and agreed):
@@ -204,41 +214,41 @@ def _run(
         store.close()
     if not store.batches:
         raise RunError(
-            f"{study.source}: budget.most_minutes = {minutes:g}: was over before the first batch; "
+            f"{study.source}: budget.max_minutes = {minutes:g}: was over before the first batch; "
             "give more"
         )
-    if claimed is None:
+    if lock is None:
         return None
-    took = {"total_s": time.monotonic() - begun, "compiled": simulators.compiled}
-    found = report.gather(study, work.rule, store.batches, ended)
-    found |= {"timing": took, "tile": simulators.tile, "environment": describe_environment()}
-    folder.close(claimed, study, found, store.batches)
-    return found
+    timing = {"total_s": time.monotonic() - begun, "compiled": simulators.compiled}
+    results = report.gather_results(study, work.rule, store.batches, ended)
+    results |= {"timing": timing, "tile": simulators.tile, "environment": describe_environment()}
+    folder.publish_results(lock, study, results, store.batches)
+    return results
 
 
-def _rounds(work: _Work, simulators: Simulators) -> str:
+def _fly_rounds(work: _Work, simulators: Simulators) -> str:
     """Fly what is wanted until nothing is; how that ended."""
     while True:
         cells = [
             (at, condition)
             for condition in work.study.conditions
-            for at in wanted(work.rule, work.taken[condition.name])
+            for at in select_next_sizes(work.rule, work.taken[condition.name])
         ]
         if not cells:
-            good = all(answer(work.rule, counts).good for counts in work.taken.values())
+            good = all(build_answer(work.rule, counts).good for counts in work.taken.values())
             return GOOD if good else SPENT
         # Those that share a program come one after another.
-        order = {one.name: i for i, one in enumerate(work.study.conditions)}
+        order = {entry.name: i for i, entry in enumerate(work.study.conditions)}
         cells.sort(key=lambda cell: (cell[0], order[cell[1].name]))
-        if not _fly(work, simulators, cells):
+        if not _fly_cells(work, simulators, cells):
             return LATE
 
 
-def _fly(work: _Work, simulators: Simulators, cells: list[tuple[int, Condition]]) -> bool:
+def _fly_cells(work: _Work, simulators: Simulators, cells: list[tuple[int, Condition]]) -> bool:
     """Fly one batch of each; whether there was time for all."""
-    left = [cell for cell in cells if _known(work, *cell) is None]
+    left = [cell for cell in cells if _stored_batch(work, *cell) is None]
     for at, condition in cells:
-        batch = _known(work, at, condition)
+        batch = _stored_batch(work, at, condition)
         size = work.rule.sizes[at]
         if batch is None:
             over = work.ends_at is not None and time.monotonic() > work.ends_at
@@ -246,27 +256,35 @@ def _fly(work: _Work, simulators: Simulators, cells: list[tuple[int, Condition]]
                 return False
             simulators.begin((other, work.rule.sizes[ahead]) for ahead, other in left)
             left = left[1:]
-            work.told.begin(condition.name, size)
-            batch = _flown(work, simulators, condition, size, _first(work, at, condition))
+            work.progress.begin(condition.name, size)
+            batch = _fly_shared_batch(
+                work, simulators, condition, size, _next_world(work, at, condition)
+            )
             work.store.add(batch)
         counts = work.taken[condition.name]
         hits, total = counts.get(at, (0, 0))
         counts[at] = (hits + batch.hits(work.study.config.deadline_s), total + batch.worlds)
-        so_far = answer(work.rule, counts).text(work.rule.confidence)
-        work.told.flown(condition.name, batch.worlds, so_far)
+        so_far = build_answer(work.rule, counts).text(work.rule.confidence)
+        work.progress.flown(condition.name, batch.worlds, so_far)
     return True
 
 
-def _flown(
+def _fly_shared_batch(
     work: _Work, simulators: Simulators, condition: Condition, size: int, first: int
 ) -> Batch:
     """A batch, of which each process flies a share."""
     together = work.together
     part = None
     try:
-        share = (together.index, together.count)
-        part = flying.fly(
-            work.study, simulators, condition, size, first, share=share, failures=work.failures
+        partition = (together.index, together.count)
+        part = flying.fly_batch(
+            work.study,
+            simulators,
+            condition,
+            size,
+            first,
+            partition=partition,
+            failures=work.failures,
         )
     except KeyboardInterrupt:
         together.stop()
@@ -274,14 +292,14 @@ def _flown(
     work.flown += 1
     if None in parts:
         raise _StoppedError
-    return flying.batch(condition, size, first, parts)
+    return flying.merge_parts(condition, size, first, parts)
 
 
-def _first(work: _Work, at: int, condition: Condition) -> int:
+def _next_world(work: _Work, at: int, condition: Condition) -> int:
     """First world of the next batch of a size and condition."""
     return work.taken[condition.name].get(at, (0, 0))[1]
 
 
-def _known(work: _Work, at: int, condition: Condition) -> Batch | None:
-    key = (condition.name, work.rule.sizes[at], _first(work, at, condition))
-    return work.known.get(key)
+def _stored_batch(work: _Work, at: int, condition: Condition) -> Batch | None:
+    key = (condition.name, work.rule.sizes[at], _next_world(work, at, condition))
+    return work.stored_batches.get(key)

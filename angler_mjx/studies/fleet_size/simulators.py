@@ -23,19 +23,19 @@ from typing import Any
 import jax
 import numpy as np
 
-from angler_mjx.runs.simulator.on_device import CURRENT
-from angler_mjx.runs.simulator.prepare import water_and_breakdowns
+from angler_mjx.runs.simulator.device_planning import CURRENT
 from angler_mjx.runs.simulator.simulator import Simulator
-from angler_mjx.scenario.randomise_table import AS_SAID
+from angler_mjx.runs.simulator.world_preparation import sample_water_and_breakdowns
+from angler_mjx.scenario.randomise_table import UNCHANGED
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.state import World
 from angler_mjx.studies.fleet_size.conditions import Condition, FleetSizeStudy
 
-MOST = 24
+MAX_SIMULATORS = 24
 """Simulators that are held at a time: the programs of more would use up the memory maps that a
 process may have."""
 
-AHEAD = 4
+MAX_AHEAD = 4
 """Simulators that are compiled before they are needed."""
 
 
@@ -57,11 +57,13 @@ class Simulators:
             max(1, (os.cpu_count() or 1) // 4), thread_name_prefix="simulator"
         )
         self._keys: dict[tuple[str, int], str] = {}
-        several = [study.scenario(one, study.sizes[0]).breakdowns for one in study.conditions]
+        breakdowns = [
+            study.scenario(entry, study.sizes[0]).breakdowns for entry in study.conditions
+        ]
         # Where some conditions have breakdowns, programs of all can have them.
-        self._breakdowns = max(several, key=lambda one: one.share)
+        self._breakdowns = max(breakdowns, key=lambda entry: entry.fraction)
         self._held: OrderedDict[str, Future[Simulator]] = OrderedDict()
-        self._drawing: dict[tuple[str, int], Any] = {}
+        self._samplers: dict[tuple[str, int], Any] = {}
         self.compiled = 0
         """How many were compiled, or begun with."""
 
@@ -70,7 +72,7 @@ class Simulators:
         ahead: set[int] = set()
         for condition, size in cells:
             ahead.add(id(self._future(condition, size)))
-            if len(ahead) > AHEAD:
+            if len(ahead) > MAX_AHEAD:
                 return
 
     def of(self, condition: Condition, size: int) -> Simulator:
@@ -80,7 +82,7 @@ class Simulators:
             ConfigError, RunError: as of `Simulator` and its ``compile``.
         """
         made = self._future(condition, size).result()
-        while len(self._held) > MOST:
+        while len(self._held) > MAX_SIMULATORS:
             _, old = self._held.popitem(last=False)
             if not old.cancel():
                 old.result().close()
@@ -89,7 +91,12 @@ class Simulators:
         return made
 
     def change(
-        self, condition: Condition, size: int, simulator: Simulator, firsts: Sequence[int], w: World
+        self,
+        condition: Condition,
+        size: int,
+        simulator: Simulator,
+        firsts: Sequence[int],
+        world: World,
     ) -> World:
         """Worlds of a simulator as the condition has them.
 
@@ -98,25 +105,25 @@ class Simulators:
             size: of the team.
             simulator: of `of`.
             firsts: first world of each device's tile.
-            w: worlds as the simulator drew them.
+            world: worlds as the simulator drew them.
         """
         scenario = self._study.scenario(condition, size)
-        if not _parts(scenario):
-            return w
+        if not _can_replace_water(scenario):
+            return world
         key = (condition.name, size)
-        if key not in self._drawing:
-            one = partial(water_and_breakdowns, scenario)
-            self._drawing[key] = jax.jit(jax.vmap(one, in_axes=(None, 0)))
+        if key not in self._samplers:
+            sample_water = partial(sample_water_and_breakdowns, scenario)
+            self._samplers[key] = jax.jit(jax.vmap(sample_water, in_axes=(None, 0)))
         index = np.concatenate(
             [np.arange(first, first + self.tile, dtype=np.uint32) for first in firsts]
         )
-        current, fails_at_s = self._drawing[key](np.uint32(scenario.seed), index)
-        if fails_at_s is None and w.fails_at_s is not None:
-            fails_at_s = np.full(w.fails_at_s.shape, np.inf, w.fails_at_s.dtype)
-        place = w.environment.start_m.sharding
-        current, fails_at_s = jax.device_put((current, fails_at_s), place)
-        environment = replace(w.environment, current=current)
-        return replace(w, environment=environment, fails_at_s=fails_at_s)
+        current, fails_at_s = self._samplers[key](np.uint32(scenario.seed), index)
+        if fails_at_s is None and world.fails_at_s is not None:
+            fails_at_s = np.full(world.fails_at_s.shape, np.inf, world.fails_at_s.dtype)
+        sharding = world.environment.start_m.sharding
+        current, fails_at_s = jax.device_put((current, fails_at_s), sharding)
+        environment = replace(world.environment, current=current)
+        return replace(world, environment=environment, fails_at_s=fails_at_s)
 
     def close(self) -> None:
         """End what plans on the host, and wait for what is being compiled."""
@@ -130,44 +137,44 @@ class Simulators:
         key = self._keys.get((condition.name, size))
         if key is None:
             scenario = self._canonical(scenario)
-            key = self._keys[condition.name, size] = _key(scenario)
+            key = self._keys[condition.name, size] = _program_key(scenario)
         if key not in self._held:
-            self._held[key] = self._threads.submit(self._make, scenario)
+            self._held[key] = self._threads.submit(self._compile_simulator, scenario)
             self.compiled += 1
         self._held.move_to_end(key)
         return self._held[key]
 
     def _canonical(self, scenario: Scenario) -> Scenario:
         """The scenario whose programs serve all that differ in current and breakdowns alone."""
-        if not _parts(scenario):
+        if not _can_replace_water(scenario):
             return scenario
-        randomise = scenario.randomise.model_copy(update={"current": AS_SAID})
+        randomise = scenario.randomise.model_copy(update={"current": UNCHANGED})
         update = {"randomise": randomise, "breakdowns": self._breakdowns}
         return scenario.model_copy(update=update)
 
-    def _make(self, scenario: Scenario) -> Simulator:
-        made = Simulator(self._canonical(scenario), tile=self.tile, devices=self._devices)
-        made.compile()
-        return made
+    def _compile_simulator(self, scenario: Scenario) -> Simulator:
+        simulator = Simulator(self._canonical(scenario), tile=self.tile, devices=self._devices)
+        simulator.compile()
+        return simulator
 
 
-def _parts(scenario: Scenario) -> bool:
+def _can_replace_water(scenario: Scenario) -> bool:
     """Whether current and breakdowns can be put into worlds that were drawn without regard to them.
 
     A task asks no planner; of others it must know neither the current nor what drifts with it.
     """
-    if scenario.randomise.sensor_noise != AS_SAID:
+    if scenario.randomise.sensor_noise != UNCHANGED:
         return False
-    knows = scenario.planner.knows
-    blind = knows.current == knows.obstacles == "nothing"
+    information = scenario.planner.information
+    blind = information.current == information.obstacles == "nothing"
     return scenario.task_spec() is not None or (blind and scenario.planner.name != CURRENT)
 
 
-def _key(scenario: Scenario) -> str:
+def _program_key(scenario: Scenario) -> str:
     """Of the programs of a canonical scenario: the same text is the same programs."""
     table = scenario.model_dump(mode="json", exclude={"name", "description"})
-    if _parts(scenario):
+    if _can_replace_water(scenario):
         number = jax.ShapeDtypeStruct((), np.uint32)
-        form = jax.eval_shape(partial(water_and_breakdowns, scenario), number, number)
+        form = jax.eval_shape(partial(sample_water_and_breakdowns, scenario), number, number)
         table["world"]["currents"] = f"{jax.tree.structure(form)} {jax.tree.leaves(form)}"
     return json.dumps(table, sort_keys=True)

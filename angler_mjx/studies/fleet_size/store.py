@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from angler_mjx.errors import RunError
-from angler_mjx.runs.storage.damage import reading
+from angler_mjx.runs.storage.read_errors import wrap_read_errors
 
 FILE = "batches.jsonl"
 ADVICE = "put back a copy of it, or begin a new study"
@@ -69,7 +69,7 @@ class StudyStore:
         self._file: BinaryIO | None = None
         if not writes:
             if path.is_file():
-                with reading(path, ADVICE):
+                with wrap_read_errors(path, ADVICE):
                     self._take(path.read_bytes())
             return
         try:
@@ -77,7 +77,7 @@ class StudyStore:
         except OSError as error:
             raise RunError(f"{path}: cannot be written ({error.strerror})") from error
         self._file.seek(0)
-        with reading(path, ADVICE):
+        with wrap_read_errors(path, ADVICE):
             torn = self._take(self._file.read())
         if torn:
             self._file.truncate(self._file.tell() - torn)
@@ -85,7 +85,7 @@ class StudyStore:
     def _take(self, data: bytes) -> int:
         """The batches of a file; how many bytes at its end are no whole line."""
         whole, _, torn = data.rpartition(b"\n")
-        self.batches = [_batch(json.loads(line)) for line in whole.splitlines()]
+        self.batches = [_parse_batch(json.loads(line)) for line in whole.splitlines()]
         return len(torn)
 
     def add(self, batch: Batch) -> None:
@@ -116,10 +116,13 @@ class StudyStore:
             self._file.close()
 
 
-def _batch(table: dict[str, Any]) -> Batch:
+def _parse_batch(table: dict[str, Any]) -> Batch:
     """A batch from a line; TypeError or ValueError for anything else."""
-    made = Batch(**table)
-    lists = (made.arrived, made.lost, made.energy_j, made.path_m, made.no_room)
-    if any(len(one) != made.worlds for one in lists) or len(made.planned) not in (0, made.worlds):
+    batch = Batch(**table)
+    lists = (batch.arrived, batch.lost, batch.energy_j, batch.path_m, batch.no_room)
+    if any(len(values) != batch.worlds for values in lists) or len(batch.planned) not in (
+        0,
+        batch.worlds,
+    ):
         raise ValueError("a batch is none")
-    return made
+    return batch

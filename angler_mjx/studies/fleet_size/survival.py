@@ -12,7 +12,7 @@ Z = 1.959963984540054
 
 
 @dataclass(frozen=True, kw_only=True)
-class Curve:
+class SurvivalCurve:
     """Kaplan and Meier's estimate of the share that is not done yet (JASA 53, 1958)."""
 
     time_s: np.ndarray
@@ -27,7 +27,7 @@ class Curve:
     """int [k] worlds that were done at each."""
 
 
-def curve(time_s: np.ndarray, done: np.ndarray) -> Curve:
+def estimate_curve(time_s: np.ndarray, done: np.ndarray) -> SurvivalCurve:
     """The curve of worlds, of which some were only watched for a while.
 
     Args:
@@ -42,10 +42,10 @@ def curve(time_s: np.ndarray, done: np.ndarray) -> Curve:
     with np.errstate(divide="ignore", invalid="ignore"):
         terms = np.where(rest > 0, deaths / (at_risk * np.maximum(rest, 1)), 0.0)
     variance = left**2 * np.cumsum(terms)
-    return Curve(time_s=times, left=left, variance=variance, at_risk=at_risk, done=deaths)
+    return SurvivalCurve(time_s=times, left=left, variance=variance, at_risk=at_risk, done=deaths)
 
 
-def restricted_mean(found: Curve, until_s: float) -> tuple[float, float, float]:
+def restricted_mean(curve: SurvivalCurve, until_s: float) -> tuple[float, float, float]:
     """Mean of the time or ``until_s``, whichever is less, and its 95 % interval.
 
     The area under the curve; its variance is the sum over the times of the squared area that is
@@ -54,16 +54,16 @@ def restricted_mean(found: Curve, until_s: float) -> tuple[float, float, float]:
     fixed beforehand.
 
     Args:
-        found: of the worlds.
+        curve: of the worlds.
         until_s: end of the observation.
     """
-    inside = found.time_s < until_s
-    times = np.concatenate([[0.0], found.time_s[inside], [until_s]])
-    height = np.concatenate([[1.0], found.left[inside]])
+    inside = curve.time_s < until_s
+    times = np.concatenate([[0.0], curve.time_s[inside], [until_s]])
+    height = np.concatenate([[1.0], curve.left[inside]])
     areas = height * np.diff(times)
     mean = float(np.sum(areas))
     beyond = np.cumsum(areas[::-1])[::-1][1:]
-    r, d = found.at_risk[inside], found.done[inside]
+    r, d = curve.at_risk[inside], curve.done[inside]
     rest = r - d
     terms = np.where(rest > 0, d / (r * np.maximum(rest, 1)), 0.0)
     half = Z * math.sqrt(float(np.sum(beyond**2 * terms)))

@@ -21,14 +21,14 @@ HALF_WIDTH_M = 2.0
 """Of the figure of eight."""
 RUN_UP_S = 4.0
 """From rest to full speed."""
-_FINE = 50
+_SUBSTEPS = 50
 """Steps of integration between two points."""
-_SHORT_M = 1e-3
+_MIN_LENGTH_M = 1e-3
 """A path of no length would have no planned speed."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Times:
+class CourseTimes:
     """When a course is told and flown."""
 
     flight_s: float
@@ -59,13 +59,13 @@ class FlightCourse:
     unwrapped."""
     pose: FloatArray
     """[t, 4] x, y, z and heading at each control step."""
-    way_m: float
+    length_m: float
     """Its length."""
     still: bool
     """Whether the vehicle is to stand still at the end."""
 
 
-def place(step_m: FloatArray, yaw_rad: float, times: Times) -> FlightCourse:
+def hold_position(step_m: FloatArray, yaw_rad: float, times: CourseTimes) -> FlightCourse:
     """Be at a place, from the first moment on.
 
     Args:
@@ -77,43 +77,43 @@ def place(step_m: FloatArray, yaw_rad: float, times: Times) -> FlightCourse:
     points = np.zeros((times.points, 3, 4))
     points[:, 0] = goal
     return FlightCourse(
-        time_s=_times(times),
+        time_s=_point_times(times),
         points=points,
         pose=np.tile(goal, (times.steps, 1)),
-        way_m=float(np.linalg.norm(step_m)),
+        length_m=float(np.linalg.norm(step_m)),
         still=True,
     )
 
 
-def line(step_m: FloatArray, speed_mps: float, times: Times) -> FlightCourse:
+def follow_line(step_m: FloatArray, speed_mps: float, times: CourseTimes) -> FlightCourse:
     """Go to a place [3] from the start along a line, at a speed."""
     length = float(np.linalg.norm(step_m))
-    step = step_m if length > 0 else np.array([_SHORT_M, 0.0, 0.0])
-    span, n = max(length, _SHORT_M) / speed_mps, times.points
+    step = step_m if length > 0 else np.array([_MIN_LENGTH_M, 0.0, 0.0])
+    span, n = max(length, _MIN_LENGTH_M) / speed_mps, times.points
     points = np.zeros((n, 3, 4))
     points[:, 0, :3] = START_M + np.linspace(0.0, 1.0, n)[:, None] * step
-    share = np.minimum(times.dt_s * np.arange(times.steps) / span, 1.0)
+    fraction = np.minimum(times.dt_s * np.arange(times.steps) / span, 1.0)
     pose = np.zeros((times.steps, 4))
-    pose[:, :3] = START_M + share[:, None] * step
+    pose[:, :3] = START_M + fraction[:, None] * step
     return FlightCourse(
-        time_s=np.linspace(0.0, span, n), points=points, pose=pose, way_m=length, still=True
+        time_s=np.linspace(0.0, span, n), points=points, pose=pose, length_m=length, still=True
     )
 
 
 @cache
-def eight(speed_mps: float, times: Times) -> FlightCourse:
+def follow_eight(speed_mps: float, times: CourseTimes) -> FlightCourse:
     """The figure of eight at a speed."""
     pose = figure_of_eight(speed_mps, times.steps, times.dt_s)[:, 0]
     return FlightCourse(
-        time_s=_times(times),
+        time_s=_point_times(times),
         points=figure_of_eight(speed_mps, times.points, times.point_s),
         pose=pose,
-        way_m=float(np.linalg.norm(np.diff(pose[:, :3], axis=0), axis=1).sum()),
+        length_m=float(np.linalg.norm(np.diff(pose[:, :3], axis=0), axis=1).sum()),
         still=False,
     )
 
 
-def command(courses: Sequence[FlightCourse], *, timed: bool) -> Command:
+def build_command(courses: Sequence[FlightCourse], *, timed: bool) -> Command:
     """The commands of n flights, on the host; [n] leads.
 
     Args:
@@ -123,13 +123,13 @@ def command(courses: Sequence[FlightCourse], *, timed: bool) -> Command:
     time = np.array([course.time_s for course in courses])
     points = np.array([course.points for course in courses])
     # Arrays of the host stand where those of JAX will.
-    given: dict[str, Any]
+    arrays: dict[str, Any]
     if not timed:
-        found = np.ones(len(courses), bool)
-        given = {"time_s": time, "position_m": points[:, :, 0, :3], "found": found}
-        return Trajectory(**given)
+        flags = np.ones(len(courses), bool)
+        arrays = {"time_s": time, "position_m": points[:, :, 0, :3], "found": flags}
+        return Trajectory(**arrays)
     position, velocity, acceleration = np.moveaxis(points, 2, 0)
-    given = {
+    arrays = {
         "time_s": time,
         "position": position,
         "velocity": velocity,
@@ -137,14 +137,16 @@ def command(courses: Sequence[FlightCourse], *, timed: bool) -> Command:
         "degree": np.full(time.shape, QUINTIC, np.int32),
         "commanded": np.ones((len(courses), len(VEHICLE_JOINTS)), bool),
     }
-    return JointTrajectory(joints=VEHICLE_JOINTS, **given)
+    return JointTrajectory(joints=VEHICLE_JOINTS, **arrays)
 
 
 def pose_commands(targets_m: FloatArray, yaw_rad: FloatArray) -> PoseTarget:
     """Poses to be at, [n] of them, from targets [n, 3] m in W and headings [n]."""
-    place = jnp.asarray(targets_m, float)
+    position_m = jnp.asarray(targets_m, float)
     return PoseTarget(
-        position_m=place, velocity_mps=jnp.zeros_like(place), yaw_rad=jnp.asarray(yaw_rad, float)
+        position_m=position_m,
+        velocity_mps=jnp.zeros_like(position_m),
+        yaw_rad=jnp.asarray(yaw_rad, float),
     )
 
 
@@ -158,13 +160,13 @@ def figure_of_eight(speed_mps: float, n_point: int, period_s: float) -> FloatArr
         [n_point, 3, 4] position, velocity and acceleration of x, y, z and heading (see
         `FlightCourse`), a row each ``period_s``, from rest.
     """
-    h = period_s / _FINE
-    t = h * np.arange(_FINE * (n_point - 1) + 1)
+    h = period_s / _SUBSTEPS
+    t = h * np.arange(_SUBSTEPS * (n_point - 1) + 1)
     x = np.clip(t / RUN_UP_S, 0.0, 1.0)
     pace = speed_mps * (10 * x**3 - 15 * x**4 + 6 * x**5)
     growth = np.where(x < 1, speed_mps * 30 * x**2 * (1 - x) ** 2 / RUN_UP_S, 0.0)
-    a = _arguments(pace, h)
-    curve, first, second = _lemniscate(a)
+    a = _integrate_arguments(pace, h)
+    curve, first, second = _evaluate_lemniscate(a)
     length = np.linalg.norm(first, axis=1)
     turn = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
     a_1 = pace / length
@@ -172,7 +174,7 @@ def figure_of_eight(speed_mps: float, n_point: int, period_s: float) -> FloatArr
     yaw = np.unwrap(np.arctan2(first[:, 1], first[:, 0]))
     yaw_1 = turn / length**2 * a_1
     flat = np.zeros((len(t), 1))
-    rows = slice(None, None, _FINE)
+    rows = slice(None, None, _SUBSTEPS)
     parts = (
         [curve + np.array(START_M[:2]), flat + START_M[2], yaw[:, None]],
         [first * a_1[:, None], flat, yaw_1[:, None]],
@@ -181,11 +183,11 @@ def figure_of_eight(speed_mps: float, n_point: int, period_s: float) -> FloatArr
     return np.stack([np.concatenate(part, axis=1)[rows] for part in parts], axis=1)
 
 
-def _times(times: Times) -> FloatArray:
+def _point_times(times: CourseTimes) -> FloatArray:
     return times.point_s * np.arange(times.points, dtype=np.float64)
 
 
-def _arguments(pace: FloatArray, h: float) -> FloatArray:
+def _integrate_arguments(pace: FloatArray, h: float) -> FloatArray:
     """a(t) [n] for speeds [n] at times h apart, by Heun's method."""
 
     def rate(a: float, speed: float) -> float:
@@ -198,7 +200,7 @@ def _arguments(pace: FloatArray, h: float) -> FloatArray:
     return a
 
 
-def _lemniscate(a: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _evaluate_lemniscate(a: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """The curve [n, 2] and its first two derivatives by a [n]."""
     w = HALF_WIDTH_M
     curve = np.stack([np.sin(a), 0.5 * np.sin(2 * a)], axis=1)

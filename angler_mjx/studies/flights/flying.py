@@ -34,21 +34,21 @@ class FlightSettings:
     current: Current
 
 
-def fly(spec: SimSpec, orders: FlightSettings, control_steps: int) -> FreeFlight:
+def fly_robot(spec: SimSpec, settings: FlightSettings, control_steps: int) -> FreeFlight:
     """The flight of one robot."""
-    return free_flight.fly(
+    return free_flight.simulate_flight(
         spec,
-        orders.params,
-        orders.start_m,
-        orders.yaw_rad,
-        orders.command,
-        orders.current,
+        settings.params,
+        settings.start_m,
+        settings.yaw_rad,
+        settings.command,
+        settings.current,
         control_steps=control_steps,
-        plant=orders.plant,
+        plant=settings.plant,
     )
 
 
-def program(
+def build_program(
     spec: SimSpec, control_steps: int
 ) -> Callable[[FlightSettings, tuple[Any, ...]], FreeFlight]:
     """The compiled flight of any number of robots, each with gains of its own.
@@ -56,14 +56,14 @@ def program(
     It compiles once for each number.
     """
 
-    def one(orders: FlightSettings, gains: tuple[Any, ...]) -> FreeFlight:
-        return fly(replace(spec, gains=gains), orders, control_steps)
+    def fly_one(settings: FlightSettings, gains: tuple[Any, ...]) -> FreeFlight:
+        return fly_robot(replace(spec, gains=gains), settings, control_steps)
 
-    flown: Callable[[FlightSettings, tuple[Any, ...]], FreeFlight] = jax.jit(jax.vmap(one))
+    flown: Callable[[FlightSettings, tuple[Any, ...]], FreeFlight] = jax.jit(jax.vmap(fly_one))
     return flown
 
 
-def starts(n: int) -> FloatArray:
+def start_positions(n: int) -> FloatArray:
     """[n, 3] where courses begin, for n robots."""
     return np.tile(START_M, (n, 1))
 

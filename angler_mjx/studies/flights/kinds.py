@@ -19,7 +19,7 @@ from angler_mjx.robot.vehicles.rotor_config import RotorResponse
 from angler_mjx.robot.vehicles.thrusters import FloatArray
 from angler_mjx.sim.state import SimSpec
 from angler_mjx.studies.flights import courses
-from angler_mjx.studies.flights.courses import Times
+from angler_mjx.studies.flights.courses import CourseTimes
 
 BATTERY_V = 16.0
 """Of four lithium cells, nearly full."""
@@ -41,16 +41,16 @@ class FlightKind:
 
 
 @cache
-def shipped() -> tuple[FlightKind, ...]:
+def shipped_vehicles() -> tuple[FlightKind, ...]:
     """Every vehicle file that is shipped, with each of its parameter sets."""
     return tuple(
         FlightKind(vehicle=name, parameter_set=chosen)
-        for name in library.available()
-        for chosen in library.load(name).parameter_sets
+        for name in library.list_vehicles()
+        for chosen in library.load_vehicle(name).parameter_sets
     )
 
 
-def build(
+def build_params(
     kinds: Sequence[FlightKind],
     battery_v: Sequence[float] | None = None,
     rotor_response: RotorResponse | None = None,
@@ -66,10 +66,10 @@ def build(
         [n] leads.
     """
     volts = [BATTERY_V] * len(kinds) if battery_v is None else battery_v
-    configs = {name: library.load(name) for name in {kind.vehicle for kind in kinds}}
-    stacked = params.stack(
+    configs = {name: library.load_vehicle(name) for name in {kind.vehicle for kind in kinds}}
+    stacked = params.stack_vehicles(
         [
-            params.build(
+            params.build_vehicle(
                 configs[kind.vehicle], kind.parameter_set, volt, rotor_response=rotor_response
             )
             for kind, volt in zip(kinds, volts, strict=True)
@@ -77,20 +77,20 @@ def build(
     )
     return ControlParams(
         vehicle=stacked,
-        allocation=allocation.build(stacked),
+        allocation=allocation.build_allocation(stacked),
         cruise_speed_mps=jnp.full(len(kinds), CRUISE_MPS),
     )
 
 
 @cache
-def loose() -> frozenset[FlightKind]:
+def find_unstabilised() -> frozenset[FlightKind]:
     """The shipped vehicles that nothing holds level: neither weight nor thrusters.
 
     No controller can be asked to keep the attitude of a vehicle with its centre of buoyancy no
     higher than its centre of mass, and with thrusters that cannot both roll and pitch it.
     """
-    vehicles = shipped()
-    params = build(vehicles)
+    vehicles = shipped_vehicles()
+    params = build_params(vehicles)
     rights = np.asarray(params.vehicle.p_cb_m)[:, 2] > 0.0
     commanded = np.any(np.asarray(params.allocation.B_inverse)[:, :, 3:5] != 0.0, axis=1)
     level = rights | commanded.all(axis=1)
@@ -107,7 +107,7 @@ def spec_of(controller: str) -> SimSpec:
         raise ConfigError(
             f"unknown controller {controller!r}; there is {', '.join(stages.CONTROLLERS)}"
         )
-    stack, gains = stages.build(stages.CONTROLLERS[controller], {})
+    stack, gains = stages.build_stack(stages.CONTROLLERS[controller], {})
     return SimSpec(stages=stack, gains=gains)
 
 
@@ -121,7 +121,7 @@ def keeps_time(spec: SimSpec) -> bool:
     return any(JointTrajectory in stage.takes for stage in spec.stages)
 
 
-def command(spec: SimSpec, steps_m: FloatArray, yaw_rad: FloatArray) -> Command:
+def build_command(spec: SimSpec, steps_m: FloatArray, yaw_rad: FloatArray) -> Command:
     """Steps from the start as a stack takes them; [n] leads.
 
     Args:
@@ -133,11 +133,13 @@ def command(spec: SimSpec, steps_m: FloatArray, yaw_rad: FloatArray) -> Command:
     if holds_poses(spec):
         return courses.pose_commands(courses.START_M + steps_m, yaw_rad)
     # Both ends of a path are enough.
-    times = Times(flight_s=1.0, point_s=1.0, dt_s=1.0)
-    return courses.command([courses.line(step, CRUISE_MPS, times) for step in steps_m], timed=False)
+    times = CourseTimes(flight_s=1.0, point_s=1.0, dt_s=1.0)
+    return courses.build_command(
+        [courses.follow_line(step, CRUISE_MPS, times) for step in steps_m], timed=False
+    )
 
 
-def chosen(tree: Any, rows: Sequence[int]) -> Any:
+def select_rows(tree: Any, rows: Sequence[int]) -> Any:
     """Rows of a pytree of arrays, by number."""
     index = np.asarray(rows)
     return jax.tree.map(lambda leaf: leaf[index], tree)

@@ -25,7 +25,7 @@ LEVER_M = 0.3
 """A radian of attitude counts as this many metres."""
 LAST_S = 10.0
 """The end of a flight, where a vehicle that is to stand still should."""
-KEPT_S = 0.25
+TRACK_PERIOD_S = 0.25
 """Between the positions that are kept for figures."""
 
 
@@ -40,13 +40,13 @@ class ReferenceMotion:
     """[] 1 if it is to stand still at the end, else 0."""
     heading: jax.Array
     """[] 1 if its heading counts, else 0."""
-    way_m: jax.Array
+    length_m: jax.Array
     """[] length of the way, at least 1 m: what energy is counted by."""
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Measures:
+class FlightMeasures:
     """Of one flight; [n] leads in batches."""
 
     ise_m2s: jax.Array
@@ -64,10 +64,10 @@ class Measures:
     failed: jax.Array
     """bool: not a number, leans more than 60 degrees, or turns faster than 10 rad/s."""
     position_m: jax.Array
-    """[k, 3] in W, every ``KEPT_S``."""
+    """[k, 3] in W, every ``TRACK_PERIOD_S``."""
 
 
-def reference(courses: Sequence[FlightCourse], *, heading: bool) -> ReferenceMotion:
+def build_reference(courses: Sequence[FlightCourse], *, heading: bool) -> ReferenceMotion:
     """Where n vehicles are to be, on the host; [n] leads.
 
     Args:
@@ -75,18 +75,18 @@ def reference(courses: Sequence[FlightCourse], *, heading: bool) -> ReferenceMot
         heading: whether headings count.
     """
     # Arrays of the host stand where those of JAX will.
-    given: dict[str, Any] = {
+    arrays: dict[str, Any] = {
         "pose": np.array([course.pose for course in courses]),
         "still": np.array([course.still for course in courses], float),
         "heading": np.full(len(courses), float(heading)),
-        "way_m": np.maximum([course.way_m for course in courses], 1.0),
+        "length_m": np.maximum([course.length_m for course in courses], 1.0),
     }
-    return ReferenceMotion(**given)
+    return ReferenceMotion(**arrays)
 
 
-def of_flight(
+def measure_flight(
     flight: FreeFlight, reference: ReferenceMotion, vehicle: VehicleParams, control_dt_s: float
-) -> Measures:
+) -> FlightMeasures:
     """Measures of one flight.
 
     ISE = int (|p - p_d|^2 + l^2 a^2) dt with the squared angle a^2 = 2 (1 - cos tilt) +
@@ -101,7 +101,7 @@ def of_flight(
     dt = control_dt_s
     off = flight.p - reference.pose[:, :3]
     square = jnp.sum(off**2, axis=1)
-    up = jax.vmap(quaternion.up)(flight.q)
+    up = jax.vmap(quaternion.world_up)(flight.q)
     yaw = jax.vmap(quaternion.yaw)(flight.q)
     turned = 2.0 * (1.0 - jnp.cos(yaw - reference.pose[:, 3])) * reference.heading
     angle = 2.0 * (1.0 - up[:, 2]) + turned
@@ -116,16 +116,18 @@ def of_flight(
     change = jnp.diff(flight.pwm_us[-last:], axis=0) * vehicle.thruster_exists
     rate = jnp.sum(flight.nu[:, 3:] ** 2, axis=1)
     bounded = (jnp.min(up[:, 2]) > math.cos(TILT_RAD)) & (jnp.max(rate) < RATE_RADPS**2)
-    return Measures(
+    return FlightMeasures(
         ise_m2s=dt * jnp.sum(square + LEVER_M**2 * angle),
-        energy_jpm=dt * jnp.sum(power) / reference.way_m,
-        swing_m=reference.still * _root(swing),
-        jitter_us=_root(jnp.sum(change**2) / (change.shape[0] * jnp.sum(vehicle.thruster_exists))),
-        rms_m=_root(jnp.mean(square)),
-        end_m=_root(jnp.max(square[-last:])),
+        energy_jpm=dt * jnp.sum(power) / reference.length_m,
+        swing_m=reference.still * _smooth_sqrt(swing),
+        jitter_us=_smooth_sqrt(
+            jnp.sum(change**2) / (change.shape[0] * jnp.sum(vehicle.thruster_exists))
+        ),
+        rms_m=_smooth_sqrt(jnp.mean(square)),
+        end_m=_smooth_sqrt(jnp.max(square[-last:])),
         # Comparisons with what is not a number are false.
         failed=~(bounded & jnp.isfinite(jnp.sum(square))),
-        position_m=flight.p[:: round(KEPT_S / dt)],
+        position_m=flight.p[:: round(TRACK_PERIOD_S / dt)],
     )
 
 
@@ -134,6 +136,6 @@ def _variance(rows: jax.Array) -> jax.Array:
     return jnp.mean(jnp.sum((rows - jnp.mean(rows, axis=0)) ** 2, axis=1))
 
 
-def _root(square: jax.Array) -> jax.Array:
+def _smooth_sqrt(square: jax.Array) -> jax.Array:
     """Square root with a derivative at 0."""
     return jnp.sqrt(square + 1e-12)

@@ -31,18 +31,18 @@ _CORES_M = np.array([1.2, 1.5, 1.2])
 _TURNS = np.array([1.0, -1.0, 1.0])
 
 
-def level(speed: float, course_rad: float) -> FloatArray:
+def level_velocity(speed: float, course_rad: float) -> FloatArray:
     """[3] a level velocity of some speed, counted from x towards y, in W."""
     return speed * np.array([math.cos(course_rad), math.sin(course_rad), 0.0])
 
 
-def unit(direction: FloatArray) -> FloatArray:
+def unit_vector(direction: FloatArray) -> FloatArray:
     """[3] of length 1."""
     scaled: FloatArray = direction / np.linalg.norm(direction)
     return scaled
 
 
-def as_it_is(
+def perturb_vehicle(
     vehicle: VehicleParams, mass: FloatArray, thrust: FloatArray | None = None
 ) -> VehicleParams:
     """Vehicles [n] that are not what is believed of them; their volume stays.
@@ -60,17 +60,17 @@ def as_it_is(
     return heavier if thrust is None else replace(heavier, B=vehicle.B * thrust[:, None, None])
 
 
-def able_mps(vehicle: VehicleParams) -> FloatArray:
+def min_terminal_speed_mps(vehicle: VehicleParams) -> FloatArray:
     """[n] slowest level terminal speed of vehicles [n], m/s."""
     able: FloatArray = np.asarray(vehicle.terminal_speed_mps, float)[:, :2].min(axis=1)
     return able
 
 
-def vortices(most_mps: FloatArray) -> Vortices:
+def build_vortices(max_mps: FloatArray) -> Vortices:
     """Three vortices about the figure of eight that turn either way.
 
     Args:
-        most_mps: [n] greatest speed over the course.
+        max_mps: [n] greatest speed over the course.
     """
     whole = Vortices(
         centre_m=jnp.asarray(_CENTRES_M, float),
@@ -83,10 +83,10 @@ def vortices(most_mps: FloatArray) -> Vortices:
     line = HALF_WIDTH_M * np.stack([np.sin(a), 0.5 * np.sin(2 * a), 0 * a], axis=1)
     at = jnp.asarray(line, float)
     flow = jax.vmap(currents.velocity, (None, 0, None))((whole,), at, jnp.zeros((), at.dtype))
-    share = jnp.asarray(most_mps / float(jnp.linalg.norm(flow, axis=1).max()), float)
-    n = len(most_mps)
+    scale = jnp.asarray(max_mps / float(jnp.linalg.norm(flow, axis=1).max()), float)
+    n = len(max_mps)
     return Vortices(
         centre_m=jnp.tile(whole.centre_m, (n, 1, 1)),
-        circulation_m2ps=share[:, None] * whole.circulation_m2ps,
+        circulation_m2ps=scale[:, None] * whole.circulation_m2ps,
         core_m=jnp.tile(whole.core_m, (n, 1)),
     )

@@ -16,7 +16,7 @@ SWING_M, SWING_RAD = 0.02, math.radians(1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Track:
+class FlightTrack:
     """What n robots did, on the host."""
 
     time_s: FloatArray
@@ -31,12 +31,12 @@ class Track:
     """[n, t] magnitude of the angular velocity."""
 
 
-def track(spec: SimSpec, flight: FreeFlight) -> Track:
+def build_track(spec: SimSpec, flight: FreeFlight) -> FlightTrack:
     """A flight [n] on the host, in words of attitude that people use."""
     q = np.asarray(flight.q, float)
     w, x, y, z = np.moveaxis(q, -1, 0)
     yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-    return Track(
+    return FlightTrack(
         time_s=spec.control_dt_s * np.arange(q.shape[1], dtype=np.float64),
         position_m=np.asarray(flight.p, float),
         yaw_rad=np.unwrap(yaw, axis=1),
@@ -45,7 +45,7 @@ def track(spec: SimSpec, flight: FreeFlight) -> Track:
     )
 
 
-def swings(pose: FloatArray, last: int) -> bool:
+def is_oscillating(pose: FloatArray, last: int) -> bool:
     """Whether a pose [t, 4] oscillates without end.
 
     It does where any coordinate swings by more than ``SWING_M`` or ``SWING_RAD`` over its last
@@ -56,11 +56,11 @@ def swings(pose: FloatArray, last: int) -> bool:
         last: minus the number of its last rows.
     """
     now, before = np.ptp(pose[last:], axis=0), np.ptp(pose[2 * last : last], axis=0)
-    least = np.array([SWING_M] * 3 + [SWING_RAD])
-    return bool(np.any((now > least) & (now > 0.5 * before)))
+    thresholds = np.array([SWING_M] * 3 + [SWING_RAD])
+    return bool(np.any((now > thresholds) & (now > 0.5 * before)))
 
 
-def off(pose: FloatArray, goal: FloatArray) -> FloatArray:
+def pose_error(pose: FloatArray, goal: FloatArray) -> FloatArray:
     """Errors of poses [t, 4] from a goal [4]; a full turn is none."""
     error = pose - goal
     error[:, 3] = np.mod(error[:, 3] + math.pi, 2 * math.pi) - math.pi
@@ -71,7 +71,7 @@ def rise_of(time_s: FloatArray, response: FloatArray) -> float:
     """From 10 % to 90 % of a step [t]; nan if it never came there."""
     if response.max() < 0.9:
         return math.nan
-    begin, end = (float(time_s[np.argmax(response >= share)]) for share in (0.1, 0.9))
+    begin, end = (float(time_s[np.argmax(response >= fraction)]) for fraction in (0.1, 0.9))
     return end - begin
 
 
@@ -82,18 +82,18 @@ def settling_of(time_s: FloatArray, response: FloatArray) -> float:
     return float(time_s[after]) if after < len(time_s) else math.inf
 
 
-def rms(off: FloatArray) -> float:
+def rms(errors: FloatArray) -> float:
     """Root of the mean square length of errors [t, 3]."""
-    return float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
+    return float(np.sqrt(np.mean(np.sum(errors**2, axis=1))))
 
 
-def nearest(position: FloatArray, path: FloatArray) -> FloatArray:
+def find_nearest_points(position: FloatArray, path: FloatArray) -> FloatArray:
     """Points [t, 3] of a path [n, 3] nearest to positions [t, 3], on the lines between its rows."""
     start, step = path[:-1], np.diff(path, axis=0)
     long = np.maximum(np.sum(step**2, axis=1), 1e-12)
     from_start = position[:, None, :] - start
-    share = np.clip(np.sum(from_start * step, axis=2) / long, 0.0, 1.0)
-    points = start + share[..., None] * step
+    fraction = np.clip(np.sum(from_start * step, axis=2) / long, 0.0, 1.0)
+    points = start + fraction[..., None] * step
     best = np.argmin(np.sum((position[:, None, :] - points) ** 2, axis=2), axis=1)
-    found: FloatArray = points[np.arange(len(position)), best]
-    return found
+    nearest_points: FloatArray = points[np.arange(len(position)), best]
+    return nearest_points

@@ -9,11 +9,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.report.viewing import style, tables
-from angler_mjx.runs.simulator.compiling import CompileTime
+from angler_mjx.report.viewing import markdown_tables, style
+from angler_mjx.runs.simulator.compilation import CompileTime
 from angler_mjx.studies.speed import rows as speed
-from angler_mjx.studies.speed.ceilings import with_bounds
-from angler_mjx.studies.speed.compare import host, latest
+from angler_mjx.studies.speed.compare import host_name, select_latest
+from angler_mjx.studies.speed.roofline_bounds import with_bounds
 
 BEGIN, END = "<!-- rows: begin -->", "<!-- rows: end -->"
 """What stands between them in a document is replaced by the table."""
@@ -23,7 +23,7 @@ _UNIT = "vehicle-steps/s"
 _MARKS = "osD^vPX*"
 
 
-def draw(path: Path) -> Figure:
+def plot_rows(path: Path) -> Figure:
     """Throughput of simulations over the number of worlds, both axes logarithmic.
 
     Args:
@@ -32,31 +32,34 @@ def draw(path: Path) -> Figure:
     Raises:
         ConfigError: it holds no simulation.
     """
-    rows = [row for row in latest(with_bounds(speed.read(path))) if row["unit"] == _UNIT]
+    rows = [
+        row for row in select_latest(with_bounds(speed.read_rows(path))) if row["unit"] == _UNIT
+    ]
     if not rows:
         raise ConfigError(f"--chart {path}: holds no row in {_UNIT}")
     lines: dict[tuple[str, ...], list[dict[str, Any]]] = defaultdict(list)
     for row in sorted(rows, key=lambda row: row["worlds"]):
-        lines[_series(row)].append(row)
+        lines[_series_key(row)].append(row)
     best = max(rows, key=lambda row: row["median"])
-    with style.styled():
+    with style.figure_style():
         figure = style.new_figure(9.6, 5.6 + 0.12 * len(lines), headline_in=0.65)
-        style.headline(
+        style.add_headline(
             figure,
-            f"Up to {short(best['median'])} vehicle-steps/s",
-            f"{best['workload']}, {_engine(best)}, {best['worlds']:,} worlds x {best['robots']} on "
+            f"Up to {format_rate(best['median'])} vehicle-steps/s",
+            f"{best['workload']}, {_engine_name(best)}, {best['worlds']:,} worlds x "
+            f"{best['robots']} on "
             f"{device_name(best)}; medians, bars from least to greatest",
         )
         axes = figure.subplots()
-        for place, (name, held) in enumerate(sorted(lines.items())):
-            _line(axes, place, name, held)
-        _rooflines(axes, rows)
-        _finish(axes)
+        for index, (name, series_rows) in enumerate(sorted(lines.items())):
+            _plot_line(axes, index, name, series_rows)
+        _plot_rooflines(axes, rows)
+        _format_axes(axes)
         figure.legend(loc="outside lower left", ncols=2, handlelength=2.4)
     return figure
 
 
-def table(path: Path) -> str:
+def format_table(path: Path) -> str:
     """The rows of a file as a table in Markdown: the last of each workload, size and device.
 
     Args:
@@ -68,8 +71,12 @@ def table(path: Path) -> str:
         "| --- | --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | --- |"
     )
     rows = sorted(
-        (row for row in latest(with_bounds(speed.read(path))) if row["unit"] != speed.DURATION),
-        key=lambda row: (*_series(row), row["worlds"]),
+        (
+            row
+            for row in select_latest(with_bounds(speed.read_rows(path)))
+            if row["unit"] != speed.DURATION
+        ),
+        key=lambda row: (*_series_key(row), row["worlds"]),
     )
     return "\n".join([head, *map(_table_row, rows)])
 
@@ -85,27 +92,30 @@ def compile_table(path: Path) -> str:
         seconds with an empty cache folder, then from a full one.
     """
     lines: dict[tuple[str, ...], dict[str, str]] = defaultdict(dict)
-    for row in latest(speed.read(path)):
+    for row in select_latest(speed.read_rows(path)):
         if row["unit"] == speed.DURATION:
             _, scenario, *rest = row["workload"].split("/")
             size = f"{row['worlds']:,} x {row['robots']}"
-            of = lines[scenario, _engine(row), device_name(row), host(row), size]
-            of["/".join(rest)] = f"{row['median']:.1f}"
+            size_row = lines[scenario, _engine_name(row), device_name(row), host_name(row), size]
+            size_row["/".join(rest)] = f"{row['median']:.1f}"
             jax = (row.get("versions") or {}).get("jax", "-")
-            of["at"] = f"{jax} | {str(row['at_utc'])[:10]} | {_commit(row)}"
+            size_row["at"] = f"{jax} | {str(row['at_utc'])[:10]} | {_short_commit(row)}"
     if not lines:
         return ""
     programs = tuple(CompileTime().by_program())
     head = ["scenario", "engine", "device", "host", "worlds x robots", *programs]
     head += ["all, side by side", "jax", "date", "commit"]
-    body = [[*name, *_seconds(of, programs), of["at"]] for name, of in sorted(lines.items())]
-    return tables.table(head, body)
+    body = [
+        [*name, *_format_seconds(size_row, programs), size_row["at"]]
+        for name, size_row in sorted(lines.items())
+    ]
+    return markdown_tables.format_table(head, body)
 
 
-def _seconds(of: dict[str, str], programs: tuple[str, ...]) -> list[str]:
+def _format_seconds(size_row: dict[str, str], programs: tuple[str, ...]) -> list[str]:
     """Cold and cached seconds of each program and of all."""
     cached = [(name, f"{name}/cached".removeprefix("/")) for name in (*programs, "")]
-    return [f"{of.get(cold, '-')}; {of.get(warm, '-')}" for cold, warm in cached]
+    return [f"{size_row.get(cold, '-')}; {size_row.get(warm, '-')}" for cold, warm in cached]
 
 
 def write_table(path: Path, document: Path) -> None:
@@ -117,19 +127,19 @@ def write_table(path: Path, document: Path) -> None:
     begin, end = COMPILED
     seconds = compile_table(path)
     if seconds:
-        tables.require_place(document, begin, end)
-    tables.put(document, BEGIN, table(path), END)
+        markdown_tables.require_marks(document, begin, end)
+    markdown_tables.replace_section(document, BEGIN, format_table(path), END)
     if seconds:
-        tables.put(document, begin, seconds, end)
+        markdown_tables.replace_section(document, begin, seconds, end)
 
 
-def _series(row: dict[str, Any]) -> tuple[str, ...]:
-    return (row["workload"], _engine(row), device_name(row), f"{row['robots']:4d}")
+def _series_key(row: dict[str, Any]) -> tuple[str, ...]:
+    return (row["workload"], _engine_name(row), device_name(row), f"{row['robots']:4d}")
 
 
-def _line(axes: Axes, place: int, name: tuple[str, ...], rows: list[dict[str, Any]]) -> None:
+def _plot_line(axes: Axes, index: int, name: tuple[str, ...], rows: list[dict[str, Any]]) -> None:
     workload, engine, device, robots = name
-    color, again = style.robot_color(place), place // len(style.ROBOTS) % 2 == 1
+    color, is_repeated = style.robot_color(index), index // len(style.ROBOTS) % 2 == 1
     worlds = [row["worlds"] for row in rows]
     median = [row["median"] for row in rows]
     below = [row["median"] - row["low"] for row in rows]
@@ -139,30 +149,30 @@ def _line(axes: Axes, place: int, name: tuple[str, ...], rows: list[dict[str, An
         median,
         yerr=[below, above],
         color=color,
-        marker=_MARKS[place % len(_MARKS)],
+        marker=_MARKS[index % len(_MARKS)],
         markersize=5.5,
         # Where colours repeat: single points have no line that could tell them apart.
-        markerfacecolor=style.PAPER if again else color,
-        linestyle="--" if again else "-",
+        markerfacecolor=style.PAPER if is_repeated else color,
+        linestyle="--" if is_repeated else "-",
         linewidth=1.8,
         capsize=2.5,
-        label=f"{workload}, {_robots(int(robots))}, {engine}, {device}",
+        label=f"{workload}, {_format_robots(int(robots))}, {engine}, {device}",
     )
 
 
-def _rooflines(axes: Axes, rows: list[dict[str, Any]]) -> None:
+def _plot_rooflines(axes: Axes, rows: list[dict[str, Any]]) -> None:
     """What memory and arithmetic allow, by workload and device; of several engines the highest.
 
     Only of those measured at several sizes: lines for single points would hide one another.
     """
-    of: dict[tuple[str, str], float] = {}
+    bounds: dict[tuple[str, str], float] = {}
     sizes: dict[tuple[str, str], set[int]] = {}
     for row in rows:
         name = (row["workload"], device_name(row))
-        of[name] = max(of.get(name, 0.0), row.get("bound") or 0.0)
+        bounds[name] = max(bounds.get(name, 0.0), row.get("bound") or 0.0)
         sizes.setdefault(name, set()).add(row["worlds"])
     above, left = math.inf, True
-    for (workload, device), bound in sorted(of.items(), key=lambda item: -item[1]):
+    for (workload, device), bound in sorted(bounds.items(), key=lambda item: -item[1]):
         if not bound or len(sizes[workload, device]) < 2:
             continue
         axes.axhline(bound, color=style.QUIET, linestyle=":", linewidth=1.2)
@@ -181,7 +191,7 @@ def _rooflines(axes: Axes, rows: list[dict[str, Any]]) -> None:
         above = bound
 
 
-def _finish(axes: Axes) -> None:
+def _format_axes(axes: Axes) -> None:
     axes.set_xscale("log", base=2)
     axes.set_yscale("log")
     low, high = axes.get_ylim()
@@ -198,33 +208,33 @@ def _finish(axes: Axes) -> None:
 
 def _table_row(row: dict[str, Any]) -> str:
     spread = (row["high"] - row["low"]) / row["median"]
-    share = _percent(100 * row["median"] / row["bound"]) if row.get("bound") else "-"
+    bound_percent = _format_percent(100 * row["median"] / row["bound"]) if row.get("bound") else "-"
     counted = f"{row['flops']:,.0f}" if row["flops"] else "-"
     moved = f"{row['least_bytes']:.3g}" if row["least_bytes"] else "-"
     compiled = f"{row['compile_s']:.1f} s" if row["compile_s"] is not None else "-"
     compiled += " (cached)" if row["cached_programs"] else ""
     cells = [
         row["workload"],
-        _engine(row),
+        _engine_name(row),
         device_name(row),
         f"{row['worlds']:,} x {row['robots']}",
-        f"{short(row['median'])} {row['unit']}",
+        f"{format_rate(row['median'])} {row['unit']}",
         f"{100 * spread:.0f} %",
-        share,
+        bound_percent,
         f"{counted}; {moved}",
         compiled,
-        _commit(row),
+        _short_commit(row),
     ]
     return f"| {' | '.join(cells)} |"
 
 
-def _engine(row: dict[str, Any]) -> str:
+def _engine_name(row: dict[str, Any]) -> str:
     if row["engine"] is None:
         return "-"
     return f"{row['engine']}/{row['kernels']}" if row["engine"] == "fused" else str(row["engine"])
 
 
-def _commit(row: dict[str, Any]) -> str:
+def _short_commit(row: dict[str, Any]) -> str:
     commit = str(row["commit"] or "-")
     return commit[:7] + (" (changed)" if commit.endswith("-changed") else "")
 
@@ -235,16 +245,16 @@ def device_name(row: dict[str, Any]) -> str:
     return name if row["devices"] == 1 else f"{row['devices']} {name}"
 
 
-def _robots(number: int) -> str:
+def _format_robots(number: int) -> str:
     return "1 robot" if number == 1 else f"{number} robots"
 
 
-def _percent(share: float) -> str:
+def _format_percent(percent: float) -> str:
     """Two digits, or as many as a whole number has."""
-    return f"{share:.0f} %" if share >= 10 else f"{share:.2g} %"
+    return f"{percent:.0f} %" if percent >= 10 else f"{percent:.2g} %"
 
 
-def short(rate: float) -> str:
+def format_rate(rate: float) -> str:
     """As 1.2e8, without the zero and sign that Python puts into an exponent."""
     mantissa, exponent = f"{rate:.1e}".split("e")
     return f"{mantissa}e{int(exponent)}" if abs(int(exponent)) > 3 else f"{rate:.0f}"

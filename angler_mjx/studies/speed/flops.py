@@ -29,7 +29,7 @@ _ARITHMETIC = frozenset(
     )
 )
 _REDUCTIONS = frozenset(("reduce_sum", "reduce_prod", "reduce_max", "reduce_min"))
-_RUNNING = frozenset(("cumsum", "cumprod", "cummax", "cummin"))
+_SCANS = frozenset(("cumsum", "cumprod", "cummax", "cummin"))
 _OPAQUE = frozenset(("pallas_call", "triton_call", "ffi_call", "conv_general_dilated"))
 
 
@@ -47,19 +47,19 @@ class _OpaqueError(Exception):
     """Something that cannot be looked into."""
 
 
-def count(function: Callable[..., Any], *arguments: Any) -> OperationCount:
+def count_operations(function: Callable[..., Any], *arguments: Any) -> OperationCount:
     """Operations of one call; nothing is compiled or computed.
 
     Args:
         function: to be traced.
         *arguments: arrays, or their shapes and types.
     """
-    reader = _Reader()
+    reader = _OperationCounter()
     try:
         flops = reader.flops(jax.make_jaxpr(function)(*arguments).jaxpr)
     except _OpaqueError as error:
         return OperationCount(None, f"not counted: nothing can see into {error}")
-    if reader.at_least:
+    if reader.is_lower_bound:
         return OperationCount(
             flops,
             "at least: loops that run until something happens count once, branches as the cheapest",
@@ -67,44 +67,44 @@ def count(function: Callable[..., Any], *arguments: Any) -> OperationCount:
     return OperationCount(flops, "loops as often as they run")
 
 
-class _Reader:
+class _OperationCounter:
     """Walks through a function and those that it calls."""
 
     def __init__(self) -> None:
-        self.at_least = False
-        self._known: dict[int, float] = {}
+        self.is_lower_bound = False
+        self._flops_by_id: dict[int, float] = {}
         self._kept: list[Any] = []
 
     def flops(self, body: Any) -> float:
         """Operations of a jaxpr, closed or not."""
         body = getattr(body, "jaxpr", body)
-        if id(body) not in self._known:
+        if id(body) not in self._flops_by_id:
             # Kept alive: another one must not get its id.
             self._kept.append(body)
-            self._known[id(body)] = sum(map(self._of, _needed(body)))
-        return self._known[id(body)]
+            self._flops_by_id[id(body)] = sum(map(self._count_calls, _needed_equations(body)))
+        return self._flops_by_id[id(body)]
 
-    def _of(self, equation: Any) -> float:
+    def _count_calls(self, equation: Any) -> float:
         """Operations of one equation with all that it calls."""
-        name, given = equation.primitive.name, equation.params
+        name, parameters = equation.primitive.name, equation.params
         if name in _OPAQUE:
             raise _OpaqueError(name)
         match name:
             case "scan":
-                return float(given["length"]) * self.flops(given["jaxpr"])
+                return float(parameters["length"]) * self.flops(parameters["jaxpr"])
             case "while":
-                self.at_least = True
-                return self.flops(given["body_jaxpr"]) + self.flops(given["cond_jaxpr"])
+                self.is_lower_bound = True
+                return self.flops(parameters["body_jaxpr"]) + self.flops(parameters["cond_jaxpr"])
             case "cond":
-                self.at_least = True
-                return min(self.flops(branch) for branch in given["branches"])
-        inner = given.get("jaxpr", given.get("call_jaxpr"))
+                self.is_lower_bound = True
+                return min(self.flops(branch) for branch in parameters["branches"])
+        inner = parameters.get("jaxpr", parameters.get("call_jaxpr"))
         if inner is not None:
             return self.flops(inner)
-        return _simple(equation)
+        return _count_equation(equation)
 
 
-def _simple(equation: Any) -> float:
+def _count_equation(equation: Any) -> float:
     """Operations of an equation that calls nothing."""
     name, out = equation.primitive.name, equation.outvars[0].aval
     if not jnp.issubdtype(getattr(out, "dtype", jnp.int32), jnp.floating):
@@ -117,7 +117,7 @@ def _simple(equation: Any) -> float:
         # By repeated squaring, and one more for the reciprocal.
         each = power.bit_length() + power.bit_count() - 2 + (equation.params["y"] < 0)
         return float(size * each)
-    if name in _RUNNING:
+    if name in _SCANS:
         return float(size)
     if name in _REDUCTIONS:
         return float(math.prod(equation.invars[0].aval.shape) - size)
@@ -130,7 +130,7 @@ def _simple(equation: Any) -> float:
     return 0.0
 
 
-def _needed(body: Any) -> list[Any]:
+def _needed_equations(body: Any) -> list[Any]:
     """Equations of a jaxpr that are used in the end, without those that say what one before did."""
     same: dict[Any, Any] = {}
     first: dict[Any, list[Any]] = {}
@@ -138,37 +138,39 @@ def _needed(body: Any) -> list[Any]:
     for equation in body.eqns:
         key = (
             equation.primitive.name,
-            tuple(_name(x, same) for x in equation.invars),
-            tuple(sorted((k, _value(v)) for k, v in equation.params.items())),
+            tuple(_variable_key(x, same) for x in equation.invars),
+            tuple(sorted((k, _parameter_key(v)) for k, v in equation.params.items())),
         )
         if key in first and not equation.effects:
             same.update(zip(equation.outvars, first[key], strict=True))
             continue
         first[key] = equation.outvars
         kept.append(equation)
-    used = {_name(x, same) for x in body.outvars}
+    used = {_variable_key(x, same) for x in body.outvars}
     needed = []
     for equation in reversed(kept):
-        if equation.effects or any(_name(x, same) in used for x in equation.outvars):
-            used.update(_name(x, same) for x in equation.invars)
+        if equation.effects or any(_variable_key(x, same) in used for x in equation.outvars):
+            used.update(_variable_key(x, same) for x in equation.invars)
             needed.append(equation)
     return needed
 
 
-def _name(x: Any, same: dict[Any, Any]) -> Any:
+def _variable_key(x: Any, same: dict[Any, Any]) -> Any:
     """What stands for a variable or a literal in comparisons."""
     if hasattr(x, "val"):
         return ("literal", str(x.aval), repr(x.val))
     return id(same.get(x, x))
 
 
-def _value(parameter: Any) -> str:
+def _parameter_key(parameter: Any) -> str:
     """What stands for a parameter in comparisons; functions are the same only if they are one."""
-    if isinstance(parameter, (int, float, str, bool, tuple, type(None))) and not _holds(parameter):
+    if isinstance(parameter, (int, float, str, bool, tuple, type(None))) and not _holds_equations(
+        parameter
+    ):
         return repr(parameter)
     return f"{type(parameter).__name__} {id(parameter)}"
 
 
-def _holds(parameter: Any) -> bool:
+def _holds_equations(parameter: Any) -> bool:
     """Whether there is a function in a tuple, whose text would be long."""
     return isinstance(parameter, tuple) and any(hasattr(part, "eqns") for part in parameter)

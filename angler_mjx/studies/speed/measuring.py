@@ -20,7 +20,9 @@ from angler_mjx.studies.speed.rows import HITS, SpeedRow, cache_events, peak_dev
 from angler_mjx.studies.speed.workloads import WorkloadCase
 
 
-def run(chosen: list[WorkloadCase], begin: Callable[[WorkloadCase], None]) -> Iterator[SpeedRow]:
+def measure_cases(
+    chosen: list[WorkloadCase], begin: Callable[[WorkloadCase], None]
+) -> Iterator[SpeedRow]:
     """Measure one case after the other.
 
     A case gives a row, or several where it compiles. A case that is refused gives a row without a
@@ -36,7 +38,7 @@ def run(chosen: list[WorkloadCase], begin: Callable[[WorkloadCase], None]) -> It
             continue
         begin(case)
         before = cache_events()[HITS]
-        rows = _measured(case)
+        rows = _measure_or_refuse(case)
         if case.workload.kind != "compilation":
             hits = cache_events()[HITS] - before
             rows = [replace(row, cached_programs=hits) for row in rows]
@@ -47,25 +49,29 @@ def run(chosen: list[WorkloadCase], begin: Callable[[WorkloadCase], None]) -> It
         jax.clear_caches()
 
 
-def _measured(case: WorkloadCase) -> list[SpeedRow]:
+def _measure_or_refuse(case: WorkloadCase) -> list[SpeedRow]:
     try:
-        return _measure(case)
+        return _measure_case(case)
     except AnglerError as error:
-        return [_refused(case, str(error), devices.is_out_of_memory(error.__cause__ or error))]
+        return [
+            _build_refused_row(case, str(error), devices.is_out_of_memory(error.__cause__ or error))
+        ]
     except jax.errors.JaxRuntimeError as error:
         if not devices.is_out_of_memory(error):
             raise
         fits = _largest_that_fits(case)
-        return [_refused(case, f"out of device memory; {fits} worlds in one call fit", True)]
+        return [
+            _build_refused_row(case, f"out of device memory; {fits} worlds in one call fit", True)
+        ]
 
 
-def _measure(case: WorkloadCase) -> list[SpeedRow]:
+def _measure_case(case: WorkloadCase) -> list[SpeedRow]:
     if case.workload.kind == "compilation" and case.scenario is not None:
         return compilation.measure(case.scenario, label=case.label, worlds=case.worlds)
-    return [_rate(case)]
+    return [_measure_rate(case)]
 
 
-def _rate(case: WorkloadCase) -> SpeedRow:
+def _measure_rate(case: WorkloadCase) -> SpeedRow:
     workload, worlds, robots, repeats = case.workload, case.worlds, case.robots, case.repeats
     match workload.kind:
         case "generation":
@@ -92,7 +98,7 @@ def _largest_that_fits(case: WorkloadCase) -> int:
     worlds = case.worlds // 2
     while worlds >= 1:
         try:
-            _measure(replace(case, worlds=worlds))
+            _measure_case(replace(case, worlds=worlds))
         except jax.errors.JaxRuntimeError as error:
             if not devices.is_out_of_memory(error):
                 raise
@@ -102,7 +108,7 @@ def _largest_that_fits(case: WorkloadCase) -> int:
     return worlds
 
 
-def _refused(case: WorkloadCase, why: str, out_of_memory: bool) -> SpeedRow:
+def _build_refused_row(case: WorkloadCase, reason: str, out_of_memory: bool) -> SpeedRow:
     scenario = case.scenario
     return SpeedRow(
         workload=case.label,
@@ -120,6 +126,6 @@ def _refused(case: WorkloadCase, why: str, out_of_memory: bool) -> SpeedRow:
         kernels=scenario.kernels if scenario else case.kernels,
         controller=case.controller,
         device_peak_bytes=peak_device_bytes(),
-        refused=why,
-        out_of_memory=out_of_memory or "out of device memory" in why,
+        refused=reason,
+        out_of_memory=out_of_memory or "out of device memory" in reason,
     )

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from angler_mjx.sim.engines.triton import launch as triton
-from angler_mjx.studies.speed.rows import SpeedRow, seconds_of, turns
+from angler_mjx.studies.speed.rows import SpeedRow, iterate_turns, seconds_of
 
 CHAINS = 8
 """Side by side in each element."""
@@ -27,7 +27,7 @@ _IN_A_TURN = 16
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Load:
+class _DeviceLoad:
     """What is timed."""
 
     copied: int
@@ -38,9 +38,9 @@ class _Load:
     """Multiply-adds of a chain."""
 
 
-_LOADS = {"cpu": _Load(copied=2**26, chained=2**20, links=64)}
+_LOADS = {"cpu": _DeviceLoad(copied=2**26, chained=2**20, links=64)}
 """About 20 ms each on two cores."""
-_LOAD_ELSEWHERE = _Load(copied=2**30, chained=2**25, links=1024)
+_LOAD_ELSEWHERE = _DeviceLoad(copied=2**30, chained=2**25, links=1024)
 """Some ms each on a device of some TB/s and some 10 TFLOP/s: a launch, and reading what the chains
 begin with, are little beside it."""
 
@@ -62,16 +62,16 @@ def measure(repeats: int = 10) -> DeviceSpeed:
     backend = jax.default_backend()
     load = _LOADS.get(backend, _LOAD_ELSEWHERE)
     copy = _median_s(load.copied, jax.jit(lambda x, a, b: x + b), repeats)
-    chains = partial(_chains_in_kernel if backend == "gpu" else _chains, load.links)
+    chains = partial(_run_chains_in_kernel if backend == "gpu" else _run_chains, load.links)
     chain = _median_s(load.chained, jax.jit(chains), repeats)
     return DeviceSpeed(
         copy_bytes_per_s=2 * 4 * load.copied / copy,
         fma_flops_per_s=2 * CHAINS * load.links * load.chained / chain,
-        driver=None if backend == "cpu" else driver(),
+        driver=None if backend == "cpu" else read_driver_version(),
     )
 
 
-def bound(row: SpeedRow, device: DeviceSpeed) -> float | None:
+def compute_bound(row: SpeedRow, device: DeviceSpeed) -> float | None:
     """Highest rate that the row's devices allow; None if neither of its needs is known."""
     limits = []
     if row.flops:
@@ -81,10 +81,10 @@ def bound(row: SpeedRow, device: DeviceSpeed) -> float | None:
     return row.devices * min(limits) if limits else None
 
 
-def driver() -> str | None:
+def read_driver_version() -> str | None:
     """Version of the NVIDIA driver; None where there is none."""
     try:
-        said = subprocess.run(
+        output = subprocess.run(
             ["nvidia-smi", "--query-gpu=driver_version", "--format=csv,noheader"],
             capture_output=True,
             text=True,
@@ -93,10 +93,10 @@ def driver() -> str | None:
         ).stdout.split()
     except (OSError, subprocess.SubprocessError):
         return None
-    return said[0] if said else None
+    return output[0] if output else None
 
 
-def _chains(n_link: int, x: jax.Array, a: jax.Array, b: jax.Array) -> jax.Array:
+def _run_chains(n_link: int, x: jax.Array, a: jax.Array, b: jax.Array) -> jax.Array:
     """The sum of ``CHAINS`` chains; nothing in them is known before the call."""
     links = [x + k for k in range(CHAINS)]
     for _ in range(n_link):
@@ -107,12 +107,12 @@ def _chains(n_link: int, x: jax.Array, a: jax.Array, b: jax.Array) -> jax.Array:
     return total
 
 
-def _chains_in_kernel(n_link: int, x: jax.Array, a: jax.Array, b: jax.Array) -> jax.Array:
+def _run_chains_in_kernel(n_link: int, x: jax.Array, a: jax.Array, b: jax.Array) -> jax.Array:
     """The same in one kernel; in a loop, for straight code would wait for its instructions."""
 
     def kernel(a: jax.Array, b: jax.Array, turns: jax.Array, _: jax.Array, out: jax.Array) -> None:
-        at, _row = triton.place(_PROGRAM.lanes)
-        x = triton.loader(out)(at)
+        at, _row = triton.locate_lanes(_PROGRAM.lanes)
+        x = triton.make_loader(out)(at)
         factor, term = (jnp.broadcast_to(number[0], x.shape) for number in (a, b))
 
         def turn(_: jax.Array, links: list[jax.Array]) -> list[jax.Array]:
@@ -122,11 +122,11 @@ def _chains_in_kernel(n_link: int, x: jax.Array, a: jax.Array, b: jax.Array) -> 
 
         links = [x + k for k in range(CHAINS)]
         links = jax.lax.fori_loop(0, turns[0], turn, links)
-        triton.storer(out, at)(at, sum(links))
+        triton.make_storer(out, at)(at, sum(links))
 
     # Read, not known: else the compiler writes the loop out.
-    given = [a.reshape(1), b.reshape(1), jnp.array([n_link // _IN_A_TURN], jnp.int32)]
-    (after,) = triton.call(kernel, _PROGRAM, x.size, 1, given, [x])
+    inputs = [a.reshape(1), b.reshape(1), jnp.array([n_link // _IN_A_TURN], jnp.int32)]
+    (after,) = triton.call_kernel(kernel, _PROGRAM, x.size, 1, inputs, [x])
     return after
 
 
@@ -134,5 +134,5 @@ def _median_s(elements: int, function: jax.stages.Wrapped, repeats: int) -> floa
     x = jnp.ones(elements, jnp.float32)
     a, b = jnp.float32(0.999), jnp.float32(0.001)
     program = function.lower(x, a, b).compile()
-    taken = [(seconds_of(program, x, a, b)[0], counts) for counts in turns(repeats)]
+    taken = [(seconds_of(program, x, a, b)[0], counts) for counts in iterate_turns(repeats)]
     return float(np.median([seconds for seconds, counts in taken if counts]))

@@ -20,11 +20,11 @@ import numpy as np
 from jax import monitoring
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.files import json_of, named, parse, read_text
+from angler_mjx.files import format_path, parse_json, parse_model, read_text
 from angler_mjx.runs.provenance import peak_memory_bytes
-from angler_mjx.studies.speed.stored import StoredRow
+from angler_mjx.studies.speed.stored_rows import StoredRow
 
-MOST_BYTES = 1 << 26
+MAX_BYTES = 1 << 26
 """Of a file of rows."""
 MIN_REPEATS = 10
 """Fewer tell little about the spread."""
@@ -111,7 +111,7 @@ def seconds_of(call: Callable[..., Any], *arguments: Any) -> tuple[float, Any]:
     return time.perf_counter() - begun, result
 
 
-def turns(repeats: int) -> Iterator[bool]:
+def iterate_turns(repeats: int) -> Iterator[bool]:
     """Turns of a measurement, each with whether it counts: the first never, nor any in a second.
 
     A processor that was idle first has to raise its clock.
@@ -124,7 +124,7 @@ def turns(repeats: int) -> Iterator[bool]:
         counted += warm
 
 
-def spread(rates: list[float]) -> dict[str, Any]:
+def summarise_rates(rates: list[float]) -> dict[str, Any]:
     """The fields of a row that come from the rates of its repeats."""
     return {
         "median": float(np.median(rates)),
@@ -134,7 +134,7 @@ def spread(rates: list[float]) -> dict[str, Any]:
     }
 
 
-def account(program: Any) -> dict[str, Any]:
+def read_program_costs(program: Any) -> dict[str, Any]:
     """The fields of a row that XLA says of a compiled program; none where it says nothing.
 
     Args:
@@ -157,14 +157,14 @@ def moved_bytes(program: Any) -> int | None:
 
 
 @jax.jit
-def _finite(tree: Any) -> jax.Array:
+def _is_all_finite(tree: Any) -> jax.Array:
     leaves = [x for x in jax.tree.leaves(tree) if jnp.issubdtype(x.dtype, jnp.floating)]
     return jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in leaves]))
 
 
 def all_finite(tree: Any) -> bool:
     """Whether every float of a tree of device arrays is finite."""
-    return bool(_finite(tree))
+    return bool(_is_all_finite(tree))
 
 
 HITS, REQUESTS = "cache_hits", "compile_requests_use_cache"
@@ -194,12 +194,12 @@ def peak_device_bytes() -> int | None:
     return None if peak is None else int(peak)
 
 
-def record(row: SpeedRow, around: dict[str, Any], out: Path) -> None:
+def append_row(row: SpeedRow, conditions: dict[str, Any], out: Path) -> None:
     """Append a row to a JSON-lines file.
 
     Args:
         row: what was measured.
-        around: device, versions and commit.
+        conditions: device, versions and commit.
         out: file; made if there is none.
 
     Raises:
@@ -208,21 +208,21 @@ def record(row: SpeedRow, around: dict[str, Any], out: Path) -> None:
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         with out.open("a", encoding="utf-8") as file:
-            file.write(json.dumps({**asdict(row), **around}, allow_nan=False) + "\n")
+            file.write(json.dumps({**asdict(row), **conditions}, allow_nan=False) + "\n")
     except OSError as error:
         raise ConfigError(f"--out {out}: cannot be written ({error.strerror})") from error
 
 
-def read(path: Path) -> list[dict[str, Any]]:
+def read_rows(path: Path) -> list[dict[str, Any]]:
     """Return all rows of a file, oldest first: fields of `SpeedRow`, and where it was measured.
 
     Raises:
         ConfigError: the file cannot be read, or a line of it is no row.
     """
-    return list(_rows(read_text(path, MOST_BYTES), path))
+    return list(_parse_rows(read_text(path, MAX_BYTES), path))
 
 
-def _rows(text: str, path: Path) -> Iterator[dict[str, Any]]:
+def _parse_rows(text: str, path: Path) -> Iterator[dict[str, Any]]:
     absent = {name: None for name in SpeedRow.__dataclass_fields__} | {
         "out_of_memory": False,
         "devices": 1,
@@ -231,13 +231,18 @@ def _rows(text: str, path: Path) -> Iterator[dict[str, Any]]:
     for number, line in enumerate(text.splitlines(), start=1):
         if not line.strip():
             continue
-        where = f"{named(path)}, line {number}"
-        found = json_of(line, where)
-        parse(StoredRow, found, source=f"{where}: is no row of a benchmark")
-        yield absent | {"device": None, "commit": None} | found | _renamed(found["workload"])
+        where = f"{format_path(path)}, line {number}"
+        fields = parse_json(line, where)
+        parse_model(StoredRow, fields, source=f"{where}: is no row of a benchmark")
+        yield (
+            absent
+            | {"device": None, "commit": None}
+            | fields
+            | _convert_first_version(fields["workload"])
+        )
 
 
-def _renamed(workload: str) -> dict[str, Any]:
+def _convert_first_version(workload: str) -> dict[str, Any]:
     """Rows of the first version named the engine in the workload, and no kernels."""
     engine, _, rest = workload.partition("/")
     name, _, part = rest.partition("/")

@@ -11,7 +11,7 @@ from angler_mjx.robot.control.stages import CONTROLLERS
 from angler_mjx.runs.simulator import devices
 from angler_mjx.runs.simulator.simulator import default_tile
 from angler_mjx.scenario.fleet_entry import FleetEntry
-from angler_mjx.scenario.scenario import Scenario, load_scenario, shipped
+from angler_mjx.scenario.scenario import Scenario, load_scenario, shipped_scenarios
 from angler_mjx.studies.speed.rows import check_repeats
 
 type Kind = Literal[
@@ -188,7 +188,7 @@ class WorkloadCase:
         return f"{name}/{self.controller}" if self.controller else name
 
 
-def cases(request: SpeedRequest) -> list[WorkloadCase]:
+def build_cases(request: SpeedRequest) -> list[WorkloadCase]:
     """All rows of a request; worlds grow fastest.
 
     Raises:
@@ -196,61 +196,61 @@ def cases(request: SpeedRequest) -> list[WorkloadCase]:
     """
     check_repeats(request.repeats)
     grid = PROFILES[request.profile]
-    devices.mesh(request.devices)
+    devices.build_mesh(request.devices)
     for flag, numbers in (("worlds", request.worlds), ("robots", request.robots)):
         if any(n < 1 for n in numbers):
             raise ConfigError(f"--{flag} {min(numbers)}: must be at least 1")
-    found = []
-    for workload in _chosen(request, grid):
+    fleet_cases = []
+    for workload in _select_workloads(request, grid):
         name = workload.label
         if workload.kind == "dynamics" and request.engine == "mjx":
             raise ConfigError(f"--engine mjx: workload {name} is for the fused engine alone")
         # Programs are compiled for the tile of a run, whatever worlds a profile simulates.
-        own = () if workload.kind == "compilation" else grid.worlds
-        sizes = request.worlds or own
-        for robots in _fleets(workload, request.robots or grid.robots):
-            for controller in _controllers(workload, request):
-                found += _of_fleet(workload, robots, request, sizes, controller)
-    return found
+        profile_worlds = () if workload.kind == "compilation" else grid.worlds
+        sizes = request.worlds or profile_worlds
+        for robots in _robot_counts(workload, request.robots or grid.robots):
+            for controller in _select_controllers(workload, request):
+                fleet_cases += _build_fleet_cases(workload, robots, request, sizes, controller)
+    return fleet_cases
 
 
-def _chosen(request: SpeedRequest, grid: WorkloadGrid) -> list[Workload]:
+def _select_workloads(request: SpeedRequest, grid: WorkloadGrid) -> list[Workload]:
     """Workloads of a request; of ``compile`` one for each scenario.
 
     Raises:
         ConfigError: an unknown workload or scenario, or scenarios that nothing compiles.
     """
-    found, is_compiled = [], False
-    for workload in map(find, request.workloads or grid.workloads):
+    selected, is_compiled = [], False
+    for workload in map(find_workload, request.workloads or grid.workloads):
         if workload.kind != "compilation":
-            found.append(workload)
+            selected.append(workload)
             continue
         is_compiled = True
-        for name in request.scenarios or tuple(shipped()):
-            of = _simulation(name)
-            label = f"{workload.label}/{of.label}"
-            found.append(replace(workload, source=name, robots=of.robots, label=label))
+        for name in request.scenarios or tuple(shipped_scenarios()):
+            simulation = _simulation_workload(name)
+            label = f"{workload.label}/{simulation.label}"
+            selected.append(replace(workload, source=name, robots=simulation.robots, label=label))
     if request.scenarios and not is_compiled:
         raise ConfigError(
             f"--scenario {request.scenarios[0]}: is for --workload compile; to simulate it, give "
             f"--workload {request.scenarios[0]}"
         )
-    return found
+    return selected
 
 
-def _fleets(workload: Workload, robots: tuple[int, ...]) -> tuple[int, ...]:
+def _robot_counts(workload: Workload, robots: tuple[int, ...]) -> tuple[int, ...]:
     """Numbers of robots in a world that a workload is measured for."""
     return robots if robots and workload.kind != "dynamics" else (workload.robots,)
 
 
-def _controllers(workload: Workload, request: SpeedRequest) -> tuple[str | None, ...]:
+def _select_controllers(workload: Workload, request: SpeedRequest) -> tuple[str | None, ...]:
     """Controllers that a workload is measured with; None for its own."""
     if unknown := [name for name in request.controllers if name not in CONTROLLERS]:
         raise ConfigError(f"--controller {unknown[0]}: there is {', '.join(CONTROLLERS)}")
     return (workload.kind == "simulation" and request.controllers) or (None,)
 
 
-def _of_fleet(
+def _build_fleet_cases(
     workload: Workload,
     robots: int,
     request: SpeedRequest,
@@ -258,7 +258,7 @@ def _of_fleet(
     controller: str | None,
 ) -> list[WorkloadCase]:
     """The rows of one workload, number of robots and controller."""
-    scenario = _scenario(workload, robots, request, controller)
+    scenario = _build_scenario(workload, robots, request, controller)
     if not worlds and scenario is not None:
         worlds = (scenario.tile or default_tile(scenario.worlds),)
     devices = request.devices if workload.kind == "simulation" else 1
@@ -279,7 +279,7 @@ def _of_fleet(
     ]
 
 
-def find(name: str) -> Workload:
+def find_workload(name: str) -> Workload:
     """A workload by its name, or the simulation of a scenario by its name or path.
 
     Raises:
@@ -287,15 +287,15 @@ def find(name: str) -> Workload:
     """
     if name in WORKLOADS:
         return WORKLOADS[name]
-    if name not in shipped() and not name.endswith(".toml"):
+    if name not in shipped_scenarios() and not name.endswith(".toml"):
         raise ConfigError(
             f"--workload {name}: there is {', '.join(WORKLOADS)}; also the scenarios "
-            f"{', '.join(shipped())}, and any path of a .toml file"
+            f"{', '.join(shipped_scenarios())}, and any path of a .toml file"
         )
-    return _simulation(name)
+    return _simulation_workload(name)
 
 
-def _simulation(name: str) -> Workload:
+def _simulation_workload(name: str) -> Workload:
     """The simulation of a scenario by its name or path.
 
     Raises:
@@ -311,7 +311,7 @@ def _simulation(name: str) -> Workload:
     )
 
 
-def _scenario(
+def _build_scenario(
     workload: Workload, robots: int, request: SpeedRequest, controller: str | None
 ) -> Scenario | None:
     """The scenario of a workload with this many robots; None for workloads without one."""
@@ -327,32 +327,32 @@ def _scenario(
     if workload.record_hz is not None:
         changes["time"] = {"record_hz": workload.record_hz}
     name = workload.source
-    if name in shipped() or name.endswith(".toml"):
-        return _resized(name, robots, changes)
+    if name in shipped_scenarios() or name.endswith(".toml"):
+        return _load_resized(name, robots, changes)
     file = resources.files("angler_mjx.studies.speed") / "data" / f"{name}.toml"
     with resources.as_file(file) as path:
-        return _resized(path, robots, changes)
+        return _load_resized(path, robots, changes)
 
 
-def _resized(name: str | Path, robots: int, changes: dict[str, Any]) -> Scenario:
+def _load_resized(name: str | Path, robots: int, changes: dict[str, Any]) -> Scenario:
     scenario = load_scenario(name, **changes)
     if len(scenario.members()) == robots:
         return scenario
     # Teams of all sizes are measured with one planner, or rates would compare two.
     planner = {"name": scenario.planner.name}
-    fleet = _fleet(scenario.fleet, robots)
+    fleet = _scale_fleet(scenario.fleet, robots)
     return load_scenario(name, **changes, fleet=fleet, planner=planner)
 
 
-def _fleet(entries: tuple[FleetEntry, ...], robots: int) -> list[dict[str, Any]]:
+def _scale_fleet(entries: tuple[FleetEntry, ...], robots: int) -> list[dict[str, Any]]:
     """The entries of a fleet with ``robots`` in all, in about the same proportions."""
     before = sum(entry.count for entry in entries)
     # Whole numbers by cumulative rounding: they add up, and the first entry is served first.
-    ends, placed, fleet = 0, 0, []
+    ends, assigned, fleet = 0, 0, []
     for entry in entries:
         ends += entry.count
-        count = math.ceil(robots * ends / before) - placed
-        placed += count
+        count = math.ceil(robots * ends / before) - assigned
+        assigned += count
         if count > 0:
             fleet.append({**entry.model_dump(exclude_unset=True), "count": count})
     return fleet

@@ -23,13 +23,13 @@ from angler_mjx.studies.flights.flying import FlightSettings
 from angler_mjx.studies.flights.kinds import FlightKind
 from angler_mjx.studies.flights.measures import RATE_RADPS, TILT_RAD
 from angler_mjx.studies.flights.samples import CURRENT_MPS, STEP_M
-from angler_mjx.studies.flights.tracks import Track
+from angler_mjx.studies.flights.tracks import FlightTrack
 from angler_mjx.world.currents import Uniform
 
 BATTERY_V = (12.0, 18.0)
 BATTERY_STEP_V = 0.1
 """Batteries are drawn in steps: each is a thrust table, interpolated once."""
-GAIN_SHARE = 0.2
+GAIN_FRACTION = 0.2
 """Gains are multiplied by 1 - this to 1 + this, each by its own number."""
 FLIGHT_S = 40.0
 LAST_S = 10.0
@@ -39,10 +39,10 @@ QUIET_RADPS = 0.5
 """At the end, over ``LAST_S``, the vehicle turns no faster than this."""
 STATION_M = 0.5
 """Nearer than this over ``LAST_S`` a vehicle keeps station."""
-OUTRUN_SHARE = 0.8
+OUTRUN_FRACTION = 0.8
 """A vehicle that does not keep station is outrun if the current has more than this share of its
 slowest level terminal speed: little thrust is left for anything else."""
-_GAINS = 64
+_N_GAIN = 64
 """Numbers drawn for gains; more than any stack has."""
 
 
@@ -59,7 +59,7 @@ class TrialSample:
     """[3] from the start, in W."""
     yaw_rad: float
     """Heading wanted; the vehicle begins with 0."""
-    gain_shares: FloatArray
+    gain_factors: FloatArray
     """[64] factors of the gains of whatever stack, in their order."""
 
 
@@ -67,7 +67,7 @@ class TrialSample:
 class TrialVerdict:
     """What came of one draw."""
 
-    draw: TrialSample
+    sample: TrialSample
     tilt_rad: float
     """Greatest of the flight."""
     rate_radps: float
@@ -99,12 +99,12 @@ class TrialVerdict:
             return "failed"
         if self.distance_m <= STATION_M:
             return "station"
-        speed = float(np.linalg.norm(self.draw.current_mps))
-        return "outrun" if speed > OUTRUN_SHARE * self.able_mps else "away"
+        speed = float(np.linalg.norm(self.sample.current_mps))
+        return "outrun" if speed > OUTRUN_FRACTION * self.able_mps else "away"
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Kept:
+class _VehicleTable:
     """Vehicles with their batteries, built once."""
 
     params: ControlParams
@@ -113,28 +113,28 @@ class _Kept:
     """Of each vehicle with each battery."""
 
 
-def draw(seed: int) -> TrialSample:
+def sample_trial(seed: int) -> TrialSample:
     """The draw of a seed (host side)."""
     rng = np.random.default_rng(seed)
-    vehicles = kinds.shipped()
+    vehicles = kinds.shipped_vehicles()
     kind = vehicles[int(rng.integers(len(vehicles)))]
     steps = round((BATTERY_V[1] - BATTERY_V[0]) / BATTERY_STEP_V)
     volts = BATTERY_V[0] + BATTERY_STEP_V * int(rng.integers(steps + 1))
     speed, course = rng.uniform(0.0, CURRENT_MPS), rng.uniform(-math.pi, math.pi)
     direction = rng.normal(size=3)
-    step = rng.uniform(0.0, STEP_M) * samples.unit(direction)
+    step = rng.uniform(0.0, STEP_M) * samples.unit_vector(direction)
     return TrialSample(
         seed=seed,
         kind=kind,
         battery_v=round(volts, 6),
-        current_mps=samples.level(speed, course),
+        current_mps=samples.level_velocity(speed, course),
         step_m=step,
         yaw_rad=rng.uniform(-math.pi, math.pi),
-        gain_shares=rng.uniform(1.0 - GAIN_SHARE, 1.0 + GAIN_SHARE, _GAINS),
+        gain_factors=rng.uniform(1.0 - GAIN_FRACTION, 1.0 + GAIN_FRACTION, _N_GAIN),
     )
 
 
-def gains_of(spec: SimSpec, shares: FloatArray) -> tuple[Any, ...]:
+def gains_of(spec: SimSpec, factors: FloatArray) -> tuple[Any, ...]:
     """The gains of a stack for n robots, each scaled by its own share [n, 64].
 
     Settings that say what the vehicle is, not how hard to steer it, stay as they are: of ArduSub's
@@ -146,14 +146,14 @@ def gains_of(spec: SimSpec, shares: FloatArray) -> tuple[Any, ...]:
         for entry in fields(gains):
             value = getattr(gains, entry.name)
             changes = not isinstance(gains, ArduSubGains) or entry.name[-2:] in ("_P", "_I", "_D")
-            share = shares[:, at] if changes else np.ones(len(shares))
-            scaled[entry.name] = jnp.asarray(value * share, float)
+            factor = factors[:, at] if changes else np.ones(len(factors))
+            scaled[entry.name] = jnp.asarray(value * factor, float)
             at += changes
         out.append(type(gains)(**scaled))
     return tuple(out)
 
 
-def fly(
+def fly_samples(
     controller: str, seeds: Sequence[int], done: Callable[[int], None] = lambda _: None
 ) -> Iterator[TrialVerdict]:
     """Fly draws with a controller, chunk by chunk.
@@ -165,52 +165,61 @@ def fly(
     """
     spec = kinds.spec_of(controller)
     n_step = round(FLIGHT_S / spec.control_dt_s)
-    program = flying.program(spec, n_step)
+    program = flying.build_program(spec, n_step)
     if not seeds:
         return
-    every = [draw(seed) for seed in seeds]
-    kept = _build(every)
-    for first in range(0, len(every), CHUNK):
-        chunk = every[first : first + CHUNK]
+    trial_samples = [sample_trial(seed) for seed in seeds]
+    vehicle_table = _build_vehicles(trial_samples)
+    for first in range(0, len(trial_samples), CHUNK):
+        chunk = trial_samples[first : first + CHUNK]
         # The last chunk is filled up, so that the program is compiled once.
         full = chunk + chunk[:1] * (min(CHUNK, len(seeds)) - len(chunk))
-        orders = _orders(spec, kept, full)
-        gains = gains_of(spec, np.array([one.gain_shares for one in full]))
-        able = samples.able_mps(orders.plant)
-        track = tracks.track(spec, program(orders, gains))
+        settings = _build_settings(spec, vehicle_table, full)
+        gains = gains_of(spec, np.array([sample.gain_factors for sample in full]))
+        able = samples.min_terminal_speed_mps(settings.plant)
+        track = tracks.build_track(spec, program(settings, gains))
         last = round(LAST_S / spec.control_dt_s)
-        for i, one in enumerate(chunk):
-            yield _verdict(one, track, i, last, float(able[i]))
+        for i, sample in enumerate(chunk):
+            yield _judge_flight(sample, track, i, last, float(able[i]))
         done(len(chunk))
 
 
-def _orders(spec: SimSpec, kept: _Kept, chunk: Sequence[TrialSample]) -> FlightSettings:
-    params = kinds.chosen(kept.params, [kept.row[one.kind, one.battery_v] for one in chunk])
-    steps, yaws = np.array([one.step_m for one in chunk]), np.array([one.yaw_rad for one in chunk])
-    flows = jnp.asarray(np.array([one.current_mps for one in chunk]), float)
+def _build_settings(
+    spec: SimSpec, vehicle_table: _VehicleTable, chunk: Sequence[TrialSample]
+) -> FlightSettings:
+    params = kinds.select_rows(
+        vehicle_table.params, [vehicle_table.row[sample.kind, sample.battery_v] for sample in chunk]
+    )
+    steps, yaws = (
+        np.array([sample.step_m for sample in chunk]),
+        np.array([sample.yaw_rad for sample in chunk]),
+    )
+    flows = jnp.asarray(np.array([sample.current_mps for sample in chunk]), float)
     return FlightSettings(
         params=params,
         plant=params.vehicle,
-        start_m=flying.starts(len(chunk)),
+        start_m=flying.start_positions(len(chunk)),
         yaw_rad=jnp.zeros(len(chunk)),
-        command=kinds.command(spec, steps, yaws),
+        command=kinds.build_command(spec, steps, yaws),
         current=(Uniform(velocity_mps=flows),),
     )
 
 
-def _build(every: Sequence[TrialSample]) -> _Kept:
+def _build_vehicles(trial_samples: Sequence[TrialSample]) -> _VehicleTable:
     """What all draws need; each vehicle with each battery once."""
-    rows = list(dict.fromkeys((one.kind, one.battery_v) for one in every))
-    built = kinds.build([kind for kind, _ in rows], [volt for _, volt in rows])
+    rows = list(dict.fromkeys((sample.kind, sample.battery_v) for sample in trial_samples))
+    built = kinds.build_params([kind for kind, _ in rows], [volt for _, volt in rows])
     on_host: ControlParams = jax.tree.map(np.asarray, built)
-    return _Kept(params=on_host, row={row: i for i, row in enumerate(rows)})
+    return _VehicleTable(params=on_host, row={row: i for i, row in enumerate(rows)})
 
 
-def _verdict(one: TrialSample, track: Track, i: int, last: int, able_mps: float) -> TrialVerdict:
+def _judge_flight(
+    sample: TrialSample, track: FlightTrack, i: int, last: int, able_mps: float
+) -> TrialVerdict:
     end = track.position_m[i, -last:]
-    off = np.linalg.norm(end - courses.START_M - one.step_m, axis=1)
+    off = np.linalg.norm(end - courses.START_M - sample.step_m, axis=1)
     return TrialVerdict(
-        draw=one,
+        sample=sample,
         tilt_rad=float(track.tilt_rad[i].max()),
         rate_radps=float(track.rate_radps[i].max()),
         end_rate_radps=float(track.rate_radps[i, -last:].max()),

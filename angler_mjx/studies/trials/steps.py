@@ -45,7 +45,7 @@ class TrialStep:
     error_rad: float
     """Greatest error of heading over the last ``LAST_S``; nan if it was not told one."""
     swings: bool
-    """Oscillates without end over the last ``LAST_S`` (`tracks.swings`)."""
+    """Oscillates without end over the last ``LAST_S`` (`tracks.is_oscillating`)."""
     tilt_rad: float
     """Greatest tilt of the flight."""
 
@@ -59,7 +59,7 @@ class TrialFlight:
     steps: tuple[TrialStep, ...]
 
 
-def fly(
+def fly_steps(
     controller: str, vehicles: Sequence[FlightKind], rotor_response: RotorResponse | None = None
 ) -> TrialFlight:
     """Fly all steps of some vehicles with a controller, in still water and in a current.
@@ -78,25 +78,25 @@ def fly(
     rows = [row for row, _, _ in cases]
     goals = np.array([SIZES[axis] * np.eye(4)[axis] for _, axis, _ in cases])
     flows = np.array([[0.0, flow, 0.0] for _, _, flow in cases])
-    params = kinds.chosen(kinds.build(vehicles, rotor_response=rotor_response), rows)
-    orders = FlightSettings(
+    params = kinds.select_rows(kinds.build_params(vehicles, rotor_response=rotor_response), rows)
+    settings = FlightSettings(
         params=params,
         plant=params.vehicle,
-        start_m=flying.starts(len(cases)),
+        start_m=flying.start_positions(len(cases)),
         yaw_rad=jnp.zeros(len(cases)),
-        command=kinds.command(spec, goals[:, :3], goals[:, 3]),
+        command=kinds.build_command(spec, goals[:, :3], goals[:, 3]),
         current=(Uniform(velocity_mps=jnp.asarray(flows, float)),),
     )
     n_step = round(FLIGHT_S / spec.control_dt_s)
     gains = flying.same_gains(spec, len(cases))
-    track = tracks.track(spec, flying.program(spec, n_step)(orders, gains))
+    track = tracks.build_track(spec, flying.build_program(spec, n_step)(settings, gains))
     moved = track.position_m - courses.START_M
     pose = np.concatenate([moved, track.yaw_rad[..., None]], axis=-1)
     steps = []
     for i, (row, axis, flow) in enumerate(cases):
         response = pose[i, :, axis] / SIZES[axis]
         last = -round(LAST_S / spec.control_dt_s)
-        off = tracks.off(pose[i, last:], goals[i])
+        off = tracks.pose_error(pose[i, last:], goals[i])
         rise = tracks.rise_of(track.time_s, response)
         settling = tracks.settling_of(track.time_s, response)
         steps.append(
@@ -110,7 +110,7 @@ def fly(
                 settling_s=settling,
                 error_m=float(np.linalg.norm(off[:, :3], axis=1).max()),
                 error_rad=float(np.abs(off[:, 3]).max()) if holds_poses else math.nan,
-                swings=tracks.swings(pose[i], last),
+                swings=tracks.is_oscillating(pose[i], last),
                 tilt_rad=float(track.tilt_rad[i].max()),
             )
         )

@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from angler_mjx.studies.flights.kinds import FlightKind
-from angler_mjx.studies.trials import eight, samples, steps
-from angler_mjx.studies.trials.eight import Eight
+from angler_mjx.studies.trials import figure_of_eight, samples, steps
+from angler_mjx.studies.trials.figure_of_eight import FigureOfEight
 from angler_mjx.studies.trials.samples import TrialVerdict
 from angler_mjx.studies.trials.steps import TrialFlight, TrialStep
 
@@ -23,49 +23,51 @@ class Trial:
 
     controller: str
     flown: TrialFlight
-    eights: tuple[Eight, ...]
+    eights: tuple[FigureOfEight, ...]
     verdicts: tuple[TrialVerdict, ...]
     """Of the draws; empty if none were asked for."""
 
 
-def fly(
-    controller: str, vehicles: Sequence[FlightKind], n_draw: int, done: Callable[[int], None]
+def fly_trials(
+    controller: str, vehicles: Sequence[FlightKind], n_sample: int, done: Callable[[int], None]
 ) -> Trial:
     """Fly every trial of a controller.
 
     Args:
         controller: name of the stack.
         vehicles: what flies steps and figures of eight.
-        n_draw: number of random draws, seeds 0 to n_draw - 1.
+        n_sample: number of random draws, seeds 0 to n_draw - 1.
         done: told the number of draws after each chunk.
     """
     return Trial(
         controller=controller,
-        flown=steps.fly(controller, vehicles),
-        eights=eight.fly(controller, vehicles),
-        verdicts=tuple(samples.fly(controller, range(n_draw), done)),
+        flown=steps.fly_steps(controller, vehicles),
+        eights=figure_of_eight.fly_eights(controller, vehicles),
+        verdicts=tuple(samples.fly_samples(controller, range(n_sample), done)),
     )
 
 
 def misses_of_step(step: TrialStep) -> list[str]:
     """Targets that a step missed, in words."""
-    most = STILL_M if step.current_mps == 0.0 else CURRENT_M
+    limit_m = STILL_M if step.current_mps == 0.0 else CURRENT_M
     out = []
     if step.swings:
         out.append("oscillates")
-    if not step.error_m <= most:
+    if not step.error_m <= limit_m:
         out.append(f"{100 * step.error_m:.3g} cm")
     if step.current_mps == 0.0 and step.error_rad > STILL_RAD:
         out.append(f"{math.degrees(step.error_rad):.2g} degrees")
     return out
 
 
-def misses_of_eight(one: Eight) -> list[str]:
+def misses_of_eight(result: FigureOfEight) -> list[str]:
     """Targets that a figure of eight missed, in words."""
-    most = EIGHT_STILL_M if one.condition == eight.CONDITIONS[0][0] else EIGHT_VORTICES_M
-    return [] if one.error_m <= most else [f"{100 * one.error_m:.3g} cm"]
+    limit_m = (
+        EIGHT_STILL_M if result.condition == figure_of_eight.CONDITIONS[0][0] else EIGHT_VORTICES_M
+    )
+    return [] if result.error_m <= limit_m else [f"{100 * result.error_m:.3g} cm"]
 
 
-def counts(verdicts: Sequence[TrialVerdict]) -> Counter[str]:
+def count_outcomes(verdicts: Sequence[TrialVerdict]) -> Counter[str]:
     """How many draws had each outcome."""
     return Counter(verdict.outcome for verdict in verdicts)

@@ -9,39 +9,45 @@ from matplotlib.ticker import MaxNLocator
 
 from angler_mjx.report.viewing import style
 from angler_mjx.robot.vehicles.thrusters import FloatArray
-from angler_mjx.studies.flights.measures import KEPT_S, Measures
+from angler_mjx.studies.flights.measures import TRACK_PERIOD_S, FlightMeasures
 from angler_mjx.studies.tuning.knobs import SPAN
 from angler_mjx.studies.tuning.outcome import ObjectivePart, TuningOutcome
 from angler_mjx.studies.tuning.samples import COURSES
 
 BEFORE, AFTER = style.QUIET, style.ROBOTS[0]
-_LEAST_M = 1e-3
+_MIN_ERROR_M = 1e-3
 """Errors below this are drawn as this."""
 
 
-def search(found: TuningOutcome) -> Figure:
+def plot_search(outcome: TuningOutcome) -> Figure:
     """Costs of all candidates, and where each gain ended within its bounds."""
-    settings = found.problem.settings
-    with style.styled():
+    settings = outcome.problem.settings
+    with style.figure_style():
         figure = style.new_figure(11.0, 4.4, headline_in=0.75)
-        style.headline(
+        style.add_headline(
             figure,
             f"{settings.controller}: search for {settings.objective}",
             f"{settings.method}, {settings.rollouts} flights a candidate; the gains it began with "
-            f"cost 1; held-out flights cost {found.held_out.cost:.3f} in the end",
+            f"cost 1; held-out flights cost {outcome.held_out.cost:.3f} in the end",
         )
         left, right = figure.subplots(1, 2, width_ratios=[1.0, 1.2])
-        _costs(left, found)
-        _gains(right, found)
+        _plot_costs(left, outcome)
+        _plot_gains(right, outcome)
     return figure
 
 
-def _costs(panel: Axes, found: TuningOutcome) -> None:
-    costs = [generation.costs for generation in found.history.generations]
+def _plot_costs(panel: Axes, outcome: TuningOutcome) -> None:
+    costs = [generation.costs for generation in outcome.history.generations]
     number = np.arange(1, len(costs) + 1)
-    best = np.minimum.accumulate([min(1.0, *some) for some in costs])
-    for i, some in zip(number, costs, strict=True):
-        panel.plot(np.full(len(some), i), some, ".", color=style.FAINT, markersize=4.0)
+    best = np.minimum.accumulate([min(1.0, *generation_costs) for generation_costs in costs])
+    for i, generation_costs in zip(number, costs, strict=True):
+        panel.plot(
+            np.full(len(generation_costs), i),
+            generation_costs,
+            ".",
+            color=style.FAINT,
+            markersize=4.0,
+        )
     panel.plot(number, best, color=AFTER, linewidth=1.8)
     panel.axhline(1.0, color=BEFORE, linewidth=1.0, linestyle=(0, (3, 1.5)))
     panel.set_yscale("log")
@@ -54,8 +60,8 @@ def _costs(panel: Axes, found: TuningOutcome) -> None:
     panel.grid(which="both")
 
 
-def _gains(panel: Axes, found: TuningOutcome) -> None:
-    for i, (knob, turn) in enumerate(zip(found.problem.knobs, found.turns, strict=True)):
+def _plot_gains(panel: Axes, outcome: TuningOutcome) -> None:
+    for i, (knob, turn) in enumerate(zip(outcome.problem.knobs, outcome.turns, strict=True)):
         low, high, at = np.exp([knob.low, knob.high, turn])
         panel.plot([low, high], [i, i], color=style.FAINT, linewidth=5.0, solid_capstyle="butt")
         panel.plot([1.0, at], [i, i], color=AFTER, linewidth=2.0)
@@ -66,8 +72,8 @@ def _gains(panel: Axes, found: TuningOutcome) -> None:
     ticks = [0.25, 0.5, 1.0, 2.0, 4.0]
     panel.set_xticks(ticks, [f"{x:g}" for x in ticks])
     panel.set_yticks(
-        range(len(found.problem.knobs)),
-        [" and ".join(name for name in knob.gains) for knob in found.problem.knobs],
+        range(len(outcome.problem.knobs)),
+        [" and ".join(name for name in knob.gains) for knob in outcome.problem.knobs],
         fontsize=7.5,
     )
     panel.invert_yaxis()
@@ -75,14 +81,14 @@ def _gains(panel: Axes, found: TuningOutcome) -> None:
     panel.set_xlabel("factor; grey: searched in")
 
 
-def errors(found: TuningOutcome) -> Figure:
+def plot_errors(outcome: TuningOutcome) -> Figure:
     """Errors of position over time on the held-out flights, by robot and course."""
-    part, labels = found.held_out, found.problem.robots.labels
-    with style.styled():
+    part, labels = outcome.held_out, outcome.problem.robots.labels
+    with style.figure_style():
         figure = style.new_figure(3.4 * len(labels) + 0.6, 7.2, headline_in=0.75)
-        style.headline(
+        style.add_headline(
             figure,
-            f"{found.problem.settings.controller}: error of position, before and after",
+            f"{outcome.problem.settings.controller}: error of position, before and after",
             "held-out flights: median, and the band from the 10th to the 90th of 100",
         )
         grid = figure.subplots(len(COURSES), len(labels), sharex=True, sharey=True, squeeze=False)
@@ -90,7 +96,7 @@ def errors(found: TuningOutcome) -> Figure:
             grid[0, i].set_title(label, fontsize=9.0)
             grid[-1, i].set_xlabel("time, s")
             for j, course in enumerate(COURSES):
-                _errors(grid[j, i], part, part.flights.group == i * len(COURSES) + j)
+                _plot_error_band(grid[j, i], part, part.flights.group == i * len(COURSES) + j)
                 if i == 0:
                     grid[j, i].set_ylabel(f"{course}: error, m")
         lines = grid[0, 0].lines[:2]
@@ -98,33 +104,33 @@ def errors(found: TuningOutcome) -> Figure:
     return figure
 
 
-def _errors(panel: Axes, part: ObjectivePart, chosen: FloatArray) -> None:
-    for found, color in ((part.before, BEFORE), (part.after, AFTER)):
-        off = _off(part, found)[chosen]
-        time = KEPT_S * np.arange(off.shape[1])
-        low, middle, high = np.nanpercentile(np.maximum(off, _LEAST_M), [10, 50, 90], axis=0)
+def _plot_error_band(panel: Axes, part: ObjectivePart, chosen: FloatArray) -> None:
+    for measures, color in ((part.before, BEFORE), (part.after, AFTER)):
+        off = _position_errors(part, measures)[chosen]
+        time = TRACK_PERIOD_S * np.arange(off.shape[1])
+        low, middle, high = np.nanpercentile(np.maximum(off, _MIN_ERROR_M), [10, 50, 90], axis=0)
         panel.plot(time, middle, color=color, linewidth=1.6)
         panel.fill_between(time, low, high, color=color, alpha=0.2, linewidth=0)
     panel.set_yscale("log")
     panel.grid()
 
 
-def _off(part: ObjectivePart, found: Measures) -> FloatArray:
+def _position_errors(part: ObjectivePart, measures: FlightMeasures) -> FloatArray:
     """[n, k] distance from where each vehicle should be, m; nan where it failed."""
     pose = np.asarray(part.flights.reference.pose)
-    every = round(pose.shape[1] / found.position_m.shape[1])
-    off = np.linalg.norm(found.position_m - pose[:, ::every, :3], axis=-1)
-    return np.where(np.asarray(found.failed)[:, None], np.nan, off)
+    every = round(pose.shape[1] / measures.position_m.shape[1])
+    off = np.linalg.norm(measures.position_m - pose[:, ::every, :3], axis=-1)
+    return np.where(np.asarray(measures.failed)[:, None], np.nan, off)
 
 
-def tracks(found: TuningOutcome) -> Figure:
+def plot_tracks(outcome: TuningOutcome) -> Figure:
     """The figure of eight from above: the held-out flight of each robot that erred most before."""
-    part, labels = found.held_out, found.problem.robots.labels
-    with style.styled():
+    part, labels = outcome.held_out, outcome.problem.robots.labels
+    with style.figure_style():
         figure = style.new_figure(3.4 * len(labels) + 0.6, 3.4, headline_in=0.75)
-        style.headline(
+        style.add_headline(
             figure,
-            f"{found.problem.settings.controller}: the figure of eight, before and after",
+            f"{outcome.problem.settings.controller}: the figure of eight, before and after",
             "of each robot the held-out flight with the worst error before",
         )
         grid = figure.subplots(1, len(labels), sharex=True, sharey=True, squeeze=False)[0]
@@ -146,9 +152,9 @@ def tracks(found: TuningOutcome) -> Figure:
     return figure
 
 
-ALL: Mapping[str, Callable[[TuningOutcome], Figure]] = {
-    "search": search,
-    "errors": errors,
-    "tracks": tracks,
+FIGURES: Mapping[str, Callable[[TuningOutcome], Figure]] = {
+    "search": plot_search,
+    "errors": plot_errors,
+    "tracks": plot_tracks,
 }
 """By the name of their file."""

@@ -12,16 +12,16 @@ from angler_mjx.robot.vehicles.thrusters import FloatArray
 from angler_mjx.sim.state import SimSpec
 from angler_mjx.studies.flights import flying, kinds, measures
 from angler_mjx.studies.flights.flying import FlightSettings
-from angler_mjx.studies.flights.measures import Measures, ReferenceMotion
+from angler_mjx.studies.flights.measures import FlightMeasures, ReferenceMotion
 from angler_mjx.studies.tuning import knobs as turning
 from angler_mjx.studies.tuning.knobs import Knob
-from angler_mjx.studies.tuning.samples import FLIGHT_S, Flights
+from angler_mjx.studies.tuning.samples import FLIGHT_S, FlightSet
 
 CHUNK = {"cpu": 256}
 """Flights in a device call: few enough to stay in a processor's cache ..."""
 CHUNK_GPU = 8192
 """... and enough to fill a GPU."""
-SLOPED = ("ise_m2s", "energy_jpm", "swing_m", "jitter_us")
+GRADIENT_MEASURES = ("ise_m2s", "energy_jpm", "swing_m", "jitter_us")
 """Measures whose derivatives objectives ask for."""
 
 type Done = Callable[[int], None]
@@ -39,12 +39,14 @@ class TuningFlyer:
             chunk: flights in a device call; chosen for the device if left out.
         """
         self._chunk = chunk or CHUNK.get(jax.default_backend(), CHUNK_GPU)
-        one = partial(_measure, spec, tuple(knobs))
-        self._program: Any = jax.jit(jax.vmap(one))
+        measure_one = partial(_measure_flight, spec, tuple(knobs))
+        self._program: Any = jax.jit(jax.vmap(measure_one))
         # Forward: there are few knobs and thousands of steps, of which nothing need be kept.
-        self._sloped: Any = jax.jit(jax.vmap(jax.jacfwd(_with_aux(one), has_aux=True)))
+        self._sloped: Any = jax.jit(jax.vmap(jax.jacfwd(_add_measures(measure_one), has_aux=True)))
 
-    def fly(self, settings: FloatArray, flights: Flights, done: Done = lambda _: None) -> Measures:
+    def fly(
+        self, settings: FloatArray, flights: FlightSet, done: Done = lambda _: None
+    ) -> FlightMeasures:
         """Measures [c, n] of n flights of each of c candidates.
 
         Args:
@@ -52,17 +54,17 @@ class TuningFlyer:
             flights: n of them.
             done: told the number of flights after each device call.
         """
-        found: Measures = self._chunks(self._program, settings, flights, done)
-        return found
+        result: FlightMeasures = self._chunks(self._program, settings, flights, done)
+        return result
 
     def slopes(
-        self, settings: FloatArray, flights: Flights, done: Done = lambda _: None
-    ) -> tuple[dict[str, FloatArray], Measures]:
-        """Derivatives [c, n, n_knob] of the measures `SLOPED`, by name, and the measures [c, n]."""
-        slopes, found = self._chunks(self._sloped, settings, flights, done)
-        return dict(zip(SLOPED, slopes, strict=True)), found
+        self, settings: FloatArray, flights: FlightSet, done: Done = lambda _: None
+    ) -> tuple[dict[str, FloatArray], FlightMeasures]:
+        """Return measures [c, n], and derivatives [c, n, n_knob] of `GRADIENT_MEASURES` by name."""
+        slopes, result = self._chunks(self._sloped, settings, flights, done)
+        return dict(zip(GRADIENT_MEASURES, slopes, strict=True)), result
 
-    def _chunks(self, program: Any, settings: FloatArray, flights: Flights, done: Done) -> Any:
+    def _chunks(self, program: Any, settings: FloatArray, flights: FlightSet, done: Done) -> Any:
         n_candidate, n = len(settings), len(flights.group)
         total = n_candidate * n
         size = min(self._chunk, total)
@@ -70,7 +72,7 @@ class TuningFlyer:
         for first in range(0, total, size):
             # The last chunk is filled up, so that the program is compiled once.
             rows = np.minimum(np.arange(first, first + size), total - 1)
-            flown = kinds.chosen((flights.orders, flights.reference), (rows % n).tolist())
+            flown = kinds.select_rows((flights.settings, flights.reference), (rows % n).tolist())
             part = jax.tree.map(np.asarray, program(settings[rows // n], *flown))
             kept = min(size, total - first)
             parts.append(jax.tree.map(lambda leaf, kept=kept: leaf[:kept], part))
@@ -81,26 +83,26 @@ class TuningFlyer:
         )
 
 
-def _measure(
+def _measure_flight(
     spec: SimSpec,
     knobs: tuple[Knob, ...],
     settings: jax.Array,
-    orders: FlightSettings,
+    flight_settings: FlightSettings,
     reference: ReferenceMotion,
-) -> Measures:
+) -> FlightMeasures:
     """One flight of one candidate."""
-    turned = replace(spec, gains=turning.turned(spec, knobs, settings))
-    flight = flying.fly(turned, orders, round(FLIGHT_S / spec.control_dt_s))
-    return measures.of_flight(flight, reference, orders.plant, spec.control_dt_s)
+    turned = replace(spec, gains=turning.apply_settings(spec, knobs, settings))
+    flight = flying.fly_robot(turned, flight_settings, round(FLIGHT_S / spec.control_dt_s))
+    return measures.measure_flight(flight, reference, flight_settings.plant, spec.control_dt_s)
 
 
-def _with_aux(one: Callable[..., Measures]) -> Callable[..., Any]:
+def _add_measures(measure: Callable[..., FlightMeasures]) -> Callable[..., Any]:
     """The measures that have derivatives, and all of them beside."""
 
     def both(
-        settings: jax.Array, orders: FlightSettings, reference: ReferenceMotion
-    ) -> tuple[tuple[jax.Array, ...], Measures]:
-        found = one(settings, orders, reference)
-        return tuple(getattr(found, name) for name in SLOPED), found
+        settings: jax.Array, flight_settings: FlightSettings, reference: ReferenceMotion
+    ) -> tuple[tuple[jax.Array, ...], FlightMeasures]:
+        result = measure(settings, flight_settings, reference)
+        return tuple(getattr(result, name) for name in GRADIENT_MEASURES), result
 
     return both

@@ -14,30 +14,30 @@ from typing import Any
 import numpy as np
 
 from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.runs.storage import atomic, output_lock
-from angler_mjx.runs.storage.damage import read_table, reading
+from angler_mjx.runs.storage import atomic_files, output_lock
 from angler_mjx.runs.storage.output_lock import OutputLock
+from angler_mjx.runs.storage.read_errors import read_table, wrap_read_errors
 from angler_mjx.studies.tuning.search import Generation, TuningHistory
 
 CHECKPOINT = "checkpoint.json"
 ADVICE = "put back a copy of it, or begin a new tuning"
 
 
-def create(out: Path) -> OutputLock:
+def create_folder(out: Path) -> OutputLock:
     """Take the name of a new tuning and make its hidden folder.
 
     Raises:
         ConfigError: it or ``out`` exists, or the parent cannot be written.
     """
-    return output_lock.acquire(out, what="tuning", left=_left)
+    return output_lock.acquire(out, kind="tuning", advise=_resumable_status)
 
 
-def _left(building: Path) -> str | None:
+def _resumable_status(building: Path) -> str | None:
     return output_lock.RESUMABLE if (building / CHECKPOINT).exists() else None
 
 
-def reopen(
-    out: Path, require: Callable[[dict[str, Any]], None] = lambda known: None
+def reopen_folder(
+    out: Path, require: Callable[[dict[str, Any]], None] = lambda checkpoint: None
 ) -> tuple[OutputLock, dict[str, Any]]:
     """The hidden folder of an interrupted tuning, and its checkpoint.
 
@@ -50,34 +50,36 @@ def reopen(
     """
     building = output_lock.partial_path(out)
     hidden = building.exists()
-    place = building if hidden else out
-    if not (place / CHECKPOINT).is_file():
+    checkpoint_folder = building if hidden else out
+    if not (checkpoint_folder / CHECKPOINT).is_file():
         raise ConfigError(f"--resume {out}: there is no interrupted tuning of that name")
-    table = _read(place)
+    table = _read_checkpoint(checkpoint_folder)
     if table["complete"] and not hidden:
         raise ConfigError(f"--resume {out}: this tuning is complete; nothing is left to do")
-    with reading(place / CHECKPOINT, ADVICE):
+    with wrap_read_errors(checkpoint_folder / CHECKPOINT, ADVICE):
         require(table)
-    claimed = output_lock.acquire_unfinished(out, what="tuning")
-    if claimed is None:
+    lock = output_lock.acquire_unfinished(out, kind="tuning")
+    if lock is None:
         raise ConfigError(f"--resume {out}: there is no interrupted tuning of that name")
-    return claimed, table
+    return lock, table
 
 
-def _read(folder: Path) -> dict[str, Any]:
+def _read_checkpoint(folder: Path) -> dict[str, Any]:
     path = folder / CHECKPOINT
     table = read_table(path, ADVICE)
-    with reading(path, ADVICE):
+    with wrap_read_errors(path, ADVICE):
         if not isinstance(table["complete"], bool):
             raise TypeError("complete is neither true nor false")
         for name in ("settings", "provenance"):
             if not isinstance(table[name], dict):
                 raise TypeError(f"{name} is no object")
-        generations(table)
+        read_generations(table)
     return table
 
 
-def save(building: Path, table: dict[str, Any], history: TuningHistory, *, complete: bool) -> None:
+def save_checkpoint(
+    building: Path, table: dict[str, Any], history: TuningHistory, *, complete: bool
+) -> None:
     """Keep what was found so far: the whole file, or the one before it.
 
     Args:
@@ -86,22 +88,22 @@ def save(building: Path, table: dict[str, Any], history: TuningHistory, *, compl
         history: of the search.
         complete: whether nothing is left to do.
     """
-    found = [asdict(one) for one in history.generations]
-    whole = json.dumps({**table, "complete": complete, "generations": found}, indent=1)
-    write(building / CHECKPOINT, whole + "\n")
+    rows = [asdict(generation) for generation in history.generations]
+    whole = json.dumps({**table, "complete": complete, "generations": rows}, indent=1)
+    write_file(building / CHECKPOINT, whole + "\n")
 
 
-def generations(table: dict[str, Any]) -> list[Generation]:
+def read_generations(table: dict[str, Any]) -> list[Generation]:
     """What a checkpoint knows."""
-    return [_generation(one) for one in table["generations"]]
+    return [_parse_generation(row) for row in table["generations"]]
 
 
-def _generation(given: dict[str, Any]) -> Generation:
+def _parse_generation(fields: dict[str, Any]) -> Generation:
     """One generation; TypeError or ValueError for anything else."""
-    made = Generation(**given)
-    costs = np.asarray(made.costs, float)
-    failed = np.asarray(made.failed)
-    slopes = None if made.gradients is None else np.asarray(made.gradients, float)
+    generation = Generation(**fields)
+    costs = np.asarray(generation.costs, float)
+    failed = np.asarray(generation.failed)
+    slopes = None if generation.gradients is None else np.asarray(generation.gradients, float)
     if (
         costs.ndim != 1
         or failed.shape != costs.shape
@@ -109,16 +111,16 @@ def _generation(given: dict[str, Any]) -> Generation:
         or (slopes is not None and (slopes.ndim != 2 or len(slopes) != len(costs)))
     ):
         raise ValueError("a generation is none")
-    return made
+    return generation
 
 
-def write(path: Path, text: str) -> None:
+def write_file(path: Path, text: str) -> None:
     """Write a file whole or not at all.
 
     Raises:
         RunError: the disk gave out.
     """
     try:
-        atomic.write_text(path, text)
+        atomic_files.write_text(path, text)
     except OSError as error:
         raise RunError(f"{path}: cannot be written ({error.strerror or error})") from error

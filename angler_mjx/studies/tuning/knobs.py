@@ -21,7 +21,7 @@ SPAN = 6.0
 DIGITS = 4
 """Significant digits of a tuned gain."""
 
-TUNED: Mapping[str, tuple[tuple[str, ...], ...]] = {
+TUNED_GAINS: Mapping[str, tuple[tuple[str, ...], ...]] = {
     "los": (("lookahead_m",), ("integral_per_s",), ("position_per_s",), ("attitude_per_s",)),
     "pose": (("position_per_s",), ("attitude_per_s",)),
     "pid_pose": (("position_per_s",), ("attitude_per_s",)),
@@ -129,7 +129,7 @@ class Knob:
         return tuple(float(f"{x * math.exp(turn):.{DIGITS}g}") for x in self.start)
 
 
-def of_spec(spec: SimSpec) -> tuple[Knob, ...]:
+def build_knobs(spec: SimSpec) -> tuple[Knob, ...]:
     """The knobs of a stack, about its gains.
 
     A gain of 0 has no logarithm: it is left as it is.
@@ -137,31 +137,31 @@ def of_spec(spec: SimSpec) -> tuple[Knob, ...]:
     Raises:
         ConfigError: the stack has no gain that is tuned.
     """
-    found = []
+    knobs = []
     for stage, gains in zip(spec.stages, spec.gains, strict=True):
-        for names in TUNED.get(stage.name, ()):
+        for names in TUNED_GAINS.get(stage.name, ()):
             start = tuple(float(getattr(gains, name)) for name in names)
             if all(x > 0 for x in start):
-                low, high = _bounds(names if isinstance(gains, ArduSubGains) else (), start)
-                found.append(Knob(stage=stage.name, gains=names, start=start, low=low, high=high))
-    if not found:
+                low, high = _knob_bounds(names if isinstance(gains, ArduSubGains) else (), start)
+                knobs.append(Knob(stage=stage.name, gains=names, start=start, low=low, high=high))
+    if not knobs:
         names_of = ", ".join(stage.name for stage in spec.stages)
         raise ConfigError(f"stages {names_of}: none of their gains can be tuned")
-    return tuple(found)
+    return tuple(knobs)
 
 
-def _bounds(ranged: Sequence[str], start: Sequence[float]) -> tuple[float, float]:
+def _knob_bounds(ranged: Sequence[str], start: Sequence[float]) -> tuple[float, float]:
     """Least and greatest setting; gains that begin outside their range may stay there."""
     low, high = -math.log(SPAN), math.log(SPAN)
     for name, value in zip(ranged, start, strict=False):
-        least, most = RANGES[name]
-        if least > 0:
-            low = max(low, min(0.0, math.log(least / value)))
-        high = min(high, max(0.0, math.log(most / value)))
+        range_low, range_high = RANGES[name]
+        if range_low > 0:
+            low = max(low, min(0.0, math.log(range_low / value)))
+        high = min(high, max(0.0, math.log(range_high / value)))
     return low, high
 
 
-def turned(spec: SimSpec, knobs: Sequence[Knob], settings: jax.Array) -> tuple[Any, ...]:
+def apply_settings(spec: SimSpec, knobs: Sequence[Knob], settings: jax.Array) -> tuple[Any, ...]:
     """The gains of all stages at settings [n_knob] of the knobs; may be traced."""
     changed: dict[str, dict[str, jax.Array]] = {}
     for i, knob in enumerate(knobs):
@@ -173,7 +173,7 @@ def turned(spec: SimSpec, knobs: Sequence[Knob], settings: jax.Array) -> tuple[A
     )
 
 
-def rounded(knobs: Sequence[Knob], settings: Sequence[float]) -> list[float]:
+def round_settings(knobs: Sequence[Knob], settings: Sequence[float]) -> list[float]:
     """Settings whose gains are those that are written, by the first gain of each knob."""
     return [
         min(max(math.log(knob.values(turn)[0] / knob.start[0]), knob.low), knob.high)

@@ -24,18 +24,18 @@ import jax.numpy as jnp
 import numpy as np
 
 from angler_mjx.robot.vehicles.thrusters import FloatArray
-from angler_mjx.studies.flights.measures import Measures
-from angler_mjx.studies.tuning.flying import SLOPED
+from angler_mjx.studies.flights.measures import FlightMeasures
+from angler_mjx.studies.tuning.flying import GRADIENT_MEASURES
 
 type Objective = Literal["ise", "energy", "robust"]
 
-FAILED = 100.0
-TAIL = 0.1
+FAILED_COST = 100.0
+TAIL_FRACTION = 0.1
 SWING_M, JITTER_US = 0.05, 20.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Judge:
+class RelativeObjective:
     """An objective with what it is relative to."""
 
     objective: Objective
@@ -48,31 +48,37 @@ class Judge:
     scale: float = 1.0
     """What the gains that the search began with have."""
 
-    def costs(self, found: Measures) -> FloatArray:
+    def costs(self, measures: FlightMeasures) -> FloatArray:
         """J [c] of c candidates from measures [c, n]."""
-        cost = jax.vmap(partial(_cost, self))(_sloped(found), jnp.asarray(found.failed))
+        cost = jax.vmap(partial(_total_cost, self))(
+            _gradient_measures(measures), jnp.asarray(measures.failed)
+        )
         return np.asarray(cost, float) / self.scale
 
-    def cost(self, found: Measures) -> float:
+    def cost(self, measures: FlightMeasures) -> float:
         """J of one candidate from measures [n]."""
-        one = jax.tree.map(lambda leaf: np.asarray(leaf)[None], found)
-        return float(self.costs(one)[0])
+        batch = jax.tree.map(lambda leaf: np.asarray(leaf)[None], measures)
+        return float(self.costs(batch)[0])
 
-    def gradients(self, found: Measures, slopes: dict[str, FloatArray]) -> FloatArray:
+    def gradients(self, measures: FlightMeasures, slopes: dict[str, FloatArray]) -> FloatArray:
         """Derivatives [c, n_knob] of J from those [c, n, n_knob] of the measures."""
-        of_measures = jax.vmap(jax.grad(partial(_cost, self)))(
-            _sloped(found), jnp.asarray(found.failed)
+        of_measures = jax.vmap(jax.grad(partial(_total_cost, self)))(
+            _gradient_measures(measures), jnp.asarray(measures.failed)
         )
         # A flight that fails, or whose derivatives overflow, has nothing to say.
-        lost = np.asarray(found.failed) | ~np.isfinite(sum(x.sum(axis=-1) for x in slopes.values()))
+        lost = np.asarray(measures.failed) | ~np.isfinite(
+            sum(x.sum(axis=-1) for x in slopes.values())
+        )
         gradient: FloatArray = np.zeros((lost.shape[0], next(iter(slopes.values())).shape[-1]))
         for name, weight in of_measures.items():
-            sound = _sound(np.asarray(slopes[name], float), lost)
+            sound = _zero_failed(np.asarray(slopes[name], float), lost)
             gradient += np.einsum("cn,cnk->ck", np.asarray(weight, float), sound)
         return gradient / self.scale
 
 
-def judge(objective: Objective, group: FloatArray, start: Measures) -> Judge:
+def build_objective(
+    objective: Objective, group: FloatArray, start: FlightMeasures
+) -> RelativeObjective:
     """An objective, relative to the measures [n] of the gains that the search begins with."""
     sound = ~np.asarray(start.failed)
 
@@ -85,7 +91,7 @@ def judge(objective: Objective, group: FloatArray, start: Measures) -> Judge:
         }
         return np.array([of_group[g] for g in group])
 
-    relative = Judge(
+    relative = RelativeObjective(
         objective=objective,
         group=group,
         ise_m2s=means(np.asarray(start.ise_m2s, float)),
@@ -94,31 +100,38 @@ def judge(objective: Objective, group: FloatArray, start: Measures) -> Judge:
     return replace(relative, scale=relative.cost(start))
 
 
-def _sloped(found: Measures) -> dict[str, jax.Array]:
+def _gradient_measures(measures: FlightMeasures) -> dict[str, jax.Array]:
     """The measures that count; 0 in flights that fail, whose numbers mean nothing."""
-    return {name: jnp.asarray(_sound(getattr(found, name), found.failed)) for name in SLOPED}
+    return {
+        name: jnp.asarray(_zero_failed(getattr(measures, name), measures.failed))
+        for name in GRADIENT_MEASURES
+    }
 
 
-def _sound(values: Any, failed: Any) -> FloatArray:
+def _zero_failed(values: Any, failed: Any) -> FloatArray:
     bad = np.asarray(failed).reshape(*np.shape(failed), *[1] * (np.ndim(values) - 2))
     return np.where(bad, 0.0, values)
 
 
-def _shares(judge: Judge, found: dict[str, jax.Array], failed: jax.Array) -> jax.Array:
+def _flight_costs(
+    objective: RelativeObjective, measures: dict[str, jax.Array], failed: jax.Array
+) -> jax.Array:
     """What each of n flights counts, [n]."""
-    share = found["ise_m2s"] / jnp.asarray(judge.ise_m2s)
-    if judge.objective == "energy":
-        share = 0.5 * (share + found["energy_jpm"] / jnp.asarray(judge.energy_jpm))
-    if judge.objective == "robust":
-        share += (found["swing_m"] / SWING_M) ** 2 + (found["jitter_us"] / JITTER_US) ** 2
-    return jnp.where(failed, FAILED, jnp.minimum(share, FAILED))
+    cost = measures["ise_m2s"] / jnp.asarray(objective.ise_m2s)
+    if objective.objective == "energy":
+        cost = 0.5 * (cost + measures["energy_jpm"] / jnp.asarray(objective.energy_jpm))
+    if objective.objective == "robust":
+        cost += (measures["swing_m"] / SWING_M) ** 2 + (measures["jitter_us"] / JITTER_US) ** 2
+    return jnp.where(failed, FAILED_COST, jnp.minimum(cost, FAILED_COST))
 
 
-def _cost(judge: Judge, found: dict[str, jax.Array], failed: jax.Array) -> jax.Array:
+def _total_cost(
+    objective: RelativeObjective, measures: dict[str, jax.Array], failed: jax.Array
+) -> jax.Array:
     """J [] of n flights, not yet relative."""
-    share = _shares(judge, found, failed)
-    if judge.objective == "robust":
-        worst = max(1, round(TAIL * share.shape[0]))
-        return jnp.mean(jnp.sort(share)[-worst:])
-    _, number, count = np.unique(judge.group, return_inverse=True, return_counts=True)
-    return jnp.sum(share / jnp.asarray(count[number] * len(count), share.dtype))
+    costs = _flight_costs(objective, measures, failed)
+    if objective.objective == "robust":
+        worst = max(1, round(TAIL_FRACTION * costs.shape[0]))
+        return jnp.mean(jnp.sort(costs)[-worst:])
+    _, number, count = np.unique(objective.group, return_inverse=True, return_counts=True)
+    return jnp.sum(costs / jnp.asarray(count[number] * len(count), costs.dtype))

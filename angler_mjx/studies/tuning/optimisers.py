@@ -15,7 +15,7 @@ from angler_mjx.robot.vehicles.thrusters import FloatArray
 
 RATE = 0.15
 """Greatest change of a knob, the logarithm of a gain, in the first iteration of Adam."""
-MEMORY = (0.8, 0.95)
+AVERAGING_FACTORS = (0.8, 0.95)
 """Adam's averages of the gradient and of its square: shares kept from one iteration to the next.
 Shorter than usual: there are dozens of iterations, without noise."""
 SIGMA = 0.4
@@ -59,7 +59,7 @@ class Adam:
         """See `Optimiser`."""
         del costs
         slope = np.asarray(gradients, float)[0]
-        slow, slower = MEMORY
+        slow, slower = AVERAGING_FACTORS
         self._mean = slow * self._mean + (1 - slow) * slope
         self._square = slower * self._square + (1 - slower) * slope**2
         rate = RATE * (1 - self._done / self._generations)
@@ -80,7 +80,7 @@ class Cma:
         Raises:
             UnsupportedError: the package is not installed.
         """
-        require()
+        require_cmaes()
         import cmaes
 
         self._search: Any = cmaes.CMA(
@@ -93,20 +93,20 @@ class Cma:
         )
         self._bounds = np.asarray(low, float), np.asarray(high, float)
         self.population: int = self._search.population_size
-        self._asked: list[FloatArray] = []
+        self._candidates: list[FloatArray] = []
 
     def ask(self) -> FloatArray:
         """See `Optimiser`."""
-        self._asked = [self._search.ask() for _ in range(self.population)]
-        return np.clip(np.stack(self._asked), *self._bounds)
+        self._candidates = [self._search.ask() for _ in range(self.population)]
+        return np.clip(np.stack(self._candidates), *self._bounds)
 
     def tell(self, costs: Sequence[float], gradients: Sequence[Sequence[float]] | None) -> None:
         """See `Optimiser`."""
         del gradients
-        self._search.tell(list(zip(self._asked, costs, strict=True)))
+        self._search.tell(list(zip(self._candidates, costs, strict=True)))
 
 
-def require() -> None:
+def require_cmaes() -> None:
     """Refuse a search by evolution where its package is not installed.
 
     Raises:

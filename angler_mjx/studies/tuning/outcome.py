@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from angler_mjx.studies.flights.measures import Measures
+from angler_mjx.studies.flights.measures import FlightMeasures
 from angler_mjx.studies.tuning import knobs, samples
 from angler_mjx.studies.tuning.problem import TuningProblem
-from angler_mjx.studies.tuning.samples import Flights
+from angler_mjx.studies.tuning.samples import FlightSet
 from angler_mjx.studies.tuning.search import TuningHistory
 
 STIFFER = 1.5
@@ -20,10 +20,10 @@ STIFFER = 1.5
 class ObjectivePart:
     """A set of flights with the gains before and after."""
 
-    flights: Flights
-    before: Measures
+    flights: FlightSet
+    before: FlightMeasures
     """[n] leads."""
-    after: Measures
+    after: FlightMeasures
     cost: float
     """After; before is 1."""
 
@@ -60,7 +60,7 @@ class TuningOutcome:
         )
 
 
-def measure(
+def measure_outcome(
     problem: TuningProblem, history: TuningHistory, provenance: dict[str, Any]
 ) -> TuningOutcome:
     """Fly the best candidate, and what the search began with, on both sets of flights.
@@ -71,9 +71,9 @@ def measure(
         provenance: of the tuning.
     """
     best = history.best()[1] or [0.0] * len(problem.knobs)
-    turns = knobs.rounded(problem.knobs, best)
-    train = _part(problem, problem.train, turns)
-    held_out = _part(problem, problem.flights(samples.HELD_OUT), turns)
+    turns = knobs.round_settings(problem.knobs, best)
+    train = _measure_part(problem, problem.train, turns)
+    held_out = _measure_part(problem, problem.flights(samples.HELD_OUT), turns)
     stiff = problem.fly(np.array(turns) + math.log(STIFFER), held_out.flights)
     return TuningOutcome(
         problem=problem,
@@ -81,18 +81,18 @@ def measure(
         turns=turns,
         train=train,
         held_out=held_out,
-        stiffer=_judged(problem, held_out.flights, held_out.before, stiff),
+        stiffer=_build_part(problem, held_out.flights, held_out.before, stiff),
         provenance=provenance,
     )
 
 
-def _part(problem: TuningProblem, flown: Flights, turns: list[float]) -> ObjectivePart:
+def _measure_part(problem: TuningProblem, flown: FlightSet, turns: list[float]) -> ObjectivePart:
     before = problem.fly(np.zeros(len(turns)), flown)
-    return _judged(problem, flown, before, problem.fly(np.array(turns), flown))
+    return _build_part(problem, flown, before, problem.fly(np.array(turns), flown))
 
 
-def _judged(
-    problem: TuningProblem, flown: Flights, before: Measures, after: Measures
+def _build_part(
+    problem: TuningProblem, flown: FlightSet, before: FlightMeasures, after: FlightMeasures
 ) -> ObjectivePart:
     cost = problem.judge(flown, before).cost(after)
     return ObjectivePart(flights=flown, before=before, after=after, cost=cost)

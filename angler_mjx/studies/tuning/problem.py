@@ -13,16 +13,16 @@ from angler_mjx.robot.vehicles.thrusters import FloatArray
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.state import SimSpec
 from angler_mjx.studies.flights import kinds
-from angler_mjx.studies.flights.measures import LAST_S, Measures
+from angler_mjx.studies.flights.measures import LAST_S, FlightMeasures
 from angler_mjx.studies.tuning import knobs, objectives, samples
 from angler_mjx.studies.tuning.flying import Done, TuningFlyer
-from angler_mjx.studies.tuning.objectives import Judge, Objective
-from angler_mjx.studies.tuning.samples import COURSES, Flights
+from angler_mjx.studies.tuning.objectives import Objective, RelativeObjective
+from angler_mjx.studies.tuning.samples import COURSES, FlightSet
 from angler_mjx.studies.tuning.search import Generation
 
 type Method = Literal["gradient", "cma"]
 
-ROUGH = ("ardusub", "ismc", "aitsm")
+SWITCHING_STAGES = ("ardusub", "ismc", "aitsm")
 """Stages that switch: the gradient of a flight says little about the next one."""
 
 
@@ -46,7 +46,9 @@ class TuningSettings:
 
 def method_of(objective: Objective, controller: str) -> Method:
     """The method that suits: gradients where costs are smooth, evolution elsewhere."""
-    rough = objective == "robust" or any(x in ROUGH for x in stages.CONTROLLERS[controller])
+    rough = objective == "robust" or any(
+        x in SWITCHING_STAGES for x in stages.CONTROLLERS[controller]
+    )
     return "cma" if rough else "gradient"
 
 
@@ -60,14 +62,16 @@ def spec_of(scenario: Scenario, controller: str) -> SimSpec:
     if controller not in stages.CONTROLLERS:
         raise ConfigError(f"--controller {controller}: there is {', '.join(stages.CONTROLLERS)}")
     for i, entry in enumerate(scenario.fleet):
-        if any("sway" in able.missing for able in entry.drives()):
+        if any("sway" in able.missing_axes for able in entry.drive_limits()):
             raise ConfigError(
                 f"scenario {scenario.name}: fleet[{i}] has no sway, and tuning flies steps to the "
                 "side; give a scenario of vehicles that can go there"
             )
-    names, given = stages.CONTROLLERS[controller], scenario.controller
-    same = (given.stages or stages.CONTROLLERS[given.name or "cascade"]) == names
-    stack, gains = stages.build(names, given.gains if same else {})
+    names, controller_config = stages.CONTROLLERS[controller], scenario.controller
+    same = (
+        controller_config.stages or stages.CONTROLLERS[controller_config.name or "cascade"]
+    ) == names
+    stack, gains = stages.build_stack(names, controller_config.gains if same else {})
     spec = replace(scenario.sim_spec(), stages=stack, gains=gains, instrumented=())
     if spec.control_dt_s > 0.1 * LAST_S:
         raise ConfigError(
@@ -87,8 +91,8 @@ class TuningProblem:
         """
         self.settings = settings
         self.spec = spec_of(settings.scenario, settings.controller)
-        self.knobs = knobs.of_spec(self.spec)
-        self.robots = samples.robots(settings.scenario)
+        self.knobs = knobs.build_knobs(self.spec)
+        self.robots = samples.select_robots(settings.scenario)
         groups = len(self.robots.labels) * len(COURSES)
         if settings.rollouts < groups:
             raise ConfigError(
@@ -102,9 +106,9 @@ class TuningProblem:
             )
         self._flyer = TuningFlyer(self.spec, self.knobs)
 
-    def flights(self, part: int) -> Flights:
+    def flights(self, part: int) -> FlightSet:
         """Those of one part, ``TRAIN`` or ``HELD_OUT``."""
-        return samples.draw(
+        return samples.sample_flights(
             self.robots,
             self.settings.rollouts,
             self.settings.seed,
@@ -115,34 +119,34 @@ class TuningProblem:
         )
 
     @cached_property
-    def train(self) -> Flights:
+    def train(self) -> FlightSet:
         """The flights that candidates are judged by."""
         return self.flights(samples.TRAIN)
 
-    def fly(self, settings: FloatArray, flights: Flights) -> Measures:
+    def fly(self, settings: FloatArray, flights: FlightSet) -> FlightMeasures:
         """Measures [n] of one candidate [n_knob]."""
-        found = self._flyer.fly(settings[None], flights)
-        one: Measures = jax.tree.map(lambda leaf: leaf[0], found)
-        return one
+        batch_measures = self._flyer.fly(settings[None], flights)
+        flight_measures: FlightMeasures = jax.tree.map(lambda leaf: leaf[0], batch_measures)
+        return flight_measures
 
-    def judge(self, flights: Flights, start: Measures) -> Judge:
+    def judge(self, flights: FlightSet, start: FlightMeasures) -> RelativeObjective:
         """The objective on some flights, relative to the gains that the search begins with."""
-        return objectives.judge(self.settings.objective, flights.group, start)
+        return objectives.build_objective(self.settings.objective, flights.group, start)
 
     @cached_property
-    def _judge(self) -> Judge:
+    def _judge(self) -> RelativeObjective:
         return self.judge(self.train, self.fly(np.zeros(len(self.knobs)), self.train))
 
     def evaluate(self, settings: FloatArray, *, gradients: bool, done: Done) -> Generation:
         """Fly candidates [c, n_knob] on the training flights."""
         slopes = None
         if gradients:
-            by_measure, found = self._flyer.slopes(settings, self.train, done)
-            slopes = self._judge.gradients(found, by_measure).tolist()
+            by_measure, batch_measures = self._flyer.slopes(settings, self.train, done)
+            slopes = self._judge.gradients(batch_measures, by_measure).tolist()
         else:
-            found = self._flyer.fly(settings, self.train, done)
+            batch_measures = self._flyer.fly(settings, self.train, done)
         return Generation(
-            costs=self._judge.costs(found).tolist(),
-            failed=np.asarray(found.failed).sum(axis=1).tolist(),
+            costs=self._judge.costs(batch_measures).tolist(),
+            failed=np.asarray(batch_measures.failed).sum(axis=1).tolist(),
             gradients=slopes,
         )

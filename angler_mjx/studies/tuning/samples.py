@@ -19,7 +19,7 @@ from angler_mjx.robot.vehicles.thrusters import FloatArray
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim import fleet
 from angler_mjx.studies.flights import courses, flying, kinds, measures, samples
-from angler_mjx.studies.flights.courses import FlightCourse, Times
+from angler_mjx.studies.flights.courses import CourseTimes, FlightCourse
 from angler_mjx.studies.flights.flying import FlightSettings
 from angler_mjx.studies.flights.kinds import FlightKind
 from angler_mjx.studies.flights.measures import ReferenceMotion
@@ -31,7 +31,7 @@ COURSES = ("step", "hold", "eight")
 FLIGHT_S, POINT_S = 30.0, 0.5
 """Of a flight, and between the points of its course: a round of the figure of eight at 0.5 m/s,
 from rest, takes 26 s."""
-CURRENT_SHARE = 0.6
+CURRENT_FRACTION = 0.6
 """Steady currents are also bounded by this share of a vehicle's slowest level terminal speed:
 whoever is swept away tells nothing of gains."""
 THRUST_ERROR = 0.3
@@ -63,44 +63,45 @@ class TunedRobots:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Flights:
+class FlightSet:
     """A set of flights, on the host."""
 
-    orders: FlightSettings
+    settings: FlightSettings
     reference: ReferenceMotion
     group: Any
     """int [n] of each flight: robot * 3 + course."""
 
 
-def robots(scenario: Scenario) -> TunedRobots:
+def select_robots(scenario: Scenario) -> TunedRobots:
     """The distinct robots of a scenario (host side).
 
     Raises:
         ConfigError: nothing holds any of them level: no gains would.
     """
     members = scenario.members()
-    every = fleet.variants(members)
-    built = fleet.build(members, multibody=False)
+    variants = fleet.list_variants(members)
+    built = fleet.build_fleet(members, multibody=False)
     possible = np.isfinite(np.asarray(built.log_weight))
     cruise = np.where(possible, np.asarray(built.cruise_mps, float), 0.0).max(axis=0)
-    names = [f"{v.vehicle}, {v.parameter_set}" for v in every]
+    names = [f"{v.vehicle}, {v.parameter_set}" for v in variants]
     labels = [
         f"{name} ({v.battery_v:g} V)" if names.count(name) > 1 else name
-        for name, v in zip(names, every, strict=True)
+        for name, v in zip(names, variants, strict=True)
     ]
     loose = [
-        FlightKind(vehicle=v.vehicle, parameter_set=v.parameter_set) in kinds.loose() for v in every
+        FlightKind(vehicle=v.vehicle, parameter_set=v.parameter_set) in kinds.find_unstabilised()
+        for v in variants
     ]
     rows = [i for i, bad in enumerate(loose) if not bad]
     left_out = tuple(label for label, bad in zip(labels, loose, strict=True) if bad)
     if not rows:
         raise ConfigError(f"scenario {scenario.name}: nothing holds {'; '.join(left_out)} level")
     on_host = jax.tree.map(np.asarray, built.control)
-    params = replace(kinds.chosen(on_host, rows), cruise_speed_mps=cruise[rows])
-    able = samples.able_mps(params.vehicle)
+    params = replace(kinds.select_rows(on_host, rows), cruise_speed_mps=cruise[rows])
+    able = samples.min_terminal_speed_mps(params.vehicle)
     speeds = [
-        max(_whole(min(SPEED_MPS, cruise[row], 0.9 * most - VORTEX_MPS)), SPEED_STEP_MPS)
-        for row, most in zip(rows, able, strict=True)
+        max(_round_speed(min(SPEED_MPS, cruise[row], 0.9 * max_mps - VORTEX_MPS)), SPEED_STEP_MPS)
+        for row, max_mps in zip(rows, able, strict=True)
     ]
     return TunedRobots(
         labels=tuple(labels[row] for row in rows),
@@ -110,7 +111,7 @@ def robots(scenario: Scenario) -> TunedRobots:
     )
 
 
-def _whole(speed_mps: float) -> float:
+def _round_speed(speed_mps: float) -> float:
     return round(math.floor(speed_mps / SPEED_STEP_MPS + 1e-9) * SPEED_STEP_MPS, 6)
 
 
@@ -133,15 +134,15 @@ class _FlightSample:
     """-1 to 1, of the greatest error."""
 
 
-def _draw(seed: int, part: int, number: int) -> _FlightSample:
+def _sample_flight(seed: int, part: int, number: int) -> _FlightSample:
     rng = np.random.default_rng([seed, part, number])
     direction = rng.normal(size=3)
     course = rng.uniform(-math.pi, math.pi)
     return _FlightSample(
-        step_m=rng.uniform(*STEP_M) * samples.unit(direction),
-        off_m=-OFF_M * samples.unit(direction),
+        step_m=rng.uniform(*STEP_M) * samples.unit_vector(direction),
+        off_m=-OFF_M * samples.unit_vector(direction),
         yaw_rad=rng.uniform(-math.pi, math.pi),
-        current=samples.level(rng.uniform(0.0, 1.0), course),
+        current=samples.level_velocity(rng.uniform(0.0, 1.0), course),
         vortex_mps=rng.uniform(0.0, VORTEX_MPS),
         shift_m=rng.uniform(-SHIFT_M, SHIFT_M, 2),
         turn=float(rng.choice([-1.0, 1.0])),
@@ -150,8 +151,8 @@ def _draw(seed: int, part: int, number: int) -> _FlightSample:
     )
 
 
-def draw(
-    flown: TunedRobots,
+def sample_flights(
+    robots: TunedRobots,
     n: int,
     seed: int,
     part: int,
@@ -159,11 +160,11 @@ def draw(
     *,
     timed: bool,
     thrust_error: float = 0.0,
-) -> Flights:
+) -> FlightSet:
     """The flights of a seed (host side).
 
     Args:
-        flown: the robots.
+        robots: the robots.
         n: number of flights.
         seed: of the tuning.
         part: ``TRAIN`` or ``HELD_OUT``: other flights altogether.
@@ -172,61 +173,72 @@ def draw(
             paths at cruise speed, steps too, and their heading does not count.
         thrust_error: greatest share of thrust more or less than the controllers believe.
     """
-    n_robot = len(flown.labels)
+    n_robot = len(robots.labels)
     rows = [i % n_robot for i in range(n)]
     kind = [COURSES[i // n_robot % len(COURSES)] for i in range(n)]
-    drawn = [_draw(seed, part, i) for i in range(n)]
-    params = kinds.chosen(flown.params, rows)
+    flight_samples = [_sample_flight(seed, part, i) for i in range(n)]
+    params = kinds.select_rows(robots.params, rows)
     eights = np.array([name == "eight" for name in kind])
-    times = Times(flight_s=FLIGHT_S, point_s=POINT_S, dt_s=dt)
-    cruise = np.asarray(flown.params.cruise_speed_mps, float)
-    wanted = [
-        _course(one, name, flown.eight_mps[row], float(cruise[row]), times, timed)
-        for one, name, row in zip(drawn, kind, rows, strict=True)
+    times = CourseTimes(flight_s=FLIGHT_S, point_s=POINT_S, dt_s=dt)
+    cruise = np.asarray(robots.params.cruise_speed_mps, float)
+    flight_courses = [
+        _build_course(sample, name, robots.eight_mps[row], float(cruise[row]), times, timed)
+        for sample, name, row in zip(flight_samples, kind, rows, strict=True)
     ]
-    bound = np.minimum(CURRENT_MPS, CURRENT_SHARE * samples.able_mps(params.vehicle)) * ~eights
-    current = bound[:, None] * np.array([one.current for one in drawn])
-    heading = np.array([course.pose[0, 3] for course in wanted])
-    return Flights(
-        orders=FlightSettings(
+    bound = (
+        np.minimum(CURRENT_MPS, CURRENT_FRACTION * samples.min_terminal_speed_mps(params.vehicle))
+        * ~eights
+    )
+    current = bound[:, None] * np.array([sample.current for sample in flight_samples])
+    heading = np.array([course.pose[0, 3] for course in flight_courses])
+    return FlightSet(
+        settings=FlightSettings(
             params=params,
-            plant=samples.as_it_is(
+            plant=samples.perturb_vehicle(
                 params.vehicle,
-                np.array([one.mass for one in drawn]),
-                1.0 + thrust_error * np.array([one.thrust for one in drawn]),
+                np.array([sample.mass for sample in flight_samples]),
+                1.0 + thrust_error * np.array([sample.thrust for sample in flight_samples]),
             ),
-            start_m=flying.starts(n) + np.array([one.off_m for one in drawn]),
+            start_m=flying.start_positions(n)
+            + np.array([sample.off_m for sample in flight_samples]),
             yaw_rad=np.where(eights, heading, 0.0),
-            command=courses.command(wanted, timed=timed),
-            current=(Uniform(velocity_mps=current), _vortices(drawn, eights)),
+            command=courses.build_command(flight_courses, timed=timed),
+            current=(Uniform(velocity_mps=current), _build_vortices(flight_samples, eights)),
         ),
-        reference=measures.reference(wanted, heading=timed),
+        reference=measures.build_reference(flight_courses, heading=timed),
         group=np.array(
             [row * len(COURSES) + COURSES.index(x) for row, x in zip(rows, kind, strict=True)]
         ),
     )
 
 
-def _course(
-    one: _FlightSample, kind: str, eight_mps: float, cruise_mps: float, times: Times, timed: bool
+def _build_course(
+    sample: _FlightSample,
+    kind: str,
+    eight_mps: float,
+    cruise_mps: float,
+    times: CourseTimes,
+    timed: bool,
 ) -> FlightCourse:
     """The course of a flight."""
     if kind == "eight":
-        return courses.eight(eight_mps, times)
-    step = one.step_m if kind == "step" else np.zeros(3)
+        return courses.follow_eight(eight_mps, times)
+    step = sample.step_m if kind == "step" else np.zeros(3)
     if timed:
-        return courses.place(step, one.yaw_rad if kind == "step" else 0.0, times)
-    return courses.line(step, cruise_mps, times)
+        return courses.hold_position(step, sample.yaw_rad if kind == "step" else 0.0, times)
+    return courses.follow_line(step, cruise_mps, times)
 
 
-def _vortices(drawn: Sequence[_FlightSample], eights: FloatArray) -> Vortices:
+def _build_vortices(flight_samples: Sequence[_FlightSample], eights: FloatArray) -> Vortices:
     """Those of the trials, of drawn strength and sense, shifted; none but for eights."""
-    most = np.array([one.vortex_mps * on for one, on in zip(drawn, eights, strict=True)])
-    there: Vortices = jax.tree.map(np.asarray, samples.vortices(most))
-    shift = np.array([one.shift_m for one in drawn])
-    turn = np.array([one.turn for one in drawn])
+    max_mps = np.array(
+        [sample.vortex_mps * on for sample, on in zip(flight_samples, eights, strict=True)]
+    )
+    unshifted: Vortices = jax.tree.map(np.asarray, samples.build_vortices(max_mps))
+    shift = np.array([sample.shift_m for sample in flight_samples])
+    turn = np.array([sample.turn for sample in flight_samples])
     return replace(
-        there,
-        centre_m=there.centre_m + shift[:, None, :],
-        circulation_m2ps=there.circulation_m2ps * turn[:, None],
+        unshifted,
+        centre_m=unshifted.centre_m + shift[:, None, :],
+        circulation_m2ps=unshifted.circulation_m2ps * turn[:, None],
     )

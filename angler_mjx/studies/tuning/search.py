@@ -30,12 +30,12 @@ class TuningHistory:
 
     def best(self) -> tuple[float, list[float] | None]:
         """The least cost and its candidate: 1 and None for what the search began with."""
-        cost, found = 1.0, None
-        for some, generation in zip(self.settings, self.generations, strict=True):
-            for one, its in zip(some, generation.costs, strict=True):
-                if its < cost:
-                    cost, found = its, one
-        return cost, found
+        cost, candidate = 1.0, None
+        for generation_settings, generation in zip(self.settings, self.generations, strict=True):
+            for settings, candidate_cost in zip(generation_settings, generation.costs, strict=True):
+                if candidate_cost < cost:
+                    cost, candidate = candidate_cost, settings
+        return cost, candidate
 
 
 class Evaluate(Protocol):
@@ -46,15 +46,15 @@ class Evaluate(Protocol):
         ...
 
 
-def replayed(optimiser: Optimiser, known: Sequence[Generation]) -> TuningHistory:
+def replay_history(optimiser: Optimiser, generations: Sequence[Generation]) -> TuningHistory:
     """Tell an optimiser that begins what was found before."""
     history = TuningHistory()
-    for generation in known:
-        _tell(optimiser, history, optimiser.ask(), generation)
+    for generation in generations:
+        _record_generation(optimiser, history, optimiser.ask(), generation)
     return history
 
 
-def run(
+def run_search(
     optimiser: Optimiser,
     evaluate: Evaluate,
     history: TuningHistory,
@@ -64,7 +64,7 @@ def run(
     """Go on until so many generations are known.
 
     Args:
-        optimiser: as `replayed` left it.
+        optimiser: as `replay_history` left it.
         evaluate: flies candidates.
         history: known so far; added to.
         generations: how many there are to be.
@@ -72,14 +72,14 @@ def run(
     """
     while len(history.generations) < generations:
         settings = optimiser.ask()
-        found = evaluate(settings, gradients=optimiser.needs_gradients)
-        _tell(optimiser, history, settings, found)
+        generation = evaluate(settings, gradients=optimiser.needs_gradients)
+        _record_generation(optimiser, history, settings, generation)
         keep(history)
 
 
-def _tell(
-    optimiser: Optimiser, history: TuningHistory, settings: FloatArray, found: Generation
+def _record_generation(
+    optimiser: Optimiser, history: TuningHistory, settings: FloatArray, generation: Generation
 ) -> None:
-    optimiser.tell(found.costs, found.gradients)
+    optimiser.tell(generation.costs, generation.gradients)
     history.settings.append(settings.tolist())
-    history.generations.append(found)
+    history.generations.append(generation)

@@ -7,8 +7,8 @@ from typing import Any, Protocol
 from angler_mjx.errors import ConfigError
 from angler_mjx.robot.vehicles.thrusters import FloatArray
 from angler_mjx.runs import provenance
-from angler_mjx.runs.storage.damage import reading
 from angler_mjx.runs.storage.output_lock import OutputLock
+from angler_mjx.runs.storage.read_errors import wrap_read_errors
 from angler_mjx.studies.tuning import folder, outcome, report, search
 from angler_mjx.studies.tuning.optimisers import Adam, Cma, Optimiser
 from angler_mjx.studies.tuning.outcome import TuningOutcome
@@ -72,50 +72,50 @@ def tune(
         RunError: the disk gave out.
         KeyboardInterrupt: before anything was found.
     """
-    told = progress or SilentTuningProgress()
+    reporter = progress or SilentTuningProgress()
     problem = TuningProblem(settings)
-    optimiser = _optimiser(problem)
-    claimed, table, history = _open(settings, out, optimiser, resume=resume)
+    optimiser = _build_optimiser(problem)
+    lock, table, history = _open_folder(settings, out, optimiser, resume=resume)
     try:
-        return _tune(problem, optimiser, claimed, table, history, told)
+        return _search_and_write(problem, optimiser, lock, table, history, reporter)
     finally:
-        claimed.release()
+        lock.release()
 
 
-def _tune(
+def _search_and_write(
     problem: TuningProblem,
     optimiser: Optimiser,
-    claimed: OutputLock,
+    lock: OutputLock,
     table: dict[str, Any],
     history: TuningHistory,
-    told: TuningProgress,
+    progress: TuningProgress,
 ) -> TuningOutcome:
     """Search on in a folder, and close it."""
-    settings, building = problem.settings, claimed.building
+    settings, building = problem.settings, lock.building
     each = optimiser.population * settings.rollouts
-    told.start(settings.generations * each, len(history.generations) * each)
+    progress.start(settings.generations * each, len(history.generations) * each)
 
     def evaluate(candidates: FloatArray, *, gradients: bool) -> Generation:
-        return problem.evaluate(candidates, gradients=gradients, done=told.flown)
+        return problem.evaluate(candidates, gradients=gradients, done=progress.flown)
 
-    def keep(known: TuningHistory) -> None:
-        folder.save(building, table, known, complete=False)
-        told.generation(len(known.generations), known.best()[0])
+    def keep(current: TuningHistory) -> None:
+        folder.save_checkpoint(building, table, current, complete=False)
+        progress.generation(len(current.generations), current.best()[0])
 
     try:
-        search.run(optimiser, evaluate, history, settings.generations, keep)
+        search.run_search(optimiser, evaluate, history, settings.generations, keep)
     except KeyboardInterrupt:
         if not history.generations:
             raise
-    told.measuring()
-    found = outcome.measure(problem, history, table["provenance"])
-    report.write(building, found)
-    folder.save(building, table, history, complete=found.complete)
-    claimed.publish()
-    return found
+    progress.measuring()
+    tuning_outcome = outcome.measure_outcome(problem, history, table["provenance"])
+    report.write_report(building, tuning_outcome)
+    folder.save_checkpoint(building, table, history, complete=tuning_outcome.complete)
+    lock.publish()
+    return tuning_outcome
 
 
-def _optimiser(problem: TuningProblem) -> Optimiser:
+def _build_optimiser(problem: TuningProblem) -> Optimiser:
     low, high = ([getattr(knob, end) for knob in problem.knobs] for end in ("low", "high"))
     settings = problem.settings
     if settings.method == "gradient":
@@ -123,27 +123,33 @@ def _optimiser(problem: TuningProblem) -> Optimiser:
     return Cma(low, high, settings.seed)
 
 
-def _open(
+def _open_folder(
     settings: TuningSettings, out: Path, optimiser: Optimiser, *, resume: bool
 ) -> tuple[OutputLock, dict[str, Any], TuningHistory]:
     """The claimed folder, what its checkpoint begins with, and what was found before."""
     if not resume:
-        claimed, history = folder.create(out), TuningHistory()
-        table = {"settings": settings.table(), "provenance": _provenance(settings)}
+        lock, history = folder.create_folder(out), TuningHistory()
+        table = {"settings": settings.table(), "provenance": _describe_provenance(settings)}
         try:
-            folder.save(claimed.building, table, history, complete=False)
+            folder.save_checkpoint(lock.building, table, history, complete=False)
         except BaseException:
-            claimed.withdraw()
+            lock.withdraw()
             raise
-        return claimed, table, history
+        return lock, table, history
     wanted = settings.table()
-    claimed, known = folder.reopen(out, lambda known: _require_same(known["settings"], wanted, out))
+    lock, checkpoint = folder.reopen_folder(
+        out, lambda checkpoint: _require_same(checkpoint["settings"], wanted, out)
+    )
     try:
-        with reading(claimed.building / folder.CHECKPOINT, folder.ADVICE):
-            table = {name: known[name] for name in ("settings", "provenance")}
-            return claimed, table, search.replayed(optimiser, folder.generations(known))
+        with wrap_read_errors(lock.building / folder.CHECKPOINT, folder.ADVICE):
+            table = {name: checkpoint[name] for name in ("settings", "provenance")}
+            return (
+                lock,
+                table,
+                search.replay_history(optimiser, folder.read_generations(checkpoint)),
+            )
     except BaseException:
-        claimed.release()
+        lock.release()
         raise
 
 
@@ -158,7 +164,7 @@ def _require_same(stored: dict[str, Any], wanted: dict[str, Any], out: Path) -> 
             )
 
 
-def _provenance(settings: TuningSettings) -> dict[str, Any]:
+def _describe_provenance(settings: TuningSettings) -> dict[str, Any]:
     """Of this process, with the package that searches."""
     origin = provenance.describe_environment()
     if settings.method == "cma":

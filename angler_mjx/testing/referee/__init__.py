@@ -17,7 +17,7 @@ from angler_mjx.testing.referee.findings import (
     RefereeFinding,
     RefereeVerdict,
 )
-from angler_mjx.testing.referee.record import RefereeRun, open_run, worlds
+from angler_mjx.testing.referee.record import RefereeRun, open_run, read_worlds
 from angler_mjx.testing.referee.scene import RefereeScene
 
 __all__ = [
@@ -46,39 +46,41 @@ def judge(
         ConfigError: it is no run folder, stored no trajectories, is damaged, or lacks a world.
     """
     run = open_run(Path(path))
-    there = sorted(run.rows) if chosen is None else sorted(set(chosen))
-    missing = [world for world in there if world not in run.rows]
-    if missing or not there:
-        held = f"worlds {min(run.rows)} to {max(run.rows)}" if run.rows else "no finished world"
-        raise ConfigError(f"--worlds {', '.join(map(str, missing))}: {path} holds {held}")
+    selected = sorted(run.rows) if chosen is None else sorted(set(chosen))
+    missing = [world for world in selected if world not in run.rows]
+    if missing or not selected:
+        available = (
+            f"worlds {min(run.rows)} to {max(run.rows)}" if run.rows else "no finished world"
+        )
+        raise ConfigError(f"--worlds {', '.join(map(str, missing))}: {path} holds {available}")
     verdict = RefereeVerdict(
         run=str(path),
         planned_worlds=run.planned_worlds,
         finished_worlds=len(run.rows),
-        sampled=_sampling(run),
+        sampled=_describe_sampling(run),
     )
-    progress(0, len(there))
-    for world in worlds(run, there):
+    progress(0, len(selected))
+    for world in read_worlds(run, selected):
         scene = RefereeScene(run=run, world=world, rows=run.rows[world.index])
         for robot in range(len(run.robots)):
-            verdict.add(_findings(scene, robot))
+            verdict.add(_judge_robot(scene, robot))
         verdict.worlds += 1
         verdict.robots += len(run.robots)
         verdict.passed_goal_early += sum(bool(row["passed_goal_early"]) for row in scene.rows)
-        progress(verdict.worlds, len(there))
+        progress(verdict.worlds, len(selected))
     return verdict
 
 
-def _findings(scene: RefereeScene, robot: int) -> list[RefereeFinding]:
+def _judge_robot(scene: RefereeScene, robot: int) -> list[RefereeFinding]:
     """Worked out anew where every step until the end was stored, held against bounds elsewhere."""
     stored = scene.state_at(scene.stored_step[robot])
-    whole = len(scene.world.step) > len(scene.world.pwm_us)
-    if scene.run.every == 1 and (whole or stored is not None):
-        return judging.judge(scene, robot, stored or 0)
-    return bounding.judge(scene, robot)
+    has_all_commands = len(scene.world.step) > len(scene.world.pwm_us)
+    if scene.run.every == 1 and (has_all_commands or stored is not None):
+        return judging.judge_exact(scene, robot, stored or 0)
+    return bounding.judge_bounded(scene, robot)
 
 
-def _sampling(run: RefereeRun) -> str:
+def _describe_sampling(run: RefereeRun) -> str:
     older = ""
     if run.has_older_rows:
         older = "; of an older version, in which a robot arrived whenever it was near its goal"

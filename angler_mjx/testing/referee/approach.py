@@ -26,8 +26,8 @@ def last_approach_s(time_s: Floats, point_m: Floats, goal_m: Floats, tolerance_m
         goal_m: [3].
         tolerance_m: of the goal.
     """
-    away = np.linalg.norm(point_m - goal_m, axis=1)
-    return float(time_s[away >= min(tolerance_m + APPROACH_M, away.max())][-1])
+    distance_m = np.linalg.norm(point_m - goal_m, axis=1)
+    return float(time_s[distance_m >= min(tolerance_m + APPROACH_M, distance_m.max())][-1])
 
 
 def passes_before(
@@ -35,10 +35,10 @@ def passes_before(
 ) -> bool:
     """Return whether the plan comes within a distance of its goal before a time."""
     for k in np.flatnonzero(time_s[:-1] < until_s):
-        leg, off = point_m[k + 1] - point_m[k], goal_m - point_m[k]
+        leg, offset_m = point_m[k + 1] - point_m[k], goal_m - point_m[k]
         square = float(leg @ leg)
-        part = np.clip(off @ leg / square, 0.0, 1.0) if square > 0.0 else 0.0
-        if np.linalg.norm(off - part * leg) < within_m:
+        fraction = np.clip(offset_m @ leg / square, 0.0, 1.0) if square > 0.0 else 0.0
+        if np.linalg.norm(offset_m - fraction * leg) < within_m:
             return True
     return False
 
@@ -69,22 +69,24 @@ def progress_s(
             low[k], high[k] = earliest, latest
             continue
         # Parts of each line that lie within the rounding of the aim, as shares of it.
-        off = aim_m[k] - start
-        middle = np.sum(off * leg, axis=1) / np.where(square > 0.0, square, 1.0)
-        miss = np.sum((off - middle[:, None] * leg) ** 2, axis=1)
-        stands = square <= AIM_M**2
-        half = np.sqrt(np.maximum(AIM_M**2 - miss, 0.0) / np.where(stands, 1.0, square))
+        offset_m = aim_m[k] - start
+        middle = np.sum(offset_m * leg, axis=1) / np.where(square > 0.0, square, 1.0)
+        miss_sq = np.sum((offset_m - middle[:, None] * leg) ** 2, axis=1)
+        is_at_rest = square <= AIM_M**2
+        half = np.sqrt(np.maximum(AIM_M**2 - miss_sq, 0.0) / np.where(is_at_rest, 1.0, square))
         first, last = middle - half, middle + half
-        on = (miss <= AIM_M**2) & (stands | ((first <= 1.0) & (last >= 0.0)))
-        first = np.where(stands, 0.0, np.clip(first, 0.0, 1.0))
-        last = np.where(stands, 1.0, np.clip(last, 0.0, 1.0))
+        is_on_leg = (miss_sq <= AIM_M**2) & (is_at_rest | ((first <= 1.0) & (last >= 0.0)))
+        first = np.where(is_at_rest, 0.0, np.clip(first, 0.0, 1.0))
+        last = np.where(is_at_rest, 1.0, np.clip(last, 0.0, 1.0))
         # Beyond the last way-point the aim stays there for ever.
         at_end = np.linalg.norm(aim_m[k] - point_m[-1]) <= AIM_M
         since = np.append(begin + first * length, time_s[-1])
         until = np.append(begin + last * length, np.inf)
-        on = np.append(on, at_end) & (since <= latest + 1e-6) & (until >= earliest - 1e-6)
-        if not on.any():
+        is_on_leg = (
+            np.append(is_on_leg, at_end) & (since <= latest + 1e-6) & (until >= earliest - 1e-6)
+        )
+        if not is_on_leg.any():
             return None
-        low[k] = max(earliest, float(since[on].min()))
-        high[k] = min(latest, float(until[on].max()))
+        low[k] = max(earliest, float(since[is_on_leg].min()))
+        high[k] = min(latest, float(until[is_on_leg].max()))
     return low, high

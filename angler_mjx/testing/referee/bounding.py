@@ -5,98 +5,104 @@ import numpy as np
 from angler_mjx.testing.referee import findings as say
 from angler_mjx.testing.referee.collecting import FindingCollector
 from angler_mjx.testing.referee.contacts import STILL
-from angler_mjx.testing.referee.findings import RefereeFinding, Result
+from angler_mjx.testing.referee.findings import FindingResult, RefereeFinding
 from angler_mjx.testing.referee.record import OUTCOMES
 from angler_mjx.testing.referee.scene import FAILED, RefereeEpisode, RefereeScene
 
 SPARSE = "what was between the samples is not known"
 
 
-def judge(scene: RefereeScene, robot: int) -> list[RefereeFinding]:
+def judge_bounded(scene: RefereeScene, robot: int) -> list[RefereeFinding]:
     """Findings of one robot."""
-    tell, episode = FindingCollector(scene, robot), RefereeEpisode(scene, robot)
+    collector, episode = FindingCollector(scene, robot), RefereeEpisode(scene, robot)
     step, outcome = scene.stored_step[robot], scene.stored_outcome(robot)
     world = scene.world
     if step is None or step < 1 or outcome not in OUTCOMES or outcome == "running":
-        tell.words("outcome", "bounded", outcome, "none", "disagrees", "no such end can be")
+        collector.add_verdict(
+            "outcome", "bounded", outcome, "none", "disagrees", "no such end can be"
+        )
         step = int(world.step[min(int(scene.ended[robot]), len(world.step) - 1)])
     else:
-        _outcome(tell, scene, episode, step)
-    _time(tell, scene, robot, step)
+        _check_outcome(collector, scene, episode, step)
+    _check_time(collector, scene, robot, step)
     before = int(np.searchsorted(world.step, step, side="right")) - 1
     after = min(int(np.searchsorted(world.step, step)), len(world.step) - 1)
     # A robot that failed stands where its episode ended: the next sample shows that place.
     held = after if outcome in FAILED and world.step[after] >= step else before
-    _numbers(tell, scene, episode, step, before, held)
-    _touch(tell, scene, episode, held if world.step[held] >= step else None, outcome)
+    _check_numbers(collector, scene, episode, step, before, held)
+    _check_contact(collector, scene, episode, held if world.step[held] >= step else None, outcome)
     shown = held if world.step[held] == step or held > before else None
     if outcome == "reached" or shown is not None:
-        tell.place(outcome, world.p[held, robot])
+        collector.set_position(outcome, world.p[held, robot])
     else:
-        tell.unchecked("failure_place_m", SPARSE)
-    tell.record(int(np.searchsorted(world.step, step)))
-    tell.task()
-    return tell.found
+        collector.unchecked("failure_place_m", SPARSE)
+    collector.record(int(np.searchsorted(world.step, step)))
+    collector.task()
+    return collector.findings
 
 
-def _outcome(
-    tell: FindingCollector, scene: RefereeScene, episode: RefereeEpisode, step: int
+def _check_outcome(
+    collector: FindingCollector, scene: RefereeScene, episode: RefereeEpisode, step: int
 ) -> None:
     """No state before the end may end the episode, and one that shows the end must allow it."""
     robot, stored = episode.robot, scene.stored_outcome(episode.robot)
     world = scene.world
     shown = [k for k in range(1, len(world.step)) if world.step[k] < step]
     for state in shown:
-        if state <= scene.last[robot] and "running" not in episode.possible(state):
+        if state <= scene.last[robot] and "running" not in episode.possible_outcomes(state):
             judged, note = episode.outcome(state), episode.numbers(state)
-            tell.words("outcome", "bounded", stored, judged, "disagrees", note)
+            collector.add_verdict("outcome", "bounded", stored, judged, "disagrees", note)
             return
     if stored == "failed" and stored not in scene.unseen(step):
-        tell.words("outcome", "bounded", stored, "running", "disagrees", "none breaks down then")
+        collector.add_verdict(
+            "outcome", "bounded", stored, "running", "disagrees", "none breaks down then"
+        )
         return
     after = int(np.searchsorted(world.step, step))
-    if after < len(world.step) and not _allows(scene, episode, after, step, stored):
+    if after < len(world.step) and not _allows_outcome(scene, episode, after, step, stored):
         note = episode.numbers(after)
-        tell.words("outcome", "bounded", stored, episode.outcome(after), "disagrees", note)
+        collector.add_verdict(
+            "outcome", "bounded", stored, episode.outcome(after), "disagrees", note
+        )
         return
-    tell.words("outcome", "bounded", stored, stored, "agrees", SPARSE)
+    collector.add_verdict("outcome", "bounded", stored, stored, "agrees", SPARSE)
 
 
-def _allows(
+def _allows_outcome(
     scene: RefereeScene, episode: RefereeEpisode, state: int, step: int, stored: str
 ) -> bool:
     """Whether the first stored state at or after the end allows the stored outcome."""
     if scene.world.step[state] == step:
-        wanted = {"running"} if stored == "timeout" else {stored}
+        expected = {"running"} if stored == "timeout" else {stored}
         if stored in scene.unseen(step):
-            wanted = {"running", "reached"}
-        return stored == "diverged" or not wanted.isdisjoint(episode.possible(state))
+            expected = {"running", "reached"}
+        return stored == "diverged" or not expected.isdisjoint(episode.possible_outcomes(state))
     # It has stood there since: what stands still is where it was, what moves is not.
-    still = episode.gap_to_what_stands(state)
+    static_gap_m = episode.static_gap_m(state)
     if stored == "collision_static":
-        return still <= scene.touch_m
-    outside = scene.outside_m[state, episode.robot] > -scene.place_m
-    return stored != "out_of_bounds" or (outside and still >= -scene.touch_m)
+        return static_gap_m <= scene.contact_band_m
+    outside = scene.outside_m[state, episode.robot] > -scene.position_band_m
+    return stored != "out_of_bounds" or (outside and static_gap_m >= -scene.contact_band_m)
 
 
-def _time(tell: FindingCollector, scene: RefereeScene, robot: int, step: int) -> None:
+def _check_time(collector: FindingCollector, scene: RefereeScene, robot: int, step: int) -> None:
     """Between the last sample beside which it still ran and the first beside which it did not."""
     world, dt = scene.world, scene.run.control_dt_s
     ended = int(scene.ended[robot])
     low = float(world.step[min(ended, len(world.step)) - 1]) * dt if ended else 0.0
     high = float(world.step[ended]) * dt if ended < len(world.step) else None
     stored = scene.stored_end_s(robot)
-    over = scene.stored_outcome(robot) == "timeout"
+    is_timeout = scene.stored_outcome(robot) == "timeout"
     slack = 1e-6 * max(1.0, low)
     if high is None:
-        high = scene.run.horizon_steps * dt if over else low + scene.run.every * dt
-    fits: Result = "agrees" if low - slack <= stored <= high + slack else "disagrees"
+        high = scene.run.horizon_steps * dt if is_timeout else low + scene.run.every * dt
+    fits: FindingResult = "agrees" if low - slack <= stored <= high + slack else "disagrees"
     span = f"{low:.6g} to {high:.6g}"
-    tell.words("end_time_s", "bounded", stored, span, fits, SPARSE)
+    collector.add_verdict("end_time_s", "bounded", stored, span, fits, SPARSE)
 
 
-def _numbers(
-    tell: FindingCollector,
+def _check_numbers(
+    collector: FindingCollector,
     scene: RefereeScene,
     episode: RefereeEpisode,
     step: int,
@@ -105,37 +111,46 @@ def _numbers(
 ) -> None:
     run, robot = scene.run, episode.robot
     row = scene.rows[robot]
-    least = float(scene.way_m[held, robot]) - say.PATH_M
-    tell.between("path_length_m", least, float("inf"), "no way is shorter than straight lines")
+    min_path_m = float(scene.path_m[held, robot]) - say.PATH_M
+    collector.add_bounded(
+        "path_length_m", min_path_m, float("inf"), "no way is shorter than straight lines"
+    )
     thrusters = run.robots[robot]
-    most = float(thrusters.power_w.max() * thrusters.alive.sum() * step * run.control_dt_s)
+    max_energy_j = float(thrusters.power_w.max() * thrusters.alive.sum() * step * run.control_dt_s)
     if np.isnan(float(row["energy_j"])) and scene.stored_outcome(robot) == "diverged":
-        tell.unchecked("energy_j", "a robot that diverged had no last command")
+        collector.unchecked("energy_j", "a robot that diverged had no last command")
     else:
-        tell.between("energy_j", 0.0, most * (1.0 + say.ENERGY_SHARE), "at full power all the time")
-    band = max(say.CLEARANCE_M, scene.touch_m)
+        collector.add_bounded(
+            "energy_j",
+            0.0,
+            max_energy_j * (1.0 + say.ENERGY_FRACTION),
+            "at full power all the time",
+        )
+    band = max(say.CLEARANCE_M, scene.contact_band_m)
     touched, outcome = str(row["failure_pair"]), scene.stored_outcome(robot)
     by_robot = touched.startswith("robot")
     by_thing = touched != "none" and not by_robot
-    near = scene.near_until(robot, before)
-    clearance = near.clearance_m(robot, before)
+    nearby = scene.near_until(robot, before)
+    clearance = nearby.clearance_m(robot, before)
     if held > before:
-        clearance = min(clearance, episode.gap_to_what_stands(held))
-    for name, known, hit in (
+        clearance = min(clearance, episode.static_gap_m(held))
+    for name, sampled, is_hit in (
         ("min_clearance_m", clearance, by_thing),
-        ("min_separation_m", near.separation_m(robot, before), by_robot),
+        ("min_separation_m", nearby.separation_m(robot, before), by_robot),
     ):
-        if np.isinf(known):
-            tell.number(name, known, 0.0)
+        if np.isinf(sampled):
+            collector.number(name, sampled, 0.0)
             continue
         # Who touches nothing overlaps with nothing; who does may overlap with several things.
         touches = outcome.startswith("collision") or outcome == "diverged"
-        high = min(known, 0.0) if hit else known
-        tell.between(name, -np.inf if touches else -band, high + band, "no more than in a sample")
+        high = min(sampled, 0.0) if is_hit else sampled
+        collector.add_bounded(
+            name, -np.inf if touches else -band, high + band, "no more than in a sample"
+        )
 
 
-def _touch(
-    tell: FindingCollector,
+def _check_contact(
+    collector: FindingCollector,
     scene: RefereeScene,
     episode: RefereeEpisode,
     held: int | None,
@@ -143,24 +158,24 @@ def _touch(
 ) -> None:
     """With what; ``held`` is the state that shows where a robot ended, if one does."""
     if not outcome.startswith("collision"):
-        tell.no_touch("exact")
+        collector.add_no_contact("exact")
         return
-    stored = str(tell.row["failure_pair"])
+    stored = str(collector.row["failure_pair"])
     kind, _, number = stored.partition(":")
-    motion = scene.world.place["obstacles/motion"]
+    motion = scene.world.environment["obstacles/motion"]
     still = kind in ("cell", "floor")
     if kind == "obstacle" and number.isdecimal() and int(number) < len(motion):
         still = bool(motion[int(number)] == STILL)
     if held is None or not still:
-        tell.unchecked("failure_pair", "no sample shows both as they were at the touch")
+        collector.unchecked("failure_pair", "no sample shows both as they were at the touch")
     else:
-        near = episode.touching(held, 2.0 * scene.touch_m + 1.0)
+        nearby = episode.touched_pairs(held, 2.0 * scene.contact_band_m + 1.0)
         names = [
             scene.name(k, i)
-            for k, i, gap in zip(near.kind, near.index, near.gap_m, strict=True)
-            if gap <= scene.touch_m
+            for k, i, gap in zip(nearby.kind, nearby.index, nearby.gap_m, strict=True)
+            if gap <= scene.contact_band_m
         ]
-        fits: Result = "agrees" if stored in names else "disagrees"
+        fits: FindingResult = "agrees" if stored in names else "disagrees"
         judged = names[0] if names else "none"
-        tell.words("failure_pair", "bounded", stored, judged, fits, SPARSE)
-    tell.unchecked("impact_speed_mps", "robots that have failed are stored at rest")
+        collector.add_verdict("failure_pair", "bounded", stored, judged, fits, SPARSE)
+    collector.unchecked("impact_speed_mps", "robots that have failed are stored at rest")

@@ -4,7 +4,13 @@ from typing import Any
 
 import numpy as np
 
-from angler_mjx.testing.referee.findings import TASK_QUANTITIES, How, RefereeFinding, Result, Value
+from angler_mjx.testing.referee.findings import (
+    TASK_QUANTITIES,
+    CheckMethod,
+    FindingResult,
+    RefereeFinding,
+    Value,
+)
 from angler_mjx.testing.referee.geometry import Floats
 from angler_mjx.testing.referee.record import OUTCOMES
 from angler_mjx.testing.referee.scene import FAILED, RefereeScene
@@ -13,10 +19,10 @@ from angler_mjx.testing.referee.teamwork import NEVER
 TIME_ULPS = 4.0
 """Times are sums and products of two float32."""
 
-PROGRESS = 1e-6
+PROGRESS_TOLERANCE = 1e-6
 """A fraction of jobs or cells, in float32."""
 
-PLACE_COLUMNS = ("failure_x_m", "failure_y_m", "failure_z_m")
+POSITION_COLUMNS = ("failure_x_m", "failure_y_m", "failure_z_m")
 
 
 class FindingCollector:
@@ -24,13 +30,15 @@ class FindingCollector:
 
     def __init__(self, scene: RefereeScene, robot: int) -> None:
         """Nothing is found yet."""
-        self.found: list[RefereeFinding] = []
+        self.findings: list[RefereeFinding] = []
         self.row = scene.rows[robot]
         self._scene, self._robot = scene, robot
 
-    def _say(self, quantity: str, how: How, result: Result, **more: Any) -> None:
+    def _add_finding(
+        self, quantity: str, how: CheckMethod, result: FindingResult, **more: Any
+    ) -> None:
         world = self._scene.world.index
-        self.found.append(
+        self.findings.append(
             RefereeFinding(
                 world=world,
                 robot=self._robot,
@@ -41,38 +49,44 @@ class FindingCollector:
             )
         )
 
-    def words(
-        self, quantity: str, how: How, stored: Value, judged: Value, result: Result, note: str = ""
+    def add_verdict(
+        self,
+        quantity: str,
+        how: CheckMethod,
+        stored: Value,
+        judged: Value,
+        result: FindingResult,
+        note: str = "",
     ) -> None:
         """A verdict on what was stored and what was judged."""
-        self._say(quantity, how, result, stored=stored, judged=judged, note=note)
+        self._add_finding(quantity, how, result, stored=stored, judged=judged, note=note)
 
     def number(
         self, quantity: str, judged: float, tolerance: float, *, relative: bool = False
     ) -> None:
         """A number that was worked out anew."""
         stored = float(self.row[quantity])
-        same = stored == judged or (np.isnan(stored) and np.isnan(judged))
-        apart = 0.0 if same else abs(stored - judged)
-        agrees = apart <= tolerance
+        is_same = stored == judged or (np.isnan(stored) and np.isnan(judged))
+        difference = 0.0 if is_same else abs(stored - judged)
+        agrees = difference <= tolerance
         if relative:
             scale = max(abs(judged), tolerance)
-            apart, tolerance = apart / scale, tolerance / scale
-        self._say(
+            difference, tolerance = difference / scale, tolerance / scale
+        self._add_finding(
             quantity,
             "exact",
             "agrees" if agrees else "disagrees",
             stored=stored,
             judged=judged,
-            deviation=float(apart) if np.isfinite(apart) else float("inf"),
+            deviation=float(difference) if np.isfinite(difference) else float("inf"),
             tolerance=tolerance,
         )
 
-    def between(self, quantity: str, low: float, high: float, why: str) -> None:
+    def add_bounded(self, quantity: str, low: float, high: float, why: str) -> None:
         """A number that is only known to lie between two."""
         stored = float(self.row[quantity])
         inside = low <= stored <= high
-        self._say(
+        self._add_finding(
             quantity,
             "bounded",
             "agrees" if inside else "disagrees",
@@ -84,9 +98,9 @@ class FindingCollector:
     def unchecked(self, quantity: str, why: str) -> None:
         """A quantity of which the record does not say enough."""
         value = self.row.get(quantity)
-        self._say(quantity, "unchecked", "agrees", stored=value, judged=None, note=why)
+        self._add_finding(quantity, "unchecked", "agrees", stored=value, judged=None, note=why)
 
-    def time(self, judged_s: float, how: How, result: Result, note: str) -> None:
+    def time(self, judged_s: float, how: CheckMethod, result: FindingResult, note: str) -> None:
         """When it ended; to the step."""
         stored = self._scene.stored_end_s(self._robot)
         apart = abs(stored - judged_s)
@@ -94,7 +108,7 @@ class FindingCollector:
         agrees = apart <= rounding
         if agrees or result == "agrees":
             result = "agrees" if agrees else "disagrees"
-        self._say(
+        self._add_finding(
             "end_time_s",
             how,
             result,
@@ -105,29 +119,29 @@ class FindingCollector:
             note="" if agrees else note,
         )
 
-    def no_touch(self, how: How) -> None:
+    def add_no_contact(self, how: CheckMethod) -> None:
         """Without a collision there is no pair and no speed."""
         pair, speed = self.row["failure_pair"], float(self.row["impact_speed_mps"])
-        fits: Result = "agrees" if pair == "none" else "disagrees"
-        self._say("failure_pair", how, fits, stored=pair, judged="none")
+        fits: FindingResult = "agrees" if pair == "none" else "disagrees"
+        self._add_finding("failure_pair", how, fits, stored=pair, judged="none")
         fits = "agrees" if np.isnan(speed) else "disagrees"
-        self._say("impact_speed_mps", how, fits, stored=speed, judged=None)
+        self._add_finding("impact_speed_mps", how, fits, stored=speed, judged=None)
 
-    def place(self, outcome: str, p: Floats) -> None:
+    def set_position(self, outcome: str, p: Floats) -> None:
         """Where it was at the end; not stored of robots that arrived."""
-        stored = np.array([float(self.row[name]) for name in PLACE_COLUMNS])
+        stored = np.array([float(self.row[name]) for name in POSITION_COLUMNS])
         if outcome == "reached":
             fits = bool(np.isnan(stored).all())
             apart = 0.0 if fits else float("inf")
         else:
             apart = float(np.linalg.norm(stored - p))
             fits = apart == 0.0
-        self._say(
+        self._add_finding(
             "failure_place_m",
             "exact",
             "agrees" if fits else "disagrees",
-            stored=_point(stored),
-            judged=None if outcome == "reached" else _point(p),
+            stored=_format_point(stored),
+            judged=None if outcome == "reached" else _format_point(p),
             deviation=apart if np.isfinite(apart) else float("inf"),
         )
 
@@ -140,37 +154,39 @@ class FindingCollector:
             for name in TASK_QUANTITIES:
                 self.unchecked(name, "no sample shows every look at the task")
             return
-        how: How = "bounded" if judged.is_bounded else "exact"
+        how: CheckMethod = "bounded" if judged.is_bounded else "exact"
         completed_s = judged.completed_step * scene.run.control_dt_s
         if judged.completed_step == NEVER:
             completed_s = np.nan
         rounding = TIME_ULPS * float(np.spacing(np.float32(max(np.nan_to_num(completed_s), 1.0))))
-        self._of_task("jobs_done", how, float(judged.jobs_done[self._robot]), 0.0)
-        self._of_task("task_progress", "exact", judged.progress, PROGRESS)
-        self._of_task("task_completed_s", "exact", completed_s, rounding)
+        self._add_task_number("jobs_done", how, float(judged.jobs_done[self._robot]), 0.0)
+        self._add_task_number("task_progress", "exact", judged.progress, PROGRESS_TOLERANCE)
+        self._add_task_number("task_completed_s", "exact", completed_s, rounding)
         faults = judged.faults if self._robot == 0 else []
-        result: Result = "agrees"
+        result: FindingResult = "agrees"
         if faults:
             result = "undecided" if judged.doubt else "disagrees"
         note = "; ".join([*faults, *([judged.doubt] if faults and judged.doubt else [])])
-        self._say("task", how, result, stored=None, judged=None, note=note)
+        self._add_finding("task", how, result, stored=None, judged=None, note=note)
 
-    def _of_task(self, quantity: str, how: How, judged: float, tolerance: float) -> None:
+    def _add_task_number(
+        self, quantity: str, how: CheckMethod, judged: float, tolerance: float
+    ) -> None:
         """A number of a task: one that differs is undecided where rounding can have turned it."""
         stored, scene = float(self.row[quantity]), self._scene
         doubt = scene.task.doubt if scene.task is not None else ""
-        same = stored == judged or (np.isnan(stored) and np.isnan(judged))
-        apart = 0.0 if same else abs(stored - judged)
-        result: Result = "agrees"
-        if not apart <= tolerance:
+        is_same = stored == judged or (np.isnan(stored) and np.isnan(judged))
+        difference = 0.0 if is_same else abs(stored - judged)
+        result: FindingResult = "agrees"
+        if not difference <= tolerance:
             result = "undecided" if doubt else "disagrees"
-        self._say(
+        self._add_finding(
             quantity,
             how,
             result,
             stored=stored,
             judged=judged,
-            deviation=float(apart) if np.isfinite(apart) else float("inf"),
+            deviation=float(difference) if np.isfinite(difference) else float("inf"),
             tolerance=tolerance,
             note="" if result == "agrees" else doubt,
         )
@@ -178,14 +194,14 @@ class FindingCollector:
     def record(self, end: int) -> None:
         """Whether the trajectory can be: its start, its outcomes, and rest after a failure."""
         faults = self._faults(end)
-        result: Result = "disagrees" if faults else "agrees"
-        said = "; ".join(faults)
-        self._say("record", "exact", result, stored=said or None, judged=None, note="")
+        result: FindingResult = "disagrees" if faults else "agrees"
+        text = "; ".join(faults)
+        self._add_finding("record", "exact", result, stored=text or None, judged=None, note="")
 
     def _faults(self, end: int) -> list[str]:
         """What is wrong with the trajectory; ``end`` is the state that ended the episode."""
         world, robot, faults = self._scene.world, self._robot, []
-        start_m = np.float32(world.place["start_m"][robot])  # as states are stored
+        start_m = np.float32(world.environment["start_m"][robot])  # as states are stored
         if not np.array_equal(np.float32(world.p[0, robot]), start_m):
             faults.append("it does not begin at the world's start")
         if world.nu[0, robot].any():
@@ -198,7 +214,8 @@ class FindingCollector:
             state = int(wrong[0])
             faults.append(
                 f"beside the state after {world.step[state]} steps stands "
-                f"{_outcome(world.outcome[state, robot])}, not {_outcome(expected[state])}"
+                f"{_format_outcome(world.outcome[state, robot])}, not "
+                f"{_format_outcome(expected[state])}"
             )
         if (
             name in FAILED
@@ -224,14 +241,14 @@ class FindingCollector:
         if not is_early or scene.run.by_task or scene.run.every > 1:
             return []
         to_goal_m = scene.to_goal_m[1 : end + 1, self._robot]
-        if np.any(to_goal_m < scene.place_m):
+        if np.any(to_goal_m < scene.position_band_m):
             return []
         return ["it was never at its goal, and passed_goal_early is true"]
 
 
-def _outcome(number: int) -> str:
+def _format_outcome(number: int) -> str:
     return OUTCOMES[number] if 0 <= number < len(OUTCOMES) else str(number)
 
 
-def _point(p: Floats) -> str:
+def _format_point(p: Floats) -> str:
     return f"({', '.join(f'{x:.7g}' for x in p)})"

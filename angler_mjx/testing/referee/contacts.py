@@ -32,8 +32,8 @@ SPHERE, BOX, CAPSULE = 0, 1, 2
 STILL = 0
 """An obstacle's motion."""
 
-_AT_ONCE = 50_000
-_NARROW_AT_ONCE = 20_000
+_BATCH_SIZE = 50_000
+_NARROW_BATCH_SIZE = 20_000
 
 type Ints = NDArray[np.int64]
 
@@ -71,7 +71,7 @@ class ContactPairs:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Near:
+class NearbyPairs:
     """What was near in one world."""
 
     pairs: ContactPairs
@@ -81,26 +81,28 @@ class Near:
 
     def clearance_m(self, robot: int, last: int) -> float:
         """Least distance to cells, floor and obstacles in the states up to ``last``."""
-        mine = self._of(robot, last) & (self.pairs.kind != ROBOT)
-        return float(min(self.cap_m[robot], np.min(self.pairs.gap_m[mine], initial=np.inf)))
+        selected = self._select_pairs(robot, last) & (self.pairs.kind != ROBOT)
+        return float(min(self.cap_m[robot], np.min(self.pairs.gap_m[selected], initial=np.inf)))
 
     def separation_m(self, robot: int, last: int) -> float:
         """Least distance to another robot, at most `SEPARATION_M`; inf if there is no other."""
         if self.cap_m.size == 1:
             return float("inf")
-        mine = self._of(robot, last) & (self.pairs.kind == ROBOT)
-        return float(min(SEPARATION_M, np.min(self.pairs.gap_m[mine], initial=np.inf)))
+        selected = self._select_pairs(robot, last) & (self.pairs.kind == ROBOT)
+        return float(min(SEPARATION_M, np.min(self.pairs.gap_m[selected], initial=np.inf)))
 
     def of(self, robot: int) -> ContactPairs:
         """All pairs of a robot."""
         return self.pairs.take(self.pairs.robot == robot)
 
-    def _of(self, robot: int, last: int) -> NDArray[np.bool_]:
-        mine: NDArray[np.bool_] = (self.pairs.robot == robot) & (self.pairs.state <= last)
-        return mine
+    def _select_pairs(self, robot: int, last: int) -> NDArray[np.bool_]:
+        selected: NDArray[np.bool_] = (self.pairs.robot == robot) & (self.pairs.state <= last)
+        return selected
 
 
-def find(world: RefereeWorld, hulls: tuple[RefereeHull, ...], last: Ints, slack_m: float) -> Near:
+def find_nearby(
+    world: RefereeWorld, hulls: tuple[RefereeHull, ...], last: Ints, slack_m: float
+) -> NearbyPairs:
     """Work out what was near.
 
     Args:
@@ -109,84 +111,97 @@ def find(world: RefereeWorld, hulls: tuple[RefereeHull, ...], last: Ints, slack_
         last: [R] the last state of each that matters.
         slack_m: pairs that are farther than the nearest by no more than this are kept as well.
     """
-    cap = float(world.place["grid/cell_m"]) - np.array([hull.reach_m for hull in hulls])
-    found = ContactPairs.join(list(_candidates(world, hulls, last, cap)))
-    narrow = _Narrow(world, hulls)
-    robots = found.kind == ROBOT
+    cap = float(world.environment["grid/cell_m"]) - np.array([hull.reach_m for hull in hulls])
+    candidates = ContactPairs.join(list(_find_candidates(world, hulls, last, cap)))
+    narrow = _NarrowPhase(world, hulls)
+    robots = candidates.kind == ROBOT
     parts = []
     for pairs, limit in (
-        (found.take(~robots), cap),
-        (found.take(robots), np.full(cap.size, SEPARATION_M)),
+        (candidates.take(~robots), cap),
+        (candidates.take(robots), np.full(cap.size, SEPARATION_M)),
     ):
         # The pair with the least bound of each robot says how near something is at least.
         order = np.argsort(pairs.gap_m, kind="stable")
         first = order[np.unique(pairs.robot[order], return_index=True)[1]]
-        best = narrow.gaps(pairs.take(first))
-        least = limit.copy()
-        np.minimum.at(least, best.robot, best.gap_m)
-        can = pairs.gap_m <= np.maximum(least, 0.0)[pairs.robot] + slack_m
-        parts.append(narrow.gaps(pairs.take(can)))
-    return Near(pairs=ContactPairs.join(parts), cap_m=cap)
+        nearest = narrow.gaps(pairs.take(first))
+        min_gap_m = limit.copy()
+        np.minimum.at(min_gap_m, nearest.robot, nearest.gap_m)
+        is_candidate = pairs.gap_m <= np.maximum(min_gap_m, 0.0)[pairs.robot] + slack_m
+        parts.append(narrow.gaps(pairs.take(is_candidate)))
+    return NearbyPairs(pairs=ContactPairs.join(parts), cap_m=cap)
 
 
-def _candidates(
+def _find_candidates(
     world: RefereeWorld, hulls: tuple[RefereeHull, ...], last: Ints, cap: Floats
 ) -> Iterator[ContactPairs]:
     """Pairs whose bounding spheres are near enough to be known at all."""
     reach = np.array([hull.reach_m for hull in hulls])
-    seen = np.arange(len(world.step))[:, None] <= last[None, :]
-    state, robot = (axis.astype(np.int64) for axis in np.nonzero(seen))
-    for begin in range(0, state.size, _AT_ONCE):
-        s, r = state[begin : begin + _AT_ONCE], robot[begin : begin + _AT_ONCE]
+    is_judged = np.arange(len(world.step))[:, None] <= last[None, :]
+    state, robot = (axis.astype(np.int64) for axis in np.nonzero(is_judged))
+    for begin in range(0, state.size, _BATCH_SIZE):
+        s, r = state[begin : begin + _BATCH_SIZE], robot[begin : begin + _BATCH_SIZE]
         p = world.p[s, r]
-        yield from _cells(world, s, r, p, reach[r], cap[r])
-        floor = p[:, 2] - reach[r] - float(world.place["floor_z_m"])
-        near = floor <= cap[r]
-        yield _pairs(s[near], r[near], FLOOR, np.zeros(int(near.sum()), int), floor[near])
+        yield from _find_cells(world, s, r, p, reach[r], cap[r])
+        floor = p[:, 2] - reach[r] - float(world.environment["floor_z_m"])
+        is_near = floor <= cap[r]
+        yield _build_pairs(
+            s[is_near], r[is_near], FLOOR, np.zeros(int(is_near.sum()), int), floor[is_near]
+        )
         if world.obstacle_p.shape[1]:
             bound = np.linalg.norm(p[:, None] - world.obstacle_p[s], axis=2)
             bound -= reach[r][:, None] + _obstacle_reach(world)[None, :]
-            row, index = np.nonzero((bound <= cap[r][:, None]) & world.place["obstacles/exists"])
-            yield _pairs(s[row], r[row], OBSTACLE, index, bound[row, index])
-    yield from _robots(world, reach, last)
+            row, index = np.nonzero(
+                (bound <= cap[r][:, None]) & world.environment["obstacles/exists"]
+            )
+            yield _build_pairs(s[row], r[row], OBSTACLE, index, bound[row, index])
+    yield from _find_robots(world, reach, last)
 
 
-def _pairs(state: Ints, robot: Ints, kind: int, index: Any, gap_m: Floats) -> ContactPairs:
+def _build_pairs(state: Ints, robot: Ints, kind: int, index: Any, gap_m: Floats) -> ContactPairs:
     kinds = np.full(state.size, kind, np.int64)
     return ContactPairs(
         state=state, robot=robot, kind=kinds, index=index.astype(np.int64), gap_m=gap_m
     )
 
 
-def _cells(
+def _find_cells(
     world: RefereeWorld, state: Ints, robot: Ints, p: Floats, reach: Floats, cap: Floats
 ) -> Iterator[ContactPairs]:
     """Occupied cells among the 27 around each centre: no other is nearer than the cap."""
-    occupied = world.place["grid/occupied"]
-    edge = float(world.place["grid/cell_m"])
-    place = np.floor((p - world.low_m) / edge).astype(np.int64)
-    inside = np.all((place >= -1) & (place <= np.array(occupied.shape)), axis=1)
+    occupied = world.environment["grid/occupied"]
+    edge = float(world.environment["grid/cell_m"])
+    cell_index = np.floor((p - world.low_m) / edge).astype(np.int64)
+    inside = np.all((cell_index >= -1) & (cell_index <= np.array(occupied.shape)), axis=1)
     if not inside.any() or not occupied.any():
         return
-    state, robot, place = state[inside], robot[inside], place[inside]
+    state, robot, cell_index = state[inside], robot[inside], cell_index[inside]
     reach, cap = reach[inside], cap[inside]
-    rest = p[inside] - world.low_m - edge * place
+    rest = p[inside] - world.low_m - edge * cell_index
     padded = np.pad(occupied, 2)
-    around = place[:, :, None] + np.arange(3) + 1
-    there = padded[
-        around[:, 0, :, None, None], around[:, 1, None, :, None], around[:, 2, None, None, :]
+    neighbours = cell_index[:, :, None] + np.arange(3) + 1
+    is_occupied = padded[
+        neighbours[:, 0, :, None, None],
+        neighbours[:, 1, None, :, None],
+        neighbours[:, 2, None, None, :],
     ]
-    off = np.stack([rest, np.zeros_like(rest), edge - rest], axis=2) ** 2
-    square = off[:, 0, :, None, None] + off[:, 1, None, :, None] + off[:, 2, None, None, :]
+    offset_sq = np.stack([rest, np.zeros_like(rest), edge - rest], axis=2) ** 2
+    square = (
+        offset_sq[:, 0, :, None, None]
+        + offset_sq[:, 1, None, :, None]
+        + offset_sq[:, 2, None, None, :]
+    )
     bound = np.sqrt(square) - reach[:, None, None, None]
-    row, i, j, k = np.nonzero(there & (bound <= cap[:, None, None, None]))
-    cell = place[row] + np.stack([i, j, k], axis=1) - 1
+    row, i, j, k = np.nonzero(is_occupied & (bound <= cap[:, None, None, None]))
+    cell = cell_index[row] + np.stack([i, j, k], axis=1) - 1
     flat = np.ravel_multi_index(tuple(cell.T), occupied.shape)
-    yield _pairs(state[row], robot[row], CELL, flat, bound[row, i, j, k])
+    yield _build_pairs(state[row], robot[row], CELL, flat, bound[row, i, j, k])
 
 
 def _obstacle_reach(world: RefereeWorld) -> Floats:
-    kind, size = world.place["obstacles/kind"], np.asarray(world.place["obstacles/size_m"], float)
+    kind, size = (
+        world.environment["obstacles/kind"],
+        np.asarray(world.environment["obstacles/size_m"], float),
+    )
     box = np.linalg.norm(size, axis=1)
     reach: Floats = np.select(
         [kind == BOX, kind == CAPSULE], [box, size[:, 0] + size[:, 1]], size[:, 0]
@@ -194,71 +209,77 @@ def _obstacle_reach(world: RefereeWorld) -> Floats:
     return reach
 
 
-def _robots(world: RefereeWorld, reach: Floats, last: Ints) -> Iterator[ContactPairs]:
+def _find_robots(world: RefereeWorld, reach: Floats, last: Ints) -> Iterator[ContactPairs]:
     """Both ways: each robot with each other one that is near it."""
-    for one in range(reach.size):
-        others = np.delete(np.arange(reach.size), one)
-        for begin in range(0, int(last[one]) + 1, _AT_ONCE):
-            some = slice(begin, min(begin + _AT_ONCE, int(last[one]) + 1))
-            bound = np.linalg.norm(world.p[some, one, None] - world.p[some][:, others], axis=2)
-            bound -= reach[one] + reach[others]
-            row, which = np.nonzero(bound <= SEPARATION_M)
-            mine = np.full(row.size, one, np.int64)
-            yield _pairs(row + begin, mine, ROBOT, others[which], bound[row, which])
+    for robot in range(reach.size):
+        others = np.delete(np.arange(reach.size), robot)
+        for begin in range(0, int(last[robot]) + 1, _BATCH_SIZE):
+            states = slice(begin, min(begin + _BATCH_SIZE, int(last[robot]) + 1))
+            bound = np.linalg.norm(
+                world.p[states, robot, None] - world.p[states][:, others], axis=2
+            )
+            bound -= reach[robot] + reach[others]
+            row, column = np.nonzero(bound <= SEPARATION_M)
+            robots = np.full(row.size, robot, np.int64)
+            yield _build_pairs(row + begin, robots, ROBOT, others[column], bound[row, column])
 
 
-class _Narrow:
+class _NarrowPhase:
     """Distances of hulls, capsule by capsule."""
 
     def __init__(self, world: RefereeWorld, hulls: tuple[RefereeHull, ...]) -> None:
         self._world = world
         # Fewer capsules than the most: the last one again.
-        most = max(hull.r_m.size for hull in hulls)
-        rows = [np.minimum(np.arange(most), hull.r_m.size - 1) for hull in hulls]
+        max_capsules = max(hull.r_m.size for hull in hulls)
+        rows = [np.minimum(np.arange(max_capsules), hull.r_m.size - 1) for hull in hulls]
         self._a = np.stack([hull.a_m[row] for hull, row in zip(hulls, rows, strict=True)])
         self._b = np.stack([hull.b_m[row] for hull, row in zip(hulls, rows, strict=True)])
         self._r = np.stack([hull.r_m[row] for hull, row in zip(hulls, rows, strict=True)])
 
     def gaps(self, pairs: ContactPairs) -> ContactPairs:
         """The same pairs with their distances; negative where the shapes overlap."""
-        ways: tuple[Callable[[ContactPairs], Floats], ...] = (
+        gap_functions: tuple[Callable[[ContactPairs], Floats], ...] = (
             self._to_cells,
             self._to_floor,
             self._to_obstacles,
             self._to_robots,
         )
         gap = np.array(pairs.gap_m)
-        for kind, way in enumerate(ways):
+        for kind, gap_function in enumerate(gap_functions):
             rows = np.flatnonzero(pairs.kind == kind)
-            for begin in range(0, rows.size, _NARROW_AT_ONCE):
-                some = rows[begin : begin + _NARROW_AT_ONCE]
-                gap[some] = way(pairs.take(some))
+            for begin in range(0, rows.size, _NARROW_BATCH_SIZE):
+                batch = rows[begin : begin + _NARROW_BATCH_SIZE]
+                gap[batch] = gap_function(pairs.take(batch))
         return ContactPairs(
             state=pairs.state, robot=pairs.robot, kind=pairs.kind, index=pairs.index, gap_m=gap
         )
 
-    def _axes(self, state: Ints, robot: Ints) -> tuple[Floats, Floats, Floats]:
+    def _capsule_axes(self, state: Ints, robot: Ints) -> tuple[Floats, Floats, Floats]:
         """Ends [n, c, 3] of the capsules' axes in the world, and radii [n, c]."""
         p, q = self._world.p[state, robot], self._world.q[state, robot]
         a, b = (p[:, None] + rotate(q[:, None], x[robot]) for x in (self._a, self._b))
         return a, b, self._r[robot]
 
     def _to_cells(self, pairs: ContactPairs) -> Floats:
-        world, edge = self._world, float(self._world.place["grid/cell_m"])
-        a, b, r = self._axes(pairs.state, pairs.robot)
-        cell = np.stack(np.unravel_index(pairs.index, world.place["grid/occupied"].shape), axis=1)
+        world, edge = self._world, float(self._world.environment["grid/cell_m"])
+        a, b, r = self._capsule_axes(pairs.state, pairs.robot)
+        cell = np.stack(
+            np.unravel_index(pairs.index, world.environment["grid/occupied"].shape), axis=1
+        )
         centre = (world.low_m + edge * (cell + 0.5))[:, None]
-        return _least(segment_box(a - centre, b - centre, np.full(3, 0.5 * edge)) - r)
+        return _min_over_capsules(segment_box(a - centre, b - centre, np.full(3, 0.5 * edge)) - r)
 
     def _to_floor(self, pairs: ContactPairs) -> Floats:
-        a, b, r = self._axes(pairs.state, pairs.robot)
-        return _least(np.minimum(a[..., 2], b[..., 2]) - r - float(self._world.place["floor_z_m"]))
+        a, b, r = self._capsule_axes(pairs.state, pairs.robot)
+        return _min_over_capsules(
+            np.minimum(a[..., 2], b[..., 2]) - r - float(self._world.environment["floor_z_m"])
+        )
 
     def _to_obstacles(self, pairs: ContactPairs) -> Floats:
         world = self._world
-        a, b, r = self._axes(pairs.state, pairs.robot)
-        kind = world.place["obstacles/kind"][pairs.index]
-        size = np.asarray(world.place["obstacles/size_m"], float)[pairs.index][:, None]
+        a, b, r = self._capsule_axes(pairs.state, pairs.robot)
+        kind = world.environment["obstacles/kind"][pairs.index]
+        size = np.asarray(world.environment["obstacles/size_m"], float)[pairs.index][:, None]
         p = world.obstacle_p[pairs.state, pairs.index][:, None]
         q = world.obstacle_q[pairs.state, pairs.index][:, None]
         axis = rotate(q, size[..., 1:2] * np.array([0.0, 0.0, 1.0]))
@@ -270,17 +291,17 @@ class _Narrow:
             ],
             segment_segment(a, b, p - axis, p + axis) - size[..., 0],
         )
-        return _least(gap - r)
+        return _min_over_capsules(gap - r)
 
     def _to_robots(self, pairs: ContactPairs) -> Floats:
-        a, b, r = self._axes(pairs.state, pairs.robot)
-        c, d, s = self._axes(pairs.state, pairs.index)
+        a, b, r = self._capsule_axes(pairs.state, pairs.robot)
+        c, d, s = self._capsule_axes(pairs.state, pairs.index)
         gap = segment_segment(a[:, :, None], b[:, :, None], c[:, None, :], d[:, None, :]) - (
             r[:, :, None] + s[:, None, :]
         )
-        return _least(gap.reshape(len(gap), -1))
+        return _min_over_capsules(gap.reshape(len(gap), -1))
 
 
-def _least(gaps: Floats) -> Floats:
-    least: Floats = np.min(gaps, axis=1)
-    return least
+def _min_over_capsules(gaps: Floats) -> Floats:
+    smallest: Floats = np.min(gaps, axis=1)
+    return smallest

@@ -6,8 +6,8 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 type Value = float | str | None
-type How = Literal["exact", "bounded", "unchecked"]
-type Result = Literal["agrees", "undecided", "disagrees"]
+type CheckMethod = Literal["exact", "bounded", "unchecked"]
+type FindingResult = Literal["agrees", "undecided", "disagrees"]
 type Conclusion = Literal["agrees", "agrees in part", "inconclusive", "disagrees"]
 """Of a run. agrees: every outcome was worked out anew; agrees in part: some were; inconclusive: no
 outcome was, so nothing confirms the results; disagrees: a finding does."""
@@ -36,7 +36,7 @@ TASK_QUANTITIES = {
 """The same of runs with a task. ``task``: whether what the trajectories hold of it can be: who did
 which job and when, goods that robots carry, cells that were seen and when."""
 
-PATH_M, ENERGY_SHARE, CLEARANCE_M, IMPACT_MPS = 1e-2, 1e-3, 1e-5, 1e-4
+PATH_M, ENERGY_FRACTION, CLEARANCE_M, IMPACT_MPS = 1e-2, 1e-3, 1e-5, 1e-4
 """Tolerances of what is checked exactly. Outcomes, pairs and times are to be equal."""
 
 ENERGY_J = 1e-2
@@ -50,10 +50,10 @@ class RefereeFinding:
     world: int
     robot: int
     quantity: str
-    how: How
+    how: CheckMethod
     """exact: worked out anew; bounded: held against what the record allows; unchecked: the record
     does not say."""
-    result: Result
+    result: FindingResult
     """undecided: it differs, by a decision that rounding in float32 can have turned."""
     stored: Value
     judged: Value
@@ -64,27 +64,29 @@ class RefereeFinding:
     def line(self) -> str:
         """In words, for a person."""
         if self.result == "agrees":
-            said = f"agrees ({self.how})"
+            text = f"agrees ({self.how})"
         else:
-            said = f"stored {_said(self.stored)}, judged {_said(self.judged)}"
+            text = f"stored {_format_value(self.stored)}, judged {_format_value(self.judged)}"
         if self.result == "disagrees" and self.tolerance > 0.0:
-            said += f", {self.deviation:.3g} apart, {self.tolerance:.3g} allowed"
+            text += f", {self.deviation:.3g} apart, {self.tolerance:.3g} allowed"
         note = f": {self.note}" if self.note else ""
         undecided = "undecided, " if self.result == "undecided" else ""
-        return f"world {self.world} robot {self.robot} {self.quantity}: {undecided}{said}{note}"
+        return f"world {self.world} robot {self.robot} {self.quantity}: {undecided}{text}{note}"
 
     def table(self) -> dict[str, Any]:
         """For JSON: numbers that are none are null."""
-        return {name: _plain(value) for name, value in asdict(self).items()}
+        return {name: _to_json_value(value) for name, value in asdict(self).items()}
 
 
-def _said(value: Value) -> str:
+def _format_value(value: Value) -> str:
     return f"{value:.9g}" if isinstance(value, float) else str(value)
 
 
-def _plain(value: Any) -> Any:
-    odd = isinstance(value, float) and not math.isfinite(value)
-    return str(value) if odd and not math.isnan(value) else None if odd else value
+def _to_json_value(value: Any) -> Any:
+    is_not_finite = isinstance(value, float) and not math.isfinite(value)
+    return (
+        str(value) if is_not_finite and not math.isnan(value) else None if is_not_finite else value
+    )
 
 
 @dataclass(kw_only=True)
@@ -108,14 +110,14 @@ class FindingCount:
 
     def text(self) -> str:
         """Return how much was checked, in words: worked out anew, against bounds, and not."""
-        said = f"{self.exact:,} of {self.robots:,} worked out anew"
-        said += f", {self.undecided:,} of these undecided" if self.undecided else ""
-        for number, words in (
+        text = f"{self.exact:,} of {self.robots:,} worked out anew"
+        text += f", {self.undecided:,} of these undecided" if self.undecided else ""
+        for number, label in (
             (self.bounded, "held against bounds"),
             (self.unchecked, "not checked"),
         ):
-            said += f", {number:,} {words}" if number else ""
-        return said + (f" ({'; '.join(self.why)})" if self.why else "")
+            text += f", {number:,} {label}" if number else ""
+        return text + (f" ({'; '.join(self.why)})" if self.why else "")
 
 
 @dataclass(kw_only=True)
@@ -157,16 +159,16 @@ class RefereeVerdict:
 
     def add(self, findings: Iterable[RefereeFinding]) -> None:
         """Count findings."""
-        for one in findings:
-            count = self.counts.setdefault(one.quantity, FindingCount())
-            setattr(count, one.how, getattr(count, one.how) + 1)
-            if one.how != "exact" and one.note:
-                count.why[one.note] = count.why.get(one.note, 0) + 1
-            if one.result == "agrees":
-                count.largest = max(count.largest, one.deviation)
+        for finding in findings:
+            count = self.counts.setdefault(finding.quantity, FindingCount())
+            setattr(count, finding.how, getattr(count, finding.how) + 1)
+            if finding.how != "exact" and finding.note:
+                count.why[finding.note] = count.why.get(finding.note, 0) + 1
+            if finding.result == "agrees":
+                count.largest = max(count.largest, finding.deviation)
                 continue
-            setattr(count, one.result, getattr(count, one.result) + 1)
-            self.differences.append(one)
+            setattr(count, finding.result, getattr(count, finding.result) + 1)
+            self.differences.append(finding)
 
     def table(self) -> dict[str, Any]:
         """For JSON."""
@@ -181,5 +183,5 @@ class RefereeVerdict:
             "passed_goal_early": self.passed_goal_early,
             "sampled": self.sampled,
             "counts": {name: asdict(count) for name, count in self.counts.items()},
-            "differences": [one.table() for one in self.differences],
+            "differences": [finding.table() for finding in self.differences],
         }

@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 
 from angler_mjx.errors import ConfigError
 
-NUMBERS = (
+NUMBER_COLUMNS = (
     "path_length_m",
     "energy_j",
     "min_clearance_m",
@@ -24,12 +24,12 @@ NUMBERS = (
     "failure_z_m",
     "impact_speed_mps",
 )
-TASK_NUMBERS = ("jobs_done", "task_progress", "task_completed_s")
+TASK_NUMBER_COLUMNS = ("jobs_done", "task_progress", "task_completed_s")
 """The same of runs with a task."""
-WORDS = ("vehicle", "parameter_set", "outcome", "failure_pair")
+TEXT_COLUMNS = ("vehicle", "parameter_set", "outcome", "failure_pair")
 """Columns of ``episodes.parquet`` that are judged."""
 
-LATER = ("variant", "planned", "passed_goal_early")
+OPTIONAL_COLUMNS = ("variant", "planned", "passed_goal_early")
 """Columns that older runs, or runs written by others, may lack."""
 
 type Row = dict[str, Any]
@@ -37,15 +37,15 @@ type Row = dict[str, Any]
 
 
 @contextmanager
-def reading(what: Path) -> Iterator[None]:
+def reporting_damage(path: Path) -> Iterator[None]:
     """Turn what a damaged file raises into one message."""
     try:
         yield
     except ConfigError:
         raise
     except (OSError, ValueError, KeyError, TypeError, IndexError, RuntimeError) as error:
-        what_else = f"no {error}" if isinstance(error, KeyError) else str(error)
-        raise ConfigError(f"{what}: cannot be judged: {what_else}") from error
+        message = f"no {error}" if isinstance(error, KeyError) else str(error)
+        raise ConfigError(f"{path}: cannot be judged: {message}") from error
 
 
 def read_rows(path: Path, robots: int, *, has_task: bool = False) -> dict[int, list[Row]]:
@@ -59,30 +59,30 @@ def read_rows(path: Path, robots: int, *, has_task: bool = False) -> dict[int, l
     Raises:
         ConfigError: the file is damaged, or a world has other rows.
     """
-    numbers = NUMBERS + TASK_NUMBERS if has_task else NUMBERS
-    with reading(path):
-        drawn = [name for name in LATER if name in pq.read_schema(path).names]
-        table = pq.read_table(path, columns=["world", "robot", *WORDS, *numbers, *drawn])
+    numbers = NUMBER_COLUMNS + TASK_NUMBER_COLUMNS if has_task else NUMBER_COLUMNS
+    with reporting_damage(path):
+        optional = [name for name in OPTIONAL_COLUMNS if name in pq.read_schema(path).names]
+        table = pq.read_table(path, columns=["world", "robot", *TEXT_COLUMNS, *numbers, *optional])
         table = table.sort_by([("world", "ascending"), ("robot", "ascending")])
         columns: dict[str, Any] = {
             "world": table["world"].to_numpy(),
             "robot": table["robot"].to_numpy(),
-            **{name: table[name].to_pylist() for name in WORDS},
-            **{name: _numbers(table[name], name) for name in numbers},
-            **{name: table[name].to_pylist() for name in drawn},
+            **{name: table[name].to_pylist() for name in TEXT_COLUMNS},
+            **{name: _to_numbers(table[name], name) for name in numbers},
+            **{name: table[name].to_pylist() for name in optional},
         }
     columns.setdefault("passed_goal_early", [None] * table.num_rows)
-    found: dict[int, list[Row]] = {}
+    rows_by_world: dict[int, list[Row]] = {}
     for i in range(table.num_rows):
         row = {name: values[i] for name, values in columns.items()}
-        found.setdefault(int(row["world"]), []).append(row)
-    for world, rows in found.items():
+        rows_by_world.setdefault(int(row["world"]), []).append(row)
+    for world, rows in rows_by_world.items():
         if [int(row["robot"]) for row in rows] != list(range(robots)):
             raise ConfigError(f"{path}: world {world} has not one row for each of {robots} robots")
-    return found
+    return rows_by_world
 
 
-def _numbers(column: Any, name: str) -> Any:
+def _to_numbers(column: Any, name: str) -> Any:
     """A column of numbers; a robot without others is infinitely far from them."""
     numbers = column.cast(pa.float64())
     if name == "min_separation_m":
@@ -99,18 +99,18 @@ def read_copies(folder: Path) -> dict[str, Path]:
     if not folder.exists():
         return {}
     index = folder / "inputs.json"
-    found = {}
-    with reading(index):
-        for one in read_json(index)["files"]:
-            inside = PurePosixPath(one["copy_path"])
-            if inside.is_absolute() or ".." in inside.parts:
-                raise ConfigError(f"{index}: {one['copy_path']!r} leads out of the folder")
-            path = folder / inside
-            if hashlib.sha256(path.read_bytes()).hexdigest() != one["copy_sha256"]:
+    copies = {}
+    with reporting_damage(index):
+        for entry in read_json(index)["files"]:
+            relative = PurePosixPath(entry["copy_path"])
+            if relative.is_absolute() or ".." in relative.parts:
+                raise ConfigError(f"{index}: {entry['copy_path']!r} leads out of the folder")
+            path = folder / relative
+            if hashlib.sha256(path.read_bytes()).hexdigest() != entry["copy_sha256"]:
                 raise ConfigError(f"{path}: is not the copy that the run made; put that one back")
-            if one["role"] == "vehicle":
-                found[str(one["named"])] = path
-    return found
+            if entry["role"] == "vehicle":
+                copies[str(entry["named"])] = path
+    return copies
 
 
 def read_json(path: Path) -> dict[str, Any]:
@@ -119,7 +119,7 @@ def read_json(path: Path) -> dict[str, Any]:
     Raises:
         ConfigError: the file is missing or holds none.
     """
-    with reading(path):
+    with reporting_damage(path):
         table: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         if not isinstance(table, dict):
             raise ValueError("it is no JSON object")

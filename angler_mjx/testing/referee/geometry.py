@@ -15,19 +15,19 @@ def rotate(q: Floats, v: Floats) -> Floats:
     unit = q / np.linalg.norm(q, axis=-1, keepdims=True)
     w, axis = unit[..., :1], unit[..., 1:]
     twice: Floats = 2.0 * np.cross(axis, v)
-    turned: Floats = v + w * twice + np.cross(axis, twice)
-    return turned
+    rotated: Floats = v + w * twice + np.cross(axis, twice)
+    return rotated
 
 
 def rotate_back(q: Floats, v: Floats) -> Floats:
     """The inverse of `rotate`."""
-    back: Floats = q * np.array([1.0, -1.0, -1.0, -1.0])
-    return rotate(back, v)
+    conjugate: Floats = q * np.array([1.0, -1.0, -1.0, -1.0])
+    return rotate(conjugate, v)
 
 
 def segment_point(a: Floats, b: Floats, p: Floats) -> Floats:
     """Distance [...] of segments from a to b to points p; a = b is allowed."""
-    return _length(a + _share(a, b, p)[..., None] * (b - a) - p)
+    return _length(a + _nearest_fraction(a, b, p)[..., None] * (b - a) - p)
 
 
 def segment_segment(a: Floats, b: Floats, c: Floats, d: Floats) -> Floats:
@@ -48,8 +48,8 @@ def segment_segment(a: Floats, b: Floats, c: Floats, d: Floats) -> Floats:
     slope = _dot(u, plane)
     s = np.clip(_dot(c - a, plane) / np.where(slope > 0.0, slope, 1.0), 0.0, 1.0)
     inside = segment_point(c, d, a + s[..., None] * u)
-    least: Floats = np.minimum.reduce([*ends, inside])
-    return least
+    smallest: Floats = np.minimum.reduce([*ends, inside])
+    return smallest
 
 
 def segment_box(a: Floats, b: Floats, half: Floats) -> Floats:
@@ -71,8 +71,8 @@ def segment_box(a: Floats, b: Floats, half: Floats) -> Floats:
     ones = np.ones((*cuts.shape[:-1], 1))
     cuts = np.sort(np.concatenate([0.0 * ones, cuts, ones], axis=-1), axis=-1)
     low, high = cuts[..., :-1], cuts[..., 1:]
-    at = a[..., None, :] + 0.5 * (low + high)[..., None] * d[..., None, :]
-    side = np.where(np.abs(at) > half[..., None, :], np.sign(at), 0.0)
+    middle = a[..., None, :] + 0.5 * (low + high)[..., None] * d[..., None, :]
+    side = np.where(np.abs(middle) > half[..., None, :], np.sign(middle), 0.0)
     # Beyond the face: side (a + s d) - half, of the axes that are outside in this stretch.
     rise = side * d[..., None, :]
     begin = side * a[..., None, :] - np.abs(side) * half[..., None, :]
@@ -86,12 +86,12 @@ def segment_box(a: Floats, b: Floats, half: Floats) -> Floats:
     return gaps
 
 
-def _share(a: Floats, b: Floats, p: Floats) -> Floats:
+def _nearest_fraction(a: Floats, b: Floats, p: Floats) -> Floats:
     """Parameter [...] in [0, 1] of the point of a segment that is nearest to p."""
     d = b - a
     square = _dot(d, d)
-    share: Floats = np.clip(_dot(p - a, d) / np.where(square > 0.0, square, 1.0), 0.0, 1.0)
-    return share
+    fraction: Floats = np.clip(_dot(p - a, d) / np.where(square > 0.0, square, 1.0), 0.0, 1.0)
+    return fraction
 
 
 def _dot(u: Floats, v: Floats) -> Floats:

@@ -7,7 +7,7 @@ import numpy as np
 from angler_mjx.testing.referee import findings as say
 from angler_mjx.testing.referee.collecting import FindingCollector
 from angler_mjx.testing.referee.contacts import OBSTACLE, ROBOT, STILL
-from angler_mjx.testing.referee.findings import How, RefereeFinding, Result
+from angler_mjx.testing.referee.findings import CheckMethod, FindingResult, RefereeFinding
 from angler_mjx.testing.referee.geometry import Floats
 from angler_mjx.testing.referee.scene import RefereeEpisode, RefereeScene
 
@@ -21,13 +21,13 @@ class JudgedEnd:
 
     outcome: str
     state: int
-    result: Result
+    result: FindingResult
     note: str
-    how: How = "exact"
+    how: CheckMethod = "exact"
     """How much of it the record shows."""
 
 
-def judge(scene: RefereeScene, robot: int, stored: int) -> list[RefereeFinding]:
+def judge_exact(scene: RefereeScene, robot: int, stored: int) -> list[RefereeFinding]:
     """Findings of one robot.
 
     Args:
@@ -36,32 +36,34 @@ def judge(scene: RefereeScene, robot: int, stored: int) -> list[RefereeFinding]:
         stored: the state with which the results say that it ended; 0 if there is no such state.
     """
     episode = RefereeEpisode(scene, robot)
-    end = _end(scene, episode, stored)
-    tell = FindingCollector(scene, robot)
+    end = _judge_end(scene, episode, stored)
+    collector = FindingCollector(scene, robot)
     end_s = float(scene.world.step[end.state]) * scene.run.control_dt_s
-    tell.words("outcome", end.how, scene.stored_outcome(robot), end.outcome, end.result, end.note)
-    tell.time(end_s, end.how, end.result, end.note)
-    tell.number("path_length_m", float(scene.way_m[end.state, robot]), say.PATH_M)
-    _energy(tell, scene, robot, end.state)
-    near = scene.near_until(robot, end.state)
-    tolerance = max(say.CLEARANCE_M, scene.touch_m)
-    tell.number("min_clearance_m", near.clearance_m(robot, end.state), tolerance)
-    tell.number("min_separation_m", near.separation_m(robot, end.state), tolerance)
-    _touch(tell, scene, episode, end)
-    tell.place(end.outcome, scene.world.p[end.state, robot])
-    tell.record(end.state)
-    tell.task()
-    return tell.found
+    collector.add_verdict(
+        "outcome", end.how, scene.stored_outcome(robot), end.outcome, end.result, end.note
+    )
+    collector.time(end_s, end.how, end.result, end.note)
+    collector.number("path_length_m", float(scene.path_m[end.state, robot]), say.PATH_M)
+    _check_energy(collector, scene, robot, end.state)
+    nearby = scene.near_until(robot, end.state)
+    tolerance = max(say.CLEARANCE_M, scene.contact_band_m)
+    collector.number("min_clearance_m", nearby.clearance_m(robot, end.state), tolerance)
+    collector.number("min_separation_m", nearby.separation_m(robot, end.state), tolerance)
+    _check_contact(collector, scene, episode, end)
+    collector.set_position(end.outcome, scene.world.p[end.state, robot])
+    collector.record(end.state)
+    collector.task()
+    return collector.findings
 
 
-def _end(scene: RefereeScene, episode: RefereeEpisode, stored: int) -> JudgedEnd:
+def _judge_end(scene: RefereeScene, episode: RefereeEpisode, stored: int) -> JudgedEnd:
     """The end: the stored one, where the record agrees or rounding allows it; else its own."""
     robot, outcome = episode.robot, scene.stored_outcome(episode.robot)
     last = int(scene.last[robot])
     first = episode.first(last)
     horizon = outcome == "timeout" and _is_the_end(scene, stored)
     if stored < 1:
-        return _own(episode, first, last)
+        return _referee_end(episode, first, last)
     if horizon and first is None:
         return JudgedEnd(outcome=outcome, state=stored, result="agrees", note="")
     if first == stored and episode.outcome(stored) == outcome:
@@ -69,43 +71,43 @@ def _end(scene: RefereeScene, episode: RefereeEpisode, stored: int) -> JudgedEnd
     if outcome == "diverged" and first in (None, stored) and _is_held(scene, robot, stored):
         note = "the state that was none is not stored; the robot was held before it"
         return JudgedEnd(outcome=outcome, state=stored, result="agrees", note=note, how="unchecked")
-    if first in (None, stored) and _comes_unseen(scene, episode, stored):
+    if first in (None, stored) and _is_unseen_end(scene, episode, stored):
         note = "no trajectory shows when a task is done, or when a robot breaks down"
         return JudgedEnd(outcome=outcome, state=stored, result="agrees", note=note, how="bounded")
-    goes_on = all("running" in episode.possible(k) for k in range(first or stored, stored))
-    allowed = episode.possible(stored)
+    goes_on = all("running" in episode.possible_outcomes(k) for k in range(first or stored, stored))
+    allowed = episode.possible_outcomes(stored)
     if stored <= last and goes_on and (outcome in allowed or (horizon and "running" in allowed)):
-        at = stored if first is None else min(first, stored)
+        state = stored if first is None else min(first, stored)
         # What rounding has turned is said with its number, and the rest is judged by the end
         # that was stored.
         return JudgedEnd(
-            outcome=outcome, state=stored, result="undecided", note=episode.numbers(at)
+            outcome=outcome, state=stored, result="undecided", note=episode.numbers(state)
         )
-    return _own(episode, first, last)
+    return _referee_end(episode, first, last)
 
 
-def _own(episode: RefereeEpisode, first: int | None, last: int) -> JudgedEnd:
+def _referee_end(episode: RefereeEpisode, first: int | None, last: int) -> JudgedEnd:
     """The end as the referee sees it, which the results do not."""
-    at = last if first is None else first
+    state = last if first is None else first
     return JudgedEnd(
-        outcome=episode.outcome(at), state=at, result="disagrees", note=episode.numbers(at)
+        outcome=episode.outcome(state), state=state, result="disagrees", note=episode.numbers(state)
     )
 
 
 def _is_the_end(scene: RefereeScene, state: int) -> bool:
     final = len(scene.world.step) - 1
     full = int(scene.world.step[-1]) >= scene.run.horizon_steps
-    return state == final and (full or scene.run.one_scene)
+    return state == final and (full or scene.run.is_single_scene)
 
 
-def _comes_unseen(scene: RefereeScene, episode: RefereeEpisode, state: int) -> bool:
+def _is_unseen_end(scene: RefereeScene, episode: RefereeEpisode, state: int) -> bool:
     """Whether a robot's outcome can come with a state that does not show it.
 
     What it touches or leaves comes first.
     """
-    else_on_its_way = {"running", "reached"} & episode.possible(state)
-    told = scene.unseen(int(scene.world.step[state]))
-    return bool(else_on_its_way) and scene.stored_outcome(episode.robot) in told
+    still_running = {"running", "reached"} & episode.possible_outcomes(state)
+    unseen = scene.unseen(int(scene.world.step[state]))
+    return bool(still_running) and scene.stored_outcome(episode.robot) in unseen
 
 
 def _is_held(scene: RefereeScene, robot: int, state: int) -> bool:
@@ -115,49 +117,49 @@ def _is_held(scene: RefereeScene, robot: int, state: int) -> bool:
     return state > 0 and stands and not world.nu[state, robot].any()
 
 
-def _energy(tell: FindingCollector, scene: RefereeScene, robot: int, last: int) -> None:
+def _check_energy(collector: FindingCollector, scene: RefereeScene, robot: int, last: int) -> None:
     """Power of every command until the end, for a control period each."""
     pwm, dt = scene.world.pwm_us[:last, robot], scene.run.control_dt_s
-    thrusters = scene.run.robot(robot, tell.row)
-    mine = pwm[:, : thrusters.alive.size]
-    if len(pwm) < last or not np.all(np.isfinite(mine) & (mine > 0.0)):
-        tell.unchecked("energy_j", "a step has no command in the record")
+    thrusters = scene.run.robot(robot, collector.row)
+    signals = pwm[:, : thrusters.alive.size]
+    if len(pwm) < last or not np.all(np.isfinite(signals) & (signals > 0.0)):
+        collector.unchecked("energy_j", "a step has no command in the record")
         return
     judged = float(np.sum(thrusters.power(pwm)) * dt)
-    tolerance = max(say.ENERGY_SHARE * judged, say.ENERGY_J)
+    tolerance = max(say.ENERGY_FRACTION * judged, say.ENERGY_J)
     if not scene.run.whole_us:
-        tell.number("energy_j", judged, tolerance, relative=True)
+        collector.number("energy_j", judged, tolerance, relative=True)
         return
-    low, high = (float(np.sum(x) * dt) for x in thrusters.power_about(pwm, HALF_US))
-    tell.between("energy_j", low - tolerance, high + tolerance, "commands are whole us")
+    low, high = (float(np.sum(x) * dt) for x in thrusters.power_bounds(pwm, HALF_US))
+    collector.add_bounded("energy_j", low - tolerance, high + tolerance, "commands are whole us")
 
 
-def _touch(
-    tell: FindingCollector, scene: RefereeScene, episode: RefereeEpisode, end: JudgedEnd
+def _check_contact(
+    collector: FindingCollector, scene: RefereeScene, episode: RefereeEpisode, end: JudgedEnd
 ) -> None:
     """With what, and how fast."""
     if not end.outcome.startswith("collision"):
-        tell.no_touch("exact")
+        collector.add_no_contact("exact")
         return
-    near = episode.touching(end.state, 2.0 * scene.touch_m)
-    pairs = list(zip(near.kind.tolist(), near.index.tolist(), strict=True))
+    nearby = episode.touched_pairs(end.state, 2.0 * scene.contact_band_m)
+    pairs = list(zip(nearby.kind.tolist(), nearby.index.tolist(), strict=True))
     names = [scene.name(kind, index) for kind, index in pairs]
-    stored = tell.row["failure_pair"]
-    result: Result = "disagrees"
+    stored = collector.row["failure_pair"]
+    result: FindingResult = "disagrees"
     if stored in names:
         result = "agrees" if stored == names[0] else "undecided"
-    gaps = ", ".join(f"{n} {g:.3g} m" for n, g in zip(names, near.gap_m, strict=True))
-    tell.words("failure_pair", "exact", stored, names[0], result, gaps)
+    gaps = ", ".join(f"{n} {g:.3g} m" for n, g in zip(names, nearby.gap_m, strict=True))
+    collector.add_verdict("failure_pair", "exact", stored, names[0], result, gaps)
     touched = pairs[names.index(stored) if stored in names else 0]
     velocity = scene.velocity(end.state, episode.robot)
     other, error = _other_velocity(scene, end.state, *touched)
     judged = float(np.linalg.norm(velocity - other))
     if error == 0.0:
-        tell.number("impact_speed_mps", judged, say.IMPACT_MPS)
+        collector.number("impact_speed_mps", judged, say.IMPACT_MPS)
     else:
         error += say.IMPACT_MPS
         why = "an obstacle's velocity is that of its positions beside the touch"
-        tell.between("impact_speed_mps", judged - error, judged + error, why)
+        collector.add_bounded("impact_speed_mps", judged - error, judged + error, why)
 
 
 def _other_velocity(scene: RefereeScene, state: int, kind: int, index: int) -> tuple[Floats, float]:
@@ -165,12 +167,12 @@ def _other_velocity(scene: RefereeScene, state: int, kind: int, index: int) -> t
     world, dt = scene.world, scene.run.control_dt_s
     if kind == ROBOT:
         return scene.velocity(state, index), 0.0
-    if kind != OBSTACLE or world.place["obstacles/motion"][index] == STILL:
+    if kind != OBSTACLE or world.environment["obstacles/motion"][index] == STILL:
         return np.zeros(3), 0.0
     beside = range(max(state - 2, 0), min(state + 2, len(world.step)))
     mean = np.diff(world.obstacle_p[list(beside), index], axis=0) / dt
     before = min(state, 2)
     # The mean velocities of the steps before and after; where there is none, the last two.
-    around = mean[before - 1 : before + 1] if len(mean) > before else mean[-2:]
-    spread = float(np.linalg.norm(around[0] - around[-1]))
-    return np.mean(around, axis=0), spread + 2.0 * scene.ulp_m / dt
+    velocities = mean[before - 1 : before + 1] if len(mean) > before else mean[-2:]
+    spread = float(np.linalg.norm(velocities[0] - velocities[-1]))
+    return np.mean(velocities, axis=0), spread + 2.0 * scene.ulp_m / dt

@@ -11,7 +11,13 @@ from numpy.typing import NDArray
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.testing.referee import teamwork, vehicles
-from angler_mjx.testing.referee.folder import Row, read_copies, read_json, read_rows, reading
+from angler_mjx.testing.referee.folder import (
+    Row,
+    read_copies,
+    read_json,
+    read_rows,
+    reporting_damage,
+)
 from angler_mjx.testing.referee.geometry import Floats
 from angler_mjx.testing.referee.vehicles import RefereeRobot
 
@@ -56,7 +62,7 @@ class RefereeRun:
     """Of each finished world, in the order of the robots."""
     planned_worlds: int
     """Those that the run was to have."""
-    one_scene: bool
+    is_single_scene: bool
     """Whether it may be a scene that was driven and broken off before its horizon."""
     whole_us: bool
     """Whether commands were stored as whole microseconds, and not as they were."""
@@ -75,8 +81,8 @@ class RefereeRun:
 
     def robot(self, number: int, row: Row) -> RefereeRobot:
         """The robot of a row, as it was drawn for its world."""
-        one = self.robots[number]
-        return one.as_drawn(self.variants[int(row["variant"])]) if self.variants else one
+        robot = self.robots[number]
+        return robot.with_variant(self.variants[int(row["variant"])]) if self.variants else robot
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,7 +106,7 @@ class RefereeWorld:
     """[T, O, 4]."""
     pwm_us: Floats
     """[T, R, n] or [T - 1, R, n]: the last state may come after all commands."""
-    place: Mapping[str, Any]
+    environment: Mapping[str, Any]
     """What stands still: arrays of the world's environment by name, and of its task."""
     target: NDArray[np.int64]
     """[T, R] place of the task that each robot goes to, or [T - 1, R] as ``pwm_us``; -1: it stays,
@@ -111,17 +117,19 @@ class RefereeWorld:
     @property
     def low_m(self) -> Floats:
         """[3] lower corner of the region that the fleet may not leave."""
-        return np.asarray(self.place["grid/origin_m"], float)
+        return np.asarray(self.environment["grid/origin_m"], float)
 
     @property
     def high_m(self) -> Floats:
         """[3] its upper corner."""
-        size = np.array(self.place["grid/occupied"].shape) * float(self.place["grid/cell_m"])
+        size = np.array(self.environment["grid/occupied"].shape) * float(
+            self.environment["grid/cell_m"]
+        )
         high: Floats = self.low_m + size
         return high
 
 
-PLACE = (
+ENVIRONMENT_ARRAYS = (
     "grid/occupied",
     "grid/origin_m",
     "grid/cell_m",
@@ -136,10 +144,10 @@ PLACE = (
 )
 
 
-OF_TASK = ("task/place_m", "task/exists", "task/by", "task/done_at_s")
-OF_SURVEY = ("task/cells", "task/seen_at_s")
+TASK_ARRAYS = ("task/place_m", "task/exists", "task/by", "task/done_at_s")
+SURVEY_ARRAYS = ("task/cells", "task/seen_at_s")
 
-_STEPS = ("position_mm", "velocity_mmps", "attitude_mrad", "force_mn", "pwm_us")
+_STEP_KEYS = ("position_mm", "velocity_mmps", "attitude_mrad", "force_mn", "pwm_us")
 """Keys of the scenario's ``[store]`` by which states are rounded."""
 
 
@@ -151,10 +159,10 @@ def open_run(path: Path) -> RefereeRun:
     """
     if not (path / "summary.json").is_file():
         unfinished = path.parent / f".{path.name}.partial"
-        more = f"; its run goes on or broke off in {unfinished}" if unfinished.exists() else ""
-        raise ConfigError(f"{path}: not a run folder (no summary.json in it){more}")
+        hint = f"; its run goes on or broke off in {unfinished}" if unfinished.exists() else ""
+        raise ConfigError(f"{path}: not a run folder (no summary.json in it){hint}")
     config = read_json(path / "config.json")
-    with reading(path / "config.json"):
+    with reporting_damage(path / "config.json"):
         timing = config["time"]
         hz, dt = float(timing["record_hz"]), float(timing["control_dt_s"])
         if hz == 0.0 or not (path / "trajectories.zarr").exists():
@@ -162,7 +170,7 @@ def open_run(path: Path) -> RefereeRun:
                 f"{path}: this run stored no trajectories (record_hz = 0), so there is nothing to "
                 f"judge it by; run it again with --record-hz {1.0 / dt:g}"
             )
-        steps = {key: step for key, step in config.get("store", {}).items() if key in _STEPS}
+        steps = {key: step for key, step in config.get("store", {}).items() if key in _STEP_KEYS}
         if any(step is not None for step in steps.values()):
             raise ConfigError(
                 f"{path}: its trajectories are stored in steps ([store] "
@@ -170,38 +178,43 @@ def open_run(path: Path) -> RefereeRun:
                 "to judge it by; run it again without them"
             )
         copies = read_copies(path / "inputs")
-        fleet = [(vehicles.read(entry, copies), entry["count"]) for entry in config["fleet"]]
+        fleet = [(vehicles.read_robot(entry, copies), entry["count"]) for entry in config["fleet"]]
         robots = tuple(robot for robot, count in fleet for _ in range(count))
-        facts: dict[str, Any] = {
+        settings: dict[str, Any] = {
             "control_dt_s": dt,
             "every": round(1.0 / (hz * dt)),
             "horizon_steps": round(float(timing["horizon_s"]) / dt),
             "goal_tolerance_m": float(config["goal_tolerance_m"]),
             "planned_worlds": int(config["worlds"]),
-            "task": teamwork.rules(config),
+            "task": teamwork.read_rules(config),
             "breakdowns_s": _breakdowns_s(config.get("breakdowns", {}), float(timing["horizon_s"])),
         }
-    drawn: Sequence[Mapping[str, Any]] = ()
-    given = config.get("randomise", {})
-    if given.get("battery_v") or given.get("fault_probability"):  # what powers hang on
-        drawn = read_json(path / "variants.json")["variants"]
-    with reading(path / "trajectories.zarr"):
+    variants: Sequence[Mapping[str, Any]] = ()
+    randomisation = config.get("randomise", {})
+    if randomisation.get("battery_v") or randomisation.get(
+        "fault_probability"
+    ):  # what powers hang on
+        variants = read_json(path / "variants.json")["variants"]
+    with reporting_damage(path / "trajectories.zarr"):
         group: Any = zarr.open_group(path / "trajectories.zarr", mode="r")
         whole = group["pwm_us"].dtype.kind in "iu"
-    has_task, one_scene = facts["task"] is not None, _is_one_scene(path / "summary.json")
+    has_task, is_single_scene = (
+        settings["task"] is not None,
+        _is_single_scene(path / "summary.json"),
+    )
     rows = read_rows(path / "episodes.parquet", len(robots), has_task=has_task)
     return RefereeRun(
         path=path,
         robots=robots,
-        variants=drawn,
+        variants=variants,
         rows=rows,
         has_flown_plans="plan_time_s" in group
-        and not (has_task or one_scene)
+        and not (has_task or is_single_scene)
         and _flies_stored_plans(path, config),
-        one_scene=one_scene,
+        is_single_scene=is_single_scene,
         whole_us=whole,
         group=group,
-        **facts,
+        **settings,
     )
 
 
@@ -214,81 +227,81 @@ def _flies_stored_plans(path: Path, config: Mapping[str, Any]) -> bool:
 
 
 def _breakdowns_s(table: Mapping[str, Any], horizon_s: float) -> tuple[float, float] | None:
-    if not table.get("share"):
+    if not table.get("fraction", table.get("share")):
         return None
     latest = table["latest_s"]
     return float(table["earliest_s"]), horizon_s if latest is None else float(latest)
 
 
-def _is_one_scene(path: Path) -> bool:
+def _is_single_scene(path: Path) -> bool:
     summary = read_json(path)
     return summary.get("worlds_done") == 1 and summary.get("tile") == 1
 
 
-def worlds(run: RefereeRun, chosen: Sequence[int]) -> Iterator[RefereeWorld]:
+def read_worlds(run: RefereeRun, chosen: Sequence[int]) -> Iterator[RefereeWorld]:
     """What was stored of worlds, in order.
 
     Raises:
         ConfigError: an array is missing, damaged or of another shape; says which world.
     """
-    with reading(run.path / "trajectories.zarr"):
+    with reporting_damage(run.path / "trajectories.zarr"):
         per_world = sum(
             array.nbytes // max(array.shape[0], 1)
             for _, array in run.group.members()
             if hasattr(array, "nbytes") and array.ndim > 1
         )
-    most = max(1, BLOCK_BYTES // max(per_world, 1))
+    max_worlds = max(1, BLOCK_BYTES // max(per_world, 1))
     block: list[int] = []
     for index in chosen:
-        if block and (len(block) == most or index != block[-1] + 1):
-            yield from _block(run, block)
+        if block and (len(block) == max_worlds or index != block[-1] + 1):
+            yield from _read_block(run, block)
             block = []
         block.append(index)
     if block:
-        yield from _block(run, block)
+        yield from _read_block(run, block)
 
 
-def _block(run: RefereeRun, chosen: Sequence[int]) -> Iterator[RefereeWorld]:
+def _read_block(run: RefereeRun, chosen: Sequence[int]) -> Iterator[RefereeWorld]:
     """Neighbouring worlds, read at once: opening a chunk costs as much as reading a short one."""
     first, last = chosen[0], chosen[-1] + 1
-    where = run.path / "trajectories.zarr"
+    path = run.path / "trajectories.zarr"
 
     def read(name: str) -> Any:
         return run.group[name][first:last]
 
-    with reading(where):
+    with reporting_damage(path):
         names = ["p_m", "q", "nu", "pwm_us", "outcome"]
         moving = ["obstacle_p_m", "obstacle_q"] if "obstacle_p_m" in run.group else []
         stored = {name: read(name) for name in [*names, *moving]}
         ends = {}
         if "end" in run.group:
-            kept = ["step", "p_m", "q", "nu", "outcome", *moving]
-            ends = {name: read(f"end/{name}") for name in kept}
-        place = {name: read(f"environment/{name}") for name in PLACE}
+            end_names = ["step", "p_m", "q", "nu", "outcome", *moving]
+            ends = {name: read(f"end/{name}") for name in end_names}
+        environment = {name: read(f"environment/{name}") for name in ENVIRONMENT_ARRAYS}
         if run.task is not None:
             stored |= {name: read(f"task/{name}") for name in ("target", "carrying")}
-            once = OF_TASK + (OF_SURVEY if run.task.kind == "survey" else ())
-            place |= {name: read(name) for name in once}
+            task_names = TASK_ARRAYS + (SURVEY_ARRAYS if run.task.kind == "survey" else ())
+            environment |= {name: read(name) for name in task_names}
         if run.has_flown_plans:
             bends = ["plan_degree"] if "plan_degree" in run.group else []
             flown = ["plan_time_s", "plan_m", "target_m", *bends]
-            place |= {name: read(name) for name in flown}
+            environment |= {name: read(name) for name in flown}
     for index in chosen:
-        with reading(where):
-            yield _world(
+        with reporting_damage(path):
+            yield _build_world(
                 run,
                 index,
                 {name: array[index - first] for name, array in stored.items()},
                 {name: array[index - first] for name, array in ends.items()},
-                {name: array[index - first] for name, array in place.items()},
+                {name: array[index - first] for name, array in environment.items()},
             )
 
 
-def _world(
-    run: RefereeRun, index: int, stored: Row, end: Row, place: Mapping[str, Any]
+def _build_world(
+    run: RefereeRun, index: int, stored: Row, end: Row, environment: Mapping[str, Any]
 ) -> RefereeWorld:
-    there = np.isfinite(stored["p_m"]).all(axis=-1).any(axis=-1)
-    count = int(np.flatnonzero(there)[-1]) + 1 if there.any() else 0
+    is_stored = np.isfinite(stored["p_m"]).all(axis=-1).any(axis=-1)
+    count = int(np.flatnonzero(is_stored)[-1]) + 1 if is_stored.any() else 0
     if count == 0:
         raise ConfigError(f"world {index} has results, but no trajectories")
     step = np.arange(count, dtype=np.int64) * run.every
@@ -315,7 +328,7 @@ def _world(
         obstacle_p=states["obstacle_p_m"].astype(float),
         obstacle_q=states["obstacle_q"].astype(float),
         pwm_us=states["pwm_us"].astype(float),
-        place=place,
+        environment=environment,
         target=states.get("target", nothing).astype(np.int64),
         carrying=states.get("carrying", nothing).astype(np.int64),
     )

@@ -8,15 +8,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from angler_mjx.testing.referee import approach, contacts, teamwork
-from angler_mjx.testing.referee.contacts import CELL, FLOOR, OBSTACLE, ContactPairs, Ints, Near
+from angler_mjx.testing.referee.contacts import (
+    CELL,
+    FLOOR,
+    OBSTACLE,
+    ContactPairs,
+    Ints,
+    NearbyPairs,
+)
 from angler_mjx.testing.referee.folder import Row
 from angler_mjx.testing.referee.geometry import Floats, rotate
 from angler_mjx.testing.referee.record import RefereeRun, RefereeWorld
 
-FASTEST = 50.0
+MAX_SPEED_SUM = 50.0
 """A robot whose six velocities add up to this has diverged."""
 
-TOUCH_ULPS, PLACE_ULPS = 4.0, 2.0
+CONTACT_ULPS, POSITION_ULPS = 4.0, 2.0
 """Rounding that a distance between hulls, and one between points, can have, in units of the last
 place of the largest coordinate in float32."""
 
@@ -46,14 +53,14 @@ class RefereeScene:
         return float(np.spacing(np.float32(max(1.0, corners.max()))))
 
     @property
-    def touch_m(self) -> float:
+    def contact_band_m(self) -> float:
         """Gaps nearer to zero than this are neither a touch for sure nor none."""
-        return TOUCH_ULPS * self.ulp_m
+        return CONTACT_ULPS * self.ulp_m
 
     @property
-    def place_m(self) -> float:
+    def position_band_m(self) -> float:
         """The same of distances to the goal and to the bounds."""
-        return PLACE_ULPS * self.ulp_m
+        return POSITION_ULPS * self.ulp_m
 
     @cached_property
     def to_goal_m(self) -> Floats:
@@ -66,18 +73,18 @@ class RefereeScene:
             if self.task is not None and self.shows_finish:
                 finished = self.task.finished_step
             return np.where(self.world.step[:, None] >= finished, -np.inf, np.inf)
-        goal = np.asarray(self.world.place["goal_m"], float)
+        goal = np.asarray(self.world.environment["goal_m"], float)
         gap: Floats = np.linalg.norm(self.world.p - goal, axis=2) - self.run.goal_tolerance_m
         return gap
 
     @cached_property
-    def task(self) -> teamwork.Judged | None:
+    def task(self) -> teamwork.JudgedTask | None:
         """What is judged of the task; None without one, or where no sample shows each look."""
         rules, world = self.run.task, self.world
         if rules is None or rules.period % self.run.every:
             return None
         looks = slice(0, len(world.pwm_us), rules.period // self.run.every)
-        return teamwork.judge(
+        return teamwork.judge_task(
             rules,
             teamwork.TaskRecord(
                 step=world.step[: len(world.pwm_us)][looks],
@@ -87,9 +94,9 @@ class RefereeScene:
                 running=world.outcome[: len(world.pwm_us)][looks] == 0,
                 target=world.target[looks],
                 carrying=world.carrying[looks],
-                place=world.place,
+                environment=world.environment,
                 low_m=world.low_m,
-                band_m=self.place_m,
+                band_m=self.position_band_m,
             ),
         )
 
@@ -97,7 +104,12 @@ class RefereeScene:
     def shows_finish(self) -> bool:
         """Whether the record shows when a robot has nothing left to do."""
         rules, judged = self.run.task, self.task
-        return rules is not None and rules.is_told_all and judged is not None and not judged.doubt
+        return (
+            rules is not None
+            and rules.is_fully_informed
+            and judged is not None
+            and not judged.doubt
+        )
 
     @cached_property
     def arrives(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
@@ -117,19 +129,21 @@ class RefereeScene:
 
     def _approach(self, robot: int, may: NDArray[np.bool_], must: NDArray[np.bool_]) -> None:
         """Write `arrives` of a robot that flies its stored plan, [T] each, where that shows it."""
-        place, tolerance_m = self.world.place, self.run.goal_tolerance_m
-        if "plan_degree" in place and np.any(np.asarray(place["plan_degree"][robot]) > 1):
+        environment, tolerance_m = self.world.environment, self.run.goal_tolerance_m
+        if "plan_degree" in environment and np.any(
+            np.asarray(environment["plan_degree"][robot]) > 1
+        ):
             return  # it is bent: aims do not say the time on it
-        time_s = np.asarray(place["plan_time_s"][robot], float)
-        point_m = np.asarray(place["plan_m"][robot], float)
-        goal_m = np.asarray(place["goal_m"][robot], float)
+        time_s = np.asarray(environment["plan_time_s"][robot], float)
+        point_m = np.asarray(environment["plan_m"][robot], float)
+        goal_m = np.asarray(environment["goal_m"][robot], float)
         begin_s = approach.last_approach_s(time_s, point_m, goal_m, tolerance_m)
         within_m = tolerance_m + approach.APPROACH_M
         passes = approach.passes_before(time_s, point_m, goal_m, within_m, begin_s)
         if must.all() and not passes:
             return
         spans_s = np.diff(self.world.step, prepend=0) * self.run.control_dt_s
-        aim_m = np.asarray(place["target_m"], float)[: len(spans_s), robot]
+        aim_m = np.asarray(environment["target_m"], float)[: len(spans_s), robot]
         aim_m = aim_m[np.isfinite(aim_m).all(axis=1)]
         bounds = approach.progress_s(time_s, point_m, aim_m, spans_s)
         if bounds is not None:
@@ -147,9 +161,9 @@ class RefereeScene:
     def sound(self) -> NDArray[np.bool_]:
         """Bool [T, R] whether a state is one at all."""
         speed = np.sum(np.abs(self.world.nu), axis=2)
-        whole = np.isfinite(self.world.p).all(axis=2) & np.isfinite(self.world.q).all(axis=2)
-        sound: NDArray[np.bool_] = whole & (speed < FASTEST)
-        return sound
+        is_finite = np.isfinite(self.world.p).all(axis=2) & np.isfinite(self.world.q).all(axis=2)
+        is_sound: NDArray[np.bool_] = is_finite & (speed < MAX_SPEED_SUM)
+        return is_sound
 
     @cached_property
     def ended(self) -> Ints:
@@ -160,7 +174,7 @@ class RefereeScene:
     @cached_property
     def stored_step(self) -> list[int | None]:
         """[R] control steps until each robot's end, by the results; None if they do not say."""
-        return [self._steps(row) for row in self.rows]
+        return [self._stored_steps(row) for row in self.rows]
 
     def stored_end_s(self, robot: int) -> float:
         """When a robot's episode ended, by the results."""
@@ -172,28 +186,28 @@ class RefereeScene:
         """Of the results."""
         return str(self.rows[robot]["outcome"])
 
-    def _steps(self, row: Row) -> int | None:
+    def _stored_steps(self, row: Row) -> int | None:
         time = float(row["time_to_goal_s" if row["outcome"] == "reached" else "failure_time_s"])
         steps = time / self.run.control_dt_s
         return round(steps) if np.isfinite(steps) and abs(steps) < 2**31 else None
 
     def unseen(self, step: int) -> set[str]:
         """Outcomes that can come after so many control steps without that a trajectory shows it."""
-        found = {"reached"} if self.run.by_task and not self.shows_finish else set[str]()
+        outcomes = {"reached"} if self.run.by_task and not self.shows_finish else set[str]()
         if self.run.breakdowns_s is not None:
             earliest, latest = self.run.breakdowns_s
             end_s, slack = step * self.run.control_dt_s, 1e-6 * max(1.0, latest)
             if earliest - slack <= end_s < latest + self.run.control_dt_s + slack:
-                found.add("failed")
-        return found
+                outcomes.add("failed")
+        return outcomes
 
     def state_at(self, step: int | None) -> int | None:
         """The state after so many control steps, if the record has it."""
         if step is None:
             return None
-        at = int(np.searchsorted(self.world.step, step))
-        there = at < len(self.world.step) and self.world.step[at] == step
-        return at if there else None
+        state = int(np.searchsorted(self.world.step, step))
+        is_stored = state < len(self.world.step) and self.world.step[state] == step
+        return state if is_stored else None
 
     @cached_property
     def last(self) -> Ints:
@@ -207,28 +221,28 @@ class RefereeScene:
         for robot, step in enumerate(self.stored_step):
             after = 0 if step is None else int(np.searchsorted(self.world.step, step))
             named[robot] = min(max(named[robot], after), final)
-        arrived = (self.to_goal_m < -self.place_m) & self.arrives[1]
-        over = arrived | (self.outside_m > self.place_m)
+        arrived = (self.to_goal_m < -self.position_band_m) & self.arrives[1]
+        over = arrived | (self.outside_m > self.position_band_m)
         over[0] = False
         return np.where(over.any(axis=0), np.minimum(named, over.argmax(axis=0)), named)
 
     @cached_property
-    def near(self) -> Near:
+    def near(self) -> NearbyPairs:
         """What was near to the robots."""
         hulls = tuple(robot.hull for robot in self.run.robots)
-        return contacts.find(self.world, hulls, self.last, 2.0 * self.touch_m)
+        return contacts.find_nearby(self.world, hulls, self.last, 2.0 * self.contact_band_m)
 
-    def near_until(self, robot: int, state: int) -> Near:
+    def near_until(self, robot: int, state: int) -> NearbyPairs:
         """What was near to a robot in the states up to one of them."""
         if state == self.last[robot]:
             return self.near
         last = np.full(len(self.run.robots), -1, np.int64)
         last[robot] = state
-        hulls = tuple(one.hull for one in self.run.robots)
-        return contacts.find(self.world, hulls, last, 0.0)
+        hulls = tuple(item.hull for item in self.run.robots)
+        return contacts.find_nearby(self.world, hulls, last, 0.0)
 
     @cached_property
-    def way_m(self) -> Floats:
+    def path_m(self) -> Floats:
         """[T, R] sum of the straight lines from state to state."""
         lines = np.linalg.norm(np.diff(self.world.p, axis=0), axis=2)
         return np.concatenate([np.zeros((1, lines.shape[1])), np.cumsum(lines, axis=0)])
@@ -247,7 +261,9 @@ class RefereeScene:
         """The outcome that touching something has."""
         if kind == contacts.ROBOT:
             return "collision_robot"
-        moving = kind == OBSTACLE and self.world.place["obstacles/motion"][index] != contacts.STILL
+        moving = (
+            kind == OBSTACLE and self.world.environment["obstacles/motion"][index] != contacts.STILL
+        )
         return "collision_dynamic" if moving else "collision_static"
 
 
@@ -257,75 +273,78 @@ class RefereeEpisode:
     def __init__(self, scene: RefereeScene, robot: int) -> None:
         self._scene, self.robot = scene, robot
         self._pairs = scene.near.of(robot)
-        self._least = np.full(len(scene.world.step), np.inf)
-        np.minimum.at(self._least, self._pairs.state, self._pairs.gap_m)
+        self._min_gap_m = np.full(len(scene.world.step), np.inf)
+        np.minimum.at(self._min_gap_m, self._pairs.state, self._pairs.gap_m)
         goal, out = scene.to_goal_m[:, robot], scene.outside_m[:, robot]
         self._may, self._must = (of_all[:, robot] for of_all in scene.arrives)
         arrived = (goal < 0.0) & self._must
-        self._over = ~scene.sound[:, robot] | (self._least <= 0.0) | (out > 0.0) | arrived
+        self._over = ~scene.sound[:, robot] | (self._min_gap_m <= 0.0) | (out > 0.0) | arrived
 
     def first(self, last: int) -> int | None:
         """First state after the start, up to ``last``, that ends the episode."""
         over = np.flatnonzero(self._over[1 : last + 1])
         return int(over[0]) + 1 if over.size else None
 
-    def touching(self, state: int, within_m: float = 0.0) -> ContactPairs:
+    def touched_pairs(self, state: int, within_m: float = 0.0) -> ContactPairs:
         """What a state touches, nearest first; within so much of the nearest."""
-        here = self._pairs.take(self._pairs.state == state)
-        here = here.take(here.gap_m <= self._least[state] + within_m)
-        return here.take(np.lexsort((here.index, here.kind, here.gap_m)))
+        pairs = self._pairs.take(self._pairs.state == state)
+        pairs = pairs.take(pairs.gap_m <= self._min_gap_m[state] + within_m)
+        return pairs.take(np.lexsort((pairs.index, pairs.kind, pairs.gap_m)))
 
-    def gap_to_what_stands(self, state: int) -> float:
+    def static_gap_m(self, state: int) -> float:
         """Least distance in a state to cells, floor and obstacles that never move."""
-        here = self._pairs.take(self._pairs.state == state)
-        pairs = zip(here.kind.tolist(), here.index.tolist(), here.gap_m.tolist(), strict=True)
-        still = (gap for k, i, gap in pairs if self._scene.collision(k, i) == "collision_static")
-        return min(still, default=float("inf"))
+        nearby = self._pairs.take(self._pairs.state == state)
+        pairs = zip(nearby.kind.tolist(), nearby.index.tolist(), nearby.gap_m.tolist(), strict=True)
+        static_gaps = (
+            gap for k, i, gap in pairs if self._scene.collision(k, i) == "collision_static"
+        )
+        return min(static_gaps, default=float("inf"))
 
     def outcome(self, state: int) -> str:
         """What a state means, with all numbers taken as they are."""
         scene = self._scene
         if not scene.sound[state, self.robot]:
             return "diverged"
-        if self._least[state] <= 0.0:
-            nearest = self.touching(state)
+        if self._min_gap_m[state] <= 0.0:
+            nearest = self.touched_pairs(state)
             return scene.collision(int(nearest.kind[0]), int(nearest.index[0]))
         if scene.outside_m[state, self.robot] > 0.0:
             return "out_of_bounds"
         arrived = scene.to_goal_m[state, self.robot] < 0.0 and self._may[state]
         return "reached" if arrived else "running"
 
-    def possible(self, state: int) -> set[str]:
+    def possible_outcomes(self, state: int) -> set[str]:
         """What a state can mean to somebody who rounds."""
-        scene, found = self._scene, set[str]()
+        scene, outcomes = self._scene, set[str]()
         if not scene.sound[state, self.robot]:
             return {"diverged"}
-        gap, band = self._least[state], scene.touch_m
+        gap, band = self._min_gap_m[state], scene.contact_band_m
         if gap <= band:
-            near = self.touching(state, 2.0 * band)
-            pairs = zip(near.kind.tolist(), near.index.tolist(), strict=True)
-            found |= {scene.collision(kind, index) for kind, index in pairs}
+            nearby = self.touched_pairs(state, 2.0 * band)
+            pairs = zip(nearby.kind.tolist(), nearby.index.tolist(), strict=True)
+            outcomes |= {scene.collision(kind, index) for kind, index in pairs}
         if gap < -band:
-            return found
+            return outcomes
         out, goal, band = (
             scene.outside_m[state, self.robot],
             scene.to_goal_m[state, self.robot],
-            scene.place_m,
+            scene.position_band_m,
         )
         if out > -band:
-            found.add("out_of_bounds")
+            outcomes.add("out_of_bounds")
         if out > band:
-            return found
+            return outcomes
         if goal < band and self._may[state]:
-            found.add("reached")
+            outcomes.add("reached")
         arrived = goal < -band and self._must[state]
-        return found if arrived else found | {"running"}
+        return outcomes if arrived else outcomes | {"running"}
 
     def numbers(self, state: int) -> str:
         """The numbers that decided about a state."""
         scene = self._scene
         return (
             f"at {scene.world.step[state] * scene.run.control_dt_s:.6g} s the nearest thing is "
-            f"{self._least[state]:.3g} m away, the bounds {-scene.outside_m[state, self.robot]:.3g}"
+            f"{self._min_gap_m[state]:.3g} m away, the bounds "
+            f"{-scene.outside_m[state, self.robot]:.3g}"
             f" m, the goal {scene.to_goal_m[state, self.robot]:.3g} m beyond its tolerance"
         )

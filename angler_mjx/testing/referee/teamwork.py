@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from angler_mjx.testing.referee.geometry import Floats
-from angler_mjx.testing.referee.sight import Cells, Eye, Flags, seen
+from angler_mjx.testing.referee.sight import Camera, Cells, Flags, find_visible
 
 NEVER = 2**31
 """Control step of what does not happen."""
@@ -38,11 +38,11 @@ class TaskRules:
     surface: str
     half_angle_rad: float
     range_m: float
-    is_told_all: bool
+    is_fully_informed: bool
     """Whether every robot knows at once what is done."""
 
 
-def rules(config: Mapping[str, Any]) -> TaskRules | None:
+def read_rules(config: Mapping[str, Any]) -> TaskRules | None:
     """Return the rules of a run; None where each robot has a goal of its own."""
     table = config.get("task", {})
     kind = table.get("type", "goal")
@@ -60,7 +60,7 @@ def rules(config: Mapping[str, Any]) -> TaskRules | None:
         surface=str(table.get("of", "")),
         half_angle_rad=float(np.radians(table.get("half_angle_deg", 0.0))),
         range_m=float(table.get("range_m", 0.0)),
-        is_told_all=config.get("acoustics", {}).get("model", "perfect") == "perfect",
+        is_fully_informed=config.get("acoustics", {}).get("model", "perfect") == "perfect",
     )
 
 
@@ -81,7 +81,7 @@ class TaskRecord:
     """[K, R] place that each robot is sent to by each look; -1: it stays."""
     carrying: NDArray[np.int64]
     """[K, R] goods that each robot carries after it; -1: none."""
-    place: Mapping[str, Any]
+    environment: Mapping[str, Any]
     """What stands still, and what was stored of the task once."""
     low_m: Floats
     band_m: float
@@ -90,25 +90,27 @@ class TaskRecord:
     @property
     def jobs(self) -> int:
         """M."""
-        return len(self.place["task/exists"])
+        return len(self.environment["task/exists"])
 
     @property
     def exists(self) -> Flags:
         """Bool [M]."""
-        exists: Flags = np.asarray(self.place["task/exists"]).astype(bool)
+        exists: Flags = np.asarray(self.environment["task/exists"]).astype(bool)
         return exists
 
     def look_at(self, time_s: Floats) -> NDArray[np.int64]:
         """Return the look of each time; K for NaN, -1 for a time that is none of a look."""
         steps = np.nan_to_num(np.asarray(time_s, float) / self.dt_s, nan=-1.0)
-        at = np.searchsorted(self.step, np.round(steps).astype(np.int64))
-        known = np.append(self.step, -1)[np.minimum(at, len(self.step))]
-        fits = np.abs(known - steps) < 1e-3
-        return np.where(np.isnan(time_s), len(self.step), np.where(fits, at, -1)).astype(np.int64)
+        index = np.searchsorted(self.step, np.round(steps).astype(np.int64))
+        stored_steps = np.append(self.step, -1)[np.minimum(index, len(self.step))]
+        fits = np.abs(stored_steps - steps) < 1e-3
+        return np.where(np.isnan(time_s), len(self.step), np.where(fits, index, -1)).astype(
+            np.int64
+        )
 
 
 @dataclass(kw_only=True)
-class Judged:
+class JudgedTask:
     """What the referee says of a task."""
 
     jobs_done: NDArray[np.int64]
@@ -125,37 +127,38 @@ class Judged:
     """What was stored of the task and cannot be."""
 
 
-def judge(rule: TaskRules, record: TaskRecord) -> Judged:
+def judge_task(rule: TaskRules, record: TaskRecord) -> JudgedTask:
     """Judge the task of a world."""
-    apart = np.linalg.norm(record.p[:, :, None] - record.place["task/place_m"], axis=3)
-    near = (apart <= rule.tolerance_m) & record.running[..., None]
+    distances_m = np.linalg.norm(record.p[:, :, None] - record.environment["task/place_m"], axis=3)
+    is_near = (distances_m <= rule.tolerance_m) & record.running[..., None]
     if rule.kind == "deliver":
-        judged = _delivered(rule, record, near)
+        judged = _judge_delivery(rule, record, is_near)
     elif rule.kind == "survey":
-        judged = _surveyed(rule, record, apart, near)
+        judged = _judge_survey(rule, record, distances_m, is_near)
     else:
-        judged = _toured(rule, record, near)
-    close = (np.abs(apart - rule.tolerance_m) < record.band_m) & record.running[..., None]
-    if close.any():
-        look, robot, place = np.argwhere(close)[0]
+        judged = _judge_tour(rule, record, is_near)
+    is_close = (np.abs(distances_m - rule.tolerance_m) < record.band_m) & record.running[..., None]
+    if is_close.any():
+        look, robot, goal_index = np.argwhere(is_close)[0]
         judged.doubt = (
-            f"robot {robot} is {apart[look, robot, place] - rule.tolerance_m:.2g} m beyond "
-            f"tolerance_m of place {place} at {record.step[look] * record.dt_s:g} s"
+            f"robot {robot} is {distances_m[look, robot, goal_index] - rule.tolerance_m:.2g} m "
+            "beyond "
+            f"tolerance_m of place {goal_index} at {record.step[look] * record.dt_s:g} s"
         )
     return judged
 
 
-def _first(true: Flags) -> NDArray[np.int64]:
+def _first_look(true: Flags) -> NDArray[np.int64]:
     """Return the first look [...] at which flags [K, ...] are set; K for none."""
     first: NDArray[np.int64] = np.where(true.any(axis=0), true.argmax(axis=0), len(true))
     return first
 
 
-def _step(record: TaskRecord, look: int) -> int:
+def _step_of_look(record: TaskRecord, look: int) -> int:
     return int(record.step[look]) if look < len(record.step) else NEVER
 
 
-def _finished(
+def _finished_steps(
     rule: TaskRules, record: TaskRecord, near: Flags, is_over: Flags
 ) -> NDArray[np.int64]:
     """Return after how many control steps each robot has reached [R].
@@ -170,79 +173,81 @@ def _finished(
     if rule.returns:
         home = near.shape[2] - robots + np.arange(robots)
         is_over = is_over & near[:, np.arange(robots), home]
-    looks = _first(is_over & record.running)
-    return np.array([min(_step(record, look) + 1, NEVER) for look in looks], np.int64)
+    looks = _first_look(is_over & record.running)
+    return np.array([min(_step_of_look(record, look) + 1, NEVER) for look in looks], np.int64)
 
 
-def _credit(by: NDArray[np.int64], robots: int) -> NDArray[np.int64]:
+def _count_jobs(by: NDArray[np.int64], robots: int) -> NDArray[np.int64]:
     """Return how many jobs each robot did [R]."""
     return np.bincount(by[by >= 0], minlength=robots).astype(np.int64)
 
 
-def _toured(rule: TaskRules, record: TaskRecord, near: Flags) -> Judged:
-    near = near.copy()
-    looks, robots, jobs = *near.shape[:2], record.jobs
-    at = near[:, :, :jobs]
+def _judge_tour(rule: TaskRules, record: TaskRecord, is_near: Flags) -> JudgedTask:
+    is_near = is_near.copy()
+    looks, robots, jobs = *is_near.shape[:2], record.jobs
+    is_near_job = is_near[:, :, :jobs]
     if rule.is_shared:
-        done = np.logical_or.accumulate(at.any(axis=1), axis=0)
-        first = _first(done)
-        by = np.array([at[k, :, j].argmax() if k < looks else -1 for j, k in enumerate(first)])
+        done = np.logical_or.accumulate(is_near_job.any(axis=1), axis=0)
+        first = _first_look(done)
+        by = np.array(
+            [is_near_job[k, :, j].argmax() if k < looks else -1 for j, k in enumerate(first)]
+        )
         is_over = np.broadcast_to(done.all(axis=1)[:, None], (looks, robots))
-        jobs_done, progress = _credit(by, robots), done[-1].mean()
-        complete = _first(done.all(axis=1))
+        jobs_done, progress = _count_jobs(by, robots), done[-1].mean()
+        complete = _first_look(done.all(axis=1))
     else:
         visited = np.zeros((looks, robots, jobs), bool)
         before = np.zeros((robots, jobs), bool)
         for k in range(looks):
-            next_one = np.arange(jobs) == before.argmin(axis=1)[:, None]
-            before = before | (at[k] & (next_one | (not rule.is_ordered)))
+            next_job = np.arange(jobs) == before.argmin(axis=1)[:, None]
+            before = before | (is_near_job[k] & (next_job | (not rule.is_ordered)))
             visited[k] = before
         is_over = visited.all(axis=2)
         jobs_done, progress = visited[-1].sum(axis=1), visited[-1].mean()
-        complete = _first(is_over.all(axis=1))
+        complete = _first_look(is_over.all(axis=1))
         done = visited.all(axis=1)
         last_come = visited & ~np.concatenate([np.zeros((1, robots, jobs), bool), visited[:-1]])
-        first = _first(done)
+        first = _first_look(done)
         by = np.array(
             [last_come[k, :, j].argmax() if k < looks else -1 for j, k in enumerate(first)]
         )
-    judged = Judged(
+    judged = JudgedTask(
         jobs_done=jobs_done,
         progress=float(progress),
-        completed_step=_step(record, int(complete)),
-        finished_step=_finished(rule, record, near, is_over),
+        completed_step=_step_of_look(record, int(complete)),
+        finished_step=_finished_steps(rule, record, is_near, is_over),
     )
     _compare_jobs(record, judged, by, first)
     return judged
 
 
 def _compare_jobs(
-    record: TaskRecord, judged: Judged, by: NDArray[np.int64], first: NDArray[np.int64]
+    record: TaskRecord, judged: JudgedTask, by: NDArray[np.int64], first: NDArray[np.int64]
 ) -> None:
     """Hold who did which job and at which look against what was stored, [M] each."""
-    stored_by = np.asarray(record.place["task/by"])
-    stored = record.look_at(record.place["task/done_at_s"])
+    stored_by = np.asarray(record.environment["task/by"])
+    stored = record.look_at(record.environment["task/done_at_s"])
     for job in np.flatnonzero((stored_by != by) | (stored != first))[:3]:
-        when = [_time(record, int(x)) for x in (stored[job], first[job])]
+        when = [_format_time(record, int(x)) for x in (stored[job], first[job])]
         judged.faults.append(
             f"job {job}: stored by robot {stored_by[job]} {when[0]}, judged by robot {by[job]} "
             f"{when[1]}"
         )
 
 
-def _time(record: TaskRecord, look: int) -> str:
+def _format_time(record: TaskRecord, look: int) -> str:
     if look < 0:
         return "at no look"
     return "never" if look >= len(record.step) else f"at {record.step[look] * record.dt_s:g} s"
 
 
-def _delivered(rule: TaskRules, record: TaskRecord, near: Flags) -> Judged:
-    looks, robots, jobs = *near.shape[:2], record.jobs
-    begin, end = near[:, :, :jobs], near[:, :, jobs : 2 * jobs]
+def _judge_delivery(rule: TaskRules, record: TaskRecord, is_near: Flags) -> JudgedTask:
+    looks, robots, jobs = *is_near.shape[:2], record.jobs
+    begin, end = is_near[:, :, :jobs], is_near[:, :, jobs : 2 * jobs]
     numbers = np.arange(jobs)
     carries = np.full(robots, -1)
     by, first = np.full(jobs, -1), np.full(jobs, looks)
-    done, lost = np.zeros(jobs, bool), np.zeros(jobs, bool)
+    done, is_lost = np.zeros(jobs, bool), np.zeros(jobs, bool)
     is_over, complete = np.zeros((looks, robots), bool), looks
     faults: list[str] = []
     sent = np.full(robots, -1)
@@ -250,93 +255,101 @@ def _delivered(rule: TaskRules, record: TaskRecord, near: Flags) -> Judged:
         running = record.running[k]
         holds = carries[:, None] == numbers
         brings = holds & end[k]
-        lost |= (holds & ~running[:, None]).any(axis=0) & (not rule.goods_return)
+        is_lost |= (holds & ~running[:, None]).any(axis=0) & (not rule.goods_return)
         carries = np.where(running & ~brings.any(axis=1), carries, -1)
-        lie = ~(done | lost | (holds & running[:, None]).any(axis=0))
-        come = begin[k] & (sent[:, None] == numbers) & lie & (carries < 0)[:, None]
-        for job in np.flatnonzero(come.any(axis=0)):
-            carries[come[:, job].argmax()] = job
+        is_available = ~(done | is_lost | (holds & running[:, None]).any(axis=0))
+        picks_up = begin[k] & (sent[:, None] == numbers) & is_available & (carries < 0)[:, None]
+        for job in np.flatnonzero(picks_up.any(axis=0)):
+            carries[picks_up[:, job].argmax()] = job
         new = brings.any(axis=0) & ~done
         by[new], first[new] = brings[:, new].argmax(axis=0), k
         done |= new
         complete = min(complete, k) if done.all() else complete
-        is_over[k] = (done | lost).all() & (carries < 0)
+        is_over[k] = (done | is_lost).all() & (carries < 0)
         for robot in np.flatnonzero(record.carrying[k] != carries)[: 1 if not faults else 0]:
             faults.append(
                 f"robot {robot} is stored with goods {record.carrying[k, robot]} "
-                f"{_time(record, k)}, judged {carries[robot]}"
+                f"{_format_time(record, k)}, judged {carries[robot]}"
             )
         sent = record.target[k]
-    judged = Judged(
-        jobs_done=_credit(by, robots),
+    judged = JudgedTask(
+        jobs_done=_count_jobs(by, robots),
         progress=float(done.mean()),
-        completed_step=_step(record, complete),
-        finished_step=_finished(rule, record, near, is_over),
+        completed_step=_step_of_look(record, complete),
+        finished_step=_finished_steps(rule, record, is_near, is_over),
         faults=faults,
     )
     _compare_jobs(record, judged, by, first)
     return judged
 
 
-def _surveyed(rule: TaskRules, record: TaskRecord, apart: Floats, near: Flags) -> Judged:
+def _judge_survey(
+    rule: TaskRules, record: TaskRecord, distances_m: Floats, is_near: Flags
+) -> JudgedTask:
     """Judge a survey: cells by sight, viewpoints as far as the record says what is theirs."""
-    looks, robots, jobs = *near.shape[:2], record.jobs
-    cells, faults = np.argwhere(record.place["task/cells"] > 0), _no_surface(rule, record)
-    sure, can = _views(rule, record, cells)
-    stored = record.look_at(np.asarray(record.place["task/seen_at_s"])[tuple(cells.T)])
-    was_seen = record.place["task/cells"][tuple(cells.T)] == 2
-    first = _first(sure)
+    looks, robots, jobs = *is_near.shape[:2], record.jobs
+    cells, faults = (
+        np.argwhere(record.environment["task/cells"] > 0),
+        _find_wrong_cells(rule, record),
+    )
+    sure, can = _find_views(rule, record, cells)
+    stored = record.look_at(np.asarray(record.environment["task/seen_at_s"])[tuple(cells.T)])
+    was_seen = record.environment["task/cells"][tuple(cells.T)] == 2
+    first = _first_look(sure)
     fits = (stored <= first) & (stored >= 0) & (was_seen == (stored < looks))
     is_seen = np.pad(can, ((0, 1), (0, 0)), constant_values=True)
     fits &= is_seen[np.clip(stored, 0, looks), np.arange(len(cells))]
-    for one in np.flatnonzero(~fits)[:3]:
+    for index in np.flatnonzero(~fits)[:3]:
         faults.append(
-            f"cell {tuple(map(int, cells[one]))}: stored as seen "
-            f"{_time(record, int(stored[one]))}, judged {_time(record, int(first[one]))}"
+            f"cell {tuple(map(int, cells[index]))}: stored as seen "
+            f"{_format_time(record, int(stored[index]))}, judged "
+            f"{_format_time(record, int(first[index]))}"
         )
     when = np.where(fits, stored, first)
     count = np.array([np.sum(when <= k) for k in range(looks)])
     total = max(len(cells), 1)
     required = -(-rule.coverage.numerator * total // rule.coverage.denominator)
-    complete = _first(count >= required)
-    by, done = _viewpoints(record, apart[:, :, :jobs], near[:, :, :jobs], faults)
+    complete = _first_look(count >= required)
+    by, done = _check_viewpoints(record, distances_m[:, :, :jobs], is_near[:, :, :jobs], faults)
     over = (done[None] <= np.arange(looks)[:, None]) | ~record.exists
     is_over = over.all(axis=1) | (np.arange(looks) >= complete)
-    return Judged(
-        jobs_done=_credit(by, robots),
+    return JudgedTask(
+        jobs_done=_count_jobs(by, robots),
         progress=float(count[-1] / total),
-        completed_step=_step(record, int(complete)),
-        finished_step=_finished(
-            rule, record, near, np.broadcast_to(is_over[:, None], (looks, robots))
+        completed_step=_step_of_look(record, int(complete)),
+        finished_step=_finished_steps(
+            rule, record, is_near, np.broadcast_to(is_over[:, None], (looks, robots))
         ),
         is_bounded=True,
         faults=faults,
     )
 
 
-def _views(rule: TaskRules, record: TaskRecord, cells: Cells) -> tuple[Flags, Flags]:
+def _find_views(rule: TaskRules, record: TaskRecord, cells: Cells) -> tuple[Flags, Flags]:
     """Return which cells some robot sees at each look, for sure and possibly, bool [K, n]."""
-    eye = Eye(
+    eye = Camera(
         half_angle_rad=rule.half_angle_rad,
         range_m=rule.range_m,
-        occupied=np.asarray(record.place["grid/occupied"]).astype(bool),
+        occupied=np.asarray(record.environment["grid/occupied"]).astype(bool),
         low_m=record.low_m,
-        edge_m=float(record.place["grid/cell_m"]),
+        edge_m=float(record.environment["grid/cell_m"]),
     )
-    sure, can = (np.zeros((len(record.step), len(cells)), bool) for _ in range(2))
+    is_visible, can_be_visible = (np.zeros((len(record.step), len(cells)), bool) for _ in range(2))
     for k, robot in np.argwhere(record.running):
-        one = seen(eye, record.p[k, robot], record.q[k, robot], cells)
-        sure[k] |= one[0]
-        can[k] |= one[1]
-    return sure, can
+        visible = find_visible(eye, record.p[k, robot], record.q[k, robot], cells)
+        is_visible[k] |= visible[0]
+        can_be_visible[k] |= visible[1]
+    return is_visible, can_be_visible
 
 
-def _no_surface(rule: TaskRules, record: TaskRecord) -> list[str]:
+def _find_wrong_cells(rule: TaskRules, record: TaskRecord) -> list[str]:
     """Return what is wrong with the cells that are to be seen: each is water at a surface."""
-    rock = np.asarray(record.place["grid/occupied"]).astype(bool)
-    cells = np.asarray(record.place["task/cells"]) > 0
-    height = record.low_m[2] + float(record.place["grid/cell_m"]) * (np.arange(rock.shape[2]) + 0.5)
-    water = ~rock & (height > float(record.place["floor_z_m"]))
+    rock = np.asarray(record.environment["grid/occupied"]).astype(bool)
+    cells = np.asarray(record.environment["task/cells"]) > 0
+    height = record.low_m[2] + float(record.environment["grid/cell_m"]) * (
+        np.arange(rock.shape[2]) + 0.5
+    )
+    water = ~rock & (height > float(record.environment["floor_z_m"]))
     lowest = water & (np.cumsum(water, axis=2) == 1)
     wide, beside = np.pad(rock, 1), np.zeros_like(rock)
     for axis in range(3):
@@ -347,8 +360,8 @@ def _no_surface(rule: TaskRules, record: TaskRecord) -> list[str]:
     return [f"cell {tuple(map(int, cell))} is no water at what is surveyed" for cell in wrong[:3]]
 
 
-def _viewpoints(
-    record: TaskRecord, apart: Floats, near: Flags, faults: list[str]
+def _check_viewpoints(
+    record: TaskRecord, distances_m: Floats, is_near: Flags, faults: list[str]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return who did each job [M] and the look at which it was over [M], as far as can be judged.
 
@@ -357,25 +370,27 @@ def _viewpoints(
 
     Args:
         record: of the world.
-        apart: [K, R, M] distances to viewpoints.
-        near: bool [K, R, M].
+        distances_m: [K, R, M] distances to viewpoints.
+        is_near: bool [K, R, M].
         faults: to be added to.
     """
     looks = len(record.step)
-    by = np.where(record.exists, np.asarray(record.place["task/by"]), -1)
-    done = np.where(record.exists, record.look_at(record.place["task/done_at_s"]), looks)
-    at_point = _first(near.any(axis=1))
+    by = np.where(record.exists, np.asarray(record.environment["task/by"]), -1)
+    done = np.where(record.exists, record.look_at(record.environment["task/done_at_s"]), looks)
+    at_point = _first_look(is_near.any(axis=1))
     for job in np.flatnonzero(record.exists):
         k, robot = int(done[job]), int(by[job])
-        known = "" if k <= at_point[job] else f"a robot was there {_time(record, at_point[job])}"
-        if 0 <= k < looks and not known:
-            away = np.where(record.running[k], apart[k, :, job], np.inf)
-            if robot < 0 or away[robot] > away.min() + record.band_m:
-                known = f"robot {away.argmin()} was nearest of those under way"
+        fault = (
+            "" if k <= at_point[job] else f"a robot was there {_format_time(record, at_point[job])}"
+        )
+        if 0 <= k < looks and not fault:
+            distance_m = np.where(record.running[k], distances_m[k, :, job], np.inf)
+            if robot < 0 or distance_m[robot] > distance_m.min() + record.band_m:
+                fault = f"robot {distance_m.argmin()} was nearest of those under way"
         if k < 0 or (k == looks) != (robot < 0):
-            known = "no robot can have done it then"
-        if known:
-            faults.append(f"job {job}: stored by robot {robot} {_time(record, k)}: {known}")
-            by[job] = near[at_point[job], :, job].argmax() if at_point[job] < looks else -1
+            fault = "no robot can have done it then"
+        if fault:
+            faults.append(f"job {job}: stored by robot {robot} {_format_time(record, k)}: {fault}")
+            by[job] = is_near[at_point[job], :, job].argmax() if at_point[job] < looks else -1
             done[job] = at_point[job]
     return by, done

@@ -11,7 +11,7 @@ import numpy as np
 from angler_mjx.errors import ConfigError
 from angler_mjx.testing.referee.geometry import Floats
 
-SHIPPED = Path(__file__).parents[2] / "robot" / "vehicles" / "data"
+SHIPPED_FOLDER = Path(__file__).parents[2] / "robot" / "vehicles" / "data"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,34 +50,36 @@ class RefereeRobot:
     table: Mapping[str, Any]
     """Its thruster's file."""
 
-    def as_drawn(self, variant: Mapping[str, Any]) -> "RefereeRobot":
+    def with_variant(self, variant: Mapping[str, Any]) -> "RefereeRobot":
         """The same robot as a row of ``variants.json`` has it: hulls are never drawn."""
         alive = self.alive
         if variant["drawn"].get("thrust"):
             alive = alive & (np.asarray(variant["drawn"]["thrust"], float) > 0.0)
         return replace(
-            self, power_w=_at_voltage(self.table, float(variant["battery_v"])), alive=alive
+            self, power_w=_power_at_voltage(self.table, float(variant["battery_v"])), alive=alive
         )
 
     def power(self, pwm_us: Floats) -> Floats:
         """Power [...] W of signals [..., columns]; columns past the thrusters are padding."""
-        mine = pwm_us[..., : self.alive.size][..., self.alive]
-        drawn: Floats = np.interp(mine, self.pwm_us, self.power_w).sum(axis=-1)
-        return drawn
+        signals = pwm_us[..., : self.alive.size][..., self.alive]
+        total_w: Floats = np.interp(signals, self.pwm_us, self.power_w).sum(axis=-1)
+        return total_w
 
-    def power_about(self, pwm_us: Floats, half_us: float) -> tuple[Floats, Floats]:
+    def power_bounds(self, pwm_us: Floats, half_us: float) -> tuple[Floats, Floats]:
         """Least and greatest power [...] W of signals known to ``half_us`` to either side."""
-        mine = pwm_us[..., : self.alive.size][..., self.alive]
+        signals = pwm_us[..., : self.alive.size][..., self.alive]
         # The table is monotonous between its points; those inside the stretch count as well.
-        seen = [np.interp(mine + s, self.pwm_us, self.power_w) for s in (-half_us, 0.0, half_us)]
+        powers = [
+            np.interp(signals + s, self.pwm_us, self.power_w) for s in (-half_us, 0.0, half_us)
+        ]
         for knot, power in zip(self.pwm_us, self.power_w, strict=True):
-            seen.append(np.where(np.abs(mine - knot) <= half_us, power, seen[1]))
-        low: Floats = np.minimum.reduce(seen).sum(axis=-1)
-        high: Floats = np.maximum.reduce(seen).sum(axis=-1)
+            powers.append(np.where(np.abs(signals - knot) <= half_us, power, powers[1]))
+        low: Floats = np.minimum.reduce(powers).sum(axis=-1)
+        high: Floats = np.maximum.reduce(powers).sum(axis=-1)
         return low, high
 
 
-def read(entry: Mapping[str, Any], copies: Mapping[str, Path]) -> RefereeRobot:
+def read_robot(entry: Mapping[str, Any], copies: Mapping[str, Path]) -> RefereeRobot:
     """The robot of an entry of ``fleet`` in a run's config.
 
     Args:
@@ -87,57 +89,59 @@ def read(entry: Mapping[str, Any], copies: Mapping[str, Path]) -> RefereeRobot:
     Raises:
         ConfigError: a file is missing or holds no such numbers; says which.
     """
-    path = _place(str(entry["vehicle"]), copies)
-    file = _toml(path)
+    path = _find_file(str(entry["vehicle"]), copies)
+    file = _read_toml(path)
     try:
         model = str(file["rotor"]["model"])
-        table = _toml(path.parent / model if model.endswith(".toml") else _shipped(model))
+        table = _read_toml(
+            path.parent / model if model.endswith(".toml") else _shipped_thruster(model)
+        )
         centre = np.asarray(file["base"]["center_of_mass_m"], float)
         capsules = file["hull"]["capsules"]
         health = entry.get("thruster_health") or {}
-        names = [str(one["name"]) for one in file["thrusters"]["layout"]]
-        one_set = str(entry.get("parameter_set") or file["default_set"])
+        names = [str(item["name"]) for item in file["thrusters"]["layout"]]
+        parameter_set = str(entry.get("parameter_set") or file["default_set"])
         return RefereeRobot(
             names=(str(entry["vehicle"]), str(file["name"])),
-            parameter_sets=tuple(entry.get("parameter_mix") or ()) or (one_set,),
+            parameter_sets=tuple(entry.get("parameter_mix") or ()) or (parameter_set,),
             hull=RefereeHull(
-                a_m=np.array([one["from_m"] for one in capsules], float) - centre,
-                b_m=np.array([one["to_m"] for one in capsules], float) - centre,
-                r_m=np.array([one["radius_m"] for one in capsules], float),
+                a_m=np.array([item["from_m"] for item in capsules], float) - centre,
+                b_m=np.array([item["to_m"] for item in capsules], float) - centre,
+                r_m=np.array([item["radius_m"] for item in capsules], float),
             ),
             pwm_us=np.asarray(table["pwm_us"], float),
-            power_w=_at_voltage(table, float(entry["battery_v"])),
+            power_w=_power_at_voltage(table, float(entry["battery_v"])),
             alive=np.array([health.get(name, 1.0) > 0.0 for name in names]),
             table=table,
         )
     except (KeyError, TypeError, ValueError, IndexError) as error:
-        what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
-        raise ConfigError(f"{path}: the referee cannot use it: {what}") from error
+        message = f"{error} is missing" if isinstance(error, KeyError) else str(error)
+        raise ConfigError(f"{path}: the referee cannot use it: {message}") from error
 
 
-def _at_voltage(table: Mapping[str, Any], voltage_v: float) -> Floats:
+def _power_at_voltage(table: Mapping[str, Any], voltage_v: float) -> Floats:
     """Power [n] W at one voltage, on a straight line between the two columns beside it."""
     volts, power = np.asarray(table["voltage_v"], float), np.asarray(table["power_w"], float)
     if not volts[0] <= voltage_v <= volts[-1]:
         raise ValueError(f"battery_v = {voltage_v:g}: its thruster's table ends before")
     right = int(np.clip(np.searchsorted(volts, voltage_v), 1, volts.size - 1))
-    share = (voltage_v - volts[right - 1]) / (volts[right] - volts[right - 1])
-    between: Floats = (1.0 - share) * power[:, right - 1] + share * power[:, right]
+    fraction = (voltage_v - volts[right - 1]) / (volts[right] - volts[right - 1])
+    between: Floats = (1.0 - fraction) * power[:, right - 1] + fraction * power[:, right]
     return between
 
 
-def _place(name: str, copies: Mapping[str, Path]) -> Path:
+def _find_file(name: str, copies: Mapping[str, Path]) -> Path:
     """A vehicle's file: the run's copy, the path itself, or the shipped one."""
     if name in copies:
         return copies[name]
-    return Path(name) if name.endswith(".toml") else SHIPPED / f"{name}.toml"
+    return Path(name) if name.endswith(".toml") else SHIPPED_FOLDER / f"{name}.toml"
 
 
-def _shipped(thruster: str) -> Path:
-    return SHIPPED / "thrusters" / f"{thruster}.toml"
+def _shipped_thruster(thruster: str) -> Path:
+    return SHIPPED_FOLDER / "thrusters" / f"{thruster}.toml"
 
 
-def _toml(path: Path) -> dict[str, Any]:
+def _read_toml(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:

@@ -4,20 +4,20 @@ import os
 from typing import Any
 
 
-def describe() -> dict[str, Any]:
+def describe_host() -> dict[str, Any]:
     """Versions, machine and commit of this process, and what changes its rounding or its tests."""
     from angler_mjx.runs.provenance import describe_environment
 
-    found = describe_environment()
+    environment = describe_environment()
     machine = ("platform", "processor", "cpu_count", "backend", "device")
-    kept = ("versions", "python", "xla_flags", "commit", *machine)
+    keys = ("versions", "python", "xla_flags", "commit", *machine)
     return {
-        **{name: found[name] for name in kept},
+        **{name: environment[name] for name in keys},
         "ardusub": "ANGLER_ARDUSUB" in os.environ,
     }
 
 
-def said(about: dict[str, Any]) -> str:
+def format_provenance(about: dict[str, Any]) -> str:
     """One sentence: place, date and commit of what was measured."""
     where = about["device"] if about["backend"] != "cpu" else about.get("processor") or "CPU"
     cores = f", {about['cpu_count']} cores" if about["backend"] == "cpu" else ""

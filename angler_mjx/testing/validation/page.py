@@ -5,91 +5,94 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.testing.validation.host import said
+from angler_mjx.testing.validation.host import format_provenance
 from angler_mjx.testing.validation.results import (
     Deviation,
     MeasurementMetadata,
     TermResult,
     ValidationResult,
 )
-from angler_mjx.testing.validation.terms import Part, StoredTerm, StudyTerm, Term, Terms
+from angler_mjx.testing.validation.terms import PagePart, StoredTerm, StudyTerm, Term, Terms
 
-PAGE = Path("docs/validation.md")
-PARTS: tuple[Part, ...] = ("terms", "energy", "control", "engines", "clearance")
+PAGE_PATH = Path("docs/validation.md")
+TERM_PARTS: tuple[PagePart, ...] = ("terms", "energy", "control", "engines", "clearance")
 
 _NOT_YET = "*Not measured yet.*"
 
 
-def marks(name: str) -> tuple[str, str]:
+def part_markers(name: str) -> tuple[str, str]:
     """The lines before and after a computed part."""
     return f"<!-- validation:{name} begin -->", f"<!-- validation:{name} end -->"
 
 
-def replaced(text: str, name: str, body: str, source: str) -> str:
+def replace_part(text: str, name: str, body: str, source: str) -> str:
     """A text with another body between the marks of a part.
 
     Raises:
         ConfigError: the text has no such marks, or has them twice.
     """
-    begin, end = marks(name)
+    begin, end = part_markers(name)
     if text.count(begin) != 1 or text.count(end) != 1 or text.index(begin) > text.index(end):
         raise ConfigError(f"{source}: needs the lines {begin} and {end} once, in this order")
     head, tail = text.index(begin) + len(begin), text.index(end)
     return f"{text[:head]}\n{body}\n{text[tail:]}"
 
 
-def parts(
-    terms: Terms, found: ValidationResult, stored: Mapping[str, TermResult], speed: str
+def build_parts(
+    terms: Terms, result: ValidationResult, stored: Mapping[str, TermResult], speed: str
 ) -> dict[str, str]:
     """Body of each computed part, by name.
 
     Args:
         terms: what is validated.
-        found: what was found, now or earlier.
+        result: what was found, now or earlier.
         stored: results from elsewhere, by name.
         speed: the table of speeds.
     """
     bodies: dict[str, str] = {
-        part: table([term for term in terms.term if term.part == part], found) for part in PARTS
+        part: format_table([term for term in terms.term if term.part == part], result)
+        for part in TERM_PARTS
     }
     for study in terms.study:
-        bodies[study.name] = _result(found.studies.get(study.name), _command(study))
-    for one in terms.stored:
-        bodies[one.name] = _result(stored.get(one.name), _stored(one))
+        bodies[study.name] = _format_result(result.studies.get(study.name), _format_command(study))
+    for stored_term in terms.stored:
+        bodies[stored_term.name] = _format_result(
+            stored.get(stored_term.name), _format_stored_command(stored_term)
+        )
     bodies["speed"] = speed
     return bodies
 
 
-def rewritten(text: str, bodies: Mapping[str, str], source: str) -> str:
+def rewrite_page(text: str, bodies: Mapping[str, str], source: str) -> str:
     """The page with all its parts replaced.
 
     Raises:
         ConfigError: a part has no place on the page, or a place no part.
     """
-    places = set(re.findall(r"<!-- validation:(\S+) begin -->", text))
-    if nameless := places - set(bodies):
-        raise ConfigError(f"{source}: nothing is computed for {', '.join(sorted(nameless))}")
+    marked_names = set(re.findall(r"<!-- validation:(\S+) begin -->", text))
+    if unknown := marked_names - set(bodies):
+        raise ConfigError(f"{source}: nothing is computed for {', '.join(sorted(unknown))}")
     for name, body in bodies.items():
-        text = replaced(text, name, body, source)
+        text = replace_part(text, name, body, source)
     return text
 
 
-def table(rows: Sequence[Term], found: ValidationResult) -> str:
+def format_table(rows: Sequence[Term], result: ValidationResult) -> str:
     """Rows of one part: what, against what, how near it may and how near it came."""
     head = ["what", "compared with", "unit", "bound", "found", "reason of the bound", "test"]
     lines = [head, ["---", "---", "---", "---:", "---:", "---", "---"]]
-    newest = _newest(found.about[row.key] for row in rows if row.key in found.about)
+    newest = _find_newest(result.about[row.key] for row in rows if row.key in result.about)
     older = dict[str, str]()
     for row in rows:
-        one = found.tests.get(row.key)
-        mark = _mark(found.about.get(row.key), newest, older)
+        deviation = result.tests.get(row.key)
+        mark = _footnote_mark(result.about.get(row.key), newest, older)
         lines.append(
             [
                 row.what,
                 row.reference,
                 row.unit,
-                "-" if one is None else number(one.bound),
-                "-" if one is None else f"{_value(one)}{mark}",
+                "-" if deviation is None else format_number(deviation.bound),
+                "-" if deviation is None else f"{_format_value(deviation)}{mark}",
                 row.reason,
                 f"`{row.test.removeprefix('tests/')}`",
             ]
@@ -98,10 +101,10 @@ def table(rows: Sequence[Term], found: ValidationResult) -> str:
     if newest is None:
         return f"{body}\n\n{_NOT_YET}"
     notes = "".join(f"\n{mark} {text}." for text, mark in older.items())
-    return f"{body}\n\nMeasured {said(newest.model_dump())}.{notes}"
+    return f"{body}\n\nMeasured {format_provenance(newest.model_dump())}.{notes}"
 
 
-def number(value: float) -> str:
+def format_number(value: float) -> str:
     """Two digits; small ones as 1e-13, without the zero that Python puts into an exponent."""
     if value == 0 or 1e-3 <= abs(value) < 1e4:
         return f"{value:.2g}"
@@ -109,33 +112,33 @@ def number(value: float) -> str:
     return f"{mantissa.removesuffix('.0')}e{int(exponent)}"
 
 
-def _value(one: Deviation) -> str:
-    return one.value if isinstance(one.value, str) else number(one.value)
+def _format_value(deviation: Deviation) -> str:
+    return deviation.value if isinstance(deviation.value, str) else format_number(deviation.value)
 
 
-def _newest(abouts: Iterable[MeasurementMetadata]) -> MeasurementMetadata | None:
+def _find_newest(abouts: Iterable[MeasurementMetadata]) -> MeasurementMetadata | None:
     return max(abouts, key=lambda about: about.at_utc, default=None)
 
 
-def _mark(
+def _footnote_mark(
     about: MeasurementMetadata | None, newest: MeasurementMetadata | None, older: dict[str, str]
 ) -> str:
     """A number of a note where a row was measured earlier than the others."""
     if about is None or newest is None or about == newest:
         return ""
-    text = said(about.model_dump())
+    text = format_provenance(about.model_dump())
     return " " + older.setdefault(text, f"({len(older) + 1})")
 
 
-def _result(result: TermResult | None, command: str) -> str:
+def _format_result(result: TermResult | None, command: str) -> str:
     if result is None:
         return f"{_NOT_YET} {command}"
-    return f"{result.text}\n\n{command} Measured {said(result.about.model_dump())}."
+    return f"{result.text}\n\n{command} Measured {format_provenance(result.about.model_dump())}."
 
 
-def _command(study: StudyTerm) -> str:
+def _format_command(study: StudyTerm) -> str:
     return f"`python -m {' '.join([study.module, *study.arguments])}`."
 
 
-def _stored(one: StoredTerm) -> str:
-    return f"`{one.command}`."
+def _format_stored_command(stored_term: StoredTerm) -> str:
+    return f"`{stored_term.command}`."

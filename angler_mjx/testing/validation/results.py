@@ -8,9 +8,9 @@ from typing import Any
 from pydantic import Field
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.files import FileModel, parse
-from angler_mjx.runs.storage.atomic import replacing
-from angler_mjx.testing.validation.host import describe
+from angler_mjx.files import FileModel, parse_model
+from angler_mjx.runs.storage.atomic_files import replace_file
+from angler_mjx.testing.validation.host import describe_host
 
 
 class MeasurementMetadata(FileModel):
@@ -40,14 +40,14 @@ class Deviation(FileModel):
     tests: tuple[str, ...]
 
 
-class Measured(FileModel):
+class MeasuredDeviations(FileModel):
     """A file that ``pytest --deviations`` wrote."""
 
     about: MeasurementMetadata
     deviations: tuple[Deviation, ...]
 
 
-class Number(FileModel):
+class StudyNumber(FileModel):
     """One number of a study."""
 
     value: float
@@ -60,7 +60,7 @@ class TermResult(FileModel):
     """What a study wrote: numbers that are compared, and the text that stands on the page."""
 
     about: MeasurementMetadata
-    numbers: dict[str, Number]
+    numbers: dict[str, StudyNumber]
     text: str
 
 
@@ -87,7 +87,7 @@ class ValidationResult(FileModel):
     studies: dict[str, TermResult] = Field(default_factory=dict)
 
 
-def read[M: FileModel](model: type[M], path: Path) -> M:
+def read_model[M: FileModel](model: type[M], path: Path) -> M:
     """Read a JSON file.
 
     Raises:
@@ -99,23 +99,23 @@ def read[M: FileModel](model: type[M], path: Path) -> M:
         raise ConfigError(f"{path}: cannot be read ({error})") from error
     if not isinstance(data, dict):
         raise ConfigError(f"{path}: holds no object")
-    return parse(model, data, source=str(path))
+    return parse_model(model, data, source=str(path))
 
 
-def read_or_empty[M: FileModel](model: type[M], path: Path) -> M:
-    """As `read`; an empty one where there is no file yet."""
-    return read(model, path) if path.exists() else model()
+def read_model_or_empty[M: FileModel](model: type[M], path: Path) -> M:
+    """As `read_model`; an empty one where there is no file yet."""
+    return read_model(model, path) if path.exists() else model()
 
 
-def write(path: Path, data: dict[str, Any]) -> None:
+def write_json(path: Path, data: dict[str, Any]) -> None:
     """Write a JSON file whole or not at all."""
     text = json.dumps(data, indent=1, allow_nan=False, ensure_ascii=False, sort_keys=True)
-    with replacing(path, flag="--out", force=True) as writing:
+    with replace_file(path, flag="--out", force=True) as writing:
         writing.write_text(text + "\n", encoding="utf-8")
 
 
-def merged(
-    old: ValidationResult, measured: Measured | None, results: dict[str, TermResult]
+def merge_results(
+    old: ValidationResult, measured: MeasuredDeviations | None, results: dict[str, TermResult]
 ) -> ValidationResult:
     """What was found before with what was found now in its place."""
     deviations = measured.deviations if measured else ()
@@ -127,7 +127,7 @@ def merged(
     )
 
 
-def save_result(path: Path, numbers: dict[str, Number], text: str) -> None:
+def save_result(path: Path, numbers: dict[str, StudyNumber], text: str) -> None:
     """Write what a study found, with where and when.
 
     Args:
@@ -135,6 +135,6 @@ def save_result(path: Path, numbers: dict[str, Number], text: str) -> None:
         numbers: what is compared with what was expected, by key.
         text: Markdown that stands on the page.
     """
-    about = {**describe(), "at_utc": datetime.now(UTC).isoformat(timespec="seconds")}
-    held = {key: number.model_dump() for key, number in numbers.items()}
-    write(path, {"about": about, "numbers": held, "text": text})
+    about = {**describe_host(), "at_utc": datetime.now(UTC).isoformat(timespec="seconds")}
+    numbers_by_key = {key: number.model_dump() for key, number in numbers.items()}
+    write_json(path, {"about": about, "numbers": numbers_by_key, "text": text})

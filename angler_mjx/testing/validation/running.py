@@ -11,7 +11,7 @@ from pathlib import Path
 
 from angler_mjx.errors import RunError
 from angler_mjx.testing.validation import results
-from angler_mjx.testing.validation.results import Measured, TermResult
+from angler_mjx.testing.validation.results import MeasuredDeviations, TermResult
 from angler_mjx.testing.validation.terms import StudyTerm
 
 TEST_XLA_FLAGS = (
@@ -20,19 +20,21 @@ TEST_XLA_FLAGS = (
 )
 """Those of ``make test``: most of the tests' time is XLA's."""
 
-EVERY_S = 20.0
+REPORT_PERIOD_S = 20.0
 """Between two lines that say that something goes on."""
 
-type Say = Callable[[str], None]
+type Report = Callable[[str], None]
 
 
-def run_tests(root: Path, tests: Sequence[str], say: Say) -> tuple[Measured, list[str]]:
+def run_tests(
+    root: Path, tests: Sequence[str], report: Report
+) -> tuple[MeasuredDeviations, list[str]]:
     """Run the named tests and read what they measured.
 
     Args:
         root: of the checkout.
         tests: as pytest takes them.
-        say: takes a line of progress.
+        report: takes a line of progress.
 
     Returns:
         What was measured, and the tests that failed.
@@ -41,56 +43,58 @@ def run_tests(root: Path, tests: Sequence[str], say: Say) -> tuple[Measured, lis
         RunError: pytest could not run them.
     """
     files = len({test.partition("::")[0] for test in tests})
-    say(f"tests: {len(tests)} of {files} files")
+    report(f"tests: {len(tests)} of {files} files")
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "deviations.json"
         command = [sys.executable, "-m", "pytest", "-q", "-rfE", "--no-header", "--tb=short"]
         command += ["--deviations", str(out), "-m", "nightly or not nightly"]
-        command += [*_spread(), *tests]
-        said, code = _run(command, root, {"XLA_FLAGS": TEST_XLA_FLAGS}, say, "tests")
+        command += [*_parallel_options(), *tests]
+        output, code = _run_process(command, root, {"XLA_FLAGS": TEST_XLA_FLAGS}, report, "tests")
         if code not in (0, 1) or not out.is_file():
-            raise RunError(f"pytest ended with {code}; its last words:\n{_tail(said)}")
-        failed = [line.split(" - ")[0] for line in said if line.startswith(("FAILED ", "ERROR "))]
-        return results.read(Measured, out), failed
+            raise RunError(f"pytest ended with {code}; its last words:\n{_last_lines(output)}")
+        failed = [line.split(" - ")[0] for line in output if line.startswith(("FAILED ", "ERROR "))]
+        return results.read_model(MeasuredDeviations, out), failed
 
 
-def run_study(root: Path, study: StudyTerm, arguments: Sequence[str], say: Say) -> TermResult:
+def run_study(root: Path, study: StudyTerm, arguments: Sequence[str], report: Report) -> TermResult:
     """Run a program and read its result.
 
     Raises:
         RunError: it failed.
     """
-    say(f"{study.name}: python -m {' '.join([study.module, *arguments])}")
+    report(f"{study.name}: python -m {' '.join([study.module, *arguments])}")
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "result.json"
         command = [sys.executable, "-m", study.module, *arguments, "--json", str(out)]
-        said, code = _run(command, root, {}, say, study.name)
+        output, code = _run_process(command, root, {}, report, study.name)
         if code != 0 or not out.is_file():
-            raise RunError(f"{study.module} ended with {code}; its last words:\n{_tail(said)}")
-        return results.read(TermResult, out)
+            raise RunError(
+                f"{study.module} ended with {code}; its last words:\n{_last_lines(output)}"
+            )
+        return results.read_model(TermResult, out)
 
 
-def _spread() -> list[str]:
+def _parallel_options() -> list[str]:
     """Two processes where there are two cores."""
     return ["-n", "2", "--dist", "loadfile"] if (os.cpu_count() or 1) > 1 else []
 
 
-def _run(
-    command: Sequence[str], root: Path, defaults: dict[str, str], say: Say, name: str
+def _run_process(
+    command: Sequence[str], root: Path, defaults: dict[str, str], report: Report, name: str
 ) -> tuple[list[str], int]:
-    """Lines and exit status of a process; says every ``EVERY_S`` that it goes on.
+    """Lines and exit status of a process; says every ``REPORT_PERIOD_S`` that it goes on.
 
     Also where the process is silent: a study compiles for minutes before its first line.
     """
     # Without a terminal pytest-xdist prints in blocks; what it printed last is read at the end.
     environment = {**defaults, **os.environ, "PYTHONUNBUFFERED": "1"}
-    begun, done = time.monotonic(), threading.Event()
+    start_s, done = time.monotonic(), threading.Event()
     lines = list[str]()
 
-    def tell() -> None:
-        while not done.wait(EVERY_S):
-            said = f", {lines[-1][-60:]}" if lines else ""
-            say(f"{name}: {time.monotonic() - begun:.0f} s{said}")
+    def report_progress() -> None:
+        while not done.wait(REPORT_PERIOD_S):
+            last_line = f", {lines[-1][-60:]}" if lines else ""
+            report(f"{name}: {time.monotonic() - start_s:.0f} s{last_line}")
 
     with subprocess.Popen(
         command,
@@ -102,16 +106,16 @@ def _run(
         stderr=subprocess.STDOUT,
     ) as process:
         assert process.stdout is not None
-        teller = threading.Thread(target=tell, daemon=True)
-        teller.start()
+        reporter = threading.Thread(target=report_progress, daemon=True)
+        reporter.start()
         try:
             lines.extend(line.rstrip("\n") for line in process.stdout)
         finally:
             done.set()
-            teller.join()
-    say(f"{name}: done after {time.monotonic() - begun:.0f} s")
+            reporter.join()
+    report(f"{name}: done after {time.monotonic() - start_s:.0f} s")
     return lines, process.returncode
 
 
-def _tail(lines: Sequence[str]) -> str:
+def _last_lines(lines: Sequence[str]) -> str:
     return "\n".join(lines[-15:])

@@ -5,19 +5,19 @@ from pathlib import Path
 from typing import Any
 
 from angler_mjx.studies.speed import rows as speed
-from angler_mjx.studies.speed.chart import device_name, short
-from angler_mjx.studies.speed.compare import latest
+from angler_mjx.studies.speed.chart import device_name, format_rate
+from angler_mjx.studies.speed.compare import select_latest
 
-RESULTS = Path("benchmarks/results.jsonl")
+RESULTS_PATH = Path("benchmarks/results.jsonl")
 SCENARIO = "reef_fleet"
 
 
-def traceable(row: dict[str, Any]) -> bool:
+def is_traceable(row: dict[str, Any]) -> bool:
     """Whether a row says which commit was measured, and nothing in it had been changed."""
     return bool(row["commit"]) and not str(row["commit"]).endswith("-changed")
 
 
-def table(results: Path) -> str:
+def build_speed_table(results: Path) -> str:
     """Simulation and preparation of the demo's scenario by device and size.
 
     Args:
@@ -26,8 +26,8 @@ def table(results: Path) -> str:
     Raises:
         ConfigError: the file cannot be read.
     """
-    rows = latest([row for row in speed.read(results) if traceable(row)])
-    of: dict[tuple[str, int, int], dict[str, dict[str, Any]]] = defaultdict(dict)
+    rows = select_latest([row for row in speed.read_rows(results) if is_traceable(row)])
+    rows_by_setup: dict[tuple[str, int, int], dict[str, dict[str, Any]]] = defaultdict(dict)
     for row in rows:
         if row["workload"] == SCENARIO:
             name = str(row["engine"])
@@ -35,19 +35,21 @@ def table(results: Path) -> str:
             name = "preparation"
         else:
             continue
-        of[device_name(row), row["worlds"], row["robots"]][name] = row
+        rows_by_setup[device_name(row), row["worlds"], row["robots"]][name] = row
     head = (
         "| device | worlds x robots | mjx, vehicle-steps/s | fused, vehicle-steps/s "
         "| drawing and planning, worlds/s |\n| --- | ---: | ---: | ---: | ---: |"
     )
     lines = [
         f"| {device} | {worlds:,} x {robots} | "
-        + " | ".join(_cell(held.get(name)) for name in ("mjx", "fused", "preparation"))
+        + " | ".join(
+            _format_cell(rows_by_engine.get(name)) for name in ("mjx", "fused", "preparation")
+        )
         + " |"
-        for (device, worlds, robots), held in sorted(of.items())
+        for (device, worlds, robots), rows_by_engine in sorted(rows_by_setup.items())
     ]
     return "\n".join([head, *lines])
 
 
-def _cell(row: dict[str, Any] | None) -> str:
-    return "-" if row is None else f"{short(row['median'])} ({row['commit'][:7]})"
+def _format_cell(row: dict[str, Any] | None) -> str:
+    return "-" if row is None else f"{format_rate(row['median'])} ({row['commit'][:7]})"

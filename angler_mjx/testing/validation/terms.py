@@ -7,15 +7,15 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.files import FileModel, parse, read_toml
+from angler_mjx.files import FileModel, parse_model, read_toml
 
 FOLDER = Path("docs/validation")
-TERMS, EXPECTED, FOUND = "terms.toml", "expected.json", "validation.json"
+TERMS_FILE, EXPECTED_FILE, RESULTS_FILE = "terms.toml", "expected.json", "validation.json"
 
-type Part = Literal["terms", "energy", "control", "engines", "clearance"]
+type PagePart = Literal["terms", "energy", "control", "engines", "clearance"]
 
 
-class Worse(FileModel):
+class RegressionTolerance(FileModel):
     """How much more than expected a number of one kind may be before it got worse."""
 
     factor: float = Field(ge=1.0)
@@ -25,21 +25,21 @@ class Worse(FileModel):
     """Share of the bound below which nothing is news."""
     reason: str
 
-    def allowed(self, expected: float, bound: float | None) -> float:
+    def max_allowed(self, expected: float, bound: float | None) -> float:
         """Greatest number that is not worse; never more than the bound."""
-        most = self.factor * abs(expected)
+        limit = self.factor * abs(expected)
         if self.roots:
-            most += self.roots * math.sqrt(abs(expected) + 1.0)
+            limit += self.roots * math.sqrt(abs(expected) + 1.0)
         if bound is None:
-            return most
-        return min(max(most, self.floor * bound), bound)
+            return limit
+        return min(max(limit, self.floor * bound), bound)
 
 
 class Term(FileModel):
     """One row: what a test measures, and against which independent implementation."""
 
     key: str
-    part: Part
+    part: PagePart
     """Table of the page."""
     what: str
     reference: str
@@ -75,17 +75,17 @@ class StoredTerm(FileModel):
 class Terms(FileModel):
     """The whole file."""
 
-    worse: dict[str, Worse]
+    worse: dict[str, RegressionTolerance]
     term: tuple[Term, ...]
     study: tuple[StudyTerm, ...] = ()
     stored: tuple[StoredTerm, ...] = ()
 
     @model_validator(mode="after")
-    def _hangs_together(self) -> Self:
+    def _check_consistent(self) -> Self:
         keys = [term.key for term in self.term]
-        double = {key for key in keys if keys.count(key) > 1}
-        if double:
-            raise ValueError(f"key {', '.join(sorted(double))}: given twice")
+        duplicates = {key for key in keys if keys.count(key) > 1}
+        if duplicates:
+            raise ValueError(f"key {', '.join(sorted(duplicates))}: given twice")
         unknown = {term.worse for term in self.term} - set(self.worse)
         if unknown:
             raise ValueError(f"worse = {', '.join(sorted(unknown))}: no [worse.NAME] of that name")
@@ -96,18 +96,18 @@ class Terms(FileModel):
 
     def tests(self, *, quick: bool) -> list[str]:
         """What pytest is given, each once."""
-        wanted = [term.test for term in self.term if term.quick or not quick]
-        return list(dict.fromkeys(wanted))
+        selected = [term.test for term in self.term if term.quick or not quick]
+        return list(dict.fromkeys(selected))
 
 
-def checkout() -> Path:
+def find_checkout() -> Path:
     """Root of the checkout that runs.
 
     Raises:
         ConfigError: this is an installed package: the tests, which are the measures, are not in it.
     """
     root = Path(__file__).resolve().parents[3]
-    if not ((root / FOLDER / TERMS).is_file() and (root / "tests").is_dir()):
+    if not ((root / FOLDER / TERMS_FILE).is_file() and (root / "tests").is_dir()):
         raise ConfigError(
             "angler validate: needs a checkout, because the tests are what measures; clone the "
             "repository, run `make venv` there and then .venv/bin/angler validate"
@@ -115,11 +115,11 @@ def checkout() -> Path:
     return root
 
 
-def read(root: Path) -> Terms:
+def read_terms(root: Path) -> Terms:
     """The terms of a checkout.
 
     Raises:
         ConfigError: the file has faults.
     """
-    path = root / FOLDER / TERMS
-    return parse(Terms, read_toml(path), source=str(path))
+    path = root / FOLDER / TERMS_FILE
+    return parse_model(Terms, read_toml(path), source=str(path))

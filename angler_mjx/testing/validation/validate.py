@@ -7,21 +7,21 @@ from pathlib import Path
 from typing import Any
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.runs.storage.atomic import replacing
+from angler_mjx.runs.storage.atomic_files import replace_file
 from angler_mjx.testing.validation import page, results, running, speeds
 from angler_mjx.testing.validation import terms as all_terms
-from angler_mjx.testing.validation.judging import ValidationFault, faults
+from angler_mjx.testing.validation.judging import ValidationFault, find_faults
 from angler_mjx.testing.validation.results import (
     Expectation,
     Expected,
-    Measured,
+    MeasuredDeviations,
     TermResult,
     ValidationResult,
 )
-from angler_mjx.testing.validation.running import Say
-from angler_mjx.testing.validation.terms import EXPECTED, FOLDER, FOUND, Terms
+from angler_mjx.testing.validation.running import Report
+from angler_mjx.testing.validation.terms import EXPECTED_FILE, FOLDER, RESULTS_FILE, Terms
 
-AT_ONCE = 2
+MAX_STUDIES = 2
 """Studies beside the tests."""
 
 
@@ -50,7 +50,7 @@ class Checkout:
     root: Path
     terms: Terms
     expected: Expected
-    found: ValidationResult
+    result: ValidationResult
     stored: Mapping[str, TermResult]
 
     @property
@@ -59,30 +59,32 @@ class Checkout:
         return self.root / FOLDER
 
 
-def opened(root: Path) -> Checkout:
+def open_checkout(root: Path) -> Checkout:
     """Read everything that is compared with.
 
     Raises:
         ConfigError: a file has faults.
     """
-    terms, folder = all_terms.read(root), root / FOLDER
-    files = {one.name: folder / f"{one.name}.json" for one in terms.stored}
+    terms, folder = all_terms.read_terms(root), root / FOLDER
+    files = {stored_term.name: folder / f"{stored_term.name}.json" for stored_term in terms.stored}
     return Checkout(
         root=root,
         terms=terms,
-        expected=results.read_or_empty(Expected, folder / EXPECTED),
-        found=results.read_or_empty(ValidationResult, folder / FOUND),
-        stored={n: results.read(TermResult, path) for n, path in files.items() if path.exists()},
+        expected=results.read_model_or_empty(Expected, folder / EXPECTED_FILE),
+        result=results.read_model_or_empty(ValidationResult, folder / RESULTS_FILE),
+        stored={
+            n: results.read_model(TermResult, path) for n, path in files.items() if path.exists()
+        },
     )
 
 
-def validate(request: ValidationRequest, root: Path, say: Say) -> list[ValidationFault]:
+def run_validation(request: ValidationRequest, root: Path, report: Report) -> list[ValidationFault]:
     """Measure, compare, write.
 
     Args:
         request: what is asked for.
         root: of the checkout.
-        say: takes a line of progress.
+        report: takes a line of progress.
 
     Returns:
         What is not as it should be; empty if all is well.
@@ -91,27 +93,27 @@ def validate(request: ValidationRequest, root: Path, say: Say) -> list[Validatio
         ConfigError: files or the request have faults.
         RunError: a test or study could not be run.
     """
-    _sensible(request)
-    here = opened(root)
-    measured, by_study, failed = _measure(request, here, say)
-    wanted = _wanted(request, here.terms) if measured else set()
-    expected = here.expected
+    _check_request(request)
+    checkout = open_checkout(root)
+    measured, by_study, failed = _run_measurements(request, checkout, report)
+    required = _required_keys(request, checkout.terms) if measured else set()
+    expected = checkout.expected
     if request.store:
-        expected = _with(expected, measured, by_study)
-    bad = [ValidationFault(key=test, said="failed") for test in failed]
-    bad += faults(here.terms, expected, measured, by_study, wanted)
-    whole = {} if request.quick else by_study
-    after = results.merged(here.found, measured, whole)
+        expected = _update_expected(expected, measured, by_study)
+    all_faults = [ValidationFault(key=test, message="failed") for test in failed]
+    all_faults += find_faults(checkout.terms, expected, measured, by_study, required)
+    study_results = {} if request.quick else by_study
+    merged = results.merge_results(checkout.result, measured, study_results)
     if request.check:
-        return bad + _stale_page(here)
-    _write(request, here, after)
+        return all_faults + _check_page(checkout)
+    _write_results(request, checkout, merged)
     if request.store:
-        results.write(here.folder / EXPECTED, expected.model_dump())
-        say(f"{here.folder / EXPECTED}")
-    return bad
+        results.write_json(checkout.folder / EXPECTED_FILE, expected.model_dump())
+        report(f"{checkout.folder / EXPECTED_FILE}")
+    return all_faults
 
 
-def _wanted(request: ValidationRequest, terms: Terms) -> set[str]:
+def _required_keys(request: ValidationRequest, terms: Terms) -> set[str]:
     """Keys of terms that must have been measured; tests run by others may be those of a day."""
     return {
         term.key
@@ -120,40 +122,42 @@ def _wanted(request: ValidationRequest, terms: Terms) -> set[str]:
     }
 
 
-def _sensible(request: ValidationRequest) -> None:
+def _check_request(request: ValidationRequest) -> None:
     if request.check and (request.store or request.out or request.page_only):
         raise ConfigError("--check: writes nothing; leave out --store, --out and --page")
     if request.page_only and (request.measured or request.quick or request.store):
         raise ConfigError("--page: measures nothing; leave out --from, --quick and --store")
 
 
-def _measure(
-    request: ValidationRequest, here: Checkout, say: Say
-) -> tuple[Measured | None, dict[str, TermResult], list[str]]:
+def _run_measurements(
+    request: ValidationRequest, checkout: Checkout, report: Report
+) -> tuple[MeasuredDeviations | None, dict[str, TermResult], list[str]]:
     """What tests and studies found, and which tests failed."""
     if request.page_only:
         return None, {}, []
     if request.measured is not None:
-        return results.read(Measured, request.measured), {}, []
-    tests = here.terms.tests(quick=request.quick)
-    say(_plan(request, here, len(tests)))
+        return results.read_model(MeasuredDeviations, request.measured), {}, []
+    tests = checkout.terms.tests(quick=request.quick)
+    report(_describe_plan(request, checkout, len(tests)))
     # Side by side: each compiles on one core for most of its time, and nothing here is a timing.
-    with ThreadPoolExecutor(AT_ONCE) as pool:
-        begun = dict[str, Future[TermResult]]()
-        for study in here.terms.study:
+    with ThreadPoolExecutor(MAX_STUDIES) as pool:
+        futures = dict[str, Future[TermResult]]()
+        for study in checkout.terms.study:
             arguments = study.quick if request.quick else study.arguments
             if arguments is not None:
-                begun[study.name] = pool.submit(running.run_study, here.root, study, arguments, say)
-        measured, failed = running.run_tests(here.root, tests, say)
-        by_study = {name: study.result() for name, study in begun.items()}
+                futures[study.name] = pool.submit(
+                    running.run_study, checkout.root, study, arguments, report
+                )
+        measured, failed = running.run_tests(checkout.root, tests, report)
+        by_study = {name: study.result() for name, study in futures.items()}
     return measured, by_study, failed
 
 
-def _plan(request: ValidationRequest, here: Checkout, tests: int) -> str:
+def _describe_plan(request: ValidationRequest, checkout: Checkout, tests: int) -> str:
     """What a person waits for, before it begins."""
     studies = [
         study.name
-        for study in here.terms.study
+        for study in checkout.terms.study
         if (study.quick if request.quick else study.arguments) is not None
     ]
     named = f" and {len(studies)} studies ({', '.join(studies)})" if studies else ""
@@ -165,17 +169,17 @@ def _plan(request: ValidationRequest, here: Checkout, tests: int) -> str:
     )
 
 
-def _with(
-    expected: Expected, measured: Measured | None, results: dict[str, TermResult]
+def _update_expected(
+    expected: Expected, measured: MeasuredDeviations | None, results: dict[str, TermResult]
 ) -> Expected:
     """Expectations with what was found now in their place."""
     numbers = dict(expected.numbers)
     if measured is not None:
         about = measured.about
-        for one in measured.deviations:
-            if not isinstance(one.value, str) and one.value <= one.bound:
-                numbers[one.key] = Expectation(
-                    value=one.value, at_utc=about.at_utc, commit=about.commit
+        for deviation in measured.deviations:
+            if not isinstance(deviation.value, str) and deviation.value <= deviation.bound:
+                numbers[deviation.key] = Expectation(
+                    value=deviation.value, at_utc=about.at_utc, commit=about.commit
                 )
     for name, result in results.items():
         for key, number in result.numbers.items():
@@ -185,42 +189,46 @@ def _with(
     return Expected(numbers=numbers)
 
 
-def _page(here: Checkout, held: ValidationResult) -> tuple[str, str]:
+def _build_page(checkout: Checkout, result: ValidationResult) -> tuple[str, str]:
     """The page as it is, and as it should be."""
-    path = here.root / page.PAGE
+    path = checkout.root / page.PAGE_PATH
     try:
         text = path.read_text(encoding="utf-8")
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror or error})") from error
-    table = speeds.table(here.root / speeds.RESULTS)
-    bodies = page.parts(here.terms, held, here.stored, table)
-    return text, page.rewritten(text, bodies, str(path))
+    table = speeds.build_speed_table(checkout.root / speeds.RESULTS_PATH)
+    bodies = page.build_parts(checkout.terms, result, checkout.stored, table)
+    return text, page.rewrite_page(text, bodies, str(path))
 
 
-def _stale_page(here: Checkout) -> list[ValidationFault]:
-    text, right = _page(here, here.found)
-    if text == right:
+def _check_page(checkout: Checkout) -> list[ValidationFault]:
+    text, expected = _build_page(checkout, checkout.result)
+    if text == expected:
         return []
-    said = "is not what terms, results and rows give; write it again with angler validate --page"
-    return [ValidationFault(key=str(page.PAGE), said=said)]
+    message = "is not what terms, results and rows give; write it again with angler validate --page"
+    return [ValidationFault(key=str(page.PAGE_PATH), message=message)]
 
 
-def _write(request: ValidationRequest, here: Checkout, after: ValidationResult) -> None:
-    _, text = _page(here, after)
+def _write_results(
+    request: ValidationRequest, checkout: Checkout, merged: ValidationResult
+) -> None:
+    _, text = _build_page(checkout, merged)
     folder = request.out
-    place = here.root / page.PAGE if folder is None else folder / page.PAGE.name
-    with replacing(place, flag="--out", force=True) as writing:
+    page_path = checkout.root / page.PAGE_PATH if folder is None else folder / page.PAGE_PATH.name
+    with replace_file(page_path, flag="--out", force=True) as writing:
         writing.write_text(text, encoding="utf-8")
-    results.write((folder or here.folder) / FOUND, _joined(here, after))
+    results.write_json(
+        (folder or checkout.folder) / RESULTS_FILE, _current_results(checkout, merged)
+    )
 
 
-def _joined(here: Checkout, after: ValidationResult) -> dict[str, Any]:
+def _current_results(checkout: Checkout, merged: ValidationResult) -> dict[str, Any]:
     """What is kept: what was found, without terms that are no more."""
-    keys = {term.key for term in here.terms.term}
-    names = {study.name for study in here.terms.study}
+    keys = {term.key for term in checkout.terms.term}
+    names = {study.name for study in checkout.terms.study}
     kept = ValidationResult(
-        tests={k: v for k, v in after.tests.items() if k in keys},
-        about={k: v for k, v in after.about.items() if k in keys},
-        studies={k: v for k, v in after.studies.items() if k in names},
+        tests={k: v for k, v in merged.tests.items() if k in keys},
+        about={k: v for k, v in merged.about.items() if k in keys},
+        studies={k: v for k, v in merged.studies.items() if k in names},
     )
     return kept.model_dump()

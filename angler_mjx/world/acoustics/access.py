@@ -50,7 +50,7 @@ class Aloha:
 type Access = Tdma | Aloha
 
 
-def tdma(packet_s: float, longest_s: float, dt_s: float) -> Tdma:
+def build_tdma(packet_s: float, longest_s: float, dt_s: float) -> Tdma:
     """Slots of a packet and the longest way of sound, rounded up.
 
     Args:
@@ -58,11 +58,11 @@ def tdma(packet_s: float, longest_s: float, dt_s: float) -> Tdma:
         longest_s: time that sound takes across the region.
         dt_s: control period.
     """
-    return Tdma(slot=_steps(packet_s + longest_s, dt_s))
+    return Tdma(slot=_whole_steps(packet_s + longest_s, dt_s))
 
 
-def slotted_aloha(packet_s: float, longest_s: float, dt_s: float, interval_s: float) -> Aloha:
-    """Slots as in `tdma`, open to all.
+def build_slotted_aloha(packet_s: float, longest_s: float, dt_s: float, interval_s: float) -> Aloha:
+    """Slots as in `build_tdma`, open to all.
 
     Args:
         packet_s: duration of a packet.
@@ -70,8 +70,8 @@ def slotted_aloha(packet_s: float, longest_s: float, dt_s: float, interval_s: fl
         dt_s: control period.
         interval_s: mean time between packets of one robot.
     """
-    look = _look(packet_s, dt_s)
-    slot = look * math.ceil(_steps(packet_s + longest_s, dt_s) / look)
+    look = _look_steps(packet_s, dt_s)
+    slot = look * math.ceil(_whole_steps(packet_s + longest_s, dt_s) / look)
     return Aloha(
         chance=slot,
         probability=slot * dt_s / interval_s,
@@ -81,15 +81,15 @@ def slotted_aloha(packet_s: float, longest_s: float, dt_s: float, interval_s: fl
     )
 
 
-def pure_aloha(packet_s: float, longest_s: float, dt_s: float, interval_s: float) -> Aloha:
-    """Packets that begin at any time; arguments as in `slotted_aloha`.
+def build_pure_aloha(packet_s: float, longest_s: float, dt_s: float, interval_s: float) -> Aloha:
+    """Packets that begin at any time; arguments as in `build_slotted_aloha`.
 
     Chances come a quarter of a packet apart, or in every control step if that is longer: with each
     a robot is drawn to begin or not, and when before the next.
     """
-    look = _look(packet_s, dt_s)
+    look = _look_steps(packet_s, dt_s)
     chance_s = look * dt_s
-    rests = _steps(packet_s + longest_s, chance_s) + 1
+    rests = _whole_steps(packet_s + longest_s, chance_s) + 1
     # Mean time between packets: so many chances at rest, then a geometric number of them.
     free = interval_s / chance_s - rests + 1
     return Aloha(
@@ -101,10 +101,10 @@ def pure_aloha(packet_s: float, longest_s: float, dt_s: float, interval_s: float
     )
 
 
-def _look(packet_s: float, dt_s: float) -> int:
+def _look_steps(packet_s: float, dt_s: float) -> int:
     return max(1, math.floor(0.25 * packet_s / dt_s))
 
 
-def _steps(time_s: float, dt_s: float) -> int:
+def _whole_steps(time_s: float, dt_s: float) -> int:
     """Least whole number of periods that is longer, by a thousandth of one for rounding."""
     return math.floor(time_s / dt_s + 1e-3) + 1

@@ -9,16 +9,17 @@ what they understood, in control steps.
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
 
+from angler_mjx._moved import renamed_attribute
 from angler_mjx.periods import every_n_steps
-from angler_mjx.sampling import children
+from angler_mjx.sampling import fold_keys
 from angler_mjx.world.acoustics.access import Access, Aloha, Tdma
-from angler_mjx.world.acoustics.link import Budget, Link
-from angler_mjx.world.acoustics.shadow import Rock
+from angler_mjx.world.acoustics.link import Link, LinkBudget
+from angler_mjx.world.acoustics.shadow import RockLoss
 from angler_mjx.world.grid import Grid
 
 NEVER_S = -1e6
@@ -33,7 +34,7 @@ class Channel:
 
     access: Access
     link: Link
-    rock: Rock | None
+    rock: RockLoss | None
     """None: sound goes through it as through water."""
     sound_mps: float
     packet_s: float
@@ -55,7 +56,7 @@ class Packet:
     """[R, 3] its velocity over ground as it believed it, in W."""
     time_s: Any
     """[R] when that was."""
-    words: Any = None
+    payload: Any = None
     """What else it said: of any shape, [R] leading."""
 
 
@@ -74,12 +75,18 @@ class HeardRobots:
     """[R, R, 3] its velocity over ground as it believed it, in W."""
     time_s: jax.Array
     """[R, R] since the start, when that was."""
-    known: jax.Array
+    is_heard: jax.Array
     """bool [R, R] whether it was heard at all."""
-    words: Any = None
+    payload: Any = None
     """What else the sender said, [R, R] leading."""
 
-    def place_m(self, time_s: jax.Array) -> jax.Array:
+    if not TYPE_CHECKING:  # a checker would take every attribute for one
+
+        def __getattr__(self, name: str) -> Any:
+            """Return a field by its name before 0.2, with a DeprecationWarning."""
+            return renamed_attribute(self, name, {"words": "payload"})
+
+    def extrapolate_m(self, time_s: jax.Array) -> jax.Array:
         """[R, R, 3] where they are at a time [] if they went straight on."""
         return self.p_m + self.v_mps * (time_s - self.time_s)[..., None]
 
@@ -89,7 +96,7 @@ class HeardRobots:
 class InFlight:
     """Packets on their way; [receiver, sender] leads where there are two."""
 
-    said: Packet
+    packet: Packet
     arrive_s: jax.Array
     """[R, R] when the first bit of the last packet comes in; its beginning on the diagonal."""
     passes: jax.Array
@@ -105,33 +112,33 @@ class InFlight:
 class ModemState:
     """Memory of the channel of one world."""
 
-    air: InFlight
+    in_flight: InFlight
     heard: HeardRobots
-    caught: jax.Array
+    n_received: jax.Array
     """int32 [R] packets that each understood."""
 
 
-def begin(channel: Channel, p_m: jax.Array, words: Any = None) -> ModemState:
+def begin_channel(channel: Channel, p_m: jax.Array, payload: Any = None) -> ModemState:
     """Nothing said yet.
 
     Args:
         channel: that is shared.
         p_m: [R, 3] where the robots start, in W.
-        words: what each would say beside, [R] leading.
+        payload: what each would say beside, [R] leading.
     """
     n, zero = p_m.shape[0], jnp.zeros_like(p_m)
     nobody, none = jnp.zeros((n, n), bool), jnp.zeros(n, jnp.int32)
-    air = InFlight(
-        said=Packet(p_m=p_m, v_mps=zero, time_s=zero[:, 0], words=words),
+    in_flight = InFlight(
+        packet=Packet(p_m=p_m, v_mps=zero, time_s=zero[:, 0], payload=payload),
         arrive_s=jnp.full((n, n), NEVER_S, p_m.dtype),
         passes=nobody,
         loud=None if isinstance(channel.access, Tdma) else nobody,
         sent=none,
     )
-    return ModemState(air=air, heard=unheard(p_m, words), caught=none)
+    return ModemState(in_flight=in_flight, heard=init_heard(p_m, payload), n_received=none)
 
 
-def unheard(p_m: jax.Array, words: Any = None) -> HeardRobots:
+def init_heard(p_m: jax.Array, payload: Any = None) -> HeardRobots:
     """What robots that start at p_m [R, 3] know of each other before anything is said."""
     n = p_m.shape[0]
 
@@ -142,13 +149,13 @@ def unheard(p_m: jax.Array, words: Any = None) -> HeardRobots:
         p_m=to_all(p_m),
         v_mps=to_all(jnp.zeros_like(p_m)),
         time_s=jnp.zeros((n, n), p_m.dtype),
-        known=jnp.zeros((n, n), bool),
-        words=jax.tree.map(to_all, words),
+        is_heard=jnp.zeros((n, n), bool),
+        payload=jax.tree.map(to_all, payload),
     )
 
 
 @dataclass(frozen=True, kw_only=True)
-class Now:
+class ChannelInput:
     """A control step of one world."""
 
     key: jax.Array
@@ -160,14 +167,14 @@ class Now:
     """[R, 3] where the robots are, in W."""
     grid: Grid
     """Rock."""
-    says: Callable[[], Packet]
+    make_packet: Callable[[], Packet]
     """What robots say now, worked out where packets begin."""
     silent: jax.Array | None = None
     """bool [R] who cannot send."""
     every: int = 1
     """What the number is known to be a multiple of."""
 
-    def once_in[T](self, period: int, do: Callable[[], T], otherwise: Callable[[], T]) -> T:
+    def every_n_steps[T](self, period: int, do: Callable[[], T], otherwise: Callable[[], T]) -> T:
         """See `counting.every_n_steps`."""
         return every_n_steps(period, self.number, do, otherwise, self.every)
 
@@ -176,7 +183,7 @@ class Now:
         return self.number.astype(self.p_m.dtype) * channel.dt_s
 
 
-def step(channel: Channel, memory: ModemState, now: Now) -> tuple[ModemState, jax.Array]:
+def step(channel: Channel, memory: ModemState, now: ChannelInput) -> tuple[ModemState, jax.Array]:
     """One control step of one world: packets come in, and others begin.
 
     Args:
@@ -188,59 +195,65 @@ def step(channel: Channel, memory: ModemState, now: Now) -> tuple[ModemState, ja
         The memory, and who understood a packet of whom by now, bool [receiver, sender].
     """
     if isinstance(channel.access, Tdma):
-        return _in_turn(channel, channel.access, memory, now)
-    return _by_chance(channel, channel.access, memory, now)
+        return _step_tdma(channel, channel.access, memory, now)
+    return _step_aloha(channel, channel.access, memory, now)
 
 
-def _in_turn(
-    channel: Channel, access: Tdma, memory: ModemState, now: Now
+def _step_tdma(
+    channel: Channel, access: Tdma, memory: ModemState, now: ChannelInput
 ) -> tuple[ModemState, jax.Array]:
     """One packet is on its way at a time: all that is looked at is of its sender."""
     robots = now.p_m.shape[0]
-    last = _Columns(first=jnp.maximum(now.number - 1, 0) // access.slot % robots, count=1)
-    turn = _Columns(first=now.number // access.slot % robots, count=1)
+    last = _SenderColumns(first=jnp.maximum(now.number - 1, 0) // access.slot % robots, count=1)
+    turn = _SenderColumns(first=now.number // access.slot % robots, count=1)
     # By the next slot all have it, however times are rounded.
-    memory, came = _delivered(channel, memory, now, last, now.number % access.slot == 0)
-    one = jnp.ones(1, bool)
+    memory, came = _deliver_packets(channel, memory, now, last, now.number % access.slot == 0)
+    always = jnp.ones(1, bool)
 
-    def send(air: InFlight) -> InFlight:
-        return _sent(channel, air, now, turn, one, jnp.full(1, now.time_s(channel)))
+    def send(in_flight: InFlight) -> InFlight:
+        return _begin_packets(
+            channel, in_flight, now, turn, always, jnp.full(1, now.time_s(channel))
+        )
 
-    air = now.once_in(access.slot, lambda: send(memory.air), lambda: memory.air)
+    in_flight = now.every_n_steps(
+        access.slot, lambda: send(memory.in_flight), lambda: memory.in_flight
+    )
     everybody = last.put(jnp.zeros((robots, robots), bool), came, 1)
-    return replace(memory, air=air), everybody
+    return replace(memory, in_flight=in_flight), everybody
 
 
-def _by_chance(
-    channel: Channel, access: Aloha, memory: ModemState, now: Now
+def _step_aloha(
+    channel: Channel, access: Aloha, memory: ModemState, now: ChannelInput
 ) -> tuple[ModemState, jax.Array]:
     """Anybody may send, now and then."""
     robots, dtype = now.p_m.shape[0], now.p_m.dtype
-    everybody = _Columns(first=None, count=robots)
+    everybody = _SenderColumns(first=None, count=robots)
     chance_s = access.chance * channel.dt_s
 
-    def send(air: InFlight) -> InFlight:
-        of_who, of_when = children(jax.random.fold_in(now.key, OF_CHANCE), 2)
-        begun_s, at_s = jnp.diagonal(air.arrive_s), jnp.full(robots, now.time_s(channel))
+    def send(in_flight: InFlight) -> InFlight:
+        sender_key, time_key = fold_keys(jax.random.fold_in(now.key, OF_CHANCE), 2)
+        begun_s, at_s = jnp.diagonal(in_flight.arrive_s), jnp.full(robots, now.time_s(channel))
         rested = begun_s < at_s - (access.rests - 1) * chance_s
         if not access.slotted:
-            at_s = at_s + chance_s * jax.random.uniform(of_when, (robots,), dtype)
-        drawn = jax.random.uniform(of_who, (robots,), dtype) < access.probability
-        return _sent(channel, air, now, everybody, drawn & rested, at_s)
+            at_s = at_s + chance_s * jax.random.uniform(time_key, (robots,), dtype)
+        chosen = jax.random.uniform(sender_key, (robots,), dtype) < access.probability
+        return _begin_packets(channel, in_flight, now, everybody, chosen & rested, at_s)
 
     def look(memory: ModemState) -> tuple[ModemState, jax.Array]:
-        memory, came = _delivered(channel, memory, now, everybody)
-        air = now.once_in(access.chance, lambda: send(memory.air), lambda: memory.air)
-        return replace(memory, air=air), came
+        memory, came = _deliver_packets(channel, memory, now, everybody)
+        in_flight = now.every_n_steps(
+            access.chance, lambda: send(memory.in_flight), lambda: memory.in_flight
+        )
+        return replace(memory, in_flight=in_flight), came
 
     def wait() -> tuple[ModemState, jax.Array]:
         return memory, jnp.zeros((robots, robots), bool)
 
-    return now.once_in(access.look, lambda: look(memory), wait)
+    return now.every_n_steps(access.look, lambda: look(memory), wait)
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Columns:
+class _SenderColumns:
     """Neighbouring senders: one of them, or all."""
 
     first: jax.Array | None
@@ -269,11 +282,11 @@ class _Columns:
         return jax.tree.map(lambda leaf, new: put(leaf, new, first), tree, part)
 
 
-def _delivered(
+def _deliver_packets(
     channel: Channel,
     memory: ModemState,
-    now: Now,
-    senders: _Columns,
+    now: ChannelInput,
+    senders: _SenderColumns,
     over: jax.Array | bool = False,
 ) -> tuple[ModemState, jax.Array]:
     """Packets whose last bit has come in by now are understood, bool [receiver, count].
@@ -285,36 +298,45 @@ def _delivered(
         senders: whose packets may be on their way.
         over: bool [] whether their time is over, so that all are in.
     """
-    air, robots = memory.air, memory.caught.shape[0]
-    arrive, passes = senders.of((air.arrive_s, air.passes), 1)
+    in_flight, robots = memory.in_flight, memory.n_received.shape[0]
+    arrive, passes = senders.of((in_flight.arrive_s, in_flight.passes), 1)
     came = passes & ((arrive + channel.packet_s <= now.time_s(channel)) | over)
-    said: Packet = senders.of(air.said, 0)
+    packet: Packet = senders.of(in_flight.packet, 0)
     old = senders.of(memory.heard, 1)
     new = HeardRobots(
-        p_m=said.p_m, v_mps=said.v_mps, time_s=said.time_s, known=came, words=said.words
+        p_m=packet.p_m,
+        v_mps=packet.v_mps,
+        time_s=packet.time_s,
+        is_heard=came,
+        payload=packet.payload,
     )
 
     def put(new: jax.Array, old: jax.Array) -> jax.Array:
         took = came.reshape(robots, senders.count, *(1,) * (old.ndim - 2))
         return jnp.where(took, new, old)
 
-    heard = replace(jax.tree.map(put, new, old), known=old.known | came)
+    heard = replace(jax.tree.map(put, new, old), is_heard=old.is_heard | came)
     after = ModemState(
-        air=replace(air, passes=senders.put(air.passes, passes & ~came, 1)),
+        in_flight=replace(in_flight, passes=senders.put(in_flight.passes, passes & ~came, 1)),
         heard=senders.put(memory.heard, heard, 1),
-        caught=memory.caught + jnp.sum(came, axis=1, dtype=jnp.int32),
+        n_received=memory.n_received + jnp.sum(came, axis=1, dtype=jnp.int32),
     )
     return after, came
 
 
-def _sent(
-    channel: Channel, air: InFlight, now: Now, senders: _Columns, begins: jax.Array, at_s: jax.Array
+def _begin_packets(
+    channel: Channel,
+    in_flight: InFlight,
+    now: ChannelInput,
+    senders: _SenderColumns,
+    begins: jax.Array,
+    at_s: jax.Array,
 ) -> InFlight:
     """Packets that begin in this step.
 
     Args:
         channel: that is shared.
-        air: before.
+        in_flight: before.
         now: the step.
         senders: who may begin one.
         begins: bool [count] who does.
@@ -323,14 +345,14 @@ def _sent(
     if now.silent is not None:
         begins = begins & ~senders.of(now.silent, 0)
     from_m = senders.of(now.p_m, 0)
-    own = jnp.arange(now.p_m.shape[0])[:, None] == senders.rows
+    is_self = jnp.arange(now.p_m.shape[0])[:, None] == senders.rows
     distance = jnp.sqrt(jnp.sum((now.p_m[:, None] - from_m) ** 2, axis=-1))
     rock_db = jnp.zeros_like(distance)
     if channel.rock is not None:
         loss = partial(channel.rock.loss_db, now.grid)
         rock_db = jax.vmap(jax.vmap(loss, (0, None)), (None, 0))(from_m, now.p_m)
     chance = channel.link.success(distance, rock_db)
-    if isinstance(channel.link, Budget):
+    if isinstance(channel.link, LinkBudget):
         luck = jax.random.uniform(now.key, chance.shape, chance.dtype)
     else:
         luck = jnp.full_like(chance, 0.5)
@@ -339,27 +361,27 @@ def _sent(
         """What is new of those who begin one."""
 
         def choose(new: jax.Array, old: jax.Array) -> jax.Array:
-            who = begins.reshape(-1, *(1,) * (old.ndim - 1 - axis))
-            return jnp.where(who, new, old)
+            is_sender = begins.reshape(-1, *(1,) * (old.ndim - 1 - axis))
+            return jnp.where(is_sender, new, old)
 
         return senders.put(old, jax.tree.map(choose, new, senders.of(old, axis)), axis)
 
-    arrive = put(at_s + distance / channel.sound_mps, air.arrive_s, 1)
-    passes = put((luck < chance) & ~own, air.passes, 1)
-    loud = air.loud
+    arrive = put(at_s + distance / channel.sound_mps, in_flight.arrive_s, 1)
+    passes = put((luck < chance) & ~is_self, in_flight.passes, 1)
+    loud = in_flight.loud
     if loud is not None:
-        loud = put(channel.link.loud(distance, rock_db) | own, loud, 1)
-        passes &= ~_drowned(arrive, loud, channel.packet_s)
+        loud = put(channel.link.loud(distance, rock_db) | is_self, loud, 1)
+        passes &= ~_is_drowned(arrive, loud, channel.packet_s)
     return InFlight(
-        said=put(senders.of(now.says(), 0), air.said, 0),
+        packet=put(senders.of(now.make_packet(), 0), in_flight.packet, 0),
         arrive_s=arrive,
         passes=passes,
         loud=loud,
-        sent=put(senders.of(air.sent, 0) + 1, air.sent, 0),
+        sent=put(senders.of(in_flight.sent, 0) + 1, in_flight.sent, 0),
     )
 
 
-def _drowned(arrive_s: jax.Array, loud: jax.Array, packet_s: float) -> jax.Array:
+def _is_drowned(arrive_s: jax.Array, loud: jax.Array, packet_s: float) -> jax.Array:
     """Whether another packet comes in beside each at its receiver, or this sends; bool [R, R].
 
     No packet takes the place of another before that has passed all receivers, so packets are

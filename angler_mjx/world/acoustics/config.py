@@ -10,10 +10,17 @@ from angler_mjx.quantities import PositiveLength
 from angler_mjx.world.acoustics import access, sound
 from angler_mjx.world.acoustics.access import Access, Aloha, Tdma
 from angler_mjx.world.acoustics.channel import Channel
-from angler_mjx.world.acoustics.link import Budget, Fading, Link, Modulation, Reach, decibels
-from angler_mjx.world.acoustics.shadow import Rock
+from angler_mjx.world.acoustics.link import (
+    Fading,
+    Link,
+    LinkBudget,
+    Modulation,
+    RangeLink,
+    to_decibels,
+)
+from angler_mjx.world.acoustics.shadow import RockLoss
 
-LEAST_SUCCESS = 1e-3
+MIN_SUCCESS = 1e-3
 """A channel that lets fewer packets pass, even next to the sender, lets none pass."""
 
 
@@ -77,7 +84,7 @@ class AcousticsConfig(FileModel):
     """Loss in rock that damps."""
 
     @model_validator(mode="after")
-    def _goes_together(self) -> Self:
+    def _check_consistent(self) -> Self:
         if self.model == "range" and self.range_m is None:
             raise ValueError('model = "range": give range_m, how far packets are heard')
         if 0.5 * self.bandwidth_khz >= self.frequency_khz:
@@ -104,11 +111,11 @@ class AcousticsConfig(FileModel):
         if self.model == "perfect":
             return None
         link = self.link()
-        if link.success(1.0, 0.0) < LEAST_SUCCESS:
-            raise ValueError(self._unheard(link))
+        if link.success(1.0, 0.0) < MIN_SUCCESS:
+            raise ValueError(self._unheard_message(link))
         packet_s, speed = self.bits / self.bit_rate_bps, self.speed_mps()
         across_s = sum(edge**2 for edge in size_m) ** 0.5 / speed
-        turns = self._access(robots, packet_s, across_s, control_dt_s)
+        turns = self._build_access(robots, packet_s, across_s, control_dt_s)
         if isinstance(turns, Tdma) and turns.slot * control_dt_s * robots > horizon_s:
             raise ValueError(
                 f"bits = {self.bits}: {robots} slots of {turns.slot * control_dt_s:g} s are longer "
@@ -117,7 +124,7 @@ class AcousticsConfig(FileModel):
             )
         rock = None
         if self.rock != "lets_pass":
-            rock = Rock(db_per_m=None if self.rock == "cuts" else self.rock_db_per_m)
+            rock = RockLoss(db_per_m=None if self.rock == "cuts" else self.rock_db_per_m)
         return Channel(
             access=turns,
             link=link,
@@ -153,11 +160,11 @@ class AcousticsConfig(FileModel):
     def link(self) -> Link:
         """From one robot to another."""
         if self.model == "range":
-            return Reach(range_m=self.range_m or 0.0)
+            return RangeLink(range_m=self.range_m or 0.0)
         band_hz = 1e3 * self.bandwidth_khz
-        return Budget(
-            snr_db=self.source_level_db - self.noise_db() - decibels(band_hz),
-            bit_db=decibels(band_hz / self.bit_rate_bps),
+        return LinkBudget(
+            snr_db=self.source_level_db - self.noise_db() - to_decibels(band_hz),
+            bit_db=to_decibels(band_hz / self.bit_rate_bps),
             spreading=self.spreading,
             absorption_db_per_m=1e-3 * self.absorption_db_per_km(),
             bits=self.bits,
@@ -165,7 +172,9 @@ class AcousticsConfig(FileModel):
             fading=self.fading,
         )
 
-    def _access(self, robots: int, packet_s: float, across_s: float, control_dt_s: float) -> Access:
+    def _build_access(
+        self, robots: int, packet_s: float, across_s: float, control_dt_s: float
+    ) -> Access:
         if self.guard_s is not None and self.guard_s < across_s:
             raise ValueError(
                 f"guard_s = {self.guard_s:g}: sound takes {across_s:.3g} s across the region, so "
@@ -173,8 +182,12 @@ class AcousticsConfig(FileModel):
             )
         guard_s = across_s if self.guard_s is None else self.guard_s
         if self.access == "tdma":
-            return access.tdma(packet_s, guard_s, control_dt_s)
-        make = access.slotted_aloha if self.access == "slotted_aloha" else access.pure_aloha
+            return access.build_tdma(packet_s, guard_s, control_dt_s)
+        make = (
+            access.build_slotted_aloha
+            if self.access == "slotted_aloha"
+            else access.build_pure_aloha
+        )
         made: Aloha = make(packet_s, guard_s, control_dt_s, self.interval_s)
         if made.probability > 1.0:
             raise ValueError(
@@ -184,8 +197,8 @@ class AcousticsConfig(FileModel):
             )
         return made
 
-    def _unheard(self, link: Link) -> str:
-        if isinstance(link, Reach):
+    def _unheard_message(self, link: Link) -> str:
+        if isinstance(link, RangeLink):
             return f"range_m = {link.range_m:g}: no robot is so near to another; give more"
         return (
             f"source_level_db = {self.source_level_db:g}: {link.snr_db:.3g} dB over the noise at "
@@ -194,15 +207,15 @@ class AcousticsConfig(FileModel):
         )
 
 
-def refuse_acoustics(table: AcousticsConfig, who: str) -> None:
+def refuse_acoustics(table: AcousticsConfig, reason: str) -> None:
     """Refuse robots that talk where nobody would hear them.
 
     Args:
         table: of a scenario.
-        who: cannot do it, and what to do instead, for the message.
+        reason: cannot do it, and what to do instead, for the message.
 
     Raises:
         ConfigError: everybody does not know everything.
     """
     if table.model != "perfect":
-        raise ConfigError(f"acoustics.model = {table.model!r}: {who}")
+        raise ConfigError(f"acoustics.model = {table.model!r}: {reason}")

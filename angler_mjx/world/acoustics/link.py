@@ -23,7 +23,7 @@ NEAREST_M = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Reach:
+class RangeLink:
     """Everything is heard within a range, and nothing beyond it."""
 
     range_m: float
@@ -43,7 +43,7 @@ class Reach:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Budget:
+class LinkBudget:
     """Sound that spreads, is absorbed, and comes in among noise."""
 
     snr_db: float
@@ -78,7 +78,7 @@ class Budget:
         return self.snr(distance_m, rock_db) > 0.0
 
 
-type Link = Reach | Budget
+type Link = RangeLink | LinkBudget
 
 
 def transmission_loss_db(distance_m: Any, spreading: float, absorption_db_per_m: float) -> Any:
@@ -92,7 +92,7 @@ def transmission_loss_db(distance_m: Any, spreading: float, absorption_db_per_m:
         spreading: k.
         absorption_db_per_m: a.
     """
-    of = _of(distance_m)
+    of = _array_module(distance_m)
     far = of.maximum(distance_m, NEAREST_M)
     return 10.0 * spreading * of.log10(far) + absorption_db_per_m * far
 
@@ -108,7 +108,7 @@ def bit_error(ratio: Any, modulation: Modulation, fading: Fading) -> Any:
         modulation: of the modem.
         fading: of the channel.
     """
-    of = _of(ratio)
+    of = _array_module(ratio)
     if modulation == "bpsk":
         if fading == "none":
             complement = erfc if of is jnp else scipy.special.erfc
@@ -123,14 +123,14 @@ def bit_error(ratio: Any, modulation: Modulation, fading: Fading) -> Any:
 
 def packet_success(error: Any, bits: int) -> Any:
     """Probability [...] that all bits are right, each of which is wrong with ``error`` [...]."""
-    of = _of(error)
+    of = _array_module(error)
     return of.exp(bits * of.log1p(-error))
 
 
-def decibels(ratio: float) -> float:
+def to_decibels(ratio: float) -> float:
     """A ratio of powers in dB."""
     return 10.0 * math.log10(ratio)
 
 
-def _of(values: Any) -> Any:
+def _array_module(values: Any) -> Any:
     return jnp if isinstance(values, jax.Array) else np

@@ -13,7 +13,7 @@ CUT_DB = 1e3
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rock:
+class RockLoss:
     """What rock does to sound."""
 
     db_per_m: float | None
@@ -36,9 +36,9 @@ def rock_between_m(grid: Grid, a_m: jax.Array, b_m: jax.Array) -> jax.Array:
     """
     shape = grid.occupied.shape
     count = math.ceil(math.sqrt(sum(n * n for n in shape)))
-    share = (jnp.arange(count) + 0.5) / count
-    way = a_m + share[:, None] * (b_m - a_m)
-    cell = jnp.floor((way - grid.origin_m) / grid.cell_m).astype(jnp.int32)
+    fraction = (jnp.arange(count) + 0.5) / count
+    points = a_m + fraction[:, None] * (b_m - a_m)
+    cell = jnp.floor((points - grid.origin_m) / grid.cell_m).astype(jnp.int32)
     inside = jnp.all((cell >= 0) & (cell < jnp.array(shape)), axis=-1)
     x, y, z = jnp.moveaxis(jnp.clip(cell, 0, jnp.array(shape) - 1), -1, 0)
     rock = inside & grid.occupied[x, y, z]

@@ -54,7 +54,7 @@ def francois_garrison_db_per_km(
     else:
         water = 3.964e-4 - 1.146e-5 * t + 1.45e-7 * t**2 - 6.5e-10 * t**3
     water *= 1.0 - 3.83e-5 * z + 4.9e-10 * z**2
-    return f**2 * (_relaxed(boric, f1, f) + sulphate * f2 / (f2**2 + f**2) + water)
+    return f**2 * (_relaxation_term(boric, f1, f) + sulphate * f2 / (f2**2 + f**2) + water)
 
 
 def ainslie_mccolm_db_per_km(
@@ -71,10 +71,10 @@ def ainslie_mccolm_db_per_km(
     boric = 0.106 * math.exp((ph - 8.0) / 0.56)
     sulphate = 0.52 * (1.0 + t / 43.0) * (s / 35.0) * math.exp(-z / 6.0)
     water = 0.00049 * math.exp(-(t / 27.0 + z / 17.0))
-    return f**2 * (_relaxed(boric, f1, f) + _relaxed(sulphate, f2, f) + water)
+    return f**2 * (_relaxation_term(boric, f1, f) + _relaxation_term(sulphate, f2, f) + water)
 
 
-def _relaxed(strength: float, at_khz: float, frequency_khz: float) -> float:
+def _relaxation_term(strength: float, at_khz: float, frequency_khz: float) -> float:
     """Absorption over the square of the frequency by a process that relaxes at ``at_khz``."""
     if at_khz == 0.0:  # Of boric acid in fresh water, where there is none.
         return 0.0

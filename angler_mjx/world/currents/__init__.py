@@ -2,7 +2,7 @@
 
 A current is the sum of its components; the material derivative is taken of the sum, because it is
 not additive. A new kind of current is one class with a ``flow`` method in `fields`, and one config
-with a ``draw`` method for files, in `tables`, `eddies`, `sea` or `gridded`.
+with a ``sample`` method for files, in `tables`, `eddies`, `sea` or `gridded`.
 """
 
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from pydantic import Field
 
-from angler_mjx.sampling import children
+from angler_mjx.sampling import fold_keys
 from angler_mjx.world.currents.eddies import DoubleGyreConfig, RankineConfig
 from angler_mjx.world.currents.fields import (
     Component,
@@ -25,11 +25,11 @@ from angler_mjx.world.currents.fields import (
     Tide,
     Uniform,
     Vortices,
-    evaluate,
-    scaled,
+    evaluate_current,
+    scale_current,
     velocity,
 )
-from angler_mjx.world.currents.gridded import GridConfig, Gridded, fields_of, looked_up
+from angler_mjx.world.currents.gridded import GridConfig, Gridded, bind_fields, list_fields
 from angler_mjx.world.currents.sea import DepthProfileConfig, TideConfig
 from angler_mjx.world.currents.tables import GaussMarkovConfig, UniformConfig, VorticesConfig
 
@@ -54,11 +54,11 @@ __all__ = [
     "UniformConfig",
     "Vortices",
     "VorticesConfig",
-    "draw",
-    "evaluate",
-    "fields_of",
-    "looked_up",
-    "scaled",
+    "bind_fields",
+    "evaluate_current",
+    "list_fields",
+    "sample_current",
+    "scale_current",
     "velocity",
 ]
 
@@ -75,7 +75,7 @@ AnyConfig = (
 type CurrentConfig = Annotated[AnyConfig, Field(discriminator="type")]
 
 
-def draw(
+def sample_current(
     configs: Sequence[AnyConfig],
     key: jax.Array,
     region_lo: jax.Array,
@@ -92,7 +92,8 @@ def draw(
         horizon_s: the time that the current has to cover; a Python number, it sets array sizes.
     """
     lo, hi = jnp.asarray(region_lo, float), jnp.asarray(region_hi, float)
-    keys = children(key, len(configs)) if configs else ()
+    keys = fold_keys(key, len(configs)) if configs else ()
     return tuple(
-        config.draw(one, lo, hi, horizon_s) for config, one in zip(configs, keys, strict=True)
+        config.sample(component_key, lo, hi, horizon_s)
+        for config, component_key in zip(configs, keys, strict=True)
     )

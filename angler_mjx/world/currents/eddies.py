@@ -10,10 +10,10 @@ from pydantic import Field, model_validator
 from angler_kernels.current_field import double_gyre_stream
 from angler_mjx.files import FileModel
 from angler_mjx.quantities import Speed
-from angler_mjx.sampling import between, children, uniforms
+from angler_mjx.sampling import fold_keys, scale_uniform, uniform_rows
 from angler_mjx.world.currents.fields import DoubleGyre, Rankine
 
-type Place = tuple[
+type PositionXY = tuple[
     Annotated[float, Field(ge=-1e6, le=1e6)], Annotated[float, Field(ge=-1e6, le=1e6)]
 ]
 
@@ -24,7 +24,7 @@ class RankineConfig(FileModel):
     type: Literal["rankine"] = "rankine"
     count: Annotated[int, Field(ge=1, le=1000)] | None = None
     """Number of vortices at random places of the region; left out where centre_m is given."""
-    centre_m: Annotated[tuple[Place, ...], Field(min_length=1, max_length=1000)] | None = None
+    centre_m: Annotated[tuple[PositionXY, ...], Field(min_length=1, max_length=1000)] | None = None
     """East and north of each axis; random places of the region if left out."""
     turning: Literal["either", "anticlockwise", "clockwise"] = "either"
     """Seen from above; either way is drawn vortex by vortex."""
@@ -34,7 +34,7 @@ class RankineConfig(FileModel):
     """Lowest and highest core radius a; at least 1 m: the flow then varies little over a hull."""
 
     @model_validator(mode="after")
-    def _spans(self) -> Self:
+    def _check_spans(self) -> Self:
         if not 0 <= self.peak_speed_mps[0] <= self.peak_speed_mps[1]:
             raise ValueError(f"peak_speed_mps = {self.peak_speed_mps}: needs 0 <= low <= high")
         low, high = self.core_radius_m
@@ -43,7 +43,7 @@ class RankineConfig(FileModel):
         return self
 
     @model_validator(mode="after")
-    def _number(self) -> Self:
+    def _check_count(self) -> Self:
         if self.centre_m is None and self.count is None:
             raise ValueError("count is missing: give it, or the places of the axes in centre_m")
         if self.centre_m is not None and self.count not in (None, len(self.centre_m)):
@@ -53,14 +53,14 @@ class RankineConfig(FileModel):
             )
         return self
 
-    def draw(self, key: jax.Array, lo: jax.Array, hi: jax.Array, horizon_s: float) -> Rankine:
+    def sample(self, key: jax.Array, lo: jax.Array, hi: jax.Array, horizon_s: float) -> Rankine:
         """Places as given, or uniform in the region seen from above."""
         n = len(self.centre_m) if self.centre_m is not None else self.count or 0
-        where, how_fast, how_wide, which_way = uniforms(children(key, 4), 2 * n, lo.dtype)
-        peak = between(how_fast[:n], *self.peak_speed_mps)
-        core = between(how_wide[:n], *self.core_radius_m)
+        where, speed_u, radius_u, direction_u = uniform_rows(fold_keys(key, 4), 2 * n, lo.dtype)
+        peak = scale_uniform(speed_u[:n], *self.peak_speed_mps)
+        core = scale_uniform(radius_u[:n], *self.core_radius_m)
         left = {"anticlockwise": 1.0, "clockwise": 0.0, "either": 0.5}[self.turning]
-        sign = jnp.where(which_way[:n] < left, 1.0, -1.0)
+        sign = jnp.where(direction_u[:n] < left, 1.0, -1.0)
         if self.centre_m is None:
             centre = lo[:2] + where.reshape(n, 2) * (hi[:2] - lo[:2])
         else:
@@ -84,7 +84,7 @@ class DoubleGyreConfig(FileModel):
     period_s: float = Field(default=60.0, ge=0.1, le=1e6)
     """Of the swaying."""
 
-    def draw(self, key: jax.Array, lo: jax.Array, hi: jax.Array, horizon_s: float) -> DoubleGyre:
+    def sample(self, key: jax.Array, lo: jax.Array, hi: jax.Array, horizon_s: float) -> DoubleGyre:
         """Nothing is drawn."""
         extent = hi[:2] - lo[:2]
         return DoubleGyre(

@@ -13,11 +13,11 @@ import jax.numpy as jnp
 from angler_kernels import current_field
 from angler_kernels.current_field import (
     double_gyre,
-    lamb_oseen,
+    lamb_oseen_vortices,
     material_derivative,
-    rankine,
+    rankine_vortices,
     smooth_knots,
-    tide,
+    tidal_current,
 )
 
 type Flow = tuple[jax.Array, jax.Array, jax.Array]
@@ -90,7 +90,7 @@ class Vortices:
 
     def flow(self, p: jax.Array, t: jax.Array) -> Flow:
         """See `Component.flow`."""
-        return lamb_oseen(p, self.centre_m, self.circulation_m2ps, self.core_m)
+        return lamb_oseen_vortices(p, self.centre_m, self.circulation_m2ps, self.core_m)
 
     def scaled(self, factor: jax.Array) -> Self:
         """See `Component.scaled`."""
@@ -114,7 +114,7 @@ class Rankine:
 
     def flow(self, p: jax.Array, t: jax.Array) -> Flow:
         """See `Component.flow`."""
-        return rankine(p, self.centre_m, self.circulation_m2ps, self.core_m)
+        return rankine_vortices(p, self.centre_m, self.circulation_m2ps, self.core_m)
 
     def scaled(self, factor: jax.Array) -> Self:
         """See `Component.scaled`."""
@@ -185,14 +185,14 @@ class Tide:
 
     def flow(self, p: jax.Array, t: jax.Array) -> Flow:
         """See `Component.flow`."""
-        return tide(t, self.speed_radps, self.phase_rad, self.cosine_mps, self.sine_mps)
+        return tidal_current(t, self.speed_radps, self.phase_rad, self.cosine_mps, self.sine_mps)
 
     def scaled(self, factor: jax.Array) -> Self:
         """See `Component.scaled`."""
         return replace(self, cosine_mps=factor * self.cosine_mps, sine_mps=factor * self.sine_mps)
 
 
-def evaluate(current: Current, p: jax.Array, t: jax.Array) -> tuple[jax.Array, jax.Array]:
+def evaluate_current(current: Current, p: jax.Array, t: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Velocity of the water and its material derivative at a point.
 
     Args:
@@ -211,10 +211,10 @@ def evaluate(current: Current, p: jax.Array, t: jax.Array) -> tuple[jax.Array, j
 
 
 def velocity(current: Current, p: jax.Array, t: jax.Array) -> jax.Array:
-    """Velocity [3] of the water at a point, m/s, W (see `evaluate`)."""
-    return evaluate(current, p, t)[0]
+    """Velocity [3] of the water at a point, m/s, W (see `evaluate_current`)."""
+    return evaluate_current(current, p, t)[0]
 
 
-def scaled(current: Current, factor: jax.Array) -> Current:
+def scale_current(current: Current, factor: jax.Array) -> Current:
     """The same current ``factor`` [] times as fast everywhere, at the same times."""
     return tuple(component.scaled(factor) for component in current)

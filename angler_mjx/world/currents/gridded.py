@@ -11,14 +11,20 @@ import numpy as np
 from pydantic import Field as Key
 from pydantic import ValidationInfo, field_validator, model_validator
 
-from angler_kernels.gridded_field import gridded
-from angler_mjx.errors import shown
-from angler_mjx.files import FileModel, absolute, named
-from angler_mjx.quantities import FASTEST_MPS
-from angler_mjx.sampling import children
+from angler_kernels.gridded_field import gridded_velocity
+from angler_mjx.errors import format_value
+from angler_mjx.files import FileModel, absolute_path, format_path
+from angler_mjx.quantities import MAX_SPEED_MPS
+from angler_mjx.sampling import fold_keys
 from angler_mjx.world import ocean
 from angler_mjx.world.currents.fields import Current, Flow
-from angler_mjx.world.ocean.deepest_cells import DeepestCells, Span, origin, places, span_in
+from angler_mjx.world.ocean.deepest_cells import (
+    DeepestCells,
+    Span,
+    find_deepest_cells,
+    locate_origin,
+    span_in,
+)
 
 
 @jax.tree_util.register_dataclass
@@ -45,17 +51,17 @@ class Gridded:
 
     def flow(self, p: jax.Array, t: jax.Array) -> Flow:
         """See `Component.flow`."""
-        given = self.numbers
-        if given is None:
+        numbers = self.numbers
+        if numbers is None:
             # The same arrays in every call: a program then holds them once.
-            given = tuple(one.astype(p.dtype, copy=False) for one in self.field.numbers)
-        values, *uneven = given
+            numbers = tuple(array.astype(p.dtype, copy=False) for array in self.field.numbers)
+        values, *uneven = numbers
         long = [axis.step is None and not axis.knots for axis in self.field.axes]
         axes = [
             (axis, uneven.pop(0) if is_long else None)
             for axis, is_long in zip(self.field.axes, long, strict=True)
         ]
-        return gridded(
+        return gridded_velocity(
             p, t, values, self.field.shape, axes, self.knot, self.rest, self.rate, self.factor
         )
 
@@ -64,17 +70,19 @@ class Gridded:
         return replace(self, factor=factor * self.factor)
 
 
-def fields_of(current: Current) -> tuple[ocean.OceanField, ...]:
+def list_fields(current: Current) -> tuple[ocean.OceanField, ...]:
     """The fields that a current looks up, each once."""
-    found = [one.field for one in current if isinstance(one, Gridded)]
-    return tuple(dict.fromkeys(found))
+    fields = [component.field for component in current if isinstance(component, Gridded)]
+    return tuple(dict.fromkeys(fields))
 
 
-def looked_up(current: Current, where: Callable[[ocean.OceanField], Sequence[Any]]) -> Current:
+def bind_fields(current: Current, where: Callable[[ocean.OceanField], Sequence[Any]]) -> Current:
     """A current whose fields are looked up where ``where`` says."""
     return tuple(
-        replace(one, numbers=tuple(where(one.field))) if isinstance(one, Gridded) else one
-        for one in current
+        replace(component, numbers=tuple(where(component.field)))
+        if isinstance(component, Gridded)
+        else component
+        for component in current
     )
 
 
@@ -126,19 +134,19 @@ class GridConfig(FileModel):
 
     @field_validator("file")
     @classmethod
-    def _absolute(cls, file: str, info: ValidationInfo) -> str:
+    def _resolve_path(cls, file: str, info: ValidationInfo) -> str:
         """A path from the scenario's folder, made absolute."""
-        return absolute(file, info)
+        return absolute_path(file, info)
 
     @model_validator(mode="after")
-    def _lies_in_the_file(self) -> Self:
+    def _check_span(self) -> Self:
         _ = self.field  # its own faults name the file
         try:
-            self._places()
+            self._find_deepest_cells()
             self.starts_s(0.0)
             self._require_slow()
         except ValueError as error:
-            raise ValueError(f"{error} ({named(self.file)})") from error
+            raise ValueError(f"{error} ({format_path(self.file)})") from error
         return self
 
     def _require_slow(self) -> None:
@@ -147,27 +155,27 @@ class GridConfig(FileModel):
         factor = np.array([1.0, 1.0, scale.depth / scale.space], np.float32)
         squares = np.square(values * factor[: values.shape[-1]])
         fastest = scale.speed * float(np.sqrt(np.sum(squares, axis=-1).max()))
-        if fastest > FASTEST_MPS:
+        if fastest > MAX_SPEED_MPS:
             raise ValueError(
                 f"scale: makes {fastest:g} m/s of the file's water; no faster than "
-                f"{FASTEST_MPS:g} m/s, give a smaller speed"
+                f"{MAX_SPEED_MPS:g} m/s, give a smaller speed"
             )
 
     @property
     def field(self) -> ocean.OceanField:
         """The file's."""
-        return ocean.load(self.file, {"u": self.u, "v": self.v, "w": self.w})
+        return ocean.load_field(self.file, {"u": self.u, "v": self.v, "w": self.w})
 
     @cached_property
-    def places(self) -> DeepestCells:
+    def deepest_cells(self) -> DeepestCells:
         """Where worlds may lie."""
-        return self._places()
+        return self._find_deepest_cells()
 
-    def _places(self) -> DeepestCells:
+    def _find_deepest_cells(self) -> DeepestCells:
         field = self.field
         y = span_in("latitude", self.latitude, field.knots[0])
         x = span_in("longitude", self.longitude, field.knots[1], turns=field.degrees)
-        return places(field.wet, field.knots, field.degrees, y, x)
+        return find_deepest_cells(field.wet, field.knots, field.degrees, y, x)
 
     def starts_s(self, horizon_s: float) -> Span:
         """Earliest and latest start, in seconds after the file's first time.
@@ -195,31 +203,32 @@ class GridConfig(FileModel):
             low, high = ((np.datetime64(one) - begin) / np.timedelta64(1, "s") for one in self.time)
         except ValueError as error:
             raise ValueError(
-                f"time = {shown(list(self.time))}: must be two times as in 2024-06-01T12:00"
+                f"time = {format_value(list(self.time))}: must be two times as in 2024-06-01T12:00"
             ) from error
         if not 0.0 <= low <= high <= last:
             raise ValueError(
-                f"time = {shown(list(self.time))}: needs early <= late within the file's {covered}"
+                f"time = {format_value(list(self.time))}: needs early <= late within the file's "
+                f"{covered}"
                 + (f", {horizon_s:g} s (time.horizon_s) before their end" if horizon_s else "")
             )
         return float(low), float(high)
 
-    def draw(self, key: jax.Array, lo: jax.Array, hi: jax.Array, horizon_s: float) -> Gridded:
+    def sample(self, key: jax.Array, lo: jax.Array, hi: jax.Array, horizon_s: float) -> Gridded:
         """A place of water for the middle of the region, and a time at which its run begins."""
         field, scale = self.field, self.scale
-        of_place, of_time = children(key, 2)
+        position_key, time_key = fold_keys(key, 2)
         depth = jnp.asarray(field.knots[2], float)
         middle = -0.5 * (lo[2] + hi[2]) / scale.depth
         level = jnp.clip(jnp.searchsorted(depth, middle, side="right") - 1, 0)
-        count = jnp.asarray(self.places.count)
+        count = jnp.asarray(self.deepest_cells.count)
         level = jnp.minimum(level, jnp.sum(count > 0) - 1)
-        knot, beyond = self.places.draw(of_place, level)
+        knot, beyond = self.deepest_cells.sample(position_key, level)
         centre = 0.5 * (lo + hi)
-        rest, rate = origin(knot, beyond, field.knots, field.degrees, scale.space, centre)
+        rest, rate = locate_origin(knot, beyond, field.knots, field.degrees, scale.space, centre)
         early, late = self.starts_s(horizon_s)
         times = field.knots[3]
         first = max(int(np.searchsorted(times, early, side="right")) - 1, 0)
-        since = (early - times[first]) + jax.random.uniform(of_time, (), float) * (late - early)
+        since = (early - times[first]) + jax.random.uniform(time_key, (), float) * (late - early)
         # Said from the knot before it: seconds after years have no digits left in float32.
         after = jnp.asarray(times[first:] - times[first], float)
         past = jnp.clip(jnp.searchsorted(after, since, side="right") - 1, 0)

@@ -9,13 +9,19 @@ import jax.numpy as jnp
 from pydantic import Field as Key
 from pydantic import ValidationInfo, field_validator, model_validator
 
-from angler_kernels.table import take
-from angler_mjx.files import FileModel, absolute, named
+from angler_kernels.table import take_row
+from angler_mjx.files import FileModel, absolute_path, format_path
 from angler_mjx.world import ocean
 from angler_mjx.world.currents.fields import Current
 from angler_mjx.world.currents.gridded import GridConfig, Gridded
-from angler_mjx.world.ocean.deepest_cells import DeepestCells, Span, origin, places, span_in
-from angler_mjx.world.ocean.floor import Centres, below_floor, carried_over, dry_cells
+from angler_mjx.world.ocean.deepest_cells import (
+    DeepestCells,
+    Span,
+    find_deepest_cells,
+    locate_origin,
+    span_in,
+)
+from angler_mjx.world.ocean.floor import CellCentres, below_floor, dry_cells, knots_below
 
 
 class BathymetryConfig(FileModel):
@@ -43,37 +49,37 @@ class BathymetryConfig(FileModel):
 
     @field_validator("file")
     @classmethod
-    def _absolute(cls, file: str, info: ValidationInfo) -> str:
+    def _resolve_path(cls, file: str, info: ValidationInfo) -> str:
         """A path from the scenario's folder, made absolute."""
-        return absolute(file, info)
+        return absolute_path(file, info)
 
     @model_validator(mode="after")
-    def _lies_in_the_file(self) -> Self:
+    def _check_span(self) -> Self:
         _ = self.floor  # its own faults name the file
         try:
-            self._places()
+            self._find_deepest_cells()
         except ValueError as error:
-            raise ValueError(f"{error} ({named(self.file)})") from error
+            raise ValueError(f"{error} ({format_path(self.file)})") from error
         return self
 
     @property
-    def floor(self) -> ocean.Floor:
+    def floor(self) -> ocean.SeaFloor:
         """The file's."""
         return ocean.load_floor(self.file, self.variable, self.positive)
 
     @cached_property
-    def places(self) -> DeepestCells:
+    def deepest_cells(self) -> DeepestCells:
         """Where worlds may lie, where no current says it."""
-        return self._places()
+        return self._find_deepest_cells()
 
-    def _places(self) -> DeepestCells:
+    def _find_deepest_cells(self) -> DeepestCells:
         floor = self.floor
         y = span_in("latitude", self.latitude, floor.knots[0])
         x = span_in("longitude", self.longitude, floor.knots[1], turns=floor.degrees)
-        return places(floor.wet[:, :, None], floor.knots, floor.degrees, y, x)
+        return find_deepest_cells(floor.wet[:, :, None], floor.knots, floor.degrees, y, x)
 
 
-def check(currents: Sequence[FileModel], bathymetry: BathymetryConfig | None) -> None:
+def check_files(currents: Sequence[FileModel], bathymetry: BathymetryConfig | None) -> None:
     """Refuse files that do not lie together.
 
     Args:
@@ -83,7 +89,7 @@ def check(currents: Sequence[FileModel], bathymetry: BathymetryConfig | None) ->
     Raises:
         ValueError: naming the key.
     """
-    grids = [one for one in currents if isinstance(one, GridConfig)]
+    grids = [config for config in currents if isinstance(config, GridConfig)]
     if len(grids) > 1:
         raise ValueError(
             'currents: two of type "grid" lie at places of their own; give one, of a file that '
@@ -113,14 +119,14 @@ def check(currents: Sequence[FileModel], bathymetry: BathymetryConfig | None) ->
             )
 
 
-def rock(
+def find_rock(
     configs: Sequence[FileModel],
     current: Current,
     bathymetry: BathymetryConfig | None,
     key: jax.Array,
     lo: jax.Array,
     hi: jax.Array,
-    centres: Centres,
+    centres: CellCentres,
 ) -> jax.Array | None:
     """Cells bool [nx, ny, nz] of a world that files say to be rock; None if none does.
 
@@ -133,14 +139,14 @@ def rock(
         hi: [3] upper corner.
         centres: of the cells.
     """
-    found = None
-    there = None
+    rock_cells = None
+    grid_current = None
     for config, component in zip(configs, current, strict=True):
         if isinstance(config, GridConfig) and isinstance(component, Gridded):
-            there = (config, component)
-    if there is not None and there[0].coast:
-        field, component = there[0].field, there[1]
-        found = dry_cells(
+            grid_current = (config, component)
+    if grid_current is not None and grid_current[0].coast:
+        field, component = grid_current[0].field, grid_current[1]
+        rock_cells = dry_cells(
             field.wet,
             field.axes[:3],
             field.knots[:3],
@@ -148,21 +154,21 @@ def rock(
             centres,
         )
     if bathymetry is None:
-        return found
+        return rock_cells
     floor = bathymetry.floor
-    if there is None:
+    if grid_current is None:
         space, of_depth = bathymetry.space or 1.0, bathymetry.depth or 1.0
-        knot, beyond = bathymetry.places.draw(key, jnp.zeros((), jnp.int32))
-        rest, rate = origin(knot, beyond, floor.knots, floor.degrees, space, 0.5 * (lo + hi))
+        knot, beyond = bathymetry.deepest_cells.sample(key, jnp.zeros((), jnp.int32))
+        rest, rate = locate_origin(knot, beyond, floor.knots, floor.degrees, space, 0.5 * (lo + hi))
     else:
-        config, component = there
+        config, component = grid_current
         of_depth, rate = config.scale.depth, component.rate[:2]
         parts = []
         for axis in range(2):
-            below, between = carried_over(config.field.knots[axis], floor.knots[axis])
-            here = component.knot[axis]
-            rest_of = component.rest[axis] + take(jnp.asarray(between, lo.dtype), here)
-            parts.append((take(jnp.asarray(below), here), rest_of))
+            below, between = knots_below(config.field.knots[axis], floor.knots[axis])
+            knot_index = component.knot[axis]
+            rest_of = component.rest[axis] + take_row(jnp.asarray(between, lo.dtype), knot_index)
+            parts.append((take_row(jnp.asarray(below), knot_index), rest_of))
         knot, rest = (jnp.stack(part) for part in zip(*parts, strict=True))
     deep = below_floor(floor, (knot, rest, rate), of_depth, centres)
-    return deep if found is None else found | deep
+    return deep if rock_cells is None else rock_cells | deep

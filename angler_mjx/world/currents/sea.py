@@ -9,10 +9,10 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from angler_kernels.current_field import monotone_slopes
-from angler_mjx.errors import shown
+from angler_mjx.errors import format_value
 from angler_mjx.files import FileModel
 from angler_mjx.quantities import Length, Speed
-from angler_mjx.sampling import between, children, uniforms
+from angler_mjx.sampling import fold_keys, scale_uniform, uniform_rows
 from angler_mjx.world.currents.fields import DepthProfile, Tide
 
 type Level = tuple[Speed, Speed]
@@ -69,9 +69,11 @@ class DepthProfileConfig(FileModel):
     that of the first is any."""
 
     @model_validator(mode="after")
-    def _knots(self) -> Self:
+    def _check_knots(self) -> Self:
         if any(a >= b for a, b in zip(self.depth_m, self.depth_m[1:], strict=False)):
-            raise ValueError(f"depth_m = {shown(list(self.depth_m))}: each must be below the last")
+            raise ValueError(
+                f"depth_m = {format_value(list(self.depth_m))}: each must be below the last"
+            )
         if (self.velocity_mps is None) == (self.speed_mps is None):
             raise ValueError("give either velocity_mps or speed_mps")
         if self.velocity_mps is not None:
@@ -86,17 +88,19 @@ class DepthProfileConfig(FileModel):
             raise ValueError(f"speed_mps = {list(self.speed_mps)}: needs 0 <= low <= high")
         return self
 
-    def draw(self, key: jax.Array, lo: jax.Array, hi: jax.Array, horizon_s: float) -> DepthProfile:
+    def sample(
+        self, key: jax.Array, lo: jax.Array, hi: jax.Array, horizon_s: float
+    ) -> DepthProfile:
         """Knots as given, or drawn from the surface down."""
         depth, n = jnp.array(self.depth_m, lo.dtype), len(self.depth_m)
         if self.speed_mps is None:
             knots = jnp.array(self.velocity_mps, lo.dtype)
         else:
-            how_fast, where_to = uniforms(children(key, 2), n, lo.dtype)
-            speed = between(how_fast, *self.speed_mps)
-            most = math.radians(30.0 if self.turn_deg is None else self.turn_deg)
-            turn = most * (2.0 * where_to - 1.0)
-            heading = jnp.cumsum(turn.at[0].set(2.0 * math.pi * where_to[0]))
+            speed_u, heading_u = uniform_rows(fold_keys(key, 2), n, lo.dtype)
+            speed = scale_uniform(speed_u, *self.speed_mps)
+            max_turn = math.radians(30.0 if self.turn_deg is None else self.turn_deg)
+            turn = max_turn * (2.0 * heading_u - 1.0)
+            heading = jnp.cumsum(turn.at[0].set(2.0 * math.pi * heading_u[0]))
             knots = speed[:, None] * jnp.stack([jnp.cos(heading), jnp.sin(heading)], axis=1)
         return DepthProfile(
             depth_m=depth, knots_mps=knots, slopes_1ps=monotone_slopes(depth, knots)
@@ -119,10 +123,10 @@ class ConstituentConfig(FileModel):
     """Lag: the velocity points along the long axis this much after time 0."""
 
     @model_validator(mode="after")
-    def _known(self) -> Self:
+    def _check_constituent(self) -> Self:
         if self.name not in CONSTITUENTS:
             raise ValueError(
-                f"name = {shown(self.name)}: no constituent whose speed is known; there is "
+                f"name = {format_value(self.name)}: no constituent whose speed is known; there is "
                 f"{', '.join(CONSTITUENTS)}"
             )
         if abs(self.minor_mps) > self.major_mps:
@@ -143,8 +147,8 @@ class TideConfig(FileModel):
     next if left out."""
 
     @model_validator(mode="after")
-    def _each_once(self) -> Self:
-        names = [one.name for one in self.constituents]
+    def _check_unique(self) -> Self:
+        names = [constituent.name for constituent in self.constituents]
         twice = next((name for name in names if names.count(name) > 1), None)
         if twice is not None:
             raise ValueError(f"constituents: {twice} is there twice; give it once")
@@ -153,17 +157,17 @@ class TideConfig(FileModel):
             raise ValueError(f"start_s = {list(self.start_s)}: needs 0 <= low <= high <= 1e9")
         return self
 
-    def draw(self, key: jax.Array, lo: jax.Array, hi: jax.Array, horizon_s: float) -> Tide:
+    def sample(self, key: jax.Array, lo: jax.Array, hi: jax.Array, horizon_s: float) -> Tide:
         """The time at which the flight begins, as the phases at its start."""
         speed, lag, cosine, sine = self.ellipses()
         low, high = self.start_s
         # Of the share that is drawn float32 has seven digits, of a phase after years none; so whole
         # turns up to the earliest start are taken off before.
         begun = np.mod(speed * low - lag, 2.0 * math.pi)
-        share = jax.random.uniform(key, (), lo.dtype)
-        drawn = share * jnp.asarray(speed * (high - low), lo.dtype)
-        phase = jnp.mod(jnp.asarray(begun, lo.dtype) + drawn, 2.0 * math.pi)
-        numbers = (jnp.asarray(one, lo.dtype) for one in (speed, cosine, sine))
+        fraction = jax.random.uniform(key, (), lo.dtype)
+        elapsed_phase = fraction * jnp.asarray(speed * (high - low), lo.dtype)
+        phase = jnp.mod(jnp.asarray(begun, lo.dtype) + elapsed_phase, 2.0 * math.pi)
+        numbers = (jnp.asarray(array, lo.dtype) for array in (speed, cosine, sine))
         speed_radps, cosine_mps, sine_mps = numbers
         return Tide(
             speed_radps=speed_radps, phase_rad=phase, cosine_mps=cosine_mps, sine_mps=sine_mps
@@ -178,13 +182,13 @@ class TideConfig(FileModel):
         table = np.array(
             [
                 (
-                    math.radians(CONSTITUENTS[one.name]) / 3600.0,
-                    math.radians(one.phase_deg),
-                    math.radians(one.inclination_deg),
-                    one.major_mps,
-                    one.minor_mps,
+                    math.radians(CONSTITUENTS[constituent.name]) / 3600.0,
+                    math.radians(constituent.phase_deg),
+                    math.radians(constituent.inclination_deg),
+                    constituent.major_mps,
+                    constituent.minor_mps,
                 )
-                for one in self.constituents
+                for constituent in self.constituents
             ]
         )
         speed, lag, angle, major, minor = table.T

@@ -1,7 +1,8 @@
 """Tables of files that say a current, and how each draws its component for one world."""
 
 import math
-from typing import Annotated, Literal, Self
+from collections.abc import Mapping
+from typing import Annotated, ClassVar, Literal, Self
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +11,7 @@ from pydantic import Field, model_validator
 from angler_kernels.current_field import lamb_oseen_circulation
 from angler_mjx.files import FileModel
 from angler_mjx.quantities import Speed
-from angler_mjx.sampling import between, children, uniforms
+from angler_mjx.sampling import fold_keys, scale_uniform, uniform_rows
 from angler_mjx.world.currents.fields import GaussMarkov, Uniform, Vortices
 
 type Span = tuple[float, float]
@@ -25,7 +26,7 @@ class UniformConfig(FileModel):
     velocity_mps: Vector
     """East, north, up."""
 
-    def draw(self, key: jax.Array, lo: jax.Array, hi: jax.Array, horizon_s: float) -> Uniform:
+    def sample(self, key: jax.Array, lo: jax.Array, hi: jax.Array, horizon_s: float) -> Uniform:
         """Nothing is drawn."""
         return Uniform(velocity_mps=jnp.array(self.velocity_mps, lo.dtype))
 
@@ -37,6 +38,10 @@ class GaussMarkovConfig(FileModel):
     rho = exp(-knot_dt / time_constant)) and starts in its stationary distribution.
     """
 
+    renamed_keys: ClassVar[Mapping[str, str]] = {
+        "vertical_share": "vertical_fraction",
+    }
+
     type: Literal["gauss_markov"] = "gauss_markov"
     max_speed_mps: Annotated[Speed, Field(gt=0)]
     """Faster knots are shortened to this speed, so it is never exceeded."""
@@ -47,23 +52,23 @@ class GaussMarkovConfig(FileModel):
     """East, north, up."""
     time_constant_s: float = Field(default=60.0, gt=0, le=1e6)
     """Of the process's memory."""
-    vertical_share: float = Field(default=0.1, ge=0, le=1)
+    vertical_fraction: float = Field(default=0.1, ge=0, le=1)
     """Standard deviation of the vertical velocity over the horizontal one's."""
     knot_dt_s: float = Field(default=5.0, ge=0.01, le=86400)
     """Time between knots; a run has 100,000 of them at most."""
 
     @model_validator(mode="after")
-    def _mean_below_maximum(self) -> Self:
+    def _check_mean(self) -> Self:
         if math.hypot(*self.mean_mps) > self.max_speed_mps:
             raise ValueError(f"mean_mps is faster than max_speed_mps = {self.max_speed_mps}")
         return self
 
-    def draw(self, key: jax.Array, lo: jax.Array, hi: jax.Array, horizon_s: float) -> GaussMarkov:
+    def sample(self, key: jax.Array, lo: jax.Array, hi: jax.Array, horizon_s: float) -> GaussMarkov:
         """Knots from t = 0 to past ``horizon_s``."""
         n_knot = max(2, math.ceil(horizon_s / self.knot_dt_s) + 1)
         std = self.max_speed_mps / 2.5 if self.std_mps is None else self.std_mps
         rho = math.exp(-self.knot_dt_s / self.time_constant_s)
-        scale = jnp.array([std, std, std * self.vertical_share], lo.dtype)
+        scale = jnp.array([std, std, std * self.vertical_fraction], lo.dtype)
         noise = scale * jax.random.normal(key, (n_knot, 3), lo.dtype)
 
         def advance(v: jax.Array, xi: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -89,20 +94,20 @@ class VorticesConfig(FileModel):
     """Lowest and highest core radius a; at least 1 m: the flow then varies little over a hull."""
 
     @model_validator(mode="after")
-    def _spans(self) -> Self:
+    def _check_spans(self) -> Self:
         if not 0 <= self.peak_speed_mps[0] <= self.peak_speed_mps[1]:
             raise ValueError(f"peak_speed_mps = {self.peak_speed_mps}: needs 0 <= low <= high")
         if not 1.0 <= self.core_radius_m[0] <= self.core_radius_m[1]:
             raise ValueError(f"core_radius_m = {self.core_radius_m}: needs 1 <= low <= high")
         return self
 
-    def draw(self, key: jax.Array, lo: jax.Array, hi: jax.Array, horizon_s: float) -> Vortices:
+    def sample(self, key: jax.Array, lo: jax.Array, hi: jax.Array, horizon_s: float) -> Vortices:
         """Places uniform in the region seen from above."""
         n = self.count
-        where, how_fast, how_wide, which_way = uniforms(children(key, 4), 2 * n, lo.dtype)
-        peak = between(how_fast[:n], *self.peak_speed_mps)
-        core = between(how_wide[:n], *self.core_radius_m)
-        sign = jnp.where(which_way[:n] < 0.5, 1.0, -1.0)
+        where, speed_u, radius_u, direction_u = uniform_rows(fold_keys(key, 4), 2 * n, lo.dtype)
+        peak = scale_uniform(speed_u[:n], *self.peak_speed_mps)
+        core = scale_uniform(radius_u[:n], *self.core_radius_m)
+        sign = jnp.where(direction_u[:n] < 0.5, 1.0, -1.0)
         return Vortices(
             centre_m=lo[:2] + where.reshape(n, 2) * (hi[:2] - lo[:2]),
             circulation_m2ps=sign * lamb_oseen_circulation(peak, core),

@@ -1,13 +1,12 @@
-"""Bodies that are not cells: explicit and drawn obstacles, still, drifting or scripted.
+"""Bodies that are not cells: explicit and sampled obstacles, still, drifting or scripted.
 
-The face of the obstacle modules: what an obstacle is (`obstacle_types`), what the water does to its
-shape (`obstacle_bodies`), how it moves (`obstacle_motion`), what a file may ask for
-(`obstacle_config`) and how one world's obstacles are drawn (`obstacle_drawing`).
+Public names of the package: arrays of obstacles (`types`), their drag in water (`bodies`), their
+motion (`motion`), their tables in files (`config`) and the sampling of one world's (`sampling`).
 """
 
 from angler_mjx.world.obstacles.config import ObstaclesConfig
 from angler_mjx.world.obstacles.motion import reset, step
-from angler_mjx.world.obstacles.sampling import draw
+from angler_mjx.world.obstacles.sampling import sample_obstacles
 from angler_mjx.world.obstacles.types import (
     BOX,
     CAPSULE,
@@ -35,7 +34,7 @@ __all__ = [
     "Obstacles",
     "ObstaclesConfig",
     "bounding_radius",
-    "draw",
     "reset",
+    "sample_obstacles",
     "step",
 ]

@@ -46,7 +46,7 @@ class Body:
     """[6] quadratic drag over half the water's density, m^2 and m^5."""
 
 
-def sphere(radius: float) -> Body:
+def build_sphere(radius: float) -> Body:
     """A sphere: added mass of half the displaced mass (Lamb, Hydrodynamics, 1932, art. 92)."""
     volume = 4.0 / 3.0 * math.pi * radius**3
     spin = 0.5 * _SPIN_FRICTION * radius**5
@@ -58,7 +58,7 @@ def sphere(radius: float) -> Body:
     )
 
 
-def box(half: tuple[float, float, float]) -> Body:
+def build_box(half: tuple[float, float, float]) -> Body:
     """A box with half extents ``half``.
 
     Added mass along an axis: the square prism with the same length and frontal area (DNV table
@@ -78,7 +78,7 @@ def box(half: tuple[float, float, float]) -> Body:
     )
 
 
-def capsule(radius: float, half_length: float) -> Body:
+def build_capsule(radius: float, half_length: float) -> Body:
     """A capsule along z; ``half_length`` is that of its axis, without the caps.
 
     Added mass of the prolate spheroid with the same volume and the same length over width (Lamb,

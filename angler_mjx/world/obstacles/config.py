@@ -4,14 +4,15 @@ Lengths in metres, angles in degrees, all places and directions in W (x east, y 
 """
 
 import math
-from typing import Annotated, Literal, Self
+from collections.abc import Mapping
+from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
 from angler_mjx.files import FileModel
-from angler_mjx.quantities import Place, PositiveLength, Speed
+from angler_mjx.quantities import Coordinate, PositiveLength, Speed
 
-type Vector = tuple[Place, Place, Place]
+type Vector = tuple[Coordinate, Coordinate, Coordinate]
 type Velocity = tuple[Speed, Speed, Speed]
 type Span = tuple[PositiveLength, PositiveLength]
 type SpeedSpan = tuple[Speed, Speed]
@@ -19,7 +20,7 @@ type Component = Annotated[float, Field(ge=-1e6, le=1e6)]
 type Axis = tuple[Component, Component, Component]
 type Angle = Annotated[float, Field(ge=-36_000, le=36_000)]
 type Period = Annotated[float, Field(ge=0.01, le=1e6)]
-Share = Annotated[float, Field(ge=0, le=1)]
+Fraction = Annotated[float, Field(ge=0, le=1)]
 
 
 class StaticMotion(FileModel):
@@ -72,7 +73,7 @@ class CircleMotion(FileModel):
     """About which it goes, in W; of any length."""
 
     @model_validator(mode="after")
-    def _axis_has_direction(self) -> Self:
+    def _check_axis(self) -> Self:
         if math.hypot(*self.axis) < 1e-9:
             raise ValueError("axis must not be zero")
         return self
@@ -84,7 +85,7 @@ type Motion = Annotated[
 ]
 
 
-class _PlacedTable(FileModel):
+class _PositionedTable(FileModel):
     position_m: Vector
     """Centre at the start; of the swing or circle for those motions."""
     rpy_deg: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
@@ -95,7 +96,7 @@ class _PlacedTable(FileModel):
     """As heavy as the water it displaces if left out; matters for drifting ones only."""
 
 
-class SphereConfig(_PlacedTable):
+class SphereConfig(_PositionedTable):
     """A sphere."""
 
     type: Literal["sphere"] = "sphere"
@@ -103,7 +104,7 @@ class SphereConfig(_PlacedTable):
     """Of the sphere."""
 
 
-class BoxConfig(_PlacedTable):
+class BoxConfig(_PositionedTable):
     """A box; ``size_m`` is its full length along its own x, y and z."""
 
     type: Literal["box"] = "box"
@@ -111,7 +112,7 @@ class BoxConfig(_PlacedTable):
     """Full edges."""
 
 
-class CapsuleConfig(_PlacedTable):
+class CapsuleConfig(_PositionedTable):
     """A capsule along its own z; ``length_m`` is that of the axis, without the caps."""
 
     type: Literal["capsule"] = "capsule"
@@ -129,15 +130,21 @@ type ExplicitConfig = Annotated[
 class DynamicConfig(FileModel):
     """Drifting spheres and cubes, drawn anew for each world."""
 
+    renamed_keys: ClassVar[Mapping[str, str]] = {
+        "cube_share": "cube_fraction",
+        "rise_share": "rise_fraction",
+        "sink_share": "sink_fraction",
+    }
+
     count: int = Field(default=0, ge=0, le=4096)
     """Number in each world."""
     radius_m: Span = (0.4, 0.75)
     """Lowest and highest radius, of the sphere or of the sphere around the cube."""
-    cube_share: Share = 0.5
+    cube_fraction: Fraction = 0.5
     """Probability of a cube; the others are spheres."""
-    rise_share: Share = 0.2
+    rise_fraction: Fraction = 0.2
     """Probability of one lighter than water."""
-    sink_share: Share = 0.2
+    sink_fraction: Fraction = 0.2
     """Probability of one heavier than water; the rest are neutral."""
     vertical_speed_mps: SpeedSpan = (0.02, 0.1)
     """Lowest and highest steady speed at which the light ones rise and the heavy ones sink; it
@@ -145,15 +152,15 @@ class DynamicConfig(FileModel):
     lighter than water already rises at 0.17 m/s.)"""
 
     @model_validator(mode="after")
-    def _spans(self) -> Self:
+    def _check_spans(self) -> Self:
         if not 0 < self.radius_m[0] <= self.radius_m[1]:
             raise ValueError(f"radius_m = {self.radius_m}: needs 0 < low <= high")
         if not 0 <= self.vertical_speed_mps[0] <= self.vertical_speed_mps[1]:
             raise ValueError(
                 f"vertical_speed_mps = {self.vertical_speed_mps}: needs 0 <= low <= high"
             )
-        if self.rise_share + self.sink_share > 1:
-            raise ValueError("rise_share and sink_share add up to more than 1")
+        if self.rise_fraction + self.sink_fraction > 1:
+            raise ValueError("rise_fraction and sink_fraction add up to more than 1")
         return self
 
 

@@ -41,54 +41,54 @@ def explicit_rows(items: Sequence[ExplicitConfig], density: jax.Array | float) -
         items: at least one.
         density: [] of the water, kg/m^3.
     """
-    shapes = [_shape(item) for item in items]
+    shapes = [_body_shape(item) for item in items]
     kind = [k for k, _, _ in shapes]
     body = [b for _, _, b in shapes]
     motion = [_MOTION[item.motion.type] for item in items]
-    displaced = density * _array([b.volume_m3 for b in body])
-    given = _array([item.mass_kg or 0.0 for item in items])
-    mass = jnp.where(given > 0.0, given, displaced)
-    attitude = [_quaternion(item.rpy_deg) for item in items]
+    displaced = density * _to_array([b.volume_m3 for b in body])
+    file_mass = _to_array([item.mass_kg or 0.0 for item in items])
+    mass = jnp.where(file_mass > 0.0, file_mass, displaced)
+    attitude = [_to_quaternion(item.rpy_deg) for item in items]
     return Obstacles(
         kind=jnp.array(kind, jnp.int32),
-        size_m=_array([size for _, size, _ in shapes]),
+        size_m=_to_array([size for _, size, _ in shapes]),
         motion=jnp.array(motion, jnp.int32),
-        path=_array([_path(item) for item in items]),
-        p0=_array([item.position_m for item in items]),
-        q0=_array(attitude),
-        nu0=_array([_start(item, q) for item, q in zip(items, attitude, strict=True)]),
+        path=_to_array([_motion_path(item) for item in items]),
+        p0=_to_array([item.position_m for item in items]),
+        q0=_to_array(attitude),
+        nu0=_to_array([_start_velocity(item, q) for item, q in zip(items, attitude, strict=True)]),
         mass_kg=mass,
-        inertia_kgm2=mass[:, None] * _array([b.inertia_m2 for b in body]),
-        volume_m3=_array([b.volume_m3 for b in body]),
-        M_A=density * _array([b.added for b in body]),
+        inertia_kgm2=mass[:, None] * _to_array([b.inertia_m2 for b in body]),
+        volume_m3=_to_array([b.volume_m3 for b in body]),
+        M_A=density * _to_array([b.added for b in body]),
         D_l=jnp.zeros((len(items), 6)),
-        D_q=0.5 * density * _array([b.drag for b in body]),
+        D_q=0.5 * density * _to_array([b.drag for b in body]),
         exists=jnp.ones(len(items), bool),
         kinds=tuple(sorted(set(kind))),
         motions=tuple(sorted(set(motion))),
     )
 
 
-def _array(values: Sequence[object]) -> jax.Array:
+def _to_array(values: Sequence[object]) -> jax.Array:
     return jnp.asarray(np.array(values, float), float)
 
 
-def _shape(item: ExplicitConfig) -> tuple[int, Vector, bodies.Body]:
+def _body_shape(item: ExplicitConfig) -> tuple[int, Vector, bodies.Body]:
     """Kind, size as `Obstacles.size_m` has it, and geometry."""
     match item:
         case SphereConfig():
-            return SPHERE, (item.radius_m, 0.0, 0.0), bodies.sphere(item.radius_m)
+            return SPHERE, (item.radius_m, 0.0, 0.0), bodies.build_sphere(item.radius_m)
         case BoxConfig():
             x, y, z = item.size_m
             half = (0.5 * x, 0.5 * y, 0.5 * z)
-            return BOX, half, bodies.box(half)
+            return BOX, half, bodies.build_box(half)
         case CapsuleConfig():
             half_length = 0.5 * item.length_m
             size = (item.radius_m, half_length, 0.0)
-            return CAPSULE, size, bodies.capsule(item.radius_m, half_length)
+            return CAPSULE, size, bodies.build_capsule(item.radius_m, half_length)
 
 
-def _path(item: ExplicitConfig) -> bodies.Floats:
+def _motion_path(item: ExplicitConfig) -> bodies.Floats:
     """The columns of `Obstacles.path`."""
     row = np.zeros(8)
     match item.motion:
@@ -110,7 +110,7 @@ def _path(item: ExplicitConfig) -> bodies.Floats:
     return row
 
 
-def _start(item: ExplicitConfig, q: bodies.Floats) -> bodies.Floats:
+def _start_velocity(item: ExplicitConfig, q: bodies.Floats) -> bodies.Floats:
     """Velocity [6] at the start relative to the water, body frame."""
     nu = np.zeros(6)
     if isinstance(item.motion, DriftMotion):
@@ -120,7 +120,7 @@ def _start(item: ExplicitConfig, q: bodies.Floats) -> bodies.Floats:
     return nu
 
 
-def _quaternion(rpy_deg: Vector) -> bodies.Floats:
+def _to_quaternion(rpy_deg: Vector) -> bodies.Floats:
     """Attitude [4] (wxyz) after turning about the world's x, then y, then z."""
     roll, pitch, yaw = (0.5 * math.radians(angle) for angle in rpy_deg)
     cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)

@@ -22,7 +22,7 @@ from angler_kernels.rigid_body import (
     rigid_body_coriolis,
     water_wrench,
 )
-from angler_mjx.world.currents import Current, evaluate
+from angler_mjx.world.currents import Current, evaluate_current
 from angler_mjx.world.grid import Grid
 from angler_mjx.world.obstacles.types import (
     BOX,
@@ -61,16 +61,16 @@ def reset(
     state = ObstacleState(p=obstacles.p0, q=obstacles.q0, nu=zero, nu_dot=zero)
     start = jnp.zeros((), obstacles.p0.dtype)
     state = jax.vmap(
-        lambda body, now: _scripted(body, now, start, lambda of, _: (of.p0, of.path[:3]))
+        lambda body, now: _move_scripted(body, now, start, lambda of, _: (of.p0, of.path[:3]))
     )(obstacles, state)
     if DRIFT not in obstacles.motions:
         return state
 
     def carried(body: Obstacles, now: ObstacleState) -> ObstacleState:
-        v_c = rotate_inverse(now.q, evaluate(current, now.p, start)[0])
+        v_c = rotate_inverse(now.q, evaluate_current(current, now.p, start)[0])
         nu = jnp.concatenate([body.nu0[:3] + v_c, body.nu0[3:]])
         moving = replace(now, nu=nu)
-        nu_dot = _acceleration(body, moving, current, start, density, gravity)
+        nu_dot = _compute_acceleration(body, moving, current, start, density, gravity)
         return _select(body.motion == DRIFT, replace(moving, nu_dot=nu_dot), now)
 
     return jax.vmap(carried)(obstacles, state)
@@ -106,15 +106,15 @@ def step(
     def nearest_cell(p: jax.Array) -> tuple[jax.Array, jax.Array]:
         return point_grid(p, grid.occupied, grid.origin_m, grid.cell_m)
 
-    def one(body: Obstacles, now: ObstacleState) -> ObstacleState:
-        return advance(
+    def advance_one(body: Obstacles, now: ObstacleState) -> ObstacleState:
+        return advance_obstacle(
             body, now, current, t, dt, bounds_lo, bounds_hi, nearest_cell, density, gravity
         )
 
-    return jax.vmap(one)(obstacles, state)
+    return jax.vmap(advance_one)(obstacles, state)
 
 
-def advance(
+def advance_obstacle(
     body: Obstacles,
     now: ObstacleState,
     current: Current,
@@ -127,11 +127,11 @@ def advance(
     gravity: jax.Array | float,
 ) -> ObstacleState:
     """State of one obstacle at t + dt; arguments as in `step`, for one row."""
-    straight = partial(_straight, bounds_lo=bounds_lo, bounds_hi=bounds_hi)
-    after = _scripted(body, now, t + dt, straight)
+    straight = partial(_straight_motion, bounds_lo=bounds_lo, bounds_hi=bounds_hi)
+    after = _move_scripted(body, now, t + dt, straight)
     if DRIFT not in body.motions:
         return after
-    nu_dot = _acceleration(body, now, current, t, density, gravity)
+    nu_dot = _compute_acceleration(body, now, current, t, density, gravity)
     nu = advance_velocity(now.nu, nu_dot, now.nu_dot, dt)
     p, q = advance_pose(now.p, now.q, now.nu, nu, dt)
     radius = bounding_radius(body.kind, body.size_m)
@@ -143,7 +143,7 @@ def advance(
     return _select(body.motion == DRIFT, drifted, after)
 
 
-def _acceleration(
+def _compute_acceleration(
     body: Obstacles,
     now: ObstacleState,
     current: Current,
@@ -152,12 +152,12 @@ def _acceleration(
     gravity: jax.Array | float,
 ) -> jax.Array:
     """Nu' [6] of one drifting body, body frame."""
-    v_c, Dv_c = evaluate(current, now.p, t)
+    v_c, Dv_c = evaluate_current(current, now.p, t)
     v_r = now.nu[:3] - rotate_inverse(now.q, v_c)
     omega = now.nu[3:]
     speed = jnp.concatenate([jnp.full(3, _norm(v_r)), jnp.full(3, _norm(omega))])
     water = water_wrench(
-        M_A=_diagonal(body.M_A),
+        M_A=_diagonal_matrix(body.M_A),
         D_l=body.D_l + body.D_q * speed,
         D_q=jnp.zeros_like(body.D_q),
         volume=body.volume_m3,
@@ -172,7 +172,7 @@ def _acceleration(
         gravity=gravity,
     )
     weight = buoyancy_wrench(now.q, -body.mass_kg * gravity, jnp.zeros_like(now.p))
-    gyro = rigid_body_coriolis(body.mass_kg, _diagonal(body.inertia_kgm2), now.nu)
+    gyro = rigid_body_coriolis(body.mass_kg, _diagonal_matrix(body.inertia_kgm2), now.nu)
     inertia = jnp.concatenate([jnp.full(3, body.mass_kg), body.inertia_kgm2]) + body.M_A
     return (water + weight - gyro) / inertia
 
@@ -204,9 +204,11 @@ def _off_bounds(
     return jnp.clip(p, lo, jnp.maximum(lo, hi)), jnp.where(leaving, -v, v)
 
 
-def _scripted(body: Obstacles, now: ObstacleState, t: jax.Array, straight: Law) -> ObstacleState:
+def _move_scripted(
+    body: Obstacles, now: ObstacleState, t: jax.Array, straight: Law
+) -> ObstacleState:
     """One scripted mover at t; any other obstacle as it was."""
-    laws: dict[int, Law] = {STRAIGHT: straight, SINE: _sine, CIRCLE: _circle}
+    laws: dict[int, Law] = {STRAIGHT: straight, SINE: _sine_motion, CIRCLE: _circle_motion}
     for motion, law in laws.items():
         if motion not in body.motions:
             continue
@@ -216,7 +218,7 @@ def _scripted(body: Obstacles, now: ObstacleState, t: jax.Array, straight: Law) 
     return now
 
 
-def _straight(
+def _straight_motion(
     body: Obstacles, t: jax.Array, *, bounds_lo: jax.Array, bounds_hi: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """Constant speed, thrown back by the bounds: a triangle wave in each axis.
@@ -233,14 +235,14 @@ def _straight(
     return lo + jnp.where(back, 2.0 * span - phase, phase), jnp.where(back, -v, v)
 
 
-def _sine(body: Obstacles, t: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _sine_motion(body: Obstacles, t: jax.Array) -> tuple[jax.Array, jax.Array]:
     """p0 + A sin(omega t + phase)."""
     amplitude, rate, phase = body.path[:3], body.path[3], body.path[4]
     angle = rate * t + phase
     return body.p0 + amplitude * jnp.sin(angle), amplitude * (rate * jnp.cos(angle))
 
 
-def _circle(body: Obstacles, t: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _circle_motion(body: Obstacles, t: jax.Array) -> tuple[jax.Array, jax.Array]:
     """p0 + arm cos(omega t + phase) + axis x arm sin(omega t + phase)."""
     arm, rate, phase, axis = body.path[:3], body.path[3], body.path[4], body.path[5:8]
     angle = rate * t + phase
@@ -255,7 +257,7 @@ def _select(where: jax.Array, a: ObstacleState, b: ObstacleState) -> ObstacleSta
     return chosen
 
 
-def _diagonal(v: jax.Array) -> jax.Array:
+def _diagonal_matrix(v: jax.Array) -> jax.Array:
     """Matrix [n, n] with v [n] on its diagonal."""
     return v[:, None] * jnp.eye(v.shape[0], dtype=v.dtype)
 

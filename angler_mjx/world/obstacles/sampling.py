@@ -15,7 +15,7 @@ import jax.numpy as jnp
 
 from angler_kernels.clearance import capsules_obstacle, point_grid
 from angler_mjx.robot.vehicles.properties import GRAVITY_MPS2
-from angler_mjx.sampling import between, children, uniforms
+from angler_mjx.sampling import fold_keys, scale_uniform, uniform_rows
 from angler_mjx.world.grid import Grid
 from angler_mjx.world.obstacles import bodies
 from angler_mjx.world.obstacles.config import DynamicConfig, ObstaclesConfig
@@ -31,7 +31,7 @@ from angler_mjx.world.obstacles.types import (
 _TRIES = 64
 
 
-def draw(
+def sample_obstacles(
     config: ObstaclesConfig,
     key: jax.Array,
     grid: Grid,
@@ -55,61 +55,63 @@ def draw(
         water_density: [] kg/m^3.
         gravity: [] m/s^2, turns the asked rise and sink speeds into masses.
     """
-    placed = explicit_rows(config.explicit, water_density) if config.explicit else None
-    if config.dynamic.count == 0 and placed is not None:
-        return placed
+    explicit = explicit_rows(config.explicit, water_density) if config.explicit else None
+    if config.dynamic.count == 0 and explicit is not None:
+        return explicit
     if config.dynamic.count == 0:
-        return _nothing(water_density)
-    of_bodies, of_places = children(key, 2)
-    drawn = _drifting(config.dynamic, of_bodies, water_density, gravity)
+        return _empty_row(water_density)
+    bodies_key, position_key = fold_keys(key, 2)
+    sampled = _sample_drifting(config.dynamic, bodies_key, water_density, gravity)
 
     def distances(p: jax.Array) -> jax.Array:
         away = jnp.sqrt(jnp.sum((keep_out_m - p) ** 2, axis=1)) - keep_out_radius_m
         gap, _ = point_grid(p, grid.occupied, grid.origin_m, grid.cell_m)
         gap = jnp.minimum(gap, jnp.min(away, initial=jnp.inf))
-        return gap if placed is None else jnp.minimum(gap, _gap_to(placed, p))
+        return gap if explicit is None else jnp.minimum(gap, _gap_to(explicit, p))
 
-    radius = jax.vmap(bounding_radius)(drawn.kind, drawn.size_m)
-    where = jax.random.uniform(of_places, (config.dynamic.count, _TRIES, 3))
+    radius = jax.vmap(bounding_radius)(sampled.kind, sampled.size_m)
+    where = jax.random.uniform(position_key, (config.dynamic.count, _TRIES, 3))
     inset = radius[:, None, None]
     lo, hi = bounds_lo + inset, bounds_hi - inset
     tries = lo + where * jnp.maximum(hi - lo, 0.0)
-    p0, exists = _place(tries, jax.vmap(jax.vmap(distances))(tries) - radius[:, None], radius)
-    drawn = replace(drawn, p0=p0, exists=exists)
-    return drawn if placed is None else _concatenate(placed, drawn)
+    p0, exists = _choose_positions(
+        tries, jax.vmap(jax.vmap(distances))(tries) - radius[:, None], radius
+    )
+    sampled = replace(sampled, p0=p0, exists=exists)
+    return sampled if explicit is None else _concatenate_rows(explicit, sampled)
 
 
-def _drifting(
+def _sample_drifting(
     config: DynamicConfig, key: jax.Array, density: jax.Array | float, gravity: jax.Array | float
 ) -> Obstacles:
     """Rows of drifting spheres and cubes, all at the origin."""
     n = config.count
-    keys = children(key, 5)
-    size, shape, tendency, speed = uniforms(keys[:4], n)
-    rises = tendency < config.rise_share
-    sinks = ~rises & (tendency < config.rise_share + config.sink_share)
+    keys = fold_keys(key, 5)
+    size, shape, tendency, speed = uniform_rows(keys[:4], n)
+    rises = tendency < config.rise_fraction
+    sinks = ~rises & (tendency < config.rise_fraction + config.sink_fraction)
     up = jnp.where(rises, 1.0, jnp.where(sinks, -1.0, 0.0))
     turn = jax.random.normal(keys[4], (n, 4))
-    shares = {SPHERE: config.cube_share < 1, BOX: config.cube_share > 0}
-    return _bodies(
-        between(size, *config.radius_m),
-        shape < config.cube_share,
-        up * between(speed, *config.vertical_speed_mps),
+    possible = {SPHERE: config.cube_fraction < 1, BOX: config.cube_fraction > 0}
+    return _build_bodies(
+        scale_uniform(size, *config.radius_m),
+        shape < config.cube_fraction,
+        up * scale_uniform(speed, *config.vertical_speed_mps),
         turn / jnp.sqrt(jnp.sum(turn * turn, axis=1, keepdims=True)),
         density,
         gravity,
-        tuple(kind for kind, occurs in shares.items() if occurs),
+        tuple(kind for kind, occurs in possible.items() if occurs),
     )
 
 
-def _nothing(density: jax.Array | float) -> Obstacles:
+def _empty_row(density: jax.Array | float) -> Obstacles:
     """One row that does not exist, for worlds without obstacles."""
     one, upright = jnp.ones(1), jnp.eye(1, 4)
-    row = _bodies(one, jnp.zeros(1, bool), 0.0 * one, upright, density, GRAVITY_MPS2, ())
+    row = _build_bodies(one, jnp.zeros(1, bool), 0.0 * one, upright, density, GRAVITY_MPS2, ())
     return replace(row, exists=jnp.zeros(1, bool), motions=())
 
 
-def _bodies(
+def _build_bodies(
     scale: jax.Array,
     cube: jax.Array,
     rise: jax.Array,
@@ -135,7 +137,7 @@ def _bodies(
     """
     n = scale.shape[0]
     half = 1.0 / math.sqrt(3.0)
-    ball, die = bodies.sphere(1.0), bodies.box((half, half, half))
+    ball, die = bodies.build_sphere(1.0), bodies.build_box((half, half, half))
 
     def pick(of_sphere: object, of_cube: object, power: jax.Array) -> jax.Array:
         unit = jnp.where(cube[:, None], jnp.asarray(of_cube, float), jnp.asarray(of_sphere, float))
@@ -173,7 +175,9 @@ def _gap_to(obstacles: Obstacles, p: jax.Array) -> jax.Array:
     return jnp.min(jax.vmap(to_one)(obstacles.p0, obstacles.q0, obstacles.kind, obstacles.size_m))
 
 
-def _place(tries: jax.Array, margin: jax.Array, radius: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _choose_positions(
+    tries: jax.Array, margin: jax.Array, radius: jax.Array
+) -> tuple[jax.Array, jax.Array]:
     """A place [n, 3] for each of n obstacles, and whether it is free.
 
     Args:
@@ -183,7 +187,7 @@ def _place(tries: jax.Array, margin: jax.Array, radius: jax.Array) -> tuple[jax.
     """
     n = radius.shape[0]
 
-    def place_one(p: jax.Array, i: jax.Array) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
+    def choose_one(p: jax.Array, i: jax.Array) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
         apart = jnp.sqrt(jnp.sum((tries[i][:, None] - p) ** 2, axis=2)) - radius - radius[i]
         overlap = jnp.min(jnp.where(jnp.arange(n) < i, apart, 0.0), axis=1)
         score = jnp.where(margin[i] >= 0.0, jnp.minimum(overlap, 0.0), -jnp.inf)
@@ -192,11 +196,11 @@ def _place(tries: jax.Array, margin: jax.Array, radius: jax.Array) -> tuple[jax.
         # One that is left out keeps no place.
         return p.at[i].set(jnp.where(free, chosen, jnp.inf)), (chosen, free)
 
-    _, (places, free) = jax.lax.scan(place_one, jnp.zeros((n, 3), tries.dtype), jnp.arange(n))
-    return places, free
+    _, (positions, free) = jax.lax.scan(choose_one, jnp.zeros((n, 3), tries.dtype), jnp.arange(n))
+    return positions, free
 
 
-def _concatenate(first: Obstacles, second: Obstacles) -> Obstacles:
+def _concatenate_rows(first: Obstacles, second: Obstacles) -> Obstacles:
     """The rows of two sets, in order."""
     kinds = tuple(sorted(set(first.kinds) | set(second.kinds)))
     motions = tuple(sorted(set(first.motions) | set(second.motions)))

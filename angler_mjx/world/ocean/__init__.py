@@ -4,7 +4,7 @@
 programs hold, `floor` a sea floor; `places` says where in them worlds may lie.
 """
 
-from angler_mjx.world.ocean.field import OceanField, load
-from angler_mjx.world.ocean.floor import Floor, load_floor
+from angler_mjx.world.ocean.field import OceanField, load_field
+from angler_mjx.world.ocean.floor import SeaFloor, load_floor
 
-__all__ = ["Floor", "OceanField", "load", "load_floor"]
+__all__ = ["OceanField", "SeaFloor", "load_field", "load_floor"]

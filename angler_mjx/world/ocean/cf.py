@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from angler_mjx.errors import ConfigError, UnsupportedError, shown, size
-from angler_mjx.files import named
+from angler_mjx.errors import ConfigError, UnsupportedError, format_bytes, format_value
+from angler_mjx.files import format_path
 from angler_mjx.world.ocean.missing import find_missing
 
 EXTRA = "pip install 'angler-mjx[ocean]'"
 
-MOST_BYTES = 2**28
+MAX_BYTES = 2**28
 """Of one field in memory, as float32: programs hold a copy each."""
 
 _REASON = 400
@@ -94,7 +94,7 @@ class CoordinateAxis:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Wanted:
+class VariableRequest:
     """A variable that is looked for."""
 
     key: str
@@ -102,14 +102,14 @@ class Wanted:
     name: str | None
     """In the file, where that is given; else it is found by its standard name."""
     standard: tuple[str, ...]
-    words: tuple[str, ...] = ()
+    name_parts: tuple[str, ...] = ()
     """Of which its standard name, where the file has one, holds one at least; any name if empty."""
     needed: bool = True
     """Whether the file must have it."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Read:
+class FileVariables:
     """Variables of a file on their common axes."""
 
     parts: tuple[np.ndarray, ...]
@@ -121,7 +121,9 @@ class Read:
     """Of the variables, as text."""
 
 
-def read(path: Path, wanted: Sequence[Wanted], units: Mapping[str, float]) -> Read:
+def read_variables(
+    path: Path, wanted: Sequence[VariableRequest], units: Mapping[str, float]
+) -> FileVariables:
     """Variables of a file.
 
     Args:
@@ -133,34 +135,40 @@ def read(path: Path, wanted: Sequence[Wanted], units: Mapping[str, float]) -> Re
         ConfigError: there is no such file, or it cannot be used; says why.
         UnsupportedError: what reads it is not installed.
     """
-    with _opened(path) as stored:
-        data = _decoded(path, stored)
-        chosen = [_chosen(path, data, variable) for variable in wanted]
+    with _open_file(path) as stored:
+        data = _decode_dataset(path, stored)
+        chosen = [_choose_variable(path, data, variable) for variable in wanted]
         arrays = [data[name] for name in chosen if name is not None]
-        axes = _axes(path, stored, data, arrays[0])
+        axes = _read_axes(path, stored, data, arrays[0])
         for array in arrays[1:]:
             if set(array.dims) != set(arrays[0].dims):
                 raise ConfigError(
-                    f"{named(path)}: {arrays[0].name} and {array.name} stand on different axes, "
-                    f"{_said(arrays[0])} and {_said(array)}; interpolate them to one grid first"
+                    f"{format_path(path)}: {arrays[0].name} and {array.name} stand on different "
+                    "axes, "
+                    f"{_format_axes(arrays[0])} and {_format_axes(array)}; interpolate them to one "
+                    "grid first"
                 )
         for array in arrays:
             _require_frame(path, data, array, axes)
         count = 4 * len(arrays) * int(np.prod(arrays[0].shape))
-        if count > MOST_BYTES:
+        if count > MAX_BYTES:
             raise ConfigError(
-                f"{named(path)}: its field takes {size(count)}; {size(MOST_BYTES)} are the most "
+                f"{format_path(path)}: its field takes {format_bytes(count)}; "
+                f"{format_bytes(MAX_BYTES)} are the most "
                 "that programs hold: take fewer depths or times, or a smaller area"
             )
         try:
             parts = tuple(
-                _laid(_masked(path, stored[array.name], array), axes) * _unit(path, array, units)
+                _order_axes(_mask_missing(path, stored[array.name], array), axes)
+                * _unit_factor(path, array, units)
                 for array in arrays
             )
         except (OSError, RuntimeError) as error:
-            raise ConfigError(f"{named(path)}: is damaged ({error}); fetch it again") from error
+            raise ConfigError(
+                f"{format_path(path)}: is damaged ({error}); fetch it again"
+            ) from error
     none = {kind: CoordinateAxis(knots=np.zeros(1)) for kind in ("depth", "time")}
-    return Read(
+    return FileVariables(
         parts=parts,
         axes={**none, **{kind: axis for kind, (_, axis) in axes.items()}},
         names=tuple(str(array.name) for array in arrays),
@@ -168,21 +176,21 @@ def read(path: Path, wanted: Sequence[Wanted], units: Mapping[str, float]) -> Re
     )
 
 
-def _opened(path: Path) -> Any:
+def _open_file(path: Path) -> Any:
     """Open the file as a dataset of stored values: packed, with fill values, times as numbers."""
     try:
         with path.open("rb") as file:
             head = file.read(8)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise ConfigError(f"{named(path)}: cannot be read ({reason})") from error
+        raise ConfigError(f"{format_path(path)}: cannot be read ({reason})") from error
     if head.startswith(b"\x89HDF\r\n\x1a\n"):
         engine = "h5netcdf"
     elif head[:4] in (b"CDF\x01", b"CDF\x02"):
         engine = "scipy"
     else:
         raise ConfigError(
-            f"{named(path)}: is no NetCDF file (nor NetCDF-4); "
+            f"{format_path(path)}: is no NetCDF file (nor NetCDF-4); "
             "of CDF-5 and other formats make one with nccopy -k nc4"
         )
     try:
@@ -192,15 +200,18 @@ def _opened(path: Path) -> Any:
         import xarray
     except ImportError as error:
         raise UnsupportedError(
-            f"{named(path)}: files of ocean models need xarray, h5netcdf, h5py and cftime: {EXTRA}"
+            f"{format_path(path)}: files of ocean models need xarray, h5netcdf, h5py and cftime: "
+            f"{EXTRA}"
         ) from error
     try:
         return xarray.open_dataset(path, engine=engine, mask_and_scale=False, decode_times=False)
     except (ValueError, OSError, KeyError, RuntimeError) as error:
-        raise ConfigError(f"{named(path)}: cannot be read as NetCDF ({_reason(error)})") from error
+        raise ConfigError(
+            f"{format_path(path)}: cannot be read as NetCDF ({_format_reason(error)})"
+        ) from error
 
 
-def _decoded(path: Path, stored: Any) -> Any:
+def _decode_dataset(path: Path, stored: Any) -> Any:
     """Return a dataset with unpacked values, NaN for fill values; times stay numbers."""
     import xarray
 
@@ -209,10 +220,12 @@ def _decoded(path: Path, stored: Any) -> Any:
             warnings.simplefilter("ignore", xarray.SerializationWarning)
             return xarray.decode_cf(stored, decode_times=False)
     except (ValueError, TypeError, KeyError) as error:
-        raise ConfigError(f"{named(path)}: cannot be read as NetCDF ({_reason(error)})") from error
+        raise ConfigError(
+            f"{format_path(path)}: cannot be read as NetCDF ({_format_reason(error)})"
+        ) from error
 
 
-def _masked(path: Path, stored: Any, array: Any) -> Any:
+def _mask_missing(path: Path, stored: Any, array: Any) -> Any:
     """Return a variable with NaN for whatever is missing by its attributes.
 
     Args:
@@ -223,97 +236,117 @@ def _masked(path: Path, stored: Any, array: Any) -> Any:
     try:
         missing = find_missing(np.asarray(stored.values), stored.attrs)
     except ValueError as error:
-        raise ConfigError(f"{named(path)}: {array.name}: {error}") from error
+        raise ConfigError(f"{format_path(path)}: {array.name}: {error}") from error
     return array.astype(np.float64).where(~missing) if missing.any() else array
 
 
-def _reason(error: BaseException) -> str:
+def _format_reason(error: BaseException) -> str:
     """Return the message of another library on one line."""
     return " ".join(str(error).split())[:_REASON] or type(error).__name__
 
 
-def _chosen(path: Path, data: Any, one: Wanted) -> str | None:
+def _choose_variable(path: Path, data: Any, request: VariableRequest) -> str | None:
     """The name of the variable that is meant."""
-    key, name = one.key, one.name
+    key, name = request.key, request.name
     about = {str(v): data[v].attrs.get("standard_name", "") for v in data.data_vars}
     if name is not None:
         if name not in about:
             raise ConfigError(
-                f"{named(path)}: {key} = {shown(name)}: no variable of this file; there is "
+                f"{format_path(path)}: {key} = {format_value(name)}: no variable of this file; "
+                "there is "
                 f"{', '.join(about) or 'none'}"
             )
         standard = str(about[name])
-        if standard and one.words and not any(word in standard for word in one.words):
+        if (
+            standard
+            and request.name_parts
+            and not any(word in standard for word in request.name_parts)
+        ):
             raise ConfigError(
-                f"{named(path)}: {key} = {shown(name)}: has the standard_name {standard}, must be "
-                f"as in {' or '.join(one.standard)}; name another variable"
+                f"{format_path(path)}: {key} = {format_value(name)}: has the standard_name "
+                f"{standard}, must be "
+                f"as in {' or '.join(request.standard)}; name another variable"
             )
         return name
-    for wanted in one.standard:
-        found = [variable for variable, has in about.items() if has == wanted]
-        if len(found) > 1:
+    for wanted in request.standard:
+        matches = [variable for variable, has in about.items() if has == wanted]
+        if len(matches) > 1:
             raise ConfigError(
-                f"{named(path)}: {', '.join(found)} all have the standard_name {wanted}; say which "
-                f'one is meant: {key} = "{found[0]}"'
+                f"{format_path(path)}: {', '.join(matches)} all have the standard_name {wanted}; "
+                "say which "
+                f'one is meant: {key} = "{matches[0]}"'
             )
-        if found:
-            return found[0]
-    if not one.needed:
+        if matches:
+            return matches[0]
+    if not request.needed:
         return None
     raise ConfigError(
-        f"{named(path)}: no variable has the standard_name {one.standard[0]}; say which is meant "
+        f"{format_path(path)}: no variable has the standard_name {request.standard[0]}; say which "
+        "is meant "
         f"by {key} = NAME; there is {', '.join(about) or 'none'}"
     )
 
 
-def _axes(path: Path, stored: Any, data: Any, array: Any) -> dict[str, tuple[str, CoordinateAxis]]:
+def _read_axes(
+    path: Path, stored: Any, data: Any, array: Any
+) -> dict[str, tuple[str, CoordinateAxis]]:
     """Dimension and knots of each axis of a variable, by our name of the axis."""
-    found: dict[str, tuple[str, CoordinateAxis]] = {}
+    axes_by_kind: dict[str, tuple[str, CoordinateAxis]] = {}
     for dim in map(str, array.dims):
         if dim not in data.variables:
             flat = [str(name) for name in array.coords if array.coords[name].ndim == 2]
             if flat:
                 raise ConfigError(
-                    f"{named(path)}: dimension {dim} of {array.name} has no coordinate of its own, "
+                    f"{format_path(path)}: dimension {dim} of {array.name} has no coordinate of "
+                    "its own, "
                     f"only two-dimensional ones ({', '.join(flat)}): {_REGRID}"
                 )
             raise ConfigError(
-                f"{named(path)}: dimension {dim} of {array.name} has no coordinate: give a file "
+                f"{format_path(path)}: dimension {dim} of {array.name} has no coordinate: give a "
+                "file "
                 "with one-dimensional latitude, longitude, depth and time"
             )
-        kind = _kind(path, dim, data[dim])
+        kind = _axis_kind(path, dim, data[dim])
         if kind is None:
             if data.sizes[dim] == 1:
                 continue
             raise ConfigError(
-                f"{named(path)}: dimension {dim} of {array.name} is none of latitude, longitude, "
+                f"{format_path(path)}: dimension {dim} of {array.name} is none of latitude, "
+                "longitude, "
                 "depth and time; take one slice of it (ncks -d), or give it its standard_name"
             )
-        if kind in found:
+        if kind in axes_by_kind:
             raise ConfigError(
-                f"{named(path)}: {found[kind][0]} and {dim} of {array.name} are both {kind}; "
+                f"{format_path(path)}: {axes_by_kind[kind][0]} and {dim} of {array.name} are both "
+                f"{kind}; "
                 "give them their standard_name"
             )
-        found[kind] = (dim, _knots(path, kind, dim, _masked(path, stored[dim], data[dim])))
+        axes_by_kind[kind] = (
+            dim,
+            _read_knots(path, kind, dim, _mask_missing(path, stored[dim], data[dim])),
+        )
     for kind, name in (("y", "latitude"), ("x", "longitude")):
-        if kind not in found:
-            raise ConfigError(f"{named(path)}: {array.name} has no {name}, only {_said(array)}")
-    if found["y"][1].degrees != found["x"][1].degrees:
+        if kind not in axes_by_kind:
+            raise ConfigError(
+                f"{format_path(path)}: {array.name} has no {name}, only {_format_axes(array)}"
+            )
+    if axes_by_kind["y"][1].degrees != axes_by_kind["x"][1].degrees:
         raise ConfigError(
-            f"{named(path)}: {found['y'][0]} and {found['x'][0]} have different units; give both "
+            f"{format_path(path)}: {axes_by_kind['y'][0]} and {axes_by_kind['x'][0]} have "
+            "different units; give both "
             "in degrees, or both in m"
         )
-    return found
+    return axes_by_kind
 
 
-def _kind(path: Path, dim: str, coordinate: Any) -> str | None:
+def _axis_kind(path: Path, dim: str, coordinate: Any) -> str | None:
     """Return our name of an axis; None if nothing that is understood says it."""
     about = coordinate.attrs
     units = str(about.get("units", "")).lower()
     standard = str(about.get("standard_name", "")).lower()
     if standard in _FOREIGN:
         raise ConfigError(
-            f"{named(path)}: {dim} is a {standard}, no latitude or longitude: {_REGRID}"
+            f"{format_path(path)}: {dim} is a {standard}, no latitude or longitude: {_REGRID}"
         )
     if " since " in units:
         return "time"
@@ -322,21 +355,21 @@ def _kind(path: Path, dim: str, coordinate: Any) -> str | None:
     return _LETTERS.get(str(about.get("axis", "")).upper(), _NAMES.get(dim.lower()))
 
 
-def _knots(path: Path, kind: str, dim: str, coordinate: Any) -> CoordinateAxis:
+def _read_knots(path: Path, kind: str, dim: str, coordinate: Any) -> CoordinateAxis:
     """Return the knots of one axis in our units, rising where they may be turned round."""
     if kind == "time":
-        return _times(path, dim, coordinate)
+        return _read_times(path, dim, coordinate)
     values = np.asarray(coordinate.values, np.float64)
     units = str(coordinate.attrs.get("units", "")).strip().lower()
     degrees = kind != "depth" and _is_degrees(path, kind, dim, coordinate)
     if not degrees:
         if units not in METRES:
             raise ConfigError(
-                f"{named(path)}: {dim} has the units {shown(units)}: must be m or km"
+                f"{format_path(path)}: {dim} has the units {format_value(units)}: must be m or km"
                 + ("" if kind == "depth" else ", degrees_north or degrees_east")
             )
         values = values * METRES[units]
-    if kind == "depth" and _upward(coordinate, values):
+    if kind == "depth" and _is_upward(coordinate, values):
         values = -values
     if degrees and kind == "x":
         values = np.unwrap(values, period=360.0)
@@ -344,7 +377,7 @@ def _knots(path: Path, kind: str, dim: str, coordinate: Any) -> CoordinateAxis:
     largest = {"y": 90.0, "x": 720.0}.get(kind, np.inf) if degrees else np.inf
     if np.abs(values).max() > largest:
         raise ConfigError(
-            f"{named(path)}: {dim} goes from {values.min():g} to {values.max():g} degrees; "
+            f"{format_path(path)}: {dim} goes from {values.min():g} to {values.max():g} degrees; "
             "correct it, or its units"
         )
     return CoordinateAxis(knots=np.sort(values), degrees=degrees, turned=values[0] > values[-1])
@@ -365,7 +398,7 @@ def _is_degrees(path: Path, kind: str, dim: str, coordinate: Any) -> bool:
     is_named = any(name.lower().startswith(beginning) for name in names)
     if _DEGREES.get(units, kind) != kind or not (units in _DEGREES or is_named):
         raise ConfigError(
-            f"{named(path)}: {dim} has the units {shown(units)}: true latitudes have "
+            f"{format_path(path)}: {dim} has the units {format_value(units)}: true latitudes have "
             f"degrees_north, longitudes degrees_east; say so in the file (ncatted), or: {_REGRID}"
         )
     return True
@@ -383,21 +416,21 @@ def _require_frame(
     mapping = _grid_mapping(path, data, array, is_needed=not axis.degrees)
     if mapping not in (None, "latitude_longitude" if axis.degrees else "transverse_mercator"):
         raise ConfigError(
-            f"{named(path)}: {array.name} stands on the grid mapping {mapping}: {_REGRID}"
+            f"{format_path(path)}: {array.name} stands on the grid mapping {mapping}: {_REGRID}"
         )
     if axis.degrees:
         return
     flat = [str(name) for name in array.coords if array.coords[name].ndim == 2]
     if mapping is None and flat:
         raise ConfigError(
-            f"{named(path)}: {y} and {x} are in metres of a map projection that it does not "
+            f"{format_path(path)}: {y} and {x} are in metres of a map projection that it does not "
             f"describe (grid_mapping): {_REGRID}"
         )
     standard = str(array.attrs.get("standard_name", ""))
     is_projected = mapping is not None or "standard_name" in {**data[y].attrs, **data[x].attrs}
     if is_projected and ("eastward" in standard or "northward" in standard):
         raise ConfigError(
-            f"{named(path)}: {array.name} is {standard}, and {y} and {x} are those of a map "
+            f"{format_path(path)}: {array.name} is {standard}, and {y} and {x} are those of a map "
             "projection, not east and north: interpolate it to latitude and longitude "
             "(cdo remapbil)"
         )
@@ -420,13 +453,14 @@ def _grid_mapping(path: Path, data: Any, array: Any, *, is_needed: bool) -> str 
     mapping = attributes.get("grid_mapping_name")
     if mapping is None and is_needed:
         raise ConfigError(
-            f"{named(path)}: {array.name} has the grid mapping {shown(name)}, which the file does "
+            f"{format_path(path)}: {array.name} has the grid mapping {format_value(name)}, which "
+            "the file does "
             "not describe by a grid_mapping_name; give a file that does"
         )
     return None if mapping is None else str(mapping)
 
 
-def _upward(coordinate: Any, values: np.ndarray) -> bool:
+def _is_upward(coordinate: Any, values: np.ndarray) -> bool:
     """Return whether a vertical axis counts upwards: as it says, else by its sign."""
     positive = str(coordinate.attrs.get("positive", "")).lower()
     if positive in ("up", "down"):
@@ -436,7 +470,7 @@ def _upward(coordinate: Any, values: np.ndarray) -> bool:
     return bool(np.all(values <= 0.0) and np.any(values < 0.0))
 
 
-def _times(path: Path, dim: str, coordinate: Any) -> CoordinateAxis:
+def _read_times(path: Path, dim: str, coordinate: Any) -> CoordinateAxis:
     """Return the knots of a time axis, s after the first.
 
     Raises:
@@ -444,23 +478,23 @@ def _times(path: Path, dim: str, coordinate: Any) -> CoordinateAxis:
     """
     import xarray
 
-    about = {key: shown(str(coordinate.attrs.get(key, ""))) for key in ("units", "calendar")}
+    about = {key: format_value(str(coordinate.attrs.get(key, ""))) for key in ("units", "calendar")}
     rule = 'times must be as in "hours since 2024-01-01", in the standard calendar'
     try:
         numbers = xarray.Dataset({dim: coordinate.variable})
         values = xarray.decode_cf(numbers, decode_timedelta=False)[dim].values
     except (ValueError, OverflowError, TypeError) as error:
         raise ConfigError(
-            f"{named(path)}: {dim} has the units {about['units']} and cannot be read "
-            f"({_reason(error.__cause__ or error)}): {rule}"
+            f"{format_path(path)}: {dim} has the units {about['units']} and cannot be read "
+            f"({_format_reason(error.__cause__ or error)}): {rule}"
         ) from error
     if not np.issubdtype(values.dtype, np.datetime64):
         raise ConfigError(
-            f"{named(path)}: {dim} has the units {about['units']} and the calendar "
+            f"{format_path(path)}: {dim} has the units {about['units']} and the calendar "
             f"{about['calendar']}: {rule}"
         )
     if np.any(np.isnat(values)):
-        raise ConfigError(f"{named(path)}: {dim} has missing times; cut them off")
+        raise ConfigError(f"{format_path(path)}: {dim} has missing times; cut them off")
     seconds = (values - values[0]) / np.timedelta64(1, "s")
     _require_rising(path, dim, seconds, either=False)
     return CoordinateAxis(knots=seconds, begin=values[0])
@@ -473,12 +507,13 @@ def _require_rising(path: Path, dim: str, knots: np.ndarray, *, either: bool) ->
         wrong = np.flatnonzero(~(step > 0))
         where = f" (at number {int(wrong[0]) + 1}, from 0)" if len(wrong) else ""
         raise ConfigError(
-            f"{named(path)}: {dim} must {'rise or fall' if either else 'rise'} from each value to "
+            f"{format_path(path)}: {dim} must {'rise or fall' if either else 'rise'} from each "
+            "value to "
             f"the next{where}; sort the file along it"
         )
 
 
-def _laid(array: Any, axes: Mapping[str, tuple[str, CoordinateAxis]]) -> np.ndarray:
+def _order_axes(array: Any, axes: Mapping[str, tuple[str, CoordinateAxis]]) -> np.ndarray:
     """Values [y, x, depth, time] of a variable, axes rising."""
     kinds = [kind for kind in AXES if kind in axes]
     order = [axes[kind][0] for kind in kinds]
@@ -490,16 +525,17 @@ def _laid(array: Any, axes: Mapping[str, tuple[str, CoordinateAxis]]) -> np.ndar
     return laid
 
 
-def _unit(path: Path, array: Any, known: Mapping[str, float]) -> float:
+def _unit_factor(path: Path, array: Any, factors: Mapping[str, float]) -> float:
     units = " ".join(str(array.attrs.get("units", "")).lower().split())
-    if units not in known:
-        some = "m s-1, cm s-1, km h-1 or knots" if known is PER_SECOND else "m or km"
+    if units not in factors:
+        some = "m s-1, cm s-1, km h-1 or knots" if factors is PER_SECOND else "m or km"
         raise ConfigError(
-            f"{named(path)}: {array.name} has the units {shown(units)}: must be {some}; say them "
+            f"{format_path(path)}: {array.name} has the units {format_value(units)}: must be "
+            f"{some}; say them "
             "in the file (ncatted -a units)"
         )
-    return known[units]
+    return factors[units]
 
 
-def _said(array: Any) -> str:
+def _format_axes(array: Any) -> str:
     return ", ".join(f"{dim} ({n})" for dim, n in zip(array.dims, array.shape, strict=True))

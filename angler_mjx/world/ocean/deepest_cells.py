@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from angler_kernels.table import take
+from angler_kernels.table import take_row
 
 _MAJOR_M, _FLATTENING = 6_378_137.0, 1.0 / 298.257223563
 """WGS 84."""
@@ -49,7 +49,7 @@ class DeepestCells:
     count: np.ndarray
     """int32 [depth] how many of them, counted from the first, are water down to a depth."""
 
-    def draw(self, key: jax.Array, level: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def sample(self, key: jax.Array, level: jax.Array) -> tuple[jax.Array, jax.Array]:
         """A place, uniform over the area of those with water down to a level.
 
         Args:
@@ -61,10 +61,10 @@ class DeepestCells:
         """
         along, y, x = jax.random.uniform(key, (3,))
         area = jnp.asarray(self.area, float)
-        most = take(jnp.asarray(self.count), level) - 1
-        i = jnp.clip(jnp.searchsorted(area, along * take(area, most), side="right"), 0, most)
-        low, length = (take(jnp.asarray(one, float), i) for one in (self.low, self.length))
-        return take(jnp.asarray(self.knot), i), low + length * jnp.stack([y, x])
+        last = take_row(jnp.asarray(self.count), level) - 1
+        i = jnp.clip(jnp.searchsorted(area, along * take_row(area, last), side="right"), 0, last)
+        low, length = (take_row(jnp.asarray(array, float), i) for array in (self.low, self.length))
+        return take_row(jnp.asarray(self.knot), i), low + length * jnp.stack([y, x])
 
 
 def span_in(key: str, span: Span | None, knots: np.ndarray, *, turns: bool = False) -> Span | None:
@@ -94,7 +94,7 @@ def span_in(key: str, span: Span | None, knots: np.ndarray, *, turns: bool = Fal
     return low, high
 
 
-def places(
+def find_deepest_cells(
     wet: np.ndarray,
     knots: Sequence[np.ndarray],
     degrees: bool,
@@ -126,10 +126,10 @@ def places(
     iy, ix = np.nonzero(inside)
     if not len(iy):
         spans = {"latitude": y, "longitude": x}
-        there = ", ".join(f"{key} = {list(span)}" for key, span in spans.items() if span)
+        requested_spans = ", ".join(f"{key} = {list(span)}" for key, span in spans.items() if span)
         raise ValueError(
-            f"{there}: there is no water in the file there; choose another place"
-            if there
+            f"{requested_spans}: there is no water in the file there; choose another place"
+            if requested_spans
             else "there is no water between four of its knots; take a larger part of the model"
         )
     order = np.argsort(-deepest[iy, ix], kind="stable")
@@ -137,7 +137,7 @@ def places(
     shrink = np.cos(np.radians(knots[0][iy])) if degrees else 1.0
     # A span that is one place has no length, and no area: then all parts count alike.
     width = [np.where(long_y > 0, long_y, 0.0)[iy], np.where(long_x > 0, long_x, 0.0)[ix]]
-    sides = [one if one.any() else np.ones_like(one) for one in width]
+    sides = [side if side.any() else np.ones_like(side) for side in width]
     levels = np.arange(wet.shape[2])
     return DeepestCells(
         knot=np.stack([iy, ix], axis=1).astype(np.int32),
@@ -148,7 +148,7 @@ def places(
     )
 
 
-def origin(
+def locate_origin(
     knot: jax.Array,
     beyond: jax.Array,
     knots: Sequence[np.ndarray],
@@ -173,6 +173,6 @@ def origin(
     """
     north = east = jnp.ones(())
     if degrees:
-        north, east = metres_per_degree(take(jnp.asarray(knots[0], float), knot[0]) + beyond[0])
+        north, east = metres_per_degree(take_row(jnp.asarray(knots[0], float), knot[0]) + beyond[0])
     rate = 1.0 / (space * jnp.stack([north, east]))
     return beyond - rate * jnp.stack([centre[1], centre[0]]), rate

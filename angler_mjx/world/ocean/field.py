@@ -15,12 +15,12 @@ from pathlib import Path
 import numpy as np
 from scipy import ndimage
 
-from angler_kernels.gridded_field import FEW, Axis
+from angler_kernels.gridded_field import MAX_STATIC_KNOTS, GridAxis
 from angler_mjx.errors import ConfigError
-from angler_mjx.files import named
-from angler_mjx.quantities import FASTEST_MPS
+from angler_mjx.files import format_path
+from angler_mjx.quantities import MAX_SPEED_MPS
 from angler_mjx.world.ocean import cf
-from angler_mjx.world.ocean.cf import Wanted
+from angler_mjx.world.ocean.cf import VariableRequest
 
 _EVEN = 1e-6
 """Steps of an axis that differ by less than this share of one count as one."""
@@ -70,7 +70,7 @@ class OceanField:
         return ny, nx, nz, nt, count
 
     @cached_property
-    def axes(self) -> tuple[Axis, ...]:
+    def axes(self) -> tuple[GridAxis, ...]:
         """The axes as programs know them."""
         return tuple(even_axis(knots) for knots in self.knots)
 
@@ -82,24 +82,24 @@ class OceanField:
             for axis, knots in zip(self.axes, self.knots, strict=True)
             if axis.step is None and not axis.knots
         ]
-        return tuple(np.asarray(one, np.float32) for one in (self.values.reshape(-1), *uneven))
+        return tuple(np.asarray(array, np.float32) for array in (self.values.reshape(-1), *uneven))
 
 
-def even_axis(knots: np.ndarray) -> Axis:
+def even_axis(knots: np.ndarray) -> GridAxis:
     """An axis as programs know it: by its step, where that is the same all along."""
     if len(knots) == 1:
-        return Axis(count=1, step=1.0)
+        return GridAxis(count=1, step=1.0)
     steps = np.diff(knots)
     mean = float((knots[-1] - knots[0]) / (len(knots) - 1))
     even = knots[0] + mean * np.arange(len(knots))
     is_even = np.max(np.abs(knots - even)) <= _EVEN * float(steps.min())
     if is_even:
-        return Axis(count=len(knots), step=mean)
-    few = tuple((knots - knots[0]).tolist()) if len(knots) <= FEW else ()
-    return Axis(count=len(knots), step=None, knots=few)
+        return GridAxis(count=len(knots), step=mean)
+    few = tuple((knots - knots[0]).tolist()) if len(knots) <= MAX_STATIC_KNOTS else ()
+    return GridAxis(count=len(knots), step=None, knots=few)
 
 
-def load(path: str, names: Mapping[str, str | None]) -> OceanField:
+def load_field(path: str, names: Mapping[str, str | None]) -> OceanField:
     """The field of a file, read once for as long as the file stays as it is.
 
     Args:
@@ -110,10 +110,10 @@ def load(path: str, names: Mapping[str, str | None]) -> OceanField:
         ConfigError: there is no such file, or it is none that can be used; says why.
         UnsupportedError: what reads it is not installed.
     """
-    return _load(path, stamp(path), (names.get("u"), names.get("v"), names.get("w")))
+    return _read_field(path, file_stamp(path), (names.get("u"), names.get("v"), names.get("w")))
 
 
-def stamp(path: str) -> tuple[int, int]:
+def file_stamp(path: str) -> tuple[int, int]:
     """What changes with a file: when it was written, and its size."""
     try:
         about = Path(path).stat()
@@ -123,31 +123,32 @@ def stamp(path: str) -> tuple[int, int]:
 
 
 @lru_cache(maxsize=8)
-def _load(
+def _read_field(
     path: str, _: tuple[int, int], names: tuple[str | None, str | None, str | None]
 ) -> OceanField:
     u, v, w = names
     wanted = (
-        Wanted(key="u", name=u, standard=cf.EASTWARD, words=cf.EAST_OR_X),
-        Wanted(key="v", name=v, standard=cf.NORTHWARD, words=cf.NORTH_OR_Y),
-        Wanted(key="w", name=w, standard=cf.UPWARD, words=("upward",), needed=False),
+        VariableRequest(key="u", name=u, standard=cf.EASTWARD, name_parts=cf.EAST_OR_X),
+        VariableRequest(key="v", name=v, standard=cf.NORTHWARD, name_parts=cf.NORTH_OR_Y),
+        VariableRequest(key="w", name=w, standard=cf.UPWARD, name_parts=("upward",), needed=False),
     )
-    read = cf.read(Path(path), wanted, cf.PER_SECOND)
+    read = cf.read_variables(Path(path), wanted, cf.PER_SECOND)
     values = np.stack(read.parts, axis=-1)
     _require_slow(path, read, values)
     wet = np.all(np.isfinite(values), axis=(3, 4))
     if not wet.any():
         raise ConfigError(
-            f"{named(path)}: no knot of it has a velocity at all times: all are missing (NaN); "
+            f"{format_path(path)}: no knot of it has a velocity at all times: all are missing "
+            "(NaN); "
             "choose times that it covers"
         )
     y, x, depth, time = (read.axes[kind] for kind in cf.AXES)
     for axis, name in ((y, "latitude"), (x, "longitude")):
         if len(axis.knots) < 2:
-            raise ConfigError(f"{named(path)}: has one {name} only; two are the least")
+            raise ConfigError(f"{format_path(path)}: has one {name} only; two are the least")
     knots = (y.knots, x.knots, depth.knots, time.knots)
     return OceanField(
-        values=carried_on(values, wet, knots, y.degrees).astype(np.float32),
+        values=fill_land_values(values, wet, knots, y.degrees).astype(np.float32),
         wet=wet,
         knots=knots,
         degrees=y.degrees,
@@ -157,7 +158,7 @@ def _load(
     )
 
 
-def _require_slow(path: str, read: cf.Read, values: np.ndarray) -> None:
+def _require_slow(path: str, read: cf.FileVariables, values: np.ndarray) -> None:
     """Require that no velocity is faster than those of other currents.
 
     Args:
@@ -169,26 +170,30 @@ def _require_slow(path: str, read: cf.Read, values: np.ndarray) -> None:
         ConfigError: one is; says where and when.
     """
     speed = np.sqrt(np.sum(np.square(values), axis=-1))
-    fast = speed > FASTEST_MPS
+    fast = speed > MAX_SPEED_MPS
     if not fast.any():
         return
     at = tuple(int(i) for i in np.argwhere(fast)[0])
     y, x, depth, time = (read.axes[kind].knots[i] for kind, i in zip(cf.AXES, at, strict=True))
-    place = f"latitude {y:g}, longitude {x:g}" if read.axes["y"].degrees else f"y {y:g}, x {x:g} m"
+    position = (
+        f"latitude {y:g}, longitude {x:g}" if read.axes["y"].degrees else f"y {y:g}, x {x:g} m"
+    )
     begin = read.axes["time"].begin
     if begin is not None:
         moment = (begin + np.timedelta64(round(time), "s")).astype("datetime64[s]")
-        place = f"{moment}, {place}"
+        position = f"{moment}, {position}"
     component = int(np.argmax(np.abs(values[at])))
     raise ConfigError(
-        f"{named(path)}: {read.names[component]} = {values[at][component]:g} m/s at {place}, "
-        f"depth {depth:g} m: no water is faster than {FASTEST_MPS:g} m/s (the fastest tidal stream "
+        f"{format_path(path)}: {read.names[component]} = {values[at][component]:g} m/s at "
+        f"{position}, "
+        f"depth {depth:g} m: no water is faster than {MAX_SPEED_MPS:g} m/s (the fastest tidal "
+        "stream "
         "makes 10 m/s); if the number stands for land, name it as _FillValue in the file "
         "(ncatted), else correct units or scale_factor"
     )
 
 
-def carried_on(
+def fill_land_values(
     values: np.ndarray, wet: np.ndarray, knots: tuple[np.ndarray, ...], degrees: bool
 ) -> np.ndarray:
     """Values of water for every knot; see the module.

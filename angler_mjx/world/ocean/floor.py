@@ -10,13 +10,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from angler_kernels.gridded_field import Axis, locate
+from angler_kernels.gridded_field import GridAxis, locate_knot
 from angler_mjx.errors import ConfigError
-from angler_mjx.files import named
-from angler_mjx.quantities import FARTHEST_M
+from angler_mjx.files import format_path
+from angler_mjx.quantities import MAX_COORDINATE_M
 from angler_mjx.world.ocean import cf
-from angler_mjx.world.ocean.cf import Wanted
-from angler_mjx.world.ocean.field import carried_on, even_axis, stamp
+from angler_mjx.world.ocean.cf import VariableRequest
+from angler_mjx.world.ocean.field import even_axis, file_stamp, fill_land_values
 
 DEPTH = (
     "sea_floor_depth_below_sea_level",
@@ -51,7 +51,7 @@ LAND_M = -1e4
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Floor:
+class SeaFloor:
     """Depths of the sea floor at knots."""
 
     depth_m: np.ndarray
@@ -63,7 +63,7 @@ class Floor:
     degrees: bool
 
     @cached_property
-    def axes(self) -> tuple[Axis, Axis]:
+    def axes(self) -> tuple[GridAxis, GridAxis]:
         """The axes as programs know them."""
         y, x = (even_axis(knots) for knots in self.knots)
         return y, x
@@ -77,7 +77,7 @@ class Floor:
         return made.hexdigest()
 
 
-def load_floor(path: str, variable: str | None, positive: str | None = None) -> Floor:
+def load_floor(path: str, variable: str | None, positive: str | None = None) -> SeaFloor:
     """Read the sea floor of a file, once for as long as the file stays as it is.
 
     Args:
@@ -89,38 +89,45 @@ def load_floor(path: str, variable: str | None, positive: str | None = None) -> 
         ConfigError: there is no such file, or it is none that can be used; says why.
         UnsupportedError: what reads it is not installed.
     """
-    return _load(path, stamp(path), variable, positive)
+    return _read_floor(path, file_stamp(path), variable, positive)
 
 
 @lru_cache(maxsize=8)
-def _load(path: str, _: tuple[int, int], variable: str | None, positive: str | None) -> Floor:
-    below = Wanted(key="variable", name=variable, standard=(*DEPTH, *HEIGHT))
-    read = cf.read(Path(path), (below,), cf.METRES)
+def _read_floor(
+    path: str, _: tuple[int, int], variable: str | None, positive: str | None
+) -> SeaFloor:
+    below = VariableRequest(key="variable", name=variable, standard=(*DEPTH, *HEIGHT))
+    read = cf.read_variables(Path(path), (below,), cf.METRES)
     depth = read.parts[0]
     if depth.shape[2] > 1 or depth.shape[3] > 1:
         raise ConfigError(
-            f"{named(path)}: a sea floor has no depths and no times; take one of them"
+            f"{format_path(path)}: a sea floor has no depths and no times; take one of them"
         )
     depth = depth[:, :, 0, 0]
-    if _direction(path, read, depth, positive) == "up":
+    if _positive_direction(path, read, depth, positive) == "up":
         depth = -depth
     _require_shallow(path, read, depth)
     wet = np.isfinite(depth) & (depth > 0.0)
     if not wet.any():
         raise ConfigError(
-            f"{named(path)}: its sea floor ({read.names[0]}) lies nowhere below the surface; give "
+            f"{format_path(path)}: its sea floor ({read.names[0]}) lies nowhere below the surface; "
+            "give "
             'another variable or area, or say positive = "up" of heights, "down" of depths'
         )
     y, x = read.axes["y"], read.axes["x"]
     if min(len(y.knots), len(x.knots)) < 2:
-        raise ConfigError(f"{named(path)}: needs two latitudes and two longitudes at least")
-    whole = carried_on(
+        raise ConfigError(f"{format_path(path)}: needs two latitudes and two longitudes at least")
+    whole = fill_land_values(
         depth[:, :, None, None, None], wet[:, :, None], (y.knots, x.knots), y.degrees
     )
-    return Floor(depth_m=whole[:, :, 0, 0, 0], wet=wet, knots=(y.knots, x.knots), degrees=y.degrees)
+    return SeaFloor(
+        depth_m=whole[:, :, 0, 0, 0], wet=wet, knots=(y.knots, x.knots), degrees=y.degrees
+    )
 
 
-def _direction(path: str, read: cf.Read, values: np.ndarray, positive: str | None) -> str:
+def _positive_direction(
+    path: str, read: cf.FileVariables, values: np.ndarray, positive: str | None
+) -> str:
     """Return the direction in which a sea floor is positive, "up" or "down".
 
     Args:
@@ -136,45 +143,50 @@ def _direction(path: str, read: cf.Read, values: np.ndarray, positive: str | Non
     standard = attributes.get("standard_name", "")
     by_name = "down" if standard in DEPTH else "up" if standard in HEIGHT else None
     by_attribute = attributes.get("positive", "").lower()
-    said = {by_name, by_attribute} & {"up", "down"} or {_DIRECTIONS.get(name.lower())} - {None}
+    directions = {by_name, by_attribute} & {"up", "down"} or {_DIRECTIONS.get(name.lower())} - {
+        None
+    }
     if positive is not None:
-        if said == {"up", "down"} - {positive}:
+        if directions == {"up", "down"} - {positive}:
             raise ConfigError(
-                f"{named(path)}: {name} is positive {said.pop()} by its attributes or name; leave "
+                f"{format_path(path)}: {name} is positive {directions.pop()} by its attributes or "
+                "name; leave "
                 f'out positive = "{positive}", or correct the file (ncatted)'
             )
         return positive
-    if len(said) == 1:
-        return str(said.pop())
-    if not said and not (np.any(values > 0.0) and np.any(values < 0.0)):
+    if len(directions) == 1:
+        return str(directions.pop())
+    if not directions and not (np.any(values > 0.0) and np.any(values < 0.0)):
         return "up" if np.any(values < 0.0) else "down"  # the other way round all of it is land
     why = (
         f"has the standard_name {standard} and positive = {by_attribute}, which contradict each "
         "other"
-        if said
+        if directions
         else "has values of both signs and does not say whether it is a depth or a height"
     )
     raise ConfigError(
-        f'{named(path)}: {name} {why}; say positive = "down" of depths, "up" of heights'
+        f'{format_path(path)}: {name} {why}; say positive = "down" of depths, "up" of heights'
     )
 
 
-def _require_shallow(path: str, read: cf.Read, depth: np.ndarray) -> None:
+def _require_shallow(path: str, read: cf.FileVariables, depth: np.ndarray) -> None:
     """Require that no depth or height [y, x], m, is beyond those of files."""
-    far = np.argwhere(np.abs(depth) > FARTHEST_M)
+    far = np.argwhere(np.abs(depth) > MAX_COORDINATE_M)
     if not len(far):
         return
     i, j = far[0]
     y, x = read.axes["y"].knots[i], read.axes["x"].knots[j]
     raise ConfigError(
-        f"{named(path)}: {read.names[0]} is {abs(depth[i, j]):g} m at y {y:g}, x {x:g}: no ground "
-        f"lies {FARTHEST_M:g} m deep or high; if the number stands for missing values, name it as "
+        f"{format_path(path)}: {read.names[0]} is {abs(depth[i, j]):g} m at y {y:g}, x {x:g}: no "
+        "ground "
+        f"lies {MAX_COORDINATE_M:g} m deep or high; if the number stands for missing values, name "
+        "it as "
         "_FillValue in the file (ncatted), else correct units or scale_factor"
     )
 
 
 @dataclass(frozen=True, kw_only=True)
-class Centres:
+class CellCentres:
     """Middles of the cells of a world along each axis of W, m."""
 
     x: jax.Array
@@ -184,10 +196,10 @@ class Centres:
 
 def dry_cells(
     wet: np.ndarray,
-    axes: Sequence[Axis],
+    axes: Sequence[GridAxis],
     knots: Sequence[np.ndarray],
-    place: tuple[jax.Array, jax.Array, jax.Array],
-    centres: Centres,
+    frame: tuple[jax.Array, jax.Array, jax.Array],
+    centres: CellCentres,
 ) -> jax.Array:
     """Cells [nx, ny, nz] whose nearest knot is land, or below the sea floor of a field.
 
@@ -195,12 +207,12 @@ def dry_cells(
         wet: bool [y, x, depth].
         axes: y, x and depth.
         knots: of the axes.
-        place: knots int32 [3 or more] from which the origin of W is said, what lies beyond them,
+        frame: knots int32 [3 or more] from which the origin of W is said, what lies beyond them,
             and places on the axes by metre, as `currents.Gridded` has them.
         centres: of the cells.
     """
     y, x, z = (
-        _nearest(axis, values, (place[0][i], place[1][i], place[2][i]), along)
+        _nearest_knots(axis, values, (frame[0][i], frame[1][i], frame[2][i]), along)
         for i, (axis, values, along) in enumerate(
             zip(axes, knots, (centres.y, centres.x, centres.z), strict=True)
         )
@@ -210,10 +222,10 @@ def dry_cells(
 
 
 def below_floor(
-    floor: Floor,
-    place: tuple[jax.Array, jax.Array, jax.Array],
+    floor: SeaFloor,
+    frame: tuple[jax.Array, jax.Array, jax.Array],
     scale: float,
-    centres: Centres,
+    centres: CellCentres,
 ) -> jax.Array:
     """Cells [nx, ny, nz] whose middle lies below the sea floor of its column, or on land.
 
@@ -222,12 +234,12 @@ def below_floor(
 
     Args:
         floor: of the file.
-        place: as in `dry_cells`, of y and x of the floor's axes.
+        frame: as in `dry_cells`, of y and x of the floor's axes.
         scale: metres here to a metre of depth in the file.
         centres: of the cells.
     """
     spots = [
-        _spots(axis, values, (place[0][i], place[1][i], place[2][i]), along)
+        _locate_along(axis, values, (frame[0][i], frame[1][i], frame[2][i]), along)
         for i, (axis, values, along) in enumerate(
             zip(floor.axes, floor.knots, (centres.y, centres.x), strict=True)
         )
@@ -243,7 +255,7 @@ def below_floor(
     return -centres.z[None, None, :] > column.T[:, :, None]
 
 
-def carried_over(knots: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def knots_below(knots: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """For each knot of one axis the knot of another below it, and what lies between, exactly.
 
     Args:
@@ -254,28 +266,28 @@ def carried_over(knots: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, np.
     return below.astype(np.int32), knots - others[below]
 
 
-def _spots(
-    axis: Axis,
+def _locate_along(
+    axis: GridAxis,
     knots: np.ndarray,
-    place: tuple[jax.Array, jax.Array, jax.Array],
+    frame: tuple[jax.Array, jax.Array, jax.Array],
     along: jax.Array,
 ) -> tuple[jax.Array, jax.Array]:
     """Lower knots and shares of the way to the next of places along an axis of W."""
-    knot, rest, rate = place
+    knot, rest, rate = frame
     table = jnp.asarray(knots - knots[0], rest.dtype)
 
-    def one(at: jax.Array) -> tuple[jax.Array, jax.Array]:
-        lower, share, _ = locate(axis, table, knot, rest + rate * at)
-        return lower, share
+    def locate_one(at: jax.Array) -> tuple[jax.Array, jax.Array]:
+        lower, fraction, _ = locate_knot(axis, table, knot, rest + rate * at)
+        return lower, fraction
 
-    return jax.vmap(one)(along)
+    return jax.vmap(locate_one)(along)
 
 
-def _nearest(
-    axis: Axis,
+def _nearest_knots(
+    axis: GridAxis,
     knots: np.ndarray,
-    place: tuple[jax.Array, jax.Array, jax.Array],
+    frame: tuple[jax.Array, jax.Array, jax.Array],
     along: jax.Array,
 ) -> jax.Array:
-    lower, share = _spots(axis, knots, place, along)
-    return lower + (share > 0.5)
+    lower, fraction = _locate_along(axis, knots, frame, along)
+    return lower + (fraction > 0.5)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from angler_mjx.errors import shown
+from angler_mjx.errors import format_value
 
 _DEFAULT_FILL = {
     "i1": -127,
@@ -40,14 +40,14 @@ def find_missing(stored: np.ndarray, attributes: Mapping[str, Any]) -> np.ndarra
     """
     if stored.dtype.kind not in "iuf":
         raise ValueError(f"its values are no numbers ({stored.dtype})")
-    values = _signed(stored, stored.dtype, attributes)
+    values = _apply_signedness(stored, stored.dtype, attributes)
     missing = np.zeros(values.shape, bool)
     if values.dtype.kind == "f":
         missing |= np.isnan(values)
-    for fill in _fills(stored.dtype, values.dtype, attributes):
+    for fill in _fill_values(stored.dtype, values.dtype, attributes):
         missing |= values == fill
-    bounds = list(_bounds(stored.dtype, values.dtype, attributes))
-    outside = _outside(values, bounds)
+    bounds = list(_valid_bounds(stored.dtype, values.dtype, attributes))
+    outside = _is_outside(values, bounds)
     _require_packed(values, missing, outside, bounds, attributes)
     absent: np.ndarray = missing | outside
     return absent
@@ -62,7 +62,7 @@ class _Bound:
     is_upper: bool
 
 
-def _signed(
+def _apply_signedness(
     numbers: np.ndarray, stored: np.dtype[Any], attributes: Mapping[str, Any]
 ) -> np.ndarray:
     """Return numbers that the stored integer type holds as signed or unsigned, by ``_Unsigned``."""
@@ -75,31 +75,31 @@ def _signed(
     return cast.view(f"{stored.byteorder}{kind}{stored.itemsize}") if is_held else numbers
 
 
-def _numbers(
+def _read_numbers(
     key: str, count: int | None, stored: np.dtype[Any], attributes: Mapping[str, Any]
 ) -> np.ndarray:
     """Return the numbers [n] of an attribute; ``count`` of them, if that is not None."""
     numbers = np.ravel(np.asarray(attributes[key]))
     if numbers.dtype.kind not in "iuf" or count not in (None, len(numbers)):
         wanted = "a number" if count == 1 else "numbers" if count is None else f"{count} numbers"
-        value = _text(attributes[key])
+        value = _format_attribute(attributes[key])
         raise ValueError(f"{key} = {value}: must be {wanted}; correct it in the file (ncatted)")
-    return _signed(numbers, stored, attributes)
+    return _apply_signedness(numbers, stored, attributes)
 
 
-def _text(attribute: Any) -> str:
+def _format_attribute(attribute: Any) -> str:
     """Return an attribute as a message shows it."""
-    return shown(np.asarray(attribute).tolist())
+    return format_value(np.asarray(attribute).tolist())
 
 
-def _fills(
+def _fill_values(
     stored: np.dtype[Any], dtype: np.dtype[Any], attributes: Mapping[str, Any]
 ) -> Iterator[Any]:
     """Yield the numbers that stand for missing values, in the variable's type."""
     for key, count in (("_FillValue", 1), ("missing_value", None)):
         if key not in attributes:
             continue
-        for number in _numbers(key, count, stored, attributes):
+        for number in _read_numbers(key, count, stored, attributes):
             with np.errstate(over="ignore", invalid="ignore"):
                 cast = number.astype(dtype)
             # A number that an integer type cannot hold equals none of the values.
@@ -111,7 +111,7 @@ def _fills(
         yield dtype.type(default)
 
 
-def _bounds(
+def _valid_bounds(
     stored: np.dtype[Any], dtype: np.dtype[Any], attributes: Mapping[str, Any]
 ) -> Iterator[_Bound]:
     """Yield the ends of the valid range; those of floating-point variables in their type."""
@@ -122,14 +122,14 @@ def _bounds(
     ):
         if key not in attributes:
             continue
-        numbers = _numbers(key, len(uppers), stored, attributes)
+        numbers = _read_numbers(key, len(uppers), stored, attributes)
         for number, is_upper in zip(numbers, uppers, strict=True):
             with np.errstate(over="ignore"):
                 cast = number.astype(dtype) if dtype.kind == "f" else number
             yield _Bound(key, cast, is_upper)
 
 
-def _outside(values: np.ndarray, bounds: list[_Bound]) -> np.ndarray:
+def _is_outside(values: np.ndarray, bounds: list[_Bound]) -> np.ndarray:
     """Return which values lie outside the valid range, bool of their shape."""
     outside = np.zeros(values.shape, bool)
     for bound in bounds:
@@ -155,13 +155,14 @@ def _require_packed(
     if not floats:
         return
     scale, offset = (
-        float(_numbers(key, 1, values.dtype, {key: neutral, **attributes})[0])
+        float(_read_numbers(key, 1, values.dtype, {key: neutral, **attributes})[0])
         for key, neutral in (("scale_factor", 1.0), ("add_offset", 0.0))
     )
-    unpacked = _outside(scale * values.astype(np.float64) + offset, bounds)
+    unpacked = _is_outside(scale * values.astype(np.float64) + offset, bounds)
     if np.any((outside != unpacked) & ~missing):
         bound = floats[0]
         raise ValueError(
-            f"{bound.key} = {_text(attributes[bound.key])} is {bound.number.dtype} and its values "
+            f"{bound.key} = {_format_attribute(attributes[bound.key])} is {bound.number.dtype} and "
+            "its values "
             f"are {values.dtype}: give it as {values.dtype}, in stored (packed) units (ncatted)"
         )

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.errors import ConfigError, raised_by, shown
+from angler_mjx.errors import ConfigError, format_value, report_user_errors
 from angler_mjx.world.tasks import pairs
 from angler_mjx.world.tasks.travel import Travel
 
@@ -37,7 +37,7 @@ class AllocationView:
     """Way [M] from the end of a job, int32 [], to the beginnings of all."""
     rank: jax.Array
     """int32 [M] place of each job in boustrophedon order."""
-    share: jax.Array
+    part: jax.Array
     """int32 [R] which part of that order is each robot's."""
     exists: jax.Array
     """bool [M] jobs of this world, open or not."""
@@ -45,7 +45,7 @@ class AllocationView:
     @property
     def reach_m(self) -> jax.Array:
         """[R, M] way of each robot to the beginning of each job."""
-        return self.travel.ways(self.p, jnp.arange(self.open.shape[0], dtype=jnp.int32))
+        return self.travel.path_lengths_m(self.p, jnp.arange(self.open.shape[0], dtype=jnp.int32))
 
 
 type Allocator = Callable[[AllocationView], jax.Array]
@@ -99,18 +99,18 @@ def sweep(view: AllocationView) -> jax.Array:
     robots = view.able.shape[0]
     count = jnp.sum(view.exists, dtype=jnp.int32)
     part = part_of(view.rank, count, robots)
-    mine = view.open & view.exists & (part == view.share[:, None])
-    own = _first(mine, view.rank)
-    idle = view.able & (own < 0)
-    orphan = view.open & ~jnp.any(mine & view.active[:, None], axis=0)
+    robot_jobs = view.open & view.exists & (part == view.part[:, None])
+    first_job = _first_job(robot_jobs, view.rank)
+    idle = view.able & (first_job < 0)
+    orphan = view.open & ~jnp.any(robot_jobs & view.active[:, None], axis=0)
     # Places of the orphans among themselves, cut among the idle.
     earlier = (view.rank[:, None] > view.rank) & orphan
-    place = jnp.sum(earlier, axis=1, dtype=jnp.int32)
+    orphan_rank = jnp.sum(earlier, axis=1, dtype=jnp.int32)
     among = jnp.maximum(jnp.sum(idle, dtype=jnp.int32), 1)
     left = jnp.sum(orphan, dtype=jnp.int32)
     number = jnp.cumsum(idle, dtype=jnp.int32) - 1
-    theirs = orphan & (part_of(place, left, among) == number[:, None])
-    return jnp.where(idle, _first(theirs, view.rank), jnp.where(view.able, own, -1))
+    theirs = orphan & (part_of(orphan_rank, left, among) == number[:, None])
+    return jnp.where(idle, _first_job(theirs, view.rank), jnp.where(view.able, first_job, -1))
 
 
 def part_of(rank: jax.Array, count: jax.Array, parts: jax.Array | int) -> jax.Array:
@@ -118,23 +118,23 @@ def part_of(rank: jax.Array, count: jax.Array, parts: jax.Array | int) -> jax.Ar
     return rank * parts // jnp.maximum(count, 1)
 
 
-def _first(may: jax.Array, rank: jax.Array) -> jax.Array:
+def _first_job(may: jax.Array, rank: jax.Array) -> jax.Array:
     """The first in order of what may be chosen, bool [..., M]; -1 where nothing may."""
-    least = jnp.argmin(jnp.where(may, rank, rank.shape[-1]), axis=-1)
-    return jnp.where(jnp.any(may, axis=-1), least, -1).astype(jnp.int32)
+    best = jnp.argmin(jnp.where(may, rank, rank.shape[-1]), axis=-1)
+    return jnp.where(jnp.any(may, axis=-1), best, -1).astype(jnp.int32)
 
 
 def in_order(view: AllocationView) -> jax.Array:
     """Each robot takes the open job of the lowest number; for tours in order."""
     jobs = jnp.arange(view.open.shape[0], dtype=jnp.int32)
-    return jnp.where(view.able, _first(view.open, jobs), -1)
+    return jnp.where(view.able, _first_job(view.open, jobs), -1)
 
 
 BUILT_IN: Mapping[str, Allocator] = {"nearest": nearest, "auction": auction, "sweep": sweep}
 """By their names in scenario files."""
 
 
-def by_name(name: str) -> Allocator:
+def find_allocator(name: str) -> Allocator:
     """An allocator.
 
     Args:
@@ -146,26 +146,28 @@ def by_name(name: str) -> Allocator:
     if name in BUILT_IN:
         return BUILT_IN[name]
     module, colon, function = name.partition(":")
-    known = ", ".join(BUILT_IN)
+    names = ", ".join(BUILT_IN)
     if not colon:
-        raise ConfigError(f"{shown(name)} shares out no jobs; there are {known}, MODULE:FUNCTION")
+        raise ConfigError(
+            f"{format_value(name)} shares out no jobs; there are {names}, MODULE:FUNCTION"
+        )
     try:
-        with raised_by(f"{shown(name)}: the module"):
-            found = getattr(importlib.import_module(module), function)
+        with report_user_errors(f"{format_value(name)}: the module"):
+            candidate = getattr(importlib.import_module(module), function)
     except ConfigError as error:
-        raise ConfigError(f"{error}; there are {known}, MODULE:FUNCTION") from error
-    if not callable(found):
-        raise ConfigError(f"{shown(name)} is no function")
-    allocator: Allocator = found
+        raise ConfigError(f"{error}; there are {names}, MODULE:FUNCTION") from error
+    if not callable(candidate):
+        raise ConfigError(f"{format_value(name)} is no function")
+    allocator: Allocator = candidate
     return allocator
 
 
 def named_in_errors(name: str) -> Allocator:
-    """Return an allocator as `by_name` does; what it raises names its file and line."""
-    allocator = by_name(name)
+    """Return an allocator as `find_allocator` does; what it raises names its file and line."""
+    allocator = find_allocator(name)
 
     def allocate(view: AllocationView) -> jax.Array:
-        with raised_by(f"task.allocation = {shown(name)}: the function"):
+        with report_user_errors(f"task.allocation = {format_value(name)}: the function"):
             return allocator(view)
 
     return allocate

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 WORD = 32
 
 
-def pack(flags: jax.Array) -> jax.Array:
+def pack_flags(flags: jax.Array) -> jax.Array:
     """Words uint32 [..., W] of flags bool [..., M]; job j is bit j % 32 of word j // 32."""
     # Each flag is worked out by itself, not 32 in a row.
     jobs, flags = flags.shape[-1], jax.lax.optimization_barrier(flags)
@@ -17,14 +17,14 @@ def pack(flags: jax.Array) -> jax.Array:
     return jnp.sum(jnp.where(bits, weight, jnp.uint32(0)), axis=-1, dtype=jnp.uint32)
 
 
-def unpack(words: jax.Array, jobs: int) -> jax.Array:
+def unpack_flags(words: jax.Array, jobs: int) -> jax.Array:
     """Flags bool [..., M] of words uint32 [..., W]."""
-    place = jnp.arange(WORD, dtype=jnp.uint32)
-    flags = ((words[..., None] >> place) & 1).astype(bool)
+    bit_index = jnp.arange(WORD, dtype=jnp.uint32)
+    flags = ((words[..., None] >> bit_index) & 1).astype(bool)
     return flags.reshape(*words.shape[:-1], -1)[..., :jobs]
 
 
-def together(words: jax.Array) -> jax.Array:
+def union_words(words: jax.Array) -> jax.Array:
     """Bits uint32 [R, W] that any of several has set, of words [R, n, W]."""
-    found: jax.Array = jax.lax.reduce(words, jnp.uint32(0), jax.lax.bitwise_or, (1,))
-    return found
+    union: jax.Array = jax.lax.reduce(words, jnp.uint32(0), jax.lax.bitwise_or, (1,))
+    return union

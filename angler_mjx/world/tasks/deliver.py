@@ -8,13 +8,13 @@ import jax.numpy as jnp
 from angler_mjx.world.tasks.spec import TaskSpec, TaskState
 
 
-def carried(spec: TaskSpec, state: TaskState) -> jax.Array:
+def carried_goods(spec: TaskSpec, state: TaskState) -> jax.Array:
     """Goods that some robot carries, bool [M]."""
     holds = state.carrying[:, None] == jnp.arange(spec.jobs)
     return jnp.any(holds, axis=0)
 
 
-def advance(
+def advance_goods(
     spec: TaskSpec, state: TaskState, running: jax.Array, near: jax.Array
 ) -> tuple[TaskState, jax.Array]:
     """Goods are put down where they go, and taken up where robots were sent for them.
@@ -36,10 +36,10 @@ def advance(
     carrying = jnp.where(keeps, state.carrying, -1)
     lost = state.lost | dropped if spec.dropped == "lost" else state.lost
     # One takes it, though two that know little of each other may come for it.
-    there = near[:, :jobs] & (state.target[:, None] == jnp.arange(jobs))
-    there &= (carrying < 0)[:, None] & ~(
+    at_pickup = near[:, :jobs] & (state.target[:, None] == jnp.arange(jobs))
+    at_pickup &= (carrying < 0)[:, None] & ~(
         state.done | lost | jnp.any(holds & running[:, None], axis=0)
     )
-    takes = there & (jnp.argmax(there, axis=0) == robots[:, None])
+    takes = at_pickup & (jnp.argmax(at_pickup, axis=0) == robots[:, None])
     carrying = jnp.where(jnp.any(takes, axis=1), jnp.argmax(takes, axis=1), carrying)
     return replace(state, carrying=carrying.astype(jnp.int32), lost=lost), brought

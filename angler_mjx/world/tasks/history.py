@@ -9,7 +9,7 @@ import numpy as np
 from angler_mjx.world.tasks.spec import TaskSpec
 
 
-class Doing(IntEnum):
+class RobotActivity(IntEnum):
     """What a robot does of its task."""
 
     GOES = 0
@@ -24,7 +24,7 @@ class Doing(IntEnum):
     """Nothing more: it has finished, or is lost to the task."""
 
 
-class Goods(IntEnum):
+class GoodsStatus(IntEnum):
     """Where goods are."""
 
     WAIT = 0
@@ -44,7 +44,7 @@ class TaskHistory:
     spec: TaskSpec
     time_s: np.ndarray
     """[T] of the samples."""
-    place_m: np.ndarray
+    position_m: np.ndarray
     """[P, 3] in W; jobs first, then where goods go, then homes."""
     exists: np.ndarray
     """bool [M]."""
@@ -52,7 +52,7 @@ class TaskHistory:
     """int [M] robot that did each job; -1: not done."""
     done_at_s: np.ndarray
     """[M] when; NaN: not done."""
-    share: np.ndarray
+    progress: np.ndarray
     """[T] of the task that is done; of a survey, of its cells that were seen."""
     did: np.ndarray
     """int [T, R] jobs that each robot did; where a tour is not shared, places that it visited."""
@@ -69,7 +69,7 @@ class TaskHistory:
     seen_at_s: np.ndarray | None = None
     """[nx, ny, nz] when each was seen first; NaN: never."""
 
-    def _since(self, at_s: np.ndarray) -> np.ndarray:
+    def _has_passed(self, at_s: np.ndarray) -> np.ndarray:
         """Whether times [n] have come at the samples, bool [T, n]; they are float32's."""
         now = self.time_s * (1.0 + 1e-6) + 1e-6
         since: np.ndarray = at_s <= now[:, None]
@@ -78,50 +78,50 @@ class TaskHistory:
     @cached_property
     def done(self) -> np.ndarray:
         """Jobs that were done by then, bool [T, M]."""
-        return self._since(self.done_at_s)
+        return self._has_passed(self.done_at_s)
 
     @cached_property
     def seen(self) -> np.ndarray:
         """Which cells of a survey were seen by then, bool [T, n], in the order of ``cells``."""
         if self.cells is None or self.seen_at_s is None:
             return np.zeros((len(self.time_s), 0), bool)
-        return self._since(self.seen_at_s[self.cells])
+        return self._has_passed(self.seen_at_s[self.cells])
 
     @cached_property
     def doing(self) -> np.ndarray:
-        """What each robot does, `Doing` [T, R]."""
-        found = np.full(self.target.shape, Doing.GOES)
-        found[self.target >= self.spec.jobs] = Doing.BRINGS
-        found[self.target >= self.spec.homes] = Doing.RETURNS
-        found[self.target < 0] = Doing.WAITS
-        found[self._since(self.ended_s)] = Doing.ENDED
-        return found
+        """What each robot does, `RobotActivity` [T, R]."""
+        activity = np.full(self.target.shape, RobotActivity.GOES)
+        activity[self.target >= self.spec.jobs] = RobotActivity.BRINGS
+        activity[self.target >= self.spec.homes] = RobotActivity.RETURNS
+        activity[self.target < 0] = RobotActivity.WAITS
+        activity[self._has_passed(self.ended_s)] = RobotActivity.ENDED
+        return activity
 
     @cached_property
-    def goes(self) -> np.ndarray:
+    def is_underway(self) -> np.ndarray:
         """Which robots are on their way to a place, bool [T, R]."""
-        found: np.ndarray = self.doing <= Doing.RETURNS
-        return found
+        underway: np.ndarray = self.doing <= RobotActivity.RETURNS
+        return underway
 
     @cached_property
     def carrier(self) -> np.ndarray:
         """Robot that carries the goods of each job, int [T, M]; -1: none."""
         holds = self.carrying[..., None] == np.arange(self.spec.jobs)
-        holds &= ~self._since(self.ended_s)[..., None]
-        found: np.ndarray = np.where(holds.any(axis=1), np.argmax(holds, axis=1), -1)
-        return found
+        holds &= ~self._has_passed(self.ended_s)[..., None]
+        carrier_index: np.ndarray = np.where(holds.any(axis=1), np.argmax(holds, axis=1), -1)
+        return carrier_index
 
     @cached_property
     def goods(self) -> np.ndarray:
-        """Where the goods of each job are, `Goods` [T, M]."""
+        """Where the goods of each job are, `GoodsStatus` [T, M]."""
         travels = self.carrier >= 0
         dropped = np.maximum.accumulate(travels, axis=0) & ~travels
-        found = np.full(travels.shape, Goods.WAIT)
+        status = np.full(travels.shape, GoodsStatus.WAIT)
         if self.spec.dropped == "lost":
-            found[dropped] = Goods.LOST
-        found[travels] = Goods.TRAVEL
-        found[self.done] = Goods.BROUGHT
-        return found
+            status[dropped] = GoodsStatus.LOST
+        status[travels] = GoodsStatus.TRAVEL
+        status[self.done] = GoodsStatus.BROUGHT
+        return status
 
     def goods_m(self, p_m: np.ndarray) -> np.ndarray:
         """Where goods are, [T, M, 3] in W; NaN of those that are lost, or that do not exist.
@@ -130,27 +130,27 @@ class TaskHistory:
             p_m: [T, R, 3] where the robots are, in W.
         """
         jobs = self.spec.jobs
-        at = np.broadcast_to(self.place_m[:jobs], (*self.goods.shape, 3)).copy()
-        taken, brought = self.goods == Goods.TRAVEL, self.goods == Goods.BROUGHT
+        at = np.broadcast_to(self.position_m[:jobs], (*self.goods.shape, 3)).copy()
+        taken, brought = self.goods == GoodsStatus.TRAVEL, self.goods == GoodsStatus.BROUGHT
         when = np.nonzero(taken)[0]
         at[taken] = p_m[when, self.carrier[taken]]
-        at[brought] = self.place_m[jobs + np.nonzero(brought)[1]]
-        at[(self.goods == Goods.LOST) | ~self.exists] = np.nan
+        at[brought] = self.position_m[jobs + np.nonzero(brought)[1]]
+        at[(self.goods == GoodsStatus.LOST) | ~self.exists] = np.nan
         return at
 
-    def does(self, sample: int, robot: int) -> str:
+    def describe_activity(self, sample: int, robot: int) -> str:
         """What a robot does at a sample, in words; empty when its episode is over."""
         target = int(self.target[sample, robot])
-        what = {"tour": "place", "survey": "viewpoint", "deliver": "goods"}[self.spec.kind]
+        noun = {"tour": "place", "survey": "viewpoint", "deliver": "goods"}[self.spec.kind]
         return {
-            Doing.GOES: f"goes to {what} {target}",
-            Doing.BRINGS: f"brings goods {target - self.spec.jobs}",
-            Doing.RETURNS: "returns",
-            Doing.WAITS: "waits",
-            Doing.ENDED: "",
-        }[Doing(self.doing[sample, robot])]
+            RobotActivity.GOES: f"goes to {noun} {target}",
+            RobotActivity.BRINGS: f"brings goods {target - self.spec.jobs}",
+            RobotActivity.RETURNS: "returns",
+            RobotActivity.WAITS: "waits",
+            RobotActivity.ENDED: "",
+        }[RobotActivity(self.doing[sample, robot])]
 
-    def words(self, sample: int) -> str:
+    def describe_progress(self, sample: int) -> str:
         """How far the task was at a sample, in a line."""
         jobs = int(self.exists.sum())
         done = int(self.done[sample][self.exists].sum())
@@ -160,14 +160,14 @@ class TaskHistory:
             text = f"{seen} of {count} cells seen ({100 * seen // count} %, {wanted:g} % wanted)"
         elif self.spec.kind == "deliver":
             goods = self.goods[sample][self.exists].tolist()
-            text = f"{done} of {jobs} goods brought, {goods.count(Goods.TRAVEL)} on the way"
-            if lost := goods.count(Goods.LOST):
+            text = f"{done} of {jobs} goods brought, {goods.count(GoodsStatus.TRAVEL)} on the way"
+            if lost := goods.count(GoodsStatus.LOST):
                 text += f", {lost} lost"
         elif self.spec.shared:
             text = f"{done} of {jobs} places visited"
         else:
             visits = int(self.did[sample].sum())
             text = f"{visits} of {jobs * self.spec.robots} visits made"
-        if self._since(np.array([self.completed_s]))[sample, 0]:
+        if self._has_passed(np.array([self.completed_s]))[sample, 0]:
             text += f"; complete after {self.completed_s:.0f} s"
         return text

@@ -11,11 +11,11 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from angler_kernels.matching import MOST_LANES, MatchedPairs, matched
+from angler_kernels.matching import MAX_LANES, MatchedPairs, match_pairs
 from angler_kernels.programs import on_gpu
 from angler_mjx.world import routes
 from angler_mjx.world.routes import Routes
-from angler_mjx.world.tasks import travel as ways
+from angler_mjx.world.tasks import travel
 from angler_mjx.world.tasks.travel import Travel
 
 _LANES_A_WARP = 256
@@ -36,15 +36,15 @@ def shortest_first(travel: Travel, p: jax.Array, able: jax.Array, open_: jax.Arr
         to the lower job.
     """
     shape = able.shape[0], open_.shape[0]
-    asking = MatchedPairs.of(shape, lanes_a_warp=_LANES_A_WARP)
-    if on_gpu() and travel.routes is not None and asking.program.lanes <= MOST_LANES:
-        return _Kernel(asking, travel.routes.words.shape).run(travel.routes, p, able, open_)
-    way = travel.ways(p, jnp.arange(shape[1], dtype=jnp.int32))
-    return matched(jnp.where(open_ & able[:, None], way, jnp.inf))
+    pairs = MatchedPairs.of(shape, lanes_per_warp=_LANES_A_WARP)
+    if on_gpu() and travel.routes is not None and pairs.program.lanes <= MAX_LANES:
+        return _MatchingKernel(pairs, travel.routes.words.shape).run(travel.routes, p, able, open_)
+    length = travel.path_lengths_m(p, jnp.arange(shape[1], dtype=jnp.int32))
+    return match_pairs(jnp.where(open_ & able[:, None], length, jnp.inf))
 
 
 @dataclass(frozen=True)
-class _Kernel:
+class _MatchingKernel:
     pairs: MatchedPairs
     shape: tuple[int, ...]
     """Of `Routes.words`."""
@@ -54,41 +54,41 @@ class _Kernel:
     def run(self, routes: Routes, p: jax.Array, able: jax.Array, open_: jax.Array) -> jax.Array:
         """As `shortest_first`."""
         grid = jnp.concatenate([routes.origin_m, routes.cell_m[None]])
-        flat = [x.reshape(-1) for x in (routes.words, routes.place_m, grid, p)]
-        asked = [x.astype(jnp.int32) for x in (able, open_)]
+        flat = [x.reshape(-1) for x in (routes.words, routes.position_m, grid, p)]
+        flags = [x.astype(jnp.int32) for x in (able, open_)]
         out = jax.ShapeDtypeStruct((self.pairs.rows,), jnp.int32)
-        (taken,) = self.pairs.program.run(self, [*flat, *asked], [out])
+        (taken,) = self.pairs.program.run(self, [*flat, *flags], [out])
         return taken
 
     def __call__(
-        self, words: Any, place_m: Any, grid: Any, p: Any, able: Any, open_: Any, taken: Any
+        self, words: Any, position_m: Any, grid: Any, p: Any, able: Any, open_: Any, taken: Any
     ) -> None:
         pairs, program = self.pairs, self.pairs.program
-        row, column, real = pairs.places
-        pairs.clear(taken)
+        row, column, real = pairs.lane_pairs
+        pairs.clear_matches(taken)
         can = program.load(able, jnp.where(real, row, 0), real, 0)
 
         def take() -> None:
-            way = self._ways(words, place_m, grid, p)
+            length = self._path_lengths(words, position_m, grid, p)
             begins = program.load(open_, jnp.where(real, column, 0), real, 0)
-            pairs.take(jnp.where((can > 0) & (begins > 0), way, jnp.inf), taken)
+            pairs.write_matches(jnp.where((can > 0) & (begins > 0), length, jnp.inf), taken)
 
         program.when(jnp.max(can) > 0, take)
 
-    def _ways(self, words: Any, place_m: Any, grid: Any, p: Any) -> Any:
+    def _path_lengths(self, words: Any, position_m: Any, grid: Any, p: Any) -> Any:
         """Of each lane; what lanes that are no pair read is not looked at."""
-        program, (*cells, places) = self.pairs.program, self.shape
-        row, column, real = self.pairs.places
+        program, (*cells, n_position) = self.pairs.program, self.shape
+        row, column, real = self.pairs.lane_pairs
         origin, cell_m = [grid[axis] for axis in range(3)], grid[3]
-        of_robot, of_place = jnp.where(real, 3 * row, 0), jnp.where(real, 3 * column, 0)
-        here_m = [program.load(p, of_robot + axis, real, 0.0) for axis in range(3)]
-        to_m = [program.load(place_m, of_place + axis, real, 0.0) for axis in range(3)]
+        robot_offset, position_offset = jnp.where(real, 3 * row, 0), jnp.where(real, 3 * column, 0)
+        robot_m = [program.load(p, robot_offset + axis, real, 0.0) for axis in range(3)]
+        to_m = [program.load(position_m, position_offset + axis, real, 0.0) for axis in range(3)]
         cell = [
             jnp.clip(jnp.floor((x - low) / cell_m).astype(jnp.int32), 0, n - 1)
-            for x, low, n in zip(here_m, origin, cells, strict=True)
+            for x, low, n in zip(robot_m, origin, cells, strict=True)
         ]
-        at = ((cell[0] * cells[1] + cell[1]) * cells[2] + cell[2]) * places + column
-        word = program.load(words, jnp.where(real, at, 0), real, routes.NO_WAY)
-        way = routes.length_m(word, cell, here_m, to_m, origin, cell_m)
-        line = sum((x - to) ** 2 for x, to in zip(here_m, to_m, strict=True))
-        return jnp.where(way < jnp.inf, way, ways.UNLED * jnp.sqrt(line))
+        at = ((cell[0] * cells[1] + cell[1]) * cells[2] + cell[2]) * n_position + column
+        word = program.load(words, jnp.where(real, at, 0), real, routes.NO_PATH)
+        length = routes.length_m(word, cell, robot_m, to_m, origin, cell_m)
+        line = sum((x - to) ** 2 for x, to in zip(robot_m, to_m, strict=True))
+        return jnp.where(length < jnp.inf, length, travel.DETOUR_FACTOR * jnp.sqrt(line))

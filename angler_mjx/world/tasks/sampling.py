@@ -6,29 +6,29 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from angler_kernels.matching import matched
+from angler_kernels.matching import match_pairs
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.grid import Grid
 from angler_mjx.world.tasks import allocation, surface, travel
-from angler_mjx.world.tasks.sight import cell_of, centre_m
 from angler_mjx.world.tasks.spec import TaskSpec, TaskWorld
+from angler_mjx.world.tasks.visibility import cell_of, centre_m
 
-type Part = tuple[tuple[float, float, float], tuple[float, float, float]]
+type Subregion = tuple[tuple[float, float, float], tuple[float, float, float]]
 """Of a world's cube: its lower and its upper corner, as shares of the cube's edges."""
 
-WHOLE: Part = ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
+WHOLE: Subregion = ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
 
 
 @dataclass(frozen=True, kw_only=True)
 class GoalSampling:
     """Where places are drawn, or where they are."""
 
-    within: Part = WHOLE
-    given_m: tuple[tuple[float, float, float], ...] = ()
+    within: Subregion = WHOLE
+    fixed_m: tuple[tuple[float, float, float], ...] = ()
     """In W, instead of drawing."""
 
 
-def draw(
+def sample_task(
     spec: TaskSpec,
     begin: GoalSampling,
     end: GoalSampling,
@@ -49,31 +49,31 @@ def draw(
     grid, survey = environment.grid, None
     exists = jnp.ones(spec.jobs, bool)
     if spec.survey is not None:
-        places, exists, fits, survey = surface.cover(
+        positions, exists, fits, survey = surface.choose_viewpoints(
             spec.survey, spec.jobs, spec.tolerance_m, grid, environment.floor_z_m, reachable
         )
         homes = environment.start_m
-        place_m = jnp.concatenate([places, homes])
+        position_m = jnp.concatenate([positions, homes])
     else:
         of_begin, of_end = jax.random.split(key)
-        places, fits = _places(begin, spec.jobs, of_begin, grid, reachable)
-        parts = [places]
+        positions, fits = _sample_positions(begin, spec.jobs, of_begin, grid, reachable)
+        parts = [positions]
         if spec.kind == "deliver":
-            ends, fit_too = _places(end, spec.jobs, of_end, grid, reachable)
-            parts, fits = [places, ends], fits & fit_too
-        place_m = jnp.concatenate([*parts, environment.start_m])
-    rank = boustrophedon(places, exists, grid)
+            ends, fit_too = _sample_positions(end, spec.jobs, of_end, grid, reachable)
+            parts, fits = [positions, ends], fits & fit_too
+        position_m = jnp.concatenate([*parts, environment.start_m])
+    rank = rank_boustrophedon(positions, exists, grid)
     return TaskWorld(
-        place_m=place_m,
+        position_m=position_m,
         exists=exists,
         rank=rank,
-        share=_shares(spec, places, exists, rank, environment.start_m),
+        part=_assign_parts(spec, positions, exists, rank, environment.start_m),
         fits=fits,
         survey=survey,
     )
 
 
-def _places(
+def _sample_positions(
     wanted: GoalSampling, count: int, key: jax.Array, grid: Grid, reachable: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """Places [count, 3] in W that robots can reach, and bool [] whether there are so many.
@@ -84,43 +84,43 @@ def _places(
     shape = reachable.shape
     cells = jnp.stack(jnp.meshgrid(*map(jnp.arange, shape), indexing="ij"), axis=-1).reshape(-1, 3)
     centre, may = centre_m(grid, cells), reachable.reshape(-1)
-    if wanted.given_m:
-        given = jnp.array(wanted.given_m, centre.dtype)
-        at = cell_of(grid, given)
+    if wanted.fixed_m:
+        fixed_m = jnp.array(wanted.fixed_m, centre.dtype)
+        at = cell_of(grid, fixed_m)
         free = reachable[at[:, 0], at[:, 1], at[:, 2]]
-        away = jnp.sum((given[:, None] - centre) ** 2, axis=-1)
+        away = jnp.sum((fixed_m[:, None] - centre) ** 2, axis=-1)
         nearest = jnp.argmin(jnp.where(may, away, jnp.inf), axis=1)
-        return jnp.where(free[:, None], given, centre[nearest]), jnp.any(may)
-    share = (cells + 0.5) / jnp.array(shape)
+        return jnp.where(free[:, None], fixed_m, centre[nearest]), jnp.any(may)
+    fraction = (cells + 0.5) / jnp.array(shape)
     low, high = (jnp.array(corner) for corner in wanted.within)
-    may &= jnp.all((share >= low) & (share <= high), axis=-1)
-    lot = jnp.where(may, jax.random.uniform(key, may.shape), -1.0)
-    best, cell = jax.lax.top_k(lot, count)
+    may &= jnp.all((fraction >= low) & (fraction <= high), axis=-1)
+    priority = jnp.where(may, jax.random.uniform(key, may.shape), -1.0)
+    best, cell = jax.lax.top_k(priority, count)
     return centre[cell], jnp.all(best >= 0.0)
 
 
-def boustrophedon(places: jax.Array, exists: jax.Array, grid: Grid) -> jax.Array:
+def rank_boustrophedon(positions: jax.Array, exists: jax.Array, grid: Grid) -> jax.Array:
     """Place int32 [M] of each job in lanes to and fro; those that do not exist come last.
 
     Lanes lie side by side along y, as many as make squares of the places' shares of the area.
     """
-    jobs = places.shape[0]
+    jobs = positions.shape[0]
     nx, ny, _ = grid.occupied.shape
     lanes = max(1, round(math.sqrt(jobs * ny / nx)))
-    across = (places[:, 1] - grid.origin_m[1]) / (ny * grid.cell_m)
+    across = (positions[:, 1] - grid.origin_m[1]) / (ny * grid.cell_m)
     lane = jnp.clip(jnp.floor(across * lanes), 0, lanes - 1)
-    along = (places[:, 0] - grid.origin_m[0]) / (nx * grid.cell_m)
+    along = (positions[:, 0] - grid.origin_m[0]) / (nx * grid.cell_m)
     along = jnp.where(lane % 2 == 0, along, 1.0 - along)
     order = jnp.argsort(jnp.where(exists, lane + along, jnp.inf), stable=True)
     return jnp.zeros(jobs, jnp.int32).at[order].set(jnp.arange(jobs, dtype=jnp.int32))
 
 
-def _shares(
-    spec: TaskSpec, places: jax.Array, exists: jax.Array, rank: jax.Array, start_m: jax.Array
+def _assign_parts(
+    spec: TaskSpec, positions: jax.Array, exists: jax.Array, rank: jax.Array, start_m: jax.Array
 ) -> jax.Array:
     """Which share of the order each robot takes, int32 [R]: that which begins nearest to it."""
     robots = spec.robots
     part = allocation.part_of(rank, jnp.sum(exists, dtype=jnp.int32), robots)
     first = (part == jnp.arange(robots)[:, None]) & exists
-    at = places[jnp.argmin(jnp.where(first, rank, spec.jobs), axis=1)]
-    return matched(travel.straight(start_m, at))
+    at = positions[jnp.argmin(jnp.where(first, rank, spec.jobs), axis=1)]
+    return match_pairs(travel.straight_lengths(start_m, at))

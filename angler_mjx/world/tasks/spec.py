@@ -14,10 +14,10 @@ import jax
 
 type Kind = Literal["tour", "survey", "deliver"]
 type Surface = Literal["floor", "rock", "both"]
-type After = Literal["hold", "return"]
-type Dropped = Literal["lost", "back"]
+type WhenFinished = Literal["hold", "return"]
+type WhenDropped = Literal["lost", "back"]
 
-MOST_JOBS = 512
+MAX_JOBS = 512
 """Of a task."""
 
 
@@ -47,7 +47,7 @@ class SurveySpec:
     coverage: float
     """Share of what can be seen that has to be."""
 
-    def required(self, total: jax.Array) -> jax.Array:
+    def required_cells(self, total: jax.Array) -> jax.Array:
         """Return the least whole number of cells that is the coverage of ``total``, int32 [...].
 
         Exact: the coverage is taken as the fraction that its file says (denominators to 32,768),
@@ -56,9 +56,9 @@ class SurveySpec:
         Args:
             total: int32 [...] cells that can be seen.
         """
-        share = Fraction(self.coverage).limit_denominator(2**15)
-        whole, rest = total // share.denominator, total % share.denominator
-        return whole * share.numerator - (-rest * share.numerator // share.denominator)
+        ratio = Fraction(self.coverage).limit_denominator(2**15)
+        whole, rest = total // ratio.denominator, total % ratio.denominator
+        return whole * ratio.numerator - (-rest * ratio.numerator // ratio.denominator)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,13 +76,13 @@ class TaskSpec:
     """Control steps from one look at the task to the next."""
     allocation: str = "nearest"
     """Who shares jobs out, by name; see `angler_mjx.world.tasks.allocation`."""
-    after: After = "hold"
+    after: WhenFinished = "hold"
     """Whether robots return to their starts when nothing is left for them."""
     shared: bool = True
     """Whether each place of a tour is for one robot; otherwise every robot visits all."""
     ordered: bool = False
     """Whether each robot visits the places of a tour in their order."""
-    dropped: Dropped = "lost"
+    dropped: WhenDropped = "lost"
     """What becomes of goods whose robot ended: lost, or back where they were taken from."""
     survey: SurveySpec | None = None
     timed: bool = False
@@ -104,7 +104,7 @@ class TaskSpec:
         return self.jobs * (2 if self.kind == "deliver" else 1)
 
     @property
-    def places(self) -> int:
+    def positions(self) -> int:
         """P."""
         return self.homes + self.robots
 
@@ -132,13 +132,13 @@ class SurveyWorld:
 class TaskWorld:
     """The task of one world."""
 
-    place_m: jax.Array
+    position_m: jax.Array
     """[P, 3] in W; see the module's text."""
     exists: jax.Array
     """bool [M]."""
     rank: jax.Array
     """int32 [M] place of each job in boustrophedon order."""
-    share: jax.Array
+    part: jax.Array
     """int32 [R] which part of that order is each robot's, where it is cut into equal ones."""
     fits: jax.Array
     """bool [] whether the world has room for the task."""
@@ -158,7 +158,7 @@ class TaskState:
     """int32 [M] robot that did it, the last one where all had to; -1 before."""
     done_at_s: jax.Array
     """[M] when; NaN before."""
-    knows: jax.Array
+    believed_over: jax.Array
     """uint32 [R, W] jobs that each robot knows to be over, as bits; where a tour is not shared,
     the places that it visited."""
     target: jax.Array
@@ -181,7 +181,7 @@ class TaskState:
     """uint32 [nx, ny, w] cells of a survey that some robot has seen, packed along z."""
     seen_at_s: jax.Array | None = None
     """[nx, ny, nz] when some robot saw each cell first; NaN before. None where nobody asks."""
-    found: "GoodsBelief | None" = None
+    goods_belief: "GoodsBelief | None" = None
     """What each robot takes to be in hand; None where all know all, or no goods come back."""
 
 

@@ -13,10 +13,10 @@ import numpy as np
 
 from angler_kernels import bit_grid
 from angler_mjx.world.grid import Grid
-from angler_mjx.world.tasks import sight
+from angler_mjx.world.tasks import visibility
 from angler_mjx.world.tasks.spec import SurveySpec, SurveyWorld
 
-MOST_CANDIDATES = 512
+MAX_CANDIDATES = 512
 """Viewpoints that a world's are chosen from."""
 _DOWN = (0.0, 0.0, -1.0)
 
@@ -36,9 +36,9 @@ def surface_cells(spec: SurveySpec, grid: Grid, ground: jax.Array) -> jax.Array:
     stands there. Of rock, all that share a face with a cell of rock.
     """
     rock, nz = grid.occupied, grid.occupied.shape[2]
-    found = jnp.zeros_like(rock)
+    bordering = jnp.zeros_like(rock)
     if spec.of in ("floor", "both"):
-        found |= jnp.arange(nz) == ground[..., None]
+        bordering |= jnp.arange(nz) == ground[..., None]
     if spec.of in ("rock", "both"):
         wide = jnp.pad(rock, 1)
         for axis in range(3):
@@ -46,26 +46,26 @@ def surface_cells(spec: SurveySpec, grid: Grid, ground: jax.Array) -> jax.Array:
                 at = [1, 1, 1]
                 at[axis] = begin
                 end = [i + n for i, n in zip(at, rock.shape, strict=True)]
-                found |= jax.lax.slice(wide, at, end)
-    return found & ~rock
+                bordering |= jax.lax.slice(wide, at, end)
+    return bordering & ~rock
 
 
-def candidates(
+def candidate_cells(
     spec: SurveySpec, reachable: jax.Array, ground: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """Cells that viewpoints are chosen from.
 
     Over each column of the floor the reachable cell whose height above it is nearest to the
-    altitude; around rock a lattice. Both are thinned out evenly to `MOST_CANDIDATES`.
+    altitude; around rock a lattice. Both are thinned out evenly to `MAX_CANDIDATES`.
 
     Returns:
         Cells int32 [n, 3], and bool [n] which of them robots can reach.
     """
     shape, cells, may = reachable.shape, [], []
-    share = 2 if spec.of == "both" else 1
+    divisor = 2 if spec.of == "both" else 1
     if spec.of in ("floor", "both"):
-        stride = math.ceil(math.sqrt(shape[0] * shape[1] * share / MOST_CANDIDATES))
-        column = _lattice(shape[:2], max(1, stride))
+        stride = math.ceil(math.sqrt(shape[0] * shape[1] * divisor / MAX_CANDIDATES))
+        column = _lattice_points(shape[:2], max(1, stride))
         height = jnp.arange(shape[2]) - ground[column[:, 0], column[:, 1], None]
         free = reachable[column[:, 0], column[:, 1]] & (height >= 0)
         off = jnp.where(free, jnp.abs(height - spec.altitude_cells), shape[2] + 1)
@@ -73,20 +73,20 @@ def candidates(
         cells.append(jnp.concatenate([column, best[:, None]], axis=1))
         may.append(jnp.any(free, axis=1))
     if spec.of in ("rock", "both"):
-        stride = math.ceil((math.prod(shape) * share / MOST_CANDIDATES) ** (1 / 3))
-        points = _lattice(shape, max(1, stride))
+        stride = math.ceil((math.prod(shape) * divisor / MAX_CANDIDATES) ** (1 / 3))
+        points = _lattice_points(shape, max(1, stride))
         cells.append(points)
         may.append(reachable[points[:, 0], points[:, 1], points[:, 2]])
     return jnp.concatenate(cells), jnp.concatenate(may)
 
 
-def _lattice(shape: tuple[int, ...], stride: int) -> jax.Array:
+def _lattice_points(shape: tuple[int, ...], stride: int) -> jax.Array:
     axes = [np.arange((stride - 1) // 2, n, stride) for n in shape]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, len(shape))
     return jnp.array(points, jnp.int32)
 
 
-def cover(
+def choose_viewpoints(
     spec: SurveySpec,
     jobs: int,
     spare_m: float,
@@ -113,11 +113,15 @@ def cover(
     """
     ground = ground_cells(grid, floor_z_m)
     surface = surface_cells(spec, grid, ground)
-    cell, may = candidates(spec, reachable, ground)
-    point, down, packed = sight.centre_m(grid, cell), jnp.array(_DOWN), bit_grid.pack(surface)
+    cell, may = candidate_cells(spec, reachable, ground)
+    point, down, packed = (
+        visibility.centre_m(grid, cell),
+        jnp.array(_DOWN),
+        bit_grid.pack_grid(surface),
+    )
 
     def from_one(p: jax.Array) -> tuple[jax.Array, jax.Array]:
-        return sight.seen_cells(spec, grid, packed, ground, p, down, spare_m)
+        return visibility.seen_cells(spec, grid, packed, ground, p, down, spare_m)
 
     cells, sees = jax.vmap(from_one)(point)
     sees &= may[:, None]
@@ -132,17 +136,17 @@ def cover(
         gain = jnp.sum(new, axis=1, dtype=jnp.int32)
         best = jnp.argmax(gain)
         exists = (gain[best] > 0) & (count - jnp.sum(left, dtype=jnp.int32) < enough)
-        mine = new[best] & exists
-        return left.at[flat[best]].min(~mine), (best, exists, mine)
+        job_cells = new[best] & exists
+        return left.at[flat[best]].min(~job_cells), (best, exists, job_cells)
 
-    left, (chosen, exists, mine) = jax.lax.scan(choose, wanted, length=jobs)
-    fits = count - jnp.sum(left, dtype=jnp.int32) >= spec.required(count)
+    left, (chosen, exists, job_cells) = jax.lax.scan(choose, wanted, length=jobs)
+    fits = count - jnp.sum(left, dtype=jnp.int32) >= spec.required_cells(count)
     wanted = wanted.reshape(surface.shape)
     world = SurveyWorld(
         cells=wanted,
-        words=bit_grid.pack(wanted),
+        words=bit_grid.pack_grid(wanted),
         ground=ground,
-        of_job=sight.packed(spec, nz, cells[chosen, :, 2], mine),
+        of_job=visibility.pack_columns(spec, nz, cells[chosen, :, 2], job_cells),
         count=count,
     )
     return point[chosen], exists, fits & (count > 0), world

@@ -56,19 +56,19 @@ def surface_quads(
                 touches = np.zeros(len(wanted), bool)
             if of != "rock" and axis == 2 and side < 0:
                 touches = touches | (wanted[:, 2] == ground[wanted[:, 0], wanted[:, 1]])
-            mine = wanted[touches]
-            centre = origin_m + cell_m * (mine + 0.5 + _OUT * step)
+            touching = wanted[touches]
+            centre = origin_m + cell_m * (touching + 0.5 + _OUT * step)
             if axis == 2 and side < 0:
                 centre[:, 2] = np.maximum(centre[:, 2], floor_z_m + (0.5 - _OUT) * cell_m)
             centres.append(centre)
-            axes.append(np.full(len(mine), axis))
-            owners.append(number[mine[:, 0], mine[:, 1], mine[:, 2]])
+            axes.append(np.full(len(touching), axis))
+            owners.append(number[touching[:, 0], touching[:, 1], touching[:, 2]])
     return SurfaceQuads(
         centre_m=np.concatenate(centres), axis=np.concatenate(axes), cell=np.concatenate(owners)
     )
 
 
-def surface(task: TaskHistory, environment: Environment) -> SurfaceQuads | None:
+def survey_surface(task: TaskHistory, environment: Environment) -> SurfaceQuads | None:
     """What the survey of a world is to see; None where its task is another."""
     if task.cells is None or task.spec.survey is None:
         return None

@@ -42,25 +42,27 @@ class HeardReports:
     """[R, R, 3] where they last said they were, m in W."""
     active: jax.Array
     """bool [R, R] who is taken to be at work."""
-    said: TaskReport
+    report: TaskReport
     """What they last said, [R, R] leading."""
     lost_after_s: float
     """How long one has to be silent to be taken to be lost; so long empty places are believed."""
 
 
-def report(state: TaskState, running: jax.Array | None = None) -> TaskReport:
+def build_report(state: TaskState, running: jax.Array | None = None) -> TaskReport:
     """What robots say; ``running`` is bool [R] whose episode goes on, all if left out."""
     at_work = jnp.ones(state.did.shape, bool) if running is None else running
-    return TaskReport(over=state.knows, carrying=state.carrying, at_work=at_work)
+    return TaskReport(over=state.believed_over, carrying=state.carrying, at_work=at_work)
 
 
-def near(spec: TaskSpec, p: jax.Array, place_m: jax.Array) -> jax.Array:
+def find_near(spec: TaskSpec, p: jax.Array, position_m: jax.Array) -> jax.Array:
     """Which robots are at which places, bool [R, P]."""
-    apart = p[:, None] - place_m
+    apart = p[:, None] - position_m
     return jnp.sum(apart * apart, axis=-1) <= spec.tolerance_m**2
 
 
-def known(spec: TaskSpec, task: TaskWorld, state: TaskState, scene: TaskScene) -> TaskState:
+def update_beliefs(
+    spec: TaskSpec, task: TaskWorld, state: TaskState, scene: TaskScene
+) -> TaskState:
     """Who knows which jobs to be over."""
     if not spec.shared:
         return state
@@ -68,27 +70,32 @@ def known(spec: TaskSpec, task: TaskWorld, state: TaskState, scene: TaskScene) -
     if scene.others is None:
         # Nobody works on when enough is seen.
         over |= state.complete
-        knows = jnp.broadcast_to(bits.pack(over), state.knows.shape)
-        return replace(state, knows=knows)
+        believed_over = jnp.broadcast_to(bits.pack_flags(over), state.believed_over.shape)
+        return replace(state, believed_over=believed_over)
     # Who comes to a place sees that there is nothing left to do.
-    gone = over | deliver.carried(spec, state) if spec.kind == "deliver" else over
-    there = near(spec, scene.p, task.place_m[: spec.jobs]) & scene.running[:, None]
-    mine = over & (state.by == jnp.arange(spec.robots)[:, None])
-    if state.found is not None:  # an empty place does not say that anything is over
-        state = replace(state, found=_found(spec, state.found, scene, scene.others, gone, there))
-        there = jnp.zeros_like(there)
-    own = bits.pack(mine | (gone & there) | ~task.exists)
-    heard = bits.together(scene.others.said.over)
-    return replace(state, knows=state.knows | own | heard)
+    gone = over | deliver.carried_goods(spec, state) if spec.kind == "deliver" else over
+    at_position = find_near(spec, scene.p, task.position_m[: spec.jobs]) & scene.running[:, None]
+    done_jobs = over & (state.by == jnp.arange(spec.robots)[:, None])
+    if state.goods_belief is not None:  # an empty place does not say that anything is over
+        state = replace(
+            state,
+            goods_belief=_update_goods_belief(
+                spec, state.goods_belief, scene, scene.others, gone, at_position
+            ),
+        )
+        at_position = jnp.zeros_like(at_position)
+    observed = bits.pack_flags(done_jobs | (gone & at_position) | ~task.exists)
+    heard = bits.union_words(scene.others.report.over)
+    return replace(state, believed_over=state.believed_over | observed | heard)
 
 
-def _found(
+def _update_goods_belief(
     spec: TaskSpec,
-    found: GoodsBelief,
+    belief: GoodsBelief,
     scene: TaskScene,
     others: HeardReports,
     gone: jax.Array,
-    there: jax.Array,
+    at_position: jax.Array,
 ) -> GoodsBelief:
     """Whose hands which goods are in, as far as each robot knows.
 
@@ -97,28 +104,28 @@ def _found(
 
     Args:
         spec: settings.
-        found: before.
+        belief: before.
         scene: what is seen.
         others: what is heard.
         gone: bool [M] goods that do not lie where they were.
-        there: bool [R, M] who is where goods lie.
+        at_position: bool [R, M] who is where goods lie.
     """
-    empty = bits.pack(there & gone)
-    old = jnp.where((scene.t - found.at_s < others.lost_after_s)[:, None], found.missing, 0)
-    missing = (old & ~bits.pack(there & ~gone)) | empty
+    empty = bits.pack_flags(at_position & gone)
+    old = jnp.where((scene.t - belief.at_s < others.lost_after_s)[:, None], belief.missing, 0)
+    missing = (old & ~bits.pack_flags(at_position & ~gone)) | empty
     new = jnp.any(empty & ~old != 0, axis=1)
-    carrying = jnp.where(others.active, others.said.carrying, -1)
+    carrying = jnp.where(others.active, others.report.carrying, -1)
     held = jnp.any(carrying[..., None] == jnp.arange(spec.jobs), axis=1)
     return GoodsBelief(
         missing=missing,
-        at_s=jnp.where(new, scene.t, found.at_s),
-        in_hand=missing | bits.pack(held),
+        at_s=jnp.where(new, scene.t, belief.at_s),
+        in_hand=missing | bits.pack_flags(held),
     )
 
 
-def news(spec: TaskSpec, before: TaskState, after: TaskState, scene: TaskScene) -> jax.Array:
+def has_news(spec: TaskSpec, before: TaskState, after: TaskState, scene: TaskScene) -> jax.Array:
     """Whether a robot has learned anything since the last look, bool [R]: it then thinks anew."""
-    learned = jnp.any(closed(before) != closed(after), axis=1) | (scene.t == 0.0)
+    learned = jnp.any(closed_jobs(before) != closed_jobs(after), axis=1) | (scene.t == 0.0)
     if scene.others is None and spec.shared:
         learned |= jnp.any(~scene.running & (before.target >= 0))
     if scene.others is not None:
@@ -128,6 +135,10 @@ def news(spec: TaskSpec, before: TaskState, after: TaskState, scene: TaskScene) 
     return learned
 
 
-def closed(state: TaskState) -> jax.Array:
+def closed_jobs(state: TaskState) -> jax.Array:
     """Jobs uint32 [R, W] for which a robot does not set out: over, or in somebody's hands."""
-    return state.knows if state.found is None else state.knows | state.found.in_hand
+    return (
+        state.believed_over
+        if state.goods_belief is None
+        else state.believed_over | state.goods_belief.in_hand
+    )

@@ -8,11 +8,11 @@ import jax.numpy as jnp
 from angler_mjx.world import routes
 from angler_mjx.world.routes import Routes
 
-UNLED = 4.0
+DETOUR_FACTOR = 4.0
 """Times the straight way that is taken where no way is known: from where no robot should be."""
 
 
-def straight(p: jax.Array, to: jax.Array) -> jax.Array:
+def straight_lengths(p: jax.Array, to: jax.Array) -> jax.Array:
     """Lengths [n, m] of straight lines from points [n, 3] to points [m, 3], m."""
     x, y, z = ((p[:, None, axis] - to[:, axis]) ** 2 for axis in range(3))
     return jnp.sqrt(x + y + z)
@@ -22,16 +22,16 @@ def straight(p: jax.Array, to: jax.Array) -> jax.Array:
 class Travel:
     """Ways between places of one world."""
 
-    place_m: jax.Array
+    position_m: jax.Array
     """[P, 3] in W."""
     routes: Routes | None = None
     """Ways free of rock to the same places; None: straight."""
 
-    def ways(self, p: jax.Array, place: jax.Array) -> jax.Array:
+    def path_lengths_m(self, p: jax.Array, position_index: jax.Array) -> jax.Array:
         """Lengths [n, m] of ways from points [n, 3] in W to places int32 [m], m."""
-        line = straight(p, self.place_m[place])
+        line = straight_lengths(p, self.position_m[position_index])
         if self.routes is None:
             return line
-        of_place = jax.vmap(routes.distance, (None, 0, None))
-        way = jax.vmap(of_place, (None, None, 0))(self.routes, place, p)
-        return jnp.where(jnp.isfinite(way), way, UNLED * line)
+        to_positions = jax.vmap(routes.distance_to_goal, (None, 0, None))
+        length = jax.vmap(to_positions, (None, None, 0))(self.routes, position_index, p)
+        return jnp.where(jnp.isfinite(length), length, DETOUR_FACTOR * line)

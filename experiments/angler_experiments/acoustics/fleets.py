@@ -22,46 +22,56 @@ MEASURES = (
 """Key of a size in a study's file, what stands at its axis, and the factor between the two."""
 
 
-def conditions(study: Path, names: tuple[str, str]) -> list[list[dict[str, Any]]]:
+def read_conditions(study: Path, names: tuple[str, str]) -> list[list[dict[str, Any]]]:
     """Sizes that were flown, smallest first, of two conditions of a study.
 
     Raises:
         ConfigError: the file is none of a study, or has no such condition.
     """
     try:
-        made = {one["name"]: one["sizes"] for one in json.loads(study.read_text())["conditions"]}
+        sizes_by_condition = {
+            condition["name"]: condition["sizes"]
+            for condition in json.loads(study.read_text())["conditions"]
+        }
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ConfigError(
             f"{study}: is no study.json of angler study fleet_size: {error}"
         ) from None
     for name in names:
-        if name not in made:
+        if name not in sizes_by_condition:
             raise ConfigError(
-                f"{study}: no condition {name!r}; it has {', '.join(map(repr, made))}"
+                f"{study}: no condition {name!r}; it has {', '.join(map(repr, sizes_by_condition))}"
             )
-    return [sorted(made[name], key=lambda size: size["size"]) for name in names]
+    return [sorted(sizes_by_condition[name], key=lambda size: size["size"]) for name in names]
 
 
-def draw(both: list[list[dict[str, Any]]], labels: tuple[str, str], out: Path) -> None:
+def plot_conditions(
+    conditions_sizes: list[list[dict[str, Any]]], labels: tuple[str, str], out: Path
+) -> None:
     """Success, time and losses against the size of the team, of both conditions."""
     ticks = [1 << k for k in range(7)]
-    with style.styled():
+    with style.figure_style():
         chart = style.new_figure(11.0, 3.4)
         for panel, (key, text, factor) in zip(chart.subplots(1, 3), MEASURES, strict=True):
-            for i, (sizes, label) in enumerate(zip(both, labels, strict=True)):
-                told = [(one["size"], _point(one[key], factor)) for one in sizes]
-                some = [(size, value) for size, value in told if value is not None]
-                panel.plot(*zip(*some, strict=True), "o-", color=style.robot_color(i), label=label)
+            for i, (sizes, label) in enumerate(zip(conditions_sizes, labels, strict=True)):
+                points = [
+                    (size_entry["size"], _scale_value(size_entry[key], factor))
+                    for size_entry in sizes
+                ]
+                finite_points = [(size, value) for size, value in points if value is not None]
+                panel.plot(
+                    *zip(*finite_points, strict=True), "o-", color=style.robot_color(i), label=label
+                )
             panel.set(
                 xlabel="robots", ylabel=text, xscale="log", xlim=(0.9, 72.0), ylim=(0.0, None)
             )
             panel.set_xticks(ticks, [str(tick) for tick in ticks])
             panel.minorticks_off()
         chart.axes[0].legend(fontsize=8, loc="lower right")
-        style.save(chart, out, palette=64)
+        style.save_figure(chart, out, palette=64)
 
 
-def _point(value: Any, factor: float) -> float | None:
+def _scale_value(value: Any, factor: float) -> float | None:
     """A number of a study, with an interval or without; None where it is never reached."""
     middle = value["value"] if isinstance(value, dict) else value
     return None if middle is None else factor * float(middle)
@@ -82,7 +92,9 @@ def main(
         acoustic: The same with modems.
     """
     try:
-        draw(conditions(study, (perfect, acoustic)), ("all know all", "by modem, in turn"), out)
+        plot_conditions(
+            read_conditions(study, (perfect, acoustic)), ("all know all", "by modem, in turn"), out
+        )
     except ConfigError as error:
         raise SystemExit(f"error: {error}") from None
     print(out)

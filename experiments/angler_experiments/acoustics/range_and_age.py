@@ -20,7 +20,7 @@ import tyro
 from angler_mjx.report.viewing import style
 from angler_mjx.world.acoustics import channel
 from angler_mjx.world.acoustics.access import Tdma
-from angler_mjx.world.acoustics.channel import Channel, Now
+from angler_mjx.world.acoustics.channel import Channel, ChannelInput
 from angler_mjx.world.acoustics.config import AcousticsConfig
 from angler_mjx.world.grid import Grid
 
@@ -41,16 +41,16 @@ TOLERANCE = 0.02
 """Of mean ages in turn, against the closed form; where packets begin in a run shifts them."""
 
 
-def successes(range_m: np.ndarray) -> dict[str, np.ndarray]:
+def compute_successes(range_m: np.ndarray) -> dict[str, np.ndarray]:
     """Probability that a packet of 128 bits is understood, [n] of ranges [n], by link."""
-    found = {}
+    success_by_link = {}
     for name, settings in LINKS.items():
         link = AcousticsConfig.model_validate({"model": "budget", **settings}).link()
-        found[name] = np.asarray(link.success(range_m, 0.0))
-    return found
+        success_by_link[name] = np.asarray(link.success(range_m, 0.0))
+    return success_by_link
 
 
-def shared(access: str, robots: int) -> Channel:
+def build_channel(access: str, robots: int) -> Channel:
     """A channel in which nothing but collisions loses packets, at the load that gets most through.
 
     Args:
@@ -58,77 +58,79 @@ def shared(access: str, robots: int) -> Channel:
         robots: that share it.
     """
     settings = {"model": "range", "range_m": 100.0, "rock": "lets_pass", "access": access}
-    plain = AcousticsConfig.model_validate(settings)
-    packet_s = plain.bits / plain.bit_rate_bps
+    base_config = AcousticsConfig.model_validate(settings)
+    packet_s = base_config.bits / base_config.bit_rate_bps
     slot_s = 0.25  # a packet and the way across, in steps of the controllers
     each_s = slot_s if access == "slotted_aloha" else 2.0 * packet_s
-    loaded = plain.model_copy(update={"interval_s": max(robots * each_s, 0.6)})
-    made = loaded.channel(robots, SIZE_M, DT_S, 1e6)
-    if made is None:
+    loaded_config = base_config.model_copy(update={"interval_s": max(robots * each_s, 0.6)})
+    channel_model = loaded_config.channel(robots, SIZE_M, DT_S, 1e6)
+    if channel_model is None:
         raise RuntimeError("a channel of some range is none")
-    return made
+    return channel_model
 
 
-def mean_age_s(one: Channel, robots: int, seconds: float, worlds: int) -> float:
+def mean_age_s(acoustic_channel: Channel, robots: int, seconds: float, worlds: int) -> float:
     """Mean age of what a robot knows of another, s, after a fifth of the time."""
     steps = round(seconds / DT_S)
-    place = jax.random.uniform(jax.random.key(0), (worlds, robots, 3)) * jnp.array(SIZE_M)
-    nowhere = Grid(occupied=jnp.zeros((1, 1, 1), bool), origin_m=jnp.zeros(3), cell_m=jnp.ones(()))
+    position_m = jax.random.uniform(jax.random.key(0), (worlds, robots, 3)) * jnp.array(SIZE_M)
+    empty_grid = Grid(
+        occupied=jnp.zeros((1, 1, 1), bool), origin_m=jnp.zeros(3), cell_m=jnp.ones(())
+    )
     other = ~jnp.eye(robots, dtype=bool)
 
     def advance(number: jax.Array, key: jax.Array, p_m: jax.Array, memory: Any) -> Any:
         t = number * DT_S
-        said = channel.Packet(p_m=p_m, v_mps=jnp.zeros_like(p_m), time_s=jnp.full(robots, t))
-        now = Now(
+        packet = channel.Packet(p_m=p_m, v_mps=jnp.zeros_like(p_m), time_s=jnp.full(robots, t))
+        inputs = ChannelInput(
             key=jax.random.fold_in(key, number),
             number=number,
             p_m=p_m,
-            grid=nowhere,
-            says=lambda: said,
+            grid=empty_grid,
+            make_packet=lambda: packet,
         )
-        memory, _ = channel.step(one, memory, now)
+        memory, _ = channel.step(acoustic_channel, memory, inputs)
         age = jnp.sum(jnp.where(other, t - memory.heard.time_s, 0.0)) / jnp.sum(other)
         return memory, age
 
     def run(keys: jax.Array) -> jax.Array:
         def step(carry: Any, number: jax.Array) -> tuple[Any, None]:
             memory, total = carry
-            memory, age = jax.vmap(partial(advance, number))(keys, place, memory)
+            memory, age = jax.vmap(partial(advance, number))(keys, position_m, memory)
             return (memory, total + jnp.where(number >= steps // 5, age, 0.0)), None
 
-        begin = jax.vmap(partial(channel.begin, one))(place)
-        (_, total), _ = jax.lax.scan(step, (begin, jnp.zeros(worlds)), jnp.arange(steps))
+        begin_state = jax.vmap(partial(channel.begin_channel, acoustic_channel))(position_m)
+        (_, total), _ = jax.lax.scan(step, (begin_state, jnp.zeros(worlds)), jnp.arange(steps))
         return jnp.mean(total) / (steps - steps // 5)
 
     return float(jax.jit(run)(jax.random.split(jax.random.key(1), worlds)))
 
 
-def in_turn_s(one: Channel, robots: int) -> float:
+def expected_age_s(acoustic_channel: Channel, robots: int) -> float:
     """Mean age in closed form: told a slot after it began, and a frame until the next.
 
     A packet of 0.2 s and up to 28 ms of way is told after 0.25 s, in steps of 0.05 s.
     """
-    if not isinstance(one.access, Tdma):
+    if not isinstance(acoustic_channel.access, Tdma):
         raise ValueError("robots do not take turns")
-    slot_s = one.access.slot * DT_S
+    slot_s = acoustic_channel.access.slot * DT_S
     return slot_s + 0.5 * (robots * slot_s - DT_S)
 
 
-def draw(out: Path, rows: list[dict[str, Any]]) -> None:
+def plot_figure(out: Path, rows: list[dict[str, Any]]) -> None:
     """Both charts, side by side."""
     range_m = np.geomspace(10.0, 30_000.0, 300)
-    with style.styled():
+    with style.figure_style():
         chart = style.new_figure(9.0, 3.6)
         left, right = chart.subplots(1, 2)
-        for i, (name, success) in enumerate(successes(range_m).items()):
+        for i, (name, success) in enumerate(compute_successes(range_m).items()):
             left.semilogx(range_m, success, color=style.robot_color(i), label=name)
         left.set(xlabel="range, m", ylabel="packets of 128 bits understood", ylim=(-0.02, 1.02))
         left.legend(fontsize=7, ncol=2, loc="lower left", bbox_to_anchor=(0.0, 1.01))
         for i, (access, text) in enumerate(ACCESS.items()):
-            mine = [row for row in rows if row["access"] == access]
+            access_rows = [row for row in rows if row["access"] == access]
             right.loglog(
-                [row["robots"] for row in mine],
-                [row["age_s"] for row in mine],
+                [row["robots"] for row in access_rows],
+                [row["age_s"] for row in access_rows],
                 "o-",
                 color=style.robot_color(i),
                 label=text,
@@ -137,7 +139,7 @@ def draw(out: Path, rows: list[dict[str, Any]]) -> None:
         right.set_xticklabels([str(team) for team in TEAMS])
         right.minorticks_off()
         right.legend(fontsize=7)
-        style.save(chart, out / "acoustics.png", palette=64)
+        style.save_figure(chart, out / "acoustics.png", palette=64)
 
 
 def main(out: Path = Path("docs/images"), seconds: float = 400.0, smoke: bool = False) -> None:
@@ -152,13 +154,13 @@ def main(out: Path = Path("docs/images"), seconds: float = 400.0, smoke: bool = 
     rows = []
     for access in ACCESS:
         for robots in teams:
-            one = shared(access, robots)
+            acoustic_channel = build_channel(access, robots)
             worlds = max(2, 64 // robots)
-            age = mean_age_s(one, robots, seconds, worlds)
+            age = mean_age_s(acoustic_channel, robots, seconds, worlds)
             rows.append({"access": access, "robots": robots, "age_s": round(age, 4)})
             print(rows[-1])
             if access == "tdma":
-                expected = in_turn_s(one, robots)
+                expected = expected_age_s(acoustic_channel, robots)
                 if abs(age / expected - 1.0) > TOLERANCE:
                     raise SystemExit(f"{robots} robots in turn: {age:.3f} s, not {expected:.3f} s")
     out.mkdir(parents=True, exist_ok=True)
@@ -167,7 +169,7 @@ def main(out: Path = Path("docs/images"), seconds: float = 400.0, smoke: bool = 
         table.writeheader()
         table.writerows(rows)
     if not smoke:
-        draw(out, rows)
+        plot_figure(out, rows)
 
 
 if __name__ == "__main__":

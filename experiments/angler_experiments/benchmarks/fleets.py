@@ -16,8 +16,8 @@ import tyro
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.studies.benchmark.report import reading
-from angler_mjx.studies.benchmark.report.paired import compare
-from angler_mjx.studies.benchmark.report.rates import ReportRate, rate
+from angler_mjx.studies.benchmark.report.paired import compare_planners
+from angler_mjx.studies.benchmark.report.rates import ReportRate, compute_rate
 from angler_mjx.studies.benchmark.report.reading import Results, Runs
 
 LEVELS = ("nothing", "observed", "predicted", "truth")
@@ -29,33 +29,35 @@ class FleetsStudy:
     """The runs of the study."""
 
     results: Results
-    ways: dict[str, str]
+    flight_modes: dict[str, str]
     """How the robots fly, by the planners' labels: a planner or a policy, and how often it plans
     anew."""
-    left: int
+    n_unflown: int
     """Runs that are still to be flown; they are not among the results."""
 
     @property
-    def every_way(self) -> list[str]:
+    def all_flight_modes(self) -> list[str]:
         """In the order of the study."""
-        return list(dict.fromkeys(self.ways[name] for name in self.results.planners))
+        return list(dict.fromkeys(self.flight_modes[name] for name in self.results.planners))
 
-    def of(self, way: str, preset: str, robots: int, level: str) -> Runs:
+    def select_runs(self, flight_mode: str, preset: str, robots: int, level: str) -> Runs:
         """The runs of one cell that count."""
         runs = self.results.runs
-        mine = np.isin(runs["planner"], [label for label, x in self.ways.items() if x == way])
-        here = (runs["scene"] == preset) & (runs["robots"] == robots)
-        told = runs["knows_obstacles"] == level
-        return runs.where(runs.counted & mine & here & told)
+        is_mode = np.isin(
+            runs["planner"], [label for label, x in self.flight_modes.items() if x == flight_mode]
+        )
+        is_cell = (runs["scene"] == preset) & (runs["robots"] == robots)
+        is_level = runs["knows_obstacles"] == level
+        return runs.where(runs.counted & is_mode & is_cell & is_level)
 
     @property
-    def known(self) -> Iterator[tuple[str, int]]:
+    def multi_level_cases(self) -> Iterator[tuple[str, int]]:
         """Scenes and teams that were flown at more than one level."""
         runs = self.results.runs
         for scene in self.results.scenes:
             for robots in self.teams:
-                here = (runs["scene"] == scene) & (runs["robots"] == robots)
-                if len(set(runs["knows_obstacles"][here])) > 1:
+                is_cell = (runs["scene"] == scene) & (runs["robots"] == robots)
+                if len(set(runs["knows_obstacles"][is_cell])) > 1:
                     yield scene, robots
 
     @property
@@ -64,49 +66,50 @@ class FleetsStudy:
         return sorted(set(self.results.runs["robots"].tolist()))
 
 
-def read(folders: Sequence[Path]) -> FleetsStudy:
+def read_study(folders: Sequence[Path]) -> FleetsStudy:
     """Read results folders of one study; they need not be complete.
 
     Raises:
         ConfigError: one is none, or a run is in two of them.
     """
-    parts = [reading.read(folder) for folder in folders]
+    parts = [reading.read_results(folder) for folder in folders]
     columns = {
         name: np.concatenate([part.runs[name] for part in parts]) for name in parts[0].runs.columns
     }
     every_run = Runs(columns)
-    unflown = _to_be_flown(every_run)
+    unflown = _is_unflown(every_run)
     runs = every_run.where(~unflown)
     keys = ("planner", "scene", "robots", "knows_obstacles", "knows_current", "problem_seed")
-    every = list(zip(*(columns[name].tolist() for name in (*keys, "world")), strict=True))
-    if len(set(every)) < len(every):
-        twice = next(key for i, key in enumerate(every) if key in every[:i])
+    run_keys = list(zip(*(columns[name].tolist() for name in (*keys, "world")), strict=True))
+    if len(set(run_keys)) < len(run_keys):
+        repeated = next(key for i, key in enumerate(run_keys) if key in run_keys[:i])
         raise ConfigError(
-            f"{', '.join(map(str, folders))}: planner {twice[0]!r}, {twice[1]}, {twice[2]} robots, "
-            f"world {twice[-1]} is there twice; give each results folder once"
+            f"{', '.join(map(str, folders))}: planner {repeated[0]!r}, {repeated[1]}, "
+            f"{repeated[2]} robots, "
+            f"world {repeated[-1]} is there twice; give each results folder once"
         )
     entries: list[Any] = [entry for part in parts for entry in part.about.get("planners", [])]
-    ways = {entry["label"]: _way(entry) for entry in entries}
+    flight_modes = {entry["label"]: _flight_mode(entry) for entry in entries}
     scenes = list(dict.fromkeys(scene for part in parts for scene in part.scenes))
     about = {**parts[0].about, "planners": entries, "scenes": scenes}
-    whole = replace(
+    all_results = replace(
         parts[0],
         about=about,
         runs=runs,
-        problem=reading.problems(runs),
-        world=reading.worlds(runs),
+        problem=reading.index_problems(runs),
+        world=reading.index_worlds(runs),
         examples=[],
     )
-    return FleetsStudy(results=whole, ways=ways, left=int(unflown.sum()))
+    return FleetsStudy(results=all_results, flight_modes=flight_modes, n_unflown=int(unflown.sum()))
 
 
-def _to_be_flown(runs: Runs) -> np.ndarray:
+def _is_unflown(runs: Runs) -> np.ndarray:
     ready = (runs["robots_planned"] > 0) | (runs["plan_status"] == reading.POLICY)
-    unflown: np.ndarray = ready & ~runs["flown"] & runs.asked
+    unflown: np.ndarray = ready & ~runs["flown"] & runs.requested
     return unflown
 
 
-def _way(entry: dict[str, Any]) -> str:
+def _flight_mode(entry: dict[str, Any]) -> str:
     online = entry.get("online", {})
     hz, order = online.get("replan_hz", 0.0), online.get("order", "free")
     return ", ".join(
@@ -114,87 +117,106 @@ def _way(entry: dict[str, Any]) -> str:
     )
 
 
-def arrivals(runs: Runs) -> ReportRate:
+def arrival_rate(runs: Runs) -> ReportRate:
     """Teams that arrive whole."""
-    return rate(runs["success"], np.ones(len(runs), bool))
+    return compute_rate(runs["success"], np.ones(len(runs), bool))
 
 
-def by_team(study: FleetsStudy, level: str) -> list[str]:
+def format_by_team(study: FleetsStudy, level: str) -> list[str]:
     """Whole teams that arrive, and of the robots, at one level: a table a scene."""
     lines = []
     for scene in study.results.scenes:
         lines += ["", f"**{scene}**", ""]
         teams = [str(team) for team in study.teams]
-        lines += _header([f"teams (robots) that arrive, %; told `{level}`", *teams])
-        for way in study.every_way:
-            cells = [_cell(study.of(way, scene, team, level)) for team in study.teams]
+        lines += _format_header([f"teams (robots) that arrive, %; told `{level}`", *teams])
+        for flight_mode in study.all_flight_modes:
+            cells = [
+                _format_cell(study.select_runs(flight_mode, scene, team, level))
+                for team in study.teams
+            ]
             if any(cell != "-" for cell in cells):
-                lines.append(f"| {way} | " + " | ".join(cells) + " |")
+                lines.append(f"| {flight_mode} | " + " | ".join(cells) + " |")
     return lines
 
 
-def by_level(study: FleetsStudy) -> list[str]:
+def format_by_level(study: FleetsStudy) -> list[str]:
     """The same by what is known, where more than one level was flown."""
     lines = []
-    for scene, robots in study.known:
-        lines += ["", f"**{scene}, {_robots(robots)}**", ""]
-        lines += _header(["teams (robots) that arrive, %", *[f"`{level}`" for level in LEVELS]])
-        for way in study.every_way:
-            cells = [_cell(study.of(way, scene, robots, level)) for level in LEVELS]
+    for scene, robots in study.multi_level_cases:
+        lines += ["", f"**{scene}, {_format_robots(robots)}**", ""]
+        lines += _format_header(
+            ["teams (robots) that arrive, %", *[f"`{level}`" for level in LEVELS]]
+        )
+        for flight_mode in study.all_flight_modes:
+            cells = [
+                _format_cell(study.select_runs(flight_mode, scene, robots, level))
+                for level in LEVELS
+            ]
             if any(cell != "-" for cell in cells):
-                lines.append(f"| {way} | " + " | ".join(cells) + " |")
+                lines.append(f"| {flight_mode} | " + " | ".join(cells) + " |")
     return lines
 
 
-def replans(study: FleetsStudy) -> list[str]:
+def format_replans(study: FleetsStudy) -> list[str]:
     """How often a robot on its way got no new plan, where plans are made anew."""
-    head = ["no new plan, times a robot", "told", *[f"{team}" for team in study.teams]]
-    lines = ["", *_header(head)]
+    header = ["no new plan, times a robot", "told", *[f"{team}" for team in study.teams]]
+    lines = ["", *_format_header(header)]
     for scene in study.results.scenes:
-        for way in study.every_way:
+        for flight_mode in study.all_flight_modes:
             for level in LEVELS:
-                cells = [_failed(study.of(way, scene, team, level)) for team in study.teams]
+                cells = [
+                    _format_failed_replans(study.select_runs(flight_mode, scene, team, level))
+                    for team in study.teams
+                ]
                 if any(cell != "-" for cell in cells):
                     row = " | ".join(cells)
-                    lines.append(f"| {scene}, {way} | `{level}` | {row} |")
+                    lines.append(f"| {scene}, {flight_mode} | `{level}` | {row} |")
     return lines
 
 
-def pairs(study: FleetsStudy) -> list[str]:
+def format_pairs(study: FleetsStudy) -> list[str]:
     """Each planner that plans anew, less the same one told as much that does not."""
     runs = study.results.runs
-    lines = ["", *_header(["planned anew less once", "problems", "points (95 %)", "McNemar's p"])]
-    told = {label: set(runs["knows_obstacles"][runs["planner"] == label]) for label in study.ways}
-    for label, way in study.ways.items():
-        for other, plain in study.ways.items():
-            if way.startswith(f"{plain}, ") and told[label] & told[other]:
-                one = compare(study.results, label, other)
-                if one.pairs:
-                    low, high = 100 * one.low, 100 * one.high
-                    spread = f"{100 * one.difference:+.1f} ({low:+.1f} to {high:+.1f})"
-                    lines.append(f"| {label} | {one.pairs} | {spread} | {one.p:.2g} |")
+    lines = [
+        "",
+        *_format_header(["planned anew less once", "problems", "points (95 %)", "McNemar's p"]),
+    ]
+    levels = {
+        label: set(runs["knows_obstacles"][runs["planner"] == label])
+        for label in study.flight_modes
+    }
+    for label, flight_mode in study.flight_modes.items():
+        for other, base_mode in study.flight_modes.items():
+            if flight_mode.startswith(f"{base_mode}, ") and levels[label] & levels[other]:
+                comparison = compare_planners(study.results, label, other)
+                if comparison.pairs:
+                    low, high = 100 * comparison.low, 100 * comparison.high
+                    spread = f"{100 * comparison.difference:+.1f} ({low:+.1f} to {high:+.1f})"
+                    lines.append(
+                        f"| {label} | {comparison.pairs} | {spread} | {comparison.p:.2g} |"
+                    )
     return lines
 
 
-def _cell(runs: Runs) -> str:
+def _format_cell(runs: Runs) -> str:
     if not len(runs):
         return "-"
     robots = runs["robots_reached"].sum() / runs["robots"].sum()
-    return f"{100 * arrivals(runs).share:.0f} ({100 * robots:.0f})"
+    return f"{100 * arrival_rate(runs).fraction:.0f} ({100 * robots:.0f})"
 
 
-def _failed(runs: Runs) -> str:
-    known = np.isfinite(runs["failed_replans"])
-    if not known.any():
+def _format_failed_replans(runs: Runs) -> str:
+    is_finite = np.isfinite(runs["failed_replans"])
+    if not is_finite.any():
         return "-"
-    return f"{runs['failed_replans'][known].sum() / runs['robots'][known].sum():.1f}"
+    return f"{runs['failed_replans'][is_finite].sum() / runs['robots'][is_finite].sum():.1f}"
 
 
-def _robots(count: int) -> str:
+def _format_robots(count: int) -> str:
     return f"{count} robot{'' if count == 1 else 's'}"
 
 
-def _header(cells: Sequence[str]) -> list[str]:
+def _format_header(cells: Sequence[str]) -> list[str]:
     return ["| " + " | ".join(cells) + " |", "|---" * len(cells) + "|"]
 
 
@@ -214,15 +236,20 @@ def main(
         raise ConfigError("folders: give the results folder of the study, or several of its parts")
     if level not in LEVELS:
         raise ConfigError(f"--level {level}: give one of {', '.join(LEVELS)}")
-    study = read(folders)
-    if study.left:
-        print(f"{study.left} runs are not flown yet, and left out")
-    for lines in (by_team(study, level), by_level(study), replans(study), pairs(study)):
+    study = read_study(folders)
+    if study.n_unflown:
+        print(f"{study.n_unflown} runs are not flown yet, and left out")
+    for lines in (
+        format_by_team(study, level),
+        format_by_level(study),
+        format_replans(study),
+        format_pairs(study),
+    ):
         print("\n".join(lines))
     if figures is not None:
-        from angler_experiments.benchmarks import fleets_plotted
+        from angler_experiments.benchmarks import fleets_figures
 
-        for path in fleets_plotted.make(study, level, figures):
+        for path in fleets_figures.make_figures(study, level, figures):
             print(path)
 
 

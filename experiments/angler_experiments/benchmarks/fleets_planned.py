@@ -15,12 +15,14 @@ import numpy as np
 import tyro
 
 from angler_mjx.planning.planner import PathShape
-from angler_mjx.planning.priority.proofs import unsolvable
+from angler_mjx.planning.priority.proofs import prove_unsolvable
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import Scenario, load_scenario
 
 
-def scenario(preset: str, robots: int, worlds: int, horizon_s: float, planner: str) -> Scenario:
+def build_scenario(
+    preset: str, robots: int, worlds: int, horizon_s: float, planner: str
+) -> Scenario:
     """Teams of one size in worlds of one preset."""
     small = robots // 2
     heavy = load_scenario("reef_fleet").fleet[0].model_copy(update={"count": robots - small})
@@ -38,12 +40,12 @@ def scenario(preset: str, robots: int, worlds: int, horizon_s: float, planner: s
     )
 
 
-def drawn(simulator: Simulator) -> tuple[Any, float]:
+def sample_timed(simulator: Simulator) -> tuple[Any, float]:
     """Worlds, and the seconds that the second drawing of them took."""
     jax.block_until_ready(simulator.worlds())
-    begun = time.perf_counter()
+    start_s = time.perf_counter()
     worlds = jax.block_until_ready(simulator.worlds())
-    return worlds, time.perf_counter() - begun
+    return worlds, time.perf_counter() - start_s
 
 
 def main(
@@ -67,21 +69,25 @@ def main(
     )
     for preset in presets:
         for robots in teams:
-            wanted = scenario(preset, robots, worlds, horizon_s, "grid")
-            _, without_s = drawn(Simulator(wanted, paths=PathShape(points=64)))
+            grid_scenario = build_scenario(preset, robots, worlds, horizon_s, "grid")
+            _, without_s = sample_timed(Simulator(grid_scenario, paths=PathShape(points=64)))
             for name in planners:
-                simulator = Simulator(scenario(preset, robots, worlds, horizon_s, name))
-                made, seconds = drawn(simulator)
-                fits = np.asarray(made.environment.valid)
-                found = np.asarray(made.planned)[fits]
-                left = np.flatnonzero(~np.asarray(made.planned).all(axis=1) & fits)
-                asked = simulator.problems(0, worlds) if left.size else []
+                simulator = Simulator(build_scenario(preset, robots, worlds, horizon_s, name))
+                sampled_worlds, seconds = sample_timed(simulator)
+                is_valid = np.asarray(sampled_worlds.environment.valid)
+                has_path = np.asarray(sampled_worlds.planned)[is_valid]
+                unplanned = np.flatnonzero(
+                    ~np.asarray(sampled_worlds.planned).all(axis=1) & is_valid
+                )
+                host_problems = simulator.problems(0, worlds) if unplanned.size else []
                 margin_m = simulator.scenario.planner.margin_m
-                proved = sum(unsolvable(asked[i], margin_m) is not None for i in left)
+                proved = sum(
+                    prove_unsolvable(host_problems[i], margin_m) is not None for i in unplanned
+                )
                 rate = worlds / max(seconds - without_s, 1e-9)
                 print(
-                    f"| {preset} | {robots} | {name} | {100 * found.all(axis=1).mean():.1f} | "
-                    f"{100 * found.mean():.1f} | {rate:.3g} | {left.size}, {proved} |",
+                    f"| {preset} | {robots} | {name} | {100 * has_path.all(axis=1).mean():.1f} | "
+                    f"{100 * has_path.mean():.1f} | {rate:.3g} | {unplanned.size}, {proved} |",
                     flush=True,
                 )
 

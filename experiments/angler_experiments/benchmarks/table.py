@@ -13,98 +13,113 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from angler_mjx.runs.storage.intervals import wilson
+from angler_mjx.runs.storage.confidence_intervals import wilson_interval
 from angler_mjx.studies.benchmark.report import reading
-from angler_mjx.studies.benchmark.report.paired import compare
+from angler_mjx.studies.benchmark.report.paired import compare_planners
 from angler_mjx.studies.benchmark.report.reading import Results, Runs
 
-TOOK = (("planning_s", "planning, s"), ("makespan_s", "makespan, s"), ("energy_j", "energy, kJ"))
+COST_COLUMNS = (
+    ("planning_s", "planning, s"),
+    ("makespan_s", "makespan, s"),
+    ("energy_j", "energy, kJ"),
+)
 
 
-def success(results: Results) -> list[str]:
+def format_success(results: Results) -> list[str]:
     """Success of each planner by scene (rows) and team (columns), in percent."""
     runs = results.runs
     teams = sorted(set(runs["robots"].tolist()))
     lines = []
     for scene in results.scenes:
         lines += ["", f"**{scene}**", ""]
-        lines += _header(["success, %", *[str(team) for team in teams], "all teams (95 %)"])
-        here = runs.where(runs["scene"] == scene)
-        shares = {
-            name: [_share(here, name, [team]) for team in teams] + [_share(here, name, teams)]
+        lines += _format_header(["success, %", *[str(team) for team in teams], "all teams (95 %)"])
+        scene_runs = runs.where(runs["scene"] == scene)
+        fractions = {
+            name: [_success_fraction(scene_runs, name, [team]) for team in teams]
+            + [_success_fraction(scene_runs, name, teams)]
             for name in results.planners
         }
-        best = [max(column, default=0.0) for column in zip(*shares.values(), strict=True)]
-        for name, values in shares.items():
+        best = [max(column, default=0.0) for column in zip(*fractions.values(), strict=True)]
+        for name, values in fractions.items():
             cells = [
-                _bold(f"{100 * x:.0f}", x == top and x > 0)
+                _format_bold(f"{100 * x:.0f}", x == top and x > 0)
                 for x, top in zip(values, best, strict=True)
             ]
             lines.append(
                 f"| {name} | "
-                + " | ".join([*cells[:-1], f"{cells[-1]} {_range(here, name)}"])
+                + " | ".join([*cells[:-1], f"{cells[-1]} {_format_interval(scene_runs, name)}"])
                 + " |"
             )
     return lines
 
 
-def took(results: Results, robots: int) -> list[str]:
+def format_costs(results: Results, robots: int) -> list[str]:
     """What successful runs took, by scene and planner, for one size of team."""
     runs = results.runs
     lines = []
     for scene in results.scenes:
         lines += ["", f"**{scene}, {robots} robots**", ""]
-        lines += _header(["median of successes", "runs", *[text for _, text in TOOK]])
+        lines += _format_header(
+            ["median of successes", "runs", *[text for _, text in COST_COLUMNS]]
+        )
         for name in results.planners:
-            mine = (runs["planner"] == name) & (runs["scene"] == scene) & (runs["robots"] == robots)
-            won = runs.where(mine & runs["success"])
-            if len(won):
+            is_selected = (
+                (runs["planner"] == name) & (runs["scene"] == scene) & (runs["robots"] == robots)
+            )
+            successes = runs.where(is_selected & runs["success"])
+            if len(successes):
                 scale = {"energy_j": 1e-3}
-                cells = [f"{np.median(won[key]) * scale.get(key, 1.0):.3g}" for key, _ in TOOK]
-                lines.append(f"| {name} | {len(won)} | " + " | ".join(cells) + " |")
+                cells = [
+                    f"{np.median(successes[key]) * scale.get(key, 1.0):.3g}"
+                    for key, _ in COST_COLUMNS
+                ]
+                lines.append(f"| {name} | {len(successes)} | " + " | ".join(cells) + " |")
     return lines
 
 
-def truth(results: Results) -> list[str]:
+def format_arrivals(results: Results) -> list[str]:
     """Of teams whose plans were whole: how many arrived, by scene."""
     runs = results.runs
-    lines = ["", *_header(["planned teams that all arrive", *results.scenes])]
+    lines = ["", *_format_header(["planned teams that all arrive", *results.scenes])]
     for name in results.planners:
         cells = []
         for scene in results.scenes:
             planned = (runs["planner"] == name) & (runs["scene"] == scene) & runs["planned"]
-            count, won = int(planned.sum()), int((planned & runs["success"]).sum())
-            cells.append(f"{won} of {count}" if count else "-")
+            count, n_success = int(planned.sum()), int((planned & runs["success"]).sum())
+            cells.append(f"{n_success} of {count}" if count else "-")
         lines.append(f"| {name} | " + " | ".join(cells) + " |")
     return lines
 
 
-def pairs(results: Results, names: Sequence[str]) -> list[str]:
+def format_pairs(results: Results, names: Sequence[str]) -> list[str]:
     """Difference of success of the first planner and each of the others, on the same problems."""
-    lines = ["", *_header([f"{names[0]} less", "problems", "points (95 %)", "McNemar's p"])]
+    lines = ["", *_format_header([f"{names[0]} less", "problems", "points (95 %)", "McNemar's p"])]
     for name in names[1:]:
-        one = compare(results, names[0], name)
-        spread = f"{100 * one.difference:+.1f} ({100 * one.low:+.1f} to {100 * one.high:+.1f})"
-        lines.append(f"| {name} | {one.pairs} | {spread} | {one.p:.2g} |")
+        comparison = compare_planners(results, names[0], name)
+        difference, low, high = (
+            f"{100 * x:+.1f}" for x in (comparison.difference, comparison.low, comparison.high)
+        )
+        spread = f"{difference} ({low} to {high})"
+        lines.append(f"| {name} | {comparison.pairs} | {spread} | {comparison.p:.2g} |")
     return lines
 
 
-def _share(runs: Runs, planner: str, teams: Sequence[int]) -> float:
-    mine = runs.counted & (runs["planner"] == planner) & np.isin(runs["robots"], teams)
-    return float(runs["success"][mine].mean()) if mine.any() else 0.0
+def _success_fraction(runs: Runs, planner: str, teams: Sequence[int]) -> float:
+    is_selected = runs.counted & (runs["planner"] == planner) & np.isin(runs["robots"], teams)
+    return float(runs["success"][is_selected].mean()) if is_selected.any() else 0.0
 
 
-def _range(runs: Runs, planner: str) -> str:
-    mine = runs.counted & (runs["planner"] == planner)
-    low, high = wilson(int(runs["success"][mine].sum()), int(mine.sum()))
+def _format_interval(runs: Runs, planner: str) -> str:
+    is_selected = runs.counted & (runs["planner"] == planner)
+    low, high = wilson_interval(int(runs["success"][is_selected].sum()), int(is_selected.sum()))
     return f"({100 * low:.0f} to {100 * high:.0f})"
 
 
-def _bold(text: str, bold: bool) -> str:
+def _format_bold(text: str, bold: bool) -> str:
     return f"**{text}**" if bold else text
 
 
-def _header(cells: Sequence[str]) -> list[str]:
+def _format_header(cells: Sequence[str]) -> list[str]:
     return ["| " + " | ".join(cells) + " |", "|---" * len(cells) + "|"]
 
 
@@ -115,11 +130,18 @@ def main(folder: Annotated[Path, tyro.conf.Positional], robots: int = 4) -> None
         folder: Results folder of a benchmark.
         robots: Team of which the tables of what successes took are.
     """
-    results = reading.read(folder)
+    results = reading.read_results(folder)
     runs = results.runs
-    won = {name: int(runs["success"][runs["planner"] == name].sum()) for name in results.planners}
-    best_first = sorted(results.planners, key=lambda name: -won[name])
-    tables = (success(results), truth(results), took(results, robots), pairs(results, best_first))
+    n_successes = {
+        name: int(runs["success"][runs["planner"] == name].sum()) for name in results.planners
+    }
+    best_first = sorted(results.planners, key=lambda name: -n_successes[name])
+    tables = (
+        format_success(results),
+        format_arrivals(results),
+        format_costs(results, robots),
+        format_pairs(results, best_first),
+    )
     for lines in tables:
         print("\n".join(lines))
 

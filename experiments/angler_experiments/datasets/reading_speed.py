@@ -20,28 +20,30 @@ BATCH = 64
 """Windows that PyTorch's workers hand over at once."""
 
 
-def rate(work: Iterable[Any], seconds: float) -> tuple[float, float]:
+def measure_rate(items: Iterable[Any], seconds: float) -> tuple[float, float]:
     """Items and bytes a second of what is iterated for so long, the first ones left out."""
-    items = iter(work)
+    iterator = iter(items)
     for _ in range(20):
-        next(items)
-    begun, count, n_byte = time.perf_counter(), 0, 0
-    for item in items:
+        next(iterator)
+    start_s, count, n_byte = time.perf_counter(), 0, 0
+    for item in iterator:
         count += 1
         n_byte += sum(np.asarray(value).nbytes for value in item.values())
-        if time.perf_counter() - begun > seconds:
+        if time.perf_counter() - start_s > seconds:
             break
-    took = time.perf_counter() - begun
-    return count / took, n_byte / took
+    elapsed_s = time.perf_counter() - start_s
+    return count / elapsed_s, n_byte / elapsed_s
 
 
-def report(what: str, work: Callable[[], Iterable[Any]], seconds: float, each: int = 1) -> None:
+def print_rate(
+    label: str, make_items: Callable[[], Iterable[Any]], seconds: float, items_per_read: int = 1
+) -> None:
     """Print a row: the best of three, of items that hold so many."""
-    best = max(rate(work(), seconds) for _ in range(3))
-    print(f"| {what} | {each * best[0]:,.0f} | {best[1] / 1e9:.2f} |", flush=True)
+    best = max(measure_rate(make_items(), seconds) for _ in range(3))
+    print(f"| {label} | {items_per_read * best[0]:,.0f} | {best[1] / 1e9:.2f} |", flush=True)
 
 
-def by_torch(windows: Windows, workers: int) -> Iterable[Any]:
+def build_torch_loader(windows: Windows, workers: int) -> Iterable[Any]:
     """A pass by PyTorch's workers, in batches: each costs as much to hand over as one window."""
     from torch.utils.data import DataLoader
 
@@ -74,37 +76,39 @@ def main(
         grain: Measure Grain's too.
     """
     data = datasets.open(dataset)
-    team, one = data.windows(length), data.windows(length, of="robot")
+    team, robot_windows = data.windows(length), data.windows(length, of="robot")
     rng = np.random.default_rng(0)
     print(f"{len(data)} episodes, windows of {length} samples\n")
     print("| what | items/s | GB/s |\n|---|---|---|")
-    for name, windows in (("team", team), ("robot", one)):
+    for name, windows in (("team", team), ("robot", robot_windows)):
         numbers = rng.integers(0, len(windows), 200_000)
-        report(
+        print_rate(
             f"random windows of a {name}",
             lambda w=windows, n=numbers: (w[int(i)] for i in n),  # type: ignore[misc]
             seconds,
         )
     strides = data.windows(length, stride=length)
-    report("windows in order", lambda: iter(strides), seconds)
+    print_rate("windows in order", lambda: iter(strides), seconds)
     fields = data.fields
-    report(
+    print_rate(
         "whole episodes",
         lambda: ({name: data.values(i, name) for name in fields} for i in range(len(data))),
         seconds,
     )
     if torch:
         for workers in (0, 2):
-            report(
+            print_rate(
                 f"PyTorch, {workers} workers",
-                lambda k=workers: by_torch(team, k),  # type: ignore[misc]
+                lambda k=workers: build_torch_loader(team, k),  # type: ignore[misc]
                 seconds,
                 BATCH,
             )
     if grain:
-        from angler_mjx.learning.datasets.loaders.grain import source
+        from angler_mjx.learning.datasets.loaders.grain import build_source
 
-        report("Grain, shuffled", lambda: source(team).shuffle(seed=0).to_iter_dataset(), seconds)
+        print_rate(
+            "Grain, shuffled", lambda: build_source(team).shuffle(seed=0).to_iter_dataset(), seconds
+        )
 
 
 if __name__ == "__main__":

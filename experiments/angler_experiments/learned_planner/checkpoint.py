@@ -13,10 +13,10 @@ import numpy as np
 
 from angler_experiments.learned_planner import network
 from angler_experiments.learned_planner.network import Params
-from angler_experiments.learned_planner.shapes import SCHEMA, Width
-from angler_mjx.errors import ConfigError, shown
+from angler_experiments.learned_planner.shapes import SCHEMA, NetworkSize
+from angler_mjx.errors import ConfigError, format_value
 
-SHIPPED = "weights.npz"
+SHIPPED_FILE = "weights.npz"
 """Beside this module."""
 _ABOUT, _KIND = "about", "angler_mjx learned planner"
 
@@ -26,51 +26,53 @@ class Checkpoint:
     """A network that can plan."""
 
     params: Params
-    width: Width
+    width: NetworkSize
     about: dict[str, Any]
     """How it was made: examples, steps, loss, seed."""
 
 
-def save(path: Path, made: Checkpoint) -> None:
+def save_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
     """Write a checkpoint, numbers as float16."""
     about = {
         "kind": _KIND,
         "schema": SCHEMA,
-        "width": made.width.table(),
-        "made": made.about,
+        "width": checkpoint.width.table(),
+        "made": checkpoint.about,
     }
-    arrays = {name: np.asarray(leaf, np.float16) for name, leaf in _named(made.params).items()}
+    arrays = {
+        name: np.asarray(leaf, np.float16) for name, leaf in _name_leaves(checkpoint.params).items()
+    }
     text = np.frombuffer(json.dumps(about, sort_keys=True).encode(), np.uint8)
     with path.open("wb") as file:
         np.savez_compressed(file, allow_pickle=False, **{_ABOUT: text}, **arrays)
 
 
-def load(path: Path | None = None) -> Checkpoint:
+def load_checkpoint(path: Path | None = None) -> Checkpoint:
     """Read a checkpoint; the shipped one if no path is given.
 
     Raises:
         ConfigError: it is none, it is damaged, or it was made for another version of this planner.
     """
     if path is None:
-        with resources.as_file(resources.files(__package__) / SHIPPED) as shipped:
-            return _read(shipped)
-    return _read(path)
+        with resources.as_file(resources.files(__package__) / SHIPPED_FILE) as shipped_path:
+            return _read_checkpoint(shipped_path)
+    return _read_checkpoint(path)
 
 
-def digest(path: Path | None = None) -> str:
+def hash_checkpoint(path: Path | None = None) -> str:
     """What tells a checkpoint from all others; the shipped one's if no path is given.
 
     Raises:
         ConfigError: there is no such file.
     """
     try:
-        data = (path or Path(__file__).with_name(SHIPPED)).read_bytes()
+        data = (path or Path(__file__).with_name(SHIPPED_FILE)).read_bytes()
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror or error})") from error
     return hashlib.sha256(data).hexdigest()[:16]
 
 
-def _read(path: Path) -> Checkpoint:
+def _read_checkpoint(path: Path) -> Checkpoint:
     try:
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
@@ -85,29 +87,30 @@ def _read(path: Path) -> Checkpoint:
         ) from error
     if about.get("schema") != SCHEMA:
         raise ConfigError(
-            f"{path}: a checkpoint of schema {shown(about.get('schema'))}, and this planner reads "
+            f"{path}: a checkpoint of schema {format_value(about.get('schema'))}, and this planner "
+            "reads "
             f"schema {SCHEMA}; train it again, or leave planner.learned.checkpoint out"
         )
-    width = Width(**about["width"])
-    shapes = jax.eval_shape(lambda: network.init(jax.random.key(0), width))
-    for name, leaf in _named(shapes).items():
-        found = arrays[name].shape if name in arrays else None
-        if found != leaf.shape:
-            there = "is missing" if found is None else f"has the shape {list(found)}"
+    width = NetworkSize(**about["width"])
+    shapes = jax.eval_shape(lambda: network.init_params(jax.random.key(0), width))
+    for name, leaf in _name_leaves(shapes).items():
+        shape = arrays[name].shape if name in arrays else None
+        if shape != leaf.shape:
+            problem = "is missing" if shape is None else f"has the shape {list(shape)}"
             raise ConfigError(
-                f"{path}: {name} {there}, not {list(leaf.shape)}: it is damaged; "
+                f"{path}: {name} {problem}, not {list(leaf.shape)}: it is damaged; "
                 "copy it again, or train it again"
             )
     paths, tree = jax.tree_util.tree_flatten_with_path(shapes)
-    leaves = [jnp.asarray(arrays[_name(path)], jnp.float32) for path, _ in paths]
+    leaves = [jnp.asarray(arrays[_leaf_name(path)], jnp.float32) for path, _ in paths]
     return Checkpoint(
         params=jax.tree.unflatten(tree, leaves), width=width, about=about.get("made", {})
     )
 
 
-def _named(params: Any) -> dict[str, Any]:
-    return {_name(path): leaf for path, leaf in jax.tree_util.tree_leaves_with_path(params)}
+def _name_leaves(params: Any) -> dict[str, Any]:
+    return {_leaf_name(path): leaf for path, leaf in jax.tree_util.tree_leaves_with_path(params)}
 
 
-def _name(path: Any) -> str:
+def _leaf_name(path: Any) -> str:
     return "/".join(str(getattr(step, "key", getattr(step, "idx", step))) for step in path)

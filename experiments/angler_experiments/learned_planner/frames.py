@@ -20,32 +20,32 @@ class StraightFrame:
     axes: jax.Array
     """[3, 3] rows: along the straight line, level to the left of it, and up across both; in W."""
 
-    def inward(self, vector: jax.Array) -> jax.Array:
+    def to_frame(self, vector: jax.Array) -> jax.Array:
         """Vectors [..., 3] of W in this frame."""
         return jnp.einsum("...i,ki->...k", vector, self.axes, precision="highest")
 
-    def outward(self, vector: jax.Array) -> jax.Array:
+    def to_world(self, vector: jax.Array) -> jax.Array:
         """Vectors [..., 3] of this frame in W."""
         return jnp.einsum("...k,ki->...i", vector, self.axes, precision="highest")
 
-    def line(self, share: jax.Array) -> jax.Array:
+    def points_on_line(self, fraction: jax.Array) -> jax.Array:
         """Points [n, 3] of the straight line in W at shares [n] of its length."""
-        return self.start_m + share[:, None] * self.length_m * self.axes[0]
+        return self.start_m + fraction[:, None] * self.length_m * self.axes[0]
 
 
-def straight(start_m: jax.Array, goal_m: jax.Array) -> StraightFrame:
+def build_straight_frame(start_m: jax.Array, goal_m: jax.Array) -> StraightFrame:
     """The frame of a robot from ``start_m`` [3] to ``goal_m`` [3].
 
     A way straight up or down takes x for its left; one of no length runs along x.
     """
-    gap = goal_m - start_m
-    length = jnp.sqrt(jnp.sum(gap * gap))
-    east = jnp.array([1.0, 0.0, 0.0], gap.dtype)
-    along = jnp.where(length > _SHORT_M, gap / jnp.where(length > _SHORT_M, length, 1.0), east)
-    level = jnp.sqrt(along[0] ** 2 + along[1] ** 2)
-    safe = jnp.where(level > _SHORT_M, level, 1.0)
+    delta = goal_m - start_m
+    length = jnp.sqrt(jnp.sum(delta * delta))
+    east = jnp.array([1.0, 0.0, 0.0], delta.dtype)
+    along = jnp.where(length > _SHORT_M, delta / jnp.where(length > _SHORT_M, length, 1.0), east)
+    level_length = jnp.sqrt(along[0] ** 2 + along[1] ** 2)
+    safe = jnp.where(level_length > _SHORT_M, level_length, 1.0)
     left = jnp.where(
-        level > _SHORT_M,
+        level_length > _SHORT_M,
         jnp.stack([-along[1] / safe, along[0] / safe, jnp.zeros_like(safe)]),
         east,
     )

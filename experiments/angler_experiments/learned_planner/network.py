@@ -14,26 +14,26 @@ import jax.numpy as jnp
 
 from angler_experiments.learned_planner.scene import Scene
 from angler_experiments.learned_planner.shapes import (
-    ABOVE,
-    ASIDE,
-    BODY,
-    CHANNELS,
-    OTHER,
-    OWN,
-    SLICES,
-    Width,
+    N_ABOVE,
+    N_ASIDE,
+    N_BODY_FEATURES,
+    N_CHANNELS,
+    N_PAIR_FEATURES,
+    N_ROBOT_FEATURES,
+    N_SLICES,
+    NetworkSize,
 )
 
 type Params = dict[str, Any]
 """Arrays by names; nested."""
 
-_TIMES = 8
+_N_TIME_FREQUENCIES = 8
 """Waves by which the network is told how far the flow is."""
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Context:
+class EncodedScene:
     """What does not change while ways are drawn."""
 
     tokens: jax.Array
@@ -44,7 +44,7 @@ class Context:
     """bool [R]."""
 
 
-def init(key: jax.Array, width: Width) -> Params:
+def init_params(key: jax.Array, width: NetworkSize) -> Params:
     """Numbers of an untrained network; its velocity is zero everywhere."""
     d = width.units
     keys = iter(jax.random.split(key, 16 + 8 * width.blocks))
@@ -55,8 +55,8 @@ def init(key: jax.Array, width: Width) -> Params:
 
     def block() -> Params:
         return {
-            "along_in": dense(SLICES, 2 * SLICES),
-            "along_out": dense(2 * SLICES, SLICES, 0.1),
+            "along_in": dense(N_SLICES, 2 * N_SLICES),
+            "along_out": dense(2 * N_SLICES, N_SLICES, 0.1),
             "query": dense(d, d),
             "key": dense(d, d),
             "value": dense(2 * d, d, 0.3),
@@ -65,87 +65,97 @@ def init(key: jax.Array, width: Width) -> Params:
         }
 
     return {
-        "gap": dense(3 * ASIDE * ABOVE, d),
+        "gap": dense(3 * N_ASIDE * N_ABOVE, d),
         "gap_on": dense(d, d),
-        "own": dense(OWN, d),
+        "own": dense(N_ROBOT_FEATURES, d),
         "water": dense(3, d),
-        "place": 0.1 * jax.random.normal(next(keys), (SLICES, d)),
-        "pair": dense(OTHER, d),
+        "place": 0.1 * jax.random.normal(next(keys), (N_SLICES, d)),
+        "pair": dense(N_PAIR_FEATURES, d),
         "pair_on": dense(d, d),
-        "body": dense(BODY, d),
+        "body": dense(N_BODY_FEATURES, d),
         "body_score": dense(d, 1),
         "body_on": dense(d, d, 0.3),
-        "way": dense(CHANNELS, d),
-        "time": dense(2 * _TIMES, d),
+        "way": dense(N_CHANNELS, d),
+        "time": dense(2 * _N_TIME_FREQUENCIES, d),
         "blocks": [block() for _ in range(width.blocks)],
-        "out": {"w": jnp.zeros((d, CHANNELS)), "b": jnp.zeros((CHANNELS,))},
+        "out": {"w": jnp.zeros((d, N_CHANNELS)), "b": jnp.zeros((N_CHANNELS,))},
     }
 
 
-def encode(params: Params, scene: Scene) -> Context:
+def encode_scene(params: Params, scene: Scene) -> EncodedScene:
     """What is to be said of one world, once."""
     gap = jnp.pad(scene.gap.astype(jnp.float32), ((0, 0), (1, 1), (0, 0), (0, 0)), mode="edge")
     robots = gap.shape[0]
-    gap = gap.reshape(robots, SLICES + 2, ASIDE * ABOVE)
+    gap = gap.reshape(robots, N_SLICES + 2, N_ASIDE * N_ABOVE)
     patch = jnp.concatenate([gap[:, :-2], gap[:, 1:-1], gap[:, 2:]], axis=-1)
-    seen = _dense(params["gap_on"], jax.nn.gelu(_dense(params["gap"], patch)))
-    tokens = seen + _dense(params["water"], scene.water.astype(jnp.float32)) + params["place"]
-    own = _dense(params["own"], scene.own) + _of_bodies(params, scene)
-    pairs = _dense(params["pair_on"], jax.nn.gelu(_dense(params["pair"], scene.others)))
-    return Context(tokens=tokens + own[:, None], pairs=pairs, exists=scene.exists)
+    surroundings = _apply_dense(params["gap_on"], jax.nn.gelu(_apply_dense(params["gap"], patch)))
+    tokens = (
+        surroundings
+        + _apply_dense(params["water"], scene.water.astype(jnp.float32))
+        + params["place"]
+    )
+    robot_features = _apply_dense(params["own"], scene.own) + _attend_to_bodies(params, scene)
+    pairs = _apply_dense(params["pair_on"], jax.nn.gelu(_apply_dense(params["pair"], scene.others)))
+    return EncodedScene(tokens=tokens + robot_features[:, None], pairs=pairs, exists=scene.exists)
 
 
-def velocity(params: Params, context: Context, way: jax.Array, time: jax.Array) -> jax.Array:
+def velocity(params: Params, context: EncodedScene, path: jax.Array, time: jax.Array) -> jax.Array:
     """Velocity [R, inner, 4] of ways [R, inner, 4] at a time [] of the flow, 0 to 1."""
-    turns = time * jnp.pi * 2.0 ** jnp.arange(_TIMES) / 4.0
-    waves = jnp.concatenate([jnp.sin(turns), jnp.cos(turns)])
-    ends = jnp.pad(way, ((0, 0), (1, 1), (0, 0)))
-    h = context.tokens + _dense(params["way"], ends) + _dense(params["time"], waves)
+    phases = time * jnp.pi * 2.0 ** jnp.arange(_N_TIME_FREQUENCIES) / 4.0
+    time_features = jnp.concatenate([jnp.sin(phases), jnp.cos(phases)])
+    ends = jnp.pad(path, ((0, 0), (1, 1), (0, 0)))
+    h = (
+        context.tokens
+        + _apply_dense(params["way"], ends)
+        + _apply_dense(params["time"], time_features)
+    )
     for block in params["blocks"]:
-        along = jnp.swapaxes(_norm(h), 1, 2)
-        along = _dense(block["along_out"], jax.nn.gelu(_dense(block["along_in"], along)))
+        along = jnp.swapaxes(_normalise(h), 1, 2)
+        along = _apply_dense(
+            block["along_out"], jax.nn.gelu(_apply_dense(block["along_in"], along))
+        )
         h = h + jnp.swapaxes(along, 1, 2)
-        h = h + _of_team(block, context, _norm(h))[:, None]
-        h = h + _dense(block["back"], jax.nn.gelu(_dense(block["wide"], _norm(h))))
-    return _dense(params["out"], _norm(h)[:, 1:-1])
+        h = h + _attend_to_team(block, context, _normalise(h))[:, None]
+        h = h + _apply_dense(block["back"], jax.nn.gelu(_apply_dense(block["wide"], _normalise(h))))
+    return _apply_dense(params["out"], _normalise(h)[:, 1:-1])
 
 
-def _of_team(block: Params, context: Context, h: jax.Array) -> jax.Array:
+def _attend_to_team(block: Params, context: EncodedScene, h: jax.Array) -> jax.Array:
     """What each robot takes from the others, [R, units]; nothing where it is alone."""
     mean = jnp.mean(h, axis=1)
-    query = _dense(block["query"], mean)
-    key = _dense(block["key"], mean)[None] + context.pairs
+    query = _apply_dense(block["query"], mean)
+    key = _apply_dense(block["key"], mean)[None] + context.pairs
     robots, d = mean.shape
     score = jnp.einsum("id,ijd->ij", query, key) / d**0.5
     other = context.exists[None] & ~jnp.eye(robots, dtype=bool)
-    share = _softmax(score, other)
-    held = jnp.einsum("ij,jd->id", share, mean)
-    met = jnp.einsum("ij,ijd->id", share, context.pairs)
-    return _dense(block["value"], jnp.concatenate([held, met], axis=-1))
+    weights = _masked_softmax(score, other)
+    attended = jnp.einsum("ij,jd->id", weights, mean)
+    pair_features = jnp.einsum("ij,ijd->id", weights, context.pairs)
+    return _apply_dense(block["value"], jnp.concatenate([attended, pair_features], axis=-1))
 
 
-def _of_bodies(params: Params, scene: Scene) -> jax.Array:
-    each = jax.nn.gelu(_dense(params["body"], scene.bodies))
-    score = _dense(params["body_score"], each)[..., 0]
-    share = _softmax(score, jnp.broadcast_to(scene.body_exists, score.shape))
-    return _dense(params["body_on"], jnp.einsum("in,ind->id", share, each))
+def _attend_to_bodies(params: Params, scene: Scene) -> jax.Array:
+    body_features = jax.nn.gelu(_apply_dense(params["body"], scene.bodies))
+    score = _apply_dense(params["body_score"], body_features)[..., 0]
+    weights = _masked_softmax(score, jnp.broadcast_to(scene.body_exists, score.shape))
+    return _apply_dense(params["body_on"], jnp.einsum("in,ind->id", weights, body_features))
 
 
-def _softmax(score: jax.Array, which: jax.Array) -> jax.Array:
+def _masked_softmax(score: jax.Array, mask: jax.Array) -> jax.Array:
     """Shares of those that count along the last axis; zeros where none does."""
-    held = jnp.where(which, score, -jnp.inf)
-    top = jax.lax.stop_gradient(jnp.max(held, axis=-1, keepdims=True, initial=-1e9))
+    masked = jnp.where(mask, score, -jnp.inf)
+    max_score = jax.lax.stop_gradient(jnp.max(masked, axis=-1, keepdims=True, initial=-1e9))
     # Nothing that is left out may be infinite: its slope would be none.
-    weight = jnp.where(which, jnp.exp(jnp.where(which, score - top, 0.0)), 0.0)
+    weight = jnp.where(mask, jnp.exp(jnp.where(mask, score - max_score, 0.0)), 0.0)
     total = jnp.sum(weight, axis=-1, keepdims=True)
     return weight / jnp.where(total > 0.0, total, 1.0)
 
 
-def _dense(layer: Params, x: jax.Array) -> jax.Array:
-    given: jax.Array = x @ layer["w"] + layer["b"]
-    return given
+def _apply_dense(layer: Params, x: jax.Array) -> jax.Array:
+    output: jax.Array = x @ layer["w"] + layer["b"]
+    return output
 
 
-def _norm(h: jax.Array) -> jax.Array:
+def _normalise(h: jax.Array) -> jax.Array:
     centred = h - jnp.mean(h, axis=-1, keepdims=True)
     return centred * jax.lax.rsqrt(jnp.mean(centred**2, axis=-1, keepdims=True) + 1e-5)

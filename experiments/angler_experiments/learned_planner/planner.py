@@ -10,19 +10,19 @@ import jax.numpy as jnp
 
 from angler_experiments.learned_planner import checkpoint, flow, network, path_encoding, repair
 from angler_experiments.learned_planner.repair import RepairConfig
-from angler_experiments.learned_planner.scene import lines, scene
-from angler_experiments.learned_planner.shapes import CHANNELS, INNER
+from angler_experiments.learned_planner.scene import build_frames, build_scene
+from angler_experiments.learned_planner.shapes import N_CHANNELS, N_INNER_POINTS
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning.problem import Problem
 from angler_mjx.robot.control.trajectory import Trajectory
 
-AT_ONCE = {"gpu": 2048}
-AT_ONCE_ELSEWHERE = 64
+MAX_ROBOTS_AT_ONCE = {"gpu": 2048}
+DEFAULT_MAX_ROBOTS_AT_ONCE = 64
 """Robots whose candidates are in memory at once, by platform."""
 
-_HOLDS = 6
+_N_START_HOLDS = 6
 """Times at which a robot may set off."""
-_TEAMS, _WORSE = 7, 0.3
+_TEAM_SEED, _COST_NOISE = 7, 0.3
 """Number of the lot by which teams are drawn, and how much worse it makes arrivals."""
 
 
@@ -58,7 +58,7 @@ class LearnedSettings:
             ("steps", 1, 100),
             ("pushes", 0, 1000),
             ("rounds", 1, 100),
-            ("points", INNER + 3, 1024),
+            ("points", N_INNER_POINTS + 3, 1024),
         ):
             if not low <= getattr(self, name) <= high:
                 raise ValueError(f"{name} = {getattr(self, name)}: must be {low} to {high}")
@@ -83,7 +83,7 @@ class LearnedPlanner:
         """
         self.settings = settings or LearnedSettings()
         file = self.settings.checkpoint
-        self._params = checkpoint.load(Path(file).expanduser() if file else None).params
+        self._params = checkpoint.load_checkpoint(Path(file).expanduser() if file else None).params
 
     def plan_batch(self, problems: Problem) -> Trajectory:
         """Paths [world, robot]; ``found`` is False where all candidates meet something.
@@ -114,40 +114,46 @@ class LearnedPlanner:
             Paths [world, team, robot].
         """
         robots = problems.team.radius_m.shape[-1]
-        at_once = AT_ONCE.get(jax.default_backend(), AT_ONCE_ELSEWHERE)
-        batch = max(1, min(problems.team.radius_m.shape[0], at_once // robots))
-        paths: Trajectory = jax.lax.map(partial(self._one, teams), problems, batch_size=batch)
+        max_robots = MAX_ROBOTS_AT_ONCE.get(jax.default_backend(), DEFAULT_MAX_ROBOTS_AT_ONCE)
+        batch = max(1, min(problems.team.radius_m.shape[0], max_robots // robots))
+        paths: Trajectory = jax.lax.map(
+            partial(self._plan_world, teams), problems, batch_size=batch
+        )
         return paths
 
-    def _one(self, teams: int, problem: Problem) -> Trajectory:
-        settings, frames = self.settings, lines(problem)
-        drawn = self._drawn(problem)
+    def _plan_world(self, teams: int, problem: Problem) -> Trajectory:
+        settings, frames = self.settings, build_frames(problem)
+        samples = self._sample_paths(problem)
         if settings.repair:
             config = RepairConfig(
                 margin_m=settings.margin_m,
                 pushes=settings.pushes,
-                hold_s=tuple(settings.start_hold_s * k / (_HOLDS - 1) for k in range(_HOLDS)),
+                hold_s=tuple(
+                    settings.start_hold_s * k / (_N_START_HOLDS - 1) for k in range(_N_START_HOLDS)
+                ),
                 rounds=settings.rounds,
             )
-            given = repair.candidates(problem, frames, drawn, config)
-            shape = given.paths.time_s.shape[:2]
-            key = jax.random.fold_in(jax.random.key(problem.seed), _TEAMS)
-            worse = 1.0 + _WORSE * jnp.abs(jax.random.normal(key, (teams - 1, *shape)))
-            worse = jnp.concatenate([jnp.ones((1, *shape)), worse])
-            choose = partial(repair.choose, problem, given, config)
-            found = jax.vmap(choose)(worse)
+            candidates = repair.build_candidates(problem, frames, samples, config)
+            shape = candidates.paths.time_s.shape[:2]
+            key = jax.random.fold_in(jax.random.key(problem.seed), _TEAM_SEED)
+            cost_factors = 1.0 + _COST_NOISE * jnp.abs(jax.random.normal(key, (teams - 1, *shape)))
+            cost_factors = jnp.concatenate([jnp.ones((1, *shape)), cost_factors])
+            choose_team = partial(repair.choose_team_paths, problem, candidates, config)
+            team_paths = jax.vmap(choose_team)(cost_factors)
         else:
             team = problem.team
-            place = jax.vmap(path_encoding.points)(drawn[0], frames, team.goal_m)
-            added = jax.vmap(path_encoding.delays_s)(drawn[0])
-            time, place = jax.vmap(path_encoding.timed)(
-                place, added, jnp.zeros_like(team.radius_m), team.cruise_speed_mps
+            position_m = jax.vmap(path_encoding.decode_points)(samples[0], frames, team.goal_m)
+            delays_s = jax.vmap(path_encoding.decode_delays_s)(samples[0])
+            time, position_m = jax.vmap(path_encoding.time_path)(
+                position_m, delays_s, jnp.zeros_like(team.radius_m), team.cruise_speed_mps
             )
-            found = Trajectory(
-                time_s=time, position_m=place, found=time[:, -1] <= problem.horizon_s
+            team_paths = Trajectory(
+                time_s=time, position_m=position_m, found=time[:, -1] <= problem.horizon_s
             )
-            found = jax.tree.map(lambda leaf: jnp.stack([leaf] * teams), found)
-        path = jax.vmap(jax.vmap(lambda one: path_encoding.padded(one, settings.points)))(found)
+            team_paths = jax.tree.map(lambda leaf: jnp.stack([leaf] * teams), team_paths)
+        path = jax.vmap(
+            jax.vmap(lambda team_path: path_encoding.pad_path(team_path, settings.points))
+        )(team_paths)
         start = problem.team.start_m[:, None]
         return replace(
             path,
@@ -155,19 +161,19 @@ class LearnedPlanner:
             position_m=jnp.where(path.found[..., None, None], path.position_m, start),
         )
 
-    def _drawn(self, problem: Problem) -> jax.Array:
+    def _sample_paths(self, problem: Problem) -> jax.Array:
         settings, robots = self.settings, problem.team.radius_m.shape[0]
         key = jax.random.key(problem.seed)
         if settings.draw == "learned":
-            context = network.encode(self._params, scene(problem))
-            return flow.draw(self._params, context, key, settings.samples, settings.steps)
-        return _waves(flow.noise(key, settings.samples, robots))
+            context = network.encode_scene(self._params, build_scene(problem))
+            return flow.sample_paths(self._params, context, key, settings.samples, settings.steps)
+        return _smooth_noise(flow.sample_noise(key, settings.samples, robots))
 
 
-def _waves(noise: jax.Array) -> jax.Array:
+def _smooth_noise(noise: jax.Array) -> jax.Array:
     """Noise [..., inner, 4] as ways of two half waves across, with no delays."""
-    share = jnp.arange(1, INNER + 1) / (INNER + 1)
-    first = noise[..., :1, :] * jnp.sin(jnp.pi * share)[:, None]
-    second = 0.5 * noise[..., 1:2, :] * jnp.sin(2.0 * jnp.pi * share)[:, None]
-    across = jnp.array([0.0, 1.0, 1.0, 0.0])[:CHANNELS]
+    fraction = jnp.arange(1, N_INNER_POINTS + 1) / (N_INNER_POINTS + 1)
+    first = noise[..., :1, :] * jnp.sin(jnp.pi * fraction)[:, None]
+    second = 0.5 * noise[..., 1:2, :] * jnp.sin(2.0 * jnp.pi * fraction)[:, None]
+    across = jnp.array([0.0, 1.0, 1.0, 0.0])[:N_CHANNELS]
     return (first + second) * across

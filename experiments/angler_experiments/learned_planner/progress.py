@@ -3,17 +3,17 @@
 import time
 
 
-class Clock:
+class ProgressClock:
     """Tells lines, with seconds since it was made."""
 
     def __init__(self) -> None:
         """Begin to count."""
-        self._begun = time.perf_counter()
+        self._start_s = time.perf_counter()
 
     @property
     def seconds(self) -> float:
         """Since the beginning."""
-        return time.perf_counter() - self._begun
+        return time.perf_counter() - self._start_s
 
     def __call__(self, text: str) -> None:
         """Print a line at once."""

@@ -13,22 +13,27 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
-from angler_experiments.learned_planner import path_encoding, rock
+from angler_experiments.learned_planner import path_encoding, rock_distance
 from angler_experiments.learned_planner.frames import StraightFrame
-from angler_mjx.planning.path_search.bodies import STANDS_S, bodies_traffic
-from angler_mjx.planning.path_search.lattice import column_words
-from angler_mjx.planning.path_search.starts import meets_starts, only, standing
-from angler_mjx.planning.path_search.traffic import GridTraffic, beside, clear_of, met_by
+from angler_mjx.planning.path_search.bodies import GOAL_CLEAR_S, bodies_traffic
+from angler_mjx.planning.path_search.lattice import column_bits
+from angler_mjx.planning.path_search.starts import meets_starts, select_flyable, select_paths
+from angler_mjx.planning.path_search.traffic import (
+    GridTraffic,
+    concatenate_traffic,
+    is_motion_clear,
+    meets_traffic,
+)
 from angler_mjx.planning.problem import Problem
-from angler_mjx.robot.control.trajectory import Trajectory, hold
+from angler_mjx.robot.control.trajectory import Trajectory, hold_position
 from angler_mjx.sim.information import ObstacleInformation
 
 _ROUNDING_M = 1e-3
-_STEP = 0.5
+_PUSH_FRACTION = 0.5
 """Share of what is missing that a push gives."""
-_SMOOTH = 0.02
+_SMOOTHING_FRACTION = 0.02
 """Share by which a push draws a way-point to the middle of its neighbours."""
-_BEYOND_M = 0.8
+_PUSH_MARGIN_M = 0.8
 """Pushes aim at so much more than must be kept: distances are read between cells' centres, and the
 check asks for more at the edges of rock."""
 
@@ -53,183 +58,200 @@ class Candidates:
     """``found`` is whether it is clear of all but the other robots."""
 
 
-def pushed(
-    problem: Problem, field: jax.Array, place: jax.Array, need_m: jax.Array, pushes: int
+def push_out_of_rock(
+    problem: Problem, field: jax.Array, position_m: jax.Array, need_m: jax.Array, pushes: int
 ) -> jax.Array:
     """Points [n, 3] of one way with those between its ends moved out of rock.
 
     Args:
         problem: of the world.
-        field: of `rock.depth_field`.
-        place: the way.
+        field: of `rock_distance.compute_depth_field`.
+        position_m: the way.
         need_m: [] distance to keep.
         pushes: how often each is moved.
     """
-    depth = partial(rock.read_field, problem.grid, field)
+    depth = partial(rock_distance.interpolate_field, problem.grid, field)
     slope = jax.vmap(jax.value_and_grad(depth))
 
-    def push(_: int, place: jax.Array) -> jax.Array:
+    def push_once(_: int, position_m: jax.Array) -> jax.Array:
         # Middles of legs are pushed too, and take both their ends along.
-        middle = 0.5 * (place[1:] + place[:-1])
-        gap, up = slope(jnp.concatenate([place[1:-1], middle]))
-        steep = jnp.sqrt(jnp.sum(up**2, axis=-1, keepdims=True))
-        missing = jnp.maximum(need_m + _BEYOND_M - gap, 0.0)[:, None]
-        move = _STEP * missing * up / jnp.maximum(steep, 0.3)
-        inner = place.shape[0] - 2
-        own, both = move[:inner], move[inner:]
-        between = 0.5 * (place[2:] + place[:-2]) - place[1:-1]
-        step = own + 0.5 * (both[1:] + both[:-1]) + _SMOOTH * between
-        return place.at[1:-1].add(step)
+        middle = 0.5 * (position_m[1:] + position_m[:-1])
+        gap, gradient = slope(jnp.concatenate([position_m[1:-1], middle]))
+        gradient_norm = jnp.sqrt(jnp.sum(gradient**2, axis=-1, keepdims=True))
+        missing = jnp.maximum(need_m + _PUSH_MARGIN_M - gap, 0.0)[:, None]
+        move = _PUSH_FRACTION * missing * gradient / jnp.maximum(gradient_norm, 0.3)
+        inner = position_m.shape[0] - 2
+        point_move, leg_move = move[:inner], move[inner:]
+        smoothing = 0.5 * (position_m[2:] + position_m[:-2]) - position_m[1:-1]
+        step = point_move + 0.5 * (leg_move[1:] + leg_move[:-1]) + _SMOOTHING_FRACTION * smoothing
+        return position_m.at[1:-1].add(step)
 
-    done: jax.Array = jax.lax.fori_loop(0, pushes, push, place)
-    return done
+    moved: jax.Array = jax.lax.fori_loop(0, pushes, push_once, position_m)
+    return moved
 
 
-def candidates(
-    problem: Problem, frames: StraightFrame, drawn: jax.Array, config: RepairConfig
+def build_candidates(
+    problem: Problem, frames: StraightFrame, samples: jax.Array, config: RepairConfig
 ) -> Candidates:
     """All paths that the robots of one world may take.
 
     Args:
         problem: of the world.
         frames: [R].
-        drawn: [samples, R, inner, 4] ways.
+        samples: [samples, R, inner, 4] ways.
         config: static.
     """
     team = problem.team
-    field = rock.depth_field(problem.grid, problem.floor_z_m)
-    columns = column_words(problem.grid.occupied)
-    bodies = _bodies(problem.obstacles, problem.horizon_s)
+    field = rock_distance.compute_depth_field(problem.grid, problem.floor_z_m)
+    columns = column_bits(problem.grid.occupied)
+    bodies = _obstacle_traffic(problem.obstacles, problem.horizon_s)
     holds = jnp.array(config.hold_s)
 
-    def of_robot(
-        mine: jax.Array, frame: StraightFrame, goal: jax.Array, radius: jax.Array, speed: jax.Array
+    def build_robot_paths(
+        encoded_paths: jax.Array,
+        frame: StraightFrame,
+        goal: jax.Array,
+        radius: jax.Array,
+        speed: jax.Array,
     ) -> Trajectory:
         need = radius + config.margin_m
 
-        def of_way(way: jax.Array) -> Trajectory:
-            place = path_encoding.points(way, frame, goal)
-            drawn_clear = _stands_clear(problem, columns, place, need)
-            moved = pushed(problem, field, place, need, config.pushes)
-            clear = drawn_clear | _stands_clear(problem, columns, moved, need)
-            place = jnp.where(drawn_clear, place, moved)
-            added = path_encoding.delays_s(way)
-            time, place = jax.vmap(path_encoding.timed, in_axes=(None, None, 0, None))(
-                place, added, holds, speed
+        def build_paths(encoded: jax.Array) -> Trajectory:
+            position_m = path_encoding.decode_points(encoded, frame, goal)
+            is_sample_clear = _is_path_clear(problem, columns, position_m, need)
+            pushed_m = push_out_of_rock(problem, field, position_m, need, config.pushes)
+            is_clear = is_sample_clear | _is_path_clear(problem, columns, pushed_m, need)
+            position_m = jnp.where(is_sample_clear, position_m, pushed_m)
+            delays_s = path_encoding.decode_delays_s(encoded)
+            time, position_m = jax.vmap(path_encoding.time_path, in_axes=(None, None, 0, None))(
+                position_m, delays_s, holds, speed
             )
             paths = Trajectory(
                 time_s=time,
-                position_m=place,
-                found=clear & (time[:, -1] <= problem.horizon_s),
+                position_m=position_m,
+                found=is_clear & (time[:, -1] <= problem.horizon_s),
             )
             if bodies is None:
                 return paths
-            grown = replace(bodies, reach_m=bodies.reach_m + need)
-            return replace(paths, found=paths.found & jax.vmap(partial(_passes, grown))(paths))
+            grown_bodies = replace(bodies, reach_m=bodies.reach_m + need)
+            return replace(
+                paths, found=paths.found & jax.vmap(partial(_avoids_bodies, grown_bodies))(paths)
+            )
 
-        found = jax.vmap(of_way)(mine)
-        flat: Trajectory = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), found)
-        return flat
+        robot_paths = jax.vmap(build_paths)(encoded_paths)
+        flat_paths: Trajectory = jax.tree.map(
+            lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), robot_paths
+        )
+        return flat_paths
 
-    straight_on = jnp.zeros_like(drawn[:1])
-    all_ways = jnp.swapaxes(jnp.concatenate([straight_on, drawn]), 0, 1)
-    each = (all_ways, frames, team.goal_m, team.radius_m, team.cruise_speed_mps)
-    return Candidates(paths=jax.lax.map(lambda one: of_robot(*one), each))
+    straight_path = jnp.zeros_like(samples[:1])
+    all_encoded = jnp.swapaxes(jnp.concatenate([straight_path, samples]), 0, 1)
+    robot_inputs = (all_encoded, frames, team.goal_m, team.radius_m, team.cruise_speed_mps)
+    return Candidates(paths=jax.lax.map(lambda inputs: build_robot_paths(*inputs), robot_inputs))
 
 
-def _stands_clear(
-    problem: Problem, columns: jax.Array, place: jax.Array, need_m: jax.Array
+def _is_path_clear(
+    problem: Problem, columns: jax.Array, position_m: jax.Array, need_m: jax.Array
 ) -> jax.Array:
-    legs = jax.vmap(rock.lines_clear, in_axes=(None, None, 0, 0, None))(
-        problem.grid, columns, place[:-1], place[1:], need_m - _ROUNDING_M
+    legs = jax.vmap(rock_distance.is_segment_clear, in_axes=(None, None, 0, 0, None))(
+        problem.grid, columns, position_m[:-1], position_m[1:], need_m - _ROUNDING_M
     )
-    return jnp.all(legs) & rock.within(problem.grid, problem.floor_z_m, place, need_m)
+    return jnp.all(legs) & rock_distance.is_within_bounds(
+        problem.grid, problem.floor_z_m, position_m, need_m
+    )
 
 
-def _bodies(known: ObstacleInformation, horizon_s: float) -> GridTraffic | None:
+def _obstacle_traffic(obstacles: ObstacleInformation, horizon_s: float) -> GridTraffic | None:
     """All obstacles that are known, those that stand among them, as spheres along timed ways."""
-    if known.radius_m.shape[-1] == 0:
+    if obstacles.radius_m.shape[-1] == 0:
         return None
-    moving = bodies_traffic(known, horizon_s)
-    if not known.some_stand:
+    moving = bodies_traffic(obstacles, horizon_s)
+    if not obstacles.some_stand:
         return moving
     still = GridTraffic(
-        time_s=jnp.zeros_like(known.radius_m)[:, None],
-        position_m=known.p_m[:, :1],
-        reach_m=known.radius_m,
-        until_s=jnp.where(known.exists & ~known.moves, jnp.inf, -1.0).astype(moving.reach_m.dtype),
+        time_s=jnp.zeros_like(obstacles.radius_m)[:, None],
+        position_m=obstacles.p_m[:, :1],
+        reach_m=obstacles.radius_m,
+        until_s=jnp.where(obstacles.exists & ~obstacles.moves, jnp.inf, -1.0).astype(
+            moving.reach_m.dtype
+        ),
     )
-    return beside(moving, still)
+    return concatenate_traffic(moving, still)
 
 
-def _passes(bodies: GridTraffic, path: Trajectory) -> jax.Array:
+def _avoids_bodies(bodies: GridTraffic, path: Trajectory) -> jax.Array:
     """Whether a path meets no body until it is over and a little after; bool []."""
-    place = jnp.concatenate([path.position_m, path.position_m[-1:]])
-    time = jnp.append(path.time_s, path.time_s[-1] + STANDS_S)
-    legs = jax.vmap(clear_of, in_axes=(None, 0, 0, 0, 0))(
-        bodies, place[:-1], time[:-1], place[1:], time[1:]
+    position_m = jnp.concatenate([path.position_m, path.position_m[-1:]])
+    time = jnp.append(path.time_s, path.time_s[-1] + GOAL_CLEAR_S)
+    legs = jax.vmap(is_motion_clear, in_axes=(None, 0, 0, 0, 0))(
+        bodies, position_m[:-1], time[:-1], position_m[1:], time[1:]
     )
     return jnp.all(legs)
 
 
-def choose(
-    problem: Problem, given: Candidates, config: RepairConfig, worse: jax.Array | None = None
+def choose_team_paths(
+    problem: Problem,
+    candidates: Candidates,
+    config: RepairConfig,
+    cost_factors: jax.Array | None = None,
 ) -> Trajectory:
     """Paths [R] of one team, no two of which meet; ``found`` is who has one.
 
     Args:
         problem: of the world.
-        given: what its robots may take.
+        candidates: what its robots may take.
         config: static.
-        worse: [R, C] by which arrivals are multiplied before the first of them is taken; nothing
-            if left out.
+        cost_factors: [R, C] by which arrivals are multiplied before the first of them is taken;
+            nothing if left out.
     """
     team = problem.team
-    robots, _, count = given.paths.time_s.shape
+    robots, _, count = candidates.paths.time_s.shape
     reach = team.radius_m[:, None] + team.radius_m + config.margin_m
-    held = hold(team.start_m, count)
+    holding = hold_position(team.start_m, count)
     length = jnp.sqrt(jnp.sum((team.goal_m - team.start_m) ** 2, axis=-1))
     needs = length / team.cruise_speed_mps
-    meets = partial(meets_starts, horizon_s=problem.horizon_s)
-    alone = ~jnp.eye(robots, dtype=bool)
-    cost = given.paths.time_s[..., -1] * (1.0 if worse is None else worse)
+    meets_start = partial(meets_starts, horizon_s=problem.horizon_s)
+    is_other = ~jnp.eye(robots, dtype=bool)
+    cost = candidates.paths.time_s[..., -1] * (1.0 if cost_factors is None else cost_factors)
 
-    def place(
+    def choose_path(
         number: int, state: tuple[Trajectory, jax.Array, jax.Array]
     ) -> tuple[Trajectory, jax.Array, jax.Array]:
         plans, settled, order = state
         i = order[number]
-        mine: Trajectory = jax.tree.map(lambda leaf: leaf[i], given.paths)
+        robot_paths: Trajectory = jax.tree.map(lambda leaf: leaf[i], candidates.paths)
         traffic = GridTraffic(
             time_s=plans.time_s,
             position_m=plans.position_m,
             reach_m=reach[i],
             until_s=jnp.where(settled, jnp.inf, -1.0).at[i].set(-1.0).astype(reach.dtype),
         )
-        met = jax.vmap(lambda path: jnp.any(met_by(path, traffic)))(mine)
-        fits = mine.found & ~met
-        best = jnp.argmin(jnp.where(fits, cost[i], jnp.inf))
-        path = jax.tree.map(lambda leaf: leaf[best], mine)
-        none = jax.tree.map(lambda leaf: leaf[i], held)
-        path = jax.tree.map(lambda a, b: jnp.where(fits[best], a, b), path, none)
-        plans = jax.tree.map(lambda many, one: many.at[i].set(one), plans, path)
+        is_met = jax.vmap(lambda path: jnp.any(meets_traffic(path, traffic)))(robot_paths)
+        is_free = robot_paths.found & ~is_met
+        best = jnp.argmin(jnp.where(is_free, cost[i], jnp.inf))
+        path = jax.tree.map(lambda leaf: leaf[best], robot_paths)
+        hold = jax.tree.map(lambda leaf: leaf[i], holding)
+        path = jax.tree.map(lambda a, b: jnp.where(is_free[best], a, b), path, hold)
+        plans = jax.tree.map(lambda values, value: values.at[i].set(value), plans, path)
         return plans, settled.at[i].set(True), order
 
-    def a_round(
+    def run_round(
         state: tuple[Trajectory, jax.Array], _: None
     ) -> tuple[tuple[Trajectory, jax.Array], None]:
-        best, late = state
-        order = jnp.argsort(-(late * 1e6 + needs))
-        begun = (held, jnp.zeros((robots,), bool), order)
-        plans, _, _ = jax.lax.fori_loop(0, robots, place, begun)
-        met = jax.vmap(meets)(plans, team.start_m[None].repeat(robots, 0), reach) & alone
-        kept = standing(plans.found, met)
-        flown = replace(only(kept, plans, held), found=kept)
-        more = jnp.sum(kept) > jnp.sum(best.found)
-        best = jax.tree.map(lambda a, b: jnp.where(more, a, b), flown, best)
-        return (best, late + ~kept), None
+        best, n_failed = state
+        order = jnp.argsort(-(n_failed * 1e6 + needs))
+        initial = (holding, jnp.zeros((robots,), bool), order)
+        plans, _, _ = jax.lax.fori_loop(0, robots, choose_path, initial)
+        is_met = (
+            jax.vmap(meets_start)(plans, team.start_m[None].repeat(robots, 0), reach) & is_other
+        )
+        is_kept = select_flyable(plans.found, is_met)
+        flown = replace(select_paths(is_kept, plans, holding), found=is_kept)
+        is_better = jnp.sum(is_kept) > jnp.sum(best.found)
+        best = jax.tree.map(lambda a, b: jnp.where(is_better, a, b), flown, best)
+        return (best, n_failed + ~is_kept), None
 
     (best, _), _ = jax.lax.scan(
-        a_round, (held, jnp.zeros((robots,), needs.dtype)), None, length=config.rounds
+        run_round, (holding, jnp.zeros((robots,), needs.dtype)), None, length=config.rounds
     )
     return best

@@ -9,13 +9,13 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from angler_experiments.learned_planner.frames import StraightFrame, straight
-from angler_experiments.learned_planner.rock import depth_field, read_field
-from angler_experiments.learned_planner.shapes import ABOVE, ASIDE, LOOK_M, SLICES
+from angler_experiments.learned_planner.frames import StraightFrame, build_straight_frame
+from angler_experiments.learned_planner.rock_distance import compute_depth_field, interpolate_field
+from angler_experiments.learned_planner.shapes import N_ABOVE, N_ASIDE, N_SLICES, SAMPLE_SPACING_M
 from angler_mjx.planning.problem import Problem
 from angler_mjx.sim.information import ObstacleInformation
 
-_FAR_M = 3.0
+_MAX_GAP_M = 3.0
 """Gaps count up to this."""
 
 
@@ -25,7 +25,7 @@ class Scene:
     """One world as the network sees it."""
 
     gap: jax.Array
-    """[R, slices, aside, above] distance to what stands, less the robot's radius, over `_FAR_M`."""
+    """[R, slices, aside, above] distance to rock, less the radius, over `_MAX_GAP_M`."""
     own: jax.Array
     """[R, 4] length, slope, radius, cruise speed."""
     others: jax.Array
@@ -41,40 +41,42 @@ class Scene:
     """bool [n]."""
 
 
-def lines(problem: Problem) -> StraightFrame:
+def build_frames(problem: Problem) -> StraightFrame:
     """The frames [R] of a team."""
-    return jax.vmap(straight)(problem.team.start_m, problem.team.goal_m)
+    return jax.vmap(build_straight_frame)(problem.team.start_m, problem.team.goal_m)
 
 
-def scene(problem: Problem) -> Scene:
+def build_scene(problem: Problem) -> Scene:
     """One world; ``vmap`` it for a batch.
 
     Args:
         problem: arrays of JAX, without [world].
     """
-    team, known = problem.team, problem.obstacles
-    frames = lines(problem)
-    field = depth_field(problem.grid, problem.floor_z_m)
-    share = jnp.linspace(0.0, 1.0, SLICES)
-    aside = (jnp.arange(ASIDE) - (ASIDE - 1) / 2) * LOOK_M
-    above = (jnp.arange(ABOVE) - (ABOVE - 1) / 2) * LOOK_M
+    team, obstacles = problem.team, problem.obstacles
+    frames = build_frames(problem)
+    field = compute_depth_field(problem.grid, problem.floor_z_m)
+    fraction = jnp.linspace(0.0, 1.0, N_SLICES)
+    aside = (jnp.arange(N_ASIDE) - (N_ASIDE - 1) / 2) * SAMPLE_SPACING_M
+    above = (jnp.arange(N_ABOVE) - (N_ABOVE - 1) / 2) * SAMPLE_SPACING_M
 
-    def around(frame: StraightFrame, radius: jax.Array) -> jax.Array:
-        place = (
-            frame.line(share)[:, None, None]
+    def sample_gaps(frame: StraightFrame, radius: jax.Array) -> jax.Array:
+        position_m = (
+            frame.points_on_line(fraction)[:, None, None]
             + aside[:, None, None] * frame.axes[1]
             + above[:, None] * frame.axes[2]
         )
-        gap = read_field(problem.grid, field, place) - radius
-        return jnp.clip(gap, -_FAR_M, _FAR_M) / _FAR_M
+        gap = interpolate_field(problem.grid, field, position_m) - radius
+        return jnp.clip(gap, -_MAX_GAP_M, _MAX_GAP_M) / _MAX_GAP_M
 
-    def flow(frame: StraightFrame) -> jax.Array:
+    def sample_current(frame: StraightFrame) -> jax.Array:
         zero = jnp.zeros((), team.start_m.dtype)
-        there = jax.vmap(lambda p: problem.current.velocity(p, zero))(frame.line(share))
-        return frame.inward(there)
+        water_mps = jax.vmap(lambda p: problem.current.velocity(p, zero))(
+            frame.points_on_line(fraction)
+        )
+        return frame.to_frame(water_mps)
 
     return Scene(
-        gap=jax.vmap(around)(frames, team.radius_m),
+        gap=jax.vmap(sample_gaps)(frames, team.radius_m),
         own=jnp.stack(
             [
                 frames.length_m / 20.0,
@@ -84,49 +86,53 @@ def scene(problem: Problem) -> Scene:
             ],
             axis=-1,
         ),
-        others=_others(problem, frames),
-        bodies=_bodies(known, frames),
-        water=jax.vmap(flow)(frames),
+        others=_encode_others(problem, frames),
+        bodies=_encode_bodies(obstacles, frames),
+        water=jax.vmap(sample_current)(frames),
         exists=jnp.ones(team.radius_m.shape, bool),
-        body_exists=known.exists,
+        body_exists=obstacles.exists,
     )
 
 
-def _others(problem: Problem, frames: StraightFrame) -> jax.Array:
+def _encode_others(problem: Problem, frames: StraightFrame) -> jax.Array:
     team = problem.team
     speed = team.cruise_speed_mps
-    needs = frames.length_m / speed
-    rate = (team.goal_m - team.start_m) / jnp.maximum(needs, 1e-3)[:, None]
-    until = jnp.minimum(needs[:, None], needs)
-    near = team.start_m[None] - team.start_m[:, None]
+    duration_s = frames.length_m / speed
+    rate = (team.goal_m - team.start_m) / jnp.maximum(duration_s, 1e-3)[:, None]
+    until = jnp.minimum(duration_s[:, None], duration_s)
+    offset_m = team.start_m[None] - team.start_m[:, None]
     relative = rate[None] - rate[:, None]
     square = jnp.sum(relative**2, axis=-1)
-    when = -jnp.sum(near * relative, axis=-1) / jnp.where(square > 1e-9, square, 1.0)
-    when = jnp.clip(when, 0.0, until)
-    nearest = near + when[..., None] * relative
+    meeting_s = -jnp.sum(offset_m * relative, axis=-1) / jnp.where(square > 1e-9, square, 1.0)
+    meeting_s = jnp.clip(meeting_s, 0.0, until)
+    nearest = offset_m + meeting_s[..., None] * relative
 
-    def of(frame: StraightFrame, near: jax.Array, goal: jax.Array, met: jax.Array) -> jax.Array:
-        each = (near / 10.0, (goal - frame.start_m) / 10.0, met / 5.0)
-        return jnp.concatenate([frame.inward(vector) for vector in each], axis=-1)
+    def encode_pair(
+        frame: StraightFrame, offset_m: jax.Array, goal: jax.Array, meeting_m: jax.Array
+    ) -> jax.Array:
+        vectors = (offset_m / 10.0, (goal - frame.start_m) / 10.0, meeting_m / 5.0)
+        return jnp.concatenate([frame.to_frame(vector) for vector in vectors], axis=-1)
 
-    places = jax.vmap(of, in_axes=(0, 0, None, 0))(frames, near, team.goal_m, nearest)
+    positions = jax.vmap(encode_pair, in_axes=(0, 0, None, 0))(
+        frames, offset_m, team.goal_m, nearest
+    )
     gap = jnp.sqrt(jnp.sum(nearest**2, axis=-1))
     shape = gap.shape
     numbers = (
         jnp.minimum(gap, 5.0) / 5.0,
-        when / 40.0,
+        meeting_s / 40.0,
         jnp.broadcast_to(team.radius_m, shape),
         jnp.broadcast_to(speed, shape),
         jnp.broadcast_to(frames.length_m / 20.0, shape),
     )
-    return jnp.concatenate([places, jnp.stack(numbers, axis=-1)], axis=-1)
+    return jnp.concatenate([positions, jnp.stack(numbers, axis=-1)], axis=-1)
 
 
-def _bodies(known: ObstacleInformation, frames: StraightFrame) -> jax.Array:
-    def of(frame: StraightFrame) -> jax.Array:
-        place = frame.inward(known.p_m[:, 0] - frame.start_m) / 10.0
+def _encode_bodies(obstacles: ObstacleInformation, frames: StraightFrame) -> jax.Array:
+    def encode_robot(frame: StraightFrame) -> jax.Array:
+        position = frame.to_frame(obstacles.p_m[:, 0] - frame.start_m) / 10.0
         return jnp.concatenate(
-            [place, frame.inward(known.velocity_mps), known.radius_m[:, None]], axis=-1
+            [position, frame.to_frame(obstacles.velocity_mps), obstacles.radius_m[:, None]], axis=-1
         )
 
-    return jax.vmap(of)(frames)
+    return jax.vmap(encode_robot)(frames)

@@ -6,28 +6,28 @@ from typing import Any
 SCHEMA = 1
 """Of checkpoints and examples: what is fed to the network, and what it gives."""
 
-INNER = 14
+N_INNER_POINTS = 14
 """Way-points of a way between its start and its goal."""
-SLICES = INNER + 2
+N_SLICES = N_INNER_POINTS + 2
 """Places along the straight line at which surroundings are looked at."""
-ASIDE = 9
+N_ASIDE = 9
 """Looks across the line, level."""
-ABOVE = 7
+N_ABOVE = 7
 """Looks across the line, upwards."""
-LOOK_M = 1.5
+SAMPLE_SPACING_M = 1.5
 """Between looks."""
-CHANNELS = 4
+N_CHANNELS = 4
 """Of a way-point: three metres off the straight line, and a delay."""
-OFF_M = 2.0
+OFFSET_SCALE_M = 2.0
 """What one unit of the network's way off the line is."""
-DELAY_S = 5.0
+DELAY_SCALE_S = 5.0
 """What one unit of its delays is."""
-OWN, OTHER, BODY = 4, 14, 7
+N_ROBOT_FEATURES, N_PAIR_FEATURES, N_BODY_FEATURES = 4, 14, 7
 """Numbers that describe a robot, one robot to another, and an obstacle to a robot."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Width:
+class NetworkSize:
     """How large a network is."""
 
     units: int = 64

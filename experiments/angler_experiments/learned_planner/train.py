@@ -13,25 +13,25 @@ from typing import Literal
 
 import tyro
 
-from angler_experiments.learned_planner.progress import Clock
-from angler_experiments.learned_planner.shapes import Width
-from angler_experiments.learned_planner.training import gathering, keeping, stored
+from angler_experiments.learned_planner.progress import ProgressClock
+from angler_experiments.learned_planner.shapes import NetworkSize
+from angler_experiments.learned_planner.training import collect, example_files, from_runs
 from angler_experiments.learned_planner.training.examples import Examples
+from angler_experiments.learned_planner.training.from_simulation import Source
 from angler_experiments.learned_planner.training.loop import (
-    MOST_HELD,
+    MAX_VALIDATION_WORLDS,
     TrainConfig,
-    divided,
-    paced,
+    limit_steps,
+    split_examples,
     train,
 )
-from angler_experiments.learned_planner.training.sampled import Source
 
-_DRAWING = 0.4
+_SAMPLING_FRACTION = 0.4
 """Of the time that may be spent: on drawing worlds."""
 
 CONFIGS = {
     "tiny": TrainConfig(
-        width=Width(units=16, blocks=1),
+        width=NetworkSize(units=16, blocks=1),
         sources=(Source(worlds=32, robots=2, tile=32),),
         steps=8,
         batch=8,
@@ -39,14 +39,14 @@ CONFIGS = {
         call=4,
     ),
     "small": TrainConfig(
-        width=Width(),
+        width=NetworkSize(),
         sources=(Source(worlds=6144), Source(worlds=2048, still=False)),
         steps=6000,
         batch=32,
         rate=2e-3,
     ),
     "full": TrainConfig(
-        width=Width(units=128, blocks=4),
+        width=NetworkSize(units=128, blocks=4),
         sources=(
             Source(worlds=40960, tile=4096),
             Source(worlds=28672, tile=4096, still=False),
@@ -83,28 +83,38 @@ def main(
         examples: File to keep the worlds that are drawn in; read if it is there.
         seed: Of the first numbers, the batches and the noise.
     """
-    tell = Clock()
-    chosen = replace(CONFIGS[config], seed=seed, steps=steps or CONFIGS[config].steps)
+    report = ProgressClock()
+    train_config = replace(CONFIGS[config], seed=seed, steps=steps or CONFIGS[config].steps)
     seconds = None if minutes is None else 60.0 * minutes
-    drawing = None if seconds is None else _DRAWING * seconds
-    held = None
+    sampling_s = None if seconds is None else _SAMPLING_FRACTION * seconds
+    validation_set = None
     if data:
-        learned = gathering.gathered(_of(data, "train", tell), worlds, tell, drawing)
-        parts = list(_of(data, "val", tell))
-        held = gathering.gathered(parts, MOST_HELD, tell) if parts else None
+        training_set = collect.collect_examples(
+            _read_folders(data, "train", report), worlds, report, sampling_s
+        )
+        parts = list(_read_folders(data, "val", report))
+        validation_set = (
+            collect.collect_examples(parts, MAX_VALIDATION_WORLDS, report) if parts else None
+        )
     else:
-        learned = keeping.examples(chosen.sources, worlds, examples, tell, drawing)
-    if held is None:
-        learned, held = divided(learned)
-    tell(f"{learned.count} worlds to learn from, {held.count} to look at")
+        training_set = example_files.load_or_sample(
+            train_config.sources, worlds, examples, report, sampling_s
+        )
+    if validation_set is None:
+        training_set, validation_set = split_examples(training_set)
+    report(f"{training_set.count} worlds to learn from, {validation_set.count} to look at")
     if seconds is not None:
-        chosen = paced(chosen, learned, out, seconds - tell.seconds, tell)
-    train(chosen, learned, out, tell, held=held)
+        train_config = limit_steps(
+            train_config, training_set, out, seconds - report.seconds, report
+        )
+    train(train_config, training_set, out, report, validation_set=validation_set)
 
 
-def _of(folders: tuple[Path, ...], split: str, tell: Clock) -> Iterator[Examples]:
+def _read_folders(
+    folders: tuple[Path, ...], split: str, report: ProgressClock
+) -> Iterator[Examples]:
     for folder in folders:
-        yield from stored.of_folder(folder, split, tell)
+        yield from from_runs.read_folder(folder, split, report)
 
 
 if __name__ == "__main__":

@@ -15,14 +15,14 @@ from angler_mjx.learning.environment import FleetEnv
 
 
 @contextmanager
-def replicated() -> Iterator[None]:
+def patch_device_put() -> Iterator[None]:
     """While Brax 0.14 trains: the one function that it calls and JAX 0.11 no longer has."""
 
     def device_put_replicated(tree: Any, devices: Sequence[jax.Device]) -> Any:
-        def one(leaf: Any) -> jax.Array:
+        def replicate(leaf: Any) -> jax.Array:
             return jnp.broadcast_to(leaf, (len(devices), *jnp.shape(leaf)))
 
-        return jax.tree.map(one, tree)
+        return jax.tree.map(replicate, tree)
 
     if hasattr(jax, "device_put_replicated"):
         yield
@@ -44,14 +44,16 @@ class BraxFleet(Env):  # type: ignore[misc]
     def reset(self, rng: jax.Array) -> State:
         """All worlds; ``rng`` [W, 2] of which the first counts."""
         key = jax.random.wrap_key_data(rng.reshape(-1, rng.shape[-1])[0])
-        state, seen = self._env.reset(key)
-        none = jnp.zeros(self._env.worlds)
-        info = {"truncation": none, "episode_done": none, "episode_metrics": {}}
-        return State(pipeline_state=state, obs=seen[:, 0], reward=none, done=none, info=info)
+        state, observation = self._env.reset(key)
+        zeros = jnp.zeros(self._env.worlds)
+        info = {"truncation": zeros, "episode_done": zeros, "episode_metrics": {}}
+        return State(
+            pipeline_state=state, obs=observation[:, 0], reward=zeros, done=zeros, info=info
+        )
 
     def step(self, state: State, action: jax.Array) -> State:
         """One control step of all worlds."""
-        after, seen, reward, terminated, truncated, _ = self._env.step(
+        next_state, observation, reward, terminated, truncated, _ = self._env.step(
             state.pipeline_state, action[:, None]
         )
         done = (terminated | truncated).astype(reward.dtype)
@@ -61,7 +63,11 @@ class BraxFleet(Env):  # type: ignore[misc]
             "episode_done": done,
         }
         return state.replace(
-            pipeline_state=after, obs=seen[:, 0], reward=reward[:, 0], done=done, info=info
+            pipeline_state=next_state,
+            obs=observation[:, 0],
+            reward=reward[:, 0],
+            done=done,
+            info=info,
         )
 
     @property

@@ -15,34 +15,34 @@ import jax
 import jax.numpy as jnp
 import tyro
 
-from angler_mjx.learning.environment import EnvState, FleetEnv, make
+from angler_mjx.learning.environment import EnvState, FleetEnv, make_env
 from angler_mjx.robot.control.commands import BodyTwist
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import load_scenario
 
 
-def best_s(run: Callable[[], Any], repeats: int) -> float:
+def min_duration_s(run: Callable[[], Any], repeats: int) -> float:
     """Least time that a call took, after one that is not counted."""
     jax.block_until_ready(run())
-    took = []
+    durations = []
     for _ in range(repeats):
-        begun = time.perf_counter()
+        start_s = time.perf_counter()
         jax.block_until_ready(run())
-        took.append(time.perf_counter() - begun)
-    return min(took)
+        durations.append(time.perf_counter() - start_s)
+    return min(durations)
 
 
-def scanned(steps: int) -> Any:
+def build_scan(steps: int) -> Any:
     """A program of an environment and its state: so many steps with actions of zeros."""
 
     def fly(env: FleetEnv, state: EnvState) -> tuple[EnvState, jax.Array]:
         action = jnp.zeros(env.action_shape)
 
-        def one(state: EnvState, _: None) -> tuple[EnvState, jax.Array]:
-            after, seen, reward = env.step(state, action)[:3]
-            return after, jnp.sum(reward) + jnp.sum(seen)
+        def step_env(state: EnvState, _: None) -> tuple[EnvState, jax.Array]:
+            next_state, observation, reward = env.step(state, action)[:3]
+            return next_state, jnp.sum(reward) + jnp.sum(observation)
 
-        return jax.lax.scan(one, state, length=steps)
+        return jax.lax.scan(step_env, state, length=steps)
 
     return jax.jit(fly)
 
@@ -70,26 +70,26 @@ def main(
     if kernels:
         changes["kernels"] = kernels
     simulator = Simulator(load_scenario(scenario, **changes), tile=worlds)
-    drawn, steps = simulator.worlds(), simulator.segment_steps
-    robots = drawn.variant.shape[1]
+    worlds_state, steps = simulator.worlds(), simulator.segment_steps
+    robots = worlds_state.variant.shape[1]
     command = None
     if action != "plan":
         command = BodyTwist(nu=jnp.zeros((worlds, robots, 6)))
 
     def segment() -> Any:
-        return simulator.segment(drawn, simulator.reset(drawn), command)
+        return simulator.segment(worlds_state, simulator.reset(worlds_state), command)
 
     def reset() -> Any:
-        return simulator.reset(drawn)
+        return simulator.reset(worlds_state)
 
-    plain_s = best_s(segment, repeats) - best_s(reset, repeats)
-    env = make(simulator, worlds=worlds, action=action, action_repeat=action_repeat)
-    program, (state, _) = scanned(steps // action_repeat), env.reset()
-    env_s = best_s(lambda: program(env, state), repeats)
+    segment_s = min_duration_s(segment, repeats) - min_duration_s(reset, repeats)
+    env = make_env(simulator, worlds=worlds, action=action, action_repeat=action_repeat)
+    program, (state, _) = build_scan(steps // action_repeat), env.reset()
+    env_s = min_duration_s(lambda: program(env, state), repeats)
     total = worlds * robots * (steps // action_repeat * action_repeat)
     print(f"{jax.devices()[0].device_kind}: {scenario}, {worlds} worlds of {robots}, {action}")
-    print(f"Simulator.segment ({simulator.kernels}): {total / plain_s:,.0f} robot steps/s")
-    print(f"environment: {total / env_s:,.0f} robot steps/s, {plain_s / env_s:.0%} of it")
+    print(f"Simulator.segment ({simulator.kernels}): {total / segment_s:,.0f} robot steps/s")
+    print(f"environment: {total / env_s:,.0f} robot steps/s, {segment_s / env_s:.0%} of it")
 
 
 if __name__ == "__main__":

@@ -18,12 +18,12 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 
-from angler_mjx.learning.environment import EnvState, FleetEnv, make
+from angler_mjx.learning.environment import EnvState, FleetEnv, make_env
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import load_scenario
 
 SCENARIO = Path(__file__).with_name("station_keeping.toml")
-OBSERVE = ("velocity", "upright", "goal", "heading", "current", "action")
+OBSERVATION = ("velocity", "upright", "goal", "heading", "current", "action")
 REWARD = {
     "distance": -1.0,
     "heading": -0.2,
@@ -31,19 +31,19 @@ REWARD = {
     "roughness": -0.002,
     "collision": -1.0,
 }
-SPEEDS = (0.8, 0.8, 0.5, 0.3, 0.3, 0.6)
+SPEED_SCALE = (0.8, 0.8, 0.5, 0.3, 0.3, 0.6)
 """That an action of 1 asks for, m/s and rad/s."""
-UNSEEN = 1_000_003
+EVALUATION_SEED = 1_000_003
 """Seed of the worlds that are judged by."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Size:
+class TrainingSize:
     """Of a training."""
 
     worlds: int
     bank: int
-    judged: int
+    evaluation_worlds: int
     minutes: float
     unroll: int = 20
     batch: int = 64
@@ -62,7 +62,7 @@ class StationFlight:
     failed: int
     """Episodes that ended early."""
 
-    def line(self, name: str) -> str:
+    def format_line(self, name: str) -> str:
         """For people."""
         return (
             f"{name:8} RMS error {self.rms_m:.3f} m (second half {self.late_rms_m:.3f} m), "
@@ -74,20 +74,22 @@ class OutOfTimeError(Exception):
     """Training has had its time."""
 
 
-def train(env: FleetEnv, size: Size, seed: int = 0) -> tuple[Callable[..., Any], int, float]:
+def train(
+    env: FleetEnv, size: TrainingSize, seed: int = 0
+) -> tuple[Callable[..., Any], int, float]:
     """A policy (observation, key) -> action; and the steps and seconds of its training."""
     from brax.training.agents.ppo import networks as ppo_networks
     from brax.training.agents.ppo import train as ppo
 
-    from angler_experiments.learning.brax_env import BraxFleet, replicated
+    from angler_experiments.learning.brax_env import BraxFleet, patch_device_put
 
-    begun = time.perf_counter()
+    start_s = time.perf_counter()
     last: dict[str, Any] = {}
-    of_one = size.batch * size.minibatches * size.unroll
+    steps_per_update = size.batch * size.minibatches * size.unroll
 
-    def note(step: int, make_policy: Any, params: Any) -> None:
+    def on_progress(step: int, make_policy: Any, params: Any) -> None:
         last.update(step=step, make=make_policy, params=params)
-        if time.perf_counter() - begun > 60.0 * size.minutes and step:
+        if time.perf_counter() - start_s > 60.0 * size.minutes and step:
             raise OutOfTimeError
 
     def networks(*args: Any, **kwargs: Any) -> Any:
@@ -97,10 +99,10 @@ def train(env: FleetEnv, size: Size, seed: int = 0) -> tuple[Callable[..., Any],
         )
 
     try:
-        with replicated():
+        with patch_device_put():
             ppo.train(
                 environment=BraxFleet(env),
-                num_timesteps=100_000 * of_one,
+                num_timesteps=100_000 * steps_per_update,
                 num_evals=10_001,
                 run_evals=False,
                 num_envs=env.worlds,
@@ -117,33 +119,37 @@ def train(env: FleetEnv, size: Size, seed: int = 0) -> tuple[Callable[..., Any],
                 normalize_observations=True,
                 network_factory=networks,
                 seed=seed,
-                policy_params_fn=note,
+                policy_params_fn=on_progress,
             )
     except OutOfTimeError:
         pass
     params = jax.tree.map(lambda leaf: jnp.array(leaf), last["params"])
-    return last["make"](params, deterministic=True), last["step"], time.perf_counter() - begun
+    return last["make"](params, deterministic=True), last["step"], time.perf_counter() - start_s
 
 
-def judge(env: FleetEnv, act: Callable[[jax.Array], jax.Array]) -> StationFlight:
+def evaluate_policy(env: FleetEnv, act: Callable[[jax.Array], jax.Array]) -> StationFlight:
     """Fly all worlds of an environment's bank once, by a function of observations [W, 1, size]."""
 
     def fly(env: FleetEnv) -> Any:
-        def one(carry: tuple[EnvState, jax.Array], __: None) -> Any:
-            state, seen = carry
-            state, seen, _, terminated, _, info = env.step(state, act(seen))
-            return (state, seen), (info["aim_distance_m"][:, 0], info["energy_j"][:, 0], terminated)
+        def step_env(carry: tuple[EnvState, jax.Array], __: None) -> Any:
+            state, observation = carry
+            state, observation, _, terminated, _, info = env.step(state, act(observation))
+            return (state, observation), (
+                info["aim_distance_m"][:, 0],
+                info["energy_j"][:, 0],
+                terminated,
+            )
 
-        return jax.lax.scan(one, env.reset(), length=env.rules.horizon)[1]
+        return jax.lax.scan(step_env, env.reset(), length=env.rules.horizon)[1]
 
-    away, energy, terminated = map(np.asarray, jax.jit(fly)(env))
-    ended = np.cumsum(terminated, axis=0) - terminated > 0  # of the world that came in its place
-    first = np.ma.masked_array(away, ended)
-    half = len(away) // 2
+    distance_m, energy, terminated = map(np.asarray, jax.jit(fly)(env))
+    is_ended = np.cumsum(terminated, axis=0) - terminated > 0  # of the world that came in its place
+    first_episode = np.ma.masked_array(distance_m, is_ended)
+    half = len(distance_m) // 2
     return StationFlight(
-        rms_m=float(np.sqrt((first**2).mean())),
-        late_rms_m=float(np.sqrt((first[half:] ** 2).mean())),
-        energy_j=float(np.ma.masked_array(energy, ended).max(axis=0).mean()),
+        rms_m=float(np.sqrt((first_episode**2).mean())),
+        late_rms_m=float(np.sqrt((first_episode[half:] ** 2).mean())),
+        energy_j=float(np.ma.masked_array(energy, is_ended).max(axis=0).mean()),
         failed=int(terminated.any(axis=0).sum()),
     )
 
@@ -157,23 +163,30 @@ def main(minutes: float = 10.0, worlds: int = 256, seed: int = 0, smoke: bool = 
         seed: of the training.
         smoke: a few updates on a few worlds, to see that it runs.
     """
-    size = Size(worlds=worlds, bank=2 * worlds, judged=128, minutes=minutes)
+    size = TrainingSize(worlds=worlds, bank=2 * worlds, evaluation_worlds=128, minutes=minutes)
     if smoke:
-        size = Size(worlds=8, bank=8, judged=8, minutes=0.0, unroll=5, batch=8, minibatches=1)
-    simulator = Simulator(load_scenario(SCENARIO), tile=size.judged)
-    common: dict[str, Any] = {"aim": "start", "observe": OBSERVE, "reward": REWARD}
-    env = make(
-        simulator, worlds=size.worlds, bank=size.bank, action="twist", scale=SPEEDS, **common
+        size = TrainingSize(
+            worlds=8, bank=8, evaluation_worlds=8, minutes=0.0, unroll=5, batch=8, minibatches=1
+        )
+    simulator = Simulator(load_scenario(SCENARIO), tile=size.evaluation_worlds)
+    common: dict[str, Any] = {"aim": "start", "observe": OBSERVATION, "reward": REWARD}
+    env = make_env(
+        simulator, worlds=size.worlds, bank=size.bank, action="twist", scale=SPEED_SCALE, **common
     )
     policy, steps, seconds = train(env, size, seed)
     print(f"trained on {steps:,} control steps in {seconds:.0f} s", flush=True)
-    unseen: dict[str, Any] = {"worlds": size.judged, "bank": size.judged, "seed": UNSEEN, **common}
-    learner = make(simulator, action="twist", scale=SPEEDS, **unseen)
-    agent = judge(learner, lambda seen: policy(seen, jax.random.key(0))[0])
-    held = make(simulator, action="pose", **{**unseen, "bank": learner.bank})
-    cascade = judge(held, lambda seen: jnp.zeros(held.action_shape))
-    print(agent.line("PPO"))
-    print(cascade.line("cascade"))
+    evaluation_options: dict[str, Any] = {
+        "worlds": size.evaluation_worlds,
+        "bank": size.evaluation_worlds,
+        "seed": EVALUATION_SEED,
+        **common,
+    }
+    learner = make_env(simulator, action="twist", scale=SPEED_SCALE, **evaluation_options)
+    agent = evaluate_policy(learner, lambda observation: policy(observation, jax.random.key(0))[0])
+    cascade_env = make_env(simulator, action="pose", **{**evaluation_options, "bank": learner.bank})
+    cascade = evaluate_policy(cascade_env, lambda observation: jnp.zeros(cascade_env.action_shape))
+    print(agent.format_line("PPO"))
+    print(cascade.format_line("cascade"))
     nearer = "PPO" if agent.rms_m < cascade.rms_m else "the cascade"
     thriftier = "PPO" if agent.energy_j < cascade.energy_j else "the cascade"
     print(f"nearer: {nearer}; thriftier: {thriftier}")

@@ -28,20 +28,20 @@ from angler_experiments.ocean import headland
 from angler_mjx.world import currents
 from angler_mjx.world.currents import Current, GridConfig
 
-DAY_S, STEP_S, EVERY = 86_400.0, 300.0, 12
-"""A track is kept every ``EVERY`` steps: every hour."""
+DAY_S, STEP_S, STEPS_PER_SAMPLE = 86_400.0, 300.0, 12
+"""A track is kept every ``STEPS_PER_SAMPLE`` steps: every hour."""
 MARGIN_M = 700.0
 """How near to the file's edge a particle may come by which they are compared."""
-BY_SCIPY = 100
+N_SCIPY_PARTICLES = 100
 """How many of the particles SciPy follows: a second each."""
-EXPECTED_M = 1.0
+MAX_DISTANCE_M = 1.0
 """Greatest distance after a day; see docs/ocean.md for what was found."""
 MIDDLE = (headland.LATITUDE + 0.035, headland.LONGITUDE)
 
 type Array = np.ndarray
 
 
-def current_of(path: Path) -> Current:
+def build_current(path: Path) -> Current:
     """The current of a world whose origin lies in the middle of the file, at its first time."""
     config = GridConfig(
         file=str(path),
@@ -50,7 +50,7 @@ def current_of(path: Path) -> Current:
         time=(headland.BEGIN, headland.BEGIN),
     )
     origin = jnp.zeros(3)
-    return currents.draw((config,), jax.random.key(0), origin, origin, DAY_S)
+    return currents.sample_current((config,), jax.random.key(0), origin, origin, DAY_S)
 
 
 def axes_m(current: Any) -> tuple[Array, Array]:
@@ -63,19 +63,19 @@ def axes_m(current: Any) -> tuple[Array, Array]:
     return at[0], at[1]
 
 
-def seeds(current: Any, count: int) -> Array:
+def sample_starts(current: Any, count: int) -> Array:
     """Places [count, 3] m in water, drawn over the whole file, 1 to 15 m below the surface."""
     y, x = axes_m(current)
-    rng, found = np.random.default_rng(0), np.zeros((0, 3))
-    while len(found) < count:
-        share = rng.uniform(size=(count, 3))
+    rng, positions = np.random.default_rng(0), np.zeros((0, 3))
+    while len(positions) < count:
+        fraction = rng.uniform(size=(count, 3))
         low, high = np.array([x[1], y[1], -15.0]), np.array([x[-2], y[-2], -1.0])
-        p = low + share * (high - low)
-        found = np.concatenate([found, p[in_water(current, p)]])
-    return found[:count]
+        p = low + fraction * (high - low)
+        positions = np.concatenate([positions, p[is_in_water(current, p)]])
+    return positions[:count]
 
 
-def in_water(current: Any, p: Array) -> Array:
+def is_in_water(current: Any, p: Array) -> Array:
     """Whether all eight knots around places [n, 3] are water."""
     field = current.field
     y, x = axes_m(current)
@@ -89,7 +89,7 @@ def in_water(current: Any, p: Array) -> Array:
     return wet
 
 
-def drifted(current: Current, begin: Array) -> Array:
+def integrate_tracks(current: Current, begin: Array) -> Array:
     """Tracks [hour, n, 3] of particles by Runge-Kutta steps of fourth order, in JAX."""
 
     def velocity(p: jax.Array, t: jax.Array) -> jax.Array:
@@ -104,43 +104,43 @@ def drifted(current: Current, begin: Array) -> Array:
         return p + h / 6.0 * (a + 2.0 * b + 2.0 * c + d), None
 
     def hour(p: jax.Array, first: jax.Array) -> tuple[jax.Array, jax.Array]:
-        after, _ = jax.lax.scan(step, p, first + jnp.arange(EVERY, dtype=float))
+        after, _ = jax.lax.scan(step, p, first + jnp.arange(STEPS_PER_SAMPLE, dtype=float))
         return after, after
 
     @jax.jit
     def day(p: jax.Array) -> jax.Array:
-        hours = round(DAY_S / STEP_S) // EVERY
-        return jax.lax.scan(hour, p, EVERY * jnp.arange(hours, dtype=float))[1]
+        hours = round(DAY_S / STEP_S) // STEPS_PER_SAMPLE
+        return jax.lax.scan(hour, p, STEPS_PER_SAMPLE * jnp.arange(hours, dtype=float))[1]
 
     tracks = day(jnp.asarray(begin, float))
     return np.concatenate([begin[None], np.asarray(tracks, np.float64)])
 
 
-def by_scipy(current: Any, begin: Array) -> Array:
-    """As `drifted`, by SciPy in float64 with an error of a millimetre at most."""
+def integrate_with_scipy(current: Any, begin: Array) -> Array:
+    """As `integrate_tracks`, by SciPy in float64 with an error of a millimetre at most."""
     field = current.field
     y, x = axes_m(current)
     axes = (y, x, field.knots[2], field.knots[3])
-    look_up = RegularGridInterpolator(axes, field.values[..., :2].astype(float))
+    interpolate = RegularGridInterpolator(axes, field.values[..., :2].astype(float))
     low, high = (np.array([axis[end] for axis in axes]) for end in (0, -1))
-    out = np.empty((round(DAY_S / STEP_S) // EVERY + 1, *begin.shape))
+    out = np.empty((round(DAY_S / STEP_S) // STEPS_PER_SAMPLE + 1, *begin.shape))
     for i, (px, py, pz) in enumerate(begin):
 
         def velocity(t: float, p: Array, depth: float = -pz) -> Array:
             at = np.clip([p[1], p[0], depth, t], low, high)
-            found: Array = look_up(at)[0]
-            return found
+            velocity_mps: Array = interpolate(at)[0]
+            return velocity_mps
 
-        times = np.arange(len(out)) * EVERY * STEP_S
+        times = np.arange(len(out)) * STEPS_PER_SAMPLE * STEP_S
         # No step jumps over a whole cell or an hour's knot.
-        made = solve_ivp(
+        solution = solve_ivp(
             velocity, (0.0, DAY_S), [px, py], t_eval=times, rtol=1e-8, atol=1e-3, max_step=600.0
         )
-        out[:, i, :2], out[:, i, 2] = made.y.T, pz
+        out[:, i, :2], out[:, i, 2] = solution.y.T, pz
     return out
 
 
-def flat_file(current: Any, path: Path) -> None:
+def write_flat_field(current: Any, path: Path) -> None:
     """The field on the plane in which ours drift, land carried on, for those who know no land."""
     field = current.field
     y, x = axes_m(current)
@@ -154,50 +154,50 @@ def flat_file(current: Any, path: Path) -> None:
     ).to_netcdf(path, engine="h5netcdf")
 
 
-def apart(ours: Array, theirs: Array, clear: Array) -> dict[str, Any]:
+def compare_tracks(ours: Array, theirs: Array, clear: Array) -> dict[str, Any]:
     """Distances between two sets of tracks, of particles that stayed clear of land."""
-    gap = np.linalg.norm((ours - theirs)[:, clear, :2], axis=-1)
+    distance_m = np.linalg.norm((ours - theirs)[:, clear, :2], axis=-1)
     return {
         "particles": int(clear.sum()),
-        "median_m": float(np.median(gap[-1])),
-        "p99_m": float(np.quantile(gap[-1], 0.99)),
-        "greatest_m": float(gap[-1].max()),
-        "median_by_hour_m": np.round(np.median(gap, axis=1), 6).tolist(),
-        "greatest_by_hour_m": np.round(gap.max(axis=1), 6).tolist(),
+        "median_m": float(np.median(distance_m[-1])),
+        "p99_m": float(np.quantile(distance_m[-1], 0.99)),
+        "greatest_m": float(distance_m[-1].max()),
+        "median_by_hour_m": np.round(np.median(distance_m, axis=1), 6).tolist(),
+        "greatest_by_hour_m": np.round(distance_m.max(axis=1), 6).tolist(),
     }
 
 
-def study(out: Path, particles: int) -> dict[str, Any]:
+def run_study(out: Path, particles: int) -> dict[str, Any]:
     """Make, compare and keep the tracks; returns what was found."""
     out.mkdir(parents=True, exist_ok=True)
-    current = current_of(headland.write(out / "headland.nc"))
-    begin = seeds(current[0], particles)
-    ours = drifted(current, begin)
+    current = build_current(headland.write_dataset(out / "headland.nc"))
+    begin = sample_starts(current[0], particles)
+    ours = integrate_tracks(current, begin)
     y, x = axes_m(current[0])
     # Parcels knows nothing beyond its knots, and between two hours a particle moves on.
     low, high = np.array([x[0], y[0]]) + MARGIN_M, np.array([x[-1], y[-1]]) - MARGIN_M
-    stayed = np.all((ours[..., :2] > low) & (ours[..., :2] < high), axis=(0, 2))
-    clear = stayed & np.all([in_water(current[0], p) for p in ours], axis=0)
+    is_inside = np.all((ours[..., :2] > low) & (ours[..., :2] < high), axis=(0, 2))
+    clear = is_inside & np.all([is_in_water(current[0], p) for p in ours], axis=0)
     length = np.linalg.norm(np.diff(ours[..., :2], axis=0), axis=-1).sum(axis=0)
-    few = slice(0, BY_SCIPY)
-    theirs = by_scipy(current[0], begin[few])
+    scipy_particles = slice(0, N_SCIPY_PARTICLES)
+    theirs = integrate_with_scipy(current[0], begin[scipy_particles])
     np.savez(out / "tracks.npz", ours=ours, scipy=theirs, clear=clear, begin=begin)
-    flat_file(current[0], out / "flat.nc")
-    found: dict[str, Any] = {
+    write_flat_field(current[0], out / "flat.nc")
+    results: dict[str, Any] = {
         "particles": particles,
         "clear_of_land": int(clear.sum()),
         "path_m": {"median": float(np.median(length)), "greatest": float(length.max())},
         "mean_speed_mps": float(length.mean() / DAY_S),
-        "scipy": apart(ours[:, few], theirs, clear[few]),
+        "scipy": compare_tracks(ours[:, scipy_particles], theirs, clear[scipy_particles]),
     }
     if (out / "parcels.npz").exists():
-        with np.load(out / "parcels.npz") as kept:
+        with np.load(out / "parcels.npz") as stored:
             # Those that stayed clear of land.
-            all_of_them = np.ones(int(clear.sum()), bool)
-            compared = apart(ours[:, clear], kept["tracks"], all_of_them)
-            found["parcels"] = {"version": str(kept["version"]), **compared}
-    (out / "drift.json").write_text(json.dumps(found, indent=2) + "\n")
-    return found
+            is_all = np.ones(int(clear.sum()), bool)
+            compared = compare_tracks(ours[:, clear], stored["tracks"], is_all)
+            results["parcels"] = {"version": str(stored["version"]), **compared}
+    (out / "drift.json").write_text(json.dumps(results, indent=2) + "\n")
+    return results
 
 
 def main() -> None:
@@ -206,16 +206,16 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("runs/drift"))
     parser.add_argument("--particles", type=int, default=1000)
     parser.add_argument("--smoke", action="store_true", help="few particles; assert the result")
-    given = parser.parse_args()
-    found = study(given.out, 12 if given.smoke else given.particles)
-    print(json.dumps(found, indent=2))
-    if given.smoke:
-        assert found["scipy"]["greatest_m"] < EXPECTED_M, found
-        assert found["mean_speed_mps"] > 0.05, found
+    arguments = parser.parse_args()
+    results = run_study(arguments.out, 12 if arguments.smoke else arguments.particles)
+    print(json.dumps(results, indent=2))
+    if arguments.smoke:
+        assert results["scipy"]["greatest_m"] < MAX_DISTANCE_M, results
+        assert results["mean_speed_mps"] > 0.05, results
         return
-    from angler_experiments.ocean import picture
+    from angler_experiments.ocean import drift_figure
 
-    print(picture.draw(given.out))
+    print(drift_figure.plot_drift(arguments.out))
 
 
 if __name__ == "__main__":

@@ -31,30 +31,32 @@ _M2, _S2 = 2 * np.pi / (12.4206012 * 3600), 2 * np.pi / (12.0 * 3600)
 
 def sea_floor_m(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Depth of the sea floor, m, by metres east and north; negative on land."""
-    off = np.minimum(y, np.hypot(x, y) - RADIUS_M)
-    depth: np.ndarray = np.where(off > 0, 4.0 + 44.0 * np.tanh(np.maximum(off, 0.0) / 5000.0), -5.0)
+    distance_m = np.minimum(y, np.hypot(x, y) - RADIUS_M)
+    depth: np.ndarray = np.where(
+        distance_m > 0, 4.0 + 44.0 * np.tanh(np.maximum(distance_m, 0.0) / 5000.0), -5.0
+    )
     return depth
 
 
 def stream_m2ps(x: np.ndarray, y: np.ndarray, depth_m: float, time_s: np.ndarray) -> np.ndarray:
     """Stream function, m^2/s; the velocity is its derivative by y, and minus that by x."""
-    late = time_s - 40.0 * depth_m
-    tide = 0.8 * np.cos(_M2 * late) + 0.2 * np.cos(_S2 * late - 0.6)
+    delayed_s = time_s - 40.0 * depth_m
+    tide = 0.8 * np.cos(_M2 * delayed_s) + 0.2 * np.cos(_S2 * delayed_s - 0.6)
     square = np.maximum(x * x + y * y, 0.25 * RADIUS_M**2)
-    past = y * (1.0 - RADIUS_M**2 / square)
-    total = STREAM_MPS * tide * past
+    potential = y * (1.0 - RADIUS_M**2 / square)
+    total = STREAM_MPS * tide * potential
     for side in (-1.0, 1.0):
         # In the lee of the stream that ran an hour and a half before.
-        strength = np.maximum(side * np.cos(_M2 * (late - 5400.0)), 0.0)
-        apart = np.hypot(x - side * 2.1 * RADIUS_M, y - 0.7 * RADIUS_M) / 1300.0
-        wall = np.tanh(np.maximum(past, 0.0) / 1500.0)
-        total = total - side * 180.0 * strength * np.exp(-0.5 * apart**2) * wall
+        strength = np.maximum(side * np.cos(_M2 * (delayed_s - 5400.0)), 0.0)
+        eddy_distance = np.hypot(x - side * 2.1 * RADIUS_M, y - 0.7 * RADIUS_M) / 1300.0
+        wall = np.tanh(np.maximum(potential, 0.0) / 1500.0)
+        total = total - side * 180.0 * strength * np.exp(-0.5 * eddy_distance**2) * wall
     slower = (1.0 - 0.5 * depth_m / DEPTHS_M[-1]) ** 0.5
     psi: np.ndarray = slower * total
     return psi
 
 
-def dataset(n: int = 24) -> Any:
+def build_dataset(n: int = 24) -> Any:
     """The field on ``n`` x ``n`` knots, in the packed form in which such files are published."""
     x = SPACING_M * (np.arange(n) - 0.5 * (n - 1))
     y = SPACING_M * (np.arange(n) - 3.0)
@@ -114,7 +116,7 @@ def dataset(n: int = 24) -> Any:
     )
 
 
-def write(path: Path, n: int = 24) -> Path:
+def write_dataset(path: Path, n: int = 24) -> Path:
     """Write the file, velocities as whole tenths of a millimetre a second.
 
     Args:
@@ -129,7 +131,7 @@ def write(path: Path, n: int = 24) -> Path:
         "complevel": 6,
         "shuffle": True,
     }
-    dataset(n).to_netcdf(
+    build_dataset(n).to_netcdf(
         path,
         engine="h5netcdf",
         encoding={
@@ -147,8 +149,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Write the file of a tidal stream.")
     parser.add_argument("path", type=Path)
     parser.add_argument("--knots", type=int, default=24, help="along latitude and longitude")
-    given = parser.parse_args()
-    print(write(given.path, given.knots))
+    arguments = parser.parse_args()
+    print(write_dataset(arguments.path, arguments.knots))
 
 
 if __name__ == "__main__":

@@ -16,13 +16,13 @@ from typing import Any
 import numpy as np
 import xarray
 
-STEP_S, EVERY, HOURS = 300.0, 12, 24
+STEP_S, STEPS_PER_SAMPLE, HOURS = 300.0, 12, 24
 
 parcels: Any = importlib.import_module("parcels")
 """No dependency of this package."""
 
 
-def fieldset(path: Path) -> Any:
+def build_fieldset(path: Path) -> Any:
     """The field of the folder as Parcels has it."""
     data = xarray.open_dataset(path).load()
     about = {
@@ -42,9 +42,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="The particles of drift, by OceanParcels.")
     parser.add_argument("folder", type=Path)
     folder = parser.parse_args().folder
-    fields = fieldset(folder / "flat.nc")
-    with np.load(folder / "tracks.npz") as kept:
-        begin = kept["begin"][kept["clear"]]
+    fields = build_fieldset(folder / "flat.nc")
+    with np.load(folder / "tracks.npz") as stored:
+        begin = stored["begin"][stored["clear"]]
     start = fields.time_interval.left
     particles = parcels.ParticleSet(
         fields,
@@ -58,11 +58,11 @@ def main() -> None:
         particles.execute(
             parcels.kernels.AdvectionRK4,
             dt=np.timedelta64(int(STEP_S), "s"),
-            runtime=np.timedelta64(int(EVERY * STEP_S), "s"),
+            runtime=np.timedelta64(int(STEPS_PER_SAMPLE * STEP_S), "s"),
             verbose_progress=False,
         )
-        now = np.stack([particles.x, particles.y, -np.asarray(particles.z)], axis=1)
-        tracks.append(now)
+        positions = np.stack([particles.x, particles.y, -np.asarray(particles.z)], axis=1)
+        tracks.append(positions)
     np.savez(folder / "parcels.npz", tracks=np.array(tracks), version=parcels.__version__)
     print(folder / "parcels.npz")
 

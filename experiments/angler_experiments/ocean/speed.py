@@ -22,50 +22,54 @@ from angler_mjx.scenario.scenario import load_scenario
 VORTICES: dict[str, Any] = {"type": "vortices", "count": 3, "peak_speed_mps": [0.1, 0.3]}
 
 
-def flying(name: str, current: dict[str, Any], worlds: int) -> tuple[Simulator, Any, Any]:
+def build_simulation(name: str, current: dict[str, Any], worlds: int) -> tuple[Simulator, Any, Any]:
     """A compiled simulator of `reef_fleet` in a current, with its worlds and their state."""
-    plain = load_scenario(name).world.model_dump(mode="json", exclude_none=True)
-    table = {**plain, "currents": [current]}
+    world_table = load_scenario(name).world.model_dump(mode="json", exclude_none=True)
+    table = {**world_table, "currents": [current]}
     scenario = load_scenario(
         name, world=table, worlds=worlds, engine="fused", time={"record_hz": 0.0}
     )
     simulator = Simulator(scenario, tile=worlds)
     simulator.compile()
-    made = simulator.worlds()
-    return simulator, made, simulator.reset(made)
+    sampled_worlds = simulator.worlds()
+    return simulator, sampled_worlds, simulator.reset(sampled_worlds)
 
 
-def seconds(simulator: Simulator, worlds: Any, state: Any) -> tuple[float, Any]:
+def time_segment(simulator: Simulator, worlds: Any, state: Any) -> tuple[float, Any]:
     """Wall time of a segment, and the state after it."""
-    begun = time.perf_counter()
-    after, _, running = simulator.advance(worlds, state)
+    start_s = time.perf_counter()
+    next_state, _, running = simulator.advance(worlds, state)
     jax.block_until_ready(running)
-    return time.perf_counter() - begun, after
+    return time.perf_counter() - start_s, next_state
 
 
-def compare(name: str, worlds: int, repeats: int) -> dict[str, Any]:
+def compare_currents(name: str, worlds: int, repeats: int) -> dict[str, Any]:
     """Medians of both, taken by turns."""
     with tempfile.TemporaryDirectory() as folder:
-        path = headland.write(Path(folder) / "headland.nc")
+        path = headland.write_dataset(Path(folder) / "headland.nc")
         grid: dict[str, Any] = {"type": "grid", "file": str(path)}
         currents = {"vortices": VORTICES, "grid": grid}
-        flights = {kind: flying(name, one, worlds) for kind, one in currents.items()}
+        flights = {
+            kind: build_simulation(name, current, worlds) for kind, current in currents.items()
+        }
         times: dict[str, list[float]] = {kind: [] for kind in flights}
         for _ in range(repeats + 1):
-            for kind, (simulator, made, state) in flights.items():
-                took, after = seconds(simulator, made, state)
-                flights[kind] = (simulator, made, after)
-                times[kind].append(took)
+            for kind, (simulator, sampled_worlds, state) in flights.items():
+                durations, next_state = time_segment(simulator, sampled_worlds, state)
+                flights[kind] = (simulator, sampled_worlds, next_state)
+                times[kind].append(durations)
     simulator = flights["grid"][0]
     steps = simulator.segment_steps * simulator.spec.physics_steps * worlds
     steps *= len(simulator.scenario.members())
-    found = {kind: steps / float(np.median(took[1:])) for kind, took in times.items()}
+    steps_per_s = {
+        kind: steps / float(np.median(durations[1:])) for kind, durations in times.items()
+    }
     return {
         "device": jax.devices()[0].device_kind,
         "kernels": simulator.kernels,
         "worlds": worlds,
-        "vehicle_steps_per_s": found,
-        "ratio": found["grid"] / found["vortices"],
+        "vehicle_steps_per_s": steps_per_s,
+        "ratio": steps_per_s["grid"] / steps_per_s["vortices"],
     }
 
 
@@ -75,8 +79,12 @@ def main() -> None:
     parser.add_argument("--scenario", default="reef_fleet")
     parser.add_argument("--worlds", type=int, default=65536)
     parser.add_argument("--repeats", type=int, default=7)
-    given = parser.parse_args()
-    print(json.dumps(compare(given.scenario, given.worlds, given.repeats), indent=2))
+    arguments = parser.parse_args()
+    print(
+        json.dumps(
+            compare_currents(arguments.scenario, arguments.worlds, arguments.repeats), indent=2
+        )
+    )
 
 
 if __name__ == "__main__":

@@ -15,14 +15,14 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from angler_mjx.report.viewing import style, tables
+from angler_mjx.report.viewing import markdown_tables, style
 from angler_mjx.runs.progress import SilentProgress
-from angler_mjx.runs.simulator import cache
+from angler_mjx.runs.simulator import compile_cache
 from angler_mjx.runs.storage import folder, output_lock
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.studies import chart, sweep
 from angler_mjx.studies import tables as sweep_tables
-from angler_mjx.studies.settings import axes
+from angler_mjx.studies.sweep_axes import parse_axes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,16 +35,16 @@ class ArrivalsStudy:
     set: tuple[str, ...]
     """As for `angler sweep`."""
 
-    def asked(self, **given: Any) -> sweep.SweepRequest:
+    def build_request(self, **options: Any) -> sweep.SweepRequest:
         """What is to be flown.
 
         Args:
-            **given: keys of the scenario.
+            **options: keys of the scenario.
         """
         path = Path(__file__).with_name(self.scenario)
         source = str(path) if path.suffix == ".toml" else self.scenario
-        loaded = load_scenario(source, time={"record_hz": 0.0}, **given)
-        return sweep.build_request(loaded, axes(self.set), self.scenario)
+        loaded = load_scenario(source, time={"record_hz": 0.0}, **options)
+        return sweep.build_request(loaded, parse_axes(self.set), self.scenario)
 
 
 STUDIES: dict[str, tuple[ArrivalsStudy, ...]] = {
@@ -99,43 +99,54 @@ class ArrivalsProgress(SilentProgress):
     """Says which run begins."""
 
     def part(self, number: int, of: int, name: str) -> None:
-        """See `angler_mjx.runs.several.ArrivalsProgress`."""
+        """See `angler_mjx.runs.multi_run.ArrivalsProgress`."""
         print(f"  run {number + 1} of {of}: {name}", flush=True)
 
 
-def make(study: ArrivalsStudy, out: Path, **given: Any) -> dict[str, Any]:
+def run_study(study: ArrivalsStudy, out: Path, **options: Any) -> dict[str, Any]:
     """Fly what is left of a sweep; returns what it came to.
 
     Args:
         study: which.
         out: folder of its sweep.
-        **given: keys of the scenario.
+        **options: keys of the scenario.
     """
-    if (out / sweep.SWEEP).is_file() and sweep.read(out)["complete"]:
-        return sweep.read(out)
-    begun = output_lock.partial_path(out).is_dir() or out.is_dir()
-    return sweep.make(study.asked(**given), out, told=ArrivalsProgress(), resume=begun)
+    if (out / sweep.SWEEP).is_file() and sweep.read_sweep(out)["complete"]:
+        return sweep.read_sweep(out)
+    is_resumed = output_lock.partial_path(out).is_dir() or out.is_dir()
+    return sweep.run_sweep(
+        study.build_request(**options), out, progress=ArrivalsProgress(), resume=is_resumed
+    )
 
 
-def keep(found: dict[str, Any], name: str, data: Path, images: Path, page: Path | None) -> None:
+def store_results(
+    results: dict[str, Any], name: str, data: Path, images: Path, page: Path | None
+) -> None:
     """Keep the numbers of a sweep beside its figure, and its tables in a page.
 
     Args:
-        found: of the sweep.
+        results: of the sweep.
         name: of the study.
         data: folder of numbers.
         images: folder of figures.
         page: with marks ``<!-- NAME: begin -->`` and ``<!-- NAME: end -->``.
     """
     data.mkdir(parents=True, exist_ok=True)
-    folder.write_json(data / f"{name}.json", found)
-    figure = style.save(chart.draw(found), images / f"scalability_{name}.png", palette=128)
+    folder.write_json(data / f"{name}.json", results)
+    figure = style.save_figure(
+        chart.plot_sweep(results), images / f"scalability_{name}.png", palette=128
+    )
     if page is not None:
-        parts = [sweep_tables.cells_table(found), sweep_tables.pairs_table(found)]
+        parts = [sweep_tables.cells_table(results), sweep_tables.pairs_table(results)]
         text = "\n\n".join(
-            [tables.picture(page, figure), *("\n".join(sweep_tables.grid(one)) for one in parts)]
+            [
+                markdown_tables.image_link(page, figure),
+                *("\n".join(sweep_tables.format_grid(grid_table)) for grid_table in parts),
+            ]
         )
-        tables.put(page, f"<!-- {name}: begin -->", text, f"<!-- {name}: end -->")
+        markdown_tables.replace_section(
+            page, f"<!-- {name}: begin -->", text, f"<!-- {name}: end -->"
+        )
 
 
 def main(
@@ -160,16 +171,16 @@ def main(
         page: Document whose tables are replaced.
         smoke: Instead of the study only what ``smoke`` flies, in seconds.
     """
-    cache.switch_on()
-    given: dict[str, Any] = {"engine": engine}
+    compile_cache.enable_cache()
+    options: dict[str, Any] = {"engine": engine}
     if worlds is not None:
-        given["worlds"] = worlds
-    for one in STUDIES["smoke" if smoke else study]:
-        print(f"{one.name}: {' '.join(one.set)}", flush=True)
-        found = make(one, out / one.name, **given)
-        keep(found, one.name, data or out, images or out, page)
-        print(json.dumps({"study": one.name, "complete": found["complete"]}), flush=True)
-        if not found["complete"]:
+        options["worlds"] = worlds
+    for sweep_study in STUDIES["smoke" if smoke else study]:
+        print(f"{sweep_study.name}: {' '.join(sweep_study.set)}", flush=True)
+        results = run_study(sweep_study, out / sweep_study.name, **options)
+        store_results(results, sweep_study.name, data or out, images or out, page)
+        print(json.dumps({"study": sweep_study.name, "complete": results["complete"]}), flush=True)
+        if not results["complete"]:
             sys.exit(130)
 
 

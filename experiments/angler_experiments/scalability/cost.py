@@ -18,11 +18,11 @@ from typing import Any, Literal
 import jax
 import tyro
 
-from angler_experiments.scalability import ladders, peers
+from angler_experiments.scalability import ladders, mjx_baseline
 from angler_experiments.scalability.ladders import BY_NAME, Ladder
 from angler_mjx.errors import AnglerError, ConfigError
 from angler_mjx.runs.provenance import describe_environment
-from angler_mjx.runs.simulator import cache
+from angler_mjx.runs.simulator import compile_cache
 from angler_mjx.runs.simulator.devices import is_out_of_memory
 from angler_mjx.studies.speed import rows
 from angler_mjx.studies.speed.measured import free_motion, simulation
@@ -38,7 +38,9 @@ SMOKE = (("dynamics", "fused"),)
 SMOKE_SIZES = (16, 64, 256)
 
 
-def rungs(names: Sequence[str], engines: Sequence[Engine], backend: str) -> list[tuple[Any, ...]]:
+def list_rungs(
+    names: Sequence[str], engines: Sequence[Engine], backend: str
+) -> list[tuple[Any, ...]]:
     """Ladder, engine and size of every row, the quick ones first.
 
     Args:
@@ -61,13 +63,13 @@ def rungs(names: Sequence[str], engines: Sequence[Engine], backend: str) -> list
     ]
 
 
-def key_of(row: dict[str, Any]) -> Key:
+def row_key(row: dict[str, Any]) -> Key:
     """What a row is of: ladder, number, engine, device."""
     name = row["workload"].removeprefix(PREFIX)
     return name, int(row["extra"]["size"]), row["engine"], row["device"]
 
 
-def measure(ladder: Ladder, engine: Engine, size: int, repeats: int, backend: str) -> SpeedRow:
+def measure_row(ladder: Ladder, engine: Engine, size: int, repeats: int, backend: str) -> SpeedRow:
     """One row; without a number where it was refused."""
     label = f"{PREFIX}{ladder.name}"
     worlds = size if ladder.key is None else WORLDS[backend][engine]
@@ -76,11 +78,11 @@ def measure(ladder: Ladder, engine: Engine, size: int, repeats: int, backend: st
             row = (
                 free_motion.measure(vehicles=size, repeats=repeats)
                 if engine == "fused"
-                else peers.measure(vehicles=size, repeats=repeats)
+                else mjx_baseline.measure_mjx(vehicles=size, repeats=repeats)
             )
         else:
             row = simulation.measure(
-                ladders.scenario(ladder, size, engine),
+                ladders.build_scenario(ladder, size, engine),
                 label=label,
                 worlds=worlds,
                 repeats=repeats,
@@ -102,33 +104,33 @@ def measure(ladder: Ladder, engine: Engine, size: int, repeats: int, backend: st
             refused=str(error).splitlines()[0][:300],
             out_of_memory=is_out_of_memory(error.__cause__ or error),
         )
-    return replace(row, workload=label, extra={"size": float(ladder.number(size))})
+    return replace(row, workload=label, extra={"size": float(ladder.count(size))})
 
 
-def run(
-    asked: Sequence[tuple[Any, ...]], out: Path, repeats: int, limit_s: float
+def measure_missing(
+    requested: Sequence[tuple[Any, ...]], out: Path, repeats: int, limit_s: float
 ) -> Iterator[tuple[SpeedRow, float]]:
     """Measure what a file lacks; gives each row with the seconds that it took in all.
 
     Args:
-        asked: from `rungs`.
+        requested: from `list_rungs`.
         out: file of rows.
         repeats: timed turns of each.
         limit_s: no row is begun after so long.
     """
-    around, backend = describe_environment(), jax.default_backend()
-    held = {key_of(row) for row in rows.read(out)} if out.exists() else set()
-    begun = time.perf_counter()
-    for ladder, engine, size in asked:
-        if (ladder.name, ladder.number(size), engine, around["device"]) in held:
+    environment, backend = describe_environment(), jax.default_backend()
+    measured = {row_key(row) for row in rows.read_rows(out)} if out.exists() else set()
+    start_s = time.perf_counter()
+    for ladder, engine, size in requested:
+        if (ladder.name, ladder.count(size), engine, environment["device"]) in measured:
             continue
-        at = time.perf_counter()
-        if at - begun > limit_s:
+        row_start_s = time.perf_counter()
+        if row_start_s - start_s > limit_s:
             print(f"--limit-s {limit_s:g}: over; start again to go on", flush=True)
             return
-        row = measure(ladder, engine, size, repeats, backend)
-        rows.record(row, around, out)
-        yield row, time.perf_counter() - at
+        row = measure_row(ladder, engine, size, repeats, backend)
+        rows.append_row(row, environment, out)
+        yield row, time.perf_counter() - row_start_s
         jax.clear_caches()
         gc.collect()
 
@@ -152,15 +154,15 @@ def main(
         limit_s: No row is begun after so many seconds.
         smoke: Only a few small rows of the equations of motion, in seconds.
     """
-    cache.switch_on()
+    compile_cache.enable_cache()
     if smoke:
-        asked = [(BY_NAME[x], engine, size) for x, engine in SMOKE for size in SMOKE_SIZES]
+        requested = [(BY_NAME[x], engine, size) for x, engine in SMOKE for size in SMOKE_SIZES]
     else:
-        asked = rungs(ladders, engines, jax.default_backend())
-    for row, took_s in run(asked, out, repeats, limit_s):
-        said = row.refused or f"{row.median:.3g} {row.unit}, compiled in {row.compile_s:.1f} s"
+        requested = list_rungs(ladders, engines, jax.default_backend())
+    for row, took_s in measure_missing(requested, out, repeats, limit_s):
+        summary = row.refused or f"{row.median:.3g} {row.unit}, compiled in {row.compile_s:.1f} s"
         size = int(row.extra["size"])
-        print(f"{row.workload} {size:,} {row.engine}: {said}; {took_s:.0f} s", flush=True)
+        print(f"{row.workload} {size:,} {row.engine}: {summary}; {took_s:.0f} s", flush=True)
     print(out)
 
 

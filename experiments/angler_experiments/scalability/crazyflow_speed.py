@@ -22,7 +22,7 @@ STEPS, REPEATS = 100, 10
 SIZES = {"gpu": (1024, 16_384, 262_144, 1_048_576), "cpu": (64, 256, 1024)}
 
 
-def measure(worlds: int, steps: int, repeats: int) -> dict[str, Any]:
+def measure_rate(worlds: int, steps: int, repeats: int) -> dict[str, Any]:
     """One row.
 
     Args:
@@ -38,10 +38,10 @@ def measure(worlds: int, steps: int, repeats: int) -> dict[str, Any]:
     for i in range(repeats + 2):
         sim.reset()
         jax.block_until_ready(sim.data)
-        begun = time.perf_counter()
+        start_s = time.perf_counter()
         sim.step(steps)
         jax.block_until_ready(sim.data)
-        rates += [worlds * steps / (time.perf_counter() - begun)] * (i > 1)
+        rates += [worlds * steps / (time.perf_counter() - start_s)] * (i > 1)
     return {
         "workload": "scalability/dynamics",
         "inside": f"{steps} steps of crazyflow {importlib.metadata.version('crazyflow')} in one "
@@ -63,18 +63,18 @@ def measure(worlds: int, steps: int, repeats: int) -> dict[str, Any]:
 
 def main() -> None:
     """Measure each number of worlds and add its row."""
-    asked = argparse.ArgumentParser(description=__doc__)
-    asked.add_argument("--out", type=Path, required=True)
-    asked.add_argument("--worlds", type=int, nargs="*", default=None)
-    given = asked.parse_args()
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--worlds", type=int, nargs="*", default=None)
+    arguments = parser.parse_args()
     # Without a handler MuJoCo appends its warnings to MUJOCO_LOG.TXT in the working folder.
     importlib.import_module("mujoco").set_mju_user_warning(
         lambda message: print(message, file=sys.stderr)
     )
     backend = importlib.import_module("jax").default_backend()
-    for worlds in given.worlds or SIZES["gpu" if backend == "gpu" else "cpu"]:
-        row = measure(worlds, STEPS, REPEATS)
-        with given.out.open("a", encoding="utf-8") as file:
+    for worlds in arguments.worlds or SIZES["gpu" if backend == "gpu" else "cpu"]:
+        row = measure_rate(worlds, STEPS, REPEATS)
+        with arguments.out.open("a", encoding="utf-8") as file:
             file.write(json.dumps(row) + "\n")
         print(f"{worlds:,} worlds: {row['median']:.3g} drone-steps/s", flush=True)
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import nnls
 
-from angler_mjx.runs.storage.intervals import student
+from angler_mjx.runs.storage.confidence_intervals import student_quantile
 
 
 @dataclass(frozen=True, kw_only=True)
-class Fit:
+class PowerLawFit:
     """y = factor x^exponent, by least squares of the logarithms."""
 
     points: int
@@ -25,14 +25,14 @@ class Fit:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Shares:
+class LinearFit:
     """y = fixed + each x, neither below 0, by least squares of what is off in relation to y."""
 
     fixed: float
     each: float
 
 
-def shares(x: Sequence[float], y: Sequence[float]) -> Shares | None:
+def fit_linear(x: Sequence[float], y: Sequence[float]) -> LinearFit | None:
     """Fit a fixed cost and one of each; None of fewer than two sizes.
 
     Args:
@@ -42,11 +42,11 @@ def shares(x: Sequence[float], y: Sequence[float]) -> Shares | None:
     if len(set(x)) < 2:
         return None
     u, v = np.asarray(x, float), np.asarray(y, float)
-    both, _ = nnls(np.stack([1.0 / v, u / u.max() / v], axis=1), np.ones(len(u)))
-    return Shares(fixed=float(both[0]), each=float(both[1] / u.max()))
+    coefficients, _ = nnls(np.stack([1.0 / v, u / u.max() / v], axis=1), np.ones(len(u)))
+    return LinearFit(fixed=float(coefficients[0]), each=float(coefficients[1] / u.max()))
 
 
-def power(x: Sequence[float], y: Sequence[float]) -> Fit | None:
+def fit_power_law(x: Sequence[float], y: Sequence[float]) -> PowerLawFit | None:
     """Fit a power law; None of fewer than two sizes.
 
     Args:
@@ -60,16 +60,18 @@ def power(x: Sequence[float], y: Sequence[float]) -> Fit | None:
     du = u - u.mean()
     exponent = float(du @ v / (du @ du))
     offset = float(v.mean() - exponent * u.mean())
-    free = len(u) - 2
-    half = math.nan
-    if free > 0:
-        left = v - offset - exponent * u
-        half = student(free) * math.sqrt(float(left @ left) / free / float(du @ du))
-    return Fit(
+    n_free = len(u) - 2
+    half_width = math.nan
+    if n_free > 0:
+        residual = v - offset - exponent * u
+        half_width = student_quantile(n_free) * math.sqrt(
+            float(residual @ residual) / n_free / float(du @ du)
+        )
+    return PowerLawFit(
         points=len(u),
         factor=math.exp(offset),
         exponent=exponent,
-        low=exponent - half,
-        high=exponent + half,
+        low=exponent - half_width,
+        high=exponent + half_width,
         last=float((v[-1] - v[-2]) / (u[-1] - u[-2])),
     )

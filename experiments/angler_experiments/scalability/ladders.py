@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from angler_mjx.files import parse
-from angler_mjx.scenario.editing import table_of, with_value
+from angler_mjx.files import parse_model
+from angler_mjx.scenario.editing import scenario_table, set_value
 from angler_mjx.scenario.scenario import Scenario, load_scenario
 
 HEIGHT = 16
@@ -28,11 +28,11 @@ class Ladder:
     mjx: tuple[int, ...] = ()
     """Sizes on a GPU by the mjx engine, which is much slower; on a CPU as ``cpu``."""
 
-    def value(self, size: int) -> Any:
+    def scenario_value(self, size: int) -> Any:
         """Of the key."""
         return [size, size, HEIGHT] if self.name == "cells" else size
 
-    def number(self, size: int) -> int:
+    def count(self, size: int) -> int:
         """How many there are of what is varied."""
         return size * size * HEIGHT if self.name == "cells" else size
 
@@ -102,7 +102,7 @@ LADDERS = (
 BY_NAME = {one.name: one for one in LADDERS}
 
 
-def scenario(ladder: Ladder, size: int, engine: str) -> Scenario:
+def build_scenario(ladder: Ladder, size: int, engine: str) -> Scenario:
     """The scenario of one rung.
 
     Args:
@@ -110,7 +110,7 @@ def scenario(ladder: Ladder, size: int, engine: str) -> Scenario:
         size: so many.
         engine: fused or mjx.
     """
-    table = table_of(load_scenario(SCENARIO, engine=engine))
+    table = scenario_table(load_scenario(SCENARIO, engine=engine))
     if ladder.key is not None:
-        table = with_value(table, ladder.key, ladder.value(size))
-    return parse(Scenario, table, source=f"{SCENARIO.name} ({ladder.name} {size})")
+        table = set_value(table, ladder.key, ladder.scenario_value(size))
+    return parse_model(Scenario, table, source=f"{SCENARIO.name} ({ladder.name} {size})")

@@ -18,17 +18,17 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 
 from angler_experiments.scalability.cost import PREFIX
-from angler_experiments.scalability.fits import Fit, Shares, power, shares
+from angler_experiments.scalability.fits import LinearFit, PowerLawFit, fit_linear, fit_power_law
 from angler_experiments.scalability.ladders import BY_NAME, LADDERS
 from angler_mjx.errors import ConfigError
-from angler_mjx.report.viewing import style, tables
+from angler_mjx.report.viewing import markdown_tables, style
 from angler_mjx.studies.speed import rows as speed
 
 BEGIN, END = "<!-- cost: begin -->", "<!-- cost: end -->"
 """What stands between them in a page is replaced by the tables."""
 STEPS = 100
 """Physics steps whose time is told: a second of simulated time of ours."""
-LEAST_SPAN = 5.0
+MIN_SPAN = 5.0
 """Of an axis of costs, from its end to its beginning."""
 PUBLISHED = {
     "source": "Crazyflow 0.4.0, table in its README: RTX 4090, first-principles dynamics, one "
@@ -55,50 +55,54 @@ class PlotLine:
     """Of the program: arguments, results and temporaries; None where XLA does not say."""
 
     @property
-    def time(self) -> Fit | None:
+    def time(self) -> PowerLawFit | None:
         """Of the seconds."""
-        return power(self.size, self.seconds)
+        return fit_power_law(self.size, self.seconds)
 
     @property
-    def memory(self) -> Fit | None:
+    def memory(self) -> PowerLawFit | None:
         """Of the bytes."""
-        return power(*self.known_bytes)
+        return fit_power_law(*self.reported_bytes)
 
     @property
-    def known_bytes(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    def reported_bytes(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Sizes and bytes where XLA says how many."""
-        known = [(x, y) for x, y in zip(self.size, self.bytes, strict=True) if y]
-        return tuple(x for x, _ in known), tuple(y for _, y in known)
+        reported = [(x, y) for x, y in zip(self.size, self.bytes, strict=True) if y]
+        return tuple(x for x, _ in reported), tuple(y for _, y in reported)
 
 
-def lines(path: Path) -> list[PlotLine]:
+def read_lines(path: Path) -> list[PlotLine]:
     """All lines of a file of rows; of several rows of one size the last counts.
 
     Raises:
         ConfigError: the file cannot be read, or holds no such row.
     """
-    held: dict[tuple[str, str, str], dict[float, dict[str, Any]]] = defaultdict(dict)
-    for row in speed.read(path):
+    rows_by_line: dict[tuple[str, str, str], dict[float, dict[str, Any]]] = defaultdict(dict)
+    for row in speed.read_rows(path):
         if row["workload"].startswith(PREFIX) and row["median"] is not None:
             name = row["workload"].removeprefix(PREFIX)
             key = (name, row["engine"], str(row["device"]))
-            held[key][row["extra"]["size"]] = row
-    if not held:
+            rows_by_line[key][row["extra"]["size"]] = row
+    if not rows_by_line:
         raise ConfigError(f"{path}: holds no row of {PREFIX}*")
     order = {name: i for i, name in enumerate(BY_NAME)}
     return [
-        _line(*key, found)
-        for key, found in sorted(held.items(), key=lambda one: (order[one[0][0]], *one[0][1:]))
+        _build_line(*key, rows_by_size)
+        for key, rows_by_size in sorted(
+            rows_by_line.items(), key=lambda item: (order[item[0][0]], *item[0][1:])
+        )
     ]
 
 
-def _line(ladder: str, engine: str, device: str, found: dict[float, dict[str, Any]]) -> PlotLine:
-    size = tuple(sorted(found))
-    each = [found[x] for x in size]
-    work = [row["worlds"] * row["robots"] * STEPS for row in each]
+def _build_line(
+    ladder: str, engine: str, device: str, rows_by_size: dict[float, dict[str, Any]]
+) -> PlotLine:
+    size = tuple(sorted(rows_by_size))
+    sorted_rows = [rows_by_size[x] for x in size]
+    work = [row["worlds"] * row["robots"] * STEPS for row in sorted_rows]
 
     def seconds(key: str) -> tuple[float, ...]:
-        return tuple(steps / row[key] for steps, row in zip(work, each, strict=True))
+        return tuple(steps / row[key] for steps, row in zip(work, sorted_rows, strict=True))
 
     return PlotLine(
         ladder=ladder,
@@ -108,44 +112,44 @@ def _line(ladder: str, engine: str, device: str, found: dict[float, dict[str, An
         seconds=seconds("median"),
         low=seconds("high"),
         high=seconds("low"),
-        bytes=tuple(row["program_bytes"] for row in each),
+        bytes=tuple(row["program_bytes"] for row in sorted_rows),
     )
 
 
-def table(found: Sequence[PlotLine]) -> str:
+def format_fits(plot_lines: Sequence[PlotLine]) -> str:
     """The fits, in Markdown."""
-    several = _several_devices(found)
+    several = _several_devices(plot_lines)
     head = ["what is varied", "engine", *["device"] * several, "from", "to", f"ms, {STEPS} steps"]
     head += ["exponent of time (95 %)", "of the last step", "fixed, ms", "each more, us"]
     head += ["memory, to", "its exponent (95 %)"]
     body = []
-    for one in found:
-        time, parts = one.time, shares(one.size, one.seconds)
-        most = next((x for x in reversed(one.bytes) if x), None)
+    for plot_line in plot_lines:
+        time, linear = plot_line.time, fit_linear(plot_line.size, plot_line.seconds)
+        max_bytes = next((x for x in reversed(plot_line.bytes) if x), None)
         body.append(
             [
-                BY_NAME[one.ladder].label,
-                one.engine,
-                *[one.device] * several,
-                f"{one.size[0]:,.0f}",
-                f"{one.size[-1]:,.0f}",
-                f"{1e3 * one.seconds[0]:.3g} to {1e3 * one.seconds[-1]:.3g}",
-                exponent(time),
+                BY_NAME[plot_line.ladder].label,
+                plot_line.engine,
+                *[plot_line.device] * several,
+                f"{plot_line.size[0]:,.0f}",
+                f"{plot_line.size[-1]:,.0f}",
+                f"{1e3 * plot_line.seconds[0]:.3g} to {1e3 * plot_line.seconds[-1]:.3g}",
+                format_exponent(time),
                 "-" if time is None else f"{time.last:.2f}",
-                "-" if parts is None else f"{1e3 * parts.fixed:.3g}",
-                "-" if parts is None else f"{1e6 * parts.each:.3g}",
-                "-" if most is None else amount(most),
-                exponent(one.memory),
+                "-" if linear is None else f"{1e3 * linear.fixed:.3g}",
+                "-" if linear is None else f"{1e6 * linear.each:.3g}",
+                "-" if max_bytes is None else format_bytes(max_bytes),
+                format_exponent(plot_line.memory),
             ]
         )
-    return tables.table(head, body)
+    return markdown_tables.format_table(head, body)
 
 
-def _several_devices(found: Sequence[PlotLine]) -> bool:
-    return len({one.device for one in found}) > 1
+def _several_devices(plot_lines: Sequence[PlotLine]) -> bool:
+    return len({plot_line.device for plot_line in plot_lines}) > 1
 
 
-def exponent(fit: Fit | None) -> str:
+def format_exponent(fit: PowerLawFit | None) -> str:
     """An exponent with its interval."""
     if fit is None:
         return "-"
@@ -154,56 +158,62 @@ def exponent(fit: Fit | None) -> str:
     return f"{fit.exponent:.2f} ({fit.low:.2f} to {fit.high:.2f})"
 
 
-def amount(n_byte: float) -> str:
+def format_bytes(n_byte: float) -> str:
     """Bytes, in GB or MB."""
     return f"{n_byte / 1e9:.3g} GB" if n_byte >= 1e9 else f"{n_byte / 1e6:.3g} MB"
 
 
-def draw(found: Sequence[PlotLine], what: str) -> Figure:
+def plot_costs(plot_lines: Sequence[PlotLine], quantity: str) -> Figure:
     """Costs on logarithmic axes, a panel for each thing that is varied.
 
     Args:
-        found: lines.
-        what: time or memory.
+        plot_lines: lines.
+        quantity: time or memory.
     """
-    shown = [one for one in LADDERS if any(x.ladder == one.name for x in found)]
-    columns = min(3, len(shown))
-    down = -(-len(shown) // columns)
-    kinds = sorted({(one.engine, one.device) for one in found})
+    shown_ladders = [item for item in LADDERS if any(x.ladder == item.name for x in plot_lines)]
+    columns = min(3, len(shown_ladders))
+    n_rows = -(-len(shown_ladders) // columns)
+    kinds = sorted({(item.engine, item.device) for item in plot_lines})
     colors = {kind: style.robot_color(i) for i, kind in enumerate(kinds)}
-    where = "" if _several_devices(found) else f"{found[0].device}; "
-    words = {
-        "time": ("What more costs in time", f"{where}ms for {STEPS} physics steps of all robots"),
-        "memory": ("What more costs in memory", f"{where}GB of the program, by XLA's account"),
-    }[what]
-    with style.styled():
-        figure = style.new_figure(11.4, 0.9 + 3.5 * down, headline_in=0.65)
-        told = (
+    device_text = "" if _several_devices(plot_lines) else f"{plot_lines[0].device}; "
+    titles = {
+        "time": (
+            "What more costs in time",
+            f"{device_text}ms for {STEPS} physics steps of all robots",
+        ),
+        "memory": (
+            "What more costs in memory",
+            f"{device_text}GB of the program, by XLA's account",
+        ),
+    }[quantity]
+    with style.figure_style():
+        figure = style.new_figure(11.4, 0.9 + 3.5 * n_rows, headline_in=0.65)
+        subtitle = (
             "Lines: a fixed cost and one of each; numbers: exponents (95 %), and of the last step"
         )
-        style.headline(figure, words[0], f"{words[1]}. {told}")
-        every = list(figure.subplots(down, columns, squeeze=False).flat)
-        for axes, ladder in zip(every, shown, strict=False):
+        style.add_headline(figure, titles[0], f"{titles[1]}. {subtitle}")
+        all_axes = list(figure.subplots(n_rows, columns, squeeze=False).flat)
+        for axes, ladder in zip(all_axes, shown_ladders, strict=False):
             axes.set_title(ladder.label, fontsize=10)
             axes.set_xscale("log", base=2)
             axes.set_yscale("log")
-            for one in found:
-                if one.ladder == ladder.name:
-                    label = f"{one.engine}, {one.device}" if where == "" else one.engine
-                    _panel(axes, one, what, label, colors[one.engine, one.device])
-            if ladder.name == "dynamics" and what == "time":
-                _published(axes)
-            _widen(axes)
+            for item in plot_lines:
+                if item.ladder == ladder.name:
+                    label = f"{item.engine}, {item.device}" if device_text == "" else item.engine
+                    _plot_panel(axes, item, quantity, label, colors[item.engine, item.device])
+            if ladder.name == "dynamics" and quantity == "time":
+                _plot_published(axes)
+            _widen_axis(axes)
             axes.grid(True)
             axes.legend(
                 fontsize=7.5, loc="upper left", bbox_to_anchor=(0.0, -0.1), borderaxespad=0.0
             )
-        for axes in every[len(shown) :]:
+        for axes in all_axes[len(shown_ladders) :]:
             axes.set_axis_off()
     return figure
 
 
-class Plain(LogFormatter):
+class PlainFormatter(LogFormatter):
     """Plain numbers at the ticks that matplotlib thinks should have one."""
 
     def __call__(self, x: float, pos: int | None = None) -> str:
@@ -211,36 +221,36 @@ class Plain(LogFormatter):
         return f"{x:g}" if super().__call__(x, pos) else ""
 
 
-def _widen(axes: Axes) -> None:
+def _widen_axis(axes: Axes) -> None:
     """So that a few per cent do not look like much; plain numbers beside it."""
     low, high = axes.dataLim.intervaly
-    more = max(1.15, math.sqrt(LEAST_SPAN * low / high))
+    more = max(1.15, math.sqrt(MIN_SPAN * low / high))
     axes.set_autoscaley_on(False)
     axes.set_ylim(low / more, high * more)
     for axis in ("major", "minor"):
-        getattr(axes.yaxis, f"set_{axis}_formatter")(Plain())
+        getattr(axes.yaxis, f"set_{axis}_formatter")(PlainFormatter())
 
 
-def _panel(axes: Axes, one: PlotLine, what: str, label: str, color: str) -> None:
-    fit = one.time if what == "time" else one.memory
-    x, y = (one.size, one.seconds) if what == "time" else one.known_bytes
+def _plot_panel(axes: Axes, plot_line: PlotLine, quantity: str, label: str, color: str) -> None:
+    fit = plot_line.time if quantity == "time" else plot_line.memory
+    x, y = (plot_line.size, plot_line.seconds) if quantity == "time" else plot_line.reported_bytes
     if not x:
         return
-    scale = 1e3 if what == "time" else 1e-9
+    scale = 1e3 if quantity == "time" else 1e-9
     if fit is not None:
-        label += f": {exponent(fit)}, {fit.last:.2f}"
-    shown = [scale * each for each in y]
-    axes.plot(x, shown, marker="o", markersize=4.5, linestyle="", color=color, label=label)
-    if what == "time":
-        low, high = ([scale * each for each in end] for end in (one.low, one.high))
+        label += f": {format_exponent(fit)}, {fit.last:.2f}"
+    values = [scale * each for each in y]
+    axes.plot(x, values, marker="o", markersize=4.5, linestyle="", color=color, label=label)
+    if quantity == "time":
+        low, high = ([scale * each for each in end] for end in (plot_line.low, plot_line.high))
         axes.vlines(x, low, high, color=color, linewidth=1.2)
-    parts: Shares | None = shares(x, y)
-    if parts is not None:
+    linear: LinearFit | None = fit_linear(x, y)
+    if linear is not None:
         along = np.geomspace(x[0], x[-1], 60)
-        axes.plot(along, scale * (parts.fixed + parts.each * along), color=color, linewidth=1.0)
+        axes.plot(along, scale * (linear.fixed + linear.each * along), color=color, linewidth=1.0)
 
 
-def _published(axes: Axes) -> None:
+def _plot_published(axes: Axes) -> None:
     worlds: Any = PUBLISHED["worlds"]
     rate: Any = PUBLISHED["rate"]
     axes.plot(
@@ -267,34 +277,38 @@ def main(
             the fits beside the rows.
         page: Document that has the marks between which the table is put.
     """
-    found = lines(rows)
-    print(table(found))
-    drawn = []
+    plot_lines = read_lines(rows)
+    print(format_fits(plot_lines))
+    figure_paths = []
     if figures is not None:
-        for what in ("time", "memory"):
-            picture = figures / f"scalability_{what}.png"
-            drawn.append(style.save(draw(found, what), picture, palette=64))
+        for quantity in ("time", "memory"):
+            picture = figures / f"scalability_{quantity}.png"
+            figure_paths.append(
+                style.save_figure(plot_costs(plot_lines, quantity), picture, palette=64)
+            )
         fits = [
             {
-                "ladder": one.ladder,
-                "engine": one.engine,
-                "device": one.device,
-                "size": one.size,
-                "seconds": one.seconds,
-                "bytes": one.bytes,
-                "time": _plain(one.time),
-                "memory": _plain(one.memory),
-                "shares": _plain(shares(one.size, one.seconds)),
+                "ladder": item.ladder,
+                "engine": item.engine,
+                "device": item.device,
+                "size": item.size,
+                "seconds": item.seconds,
+                "bytes": item.bytes,
+                "time": _to_json(item.time),
+                "memory": _to_json(item.memory),
+                "shares": _to_json(fit_linear(item.size, item.seconds)),
             }
-            for one in found
+            for item in plot_lines
         ]
         rows.with_suffix(".fits.json").write_text(json.dumps(fits, indent=1) + "\n")
     if page is not None:
-        pictures = [tables.picture(page, one) for one in drawn]
-        tables.put(page, BEGIN, "\n\n".join([*pictures, table(found)]), END)
+        pictures = [markdown_tables.image_link(page, item) for item in figure_paths]
+        markdown_tables.replace_section(
+            page, BEGIN, "\n\n".join([*pictures, format_fits(plot_lines)]), END
+        )
 
 
-def _plain(fit: Fit | Shares | None) -> dict[str, float | None] | None:
+def _to_json(fit: PowerLawFit | LinearFit | None) -> dict[str, float | None] | None:
     """A fit as a table, null for NaN."""
     if fit is None:
         return None

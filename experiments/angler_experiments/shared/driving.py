@@ -36,7 +36,7 @@ CASES = (
 )
 
 
-def draw_commands(
+def sample_commands(
     case: DrivingCase, vehicles: VehicleParams, n: int, seed: int
 ) -> NDArray[np.float64]:
     """Thrusts [n_variant, n, n_thruster] N that settle random wrenches, held for 0.2 s each."""
@@ -50,7 +50,7 @@ def draw_commands(
     righting = Water().density_kgpm3 * Water().gravity_mps2 * volume * p_cb[:, 2]
     moment = case.tilt_rad * righting[:, None] * np.array([1, 1, 0]) + case.moment_nm
     amplitude = np.concatenate([force, moment], axis=1)
-    inverse = np.asarray(allocation.build(vehicles).B_inverse)
+    inverse = np.asarray(allocation.build_allocation(vehicles).B_inverse)
     thrust = np.einsum("vti,vi,ki->vkt", inverse, amplitude / 2, noise)
     ends = np.asarray(vehicles.thrust_n)[:, None, [0, -1]]
     clipped: NDArray[np.float64] = np.clip(thrust, ends[..., :1], ends[..., 1:])

@@ -66,13 +66,13 @@ class StudyFlight:
     """[W, R]."""
 
 
-def at_control_rate(scenario: Scenario) -> Scenario:
+def record_at_control_rate(scenario: Scenario) -> Scenario:
     """The scenario with a sample at every control step."""
     timing = {**scenario.time.model_dump(), "record_hz": 1.0 / scenario.time.control_dt_s}
     return Scenario.model_validate({**scenario.model_dump(), "time": timing})
 
 
-def fly(scenario: Scenario, tile: int) -> StudyFlight:
+def fly_scenario(scenario: Scenario, tile: int) -> StudyFlight:
     """Fly all worlds of a scenario that is sampled at control rate, on JAX's default device."""
     simulator = Simulator(scenario, tile=tile)
     parts = []
@@ -81,9 +81,9 @@ def fly(scenario: Scenario, tile: int) -> StudyFlight:
         state, samples = simulator.reset(worlds), []
         for _ in range(simulator.segments):
             state, sample = simulator.segment(worlds, state)
-            samples.append(_kept(sample))
-        parts.append(_flight(worlds, state, samples))
-    return _together(parts, scenario.worlds)
+            samples.append(_select_samples(sample))
+        parts.append(_build_flight(worlds, state, samples))
+    return _join_tiles(parts, scenario.worlds)
 
 
 def fly_in_double(scenario: Scenario, tile: int) -> tuple[StudyFlight, StudyFlight]:
@@ -104,71 +104,71 @@ def fly_in_double(scenario: Scenario, tile: int) -> tuple[StudyFlight, StudyFlig
         )
     )
 
-    def flown(kinds: Fleet, worlds: World) -> StudyFlight:
+    def fly_tile(kinds: Fleet, worlds: World) -> StudyFlight:
         state, samples = reset(kinds, worlds), []
         for _ in range(simulator.segments):
             state, sample = segment(kinds, worlds, state)
-            samples.append(_kept(sample))
-        return _flight(worlds, state, samples)
+            samples.append(_select_samples(sample))
+        return _build_flight(worlds, state, samples)
 
     singles, doubles = [], []
     for first in range(0, scenario.worlds, tile):
         worlds = simulator.worlds(first)
-        singles.append(flown(simulator.fleet, worlds))
+        singles.append(fly_tile(simulator.fleet, worlds))
         with jax.enable_x64(True):
-            doubles.append(flown(_double(simulator.fleet), _double(worlds)))
-    return _together(singles, scenario.worlds), _together(doubles, scenario.worlds)
+            doubles.append(fly_tile(_to_float64(simulator.fleet), _to_float64(worlds)))
+    return _join_tiles(singles, scenario.worlds), _join_tiles(doubles, scenario.worlds)
 
 
-def save(flight: StudyFlight, path: Path) -> None:
+def save_flight(flight: StudyFlight, path: Path) -> None:
     """Write a flight into a file."""
     np.savez(path, **{name: getattr(flight, name) for name in StudyFlight.__dataclass_fields__})
 
 
-def load(path: Path) -> StudyFlight:
-    """Read what `save` wrote."""
-    with np.load(path) as held:
-        return StudyFlight(**{name: held[name] for name in held.files})
+def load_flight(path: Path) -> StudyFlight:
+    """Read what `save_flight` wrote."""
+    with np.load(path) as arrays:
+        return StudyFlight(**{name: arrays[name] for name in arrays.files})
 
 
-def _double[T](tree: T) -> T:
+def _to_float64[T](tree: T) -> T:
     """The same numbers as float64; JAX has to be asked for it around the call."""
 
-    def wide(leaf: Any) -> Any:
+    def to_float64(leaf: Any) -> Any:
         return leaf.astype(np.float64) if np.issubdtype(leaf.dtype, np.floating) else leaf
 
-    doubled: T = jax.tree.map(wide, tree)
+    doubled: T = jax.tree.map(to_float64, tree)
     return doubled
 
 
-def _kept(sample: Sample) -> dict[str, Array]:
+def _select_samples(sample: Sample) -> dict[str, Array]:
     """What is kept of a segment's samples [W, T, ...]."""
     names = ("p", "target_m", "pwm_us", "obstacle_p")
     return {name: np.asarray(getattr(sample, name)) for name in names}
 
 
-def _flight(worlds: World, state: WorldState, samples: list[dict[str, Array]]) -> StudyFlight:
-    drawn, tally = worlds.environment, state.tally
+def _build_flight(worlds: World, state: WorldState, samples: list[dict[str, Array]]) -> StudyFlight:
+    environment, tally = worlds.environment, state.tally
     constants = {
-        "cells": drawn.grid.occupied,
+        "cells": environment.grid.occupied,
         "variant": worlds.variant,
-        "start_m": drawn.start_m,
-        "goal_m": drawn.goal_m,
-        "redraws": drawn.redraws,
+        "start_m": environment.start_m,
+        "goal_m": environment.goal_m,
+        "redraws": environment.redraws,
         "planned": worlds.planned,
         "plan_m": plans.points_m(worlds.path),
         "plan_s": worlds.path.time_s,
     }
     ends = ("outcome", "end_time_s", "path_length_m", "energy_j", "touched", "touched_index")
-    whole = {name: np.concatenate([s[name] for s in samples], axis=1) for name in samples[0]}
+    all_samples = {name: np.concatenate([s[name] for s in samples], axis=1) for name in samples[0]}
     return StudyFlight(
         **{name: np.asarray(leaf) for name, leaf in constants.items()},
         **{name: np.asarray(getattr(tally, name)) for name in ends},
-        **whole,
+        **all_samples,
     )
 
 
-def _together(parts: list[StudyFlight], worlds: int) -> StudyFlight:
+def _join_tiles(parts: list[StudyFlight], worlds: int) -> StudyFlight:
     """Tiles one after another, without the padding of the last."""
     return StudyFlight(
         **{

@@ -54,7 +54,7 @@ def _euler_world(
     v, omega = state.nu[:3], state.nu[3:]
     v_world = quaternion.rotate(state.q, v + dt * (a[:3] + jnp.cross(omega, v)))
     omega = omega + dt * a[3:]
-    q = _unit(quaternion.multiply(state.q, quaternion.exp(dt * omega)))
+    q = _normalise(quaternion.multiply(state.q, quaternion.exp(dt * omega)))
     nu = jnp.concatenate([quaternion.rotate_inverse(q, v_world), omega])
     return replace(state, p=state.p + dt * v_world, q=q, nu=nu, thrust=thrust)
 
@@ -74,7 +74,7 @@ def _euler_body(
     thrust, mean = thruster.rotor_lag(state.thrust, command, vehicle.tau_s, dt)
     nu = state.nu + dt * accelerate(engine, body, vehicle, state, mean, current, t, water)
     p = state.p + dt * quaternion.rotate(state.q, nu[:3])
-    q = _unit(quaternion.multiply(state.q, quaternion.exp(dt * nu[3:])))
+    q = _normalise(quaternion.multiply(state.q, quaternion.exp(dt * nu[3:])))
     return replace(state, p=p, q=q, nu=nu, thrust=thrust)
 
 
@@ -122,7 +122,7 @@ def _heun(
     return replace(state, p=p, q=q, nu=nu, thrust=thrust)
 
 
-def _unit(q: jax.Array) -> jax.Array:
+def _normalise(q: jax.Array) -> jax.Array:
     return q / jnp.sqrt(jnp.sum(q * q))
 
 

@@ -60,15 +60,17 @@ class Trace:
     """And a second earlier."""
 
 
-def different(a: StudyFlight, b: StudyFlight) -> Array:
+def is_different(a: StudyFlight, b: StudyFlight) -> Array:
     """Which robots [W, R] end in another way, or on another thing."""
-    same: Array = (
+    is_same: Array = (
         (a.outcome == b.outcome) & (a.touched == b.touched) & (a.touched_index == b.touched_index)
     )
-    return ~same
+    return ~is_same
 
 
-def trace(a: StudyFlight, b: StudyFlight, dt_s: float, physics_steps: int) -> list[Trace]:
+def trace_differences(
+    a: StudyFlight, b: StudyFlight, dt_s: float, physics_steps: int
+) -> list[Trace]:
     """Every robot that ended otherwise, by world and number.
 
     Args:
@@ -80,11 +82,13 @@ def trace(a: StudyFlight, b: StudyFlight, dt_s: float, physics_steps: int) -> li
     reach = float(np.abs(a.p[np.isfinite(a.p)]).max())
     steps = np.arange(a.p.shape[1], dtype=np.float64) * physics_steps
     bound = bound_m(steps, reach)
-    return [_trace(a, b, int(w), int(r), bound, dt_s) for w, r in np.argwhere(different(a, b))]
+    return [
+        _trace_robot(a, b, int(w), int(r), bound, dt_s) for w, r in np.argwhere(is_different(a, b))
+    ]
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Sign:
+class _Divergence:
     """Something that can have come first."""
 
     cause: Cause
@@ -93,16 +97,18 @@ class _Sign:
     """[T] m."""
 
 
-def _trace(a: StudyFlight, b: StudyFlight, w: int, r: int, bound: Array, dt_s: float) -> Trace:
+def _trace_robot(
+    a: StudyFlight, b: StudyFlight, w: int, r: int, bound: Array, dt_s: float
+) -> Trace:
     ends = (float(a.end_time_s[w, r]), float(b.end_time_s[w, r]))
     last = min(len(bound) - 1, max(0, round(min(ends) / dt_s)))
-    signs = sorted(_signs(a, b, w, r, bound, last), key=lambda sign: sign.step)
-    first = signs[0] if signs else _threshold(a, b, w, r, last)
+    divergences = sorted(_find_divergences(a, b, w, r, bound, last), key=lambda sign: sign.step)
+    first = divergences[0] if divergences else _threshold_divergence(a, b, w, r, last)
     second = round(1.0 / dt_s)
     return Trace(
         world=w,
         robot=r,
-        outcomes=(_name(a.outcome[w, r]), _name(b.outcome[w, r])),
+        outcomes=(_outcome_name(a.outcome[w, r]), _outcome_name(b.outcome[w, r])),
         end_s=ends,
         cause=first.cause,
         at_s=first.step * dt_s,
@@ -111,52 +117,58 @@ def _trace(a: StudyFlight, b: StudyFlight, w: int, r: int, bound: Array, dt_s: f
     )
 
 
-def _signs(
+def _find_divergences(
     a: StudyFlight, b: StudyFlight, w: int, r: int, bound: Array, last: int
-) -> Iterator[_Sign]:
+) -> Iterator[_Divergence]:
     """What is further apart than rounding explains before the first of the two ends.
 
     Things of the same step come in the order of cause and effect.
     """
-    drawn = ("cells", "variant", "redraws")
-    if any(not np.array_equal(getattr(a, n)[w], getattr(b, n)[w]) for n in drawn):
-        yield _Sign(cause=Cause.WORLD, step=0, gap=np.full(last + 1, np.inf))
+    sampled_fields = ("cells", "variant", "redraws")
+    if any(not np.array_equal(getattr(a, n)[w], getattr(b, n)[w]) for n in sampled_fields):
+        yield _Divergence(cause=Cause.WORLD, step=0, gap=np.full(last + 1, np.inf))
     for name in ("start_m", "goal_m", "plan_m"):
         gap = float(np.abs(getattr(a, name)[w, r] - getattr(b, name)[w, r]).max())
         if gap > PLAN_M:
             cause = Cause.PLAN if name == "plan_m" else Cause.WORLD
-            yield _Sign(cause=cause, step=0, gap=np.full(last + 1, gap))
+            yield _Divergence(cause=cause, step=0, gap=np.full(last + 1, gap))
     for flight in (a, b):
         index = int(flight.touched_index[w, r])
         if flight.touched[w, r] == Touched.OBSTACLE:
-            there, other = a.obstacle_p[w, :, index], b.obstacle_p[w, :, index]
-            yield from _beyond(Cause.BOUNCE, there, other, bound, last)
+            first_track, second_track = a.obstacle_p[w, :, index], b.obstacle_p[w, :, index]
+            yield from _find_track_divergence(Cause.BOUNCE, first_track, second_track, bound, last)
         if flight.touched[w, r] == Touched.ROBOT:
-            yield from _beyond(Cause.ROBOT, a.p[w, :, index], b.p[w, :, index], bound, last)
+            yield from _find_track_divergence(
+                Cause.ROBOT, a.p[w, :, index], b.p[w, :, index], bound, last
+            )
     # What it aims at moves with the robot's own place; rounding of both.
-    yield from _beyond(Cause.AIM, a.target_m[w, :, r], b.target_m[w, :, r], 2 * bound, last)
-    yield from _beyond(Cause.SELF, a.p[w, :, r], b.p[w, :, r], bound, last)
+    yield from _find_track_divergence(
+        Cause.AIM, a.target_m[w, :, r], b.target_m[w, :, r], 2 * bound, last
+    )
+    yield from _find_track_divergence(Cause.SELF, a.p[w, :, r], b.p[w, :, r], bound, last)
 
 
-def _beyond(cause: Cause, a: Array, b: Array, bound: Array, last: int) -> Iterator[_Sign]:
+def _find_track_divergence(
+    cause: Cause, a: Array, b: Array, bound: Array, last: int
+) -> Iterator[_Divergence]:
     """When two tracks [T, 3] leave each other."""
-    gap = np.linalg.norm(a.astype(np.float64) - b, axis=-1)
-    outside = np.flatnonzero(gap[: last + 1] > bound[: last + 1])
+    distance_m = np.linalg.norm(a.astype(np.float64) - b, axis=-1)
+    outside = np.flatnonzero(distance_m[: last + 1] > bound[: last + 1])
     if not outside.size:
         return
     step = int(outside[0])
-    if cause is Cause.BOUNCE and not (_thrown(a, step) or _thrown(b, step)):
+    if cause is Cause.BOUNCE and not (_is_bounce(a, step) or _is_bounce(b, step)):
         cause = Cause.DRIFT
-    yield _Sign(cause=cause, step=step, gap=gap)
+    yield _Divergence(cause=cause, step=step, gap=distance_m)
 
 
-def _thrown(track: Array, step: int) -> bool:
+def _is_bounce(track: Array, step: int) -> bool:
     """Whether an obstacle was thrown back within three control steps of one."""
-    near = track[max(0, step - 3) : step + 4].astype(np.float64)
-    return bool(np.abs(np.diff(near, 2, axis=0)).max(initial=0.0) > TURN_M)
+    window = track[max(0, step - 3) : step + 4].astype(np.float64)
+    return bool(np.abs(np.diff(window, 2, axis=0)).max(initial=0.0) > TURN_M)
 
 
-def _threshold(a: StudyFlight, b: StudyFlight, w: int, r: int, last: int) -> _Sign:
+def _threshold_divergence(a: StudyFlight, b: StudyFlight, w: int, r: int, last: int) -> _Divergence:
     """Two runs that were one until the first ended: which threshold lay between them."""
     kinds = {int(a.outcome[w, r]), int(b.outcome[w, r])}
     touching = {Outcome.COLLISION_STATIC, Outcome.COLLISION_DYNAMIC, Outcome.COLLISION_ROBOT}
@@ -167,10 +179,10 @@ def _threshold(a: StudyFlight, b: StudyFlight, w: int, r: int, last: int) -> _Si
     for flight in (a, b):
         if flight.touched[w, r] == Touched.OBSTACLE:
             index = int(flight.touched_index[w, r])
-            there = a.obstacle_p[w, :, index].astype(np.float64) - b.obstacle_p[w, :, index]
-            gap = np.maximum(gap, np.linalg.norm(there, axis=-1))
-    return _Sign(cause=cause, step=last, gap=gap)
+            offset_m = a.obstacle_p[w, :, index].astype(np.float64) - b.obstacle_p[w, :, index]
+            gap = np.maximum(gap, np.linalg.norm(offset_m, axis=-1))
+    return _Divergence(cause=cause, step=last, gap=gap)
 
 
-def _name(outcome: Any) -> str:
+def _outcome_name(outcome: Any) -> str:
     return Outcome(int(outcome)).name.lower()

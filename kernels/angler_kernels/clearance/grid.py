@@ -37,7 +37,7 @@ def capsules_grid(
         origin: [3] lower corner of cell (0, 0, 0).
         cell: [] edge of a cell.
     """
-    lo, present = _window(centre, occupied, origin, cell)
+    lo, present = _cell_window(centre, occupied, origin, cell)
     to_boxes = jax.vmap(segment_box, in_axes=(None, None, 0, 0))
     gap = jax.vmap(to_boxes, in_axes=(0, 0, None, None))(a, b, lo, lo + cell)
     gap = jnp.where(present, gap - r[:, None], jnp.inf)
@@ -60,7 +60,7 @@ def point_grid(
         origin: [3] lower corner of cell (0, 0, 0).
         cell: [] edge of a cell.
     """
-    lo, present = _window(p, occupied, origin, cell)
+    lo, present = _cell_window(p, occupied, origin, cell)
     gap = jnp.where(present, jax.vmap(point_box, in_axes=(None, 0, 0))(p, lo, lo + cell), cell)
     nearest = jnp.argmin(gap)
     low = lo[nearest]
@@ -73,7 +73,7 @@ def point_grid(
     return distance, jnp.where(square > 0.0, away / length, up)
 
 
-def _window(
+def _cell_window(
     p: jax.Array, occupied: jax.Array, origin: jax.Array, cell: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """Lower corners [m, 3] and occupancy [m] of the cells around the cell that holds p."""

@@ -16,7 +16,7 @@ from angler_kernels.clearance.shapes import LineSegment, point_box, segment_poin
 
 type Scalars = Sequence[jax.Array]
 
-type _Search = tuple[jax.Array, jax.Array, jax.Array, jax.Array, jax.Array]
+type _PairSearch = tuple[jax.Array, jax.Array, jax.Array, jax.Array, jax.Array]
 """Cells left, least gap so far, its cell, its capsule, its place on the axis."""
 
 
@@ -97,25 +97,29 @@ def capsules_neighbours(
     # From here on in coordinates of the window: they are small, so that rounding is.
     first = [[a[k, i] - lo[i] for i in range(3)] for k in range(n)]
     second = [[b[k, i] - lo[i] for i in range(3)] for k in range(n)]
-    lines = [LineSegment.through(p, q) for p, q in zip(first, second, strict=True)]
-    held = jax.lax.stop_gradient((a, b, centre, r))
+    lines = [LineSegment.from_ends(p, q) for p, q in zip(first, second, strict=True)]
+    constants = jax.lax.stop_gradient((a, b, centre, r))
     reaches, depths = [], []
     for k in range(n):
-        start, end, middle, radius = held[0][k], held[1][k], held[2], held[3][k]
-        square = jnp.maximum(_square(start, middle), _square(end, middle))
+        start, end, middle, radius = constants[0][k], constants[1][k], constants[2], constants[3][k]
+        square = jnp.maximum(_squared_distance(start, middle), _squared_distance(end, middle))
         reaches.append(jnp.sqrt(square) + r[k])
         depths.append(segment_point(start, end, middle) - radius)
     hull_radius = functools.reduce(jnp.maximum, reaches)
     cap = jnp.minimum(cell - hull_radius, below)
 
-    fixed = jax.lax.stop_gradient((lines, [r[k] for k in range(n)], cell, cap))
+    constant_inputs = jax.lax.stop_gradient((lines, [r[k] for k in range(n)], cell, cap))
     point = jax.lax.stop_gradient([centre[i] - lo[i] for i in range(3)])
-    held_by = jax.lax.stop_gradient((functools.reduce(jnp.minimum, depths), hull_radius))
-    near = _cells_within_reach(point, mask, fixed[2], fixed[3], *held_by)
-    bit, which, s = _nearest_pair(fixed[0], fixed[1], near, fixed[2], fixed[3])
-    chosen: LineSegment = jax.tree.map(lambda *leaves: _pick(which, leaves), *lines)
-    low = _corner(bit, cell)
-    gap = chosen.gap(s, low, [x + cell for x in low]) - _pick(which, [r[k] for k in range(n)])
+    bounds = jax.lax.stop_gradient((functools.reduce(jnp.minimum, depths), hull_radius))
+    near_mask = _cells_within_reach(point, mask, constant_inputs[2], constant_inputs[3], *bounds)
+    bit, capsule, s = _nearest_pair(
+        constant_inputs[0], constant_inputs[1], near_mask, constant_inputs[2], constant_inputs[3]
+    )
+    chosen: LineSegment = jax.tree.map(lambda *leaves: _select_value(capsule, leaves), *lines)
+    low = _cell_corner(bit, cell)
+    gap = chosen.gap_at(s, low, [x + cell for x in low]) - _select_value(
+        capsule, [r[k] for k in range(n)]
+    )
     return jnp.where(bit >= 0, jnp.minimum(gap, cap), cap)
 
 
@@ -135,12 +139,14 @@ def point_neighbours(
         cell: [] edge of a cell.
     """
     point = [p[i] - lo[i] for i in range(3)]
-    least, bit = jnp.full_like(cell, jnp.inf), jnp.full_like(mask, -1)
-    for i, square in enumerate(_squares(jax.lax.stop_gradient(point), jax.lax.stop_gradient(cell))):
-        better = (mask & (1 << i) != 0) & (square < least)
-        least = jnp.where(better, square, least)
+    min_square, bit = jnp.full_like(cell, jnp.inf), jnp.full_like(mask, -1)
+    for i, square in enumerate(
+        _cell_squares(jax.lax.stop_gradient(point), jax.lax.stop_gradient(cell))
+    ):
+        better = (mask & (1 << i) != 0) & (square < min_square)
+        min_square = jnp.where(better, square, min_square)
         bit = jnp.where(better, i, bit)
-    low = _corner(bit, cell)
+    low = _cell_corner(bit, cell)
     high = [x + cell for x in low]
     at = jnp.stack(point)
     gap = jnp.where(bit >= 0, point_box(at, jnp.stack(low), jnp.stack(high)), cell)
@@ -170,7 +176,7 @@ def _cells_within_reach(
     where ``inner`` is the distance of the point to the hull (negative inside). What is farther
     than the least upper bound, or than ``cap``, is left out.
     """
-    squares = list(_squares(point, cell))
+    squares = list(_cell_squares(point, cell))
     far = jnp.full_like(cell, jnp.inf)
     set_squares = [jnp.where(mask & (1 << i) != 0, x, far) for i, x in enumerate(squares)]
     nearest = jnp.sqrt(functools.reduce(jnp.minimum, set_squares))
@@ -189,31 +195,31 @@ def _nearest_pair(
         int32 [] bit of the cell, -1 if there is none; int32 [] capsule; parameter [] on its axis.
     """
 
-    def body(carry: _Search) -> _Search:
-        left, best, bit, which, s = carry
+    def body(carry: _PairSearch) -> _PairSearch:
+        remaining, best, bit, capsule, s = carry
         # Bodies side by side in a kernel go round as often as the busiest of them: one that has no
         # cell left has to come out as it went in.
-        has_one = left != 0
-        at = 31 - jax.lax.clz(left & -left)
-        low = _corner(at, cell)
+        has_cell = remaining != 0
+        at = 31 - jax.lax.clz(remaining & -remaining)
+        low = _cell_corner(at, cell)
         high = [x + cell for x in low]
         for k, line in enumerate(lines):
-            foot = line.foot(low, high)
-            gap = line.gap(foot, low, high) - r[k]
-            better = has_one & (gap < best)
+            foot = line.nearest_parameter(low, high)
+            gap = line.gap_at(foot, low, high) - r[k]
+            better = has_cell & (gap < best)
             best = jnp.where(better, gap, best)
             bit = jnp.where(better, at, bit)
-            which = jnp.where(better, k, which)
+            capsule = jnp.where(better, k, capsule)
             s = jnp.where(better, foot, s)
-        return left & (left - 1), best, bit, which, s
+        return remaining & (remaining - 1), best, bit, capsule, s
 
     none = jnp.full_like(mask, -1)
     start = (mask, cap, none, jnp.zeros_like(mask), jnp.zeros_like(cap))
-    _, _, bit, which, s = jax.lax.while_loop(lambda carry: carry[0] != 0, body, start)
-    return bit, which, s
+    _, _, bit, capsule, s = jax.lax.while_loop(lambda carry: carry[0] != 0, body, start)
+    return bit, capsule, s
 
 
-def _squares(point: Scalars, cell: jax.Array) -> Iterator[jax.Array]:
+def _cell_squares(point: Scalars, cell: jax.Array) -> Iterator[jax.Array]:
     """Squared distances [] of a point of the window to its 27 cells, in the order of bits."""
     axes = []
     for x in point:
@@ -226,7 +232,7 @@ def _squares(point: Scalars, cell: jax.Array) -> Iterator[jax.Array]:
                 yield base + z
 
 
-def _corner(bit: jax.Array, cell: jax.Array) -> list[jax.Array]:
+def _cell_corner(bit: jax.Array, cell: jax.Array) -> list[jax.Array]:
     """Lower corner, as three scalars, of the cell of a bit, in the window."""
     nine, three = jnp.full_like(bit, 9), jnp.full_like(bit, 3)
     i = jax.lax.div(bit, nine)
@@ -235,15 +241,15 @@ def _corner(bit: jax.Array, cell: jax.Array) -> list[jax.Array]:
     return [cell * x.astype(cell.dtype) for x in (i, j, rest - three * j)]
 
 
-def _pick(which: jax.Array, values: Sequence[jax.Array]) -> jax.Array:
+def _select_value(index: jax.Array, values: Sequence[jax.Array]) -> jax.Array:
     """``values[which]`` without a gather."""
     chosen = values[0]
     for k, value in enumerate(values[1:], start=1):
-        chosen = jnp.where(which == k, value, chosen)
+        chosen = jnp.where(index == k, value, chosen)
     return chosen
 
 
-def _square(u: jax.Array, v: jax.Array) -> jax.Array:
+def _squared_distance(u: jax.Array, v: jax.Array) -> jax.Array:
     """Squared distance [] of two points [3]."""
     x, y, z = (u[i] - v[i] for i in range(3))
     return x * x + y * y + z * z

@@ -23,16 +23,18 @@ type Vector = Sequence[jax.Array] | jax.Array
 
 def point_box(p: jax.Array, lo: jax.Array, hi: jax.Array) -> jax.Array:
     """Distance [] of a point p [3] to the axis-aligned box from lo [3] to hi [3]; inside 0."""
-    return _root(
-        _square([jnp.maximum(jnp.maximum(lo[i] - p[i], p[i] - hi[i]), 0.0) for i in range(3)])
+    return _safe_sqrt(
+        _squared_length(
+            [jnp.maximum(jnp.maximum(lo[i] - p[i], p[i] - hi[i]), 0.0) for i in range(3)]
+        )
     )
 
 
 def segment_point(a: jax.Array, b: jax.Array, p: jax.Array) -> jax.Array:
     """Distance [] of the segment from a [3] to b [3] to the point p [3]; a = b is allowed."""
     d, gap = b - a, a - p
-    s = _foot(d, -gap)
-    return _root(_square([gap[i] + s * d[i] for i in range(3)]))
+    s = _nearest_parameter(d, -gap)
+    return _safe_sqrt(_squared_length([gap[i] + s * d[i] for i in range(3)]))
 
 
 def segment_segment(a1: jax.Array, b1: jax.Array, a2: jax.Array, b2: jax.Array) -> jax.Array:
@@ -45,35 +47,37 @@ def segment_segment(a1: jax.Array, b1: jax.Array, a2: jax.Array, b2: jax.Array) 
     rounding where the lines are nearly parallel can not make the answer too small.
     """
     d1, d2, gap = b1 - a1, b2 - a2, a1 - a2
-    s1, s2 = _crossing(d1, d2, gap)
-    zero, one = jnp.zeros_like(s1), jnp.ones_like(s1)
+    s1, s2 = _common_normal(d1, d2, gap)
+    zero, end = jnp.zeros_like(s1), jnp.ones_like(s1)
     pairs = (
         (s1, s2),
-        (_foot(d1, -gap), zero),
-        (_foot(d1, d2 - gap), one),
-        (zero, _foot(d2, gap)),
-        (one, _foot(d2, gap + d1)),
+        (_nearest_parameter(d1, -gap), zero),
+        (_nearest_parameter(d1, d2 - gap), end),
+        (zero, _nearest_parameter(d2, gap)),
+        (end, _nearest_parameter(d2, gap + d1)),
     )
 
     def square(s: jax.Array, t: jax.Array) -> jax.Array:
-        return _square([gap[i] + s * d1[i] - t * d2[i] for i in range(3)])
+        return _squared_length([gap[i] + s * d1[i] - t * d2[i] for i in range(3)])
 
     # The points are chosen, not the least of five gaps: often two of the five are the same points,
     # and a minimum hands its gradient to both or to neither where rounding tells them apart
     # in one place of the compiled program and not in another.
     (s, t), *others = pairs
-    least = square(s, t)
+    min_square = square(s, t)
     for u, v in others:
         other = square(u, v)
-        nearer = other < least
-        s, t, least = (jnp.where(nearer, x, y) for x, y in ((u, s), (v, t), (other, least)))
-    return _root(square(s, t))
+        nearer = other < min_square
+        s, t, min_square = (
+            jnp.where(nearer, x, y) for x, y in ((u, s), (v, t), (other, min_square))
+        )
+    return _safe_sqrt(square(s, t))
 
 
 def segment_box(a: jax.Array, b: jax.Array, lo: jax.Array, hi: jax.Array) -> jax.Array:
     """Distance [] of the segment from a [3] to b [3] to the box from lo [3] to hi [3]."""
-    line = LineSegment.through(a, b)
-    return line.gap(line.foot(lo, hi), lo, hi)
+    line = LineSegment.from_ends(a, b)
+    return line.gap_at(line.nearest_parameter(lo, hi), lo, hi)
 
 
 class LineSegment(NamedTuple):
@@ -87,14 +91,14 @@ class LineSegment(NamedTuple):
     """1 / d of each coordinate; 1 where the weight is 0."""
 
     @classmethod
-    def through(cls, a: Vector, b: Vector) -> Self:
+    def from_ends(cls, a: Vector, b: Vector) -> Self:
         """The segment from a [3] to b [3]."""
         d = [b[i] - a[i] for i in range(3)]
         weight = [x * x for x in d]
         inverse = [1.0 / jnp.where(w > 0.0, x, 1.0) for x, w in zip(d, weight, strict=True)]
         return cls([a[i] for i in range(3)], d, weight, inverse)
 
-    def foot(self, lo: Vector, hi: Vector) -> jax.Array:
+    def nearest_parameter(self, lo: Vector, hi: Vector) -> jax.Array:
         """Parameter [] of a point of the segment nearest to the box from lo [3] to hi [3].
 
         Half the derivative of the squared gap along the line grows with s and is piecewise linear,
@@ -113,24 +117,26 @@ class LineSegment(NamedTuple):
         ]
         slabs = [(jnp.minimum(u, v), jnp.maximum(u, v)) for u, v in planes]
 
-        def past(s: jax.Array, i: int) -> jax.Array:
+        def beyond_slab(s: jax.Array, i: int) -> jax.Array:
             return s - jnp.clip(s, *slabs[i])
 
         left, right = jnp.zeros_like(self.a[0]), jnp.ones_like(self.a[0])
         for i, (j, k) in enumerate(((1, 2), (2, 0), (0, 1))):
             for s in planes[i]:
-                before = self.weight[j] * past(s, j) + self.weight[k] * past(s, k) < 0.0
+                before = (
+                    self.weight[j] * beyond_slab(s, j) + self.weight[k] * beyond_slab(s, k) < 0.0
+                )
                 left = jnp.maximum(left, jnp.where(before, s, 0.0))
                 right = jnp.minimum(right, jnp.where(before, 1.0, s))
         left, right = jnp.minimum(left, 1.0), jnp.maximum(right, 0.0)
         middle = 0.5 * (left + right)
-        beyond = [past(middle, i) for i in range(3)]
+        beyond = [beyond_slab(middle, i) for i in range(3)]
         h = sum(self.weight[i] * beyond[i] for i in range(3))
         rise = sum(jnp.where(beyond[i] == 0.0, 0.0, self.weight[i]) for i in range(3))
         at = jnp.clip(middle - h / jnp.where(rise > 0.0, rise, 1.0), left, right)
         return jax.lax.stop_gradient(at)
 
-    def gap(
+    def gap_at(
         self,
         s: jax.Array,
         lo: Vector,
@@ -138,7 +144,9 @@ class LineSegment(NamedTuple):
     ) -> jax.Array:
         """Distance [] of the segment's point at parameter s to a box; inside 0."""
         at = [self.a[i] + s * self.d[i] for i in range(3)]
-        return _root(_square([at[i] - jnp.clip(at[i], lo[i], hi[i]) for i in range(3)]))
+        return _safe_sqrt(
+            _squared_length([at[i] - jnp.clip(at[i], lo[i], hi[i]) for i in range(3)])
+        )
 
 
 def segment_oriented_box(
@@ -207,7 +215,7 @@ def capsules_obstacle(
     return jnp.min(gap - r)
 
 
-def _square(v: Vector) -> jax.Array:
+def _squared_length(v: Vector) -> jax.Array:
     """Squared length [] of a vector."""
     return _dot(v, v)
 
@@ -217,32 +225,32 @@ def _dot(u: Vector, v: Vector) -> jax.Array:
     return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
 
 
-def _root(square: jax.Array) -> jax.Array:
+def _safe_sqrt(square: jax.Array) -> jax.Array:
     """Square root [] whose derivative at zero is zero instead of infinite."""
     return jnp.where(square > 0.0, jnp.sqrt(jnp.where(square > 0.0, square, 1.0)), 0.0)
 
 
-def _foot(d: jax.Array, to_point: Vector) -> jax.Array:
+def _nearest_parameter(d: jax.Array, to_point: Vector) -> jax.Array:
     """Parameter in [0, 1] of the point of a segment d nearest to a point, both seen from its start.
 
     A constant to gradients.
     """
-    square = _square(d)
+    square = _squared_length(d)
     s = _dot(d, to_point) / jnp.where(square > 0.0, square, 1.0)
     return jax.lax.stop_gradient(jnp.clip(s, 0.0, 1.0))
 
 
-def _crossing(d1: jax.Array, d2: jax.Array, gap: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _common_normal(d1: jax.Array, d2: jax.Array, gap: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Parameters of the feet of two lines' common normal, held to [0, 1]; 0 and a foot if none.
 
     The determinant is taken as |d1 x d2|^2, which keeps its digits where the lines are nearly
     parallel; |d1|^2 |d2|^2 - (d1 . d2)^2 does not.
     """
     normal = _cross(d1, d2)
-    det = _square(normal)
+    det = _squared_length(normal)
     s1 = -_dot(_cross(gap, d2), normal) / jnp.where(det > 0.0, det, 1.0)
     s1 = jax.lax.stop_gradient(jnp.clip(s1, 0.0, 1.0))
-    return s1, _foot(d2, [gap[i] + s1 * d1[i] for i in range(3)])
+    return s1, _nearest_parameter(d2, [gap[i] + s1 * d1[i] for i in range(3)])
 
 
 def _cross(u: jax.Array, v: jax.Array) -> list[jax.Array]:

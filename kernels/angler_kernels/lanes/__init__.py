@@ -1,18 +1,18 @@
 """Functions of one body, run on many with one array for every element."""
 
-from angler_kernels.lanes.folding import Instructions, instructions
-from angler_kernels.lanes.sharing import shared
+from angler_kernels.lanes.folding import Instructions, use_instructions
+from angler_kernels.lanes.sharing import compute_shared
 from angler_kernels.lanes.table import LookupTable
 from angler_kernels.lanes.transform import apply
 from angler_kernels.lanes.trees import (
     any_lane,
+    broadcast_like,
     flatten,
     join,
     pack,
     repeat,
+    select_lanes,
     split,
-    spread,
-    where,
 )
 
 __all__ = [
@@ -20,13 +20,13 @@ __all__ = [
     "LookupTable",
     "any_lane",
     "apply",
+    "broadcast_like",
+    "compute_shared",
     "flatten",
-    "instructions",
     "join",
     "pack",
     "repeat",
-    "shared",
+    "select_lanes",
     "split",
-    "spread",
-    "where",
+    "use_instructions",
 ]

@@ -34,7 +34,7 @@ class _Product:
 
 @dataclass(frozen=True, kw_only=True)
 class _Target:
-    use: Instructions
+    instructions: Instructions
     products: dict[int, _Product] = field(default_factory=dict)
 
 
@@ -42,13 +42,13 @@ _target: ContextVar[_Target | None] = ContextVar("target", default=None)
 
 
 @contextmanager
-def instructions(use: Instructions) -> Iterator[None]:
+def use_instructions(instructions: Instructions) -> Iterator[None]:
     """Within it, float32 lanes are divided by reciprocals, and sums of products are fused.
 
     For compilers whose division takes care of denormal numbers that bodies in water never see, and
     that keep multiplication and addition apart.
     """
-    token = _target.set(_Target(use=use))
+    token = _target.set(_Target(instructions=instructions))
     try:
         yield
     finally:
@@ -74,7 +74,7 @@ _CONSTANT: dict[str, Callable[..., Any]] = {
 }
 
 
-def fold(eqn: Any, operands: Sequence[Any]) -> Any:
+def fold_operation(eqn: Any, operands: Sequence[Any]) -> Any:
     """One operation on one element.
 
     Args:
@@ -87,24 +87,24 @@ def fold(eqn: Any, operands: Sequence[Any]) -> Any:
     name = eqn.primitive.name
     constant = [isinstance(x, np.generic) for x in operands]
     if all(constant):
-        return _all_constant(eqn, operands)
-    known = _with_constants(name, operands, constant)
-    if known is not None:
-        return known
-    return _bind(eqn.primitive, eqn.params, operands)
+        return _evaluate_constants(eqn, operands)
+    folded = _fold_constants(name, operands, constant)
+    if folded is not None:
+        return folded
+    return _bind_operation(eqn.primitive, eqn.params, operands)
 
 
-def two(primitive: Any, a: Any, b: Any) -> Any:
+def apply_binary(primitive: Any, a: Any, b: Any) -> Any:
     """One of the two-operand operations in which no parameter is needed."""
-    known = _with_constants(primitive.name, (a, b), [isinstance(x, np.generic) for x in (a, b)])
-    if known is not None:
-        return known
+    folded = _fold_constants(primitive.name, (a, b), [isinstance(x, np.generic) for x in (a, b)])
+    if folded is not None:
+        return folded
     if isinstance(a, np.generic) and isinstance(b, np.generic):
         return _CONSTANT[primitive.name](a, b)
-    return _bind(primitive, {}, (a, b))
+    return _bind_operation(primitive, {}, (a, b))
 
 
-def _all_constant(eqn: Any, operands: Sequence[Any]) -> Any:
+def _evaluate_constants(eqn: Any, operands: Sequence[Any]) -> Any:
     name, dtype = eqn.primitive.name, eqn.outvars[0].aval.dtype
     if name in _CONSTANT:
         return _CONSTANT[name](*operands).astype(dtype)
@@ -115,14 +115,14 @@ def _all_constant(eqn: Any, operands: Sequence[Any]) -> Any:
         return np.asarray(value, dtype)[()]
 
 
-_LEAVES_OTHER = {("add", 0), ("sub", 0), ("mul", 1), ("div", 1)}
+_NEUTRAL_CONSTANTS = {("add", 0), ("sub", 0), ("mul", 1), ("div", 1)}
 """Operations with a second constant that give their first operand."""
 
-_DECIDES = {("mul", 0), ("div", 0)}
+_ABSORBING_CONSTANTS = {("mul", 0), ("div", 0)}
 """Operations with a first constant that give that constant."""
 
 
-def _with_constants(name: str, x: Sequence[Any], constant: Sequence[bool]) -> Any:
+def _fold_constants(name: str, x: Sequence[Any], constant: Sequence[bool]) -> Any:
     """What follows from a constant operand alone; None if nothing does."""
     if name == "select_n" and constant[0]:
         return x[1 + int(x[0])]
@@ -132,32 +132,32 @@ def _with_constants(name: str, x: Sequence[Any], constant: Sequence[bool]) -> An
     if isinstance(c, np.bool_):
         return other if bool(c) == (name == "and") else c
     commutes = name in ("add", "mul")
-    if (name, c) in _LEAVES_OTHER and (constant[1] or commutes):
+    if (name, c) in _NEUTRAL_CONSTANTS and (constant[1] or commutes):
         return other
-    if (name, c) in _DECIDES and (constant[0] or commutes):
+    if (name, c) in _ABSORBING_CONSTANTS and (constant[0] or commutes):
         return c
     return -other if (name, c) == ("sub", 0) and constant[0] else None
 
 
-def _bind(primitive: Any, params: dict[str, Any], operands: Sequence[Any]) -> Any:
+def _bind_operation(primitive: Any, params: dict[str, Any], operands: Sequence[Any]) -> Any:
     target = _target.get()
     if target is None or any(x.dtype != np.float32 for x in operands):
-        return _plain(primitive, params, operands)
+        return _bind_plain(primitive, params, operands)
     name = primitive.name
     if name == "div" and np.shape(operands[1]) != ():
-        return _quotient(target.use, *operands)
-    if name in ("add", "sub") and (fused := _fused(target, name, *operands)) is not None:
+        return _bind_quotient(target.instructions, *operands)
+    if name in ("add", "sub") and (fused := _fuse_product(target, name, *operands)) is not None:
         return fused
-    found = _plain(primitive, params, operands)
-    _note_product(target, name, params, operands, found)
-    return found
+    result = _bind_plain(primitive, params, operands)
+    _record_product(target, name, params, operands, result)
+    return result
 
 
-def _plain(primitive: Any, params: dict[str, Any], operands: Sequence[Any]) -> Any:
-    return primitive.bind(*_spread(*operands), **params)
+def _bind_plain(primitive: Any, params: dict[str, Any], operands: Sequence[Any]) -> Any:
+    return primitive.bind(*_broadcast_operands(*operands), **params)
 
 
-def _spread(*operands: Any) -> list[jax.Array]:
+def _broadcast_operands(*operands: Any) -> list[jax.Array]:
     """All as wide as the widest."""
     lanes = np.broadcast_shapes(*(np.shape(x) for x in operands))
     return [
@@ -166,13 +166,15 @@ def _spread(*operands: Any) -> list[jax.Array]:
     ]
 
 
-def _quotient(use: Instructions, a: Any, b: Any) -> Any:
+def _bind_quotient(instructions: Instructions, a: Any, b: Any) -> Any:
     """``a / b`` by a reciprocal."""
-    inverse = use.reciprocal(b)
-    return inverse if isinstance(a, np.generic) and a == 1 else two(jax.lax.mul_p, inverse, a)
+    inverse = instructions.reciprocal(b)
+    return (
+        inverse if isinstance(a, np.generic) and a == 1 else apply_binary(jax.lax.mul_p, inverse, a)
+    )
 
 
-def _fused(target: _Target, name: str, x: Any, y: Any) -> Any:
+def _fuse_product(target: _Target, name: str, x: Any, y: Any) -> Any:
     """``x + y`` or ``x - y`` where one of them is a product; None where none is."""
     flip = -1 if name == "sub" else 1
     if (product := target.products.get(id(y))) is not None:
@@ -181,15 +183,15 @@ def _fused(target: _Target, name: str, x: Any, y: Any) -> Any:
         sign, rest = product.sign, (-y if flip < 0 else y)
     else:
         return None
-    a, b, c = _spread(product.a if sign > 0 else -product.a, product.b, rest)
-    return target.use.multiply_add(a, b, c)
+    a, b, c = _broadcast_operands(product.a if sign > 0 else -product.a, product.b, rest)
+    return target.instructions.multiply_add(a, b, c)
 
 
-def _note_product(
-    target: _Target, name: str, params: dict[str, Any], operands: Sequence[Any], found: Any
+def _record_product(
+    target: _Target, name: str, params: dict[str, Any], operands: Sequence[Any], result: Any
 ) -> None:
     """Remember what was multiplied, in case it is added to something."""
-    if np.shape(found) == ():
+    if np.shape(result) == ():
         return
     sign = 1
     if name == "mul":
@@ -200,4 +202,4 @@ def _note_product(
         a, b, sign = product.a, product.b, -product.sign
     else:
         return
-    target.products[id(found)] = _Product(lanes=found, a=a, b=b, sign=sign)
+    target.products[id(result)] = _Product(lanes=result, a=a, b=b, sign=sign)

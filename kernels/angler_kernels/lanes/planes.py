@@ -15,20 +15,20 @@ import numpy as np
 
 from angler_kernels import lanes
 
-TABLE_FROM = 16
+TABLE_MIN_ROWS = 16
 """Arrays of one body with more rows than this stay in memory and are read by the entry."""
 
-type Load = Callable[[Any], Any]
+type LoadFunction = Callable[[Any], Any]
 """Values at places of a flat array."""
 
 
 def is_table(tail: tuple[int, ...]) -> bool:
     """Whether an array [...] of one body is read from memory by the entry."""
-    return len(tail) > 0 and tail[0] > TABLE_FROM
+    return len(tail) > 0 and tail[0] > TABLE_MIN_ROWS
 
 
 @dataclass(frozen=True, kw_only=True)
-class Leaf:
+class LeafLayout:
     """Where one leaf of a tree lies."""
 
     first: int
@@ -47,7 +47,7 @@ class PlaneLayout:
     """Where the leaves of a tree lie."""
 
     tree: Any
-    leaves: tuple[Leaf, ...]
+    leaves: tuple[LeafLayout, ...]
     lanes: int
 
     @classmethod
@@ -56,7 +56,9 @@ class PlaneLayout:
         flat, structure = jax.tree.flatten(tree)
         leaves, first = [], 0
         for leaf in flat:
-            leaves.append(Leaf(first=first, shape=leaf.shape[lead:], dtype=np.dtype(leaf.dtype)))
+            leaves.append(
+                LeafLayout(first=first, shape=leaf.shape[lead:], dtype=np.dtype(leaf.dtype))
+            )
             first += leaves[-1].size
         count = math.prod(flat[0].shape[:lead])
         return cls(tree=structure, leaves=tuple(leaves), lanes=count)
@@ -100,25 +102,29 @@ class PlaneLayout:
             out.append(part.reshape(*part.shape[:-1], *leaf.shape).astype(leaf.dtype))
         return jax.tree.unflatten(self.tree, out)
 
-    def read(self, load: Load, lane: Any, only: Callable[[Any], Any] = lambda tree: tree) -> Any:
+    def read_lanes(
+        self, load: LoadFunction, lane: Any, only: Callable[[Any], Any] = lambda tree: tree
+    ) -> Any:
         """The tree of lanes number ``lane``, or a part of it; long arrays as tables."""
-        wanted = only(jax.tree.unflatten(self.tree, self.leaves))
-        return jax.tree.map(lambda leaf: self._element(leaf, load, lane), wanted)
+        selected = only(jax.tree.unflatten(self.tree, self.leaves))
+        return jax.tree.map(lambda leaf: self._read_leaf(leaf, load, lane), selected)
 
-    def _element(self, leaf: Leaf, load: Load, lane: Any) -> Any:
+    def _read_leaf(self, leaf: LeafLayout, load: LoadFunction, lane: Any) -> Any:
         start = leaf.first * self.lanes
         if is_table(leaf.shape):
 
             def entry(at: Any) -> Any:
-                return typed(load(at), leaf.dtype)
+                return cast_element(load(at), leaf.dtype)
 
             return lanes.LookupTable(
                 entry, leaf.shape, leaf.dtype, base=start + lane, step=self.lanes
             )
-        rows = [typed(load(start + k * self.lanes + lane), leaf.dtype) for k in range(leaf.size)]
+        rows = [
+            cast_element(load(start + k * self.lanes + lane), leaf.dtype) for k in range(leaf.size)
+        ]
         return lanes.pack(rows, leaf.shape)
 
-    def write(self, store: Callable[[Any, Any], None], lane: Any, tree: Any) -> None:
+    def write_lanes(self, store: Callable[[Any, Any], None], lane: Any, tree: Any) -> None:
         """Store a tree of lanes."""
         for leaf, value in zip(self.leaves, jax.tree.leaves(tree), strict=True):
             for k, x in enumerate(value.ravel()):
@@ -126,7 +132,7 @@ class PlaneLayout:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Shelf:
+class SampleBuffer:
     """Samples of a tree in one flat array: for each leaf [samples, rows, elements, worlds].
 
     Every leaf is one block, so that a plain transposition gives its array.
@@ -143,7 +149,7 @@ class Shelf:
         """Numbers of all samples."""
         return self.samples * self.layout.planes * self.rows * self.worlds
 
-    def write(
+    def write_lanes(
         self, store: Callable[[Any, Any], None], sample: Any, row: Any, world: Any, tree: Any
     ) -> None:
         """Store lanes of one row as a sample."""
@@ -155,17 +161,17 @@ class Shelf:
 
     def unpack(self, flat: jax.Array) -> Any:
         """Arrays [worlds, samples, rows, ...]."""
-        each = self.samples * self.rows * self.worlds
+        leaf_stride = self.samples * self.rows * self.worlds
         out = []
         for leaf in self.layout.leaves:
-            block = flat[leaf.first * each : (leaf.first + leaf.size) * each]
+            block = flat[leaf.first * leaf_stride : (leaf.first + leaf.size) * leaf_stride]
             by_world = block.reshape(-1, self.worlds).T
             shape = (self.worlds, self.samples, self.rows, *leaf.shape)
             out.append(by_world.reshape(shape).astype(leaf.dtype))
         return jax.tree.unflatten(self.layout.tree, out)
 
 
-def typed(value: Any, dtype: Any) -> Any:
+def cast_element(value: Any, dtype: Any) -> Any:
     """A number read from an array of floats, with its own type."""
     if value.dtype == dtype:
         return value

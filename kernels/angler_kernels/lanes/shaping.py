@@ -8,11 +8,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from angler_kernels.lanes.folding import two
+from angler_kernels.lanes.folding import apply_binary
 from angler_kernels.lanes.table import LookupTable
 from angler_kernels.lanes.trees import Elements
 
-type Rule = Callable[[Any, Sequence[Elements]], list[Elements]]
+type PrimitiveRule = Callable[[Any, Sequence[Elements]], list[Elements]]
 """What becomes of an equation's operands."""
 
 
@@ -24,45 +24,49 @@ def from_array(value: np.ndarray) -> Elements:
     return out
 
 
-def _broadcast(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
+def _apply_broadcast(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
     shape, axes = eqn.params["shape"], eqn.params["broadcast_dimensions"]
     x = operands[0]
-    x = x.whole() if isinstance(x, LookupTable) else x
-    grown = np.ones(len(shape), int)
-    grown[list(axes)] = x.shape
-    return [np.broadcast_to(x.reshape(grown), shape)]
+    x = x.read_all() if isinstance(x, LookupTable) else x
+    expanded = np.ones(len(shape), int)
+    expanded[list(axes)] = x.shape
+    return [np.broadcast_to(x.reshape(expanded), shape)]
 
 
-def _reshape(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
+def _apply_reshape(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
     shape = eqn.outvars[0].aval.shape
     return [operands[0].reshape(shape)]
 
 
-def _slice(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
+def _apply_slice(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
     starts, limits = eqn.params["start_indices"], eqn.params["limit_indices"]
     steps = eqn.params["strides"] or (1,) * len(starts)
     window = tuple(slice(*edges) for edges in zip(starts, limits, steps, strict=True))
     return [operands[0][window]]
 
 
-def _dynamic_slice(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
+def _apply_dynamic_slice(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
     """Rows at a traced index: loaded from a table, or picked from lanes one by one."""
     source, *starts = operands
     sizes = eqn.params["slice_sizes"]
     first = [start[()] for start in starts]
     out = np.empty(sizes, object)
     for index in np.ndindex(*sizes):
-        place = [at + i for at, i in zip(first, index, strict=True)]
-        out[index] = source.take(place) if isinstance(source, LookupTable) else _pick(source, place)
+        position = [at + i for at, i in zip(first, index, strict=True)]
+        out[index] = (
+            source.take(position)
+            if isinstance(source, LookupTable)
+            else _select_element(source, position)
+        )
     return [out]
 
 
-def _pick(source: Elements, place: Sequence[Any]) -> Any:
+def _select_element(source: Elements, position: Sequence[Any]) -> Any:
     """The element of a small array at a place of which each number may be traced."""
-    if not place:
+    if not position:
         return source[()]
-    at, *rest = place
-    rows = [_pick(_object(row), rest) for row in source]
+    at, *rest = position
+    rows = [_select_element(_as_object_array(row), rest) for row in source]
     if isinstance(at, np.generic):
         return rows[int(at)]
     chosen = rows[0]
@@ -71,7 +75,7 @@ def _pick(source: Elements, place: Sequence[Any]) -> Any:
     return chosen
 
 
-def _gather(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
+def _apply_gather(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
     """Entries of a table [n], one for each index: what ``vmap`` makes of a look-up."""
     source, indices = operands
     shape = eqn.outvars[0].aval.shape
@@ -83,20 +87,20 @@ def _gather(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
     return [out.reshape(shape)]
 
 
-def _concatenate(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
+def _apply_concatenate(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
     return [np.concatenate(operands, axis=eqn.params["dimension"])]
 
 
-def _stack(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
+def _apply_stack(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
     return [np.stack(operands, axis=eqn.params["axis"])]
 
 
-def _unstack(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
+def _apply_unstack(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
     x = np.moveaxis(operands[0], eqn.params["axis"], 0)
-    return [_object(row) for row in x]
+    return [_as_object_array(row) for row in x]
 
 
-def _object(value: Any) -> Elements:
+def _as_object_array(value: Any) -> Elements:
     """A row of an object array, which numpy gives bare where it has no axes left."""
     if isinstance(value, np.ndarray) and value.dtype == object:
         return value
@@ -105,16 +109,16 @@ def _object(value: Any) -> Elements:
     return out
 
 
-def _split(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
+def _apply_split(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
     ends = np.cumsum(eqn.params["sizes"])[:-1]
     return list(np.split(operands[0], ends, axis=eqn.params["axis"]))
 
 
-def _transpose(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
+def _apply_transpose(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
     return [np.transpose(operands[0], eqn.params["permutation"])]
 
 
-def _iota(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
+def _apply_iota(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
     shape, axis = eqn.params["shape"], eqn.params["dimension"]
     count = np.arange(shape[axis], dtype=eqn.params["dtype"])
     spread = [1] * len(shape)
@@ -122,10 +126,12 @@ def _iota(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
     return [from_array(np.broadcast_to(count.reshape(spread), shape))]
 
 
-def _reduce(combine: Callable[[Any, Any], Any]) -> Callable[[Any, Sequence[Elements]], list[Any]]:
+def _build_reduction(
+    combine: Callable[[Any, Any], Any],
+) -> Callable[[Any, Sequence[Elements]], list[Any]]:
     def rule(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
         axes = eqn.params["axes"]
-        x = operands[0].whole() if isinstance(operands[0], LookupTable) else operands[0]
+        x = operands[0].read_all() if isinstance(operands[0], LookupTable) else operands[0]
         x = np.moveaxis(x, axes, range(len(axes)))
         rows = x.reshape(-1, *x.shape[len(axes) :])
         out = np.empty(rows.shape[1:], object)
@@ -139,23 +145,23 @@ def _reduce(combine: Callable[[Any, Any], Any]) -> Callable[[Any, Sequence[Eleme
     return rule
 
 
-SHAPING: dict[str, Rule] = {
-    "broadcast_in_dim": _broadcast,
-    "reshape": _reshape,
-    "squeeze": _reshape,
-    "expand_dims": _reshape,
-    "slice": _slice,
-    "dynamic_slice": _dynamic_slice,
-    "gather": _gather,
-    "concatenate": _concatenate,
-    "stack": _stack,
-    "unstack": _unstack,
-    "split": _split,
-    "transpose": _transpose,
-    "iota": _iota,
-    "reduce_sum": _reduce(partial(two, jax.lax.add_p)),
-    "reduce_max": _reduce(partial(two, jax.lax.max_p)),
-    "reduce_min": _reduce(partial(two, jax.lax.min_p)),
-    "reduce_and": _reduce(lambda a, b: a & b),
-    "reduce_or": _reduce(lambda a, b: a | b),
+SHAPING: dict[str, PrimitiveRule] = {
+    "broadcast_in_dim": _apply_broadcast,
+    "reshape": _apply_reshape,
+    "squeeze": _apply_reshape,
+    "expand_dims": _apply_reshape,
+    "slice": _apply_slice,
+    "dynamic_slice": _apply_dynamic_slice,
+    "gather": _apply_gather,
+    "concatenate": _apply_concatenate,
+    "stack": _apply_stack,
+    "unstack": _apply_unstack,
+    "split": _apply_split,
+    "transpose": _apply_transpose,
+    "iota": _apply_iota,
+    "reduce_sum": _build_reduction(partial(apply_binary, jax.lax.add_p)),
+    "reduce_max": _build_reduction(partial(apply_binary, jax.lax.max_p)),
+    "reduce_min": _build_reduction(partial(apply_binary, jax.lax.min_p)),
+    "reduce_and": _build_reduction(lambda a, b: a & b),
+    "reduce_or": _build_reduction(lambda a, b: a | b),
 }

@@ -16,85 +16,95 @@ from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 
 from angler_kernels.lanes.trees import flatten
 
-MEMORY = 12
+MEMORY_COST = 12
 """What it costs to write an array and to begin a loop for it, in operations on such an array."""
 
-DEAR = 8
+EXPENSIVE_COST = 8
 """What a division, a root or a look-up costs, in additions."""
 
-_DEAR = {"div", "rem", "sqrt", "rsqrt", "exp", "log", "pow", "sin", "cos", "atan2", "gather"}
+_EXPENSIVE = {"div", "rem", "sqrt", "rsqrt", "exp", "log", "pow", "sin", "cos", "atan2", "gather"}
 _FREE = {"broadcast_in_dim", "reshape", "squeeze"}
 _CALLS = {"jit", "pjit"}
 _LOOPS = {"while", "scan", "cond"}
-_APART = (*_LOOPS, "custom", "scatter", "cum", "sort", "reduce_", "arg", "dot", "concatenate")
+_MEMORY_OPERATIONS = (
+    *_LOOPS,
+    "custom",
+    "scatter",
+    "cum",
+    "sort",
+    "reduce_",
+    "arg",
+    "dot",
+    "concatenate",
+)
 """What the names of operations begin with that have their operands and results in memory."""
 
-_PASSES = 3
+_N_PASSES = 3
 """Times that a choice is thinned out: a value held makes those behind it cheaper."""
 
 
-def shared(function: Callable[[], Any]) -> Any:
+def compute_shared(function: Callable[[], Any]) -> Any:
     """What ``function`` gives, a tree of object arrays, with values in common computed once.
 
     The values and their derivatives are the same, up to how a compiler rounds.
     """
     rebuilds: list[Callable[[Sequence[jax.Array]], Any]] = []
 
-    def flat() -> list[jax.Array]:
+    def flatten_result() -> list[jax.Array]:
         row, rebuild = flatten(function())
         rebuilds.append(rebuild)
         return row
 
-    row = _arranged(jax.make_jaxpr(flat)())()
+    row = _insert_barriers(jax.make_jaxpr(flatten_result)())()
     return rebuilds[0](row)
 
 
-def _arranged(closed: ClosedJaxpr) -> Callable[..., list[Any]]:
+def _insert_barriers(closed: ClosedJaxpr) -> Callable[..., list[Any]]:
     """The same function, with barriers."""
-    plain = jax.make_jaxpr(lambda *x: _evaluate(closed, x, None))(*closed.in_avals)
-    hold = _worth_holding(plain.jaxpr)
-    return lambda *x: _evaluate(plain, x, hold)
+    plain = jax.make_jaxpr(lambda *x: _evaluate_jaxpr(closed, x, None))(*closed.in_avals)
+    hold = _choose_held_variables(plain.jaxpr)
+    return lambda *x: _evaluate_jaxpr(plain, x, hold)
 
 
-def _body(value: Any) -> Any:
-    """`_arranged` for what stands in the parameters of a loop."""
+def _arrange_body(value: Any) -> Any:
+    """`_insert_barriers` for what stands in the parameters of a loop."""
     if isinstance(value, tuple):
-        return tuple(map(_body, value))
+        return tuple(map(_arrange_body, value))
     if isinstance(value, ClosedJaxpr):
-        return jax.make_jaxpr(_arranged(value))(*value.in_avals)
+        return jax.make_jaxpr(_insert_barriers(value))(*value.in_avals)
     return value
 
 
-def _evaluate(closed: ClosedJaxpr, args: Sequence[Any], hold: set[Any] | None) -> list[Any]:
+def _evaluate_jaxpr(closed: ClosedJaxpr, args: Sequence[Any], hold: set[Any] | None) -> list[Any]:
     """Evaluate with barriers behind the variables to hold.
 
     Where these are not known yet (None), functions that are called are written out, and the bodies
     of loops arranged.
     """
     jaxpr = closed.jaxpr
-    known: dict[Any, Any] = dict(zip(jaxpr.constvars, closed.consts, strict=True))
-    known.update(zip(jaxpr.invars, args, strict=True))
+    values: dict[Any, Any] = dict(zip(jaxpr.constvars, closed.consts, strict=True))
+    values.update(zip(jaxpr.invars, args, strict=True))
     for eqn in jaxpr.eqns:
-        operands = [x.val if isinstance(x, Literal) else known[x] for x in eqn.invars]
+        operands = [x.val if isinstance(x, Literal) else values[x] for x in eqn.invars]
         params, name = eqn.params, eqn.primitive.name
         if hold is None and name in _CALLS:
-            results = _evaluate(params["jaxpr"], operands, None)
+            results = _evaluate_jaxpr(params["jaxpr"], operands, None)
         else:
             if hold is None and name in _LOOPS:
-                params = {key: _body(value) for key, value in params.items()}
+                params = {key: _arrange_body(value) for key, value in params.items()}
             results = eqn.primitive.bind(*operands, **eqn.primitive.get_bind_params(params))
             results = results if eqn.primitive.multiple_results else [results]
         for var, x in zip(eqn.outvars, results, strict=True):
-            known[var] = jax.lax.optimization_barrier(x) if hold and var in hold else x
-    return [x.val if isinstance(x, Literal) else known[x] for x in jaxpr.outvars]
+            values[var] = jax.lax.optimization_barrier(x) if hold and var in hold else x
+    return [x.val if isinstance(x, Literal) else values[x] for x in jaxpr.outvars]
 
 
-def _worth_holding(jaxpr: Jaxpr) -> set[Any]:
+def _choose_held_variables(jaxpr: Jaxpr) -> set[Any]:
     """Variables to be held in memory."""
     graph = _Graph(jaxpr)
-    held = graph.choose(set(), set(range(len(graph.out))))
-    for _ in range(_PASSES):
-        held = graph.choose(held, held)
+    held = graph.choose_held(set(), set(range(len(graph.out))))
+    for _ in range(_N_PASSES):
+        held = graph.choose_held(held, held)
     return {graph.out[i] for i in held}
 
 
@@ -102,50 +112,57 @@ class _Graph:
     """The values of a jaxpr as numbers in their order; sets of them are bits of a whole number."""
 
     def __init__(self, jaxpr: Jaxpr) -> None:
-        at: dict[Any, int] = {}
+        index_of: dict[Any, int] = {}
         self.out: list[Any] = []
         self._before: list[list[int]] = []
         self._after: list[list[int]] = []
         self._in_memory: set[int] = set()
-        self._dear = self._cheap = 0
+        self._expensive = self._cheap = 0
         for eqn in jaxpr.eqns:
             outvars: list[Any] = eqn.outvars
             name = eqn.primitive.name
-            apart = name.startswith(_APART)
-            before = [at[x] for x in eqn.invars if not isinstance(x, Literal) and x in at]
+            is_in_memory = name.startswith(_MEMORY_OPERATIONS)
+            before = [
+                index_of[x] for x in eqn.invars if not isinstance(x, Literal) and x in index_of
+            ]
             for var in outvars:
-                i = at[var] = len(self.out)
+                i = index_of[var] = len(self.out)
                 self.out.append(var)
-                self._before.append([] if apart else before)
+                self._before.append([] if is_in_memory else before)
                 self._after.append([])
                 for j in self._before[i]:
                     self._after[j].append(i)
-                self._in_memory.update([i, *before] if apart else ())
-                if var.aval.size > 1 and not apart and name not in _FREE:
-                    self._dear |= (name in _DEAR) << i
-                    self._cheap |= (name not in _DEAR) << i
+                self._in_memory.update([i, *before] if is_in_memory else ())
+                if var.aval.size > 1 and not is_in_memory and name not in _FREE:
+                    self._expensive |= (name in _EXPENSIVE) << i
+                    self._cheap |= (name not in _EXPENSIVE) << i
         ends = [x for x in jaxpr.outvars if not isinstance(x, Literal)]
-        self._in_memory.update(at[x] for x in ends if x in at)
+        self._in_memory.update(index_of[x] for x in ends if x in index_of)
 
-    def choose(self, held: set[int], among: set[int]) -> set[int]:
-        """Values of ``among`` worth holding where those of ``held`` are."""
-        leading = self._leading(held)
+    def choose_held(self, held: set[int], candidates: set[int]) -> set[int]:
+        """Values of ``candidates`` worth holding where those of ``held`` are."""
+        leading = self._leading_operations(held)
         loops = [0] * len(self.out)
         chosen: set[int] = set()
         for i in reversed(range(len(self.out))):
             for j in self._after[i]:
                 loops[i] |= loops[j]
             times = loops[i].bit_count()
-            if i in among and times > 1 and i not in self._in_memory and self.out[i].aval.size > 1:
-                dear, cheap = leading[i] & self._dear, leading[i] & self._cheap
-                cost = DEAR * dear.bit_count() + cheap.bit_count()
-                if (times - 1) * cost > MEMORY + times:
+            if (
+                i in candidates
+                and times > 1
+                and i not in self._in_memory
+                and self.out[i].aval.size > 1
+            ):
+                expensive, cheap = leading[i] & self._expensive, leading[i] & self._cheap
+                cost = EXPENSIVE_COST * expensive.bit_count() + cheap.bit_count()
+                if (times - 1) * cost > MEMORY_COST + times:
                     chosen.add(i)
             if i in self._in_memory or i in chosen:
                 loops[i] = 1 << i
         return chosen
 
-    def _leading(self, held: set[int]) -> list[int]:
+    def _leading_operations(self, held: set[int]) -> list[int]:
         """Operations that lead to each value from what is in memory before it."""
         sets: list[int] = []
         for i, before in enumerate(self._before):

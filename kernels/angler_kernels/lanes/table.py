@@ -47,14 +47,14 @@ class LookupTable:
 
     def take(self, index: Sequence[Any]) -> Any:
         """The entry at ``index``, one number or lanes of them for each axis."""
-        place: Any = 0
+        offset: Any = 0
         for axis, at in enumerate(index):
             stride = self._step * math.prod(self.shape[axis + 1 :])
             constant = isinstance(at, int | np.integer)
-            place = place + (int(at) * stride if constant else at * np.int32(stride))
-        return self._load(self._base + place)
+            offset = offset + (int(at) * stride if constant else at * np.int32(stride))
+        return self._load(self._base + offset)
 
-    def whole(self) -> np.ndarray:
+    def read_all(self) -> np.ndarray:
         """All entries, as an object array of lanes."""
         out = np.empty(self.shape, object)
         for index in np.ndindex(*self.shape):
@@ -63,8 +63,8 @@ class LookupTable:
 
     def __getitem__(self, window: tuple[slice, ...]) -> np.ndarray:
         """Entries at constant places."""
-        places = np.indices(self.shape)[(slice(None), *window)]
-        out = np.empty(places.shape[1:], object)
+        indices = np.indices(self.shape)[(slice(None), *window)]
+        out = np.empty(indices.shape[1:], object)
         for index in np.ndindex(*out.shape):
-            out[index] = self.take([int(axis[index]) for axis in places])
+            out[index] = self.take([int(axis[index]) for axis in indices])
         return out

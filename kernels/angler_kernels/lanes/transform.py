@@ -19,10 +19,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 
-from angler_kernels.lanes.folding import fold
-from angler_kernels.lanes.shaping import SHAPING, Rule, from_array
+from angler_kernels.lanes.folding import fold_operation
+from angler_kernels.lanes.shaping import SHAPING, PrimitiveRule, from_array
 from angler_kernels.lanes.table import LookupTable
-from angler_kernels.lanes.trees import Elements, any_lane, flatten, split, spread
+from angler_kernels.lanes.trees import Elements, any_lane, broadcast_like, flatten, split
 
 
 def apply(function: Callable[..., Any], *args: Any) -> Any:
@@ -37,62 +37,62 @@ def apply(function: Callable[..., Any], *args: Any) -> Any:
         The function's result, each leaf [...] an object array [...] of lanes.
     """
     leaves, tree = jax.tree.flatten(args)
-    elements = [leaf if isinstance(leaf, LookupTable) else _elements(leaf) for leaf in leaves]
-    shapes = [jax.ShapeDtypeStruct(leaf.shape, _dtype(leaf)) for leaf in elements]
+    elements = [leaf if isinstance(leaf, LookupTable) else _to_elements(leaf) for leaf in leaves]
+    shapes = [jax.ShapeDtypeStruct(leaf.shape, _lane_dtype(leaf)) for leaf in elements]
     closed, out = jax.make_jaxpr(function, return_shape=True)(*jax.tree.unflatten(tree, shapes))
-    return jax.tree.unflatten(jax.tree.structure(out), _follow(closed, elements))
+    return jax.tree.unflatten(jax.tree.structure(out), _evaluate_closed(closed, elements))
 
 
-def _elements(leaf: Any) -> Elements:
+def _to_elements(leaf: Any) -> Elements:
     """A leaf as an object array."""
     if isinstance(leaf, np.ndarray) and leaf.dtype == object:
         return leaf
     out = np.empty((), object)
-    out[()] = leaf if isinstance(leaf, jax.Array) else _constant(leaf)
+    out[()] = leaf if isinstance(leaf, jax.Array) else _typed_constant(leaf)
     return out
 
 
-def _constant(value: Any) -> Any:
+def _typed_constant(value: Any) -> Any:
     """A Python number with JAX's default type."""
     return np.asarray(value, jnp.result_type(value))[()]
 
 
-def _dtype(leaf: Elements) -> Any:
+def _lane_dtype(leaf: Elements) -> Any:
     if isinstance(leaf, LookupTable):
         return leaf.dtype
     traced = [x.dtype for x in leaf.ravel() if not isinstance(x, np.generic)]
     return traced[0] if traced else leaf.ravel()[0].dtype
 
 
-def _follow(closed: ClosedJaxpr, args: Sequence[Elements]) -> list[Elements]:
+def _evaluate_closed(closed: ClosedJaxpr, args: Sequence[Elements]) -> list[Elements]:
     """Evaluate a closed jaxpr on object arrays."""
-    consts = [_closed_over(const) for const in closed.consts]
-    return _follow_open(closed.jaxpr, consts, args)
+    consts = [_constant_elements(const) for const in closed.consts]
+    return _evaluate_jaxpr(closed.jaxpr, consts, args)
 
 
-def _follow_open(
+def _evaluate_jaxpr(
     jaxpr: Jaxpr, consts: Sequence[Elements], args: Sequence[Elements]
 ) -> list[Elements]:
-    known: dict[Any, Elements] = {}
+    values: dict[Any, Elements] = {}
 
     def read(var: Any) -> Elements:
         if isinstance(var, Literal):
             aval: Any = var.aval
             return from_array(np.asarray(var.val, aval.dtype))
-        return known[var]
+        return values[var]
 
-    known.update(zip(jaxpr.constvars, consts, strict=True))
-    known.update(zip(jaxpr.invars, args, strict=True))
+    values.update(zip(jaxpr.constvars, consts, strict=True))
+    values.update(zip(jaxpr.invars, args, strict=True))
     for eqn in jaxpr.eqns:
         operands = [read(var) for var in eqn.invars]
         rule = RULES.get(eqn.primitive.name)
         if rule is not None:
             results = rule(eqn, operands)
         elif _is_elementwise(eqn):
-            results = [_elementwise(eqn, operands)]
+            results = [_apply_elementwise(eqn, operands)]
         else:
             raise NotImplementedError(f"lanes: no rule for {eqn}")
-        known.update(zip(eqn.outvars, results, strict=True))
+        values.update(zip(eqn.outvars, results, strict=True))
     return [read(var) for var in jaxpr.outvars]
 
 
@@ -130,79 +130,79 @@ def _takes_numbers(primitive: Any, dtypes: tuple[Any, ...], params: tuple[Any, .
     return True
 
 
-def _closed_over(value: Any) -> Elements:
+def _constant_elements(value: Any) -> Elements:
     """What a function holds beside its arguments: numbers, or arrays that are the same for all."""
     if isinstance(value, jax.core.Tracer):
         return split(value, 0)
     return from_array(np.asarray(value))
 
 
-def _elementwise(eqn: Any, operands: Sequence[Elements]) -> Elements:
+def _apply_elementwise(eqn: Any, operands: Sequence[Elements]) -> Elements:
     """One operation on each element; operands are broadcast as numpy would."""
     out = np.empty(eqn.outvars[0].aval.shape, object)
-    whole = (x.whole() if isinstance(x, LookupTable) else x for x in operands)
-    operands = [np.broadcast_to(x, out.shape) for x in whole]
+    full_operands = (x.read_all() if isinstance(x, LookupTable) else x for x in operands)
+    operands = [np.broadcast_to(x, out.shape) for x in full_operands]
     for index in np.ndindex(*out.shape):
-        out[index] = fold(eqn, [operand[index] for operand in operands])
+        out[index] = fold_operation(eqn, [operand[index] for operand in operands])
     return out
 
 
-def _call(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
+def _apply_call(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
     inner = eqn.params.get("jaxpr") or eqn.params["call_jaxpr"]
-    return _follow(inner, operands)
+    return _evaluate_closed(inner, operands)
 
 
-def _while(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
+def _apply_while(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
     """Repeat until the condition fails in every lane; lanes that are done keep what they have."""
     params = eqn.params
     n_cond, n_body = params["cond_nconsts"], params["body_nconsts"]
     of_cond, of_body = operands[:n_cond], operands[n_cond : n_cond + n_body]
 
-    def alive(leaves: Sequence[Elements]) -> Any:
-        return _follow(params["cond_jaxpr"], [*of_cond, *leaves])[0][()]
+    def is_running(leaves: Sequence[Elements]) -> Any:
+        return _evaluate_closed(params["cond_jaxpr"], [*of_cond, *leaves])[0][()]
 
     def body(leaves: Sequence[Elements]) -> list[Elements]:
-        on = alive(leaves)
-        after = _follow(params["body_jaxpr"], [*of_body, *leaves])
-        kept, rebuild = flatten(list(leaves))
-        moved = flatten(after)[0]
-        both = zip(moved, kept, strict=True)
-        masked: list[Elements] = rebuild([jnp.where(on, x, y) for x, y in both])
+        running = is_running(leaves)
+        after = _evaluate_closed(params["body_jaxpr"], [*of_body, *leaves])
+        old, rebuild = flatten(list(leaves))
+        new = flatten(after)[0]
+        pairs = zip(new, old, strict=True)
+        masked: list[Elements] = rebuild([jnp.where(running, x, y) for x, y in pairs])
         return masked
 
-    row, rebuild = _settled(body, [*operands[n_cond + n_body :]])
+    row, rebuild = _broadcast_start(body, [*operands[n_cond + n_body :]])
     end = jax.lax.while_loop(
-        lambda row: any_lane(alive(rebuild(row))),
-        lambda row: _like(flatten(body(rebuild(row)))[0], row),
+        lambda row: any_lane(is_running(rebuild(row))),
+        lambda row: _spread_row(flatten(body(rebuild(row)))[0], row),
         row,
     )
     after: list[Elements] = rebuild(end)
     return after
 
 
-def _scan(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
+def _apply_scan(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
     """A loop of fixed length that reads and gives no rows: ``fori_loop``."""
     params = eqn.params
     inner = params["jaxpr"].jaxpr
-    outer = [*eqn.invars, *eqn.outvars]
-    within = [*inner.invars, *inner.outvars]
-    if any(x.aval.shape != y.aval.shape for x, y in zip(outer, within, strict=True)):
+    outer_vars = [*eqn.invars, *eqn.outvars]
+    inner_vars = [*inner.invars, *inner.outvars]
+    if any(x.aval.shape != y.aval.shape for x, y in zip(outer_vars, inner_vars, strict=True)):
         raise NotImplementedError(f"lanes: only loops without rows: {eqn}")
     n_const = len(eqn.invars) - len(eqn.outvars)
     const = operands[:n_const]
 
     def body(leaves: Sequence[Elements]) -> list[Elements]:
-        return _follow(params["jaxpr"], [*const, *leaves])
+        return _evaluate_closed(params["jaxpr"], [*const, *leaves])
 
-    row, rebuild = _settled(body, [*operands[n_const:]])
+    row, rebuild = _broadcast_start(body, [*operands[n_const:]])
     end = jax.lax.fori_loop(
-        0, params["length"], lambda _, row: _like(flatten(body(rebuild(row)))[0], row), row
+        0, params["length"], lambda _, row: _spread_row(flatten(body(rebuild(row)))[0], row), row
     )
     after: list[Elements] = rebuild(end)
     return after
 
 
-def _settled(
+def _broadcast_start(
     body: Callable[[Sequence[Elements]], list[Elements]], start: list[Elements]
 ) -> tuple[list[jax.Array], Callable[[Sequence[jax.Array]], Any]]:
     """The start of a loop with lanes as wide as the loop makes them: one number or all lanes."""
@@ -216,16 +216,16 @@ def _settled(
         row = [jnp.broadcast_to(x, shape) for x, shape in zip(row, shapes, strict=True)]
 
 
-def _like(row: Sequence[Any], old: Sequence[jax.Array]) -> list[jax.Array]:
-    return [spread(x, y) for x, y in zip(row, old, strict=True)]
+def _spread_row(row: Sequence[Any], old: Sequence[jax.Array]) -> list[jax.Array]:
+    return [broadcast_like(x, y) for x, y in zip(row, old, strict=True)]
 
 
-RULES: dict[str, Rule] = {
+RULES: dict[str, PrimitiveRule] = {
     **SHAPING,
-    "jit": _call,
-    "pjit": _call,
-    "custom_jvp_call": _call,
-    "custom_vjp_call": _call,
-    "while": _while,
-    "scan": _scan,
+    "jit": _apply_call,
+    "pjit": _apply_call,
+    "custom_jvp_call": _apply_call,
+    "custom_vjp_call": _apply_call,
+    "while": _apply_while,
+    "scan": _apply_scan,
 }

@@ -15,27 +15,27 @@ type Elements = Any
 def split(tree: Any, lead: int = 1) -> Any:
     """Arrays with ``lead`` axes of lanes in front to object arrays of lanes, leaf by leaf."""
 
-    def one(leaf: jax.Array) -> Elements:
+    def split_leaf(leaf: jax.Array) -> Elements:
         tail = leaf.shape[lead:]
         out = np.empty(tail, object)
         for index in np.ndindex(*tail):
             out[index] = leaf[(..., *index)] if tail else leaf
         return out
 
-    return jax.tree.map(one, tree)
+    return jax.tree.map(split_leaf, tree)
 
 
 def join(tree: Any) -> Any:
     """Object arrays of lanes to arrays with the lanes' axes in front, leaf by leaf."""
 
-    def one(leaf: Elements) -> jax.Array:
+    def join_leaf(leaf: Elements) -> jax.Array:
         shape = np.broadcast_shapes(*(np.shape(x) for x in leaf.ravel()))
         flat = [jnp.broadcast_to(jnp.asarray(x), shape) for x in leaf.ravel()]
         if leaf.ndim == 0:
             return flat[0]
         return jnp.stack(flat, axis=-1).reshape(*shape, *leaf.shape)
 
-    return jax.tree.map(one, tree)
+    return jax.tree.map(join_leaf, tree)
 
 
 def pack(items: Sequence[Any], shape: tuple[int, ...]) -> Elements:
@@ -73,14 +73,14 @@ def repeat(times: Any, body: Callable[[jax.Array, Any], Any], tree: Any) -> Any:
     """
     flat, rebuild = flatten(tree)
 
-    def one(i: jax.Array, row: Sequence[jax.Array]) -> list[jax.Array]:
+    def step_row(i: jax.Array, row: Sequence[jax.Array]) -> list[jax.Array]:
         after, _ = flatten(body(i, rebuild(row)))
-        return [spread(x, old) for x, old in zip(after, row, strict=True)]
+        return [broadcast_like(x, old) for x, old in zip(after, row, strict=True)]
 
-    return rebuild(jax.lax.fori_loop(0, times, one, flat))
+    return rebuild(jax.lax.fori_loop(0, times, step_row, flat))
 
 
-def spread(x: Any, like: jax.Array) -> jax.Array:
+def broadcast_like(x: Any, like: jax.Array) -> jax.Array:
     """Lanes or a number, with the shape and type of ``like``."""
     return jnp.broadcast_to(jnp.asarray(x, like.dtype), like.shape)
 
@@ -90,7 +90,7 @@ def any_lane(where: Any) -> jax.Array:
     return jnp.max(jnp.where(where, 1, 0)) > 0
 
 
-def where(condition: jax.Array, tree: Any, otherwise: Any) -> Any:
+def select_lanes(condition: jax.Array, tree: Any, otherwise: Any) -> Any:
     """The lanes of one tree of object arrays where a condition holds, those of the other else."""
     flat, rebuild = flatten(otherwise)
     return rebuild(

@@ -8,7 +8,7 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.robot.vehicles.config import Thruster, VehicleConfig
 
 _LEVEL = ((0, 0, 1, 0, -1, 1), (0, 0, -1, 0, -1, -1), (0, 0, -1, 0, 1, 1), (0, 0, 1, 0, 1, -1))
-FACTORS: dict[str, tuple[tuple[int, ...], ...]] = {
+MIXER_FACTORS: dict[str, tuple[tuple[int, ...], ...]] = {
     "vectored": (*_LEVEL, (1, 0, 0, -1, 0, 0), (-1, 0, 0, -1, 0, 0)),
     "vectored_6dof": (
         *_LEVEL,
@@ -20,13 +20,13 @@ FACTORS: dict[str, tuple[tuple[int, ...], ...]] = {
 }
 """The mixer of each frame, a row per motor: roll right, pitch up, yaw right, up, forward, right."""
 
-CONFIG = {"vectored": 1, "vectored_6dof": 2}
+FRAME_CONFIGS = {"vectored": 1, "vectored_6dof": 2}
 """Value of FRAME_CONFIG."""
 
 _AXES = ("roll", "pitch", "yaw", "throttle", "forward", "lateral")
 
 
-def frame_of(vehicle: VehicleConfig) -> str:
+def find_frame(vehicle: VehicleConfig) -> str:
     """Name of the frame of a vehicle.
 
     Raises:
@@ -35,10 +35,10 @@ def frame_of(vehicle: VehicleConfig) -> str:
     if vehicle.ardusub is None:
         raise ConfigError(
             f"vehicle {vehicle.name!r} names no ArduSub frame, so no real ArduSub can steer it; "
-            f"add a table [ardusub] with frame = one of {', '.join(FACTORS)} to its file"
+            f"add a table [ardusub] with frame = one of {', '.join(MIXER_FACTORS)} to its file"
         )
     frame = vehicle.ardusub.frame
-    layout, rows = vehicle.thrusters.layout, FACTORS[frame]
+    layout, rows = vehicle.thrusters.layout, MIXER_FACTORS[frame]
     if len(layout) != len(rows):
         raise ConfigError(
             f"vehicle {vehicle.name!r}: {len(layout)} thrusters, but the ArduSub frame {frame!r} "
@@ -46,7 +46,7 @@ def frame_of(vehicle: VehicleConfig) -> str:
         )
     centre = vehicle.base.center_of_mass_m
     for number, (thruster, row) in enumerate(zip(layout, rows, strict=True), start=1):
-        wrong = _disagree(thruster, centre, row)
+        wrong = _mismatched_axes(thruster, centre, row)
         if wrong:
             raise ConfigError(
                 f"vehicle {vehicle.name!r}: thruster {thruster.name!r} does not act as motor "
@@ -56,7 +56,9 @@ def frame_of(vehicle: VehicleConfig) -> str:
     return frame
 
 
-def _disagree(thruster: Thruster, centre: Sequence[float], row: tuple[int, ...]) -> list[str]:
+def _mismatched_axes(
+    thruster: Thruster, centre: Sequence[float], row: tuple[int, ...]
+) -> list[str]:
     """Axes in which the mixer would push the wrong way.
 
     A torque that the mixer does not use (the pitch of a vertical thruster off the middle, say) is
@@ -65,7 +67,9 @@ def _disagree(thruster: Thruster, centre: Sequence[float], row: tuple[int, ...])
     force = np.asarray(thruster.direction)
     torque = np.cross(np.asarray(thruster.position_m) - np.asarray(centre), force)
     # Axes of F are forward, left, up: ArduSub's pitch, yaw and lateral count the other way.
-    acts = [torque[0], -torque[1], -torque[2], force[2], force[0], -force[1]]
+    effects = [torque[0], -torque[1], -torque[2], force[2], force[0], -force[1]]
     return [
-        axis for axis, act, sign in zip(_AXES, acts, row, strict=True) if sign and act * sign <= 0
+        axis
+        for axis, effect, sign in zip(_AXES, effects, row, strict=True)
+        if sign and effect * sign <= 0
     ]

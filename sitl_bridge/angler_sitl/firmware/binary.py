@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.files import FileModel, parse, read_toml
+from angler_mjx.files import FileModel, parse_model, read_toml
 
-ENVIRONMENT = "ANGLER_ARDUSUB"
-PROGRAM, RECORD = "ardusub", "ardusub.toml"
-UNKNOWN = "unknown"
+ENVIRONMENT_VARIABLE = "ANGLER_ARDUSUB"
+PROGRAM_NAME, RECORD_NAME = "ardusub", "ardusub.toml"
+UNKNOWN_VERSION = "unknown"
 """Version of a program without a record, until it states one itself."""
 
 _MACHINES = {"x86_64": 62, "aarch64": 183, "armv7l": 40, "i686": 3}
@@ -27,7 +27,7 @@ class Binary:
 
     Attributes:
         path: Where it is.
-        version: As it said when it was installed, as in "4.5.3"; `UNKNOWN` for others.
+        version: As it said when it was installed, as in "4.5.3"; `UNKNOWN_VERSION` for others.
         sha256: Of the file, hexadecimal.
     """
 
@@ -51,51 +51,51 @@ class BinaryRecord(FileModel):
 
 def cache_folder() -> Path:
     """Where installed programs are: under XDG_CACHE_HOME, or ~/.cache."""
-    given = os.environ.get("XDG_CACHE_HOME", "")
+    cache_home = os.environ.get("XDG_CACHE_HOME", "")
     # The specification says that a relative path is to be ignored.
-    base = Path(given) if Path(given).is_absolute() else Path.home() / ".cache"
-    return base / "angler-mjx" / PROGRAM
+    base = Path(cache_home) if Path(cache_home).is_absolute() else Path.home() / ".cache"
+    return base / "angler-mjx" / PROGRAM_NAME
 
 
-def find(explicit: Path | None = None) -> Binary:
+def find_binary(explicit: Path | None = None) -> Binary:
     """The program to run: the given one, else ANGLER_ARDUSUB's, else the installed one.
 
     Raises:
         ConfigError: there is none, it cannot be run here, or it is not the file that was installed.
     """
     if explicit is not None:
-        return _given(explicit, "--ardusub")
-    if named := os.environ.get(ENVIRONMENT):
-        return _given(Path(named).expanduser(), ENVIRONMENT)
-    path = cache_folder() / PROGRAM
+        return _load_named(explicit, "--ardusub")
+    if named := os.environ.get(ENVIRONMENT_VARIABLE):
+        return _load_named(Path(named).expanduser(), ENVIRONMENT_VARIABLE)
+    path = cache_folder() / PROGRAM_NAME
     if not path.is_file():
         raise ConfigError(
             f"no ArduSub: none is installed in {path.parent}. Install one with angler sitl install "
             f"(without network: angler sitl install --from FILE), or name a program by --ardusub "
-            f"or {ENVIRONMENT}"
+            f"or {ENVIRONMENT_VARIABLE}"
         )
-    return installed(path)
+    return load_installed(path)
 
 
-def installed(path: Path) -> Binary:
+def load_installed(path: Path) -> Binary:
     """A program with its record beside it.
 
     Raises:
         ConfigError: the file cannot be run here, or its checksum is not the recorded one.
     """
     check_program(path)
-    noted = path.with_name(RECORD)
-    record = parse(BinaryRecord, read_toml(noted), source=str(noted))
-    found = sha256(path)
-    if found != record.sha256:
+    record_path = path.with_name(RECORD_NAME)
+    record = parse_model(BinaryRecord, read_toml(record_path), source=str(record_path))
+    checksum = compute_sha256(path)
+    if checksum != record.sha256:
         raise ConfigError(
-            f"{path}: its sha256 is {found}, but {record.sha256} was recorded when it was "
+            f"{path}: its sha256 is {checksum}, but {record.sha256} was recorded when it was "
             f"installed; it was changed since. Install it anew with angler sitl install"
         )
-    return Binary(path=path, version=record.version, sha256=found)
+    return Binary(path=path, version=record.version, sha256=checksum)
 
 
-def sha256(path: Path) -> str:
+def compute_sha256(path: Path) -> str:
     """Checksum of a file, hexadecimal."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
@@ -117,21 +117,21 @@ def check_program(path: Path, *, run_bit: bool = True) -> None:
             head = file.read(65_536)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror})") from error
-    trouble = _trouble(head)
+    trouble = _find_fault(head)
     if trouble:
         raise ConfigError(f"{path}: {trouble}; give an ArduSub SITL built for this machine")
     if run_bit and not os.access(path, os.X_OK):
         raise ConfigError(f"{path}: no permission to run it; chmod +x {path}")
 
 
-def _given(path: Path, source: str) -> Binary:
+def _load_named(path: Path, source: str) -> Binary:
     """A program that somebody names; a script that starts one (by exec) will do as well."""
     try:
         if not (_is_script(path) and os.access(path, os.X_OK)):
             check_program(path)
     except ConfigError as error:
         raise ConfigError(f"{source}: {error}") from error
-    return Binary(path=path, version=UNKNOWN, sha256=sha256(path))
+    return Binary(path=path, version=UNKNOWN_VERSION, sha256=compute_sha256(path))
 
 
 def _is_script(path: Path) -> bool:
@@ -142,28 +142,30 @@ def _is_script(path: Path) -> bool:
         return False
 
 
-def _trouble(head: bytes) -> str | None:
+def _find_fault(head: bytes) -> str | None:
     """What hinders this machine from running a file that begins so, or None."""
     if head[:4] != b"\x7fELF":
-        looks = "a web page" if head.lstrip()[:1] == b"<" else "something else"
-        return f"not a Linux program (no ELF file, {looks})"
+        appearance = "a web page" if head.lstrip()[:1] == b"<" else "something else"
+        return f"not a Linux program (no ELF file, {appearance})"
     if len(head) < 64 or head[5] != 1:
         return "not a complete little-endian ELF file"
     wide = head[4] == 2
     kind, machine = struct.unpack_from("<HH", head, 16)
     if kind not in (2, 3):
         return "an ELF file, but not a program"
-    here = platform.machine()
-    if machine != _MACHINES.get(here, machine):
+    host_machine = platform.machine()
+    if machine != _MACHINES.get(host_machine, machine):
         names = {number: name for name, number in _MACHINES.items()}
-        return f"a program for {names.get(machine, f'ELF machine {machine}')}, this is {here}"
-    loader = _loader(head, wide)
+        return (
+            f"a program for {names.get(machine, f'ELF machine {machine}')}, this is {host_machine}"
+        )
+    loader = _read_loader(head, wide)
     if loader is not None and not Path(loader).exists():
         return f"it needs the dynamic loader {loader}, which is not on this machine"
     return None
 
 
-def _loader(head: bytes, wide: bool) -> str | None:
+def _read_loader(head: bytes, wide: bool) -> str | None:
     """Path of the dynamic loader that a program names; None for a static one."""
     (table,) = struct.unpack_from("<Q" if wide else "<I", head, 32 if wide else 28)
     size, count = struct.unpack_from("<HH", head, 54 if wide else 42)

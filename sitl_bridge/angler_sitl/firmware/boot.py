@@ -14,20 +14,20 @@ from dataclasses import dataclass
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from angler_mjx.errors import RunError
-from angler_sitl.firmware.parameters import Source
-from angler_sitl.steering.pilot import STREAMS_HZ, AutopilotCommander, mode_name
+from angler_sitl.firmware.parameters import PositionSource
+from angler_sitl.steering.autopilot_commander import STREAM_RATES_HZ, AutopilotCommander, mode_name
 
-FIRST_WORD_S = 15.0
-POSITION_S: dict[Source, float] = {"vision": 40.0, "vicon": 40.0, "gps": 120.0}
+HEARTBEAT_TIMEOUT_S = 15.0
+POSITION_TIMEOUT_S: dict[PositionSource, float] = {"vision": 40.0, "vicon": 40.0, "gps": 120.0}
 """For the filter: with GPS it takes 41 s, else 5 s."""
-PARAMETERS_S = 20.0
-MODE_S = 10.0
-ARMED_S = 20.0
+PARAMETERS_TIMEOUT_S = 20.0
+MODE_TIMEOUT_S = 10.0
+ARM_TIMEOUT_S = 20.0
 SPOOL_S = 1.0
 """After the last one was armed: for 0.4 s its motors are held back, and it would drift."""
-_AGAIN_S = 1.0
+_RETRY_PERIOD_S = 1.0
 """After which a request that had no effect is made again."""
-_MOST_AT_ONCE = 20
+_MAX_REQUESTS = 20
 """Parameters asked for one by one in a control period, where the list came with gaps."""
 
 _REFUSALS = {
@@ -47,21 +47,21 @@ class WorldOrigin:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ready:
+class BootTimes:
     """What it took until the last autopilot was ready."""
 
     sim_s: float
     wall_s: float
 
 
-def boot(
+def boot_autopilots(
     pilots: Sequence[AutopilotCommander],
     advance: Callable[[], float],
     *,
     mode: int,
-    source: Source,
+    source: PositionSource,
     home: WorldOrigin,
-) -> Ready:
+) -> BootTimes:
     """Bring autopilots up that were just started.
 
     Args:
@@ -77,15 +77,15 @@ def boot(
     """
     began, now = time.perf_counter(), advance()
     first, clock = now, _Clock(now)
-    rest = [_up(pilot, clock, mode, source, home) for pilot in pilots]
-    while rest:
-        rest = [steps for steps in rest if next(steps, _DONE) is not _DONE]
-        if rest:
+    pending = [_boot_steps(pilot, clock, mode, source, home) for pilot in pilots]
+    while pending:
+        pending = [steps for steps in pending if next(steps, _DONE) is not _DONE]
+        if pending:
             clock.time_s = advance()
     end = clock.time_s + SPOOL_S
     while clock.time_s < end:
         clock.time_s = advance()
-    return Ready(sim_s=clock.time_s - first, wall_s=time.perf_counter() - began)
+    return BootTimes(sim_s=clock.time_s - first, wall_s=time.perf_counter() - began)
 
 
 _DONE = object()
@@ -96,41 +96,47 @@ class _Clock:
     time_s: float
 
 
-def _up(
-    pilot: AutopilotCommander, clock: _Clock, mode: int, source: Source, home: WorldOrigin
+def _boot_steps(
+    pilot: AutopilotCommander, clock: _Clock, mode: int, source: PositionSource, home: WorldOrigin
 ) -> Iterator[None]:
     """The steps of one autopilot; it yields whenever time has to go on."""
     link = pilot.link
 
-    def speaks() -> bool:
+    def has_heartbeat() -> bool:
         return "HEARTBEAT" in link.latest
 
-    yield from _until(speaks, pilot, clock, FIRST_WORD_S, "says nothing on MAVLink")
-    for message, rate in STREAMS_HZ.items():
-        link.stream(message, rate)
+    yield from _wait_until(
+        has_heartbeat, pilot, clock, HEARTBEAT_TIMEOUT_S, "says nothing on MAVLink"
+    )
+    for message, rate in STREAM_RATES_HZ.items():
+        link.request_stream(message, rate)
     link.request_parameters()
     _request_version(pilot)
-    origin = _origin(pilot, home)
+    origin = _origin_sender(pilot, home)
 
-    def located() -> bool:
-        return pilot.located
+    def has_position() -> bool:
+        return pilot.has_position
 
-    yield from _until(
-        located, pilot, clock, POSITION_S[source], "its EKF finds no position", origin
+    yield from _wait_until(
+        has_position, pilot, clock, POSITION_TIMEOUT_S[source], "its EKF finds no position", origin
     )
-    yield from _until(
-        _complete(pilot),
+    yield from _wait_until(
+        _parameters_complete(pilot),
         pilot,
         clock,
-        PARAMETERS_S,
+        PARAMETERS_TIMEOUT_S,
         "does not give its parameters",
-        _missing(pilot),
+        _missing_requester(pilot),
     )
-    yield from _told(pilot, clock, MODE_S, dialect.MAV_CMD_DO_SET_MODE, (1, mode), mode)
-    yield from _told(pilot, clock, ARMED_S, dialect.MAV_CMD_COMPONENT_ARM_DISARM, (1,), mode)
+    yield from _send_until_followed(
+        pilot, clock, MODE_TIMEOUT_S, dialect.MAV_CMD_DO_SET_MODE, (1, mode), mode
+    )
+    yield from _send_until_followed(
+        pilot, clock, ARM_TIMEOUT_S, dialect.MAV_CMD_COMPONENT_ARM_DISARM, (1,), mode
+    )
 
 
-def _told(
+def _send_until_followed(
     pilot: AutopilotCommander,
     clock: _Clock,
     limit_s: float,
@@ -141,23 +147,23 @@ def _told(
     """A command until its heartbeat shows that it was followed."""
     arming = command == dialect.MAV_CMD_COMPONENT_ARM_DISARM
 
-    def followed() -> bool:
+    def is_followed() -> bool:
         return pilot.armed if arming else pilot.mode == mode
 
-    def again() -> None:
+    def resend() -> None:
         pilot.link.command(command, *parameters)
 
-    what = "refuses to arm" if arming else f"refuses the mode {mode_name(mode)}"
-    yield from _until(followed, pilot, clock, limit_s, what, again, command)
+    failure_text = "refuses to arm" if arming else f"refuses the mode {mode_name(mode)}"
+    yield from _wait_until(is_followed, pilot, clock, limit_s, failure_text, resend, command)
 
 
-def _until(
-    holds: Callable[[], bool],
+def _wait_until(
+    condition: Callable[[], bool],
     pilot: AutopilotCommander,
     clock: _Clock,
     limit_s: float,
-    otherwise: str,
-    again: Callable[[], None] | None = None,
+    failure_text: str,
+    retry: Callable[[], None] | None = None,
     command: int | None = None,
 ) -> Iterator[None]:
     """Let time go on until something holds, asking for it now and then.
@@ -166,31 +172,33 @@ def _until(
         RunError: it does not hold in time.
     """
     end, due = clock.time_s + limit_s, clock.time_s
-    while not holds():
+    while not condition():
         if clock.time_s >= end:
-            raise RunError(_report(pilot, otherwise, limit_s, command))
-        if again is not None and clock.time_s >= due:
-            again()
-            due = clock.time_s + _AGAIN_S
+            raise RunError(_format_failure(pilot, failure_text, limit_s, command))
+        if retry is not None and clock.time_s >= due:
+            retry()
+            due = clock.time_s + _RETRY_PERIOD_S
         yield
 
 
-def _report(pilot: AutopilotCommander, otherwise: str, limit_s: float, command: int | None) -> str:
+def _format_failure(
+    pilot: AutopilotCommander, failure_text: str, limit_s: float, command: int | None
+) -> str:
     """What did not happen, how the autopilot stands, and what it says itself."""
-    message = f"{pilot.name}: {otherwise} within {limit_s:g} s of its own clock"
+    message = f"{pilot.name}: {failure_text} within {limit_s:g} s of its own clock"
     if pilot.link.latest:
         message += f" ({pilot.note()})"
     answer = None if command is None else pilot.link.acks.get(command)
     if answer in _REFUSALS:
         message += f"; its answer is: {_REFUSALS[answer]}"
-    words = pilot.link.last_words()
-    return f"{message}; ArduSub says: {words}" if words else message
+    last_texts = pilot.link.format_last_texts()
+    return f"{message}; ArduSub says: {last_texts}" if last_texts else message
 
 
-def _origin(pilot: AutopilotCommander, home: WorldOrigin) -> Callable[[], None]:
+def _origin_sender(pilot: AutopilotCommander, home: WorldOrigin) -> Callable[[], None]:
     """Tells an autopilot where W's origin is, until it confirms."""
 
-    def tell() -> None:
+    def send_origin() -> None:
         if "GPS_GLOBAL_ORIGIN" not in pilot.link.latest:
             pilot.link.send(
                 dialect.MAVLink_set_gps_global_origin_message(
@@ -198,7 +206,7 @@ def _origin(pilot: AutopilotCommander, home: WorldOrigin) -> Callable[[], None]:
                 )
             )
 
-    return tell
+    return send_origin
 
 
 def _request_version(pilot: AutopilotCommander) -> None:
@@ -209,23 +217,23 @@ def _request_version(pilot: AutopilotCommander) -> None:
         )
 
 
-def _complete(pilot: AutopilotCommander) -> Callable[[], bool]:
+def _parameters_complete(pilot: AutopilotCommander) -> Callable[[], bool]:
     """Whether all parameters have come."""
     link = pilot.link
     return lambda: 0 < link.parameter_count <= len(link.parameter_indices)
 
 
-def _missing(pilot: AutopilotCommander) -> Callable[[], None]:
+def _missing_requester(pilot: AutopilotCommander) -> Callable[[], None]:
     """Asks for parameters whose messages were lost."""
 
-    def ask() -> None:
+    def request_missing() -> None:
         link = pilot.link
         _request_version(pilot)
         if not link.parameter_count:
             link.request_parameters()
             return
         gaps = [i for i in range(link.parameter_count) if i not in link.parameter_indices]
-        for index in gaps[:_MOST_AT_ONCE]:
+        for index in gaps[:_MAX_REQUESTS]:
             link.request_parameter(index)
 
-    return ask
+    return request_missing

@@ -13,10 +13,10 @@ from angler_sitl.firmware import (
     probe,
     sockets,
 )
-from angler_sitl.firmware.binary import Binary, find
-from angler_sitl.wire.ports import allocate, number
+from angler_sitl.firmware.binary import Binary, find_binary
+from angler_sitl.wire.ports import allocate_ports, port_number
 
-_PORTS_OF = 8
+_N_VEHICLES = 8
 """Vehicles whose ports are tried."""
 
 
@@ -35,69 +35,76 @@ class DoctorCheck:
     text: str
 
 
-def examine(ardusub: Path | None = None) -> Iterator[DoctorCheck]:
+def run_checks(ardusub: Path | None = None) -> Iterator[DoctorCheck]:
     """Look at everything, a row at a time; what needs a program is left out where there is none.
 
     Args:
-        ardusub: The program, where it is not to be found as `binary.find` does.
+        ardusub: The program, where it is not to be found as `binary.find_binary` does.
     """
-    yield _ports()
+    yield _check_ports()
     try:
-        binary = find(ardusub)
+        binary = find_binary(ardusub)
     except AnglerError as error:
         yield DoctorCheck(name="binary", good=False, text=str(error))
         return
     size = binary.path.stat().st_size
     yield DoctorCheck(name="binary", good=True, text=f"{binary.path}, {size / 1e6:.1f} MB")
     yield DoctorCheck(name="sha256", good=True, text=binary.sha256)
-    for count, name in enumerate(library.available()):
-        rows = list(_vehicle(binary, name, first=count == 0))
+    for count, name in enumerate(library.list_vehicles()):
+        rows = list(_check_vehicle(binary, name, first=count == 0))
         yield from rows
         if rows[0].name == "version" and not rows[0].good:
             return
 
 
-def _ports() -> DoctorCheck:
+def _check_ports() -> DoctorCheck:
     try:
-        given = allocate(_PORTS_OF)
+        allocated = allocate_ports(_N_VEHICLES)
     except AnglerError as error:
         return DoctorCheck(name="ports", good=False, text=str(error))
-    used = sorted(number(bound) for one in given for bound in (one.fdm, one.mavlink, one.vision))
-    for one in given:
-        one.close()
-    text = f"{len(used)} for {_PORTS_OF} robots, for example {used[0]} to {used[-1]}"
+    numbers = sorted(
+        port_number(bound)
+        for ports in allocated
+        for bound in (ports.fdm, ports.mavlink, ports.vision)
+    )
+    for ports in allocated:
+        ports.close()
+    text = f"{len(numbers)} for {_N_VEHICLES} robots, for example {numbers[0]} to {numbers[-1]}"
     return DoctorCheck(name="ports", good=True, text=text)
 
 
-def _vehicle(binary: Binary, name: str, *, first: bool) -> Iterator[DoctorCheck]:
+def _check_vehicle(binary: Binary, name: str, *, first: bool) -> Iterator[DoctorCheck]:
     """Boot it as one vehicle; the rows that do not depend on the vehicle come with the first."""
-    row = f"parameters, {name}"
+    row_name = f"parameters, {name}"
     try:
-        vehicle = library.load(name)
-        airframe.frame_of(vehicle)
+        vehicle = library.load_vehicle(name)
+        airframe.find_frame(vehicle)
     except AnglerError as error:
-        yield DoctorCheck(name=row, good=None, text=str(error))
+        yield DoctorCheck(name=row_name, good=None, text=str(error))
         return
-    ours = parameters.for_vehicle(vehicle, "guided", "vision", log=False)
+    expected = parameters.for_vehicle(vehicle, "guided", "vision", log=False)
     with tempfile.TemporaryDirectory(prefix="angler_sitl_") as folder:
         try:
-            with probe.standing_still(binary, Path(folder), ours) as still:
-                said = probe.ask(still)
-                open_ = sockets.of(still.instance.pid)
+            with probe.start_stationary(binary, Path(folder), expected) as autopilot:
+                findings = probe.query_autopilot(autopilot)
+                open_sockets = sockets.list_sockets(autopilot.instance.pid)
         except AnglerError as error:
-            yield DoctorCheck(name="version" if first else row, good=False, text=str(error))
+            yield DoctorCheck(name="version" if first else row_name, good=False, text=str(error))
             return
     if first:
-        yield DoctorCheck(name="version", good=True, text=f"{said.version} ({said.git})")
-        yield _sockets(open_)
-    wrong = parameters.differences(ours, said.parameters)
-    text = "; ".join(wrong) or f"{len(ours)} set and read back out of {len(said.parameters)}"
-    yield DoctorCheck(name=row, good=not wrong, text=text)
+        yield DoctorCheck(name="version", good=True, text=f"{findings.version} ({findings.git})")
+        yield _check_sockets(open_sockets)
+    differences = parameters.find_differences(expected, findings.parameters)
+    text = (
+        "; ".join(differences)
+        or f"{len(expected)} set and read back out of {len(findings.parameters)}"
+    )
+    yield DoctorCheck(name=row_name, good=not differences, text=text)
 
 
-def _sockets(found: list[sockets.BoundSocket]) -> DoctorCheck:
+def _check_sockets(open_sockets: list[sockets.BoundSocket]) -> DoctorCheck:
     """Those of one autopilot that are not loopback's alone."""
-    reachable = [str(one) for one in found if not one.loopback]
+    reachable = [str(entry) for entry in open_sockets if not entry.is_loopback]
     if not reachable:
         return DoctorCheck(name="open sockets", good=True, text="none but on loopback")
     if _only_loopback():

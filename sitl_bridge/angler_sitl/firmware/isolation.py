@@ -17,7 +17,7 @@ _SIOCSIFFLAGS = 0x8914
 _IFF_UP = 0x1
 
 
-def isolate() -> None:
+def isolate_network() -> None:
     """Move this process into a network namespace of its own, its loopback up. There is no way back.
 
     As root this takes no more; others need a user namespace with it, in which they are who they
@@ -32,8 +32,8 @@ def isolate() -> None:
             os.unshare(os.CLONE_NEWNET)
         except PermissionError:
             os.unshare(os.CLONE_NEWUSER | os.CLONE_NEWNET)
-            _stay(uid, gid)
-        _loopback_up()
+            _map_user(uid, gid)
+        _enable_loopback()
     except OSError as error:
         raise UnsupportedError(
             f"--isolate: this system gives no network namespace ({error.strerror}); leave it out, "
@@ -41,14 +41,14 @@ def isolate() -> None:
         ) from error
 
 
-def _stay(uid: int, gid: int) -> None:
-    me = Path("/proc/self")
-    (me / "uid_map").write_text(f"{uid} {uid} 1")
+def _map_user(uid: int, gid: int) -> None:
+    process = Path("/proc/self")
+    (process / "uid_map").write_text(f"{uid} {uid} 1")
     # The kernel lets an ordinary user map a group only if the process gives up changing groups.
-    (me / "setgroups").write_text("deny")
-    (me / "gid_map").write_text(f"{gid} {gid} 1")
+    (process / "setgroups").write_text("deny")
+    (process / "gid_map").write_text(f"{gid} {gid} 1")
 
 
-def _loopback_up() -> None:
+def _enable_loopback() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as control:
         fcntl.ioctl(control, _SIOCSIFFLAGS, struct.pack("16sh14x", b"lo", _IFF_UP))

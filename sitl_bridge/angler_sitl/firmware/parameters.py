@@ -1,7 +1,7 @@
 """Parameters that an ArduSub is started with: what differs from its defaults, and why.
 
 A file of ``--defaults`` that names a parameter which the firmware does not know says nothing about
-it. So the values are read back from the running autopilot and compared (`differences`).
+it. So the values are read back from the running autopilot and compared (`find_differences`).
 """
 
 import math
@@ -9,18 +9,18 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal, get_args
 
-from angler_mjx.errors import ConfigError, shown
-from angler_mjx.files import named, read_text
+from angler_mjx.errors import ConfigError, format_value
+from angler_mjx.files import format_path, read_text
 from angler_mjx.robot.vehicles.config import VehicleConfig
 from angler_sitl.firmware import airframe
 
-type Level = Literal["thrusters", "guided", "poshold", "althold", "manual"]
+type CommandLevel = Literal["thrusters", "guided", "poshold", "althold", "manual"]
 """What is commanded: thrusters themselves, or one of the firmware's own modes."""
-type Source = Literal["vision", "vicon", "gps"]
+type PositionSource = Literal["vision", "vicon", "gps"]
 """Where its filter learns its position: from us, from SITL's own Vicon, or from SITL's own GPS."""
 
-LEVELS: tuple[Level, ...] = get_args(Level.__value__)
-SOURCES: tuple[Source, ...] = get_args(Source.__value__)
+LEVELS: tuple[CommandLevel, ...] = get_args(CommandLevel.__value__)
+SOURCES: tuple[PositionSource, ...] = get_args(PositionSource.__value__)
 
 PASSTHROUGH = 50
 """SERVOn_FUNCTION of RC channel k passed through is 50 + k; 1 would do the same for k = n only."""
@@ -28,21 +28,21 @@ PASSTHROUGH = 50
 RENAMED = {"GPS1_TYPE": "GPS_TYPE", "SYSID_THISMAV": "MAV_SYSID"}
 """Names of 4.6 and what other versions call them. Both are written; one has to be known."""
 
-LONGEST_NAME = 16
+MAX_NAME_LENGTH = 16
 """Letters of a parameter's name, of MAVLink."""
-_MOST_BYTES = 1 << 20
+_MAX_BYTES = 1 << 20
 _QGROUNDCONTROL_FIELDS, _AUTOPILOT = 5, "1"
 """Fields of a line of QGroundControl, and MAV_COMP_ID_AUTOPILOT1 in its second one."""
 
 _STREAMS = ("RAW_SENS", "EXT_STAT", "RC_CHAN", "POSITION", "EXTRA1", "EXTRA2", "EXTRA3")
 
-_COMMON: dict[str, tuple[float, str]] = {
+_COMMON_PARAMETERS: dict[str, tuple[float, str]] = {
     "SIM_RATE_HZ": (400, "how often physics is stepped"),
     "FS_GCS_ENABLE": (0, "would disarm after 5 s of its own clock without a heartbeat"),
     "BATT_MONITOR": (4, "a battery to report; SITL simulates its voltage"),
     "LOG_DISARMED": (0, "the boot need not be in the log"),
 }
-_EXTERNAL: dict[str, tuple[float, str]] = {
+_EXTERNAL_PARAMETERS: dict[str, tuple[float, str]] = {
     "VISO_TYPE": (1, "positions come by MAVLink"),
     "VISO_DELAY_MS": (0, "ours are sent 30 ms old: what the firmware takes off for transport"),
     "GPS1_TYPE": (0, "no GPS under water"),
@@ -52,10 +52,10 @@ _EXTERNAL: dict[str, tuple[float, str]] = {
     "EK3_SRC1_VELZ": (6, "and vertical velocity"),
     "EK3_SRC1_YAW": (6, "and heading: no compass to align in flight"),
 }
-_SOURCE: dict[str, dict[str, tuple[float, str]]] = {
-    "vision": _EXTERNAL,
+_SOURCE_PARAMETERS: dict[str, dict[str, tuple[float, str]]] = {
+    "vision": _EXTERNAL_PARAMETERS,
     "vicon": {
-        **_EXTERNAL,
+        **_EXTERNAL_PARAMETERS,
         "SERIAL5_PROTOCOL": (2, "MAVLink from SITL's own Vicon"),
         "SIM_VICON_TMASK": (3, "it sends position and velocity"),
     },
@@ -65,11 +65,11 @@ _SOURCE: dict[str, dict[str, tuple[float, str]]] = {
         "EK3_SRC1_VELZ": (3, "and vertical velocity"),
     },
 }
-_STICKS = {"JS_GAIN_DEFAULT": (1.0, "full stick is full thrust")}
+_STICK_PARAMETERS = {"JS_GAIN_DEFAULT": (1.0, "full stick is full thrust")}
 
 
 def for_vehicle(
-    vehicle: VehicleConfig, level: Level, source: Source, *, log: bool = True
+    vehicle: VehicleConfig, level: CommandLevel, source: PositionSource, *, log: bool = True
 ) -> dict[str, float]:
     """Parameters of one robot.
 
@@ -82,25 +82,29 @@ def for_vehicle(
     Raises:
         ConfigError: the vehicle has no matching ArduSub frame, or no such level or source.
     """
-    _known("level", level, LEVELS)
-    _known("source", source, SOURCES)
-    given = {"FRAME_CONFIG": float(airframe.CONFIG[airframe.frame_of(vehicle)])}
-    for table in (_COMMON, _SOURCE[source], {} if level == "thrusters" else _STICKS):
-        given |= {name: float(value) for name, (value, _) in table.items()}
-    given |= {f"SR{line}_{stream}": 0.0 for line in (0, 1) for stream in _STREAMS}
-    given["LOG_BACKEND_TYPE"] = 1.0 if log else 0.0
+    _check_choice("level", level, LEVELS)
+    _check_choice("source", source, SOURCES)
+    parameters = {"FRAME_CONFIG": float(airframe.FRAME_CONFIGS[airframe.find_frame(vehicle)])}
+    for table in (
+        _COMMON_PARAMETERS,
+        _SOURCE_PARAMETERS[source],
+        {} if level == "thrusters" else _STICK_PARAMETERS,
+    ):
+        parameters |= {name: float(value) for name, (value, _) in table.items()}
+    parameters |= {f"SR{line}_{stream}": 0.0 for line in (0, 1) for stream in _STREAMS}
+    parameters["LOG_BACKEND_TYPE"] = 1.0 if log else 0.0
     if level == "thrusters":
         count = len(vehicle.thrusters.layout)
-        given |= {f"SERVO{n}_FUNCTION": float(PASSTHROUGH + n) for n in range(1, count + 1)}
-    return given
+        parameters |= {f"SERVO{n}_FUNCTION": float(PASSTHROUGH + n) for n in range(1, count + 1)}
+    return parameters
 
 
-def write(path: Path, parameters: Mapping[str, float]) -> None:
+def write_parameters(path: Path, parameters: Mapping[str, float]) -> None:
     """Write a parameter file: reason, name and value of each, sorted by name."""
-    path.write_text("".join(_lines(parameters)), encoding="utf-8")
+    path.write_text("".join(_format_lines(parameters)), encoding="utf-8")
 
 
-def read(path: Path) -> dict[str, float]:
+def read_parameters(path: Path) -> dict[str, float]:
     """Read a parameter file of MAVProxy, Mission Planner, QGroundControl or `angler tune`.
 
     MAVProxy and Mission Planner write a name and its value on a line, separated by a comma or by
@@ -113,59 +117,66 @@ def read(path: Path) -> dict[str, float]:
     Raises:
         ConfigError: there is no such file, a line is none of these, or lines are of two vehicles.
     """
-    found = {}
+    values = {}
     system = None
-    for number, line in enumerate(read_text(path, _MOST_BYTES).splitlines(), 1):
-        words = line.partition("#")[0].replace(",", " ").split()
-        if not words:
+    for number, line in enumerate(read_text(path, _MAX_BYTES).splitlines(), 1):
+        columns = line.partition("#")[0].replace(",", " ").split()
+        if not columns:
             continue
-        where = f"{named(path)}:{number}: {shown(line.strip())}"
-        if len(words) == _QGROUNDCONTROL_FIELDS:
-            if words[1] != _AUTOPILOT:
+        location = f"{format_path(path)}:{number}: {format_value(line.strip())}"
+        if len(columns) == _QGROUNDCONTROL_FIELDS:
+            if columns[1] != _AUTOPILOT:
                 raise ConfigError(
-                    f"{where}: component {shown(words[1])} is not the autopilot ({_AUTOPILOT}); "
+                    f"{location}: component {format_value(columns[1])} is not the autopilot "
+                    f"({_AUTOPILOT}); "
                     "remove its lines"
                 )
-            if system not in (None, words[0]):
+            if system not in (None, columns[0]):
                 raise ConfigError(
-                    f"{where}: system {shown(words[0])} after system {shown(system)}; "
+                    f"{location}: system {format_value(columns[0])} after system "
+                    f"{format_value(system)}; "
                     "keep the lines of one vehicle"
                 )
-            system, words = words[0], words[2:4]
+            system, columns = columns[0], columns[2:4]
         try:
-            name, value = words[0], float(words[1])
-            usable = len(words) == 2 and math.isfinite(value) and len(name) <= LONGEST_NAME
+            name, value = columns[0], float(columns[1])
+            usable = len(columns) == 2 and math.isfinite(value) and len(name) <= MAX_NAME_LENGTH
         except (IndexError, ValueError):
             usable = False
         if not usable or name[0].isdigit():
             raise ConfigError(
-                f"{where}: write NAME,VALUE, or SYSTEM COMPONENT NAME VALUE TYPE as QGroundControl"
+                f"{location}: write NAME,VALUE, or SYSTEM COMPONENT NAME VALUE TYPE as "
+                "QGroundControl"
             )
-        found[name] = value
-    return found
+        values[name] = value
+    return values
 
 
-def differences(ours: Mapping[str, float], read: Mapping[str, float]) -> list[str]:
+def find_differences(expected: Mapping[str, float], actual: Mapping[str, float]) -> list[str]:
     """What an autopilot has otherwise than it was told, a sentence each, sorted; empty if nothing.
 
     Args:
-        ours: Values it was started with.
-        read: All of its parameters, read back.
+        expected: Values it was started with.
+        actual: All of its parameters, read back.
     """
-    found = []
-    for name, value in sorted(ours.items()):
-        names = [one for one in (name, RENAMED.get(name)) if one is not None and one in read]
+    messages = []
+    for name, value in sorted(expected.items()):
+        names = [
+            candidate
+            for candidate in (name, RENAMED.get(name))
+            if candidate is not None and candidate in actual
+        ]
         if not names:
-            found.append(f"{name} = {value:g}: unknown to this firmware")
+            messages.append(f"{name} = {value:g}: unknown to this firmware")
         # The firmware keeps float32, and whole numbers exactly.
-        elif abs(read[names[0]] - value) > 1e-6 * max(1.0, abs(value)):
-            found.append(f"{names[0]} = {value:g}: the autopilot has {read[names[0]]:g}")
-    return found
+        elif abs(actual[names[0]] - value) > 1e-6 * max(1.0, abs(value)):
+            messages.append(f"{names[0]} = {value:g}: the autopilot has {actual[names[0]]:g}")
+    return messages
 
 
-def reason(name: str) -> str:
+def explain_parameter(name: str) -> str:
     """Why a parameter of `for_vehicle` is set, in a few words; "" for others."""
-    for table in (_COMMON, _STICKS, *_SOURCE.values()):
+    for table in (_COMMON_PARAMETERS, _STICK_PARAMETERS, *_SOURCE_PARAMETERS.values()):
         if name in table:
             return table[name][1]
     if name.startswith("SR"):
@@ -178,16 +189,16 @@ def reason(name: str) -> str:
     }.get(name, "")
 
 
-def _lines(parameters: Mapping[str, float]) -> list[str]:
+def _format_lines(parameters: Mapping[str, float]) -> list[str]:
     lines = []
     for name, value in sorted(parameters.items()):
-        why = reason(name)
-        for one in (name, RENAMED.get(name)):
-            if one is not None:
-                lines.append(f"{one} {value:.9g}{f'  # {why}' if why else ''}\n")
+        comment = explain_parameter(name)
+        for key in (name, RENAMED.get(name)):
+            if key is not None:
+                lines.append(f"{key} {value:.9g}{f'  # {comment}' if comment else ''}\n")
     return lines
 
 
-def _known(key: str, value: str, known: tuple[str, ...]) -> None:
-    if value not in known:
-        raise ConfigError(f"--{key} {value}: choose one of {', '.join(known)}")
+def _check_choice(key: str, value: str, choices: tuple[str, ...]) -> None:
+    if value not in choices:
+        raise ConfigError(f"--{key} {value}: choose one of {', '.join(choices)}")

@@ -15,9 +15,9 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from angler_mjx.errors import AnglerError, ConfigError, RunError
-from angler_sitl.firmware.binary import UNKNOWN, Binary
-from angler_sitl.firmware.process import Instance, Launch
-from angler_sitl.wire.ports import Ports, allocate
+from angler_sitl.firmware.binary import UNKNOWN_VERSION, Binary
+from angler_sitl.firmware.process import AutopilotProcess, LaunchSpec
+from angler_sitl.wire.ports import Ports, allocate_ports
 
 _DT_S = 1 / 400
 _SILENCE_S = 10.0
@@ -34,12 +34,12 @@ _AT_REST = (
     '"position":[0,0,0],"quaternion":[1,0,0,0],"velocity":[0,0,0],"no_time_sync":1}}\n'
 )
 _GCS, _COMPONENT = 255, 190
-VERSION = 148
+VERSION_MESSAGE_ID = 148
 """Number of the message AUTOPILOT_VERSION."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Findings:
+class ProbeResult:
     """What an autopilot said of itself.
 
     Attributes:
@@ -56,7 +56,7 @@ class Findings:
 
 
 @dataclass
-class Still:
+class StationaryAutopilot:
     """An autopilot that stands still, and what it has sent so far.
 
     Attributes:
@@ -70,13 +70,13 @@ class Still:
         sysid: Who sends heartbeats; 0 while unknown.
     """
 
-    instance: Instance
+    instance: AutopilotProcess
     ports: Ports
     time_s: float = 0.0
     pwm: tuple[int, ...] = ()
     version: Any = None
     parameters: dict[str, float] = field(default_factory=dict)
-    expected: int = 0
+    parameter_count: int = 0
     sysid: int = 0
 
     def __post_init__(self) -> None:
@@ -86,18 +86,18 @@ class Still:
         self.ports.fdm.settimeout(_LOOK_S)
         self.ports.mavlink.setblocking(False)
 
-    def until(self, done: Callable[[], bool], limit_s: float) -> bool:
-        """Step until ``done`` or until its clock has gone on by so much; whether it is done.
+    def step_until(self, condition: Callable[[], bool], limit_s: float) -> bool:
+        """Step until ``condition`` or until its clock has gone on by so much; whether it is done.
 
         Raises:
             RunError: the process ended or sends nothing.
         """
         end = self.time_s + limit_s
-        while not done():
+        while not condition():
             if self.time_s >= end:
                 return False
-            self._step()
-            self._receive()
+            self._exchange_packets()
+            self._receive_messages()
         return True
 
     def send(self, message: Any) -> None:
@@ -107,14 +107,14 @@ class Still:
             self._mavlink.seq = (self._mavlink.seq + 1) % 256
             self.ports.mavlink.sendto(data, self._peer)
 
-    def _step(self) -> None:
-        packet, peer = self._wait()
+    def _exchange_packets(self) -> None:
+        packet, peer = self._receive_packet()
         if len(packet) >= 40:
             self.pwm = struct.unpack_from("<16H", packet, 8)
         self.time_s += _DT_S
         self.ports.fdm.sendto(_AT_REST.format(self.time_s).encode(), peer)
 
-    def _wait(self) -> tuple[bytes, tuple[str, int]]:
+    def _receive_packet(self) -> tuple[bytes, tuple[str, int]]:
         """The next servo packet and where it came from."""
         for _ in range(round(_SILENCE_S / _LOOK_S)):
             with contextlib.suppress(TimeoutError):
@@ -123,16 +123,16 @@ class Still:
                 raise RunError(fault)
         raise RunError(f"no servo packet for {_SILENCE_S:g} s: {self.instance.condition()}")
 
-    def _receive(self) -> None:
+    def _receive_messages(self) -> None:
         while True:
             try:
                 data, self._peer = self.ports.mavlink.recvfrom(65536)
             except BlockingIOError:
                 return
             for message in self._mavlink.parse_buffer(data) or ():
-                self._take(message)
+                self._handle_message(message)
 
-    def _take(self, message: Any) -> None:
+    def _handle_message(self, message: Any) -> None:
         kind = message.get_type()
         if kind == "HEARTBEAT":
             self.sysid = message.get_srcSystem()
@@ -140,44 +140,53 @@ class Still:
             self.version = message
         elif kind == "PARAM_VALUE":
             self.parameters[message.param_id] = message.param_value
-            self.expected = message.param_count
+            self.parameter_count = message.param_count
 
 
 @contextlib.contextmanager
-def standing_still(
+def start_stationary(
     binary: Binary, folder: Path, parameters: Mapping[str, float]
-) -> Iterator[Still]:
+) -> Iterator[StationaryAutopilot]:
     """Start an autopilot, step it until it has set up, and end it afterwards.
 
     Raises:
         RunError: it does not start, ends, hangs, or sends no heartbeat.
     """
-    (ports,) = allocate(1)
-    launch = Launch(
+    (ports,) = allocate_ports(1)
+    launch = LaunchSpec(
         binary=binary, folder=folder, name="probe", sysid=1, ports=ports, parameters=parameters
     )
     try:
-        with Instance(launch) as instance:
-            still = Still(instance, ports)
-            still.until(lambda: still.time_s >= _BOOT_S, _LIMIT_S)
-            if not still.until(lambda: still.sysid > 0, _LIMIT_S):
+        with AutopilotProcess(launch) as instance:
+            autopilot = StationaryAutopilot(instance, ports)
+            autopilot.step_until(lambda: autopilot.time_s >= _BOOT_S, _LIMIT_S)
+            if not autopilot.step_until(lambda: autopilot.sysid > 0, _LIMIT_S):
                 raise RunError(f"no MAVLink heartbeat: {instance.condition()}")
-            yield still
+            yield autopilot
     finally:
         ports.close()
 
 
-def ask(still: Still, *, parameters: bool = True) -> Findings:
+def query_autopilot(autopilot: StationaryAutopilot, *, parameters: bool = True) -> ProbeResult:
     """Ask for the version and, if wanted, all parameters.
 
     Raises:
         RunError: it does not answer.
     """
-    _repeat(still, lambda: still.version is not None, _ask_version, "its version")
+    _request_until(
+        autopilot, lambda: autopilot.version is not None, _request_version, "its version"
+    )
     if parameters:
-        _repeat(still, lambda: 0 < still.expected <= len(still.parameters), _ask_all, "parameters")
-    version, git = read_version(still.version)
-    return Findings(version=version, git=git, parameters=dict(still.parameters), sysid=still.sysid)
+        _request_until(
+            autopilot,
+            lambda: 0 < autopilot.parameter_count <= len(autopilot.parameters),
+            _request_parameters,
+            "parameters",
+        )
+    version, git = read_version(autopilot.version)
+    return ProbeResult(
+        version=version, git=git, parameters=dict(autopilot.parameters), sysid=autopilot.sysid
+    )
 
 
 def read_version(message: Any) -> tuple[str, str]:
@@ -193,41 +202,46 @@ def read_version(message: Any) -> tuple[str, str]:
     return parts + kind, git
 
 
-def identified(binary: Binary) -> Binary:
+def identify_version(binary: Binary) -> Binary:
     """Return a program with the version that it states itself, where no record holds it.
 
     Raises:
         ConfigError: it does not answer as an ArduSub.
     """
-    if binary.version != UNKNOWN:
+    if binary.version != UNKNOWN_VERSION:
         return binary
     with tempfile.TemporaryDirectory(prefix="angler_sitl_") as folder:
         try:
-            with standing_still(binary, Path(folder), {}) as still:
-                return replace(binary, version=ask(still, parameters=False).version)
+            with start_stationary(binary, Path(folder), {}) as autopilot:
+                return replace(binary, version=query_autopilot(autopilot, parameters=False).version)
         except AnglerError as error:
             raise ConfigError(
                 f"{binary.path}: does not state its version as an ArduSub does: {error}"
             ) from error
 
 
-def _repeat(
-    still: Still, done: Callable[[], bool], again: Callable[[Still], None], what: str
+def _request_until(
+    autopilot: StationaryAutopilot,
+    condition: Callable[[], bool],
+    request: Callable[[StationaryAutopilot], None],
+    subject: str,
 ) -> None:
     # UDP loses what a full buffer cannot take, so it is asked again, by the autopilot's clock.
     for _ in range(3):
-        again(still)
-        if still.until(done, _LIMIT_S / 3):
+        request(autopilot)
+        if autopilot.step_until(condition, _LIMIT_S / 3):
             return
-    raise RunError(f"no answer to the question for {what}: {still.instance.condition()}")
+    raise RunError(f"no answer to the question for {subject}: {autopilot.instance.condition()}")
 
 
-def _ask_version(still: Still) -> None:
+def _request_version(autopilot: StationaryAutopilot) -> None:
     command = mavlink.MAV_CMD_REQUEST_MESSAGE
-    still.send(
-        mavlink.MAVLink_command_long_message(still.sysid, 1, command, 0, VERSION, *[0.0] * 6)
+    autopilot.send(
+        mavlink.MAVLink_command_long_message(
+            autopilot.sysid, 1, command, 0, VERSION_MESSAGE_ID, *[0.0] * 6
+        )
     )
 
 
-def _ask_all(still: Still) -> None:
-    still.send(mavlink.MAVLink_param_request_list_message(still.sysid, 1))
+def _request_parameters(autopilot: StationaryAutopilot) -> None:
+    autopilot.send(mavlink.MAVLink_param_request_list_message(autopilot.sysid, 1))

@@ -10,8 +10,8 @@ there, so a parent that died before the request leaves nothing behind either.
 It becomes a batch process: woken by a reply, it does not take the core of the one that still has
 others to answer.
 
-The kernel watches the thread that started the process, not the program: an `Instance` must be made
-by a thread that outlives it.
+The kernel watches the thread that started the process, not the program: an `AutopilotProcess` must
+be made by a thread that outlives it.
 """
 
 import os
@@ -28,7 +28,7 @@ from typing import Self
 from angler_mjx.errors import RunError
 from angler_sitl.firmware import parameters
 from angler_sitl.firmware.binary import Binary
-from angler_sitl.wire.ports import LOOPBACK, Ports, number
+from angler_sitl.wire.ports import LOOPBACK, Ports, port_number
 
 HOME_LAT_DEG, HOME_LON_DEG = 47.6, -122.3
 """Where W's origin lies on the globe: any place in the sea but 0, 0, which SITL takes as none."""
@@ -59,7 +59,7 @@ except OSError as error:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Launch:
+class LaunchSpec:
     """What one autopilot is started with.
 
     Attributes:
@@ -78,7 +78,7 @@ class Launch:
     ports: Ports
     parameters: Mapping[str, float]
 
-    def arguments(self) -> list[str]:
+    def command_line(self) -> list[str]:
         """Command line, the program's path first.
 
         Home's altitude is 0, else its depth sensor is wrong; all serial lines but two are off, else
@@ -95,19 +95,19 @@ class Launch:
             *("--home", f"{HOME_LAT_DEG},{HOME_LON_DEG},0,0"),
             *("--defaults", PARAMETERS_NAME),
             "--wipe",
-            *("--serial0", f"udpclient:{LOOPBACK}:{number(ports.mavlink)}"),
-            *("--serial1", f"udpclient:{LOOPBACK}:{number(ports.vision)}"),
+            *("--serial0", f"udpclient:{LOOPBACK}:{port_number(ports.mavlink)}"),
+            *("--serial1", f"udpclient:{LOOPBACK}:{port_number(ports.vision)}"),
             *("--serial2", "none:"),
-            *("--sim-port-out", str(number(ports.fdm))),
+            *("--sim-port-out", str(port_number(ports.fdm))),
             *("--rc-in-port", str(ports.rc_port)),
             *vicon,
         ]
 
 
-class Instance:
+class AutopilotProcess:
     """One running autopilot; a context manager that leaves no process behind."""
 
-    def __init__(self, launch: Launch) -> None:
+    def __init__(self, launch: LaunchSpec) -> None:
         """Start it.
 
         Raises:
@@ -118,11 +118,11 @@ class Instance:
         self._log = launch.folder / LOG_NAME
         try:
             launch.folder.mkdir(parents=True, exist_ok=True)
-            parameters.write(launch.folder / PARAMETERS_NAME, launch.parameters)
+            parameters.write_parameters(launch.folder / PARAMETERS_NAME, launch.parameters)
             with self._log.open("wb") as log:
                 self._process = subprocess.Popen(
                     # -I and -S: nothing of the user's Python is loaded, and it is quick.
-                    [sys.executable, "-ISc", _HELPER, str(os.getpid()), *launch.arguments()],
+                    [sys.executable, "-ISc", _HELPER, str(os.getpid()), *launch.command_line()],
                     cwd=launch.folder,
                     stdin=subprocess.DEVNULL,
                     stdout=log,
@@ -141,20 +141,22 @@ class Instance:
         if code is None or self._killed:
             return None
         ended = f"with exit code {code}" if code >= 0 else f"by {_signal_name(-code)}"
-        return f"{self.launch.name}: its ArduSub (pid {self.pid}) ended {ended}{self._last_lines()}"
+        last_lines = self._format_last_lines()
+        return f"{self.launch.name}: its ArduSub (pid {self.pid}) ended {ended}{last_lines}"
 
     def condition(self) -> str:
         """What a process that still runs is doing, for the report of a hang."""
-        doing = {
+        activity = {
             "R": "is busy",
             "S": "waits",
             "D": "waits for the disk",
             "T": "was stopped",
             "t": "is being debugged",
-        }.get(_state(self.pid), "has ended")
-        return f"{self.launch.name}: its ArduSub (pid {self.pid}) {doing}{self._last_lines()}"
+        }.get(_read_state(self.pid), "has ended")
+        last_lines = self._format_last_lines()
+        return f"{self.launch.name}: its ArduSub (pid {self.pid}) {activity}{last_lines}"
 
-    def tail(self, lines: int = 5) -> list[str]:
+    def read_log_tail(self, lines: int = 5) -> list[str]:
         """The last lines of what it printed."""
         try:
             with self._log.open("rb") as log:
@@ -170,7 +172,7 @@ class Instance:
 
         An autopilot that waits for physics only takes a note of SIGTERM, so SIGKILL follows.
         """
-        kill_all([self])
+        kill_processes([self])
 
     def __enter__(self) -> Self:
         """Itself."""
@@ -185,26 +187,28 @@ class Instance:
         """End the process."""
         self.kill()
 
-    def _last_lines(self) -> str:
-        lines = self.tail()
+    def _format_last_lines(self) -> str:
+        lines = self.read_log_tail()
         if not lines:
             return "; it printed nothing"
         return "; its last lines:" + "".join(f"\n    {line}" for line in lines)
 
 
-def kill_all(instances: list[Instance]) -> None:
+def kill_processes(instances: list[AutopilotProcess]) -> None:
     """End so many autopilots with one time of grace for all of them."""
     # Popen signals only a child that it has not reaped, so a number used again is never meant.
-    for one in instances:
-        one._killed = one._killed or one._process.poll() is None
-        one._process.terminate()
+    for instance in instances:
+        instance._killed = instance._killed or instance._process.poll() is None
+        instance._process.terminate()
     end = time.monotonic() + _GRACE_S
-    while time.monotonic() < end and any(one._process.poll() is None for one in instances):
+    while time.monotonic() < end and any(
+        instance._process.poll() is None for instance in instances
+    ):
         time.sleep(0.005)
-    for one in instances:
-        one._process.kill()
-    for one in instances:
-        one._process.wait()
+    for instance in instances:
+        instance._process.kill()
+    for instance in instances:
+        instance._process.wait()
 
 
 def _signal_name(number_: int) -> str:
@@ -214,7 +218,7 @@ def _signal_name(number_: int) -> str:
         return f"signal {number_}"
 
 
-def _state(pid: int) -> str:
+def _read_state(pid: int) -> str:
     try:
         text = Path(f"/proc/{pid}/stat").read_text()
     except OSError:

@@ -28,7 +28,7 @@ class BoundSocket:
     peer: IPv4Address | IPv6Address | None
 
     @property
-    def loopback(self) -> bool:
+    def is_loopback(self) -> bool:
         """Whether only this machine can reach it."""
         return self.address.is_loopback or (self.peer is not None and self.peer.is_loopback)
 
@@ -37,66 +37,68 @@ class BoundSocket:
         return f"{self.protocol} {self.address}:{self.port}"
 
 
-def of(pid: int) -> list[BoundSocket]:
+def list_sockets(pid: int) -> list[BoundSocket]:
     """Sockets with an address that a process of ours has; none if it has ended."""
-    inodes = _inodes(pid)
-    return [one for inode, one in _listed(pid) if inode in inodes]
+    inodes = _list_inodes(pid)
+    return [entry for inode, entry in _read_tables(pid) if inode in inodes]
 
 
-def takers(pid: int, port: int) -> int:
+def count_receivers(pid: int, port: int) -> int:
     """UDP sockets, of whatever process, that take what anybody sends to a port.
 
     Args:
         pid: A process of ours: it is the network that this one is in.
         port: Its number.
     """
-    here = [one for _, one in _listed(pid) if one.protocol == "udp" and one.port == port]
-    return sum(one.peer is None for one in here)
+    receivers = [
+        entry for _, entry in _read_tables(pid) if entry.protocol == "udp" and entry.port == port
+    ]
+    return sum(entry.peer is None for entry in receivers)
 
 
-def _listed(pid: int) -> Iterator[tuple[str, BoundSocket]]:
+def _read_tables(pid: int) -> Iterator[tuple[str, BoundSocket]]:
     """All sockets with an address in the network of a process, by inode."""
     for table in _TABLES:
         try:
             lines = Path(f"/proc/{pid}/net/{table}").read_text().splitlines()[1:]
         except OSError:
             continue
-        for words in (line.split() for line in lines):
-            one = _bound(table.rstrip("6"), words[1], words[2], words[3])
-            if one is not None:
-                yield words[9], one
+        for columns in (line.split() for line in lines):
+            entry = _parse_row(table.rstrip("6"), columns[1], columns[2], columns[3])
+            if entry is not None:
+                yield columns[9], entry
 
 
-def _inodes(pid: int) -> set[str]:
-    found = set()
+def _list_inodes(pid: int) -> set[str]:
+    inodes = set()
     try:
         for name in os.listdir(f"/proc/{pid}/fd"):
             target = os.readlink(f"/proc/{pid}/fd/{name}")
             if target.startswith("socket:["):
-                found.add(target[len("socket:[") : -1])
+                inodes.add(target[len("socket:[") : -1])
     except OSError:
         # It has ended, or a file was closed while we looked: what was found so far is true.
         pass
-    return found
+    return inodes
 
 
-def _bound(protocol: str, local: str, remote: str, state: str) -> BoundSocket | None:
-    address, port = _parse(local)
-    peer, peer_port = _parse(remote)
-    listens = protocol == "tcp" and state == _LISTENING
+def _parse_row(protocol: str, local: str, remote: str, state: str) -> BoundSocket | None:
+    address, port = _parse_address(local)
+    peer, peer_port = _parse_address(remote)
+    is_listening = protocol == "tcp" and state == _LISTENING
     if port == 0:
         return None
-    connected = peer_port != 0 and not listens
+    is_connected = peer_port != 0 and not is_listening
     return BoundSocket(
-        protocol=protocol, address=address, port=port, peer=peer if connected else None
+        protocol=protocol, address=address, port=port, peer=peer if is_connected else None
     )
 
 
-def _parse(text: str) -> tuple[IPv4Address | IPv6Address, int]:
+def _parse_address(text: str) -> tuple[IPv4Address | IPv6Address, int]:
     """Address and port of the kernel's form: words of 32 bits in the machine's byte order."""
     digits, _, port = text.partition(":")
-    words = [int(digits[i : i + 8], 16) for i in range(0, len(digits), 8)]
-    packed = b"".join(socket.htonl(word).to_bytes(4, "big") for word in words)
+    chunks = [int(digits[i : i + 8], 16) for i in range(0, len(digits), 8)]
+    packed = b"".join(socket.htonl(chunk).to_bytes(4, "big") for chunk in chunks)
     address = ip_address(packed)
     mapped = address.ipv4_mapped if isinstance(address, IPv6Address) else None
     return mapped or address, int(port, 16)

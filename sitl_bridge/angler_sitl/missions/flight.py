@@ -10,7 +10,7 @@ from angler_mjx.robot.control.joint_tolerance import ResultCode
 from angler_mjx.runs.session.interface import Observation, RobotStatus
 from angler_mjx.sim.state import Outcome
 from angler_mjx.teleop.loop import Watcher
-from angler_mjx.teleop.signals import Stop
+from angler_mjx.teleop.signals import StopRequest
 from angler_sitl.session import SitlSession
 
 
@@ -33,14 +33,14 @@ class MissionFlight:
         return self.scene_s / max(self.wall_s, 1e-9)
 
 
-def fly(
+def fly_mission(
     session: SitlSession,
     *,
     duration_s: float,
     goals: Mapping[int, JointGoal] | None = None,
     whole: bool = False,
     watchers: Sequence[Watcher] = (),
-    stop: Stop | None = None,
+    stop: StopRequest | None = None,
 ) -> MissionFlight:
     """Fly until every robot has ended, or so long.
 
@@ -55,32 +55,32 @@ def fly(
         watchers: told of every step.
         stop: whether a signal asked for the end.
     """
-    begun, steps = time.perf_counter(), 0
+    start_s, steps = time.perf_counter(), 0
     observation, broken = session.observe(), ""
-    orders = dict(goals or {})
+    commands = dict(goals or {})
     # Half a period: times are sums in floating point.
     while observation.time_s < duration_s - 0.5 * session.dt_s:
-        if stop is not None and stop.asked:
+        if stop is not None and stop.requested:
             broken = "interrupted by a signal"
             break
         if not whole and steps and _all_ended(session, observation, goals or {}):
             break
         try:
-            observation = session.step(orders)
+            observation = session.step(commands)
         except RunError as error:  # what was flown until then is not lost
             broken = str(error)
             break
-        orders = {}
+        commands = {}
         steps += 1
         for watcher in watchers:
             watcher.after(observation)
     return MissionFlight(
         steps=steps,
         scene_s=observation.time_s,
-        wall_s=time.perf_counter() - begun,
+        wall_s=time.perf_counter() - start_s,
         last=observation,
         broken=broken,
-        by_signal=stop is not None and stop.asked,
+        by_signal=stop is not None and stop.requested,
     )
 
 
@@ -89,14 +89,15 @@ def _all_ended(
 ) -> bool:
     lost = session.autopilots.lockstep.lost
     return all(
-        i in lost or _ended(status, given=i in goals) for i, status in enumerate(observation.status)
+        i in lost or _has_ended(status, has_goal=i in goals)
+        for i, status in enumerate(observation.status)
     )
 
 
-def _ended(status: RobotStatus, *, given: bool) -> bool:
+def _has_ended(status: RobotStatus, *, has_goal: bool) -> bool:
     if status.outcome not in (Outcome.RUNNING, Outcome.REACHED):
         return True
-    if not given:
+    if not has_goal:
         return status.outcome is Outcome.REACHED
-    under_way = status.note.startswith((ResultCode.ACTIVE.name, "a JointTrajectory begins"))
-    return not under_way
+    is_active = status.note.startswith((ResultCode.ACTIVE.name, "a JointTrajectory begins"))
+    return not is_active

@@ -15,23 +15,23 @@ from angler_mjx.runs.storage import folder
 from angler_mjx.runs.storage.folder import Run
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.teleop.loop import Watcher
-from angler_mjx.teleop.signals import breakable, stoppable
+from angler_mjx.teleop.signals import break_on_signal, stop_on_signal
 from angler_sitl import autopilots as running
 from angler_sitl.autopilots import Autopilots
 from angler_sitl.firmware import binary as binaries
 from angler_sitl.firmware import parameters as firmware
-from angler_sitl.firmware.parameters import Level, Source
+from angler_sitl.firmware.parameters import CommandLevel, PositionSource
 from angler_sitl.firmware.probe import read_version
 from angler_sitl.missions import plans
-from angler_sitl.missions.flight import MissionFlight, fly
+from angler_sitl.missions.flight import MissionFlight, fly_mission
 from angler_sitl.session import SitlSession
 from angler_sitl.steering.levels import STICK_LEVELS
 from angler_sitl.wire.ground_station import GroundStation
-from angler_sitl.wire.ports import MOST_VEHICLES
+from angler_sitl.wire.ports import MAX_VEHICLES
 
-type Tell = Callable[[str], None]
+type ReportText = Callable[[str], None]
 """Told in words what is going on."""
-type Display = Callable[[SitlSession], AbstractContextManager[Watcher]]
+type WatcherFactory = Callable[[SitlSession], AbstractContextManager[Watcher]]
 """Makes what shows how everybody stands."""
 
 
@@ -42,10 +42,10 @@ class MissionSettings:
     out: Path
     """Run folder to make."""
     world: int = 0
-    level: Level = "guided"
-    source: Source = "vision"
+    level: CommandLevel = "guided"
+    source: PositionSource = "vision"
     plan: Sequence[str] = (plans.GRID,)
-    """As in `plans.read`."""
+    """As in `plans.load_trajectories`."""
     speed: Literal["max"] | float = "max"
     on_crash: Literal["end", "hold"] = "end"
     duration_s: float | None = None
@@ -75,15 +75,15 @@ class MissionSettings:
             )
 
 
-def run(
-    scenario: Scenario, settings: MissionSettings, tell: Tell, display: Display
+def run_mission(
+    scenario: Scenario, settings: MissionSettings, report: ReportText, display: WatcherFactory
 ) -> tuple[MissionFlight, Run]:
     """Fly one world of a scenario.
 
     Args:
         scenario: whose world and robots.
         settings: how.
-        tell: told what is going on until the robots move.
+        report: told what is going on until the robots move.
         display: shows how they stand from then on.
 
     Returns:
@@ -95,67 +95,78 @@ def run(
             flight, and the run folder holds what was flown until then.
     """
     count = len(scenario.members())
-    if count > MOST_VEHICLES:  # at once, and not after a minute of compiling
-        raise ConfigError(f"{count} robots: real autopilots can be 1 to {MOST_VEHICLES}")
-    goals = plans.read(settings.plan, count)
-    given = {} if settings.parameters is None else firmware.read(settings.parameters)
-    binaries.find(settings.binary)
+    if count > MAX_VEHICLES:  # at once, and not after a minute of compiling
+        raise ConfigError(f"{count} robots: real autopilots can be 1 to {MAX_VEHICLES}")
+    goals = plans.load_trajectories(settings.plan, count)
+    firmware_parameters = (
+        {} if settings.parameters is None else firmware.read_parameters(settings.parameters)
+    )
+    binaries.find_binary(settings.binary)
     with ExitStack() as stack:
-        interrupt = stack.enter_context(breakable())
+        interrupt = stack.enter_context(break_on_signal())
         station = None
         if settings.gcs is not None:
             station = stack.enter_context(GroundStation(settings.gcs))
         recording = stack.enter_context(
-            SessionRecording(settings.out, scenario, settings.world, _inputs(settings))
+            SessionRecording(settings.out, scenario, settings.world, _list_inputs(settings))
         )
-        tell(f"{scenario.name}: world {settings.world}, compiling, then booting {count} ArduSub")
-        begun = time.perf_counter()
-        session = stack.enter_context(_open(scenario, settings, given, recording.building))
-        opened_s = time.perf_counter() - begun
+        report(f"{scenario.name}: world {settings.world}, compiling, then booting {count} ArduSub")
+        start_s = time.perf_counter()
+        session = stack.enter_context(
+            _open_session(scenario, settings, firmware_parameters, recording.building)
+        )
+        opened_s = time.perf_counter() - start_s
         interrupt.check()
         autopilots = session.autopilots  # which a crash takes away from the session
-        _say_ready(autopilots, tell)
-        plans.check(session, goals)
+        _report_ready(autopilots, report)
+        plans.check_goals(session, goals)
         watchers: list[Watcher] = [recording]
         recording.begin(session)
         for robot, goal in goals.items():
-            recording.plan(robot, plans.way(session, robot, goal))
+            recording.plan(robot, plans.sample_path(session, robot, goal))
         if station is not None:
             station.join(session)
             watchers.append(station)
-        stop = stack.enter_context(stoppable())
-        with display(session) as shown:
-            flight = fly(
+        stop = stack.enter_context(stop_on_signal())
+        with display(session) as display_watcher:
+            flight = fly_mission(
                 session,
                 duration_s=settings.duration_s or scenario.time.horizon_s,
                 whole=settings.duration_s is not None,
                 goals=goals,
-                watchers=[*watchers, shown],
+                watchers=[*watchers, display_watcher],
                 stop=stop,
             )
         stop.closing = True
-        kept = recording.close(
+        stored_run = recording.close(
             RecordedCourse(
                 steps=flight.steps,
                 wall_s=flight.wall_s,
                 compile_s=opened_s - autopilots.ready.wall_s,
-                more={"sitl": _summary(autopilots, session.settings, settings.plan, flight, goals)},
+                more={
+                    "sitl": _summarise_run(
+                        autopilots, session.settings, settings.plan, flight, goals
+                    )
+                },
                 interrupted=flight.broken,
             )
         )
-    return _result(flight, kept)
+    return _check_result(flight, stored_run)
 
 
-def _inputs(settings: MissionSettings) -> list[tuple[str, Path]]:
+def _list_inputs(settings: MissionSettings) -> list[tuple[str, Path]]:
     """Files that a flight takes beside those of its scenario."""
-    given = [("plan", Path(name)) for name in settings.plan if name != plans.GRID]
+    files = [("plan", Path(name)) for name in settings.plan if name != plans.GRID]
     if settings.parameters is not None:
-        given.append(("parameters", settings.parameters))
-    return given
+        files.append(("parameters", settings.parameters))
+    return files
 
 
-def _open(
-    scenario: Scenario, settings: MissionSettings, given: Mapping[str, float], building: Path
+def _open_session(
+    scenario: Scenario,
+    settings: MissionSettings,
+    firmware_parameters: Mapping[str, float],
+    building: Path,
 ) -> SitlSession:
     return SitlSession(
         scenario,
@@ -166,35 +177,35 @@ def _open(
         binary=settings.binary,
         folder=building / folder.ROBOTS,
         on_crash=settings.on_crash,
-        parameters=given,
+        parameters=firmware_parameters,
     )
 
 
-def _say_ready(autopilots: Autopilots, tell: Tell) -> None:
+def _report_ready(autopilots: Autopilots, report: ReportText) -> None:
     """How long it took, and which parameters the autopilots did not take."""
     ready = autopilots.ready
-    tell(f"ready after {ready.sim_s:.1f} s of their clock, {ready.wall_s:.1f} s of ours")
-    for name, found in autopilots.differences.items():
-        for difference in found:
-            tell(f"{name}: {difference}")
+    report(f"ready after {ready.sim_s:.1f} s of their clock, {ready.wall_s:.1f} s of ours")
+    for name, differences in autopilots.differences.items():
+        for difference in differences:
+            report(f"{name}: {difference}")
 
 
-def _result(flight: MissionFlight, kept: Run | None) -> tuple[MissionFlight, Run]:
+def _check_result(flight: MissionFlight, stored_run: Run | None) -> tuple[MissionFlight, Run]:
     """The run, unless one of the autopilots broke it off."""
-    if kept is None:
+    if stored_run is None:
         raise RunError(flight.broken or "not one step was flown")
     if flight.broken and not flight.by_signal:
-        raise RunError(f"{flight.broken}\nwhat was flown until then is in {kept.path}")
-    return flight, kept
+        raise RunError(f"{flight.broken}\nwhat was flown until then is in {stored_run.path}")
+    return flight, stored_run
 
 
-def _version(autopilots: Autopilots, chosen: running.AutopilotSettings) -> str:
+def _get_version(autopilots: Autopilots, chosen: running.AutopilotSettings) -> str:
     """Return the version that the first autopilot stated, or else that of the program's record."""
     stated = autopilots.pilots[0].link.latest.get("AUTOPILOT_VERSION")
     return chosen.binary.version if stated is None else read_version(stated)[0]
 
 
-def _summary(
+def _summarise_run(
     autopilots: Autopilots,
     chosen: running.AutopilotSettings,
     plan: Sequence[str],
@@ -208,7 +219,7 @@ def _summary(
         "source": chosen.source,
         "speed": chosen.speed,
         "plan": list(plan),
-        "ardusub": {"version": _version(autopilots, chosen), "sha256": chosen.binary.sha256},
+        "ardusub": {"version": _get_version(autopilots, chosen), "sha256": chosen.binary.sha256},
         "parameters": dict(chosen.parameters),
         "ready": {"sim_s": autopilots.ready.sim_s, "wall_s": autopilots.ready.wall_s},
         "steps": flight.steps,

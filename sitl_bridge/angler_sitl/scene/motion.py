@@ -36,24 +36,24 @@ GRAVITY_MPS2 = 9.80665
 """What the autopilot takes for its weight. The simulator's own is 0.03 % more; a specific force
 made with that one would not fit the velocities that it is told."""
 
-PULSES = 16
-OUTCOME, STEPS = PULSES, PULSES + 1
+N_PULSES = 16
+OUTCOME_COLUMN, STEPS_COLUMN = N_PULSES, N_PULSES + 1
 """Columns of the input behind the pulse widths: the robot's outcome, and steps since t = 0."""
-INPUTS = PULSES + 2
+N_INPUTS = N_PULSES + 2
 
-BROKEN = STATE_NUMBERS
+DIVERGED_COLUMN = STATE_NUMBERS
 """Column of the output behind what is sent: whether the vehicle has diverged so far."""
-_KEPT_FROM = STATE_NUMBERS + 1
+_VEHICLE_COLUMN = STATE_NUMBERS + 1
 """First column of the vehicle itself."""
 
-LOW_US, HIGH_US = 900, 2100
+MIN_PULSE_US, MAX_PULSE_US = 900, 2100
 """Pulse widths outside, above all the zeros while an autopilot boots, are no pulse at all."""
 
-ONE_THREAD = {"xla_cpu_multi_thread_eigen": False}
+SINGLE_THREAD_OPTIONS = {"xla_cpu_multi_thread_eigen": False}
 """For the compiler of small programs: to hand a part to another thread takes longer than the part,
 and the autopilots need the other cores."""
 
-type Step = Callable[[jax.Array, jax.Array, NDArray[np.int32]], jax.Array]
+type MotionStep = Callable[[jax.Array, jax.Array, NDArray[np.int32]], jax.Array]
 """Constants, vehicles [N, _], int32 inputs [N, INPUTS] to vehicles [N, _]."""
 
 
@@ -61,25 +61,27 @@ type Step = Callable[[jax.Array, jax.Array, NDArray[np.int32]], jax.Array]
 class SceneMotion:
     """The compiled step, and where things lie in its arrays."""
 
-    step: Step
+    step: MotionStep
     vehicles: "MotionRows"
     """Of one vehicle, behind what is said of it."""
 
-    def constants(self, world: World) -> jax.Array:
+    def pack_constants(self, world: World) -> jax.Array:
         """What a step has to know of a world; [1] leads there."""
-        return _on_device(_flat((world.control.vehicle, world.environment.current)))
+        return _put_on_device(_flatten((world.control.vehicle, world.environment.current)))
 
-    def begin(self, vehicles: VehicleState) -> jax.Array:
+    def to_arrays(self, vehicles: VehicleState) -> jax.Array:
         """Vehicles [1, N] as the step takes them, with nothing said of them yet."""
         rows = self.vehicles.pack(vehicles)
-        return _on_device(np.concatenate([np.zeros((len(rows), _KEPT_FROM)), rows], axis=1))
+        return _put_on_device(
+            np.concatenate([np.zeros((len(rows), _VEHICLE_COLUMN)), rows], axis=1)
+        )
 
-    def told(self, rows: jax.Array) -> NDArray[Any]:
+    def extract_rows(self, rows: jax.Array) -> NDArray[Any]:
         """Whether each vehicle has diverged, and the vehicle; [N, 1 + width].
 
         Of JAX's default float type, in which the rest of the simulator is.
         """
-        return np.asarray(rows)[:, BROKEN:].astype(jnp.result_type(float))
+        return np.asarray(rows)[:, DIVERGED_COLUMN:].astype(jnp.result_type(float))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,7 +92,7 @@ class MotionRows:
     shapes: tuple[tuple[int, ...], ...]
 
     @classmethod
-    def of(cls, tree: Any) -> "MotionRows":
+    def from_tree(cls, tree: Any) -> "MotionRows":
         """Rows of arrays [1, N, ...]."""
         leaves, structure = jax.tree.flatten(tree)
         return cls(tree=structure, shapes=tuple(leaf.shape[2:] for leaf in leaves))
@@ -100,14 +102,14 @@ class MotionRows:
         leaves = [np.asarray(leaf, np.float64)[0] for leaf in jax.tree.leaves(tree)]
         return np.concatenate([leaf.reshape(len(leaf), -1) for leaf in leaves], axis=1)
 
-    def split(self, row: jax.Array) -> Any:
+    def unpack_row(self, row: jax.Array) -> Any:
         """One traced row as the tree of one vehicle."""
         ends = itertools.pairwise(np.cumsum([0, *map(math.prod, self.shapes)]))
         parts = [row[a:b].reshape(shape) for (a, b), shape in zip(ends, self.shapes, strict=True)]
         return jax.tree.unflatten(self.tree, parts)
 
 
-def build(water: Water, dt_s: float, world: World, vehicles: VehicleState) -> SceneMotion:
+def compile_motion(water: Water, dt_s: float, world: World, vehicles: VehicleState) -> SceneMotion:
     """Compile the step for worlds like this one.
 
     Args:
@@ -116,27 +118,33 @@ def build(water: Water, dt_s: float, world: World, vehicles: VehicleState) -> Sc
         world: [1] leads; another of the same scenario has the same shapes.
         vehicles: [1, N] lead.
     """
-    given = (world.control.vehicle, world.environment.current)
-    rows = MotionRows.of(vehicles)
+    constants_tree = (world.control.vehicle, world.environment.current)
+    rows = MotionRows.from_tree(vehicles)
     count = vehicles.p.shape[1]
 
-    def step(constants: jax.Array, now: jax.Array, inputs: jax.Array) -> jax.Array:
-        params, current = _unflat(given, constants)
-        t = inputs[0, STEPS].astype(now.dtype) * dt_s
-        one = partial(_move, water, dt_s, rows)
-        after: jax.Array = jax.vmap(one, (0, None, 0, 0, None))(params, current, now, inputs, t)
+    def step(constants: jax.Array, state_rows: jax.Array, inputs: jax.Array) -> jax.Array:
+        params, current = _unflatten(constants_tree, constants)
+        t = inputs[0, STEPS_COLUMN].astype(state_rows.dtype) * dt_s
+        step_vehicle = partial(_step_vehicle, water, dt_s, rows)
+        after: jax.Array = jax.vmap(step_vehicle, (0, None, 0, 0, None))(
+            params, current, state_rows, inputs, t
+        )
         return after
 
-    def shared(*args: jax.Array) -> Any:
-        return lanes.shared(lambda: lanes.pack([step(*args)], ()))[()]
+    def step_shared(*args: jax.Array) -> Any:
+        return lanes.compute_shared(lambda: lanes.pack([step(*args)], ()))[()]
 
     with jax.enable_x64(True):
-        like = (
-            jax.ShapeDtypeStruct(_flat(given).shape, jnp.float64),
-            jax.ShapeDtypeStruct((count, _KEPT_FROM + rows.pack(vehicles).shape[1]), jnp.float64),
-            jax.ShapeDtypeStruct((count, INPUTS), jnp.int32),
+        argument_specs = (
+            jax.ShapeDtypeStruct(_flatten(constants_tree).shape, jnp.float64),
+            jax.ShapeDtypeStruct(
+                (count, _VEHICLE_COLUMN + rows.pack(vehicles).shape[1]), jnp.float64
+            ),
+            jax.ShapeDtypeStruct((count, N_INPUTS), jnp.int32),
         )
-        compiled: Step = jax.jit(shared).lower(*like).compile(ONE_THREAD)
+        compiled: MotionStep = (
+            jax.jit(step_shared).lower(*argument_specs).compile(SINGLE_THREAD_OPTIONS)
+        )
     return SceneMotion(step=compiled, vehicles=rows)
 
 
@@ -150,26 +158,26 @@ def compute_inline() -> None:
     jax.config.update("jax_cpu_enable_async_dispatch", False)
 
 
-def signals(pulses: jax.Array, dtype: Any) -> ThrusterPwm:
+def to_thruster_pwm(pulses: jax.Array, dtype: Any) -> ThrusterPwm:
     """Pulse widths as thrusters take them: what is no pulse is neutral.
 
     Args:
         pulses: int32 [..., n_thruster] us, as an autopilot sends them.
         dtype: of the result.
     """
-    is_pulse = (pulses >= LOW_US) & (pulses <= HIGH_US)
+    is_pulse = (pulses >= MIN_PULSE_US) & (pulses <= MAX_PULSE_US)
     return ThrusterPwm(pwm_us=jnp.where(is_pulse, pulses, round(NEUTRAL_US)).astype(dtype))
 
 
-def _said(vehicle: VehicleState, acceleration: jax.Array) -> jax.Array:
+def _compute_sensor_state(vehicle: VehicleState, acceleration: jax.Array) -> jax.Array:
     """What an autopilot is told of its vehicle: `STATE_NUMBERS`, in NED and FRD.
 
     Args:
         vehicle: one.
         acceleration: [3] of its centre of mass, m/s^2, in W.
     """
-    lift = acceleration + jnp.array([0.0, 0.0, GRAVITY_MPS2], acceleration.dtype)
-    specific_force = quaternion.rotate_inverse(vehicle.q, lift)
+    proper_acceleration = acceleration + jnp.array([0.0, 0.0, GRAVITY_MPS2], acceleration.dtype)
+    specific_force = quaternion.rotate_inverse(vehicle.q, proper_acceleration)
     velocity = quaternion.rotate(vehicle.q, vehicle.nu[:3])
     parts = [
         frames.body_flu_to_frd(vehicle.nu[3:]),
@@ -181,7 +189,7 @@ def _said(vehicle: VehicleState, acceleration: jax.Array) -> jax.Array:
     return jnp.concatenate(parts)
 
 
-def _move(
+def _step_vehicle(
     water: Water,
     dt_s: float,
     rows: MotionRows,
@@ -196,38 +204,40 @@ def _move(
     The acceleration is the step's own impulse over its length: it and the gravity of the autopilot,
     summed over the steps, give the velocities that are sent, with nothing left over.
     """
-    before: VehicleState = rows.split(row[_KEPT_FROM:])
-    pwm = signals(inputs[: params.B.shape[-1]], row.dtype)
+    before: VehicleState = rows.unpack_row(row[_VEHICLE_COLUMN:])
+    pwm = to_thruster_pwm(inputs[: params.B.shape[-1]], row.dtype)
     settled, _ = robot.thrust_and_power(params, pwm)
     moved = lane_steps.physics_step(dt_s, water, params, before, settled, current, t)
-    after, broken = robot.hold_if_ended(inputs[OUTCOME], before, moved)
-    gained = quaternion.rotate(after.q, after.nu[:3]) - quaternion.rotate(before.q, before.nu[:3])
-    kept = [leaf.reshape(-1) for leaf in jax.tree.leaves(after)]
-    flag = jnp.maximum(row[BROKEN], broken.astype(row.dtype))[None]
-    return jnp.concatenate([_said(after, gained / dt_s), flag, *kept])
+    after, broken = robot.hold_if_ended(inputs[OUTCOME_COLUMN], before, moved)
+    velocity_change = quaternion.rotate(after.q, after.nu[:3]) - quaternion.rotate(
+        before.q, before.nu[:3]
+    )
+    leaves = [leaf.reshape(-1) for leaf in jax.tree.leaves(after)]
+    flag = jnp.maximum(row[DIVERGED_COLUMN], broken.astype(row.dtype))[None]
+    return jnp.concatenate([_compute_sensor_state(after, velocity_change / dt_s), flag, *leaves])
 
 
-def _flat(tree: Any) -> NDArray[np.float64]:
+def _flatten(tree: Any) -> NDArray[np.float64]:
     """Arrays [1, ...] in a row."""
     leaves = [np.asarray(leaf, np.float64).reshape(-1) for leaf in jax.tree.leaves(tree)]
     return np.concatenate(leaves)
 
 
-def _unflat(like: Any, flat: jax.Array) -> Any:
-    """The inverse of `_flat`, without the leading axis."""
+def _unflatten(like: Any, flat: jax.Array) -> Any:
+    """The inverse of `_flatten`, without the leading axis."""
     leaves, tree = jax.tree.flatten(like)
-    out, at = [], 0
+    out, offset = [], 0
     for leaf in leaves:
         shape = leaf.shape[1:]
         size = math.prod(shape)
-        part = flat[at : at + size].reshape(shape)
-        whole = not jnp.issubdtype(leaf.dtype, jnp.floating)
-        out.append(part.astype(leaf.dtype) if whole else part)
-        at += size
+        part = flat[offset : offset + size].reshape(shape)
+        is_integer = not jnp.issubdtype(leaf.dtype, jnp.floating)
+        out.append(part.astype(leaf.dtype) if is_integer else part)
+        offset += size
     return jax.tree.unflatten(tree, out)
 
 
-def _on_device(array: NDArray[np.float64]) -> jax.Array:
+def _put_on_device(array: NDArray[np.float64]) -> jax.Array:
     with jax.enable_x64(True):
-        placed: jax.Array = jax.device_put(array)
-    return placed
+        on_device: jax.Array = jax.device_put(array)
+    return on_device

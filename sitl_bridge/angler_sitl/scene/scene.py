@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from angler_mjx.errors import ConfigError
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import Scenario
-from angler_mjx.scenario.task_table import refuse_task
+from angler_mjx.scenario.task_table import require_goal_task
 from angler_mjx.sim.state import Outcome, World
 from angler_mjx.world.acoustics.config import refuse_acoustics
-from angler_sitl.scene import judging, motion
-from angler_sitl.scene.flat import Flat
+from angler_sitl.scene import motion, outcome_judge
+from angler_sitl.scene.flat_arrays import FlatLayout
 from angler_sitl.wire.packets import STATE_NUMBERS
 
 type Floats = NDArray[np.float64]
@@ -28,7 +28,7 @@ DT_S = 1 / 400
 
 
 @dataclass(frozen=True, kw_only=True)
-class States:
+class SensorStates:
     """All vehicles at one time, as autopilots are told; [N] leads."""
 
     numbers: Floats
@@ -87,7 +87,7 @@ class AutopilotScene:
         Raises:
             ConfigError: no whole number of steps makes a control period.
         """
-        refuse_task(
+        require_goal_task(
             scenario.task,
             "autopilots are told of no task; fly it with angler rollout, or take a scenario of "
             'type = "goal"',
@@ -97,19 +97,23 @@ class AutopilotScene:
             'autopilots hear nothing of each other; take "perfect", or fly it with angler rollout',
         )
         # The closed form is MJX's, to rounding, for one rigid body.
-        one = scenario.model_copy(update={"tile": 1, "engine": "fused", "kernels": "xla"})
-        self.simulator, self.dt_s, self._index = Simulator(one), dt_s, world
-        self._spec, self._seed = self.simulator.spec, one.seed
-        self.period = round(self._spec.control_dt_s / dt_s)
-        if abs(self.period * dt_s - self._spec.control_dt_s) > 1e-9:
+        single_world = scenario.model_copy(update={"tile": 1, "engine": "fused", "kernels": "xla"})
+        self.simulator, self.dt_s, self._index = Simulator(single_world), dt_s, world
+        self._spec, self._seed = self.simulator.spec, single_world.seed
+        self.steps_per_period = round(self._spec.control_dt_s / dt_s)
+        if abs(self.steps_per_period * dt_s - self._spec.control_dt_s) > 1e-9:
             raise ConfigError(
                 f"time.control_dt_s = {self._spec.control_dt_s:g}: with real autopilots it must be "
                 f"a whole number of steps of {1e3 * dt_s:g} ms"
             )
-        self._drawn: int | None = None
-        self._draw(self._seed)
-        self._motion = motion.build(self._spec.water, dt_s, self.worlds, self._start.vehicles)
-        self._judging = judging.build(self._spec, self._motion, self.worlds, self._start)
+        self._sampled_seed: int | None = None
+        self._sample_world(self._seed)
+        self._motion = motion.compile_motion(
+            self._spec.water, dt_s, self.worlds, self._start.vehicles
+        )
+        self._judge = outcome_judge.compile_judge(
+            self._spec, self._motion, self.worlds, self._start
+        )
         self.reset()
 
     def reset(self, seed: int | None = None, worlds: World | None = None) -> None:
@@ -120,29 +124,29 @@ class AutopilotScene:
             worlds: instead of what would be drawn; [1] leads, of the same shapes.
         """
         if worlds is None:
-            self._draw(self._seed if seed is None else seed)
+            self._sample_world(self._seed if seed is None else seed)
         else:
             self.worlds: World = worlds
-            self._start, self._drawn = self.simulator.reset(worlds), None
-        self._constants = self._motion.constants(self.worlds)
-        self._known = self._judging.constants(self.worlds)
-        self.judged = self._judging.begin(self._start)
-        self._rows = self._motion.begin(self._start.vehicles)
-        self._inputs = np.zeros((self._rows.shape[0], motion.INPUTS), np.int32)
+            self._start, self._sampled_seed = self.simulator.reset(worlds), None
+        self._motion_constants = self._motion.pack_constants(self.worlds)
+        self._judge_constants = self._judge.pack_constants(self.worlds)
+        self.judged = self._judge.to_arrays(self._start)
+        self._rows = self._motion.to_arrays(self._start.vehicles)
+        self._inputs = np.zeros((self._rows.shape[0], motion.N_INPUTS), np.int32)
         self._ticks, self._steps = 0, 0
         self.state, self.moored = self._start, True
         self.record: dict[str, Any] = {}
         # Whoever has failed is held where it is: so everybody's state at rest is known.
-        self._inputs[:, motion.OUTCOME] = Outcome.OUT_OF_BOUNDS
-        held = np.asarray(self._motion.step(self._constants, self._rows, self._inputs))
+        self._inputs[:, motion.OUTCOME_COLUMN] = Outcome.OUT_OF_BOUNDS
+        at_rest = np.asarray(self._motion.step(self._motion_constants, self._rows, self._inputs))
         # Not before the result is there: the step may read our array itself, while we go on.
-        self._inputs[:, motion.OUTCOME] = Outcome.RUNNING
-        self.states = States(numbers=held[:, :STATE_NUMBERS])
+        self._inputs[:, motion.OUTCOME_COLUMN] = Outcome.RUNNING
+        self.states = SensorStates(numbers=at_rest[:, :STATE_NUMBERS])
 
     @property
-    def layout(self) -> Flat:
+    def state_layout(self) -> FlatLayout:
         """Of `judged`."""
-        return self._judging.state
+        return self._judge.state
 
     @property
     def time_s(self) -> float:
@@ -152,9 +156,9 @@ class AutopilotScene:
     @property
     def pulses(self) -> NDArray[np.int32]:
         """[N, 16] us, of the last step: those that the account of a period goes by."""
-        return self._inputs[:, : motion.PULSES].copy()
+        return self._inputs[:, : motion.N_PULSES].copy()
 
-    def step(self, pwm: NDArray[np.int32]) -> States:
+    def step(self, pwm: NDArray[np.int32]) -> SensorStates:
         """One step of all vehicles.
 
         Args:
@@ -163,11 +167,11 @@ class AutopilotScene:
         self._ticks += 1
         if self.moored:
             return self.states
-        self._inputs[:, : motion.PULSES] = pwm
-        self._inputs[:, motion.STEPS] = self._steps
+        self._inputs[:, : motion.N_PULSES] = pwm
+        self._inputs[:, motion.STEPS_COLUMN] = self._steps
         self._steps += 1
-        self._rows = self._motion.step(self._constants, self._rows, self._inputs)
-        self.states = States(numbers=np.asarray(self._rows)[:, :STATE_NUMBERS])
+        self._rows = self._motion.step(self._motion_constants, self._rows, self._inputs)
+        self.states = SensorStates(numbers=np.asarray(self._rows)[:, :STATE_NUMBERS])
         return self.states
 
     def judge(self, approaching: NDArray[np.bool_] | None = None) -> None:
@@ -180,18 +184,18 @@ class AutopilotScene:
         A robot that failed stands still from now on, as an obstacle to the others. To be called
         after every `period` steps, but for those in which the vehicles were moored.
         """
-        told = self._motion.told(self._rows)
+        rows = self._motion.extract_rows(self._rows)
         if approaching is None:
-            approaching = np.ones(len(told), bool)
-        self.judged, record = self._judging.step(
-            self._known, self.judged, told, self._inputs, approaching
+            approaching = np.ones(len(rows), bool)
+        self.judged, record = self._judge.step(
+            self._judge_constants, self.judged, rows, self._inputs, approaching
         )
-        self.record = self._judging.record.unpack(tuple(map(np.asarray, record)))
-        self.state = self._judging.end(self.judged)
-        self._inputs[:, motion.OUTCOME] = self.state.tally.outcome[0]
+        self.record = self._judge.record.unpack(tuple(map(np.asarray, record)))
+        self.state = self._judge.from_arrays(self.judged)
+        self._inputs[:, motion.OUTCOME_COLUMN] = self.state.tally.outcome[0]
 
-    def _draw(self, seed: int) -> None:
-        if seed != self._drawn:
+    def _sample_world(self, seed: int) -> None:
+        if seed != self._sampled_seed:
             self.worlds = self.simulator.worlds(self._index, seed=seed)
             self._start = self.simulator.reset(self.worlds)
-            self._drawn = seed
+            self._sampled_seed = seed

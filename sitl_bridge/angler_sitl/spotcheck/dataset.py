@@ -15,18 +15,18 @@ import numpy as np
 from angler_mjx.errors import ConfigError
 from angler_mjx.learning.datasets import gaps as record
 from angler_mjx.learning.datasets import manifest, sampling
-from angler_mjx.learning.datasets.gaps import Checked, GapRow, SpotCheck
-from angler_mjx.learning.datasets.keeping import attach
+from angler_mjx.learning.datasets.gaps import CheckedPart, GapRow, SpotCheck
+from angler_mjx.learning.datasets.maintenance import attach
 from angler_mjx.learning.datasets.manifest import Manifest, PartEntry
 from angler_mjx.runs.storage.folder import Run
-from angler_sitl.spotcheck import checking, folder, gaps, page
-from angler_sitl.spotcheck.checking import SpotcheckProgress
-from angler_sitl.spotcheck.gaps import Gap, Sum
+from angler_sitl.spotcheck import folder, gaps, report_page, runner
+from angler_sitl.spotcheck.gaps import FlightGap, GapSummary
 from angler_sitl.spotcheck.results import SpotcheckResult, SpotcheckSettings
+from angler_sitl.spotcheck.runner import SpotcheckProgress
 
 
-def check(
-    place: Path,
+def check_dataset(
+    dataset_path: Path,
     settings: SpotcheckSettings,
     out: Path,
     progress: SpotcheckProgress,
@@ -36,7 +36,7 @@ def check(
     """Do a spot check of a dataset, and write what it found into it.
 
     Args:
-        place: the dataset.
+        dataset_path: the dataset.
         settings: what is asked for; episodes are those of all parts together.
         out: folder to make, beside the dataset.
         progress: told how far each part is.
@@ -47,36 +47,47 @@ def check(
 
     Raises:
         ConfigError: no dataset, one of policies alone or with fewer episodes than asked for, or as
-            in `checking.check`.
-        RunError: as in `checking.check`.
+            in `runner.run_spot_check`.
+        RunError: as in `runner.run_spot_check`.
     """
-    whole = manifest.read(place)
-    record.require_outside(place, out)
-    parts = [part for part in whole.parts if checking.flies_plans(Run(place / part.path))]
+    dataset_manifest = manifest.read_manifest(dataset_path)
+    record.require_outside(dataset_path, out)
+    parts = [
+        part
+        for part in dataset_manifest.parts
+        if runner.has_flown_plans(Run(dataset_path / part.path))
+    ]
     if not parts:
         raise ConfigError(
-            f"{place}: a policy commanded the robots of all its parts, and autopilots fly plans, "
+            f"{dataset_path}: a policy commanded the robots of all its parts, and autopilots fly "
+            "plans, "
             "not that"
         )
-    asked = _asked(parts, settings)
-    for part, one in asked:
-        checking.plan(place / part.path, one)
+    part_settings = _allocate_settings(parts, settings)
+    for part, part_options in part_settings:
+        runner.plan_spot_check(dataset_path / part.path, part_options)
     if not resume and out.exists():
         raise ConfigError(
             f"--out {out}: exists; go on with --resume, give another folder or remove it"
         )
     done = []
-    for part, one in asked:
-        found = _part(place / part.path, one, out / Path(part.path).name, progress, resume=resume)
-        if not found.complete:
+    for part, part_options in part_settings:
+        result = _check_part(
+            dataset_path / part.path,
+            part_options,
+            out / Path(part.path).name,
+            progress,
+            resume=resume,
+        )
+        if not result.complete:
             return None
-        done.append((part, found))
-    made = _record(whole, done, settings)
-    attach.spotcheck(place, made)
-    return made
+        done.append((part, result))
+    spot_check = _build_record(dataset_manifest, done, settings)
+    attach.attach_spot_check(dataset_path, spot_check)
+    return spot_check
 
 
-def shared_out(worlds: Sequence[int], count: int, seed: int) -> list[int]:
+def allocate_episodes(worlds: Sequence[int], count: int, seed: int) -> list[int]:
     """Episodes of each part: one of each while there are as many, the others by their worlds.
 
     Args:
@@ -85,13 +96,13 @@ def shared_out(worlds: Sequence[int], count: int, seed: int) -> list[int]:
         seed: says which parts have one where they are too few.
     """
     if count <= len(worlds):
-        first = np.random.default_rng(seed).permutation(len(worlds))[:count]
-        return [int(i in first) for i in range(len(worlds))]
+        chosen = np.random.default_rng(seed).permutation(len(worlds))[:count]
+        return [int(i in chosen) for i in range(len(worlds))]
     more = np.array(worlds) - 1
-    return [1 + int(one) for one in sampling.in_proportion(more, count - len(worlds))]
+    return [1 + int(extra) for extra in sampling.scale_counts(more, count - len(worlds))]
 
 
-def _asked(
+def _allocate_settings(
     parts: Sequence[PartEntry], settings: SpotcheckSettings
 ) -> list[tuple[PartEntry, SpotcheckSettings]]:
     """Parts of which some episodes are flown, each with settings of its own."""
@@ -103,7 +114,7 @@ def _asked(
             f"--episodes {settings.episodes}: the dataset has {sum(worlds)} that autopilots can "
             "fly; ask for fewer"
         )
-    counts = shared_out(worlds, settings.episodes, settings.seed)
+    counts = allocate_episodes(worlds, settings.episodes, settings.seed)
     return [
         (part, replace(settings, episodes=count))
         for part, count in zip(parts, counts, strict=True)
@@ -111,7 +122,7 @@ def _asked(
     ]
 
 
-def _part(
+def _check_part(
     run_path: Path,
     settings: SpotcheckSettings,
     out: Path,
@@ -121,24 +132,28 @@ def _part(
 ) -> SpotcheckResult:
     """The spot check of a part, or what is left of it."""
     begun = resume and (out / folder.TABLE).is_file()
-    if begun and folder.read(out)["complete"]:
-        return checking.load(run_path, settings, out)
-    return checking.check(run_path, settings, out, progress, resume=begun)
+    if begun and folder.load_table(out)["complete"]:
+        return runner.load_result(run_path, settings, out)
+    return runner.run_spot_check(run_path, settings, out, progress, resume=begun)
 
 
-def _record(
-    whole: Manifest, done: Sequence[tuple[PartEntry, SpotcheckResult]], settings: SpotcheckSettings
+def _build_record(
+    dataset_manifest: Manifest,
+    done: Sequence[tuple[PartEntry, SpotcheckResult]],
+    settings: SpotcheckSettings,
 ) -> SpotCheck:
-    starts = np.cumsum([0, *(part.worlds for part in whole.parts)])
-    first = {part.path: int(at) for part, at in zip(whole.parts, starts[:-1], strict=True)}
-    found: dict[tuple[str, str], list[Gap]] = {}
-    for part, one in done:
-        for name, reference in page.pairs(one):
-            listed = found.setdefault((name, reference), [])
-            for count in one.counts:
-                listed += [
+    starts = np.cumsum([0, *(part.worlds for part in dataset_manifest.parts)])
+    first = {
+        part.path: int(at) for part, at in zip(dataset_manifest.parts, starts[:-1], strict=True)
+    }
+    gaps_by_pair: dict[tuple[str, str], list[FlightGap]] = {}
+    for part, result in done:
+        for name, reference in report_page.list_comparisons(result):
+            pair_gaps = gaps_by_pair.setdefault((name, reference), [])
+            for count in result.counts:
+                pair_gaps += [
                     replace(gap, world=gap.world + first[part.path])
-                    for gap in one.gaps(name, count, reference)
+                    for gap in result.list_gaps(name, count, reference)
                 ]
     provenance, flying = done[0][1].provenance, {part.path for part, _ in done}
     return SpotCheck(
@@ -149,36 +164,36 @@ def _record(
         stratify=settings.stratify,
         source=settings.source,
         flown=tuple(
-            Checked(part=part.path, worlds=tuple(pick.world for pick in one.picks))
-            for part, one in done
+            CheckedPart(part=part.path, worlds=tuple(pick.world for pick in result.picks))
+            for part, result in done
         ),
-        left_out=tuple(part.path for part in whole.parts if part.path not in flying),
+        left_out=tuple(part.path for part in dataset_manifest.parts if part.path not in flying),
         rows=tuple(
-            _row(name, reference, gaps.add_up(listed))
-            for (name, reference), listed in found.items()
-            if listed
+            _build_row(name, reference, gaps.summarise_gaps(pair_gaps))
+            for (name, reference), pair_gaps in gaps_by_pair.items()
+            if pair_gaps
         ),
     )
 
 
-def _row(name: str, reference: str, one: Sum) -> GapRow:
+def _build_row(name: str, reference: str, summary: GapSummary) -> GapRow:
     return GapRow(
         flown_by=name,
         against=reference,
-        robots=one.robots,
-        agree=one.agree,
-        agree_low=one.agree_low,
-        agree_high=one.agree_high,
-        arrivals_agree=one.arrivals_agree,
-        track_rms_m=_known(one.track_rms_m),
-        path_rms_m=_known(one.path_rms_m),
-        endpoint_m=_known(one.endpoint_m),
-        arrival_s=_known(one.arrival_s),
-        clearance_m=_known(one.clearance_m),
-        effort_ratio=None if math.isnan(one.effort_ratio) else one.effort_ratio,
+        robots=summary.robots,
+        agree=summary.agree,
+        agree_low=summary.agree_low,
+        agree_high=summary.agree_high,
+        arrivals_agree=summary.arrivals_agree,
+        track_rms_m=_replace_nan(summary.track_rms_m),
+        path_rms_m=_replace_nan(summary.path_rms_m),
+        endpoint_m=_replace_nan(summary.endpoint_m),
+        arrival_s=_replace_nan(summary.arrival_s),
+        clearance_m=_replace_nan(summary.clearance_m),
+        effort_ratio=None if math.isnan(summary.effort_ratio) else summary.effort_ratio,
     )
 
 
-def _known(pair: tuple[float, float]) -> tuple[float | None, float | None]:
+def _replace_nan(pair: tuple[float, float]) -> tuple[float | None, float | None]:
     low, high = (None if math.isnan(value) else value for value in pair)
     return low, high

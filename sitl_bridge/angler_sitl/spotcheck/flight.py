@@ -16,10 +16,10 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from angler_mjx.runs.storage import device_to_host, results
-from angler_mjx.runs.storage.atomic import replacing
-from angler_mjx.runs.storage.damage import reading
+from angler_mjx.runs.storage.atomic_files import replace_file
 from angler_mjx.runs.storage.device_to_host import FinishedTile
 from angler_mjx.runs.storage.folder import TRAJECTORIES, Run
+from angler_mjx.runs.storage.read_errors import wrap_read_errors
 from angler_mjx.sim.record import Sample
 from angler_mjx.sim.state import World, WorldState
 
@@ -47,13 +47,13 @@ class SpotcheckFlight:
         """[R] when each robot's episode ended."""
         return np.array([results.end_time_s(row) for row in self.rows])
 
-    def place(self, robot: int, time_s: float) -> Floats:
+    def position_at(self, robot: int, time_s: float) -> Floats:
         """[3] where a robot was, between two samples on a straight line."""
         path = self.p_m[:, robot]
         return np.array([np.interp(time_s, self.time_s, path[:, axis]) for axis in range(3)])
 
 
-def recorded(run: Run, world: int, robots: int) -> SpotcheckFlight:
+def load_recorded(run: Run, world: int, robots: int) -> SpotcheckFlight:
     """What a run recorded of its first so many robots.
 
     Raises:
@@ -61,18 +61,18 @@ def recorded(run: Run, world: int, robots: int) -> SpotcheckFlight:
     """
     rows = run.episodes.filter(pc.field("world") == world).to_pylist()[:robots]
     stored: Any = run.trajectories
-    with reading(run.path / TRAJECTORIES):
+    with wrap_read_errors(run.path / TRAJECTORIES):
         p = np.asarray(stored["p_m"][world], float)[:, :robots]
-        there = np.isfinite(p).all(axis=(1, 2))
+        is_recorded = np.isfinite(p).all(axis=(1, 2))
         return SpotcheckFlight(
-            time_s=np.asarray(stored["time_s"], float)[there],
-            p_m=p[there],
-            pwm_us=np.rint(stored["pwm_us"][world, :, :robots][there]).astype(np.int64),
+            time_s=np.asarray(stored["time_s"], float)[is_recorded],
+            p_m=p[is_recorded],
+            pwm_us=np.rint(stored["pwm_us"][world, :, :robots][is_recorded]).astype(np.int64),
             rows=tuple(rows),
         )
 
 
-def flown(
+def build_flight(
     worlds: World,
     state: WorldState,
     samples: Sequence[Sample],
@@ -96,15 +96,15 @@ def flown(
     tile = FinishedTile(
         first=world,
         kept=1,
-        constants=jax.tree.map(np.asarray, device_to_host.constants(worlds, recorded=False)),
-        end=jax.tree.map(np.asarray, device_to_host.end(state, recorded=False)),
+        constants=jax.tree.map(np.asarray, device_to_host.select_constants(worlds, recorded=False)),
+        end=jax.tree.map(np.asarray, device_to_host.select_end(state, recorded=False)),
         parts=[],
     )
-    rows = results.episode_table(device_to_host.tile_result(tile), variants, seed).to_pylist()
+    rows = results.episode_table(device_to_host.build_tile_result(tile), variants, seed).to_pylist()
     robots = len(rows)
-    p = np.concatenate([np.asarray(one.p).reshape(-1, robots, 3) for one in samples])
-    pwm = [np.asarray(one.pwm_us) for one in samples]
-    joined = np.concatenate([one.reshape(-1, robots, one.shape[-1]) for one in pwm])
+    p = np.concatenate([np.asarray(sample.p).reshape(-1, robots, 3) for sample in samples])
+    pwm = [np.asarray(sample.pwm_us) for sample in samples]
+    joined = np.concatenate([sample.reshape(-1, robots, sample.shape[-1]) for sample in pwm])
     return SpotcheckFlight(
         time_s=np.arange(len(p), dtype=float) * sample_dt_s,
         p_m=p.astype(float),
@@ -113,14 +113,14 @@ def flown(
     )
 
 
-def save(path: Path, flight: SpotcheckFlight) -> None:
+def save_flight(path: Path, flight: SpotcheckFlight) -> None:
     """Write a flight, whole or not at all.
 
     Raises:
         ConfigError: its folder cannot be written.
         RunError: the disk gave out.
     """
-    with replacing(path, flag="--out", force=True) as writing, writing.open("wb") as file:
+    with replace_file(path, flag="--out", force=True) as writing, writing.open("wb") as file:
         np.savez_compressed(
             file,
             time_s=flight.time_s,
@@ -130,19 +130,19 @@ def save(path: Path, flight: SpotcheckFlight) -> None:
         )
 
 
-def load(path: Path) -> SpotcheckFlight:
+def load_flight(path: Path) -> SpotcheckFlight:
     """Read a flight.
 
     Raises:
         ConfigError: it is damaged.
     """
     with (
-        reading(path, "remove it and go on with --resume"),
-        np.load(path, allow_pickle=False) as found,
+        wrap_read_errors(path, "remove it and go on with --resume"),
+        np.load(path, allow_pickle=False) as archive,
     ):
         return SpotcheckFlight(
-            time_s=found["time_s"],
-            p_m=found["p_m"],
-            pwm_us=found["pwm_us"],
-            rows=tuple(json.loads(str(found["rows"]))),
+            time_s=archive["time_s"],
+            p_m=archive["p_m"],
+            pwm_us=archive["pwm_us"],
+            rows=tuple(json.loads(str(archive["rows"]))),
         )

@@ -10,21 +10,21 @@ from typing import Any
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.runs.storage import output_lock
-from angler_mjx.runs.storage.atomic import replacing
-from angler_mjx.runs.storage.damage import read_table, reading
+from angler_mjx.runs.storage.atomic_files import replace_file
+from angler_mjx.runs.storage.read_errors import read_table, wrap_read_errors
 
 ADVICE = "put back a copy of it, or begin a new spot check"
 TABLE, FLIGHTS = "spotcheck.json", "flights"
 
 
-def create(out: Path) -> None:
+def create_folder(out: Path) -> None:
     """Make the folder of a new spot check.
 
     Raises:
         ConfigError: it exists, or its parent cannot be written.
     """
     output_lock.require_name(out, flag="--out")
-    if (out / TABLE).is_file() and not read(out)["complete"]:
+    if (out / TABLE).is_file() and not load_table(out)["complete"]:
         raise ConfigError(
             f"--out {out}: an unfinished spot check lies there; take it up again with --resume or "
             "remove it"
@@ -37,12 +37,12 @@ def create(out: Path) -> None:
         raise ConfigError(f"--out {out}: cannot be written ({error.strerror})") from error
 
 
-def reopen(out: Path, asked: dict[str, Any]) -> dict[str, Any]:
+def reopen_folder(out: Path, request: dict[str, Any]) -> dict[str, Any]:
     """What an interrupted spot check knows.
 
     Args:
         out: its folder.
-        asked: what is asked for now.
+        request: what is asked for now.
 
     Raises:
         ConfigError: there is none, it is complete, or it was asked something else.
@@ -50,25 +50,25 @@ def reopen(out: Path, asked: dict[str, Any]) -> dict[str, Any]:
     output_lock.require_name(out, flag="--resume")
     if not (out / TABLE).is_file():
         raise ConfigError(f"--resume {out}: there is no spot check of that name")
-    table = read(out)
+    table = load_table(out)
     if table["complete"]:
         raise ConfigError(f"--resume {out}: this spot check is complete; nothing is left to do")
-    require_asked(out, table, asked)
+    require_same_request(out, table, request)
     return table
 
 
-def require_asked(out: Path, table: dict[str, Any], asked: dict[str, Any]) -> None:
+def require_same_request(out: Path, table: dict[str, Any], request: dict[str, Any]) -> None:
     """Refuse to go on with a spot check that was asked something else.
 
     Args:
         out: its folder.
-        table: what it knows; see `read`.
-        asked: what is asked for now.
+        table: what it knows; see `load_table`.
+        request: what is asked for now.
 
     Raises:
         ConfigError: naming what differs.
     """
-    for key, value in asked.items():
+    for key, value in request.items():
         if table["asked"].get(key) != value:
             raise ConfigError(
                 f"--resume {out}: was begun with {key} = {table['asked'].get(key)}, not {value}; "
@@ -76,7 +76,7 @@ def require_asked(out: Path, table: dict[str, Any], asked: dict[str, Any]) -> No
             )
 
 
-def read(out: Path) -> dict[str, Any]:
+def load_table(out: Path) -> dict[str, Any]:
     """``spotcheck.json``.
 
     Raises:
@@ -84,23 +84,23 @@ def read(out: Path) -> dict[str, Any]:
     """
     path = out / TABLE
     table = read_table(path, ADVICE)
-    with reading(path, ADVICE):
+    with wrap_read_errors(path, ADVICE):
         if not isinstance(table["complete"], bool) or not isinstance(table["asked"], dict):
             raise TypeError("complete or asked are not what they should be")
-        for one in table["picks"]:
-            if not isinstance(one["world"], int) or not isinstance(one["why"], str):
+        for pick in table["picks"]:
+            if not isinstance(pick["world"], int) or not isinstance(pick["why"], str):
                 raise TypeError("picks holds something else than worlds")
     return table
 
 
-def write(out: Path, table: dict[str, Any]) -> None:
+def save_table(out: Path, table: dict[str, Any]) -> None:
     """Write ``spotcheck.json``, the whole file or none of it."""
     save_text(out / TABLE, json.dumps(table, indent=1) + "\n")
 
 
 def save_text(path: Path, text: str) -> None:
     """Write a file of the folder whole or not at all."""
-    with replacing(path, flag="--out", force=True) as writing:
+    with replace_file(path, flag="--out", force=True) as writing:
         writing.write_text(text, encoding="utf-8")
 
 

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from angler_mjx.robot.control.allocation import NEUTRAL_US
-from angler_mjx.runs.storage.intervals import clustered
+from angler_mjx.runs.storage.confidence_intervals import clustered_rates
 from angler_sitl.spotcheck.flight import Floats, SpotcheckFlight
 
 
 @dataclass(frozen=True, kw_only=True)
-class Gap:
+class FlightGap:
     """One robot of one world: a flight against another; differences are the first minus it."""
 
     world: int
@@ -49,7 +49,7 @@ class Gap:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sum:
+class GapSummary:
     """All robots of all worlds of one kind of flight against another."""
 
     robots: int
@@ -72,7 +72,7 @@ class Sum:
     """Median of the flight's effort over the other's."""
 
 
-def between(world: int, flight: SpotcheckFlight, other: SpotcheckFlight) -> list[Gap]:
+def compute_gaps(world: int, flight: SpotcheckFlight, other: SpotcheckFlight) -> list[FlightGap]:
     """Gaps of all robots of a world.
 
     Args:
@@ -80,37 +80,41 @@ def between(world: int, flight: SpotcheckFlight, other: SpotcheckFlight) -> list
         flight: of the autopilots.
         other: with the same robots, sampled at the same rate.
     """
-    return [_gap(world, i, flight, other) for i in range(len(flight.rows))]
+    return [_compute_gap(world, i, flight, other) for i in range(len(flight.rows))]
 
 
-def _gap(world: int, robot: int, flight: SpotcheckFlight, other: SpotcheckFlight) -> Gap:
+def _compute_gap(
+    world: int, robot: int, flight: SpotcheckFlight, other: SpotcheckFlight
+) -> FlightGap:
     ends = float(flight.end_s[robot]), float(other.end_s[robot])
     row, other_row = flight.rows[robot], other.rows[robot]
     count = min(flight.time_s.size, other.time_s.size)
     # The first sample is always there: everybody begins at the same place.
-    both = flight.time_s[:count] <= max(min(ends), 0.0)
-    way, other_way = flight.p_m[:count, robot][both], other.p_m[:count, robot][both]
-    apart = np.linalg.norm(way - other_way, axis=1)
+    is_shared = flight.time_s[:count] <= max(min(ends), 0.0)
+    path, other_path = flight.p_m[:count, robot][is_shared], other.p_m[:count, robot][is_shared]
+    apart = np.linalg.norm(path - other_path, axis=1)
     last = min(ends)
-    until = other.p_m[other.time_s <= ends[1], robot]
-    places = [one.place(robot, end) for one, end in zip((flight, other), ends, strict=True)]
-    met = [one.place(robot, last) for one in (flight, other)]
+    other_flown = other.p_m[other.time_s <= ends[1], robot]
+    end_positions = [
+        track.position_at(robot, end) for track, end in zip((flight, other), ends, strict=True)
+    ]
+    last_positions = [track.position_at(robot, last) for track in (flight, other)]
     arrived = row["outcome"] == other_row["outcome"] == "reached"
-    return Gap(
+    return FlightGap(
         world=world,
         robot=robot,
         outcome=row["outcome"],
         other_outcome=other_row["outcome"],
-        time_s=flight.time_s[:count][both],
+        time_s=flight.time_s[:count][is_shared],
         apart_m=apart,
         track_rms_m=_rms(apart),
-        track_end_m=float(np.linalg.norm(met[0] - met[1])),
-        path_rms_m=_rms(_to_way(way, until)),
-        endpoint_m=float(np.linalg.norm(places[0] - places[1])),
+        track_end_m=float(np.linalg.norm(last_positions[0] - last_positions[1])),
+        path_rms_m=_rms(_distance_to_path(path, other_flown)),
+        endpoint_m=float(np.linalg.norm(end_positions[0] - end_positions[1])),
         arrival_s=ends[0] - ends[1] if arrived else float("nan"),
         clearance_m=float(row["min_clearance_m"] - other_row["min_clearance_m"]),
-        effort_us=_effort(flight.pwm_us[:count, robot][both]),
-        other_effort_us=_effort(other.pwm_us[:count, robot][both]),
+        effort_us=_compute_effort(flight.pwm_us[:count, robot][is_shared]),
+        other_effort_us=_compute_effort(other.pwm_us[:count, robot][is_shared]),
     )
 
 
@@ -118,35 +122,37 @@ def _rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def _effort(pwm_us: NDArray[np.int64]) -> float:
+def _compute_effort(pwm_us: NDArray[np.int64]) -> float:
     """Of the thrusters that are there; where no pulse was sent (0) there is no effort."""
-    beside = np.where(pwm_us == 0, 0.0, pwm_us - NEUTRAL_US)
-    used = np.any(beside != 0.0, axis=0)
-    return _rms(beside[:, used]) if used.any() else 0.0
+    deviation = np.where(pwm_us == 0, 0.0, pwm_us - NEUTRAL_US)
+    used = np.any(deviation != 0.0, axis=0)
+    return _rms(deviation[:, used]) if used.any() else 0.0
 
 
-def _to_way(points: Floats, way: Floats) -> Floats:
+def _distance_to_path(points: Floats, path: Floats) -> Floats:
     """[n] distance of points [n, 3] to a way [m, 3] of straight pieces."""
-    if len(way) < 2:
-        found: Floats = np.linalg.norm(points - way[0], axis=1)
-        return found
-    begin, piece = way[:-1], np.diff(way, axis=0)
+    if len(path) < 2:
+        distances: Floats = np.linalg.norm(points - path[0], axis=1)
+        return distances
+    begin, piece = path[:-1], np.diff(path, axis=0)
     length = np.maximum(np.sum(piece**2, axis=1), 1e-12)
-    away = points[:, None] - begin
-    along = np.clip(np.sum(away * piece, axis=2) / length, 0.0, 1.0)
-    nearest: Floats = np.min(np.linalg.norm(away - along[..., None] * piece, axis=2), axis=1)
+    offsets = points[:, None] - begin
+    fractions = np.clip(np.sum(offsets * piece, axis=2) / length, 0.0, 1.0)
+    nearest: Floats = np.min(np.linalg.norm(offsets - fractions[..., None] * piece, axis=2), axis=1)
     return nearest
 
 
-def add_up(gaps: Sequence[Gap]) -> Sum:
+def summarise_gaps(gaps: Sequence[FlightGap]) -> GapSummary:
     """What gaps come to; at least one."""
     agree = sum(gap.agrees for gap in gaps)
-    same = np.array([gap.agrees for gap in gaps])
-    shares = clustered({"same": same, "another": ~same}, np.array([gap.world for gap in gaps]))
-    low, high = shares["same"].low, shares["same"].high
+    is_same = np.array([gap.agrees for gap in gaps])
+    rates = clustered_rates(
+        {"same": is_same, "another": ~is_same}, np.array([gap.world for gap in gaps])
+    )
+    low, high = rates["same"].low, rates["same"].high
     ratios = [gap.effort_us / gap.other_effort_us for gap in gaps if gap.other_effort_us > 0]
     arrival = [gap.arrival_s for gap in gaps]
-    return Sum(
+    return GapSummary(
         robots=len(gaps),
         agree=agree,
         arrivals_agree=sum(
@@ -154,20 +160,20 @@ def add_up(gaps: Sequence[Gap]) -> Sum:
         ),
         agree_low=low,
         agree_high=high,
-        track_rms_m=_spread([gap.track_rms_m for gap in gaps]),
-        path_rms_m=_spread([gap.path_rms_m for gap in gaps]),
-        endpoint_m=_spread([gap.endpoint_m for gap in gaps if gap.agrees]),
-        arrival_s=(_spread(arrival)[0], _spread(np.abs(arrival))[1]),
-        clearance_m=_spread([gap.clearance_m for gap in gaps]),
-        effort_ratio=_spread(ratios)[0],
+        track_rms_m=_median_and_p90([gap.track_rms_m for gap in gaps]),
+        path_rms_m=_median_and_p90([gap.path_rms_m for gap in gaps]),
+        endpoint_m=_median_and_p90([gap.endpoint_m for gap in gaps if gap.agrees]),
+        arrival_s=(_median_and_p90(arrival)[0], _median_and_p90(np.abs(arrival))[1]),
+        clearance_m=_median_and_p90([gap.clearance_m for gap in gaps]),
+        effort_ratio=_median_and_p90(ratios)[0],
     )
 
 
-def _spread(values: Any) -> tuple[float, float]:
+def _median_and_p90(values: Any) -> tuple[float, float]:
     """Median and 90th percentile of those that are numbers; NaN where there are none."""
-    known = np.asarray(values, float)
-    known = known[np.isfinite(known)]
-    if known.size == 0:
+    finite = np.asarray(values, float)
+    finite = finite[np.isfinite(finite)]
+    if finite.size == 0:
         return float("nan"), float("nan")
-    half, ninety = np.quantile(known, [0.5, 0.9])
-    return float(half), float(ninety)
+    median, p90 = np.quantile(finite, [0.5, 0.9])
+    return float(median), float(p90)

@@ -6,14 +6,14 @@ from pathlib import Path
 from typing import Any, Literal
 
 from angler_mjx.runs.storage.folder import Run
-from angler_sitl.firmware.parameters import Source
+from angler_sitl.firmware.parameters import PositionSource
 from angler_sitl.spotcheck import gaps
 from angler_sitl.spotcheck.flight import RECORDED, SpotcheckFlight
-from angler_sitl.spotcheck.flying import Against, SpotLevel
-from angler_sitl.spotcheck.gaps import Gap
-from angler_sitl.spotcheck.picking import Pick, Stratify
+from angler_sitl.spotcheck.gaps import FlightGap
+from angler_sitl.spotcheck.world_flyers import ReferenceController, SpotLevel
+from angler_sitl.spotcheck.world_selection import Stratify, WorldPick
 
-type Key = tuple[int, str, int]
+type FlightKey = tuple[int, str, int]
 """World, name of what flew, robots."""
 
 
@@ -25,15 +25,15 @@ class SpotcheckSettings:
     stratify: Stratify = "outcome"
     seed: int = 0
     """Of the draw of worlds."""
-    against: tuple[Against, ...] = ("surrogate", "cascade")
+    against: tuple[ReferenceController, ...] = ("surrogate", "cascade")
     levels: tuple[SpotLevel, ...] = ("thrusters", "guided")
     robots: tuple[int, ...] = ()
     """Each count is flown: the first so many of each world. Empty for all robots of the run."""
-    source: Source = "vision"
+    source: PositionSource = "vision"
     speed: Literal["max"] | float = "max"
     binary: Path | None = None
 
-    def asked(self) -> dict[str, Any]:
+    def to_request(self) -> dict[str, Any]:
         """What the results depend on, as JSON has it."""
         chosen = {k: v for k, v in asdict(self).items() if k not in ("speed", "binary")}
         return {k: list(v) if isinstance(v, tuple) else v for k, v in chosen.items()}
@@ -50,7 +50,7 @@ class SpotcheckResult:
 
     run: Run
     settings: SpotcheckSettings
-    picks: tuple[Pick, ...]
+    picks: tuple[WorldPick, ...]
     counts: tuple[int, ...]
     """Robots."""
     likeness: Mapping[int, str]
@@ -58,35 +58,35 @@ class SpotcheckResult:
     autopilot: str
     """Version and checksum of the ArduSub."""
     provenance: Mapping[str, Any]
-    flights: Mapping[Key, SpotcheckFlight] = field(default_factory=dict)
+    flights: Mapping[FlightKey, SpotcheckFlight] = field(default_factory=dict)
     complete: bool = False
 
-    def gaps(self, level: str, robots: int, reference: str) -> list[Gap]:
+    def list_gaps(self, level: str, robots: int, reference: str) -> list[FlightGap]:
         """Of all worlds that have both flights."""
-        listed = list[Gap]()
+        all_gaps = list[FlightGap]()
         for pick in self.picks:
             flight = self.flights.get((pick.world, level, robots))
             other = self.flights.get((pick.world, reference, robots))
             if flight is not None and other is not None:
-                listed += gaps.between(pick.world, flight, other)
-        return listed
+                all_gaps += gaps.compute_gaps(pick.world, flight, other)
+        return all_gaps
 
     @property
     def plans(self) -> str:
         """Who made the plans, when, and knowing what: the same in every flight."""
         scenario = self.run.scenario
-        planner, knows = scenario.planner, scenario.planner.knows
+        planner, information = scenario.planner, scenario.planner.information
         parts = [f"by {planner.name} before the start"]
         if planner.replan_hz:
             parts.append(
                 f"anew in every flight at {planner.replan_hz:g} Hz, taken up "
-                f"{planner.delay_s:g} s later; known of obstacles: {knows.obstacles}, of the "
-                f"current: {knows.current}"
+                f"{planner.delay_s:g} s later; known of obstacles: {information.obstacles}, of the "
+                f"current: {information.current}"
             )
         if scenario.execution.order == "kept":
             parts.append("flown in the order of the plans")
         return ", ".join(parts)
 
-    def names(self) -> tuple[str, ...]:
+    def flight_names(self) -> tuple[str, ...]:
         """Of all flights of a world, in the order of tables and legends."""
         return (*self.settings.references, *self.settings.levels)

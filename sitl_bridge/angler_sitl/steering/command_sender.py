@@ -5,17 +5,17 @@ from typing import Any
 
 import numpy as np
 
-from angler_mjx.robot.control.mixed import Mixed
+from angler_mjx.robot.control.mixed import MixedCommand
 from angler_mjx.runs.session.interface import RobotInfo
 from angler_mjx.sim.record import Belief
 from angler_mjx.sim.state import SimSpec
-from angler_sitl.firmware.parameters import Level
+from angler_sitl.firmware.parameters import CommandLevel
 from angler_sitl.scene.scene import AutopilotScene
 from angler_sitl.steering import sticks
-from angler_sitl.steering.guidance import Decision, Guidance, trusting
-from angler_sitl.steering.pilot import AutopilotCommander
+from angler_sitl.steering.autopilot_commander import AutopilotCommander
+from angler_sitl.steering.guidance import Guidance, GuidanceDecision, belief_from_truth
 from angler_sitl.wire import messages
-from angler_sitl.wire.link import Message
+from angler_sitl.wire.link import MavlinkMessage
 
 
 class CommandSender:
@@ -25,64 +25,70 @@ class CommandSender:
         memory: of the controllers, [1, R] leading.
     """
 
-    def __init__(self, level: Level, spec: SimSpec) -> None:
+    def __init__(self, level: CommandLevel, spec: SimSpec) -> None:
         """Nothing is compiled yet.
 
         Args:
             level: where commands enter.
-            spec: of that level, see `angler_sitl.steering.levels.spec_of`.
+            spec: of that level, see `angler_sitl.steering.levels.build_level_spec`.
         """
         self._level, self._guidance = level, Guidance(spec)
 
-    def reset(self, scene: AutopilotScene, told: Mixed) -> None:
+    def reset(self, scene: AutopilotScene, command: MixedCommand) -> None:
         """Begin anew, with the vehicles at their starts.
 
         Args:
             scene: that they are in.
-            told: anything that robots could be told; a decision is made once for nobody, so that
+            command: anything that robots could be told; a decision is made once for nobody, so that
                 none that counts waits for a compiler.
         """
         vehicles = scene.state.vehicles
-        self.memory = self._guidance.begin(scene.worlds, vehicles)
-        self._guidance.decide(scene.worlds, scene.state, self.memory, trusting(vehicles), told)
+        self.memory = self._guidance.initialise_memory(scene.worlds, vehicles)
+        self._guidance.decide(
+            scene.worlds, scene.state, self.memory, belief_from_truth(vehicles), command
+        )
 
     def steer(
         self,
         scene: AutopilotScene,
         pilots: Sequence[AutopilotCommander],
         robots: Sequence[RobotInfo],
-        known: Belief,
-        told: Mixed,
-    ) -> Decision:
+        estimate: Belief,
+        command: MixedCommand,
+    ) -> GuidanceDecision:
         """One control step: decide, and send.
 
         Args:
             scene: for its constants and its clock.
             pilots: whom to send to.
             robots: whom they steer.
-            known: what these believe of their motion, [1, R] leading.
-            told: what they are told.
+            estimate: what these believe of their motion, [1, R] leading.
+            command: what they are told.
         """
-        decision = self._guidance.decide(scene.worlds, scene.state, self.memory, known, told)
+        decision = self._guidance.decide(scene.worlds, scene.state, self.memory, estimate, command)
         self.memory = decision.memory
         for i, (pilot, robot) in enumerate(zip(pilots, robots, strict=True)):
-            pilot.link.send(self._message(i, pilot, robot, scene.time_s, decision.output))
+            pilot.link.send(self._build_message(i, pilot, robot, scene.time_s, decision.output))
         return decision
 
-    def _message(
+    def _build_message(
         self, i: int, pilot: AutopilotCommander, robot: RobotInfo, time_s: float, output: Any
-    ) -> Message:
-        def of(leaf: Any) -> Any:
+    ) -> MavlinkMessage:
+        def select_robot(leaf: Any) -> Any:
             return np.asarray(leaf)[0, i]
 
         if self._level == "thrusters":
-            return messages.override(pilot.sysid, of(output.pwm_us)[: len(robot.thrusters)])
+            return messages.build_override(
+                pilot.sysid, select_robot(output.pwm_us)[: len(robot.thrusters)]
+            )
         if self._level == "guided":
-            return messages.position_target(
+            return messages.build_position_target(
                 pilot.sysid,
                 time_s,
-                of(output.position_m),
-                of(output.velocity_mps),
-                float(of(output.yaw_rad)),
+                select_robot(output.position_m),
+                select_robot(output.velocity_mps),
+                float(select_robot(output.yaw_rad)),
             )
-        return messages.sticks(pilot.sysid, sticks.of_twist(self._level, robot, of(output.nu)))
+        return messages.build_manual_control(
+            pilot.sysid, sticks.twist_to_sticks(self._level, robot, select_robot(output.nu))
+        )

@@ -10,19 +10,19 @@ import numpy as np
 
 from angler_mjx.robot.control import mixed, stack
 from angler_mjx.robot.control.commands import BodyWrench, ThrusterPwm
-from angler_mjx.robot.control.mixed import Mixed
+from angler_mjx.robot.control.mixed import MixedCommand
 from angler_mjx.robot.control.stack import ControlMemory
 from angler_mjx.sim import robot
 from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.record import Belief
 from angler_mjx.sim.state import SimSpec, World, WorldState
 from angler_mjx.world import currents
-from angler_sitl.steering.pilot import PilotMotion
+from angler_sitl.steering.autopilot_commander import EstimatedMotion
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Decision:
+class GuidanceDecision:
     """What came of one control step; [1, R] leads."""
 
     memory: ControlMemory
@@ -43,84 +43,98 @@ class Guidance:
         """Nothing is compiled yet.
 
         Args:
-            spec: of the level, see `angler_sitl.steering.levels.spec_of`.
+            spec: of the level, see `angler_sitl.steering.levels.build_level_spec`.
         """
         self._spec = spec
-        self._signals = spec.stages[-1].gives is ThrusterPwm
-        self._begin = jax.jit(partial(_begin, spec))
-        self._decide = jax.jit(partial(_decide, spec))
+        self._sends_pwm = spec.stages[-1].gives is ThrusterPwm
+        self._begin = jax.jit(partial(_reset_controllers, spec))
+        self._decide = jax.jit(partial(_run_controllers, spec))
 
-    def begin(self, worlds: World, vehicles: VehicleState) -> ControlMemory:
+    def initialise_memory(self, worlds: World, vehicles: VehicleState) -> ControlMemory:
         """Memory of all robots at their starts, [1, R] leading."""
         memory: ControlMemory = self._begin(worlds, vehicles)
         return memory
 
     def decide(
-        self, worlds: World, state: WorldState, memory: ControlMemory, known: Belief, told: Mixed
-    ) -> Decision:
+        self,
+        worlds: World,
+        state: WorldState,
+        memory: ControlMemory,
+        estimate: Belief,
+        command: MixedCommand,
+    ) -> GuidanceDecision:
         """One control step.
 
         Args:
             worlds: [1] leads.
             state: the truth, for the current alone.
             memory: of the stacks.
-            known: what the robots believe of their motion, [1, R] leading.
-            told: what they are told.
+            estimate: what the robots believe of their motion, [1, R] leading.
+            command: what they are told.
         """
-        if not self._signals:
+        if not self._sends_pwm:
             # There is a slot for signals, the last, which this level takes from nobody.
-            told = Mixed(which=told.which, fresh=told.fresh, commands=told.commands[:-1])
-        decision: Decision = self._decide(worlds, state.vehicles.p, state.step, memory, known, told)
+            command = MixedCommand(
+                which=command.which, fresh=command.fresh, commands=command.commands[:-1]
+            )
+        decision: GuidanceDecision = self._decide(
+            worlds, state.vehicles.p, state.step, memory, estimate, command
+        )
         return decision
 
 
-def _begin(spec: SimSpec, worlds: World, vehicles: VehicleState) -> ControlMemory:
-    memory = jax.vmap(jax.vmap(partial(robot.begin, spec)))(
+def _reset_controllers(spec: SimSpec, worlds: World, vehicles: VehicleState) -> ControlMemory:
+    memory = jax.vmap(jax.vmap(partial(robot.reset_controllers, spec)))(
         vehicles, worlds.environment.start_yaw_rad
     )
     if spec.stages[-1].gives is not ThrusterPwm:
         return memory
-    unasked = BodyWrench(tau=jnp.full_like(vehicles.nu, jnp.nan))
-    return ControlMemory(stages=memory.stages, realised=memory.realised, demanded=unasked)
+    no_demand = BodyWrench(tau=jnp.full_like(vehicles.nu, jnp.nan))
+    return ControlMemory(stages=memory.stages, realised=memory.realised, demanded=no_demand)
 
 
-def _decide(
+def _run_controllers(
     spec: SimSpec,
     worlds: World,
     p: jax.Array,
     step: jax.Array,
     memory: ControlMemory,
-    known: Belief,
-    told: Mixed,
-) -> Decision:
-    def one(
-        world: World, p: jax.Array, step: jax.Array, memory: Any, known: Belief, told: Mixed
-    ) -> Decision:
+    estimate: Belief,
+    command: MixedCommand,
+) -> GuidanceDecision:
+    def decide_world(
+        world: World,
+        p: jax.Array,
+        step: jax.Array,
+        memory: Any,
+        estimate: Belief,
+        command: MixedCommand,
+    ) -> GuidanceDecision:
         t = step.astype(p.dtype) * spec.control_dt_s
         flow = jax.vmap(currents.velocity, (None, 0, None))(world.environment.current, p, t)
-        after, target, output = jax.vmap(partial(robot.decide, spec))(
+        after, target, output = jax.vmap(partial(robot.run_controllers, spec))(
             world.control,
             memory,
-            known,
-            told,
-            known.flow if stack.wants_flow(spec.stages) else None,
+            estimate,
+            command,
+            estimate.flow if stack.wants_flow(spec.stages) else None,
         )
         begin_s = jax.vmap(partial(mixed.last_approach_s, tolerance_m=spec.goal_tolerance_m))(
-            told, world.environment.goal_m
+            command, world.environment.goal_m
         )
-        return Decision(
+        return GuidanceDecision(
             memory=after,
             target_m=target,
             output=output,
-            approaching=jax.vmap(partial(robot.approaches, spec))(after, told, begin_s),
+            approaching=jax.vmap(partial(robot.is_on_last_approach, spec))(after, command, begin_s),
             current_mps=flow,
         )
 
-    decision: Decision = jax.vmap(one)(worlds, p, step, memory, known, told)
+    decision: GuidanceDecision = jax.vmap(decide_world)(worlds, p, step, memory, estimate, command)
     return decision
 
 
-def belief_of(motion: PilotMotion, like: Any) -> Belief:
+def belief_from_motion(motion: EstimatedMotion, like: Any) -> Belief:
     """What autopilots believe, as controllers take it.
 
     They do not say how sure they are: the spreads are NaN. Nor do they know of a current: still
@@ -130,23 +144,25 @@ def belief_of(motion: PilotMotion, like: Any) -> Belief:
         motion: of each robot.
         like: [1, R, 3] array of the type that the simulation computes with.
     """
-    told: dict[str, Any] = {
+    fields: dict[str, Any] = {
         name: getattr(motion, name)[None].astype(like.dtype) for name in ("p", "q", "nu")
     }
-    unknown: Any = np.full_like(told["p"], np.nan)
+    unknown: Any = np.full_like(fields["p"], np.nan)
     return Belief(
-        **told,
-        flow=np.zeros_like(told["p"]),
+        **fields,
+        flow=np.zeros_like(fields["p"]),
         position_std_m=unknown,
         velocity_std_mps=unknown,
         attitude_std_rad=unknown,
     )
 
 
-def trusting(vehicles: VehicleState) -> Belief:
+def belief_from_truth(vehicles: VehicleState) -> Belief:
     """The truth in the same form, [1, R] leading; of a current nothing is told either."""
-    told: dict[str, Any] = {name: np.asarray(getattr(vehicles, name)) for name in ("p", "q", "nu")}
-    none: Any = np.zeros_like(told["p"])
+    fields: dict[str, Any] = {
+        name: np.asarray(getattr(vehicles, name)) for name in ("p", "q", "nu")
+    }
+    zeros: Any = np.zeros_like(fields["p"])
     return Belief(
-        **told, flow=none, position_std_m=none, velocity_std_mps=none, attitude_std_rad=none
+        **fields, flow=zeros, position_std_m=zeros, velocity_std_mps=zeros, attitude_std_rad=zeros
     )

@@ -25,15 +25,15 @@ from angler_mjx.robot.control import stages
 from angler_mjx.robot.control.commands import BodyTwist, Estimate, PoseTarget
 from angler_mjx.robot.control.joint_goal import JointGoal
 from angler_mjx.robot.control.joint_trajectory import JointTrajectory
-from angler_mjx.robot.control.laws.model import wrap
+from angler_mjx.robot.control.laws.model import wrap_angle
 from angler_mjx.robot.control.laws.targets import TrackingTarget, as_tracking
 from angler_mjx.robot.control.stack import NoGains, Stage, StageInput
 from angler_mjx.robot.control.trajectory import Trajectory
-from angler_mjx.runs.session.fleet_facts import Facts
+from angler_mjx.runs.session.fleet_facts import FleetFacts
 from angler_mjx.sim.state import SimSpec
-from angler_sitl.firmware.parameters import LEVELS, Level
+from angler_sitl.firmware.parameters import LEVELS, CommandLevel
 
-MODES: dict[Level, int] = {
+LEVEL_MODES: dict[CommandLevel, int] = {
     "thrusters": 19,
     "guided": 4,
     "poshold": 16,
@@ -42,7 +42,7 @@ MODES: dict[Level, int] = {
 }
 """The firmware's number of the mode that each level needs."""
 
-STICK_LEVELS: tuple[Level, ...] = ("poshold", "althold", "manual")
+STICK_LEVELS: tuple[CommandLevel, ...] = ("poshold", "althold", "manual")
 
 LEASH_M, LEASH_RAD = 0.5, 0.5
 """How far the target of a twist may be ahead of a robot that does not keep up."""
@@ -61,7 +61,7 @@ class GuidedCarry:
     """bool [] a twist moved it."""
 
 
-def spec_of(level: Level, spec: SimSpec) -> SimSpec:
+def build_level_spec(level: CommandLevel, spec: SimSpec) -> SimSpec:
     """Settings of the simulation with the controllers of a level.
 
     Args:
@@ -80,15 +80,17 @@ def spec_of(level: Level, spec: SimSpec) -> SimSpec:
     return replace(spec, stages=stack, gains=tuple(stage.gains() for stage in stack))
 
 
-def accepts(level: Level, of_scenario: tuple[type, ...]) -> tuple[type, ...]:
+def accepted_command_types(
+    level: CommandLevel, scenario_types: tuple[type, ...]
+) -> tuple[type, ...]:
     """Types of commands that robots take at a level.
 
     Args:
         level: where they enter.
-        of_scenario: what the scenario's own controllers take.
+        scenario_types: what the scenario's own controllers take.
     """
     if level == "thrusters":
-        return of_scenario
+        return scenario_types
     if level == "guided":
         return (Trajectory, JointTrajectory, TrackingTarget, PoseTarget, BodyTwist, JointGoal)
     return (BodyTwist,)
@@ -99,15 +101,15 @@ def _reset_guided(estimate: Estimate, yaw_rad: jax.Array) -> GuidedCarry:
     return GuidedCarry(position_m=estimate.p, yaw_rad=yaw_rad, steered=steered)
 
 
-def _guided(
+def _step_guided(
     _: NoGains,
     carry: GuidedCarry,
-    given: StageInput,
+    inputs: StageInput,
     command: PoseTarget | TrackingTarget | BodyTwist,
 ) -> tuple[GuidedCarry, TrackingTarget]:
     """The target of one control step."""
     if isinstance(command, BodyTwist):
-        target = _moved(carry, given.estimate, command, given.dt)
+        target = _advance_target(carry, inputs.estimate, command, inputs.dt)
     else:
         target = as_tracking(command)
     after = GuidedCarry(
@@ -118,12 +120,14 @@ def _guided(
     return after, target
 
 
-def _moved(carry: GuidedCarry, estimate: Estimate, command: BodyTwist, dt: float) -> TrackingTarget:
+def _advance_target(
+    carry: GuidedCarry, estimate: Estimate, command: BodyTwist, dt: float
+) -> TrackingTarget:
     """The target moved on by a twist, from where the robot is if another command stood before."""
     yaw = quaternion.yaw(estimate.q)
     velocity = quaternion.rotate(quaternion.from_yaw(yaw), command.nu[:3])
     lead = jnp.where(carry.steered, carry.position_m - estimate.p, 0.0)
-    ahead = jnp.where(carry.steered, wrap(carry.yaw_rad - yaw), 0.0)
+    ahead = jnp.where(carry.steered, wrap_angle(carry.yaw_rad - yaw), 0.0)
     away = jnp.sqrt(jnp.sum(lead**2) + 1e-12)
     lead = lead * jnp.minimum(1.0, LEASH_M / away) + velocity * dt
     ahead = jnp.clip(ahead, -LEASH_RAD, LEASH_RAD) + command.nu[5] * dt
@@ -132,13 +136,13 @@ def _moved(carry: GuidedCarry, estimate: Estimate, command: BodyTwist, dt: float
         position_m=estimate.p + lead,
         velocity_mps=velocity,
         acceleration_mps2=jnp.zeros_like(velocity),
-        yaw_rad=wrap(yaw + ahead),
+        yaw_rad=wrap_angle(yaw + ahead),
         yaw_rate_radps=command.nu[5] + still,
         yaw_acceleration_radps2=still,
     )
 
 
-def _sticks(
+def _step_sticks(
     _: NoGains, carry: tuple[()], __: StageInput, command: PoseTarget | BodyTwist
 ) -> tuple[tuple[()], BodyTwist]:
     """Sticks held as a twist; let go where a robot is to stay."""
@@ -152,19 +156,22 @@ _GUIDED = Stage(
     name="guided",
     takes=(PoseTarget, TrackingTarget, BodyTwist),
     gives=TrackingTarget,
-    step=_guided,
+    step=_step_guided,
     reset=_reset_guided,
 )
 _STICKS = Stage(
     name="sticks",
     takes=(PoseTarget, BodyTwist),
     gives=BodyTwist,
-    step=_sticks,
+    step=_step_sticks,
     reset=lambda _, __: (),
 )
 
 
-def facts_of(level: Level, facts: Facts) -> Facts:
+def adapt_facts(level: CommandLevel, facts: FleetFacts) -> FleetFacts:
     """What is known of a scene's robots, with the commands that they take at a level."""
-    robots = tuple(replace(robot, accepts=accepts(level, robot.accepts)) for robot in facts.robots)
+    robots = tuple(
+        replace(robot, accepts=accepted_command_types(level, robot.accepts))
+        for robot in facts.robots
+    )
     return replace(facts, robots=robots)

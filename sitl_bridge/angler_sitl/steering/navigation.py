@@ -15,12 +15,12 @@ import numpy as np
 from angler_mjx.frames import quaternion_enu_to_ned, vector_enu_to_ned
 from angler_mjx.runs.session.interface import Floats
 from angler_mjx.sim.record import Belief
-from angler_mjx.sim.state import Senses, SimSpec, World
+from angler_mjx.sim.state import SensingMemory, SimSpec, World
 from angler_mjx.sim.world_phases import sensing
 from angler_sitl.scene.scene import AutopilotScene
-from angler_sitl.steering.pilot import Fix
+from angler_sitl.steering.autopilot_commander import NavigationFix
 
-type Memory = tuple[Senses | None, ...]
+type InstrumentMemory = tuple[SensingMemory | None, ...]
 
 
 class Navigation:
@@ -29,28 +29,28 @@ class Navigation:
     def __init__(self, scene: AutopilotScene, spec: SimSpec) -> None:
         """Nothing is compiled where robots are told the truth."""
         self._scene, self._spec = scene, spec
-        self._sense = jax.jit(partial(_sense, spec))
-        self._begin = jax.jit(partial(_begin, spec))
+        self._sense = jax.jit(partial(_step_sensing, spec))
+        self._begin = jax.jit(partial(_reset_sensing, spec))
         self.reset()
 
     def reset(self) -> None:
         """Switch the instruments on, at the vehicles' starts."""
-        scene, self._looks = self._scene, 0
-        self._memory: Memory = (
+        scene, self._measurement_count = self._scene, 0
+        self._memory: InstrumentMemory = (
             self._begin(scene.worlds, scene.state.vehicles) if self._spec.instrumented else ()
         )
 
-    def fixes(self) -> list[Fix]:
+    def build_fixes(self) -> list[NavigationFix]:
         """What each robot is told now; once in a control period."""
         if not self._spec.instrumented:
             states = self._scene.states
-            none = np.zeros_like(states.p_ned)
-            told: tuple[Floats, ...]
-            told = (states.p_ned, states.q, states.v_ned, none, none, none)
+            zeros = np.zeros_like(states.p_ned)
+            values: tuple[Floats, ...]
+            values = (states.p_ned, states.q, states.v_ned, zeros, zeros, zeros)
         else:
-            told = self._sensed()
+            values = self._estimate_motion()
         return [
-            Fix(
+            NavigationFix(
                 p=p,
                 q=q,
                 velocity_mps=velocity,
@@ -58,41 +58,43 @@ class Navigation:
                 velocity_std_mps=velocity_std,
                 attitude_std_rad=attitude_std,
             )
-            for p, q, velocity, position_std, velocity_std, attitude_std in zip(*told, strict=True)
+            for p, q, velocity, position_std, velocity_std, attitude_std in zip(
+                *values, strict=True
+            )
         ]
 
-    def _sensed(self) -> tuple[Floats, ...]:
+    def _estimate_motion(self) -> tuple[Floats, ...]:
         """What instruments and filters make of the truth, NED and FRD, [R] leading."""
-        scene, number = self._scene, np.int32(self._looks)
-        self._looks += 1
+        scene, number = self._scene, np.int32(self._measurement_count)
+        self._measurement_count += 1
         self._memory, belief = self._sense(scene.worlds, self._memory, number, scene.state.vehicles)
         q, nu = np.asarray(belief.q, float), np.asarray(belief.nu, float)
         spreads = (belief.position_std_m, belief.velocity_std_mps, belief.attitude_std_rad)
         return (
             vector_enu_to_ned(np.asarray(belief.p, float)),
             quaternion_enu_to_ned(q),
-            vector_enu_to_ned(in_world(q, nu)),
+            vector_enu_to_ned(rotate_to_world(q, nu)),
             # A standard deviation has no sign.
             *(np.abs(vector_enu_to_ned(np.asarray(spread, float))) for spread in spreads),
         )
 
 
-def in_world(q: Floats, nu: Floats) -> Floats:
+def rotate_to_world(q: Floats, nu: Floats) -> Floats:
     """Linear velocity [..., 3] in W of nu [..., 6] in F, at an attitude [..., 4]."""
     w, axis, v = q[..., :1], q[..., 1:], nu[..., :3]
-    once = 2.0 * np.cross(axis, v)
-    turned: Floats = v + w * once + np.cross(axis, once)
-    return turned
+    twice_cross = 2.0 * np.cross(axis, v)
+    rotated: Floats = v + w * twice_cross + np.cross(axis, twice_cross)
+    return rotated
 
 
-def _begin(spec: SimSpec, worlds: World, vehicles: Any) -> Memory:
+def _reset_sensing(spec: SimSpec, worlds: World, vehicles: Any) -> InstrumentMemory:
     world, now = jax.tree.map(lambda leaf: leaf[0], (worlds, vehicles))
     return sensing.reset(spec, world, now)
 
 
-def _sense(
-    spec: SimSpec, worlds: World, memory: Memory, number: jax.Array, vehicles: Any
-) -> tuple[Memory, Belief]:
+def _step_sensing(
+    spec: SimSpec, worlds: World, memory: InstrumentMemory, number: jax.Array, vehicles: Any
+) -> tuple[InstrumentMemory, Belief]:
     world, now = jax.tree.map(lambda leaf: leaf[0], (worlds, vehicles))
     flow = jnp.zeros_like(now.p)
     return sensing.step(spec, world, memory, number, now, flow)

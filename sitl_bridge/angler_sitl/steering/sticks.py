@@ -12,18 +12,18 @@ from typing import Any
 import numpy as np
 
 from angler_mjx.runs.session.interface import Floats, RobotInfo
-from angler_sitl.firmware.parameters import Level
+from angler_sitl.firmware.parameters import CommandLevel
 
 _LEVEL_ZONE, _TURN_ZONE = 0.25, 0.1
 """Dead zones, as shares of the stick: THR_DZ = 100 and RC4_DZ = 40, of 400 us."""
-_UP_ZONE, _DOWNMOST = 0.1925, 0.925
+_UP_ZONE, _MAX_DOWN = 0.1925, 0.925
 """The throttle counts 0 to 1000 from 1130 to 1900 us (RC3_DZ = 30), with its middle at 1500 us and
 THR_DZ = 100 on either side: its lower end is reached before that of the stick."""
 _FULL_TURN_RADPS = np.radians(45.0 * 3.375)
 """Full stick is 45 degrees, by ACRO_YAW_P a second."""
 
 
-def parameters(level: Level, robot: RobotInfo) -> dict[str, float]:
+def stick_parameters(level: CommandLevel, robot: RobotInfo) -> dict[str, float]:
     """The firmware's scales: full stick is the vehicle's top speed.
 
     Beyond the dead zone it counts a level stick from there, but not up to 1.
@@ -38,7 +38,7 @@ def parameters(level: Level, robot: RobotInfo) -> dict[str, float]:
     }
 
 
-def of_twist(level: Level, robot: RobotInfo, nu: Floats) -> Floats:
+def twist_to_sticks(level: CommandLevel, robot: RobotInfo, nu: Floats) -> Floats:
     """Sticks [4] forward, left, up and turning left, -1 to 1.
 
     Args:
@@ -47,12 +47,12 @@ def of_twist(level: Level, robot: RobotInfo, nu: Floats) -> Floats:
         nu: [6] in F.
     """
     x, y, z = map(float, robot.max_speed_mps)
-    most, zone = np.array([x, y, z, robot.max_turn_radps]), np.zeros(4)
+    full_scale, zone = np.array([x, y, z, robot.max_turn_radps]), np.zeros(4)
     if level in ("poshold", "althold"):
-        most[3], zone[2:] = _FULL_TURN_RADPS, (_UP_ZONE, _TURN_ZONE)
+        full_scale[3], zone[2:] = _FULL_TURN_RADPS, (_UP_ZONE, _TURN_ZONE)
     if level == "poshold":
-        most[:2], zone[:2] = max(x, y), _LEVEL_ZONE
-    share: Any = np.asarray(nu, float)[[0, 1, 2, 5]] / most
-    end = np.where((zone == _UP_ZONE) & (share < 0.0), _DOWNMOST, 1.0)
-    deflection: Floats = np.sign(share) * (zone + (end - zone) * np.abs(share))
+        full_scale[:2], zone[:2] = max(x, y), _LEVEL_ZONE
+    fraction: Any = np.asarray(nu, float)[[0, 1, 2, 5]] / full_scale
+    end = np.where((zone == _UP_ZONE) & (fraction < 0.0), _MAX_DOWN, 1.0)
+    deflection: Floats = np.sign(fraction) * (zone + (end - zone) * np.abs(fraction))
     return deflection

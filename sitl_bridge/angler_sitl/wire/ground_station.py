@@ -11,14 +11,14 @@ from typing import Self
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from angler_mjx.errors import ConfigError, shown
+from angler_mjx.errors import ConfigError, format_value
 from angler_mjx.runs.session.interface import Observation
 from angler_sitl.session import SitlSession
 
-_LARGEST = 65_536
+_MAX_PACKET_BYTES = 65_536
 
 
-def parse(text: str) -> tuple[str, int]:
+def parse_address(text: str) -> tuple[str, int]:
     """Host and port of a ground station.
 
     Args:
@@ -33,7 +33,9 @@ def parse(text: str) -> tuple[str, int]:
     plain = number.isascii() and number.isdecimal() and len(number) <= 5
     port = int(number) if plain else 0
     if kind != "udp" or not host or not 0 < port < 65_536:
-        raise ConfigError(f"--gcs {shown(text)}: give udp:HOST:PORT, as in udp:127.0.0.1:14550")
+        raise ConfigError(
+            f"--gcs {format_value(text)}: give udp:HOST:PORT, as in udp:127.0.0.1:14550"
+        )
     return host, port
 
 
@@ -52,7 +54,7 @@ class GroundStation:
         Raises:
             ConfigError: it is none, or its host has no address.
         """
-        host, port = parse(address)
+        host, port = parse_address(address)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         try:
@@ -75,24 +77,24 @@ class GroundStation:
         """Let it hear the autopilots of a session, as they are since its last reset."""
         self._pilots = session.autopilots.pilots
         for pilot in self._pilots:
-            pilot.vision.listeners.append(self._send)
+            pilot.vision.listeners.append(self._forward)
 
     def after(self, observation: Observation) -> None:
         """Pass on what the ground station has sent."""
         while True:
             try:
-                data = self._socket.recv(_LARGEST)
+                data = self._socket.recv(_MAX_PACKET_BYTES)
             except BlockingIOError:
                 return
             except ConnectionError:  # nobody listens there yet
                 continue
             for message in self._parser.parse_buffer(data) or ():
-                wanted = getattr(message, "target_system", 0)
+                target = getattr(message, "target_system", 0)
                 for pilot in self._pilots:
-                    if message.get_type() != "BAD_DATA" and wanted in (0, pilot.sysid):
+                    if message.get_type() != "BAD_DATA" and target in (0, pilot.sysid):
                         pilot.vision.write(bytes(message.get_msgbuf()))
 
-    def _send(self, packet: bytes) -> None:
+    def _forward(self, packet: bytes) -> None:
         try:
             self._socket.send(packet)
         except (BlockingIOError, ConnectionError):

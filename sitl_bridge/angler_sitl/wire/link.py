@@ -1,8 +1,9 @@
 """MAVLink 2 with one autopilot over a UDP socket of our own, paced by the scene's clock.
 
 The autopilot is told our port and speaks first; answers go to where its packets come from, which
-another port may be after it restarted. Nothing here waits: `Link.receive` takes what is there, and
-whoever steps the scene looks again one control period later. Every packet, in and out, goes through
+another port may be after it restarted. Nothing here waits: `MavlinkLink.receive` takes what is
+there, and whoever steps the scene looks again one control period later. Every packet, in and out,
+goes through
 a tap: a log (`angler_sitl.wire.tlog`), or a ground station that listens along.
 """
 
@@ -14,9 +15,9 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-type Message = Any
+type MavlinkMessage = Any
 """A message of the dialect; its package tells a type checker nothing."""
-type Tap = Callable[[bytes, float], None]
+type PacketTap = Callable[[bytes, float], None]
 """Given each packet, in and out, and the scene's time, s."""
 
 GROUND_STATION = 255
@@ -24,13 +25,13 @@ GROUND_STATION = 255
 _COMPONENT = dialect.MAV_COMP_ID_MISSIONPLANNER
 _AUTOPILOT = dialect.MAV_COMP_ID_AUTOPILOT1
 _HEARTBEAT_S = 1.0
-_LARGEST = 65_536
-_TEXTS = 50
+_MAX_PACKET_BYTES = 65_536
+_MAX_TEXTS = 50
 """Last words of an autopilot that are kept."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Text:
+class StatusText:
     """Something that an autopilot said in words."""
 
     time_s: float
@@ -39,7 +40,7 @@ class Text:
     text: str
 
 
-class Link:
+class MavlinkLink:
     """One autopilot's MAVLink.
 
     Attributes:
@@ -55,7 +56,7 @@ class Link:
     """
 
     def __init__(
-        self, bound: socket.socket, *, name: str, sysid: int, tap: Tap | None = None
+        self, bound: socket.socket, *, name: str, sysid: int, tap: PacketTap | None = None
     ) -> None:
         """Take over a socket that is bound already; it is not closed here."""
         bound.setblocking(False)
@@ -65,8 +66,8 @@ class Link:
         self._peer: tuple[str, int] | None = None
         self._time_s, self._beat_s = 0.0, -_HEARTBEAT_S
         self.name, self.sysid = name, sysid
-        self.latest: dict[str, Message] = {}
-        self.texts: deque[Text] = deque(maxlen=_TEXTS)
+        self.latest: dict[str, MavlinkMessage] = {}
+        self.texts: deque[StatusText] = deque(maxlen=_MAX_TEXTS)
         self.parameters: dict[str, float] = {}
         self.parameter_count = 0
         self.parameter_indices: set[int] = set()
@@ -74,14 +75,14 @@ class Link:
         self.listeners: list[Callable[[bytes], None]] = []
 
     @property
-    def heard(self) -> bool:
+    def has_peer(self) -> bool:
         """Whether it has sent anything; before that nobody knows where to send to."""
         return self._peer is not None
 
     def tick(self, time_s: float) -> None:
         """Take what has come, and send a heartbeat if one is due by the scene's clock."""
         self.receive(time_s)
-        if self.heard and time_s >= self._beat_s + _HEARTBEAT_S:
+        if self.has_peer and time_s >= self._beat_s + _HEARTBEAT_S:
             self._beat_s = time_s
             self.send(
                 dialect.MAVLink_heartbeat_message(
@@ -103,7 +104,7 @@ class Link:
         self._time_s = time_s
         while True:
             try:
-                data, sender = self._socket.recvfrom(_LARGEST)
+                data, sender = self._socket.recvfrom(_MAX_PACKET_BYTES)
             except BlockingIOError:
                 return
             except ConnectionError:  # a packet of ours came to a port that is closed
@@ -111,9 +112,9 @@ class Link:
             for message in self._mav.parse_buffer(data) or ():
                 if message.get_srcSystem() == self.sysid:
                     self._peer = sender
-                    self._take(message)
+                    self._handle_message(message)
 
-    def send(self, message: Message) -> None:
+    def send(self, message: MavlinkMessage) -> None:
         """Send a message; to an autopilot that was not heard of yet it is lost."""
         self._mav.send(message)
 
@@ -139,7 +140,7 @@ class Link:
         padded = (*parameters, *(0.0,) * (7 - len(parameters)))
         self.send(dialect.MAVLink_command_long_message(self.sysid, _AUTOPILOT, number, 0, *padded))
 
-    def stream(self, message: int, rate_hz: float) -> None:
+    def request_stream(self, message: int, rate_hz: float) -> None:
         """Ask for a kind of message at a rate of its clock."""
         self.command(dialect.MAV_CMD_SET_MESSAGE_INTERVAL, message, 1e6 / rate_hz)
 
@@ -151,11 +152,11 @@ class Link:
         """Ask for one of its parameters by its number."""
         self.send(dialect.MAVLink_param_request_read_message(self.sysid, _AUTOPILOT, b"", index))
 
-    def last_words(self, count: int = 3) -> str:
+    def format_last_texts(self, count: int = 3) -> str:
         """The last things that it said in words, for the report of a failure."""
         return "; ".join(text.text for text in list(self.texts)[-count:])
 
-    def _take(self, message: Message) -> None:
+    def _handle_message(self, message: MavlinkMessage) -> None:
         if self._tap is not None:
             self._tap(bytes(message.get_msgbuf()), self._time_s)
         for listener in self.listeners:
@@ -169,7 +170,9 @@ class Link:
             self.parameter_count = message.param_count
             self.parameter_indices.add(message.param_index)
         elif kind == "STATUSTEXT":
-            said = Text(time_s=self._time_s, severity=message.severity, text=message.text)
-            self.texts.append(said)
+            status_text = StatusText(
+                time_s=self._time_s, severity=message.severity, text=message.text
+            )
+            self.texts.append(status_text)
         elif kind == "COMMAND_ACK":
             self.acks[message.command] = message.result

@@ -24,26 +24,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from angler_mjx.errors import RunError
-from angler_sitl.scene.motion import PULSES
+from angler_sitl.scene.motion import N_PULSES
 from angler_sitl.scene.scene import AutopilotScene
 from angler_sitl.wire import packets
 
-LOOK_S = 0.1
+POLL_S = 0.1
 """How long a silent autopilot is waited for before it is looked whether it still runs."""
 
 RESEND_S = 1.0
 """An autopilot that waits sends the same packet again after 1.1 s of wall time."""
 
-_LATE_S = 0.1
+_MAX_LATENESS_S = 0.1
 """Behind the pace by more than this, what was missed is let go: no rush to catch up."""
 
 type Address = tuple[str, int]
 
-_NOWHERE: Address = ("", 0)
+_NO_ADDRESS: Address = ("", 0)
 
 
 @dataclass(kw_only=True)
-class Spent:
+class LockStepTimes:
     """Where the wall time of the barriers went, s."""
 
     barriers: int = 0
@@ -89,35 +89,35 @@ class LockStep:
             hang_s: wall time after which one that runs but does not ask is taken to hang.
             on_crash: whether the loss of an autopilot ends the run, or only its vehicle's thrust.
         """
-        self.pwm: NDArray[np.int32] = np.zeros((len(sockets), PULSES), np.int32)
+        self.pwm: NDArray[np.int32] = np.zeros((len(sockets), N_PULSES), np.int32)
         self.lost: dict[int, str] = {}
-        self.speed, self.spent = speed, Spent()
+        self.speed, self.spent = speed, LockStepTimes()
         self._sockets, self._scene, self._names = list(sockets), scene, list(names)
         self._fault, self._condition, self._hang_s = fault, condition, hang_s
         self._on_crash = on_crash
         self._alive = list(range(len(self._sockets)))
-        self._source: list[Address] = [_NOWHERE] * len(self._sockets)
+        self._source: list[Address] = [_NO_ADDRESS] * len(self._sockets)
         self._frame = [-1] * len(self._sockets)
         self._text = [b""] * len(self._sockets)
         self._next = list(self._text)
-        self._buffer = memoryview(bytearray(2 * packets.SERVO_BYTES))
+        self._buffer = memoryview(bytearray(2 * packets.MAX_SERVO_BYTES))
         # Where each autopilot and we have a core, looking again is quicker than being woken.
         self._spins = speed is None and len(self._sockets) < len(os.sched_getaffinity(0))
         self._pace_from_s, self._pace_time_s = time.perf_counter(), scene.time_s
         # Long ago: packets that gathered before the first answer are repeats of the first.
         self._answered_s = [-np.inf] * len(self._sockets)
-        for one in self._sockets:
+        for bound_socket in self._sockets:
             # Blocking with the kernel's own time limit: Python's would cost a poll a packet.
-            one.setblocking(True)
-            limit = struct.pack("ll", 0, round(1e6 * LOOK_S))
-            one.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, limit)
+            bound_socket.setblocking(True)
+            limit = struct.pack("ll", 0, round(1e6 * POLL_S))
+            bound_socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, limit)
 
     @property
     def time_s(self) -> float:
         """Clock of the scene and of all autopilots."""
         return self._scene.time_s
 
-    def pace(self, speed: float | None) -> None:
+    def set_speed(self, speed: float | None) -> None:
         """From now on so many times real time at most; None for as fast as possible."""
         self.speed = speed
         self._pace_from_s, self._pace_time_s = time.perf_counter(), self._scene.time_s
@@ -130,34 +130,34 @@ class LockStep:
                 With ``on_crash = "hold"`` only when none is left.
         """
         for _ in range(steps):
-            self._barrier()
+            self._run_barrier()
 
-    def _barrier(self) -> None:
-        began = time.perf_counter()
+    def _run_barrier(self) -> None:
+        start_s = time.perf_counter()
         rows = self._scene.step(self.pwm).numbers.tolist()
-        moved = time.perf_counter()
+        stepped_s = time.perf_counter()
         time_s = self._scene.time_s
         for i in self._alive:
             self._next[i] = packets.write_state(self._names[i], time_s, rows[i])
-        written = time.perf_counter()
-        self._pace(written)
-        now = paced = time.perf_counter()
+        written_s = time.perf_counter()
+        self._sleep_until_due(written_s)
+        sent_s = paced_s = time.perf_counter()
         sending_s = 0.0
         for i in tuple(self._alive):
-            self._await(i)
-            asked = now = time.perf_counter()
+            self._wait_for_packet(i)
+            packet_time_s = sent_s = time.perf_counter()
             if i not in self.lost:
-                self._answer(i, asked)
-                now = time.perf_counter()
-                sending_s += now - asked
-        spent = self.spent
-        spent.barriers += 1
-        spent.physics_s += moved - began
-        spent.pacing_s += paced - written
-        spent.replies_s += written - moved + sending_s
-        spent.waiting_s += now - paced - sending_s
+                self._send_reply(i, packet_time_s)
+                sent_s = time.perf_counter()
+                sending_s += sent_s - packet_time_s
+        times = self.spent
+        times.barriers += 1
+        times.physics_s += stepped_s - start_s
+        times.pacing_s += paced_s - written_s
+        times.replies_s += written_s - stepped_s + sending_s
+        times.waiting_s += sent_s - paced_s - sending_s
 
-    def _answer(self, i: int, now_s: float) -> None:
+    def _send_reply(self, i: int, now_s: float) -> None:
         """The reply to the packet that an autopilot sent last."""
         if now_s - self._answered_s[i] > RESEND_S:
             self._forget_repeats(i)
@@ -165,21 +165,21 @@ class LockStep:
         self._sockets[i].sendto(text, self._source[i])
         self._answered_s[i] = now_s
 
-    def _await(self, i: int) -> None:
+    def _wait_for_packet(self, i: int) -> None:
         """The next servo packet of an autopilot."""
-        since = time.perf_counter()
+        start_s = time.perf_counter()
         while i not in self.lost:
             try:
                 size, source = self._receive(self._sockets[i])
             except BlockingIOError:
-                self._silent(i, time.perf_counter() - since)
+                self._handle_silence(i, time.perf_counter() - start_s)
                 continue
             packet = packets.read_servo(self._buffer[:size])
             if packet is None:
                 continue
             frame, pulses = packet
-            if source != self._source[i] != _NOWHERE:
-                self._moved(i, frame, source)
+            if source != self._source[i] != _NO_ADDRESS:
+                self._handle_new_address(i, frame, source)
             elif frame > self._frame[i]:
                 self._source[i], self._frame[i] = source, frame
                 self.pwm[i] = pulses
@@ -188,51 +188,51 @@ class LockStep:
                 # It did not get the reply: the same once more, and its clock stays right.
                 self._sockets[i].sendto(self._text[i], source)
             else:
-                self._lose(i, self._anew(i))
+                self._drop_autopilot(i, self._format_reboot(i))
 
-    def _receive(self, one: socket.socket) -> tuple[int, Address]:
-        """A packet and where it comes from; BlockingIOError if none comes for `LOOK_S`."""
+    def _receive(self, bound_socket: socket.socket) -> tuple[int, Address]:
+        """A packet and where it comes from; BlockingIOError if none comes for `POLL_S`."""
         if self._spins:
-            until = time.perf_counter() + LOOK_S
-            while time.perf_counter() < until:
+            deadline_s = time.perf_counter() + POLL_S
+            while time.perf_counter() < deadline_s:
                 try:
-                    return one.recvfrom_into(self._buffer, 0, socket.MSG_DONTWAIT)
+                    return bound_socket.recvfrom_into(self._buffer, 0, socket.MSG_DONTWAIT)
                 except BlockingIOError:
                     os.sched_yield()  # whoever else wants this core goes first
-        return one.recvfrom_into(self._buffer)
+        return bound_socket.recvfrom_into(self._buffer)
 
-    def _silent(self, i: int, waited_s: float) -> None:
+    def _handle_silence(self, i: int, waited_s: float) -> None:
         fault = self._fault(i)
         if fault is not None:
-            self._lose(i, fault)
+            self._drop_autopilot(i, fault)
         elif waited_s > self._hang_s:
-            doing = "" if self._condition is None else f"; {self._condition(i)}"
-            self._lose(
+            activity = "" if self._condition is None else f"; {self._condition(i)}"
+            self._drop_autopilot(
                 i,
                 f"{self._names[i]}: its autopilot hangs: it runs, but has sent no servo packet for "
-                f"{waited_s:.1f} s{doing}",
+                f"{waited_s:.1f} s{activity}",
             )
 
-    def _moved(self, i: int, frame: int, source: Address) -> None:
+    def _handle_new_address(self, i: int, frame: int, source: Address) -> None:
         """A packet from another address than before."""
         if frame <= self._frame[i]:
-            self._lose(i, self._anew(i))
+            self._drop_autopilot(i, self._format_reboot(i))
             return
         raise RunError(
             f"{self._names[i]}: servo packets come from two programs, ports {self._source[i][1]} "
             f"and {source[1]}; end the one that is not ours"
         )
 
-    def _anew(self, i: int) -> str:
+    def _format_reboot(self, i: int) -> str:
         return (
             f"{self._names[i]}: its autopilot began anew (a reboot) at {self._scene.time_s:.2f} s; "
             "it is disarmed and knows nothing of before"
         )
 
-    def _lose(self, i: int, why: str) -> None:
+    def _drop_autopilot(self, i: int, reason: str) -> None:
         if self._on_crash == "end":
-            raise RunError(why)
-        self.lost[i] = why
+            raise RunError(reason)
+        self.lost[i] = reason
         self.pwm[i] = 0
         self._alive.remove(i)
         if not self._alive:
@@ -246,12 +246,12 @@ class LockStep:
         except BlockingIOError:
             pass
 
-    def _pace(self, now_s: float) -> None:
+    def _sleep_until_due(self, now_s: float) -> None:
         """Sleep until the step is due."""
         if self.speed is None:
             return
         early = self._pace_from_s + (self._scene.time_s - self._pace_time_s) / self.speed - now_s
         if early > 0:
             time.sleep(early)
-        if not -_LATE_S < early < 1.0:
+        if not -_MAX_LATENESS_S < early < 1.0:
             self._pace_from_s, self._pace_time_s = now_s, self._scene.time_s

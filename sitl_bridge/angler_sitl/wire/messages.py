@@ -9,9 +9,9 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from angler_mjx.frames import vector_enu_to_ned
 from angler_mjx.runs.session.interface import Floats
-from angler_sitl.wire.link import Message
+from angler_sitl.wire.link import MavlinkMessage
 
-_PASSED_ON = 18
+_N_OVERRIDE_CHANNELS = 18
 """Channels of an override; those that are 0 stay as they are."""
 _ACCELERATION_IGNORED = 0x1C0
 """Type mask of a position target: the firmware takes none with accelerations."""
@@ -22,7 +22,7 @@ _STICK, _UP_NEUTRAL, _UP = 1000, 500, 500
 """Full deflection; of up and down it is 0 to 1000."""
 
 
-def override(sysid: int, pwm_us: Floats) -> Message:
+def build_override(sysid: int, pwm_us: Floats) -> MavlinkMessage:
     """Signals of the thrusters as radio channels, which the firmware passes through to its outputs.
 
     Args:
@@ -30,13 +30,13 @@ def override(sysid: int, pwm_us: Floats) -> Message:
         pwm_us: [n_thruster].
     """
     signals = np.rint(pwm_us).astype(int).tolist()
-    channels = [*signals, *[0] * (_PASSED_ON - len(signals))]
+    channels = [*signals, *[0] * (_N_OVERRIDE_CHANNELS - len(signals))]
     return dialect.MAVLink_rc_channels_override_message(sysid, 1, *channels)
 
 
-def position_target(
+def build_position_target(
     sysid: int, time_s: float, position_m: Floats, velocity_mps: Floats, yaw_rad: float
-) -> Message:
+) -> MavlinkMessage:
     """A place with the velocity that it has, and a heading.
 
     Args:
@@ -63,7 +63,7 @@ def position_target(
     )
 
 
-def sticks(sysid: int, deflection: Floats) -> Message:
+def build_manual_control(sysid: int, deflection: Floats) -> MavlinkMessage:
     """Sticks of a pilot.
 
     Args:
@@ -71,13 +71,13 @@ def sticks(sysid: int, deflection: Floats) -> Message:
         deflection: [4] forward, left, up and turning left, each -1 to 1.
     """
     forward, left, up, turn = np.clip(deflection, -1.0, 1.0)
-    x, y, r = (round(_STICK * share) for share in (forward, -left, -turn))
+    x, y, r = (round(_STICK * fraction) for fraction in (forward, -left, -turn))
     return dialect.MAVLink_manual_control_message(sysid, x, y, _UP_NEUTRAL + round(_UP * up), r, 0)
 
 
 def vision_position(
     time_s: float, p: Floats, q: Floats, position_std_m: Floats, attitude_std_rad: Floats
-) -> Message:
+) -> MavlinkMessage:
     """A pose as external navigation.
 
     Args:
@@ -90,11 +90,11 @@ def vision_position(
     covariance = np.zeros(21)
     covariance[_DIAGONAL] = np.square([*position_std_m, *attitude_std_rad])
     return dialect.MAVLink_vision_position_estimate_message(
-        round(time_s * 1e6), *p.tolist(), *euler(q), covariance.tolist()
+        round(time_s * 1e6), *p.tolist(), *quaternion_to_euler(q), covariance.tolist()
     )
 
 
-def vision_speed(time_s: float, velocity_mps: Floats, std_mps: Floats) -> Message:
+def vision_speed(time_s: float, velocity_mps: Floats, std_mps: Floats) -> MavlinkMessage:
     """A velocity [3] over ground, NED, as external navigation."""
     covariance = np.diag(np.square(std_mps)).ravel()
     return dialect.MAVLink_vision_speed_estimate_message(
@@ -102,7 +102,7 @@ def vision_speed(time_s: float, velocity_mps: Floats, std_mps: Floats) -> Messag
     )
 
 
-def euler(q: NDArray[Any]) -> tuple[float, float, float]:
+def quaternion_to_euler(q: NDArray[Any]) -> tuple[float, float, float]:
     """Roll, pitch and yaw, rad, of an attitude FRD to NED (Fossen 2021, eq. 2.28 to 2.30)."""
     w, x, y, z = map(float, q)
     pitch = math.asin(max(-1.0, min(1.0, 2 * (w * y - x * z))))

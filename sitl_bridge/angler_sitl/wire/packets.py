@@ -16,13 +16,16 @@ from collections.abc import Sequence
 
 from angler_mjx.errors import RunError
 
-SERVO_BYTES = 72
+MAX_SERVO_BYTES = 72
 """Length of the longest servo packet."""
 
 _HEADER = struct.Struct("<HHI")
-_PULSES = {
+_PULSE_FORMATS = {
     18458: (40, struct.Struct("<16H")),
-    29569: (SERVO_BYTES, struct.Struct("<16H")),  # 32 channels; no vehicle here has more than 16
+    29569: (
+        MAX_SERVO_BYTES,
+        struct.Struct("<16H"),
+    ),  # 32 channels; no vehicle here has more than 16
 }
 
 STATE_NUMBERS = 16
@@ -49,7 +52,7 @@ def read_servo(data: bytes | memoryview) -> tuple[int, tuple[int, ...]] | None:
     if len(data) < _HEADER.size:
         return None
     magic, _, frame = _HEADER.unpack_from(data)
-    size, pulses = _PULSES.get(magic, (0, None))
+    size, pulses = _PULSE_FORMATS.get(magic, (0, None))
     if pulses is None or len(data) != size:
         return None
     return frame, pulses.unpack_from(data, _HEADER.size)

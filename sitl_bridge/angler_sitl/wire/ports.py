@@ -11,7 +11,7 @@ from dataclasses import dataclass, fields
 from angler_mjx.errors import ConfigError, RunError
 
 LOOPBACK = "127.0.0.1"
-MOST_VEHICLES = 254
+MAX_VEHICLES = 254
 """MAVLink counts systems from 1 to 255, and 255 is the ground station: us."""
 
 
@@ -36,7 +36,7 @@ class Ports:
     @property
     def rc_port(self) -> int:
         """Number of the port that is held against the autopilot's own radio control socket."""
-        return number(self.rc)
+        return port_number(self.rc)
 
     def close(self) -> None:
         """Close all of them; twice does no harm."""
@@ -44,47 +44,47 @@ class Ports:
             getattr(self, field.name).close()
 
 
-def number(bound: socket.socket) -> int:
+def port_number(bound: socket.socket) -> int:
     """Port number of a bound socket."""
     return int(bound.getsockname()[1])
 
 
-def allocate(count: int) -> list[Ports]:
+def allocate_ports(count: int) -> list[Ports]:
     """Bind the sockets of so many vehicles.
 
     Raises:
         ConfigError: fewer than one vehicle, or more than MAVLink has numbers for.
         RunError: the machine gives no more sockets; those already bound are closed.
     """
-    if not 1 <= count <= MOST_VEHICLES:
+    if not 1 <= count <= MAX_VEHICLES:
         raise ConfigError(
-            f"{count} robots: real autopilots can be 1 to {MOST_VEHICLES}, for MAVLink has no more "
+            f"{count} robots: real autopilots can be 1 to {MAX_VEHICLES}, for MAVLink has no more "
             "system numbers; choose fewer with --robots"
         )
-    given: list[Ports] = []
+    allocated: list[Ports] = []
     try:
         for _ in range(count):
-            given.append(_bind())
+            allocated.append(_bind_ports())
     except OSError as error:
-        for ports in given:
+        for ports in allocated:
             ports.close()
         raise RunError(
-            f"no UDP port of {LOOPBACK} for autopilot {len(given)} of {count} ({error}); close "
+            f"no UDP port of {LOOPBACK} for autopilot {len(allocated)} of {count} ({error}); close "
             "other programs, or raise the limit of open files (ulimit -n)"
         ) from error
-    return given
+    return allocated
 
 
-def _bind() -> Ports:
-    bound: list[socket.socket] = []
+def _bind_ports() -> Ports:
+    sockets: list[socket.socket] = []
     try:
         for _ in fields(Ports):
-            bound.append(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+            sockets.append(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
             # Without SO_REUSEADDR: that is what keeps everybody else out.
-            bound[-1].bind((LOOPBACK, 0))
+            sockets[-1].bind((LOOPBACK, 0))
     except OSError:
-        for one in bound:
-            one.close()
+        for bound_socket in sockets:
+            bound_socket.close()
         raise
-    fdm, mavlink, vision, rc = bound
+    fdm, mavlink, vision, rc = sockets
     return Ports(fdm=fdm, mavlink=mavlink, vision=vision, rc=rc)

@@ -10,10 +10,10 @@ from pathlib import Path
 
 from angler_mjx.errors import RunError
 
-NAME = "mavlink.tlog"
+FILE_NAME = "mavlink.tlog"
 
 
-class Telemetry:
+class TelemetryLog:
     """A log in the making; its `tap` is given to a link."""
 
     def __init__(self, path: Path) -> None:
@@ -28,7 +28,7 @@ class Telemetry:
         except OSError as error:
             raise RunError(f"{path}: cannot be written ({error.strerror or error})") from error
 
-    def tap(self, packet: bytes, time_s: float) -> None:
+    def log_packet(self, packet: bytes, time_s: float) -> None:
         """Write a packet that passed at a time of the scene."""
         self._file.write(struct.pack(">Q", self._began_us + round(time_s * 1e6)) + packet)
 

@@ -8,7 +8,7 @@ import pytest
 
 import angler_mjx
 from angler_mjx.cli.main import COMMANDS, GROUPS, main
-from angler_mjx.scenario.scenario import shipped
+from angler_mjx.scenario.scenario import shipped_scenarios
 
 
 def run(*arguments):
@@ -108,7 +108,7 @@ def test_version_is_that_of_the_package(capsys):
 def test_a_scenario_can_be_printed_and_used(capsys, tmp_path):
     main(["scenarios", "show", "reef_fleet"])
     text = capsys.readouterr().out
-    assert text == shipped()["reef_fleet"].read_text()
+    assert text == shipped_scenarios()["reef_fleet"].read_text()
     (tmp_path / "mine.toml").write_text(text)
     main(["scenarios", "show", str(tmp_path / "mine.toml")])
     assert capsys.readouterr().out == text
@@ -117,7 +117,7 @@ def test_a_scenario_can_be_printed_and_used(capsys, tmp_path):
 def test_scenarios_alone_lists_them(capsys):
     main(["scenarios"])
     listed = capsys.readouterr().out
-    assert all(name in listed for name in shipped())
+    assert all(name in listed for name in shipped_scenarios())
 
 
 def test_public_names_are_in_dir():
@@ -128,8 +128,8 @@ def test_public_names_are_in_dir():
 CACHE = """
 import jax, sys
 jax.jit(lambda x: x + 1)(1.0)  # JAX has looked at its settings by now
-from angler_mjx.runs.simulator import cache
-cache.switch_on()
+from angler_mjx.runs.simulator import compile_cache
+compile_cache.enable_cache()
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 jax.jit(lambda x: 3 * x + 1)(1.0)
 """

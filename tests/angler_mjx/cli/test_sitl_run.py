@@ -76,5 +76,5 @@ def test_without_an_ardusub_it_says_how_to_get_one(tmp_path, monkeypatch, capsys
 
 
 def test_the_command_names_all_levels_and_sources():
-    assert sitl_run.Level.__value__ == parameters.Level.__value__
-    assert sitl_run.Source.__value__ == parameters.Source.__value__
+    assert sitl_run.CommandLevel.__value__ == parameters.CommandLevel.__value__
+    assert sitl_run.PositionSource.__value__ == parameters.PositionSource.__value__

@@ -5,7 +5,7 @@ import io
 import pytest
 from rich.console import Console
 
-from angler_mjx.cli.shared.text_table import table
+from angler_mjx.cli.shared.text_table import build_text_table
 from angler_mjx.testing.referee import QUANTITIES
 
 
@@ -22,7 +22,7 @@ def printed(made, width):
 @pytest.mark.parametrize("width", [60, 80])
 def test_names_of_rows_stay_whole_beside_many_columns(width):
     headings = ("exact", "bounded", "not checked", "undecided", "disagree", "largest deviation")
-    made = table("quantity", *headings)
+    made = build_text_table("quantity", *headings)
     for name in QUANTITIES:
         made.add_row(name, "1024", "0", "0", "0", "0", "1.2e-06 of it")
     console = Console(width=width, file=io.StringIO(), color_system=None)
@@ -33,7 +33,7 @@ def test_names_of_rows_stay_whole_beside_many_columns(width):
 
 @pytest.mark.parametrize("fixed", [0, 1])
 def test_nothing_is_cut_off_at_40_columns(fixed):
-    made = table("planner", "arrived", "reason", fixed=fixed)
+    made = build_text_table("planner", "arrived", "reason", fixed=fixed)
     texts = ("straight.py:Straight", "12.5 (3.1 to 38.5)", "KeyError_start_in_a_file_of_the_user")
     made.add_row(*texts)
     # Lines break at spaces where there are any.

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.learning import actions, observations, rewards
-from angler_mjx.learning.environment import FleetEnv, make
+from angler_mjx.learning.environment import FleetEnv, make_env
 from angler_mjx.learning.observations import ObservedState
 from angler_mjx.learning.vector import FleetVectorEnv
 from angler_mjx.robot.control.commands import BodyTwist, PoseTarget
@@ -55,7 +55,7 @@ def simulator(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def env(simulator):
-    return make(
+    return make_env(
         simulator, worlds=WORLDS, bank=6, reward=REWARD, observe=("velocity", "goal", "current")
     )
 
@@ -85,7 +85,7 @@ def test_a_fixed_command_flies_as_a_segment_does(simulator, env, step):
 
 
 def test_an_action_that_is_held_is_as_many_steps_of_it(simulator, env, step):
-    held = make(
+    held = make_env(
         simulator,
         worlds=WORLDS,
         bank=env.bank,
@@ -106,7 +106,7 @@ def test_an_action_that_is_held_is_as_many_steps_of_it(simulator, env, step):
         now, seen_held, reward, _, truncated, told = fly(now, twist)
         gained += reward
     assert (np.asarray(told["time_s"]) == 0.4).all()
-    np.testing.assert_allclose(now.flight.vehicles.p, state.flight.vehicles.p, atol=1e-5)
+    np.testing.assert_allclose(now.world_state.vehicles.p, state.world_state.vehicles.p, atol=1e-5)
     np.testing.assert_allclose(told["energy_j"], info["energy_j"], rtol=1e-4)
     np.testing.assert_allclose(seen_held, seen, atol=1e-4)
     # Progress and energy add up; distance is taken four times as rarely, for four times as long.
@@ -115,35 +115,35 @@ def test_an_action_that_is_held_is_as_many_steps_of_it(simulator, env, step):
         now, _, _, _, truncated, _ = fly(now, twist)
     assert truncated.all()
     with pytest.raises(ConfigError, match="action_repeat = 3: the horizon of 20"):
-        make(simulator, worlds=WORLDS, bank=env.bank, action_repeat=3)
+        make_env(simulator, worlds=WORLDS, bank=env.bank, action_repeat=3)
 
 
 def test_only_ended_worlds_are_replaced_and_by_the_bank(env, step):
     state, _ = env.reset()
-    late = state.flight.step.at[1].set(env.rules.horizon - 1)
-    state = replace(state, flight=replace(state.flight, step=late))
+    late = state.world_state.step.at[1].set(env.rules.horizon - 1)
+    state = replace(state, world_state=replace(state.world_state, step=late))
     action = np.full(env.action_shape, 0.3, np.float32)
     after, seen, _, terminated, truncated, info = step(env, state, action)
     assert truncated.tolist() == [False, True, False, False]
     assert not terminated.any()
     row = int(after.row[1])
     for got, bank in zip(
-        jax.tree.leaves(after.flight), jax.tree.leaves(env.bank.begun), strict=True
+        jax.tree.leaves(after.world_state), jax.tree.leaves(env.bank.initial_state), strict=True
     ):
         np.testing.assert_array_equal(got[1], bank[row])
-    np.testing.assert_array_equal(seen[1], env.observed[row])
+    np.testing.assert_array_equal(seen[1], env.initial_observation[row])
     assert not np.array_equal(seen[1], info["final_obs"][1])
     np.testing.assert_array_equal(seen[0], info["final_obs"][0])
     assert after.row[jnp.array([0, 2, 3])].tolist() == [0, 2, 3]
-    assert after.flight.step.tolist() == [1, 0, 1, 1]
+    assert after.world_state.step.tolist() == [1, 0, 1, 1]
     np.testing.assert_array_equal(after.action[1], 0.0)
 
 
 def test_a_world_whose_robots_all_ended_terminates(env, step):
     state, _ = env.reset()
-    outcome = state.flight.tally.outcome.at[2].set(1)
-    tally = replace(state.flight.tally, outcome=outcome)
-    state = replace(state, flight=replace(state.flight, tally=tally))
+    outcome = state.world_state.tally.outcome.at[2].set(1)
+    tally = replace(state.world_state.tally, outcome=outcome)
+    state = replace(state, world_state=replace(state.world_state, tally=tally))
     _, _, reward, terminated, truncated, _ = step(env, state, np.zeros(env.action_shape))
     assert terminated.tolist() == [False, False, True, False]
     assert not truncated.any()
@@ -155,8 +155,8 @@ def test_rewards_are_what_numpy_says(env, step):
     action = np.full(env.action_shape, 0.5, np.float32)
     after, _, reward, _, _, info = step(env, state, action)
     goal = np.asarray(env.bank.worlds.environment.goal_m)[:WORLDS]
-    before = np.linalg.norm(np.asarray(state.flight.vehicles.p) - goal, axis=-1)
-    now = np.linalg.norm(np.asarray(after.flight.vehicles.p) - goal, axis=-1)
+    before = np.linalg.norm(np.asarray(state.world_state.vehicles.p) - goal, axis=-1)
+    now = np.linalg.norm(np.asarray(after.world_state.vehicles.p) - goal, axis=-1)
     terms = info["reward_terms"]
     np.testing.assert_allclose(terms["progress"], 2.0 * (before - now), atol=1e-5)
     np.testing.assert_allclose(terms["distance"], -0.05 * now, rtol=1e-5)
@@ -198,7 +198,7 @@ def test_gymnasium_sees_a_vector_env_that_compiles_once(env):
 )
 def test_wrong_names_are_refused(simulator, env, wrong, message):
     with pytest.raises(ConfigError, match=message):
-        make(simulator, **{"worlds": WORLDS, "bank": env.bank, **wrong})
+        make_env(simulator, **{"worlds": WORLDS, "bank": env.bank, **wrong})
 
 
 def test_a_wrong_shape_is_refused(env):
@@ -231,7 +231,7 @@ def instrumented(request, tmp_path_factory):
     path.write_text(NOISY.replace('"noisy"', f'"{request.param}"'))
     simulator = Simulator(load_scenario(path))
     kinds = [name for name in ALL if name != "current" or wants_flow(simulator.spec.stages)]
-    return make(simulator, worlds=WORLDS, bank=5, observe=kinds, action="waypoint")
+    return make_env(simulator, worlds=WORLDS, bank=5, observe=kinds, action="waypoint")
 
 
 @pytest.fixture(scope="module")
@@ -241,20 +241,20 @@ def stepped(instrumented):
     @jax.jit
     def fly(env, state, command):
         return env.rules.engine.control_step(
-            env.rules.spec, env.fleet, env.bank.worlds, state.flight, command, rows=state.row
+            env.rules.spec, env.fleet, env.bank.worlds, state.world_state, command, rows=state.row
         )
 
     go = jax.jit(FleetEnv.step)
     state, seen = instrumented.reset()
     rows = []
     for _ in range(3):
-        p, yaw = state.flight.vehicles.p, jnp.zeros((WORLDS, 2))
+        p, yaw = state.world_state.vehicles.p, jnp.zeros((WORLDS, 2))
         still = PoseTarget(position_m=p, velocity_mps=jnp.zeros_like(p), yaw_rad=yaw)
         used = fly(instrumented, state, still)[1].belief
         after = go(instrumented, state, jnp.full(instrumented.action_shape, 0.1))
         by = {
             name: fly(instrumented, state, waypoint(told))[0]
-            for name, told in (("belief", used), ("truth", state.flight.vehicles))
+            for name, told in (("belief", used), ("truth", state.world_state.vehicles))
         }
         rows.append((state, parts_of(instrumented, seen), used, after[0], by))
         state, seen = after[:2]
@@ -294,13 +294,13 @@ def test_every_observation_is_what_the_controllers_use_in_the_next_step(stepped)
     for state, seen, belief, *_ in stepped:
         np.testing.assert_allclose(seen["velocity"], belief.nu, atol=1e-5)
         np.testing.assert_allclose(seen["depth"][..., 0], belief.p[..., 2], atol=1e-5)
-        assert np.abs(seen["velocity"] - state.flight.vehicles.nu).max() > 1e-3
+        assert np.abs(seen["velocity"] - state.world_state.vehicles.nu).max() > 1e-3
 
 
 def test_others_are_seen_at_the_time_of_the_observation(instrumented, stepped):
     for state, seen, belief, *_ in stepped:
         p, q = belief.p, belief.q
-        to = np.asarray(state.flight.vehicles.p)[:, ::-1] - np.asarray(p)
+        to = np.asarray(state.world_state.vehicles.p)[:, ::-1] - np.asarray(p)
         far = np.linalg.norm(to, axis=-1, keepdims=True) >= 10.0
         wanted = np.where(far, [10.0, 0.0, 0.0], turned(q, to))
         np.testing.assert_allclose(seen["robots"][..., :3], wanted, atol=1e-4)
@@ -310,7 +310,7 @@ def test_others_are_seen_at_the_time_of_the_observation(instrumented, stepped):
 
 def test_a_waypoint_lies_from_where_the_robot_takes_itself_to_be(stepped):
     for _, _, _, after, by in stepped:
-        thrust = np.asarray(after.flight.vehicles.thrust)
+        thrust = np.asarray(after.world_state.vehicles.thrust)
         np.testing.assert_allclose(thrust, by["belief"].vehicles.thrust, atol=1e-3)
         assert np.abs(thrust - by["truth"].vehicles.thrust).max() > 0.05
 
@@ -346,13 +346,13 @@ def sight(env):
     cell, origin = np.asarray(grid.cell_m)[rows], np.asarray(grid.origin_m)[rows]
     p = origin[:, None] + (index + rng.uniform(0.3, 0.7, index.shape)) * cell[:, None, None]
     q = Rotation.random(2 * WORLDS, rng=1).as_quat()[:, [3, 0, 1, 2]].reshape(WORLDS, 2, 4)
-    begun = env.bank.begin(rows)
+    begun = env.bank.select_initial_state(rows)
     vehicles = replace(begun.vehicles, p=jnp.asarray(p), q=jnp.asarray(q))
     return ObservedState(
         worlds=worlds,
         rows=rows,
         state=replace(begun, vehicles=vehicles),
-        told=vehicles,
+        estimate=vehicles,
         flow=jnp.zeros_like(vehicles.p),
         aim_m=vehicles.p,
         aim_yaw_rad=jnp.zeros((WORLDS, 2)),
@@ -363,20 +363,20 @@ def sight(env):
 @pytest.mark.parametrize("level", [True, False])
 def test_cells_lie_in_the_frame_of_the_robot(sight, level):
     """Ahead first, by turning each point by SciPy and looking it up."""
-    q = np.asarray(sight.told.q)
+    q = np.asarray(sight.estimate.q)
     if level:  # a heading of 90 degrees: what is ahead lies along y of W
         q = np.broadcast_to([np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)], q.shape)
-    told = replace(sight.told, q=jnp.asarray(q))
-    seen = observations.cells(replace(sight, told=told))
+    told = replace(sight.estimate, q=jnp.asarray(q))
+    seen = observations.observe_cells(replace(sight, estimate=told))
     grid = sight.worlds.environment.grid
     for w, row in enumerate(np.asarray(sight.rows)):
         rock = np.asarray(grid.occupied)[row]
         for r in range(2):
             turn = Rotation.from_quat(q[w, r][[1, 2, 3, 0]])
             for i, offset in enumerate(np.ndindex(3, 3, 3)):
-                point = np.asarray(sight.told.p)[w, r] + turn.apply(np.array(offset) - 1.0) * float(
-                    grid.cell_m[row]
-                )
+                point = np.asarray(sight.estimate.p)[w, r] + turn.apply(
+                    np.array(offset) - 1.0
+                ) * float(grid.cell_m[row])
                 at = np.floor((point - np.asarray(grid.origin_m)[row]) / float(grid.cell_m[row]))
                 at = at.astype(int)
                 inside = (at >= 0).all() and (at < rock.shape).all()
@@ -384,10 +384,12 @@ def test_cells_lie_in_the_frame_of_the_robot(sight, level):
 
 
 def test_numbers_are_clipped_to_bounds_that_are_those_of_the_space(sight):
-    parts = observations.chosen(ALL, 6)
-    told = replace(sight.told, p=sight.told.p.at[..., 2].set(-2000.0))
-    seen = observations.see(parts, replace(sight, told=told, aim_m=told.p + 500.0))
-    low, high = observations.bounds(parts)
+    parts = observations.select_parts(ALL, 6)
+    told = replace(sight.estimate, p=sight.estimate.p.at[..., 2].set(-2000.0))
+    seen = observations.build_observation(
+        parts, replace(sight, estimate=told, aim_m=told.p + 500.0)
+    )
+    low, high = observations.build_bounds(parts)
     assert ((seen >= low) & (seen <= high)).all()
     at = [part.name for part in parts for _ in range(part.size)].index
     assert low[at("depth")] == -1000.0
@@ -397,21 +399,21 @@ def test_numbers_are_clipped_to_bounds_that_are_those_of_the_space(sight):
 
 
 def test_nobody_farther_than_ten_metres_is_seen(sight):
-    identity = jnp.zeros_like(sight.told.q).at[..., 0].set(1.0)
+    identity = jnp.zeros_like(sight.estimate.q).at[..., 0].set(1.0)
     for away, wanted in ((9.7, 9.7), (10.3, None)):
-        p = sight.told.p.at[:, 1].set(sight.told.p[:, 0] + jnp.array([0.0, 0.0, -away]))
-        vehicles = replace(sight.told, p=p, q=identity)
-        here = replace(sight, told=vehicles, state=replace(sight.state, vehicles=vehicles))
-        first = observations.robots(here)[:, 0, :3]
+        p = sight.estimate.p.at[:, 1].set(sight.estimate.p[:, 0] + jnp.array([0.0, 0.0, -away]))
+        vehicles = replace(sight.estimate, p=p, q=identity)
+        here = replace(sight, estimate=vehicles, state=replace(sight.state, vehicles=vehicles))
+        first = observations.observe_robots(here)[:, 0, :3]
         expected = [10.0, 0.0, 0.0] if wanted is None else [0.0, 0.0, -wanted]
         np.testing.assert_allclose(first, np.broadcast_to(expected, first.shape), atol=1e-4)
         np.testing.assert_array_equal(
-            observations.obstacles(here).reshape(WORLDS, 2, 3, 4)[..., 3], 0.0
+            observations.observe_obstacles(here).reshape(WORLDS, 2, 3, 4)[..., 3], 0.0
         )
 
 
 def test_ranges_of_actions_are_those_of_the_docs():
-    ranges = {name: actions.named(name, 3).range for name in actions.KINDS}
+    ranges = {name: actions.build_action_space(name, 3).range for name in actions.KINDS}
     assert ranges == {
         "plan": (),
         "waypoint": (2.0, 2.0, 2.0, pytest.approx(np.pi)),
@@ -488,4 +490,4 @@ def test_infos_are_those_that_gymnasiums_wrappers_read(env):
 
 
 def test_every_default_reward_is_a_term():
-    assert set(rewards.DEFAULT) <= set(rewards.TERMS)
+    assert set(rewards.DEFAULT_WEIGHTS) <= set(rewards.TERMS)

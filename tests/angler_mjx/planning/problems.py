@@ -84,6 +84,6 @@ def problem(
         seed=np.uint32(seed),
         horizon_s=horizon_s,
         goal_tolerance_m=0.5,
-        knows=Information(),
+        information=Information(),
         deadline_s=deadline_s,
     )

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from angler_mjx.planning.answers import answer, checked
+from angler_mjx.planning.answers import check_answer, check_paths
 from angler_mjx.planning.planner import NoPlan, joint_path, way_points
 from angler_mjx.robot.control.joint_trajectory import CUBIC
 
@@ -56,30 +56,30 @@ def changed(**arrays):
     ],
 )
 def test_what_cannot_be_flown_is_refused_with_its_reason(path, reason):
-    (refused,) = checked([path], ONE)
+    (refused,) = check_paths([path], ONE)
     assert isinstance(refused, NoPlan)
     assert reason in refused.reason
 
 
 def test_who_is_faster_only_by_rounding_is_believed():
-    (path,) = checked([way_points([0, 9.96], [START, GOAL])], ONE)
+    (path,) = check_paths([way_points([0, 9.96], [START, GOAL])], ONE)
     assert not isinstance(path, NoPlan)
 
 
 def test_who_counts_on_a_current_may_be_faster_over_ground_but_may_not_jump():
     fast, jump = way_points([0, 4], [START, GOAL]), way_points([0, 4, 4], [START, START, GOAL])
-    assert isinstance(checked([fast], ONE)[0], NoPlan)
-    assert not isinstance(checked([fast], ONE, any_speed=True)[0], NoPlan)
-    assert "jumps" in checked([jump], ONE, any_speed=True)[0].reason
+    assert isinstance(check_paths([fast], ONE)[0], NoPlan)
+    assert not isinstance(check_paths([fast], ONE, any_speed=True)[0], NoPlan)
+    assert "jumps" in check_paths([jump], ONE, any_speed=True)[0].reason
 
 
 def test_a_path_may_have_as_many_points_as_are_flown():
-    assert not isinstance(checked([many(64)], ONE, 64)[0], NoPlan)
-    assert isinstance(checked([many(65)], ONE, 64)[0], NoPlan)
+    assert not isinstance(check_paths([many(64)], ONE, 64)[0], NoPlan)
+    assert isinstance(check_paths([many(65)], ONE, 64)[0], NoPlan)
 
 
 def test_padding_repeats_the_last_point():
-    (path,) = checked([way_points([0, 10, 10, 10], [START, GOAL, GOAL, GOAL])], ONE)
+    (path,) = check_paths([way_points([0, 10, 10, 10], [START, GOAL, GOAL, GOAL])], ONE)
     assert not isinstance(path, NoPlan)
 
 
@@ -90,16 +90,16 @@ def test_curves_are_held_to_the_cruise_speed_between_their_points():
     short = joint_path([0, 14.0], [START, GOAL], yaw, still)
     assert smooth.degree[0] == CUBIC
     # A cubic at rest at both ends is fastest in the middle: 1.5 times its mean speed.
-    assert not isinstance(checked([smooth], ONE)[0], NoPlan)
-    assert "moves at 0.536 m/s after 0 s" in checked([short], ONE)[0].reason
+    assert not isinstance(check_paths([smooth], ONE)[0], NoPlan)
+    assert "moves at 0.536 m/s after 0 s" in check_paths([short], ONE)[0].reason
 
 
 def test_joints_other_than_the_vehicle_s_are_refused():
     path = joint_path([0, 15.0], [START, GOAL], [0, 0])
     odd = replace(path, joints=("x", "y", "z", "elbow"))
-    assert "has the joints" in checked([odd], ONE)[0].reason
+    assert "has the joints" in check_paths([odd], ONE)[0].reason
     bent = replace(path, degree=np.array([2, 1], np.int32))
-    assert "a degree that is not 1, 3 or 5" in checked([bent], ONE)[0].reason
+    assert "a degree that is not 1, 3 or 5" in check_paths([bent], ONE)[0].reason
 
 
 @pytest.mark.parametrize(
@@ -113,13 +113,15 @@ def test_joints_other_than_the_vehicle_s_are_refused():
     ],
 )
 def test_the_wrong_robots_are_refused(given, reason):
-    got = answer(given, TWO, 0.1, None)
+    got = check_answer(given, TWO, 0.1, None)
     assert got.paths == [NoPlan(reason)] * 2
     assert (got.status, got.reason) == ("error", reason)
 
 
 def test_the_rest_of_a_team_keeps_its_paths():
-    got = answer([GOOD, GOOD], TWO, 0.1, {"best_m": np.float64(5), "words": "x", "flag": True})
+    got = check_answer(
+        [GOOD, GOOD], TWO, 0.1, {"best_m": np.float64(5), "words": "x", "flag": True}
+    )
     assert got.status == "partial"
     assert got.reason == "robot 1: begins 3 m from the robot's start"
     np.testing.assert_array_equal(got.paths[0].position_m, np.float32([START, GOAL]))
@@ -140,4 +142,4 @@ def test_the_rest_of_a_team_keeps_its_paths():
     ],
 )
 def test_of_progress_only_rising_finite_pairs_are_kept(told, kept):
-    assert answer([GOOD, GOOD], TWO, 0.1, None, progress=told).progress == kept
+    assert check_answer([GOOD, GOOD], TWO, 0.1, None, progress=told).progress == kept

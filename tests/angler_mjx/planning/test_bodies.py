@@ -5,22 +5,22 @@ from functools import partial
 import numpy as np
 import pytest
 
-from angler_mjx.planning.grid import plan
-from angler_mjx.planning.path_search.bodies import STANDS_S, bodies_traffic
-from angler_mjx.planning.path_search.robot import WayConfig
+from angler_mjx.planning.grid import plan_grid
+from angler_mjx.planning.path_search.bodies import GOAL_CLEAR_S, bodies_traffic
+from angler_mjx.planning.path_search.robot_search import PathSearchConfig
 from angler_mjx.sim.information import ObstacleInformation
 
 from ..compiling import quickly
 from .test_grid import make_world
 
 HORIZON_S = 60.0
-CONFIG = WayConfig(horizon_s=HORIZON_S)
+CONFIG = PathSearchConfig(horizon_s=HORIZON_S)
 RADIUS, SPEED, BODY = np.float32([0.4]), np.float32([0.5]), 0.6
 TIMES = np.arange(0.0, HORIZON_S + 0.25, 0.5)
 OPEN = make_world(np.zeros((9, 7, 7), bool), [(1, 3, 3)], [(7, 3, 3)])
 FINE = np.arange(0.0, HORIZON_S, 0.02)
 
-run = quickly(partial(plan, config=CONFIG))
+run = quickly(partial(plan_grid, config=CONFIG))
 
 
 def told(places, moves=True, velocity=(0.0, 0.0, 0.0), times=TIMES):
@@ -39,7 +39,7 @@ def told(places, moves=True, velocity=(0.0, 0.0, 0.0), times=TIMES):
     )
 
 
-def gap(path, places, times=TIMES, stands_s=STANDS_S):
+def gap(path, places, times=TIMES, stands_s=GOAL_CLEAR_S):
     """Least distance of the centres from the start to some time after the arrival."""
     end = float(np.asarray(path.time_s)[0].max())
     t = FINE[end + stands_s > FINE]
@@ -56,7 +56,7 @@ def along(path, t):
 @pytest.fixture(scope="module")
 def blind():
     """Straight along the lane, 9 m in 18 s."""
-    return quickly(partial(plan, config=CONFIG))(OPEN, RADIUS, SPEED)
+    return quickly(partial(plan_grid, config=CONFIG))(OPEN, RADIUS, SPEED)
 
 
 def test_what_comes_along_the_lane_is_kept_clear(blind):
@@ -66,14 +66,14 @@ def test_what_comes_along_the_lane_is_kept_clear(blind):
     onto = goal + share * (start + np.float32([0, 3.0, 0]) - goal) * np.float32([1, 0, 0])
     onto[:, 1] = goal[1] + 3.0 * np.clip(share[:, 0] - 0.7, 0.0, 0.3) / 0.3
     known = told(onto)
-    seen = run(OPEN, RADIUS, SPEED, known=known)
+    seen = run(OPEN, RADIUS, SPEED, obstacles=known)
     assert blind.found.all()
     assert seen.found.all()
     # Told every half second and sampled fifty times a second: below 1 mm.
     assert gap(seen, onto) >= RADIUS[0] + BODY - 1e-3
     assert gap(blind, onto) < RADIUS[0] + BODY
     # What stands is on the map of another part of the planner, and no traffic.
-    still = run(OPEN, RADIUS, SPEED, known=told(onto, moves=False))
+    still = run(OPEN, RADIUS, SPEED, obstacles=told(onto, moves=False))
     np.testing.assert_array_equal(still.time_s, blind.time_s)
     np.testing.assert_array_equal(still.position_m, blind.position_m)
 
@@ -83,7 +83,7 @@ def test_what_was_seen_once_goes_straight_on(blind):
     velocity = np.float32([0.0, 0.25, 0.0])
     begin = middle - 9.0 * velocity  # in the middle of the lane when the robot is, 9 s after
     known = told(begin[None], velocity=velocity, times=[0.0])
-    seen = run(OPEN, RADIUS, SPEED, known=known)
+    seen = run(OPEN, RADIUS, SPEED, obstacles=known)
     assert seen.found.all()
     places = begin + TIMES[:, None] * velocity
     assert gap(blind, places) < 0.1
@@ -98,7 +98,7 @@ def test_a_goal_need_only_be_clear_for_a_moment(blind):
     for comes_s, arrives in ((arrival + 12.0, True), (arrival - 8.0, False)):
         share = np.clip((TIMES - comes_s) / 8.0, 0.0, 1.0)[:, None]
         places = far + share * (goal - far)
-        seen = run(OPEN, RADIUS, SPEED, known=told(places))
+        seen = run(OPEN, RADIUS, SPEED, obstacles=told(places))
         assert bool(seen.found.all()) is arrives
         if arrives:
             assert gap(seen, places) >= RADIUS[0] + BODY - 1e-3

@@ -51,7 +51,7 @@ def written(tmp_path, text):
 
 def test_a_file_is_found_from_the_scenarios_folder(tmp_path, straight):
     file = written(tmp_path, '[planner]\nname = "./straight.py:Straight"\n')
-    spec = load_scenario(file).planner.chosen()
+    spec = load_scenario(file).planner.planner_spec()
     assert spec.reference.file == straight
     assert type(spec.make()).__name__ == "Straight"
 
@@ -70,7 +70,9 @@ def test_what_is_no_planner_is_named(tmp_path, straight, name, said):
 
 
 def test_a_missing_library_is_named(monkeypatch):
-    monkeypatch.setattr(register, "_installed", lambda: {"Odd": "angler_mjx_no_such_thing:Odd"})
+    monkeypatch.setattr(
+        register, "_installed_planners", lambda: {"Odd": "angler_mjx_no_such_thing:Odd"}
+    )
     with pytest.raises(UnsupportedError, match="needs angler_mjx_no_such_thing"):
         register.find("Odd").load()
 
@@ -92,7 +94,7 @@ class Careful:
 def test_settings_stand_in_the_table_of_the_planners_name(tmp_path):
     (tmp_path / "careful.py").write_text(SETTINGS)
     table = '[planner]\nname = "careful.py:Careful"\n[planner.Careful]\n'
-    spec = load_scenario(written(tmp_path, table + "gap_m = 0.75\n")).planner.chosen()
+    spec = load_scenario(written(tmp_path, table + "gap_m = 0.75\n")).planner.planner_spec()
     assert spec.make().gap_m == 0.75
     for text, said in (
         ("gap = 1.0\n", r"\[planner\.Careful\] 'gap': no setting of this planner; there is gap_m"),
@@ -132,16 +134,18 @@ def test_settings_or_class_say_that_paths_have_headings(tmp_path):
     pytest.importorskip("ompl", reason="needs the extra plan: OMPL")
     for heading in ("true", "false"):
         table = f'[planner]\nname = "RRTConnect"\n[planner.RRTConnect]\nheading = {heading}\n'
-        spec = load_scenario(written(tmp_path, table)).planner.chosen()
-        assert register.gives_joints(spec) is (heading == "true")
+        spec = load_scenario(written(tmp_path, table)).planner.planner_spec()
+        assert register.plans_joints(spec) is (heading == "true")
     (tmp_path / "turning.py").write_text("class Turning:\n    joints = True\n")
     spec = load_scenario(written(tmp_path, '[planner]\nname = "turning.py:Turning"\n'))
-    assert register.gives_joints(spec.planner.chosen())
+    assert register.plans_joints(spec.planner.planner_spec())
 
 
 def test_the_grid_planner_refuses_what_it_cannot_use(tmp_path):
-    file = written(tmp_path, '[planner.knows]\nobstacles = "truth"\ncurrent = "truth"\n')
-    with pytest.raises(ConfigError, match=r'planner\.knows\.current = "truth": the planner grid'):
+    file = written(tmp_path, '[planner.information]\nobstacles = "truth"\ncurrent = "truth"\n')
+    with pytest.raises(
+        ConfigError, match=r'planner\.information\.current = "truth": the planner grid'
+    ):
         angler.Simulator(load_scenario(file, worlds=1))
 
 
@@ -211,7 +215,7 @@ type = "sphere"
 position_m = [0.0, 0.0, -8.0]
 radius_m = 0.4
 motion = { type = "sine", amplitude_m = [1.0, 0.0, 0.5], period_s = 9.0 }
-[planner.knows]
+[planner.information]
 obstacles = "%s"
 """
 

@@ -13,20 +13,20 @@ import pytest
 
 from angler_mjx.planning.path_search.lattice import (
     EDGES,
+    build_terrain,
     free_space,
     line_of_sight,
     span_bits,
-    terrain,
 )
-from angler_mjx.planning.path_search.pulling import pull
-from angler_mjx.planning.path_search.search import reachable
+from angler_mjx.planning.path_search.search import search_reachable
+from angler_mjx.planning.path_search.string_pulling import pull_string
 from angler_mjx.planning.path_search.tracing import Route, trace_back
 from angler_mjx.planning.path_search.traffic import (
     Balls,
     GridTraffic,
     PlannedTraffic,
-    balls,
-    clear_of,
+    build_balls,
+    is_motion_clear,
 )
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.grid import Grid
@@ -89,12 +89,14 @@ def explore(world, others, start, first, goal, may_stay, ends, scattered):
 
     Those once more through ``scattered`` sets, that no search has made.
     """
-    land = terrain(world)
+    land = build_terrain(world)
     free = free_space(land, jnp.asarray(CLEARANCE_M))
     layout = land.layout
     # The start's bit, in the layout that `Layout.pack` documents.
     cells = jnp.zeros(SHAPE, bool).at[start[0], start[1], start[2]].set(True)
-    history, last, found = reachable(land, free, others, layout.pack(cells), first, goal, may_stay)
+    history, last, found = search_reachable(
+        land, free, others, layout.pack_cells(cells), first, goal, may_stay
+    )
 
     @jax.vmap
     def back(sets, cell, layer):
@@ -175,7 +177,9 @@ def draw(seed):
     low, high = ORIGIN, ORIGIN + CELL * np.array(SHAPE)
     centre = rng.uniform(low, high, (LAYERS, OTHERS, 3))
     radius = rng.uniform(0.0, 0.9, (LAYERS, OTHERS))
-    radius[rng.random((LAYERS, OTHERS)) < 0.3] = -1.0  # as `balls` says that one does not count
+    radius[
+        rng.random((LAYERS, OTHERS)) < 0.3
+    ] = -1.0  # as `build_balls` says that one does not count
     sphere = np.array([*rng.uniform(low, high), 0.3])
     return Case(
         occupied,
@@ -386,7 +390,7 @@ def test_what_is_seen_in_a_straight_line():
     @quickly
     @jax.vmap
     def seen(a, b):
-        return line_of_sight(terrain(make_world(occupied, sphere)), a, b, CLEARANCE_M)
+        return line_of_sight(build_terrain(make_world(occupied, sphere)), a, b, CLEARANCE_M)
 
     found = np.asarray(seen(np.float32(a), np.float32(b)))
 
@@ -441,7 +445,7 @@ def where(traffic, t):
 def test_balls_hold_the_others_during_each_layer_and_are_not_larger_than_need_be():
     traffic = draw_traffic(np.random.default_rng(1), 7)
     n_layer, fine = 12, 50
-    found = quickly(lambda given: balls(given, jnp.asarray(LAYER_S), n_layer))(traffic)
+    found = quickly(lambda given: build_balls(given, jnp.asarray(LAYER_S), n_layer))(traffic)
     centre, radius = (np.asarray(x, float).swapaxes(0, 1) for x in (found.centre_m, found.radius_m))
     share = np.arange(n_layer)[:, None] + np.linspace(0.0, 1.0, fine + 1)
     place = where(traffic, LAYER_S * share.ravel()).reshape(7, n_layer, fine + 1, 3)
@@ -467,7 +471,7 @@ def test_steady_motion_is_clear_of_others_exactly_where_it_is():
     end = begin + np.where(rng.random(n) < 0.2, 0.0, rng.uniform(0.0, 5.0, n))
     b = np.where((end > begin)[:, None], b, a)
     given = (np.float32(x) for x in (a, begin, b, end))
-    test = quickly(jax.vmap(clear_of, in_axes=(None, 0, 0, 0, 0)))
+    test = quickly(jax.vmap(is_motion_clear, in_axes=(None, 0, 0, 0, 0)))
     found = np.asarray(test(traffic, *given))
     share = np.linspace(0.0, 1.0, 1001)[:, None]
     gap = []
@@ -510,7 +514,9 @@ def round_a_wall(until_s):
 
 @quickly
 def run_pull(world, others, route):
-    return pull(terrain(world), others, route, jnp.asarray(0.3), jnp.asarray(0.5), n_point=5)
+    return pull_string(
+        build_terrain(world), others, route, jnp.asarray(0.3), jnp.asarray(0.5), n_point=5
+    )
 
 
 def test_a_way_with_a_corner_is_pulled_to_its_three_points():

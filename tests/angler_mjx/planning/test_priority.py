@@ -10,16 +10,20 @@ import pytest
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning import grid
-from angler_mjx.planning.path_search.robot import MOST_LAYERS, WayConfig, layers
+from angler_mjx.planning.path_search.robot_search import (
+    MAX_LAYERS,
+    PathSearchConfig,
+    required_layers,
+)
 from angler_mjx.planning.priority import planner
-from angler_mjx.planning.priority.queue import work_off
+from angler_mjx.planning.priority.queue import run_slots
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import load_scenario
 
 from ..compiling import quickly
 from .test_grid import CELL, make_world, stack
 
-CONFIG = WayConfig(horizon_s=90.0, start_hold_s=5.0)
+CONFIG = PathSearchConfig(horizon_s=90.0, start_hold_s=5.0)
 BUDGET = 12
 RADIUS, SPEED = np.full(3, 0.4, np.float32), np.full(3, 0.5, np.float32)
 
@@ -62,7 +66,7 @@ SEEDS = np.arange(4, dtype=np.uint32)
 
 def plans(worlds, seeds, slots, config=CONFIG, radius=RADIUS):
     n = len(seeds)
-    run = partial(planner.plan, config=config, budget=BUDGET, slots=slots)
+    run = partial(planner.plan_teams, config=config, budget=BUDGET, slots=slots)
     return quickly(run)(worlds, np.tile(radius, (n, 1)), np.tile(SPEED, (n, 1)), seeds)
 
 
@@ -73,7 +77,7 @@ def found():
 
 @pytest.fixture(scope="module")
 def in_order():
-    run = jax.vmap(partial(grid.plan, config=CONFIG), in_axes=(0, None, None))
+    run = jax.vmap(partial(grid.plan_grid, config=CONFIG), in_axes=(0, None, None))
     return quickly(run)(WORLDS, RADIUS, SPEED)
 
 
@@ -171,7 +175,7 @@ def test_the_queue_steps_each_task_to_its_own_end(count, slots):
             n, steps = (n // 2 if n % 2 == 0 else 3 * n + 1), steps + 1
         return steps
 
-    found = work_off(
+    found = run_slots(
         jnp.asarray(starts),
         count,
         slots,
@@ -185,15 +189,19 @@ def test_the_queue_steps_each_task_to_its_own_end(count, slots):
 
 def test_layers_let_a_robot_search_as_fast_as_it_is():
     # 180 s at 0.5 m/s are 60 cells of 1.5 m: 120 half steps, and a sixth more for diagonals.
-    assert layers(180.0, 0.5, 1.5) == 140
-    assert layers(10.0, 0.5, 1.5) == WayConfig().n_layer
-    assert layers(86400.0, 3.0, 0.1) == MOST_LAYERS
+    assert required_layers(180.0, 0.5, 1.5) == 140
+    assert required_layers(10.0, 0.5, 1.5) == PathSearchConfig().n_layer
+    assert required_layers(86400.0, 3.0, 0.1) == MAX_LAYERS
 
 
 def test_settings_out_of_bounds_are_refused_by_name():
     with pytest.raises(ConfigError, match=r"planner\.priority.*budget = 0: must be 1 to 10000"):
         load_scenario("reef_fleet", planner={"name": "priority", "priority": {"budget": 0}})
-    with pytest.raises(ConfigError, match=r"knows\.current = \"truth\": the planner priority"):
+    with pytest.raises(
+        ConfigError, match=r"information\.current = \"truth\": the planner priority"
+    ):
         Simulator(
-            load_scenario("reef_fleet", planner={"name": "priority", "knows": {"current": "truth"}})
+            load_scenario(
+                "reef_fleet", planner={"name": "priority", "information": {"current": "truth"}}
+            )
         )

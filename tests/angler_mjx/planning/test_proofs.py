@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from angler_mjx.planning.priority.proofs import unsolvable
+from angler_mjx.planning.priority.proofs import prove_unsolvable
 
 from .test_grid import make_world
 
@@ -48,7 +48,7 @@ def test_proofs(change, why):
     problem = asked(
         **{"rock": np.zeros((8, 5, 4), bool), "starts": FREE[0], "goals": FREE[1]} | change
     )
-    found = unsolvable(problem, margin_m=0.1)
+    found = prove_unsolvable(problem, margin_m=0.1)
     assert (found is None) if why is None else found.startswith(why)
 
 
@@ -57,6 +57,6 @@ def test_cells_that_share_only_an_edge_are_not_joined():
     rock = np.ones((8, 5, 4), bool)
     rock[:4, 0, 0] = rock[4:, 1, 0] = False
     ways = [(0, 0, 0), (2, 0, 0)], [(7, 1, 0), (1, 0, 0)]
-    assert unsolvable(asked(rock, *ways), 0.1).startswith("robot 0 has rock")
+    assert prove_unsolvable(asked(rock, *ways), 0.1).startswith("robot 0 has rock")
     rock[4, 0, 0] = False
-    assert unsolvable(asked(rock, *ways), 0.1) is None
+    assert prove_unsolvable(asked(rock, *ways), 0.1) is None

@@ -28,8 +28,8 @@ def asked(seed, n_ball=5):
     centre = centre + np.cumsum(random.normal(size=(N_LAYER, n_ball, 3)) * 0.3, axis=0)
     radius = np.where(random.random((N_LAYER, n_ball)) < 0.3, -1.0, 0.3 + random.random(n_ball))
     free = FreeSpace(
-        cells=LAYOUT.pack(jnp.array(cells)),
-        edges=jax.vmap(LAYOUT.pack)(jnp.array(edges)),
+        cells=LAYOUT.pack_cells(jnp.array(cells)),
+        edges=jax.vmap(LAYOUT.pack_cells)(jnp.array(edges)),
     )
     return {
         "origin": low,
@@ -56,13 +56,13 @@ def land_at(origin):
 
 
 def readable(origin, free, balls, start, first, goal, may_stay):
-    at = LAYOUT.guard + start[0] * LAYOUT.row + start[1]
+    at = LAYOUT.guard_size + start[0] * LAYOUT.row + start[1]
     bit = jnp.where(jnp.arange(LAYOUT.total) == at, jnp.uint32(1) << start[2].astype("u4"), 0)
-    return search.reachable(land_at(origin), free, balls, bit, first, goal, may_stay)
+    return search.search_reachable(land_at(origin), free, balls, bit, first, goal, may_stay)
 
 
 def by_kernel(origin, free, balls, start, first, goal, may_stay):
-    return search_kernel.reachable(
+    return search_kernel.search_reachable(
         land_at(origin), free, balls, (start, first), goal, may_stay, interpret=True
     )
 
@@ -95,7 +95,7 @@ def test_lowers_for_cuda():
     world = asked(0)
 
     def one(w):
-        return search_kernel.reachable(
+        return search_kernel.search_reachable(
             land_at(w["origin"]),
             w["free"],
             w["balls"],

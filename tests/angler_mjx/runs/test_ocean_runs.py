@@ -9,7 +9,7 @@ from angler_experiments.ocean import headland
 from angler_mjx.errors import ConfigError
 from angler_mjx.runs.rollout import rollout
 from angler_mjx.runs.simulator import devices
-from angler_mjx.runs.storage import environments, folder, inputs
+from angler_mjx.runs.storage import environments, folder, input_copies
 from angler_mjx.scenario.scenario import load_scenario
 
 SCENARIO = """
@@ -42,7 +42,7 @@ file = "sea/headland.nc"
 def place(tmp_path_factory):
     there = tmp_path_factory.mktemp("ocean_run")
     (there / "sea").mkdir()
-    headland.write(there / "sea" / "headland.nc")
+    headland.write_dataset(there / "sea" / "headland.nc")
     (there / "tide.toml").write_text(SCENARIO)
     return there
 
@@ -57,7 +57,7 @@ def test_robots_feel_the_water_of_the_file(run):
     current = np.asarray(run.trajectories["current_mps"])[:, 0, 0]
     group = run.trajectories["environment"]
     for world in range(3):
-        environment = environments.read(group, world)
+        environment = environments.read_environments(group, world)
         (one,) = environment.current
         v = np.asarray(one.flow(environment.start_m[0], np.float32(0.0))[0])
         np.testing.assert_allclose(current[world], v, atol=1e-6)
@@ -65,18 +65,21 @@ def test_robots_feel_the_water_of_the_file(run):
 
 
 def test_the_folder_keeps_the_file_and_is_read_without_it(run, place):
-    (kept,) = [one for one in inputs.read_inputs(run.path) if one.role == "ocean"]
+    (kept,) = [one for one in input_copies.read_inputs(run.path) if one.role == "ocean"]
     copy = run.path / "inputs" / kept.copy_path
     assert copy.read_bytes() == (place / "sea" / "headland.nc").read_bytes()
     assert kept.source == str(place / "sea" / "headland.nc")
-    before = environments.read(run.trajectories["environment"], 1).current[0].field
+    before = environments.read_environments(run.trajectories["environment"], 1).current[0].field
     source = place / "sea" / "headland.nc"
     moved = source.rename(place / "sea" / "elsewhere.nc")
     try:
         again = folder.Run(run.path)
         assert again.scenario.world.currents[0].file == str(copy.resolve())
-        assert environments.read(again.trajectories["environment"], 1).current[0].field == before
-        inputs.require_unchanged(run.path, flag="--resume run")
+        assert (
+            environments.read_environments(again.trajectories["environment"], 1).current[0].field
+            == before
+        )
+        input_copies.require_unchanged(run.path, flag="--resume run")
     finally:
         moved.rename(source)
 
@@ -84,16 +87,16 @@ def test_the_folder_keeps_the_file_and_is_read_without_it(run, place):
 def test_an_edited_file_is_not_gone_on_with(run, place):
     source = place / "sea" / "headland.nc"
     before = source.read_bytes()
-    headland.write(source, 12)
+    headland.write_dataset(source, 12)
     try:
         with pytest.raises(ConfigError, match=r"headland\.nc was edited since the run began"):
-            inputs.require_unchanged(run.path, flag="--resume run")
+            input_copies.require_unchanged(run.path, flag="--resume run")
         # What was flown is still shown as it was.
-        field = environments.read(run.trajectories["environment"], 0).current[0].field
+        field = environments.read_environments(run.trajectories["environment"], 0).current[0].field
         assert field.shape[:2] == (24, 24)
     finally:
         source.write_bytes(before)
-    inputs.require_unchanged(run.path, flag="--resume run")
+    input_copies.require_unchanged(run.path, flag="--resume run")
 
 
 def test_the_digest_of_a_scenario_is_that_of_the_numbers(place):
@@ -107,7 +110,7 @@ def test_the_digest_of_a_scenario_is_that_of_the_numbers(place):
 
     assert of() == one.digest()
     assert of(file=str(place / "copy.nc")) == one.digest()
-    headland.write(place / "other.nc", 12)
+    headland.write_dataset(place / "other.nc", 12)
     assert of(file=str(place / "other.nc")) != one.digest()
 
 
@@ -125,6 +128,6 @@ def test_fields_that_a_device_cannot_hold_are_refused(place, monkeypatch):
     with pytest.raises(
         ConfigError, match=r"the fields of files take 958 kB.*a device has 11\.5 MB"
     ):
-        devices.require_room(held)
+        devices.require_memory(held)
     monkeypatch.setattr(devices, "limit_bytes", lambda device: 12 * held)
-    devices.require_room(held)
+    devices.require_memory(held)

@@ -19,11 +19,11 @@ from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.planning.planner import PathShape
 from angler_mjx.runs.progress import SilentProgress
 from angler_mjx.runs.rollout import resume, rollout
-from angler_mjx.runs.simulator.hosted import status_of
+from angler_mjx.runs.simulator.host_planning import planning_status
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.runs.storage.plans import problems
 from angler_mjx.runs.storage.plans import write as plan_writer
-from angler_mjx.runs.storage.plans.read import how_planned, open_plans
+from angler_mjx.runs.storage.plans.read import open_plans, summarise_plan_file
 
 DOCS = Path(__file__).parents[3] / "docs" / "planners.md"
 TEN_LINES, *_, SCRIPT = re.findall(r"```python\n(.*?)```", DOCS.read_text(), re.S)
@@ -75,7 +75,7 @@ def flown(asked, simulator, tmp_path_factory):
 @pytest.fixture(scope="module")
 def planned(asked, simulator, tmp_path_factory):
     path = tmp_path_factory.mktemp("plans") / "plans.zarr"
-    plan_writer.make(path, asked, simulator)
+    plan_writer.plan_worlds(path, asked, simulator)
     return path
 
 
@@ -158,7 +158,7 @@ def test_what_is_known_of_moving_obstacles(asked, flown):
 
 
 def test_only_worlds_of_the_run_are_planned(simulator):
-    drawn = simulator.begin([4], kept=[1])
+    drawn = simulator.begin([4], counts=[1])
     assert list(drawn.tickets) == [0]
     worlds, notes = simulator.finish(drawn)
     assert list(np.asarray(worlds.planned).any(axis=1)) == [True, False]
@@ -173,17 +173,19 @@ def test_who_takes_worlds_alone_is_warned_of_a_planner_that_raised(simulator):
 def test_a_world_of_which_some_are_planned_is_partial():
     found = np.array([[True, True], [True, False], [False, False], [False, False]])
     counted = ["planned", "partial", "none", "none"]
-    assert list(status_of(found)) == counted
-    assert list(status_of(found, np.array(["planned", "planned", "", "timeout"], object))) == [
+    assert list(planning_status(found)) == counted
+    assert list(
+        planning_status(found, np.array(["planned", "planned", "", "timeout"], object))
+    ) == [
         *counted[:3],
         "timeout",
     ]
 
 
 def with_knowledge(scenario, level):
-    knows = scenario.planner.knows.model_copy(update={"obstacles": level})
+    information = scenario.planner.information.model_copy(update={"obstacles": level})
     return scenario.model_copy(
-        update={"planner": scenario.planner.model_copy(update={"knows": knows})}
+        update={"planner": scenario.planner.model_copy(update={"information": information})}
     )
 
 
@@ -201,11 +203,11 @@ def test_planning_goes_on_where_it_was_interrupted(asked, simulator, planned, tm
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        plan_writer.make(path, asked, simulator, advance=stop)
+        plan_writer.plan_worlds(path, asked, simulator, advance=stop)
     with pytest.raises(ConfigError, match="an unfinished file of plans lies in"):
-        plan_writer.make(path, asked, simulator)
+        plan_writer.plan_worlds(path, asked, simulator)
     begun = []
-    plan_writer.make(
+    plan_writer.plan_worlds(
         path, asked, simulator, resume=True, advance=lambda done, planned: begun.append(done)
     )
     assert begun[0] > 0
@@ -215,7 +217,7 @@ def test_planning_goes_on_where_it_was_interrupted(asked, simulator, planned, tm
 
 
 def test_a_script_that_does_not_know_this_package(asked, given, tmp_path):
-    problems.make(tmp_path / "problems.zarr", given)
+    problems.write_problems(tmp_path / "problems.zarr", given)
     script = tmp_path / "script.py"
     script.write_text("import sys\nsys.modules['angler_mjx'] = None\n" + SCRIPT)
     bare = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
@@ -358,7 +360,7 @@ def test_a_command_whose_planner_raises_in_every_world_fails_and_names_the_line(
     assert f"angler: planner {planner} planned none of 2 worlds: {raised}; " in said.err
     assert f"in 2 worlds: {raised}\n" in said.out
     # What was planned is there all the same.
-    assert how_planned(tmp_path / "plans.zarr")["worlds"] == {"error": 2}
+    assert summarise_plan_file(tmp_path / "plans.zarr")["worlds"] == {"error": 2}
     # In one world alone, in this process, the exception comes as it is.
     with pytest.raises(AttributeError, match="paths") as caught:
         main([*words, "--debug", "1"])
@@ -425,7 +427,7 @@ SHORTEST = DOCS.parent / "examples" / "shortest.cpp"
 @pytest.mark.skipif(shutil.which("c++") is None, reason="there is no C++ compiler (c++)")
 def test_a_planner_in_cpp_without_dependencies(asked, given, tmp_path):
     binary, made = tmp_path / "shortest", tmp_path / "plans.zarr"
-    problems.make(tmp_path / "problems.zarr", given, raw=True)
+    problems.write_problems(tmp_path / "problems.zarr", given, raw=True)
     flags = ["-O2", "-std=c++17", "-Wall", "-Wextra", "-Werror"]
     subprocess.run(["c++", *flags, "-o", binary, SHORTEST], check=True)
     said = subprocess.run(
@@ -454,7 +456,7 @@ def test_a_planner_in_cpp_without_dependencies(asked, given, tmp_path):
 
 def test_a_raw_file_of_problems_holds_the_numbers_that_any_zarr_reader_sees(given, tmp_path):
     path = tmp_path / "problems.zarr"
-    problems.make(path, given, raw=True)
+    problems.write_problems(path, given, raw=True)
     group, wanted = zarr.open_group(path, mode="r"), problems_of(given, 4)
     named = [name for name, node in group.members(max_depth=None) if isinstance(node, zarr.Array)]
     for name in named:
@@ -476,4 +478,4 @@ def test_a_raw_file_of_problems_holds_the_numbers_that_any_zarr_reader_sees(give
     planner = given.scenario.planner
     about = dict(group.attrs)
     assert (about["margin_m"], about["max_points"]) == (planner.margin_m, planner.points)
-    assert about["knows"] == {"obstacles": "nothing", "current": "nothing"}
+    assert about["information"] == {"obstacles": "nothing", "current": "nothing"}

@@ -12,7 +12,7 @@ import pytest
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.robot.control.commands import Estimate, ThrusterPwm
-from angler_mjx.runs.opening import require_same
+from angler_mjx.runs.folder_setup import require_same_scenario
 from angler_mjx.runs.progress import SilentProgress
 from angler_mjx.runs.rollout import resume, rollout
 from angler_mjx.runs.simulator.simulator import Simulator
@@ -138,7 +138,7 @@ def test_an_interrupted_run_goes_on_with_its_policy_alone(scenario, simulator, r
 @pytest.mark.parametrize(
     "flags",
     [
-        {"planner": {"replan_hz": 1.0, "knows": {"obstacles": "observed"}}},
+        {"planner": {"replan_hz": 1.0, "information": {"obstacles": "observed"}}},
         {"planner": {"name": "priority"}},
         {"execution": {"order": "kept"}},
         {"policy": {"name": "mppi"}},
@@ -152,10 +152,10 @@ def test_a_run_that_flags_began_is_not_taken_for_an_edited_scenario(flags, tmp_p
     begun = load_scenario(file, **flags)
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "config.json").write_text(begun.model_dump_json())
-    require_same(tmp_path / "run", load_scenario(file))
+    require_same_scenario(tmp_path / "run", load_scenario(file))
     for edited in ({"goal_tolerance_m": 0.1}, {"planner": {"margin_m": 0.2}}):
         with pytest.raises(ConfigError, match=f"was edited since.*{next(iter(edited))}"):
-            require_same(tmp_path / "run", load_scenario(file, **edited))
+            require_same_scenario(tmp_path / "run", load_scenario(file, **edited))
 
 
 def test_other_numbers_are_flown_without_compiling(simulator):

@@ -24,8 +24,8 @@ from angler_mjx.robot.vehicles import library
 from angler_mjx.runs.progress import SilentProgress
 from angler_mjx.runs.rollout import resume, rollout
 from angler_mjx.runs.simulator.simulator import Simulator
-from angler_mjx.runs.storage import folder, inputs
-from angler_mjx.runs.storage.columns import EPISODE_SCHEMA
+from angler_mjx.runs.storage import folder, input_copies
+from angler_mjx.runs.storage.episode_columns import EPISODE_SCHEMA
 from angler_mjx.runs.storage.folder import Run, partial_path
 from angler_mjx.runs.storage.results import OUTCOMES
 from angler_mjx.sim.state import Outcome
@@ -284,7 +284,7 @@ def test_out_of_device_memory_names_the_tile_that_fits(run, scenario, simulator,
         def __init__(self):
             self.__dict__.update(simulator.__dict__)
 
-        def begin(self, firsts, *, seed=None, kept=True):
+        def begin(self, firsts, *, seed=None, counts=None):
             if firsts[0] == 4:
                 raise jax.errors.JaxRuntimeError(
                     "RESOURCE_EXHAUSTED: Out of memory allocating 1 TB"
@@ -483,7 +483,7 @@ def cut_description(building):
 def test_what_is_damaged_is_computed_again(run, cut, scenario, simulator, tmp_path, damage, told):
     out = tmp_path / "run"
     shutil.copytree(cut, out)
-    folder.reopen(out, print).release()
+    folder.reopen_folder(out, print).release()
     damage(partial_path(out))
     listener = Listen()
     assert_same(run, resume(out, scenario=scenario, simulator=simulator, progress=listener))
@@ -520,7 +520,7 @@ def test_every_array_names_its_dimensions(run):
 
 
 def test_the_inputs_lie_in_the_folder_and_edited_ones_are_refused(cut, tmp_path, scenario_file):
-    used = {(one.role, one.named): one for one in inputs.read_inputs(cut)}
+    used = {(one.role, one.named): one for one in input_copies.read_inputs(cut)}
     assert set(used) == {
         ("vehicle", "bluerov2_heavy"),
         ("vehicle", "bluerov2"),
@@ -529,32 +529,39 @@ def test_the_inputs_lie_in_the_folder_and_edited_ones_are_refused(cut, tmp_path,
     for one in used.values():
         source = Path(one.source).read_bytes()
         assert hashlib.sha256(source).hexdigest() == one.sha256
-    for named, copy in inputs.copies(cut).items():
-        assert library.load(str(copy)).rotor.model.startswith(str(cut.resolve()))
-        assert library.load(str(copy)).parameter_sets == library.load(named).parameter_sets
+    for named, copy in input_copies.vehicle_copies(cut).items():
+        assert library.load_vehicle(str(copy)).rotor.model.startswith(str(cut.resolve()))
+        assert (
+            library.load_vehicle(str(copy)).parameter_sets
+            == library.load_vehicle(named).parameter_sets
+        )
 
 
 def test_a_vehicle_of_ones_own_is_copied_and_an_edit_is_noticed(tmp_path, monkeypatch):
     home, away, run_path = tmp_path / "home", tmp_path / "away", tmp_path / "run"
     for place in (home, away, run_path):
         place.mkdir()
-    text = library.locate("bluerov2").read_text()
+    text = library.locate_vehicle("bluerov2").read_text()
     thruster = library.locate_thruster("t200").read_text()
     (home / "own.toml").write_text(
         text.replace('"t200"', '"props.toml"').replace('name = "bluerov2"', 'name = "mine"')
     )
     (home / "props.toml").write_text(thruster)
     monkeypatch.chdir(home)
-    inputs.take(run_path, ["own.toml"], [("plan", home / "props.toml")])
-    assert inputs.stand_ins(run_path) == {}
-    inputs.require_unchanged(run_path, flag="--resume")
+    input_copies.copy_inputs(run_path, ["own.toml"], [("plan", home / "props.toml")])
+    assert input_copies.vehicle_stand_ins(run_path) == {}
+    input_copies.require_unchanged(run_path, flag="--resume")
     monkeypatch.chdir(away)  # where no such file is
-    copy = inputs.stand_ins(run_path)["own.toml"]
-    assert library.load(copy).name == "mine"
-    assert inputs.vehicle_file(run_path, "mine") == copy
-    inputs.require_unchanged(run_path, flag="--resume")
+    copy = input_copies.vehicle_stand_ins(run_path)["own.toml"]
+    assert library.load_vehicle(copy).name == "mine"
+    assert input_copies.vehicle_file(run_path, "mine") == copy
+    input_copies.require_unchanged(run_path, flag="--resume")
     monkeypatch.chdir(home)
     (home / "props.toml").write_text(thruster + "\n# edited\n")
     with pytest.raises(ConfigError, match=r"own\.toml or its thruster file was edited"):
-        inputs.require_unchanged(run_path, flag="--resume")
-    assert [one.role for one in inputs.read_inputs(run_path)] == ["thruster", "vehicle", "plan"]
+        input_copies.require_unchanged(run_path, flag="--resume")
+    assert [one.role for one in input_copies.read_inputs(run_path)] == [
+        "thruster",
+        "vehicle",
+        "plan",
+    ]

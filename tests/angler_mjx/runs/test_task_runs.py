@@ -95,6 +95,6 @@ def test_trajectories_hold_the_task_and_its_course(run):
 
 
 def test_figures_show_the_task(run):
-    drawn = {path.name for path in figures.make(run, worlds=[1])}
+    drawn = {path.name for path in figures.plot_figures(run, worlds=[1])}
     assert {"map_world_1.png", "task_world_1.png"} <= drawn
     assert (run.path / "figures" / "task_world_1.png").stat().st_size > 10_000

@@ -16,7 +16,7 @@ from angler_mjx.runs import processes
 def main(port, index, then):
     jax.config.update("jax_platforms", "cpu")
     # Two seconds without a sign of life count as death here, so that the test is short.
-    joined = processes.join(f"localhost:{port}", 2, index, gone_s=2.0)
+    joined = processes.join_processes(f"localhost:{port}", 2, index, gone_s=2.0)
     print(joined.meet("one", {"process": index}))
     if index == 1 and then == "die":
         os._exit(3)

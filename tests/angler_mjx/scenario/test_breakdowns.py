@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.runs.simulator import prepare
+from angler_mjx.runs.simulator import world_preparation
 from angler_mjx.scenario.scenario import load_scenario
 
 WORLDS = 4000
@@ -18,11 +18,13 @@ def reef(**table):
 def drawn(scenario, robots):
     """[world, robot] s."""
     keys = jax.random.split(jax.random.key(4), WORLDS)
-    return np.asarray(jax.vmap(lambda key: prepare.breakdowns(scenario, key, robots))(keys))
+    return np.asarray(
+        jax.vmap(lambda key: world_preparation.sample_breakdowns(scenario, key, robots))(keys)
+    )
 
 
 def test_each_robot_breaks_down_by_itself_and_at_any_time_of_the_span():
-    at_s = drawn(reef(share=0.2, earliest_s=20.0, latest_s=60.0), 4)
+    at_s = drawn(reef(fraction=0.2, earliest_s=20.0, latest_s=60.0), 4)
     breaks = np.isfinite(at_s)
     # Four standard deviations of 16,000 draws, and of 4,000 worlds with each number of robots.
     np.testing.assert_allclose(breaks.mean(), 0.2, atol=4 * np.sqrt(0.16 / breaks.size))
@@ -36,30 +38,36 @@ def test_each_robot_breaks_down_by_itself_and_at_any_time_of_the_span():
 
 
 def test_a_robot_more_changes_nothing_for_those_before_it():
-    scenario = reef(share=0.5)
+    scenario = reef(fraction=0.5)
     np.testing.assert_array_equal(drawn(scenario, 3), drawn(scenario, 5)[:, :3])
 
 
 def test_none_breaks_down_unless_asked():
-    assert prepare.breakdowns(load_scenario("reef_fleet"), jax.random.key(0), 4) is None
-    assert (drawn(reef(share=1.0), 2) <= 100.0).all()
+    assert (
+        world_preparation.sample_breakdowns(load_scenario("reef_fleet"), jax.random.key(0), 4)
+        is None
+    )
+    assert (drawn(reef(fraction=1.0), 2) <= 100.0).all()
 
 
 @pytest.mark.parametrize(
     ("table", "said"),
     [
-        ({"share": 1.5}, ["breakdowns.share", "1"]),
-        ({"earliest_s": 5.0}, ["breakdowns", "earliest_s", "no robot breaks down", "share"]),
+        ({"fraction": 1.5}, ["breakdowns.fraction", "1"]),
+        ({"earliest_s": 5.0}, ["breakdowns", "earliest_s", "no robot breaks down", "fraction"]),
         (
-            {"share": 0.2, "latest_s": 120.0},
+            {"fraction": 0.2, "latest_s": 120.0},
             ["breakdowns.latest_s", "= 120:", "time.horizon_s", "= 100;"],
         ),
         (
-            {"share": 0.2, "earliest_s": 9.0, "latest_s": 8.0},
+            {"fraction": 0.2, "earliest_s": 9.0, "latest_s": 8.0},
             ["breakdowns.earliest_s", "= 9:", "later", "latest_s", "= 8;"],
         ),
-        ({"share": 0.2, "earliest_s": 101.0}, ["earliest_s", "= 101:", "time.horizon_s", "= 100;"]),
-        ({"share": 0.2, "mean_s": 1.0}, ["breakdowns.mean_s", "unknown key"]),
+        (
+            {"fraction": 0.2, "earliest_s": 101.0},
+            ["earliest_s", "= 101:", "time.horizon_s", "= 100;"],
+        ),
+        ({"fraction": 0.2, "mean_s": 1.0}, ["breakdowns.mean_s", "unknown key"]),
     ],
 )
 def test_what_cannot_be_is_refused(table, said):

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.planning.build_problem import team
+from angler_mjx.planning.build_problem import build_team
 from angler_mjx.robot.sensing import params as instruments
 from angler_mjx.robot.sensing import suite
 from angler_mjx.robot.sensing.config import SensorsConfig
 from angler_mjx.robot.sensing.readings import Truth
 from angler_mjx.robot.vehicles import library
-from angler_mjx.robot.vehicles.variation import Variation, varied
+from angler_mjx.robot.vehicles.variation import Variation, apply_variation
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.sim import fleet
@@ -67,9 +67,9 @@ def test_faults_come_as_often_as_asked():
 
 
 def test_a_varied_vehicle_has_what_was_drawn_and_still_can_be():
-    config = library.load("bluerov2_heavy")
+    config = library.load_vehicle("bluerov2_heavy")
     name = "von_benzon2022"
-    made = varied(
+    made = apply_variation(
         config,
         name,
         Variation(mass=1.1, buoyancy=0.9, damping=(2.0,) * 6, added_mass=(1, 4, 1, 1, 9, 1)),
@@ -88,8 +88,8 @@ def test_a_varied_vehicle_has_what_was_drawn_and_still_can_be():
 
 @pytest.mark.parametrize("known", [False, True])
 def test_controllers_and_planners_know_what_they_are_told(known):
-    kinds = fleet.build(drawn(**SPANS, known=known).members(), multibody=False)
-    told, said = kinds.control.known, library.load("bluerov2_heavy")
+    kinds = fleet.build_fleet(drawn(**SPANS, known=known).members(), multibody=False)
+    told, said = kinds.control.vehicle_model, library.load_vehicle("bluerov2_heavy")
     mass = np.asarray(told.mass_kg)[:8]
     nominal = said.find_set(None).rigid_body.mass_kg
     assert bool(np.allclose(mass, nominal)) is not known
@@ -98,7 +98,7 @@ def test_controllers_and_planners_know_what_they_are_told(known):
     reach = np.asarray(kinds.control.allocation.thrust_n)[:8, -1]
     assert bool(np.ptp(reach) > 1.0) is known
     world = (jnp.zeros((16, 3)), jnp.zeros(16), jnp.ones((16, 3)))
-    speeds = np.asarray(team(kinds.control, *world).terminal_speed_mps)[:8, 0]
+    speeds = np.asarray(build_team(kinds.control, *world).terminal_speed_mps)[:8, 0]
     assert bool(np.ptp(speeds) > 0.1) is known
 
 
@@ -123,7 +123,7 @@ def test_worlds_have_their_own_current_and_noise():
 
 
 def test_instruments_with_twice_the_noise_err_twice_as_much():
-    sensors = instruments.build(SensorsConfig(), 0.05, 9.81)
+    sensors = instruments.build_sensors(SensorsConfig(), 0.05, 9.81)
     truth = Truth(
         p=jnp.array([1.0, 2.0, -3.0]),
         q=jnp.array([1.0, 0.0, 0.0, 0.0]),
@@ -131,10 +131,10 @@ def test_instruments_with_twice_the_noise_err_twice_as_much():
         altitude_m=jnp.array(2.0),
     )
     key = jax.random.key(3)
-    loud = instruments.louder(sensors, jnp.array(2.0))
+    loud = instruments.scale_noise(sensors, jnp.array(2.0))
     off = [
-        np.asarray(suite.disturb(one, key, jnp.int32(5), truth).p - truth.p, float)
-        for one in (sensors, loud, instruments.louder(sensors, jnp.array(0.0)))
+        np.asarray(suite.disturb_truth(one, key, jnp.int32(5), truth).p - truth.p, float)
+        for one in (sensors, loud, instruments.scale_noise(sensors, jnp.array(0.0)))
     ]
     np.testing.assert_allclose(off[1], 2 * off[0], rtol=1e-4)
     np.testing.assert_array_equal(off[2], 0.0)
@@ -183,8 +183,8 @@ def test_a_table_that_says_nothing_changes_no_problem():
 
 def test_files_say_what_each_variant_is():
     members = drawn(**SPANS).members()
-    rows = fleet.described(members)
-    kinds = fleet.variants(members)
+    rows = fleet.describe_variants(members)
+    kinds = fleet.list_variants(members)
     assert [row["variant"] for row in rows] == list(range(len(kinds))) == list(range(16))
     for row, kind in zip(rows, kinds, strict=True):
         assert row["battery_v"] == kind.variation.battery_v

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from angler_mjx.cli.shared.inputs import scenario_given
+from angler_mjx.cli.shared.inputs import build_scenario
 from angler_mjx.errors import ConfigError
 from angler_mjx.scenario.scenario import load_scenario
 
@@ -121,7 +121,7 @@ def test_what_is_wrong_with_a_flag_is_said_of_the_flag(write):
         ({"policy": {"name": "mpc"}}, "--policy = "),
     ):
         with pytest.raises(ConfigError) as caught:
-            scenario_given(str(path), **flags)
+            build_scenario(str(path), **flags)
         assert str(caught.value).startswith(word)
         assert str(path) not in str(caught.value)
 

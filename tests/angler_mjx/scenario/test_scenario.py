@@ -3,7 +3,7 @@
 import pytest
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.scenario.scenario import Scenario, load_scenario, shipped
+from angler_mjx.scenario.scenario import Scenario, load_scenario, shipped_scenarios
 
 
 @pytest.mark.parametrize(
@@ -154,7 +154,7 @@ def test_all_faults_of_a_file_come_at_once(tmp_path):
 def test_unknown_name_lists_what_there_is():
     with pytest.raises(ConfigError) as caught:
         load_scenario("reef_feet")
-    for name in shipped():
+    for name in shipped_scenarios():
         assert name in str(caught.value)
 
 

@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.runs.session.batch import BatchSession
-from angler_mjx.runs.simulator.scenario_policy import policy_of
+from angler_mjx.runs.session.batch_session import BatchSession
+from angler_mjx.runs.simulator.scenario_policy import resolve_policy
 from angler_mjx.scenario.scenario import Scenario, load_scenario
 
 HEAD = """
@@ -45,16 +45,16 @@ def test_tasks_are_flown_along_routes_unless_a_file_says_otherwise(tmp_path: Pat
     tour = scenario(tmp_path, table)
     spec = tour.sim_spec().task
     assert (spec.kind, spec.jobs, spec.robots, spec.period) == ("tour", 5, 2, 5)
-    assert (spec.homes, spec.places) == (5, 7)
+    assert (spec.homes, spec.positions) == (5, 7)
     assert tour.policy.name == "routes"
     nobody = scenario(tmp_path, table + '[policy]\nname = "none"\n')
     with pytest.raises(ConfigError, match=r"task\.type = 'tour': plans lead to one goal"):
-        policy_of(nobody, None)
+        resolve_policy(nobody, None)
 
 
 def test_places_of_goods_count_twice(tmp_path: Path) -> None:
     spec = scenario(tmp_path, '[task]\ntype = "deliver"\ngoods = 3\n').sim_spec().task
-    assert (spec.homes, spec.places) == (6, 8)
+    assert (spec.homes, spec.positions) == (6, 8)
     given = '[task]\ntype = "deliver"\nfrom_m = [[0.0, 0.0, -5.0], [1.0, 0.0, -5.0]]\n'
     two = scenario(tmp_path, given)
     assert two.sim_spec().task.jobs == 2

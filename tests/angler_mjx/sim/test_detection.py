@@ -9,7 +9,7 @@ import pytest
 
 from angler_mjx.robot.vehicles import library, params
 from angler_mjx.sim import detection
-from angler_mjx.sim.detection import SEPARATION_RADIUS_M, detect
+from angler_mjx.sim.detection import SEPARATION_RADIUS_M, detect_contacts
 from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.state import Touched
 from angler_mjx.world.environment import Environment
@@ -72,7 +72,7 @@ def environment(occupied, rows, n_robot):
 
 @pytest.fixture(scope="module")
 def heavy():
-    return params.build(library.load("bluerov2_heavy"), "wu2018", 16.0)
+    return params.build_vehicle(library.load_vehicle("bluerov2_heavy"), "wu2018", 16.0)
 
 
 def fleet_of(vehicle, places, velocities=None):
@@ -106,7 +106,7 @@ def test_distance_ahead_of_the_bow_to_a_cell(heavy):
     # 0.2285 m ahead of base_link, whose x is that of the centre of mass.
     world = environment([(5, 4, 4)], [], 1)
     vehicles, state = fleet_of(heavy, [[0.5, 0.75, -7.25]])
-    contact = quickly(detect)(world, vehicles, state, still([]))
+    contact = quickly(detect_contacts)(world, vehicles, state, still([]))
     assert contact.clearance_m[0] == pytest.approx(1.0 - 0.2285, abs=TOLERANCE_M)
     assert contact.nearest[0] == Touched.CELL
     assert contact.nearest_is_static[0]
@@ -116,7 +116,7 @@ def test_distance_to_the_floor_counts_the_lowest_capsule(heavy):
     # Capsules of radius 0.127 at base_link's height, 0.011 m below the centre of mass.
     world = environment([], [], 1)
     vehicles, state = fleet_of(heavy, [[0.0, 0.0, -13.5]])
-    contact = quickly(detect)(world, vehicles, state, still([]))
+    contact = quickly(detect_contacts)(world, vehicles, state, still([]))
     assert contact.clearance_m[0] == pytest.approx(0.5 - 0.011 - 0.127, abs=TOLERANCE_M)
     assert contact.nearest[0] == Touched.FLOOR
 
@@ -129,7 +129,7 @@ def test_nearest_obstacle_and_whether_it_stands(heavy):
     around = ObstacleState(
         p=around.p, q=around.q, nu=around.nu.at[0, 0].set(-0.25), nu_dot=around.nu_dot
     )
-    contact = quickly(detect)(world, vehicles, state, around)
+    contact = quickly(detect_contacts)(world, vehicles, state, around)
     # Along x, at the height of the capsules: gap between centres less the reach of both.
     np.testing.assert_allclose(
         contact.clearance_m, [1.0 - 0.2285 - 0.5, 1.0 - 0.2285 - 0.4], atol=TOLERANCE_M
@@ -144,7 +144,7 @@ def test_hulls_side_by_side(heavy):
     # The one in the middle comes first: robot 0 is a neighbour as any other.
     places = [[0.0, 0.0, -8.0], [0.0, -1.5, -8.0], [0.0, 1.0, -8.0]]
     vehicles, state = fleet_of(heavy, places, [[0, 0, 0], [0.3, 0, 0], [0, 0.4, 0]])
-    contact = quickly(detect)(world, vehicles, state, still([]))
+    contact = quickly(detect_contacts)(world, vehicles, state, still([]))
     # Half width 0.1605 + 0.127 on each side.
     width = 2 * 0.2875
     np.testing.assert_allclose(
@@ -160,7 +160,7 @@ def test_robots_that_are_far_apart_are_not_the_nearest_thing(heavy):
     world = environment([], [], 3)
     places = [[-2.5, 0.0, -8.0], [2.5, 0.0, -8.0], [0.0, 4.0, -8.0]]
     vehicles, state = fleet_of(heavy, places)
-    contact = quickly(detect)(world, vehicles, state, still([]))
+    contact = quickly(detect_contacts)(world, vehicles, state, still([]))
     np.testing.assert_array_equal(contact.separation_m, SEPARATION_RADIUS_M)
     assert np.all(contact.clearance_m > SEPARATION_RADIUS_M)
     assert np.all(contact.nearest != Touched.ROBOT)
@@ -169,7 +169,7 @@ def test_robots_that_are_far_apart_are_not_the_nearest_thing(heavy):
 
 def test_a_robot_alone_has_no_separation(heavy):
     vehicles, state = fleet_of(heavy, [[0.0, 0.0, -8.0]])
-    contact = quickly(detect)(environment([], [], 1), vehicles, state, still([]))
+    contact = quickly(detect_contacts)(environment([], [], 1), vehicles, state, still([]))
     assert np.isinf(contact.separation_m[0])
 
 
@@ -183,7 +183,7 @@ def test_a_large_fleet_is_searched_with_the_same_result(heavy, monkeypatch):
     world = environment([(5, 4, 4), (1, 1, 1)], [], 48)
 
     def run():
-        return quickly(lambda state: detect(world, vehicles, state, still([])))(state)
+        return quickly(lambda state: detect_contacts(world, vehicles, state, still([])))(state)
 
     searched = run()
     monkeypatch.setattr(detection, "ALL_PAIRS_UP_TO", 48)

@@ -26,9 +26,9 @@ TEAM = [mix("bluerov2_heavy", (1.0, 2.0)), *[mix("bluerov2_heavy", (1.0, 1.0))] 
 
 def draws(members, seed=0):
     """Variants [N, robot] of worlds."""
-    kinds = fleet.build(members, multibody=False)
+    kinds = fleet.build_fleet(members, multibody=False)
     keys = jax.vmap(jax.random.fold_in, (None, 0))(jax.random.key(seed), np.arange(N))
-    return np.asarray(jax.jit(jax.vmap(lambda key: fleet.draw(kinds, key)[0]))(keys))
+    return np.asarray(jax.jit(jax.vmap(lambda key: fleet.sample_variants(kinds, key)[0]))(keys))
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +58,7 @@ def test_a_robot_more_changes_nothing_for_the_others(drawn, vehicle):
 
 
 def first_set(vehicle):
-    return sorted(fleet.library.load(vehicle).parameter_sets)[0]
+    return sorted(fleet.library.load_vehicle(vehicle).parameter_sets)[0]
 
 
 def test_what_is_the_same_in_all_that_robots_can_be_is_known_and_nothing_else():
@@ -69,7 +69,7 @@ def test_what_is_the_same_in_all_that_robots_can_be_is_known_and_nothing_else():
         mix(light, (1.0,), (first_set(light),)),
         mix(heavy, (1.0,), SETS[1:]),
     ]
-    kinds = fleet.build(team, multibody=False)
+    kinds = fleet.build_fleet(team, multibody=False)
     possible = ([0, 1], [2], [1])
     assert [(group.first, group.count) for group in kinds.groups] == [(0, 2), (2, 1), (3, 1)]
     seen = set()

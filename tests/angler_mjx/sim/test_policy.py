@@ -177,8 +177,8 @@ def test_a_policy_that_is_the_first_stage_flies_as_the_stack(scene, guided):
     """
     after, seen = guided
 
-    decide = jax.vmap(jax.vmap(partial(robot.decide, scene.spec, flow=None)))
-    begin = jax.vmap(jax.vmap(partial(robot.begin, scene.spec)))
+    decide = jax.vmap(jax.vmap(partial(robot.run_controllers, scene.spec, flow=None)))
+    begin = jax.vmap(jax.vmap(partial(robot.reset_controllers, scene.spec)))
 
     @quickly
     def by_stack(worlds, seen):
@@ -292,10 +292,10 @@ def joints(robots):
 @pytest.fixture(scope="module")
 def begin(in_double):
     """A function: the memory that the controllers of two Heavies give a policy at t = 0."""
-    heavy = params.build(library.load("bluerov2_heavy"), "wu2018", 16.0)
+    heavy = params.build_vehicle(library.load_vehicle("bluerov2_heavy"), "wu2018", 16.0)
     two = jax.tree.map(lambda leaf: np.stack([leaf, leaf]), heavy)
     still = np.zeros((2, 3))
-    knows = PolicyInput(
+    information = PolicyInput(
         belief=Estimate(p=still, q=np.zeros((2, 4)), nu=np.zeros((2, 6))),
         time_s=np.zeros(()),
         goal_m=still,
@@ -303,7 +303,9 @@ def begin(in_double):
         params=ControlParams(vehicle=two, allocation=(), cruise_speed_mps=np.ones(2)),
     )
     key = jax.random.key_data(jax.random.key(0))
-    return lambda policy: policies.begin(policy, stages.named("cascade"), key, knows)
+    return lambda policy: policies.begin_policy(
+        policy, stages.find_controller("cascade"), key, information
+    )
 
 
 @pytest.mark.parametrize(
@@ -365,7 +367,7 @@ def told(scene):
         here = WorldContext(
             spec=scene.spec, policy=Guide(), world=world, number=number, vehicles=vehicles
         )
-        known = here.known(None)
+        known = here.build_policy_input(None)
         return known.time_s, known.belief.flow, known.goal_m
 
     return world.environment, known

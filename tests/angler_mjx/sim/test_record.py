@@ -20,14 +20,14 @@ def test_phases_are_in_order_and_read_what_was_given_before():
     names = [phase.name for phase in step.PHASES]
     assert names == ["sense", "hear", "work", "policy", "decide", "move", "obstacles", "judge"]
     assert {one.about.phase for one in record.FIELDS} <= {*names, "sample"}
-    there = {"senses", "radio", "task", "policy", "obstacles", "known", *step.KEPT}
+    there = {"senses", "modem", "task", "policy", "obstacles", "estimate", *step.PERSISTENT_SLOTS}
     for phase in step.PHASES:
         assert set(phase.reads) <= there, phase.name
         there |= set(phase.gives)
 
 
 def test_what_is_kept_once_more_after_the_last_sample_is_the_state():
-    names = {one.about.array for one in record.STATES}
+    names = {one.about.array for one in record.STATE_FIELDS}
     assert names == {"p_m", "q", "nu", "outcome", "obstacle_p_m", "obstacle_q"}
 
 

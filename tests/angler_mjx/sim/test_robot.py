@@ -188,7 +188,7 @@ def tallies():
     def one(goal, tally, p, to, contact, broken):
         power, t = jnp.asarray(30.0), jnp.asarray(4.0)
         box = jnp.array(LO), jnp.array(HI)
-        return robot.account(SPEC, goal, *box, tally, p, to, contact, power, broken, t)
+        return robot.update_tally(SPEC, goal, *box, tally, p, to, contact, power, broken, t)
 
     found = jax.jit(jax.vmap(one))(
         each["goal"], before, each["before"], each["after"], contacts, each["broken"]
@@ -228,7 +228,7 @@ def test_a_task_says_who_has_finished_and_whatever_is_worse_comes_first():
     each = {name: jnp.array([row[name] for row in rows]) for name in CALM}
 
     def one(given, finished, fails_at_s):
-        return robot.account(
+        return robot.update_tally(
             SPEC,
             given["goal"],
             jnp.array(LO),
@@ -265,7 +265,7 @@ def test_a_robot_arrives_on_the_last_approach_of_its_plan_alone():
     each = {name: jnp.array([row[name] for row in rows]) for name in CALM}
 
     def one(given, approaching):
-        after = robot.account(
+        after = robot.update_tally(
             SPEC,
             given["goal"],
             jnp.array(LO),
@@ -339,7 +339,7 @@ def test_who_failed_is_held_where_it_was(outcome, change, goes_on, diverged):
 def by_hand():
     """Four thrusters of 0.1 N a step of 4 us and 2 W a step, from 1500 us on; one is padding."""
     steps = np.arange(201) - 100.0
-    heavy = params.build(library.load("bluerov2_heavy"), "wu2018", 16.0)
+    heavy = params.build_vehicle(library.load_vehicle("bluerov2_heavy"), "wu2018", 16.0)
     return dataclasses.replace(
         heavy,
         thrust_n=jnp.array(0.1 * steps),

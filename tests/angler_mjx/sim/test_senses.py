@@ -35,12 +35,12 @@ def tell(scene, told, controller="cascade", numbers=()):
     """A scene whose robots are told of themselves, and whose controllers use the current."""
     robots = [(source, SensorsConfig.model_validate(tables)) for source, tables in told]
     spec = scene.spec
-    controllers, gains = stages.build(stages.CONTROLLERS[controller], dict(numbers))
+    controllers, gains = stages.build_stack(stages.CONTROLLERS[controller], dict(numbers))
     spec = replace(
         spec,
         stages=controllers,
         gains=gains,
-        instrumented=instrumented.build(robots, spec.control_dt_s, spec.water.gravity_mps2),
+        instrumented=instrumented.build_groups(robots, spec.control_dt_s, spec.water.gravity_mps2),
     )
     keys = jax.random.split(jax.random.key(5), (WORLDS, len(robots)))
     keyed = replace(scene.worlds, sensing_key=jax.random.key_data(keys))
@@ -219,7 +219,7 @@ def test_in_float32_engines_differ_by_rounding(exact, in_single):
 def test_only_robots_that_are_told_with_noise_are(before, noisy, after):
     config, n = SensorsConfig(), before + noisy + after
     sources = ["truth"] * before + ["noisy"] * noisy + ["truth"] * after
-    groups = instrumented.build([(source, config) for source in sources], 0.05, 9.81)
+    groups = instrumented.build_groups([(source, config) for source in sources], 0.05, 9.81)
     grid = Grid(
         occupied=jnp.zeros((2, 2, 2), bool),
         origin_m=jnp.array([-9.0, -9.0, -20.0]),
@@ -257,7 +257,7 @@ def test_only_robots_that_are_told_with_noise_are(before, noisy, after):
 def test_truth_without_noise_is_the_truth():
     told = [("truth", {}), ("noisy", EXACT), ("noisy", {}), ("ekf", EXACT), ("ekf", {})]
     robots = [(source, SensorsConfig.model_validate(tables)) for source, tables in told]
-    built = instrumented.build(robots, 0.05, 9.81)
+    built = instrumented.build_groups(robots, 0.05, 9.81)
     assert [(group.first, group.count, group.source) for group in built] == [
         (2, 1, "noisy"),
         (3, 1, "ekf"),

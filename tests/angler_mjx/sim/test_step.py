@@ -29,7 +29,7 @@ def test_the_physics_steps_follow_each_other_in_time():
         params="params",
         current="current",
         flow=lambda vehicle: vehicle.p * 0.1,
-        each=lambda function, *bodies: function(*bodies),
+        map_bodies=lambda function, *bodies: function(*bodies),
         repeat=repeat,
         physics_step=physics_step,
     )
@@ -46,7 +46,7 @@ def test_the_physics_steps_follow_each_other_in_time():
         "tally": SimpleNamespace(outcome=outcome),
         "thrust_n": jnp.asarray(7.0),
     }
-    done = step.move(here, now)
+    done = step.move_robots(here, now)
     assert not seen, "nothing moves before it is asked for"
     slots, record = done.slots(), done.record()
     np.testing.assert_allclose([row[4] for row in seen], [0.8, 0.82, 0.84, 0.86], atol=1e-6)

@@ -121,4 +121,4 @@ def test_station_is_kept_with_a_dead_thruster(fly, scene, deviation):
 def test_rotors_of_two_kinds_are_refused():
     light = Variant(vehicle="bluerov2", parameter_set="blue_gazebo", battery_v=16.0)
     with pytest.raises(ConfigError, match=r"'bluerov2'.*'bluerov2_heavy'.*same rotor_response"):
-        fleet.build([member(heavy(**THIRD)), member(light)])
+        fleet.build_fleet([member(heavy(**THIRD)), member(light)])

@@ -24,7 +24,7 @@ N = 2000
 
 def crew(source):
     """All robots, told in the same way."""
-    one = NavigationParams(sensors=params.build(SensorsConfig(), 0.05, 9.81))
+    one = NavigationParams(sensors=params.build_sensors(SensorsConfig(), 0.05, 9.81))
     each = jax.tree.map(lambda x: jnp.broadcast_to(jnp.asarray(x), (N, *jnp.shape(x))), one)
     return SimSpec(instrumented=(InstrumentedRobots(first=0, count=N, source=source, params=each),))
 
@@ -58,7 +58,7 @@ def vehicles():
 
 def turned(vehicles, q):
     """[N, 3] rad about the axes of W."""
-    off = jax.vmap(instruments.turned)(vehicles.q, q)
+    off = jax.vmap(instruments.rotation_between)(vehicles.q, q)
     return jax.vmap(quaternion.rotate)(vehicles.q, off)
 
 

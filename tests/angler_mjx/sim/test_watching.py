@@ -32,7 +32,7 @@ WORLDS, STEPS, AT = 2, 28, 16
 class Watcher(Policy):
     """Lies still and keeps what it was told last, and the step in which it was."""
 
-    knows: Information | None = field(
+    information: Information | None = field(
         default=Information(obstacles="truth", current="truth"), metadata={"static": True}
     )
     period: int = field(default=AT, metadata={"static": True})
@@ -110,8 +110,10 @@ def test_what_is_predicted_at_the_start_knows_nothing_of_later_currents(scene):
 
         @partial(quickly, static_argnums=1)
         def told(environment, obstacles):
-            knows = Information(obstacles=obstacles, current="predicted")
-            return information.obstacles(environment, knows, 4.0, 0.05, 1000.0, 9.81).p_m
+            levels = Information(obstacles=obstacles, current="predicted")
+            return information.obstacle_information(
+                environment, levels, 4.0, 0.05, 1000.0, 9.81
+            ).p_m
 
         predicted, held = told(turns, "predicted"), told(stays, "truth")
         drifting = np.asarray(place.obstacles.motion == DRIFT)
@@ -124,21 +126,21 @@ def test_whether_any_may_stand_is_said(scene):
     place = jax.tree.map(lambda leaf: leaf[0], scene.worlds.environment)
     moving = replace(place, obstacles=replace(place.obstacles, motions=(DRIFT,)))
     asked = (Information(obstacles="observed"), 1.0, 0.05, 1000.0, 9.81)
-    assert information.obstacles(place, *asked).some_stand
-    assert not information.obstacles(moving, *asked).some_stand
+    assert information.obstacle_information(place, *asked).some_stand
+    assert not information.obstacle_information(moving, *asked).some_stand
 
 
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
         (
-            {"knows": Information(obstacles="all")},
-            "knows.obstacles = 'all'; there is nothing, observed",
+            {"information": Information(obstacles="all")},
+            "information.obstacles = 'all'; there is nothing, observed",
         ),
-        ({"knows": "truth"}, "knows = 'truth'; give a Knows"),
+        ({"information": "truth"}, "information = 'truth'; give an Information"),
         ({"ahead_s": -1.0}, "ahead_s = -1.0; give a time"),
     ],
 )
 def test_what_nobody_can_tell_is_refused(changes, said):
     with pytest.raises(ConfigError, match=said):
-        policies.check_knows(Watcher(**changes))
+        policies.check_information(Watcher(**changes))

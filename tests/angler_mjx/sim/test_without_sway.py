@@ -90,7 +90,9 @@ def open_water(environment):
     origin = np.tile(np.float32([-9.0, -9.0, -13.0]), (count, 1))
     cells = np.full(count, 3.0, np.float32)
     uniform = UniformConfig(velocity_mps=(0.0, 0.15, 0.0))
-    current = currents.draw((uniform,), jax.random.key(0), origin[0], -origin[0], HORIZON_S)
+    current = currents.sample_current(
+        (uniform,), jax.random.key(0), origin[0], -origin[0], HORIZON_S
+    )
     return replace(
         environment,
         grid=replace(environment.grid, occupied=occupied, origin_m=origin, cell_m=cells),

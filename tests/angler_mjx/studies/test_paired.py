@@ -5,9 +5,9 @@ import pyarrow as pa
 import pytest
 from scipy import stats
 
-from angler_mjx.runs.storage.intervals import clustered_mean
+from angler_mjx.runs.storage.confidence_intervals import clustered_mean
 from angler_mjx.studies.measures import COSTS
-from angler_mjx.studies.paired import pair, sign_test
+from angler_mjx.studies.paired import pair_runs, sign_test
 
 
 def episodes(arrived, values, first_world=0, completed_s=None):
@@ -93,7 +93,7 @@ def test_the_sign_test_is_scipys(up, down):
 def test_who_arrived_where_is_counted_robot_by_robot_and_team_by_team():
     first = np.array([[1, 1], [1, 0], [0, 0], [1, 1], [0, 1]], bool)
     second = np.array([[1, 1], [1, 1], [0, 1], [0, 1], [1, 0]], bool)
-    found = pair(episodes(first, first * 1.0), episodes(second, second * 1.0))
+    found = pair_runs(episodes(first, first * 1.0), episodes(second, second * 1.0))
     robots, teams = found.robots, found.teams
     assert (robots.both, robots.only_first, robots.only_second, robots.neither) == (4, 2, 3, 1)
     assert (teams.both, teams.only_first, teams.only_second, teams.neither) == (1, 1, 1, 2)
@@ -111,7 +111,7 @@ def test_costs_are_of_robots_that_arrived_both_times_and_clearance_of_all():
     second = np.array([[1, 0], [1, 1], [1, 1]], bool)
     before = np.array([[10.0, 20.0], [30.0, 99.0], [50.0, 60.0]])
     after = before + np.array([[1.0, 77.0], [2.0, 88.0], [3.0, 6.0]])
-    found = pair(episodes(first, before), episodes(second, after))
+    found = pair_runs(episodes(first, before), episodes(second, after))
     time, clearance = found.costs["time_to_goal_s"], found.costs["min_clearance_m"]
     assert (time.pairs, time.first, time.second) == (4, 37.5, 40.5)
     assert time.difference == pytest.approx(3.0)
@@ -127,14 +127,14 @@ def test_the_interval_of_paired_rates_is_newcombes_with_its_sign():
     """Newcombe 1998 (Statistics in Medicine 17, 2635), table II, method 10: 36, 12, 2, 0."""
     pairs = [(1, 1)] * 36 + [(0, 1)] * 12 + [(1, 0)] * 2
     first, second = np.array(pairs, bool)[:, :, None].transpose(1, 0, 2)
-    found = pair(episodes(first, first * 1.0), episodes(second, second * 1.0)).teams
+    found = pair_runs(episodes(first, first * 1.0), episodes(second, second * 1.0)).teams
     assert (found.both, found.only_second, found.only_first, found.neither) == (36, 12, 2, 0)
     assert found.difference == pytest.approx(0.2)
     assert (found.low, found.high) == pytest.approx((0.0569, 0.3404), abs=5e-5)
     assert found.p == pytest.approx(stats.binomtest(12, 14).pvalue, rel=1e-12)
     done = [[10.0 if one else None for one in column.reshape(-1)] for column in (first, second)]
     tables = [episodes(first, first * 1.0, completed_s=times) for times in done]
-    tasks = pair(*tables).tasks
+    tasks = pair_runs(*tables).tasks
     assert (tasks.low, tasks.high) == pytest.approx((0.0569, 0.3404), abs=5e-5)
 
 
@@ -145,7 +145,7 @@ def test_the_interval_of_a_cost_is_that_of_a_bootstrap_over_worlds(random, chang
     each = random.normal(change, 1.0, (worlds, 1)) + random.normal(0.0, 0.3, (worlds, robots))
     all_ = np.ones((worlds, robots), bool)
     before = random.normal(50.0, 5.0, (worlds, robots))
-    found = pair(episodes(all_, before), episodes(all_, before + each)).costs["energy_j"]
+    found = pair_runs(episodes(all_, before), episodes(all_, before + each)).costs["energy_j"]
     end = stats.bootstrap(
         (each.mean(axis=1),), np.mean, n_resamples=5000, rng=random, method="percentile"
     ).confidence_interval
@@ -159,7 +159,7 @@ def test_tasks_are_paired_by_world_whoever_arrived():
     both = np.ones((5, 3), bool)
     first, second = [10.0, 20.0, None, None, 50.0], [13.0, 21.0, 30.0, None, None]
     a, b = (episodes(both, both * 1.0, completed_s=times) for times in (first, second))
-    found = pair(a, b)
+    found = pair_runs(a, b)
     assert (found.teams.both, found.teams.only_first) == (5, 0)
     tasks = found.tasks
     assert (tasks.both, tasks.only_first, tasks.only_second, tasks.neither) == (2, 1, 1, 1)
@@ -168,14 +168,14 @@ def test_tasks_are_paired_by_world_whoever_arrived():
     low, high = stats.t.interval(0.95, 1, loc=2.0, scale=stats.sem([3.0, 1.0]))
     assert (found.task_s.low, found.task_s.high) == pytest.approx((low, high), rel=2e-3)
     for one, other in ((a, episodes(both, both * 1.0)), (episodes(both, both * 1.0), a)):
-        assert (pair(one, other).tasks, pair(one, other).task_s) == (None, None)
+        assert (pair_runs(one, other).tasks, pair_runs(one, other).task_s) == (None, None)
 
 
 def test_the_change_of_a_share_is_a_change_of_a_share():
     """Student's interval of 4 worlds of which 3 changed by all would end beyond 1."""
     first = np.zeros((4, 1), bool)
     second = np.array([[True], [True], [True], [False]])
-    found = pair(episodes(first, first * 1.0), episodes(second, first * 1.0))
+    found = pair_runs(episodes(first, first * 1.0), episodes(second, first * 1.0))
     assert found.share.high == 1.0
     assert found.share.low == pytest.approx(stats.t.interval(0.95, 3, 0.75, 0.25)[0], abs=2e-3)
 
@@ -183,8 +183,8 @@ def test_the_change_of_a_share_is_a_change_of_a_share():
 def test_the_order_of_the_runs_is_a_sign(random):
     first, second = (random.random((12, 3)) < 0.6 for _ in range(2))
     values = random.normal(size=(2, 12, 3))
-    ab = pair(episodes(first, values[0]), episodes(second, values[1]))
-    ba = pair(episodes(second, values[1]), episodes(first, values[0]))
+    ab = pair_runs(episodes(first, values[0]), episodes(second, values[1]))
+    ba = pair_runs(episodes(second, values[1]), episodes(first, values[0]))
     for one, other in ((ab.teams, ba.teams), (ab.share, ba.share)):
         assert (one.difference, one.low, one.high) == pytest.approx(
             (-other.difference, -other.high, -other.low), abs=1e-12
@@ -195,7 +195,7 @@ def test_the_order_of_the_runs_is_a_sign(random):
 def test_where_nothing_changed_the_interval_is_not_a_point():
     """None of m worlds changed: with 95 %, at most the share that Wilson's interval ends at."""
     both = np.ones((20, 2), bool)
-    found = pair(episodes(both, both * 1.0), episodes(both, both * 1.0))
+    found = pair_runs(episodes(both, both * 1.0), episodes(both, both * 1.0))
     most = stats.binomtest(0, 20).proportion_ci(0.95, method="wilson").high
     assert (found.share.low, found.share.high) == pytest.approx((-most, most))
     assert found.share_p == 1.0
@@ -203,7 +203,7 @@ def test_where_nothing_changed_the_interval_is_not_a_point():
 
 def test_fleets_of_different_sizes_are_paired_by_their_worlds():
     first, second = np.array([[1], [0], [1]], bool), np.array([[1, 1], [1, 0], [0, 1]], bool)
-    found = pair(episodes(first, first * 1.0), episodes(second, second * 1.0))
+    found = pair_runs(episodes(first, first * 1.0), episodes(second, second * 1.0))
     assert found.robots is None
     assert found.costs == {}
     assert found.share.difference == pytest.approx(0.0)
@@ -212,6 +212,6 @@ def test_fleets_of_different_sizes_are_paired_by_their_worlds():
 
 def test_only_worlds_of_both_runs_are_pairs():
     all_ = np.ones((4, 1), bool)
-    found = pair(episodes(all_, all_ * 2.0), episodes(all_, all_ * 5.0, first_world=3))
+    found = pair_runs(episodes(all_, all_ * 2.0), episodes(all_, all_ * 5.0, first_world=3))
     assert found.worlds == 1
     assert found.costs["energy_j"].difference == 3.0

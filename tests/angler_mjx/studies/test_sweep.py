@@ -10,12 +10,12 @@ from scipy import stats
 
 from angler_mjx.cli.main import main
 from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.runs import rollout, several
+from angler_mjx.runs import multi_run, rollout
 from angler_mjx.runs.progress import SilentProgress
 from angler_mjx.runs.storage.folder import Run
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.studies import chart, compare, comparison_report, sweep, tables
-from angler_mjx.studies.settings import axes
+from angler_mjx.studies.sweep_axes import parse_axes
 
 SCENARIO = """
 schema_version = 1
@@ -67,14 +67,14 @@ def file(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def asked(file):
-    return sweep.build_request(load_scenario(file), axes(SET), "short")
+    return sweep.build_request(load_scenario(file), parse_axes(SET), "short")
 
 
 @pytest.fixture(scope="module")
 def halves(file, asked):
     """What was said after the interruption, and the folder as it is when all is done."""
     out = file.parent / "made"
-    broken = sweep.make(asked, out, told=Broken(1), processes=None)
+    broken = sweep.run_sweep(asked, out, progress=Broken(1), processes=None)
     page = (out / sweep.PAGE).read_text()
     line = ["sweep", str(file), "--set", *SET, "--out", str(out), "--resume"]
     main(line)
@@ -87,7 +87,7 @@ def made(halves):
 
 
 def rows_of(out, number):
-    found = sweep.read(out)
+    found = sweep.read_sweep(out)
     return Run(out / found["cells"][number]["run"]).episodes.to_pylist()
 
 
@@ -97,7 +97,7 @@ def test_an_interrupted_sweep_holds_what_was_finished_and_goes_on(halves):
     assert [row["cell"] for row in broken["cells"]] == [0]
     assert broken["pairs"] == []
     assert "Interrupted" in page
-    whole = sweep.read(made)
+    whole = sweep.read_sweep(made)
     assert whole["complete"] is True
     assert [row["cell"] for row in whole["cells"]] == [0, 1]
     assert whole["cells"][0] == broken["cells"][0]
@@ -105,10 +105,10 @@ def test_an_interrupted_sweep_holds_what_was_finished_and_goes_on(halves):
 
 def test_a_whole_sweep_is_not_taken_up_again(file, asked, made, capsys):
     with pytest.raises(ConfigError, match="this sweep is complete"):
-        sweep.make(asked, made, told=Broken(None), resume=True)
-    other = sweep.build_request(load_scenario(file), axes([f"{KEY}=1.5"]), "short")
+        sweep.run_sweep(asked, made, progress=Broken(None), resume=True)
+    other = sweep.build_request(load_scenario(file), parse_axes([f"{KEY}=1.5"]), "short")
     with pytest.raises(ConfigError, match="exists; give another folder"):
-        sweep.make(other, made, told=Broken(None))
+        sweep.run_sweep(other, made, progress=Broken(None))
     with pytest.raises(SystemExit) as ended:
         main(["sweep", str(file), "--set", f"{KEY}=0.3,-1", "--out", str(made)])
     assert ended.value.code == 2
@@ -116,19 +116,19 @@ def test_a_whole_sweep_is_not_taken_up_again(file, asked, made, capsys):
 
 
 def test_a_sweep_of_other_settings_is_not_gone_on_with(file, asked, tmp_path):
-    several.begin(tmp_path / "out", "sweep", asked.resolved()).release()
-    other = sweep.build_request(load_scenario(file), axes([f"{KEY}=1.5,0.4"]), "short")
+    multi_run.create_folder(tmp_path / "out", "sweep", asked.resolved()).release()
+    other = sweep.build_request(load_scenario(file), parse_axes([f"{KEY}=1.5,0.4"]), "short")
     with pytest.raises(ConfigError, match=rf"begun with another set\.{KEY} \(see .*making\.json"):
-        sweep.make(other, tmp_path / "out", told=Broken(None), resume=True)
+        sweep.run_sweep(other, tmp_path / "out", progress=Broken(None), resume=True)
 
 
 def test_an_interruption_before_anything_was_finished_is_one(file, asked):
     with pytest.raises(KeyboardInterrupt):
-        sweep.make(asked, file.parent / "nothing", told=Broken(0))
+        sweep.run_sweep(asked, file.parent / "nothing", progress=Broken(0))
 
 
 def test_a_cell_that_cannot_be_flown_after_all_costs_no_other(file, asked, made, monkeypatch):
-    out, first = file.parent / "failed", made / sweep.read(made)["cells"][0]["run"]
+    out, first = file.parent / "failed", made / sweep.read_sweep(made)["cells"][0]["run"]
 
     def fly(scenario, *, out, **how):
         if scenario == asked.cells[1].scenario:
@@ -138,10 +138,10 @@ def test_a_cell_that_cannot_be_flown_after_all_costs_no_other(file, asked, made,
 
     monkeypatch.setattr(rollout, "rollout", fly)
     with pytest.raises(RunError, match="a world cannot hold the fleet"):
-        sweep.make(asked, out, told=Broken(None))
-    found = sweep.read(out)
+        sweep.run_sweep(asked, out, progress=Broken(None))
+    found = sweep.read_sweep(out)
     assert found["complete"] is False
-    assert found["cells"] == sweep.read(made)["cells"][:1]
+    assert found["cells"] == sweep.read_sweep(made)["cells"][:1]
     assert (out / sweep.PAGE).exists()
 
 
@@ -167,7 +167,7 @@ def test_cells_fly_the_same_worlds_so_that_differences_are_paired(made):
         for a, b in zip(strong, weak, strict=True)
         if a["outcome"] == b["outcome"] == "reached"
     ]
-    (pair,) = sweep.read(made)["pairs"]
+    (pair,) = sweep.read_sweep(made)["pairs"]
     assert pair["costs"]["time_to_goal_s"]["pairs"] == len(changes)
     assert pair["costs"]["time_to_goal_s"]["difference"] == pytest.approx(statistics.mean(changes))
     won = sum(a["outcome"] != "reached" == b["outcome"] for a, b in zip(strong, weak, strict=True))
@@ -179,7 +179,7 @@ def test_cells_fly_the_same_worlds_so_that_differences_are_paired(made):
 
 def test_the_table_for_people_says_what_the_episodes_say(made):
     """Numbers as they are printed, against means of rows, in the units of the head."""
-    head, rows = tables.cells_table(sweep.read(made))
+    head, rows = tables.cells_table(sweep.read_sweep(made))
     columns = {"time to goal, s": ("time_to_goal_s", 1.0), "energy, kJ": ("energy_j", 1e-3)}
     columns["clearance, m"] = ("min_clearance_m", 1.0)
     for number, row in enumerate(rows):
@@ -202,7 +202,7 @@ def test_page_and_figure_are_there(made):
 
 def test_of_scenarios_with_a_task_the_tables_tell_of_it(made):
     """Numbers of two cells, one of which is without; rows say which."""
-    found = sweep.read(made)
+    found = sweep.read_sweep(made)
     task = {
         "completed": {"count": 3, "rate": 0.5, "low": 0.2, "high": 0.8},
         "completed_s": {"count": 3, "mean": 7.0, "low": None, "high": None},
@@ -212,7 +212,7 @@ def test_of_scenarios_with_a_task_the_tables_tell_of_it(made):
     head, rows = tables.cells_table(mixed)
     at = head.index("tasks completed, %")
     assert [row[at : at + 2] for row in rows] == [["50.0 (20.0 to 80.0)", "7"], ["-", "-"]]
-    written = tables.table(mixed).to_pylist()
+    written = tables.build_table(mixed).to_pylist()
     assert [row["task_completed_rate"] for row in written] == [0.5, None]
     assert "tasks completed" not in "".join(tables.cells_table(found)[0])
     both = {**found, "cells": [{**cell, "task": task} for cell in found["cells"]]}
@@ -221,16 +221,16 @@ def test_of_scenarios_with_a_task_the_tables_tell_of_it(made):
     assert not [name for name in head if "goal" in name or "arrived" in name]
     head = tables.pairs_table({**both, "pairs": []})[0]
     assert head.index("completed after, s") < head.index("time of their part, s")
-    titles = [axes.get_title("left") for axes in chart.draw(both).axes]
+    titles = [axes.get_title("left") for axes in chart.plot_sweep(both).axes]
     assert titles[0] == "worlds that completed their task, %"
-    assert chart.draw(mixed).axes[0].get_title("left") == "robots that arrived, %"
+    assert chart.plot_sweep(mixed).axes[0].get_title("left") == "robots that arrived, %"
 
 
 @pytest.mark.parametrize("width", [20, 60, 80, 120])
 def test_a_table_too_wide_for_the_terminal_lies_on_its_side(width):
     head = ["fleet.0.count", "arrived, %", "time, s"]
     rows = [[str(n), f"{n}0.0 (10.0 to 99.9)", f"{n}.1"] for n in range(8)]
-    parts = tables.to_fit((head, rows), width)
+    parts = tables.fit_to_width((head, rows), width)
     if width >= 52:
         assert parts == [(head, rows)]
         return
@@ -241,7 +241,7 @@ def test_a_table_too_wide_for_the_terminal_lies_on_its_side(width):
 
 
 def test_two_runs_are_compared_world_by_world(made, capsys, tmp_path):
-    paths = [str(made / row["run"]) for row in sweep.read(made)["cells"]]
+    paths = [str(made / row["run"]) for row in sweep.read_sweep(made)["cells"]]
     main(["compare", *paths, "--json", "--figure", str(tmp_path / "c.png")])
     found = json.loads(capsys.readouterr().out)
     assert found["config"] == [{"key": KEY, "first": 1.5, "second": 0.5}]
@@ -257,19 +257,19 @@ def test_two_runs_are_compared_world_by_world(made, capsys, tmp_path):
     others = [i for i in range(6) if ended[i][0] != ended[i][1]]
     assert set(changed[: len(others)]) == set(others)
     assert (tmp_path / "c.png").stat().st_size > 5_000
-    text = comparison_report.text(found)
+    text = comparison_report.format_comparison(found)
     assert f"{KEY}: 1.5 -> 0.5" in text
     assert f"world {changed[0]}: 0 -> 1 arrived; robot 0: timeout -> reached" in text
 
 
 def test_a_run_against_itself_changed_nothing(made):
-    run = Run(made / sweep.read(made)["cells"][1]["run"])
-    found = compare.compare(run, run)
+    run = Run(made / sweep.read_sweep(made)["cells"][1]["run"])
+    found = compare.compare_runs(run, run)
     assert found["config"] == []
     assert found["changed"] == []
     assert found["same_problems"]
     assert found["teams"]["p"] == 1.0
-    assert "the scenarios are the same" in comparison_report.text(found)
+    assert "the scenarios are the same" in comparison_report.format_comparison(found)
 
 
 @pytest.mark.parametrize(
@@ -281,7 +281,7 @@ def test_a_run_against_itself_changed_nothing(made):
     ],
 )
 def test_runs_that_are_no_pairs_are_refused_by_the_key(made, tmp_path, change, said):
-    place = made / sweep.read(made)["cells"][0]["run"]
+    place = made / sweep.read_sweep(made)["cells"][0]["run"]
     other = tmp_path / "other"
     other.mkdir()
     for path in place.iterdir():
@@ -290,16 +290,16 @@ def test_runs_that_are_no_pairs_are_refused_by_the_key(made, tmp_path, change, s
     config = json.loads((place / "config.json").read_text())
     (other / "config.json").write_text(json.dumps(config | change))
     with pytest.raises(ConfigError) as caught:
-        compare.compare(Run(place), Run(other))
+        compare.compare_runs(Run(place), Run(other))
     assert said in str(caught.value)
 
 
 def test_differences_name_the_innermost_key():
     first = {"a": 1, "b": {"c": [1, 2], "d": 0}, "e": [{"f": 1}, {"f": 2}]}
     second = {"a": 1, "b": {"c": [1, 3], "d": 0}, "e": [{"f": 1}, {"f": 4, "g": 5}]}
-    assert compare.differences(first, second) == {
+    assert compare.find_differences(first, second) == {
         "b.c": ([1, 2], [1, 3]),
         "e.1.f": (2, 4),
         "e.1.g": (None, 5),
     }
-    assert compare.differences(first, first) == {}
+    assert compare.find_differences(first, first) == {}

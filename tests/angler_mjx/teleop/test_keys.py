@@ -46,8 +46,8 @@ def test_help_shows_every_key_and_fits_the_screen():
 
 
 def test_a_key_that_a_file_cannot_hold_is_written_as_another_that_stops():
-    assert keys.name("\t") == "<tab>"
-    assert keys.name("i") == "i"
+    assert keys.format_key("\t") == "<tab>"
+    assert keys.format_key("i") == "i"
     for odd in ("#", "\x7f", "\n", " "):
         assert odd not in {**MOVES, **FACTORS, **ACTIONS}
-        assert keys.name(odd) == "<space>"
+        assert keys.format_key(odd) == "<space>"

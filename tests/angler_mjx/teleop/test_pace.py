@@ -2,7 +2,7 @@
 
 import pytest
 
-from angler_mjx.teleop.pace import Pace
+from angler_mjx.teleop.pace import RealTimePacer
 
 
 class Clock:
@@ -22,7 +22,7 @@ class Clock:
 
 def test_a_quick_loop_waits_for_each_period():
     clock = Clock()
-    pace = Pace(0.05, clock, clock.sleep)
+    pace = RealTimePacer(0.05, clock, clock.sleep)
     for _ in range(4):
         clock.now += 0.01
         pace.wait()
@@ -34,7 +34,7 @@ def test_a_quick_loop_waits_for_each_period():
 
 def test_late_steps_are_counted_and_not_caught_up():
     clock = Clock()
-    pace = Pace(0.05, clock, clock.sleep)
+    pace = RealTimePacer(0.05, clock, clock.sleep)
     for work in (0.01, 0.17, 0.01, 0.06, 0.05 - 1e-6):
         clock.now += work
         pace.wait()

@@ -9,7 +9,7 @@ import pytest
 from angler_mjx.robot.control.commands import BodyTwist, PoseTarget
 from angler_mjx.teleop import pilot as module
 from angler_mjx.teleop.keys import FACTORS, MOVES, STILL
-from angler_mjx.teleop.pilot import BRAKE_S, Mode, TeleopPilot
+from angler_mjx.teleop.pilot import BRAKE_S, DriveMode, TeleopPilot
 
 from .by_hand import observed, turned
 
@@ -24,7 +24,7 @@ def pilot(robots):
 
 
 def told(pilot, **what):
-    return pilot.orders(observed(**what))
+    return pilot.build_commands(observed(**what))
 
 
 def nu_of(orders, robot):
@@ -37,7 +37,7 @@ def test_without_a_key_nobody_is_told_anything(pilot):
         orders = told(pilot, time_s=time)
         assert orders.commands == {}
         assert orders.resume == ()
-    assert [pilot.mode(i) for i in range(3)] == [Mode.PLAN] * 3
+    assert [pilot.mode(i) for i in range(3)] == [DriveMode.PLAN] * 3
 
 
 @pytest.mark.parametrize("key", [key for key in MOVES if MOVES[key] != STILL])
@@ -103,15 +103,15 @@ def test_speed_keys_multiply_and_the_vehicle_limits(pilot):
 
 
 def test_tab_goes_round_and_a_takes_all(pilot):
-    assert pilot.chosen == (0,)
+    assert pilot.selected == (0,)
     for wanted in ((2,), (0,)):
         pilot.press("\t", 0.0)
-        assert pilot.chosen == wanted
+        assert pilot.selected == wanted
     pilot.press("a", 0.0)
     pilot.press("i", 0.0)
     assert set(told(pilot).commands) == {0, 2}
     pilot.press("\t", 0.0)
-    assert pilot.chosen == (0,)
+    assert pilot.selected == (0,)
 
 
 def test_silence_brakes_and_then_holds_where_the_robot_came_to_rest(pilot):
@@ -119,19 +119,19 @@ def test_silence_brakes_and_then_holds_where_the_robot_came_to_rest(pilot):
     moving = [[0.5, 0, 0, 0, 0, 0]] * 3
     # Up to the silence that was set it drives on.
     assert nu_of(told(pilot, time_s=1.8, nu=moving), 0)[0] == pytest.approx(0.5)
-    assert pilot.mode(0) is Mode.TELEOP
+    assert pilot.mode(0) is DriveMode.TELEOP
     braking = told(pilot, time_s=1.85, nu=moving)
     np.testing.assert_array_equal(nu_of(braking, 0), 0.0)
-    assert pilot.mode(0) is Mode.STOPPING
+    assert pilot.mode(0) is DriveMode.STOPPING
     # A twist of zero is latched: it is told once.
     assert told(pilot, time_s=1.9, nu=moving).commands == {}
     at_rest = observed(2.4, p=[[4.0, 5.0, -6.0]] * 3, q=[turned(yaw=0.7, pitch=0.2)] * 3)
-    target = pilot.orders(at_rest).commands[0]
+    target = pilot.build_commands(at_rest).commands[0]
     assert isinstance(target, PoseTarget)
     np.testing.assert_allclose(target.position_m, [4.0, 5.0, -6.0])
     np.testing.assert_array_equal(target.velocity_mps, 0.0)
     assert float(target.yaw_rad) == pytest.approx(0.7, abs=FLOAT32)
-    assert pilot.mode(0) is Mode.HOLD
+    assert pilot.mode(0) is DriveMode.HOLD
     assert told(pilot, time_s=9.0).commands == {}
 
 
@@ -155,7 +155,7 @@ def test_a_key_in_time_keeps_the_robot_going(pilot):
     assert nu_of(told(pilot, time_s=11.4), 0)[0] == pytest.approx(0.55)
     pilot.press("?", 11.4)
     told(pilot, time_s=11.6)
-    assert pilot.mode(0) is Mode.STOPPING
+    assert pilot.mode(0) is DriveMode.STOPPING
 
 
 def test_a_robot_that_is_left_by_tab_stops_by_itself(pilot):
@@ -163,16 +163,16 @@ def test_a_robot_that_is_left_by_tab_stops_by_itself(pilot):
     pilot.press("\t", 0.1)
     pilot.press("i", 0.7)
     told(pilot, time_s=0.9)
-    assert pilot.mode(0) is Mode.STOPPING
-    assert pilot.mode(2) is Mode.TELEOP
+    assert pilot.mode(0) is DriveMode.STOPPING
+    assert pilot.mode(2) is DriveMode.TELEOP
 
 
 @pytest.mark.parametrize("key", ["k", "K", " ", "\r", "\x1b", "y", "é"])
 def test_any_other_key_stops_even_a_plan(pilot, key):
     pilot.press(key, 0.0)
     np.testing.assert_array_equal(nu_of(told(pilot), 0), 0.0)
-    assert pilot.mode(0) is Mode.STOPPING
-    assert pilot.mode(2) is Mode.PLAN
+    assert pilot.mode(0) is DriveMode.STOPPING
+    assert pilot.mode(2) is DriveMode.PLAN
 
 
 def test_hold_and_plan_are_told_once(pilot):
@@ -208,12 +208,12 @@ def test_the_end_is_asked_for_by_two_keys(robots):
 
 def test_the_silence_outlasts_the_longest_usual_delay_of_a_keyboard():
     # 0.66 s is the X server's own default (XkbDfltRepeatDelay); desktops set 0.5 s or less.
-    assert module.SILENCE_S > 0.66 + 0.05
+    assert module.KEY_TIMEOUT_S > 0.66 + 0.05
 
 
 def test_a_robot_that_takes_velocities_alone_is_let_go_where_another_holds(robots):
     sticks = [replace(robot, accepts=(BodyTwist,)) for robot in robots]
     pilot = TeleopPilot(sticks, (0,), speed_mps=0.5, turn_radps=0.5)
     pilot.press("h", 0.0)
-    (order,) = pilot.orders(observed()).commands.values()
+    (order,) = pilot.build_commands(observed()).commands.values()
     np.testing.assert_array_equal(order.nu, np.zeros(6))

@@ -4,7 +4,7 @@ import pytest
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.teleop import script
-from angler_mjx.teleop.script import Script, TimedKey
+from angler_mjx.teleop.script import KeyScript, TimedKey
 
 
 @pytest.fixture
@@ -14,7 +14,7 @@ def file(tmp_path):
 
 def read(file, text):
     file.write_text(text)
-    return script.load(file)
+    return script.load_keys(file)
 
 
 def test_a_line_is_a_time_and_a_key(file):
@@ -69,7 +69,7 @@ def test_all_faults_come_in_one_message(file):
 def test_a_file_of_something_else_fills_no_screen(file):
     with pytest.raises(ConfigError, match="40 faults") as caught:
         read(file, "key = 1\n" * 40)
-    assert str(caught.value).count("\n") == script.SHOWN + 1
+    assert str(caught.value).count("\n") == script.MAX_FAULTS + 1
     assert str(caught.value).endswith("and 30 more")
 
 
@@ -84,11 +84,11 @@ def test_files_without_keys_are_refused(file, tmp_path):
     with pytest.raises(ConfigError, match="holds no key"):
         read(file, "# nothing\n")
     with pytest.raises(ConfigError, match="cannot be read"):
-        script.load(tmp_path / "absent.txt")
+        script.load_keys(tmp_path / "absent.txt")
 
 
 def test_keys_come_once_when_their_time_has_come():
-    keys = Script([TimedKey(0.1, "i"), TimedKey(0.15, "k"), TimedKey(0.3, "Q")])
+    keys = KeyScript([TimedKey(0.1, "i"), TimedKey(0.15, "k"), TimedKey(0.3, "Q")])
     # 0.15 s as a sum of periods of 0.05 s is 0.15000000000000002 s.
     times = [0.0, 0.05, 0.1, 0.05 + 0.05 + 0.05, 0.2, 0.25]
     assert [keys.read(time) for time in times] == [[], [], ["i"], ["k"], [], []]
@@ -100,5 +100,5 @@ def test_keys_come_once_when_their_time_has_come():
 def test_what_is_saved_is_read_again(file):
     times = [0.1, 0.1 + 0.2, 7.0, 1234.55]
     timed = [TimedKey(time, key) for time, key in zip(times, ["i", "\t", "<", "\x03"], strict=True)]
-    script.save(file, timed)
-    assert script.load(file) == timed
+    script.save_keys(file, timed)
+    assert script.load_keys(file) == timed

@@ -5,7 +5,7 @@ import signal
 
 import pytest
 
-from angler_mjx.teleop.signals import breakable, stoppable
+from angler_mjx.teleop.signals import break_on_signal, stop_on_signal
 
 ALL = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -17,10 +17,10 @@ def send(number):
 @pytest.mark.parametrize("number", ALL)
 def test_a_signal_asks_for_the_end_and_a_second_one_breaks_off(number):
     before = [signal.getsignal(one) for one in ALL]
-    with stoppable() as stop:
-        assert not stop.asked
+    with stop_on_signal() as stop:
+        assert not stop.requested
         send(number)
-        assert stop.asked
+        assert stop.requested
         with pytest.raises(KeyboardInterrupt):
             send(number)
         stop.closing = True
@@ -31,7 +31,7 @@ def test_a_signal_asks_for_the_end_and_a_second_one_breaks_off(number):
 @pytest.mark.parametrize("number", ALL)
 def test_before_the_drive_a_signal_breaks_off(number):
     before = [signal.getsignal(one) for one in ALL]
-    with breakable() as interrupt:
+    with break_on_signal() as interrupt:
         interrupt.check()
         with pytest.raises(KeyboardInterrupt):
             send(number)

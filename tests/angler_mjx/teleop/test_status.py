@@ -20,7 +20,7 @@ def pilot(robots):
 
 
 def shown(robots, pilot, observation, overruns=None):
-    lines = status.lines("reef, world 3", robots, observation, pilot, overruns)
+    lines = status.format_screen("reef, world 3", robots, observation, pilot, overruns)
     assert max(map(len, lines)) <= 79
     return lines
 
@@ -87,4 +87,4 @@ def test_compass_of_every_heading():
     for yaw in np.linspace(-3.0, 3.0, 13):
         wanted = (90.0 - math.degrees(yaw)) % 360.0
         # An attitude has its heading to float64; pitch does not change it.
-        assert status.compass_deg(turned(yaw, 0.3)) == pytest.approx(wanted, abs=1e-9)
+        assert status.compass_heading_deg(turned(yaw, 0.3)) == pytest.approx(wanted, abs=1e-9)

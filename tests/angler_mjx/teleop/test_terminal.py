@@ -5,19 +5,19 @@ import termios
 
 import pytest
 
-from angler_mjx.teleop.terminal import keys_of
+from angler_mjx.teleop.terminal import parse_keys
 
 from .terminals import assert_given_back
 
 PROGRAM = """
 import time
-from angler_mjx.teleop.signals import stoppable
+from angler_mjx.teleop.signals import stop_on_signal
 from angler_mjx.teleop.terminal import Keyboard, Screen
 
-with stoppable() as stop, Screen() as screen, Keyboard() as keyboard:
+with stop_on_signal() as stop, Screen() as screen, Keyboard() as keyboard:
     screen.paint(["ready"])
     seen = []
-    while not stop.asked:
+    while not stop.requested:
         seen += keyboard.read(0.0)
         screen.paint(["keys " + " ".join(map(repr, seen))])
         if "!" in seen:
@@ -63,9 +63,9 @@ def test_the_terminal_is_given_back_whatever_ends_the_program(start, end):
 
 
 def test_keys_of_several_characters_are_one():
-    assert keys_of("") == []
-    assert keys_of("iQ\t") == ["i", "Q", "\t"]
+    assert parse_keys("") == []
+    assert parse_keys("iQ\t") == ["i", "Q", "\t"]
     # Up, F5, Ctrl-right, Alt-i, Escape alone, Escape twice.
     for sent in ("\x1bOA", "\x1b[15~", "\x1b[1;5C", "\x1bi", "\x1b"):
-        assert keys_of(f"k{sent}") == ["k", "\x1b"]
-    assert keys_of("\x1b\x1b") == ["\x1b", "\x1b"]
+        assert parse_keys(f"k{sent}") == ["k", "\x1b"]
+    assert parse_keys("\x1b\x1b") == ["\x1b", "\x1b"]

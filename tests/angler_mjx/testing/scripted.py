@@ -15,7 +15,7 @@ from angler_mjx.robot.vehicles import library, params
 from angler_mjx.runs.storage.device_to_host import TileResult
 from angler_mjx.runs.storage.results import episode_table
 from angler_mjx.sim import robot
-from angler_mjx.sim.detection import detect
+from angler_mjx.sim.detection import detect_contacts
 from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.state import Outcome, SimSpec, Tally
 from angler_mjx.world.environment import Environment
@@ -85,10 +85,10 @@ def fly(robots, rock, balls, pwm, place):
         The flight, with the rows that a run would have.
     """
     entries, starts, velocities, goals = zip(*robots, strict=True)
-    configs = [library.load(str(place / entry["vehicle"])) for entry in entries]
-    vehicles = params.stack(
+    configs = [library.load_vehicle(str(place / entry["vehicle"])) for entry in entries]
+    vehicles = params.stack_vehicles(
         [
-            params.build(config, None, 16.0, thruster_health=entry.get("thruster_health"))
+            params.build_vehicle(config, None, 16.0, thruster_health=entry.get("thruster_health"))
             for config, entry in zip(configs, entries, strict=True)
         ]
     )
@@ -123,8 +123,8 @@ def fly(robots, rock, balls, pwm, place):
             thrust=before.thrust,
         )
         after, broken = jax.vmap(robot.hold_if_ended)(tally.outcome, before, moved)
-        contact = detect(environment, vehicles, after, obstacles_at(k + 1))
-        new = jax.vmap(partial(robot.account, SPEC), (0, None, None, 0, 0, 0, 0, 0, 0, None))(
+        contact = detect_contacts(environment, vehicles, after, obstacles_at(k + 1))
+        new = jax.vmap(partial(robot.update_tally, SPEC), (0, None, None, 0, 0, 0, 0, 0, 0, None))(
             environment.goal_m,
             low,
             high,
@@ -140,7 +140,7 @@ def fly(robots, rock, balls, pwm, place):
 
     @quickly
     def run(signals):
-        contact = detect(environment, vehicles, still, obstacles_at(0))
+        contact = detect_contacts(environment, vehicles, still, obstacles_at(0))
         tally = Tally(
             outcome=jnp.zeros(n, jnp.int32),
             end_time_s=jnp.zeros(n),

@@ -59,13 +59,13 @@ EXPECTED = {
 def flight(tmp_path_factory):
     """All of them, in vehicles whose thrusters draw 5 W more at every signal."""
     place = tmp_path_factory.mktemp("vehicles")
-    table = (vehicles.SHIPPED / "thrusters" / "t200.toml").read_text()
+    table = (vehicles.SHIPPED_FOLDER / "thrusters" / "t200.toml").read_text()
     head, power = table.split("power_w = [\n")
     rows = [row.split("]")[0].strip(" [") for row in power.splitlines() if "]," in row]
     more = [[float(x) + 5.0 for x in row.split(",")] for row in rows]
     (place / "thirsty.toml").write_text(f"{head}power_w = {more}\n")
     for short, name in (("heavy", "bluerov2_heavy"), ("small", "bluerov2")):
-        text = (vehicles.SHIPPED / f"{name}.toml").read_text()
+        text = (vehicles.SHIPPED_FOLDER / f"{name}.toml").read_text()
         text = text.replace('model = "t200"', 'model = "thirsty.toml"')
         (place / f"{short}.toml").write_text(text)
     rng = np.random.default_rng(0)

@@ -187,12 +187,12 @@ def breaks_down():
 @pytest.mark.parametrize(
     ("table", "right"),
     [
-        ({"share": 0.2, "earliest_s": 0.0, "latest_s": None}, True),
-        ({"share": 0.2, "earliest_s": 12 * DT_S, "latest_s": 12 * DT_S}, True),
-        ({"share": 0.2, "earliest_s": 11.2 * DT_S, "latest_s": 11.9 * DT_S}, True),
-        ({"share": 0.2, "earliest_s": 12.2 * DT_S, "latest_s": None}, False),
-        ({"share": 0.2, "earliest_s": 0.0, "latest_s": 10.9 * DT_S}, False),
-        ({"share": 0.0, "earliest_s": 0.0, "latest_s": None}, False),
+        ({"fraction": 0.2, "earliest_s": 0.0, "latest_s": None}, True),
+        ({"fraction": 0.2, "earliest_s": 12 * DT_S, "latest_s": 12 * DT_S}, True),
+        ({"fraction": 0.2, "earliest_s": 11.2 * DT_S, "latest_s": 11.9 * DT_S}, True),
+        ({"fraction": 0.2, "earliest_s": 12.2 * DT_S, "latest_s": None}, False),
+        ({"fraction": 0.2, "earliest_s": 0.0, "latest_s": 10.9 * DT_S}, False),
+        ({"fraction": 0.0, "earliest_s": 0.0, "latest_s": None}, False),
         (None, False),
     ],
 )
@@ -233,7 +233,7 @@ def test_what_a_robot_touches_comes_before_its_breakdown(tmp_path):
     edit_array(path, "outcome", (0, slice(0, 18)), lambda x: x * 0)
     edit_rows(path, 0, 0, outcome="failed", failure_pair="none", impact_speed_mps=None)
     config = json.loads((path / "config.json").read_text())
-    table = {"share": 1.0, "earliest_s": 0.0, "latest_s": None}
+    table = {"fraction": 1.0, "earliest_s": 0.0, "latest_s": None}
     (path / "config.json").write_text(json.dumps({**config, "breakdowns": table}))
     assert "outcome" in wrong(referee.judge(path))
 
@@ -504,10 +504,10 @@ def test_it_judges_by_the_copies_that_the_run_made(tmp_path):
     path = write(tmp_path / "run", to_a_goal())
     inputs = path / "inputs"
     (inputs / "vehicles").mkdir(parents=True)
-    vehicle = (vehicles.SHIPPED / "bluerov2_heavy.toml").read_text()
+    vehicle = (vehicles.SHIPPED_FOLDER / "bluerov2_heavy.toml").read_text()
     copy = inputs / "vehicles" / "bluerov2_heavy.toml"
     copy.write_text(vehicle.replace('model = "t200"', 'model = "../double.toml"'))
-    table = (vehicles.SHIPPED / "thrusters" / "t200.toml").read_text()
+    table = (vehicles.SHIPPED_FOLDER / "thrusters" / "t200.toml").read_text()
     (inputs / "double.toml").write_text(table.replace("12.8", "25.6"))
     entry = {
         "role": "vehicle",

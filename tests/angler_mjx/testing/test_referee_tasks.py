@@ -323,7 +323,7 @@ def test_lines_of_sight_are_those_of_points_along_them(share):
     for _ in range(20):
         begin = random.uniform(0.0, (7, 6, 5))
         cells = np.argwhere(~rock)
-        is_hidden, can_be_hidden = sight.hidden(rock, begin, cells)
+        is_hidden, can_be_hidden = sight.find_hidden(rock, begin, cells)
         assert not (is_hidden & ~can_be_hidden).any()
         line = np.linspace(0.0, 1.0, 4001)[:, None]
         for cell, hid, may in zip(cells, is_hidden, can_be_hidden, strict=True):

@@ -7,7 +7,7 @@ an eighth of the worlds reach the limit.
 
 import numpy as np
 
-from angler_mjx.files import parse
+from angler_mjx.files import parse_model
 from angler_mjx.world.config import WorldConfig
 
 MIN_OBSTACLES = 58
@@ -17,7 +17,7 @@ SHAPE = (8, 8, 6)
 COUNT = 2001
 """More than go through at once, and an odd number: the last tile is filled up."""
 SALT = {"type": "automaton", "die_below": 0, "born_above": 26, "steps": 0}
-RECIPE = parse(
+RECIPE = parse_model(
     WorldConfig,
     {
         "preset": "reef",
@@ -28,16 +28,16 @@ RECIPE = parse(
         "redraw_limit": 2,
         "placement": "random",
         "currents": [
-            {"type": "gauss_markov", "max_speed_mps": 0.3, "vertical_share": 1.0},
-            {"type": "gauss_markov", "max_speed_mps": 0.3, "vertical_share": 1.0},
+            {"type": "gauss_markov", "max_speed_mps": 0.3, "vertical_fraction": 1.0},
+            {"type": "gauss_markov", "max_speed_mps": 0.3, "vertical_fraction": 1.0},
             {"type": "vortices", "count": 2, "peak_speed_mps": [0.1, 0.3]},
         ],
         "obstacles": {
             "dynamic": {
                 "count": 2,
-                "cube_share": 0.5,
-                "rise_share": 0.3,
-                "sink_share": 0.3,
+                "cube_fraction": 0.5,
+                "rise_fraction": 0.3,
+                "sink_fraction": 0.3,
                 "vertical_speed_mps": [0.1, 0.2],
             },
             "explicit": [{"type": "box", "size_m": [2, 2, 8], "position_m": [0, 0, -8]}],

@@ -4,21 +4,21 @@ import numpy as np
 import pytest
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.files import parse
+from angler_mjx.files import parse_model
 from angler_mjx.world import presets
-from angler_mjx.world.config import WorldConfig, resolve
+from angler_mjx.world.config import WorldConfig, resolve_world
 
 
 def recipe(**data):
-    return resolve(parse(WorldConfig, data, source="test"))
+    return resolve_world(parse_model(WorldConfig, data, source="test"))
 
 
-@pytest.mark.parametrize("name", presets.available())
+@pytest.mark.parametrize("name", presets.list_presets())
 def test_every_preset_is_complete(name):
     world = recipe(preset=name)
     assert hash(world) == hash(recipe(preset=name))
     top = world.origin_m[2] + world.shape[2] * world.cell_m
-    assert top == pytest.approx(-presets.load(name).depth_m)
+    assert top == pytest.approx(-presets.load_preset(name).depth_m)
     middle = np.array(world.origin_m[:2]) + 0.5 * np.array(world.size_m[:2])
     np.testing.assert_allclose(middle, 0, atol=1e-12)  # rounding of float64
 

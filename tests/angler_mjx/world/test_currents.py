@@ -9,7 +9,7 @@ import pytest
 from pydantic import Field
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.files import FileModel, parse
+from angler_mjx.files import FileModel, parse_model
 from angler_mjx.world import currents
 
 from ..compiling import quickly
@@ -22,7 +22,7 @@ class File(FileModel):
 
 
 def configs(*entries):
-    return parse(File, {"current": list(entries)}, source="test").current
+    return parse_model(File, {"current": list(entries)}, source="test").current
 
 
 def test_derivative_is_taken_of_the_sum():
@@ -39,7 +39,7 @@ def test_derivative_is_taken_of_the_sum():
         steady = currents.Uniform(velocity_mps=jnp.array([0.2, -0.1, 0.03]))
         current = (steady, wind, vortex)
         p, t = jnp.array([1.0, 1.0, -4.0]), jnp.array(3.3)
-        v, Dv = currents.evaluate(current, p, t)
+        v, Dv = currents.evaluate_current(current, p, t)
         parts = [currents.velocity((part,), p, t) for part in current]
         np.testing.assert_allclose(v, sum(parts), atol=1e-16)
         # (v . grad) v + dv/dt by forward differentiation of the velocity alone.
@@ -47,12 +47,12 @@ def test_derivative_is_taken_of_the_sum():
             lambda p, t: currents.velocity(current, p, t), (p, t), (v, jnp.ones_like(t))
         )
         np.testing.assert_allclose(Dv, want, atol=1e-15)
-        alone = sum(currents.evaluate((part,), p, t)[1] for part in current)
+        alone = sum(currents.evaluate_current((part,), p, t)[1] for part in current)
         assert np.linalg.norm(Dv - alone) > 1e-3, "the derivative of a sum is not the sum"
 
 
 def test_no_component_is_still_water():
-    v, Dv = currents.evaluate((), jnp.ones(3), jnp.array(1.0))
+    v, Dv = currents.evaluate_current((), jnp.ones(3), jnp.array(1.0))
     assert np.all(v == 0)
     assert np.all(Dv == 0)
 
@@ -61,7 +61,7 @@ def drawn_knots(entry, n_world, horizon_s):
     config = configs(entry)
 
     def one(key):
-        return currents.draw(config, key, LO, HI, horizon_s)[0].knots_mps
+        return currents.sample_current(config, key, LO, HI, horizon_s)[0].knots_mps
 
     return np.asarray(quickly(jax.vmap(one))(jax.random.split(jax.random.key(1), n_world)))
 
@@ -77,7 +77,7 @@ def test_gauss_markov_has_its_stationary_statistics():
             "mean_mps": mean.tolist(),
             "time_constant_s": tau,
             "knot_dt_s": dt,
-            "vertical_share": 0.2,
+            "vertical_fraction": 0.2,
         },
         n,
         60.0,
@@ -102,7 +102,7 @@ def test_maximum_speed_is_never_exceeded():
     config = configs(entry)
 
     def one(key):
-        current = currents.draw(config, key, LO, HI, 120.0)
+        current = currents.sample_current(config, key, LO, HI, 120.0)
         at = jax.vmap(lambda t: currents.velocity(current, jnp.zeros(3), t))
         return at(jnp.linspace(0.0, 130.0, 301))
 
@@ -126,7 +126,7 @@ def test_vortices_are_drawn_inside_their_spans():
     )
 
     def one(key):
-        return currents.draw(config, key, LO, HI, 120.0)[0]
+        return currents.sample_current(config, key, LO, HI, 120.0)[0]
 
     drawn = quickly(jax.vmap(one))(jax.random.split(jax.random.key(3), 400))
     core, gamma = np.asarray(drawn.core_m), np.asarray(drawn.circulation_m2ps)
@@ -160,7 +160,7 @@ def test_rankine_vortices_stand_where_they_are_told_and_turn_as_told():
             "core_radius_m": [2.0, 2.0],
         }
     )
-    (vortex,) = currents.draw(config, jax.random.key(0), LO, HI, 120.0)
+    (vortex,) = currents.sample_current(config, jax.random.key(0), LO, HI, 120.0)
     np.testing.assert_array_equal(vortex.centre_m, [[1.0, 2.0], [-3.0, 4.0]])
     alone = replace(vortex, **{k: v[:1] for k, v in vars(vortex).items()})
     v = currents.velocity((alone,), jnp.array([3.0, 2.0, -5.0]), jnp.zeros(()))
@@ -169,7 +169,7 @@ def test_rankine_vortices_stand_where_they_are_told_and_turn_as_told():
 
 def test_gyre_fills_the_region():
     config = configs({"type": "double_gyre", "peak_speed_mps": 0.2})
-    (gyre,) = currents.draw(config, jax.random.key(0), LO, HI, 120.0)
+    (gyre,) = currents.sample_current(config, jax.random.key(0), LO, HI, 120.0)
     corner = jnp.array([-12.0, -12.0, -5.0])
     middle = jnp.array([0.0, 0.0, -5.0])
     still = currents.velocity((gyre,), corner, jnp.zeros(()))
@@ -185,7 +185,9 @@ def test_drawing_depends_only_on_the_key():
         {"type": "uniform", "velocity_mps": [0.1, 0.0, 0.0]},
     )
     key = jax.random.key(4)
-    a, b, c = (currents.draw(config, k, LO, HI, 10.0) for k in (key, key, jax.random.key(5)))
+    a, b, c = (
+        currents.sample_current(config, k, LO, HI, 10.0) for k in (key, key, jax.random.key(5))
+    )
     assert np.array_equal(a[0].centre_m, b[0].centre_m)
     assert not np.array_equal(a[0].centre_m, c[0].centre_m)
     np.testing.assert_allclose(a[1].velocity_mps, [0.1, 0.0, 0.0], rtol=1e-7)

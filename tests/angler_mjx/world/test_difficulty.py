@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from angler_kernels.bit_grid import pack
-from angler_mjx.world.difficulty import line_is_free, open_ways, shortest_paths
+from angler_kernels.bit_grid import pack_grid
+from angler_mjx.world.difficulty import line_is_free, open_path_lengths, shortest_paths
 
 from ..compiling import quickly
 from ..lattice import least_costs
@@ -36,7 +36,7 @@ def found():
 
     @quickly
     def find(passable, *ends):
-        return shortest_paths(pack(passable), SHAPE[2], *ends)
+        return shortest_paths(pack_grid(passable), SHAPE[2], *ends)
 
     return passable, start, goal, np.asarray(find(passable, start, goal))
 
@@ -79,7 +79,7 @@ def test_ways_through_open_water_are_dijkstras_too():
     ):
         passable[(*(slice(a, b) for a, b in zip(low, high, strict=True)), world)] = True
     start, goal = rng.integers(0, 9, (2, 3, 30, 4))
-    find = quickly(lambda passable, *ends: open_ways(pack(passable), SHAPE[2], *ends))
+    find = quickly(lambda passable, *ends: open_path_lengths(pack_grid(passable), SHAPE[2], *ends))
     length = np.asarray(find(passable, start, goal))
     for world in range(4):
         costs = [least_costs(passable[..., world], tuple(cell)) for cell in goal[..., world].T]

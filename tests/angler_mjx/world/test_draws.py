@@ -4,7 +4,7 @@ import jax
 import numpy as np
 
 from angler_mjx.world import sampling
-from angler_mjx.world.config import resolve
+from angler_mjx.world.config import resolve_world
 from angler_mjx.world.generate import generate_batch
 from angler_mjx.world.obstacles import BOX
 
@@ -72,7 +72,7 @@ def test_neighbouring_worlds_and_seeds_are_independent(worlds):
 
 def test_a_world_alone_and_with_a_robot_less_is_the_same(worlds):
     """A batch goes through in tiles, the last of them filled up, and redraws some in groups."""
-    tile = sampling.tile_size(resolve(RECIPE), len(RADIUS))
+    tile = sampling.tile_size(resolve_world(RECIPE), len(RADIUS))
     assert COUNT // 2 < tile < COUNT
     again, late = (np.flatnonzero((worlds.redraws == n) & worlds.valid) for n in (1, 2))
     picked = [*range(30), *again[-15:], *late[-15:], COUNT // 2, COUNT // 2 + 1, COUNT - 1]

@@ -9,9 +9,9 @@ import pytest
 from scipy import ndimage
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.files import parse
+from angler_mjx.files import parse_model
 from angler_mjx.world import sampling
-from angler_mjx.world.config import WorldConfig, resolve
+from angler_mjx.world.config import WorldConfig, resolve_world
 from angler_mjx.world.generate import generate_batch, require_valid
 
 from ..lattice import least_costs
@@ -19,7 +19,7 @@ from .recipe import COUNT, MIN_OBSTACLES, RADIUS, RECIPE, SEED, SHAPE
 
 
 def config(**data):
-    return parse(WorldConfig, data, source="test")
+    return parse_model(WorldConfig, data, source="test")
 
 
 def test_worlds_are_complete(worlds):
@@ -114,7 +114,7 @@ def test_worlds_that_cannot_hold_the_fleet_are_drawn_again_up_to_the_limit(world
 @pytest.mark.nightly(by="world/test_draws.py")
 def test_a_batch_of_batches_is_the_same_too():
     walls = config(preset="corridor", shape=[5, 4, 4], rule={"type": "walls", "count": 1})
-    one = partial(sampling.draw, resolve(walls), jnp.array([0.4]))
+    one = partial(sampling.sample_world, resolve_world(walls), jnp.array([0.4]))
     keys = jax.random.split(jax.random.key(1), 12)
     flat = jax.jit(jax.vmap(one))(keys)
     square = jax.jit(jax.vmap(jax.vmap(one)))(keys.reshape(3, 4))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.files import parse
+from angler_mjx.files import parse_model
 from angler_mjx.world import currents, obstacles
 from angler_mjx.world.grid import Grid
 from angler_mjx.world.obstacles import bodies as obstacle_bodies
@@ -28,7 +28,7 @@ STILL = (currents.Uniform(velocity_mps=jnp.zeros(3)),)
 
 
 def rows(*entries):
-    config = parse(obstacles.ObstaclesConfig, {"explicit": list(entries)}, source="test")
+    config = parse_model(obstacles.ObstaclesConfig, {"explicit": list(entries)}, source="test")
     return explicit_rows(config.explicit, RHO)
 
 
@@ -95,7 +95,7 @@ def test_neutral_sphere_keeps_its_orbit_in_a_vortex():
             path = np.array([state.p[0] for state in states])
             distance[dt] = np.linalg.norm(path[:, :2], axis=1)
             np.testing.assert_allclose(path[:, 2], -8.0, atol=1e-9)
-        v, _ = currents.evaluate(vortex, jnp.array([2.0, 0.0, -8.0]), jnp.array(0.0))
+        v, _ = currents.evaluate_current(vortex, jnp.array([2.0, 0.0, -8.0]), jnp.array(0.0))
         assert 60.0 * float(v[1]) > 2 * np.pi * 2, "more than one turn"
         off = {dt: np.abs(r - 2.0).max() for dt, r in distance.items()}
         # The scheme is of second order: the error falls by four, and is what halving shows.
@@ -217,10 +217,10 @@ def test_cells_throw_a_body_back_without_loss():
 def test_nothing_drifts_through_rock_and_all_stay_inside():
     rng = np.random.default_rng(0)
     occupied = rng.random((16, 16, 16)) < 0.1
-    config = parse(obstacles.ObstaclesConfig, {"dynamic": {"count": 48}}, source="test")
+    config = parse_model(obstacles.ObstaclesConfig, {"dynamic": {"count": 48}}, source="test")
     cells = grid(occupied)
     body = quickly(
-        lambda key: obstacles.draw(
+        lambda key: obstacles.sample_obstacles(
             config, key, cells, jnp.asarray(LO), jnp.asarray(HI), jnp.zeros((0, 3)), 0.0, RHO
         )
     )(jax.random.key(0))
@@ -257,13 +257,13 @@ def samples(inside, half, n=4_000_000):
     ("body", "half", "inside"),
     [
         (
-            obstacle_bodies.sphere(0.6),
+            obstacle_bodies.build_sphere(0.6),
             [0.6] * 3,
             lambda p: (p * p).sum(axis=1) < 0.36,
         ),
-        (obstacle_bodies.box((0.3, 0.5, 0.9)), [0.3, 0.5, 0.9], lambda p: p[:, 0] < 1),
+        (obstacle_bodies.build_box((0.3, 0.5, 0.9)), [0.3, 0.5, 0.9], lambda p: p[:, 0] < 1),
         (
-            obstacle_bodies.capsule(0.4, 0.7),
+            obstacle_bodies.build_capsule(0.4, 0.7),
             [0.4, 0.4, 1.1],
             lambda p: (p[:, :2] ** 2).sum(axis=1) + np.maximum(abs(p[:, 2]) - 0.7, 0) ** 2 < 0.16,
         ),
@@ -279,7 +279,7 @@ def test_volume_and_inertia_are_those_of_the_shape(body, half, inside):
 @pytest.mark.parametrize("slenderness", [1.0, 1.001, 1.5, 4.0])
 def test_added_mass_of_a_capsule_is_lambs_spheroid(slenderness):
     radius = 0.4
-    body = obstacle_bodies.capsule(radius, radius * (slenderness - 1))
+    body = obstacle_bodies.build_capsule(radius, radius * (slenderness - 1))
     # Lamb's integrals by quadrature over lambda = b^2 x / (1 - x).
     b = (body.volume_m3 / (4 / 3 * np.pi * slenderness)) ** (1 / 3)
     a = b * slenderness
@@ -298,14 +298,14 @@ def test_added_mass_of_a_capsule_is_lambs_spheroid(slenderness):
 
 
 def test_round_and_square_shapes_have_their_textbook_coefficients():
-    ball, cube = obstacle_bodies.sphere(0.5), obstacle_bodies.box((0.5, 0.5, 0.5))
+    ball, cube = obstacle_bodies.build_sphere(0.5), obstacle_bodies.build_box((0.5, 0.5, 0.5))
     np.testing.assert_allclose(ball.added[:3], 0.5 * ball.volume_m3)
     np.testing.assert_allclose(cube.added[:3], 0.68)
     np.testing.assert_allclose(cube.drag[:3], 1.05)
-    stub = obstacle_bodies.capsule(0.5, 0.0)
+    stub = obstacle_bodies.build_capsule(0.5, 0.0)
     for name in ("inertia_m2", "added", "drag"):
         np.testing.assert_allclose(getattr(stub, name), getattr(ball, name), rtol=1e-12, atol=1e-12)
-    plate = obstacle_bodies.box((1e-4, 0.5, 0.5))
+    plate = obstacle_bodies.build_box((1e-4, 0.5, 0.5))
     # A square plate moving broadside: 0.579 of pi/4 side^3; its thickness adds 1e-4 of that.
     assert plate.added[0] == pytest.approx(0.579 * np.pi / 4, rel=1e-3)
     # Rotating strips against direct integration of |omega x| omega x x over a face.
@@ -313,14 +313,14 @@ def test_round_and_square_shapes_have_their_textbook_coefficients():
     x, step = np.linspace(-h[2], h[2], 20001, retstep=True)
     y, step_y = np.linspace(-h[1], h[1], 20001, retstep=True)
     faces = (abs(x) ** 3).sum() * step + (abs(y) ** 3).sum() * step_y
-    assert obstacle_bodies.box(h).drag[3] == pytest.approx(1.05 * 2 * h[0] * faces, rel=1e-3)
+    assert obstacle_bodies.build_box(h).drag[3] == pytest.approx(1.05 * 2 * h[0] * faces, rel=1e-3)
 
 
 def draw_many(config, n_world, occupied, keep_out, keep_out_radius):
     cells = grid(occupied)
 
     def one(key):
-        return obstacles.draw(
+        return obstacles.sample_obstacles(
             config,
             key,
             cells,
@@ -340,10 +340,15 @@ def test_drawn_obstacles_start_free_and_keep_their_shares():
     occupied[:, :, 8] = False
     low = np.array([-12.0, -12.0, -26.0]) + 1.5 * np.argwhere(occupied)
     keep_out = rng.uniform([-11, -11, -25], [11, 11, -3], (8, 3)).astype(np.float32)
-    config = parse(
+    config = parse_model(
         obstacles.ObstaclesConfig,
         {
-            "dynamic": {"count": 20, "cube_share": 0.3, "rise_share": 0.25, "sink_share": 0.4},
+            "dynamic": {
+                "count": 20,
+                "cube_fraction": 0.3,
+                "rise_fraction": 0.25,
+                "sink_fraction": 0.4,
+            },
             "explicit": [{"type": "box", "position_m": [0, 0, -13.25], "size_m": [6, 9, 1.4]}],
         },
         source="test",
@@ -395,7 +400,7 @@ def test_drawn_obstacles_start_free_and_keep_their_shares():
 
 
 def test_no_place_means_no_obstacle():
-    config = parse(obstacles.ObstaclesConfig, {"dynamic": {"count": 3}}, source="test")
+    config = parse_model(obstacles.ObstaclesConfig, {"dynamic": {"count": 3}}, source="test")
     full = draw_many(config, 2, np.ones((16, 16, 16), bool), np.zeros((1, 3)), 1.0)
     assert not np.any(full.exists)
 
@@ -441,10 +446,10 @@ def test_every_fault_of_a_file_is_told():
         ],
     }
     with pytest.raises(ConfigError) as error:
-        parse(obstacles.ObstaclesConfig, data, source="test")
+        parse_model(obstacles.ObstaclesConfig, data, source="test")
     for words in ("dynamic.count", "radius_m", "mass_kg", "cone"):
         assert words in str(error.value)
     with pytest.raises(ConfigError, match="low <= high"):
-        parse(obstacles.ObstaclesConfig, {"dynamic": {"radius_m": [0.7, 0.4]}}, source="test")
+        parse_model(obstacles.ObstaclesConfig, {"dynamic": {"radius_m": [0.7, 0.4]}}, source="test")
     with pytest.raises(ConfigError, match="axis"):
         rows(sphere([0, 0, 0], type="circle", radius_m=1, period_s=1, axis=[0, 0, 0]))

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from angler_kernels.bit_grid import pack
+from angler_kernels.bit_grid import pack_grid
 from angler_mjx.world.difficulty import by_kernel, in_cells
 
 from ..lattice import least_costs
@@ -25,7 +25,7 @@ def worlds():
 
 def test_lengths_are_those_of_dijkstra(worlds):
     free, start, goal = worlds
-    length = by_kernel(pack(jnp.array(free)), SHAPE[2], start, goal, interpret=True)
+    length = by_kernel(pack_grid(jnp.array(free)), SHAPE[2], start, goal, interpret=True)
     cells = np.asarray(in_cells(length))
     expected = np.empty((N_PAIR, N_WORLD))
     for pair, world in np.ndindex(N_PAIR, N_WORLD):
@@ -39,7 +39,7 @@ def test_lengths_are_those_of_dijkstra(worlds):
 def test_lowers_for_cuda(worlds):
     free, start, goal = worlds
     traced = jax.jit(lambda *given: by_kernel(given[0], SHAPE[2], *given[1:])).trace(
-        pack(jnp.array(free)), start, goal
+        pack_grid(jnp.array(free)), start, goal
     )
     text = traced.lower(lowering_platforms=("cuda",)).as_text()
     assert text.count("__gpu$xla.gpu.triton") == 1

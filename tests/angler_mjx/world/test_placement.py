@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from angler_kernels.bit_grid import pack, unpack
+from angler_kernels.bit_grid import pack_grid, unpack_grid
 from angler_mjx.errors import ConfigError
-from angler_mjx.files import parse
-from angler_mjx.world.config import WorldConfig, resolve
+from angler_mjx.files import parse_model
+from angler_mjx.world.config import WorldConfig, resolve_world
 from angler_mjx.world.generate import check_fleet
-from angler_mjx.world.placement import passable_cells, place
+from angler_mjx.world.placement import choose_positions, passable_cells
 
 from ..compiling import quickly
 
@@ -46,14 +46,14 @@ def fleet(occupied):
 
 
 def placed(occupied, placement):
-    recipe = resolve(WorldConfig(shape=SHAPE, fill=0.05, placement=placement))
+    recipe = resolve_world(WorldConfig(shape=SHAPE, fill=0.05, placement=placement))
     far = jnp.full(SHAPE, jnp.inf)
 
     def place_all(occupied, keys):
-        free = pack(~occupied)
+        free = pack_grid(~occupied)
         radius = jnp.broadcast_to(jnp.array(RADIUS)[:, None], (len(RADIUS), N_WORLD + 1))
         passable = passable_cells(free, far, CELL, radius.max(axis=0))
-        return place(recipe, free, passable, far, radius, keys)
+        return choose_positions(recipe, free, passable, far, radius, keys)
 
     keys = jax.random.split(jax.random.key(1), N_WORLD + 1)
     worlds = np.concatenate([occupied, crowded()])
@@ -113,7 +113,7 @@ def test_cells_are_passable_where_a_sphere_about_their_centre_is_clear():
 
     @quickly
     def passable(free, ground, radius):
-        return unpack(passable_cells(pack(free), ground, edge, radius), 7)
+        return unpack_grid(passable_cells(pack_grid(free), ground, edge, radius), 7)
 
     found = np.asarray(passable(free, ground, radius))
     around = np.argwhere(np.pad(solid, 2, constant_values=True)) - 2.0
@@ -141,7 +141,7 @@ def given(**changes):
             ]
         },
     }
-    return resolve(parse(WorldConfig, {**data, **changes}, source="test"))
+    return resolve_world(parse_model(WorldConfig, {**data, **changes}, source="test"))
 
 
 def test_given_places_may_lie_where_a_drifting_obstacle_starts_only_for_goals():

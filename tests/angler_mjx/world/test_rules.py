@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from angler_kernels.bit_grid import unpack
-from angler_mjx.world.config import WorldConfig, resolve
-from angler_mjx.world.rules import draw_cells
+from angler_kernels.bit_grid import unpack_grid
+from angler_mjx.world.config import WorldConfig, resolve_world
+from angler_mjx.world.rules import sample_cells
 
 from ..compiling import quickly
 
@@ -19,14 +19,14 @@ N_WORLD = 200
 @cache
 def drawer(rule, shape):
     """One program for all shares of walls that the rule may start from."""
-    return quickly(partial(draw_cells, rule, shape))
+    return quickly(partial(sample_cells, rule, shape))
 
 
 def cells(**config):
-    world = resolve(WorldConfig(**config))
+    world = resolve_world(WorldConfig(**config))
     keys = jax.random.split(jax.random.key(5), N_WORLD)
     packed = drawer(world.rule, world.shape)(np.float32(world.fill or 0.0), keys)
-    return np.moveaxis(np.asarray(unpack(packed, world.shape[2])), -1, 0)
+    return np.moveaxis(np.asarray(unpack_grid(packed, world.shape[2])), -1, 0)
 
 
 @pytest.mark.parametrize(
@@ -49,7 +49,9 @@ def test_mean_density_is_the_one_asked_for(preset, shape, density):
 
 @pytest.mark.parametrize("preset", ["sparse", "reef"])
 def test_density_rises_with_the_knob(preset):
-    fills = [resolve(WorldConfig(preset=preset, density=d)).fill for d in (0.01, 0.02, 0.1, 0.3)]
+    fills = [
+        resolve_world(WorldConfig(preset=preset, density=d)).fill for d in (0.01, 0.02, 0.1, 0.3)
+    ]
     assert np.all(np.diff(fills) > 0)
 
 

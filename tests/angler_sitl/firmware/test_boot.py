@@ -8,16 +8,16 @@ import pytest
 
 from angler_mjx.errors import RunError
 from angler_sitl.firmware import boot as booting
-from angler_sitl.firmware.boot import WorldOrigin, boot
-from angler_sitl.firmware.process import Instance, Launch, kill_all
-from angler_sitl.steering.pilot import (
+from angler_sitl.firmware.boot import WorldOrigin, boot_autopilots
+from angler_sitl.firmware.process import AutopilotProcess, LaunchSpec, kill_processes
+from angler_sitl.steering.autopilot_commander import (
     AutopilotCommander,
-    Fix,
+    NavigationFix,
+    collect_motion,
     mode_name,
-    motion_of,
 )
 from angler_sitl.wire.lockstep import LockStep
-from angler_sitl.wire.ports import allocate
+from angler_sitl.wire.ports import allocate_ports
 
 HOME = WorldOrigin(lat_deg=47.6, lon_deg=-122.3)
 STEP_S, PERIOD = 1 / 100, 5
@@ -43,10 +43,10 @@ class Still:
 @contextmanager
 def started(program, folder, *each):
     """Pilots of stand-ins with their parameters, and a function that goes on by a period."""
-    bound, instances = allocate(len(each)), []
+    bound, instances = allocate_ports(len(each)), []
     try:
         for i, (ports, parameters) in enumerate(zip(bound, each, strict=True)):
-            launch = Launch(
+            launch = LaunchSpec(
                 binary=program,
                 folder=folder / str(i),
                 name=f"robot_{i}",
@@ -54,7 +54,7 @@ def started(program, folder, *each):
                 ports=ports,
                 parameters=parameters,
             )
-            instances.append(Instance(launch))
+            instances.append(AutopilotProcess(launch))
         pilots = [AutopilotCommander(f"robot_{i}", i + 1, ports) for i, ports in enumerate(bound)]
         scene = Still(len(each))
         lockstep = LockStep(
@@ -69,9 +69,9 @@ def started(program, folder, *each):
             for i, pilot in enumerate(pilots):
                 pilot.tick(scene.time_s)
                 place, spread = np.array([i, 0.0, 3.0]), np.full(3, 0.01)
-                pilot.navigate(
+                pilot.send_fix(
                     scene.time_s,
-                    Fix(
+                    NavigationFix(
                         p=place,
                         q=np.array([1.0, 0, 0, 0]),
                         velocity_mps=np.zeros(3),
@@ -84,21 +84,21 @@ def started(program, folder, *each):
 
         yield pilots, advance
     finally:
-        kill_all(instances)
+        kill_processes(instances)
         for ports in bound:
             ports.close()
 
 
 def test_they_come_up_together(stand_in, tmp_path):
     with started(stand_in, tmp_path, {"SIM_RATE_HZ": 400.0}, {}) as (pilots, advance):
-        ready = boot(pilots, advance, mode=4, source="vision", home=HOME)
-        assert all(pilot.armed and pilot.located for pilot in pilots)
+        ready = boot_autopilots(pilots, advance, mode=4, source="vision", home=HOME)
+        assert all(pilot.armed and pilot.has_position for pilot in pilots)
         assert {mode_name(pilot.mode) for pilot in pilots} == {"GUIDED"}
         assert pilots[0].link.parameters["SIM_RATE_HZ"] == 400.0
         # All of them, and by number: some could have been lost on the way.
         assert pilots[0].link.parameter_count == len(pilots[0].link.parameter_indices)
         now = advance()
-        motion = motion_of(pilots, now)
+        motion = collect_motion(pilots, now)
     # 1 m north is y = 1 m, 3 m down is z = -3 m; float32 on the wire.
     np.testing.assert_allclose(motion.p, [[0.0, 0.0, -3.0], [0.0, 1.0, -3.0]], atol=1e-6)
     # Level and heading north: a quarter turn left of east.
@@ -117,19 +117,19 @@ def test_they_come_up_together(stand_in, tmp_path):
     ],
 )
 def test_the_one_that_does_not_come_up_is_named(stand_in, tmp_path, monkeypatch, wrong, said):
-    monkeypatch.setitem(booting.POSITION_S, "vision", 5.0)
-    monkeypatch.setattr(booting, "ARMED_S", 3.0)
+    monkeypatch.setitem(booting.POSITION_TIMEOUT_S, "vision", 5.0)
+    monkeypatch.setattr(booting, "ARM_TIMEOUT_S", 3.0)
     with (
         started(stand_in, tmp_path, {}, wrong) as (pilots, advance),
         pytest.raises(RunError, match=said),
     ):
-        boot(pilots, advance, mode=4, source="vision", home=HOME)
+        boot_autopilots(pilots, advance, mode=4, source="vision", home=HOME)
 
 
 def test_who_never_spoke_is_named(ports):
     clock = iter(np.arange(0.0, 100.0, 0.05))
     pilot = AutopilotCommander("robot_7", 8, ports)
     with pytest.raises(RunError, match="robot_7: says nothing on MAVLink within 15 s"):
-        boot([pilot], lambda: float(next(clock)), mode=4, source="vision", home=HOME)
+        boot_autopilots([pilot], lambda: float(next(clock)), mode=4, source="vision", home=HOME)
     with pytest.raises(RunError, match=r"robot_7.*not told its motion"):
-        motion_of([pilot], 0.0)
+        collect_motion([pilot], 0.0)

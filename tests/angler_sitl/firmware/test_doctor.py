@@ -11,26 +11,26 @@ from pathlib import Path
 import pytest
 
 from angler_mjx.cli.main import main
-from angler_mjx.robot.vehicles.library import available
+from angler_mjx.robot.vehicles.library import list_vehicles
 from angler_sitl.firmware import binary, sockets
-from angler_sitl.firmware.doctor import examine
+from angler_sitl.firmware.doctor import run_checks
 
 
 def rows(path=None):
-    return {check.name: check for check in examine(path)}
+    return {check.name: check for check in run_checks(path)}
 
 
 def test_an_autopilot_that_is_well(stand_in):
     found = rows(stand_in.path)
     assert all(check.good for check in found.values()), found
-    assert {f"parameters, {name}" for name in available()} <= set(found)
+    assert {f"parameters, {name}" for name in list_vehicles()} <= set(found)
     assert found["version"].text == "4.6.0-dev (standin0)"
     assert found["open sockets"].text == "none but on loopback"
 
 
 def test_no_autopilot(monkeypatch, tmp_path, capsys):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.delenv(binary.ENVIRONMENT, raising=False)
+    monkeypatch.delenv(binary.ENVIRONMENT_VARIABLE, raising=False)
     found = rows()
     assert found["ports"].good
     assert found["binary"].good is False
@@ -56,7 +56,7 @@ def test_sockets_of_a_process_are_listed_with_who_can_reach_them():
         here.bind(("127.0.0.1", 0))
         connected.connect(here.getsockname())
         server = stack.enter_context(socket.create_server(("127.0.0.1", 0)))
-        found = {str(one): one.loopback for one in sockets.of(os.getpid())}
+        found = {str(one): one.is_loopback for one in sockets.list_sockets(os.getpid())}
         wanted = {"udp": (everywhere, here, connected), "tcp": (server,)}
         names = [
             "{} {}:{}".format(protocol, *bound.getsockname())
@@ -72,13 +72,13 @@ from angler_mjx.errors import UnsupportedError
 from angler_sitl.firmware import isolation
 before = os.getuid(), os.getgid()
 try:
-    isolation.isolate()
+    isolation.isolate_network()
 except UnsupportedError as error:
     print("unsupported", error)
     raise SystemExit
-from angler_sitl.wire.ports import allocate, number
-one, two = allocate(2)
-two.fdm.sendto(b"here", ("127.0.0.1", number(one.fdm)))
+from angler_sitl.wire.ports import allocate_ports, port_number
+one, two = allocate_ports(2)
+two.fdm.sendto(b"here", ("127.0.0.1", port_number(one.fdm)))
 one.fdm.settimeout(20)
 names = [line.split(":")[0].strip() for line in open("/proc/self/net/dev").readlines()[2:]]
 print(names == ["lo"], one.fdm.recv(9) == b"here", before == (os.getuid(), os.getgid()))
@@ -101,4 +101,4 @@ def test_the_real_one_is_well(ardusub, capsys):
     assert "fault" not in shown
     # The one socket that has no option; which number it has is the kernel's choice.
     assert shown.count("0.0.0.0:") == 1
-    assert all(f"parameters, {name}" in shown for name in available())
+    assert all(f"parameters, {name}" in shown for name in list_vehicles())

@@ -15,7 +15,7 @@ import pytest
 from angler_mjx.cli.main import main
 from angler_mjx.errors import ConfigError, RunError
 from angler_sitl.firmware import binary, install
-from angler_sitl.firmware.probe import Findings
+from angler_sitl.firmware.probe import ProbeResult
 
 from .file_server import Server
 
@@ -32,7 +32,7 @@ def server():
 @pytest.fixture(autouse=True)
 def cache(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.delenv(binary.ENVIRONMENT, raising=False)
+    monkeypatch.delenv(binary.ENVIRONMENT_VARIABLE, raising=False)
     return binary.cache_folder()
 
 
@@ -42,8 +42,8 @@ def says(monkeypatch):
     said = ["4.5.3"]
     monkeypatch.setattr(
         install,
-        "_ask",
-        lambda *_: Findings(version=said[0], git="abcdef12", parameters={}, sysid=1),
+        "_probe_version",
+        lambda *_: ProbeResult(version=said[0], git="abcdef12", parameters={}, sysid=1),
     )
     return said
 
@@ -53,7 +53,7 @@ def nothing(*_):
 
 
 def fetched(server, **given):
-    return install.from_network("stable-4.5.3", server.url, nothing, **given)
+    return install.install_from_network("stable-4.5.3", server.url, nothing, **given)
 
 
 def complaint(do, *given, error=ConfigError, **more):
@@ -64,19 +64,21 @@ def complaint(do, *given, error=ConfigError, **more):
 
 def test_fetched_and_recorded_and_found(server, says, cache):
     told = []
-    done = install.from_network("stable-4.5.3", server.url, lambda *progress: told.append(progress))
+    done = install.install_from_network(
+        "stable-4.5.3", server.url, lambda *progress: told.append(progress)
+    )
     assert done.path.read_bytes() == PROGRAM
     assert done.path.stat().st_mode & 0o111
     assert told[0] == (0, len(PROGRAM))
     assert told[-1] == (len(PROGRAM), len(PROGRAM))
-    assert binary.find() == done
+    assert binary.find_binary() == done
     assert done.version == "4.5.3"
     assert done.sha256 == hashlib.sha256(PROGRAM).hexdigest()
-    record = (cache / binary.RECORD).read_text()
+    record = (cache / binary.RECORD_NAME).read_text()
     assert f"size_bytes = {len(PROGRAM)}\n" in record
     assert f'sha256 = "{done.sha256}"\n' in record
     # Nothing else is left there.
-    assert {path.name for path in cache.iterdir()} == {binary.PROGRAM, binary.RECORD}
+    assert {path.name for path in cache.iterdir()} == {binary.PROGRAM_NAME, binary.RECORD_NAME}
 
 
 def test_a_broken_transfer_goes_on_by_itself(server, says):
@@ -91,7 +93,7 @@ def test_a_broken_transfer_goes_on_next_time(server, says, cache):
     assert "1002 of" in told
     assert "Run the same command again" in told
     assert "--from FILE" in told
-    assert not (cache / binary.PROGRAM).exists()
+    assert not (cache / binary.PROGRAM_NAME).exists()
     assert fetched(server).path.read_bytes() == PROGRAM
     assert server.ranges[-1] == "bytes=1002-"
 
@@ -118,7 +120,7 @@ def test_what_is_longer_than_the_file_is_dropped(server, says, cache):
 
 def test_no_such_file(server, cache):
     url = f"{server.base}/else"
-    told = complaint(install.from_network, "latest", url, nothing)
+    told = complaint(install.install_from_network, "latest", url, nothing)
     assert url in told
     assert "404" in told
 
@@ -127,7 +129,7 @@ def test_no_network():
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         url = f"http://127.0.0.1:{free.getsockname()[1]}/ardusub"
-    told = complaint(install.from_network, "latest", url, nothing, error=RunError)
+    told = complaint(install.install_from_network, "latest", url, nothing, error=RunError)
     assert url in told
     assert "refused" in told
     assert "without network" in told
@@ -136,12 +138,12 @@ def test_no_network():
 
 @pytest.mark.parametrize("url", ["ftp://example.org/ardusub", "file:///bin/true", "ardusub"])
 def test_other_addresses_are_refused(url):
-    assert "http" in complaint(install.from_network, "latest", url, nothing)
+    assert "http" in complaint(install.install_from_network, "latest", url, nothing)
 
 
 def test_addresses_of_official_builds():
-    assert "/Sub/stable-4.5.3/" in install.address("stable-4.5.3")
-    assert "--version" in complaint(install.address, "../../Copter")
+    assert "/Sub/stable-4.5.3/" in install.official_url("stable-4.5.3")
+    assert "--version" in complaint(install.official_url, "../../Copter")
 
 
 def test_a_page_instead_of_a_program_is_refused(server, says, cache):
@@ -166,7 +168,7 @@ def with_machine(number):
 def test_programs_of_other_machines_are_refused(tmp_path, content, words):
     path = tmp_path / "ardusub"
     path.write_bytes(content)
-    told = complaint(install.from_file, path)
+    told = complaint(install.install_from_file, path)
     assert words in told
     assert str(path) in told
 
@@ -175,18 +177,18 @@ def test_a_program_that_is_no_ardusub_is_refused(server, cache):
     told = complaint(fetched, server)
     assert "does not act as an ArduSub" in told
     assert "exit code 0" in told
-    assert not (cache / binary.PROGRAM).exists()
+    assert not (cache / binary.PROGRAM_NAME).exists()
 
 
 def test_a_wrong_checksum_is_refused(server, says, cache):
     told = complaint(fetched, server, checksum="00" * 32)
     assert hashlib.sha256(PROGRAM).hexdigest() in told
-    assert not (cache / binary.PROGRAM).exists()
+    assert not (cache / binary.PROGRAM_NAME).exists()
 
 
 def official(server, monkeypatch, version):
-    monkeypatch.setattr(install, "address", lambda _: server.url)
-    return install.from_network(version, None, nothing)
+    monkeypatch.setattr(install, "official_url", lambda _: server.url)
+    return install.install_from_network(version, None, nothing)
 
 
 def test_a_release_that_changed_is_refused_and_the_old_one_stays(server, says, monkeypatch):
@@ -194,7 +196,7 @@ def test_a_release_that_changed_is_refused_and_the_old_one_stays(server, says, m
     server.etag, server.content = '"two"', PROGRAM + b"changed"
     told = complaint(official, server, monkeypatch, "stable-4.5.3")
     assert before.sha256 in told
-    assert binary.find() == before
+    assert binary.find_binary() == before
     says[0] = "4.7.0-dev"
     assert official(server, monkeypatch, "latest").version == "4.7.0-dev"
 
@@ -207,7 +209,7 @@ def test_a_release_that_says_another_version_is_refused(server, says, monkeypatc
 def test_a_program_that_was_changed_after_it_was_installed_is_refused(server, says):
     done = fetched(server)
     done.path.write_bytes(PROGRAM + b"changed")
-    told = complaint(binary.find)
+    told = complaint(binary.find_binary)
     assert done.sha256 in told
     assert "angler sitl install" in told
 
@@ -216,30 +218,32 @@ def test_from_a_file_with_the_record_of_another_machine(server, says, cache, tmp
     fetched(server)
     stick = tmp_path / "stick"
     shutil.copytree(cache, stick)
-    assert install.from_file(stick / binary.PROGRAM).path == cache / binary.PROGRAM
-    (stick / binary.PROGRAM).write_bytes(PROGRAM + b"changed")
-    assert "should be" in complaint(install.from_file, stick / binary.PROGRAM)
+    assert (
+        install.install_from_file(stick / binary.PROGRAM_NAME).path == cache / binary.PROGRAM_NAME
+    )
+    (stick / binary.PROGRAM_NAME).write_bytes(PROGRAM + b"changed")
+    assert "should be" in complaint(install.install_from_file, stick / binary.PROGRAM_NAME)
 
 
 def test_which_one_is_run(server, says, tmp_path, monkeypatch):
-    assert "angler sitl install" in complaint(binary.find)
+    assert "angler sitl install" in complaint(binary.find_binary)
     installed = fetched(server)
     mine, other = tmp_path / "mine", tmp_path / "other"
     for path in (mine, other):
         shutil.copyfile(installed.path, path)
         path.chmod(0o755)
-    assert binary.find() == installed
-    monkeypatch.setenv(binary.ENVIRONMENT, str(mine))
-    assert binary.find().path == mine
-    assert binary.find(other).path == other
+    assert binary.find_binary() == installed
+    monkeypatch.setenv(binary.ENVIRONMENT_VARIABLE, str(mine))
+    assert binary.find_binary().path == mine
+    assert binary.find_binary(other).path == other
 
 
 def test_a_named_program_must_be_there_and_may_be_run(tmp_path, monkeypatch):
-    monkeypatch.setenv(binary.ENVIRONMENT, str(tmp_path / "none"))
-    assert complaint(binary.find).startswith("ANGLER_ARDUSUB: ")
+    monkeypatch.setenv(binary.ENVIRONMENT_VARIABLE, str(tmp_path / "none"))
+    assert complaint(binary.find_binary).startswith("ANGLER_ARDUSUB: ")
     path = tmp_path / "ardusub"
     path.write_bytes(PROGRAM)
-    told = complaint(binary.find, path)
+    told = complaint(binary.find_binary, path)
     assert told.startswith("--ardusub: ")
     assert f"chmod +x {path}" in told
 
@@ -259,8 +263,8 @@ def test_the_real_one_is_installed_from_a_server_that_breaks_off(
     server.content = ardusub.path.read_bytes()
     server.breaks_after = [len(server.content) // 2]
     main(["sitl", "install", "--url", server.url])
-    assert Path(capsys.readouterr().out.strip()) == cache / binary.PROGRAM
-    found = binary.find()
+    assert Path(capsys.readouterr().out.strip()) == cache / binary.PROGRAM_NAME
+    found = binary.find_binary()
     assert found.sha256 == ardusub.sha256
     # As the program says itself: three numbers, and what kind of build it is.
     assert found.version.split("-")[0].count(".") == 2

@@ -8,19 +8,19 @@ import pytest
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.robot.vehicles.config import VehicleConfig
-from angler_mjx.robot.vehicles.library import available, load
+from angler_mjx.robot.vehicles.library import list_vehicles, load_vehicle
 from angler_mjx.studies.tuning import gain_files
 from angler_sitl.firmware import parameters, probe
-from angler_sitl.firmware.airframe import FACTORS, frame_of
+from angler_sitl.firmware.airframe import MIXER_FACTORS, find_frame
 from angler_sitl.firmware.parameters import (
     LEVELS,
     SOURCES,
-    differences,
+    explain_parameter,
+    find_differences,
     for_vehicle,
-    reason,
 )
 
-HEAVY = load("bluerov2_heavy")
+HEAVY = load_vehicle("bluerov2_heavy")
 
 
 def changed(change):
@@ -30,13 +30,13 @@ def changed(change):
     return VehicleConfig.model_validate(data)
 
 
-@pytest.mark.parametrize("name", available())
+@pytest.mark.parametrize("name", list_vehicles())
 def test_shipped_vehicles_are_frames_of_the_firmware(name):
-    frame = frame_of(load(name))
+    frame = find_frame(load_vehicle(name))
     # By upstream's own names: SUB_FRAME_VECTORED 1, SUB_FRAME_VECTORED_6DOF 2.
     number = {"vectored": 1, "vectored_6dof": 2}[frame]
-    assert len(load(name).thrusters.layout) == len(FACTORS[frame])
-    assert for_vehicle(load(name), "guided", "vision")["FRAME_CONFIG"] == number
+    assert len(load_vehicle(name).thrusters.layout) == len(MIXER_FACTORS[frame])
+    assert for_vehicle(load_vehicle(name), "guided", "vision")["FRAME_CONFIG"] == number
 
 
 def test_a_vehicle_without_a_frame_is_refused():
@@ -46,7 +46,7 @@ def test_a_vehicle_without_a_frame_is_refused():
 
 def test_a_frame_of_other_thrusters_is_refused():
     with pytest.raises(ConfigError, match=r"8 thrusters.*'vectored' has 6"):
-        frame_of(changed(lambda data: data["ardusub"].update(frame="vectored")))
+        find_frame(changed(lambda data: data["ardusub"].update(frame="vectored")))
 
 
 @pytest.mark.parametrize(
@@ -60,7 +60,7 @@ def test_thrusters_in_another_order_are_refused(swap, axes):
         data["thrusters"]["layout"] = layout
 
     with pytest.raises(ConfigError, match=f"motor {swap[0] + 1} of .* in {axes};"):
-        frame_of(changed(exchange))
+        find_frame(changed(exchange))
 
 
 def test_a_thruster_turned_around_is_refused():
@@ -68,14 +68,14 @@ def test_a_thruster_turned_around_is_refused():
         data["thrusters"]["layout"][6]["direction"] = (0.0, 0.0, 1.0)
 
     with pytest.raises(ConfigError, match=r"thruster_7.*motor 7.*roll, pitch, throttle"):
-        frame_of(changed(turn))
+        find_frame(changed(turn))
 
 
 @pytest.mark.parametrize("level", LEVELS)
 @pytest.mark.parametrize("source", SOURCES)
 def test_every_value_has_its_reason_and_a_name_that_mavlink_can_carry(level, source):
     given = for_vehicle(HEAVY, level, source)
-    assert all(reason(name) for name in given)
+    assert all(explain_parameter(name) for name in given)
     # PARAM_VALUE has 16 characters for a name.
     assert all(len(name) <= 16 for name in given)
 
@@ -96,7 +96,7 @@ def test_unknown_levels_and_sources_are_refused(level, source):
 
 def test_a_file_says_what_was_given_with_old_names_and_new(tmp_path):
     given = {"GPS1_TYPE": 0.0, "EK3_SRC1_YAW": 6.0, "BARO_SPEC_GRAV": 1.024}
-    parameters.write(tmp_path / "some.parm", given)
+    parameters.write_parameters(tmp_path / "some.parm", given)
     read = {}
     for line in (tmp_path / "some.parm").read_text().splitlines():
         name, value = line.partition("#")[0].split()
@@ -108,33 +108,33 @@ def test_differences_are_told_and_nothing_else():
     ours = {"GPS1_TYPE": 0.0, "FS_GCS_ENABLE": 0.0, "BARO_SPEC_GRAV": 1.024, "VISO_TYPE": 1.0}
     # float32, as it comes over the line.
     read = {"GPS_TYPE": 0.0, "FS_GCS_ENABLE": 2.0, "BARO_SPEC_GRAV": 1.0240000486373901, "X": 3.0}
-    assert differences(ours, read) == [
+    assert find_differences(ours, read) == [
         "FS_GCS_ENABLE = 0: the autopilot has 2",
         "VISO_TYPE = 1: unknown to this firmware",
     ]
-    assert differences({}, read) == []
+    assert find_differences({}, read) == []
 
 
 @pytest.mark.sitl
-@pytest.mark.parametrize("name", available())
+@pytest.mark.parametrize("name", list_vehicles())
 @pytest.mark.parametrize("source", SOURCES)
 def test_the_real_one_takes_every_parameter(ardusub, tmp_path, name, source):
-    vehicle = load(name)
+    vehicle = load_vehicle(name)
     given = {}
     for level in LEVELS:
         given |= for_vehicle(vehicle, level, source)
-    with probe.standing_still(ardusub, tmp_path, given) as still:
-        said = probe.ask(still)
-    assert differences(given, said.parameters) == []
+    with probe.start_stationary(ardusub, tmp_path, given) as still:
+        said = probe.query_autopilot(still)
+    assert find_differences(given, said.parameters) == []
     assert len(said.parameters) > 1000
 
 
 @pytest.mark.sitl
 def test_the_real_one_does_not_know_what_is_not_there(ardusub, tmp_path):
     given = {"NO_SUCH_THING": 1.0, "FS_GCS_ENABLE": 0.0}
-    with probe.standing_still(ardusub, tmp_path, given) as still:
-        read = probe.ask(still).parameters
-    assert differences(given, read) == ["NO_SUCH_THING = 1: unknown to this firmware"]
+    with probe.start_stationary(ardusub, tmp_path, given) as still:
+        read = probe.query_autopilot(still).parameters
+    assert find_differences(given, read) == ["NO_SUCH_THING = 1: unknown to this firmware"]
 
 
 @pytest.mark.sitl
@@ -143,20 +143,20 @@ def test_the_real_one_passes_channels_to_thrusters(ardusub, tmp_path):
 
     given = for_vehicle(HEAVY, "thrusters", "vision")
     wanted = (1410, 1430, 1450, 1470, 1530, 1550, 1570, 1590)
-    with probe.standing_still(ardusub, tmp_path, given) as still:
+    with probe.start_stationary(ardusub, tmp_path, given) as still:
         # 0 until the first override, which is no pulse: off.
         assert still.pwm[:8] == (0,) * 8
         channels = [*wanted, *[0] * 10]
         still.send(mavlink.MAVLink_rc_channels_override_message(still.sysid, 1, *channels))
         # 17.5 ms of its clock at most were seen.
-        assert still.until(lambda: still.pwm[:8] == wanted, 0.1)
+        assert still.step_until(lambda: still.pwm[:8] == wanted, 0.1)
 
 
 def test_a_tuned_file_is_read_as_it_was_written(tmp_path):
-    tuned = replace(gain_files.FIRMWARE, PSC_POSXY_P=1.8, ATC_RAT_YAW_I=0.004165)
+    tuned = replace(gain_files.FIRMWARE_DEFAULTS, PSC_POSXY_P=1.8, ATC_RAT_YAW_I=0.004165)
     file = tmp_path / "ardusub.param"
-    file.write_text(gain_files.param(tuned, 8, ["tuned", "twice"]), encoding="utf-8")
-    assert parameters.read(file) == {"PSC_POSXY_P": 1.8, "ATC_RAT_YAW_I": 0.004165}
+    file.write_text(gain_files.format_param_file(tuned, 8, ["tuned", "twice"]), encoding="utf-8")
+    assert parameters.read_parameters(file) == {"PSC_POSXY_P": 1.8, "ATC_RAT_YAW_I": 0.004165}
 
 
 def test_words_and_remarks_in_a_file(tmp_path):
@@ -164,7 +164,7 @@ def test_words_and_remarks_in_a_file(tmp_path):
     file.write_text(
         "PSC_POSXY_P      1.5  # stiffer\n\n# none\nFS_GCS_ENABLE,0\n", encoding="utf-8"
     )
-    assert parameters.read(file) == {"PSC_POSXY_P": 1.5, "FS_GCS_ENABLE": 0.0}
+    assert parameters.read_parameters(file) == {"PSC_POSXY_P": 1.5, "FS_GCS_ENABLE": 0.0}
 
 
 @pytest.mark.parametrize("line", ["PSC_POSXY_P", "A,B", "A,1,2", "A,nan", f"{'A' * 17},1"])
@@ -172,12 +172,12 @@ def test_a_line_that_is_none_is_named(tmp_path, line):
     file = tmp_path / "bad.param"
     file.write_text(f"A,1\n{line}\n", encoding="utf-8")
     with pytest.raises(ConfigError, match=r"bad\.param:2: .*write NAME,VALUE"):
-        parameters.read(file)
+        parameters.read_parameters(file)
 
 
 def test_a_file_that_is_not_there_is_named(tmp_path):
     with pytest.raises(ConfigError, match=r"none\.param: cannot be read"):
-        parameters.read(tmp_path / "none.param")
+        parameters.read_parameters(tmp_path / "none.param")
 
 
 QGROUNDCONTROL = """# Onboard parameters for Vehicle 1
@@ -199,16 +199,19 @@ def test_a_parameter_file_of_qgroundcontrol_is_read(tmp_path, newline):
     file = tmp_path / "vehicle.params"
     file.write_bytes(QGROUNDCONTROL.replace("\n", newline).encode())
     expected = {"ACRO_BAL_PITCH": 1.0, "ANGLE_MAX": 4500.0, "BATT_SERIAL_NUM": -1.0}
-    assert parameters.read(file) == expected
+    assert parameters.read_parameters(file) == expected
 
 
 def test_both_files_of_a_tuning_give_the_same_parameters(tmp_path):
-    gains = replace(gain_files.FIRMWARE, PSC_POSXY_P=1.8, ATC_RAT_YAW_I=0.004165)
-    files = {"ardusub.param": gain_files.param, "ardusub.params": gain_files.params}
+    gains = replace(gain_files.FIRMWARE_DEFAULTS, PSC_POSXY_P=1.8, ATC_RAT_YAW_I=0.004165)
+    files = {
+        "ardusub.param": gain_files.format_param_file,
+        "ardusub.params": gain_files.format_params_file,
+    }
     values = []
     for name, write in files.items():
         (tmp_path / name).write_text(write(gains, 8, ["tuned"]))
-        values.append(parameters.read(tmp_path / name))
+        values.append(parameters.read_parameters(tmp_path / name))
     assert values[0] == values[1]
     assert values[0]["PSC_POSXY_P"] == 1.8
 
@@ -217,7 +220,7 @@ def test_parameters_of_two_vehicles_are_refused(tmp_path):
     file = tmp_path / "fleet.params"
     file.write_text("1\t1\tPSC_POSXY_P\t2.5\t9\n2\t1\tPSC_POSXY_P\t3.5\t9\n")
     with pytest.raises(ConfigError, match=r"fleet\.params:2: .*system '2' after system '1'"):
-        parameters.read(file)
+        parameters.read_parameters(file)
 
 
 @pytest.mark.parametrize(
@@ -233,4 +236,4 @@ def test_a_line_that_is_not_understood_is_refused_by_number(tmp_path, line, mess
     file = tmp_path / "vehicle.params"
     file.write_text("# comment\n" + line + "\n")
     with pytest.raises(ConfigError, match=r"vehicle\.params:2: .*" + re.escape(message)):
-        parameters.read(file)
+        parameters.read_parameters(file)

@@ -12,8 +12,8 @@ import pytest
 
 from angler_sitl.firmware import process, sockets
 from angler_sitl.firmware.binary import Binary
-from angler_sitl.firmware.process import Instance, Launch, kill_all
-from angler_sitl.wire.ports import allocate
+from angler_sitl.firmware.process import AutopilotProcess, LaunchSpec, kill_processes
+from angler_sitl.wire.ports import allocate_ports
 
 STATE = (
     '\n{{"timestamp":{:.4f},"imu":{{"gyro":[0,0,0],"accel_body":[0,0,-9.81]}},"position":[0,0,0],'
@@ -25,7 +25,7 @@ PATIENCE_S = 20.0
 
 def launch_of(binary, ports, folder, **changed):
     given = {"name": "robot_3", "sysid": 4, "parameters": {}, **changed}
-    return Launch(binary=binary, folder=folder, ports=ports, **given)
+    return LaunchSpec(binary=binary, folder=folder, ports=ports, **given)
 
 
 def answer(ports, steps, patience_s=PATIENCE_S):
@@ -50,15 +50,15 @@ def wait_for(happened):
 def test_runs_in_its_own_folder_and_session(stand_in, ports, tmp_path):
     folder = tmp_path / "robots" / "robot_3"
     launch = launch_of(stand_in, ports, folder, parameters={"FRAME_CONFIG": 2.0})
-    with Instance(launch) as instance:
+    with AutopilotProcess(launch) as instance:
         assert answer(ports, 10)
         assert instance.fault() is None
         # Its own session: Ctrl-C in the terminal is for us alone.
         assert os.getsid(instance.pid) == instance.pid
         made = {path.name for path in folder.iterdir()}
         assert {"eeprom.bin", process.LOG_NAME, process.PARAMETERS_NAME} <= made
-        assert "Starting sketch 'ArduSub'" in instance.tail()
-        assert len(instance.tail(1)) == 1
+        assert "Starting sketch 'ArduSub'" in instance.read_log_tail()
+        assert len(instance.read_log_tail(1)) == 1
     assert not psutil.pid_exists(instance.pid)
     assert instance.fault() is None
     instance.kill()
@@ -66,7 +66,7 @@ def test_runs_in_its_own_folder_and_session(stand_in, ports, tmp_path):
 
 def test_its_end_is_told_with_name_cause_and_last_words(stand_in, ports, tmp_path):
     launch = launch_of(stand_in, ports, tmp_path, parameters={"STANDIN_EXIT_S": 0.05})
-    with Instance(launch) as instance:
+    with AutopilotProcess(launch) as instance:
         wait_for(lambda: not answer(ports, 100, 0.1) and instance.fault())
         told = instance.fault()
     assert told.startswith("robot_3: ")
@@ -77,7 +77,7 @@ def test_its_end_is_told_with_name_cause_and_last_words(stand_in, ports, tmp_pat
 
 
 def test_killed_by_somebody_else(stand_in, ports, tmp_path):
-    with Instance(launch_of(stand_in, ports, tmp_path)) as instance:
+    with AutopilotProcess(launch_of(stand_in, ports, tmp_path)) as instance:
         assert answer(ports, 10)
         os.kill(instance.pid, signal.SIGKILL)
         wait_for(instance.fault)
@@ -85,7 +85,7 @@ def test_killed_by_somebody_else(stand_in, ports, tmp_path):
 
 
 def test_a_state_that_is_not_finite_kills_it(stand_in, ports, tmp_path):
-    with Instance(launch_of(stand_in, ports, tmp_path)) as instance:
+    with AutopilotProcess(launch_of(stand_in, ports, tmp_path)) as instance:
         _, peer = ports.fdm.recvfrom(256)
         ports.fdm.sendto(STATE.format(0.1).replace("-9.81", "NaN").encode(), peer)
         wait_for(instance.fault)
@@ -96,7 +96,7 @@ def test_a_state_that_is_not_finite_kills_it(stand_in, ports, tmp_path):
 @pytest.mark.parametrize("how", ["stopped", "hangs"])
 def test_a_hang_is_no_end(stand_in, ports, tmp_path, how):
     hangs = {"STANDIN_HANG_S": 0.05}
-    with Instance(launch_of(stand_in, ports, tmp_path, parameters=hangs)) as instance:
+    with AutopilotProcess(launch_of(stand_in, ports, tmp_path, parameters=hangs)) as instance:
         assert answer(ports, 5)
         if how == "stopped":
             os.kill(instance.pid, signal.SIGSTOP)
@@ -108,7 +108,7 @@ def test_a_hang_is_no_end(stand_in, ports, tmp_path, how):
 
 
 def test_term_is_only_noted_while_it_waits_so_more_is_done(stand_in, ports, tmp_path):
-    with Instance(launch_of(stand_in, ports, tmp_path)) as instance:
+    with AutopilotProcess(launch_of(stand_in, ports, tmp_path)) as instance:
         assert answer(ports, 10)
         ports.fdm.settimeout(PATIENCE_S)
         first = ports.fdm.recv(256)
@@ -124,7 +124,7 @@ def test_a_program_that_cannot_be_run(ports, tmp_path):
     nothing.write_text("no program")
     nothing.chmod(0o755)
     binary = Binary(path=nothing, version="", sha256="")
-    with Instance(launch_of(binary, ports, tmp_path / "run")) as instance:
+    with AutopilotProcess(launch_of(binary, ports, tmp_path / "run")) as instance:
         wait_for(instance.fault)
         assert "cannot be run (Exec format error)" in instance.fault()
 
@@ -134,13 +134,14 @@ def test_nothing_outlives_a_program_that_is_killed(stand_in, tmp_path):
         "import os, sys, time\n"
         "from pathlib import Path\n"
         "from angler_sitl.firmware.binary import Binary\n"
-        "from angler_sitl.wire.ports import allocate\n"
-        "from angler_sitl.firmware.process import Instance, Launch\n"
+        "from angler_sitl.wire.ports import allocate_ports\n"
+        "from angler_sitl.firmware.process import AutopilotProcess, LaunchSpec\n"
         "binary = Binary(path=Path(sys.argv[1]), version='', sha256='')\n"
-        "for i, ports in enumerate(allocate(2)):\n"
+        "for i, ports in enumerate(allocate_ports(2)):\n"
         "    folder = Path(sys.argv[2]) / str(i)\n"
-        "    one = Instance(Launch(binary=binary, folder=folder, name='r', sysid=1 + i, "
-        "ports=ports, parameters={}))\n"
+        "    launch = LaunchSpec(binary=binary, folder=folder, name='r', sysid=1 + i, "
+        "ports=ports, parameters={})\n"
+        "    one = AutopilotProcess(launch)\n"
         "    ports.fdm.recv(256)\n"
         "    print(one.pid, flush=True)\n"
         "time.sleep(60)\n"
@@ -168,8 +169,8 @@ def cycles(binary, folder, count):
     """Start, step and end an autopilot so many times; our memory after each, bytes."""
     used = []
     for _ in range(count):
-        (ports,) = allocate(1)
-        with Instance(launch_of(binary, ports, folder)):
+        (ports,) = allocate_ports(1)
+        with AutopilotProcess(launch_of(binary, ports, folder)):
             assert answer(ports, 5)
         ports.close()
         used.append(psutil.Process().memory_info().rss)
@@ -199,19 +200,19 @@ def test_a_hundred_starts_of_the_real_one(ardusub, tmp_path):
 
 @pytest.mark.sitl
 def test_a_fleet_ends_at_once_and_opens_one_socket_each(ardusub, tmp_path):
-    fleet = allocate(3)
+    fleet = allocate_ports(3)
     instances = [
-        Instance(launch_of(ardusub, ports, tmp_path / str(i), sysid=1 + i))
+        AutopilotProcess(launch_of(ardusub, ports, tmp_path / str(i), sysid=1 + i))
         for i, ports in enumerate(fleet)
     ]
     for ports in fleet:
         assert answer(ports, 1000)
     for one in instances:
         # State packets come by this one; that for radio control found its port taken.
-        (reachable,) = (s for s in sockets.of(one.pid) if not s.loopback)
+        (reachable,) = (s for s in sockets.list_sockets(one.pid) if not s.is_loopback)
         assert reachable.protocol == "udp"
         assert Path(f"{one.launch.folder}/eeprom.bin").stat().st_size == 16384
-    kill_all(instances)
+    kill_processes(instances)
     assert not any(psutil.pid_exists(one.pid) for one in instances)
     for ports in fleet:
         ports.close()

@@ -32,10 +32,10 @@ def test_the_version_is_that_of_the_bytes(number, commit, version):
 
 
 def test_a_program_without_a_record_states_its_version(stand_in, monkeypatch):
-    monkeypatch.setenv(binary.ENVIRONMENT, str(stand_in.path))
-    named = binary.find()
-    assert named.version == binary.UNKNOWN
-    assert probe.identified(named) == dataclasses.replace(named, version="4.6.0-dev")
+    monkeypatch.setenv(binary.ENVIRONMENT_VARIABLE, str(stand_in.path))
+    named = binary.find_binary()
+    assert named.version == binary.UNKNOWN_VERSION
+    assert probe.identify_version(named) == dataclasses.replace(named, version="4.6.0-dev")
 
 
 def test_what_states_no_version_is_refused(tmp_path):
@@ -43,9 +43,9 @@ def test_what_states_no_version_is_refused(tmp_path):
     program.write_text("#!/bin/sh\nexit 3\n")
     program.chmod(0o755)
     with pytest.raises(ConfigError, match=r"ardusub: does not state its version"):
-        probe.identified(binary.find(program))
+        probe.identify_version(binary.find_binary(program))
 
 
 def test_a_recorded_version_is_kept(tmp_path):
     held = binary.Binary(path=tmp_path / "nothing", version="4.5.3", sha256="")
-    assert probe.identified(held) is held
+    assert probe.identify_version(held) is held

@@ -88,8 +88,8 @@ def session(compiled, request, monkeypatch):
         compiled.reset()
         return compiled
 
-    monkeypatch.setattr(mission, "_open", opened)
-    monkeypatch.setattr(mission.binaries, "find", lambda _: compiled.settings.binary)
+    monkeypatch.setattr(mission, "_open_session", opened)
+    monkeypatch.setattr(mission.binaries, "find_binary", lambda _: compiled.settings.binary)
     yield compiled
     compiled.settings = before
 
@@ -125,7 +125,7 @@ def gone(pids):
 
 
 def fly(scenario, out, board, **given):
-    return mission.run(scenario, MissionSettings(out=out, **given), lambda _: None, board)
+    return mission.run_mission(scenario, MissionSettings(out=out, **given), lambda _: None, board)
 
 
 @both
@@ -145,7 +145,7 @@ def test_a_flight_is_a_run_like_any_other(session, scenario, tmp_path, program):
     np.testing.assert_allclose(truth[0], [[-2, -2, -5], [-2, 2, -5]], atol=1e-6)
     # Told every 20 ms, and carried on from then.
     np.testing.assert_allclose(known, truth, atol=0.02)
-    mcap.export(again, tmp_path / "out.mcap", [0])
+    mcap.export_bag(again, tmp_path / "out.mcap", [0])
     for name in ("robot_0", "robot_1"):
         logs = run.path / "robots" / name
         # A telemetry log begins with a time and a packet of the second version.
@@ -162,7 +162,7 @@ def test_the_referee_agrees_with_what_was_judged(session, scenario, tmp_path, pr
     fine = scenario.model_copy(update={"time": timing})
     _, run = fly(fine, tmp_path / "run", Board(), duration_s=2.0)
     verdict = referee.judge(run.path)
-    assert [one.line() for one in verdict.differences] == []
+    assert [one.format_line() for one in verdict.differences] == []
     assert {count.exact for count in verdict.counts.values()} == {2}
     assert verdict.counts["energy_j"].largest < 1e-5
     if program == "ardusub":
@@ -229,10 +229,10 @@ def test_trajectories_of_files_are_flown_and_their_end_is_the_end(
     session, scenario, tmp_path, program
 ):
     first, second = tmp_path / "first.json", tmp_path / "second.json"
-    joint_trajectory_file.write(first, {0: HERE})
+    joint_trajectory_file.write_trajectories(first, {0: HERE})
     # The stand-in does not move: it could follow no other.
     still = goal((1.0, (-2.0, 2.0, -5.0)))
-    joint_trajectory_file.write(second, {1: STEP if program == "ardusub" else still})
+    joint_trajectory_file.write_trajectories(second, {1: STEP if program == "ardusub" else still})
     plan = (str(first), str(second))
     flight, run = fly(scenario, tmp_path / "run", Board(), plan=plan)
     assert flight.scene_s < 20.0  # of 60
@@ -260,7 +260,7 @@ def test_trajectories_that_cannot_be_flown_are_named(session, scenario, tmp_path
     files = []
     for i, goals in enumerate(given):
         files.append(str(tmp_path / f"{i}.json"))
-        joint_trajectory_file.write(Path(files[-1]), goals)
+        joint_trajectory_file.write_trajectories(Path(files[-1]), goals)
     with pytest.raises(ConfigError, match=message):
         fly(scenario, tmp_path / "run", Board(), plan=files)
     assert sorted(os.listdir(tmp_path)) == sorted(Path(name).name for name in files)
@@ -348,12 +348,12 @@ def test_keys_drive_a_real_autopilot(session, scenario, tmp_path, ardusub):
     def opened(scenario, world, logs, tell):
         session.settings = replace(session.settings, folder=logs)
         session.reset()
-        return opening.Opened(session=Shared(session))
+        return opening.OpenedSession(session=Shared(session))
 
     settings = driving.TeleopSettings(
         script=tmp_path / "keys.txt", realtime=False, out=tmp_path / "run", speed_mps=0.3
     )
-    _, run = driving.run(scenario, settings, opener=opened)
+    _, run = driving.run_teleop(scenario, settings, opener=opened)
     p = np.asarray(run.trajectories["p_m"])[0]
     q = np.asarray(run.trajectories["q"])[0, 0, 0]
     ahead = np.array([1 - 2 * (q[2] ** 2 + q[3] ** 2), 2 * (q[1] * q[2] + q[0] * q[3]), 0.0])

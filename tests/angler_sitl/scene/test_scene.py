@@ -63,7 +63,7 @@ def test_the_same_signals_make_the_same_way_as_in_the_simulator(afloat):
         lambda event, *_, **said: "trace" in event and traced.append(said.get("fun_name"))
     )
     for pwm in series(60):
-        for _ in range(scene.period):
+        for _ in range(scene.steps_per_period):
             scene.step(pwm)
         scene.judge()
         command = ThrusterPwm(pwm_us=pwm[None, :, :8].astype(theirs.vehicles.p.dtype))
@@ -92,7 +92,7 @@ def test_accelerations_sum_to_the_velocities(afloat):
     gravity = np.array([0.0, 0.0, 9.80665])
     velocity = afloat.states.v_ned.copy()
     for pwm in series(10, seed=2):
-        for _ in range(afloat.period):
+        for _ in range(afloat.steps_per_period):
             now = afloat.step(pwm)
             for i in range(2):
                 velocity[i] += afloat.dt_s * (matrix(now.q[i]) @ now.accel_body[i] + gravity)
@@ -155,7 +155,7 @@ def test_nobody_flies_out_of_the_water(afloat):
     up[:, 4:8] = 1100
     highest = -np.inf
     for _ in range(800):  # 40 s from 25 m, at 0.8 m/s
-        for _ in range(afloat.period):
+        for _ in range(afloat.steps_per_period):
             highest = max(highest, float(-afloat.step(up).p_ned[:, 2].min()))
         afloat.judge()
     outcome = np.asarray(afloat.state.tally.outcome)[0]

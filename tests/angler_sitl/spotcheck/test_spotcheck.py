@@ -34,7 +34,15 @@ from angler_mjx.runs.storage.folder import (
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.sim.state import Outcome, World
 from angler_sitl.firmware import parameters, probe
-from angler_sitl.spotcheck import checking, figures, flight, flying, gaps, picking, scenes
+from angler_sitl.spotcheck import (
+    figures,
+    flight,
+    gaps,
+    rebuilt_worlds,
+    runner,
+    world_flyers,
+    world_selection,
+)
 from angler_sitl.spotcheck.flight import SpotcheckFlight
 from angler_sitl.spotcheck.results import SpotcheckSettings
 
@@ -98,7 +106,7 @@ count = 2
 [planner]
 replan_hz = 1.0
 delay_s = 0.25
-knows = {obstacles = "observed"}
+information = {obstacles = "observed"}
 """
 
 
@@ -112,7 +120,7 @@ def episodes(outcomes):
 def test_rare_outcomes_are_picked_first():
     table = episodes(["reached"] * 40 + ["timeout"] * 5 + ["diverged"])
     for seed in range(10):
-        picks = picking.pick(table, 6, seed=seed)
+        picks = world_selection.pick_worlds(table, 6, seed=seed)
         worlds = [pick.world for pick in picks]
         assert worlds == sorted(set(worlds))
         why = [pick.why for pick in picks]
@@ -120,27 +128,32 @@ def test_rare_outcomes_are_picked_first():
         assert why.count("diverged") == 1
         assert why.count("timeout") in (2, 3)
         assert 45 in worlds
-    assert picking.pick(table, 6, seed=3) == picking.pick(table, 6, seed=3)
-    drawn = {tuple(p.world for p in picking.pick(table, 6, seed=seed)) for seed in range(10)}
+    assert world_selection.pick_worlds(table, 6, seed=3) == world_selection.pick_worlds(
+        table, 6, seed=3
+    )
+    drawn = {
+        tuple(p.world for p in world_selection.pick_worlds(table, 6, seed=seed))
+        for seed in range(10)
+    }
     assert len(drawn) > 1
 
 
 def test_without_strata_any_world_is_as_likely():
     table = episodes(["reached"] * 19 + ["diverged"])
     rare = sum(
-        19 in [p.world for p in picking.pick(table, 2, seed=seed, stratify="none")]
+        19 in [p.world for p in world_selection.pick_worlds(table, 2, seed=seed, stratify="none")]
         for seed in range(200)
     )
     # 2 of 20 worlds: 20 of 200 draws, with a standard deviation of 4.2.
     assert 4 <= rare <= 36
-    assert len(picking.pick(table, 20, stratify="none")) == 20
+    assert len(world_selection.pick_worlds(table, 20, stratify="none")) == 20
 
 
 def test_more_worlds_than_there_are_cannot_be_picked():
     with pytest.raises(ConfigError, match="the run has 3 worlds"):
-        picking.pick(episodes(["reached"] * 3), 4)
+        world_selection.pick_worlds(episodes(["reached"] * 3), 4)
     with pytest.raises(ConfigError, match="--episodes 0"):
-        picking.pick(episodes(["reached"] * 3), 0)
+        world_selection.pick_worlds(episodes(["reached"] * 3), 0)
 
 
 def straight(*, delay_s=0.0, aside_m=0.0, end_s=20.0, outcome="reached", pwm_us=1600):
@@ -161,7 +174,7 @@ def straight(*, delay_s=0.0, aside_m=0.0, end_s=20.0, outcome="reached", pwm_us=
 
 
 def test_a_way_aside_is_as_far_as_it_is():
-    (gap,) = gaps.between(0, straight(aside_m=0.3, pwm_us=1650), straight())
+    (gap,) = gaps.compute_gaps(0, straight(aside_m=0.3, pwm_us=1650), straight())
     for value in (gap.track_rms_m, gap.path_rms_m, gap.track_end_m, gap.endpoint_m):
         assert value == pytest.approx(0.3)
     assert gap.arrival_s == 0.0
@@ -171,7 +184,7 @@ def test_a_way_aside_is_as_far_as_it_is():
 
 
 def test_a_delay_is_no_way_aside():
-    (gap,) = gaps.between(0, straight(delay_s=2.0, end_s=22.0), straight())
+    (gap,) = gaps.compute_gaps(0, straight(delay_s=2.0, end_s=22.0), straight())
     # 1 m behind, but for the first 2 s, in which that grows: rms over 20 s by integration.
     assert gap.track_rms_m == pytest.approx(np.sqrt((18.0 + 2.0 / 3.0) / 20.0), rel=0.01)
     assert gap.track_end_m == pytest.approx(1.0)
@@ -182,7 +195,7 @@ def test_a_delay_is_no_way_aside():
 
 def test_robots_are_compared_until_the_first_of_both_ends():
     failed = straight(end_s=7.1, outcome="collision_static")
-    (gap,) = gaps.between(5, failed, straight())
+    (gap,) = gaps.compute_gaps(5, failed, straight())
     assert (gap.world, gap.robot) == (5, 0)
     assert gap.time_s[-1] == pytest.approx(7.0)
     assert gap.track_rms_m == pytest.approx(0.0, abs=1e-9)
@@ -194,12 +207,12 @@ def test_robots_are_compared_until_the_first_of_both_ends():
 
 
 def test_sums_count_what_they_say():
-    same = gaps.between(0, straight(aside_m=0.1), straight())
-    lost = gaps.between(1, straight(end_s=5.0, outcome="timeout"), straight())
-    either = gaps.between(
+    same = gaps.compute_gaps(0, straight(aside_m=0.1), straight())
+    lost = gaps.compute_gaps(1, straight(end_s=5.0, outcome="timeout"), straight())
+    either = gaps.compute_gaps(
         2, straight(outcome="timeout"), straight(outcome="collision_static", aside_m=0.5)
     )
-    one = gaps.add_up([*same, *lost, *either])
+    one = gaps.summarise_gaps([*same, *lost, *either])
     assert (one.robots, one.agree, one.arrivals_agree) == (3, 1, 2)
     assert one.endpoint_m[0] == pytest.approx(0.1)  # only of the one that agrees
     assert one.track_rms_m[0] == pytest.approx(0.1)
@@ -257,25 +270,25 @@ def test_a_run_that_a_policy_commanded_is_refused(run, settings, tmp_path, capsy
 def test_a_name_that_cannot_be_is_refused(flag, run, settings, tmp_path):
     long = tmp_path / ("x" * 300)
     with pytest.raises(ConfigError, match=f"{flag} x.*has 300 bytes"):
-        checking.check(run.path, settings, long, None, resume=flag == "--resume")
+        runner.run_spot_check(run.path, settings, long, None, resume=flag == "--resume")
 
 
 def test_a_world_is_made_again_byte_by_byte(run, world):
-    like = scenes.compare(run, 1, world)
+    like = rebuilt_worlds.compare_world(run, 1, world)
     assert like.identical == like.arrays > 10
-    assert "byte by byte" in like.text()
+    assert "byte by byte" in like.describe()
 
 
 def test_the_plans_that_were_recorded_are_flown(run, made, world, tmp_path):
     """Whatever the planner of the scenario would give now; of either type, byte by byte."""
-    flown = scenes.planned(run, 1, world)
+    flown = rebuilt_worlds.add_recorded_plans(run, 1, world)
     assert jax.tree.structure(flown) == jax.tree.structure(world)
     np.testing.assert_array_equal(flown.path.position_m, world.path.position_m)
     np.testing.assert_array_equal(flown.path.time_s, world.path.time_s)
     assert np.asarray(flown.planned).all()
     motion = made.make_motion(2)
     jointed = made.make_run(tmp_path / "run", [made.make_scene(0), made.make_scene(1)], 2, motion)
-    path = scenes.planned(jointed, 1, world).path
+    path = rebuilt_worlds.add_recorded_plans(jointed, 1, world).path
     assert isinstance(path, JointTrajectory)
     np.testing.assert_array_equal(path.position[..., :3], world.path.position_m)
     np.testing.assert_array_equal(path.position[0, ..., 3], motion["plan_yaw_rad"][1])
@@ -286,27 +299,27 @@ def test_the_plans_that_were_recorded_are_flown(run, made, world, tmp_path):
 
 def test_another_world_is_refused_and_rounding_is_told(run, world):
     with pytest.raises(RunError, match="world 0 cannot be made again"):
-        scenes.compare(run, 0, world)
+        rebuilt_worlds.compare_world(run, 0, world)
     environment = world.environment
     near = replace(environment, start_m=environment.start_m + 1e-5)
-    like = scenes.compare(run, 1, replace(world, environment=near))
+    like = rebuilt_worlds.compare_world(run, 1, replace(world, environment=near))
     assert like.identical == like.arrays - 1
     assert like.where == "environment/start_m"
     assert 0 < like.difference < 2e-5
 
 
 def test_a_flight_is_read_as_it_was_written(run, tmp_path):
-    known = flight.recorded(run, 1, 4)
+    known = flight.load_recorded(run, 1, 4)
     assert known.p_m.shape == (301, 4, 3)  # 60 s at 5 Hz
-    flight.save(tmp_path / "a" / "one.npz", known)
-    again = flight.load(tmp_path / "a" / "one.npz")
+    flight.save_flight(tmp_path / "a" / "one.npz", known)
+    again = flight.load_flight(tmp_path / "a" / "one.npz")
     np.testing.assert_array_equal(again.p_m, known.p_m)
     np.testing.assert_array_equal(again.pwm_us, known.pwm_us)
     assert json.dumps(again.rows) == json.dumps(known.rows)
-    assert flight.recorded(run, 1, 1).p_m.shape == (301, 1, 3)
+    assert flight.load_recorded(run, 1, 1).p_m.shape == (301, 1, 3)
     (tmp_path / "a" / "one.npz").write_bytes(b"PK\x03\x04 cut short")
     with pytest.raises(ConfigError, match=r"one\.npz: cannot be read"):
-        flight.load(tmp_path / "a" / "one.npz")
+        flight.load_flight(tmp_path / "a" / "one.npz")
 
 
 class Told:
@@ -318,13 +331,13 @@ class Told:
     def start(self, flights, done):
         self.begun = (flights, done)
 
-    def doing(self, what):
+    def report_task(self, what):
         pass
 
-    def at(self, share):
+    def update_fraction(self, share):
         pass
 
-    def flown(self):
+    def finish_flight(self):
         self.flights += 1
 
 
@@ -345,7 +358,7 @@ class Shifted:
             raise KeyboardInterrupt
         self._left[0] -= 1
         tell(1.0)
-        known = flight.recorded(self._run, index, worlds.variant.shape[1])
+        known = flight.load_recorded(self._run, index, worlds.variant.shape[1])
         return replace(known, p_m=known.p_m + np.array([0.0, 0.0, self._aside]))
 
 
@@ -355,11 +368,15 @@ def flyers(monkeypatch, run, stand_in, world):
     left = [-1]
     aside = {"surrogate": 0.05, "cascade": 0.0, "thrusters": 0.1, "guided": 0.3}
     monkeypatch.setattr(
-        checking, "_flyer", lambda found, name, count: Shifted(run, aside[name], left)
+        runner, "_make_flyer", lambda found, name, count: Shifted(run, aside[name], left)
     )
-    monkeypatch.setattr(checking.scenes, "draw", lambda scenario, indices: {1: world})
     monkeypatch.setattr(
-        checking.picking, "pick", lambda *_, **__: (picking.Pick(world=1, why="x"),)
+        runner.rebuilt_worlds, "sample_worlds", lambda scenario, indices: {1: world}
+    )
+    monkeypatch.setattr(
+        runner.world_selection,
+        "pick_worlds",
+        lambda *_, **__: (world_selection.WorldPick(world=1, why="x"),),
     )
     return left
 
@@ -371,7 +388,7 @@ def settings(stand_in):
 
 def test_a_spot_check_reports_the_gaps(run, flyers, settings, tmp_path):
     out, told = tmp_path / "check", Told()
-    found = checking.check(run.path, settings, out, told)
+    found = runner.run_spot_check(run.path, settings, out, told)
     assert found.complete
     assert (told.begun, told.flights) == ((4, 0), 4)
     with (out / "gaps.csv").open() as file:
@@ -387,28 +404,28 @@ def test_a_spot_check_reports_the_gaps(run, flyers, settings, tmp_path):
         assert name in report
         assert (out / name).stat().st_size > 10_000
     with pytest.raises(ConfigError, match="exists"):
-        checking.check(run.path, settings, out, told)
+        runner.run_spot_check(run.path, settings, out, told)
     with pytest.raises(ConfigError, match="complete"):
-        checking.check(run.path, settings, out, told, resume=True)
+        runner.run_spot_check(run.path, settings, out, told, resume=True)
 
 
 def test_what_was_interrupted_goes_on(run, flyers, settings, tmp_path, monkeypatch):
     # Drawn in the test above; here they would take most of the time.
-    for name in ("summary", "overlay"):
+    for name in ("plot_summary", "plot_world"):
         monkeypatch.setattr(figures, name, lambda *_: Figure(figsize=(1.0, 1.0)))
     out, told = tmp_path / "check", Told()
     flyers[0] = 3
-    found = checking.check(run.path, settings, out, told)
+    found = runner.run_spot_check(run.path, settings, out, told)
     assert not found.complete
     assert "Interrupted" in (out / "report.md").read_text()
     assert [key[1] for key in found.flights] == ["recorded", "surrogate", "cascade", "thrusters"]
     with pytest.raises(ConfigError, match="--resume"):
-        checking.check(run.path, settings, out, told)
+        runner.run_spot_check(run.path, settings, out, told)
     other = replace(settings, source="vicon")
     with pytest.raises(ConfigError, match="begun with source = vision"):
-        checking.check(run.path, other, out, told, resume=True)
+        runner.run_spot_check(run.path, other, out, told, resume=True)
     flyers[0] = -1
-    again = checking.check(run.path, settings, out, told, resume=True)
+    again = runner.run_spot_check(run.path, settings, out, told, resume=True)
     assert again.complete
     assert told.begun == (4, 3)
     assert "Interrupted" not in (out / "report.md").read_text()
@@ -445,7 +462,7 @@ def test_fewer_robots_of_a_world_are_the_first_of_it(world):
         variant=like.variant[:, :3],
         environment=replace(like.environment, start_m=like.environment.start_m[:, :3]),
     )
-    cut = scenes.cut(world, short, 3)
+    cut = rebuilt_worlds.select_robots(world, short, 3)
     assert cut.variant.shape == (1, 3)
     assert cut.path.time_s.shape == (1, 3, 4)
     np.testing.assert_array_equal(cut.environment.start_m, world.environment.start_m[:, :3])
@@ -460,7 +477,7 @@ def anew(run, tmp_path):
     config = json.loads((copy / "config.json").read_text())
     planner = config["planner"]
     planner |= {"replan_hz": 2.0, "delay_s": 0.25}
-    planner["knows"] = {"obstacles": "observed", "current": "nothing"}
+    planner["information"] = {"obstacles": "observed", "current": "nothing"}
     config["execution"] = {"order": "kept"}
     (copy / "config.json").write_text(json.dumps(config))
     (copy / "policy.json").write_text('{"class": "of the scenario", "sha256": "0"}')
@@ -470,9 +487,9 @@ def anew(run, tmp_path):
 def test_a_run_that_planned_anew_is_checked_and_said_to_be_one(
     anew, flyers, settings, tmp_path, monkeypatch
 ):
-    for name in ("summary", "overlay"):
+    for name in ("plot_summary", "plot_world"):
         monkeypatch.setattr(figures, name, lambda *_: Figure(figsize=(1.0, 1.0)))
-    found = checking.check(anew, settings, tmp_path / "check", Told())
+    found = runner.run_spot_check(anew, settings, tmp_path / "check", Told())
     assert found.complete
     report = (tmp_path / "check" / "report.md").read_text()
     for said in ("at 2 Hz", "0.25 s later", "obstacles: observed", "in the order"):
@@ -522,12 +539,12 @@ class Planning:
 
 @pytest.mark.parametrize("online", [True, False])
 def test_autopilots_are_told_what_the_policy_of_the_scenario_says(online, monkeypatch):
-    monkeypatch.setattr(flying, "SitlSession", Booted)
-    monkeypatch.setattr(flying.online, "OnlineFlyer", Planning)
-    monkeypatch.setattr(flying.flight, "flown", lambda *_, **__: None)
+    monkeypatch.setattr(world_flyers, "SitlSession", Booted)
+    monkeypatch.setattr(world_flyers.online_policy, "OnlineFlyer", Planning)
+    monkeypatch.setattr(world_flyers.flight, "build_flight", lambda *_, **__: None)
     monkeypatch.setattr(Planning, "made", 0)
     time = SimpleNamespace(control_steps=3, steps_per_sample=1, control_dt_s=0.05)
-    flyer = flying.SitlFlyer(
+    flyer = world_flyers.SitlFlyer(
         SimpleNamespace(time=time, seed=1, online=online), "guided", "vision", "max", None
     )
     for index in (4, 7):
@@ -543,9 +560,9 @@ def test_autopilots_are_told_what_the_policy_of_the_scenario_says(online, monkey
 
 @pytest.mark.sitl
 def test_the_surrogates_gains_are_those_of_the_firmware(ardusub, tmp_path):
-    given = parameters.for_vehicle(library.load("bluerov2_heavy"), "guided", "vision")
-    with probe.standing_still(ardusub, tmp_path, given) as still:
-        read = probe.ask(still).parameters
+    given = parameters.for_vehicle(library.load_vehicle("bluerov2_heavy"), "guided", "vision")
+    with probe.start_stationary(ardusub, tmp_path, given) as still:
+        read = probe.query_autopilot(still).parameters
     ours = vars(ArduSubGains())
     trims = {read[f"SERVO{n}_TRIM"] for n in range(1, 9)}
     assert trims == {ours.pop("SERVO_TRIM")}
@@ -565,14 +582,14 @@ def test_a_real_autopilot_flies_the_plan_of_a_run(ardusub, tmp_path):
     settings = SpotcheckSettings(
         episodes=1, against=("cascade",), levels=("thrusters",), binary=ardusub.path
     )
-    found = checking.check(run.path, settings, tmp_path / "check", Told())
+    found = runner.run_spot_check(run.path, settings, tmp_path / "check", Told())
     assert all("byte by byte" in text for text in found.likeness.values())
-    for gap in found.gaps("thrusters", 2, "cascade"):
+    for gap in found.list_gaps("thrusters", 2, "cascade"):
         # The same controllers on the same plan, by way of a real autopilot's filter and outputs,
         # some 10 ms later: at 0.5 m/s that is a centimetre or so. Left standing it would be 2 m.
         assert gap.track_rms_m < 0.1
         assert gap.agrees
-    for gap in found.gaps("thrusters", 2, "recorded"):
+    for gap in found.list_gaps("thrusters", 2, "recorded"):
         assert gap.track_rms_m < 0.1
 
 
@@ -582,11 +599,11 @@ def test_a_real_autopilot_is_planned_for_anew_as_in_a_run(ardusub, tmp_path):
     (tmp_path / "crossing.toml").write_text(CROSSING)
     run = rollout(load_scenario(tmp_path / "crossing.toml"), out=tmp_path / "run")
     settings = SpotcheckSettings(episodes=1, against=(), levels=("guided",), binary=ardusub.path)
-    found = checking.check(run.path, settings, tmp_path / "check", Told())
+    found = runner.run_spot_check(run.path, settings, tmp_path / "check", Told())
     rows = found.flights[0, "guided", 2].rows
     # Along its first plan it is hit: see the flights of planning/online, in the same scene.
     assert [row["outcome"] for row in rows] == ["reached", "reached"]
-    for gap in found.gaps("guided", 2, "recorded"):
+    for gap in found.list_gaps("guided", 2, "recorded"):
         assert gap.agrees
         # Of two plans that are nearly as good either may be taken, and then flights are a metre
         # apart; both are flown at cruise speed, 20 s of it.

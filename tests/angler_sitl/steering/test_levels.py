@@ -30,7 +30,7 @@ def estimate(p=(0.0, 0.0, -3.0), yaw=0.5):
 @pytest.fixture(scope="module")
 def guided():
     """A step of the level: (memory, estimate, command) -> (memory, target)."""
-    spec = levels.spec_of("guided", SimSpec())
+    spec = levels.build_level_spec("guided", SimSpec())
 
     @jax.jit
     def step(memory, known, command):
@@ -82,7 +82,7 @@ def test_a_twist_begins_where_the_robot_is_and_not_at_the_pose_before(guided):
 
 
 def test_sticks_are_let_go_where_a_robot_is_to_stay():
-    spec = levels.spec_of("poshold", SimSpec())
+    spec = levels.build_level_spec("poshold", SimSpec())
     known = estimate()
     memory = stack.reset(spec.stages, known, jnp.asarray(0.5))
 
@@ -111,14 +111,14 @@ ROBOT = RobotInfo(
 
 def test_sticks_are_shares_of_the_top_speeds():
     half = np.array([0.5, -0.4, 0.25, 9, 9, -1.0])
-    deflection = sticks.of_twist("manual", ROBOT, half)
+    deflection = sticks.twist_to_sticks("manual", ROBOT, half)
     np.testing.assert_allclose(deflection, [0.5, -0.5, 0.5, -0.5])
-    sent = messages.sticks(1, deflection)
+    sent = messages.build_manual_control(1, deflection)
     # Right and clockwise are positive there, and 500 is neither up nor down.
     assert (sent.x, sent.y, sent.z, sent.r) == (500, 500, 750, 500)
-    beyond = messages.sticks(1, np.array([-9.0, -9, 9, -9]))
+    beyond = messages.build_manual_control(1, np.array([-9.0, -9, 9, -9]))
     assert (beyond.x, beyond.y, beyond.z, beyond.r) == (-1000, 1000, 1000, 1000)
-    assert sticks.parameters("manual", ROBOT) == {}
+    assert sticks.stick_parameters("manual", ROBOT) == {}
 
 
 def climb(stick, scales):
@@ -130,30 +130,32 @@ def climb(stick, scales):
 
 
 def test_where_a_stick_is_a_velocity_the_dead_zone_is_jumped_over():
-    scales = sticks.parameters("poshold", ROBOT)
+    scales = sticks.stick_parameters("poshold", ROBOT)
     nu = np.array([0.3, -0.2, 0.1, 0, 0, 0.4])
-    x, y, z, turn = sticks.of_twist("poshold", ROBOT, nu)
+    x, y, z, turn = sticks.twist_to_sticks("poshold", ROBOT, nu)
     # As the firmware reads them: PILOT_SPEED counts from the end of the dead zone.
     assert (abs(x) - 0.25) * scales["PILOT_SPEED"] == pytest.approx(30.0, abs=0.3)  # whole cm/s
     assert (abs(y) - 0.25) * scales["PILOT_SPEED"] == pytest.approx(20.0, abs=0.3)
     assert (x > 0, y < 0) == (True, True)
     assert climb(z, scales) == pytest.approx(10.0)
-    down = sticks.of_twist("poshold", ROBOT, -nu)[2]
+    down = sticks.twist_to_sticks("poshold", ROBOT, -nu)[2]
     assert climb(down, scales) == pytest.approx(-10.0)
     assert (turn - 0.1) / 0.9 * 4500 * 3.375 == pytest.approx(100 * np.degrees(0.4))
-    np.testing.assert_array_equal(sticks.of_twist("poshold", ROBOT, np.zeros(6)), np.zeros(4))
-    level = sticks.of_twist("althold", ROBOT, nu)[:2]
+    np.testing.assert_array_equal(
+        sticks.twist_to_sticks("poshold", ROBOT, np.zeros(6)), np.zeros(4)
+    )
+    level = sticks.twist_to_sticks("althold", ROBOT, nu)[:2]
     np.testing.assert_allclose(level, [0.3, -0.25])  # thrust there, without a dead zone
 
 
 def test_each_level_takes_what_it_can_follow():
     ours = (Trajectory, PoseTarget, ThrusterPwm, JointGoal)
-    assert levels.accepts("thrusters", ours) == ours
-    guided = levels.accepts("guided", ours)
+    assert levels.accepted_command_types("thrusters", ours) == ours
+    guided = levels.accepted_command_types("guided", ours)
     assert {Trajectory, PoseTarget, TrackingTarget, BodyTwist, JointGoal} < set(guided)
     assert ThrusterPwm not in guided
     for level in levels.STICK_LEVELS:
-        assert levels.accepts(level, ours) == (BodyTwist,)
-    assert set(levels.MODES) == set(LEVELS)
+        assert levels.accepted_command_types(level, ours) == (BodyTwist,)
+    assert set(levels.LEVEL_MODES) == set(LEVELS)
     with pytest.raises(ConfigError, match=r"'autopilot'.*guided"):
-        levels.spec_of("autopilot", SimSpec())
+        levels.build_level_spec("autopilot", SimSpec())

@@ -10,8 +10,8 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from scipy.spatial.transform import Rotation
 
 from angler_sitl.wire import messages
-from angler_sitl.wire.link import Link
-from angler_sitl.wire.tlog import Telemetry
+from angler_sitl.wire.link import MavlinkLink
+from angler_sitl.wire.tlog import TelemetryLog
 
 LOOPBACK = "127.0.0.1"
 
@@ -54,12 +54,12 @@ def ends():
 
 def test_answers_go_to_where_its_packets_come_from(ends):
     bound, far = ends
-    link = Link(bound, name="robot_0", sysid=3)
+    link = MavlinkLink(bound, name="robot_0", sysid=3)
     link.tick(0.0)
-    assert not link.heard
+    assert not link.has_peer
     far.beat()
     link.tick(0.05)
-    assert link.heard
+    assert link.has_peer
     assert [one.get_type() for one in far.hear()] == ["HEARTBEAT"]
     moved = Far(bound.getsockname())  # it began anew: another port
     moved.beat(mode=19)
@@ -74,12 +74,12 @@ def test_answers_go_to_where_its_packets_come_from(ends):
 
 def test_others_are_not_heard(ends):
     bound, _ = ends
-    link = Link(bound, name="robot_0", sysid=3)
+    link = MavlinkLink(bound, name="robot_0", sysid=3)
     stranger = Far(bound.getsockname(), sysid=4)
     stranger.beat()
     stranger.socket.sendto(b"no MAVLink at all", bound.getsockname())
     link.tick(0.0)
-    assert not link.heard
+    assert not link.has_peer
     assert not link.latest
     stranger.hears_nothing()
     stranger.socket.close()
@@ -87,7 +87,7 @@ def test_others_are_not_heard(ends):
 
 def test_heartbeats_are_paced_by_the_clock_of_the_scene(ends):
     bound, far = ends
-    link = Link(bound, name="robot_0", sysid=3)
+    link = MavlinkLink(bound, name="robot_0", sysid=3)
     far.beat()
     for period in range(101):  # 5 s of the scene in no time at all
         link.tick(0.05 * period)
@@ -103,7 +103,7 @@ def test_heartbeats_are_paced_by_the_clock_of_the_scene(ends):
 
 def test_parameters_texts_and_answers_are_kept(ends):
     bound, far = ends
-    link = Link(bound, name="robot_0", sysid=3)
+    link = MavlinkLink(bound, name="robot_0", sysid=3)
     far.say(dialect.MAVLink_param_value_message(b"SIM_RATE_HZ", 400.0, 9, 2, 1))
     far.say(dialect.MAVLink_statustext_message(3, b"PreArm: no"))
     far.say(dialect.MAVLink_command_ack_message(400, 4))
@@ -118,8 +118,8 @@ def test_parameters_texts_and_answers_are_kept(ends):
 
 def test_a_ground_station_reads_the_log(ends, tmp_path):
     bound, far = ends
-    log = Telemetry(tmp_path / "mavlink.tlog")
-    link = Link(bound, name="robot_0", sysid=3, tap=log.tap)
+    log = TelemetryLog(tmp_path / "mavlink.tlog")
+    link = MavlinkLink(bound, name="robot_0", sysid=3, tap=log.log_packet)
     far.beat()
     link.tick(0.0)  # its heartbeat, and ours
     far.say(dialect.MAVLink_local_position_ned_message(12000, 1, 2, 3, 4, 5, 6))
@@ -146,7 +146,7 @@ def sent(message):
 
 def test_targets_are_told_in_north_east_down():
     target = sent(
-        messages.position_target(
+        messages.build_position_target(
             5, 2.5, np.array([1.0, 2.0, -3.0]), np.array([0.1, 0.2, 0.3]), np.pi / 2
         )
     )
@@ -161,7 +161,9 @@ def test_targets_are_told_in_north_east_down():
 
 
 def test_signals_are_radio_channels():
-    override = sent(messages.override(2, np.array([1100.4, 1500.0, 1899.6, 1500, 1500, 1500])))
+    override = sent(
+        messages.build_override(2, np.array([1100.4, 1500.0, 1899.6, 1500, 1500, 1500]))
+    )
     channels = [getattr(override, f"chan{i}_raw") for i in range(1, 19)]
     assert channels == [1100, 1500, 1900, 1500, 1500, 1500, *[0] * 12]
 

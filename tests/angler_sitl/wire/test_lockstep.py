@@ -8,11 +8,11 @@ import pytest
 
 from angler_mjx.errors import RunError
 from angler_sitl.firmware import process
-from angler_sitl.scene.scene import States
+from angler_sitl.scene.scene import SensorStates
 from angler_sitl.wire import lockstep
 from angler_sitl.wire.lockstep import LockStep
 from angler_sitl.wire.packets import STATE_NUMBERS
-from angler_sitl.wire.ports import allocate
+from angler_sitl.wire.ports import allocate_ports
 
 DT_S = 1 / 400
 
@@ -22,7 +22,7 @@ class Rest:
 
     def __init__(self, count):
         self.dt_s, self.ticks, self.given = DT_S, 0, []
-        self._states = States(numbers=np.zeros((count, STATE_NUMBERS)))
+        self._states = SensorStates(numbers=np.zeros((count, STATE_NUMBERS)))
         self._states.numbers[:, 5], self._states.numbers[:, 9] = -9.80665, 1.0
 
     @property
@@ -62,7 +62,7 @@ class Rig:
     """Two peers and their lock-step."""
 
     def __init__(self, **options):
-        self.ports = allocate(2)
+        self.ports = allocate_ports(2)
         self.scene, self.faults = Rest(2), {}
         self.peers = [Peer(one.fdm.getsockname()[1]) for one in self.ports]
         self.lockstep = LockStep(
@@ -210,12 +210,12 @@ def test_the_others_go_on_where_that_was_asked_for(rig):
 
 def fly(binary, folder, parameters, misdeed):
     """Two processes and a scene at rest: a second of it, a misdeed, and what is said of it."""
-    ports = allocate(2)
+    ports = allocate_ports(2)
     names = ["robot_0", "robot_1"]
     instances = []
     try:
         for i, (name, one) in enumerate(zip(names, ports, strict=True)):
-            launch = process.Launch(
+            launch = process.LaunchSpec(
                 binary=binary,
                 folder=folder / name,
                 name=name,
@@ -223,7 +223,7 @@ def fly(binary, folder, parameters, misdeed):
                 ports=one,
                 parameters={"SIM_RATE_HZ": 400.0, **parameters.get(i, {})},
             )
-            instances.append(process.Instance(launch))
+            instances.append(process.AutopilotProcess(launch))
         steps = LockStep(
             [one.fdm for one in ports],
             Rest(2),
@@ -240,7 +240,7 @@ def fly(binary, folder, parameters, misdeed):
             steps.advance(2000)
         return early, steps.pwm, str(said.value)
     finally:
-        process.kill_all(instances)
+        process.kill_processes(instances)
         for one in ports:
             one.close()
 

@@ -13,7 +13,7 @@ def test_servo_packets_of_16_and_32_channels():
     short = struct.pack("<HHI16H", 18458, 400, 70_000, *PULSES)
     long = struct.pack("<HHI32H", 29569, 400, 70_001, *PULSES, *[0] * 16)
     assert len(short) == 40
-    assert len(long) == packets.SERVO_BYTES == 72
+    assert len(long) == packets.MAX_SERVO_BYTES == 72
     assert packets.read_servo(short) == (70_000, PULSES)
     assert packets.read_servo(memoryview(bytearray(long))) == (70_001, PULSES)
 

@@ -7,7 +7,7 @@ import socket
 import pytest
 
 from angler_mjx.errors import ConfigError, RunError
-from angler_sitl.wire.ports import allocate, number
+from angler_sitl.wire.ports import allocate_ports, port_number
 
 
 def sockets_of(ports):
@@ -15,9 +15,9 @@ def sockets_of(ports):
 
 
 def test_two_fleets_at_once_share_no_port_and_are_on_loopback():
-    fleets = allocate(5) + allocate(3)
+    fleets = allocate_ports(5) + allocate_ports(3)
     bound = [one for ports in fleets for one in sockets_of(ports)]
-    assert len({number(one) for one in bound}) == 4 * 8
+    assert len({port_number(one) for one in bound}) == 4 * 8
     assert {one.getsockname()[0] for one in bound} == {"127.0.0.1"}
     for ports in fleets:
         ports.close()
@@ -36,7 +36,7 @@ def test_a_held_port_is_nobody_elses(ports, address):
 @pytest.mark.parametrize("count", [0, -1, 255])
 def test_more_robots_than_system_numbers(count):
     with pytest.raises(ConfigError, match=f"{count} robots.*254.*--robots"):
-        allocate(count)
+        allocate_ports(count)
 
 
 def test_no_sockets_left_is_said_and_leaves_none_behind():
@@ -46,7 +46,7 @@ def test_no_sockets_left_is_said_and_leaves_none_behind():
     resource.setrlimit(resource.RLIMIT_NOFILE, (max(map(int, before)) + 10, hard))
     try:
         with pytest.raises(RunError, match=r"of 254.*ulimit -n"):
-            allocate(254)
+            allocate_ports(254)
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
     assert set(os.listdir("/proc/self/fd")) == before

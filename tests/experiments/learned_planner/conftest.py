@@ -25,21 +25,21 @@ def simulator():
             "obstacles": {"dynamic": {"count": 3}},
         },
         time={"horizon_s": 60.0, "record_hz": 1.0},
-        planner={"name": "grid", "knows": {"obstacles": "observed"}},
+        planner={"name": "grid", "information": {"obstacles": "observed"}},
     )
     return Simulator(chosen)
 
 
 @pytest.fixture(scope="session")
 def planned(simulator):
-    worlds, problems = simulator.asked(0)
+    worlds, problems = simulator.sample_problems(0)
     return worlds, problems
 
 
 @pytest.fixture(scope="session")
 def made(planned):
     worlds, problems = planned
-    return jax.jit(examples.as_examples)(problems, worlds.path)
+    return jax.jit(examples.build_examples)(problems, worlds.path)
 
 
 @pytest.fixture(scope="session")

@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from angler_experiments.learned_planner.evaluate import ahead
-from angler_experiments.learned_planner.evaluate.ahead import Ahead
+from angler_experiments.learned_planner.evaluate import lookahead
+from angler_experiments.learned_planner.evaluate.lookahead import LookaheadSimulator
 from angler_mjx.robot.control.trajectory import Trajectory
 from angler_mjx.world.currents import Uniform
 
@@ -17,7 +17,7 @@ def test_nothing_that_moves_is_left_and_the_water_is_as_told(planned):
     worlds, problems = planned
     assert np.asarray(worlds.environment.obstacles.exists).any()
     water = (Uniform(velocity_mps=jnp.full((4, 3), 0.25)),)
-    told = ahead.as_told(
+    told = lookahead.restrict_to_information(
         worlds, replace(problems, current=replace(problems.current, components=water))
     )
     assert not np.asarray(told.environment.obstacles.exists).any()
@@ -29,7 +29,7 @@ def test_distances_are_to_where_bodies_are_told_to_be(planned):
     known = planned[1].obstacles
     time = np.array([0.0, 3.0, 20.0], np.float32)
     place = np.random.default_rng(0).uniform(-12.0, 0.0, (4, 3, 2, 3)).astype(np.float32)
-    found = np.asarray(ahead._gaps(known, jnp.asarray(place), jnp.asarray(time)))
+    found = np.asarray(lookahead._compute_gaps(known, jnp.asarray(place), jnp.asarray(time)))
     there = jax.tree.map(np.asarray, known)
     counts = there.exists & there.moves
     assert counts.any()
@@ -42,13 +42,13 @@ def test_distances_are_to_where_bodies_are_told_to_be(planned):
 
 def test_the_best_answer_is_taken_and_of_equals_the_first(monkeypatch):
     safe = np.array([[1, 3, 2], [2, 2, 2], [0, 1, 4]])
-    monkeypatch.setattr(ahead, "as_told", lambda worlds, problems: None)
-    flies = SimpleNamespace(_safe=lambda told, path, _: jnp.asarray(path.time_s[:, 0, 0]))
+    monkeypatch.setattr(lookahead, "restrict_to_information", lambda worlds, problems: None)
+    flies = SimpleNamespace(_count_safe=lambda told, path, _: jnp.asarray(path.time_s[:, 0, 0]))
     teams = Trajectory(
         time_s=jnp.broadcast_to(jnp.asarray(safe)[:, :, None, None], (3, 3, 2, 5)),
         position_m=jnp.broadcast_to(jnp.arange(3.0)[None, :, None, None, None], (3, 3, 2, 5, 3)),
         found=jnp.ones((3, 3, 2), bool),
     )
-    chosen = Ahead.best(flies, None, teams, None)
+    chosen = LookaheadSimulator.select_best(flies, None, teams, None)
     np.testing.assert_array_equal(chosen.position_m[:, 0, 0, 0], [1.0, 0.0, 2.0])
     assert chosen.found.shape == (3, 2)

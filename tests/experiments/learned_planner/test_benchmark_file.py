@@ -3,17 +3,17 @@
 from pathlib import Path
 
 from angler_experiments import benchmarks
-from angler_mjx.studies.benchmark import questions
+from angler_mjx.studies.benchmark import problem_settings
 
 FILE = Path(benchmarks.__file__).with_name("learned.toml")
 
 
 def test_all_are_asked_in_distribution_and_shifted():
-    made = questions.read(FILE)
+    made = problem_settings.read_benchmark(FILE)
     asked = {}
     for setting in made.settings:
         where = (setting.scene, setting.robots)
-        asked.setdefault(where, set()).update(one.label for one in made.asked(setting))
+        asked.setdefault(where, set()).update(one.label for one in made.select_planners(setting))
     assert {("reef still", 8), ("reef moving", 8), ("dense stronger", 16)} <= set(asked)
     for labels in asked.values():
         assert {"learned", "grid", "RRTConnect, one by one", "current", "mppi"} <= labels

@@ -11,20 +11,20 @@ import pytest
 from angler_experiments.learned_planner import checkpoint, network
 from angler_experiments.learned_planner.checkpoint import Checkpoint
 from angler_experiments.learned_planner.planner import LearnedPlanner, LearnedSettings
-from angler_experiments.learned_planner.shapes import SCHEMA, Width
+from angler_experiments.learned_planner.shapes import SCHEMA, NetworkSize
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning.register import PlannerReference, PlannerSpec
 
-WIDTH = Width(units=8, blocks=1)
+WIDTH = NetworkSize(units=8, blocks=1)
 
 
 @pytest.fixture
 def file(tmp_path):
     made = Checkpoint(
-        params=network.init(jax.random.key(4), WIDTH), width=WIDTH, about={"worlds": 12}
+        params=network.init_params(jax.random.key(4), WIDTH), width=WIDTH, about={"worlds": 12}
     )
     path = tmp_path / "weights.npz"
-    checkpoint.save(path, made)
+    checkpoint.save_checkpoint(path, made)
     return path
 
 
@@ -37,8 +37,8 @@ def _edited(file: Path, **changes):
 
 
 def test_what_was_written_is_read(file):
-    found = checkpoint.load(file)
-    expected = network.init(jax.random.key(4), WIDTH)
+    found = checkpoint.load_checkpoint(file)
+    expected = network.init_params(jax.random.key(4), WIDTH)
     assert (found.width, found.about) == (WIDTH, {"worlds": 12})
     assert jax.tree.structure(found.params) == jax.tree.structure(expected)
     for a, b in zip(jax.tree.leaves(found.params), jax.tree.leaves(expected), strict=True):
@@ -54,7 +54,7 @@ def test_one_of_another_schema_is_refused(file):
 def test_one_of_another_width_is_refused(file):
     _edited(file, width={"units": 12, "blocks": 1})
     with pytest.raises(ConfigError, match=r"has the shape .*damaged"):
-        checkpoint.load(file)
+        checkpoint.load_checkpoint(file)
 
 
 @pytest.mark.parametrize("content", [b"", b"no archive", None])
@@ -63,13 +63,13 @@ def test_what_is_none_is_refused(tmp_path, content):
     if content is not None:
         path.write_bytes(content)
     with pytest.raises(ConfigError, match=r"weights.npz: no checkpoint.*leave planner.learned"):
-        checkpoint.load(path)
+        checkpoint.load_checkpoint(path)
 
 
 def test_the_shipped_one_is_small_and_plans():
-    shipped = Path(checkpoint.__file__).with_name(checkpoint.SHIPPED)
+    shipped = Path(checkpoint.__file__).with_name(checkpoint.SHIPPED_FILE)
     assert shipped.stat().st_size < 5e6
-    assert checkpoint.load().about["worlds"] > 0
+    assert checkpoint.load_checkpoint().about["worlds"] > 0
 
 
 def test_the_entry_point_names_the_planner():

@@ -6,11 +6,11 @@ import jax
 import numpy as np
 import pytest
 
-from angler_experiments.learned_planner.evaluate.book import EvaluationLog
+from angler_experiments.learned_planner.evaluate.evaluation_log import EvaluationLog
 from angler_experiments.learned_planner.scene import Scene
-from angler_experiments.learned_planner.training import keeping
+from angler_experiments.learned_planner.training import example_files
 from angler_experiments.learned_planner.training.examples import Examples
-from angler_experiments.learned_planner.training.sampled import Source
+from angler_experiments.learned_planner.training.from_simulation import Source
 from angler_mjx.errors import ConfigError
 
 SOURCES = (Source(worlds=4, robots=2), Source(worlds=1, preset="dense"))
@@ -31,7 +31,9 @@ def _examples():
         exists=rng.random((5, 2)) < 0.5,
         body_exists=rng.random((5, 12)) < 0.5,
     )
-    return Examples(scenes=scenes, ways=some(5, 2, 14, 4), counts=rng.random((5, 2)) < 0.5)
+    return Examples(
+        scenes=scenes, encoded_paths=some(5, 2, 14, 4), has_path=rng.random((5, 2)) < 0.5
+    )
 
 
 def _never(*_):
@@ -40,23 +42,25 @@ def _never(*_):
 
 def test_examples_are_drawn_once(tmp_path, monkeypatch):
     made, file, told = _examples(), tmp_path / "there" / "examples.npz", []
-    monkeypatch.setattr(keeping.sampled, "of_sources", lambda chosen, worlds: iter([made]))
-    first = keeping.examples(SOURCES, None, file, told.append)
-    monkeypatch.setattr(keeping.sampled, "of_sources", _never)
-    again = keeping.examples(SOURCES, None, file, told.append)
-    some = keeping.examples(SOURCES, 3, file, told.append)
+    monkeypatch.setattr(
+        example_files.from_simulation, "sample_sources", lambda chosen, worlds: iter([made])
+    )
+    first = example_files.load_or_sample(SOURCES, None, file, told.append)
+    monkeypatch.setattr(example_files.from_simulation, "sample_sources", _never)
+    again = example_files.load_or_sample(SOURCES, None, file, told.append)
+    some = example_files.load_or_sample(SOURCES, 3, file, told.append)
     for a, b, c in zip(*map(jax.tree.leaves, (first, again, some)), strict=True):
         assert a.dtype == b.dtype
         np.testing.assert_array_equal(a, b)
         np.testing.assert_array_equal(np.asarray(a)[:3], c)
-    assert sorted(np.ravel(first.ways)) == sorted(np.ravel(made.ways))
+    assert sorted(np.ravel(first.encoded_paths)) == sorted(np.ravel(made.encoded_paths))
 
 
 def test_examples_of_other_sources_are_refused(tmp_path):
     file = tmp_path / "examples.npz"
-    keeping.write(file, _examples(), SOURCES)
+    example_files.write_examples(file, _examples(), SOURCES)
     with pytest.raises(ConfigError, match=r"examples.npz: holds examples of other sources"):
-        keeping.read(file, SOURCES[:1])
+        example_files.read_examples(file, SOURCES[:1])
 
 
 @pytest.mark.parametrize("content", [b"", b"no archive"])
@@ -64,7 +68,7 @@ def test_what_is_no_file_of_examples_is_refused(tmp_path, content):
     file = tmp_path / "examples.npz"
     file.write_bytes(content)
     with pytest.raises(ConfigError, match=r"examples.npz: no examples can be read"):
-        keeping.read(file, SOURCES)
+        example_files.read_examples(file, SOURCES)
 
 
 def test_rows_are_found_by_all_of_their_keys(tmp_path):

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from angler_experiments.learned_planner import flow, network
-from angler_experiments.learned_planner.scene import Scene, scene
-from angler_experiments.learned_planner.shapes import Width
+from angler_experiments.learned_planner.scene import Scene, build_scene
+from angler_experiments.learned_planner.shapes import NetworkSize
 from angler_experiments.learned_planner.training import examples
 
 pytestmark = pytest.mark.nightly(
@@ -19,7 +19,7 @@ pytestmark = pytest.mark.nightly(
 
 @pytest.fixture(scope="module")
 def params():
-    fresh = network.init(jax.random.key(1), Width(units=16, blocks=2))
+    fresh = network.init_params(jax.random.key(1), NetworkSize(units=16, blocks=2))
     leaves, tree = jax.tree.flatten(fresh)
     keys = jax.random.split(jax.random.key(2), len(leaves))
     # The last layer of a fresh network is zero, which would make everything equal.
@@ -39,7 +39,7 @@ def told(made):
 def carried(params):
     @jax.jit
     def run(told, begin):
-        return flow.carried(params, network.encode(params, told), begin, 2)
+        return flow.integrate_flow(params, network.encode_scene(params, told), begin, 2)
 
     return run
 
@@ -52,7 +52,7 @@ def _ordered(told: Scene, order) -> Scene:
 
 
 def test_the_order_of_robots_changes_their_order_only(told, carried):
-    begin = flow.noise(jax.random.key(0), 2, 4)
+    begin = flow.sample_noise(jax.random.key(0), 2, 4)
     order = np.array([2, 0, 3, 1])
     straight = carried(told, begin)
     other = carried(_ordered(told, order), begin[:, order])
@@ -61,28 +61,28 @@ def test_the_order_of_robots_changes_their_order_only(told, carried):
 
 
 def test_the_order_of_obstacles_changes_nothing(told, carried):
-    begin = flow.noise(jax.random.key(0), 2, 4)
+    begin = flow.sample_noise(jax.random.key(0), 2, 4)
     back = replace(told, bodies=told.bodies[:, ::-1], body_exists=told.body_exists[::-1])
     np.testing.assert_allclose(carried(back, begin), carried(told, begin), atol=2e-5)
 
 
 def test_rows_that_do_not_exist_change_nothing(made, told, carried):
-    padded = jax.tree.map(lambda leaf: leaf[0], examples.of_team_of(made, 6).scenes)
+    padded = jax.tree.map(lambda leaf: leaf[0], examples.pad_team(made, 6).scenes)
     padded = replace(
         padded,
         others=padded.others.at[:, 4:].set(7.0),
         bodies=jnp.where(padded.body_exists[:, None], padded.bodies, -3.0),
     )
-    begin = flow.noise(jax.random.key(0), 2, 6)
+    begin = flow.sample_noise(jax.random.key(0), 2, 6)
     assert begin.shape[1] == 6
-    np.testing.assert_array_equal(begin[:, :4], flow.noise(jax.random.key(0), 2, 4))
+    np.testing.assert_array_equal(begin[:, :4], flow.sample_noise(jax.random.key(0), 2, 4))
     np.testing.assert_allclose(
         carried(padded, begin)[:, :4], carried(told, begin[:, :4]), atol=2e-5
     )
 
 
 def test_other_robots_are_seen(told, carried):
-    begin = flow.noise(jax.random.key(0), 2, 4)
+    begin = flow.sample_noise(jax.random.key(0), 2, 4)
     alone = replace(told, exists=jnp.array([True, False, False, False]))
     gap = np.abs(carried(alone, begin)[:, 0] - carried(told, begin)[:, 0])
     assert gap.max() > 1e-3
@@ -90,7 +90,9 @@ def test_other_robots_are_seen(told, carried):
 
 def test_the_loss_has_a_slope_where_there_are_no_obstacles(params, made):
     scenes = replace(made.scenes, body_exists=jnp.zeros_like(made.scenes.body_exists))
-    slope = jax.jit(jax.grad(flow.loss))(params, scenes, made.ways, made.counts, jax.random.key(0))
+    slope = jax.jit(jax.grad(flow.loss))(
+        params, scenes, made.encoded_paths, made.has_path, jax.random.key(0)
+    )
     numbers = np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(slope)])
     assert np.isfinite(numbers).all()
     assert np.abs(numbers).max() > 1e-3
@@ -133,7 +135,7 @@ def test_where_w_is_changes_nothing(planned, turn, shift):
     rock = np.asarray(problem.grid.occupied)
     cells = np.rot90(rock, axes=(0, 1)) if turn is QUARTER else rock
     other = _moved(problem, turn, np.array(shift, np.float32), jnp.asarray(cells))
-    told = jax.jit(scene)
+    told = jax.jit(build_scene)
     here, there = told(problem), told(other)
     for name in ("gap", "own", "others", "bodies"):
         np.testing.assert_allclose(getattr(there, name), getattr(here, name), atol=3e-4)
@@ -150,13 +152,13 @@ def test_mirrored_examples_are_those_of_the_mirrored_world(planned):
     )
     path = jax.tree.map(lambda leaf: leaf[1], worlds.path)
     path = replace(path, position_m=path.position_m @ MIRROR.T)
-    make = jax.jit(examples.as_examples)
+    make = jax.jit(examples.build_examples)
     there = make(*jax.tree.map(lambda leaf: leaf[None], (flat, path)))
     here = make(*jax.tree.map(lambda leaf: leaf[1:2], (problems, worlds.path)))
     for a, b in zip(
-        jax.tree.leaves(examples.mirrored(here, jnp.array([True]))),
+        jax.tree.leaves(examples.mirror_examples(here, jnp.array([True]))),
         jax.tree.leaves(there),
         strict=True,
     ):
         np.testing.assert_allclose(np.asarray(a, float), np.asarray(b, float), atol=2e-3)
-    assert np.abs(np.asarray(here.ways[..., 1])).max() > 0.05
+    assert np.abs(np.asarray(here.encoded_paths[..., 1])).max() > 0.05

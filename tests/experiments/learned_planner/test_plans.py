@@ -9,7 +9,7 @@ import pytest
 
 from angler_experiments.learned_planner import path_encoding
 from angler_experiments.learned_planner.planner import LearnedPlanner, LearnedSettings
-from angler_experiments.learned_planner.scene import lines
+from angler_experiments.learned_planner.scene import build_frames
 
 STEP_S = 0.05
 
@@ -98,17 +98,19 @@ def test_a_way_of_a_path_leads_back_near_to_it(planned, robot):
     problem = jax.tree.map(lambda leaf: leaf[0], problems)
     path = jax.tree.map(lambda leaf: leaf[0, robot], worlds.path)
     assert path.found
-    frame = jax.tree.map(lambda leaf: leaf[robot], lines(problem))
+    frame = jax.tree.map(lambda leaf: leaf[robot], build_frames(problem))
     speed = problem.team.cruise_speed_mps[robot]
-    way = path_encoding.from_path(path, frame, speed)
-    place = np.asarray(path_encoding.points(way, frame, problem.team.goal_m[robot]))
+    way = path_encoding.encode_path(path, frame, speed)
+    place = np.asarray(path_encoding.decode_points(way, frame, problem.team.goal_m[robot]))
     corner = np.asarray(path.position_m, float)
     begin, leg = corner[:-1], np.diff(corner, axis=0)
     square = np.maximum((leg**2).sum(axis=1), 1e-12)
     share = np.clip(((place[:, None] - begin) * leg).sum(axis=-1) / square, 0.0, 1.0)
     off = np.linalg.norm(place[:, None] - (begin + share[..., None] * leg), axis=-1).min(axis=1)
     assert off.max() < 1e-3
-    time, _ = path_encoding.timed(place, path_encoding.delays_s(way), np.float32(0.0), speed)
+    time, _ = path_encoding.time_path(
+        place, path_encoding.decode_delays_s(way), np.float32(0.0), speed
+    )
     # Corners are cut, so it is not later than the path; delays are kept.
     assert 0.8 * path.time_s[-1] < time[-1] < path.time_s[-1] + 0.5
 

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from angler_experiments.learned_planner import checkpoint
-from angler_experiments.learned_planner.shapes import Width
-from angler_experiments.learned_planner.training import examples, stored
+from angler_experiments.learned_planner.shapes import NetworkSize
+from angler_experiments.learned_planner.training import examples, from_runs
 from angler_mjx.errors import ConfigError
 from angler_mjx.runs.rollout import rollout
 
@@ -25,20 +25,20 @@ def test_an_interruption_changes_no_number(several, tmp_path):
     from angler_experiments.learned_planner.training import loop as train
 
     config = train.TrainConfig(
-        width=Width(units=8, blocks=1), sources=(), steps=4, batch=2, rate=1e-2, call=2
+        width=NetworkSize(units=8, blocks=1), sources=(), steps=4, batch=2, rate=1e-2, call=2
     )
     told = []
-    whole = train.train(config, several, tmp_path / "whole", told.append, held=several)
-    train.train(config, several, tmp_path / "parts", told.append, stop=2, held=several)
+    whole = train.train(config, several, tmp_path / "whole", told.append, validation_set=several)
+    train.train(config, several, tmp_path / "parts", told.append, stop=2, validation_set=several)
     assert not (tmp_path / "parts" / "weights.npz").exists()
-    parts = train.train(config, several, tmp_path / "parts", told.append, held=several)
+    parts = train.train(config, several, tmp_path / "parts", told.append, validation_set=several)
     assert "goes on after step 2" in told
     for a, b in zip(jax.tree.leaves(whole), jax.tree.leaves(parts), strict=True):
         np.testing.assert_array_equal(a, b)
         assert np.isfinite(np.asarray(a, float)).all()
-    begun = train.begin(config)
+    begun = train.initial_state(config)
     assert np.abs(np.asarray(whole.params["gap"]["w"] - begun.params["gap"]["w"])).max() > 1e-3
-    found = checkpoint.load(tmp_path / "whole" / "weights.npz")
+    found = checkpoint.load_checkpoint(tmp_path / "whole" / "weights.npz")
     assert found.about["steps"] == 4
     other = train.TrainConfig(**{**vars(config), "seed": 1})
     with pytest.raises(ConfigError, match="another --out"):
@@ -51,10 +51,13 @@ def test_the_rate_goes_up_and_then_down_over_the_steps_there_will_be():
     from angler_experiments.learned_planner.training import loop
 
     config = loop.TrainConfig(
-        width=Width(units=8, blocks=1), sources=(), steps=7, batch=2, rate=0.01
+        width=NetworkSize(units=8, blocks=1), sources=(), steps=7, batch=2, rate=0.01
     )
     for steps, warm in ((4000, 300), (40, 10)):
-        rates = [float(loop.rate(config, np.int32(k), np.int32(steps))) for k in range(steps + 1)]
+        rates = [
+            float(loop.learning_rate(config, np.int32(k), np.int32(steps)))
+            for k in range(steps + 1)
+        ]
         np.testing.assert_allclose(rates[warm], 0.01, rtol=1e-5)
         np.testing.assert_allclose(rates[warm // 2], 0.005, rtol=1e-5)
         np.testing.assert_allclose(rates[(warm + steps) // 2], 0.00505, rtol=1e-3)
@@ -67,13 +70,13 @@ def test_a_time_decides_the_steps_once(tmp_path, monkeypatch):
     from angler_experiments.learned_planner.training import loop
 
     config = loop.TrainConfig(
-        width=Width(units=8, blocks=1), sources=(), steps=9000, batch=2, rate=0.01
+        width=NetworkSize(units=8, blocks=1), sources=(), steps=9000, batch=2, rate=0.01
     )
     paces = iter([1500, 250])
-    monkeypatch.setattr(loop, "affordable", lambda *_: next(paces))
-    assert loop.paced(config, None, tmp_path / "out", 60.0).steps == 1500
-    assert loop.paced(config, None, tmp_path / "out", 60.0).steps == 1500
-    assert loop.paced(config, None, tmp_path / "other", 60.0).steps == 250
+    monkeypatch.setattr(loop, "affordable_steps", lambda *_: next(paces))
+    assert loop.limit_steps(config, None, tmp_path / "out", 60.0).steps == 1500
+    assert loop.limit_steps(config, None, tmp_path / "out", 60.0).steps == 1500
+    assert loop.limit_steps(config, None, tmp_path / "other", 60.0).steps == 250
 
 
 @pytest.mark.nightly(
@@ -81,6 +84,6 @@ def test_a_time_decides_the_steps_once(tmp_path, monkeypatch):
 )
 def test_examples_of_a_run_are_those_of_its_worlds(simulator, made, tmp_path):
     run = rollout(simulator.scenario, out=tmp_path / "run", simulator=simulator)
-    read = examples.joined(list(stored.of_run(run.path, tile=4)))
+    read = examples.join_examples(list(from_runs.read_run(run.path, tile=4)))
     for a, b in zip(jax.tree.leaves(read), jax.tree.leaves(made), strict=True):
         np.testing.assert_allclose(np.asarray(a, float), np.asarray(b, float), atol=1e-3)

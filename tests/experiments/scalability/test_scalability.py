@@ -7,14 +7,14 @@ import pytest
 from scipy import stats
 
 from angler_experiments.scalability import arrivals, cost, ladders, plot
-from angler_experiments.scalability.fits import power, shares
+from angler_experiments.scalability.fits import fit_linear, fit_power_law
 from angler_mjx.errors import ConfigError
 from angler_mjx.studies.speed import rows as speed
 
 
 def test_a_power_law_is_found_again():
     x = np.array([1, 4, 16, 64])
-    found = power(x, 3.0 * x**1.5)
+    found = fit_power_law(x, 3.0 * x**1.5)
     assert (found.exponent, found.factor, found.last) == pytest.approx((1.5, 3.0, 1.5))
     assert found.high - found.low < 1e-6
 
@@ -25,7 +25,7 @@ def test_exponent_and_interval_are_scipys_regression():
     y = 0.1 * x**0.8 * np.exp(random.normal(0.0, 0.2, 9))
     want = stats.linregress(np.log(x), np.log(y))
     half = stats.t.ppf(0.975, 7) * want.stderr
-    found = power(x[::-1], y[::-1])
+    found = fit_power_law(x[::-1], y[::-1])
     assert found.exponent == pytest.approx(want.slope)
     assert found.factor == pytest.approx(np.exp(want.intercept))
     assert (found.low, found.high) == pytest.approx(
@@ -34,30 +34,30 @@ def test_exponent_and_interval_are_scipys_regression():
 
 
 def test_two_sizes_have_no_interval_and_one_no_exponent():
-    found = power([1, 10], [2.0, 20.0])
+    found = fit_power_law([1, 10], [2.0, 20.0])
     assert found.exponent == pytest.approx(1.0)
     assert np.isnan(found.low)
-    assert power([4], [1.0]) is None
-    assert power([4, 4], [1.0, 2.0]) is None
+    assert fit_power_law([4], [1.0]) is None
+    assert fit_power_law([4, 4], [1.0, 2.0]) is None
 
 
 def test_what_more_costs_where_there_are_many_is_the_last_step():
     """A fixed cost hides the law of small sizes; the last step is nearer to it."""
     x = np.array([1.0, 10.0, 100.0, 1000.0])
-    found = power(x, 5.0 + x)
+    found = fit_power_law(x, 5.0 + x)
     assert found.exponent < found.last < 1.0
     assert found.last == pytest.approx(np.log10(1005 / 105))
 
 
 def test_a_fixed_cost_and_one_of_each_are_found_again():
     x = [1, 10, 100, 10_000]
-    found = shares(x, [5.0 + 0.02 * n for n in x])
+    found = fit_linear(x, [5.0 + 0.02 * n for n in x])
     assert (found.fixed, found.each) == pytest.approx((5.0, 0.02))
     # Neither is below 0: what gets cheaper costs nothing of each.
-    falls = shares(x, [4.0, 3.0, 2.9, 2.8])
+    falls = fit_linear(x, [4.0, 3.0, 2.9, 2.8])
     assert falls.each == 0.0
     assert 2.8 < falls.fixed < 4.0
-    assert shares([4], [1.0]) is None
+    assert fit_linear([4], [1.0]) is None
 
 
 def row(ladder, size, rate, engine="fused", worlds=8, n_byte=1000):
@@ -94,7 +94,7 @@ def file(tmp_path):
 
 
 def test_lines_hold_what_the_rows_say(file):
-    found = {(one.ladder, one.engine): one for one in plot.lines(file)}
+    found = {(one.ladder, one.engine): one for one in plot.read_lines(file)}
     assert list(found) == [("worlds", "fused"), ("worlds", "mjx"), ("obstacles", "fused")]
     worlds = found["worlds", "fused"]
     assert worlds.size == (4, 16, 64)
@@ -138,31 +138,34 @@ def test_rows_that_are_there_are_not_measured_again(file, monkeypatch):
             engine=engine, extra={"size": float(size)},
         )  # fmt: skip
 
-    monkeypatch.setattr(cost, "measure", measure)
-    asked = cost.rungs(["worlds", "obstacles"], ["fused", "mjx"], "cpu")
-    assert len(list(cost.run(asked, file, 10, 1e9))) == len(measured)
+    monkeypatch.setattr(cost, "measure_row", measure)
+    asked = cost.list_rungs(["worlds", "obstacles"], ["fused", "mjx"], "cpu")
+    assert len(list(cost.measure_missing(asked, file, 10, 1e9))) == len(measured)
     assert measured == [("worlds", "mjx", 64), *[("obstacles", "mjx", n) for n in (4, 16, 64)]]
-    assert list(cost.run(asked, file, 10, 1e9)) == []
-    assert list(cost.run([*cost.rungs(["cells"], ["fused"], "cpu")], file, 10, -1.0)) == []
+    assert list(cost.measure_missing(asked, file, 10, 1e9)) == []
+    assert (
+        list(cost.measure_missing([*cost.list_rungs(["cells"], ["fused"], "cpu")], file, 10, -1.0))
+        == []
+    )
 
 
 @pytest.mark.nightly(by="test_rows_that_are_there_are_not_measured_again")
 def test_the_smoke_run_writes_three_rows_and_goes_on(tmp_path, capsys):
     out = tmp_path / "rows.jsonl"
     cost.main(out=out, smoke=True)
-    found = speed.read(out)
+    found = speed.read_rows(out)
     assert [row["extra"]["size"] for row in found] == list(cost.SMOKE_SIZES)
     assert all(row["median"] > 0 and row["workload"] == "scalability/dynamics" for row in found)
-    (line,) = plot.lines(out)
+    (line,) = plot.read_lines(out)
     assert line.memory.exponent == pytest.approx(1.0, abs=0.2)  # bytes of arrays, no timing
     cost.main(out=out, smoke=True)
-    assert len(speed.read(out)) == 3
+    assert len(speed.read_rows(out)) == 3
 
 
 @pytest.mark.parametrize("ladder", ladders.LADDERS, ids=lambda one: one.name)
 def test_every_rung_is_a_scenario_with_so_many(ladder):
     for size in {*ladder.gpu, *ladder.cpu, *ladder.mjx} if ladder.key else ():
-        made = ladders.scenario(ladder, size, "fused")
+        made = ladders.build_scenario(ladder, size, "fused")
         counts = {
             "robots": len(made.members()),
             "obstacles": made.world.obstacles.dynamic.count,
@@ -170,7 +173,7 @@ def test_every_rung_is_a_scenario_with_so_many(ladder):
             "cells": int(np.prod(made.world.shape)),
             "points": made.planner.points,
         }
-        assert counts[ladder.name] == ladder.number(size)
+        assert counts[ladder.name] == ladder.count(size)
         others = {"robots": 8, "obstacles": 4, "vortices": 4, "cells": 16_384, "points": 32}
         assert {k: v for k, v in counts.items() if k != ladder.name} == {
             k: v for k, v in others.items() if k != ladder.name
@@ -179,14 +182,14 @@ def test_every_rung_is_a_scenario_with_so_many(ladder):
 
 def test_unknown_ladders_are_refused():
     with pytest.raises(ConfigError, match="--ladders depth: there is dynamics, worlds"):
-        cost.rungs(["depth"], ["fused"], "cpu")
+        cost.list_rungs(["depth"], ["fused"], "cpu")
 
 
 @pytest.mark.parametrize(
     ("name", "cells"), [("teams", [18]), ("uncertainty", [3, 4, 8, 4]), ("smoke", [2])]
 )
 def test_all_cells_of_the_shipped_sweeps_can_be_flown(name, cells):
-    assert [len(one.asked().cells) for one in arrivals.STUDIES[name]] == cells
+    assert [len(one.build_request().cells) for one in arrivals.STUDIES[name]] == cells
 
 
 @pytest.mark.nightly(by="studies/test_sweep.py; test_all_cells_of_the_shipped_sweeps_can_be_flown")

@@ -7,7 +7,7 @@ import pytest
 from scipy.interpolate import RegularGridInterpolator
 
 from angler_kernels import gridded_field, lanes
-from angler_kernels.gridded_field import Axis
+from angler_kernels.gridded_field import GridAxis
 
 SHAPE = (5, 4, 6, 7, 3)
 KNOTS = (
@@ -17,7 +17,7 @@ KNOTS = (
     60.0 * np.arange(7),
 )
 AXES = tuple(
-    Axis(count=len(knots), step=float(knots[1]) if i in (0, 3) else None)
+    GridAxis(count=len(knots), step=float(knots[1]) if i in (0, 3) else None)
     for i, knots in enumerate(KNOTS)
 )
 VALUES = np.random.default_rng(2).normal(size=SHAPE)
@@ -40,7 +40,7 @@ def flow(p, t, values=VALUES, shape=SHAPE):
     ]
     numbers = (jnp.asarray(one) for one in (KNOT, REST, RATE))
     flat = jnp.asarray(values).reshape(-1)
-    return gridded_field.gridded(p, t, flat, shape, axes, *numbers, jnp.asarray(FACTOR))
+    return gridded_field.gridded_velocity(p, t, flat, shape, axes, *numbers, jnp.asarray(FACTOR))
 
 
 def points(n=500):
@@ -112,7 +112,9 @@ def test_lanes_that_look_up_give_the_same(found):
     def one(p, t, values, x, depth):
         axes = list(zip(AXES, (None, x, depth, None), strict=True))
         numbers = (jnp.asarray(one) for one in (KNOT, REST, RATE))
-        return gridded_field.gridded(p, t, values, SHAPE, axes, *numbers, jnp.asarray(FACTOR))
+        return gridded_field.gridded_velocity(
+            p, t, values, SHAPE, axes, *numbers, jnp.asarray(FACTOR)
+        )
 
     given = (lanes.split(jnp.asarray(p), 1), lanes.split(jnp.asarray(t), 1))
     tables = (table(VALUES), table(KNOTS[1]), table(KNOTS[2]))
@@ -123,13 +125,13 @@ def test_lanes_that_look_up_give_the_same(found):
 def test_axes_of_one_knot_are_the_same_everywhere():
     """A steady field of one depth without a vertical part."""
     knots = (KNOTS[0], KNOTS[1])
-    axes = (AXES[0], AXES[1], Axis(count=1, step=1.0), Axis(count=1, step=1.0))
+    axes = (AXES[0], AXES[1], GridAxis(count=1, step=1.0), GridAxis(count=1, step=1.0))
     values = VALUES[:, :, 0, 0, :2]
     given = [(axes[0], None), (axes[1], jnp.asarray(KNOTS[1])), (axes[2], None), (axes[3], None)]
     knot = np.array([2, 1, 0, 0])
 
     def one(p, t):
-        return gridded_field.gridded(
+        return gridded_field.gridded_velocity(
             p, t, jnp.asarray(values).reshape(-1), (5, 4, 1, 1, 2), given, knot, REST, RATE, FACTOR
         )
 

@@ -27,7 +27,7 @@ def profile(p, t):
 
 
 def tide(p, t):
-    return current_field.tide(t, *map(jnp.asarray, (SPEED, PHASE, COSINE, SINE)))
+    return current_field.tidal_current(t, *map(jnp.asarray, (SPEED, PHASE, COSINE, SINE)))
 
 
 def points(n=400):

@@ -283,11 +283,11 @@ def test_currents(assert_same):
     rng = np.random.default_rng(5)
     core = rng.uniform(1, 3, (W, 3))
     assert_same(
-        current_field.lamb_oseen,
+        current_field.lamb_oseen_vortices,
         *(normal(3), rng.normal(size=(W, 3, 2)), rng.normal(size=(W, 3)), core),
     )
     assert_same(
-        current_field.rankine,
+        current_field.rankine_vortices,
         *(normal(3), rng.normal(size=(W, 3, 2)), rng.normal(size=(W, 3)), core),
     )
     time = rng.uniform(-1, 40, W)
@@ -337,9 +337,9 @@ def test_constants_give_what_numbers_give(constant):
 
 
 def test_two_operands_of_which_one_is_a_number_are_lanes():
-    add = jax.jit(lambda x: folding.two(jax.lax.add_p, np.float64(2.0), x))
+    add = jax.jit(lambda x: folding.apply_binary(jax.lax.add_p, np.float64(2.0), x))
     np.testing.assert_array_equal(add(jnp.array([1.0, 2.0, 3.0])), [3.0, 4.0, 5.0])
-    both = folding.two(jax.lax.mul_p, np.float64(2.0), np.float64(3.0))
+    both = folding.apply_binary(jax.lax.mul_p, np.float64(2.0), np.float64(3.0))
     assert isinstance(both, np.generic)
     assert both == 6.0
 
@@ -395,7 +395,7 @@ def test_division_by_a_given_reciprocal():
 
     row = _row()
     expected = lanes.apply(function, *row)
-    with lanes.instructions(_instructions(asked)):
+    with lanes.use_instructions(_instructions(asked)):
         found = lanes.apply(function, *row)
     assert asked == ["reciprocal"] * 2
     for x, y in zip(found, expected, strict=True):
@@ -426,7 +426,7 @@ def test_sums_of_products_by_a_given_instruction(function, fused):
     asked = []
     row = _row()
     expected = lanes.apply(function, *row)[()]
-    with lanes.instructions(_instructions(asked)):
+    with lanes.use_instructions(_instructions(asked)):
         found = lanes.apply(function, *row)[()]
     assert asked.count("multiply_add") == fused
     # The same operations in another order, for terms that cancel to no less than a tenth.

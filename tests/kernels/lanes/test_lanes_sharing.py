@@ -28,7 +28,7 @@ def barriers(function, *args):
 
 
 def row(function, x):
-    return list(lanes.shared(partial(function, x)))
+    return list(lanes.compute_shared(partial(function, x)))
 
 
 X = jnp.linspace(0.1, 1.0, 64)
@@ -36,7 +36,7 @@ X = jnp.linspace(0.1, 1.0, 64)
 
 def test_values_and_derivatives_stay():
     def cost(x, share):
-        results = lanes.shared(partial(three, x, 20)) if share else three(x, 20)
+        results = lanes.compute_shared(partial(three, x, 20)) if share else three(x, 20)
         return sum(jnp.sum(jnp.sin(y)) for y in results)
 
     ours, theirs = (jax.value_and_grad(partial(cost, share=s))(X) for s in (True, False))
@@ -50,7 +50,7 @@ def test_holds_what_is_dear_to_repeat():
 
 def test_repeats_what_is_cheap():
     # Two results repeat two operations: less than one array in memory costs.
-    assert sharing.MEMORY > 2 * 2
+    assert sharing.MEMORY_COST > 2 * 2
     assert barriers(partial(row, partial(three, times=1)), X) == 0
 
 

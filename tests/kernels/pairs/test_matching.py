@@ -30,13 +30,13 @@ def lengths() -> np.ndarray:
 
 def test_the_shortest_is_taken_of_all_that_are_left() -> None:
     ways = lengths()
-    found = np.asarray(jax.jit(jax.vmap(matching.matched))(jnp.array(ways)))
+    found = np.asarray(jax.jit(jax.vmap(matching.match_pairs))(jnp.array(ways)))
     assert found.tolist() == [by_hand(way) for way in ways]
 
 
 def test_the_program_for_gpus_gives_the_same() -> None:
-    pairs = matching.MatchedPairs.of((ROWS, COLUMNS), lanes_a_warp=64, interpret=True)
-    kernel = matching._Kernel(pairs)
+    pairs = matching.MatchedPairs.of((ROWS, COLUMNS), lanes_per_warp=64, interpret=True)
+    kernel = matching._ShortestMatchingKernel(pairs)
     ways = lengths()
     found = np.asarray(jax.jit(jax.vmap(kernel.run))(jnp.array(ways)))
     assert found.tolist() == [by_hand(way) for way in ways]

@@ -16,7 +16,7 @@ from angler_mjx.learning.datasets.reading.dataset import Dataset
 from angler_mjx.learning.datasets.reading.episode import Episode
 from angler_mjx.robot.control.allocation import NEUTRAL_US
 
-STATE = (
+STATE_COLUMNS = (
     *("x_m", "y_m", "z_m"),
     *("qw", "qx", "qy", "qz"),
     *("u_mps", "v_mps", "w_mps", "p_radps", "q_radps", "r_radps"),
@@ -25,7 +25,7 @@ STATE = (
 )
 """Names of the numbers of a state, in order; world frame, but velocities in the body's."""
 
-OTHER = ("there", "dx_m", "dy_m", "dz_m", "dvx_mps", "dvy_mps", "dvz_mps")
+OTHER_COLUMNS = ("there", "dx_m", "dy_m", "dz_m", "dvx_mps", "dvy_mps", "dvz_mps")
 """Of each other robot."""
 
 ACTIONS = {"target": ("target_x_m", "target_y_m", "target_z_m"), "pwm": ()}
@@ -46,7 +46,7 @@ UNITS = {
 }
 """Units by the last word of a number's name."""
 
-NEEDED = ("p_m", "q", "nu", "target_m", "current_mps", "pwm_us")
+REQUIRED_FIELDS = ("p_m", "q", "nu", "target_m", "current_mps", "pwm_us")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,9 +62,9 @@ class ExportedFlight:
     time_s: np.ndarray
     """[t]."""
     state: np.ndarray
-    """float32 [t, 19]; see `STATE`."""
+    """float32 [t, 19]; see `STATE_COLUMNS`."""
     others: np.ndarray
-    """float32 [t, others, 7]; see `OTHER`."""
+    """float32 [t, others, 7]; see `OTHER_COLUMNS`."""
     action: np.ndarray
     """float32 [t, a]."""
 
@@ -84,21 +84,27 @@ def action_names(data: Dataset, action: str) -> tuple[str, ...]:
         raise ConfigError(f"--action {action}: must be {' or '.join(ACTIONS)}")
     if action == "target":
         return ACTIONS["target"]
-    most = max(data.stored(int(i), "pwm_us").shape[-1] for i in _one_of_each(data))
-    return tuple(f"pwm_{i}_us" for i in range(most))
+    max_thrusters = max(
+        data.open_array(int(i), "pwm_us").shape[-1] for i in _first_episode_per_part(data)
+    )
+    return tuple(f"pwm_{i}_us" for i in range(max_thrusters))
 
 
-def unit(name: str) -> str:
+def unit_of(name: str) -> str:
     """Return the unit of a number of a state, of another robot or of an action, from its name."""
     return UNITS[name.rpartition("_")[2]]
 
 
 def other_names(data: Dataset) -> tuple[str, ...]:
     """Return the names of the numbers of the other robots, nearest first."""
-    return tuple(f"other_{i}_{name}" for i in range(int(data.robots.max()) - 1) for name in OTHER)
+    return tuple(
+        f"other_{i}_{name}" for i in range(int(data.robots.max()) - 1) for name in OTHER_COLUMNS
+    )
 
 
-def flights(data: Dataset, action: str, *, of: Dataset | None = None) -> Iterator[ExportedFlight]:
+def iterate_flights(
+    data: Dataset, action: str, *, of: Dataset | None = None
+) -> Iterator[ExportedFlight]:
     """All of a dataset, one after another.
 
     Args:
@@ -109,37 +115,37 @@ def flights(data: Dataset, action: str, *, of: Dataset | None = None) -> Iterato
     Raises:
         ConfigError: there is no such action, or a file is damaged.
     """
-    whole = of or data
-    names = action_names(whole, action)
-    others = int(whole.robots.max()) - 1
+    full = of or data
+    names = action_names(full, action)
+    others = int(full.robots.max()) - 1
     for i in range(len(data)):
         episode = data.episode(i)
         yield from (
-            _flight(i, episode, robot, others, action, len(names))
+            _build_flight(i, episode, robot, others, action, len(names))
             for robot in range(episode.running.shape[1])
             if episode.running[:, robot].any()
         )
 
 
-def count(data: Dataset) -> int:
+def count_flights(data: Dataset) -> int:
     """How many there are, at most: one that ended before its first sample is left out."""
     return int(data.robots.sum())
 
 
-def _one_of_each(data: Dataset) -> np.ndarray:
+def _first_episode_per_part(data: Dataset) -> np.ndarray:
     """An episode of each part."""
-    found: np.ndarray = np.unique(data.index["part"].to_numpy(), return_index=True)[1]
-    return found
+    episodes: np.ndarray = np.unique(data.index["part"].to_numpy(), return_index=True)[1]
+    return episodes
 
 
-def _flight(
+def _build_flight(
     number: int, episode: Episode, robot: int, others: int, action: str, width: int
 ) -> ExportedFlight:
     steps = int(episode.running[:, robot].sum())
     arrays: dict[str, np.ndarray] = {n: values[:steps] for n, values in episode.arrays.items()}
-    given = arrays["target_m" if action == "target" else "pwm_us"][:, robot]
-    made = np.full((steps, width), NEUTRAL_US if action == "pwm" else 0.0, np.float32)
-    made[:, : given.shape[-1]] = given
+    recorded = arrays["target_m" if action == "target" else "pwm_us"][:, robot]
+    padded = np.full((steps, width), NEUTRAL_US if action == "pwm" else 0.0, np.float32)
+    padded[:, : recorded.shape[-1]] = recorded
     goal = np.broadcast_to(episode.goal_m[robot], (steps, 3))
     state = [arrays[name][:, robot] for name in ("p_m", "q", "nu")]
     state += [goal, arrays["current_mps"][:, robot]]
@@ -152,40 +158,40 @@ def _flight(
         task=f"reach the goal, {about['scene']}, {about['robots']} robots",
         time_s=episode.time_s[:steps].astype(np.float32),
         state=np.concatenate(state, axis=1).astype(np.float32),
-        others=_others(arrays, robot, others),
-        action=made,
+        others=_relative_others(arrays, robot, others),
+        action=padded,
     )
 
 
-def _others(arrays: dict[str, np.ndarray], robot: int, most: int) -> np.ndarray:
+def _relative_others(arrays: dict[str, np.ndarray], robot: int, max_others: int) -> np.ndarray:
     """[t, most, 7], nearest first."""
-    place, velocity = arrays["p_m"], _over_ground(arrays["q"], arrays["nu"])
-    steps, team = place.shape[:2]
-    found = np.zeros((steps, most, len(OTHER)), np.float32)
-    rest = [i for i in range(team) if i != robot]
-    if not rest:
-        return found
-    apart = place[:, rest] - place[:, robot, None]
-    near = np.argsort(np.linalg.norm(apart, axis=-1), axis=1, kind="stable")[..., None]
-    moving = velocity[:, rest] - velocity[:, robot, None]
-    found[:, : len(rest), 0] = 1.0
-    found[:, : len(rest), 1:4] = np.take_along_axis(apart, near, axis=1)
-    found[:, : len(rest), 4:7] = np.take_along_axis(moving, near, axis=1)
-    return found
+    positions_m, velocity_mps = arrays["p_m"], _world_velocity(arrays["q"], arrays["nu"])
+    steps, team = positions_m.shape[:2]
+    features = np.zeros((steps, max_others, len(OTHER_COLUMNS)), np.float32)
+    other_robots = [i for i in range(team) if i != robot]
+    if not other_robots:
+        return features
+    offsets_m = positions_m[:, other_robots] - positions_m[:, robot, None]
+    order = np.argsort(np.linalg.norm(offsets_m, axis=-1), axis=1, kind="stable")[..., None]
+    relative_mps = velocity_mps[:, other_robots] - velocity_mps[:, robot, None]
+    features[:, : len(other_robots), 0] = 1.0
+    features[:, : len(other_robots), 1:4] = np.take_along_axis(offsets_m, order, axis=1)
+    features[:, : len(other_robots), 4:7] = np.take_along_axis(relative_mps, order, axis=1)
+    return features
 
 
-def _over_ground(q: np.ndarray, nu: np.ndarray) -> np.ndarray:
+def _world_velocity(q: np.ndarray, nu: np.ndarray) -> np.ndarray:
     """Velocities in W, of attitudes and of velocities in the body's frame."""
     w, v, u = q[..., :1], q[..., 1:], nu[..., :3]
-    turned: np.ndarray = u + 2.0 * np.cross(v, np.cross(v, u) + w * u)
-    return turned
+    rotated: np.ndarray = u + 2.0 * np.cross(v, np.cross(v, u) + w * u)
+    return rotated
 
 
-def about(data: Dataset, action: str) -> dict[str, Any]:
+def describe_columns(data: Dataset, action: str) -> dict[str, Any]:
     """What stands beside the numbers in every format: names, units and frames."""
-    names = {"state": STATE, "others": OTHER, "action": action_names(data, action)}
+    names = {"state": STATE_COLUMNS, "others": OTHER_COLUMNS, "action": action_names(data, action)}
     return {
-        **{key: list(of) for key, of in names.items()},
-        "units": {name: unit(name) for of in names.values() for name in of},
+        **{key: list(columns) for key, columns in names.items()},
+        "units": {name: unit_of(name) for columns in names.values() for name in columns},
         "frames": "world x east, y north, z up; body x forward, y left, z up; quaternion wxyz",
     }

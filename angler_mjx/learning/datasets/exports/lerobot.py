@@ -21,23 +21,23 @@ from angler_mjx.learning.datasets.exports.lerobot_statistics import Statistics
 from angler_mjx.learning.datasets.reading.dataset import Dataset
 from angler_mjx.runs.storage import folder
 
-VERSION = "v3.0"
-DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
-EPISODES = "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
-CHUNK = 1000
+FORMAT_VERSION = "v3.0"
+DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+EPISODES_PATH = "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+CHUNK_SIZE = 1000
 """Files of a folder."""
-FRAMES = 500_000
+MAX_FRAMES = 500_000
 """Of a data file."""
-PLACES = 10_000
+EPISODES_PER_FILE = 10_000
 """Episodes of a file of episodes, some 50 MB of statistics at most."""
-GROUP = 1000
+ROW_GROUP_SIZE = 1000
 """Episodes of a row group, which are kept in memory until they are written."""
 
-_COUNTED = ("frame_index", "episode_index", "index", "task_index")
+_INTEGER_COLUMNS = ("frame_index", "episode_index", "index", "task_index")
 
 
-def write(data: Dataset, out: Path, action: str, tell: Callable[[int], None]) -> None:
-    """Write a LeRobot dataset; arguments and errors as of `parquet.write`.
+def write_dataset(data: Dataset, out: Path, action: str, progress: Callable[[int], None]) -> None:
+    """Write a LeRobot dataset; arguments and errors as of `parquet.write_dataset`.
 
     Raises:
         ConfigError: the recording rate is no whole number, which LeRobot asks for.
@@ -46,26 +46,26 @@ def write(data: Dataset, out: Path, action: str, tell: Callable[[int], None]) ->
     if hz != int(hz):
         raise ConfigError(f"record_hz = {hz:g}: LeRobot takes whole numbers of frames a second")
     names = flights.action_names(data, action)
-    made = _Writing(out, data, names)
-    tell_at = 0
+    writer = _LeRobotWriter(out, data, names)
+    n_written = 0
     for split in sorted(set(data.index["split"].to_pylist())):
-        mine = Dataset(
-            data.place,
+        split_data = Dataset(
+            data.root,
             data.index.filter(pc.equal(data.index["split"], split)),
             data.parts,
             data.fields,
         )
-        first = made.episodes
-        for flight in flights.flights(mine, action, of=data):
-            made.add(flight)
-            tell_at += 1
-            tell(tell_at)
-        if made.episodes > first:
-            made.splits[split] = f"{first}:{made.episodes}"
-    made.close(int(hz))
+        first = writer.episodes
+        for flight in flights.iterate_flights(split_data, action, of=data):
+            writer.add(flight)
+            n_written += 1
+            progress(n_written)
+        if writer.episodes > first:
+            writer.splits[split] = f"{first}:{writer.episodes}"
+    writer.close(int(hz))
 
 
-class _Writing:
+class _LeRobotWriter:
     """A dataset in the making."""
 
     def __init__(self, out: Path, data: Dataset, actions: tuple[str, ...]) -> None:
@@ -74,20 +74,24 @@ class _Writing:
         self.splits: dict[str, str] = {}
         self.episodes = self.frames = 0
         self._names: dict[str, list[str]] = {
-            "observation.state": list(flights.STATE),
+            "observation.state": list(flights.STATE_COLUMNS),
             "action": list(actions),
         }
         if others:
             self._names["observation.environment_state"] = others
         self._tasks: dict[str, int] = {}
-        self._files = _Files(out, DATA, self._schema())
-        self._episodes = _Episodes(out)
+        self._files = _DataFileWriter(out, DATA_PATH, self._schema())
+        self._episodes = _EpisodeFileWriter(out)
         self._statistics: dict[str, Statistics] = {}
 
     def _schema(self) -> pa.Schema:
         vectors = [(name, pa.list_(pa.float32(), len(x))) for name, x in self._names.items()]
         return pa.schema(
-            [*vectors, ("timestamp", pa.float32()), *((name, pa.int64()) for name in _COUNTED)]
+            [
+                *vectors,
+                ("timestamp", pa.float32()),
+                *((name, pa.int64()) for name in _INTEGER_COLUMNS),
+            ]
         )
 
     def add(self, flight: ExportedFlight) -> None:
@@ -111,13 +115,13 @@ class _Writing:
         for name, parts in self._names.items():
             rows = np.ascontiguousarray(values[name], np.float32)
             columns[name] = pa.FixedSizeListArray.from_arrays(rows.reshape(-1), len(parts))
-            statistics[name] = lerobot_statistics.of_episode(rows)
+            statistics[name] = lerobot_statistics.compute_statistics(rows)
         for name, numbers in counted.items():
             columns[name] = numbers
-            statistics[name] = lerobot_statistics.of_episode(numbers[:, None])
-        self._aggregate(statistics)
+            statistics[name] = lerobot_statistics.compute_statistics(numbers[:, None])
+        self._aggregate_statistics(statistics)
         chunk, file = self._files.write(columns, steps)
-        number = self.episodes // PLACES
+        number = self.episodes // EPISODES_PER_FILE
         self._episodes.add(
             {
                 "episode_index": self.episodes,
@@ -127,9 +131,9 @@ class _Writing:
                 "data/file_index": file,
                 "dataset_from_index": self.frames,
                 "dataset_to_index": self.frames + steps,
-                **lerobot_statistics.columns(statistics),
-                "meta/episodes/chunk_index": number // CHUNK,
-                "meta/episodes/file_index": number % CHUNK,
+                **lerobot_statistics.build_columns(statistics),
+                "meta/episodes/chunk_index": number // CHUNK_SIZE,
+                "meta/episodes/file_index": number % CHUNK_SIZE,
                 "outcome": flight.outcome,
                 "split": flight.split,
             }
@@ -137,17 +141,17 @@ class _Writing:
         self.episodes += 1
         self.frames += steps
 
-    def _aggregate(self, episode: dict[str, Statistics]) -> None:
+    def _aggregate_statistics(self, episode: dict[str, Statistics]) -> None:
         """Add an episode's statistics to those of all episodes."""
         for name, statistics in episode.items():
             before = [self._statistics[name]] if name in self._statistics else []
-            self._statistics[name] = lerobot_statistics.aggregated([*before, statistics])
+            self._statistics[name] = lerobot_statistics.aggregate_statistics([*before, statistics])
 
     def close(self, hz: int) -> None:
         """Write what says what all of it is."""
         self._files.close()
         self._episodes.close()
-        pq.write_table(_tasks(self._tasks), self.out / "meta" / "tasks.parquet")
+        pq.write_table(_build_task_table(self._tasks), self.out / "meta" / "tasks.parquet")
         folder.write_json(
             self.out / "meta" / "stats.json",
             {
@@ -155,53 +159,55 @@ class _Writing:
                 for feature, statistics in self._statistics.items()
             },
         )
-        folder.write_json(self.out / "meta" / "info.json", self._info(hz))
+        folder.write_json(self.out / "meta" / "info.json", self._build_info(hz))
 
-    def _info(self, hz: int) -> dict[str, Any]:
+    def _build_info(self, hz: int) -> dict[str, Any]:
         vectors = {
             name: {"dtype": "float32", "shape": [len(parts)], "names": parts}
             for name, parts in self._names.items()
         }
-        counted = {name: {"dtype": "int64", "shape": [1], "names": None} for name in _COUNTED}
+        counted = {
+            name: {"dtype": "int64", "shape": [1], "names": None} for name in _INTEGER_COLUMNS
+        }
         stamp = {"timestamp": {"dtype": "float32", "shape": [1], "names": None}}
         return {
-            "codebase_version": VERSION,
+            "codebase_version": FORMAT_VERSION,
             "robot_type": "underwater_vehicle",
             "total_episodes": self.episodes,
             "total_frames": self.frames,
             "total_tasks": len(self._tasks),
-            "chunks_size": CHUNK,
+            "chunks_size": CHUNK_SIZE,
             "data_files_size_in_mb": 100,
             "video_files_size_in_mb": 200,
             "fps": hz,
             "splits": self.splits,
-            "data_path": DATA,
+            "data_path": DATA_PATH,
             "video_path": None,
             "features": {**vectors, **stamp, **counted},
         }
 
 
-class _Files:
+class _DataFileWriter:
     """Data files, one after another."""
 
     def __init__(self, out: Path, pattern: str, schema: pa.Schema) -> None:
         self._out, self._pattern, self._schema = out, pattern, schema
-        self._number, self._frames = -1, FRAMES
+        self._number, self._frames = -1, MAX_FRAMES
         self._writer: Any = None
 
     def write(self, columns: dict[str, Any], steps: int) -> tuple[int, int]:
         """Write the rows of an episode; says into which chunk and file."""
-        if self._frames + steps > FRAMES:
+        if self._frames + steps > MAX_FRAMES:
             self.close()
             self._number, self._frames = self._number + 1, 0
-            place = self._out / self._pattern.format(
-                chunk_index=self._number // CHUNK, file_index=self._number % CHUNK
+            path = self._out / self._pattern.format(
+                chunk_index=self._number // CHUNK_SIZE, file_index=self._number % CHUNK_SIZE
             )
-            place.parent.mkdir(parents=True, exist_ok=True)
-            self._writer = pq.ParquetWriter(place, self._schema)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._writer = pq.ParquetWriter(path, self._schema)
         self._frames += steps
         self._writer.write_table(pa.table(columns, schema=self._schema))
-        return self._number // CHUNK, self._number % CHUNK
+        return self._number // CHUNK_SIZE, self._number % CHUNK_SIZE
 
     def close(self) -> None:
         """End the file that is open."""
@@ -209,7 +215,7 @@ class _Files:
             self._writer.close()
 
 
-class _Episodes:
+class _EpisodeFileWriter:
     """Files of episodes, one after another, a row group at a time."""
 
     def __init__(self, out: Path) -> None:
@@ -220,28 +226,28 @@ class _Episodes:
 
     def add(self, row: dict[str, Any]) -> None:
         """Add the row of an episode."""
-        if self._count % PLACES == 0:
+        if self._count % EPISODES_PER_FILE == 0:
             self.close()
         self._rows.append(row)
         self._count += 1
-        if len(self._rows) == GROUP:
-            self._write()
+        if len(self._rows) == ROW_GROUP_SIZE:
+            self._flush()
 
     def close(self) -> None:
         """Write the remaining rows and end the file that is open."""
-        self._write()
+        self._flush()
         if self._writer is not None:
             self._writer.close()
             self._writer = None
 
-    def _write(self) -> None:
+    def _flush(self) -> None:
         if not self._rows:
             return
         table = pa.Table.from_pylist(self._rows)
         if self._writer is None:
-            number = self._rows[0]["episode_index"] // PLACES
-            path = self._out / EPISODES.format(
-                chunk_index=number // CHUNK, file_index=number % CHUNK
+            number = self._rows[0]["episode_index"] // EPISODES_PER_FILE
+            path = self._out / EPISODES_PATH.format(
+                chunk_index=number // CHUNK_SIZE, file_index=number % CHUNK_SIZE
             )
             path.parent.mkdir(parents=True, exist_ok=True)
             self._writer = pq.ParquetWriter(path, table.schema)
@@ -249,23 +255,23 @@ class _Episodes:
         self._rows = []
 
 
-def _tasks(tasks: dict[str, int]) -> pa.Table:
+def _build_task_table(tasks: dict[str, int]) -> pa.Table:
     """As pandas reads it with the tasks as index, which LeRobot counts on."""
-    kinds = {"task_index": ("int64", "int64"), "task": ("unicode", "object")}
-    about = {
+    dtypes = {"task_index": ("int64", "int64"), "task": ("unicode", "object")}
+    pandas_metadata = {
         "index_columns": ["task"],
         "column_indexes": [],
         "columns": [
             {
                 "name": name,
                 "field_name": name,
-                "pandas_type": kind,
-                "numpy_type": of_numpy,
+                "pandas_type": pandas_type,
+                "numpy_type": numpy_type,
                 "metadata": None,
             }
-            for name, (kind, of_numpy) in kinds.items()
+            for name, (pandas_type, numpy_type) in dtypes.items()
         ],
         "pandas_version": "2.0.0",
     }
     table = pa.table({"task_index": list(tasks.values()), "task": list(tasks)})
-    return table.replace_schema_metadata({"pandas": json.dumps(about)})
+    return table.replace_schema_metadata({"pandas": json.dumps(pandas_metadata)})

@@ -18,7 +18,7 @@ type Statistics = dict[str, np.ndarray]
 """Values [width] of a feature by the names of `NAMES`; ``count`` is [1]."""
 
 
-def of_episode(rows: np.ndarray) -> Statistics:
+def compute_statistics(rows: np.ndarray) -> Statistics:
     """Return the statistics of a feature over one episode.
 
     A quantile is the smallest value that the fraction of the samples does not exceed: LeRobot's own
@@ -39,33 +39,33 @@ def of_episode(rows: np.ndarray) -> Statistics:
     }
 
 
-def aggregated(episodes: Iterable[Statistics]) -> Statistics:
+def aggregate_statistics(episodes: Iterable[Statistics]) -> Statistics:
     """Return the statistics of a feature over several episodes, as LeRobot aggregates them.
 
     Mean and standard deviation are those of all samples. Quantiles are the means of the episodes'
     quantiles, weighted by samples.
     """
-    stacked = [np.stack(values) for values in zip(*map(_ordered, episodes), strict=True)]
-    of = dict(zip(NAMES, stacked, strict=True))
-    count = of["count"]
+    stacked = [np.stack(values) for values in zip(*map(_ordered_values, episodes), strict=True)]
+    by_name = dict(zip(NAMES, stacked, strict=True))
+    count = by_name["count"]
     total = count.sum(axis=0)
-    mean = (of["mean"] * count).sum(axis=0) / total
-    variance = ((of["std"] ** 2 + (of["mean"] - mean) ** 2) * count).sum(axis=0) / total
+    mean = (by_name["mean"] * count).sum(axis=0) / total
+    variance = ((by_name["std"] ** 2 + (by_name["mean"] - mean) ** 2) * count).sum(axis=0) / total
     return {
-        "min": of["min"].min(axis=0),
-        "max": of["max"].max(axis=0),
+        "min": by_name["min"].min(axis=0),
+        "max": by_name["max"].max(axis=0),
         "mean": mean,
         "std": np.sqrt(variance),
         "count": total,
-        **{name: (of[name] * count).sum(axis=0) / total for name in QUANTILES},
+        **{name: (by_name[name] * count).sum(axis=0) / total for name in QUANTILES},
     }
 
 
-def _ordered(statistics: Statistics) -> list[np.ndarray]:
+def _ordered_values(statistics: Statistics) -> list[np.ndarray]:
     return [statistics[name] for name in NAMES]
 
 
-def columns(features: Mapping[str, Statistics]) -> dict[str, Any]:
+def build_columns(features: Mapping[str, Statistics]) -> dict[str, Any]:
     """Return the columns of an episode's row: ``stats/FEATURE/NAME``, lists of numbers."""
     return {
         f"stats/{feature}/{name}": values.tolist()

@@ -18,15 +18,15 @@ from angler_mjx.errors import UnsupportedError
 from angler_mjx.learning.datasets.exports import flights
 from angler_mjx.learning.datasets.reading.dataset import Dataset
 
-FOLDER = "MINARI_DATASETS_PATH"
-BUFFER = 200
+FOLDER_VARIABLE = "MINARI_DATASETS_PATH"
+BUFFER_SIZE = 200
 """Flights that are handed over at once."""
 
 
-def write(data: Dataset, out: Path, action: str, tell: Callable[[int], None]) -> None:
+def write_dataset(data: Dataset, out: Path, action: str, progress: Callable[[int], None]) -> None:
     """Write ``angler/NAME-v0`` below a folder, which ``MINARI_DATASETS_PATH`` then names.
 
-    Arguments and errors as of `parquet.write`.
+    Arguments and errors as of `parquet.write_dataset`.
 
     Raises:
         UnsupportedError: Minari is not installed.
@@ -41,55 +41,57 @@ def write(data: Dataset, out: Path, action: str, tell: Callable[[int], None]) ->
         ) from error
     width = len(flights.action_names(data, action))
     others = int(data.robots.max()) - 1
-    seen = len(flights.STATE) + others * len(flights.OTHER)
+    observation_size = len(flights.STATE_COLUMNS) + others * len(flights.OTHER_COLUMNS)
     unbounded: dict[str, Any] = {"low": -np.inf, "high": np.inf, "dtype": np.float32}
-    about = {
-        "dataset_id": f"angler/{re.sub('[^a-z0-9]+', '-', data.place.name.lower())}-v0",
-        "observation_space": spaces.Box(shape=(seen,), **unbounded),
+    description = {
+        "dataset_id": f"angler/{re.sub('[^a-z0-9]+', '-', data.root.name.lower())}-v0",
+        "observation_space": spaces.Box(shape=(observation_size,), **unbounded),
         "action_space": spaces.Box(shape=(width,), **unbounded),
-        "description": json.dumps(flights.about(data, action)),
+        "description": json.dumps(flights.describe_columns(data, action)),
         "algorithm_name": ", ".join(sorted(set(data.index["expert"].to_pylist()))),
         "requirements": [f"angler-mjx=={__version__}"],
     }
-    before = os.environ.get(FOLDER)
-    os.environ[FOLDER] = str(out)  # Minari knows no other way to be told
+    before = os.environ.get(FOLDER_VARIABLE)
+    os.environ[FOLDER_VARIABLE] = str(out)  # Minari knows no other way to be told
     try:
-        _write(minari, _episodes(data, action, EpisodeBuffer, tell), about)
+        _write_buffers(minari, _build_buffers(data, action, EpisodeBuffer, progress), description)
     finally:
         if before is None:
-            del os.environ[FOLDER]
+            del os.environ[FOLDER_VARIABLE]
         else:
-            os.environ[FOLDER] = before
+            os.environ[FOLDER_VARIABLE] = before
 
 
-def _write(minari: Any, episodes: Iterator[Any], about: Mapping[str, Any]) -> None:
-    made = None
-    for group in batched(episodes, BUFFER):
-        if made is None:
-            made = minari.create_dataset_from_buffers(buffer=list(group), **about)
+def _write_buffers(minari: Any, episodes: Iterator[Any], description: Mapping[str, Any]) -> None:
+    dataset = None
+    for group in batched(episodes, BUFFER_SIZE):
+        if dataset is None:
+            dataset = minari.create_dataset_from_buffers(buffer=list(group), **description)
         else:
-            made.update_dataset_from_buffer(list(group))
+            dataset.update_dataset_from_buffer(list(group))
 
 
-def _episodes(data: Dataset, action: str, kind: Any, tell: Callable[[int], None]) -> Iterator[Any]:
+def _build_buffers(
+    data: Dataset, action: str, buffer_class: Any, progress: Callable[[int], None]
+) -> Iterator[Any]:
     """Flights as Minari's buffers; those of a single sample, in which nothing is done, left out."""
     number = 0
-    for count, flight in enumerate(flights.flights(data, action), 1):
-        tell(count)
+    for count, flight in enumerate(flights.iterate_flights(data, action), 1):
+        progress(count)
         steps = len(flight.time_s)
         if steps < 2:
             continue
-        last = np.zeros(steps - 1, bool)
-        last[-1] = True
-        late = flight.outcome == "timeout"
-        yield kind(
+        is_last = np.zeros(steps - 1, bool)
+        is_last[-1] = True
+        timed_out = flight.outcome == "timeout"
+        yield buffer_class(
             id=number,
             options={"split": flight.split, "outcome": flight.outcome, "robot": flight.robot},
             observations=np.concatenate([flight.state, flight.others.reshape(steps, -1)], axis=1),
             actions=flight.action[:-1],
-            rewards=(last * flight.arrived).astype(np.float32),
-            terminations=last & (not late),
-            truncations=last & late,
+            rewards=(is_last * flight.arrived).astype(np.float32),
+            terminations=is_last & (not timed_out),
+            truncations=is_last & timed_out,
             infos={},
         )
         number += 1

@@ -16,12 +16,12 @@ from angler_mjx.learning.datasets.exports import flights
 from angler_mjx.learning.datasets.reading.dataset import Dataset
 from angler_mjx.world.obstacles.types import BOX, CAPSULE, SPHERE
 
-POINTS = 50
+SOLUTION_POINTS = 50
 """Of a solution, as theirs have."""
 
 
-def write(data: Dataset, out: Path, action: str, tell: Callable[[int], None]) -> None:
-    """Write a file for each split: ``train.hdf5`` and so on; arguments as of `parquet.write`.
+def write_dataset(data: Dataset, out: Path, action: str, progress: Callable[[int], None]) -> None:
+    """Write a file for each split, ``train.hdf5`` and so on; see `parquet.write_dataset`.
 
     Raises:
         ConfigError: a file is damaged.
@@ -33,53 +33,58 @@ def write(data: Dataset, out: Path, action: str, tell: Callable[[int], None]) ->
     except ImportError as error:
         raise UnsupportedError("h5py is not installed: pip install 'angler-mjx[export]'") from error
     splits = sorted(set(data.index["split"].to_pylist()))
-    most = _most(data)
+    max_counts = _max_shape_counts(data)
     files = {name: h5py.File(out / f"{name}.hdf5", "w") for name in splits}
     try:
         for name, file in files.items():
-            _describe(file, most, name)
-        seen, scene = -1, {}
-        for number, flight in enumerate(flights.flights(data, action), 1):
-            if flight.episode != seen:
-                seen, scene = flight.episode, shapes(data.episode(flight.episode).environment)
+            _create_arrays(file, max_counts, name)
+        current_episode, scene = -1, {}
+        for number, flight in enumerate(flights.iterate_flights(data, action), 1):
+            if flight.episode != current_episode:
+                current_episode, scene = (
+                    flight.episode,
+                    build_shapes(data.episode(flight.episode).environment),
+                )
             if flight.arrived:
-                _append(files[flight.split], {"global_solutions": solution(flight), **scene})
-            tell(number)
+                _append_rows(
+                    files[flight.split], {"global_solutions": resample_flight(flight), **scene}
+                )
+            progress(number)
     finally:
         for file in files.values():
             file.close()
 
 
-def solution(flight: flights.ExportedFlight) -> np.ndarray:
+def resample_flight(flight: flights.ExportedFlight) -> np.ndarray:
     """[POINTS, 4] of a flight: x, y, z, m, and heading, rad, evenly in time."""
-    at = np.linspace(flight.time_s[0], flight.time_s[-1], POINTS)
+    time_s = np.linspace(flight.time_s[0], flight.time_s[-1], SOLUTION_POINTS)
     w, x, y, z = flight.state[:, 3:7].T
     heading = np.unwrap(np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))
     rows = [*flight.state[:, :3].T, heading]
-    return np.stack([np.interp(at, flight.time_s, row) for row in rows], axis=-1)
+    return np.stack([np.interp(time_s, flight.time_s, row) for row in rows], axis=-1)
 
 
-def shapes(around: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+def build_shapes(environment: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Rock and obstacles of a world at its start, by the names of the layout, [count, ...]."""
-    cell = float(around["grid/cell_m"]) if "grid/cell_m" in around else 1.0
-    cells = np.argwhere(around["grid/occupied"])
-    centres = around["grid/origin_m"] + cell * (cells + 0.5)
+    cell = float(environment["grid/cell_m"]) if "grid/cell_m" in environment else 1.0
+    cells = np.argwhere(environment["grid/occupied"])
+    centres = environment["grid/origin_m"] + cell * (cells + 0.5)
     upright = np.tile([1.0, 0.0, 0.0, 0.0], (len(cells), 1))
-    kind = np.asarray(around.get("obstacles/kind", np.zeros(0, int)))
-    there = np.asarray(around.get("obstacles/exists", np.zeros(0, bool)))
-    size = np.asarray(around.get("obstacles/size_m", np.zeros((0, 3))))
-    place = np.asarray(around.get("obstacles/p0", np.zeros((0, 3))))
-    turned = np.asarray(around.get("obstacles/q0", np.zeros((0, 4))))
-    box, rod, ball = (there & (kind == one) for one in (BOX, CAPSULE, SPHERE))
+    kind = np.asarray(environment.get("obstacles/kind", np.zeros(0, int)))
+    exists = np.asarray(environment.get("obstacles/exists", np.zeros(0, bool)))
+    size = np.asarray(environment.get("obstacles/size_m", np.zeros((0, 3))))
+    position_m = np.asarray(environment.get("obstacles/p0", np.zeros((0, 3))))
+    quaternion = np.asarray(environment.get("obstacles/q0", np.zeros((0, 4))))
+    box, rod, ball = (exists & (kind == shape_kind) for shape_kind in (BOX, CAPSULE, SPHERE))
     return {
-        "cuboid_centers": np.concatenate([centres, place[box]]),
+        "cuboid_centers": np.concatenate([centres, position_m[box]]),
         "cuboid_dims": np.concatenate([np.full((len(cells), 3), cell), 2.0 * size[box]]),
-        "cuboid_quaternions": np.concatenate([upright, turned[box]]),
-        "cylinder_centers": place[rod],
+        "cuboid_quaternions": np.concatenate([upright, quaternion[box]]),
+        "cylinder_centers": position_m[rod],
         "cylinder_radii": size[rod, :1],
         "cylinder_heights": 2.0 * (size[rod, 1:2] + size[rod, :1]),
-        "cylinder_quaternions": turned[rod],
-        "sphere_centers": place[ball],
+        "cylinder_quaternions": quaternion[rod],
+        "sphere_centers": position_m[ball],
         "sphere_radii": size[ball, :1],
     }
 
@@ -98,29 +103,31 @@ ATTRIBUTES = {
 """Attributes of every array, by the last word of its name."""
 
 
-def _most(data: Dataset) -> dict[str, int]:
+def _max_shape_counts(data: Dataset) -> dict[str, int]:
     """Rows that each kind of shape needs."""
-    most: dict[str, int] = {}
+    max_counts: dict[str, int] = {}
     for i in range(len(data)):
-        for name, rows in shapes(data.episode(i).environment).items():
-            most[name] = max(most.get(name, 1), len(rows))
-    return most
+        for name, rows in build_shapes(data.episode(i).environment).items():
+            max_counts[name] = max(max_counts.get(name, 1), len(rows))
+    return max_counts
 
 
-def _describe(file: Any, most: Mapping[str, int], split: str) -> None:
+def _create_arrays(file: Any, max_counts: Mapping[str, int], split: str) -> None:
     file.attrs["split"] = split
     file.attrs["frames"] = "world x east, y north, z up, m; quaternions wxyz"
-    wanted = {"global_solutions": (POINTS, 4)}
-    wanted |= {name: (rows, _TAILS[name.rpartition("_")[2]]) for name, rows in most.items()}
-    for name, tail in wanted.items():
-        made = file.create_dataset(
+    array_shapes = {"global_solutions": (SOLUTION_POINTS, 4)}
+    array_shapes |= {
+        name: (rows, _TAILS[name.rpartition("_")[2]]) for name, rows in max_counts.items()
+    }
+    for name, tail in array_shapes.items():
+        array = file.create_dataset(
             name, (0, *tail), "f8", maxshape=(None, *tail), chunks=(16, *tail), compression="gzip"
         )
         for key, text in ATTRIBUTES[name.rpartition("_")[2]].items():
-            made.attrs[key] = text
+            array.attrs[key] = text
 
 
-def _append(file: Any, rows: Mapping[str, np.ndarray]) -> None:
+def _append_rows(file: Any, rows: Mapping[str, np.ndarray]) -> None:
     for name, values in rows.items():
         stored = file[name]
         stored.resize(len(stored) + 1, axis=0)

@@ -13,51 +13,56 @@ from angler_mjx.learning.datasets.exports import flights
 from angler_mjx.learning.datasets.exports.flights import ExportedFlight
 from angler_mjx.learning.datasets.reading.dataset import Dataset
 
-FLIGHTS = 500
+FLIGHTS_PER_FILE = 500
 """Of a file."""
 
 
-def write(data: Dataset, out: Path, action: str, tell: Callable[[int], None]) -> None:
+def write_dataset(data: Dataset, out: Path, action: str, progress: Callable[[int], None]) -> None:
     """Write all flights into a folder.
 
     Args:
         data: the dataset.
         out: the folder, empty.
         action: see `flights.ACTIONS`.
-        tell: told how many are written.
+        progress: told how many are written.
 
     Raises:
         ConfigError: there is no such action, or a file is damaged.
         OSError: the disk gave out.
     """
     names = flights.action_names(data, action)
-    schema = _schema(data, names, flights.about(data, action))
-    done = 0
-    for number, group in enumerate(batched(flights.flights(data, action), FLIGHTS)):
+    schema = _build_schema(data, names, flights.describe_columns(data, action))
+    n_written = 0
+    for number, group in enumerate(
+        batched(flights.iterate_flights(data, action), FLIGHTS_PER_FILE)
+    ):
         with pq.ParquetWriter(out / f"part-{number:05d}.parquet", schema) as writer:
             for flight in group:
-                writer.write_batch(_rows(flight, schema))
-        done += len(group)
-        tell(done)
+                writer.write_batch(_build_batch(flight, schema))
+        n_written += len(group)
+        progress(n_written)
 
 
-def _schema(data: Dataset, actions: tuple[str, ...], about: dict[str, object]) -> pa.Schema:
+def _build_schema(data: Dataset, actions: tuple[str, ...], about: dict[str, object]) -> pa.Schema:
     text = pa.dictionary(pa.int32(), pa.string())
-    numbers = ["time_s", *flights.STATE, *(f"action_{name}" for name in actions)]
+    numbers = ["time_s", *flights.STATE_COLUMNS, *(f"action_{name}" for name in actions)]
     numbers += flights.other_names(data)
     fields = [
         pa.field("episode", pa.int64(), metadata={"unit": "1"}),
         pa.field("robot", pa.int32(), metadata={"unit": "1"}),
         pa.field("split", text),
         pa.field("outcome", text),
-        *(pa.field(name, pa.float32(), metadata={"unit": flights.unit(name)}) for name in numbers),
+        *(
+            pa.field(name, pa.float32(), metadata={"unit": flights.unit_of(name)})
+            for name in numbers
+        ),
     ]
     return pa.schema(fields, metadata={"angler": json.dumps(about)})
 
 
-def _rows(flight: ExportedFlight, schema: pa.Schema) -> pa.RecordBatch:
+def _build_batch(flight: ExportedFlight, schema: pa.Schema) -> pa.RecordBatch:
     steps = len(flight.time_s)
-    columns = list(_columns(flight, steps))
+    columns = list(_iterate_columns(flight, steps))
     return pa.record_batch(
         [
             pa.array(x, schema.field(i).type) if not isinstance(x, pa.Array) else x
@@ -67,7 +72,7 @@ def _rows(flight: ExportedFlight, schema: pa.Schema) -> pa.RecordBatch:
     )
 
 
-def _columns(flight: ExportedFlight, steps: int) -> Iterator[object]:
+def _iterate_columns(flight: ExportedFlight, steps: int) -> Iterator[object]:
     yield np.full(steps, flight.episode, np.int64)
     yield np.full(steps, flight.robot, np.int32)
     for text in (flight.split, flight.outcome):

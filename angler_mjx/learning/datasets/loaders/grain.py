@@ -1,7 +1,7 @@
 """Windows for Grain, which is imported here and nowhere else.
 
-`source` gives a `grain.MapDataset`: shuffle, batch and map it as any other. Its iterators say where
-they are (``get_state``), and go on from there.
+`build_source` gives a `grain.MapDataset`: shuffle, batch and map it as any other. Its iterators say
+where they are (``get_state``), and go on from there.
 """
 
 from typing import Any
@@ -15,6 +15,6 @@ except ImportError as error:
     raise UnsupportedError("Grain is not installed: pip install grain") from error
 
 
-def source(windows: Windows) -> Any:
+def build_source(windows: Windows) -> Any:
     """All windows, in order, as a `grain.MapDataset`."""
     return grain.MapDataset.source(windows)

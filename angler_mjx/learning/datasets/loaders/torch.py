@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from angler_mjx.errors import ConfigError, UnsupportedError
-from angler_mjx.learning.datasets.loaders import order
+from angler_mjx.learning.datasets.loaders import shuffling
 from angler_mjx.learning.datasets.reading.windows import Window, Windows
 
 try:
@@ -32,7 +32,7 @@ class WindowDataset(Dataset):  # type: ignore[misc]
 
     def __getitem__(self, number: int) -> dict[str, Any]:
         """A window, of tensors."""
-        return tensors(self.windows[number])
+        return to_tensors(self.windows[number])
 
 
 class WindowStream(IterableDataset):  # type: ignore[misc]
@@ -49,7 +49,7 @@ class WindowStream(IterableDataset):  # type: ignore[misc]
         seed: int = 0,
         rank: int = 0,
         world_size: int = 1,
-        group: int = order.GROUP,
+        group: int = shuffling.GROUP_SIZE,
     ) -> None:
         """Of a dataset.
 
@@ -58,7 +58,7 @@ class WindowStream(IterableDataset):  # type: ignore[misc]
             seed: of the order.
             rank: of this process of a distributed training.
             world_size: processes of it.
-            group: see `order.shuffled`.
+            group: see `shuffling.shuffle_windows`.
 
         Raises:
             ConfigError: the rank is none.
@@ -76,16 +76,16 @@ class WindowStream(IterableDataset):  # type: ignore[misc]
 
     def __iter__(self) -> Iterator[dict[str, Any]]:
         """What this worker of this rank sees."""
-        numbers = order.shuffled(self.windows, self.seed, self.epoch, self.group)
+        numbers = shuffling.shuffle_windows(self.windows, self.seed, self.epoch, self.group)
         info = get_worker_info()
         workers, worker = (1, 0) if info is None else (info.num_workers, info.id)
-        mine = order.share(
+        selected = shuffling.shard_numbers(
             numbers,
             start=self.seen,
             index=self.rank + worker * self.world_size,
             of=self.world_size * workers,
         )
-        return (tensors(self.windows[number]) for number in mine)
+        return (to_tensors(self.windows[number]) for number in selected)
 
     def state_dict(self) -> dict[str, int]:
         """Where it is, as `load_state_dict` takes it."""
@@ -96,6 +96,6 @@ class WindowStream(IterableDataset):  # type: ignore[misc]
         self.seed, self.epoch, self.seen = state["seed"], state["epoch"], state["seen"]
 
 
-def tensors(window: Window) -> dict[str, Any]:
+def to_tensors(window: Window) -> dict[str, Any]:
     """A window whose arrays are tensors, in the same memory."""
     return {name: torch.from_numpy(np.asarray(value)) for name, value in window.items()}

@@ -10,16 +10,16 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import zarr
 
-from angler_mjx.errors import ConfigError, UnsupportedError, shown
+from angler_mjx.errors import ConfigError, UnsupportedError, format_value
 from angler_mjx.learning.datasets import index, manifest
 from angler_mjx.learning.datasets.config import SplitConfig
 from angler_mjx.learning.datasets.reading.episode import Episode
-from angler_mjx.learning.datasets.reading.statistics import Statistics, statistics
+from angler_mjx.learning.datasets.reading.statistics import Statistics, compute_statistics
 from angler_mjx.learning.datasets.reading.stored import StoredArray
 from angler_mjx.learning.datasets.reading.windows import Windows
 from angler_mjx.robot.vehicles import library
-from angler_mjx.runs.storage import folder, layout
-from angler_mjx.runs.storage.damage import reading
+from angler_mjx.runs.storage import folder, trajectory_layout
+from angler_mjx.runs.storage.read_errors import wrap_read_errors
 
 FIELDS = ("p_m", "q", "nu", "target_m", "current_mps", "pwm_us", "obstacle_p_m")
 """Arrays that are read where none are named."""
@@ -30,13 +30,13 @@ class Dataset:
 
     def __init__(
         self,
-        place: Path,
+        root: Path,
         table: pa.Table,
         parts: Sequence[Path],
         fields: Sequence[str],
     ) -> None:
         """See `open_dataset`."""
-        self.place = place
+        self.root = root
         self.index = table
         """A row an episode; see `angler_mjx.learning.datasets.index`."""
         self.fields = tuple(fields)
@@ -46,7 +46,7 @@ class Dataset:
         self._names: dict[int, list[str]] = {}
         self._runs: dict[int, folder.Run] = {}
         self._thrusters: dict[tuple[int, str], int] = {}
-        self._around: tuple[tuple[int, int], dict[str, np.ndarray]] = ((-1, -1), {})
+        self._environment_cache: tuple[tuple[int, int], dict[str, np.ndarray]] = ((-1, -1), {})
         self._rows: dict[str, np.ndarray] = {
             name: table[name].to_numpy(zero_copy_only=False)
             for name in ("part", "world", "samples", "robots")
@@ -54,7 +54,7 @@ class Dataset:
 
     def __getstate__(self) -> dict[str, Any]:
         """What another process needs; it opens runs anew."""
-        return {**self.__dict__, "_runs": {}, "_around": ((-1, -1), {})}
+        return {**self.__dict__, "_runs": {}, "_environment_cache": ((-1, -1), {})}
 
     def __len__(self) -> int:
         """Episodes."""
@@ -70,33 +70,37 @@ class Dataset:
         """Int [episode] of the teams."""
         return self._rows["robots"]
 
-    def stored(self, episode: int, name: str) -> StoredArray:
+    def open_array(self, episode: int, name: str) -> StoredArray:
         """An array of the run in which an episode lies.
 
         Raises:
             ConfigError: there is none of that name, or it is damaged.
         """
         part = int(self._rows["part"][episode])
-        found = self._stored.get((part, name))
-        if found is None:
+        array = self._stored.get((part, name))
+        if array is None:
             path = self.parts[part] / folder.TRAJECTORIES / name
             if not (path / "zarr.json").is_file():
                 raise ConfigError(
                     f"{path}: is not there; arrays of a run are {', '.join(self.names(episode))}"
                 )
-            found = self._stored[part, name] = StoredArray(path)
-        return found
+            array = self._stored[part, name] = StoredArray(path)
+        return array
 
     def names(self, episode: int) -> list[str]:
         """Arrays [world, time, ...] of the run in which an episode lies."""
         part = int(self._rows["part"][episode])
-        found = self._names.get(part)
-        if found is None:
-            place = self.parts[part] / folder.TRAJECTORIES
-            timed = (name for name, kind in layout.ARRAYS.items() if kind.dims[:1] == ("time",))
-            found = [name for name in timed if (place / name / "zarr.json").is_file()]
-            self._names[part] = found
-        return found
+        names = self._names.get(part)
+        if names is None:
+            trajectories = self.parts[part] / folder.TRAJECTORIES
+            timed = (
+                name
+                for name, kind in trajectory_layout.ARRAYS.items()
+                if kind.dims[:1] == ("time",)
+            )
+            names = [name for name in timed if (trajectories / name / "zarr.json").is_file()]
+            self._names[part] = names
+        return names
 
     def values(self, episode: int, name: str, times: slice | None = None) -> np.ndarray:
         """Values of one array: [time, robot, ...] or [time, obstacle, ...].
@@ -110,7 +114,7 @@ class Dataset:
             ConfigError: there is none of that name, or it is damaged.
         """
         whole = slice(0, int(self.samples[episode])) if times is None else times
-        return self.stored(episode, name).read(int(self._rows["world"][episode]), whole)
+        return self.open_array(episode, name).read(int(self._rows["world"][episode]), whole)
 
     def episode(self, episode: int) -> Episode:
         """A flight with all that is known of it.
@@ -124,8 +128,10 @@ class Dataset:
         about = self.index.slice(episode, 1).to_pylist()[0]
         part, world = about["part"], about["world"]
         run, robots = self.run(part), about["robots"]
-        around = self._environment(part, world)
-        plan = {name: self.stored(episode, name).read(world) for name in ("plan_time_s", "plan_m")}
+        environment = self._environment(part, world)
+        plan = {
+            name: self.open_array(episode, name).read(world) for name in ("plan_time_s", "plan_m")
+        }
         rows = run.episodes.slice(world * robots, robots)
         present = self.names(episode)
         return Episode(
@@ -133,35 +139,35 @@ class Dataset:
             time_s=np.arange(about["samples"]) / run.scenario.time.record_hz,
             arrays={n: self.values(episode, n) for n in self.fields if n in present},
             running=self.values(episode, "outcome") == 0,
-            start_m=around["start_m"],
-            goal_m=around["goal_m"],
-            environment=around,
+            start_m=environment["start_m"],
+            goal_m=environment["goal_m"],
+            environment=environment,
             outcomes=tuple(rows["outcome"].to_pylist()),
             **plan,
         )
 
     def run(self, part: int) -> folder.Run:
         """The run folder of a part."""
-        found = self._runs.get(part)
-        if found is None:
-            found = self._runs[part] = folder.Run(self.parts[part])
-        return found
+        run = self._runs.get(part)
+        if run is None:
+            run = self._runs[part] = folder.Run(self.parts[part])
+        return run
 
     def _environment(self, part: int, world: int) -> dict[str, np.ndarray]:
         """Of a world; those of a tile are stored together, and the last ones are kept."""
         tile = max(self.run(part).scenario.tile or 1, 1)
         first = world - world % tile
-        if self._around[0] != (part, first):
+        if self._environment_cache[0] != (part, first):
             run = self.run(part)
-            group: Any = run.trajectories[layout.ENVIRONMENT]
-            with reading(run.path):
-                here = {
+            group: Any = run.trajectories[trajectory_layout.ENVIRONMENT_GROUP]
+            with wrap_read_errors(run.path):
+                arrays = {
                     name: np.asarray(node[first : first + tile])
                     for name, node in group.members(max_depth=None)
                     if isinstance(node, zarr.Array) and node.ndim
                 }
-            self._around = (part, first), here
-        return {name: values[world - first] for name, values in self._around[1].items()}
+            self._environment_cache = (part, first), arrays
+        return {name: values[world - first] for name, values in self._environment_cache[1].items()}
 
     def goals_m(self, episode: int) -> np.ndarray:
         """[robot, 3] in W."""
@@ -171,12 +177,12 @@ class Dataset:
 
     @cached_property
     def _goals(self) -> Mapping[int, np.ndarray]:
-        found = {}
+        goals = {}
         for part in sorted(set(self._rows["part"].tolist())):
             group: Any = self.run(part).trajectories
-            with reading(self.parts[part]):
-                found[part] = np.asarray(group[f"{layout.ENVIRONMENT}/goal_m"][:])
-        return found
+            with wrap_read_errors(self.parts[part]):
+                goals[part] = np.asarray(group[f"{trajectory_layout.ENVIRONMENT_GROUP}/goal_m"][:])
+        return goals
 
     def windows(
         self,
@@ -194,13 +200,13 @@ class Dataset:
     def vehicles(self) -> tuple[str, ...]:
         """Labels of all vehicles that fly in it, sorted."""
         parts = set(self._rows["part"].tolist())
-        return tuple(sorted({x for part in parts for x in self._labels(part)}))
+        return tuple(sorted({x for part in parts for x in self._part_labels(part)}))
 
-    def labels(self, episode: int) -> list[str]:
+    def vehicle_labels(self, episode: int) -> list[str]:
         """Return the vehicle of each robot [robot], by its label in ``episodes.parquet``."""
-        return self._labels(int(self._rows["part"][episode]))
+        return self._part_labels(int(self._rows["part"][episode]))
 
-    def _labels(self, part: int) -> list[str]:
+    def _part_labels(self, part: int) -> list[str]:
         """Vehicles of the robots of a part: the same in all of its worlds."""
         robots = len(self.run(part).scenario.members())
         labels: list[str] = self.run(part).episodes["vehicle"].slice(0, robots).to_pylist()
@@ -215,19 +221,19 @@ class Dataset:
         part = int(self._rows["part"][episode])
         count = self._thrusters.get((part, label))
         if count is None:
-            vehicle = library.load(self.run(part).vehicle_file(label))
+            vehicle = library.load_vehicle(self.run(part).vehicle_file(label))
             count = self._thrusters[part, label] = len(vehicle.thrusters.layout)
         return count
 
     def obstacles_exist(self, episode: int) -> np.ndarray:
         """Return which rows of obstacle arrays are obstacles of this episode, bool [obstacle]."""
-        around = self._environment(
+        environment = self._environment(
             int(self._rows["part"][episode]), int(self._rows["world"][episode])
         )
-        exist: np.ndarray = np.asarray(around.get("obstacles/exists", ()), bool)
+        exist: np.ndarray = np.asarray(environment.get("obstacles/exists", ()), bool)
         return exist
 
-    def statistics(self, most: int = 1000, *, vehicle: str | None = None) -> Statistics:
+    def statistics(self, max_episodes: int = 1000, *, vehicle: str | None = None) -> Statistics:
         """Return mean and standard deviation of each field's components, float32 [component].
 
         Counted are robots on their way, obstacles that exist and thrusters that a robot has. A
@@ -235,13 +241,13 @@ class Dataset:
         one to normalise pulse widths.
 
         Args:
-            most: number of episodes to read, evenly spread.
+            max_episodes: number of episodes to read, evenly spread.
             vehicle: count robots of this vehicle alone; all if None.
 
         Raises:
             ConfigError: there is no such vehicle, or a file is damaged.
         """
-        return statistics(self, most, vehicle)
+        return compute_statistics(self, max_episodes, vehicle)
 
     def xarray(self, part: int = 0) -> Any:
         """Trajectories of a part as an `xarray.Dataset`, read when looked at.
@@ -257,7 +263,7 @@ class Dataset:
 
 
 def open_dataset(
-    place: Path | str,
+    root: Path | str,
     *,
     split: str | Sequence[str] | None = None,
     fields: Sequence[str] = FIELDS,
@@ -267,7 +273,7 @@ def open_dataset(
     """Open a dataset, or a run folder as one.
 
     Args:
-        place: its folder.
+        root: its folder.
         split: train, val, test, test_NAME, or several; all if None.
         fields: arrays of episodes and windows, by their names in the runs.
         success: only episodes in which the whole team arrived, or only the others; all if None.
@@ -277,25 +283,29 @@ def open_dataset(
     Raises:
         ConfigError: there is no such dataset, split or array, or it is damaged.
     """
-    place = Path(place)
-    if not (place / manifest.MANIFEST).is_file() and (place / folder.SUMMARY).is_file():
-        entry = {"scene": "run", "expert": folder.Run(place).scenario.planner.name, "split": None}
-        every = SplitConfig(train=1.0, val=0.0, test=0.0)
-        table, parts = index.rows(place, 0, entry, every, 0), [place]
+    root = Path(root)
+    if not (root / manifest.MANIFEST).is_file() and (root / folder.SUMMARY).is_file():
+        entry = {"scene": "run", "expert": folder.Run(root).scenario.planner.name, "split": None}
+        split_config = SplitConfig(train=1.0, val=0.0, test=0.0)
+        table, parts = index.build_rows(root, 0, entry, split_config, 0), [root]
     else:
-        found = manifest.read(place)
-        table, parts = index.read(place), [place / part.path for part in found.parts]
-    unknown = [name for name in fields if name not in layout.ARRAYS]
+        dataset_manifest = manifest.read_manifest(root)
+        table, parts = index.read_index(root), [root / part.path for part in dataset_manifest.parts]
+    unknown = [name for name in fields if name not in trajectory_layout.ARRAYS]
     if unknown:
-        known = [name for name, kind in layout.ARRAYS.items() if kind.dims[:1] == ("time",)]
-        raise ConfigError(f"fields: {shown(unknown[0])} is none of {', '.join(known)}")
+        available = [
+            name for name, kind in trajectory_layout.ARRAYS.items() if kind.dims[:1] == ("time",)
+        ]
+        raise ConfigError(f"fields: {format_value(unknown[0])} is none of {', '.join(available)}")
     if split is not None:
-        wanted = [split] if isinstance(split, str) else list(split)
-        there = sorted(set(table["split"].to_pylist()))
-        for name in wanted:
-            if name not in there:
-                raise ConfigError(f"split: {shown(name)} is none of {', '.join(there)} of {place}")
-        table = table.filter(pc.is_in(table["split"], pa.array(wanted)))
+        splits = [split] if isinstance(split, str) else list(split)
+        existing = sorted(set(table["split"].to_pylist()))
+        for name in splits:
+            if name not in existing:
+                raise ConfigError(
+                    f"split: {format_value(name)} is none of {', '.join(existing)} of {root}"
+                )
+        table = table.filter(pc.is_in(table["split"], pa.array(splits)))
     if success is not None:
         table = table.filter(pc.equal(table["success"], success))
     if chosen is not None:
@@ -303,9 +313,9 @@ def open_dataset(
         table = table.filter(pc.equal(table["chosen"], chosen))
         if before and not len(table):
             raise ConfigError(
-                f"{place}: none of these {before} episodes is{' not' * (not chosen)} chosen; give "
+                f"{root}: none of these {before} episodes is{' not' * (not chosen)} chosen; give "
                 "chosen=None to read them all"
             )
     if not len(table):
-        raise ConfigError(f"{place}: no episode is left of that split and success")
-    return Dataset(place, table, parts, fields)
+        raise ConfigError(f"{root}: no episode is left of that split and success")
+    return Dataset(root, table, parts, fields)

@@ -58,7 +58,7 @@ class Episodes(Protocol):
     def vehicles(self) -> tuple[str, ...]:
         """Labels of all vehicles."""
 
-    def stored(self, episode: int, name: str) -> StoredArray:
+    def open_array(self, episode: int, name: str) -> StoredArray:
         """Return an array of the run that holds an episode."""
 
     def names(self, episode: int) -> list[str]:
@@ -70,7 +70,7 @@ class Episodes(Protocol):
     def goals_m(self, episode: int) -> np.ndarray:
         """Return [robot, 3] in W."""
 
-    def labels(self, episode: int) -> list[str]:
+    def vehicle_labels(self, episode: int) -> list[str]:
         """Return the vehicle of each robot."""
 
     def thrusters(self, episode: int, label: str) -> int:

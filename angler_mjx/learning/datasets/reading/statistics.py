@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from angler_mjx.errors import ConfigError, shown
+from angler_mjx.errors import ConfigError, format_value
 from angler_mjx.learning.datasets.reading.episode import Episodes
-from angler_mjx.runs.storage import layout
+from angler_mjx.runs.storage import trajectory_layout
 
 type Statistics = dict[str, tuple[np.ndarray, np.ndarray]]
 """Mean and standard deviation, float32 [component] each, by the names of fields."""
@@ -16,7 +16,7 @@ class _Moments:
     def __init__(self) -> None:
         self.count = self._first = self._second = np.zeros(0)
 
-    def add(self, values: np.ndarray, known: np.ndarray) -> None:
+    def add(self, values: np.ndarray, mask: np.ndarray) -> None:
         """Add values [..., component] where they are known, bool of the same shape.
 
         Vehicles of other parts may have more thrusters than those so far.
@@ -24,11 +24,11 @@ class _Moments:
         axes = tuple(range(values.ndim - 1))
         width = max(values.shape[-1], self.count.size)
         missing = [(0, 0)] * len(axes) + [(0, width - values.shape[-1])]
-        values, known = np.pad(np.where(known, values, 0.0), missing), np.pad(known, missing)
+        values, mask = np.pad(np.where(mask, values, 0.0), missing), np.pad(mask, missing)
         for sums in ("count", "_first", "_second"):
             before = getattr(self, sums)
             setattr(self, sums, np.pad(before, (0, width - before.size)))
-        self.count += known.sum(axis=axes)
+        self.count += mask.sum(axis=axes)
         self._first += values.sum(axis=axes)
         self._second += (values**2).sum(axis=axes)
 
@@ -40,25 +40,27 @@ class _Moments:
         return mean.astype(np.float32), spread.astype(np.float32)
 
 
-def statistics(data: Episodes, most: int, vehicle: str | None) -> Statistics:
-    """See `Dataset.statistics`."""
-    known_vehicles = data.vehicles
-    if vehicle is not None and vehicle not in known_vehicles:
-        raise ConfigError(f"vehicle: {shown(vehicle)} is none of {', '.join(known_vehicles)}")
+def compute_statistics(data: Episodes, max_episodes: int, vehicle: str | None) -> Statistics:
+    """See `Dataset.compute_statistics`."""
+    vehicles = data.vehicles
+    if vehicle is not None and vehicle not in vehicles:
+        raise ConfigError(f"vehicle: {format_value(vehicle)} is none of {', '.join(vehicles)}")
     moments: dict[str, _Moments] = {}
-    for i in np.unique(np.linspace(0, len(data) - 1, min(most, len(data))).astype(int)).tolist():
-        counted = data.values(i, "outcome") == 0
+    for i in np.unique(
+        np.linspace(0, len(data) - 1, min(max_episodes, len(data))).astype(int)
+    ).tolist():
+        is_running = data.values(i, "outcome") == 0
         if vehicle is not None:
-            counted = counted & (np.array(data.labels(i)) == vehicle)
+            is_running = is_running & (np.array(data.vehicle_labels(i)) == vehicle)
         for name in (name for name in data.fields if name in data.names(i)):
-            values, known = _known(data, i, name, counted)
-            of = moments.setdefault(name, _Moments())
-            of.add(values, known)
-    return {name: of.result() for name, of in moments.items() if of.count.any()}
+            values, mask = _read_with_mask(data, i, name, is_running)
+            moment = moments.setdefault(name, _Moments())
+            moment.add(values, mask)
+    return {name: moment.result() for name, moment in moments.items() if moment.count.any()}
 
 
-def _known(
-    data: Episodes, episode: int, name: str, counted: np.ndarray
+def _read_with_mask(
+    data: Episodes, episode: int, name: str, is_running: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return values [..., component] of a field and which of them count, bool of the same shape.
 
@@ -69,19 +71,21 @@ def _known(
         data: the dataset.
         episode: position in its index.
         name: of the field.
-        counted: bool [time, robot].
+        is_running: bool [time, robot].
     """
-    dims = layout.ARRAYS[name].dims
+    dims = trajectory_layout.ARRAYS[name].dims
     values = data.values(episode, name).astype(float)
     if dims[-1] in ("time", "robot", "obstacle"):
         values, dims = values[..., None], (*dims, "component")
-    known = np.isfinite(values).all(axis=-1, keepdims=True) & np.ones(values.shape, bool)
+    mask = np.isfinite(values).all(axis=-1, keepdims=True) & np.ones(values.shape, bool)
     rest = (1,) * (values.ndim - 2)
     if dims[1] == "robot":
-        known &= counted.reshape(*counted.shape, *rest)
+        mask &= is_running.reshape(*is_running.shape, *rest)
     elif dims[1] == "obstacle":
-        known &= data.obstacles_exist(episode).reshape(1, -1, *rest)
+        mask &= data.obstacles_exist(episode).reshape(1, -1, *rest)
     if dims[-1] == "thruster":
-        thrusters = np.array([data.thrusters(episode, label) for label in data.labels(episode)])
-        known &= (np.arange(values.shape[-1]) < thrusters[:, None]) & (values > 0.0)
-    return values, known
+        thrusters = np.array(
+            [data.thrusters(episode, label) for label in data.vehicle_labels(episode)]
+        )
+        mask &= (np.arange(values.shape[-1]) < thrusters[:, None]) & (values > 0.0)
+    return values, mask

@@ -18,18 +18,18 @@ import zarr
 from numcodecs import blosc
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.runs.storage.damage import ADVICE, reading
+from angler_mjx.runs.storage.read_errors import DEFAULT_ADVICE, wrap_read_errors
 from angler_mjx.runs.storage.shards import ABSENT
 
-SHARDS = 64
+MAX_SHARDS = 64
 """Files of an array that are kept open."""
-CHUNKS = 64
+MAX_CHUNKS = 64
 """Worlds of an array that each thread keeps decoded, some 30 MB of all arrays of four robots:
 windows of one episode come together, and so do those of a group (`loaders.order`)."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Form:
+class _ArrayFormat:
     """What ``zarr.json`` says of an array."""
 
     shape: tuple[int, ...]
@@ -60,31 +60,31 @@ class StoredArray:
             ConfigError: it is none, or damaged.
         """
         self.path = path
-        with reading(path / "zarr.json"):
-            about = json.loads((path / "zarr.json").read_text(encoding="utf-8"))
-            self._form = _form(about)
+        with wrap_read_errors(path / "zarr.json"):
+            metadata = json.loads((path / "zarr.json").read_text(encoding="utf-8"))
+            self._form = _parse_format(metadata)
             self._zarr: Any = None
             if self._form is None:
                 self._zarr = zarr.open_array(path, mode="r")
-        found = self._zarr if self._form is None else self._form
-        self.shape: tuple[int, ...] = tuple(found.shape)
-        self.dtype: np.dtype[Any] = np.dtype(found.dtype)
-        self._begin()
+        source = self._zarr if self._form is None else self._form
+        self.shape: tuple[int, ...] = tuple(source.shape)
+        self.dtype: np.dtype[Any] = np.dtype(source.dtype)
+        self._init_cache()
 
-    def _begin(self) -> None:
+    def _init_cache(self) -> None:
         self._lock = threading.Lock()
         self._files: OrderedDict[int, tuple[mmap.mmap, np.ndarray]] = OrderedDict()
-        self._near = threading.local()
+        self._thread_cache = threading.local()
 
     def __getstate__(self) -> dict[str, Any]:
         """What another process needs: files are opened there anew."""
-        left_out = ("_lock", "_files", "_near")
+        left_out = ("_lock", "_files", "_thread_cache")
         return {key: value for key, value in self.__dict__.items() if key not in left_out}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Take it up there."""
         self.__dict__.update(state)
-        self._begin()
+        self._init_cache()
 
     def read(self, world: int, times: slice | None = None) -> np.ndarray:
         """Values of a world.
@@ -103,119 +103,123 @@ class StoredArray:
         if not 0 <= world < self.shape[0]:
             raise IndexError(f"{self.path}: world {world} of {self.shape[0]}")
         if self._form is None:
-            with reading(self.path):
+            with wrap_read_errors(self.path):
                 whole: np.ndarray = np.asarray(self._zarr[world])
                 return whole if times is None else whole[times]
-        chunk = self._chunk(self._form, world)
+        chunk = self._read_chunk(self._form, world)
         form = self._form
         if form.per_unit is None:
             return chunk if times is None else chunk[times]
         part = chunk if times is None else chunk[..., times]
         # Time is last in the chunk, and first in what is given.
         steps = np.moveaxis(part, -1, 0)
-        found: np.ndarray = np.divide(steps, form.per_unit, dtype=np.float32)
-        unknown = steps == form.missing
-        if unknown.any():
-            found[unknown] = np.nan
-        if form.endless is not None and (endless := steps == form.endless).any():
-            found[endless] = np.inf
-        return found
+        values: np.ndarray = np.divide(steps, form.per_unit, dtype=np.float32)
+        is_missing = steps == form.missing
+        if is_missing.any():
+            values[is_missing] = np.nan
+        if form.endless is not None and (is_infinite := steps == form.endless).any():
+            values[is_infinite] = np.inf
+        return values
 
-    def _chunk(self, form: _Form, world: int) -> np.ndarray:
+    def _read_chunk(self, form: _ArrayFormat, world: int) -> np.ndarray:
         """What is stored of a world: steps with time last, or values."""
-        kept: OrderedDict[int, np.ndarray] | None = getattr(self._near, "chunks", None)
-        if kept is None:
-            kept = self._near.chunks = OrderedDict()
-        if world in kept:
-            kept.move_to_end(world)
-            return kept[world]
+        chunks: OrderedDict[int, np.ndarray] | None = getattr(self._thread_cache, "chunks", None)
+        if chunks is None:
+            chunks = self._thread_cache.chunks = OrderedDict()
+        if world in chunks:
+            chunks.move_to_end(world)
+            return chunks[world]
         tail = form.shape[1:]
-        data = self._bytes(form, world)
+        data = self._read_bytes(form, world)
         if data is None:
             values = np.full(tail, form.fill, form.dtype)
             if form.per_unit is not None:
                 values = np.full((*tail[1:], tail[0]), form.missing, form.stored)
         else:
-            with reading(self.path):
+            with wrap_read_errors(self.path):
                 values = np.frombuffer(blosc.decompress(data), form.stored)
                 values = values.reshape(tail if form.per_unit is None else (*tail[1:], tail[0]))
-        kept[world] = values
-        if len(kept) > CHUNKS:
-            kept.popitem(last=False)
+        chunks[world] = values
+        if len(chunks) > MAX_CHUNKS:
+            chunks.popitem(last=False)
         return values
 
-    def _bytes(self, form: _Form, world: int) -> bytes | None:
+    def _read_bytes(self, form: _ArrayFormat, world: int) -> bytes | None:
         """A compressed chunk; None where there is none."""
         number, at = divmod(world, form.shard)
         with self._lock:
-            found = self._files.get(number)
-            if found is None:
-                found = self._open(form, number)
-                self._files[number] = found
-                if len(self._files) > SHARDS:
+            shard = self._files.get(number)
+            if shard is None:
+                shard = self._open_shard(form, number)
+                self._files[number] = shard
+                if len(self._files) > MAX_SHARDS:
                     self._files.popitem(last=False)
             else:
                 self._files.move_to_end(number)
-        file, index = found
+        file, index = shard
         offset, length = index[at]
         if offset == ABSENT:
             return None
         return file[int(offset) : int(offset + length)]
 
-    def _open(self, form: _Form, number: int) -> tuple[mmap.mmap, np.ndarray]:
+    def _open_shard(self, form: _ArrayFormat, number: int) -> tuple[mmap.mmap, np.ndarray]:
         """A shard and its index.
 
         Raises:
             ConfigError: it is missing, cut, or its index is damaged.
         """
         path = self.path / "c" / "/".join([str(number), *"0" * (len(form.shape) - 1)])
-        with reading(path):
+        with wrap_read_errors(path):
             with path.open("rb") as opened:
                 file = mmap.mmap(opened.fileno(), 0, access=mmap.ACCESS_READ)
             tail = file[-(16 * form.shard + 4) :]
             if len(tail) != 16 * form.shard + 4 or google_crc32c.value(tail[:-4]) != int.from_bytes(
                 tail[-4:], "little"
             ):
-                raise ConfigError(f"{path}: was cut or damaged (its index is none); {ADVICE}")
+                raise ConfigError(
+                    f"{path}: was cut or damaged (its index is none); {DEFAULT_ADVICE}"
+                )
             index = np.frombuffer(tail[:-4], "<u8").reshape(form.shard, 2)
-            there = index[index[:, 0] != ABSENT]
-            if len(there) and int(there.sum(axis=1).max()) > len(file) - len(tail):
-                raise ConfigError(f"{path}: was cut or damaged (chunks lie beyond it); {ADVICE}")
+            present = index[index[:, 0] != ABSENT]
+            if len(present) and int(present.sum(axis=1).max()) > len(file) - len(tail):
+                raise ConfigError(
+                    f"{path}: was cut or damaged (chunks lie beyond it); {DEFAULT_ADVICE}"
+                )
         return file, index
 
 
-def _form(about: dict[str, Any]) -> _Form | None:
+def _parse_format(metadata: dict[str, Any]) -> _ArrayFormat | None:
     """Of an array that our own recorder wrote; None for any other."""
     try:
-        (outer,) = about["codecs"]
+        (outer,) = metadata["codecs"]
         inner = outer["configuration"]["codecs"]
         names = [codec["name"] for codec in inner]
-        shape = tuple(about["shape"])
+        shape = tuple(metadata["shape"])
         chunk = tuple(outer["configuration"]["chunk_shape"])
-        shards = tuple(about["chunk_grid"]["configuration"]["chunk_shape"])
-        plain = (
+        shards = tuple(metadata["chunk_grid"]["configuration"]["chunk_shape"])
+        is_native = (
             outer["name"] == "sharding_indexed"
             and outer["configuration"].get("index_location", "end") == "end"
             and chunk == (1, *shape[1:])
             and shards[1:] == shape[1:]
-            and about["chunk_key_encoding"]["configuration"]["separator"] == "/"
+            and metadata["chunk_key_encoding"]["configuration"]["separator"] == "/"
             and names[-2:] == ["bytes", "blosc"]
             and inner[-2].get("configuration", {}).get("endian", "little") == "little"
         )
-        dtype = np.dtype(about["data_type"])
-        given: dict[str, Any] = {
+        dtype = np.dtype(metadata["data_type"])
+        common: dict[str, Any] = {
             "shape": shape,
             "dtype": dtype,
-            "fill": float(about["fill_value"]),
+            "fill": float(metadata["fill_value"]),
             "shard": int(shards[0]),
         }
-        if plain and len(names) == 2:
-            return _Form(**given, stored=dtype, per_unit=None)
-        if not plain or names[:3] != ["transpose", "scale_offset", "cast_value"]:
+        if is_native and len(names) == 2:
+            return _ArrayFormat(**common, stored=dtype, per_unit=None)
+        if not is_native or names[:3] != ["transpose", "scale_offset", "cast_value"]:
             return None
         order, scale, cast = (codec.get("configuration", {}) for codec in inner[:3])
         stands_for = {value: steps for steps, value in cast["scalar_map"]["decode"]}
-        usual = (
+        is_supported = (
             tuple(order["order"]) == (0, *range(2, len(shape)), 1)
             and scale.get("offset", 0) == 0
             and dtype == np.float32
@@ -224,10 +228,10 @@ def _form(about: dict[str, Any]) -> _Form | None:
         )
     except (KeyError, TypeError, ValueError):
         return None
-    if not usual:
+    if not is_supported:
         return None
-    return _Form(
-        **given,
+    return _ArrayFormat(
+        **common,
         stored=np.dtype(cast["data_type"]),
         per_unit=np.float32(scale.get("scale", 1)),
         missing=int(stands_for["NaN"]),

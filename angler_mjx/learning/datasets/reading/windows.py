@@ -6,7 +6,7 @@ import numpy as np
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.learning.datasets.reading.episode import Episodes
-from angler_mjx.runs.storage import layout
+from angler_mjx.runs.storage import trajectory_layout
 
 type Window = dict[str, np.ndarray]
 
@@ -45,10 +45,10 @@ class Windows:
         Raises:
             ConfigError: a number is out of range, or no episode is as long.
         """
-        least = {"length": (length, 1), "stride": (stride, 1), "every": (every, 1)}
-        for name, (value, most) in {**least, "neighbours": (neighbours, 0)}.items():
-            if value < most:
-                raise ConfigError(f"{name} = {value}: must be {most} or more")
+        limits = {"length": (length, 1), "stride": (stride, 1), "every": (every, 1)}
+        for name, (value, minimum) in {**limits, "neighbours": (neighbours, 0)}.items():
+            if value < minimum:
+                raise ConfigError(f"{name} = {value}: must be {minimum} or more")
         if of not in ("team", "robot"):
             raise ConfigError(f'of = "{of}": must be "team" or "robot"')
         if neighbours and of == "team":
@@ -63,21 +63,23 @@ class Windows:
                 f"samples, a window takes {self.span}"
             )
         starts = np.maximum((samples - self.span) // stride + 1, 0)
-        self._each = robots if of == "robot" else np.ones_like(robots)
-        self._ends = np.cumsum(starts * self._each)
+        self._windows_per_start = robots if of == "robot" else np.ones_like(robots)
+        self._ends = np.cumsum(starts * self._windows_per_start)
         self.rows = neighbours + 1 if of == "robot" else int(robots.max())
-        self._obstacles = self._most_obstacles()
+        self._obstacles = self._max_obstacles()
 
-    def _most_obstacles(self) -> int:
+    def _max_obstacles(self) -> int:
         """Of all parts."""
         if not any(name.startswith("obstacle") for name in self.dataset.fields):
             return 0
         first = np.unique(self.dataset.index["part"].to_numpy(), return_index=True)[1]
-        most = 0
+        max_count = 0
         for episode in first.tolist():
             if "obstacle_p_m" in self.dataset.names(episode):
-                most = max(most, self.dataset.stored(episode, "obstacle_p_m").shape[2])
-        return most
+                max_count = max(
+                    max_count, self.dataset.open_array(episode, "obstacle_p_m").shape[2]
+                )
+        return max_count
 
     def __len__(self) -> int:
         """Windows."""
@@ -99,60 +101,62 @@ class Windows:
             raise IndexError(f"window {number} of {len(self)}")
         episode = int(np.searchsorted(self._ends, number, side="right"))
         before = int(self._ends[episode - 1]) if episode else 0
-        at, robot = divmod(int(number) - before, int(self._each[episode]))
+        at, robot = divmod(int(number) - before, int(self._windows_per_start[episode]))
         first = at * self.stride
         times = slice(first, first + self.span, self.every)
         data = self.dataset
         team = int(data.robots[episode])
         outcome = data.values(episode, "outcome", times)
-        chosen = self._chosen(episode, team, robot, times)
-        made: Window = {}
+        chosen = self._select_robots(episode, team, robot, times)
+        window: Window = {}
         for name in data.fields:
-            dims = layout.ARRAYS[name].dims
+            dims = trajectory_layout.ARRAYS[name].dims
             if "obstacle" in dims and not self._obstacles:
                 continue
-            values = self._values(episode, name, times, dims)
+            values = self._read_values(episode, name, times, dims)
             if "robot" in dims:
-                made[name] = self._padded(values[:, chosen], self.rows)
+                window[name] = self._pad_rows(values[:, chosen], self.rows)
             else:
-                made[name] = self._padded(values, self._obstacles)
+                window[name] = self._pad_rows(values, self._obstacles)
         mask = np.zeros((self.length, self.rows), bool)
         mask[:, : len(chosen)] = outcome[:, chosen] == 0
         goals = np.zeros((self.rows, 3), np.float32)
         goals[: len(chosen)] = data.goals_m(episode)[chosen]
-        made |= {"mask": mask, "goal_m": goals}
+        window |= {"mask": mask, "goal_m": goals}
         if self._obstacles:
             exist = data.obstacles_exist(episode)
-            made["obstacle_mask"] = np.zeros(self._obstacles, bool)
-            made["obstacle_mask"][: len(exist)] = exist
-        made["episode"] = np.int64(episode)  # type: ignore[assignment]
-        made["first"] = np.int64(first)  # type: ignore[assignment]
-        return made
+            window["obstacle_mask"] = np.zeros(self._obstacles, bool)
+            window["obstacle_mask"][: len(exist)] = exist
+        window["episode"] = np.int64(episode)  # type: ignore[assignment]
+        window["first"] = np.int64(first)  # type: ignore[assignment]
+        return window
 
-    def _values(self, episode: int, name: str, times: slice, dims: tuple[str, ...]) -> np.ndarray:
+    def _read_values(
+        self, episode: int, name: str, times: slice, dims: tuple[str, ...]
+    ) -> np.ndarray:
         """Of one array; nothing where a part has no obstacles at all."""
         if "obstacle" in dims and name not in self.dataset.names(episode):
             tail = (3,) if name.endswith("_p_m") else (4,)
             return np.zeros((self.length, 0, *tail), np.float32)
         return self.dataset.values(episode, name, times)
 
-    def _chosen(self, episode: int, team: int, robot: int, times: slice) -> np.ndarray:
+    def _select_robots(self, episode: int, team: int, robot: int, times: slice) -> np.ndarray:
         """Robots of a window, in the order of its rows."""
         if self.of == "team":
             return np.arange(team)
         if not self.neighbours:
             return np.array([robot])
-        places = self.dataset.values(episode, "p_m", slice(times.start, times.start + 1))[0]
-        apart = np.linalg.norm(places - places[robot], axis=-1)
-        apart[robot] = -1.0
-        near: np.ndarray = np.argsort(apart, kind="stable")[: self.neighbours + 1]
-        return near
+        positions_m = self.dataset.values(episode, "p_m", slice(times.start, times.start + 1))[0]
+        distances_m = np.linalg.norm(positions_m - positions_m[robot], axis=-1)
+        distances_m[robot] = -1.0
+        nearest: np.ndarray = np.argsort(distances_m, kind="stable")[: self.neighbours + 1]
+        return nearest
 
-    def _padded(self, values: np.ndarray, rows: int) -> np.ndarray:
+    def _pad_rows(self, values: np.ndarray, rows: int) -> np.ndarray:
         """[length, rows, ...], zeros behind those that are there, and for what is unknown."""
-        made = np.zeros((self.length, rows, *values.shape[2:]), np.float32)
-        np.copyto(made[:, : values.shape[1]], values, where=np.isfinite(values))
-        return made
+        padded = np.zeros((self.length, rows, *values.shape[2:]), np.float32)
+        np.copyto(padded[:, : values.shape[1]], values, where=np.isfinite(values))
+        return padded
 
     def __iter__(self) -> Iterator[Window]:
         """In order."""

@@ -37,7 +37,7 @@ class DatasetCheck:
     """Why some were only bounded, or not looked at."""
     findings: list[DatasetFinding] = field(default_factory=list)
 
-    def wrong(self, where: str, text: str) -> None:
+    def add_finding(self, where: str, text: str) -> None:
         """Note something that is wrong."""
         self.findings.append(DatasetFinding(what=self.name, where=where, text=text))
 
@@ -70,7 +70,7 @@ class VerificationReport:
     @property
     def findings(self) -> list[DatasetFinding]:
         """Of all checks, in their order."""
-        return [one for check in self.checks for one in check.findings]
+        return [finding for check in self.checks for finding in check.findings]
 
     def table(self) -> dict[str, Any]:
         """In plain values."""
@@ -78,5 +78,5 @@ class VerificationReport:
             "dataset": self.dataset,
             "agrees": self.agrees,
             "checks": {check.name: check.table() for check in self.checks},
-            "findings": [asdict(one) for one in self.findings],
+            "findings": [asdict(finding) for finding in self.findings],
         }

@@ -4,7 +4,7 @@ import os
 import pickle
 
 from angler_mjx.errors import RunError
-from angler_mjx.planning.host.cluster.versions import installed
+from angler_mjx.planning.host.cluster.versions import installed_versions
 from angler_mjx.planning.host.workers import Workers
 from angler_mjx.planning.register import PlannerSpec
 
@@ -15,18 +15,18 @@ class PlanningActor:
     What it gives back is pickled, so that arrays come as they come from a process of one's own.
     """
 
-    def __init__(self, own: bytes) -> None:
+    def __init__(self, planner: bytes) -> None:
         """Starts the process.
 
         Args:
-            own: a pickled `PlannerSpec`, the pool's own planner, or None.
+            planner: a pickled `PlannerSpec`, the pool's own planner, or None.
         """
-        spec: PlannerSpec | None = pickle.loads(own)
+        spec: PlannerSpec | None = pickle.loads(planner)
         self._pool = Workers(spec, 1)
 
     def hello(self) -> tuple[int, dict[str, str]]:
         """Its process id, and what is installed where it is."""
-        return os.getpid(), installed()
+        return os.getpid(), installed_versions()
 
     def ping(self) -> None:
         """Shows that it lives."""

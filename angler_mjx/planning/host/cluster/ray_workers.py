@@ -6,9 +6,9 @@ Needs the extra ``ray``. See "Many planners, many machines" in docs/planners.md.
 import pickle
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.planning.host.cluster.joining import Cluster
+from angler_mjx.planning.host.cluster.connection import Cluster
 from angler_mjx.planning.host.cluster.runner import ActorRunner
-from angler_mjx.planning.host.processes.queued import QueuedPool
+from angler_mjx.planning.host.processes.queued_pool import QueuedPool
 from angler_mjx.planning.register import PlannerSpec
 
 
@@ -24,14 +24,14 @@ class RayWorkers(QueuedPool):
     """
 
     def __init__(
-        self, address: str, count: int | None = None, make: PlannerSpec | None = None
+        self, address: str, count: int | None = None, planner: PlannerSpec | None = None
     ) -> None:
         """Joins the cluster and begins the actors; does not wait for them.
 
         Args:
             address: HOST:PORT of the cluster's head; this machine has to be in the cluster.
             count: actors; one for each processor of the cluster where left out.
-            make: who plans where no planner is given; as of `Workers`.
+            planner: who plans where no planner is given; as of `Workers`.
 
         Raises:
             ConfigError: nobody answers there; the machines have other versions installed; or there
@@ -41,13 +41,14 @@ class RayWorkers(QueuedPool):
         if count is not None and count < 1:
             raise ConfigError(f"{count} actors cannot plan; take at least 1")
         self._cluster = Cluster(address)
-        most = self._cluster.processors
-        if count is not None and count > most:
+        max_count = self._cluster.processors
+        if count is not None and count > max_count:
             self._cluster.leave()
             raise ConfigError(
-                f"the Ray cluster at {address} has {most} processors; it cannot hold {count} actors"
+                f"the Ray cluster at {address} has {max_count} processors; it cannot hold {count} "
+                "actors"
             )
-        super().__init__(make, count or most)
+        super().__init__(planner, count or max_count)
         self._actors = [ActorRunner(self, self._cluster) for _ in range(self.count)]
         self.begin(self._actors)
 

@@ -7,21 +7,21 @@ import time
 from typing import Any
 
 from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.planning.answers import Answer, failed
+from angler_mjx.planning.answers import Answer, failed_answer
 from angler_mjx.planning.host.cluster.actor import PlanningActor
-from angler_mjx.planning.host.cluster.joining import Cluster
+from angler_mjx.planning.host.cluster.connection import Cluster
 from angler_mjx.planning.host.processes.process import START_S
-from angler_mjx.planning.host.processes.queued import CLOSED, Job, QueuedPool, Runner
+from angler_mjx.planning.host.processes.queued_pool import CLOSED, Job, QueuedPool, Runner
 from angler_mjx.planning.host.processes.runner import TRIES
 
-LOOK_S = 1.0
+POLL_S = 1.0
 """Between looks at whether all is to end."""
 
 END_S = 5.0
 """For an actor to end what it started."""
 
 
-class _LostError(Exception):
+class _ActorLostError(Exception):
     """An actor is gone, or cannot be reached; its text says how."""
 
 
@@ -36,7 +36,9 @@ class ActorRunner(Runner):
         """No actor is begun yet."""
         super().__init__(pool)
         self._cluster = cluster
-        self._own = pickle.dumps(None) if pool.own is None else pool.pack(pool.own)
+        self._default_planner = (
+            pickle.dumps(None) if pool.default_planner is None else pool.pack(pool.default_planner)
+        )
         self._guard = threading.Lock()
         self._actor: Any = None
         self.pid: int | None = None
@@ -44,43 +46,43 @@ class ActorRunner(Runner):
 
     def ready(self) -> None:
         """Waits for an actor; for ever while others of the pool have theirs."""
-        begin, falls = time.monotonic(), 0
+        begin, n_failures = time.monotonic(), 0
         while self.pid is None:
             try:
-                self._begin(begin)
-            except _LostError as lost:
-                falls += 1
-                self._drop()
-                if falls >= TRIES and not self._others():
+                self._start_actor(begin)
+            except _ActorLostError as lost:
+                n_failures += 1
+                self._drop_actor()
+                if n_failures >= TRIES and not self._has_live_actor():
                     raise RunError(f"no actor could be started on the cluster: {lost}") from lost
-                time.sleep(LOOK_S)
+                time.sleep(POLL_S)
             except ConfigError as error:
                 raise RunError(str(error)) from error
 
     def answer(self, job: Job) -> Answer | None:
         """By the actor."""
         try:
-            self._call("ping")
-        except _LostError:
-            self._drop()
+            self._call_actor("ping")
+        except _ActorLostError:
+            self._drop_actor()
             self.pool.put(job)
             return None
         begin = time.perf_counter()
         try:
-            came = self._call("plan", job.sent, job.planner)
-        except _LostError as lost:
-            self._drop()
+            reply = self._call_actor("plan", job.sent, job.planner)
+        except _ActorLostError as lost:
+            self._drop_actor()
             job.tries += 1
             if job.tries < TRIES:
                 self.pool.put(job)
                 return None
-            taken = time.perf_counter() - begin
-            why = f"its actor died, {TRIES} times: {lost}"
-            return failed(job.robots, "died", why, taken)
-        given: Answer | str = pickle.loads(came)
-        if isinstance(given, str):
-            raise RunError(given)
-        return given
+            elapsed_s = time.perf_counter() - begin
+            reason = f"its actor died, {TRIES} times: {lost}"
+            return failed_answer(job.robots, "died", reason, elapsed_s)
+        result: Answer | str = pickle.loads(reply)
+        if isinstance(result, str):
+            raise RunError(result)
+        return result
 
     def kill(self) -> None:
         """Has the actor end what it started."""
@@ -93,9 +95,9 @@ class ActorRunner(Runner):
         if self.pid is not None:
             with contextlib.suppress(self._cluster.ray.exceptions.RayError):
                 self._cluster.ray.get(self._actor.end.remote(), timeout=END_S)
-        self._drop()
+        self._drop_actor()
 
-    def _begin(self, since: float) -> None:
+    def _start_actor(self, since: float) -> None:
         """Has an actor come up.
 
         Args:
@@ -104,17 +106,17 @@ class ActorRunner(Runner):
         with self._guard:
             if self.pool.closing:
                 raise RunError(CLOSED)
-            self._actor = self._cluster.actor(PlanningActor, self._own)
-        pid, versions = self._call("hello", since=since)
-        self._cluster.check(versions, "a machine")
+            self._actor = self._cluster.create_actor(PlanningActor, self._default_planner)
+        pid, versions = self._call_actor("hello", since=since)
+        self._cluster.check_versions(versions, "a machine")
         self.pid = pid
 
-    def _call(self, method: str, *given: Any, since: float | None = None) -> Any:
+    def _call_actor(self, method: str, *arguments: Any, since: float | None = None) -> Any:
         """What the actor gives.
 
         Args:
             method: of the actor.
-            given: to it.
+            arguments: to it.
             since: when an actor was first asked for, where none of the pool may ever come up.
 
         Raises:
@@ -123,27 +125,27 @@ class ActorRunner(Runner):
         """
         ray = self._cluster.ray
         try:
-            coming = getattr(self._actor, method).remote(*given)
-            while not ray.wait([coming], timeout=LOOK_S)[0]:
+            reference = getattr(self._actor, method).remote(*arguments)
+            while not ray.wait([reference], timeout=POLL_S)[0]:
                 if self.pool.closing:
                     raise RunError(CLOSED)
                 waited_s = 0.0 if since is None else time.monotonic() - since
-                if waited_s > START_S and not self._others():
+                if waited_s > START_S and not self._has_live_actor():
                     raise RunError(
                         f"no processor of the cluster was free within {START_S:g} s; "
                         "see `ray status`"
                     )
-            return ray.get(coming)
+            return ray.get(reference)
         except ray.exceptions.RayError as error:
             if self.pool.closing:
                 raise RunError(CLOSED) from error
-            raise _LostError(_how(error)) from error
+            raise _ActorLostError(_error_line(error)) from error
 
-    def _others(self) -> bool:
+    def _has_live_actor(self) -> bool:
         """Whether any of the pool has an actor that is up."""
-        return any(isinstance(one, ActorRunner) and one.pid for one in self.pool.runners)
+        return any(isinstance(runner, ActorRunner) and runner.pid for runner in self.pool.runners)
 
-    def _drop(self) -> None:
+    def _drop_actor(self) -> None:
         self.pid = None
         with self._guard:
             actor, self._actor = self._actor, None
@@ -152,7 +154,7 @@ class ActorRunner(Runner):
                 self._cluster.ray.kill(actor)
 
 
-def _how(error: BaseException) -> str:
+def _error_line(error: BaseException) -> str:
     """The first line of Ray's long text, but for a traceback, whose last line says more."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     if not lines:

@@ -8,18 +8,18 @@ import math
 
 import numpy as np
 
-from angler_mjx.planning.host.compiled.compiling import compiled
-from angler_mjx.planning.host.compiled.packed import Fields, fields
+from angler_mjx.planning.host.compiled.compiling import compile_function
+from angler_mjx.planning.host.compiled.packed import PackedFields, unpack_fields
 from angler_mjx.planning.host.compiled.segments import segment_box, segment_segment
-from angler_mjx.planning.host.compiled.sweeping import ball_gap, own_radius, segment_still
-from angler_mjx.planning.host.compiled.sweeping import team_clear as balls_clear
+from angler_mjx.planning.host.compiled.sweeping import ball_gap, obstacle_radius, segment_obstacle
+from angler_mjx.planning.host.compiled.sweeping import is_team_clear as balls_clear
 
 TOLERANCE_M = 1e-3
 """Nearer than this, beyond what is asked for, counts as a hit."""
 
 
-@compiled
-def _placed(hull: np.ndarray, q: np.ndarray, robot: int, n: int, out: np.ndarray) -> None:
+@compile_function
+def _capsule_axis(hull: np.ndarray, q: np.ndarray, robot: int, n: int, out: np.ndarray) -> None:
     """Start and way [6] of the axis of capsule n of a robot, W, at q [4 R]."""
     k = 4 * robot
     c, s = math.cos(q[k + 3]), math.sin(q[k + 3])
@@ -31,26 +31,28 @@ def _placed(hull: np.ndarray, q: np.ndarray, robot: int, n: int, out: np.ndarray
     out[3], out[4], out[5] = c * dx - s * dy, s * dx + c * dy, row[5] - row[2]
 
 
-@compiled
-def _axis_gap(world: Fields, cells: np.ndarray, v: np.ndarray, r: float, most: float) -> float:
-    """Distance of a capsule, axis v [6] and radius r, to what stands, or ``most`` if not less."""
+@compile_function
+def _axis_gap(
+    world: PackedFields, cells: np.ndarray, v: np.ndarray, r: float, max_gap: float
+) -> float:
+    """Return the distance of a capsule, axis v [6], radius r, to rock, at most ``max_gap``."""
     box = world.box
     x, y, z, dx, dy, dz = v[0], v[1], v[2], v[3], v[4], v[5]
     for n in range(3):
         low, high = min(v[n], v[n] + v[3 + n]), max(v[n], v[n] + v[3 + n])
-        most = min(most, low - r - box[4 + n], box[7 + n] - high - r)
+        max_gap = min(max_gap, low - r - box[4 + n], box[7 + n] - high - r)
     for n in range(world.still.shape[0]):
         row = world.still[n]
-        gap = math.sqrt(segment_still(row, x, y, z, dx, dy, dz)) - own_radius(row) - r
-        most = min(most, gap)
+        gap = math.sqrt(segment_obstacle(row, x, y, z, dx, dy, dz)) - obstacle_radius(row) - r
+        max_gap = min(max_gap, gap)
     scale = box[3]
     x, y, z = (x - box[0]) * scale, (y - box[1]) * scale, (z - box[2]) * scale
     dx, dy, dz = dx * scale, dy * scale, dz * scale
-    wide = max(most + r, 0.0) * scale
-    i0, i1 = _span(x, dx, wide, cells.shape[1])
-    j0, j1 = _span(y, dy, wide, cells.shape[2])
-    k0, k1 = _span(z, dz, wide, cells.shape[3])
-    least = (most + r) * scale
+    wide = max(max_gap + r, 0.0) * scale
+    i0, i1 = _cell_range(x, dx, wide, cells.shape[1])
+    j0, j1 = _cell_range(y, dy, wide, cells.shape[2])
+    k0, k1 = _cell_range(z, dz, wide, cells.shape[3])
+    best = (max_gap + r) * scale
     for i in range(i0, i1):
         for j in range(j0, j1):
             for k in range(k0, k1):
@@ -58,39 +60,41 @@ def _axis_gap(world: Fields, cells: np.ndarray, v: np.ndarray, r: float, most: f
                     square = segment_box(
                         x, y, z, dx, dy, dz, i, j, k, i + 1.0, j + 1.0, k + 1.0
                     )  # fmt: skip
-                    least = min(least, math.sqrt(square))
-    found: float = least / scale - r
-    return found
+                    best = min(best, math.sqrt(square))
+    gap_m: float = best / scale - r
+    return gap_m
 
 
-@compiled
-def _span(start: float, way: float, wide: float, n: int) -> tuple[int, int]:
-    """Cells along one axis that come within ``wide`` of a segment: from, and up to but not."""
-    low, high = min(start, start + way) - wide, max(start, start + way) + wide
+@compile_function
+def _cell_range(start: float, delta: float, margin: float, n: int) -> tuple[int, int]:
+    """Cells along one axis that come within ``margin`` of a segment: from, and up to but not."""
+    low, high = min(start, start + delta) - margin, max(start, start + delta) + margin
     return max(math.floor(low), 0), min(math.floor(high) + 1, n)
 
 
-@compiled
+@compile_function
 def _world_gap(
-    world: Fields, cells: np.ndarray, hull: np.ndarray, q: np.ndarray, i: int, near: float
+    world: PackedFields, cells: np.ndarray, hull: np.ndarray, q: np.ndarray, i: int, near: float
 ) -> float:
     """Lower bound of the distance of a hull to what stands; exact where it is less than ``near``.
 
     ``near`` is at most the radius of its sphere.
     """
-    own: float = world.radius[i]
-    ball = ball_gap(world, cells, q[4 * i], q[4 * i + 1], q[4 * i + 2], near + own) - own
+    radius_m: float = world.radius[i]
+    ball = ball_gap(world, cells, q[4 * i], q[4 * i + 1], q[4 * i + 2], near + radius_m) - radius_m
     if ball >= near:
         return ball
-    axis, least = np.empty(6), own
+    axis, best = np.empty(6), radius_m
     for n in range(hull.shape[1]):
-        _placed(hull, q, i, n, axis)
-        least = min(least, _axis_gap(world, cells, axis, hull[i, n, 6], least))
-    return least
+        _capsule_axis(hull, q, i, n, axis)
+        best = min(best, _axis_gap(world, cells, axis, hull[i, n, 6], best))
+    return best
 
 
-@compiled
-def _pair_gap(world: Fields, hull: np.ndarray, q: np.ndarray, i: int, j: int, near: float) -> float:
+@compile_function
+def _pair_gap(
+    world: PackedFields, hull: np.ndarray, q: np.ndarray, i: int, j: int, near: float
+) -> float:
     """The same of two hulls."""
     wx, wy, wz = (
         q[4 * i] - q[4 * j],
@@ -100,35 +104,35 @@ def _pair_gap(world: Fields, hull: np.ndarray, q: np.ndarray, i: int, j: int, ne
     balls: float = math.sqrt(wx * wx + wy * wy + wz * wz) - world.radius[i] - world.radius[j]
     if balls >= near:
         return balls
-    first, second, least = np.empty(6), np.empty(6), math.inf
+    first, second, best = np.empty(6), np.empty(6), math.inf
     for n in range(hull.shape[1]):
-        _placed(hull, q, i, n, first)
+        _capsule_axis(hull, q, i, n, first)
         for m in range(hull.shape[1]):
-            _placed(hull, q, j, m, second)
-            apart = math.sqrt(
+            _capsule_axis(hull, q, j, m, second)
+            distance = math.sqrt(
                 segment_segment(
                     first[0], first[1], first[2], first[3], first[4], first[5],
                     second[0], second[1], second[2], second[3], second[4], second[5],
                 )
             )  # fmt: skip
-            least = min(least, apart - hull[i, n, 6] - hull[j, m, 6])
-    return least
+            best = min(best, distance - hull[i, n, 6] - hull[j, m, 6])
+    return best
 
 
-@compiled
-def team_gap(world: Fields, cells: np.ndarray, hull: np.ndarray, q: np.ndarray) -> float:
+@compile_function
+def team_gap(world: PackedFields, cells: np.ndarray, hull: np.ndarray, q: np.ndarray) -> float:
     """Least distance of any hull to anything: exact up to the least radius of the spheres."""
-    least = math.inf
+    best = math.inf
     for i in range(hull.shape[0]):
-        least = min(least, _world_gap(world, cells, hull, q, i, world.radius[i]))
+        best = min(best, _world_gap(world, cells, hull, q, i, world.radius[i]))
         for j in range(i):
-            least = min(least, _pair_gap(world, hull, q, i, j, world.radius[i]))
-    return least
+            best = min(best, _pair_gap(world, hull, q, i, j, world.radius[i]))
+    return best
 
 
-@compiled
-def team_clear(
-    world: Fields,
+@compile_function
+def is_team_clear(
+    world: PackedFields,
     cells: np.ndarray,
     hull: np.ndarray,
     turning: np.ndarray,
@@ -164,24 +168,24 @@ def team_clear(
             q[k] = b[k] if s >= 1.0 else a[k] + s * (b[k] - a[k])
         for i in range(n):
             near = 0.5 * world.radius[i]
-            spare = _world_gap(world, cells, hull, q, i, near) - keep
-            if not spare > TOLERANCE_M:
+            slack = _world_gap(world, cells, hull, q, i, near) - keep
+            if not slack > TOLERANCE_M:
                 return False
             if speed[i] > 0.0:
-                step = min(step, spare / speed[i])
+                step = min(step, slack / speed[i])
             for j in range(i):
-                spare = _pair_gap(world, hull, q, i, j, near) - keep
-                if not spare > TOLERANCE_M:
+                slack = _pair_gap(world, hull, q, i, j, near) - keep
+                if not slack > TOLERANCE_M:
                     return False
                 if speed[i] + speed[j] > 0.0:
-                    step = min(step, spare / (speed[i] + speed[j]))
+                    step = min(step, slack / (speed[i] + speed[j]))
         if s >= 1.0:
             return True
         s = min(s + step, 1.0)
 
 
-@compiled
-def edges(
+@compile_function
+def are_edges_free(
     head: np.ndarray,
     reals: np.ndarray,
     cells: np.ndarray,
@@ -191,15 +195,15 @@ def edges(
     b: np.ndarray,
 ) -> np.ndarray:
     """Many edges, a and b float64 [n, 4 R]."""
-    world = fields(head, reals)
+    world = unpack_fields(head, reals)
     free = np.empty(a.shape[0], np.bool_)
     for n in range(a.shape[0]):
-        free[n] = team_clear(world, cells, hull, turning, a[n], b[n])
+        free[n] = is_team_clear(world, cells, hull, turning, a[n], b[n])
     return free
 
 
-@compiled
-def edge(
+@compile_function
+def is_edge_free(
     head: np.ndarray,
     reals: np.ndarray,
     cells: np.ndarray,
@@ -209,16 +213,16 @@ def edge(
     b: np.ndarray,
 ) -> bool:
     """One edge, a and b float64 [4 R]."""
-    return team_clear(fields(head, reals), cells, hull, turning, a, b)
+    return is_team_clear(unpack_fields(head, reals), cells, hull, turning, a, b)
 
 
-@compiled
-def clearances(
+@compile_function
+def team_clearances(
     head: np.ndarray, reals: np.ndarray, cells: np.ndarray, hull: np.ndarray, q: np.ndarray
 ) -> np.ndarray:
     """Least distances [n] of any hull to anything, q float64 [n, 4 R]; see `team_gap`."""
-    world = fields(head, reals)
-    least = np.empty(q.shape[0])
+    world = unpack_fields(head, reals)
+    gaps = np.empty(q.shape[0])
     for n in range(q.shape[0]):
-        least[n] = team_gap(world, cells, hull, q[n])
-    return least
+        gaps[n] = team_gap(world, cells, hull, q[n])
+    return gaps

@@ -10,43 +10,43 @@ import math
 
 import numpy as np
 
-from angler_mjx.planning.host.compiled.compiling import compiled
+from angler_mjx.planning.host.compiled.compiling import compile_function
 from angler_mjx.planning.host.compiled.segments import segment_box
 
 _STEPS = np.array([(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1)], np.int64)
 """[27, 3] of the neighbour whose bit is the row's number."""
-_OWN = 13
-_FACES = (4, 10, 12, 14, 16, 22)
+_CENTRE_BIT = 13
+_FACE_BITS = (4, 10, 12, 14, 16, 22)
 
 
-def _allowed() -> np.ndarray:
+def _allowed_masks() -> np.ndarray:
     """Words [64] of neighbours that can be touched from near some of the faces.
 
     Bit 2 n of the index: near the lower face along axis n; bit 2 n + 1: near the upper one.
     """
-    words = np.zeros(64, np.int64)
+    masks = np.zeros(64, np.int64)
     for near in range(64):
         for bit, step in enumerate(_STEPS):
             sides = [2 * n + (1 if step[n] > 0 else 0) for n in range(3) if step[n]]
             if all(near >> side & 1 for side in sides):
-                words[near] |= 1 << bit
-    return words
+                masks[near] |= 1 << bit
+    return masks
 
 
-_ALLOWED = _allowed()
-_SURE = sum(1 << bit for bit in (_OWN, *_FACES))
+_ALLOWED = _allowed_masks()
+_SURE = sum(1 << bit for bit in (_CENTRE_BIT, *_FACE_BITS))
 """Neighbours that are touched by what is near to their faces."""
 _CORNER = np.maximum(_STEPS, 0).astype(np.float64)
 """[27, 3] corner of the cell that the neighbour begins at."""
 _USED = np.abs(_STEPS).astype(np.float64)
 """[27, 3] 1 for the axes that count."""
-_PLACE = np.full(37, -1, np.int64)
+_BIT_OF_REMAINDER = np.full(37, -1, np.int64)
 """Which bit a word of one bit has set, by its remainder."""
-_PLACE[[(1 << bit) % 37 for bit in range(27)]] = np.arange(27)
+_BIT_OF_REMAINDER[[(1 << bit) % 37 for bit in range(27)]] = np.arange(27)
 
 
-@compiled
-def _touches(
+@compile_function
+def _touches_neighbour(
     word: int, x0: float, y0: float, z0: float, x1: float, y1: float, z1: float, r: float
 ) -> bool:
     """Whether a ball on its way within one cell, in that cell's coordinates, meets a neighbour."""
@@ -58,15 +58,15 @@ def _touches(
         | (min(z0, z1) <= r) << 4
         | (max(z0, z1) >= 1.0 - r) << 5
     )
-    left = word & _ALLOWED[near]
-    if left == 0:
+    remaining = word & _ALLOWED[near]
+    if remaining == 0:
         return False
-    if left & _SURE:
+    if remaining & _SURE:
         return True
     dx, dy, dz = x1 - x0, y1 - y0, z1 - z0
-    while left != 0:
-        bit = _PLACE[(left & -left) % 37]
-        left &= left - 1
+    while remaining != 0:
+        bit = _BIT_OF_REMAINDER[(remaining & -remaining) % 37]
+        remaining &= remaining - 1
         ux, uy, uz = _USED[bit, 0], _USED[bit, 1], _USED[bit, 2]
         wx = (x0 - _CORNER[bit, 0]) * ux
         wy = (y0 - _CORNER[bit, 1]) * uy
@@ -81,16 +81,16 @@ def _touches(
     return False
 
 
-@compiled
+@compile_function
 def _window_touches(
     cells: np.ndarray,
     at: tuple[int, int, int],
     reach: int,
-    way: tuple[float, float, float, float, float, float],
+    segment: tuple[float, float, float, float, float, float],
     r: float,
 ) -> bool:
     """Whether a ball of any size, swept along all of its way, meets rock near one cell of it."""
-    ax, ay, az, dx, dy, dz = way
+    ax, ay, az, dx, dy, dz = segment
     for i in range(max(at[0] - reach, 0), min(at[0] + reach + 1, cells.shape[1])):
         for j in range(max(at[1] - reach, 0), min(at[1] + reach + 1, cells.shape[2])):
             for k in range(max(at[2] - reach, 0), min(at[2] + reach + 1, cells.shape[3])):
@@ -103,7 +103,7 @@ def _window_touches(
     return False
 
 
-@compiled
+@compile_function
 def ball_touches(cells: np.ndarray, x: float, y: float, z: float, r: float) -> bool:
     """Whether a ball inside the grid meets rock."""
     i = min(max(int(x), 0), cells.shape[1] - 1)
@@ -114,27 +114,27 @@ def ball_touches(cells: np.ndarray, x: float, y: float, z: float, r: float) -> b
         if word == 0:
             return False
         x, y, z = x - i, y - j, z - k
-        return _touches(word, x, y, z, x, y, z, r)
+        return _touches_neighbour(word, x, y, z, x, y, z, r)
     reach = int(r) + 1
     if cells[1, i, j, k] > reach:
         return False
     return _window_touches(cells, (i, j, k), reach, (x, y, z, 0.0, 0.0, 0.0), r)
 
 
-@compiled
-def _gate(start: float, way: float, at: int) -> tuple[float, float, int]:
+@compile_function
+def _cell_crossing(start: float, delta: float, at: int) -> tuple[float, float, int]:
     """Where a coordinate leaves its cell, how far it is from one cell to the next, and which way.
 
     In shares of the way.
     """
-    if way > 0.0:
-        return (at + 1.0 - start) / way, 1.0 / way, 1
-    if way < 0.0:
-        return (at - start) / way, -1.0 / way, -1
+    if delta > 0.0:
+        return (at + 1.0 - start) / delta, 1.0 / delta, 1
+    if delta < 0.0:
+        return (at - start) / delta, -1.0 / delta, -1
     return math.inf, math.inf, 0
 
 
-@compiled
+@compile_function
 def swept_ball_touches(
     cells: np.ndarray,
     ax: float, ay: float, az: float, bx: float, by: float, bz: float,
@@ -149,9 +149,9 @@ def swept_ball_touches(
     j = min(max(int(ay), 0), ny - 1)
     k = min(max(int(az), 0), nz - 1)
     dx, dy, dz = bx - ax, by - ay, bz - az
-    out_x, step_x, sign_x = _gate(ax, dx, i)
-    out_y, step_y, sign_y = _gate(ay, dy, j)
-    out_z, step_z, sign_z = _gate(az, dz, k)
+    out_x, step_x, sign_x = _cell_crossing(ax, dx, i)
+    out_y, step_y, sign_y = _cell_crossing(ay, dy, j)
+    out_z, step_z, sign_z = _cell_crossing(az, dz, k)
     reach = int(r) + 1
     s = 0.0
     while True:
@@ -161,7 +161,7 @@ def swept_ball_touches(
             word = cells[0, i, j, k]
             if word != 0:
                 ox, oy, oz = ax - i, ay - j, az - k
-                if _touches(
+                if _touches_neighbour(
                     word,
                     ox + s * dx, oy + s * dy, oz + s * dz,
                     ox + end * dx, oy + end * dy, oz + end * dz,
@@ -192,9 +192,9 @@ def swept_ball_touches(
                 return False
 
 
-@compiled
-def point_gap(cells: np.ndarray, x: float, y: float, z: float, most: float) -> float:
-    """Distance of a point to the nearest rock, or ``most`` where none is nearer."""
+@compile_function
+def point_gap(cells: np.ndarray, x: float, y: float, z: float, max_gap: float) -> float:
+    """Distance of a point to the nearest rock, or ``max_gap`` where none is nearer."""
     nx, ny, nz = cells.shape[1], cells.shape[2], cells.shape[3]
     i = min(max(int(x), 0), nx - 1)
     j = min(max(int(y), 0), ny - 1)
@@ -204,7 +204,7 @@ def point_gap(cells: np.ndarray, x: float, y: float, z: float, most: float) -> f
     ring = cells[1, i, j, k]
     last = max(nx, ny, nz)
     while ring <= last:
-        if ring - 1.0 + max(side, 0.0) >= most:
+        if ring - 1.0 + max(side, 0.0) >= max_gap:
             break
         for u in range(max(i - ring, 0), min(i + ring + 1, nx)):
             for v in range(max(j - ring, 0), min(j + ring + 1, ny)):
@@ -215,7 +215,7 @@ def point_gap(cells: np.ndarray, x: float, y: float, z: float, most: float) -> f
                         gx = max(u - x, 0.0, x - u - 1.0)
                         gy = max(v - y, 0.0, y - v - 1.0)
                         gz = max(w - z, 0.0, z - w - 1.0)
-                        most = min(most, math.sqrt(gx * gx + gy * gy + gz * gz))
+                        max_gap = min(max_gap, math.sqrt(gx * gx + gy * gy + gz * gz))
                     w += 1 if shell or ring == 0 else 2 * ring
         ring += 1
-    return most
+    return max_gap

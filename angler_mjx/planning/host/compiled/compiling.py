@@ -8,39 +8,39 @@ from typing import Any, cast
 
 import numba
 
-_HERE = Path(__file__).parent
+_SOURCE_FOLDER = Path(__file__).parent
 _CONFIG: Any = numba.config
 
 
-def _folder() -> str:
+def _cache_folder() -> str:
     """Where compiled code is kept, told apart by the sources of all that is compiled.
 
     Numba looks only at the file of the function itself: with one folder for all sources, a change
     in a function that another file calls would go on running as it was.
     """
     digest = hashlib.sha256()
-    for file in sorted(_HERE.parent.rglob("*.py")):
+    for file in sorted(_SOURCE_FOLDER.parent.rglob("*.py")):
         source = file.read_bytes()
         if b"@compiled" in source:
             digest.update(source)
     name = f"angler-{digest.hexdigest()[:16]}"
-    given = _CONFIG.CACHE_DIR
-    if given:
-        return os.path.join(given, name)
-    beside = _HERE / "__pycache__"
-    if os.access(beside if beside.exists() else _HERE, os.W_OK):
-        return str(beside / name)
+    configured = _CONFIG.CACHE_DIR
+    if configured:
+        return os.path.join(configured, name)
+    cache = _SOURCE_FOLDER / "__pycache__"
+    if os.access(cache if cache.exists() else _SOURCE_FOLDER, os.W_OK):
+        return str(cache / name)
     return str(Path.home() / ".cache" / "angler-mjx" / name)
 
 
-_FOLDER = _folder()
+_CACHE_FOLDER = _cache_folder()
 
 
-def compiled[F: Callable[..., Any]](function: F) -> F:
+def compile_function[F: Callable[..., Any]](function: F) -> F:
     """The function compiled at its first call: no interpreter lock, arithmetic as NumPy's."""
-    before = _CONFIG.CACHE_DIR
-    _CONFIG.CACHE_DIR = _FOLDER
+    previous = _CONFIG.CACHE_DIR
+    _CONFIG.CACHE_DIR = _CACHE_FOLDER
     try:
         return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
     finally:
-        _CONFIG.CACHE_DIR = before
+        _CONFIG.CACHE_DIR = previous

@@ -4,10 +4,10 @@ A segment is a start (ax, ay, az) and the way (dx, dy, dz) from there to its end
 a point.
 """
 
-from angler_mjx.planning.host.compiled.compiling import compiled
+from angler_mjx.planning.host.compiled.compiling import compile_function
 
 
-@compiled
+@compile_function
 def segment_point(
     ax: float, ay: float, az: float, dx: float, dy: float, dz: float,
     px: float, py: float, pz: float,
@@ -22,7 +22,7 @@ def segment_point(
     return wx * wx + wy * wy + wz * wz
 
 
-@compiled
+@compile_function
 def segment_segment(
     ax: float, ay: float, az: float, dx: float, dy: float, dz: float,
     bx: float, by: float, bz: float, ex: float, ey: float, ez: float,
@@ -31,7 +31,7 @@ def segment_segment(
 
     The least is at an end of one of the two, or where the lines' common normal stands on both.
     """
-    least = min(
+    best = min(
         segment_point(bx, by, bz, ex, ey, ez, ax, ay, az),
         segment_point(bx, by, bz, ex, ey, ez, ax + dx, ay + dy, az + dz),
         segment_point(ax, ay, az, dx, dy, dz, bx, by, bz),
@@ -45,17 +45,17 @@ def segment_segment(
         t = ((gy * dz - gz * dy) * nx + (gz * dx - gx * dz) * ny + (gx * dy - gy * dx) * nz) / det
         if 0.0 <= s <= 1.0 and 0.0 <= t <= 1.0:
             x, y, z = gx + t * ex - s * dx, gy + t * ey - s * dy, gz + t * ez - s * dz
-            least = min(least, x * x + y * y + z * z)
-    return least
+            best = min(best, x * x + y * y + z * z)
+    return best
 
 
-@compiled
-def _beyond(x: float, lo: float, hi: float) -> float:
+@compile_function
+def _distance_outside(x: float, lo: float, hi: float) -> float:
     """How far a coordinate is below (negative) or above the interval; 0 within."""
     return min(x - lo, 0.0) + max(x - hi, 0.0)
 
 
-@compiled
+@compile_function
 def segment_box(
     ax: float, ay: float, az: float, dx: float, dy: float, dz: float,
     lx: float, ly: float, lz: float, hx: float, hy: float, hz: float,
@@ -69,19 +69,19 @@ def segment_box(
     left, right = 0.0, 1.0
     for i in range(6):
         if i < 2:
-            start, way, plane = ax, dx, lx if i == 0 else hx
+            start, delta, plane = ax, dx, lx if i == 0 else hx
         elif i < 4:
-            start, way, plane = ay, dy, ly if i == 2 else hy
+            start, delta, plane = ay, dy, ly if i == 2 else hy
         else:
-            start, way, plane = az, dz, lz if i == 4 else hz
-        if way == 0.0:
+            start, delta, plane = az, dz, lz if i == 4 else hz
+        if delta == 0.0:
             continue
-        s = (plane - start) / way
+        s = (plane - start) / delta
         if left < s < right:
             slope = (
-                dx * _beyond(ax + s * dx, lx, hx)
-                + dy * _beyond(ay + s * dy, ly, hy)
-                + dz * _beyond(az + s * dz, lz, hz)
+                dx * _distance_outside(ax + s * dx, lx, hx)
+                + dy * _distance_outside(ay + s * dy, ly, hy)
+                + dz * _distance_outside(az + s * dz, lz, hz)
             )
             if slope < 0.0:
                 left = s
@@ -89,19 +89,19 @@ def segment_box(
                 right = s
     s = 0.5 * (left + right)
     x, y, z = (
-        _beyond(ax + s * dx, lx, hx),
-        _beyond(ay + s * dy, ly, hy),
-        _beyond(az + s * dz, lz, hz),
+        _distance_outside(ax + s * dx, lx, hx),
+        _distance_outside(ay + s * dy, ly, hy),
+        _distance_outside(az + s * dz, lz, hz),
     )
-    rise = 0.0
-    rise += dx * dx if x != 0.0 else 0.0
-    rise += dy * dy if y != 0.0 else 0.0
-    rise += dz * dz if z != 0.0 else 0.0
-    if rise > 0.0:
-        s = min(max(s - (dx * x + dy * y + dz * z) / rise, left), right)
+    curvature = 0.0
+    curvature += dx * dx if x != 0.0 else 0.0
+    curvature += dy * dy if y != 0.0 else 0.0
+    curvature += dz * dz if z != 0.0 else 0.0
+    if curvature > 0.0:
+        s = min(max(s - (dx * x + dy * y + dz * z) / curvature, left), right)
         x, y, z = (
-            _beyond(ax + s * dx, lx, hx),
-            _beyond(ay + s * dy, ly, hy),
-            _beyond(az + s * dz, lz, hz),
+            _distance_outside(ax + s * dx, lx, hx),
+            _distance_outside(ay + s * dy, ly, hy),
+            _distance_outside(az + s * dz, lz, hz),
         )
     return x * x + y * y + z * z

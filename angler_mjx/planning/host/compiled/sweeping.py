@@ -5,13 +5,13 @@ import math
 import numpy as np
 
 from angler_mjx.planning.host.compiled.cells import ball_touches, point_gap, swept_ball_touches
-from angler_mjx.planning.host.compiled.compiling import compiled
-from angler_mjx.planning.host.compiled.packed import Fields, fields
+from angler_mjx.planning.host.compiled.compiling import compile_function
+from angler_mjx.planning.host.compiled.packed import PackedFields, unpack_fields
 from angler_mjx.planning.host.compiled.segments import segment_box, segment_point, segment_segment
 
 
-@compiled
-def inside(box: np.ndarray, p: np.ndarray, i: int, reach: float) -> bool:
+@compile_function
+def is_inside(box: np.ndarray, p: np.ndarray, i: int, reach: float) -> bool:
     """Whether a ball is within the faces of the cube and above the floor; not, where it is NaN."""
     for n in range(3):
         x = p[3 * i + n]
@@ -20,8 +20,8 @@ def inside(box: np.ndarray, p: np.ndarray, i: int, reach: float) -> bool:
     return True
 
 
-@compiled
-def segment_still(
+@compile_function
+def segment_obstacle(
     row: np.ndarray, ax: float, ay: float, az: float, dx: float, dy: float, dz: float
 ) -> float:
     """Squared distance of a segment to what an obstacle is spanned by, and its own radius.
@@ -48,14 +48,14 @@ def segment_still(
     )
 
 
-@compiled
-def own_radius(row: np.ndarray) -> float:
+@compile_function
+def obstacle_radius(row: np.ndarray) -> float:
     """What an obstacle reaches beyond what it is spanned by."""
     return 0.0 if row[0] == 1.0 else row[1]
 
 
-@compiled
-def clear_of_still(
+@compile_function
+def is_clear_of_obstacles(
     still: np.ndarray,
     ax: float, ay: float, az: float, bx: float, by: float, bz: float,
     reach: float,
@@ -64,17 +64,17 @@ def clear_of_still(
     dx, dy, dz = bx - ax, by - ay, bz - az
     for n in range(still.shape[0]):
         row = still[n]
-        held = reach + row[4]
-        if segment_point(ax, ay, az, dx, dy, dz, row[5], row[6], row[7]) > held * held:
+        bound = reach + row[4]
+        if segment_point(ax, ay, az, dx, dy, dz, row[5], row[6], row[7]) > bound * bound:
             continue
-        asked = reach + own_radius(row)
-        if segment_still(row, ax, ay, az, dx, dy, dz) <= asked * asked:
+        min_distance = reach + obstacle_radius(row)
+        if segment_obstacle(row, ax, ay, az, dx, dy, dz) <= min_distance * min_distance:
             return False
     return True
 
 
-@compiled
-def clear_of_rock(
+@compile_function
+def is_clear_of_rock(
     box: np.ndarray,
     cells: np.ndarray,
     ax: float, ay: float, az: float, bx: float, by: float, bz: float,
@@ -90,8 +90,8 @@ def clear_of_rock(
     )  # fmt: skip
 
 
-@compiled
-def _pairs_clear(radius: np.ndarray, keep: float, a: np.ndarray, b: np.ndarray) -> bool:
+@compile_function
+def _are_pairs_clear(radius: np.ndarray, keep: float, a: np.ndarray, b: np.ndarray) -> bool:
     """Whether no two balls come together: closest approach of two motions in the same share."""
     n = radius.shape[0]
     for i in range(n):
@@ -104,36 +104,36 @@ def _pairs_clear(radius: np.ndarray, keep: float, a: np.ndarray, b: np.ndarray) 
             dx = b[3 * i] - b[3 * j] - wx
             dy = b[3 * i + 1] - b[3 * j + 1] - wy
             dz = b[3 * i + 2] - b[3 * j + 2] - wz
-            asked = radius[i] + radius[j] + keep
-            if segment_point(wx, wy, wz, dx, dy, dz, 0.0, 0.0, 0.0) <= asked * asked:
+            min_distance = radius[i] + radius[j] + keep
+            if segment_point(wx, wy, wz, dx, dy, dz, 0.0, 0.0, 0.0) <= min_distance * min_distance:
                 return False
     return True
 
 
-@compiled
-def way_clear(world: Fields, cells: np.ndarray, a: np.ndarray, b: np.ndarray) -> bool:
+@compile_function
+def is_motion_clear(world: PackedFields, cells: np.ndarray, a: np.ndarray, b: np.ndarray) -> bool:
     """Whether all balls go from a [3 R] to b [3 R], at both of which they are known to be clear."""
     radius, keep = world.radius, world.keep[0]
-    if not _pairs_clear(radius, keep, a, b):
+    if not _are_pairs_clear(radius, keep, a, b):
         return False
     for i in range(radius.shape[0]):
         ax, ay, az, reach = a[3 * i], a[3 * i + 1], a[3 * i + 2], radius[i] + keep
         bx, by, bz = b[3 * i], b[3 * i + 1], b[3 * i + 2]
-        if not clear_of_rock(world.box, cells, ax, ay, az, bx, by, bz, reach):
+        if not is_clear_of_rock(world.box, cells, ax, ay, az, bx, by, bz, reach):
             return False
-        if not clear_of_still(world.still, ax, ay, az, bx, by, bz, reach):
+        if not is_clear_of_obstacles(world.still, ax, ay, az, bx, by, bz, reach):
             return False
     return True
 
 
-@compiled
-def team_clear(world: Fields, cells: np.ndarray, a: np.ndarray, b: np.ndarray) -> bool:
+@compile_function
+def is_team_clear(world: PackedFields, cells: np.ndarray, a: np.ndarray, b: np.ndarray) -> bool:
     """Whether all balls go from a [3 R] to b [3 R] and touch nothing; the cheap tests first."""
     box, radius, keep = world.box, world.radius, world.keep[0]
     n = radius.shape[0]
     for i in range(n):
         reach = radius[i] + keep
-        if not (inside(box, b, i, reach) and inside(box, a, i, reach)):
+        if not (is_inside(box, b, i, reach) and is_inside(box, a, i, reach)):
             return False
         if ball_touches(
             cells,
@@ -143,15 +143,17 @@ def team_clear(world: Fields, cells: np.ndarray, a: np.ndarray, b: np.ndarray) -
             reach * box[3],
         ):
             return False
-    return way_clear(world, cells, a, b)
+    return is_motion_clear(world, cells, a, b)
 
 
-@compiled
-def one_clear(world: Fields, cells: np.ndarray, a: np.ndarray, b: np.ndarray, i: int) -> bool:
+@compile_function
+def is_robot_clear(
+    world: PackedFields, cells: np.ndarray, a: np.ndarray, b: np.ndarray, i: int
+) -> bool:
     """Whether ball i touches nothing as all go from a to b; of the others nothing else is asked."""
     box, radius, keep = world.box, world.radius, world.keep[0]
     reach = radius[i] + keep
-    if not (inside(box, b, i, reach) and inside(box, a, i, reach)):
+    if not (is_inside(box, b, i, reach) and is_inside(box, a, i, reach)):
         return False
     ax, ay, az, bx, by, bz = (
         a[3 * i],
@@ -166,75 +168,79 @@ def one_clear(world: Fields, cells: np.ndarray, a: np.ndarray, b: np.ndarray, i:
             continue
         wx, wy, wz = ax - a[3 * j], ay - a[3 * j + 1], az - a[3 * j + 2]
         dx, dy, dz = bx - b[3 * j] - wx, by - b[3 * j + 1] - wy, bz - b[3 * j + 2] - wz
-        asked = radius[i] + radius[j] + keep
-        if segment_point(wx, wy, wz, dx, dy, dz, 0.0, 0.0, 0.0) <= asked * asked:
+        min_distance = radius[i] + radius[j] + keep
+        if segment_point(wx, wy, wz, dx, dy, dz, 0.0, 0.0, 0.0) <= min_distance * min_distance:
             return False
-    return clear_of_rock(box, cells, ax, ay, az, bx, by, bz, reach) and clear_of_still(
+    return is_clear_of_rock(box, cells, ax, ay, az, bx, by, bz, reach) and is_clear_of_obstacles(
         world.still, ax, ay, az, bx, by, bz, reach
     )
 
 
-@compiled
-def edge(
+@compile_function
+def is_edge_free(
     head: np.ndarray, reals: np.ndarray, cells: np.ndarray, a: np.ndarray, b: np.ndarray
 ) -> bool:
     """One edge, a and b float64 [3 R]."""
-    return team_clear(fields(head, reals), cells, a, b)
+    return is_team_clear(unpack_fields(head, reals), cells, a, b)
 
 
-@compiled
-def state(head: np.ndarray, reals: np.ndarray, cells: np.ndarray, p: np.ndarray) -> bool:
+@compile_function
+def is_state_free(head: np.ndarray, reals: np.ndarray, cells: np.ndarray, p: np.ndarray) -> bool:
     """One state, p float64 [3 R]."""
-    return team_clear(fields(head, reals), cells, p, p)
+    return is_team_clear(unpack_fields(head, reals), cells, p, p)
 
 
-@compiled
-def edges(
+@compile_function
+def are_edges_free(
     head: np.ndarray, reals: np.ndarray, cells: np.ndarray, a: np.ndarray, b: np.ndarray
 ) -> np.ndarray:
     """Many edges, a and b float64 [n, 3 R]."""
-    world = fields(head, reals)
+    world = unpack_fields(head, reals)
     free = np.empty(a.shape[0], np.bool_)
     for n in range(a.shape[0]):
-        free[n] = team_clear(world, cells, a[n], b[n])
+        free[n] = is_team_clear(world, cells, a[n], b[n])
     return free
 
 
-@compiled
-def clearances(head: np.ndarray, reals: np.ndarray, cells: np.ndarray, p: np.ndarray) -> np.ndarray:
+@compile_function
+def team_clearances(
+    head: np.ndarray, reals: np.ndarray, cells: np.ndarray, p: np.ndarray
+) -> np.ndarray:
     """Least distance [n] of any ball to anything, p float64 [n, 3 R]."""
-    world = fields(head, reals)
-    least = np.empty(p.shape[0])
+    world = unpack_fields(head, reals)
+    gaps = np.empty(p.shape[0])
     for n in range(p.shape[0]):
-        least[n] = _team_gap(world, cells, p[n])
-    return least
+        gaps[n] = _team_gap(world, cells, p[n])
+    return gaps
 
 
-@compiled
-def _team_gap(world: Fields, cells: np.ndarray, p: np.ndarray) -> float:
+@compile_function
+def _team_gap(world: PackedFields, cells: np.ndarray, p: np.ndarray) -> float:
     """Least distance of any ball to anything."""
-    least = math.inf
+    best = math.inf
     for i in range(world.radius.shape[0]):
-        x, y, z, own = p[3 * i], p[3 * i + 1], p[3 * i + 2], world.radius[i]
-        least = min(least, ball_gap(world, cells, x, y, z, least + own) - own)
+        x, y, z, radius_m = p[3 * i], p[3 * i + 1], p[3 * i + 2], world.radius[i]
+        best = min(best, ball_gap(world, cells, x, y, z, best + radius_m) - radius_m)
         for j in range(i):
             wx, wy, wz = x - p[3 * j], y - p[3 * j + 1], z - p[3 * j + 2]
-            apart = math.sqrt(wx * wx + wy * wy + wz * wz)
-            least = min(least, apart - own - world.radius[j])
-    return least
+            distance = math.sqrt(wx * wx + wy * wy + wz * wz)
+            best = min(best, distance - radius_m - world.radius[j])
+    return best
 
 
-@compiled
-def ball_gap(world: Fields, cells: np.ndarray, x: float, y: float, z: float, most: float) -> float:
-    """Distance of a point to what stands, or at least ``most`` where nothing is nearer."""
+@compile_function
+def ball_gap(
+    world: PackedFields, cells: np.ndarray, x: float, y: float, z: float, max_gap: float
+) -> float:
+    """Distance of a point to what stands, or at least ``max_gap`` where nothing is nearer."""
     box = world.box
-    most = min(most, x - box[4], y - box[5], z - box[6], box[7] - x, box[8] - y, box[9] - z)
+    max_gap = min(max_gap, x - box[4], y - box[5], z - box[6], box[7] - x, box[8] - y, box[9] - z)
     for n in range(world.still.shape[0]):
         row = world.still[n]
-        gap = math.sqrt(segment_still(row, x, y, z, 0.0, 0.0, 0.0)) - own_radius(row)
-        most = min(most, gap)
-    if most <= 0.0:
-        return most
+        gap = math.sqrt(segment_obstacle(row, x, y, z, 0.0, 0.0, 0.0)) - obstacle_radius(row)
+        max_gap = min(max_gap, gap)
+    if max_gap <= 0.0:
+        return max_gap
     u, v, w = (x - box[0]) * box[3], (y - box[1]) * box[3], (z - box[2]) * box[3]
-    to_rock: float = point_gap(cells, u, v, w, most * box[3]) / box[3]
-    return min(most, to_rock)
+    to_rock: float = point_gap(cells, u, v, w, max_gap * box[3]) / box[3]
+    return min(max_gap, to_rock)

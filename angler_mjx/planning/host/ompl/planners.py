@@ -27,9 +27,9 @@ class OmplPlanner:
 
     NAME: ClassVar[str]
     """OMPL's."""
-    Settings: ClassVar[type[of.Common]] = of.Common
+    Settings: ClassVar[type[of.OmplSettings]] = of.OmplSettings
 
-    def __init__(self, settings: of.Common | None = None) -> None:
+    def __init__(self, settings: of.OmplSettings | None = None) -> None:
         """Makes it.
 
         Args:
@@ -40,18 +40,18 @@ class OmplPlanner:
             UnsupportedError: OMPL or what it needs is not installed.
         """
         self.settings = self.Settings() if settings is None else settings
-        of.check(self.NAME, self.settings)
+        of.check_settings(self.NAME, self.settings)
         try:
-            room: Any = import_module(_PLANNING)
+            planning: Any = import_module(_PLANNING)
         except ModuleNotFoundError as error:
             raise UnsupportedError(
                 f"planner {self.NAME} needs {error.name}: pip install 'angler-mjx[plan]'"
             ) from error
-        room.begin()
+        planning.begin()
         self._planned: Callable[..., tuple[list[Path | NoPlan], dict[str, float], Progress]] = (
-            room.planned
+            planning.planned
         )
-        self._warm_up: Callable[..., None] = room.warm_up
+        self._warm_up: Callable[..., None] = planning.warm_up
         self.extras: dict[str, float] = {}
         """Of the last plan: ``setup_s`` (of the checks), ``search_s``, ``first_s`` (to OMPL's first
         path), ``best_s`` (to the last that was better), ``best_cost`` (length in the space of the

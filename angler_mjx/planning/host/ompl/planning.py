@@ -6,15 +6,19 @@ from dataclasses import replace
 import numpy as np
 
 from angler_mjx.planning.host.edges import EdgeChecker
-from angler_mjx.planning.host.ompl import seeing
-from angler_mjx.planning.host.ompl.prioritised import one_by_one
-from angler_mjx.planning.host.ompl.search import quiet
-from angler_mjx.planning.host.ompl.settings import Common
-from angler_mjx.planning.host.ompl.shortcut import ways
-from angler_mjx.planning.host.ompl.still import still_timed
-from angler_mjx.planning.host.ompl.straightening import fewer, straighter, through
-from angler_mjx.planning.host.ompl.team import NoWayError, TeamMotion, TeamTask, motion
-from angler_mjx.planning.host.ompl.timing import PADDED, apart
+from angler_mjx.planning.host.ompl import problem_setup
+from angler_mjx.planning.host.ompl.prioritised import plan_sequentially
+from angler_mjx.planning.host.ompl.search import silence_log
+from angler_mjx.planning.host.ompl.settings import OmplSettings
+from angler_mjx.planning.host.ompl.shortcut import build_smoothing_problem
+from angler_mjx.planning.host.ompl.still_water_timing import time_in_still_water
+from angler_mjx.planning.host.ompl.straightening import (
+    reduce_points,
+    shortest_through_points,
+    straighten_path,
+)
+from angler_mjx.planning.host.ompl.team import NoPathError, TeamMotion, TeamTask, plan_motion
+from angler_mjx.planning.host.ompl.timing import PADDED, robot_waypoints
 from angler_mjx.planning.host.timed import Traffic
 from angler_mjx.planning.planner import NoPlan, Path, joint_path, way_points
 from angler_mjx.planning.problem import Problem
@@ -22,11 +26,11 @@ from angler_mjx.planning.problem import Problem
 
 def begin() -> None:
     """Once in a process, before anything else."""
-    quiet()
+    silence_log()
 
 
 def planned(
-    planner: str, settings: Common, problem: Problem
+    planner: str, settings: OmplSettings, problem: Problem
 ) -> tuple[list[Path | NoPlan], dict[str, float], list[tuple[float, float]]]:
     """Paths of all robots, what there is to note of them, and how the search got better.
 
@@ -35,24 +39,24 @@ def planned(
         settings: of it.
         problem: arrays of NumPy.
     """
-    limit = problem.deadline_s if settings.time_limit_s is None else settings.time_limit_s
+    limit_s = problem.deadline_s if settings.time_limit_s is None else settings.time_limit_s
     task = TeamTask(
         planner=planner,
         settings=settings,
         seed=(int(problem.seed),),
-        end=time.perf_counter() + min(limit, problem.deadline_s),
+        end=time.perf_counter() + min(limit_s, problem.deadline_s),
     )
-    known = seeing.seen(problem, settings.moving)
+    visible_problem = problem_setup.apply_moving_choice(problem, settings.moving)
     if settings.mode == "prioritised":
-        answers = one_by_one(known, task)
-        paths = [_path(answer, 0, settings) for answer in answers]
+        answers = plan_sequentially(visible_problem, task)
+        paths = [_build_path(answer, 0, settings) for answer in answers]
     else:
-        paths = _together(known, task)
+        paths = _plan_together(visible_problem, task)
     progress = task.progress if settings.mode == "composite" or problem.robots == 1 else []
     return paths, task.extras, progress
 
 
-def warm_up(planner: str, settings: Common, problem: Problem) -> None:
+def warm_up(planner: str, settings: OmplSettings, problem: Problem) -> None:
     """Compiles all that planning such problems needs, and has OMPL look at the parameters."""
     checks = EdgeChecker(problem)
     start = np.asarray(problem.team.start_m, float)
@@ -62,37 +66,41 @@ def warm_up(planner: str, settings: Common, problem: Problem) -> None:
     checks.edges(start[None], start[None])
     checks.clearance(start)
     speed = np.asarray(problem.team.cruise_speed_mps, float)
-    bent = np.stack([start, start, np.asarray(problem.team.goal_m, float), start])
-    straighter(ways(checks), through(ways(checks), bent, speed), speed)
-    fewer(ways(checks), bent, speed, 2, 1)
-    when, flown = still_timed(bent, speed, settings.turn_radps)
-    apart(when, flown[:, 0], 0.0)
-    none = Traffic.none()
-    checks.timed_edge(0, start[0], 0.0, start[0], np.inf, none)
-    checks.timed_edges(0, start[:1], np.zeros(1), start[:1], np.full(1, np.inf), none)
+    bent_path = np.stack([start, start, np.asarray(problem.team.goal_m, float), start])
+    straighten_path(
+        build_smoothing_problem(checks),
+        shortest_through_points(build_smoothing_problem(checks), bent_path, speed),
+        speed,
+    )
+    reduce_points(build_smoothing_problem(checks), bent_path, speed, 2, 1)
+    time_s, flown = time_in_still_water(bent_path, speed, settings.turn_radps)
+    robot_waypoints(time_s, flown[:, 0], 0.0)
+    no_traffic = Traffic.none()
+    checks.timed_edge(0, start[0], 0.0, start[0], np.inf, no_traffic)
+    checks.timed_edges(0, start[:1], np.zeros(1), start[:1], np.full(1, np.inf), no_traffic)
     if problem.current.components:
         problem.current_mps(np.zeros((PADDED, 3), np.float32), np.zeros(PADDED, np.float32))
     planned(planner, replace(settings, first=True), problem)
 
 
-def _together(problem: Problem, task: TeamTask) -> list[Path | NoPlan]:
+def _plan_together(problem: Problem, task: TeamTask) -> list[Path | NoPlan]:
     robots = list(range(problem.robots))
     try:
-        found = motion(problem, robots, task)
-    except seeing.CannotError as error:
+        team_motion = plan_motion(problem, robots, task)
+    except problem_setup.BlockedRobotError as error:
         if error.robot is None:
             return [NoPlan(str(error))] * len(robots)
         other = f"robot {error.robot} has no way: {error}"
         return [NoPlan(str(error) if robot == error.robot else other) for robot in robots]
-    except NoWayError as error:
+    except NoPathError as error:
         return [NoPlan(str(error))] * len(robots)
-    return [_path(found, robot, task.settings) for robot in robots]
+    return [_build_path(team_motion, robot, task.settings) for robot in robots]
 
 
-def _path(answer: TeamMotion | str, robot: int, settings: Common) -> Path | NoPlan:
+def _build_path(answer: TeamMotion | str, robot: int, settings: OmplSettings) -> Path | NoPlan:
     if isinstance(answer, str):
         return NoPlan(answer)
-    when, path = apart(answer.time_s, answer.path[:, robot], answer.delay_s)
+    time_s, path = robot_waypoints(answer.time_s, answer.path[:, robot], answer.delay_s)
     if settings.heading:
-        return joint_path(when, path[:, :3], path[:, 3])
-    return way_points(when, path)
+        return joint_path(time_s, path[:, :3], path[:, 3])
+    return way_points(time_s, path)

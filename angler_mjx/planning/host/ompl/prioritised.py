@@ -14,19 +14,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from angler_mjx.planning.host.ompl import seeing
-from angler_mjx.planning.host.ompl.spacetime import motion as in_time
-from angler_mjx.planning.host.ompl.team import NoWayError, TeamMotion, TeamTask
-from angler_mjx.planning.host.ompl.team import motion as together
-from angler_mjx.planning.host.ompl.timing import apart
+from angler_mjx.planning.host.ompl import problem_setup
+from angler_mjx.planning.host.ompl.spacetime import plan_spacetime_motion as in_time
+from angler_mjx.planning.host.ompl.team import NoPathError, TeamMotion, TeamTask
+from angler_mjx.planning.host.ompl.team import plan_motion as together
+from angler_mjx.planning.host.ompl.timing import robot_waypoints
 from angler_mjx.planning.host.timed import Traffic
 from angler_mjx.planning.problem import Problem
 
-ORDERS = 8
+MAX_ORDERS = 8
 """That are tried while there is time, after the first: by turns in space and time, and in space."""
 
 
-def one_by_one(problem: Problem, task: TeamTask) -> list[TeamMotion | str]:
+def plan_sequentially(problem: Problem, task: TeamTask) -> list[TeamMotion | str]:
     """A motion of each robot, or why it has none.
 
     Args:
@@ -34,41 +34,43 @@ def one_by_one(problem: Problem, task: TeamTask) -> list[TeamMotion | str]:
         task: how; its notes are of all robots and orders together.
     """
     robots = list(range(problem.robots))
-    best = _in_order(problem, robots, [], task, standing=True)
-    if _planned(best) == len(robots):
+    best = _plan_in_order(problem, robots, [], task, standing=True)
+    if _count_planned(best) == len(robots):
         return [best[robot] for robot in robots]
     random = np.random.default_rng(task.seed)
-    taken = _taken(problem, task)
-    able = [robot for robot in robots if robot not in taken]
-    order = able
-    for attempt in range(ORDERS):
-        if task.left() <= 0.0 or _planned(best) == len(able):
+    unplannable = _find_blocked(problem, task)
+    plannable = [robot for robot in robots if robot not in unplannable]
+    order = plannable
+    for attempt in range(MAX_ORDERS):
+        if task.remaining_s() <= 0.0 or _count_planned(best) == len(plannable):
             break
         standing = attempt % 2 == 1
         again = replace(task, seed=(*task.seed, attempt))
-        tried = _in_order(problem, order, sorted(taken), again, standing)
-        if _planned(tried) > _planned(best) and (standing or _planned(tried) == len(able)):
-            best = tried
-        order = random.permutation(able).tolist()
-    return [taken.get(robot, best.get(robot, "")) for robot in robots]
+        attempt_answers = _plan_in_order(problem, order, sorted(unplannable), again, standing)
+        if _count_planned(attempt_answers) > _count_planned(best) and (
+            standing or _count_planned(attempt_answers) == len(plannable)
+        ):
+            best = attempt_answers
+        order = random.permutation(plannable).tolist()
+    return [unplannable.get(robot, best.get(robot, "")) for robot in robots]
 
 
-def _planned(answers: Mapping[int, TeamMotion | str]) -> int:
+def _count_planned(answers: Mapping[int, TeamMotion | str]) -> int:
     return sum(isinstance(answer, TeamMotion) for answer in answers.values())
 
 
-def _taken(problem: Problem, task: TeamTask) -> dict[int, TeamMotion | str]:
+def _find_blocked(problem: Problem, task: TeamTask) -> dict[int, TeamMotion | str]:
     """Robots that cannot be at their start or goal, whoever else is where; and why."""
-    found: dict[int, TeamMotion | str] = {}
+    reasons: dict[int, TeamMotion | str] = {}
     for robot in range(problem.robots):
         try:
-            seeing.checker(problem, [robot], task.settings.margin_m)
-        except seeing.CannotError as error:
-            found[robot] = str(error)
-    return found
+            problem_setup.build_checker(problem, [robot], task.settings.margin_m)
+        except problem_setup.BlockedRobotError as error:
+            reasons[robot] = str(error)
+    return reasons
 
 
-def _in_order(
+def _plan_in_order(
     problem: Problem, order: list[int], held: list[int], task: TeamTask, standing: bool
 ) -> dict[int, TeamMotion | str]:
     """Motions of robots in an order, of which some more hold their starts.
@@ -83,72 +85,76 @@ def _in_order(
     """
     goal = np.asarray(problem.team.goal_m, float)
     radius = np.asarray(problem.team.radius_m, float)
-    stands = np.array(problem.team.start_m, float)
+    positions_m = np.array(problem.team.start_m, float)
     answers: dict[int, TeamMotion | str] = {}
     for number, robot in enumerate(order):
-        others = held + (_beside(problem, robot, order, stands, task) if standing else [])
-        alone = seeing.among(problem, stands[others], radius[others])
-        traffic = _traffic([(answers[k], radius[k]) for k in answers])
-        own = replace(task, seed=(*task.seed, robot, standing))
-        share = 1.0 / (len(order) - number + standing)
+        others = held + (
+            _others_to_avoid(problem, robot, order, positions_m, task) if standing else []
+        )
+        visible_problem = problem_setup.add_standing_balls(
+            problem, positions_m[others], radius[others]
+        )
+        traffic = _build_traffic([(answers[k], radius[k]) for k in answers])
+        robot_task = replace(task, seed=(*task.seed, robot, standing))
+        time_fraction = 1.0 / (len(order) - number + standing)
         try:
             plan = together if standing else in_time
-            answers[robot] = plan(alone, [robot], own, traffic, share)
-            stands[robot] = goal[robot]
-        except (NoWayError, seeing.CannotError) as error:
+            answers[robot] = plan(visible_problem, [robot], robot_task, traffic, time_fraction)
+            positions_m[robot] = goal[robot]
+        except (NoPathError, problem_setup.BlockedRobotError) as error:
             answers[robot] = str(error)
             if not standing:
                 break
-    return _without_blocked(problem, answers, task)
+    return _remove_blocked(problem, answers, task)
 
 
-def _without_blocked(
+def _remove_blocked(
     problem: Problem, answers: dict[int, TeamMotion | str], task: TeamTask
 ) -> dict[int, TeamMotion | str]:
     """The same, but nobody goes where a robot that has no way holds its start."""
     start = np.asarray(problem.team.start_m, float)
     answers = dict(answers)
     while True:
-        failed = [robot for robot, one in answers.items() if isinstance(one, str)]
+        failed = [robot for robot, answer in answers.items() if isinstance(answer, str)]
         blocked = {
             robot: f"robot {other} has no way and stays where it has to be"
             for robot in answers
             if robot not in failed
             for other in failed
-            if other not in _beside(problem, robot, failed, start, task)
+            if other not in _others_to_avoid(problem, robot, failed, start, task)
         }
         if not blocked:
             return answers
         answers |= blocked
 
 
-def _beside(
+def _others_to_avoid(
     problem: Problem, robot: int, order: Sequence[int], stands: np.ndarray, task: TeamTask
 ) -> list[int]:
     """Others that a robot goes around where they stand: all that are not at its start or goal."""
     radius = np.asarray(problem.team.radius_m, float)
-    own = [np.asarray(end, float)[robot] for end in (problem.team.start_m, problem.team.goal_m)]
-    found = []
+    ends_m = [np.asarray(end, float)[robot] for end in (problem.team.start_m, problem.team.goal_m)]
+    others = []
     for other in order:
-        room = radius[robot] + radius[other] + 2.0 * task.settings.margin_m
-        gap = min(np.linalg.norm(stands[other] - end) for end in own)
-        if other != robot and gap > room:
-            found.append(other)
-    return found
+        min_gap_m = radius[robot] + radius[other] + 2.0 * task.settings.margin_m
+        gap = min(np.linalg.norm(stands[other] - end) for end in ends_m)
+        if other != robot and gap > min_gap_m:
+            others.append(other)
+    return others
 
 
-def _traffic(movers: Sequence[tuple[TeamMotion | str, float]]) -> Traffic:
+def _build_traffic(movers: Sequence[tuple[TeamMotion | str, float]]) -> Traffic:
     """Paths of robots with a motion, all with as many points."""
     paths = [
-        (*apart(each.time_s, each.path[:, 0, :3], each.delay_s), radius)
+        (*robot_waypoints(each.time_s, each.path[:, 0, :3], each.delay_s), radius)
         for each, radius in movers
         if isinstance(each, TeamMotion)
     ]
     if not paths:
         return Traffic.none()
-    most = max(len(when) for when, _, _ in paths)
+    max_points = max(len(time_s) for time_s, _, _ in paths)
     return Traffic.of(
-        np.stack([np.pad(when, (0, most - len(when)), "edge") for when, _, _ in paths]),
-        np.stack([np.pad(p, ((0, most - len(p)), (0, 0)), "edge") for _, p, _ in paths]),
+        np.stack([np.pad(time_s, (0, max_points - len(time_s)), "edge") for time_s, _, _ in paths]),
+        np.stack([np.pad(p, ((0, max_points - len(p)), (0, 0)), "edge") for _, p, _ in paths]),
         np.array([radius for _, _, radius in paths]),
     )

@@ -20,8 +20,8 @@ import ompl.util as ou
 
 from angler_mjx.errors import ConfigError
 
-type Edge = Callable[[np.ndarray, np.ndarray], bool]
-type State = Callable[[np.ndarray], bool]
+type EdgeCheck = Callable[[np.ndarray, np.ndarray], bool]
+type StateCheck = Callable[[np.ndarray], bool]
 
 ANYTIME = ("AORRTC", "BITstar", "RRTstar", "InformedRRTstar", "SORRTstar")
 """Go on improving until they are stopped, and tell their best cost meanwhile."""
@@ -29,34 +29,34 @@ ANYTIME = ("AORRTC", "BITstar", "RRTstar", "InformedRRTstar", "SORRTstar")
 ROADMAPS = ("PRM", "PRMstar")
 """Look for the solution in a thread of their own: no Python may say when they end."""
 
-ONE_BATCH = ("FMT", "BFMT")
+SINGLE_BATCH = ("FMT", "BFMT")
 """Draw all samples at once, and have no more to do when these gave no path."""
 
-SAMPLES = 1000
+DEFAULT_SAMPLES = 1000
 """Of FMT and BFMT at first, in OMPL."""
 
-LOOKS = 64
+EDGES_PER_CLOCK_CHECK = 64
 """Edges between two looks at the clock."""
 
-MOST_TOLD = 1000
+MAX_PROGRESS_POINTS = 1000
 """Better paths that are told of; of more, every other one between the first and the last."""
 
-SHORTEST_S = 1e-4
+MIN_SEARCH_S = 1e-4
 """A search is not begun with less left."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Space:
+class SearchSpace:
     """Where a search goes on."""
 
     low: np.ndarray
     """[d] lower bounds."""
     high: np.ndarray
     """[d]."""
-    looked_at: list[int]
+    checked_columns: list[int]
     """Columns that the checks are given, in order: all but headings."""
-    edge: Edge
-    state: State
+    edge: EdgeCheck
+    state: StateCheck
 
 
 @dataclass
@@ -89,18 +89,18 @@ class PlanningOrder:
     """Time for OMPL's simplifier; 0: none."""
 
 
-class _Motions(ob.MotionValidator):
+class _MotionValidator(ob.MotionValidator):
     """The compiled check, as OMPL asks for it."""
 
-    def __init__(self, info: Any, space: Space) -> None:
+    def __init__(self, info: Any, space: SearchSpace) -> None:
         super().__init__(info)
         self.count = 0
         self.end = math.inf
         self._late = False
         self._edge = space.edge
-        self._columns = space.looked_at
-        self._a = np.zeros(len(space.looked_at))
-        self._b = np.zeros(len(space.looked_at))
+        self._columns = space.checked_columns
+        self._a = np.zeros(len(space.checked_columns))
+        self._b = np.zeros(len(space.checked_columns))
 
     def checkMotion(self, a: Any, b: Any, *last: Any) -> bool:  # noqa: N802
         """Whether the team can go from a to b; where it could last be is not told.
@@ -109,7 +109,7 @@ class _Motions(ob.MotionValidator):
         the clock.
         """
         self.count += 1
-        if self.count % LOOKS == 0:
+        if self.count % EDGES_PER_CLOCK_CHECK == 0:
             self._late = time.perf_counter() > self.end
         if self._late:
             return False
@@ -118,12 +118,12 @@ class _Motions(ob.MotionValidator):
         return self._edge(self._a, self._b)
 
 
-class _States(ob.StateValidityChecker):
-    def __init__(self, info: Any, space: Space) -> None:
+class _StateValidator(ob.StateValidityChecker):
+    def __init__(self, info: Any, space: SearchSpace) -> None:
         super().__init__(info)
         self._state = space.state
-        self._columns = space.looked_at
-        self._p = np.zeros(len(space.looked_at))
+        self._columns = space.checked_columns
+        self._p = np.zeros(len(space.checked_columns))
 
     def isValid(self, p: Any) -> bool:  # noqa: N802
         """Whether the team can be there."""
@@ -131,10 +131,12 @@ class _States(ob.StateValidityChecker):
         return self._state(self._p)
 
 
-class _Setup:
+class _OmplSetup:
     """The objects of one search, which hold on to each other."""
 
-    def __init__(self, space: Space, start: np.ndarray, goal: np.ndarray, first: bool) -> None:
+    def __init__(
+        self, space: SearchSpace, start: np.ndarray, goal: np.ndarray, first: bool
+    ) -> None:
         size = len(space.low)
         self.real = ob.RealVectorStateSpace(size)
         bounds = ob.RealVectorBounds(size)
@@ -143,7 +145,10 @@ class _Setup:
             bounds.setHigh(i, float(space.high[i]))
         self.real.setBounds(bounds)
         self.info = ob.SpaceInformation(self.real)
-        self.motions, self.states = _Motions(self.info, space), _States(self.info, space)
+        self.motions, self.states = (
+            _MotionValidator(self.info, space),
+            _StateValidator(self.info, space),
+        )
         self.info.setMotionValidator(self.motions)
         self.info.setStateValidityChecker(self.states)
         self.info.setup()
@@ -159,34 +164,36 @@ class _Setup:
         self.problem.setOptimizationObjective(self.objective)
         self.size = size
 
-    def points(self, path: Any) -> np.ndarray:
+    def path_states(self, path: Any) -> np.ndarray:
         """States [k, d] of a path."""
         return np.array([[state[i] for i in range(self.size)] for state in path.getStates()])
 
 
-def quiet() -> None:
+def silence_log() -> None:
     """Has OMPL say nothing."""
     ou.setLogLevel(ou.LOG_NONE)
 
 
-def make(planner: str, info: Any, parameters: dict[str, Any]) -> Any:
+def make_planner(planner: str, info: Any, parameters: dict[str, Any]) -> Any:
     """One of OMPL's planners with its parameters.
 
     Raises:
         ConfigError: OMPL does not take one.
     """
-    made = getattr(og, planner)(info)
+    planner_object = getattr(og, planner)(info)
     for setter, value in parameters.items():
-        getattr(made, setter)(value)
-        getter = getattr(made, "g" + setter[1:], None)
+        getattr(planner_object, setter)(value)
+        getter = getattr(planner_object, "g" + setter[1:], None)
         if getter is not None and getter() != value:
             raise ConfigError(
                 f"OMPL's {planner} does not take {value} in {setter}: it keeps {getter()}"
             )
-    return made
+    return planner_object
 
 
-def search(space: Space, start: np.ndarray, goal: np.ndarray, order: PlanningOrder) -> SearchResult:
+def search_path(
+    space: SearchSpace, start: np.ndarray, goal: np.ndarray, order: PlanningOrder
+) -> SearchResult:
     """A path from start to goal.
 
     Args:
@@ -197,81 +204,83 @@ def search(space: Space, start: np.ndarray, goal: np.ndarray, order: PlanningOrd
     """
     begin = time.perf_counter()
     ou.RNG.setSeed(max(1, zlib.crc32(repr(order.seed).encode())))
-    setup = _Setup(space, start, goal, order.first or order.planner == "PRM")
+    setup = _OmplSetup(space, start, goal, order.first or order.planner == "PRM")
     setup.motions.end = begin + order.limit_s
     progress: list[tuple[float, float]] = []
     if order.planner in ANYTIME:
-        progress = _improving(setup, order, begin)
+        progress = _run_anytime(setup, order, begin)
     else:
-        _once(setup, order, begin)
-    taken = time.perf_counter() - begin
-    extras = {"search_s": taken, "edges": float(setup.motions.count)}
+        _run_once(setup, order, begin)
+    elapsed_s = time.perf_counter() - begin
+    extras = {"search_s": elapsed_s, "edges": float(setup.motions.count)}
     if not setup.problem.hasExactSolution():
         return SearchResult(None, extras)
     path = setup.problem.getSolutionPath()
-    progress = progress or [(taken, float(path.length()))]
+    progress = progress or [(elapsed_s, float(path.length()))]
     best_s, best_cost = progress[-1]
     extras |= {"first_s": progress[0][0], "best_s": best_s, "best_cost": best_cost}
     if order.simplify_s > 0.0:
         setup.motions.end = math.inf
         og.PathSimplifier(setup.info).simplify(path, order.simplify_s)
-    return SearchResult(setup.points(path), extras, progress)
+    return SearchResult(setup.path_states(path), extras, progress)
 
 
-def _improving(setup: _Setup, order: PlanningOrder, begin: float) -> list[tuple[float, float]]:
+def _run_anytime(
+    setup: _OmplSetup, order: PlanningOrder, begin: float
+) -> list[tuple[float, float]]:
     """Runs a planner that improves; when there was a better path, and its cost.
 
     It is asked each time that it asks whether to stop.
     """
-    planner = make(order.planner, setup.info, order.parameters)
+    planner = make_planner(order.planner, setup.info, order.parameters)
     planner.setProblemDefinition(setup.problem)
     planner.setup()
     end = begin + order.limit_s
-    most = math.inf if order.edge_limit is None else order.edge_limit
+    max_edges = math.inf if order.edge_limit is None else order.edge_limit
     clock, motions = time.perf_counter, setup.motions
-    asked = [planner.bestCost]
-    told: list[tuple[float, float]] = []
+    cost_getters = [planner.bestCost]
+    progress: list[tuple[float, float]] = []
     best = math.inf
 
-    def look() -> float:
+    def record_cost() -> float:
         nonlocal best
-        cost, now = asked[0]().value(), clock()
+        cost, now = cost_getters[0]().value(), clock()
         if cost < best:
             best = cost
-            told.append((now - begin, cost))
-            if len(told) > MOST_TOLD:
-                del told[1:-1:2]
+            progress.append((now - begin, cost))
+            if len(progress) > MAX_PROGRESS_POINTS:
+                del progress[1:-1:2]
         return now
 
     def stop() -> bool:
-        return look() >= end or motions.count >= most
+        return record_cost() >= end or motions.count >= max_edges
 
     planner.solve(ob.PlannerTerminationCondition(stop))
-    look()
-    asked.clear()  # AORRTC keeps the condition: it must not keep the planner in turn.
-    return told
+    record_cost()
+    cost_getters.clear()  # AORRTC keeps the condition: it must not keep the planner in turn.
+    return progress
 
 
-def _once(setup: _Setup, order: PlanningOrder, begin: float) -> None:
+def _run_once(setup: _OmplSetup, order: PlanningOrder, begin: float) -> None:
     """Runs a planner that ends with its first path, or a roadmap."""
     end = begin + order.limit_s
-    most, clock, motions = order.edge_limit or math.inf, time.perf_counter, setup.motions
-    samples = order.parameters.get("setNumSamples", SAMPLES)
+    max_edges, clock, motions = order.edge_limit or math.inf, time.perf_counter, setup.motions
+    samples = order.parameters.get("setNumSamples", DEFAULT_SAMPLES)
 
     def stop() -> bool:
-        return motions.count >= most or clock() >= end
+        return motions.count >= max_edges or clock() >= end
 
     while True:
-        batch = {"setNumSamples": samples} if order.planner in ONE_BATCH else {}
-        planner = make(order.planner, setup.info, order.parameters | batch)
+        batch = {"setNumSamples": samples} if order.planner in SINGLE_BATCH else {}
+        planner = make_planner(order.planner, setup.info, order.parameters | batch)
         planner.setProblemDefinition(setup.problem)
         planner.setup()
-        left = end - clock()
-        if left > SHORTEST_S:
+        remaining_s = end - clock()
+        if remaining_s > MIN_SEARCH_S:
             planner.solve(
-                left if order.edge_limit is None else ob.PlannerTerminationCondition(stop)
+                remaining_s if order.edge_limit is None else ob.PlannerTerminationCondition(stop)
             )
-        if not batch or stop() or left <= SHORTEST_S or setup.problem.hasExactSolution():
+        if not batch or stop() or remaining_s <= MIN_SEARCH_S or setup.problem.hasExactSolution():
             return
         setup.problem.clearSolutionPaths()
         samples *= 2

@@ -15,7 +15,7 @@ type Moving = Literal["timed", "still", "ignored"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Common:
+class OmplSettings:
     """What all planners share."""
 
     mode: Mode = "composite"
@@ -50,129 +50,133 @@ class Common:
         return self.heading
 
 
-def _number(setter: str, low: float, high: float = math.inf) -> Any:
+def _number_field(setter: str, low: float, high: float = math.inf) -> Any:
     return field(default=None, metadata={"set": setter, "low": low, "high": high})
 
 
-def _flag(setter: str) -> Any:
+def _flag_field(setter: str) -> Any:
     return field(default=None, metadata={"set": setter, "low": False, "high": True})
 
 
 @dataclass(frozen=True, kw_only=True)
-class RRTConnectSettings(Common):
+class RRTConnectSettings(OmplSettings):
     """Of RRTConnect."""
 
-    range_m: float | None = _number("setRange", 0.0)
+    range_m: float | None = _number_field("setRange", 0.0)
     """Longest edge, in the space of the whole team; 0: a fifth of the space's extent."""
-    intermediate_states: bool | None = _flag("setIntermediateStates")
+    intermediate_states: bool | None = _flag_field("setIntermediateStates")
 
 
 @dataclass(frozen=True, kw_only=True)
-class RRTSettings(Common):
+class RRTSettings(OmplSettings):
     """Of RRT."""
 
-    range_m: float | None = _number("setRange", 0.0)
-    goal_bias: float | None = _number("setGoalBias", 0.0, 1.0)
-    intermediate_states: bool | None = _flag("setIntermediateStates")
+    range_m: float | None = _number_field("setRange", 0.0)
+    goal_bias: float | None = _number_field("setGoalBias", 0.0, 1.0)
+    intermediate_states: bool | None = _flag_field("setIntermediateStates")
 
 
 @dataclass(frozen=True, kw_only=True)
-class RRTstarSettings(Common):
+class RRTstarSettings(OmplSettings):
     """Of RRTstar, InformedRRTstar and SORRTstar."""
 
-    range_m: float | None = _number("setRange", 0.0)
-    goal_bias: float | None = _number("setGoalBias", 0.0, 1.0)
-    rewire_factor: float | None = _number("setRewireFactor", 1.0)
-    k_nearest: bool | None = _flag("setKNearest")
-    delay_collision_checking: bool | None = _flag("setDelayCC")
-    tree_pruning: bool | None = _flag("setTreePruning")
-    prune_threshold: float | None = _number("setPruneThreshold", 0.0, 1.0)
-    pruned_measure: bool | None = _flag("setPrunedMeasure")
-    informed_sampling: bool | None = _flag("setInformedSampling")
-    sample_rejection: bool | None = _flag("setSampleRejection")
-    new_state_rejection: bool | None = _flag("setNewStateRejection")
-    admissible_cost_to_come: bool | None = _flag("setAdmissibleCostToCome")
-    ordered_sampling: bool | None = _flag("setOrderedSampling")
-    batch_size: int | None = _number("setBatchSize", 1)
-    focus_search: bool | None = _flag("setFocusSearch")
-    sampling_attempts: int | None = _number("setNumSamplingAttempts", 1)
+    range_m: float | None = _number_field("setRange", 0.0)
+    goal_bias: float | None = _number_field("setGoalBias", 0.0, 1.0)
+    rewire_factor: float | None = _number_field("setRewireFactor", 1.0)
+    k_nearest: bool | None = _flag_field("setKNearest")
+    delay_collision_checking: bool | None = _flag_field("setDelayCC")
+    tree_pruning: bool | None = _flag_field("setTreePruning")
+    prune_threshold: float | None = _number_field("setPruneThreshold", 0.0, 1.0)
+    pruned_measure: bool | None = _flag_field("setPrunedMeasure")
+    informed_sampling: bool | None = _flag_field("setInformedSampling")
+    sample_rejection: bool | None = _flag_field("setSampleRejection")
+    new_state_rejection: bool | None = _flag_field("setNewStateRejection")
+    admissible_cost_to_come: bool | None = _flag_field("setAdmissibleCostToCome")
+    ordered_sampling: bool | None = _flag_field("setOrderedSampling")
+    batch_size: int | None = _number_field("setBatchSize", 1)
+    focus_search: bool | None = _flag_field("setFocusSearch")
+    sampling_attempts: int | None = _number_field("setNumSamplingAttempts", 1)
 
 
 @dataclass(frozen=True, kw_only=True)
-class BITstarSettings(Common):
+class BITstarSettings(OmplSettings):
     """Of BITstar."""
 
-    samples_per_batch: int | None = _number("setSamplesPerBatch", 1)
-    rewire_factor: float | None = _number("setRewireFactor", 1.0)
-    use_k_nearest: bool | None = _flag("setUseKNearest")
-    pruning: bool | None = _flag("setPruning")
-    prune_threshold: float | None = _number("setPruneThresholdFraction", 0.0, 1.0)
-    strict_queue_ordering: bool | None = _flag("setStrictQueueOrdering")
-    delay_rewiring: bool | None = _flag("setDelayRewiringUntilInitialSolution")
-    just_in_time_sampling: bool | None = _flag("setJustInTimeSampling")
-    drop_samples_on_prune: bool | None = _flag("setDropSamplesOnPrune")
-    stop_on_improvement: bool | None = _flag("setStopOnSolnImprovement")
+    samples_per_batch: int | None = _number_field("setSamplesPerBatch", 1)
+    rewire_factor: float | None = _number_field("setRewireFactor", 1.0)
+    use_k_nearest: bool | None = _flag_field("setUseKNearest")
+    pruning: bool | None = _flag_field("setPruning")
+    prune_threshold: float | None = _number_field("setPruneThresholdFraction", 0.0, 1.0)
+    strict_queue_ordering: bool | None = _flag_field("setStrictQueueOrdering")
+    delay_rewiring: bool | None = _flag_field("setDelayRewiringUntilInitialSolution")
+    just_in_time_sampling: bool | None = _flag_field("setJustInTimeSampling")
+    drop_samples_on_prune: bool | None = _flag_field("setDropSamplesOnPrune")
+    stop_on_improvement: bool | None = _flag_field("setStopOnSolnImprovement")
 
 
 @dataclass(frozen=True, kw_only=True)
-class AORRTCSettings(Common):
+class AORRTCSettings(OmplSettings):
     """Of AORRTC."""
 
-    range_m: float | None = _number("setRange", 0.0)
+    range_m: float | None = _number_field("setRange", 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class PRMSettings(Common):
+class PRMSettings(OmplSettings):
     """Of PRM."""
 
-    max_nearest_neighbors: int | None = _number("setMaxNearestNeighbors", 1)
+    max_nearest_neighbors: int | None = _number_field("setMaxNearestNeighbors", 1)
 
 
 @dataclass(frozen=True, kw_only=True)
-class PRMstarSettings(Common):
+class PRMstarSettings(OmplSettings):
     """Of PRMstar, which chooses its neighbours itself."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class FMTSettings(Common):
+class FMTSettings(OmplSettings):
     """Of FMT and BFMT, which are begun anew with twice the samples where they find nothing."""
 
-    samples: int | None = _number("setNumSamples", 1)
-    radius_multiplier: float | None = _number("setRadiusMultiplier", 0.1)
-    nearest_k: bool | None = _flag("setNearestK")
-    cache_collision_checks: bool | None = _flag("setCacheCC")
-    heuristics: bool | None = _flag("setHeuristics")
-    extended: bool | None = _flag("setExtendedFMT")
+    samples: int | None = _number_field("setNumSamples", 1)
+    radius_multiplier: float | None = _number_field("setRadiusMultiplier", 0.1)
+    nearest_k: bool | None = _flag_field("setNearestK")
+    cache_collision_checks: bool | None = _flag_field("setCacheCC")
+    heuristics: bool | None = _flag_field("setHeuristics")
+    extended: bool | None = _flag_field("setExtendedFMT")
 
 
 @dataclass(frozen=True, kw_only=True)
-class KPIECE1Settings(Common):
+class KPIECE1Settings(OmplSettings):
     """Of KPIECE1."""
 
-    range_m: float | None = _number("setRange", 0.0)
-    goal_bias: float | None = _number("setGoalBias", 0.0, 1.0)
-    border_fraction: float | None = _number("setBorderFraction", 0.0, 1.0)
-    failed_expansion_score: float | None = _number("setFailedExpansionCellScoreFactor", 0.0, 1.0)
-    min_valid_path_fraction: float | None = _number("setMinValidPathFraction", 0.0, 1.0)
+    range_m: float | None = _number_field("setRange", 0.0)
+    goal_bias: float | None = _number_field("setGoalBias", 0.0, 1.0)
+    border_fraction: float | None = _number_field("setBorderFraction", 0.0, 1.0)
+    failed_expansion_score: float | None = _number_field(
+        "setFailedExpansionCellScoreFactor", 0.0, 1.0
+    )
+    min_valid_path_fraction: float | None = _number_field("setMinValidPathFraction", 0.0, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class BKPIECE1Settings(Common):
+class BKPIECE1Settings(OmplSettings):
     """Of BKPIECE1."""
 
-    range_m: float | None = _number("setRange", 0.0)
-    border_fraction: float | None = _number("setBorderFraction", 0.0, 1.0)
-    failed_expansion_score: float | None = _number("setFailedExpansionCellScoreFactor", 0.0, 1.0)
-    min_valid_path_fraction: float | None = _number("setMinValidPathFraction", 0.0, 1.0)
+    range_m: float | None = _number_field("setRange", 0.0)
+    border_fraction: float | None = _number_field("setBorderFraction", 0.0, 1.0)
+    failed_expansion_score: float | None = _number_field(
+        "setFailedExpansionCellScoreFactor", 0.0, 1.0
+    )
+    min_valid_path_fraction: float | None = _number_field("setMinValidPathFraction", 0.0, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class LBKPIECE1Settings(Common):
+class LBKPIECE1Settings(OmplSettings):
     """Of LBKPIECE1."""
 
-    range_m: float | None = _number("setRange", 0.0)
-    border_fraction: float | None = _number("setBorderFraction", 0.0, 1.0)
-    min_valid_path_fraction: float | None = _number("setMinValidPathFraction", 0.0, 1.0)
+    range_m: float | None = _number_field("setRange", 0.0)
+    border_fraction: float | None = _number_field("setBorderFraction", 0.0, 1.0)
+    min_valid_path_fraction: float | None = _number_field("setMinValidPathFraction", 0.0, 1.0)
 
 
 _BOUNDS = {
@@ -185,7 +189,7 @@ _BOUNDS = {
 }
 
 
-def parameters(settings: Common) -> dict[str, Any]:
+def ompl_parameters(settings: OmplSettings) -> dict[str, Any]:
     """OMPL's setters and what they are given."""
     return {
         each.metadata["set"]: value
@@ -194,7 +198,7 @@ def parameters(settings: Common) -> dict[str, Any]:
     }
 
 
-def check(planner: str, settings: Common) -> None:
+def check_settings(planner: str, settings: OmplSettings) -> None:
     """Looks at the numbers.
 
     Raises:

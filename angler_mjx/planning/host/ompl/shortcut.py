@@ -10,27 +10,32 @@ import time
 import numpy as np
 
 from angler_mjx.planning.host.edges import EdgeChecker
-from angler_mjx.planning.host.ompl.straightening import SmoothingProblem, fewer, straighter, through
+from angler_mjx.planning.host.ompl.straightening import (
+    SmoothingProblem,
+    reduce_points,
+    shortest_through_points,
+    straighten_path,
+)
 from angler_mjx.planning.host.timed import Traffic
 
-ROUNDS = 4
+MAX_ROUNDS = 4
 """Of straightening, each from the path of the one before."""
 
-BETTER = 1e-3
+MIN_IMPROVEMENT = 1e-3
 """Share of its cost by which a round has to shorten a path for another."""
 
-FINEST = 96
+MAX_PIECES = 96
 """Pieces into which a path is cut where no way through its own points has few enough."""
 
-MOST_TRIED = 400
+MAX_THINNED_POINTS = 400
 """Points of a path that is thinned; one with more is left."""
 
-NOBODY = Traffic.none()
+NO_TRAFFIC = Traffic.none()
 """Nothing is met."""
 
 
-def ways(
-    checks: EdgeChecker, traffic: Traffic = NOBODY, clock_mps: float = 0.0
+def build_smoothing_problem(
+    checks: EdgeChecker, traffic: Traffic = NO_TRAFFIC, clock_mps: float = 0.0
 ) -> SmoothingProblem:
     """What edges are looked at among.
 
@@ -44,42 +49,42 @@ def ways(
     )
 
 
-def shortened(
-    points: np.ndarray, among: SmoothingProblem, speed: np.ndarray, end: float
+def shorten_path(
+    points: np.ndarray, smoothing: SmoothingProblem, speed: np.ndarray, end: float
 ) -> np.ndarray:
     """A path that is quicker, or as it was.
 
     Args:
         points: [k, R, d] of the team; x, y, z first. Its edges are free.
-        among: what edges are looked at among.
+        smoothing: what edges are looked at among.
         speed: [R] m/s of each robot.
         end: of `time.perf_counter`; no round begins after it.
     """
-    path = through(among, np.ascontiguousarray(points), speed)
-    for _ in range(ROUNDS):
+    path = shortest_through_points(smoothing, np.ascontiguousarray(points), speed)
+    for _ in range(MAX_ROUNDS):
         if time.perf_counter() > end or len(path) == 2:
             break
-        path, before, after = straighter(among, path, speed)
-        if after > (1.0 - BETTER) * before:
+        path, before, after = straighten_path(smoothing, path, speed)
+        if after > (1.0 - MIN_IMPROVEMENT) * before:
             break
     return path
 
 
-def thinned(
-    points: np.ndarray, among: SmoothingProblem, speed: np.ndarray, most: int
+def thin_path(
+    points: np.ndarray, smoothing: SmoothingProblem, speed: np.ndarray, max_points: int
 ) -> np.ndarray:
     """The quickest path through points of one, or between them, with few enough; or as it was.
 
     Args:
         points: [k, R, d] of the team; its edges are free.
-        among: what edges are looked at among.
+        smoothing: what edges are looked at among.
         speed: [R] m/s of each robot.
-        most: points that there may be.
+        max_points: points that there may be.
     """
-    if not 2 <= most < len(points) <= MOST_TRIED:
+    if not 2 <= max_points < len(points) <= MAX_THINNED_POINTS:
         return points
-    for pieces in (0, FINEST):
-        found = fewer(among, np.ascontiguousarray(points), speed, most, pieces)
-        if len(found):
-            return found
+    for pieces in (0, MAX_PIECES):
+        thin = reduce_points(smoothing, np.ascontiguousarray(points), speed, max_points, pieces)
+        if len(thin):
+            return thin
     return points

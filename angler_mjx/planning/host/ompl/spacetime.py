@@ -13,64 +13,64 @@ from collections.abc import Sequence
 import numpy as np
 
 from angler_mjx.planning.host.edges import EdgeChecker
-from angler_mjx.planning.host.ompl import seeing
-from angler_mjx.planning.host.ompl.search import PlanningOrder, Space, search
-from angler_mjx.planning.host.ompl.settings import parameters
-from angler_mjx.planning.host.ompl.shortcut import shortened, thinned, ways
-from angler_mjx.planning.host.ompl.still import SAFE
-from angler_mjx.planning.host.ompl.team import NoWayError, TeamMotion, TeamTask
-from angler_mjx.planning.host.ompl.timing import fastest, limits, water_at
+from angler_mjx.planning.host.ompl import problem_setup
+from angler_mjx.planning.host.ompl.search import PlanningOrder, SearchSpace, search_path
+from angler_mjx.planning.host.ompl.settings import ompl_parameters
+from angler_mjx.planning.host.ompl.shortcut import build_smoothing_problem, shorten_path, thin_path
+from angler_mjx.planning.host.ompl.still_water_timing import SPEED_FACTOR
+from angler_mjx.planning.host.ompl.team import NoPathError, TeamMotion, TeamTask
+from angler_mjx.planning.host.ompl.timing import max_ground_speed, timing_limits, water_velocity
 from angler_mjx.planning.host.timed import Traffic
 from angler_mjx.planning.problem import Problem
 
-LONGER = (1.2, 1.6, 2.4, 4.0)
+ARRIVAL_FACTORS = (1.2, 1.6, 2.4, 4.0)
 """Times of arrival that are tried, in times that the straight way takes."""
 
-SHORTEST_WAY_M = 2.0
+MIN_PATH_LENGTH_M = 2.0
 """Of a way that is shorter, the time is reckoned as for this."""
 
 
-class _Clock:
+class _SpacetimeChecker:
     """Edges of one robot in space and time."""
 
     def __init__(self, checks: EdgeChecker, speed: float, traffic: Traffic) -> None:
         self.checks, self.speed, self.traffic = checks, speed, traffic
-        self.ways = ways(checks, traffic, speed)
+        self.smoothing = build_smoothing_problem(checks, traffic, speed)
 
-    def edge(self, a: np.ndarray, b: np.ndarray) -> bool:
-        gone, way = b[3] - a[3], b[:3] - a[:3]
-        if gone <= 0.0 or way @ way > (SAFE * gone) ** 2:
+    def is_edge_free(self, a: np.ndarray, b: np.ndarray) -> bool:
+        clock_m, step_m = b[3] - a[3], b[:3] - a[:3]
+        if clock_m <= 0.0 or step_m @ step_m > (SPEED_FACTOR * clock_m) ** 2:
             return False
         return self.checks.timed_edge(
             0, a[:3], a[3] / self.speed, b[:3], b[3] / self.speed, self.traffic
         )
 
-    def state(self, p: np.ndarray) -> bool:
-        when = p[3] / self.speed
-        return self.checks.timed_edge(0, p[:3], when, p[:3], when, self.traffic)
+    def is_state_free(self, p: np.ndarray) -> bool:
+        time_s = p[3] / self.speed
+        return self.checks.timed_edge(0, p[:3], time_s, p[:3], time_s, self.traffic)
 
-    def edges(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    def are_edges_free(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """Of a, b [n, 1, 4]."""
         a, b = a[:, 0], b[:, 0]
-        gone, way = b[:, 3] - a[:, 3], np.linalg.norm(b[:, :3] - a[:, :3], axis=1)
-        slow = (gone > 0.0) & (way <= SAFE * gone)
+        clock_m, length_m = b[:, 3] - a[:, 3], np.linalg.norm(b[:, :3] - a[:, :3], axis=1)
+        is_slow_enough = (clock_m > 0.0) & (length_m <= SPEED_FACTOR * clock_m)
         free = np.zeros(len(a), bool)
-        free[slow] = self.checks.timed_edges(
+        free[is_slow_enough] = self.checks.timed_edges(
             0,
-            a[slow, :3],
-            a[slow, 3] / self.speed,
-            b[slow, :3],
-            b[slow, 3] / self.speed,
+            a[is_slow_enough, :3],
+            a[is_slow_enough, 3] / self.speed,
+            b[is_slow_enough, :3],
+            b[is_slow_enough, 3] / self.speed,
             self.traffic,
         )
         return free
 
-    def stays(self, p: np.ndarray, when: float) -> bool:
+    def can_stay(self, p: np.ndarray, when: float) -> bool:
         return self.checks.timed_edge(0, p, when, p, np.inf, self.traffic)
 
 
-def motion(
-    problem: Problem, robots: Sequence[int], task: TeamTask, traffic: Traffic, share: float
+def plan_spacetime_motion(
+    problem: Problem, robots: Sequence[int], task: TeamTask, traffic: Traffic, time_fraction: float
 ) -> TeamMotion:
     """A motion of one robot among the paths of others.
 
@@ -79,106 +79,116 @@ def motion(
         robots: which; one.
         task: how.
         traffic: paths of the others.
-        share: of the time that is left, for all of this.
+        time_fraction: of the time that is left, for all of this.
 
     Raises:
         seeing.CannotError: its start or goal is taken.
         NoWayError: there is no path.
     """
     begin = time.perf_counter()
-    end = begin + share * max(0.0, task.end - begin)
-    checks = seeing.checker(problem, robots, task.settings.margin_m)
-    (start,), (goal,) = seeing.ends(problem, robots, heading=False)
-    bounds = limits(problem, list(robots), task.settings.thrust_share, task.settings.turn_radps)
+    end = begin + time_fraction * max(0.0, task.end - begin)
+    checks = problem_setup.build_checker(problem, robots, task.settings.margin_m)
+    (start,), (goal,) = problem_setup.start_and_goal(problem, robots, heading=False)
+    bounds = timing_limits(
+        problem, list(robots), task.settings.thrust_share, task.settings.turn_radps
+    )
     speed = float(bounds.cruise_mps[0])
-    straight = max(SHORTEST_WAY_M, float(np.linalg.norm(goal - start))) / speed
+    straight_s = max(MIN_PATH_LENGTH_M, float(np.linalg.norm(goal - start))) / speed
     reason = "what moves is in the way at every time that was tried"
-    for attempt, longer in enumerate(LONGER):
-        arrival = longer * straight
-        clock = _Clock(checks, speed, traffic)
-        if arrival > problem.horizon_s or not clock.stays(goal, arrival):
+    for attempt, factor in enumerate(ARRIVAL_FACTORS):
+        arrival_s = factor * straight_s
+        spacetime = _SpacetimeChecker(checks, speed, traffic)
+        if arrival_s > problem.horizon_s or not spacetime.can_stay(goal, arrival_s):
             continue
         spent = (time.perf_counter() - begin) / max(end - begin, 1e-9)
         if spent >= 1.0:
             break
-        limit = (end - time.perf_counter()) / (len(LONGER) - attempt)
-        path = _searched(problem, robots, task, clock, (start, goal), arrival, limit, attempt)
+        limit = (end - time.perf_counter()) / (len(ARRIVAL_FACTORS) - attempt)
+        path = _search_states(
+            problem, robots, task, spacetime, (start, goal), arrival_s, limit, attempt
+        )
         if path is None:
             continue
-        when = path[:, 3] / speed
-        if not _slow(problem, path, when, robots, task):
+        time_s = path[:, 3] / speed
+        if not _is_slow_enough(problem, path, time_s, robots, task):
             reason = "the current is too strong for the times that were tried"
             continue
-        place = path[:, None, :3]
+        positions = path[:, None, :3]
         if task.settings.heading:
             yaw = float(np.asarray(problem.team.start_yaw_rad)[robots[0]])
-            place = np.concatenate([place, np.full_like(place[..., :1], yaw)], axis=-1)
-        task.note({"attempts": attempt + 1.0})
-        return TeamMotion(time_s=when, path=place, delay_s=0.0)
-    raise NoWayError(reason)
+            positions = np.concatenate([positions, np.full_like(positions[..., :1], yaw)], axis=-1)
+        task.add_extras({"attempts": attempt + 1.0})
+        return TeamMotion(time_s=time_s, path=positions, delay_s=0.0)
+    raise NoPathError(reason)
 
 
-def _searched(
+def _search_states(
     problem: Problem,
     robots: Sequence[int],
     task: TeamTask,
-    clock: _Clock,
+    spacetime: _SpacetimeChecker,
     ends: tuple[np.ndarray, np.ndarray],
     arrival: float,
     limit: float,
     attempt: int,
 ) -> np.ndarray | None:
     """States [k, 4] from the start at t = 0 to the goal at its time; None where none was found."""
-    low, high = seeing.bounds(problem, robots, heading=False)
-    last = arrival * clock.speed
-    space = Space(
+    low, high = problem_setup.space_bounds(problem, robots, heading=False)
+    last = arrival * spacetime.speed
+    space = SearchSpace(
         low=np.append(low, 0.0),
         high=np.append(high, last),
-        looked_at=[0, 1, 2, 3],
-        edge=clock.edge,
-        state=clock.state,
+        checked_columns=[0, 1, 2, 3],
+        edge=spacetime.is_edge_free,
+        state=spacetime.is_state_free,
     )
     start, goal = np.append(ends[0], 0.0), np.append(ends[1], last)
-    if clock.edge(start, goal):
+    if spacetime.is_edge_free(start, goal):
         path = np.stack([start, goal])
     else:
         order = PlanningOrder(
             planner=task.planner,
-            parameters=parameters(task.settings),
+            parameters=ompl_parameters(task.settings),
             seed=(*task.seed, attempt),
             limit_s=limit,
             edge_limit=task.settings.edge_limit,
             first=True,
         )
-        found = search(space, start, goal, order)
-        task.note(found.extras)
-        if found.points is None:
+        result = search_path(space, start, goal, order)
+        task.add_extras(result.extras)
+        if result.points is None:
             return None
-        path = found.points
+        path = result.points
     path[0], path[-1] = start, goal
-    if not clock.edges(path[:-1, None], path[1:, None]).all():
+    if not spacetime.are_edges_free(path[:-1, None], path[1:, None]).all():
         return None
     if task.settings.simplify != "none":
         until = time.perf_counter() + limit
-        path = shortened(path[:, None], clock.ways, np.array([clock.speed]), until)[:, 0]
-    most = task.settings.points
-    if len(path) > most:
-        path = thinned(path[:, None], clock.ways, np.array([clock.speed]), most)[:, 0]
+        path = shorten_path(path[:, None], spacetime.smoothing, np.array([spacetime.speed]), until)[
+            :, 0
+        ]
+    max_points = task.settings.points
+    if len(path) > max_points:
+        path = thin_path(
+            path[:, None], spacetime.smoothing, np.array([spacetime.speed]), max_points
+        )[:, 0]
     return path
 
 
-def _slow(
-    problem: Problem, path: np.ndarray, when: np.ndarray, robots: Sequence[int], task: TeamTask
+def _is_slow_enough(
+    problem: Problem, path: np.ndarray, time_s: np.ndarray, robots: Sequence[int], task: TeamTask
 ) -> bool:
     """Whether the robot can be as fast as that in the current, at both ends of each edge."""
     if not problem.current.components:
         return True
-    bounds = limits(problem, list(robots), task.settings.thrust_share, task.settings.turn_radps)
-    way = np.diff(path[:, :3], axis=0)
-    length = np.linalg.norm(way, axis=1)
-    ahead = way / np.maximum(length, 1e-12)[:, None]
-    most = np.inf
-    for part in (0.0, 0.5, 1.0):
-        water = water_at(problem, path[:, None, :3], when, part)
-        most = np.minimum(most, fastest(ahead[:, None], water, bounds)[:, 0])
-    return bool((length <= most * np.diff(when) + 1e-6).all())
+    bounds = timing_limits(
+        problem, list(robots), task.settings.thrust_share, task.settings.turn_radps
+    )
+    step_m = np.diff(path[:, :3], axis=0)
+    length = np.linalg.norm(step_m, axis=1)
+    direction = step_m / np.maximum(length, 1e-12)[:, None]
+    max_speed = np.inf
+    for fraction in (0.0, 0.5, 1.0):
+        water = water_velocity(problem, path[:, None, :3], time_s, fraction)
+        max_speed = np.minimum(max_speed, max_ground_speed(direction[:, None], water, bounds)[:, 0])
+    return bool((length <= max_speed * np.diff(time_s) + 1e-6).all())

@@ -13,32 +13,37 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from angler_mjx.planning.host.edges import EdgeChecker
-from angler_mjx.planning.host.ompl import seeing
-from angler_mjx.planning.host.ompl.search import PlanningOrder, Space, search
-from angler_mjx.planning.host.ompl.settings import Common, parameters
-from angler_mjx.planning.host.ompl.shortcut import NOBODY, shortened, thinned, ways
-from angler_mjx.planning.host.ompl.timing import TooStrongError, apart, timed
+from angler_mjx.planning.host.ompl import problem_setup
+from angler_mjx.planning.host.ompl.search import PlanningOrder, SearchSpace, search_path
+from angler_mjx.planning.host.ompl.settings import OmplSettings, ompl_parameters
+from angler_mjx.planning.host.ompl.shortcut import (
+    NO_TRAFFIC,
+    build_smoothing_problem,
+    shorten_path,
+    thin_path,
+)
+from angler_mjx.planning.host.ompl.timing import CurrentTooStrongError, robot_waypoints, time_path
 from angler_mjx.planning.host.timed import Traffic
-from angler_mjx.planning.path_search.bodies import STANDS_S
+from angler_mjx.planning.path_search.bodies import GOAL_CLEAR_S
 from angler_mjx.planning.problem import Problem
 
-SEARCH = 0.9
+SEARCH_TIME_FRACTION = 0.9
 """Of the time that is left, for a search; the rest for what is made of its path."""
 
-ATTEMPTS = 20
+MAX_ATTEMPTS = 20
 """Paths that are searched where robots cannot wait until the way is free."""
 
-WAITS = 60
-"""Times of setting off that are tried, `WAIT_S` or more apart."""
+MAX_DELAYS = 60
+"""Times of setting off that are tried, `DELAY_STEP_S` or more apart."""
 
-WAIT_S = 1.0
+DELAY_STEP_S = 1.0
 
-STAYS_S = (math.inf, STANDS_S)
+STAYS_S = (math.inf, GOAL_CLEAR_S)
 """How long the goal has to be free of obstacles that move after the arrival: for ever, or this
 long. Other robots never go where one stands at its goal."""
 
 
-class NoWayError(Exception):
+class NoPathError(Exception):
     """There is no path; its text says why."""
 
 
@@ -60,7 +65,7 @@ class TeamTask:
 
     planner: str
     """OMPL's name."""
-    settings: Common
+    settings: OmplSettings
     seed: tuple[int, ...]
     """Of the problem; and more, for what is tried beside."""
     end: float
@@ -69,22 +74,22 @@ class TeamTask:
     progress: list[tuple[float, float]] = field(default_factory=list)
     """Of the search of the whole team: s since the first one began, and the best cost then."""
 
-    def left(self) -> float:
+    def remaining_s(self) -> float:
         """Time that is left, s."""
         return self.end - time.perf_counter()
 
-    def note(self, more: dict[str, float]) -> None:
+    def add_extras(self, more: dict[str, float]) -> None:
         """Adds to what was noted."""
         for name, value in more.items():
             self.extras[name] = self.extras.get(name, 0.0) + value
 
 
-def motion(
+def plan_motion(
     problem: Problem,
     robots: Sequence[int],
     task: TeamTask,
     traffic: Traffic | None = None,
-    share: float = 1.0,
+    time_fraction: float = 1.0,
 ) -> TeamMotion:
     """A motion of some robots from their starts to their goals.
 
@@ -93,7 +98,7 @@ def motion(
         robots: which.
         task: how.
         traffic: paths of others; none if left out.
-        share: of the time that is left, for all of this.
+        time_fraction: of the time that is left, for all of this.
 
     Raises:
         seeing.CannotError: a start or goal is taken.
@@ -101,155 +106,184 @@ def motion(
     """
     begin = time.perf_counter()
     settings = task.settings
-    checks = seeing.checker(problem, robots, settings.margin_m)
-    low, high = seeing.bounds(problem, robots, settings.heading)
+    checks = problem_setup.build_checker(problem, robots, settings.margin_m)
+    low, high = problem_setup.space_bounds(problem, robots, settings.heading)
     width = 4 if settings.heading else 3
-    space = Space(
+    space = SearchSpace(
         low=low,
         high=high,
-        looked_at=[i for i in range(len(low)) if i % width < 3],
+        checked_columns=[i for i in range(len(low)) if i % width < 3],
         edge=checks.edge_flat,
         state=checks.state_flat,
     )
-    task.note({"setup_s": time.perf_counter() - begin})
-    end = begin + share * max(0.0, task.end - begin)
+    task.add_extras({"setup_s": time.perf_counter() - begin})
+    end = begin + time_fraction * max(0.0, task.end - begin)
     reason = ""
-    for attempt in range(ATTEMPTS):
+    for attempt in range(MAX_ATTEMPTS):
         if attempt and time.perf_counter() >= end:
             break
         try:
-            path = _searched(problem, robots, task, space, checks, end, attempt)
-        except NoWayError:
+            path = _search_path(problem, robots, task, space, checks, end, attempt)
+        except NoPathError:
             if reason:  # what was wrong with the way that was found tells more
                 break
             raise
         try:
-            when, path = _flown(path, problem, list(robots), settings, checks)
-        except TooStrongError as error:
+            time_s, path = _time_path(path, problem, list(robots), settings, checks)
+        except CurrentTooStrongError as error:
             reason = str(error)
             continue
-        if when[-1] > problem.horizon_s:
-            reason = f"the way takes {when[-1]:.0f} s of {problem.horizon_s:.0f} s"
+        if time_s[-1] > problem.horizon_s:
+            reason = f"the way takes {time_s[-1]:.0f} s of {problem.horizon_s:.0f} s"
             continue
-        delay = _delay(problem, robots, checks, settings.margin_m, when, path, traffic or NOBODY)
+        delay = _find_delay(
+            problem, robots, checks, settings.margin_m, time_s, path, traffic or NO_TRAFFIC
+        )
         if delay is not None:
-            task.note({"delay_s": delay, "attempts": attempt + 1.0})
-            return TeamMotion(time_s=when, path=path, delay_s=delay)
+            task.add_extras({"delay_s": delay, "attempts": attempt + 1.0})
+            return TeamMotion(time_s=time_s, path=path, delay_s=delay)
         reason = "what moves is in the way, however long it waits"
-    raise NoWayError(reason)
+    raise NoPathError(reason)
 
 
-def _flown(
-    path: np.ndarray, problem: Problem, robots: list[int], settings: Common, checks: EdgeChecker
+def _time_path(
+    path: np.ndarray,
+    problem: Problem,
+    robots: list[int],
+    settings: OmplSettings,
+    checks: EdgeChecker,
 ) -> tuple[np.ndarray, np.ndarray]:
     """A path in time, with as few points of each robot as can be flown, if there is such a one."""
-    when, flown = timed(path, problem, robots, settings)
-    most = settings.points - 1
-    if len(when) <= most:
-        return when, flown
-    if max(len(apart(when, flown[:, robot], 0.0)[0]) for robot in range(len(robots))) <= most:
-        return when, flown
+    time_s, timed_path = time_path(path, problem, robots, settings)
+    max_points = settings.points - 1
+    if len(time_s) <= max_points:
+        return time_s, timed_path
+    if (
+        max(
+            len(robot_waypoints(time_s, timed_path[:, robot], 0.0)[0])
+            for robot in range(len(robots))
+        )
+        <= max_points
+    ):
+        return time_s, timed_path
     speed = np.asarray(problem.team.cruise_speed_mps, float)[robots]
-    return timed(thinned(path, ways(checks), speed, most), problem, robots, settings)
+    return time_path(
+        thin_path(path, build_smoothing_problem(checks), speed, max_points),
+        problem,
+        robots,
+        settings,
+    )
 
 
-def _searched(
+def _search_path(
     problem: Problem,
     robots: Sequence[int],
     task: TeamTask,
-    space: Space,
+    space: SearchSpace,
     checks: EdgeChecker,
     end: float,
     attempt: int,
 ) -> np.ndarray:
     """A path [k, R, d], as straight as was chosen."""
     settings = task.settings
-    start, goal = seeing.ends(problem, robots, settings.heading)
-    left = max(0.0, end - time.perf_counter())
+    start, goal = problem_setup.start_and_goal(problem, robots, settings.heading)
+    remaining_s = max(0.0, end - time.perf_counter())
     order = PlanningOrder(
         planner=task.planner,
-        parameters=parameters(settings),
+        parameters=ompl_parameters(settings),
         seed=(*task.seed, attempt),
-        limit_s=SEARCH * left,
+        limit_s=SEARCH_TIME_FRACTION * remaining_s,
         edge_limit=settings.edge_limit,
         first=settings.first,
-        simplify_s=(1.0 - SEARCH) * left if settings.simplify == "ompl" else 0.0,
+        simplify_s=(1.0 - SEARCH_TIME_FRACTION) * remaining_s
+        if settings.simplify == "ompl"
+        else 0.0,
     )
-    before = task.extras.get("search_s", 0.0)
-    found = search(space, start.reshape(-1), goal.reshape(-1), order)
-    task.note(found.extras)
-    task.progress = [(before + when, cost) for when, cost in found.progress]
-    if found.points is None:
-        raise NoWayError(f"no way found in {order.limit_s:.3g} s")
-    path = found.points.reshape(-1, *start.shape)
+    searched_s = task.extras.get("search_s", 0.0)
+    result = search_path(space, start.reshape(-1), goal.reshape(-1), order)
+    task.add_extras(result.extras)
+    task.progress = [(searched_s + when, cost) for when, cost in result.progress]
+    if result.points is None:
+        raise NoPathError(f"no way found in {order.limit_s:.3g} s")
+    path = result.points.reshape(-1, *start.shape)
     path[0], path[-1] = start, goal
     if settings.simplify == "shortcut":
         begin = time.perf_counter()
         speed = np.asarray(problem.team.cruise_speed_mps, float)[list(robots)]
-        path = shortened(path, ways(checks), speed, end)
-        task.note({"simplify_s": time.perf_counter() - begin})
+        path = shorten_path(path, build_smoothing_problem(checks), speed, end)
+        task.add_extras({"simplify_s": time.perf_counter() - begin})
     return path
 
 
-def _delay(
+def _find_delay(
     problem: Problem,
     robots: Sequence[int],
     checks: EdgeChecker,
     margin_m: float,
-    when: np.ndarray,
+    time_s: np.ndarray,
     path: np.ndarray,
     traffic: Traffic,
 ) -> float | None:
     """How long all have to wait so that nothing that moves is met; None if it always is."""
-    known = problem.obstacles
-    drift = np.asarray(known.exists, bool) & np.asarray(known.moves, bool)
-    if not drift.any() and len(traffic.radius_m) == 0:
+    obstacles = problem.obstacles
+    is_moving = np.asarray(obstacles.exists, bool) & np.asarray(obstacles.moves, bool)
+    if not is_moving.any() and len(traffic.radius_m) == 0:
         return 0.0
-    room = max(0.0, problem.horizon_s - when[-1])
-    waits = np.arange(0.0, room + 1e-9, max(WAIT_S, room / WAITS))
-    for stays in STAYS_S if drift.any() else STAYS_S[:1]:
-        alone = _without_drift(problem, robots, margin_m) if stays < math.inf else checks
-        for wait in map(float, waits):
-            clear = _clear(checks, when, path, traffic, wait, stays)
-            if clear and _may_stand(alone, path[-1], when[-1] + wait, stays, traffic):
-                return wait
+    max_delay_s = max(0.0, problem.horizon_s - time_s[-1])
+    delays_s = np.arange(0.0, max_delay_s + 1e-9, max(DELAY_STEP_S, max_delay_s / MAX_DELAYS))
+    for stay_s in STAYS_S if is_moving.any() else STAYS_S[:1]:
+        static_checks = (
+            _checker_without_moving(problem, robots, margin_m) if stay_s < math.inf else checks
+        )
+        for delay_s in map(float, delays_s):
+            is_clear = _is_clear_with_delay(checks, time_s, path, traffic, delay_s, stay_s)
+            if is_clear and _can_stay_at_goals(
+                static_checks, path[-1], time_s[-1] + delay_s, stay_s, traffic
+            ):
+                return delay_s
     return None
 
 
-def _may_stand(
-    alone: EdgeChecker, ends: np.ndarray, over: float, stays: float, traffic: Traffic
+def _can_stay_at_goals(
+    static_checks: EdgeChecker, ends: np.ndarray, arrival_s: float, stay_s: float, traffic: Traffic
 ) -> bool:
     """Whether no other robot ever comes where some stand at their goals.
 
-    Asked only where `_clear` has looked for a while: it knows already where it looked for ever.
+    Asked only where `_is_clear_with_delay` has looked for a while: it knows already where it looked
+    for ever.
     """
-    return stays == math.inf or all(
-        alone.timed_edge(k, end[:3], over, end[:3], math.inf, traffic) for k, end in enumerate(ends)
+    return stay_s == math.inf or all(
+        static_checks.timed_edge(k, end[:3], arrival_s, end[:3], math.inf, traffic)
+        for k, end in enumerate(ends)
     )
 
 
-def _without_drift(problem: Problem, robots: Sequence[int], margin_m: float) -> EdgeChecker:
+def _checker_without_moving(
+    problem: Problem, robots: Sequence[int], margin_m: float
+) -> EdgeChecker:
     """What looks at edges as if no obstacle moved."""
-    known = problem.obstacles
-    stay = np.asarray(known.exists, bool) & ~np.asarray(known.moves, bool)
-    return seeing.checker(replace(problem, obstacles=replace(known, exists=stay)), robots, margin_m)
+    obstacles = problem.obstacles
+    is_static = np.asarray(obstacles.exists, bool) & ~np.asarray(obstacles.moves, bool)
+    return problem_setup.build_checker(
+        replace(problem, obstacles=replace(obstacles, exists=is_static)), robots, margin_m
+    )
 
 
-def _clear(
+def _is_clear_with_delay(
     checks: EdgeChecker,
-    when: np.ndarray,
+    time_s: np.ndarray,
     path: np.ndarray,
     traffic: Traffic,
-    wait: float,
-    stays: float,
+    delay_s: float,
+    stay_s: float,
 ) -> bool:
     """Whether all can go after a wait, and stay at their goals."""
-    begin = np.concatenate([[0.0], when[:-1] + wait, [when[-1] + wait]])
-    end = np.concatenate([[wait], when[1:] + wait, [when[-1] + wait + stays]])
+    begin = np.concatenate([[0.0], time_s[:-1] + delay_s, [time_s[-1] + delay_s]])
+    end = np.concatenate([[delay_s], time_s[1:] + delay_s, [time_s[-1] + delay_s + stay_s]])
     for robot in range(path.shape[1]):
-        place = path[:, robot, :3]
-        a = np.concatenate([place[:1], place[:-1], place[-1:]])
-        b = np.concatenate([place[:1], place[1:], place[-1:]])
+        position_m = path[:, robot, :3]
+        a = np.concatenate([position_m[:1], position_m[:-1], position_m[-1:]])
+        b = np.concatenate([position_m[:1], position_m[1:], position_m[-1:]])
         if not checks.timed_edges(robot, a, begin, b, end, traffic).all():
             return False
     return True

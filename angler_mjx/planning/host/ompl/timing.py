@@ -16,8 +16,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from angler_mjx.planning.host.ompl.settings import Common
-from angler_mjx.planning.host.ompl.still import SAFE, SAME_M, SLOWEST_MPS, needed, still_timed
+from angler_mjx.planning.host.ompl.settings import OmplSettings
+from angler_mjx.planning.host.ompl.still_water_timing import (
+    LINE_TOLERANCE_M,
+    MIN_SPEED_MPS,
+    SPEED_FACTOR,
+    needed_points,
+    time_in_still_water,
+)
 from angler_mjx.planning.problem import Problem
 
 PIECE_M = 1.0
@@ -30,7 +36,7 @@ PADDED = 256
 """Points are looked up in multiples of it, so that few programs are compiled."""
 
 
-class TooStrongError(Exception):
+class CurrentTooStrongError(Exception):
     """The current is stronger than a robot; its text says which and where."""
 
 
@@ -46,27 +52,29 @@ class TimingLimits:
     turn_radps: float
 
 
-def limits(problem: Problem, robots: list[int], share: float, turn_radps: float) -> TimingLimits:
+def timing_limits(
+    problem: Problem, robots: list[int], thrust_fraction: float, turn_radps: float
+) -> TimingLimits:
     """Of some robots of a team.
 
     Args:
         problem: arrays of NumPy.
         robots: which.
-        share: of the terminal speeds that may be used.
+        thrust_fraction: of the terminal speeds that may be used.
         turn_radps: of all.
     """
     terminal = np.asarray(problem.team.terminal_speed_mps, float)[robots]
     surge, sway, heave = terminal.T
     return TimingLimits(
         cruise_mps=np.asarray(problem.team.cruise_speed_mps, float)[robots],
-        level_mps=share * np.where(sway > 0.0, np.minimum(surge, sway), surge),
-        upright_mps=share * np.where(heave > 0.0, heave, surge),
+        level_mps=thrust_fraction * np.where(sway > 0.0, np.minimum(surge, sway), surge),
+        upright_mps=thrust_fraction * np.where(heave > 0.0, heave, surge),
         turn_radps=turn_radps,
     )
 
 
-def timed(
-    path: np.ndarray, problem: Problem, robots: list[int], settings: Common
+def time_path(
+    path: np.ndarray, problem: Problem, robots: list[int], settings: OmplSettings
 ) -> tuple[np.ndarray, np.ndarray]:
     """Times of a path.
 
@@ -84,33 +92,40 @@ def timed(
     """
     if not problem.current.components:
         speed = np.asarray(problem.team.cruise_speed_mps, float)[robots]
-        return still_timed(np.ascontiguousarray(path), speed, settings.turn_radps)
-    bounds = limits(problem, robots, settings.thrust_share, settings.turn_radps)
-    path = _cut(path, settings.points - 1)
-    way = np.diff(path, axis=0)
-    length = np.linalg.norm(way[..., :3], axis=-1)
-    ahead = way[..., :3] / np.maximum(length, 1e-12)[..., None]
+        return time_in_still_water(np.ascontiguousarray(path), speed, settings.turn_radps)
+    bounds = timing_limits(problem, robots, settings.thrust_share, settings.turn_radps)
+    path = _subdivide(path, settings.points - 1)
+    steps_m = np.diff(path, axis=0)
+    length = np.linalg.norm(steps_m[..., :3], axis=-1)
+    ahead = steps_m[..., :3] / np.maximum(length, 1e-12)[..., None]
     slowest = length.max(axis=1) / bounds.cruise_mps.min()
     time = np.concatenate([[0.0], np.cumsum(slowest)])
     for _ in range(PASSES):
-        water = [water_at(problem, path, time, share) for share in (0.0, 0.5, 1.0)]
-        speed = np.min([fastest(ahead, each, bounds) for each in water], axis=0)
-        weak = np.argwhere((length > SAME_M) & (speed < SLOWEST_MPS))
-        if len(weak):
-            at, robot = weak[0]
-            place = ", ".join(f"{x:.1f}" for x in path[at, robot, :3])
-            raise TooStrongError(
-                f"the current is too strong for robot {robots[robot]} at ({place}) m"
+        water = [water_velocity(problem, path, time, fraction) for fraction in (0.0, 0.5, 1.0)]
+        speed = np.min(
+            [max_ground_speed(ahead, water_velocity_mps, bounds) for water_velocity_mps in water],
+            axis=0,
+        )
+        too_slow = np.argwhere((length > LINE_TOLERANCE_M) & (speed < MIN_SPEED_MPS))
+        if len(too_slow):
+            at, robot = too_slow[0]
+            position_text = ", ".join(f"{x:.1f}" for x in path[at, robot, :3])
+            raise CurrentTooStrongError(
+                f"the current is too strong for robot {robots[robot]} at ({position_text}) m"
             )
-        taken = np.where(length > SAME_M, length / (SAFE * np.maximum(speed, SLOWEST_MPS)), 0.0)
+        leg_s = np.where(
+            length > LINE_TOLERANCE_M,
+            length / (SPEED_FACTOR * np.maximum(speed, MIN_SPEED_MPS)),
+            0.0,
+        )
         if path.shape[2] == 4:
-            taken = np.maximum(taken, np.abs(way[..., 3]) / bounds.turn_radps)
-        time = np.concatenate([[0.0], np.cumsum(taken.max(axis=1))])
-    kept = np.concatenate([[True], np.diff(time) > 0.0])
-    return time[kept], path[kept]
+            leg_s = np.maximum(leg_s, np.abs(steps_m[..., 3]) / bounds.turn_radps)
+        time = np.concatenate([[0.0], np.cumsum(leg_s.max(axis=1))])
+    is_kept = np.concatenate([[True], np.diff(time) > 0.0])
+    return time[is_kept], path[is_kept]
 
 
-def fastest(ahead: np.ndarray, water: np.ndarray, bounds: TimingLimits) -> np.ndarray:
+def max_ground_speed(ahead: np.ndarray, water: np.ndarray, bounds: TimingLimits) -> np.ndarray:
     """Highest speed over ground [..., R]; 0 where a robot cannot go that way at all.
 
     Args:
@@ -122,12 +137,14 @@ def fastest(ahead: np.ndarray, water: np.ndarray, bounds: TimingLimits) -> np.nd
     d, c = ahead / scale, water / scale
     dd, dc, cc = (d * d).sum(-1), (d * c).sum(-1), (c * c).sum(-1)
     dd = np.maximum(dd, 1e-12)
-    inside = dc * dc - dd * (cc - 1.0)
-    most = (dc + np.sqrt(np.maximum(inside, 0.0))) / dd
-    return np.where(inside >= 0.0, np.clip(most, 0.0, bounds.cruise_mps), 0.0)
+    discriminant = dc * dc - dd * (cc - 1.0)
+    max_speed = (dc + np.sqrt(np.maximum(discriminant, 0.0))) / dd
+    return np.where(discriminant >= 0.0, np.clip(max_speed, 0.0, bounds.cruise_mps), 0.0)
 
 
-def apart(time: np.ndarray, path: np.ndarray, delay_s: float) -> tuple[np.ndarray, np.ndarray]:
+def robot_waypoints(
+    time: np.ndarray, path: np.ndarray, delay_s: float
+) -> tuple[np.ndarray, np.ndarray]:
     """One robot's way-points: begun later, and without those on the line of their neighbours.
 
     Args:
@@ -143,19 +160,19 @@ def apart(time: np.ndarray, path: np.ndarray, delay_s: float) -> tuple[np.ndarra
         path = np.concatenate([path[:1], path])
     if len(time) == 1:
         return np.array([0.0, 1.0]), np.concatenate([path, path])
-    kept = needed(time, np.ascontiguousarray(path))
-    return time[kept], path[kept]
+    is_kept = needed_points(time, np.ascontiguousarray(path))
+    return time[is_kept], path[is_kept]
 
 
-def _cut(path: np.ndarray, most_points: int) -> np.ndarray:
+def _subdivide(path: np.ndarray, max_points: int) -> np.ndarray:
     """The path in pieces that are short where the current may differ; no more than may be."""
     length = np.linalg.norm(np.diff(path, axis=0)[..., :3], axis=-1).max(axis=1)
     edges = len(length)
-    spare = max(0, most_points - 2 - edges)
-    wanted = np.maximum(np.ceil(length / PIECE_M), 1.0)
-    extra = wanted.sum() - edges
-    share = min(1.0, spare / extra) if extra > 0 else 0.0
-    pieces = (1 + np.floor(share * (wanted - 1.0))).astype(int)
+    n_spare = max(0, max_points - 2 - edges)
+    wanted_pieces = np.maximum(np.ceil(length / PIECE_M), 1.0)
+    n_extra = wanted_pieces.sum() - edges
+    fraction = min(1.0, n_spare / n_extra) if n_extra > 0 else 0.0
+    pieces = (1 + np.floor(fraction * (wanted_pieces - 1.0))).astype(int)
     parts = [
         a + (b - a) * (np.arange(n) / n)[:, None, None]
         for a, b, n in zip(path[:-1], path[1:], pieces, strict=True)
@@ -163,12 +180,14 @@ def _cut(path: np.ndarray, most_points: int) -> np.ndarray:
     return np.concatenate([*parts, path[-1:]])
 
 
-def water_at(problem: Problem, path: np.ndarray, time: np.ndarray, share: float) -> np.ndarray:
+def water_velocity(
+    problem: Problem, path: np.ndarray, time: np.ndarray, fraction: float
+) -> np.ndarray:
     """Velocity [n - 1, R, 3] of the water at a share of each piece of a path [n, R, 3]; m/s, W."""
-    place = (path[:-1] + share * np.diff(path, axis=0))[..., :3]
-    when = np.repeat((time[:-1] + share * np.diff(time))[:, None], place.shape[1], axis=1)
-    count = when.size
+    position_m = (path[:-1] + fraction * np.diff(path, axis=0))[..., :3]
+    time_s = np.repeat((time[:-1] + fraction * np.diff(time))[:, None], position_m.shape[1], axis=1)
+    count = time_s.size
     padded = PADDED * math.ceil(count / PADDED)
     p, t = np.zeros((padded, 3), np.float32), np.zeros(padded, np.float32)
-    p[:count], t[:count] = place.reshape(-1, 3), when.reshape(-1)
-    return problem.current_mps(p, t)[:count].reshape(place.shape).astype(float)
+    p[:count], t[:count] = position_m.reshape(-1, 3), time_s.reshape(-1)
+    return problem.current_mps(p, t)[:count].reshape(position_m.shape).astype(float)

@@ -14,7 +14,7 @@ from angler_mjx.errors import RunError
 START_S = 300.0
 """For a process to start, import and make its planner; and for a planner to warm up."""
 
-ONE_THREAD = {
+SINGLE_THREAD_ENVIRONMENT = {
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
     "MKL_NUM_THREADS": "1",
@@ -23,14 +23,14 @@ ONE_THREAD = {
 }
 """Environment of a worker; XLA is told by its flags."""
 
-XLA_ONE_THREAD = "--xla_cpu_multi_thread_eigen=false"
+XLA_SINGLE_THREAD = "--xla_cpu_multi_thread_eigen=false"
 
 _PROGRAM = (
     "import sys; from angler_mjx.planning.host.worker import main; main(*map(int, sys.argv[1:]))"
 )
 
 
-class DiedError(Exception):
+class WorkerDiedError(Exception):
     """A worker is gone; its text says how."""
 
 
@@ -38,16 +38,16 @@ class WorkerProcess:
     """A worker process and the pipes to it."""
 
     def __init__(self) -> None:
-        self._wire, theirs = Pipe(duplex=True)
+        self._wire, worker_end = Pipe(duplex=True)
         watched, self._alive = os.pipe()
-        inside = [str(theirs.fileno()), str(watched)]
-        with theirs:
+        arguments = [str(worker_end.fileno()), str(watched)]
+        with worker_end:
             self._popen = subprocess.Popen(
-                [sys.executable, "-c", _PROGRAM, *inside],
-                env=_environment(),
+                [sys.executable, "-c", _PROGRAM, *arguments],
+                env=_worker_environment(),
                 stdin=subprocess.DEVNULL,
                 stdout=2,
-                pass_fds=(theirs.fileno(), watched),
+                pass_fds=(worker_end.fileno(), watched),
                 start_new_session=True,
             )
         os.close(watched)
@@ -79,9 +79,9 @@ class WorkerProcess:
         try:
             self._wire.send_bytes(sent)
         except OSError as error:
-            raise DiedError(self._how()) from error
+            raise WorkerDiedError(self._exit_reason()) from error
 
-    def receive(self, word: str, within_s: float) -> tuple[Any, ...]:
+    def receive(self, expected: str, within_s: float) -> tuple[Any, ...]:
         """What comes after a word.
 
         Raises:
@@ -92,15 +92,15 @@ class WorkerProcess:
         try:
             if not self._wire.poll(within_s if math.isfinite(within_s) else None):
                 raise TimeoutError
-            came, *rest = self._wire.recv()
+            received, *rest = self._wire.recv()
         except TimeoutError:
             raise
         except (EOFError, OSError) as error:
-            raise DiedError(self._how()) from error
-        if came == "cannot":
+            raise WorkerDiedError(self._exit_reason()) from error
+        if received == "cannot":
             raise RunError(f"the planner cannot be made: {rest[0]}")
-        if came != word:
-            raise RunError(f"a planning worker said {came!r} where {word!r} was to come")
+        if received != expected:
+            raise RunError(f"a planning worker said {received!r} where {expected!r} was to come")
         return tuple(rest)
 
     def kill(self) -> None:
@@ -116,7 +116,7 @@ class WorkerProcess:
         self._wire.close()
         os.close(self._alive)
 
-    def _how(self) -> str:
+    def _exit_reason(self) -> str:
         """How it ended."""
         with contextlib.suppress(subprocess.TimeoutExpired):
             code = self._popen.wait(timeout=1.0)
@@ -126,8 +126,8 @@ class WorkerProcess:
         return "it closed its pipe"
 
 
-def _environment() -> dict[str, str]:
+def _worker_environment() -> dict[str, str]:
     """Of a worker: this process's, one thread, and the same modules."""
-    flags = f"{os.environ.get('XLA_FLAGS', '')} {XLA_ONE_THREAD}".strip()
+    flags = f"{os.environ.get('XLA_FLAGS', '')} {XLA_SINGLE_THREAD}".strip()
     path = os.pathsep.join(entry or os.getcwd() for entry in sys.path)
-    return {**os.environ, **ONE_THREAD, "XLA_FLAGS": flags, "PYTHONPATH": path}
+    return {**os.environ, **SINGLE_THREAD_ENVIRONMENT, "XLA_FLAGS": flags, "PYTHONPATH": path}

@@ -5,11 +5,11 @@ import threading
 import time
 
 from angler_mjx.errors import RunError
-from angler_mjx.planning.answers import Answer, failed
-from angler_mjx.planning.host.processes.process import START_S, DiedError, WorkerProcess
-from angler_mjx.planning.host.processes.queued import CLOSED, Job, QueuedPool, Runner
+from angler_mjx.planning.answers import Answer, failed_answer
+from angler_mjx.planning.host.processes.process import START_S, WorkerDiedError, WorkerProcess
+from angler_mjx.planning.host.processes.queued_pool import CLOSED, Job, QueuedPool, Runner
 
-LATE = 1.1
+DEADLINE_FACTOR = 1.1
 """Of its deadline a planner may take; then it is ended."""
 
 GRACE_S = 0.5
@@ -19,7 +19,7 @@ TRIES = 2
 """Processes that a problem may cost: one may have been killed by somebody else."""
 
 
-def missed(deadline_s: float, how: str) -> str:
+def deadline_reason(deadline_s: float, how: str) -> str:
     """Return the reason of a robot whose planner missed its deadline."""
     return f"the planner missed its deadline of {deadline_s:g} s ({how})"
 
@@ -30,7 +30,9 @@ class ProcessRunner(Runner):
     def __init__(self, pool: QueuedPool) -> None:
         """No process is started yet."""
         super().__init__(pool)
-        self._made_of = pickle.dumps(None) if pool.own is None else pool.pack(pool.own)
+        self._made_of = (
+            pickle.dumps(None) if pool.default_planner is None else pool.pack(pool.default_planner)
+        )
         self._guard = threading.Lock()
         self._process: WorkerProcess | None = None
 
@@ -41,7 +43,7 @@ class ProcessRunner(Runner):
 
     def ready(self) -> None:
         """Starts a process, and waits for it."""
-        self._ready()
+        self._ready_process()
 
     def kill(self) -> None:
         """Ends the process."""
@@ -58,37 +60,39 @@ class ProcessRunner(Runner):
 
     def answer(self, job: Job) -> Answer:
         """By the process, or by another where it dies."""
-        limit_s = LATE * job.deadline_s
+        limit_s = DEADLINE_FACTOR * job.deadline_s
         for _ in range(TRIES):
-            process = self._ready()
+            process = self._ready_process()
             begin = time.perf_counter()
             try:
                 process.send(job.planner)
                 process.send(job.sent)
                 process.receive("began", START_S)
                 begin = time.perf_counter()
-                given = process.receive("done", limit_s + GRACE_S)
+                received = process.receive("done", limit_s + GRACE_S)
             except TimeoutError:
-                taken = time.perf_counter() - begin
+                elapsed_s = time.perf_counter() - begin
                 self.end()
-                late = missed(job.deadline_s, f"ended after {taken:.3g} s")
-                return failed(job.robots, "timeout", late, taken)
-            except DiedError as died:
-                taken, how = time.perf_counter() - begin, str(died)
+                reason = deadline_reason(job.deadline_s, f"ended after {elapsed_s:.3g} s")
+                return failed_answer(job.robots, "timeout", reason, elapsed_s)
+            except WorkerDiedError as died:
+                elapsed_s, exit_reason = time.perf_counter() - begin, str(died)
                 self.end()
                 if self.pool.closing:
                     raise RunError(CLOSED) from died
                 continue
-            answer: Answer = given[0]
+            answer: Answer = received[0]
             if answer.planning_s > limit_s:
-                late = missed(job.deadline_s, f"took {answer.planning_s:.3g} s")
-                return failed(job.robots, "timeout", late, answer.planning_s)
+                reason = deadline_reason(job.deadline_s, f"took {answer.planning_s:.3g} s")
+                return failed_answer(job.robots, "timeout", reason, answer.planning_s)
             return answer
-        return failed(job.robots, "died", f"its process died, {TRIES} times: {how}", taken)
+        return failed_answer(
+            job.robots, "died", f"its process died, {TRIES} times: {exit_reason}", elapsed_s
+        )
 
-    def _ready(self) -> WorkerProcess:
+    def _ready_process(self) -> WorkerProcess:
         """A process that waits for a problem; a new one where there is none."""
-        how = ""
+        reason = ""
         if self._process is not None:
             return self._process
         for _ in range(TRIES):
@@ -102,12 +106,14 @@ class ProcessRunner(Runner):
             try:
                 self._process.start(self._made_of)
                 return self._process
-            except (DiedError, TimeoutError) as error:
-                how = str(error)
+            except (WorkerDiedError, TimeoutError) as error:
+                reason = str(error)
                 self.end()
             except RunError:
                 self.end()
                 raise
-        own = self.pool.own
-        plans = "" if own is None else f" that plans with {own.reference.name}"
-        raise RunError(f"no worker{plans} could be started: {how}")
+        default_planner = self.pool.default_planner
+        planner_text = (
+            "" if default_planner is None else f" that plans with {default_planner.reference.name}"
+        )
+        raise RunError(f"no worker{planner_text} could be started: {reason}")

@@ -12,7 +12,7 @@ import rerun as rr
 from matplotlib import colors
 
 from angler_mjx.report.viewing import style
-from angler_mjx.report.viewing.outlines import rotation
+from angler_mjx.report.viewing.outlines import rotation_matrix
 from angler_mjx.report.viewing.scene import ReplayScene
 from angler_mjx.robot.vehicles.config import Box, Cylinder, Sphere, VehicleConfig
 from angler_mjx.world.obstacles import BOX, CAPSULE, SPHERE, STATIC
@@ -21,7 +21,7 @@ DOT, LARGE_DOT = -3.0, -6.0
 """Radii of the points of labels: below zero they are pixels, so that a robot of half a metre is
 found in a world of thirty."""
 
-MOST_NAMED = 16
+MAX_NAMED = 16
 """Robots that are all named in space; of a larger fleet those are that failed, or nothing else
 could be seen."""
 
@@ -33,7 +33,7 @@ ARROW_S = 4.0
 
 type Rgba = tuple[int, int, int, int]
 
-type Shape = type[rr.Boxes3D] | type[rr.Capsules3D] | type[rr.Ellipsoids3D]
+type RerunShape = type[rr.Boxes3D] | type[rr.Capsules3D] | type[rr.Ellipsoids3D]
 
 
 def log_surroundings(recording: rr.RecordingStream, scene: ReplayScene, root: str) -> None:
@@ -61,7 +61,7 @@ def log_surroundings(recording: rr.RecordingStream, scene: ReplayScene, root: st
         rr.Boxes3D(
             centers=[[middle[0], middle[1], floor - 0.1]],
             half_sizes=[[half[0], half[1], 0.1]],
-            colors=[rgba("#8d8064")],
+            colors=[to_rgba("#8d8064")],
             fill_mode="solid",
         ),
         static=True,
@@ -71,24 +71,24 @@ def log_surroundings(recording: rr.RecordingStream, scene: ReplayScene, root: st
         rr.Boxes3D(
             centers=[middle],
             half_sizes=[half],
-            colors=[rgba("#7fa6bd")],
+            colors=[to_rgba("#7fa6bd")],
             radii=[0.02],
             fill_mode="majorwireframe",
         ),
         static=True,
     )
-    arrow = rr.Arrows3D.from_fields(colors=[rgba("#9fd3ee")], radii=[0.03])
+    arrow = rr.Arrows3D.from_fields(colors=[to_rgba("#9fd3ee")], radii=[0.03])
     recording.log(f"{root}/current", arrow, static=True)
 
 
 def log_obstacles(recording: rr.RecordingStream, scene: ReplayScene, root: str) -> None:
     """Sizes and colours of the obstacles under ``root``: one entity a shape."""
-    given = scene.environment.obstacles
-    for kind, name, rows in _by_shape(scene):
-        size = np.asarray(given.size_m)[rows]
+    obstacles = scene.environment.obstacles
+    for kind, name, rows in _group_by_shape(scene):
+        size = np.asarray(obstacles.size_m)[rows]
         tint = [
-            rgba(style.OBSTACLE_STATIC if motion == STATIC else "#b39ad6")
-            for motion in np.asarray(given.motion)[rows]
+            to_rgba(style.OBSTACLE_STATIC if motion == STATIC else "#b39ad6")
+            for motion in np.asarray(obstacles.motion)[rows]
         ]
         if kind == CAPSULE:
             solid: rr.AsComponents = rr.Capsules3D.from_fields(
@@ -102,34 +102,34 @@ def log_obstacles(recording: rr.RecordingStream, scene: ReplayScene, root: str) 
         recording.log(f"{root}/{name}", solid, static=True)
 
 
-def poses(scene: ReplayScene) -> list[tuple[str, Shape, dict[str, Any]]]:
+def obstacle_poses(scene: ReplayScene) -> list[tuple[str, RerunShape, dict[str, Any]]]:
     """Where the obstacles are at the times of the scene, one entry an entity.
 
     Returns:
         Name below ``obstacles``, archetype, and its fields: [T, n, 3] in W or [T, n, 4].
     """
     size_m = np.asarray(scene.environment.obstacles.size_m)
-    found: list[tuple[str, Shape, dict[str, Any]]] = []
-    for kind, name, rows in _by_shape(scene):
+    result: list[tuple[str, RerunShape, dict[str, Any]]] = []
+    for kind, name, rows in _group_by_shape(scene):
         p, q = scene.obstacle_p_m[:, rows], scene.obstacle_q[:, rows]
         if kind == CAPSULE:
-            axis = np.array([[rotation(b)[:, 2] for b in a] for a in q])
+            axis = np.array([[rotation_matrix(b)[:, 2] for b in a] for a in q])
             ends = p - axis * size_m[rows, 1:2]
-            found.append((name, rr.Capsules3D, {"translations": ends, "quaternions": xyzw(q)}))
+            result.append((name, rr.Capsules3D, {"translations": ends, "quaternions": to_xyzw(q)}))
         elif kind == BOX:
-            found.append((name, rr.Boxes3D, {"centers": p, "quaternions": xyzw(q)}))
+            result.append((name, rr.Boxes3D, {"centers": p, "quaternions": to_xyzw(q)}))
         else:
-            found.append((name, rr.Ellipsoids3D, {"centers": p}))
-    return found
+            result.append((name, rr.Ellipsoids3D, {"centers": p}))
+    return result
 
 
-def _by_shape(scene: ReplayScene) -> list[tuple[int, str, np.ndarray]]:
+def _group_by_shape(scene: ReplayScene) -> list[tuple[int, str, np.ndarray]]:
     """Shapes of which there are obstacles: kind, name and rows."""
-    given = scene.environment.obstacles
-    kind, exists = np.asarray(given.kind), np.asarray(given.exists)
+    obstacles = scene.environment.obstacles
+    kind, exists = np.asarray(obstacles.kind), np.asarray(obstacles.exists)
     shapes = ((SPHERE, "spheres"), (BOX, "boxes"), (CAPSULE, "capsules"))
-    found = [(shape, name, np.flatnonzero(exists & (kind == shape))) for shape, name in shapes]
-    return [one for one in found if one[2].size > 0]
+    groups = [(shape, name, np.flatnonzero(exists & (kind == shape))) for shape, name in shapes]
+    return [group for group in groups if group[2].size > 0]
 
 
 def _log_vehicle(
@@ -138,7 +138,7 @@ def _log_vehicle(
     """The visible shapes of a vehicle, and its hull's capsules in the robot's colour."""
     center = np.asarray(config.base.center_of_mass_m)
     for shape in config.visual.shapes:
-        tint = [tuple(round(255 * share) for share in shape.rgba)]
+        tint = [tuple(round(255 * value) for value in shape.rgba)]
         match shape:
             case Box():
                 entity: rr.AsComponents = rr.Boxes3D(
@@ -153,7 +153,7 @@ def _log_vehicle(
                     centers=[0.5 * (start + end) - center],
                     lengths=[float(np.linalg.norm(end - start))],
                     radii=[shape.radius_m],
-                    quaternions=[_z_to(end - start)],
+                    quaternions=[_z_axis_rotation(end - start)],
                     colors=tint,
                     fill_mode="solid",
                 )
@@ -174,7 +174,7 @@ def _log_vehicle(
             translations=start,
             lengths=np.linalg.norm(axis, axis=1),
             radii=[capsule.radius_m for capsule in hull],
-            quaternions=[_z_to(a) for a in axis],
+            quaternions=[_z_axis_rotation(a) for a in axis],
             colors=[color] * len(hull),
             line_radii=[0.004] * len(hull),
             fill_mode="majorwireframe",
@@ -183,7 +183,7 @@ def _log_vehicle(
     )
 
 
-def log_still(
+def log_robot(
     recording: rr.RecordingStream,
     config: VehicleConfig,
     robot: int,
@@ -206,7 +206,7 @@ def log_still(
         plan_m: [n, 3] way-points in W.
         named: whether its goal is written at; else only a click tells.
     """
-    color = color_of(robot)
+    color = robot_rgba(robot)
     if np.isfinite(goal_m).all():
         goal = rr.Points3D(
             [goal_m], radii=[0.3], colors=[color], labels=[f"goal {robot}"], show_labels=named
@@ -221,23 +221,23 @@ def log_still(
     recording.log(f"{space}/trail", trail, static=True)
 
 
-def arrows(current_mps: np.ndarray) -> np.ndarray:
+def current_arrows(current_mps: np.ndarray) -> np.ndarray:
     """Arrows [..., 3], m, of the water's velocity, m/s in W; they are logged as ``current``."""
     return ARROW_S * current_mps
 
 
-def times(seconds: np.ndarray) -> rr.TimeColumn:
+def time_column(seconds: np.ndarray) -> rr.TimeColumn:
     """Times [n], s, as a column of the timeline."""
     return rr.TimeColumn("time", duration=seconds)
 
 
-def xyzw(q: np.ndarray) -> np.ndarray:
+def to_xyzw(q: np.ndarray) -> np.ndarray:
     """Quaternions wxyz in the order that Rerun takes."""
-    turned: np.ndarray = q[..., [1, 2, 3, 0]]
-    return turned
+    reordered: np.ndarray = q[..., [1, 2, 3, 0]]
+    return reordered
 
 
-def _z_to(axis: np.ndarray) -> np.ndarray:
+def _z_axis_rotation(axis: np.ndarray) -> np.ndarray:
     """Quaternion xyzw that takes the z axis to ``axis`` [3], by the half-way formula."""
     length = float(np.linalg.norm(axis))
     x, y, z = axis / length if length > 0 else (0.0, 0.0, 1.0)
@@ -248,18 +248,18 @@ def _z_to(axis: np.ndarray) -> np.ndarray:
     return unit
 
 
-def color_of(robot: int) -> Rgba:
+def robot_rgba(robot: int) -> Rgba:
     """Of a robot: that of the figures, half-way to white: legible on the viewer's dark ground."""
-    r, g, b, a = rgba(style.robot_color(robot))
+    r, g, b, a = to_rgba(style.robot_color(robot))
     return (r + 255) // 2, (g + 255) // 2, (b + 255) // 2, a
 
 
-def ending(*, arrived: bool) -> Rgba:
+def ending_color(*, arrived: bool) -> Rgba:
     """Of the label of a robot whose episode is over."""
-    return rgba("#4fd6a4" if arrived else "#ff6b57")
+    return to_rgba("#4fd6a4" if arrived else "#ff6b57")
 
 
-def rgba(name: str) -> Rgba:
+def to_rgba(name: str) -> Rgba:
     """A colour by its name or number, as Rerun takes it."""
-    r, g, b, a = (round(255 * share) for share in colors.to_rgba(name))
+    r, g, b, a = (round(255 * value) for value in colors.to_rgba(name))
     return r, g, b, a

@@ -9,24 +9,24 @@ import rerun as rr
 
 from angler_mjx.report.viewing.entities.scenery import (
     DOT,
-    MOST_NAMED,
+    MAX_NAMED,
     Rgba,
-    color_of,
-    ending,
-    rgba,
-    times,
+    ending_color,
+    robot_rgba,
+    time_column,
+    to_rgba,
 )
 from angler_mjx.report.viewing.scene import ReplayScene, RobotTrack
-from angler_mjx.world.tasks.history import Goods, TaskHistory
-from angler_mjx.world.tasks.surface_quads import SurfaceQuads, surface
+from angler_mjx.world.tasks.history import GoodsStatus, TaskHistory
+from angler_mjx.world.tasks.surface_quads import SurfaceQuads, survey_surface
 
-SEEN, UNSEEN = rgba("#5fd3b0"), rgba("#c7663f")
+SEEN, UNSEEN = to_rgba("#5fd3b0"), to_rgba("#c7663f")
 """Of surfaces: light green and dark orange differ in lightness as well."""
-OPEN, GOODS = rgba("#ffffff"), rgba("#ffc857")
+OPEN, GOODS = to_rgba("#ffffff"), to_rgba("#ffc857")
 
-_MOST_COLORS = 2_000_000
+_MAX_COLORS = 2_000_000
 """Colours of all faces at all times, at most: 8 MB; of larger surveys looks are left out."""
-_FACE, _THIN = 0.46, 0.02
+_HALF_EDGE, _THIN = 0.46, 0.02
 """Half edge and half thickness of a face, in cells."""
 _BOX = 0.22
 """Half edge of goods, m."""
@@ -43,124 +43,130 @@ def log_task(
         task: of it.
         root: path of the entities: ``space/task`` of the world.
     """
-    _progress(recording, scene, task, f"{root}/progress")
-    found = surface(task, scene.environment)
-    if found is not None:
+    _log_progress(recording, scene, task, f"{root}/progress")
+    quads = survey_surface(task, scene.environment)
+    if quads is not None:
         cell_m = float(scene.environment.grid.cell_m)
-        _faces(recording, task, found, cell_m, f"{root}/surface")
+        _log_surface(recording, task, quads, cell_m, f"{root}/surface")
     if task.spec.kind == "deliver":
-        _goods(recording, scene, task, root)
+        _log_goods(recording, scene, task, root)
     else:
-        _places(recording, task, f"{root}/places")
+        _log_jobs(recording, task, f"{root}/places")
     for robot in scene.robots:
-        _way(recording, task, robot, f"{root}/to/robot_{robot.index}")
+        _log_target_line(recording, task, robot, f"{root}/to/robot_{robot.index}")
 
 
-def changes(rows: np.ndarray, most: int | None = None) -> np.ndarray:
+def find_changes(rows: np.ndarray, max_count: int | None = None) -> np.ndarray:
     """Samples at which an array [T, ...] is another than before, the first one among them.
 
     Args:
         rows: what may change.
-        most: so many at most, evenly chosen, the last one always among them.
+        max_count: so many at most, evenly chosen, the last one always among them.
     """
     flat = rows.reshape(len(rows), -1)
-    found = np.flatnonzero(np.r_[True, np.any(flat[1:] != flat[:-1], axis=1)])
-    if most is None or len(found) <= most:
-        return found
-    chosen: np.ndarray = found[np.unique(np.linspace(0, len(found) - 1, max(most, 2)).astype(int))]
-    return chosen
+    changed = np.flatnonzero(np.r_[True, np.any(flat[1:] != flat[:-1], axis=1)])
+    if max_count is None or len(changed) <= max_count:
+        return changed
+    selected: np.ndarray = changed[
+        np.unique(np.linspace(0, len(changed) - 1, max(max_count, 2)).astype(int))
+    ]
+    return selected
 
 
-def _progress(
+def _log_progress(
     recording: rr.RecordingStream, scene: ReplayScene, task: TaskHistory, path: str
 ) -> None:
     """A line of text above the world."""
     low, high = scene.bounds_m
     above = np.array([0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), high[2]])
     above[2] += 0.06 * float(max(high - low))
-    told = [task.words(sample) for sample in range(len(task.time_s))]
-    at = [k for k in range(len(told)) if k == 0 or told[k] != told[k - 1]]
-    still = rr.Points3D.from_fields(positions=[above], radii=[DOT], colors=[OPEN], show_labels=True)
-    recording.log(path, still, static=True)
+    texts = [task.describe_progress(sample) for sample in range(len(task.time_s))]
+    samples = [k for k in range(len(texts)) if k == 0 or texts[k] != texts[k - 1]]
+    label = rr.Points3D.from_fields(positions=[above], radii=[DOT], colors=[OPEN], show_labels=True)
+    recording.log(path, label, static=True)
     recording.send_columns(
         path,
-        [times(task.time_s[at])],
-        rr.Points3D.columns(labels=[told[k] for k in at]),
+        [time_column(task.time_s[samples])],
+        rr.Points3D.columns(labels=[texts[k] for k in samples]),
     )
 
 
-def _faces(
-    recording: rr.RecordingStream, task: TaskHistory, found: SurfaceQuads, cell_m: float, path: str
+def _log_surface(
+    recording: rr.RecordingStream, task: TaskHistory, quads: SurfaceQuads, cell_m: float, path: str
 ) -> None:
     """The surface of a survey: seen or not."""
-    half = np.full((len(found.axis), 3), _FACE * cell_m)
-    half[np.arange(len(half)), found.axis] = _THIN * cell_m
-    still = rr.Boxes3D.from_fields(centers=found.centre_m, half_sizes=half, fill_mode="solid")
-    recording.log(path, still, static=True)
-    at = changes(task.seen, _MOST_COLORS // max(len(half), 1))
-    tint = np.array([UNSEEN, SEEN], np.uint8)[task.seen[at][:, found.cell].astype(int)]
+    half = np.full((len(quads.axis), 3), _HALF_EDGE * cell_m)
+    half[np.arange(len(half)), quads.axis] = _THIN * cell_m
+    boxes = rr.Boxes3D.from_fields(centers=quads.centre_m, half_sizes=half, fill_mode="solid")
+    recording.log(path, boxes, static=True)
+    samples = find_changes(task.seen, _MAX_COLORS // max(len(half), 1))
+    tint = np.array([UNSEEN, SEEN], np.uint8)[task.seen[samples][:, quads.cell].astype(int)]
     recording.send_columns(
         path,
-        [times(task.time_s[at])],
-        rr.Boxes3D.columns(colors=tint.reshape(-1, 4)).partition([len(half)] * len(at)),
+        [time_column(task.time_s[samples])],
+        rr.Boxes3D.columns(colors=tint.reshape(-1, 4)).partition([len(half)] * len(samples)),
     )
 
 
-def _places(recording: rr.RecordingStream, task: TaskHistory, path: str) -> None:
+def _log_jobs(recording: rr.RecordingStream, task: TaskHistory, path: str) -> None:
     """Places of a tour, or viewpoints of a survey: white, then in the colour of who did them."""
-    there = np.flatnonzero(task.exists)
-    toured = task.spec.kind == "tour"
-    still = rr.Points3D.from_fields(
-        positions=task.place_m[there],
-        radii=[0.3 if toured else 0.12],
-        labels=[f"place {job}" for job in there],
-        show_labels=toured and len(there) <= MOST_NAMED,
+    jobs = np.flatnonzero(task.exists)
+    is_tour = task.spec.kind == "tour"
+    points = rr.Points3D.from_fields(
+        positions=task.position_m[jobs],
+        radii=[0.3 if is_tour else 0.12],
+        labels=[f"place {job}" for job in jobs],
+        show_labels=is_tour and len(jobs) <= MAX_NAMED,
     )
-    recording.log(path, still, static=True)
-    at = changes(task.done)
-    done = np.array([_of_doer(task, job) for job in there.tolist()], np.uint8)
-    tint = np.where(task.done[at][:, there, None], done, np.array(OPEN, np.uint8))
+    recording.log(path, points, static=True)
+    samples = find_changes(task.done)
+    done = np.array([_doer_color(task, job) for job in jobs.tolist()], np.uint8)
+    tint = np.where(task.done[samples][:, jobs, None], done, np.array(OPEN, np.uint8))
     recording.send_columns(
         path,
-        [times(task.time_s[at])],
-        rr.Points3D.columns(colors=tint.reshape(-1, 4)).partition([len(there)] * len(at)),
+        [time_column(task.time_s[samples])],
+        rr.Points3D.columns(colors=tint.reshape(-1, 4)).partition([len(jobs)] * len(samples)),
     )
 
 
-def _of_doer(task: TaskHistory, job: int) -> Rgba:
+def _doer_color(task: TaskHistory, job: int) -> Rgba:
     """Of a place that was done; where all have to come there it is nobody's."""
-    return color_of(int(task.by[job])) if task.spec.shared else ending(arrived=True)
+    return robot_rgba(int(task.by[job])) if task.spec.shared else ending_color(arrived=True)
 
 
-def _goods(recording: rr.RecordingStream, scene: ReplayScene, task: TaskHistory, root: str) -> None:
+def _log_goods(
+    recording: rr.RecordingStream, scene: ReplayScene, task: TaskHistory, root: str
+) -> None:
     """Goods where they are, and the ways that they are to go."""
-    there, jobs = np.flatnonzero(task.exists), task.spec.jobs
-    ends = task.place_m[jobs + there]
-    ways = np.stack([task.place_m[there], ends], axis=1)
+    present, jobs = np.flatnonzero(task.exists), task.spec.jobs
+    ends = task.position_m[jobs + present]
+    lines = np.stack([task.position_m[present], ends], axis=1)
     recording.log(
-        f"{root}/ways", rr.LineStrips3D(ways, colors=[rgba("#7f93a0")], radii=[-0.5]), static=True
+        f"{root}/ways",
+        rr.LineStrips3D(lines, colors=[to_rgba("#7f93a0")], radii=[-0.5]),
+        static=True,
     )
-    still: rr.AsComponents = rr.Boxes3D.from_fields(
+    marks: rr.AsComponents = rr.Boxes3D.from_fields(
         centers=ends, half_sizes=np.full((len(ends), 3), 1.6 * _BOX), radii=[-1.0]
     )
-    recording.log(f"{root}/ends", still, static=True)
-    still = rr.Points3D.from_fields(
-        radii=[DOT], colors=[OPEN], show_labels=len(there) <= MOST_NAMED
+    recording.log(f"{root}/ends", marks, static=True)
+    marks = rr.Points3D.from_fields(
+        radii=[DOT], colors=[OPEN], show_labels=len(present) <= MAX_NAMED
     )
-    recording.log(f"{root}/ends/names", still, static=True)
-    at = changes(task.goods == Goods.BROUGHT)
-    brought = (task.goods[at] == Goods.BROUGHT)[:, there]
+    recording.log(f"{root}/ends/names", marks, static=True)
+    samples = find_changes(task.goods == GoodsStatus.BROUGHT)
+    brought = (task.goods[samples] == GoodsStatus.BROUGHT)[:, present]
     tint = np.array([OPEN, SEEN], np.uint8)[brought.astype(int)]
     recording.send_columns(
         f"{root}/ends",
-        [times(task.time_s[at])],
-        rr.Boxes3D.columns(colors=tint.reshape(-1, 4)).partition([len(there)] * len(at)),
+        [time_column(task.time_s[samples])],
+        rr.Boxes3D.columns(colors=tint.reshape(-1, 4)).partition([len(present)] * len(samples)),
     )
-    waiting = [f"for {job}" for row in brought for job in there[~row]]
+    waiting = [f"for {job}" for row in brought for job in present[~row]]
     count = (~brought).sum(axis=1)
     recording.send_columns(
         f"{root}/ends/names",
-        [times(task.time_s[at])],
+        [time_column(task.time_s[samples])],
         [
             *rr.Points3D.columns(
                 positions=np.concatenate([ends[~row] for row in brought])
@@ -169,12 +175,12 @@ def _goods(recording: rr.RecordingStream, scene: ReplayScene, task: TaskHistory,
         ],
     )
     at_m = task.goods_m(np.stack([robot.p_m for robot in scene.robots], axis=1))
-    moved = changes(np.nan_to_num(at_m, nan=np.inf))
-    for job in there:
-        _one_good(recording, task, at_m[moved, job], moved, int(job), f"{root}/goods/{job}")
+    moved = find_changes(np.nan_to_num(at_m, nan=np.inf))
+    for job in present:
+        _log_good(recording, task, at_m[moved, job], moved, int(job), f"{root}/goods/{job}")
 
 
-def _one_good(
+def _log_good(
     recording: rr.RecordingStream,
     task: TaskHistory,
     at_m: np.ndarray,
@@ -183,36 +189,38 @@ def _one_good(
     path: str,
 ) -> None:
     """A box that lies, travels below its robot, and lies again; gone when it is lost."""
-    still = rr.Boxes3D.from_fields(
+    box = rr.Boxes3D.from_fields(
         half_sizes=[[_BOX] * 3], labels=[f"goods {job}"], fill_mode="solid"
     )
-    recording.log(path, still, static=True)
-    where = task.goods[samples, job]
-    there = np.isfinite(at_m).all(axis=1)
-    below = np.where((where == Goods.TRAVEL)[:, None], [0.0, 0.0, -2.0 * _BOX], 0.0)
-    tint = np.where((where == Goods.BROUGHT)[:, None], SEEN, GOODS).astype(np.uint8)
-    count, few = there.astype(int), int(task.exists.sum()) <= MOST_NAMED
+    recording.log(path, box, static=True)
+    goods_state = task.goods[samples, job]
+    is_present = np.isfinite(at_m).all(axis=1)
+    below = np.where((goods_state == GoodsStatus.TRAVEL)[:, None], [0.0, 0.0, -2.0 * _BOX], 0.0)
+    tint = np.where((goods_state == GoodsStatus.BROUGHT)[:, None], SEEN, GOODS).astype(np.uint8)
+    count, is_named = is_present.astype(int), int(task.exists.sum()) <= MAX_NAMED
     recording.send_columns(
         path,
-        [times(task.time_s[samples])],
+        [time_column(task.time_s[samples])],
         [
-            *rr.Boxes3D.columns(centers=(at_m + below)[there]).partition(count),
-            *rr.Boxes3D.columns(colors=tint[there]).partition(count),
+            *rr.Boxes3D.columns(centers=(at_m + below)[is_present]).partition(count),
+            *rr.Boxes3D.columns(colors=tint[is_present]).partition(count),
             # Its robot's label tells what a robot brings.
-            *rr.Boxes3D.columns(show_labels=few & (where != Goods.TRAVEL)),
+            *rr.Boxes3D.columns(show_labels=is_named & (goods_state != GoodsStatus.TRAVEL)),
         ],
     )
 
 
-def _way(recording: rr.RecordingStream, task: TaskHistory, robot: RobotTrack, path: str) -> None:
+def _log_target_line(
+    recording: rr.RecordingStream, task: TaskHistory, robot: RobotTrack, path: str
+) -> None:
     """A thin line from a robot to where it is to go; none where it stays."""
-    still = rr.LineStrips3D.from_fields(colors=[color_of(robot.index)], radii=[-0.5])
-    recording.log(path, still, static=True)
+    line = rr.LineStrips3D.from_fields(colors=[robot_rgba(robot.index)], radii=[-0.5])
+    recording.log(path, line, static=True)
     target = task.target[:, robot.index]
-    goes = task.goes[:, robot.index] & np.isfinite(robot.p_m).all(axis=1)
-    lines = np.stack([robot.p_m, task.place_m[np.maximum(target, 0)]], axis=1)
+    is_moving = task.is_underway[:, robot.index] & np.isfinite(robot.p_m).all(axis=1)
+    lines = np.stack([robot.p_m, task.position_m[np.maximum(target, 0)]], axis=1)
     recording.send_columns(
         path,
-        [times(task.time_s)],
-        rr.LineStrips3D.columns(strips=list(lines[goes])).partition(goes.astype(int)),
+        [time_column(task.time_s)],
+        rr.LineStrips3D.columns(strips=list(lines[is_moving])).partition(is_moving.astype(int)),
     )

@@ -8,11 +8,11 @@ from angler_mjx.report.viewing import style
 from angler_mjx.report.viewing.scene import ReplayScene
 from angler_mjx.world.obstacles import STATIC
 
-LISTED = 12
+MAX_LISTED = 12
 """Robots listed below the map; a larger fleet is drawn whole but not listed whole."""
 
 
-def robots(scene: ReplayScene) -> list[Line2D]:
+def robot_handles(scene: ReplayScene) -> list[Line2D]:
     """A line for each robot: who it is, how it ended and when."""
     handles = [
         Line2D(
@@ -23,19 +23,19 @@ def robots(scene: ReplayScene) -> list[Line2D]:
             label=f"{robot.index}  {robot.vehicle}, {robot.parameter_set}: "
             f"{scene.ended(robot)} after {robot.end_time_s:.0f} s",
         )
-        for robot in scene.robots[:LISTED]
+        for robot in scene.robots[:MAX_LISTED]
     ]
-    left_out = len(scene.robots) - LISTED
-    if left_out > 0:
-        handles.append(Line2D([], [], color="none", label=f"... and {left_out} more"))
+    n_unlisted = len(scene.robots) - MAX_LISTED
+    if n_unlisted > 0:
+        handles.append(Line2D([], [], color="none", label=f"... and {n_unlisted} more"))
     return handles
 
 
-def signs(scene: ReplayScene) -> list[Line2D | Patch]:
+def symbol_handles(scene: ReplayScene) -> list[Line2D | Patch]:
     """What the other signs mean, of those that occur."""
-    given = scene.environment.obstacles
-    there = np.asarray(given.exists)
-    still = np.asarray(given.motion) == STATIC
+    obstacles = scene.environment.obstacles
+    exists = np.asarray(obstacles.exists)
+    still = np.asarray(obstacles.motion) == STATIC
     goals = any(np.isfinite(robot.goal_m).all() for robot in scene.robots)
     plans: list[Line2D | Patch] = [
         Line2D(
@@ -59,7 +59,7 @@ def signs(scene: ReplayScene) -> list[Line2D | Patch]:
         )
     if np.asarray(scene.environment.grid.occupied).any():
         handles.append(Patch(color=style.ROCK(0.75), label="rock; lighter is higher"))
-    if np.any(there & ~still):
+    if np.any(exists & ~still):
         handles.append(
             Patch(
                 color=style.OBSTACLE_DYNAMIC,
@@ -67,6 +67,6 @@ def signs(scene: ReplayScene) -> list[Line2D | Patch]:
                 label="moving obstacle at the start; dotted: its way",
             )
         )
-    if np.any(there & still):
+    if np.any(exists & still):
         handles.append(Patch(color=style.OBSTACLE_STATIC, label="still obstacle"))
     return handles

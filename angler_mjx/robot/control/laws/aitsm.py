@@ -129,8 +129,8 @@ def step(
     outward = jnp.abs(error + gains.terminal * grown) > jnp.maximum(gains.surface_limit, before)
     z = jnp.where(outward, carry.z, grown)
     s = error + gains.terminal * z
-    k_1 = adapt(gains, carry.k_1, s, dt)
-    acceleration = gains.terminal * power + slide(gains, k_1, s) + gains.reaching_per_s * s
+    k_1 = adapt_gain(gains, carry.k_1, s, dt)
+    acceleration = gains.terminal * power + sliding_term(gains, k_1, s) + gains.reaching_per_s * s
     # Damping for the velocity that is wanted: see `angler_mjx.robot.control.laws.ismc`.
     tau = model.model_wrench(
         vehicle, estimate, acceleration, flow, density, gravity, damped=command.nu
@@ -138,12 +138,12 @@ def step(
     return AitsmCarry(z=z, k_1=k_1), BodyWrench(tau=tau)
 
 
-def adapt(gains: AitsmGains, k_1: jax.Array, s: jax.Array, dt: float) -> jax.Array:
+def adapt_gain(gains: AitsmGains, k_1: jax.Array, s: jax.Array, dt: float) -> jax.Array:
     """The adaptive gain [6] one step on, for a sliding variable [6]."""
     rate = gains.adaptation * jnp.abs(s) - gains.leak_per_s * (k_1 - gains.sliding_least)
     return jnp.clip(k_1 + dt * rate, gains.sliding_least, gains.sliding_most)
 
 
-def slide(gains: AitsmGains, k_1: jax.Array, s: jax.Array) -> jax.Array:
+def sliding_term(gains: AitsmGains, k_1: jax.Array, s: jax.Array) -> jax.Array:
     """The sliding term k_1 |s|^(1/2) sat(s / lambda) [6], m/s^2 and rad/s^2."""
     return k_1 * jnp.sqrt(jnp.abs(s) + 1e-12) * jnp.clip(s / gains.layer, -1.0, 1.0)

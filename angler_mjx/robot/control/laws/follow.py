@@ -15,7 +15,7 @@ from angler_mjx.robot.control import joint_trajectory, trajectory
 from angler_mjx.robot.control.commands import Estimate, PoseTarget
 from angler_mjx.robot.control.joint_trajectory import JointTrajectory
 from angler_mjx.robot.control.laws.checks import check_gains
-from angler_mjx.robot.control.laws.model import wrap
+from angler_mjx.robot.control.laws.model import wrap_angle
 from angler_mjx.robot.control.laws.targets import TrackingTarget
 from angler_mjx.robot.control.trajectory import Trajectory, segment_at
 
@@ -87,17 +87,17 @@ def step(
         The new memory, and the pose to be at.
     """
     if isinstance(command, JointTrajectory):
-        carry, moving = _joints(gains, carry, estimate, command, dt)
+        carry, moving = _follow_joints(gains, carry, estimate, command, dt)
         return carry, PoseTarget(
             position_m=moving.position_m,
             velocity_mps=moving.velocity_mps,
             yaw_rad=moving.yaw_rad,
         )
-    carry, target, _ = _points(gains, carry, estimate, command, dt)
+    carry, target, _ = _follow_points(gains, carry, estimate, command, dt)
     return carry, target
 
 
-def track(
+def track_target(
     gains: FollowGains,
     carry: FollowCarry,
     estimate: Estimate,
@@ -109,8 +109,8 @@ def track(
     Way-points are joined by lines: what their corners would take is not finite and is left out.
     """
     if isinstance(command, JointTrajectory):
-        return _joints(gains, carry, estimate, command, dt)
-    carry, target, turn = _points(gains, carry, estimate, command, dt)
+        return _follow_joints(gains, carry, estimate, command, dt)
+    carry, target, turn = _follow_points(gains, carry, estimate, command, dt)
     still = jnp.zeros_like(target.position_m)
     return carry, TrackingTarget(
         position_m=target.position_m,
@@ -122,13 +122,13 @@ def track(
     )
 
 
-def _points(
+def _follow_points(
     gains: FollowGains, carry: FollowCarry, estimate: Estimate, path: Trajectory, dt: float
 ) -> tuple[FollowCarry, PoseTarget, jax.Array]:
     """Along way-points; with the turn [] rad of the heading reference in this step."""
     segment = segment_at(path.time_s, carry.clock_s, carry.segment)
-    position, velocity = trajectory.sample(path, carry.clock_s, segment)
-    pace = _pace(gains, position, estimate)
+    position, velocity = trajectory.sample_reference(path, carry.clock_s, segment)
+    pace = _clock_rate(gains, position, estimate)
     moving = velocity[0] ** 2 + velocity[1] ** 2 > 0.05**2
     wanted = jnp.where(
         moving,
@@ -136,24 +136,24 @@ def _points(
         carry.yaw_rad,
     )
     turn = jnp.clip(
-        wrap(wanted - carry.yaw_rad), -gains.yaw_rate_radps * dt, gains.yaw_rate_radps * dt
+        wrap_angle(wanted - carry.yaw_rad), -gains.yaw_rate_radps * dt, gains.yaw_rate_radps * dt
     )
     carry = FollowCarry(
-        clock_s=carry.clock_s + pace * dt, yaw_rad=wrap(carry.yaw_rad + turn), segment=segment
+        clock_s=carry.clock_s + pace * dt, yaw_rad=wrap_angle(carry.yaw_rad + turn), segment=segment
     )
     target = PoseTarget(position_m=position, velocity_mps=pace * velocity, yaw_rad=carry.yaw_rad)
     return carry, target, turn
 
 
-def _joints(
+def _follow_joints(
     gains: FollowGains, carry: FollowCarry, estimate: Estimate, command: JointTrajectory, dt: float
 ) -> tuple[FollowCarry, TrackingTarget]:
     """Along a JointTrajectory, whose first joints are the vehicle's x, y, z and yaw."""
     segment = segment_at(command.time_s, carry.clock_s, carry.segment)
-    now = joint_trajectory.sample(command, carry.clock_s, segment)
+    now = joint_trajectory.sample_state(command, carry.clock_s, segment)
     position = now.position[:3]
-    pace = _pace(gains, position, estimate)
-    yaw = wrap(now.position[3])
+    pace = _clock_rate(gains, position, estimate)
+    yaw = wrap_angle(now.position[3])
     carry = FollowCarry(clock_s=carry.clock_s + pace * dt, yaw_rad=yaw, segment=segment)
     return carry, TrackingTarget(
         position_m=position,
@@ -165,7 +165,7 @@ def _joints(
     )
 
 
-def _pace(gains: FollowGains, position: jax.Array, estimate: Estimate) -> jax.Array:
+def _clock_rate(gains: FollowGains, position: jax.Array, estimate: Estimate) -> jax.Array:
     """Share [] of time at which the clock runs, for a reference at a position [3]."""
     lag = jnp.sqrt(jnp.sum((position - estimate.p) ** 2))
     return jnp.clip((gains.lag_stop_m - lag) / (gains.lag_stop_m - gains.lag_slow_m), 0.0, 1.0)

@@ -117,14 +117,14 @@ def step(
     # Where s would leave the bound, the integral may only go back.
     outward = jnp.abs(error + grown) > jnp.maximum(bound, jnp.abs(error + before))
     integral = jnp.clip(jnp.where(outward, before, grown), -bound, bound)
-    sliding = slide(gains, error + integral)
+    sliding = sliding_term(gains, error + integral)
     tau = model.model_wrench(
         vehicle, estimate, slope * error + sliding, flow, density, gravity, damped=command.nu
     )
     return IsmcCarry(integral=integral, fresh=jnp.zeros_like(carry.fresh)), BodyWrench(tau=tau)
 
 
-def slide(gains: IsmcGains, s: jax.Array) -> jax.Array:
+def sliding_term(gains: IsmcGains, s: jax.Array) -> jax.Array:
     """The sliding term rho tanh(s / lambda) [6], m/s^2 and rad/s^2, of a sliding variable [6]."""
     rho = model.per_axis(gains.sliding_mps2, gains.sliding_radps2, s)
     return rho * jnp.tanh(s / model.per_axis(gains.layer_mps, gains.layer_radps, s))

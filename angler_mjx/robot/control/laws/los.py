@@ -18,11 +18,11 @@ import jax
 import jax.numpy as jnp
 
 from angler_kernels import quaternion
-from angler_kernels.table import take
+from angler_kernels.table import take_row
 from angler_mjx.robot.control.commands import BodyTwist, Estimate
 from angler_mjx.robot.control.laws import model
 from angler_mjx.robot.control.laws.checks import check_gains
-from angler_mjx.robot.control.laws.model import wrap
+from angler_mjx.robot.control.laws.model import wrap_angle
 from angler_mjx.robot.control.trajectory import Trajectory
 from angler_mjx.robot.vehicles.params import VehicleParams
 
@@ -86,7 +86,7 @@ def reset(estimate: Estimate) -> LosCarry:
 
 def progress_s(carry: LosCarry, path: Trajectory) -> jax.Array:
     """Return the planned time [] s at the end of the segment that the robot is on."""
-    end: jax.Array = take(path.time_s, carry.segment + 1)
+    end: jax.Array = take_row(path.time_s, carry.segment + 1)
     return end
 
 
@@ -115,8 +115,8 @@ def step(
     Returns:
         The new memory, and the velocity over ground to have.
     """
-    k = _segment(gains, carry.segment, estimate.p, command)
-    start, tangent, length, speed, last = _geometry(command, k)
+    k = _select_segment(gains, carry.segment, estimate.p, command)
+    start, tangent, length, speed, last = _segment_geometry(command, k)
     speed = jnp.minimum(speed, model.speed_limit(vehicle))
     offset = estimate.p - start
     along = jnp.sum(offset * tangent)
@@ -130,11 +130,11 @@ def step(
     velocity = speed * aim / jnp.sqrt(jnp.sum(pull**2) + square)
     arriving = last & ((length - along) * gains.position_per_s < speed + 1e-6)
     home = gains.position_per_s * (start + length * tangent - estimate.p)
-    velocity = jnp.where(arriving, model.bounded(home, jnp.maximum(speed, 0.1)), velocity)
+    velocity = jnp.where(arriving, model.limit_norm(home, jnp.maximum(speed, 0.1)), velocity)
     # Without sway the bow must point home as well.
     holds = arriving & (vehicle.terminal_speed_mps[1] > 0) if vehicle.steered else arriving
-    yaw, yaw_rate = _heading(gains, carry.yaw_rad, velocity, holds, dt)
-    turn = yaw_rate * quaternion.up(estimate.q) + gains.attitude_per_s * model.attitude_error(
+    yaw, yaw_rate = _turn_heading(gains, carry.yaw_rad, velocity, holds, dt)
+    turn = yaw_rate * quaternion.world_up(estimate.q) + gains.attitude_per_s * model.attitude_error(
         estimate.q, yaw
     )
     limit = gains.integral_limit_m
@@ -143,35 +143,35 @@ def step(
     return carry, BodyTwist(nu=nu)
 
 
-def _segment(gains: LosGains, k: jax.Array, p: jax.Array, path: Trajectory) -> jax.Array:
+def _select_segment(gains: LosGains, k: jax.Array, p: jax.Array, path: Trajectory) -> jax.Array:
     """Index [] of the segment to follow: the next one when this one is nearly done."""
-    start, tangent, length, _, last = _geometry(path, k)
+    start, tangent, length, _, last = _segment_geometry(path, k)
     done = jnp.sum((p - start) * tangent) > length - gains.switch_radius_m
     return jnp.where(done & ~last, k + 1, k)
 
 
-def _geometry(
+def _segment_geometry(
     path: Trajectory, k: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array, jax.Array]:
     """Start [3], unit tangent [3], length [], planned speed [] and whether it is the last, of k."""
     n = path.time_s.shape[0]
-    start, end = take(path.position_m, k), take(path.position_m, k + 1)
-    begin, until = take(path.time_s, k), take(path.time_s, k + 1)
+    start, end = take_row(path.position_m, k), take_row(path.position_m, k + 1)
+    begin, until = take_row(path.time_s, k), take_row(path.time_s, k + 1)
     length = jnp.sqrt(jnp.sum((end - start) ** 2))
     real = length > 1e-6
     tangent = (end - start) / jnp.where(real, length, 1.0)
     span = until - begin
     speed = jnp.where(span > 0, length / jnp.where(span > 0, span, 1.0), 0.0)
-    after = take(path.time_s, jnp.minimum(k + 2, n - 1))
+    after = take_row(path.time_s, jnp.minimum(k + 2, n - 1))
     return start, tangent, length, speed, after <= until
 
 
-def _heading(
+def _turn_heading(
     gains: LosGains, yaw: jax.Array, velocity: jax.Array, holds: jax.Array, dt: float
 ) -> tuple[jax.Array, jax.Array]:
     """Heading reference [] rad that turns towards the course, and its rate [] rad/s."""
     moves = (velocity[0] ** 2 + velocity[1] ** 2 > _MOVES_MPS**2) & ~holds
     course = jnp.arctan2(jnp.where(moves, velocity[1], 0.0), jnp.where(moves, velocity[0], 1.0))
-    most = gains.yaw_rate_radps
-    rate = jnp.where(moves, jnp.clip(wrap(course - yaw) / dt, -most, most), 0.0)
-    return wrap(yaw + rate * dt), rate
+    max_rate = gains.yaw_rate_radps
+    rate = jnp.where(moves, jnp.clip(wrap_angle(course - yaw) / dt, -max_rate, max_rate), 0.0)
+    return wrap_angle(yaw + rate * dt), rate

@@ -9,7 +9,7 @@ from angler_mjx.robot.control.commands import Estimate
 from angler_mjx.robot.control.laws.targets import TrackingTarget
 from angler_mjx.robot.vehicles.params import VehicleParams
 
-SPEED_SHARE = 0.9
+SPEED_FRACTION = 0.9
 """No law asks for more than this share of the vehicle's slowest terminal speed."""
 TURN_RAD = 0.5
 """A vehicle without sway turns towards where it must go as if that were no farther off its bow."""
@@ -31,7 +31,7 @@ def attitude_error(q: jax.Array, yaw: jax.Array) -> jax.Array:
     return 2.0 * jnp.where(error[0] < 0, -1.0, 1.0) * error[1:]
 
 
-def bounded(vector: jax.Array, limit: jax.Array) -> jax.Array:
+def limit_norm(vector: jax.Array, limit: jax.Array) -> jax.Array:
     """The vector [3], shortened to a length of ``limit`` [] where it is longer."""
     length = jnp.sqrt(jnp.sum(vector**2) + 1e-12)
     return vector * jnp.minimum(1.0, limit / length)
@@ -42,10 +42,10 @@ def speed_limit(vehicle: VehicleParams) -> jax.Array:
     speed = vehicle.terminal_speed_mps
     if vehicle.steered:
         speed = jnp.where(speed > 0, speed, jnp.max(speed))
-    return SPEED_SHARE * jnp.min(speed)
+    return SPEED_FRACTION * jnp.min(speed)
 
 
-def heading(
+def choose_heading(
     vehicle: VehicleParams, estimate: Estimate, velocity: jax.Array, yaw: jax.Array
 ) -> jax.Array:
     """Heading [] rad to hold while going at ``velocity`` [3] over ground, in W.
@@ -58,7 +58,7 @@ def heading(
     moves = velocity[0] ** 2 + velocity[1] ** 2 > MOVES_MPS**2
     course = jnp.arctan2(jnp.where(moves, velocity[1], 0.0), jnp.where(moves, velocity[0], 1.0))
     now = quaternion.yaw(estimate.q)
-    turned = now + jnp.clip(wrap(course - now), -TURN_RAD, TURN_RAD)
+    turned = now + jnp.clip(wrap_angle(course - now), -TURN_RAD, TURN_RAD)
     return jnp.where(moves & (vehicle.terminal_speed_mps[1] <= 0), turned, yaw)
 
 
@@ -72,12 +72,12 @@ def velocity_reference(
     """Velocity over ground [6], in F, that closes the errors of pose and moves with the target.
 
     v = v_d + k_p (p_d - p), bounded by `speed_limit`; omega = omega_d + k_a (attitude error),
-    of the heading that `heading` gives.
+    of the heading that `choose_heading` gives.
     """
     velocity = target.velocity_mps + position_per_s * (target.position_m - estimate.p)
-    velocity = bounded(velocity, speed_limit(vehicle))
-    yaw = heading(vehicle, estimate, velocity, target.yaw_rad)
-    turn = target.yaw_rate_radps * quaternion.up(estimate.q)
+    velocity = limit_norm(velocity, speed_limit(vehicle))
+    yaw = choose_heading(vehicle, estimate, velocity, target.yaw_rad)
+    turn = target.yaw_rate_radps * quaternion.world_up(estimate.q)
     return jnp.concatenate(
         [
             quaternion.rotate_inverse(estimate.q, velocity),
@@ -95,7 +95,7 @@ def target_acceleration(estimate: Estimate, target: TrackingTarget, nu: jax.Arra
     return jnp.concatenate(
         [
             linear - jnp.cross(nu[3:], nu[:3]),
-            target.yaw_acceleration_radps2 * quaternion.up(estimate.q),
+            target.yaw_acceleration_radps2 * quaternion.world_up(estimate.q),
         ]
     )
 
@@ -217,6 +217,6 @@ def hold_integral(
     return jnp.clip(integral + dt * rate, -limit, limit)
 
 
-def wrap(angle: jax.Array) -> jax.Array:
+def wrap_angle(angle: jax.Array) -> jax.Array:
     """The same angle within [-pi, pi)."""
     return jnp.mod(angle + jnp.pi, 2 * jnp.pi) - jnp.pi

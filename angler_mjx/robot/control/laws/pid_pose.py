@@ -93,7 +93,7 @@ def step(
         + carry.integral_mps
         + gains.position_derivative * slip
     )
-    velocity = model.bounded(wanted, model.speed_limit(vehicle))
+    velocity = model.limit_norm(wanted, model.speed_limit(vehicle))
     free = jnp.sum(wanted**2) <= model.speed_limit(vehicle) ** 2
     integral = model.hold_integral(
         carry.integral_mps,
@@ -101,7 +101,7 @@ def step(
         jnp.asarray(gains.integral_limit_mps, error.dtype),
         dt,
     )
-    yaw = model.heading(vehicle, estimate, velocity, command.yaw_rad)
+    yaw = model.choose_heading(vehicle, estimate, velocity, command.yaw_rad)
     turn = gains.attitude_per_s * model.attitude_error(estimate.q, yaw)
     nu = jnp.concatenate([quaternion.rotate_inverse(estimate.q, velocity), turn])
     return PidPoseCarry(integral_mps=integral), BodyTwist(nu=nu)

@@ -43,7 +43,8 @@ def step(
     """One control step.
 
     v = v_d + k_p (p_d - p), bounded by 1.5 times the cruise speed and by 90 % of the vehicle's
-    slowest terminal speed; omega = k_a (attitude error), of the heading that `model.heading` gives.
+    slowest terminal speed; omega = k_a (attitude error), of the heading that `model.choose_heading`
+    gives.
 
     Args:
         gains: of the loop.
@@ -57,8 +58,8 @@ def step(
     """
     velocity = command.velocity_mps + gains.position_per_s * (command.position_m - estimate.p)
     limit = jnp.minimum(1.5 * cruise_speed_mps, model.speed_limit(vehicle))
-    velocity = model.bounded(velocity, limit)
-    yaw = model.heading(vehicle, estimate, velocity, command.yaw_rad)
+    velocity = model.limit_norm(velocity, limit)
+    yaw = model.choose_heading(vehicle, estimate, velocity, command.yaw_rad)
     rotation = model.attitude_error(estimate.q, yaw)
     return BodyTwist(
         nu=jnp.concatenate(

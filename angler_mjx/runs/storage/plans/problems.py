@@ -18,14 +18,14 @@ from zarr.codecs import BloscCodec
 from angler_mjx.errors import RunError
 from angler_mjx.planning.problem import Problem
 from angler_mjx.runs.simulator.simulator import Simulator
-from angler_mjx.runs.storage import arrays, output_lock
-from angler_mjx.runs.storage.environments import leaves
+from angler_mjx.runs.storage import array_metadata, output_lock
+from angler_mjx.runs.storage.environments import named_leaves
 
 SCHEMA, SCHEMA_VERSION = "angler_mjx problems", 2
 """Version 2: what was ``obstacles/size_m`` is ``obstacles/half_size_m``, of the same meaning."""
 
 
-def make(
+def write_problems(
     path: Path,
     simulator: Simulator,
     advance: Callable[[int], None] = lambda done: None,
@@ -46,48 +46,48 @@ def make(
         RunError: the path cannot be written.
     """
     total, tile = simulator.scenario.worlds, simulator.tile
-    claimed = output_lock.acquire(path, what="file of problems", left=lambda building: None)
+    lock = output_lock.acquire(path, kind="file of problems", advise=lambda building: None)
     try:
-        group = zarr.open_group(claimed.building, mode="a")
+        group = zarr.open_group(lock.building, mode="a")
         for first in range(0, total, tile):
             problems = simulator.problems(first, min(tile, total - first))
             batch: Any = jax.tree.map(
-                lambda *rows: np.stack(rows), *(_nameless(one) for one in problems)
+                lambda *rows: np.stack(rows), *(_without_name(problem) for problem in problems)
             )
             if first == 0:
-                _describe(group, problems[0], batch, simulator, raw=raw)
-            for name, rows in _arrays(batch).items():
+                _create_arrays(group, problems[0], batch, simulator, raw=raw)
+            for name, rows in _problem_arrays(batch).items():
                 # A chunk of nothing but zeros is a file too: a reader without Zarr expects it.
                 with zarr.config.set({"array.write_empty_chunks": raw}):
                     array: Any = group[name]
                 array[first : first + len(rows)] = rows
             advance(first + len(problems))
     except OSError as error:
-        claimed.withdraw()
+        lock.withdraw()
         raise RunError(f"{path}: cannot be written ({error.strerror or error})") from error
     except BaseException:
-        claimed.withdraw()
+        lock.withdraw()
         raise
-    claimed.publish()
+    lock.publish()
 
 
-def _nameless(problem: Problem) -> Problem:
+def _without_name(problem: Problem) -> Problem:
     """Problems of one batch have one structure; their names are not in it."""
     return replace(problem, name=None)
 
 
-def _arrays(batch: Problem) -> dict[str, Any]:
+def _problem_arrays(batch: Problem) -> dict[str, Any]:
     """Arrays by their names in the file, where components of the current are called ``current/i``.
 
     Python's fields have ``current/components/i``.
     """
     return {
         name.replace("current/components/", "current/"): rows
-        for name, rows in leaves(batch).items()
+        for name, rows in named_leaves(batch).items()
     }
 
 
-def _describe(
+def _create_arrays(
     group: zarr.Group, first: Problem, batch: Problem, simulator: Simulator, *, raw: bool
 ) -> None:
     assert first.name is not None
@@ -112,18 +112,18 @@ def _describe(
             "deadline_s": first.deadline_s,
             "margin_m": planner.margin_m,
             "max_points": planner.points,
-            "knows": asdict(first.knows),
+            "information": asdict(first.information),
         }
     )
     chunk = 1 if raw else min(simulator.tile, worlds)
-    for name, rows in _arrays(batch).items():
-        meaning = arrays.about(name, current)
+    for name, rows in _problem_arrays(batch).items():
+        metadata = array_metadata.describe_array(name, current)
         group.create_array(
             name,
             shape=(worlds, *rows.shape[1:]),
             chunks=(chunk, *rows.shape[1:]),
             dtype=rows.dtype,
             compressors=None if raw else BloscCodec(cname="lz4", shuffle="shuffle", clevel=1),
-            attributes=meaning.attributes(),
-            dimension_names=["world", *meaning.axes],
+            attributes=metadata.attributes(),
+            dimension_names=["world", *metadata.axes],
         )

@@ -26,8 +26,8 @@ from typing import Any
 import numpy as np
 import zarr
 
-from angler_mjx.errors import ConfigError, shown
-from angler_mjx.planning.planner import MOST_POINTS, PathShape
+from angler_mjx.errors import ConfigError, format_value
+from angler_mjx.planning.planner import MAX_POINTS, PathShape
 from angler_mjx.robot.control.joint_trajectory import (
     CUBIC,
     LINEAR,
@@ -36,17 +36,17 @@ from angler_mjx.robot.control.joint_trajectory import (
 )
 from angler_mjx.robot.control.plans import Plan
 from angler_mjx.robot.control.trajectory import Trajectory
-from angler_mjx.runs.simulator.hosted import PlanNotes, status_of
+from angler_mjx.runs.simulator.host_planning import PlanNotes, planning_status
 from angler_mjx.runs.simulator.simulator import Simulator
-from angler_mjx.runs.storage import output_lock, planned
-from angler_mjx.runs.storage.damage import reading
+from angler_mjx.runs.storage import output_lock, planning_summary
+from angler_mjx.runs.storage.read_errors import wrap_read_errors
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.state import World
 
 SCHEMA, SCHEMA_VERSION = "angler_mjx plans", 1
 
 _ARRAYS = {"points": 2, "time_s": 3, "position_m": 4}
-START_M, FASTER, ROUNDING_M = 0.01, 0.01, 1e-4
+START_TOLERANCE_M, SPEED_TOLERANCE, ROUNDING_TOLERANCE_M = 0.01, 0.01, 1e-4
 """How far from its start a path may begin; by what share it may be too fast, and how much farther
 two points may lie apart than that: float32."""
 
@@ -78,102 +78,104 @@ class PlanFile:
         last = simulator.scenario.worlds - 1
         indices = np.concatenate([first + np.arange(simulator.tile) for first in tiles])
         rows = np.minimum(indices, last)  # what is past the end of a run is dropped
-        with reading(self.path):
-            count = self._rows("points", rows)
-            time, place = self._rows("time_s", rows), self._rows("position_m", rows)
-            seconds = self._rows("planning_s", rows) if "planning_s" in self.group else None
-            motion = self._motion(rows)
-            reason = self._told("reason", "reasons", rows)
-            status = self._told("status", "statuses", rows)
+        with wrap_read_errors(self.path):
+            count = self._read_rows("points", rows)
+            time, position_m = self._read_rows("time_s", rows), self._read_rows("position_m", rows)
+            seconds = self._read_rows("planning_s", rows) if "planning_s" in self.group else None
+            motion = self._read_motion(rows)
+            reason = self._read_texts("reason", "reasons", rows)
+            status = self._read_texts("status", "statuses", rows)
         unplanned = rows[np.any(count < 0, axis=1)]
         if unplanned.size:
             raise ConfigError(
                 f"{self.path}: world {unplanned[0]} is not planned; go on with angler plan --resume"
             )
         start = np.asarray(worlds.environment.start_m)
-        why = _faults(
+        faults = _path_faults(
             count,
             time,
-            place,
+            position_m,
             start,
             np.asarray(worlds.control.cruise_speed_mps),
             simulator.scenario.time.horizon_s,
         )
-        found = (count > 0) & (why == "")
-        said = np.full(count.shape, "", object) if reason is None else reason
-        said = np.where(why != "", why, np.where(said == "", "no path", said))
+        is_found = (count > 0) & (faults == "")
+        reasons = np.full(count.shape, "", object) if reason is None else reason
+        reasons = np.where(faults != "", faults, np.where(reasons == "", "no path", reasons))
         notes = PlanNotes(
             planning_s=np.full(len(count), np.nan) if seconds is None else seconds,
-            status=status_of(found, status),
-            reason=np.where(found, "", said).astype(object),
+            status=planning_status(is_found, status),
+            reason=np.where(is_found, "", reasons).astype(object),
         )
         if motion is not None:
             yaw = np.asarray(worlds.environment.start_yaw_rad)
-            joints = np.concatenate([place, motion.pop("yaw_rad")[..., None]], axis=-1)
+            joints = np.concatenate([position_m, motion.pop("yaw_rad")[..., None]], axis=-1)
             start = np.concatenate([start, yaw[..., None]], axis=-1)
-            return _jointed(count, time, joints, motion, found, start, self.shape.points), notes
-        time, place = _padded(count, time, place, found, start)
-        time, place = (_widened(rows, self.shape.points) for rows in (time, place))
-        paths: Any = {"time_s": time, "position_m": place, "found": found}
+            return _build_joint_paths(
+                count, time, joints, motion, is_found, start, self.shape.points
+            ), notes
+        time, position_m = _pad_paths(count, time, position_m, is_found, start)
+        time, position_m = (_widen_paths(rows, self.shape.points) for rows in (time, position_m))
+        paths: Any = {"time_s": time, "position_m": position_m, "found": is_found}
         return Trajectory(**paths), notes
 
-    def _motion(self, rows: np.ndarray) -> dict[str, np.ndarray] | None:
+    def _read_motion(self, rows: np.ndarray) -> dict[str, np.ndarray] | None:
         """Headings, velocities, accelerations and degrees; None where there are no headings."""
         if not self.shape.joints:
             return None
-        yaw = self._rows("yaw_rad", rows)
-        still = np.zeros((*yaw.shape, 4), np.float32)
-        bent = "velocity" in self.group
-        every = np.full(yaw.shape, CUBIC if bent else LINEAR, np.int32)
-        told = {"velocity": still, "acceleration": still, "degree": every}
-        there = {name: self._rows(name, rows) for name in told if name in self.group}
-        return {"yaw_rad": yaw, **told, **there}
+        yaw = self._read_rows("yaw_rad", rows)
+        zeros = np.zeros((*yaw.shape, 4), np.float32)
+        has_velocity = "velocity" in self.group
+        degrees = np.full(yaw.shape, CUBIC if has_velocity else LINEAR, np.int32)
+        defaults = {"velocity": zeros, "acceleration": zeros, "degree": degrees}
+        stored = {name: self._read_rows(name, rows) for name in defaults if name in self.group}
+        return {"yaw_rad": yaw, **defaults, **stored}
 
     def sha256(self) -> str:
         """Hexadecimal, of all bytes of the file."""
         digest = hashlib.sha256()
-        with reading(self.path):
+        with wrap_read_errors(self.path):
             for path in sorted(self.path.rglob("*")):
                 if path.is_file() and path.name != output_lock.LOCK:
                     digest.update(str(path.relative_to(self.path)).encode())
                     digest.update(path.read_bytes())
         return digest.hexdigest()
 
-    def _rows(self, name: str, rows: np.ndarray) -> np.ndarray:
+    def _read_rows(self, name: str, rows: np.ndarray) -> np.ndarray:
         array: Any = self.group[name]
         low, high = int(rows.min()), int(rows.max()) + 1
-        found: np.ndarray = np.asarray(array[low:high])[rows - low]
-        return found
+        values: np.ndarray = np.asarray(array[low:high])[rows - low]
+        return values
 
-    def _told(self, name: str, list_: str, rows: np.ndarray) -> np.ndarray | None:
+    def _read_texts(self, name: str, list_name: str, rows: np.ndarray) -> np.ndarray | None:
         if name not in self.group:
             return None
-        about: dict[str, Any] = dict(self.group.attrs)
-        table = np.array([*map(str, about.get(list_, [])), ""], object)
-        index = self._rows(name, rows)
-        there = (index >= 0) & (index < len(table))
-        words: np.ndarray = table[np.where(there, index, -1)]
-        return words
+        attributes: dict[str, Any] = dict(self.group.attrs)
+        table = np.array([*map(str, attributes.get(list_name, [])), ""], object)
+        index = self._read_rows(name, rows)
+        is_valid = (index >= 0) & (index < len(table))
+        texts: np.ndarray = table[np.where(is_valid, index, -1)]
+        return texts
 
 
-def how_planned(path: Path) -> dict[str, Any]:
-    """Return how the planning of a file of plans ended, as in `angler_mjx.runs.storage.planned`."""
-    with reading(path):
+def summarise_plan_file(path: Path) -> dict[str, Any]:
+    """Return how the planning of a file of plans ended; see `runs.storage.planning_summary`."""
+    with wrap_read_errors(path):
         group = zarr.open_group(path, mode="r")
         plans = PlanFile(path=path, group=group, shape=PathShape(points=2))
         count: Any = group["points"]
         points = np.asarray(count[:])
         rows = np.arange(len(points))
-        reason = plans._told("reason", "reasons", rows)
-        status = plans._told("status", "statuses", rows)
-    nothing = np.full(points.shape, "", object)
-    words = nothing if reason is None else reason
-    ended = nothing if status is None else np.repeat(status[:, None], points.shape[1], axis=1)
-    return planned.of_robots(
+        reason = plans._read_texts("reason", "reasons", rows)
+        status = plans._read_texts("status", "statuses", rows)
+    blank = np.full(points.shape, "", object)
+    reasons = blank if reason is None else reason
+    statuses = blank if status is None else np.repeat(status[:, None], points.shape[1], axis=1)
+    return planning_summary.summarise_robots(
         np.repeat(rows, points.shape[1]),
         (points > 0).reshape(-1),
-        ended.reshape(-1).tolist(),
-        words.reshape(-1).tolist(),
+        statuses.reshape(-1).tolist(),
+        reasons.reshape(-1).tolist(),
     )
 
 
@@ -183,11 +185,11 @@ def open_plans(path: Path, scenario: Scenario) -> PlanFile:
     Raises:
         ConfigError: it is none, is damaged, or was made for other problems.
     """
-    with reading(path, "give a file of angler plan, or one as docs/planners.md describes"):
+    with wrap_read_errors(path, "give a file of angler plan, or one as docs/planners.md describes"):
         group = zarr.open_group(path, mode="r")
-        about: dict[str, Any] = dict(group.attrs)
+        attributes: dict[str, Any] = dict(group.attrs)
         shapes = {name: np.shape(array) for name, array in group.arrays()}
-    if about.get("schema") != SCHEMA or about.get("schema_version") != SCHEMA_VERSION:
+    if attributes.get("schema") != SCHEMA or attributes.get("schema_version") != SCHEMA_VERSION:
         raise ConfigError(f"{path}: holds no plans of schema version {SCHEMA_VERSION}")
     for name, dims in _ARRAYS.items():
         if len(shapes.get(name, ())) != dims:
@@ -200,23 +202,24 @@ def open_plans(path: Path, scenario: Scenario) -> PlanFile:
             f"{path}: points {shapes['points']}, time_s {shapes['time_s']} and position_m "
             f"{shapes['position_m']} do not fit each other"
         )
-    _require_same(path, about, scenario, worlds, robots)
-    if not 2 <= points <= MOST_POINTS:
-        raise ConfigError(f"{path}: paths of {points} points; must be 2 to {MOST_POINTS}")
+    _require_same_scenario(path, attributes, scenario, worlds, robots)
+    if not 2 <= points <= MAX_POINTS:
+        raise ConfigError(f"{path}: paths of {points} points; must be 2 to {MAX_POINTS}")
     joints = "yaw_rad" in shapes
     for name, size in (("yaw_rad", 3), ("velocity", 4), ("acceleration", 4), ("degree", 3)):
-        wanted = (worlds, robots, points, 4)[:size]
-        if name in shapes and (not joints or shapes[name] != wanted):
+        expected = (worlds, robots, points, 4)[:size]
+        if name in shapes and (not joints or shapes[name] != expected):
             raise ConfigError(
-                f"{path}/{name}: has the shape {shapes[name]}; must be {wanted}, and yaw_rad must "
+                f"{path}/{name}: has the shape {shapes[name]}; must be {expected}, and yaw_rad "
+                "must "
                 "be there too"
             )
-    width = _width(points, scenario.planner.points)
+    width = _padded_width(points, scenario.planner.points)
     return PlanFile(path=path, group=group, shape=PathShape(points=width, joints=joints))
 
 
-def _require_same(
-    path: Path, about: Mapping[str, Any], scenario: Scenario, worlds: int, robots: int
+def _require_same_scenario(
+    path: Path, attributes: Mapping[str, Any], scenario: Scenario, worlds: int, robots: int
 ) -> None:
     members = len(scenario.members())
     if robots != members:
@@ -224,22 +227,26 @@ def _require_same(
             f"{path}: plans of {robots} robots a world; the fleet of {scenario.name} has {members}"
         )
     for key in ("seed", "digest"):
-        if key not in about:
+        if key not in attributes:
             raise ConfigError(
                 f"{path}: lacks the attribute {key}; copy it from the file of angler problems that "
                 "the plans were made for"
             )
-    if about["seed"] != scenario.seed:
+    if attributes["seed"] != scenario.seed:
         raise ConfigError(
-            f"{path}: plans for seed {shown(about['seed'])}, not {scenario.seed}; give "
+            f"{path}: plans for seed {format_value(attributes['seed'])}, not {scenario.seed}; give "
             "--seed, or make plans for this one"
         )
-    if about["digest"] != scenario.digest():
+    if attributes["digest"] != scenario.digest():
         source = "the problems that the plans were made for"
-        if "scenario" in about:
-            source = f"the scenario {shown(about['scenario'])} that the plans were made for"
+        if "scenario" in attributes:
+            source = (
+                f"the scenario {format_value(attributes['scenario'])} that the plans were made for"
+            )
         raise ConfigError(
-            f"{path}: plans for other problems (digest {shown(str(about['digest'])[:12])}, not "
+            f"{path}: plans for other problems (digest "
+            f"{format_value(str(attributes['digest'])[:12])}, "
+            "not "
             f"{scenario.digest()[:12]}): world, fleet, water or horizon of {scenario.name} differ "
             f"from those of {source}"
         )
@@ -250,7 +257,7 @@ def _require_same(
         )
 
 
-def _width(points: int, usual: int) -> int:
+def _padded_width(points: int, usual: int) -> int:
     """Return the number of points with which paths of a file are flown.
 
     Programs are compiled for it. Files of a few points more or less are flown by one program: that
@@ -260,85 +267,92 @@ def _width(points: int, usual: int) -> int:
         points: of the file's paths.
         usual: of the scenario's planners (``planner.points``).
     """
-    return usual if points <= usual else min(1 << (points - 1).bit_length(), MOST_POINTS)
+    return usual if points <= usual else min(1 << (points - 1).bit_length(), MAX_POINTS)
 
 
-def _widened(rows: np.ndarray, points: int) -> np.ndarray:
+def _widen_paths(rows: np.ndarray, points: int) -> np.ndarray:
     """Repeat the last point of paths [w, r, n, ...] until they have so many."""
-    missing = points - rows.shape[2]
-    return np.concatenate([rows, np.repeat(rows[:, :, -1:], missing, axis=2)], axis=2)
+    n_missing = points - rows.shape[2]
+    return np.concatenate([rows, np.repeat(rows[:, :, -1:], n_missing, axis=2)], axis=2)
 
 
-def _padded(
-    count: np.ndarray, time: np.ndarray, place: np.ndarray, found: np.ndarray, start: np.ndarray
+def _pad_paths(
+    count: np.ndarray, time: np.ndarray, values: np.ndarray, is_found: np.ndarray, start: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Times and places that repeat their last; robots without a path hold their start."""
     points = time.shape[-1]
-    at = np.minimum(np.arange(points), np.clip(count - 1, 0, points - 1)[..., None])
-    time = np.take_along_axis(time, at, 2)
-    place = np.take_along_axis(place, at[..., None], 2)
+    index = np.minimum(np.arange(points), np.clip(count - 1, 0, points - 1)[..., None])
+    time = np.take_along_axis(time, index, 2)
+    values = np.take_along_axis(values, index[..., None], 2)
     return (
-        np.where(found[..., None], time, 0.0).astype(np.float32),
-        np.where(found[..., None, None], place, start[:, :, None]).astype(np.float32),
+        np.where(is_found[..., None], time, 0.0).astype(np.float32),
+        np.where(is_found[..., None, None], values, start[:, :, None]).astype(np.float32),
     )
 
 
-def _jointed(
+def _build_joint_paths(
     count: np.ndarray,
     time: np.ndarray,
     joints: np.ndarray,
     motion: dict[str, np.ndarray],
-    found: np.ndarray,
+    is_found: np.ndarray,
     start: np.ndarray,
     points: int,
 ) -> JointTrajectory:
-    """Paths of joints of so many points, as `_padded` has times and places."""
-    nothing = np.zeros_like(start)
+    """Paths of joints of so many points, as `_pad_paths` has times and places."""
+    zeros = np.zeros_like(start)
     padded = {
-        name: _padded(count, time, motion[name], found, nothing)[1]
+        name: _pad_paths(count, time, motion[name], is_found, zeros)[1]
         for name in ("velocity", "acceleration")
     }
-    degree = np.where(found[..., None], motion["degree"], LINEAR).astype(np.int32)
-    time, position = _padded(count, time, joints, found, start)
-    commanded = np.ones((*found.shape, len(VEHICLE_JOINTS)), bool)
+    degree = np.where(is_found[..., None], motion["degree"], LINEAR).astype(np.int32)
+    time, position = _pad_paths(count, time, joints, is_found, start)
+    commanded = np.ones((*is_found.shape, len(VEHICLE_JOINTS)), bool)
     by_point = {"time_s": time, "position": position, **padded, "degree": degree}
     arrays: Any = {
-        **{name: _widened(rows, points) for name, rows in by_point.items()},
+        **{name: _widen_paths(rows, points) for name, rows in by_point.items()},
         "commanded": commanded,
-        "found": found,
+        "found": is_found,
     }
     return JointTrajectory(joints=VEHICLE_JOINTS, **arrays)
 
 
-def _faults(
+def _path_faults(
     count: np.ndarray,
     time: np.ndarray,
-    place: np.ndarray,
+    position_m: np.ndarray,
     start: np.ndarray,
     speed: np.ndarray,
     horizon_s: float,
 ) -> np.ndarray:
     """Why a path cannot be flown, [w, r] text; empty where it can, or where there is none."""
     points = time.shape[-1]
-    real = np.arange(points) < count[..., None]
+    is_point = np.arange(points) < count[..., None]
     with np.errstate(invalid="ignore"):
-        finite = np.isfinite(time) & np.isfinite(place).all(axis=-1)
-        span = np.where(real[..., 1:], np.diff(time), 0.0)
-        way = np.where(real[..., 1:], np.linalg.norm(np.diff(place, axis=2), axis=-1), 0.0)
-        fast = way > (1.0 + FASTER) * speed[..., None] * span + ROUNDING_M
+        finite = np.isfinite(time) & np.isfinite(position_m).all(axis=-1)
+        span = np.where(is_point[..., 1:], np.diff(time), 0.0)
+        distance_m = np.where(
+            is_point[..., 1:], np.linalg.norm(np.diff(position_m, axis=2), axis=-1), 0.0
+        )
+        is_fast = (
+            distance_m > (1.0 + SPEED_TOLERANCE) * speed[..., None] * span + ROUNDING_TOLERANCE_M
+        )
         faults = (
             ("has too few or too many points", (count != 0) & ((count < 2) | (count > points))),
-            ("has NaN or infinite numbers", np.any(real & ~finite, axis=-1)),
+            ("has NaN or infinite numbers", np.any(is_point & ~finite, axis=-1)),
             ("does not begin at 0 s", time[..., 0] != 0.0),
-            ("begins elsewhere", np.linalg.norm(place[:, :, 0] - start, axis=-1) > START_M),
+            (
+                "begins elsewhere",
+                np.linalg.norm(position_m[:, :, 0] - start, axis=-1) > START_TOLERANCE_M,
+            ),
             ("goes back in time", np.any(span < 0.0, axis=-1)),
-            ("is faster than its cruise speed, or jumps", np.any(fast, axis=-1)),
+            ("is faster than its cruise speed, or jumps", np.any(is_fast, axis=-1)),
             (
                 "ends after the horizon",
-                np.max(np.where(real, time, 0.0), axis=-1) > horizon_s + 1e-3,
+                np.max(np.where(is_point, time, 0.0), axis=-1) > horizon_s + 1e-3,
             ),
         )
-    why = np.full(count.shape, "", object)
-    for text, is_so in reversed(faults):
-        why = np.where(is_so & (count != 0), text, why)
-    return why
+    reasons = np.full(count.shape, "", object)
+    for text, is_fault in reversed(faults):
+        reasons = np.where(is_fault & (count != 0), text, reasons)
+    return reasons

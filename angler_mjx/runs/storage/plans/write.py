@@ -10,32 +10,32 @@ import numpy as np
 import zarr
 from zarr.codecs import BloscCodec
 
-from angler_mjx.errors import ConfigError, RunError, shown
+from angler_mjx.errors import ConfigError, RunError, format_value
 from angler_mjx.planning.planner import PathShape
 from angler_mjx.robot.control import plans
 from angler_mjx.robot.control.joint_trajectory import LINEAR, JointTrajectory
 from angler_mjx.robot.control.plans import Plan, points_m
-from angler_mjx.runs.simulator.hosted import PlanNotes, SampledBatch, status_of
+from angler_mjx.runs.simulator.host_planning import PlanNotes, SampledBatch, planning_status
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.runs.storage import output_lock
-from angler_mjx.runs.storage.damage import reading
 from angler_mjx.runs.storage.output_lock import OutputLock
 from angler_mjx.runs.storage.plans.read import SCHEMA, SCHEMA_VERSION
+from angler_mjx.runs.storage.read_errors import wrap_read_errors
 from angler_mjx.scenario.scenario import Scenario
-from angler_mjx.scenario.task_table import refuse_task
+from angler_mjx.scenario.task_table import require_goal_task
 
 _UNPLANNED = -1
 
 
-class Writer:
+class PlanWriter:
     """Makes a file of plans, some worlds at a time; what was written can be gone on with."""
 
-    def __init__(self, claimed: OutputLock, group: zarr.Group) -> None:
-        """Use `begin`."""
-        self._claimed, self._group = claimed, group
-        about: dict[str, Any] = dict(group.attrs)
-        self._words: dict[str, dict[str, int]] = {
-            name: {str(word): i for i, word in enumerate(about.get(name, []))}
+    def __init__(self, lock: OutputLock, group: zarr.Group) -> None:
+        """Use `open_writer`."""
+        self._lock, self._group = lock, group
+        attributes: dict[str, Any] = dict(group.attrs)
+        self._texts: dict[str, dict[str, int]] = {
+            name: {str(text): i for i, text in enumerate(attributes.get(name, []))}
             for name in ("reasons", "statuses")
         }
 
@@ -57,10 +57,10 @@ class Writer:
             path: [w, r] leading, arrays of NumPy.
             notes: of the same worlds.
         """
-        found, time = np.asarray(plans.found(path)), np.asarray(path.time_s)
-        same = time[..., :-1] == time[..., -1:]
-        held = np.argmax(np.concatenate([same, np.ones_like(same[..., :1])], -1), -1) + 1
-        rows = slice(first, first + len(found))
+        is_found, time = np.asarray(plans.is_found(path)), np.asarray(path.time_s)
+        is_last = time[..., :-1] == time[..., -1:]
+        n_points = np.argmax(np.concatenate([is_last, np.ones_like(is_last[..., :1])], -1), -1) + 1
+        rows = slice(first, first + len(is_found))
         group: Any = self._group
         group["time_s"][rows] = time
         group["position_m"][rows] = np.asarray(points_m(path))
@@ -69,26 +69,28 @@ class Writer:
             for name in ("velocity", "acceleration", "degree"):
                 group[name][rows] = np.asarray(getattr(path, name))
         group["planning_s"][rows] = notes.planning_s.astype(np.float32)
-        group["reason"][rows] = self._index("reasons", notes.reason)
-        group["status"][rows] = self._index("statuses", notes.status)
-        group["points"][rows] = np.where(found, np.maximum(held, 2), 0).astype(np.int32)
+        group["reason"][rows] = self._text_indices("reasons", notes.reason)
+        group["status"][rows] = self._text_indices("statuses", notes.status)
+        group["points"][rows] = np.where(is_found, np.maximum(n_points, 2), 0).astype(np.int32)
 
-    def _index(self, name: str, words: np.ndarray) -> np.ndarray:
-        known = self._words[name]
-        flat = [known.setdefault(w, len(known)) if w else -1 for w in words.reshape(-1)]
-        self._group.attrs[name] = list(known)
-        return np.array(flat, np.int32).reshape(words.shape)
+    def _text_indices(self, name: str, texts: np.ndarray) -> np.ndarray:
+        indices = self._texts[name]
+        flat = [indices.setdefault(w, len(indices)) if w else -1 for w in texts.reshape(-1)]
+        self._group.attrs[name] = list(indices)
+        return np.array(flat, np.int32).reshape(texts.shape)
 
     def publish(self) -> None:
         """Give the file its name: it is whole."""
-        self._claimed.publish()
+        self._lock.publish()
 
     def release(self) -> None:
         """Leave it as it is, to be gone on with."""
-        self._claimed.release()
+        self._lock.release()
 
 
-def begin(path: Path, scenario: Scenario, shape: PathShape, *, resume: bool, tile: int) -> Writer:
+def open_writer(
+    path: Path, scenario: Scenario, shape: PathShape, *, resume: bool, tile: int
+) -> PlanWriter:
     """A file of plans to be written.
 
     Args:
@@ -103,46 +105,51 @@ def begin(path: Path, scenario: Scenario, shape: PathShape, *, resume: bool, til
         RunError: it cannot be written.
     """
     if resume:
-        return _again(path, scenario, shape)
-    claimed = output_lock.acquire(
-        path, what="file of plans", left=lambda building: output_lock.RESUMABLE
+        return _reopen_writer(path, scenario, shape)
+    lock = output_lock.acquire(
+        path, kind="file of plans", advise=lambda building: output_lock.RESUMABLE
     )
     try:
-        group = zarr.open_group(claimed.building, mode="a")
-        group.attrs.update({"schema": SCHEMA, "schema_version": SCHEMA_VERSION, **_about(scenario)})
-        _arrays(group, scenario.worlds, len(scenario.members()), shape, tile)
+        group = zarr.open_group(lock.building, mode="a")
+        group.attrs.update(
+            {"schema": SCHEMA, "schema_version": SCHEMA_VERSION, **_file_attributes(scenario)}
+        )
+        _create_arrays(group, scenario.worlds, len(scenario.members()), shape, tile)
     except OSError as error:
-        claimed.withdraw()
+        lock.withdraw()
         raise RunError(f"{path}: cannot be written ({error.strerror or error})") from error
-    return Writer(claimed, group)
+    return PlanWriter(lock, group)
 
 
-def _again(path: Path, scenario: Scenario, shape: PathShape) -> Writer:
+def _reopen_writer(path: Path, scenario: Scenario, shape: PathShape) -> PlanWriter:
     if path.is_dir() and any(path.iterdir()):
         raise ConfigError(f"--resume {path}: this file is complete; nothing is left to do")
-    claimed = output_lock.acquire_unfinished(path, what="file of plans")
-    if claimed is None:
+    lock = output_lock.acquire_unfinished(path, kind="file of plans")
+    if lock is None:
         raise ConfigError(f"--resume {path}: there is no interrupted file of that name")
     try:
-        with reading(claimed.building):
-            group = zarr.open_group(claimed.building, mode="r+")
+        with wrap_read_errors(lock.building):
+            group = zarr.open_group(lock.building, mode="r+")
             array: Any = group["time_s"]
-            about, there = dict(group.attrs), array.shape
-        for key, value in _about(scenario).items():
-            if about.get(key) != value:
+            attributes, stored_shape = dict(group.attrs), array.shape
+        for key, value in _file_attributes(scenario).items():
+            if attributes.get(key) != value:
                 raise ConfigError(
-                    f"--resume {path}: was begun with another {key} ({shown(about.get(key))}, not "
-                    f"{shown(value)}); begin a new file"
+                    f"--resume {path}: was begun with another {key} "
+                    f"({format_value(attributes.get(key))}, not "
+                    f"{format_value(value)}); begin a new file"
                 )
-        if there != (scenario.worlds, len(scenario.members()), shape.points):
-            raise ConfigError(f"--resume {path}: was begun with other worlds or points {there}")
+        if stored_shape != (scenario.worlds, len(scenario.members()), shape.points):
+            raise ConfigError(
+                f"--resume {path}: was begun with other worlds or points {stored_shape}"
+            )
     except BaseException:
-        claimed.release()
+        lock.release()
         raise
-    return Writer(claimed, group)
+    return PlanWriter(lock, group)
 
 
-def _about(scenario: Scenario) -> dict[str, Any]:
+def _file_attributes(scenario: Scenario) -> dict[str, Any]:
     return {
         "scenario": scenario.name,
         "seed": scenario.seed,
@@ -152,9 +159,11 @@ def _about(scenario: Scenario) -> dict[str, Any]:
     }
 
 
-def _arrays(group: zarr.Group, worlds: int, robots: int, shape: PathShape, tile: int) -> None:
+def _create_arrays(
+    group: zarr.Group, worlds: int, robots: int, shape: PathShape, tile: int
+) -> None:
     rows = (worlds, robots, shape.points)
-    made: list[tuple[str, tuple[int, ...], str, float, str]] = [
+    array_specs: list[tuple[str, tuple[int, ...], str, float, str]] = [
         ("points", rows[:2], "i4", _UNPLANNED, "1"),
         ("time_s", rows, "f4", 0.0, "s"),
         ("position_m", (*rows, 3), "f4", 0.0, "m"),
@@ -163,13 +172,13 @@ def _arrays(group: zarr.Group, worlds: int, robots: int, shape: PathShape, tile:
         ("status", rows[:1], "i4", -1, "1"),
     ]
     if shape.joints:
-        made += [
+        array_specs += [
             ("yaw_rad", rows, "f4", 0.0, "rad"),
             ("velocity", (*rows, 4), "f4", 0.0, "m/s, rad/s"),
             ("acceleration", (*rows, 4), "f4", 0.0, "m/s^2, rad/s^2"),
             ("degree", rows, "i4", LINEAR, "1"),
         ]
-    for name, size, kind, fill, unit in made:
+    for name, size, kind, fill, unit in array_specs:
         names = ["world", "robot", "point", "xyz" if name == "position_m" else "joint"]
         group.create_array(
             name,
@@ -183,7 +192,7 @@ def _arrays(group: zarr.Group, worlds: int, robots: int, shape: PathShape, tile:
         )
 
 
-def make(
+def plan_worlds(
     path: Path,
     scenario: Scenario,
     simulator: Simulator,
@@ -204,31 +213,33 @@ def make(
         Number of robots with a path.
 
     Raises:
-        ConfigError: as `begin`.
+        ConfigError: as `open_writer`.
         RunError: the disk is full, or the planner cannot be made.
     """
-    refuse_task(scenario.task, "plans lead to one goal; leave it out to plan for this scenario")
+    require_goal_task(
+        scenario.task, "plans lead to one goal; leave it out to plan for this scenario"
+    )
     tile, total = simulator.tile, scenario.worlds
-    writer = begin(path, scenario, simulator.paths, resume=resume, tile=tile)
+    writer = open_writer(path, scenario, simulator.paths, resume=resume, tile=tile)
     try:
-        left = writer.left()
-        tiles = sorted({world - world % tile for world in left})
-        done, planned = total - len(left), writer.planned()
+        remaining = writer.left()
+        tiles = sorted({world - world % tile for world in remaining})
+        done, planned = total - len(remaining), writer.planned()
         advance(done, planned)
-        kept_of = {first: min(tile, total - first) for first in tiles}
-        drawn: deque[SampledBatch] = deque()
+        counts = {first: min(tile, total - first) for first in tiles}
+        sampled: deque[SampledBatch] = deque()
         for i, first in enumerate(tiles):
             # Two tiles are with the planner, so that no worker waits while one is written.
-            for coming in tiles[i + len(drawn) : i + 2]:
-                drawn.append(simulator.begin([coming], kept=[kept_of[coming]]))
-            worlds, notes = simulator.finish(drawn.popleft())
-            kept = kept_of[first]
-            flown: Any = jax.tree.map(lambda leaf, n=kept: np.asarray(leaf)[:n], worlds.path)
-            found = np.asarray(plans.found(flown))
-            notes = notes or _of_device(found)
-            writer.write(first, flown, notes.rows(slice(kept)))
-            done += kept
-            planned += int(found.sum())
+            for next_first in tiles[i + len(sampled) : i + 2]:
+                sampled.append(simulator.begin([next_first], counts=[counts[next_first]]))
+            worlds, notes = simulator.finish(sampled.popleft())
+            count = counts[first]
+            paths: Any = jax.tree.map(lambda leaf, n=count: np.asarray(leaf)[:n], worlds.path)
+            is_found = np.asarray(plans.is_found(paths))
+            notes = notes or _device_notes(is_found)
+            writer.write(first, paths, notes.rows(slice(count)))
+            done += count
+            planned += int(is_found.sum())
             advance(done, planned)
         writer.publish()
     except OSError as error:
@@ -243,9 +254,9 @@ def make(
     return planned
 
 
-def _of_device(found: np.ndarray) -> PlanNotes:
+def _device_notes(is_found: np.ndarray) -> PlanNotes:
     return PlanNotes(
-        planning_s=np.full(len(found), np.nan),
-        status=status_of(found),
-        reason=np.where(found, "", "no way found").astype(object),
+        planning_s=np.full(len(is_found), np.nan),
+        status=planning_status(is_found),
+        reason=np.where(is_found, "", "no way found").astype(object),
     )

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from angler_kernels import lanes
 from angler_mjx.robot.control import plans
 from angler_mjx.robot.control.stack import Command, ControlParams
-from angler_mjx.sim import nearness, start
+from angler_mjx.sim import sample_clearances, start
 from angler_mjx.sim.approach import last_approaches_s
 from angler_mjx.sim.detection import Contact
 from angler_mjx.sim.engines.lanes import pairs
@@ -24,30 +24,36 @@ from angler_mjx.sim.engines.lanes.layout import (
     GroupConstants,
     LaneRobots,
     LaneScene,
-    Moving,
-    carried,
+    LaneState,
+    apply_load,
+    broadcast_lanes,
+    concatenate_groups,
+    lane_state_of,
     lanes_of_group,
-    moving_of,
     of_group,
     outcome_of,
     scene_of,
-    side_by_side,
-    spread_out,
     to_arrays,
     to_lanes,
     vehicles_of,
     world_state,
 )
-from angler_mjx.sim.engines.lanes.steps import Cells, OnLanes, Shape
+from angler_mjx.sim.engines.lanes.steps import Cells, GridShape, LaneContext
 from angler_mjx.sim.fleet import Fleet
-from angler_mjx.sim.phase import Phase, Slots, run
+from angler_mjx.sim.phase import Phase, Slots, run_phases
 from angler_mjx.sim.physics.closed_form import ClosedForm
 from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.record import Sample
-from angler_mjx.sim.repeated import repeated
-from angler_mjx.sim.state import Laid, SimSpec, World, WorldState
-from angler_mjx.sim.step import ALONE, KEPT, LASTING, MEETING, OBSTACLES
+from angler_mjx.sim.state import EngineConstants, SimSpec, World, WorldState
+from angler_mjx.sim.step import (
+    INDEPENDENT_PHASES,
+    INTERACTION_PHASES,
+    LATER_SLOTS,
+    OBSTACLES,
+    PERSISTENT_SLOTS,
+)
+from angler_mjx.sim.step_repetition import repeat_steps
 from angler_mjx.sim.world_phases import running
 from angler_mjx.sim.world_phases.running import WorldMemory, WorldPhaseOutput
 from angler_mjx.world.currents import Current
@@ -62,12 +68,12 @@ class FusedEngine:
     ) -> WorldState:
         """See `Engine.reset`."""
         engine = ClosedForm(gravity_mps2=spec.water.gravity_mps2)
-        one = partial(start.reset, spec, engine, policy=policy)
-        state: WorldState = jax.vmap(one)(worlds.control.vehicle, worlds)
+        reset_world = partial(start.reset, spec, engine, policy=policy)
+        state: WorldState = jax.vmap(reset_world)(worlds.control.vehicle, worlds)
         return state
 
-    def lay_out(self, fleet: Fleet, worlds: World) -> Laid:
-        """See `Engine.lay_out`: nothing."""
+    def pack_constants(self, fleet: Fleet, worlds: World) -> EngineConstants:
+        """See `Engine.pack_constants`: nothing."""
         del fleet, worlds
         return ()
 
@@ -80,25 +86,25 @@ class FusedEngine:
         command: Command | None,
         policy: Policy | None = None,
         rows: jax.Array | None = None,
-        laid: Laid = (),
+        constants: EngineConstants = (),
         steps: int = 1,
     ) -> tuple[WorldState, Sample]:
         """See `Engine.control_step`."""
         if steps > 1:
-            again = partial(
+            step_once = partial(
                 self.control_step, spec, fleet, worlds, command=command, policy=policy, rows=rows
             )
-            return repeated(again, state, steps)
+            return repeat_steps(step_once, state, steps)
         scene = scene_of(fleet, worlds, rows)
         number = state.step[0] if rows is None else state.step
         policy = running.active_policy(policy, command)
         memory, output = WorldMemory.of(state), WorldPhaseOutput()
         if running.has_world_phases(spec, policy):
-            here = worlds if rows is None else jax.tree.map(lambda leaf: leaf[rows], worlds)
+            row_worlds = worlds if rows is None else jax.tree.map(lambda leaf: leaf[rows], worlds)
             memory, output = running.run_tile_phases(
                 spec,
                 policy,
-                here,
+                row_worlds,
                 memory,
                 number,
                 state.vehicles,
@@ -106,14 +112,14 @@ class FusedEngine:
                 state.tally.outcome,
                 fleet=fleet,
             )
-        moving = moving_of(fleet, state)
-        flown = worlds if rows is None else jax.tree.map(lambda leaf: leaf[rows], worlds)
+        moving = lane_state_of(fleet, state)
+        stepped_worlds = worlds if rows is None else jax.tree.map(lambda leaf: leaf[rows], worlds)
         begin_s = output.last_approach_s
         if policy is None:
-            begin_s = jax.vmap(partial(last_approaches_s, spec))(flown, command)
+            begin_s = jax.vmap(partial(last_approaches_s, spec))(stepped_worlds, command)
         after, seen = _control_step(spec, scene, moving, number, command, output, begin_s)
         sample = Sample(**output.record, **to_arrays(seen, 2))
-        sample = nearness.completed(spec, flown, sample)
+        sample = sample_clearances.add_clearances(spec, stepped_worlds, sample)
         return world_state(after, state.step + 1, memory), sample
 
     def segment(
@@ -132,7 +138,7 @@ class FusedEngine:
         """See `Engine.segment`."""
         del begins
         scene, policy = scene_of(fleet, worlds), running.active_policy(policy, command)
-        row, rebuild = lanes.flatten(moving_of(fleet, state))
+        row, rebuild = lanes.flatten(lane_state_of(fleet, state))
         rebuilds: list[Any] = []
         begin_s = None
         if policy is None:
@@ -144,86 +150,86 @@ class FusedEngine:
         ) -> tuple[Any, Any, Any]:
             moving, output = rebuild(row), WorldPhaseOutput()
             if running.has_world_phases(spec, policy):
-                there = vehicles_of(moving)
+                vehicles = vehicles_of(moving)
                 bodies = (
                     to_arrays(moving.obstacles, 2) if running.observes_obstacles(policy) else None
                 )
                 ended = outcome_of(moving) if spec.by_task else None
                 memory, output = running.run_tile_phases(
-                    spec, policy, worlds, memory, number, there, bodies, ended, fleet=fleet
+                    spec, policy, worlds, memory, number, vehicles, bodies, ended, fleet=fleet
                 )
             after, sample = _control_step(spec, scene, moving, number, command, output, begin_s)
             now, again = lanes.flatten(sample)
             rebuilds.append(again)
             both = zip(lanes.flatten(after)[0], row, strict=True)
-            return [lanes.spread(x, old) for x, old in both], memory, (now, output.record)
+            return [lanes.broadcast_like(x, old) for x, old in both], memory, (now, output.record)
 
-        begun = WorldMemory.of(state)
-        template = jax.eval_shape(fly, row, begun, state.step[0])[2]
-        nothing = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), template)
+        initial_memory = WorldMemory.of(state)
+        template = jax.eval_shape(fly, row, initial_memory, state.step[0])[2]
+        empty_sample = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), template)
 
-        def one(carry: Any, i: jax.Array) -> tuple[Any, None]:
+        def step_once(carry: Any, i: jax.Array) -> tuple[Any, None]:
             row, memory, kept, number = carry
             row, memory, now = fly(row, memory, number)
             kept = jax.tree.map(lambda new, old: jnp.where(i == 0, new, old), now, kept)
             return (row, memory, kept, number + 1), None
 
-        def recorded(carry: Any, _: None) -> tuple[Any, Any]:
+        def record_sample(carry: Any, _: None) -> tuple[Any, Any]:
             row, memory, number = carry
             (row, memory, kept, number), _ = jax.lax.scan(
-                one, (row, memory, nothing, number), jnp.arange(steps_per_sample)
+                step_once, (row, memory, empty_sample, number), jnp.arange(steps_per_sample)
             )
             return (row, memory, number), kept
 
         (row, memory, _), (kept, record) = jax.lax.scan(
-            recorded, (row, begun, state.step[0]), length=n_sample
+            record_sample, (row, initial_memory, state.step[0]), length=n_sample
         )
         after = world_state(rebuild(row), state.step + n_sample * steps_per_sample, memory)
         record = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, 1), record)
         samples = Sample(**record, **to_arrays(rebuilds[0](kept), 3))
-        return after, nearness.all_completed(spec, worlds, samples)
+        return after, sample_clearances.add_all_clearances(spec, worlds, samples)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Everywhere(OnLanes):
+class SceneContext(LaneContext):
     """Obstacles of all worlds of a scene; see `phase.BatchContext`."""
 
     spec: SimSpec
     scene: LaneScene
     t: jax.Array
-    shape: Shape
+    shape: GridShape
     _flows: list[tuple[VehicleState, Any]] = field(default_factory=list, init=False)
 
     @property
     def current(self) -> Current:
-        """See `OnLanes`."""
+        """See `LaneContext`."""
         return self.scene.current
 
     @property
     def cells(self) -> Cells:
-        """See `OnLanes`."""
+        """See `LaneContext`."""
         return self.scene.cells
 
     @property
     def obstacles(self) -> Obstacles:
-        """See `OnLanes`."""
+        """See `LaneContext`."""
         return self.scene.obstacles
 
     def flow(self, vehicle: VehicleState) -> Any:
         """See `phase.BatchContext`."""
-        for known, flow in self._flows:  # controllers and the record ask for the same
-            if known is vehicle:
+        for cached_vehicle, flow in self._flows:  # controllers and the record ask for the same
+            if cached_vehicle is vehicle:
                 return flow
         self._flows.append((vehicle, super().flow(vehicle)))
         return self._flows[-1][1]
 
 
 @dataclass(frozen=True, kw_only=True)
-class GroupPhases(Everywhere):
+class GroupPhases(SceneContext):
     """Robots of a group, of all worlds."""
 
-    given: GroupConstants
-    said: Any = None
+    constants: GroupConstants
+    override_command: Any = None
     """Instead of their paths."""
     finished: Any = None
     """See `phase.BatchContext`."""
@@ -233,50 +239,50 @@ class GroupPhases(Everywhere):
     """See `phase.BatchContext`."""
     approaching: Any = None
     """See `phase.BatchContext`."""
-    met: Contact | None = None
+    nearest_contact: Contact | None = None
     """The nearest thing to each robot of the group, when all have moved."""
 
     @cached_property
     def params(self) -> ControlParams:
         """See `phase.BatchContext`."""
-        light, laden = self.given.params, self.given.laden
+        light, laden = self.constants.params, self.constants.laden
         if self.loaded is None or laden is None:
             return light
-        return carried(self.loaded, laden, light)
+        return apply_load(self.loaded, laden, light)
 
     @property
     def command(self) -> Any:
         """See `phase.BatchContext`."""
-        if self.said is not None:
-            return self.said
-        return plans.checked(self.spec.stages, self.given.path)
+        if self.override_command is not None:
+            return self.override_command
+        return plans.check_plan(self.spec.stages, self.constants.path)
 
     @property
     def goal_m(self) -> Any:
         """See `phase.BatchContext`."""
-        return self.given.goal_m
+        return self.constants.goal_m
 
     @property
     def fails_at_s(self) -> Any:
         """See `phase.BatchContext`."""
-        return self.given.fails_at_s
+        return self.constants.fails_at_s
 
     def contact(self, now: Slots) -> Contact:
         """See `phase.BatchContext`."""
-        if self.met is None:
+        if self.nearest_contact is None:
             raise RuntimeError("a phase that meets others began before they had moved")
-        return self.met
+        return self.nearest_contact
 
 
 def _control_step(
     spec: SimSpec,
     scene: LaneScene,
-    moving: Moving,
+    moving: LaneState,
     number: jax.Array,
     command: Command | None,
     output: WorldPhaseOutput,
     begin_s: jax.Array | None,
-) -> tuple[Moving, dict[str, Any]]:
+) -> tuple[LaneState, dict[str, Any]]:
     """One control step of all worlds, and its part of the sample.
 
     ``number`` is that of all worlds, or [W] of each; ``command`` [W, R, ...] stands in for the
@@ -285,70 +291,76 @@ def _control_step(
     """
     like = moving.groups[0].vehicle.p[0]
     t = jnp.asarray(number, like.dtype) * spec.control_dt_s
-    where: dict[str, Any] = {"spec": spec, "scene": scene, "t": t, "shape": scene.shape}
-    said = output.command if command is None else command
+    context_fields: dict[str, Any] = {"spec": spec, "scene": scene, "t": t, "shape": scene.shape}
+    active_command = output.command if command is None else command
     groups, records = [], []
-    for given, robots in zip(scene.groups, moving.groups, strict=True):
-        make = partial(GroupPhases, **where, given=given)
+    for constants, robots in zip(scene.groups, moving.groups, strict=True):
+        make = partial(GroupPhases, **context_fields, constants=constants)
         with jax.named_scope("robots"):
-            now, record = lanes.shared(partial(_alone, make, robots, said, output))
+            now, record = lanes.compute_shared(
+                partial(_run_independent, make, robots, active_command, output)
+            )
         groups.append(now)
         records.append(record)
-    sample = side_by_side(records)
-    obstacles, seen = _obstacles(Everywhere(**where), moving.obstacles)
+    sample = concatenate_groups(records)
+    obstacles, seen = _advance_obstacles(SceneContext(**context_fields), moving.obstacles)
     sample |= seen
-    met = lanes.shared(partial(pairs.contact, scene, groups, obstacles))
+    met = lanes.compute_shared(partial(pairs.find_contact, scene, groups, obstacles))
     after, records = [], []
-    for given, now in zip(scene.groups, groups, strict=True):
-        place = GroupPhases(
-            **where,
-            given=given,
-            said=None if begin_s is None else to_lanes(of_group(said, given.group), 2),
-            last_approach_s=to_lanes(of_group(begin_s, given.group), 2),
-            approaching=to_lanes(of_group(output.approaching, given.group), 2),
-            finished=to_lanes(of_group(output.finished, given.group), 2),
-            met=lanes_of_group(met, given.group),
+    for constants, now in zip(scene.groups, groups, strict=True):
+        context = GroupPhases(
+            **context_fields,
+            constants=constants,
+            override_command=None
+            if begin_s is None
+            else to_lanes(of_group(active_command, constants.group), 2),
+            last_approach_s=to_lanes(of_group(begin_s, constants.group), 2),
+            approaching=to_lanes(of_group(output.approaching, constants.group), 2),
+            finished=to_lanes(of_group(output.finished, constants.group), 2),
+            nearest_contact=lanes_of_group(met, constants.group),
         )
-        judged, record = lanes.shared(partial(_run, place, MEETING, now))
-        after.append(LaneRobots(**{name: judged[name] for name in KEPT}))
+        judged, record = lanes.compute_shared(partial(_run_group, context, INTERACTION_PHASES, now))
+        after.append(LaneRobots(**{name: judged[name] for name in PERSISTENT_SLOTS}))
         records.append(record)
-    sample |= side_by_side(records)
-    return Moving(groups=tuple(after), obstacles=obstacles), sample
+    sample |= concatenate_groups(records)
+    return LaneState(groups=tuple(after), obstacles=obstacles), sample
 
 
-def _alone(
+def _run_independent(
     make: Callable[..., GroupPhases],
     robots: LaneRobots,
-    said: Command | None,
+    command: Command | None,
     output: WorldPhaseOutput,
 ) -> tuple[Any, Any]:
     """What the robots of a group do by themselves.
 
-    ``said`` and ``output`` [W, R, ...] are their commands, and what the phases of worlds gave.
+    ``command`` and ``output`` [W, R, ...] are their commands, and what the phases of worlds gave.
     """
-    group = make().given.group
-    said, known, loaded = (
-        to_lanes(of_group(x, group), 2) for x in (said, output.known, output.loaded)
+    group = make().constants.group
+    command, estimate, loaded = (
+        to_lanes(of_group(x, group), 2) for x in (command, output.estimate, output.loaded)
     )
-    slots = {**vars(robots), "known": robots.vehicle if known is None else known}
-    return _run(make(said=said, loaded=loaded), ALONE, slots)
+    slots = {**vars(robots), "estimate": robots.vehicle if estimate is None else estimate}
+    return _run_group(make(override_command=command, loaded=loaded), INDEPENDENT_PHASES, slots)
 
 
-def _run(place: GroupPhases, phases: tuple[Phase, ...], slots: Slots) -> tuple[Any, Any]:
+def _run_group(context: GroupPhases, phases: tuple[Phase, ...], slots: Slots) -> tuple[Any, Any]:
     """Phases of a group: the slots that anybody reads after them, and the record."""
-    now, record = run(place, phases, slots)
+    now, record = run_phases(context, phases, slots)
     like = slots["vehicle"].p[0]
     # What a controller sets to a number is one number for all lanes.
     now["memory"], record = jax.tree.map(
-        lambda leaf: spread_out(leaf, like), (now["memory"], record)
+        lambda leaf: broadcast_lanes(leaf, like), (now["memory"], record)
     )
-    return {name: now[name] for name in LASTING if name in now}, record
+    return {name: now[name] for name in LATER_SLOTS if name in now}, record
 
 
-def _obstacles(place: Everywhere, obstacles: ObstacleState) -> tuple[ObstacleState, Any]:
+def _advance_obstacles(
+    context: SceneContext, obstacles: ObstacleState
+) -> tuple[ObstacleState, Any]:
     """The obstacles after a step, and their record; rows of padding stay where they are."""
     slots = {"obstacles": obstacles}
-    if place.scene.n_obstacle == 0:
-        return obstacles, OBSTACLES.run(place, slots).record()
-    now, record = lanes.shared(partial(run, place, (OBSTACLES,), slots))
+    if context.scene.n_obstacle == 0:
+        return obstacles, OBSTACLES.run(context, slots).record()
+    now, record = lanes.compute_shared(partial(run_phases, context, (OBSTACLES,), slots))
     return now["obstacles"], record

@@ -15,18 +15,18 @@ import jax.numpy as jnp
 import numpy as np
 
 from angler_kernels import clearance, lanes, quaternion
-from angler_kernels.table import take
+from angler_kernels.table import take_row
 from angler_mjx.robot.vehicles.params import VehicleParams
 from angler_mjx.sim.detection import SEPARATION_RADIUS_M, Contact
 from angler_mjx.sim.engines.lanes.search import (
-    Met,
+    CandidateBody,
     NearestBody,
     OtherBodies,
-    Search,
+    SearchFunction,
     Seeker,
-    of_lanes,
+    search_lanes,
 )
-from angler_mjx.sim.engines.lanes.steps import Cells, Lanes, Shape
+from angler_mjx.sim.engines.lanes.steps import Cells, GridShape, Lanes
 from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.state import Outcome, Tally, Touched
 from angler_mjx.world.obstacles import Obstacles
@@ -54,8 +54,8 @@ def hull_of(vehicle: VehicleParams) -> LaneHull:
     )
 
 
-def contact(
-    shape: Shape,
+def find_contact(
+    shape: GridShape,
     hull: LaneHull,
     cells: Cells,
     tally: Tally,
@@ -63,7 +63,7 @@ def contact(
     obstacles: OtherBodies,
     robots: Sequence[OtherBodies],
     row: Any,
-    search: Search | None = None,
+    search: SearchFunction | None = None,
 ) -> Contact:
     """The nearest thing to each robot, as far as it can matter to its tally.
 
@@ -76,10 +76,10 @@ def contact(
         obstacles: of the same world, after the step.
         robots: all robots of the same world after the step; none if there is but one.
         row: which of its world's robots each lane is.
-        search: how the nearest shape is found; `of_lanes` if None.
+        search: how the nearest shape is found; `search_lanes` if None.
     """
-    a, b = lanes.apply(_placed, hull, state.p, state.q)
-    v = lanes.apply(_velocity, state.q, state.nu)
+    a, b = lanes.apply(_capsule_ends, hull, state.p, state.q)
+    v = lanes.apply(_rotate_velocity, state.q, state.nu)
     running = tally.outcome[()] == Outcome.RUNNING
     below = jnp.where(running, jnp.maximum(tally.min_clearance_m[()], 0.0), 0.0)
     to_cells, to_floor = lanes.apply(
@@ -92,65 +92,69 @@ def contact(
         fixed=running & False,
         v=(zero, zero, zero),
     )
-    look, one = search or of_lanes, partial(lanes.pack, shape=())
-    me = Seeker(
+    look, pack_lane = search or search_lanes, partial(lanes.pack, shape=())
+    seeker = Seeker(
         p=state.p,
         a=a,
         b=b,
         r=hull.capsule_r_m,
         radius_m=hull.radius_m,
-        running=one([running]),
+        running=pack_lane([running]),
         limit_m=tally.min_clearance_m,
     )
-    obstacle = look(me, obstacles, _to_obstacle, start, -1)
+    obstacle = look(seeker, obstacles, _to_obstacle, start, -1)
     other = start
     if robots:
         other = replace(start, gap=jnp.full_like(zero, SEPARATION_RADIUS_M))
     limit = jnp.minimum(tally.min_separation_m[()], SEPARATION_RADIUS_M)
-    for some in robots:
-        other = look(replace(me, limit_m=one([limit])), some, _to_robot, other, row)
-    found: Contact = lanes.apply(_contact, to_cells, to_floor, *_tree(obstacle), *_tree(other), v)
-    return found
+    for bodies in robots:
+        other = look(replace(seeker, limit_m=pack_lane([limit])), bodies, _to_robot, other, row)
+    result: Contact = lanes.apply(
+        _select_contact, to_cells, to_floor, *_pack_nearest(obstacle), *_pack_nearest(other), v
+    )
+    return result
 
 
-def _to_obstacle(me: Seeker, met: Met) -> tuple[Any, Any, Lanes]:
-    body, q, its_v = met.details()
-    gap = lanes.apply(_obstacle_gap, body, met.p, q, me.a, me.b, me.r)
-    return gap[()], body.motion[()] == STATIC, its_v
+def _to_obstacle(seeker: Seeker, candidate: CandidateBody) -> tuple[Any, Any, Lanes]:
+    body, q, body_v = candidate.details()
+    gap = lanes.apply(_obstacle_gap, body, candidate.p, q, seeker.a, seeker.b, seeker.r)
+    return gap[()], body.motion[()] == STATIC, body_v
 
 
-def _to_robot(me: Seeker, met: Met) -> tuple[Any, Any, Lanes]:
-    other, q, its_v = met.details()
-    theirs = lanes.apply(_placed, other, met.p, q)
-    gap = lanes.apply(clearance.capsules_capsules, me.a, me.b, me.r, *theirs, other.capsule_r_m)
-    return gap[()], np.bool_(False), its_v
+def _to_robot(seeker: Seeker, candidate: CandidateBody) -> tuple[Any, Any, Lanes]:
+    other, q, body_v = candidate.details()
+    other_ends = lanes.apply(_capsule_ends, other, candidate.p, q)
+    gap = lanes.apply(
+        clearance.capsules_capsules, seeker.a, seeker.b, seeker.r, *other_ends, other.capsule_r_m
+    )
+    return gap[()], np.bool_(False), body_v
 
 
-def velocity(q: Lanes, nu: Lanes) -> Lanes:
+def centre_velocity(q: Lanes, nu: Lanes) -> Lanes:
     """Velocity [3] of centres, in W."""
-    return lanes.apply(_velocity, q, nu)
+    return lanes.apply(_rotate_velocity, q, nu)
 
 
-def reach(body: Obstacles) -> Any:
+def bounding_reach(body: Obstacles) -> Any:
     """Radius of the bounding spheres of obstacles; -inf for rows that are padding."""
     radius = lanes.apply(bounding_radius, body.kind, body.size_m)[()]
     return jnp.where(body.exists[()], radius, -jnp.inf)
 
 
-def _tree(nearest: NearestBody) -> tuple[Lanes, Lanes, Lanes, Lanes]:
+def _pack_nearest(nearest: NearestBody) -> tuple[Lanes, Lanes, Lanes, Lanes]:
     """A `NearestBody` as arguments of `lanes.apply`."""
     gap, index, fixed = (lanes.pack([x], ()) for x in (nearest.gap, nearest.index, nearest.fixed))
     return gap, index, fixed, lanes.pack(nearest.v, (3,))
 
 
-def _placed(hull: LaneHull, p: jax.Array, q: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _capsule_ends(hull: LaneHull, p: jax.Array, q: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Ends [c, 3] of the axes of one robot's capsules, in W."""
     turn = quaternion.to_matrix(q)
 
-    def place(points: jax.Array) -> jax.Array:
+    def to_world(points: jax.Array) -> jax.Array:
         return p + jnp.sum(turn[None, :, :] * points[:, None, :], axis=2)
 
-    return place(hull.capsule_a_m), place(hull.capsule_b_m)
+    return to_world(hull.capsule_a_m), to_world(hull.capsule_b_m)
 
 
 def _obstacle_gap(
@@ -160,13 +164,13 @@ def _obstacle_gap(
     return clearance.capsules_obstacle(a, b, r, p, q, body.kind, body.size_m, body.kinds)
 
 
-def _velocity(q: jax.Array, nu: jax.Array) -> jax.Array:
+def _rotate_velocity(q: jax.Array, nu: jax.Array) -> jax.Array:
     """Velocity [3] of a centre, in W."""
     return quaternion.rotate(q, nu[:3])
 
 
 def _to_ground(
-    shape: Shape,
+    shape: GridShape,
     r: jax.Array,
     a: jax.Array,
     b: jax.Array,
@@ -176,13 +180,13 @@ def _to_ground(
 ) -> tuple[jax.Array, jax.Array]:
     """Distance [] of one hull to the cells, if less than ``below`` [], and to the floor."""
     index, lo = clearance.neighbour_window(p, cells.origin_m, cells.cell_m, shape)
-    mask = take(cells.neighbours, index)
+    mask = take_row(cells.neighbours, index)
     gap = clearance.capsules_neighbours(a, b, r, p, lo, mask, cells.cell_m, below)
     lowest = jnp.min(jnp.minimum(a[:, 2], b[:, 2]) - r)
     return gap, lowest - cells.floor_z_m
 
 
-def _contact(
+def _select_contact(
     to_cells: jax.Array,
     to_floor: jax.Array,
     obstacle_gap: jax.Array,

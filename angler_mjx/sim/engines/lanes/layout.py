@@ -20,11 +20,11 @@ from angler_mjx.sim.fleet import Fleet, VehicleGroup, laden_cruise
 from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.state import Tally, World, WorldState
 from angler_mjx.sim.world_phases.running import WorldMemory
-from angler_mjx.world.currents import Current, looked_up
-from angler_mjx.world.environment import Environment, region
+from angler_mjx.world.currents import Current, bind_fields
+from angler_mjx.world.environment import Environment, region_corners
 from angler_mjx.world.obstacles import Obstacles, ObstacleState
 
-MOST = 2**31
+MAX_ELEMENTS = 2**31
 """Numbers of an array whose places can still be counted."""
 
 
@@ -41,7 +41,7 @@ class LaneRobots:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Moving:
+class LaneState:
     """What changes from step to step, as lanes."""
 
     groups: tuple[LaneRobots, ...]
@@ -69,7 +69,7 @@ class LaneScene:
     groups: tuple[GroupConstants, ...]
     current: Current
     cells: Cells
-    shape: lane_steps.Shape
+    shape: lane_steps.GridShape
     obstacles: Obstacles
     reach: jax.Array
     """Of the obstacles, [n_obstacle, W]."""
@@ -77,7 +77,7 @@ class LaneScene:
     n_obstacle: int
 
 
-def side_by_side(parts: Sequence[Any], like: Sequence[jax.Array] = ()) -> Any:
+def concatenate_groups(parts: Sequence[Any], like: Sequence[jax.Array] = ()) -> Any:
     """Trees of lanes [n, W] of the groups as one, [R, W].
 
     Where ``like`` gives lanes of each group, elements may be one number for all robots of a group;
@@ -86,32 +86,32 @@ def side_by_side(parts: Sequence[Any], like: Sequence[jax.Array] = ()) -> Any:
     if len(parts) == 1:
         return parts[0]
 
-    def beside(items: Sequence[Any]) -> Any:
+    def concatenate_lanes(items: Sequence[Any]) -> Any:
         if all(isinstance(x, np.generic) and x == items[0] for x in items):
             return items[0]
         if like:
-            items = [jnp.broadcast_to(x, there.shape) for x, there in zip(items, like, strict=True)]
+            items = [jnp.broadcast_to(x, lane.shape) for x, lane in zip(items, like, strict=True)]
         return jnp.concatenate(items)
 
-    def one(*leaves: np.ndarray) -> np.ndarray:
+    def concatenate_leaf(*leaves: np.ndarray) -> np.ndarray:
         out = np.empty_like(leaves[0])
         for index in np.ndindex(*out.shape):
-            out[index] = beside([leaf[index] for leaf in leaves])
+            out[index] = concatenate_lanes([leaf[index] for leaf in leaves])
         return out
 
-    return jax.tree.map(one, *parts)
+    return jax.tree.map(concatenate_leaf, *parts)
 
 
 def lanes_of_group(tree: Any, group: VehicleGroup) -> Any:
     """The robots of a group of lanes [R, W]."""
 
-    def one(leaf: np.ndarray) -> np.ndarray:
+    def select_rows(leaf: np.ndarray) -> np.ndarray:
         out = np.empty_like(leaf)
         for index in np.ndindex(*out.shape):
             out[index] = leaf[index][group.first : group.first + group.count]
         return out
 
-    return jax.tree.map(one, tree)
+    return jax.tree.map(select_rows, tree)
 
 
 def of_group(tree: Any, group: VehicleGroup) -> Any:
@@ -119,7 +119,7 @@ def of_group(tree: Any, group: VehicleGroup) -> Any:
     return jax.tree.map(lambda leaf: leaf[:, group.first : group.first + group.count], tree)
 
 
-def spread_out(elements: np.ndarray, like: jax.Array) -> np.ndarray:
+def broadcast_lanes(elements: np.ndarray, like: jax.Array) -> np.ndarray:
     """Object array whose lanes all have one shape."""
     out = np.empty_like(elements)
     for index in np.ndindex(*elements.shape):
@@ -134,23 +134,24 @@ def to_lanes(tree: Any, lead: int, rows: jax.Array | None = None) -> Any:
     tables are read where they stand, nothing long is copied.
     """
 
-    def one(leaf: jax.Array) -> Any:
+    def convert_leaf(leaf: jax.Array) -> Any:
         tail = leaf.shape[lead:]
         if is_table(tail):
-            return _table(leaf, lead, rows)
+            return _build_table(leaf, lead, rows)
         chosen = leaf if rows is None else leaf[rows]
         return lanes.split(jnp.swapaxes(chosen, 0, lead - 1), lead)
 
-    return jax.tree.map(one, tree)
+    return jax.tree.map(convert_leaf, tree)
 
 
-def _table(leaf: jax.Array, lead: int, rows: jax.Array | None = None) -> lanes.LookupTable:
+def _build_table(leaf: jax.Array, lead: int, rows: jax.Array | None = None) -> lanes.LookupTable:
     """An array [W, (n,) ...] as a table of each body; lanes [W] or [n, W]; as `to_lanes`."""
     tail = leaf.shape[lead:]
-    if leaf.size >= MOST:
+    if leaf.size >= MAX_ELEMENTS:
         raise RunError(
             f"lanes count places in 31 bits, and an array of this tile has {leaf.size} numbers "
-            f"({', '.join(map(str, leaf.shape))}): use a tile {leaf.size // MOST + 1} times smaller"
+            f"({', '.join(map(str, leaf.shape))}): use a tile {leaf.size // MAX_ELEMENTS + 1} "
+            "times smaller"
         )
     size = int(np.prod(tail))
     flat = leaf.reshape(-1)
@@ -158,8 +159,8 @@ def _table(leaf: jax.Array, lead: int, rows: jax.Array | None = None) -> lanes.L
     base = jnp.asarray(body if rows is None else jnp.asarray(body)[rows]) * np.int32(size)
     base = jnp.swapaxes(base, 0, lead - 1)
 
-    def load(place: Any) -> jax.Array:
-        return flat.at[place].get(mode="promise_in_bounds")
+    def load(index: Any) -> jax.Array:
+        return flat.at[index].get(mode="promise_in_bounds")
 
     return lanes.LookupTable(load, tail, leaf.dtype, base=base)
 
@@ -169,47 +170,49 @@ def to_arrays(tree: Any, lead: int) -> Any:
     return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, lead - 1, 0), lanes.join(tree))
 
 
-def moving_of(fleet: Fleet, state: WorldState) -> Moving:
+def lane_state_of(fleet: Fleet, state: WorldState) -> LaneState:
     """The state of worlds as lanes."""
 
-    def of(group: VehicleGroup) -> LaneRobots:
+    def convert_group(group: VehicleGroup) -> LaneRobots:
         robots = LaneRobots(vehicle=state.vehicles, memory=state.carry, tally=state.tally)
         lanes_of: LaneRobots = to_lanes(of_group(robots, group), 2)
         return lanes_of
 
-    return Moving(groups=tuple(map(of, fleet.groups)), obstacles=to_lanes(state.obstacles, 2))
+    return LaneState(
+        groups=tuple(map(convert_group, fleet.groups)), obstacles=to_lanes(state.obstacles, 2)
+    )
 
 
-def vehicles_of(moving: Moving) -> VehicleState:
+def vehicles_of(moving: LaneState) -> VehicleState:
     """Where all robots are, as arrays [W, R, ...]."""
     vehicles: VehicleState = to_arrays(
-        side_by_side([robots.vehicle for robots in moving.groups]), 2
+        concatenate_groups([robots.vehicle for robots in moving.groups]), 2
     )
     return vehicles
 
 
-def outcome_of(moving: Moving) -> jax.Array:
+def outcome_of(moving: LaneState) -> jax.Array:
     """How all robots ended so far, as an array int32 [W, R]."""
     outcome: jax.Array = to_arrays(
-        side_by_side([robots.tally.outcome for robots in moving.groups]), 2
+        concatenate_groups([robots.tally.outcome for robots in moving.groups]), 2
     )
     return outcome
 
 
-def world_state(moving: Moving, step: jax.Array, minds: WorldMemory) -> WorldState:
-    """The inverse of `moving_of`; ``step`` [W]."""
-    robots = to_arrays(side_by_side(moving.groups), 2)
+def world_state(moving: LaneState, step: jax.Array, memory: WorldMemory) -> WorldState:
+    """The inverse of `lane_state_of`; ``step`` [W]."""
+    robots = to_arrays(concatenate_groups(moving.groups), 2)
     return WorldState(
         vehicles=robots.vehicle,
         carry=robots.memory,
         obstacles=to_arrays(moving.obstacles, 2),
         tally=robots.tally,
         step=step,
-        **vars(minds),
+        **vars(memory),
     )
 
 
-def grid_shape(environment: Environment) -> lane_steps.Shape:
+def grid_shape(environment: Environment) -> lane_steps.GridShape:
     """Cells along x, y and z of environments [W, ...]."""
     nx, ny, nz = environment.grid.occupied.shape[1:]
     return nx, ny, nz
@@ -226,8 +229,8 @@ def scene_of(fleet: Fleet, worlds: World, rows: jax.Array | None = None) -> Lane
     """Everything that stays the same, laid out as lanes; ``rows`` as in `to_lanes`."""
     environment = worlds.environment
 
-    def given(group: VehicleGroup) -> GroupConstants:
-        params, laden = _params(fleet, group, worlds, rows)
+    def group_constants(group: VehicleGroup) -> GroupConstants:
+        params, laden = _select_params(fleet, group, worlds, rows)
         return GroupConstants(
             group=group,
             params=params,
@@ -239,37 +242,39 @@ def scene_of(fleet: Fleet, worlds: World, rows: jax.Array | None = None) -> Lane
 
     obstacles = to_lanes(environment.obstacles, 2, rows)
     return LaneScene(
-        groups=tuple(map(given, fleet.groups)),
-        current=_current(environment.current, rows),
-        cells=_cells(worlds, rows),
+        groups=tuple(map(group_constants, fleet.groups)),
+        current=_current_lanes(environment.current, rows),
+        cells=_cell_lanes(worlds, rows),
         shape=grid_shape(environment),
         obstacles=obstacles,
-        reach=lane_judge.reach(obstacles),
+        reach=lane_judge.bounding_reach(obstacles),
         n_robot=environment.start_m.shape[1],
         n_obstacle=environment.obstacles.kind.shape[1] if environment.obstacles.kinds else 0,
     )
 
 
-def _current(current: Current, rows: jax.Array | None) -> Current:
+def _current_lanes(current: Current, rows: jax.Array | None) -> Current:
     """Components as lanes; what they look up is one table for all worlds."""
     dtypes = [leaf.dtype for leaf in jax.tree.leaves(current) if leaf.dtype.kind == "f"]
 
-    def one(values: np.ndarray) -> lanes.LookupTable:
+    def build_table(values: np.ndarray) -> lanes.LookupTable:
         flat = jnp.asarray(values, dtypes[0])
         return lanes.LookupTable(
             lambda at: flat.at[at].get(mode="promise_in_bounds"), flat.shape, flat.dtype
         )
 
-    there: Current = to_lanes(current, 1, rows)
-    return looked_up(there, lambda field: [one(values) for values in field.numbers])
+    current_lanes: Current = to_lanes(current, 1, rows)
+    return bind_fields(
+        current_lanes, lambda field: [build_table(values) for values in field.numbers]
+    )
 
 
-def _cells(worlds: World, rows: jax.Array | None = None) -> Cells:
+def _cell_lanes(worlds: World, rows: jax.Array | None = None) -> Cells:
     environment, neighbours = worlds.environment, packed_cells(worlds)
     grid = environment.grid
-    lo, hi = jax.vmap(region)(environment)
+    lo, hi = jax.vmap(region_corners)(environment)
     return Cells(
-        neighbours=_table(neighbours.reshape(neighbours.shape[0], -1), 1, rows),
+        neighbours=_build_table(neighbours.reshape(neighbours.shape[0], -1), 1, rows),
         origin_m=to_lanes(grid.origin_m, 1, rows),
         cell_m=to_lanes(grid.cell_m, 1, rows),
         floor_z_m=to_lanes(environment.floor_z_m, 1, rows),
@@ -278,7 +283,7 @@ def _cells(worlds: World, rows: jax.Array | None = None) -> Cells:
     )
 
 
-def _params(
+def _select_params(
     fleet: Fleet, group: VehicleGroup, worlds: World, rows: jax.Array | None = None
 ) -> tuple[ControlParams, ControlParams | None]:
     """Parameters of a group's robots, and with their load, if they can carry one.
@@ -288,36 +293,43 @@ def _params(
     of_world = worlds.variant if rows is None else worlds.variant[rows]
     variant = jnp.swapaxes(of_group(of_world, group), 0, 1)
     leaves, tree = jax.tree.flatten(fleet.control)
-    now = [variant, fleet.numbered(variant, jnp.asarray(True))] if fleet.carries else [variant]
-    found = [
-        _parameter(leaf, letters, group.variant, now)
+    now = (
+        [variant, fleet.loaded_variant(variant, jnp.asarray(True))]
+        if fleet.can_carry
+        else [variant]
+    )
+    selected = [
+        _select_parameter(leaf, letters, group.variant, now)
         for leaf, letters in zip(leaves, group.sameness, strict=True)
     ]
     speeds = [worlds.control.cruise_speed_mps]
-    if fleet.carries:
+    if fleet.can_carry:
         speeds.append(laden_cruise(fleet, worlds))
 
     def params(which: int) -> ControlParams:
-        each: ControlParams = jax.tree.unflatten(tree, [one[which] for one in found])
+        each: ControlParams = jax.tree.unflatten(tree, [choices[which] for choices in selected])
         cruise = to_lanes(of_group(speeds[which], group), 2, rows)
         return replace(each, cruise_speed_mps=cruise)
 
-    return params(0), params(1) if fleet.carries else None
+    return params(0), params(1) if fleet.can_carry else None
 
 
-def _parameter(
+def _select_parameter(
     leaf: jax.Array, letters: str, common: int, variants: Sequence[jax.Array]
 ) -> list[Any]:
     """One leaf [n_variant, ...] of the parameters, by each of the numbers [n, W] of robots."""
     tail = leaf.shape[1:]
     flat = leaf.reshape(-1)
 
-    def load(place: Any) -> jax.Array:
-        return flat.at[place].get(mode="promise_in_bounds")
+    def load(index: Any) -> jax.Array:
+        return flat.at[index].get(mode="promise_in_bounds")
 
     if is_table(tail):
-        places = [(one if "v" in letters else common) * np.int32(len(letters)) for one in variants]
-        return [lanes.LookupTable(load, tail, leaf.dtype, base=base) for base in places]
+        bases = [
+            (robot_variant if "v" in letters else common) * np.int32(len(letters))
+            for robot_variant in variants
+        ]
+        return [lanes.LookupTable(load, tail, leaf.dtype, base=start) for start in bases]
     same: list[Any] = [None] * len(letters)
     for k, letter in enumerate(letters):
         if letter == "z":
@@ -332,18 +344,18 @@ def _parameter(
         ]
         return lanes.pack(items, tail)
 
-    return [row(one) for one in variants]
+    return [row(robot_variant) for robot_variant in variants]
 
 
-def carried(loaded: Any, laden: ControlParams, params: ControlParams) -> ControlParams:
+def apply_load(loaded: Any, laden: ControlParams, params: ControlParams) -> ControlParams:
     """Parameters of robots with their load where they have one; ``loaded`` is lanes [] of bool."""
 
-    def one(with_load: Any, without: Any) -> Any:
+    def select_leaf(with_load: Any, without: Any) -> Any:
         if isinstance(without, lanes.LookupTable):
             return with_load.where(loaded[()], without)
         pairs = zip(with_load.ravel(), without.ravel(), strict=True)
         items = [y if x is y else jnp.where(loaded[()], x, y) for x, y in pairs]
         return lanes.pack(items, without.shape)
 
-    chosen: ControlParams = jax.tree.map(one, laden, params)
+    chosen: ControlParams = jax.tree.map(select_leaf, laden, params)
     return chosen

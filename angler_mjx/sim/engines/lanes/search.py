@@ -16,7 +16,7 @@ from angler_mjx.sim.engines.lanes.steps import Lanes
 
 
 @dataclass(frozen=True, kw_only=True)
-class Met:
+class CandidateBody:
     """A shape that robots can meet, in every lane; what costs something is loaded when asked for.
 
     ``details`` gives what it is (Obstacles or `judge.Hull`), its attitude q [4], and its velocity
@@ -34,8 +34,8 @@ class OtherBodies:
     """Shapes that robots can meet, one after another."""
 
     count: int
-    load: Callable[[Any], Met]
-    """Shape i of these, for every lane; a `Search` of another kind asks in another way."""
+    load: Callable[[Any], CandidateBody]
+    """Shape i of these, for every lane; a `SearchFunction` of another kind asks in another way."""
     first: int = 0
     """Number of shape 0 among all of its kind."""
 
@@ -59,12 +59,12 @@ class Seeker:
     limit_m: Lanes
     """[] distances from here on do not matter, unless something touches."""
 
-    def wants(self, met: Met, not_itself: Any) -> jax.Array:
+    def is_candidate(self, candidate: CandidateBody, is_other: Any) -> jax.Array:
         """Whether a shape is near enough to matter."""
-        square = sum((met.p[k] - self.p[k]) ** 2 for k in range(3))
-        within = jnp.maximum(self.limit_m[()], 0.0) + self.radius_m[()] + met.reach
+        square = sum((candidate.p[k] - self.p[k]) ** 2 for k in range(3))
+        within = jnp.maximum(self.limit_m[()], 0.0) + self.radius_m[()] + candidate.reach
         near = (within >= 0.0) & (square <= within * within)
-        wanted: jax.Array = self.running[()] & not_itself & near
+        wanted: jax.Array = self.running[()] & is_other & near
         return wanted
 
 
@@ -79,37 +79,41 @@ class NearestBody:
     v: tuple[jax.Array, ...]
 
 
-GROUP = 8
+GROUP_SIZE = 8
 """Shapes that are asked for together where there are many: their loads wait together."""
-SLOTS = 4
+MAX_NOTED_GROUPS = 4
 """Groups that a lane can note."""
-MANY = GROUP + 1
+LIST_THRESHOLD = GROUP_SIZE + 1
 """Shapes from which on they are listed. The list of a single group costs large batches more than
 it saves."""
 
-type Exact = Callable[[Seeker, Met], tuple[Any, Any, Lanes]]
+type GapFunction = Callable[[Seeker, CandidateBody], tuple[Any, Any, Lanes]]
 """The gap to a shape, whether it never moves, and its velocity [3]."""
 
-type Search = Callable[[Seeker, OtherBodies, Exact, NearestBody, Any], NearestBody]
+type SearchFunction = Callable[[Seeker, OtherBodies, GapFunction, NearestBody, Any], NearestBody]
 """The nearest of some shapes and of one found before, if nearer than the limit or touching.
 
 The last argument is the number of the shape that is the lane's own. The first of equals counts.
 """
 
 
-def in_turn(
-    me: Seeker, others: OtherBodies, exact: Exact, start: NearestBody, myself: Any
+def search_in_turn(
+    seeker: Seeker,
+    others: OtherBodies,
+    measure_gap: GapFunction,
+    start: NearestBody,
+    self_index: Any,
 ) -> NearestBody:
-    """See `Search`: one shape after another, left out where no lane wants it; ``load`` takes i."""
+    """See `SearchFunction`: one shape after another, skipped where no lane wants it."""
     if others.count == 0:
         return start
 
-    def one(i: jax.Array, best: NearestBody) -> NearestBody:
-        met, number = others.load(i), others.first + i
-        wanted = me.wants(met, number != myself)
+    def visit_body(i: jax.Array, best: NearestBody) -> NearestBody:
+        candidate, number = others.load(i), others.first + i
+        wanted = seeker.is_candidate(candidate, number != self_index)
 
         def look(best: NearestBody) -> NearestBody:
-            gap, fixed, v = exact(me, met)
+            gap, fixed, v = measure_gap(seeker, candidate)
             better = wanted & (gap < best.gap)
             return NearestBody(
                 gap=jnp.where(better, gap, best.gap),
@@ -121,31 +125,38 @@ def in_turn(
         after: NearestBody = jax.lax.cond(lanes.any_lane(wanted), look, lambda best: best, best)
         return after
 
-    nearest: NearestBody = jax.lax.fori_loop(0, others.count, one, start)
+    nearest: NearestBody = jax.lax.fori_loop(0, others.count, visit_body, start)
     return nearest
 
 
-def in_groups(
-    me: Seeker, others: OtherBodies, exact: Exact, start: NearestBody, myself: Any
+def search_in_groups(
+    seeker: Seeker,
+    others: OtherBodies,
+    measure_gap: GapFunction,
+    start: NearestBody,
+    self_index: Any,
 ) -> NearestBody:
-    """See `Search`: each lane lists the shapes that it wants, and all work through their lists.
+    """See `SearchFunction`: each lane lists the shapes that it wants and works through its list.
 
     Among many shapes every lane of a kernel wants a few, and each another: in turn, each of them
-    would cost as much as one that all lanes want. Shapes are asked for in groups of `GROUP`; a
-    lane notes a group and which of it are wanted in one number, and has room for `SLOTS` of them.
+    would cost as much as one that all lanes want. Shapes are asked for in groups of `GROUP_SIZE`; a
+    lane notes a group and which of it are wanted in one number, and has room for `MAX_NOTED_GROUPS`
+    of them.
     """
-    groups = -(-others.count // GROUP)
+    groups = -(-others.count // GROUP_SIZE)
     empty = jnp.zeros_like(start.index)
 
-    def ask(carry: Any) -> Any:
+    def note_group(carry: Any) -> Any:
         group, noted, slots = carry
         mask = empty
-        for k in range(GROUP):
-            i = group * GROUP + k
-            met = others.load(jnp.minimum(i, others.count - 1))
-            wanted = me.wants(met, (others.first + i != myself) & (i < others.count))
+        for k in range(GROUP_SIZE):
+            i = group * GROUP_SIZE + k
+            candidate = others.load(jnp.minimum(i, others.count - 1))
+            wanted = seeker.is_candidate(
+                candidate, (others.first + i != self_index) & (i < others.count)
+            )
             mask |= jnp.where(wanted, 1 << k, 0)
-        note = jnp.where(mask != 0, (group << GROUP) | mask, 0)
+        note = jnp.where(mask != 0, (group << GROUP_SIZE) | mask, 0)
         slots = tuple(
             jnp.where((noted == n) & (note != 0), note, slot) for n, slot in enumerate(slots)
         )
@@ -154,9 +165,9 @@ def in_groups(
     def pop(carry: Any) -> Any:
         (head, *rest), best = carry
         bit = head & -head
-        k = jax.lax.population_count((bit - 1) & (2**GROUP - 1))
-        i = jnp.where(head != 0, (head >> GROUP) * GROUP + k, 0)
-        gap, fixed, v = exact(me, others.load(i))
+        k = jax.lax.population_count((bit - 1) & (2**GROUP_SIZE - 1))
+        i = jnp.where(head != 0, (head >> GROUP_SIZE) * GROUP_SIZE + k, 0)
+        gap, fixed, v = measure_gap(seeker, others.load(i))
         better = (head != 0) & (gap < best.gap)
         nearest = NearestBody(
             gap=jnp.where(better, gap, best.gap),
@@ -165,29 +176,33 @@ def in_groups(
             v=tuple(jnp.where(better, x, y) for x, y in zip(v, best.v, strict=True)),
         )
         left = head ^ bit
-        done = (left & (2**GROUP - 1)) == 0
+        done = (left & (2**GROUP_SIZE - 1)) == 0
         moved = (*rest, empty)
         slots = tuple(jnp.where(done, x, y) for x, y in zip(moved, (left, *rest), strict=True))
         return slots, nearest
 
-    def some(carry: Any) -> Any:
+    def search_groups(carry: Any) -> Any:
         group, best = carry
         group, _, slots = jax.lax.while_loop(
-            lambda x: (x[0] < groups) & ~lanes.any_lane(x[1] == SLOTS),
-            ask,
-            (group, empty, (empty,) * SLOTS),
+            lambda x: (x[0] < groups) & ~lanes.any_lane(x[1] == MAX_NOTED_GROUPS),
+            note_group,
+            (group, empty, (empty,) * MAX_NOTED_GROUPS),
         )
         _, best = jax.lax.while_loop(lambda x: lanes.any_lane(x[0][0] != 0), pop, (slots, best))
         return group, best
 
-    _, nearest = jax.lax.while_loop(lambda x: x[0] < groups, some, (jnp.int32(0), start))
-    found: NearestBody = nearest
-    return found
+    _, nearest = jax.lax.while_loop(lambda x: x[0] < groups, search_groups, (jnp.int32(0), start))
+    result: NearestBody = nearest
+    return result
 
 
-def of_lanes(
-    me: Seeker, others: OtherBodies, exact: Exact, start: NearestBody, myself: Any
+def search_lanes(
+    seeker: Seeker,
+    others: OtherBodies,
+    measure_gap: GapFunction,
+    start: NearestBody,
+    self_index: Any,
 ) -> NearestBody:
-    """See `Search`: what is quicker for so many shapes."""
-    search = in_groups if others.count >= MANY else in_turn
-    return search(me, others, exact, start, myself)
+    """See `SearchFunction`: what is quicker for so many shapes."""
+    search = search_in_groups if others.count >= LIST_THRESHOLD else search_in_turn
+    return search(seeker, others, measure_gap, start, self_index)

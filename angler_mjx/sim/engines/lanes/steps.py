@@ -12,7 +12,7 @@ from typing import Any
 import jax
 
 from angler_kernels import clearance, lanes
-from angler_kernels.table import take
+from angler_kernels.table import take_row
 from angler_mjx.robot.control.stack import ControlParams
 from angler_mjx.robot.vehicles.params import VehicleParams
 from angler_mjx.sim.physics import step as physics
@@ -47,10 +47,10 @@ class Cells:
     """[3] upper corner."""
 
 
-type Shape = tuple[int, int, int]
+type GridShape = tuple[int, int, int]
 
 
-class OnLanes:
+class LaneContext:
     """Fields of `angler_mjx.sim.phase.BatchContext` as lanes; an engine provides them.
 
     Whoever has robots adds ``params``, ``command``, ``goal_m``, ``finished``, ``fails_at_s`` and
@@ -59,7 +59,7 @@ class OnLanes:
 
     spec: SimSpec
     t: jax.Array
-    shape: Shape
+    shape: GridShape
     """Of the grid."""
 
     @property
@@ -91,7 +91,9 @@ class OnLanes:
         """Velocity [3] of the water at the robots."""
         return lanes.apply(currents.velocity, self.current, vehicle.p, self.t)
 
-    def each(self, function: Callable[..., Any], *bodies: Any, shared: tuple[Any, ...] = ()) -> Any:
+    def map_bodies(
+        self, function: Callable[..., Any], *bodies: Any, shared: tuple[Any, ...] = ()
+    ) -> Any:
         """A function of one body for all lanes."""
         return lanes.apply(function, *bodies, *shared)
 
@@ -134,7 +136,7 @@ def physics_step(
 
 def advance_obstacles(
     spec: SimSpec,
-    shape: Shape,
+    shape: GridShape,
     body: Obstacles,
     state: ObstacleState,
     current: Current,
@@ -153,10 +155,10 @@ def advance_obstacles(
         t: [] s.
     """
 
-    def one(
+    def advance_body(
         body: Obstacles, now: ObstacleState, current: Current, cells: Cells, t: jax.Array
     ) -> ObstacleState:
-        return obstacle_motion.advance(
+        return obstacle_motion.advance_obstacle(
             body,
             now,
             current,
@@ -169,10 +171,10 @@ def advance_obstacles(
             spec.water.gravity_mps2,
         )
 
-    return lanes.apply(one, body, state, current, cells, t)
+    return lanes.apply(advance_body, body, state, current, cells, t)
 
 
-def _nearest_cell(shape: Shape, cells: Cells, p: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _nearest_cell(shape: GridShape, cells: Cells, p: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Distance [] of a point [3] to the cells of one world and the direction [3] away."""
     index, lo = clearance.neighbour_window(p, cells.origin_m, cells.cell_m, shape)
-    return clearance.point_neighbours(p, lo, take(cells.neighbours, index), cells.cell_m)
+    return clearance.point_neighbours(p, lo, take_row(cells.neighbours, index), cells.cell_m)

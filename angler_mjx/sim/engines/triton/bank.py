@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from angler_kernels import lanes
-from angler_kernels.lanes.planes import is_table, typed
+from angler_kernels.lanes.planes import cast_element, is_table
 from angler_mjx.robot.control.stack import ControlParams
 from angler_mjx.sim.fleet import Fleet, VehicleGroup
 
@@ -36,7 +36,9 @@ class ConstantBank:
         )
         return bank, jnp.concatenate([leaf.reshape(-1).astype(dtype) for leaf in leaves])
 
-    def read(self, load: Callable[[Any], Any], group: VehicleGroup, variant: Any) -> ControlParams:
+    def read_lanes(
+        self, load: Callable[[Any], Any], group: VehicleGroup, variant: Any
+    ) -> ControlParams:
         """Parameters of lanes of robots of a group, by their variants.
 
         What all variants of the group share is a number of the program, not read at all.
@@ -51,7 +53,7 @@ class ConstantBank:
                 out.append(lanes.LookupTable(load, shape, dtype, base=base))
                 continue
             row = [
-                typed(load(first + variant * size + k), dtype)
+                cast_element(load(first + variant * size + k), dtype)
                 if letter == "v"
                 else np.asarray(shared[k], dtype)[()]
                 for k, letter in enumerate(letters)

@@ -19,23 +19,23 @@ import jax
 import jax.numpy as jnp
 
 from angler_mjx.robot.control.stack import Command
-from angler_mjx.sim import nearness
+from angler_mjx.sim import sample_clearances
 from angler_mjx.sim.approach import last_approaches_s
 from angler_mjx.sim.engines.lanes.engine import FusedEngine
 from angler_mjx.sim.engines.triton import launch as triton
-from angler_mjx.sim.engines.triton.kernels import Kernels, Launch
-from angler_mjx.sim.engines.triton.segment import AHEAD, Arrays, Segment
+from angler_mjx.sim.engines.triton.kernels import KernelLaunch, Kernels
+from angler_mjx.sim.engines.triton.segment import MAX_STEPS_AHEAD, Segment, SegmentArrays
 from angler_mjx.sim.engines.triton.tile import Tile
 from angler_mjx.sim.fleet import Fleet
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.record import Sample
-from angler_mjx.sim.repeated import repeated
-from angler_mjx.sim.state import Laid, SimSpec, World, WorldState
+from angler_mjx.sim.state import EngineConstants, SimSpec, World, WorldState
+from angler_mjx.sim.step_repetition import repeat_steps
 from angler_mjx.sim.world_phases import running
 from angler_mjx.sim.world_phases.running import WorldMemory, WorldPhaseOutput
 
-UNROLLED = 10
-"""Control steps in the body of the loop, whose bookkeeping costs launches; `AHEAD` divides it."""
+UNROLLED_STEPS = 10
+"""Control steps in the body of the loop; a multiple of `MAX_STEPS_AHEAD`."""
 
 LANES = 32
 """Lanes of one program: one warp, so that a program skips what none of its lanes needs."""
@@ -60,9 +60,9 @@ class TritonEngine:
         """See `Engine.reset`."""
         return FusedEngine().reset(spec, fleet, worlds, policy)
 
-    def lay_out(self, fleet: Fleet, worlds: World) -> Laid:
-        """See `Engine.lay_out`: constants in flat arrays."""
-        return Tile(fleet, worlds).laid
+    def pack_constants(self, fleet: Fleet, worlds: World) -> EngineConstants:
+        """See `Engine.pack_constants`: constants in flat arrays."""
+        return Tile(fleet, worlds).constants
 
     def control_step(
         self,
@@ -73,7 +73,7 @@ class TritonEngine:
         command: Command | None,
         policy: Policy | None = None,
         rows: jax.Array | None = None,
-        laid: Laid = (),
+        constants: EngineConstants = (),
         steps: int = 1,
     ) -> tuple[WorldState, Sample]:
         """See `Engine.control_step`."""
@@ -86,11 +86,11 @@ class TritonEngine:
                 command=command,
                 policy=policy,
                 rows=rows,
-                laid=laid,
+                constants=constants,
             )
-            return repeated(again, state, steps)
-        after, sample = self._segment(
-            spec, fleet, worlds, state, 1, steps, command, policy, rows, laid
+            return repeat_steps(again, state, steps)
+        after, sample = self._run_segment(
+            spec, fleet, worlds, state, 1, steps, command, policy, rows, constants
         )
         return after, jax.tree.map(lambda leaf: leaf[:, 0], sample)
 
@@ -110,21 +110,21 @@ class TritonEngine:
         """See `Engine.segment`."""
         count = {"n_sample": n_sample, "steps_per_sample": steps_per_sample}
 
-        def plain(fleet: Fleet, worlds: World, state: WorldState, driven: Any) -> Any:
-            command, policy = driven
+        def plain(fleet: Fleet, worlds: World, state: WorldState, drivers: Any) -> Any:
+            command, policy = drivers
             plan: dict[str, Any] = {**count, "command": command, "policy": policy}
             return FusedEngine().segment(spec, fleet, worlds, state, **plan)
 
-        def fast(fleet: Fleet, worlds: World, state: WorldState, driven: Any) -> Any:
-            command, policy = driven
+        def fast(fleet: Fleet, worlds: World, state: WorldState, drivers: Any) -> Any:
+            command, policy = drivers
             plan: dict[str, Any] = {"command": command, "policy": policy, "begins": begins}
-            return self._segment(spec, fleet, worlds, state, n_sample, steps_per_sample, **plan)
+            return self._run_segment(spec, fleet, worlds, state, n_sample, steps_per_sample, **plan)
 
         both = triton.with_gradient_of(plain, fast)
         after: tuple[WorldState, Sample] = both(fleet, worlds, state, (command, policy))
         return after
 
-    def _segment(
+    def _run_segment(
         self,
         spec: SimSpec,
         fleet: Fleet,
@@ -135,7 +135,7 @@ class TritonEngine:
         command: Command | None,
         policy: Policy | None,
         rows: jax.Array | None = None,
-        laid: Laid = (),
+        constants: EngineConstants = (),
         begins: int = 1,
     ) -> tuple[WorldState, Sample]:
         """Whole programs: the last world is repeated until they are full, and cut off again."""
@@ -145,26 +145,29 @@ class TritonEngine:
         def fill(leaf: jax.Array) -> jax.Array:
             return jnp.concatenate([leaf, jnp.repeat(leaf[-1:], extra, axis=0)]) if extra else leaf
 
-        here = worlds if rows is None else jax.tree.map(lambda leaf: leaf[rows], worlds)
-        state, command, rows, flying = jax.tree.map(fill, (state, command, rows, here))
+        row_worlds = worlds if rows is None else jax.tree.map(lambda leaf: leaf[rows], worlds)
+        state, command, rows, flying = jax.tree.map(fill, (state, command, rows, row_worlds))
         policy = running.active_policy(policy, command)
         watched = running.observes_obstacles(policy)
-        tell, told = partial(running.run_tile_phases, spec, policy, flying, fleet=fleet), None
+        run_phases, output = (
+            partial(running.run_tile_phases, spec, policy, flying, fleet=fleet),
+            None,
+        )
         if running.has_world_phases(spec, policy):
             bodies = state.obstacles if watched else None
             number = state.step[0] if rows is None else state.step
             ended = state.tally.outcome if spec.by_task else None
-            _, told = jax.eval_shape(
-                tell, WorldMemory.of(state), number, state.vehicles, bodies, ended
+            _, output = jax.eval_shape(
+                run_phases, WorldMemory.of(state), number, state.vehicles, bodies, ended
             )
         begin_s = None
         if policy is None:
             begin_s = jax.vmap(partial(last_approaches_s, spec))(flying, command)
-        tile = Tile(fleet, flying if rows is None else worlds, rows, laid)
+        tile = Tile(fleet, flying if rows is None else worlds, rows, constants)
         steps = n_sample * steps_per_sample
-        period = running.period(spec, policy) if rows is None and steps > 1 else 1
+        period = running.phase_period(spec, policy) if rows is None and steps > 1 else 1
 
-        def laid_out(ahead: int) -> tuple[Segment, tuple[Launch, Launch]]:
+        def laid_out(ahead: int) -> tuple[Segment, tuple[KernelLaunch, KernelLaunch]]:
             ahead, also = min(ahead, steps), spec.also
             part = Segment(
                 tile,
@@ -172,60 +175,64 @@ class TritonEngine:
                 n_sample,
                 steps_per_sample,
                 command,
-                told,
+                output,
                 ahead=ahead,
                 also=also,
                 last_approach_s=begin_s,
             )
-            return part, Kernels(self._program, spec, part).launches()
+            return part, Kernels(self._program, spec, part).build_launches()
 
-        usual = laid_out(_ahead(period, watched))
+        usual = laid_out(_steps_ahead(period, watched))
 
-        def fly(period: int, how: tuple[Segment, tuple[Launch, Launch]]) -> Any:
+        def run_periods(
+            period: int, prepared: tuple[Segment, tuple[KernelLaunch, KernelLaunch]]
+        ) -> Any:
             """With phases of worlds that act once a period, where the segment begins with one."""
-            part, launches = how
-            if told is None:
-                alone = _fly_looped if self._program.interpret else _fly
-                return part.result(alone(launches, part))
-            asked = partial(tell, every=period)
-            told_now = partial(_tell, asked, part, watched, spec.by_task, hold=period)
+            part, launches = prepared
+            if output is None:
+                alone = _run_looped if self._program.interpret else _run_unrolled
+                return part.collect_result(alone(launches, part))
+            run_period_phases = partial(run_phases, every=period)
+            phase_launch = partial(
+                _run_world_phases, run_period_phases, part, watched, spec.by_task, hold=period
+            )
             if period == 1:
-                return part.result(_fly_looped(launches, part, told_now))
-            return part.result(_fly_told(launches, part, told_now, period))
+                return part.collect_result(_run_looped(launches, part, phase_launch))
+            return part.collect_result(_run_periodic(launches, part, phase_launch, period))
 
         if begins % period == 0:
-            end = fly(period, usual)
+            end = run_periods(period, usual)
         else:
             # Between two of their times; who sees obstacles must not see them ahead.
             seen = watched and tile.some_obstacle
-            otherwise = partial(fly, 1, laid_out(1) if seen else usual)
+            otherwise = partial(run_periods, 1, laid_out(1) if seen else usual)
             now = state.step[0] % period == 0
-            end = jax.lax.cond(now, partial(fly, period, usual), otherwise)
+            end = jax.lax.cond(now, partial(run_periods, period, usual), otherwise)
         after, samples = jax.tree.map(lambda leaf: leaf[:count], end)
-        return after, nearness.all_completed(spec, here, samples)
+        return after, sample_clearances.add_all_clearances(spec, row_worlds, samples)
 
 
-def _ahead(period: int, watched: bool) -> int:
+def _steps_ahead(period: int, watched: bool) -> int:
     """Control steps that obstacles are moved ahead of the robots.
 
     They may be as far ahead as the phases of worlds, which act once a period, are away: those that
     see them see them now.
     """
     if period == 1:
-        return 1 if watched else AHEAD
-    return max(steps for steps in range(1, AHEAD + 1) if period % steps == 0)
+        return 1 if watched else MAX_STEPS_AHEAD
+    return max(steps for steps in range(1, MAX_STEPS_AHEAD + 1) if period % steps == 0)
 
 
-def _tell(
-    tell: Callable[..., tuple[WorldMemory, WorldPhaseOutput]],
+def _run_world_phases(
+    run_phases: Callable[..., tuple[WorldMemory, WorldPhaseOutput]],
     part: Segment,
     watched: bool,
     by_task: bool,
     base: jax.Array,
     k: jax.Array,
-    x: Arrays,
+    x: SegmentArrays,
     hold: int = 1,
-) -> Arrays:
+) -> SegmentArrays:
     """The phases of worlds in control step ``base + k``, and their record: no kernel.
 
     Where a policy has obstacles ``watched``, they are not ahead of the robots yet; ``by_task``, a
@@ -237,86 +244,95 @@ def _tell(
     vehicles = part.layouts["vehicle"].unpack(x.slots["vehicle"], lead)
     ended = part.layouts["tally"].unpack(x.slots["tally"], lead).outcome if by_task else None
     bodies = part.bodies.unpack(x.bodies, (tile.worlds, tile.obstacles)) if watched else None
-    minds, told = tell(x.minds, number, vehicles, bodies, ended)
+    memory, output = run_phases(x.memory, number, vehicles, bodies, ended)
 
     def record(kept: jax.Array, new: jax.Array) -> jax.Array:
         for later in range(1 + math.ceil((hold - 1) / part.every)):
-            place = count // part.every + later
-            is_sample = (place * part.every >= count) & (place * part.every < count + hold)
-            kept = kept.at[place].set(jnp.where(is_sample, new, kept[place]))
+            sample_index = count // part.every + later
+            is_sample = (sample_index * part.every >= count) & (
+                sample_index * part.every < count + hold
+            )
+            kept = kept.at[sample_index].set(jnp.where(is_sample, new, kept[sample_index]))
         return kept
 
     packed = {
-        name: part.layouts[name].pack(tree, tile.dtype) for name, tree in told.given().items()
+        name: part.layouts[name].pack(tree, tile.dtype) for name, tree in output.to_slots().items()
     }
     return replace(
         x,
-        minds=minds,
+        memory=memory,
         slots={**x.slots, **packed},
-        told=jax.tree.map(record, x.told, told.record),
+        phase_records=jax.tree.map(record, x.phase_records, output.record),
     )
 
 
-def _fly(launches: tuple[Launch, Launch], part: Segment) -> Arrays:
+def _run_unrolled(launches: tuple[KernelLaunch, KernelLaunch], part: Segment) -> SegmentArrays:
     """The arrays after all steps of a segment."""
     obstacles, robots = launches
 
-    def steps(base: jax.Array, count: int, x: Arrays) -> Arrays:
+    def steps(base: jax.Array, count: int, x: SegmentArrays) -> SegmentArrays:
         for k in range(count):
             at = jnp.array([k], jnp.int32)
-            if k % AHEAD == 0:
+            if k % MAX_STEPS_AHEAD == 0:
                 x = obstacles(base, at, x)
             x = robots(base, at, x)
         return x
 
-    return _chunks(steps, UNROLLED, part.steps, jnp.zeros(1, jnp.int32), part.start)
+    return _run_chunks(steps, UNROLLED_STEPS, part.steps, jnp.zeros(1, jnp.int32), part.start)
 
 
-def _fly_told(launches: tuple[Launch, Launch], part: Segment, tell: Launch, period: int) -> Arrays:
-    """As `_fly`, with ``tell`` before the robots act, once a period."""
+def _run_periodic(
+    launches: tuple[KernelLaunch, KernelLaunch],
+    part: Segment,
+    phase_launch: KernelLaunch,
+    period: int,
+) -> SegmentArrays:
+    """As `_run_unrolled`, with ``phase_launch`` before the robots act, once a period."""
     now = jnp.zeros(1, jnp.int32)
     obstacles, robots = launches
 
-    def some(base: jax.Array, count: int, x: Arrays) -> Arrays:
+    def run_chunk(base: jax.Array, count: int, x: SegmentArrays) -> SegmentArrays:
         x = obstacles(base, now, x)
         for k in range(count):
             x = robots(base, jnp.array([k], jnp.int32), x)
         return x
 
-    def steps(base: jax.Array, count: int, x: Arrays) -> Arrays:
-        return _chunks(some, part.ahead, count, base, tell(base, now, x))
+    def steps(base: jax.Array, count: int, x: SegmentArrays) -> SegmentArrays:
+        return _run_chunks(run_chunk, part.ahead, count, base, phase_launch(base, now, x))
 
-    return _chunks(steps, period, part.steps, now, part.start)
+    return _run_chunks(steps, period, part.steps, now, part.start)
 
 
-def _fly_looped(
-    launches: tuple[Launch, Launch], part: Segment, tell: Launch | None = None
-) -> Arrays:
-    """As `_fly`, with ``tell`` before the robots act, and the long body once in the program."""
+def _run_looped(
+    launches: tuple[KernelLaunch, KernelLaunch],
+    part: Segment,
+    phase_launch: KernelLaunch | None = None,
+) -> SegmentArrays:
+    """As `_run_unrolled`, with ``phase_launch`` before the robots act; one long body."""
     obstacles, robots = launches
     now = jnp.zeros(1, jnp.int32)
 
-    def steps(base: jax.Array, count: int, x: Arrays) -> Arrays:
-        def one(x: Arrays, k: jax.Array) -> tuple[Arrays, None]:
-            told = x if tell is None else tell(base, k[None], x)
+    def steps(base: jax.Array, count: int, x: SegmentArrays) -> SegmentArrays:
+        def step_once(x: SegmentArrays, k: jax.Array) -> tuple[SegmentArrays, None]:
+            updated = x if phase_launch is None else phase_launch(base, k[None], x)
             if part.ahead == 1:  # `tell` sees where they are before they move
-                told = obstacles(base, now, told)
-            return robots(base, k[None], told), None
+                updated = obstacles(base, now, updated)
+            return robots(base, k[None], updated), None
 
         if part.ahead > 1:
             x = obstacles(base, now, x)
-        return jax.lax.scan(one, x, jnp.arange(count, dtype=jnp.int32))[0]
+        return jax.lax.scan(step_once, x, jnp.arange(count, dtype=jnp.int32))[0]
 
-    return _chunks(steps, part.ahead, part.steps, now, part.start)
+    return _run_chunks(steps, part.ahead, part.steps, now, part.start)
 
 
-def _chunks(
-    steps: Callable[[jax.Array, int, Arrays], Arrays],
+def _run_chunks(
+    steps: Callable[[jax.Array, int, SegmentArrays], SegmentArrays],
     size: int,
     total: int,
     base: jax.Array,
-    x: Arrays,
-) -> Arrays:
+    x: SegmentArrays,
+) -> SegmentArrays:
     """A number of control steps in chunks of ``size``.
 
     Args:
@@ -327,12 +343,12 @@ def _chunks(
         x: the arrays before.
     """
 
-    def some(carry: tuple[jax.Array, Arrays], _: None) -> tuple[Any, None]:
+    def run_chunk(carry: tuple[jax.Array, SegmentArrays], _: None) -> tuple[Any, None]:
         base, x = carry
         x = steps(base, size, x)
         return (base + size, x), None
 
     chunks, rest = divmod(total, size)
     if chunks:
-        (base, x), _ = jax.lax.scan(some, (base, x), length=chunks)
+        (base, x), _ = jax.lax.scan(run_chunk, (base, x), length=chunks)
     return steps(base, rest, x) if rest else x

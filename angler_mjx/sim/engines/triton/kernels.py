@@ -11,23 +11,30 @@ from angler_kernels import lanes
 from angler_mjx.sim.engines.lanes import judge as lane_judge
 from angler_mjx.sim.engines.triton import launch as triton
 from angler_mjx.sim.engines.triton.context import KernelBodies, KernelGroup
-from angler_mjx.sim.engines.triton.segment import Arrays, Drift, Segment
+from angler_mjx.sim.engines.triton.segment import Segment, SegmentArrays, TrackedObstacle
 from angler_mjx.sim.fleet import VehicleGroup
 from angler_mjx.sim.phase import Phase
 from angler_mjx.sim.state import SimSpec
-from angler_mjx.sim.step import ALONE, DECIDE, JUDGE, MEETING, MOVE, OBSTACLES
+from angler_mjx.sim.step import (
+    DECIDE,
+    INDEPENDENT_PHASES,
+    INTERACTION_PHASES,
+    JUDGE,
+    MOVE,
+    OBSTACLES,
+)
 
-TOLD = {
+OPTIONAL_SLOTS = {
     DECIDE.name: ("command", "loaded"),
     MOVE.name: ("loaded",),
     JUDGE.name: ("command", "finished", "last_approach_s", "approaching"),
 }
 """Slots that phases of robots read, by the phase's name, where somebody gives them."""
 
-_SEEN = OBSTACLES.name
+_OBSTACLE_RECORD = OBSTACLES.name
 """Record of the obstacles."""
 
-type Launch = Callable[[jax.Array, jax.Array, Arrays], Arrays]
+type KernelLaunch = Callable[[jax.Array, jax.Array, SegmentArrays], SegmentArrays]
 """What is done in control step ``base + k``."""
 
 
@@ -42,125 +49,143 @@ class Kernels:
         self._program, self._spec, self._part = program, spec, part
         self._tile = part.tile
 
-    def launches(self) -> tuple[Launch, Launch]:
-        """The obstacles, `Segment.ahead` control steps of them, and what the robots do in one."""
+    def build_launches(self) -> tuple[KernelLaunch, KernelLaunch]:
+        """Move obstacles for `SegmentResult.ahead` control steps, and robots for one."""
         groups = self._tile.groups
         # Functions of their own, so that each is traced and lowered once for all launches.
-        alone = [(phase, jax.jit(partial(self.phase, phase, g))) for g in groups for phase in ALONE]
-        meet = [
-            (phase, jax.jit(partial(self.phase, phase, g))) for phase in MEETING for g in groups
+        alone = [
+            (phase, jax.jit(partial(self.run_phase, phase, g)))
+            for g in groups
+            for phase in INDEPENDENT_PHASES
         ]
-        go_ahead = jax.jit(self.go_ahead)
+        meet = [
+            (phase, jax.jit(partial(self.run_phase, phase, g)))
+            for phase in INTERACTION_PHASES
+            for g in groups
+        ]
+        advance_obstacles = jax.jit(self.advance_obstacles)
 
-        def obstacles(base: jax.Array, at: jax.Array, x: Arrays) -> Arrays:
+        def obstacles(base: jax.Array, at: jax.Array, x: SegmentArrays) -> SegmentArrays:
             if not self._tile.some_obstacle:
                 return x
-            bodies, track, seen = go_ahead(base, at, x)
-            return replace(x, bodies=bodies, track=track, records={**x.records, _SEEN: seen})
+            bodies, track, seen = advance_obstacles(base, at, x)
+            return replace(
+                x, bodies=bodies, track=track, records={**x.records, _OBSTACLE_RECORD: seen}
+            )
 
-        def robots(base: jax.Array, at: jax.Array, x: Arrays) -> Arrays:
+        def robots(base: jax.Array, at: jax.Array, x: SegmentArrays) -> SegmentArrays:
             for phase, launch in (*alone, *meet):
                 changed = launch(base, at, x)
-                given = dict(zip(phase.gives, changed, strict=False))
+                changed_slots = dict(zip(phase.gives, changed, strict=False))
                 records = {phase.name: changed[-1]} if phase.name in x.records else {}
-                x = replace(x, slots={**x.slots, **given}, records={**x.records, **records})
+                x = replace(x, slots={**x.slots, **changed_slots}, records={**x.records, **records})
             return x
 
         return obstacles, robots
 
-    def phase(
-        self, phase: Phase, group: VehicleGroup, base: jax.Array, k: jax.Array, x: Arrays
+    def run_phase(
+        self, phase: Phase, group: VehicleGroup, base: jax.Array, k: jax.Array, x: SegmentArrays
     ) -> Sequence[jax.Array]:
         """One phase of the robots of a group, and its record: what it gives, in that order."""
         part, tile = self._part, self._tile
         read = [part.layout(slot)[0] for slot in phase.reads]
         constant = {slot: x.slots[slot] for slot in read if slot not in phase.gives}
-        told = TOLD.get(phase.name, ())
-        constant |= {slot: x.slots[slot] for slot in told if slot in x.slots}
+        optional = OPTIONAL_SLOTS.get(phase.name, ())
+        constant |= {slot: x.slots[slot] for slot in optional if slot in x.slots}
         if phase.meets:
             constant["track"] = x.track
         changed = {slot: x.slots[slot] for slot in phase.gives}
-        if phase.name in part.shelves:
+        if phase.name in part.buffers:
             changed["record"] = x.records[phase.name]
         head = [part.first, base, k, *tile.arrays]
 
         def kernel(*refs: Any) -> None:
             (first, base, k), data = refs[:3], refs[3 : len(head)]
-            places = dict(zip(constant, refs[len(head) :], strict=False))
-            places |= dict(zip(changed, refs[-len(changed) :], strict=True))
-            row, lane, at, store = self._place(group.first)
+            slot_refs = dict(zip(constant, refs[len(head) :], strict=False))
+            slot_refs |= dict(zip(changed, refs[-len(changed) :], strict=True))
+            row, lane, at, store = self._locate_program(group.first)
             count = base[0] + k[0]
-            here = KernelGroup(
+            context = KernelGroup(
                 self._spec,
                 part,
                 group,
-                places,
+                slot_refs,
                 data,
                 row=row,
                 at=at,
-                first=part.taken(first, at),
+                first=part.steps_taken(first, at),
                 count=count,
             )
-            slots = {slot: here.slot(slot) for slot in phase.reads}
-            done = phase.run(here, slots)
-            if "record" in places:
+            slots = {slot: context.read_slot(slot) for slot in phase.reads}
+            done = phase.run(context, slots)
+            if "record" in slot_refs:
 
                 def write_record() -> None:
-                    sample, keep = count // part.every, store(places["record"])
-                    part.shelves[phase.name].write(keep, sample, row, at, done.record())
+                    sample, keep = count // part.every, store(slot_refs["record"])
+                    part.buffers[phase.name].write_lanes(keep, sample, row, at, done.record())
 
-                with here.forgetting():
-                    triton.when(count % part.every == 0, write_record)
-            given = done.slots()
+                with context.discard_loads():
+                    triton.run_when(count % part.every == 0, write_record)
+            values = done.slots()
             for slot in phase.gives:
-                part.layouts[slot].write(store(places[slot]), lane, given[slot])
+                part.layouts[slot].write_lanes(store(slot_refs[slot]), lane, values[slot])
 
-        given, kept = [*head, *constant.values()], list(changed.values())
-        return self._run(kernel, group.count, given, kept)
+        values, kept = [*head, *constant.values()], list(changed.values())
+        return self._call_kernel(kernel, group.count, values, kept)
 
-    def go_ahead(self, base: jax.Array, k: jax.Array, x: Arrays) -> Sequence[jax.Array]:
-        """Control steps of the obstacles, `Segment.ahead` or what is left, and their record."""
+    def advance_obstacles(
+        self, base: jax.Array, k: jax.Array, x: SegmentArrays
+    ) -> Sequence[jax.Array]:
+        """Control steps of the obstacles, up to `SegmentResult.ahead`, and their record."""
         part, tile = self._part, self._tile
         head = [part.first, base, k, *tile.arrays]
 
         def kernel(*refs: Any) -> None:
             (first, base, k), data = refs[:3], refs[3 : len(head)]
             state, track, seen = refs[-3:]
-            row, lane, at, store = self._place(0)
+            row, lane, at, store = self._locate_program(0)
             count = base[0] + k[0]
-            here = KernelBodies(self._spec, part, data, row, at)
-            here.load()
-            taken = part.taken(first, at)
+            context = KernelBodies(self._spec, part, data, row, at)
+            context.load_constants()
+            taken = part.steps_taken(first, at)
 
-            def one(i: jax.Array, now: Any) -> Any:
+            def advance_step(i: jax.Array, now: Any) -> Any:
                 step = count + i
-                here.t = part.time(taken + step, self._spec)
-                done = OBSTACLES.run(here, {"obstacles": now})
+                context.t = part.elapsed_s(taken + step, self._spec)
+                done = OBSTACLES.run(context, {"obstacles": now})
 
                 def write_record() -> None:
                     keep = store(seen)
-                    part.shelves[_SEEN].write(keep, step // part.every, row, at, done.record())
+                    part.buffers[_OBSTACLE_RECORD].write_lanes(
+                        keep, step // part.every, row, at, done.record()
+                    )
 
                 is_left = step < part.steps
-                triton.when(is_left & (step % part.every == 0), write_record)
+                triton.run_when(is_left & (step % part.every == 0), write_record)
                 after = done.slots()["obstacles"]
-                there = Drift(p=after.p, q=after.q, v=lane_judge.velocity(after.q, after.nu))
-                part.drift.write(store(track), part.ring(step) + lane, there)
-                return lanes.where(is_left, after, now)
+                tracked = TrackedObstacle(
+                    p=after.p, q=after.q, v=lane_judge.centre_velocity(after.q, after.nu)
+                )
+                part.track_layout.write_lanes(store(track), part.track_offset(step) + lane, tracked)
+                return lanes.select_lanes(is_left, after, now)
 
-            start = part.bodies.read(triton.loader(state), lane)
-            part.bodies.write(store(state), lane, lanes.repeat(part.ahead, one, start))
+            start = part.bodies.read_lanes(triton.make_loader(state), lane)
+            part.bodies.write_lanes(
+                store(state), lane, lanes.repeat(part.ahead, advance_step, start)
+            )
 
-        return self._run(kernel, tile.obstacles, head, [x.bodies, x.track, x.records[_SEEN]])
+        return self._call_kernel(
+            kernel, tile.obstacles, head, [x.bodies, x.track, x.records[_OBSTACLE_RECORD]]
+        )
 
-    def _run(
+    def _call_kernel(
         self, kernel: Any, rows: int, constant: list[Any], changed: list[Any]
     ) -> Sequence[jax.Array]:
         """Run a kernel on ``rows`` x worlds."""
-        return triton.call(kernel, self._program, self._tile.worlds, rows, constant, changed)
+        return triton.call_kernel(kernel, self._program, self._tile.worlds, rows, constant, changed)
 
-    def _place(self, first: int) -> tuple[Any, Any, Any, Any]:
+    def _locate_program(self, first: int) -> tuple[Any, Any, Any, Any]:
         """Row, lanes and worlds of this program, and how its lanes are stored."""
-        at, row = triton.place(self._program.lanes)
+        at, row = triton.locate_lanes(self._program.lanes)
         row = first + row
-        return row, row * self._tile.worlds + at, at, partial(triton.storer, like=at)
+        return row, row * self._tile.worlds + at, at, partial(triton.make_storer, like=at)

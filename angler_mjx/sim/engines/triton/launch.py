@@ -25,7 +25,7 @@ class LaunchedProgram:
     """Run the kernels as ordinary JAX, on any device."""
 
 
-def call(
+def call_kernel(
     kernel: Callable[..., None],
     program: LaunchedProgram,
     width: int,
@@ -59,7 +59,7 @@ def call(
     first = len(constant)
 
     def traced(*refs: Any) -> None:
-        with lanes.instructions(_ORDINARY if program.interpret else _INSTRUCTIONS):
+        with lanes.use_instructions(_ORDINARY if program.interpret else _INSTRUCTIONS):
             kernel(*refs)
 
     after: Sequence[jax.Array] = pl.pallas_call(
@@ -73,54 +73,54 @@ def call(
     return after
 
 
-def _instruction(text: str, *args: jax.Array) -> jax.Array:
+def _inline_instruction(text: str, *args: jax.Array) -> jax.Array:
     """One instruction of PTX on float32 lanes."""
-    (found,) = plt.elementwise_inline_asm(
+    (output,) = plt.elementwise_inline_asm(
         text,
         args=list(args),
         constraints=",".join(["=f"] + ["f"] * len(args)),
         pack=1,
         result_shape_dtypes=[jax.ShapeDtypeStruct(args[0].shape, args[0].dtype)],
     )
-    result: jax.Array = found
+    result: jax.Array = output
     return result
 
 
 def multiply_add(a: jax.Array, b: jax.Array, c: jax.Array) -> jax.Array:
     """``a b + c``, rounded once: this compiler keeps multiplication and addition apart."""
-    return _instruction("fma.rn.f32 $0, $1, $2, $3;", a, b, c)
+    return _inline_instruction("fma.rn.f32 $0, $1, $2, $3;", a, b, c)
 
 
-def _reciprocal(x: jax.Array) -> jax.Array:
+def _approximate_reciprocal(x: jax.Array) -> jax.Array:
     """One instruction, within an ulp; division would be seven more, for the sake of denormals."""
-    return _instruction("rcp.approx.ftz.f32 $0, $1;", x)
+    return _inline_instruction("rcp.approx.ftz.f32 $0, $1;", x)
 
 
-_INSTRUCTIONS = lanes.Instructions(reciprocal=_reciprocal, multiply_add=multiply_add)
+_INSTRUCTIONS = lanes.Instructions(reciprocal=_approximate_reciprocal, multiply_add=multiply_add)
 _ORDINARY = lanes.Instructions(reciprocal=lambda x: 1.0 / x, multiply_add=lambda a, b, c: a * b + c)
 """Where kernels run as ordinary JAX."""
 
 
-def place(width: int) -> tuple[jax.Array, jax.Array]:
+def locate_lanes(width: int) -> tuple[jax.Array, jax.Array]:
     """Lanes [width] of this program within its row, and the row."""
     return pl.program_id(0) * width + jnp.arange(width), pl.program_id(1)
 
 
-def loader(ref: Any) -> Callable[[Any], Any]:
+def make_loader(ref: Any) -> Callable[[Any], Any]:
     """What reads a reference at places."""
     return lambda at: ref[at]
 
 
-def storer(ref: Any, like: jax.Array) -> Callable[[Any, Any], None]:
+def make_storer(ref: Any, like: jax.Array) -> Callable[[Any, Any], None]:
     """What writes lanes, or one number for all of them, to a reference at places."""
 
-    def put(at: Any, value: Any) -> None:
+    def store(at: Any, value: Any) -> None:
         ref[at] = jnp.broadcast_to(jnp.asarray(value, ref.dtype), like.shape)
 
-    return put
+    return store
 
 
-def when(condition: jax.Array, do: Callable[[], None]) -> None:
+def run_when(condition: jax.Array, do: Callable[[], None]) -> None:
     """Do something in a kernel if a condition [] holds."""
     pl.when(condition)(do)
 

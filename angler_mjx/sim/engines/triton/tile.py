@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from angler_kernels import lanes
-from angler_kernels.lanes.planes import PlaneLayout, Shelf
+from angler_kernels.lanes.planes import PlaneLayout, SampleBuffer
 from angler_mjx.robot.control.plans import Plan
 from angler_mjx.robot.control.stack import ControlParams
 from angler_mjx.sim.engines.lanes.layout import grid_shape, packed_cells
@@ -16,9 +16,9 @@ from angler_mjx.sim.engines.lanes.steps import Cells
 from angler_mjx.sim.engines.triton import launch as triton
 from angler_mjx.sim.engines.triton.bank import ConstantBank
 from angler_mjx.sim.fleet import Fleet, VehicleGroup, laden_cruise
-from angler_mjx.sim.state import Laid, World
-from angler_mjx.world.currents import Current, fields_of, looked_up
-from angler_mjx.world.environment import region
+from angler_mjx.sim.state import EngineConstants, World
+from angler_mjx.world.currents import Current, bind_fields, list_fields
+from angler_mjx.world.environment import region_corners
 from angler_mjx.world.obstacles.types import bounding_radius
 from angler_mjx.world.ocean import OceanField
 
@@ -55,7 +55,7 @@ class WorldConstants:
 class BodyConstants:
     """Of one obstacle."""
 
-    given: Any
+    obstacle: Any
     reach: Any
     """Radius of the bounding sphere, m; -inf for padding."""
 
@@ -78,7 +78,11 @@ class Tile:
     """
 
     def __init__(
-        self, fleet: Fleet, worlds: World, rows: jax.Array | None = None, laid: Laid = ()
+        self,
+        fleet: Fleet,
+        worlds: World,
+        rows: jax.Array | None = None,
+        constants: EngineConstants = (),
     ) -> None:
         """Pack a tile.
 
@@ -86,7 +90,7 @@ class Tile:
             fleet: of the worlds.
             worlds: [B] of which there are constants.
             rows: int32 [W] which of them fly; all, in order, if left out.
-            laid: of `laid`, of the same fleet and worlds, where it is there.
+            constants: of `constants`, of the same fleet and worlds, where it is there.
         """
         environment = worlds.environment
         self.dtype = environment.start_m.dtype
@@ -97,7 +101,7 @@ class Tile:
         self.some_obstacle = bool(environment.obstacles.kinds)
         self.grid = grid_shape(environment)
         self.groups = fleet.groups
-        self._numbered = fleet.numbered
+        self._numbered = fleet.loaded_variant
         self._bank, bank = ConstantBank.of(fleet, self.dtype)
         neighbours = packed_cells(worlds)
         self._cells = neighbours[0].size
@@ -107,12 +111,12 @@ class Tile:
                 path=worlds.path,
                 goal_m=environment.goal_m,
                 cruise_speed_mps=worlds.control.cruise_speed_mps,
-                laden_cruise_mps=laden_cruise(fleet, worlds) if fleet.carries else None,
+                laden_cruise_mps=laden_cruise(fleet, worlds) if fleet.can_carry else None,
                 fails_at_s=worlds.fails_at_s,
             ),
             2,
         )
-        lo, hi = jax.vmap(region)(environment)
+        lo, hi = jax.vmap(region_corners)(environment)
         self._world, water = self.pack(
             WorldConstants(
                 current=environment.current,
@@ -124,15 +128,21 @@ class Tile:
             ),
             1,
         )
-        given = environment.obstacles
-        radius = jax.vmap(jax.vmap(bounding_radius))(given.kind, given.size_m)
-        reach = jnp.where(given.exists, radius, -jnp.inf)
-        self._body, body = self.pack(BodyConstants(given=given, reach=reach), 2)
+        obstacles = environment.obstacles
+        radius = jax.vmap(jax.vmap(bounding_radius))(obstacles.kind, obstacles.size_m)
+        reach = jnp.where(obstacles.exists, radius, -jnp.inf)
+        self._body, body = self.pack(BodyConstants(obstacle=obstacles, reach=reach), 2)
         which = jnp.zeros(1, jnp.int32) if rows is None else rows
-        self.laid: Laid = laid or (bank, robot, water, body, neighbours.reshape(-1))
-        self._fields = fields_of(environment.current)
+        self.constants: EngineConstants = constants or (
+            bank,
+            robot,
+            water,
+            body,
+            neighbours.reshape(-1),
+        )
+        self._fields = list_fields(environment.current)
         tables = [jnp.asarray(x, self.dtype) for field in self._fields for x in field.numbers]
-        self.arrays = (*self.laid, which, *tables)
+        self.arrays = (*self.constants, which, *tables)
 
     def pack(self, tree: Any, lead: int) -> tuple[PlaneLayout, jax.Array]:
         """A tree of arrays [W, (n,) ...] flat, and where its parts lie."""
@@ -150,13 +160,13 @@ class Tile:
         )
         return PlaneLayout.of(shapes, 2)
 
-    def shelf(self, layout: PlaneLayout, samples: int) -> Shelf:
+    def sample_buffer(self, layout: PlaneLayout, samples: int) -> SampleBuffer:
         """Room for samples of a layout."""
-        return Shelf(
+        return SampleBuffer(
             layout=layout, samples=samples, rows=layout.lanes // self.worlds, worlds=self.worlds
         )
 
-    def world(self, refs: Any, at: Any) -> Any:
+    def world_index(self, refs: Any, at: Any) -> Any:
         """Whose constants those of worlds number ``at`` are, in a kernel given ``arrays``."""
         return refs[5][at] if self.some_rows else at
 
@@ -164,10 +174,10 @@ class Tile:
         """Number of the constants of bodies number ``row`` of ``world``, robots or obstacles."""
         return row * self._stored + world
 
-    def robot(self, refs: Any, lane: Any) -> RobotConstants:
+    def read_robot(self, refs: Any, lane: Any) -> RobotConstants:
         """Constants of robots number ``lane``; see `body_of`."""
-        found: RobotConstants = self._robot.read(triton.loader(refs[1]), lane)
-        return found
+        constants: RobotConstants = self._robot.read_lanes(triton.make_loader(refs[1]), lane)
+        return constants
 
     def params(
         self, refs: Any, group: VehicleGroup, constants: RobotConstants, loaded: Any = None
@@ -176,41 +186,43 @@ class Tile:
         variant, cruise = constants.variant[()], constants.cruise_speed_mps
         if loaded is not None:
             variant = self._numbered(variant, loaded)
-            cruise = lanes.where(loaded, constants.laden_cruise_mps, cruise)
-        params = self._bank.read(triton.loader(refs[0]), group, variant)
+            cruise = lanes.select_lanes(loaded, constants.laden_cruise_mps, cruise)
+        params = self._bank.read_lanes(triton.make_loader(refs[0]), group, variant)
         return replace(params, cruise_speed_mps=cruise)
 
     def params_at(self, refs: Any, group: VehicleGroup, lane: Any) -> ControlParams:
         """Parameters of robots number ``lane`` of a group, but for their cruise speeds."""
-        variant = self._robot.read(triton.loader(refs[1]), lane, lambda x: x.variant)
-        return self._bank.read(triton.loader(refs[0]), group, variant[()])
+        variant = self._robot.read_lanes(triton.make_loader(refs[1]), lane, lambda x: x.variant)
+        return self._bank.read_lanes(triton.make_loader(refs[0]), group, variant[()])
 
-    def water(self, refs: Any, at: Any) -> WorldConstants:
+    def read_water(self, refs: Any, at: Any) -> WorldConstants:
         """Constants of worlds number ``at``."""
-        found: WorldConstants = self._world.read(triton.loader(refs[2]), at)
-        return found
+        constants: WorldConstants = self._world.read_lanes(triton.make_loader(refs[2]), at)
+        return constants
 
     def current(self, refs: Any, water: WorldConstants) -> Current:
         """The current of worlds, and where it looks up what all of them share."""
-        first, places = 6, {}
+        first, field_refs = 6, {}
         for field in self._fields:
-            places[field] = refs[first : first + len(field.numbers)]
+            field_refs[field] = refs[first : first + len(field.numbers)]
             first += len(field.numbers)
 
         def where(field: OceanField) -> list[lanes.LookupTable]:
-            both = zip(places[field], field.numbers, strict=True)
-            return [lanes.LookupTable(triton.loader(ref), x.shape, self.dtype) for ref, x in both]
+            both = zip(field_refs[field], field.numbers, strict=True)
+            return [
+                lanes.LookupTable(triton.make_loader(ref), x.shape, self.dtype) for ref, x in both
+            ]
 
-        return looked_up(water.current, where)
+        return bind_fields(water.current, where)
 
-    def body(self, refs: Any, place: Any, only: Any) -> Any:
-        """A part of the constants of obstacles number ``place``."""
-        return self._body.read(triton.loader(refs[3]), place, only)
+    def read_body(self, refs: Any, index: Any, only: Any) -> Any:
+        """A part of the constants of obstacles number ``index``."""
+        return self._body.read_lanes(triton.make_loader(refs[3]), index, only)
 
-    def ground(self, refs: Any, water: WorldConstants, at: Any) -> Cells:
+    def read_cells(self, refs: Any, water: WorldConstants, at: Any) -> Cells:
         """Cells of worlds number ``at``."""
         base = at * np.int32(self._cells)
-        load = triton.loader(refs[4])
+        load = triton.make_loader(refs[4])
         return Cells(
             neighbours=lanes.LookupTable(load, (self._cells,), np.int32, base=base),
             origin_m=water.origin_m,

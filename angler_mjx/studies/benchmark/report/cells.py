@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from angler_mjx.studies.benchmark.report.rates import ReportRate, grouped, rate
+from angler_mjx.studies.benchmark.report.rates import ReportRate, compute_rate, group_rows
 from angler_mjx.studies.benchmark.report.reading import MEASURES, Runs
 
 
@@ -24,30 +24,30 @@ class ReportCell:
     """Of `MEASURES`, over the asked runs that have the measure; NaN where none has."""
 
 
-def cells(runs: Runs) -> list[ReportCell]:
+def build_cells(runs: Runs) -> list[ReportCell]:
     """All cells, in the order of their first runs."""
     keys = [runs[name].tolist() for name in ("planner", "scene", "preset", "robots")]
-    found = []
-    for key, rows in grouped(*keys, runs.knowledge.tolist()).items():
-        held = runs.where(rows)
-        asked = held.asked
+    report_cells = []
+    for key, rows in group_rows(*keys, runs.knowledge.tolist()).items():
+        cell_runs = runs.where(rows)
+        requested = cell_runs.requested
         planner, scene, preset, robots, knowledge = key
-        found.append(
+        report_cells.append(
             ReportCell(
                 planner=planner,
                 scene=scene,
                 preset=preset,
                 robots=robots,
                 knowledge=knowledge,
-                success=rate(held["success"], asked),
-                planned=rate(held["planned"], asked),
-                flown=rate(held["flown"], asked),
-                medians={name: _median(held[name][asked]) for name in MEASURES},
+                success=compute_rate(cell_runs["success"], requested),
+                planned=compute_rate(cell_runs["planned"], requested),
+                flown=compute_rate(cell_runs["flown"], requested),
+                medians={name: _finite_median(cell_runs[name][requested]) for name in MEASURES},
             )
         )
-    return found
+    return report_cells
 
 
-def _median(values: np.ndarray) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if len(known) else float("nan")
+def _finite_median(values: np.ndarray) -> float:
+    finite = values[np.isfinite(values)]
+    return float(np.median(finite)) if len(finite) else float("nan")

@@ -5,32 +5,32 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from angler_mjx.report.viewing.style import save
-from angler_mjx.studies.benchmark.report import curves, pictures, scenes
+from angler_mjx.report.viewing.style import save_figure
+from angler_mjx.studies.benchmark.report import curves, scene_maps, scenes
 from angler_mjx.studies.benchmark.report.reading import Results
 
 FOLDER = "figures"
 _EXAMPLES = 4
 
-ALL: dict[str, Callable[[Results], Figure | None]] = {
+FIGURES: dict[str, Callable[[Results], Figure | None]] = {
     "success_by_team": curves.success_by_team,
     "success_by_density": curves.success_by_density,
     "profiles_of_time": curves.profiles_of_time,
     "profiles_of_cost": curves.profiles_of_cost,
     "planning_time": curves.planning_time,
-    "failures": pictures.failures,
+    "failures": scene_maps.plot_failures,
 }
 """Figures by name; one gives None where the results hold nothing to draw."""
 
 
-def _spread(paths: Sequence[Path], most: int) -> list[Path]:
+def _select_evenly(paths: Sequence[Path], max_count: int) -> list[Path]:
     """Some of them, from the beginning to the end."""
-    if len(paths) <= most:
+    if len(paths) <= max_count:
         return list(paths)
-    return [paths[round((i + 0.5) * len(paths) / most - 0.5)] for i in range(most)]
+    return [paths[round((i + 0.5) * len(paths) / max_count - 0.5)] for i in range(max_count)]
 
 
-def make(results: Results) -> list[Path]:
+def plot_figures(results: Results) -> list[Path]:
     """Draw all figures that the results have something for; older ones are replaced.
 
     Args:
@@ -45,12 +45,12 @@ def make(results: Results) -> list[Path]:
     """
     folder = results.folder / FOLDER
     written = []
-    for name, draw in ALL.items():
-        figure = draw(results)
+    for name, plot in FIGURES.items():
+        figure = plot(results)
         if figure is not None:
-            written.append(save(figure, folder / f"{name}.png"))
-    for path in _spread(results.examples, _EXAMPLES):
-        figure = pictures.example(scenes.read(path))
+            written.append(save_figure(figure, folder / f"{name}.png"))
+    for path in _select_evenly(results.examples, _EXAMPLES):
+        figure = scene_maps.plot_example(scenes.read_example(path))
         if figure is not None:
-            written.append(save(figure, folder / f"example_{path.stem}.png"))
+            written.append(save_figure(figure, folder / f"example_{path.stem}.png"))
     return written

@@ -6,9 +6,9 @@ from importlib import resources
 from pathlib import Path
 
 from angler_mjx.errors import RunError
-from angler_mjx.files import named
-from angler_mjx.runs.storage.atomic import write_text
-from angler_mjx.studies.benchmark.report import embedded, figures, paired, reading
+from angler_mjx.files import format_path
+from angler_mjx.runs.storage.atomic_files import write_text
+from angler_mjx.studies.benchmark.report import figures, page_data, paired, reading
 
 NAME, PAIRS = "report.html", "comparisons.csv"
 _SCRIPTS = (
@@ -22,10 +22,10 @@ _SCRIPTS = (
     "page.js",
 )
 """In this order: the last one begins."""
-_MARK = re.compile(r"@@(TITLE|STYLE|DATA|SCRIPT)@@")
+_PLACEHOLDER = re.compile(r"@@(TITLE|STYLE|DATA|SCRIPT)@@")
 
 
-def make(folder: Path) -> Path:
+def write_report(folder: Path) -> Path:
     """Draw the figures of a benchmark, compare its planners, and write its page.
 
     Args:
@@ -38,38 +38,42 @@ def make(folder: Path) -> Path:
         ConfigError: the folder is none.
         RunError: a file cannot be written.
     """
-    results = reading.read(folder)
-    figures.make(results)
+    results = reading.read_results(folder)
+    figures.plot_figures(results)
     path = folder / NAME
     try:
-        write_text(folder / PAIRS, paired.table(results))
-        write_text(path, text(results))
+        write_text(folder / PAIRS, paired.format_pairs_csv(results))
+        write_text(path, render_page(results))
     except OSError as error:
-        raise RunError(f"{named(folder)}: cannot be written ({error.strerror or error})") from error
+        raise RunError(
+            f"{format_path(folder)}: cannot be written ({error.strerror or error})"
+        ) from error
     return path
 
 
-def text(results: reading.Results) -> str:
+def render_page(results: reading.Results) -> str:
     """The page.
 
     Args:
         results: of a benchmark.
     """
-    held = json.dumps(embedded.data(results), separators=(",", ":"), ensure_ascii=False)
+    page_json = json.dumps(
+        page_data.build_page_data(results), separators=(",", ":"), ensure_ascii=False
+    )
     parts = {
-        "TITLE": _plain(str(results.about.get("name", "benchmark"))),
-        "STYLE": _shipped("page.css"),
+        "TITLE": _escape_html(str(results.about.get("name", "benchmark"))),
+        "STYLE": _read_asset("page.css"),
         # Inside a script only what begins a tag could end it.
-        "DATA": held.replace("<", "\\u003c"),
-        "SCRIPT": "\n".join(_shipped(name) for name in _SCRIPTS),
+        "DATA": page_json.replace("<", "\\u003c"),
+        "SCRIPT": "\n".join(_read_asset(name) for name in _SCRIPTS),
     }
-    return _MARK.sub(lambda found: parts[found[1]], _shipped("page.html"))
+    return _PLACEHOLDER.sub(lambda matched: parts[matched[1]], _read_asset("page.html"))
 
 
-def _plain(words: str) -> str:
-    return words.replace("&", "&amp;").replace("<", "&lt;")
+def _escape_html(text: str) -> str:
+    return text.replace("&", "&amp;").replace("<", "&lt;")
 
 
-def _shipped(name: str) -> str:
+def _read_asset(name: str) -> str:
     file = resources.files("angler_mjx.studies.benchmark.report") / "web" / name
     return file.read_text(encoding="utf-8")

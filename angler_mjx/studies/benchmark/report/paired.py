@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import bdtr
 
-from angler_mjx.runs.storage.intervals import wilson
+from angler_mjx.runs.storage.confidence_intervals import wilson_interval
 from angler_mjx.studies.benchmark.report.rates import FEW
 from angler_mjx.studies.benchmark.report.reading import Results
 
@@ -78,7 +78,7 @@ class PairedComparison:
         return self.pairs < FEW
 
 
-def compare(results: Results, first: str, second: str) -> PairedComparison:
+def compare_planners(results: Results, first: str, second: str) -> PairedComparison:
     """Compare two planners.
 
     Args:
@@ -88,8 +88,8 @@ def compare(results: Results, first: str, second: str) -> PairedComparison:
     """
     runs = results.runs
     rows = [np.flatnonzero((runs["planner"] == name) & runs.counted) for name in (first, second)]
-    here, there = (results.problem[at] for at in rows)
-    _, i, j = np.intersect1d(here, there, return_indices=True)
+    first_problems, second_problems = (results.problem[at] for at in rows)
+    _, i, j = np.intersect1d(first_problems, second_problems, return_indices=True)
     a, b = rows[0][i], rows[1][j]
     won = runs[results.judged]
     counts = (
@@ -104,7 +104,7 @@ def compare(results: Results, first: str, second: str) -> PairedComparison:
         x, y = runs[cost][a], runs[cost][b]
         with np.errstate(invalid="ignore"):
             used = runs[needs][a] & runs[needs][b] & (x > 0) & (y > 0)
-        ratios[cost] = ratio(np.log(x[used] / y[used]), results.world[a][used])
+        ratios[cost] = bootstrap_ratio(np.log(x[used] / y[used]), results.world[a][used])
     return PairedComparison(
         first=first,
         second=second,
@@ -126,7 +126,10 @@ def newcombe(both: int, only_first: int, only_second: int, neither: int) -> tupl
     if n == 0:
         return -1.0, 1.0
     p1, p2 = (both + only_first) / n, (both + only_second) / n
-    (l1, u1), (l2, u2) = wilson(both + only_first, n), wilson(both + only_second, n)
+    (l1, u1), (l2, u2) = (
+        wilson_interval(both + only_first, n),
+        wilson_interval(both + only_second, n),
+    )
     sides = (
         (both + only_first)
         * (only_second + neither)
@@ -148,7 +151,7 @@ def mcnemar(only_first: int, only_second: int) -> float:
     return min(1.0, 2.0 * float(bdtr(min(only_first, only_second), n, 0.5)))
 
 
-def ratio(logs: np.ndarray, world: np.ndarray) -> PairedRatio:
+def bootstrap_ratio(logs: np.ndarray, world: np.ndarray) -> PairedRatio:
     """Return the median ratio with its 95 % percentile bootstrap interval.
 
     Args:
@@ -158,8 +161,8 @@ def ratio(logs: np.ndarray, world: np.ndarray) -> PairedRatio:
     if len(logs) == 0:
         return PairedRatio(median=math.nan, low=math.nan, high=math.nan, pairs=0)
     order = np.argsort(logs, kind="stable")
-    ordered, of = logs[order], np.unique(world, return_inverse=True)[1][order]
-    counts = _resample(int(of.max()) + 1, RESAMPLES)[:, of]
+    ordered, world_index = logs[order], np.unique(world, return_inverse=True)[1][order]
+    counts = _resample_worlds(int(world_index.max()) + 1, RESAMPLES)[:, world_index]
     ends = np.cumsum(counts, axis=1)
     total = ends[:, -1:]
     lower = ordered[np.sum(ends <= (total - 1) // 2, axis=1)]
@@ -169,7 +172,7 @@ def ratio(logs: np.ndarray, world: np.ndarray) -> PairedRatio:
     return PairedRatio(median=median, low=float(low), high=float(high), pairs=len(logs))
 
 
-def _resample(worlds: int, times: int) -> np.ndarray:
+def _resample_worlds(worlds: int, times: int) -> np.ndarray:
     """Return how often each world is chosen in each resample, int [times, worlds].
 
     mulberry32 (T. Ettinger, public domain): its state is a counter, so all numbers come at once.
@@ -182,7 +185,7 @@ def _resample(worlds: int, times: int) -> np.ndarray:
     return np.bincount(row * worlds + chosen, minlength=times * worlds).reshape(times, worlds)
 
 
-def table(results: Results) -> str:
+def format_pairs_csv(results: Results) -> str:
     """All pairs of planners over all of their common problems, as CSV."""
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
@@ -192,11 +195,24 @@ def table(results: Results) -> str:
         head += [f"{cost}_ratio", f"{cost}_ratio_low", f"{cost}_ratio_high", f"{cost}_pairs"]
     writer.writerow([*head, "few"])
     for first, second in itertools.combinations(results.planners, 2):
-        one = compare(results, first, second)
-        row: list[object] = [first, second, one.pairs, one.both, one.only_first, one.only_second]
-        row += [one.neither, *(f"{x:.4f}" for x in (one.difference, one.low, one.high))]
-        row += [f"{one.p:.3g}"]
-        for found in one.ratios.values():
-            row += [*(f"{x:.4g}" for x in (found.median, found.low, found.high)), found.pairs]
-        writer.writerow([*row, "yes" if one.few else "no"])
+        comparison = compare_planners(results, first, second)
+        row: list[object] = [
+            first,
+            second,
+            comparison.pairs,
+            comparison.both,
+            comparison.only_first,
+            comparison.only_second,
+        ]
+        row += [
+            comparison.neither,
+            *(f"{x:.4f}" for x in (comparison.difference, comparison.low, comparison.high)),
+        ]
+        row += [f"{comparison.p:.3g}"]
+        for paired_ratio in comparison.ratios.values():
+            row += [
+                *(f"{x:.4g}" for x in (paired_ratio.median, paired_ratio.low, paired_ratio.high)),
+                paired_ratio.pairs,
+            ]
+        writer.writerow([*row, "yes" if comparison.few else "no"])
     return out.getvalue()

@@ -22,7 +22,7 @@ COSTS = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Profiles:
+class PerformanceProfiles:
     """Profiles of several planners over the problems that all were asked, or given up on."""
 
     ratios: Mapping[str, np.ndarray]
@@ -44,7 +44,9 @@ class Profiles:
         return max((float(r[-1]) for r in self.ratios.values() if len(r)), default=1.0)
 
 
-def profiles(runs: Runs, problem: np.ndarray, planners: Sequence[str], cost: str) -> Profiles:
+def compute_profiles(
+    runs: Runs, problem: np.ndarray, planners: Sequence[str], cost: str
+) -> PerformanceProfiles:
     """Profiles of one cost.
 
     Args:
@@ -54,29 +56,29 @@ def profiles(runs: Runs, problem: np.ndarray, planners: Sequence[str], cost: str
         cost: one of `COSTS`.
     """
     values = np.where(runs[COSTS[cost]], runs[cost], np.nan)
-    known = [name for name in planners if np.any(np.isfinite(values[runs["planner"] == name]))]
-    asked = {name: (runs["planner"] == name) & runs.counted for name in known}
+    measured = [name for name in planners if np.any(np.isfinite(values[runs["planner"] == name]))]
+    planner_rows = {name: (runs["planner"] == name) & runs.counted for name in measured}
     common = np.unique(problem)
-    for rows in asked.values():
+    for rows in planner_rows.values():
         common = np.intersect1d(common, problem[rows])
-    if not known:
+    if not measured:
         common = common[:0]
-    table = np.full((len(known), len(common)), np.inf)
-    for i, rows in enumerate(asked.values()):
+    table = np.full((len(measured), len(common)), np.inf)
+    for i, rows in enumerate(planner_rows.values()):
         at = np.searchsorted(common, problem[rows])
-        held = np.isin(problem[rows], common)
-        costs = np.nan_to_num(values[rows][held], nan=np.inf)
-        table[i, at[held]] = costs
+        is_common = np.isin(problem[rows], common)
+        costs = np.nan_to_num(values[rows][is_common], nan=np.inf)
+        table[i, at[is_common]] = costs
     best = table.min(axis=0, initial=np.inf)
     # A cost of 0 can be the best: it is within every ratio of itself, and others are beyond all.
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.where(table == best, 1.0, table / best)
     ratio[~np.isfinite(table)] = np.inf
-    return Profiles(
+    return PerformanceProfiles(
         ratios={
-            name: np.sort(row[np.isfinite(row)]) for name, row in zip(known, ratio, strict=True)
+            name: np.sort(row[np.isfinite(row)]) for name, row in zip(measured, ratio, strict=True)
         },
         problems=len(common),
         all_problems=len(np.unique(problem)),
-        left_out=tuple(name for name in planners if name not in known),
+        left_out=tuple(name for name in planners if name not in measured),
     )

@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from angler_mjx.runs.storage.intervals import wilson
+from angler_mjx.runs.storage.confidence_intervals import wilson_interval
 from angler_mjx.studies.benchmark.report.reading import Runs
 
 FEW = 10
 """Runs, or pairs, below which a number is said to rest on few."""
 
-_MOST_BINS = 6
+_MAX_BINS = 6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,61 +26,63 @@ class ReportRate:
     """Fraction of the selected runs that are hits."""
 
     count: int
-    asked: int
+    requested: int
     closed: int
     """Runs of the same kind outside the mask."""
     low: float
     high: float
 
     @property
-    def share(self) -> float:
+    def fraction(self) -> float:
         """NaN where none was asked."""
-        return self.count / self.asked if self.asked else float("nan")
+        return self.count / self.requested if self.requested else float("nan")
 
     @property
     def few(self) -> bool:
         """Whether so few were asked that the interval says little."""
-        return self.asked < FEW
+        return self.requested < FEW
 
 
-def rate(hit: np.ndarray, asked: np.ndarray) -> ReportRate:
+def compute_rate(hit: np.ndarray, requested: np.ndarray) -> ReportRate:
     """Return the fraction of the selected rows that are hits.
 
     Args:
         hit: bool [n].
-        asked: bool [n].
+        requested: bool [n].
     """
-    count, total = int(np.sum(hit & asked)), int(np.sum(asked))
-    low, high = wilson(count, total)
-    return ReportRate(count=count, asked=total, closed=len(asked) - total, low=low, high=high)
+    count, total = int(np.sum(hit & requested)), int(np.sum(requested))
+    low, high = wilson_interval(count, total)
+    return ReportRate(
+        count=count, requested=total, closed=len(requested) - total, low=low, high=high
+    )
 
 
-def by(
-    groups: Sequence[np.ndarray], hit: np.ndarray, asked: np.ndarray
+def compute_rates(
+    groups: Sequence[np.ndarray], hit: np.ndarray, requested: np.ndarray
 ) -> dict[tuple[Any, ...], ReportRate]:
     """Rates of groups of rows.
 
     Args:
         groups: [n] each; rows that agree in all of them are a group.
         hit: bool [n].
-        asked: bool [n].
+        requested: bool [n].
     """
     return {
-        key: rate(hit[rows], asked[rows])
-        for key, rows in grouped(*(values.tolist() for values in groups)).items()
+        key: compute_rate(hit[rows], requested[rows])
+        for key, rows in group_rows(*(values.tolist() for values in groups)).items()
     }
 
 
-def grouped(*columns: Sequence[object]) -> dict[tuple[Any, ...], np.ndarray]:
+def group_rows(*columns: Sequence[object]) -> dict[tuple[Any, ...], np.ndarray]:
     """Indices of the rows of each combination of values, in order of appearance."""
-    found: dict[tuple[Any, ...], list[int]] = {}
+    rows_by_key: dict[tuple[Any, ...], list[int]] = {}
     for i, key in enumerate(zip(*columns, strict=True)):
-        found.setdefault(key, []).append(i)
-    return {key: np.array(rows) for key, rows in found.items()}
+        rows_by_key.setdefault(key, []).append(i)
+    return {key: np.array(rows) for key, rows in rows_by_key.items()}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Bins:
+class DensityBins:
     """Densities of rock in bins that hold about as many problems each."""
 
     edges: np.ndarray
@@ -91,7 +93,7 @@ class Bins:
     """int [n] bin of each row."""
 
 
-def density_bins(runs: Runs, problem: np.ndarray) -> Bins:
+def build_density_bins(runs: Runs, problem: np.ndarray) -> DensityBins:
     """Bins of density, by quantiles of the problems; of few densities each its own.
 
     Args:
@@ -99,13 +101,13 @@ def density_bins(runs: Runs, problem: np.ndarray) -> Bins:
         problem: int [n] which problem each row is.
     """
     density = np.nan_to_num(runs["density"])
-    once = density[np.unique(problem, return_index=True)[1]]
-    distinct = np.unique(once)
-    if len(distinct) <= _MOST_BINS:
+    densities = density[np.unique(problem, return_index=True)[1]]
+    distinct = np.unique(densities)
+    if len(distinct) <= _MAX_BINS:
         edges = np.r_[distinct, distinct[-1]]
     else:
-        edges = np.unique(np.quantile(once, np.linspace(0.0, 1.0, _MOST_BINS + 1)))
-    of = np.clip(np.searchsorted(edges, density, side="right") - 1, 0, len(edges) - 2)
-    held = [density[of == i] for i in range(len(edges) - 1)]
-    centres = np.array([values.mean() if len(values) else np.nan for values in held])
-    return Bins(edges=edges, centres=centres, of=of)
+        edges = np.unique(np.quantile(densities, np.linspace(0.0, 1.0, _MAX_BINS + 1)))
+    bin_of_row = np.clip(np.searchsorted(edges, density, side="right") - 1, 0, len(edges) - 2)
+    members = [density[bin_of_row == i] for i in range(len(edges) - 1)]
+    centres = np.array([values.mean() if len(values) else np.nan for values in members])
+    return DensityBins(edges=edges, centres=centres, of=bin_of_row)

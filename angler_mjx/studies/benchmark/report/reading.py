@@ -12,7 +12,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.files import named, read_json
+from angler_mjx.files import format_path, read_json
 
 RUNS, ROBOTS, ABOUT, EXAMPLES = "runs.parquet", "robots.parquet", "about.json", "examples"
 CLOSED = "closed"
@@ -23,9 +23,9 @@ NO_ROOM = "no room"
 POLICY = "policy"
 """Status of a run in which a policy flew: nothing was to be planned."""
 
-TEXTS = ("planner", "scene", "preset", "knows_obstacles", "knows_current", "plan_status")
-WHOLE = ("run", "robots", "problem_seed", "world", "robots_planned", "robots_reached")
-TRUTHS = ("planned", "flown", "success")
+TEXT_COLUMNS = ("planner", "scene", "preset", "knows_obstacles", "knows_current", "plan_status")
+INTEGER_COLUMNS = ("run", "robots", "problem_seed", "world", "robots_planned", "robots_reached")
+BOOLEAN_COLUMNS = ("planned", "flown", "success")
 MEASURES = (
     "planning_s",
     "first_s",
@@ -41,9 +41,9 @@ MEASURES = (
     "free_lines",
 )
 """Columns of numbers that may be missing in a row."""
-SINCE = ("failed_replans",)
+OPTIONAL_COLUMNS = ("failed_replans",)
 """Columns of numbers that older folders lack."""
-FAILURES = ("failure_x_m", "failure_y_m")
+FAILURE_COLUMNS = ("failure_x_m", "failure_y_m")
 
 _HELP = "give the results folder of a benchmark"
 
@@ -65,7 +65,7 @@ class Runs:
         return Runs({name: values[chosen] for name, values in self.columns.items()})
 
     @property
-    def asked(self) -> np.ndarray:
+    def requested(self) -> np.ndarray:
         """Bool [n]: neither closed nor without room."""
         return ~np.isin(self["plan_status"].astype(str), (CLOSED, NO_ROOM))
 
@@ -114,7 +114,7 @@ class Results:
     about: Mapping[str, Any]
     runs: Runs
     problem: np.ndarray
-    """int [n] which problem a row is; see `problems`."""
+    """int [n] which problem a row is; see `index_problems`."""
     world: np.ndarray
     """int [n] which world a row lies in, whatever team; worlds are independent."""
     failures: ReportFailures
@@ -130,128 +130,144 @@ class Results:
         """Runs that were planned, or are a policy's, and have not been flown."""
         runs = self.runs
         ready = runs["planned"] | (runs["plan_status"] == POLICY)
-        return int(np.sum(ready & ~runs["flown"] & runs.asked))
+        return int(np.sum(ready & ~runs["flown"] & runs.requested))
 
     @cached_property
     def planners(self) -> list[str]:
         """Labels: those announced, then others that rows have."""
-        said = [str(entry["label"]) for entry in self.about.get("planners", [])]
-        return _first(said, self.runs.planners)
+        announced = [str(entry["label"]) for entry in self.about.get("planners", [])]
+        return _order_names(announced, self.runs.planners)
 
     @cached_property
     def scenes(self) -> list[str]:
         """Scenes: those announced, then others that rows have."""
-        return _first([str(name) for name in self.about.get("scenes", [])], self.runs.scenes)
+        return _order_names([str(name) for name in self.about.get("scenes", [])], self.runs.scenes)
 
 
-def read(folder: Path) -> Results:
+def read_results(folder: Path) -> Results:
     """Read a results folder; it need not be complete.
 
     Raises:
         ConfigError: it is none, or holds no run.
     """
     if not folder.is_dir():
-        raise ConfigError(f"{named(folder)}: no folder; {_HELP}")
+        raise ConfigError(f"{format_path(folder)}: no folder; {_HELP}")
     for name in (ABOUT, RUNS):
         if not (folder / name).is_file():
-            raise ConfigError(f"{named(folder)}: holds no {name}; {_HELP}")
+            raise ConfigError(f"{format_path(folder)}: holds no {name}; {_HELP}")
     about = read_json(folder / ABOUT)
     if not isinstance(about, dict):
-        raise ConfigError(f"{named(folder / ABOUT)}: holds no table; {_HELP}")
-    runs = _runs(folder / RUNS)
+        raise ConfigError(f"{format_path(folder / ABOUT)}: holds no table; {_HELP}")
+    runs = _read_runs(folder / RUNS)
     if len(runs) == 0:
-        raise ConfigError(f"{named(folder / RUNS)}: holds no run yet; let the benchmark go on")
-    problem = problems(runs)
+        raise ConfigError(
+            f"{format_path(folder / RUNS)}: holds no run yet; let the benchmark go on"
+        )
+    problem = index_problems(runs)
     return Results(
         folder=folder,
         about=about,
         runs=runs,
         problem=problem,
-        world=worlds(runs),
-        failures=_failures(folder / ROBOTS, runs),
+        world=index_worlds(runs),
+        failures=_read_failures(folder / ROBOTS, runs),
         examples=sorted((folder / EXAMPLES).glob("*.npz"), key=lambda path: (len(path.name), path)),
     )
 
 
-def problems(runs: Runs) -> np.ndarray:
+def index_problems(runs: Runs) -> np.ndarray:
     """Int [n] which problem each row is: scene, team, seed and world.
 
     Where a planner was asked one problem with several degrees of knowledge, these are problems of
     their own; otherwise planners with different knowledge are compared on one problem.
     """
     names = ("scene", "robots", "problem_seed", "world")
-    plain = _numbered(runs, names)
-    planner = _numbered(runs, ("planner",))
-    if len(np.unique(np.stack([plain, planner]), axis=1).T) == len(runs):
-        return plain
-    return _numbered(runs, (*names, "knows_obstacles", "knows_current"))
+    without_information = _number_rows(runs, names)
+    planner = _number_rows(runs, ("planner",))
+    if len(np.unique(np.stack([without_information, planner]), axis=1).T) == len(runs):
+        return without_information
+    return _number_rows(runs, (*names, "knows_obstacles", "knows_current"))
 
 
-def worlds(runs: Runs) -> np.ndarray:
+def index_worlds(runs: Runs) -> np.ndarray:
     """Int [n] which world each row lies in, whatever team."""
-    return _numbered(runs, ("scene", "problem_seed", "world"))
+    return _number_rows(runs, ("scene", "problem_seed", "world"))
 
 
-def _numbered(runs: Runs, names: tuple[str, ...]) -> np.ndarray:
+def _number_rows(runs: Runs, names: tuple[str, ...]) -> np.ndarray:
     keys = list(zip(*(runs[name].tolist() for name in names), strict=True))
     number = {key: i for i, key in enumerate(dict.fromkeys(keys))}
     return np.array([number[key] for key in keys], int)
 
 
-def _first(said: list[str], there: list[str]) -> list[str]:
-    return [name for name in dict.fromkeys([*said, *there]) if name in set(there)]
+def _order_names(announced: list[str], present: list[str]) -> list[str]:
+    return [name for name in dict.fromkeys([*announced, *present]) if name in set(present)]
 
 
-def _table(path: Path) -> pa.Table:
+def _read_table(path: Path) -> pa.Table:
     try:
         return pq.read_table(path)
     except (OSError, pa.ArrowException) as error:
-        raise ConfigError(f"{named(path)}: cannot be read ({error}); {_HELP}") from error
+        raise ConfigError(f"{format_path(path)}: cannot be read ({error}); {_HELP}") from error
 
 
-def _runs(path: Path) -> Runs:
-    table = _table(path)
-    wanted = (*TEXTS, *WHOLE, *TRUTHS, *MEASURES, *FAILURES, "failure")
+def _read_runs(path: Path) -> Runs:
+    table = _read_table(path)
+    wanted = (
+        *TEXT_COLUMNS,
+        *INTEGER_COLUMNS,
+        *BOOLEAN_COLUMNS,
+        *MEASURES,
+        *FAILURE_COLUMNS,
+        "failure",
+    )
     missing = [name for name in wanted if name not in table.column_names]
     if missing:
-        raise ConfigError(f"{named(path)}: lacks the columns {', '.join(missing)}; {_HELP}")
-    columns = {name: _texts(table[name]) for name in (*TEXTS, "failure")}
-    columns |= {name: table[name].fill_null(0).to_numpy() for name in WHOLE}
-    columns |= {name: np.array(table[name].fill_null(False).to_pylist(), bool) for name in TRUTHS}
-    columns |= {name: _numbers(table[name]) for name in (*MEASURES, *FAILURES)}
-    none = np.full(table.num_rows, np.nan)
-    there = table.column_names
-    columns |= {name: _numbers(table[name]) if name in there else none for name in SINCE}
+        raise ConfigError(f"{format_path(path)}: lacks the columns {', '.join(missing)}; {_HELP}")
+    columns = {name: _to_text_array(table[name]) for name in (*TEXT_COLUMNS, "failure")}
+    columns |= {name: table[name].fill_null(0).to_numpy() for name in INTEGER_COLUMNS}
+    columns |= {
+        name: np.array(table[name].fill_null(False).to_pylist(), bool) for name in BOOLEAN_COLUMNS
+    }
+    columns |= {name: _to_float_array(table[name]) for name in (*MEASURES, *FAILURE_COLUMNS)}
+    empty = np.full(table.num_rows, np.nan)
+    column_names = table.column_names
+    columns |= {
+        name: _to_float_array(table[name]) if name in column_names else empty
+        for name in OPTIONAL_COLUMNS
+    }
     return Runs(columns)
 
 
-def _texts(column: pa.ChunkedArray) -> np.ndarray:
+def _to_text_array(column: pa.ChunkedArray) -> np.ndarray:
     return np.array(["" if text is None else text for text in column.to_pylist()], object)
 
 
-def _numbers(column: pa.ChunkedArray) -> np.ndarray:
+def _to_float_array(column: pa.ChunkedArray) -> np.ndarray:
     values: np.ndarray = column.cast(pa.float64()).to_numpy()
     return values
 
 
-def _failures(path: Path, runs: Runs) -> ReportFailures:
+def _read_failures(path: Path, runs: Runs) -> ReportFailures:
     """All robots that had a path, or a policy, and failed; without a table the first of each."""
-    needed = ("run", "planned", "outcome", *FAILURES)
+    needed = ("run", "planned", "outcome", *FAILURE_COLUMNS)
     if path.is_file():
-        table = _table(path)
+        table = _read_table(path)
         if all(name in table.column_names for name in needed):
             flew = runs["run"][runs["plan_status"] == POLICY]
             table = table.filter(
                 pc.or_(table["planned"], pc.is_in(table["run"], pa.array(flew, pa.int64())))
             )
-            return _placed(
+            return _select_failures(
                 table["run"].to_numpy(),
-                _texts(table["outcome"]),
-                *(_numbers(table[name]) for name in FAILURES),
+                _to_text_array(table["outcome"]),
+                *(_to_float_array(table[name]) for name in FAILURE_COLUMNS),
             )
-    return _placed(runs["run"], runs["failure"], *(runs[name] for name in FAILURES))
+    return _select_failures(runs["run"], runs["failure"], *(runs[name] for name in FAILURE_COLUMNS))
 
 
-def _placed(run: np.ndarray, outcome: np.ndarray, x: np.ndarray, y: np.ndarray) -> ReportFailures:
+def _select_failures(
+    run: np.ndarray, outcome: np.ndarray, x: np.ndarray, y: np.ndarray
+) -> ReportFailures:
     kept = np.isfinite(x) & np.isfinite(y) & (outcome != "reached") & (outcome != "")
     return ReportFailures(run=run[kept], outcome=outcome[kept], x_m=x[kept], y_m=y[kept])

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.files import named
+from angler_mjx.files import format_path
 from angler_mjx.studies.benchmark.report.reading import Results
 
-_PLANNED, _FLOWN = 40, 80
+_MAX_PLANNED, _MAX_FLOWN = 40, 80
 """Points of a way that the page draws, at most."""
-_MOST_POINTS = 250_000
+_MAX_POINTS = 250_000
 """Points of all examples in a page; about 3 MB."""
 
 
@@ -45,7 +45,7 @@ class Example:
     obstacle_p_m: np.ndarray
     obstacle_radius_m: np.ndarray
     obstacle_moves: np.ndarray
-    ways: list[ScenePath]
+    paths: list[ScenePath]
 
     @property
     def title(self) -> str:
@@ -62,7 +62,7 @@ class Example:
         return top
 
 
-def read(path: Path) -> Example:
+def read_example(path: Path) -> Example:
     """Read one example.
 
     Raises:
@@ -70,61 +70,62 @@ def read(path: Path) -> Example:
     """
     try:
         with np.load(path, allow_pickle=False) as file:
-            return _example({name: file[name] for name in file.files})
+            return _build_example({name: file[name] for name in file.files})
     except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
         raise ConfigError(
-            f"{named(path)}: no example of a benchmark ({error}); remove it, or write it again"
+            f"{format_path(path)}: no example of a benchmark ({error}); remove it, or write it "
+            "again"
         ) from error
 
 
-def _example(held: Mapping[str, np.ndarray]) -> Example:
+def _build_example(arrays: Mapping[str, np.ndarray]) -> Example:
     return Example(
-        scene=str(held["scene"]),
-        world=int(held["world"]),
-        occupied=held["occupied"].astype(bool),
-        origin_m=held["origin_m"],
-        cell_m=float(held["cell_m"]),
-        start_m=held["start_m"],
-        goal_m=held["goal_m"],
-        obstacle_p_m=held["obstacle_p_m"].reshape(-1, 3),
-        obstacle_radius_m=held["obstacle_radius_m"],
-        obstacle_moves=held["obstacle_moves"].astype(bool),
-        ways=[
+        scene=str(arrays["scene"]),
+        world=int(arrays["world"]),
+        occupied=arrays["occupied"].astype(bool),
+        origin_m=arrays["origin_m"],
+        cell_m=float(arrays["cell_m"]),
+        start_m=arrays["start_m"],
+        goal_m=arrays["goal_m"],
+        obstacle_p_m=arrays["obstacle_p_m"].reshape(-1, 3),
+        obstacle_radius_m=arrays["obstacle_radius_m"],
+        obstacle_moves=arrays["obstacle_moves"].astype(bool),
+        paths=[
             ScenePath(
                 planner=str(planner),
-                planned_m=held[f"planned_{k}"],
-                flown_m=held[f"flown_{k}"],
-                outcome=[str(name) for name in held[f"outcome_{k}"]],
+                planned_m=arrays[f"planned_{k}"],
+                flown_m=arrays[f"flown_{k}"],
+                outcome=[str(name) for name in arrays[f"outcome_{k}"]],
             )
-            for k, planner in enumerate(held["planners"])
+            for k, planner in enumerate(arrays["planners"])
         ],
     )
 
 
-def embedded(results: Results) -> list[dict[str, Any]]:
+def build_page_scenes(results: Results) -> list[dict[str, Any]]:
     """Examples for the page, the first ones if all would be too much."""
     shown: list[dict[str, Any]] = []
-    left = _MOST_POINTS
+    points_left = _MAX_POINTS
     for path in results.examples:
-        example = read(path)
-        left -= len(example.ways) * len(example.start_m) * (_PLANNED + _FLOWN)
-        if shown and left < 0:
+        example = read_example(path)
+        points_left -= len(example.paths) * len(example.start_m) * (_MAX_PLANNED + _MAX_FLOWN)
+        if shown and points_left < 0:
             break
-        shown.append(_thin(example))
+        shown.append(_build_page_scene(example))
     return shown
 
 
-def _thin(example: Example) -> dict[str, Any]:
+def _build_page_scene(example: Example) -> dict[str, Any]:
     return {
         "title": example.title,
         "top": example.top.tolist(),
         "layers": example.occupied.shape[2],
-        "origin": _flat(example.origin_m[:2]),
+        "origin": _round_point(example.origin_m[:2]),
         "cell": example.cell_m,
-        "start": _points(example.start_m),
-        "goal": _points(example.goal_m),
+        "start": _thin_points(example.start_m),
+        "goal": _thin_points(example.goal_m),
         "obstacles": [
-            [*_flat(p[:2]), round(float(r), 2), int(moves)]
+            [*_round_point(p[:2]), round(float(r), 2), int(moves)]
             for p, r, moves in zip(
                 example.obstacle_p_m,
                 example.obstacle_radius_m,
@@ -134,23 +135,29 @@ def _thin(example: Example) -> dict[str, Any]:
         ],
         "ways": [
             {
-                "planner": way.planner,
-                "planned": [_points(way.planned_m[r], _PLANNED) for r in range(len(way.planned_m))],
-                "flown": [_points(way.flown_m[:, r], _FLOWN) for r in range(way.flown_m.shape[1])],
-                "outcome": way.outcome,
+                "planner": scene_path.planner,
+                "planned": [
+                    _thin_points(scene_path.planned_m[r], _MAX_PLANNED)
+                    for r in range(len(scene_path.planned_m))
+                ],
+                "flown": [
+                    _thin_points(scene_path.flown_m[:, r], _MAX_FLOWN)
+                    for r in range(scene_path.flown_m.shape[1])
+                ],
+                "outcome": scene_path.outcome,
             }
-            for way in example.ways
+            for scene_path in example.paths
         ],
     }
 
 
-def _points(way_m: np.ndarray, most: int | None = None) -> list[list[float]]:
+def _thin_points(path_m: np.ndarray, max_points: int | None = None) -> list[list[float]]:
     """East and north of the points that are there, evenly thinned, the last one kept."""
-    known = way_m[np.isfinite(way_m).all(axis=1)]
-    if most is not None and len(known) > most:
-        known = known[np.unique(np.linspace(0, len(known) - 1, most).round().astype(int))]
-    return [_flat(p[:2]) for p in known]
+    finite = path_m[np.isfinite(path_m).all(axis=1)]
+    if max_points is not None and len(finite) > max_points:
+        finite = finite[np.unique(np.linspace(0, len(finite) - 1, max_points).round().astype(int))]
+    return [_round_point(p[:2]) for p in finite]
 
 
-def _flat(point: np.ndarray) -> list[float]:
+def _round_point(point: np.ndarray) -> list[float]:
     return [round(float(x), 2) for x in point]

@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 import jax
 
 from angler_mjx.errors import RunError
-from angler_mjx.runs.simulator import cache, programs
+from angler_mjx.runs.simulator import compile_cache, programs
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.studies.speed.rows import DURATION, HITS, REQUESTS, SpeedRow, cache_events
@@ -39,15 +39,20 @@ def measure(scenario: Scenario, *, label: str, worlds: int) -> list[SpeedRow]:
         RunError: a program was compiled a second time though the folder was full.
     """
     rows = []
-    with TemporaryDirectory(prefix="angler-compile-") as folder, cache.kept_in(Path(folder)):
+    with (
+        TemporaryDirectory(prefix="angler-compile-") as folder,
+        compile_cache.use_cache_folder(Path(folder)),
+    ):
         for is_cached in (False, True):
             jax.clear_caches()
-            programs.forget()
-            rows += _rows(scenario, label, worlds, is_cached)
+            programs.clear_shared()
+            rows += _measure_programs(scenario, label, worlds, is_cached)
     return rows
 
 
-def _rows(scenario: Scenario, label: str, worlds: int, is_cached: bool) -> list[SpeedRow]:
+def _measure_programs(
+    scenario: Scenario, label: str, worlds: int, is_cached: bool
+) -> list[SpeedRow]:
     simulator = Simulator(scenario, tile=worlds)
     try:
         before = Counter(cache_events())

@@ -12,7 +12,7 @@ import numpy as np
 
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.studies.speed.rows import SpeedRow
-from angler_mjx.world.config import WorldConfig, resolve
+from angler_mjx.world.config import WorldConfig, resolve_world
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.generate import generate_batch
 from angler_mjx.world.rules import AutomatonRule
@@ -49,23 +49,23 @@ def measure(
     if repeats < 1:
         raise ConfigError(f"--repeats {repeats}: must be at least 1")
     config = WorldConfig(preset=preset)
-    own = resolve(config)
+    resolved = resolve_world(config)
     if shape is not None:
-        fill = own.fill if isinstance(own.rule, AutomatonRule) else None
+        fill = resolved.fill if isinstance(resolved.rule, AutomatonRule) else None
         config = WorldConfig(preset=preset, shape=shape, fill=fill)
     radius_m = np.full(robots, _RADIUS_M)
 
-    def draw(i: int) -> float:
+    def time_batch(i: int) -> float:
         start = time.perf_counter()
-        drawn = generate_batch(config, radius_m, 0, i * worlds, worlds)
-        jax.block_until_ready(drawn)
+        environment = generate_batch(config, radius_m, 0, i * worlds, worlds)
+        jax.block_until_ready(environment)
         seconds = time.perf_counter() - start
-        _require_usable(drawn, i * worlds)
+        _require_usable(environment, i * worlds)
         return seconds
 
-    first_s = draw(0)
-    rates = [worlds / draw(i) for i in range(1, repeats + 1)]
-    nx, ny, nz = shape or own.shape
+    first_s = time_batch(0)
+    rates = [worlds / time_batch(i) for i in range(1, repeats + 1)]
+    nx, ny, nz = shape or resolved.shape
     return SpeedRow(
         workload=f"env_generation/{preset}/{nx}x{ny}x{nz}",
         inside="cells, starts and goals, shortest ways, lines of sight, obstacles, current",
@@ -80,13 +80,13 @@ def measure(
     )
 
 
-def _require_usable(drawn: Environment, first: int) -> None:
+def _require_usable(environment: Environment, first: int) -> None:
     """Refuse a batch that a run could not use as a whole."""
-    unfit = np.flatnonzero(~np.asarray(drawn.valid))
+    unfit = np.flatnonzero(~np.asarray(environment.valid))
     if unfit.size:
         raise RunError(
             f"world {first + unfit[0]} and {unfit.size - 1} more cannot hold the fleet: no number "
             "is given; take fewer robots or another preset"
         )
-    if not np.isfinite(np.asarray(drawn.path_ratio)).all():
+    if not np.isfinite(np.asarray(environment.path_ratio)).all():
         raise RunError("a shortest way in the timed worlds is not finite: no number is given")

@@ -17,14 +17,14 @@ from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.studies.speed import flops
 from angler_mjx.studies.speed.rows import (
     SpeedRow,
-    account,
     all_finite,
     check_repeats,
+    iterate_turns,
     moved_bytes,
     peak_device_bytes,
+    read_program_costs,
     seconds_of,
-    spread,
-    turns,
+    summarise_rates,
 )
 
 VEHICLE, PARAMETER_SET = "bluerov2_heavy", "wu2018"
@@ -32,15 +32,15 @@ PHYSICS_DT_S = 0.01
 STEPS = 1000
 """Physics steps of one call."""
 CPU_VEHICLE_STEPS = 2**24
-"""In one call on a CPU at most, so that it takes about a second; but ``LEAST_STEPS`` always."""
-LEAST_STEPS = 10
+"""In one call on a CPU at most, so that it takes about a second; but ``MIN_STEPS`` always."""
+MIN_STEPS = 10
 MOVED_M = 1e-3
 """Way in the timed region below which a vehicle counts as standing."""
 SPEED_MPS = (0.1, 0.5)
 """Least and greatest speed at the beginning along each axis, either way; rad/s about each axis."""
 THRUST_N = 10.0
 """Greatest thrust of a thruster, either way."""
-COUNTED = 8
+COUNTED_SIZE = 8
 """Vehicles and steps in which operations are counted: for one step they do not depend on it."""
 
 
@@ -67,33 +67,33 @@ def measure(*, vehicles: int, repeats: int, kernels: str | None = None) -> Speed
     n_steps = steps_of(vehicles, backend)
     # Kernels take whole programs of vehicles: the rest is simulated too, and not counted.
     simulated = -(-vehicles // dynamics.LANES) * dynamics.LANES if kernels == "triton" else vehicles
-    model = dynamics.build(VEHICLE, PARAMETER_SET, physics_dt_s=PHYSICS_DT_S)
+    model = dynamics.build_dynamics(VEHICLE, PARAMETER_SET, physics_dt_s=PHYSICS_DT_S)
     thrusters = model.vehicle.B.shape[-1]
-    begin = jax.jit(draw, static_argnums=(1, 2))(jax.random.key(0), simulated, thrusters)
+    begin = jax.jit(sample_states, static_argnums=(1, 2))(jax.random.key(0), simulated, thrusters)
     run = jax.jit(partial(model.simulate, n_steps=n_steps, kernels=kernels))
     compile_s, program = seconds_of(run.lower(*begin).compile)
     total = vehicles * n_steps
     rates = []
-    for counts in turns(repeats):
+    for counts in iterate_turns(repeats):
         taken, after = seconds_of(program, *begin)
         require_different(begin[0], after)
         rates += [total / taken] * counts
         del after
-    moved, counted = moved_bytes(program), _count(model, thrusters)
+    moved, counted = moved_bytes(program), _count_flops(model, thrusters)
     return SpeedRow(
         workload="dynamics",
-        inside=_inside(n_steps, simulated - vehicles),
+        inside=_describe_region(n_steps, simulated - vehicles),
         worlds=vehicles,
         robots=1,
         unit="vehicle-steps/s",
-        **spread(rates),
+        **summarise_rates(rates),
         compile_s=compile_s,
         engine="fused",
         kernels=kernels,
         flops=counted.flops,
         flops_from=counted.how if kernels == "xla" else f"{counted.how}; with kernels = xla",
         least_bytes=moved / total if moved else None,
-        **account(program),
+        **read_program_costs(program),
         device_peak_bytes=peak_device_bytes(),
         active_share=1.0,
     )
@@ -103,10 +103,10 @@ def steps_of(vehicles: int, backend: str) -> int:
     """Physics steps of one call."""
     if backend != "cpu":
         return STEPS
-    return max(LEAST_STEPS, min(STEPS, CPU_VEHICLE_STEPS // vehicles))
+    return max(MIN_STEPS, min(STEPS, CPU_VEHICLE_STEPS // vehicles))
 
 
-def draw(key: jax.Array, vehicles: int, thrusters: int) -> tuple[VehicleState, jax.Array]:
+def sample_states(key: jax.Array, vehicles: int, thrusters: int) -> tuple[VehicleState, jax.Array]:
     """Vehicles at 20 m depth, each at its own velocity, and what their thrusters settle at.
 
     Args:
@@ -145,7 +145,7 @@ def require_different(before: VehicleState, after: VehicleState) -> None:
     """
     if not all_finite(after):
         raise RunError("the timed run holds NaN: no number is given")
-    standing, alike = (int(n) for n in _standing_and_alike(before.p, after.p))
+    standing, alike = (int(n) for n in _count_standing_and_alike(before.p, after.p))
     if standing or alike:
         raise RunError(
             f"{standing} of {before.p.shape[0]} vehicles stood still in the timed region, {alike} "
@@ -154,24 +154,28 @@ def require_different(before: VehicleState, after: VehicleState) -> None:
 
 
 @jax.jit
-def _standing_and_alike(before: jax.Array, after: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _count_standing_and_alike(before: jax.Array, after: jax.Array) -> tuple[jax.Array, jax.Array]:
     """How many moved less than ``MOVED_M``, and how many end where their neighbour does."""
-    way = jnp.sqrt(jnp.sum((after - before) ** 2, axis=-1))
+    distance = jnp.sqrt(jnp.sum((after - before) ** 2, axis=-1))
     same = jnp.all(after[1:] == after[:-1], axis=-1)
-    return jnp.sum(way < MOVED_M), jnp.sum(same)
+    return jnp.sum(distance < MOVED_M), jnp.sum(same)
 
 
-def _count(model: dynamics.Dynamics, thrusters: int) -> flops.OperationCount:
+def _count_flops(model: dynamics.Dynamics, thrusters: int) -> flops.OperationCount:
     """Operations of one physics step of one vehicle, in plain JAX."""
-    begin = jax.eval_shape(partial(draw, vehicles=COUNTED, thrusters=thrusters), jax.random.key(0))
-    counted = flops.count(partial(model.simulate, n_steps=COUNTED, kernels="xla"), *begin)
-    each = None if counted.flops is None else counted.flops / COUNTED**2
+    begin = jax.eval_shape(
+        partial(sample_states, vehicles=COUNTED_SIZE, thrusters=thrusters), jax.random.key(0)
+    )
+    counted = flops.count_operations(
+        partial(model.simulate, n_steps=COUNTED_SIZE, kernels="xla"), *begin
+    )
+    each = None if counted.flops is None else counted.flops / COUNTED_SIZE**2
     return flops.OperationCount(each, counted.how)
 
 
-def _inside(n_steps: int, more: int) -> str:
+def _describe_region(n_steps: int, uncounted: int) -> str:
     seconds = n_steps * PHYSICS_DT_S
-    rest = f"; {more} vehicles more to fill the last program, not counted" if more else ""
+    rest = f"; {uncounted} vehicles more to fill the last program, not counted" if uncounted else ""
     return (
         f"{n_steps:,} physics steps ({seconds:g} s of simulated time) in one device call: water, "
         "rigid body, rotors, pose; each vehicle at its own velocity under its own constant "

@@ -16,13 +16,13 @@ from angler_mjx.robot.vehicles import library, params
 from angler_mjx.studies.speed import flops
 from angler_mjx.studies.speed.rows import (
     SpeedRow,
-    account,
     check_repeats,
+    iterate_turns,
     moved_bytes,
     peak_device_bytes,
+    read_program_costs,
     seconds_of,
-    spread,
-    turns,
+    summarise_rates,
 )
 
 SHAPE, CELL_M, DENSITY = (16, 16, 16), 1.5, 0.06
@@ -47,7 +47,7 @@ def measure(*, worlds: int, robots: int, repeats: int) -> SpeedRow:
         RunError: a distance is not finite, or does not change on the way.
     """
     check_repeats(repeats)
-    vehicle = params.build(library.load("bluerov2_heavy"), None, 16.0)
+    vehicle = params.build_vehicle(library.load_vehicle("bluerov2_heavy"), None, 16.0)
     rng = np.random.default_rng(0)
     occupied = jax.jit(lambda key: jax.random.uniform(key, (worlds, *SHAPE)) < DENSITY)(
         jax.random.key(0)
@@ -63,15 +63,15 @@ def measure(*, worlds: int, robots: int, repeats: int) -> SpeedRow:
         ahead = turn[:, 0] * SHIFT_M
 
         def query(carry: Any, _: None) -> tuple[Any, None]:
-            at, least, most = carry
+            at, min_gap, max_gap = carry
             index, lo = neighbour_window(at, jnp.zeros(3), jnp.float32(CELL_M), SHAPE)
-            ends = (at + _turned(turn, a), at + _turned(turn, b))
+            ends = (at + _rotate_points(turn, a), at + _rotate_points(turn, b))
             gap = capsules_neighbours(*ends, r, at, lo, cells[index], jnp.float32(CELL_M))
-            return (at + ahead, jnp.minimum(least, gap), jnp.maximum(most, gap)), None
+            return (at + ahead, jnp.minimum(min_gap, gap), jnp.maximum(max_gap, gap)), None
 
         start = (p, jnp.full((), jnp.inf, p.dtype), jnp.full((), -jnp.inf, p.dtype))
-        (_, least, most), _ = jax.lax.scan(query, start, length=QUERIES)
-        return least, most
+        (_, min_gap, max_gap), _ = jax.lax.scan(query, start, length=QUERIES)
+        return min_gap, max_gap
 
     of_world = jax.vmap(of_hull, (None, 0, 0))
     of_worlds = jax.jit(jax.vmap(of_world))
@@ -79,11 +79,11 @@ def measure(*, worlds: int, robots: int, repeats: int) -> SpeedRow:
     compile_s, program = seconds_of(lowered.compile)
     total = worlds * robots * QUERIES
     rates = []
-    for counts in turns(repeats):
-        taken, (least, most) = seconds_of(program, cells, centre, turn)
-        require_change(np.asarray(least), np.asarray(most))
+    for counts in iterate_turns(repeats):
+        taken, (min_gap, max_gap) = seconds_of(program, cells, centre, turn)
+        require_change(np.asarray(min_gap), np.asarray(max_gap))
         rates += [total / taken] * counts
-    counted = flops.count(of_worlds, cells, centre, turn)
+    counted = flops.count_operations(of_worlds, cells, centre, turn)
     moved = moved_bytes(program)
     return SpeedRow(
         workload="clearance",
@@ -92,34 +92,34 @@ def measure(*, worlds: int, robots: int, repeats: int) -> SpeedRow:
         worlds=worlds,
         robots=robots,
         unit="queries/s",
-        **spread(rates),
+        **summarise_rates(rates),
         compile_s=compile_s,
         kernels="xla",
         flops=None if counted.flops is None else counted.flops / total,
         flops_from=counted.how,
         least_bytes=moved / total if moved else None,
-        **account(program),
+        **read_program_costs(program),
         device_peak_bytes=peak_device_bytes(),
     )
 
 
-def require_change(least: np.ndarray, most: np.ndarray) -> None:
+def require_change(min_gap: np.ndarray, max_gap: np.ndarray) -> None:
     """Refuse distances that are not finite, or that are the same all the way.
 
     Args:
-        least: of each hull on its way, m.
-        most: greatest, m.
+        min_gap: of each hull on its way, m.
+        max_gap: greatest, m.
 
     Raises:
         RunError: they are.
     """
-    if not (np.isfinite(least).all() and np.isfinite(most).all()):
+    if not (np.isfinite(min_gap).all() and np.isfinite(max_gap).all()):
         raise RunError("a timed distance is not finite: no number is given")
     # Hulls with nothing near see the greatest exact distance all the way; in a reef few do.
-    if np.mean(most > least) < 0.5:
+    if np.mean(max_gap > min_gap) < 0.5:
         raise RunError("most timed distances do not change on the way: no number is given")
 
 
-def _turned(turn: jax.Array, points: jax.Array) -> jax.Array:
+def _rotate_points(turn: jax.Array, points: jax.Array) -> jax.Array:
     """Points [c, 3] turned by a matrix [3, 3], without a product of matrices."""
     return jnp.sum(turn[None] * points[:, None, :], axis=-1)

@@ -22,18 +22,18 @@ import numpy as np
 
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.runs import sizes
-from angler_mjx.runs.storage import atomic, device_to_host, shards
+from angler_mjx.runs.storage import atomic_files, device_to_host, shards
 from angler_mjx.runs.storage.device_to_host import FinishedTile
-from angler_mjx.runs.storage.recorder import Recorder, Shape
+from angler_mjx.runs.storage.recorder import Recorder, TrajectoryShape
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.record import Sample
 from angler_mjx.studies.speed.measured import simulation
-from angler_mjx.studies.speed.measured.simulation import Timed
-from angler_mjx.studies.speed.rows import SpeedRow, check_repeats, spread
+from angler_mjx.studies.speed.measured.simulation import TimedSimulation
+from angler_mjx.studies.speed.rows import SpeedRow, check_repeats, summarise_rates
 
 BLOCK_BYTES = 16 * 2**20
 """Of one plain write: large enough that the call does not matter."""
-LEAST_BYTES = 256 * 10**6
+MIN_BYTES = 256 * 10**6
 """On disk in one turn, in as many tiles as that takes: opening files should not matter either."""
 
 
@@ -44,7 +44,7 @@ def measure(
     worlds: int,
     repeats: int,
     folder: Path,
-    least_bytes: int = LEAST_BYTES,
+    min_bytes: int = MIN_BYTES,
 ) -> SpeedRow:
     """Measure simulation, recorder and disk.
 
@@ -54,7 +54,7 @@ def measure(
         worlds: of a tile.
         repeats: turns, after one that does not count.
         folder: on the disk in question; what is written there is taken away again.
-        least_bytes: written in one turn at least.
+        min_bytes: written in one turn at least.
 
     Returns:
         Rates in MB/s of bytes that reached the disk. ``extra`` holds the disk's own rate
@@ -70,9 +70,9 @@ def measure(
     check_repeats(repeats)
     if scenario.time.record_hz == 0:
         raise ConfigError("record_hz = 0: there is nothing to record; give a scenario that does")
-    with _place_in(folder) as place:
-        timed = simulation.time_it(scenario, label=label, worlds=worlds, repeats=repeats)
-        written = _in_turns(timed, _to_the_horizon(timed), place, repeats, least_bytes)
+    with _temporary_folder(folder) as temporary:
+        timed = simulation.time_simulation(scenario, label=label, worlds=worlds, repeats=repeats)
+        written = _measure_turns(timed, _simulate_to_horizon(timed), temporary, repeats, min_bytes)
     speed = timed.row.median or 0.0
     recorder = float(np.median(written.recorder_mbps))
     disk = float(np.median(written.disk_mbps))
@@ -81,7 +81,7 @@ def measure(
         inside=f"{written.tiles} tiles of {worlds:,} worlds, {scenario.time.record_hz:g} Hz, from "
         "samples on the host to the end of fsync: joining, compression, files",
         unit="MB/s",
-        **spread(written.recorder_mbps),
+        **summarise_rates(written.recorder_mbps),
         flops=None,
         flops_from="not counted: nothing is computed",
         least_bytes=None,
@@ -131,60 +131,60 @@ class _Written:
 
 
 @contextmanager
-def _place_in(folder: Path) -> Iterator[Path]:
+def _temporary_folder(folder: Path) -> Iterator[Path]:
     """A folder of its own, which is taken away again."""
-    place = folder / f".recording-{os.getpid()}"
+    temporary = folder / f".recording-{os.getpid()}"
     try:
-        place.mkdir(parents=True)
-        yield place
+        temporary.mkdir(parents=True)
+        yield temporary
     except OSError as error:
         raise ConfigError(f"{folder}: cannot be written ({error.strerror or error})") from error
     finally:
-        shutil.rmtree(place, ignore_errors=True)
+        shutil.rmtree(temporary, ignore_errors=True)
 
 
-def _to_the_horizon(timed: Timed) -> FinishedTile:
+def _simulate_to_horizon(timed: TimedSimulation) -> FinishedTile:
     """Simulate the tile until its robots have ended."""
     simulator, worlds = timed.simulator, timed.worlds
     state, parts = simulator.reset(worlds), list[Sample]()
     for _ in range(simulator.segments):
         state, sample, running = timed.program(simulator.fleet, worlds, state)
-        parts.append(_on_host(sample))
+        parts.append(_to_host(sample))
         if not np.asarray(running).any():
             break
     return FinishedTile(
         first=0,
         kept=simulator.tile,
-        constants=_on_host(device_to_host.constants(worlds, recorded=True)),
-        end=_on_host(device_to_host.end(state, recorded=True)),
+        constants=_to_host(device_to_host.select_constants(worlds, recorded=True)),
+        end=_to_host(device_to_host.select_end(state, recorded=True)),
         parts=parts,
     )
 
 
-def _on_host(tree: Any) -> Any:
+def _to_host(tree: Any) -> Any:
     return jax.tree.map(np.asarray, tree)
 
 
-def _in_turns(
-    timed: Timed, tile: FinishedTile, place: Path, repeats: int, least_bytes: int
+def _measure_turns(
+    timed: TimedSimulation, tile: FinishedTile, folder: Path, repeats: int, min_bytes: int
 ) -> _Written:
     simulator = timed.simulator
-    shape = replace(sizes.shape_of(simulator), worlds=simulator.tile)
+    shape = replace(sizes.trajectory_shape(simulator), worlds=simulator.tile)
     dt_s = 1.0 / simulator.scenario.time.record_hz
-    begin = partial(_Run, place / "run.zarr", tile, shape, dt_s)
-    one = begin(1)
-    one.write()
-    one_bytes = _bytes_in(place)
-    _remove_all(place)
-    tiles = -(-least_bytes // one_bytes)
+    begin = partial(_RepeatedRun, folder / "run.zarr", tile, shape, dt_s)
+    single_run = begin(1)
+    single_run.write()
+    run_bytes = _folder_bytes(folder)
+    _clear_folder(folder)
+    tiles = -(-min_bytes // run_bytes)
     disk, recorder = [], []
     for turn in range(repeats + 1):
         run = begin(tiles)
-        taken = _timed(run.write, place)
-        size = _bytes_in(place)
-        _remove_all(place)
-        plain = _timed(partial(_plain, place / "plain", size), place)
-        _remove_all(place)
+        taken = _time_write(run.write, folder)
+        size = _folder_bytes(folder)
+        _clear_folder(folder)
+        plain = _time_write(partial(_write_plain, folder / "plain", size), folder)
+        _clear_folder(folder)
         if turn > 0:
             recorder.append(size / taken / 1e6)
             disk.append(size / plain / 1e6)
@@ -197,11 +197,11 @@ def _in_turns(
     )
 
 
-class _Run:
+class _RepeatedRun:
     """A run whose tiles are all the same one."""
 
     def __init__(
-        self, path: Path, tile: FinishedTile, shape: Shape, dt_s: float, tiles: int
+        self, path: Path, tile: FinishedTile, shape: TrajectoryShape, dt_s: float, tiles: int
     ) -> None:
         if tile.constants.environment is None:
             raise RunError("the tile was simulated without its environment: there is none to write")
@@ -215,41 +215,41 @@ class _Run:
     def write(self) -> None:
         """Write all tiles, one after another, as a run does."""
         for number in range(self._tiles):
-            arrays = device_to_host.arrays(self._tile, self._samples)
+            arrays = device_to_host.recorded_arrays(self._tile, self._samples)
             self._recorder.write(number * self._tile.kept, arrays, self._environment)
 
 
 @cache
-def _noise() -> bytes:
+def _random_block() -> bytes:
     return np.random.default_rng(0).bytes(BLOCK_BYTES)
 
 
-def _plain(path: Path, size: int) -> None:
+def _write_plain(path: Path, size: int) -> None:
     """Write a file of a size in large blocks of bytes that no disk can make smaller."""
-    block = memoryview(_noise())
+    block = memoryview(_random_block())
     with path.open("wb", buffering=0) as file:
         for begin in range(0, size, BLOCK_BYTES):
             written = file.write(block[: min(BLOCK_BYTES, size - begin)])
-            shards.start_disk(file.fileno(), begin, written)
+            shards.start_writeback(file.fileno(), begin, written)
 
 
-def _timed(write: Callable[[], None], place: Path) -> float:
+def _time_write(write: Callable[[], None], folder: Path) -> float:
     """Seconds until what was written is on the disk."""
     begun = time.perf_counter()
     write()
-    files = [path for path in place.rglob("*") if path.is_file()]
+    files = [path for path in folder.rglob("*") if path.is_file()]
     # Together: one after another, many small files would wait for the disk once each.
     with ThreadPoolExecutor(16) as pool:
-        list(pool.map(atomic.sync, files))
+        list(pool.map(atomic_files.sync_path, files))
     return time.perf_counter() - begun
 
 
-def _bytes_in(path: Path) -> int:
+def _folder_bytes(path: Path) -> int:
     return sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
 
 
-def _remove_all(place: Path) -> None:
-    for path in place.iterdir():
+def _clear_folder(folder: Path) -> None:
+    for path in folder.iterdir():
         if path.is_dir():
             shutil.rmtree(path)
         else:

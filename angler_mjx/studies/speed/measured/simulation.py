@@ -20,22 +20,22 @@ from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.record import Sample
 from angler_mjx.sim.state import Outcome, World, WorldState
 from angler_mjx.studies.speed import flops
-from angler_mjx.studies.speed.measured import worlds_once
+from angler_mjx.studies.speed.measured import repeated_worlds
 from angler_mjx.studies.speed.rows import (
     SpeedRow,
-    account,
     all_finite,
     check_repeats,
+    iterate_turns,
     moved_bytes,
     peak_device_bytes,
+    read_program_costs,
     seconds_of,
-    spread,
-    turns,
+    summarise_rates,
 )
 
 MOVED_M = 1e-3
 """Way of a robot in the timed region below which it counts as standing."""
-ACTIVE = 0.9
+MIN_ACTIVE = 0.9
 """Least share of the steps that robots must have lived: else it is another workload."""
 CALLS = 4
 """Device calls in a timed turn, one behind another as in a run; one on a CPU, where the time that a
@@ -45,7 +45,7 @@ PLAIN_WORLDS = 8
 
 
 @dataclass(frozen=True, kw_only=True)
-class Timed:
+class TimedSimulation:
     """A scenario compiled for one size, with its worlds and its row."""
 
     simulator: Simulator
@@ -74,7 +74,7 @@ def measure(
         repeats: timed turns, after some that are not; all from the same state.
         devices: number of them.
         prepared: different worlds to draw, of which the first are taken; as many as are needed
-            if left out, ``worlds_once.DIFFERENT`` at most in both cases.
+            if left out, ``repeated_worlds.MAX_DIFFERENT`` at most in both cases.
         counted: whether the operations of a step are counted, which traces the program once more.
 
     Returns:
@@ -85,10 +85,10 @@ def measure(
         RunError: a result is not finite, robots stand still, or memory does not suffice.
     """
     sized: dict[str, Any] = {"worlds": worlds, "repeats": repeats, "devices": devices}
-    return time_it(scenario, label=label, **sized, prepared=prepared, counted=counted).row
+    return time_simulation(scenario, label=label, **sized, prepared=prepared, counted=counted).row
 
 
-def time_it(
+def time_simulation(
     scenario: Scenario,
     *,
     label: str,
@@ -97,32 +97,33 @@ def time_it(
     devices: int = 1,
     prepared: int | None = None,
     counted: bool = True,
-) -> Timed:
+) -> TimedSimulation:
     """As `measure`, with what was compiled for it."""
     check_repeats(repeats)
     simulator = Simulator(scenario, tile=worlds, devices=devices)
-    drawn = worlds_once.draw(scenario, prepared or devices * worlds)
-    compile_s, program = _compiled(simulator, drawn)
-    filled = worlds_once.fill(drawn, worlds, devices)
-    rates, active = _repeat(simulator, program, filled, repeats)
+    sampled = repeated_worlds.sample_worlds(scenario, prepared or devices * worlds)
+    compile_s, program = _compile_segment(simulator, sampled)
+    filled = repeated_worlds.repeat_worlds(sampled, worlds, devices)
+    rates, active = _time_turns(simulator, program, filled, repeats)
+    worlds_text = repeated_worlds.describe_worlds(sampled, devices * worlds)
     row = SpeedRow(
         workload=label,
-        inside=f"{_inside(simulator)}; {worlds_once.said(drawn, devices * worlds)}",
+        inside=f"{_describe_region(simulator)}; {worlds_text}",
         worlds=worlds,
         robots=len(scenario.members()),
         unit="vehicle-steps/s",
-        **spread(rates),
+        **summarise_rates(rates),
         compile_s=compile_s,
         devices=devices,
         engine=scenario.engine,
         kernels=simulator.kernels,
         controller=scenario.controller.title,
-        **(_needs(simulator, program) if counted else {"flops_from": "not asked for"}),
-        **account(program),
+        **(_measure_needs(simulator, program) if counted else {"flops_from": "not asked for"}),
+        **read_program_costs(program),
         device_peak_bytes=peak_device_bytes(),
         active_share=active,
     )
-    return Timed(simulator=simulator, worlds=filled, program=program, row=row)
+    return TimedSimulation(simulator=simulator, worlds=filled, program=program, row=row)
 
 
 def measure_preparation(scenario: Scenario, *, label: str, worlds: int, repeats: int) -> SpeedRow:
@@ -144,11 +145,11 @@ def measure_preparation(scenario: Scenario, *, label: str, worlds: int, repeats:
     taken = []
     for i in range(repeats + 1):
         try:
-            seconds, made = seconds_of(simulator.worlds, i * worlds)
+            seconds, sampled = seconds_of(simulator.worlds, i * worlds)
         except jax.errors.JaxRuntimeError as error:
             simulator.explain(error)
             raise
-        if not all_finite(made.path):
+        if not all_finite(sampled.path):
             raise RunError("a path in the timed worlds is not finite: no number is given")
         taken.append(seconds)
     return SpeedRow(
@@ -157,20 +158,20 @@ def measure_preparation(scenario: Scenario, *, label: str, worlds: int, repeats:
         worlds=worlds,
         robots=len(scenario.members()),
         unit="worlds/s",
-        **spread([worlds / seconds for seconds in taken[1:]]),
+        **summarise_rates([worlds / seconds for seconds in taken[1:]]),
         compile_s=compiled.prepare_s,
         flops_from="not counted: the planner searches until it has found",
         device_peak_bytes=peak_device_bytes(),
     )
 
 
-def require_moving(after: WorldState, sample: Sample, most_s: float) -> float:
+def require_moving(after: WorldState, sample: Sample, max_s: float) -> float:
     """Refuse a timed region whose rate would say nothing.
 
     Args:
         after: state at its end, [W] leading.
         sample: taken in it.
-        most_s: simulated time of the region.
+        max_s: simulated time of the region.
 
     Returns:
         Share of all robot time that robots were on their way.
@@ -187,8 +188,8 @@ def require_moving(after: WorldState, sample: Sample, most_s: float) -> float:
             f"{standing.sum()} of {standing.size} robots stood still in the timed region: "
             "no number is given"
         )
-    active = float(np.mean(np.asarray(after.tally.end_time_s, np.float64))) / most_s
-    if active < ACTIVE:
+    active = float(np.mean(np.asarray(after.tally.end_time_s, np.float64))) / max_s
+    if active < MIN_ACTIVE:
         raise RunError(
             f"robots were on their way for only {active:.0%} of the timed region: "
             "no number is given"
@@ -196,54 +197,54 @@ def require_moving(after: WorldState, sample: Sample, most_s: float) -> float:
     return min(active, 1.0)
 
 
-def _repeat(
+def _time_turns(
     simulator: Simulator, program: Any, worlds: World, repeats: int
 ) -> tuple[list[float], float]:
     """Rates of the timed turns, and the least share of robot time in them."""
-    calls = _calls(simulator)
+    calls = _calls_per_turn(simulator)
     seconds = calls * simulator.segment_steps * simulator.spec.control_dt_s
     rates, actives = [], []
-    for counts in turns(repeats):
+    for counts in iterate_turns(repeats):
         state = jax.block_until_ready(simulator.reset(worlds))
-        taken, (after, sample) = seconds_of(_fly, simulator, program, worlds, state, calls)
+        taken, (after, sample) = seconds_of(_run_calls, simulator, program, worlds, state, calls)
         active = require_moving(after, sample, seconds)
         # What is measured is freed before the next state is made: it counts in peak memory.
         del state, after, sample
         if counts:
-            rates.append(active * calls * _most_steps(simulator) / taken)
+            rates.append(active * calls * _max_steps(simulator) / taken)
             actives.append(active)
     return rates, min(actives)
 
 
-def _calls(simulator: Simulator) -> int:
+def _calls_per_turn(simulator: Simulator) -> int:
     """Device calls in one timed turn."""
     return min(1 if jax.default_backend() == "cpu" else CALLS, simulator.segments)
 
 
-def _fly(
+def _run_calls(
     simulator: Simulator, program: Any, worlds: World, state: WorldState, calls: int
 ) -> tuple[WorldState, Sample]:
     """Calls one behind another as in a run: the next is given while one is still computed."""
     in_flight: deque[jax.Array] = deque()
     for _ in range(calls):
-        state, sample, running = program(simulator.fleet, worlds, state, *simulator._driver)
+        state, sample, running = program(simulator.fleet, worlds, state, *simulator._policy_numbers)
         in_flight.append(running)
-        if len(in_flight) == device_batches.AHEAD:
+        if len(in_flight) == device_batches.SEGMENTS_IN_FLIGHT:
             in_flight.popleft().block_until_ready()
     return state, sample
 
 
-def _compiled(simulator: Simulator, drawn: World) -> tuple[float, Any]:
+def _compile_segment(simulator: Simulator, sampled: World) -> tuple[float, Any]:
     """Seconds it took to compile a segment of repeated worlds, and the program.
 
     Raises:
         RunError: its memory is more than a device has; nothing was allocated yet.
     """
-    shapes = worlds_once.shape(drawn, simulator.tile, simulator.devices)
-    mesh = on_devices.mesh(simulator.devices)
-    driver = on_devices.placed(simulator._driver, mesh, on_devices.SAME)
+    shapes = repeated_worlds.repeated_shape(sampled, simulator.tile, simulator.devices)
+    mesh = on_devices.build_mesh(simulator.devices)
+    driver = on_devices.with_sharding(simulator._policy_numbers, mesh, on_devices.REPLICATED)
     state = simulator.programs.reset.shape(simulator.fleet, shapes, *driver)
-    state = on_devices.placed(state, mesh, on_devices.EACH)
+    state = on_devices.with_sharding(state, mesh, on_devices.SHARDED)
     lowered = simulator.programs.segment.lower(simulator.fleet, shapes, state, *driver)
     compile_s, program = seconds_of(lowered.compile)
     _require_room(simulator.tile, program)
@@ -252,21 +253,21 @@ def _compiled(simulator: Simulator, drawn: World) -> tuple[float, Any]:
 
 def _require_room(tile: int, program: Any) -> None:
     """Refuse a program that by XLA's account needs more memory than a device has."""
-    needed = account(program).get("program_bytes")
+    needed = read_program_costs(program).get("program_bytes")
     limit = on_devices.limit_bytes(jax.local_devices()[0])
     if needed is not None and needed > limit:
-        raise on_devices.too_large(tile, needed, limit, "before the first step")
+        raise on_devices.tile_too_large(tile, needed, limit, "before the first step")
 
 
-def _needs(simulator: Simulator, program: Any) -> dict[str, Any]:
+def _measure_needs(simulator: Simulator, program: Any) -> dict[str, Any]:
     """What one physics step of one robot needs at least: operations and bytes."""
     counted, how = _flops_per_step(simulator)
     moved = moved_bytes(program)
-    bytes_each = simulator.devices * moved / _most_steps(simulator) if moved else None
+    bytes_each = simulator.devices * moved / _max_steps(simulator) if moved else None
     return {"flops": counted, "flops_from": how, "least_bytes": bytes_each}
 
 
-def _most_steps(simulator: Simulator) -> int:
+def _max_steps(simulator: Simulator) -> int:
     """Physics steps of all robots in one call, if none of them ends."""
     robots = len(simulator.scenario.members())
     worlds = simulator.devices * simulator.tile
@@ -275,28 +276,28 @@ def _most_steps(simulator: Simulator) -> int:
 
 def _flops_per_step(simulator: Simulator) -> tuple[float | None, str]:
     """Operations for one physics step of one robot, and how they were counted."""
-    counted = _count(simulator.scenario.model_dump_json())
+    counted = _count_scenario_flops(simulator.scenario.model_dump_json())
     if simulator.kernels == "xla" or counted.flops is None:
         return counted.flops, counted.how
     return counted.flops, f"{counted.how}; of the same engine with kernels = xla"
 
 
 @cache
-def _count(scenario: str) -> flops.OperationCount:
+def _count_scenario_flops(scenario: str) -> flops.OperationCount:
     """Operations for one physics step of one robot of a scenario, on the plain engine."""
     plain = Simulator(
         Scenario.model_validate_json(scenario).model_copy(update={"kernels": "xla"}),
         tile=PLAIN_WORLDS,
     )
     worlds = plain.world_shape()
-    counted = flops.count(plain.advance, worlds, jax.eval_shape(plain.reset, worlds))
+    counted = flops.count_operations(plain.advance, worlds, jax.eval_shape(plain.reset, worlds))
     if counted.flops is None:
         return counted
-    return replace(counted, flops=counted.flops / _most_steps(plain))
+    return replace(counted, flops=counted.flops / _max_steps(plain))
 
 
-def _inside(simulator: Simulator) -> str:
-    calls = _calls(simulator)
+def _describe_region(simulator: Simulator) -> str:
+    calls = _calls_per_turn(simulator)
     seconds = calls * simulator.segment_steps * simulator.spec.control_dt_s
     times = "one device call" if calls == 1 else f"{calls} device calls"
     every = simulator.steps_per_sample * simulator.spec.physics_steps

@@ -12,7 +12,9 @@ and ``priority`` search.
 
 import tyro
 
-from angler_experiments.learned_planner.evaluate.arrivals import arrivals, samples
-from angler_experiments.learned_planner.evaluate.curve import curve
+from angler_experiments.learned_planner.evaluate.arrivals import evaluate_arrivals, evaluate_samples
+from angler_experiments.learned_planner.evaluate.curve import evaluate_curve
 
-tyro.extras.subcommand_cli_from_dict({"arrivals": arrivals, "curve": curve, "samples": samples})
+tyro.extras.subcommand_cli_from_dict(
+    {"arrivals": evaluate_arrivals, "curve": evaluate_curve, "samples": evaluate_samples}
+)

@@ -5,12 +5,16 @@ from typing import Any, Literal
 
 from angler_experiments.learned_planner import checkpoint as checkpoints
 from angler_experiments.learned_planner.evaluate import figure, rows
-from angler_experiments.learned_planner.evaluate.book import EvaluationLog, head, line
 from angler_experiments.learned_planner.evaluate.course import EvaluationCourse
-from angler_experiments.learned_planner.progress import Clock
+from angler_experiments.learned_planner.evaluate.evaluation_log import (
+    EvaluationLog,
+    format_head,
+    format_row,
+)
+from angler_experiments.learned_planner.progress import ProgressClock
 
 
-def arrivals(
+def evaluate_arrivals(
     seas: tuple[str, ...] = tuple(rows.SEAS),
     planners: tuple[str, ...] = rows.PLANNERS,
     worlds: int = 128,
@@ -32,45 +36,50 @@ def arrivals(
         told: What is known of the current to the flight ahead.
         out: Folder of arrivals.json, whose rows are not flown again, and arrivals.png.
     """
-    tell = Clock()
-    book = EvaluationLog(out / "arrivals.json" if out else None)
+    report = ProgressClock()
+    log = EvaluationLog(out / "arrivals.json" if out else None)
     file = Path(checkpoint).expanduser().absolute() if checkpoint else None
-    network = {"checkpoint": checkpoints.digest(file)}
-    given = {"checkpoint": str(file)} if file else {}
-    shown = []
+    network = {"checkpoint": checkpoints.hash_checkpoint(file)}
+    overrides = {"checkpoint": str(file)} if file else {}
+    shown_rows = []
     for label in seas:
         keys: dict[str, dict[str, Any]] = {}
-        left: dict[str, dict[str, Any]] = {}
+        missing: dict[str, dict[str, Any]] = {}
         for name in planners:
-            for count in samples if rows.draws(name) else samples[:1]:
-                of_samples = {"samples": count} if rows.draws(name) else {}
-                key = {"sea": label, "planner": name, "worlds": worlds} | of_samples
-                key |= network if rows.learned(name) else {}
-                one = f"{name}, {count}"
-                keys[one] = key
-                if book.find(key) is None:
-                    left[one] = rows.table(name, **given, **of_samples)
+            for count in samples if rows.samples_paths(name) else samples[:1]:
+                sample_settings = {"samples": count} if rows.samples_paths(name) else {}
+                key = {"sea": label, "planner": name, "worlds": worlds} | sample_settings
+                key |= network if rows.uses_network(name) else {}
+                row_name = f"{name}, {count}"
+                keys[row_name] = key
+                if log.find(key) is None:
+                    missing[row_name] = rows.planner_table(name, **overrides, **sample_settings)
         course = None
-        if left:
-            course = EvaluationCourse(rows.sea(label), worlds, tell)
-            for one, row in course.fly_all(left):
-                made = book.add(keys[one], row.table())
-                tell(f"{line(made)} compiled {row.compile_s:.0f} s, flown {row.flight_s:.0f} s")
+        if missing:
+            course = EvaluationCourse(rows.find_sea(label), worlds, report)
+            for row_name, row in course.fly_all(missing):
+                entry = log.add(keys[row_name], row.table())
+                report(
+                    f"{format_row(entry)} compiled {row.compile_s:.0f} s, flown {row.flight_s:.0f} "
+                    "s"
+                )
         for teams in ahead:
             name = f"learned, {teams} ahead, told {told}"
             key = {"sea": label, "planner": name, "worlds": worlds, "samples": samples[-1]}
             keys[name] = key | network
-            if book.find(keys[name]) is None:
-                course = course or EvaluationCourse(rows.sea(label), worlds, tell)
-                flown = course.fly_ahead(given | {"samples": samples[-1]}, teams, told)
-                tell(line(book.add(keys[name], flown.table())))
-        shown += [book.find(key) for key in keys.values()]
+            if log.find(keys[name]) is None:
+                course = course or EvaluationCourse(rows.find_sea(label), worlds, report)
+                ahead_row = course.fly_ahead(overrides | {"samples": samples[-1]}, teams, told)
+                report(format_row(log.add(keys[name], ahead_row.table())))
+        shown_rows += [log.find(key) for key in keys.values()]
         if out:
-            tell(str(figure.arrivals([row for row in shown if row], out / "arrivals.png")))
-    print("\n".join([head(), *(line(row) for row in shown if row)]), flush=True)
+            report(
+                str(figure.plot_arrivals([row for row in shown_rows if row], out / "arrivals.png"))
+            )
+    print("\n".join([format_head(), *(format_row(row) for row in shown_rows if row)]), flush=True)
 
 
-def samples(
+def evaluate_samples(
     seas: tuple[str, ...] = ("reef", "dense", "dense, 16 robots"),
     counts: tuple[int, ...] = (1, 2, 4, 16),
     planners: tuple[str, ...] = ("noise, not pushed", "learned, not pushed", "noise", "learned"),
@@ -86,8 +95,8 @@ def samples(
         planners: By their names.
         worlds: Of each row.
         checkpoint: Of the network; the shipped one if empty.
-        out: Folder, as of `arrivals`.
+        out: Folder, as of `evaluate_arrivals`.
     """
-    arrivals(
+    evaluate_arrivals(
         seas=seas, planners=planners, worlds=worlds, checkpoint=checkpoint, samples=counts, out=out
     )

@@ -9,20 +9,20 @@ from typing import Any
 import jax
 import numpy as np
 
-from angler_experiments.learned_planner.evaluate.ahead import Ahead
-from angler_experiments.learned_planner.evaluate.rows import POINTS, Sea, scenario
+from angler_experiments.learned_planner.evaluate.lookahead import LookaheadSimulator
+from angler_experiments.learned_planner.evaluate.rows import POINTS, Sea, build_scenario
 from angler_experiments.learned_planner.planner import LearnedPlanner, LearnedSettings
 from angler_mjx.planning.planner import Path, PathShape
 from angler_mjx.planning.problem import Problem
 from angler_mjx.robot.control.trajectory import Trajectory
-from angler_mjx.runs.simulator.compiling import Compiled, PendingProgram, Together
-from angler_mjx.runs.simulator.on_device import device_planner
+from angler_mjx.runs.simulator.compilation import CompiledFunction, ParallelCompiler, PendingProgram
+from angler_mjx.runs.simulator.device_planning import build_device_planner
 from angler_mjx.runs.simulator.simulator import Simulator
-from angler_mjx.runs.storage.intervals import ClusteredRate, clustered
+from angler_mjx.runs.storage.confidence_intervals import ClusteredRate, clustered_rates
 from angler_mjx.sim.information import InformationLevel
 from angler_mjx.sim.state import Outcome, World
 
-_TIMED = 2
+_N_TIMED_CALLS = 2
 """Calls that are timed."""
 
 
@@ -53,14 +53,19 @@ class CourseRow:
 class EvaluationCourse:
     """Worlds that are one tile."""
 
-    def __init__(self, sea: Sea, worlds: int, tell: Callable[[str], None]) -> None:
+    def __init__(self, sea: Sea, worlds: int, report: Callable[[str], None]) -> None:
         """Compile what flies, and draw the worlds."""
-        self.sea, self.worlds, self.tell = sea, worlds, tell
-        chosen = scenario(sea, {"name": "grid"}, worlds)
-        self.simulator = Simulator(chosen, tile=worlds, paths=PathShape(points=POINTS))
-        took = self.simulator.compile()
-        self.drawn, self.problems = jax.block_until_ready(self.simulator.asked(0))
-        tell(f"{sea.label}: {worlds} worlds of {sea.robots} robots, {took.total_s:.0f} s compiled")
+        self.sea, self.worlds, self.report = sea, worlds, report
+        grid_scenario = build_scenario(sea, {"name": "grid"}, worlds)
+        self.simulator = Simulator(grid_scenario, tile=worlds, paths=PathShape(points=POINTS))
+        compile_time = self.simulator.compile()
+        self.sampled_worlds, self.problems = jax.block_until_ready(
+            self.simulator.sample_problems(0)
+        )
+        report(
+            f"{sea.label}: {worlds} worlds of {sea.robots} robots, {compile_time.total_s:.0f} s "
+            "compiled"
+        )
 
     def fly_all(self, planners: Mapping[str, dict[str, Any]]) -> Iterator[tuple[str, CourseRow]]:
         """Rows of planners as they come; all are compiled, side by side, before any is timed.
@@ -71,69 +76,77 @@ class EvaluationCourse:
         Yields:
             Names and rows.
         """
-        with Together(max(1, len(planners))) as together:
-            begun = {name: self._begin(together, table) for name, table in planners.items()}
-        for name, program in begun.items():
+        with ParallelCompiler(max(1, len(planners))) as compiler:
+            pending = {
+                name: self._begin_compile(compiler, table) for name, table in planners.items()
+            }
+        for name, program in pending.items():
             plan, compile_s = program.result()
-            yield name, self._row(plan, compile_s)
+            yield name, self._make_row(plan, compile_s)
 
-    def _begin(self, together: Together, planner: dict[str, Any]) -> PendingProgram:
-        chosen = scenario(self.sea, planner, self.worlds)
-        plan = device_planner(chosen, chosen.planner.chosen())
-        program = Compiled(plan)
-        return together.begin(program, self.drawn, self.problems)
+    def _begin_compile(self, compiler: ParallelCompiler, planner: dict[str, Any]) -> PendingProgram:
+        planner_scenario = build_scenario(self.sea, planner, self.worlds)
+        plan = build_device_planner(planner_scenario, planner_scenario.planner.planner_spec())
+        program = CompiledFunction(plan)
+        return compiler.begin(program, self.sampled_worlds, self.problems)
 
-    def fly_ahead(self, settings: dict[str, Any], teams: int, told: InformationLevel) -> CourseRow:
+    def fly_ahead(
+        self, settings: dict[str, Any], teams: int, current_level: InformationLevel
+    ) -> CourseRow:
         """The row of the learned planner where several of its answers are flown ahead.
 
         Args:
             settings: its own.
             teams: answers to each problem.
-            told: how much of the current is known to the flight ahead, not to the planner;
+            current_level: how much of the current is known to the flight ahead, not to the planner;
                 predicted would be flown as the truth.
         """
-        chosen = scenario(self.sea, {"name": "grid"}, self.worlds)
-        knows = replace(chosen.planner.knows.knows(), current=told)
-        _, told_to_flight = self.simulator.asked(0, knows=knows)
+        grid_scenario = build_scenario(self.sea, {"name": "grid"}, self.worlds)
+        information = replace(
+            grid_scenario.planner.information.to_information(), current=current_level
+        )
+        _, flight_problems = self.simulator.sample_problems(0, information=information)
         planner = LearnedPlanner(LearnedSettings(points=POINTS, **settings))
-        begun = time.perf_counter()
-        answer = Compiled(partial(planner.plan_teams, teams=teams))
-        program = answer.lower(self.problems).compile()
-        compile_s = time.perf_counter() - begun
-        ahead = Ahead(chosen)
+        start_s = time.perf_counter()
+        plan_function = CompiledFunction(partial(planner.plan_teams, teams=teams))
+        program = plan_function.lower(self.problems).compile()
+        compile_s = time.perf_counter() - start_s
+        lookahead = LookaheadSimulator(grid_scenario)
 
         def plan(worlds: World, problems: Problem) -> Trajectory:
-            return ahead.best(worlds, program(problems), told_to_flight)
+            return lookahead.select_best(worlds, program(problems), flight_problems)
 
-        return self._row(plan, compile_s)
+        return self._make_row(plan, compile_s)
 
-    def _row(self, plan: Callable[..., Path], compile_s: float) -> CourseRow:
-        jax.block_until_ready(plan(self.drawn, self.problems))
+    def _make_row(self, plan: Callable[..., Path], compile_s: float) -> CourseRow:
+        jax.block_until_ready(plan(self.sampled_worlds, self.problems))
         times = [time.perf_counter()]
-        for _ in range(_TIMED):
-            path = jax.block_until_ready(plan(self.drawn, self.problems))
+        for _ in range(_N_TIMED_CALLS):
+            path = jax.block_until_ready(plan(self.sampled_worlds, self.problems))
             times.append(time.perf_counter())
-        planned = times[-1]
-        outcome = self.flown(self.simulator.with_paths(self.drawn, path))
-        flown = time.perf_counter()
-        found = np.asarray(path.found)
-        rates = [_rate(yes) for yes in (found, outcome == Outcome.REACHED)]
+        planned_at_s = times[-1]
+        outcome = self.fly_to_end(self.simulator.with_paths(self.sampled_worlds, path))
+        flown_at_s = time.perf_counter()
+        has_path = np.asarray(path.found)
+        rates = [
+            _clustered_rate(is_success) for is_success in (has_path, outcome == Outcome.REACHED)
+        ]
         team = self.problems.team
-        straight = np.linalg.norm(np.asarray(team.goal_m) - np.asarray(team.start_m), axis=-1)
+        straight_m = np.linalg.norm(np.asarray(team.goal_m) - np.asarray(team.start_m), axis=-1)
         legs = np.diff(np.asarray(path.position_m), axis=-2)
-        length = np.linalg.norm(legs, axis=-1).sum(axis=-1)
+        length_m = np.linalg.norm(legs, axis=-1).sum(axis=-1)
         return CourseRow(
             found=rates[0],
             arrived=rates[1],
             planning_s=float(np.diff(times).min()),
             compile_s=compile_s,
-            flight_s=flown - planned,
-            detour=_mean((length / straight)[found]),
-            planned_s=_mean(np.asarray(path.time_s)[..., -1][found]),
-            ended={one.name.lower(): float((outcome == one).mean()) for one in Outcome},
+            flight_s=flown_at_s - planned_at_s,
+            detour=_mean_or_none((length_m / straight_m)[has_path]),
+            planned_s=_mean_or_none(np.asarray(path.time_s)[..., -1][has_path]),
+            ended={kind.name.lower(): float((outcome == kind).mean()) for kind in Outcome},
         )
 
-    def flown(self, worlds: World) -> np.ndarray:
+    def fly_to_end(self, worlds: World) -> np.ndarray:
         """Outcomes [world, robot] of flights to their end."""
         state = self.simulator.reset(worlds)
         for _ in range(self.simulator.segments):
@@ -143,12 +156,12 @@ class EvaluationCourse:
         return np.asarray(state.tally.outcome)
 
 
-def _mean(values: np.ndarray) -> float | None:
+def _mean_or_none(values: np.ndarray) -> float | None:
     return float(values.mean()) if values.size else None
 
 
-def _rate(yes: np.ndarray) -> ClusteredRate:
+def _clustered_rate(is_success: np.ndarray) -> ClusteredRate:
     """Share [worlds, robots] with an interval that knows which robots share a world."""
-    world = np.repeat(np.arange(yes.shape[0]), yes.shape[1])
-    flat = yes.reshape(-1)
-    return clustered({"yes": flat, "no": ~flat}, world)["yes"]
+    world = np.repeat(np.arange(is_success.shape[0]), is_success.shape[1])
+    flat_success = is_success.reshape(-1)
+    return clustered_rates({"yes": flat_success, "no": ~flat_success}, world)["yes"]

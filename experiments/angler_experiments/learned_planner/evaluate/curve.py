@@ -7,17 +7,21 @@ from typing import Any
 
 from angler_experiments.learned_planner import checkpoint, train
 from angler_experiments.learned_planner.evaluate import figure
-from angler_experiments.learned_planner.evaluate.book import EvaluationLog, head, line
 from angler_experiments.learned_planner.evaluate.course import EvaluationCourse
-from angler_experiments.learned_planner.evaluate.rows import sea, table
-from angler_experiments.learned_planner.progress import Clock
-from angler_experiments.learned_planner.training import keeping, loop
+from angler_experiments.learned_planner.evaluate.evaluation_log import (
+    EvaluationLog,
+    format_head,
+    format_row,
+)
+from angler_experiments.learned_planner.evaluate.rows import find_sea, planner_table
+from angler_experiments.learned_planner.progress import ProgressClock
+from angler_experiments.learned_planner.training import example_files, loop
 
-_WITH_HELD = 20.0 / 19.0
+_WORLDS_PER_LEARNED = 20.0 / 19.0
 """Worlds in all for each that is learned from."""
 
 
-def curve(
+def evaluate_curve(
     out: Path,
     sizes: tuple[int, ...] = (1000, 10000, 100000),
     config: str = "small",
@@ -43,40 +47,52 @@ def curve(
         seas: To be judged in.
         examples: File of examples, as of `train`; read if it is there, otherwise written.
     """
-    tell = Clock()
-    chosen = train.CONFIGS[config]
-    chosen = replace(chosen, steps=steps or chosen.steps)
-    whole = keeping.examples(chosen.sources, math.ceil(max(sizes) * _WITH_HELD), examples, tell)
-    learned, held = loop.divided(whole)
-    if learned.count < max(sizes):
-        tell(f"there are {learned.count} worlds to learn from, less than {max(sizes)}")
+    report = ProgressClock()
+    train_config = train.CONFIGS[config]
+    train_config = replace(train_config, steps=steps or train_config.steps)
+    all_examples = example_files.load_or_sample(
+        train_config.sources, math.ceil(max(sizes) * _WORLDS_PER_LEARNED), examples, report
+    )
+    training_set, validation_set = loop.split_examples(all_examples)
+    if training_set.count < max(sizes):
+        report(f"there are {training_set.count} worlds to learn from, less than {max(sizes)}")
     if minutes is not None:
-        chosen = loop.paced(chosen, learned, out, 60.0 * minutes, tell)
+        train_config = loop.limit_steps(train_config, training_set, out, 60.0 * minutes, report)
     for size in sizes:
-        tell(f"training on {size} worlds, {chosen.steps} steps")
-        loop.train(chosen, learned, out / str(size), tell, size=size, held=held)
-    book, shown = EvaluationLog(out / "curve.json"), []
+        report(f"training on {size} worlds, {train_config.steps} steps")
+        loop.train(
+            train_config,
+            training_set,
+            out / str(size),
+            report,
+            size=size,
+            validation_set=validation_set,
+        )
+    log, shown_rows = EvaluationLog(out / "curve.json"), []
     for label in seas:
         keys: dict[str, dict[str, Any]] = {}
-        left, loss = {}, {}
+        missing, loss = {}, {}
         for size in sizes:
             file = (out / str(size) / loop.WEIGHTS).absolute()
-            loss[size] = checkpoint.load(file).about["loss"]
+            loss[size] = checkpoint.load_checkpoint(file).about["loss"]
             for name in planners:
-                of = {"learned_from": size, "steps": chosen.steps, "samples": samples}
-                one = f"{name}, {size}"
-                keys[one] = {"sea": label, "planner": name, "worlds": worlds} | of
-                if book.find(keys[one]) is None:
-                    left[one] = table(name, checkpoint=str(file), samples=samples)
-        if left:
-            course = EvaluationCourse(sea(label), worlds, tell)
-            for one, row in course.fly_all(left):
-                size = keys[one]["learned_from"]
-                tell(f"{size}: {line(book.add(keys[one], row.table() | {'loss': loss[size]}))}")
-        shown += [book.find(key) for key in keys.values()]
-    first = [row for row in shown if row and row["key"]["sea"] == seas[0]]
-    tell(str(figure.curve(first, out / "curve.png")))
-    top, rule = head().splitlines()
-    print(f"| learned from {top}\n|---{rule}")
-    each = (f"| {row['key']['learned_from']} {line(row)}" for row in shown if row)
-    print("\n".join(each), flush=True)
+                settings = {"learned_from": size, "steps": train_config.steps, "samples": samples}
+                row_name = f"{name}, {size}"
+                keys[row_name] = {"sea": label, "planner": name, "worlds": worlds} | settings
+                if log.find(keys[row_name]) is None:
+                    missing[row_name] = planner_table(name, checkpoint=str(file), samples=samples)
+        if missing:
+            course = EvaluationCourse(find_sea(label), worlds, report)
+            for row_name, row in course.fly_all(missing):
+                size = keys[row_name]["learned_from"]
+                report(
+                    f"{size}: "
+                    f"{format_row(log.add(keys[row_name], row.table() | {'loss': loss[size]}))}"
+                )
+        shown_rows += [log.find(key) for key in keys.values()]
+    first = [row for row in shown_rows if row and row["key"]["sea"] == seas[0]]
+    report(str(figure.plot_curve(first, out / "curve.png")))
+    header, rule = format_head().splitlines()
+    print(f"| learned from {header}\n|---{rule}")
+    table_lines = (f"| {row['key']['learned_from']} {format_row(row)}" for row in shown_rows if row)
+    print("\n".join(table_lines), flush=True)

@@ -10,60 +10,63 @@ from angler_mjx.report.viewing import style
 _PERCENT = 100.0
 
 
-def arrivals(rows: list[dict[str, Any]], file: Path) -> Path:
+def plot_arrivals(rows: list[dict[str, Any]], file: Path) -> Path:
     """Bars of arrivals with their intervals, planners side by side in each sea."""
     seas = list(dict.fromkeys(row["key"]["sea"] for row in rows))
-    names = list(dict.fromkeys(_name(row) for row in rows))
-    shade = _shades(rows)
-    with style.styled():
+    names = list(dict.fromkeys(_row_name(row) for row in rows))
+    row_colors = _row_colors(rows)
+    with style.figure_style():
         figure = style.new_figure(3.4 + 1.9 * len(seas), 3.6)
         axes = figure.add_subplot()
-        wide = 0.8 / len(names)
+        bar_width = 0.8 / len(names)
         for number, name in enumerate(names):
-            mine = [row for row in rows if _name(row) == name]
-            at = [seas.index(row["key"]["sea"]) + (number + 0.5) * wide - 0.4 for row in mine]
-            rate, off = _with_interval(mine)
-            color, depth = shade[name]
-            axes.bar(at, rate, 0.9 * wide, color=color, alpha=depth, label=name)
-            axes.errorbar(at, rate, off, fmt="none", ecolor=style.INK, elinewidth=0.9)
+            planner_rows = [row for row in rows if _row_name(row) == name]
+            bar_x = [
+                seas.index(row["key"]["sea"]) + (number + 0.5) * bar_width - 0.4
+                for row in planner_rows
+            ]
+            rate, error = _rates_with_interval(planner_rows)
+            color, depth = row_colors[name]
+            axes.bar(bar_x, rate, 0.9 * bar_width, color=color, alpha=depth, label=name)
+            axes.errorbar(bar_x, rate, error, fmt="none", ecolor=style.INK, elinewidth=0.9)
         axes.set_xticks(range(len(seas)), seas)
         axes.set_ylim(0.0, 105.0)
         axes.set_ylabel("robots that arrive, %")
         axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
-        return style.save(figure, file, palette=128)
+        return style.save_figure(figure, file, palette=128)
 
 
-def _shades(rows: list[dict[str, Any]]) -> dict[str, tuple[str, float]]:
+def _row_colors(rows: list[dict[str, Any]]) -> dict[str, tuple[str, float]]:
     """Colour of each name by its planner, and depth by its samples: more of them are darker."""
     planners = list(dict.fromkeys(row["key"]["planner"] for row in rows))
     counts = sorted({row["key"]["samples"] for row in rows if "samples" in row["key"]})
     step = 0.65 / max(len(counts) - 1, 1)
-    made = {}
+    row_colors = {}
     for row in rows:
         key = row["key"]
         fewer = len(counts) - 1 - counts.index(key["samples"]) if "samples" in key else 0
         color = style.robot_color(planners.index(key["planner"]))
-        made[_name(row)] = color, 1.0 - step * fewer
-    return made
+        row_colors[_row_name(row)] = color, 1.0 - step * fewer
+    return row_colors
 
 
-def _name(row: dict[str, Any]) -> str:
+def _row_name(row: dict[str, Any]) -> str:
     key = row["key"]
     return f"{key['planner']}, {key['samples']}" if "samples" in key else str(key["planner"])
 
 
-def curve(rows: list[dict[str, Any]], file: Path) -> Path:
+def plot_curve(rows: list[dict[str, Any]], file: Path) -> Path:
     """Arrivals, and the loss on worlds that were held back, against the size of the training."""
     names = list(dict.fromkeys(row["key"]["planner"] for row in rows))
-    with style.styled():
+    with style.figure_style():
         figure = style.new_figure(8.4, 3.4)
         left, right = figure.subplots(1, 2)
         for number, name in enumerate(names):
-            mine = [row for row in rows if row["key"]["planner"] == name]
-            rate, off = _with_interval(mine)
-            size = [row["key"]["learned_from"] for row in mine]
+            planner_rows = [row for row in rows if row["key"]["planner"] == name]
+            rate, error = _rates_with_interval(planner_rows)
+            size = [row["key"]["learned_from"] for row in planner_rows]
             color = style.robot_color(number)
-            left.errorbar(size, rate, off, fmt="o-", capsize=3.0, color=color, label=name)
+            left.errorbar(size, rate, error, fmt="o-", capsize=3.0, color=color, label=name)
         first = [row for row in rows if row["key"]["planner"] == names[0]]
         size = [row["key"]["learned_from"] for row in first]
         right.plot(size, [row["loss"] for row in first], "o-", color=style.INK)
@@ -74,13 +77,13 @@ def curve(rows: list[dict[str, Any]], file: Path) -> Path:
             axes.set_xlabel("worlds learned from")
             axes.grid(visible=True)
         left.legend()
-        return style.save(figure, file, palette=128)
+        return style.save_figure(figure, file, palette=128)
 
 
-def _with_interval(rows: list[dict[str, Any]]) -> tuple[np.ndarray, np.ndarray]:
+def _rates_with_interval(rows: list[dict[str, Any]]) -> tuple[np.ndarray, np.ndarray]:
     """Arrivals [n] in per cent, and how far their intervals reach down and up [2, n]."""
-    each = [row["arrived"] for row in rows]
+    arrived = [row["arrived"] for row in rows]
     rate, low, high = (
-        _PERCENT * np.array([one[k] for one in each]) for k in ("rate", "low", "high")
+        _PERCENT * np.array([entry[k] for entry in arrived]) for k in ("rate", "low", "high")
     )
     return rate, np.maximum([rate - low, high - rate], 0.0)

@@ -17,7 +17,7 @@ SEED = 2_000_003
 """Of worlds to be judged in."""
 POINTS = 32
 PLANNERS = ("straight", "drawn", "noise", "learned", "grid", "priority")
-_DRAWING: dict[str, dict[str, Any]] = {
+_SAMPLING_ROWS: dict[str, dict[str, Any]] = {
     "drawn": {"repair": False},
     "noise, not pushed": {"draw": "noise", "pushes": 0},
     "learned, not pushed": {"pushes": 0},
@@ -60,18 +60,20 @@ class StraightRow:
     def plan_batch(self, problems: Problem) -> Trajectory:
         """Paths [world, robot]."""
         team = problems.team
-        far = jnp.sqrt(jnp.sum((team.goal_m - team.start_m) ** 2, axis=-1))
-        end = far / (0.999 * team.cruise_speed_mps)
-        row = jnp.arange(POINTS) > 0
-        place = jnp.where(row[:, None], team.goal_m[..., None, :], team.start_m[..., None, :])
+        distance_m = jnp.sqrt(jnp.sum((team.goal_m - team.start_m) ** 2, axis=-1))
+        end = distance_m / (0.999 * team.cruise_speed_mps)
+        is_goal = jnp.arange(POINTS) > 0
+        position_m = jnp.where(
+            is_goal[:, None], team.goal_m[..., None, :], team.start_m[..., None, :]
+        )
         return Trajectory(
-            time_s=jnp.where(row, end[..., None], 0.0),
-            position_m=place,
-            found=jnp.ones(far.shape, bool),
+            time_s=jnp.where(is_goal, end[..., None], 0.0),
+            position_m=position_m,
+            found=jnp.ones(distance_m.shape, bool),
         )
 
 
-def table(name: str, **settings: Any) -> dict[str, Any]:
+def planner_table(name: str, **settings: Any) -> dict[str, Any]:
     """Table ``planner`` of a row.
 
     Planners of this package are named by their files, so that nothing needs to be installed.
@@ -83,25 +85,25 @@ def table(name: str, **settings: Any) -> dict[str, Any]:
     Raises:
         ConfigError: there is no such row.
     """
-    if name in _DRAWING:
-        chosen = f"{Path(planner.__file__).resolve()}:LearnedPlanner"
-        return {"name": chosen, "LearnedPlanner": settings | _DRAWING[name]}
+    if name in _SAMPLING_ROWS:
+        class_path = f"{Path(planner.__file__).resolve()}:LearnedPlanner"
+        return {"name": class_path, "LearnedPlanner": settings | _SAMPLING_ROWS[name]}
     if name not in PLANNERS:
-        raise ConfigError(f"row {name!r}: there is {'; '.join({*PLANNERS, *_DRAWING})}")
-    return {"name": f"{Path(__file__).resolve()}:Straight" if name == "straight" else name}
+        raise ConfigError(f"row {name!r}: there is {'; '.join({*PLANNERS, *_SAMPLING_ROWS})}")
+    return {"name": f"{Path(__file__).resolve()}:StraightRow" if name == "straight" else name}
 
 
-def draws(name: str) -> bool:
+def samples_paths(name: str) -> bool:
     """Whether a row draws ways."""
-    return name in _DRAWING
+    return name in _SAMPLING_ROWS
 
 
-def learned(name: str) -> bool:
+def uses_network(name: str) -> bool:
     """Whether a row depends on the network."""
-    return draws(name) and _DRAWING[name].get("draw") != "noise"
+    return samples_paths(name) and _SAMPLING_ROWS[name].get("draw") != "noise"
 
 
-def sea(label: str) -> Sea:
+def find_sea(label: str) -> Sea:
     """By its label.
 
     Raises:
@@ -112,9 +114,9 @@ def sea(label: str) -> Sea:
     return SEAS[label]
 
 
-def scenario(sea: Sea, planner: dict[str, Any], worlds: int) -> Scenario:
+def build_scenario(sea: Sea, planner: dict[str, Any], worlds: int) -> Scenario:
     """Of one row."""
-    return examples.scenario(
+    return examples.build_scenario(
         preset=sea.preset,
         robots=sea.robots,
         still=sea.still,

@@ -28,15 +28,15 @@ CASES = {
 @pytest.mark.parametrize("name", CASES)
 def test_lines_cross_where_robots_come_nearer_than_at_their_ends(name):
     robots, crossings = CASES[name]
-    assert index.crossing_pairs(*lines(*robots)).tolist() == [crossings]
+    assert index.count_crossings(*lines(*robots)).tolist() == [crossings]
 
 
 def test_no_pair_is_left_out():
     """Eight robots from the corners of a cube to the opposite ones: all meet in the middle."""
     corners = np.array(list(np.ndindex(2, 2, 2)), np.float32)[None] * 20.0
-    assert index.crossing_pairs(corners, 20.0 - corners).tolist() == [28]
+    assert index.count_crossings(corners, 20.0 - corners).tolist() == [28]
     aside = corners + np.array([10.0, 0.0, 0.0], np.float32)
-    assert index.crossing_pairs(corners, aside).tolist() == [0]
+    assert index.count_crossings(corners, aside).tolist() == [0]
 
 
 @pytest.mark.parametrize(
@@ -57,4 +57,6 @@ def test_no_pair_is_left_out():
 )
 def test_levels_tell_episodes_apart(robots, free, crossings, level):
     assert level in DIFFICULTIES
-    assert index.difficulty(np.array([free]), np.array([crossings]), robots).tolist() == [level]
+    assert index.classify_difficulty(np.array([free]), np.array([crossings]), robots).tolist() == [
+        level
+    ]

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.learning.datasets import index, making, manifest
-from angler_mjx.runs import rollout, several
+from angler_mjx.learning.datasets import generation, index, manifest
+from angler_mjx.runs import multi_run, rollout
 from angler_mjx.runs.progress import SilentProgress
 from angler_mjx.runs.storage import folder, output_lock
 from angler_mjx.runs.storage.folder import Run
@@ -30,7 +30,7 @@ class Told(SilentProgress):
 @pytest.fixture
 def flown_before(made, monkeypatch):
     """Runs that the first process copies from the dataset, with the meetings of a run."""
-    parts = {part.seed: made / part.path for part in manifest.read(made).parts}
+    parts = {part.seed: made / part.path for part in manifest.read_manifest(made).parts}
     flights = []
 
     def fly(scenario, *, out, processes, **how):
@@ -46,35 +46,40 @@ def flown_before(made, monkeypatch):
 
 
 def test_parts_are_flown_together_and_one_writes_the_rest(file, made, flown_before, tmp_path):
-    asked, out = making.read_request(file, 6), tmp_path / "out"
-    ends, ours = together(3, lambda one: making.make(asked, out, told=Told(), processes=one))
+    asked, out = generation.read_request(file, 6), tmp_path / "out"
+    ends, ours = together(
+        3, lambda one: generation.make_dataset(asked, out, progress=Told(), processes=one)
+    )
     assert ends == [out] * 3
     assert len(flown_before) == 6
-    assert index.read(out).equals(index.read(made))
+    assert index.read_index(out).equals(index.read_index(made))
     # Who left before all others were done would end their wait.
     assert [one.left for one in ours] == [0, 0, 0]
 
 
 def test_a_part_that_is_whole_is_begun_by_nobody(file, made, flown_before, tmp_path):
-    asked, out = making.read_request(file, 6), tmp_path / "out"
-    claimed = output_lock.acquire(out, what="dataset")
-    folder.write_json(claimed.building / several.MAKING, asked.resolved())
-    first = manifest.read(made).parts[0]
+    asked, out = generation.read_request(file, 6), tmp_path / "out"
+    claimed = output_lock.acquire(out, kind="dataset")
+    folder.write_json(claimed.building / multi_run.REQUEST_FILE, asked.resolved())
+    first = manifest.read_manifest(made).parts[0]
     shutil.copytree(made / first.path, claimed.building / first.path)
     claimed.release()
     ends, _ = together(
-        2, lambda one: making.make(asked, out, told=Told(), processes=one, resume=True)
+        2,
+        lambda one: generation.make_dataset(
+            asked, out, progress=Told(), processes=one, resume=True
+        ),
     )
     assert ends == [out] * 2
-    assert sorted(flown_before) == [(i, manifest.read(made).parts[1].seed) for i in (0, 1)]
+    assert sorted(flown_before) == [(i, manifest.read_manifest(made).parts[1].seed) for i in (0, 1)]
 
 
 def test_what_one_cannot_do_ends_all(file, flown_before, tmp_path):
     (tmp_path / "out" / "mine").mkdir(parents=True)
     ends, ours = together(
         2,
-        lambda one: making.make(
-            making.read_request(file, 6), tmp_path / "out", told=Told(), processes=one
+        lambda one: generation.make_dataset(
+            generation.read_request(file, 6), tmp_path / "out", progress=Told(), processes=one
         ),
     )
     assert isinstance(ends[0], ConfigError)
@@ -113,7 +118,9 @@ def test_two_processes_make_the_same_dataset_also_when_one_was_lost(file, made, 
     try:
         # Killed when the first part is whole: by then it is at the second.
         until = time.monotonic() + 400
-        while not (building / manifest.read(made).parts[0].path / folder.SUMMARY).is_file():
+        while not (
+            building / manifest.read_manifest(made).parts[0].path / folder.SUMMARY
+        ).is_file():
             assert time.monotonic() < until
             assert all(one.poll() is None for one in started)
             time.sleep(0.1)
@@ -141,7 +148,7 @@ def assert_same(out: Path, made: Path):
     assert names
     for name in names:
         assert (out / name).read_bytes() == (made / name).read_bytes(), name
-    assert index.read(out).equals(index.read(made))
-    for part in manifest.read(made).parts:
+    assert index.read_index(out).equals(index.read_index(made))
+    for part in manifest.read_manifest(made).parts:
         ours, theirs = Run(out / part.path).episodes, Run(made / part.path).episodes
         assert ours.equals(theirs)

@@ -13,17 +13,17 @@ from scipy.spatial.transform import Rotation
 from angler_mjx.cli import main
 from angler_mjx.errors import ConfigError
 from angler_mjx.learning import datasets
-from angler_mjx.learning.datasets.exports import flights, lerobot, mpinets, parquet, writing
+from angler_mjx.learning.datasets.exports import flights, formats, lerobot, mpinets, parquet
 
 
 @pytest.fixture(scope="module")
 def data(made):
-    return datasets.open(made, fields=flights.NEEDED)
+    return datasets.open(made, fields=flights.REQUIRED_FIELDS)
 
 
 @pytest.fixture(scope="module")
 def every(data):
-    return list(flights.flights(data, "target"))
+    return list(flights.iterate_flights(data, "target"))
 
 
 WITHOUT_UNIT = {"qw", "qx", "qy", "qz", "re", "de", "ot"}
@@ -35,17 +35,17 @@ def silent(*_):
 
 
 def written(made, tmp_path, to, **how):
-    return writing.export(made, tmp_path / to, to=to, tell=silent, **how)
+    return formats.export_dataset(made, tmp_path / to, to=to, progress=silent, **how)
 
 
 def test_a_flight_is_what_its_episode_holds(data, every):
-    assert len(every) <= flights.count(data) == 10
+    assert len(every) <= flights.count_flights(data) == 10
     for flight in every:
         episode = data.episode(flight.episode)
         steps = len(flight.time_s)
         assert episode.running[:steps, flight.robot].all()
         assert not episode.running[steps:, flight.robot].any()
-        at = flights.STATE.index
+        at = flights.STATE_COLUMNS.index
         mine = {name: values[:steps, flight.robot] for name, values in episode.arrays.items()}
         np.testing.assert_array_equal(flight.state[:, at("x_m") : at("z_m") + 1], mine["p_m"])
         np.testing.assert_array_equal(flight.state[:, at("qw") : at("qz") + 1], mine["q"])
@@ -78,7 +78,7 @@ def test_others_are_seen_from_the_robot(data, every):
 
 
 def test_parquet_holds_every_sample(made, every, tmp_path, monkeypatch):
-    monkeypatch.setattr(parquet, "FLIGHTS", 3)
+    monkeypatch.setattr(parquet, "FLIGHTS_PER_FILE", 3)
     out = written(made, tmp_path, "parquet", action="pwm")
     table = pq.read_table(out)
     assert len(list(out.iterdir())) == -(-len(every) // 3)
@@ -96,7 +96,7 @@ def test_parquet_holds_every_sample(made, every, tmp_path, monkeypatch):
         at += len(flight.time_s)
     assert 1100 <= rows[0]["action_pwm_0_us"] <= 1900
     about = json.loads(pq.read_schema(next(out.iterdir())).metadata[b"angler"])
-    assert about["state"] == list(flights.STATE)
+    assert about["state"] == list(flights.STATE_COLUMNS)
     schema = pq.read_schema(next(out.iterdir()))
     numbers = [field for field in schema if field.name not in ("split", "outcome")]
     units = {field.name: field.metadata[b"unit"].decode() for field in numbers}
@@ -108,7 +108,7 @@ def test_parquet_holds_every_sample(made, every, tmp_path, monkeypatch):
 
 
 def test_lerobot_is_as_its_version_3_says(made, every, tmp_path, monkeypatch):
-    monkeypatch.setattr(lerobot, "FRAMES", 50)
+    monkeypatch.setattr(lerobot, "MAX_FRAMES", 50)
     out = written(made, tmp_path, "lerobot")
     info = json.loads((out / "meta" / "info.json").read_text())
     assert info["codebase_version"] == "v3.0"
@@ -129,7 +129,7 @@ def test_lerobot_is_as_its_version_3_says(made, every, tmp_path, monkeypatch):
         assert row["dataset_from_index"] == frames
         assert table["index"].to_pylist() == list(range(frames, frames + row["length"]))
         assert table["timestamp"][1].as_py() == pytest.approx(1 / info["fps"])
-        assert len(table["observation.state"][0]) == len(flights.STATE)
+        assert len(table["observation.state"][0]) == len(flights.STATE_COLUMNS)
         frames += row["length"]
     assert info["total_frames"] == frames
     state = np.concatenate([one.state for one in every]).astype(float)
@@ -144,7 +144,7 @@ def test_lerobot_is_as_its_version_3_says(made, every, tmp_path, monkeypatch):
 def test_pulses_of_thrusters_that_a_robot_lacks_are_neutral(data):
     episode = data.episode(0)
     fewer = {**episode.arrays, "pwm_us": episode.arrays["pwm_us"][..., :6]}
-    flight = flights._flight(0, replace(episode, arrays=fewer), 0, 1, "pwm", 8)
+    flight = flights._build_flight(0, replace(episode, arrays=fewer), 0, 1, "pwm", 8)
     steps = len(flight.time_s)
     np.testing.assert_array_equal(flight.action[:, :6], fewer["pwm_us"][:steps, 0])
     assert (flight.action[:, 6:] == 1500.0).all()
@@ -152,7 +152,7 @@ def test_pulses_of_thrusters_that_a_robot_lacks_are_neutral(data):
 
 def test_shapes_of_a_world_hold_its_rock(data):
     around = data.episode(0).environment
-    found = mpinets.shapes(around)
+    found = mpinets.build_shapes(around)
     assert len(found["cuboid_centers"]) >= around["grid/occupied"].sum() > 0
     cell = float(around["grid/cell_m"])
     for centre in found["cuboid_centers"][: int(around["grid/occupied"].sum())]:
@@ -181,10 +181,12 @@ def test_solutions_go_from_start_to_end_evenly_in_time():
         others=np.zeros((steps, 0, 7), np.float32),
         action=np.zeros((steps, 3), np.float32),
     )
-    found = mpinets.solution(flight)
-    assert found.shape == (mpinets.POINTS, 4)
+    found = mpinets.resample_flight(flight)
+    assert found.shape == (mpinets.SOLUTION_POINTS, 4)
     np.testing.assert_allclose(found[[0, -1], 0], [0.0, 9.0], atol=1e-5)
-    np.testing.assert_allclose(found[:, 3], np.linspace(3.0, 3.6, mpinets.POINTS), atol=1e-5)
+    np.testing.assert_allclose(
+        found[:, 3], np.linspace(3.0, 3.6, mpinets.SOLUTION_POINTS), atol=1e-5
+    )
 
 
 def test_hdf5_of_motion_policy_networks(made, every, tmp_path):
@@ -193,7 +195,7 @@ def test_hdf5_of_motion_policy_networks(made, every, tmp_path):
     total = 0
     for path in out.iterdir():
         with h5py.File(path) as file:
-            assert file["global_solutions"].shape[1:] == (mpinets.POINTS, 4)
+            assert file["global_solutions"].shape[1:] == (mpinets.SOLUTION_POINTS, 4)
             assert {len(file[name]) for name in file} == {len(file["global_solutions"])}
             for name, array in file.items():
                 assert array.attrs["description"], name
@@ -223,7 +225,7 @@ def test_minari_reads_what_it_was_given(made, every, tmp_path, monkeypatch):
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning:minari")
-@pytest.mark.parametrize("to", writing.FORMATS)
+@pytest.mark.parametrize("to", formats.FORMATS)
 def test_a_relative_folder_holds_what_an_absolute_one_does(made, tmp_path, monkeypatch, to):
     if to == "minari":
         pytest.importorskip("minari", reason="Minari is not installed")
@@ -231,7 +233,7 @@ def test_a_relative_folder_holds_what_an_absolute_one_does(made, tmp_path, monke
     absolute = written(made, tmp_path, to)
     (tmp_path / "home").mkdir()
     monkeypatch.chdir(tmp_path / "home")
-    relative = writing.export(made, Path("out"), to=to, tell=silent)
+    relative = formats.export_dataset(made, Path("out"), to=to, progress=silent)
     assert relative == Path("out")
     files = [
         {str(file.relative_to(folder)) for file in folder.rglob("*") if file.is_file()}
@@ -253,7 +255,7 @@ def test_a_relative_folder_holds_what_an_absolute_one_does(made, tmp_path, monke
 )
 def test_what_cannot_be_written_leaves_nothing(made, tmp_path, how, said):
     with pytest.raises(ConfigError, match=said):
-        writing.export(made, tmp_path / "out", tell=silent, **how)
+        formats.export_dataset(made, tmp_path / "out", progress=silent, **how)
     assert not any(tmp_path.iterdir())
 
 

@@ -12,14 +12,14 @@ from angler_mjx.runs.storage.folder import Run
     [({"timeout": 2}, "0 %"), ({"reached": 3, "timeout": 1}, "75 %"), ({"reached": 2}, "100 %")],
 )
 def test_the_headline_says_how_many_robots_arrived(made, ended, said):
-    figure = figures.counts(manifest.read(made), index.read(made), ended)
+    figure = figures.plot_counts(manifest.read_manifest(made), index.read_index(made), ended)
     texts = [text.get_text() for text in figure.texts]
     assert f"small: 6 episodes, {said} of robots arrived" in texts
 
 
 def test_a_cross_marks_where_each_robot_failed(made):
-    found = manifest.read(made)
-    figure = figures.flights(made, found, index.read(made))
+    found = manifest.read_manifest(made)
+    figure = figures.plot_flights(made, found, index.read_index(made))
     marks = [
         {tuple(line.get_xydata()[0]) for line in panel.lines if line.get_marker() == "X"}
         for panel in figure.axes

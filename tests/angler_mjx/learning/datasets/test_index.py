@@ -12,11 +12,11 @@ from angler_mjx.runs.storage.folder import Run
 
 
 def test_rows_agree_with_episodes_and_trajectories(made):
-    table = index.read(made)
+    table = index.read_index(made)
     assert table["episode"].to_pylist() == list(range(6))
     assert set(table["split"].to_pylist()[4:]) == {"test_there"}
     for row in table.to_pylist():
-        part = manifest.read(made).parts[row["part"]]
+        part = manifest.read_manifest(made).parts[row["part"]]
         run = Run(made / part.path)
         robots = [r for r in run.episodes.to_pylist() if r["world"] == row["world"]]
         assert row["reached"] == sum(r["outcome"] == "reached" for r in robots)
@@ -33,7 +33,7 @@ def test_rows_agree_with_episodes_and_trajectories(made):
 
 def test_rows_count_arrivals_and_samples_until_the_last_end(copy):
     """Three kinds of ends, in a part whose robots all ran out of time."""
-    part = manifest.read(copy).parts[0]
+    part = manifest.read_manifest(copy).parts[0]
     run = copy / part.path
     rows = Run(run).episodes.to_pylist()
     for i, outcome, name, time_s in (
@@ -47,7 +47,7 @@ def test_rows_count_arrivals_and_samples_until_the_last_end(copy):
     schema = pq.read_schema(run / "episodes.parquet")
     pq.write_table(pa.Table.from_pylist(rows, schema=schema), run / "episodes.parquet")
     entry = {"scene": "here", "expert": "grid", "split": None}
-    counted = index.rows(run, 0, entry, SplitConfig(), 0).to_pylist()
+    counted = index.build_rows(run, 0, entry, SplitConfig(), 0).to_pylist()
     assert [row["reached"] for row in counted] == [2, 1, 0, 0]
     assert [row["success"] for row in counted] == [True, False, False, False]
     # Samples at 5 Hz from t = 0: those before the end, and at least one.
@@ -61,24 +61,24 @@ def test_other_columns_are_refused(tmp_path, first):
     table = index.SCHEMA.empty_table().rename_columns([first, *index.SCHEMA.names[1:]])
     pq.write_table(table, tmp_path / manifest.INDEX)
     with pytest.raises(ConfigError, match=f"holds the columns {first}, part"):
-        index.read(tmp_path)
+        index.read_index(tmp_path)
 
 
 def test_an_environment_is_in_one_split_of_every_dataset():
     shares = SplitConfig(train=0.6, val=0.3, test=0.1)
     rng = np.random.default_rng(0)
     rocks = rng.random((3000, 3, 3, 2)) < 0.4
-    digests = [index.environment_hash(rock, b"") for rock in rocks]
-    splits = np.array([index.split_of(digest, shares) for digest in digests])
+    digests = [index.hash_environment(rock, b"") for rock in rocks]
+    splits = np.array([index.assign_split(digest, shares) for digest in digests])
     for name, fraction in (("train", 0.6), ("val", 0.3), ("test", 0.1)):
         # Four standard deviations of a binomial.
         deviation = np.sqrt(fraction * (1 - fraction) / 3000)
         assert abs((splits == name).mean() - fraction) < 4 * deviation
     # The rock decides, whichever team moves in it; without rock, all that was sampled.
-    assert index.environment_hash(rocks[0], b"a") == index.environment_hash(rocks[0], b"b")
+    assert index.hash_environment(rocks[0], b"a") == index.hash_environment(rocks[0], b"b")
     empty = np.zeros((3, 3, 2), bool)
-    assert index.environment_hash(empty, b"a") != index.environment_hash(empty, b"b")
-    assert index.environment_hash(rocks[0], b"") != index.environment_hash(rocks[0].ravel(), b"")
+    assert index.hash_environment(empty, b"a") != index.hash_environment(empty, b"b")
+    assert index.hash_environment(rocks[0], b"") != index.hash_environment(rocks[0].ravel(), b"")
 
 
 def test_distances_of_segments_are_those_of_a_fine_search():

@@ -38,7 +38,7 @@ def command(file, out, *more):
 
 
 @pytest.mark.nightly(
-    by="tests/angler_mjx/learning/datasets/test_making.py::test_a_broken_off_making_goes_on_to_the_same_bytes"
+    by="tests/angler_mjx/learning/datasets/test_generation.py::test_a_broken_off_making_goes_on_to_the_same_bytes"
 )
 def test_fifty_kills_lose_nothing(file, tmp_path):
     whole = tmp_path / "whole"

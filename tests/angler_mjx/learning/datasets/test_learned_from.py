@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from angler_experiments.learned_planner.training import stored
+from angler_experiments.learned_planner.training import from_runs
 from angler_mjx.learning import datasets
 
 
 def _taken(made, split, told):
-    parts = list(stored.of_folder(made, split, told.append))
+    parts = list(from_runs.read_folder(made, split, told.append))
     return (
         np.concatenate([20.0 * np.asarray(part.scenes.own)[..., 0] for part in parts]),
-        np.concatenate([np.asarray(part.counts) for part in parts]),
+        np.concatenate([np.asarray(part.has_path) for part in parts]),
     )
 
 
@@ -29,4 +29,4 @@ def test_a_split_is_its_episodes_and_no_others(made, split):
 
 
 def test_a_split_that_is_not_there_gives_nothing(made):
-    assert list(stored.of_folder(made, "nowhere", print)) == []
+    assert list(from_runs.read_folder(made, "nowhere", print)) == []

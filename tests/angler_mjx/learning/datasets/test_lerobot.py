@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from angler_mjx.learning.datasets.exports import lerobot, lerobot_statistics, writing
+from angler_mjx.learning.datasets.exports import formats, lerobot, lerobot_statistics
 
 RECORDED = json.loads((Path(__file__).parent / "lerobot_writer.json").read_text())
 
@@ -22,7 +22,7 @@ BIN = 1 / 5000
 @pytest.fixture(scope="module")
 def exported(made, tmp_path_factory):
     out = tmp_path_factory.mktemp("lerobot") / "out"
-    return writing.export(made, out, to="lerobot", tell=lambda *_: None)
+    return formats.export_dataset(made, out, to="lerobot", progress=lambda *_: None)
 
 
 def of_recorded(feature, episode):
@@ -73,11 +73,11 @@ def test_files_have_the_columns_and_types_of_lerobots_writer(exported):
 @pytest.mark.parametrize("feature", ["observation.state", "action"])
 def test_statistics_are_those_of_lerobots_writer(feature):
     ours = [
-        lerobot_statistics.of_episode(np.array(frames[feature], np.float32))
+        lerobot_statistics.compute_statistics(np.array(frames[feature], np.float32))
         for frames in RECORDED["frames"]
     ]
     theirs = [of_recorded(feature, episode) for episode in range(2)]
-    ours.append(lerobot_statistics.aggregated(ours))
+    ours.append(lerobot_statistics.aggregate_statistics(ours))
     theirs.append({name: np.array(x) for name, x in RECORDED["aggregated"][feature].items()})
     for mine, recorded in zip(ours, theirs, strict=True):
         assert mine.keys() == recorded.keys()
@@ -88,7 +88,7 @@ def test_statistics_are_those_of_lerobots_writer(feature):
 
 
 def test_an_episode_of_one_sample_has_no_spread():
-    found = lerobot_statistics.of_episode(np.array([[3.0, -1.0]], np.float32))
+    found = lerobot_statistics.compute_statistics(np.array([[3.0, -1.0]], np.float32))
     assert found["count"].tolist() == [1]
     assert found["std"].tolist() == [0.0, 0.0]
     for name in ("min", "max", "mean", *lerobot_statistics.QUANTILES):
@@ -96,9 +96,11 @@ def test_an_episode_of_one_sample_has_no_spread():
 
 
 def test_every_episode_has_the_statistics_of_its_own_samples(made, tmp_path, monkeypatch):
-    monkeypatch.setattr(lerobot, "PLACES", 4)
-    monkeypatch.setattr(lerobot, "GROUP", 3)
-    out = writing.export(made, tmp_path / "out", to="lerobot", action="pwm", tell=lambda *_: None)
+    monkeypatch.setattr(lerobot, "EPISODES_PER_FILE", 4)
+    monkeypatch.setattr(lerobot, "ROW_GROUP_SIZE", 3)
+    out = formats.export_dataset(
+        made, tmp_path / "out", to="lerobot", action="pwm", progress=lambda *_: None
+    )
     data = pq.read_table(out / "data")
     episodes = pq.read_table(out / "meta" / "episodes").to_pylist()
     files = sorted((out / "meta" / "episodes").rglob("*.parquet"))

@@ -11,12 +11,12 @@ import zarr
 from angler_mjx.errors import ConfigError
 from angler_mjx.learning import datasets
 from angler_mjx.learning.datasets import manifest
-from angler_mjx.learning.datasets.loaders import order
+from angler_mjx.learning.datasets.loaders import shuffling
 from angler_mjx.learning.datasets.reading.stored import StoredArray
-from angler_mjx.runs.storage import layout
+from angler_mjx.runs.storage import trajectory_layout
 from angler_mjx.runs.storage.folder import Run
 
-TIMED = [name for name, kind in layout.ARRAYS.items() if kind.dims[:1] == ("time",)]
+TIMED = [name for name, kind in trajectory_layout.ARRAYS.items() if kind.dims[:1] == ("time",)]
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +25,7 @@ def data(made):
 
 
 def runs(place):
-    return [place / part.path for part in manifest.read(place).parts]
+    return [place / part.path for part in manifest.read_manifest(place).parts]
 
 
 def test_every_value_is_that_of_zarr(made):
@@ -33,7 +33,7 @@ def test_every_value_is_that_of_zarr(made):
     for run in runs(made):
         group = zarr.open_group(run / "trajectories.zarr", mode="r")
         for name, array in group.members(max_depth=None):
-            if name in layout.ARRAYS:
+            if name in trajectory_layout.ARRAYS:
                 mine = StoredArray(run / "trajectories.zarr" / name)
                 assert mine.shape == array.shape
                 looked_at.add((name, mine._form.per_unit is not None))
@@ -50,9 +50,9 @@ def test_every_value_is_that_of_zarr(made):
 
 @pytest.mark.parametrize("codecs", ["exact", "stepped"])
 def test_worlds_that_were_never_written_are_missing(tmp_path, codecs):
-    from angler_mjx.runs.storage.stepped import stepped
+    from angler_mjx.runs.storage.quantization import build_quantization
 
-    steps = stepped(1e-3, "m")
+    steps = build_quantization(1e-3, "m")
     more = {"filters": steps.filters(3), "compressors": steps.compressor()}
     zarr.create_array(
         tmp_path / "a",
@@ -203,11 +203,11 @@ def test_statistics_leave_padding_out_and_tell_vehicles_apart(copy):
 
 def test_orders_can_be_had_again_and_are_shared_without_a_gap(data):
     windows = data.windows(3)
-    first = order.shuffled(windows, 7, 0, group=2)
+    first = shuffling.shuffle_windows(windows, 7, 0, group=2)
     assert sorted(first.tolist()) == list(range(len(windows)))
-    np.testing.assert_array_equal(first, order.shuffled(windows, 7, 0, group=2))
-    assert not np.array_equal(first, order.shuffled(windows, 7, 1, group=2))
-    assert not np.array_equal(first, order.shuffled(windows, 8, 0, group=2))
+    np.testing.assert_array_equal(first, shuffling.shuffle_windows(windows, 7, 0, group=2))
+    assert not np.array_equal(first, shuffling.shuffle_windows(windows, 7, 1, group=2))
+    assert not np.array_equal(first, shuffling.shuffle_windows(windows, 8, 0, group=2))
     # Groups: the windows of the first two episodes come before all others.
     episodes = np.searchsorted(windows.ends, first, side="right")
     two = {int(episodes[0])}
@@ -217,10 +217,13 @@ def test_orders_can_be_had_again_and_are_shared_without_a_gap(data):
         at += 1
     assert not two & set(episodes[at:].tolist())
     for readers in (1, 2, 3):
-        parts = [list(order.share(first, start=5, index=i, of=readers)) for i in range(readers)]
+        parts = [
+            list(shuffling.shard_numbers(first, start=5, index=i, of=readers))
+            for i in range(readers)
+        ]
         assert sorted(itertools.chain(*parts)) == sorted(first[5:].tolist())
     with pytest.raises(ConfigError, match="seed = -1"):
-        order.shuffled(windows, -1, 0)
+        shuffling.shuffle_windows(windows, -1, 0)
 
 
 def test_pytorch_sees_every_window_once_whatever_shares_it(data):
@@ -241,7 +244,7 @@ def test_pytorch_sees_every_window_once_whatever_shares_it(data):
         )
         for batch in loader:
             seen += list(zip(batch["episode"].tolist(), batch["first"].tolist(), strict=True))
-    numbers = order.shuffled(windows, 1, 3, group=2)[4:]
+    numbers = shuffling.shuffle_windows(windows, 1, 3, group=2)[4:]
     wanted = [(int(windows[i]["episode"]), int(windows[i]["first"])) for i in numbers.tolist()]
     assert sorted(seen) == sorted(wanted)
     assert stream.state_dict() == {"seed": 1, "epoch": 3, "seen": 4}
@@ -249,10 +252,10 @@ def test_pytorch_sees_every_window_once_whatever_shares_it(data):
 
 def test_grain_goes_on_where_it_was(data):
     pytest.importorskip("grain", reason="Grain is not installed")
-    from angler_mjx.learning.datasets.loaders.grain import source
+    from angler_mjx.learning.datasets.loaders.grain import build_source
 
     def begun():
-        return iter(source(data.windows(4)).shuffle(seed=3).batch(2).to_iter_dataset())
+        return iter(build_source(data.windows(4)).shuffle(seed=3).batch(2).to_iter_dataset())
 
     first = begun()
     for _ in range(3):

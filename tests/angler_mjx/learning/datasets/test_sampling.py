@@ -12,7 +12,14 @@ from pydantic import ValidationError
 from angler_mjx.cli import main
 from angler_mjx.errors import ConfigError
 from angler_mjx.learning import datasets
-from angler_mjx.learning.datasets import card, describing, index, making, manifest, sampling
+from angler_mjx.learning.datasets import (
+    card,
+    generation,
+    index,
+    manifest,
+    manifest_building,
+    sampling,
+)
 from angler_mjx.learning.datasets.sampling import DIFFICULTIES, SampleConfig
 
 SPLITS = ("train", "val", "test")
@@ -50,7 +57,7 @@ def shares(table, keep):
 def test_every_split_has_the_shares_and_shifted_scenes_are_left_alone():
     table = drawn(6000, 0)
     wished = SampleConfig(at_most={"trivial": 0.2, "failed": 0.1}, at_least={"crossing": 0.27})
-    found = shares(table, sampling.chosen(table, wished, SPLITS))
+    found = shares(table, sampling.select_episodes(table, wished, SPLITS))
     before = shares(table, np.ones(6000, bool))
     for split in SPLITS:
         assert found[split]["trivial"] <= 0.2
@@ -64,7 +71,7 @@ def test_every_split_has_the_shares_and_shifted_scenes_are_left_alone():
 
 def test_of_one_kind_no_more_is_taken_than_must_be():
     table = drawn(4000, 1)
-    keep = sampling.chosen(table, SampleConfig(at_most={"trivial": 0.1}), SPLITS)
+    keep = sampling.select_episodes(table, SampleConfig(at_most={"trivial": 0.1}), SPLITS)
     trivial = np.array([d == "trivial" for d in table["difficulty"].to_pylist()])
     train = np.array([s == "train" for s in table["split"].to_pylist()])
     assert keep[~trivial].all()
@@ -87,7 +94,7 @@ def test_whatever_there_is_bounds_hold(counts, trivial, failed, crossing):
     wished = SampleConfig(
         at_most={"trivial": trivial, "failed": failed}, at_least={"crossing": crossing}
     )
-    kept = sampling.thinned(np.array(counts), wished.caps())
+    kept = sampling.thin_counts(np.array(counts), wished.upper_bounds())
     total = kept.sum()
     assert (kept >= 0).all()
     assert (kept <= counts).all()
@@ -99,11 +106,11 @@ def test_whatever_there_is_bounds_hold(counts, trivial, failed, crossing):
 def test_choice_is_of_the_episode_and_not_of_its_row():
     table = drawn(900, 2)
     wished = SampleConfig(at_most={"trivial": 0.1})
-    keep = sampling.chosen(table, wished, SPLITS)
+    keep = sampling.select_episodes(table, wished, SPLITS)
     order = np.random.default_rng(3).permutation(900)
-    assert (sampling.chosen(table.take(order), wished, SPLITS) == keep[order]).all()
+    assert (sampling.select_episodes(table.take(order), wished, SPLITS) == keep[order]).all()
     # Worlds that lie together are no more alike than others.
-    tickets = sampling.tickets(np.full(4000, 5), np.arange(4000)) / 2.0**64
+    tickets = sampling.hash_worlds(np.full(4000, 5), np.arange(4000)) / 2.0**64
     assert abs(tickets.mean() - 0.5) < 4 * np.sqrt(1 / 12 / 4000)
     assert abs(np.corrcoef(tickets[:-1], tickets[1:])[0, 1]) < 4 / np.sqrt(4000)
 
@@ -130,7 +137,7 @@ def test_bounds_of_one_kind_may_lie_apart_or_together():
     for least, most in ((0.2, 0.5), (0.3, 0.3)):
         wished = SampleConfig(at_least={"blocked": least}, at_most={"blocked": most})
         table = drawn(2000, 4)
-        found = shares(table, sampling.chosen(table, wished, SPLITS))
+        found = shares(table, sampling.select_episodes(table, wished, SPLITS))
         for split in SPLITS:
             assert least - 0.01 <= found[split]["blocked"] <= most + 1e-9
 
@@ -141,7 +148,7 @@ def test_crossings_of_single_robots_are_refused_before_anything_is_flown(file, t
     path = file.parent / "alone.toml"
     path.write_text(text + f"\n[sample]\nat_least = {{ {kind} = 0.1 }}\n")
     with pytest.raises(ConfigError, match=rf"sample.at_least.{kind} = 0.1: .* teams of two"):
-        making.make(making.read_request(path, 6), tmp_path / "out", told=None)
+        generation.make_dataset(generation.read_request(path, 6), tmp_path / "out", progress=None)
     assert not any(tmp_path.iterdir())
 
 
@@ -150,8 +157,8 @@ def test_readers_are_given_the_chosen_ones(copy, capsys):
     wished = {"at_most": {"trivial": 0.5}, "at_least": {}}
     table = json.loads((copy / manifest.MANIFEST).read_text()) | {"sample": wished}
     (copy / manifest.MANIFEST).write_text(json.dumps(table))
-    found = index.of_manifest(copy, manifest.read(copy))
-    index.write(copy, found)
+    found = index.build_index(copy, manifest.read_manifest(copy))
+    index.write_index(copy, found)
     drawn = [(row["split"], row["difficulty"]) for row in found.to_pylist()[:4]]
     assert sorted(drawn) == [("train", "blocked"), *[("train", "trivial")] * 2, ("val", "trivial")]
     # Of the two trivial ones of train one is too many, and of val the only one.
@@ -161,13 +168,13 @@ def test_readers_are_given_the_chosen_ones(copy, capsys):
     assert len(datasets.open(copy, split="test_there")) == 2
     with pytest.raises(ConfigError, match="none of these 1 episodes is chosen; give chosen=None"):
         datasets.open(copy, split="val")
-    whole = describing.counted(manifest.read(copy), found)
-    manifest.write(copy, whole)
+    whole = manifest_building.add_counts(manifest.read_manifest(copy), found)
+    manifest.write_manifest(copy, whole)
     assert whole.chosen == {"test_there": 2, "train": 2}
     main.main(["dataset", "show", str(copy)])
     said = " ".join(capsys.readouterr().out.split())
     assert "chosen of test_there: 2 of 2, train: 2 of 3, val: 0 of 1" in said
-    card.write_text(copy, whole, found)
+    card.write_readme(copy, whole, found)
     text = (copy / card.README).read_text()
     assert "| trivial | at most 50 % | 75.0 | 50.0 |" in text
     assert "| failed | any | 100.0 | 100.0 |" in text

@@ -10,8 +10,8 @@ import pytest
 import zarr
 
 from angler_mjx.cli import main
-from angler_mjx.learning.datasets import index, manifest, sums
-from angler_mjx.learning.datasets.verifying import again, judging
+from angler_mjx.learning.datasets import checksums, index, manifest
+from angler_mjx.learning.datasets.verifying import replay, verification
 from angler_mjx.learning.datasets.verifying.report import DatasetCheck
 
 
@@ -20,13 +20,15 @@ def silent(*_):
 
 
 def verdict(place, flights=0):
-    return judging.verify(place, flights, silent)
+    return verification.verify_dataset(place, flights, silent)
 
 
 def summed_anew(place):
     """As somebody would leave it who changes data and hides it."""
     table = json.loads((place / manifest.MANIFEST).read_text())
-    (place / manifest.MANIFEST).write_text(json.dumps({**table, "sums": sums.write(place)}))
+    (place / manifest.MANIFEST).write_text(
+        json.dumps({**table, "sums": checksums.write_checksums(place)})
+    )
 
 
 def test_a_sound_dataset_flies_again_to_the_last_bit(made, capsys):
@@ -45,7 +47,7 @@ def test_what_was_not_checked_is_said(made, capsys):
     assert "flown again: not checked: --again N flies N episodes again" in said
     main.main(["dataset", "verify", str(made), "--json"])
     checks = json.loads(capsys.readouterr().out)["checks"]
-    assert checks["files"]["exact"] == len(sums.files(made))
+    assert checks["files"]["exact"] == len(checksums.list_files(made))
     assert (checks["parts"]["exact"], checks["index"]["exact"]) == (2, 6)
     assert (checks["values"]["exact"], checks["values"]["unchecked"]) == (0, 0)
     samples = 20
@@ -66,9 +68,9 @@ def test_what_was_not_checked_is_said(made, capsys):
     ],
 )
 def test_robots_that_cannot_be_compared_are_not_counted_as_near(apart_m, alike, wrong):
-    found = again._Compared(at=50, robots=20, alike=alike, apart_m=apart_m, worlds=5)
+    found = replay._ReplayComparison(at=50, robots=20, alike=alike, apart_m=apart_m, worlds=5)
     check = DatasetCheck(name="flown again")
-    again._hold_against_bounds(check, found, ["jax"])
+    replay._check_bounds(check, found, ["jax"])
     assert len(check.findings) == wrong
     known = np.isfinite(np.array(apart_m))
     near = int((np.array(apart_m)[known] <= 0.1).sum())
@@ -76,7 +78,7 @@ def test_robots_that_cannot_be_compared_are_not_counted_as_near(apart_m, alike, 
 
 
 def test_a_robot_that_broke_down_is_no_fault(copy):
-    part = manifest.read(copy).parts[0].path
+    part = manifest.read_manifest(copy).parts[0].path
     array = zarr.open_group(copy / part / "trajectories.zarr", mode="r+")["outcome"]
     for number, faults in ((8, set()), (9, {"outcome"})):
         array[1, 15:, 1] = number
@@ -86,7 +88,7 @@ def test_a_robot_that_broke_down_is_no_fault(copy):
 
 
 def test_files_that_were_changed_lost_or_added_are_named(copy):
-    run = manifest.read(copy).parts[0].path
+    run = manifest.read_manifest(copy).parts[0].path
     shard = next((copy / run / "trajectories.zarr" / "nu").rglob("c/0/0/0/0"))
     data = bytearray(shard.read_bytes())
     data[len(data) // 3] ^= 1
@@ -107,14 +109,14 @@ def test_the_list_of_sums_is_guarded_too(copy):
     (one,) = verdict(copy).findings
     assert "is not the file" in one.text
     table = json.loads((copy / manifest.MANIFEST).read_text())
-    digest = sums.of_file(copy / manifest.SUMS)
+    digest = checksums.hash_file(copy / manifest.SUMS)
     (copy / manifest.MANIFEST).write_text(json.dumps({**table, "sums": digest}))
     (one,) = verdict(copy).findings
     assert "leaves the dataset's folder" in one.text
 
 
 def test_values_that_cannot_be_are_found_with_their_place(copy):
-    part = manifest.read(copy).parts[0].path
+    part = manifest.read_manifest(copy).parts[0].path
     for name, at, value in (
         ("pwm_us", (1, 3, 0, 2), 2500.0),
         ("q", (0, 2, 1), 0.3),
@@ -141,8 +143,8 @@ def test_an_index_that_was_edited_is_found(copy):
 def test_an_environment_in_two_splits_is_found():
     splits = ["train", "val", "test", "val"]
     table = pa.table({"environment": ["a", "b", "a", "b"], "split": splits})
-    assert index.shared_environment(table) == ("test", "train", "a")
-    assert index.shared_environment(table.slice(1)) is None
+    assert index.find_shared_environment(table) == ("test", "train", "a")
+    assert index.find_shared_environment(table.slice(1)) is None
 
 
 @pytest.mark.nightly(
@@ -150,7 +152,7 @@ def test_an_environment_in_two_splits_is_found():
 )
 def test_flights_that_come_out_otherwise_are_found(copy):
     """One bit of a plan's time: nobody sees it, and the flight again does."""
-    part = manifest.read(copy).parts[0]
+    part = manifest.read_manifest(copy).parts[0]
     array = zarr.open_group(copy / part.path / "trajectories.zarr", mode="r+")["end/p_m"]
     whole = np.asarray(array[:])
     whole[:, 0, 0] = np.nextafter(whole[:, 0, 0], np.float32(np.inf))
@@ -172,13 +174,13 @@ def test_elsewhere_flights_are_held_to_how_far_they_may_part(copy, made):
     report = verdict(copy, 1)
     assert report.agrees
     assert "made with another jax; 2 of 2 robots ended alike" in report.checks[-1].looked_at
-    assert again.unlike(manifest.read(made)) == []
+    assert replay.environment_differences(manifest.read_manifest(made)) == []
 
 
 def test_worlds_are_chosen_in_one_tile_of_each_part(made):
-    parts = manifest.read(made).parts
+    parts = manifest.read_manifest(made).parts
     for count in (1, 2, 3, 6):
-        chosen = again.choose(parts, count)
+        chosen = replay.select_worlds(parts, count)
         assert sum(len(worlds) for _, worlds in chosen) <= count
         for part, worlds in chosen:
             assert len({world // part.tile for world in worlds}) == 1
@@ -186,7 +188,8 @@ def test_worlds_are_chosen_in_one_tile_of_each_part(made):
     # The seed says which tile; the last one may be smaller than the others.
     part = parts[0].model_copy(update={"worlds": 5, "tile": 2})
     chosen = {
-        seed: again.choose([part.model_copy(update={"seed": seed})], 5)[0][1] for seed in range(4)
+        seed: replay.select_worlds([part.model_copy(update={"seed": seed})], 5)[0][1]
+        for seed in range(4)
     }
     assert chosen == {0: [0, 1], 1: [2, 3], 2: [4], 3: [0, 1]}
 

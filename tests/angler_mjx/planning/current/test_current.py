@@ -10,14 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from angler_experiments.currents.yardstick import least_time_s, uniform_least_time_s
+from angler_experiments.currents.zermelo import shoot_min_time_s, uniform_min_time_s
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning import build_problem
-from angler_mjx.planning.current.pace import NO_WAY, pace, power_model
-from angler_mjx.planning.current.planner import CurrentConfig, CurrentSettings, plan
-from angler_mjx.planning.online.planners import _environment
-from angler_mjx.planning.path_search.robot import WayConfig, layers
-from angler_mjx.runs.simulator.on_device import device_planner
+from angler_mjx.planning.current.motion_cost import NO_PATH_COST, cost_and_speed, power_model
+from angler_mjx.planning.current.planner import CurrentConfig, CurrentSettings, plan_paths
+from angler_mjx.planning.online.device_replanners import _build_environment
+from angler_mjx.planning.path_search.robot_search import PathSearchConfig, required_layers
+from angler_mjx.runs.simulator.device_planning import build_device_planner
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.sim import fleet
 from angler_mjx.sim.fleet import Member, Variant
@@ -62,8 +62,10 @@ CONFIG = CurrentConfig(
     horizon_s=200.0,
     margin_m=0.1,
     n_point=32,
-    foresees=False,
-    ways=WayConfig(horizon_s=200.0, n_point=32, n_layer=layers(200.0, CRUISE, 1.0)),
+    observes_moving_obstacles=False,
+    search_config=PathSearchConfig(
+        horizon_s=200.0, n_point=32, n_layer=required_layers(200.0, CRUISE, 1.0)
+    ),
 )
 
 
@@ -71,8 +73,8 @@ def alone(asked, current):
     """Paths [1, 2] of one problem."""
     one = partial(jax.tree.map, lambda leaf: jnp.asarray(leaf)[None])
     seeds = jnp.zeros(1, jnp.uint32)
-    around, obstacles = one(_environment(asked)), one(no_obstacles())
-    return plan(around, one(asked.team), one(current), obstacles, seeds, CONFIG)
+    around, obstacles = one(_build_environment(asked)), one(no_obstacles())
+    return plan_paths(around, one(asked.team), one(current), obstacles, seeds, CONFIG)
 
 
 @pytest.fixture(scope="module")
@@ -94,7 +96,7 @@ def test_a_robot_in_a_uniform_current_takes_zermelos_time(planned):
     paths = planned(starts, goals, flow(uniform=(0.25, 0.1, 0.0)))
     assert paths.found.all()
     for robot in range(2):
-        ideal = uniform_least_time_s(
+        ideal = uniform_min_time_s(
             np.array([0.25, 0.1]), np.array(starts[robot][:2]), np.array(goals[robot][:2]), CRUISE
         )
         assert ideal * 0.999 < paths.time_s[robot, -1] < 1.02 * ideal
@@ -141,7 +143,7 @@ def test_a_robot_bends_its_way_to_the_least_time(planned, name):
     assert paths.found.all()
     for robot in range(2):
         start, goal = np.array(starts[robot]), np.array(goals[robot])
-        ideal = least_time_s(
+        ideal = shoot_min_time_s(
             water,
             start[:2],
             goal[:2],
@@ -187,7 +189,7 @@ def test_a_robot_that_knows_how_the_water_will_move_takes_the_least_time_in_it()
         assert np.asarray(paths.found).all()
         for robot, (start, goal) in enumerate(((a, b), (b, a))):
             bounds = ((0.0, 0.0), (SIDE_M, SIDE_M))
-            ideal = least_time_s(
+            ideal = shoot_min_time_s(
                 swaying, start, goal, CRUISE, bounds, horizon_s=60.0, step_s=0.2, headings=180
             )
             ratios.append(float(paths.time_s[0, robot, -1]) / ideal)
@@ -239,35 +241,41 @@ def test_pace_is_the_triangle_of_zermelo():
     d = rng.normal(size=(500, 3))
     d /= np.linalg.norm(d, axis=1, keepdims=True)
     c = 0.2 * rng.normal(size=(500, 3))
-    cost, speed = jax.vmap(partial(pace, one("time")))(jnp.asarray(d), jnp.asarray(c))
+    cost, speed = jax.vmap(partial(cost_and_speed, one("time")))(jnp.asarray(d), jnp.asarray(c))
     swum = np.linalg.norm(np.asarray(speed)[:, None] * d - c, axis=1)
-    goes = np.asarray(cost) < NO_WAY
+    goes = np.asarray(cost) < NO_PATH_COST
     assert goes.sum() > 400
     np.testing.assert_allclose(swum[goes], CRUISE, rtol=1e-4)
     np.testing.assert_allclose(np.asarray(cost)[goes], CRUISE / np.asarray(speed)[goes], rtol=1e-5)
 
 
 def test_in_still_water_the_cruise_speed_costs_least():
-    cost, speed = pace(one("energy"), jnp.array([1.0, 0.0, 0.0]), jnp.zeros(3))
+    cost, speed = cost_and_speed(one("energy"), jnp.array([1.0, 0.0, 0.0]), jnp.zeros(3))
     np.testing.assert_allclose([cost, speed], [1.0, CRUISE], rtol=1e-3)
     # With the water less is spent on a metre, against it more.
-    with_it, _ = pace(one("energy"), jnp.array([1.0, 0.0, 0.0]), jnp.array([0.2, 0.0, 0.0]))
-    against, _ = pace(one("energy"), jnp.array([1.0, 0.0, 0.0]), jnp.array([-0.2, 0.0, 0.0]))
+    with_it, _ = cost_and_speed(
+        one("energy"), jnp.array([1.0, 0.0, 0.0]), jnp.array([0.2, 0.0, 0.0])
+    )
+    against, _ = cost_and_speed(
+        one("energy"), jnp.array([1.0, 0.0, 0.0]), jnp.array([-0.2, 0.0, 0.0])
+    )
     assert with_it < 0.8 < 1.3 < against
 
 
 def test_no_speed_is_counted_on_where_the_water_cannot_be_overcome():
-    cost, speed = pace(one("energy"), jnp.array([1.0, 0.0, 0.0]), jnp.array([-2.0, 0.0, 0.0]))
-    assert cost == NO_WAY
+    cost, speed = cost_and_speed(
+        one("energy"), jnp.array([1.0, 0.0, 0.0]), jnp.array([-2.0, 0.0, 0.0])
+    )
+    assert cost == NO_PATH_COST
     np.testing.assert_allclose(speed, 0.1 * CRUISE, rtol=1e-6)
 
 
 def test_powers_are_those_of_thrusters_against_drag():
     """A Heavy, in NumPy: least squares thrusts, read in the table of thrusts and powers."""
     members = [Member(variants=(HEAVY,), weights=(1.0,), cruise_speed_mps=CRUISE)]
-    control = fleet.build(members).control
+    control = fleet.build_fleet(members).control
     here = jnp.zeros((1, 3))
-    told = build_problem.team(control, here, jnp.zeros(1), here)
+    told = build_problem.build_team(control, here, jnp.zeros(1), here)
     vehicle = jax.tree.map(lambda leaf: np.asarray(leaf[0], np.float64), control.vehicle)
     for axis in range(3):
         for step, speed in enumerate(np.linspace(0.0, vehicle.terminal_speed_mps[axis], 9)):
@@ -281,7 +289,7 @@ def test_powers_are_those_of_thrusters_against_drag():
 def test_too_few_points_are_refused():
     scenario = load_scenario("reef_fleet", worlds=1, planner={"name": "current", "points": 2})
     with pytest.raises(ConfigError, match=r"planner\.points = 2.*at least 4"):
-        device_planner(scenario, scenario.planner.chosen())
+        build_device_planner(scenario, scenario.planner.planner_spec())
 
 
 @pytest.mark.parametrize(

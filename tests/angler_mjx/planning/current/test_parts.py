@@ -11,12 +11,12 @@ from scipy.interpolate import RegularGridInterpolator
 
 from angler_mjx.planning.current import planner, search, shaping
 from angler_mjx.planning.current.map import step_costs
-from angler_mjx.planning.current.pace import NO_WAY, pace, power_model
-from angler_mjx.planning.current.timetable import scheduled
-from angler_mjx.planning.online.planners import _environment
-from angler_mjx.planning.path_search.lattice import terrain
+from angler_mjx.planning.current.motion_cost import NO_PATH_COST, cost_and_speed, power_model
+from angler_mjx.planning.current.timetable import schedule_departures
+from angler_mjx.planning.online.device_replanners import _build_environment
+from angler_mjx.planning.path_search.lattice import build_terrain
 from angler_mjx.planning.path_search.traffic import GridTraffic
-from angler_mjx.robot.control.trajectory import Trajectory, hold
+from angler_mjx.robot.control.trajectory import Trajectory, hold_position
 
 from ...compiling import quickly
 from ..problems import problem
@@ -35,7 +35,7 @@ def robot(objective, effort=0.7):
 
 
 def land_of(**keys):
-    return jax.jit(terrain)(jax.tree.map(jnp.asarray, _environment(problem(**keys))))
+    return jax.jit(build_terrain)(jax.tree.map(jnp.asarray, _build_environment(problem(**keys))))
 
 
 def test_steps_lead_to_all_26_neighbours():
@@ -49,7 +49,7 @@ def cheapest(robot, d, c):
     factor, n, limit = (
         np.asarray(a, float) for a in (robot.factor, robot.exponent, robot.limit_mps)
     )
-    rest, hurry = float(robot.rest_w), float(robot.hurry_w)
+    rest, hurry = float(robot.rest_w), float(robot.time_weight_w)
 
     def watts(axes):
         return rest + np.sum((factor * np.abs(axes) ** n) ** (4 / 3)) ** 0.75
@@ -57,7 +57,7 @@ def cheapest(robot, d, c):
     still = watts(np.array([CRUISE, 0.0, 0.0])) + hurry
     ahead = np.array([d[0], d[1], 0.0]) / np.hypot(d[0], d[1])
     body = np.stack([ahead, np.cross([0.0, 0.0, 1.0], ahead), [0.0, 0.0, 1.0]])
-    best = (NO_WAY, 0.1 * CRUISE)
+    best = (NO_PATH_COST, 0.1 * CRUISE)
     for ratio in (0.5, 0.75, 1.0, 1.25, 1.5, 2.0):
         # s d - c has the length V: s^2 - 2 s d.c + c.c - V^2 = 0.
         roots = np.roots([1.0, -2.0 * d @ c, c @ c - (ratio * CRUISE) ** 2])
@@ -76,9 +76,9 @@ def test_the_pace_of_least_energy_is_the_best_of_all_speeds():
     d /= np.linalg.norm(d, axis=1, keepdims=True)
     c = 0.35 * rng.normal(size=(300, 3))
     swims = robot("energy")
-    cost, speed = jax.vmap(lambda d, c: pace(swims, d, c))(jnp.asarray(d), jnp.asarray(c))
+    cost, speed = jax.vmap(lambda d, c: cost_and_speed(swims, d, c))(jnp.asarray(d), jnp.asarray(c))
     want = np.array([cheapest(swims, *row) for row in zip(d, c, strict=True)])
-    goes = want[:, 0] < NO_WAY
+    goes = want[:, 0] < NO_PATH_COST
     assert 100 < goes.sum() < 280, "some currents cannot be overcome"
     np.testing.assert_allclose(cost, want[:, 0], rtol=2e-3)
     np.testing.assert_allclose(speed[~goes], 0.1 * CRUISE, rtol=1e-6)
@@ -92,7 +92,7 @@ def test_legs_take_zermelos_time(stays):
     points = rng.uniform(0.0, 10.0, (6, 3)).astype(np.float32)
     c = np.array([0.2, -0.1, 0.05])
     swims, water = robot("time"), jnp.asarray(c, jnp.float32)
-    leg = shaping.legs(swims, jnp.asarray(points), lambda p, t: water, jnp.float32(0.0), stays)
+    leg = shaping.leg_costs(swims, jnp.asarray(points), lambda p, t: water, jnp.float32(0.0), stays)
     gap = np.diff(points, axis=0)
     length = np.linalg.norm(gap, axis=1)
     along = gap @ c / length
@@ -108,7 +108,7 @@ def test_slopes_are_smoothed_by_the_inverse_second_difference():
     want = np.zeros_like(slope)
     free = np.flatnonzero(~fixed)
     want[free] = np.linalg.solve(second[np.ix_(free, free)], slope[free])
-    found = shaping._smoothed(jnp.asarray(slope, jnp.float32), jnp.asarray(fixed))
+    found = shaping._smooth_slope(jnp.asarray(slope, jnp.float32), jnp.asarray(fixed))
     np.testing.assert_allclose(found, want, atol=1e-5)
 
 
@@ -127,7 +127,9 @@ def test_metres_near_rock_and_obstacles_cost_by_their_distance(ball):
         gap = np.minimum(gap, np.linalg.norm(at - [5.2, 2.1, 3.0], axis=-1) - 1.2)
     p = np.random.default_rng(4).uniform(0.6, 5.4, (200, 3))
     missing = np.maximum(0.5 * 0.8 + 0.4 - RegularGridInterpolator(centres, gap)(p), 0.0)
-    near = jax.vmap(lambda p: shaping._near(land, p, jnp.float32(0.8)))(jnp.asarray(p, jnp.float32))
+    near = jax.vmap(lambda p: shaping._nearness_cost(land, p, jnp.float32(0.8)))(
+        jnp.asarray(p, jnp.float32)
+    )
     assert 20 < np.count_nonzero(missing) < 180
     np.testing.assert_allclose(near, 100.0 * missing**2, atol=2e-3)
 
@@ -156,7 +158,7 @@ def test_places_on_the_faces_lie_in_the_last_cells():
     land = land_of(cells=6)
     place = jnp.array([[0.0, 0.0, 0.0], [6.0, 6.0, 6.0], [5.99, 6.01, 0.5], [1.5, 2.0, -0.1]])
     want = [[0, 0, 0], [5, 5, 5], [5, 5, 0], [1, 2, 0]]
-    np.testing.assert_array_equal(planner._cells(land, place), want)
+    np.testing.assert_array_equal(planner._cells_at(land, place), want)
 
 
 @pytest.fixture(scope="module")
@@ -172,7 +174,7 @@ def descended():
             grid=replace(grid, cell_m=size * grid.cell_m, origin_m=size * grid.origin_m),
             gap_m=size * land.gap_m,
         )
-        return shaping.descended(
+        return shaping.descend_path(
             bigger,
             swims,
             points,
@@ -220,7 +222,7 @@ def test_a_team_goes_at_once_past_bodies_that_leave_room():
         position_m=jnp.asarray(np.stack([start, goal])[None, None], jnp.float32),
         found=jnp.ones((1, 1), bool),
     )
-    held = hold(jnp.asarray(start[None], jnp.float32), 2)
+    held = hold_position(jnp.asarray(start[None], jnp.float32), 2)
 
     def goes(y):
         bodies = GridTraffic(
@@ -230,7 +232,7 @@ def test_a_team_goes_at_once_past_bodies_that_leave_room():
             until_s=jnp.full(1, jnp.inf),
         )
         radius = jnp.full(1, 0.3, jnp.float32)
-        return bool(scheduled(ways, held, radius, bodies, 0.1, 60.0).found[0])
+        return bool(schedule_departures(ways, held, radius, bodies, 0.1, 60.0).found[0])
 
     assert goes(1.0)
     assert goes(0.72)

@@ -49,7 +49,7 @@ def by_dijkstra(cost: np.ndarray, goal: tuple[int, ...]) -> np.ndarray:
 def test_costs_are_those_of_dijkstra_and_of_the_sweeps_of_a_batch_to_the_last_bit(
     lanes: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(search_kernel, "_LANES", lanes)
+    monkeypatch.setattr(search_kernel, "_MAX_LANES", lanes)
     cost = np.stack([costs_of_a_maze(seed) for seed in (1, 2, 3)])
     goals = [(0, 0, 0), (4, 3, 2), (8, 6, 4)]
     at_once = jax.vmap(partial(search_kernel.costs_to_goal, interpret=True))
@@ -58,15 +58,17 @@ def test_costs_are_those_of_dijkstra_and_of_the_sweeps_of_a_batch_to_the_last_bi
     assert np.array_equal(value, np.asarray(swept))
     for one, of, goal in zip(value, cost, goals, strict=True):
         known = by_dijkstra(of, goal)
-        assert np.array_equal(one >= search.FAR, np.isinf(known))
-        assert np.allclose(one[one < search.FAR], known[one < search.FAR], rtol=1e-5)
+        assert np.array_equal(one >= search.NO_PATH_COST, np.isinf(known))
+        assert np.allclose(
+            one[one < search.NO_PATH_COST], known[one < search.NO_PATH_COST], rtol=1e-5
+        )
 
 
 def test_ways_cost_what_the_search_says_from_every_cell() -> None:
     cost, goal = costs_of_a_maze(4), (0, 6, 2)
     value = search.costs_to_goal(jnp.array(cost[None]), jnp.array([goal], jnp.int32))[0]
     starts = np.array(list(np.ndindex(SHAPE)), np.int32)
-    follow = jax.vmap(lambda start: search.way(jnp.array(cost), value, start, 40))
+    follow = jax.vmap(lambda start: search.trace_path(jnp.array(cost), value, start, 40))
     cells, reached = map(np.asarray, follow(jnp.array(starts)))
     known = by_dijkstra(cost, goal)
     assert np.array_equal(reached, np.isfinite(known[tuple(starts.T)]))
@@ -84,7 +86,7 @@ def test_cells_without_a_way_are_far() -> None:
         jnp.array(cost), jnp.array((1, 1, 1), jnp.int32), interpret=True
     )
     assert float(value[1, 1, 1]) == 0.0
-    assert np.sum(np.asarray(value) >= search.FAR) == value.size - 1
+    assert np.sum(np.asarray(value) >= search.NO_PATH_COST) == value.size - 1
 
 
 @pytest.mark.usefixtures("as_if_on_an_h200")

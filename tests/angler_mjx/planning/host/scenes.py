@@ -79,7 +79,7 @@ def problem(
         seed=np.uint32(0),
         horizon_s=120.0,
         goal_tolerance_m=0.5,
-        knows=Information(),
+        information=Information(),
         deadline_s=5.0,
     )
 

@@ -11,7 +11,7 @@ from angler_mjx.errors import ConfigError, UnsupportedError
 from angler_mjx.planning import register
 from angler_mjx.planning.host.cluster import versions
 from angler_mjx.planning.host.cluster.ray_workers import RayWorkers
-from angler_mjx.planning.host.cluster.runner import _how
+from angler_mjx.planning.host.cluster.runner import _error_line
 from angler_mjx.planning.register import PlannerSpec
 
 TEXT = "class Still:\n    def plan(self, problem):\n        return []\n"
@@ -21,37 +21,37 @@ TEXT = "class Still:\n    def plan(self, problem):\n        return []\n"
 def spec(tmp_path):
     file = tmp_path / "still.py"
     file.write_text(TEXT)
-    return PlannerSpec(reference=register.find(f"{file}:Still"), most_points=5)
+    return PlannerSpec(reference=register.find(f"{file}:Still"), max_points=5)
 
 
 def test_a_planner_of_a_file_is_made_where_the_file_is_not(spec):
     sent = pickle.dumps(spec)
     spec.reference.file.unlink()
     there = pickle.loads(sent)
-    assert (there.settings, there.most_points) == ({}, 5)
+    assert (there.settings, there.max_points) == ({}, 5)
     assert there.make().plan(None) == []
 
 
 def test_other_versions_are_told_by_name():
-    here = versions.installed()
-    assert versions.differences(here, here) == ""
+    here = versions.installed_versions()
+    assert versions.format_differences(here, here) == ""
     there = {**here, "numpy": "1.0"}
-    assert versions.differences(there, here) == f"numpy 1.0 there, {here['numpy']} here"
+    assert versions.format_differences(there, here) == f"numpy 1.0 there, {here['numpy']} here"
 
 
 def test_an_edited_checkout_is_another_version(tmp_path, monkeypatch):
-    monkeypatch.setattr(versions, "HOME", tmp_path)
-    before = versions.installed()["angler_mjx"]
-    assert versions.installed()["angler_mjx"] == before
+    monkeypatch.setattr(versions, "PACKAGE_FOLDER", tmp_path)
+    before = versions.installed_versions()["angler_mjx"]
+    assert versions.installed_versions()["angler_mjx"] == before
     (tmp_path / "more.py").write_text("x = 1\n")
-    assert versions.installed()["angler_mjx"] != before
+    assert versions.installed_versions()["angler_mjx"] != before
 
 
 def test_the_line_of_a_long_text_that_says_how_an_actor_died():
-    assert _how(OSError("The actor died.\n\tpid: 3\nSome causes: ...")) == "The actor died."
+    assert _error_line(OSError("The actor died.\n\tpid: 3\nSome causes: ...")) == "The actor died."
     thrown = "task failed\nTraceback (most recent call last):\n  File\nValueError: no reef"
-    assert _how(OSError(thrown)) == "ValueError: no reef"
-    assert _how(OSError()) == "OSError"
+    assert _error_line(OSError(thrown)) == "ValueError: no reef"
+    assert _error_line(OSError()) == "OSError"
 
 
 def test_there_is_at_least_one_actor():

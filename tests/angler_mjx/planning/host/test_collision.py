@@ -20,7 +20,7 @@ from angler_mjx.planning.host.edges import EdgeChecker
 from angler_mjx.planning.host.hulls import HullChecker
 from angler_mjx.planning.host.robots import PlannedRobot
 from angler_mjx.robot.vehicles import library
-from angler_mjx.robot.vehicles.params import build
+from angler_mjx.robot.vehicles.params import build_vehicle
 
 from ...compiling import quickly
 from . import scenes
@@ -108,7 +108,7 @@ def test_a_state_is_free_where_its_clearance_is_positive(world, model):
 
 
 def test_balls_of_the_model_have_the_clearance_of_the_compiled_check(world):
-    balls = TeamModel([PlannedRobot.ball(r) for r in world.team.radius_m], world)
+    balls = TeamModel([PlannedRobot.from_radius(r) for r in world.team.radius_m], world)
     rows = poses(world, 600, 4)
     compiled = EdgeChecker(world).clearances(rows[..., :3])
     coals = np.array([balls.clearance(balls.q(row)) for row in rows])
@@ -175,7 +175,7 @@ def test_the_model_names_what_is_nearest_and_where():
     occupied = np.zeros((6, 6, 6), bool)
     occupied[4, 2, 3] = True
     world = scenes.problem(occupied, cell_m=2.0, scale=(1.0, 1.0))
-    model = TeamModel([PlannedRobot.ball(0.4), PlannedRobot.ball(0.3)], world)
+    model = TeamModel([PlannedRobot.from_radius(0.4), PlannedRobot.from_radius(0.3)], world)
     found = model.nearest(model.q([[7.0, 5.0, 7.0, 0.0], [3.0, 9.0, 3.0, 0.0]]))
     assert (found.name_a, found.name_b) == ("robot_0_capsule_0", "cell_4_2_3")
     assert found.distance_m == pytest.approx(0.6)
@@ -208,7 +208,7 @@ def test_obstacles_are_where_they_are_known_to_be_at_a_time():
         bodies=[scenes.body("sphere", (0.5, 0.0, 0.0), way, moves=True)],
         time_s=(0.0, 6.0),
     )
-    model = TeamModel([PlannedRobot.ball(0.4)], world)
+    model = TeamModel([PlannedRobot.from_radius(0.4)], world)
     q = model.q([[5.0, 5.0, 5.0, 0.0]])
     expected = {0.0: 2.1, 2.0: 0.1, 3.0: -0.9, 6.0: 2.1, 60.0: 2.1}
     for time_s, distance in expected.items():
@@ -252,7 +252,10 @@ def test_a_team_without_robots_is_refused(world):
 
 
 def test_hulls_come_from_vehicle_files():
-    vehicles = [build(library.load(name), None, 16.0) for name in ("bluerov2", "bluerov2_heavy")]
+    vehicles = [
+        build_vehicle(library.load_vehicle(name), None, 16.0)
+        for name in ("bluerov2", "bluerov2_heavy")
+    ]
     world = scenes.problem(np.zeros((5, 5, 5)), cell_m=2.0)
     model = TeamModel([PlannedRobot.of(vehicle) for vehicle in vehicles], world)
     # On its axis to the north each is as wide as its widest capsule reaches to its left.

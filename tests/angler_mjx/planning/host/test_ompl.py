@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.planning.answers import answer
+from angler_mjx.planning.answers import check_answer
 from angler_mjx.planning.host.ompl.planners import PLANNERS
 from angler_mjx.planning.planner import NoPlan
 
@@ -19,8 +19,8 @@ from ..problems import problem
 pytest.importorskip("ompl", reason="needs the extra plan: OMPL")
 pytest.importorskip("numba", reason="needs the extra plan: numba")
 from angler_mjx.planning.host.edges import EdgeChecker
-from angler_mjx.planning.host.ompl.shortcut import ways
-from angler_mjx.planning.host.ompl.straightening import through
+from angler_mjx.planning.host.ompl.shortcut import build_smoothing_problem
+from angler_mjx.planning.host.ompl.straightening import shortest_through_points
 
 WALL = (5, slice(0, 7), slice(None))
 """Of a cube of ten cells: open where y is above 7 m."""
@@ -34,7 +34,9 @@ def plan(name, asked, **settings):
     begin = time.perf_counter()
     paths = planner.plan(asked)
     taken = time.perf_counter() - begin
-    return answer(paths, asked, taken, planner.extras, planner.settings.points, planner.progress)
+    return check_answer(
+        paths, asked, taken, planner.extras, planner.settings.points, planner.progress
+    )
 
 
 def at(path, when):
@@ -329,7 +331,7 @@ def test_the_way_through_points_is_the_quickest_there_is(robots):
         if checks.edge(walk[-1], step):
             walk.append(step)
     walk = np.array(walk)
-    got = through(ways(checks), walk, speed)
+    got = shortest_through_points(build_smoothing_problem(checks), walk, speed)
     took = np.linalg.norm(np.diff(got, axis=0), axis=-1) / speed
     assert checks.edges(got[:-1], got[1:]).all()
     assert (took.max(axis=1) + 0.1 * took.mean(axis=1)).sum() == pytest.approx(

@@ -17,7 +17,7 @@ import pytest
 
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.planning import register
-from angler_mjx.planning.host.cluster import joining, versions
+from angler_mjx.planning.host.cluster import connection, versions
 from angler_mjx.planning.host.cluster.ray_workers import RayWorkers
 from angler_mjx.planning.host.workers import Workers
 from angler_mjx.planning.register import PlannerSpec
@@ -149,7 +149,7 @@ def test_a_machine_that_is_lost_costs_no_answer(address, folder):
     slow = made("Strange", folder=str(folder), slow_s=8.0)
     with node(f"--address={address}", "--node-ip-address=127.0.0.2", "--num-cpus=1") as second:
         wait_for(lambda: processors(address) == 3)
-        with RayWorkers(address, make=slow) as pool:
+        with RayWorkers(address, planner=slow) as pool:
             assert pool.count == 3
             wait_for(lambda: len(pool.pids()) == 3)
             tickets = [pool.submit(ask("slow")) for _ in range(3)]
@@ -190,7 +190,7 @@ def test_what_cannot_be_joined_is_said(address, monkeypatch):
     monkeypatch.setattr(versions, "LIBRARIES", (*versions.LIBRARIES, "pytest"))
     with pytest.raises(ConfigError, match=r"versions: pytest missing there, \d"):
         RayWorkers(address)
-    monkeypatch.setattr(joining, "ANSWERS_S", 3.0)
+    monkeypatch.setattr(connection, "HEALTH_TIMEOUT_S", 3.0)
     begin = time.monotonic()
     with pytest.raises(ConfigError, match=r"no Ray cluster answers at 127\.0\.0\.1:9 "):
         RayWorkers("127.0.0.1:9")

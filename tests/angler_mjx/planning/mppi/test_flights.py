@@ -44,7 +44,7 @@ count = 2
 [policy]
 name = "mppi"
 
-[policy.knows]
+[policy.information]
 current = "predicted"
 
 [policy.mppi]
@@ -114,7 +114,7 @@ def test_they_go_round_rock_and_past_a_ball_that_they_know_of(load, level, secon
     changes = {
         "time": {"horizon_s": 40.0},
         "world": {"obstacles": {"explicit": [BALL]}},
-        "policy": {"knows": {"obstacles": level, "current": "predicted"}},
+        "policy": {"information": {"obstacles": level, "current": "predicted"}},
     }
     simulator = angler.Simulator(load(**changes))
     worlds = simulator.worlds()
@@ -195,13 +195,17 @@ def test_a_bad_value_of_a_file_is_told_by_file_key_and_value(tmp_path):
 
 def test_a_policy_beside_the_scenarios_own_is_refused(load):
     scenario = load()
-    made = scenario_policy.policy_of(scenario, None)
+    made = scenario_policy.resolve_policy(scenario, None)
     assert (made.period, made.samples, made.steps, made.knots) == (4, 64, 15, 8)
     with pytest.raises(ConfigError, match=r'policy\.name = "mppi" commands the robots'):
         angler.Simulator(scenario, policy=made)
 
 
 def test_what_it_knows_is_what_the_planner_may_unless_it_is_said(load):
-    assert scenario_policy.policy_of(load(), None).knows == Information(current="predicted")
-    told = load(policy={"knows": None}, planner={"knows": {"obstacles": "observed"}})
-    assert scenario_policy.policy_of(told, None).knows == Information(obstacles="observed")
+    assert scenario_policy.resolve_policy(load(), None).information == Information(
+        current="predicted"
+    )
+    told = load(policy={"information": None}, planner={"information": {"obstacles": "observed"}})
+    assert scenario_policy.resolve_policy(told, None).information == Information(
+        obstacles="observed"
+    )

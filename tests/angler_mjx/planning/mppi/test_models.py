@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from angler_mjx.planning.mppi import drag, outputs
-from angler_mjx.planning.mppi.models import Forces, ThrusterLag
+from angler_mjx.planning.mppi.models import ForceModel, ThrusterLag
 from angler_mjx.robot.control import allocation
 from angler_mjx.robot.control.commands import Estimate
 from angler_mjx.robot.control.stack import ControlParams
 from angler_mjx.robot.vehicles import library
-from angler_mjx.robot.vehicles.params import build, stack
+from angler_mjx.robot.vehicles.params import build_vehicle, stack_vehicles
 
 YAW, DENSITY, GRAVITY, DT, RESPONSE = 0.7, 1025.0, 9.81, 0.1, 0.3
 FLOW = np.array([0.2, -0.3, 0.1])
@@ -21,10 +21,12 @@ FLOW = np.array([0.2, -0.3, 0.1])
 
 @pytest.fixture(scope="module")
 def params():
-    vehicles = stack([build(library.load("bluerov2_heavy"), "wu2018", 16.0)])
+    vehicles = stack_vehicles(
+        [build_vehicle(library.load_vehicle("bluerov2_heavy"), "wu2018", 16.0)]
+    )
     both = ControlParams(
         vehicle=vehicles,
-        allocation=allocation.build(vehicles),
+        allocation=allocation.build_allocation(vehicles),
         cruise_speed_mps=jnp.array([0.5]),
     )
     return jax.tree.map(lambda leaf: leaf[0], both)
@@ -32,7 +34,7 @@ def params():
 
 @pytest.fixture(scope="module")
 def hull(params):
-    return drag.hull(params, jnp.asarray(YAW), DENSITY, GRAVITY)
+    return drag.build_drag_hull(params, jnp.asarray(YAW), DENSITY, GRAVITY)
 
 
 def body_from_world(x):
@@ -50,7 +52,7 @@ def settle(model, asked, flow):
     return np.asarray(v)[:, 0], float(power[-1, 0])
 
 
-@pytest.mark.parametrize("kind", [ThrusterLag, Forces])
+@pytest.mark.parametrize("kind", [ThrusterLag, ForceModel])
 def test_what_thrust_can_hold_is_held_and_takes_the_power_of_the_water_that_passes(hull, kind):
     model = kind(hull=replace(hull, lift_n=jnp.zeros(())), response_s=RESPONSE)
     ahead = 0.5 * np.array([np.cos(YAW), np.sin(YAW), 0.0])
@@ -65,7 +67,7 @@ def test_what_thrust_can_hold_is_held_and_takes_the_power_of_the_water_that_pass
     assert power == pytest.approx(0.0, abs=1e-3)
 
 
-@pytest.mark.parametrize("kind", [ThrusterLag, Forces])
+@pytest.mark.parametrize("kind", [ThrusterLag, ForceModel])
 def test_water_that_is_faster_than_the_robot_takes_it_along(hull, params, kind):
     model = kind(hull=hull, response_s=RESPONSE)
     bow = np.array([np.cos(YAW), np.sin(YAW), 0.0])
@@ -78,8 +80,8 @@ def test_water_that_is_faster_than_the_robot_takes_it_along(hull, params, kind):
 def test_forces_end_at_the_speed_at_which_drag_is_all_their_thrust(hull):
     """Root of D_l v + D_q v^2 = F, F by hand from the thrusters' share of a force ahead."""
     bow = np.array([np.cos(YAW), np.sin(YAW), 0.0])
-    v, _ = settle(Forces(hull=hull, response_s=RESPONSE), 9.0 * bow, np.zeros(3))
-    most = float(hull.most_n) / np.abs(np.asarray(hull.thrusters)[:, 0]).max()
+    v, _ = settle(ForceModel(hull=hull, response_s=RESPONSE), 9.0 * bow, np.zeros(3))
+    most = float(hull.max_thrust_n) / np.abs(np.asarray(hull.thrusters)[:, 0]).max()
     linear, quadratic = float(hull.linear[0]), float(hull.quadratic[0])
     root = (-linear + np.sqrt(linear**2 + 4 * quadratic * most)) / (2 * quadratic)
     assert v @ bow == pytest.approx(root, rel=1e-3)
@@ -88,20 +90,20 @@ def test_forces_end_at_the_speed_at_which_drag_is_all_their_thrust(hull):
 def test_forces_at_their_limit_accelerate_the_mass_with_added_mass(hull, params):
     """One step from rest along the bow: (m + m_a + dt D_l) v = dt F, lift left out."""
     bow = np.array([np.cos(YAW), np.sin(YAW), 0.0])
-    model = Forces(hull=replace(hull, lift_n=jnp.zeros(())), response_s=RESPONSE)
+    model = ForceModel(hull=replace(hull, lift_n=jnp.zeros(())), response_s=RESPONSE)
     v, _ = model.step(jnp.zeros((3, 1)), jnp.asarray(9.0 * bow)[:, None], jnp.zeros(3), DT)
-    force = float(hull.most_n) / np.abs(np.asarray(hull.thrusters)[:, 0]).max()
+    force = float(hull.max_thrust_n) / np.abs(np.asarray(hull.thrusters)[:, 0]).max()
     inertia = float(params.vehicle.mass_kg + params.vehicle.M_A[0, 0])
     expected = DT * force / (inertia + DT * float(params.vehicle.D_l[0]))
     assert float(v[:, 0] @ bow) == pytest.approx(expected, rel=1e-4)
 
 
 def test_forces_without_limit_answer_as_a_lag_does(hull):
-    strong = replace(hull, most_n=jnp.asarray(1e9), fastest_mps=jnp.full(3, 1e9))
+    strong = replace(hull, max_thrust_n=jnp.asarray(1e9), fastest_mps=jnp.full(3, 1e9))
     rows = np.random.default_rng(2).normal(size=(2, 3, 20)).astype(np.float32)
     v, asked = jnp.asarray(rows[0]), jnp.asarray(rows[1])
     flow = jnp.asarray(FLOW)
-    by_force, _ = Forces(hull=strong, response_s=RESPONSE).step(v, asked, flow, DT)
+    by_force, _ = ForceModel(hull=strong, response_s=RESPONSE).step(v, asked, flow, DT)
     expected = rows[1] + (rows[0] - rows[1]) * np.exp(-DT / RESPONSE)
     np.testing.assert_allclose(by_force, expected, atol=1e-4)
 
@@ -110,7 +112,7 @@ def test_the_wrench_at_rest_carries_net_weight_and_what_the_stream_does(params):
     half = YAW / 2
     q = jnp.array([np.cos(half), 0.0, 0.0, np.sin(half)])
     zero, vehicle = jnp.zeros(3), params.vehicle
-    told = outputs.wrench(
+    told = outputs.build_wrench(
         vehicle,
         Estimate(p=zero, q=q, nu=jnp.zeros(6), flow=jnp.asarray(FLOW)),
         zero,
@@ -135,8 +137,8 @@ def test_the_wrench_takes_up_a_velocity_by_the_mass_with_added_mass(params):
     level = jnp.array([1.0, 0.0, 0.0, 0.0])
     numbers = (jnp.asarray(0.0), 2.5, RESPONSE, DENSITY, GRAVITY)
     rest = Estimate(p=jnp.zeros(3), q=level, nu=jnp.zeros(6), flow=None)
-    hold = outputs.wrench(params.vehicle, rest, jnp.zeros(3), *numbers).tau
-    ahead = outputs.wrench(params.vehicle, rest, jnp.array([0.3, 0.0, 0.0]), *numbers).tau
+    hold = outputs.build_wrench(params.vehicle, rest, jnp.zeros(3), *numbers).tau
+    ahead = outputs.build_wrench(params.vehicle, rest, jnp.array([0.3, 0.0, 0.0]), *numbers).tau
     inertia = float(params.vehicle.mass_kg + params.vehicle.M_A[0, 0])
     assert float(ahead[0] - hold[0]) == pytest.approx(inertia * 0.3 / RESPONSE, rel=1e-5)
 
@@ -151,7 +153,7 @@ def test_the_wrench_returns_to_the_heading_with_critical_damping(params):
 
     def moment(attitude_per_s):
         numbers = (jnp.asarray(error), attitude_per_s, RESPONSE, DENSITY, GRAVITY)
-        return float(outputs.wrench(params.vehicle, turning, jnp.zeros(3), *numbers).tau[5])
+        return float(outputs.build_wrench(params.vehicle, turning, jnp.zeros(3), *numbers).tau[5])
 
     inertia = float(params.vehicle.inertia_kgm2[2, 2] + params.vehicle.M_A[5, 5])
     expected = inertia * (k**2 * 2.0 * np.sin(error / 2.0) - 2.0 * k * rate)

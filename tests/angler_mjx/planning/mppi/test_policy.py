@@ -11,7 +11,7 @@ from angler_mjx.planning.mppi.policy import Mppi
 from angler_mjx.robot.control import allocation
 from angler_mjx.robot.control.stack import ControlParams
 from angler_mjx.robot.vehicles import library
-from angler_mjx.robot.vehicles.params import build, stack
+from angler_mjx.robot.vehicles.params import build_vehicle, stack_vehicles
 from angler_mjx.sim.policy import PolicyInput
 from angler_mjx.sim.record import Belief
 from angler_mjx.world.grid import Grid
@@ -25,7 +25,9 @@ POLICY = Mppi(samples=2, horizon_s=1.5, dt_s=DT, knots=3)
 @pytest.fixture(scope="module")
 def known():
     """Inputs of one robot that moves ahead, to the east, in open water without a current."""
-    vehicles = stack([build(library.load("bluerov2_heavy"), "wu2018", 16.0)])
+    vehicles = stack_vehicles(
+        [build_vehicle(library.load_vehicle("bluerov2_heavy"), "wu2018", 16.0)]
+    )
     zero = jnp.zeros((1, 3))
     return PolicyInput(
         belief=Belief(
@@ -42,7 +44,7 @@ def known():
         path=(),
         params=ControlParams(
             vehicle=vehicles,
-            allocation=allocation.build(vehicles),
+            allocation=allocation.build_allocation(vehicles),
             cruise_speed_mps=jnp.array([CRUISE]),
         ),
         grid=Grid(
@@ -61,7 +63,7 @@ def memory(known):
 
 def test_robots_mean_to_stand_where_they_start(memory):
     np.testing.assert_array_equal(memory.knots, np.zeros((1, 3, 3)))
-    np.testing.assert_array_equal(memory.way_m, np.repeat(START[:, None], 3, axis=1))
+    np.testing.assert_array_equal(memory.path_m, np.repeat(START[:, None], 3, axis=1))
     np.testing.assert_array_equal(memory.yaw_rad, np.zeros(1))
 
 
@@ -82,4 +84,4 @@ def test_twists_are_planned_by_the_lag_and_wrenches_by_the_forces(known, memory,
         damping = float(vehicle.D_l[0, 0] + vehicle.D_q[0, 0] * SPEED)
         speed = mass * SPEED / (mass + DT * damping)
     expected = START[0, 0] + DT * (SPEED + speed) / 2.0
-    assert float(after.way_m[0, 0, 0]) == pytest.approx(expected, abs=1e-3)
+    assert float(after.path_m[0, 0, 0]) == pytest.approx(expected, abs=1e-3)

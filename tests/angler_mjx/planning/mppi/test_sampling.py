@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from angler_mjx.planning.mppi import field
+from angler_mjx.planning.mppi import distance_field
 from angler_mjx.planning.mppi.costs import CostBodies, Weights
-from angler_mjx.planning.mppi.sampling import RolloutScene, improve, shifted
+from angler_mjx.planning.mppi.sampling import RolloutScene, improve_mean, shift_knots
 from angler_mjx.world.grid import Grid
 
 LIMIT, RADIUS, DT, STEPS, KNOTS, SAMPLES = 0.5, 0.32, 0.1, 30, 8, 128
@@ -34,10 +34,12 @@ def fly():
         origin = jnp.array([-6.0, -6.0, -7.0])
         grid = Grid(occupied=occupied, origin_m=origin, cell_m=jnp.asarray(1.5))
         h = 0.5 * grid.cell_m
-        gap = field.gap(grid, origin[2])
-        left = field.way_left(gap >= RADIUS + 0.1, jnp.asarray(GOAL), origin, h)
-        seen = field.DistanceField(values=jnp.stack([gap, left], -1), origin_m=origin, spacing_m=h)
-        better = partial(improve, Weights(), Loop(), samples=SAMPLES, dt_s=DT)
+        gap = distance_field.obstacle_distance(grid, origin[2])
+        left = distance_field.path_length_to_goal(gap >= RADIUS + 0.1, jnp.asarray(GOAL), origin, h)
+        seen = distance_field.DistanceField(
+            values=jnp.stack([gap, left], -1), origin_m=origin, spacing_m=h
+        )
+        better = partial(improve_mean, Weights(), Loop(), samples=SAMPLES, dt_s=DT)
 
         def one(carry, i):
             p, v, knots = carry
@@ -53,7 +55,7 @@ def fly():
                 radius_m=jnp.asarray(RADIUS),
                 limit_mps=jnp.asarray(LIMIT),
             )
-            knots = shifted(knots, 0.2, STEPS * DT)
+            knots = shift_knots(knots, 0.2, STEPS * DT)
             knots, _ = better(scene, p, v, knots, jax.random.fold_in(key, i))
             after = knots[0] + (v - knots[0]) * jnp.exp(-0.2 / 0.3)
             p = p + 0.1 * (v + after)
@@ -113,4 +115,4 @@ def test_knots_are_shifted_along_the_lines_between_them_and_held_after_the_last(
     time = np.linspace(0.0, 3.0, 4)
     for by in (0.0, 0.4, 1.7, 5.0):
         expected = np.stack([np.interp(time + by, time, knots[:, i]) for i in range(3)], axis=1)
-        np.testing.assert_allclose(shifted(jnp.asarray(knots), by, 3.0), expected, atol=1e-5)
+        np.testing.assert_allclose(shift_knots(jnp.asarray(knots), by, 3.0), expected, atol=1e-5)

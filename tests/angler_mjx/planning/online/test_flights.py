@@ -9,8 +9,8 @@ import pytest
 import angler_mjx as angler
 from angler_mjx.errors import ConfigError
 from angler_mjx.robot.control.trajectory import Trajectory
-from angler_mjx.runs.session.batch import BatchSession
-from angler_mjx.runs.session.online import OnlineFlyer, problem_of
+from angler_mjx.runs.session.batch_session import BatchSession
+from angler_mjx.runs.session.online_policy import OnlineFlyer, build_session_problem
 from angler_mjx.runs.simulator import scenario_policy
 from angler_mjx.runs.storage import device_to_host
 from angler_mjx.sim import policy as policies
@@ -51,7 +51,7 @@ count = 2
 """
 """The sphere is on the first robot's line when the robot is."""
 
-REPLANNED = {"replan_hz": 1.0, "delay_s": 0.25, "knows": {"obstacles": "observed"}}
+REPLANNED = {"replan_hz": 1.0, "delay_s": 0.25, "information": {"obstacles": "observed"}}
 
 
 @pytest.fixture(scope="module")
@@ -173,21 +173,24 @@ def test_what_a_robot_was_not_planned_for_is_counted_until_its_end(replanned):
     )
     state, _, _ = fly(replanned, worlds)
     assert outcomes(state) == [Outcome.RUNNING, Outcome.REACHED]
-    whole = np.asarray(device_to_host.end(state, recorded=False).failed_replans)
+    whole = np.asarray(device_to_host.select_end(state, recorded=False).failed_replans)
     np.testing.assert_array_equal(whole, [[29, 0]])  # at 1, 2, ... 29 s of 30
     ended = replace(
         state.tally,
         outcome=state.tally.outcome.at[0, 0].set(Outcome.COLLISION_DYNAMIC),
         end_time_s=state.tally.end_time_s.at[0, 0].set(10.3),
     )
-    early = device_to_host.end(replace(state, tally=ended), recorded=False).failed_replans
+    early = device_to_host.select_end(replace(state, tally=ended), recorded=False).failed_replans
     np.testing.assert_array_equal(early, [[10, 0]])
 
 
 def test_nothing_is_counted_where_nothing_is_planned_anew(kept):
     state = kept.reset(kept.worlds())
-    assert device_to_host.end(state, recorded=False).failed_replans is None
-    assert device_to_host.end(replace(state, policy=None), recorded=False).failed_replans is None
+    assert device_to_host.select_end(state, recorded=False).failed_replans is None
+    assert (
+        device_to_host.select_end(replace(state, policy=None), recorded=False).failed_replans
+        is None
+    )
 
 
 @pytest.mark.nightly(by="the flight around the obstacle, in the fused engine")
@@ -210,7 +213,7 @@ def test_a_session_flies_as_a_batch(load, replanned):
         seen = session.step(flyer.commands(seen))
     # 10 s, ten plans.
     np.testing.assert_allclose(places, robots[:50], atol=5e-3)
-    asked = problem_of(session, Information(obstacles="observed"))
+    asked = build_session_problem(session, Information(obstacles="observed"))
     body = np.asarray(session.inside().state.obstacles.p)[0]
     np.testing.assert_allclose(asked.obstacles.p_m[:, 0], body, atol=1e-5)
     np.testing.assert_allclose(asked.obstacles.velocity_mps[0], [0.0, -0.15, 0.0], atol=5e-3)
@@ -233,8 +236,8 @@ def test_a_session_flies_as_a_batch(load, replanned):
             r'execution\.order .*= "kept": guides robots by poses, and no stage of controller',
         ),
         (
-            {"planner": {"replan_hz": 1.0, "knows": {"obstacles": "all"}}},
-            r"knows.*obstacles = 'all'",
+            {"planner": {"replan_hz": 1.0, "information": {"obstacles": "all"}}},
+            r"information.*obstacles = 'all'",
         ),
     ],
 )
@@ -245,8 +248,8 @@ def test_what_cannot_be_flown_is_refused_by_its_key(load, changes, said):
 
 def test_a_run_that_goes_on_is_commanded_by_the_same_policy(load, kept):
     """Made from the scenario's file, it is the one that the simulator wrote down."""
-    made = scenario_policy.policy_of(load(execution={"order": "kept"}), None)
-    assert policies.describe(made) == policies.describe(kept.policy)
+    made = scenario_policy.resolve_policy(load(execution={"order": "kept"}), None)
+    assert policies.describe_policy(made) == policies.describe_policy(kept.policy)
 
 
 def test_another_policy_beside_it_is_refused(load, kept):

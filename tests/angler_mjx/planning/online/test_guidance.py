@@ -20,7 +20,7 @@ CRUISE = np.array([1.0, 1.0], np.float32)
 def flown():
     """Clocks of the team of `CROSS` each step; the first robot stands from a time on."""
     level = np.tile(np.array([1, 0, 0, 0], np.float32), (2, 1))
-    kept = quickly(order.of)(CROSS, guidance.reach_m(RADIUS))
+    kept = quickly(order.build_order)(CROSS, guidance.reach_m(RADIUS))
     step = quickly(
         lambda carry, at, standing: guidance.step(
             FollowGains(),
@@ -36,8 +36,8 @@ def flown():
 
     def fly(stands_s, end_s, patient):
         at = np.array(CROSS.position_m[:, 0])
-        carry = guidance.begin(level)
-        standing = None if patient else guidance.moving(carry.clock_s)
+        carry = guidance.initial_clocks(level)
+        standing = None if patient else guidance.initial_status(carry.clock_s)
         clocks = []
         for k in range(round(end_s / DT)):
             carry, target, standing = step(carry, at, standing)
@@ -67,12 +67,12 @@ def test_who_is_held_or_has_arrived_does_not_stand(flown):
 def test_who_flies_new_plans_every_second_does_not_stand():
     """Clocks begin anew with each plan; who gets on upon none of them stands."""
     clocks = np.zeros(2, np.float32)
-    standing, waits = guidance.moving(jnp.asarray(clocks)), np.zeros(2, bool)
+    standing, waits = guidance.initial_status(jnp.asarray(clocks)), np.zeros(2, bool)
     for _ in range(20):
         for _ in range(5):
             clocks = clocks + np.float32([0.2, 0.0])
-            standing = guidance.seen(standing, clocks, waits, 0.2)
-        standing = guidance.begun_anew(standing, clocks, np.zeros(2, np.float32))
+            standing = guidance.update_status(standing, clocks, waits, 0.2)
+        standing = guidance.shift_status(standing, clocks, np.zeros(2, np.float32))
         clocks = np.zeros(2, np.float32)
     assert standing.for_s[0] < 1.0
     np.testing.assert_allclose(standing.for_s[1], 20.0, rtol=1e-4)

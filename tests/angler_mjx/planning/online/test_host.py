@@ -4,8 +4,8 @@ import jax
 import numpy as np
 import pytest
 
-from angler_mjx.planning.online import host_planner
-from angler_mjx.planning.online.host_planner import HostReplanner
+from angler_mjx.planning.online import host_replanner
+from angler_mjx.planning.online.host_replanner import HostReplanner
 from angler_mjx.planning.register import find
 
 from ..problems import problem
@@ -26,7 +26,7 @@ class OneStays:
 @pytest.fixture(autouse=True)
 def ended():
     yield
-    host_planner.close()
+    host_replanner.close_workers()
 
 
 def test_a_compiled_policy_waits_for_the_plans_of_another_process(tmp_path):

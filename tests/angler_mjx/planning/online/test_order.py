@@ -46,12 +46,12 @@ RING = lines(
 
 @pytest.fixture(scope="module")
 def table():
-    return quickly(lambda plan, reach: order.of(plan, reach, samples=64))
+    return quickly(lambda plan, reach: order.build_order(plan, reach, samples=64))
 
 
 @pytest.fixture(scope="module")
 def bound():
-    return quickly(lambda found, clocks: order.limits(found, clocks)[0])
+    return quickly(lambda found, clocks: order.clock_limits(found, clocks)[0])
 
 
 def place(plan, robot, clock):
@@ -115,7 +115,7 @@ def test_who_is_behind_all_others_is_never_held(table, bound):
     plan = lines(*([(0, a), (float(draw.uniform(4, 20)), b)] for a, b in ends))
     found = table(plan, np.full((6, 6), REACH, np.float32))
     clocks = draw.uniform(0, 20, (200, 6)).astype(np.float32)
-    most, _ = (np.asarray(x) for x in jax.vmap(order.limits, (None, 0))(found, clocks))
+    most, _ = (np.asarray(x) for x in jax.vmap(order.clock_limits, (None, 0))(found, clocks))
     first = np.argmin(clocks, axis=1)
     rows = np.arange(len(clocks))
     assert np.all(most[rows, first] > clocks[rows, first])
@@ -128,16 +128,16 @@ def test_who_hears_late_waits_no_less(table):
     rng, nobody = np.random.default_rng(2), np.zeros((4, 4), bool)
     at_m, still = np.zeros((4, 4, 3), np.float32), np.zeros((4, 4), np.float32)
     bound = quickly(
-        lambda clocks, heard: order.limits(
+        lambda clocks, heard: order.clock_limits(
             found,
             clocks,
             nobody[0],
             at_m[0],
             still[0],
-            order.Seen(clock_s=heard, stands=nobody, at_m=at_m, speed_mps=still),
+            order.ObservedTeam(clock_s=heard, stands=nobody, at_m=at_m, speed_mps=still),
         )[0]
     )
-    plain = quickly(lambda clocks: order.limits(found, clocks)[0])
+    plain = quickly(lambda clocks: order.clock_limits(found, clocks)[0])
     held = 0
     for _ in range(20):
         clocks = rng.uniform(0.0, 12.0, 4).astype(np.float32)

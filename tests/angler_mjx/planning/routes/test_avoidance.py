@@ -22,7 +22,7 @@ def water(rock_x=None):
     if rock_x is not None:
         clear[-6.0 + 0.375 * (np.arange(32) + 0.5) > rock_x] = 0
     return Routes(
-        place_m=jnp.zeros((1, 3)),
+        position_m=jnp.zeros((1, 3)),
         words=jnp.zeros((8, 8, 8, 1), jnp.uint16),
         clear=jnp.asarray(clear),
         origin_m=jnp.array([-6.0, -6.0, -12.0]),
@@ -46,7 +46,7 @@ FAR = ((90.0, 90.0, 0.0), (0.0, 0.0, 0.0), -1.0, False)
 
 @quickly
 def chosen(routes, around, v, wanted):
-    return avoidance.choose(
+    return avoidance.choose_velocity(
         routes, around, jnp.asarray(HERE), v, wanted, jnp.asarray(CRUISE), HORIZON
     )
 
@@ -111,7 +111,7 @@ def flights(p, v, wanted, yields, steers):
                 reach_m=jnp.ones(1),
                 yields=yields[other][None],
             )
-            chosen = avoidance.choose(
+            chosen = avoidance.choose_velocity(
                 water(), around, p[i], v[i], wanted[i], jnp.asarray(CRUISE), HORIZON
             )
             return jnp.where(steers[i], chosen, v[i])
@@ -141,7 +141,7 @@ def test_the_right_is_preferred_to_a_left_that_is_little_cheaper(south, passes_r
     right = CRUISE / 2 * np.array([np.cos(np.radians(60.0)), -np.sin(np.radians(60.0)), 0.0])
     left = CRUISE / 2 * np.array([np.cos(np.radians(35.0)), np.sin(np.radians(35.0)), 0.0])
     saved = price(right, rows) - price(left, rows)
-    preference = avoidance.RIGHT * (left[1] - right[1]) / CRUISE
+    preference = avoidance.LEFT_TURN_COST * (left[1] - right[1]) / CRUISE
     assert saved > 0.0
     assert (saved < preference) == passes_right
     np.testing.assert_allclose(choose(*rows), right if passes_right else left, atol=1e-6)
@@ -193,7 +193,7 @@ def test_what_is_in_the_way_is_passed_without_contact(at, goes, steers):
 
 @quickly
 def when_held_up(around, held_up):
-    return avoidance.choose(
+    return avoidance.choose_velocity(
         water(),
         around,
         jnp.asarray(HERE),
@@ -235,7 +235,7 @@ def test_way_is_made_for_who_is_near_and_for_nobody_else():
         HERE + np.array([0.0, 0.0, -1.0 - avoidance.ROOM_M - 0.01]),
     )
     one, other = (near, STANDS, 1.0, True), (far, STANDS, 1.0, True)
-    way = quickly(avoidance.make_way)
+    way = quickly(avoidance.make_room)
     np.testing.assert_array_equal(way(bodies([other, FAR]), jnp.asarray(HERE)), np.zeros(3))
     off = np.asarray(way(bodies([one, other]), jnp.asarray(HERE)))
     np.testing.assert_allclose(off, [0.0, -(1.0 - 0.2 / avoidance.ROOM_M), 0.0], atol=1e-5)
@@ -249,13 +249,13 @@ def test_a_body_within_reach_counts_fully_and_no_more():
         (HERE + np.array([0.5, 0.0, 0.0]), STANDS, 1.0, True),
         (HERE + np.array([0.0, 1.0 + 0.4 * avoidance.ROOM_M, 0.0]), STANDS, 1.0, True),
     ]
-    off = quickly(avoidance.make_way)(bodies(rows), jnp.asarray(HERE))
+    off = quickly(avoidance.make_room)(bodies(rows), jnp.asarray(HERE))
     np.testing.assert_allclose(off, np.array([-1.0, -0.6, 0.0]) / np.hypot(1.0, 0.6), atol=1e-5)
 
 
 def test_no_way_is_made_for_a_body_that_does_not_exist():
     absent = (HERE + np.array([0.1, 0.0, 0.0]), STANDS, -0.1, True)
-    off = quickly(avoidance.make_way)(bodies([absent, FAR]), jnp.asarray(HERE))
+    off = quickly(avoidance.make_room)(bodies([absent, FAR]), jnp.asarray(HERE))
     np.testing.assert_array_equal(off, np.zeros(3))
 
 
@@ -265,7 +265,7 @@ def test_doubt_widens_a_body_up_to_where_the_robot_is():
         (HERE + np.array([1.2, 0.0, 0.0]), EAST, 1.0, True),
     ]
     rows += [(HERE + np.array([0.8, 0.0, 0.0]), EAST, 1.0, True), FAR]
-    wide = quickly(avoidance.doubted)(bodies(rows), jnp.asarray(HERE), jnp.full(4, 0.4))
+    wide = quickly(avoidance.inflate_for_doubt)(bodies(rows), jnp.asarray(HERE), jnp.full(4, 0.4))
     # Nearer than its reach it is as wide as it is; one that is not there stays away.
     np.testing.assert_allclose(wide.reach_m, [1.4, 0.95 * 1.2, 1.0, -1.0], rtol=1e-5)
 
@@ -283,7 +283,8 @@ def test_candidates_hold_the_wanted_one_and_lie_about_it_in_all_directions():
     tilted = CRUISE * np.array([0.0, 0.6, -0.8])
     for wanted in (EAST, tilted, np.array([0.0, 0.0, -CRUISE]), np.zeros(3)):
         tried = np.stack(
-            jax.jit(avoidance.candidates)(jnp.asarray(wanted), jnp.asarray(CRUISE)), axis=-1
+            jax.jit(avoidance.candidate_velocities)(jnp.asarray(wanted), jnp.asarray(CRUISE)),
+            axis=-1,
         )
         assert np.all(np.isfinite(tried))
         assert np.any(np.all(tried == wanted.astype(np.float32), axis=1))
@@ -298,7 +299,9 @@ def test_candidates_hold_the_wanted_one_and_lie_about_it_in_all_directions():
 
 def test_candidates_along_the_wanted_velocity_leave_no_gap_above_0_35_of_it():
     wanted = np.array([0.1, 0.2, -0.1])
-    tried = np.stack(avoidance.candidates(jnp.asarray(wanted), jnp.asarray(CRUISE)), axis=-1)
+    tried = np.stack(
+        avoidance.candidate_velocities(jnp.asarray(wanted), jnp.asarray(CRUISE)), axis=-1
+    )
     fraction = tried @ wanted / (wanted @ wanted)
     along = np.linalg.norm(tried - fraction[:, None] * wanted, axis=1) < 1e-6
     steps = np.sort(fraction[along & (fraction > -1e-6) & (fraction < 1.0 + 1e-6)])

@@ -10,11 +10,11 @@ import pytest
 import angler_mjx as angler
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning.planner import PathShape
-from angler_mjx.planning.routes import fields
+from angler_mjx.planning.routes import route_fields
 from angler_mjx.runs.simulator import scenario_policy
 from angler_mjx.sim.information import Information
 from angler_mjx.sim.state import Outcome
-from angler_mjx.sim.world_phases.context import Sent, WorldContext
+from angler_mjx.sim.world_phases.context import GoalAssignment, WorldContext
 from angler_mjx.world import routes as reading
 
 from ...compiling import quickly
@@ -86,7 +86,9 @@ def with_rock(worlds, cells, **places):
     moved = {name: jnp.asarray(at, jnp.float32)[None] for name, at in places.items()}
     environment = replace(environment, grid=grid, **moved)
     clearance = jnp.max(worlds.control.vehicle.radius_m, axis=1) + 0.1
-    routes = jax.jit(jax.vmap(fields.draw))(environment, environment.goal_m, clearance)
+    routes = jax.jit(jax.vmap(route_fields.compute_routes))(
+        environment, environment.goal_m, clearance
+    )
     return replace(worlds, environment=environment, routes=routes)
 
 
@@ -141,7 +143,7 @@ def test_the_way_that_is_left_shrinks_all_along_the_flight(around, flown):
 
     @jax.jit
     def left(places):
-        each = jax.vmap(lambda i, p: reading.distance(routes, i, p))
+        each = jax.vmap(lambda i, p: reading.distance_to_goal(routes, i, p))
         return jax.vmap(lambda p: each(jnp.arange(2), p))(places)
 
     way = np.asarray(left(seen))
@@ -195,7 +197,9 @@ def test_a_robot_that_is_sent_nowhere_stays_where_it_was_told_so(simulator):
             vehicles=replace(state.vehicles, p=p),
             obstacles=state.obstacles,
         )
-        known = here.known(None, sent=Sent(goal_m=goals, place=place))
+        known = here.build_policy_input(
+            None, assignment=GoalAssignment(goal_m=goals, goal_index=place)
+        )
         return policy.act(memory, known, None, jnp.int32(0))
 
     start, drift = state.vehicles.p, jnp.array([0.3, -0.2, 0.1])
@@ -227,15 +231,15 @@ def test_engines_agree(load):
 
 
 def test_scenarios_say_how_often_and_what_it_knows(load):
-    policy = scenario_policy.policy_of(load(), None)
-    assert (policy.period, policy.looks, policy.routes_margin_m) == (5, 5, 0.1)
-    assert policy.knows == Information(obstacles="observed")
-    told = load(planner={"knows": {"obstacles": "truth"}, "margin_m": 0.2})
-    assert scenario_policy.policy_of(told, None).knows == Information(obstacles="truth")
-    assert scenario_policy.policy_of(told, None).routes_margin_m == 0.2
-    blind = load(policy={"knows": {"obstacles": "nothing"}, "routes": {"hz": 10.0}})
-    assert scenario_policy.policy_of(blind, None).knows == Information()
-    assert scenario_policy.policy_of(blind, None).period == 2
+    policy = scenario_policy.resolve_policy(load(), None)
+    assert (policy.period, policy.observation_period, policy.routes_margin_m) == (5, 5, 0.1)
+    assert policy.information == Information(obstacles="observed")
+    told = load(planner={"information": {"obstacles": "truth"}, "margin_m": 0.2})
+    assert scenario_policy.resolve_policy(told, None).information == Information(obstacles="truth")
+    assert scenario_policy.resolve_policy(told, None).routes_margin_m == 0.2
+    blind = load(policy={"information": {"obstacles": "nothing"}, "routes": {"hz": 10.0}})
+    assert scenario_policy.resolve_policy(blind, None).information == Information()
+    assert scenario_policy.resolve_policy(blind, None).period == 2
     with pytest.raises(ConfigError, match=r"policy\.routes\.hz = 3"):
         load(policy={"routes": {"hz": 3.0}})
     with pytest.raises(ConfigError, match=r'policy\.name = "routes".*takes one; take another'):

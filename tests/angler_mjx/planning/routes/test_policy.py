@@ -3,12 +3,12 @@
 import jax.numpy as jnp
 import numpy as np
 
-from angler_mjx.planning.routes.policy import _obstacles
+from angler_mjx.planning.routes.policy import _moving_bodies
 from angler_mjx.sim.information import ObstacleInformation
 
 
 def test_a_robot_that_knows_of_no_obstacle_has_no_body_to_avoid():
-    bodies = _obstacles(None)
+    bodies = _moving_bodies(None)
     assert bodies.p_m.shape == bodies.v_mps.shape == (0, 3)
     assert bodies.reach_m.shape == bodies.yields.shape == (0,)
 
@@ -26,7 +26,7 @@ def test_only_obstacles_that_exist_and_move_are_bodies_and_none_yields():
         p_m=jnp.asarray(position),
         q=jnp.tile(jnp.array([1.0, 0.0, 0.0, 0.0]), (4, 1, 1)),
     )
-    bodies = _obstacles(known)
+    bodies = _moving_bodies(known)
     np.testing.assert_array_equal(bodies.p_m, position[:, 0])
     np.testing.assert_array_equal(bodies.v_mps, -position[:, 0])
     assert float(bodies.reach_m[0]) == np.float32(0.4)

@@ -34,12 +34,12 @@ def path(tmp_path):
 
 
 def test_what_is_written_is_read(path):
-    files.write(path, GOALS)
-    assert files.read(path, robots=4) == GOALS
+    files.write_trajectories(path, GOALS)
+    assert files.read_trajectories(path, robots=4) == GOALS
 
 
 def test_keys_are_those_of_ros(path):
-    files.write(path, GOALS)
+    files.write_trajectories(path, GOALS)
     data = json.loads(path.read_text())
     one = data["robots"][0]["trajectory"]
     assert list(one) == ["header", "joint_names", "points"]
@@ -56,7 +56,7 @@ def test_what_ros_may_leave_out_may_be_left_out(path):
         json.dumps({"schema_version": 1, "robots": [{"robot": 1, "trajectory": trajectory}]})
     )
     goal = JointGoal(joint_names=("x",), points=(JointPoint(time_s=2.0, positions=(1.0,)),))
-    assert files.read(path) == {1: goal}
+    assert files.read_trajectories(path) == {1: goal}
 
 
 def changed(*where, value):
@@ -109,47 +109,47 @@ FAULTS = {
 @pytest.mark.parametrize("fault", FAULTS)
 def test_fault_is_named(path, fault):
     change, words = FAULTS[fault]
-    files.write(path, GOALS)
+    files.write_trajectories(path, GOALS)
     path.write_text(change(json.loads(path.read_text())))
     with pytest.raises(ConfigError) as caught:
-        files.read(path, robots=4)
+        files.read_trajectories(path, robots=4)
     for word in [str(path), *words]:
         assert word in str(caught.value)
 
 
 def test_all_faults_come_at_once(path):
-    files.write(path, GOALS)
+    files.write_trajectories(path, GOALS)
     data = json.loads(path.read_text())
     data["robots"][0]["trajectory"]["points"][0]["positions"] = [1.0]
     data["robots"][1]["trajectory"]["points"] = []
     path.write_text(json.dumps(data))
     with pytest.raises(ConfigError, match="2 faults"):
-        files.read(path)
+        files.read_trajectories(path)
 
 
 def test_missing_file_is_said(path):
     with pytest.raises(ConfigError, match="cannot be read"):
-        files.read(path)
+        files.read_trajectories(path)
 
 
 def test_older_file_is_kept_unless_told(path):
     path.write_text("old")
     with pytest.raises(ConfigError, match="exists"):
-        files.write(path, GOALS)
+        files.write_trajectories(path, GOALS)
     assert path.read_text() == "old"
-    files.write(path, GOALS, force=True)
-    assert files.read(path) == GOALS
+    files.write_trajectories(path, GOALS, force=True)
+    assert files.read_trajectories(path) == GOALS
 
 
 def test_what_could_not_be_read_again_is_not_written(path):
     bad = JointGoal(joint_names=("x",), points=(JointPoint(time_s=1.0, positions=(1.0, 2.0)),))
     with pytest.raises(ConfigError, match=r"robot 5: points\[0\]"):
-        files.write(path, {5: bad})
+        files.write_trajectories(path, {5: bad})
     assert not path.exists()
 
 
 def test_failed_writing_leaves_the_older_file_and_nothing_else(path, monkeypatch):
-    files.write(path, GOALS)
+    files.write_trajectories(path, GOALS)
     before = path.read_bytes()
 
     def fail(*_):
@@ -158,6 +158,6 @@ def test_failed_writing_leaves_the_older_file_and_nothing_else(path, monkeypatch
     monkeypatch.setattr(os, "replace", fail)
     monkeypatch.setattr(type(path), "replace", fail)
     with pytest.raises(RunError, match="No space left"):
-        files.write(path, {}, force=True)
+        files.write_trajectories(path, {}, force=True)
     assert path.read_bytes() == before
     assert list(path.parent.iterdir()) == [path]

@@ -11,7 +11,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from angler_mjx.cli.main import main
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.report.interop import mcap
-from angler_mjx.report.interop.ros_definitions import FIELDS, definition
+from angler_mjx.report.interop.ros_definitions import FIELDS, message_definition
 from angler_mjx.robot.control.plans import PIECES
 from angler_mjx.world.obstacles import BOX, CAPSULE, SPHERE, STATIC
 
@@ -22,7 +22,7 @@ WORLDS = (0, 1)
 def bag(run, tmp_path_factory):
     """Messages [(time_ns, message)] by topic, and the connections by topic."""
     path = tmp_path_factory.mktemp("bag") / "out.mcap"
-    mcap.export(run, path, WORLDS)
+    mcap.export_bag(run, path, WORLDS)
     return messages(path)
 
 
@@ -61,7 +61,7 @@ def seconds(stamp):
 def test_definitions_are_those_of_ros(name, distribution):
     full = name.replace("/", "/msg/")
     known = get_typestore(distribution).fielddefs
-    for each, (constants, fields) in get_types_from_msg(definition(name), full).items():
+    for each, (constants, fields) in get_types_from_msg(message_definition(name), full).items():
         assert fields == known[each][1]
         # Jazzy has one constant more, which changes no byte.
         assert set(constants) <= set(known[each][0])
@@ -139,7 +139,7 @@ def test_plans_are_the_run_without_its_padding(bag, stored, world):
 def test_plans_with_velocities_are_joint_trajectories(jointed, tmp_path):
     """What a reader of ROS makes of the message is the motion that was flown."""
     run, motion = jointed
-    mcap.export(run, tmp_path / "out.mcap", [0])
+    mcap.export_bag(run, tmp_path / "out.mcap", [0])
     held, _ = messages(tmp_path / "out.mcap")
     stored = run.trajectories
     for robot, degree in enumerate(motion["plan_degree"][0].tolist()):
@@ -243,9 +243,9 @@ def test_an_older_bag_is_replaced_only_on_demand(run, tmp_path):
     path = tmp_path / "out.mcap"
     path.write_text("old")
     with pytest.raises(ConfigError, match="--force"):
-        mcap.export(run, path, [0])
+        mcap.export_bag(run, path, [0])
     assert path.read_text() == "old"
-    mcap.export(run, path, [0], force=True)
+    mcap.export_bag(run, path, [0], force=True)
     assert path.stat().st_size > 10_000
     assert list(tmp_path.iterdir()) == [path]
 
@@ -261,7 +261,7 @@ def test_an_interrupt_leaves_nothing_behind(run, tmp_path):
             raise _Stopped
 
     with pytest.raises(_Stopped):
-        mcap.export(run, tmp_path / "out.mcap", [0], progress=stop)
+        mcap.export_bag(run, tmp_path / "out.mcap", [0], progress=stop)
     assert not list(tmp_path.iterdir())
 
 
@@ -270,7 +270,7 @@ def test_a_full_disk_is_said_and_leaves_nothing_behind(run, tmp_path):
         raise OSError(28, "No space left on device")
 
     with pytest.raises(RunError, match="No space left"):
-        mcap.export(run, tmp_path / "out.mcap", [0], progress=full)
+        mcap.export_bag(run, tmp_path / "out.mcap", [0], progress=full)
     assert not list(tmp_path.iterdir())
 
 

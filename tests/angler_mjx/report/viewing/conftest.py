@@ -11,9 +11,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from angler_mjx.report.viewing.scene import ReplayScene, RobotTrack
-from angler_mjx.runs.storage.columns import EPISODE_SCHEMA
+from angler_mjx.runs.storage.episode_columns import EPISODE_SCHEMA
 from angler_mjx.runs.storage.folder import Run
-from angler_mjx.runs.storage.recorder import Recorder, Shape
+from angler_mjx.runs.storage.recorder import Recorder, TrajectoryShape
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.world.currents import Uniform, Vortices
 from angler_mjx.world.environment import Environment
@@ -155,7 +155,7 @@ def make_run(path, scenes, worlds, motion=None):
     environment = jax.tree.map(
         lambda *leaves: np.stack(leaves), *(scene.environment for scene in scenes)
     )
-    shape = Shape(
+    shape = TrajectoryShape(
         worlds=worlds,
         samples=first.time_s.size,
         robots=len(first.robots),

@@ -9,7 +9,7 @@ from matplotlib.patches import Circle, Polygon, Rectangle
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.report.viewing import style
-from angler_mjx.report.viewing.maps import beside, pairing
+from angler_mjx.report.viewing.maps import comparison, comparison_map
 
 from .conftest import make_run, make_scene
 
@@ -30,16 +30,16 @@ def runs(tmp_path_factory):
 
 
 def test_the_robot_that_ends_differently_is_shown_before_it_fails(runs):
-    what = pairing.choose(runs, None, None, ())
+    what = comparison.read_comparison(runs, None, None, ())
     assert (what.scenes[0].world, what.robot) == (1, 1)
     assert what.at_s == (12.0, 16.0, 20.0)
-    assert pairing.choose(runs, 0, None, ()).robot == 0
-    assert pairing.choose(runs, 1, 2, (3.0,)).at_s == (3.0,)
+    assert comparison.read_comparison(runs, 0, None, ()).robot == 0
+    assert comparison.read_comparison(runs, 1, 2, (3.0,)).at_s == (3.0,)
 
 
 def test_robots_are_drawn_where_they_were_recorded(runs):
-    what = pairing.choose(runs, 1, 1, (5.0, 30.0))
-    figure = beside.draw(what)
+    what = comparison.read_comparison(runs, 1, 1, (5.0, 30.0))
+    figure = comparison_map.plot_comparison(what)
     assert len(figure.axes) == 4
     for panel, axes in enumerate(figure.axes):
         one, t = what.scenes[panel // 2], what.at_s[panel % 2]
@@ -57,8 +57,8 @@ def test_robots_are_drawn_where_they_were_recorded(runs):
 
 
 def test_ways_end_where_the_robot_is_and_plans_of_the_start_are_drawn(runs):
-    what = pairing.choose(runs, 1, 1, (5.0, 18.0))
-    for panel, axes in enumerate(beside.draw(what).axes):
+    what = comparison.read_comparison(runs, 1, 1, (5.0, 18.0))
+    for panel, axes in enumerate(comparison_map.plot_comparison(what).axes):
         robot, row = what.scenes[0].robots[1], round(what.at_s[panel % 2] / 0.2)
         lines = {line.get_linewidth(): line for line in axes.lines if drawn_as(line, 1)}
         np.testing.assert_allclose(lines[2.2].get_xydata(), robot.p_m[: row + 1, :2], atol=1e-6)
@@ -71,10 +71,10 @@ def drawn_as(line, robot):
 
 
 def test_obstacles_are_drawn_where_they_were_and_rock_of_the_robots_layer_alone(runs):
-    what = pairing.choose(runs, 1, 0, (38.0, 50.0))
+    what = comparison.read_comparison(runs, 1, 0, (38.0, 50.0))
     one = what.scenes[0]
     grid, moved = one.environment.grid, 0
-    for axes, t in zip(beside.draw(what).axes[:2], what.at_s, strict=True):
+    for axes, t in zip(comparison_map.plot_comparison(what).axes[:2], what.at_s, strict=True):
         row = round(t / 0.2)
         shapes = [patch for patch in axes.patches if isinstance(patch, Polygon)]
         assert shapes
@@ -98,11 +98,11 @@ def test_all_pictures_have_one_scale_and_say_what_is_over(runs, tmp_path):
     short = make_scene(1)
     ends = [replace(r, end_time_s=min(r.end_time_s, 30.0)) for r in short.robots]
     cut = make_run(tmp_path / "d", [make_scene(0), replace(short, robots=tuple(ends))], 2)
-    what = pairing.choose([runs[1], cut], 1, 0, (10.0, 25.0, 50.0))
-    axes = beside.draw(what).axes
+    what = comparison.read_comparison([runs[1], cut], 1, 0, (10.0, 25.0, 50.0))
+    axes = comparison_map.plot_comparison(what).axes
     sizes = [np.ptp(a.get_xlim()) for a in axes] + [np.ptp(a.get_ylim()) for a in axes]
     np.testing.assert_allclose(sizes, sizes[0])
-    assert len({beside._window(what, t)[1] for t in what.at_s}) > 1
+    assert len({comparison_map._view_window(what, t)[1] for t in what.at_s}) > 1
     over = ["over since 30 s" in a.get_title(loc="left") for a in axes]
     assert over == [False] * 5 + [True]
 
@@ -110,11 +110,11 @@ def test_all_pictures_have_one_scale_and_say_what_is_over(runs, tmp_path):
 def test_runs_of_other_worlds_are_refused(runs, tmp_path):
     other = [runs[0], make_run(tmp_path / "c", [make_scene(3), make_scene(4)], 2)]
     with pytest.raises(ConfigError, match=r"world 0 differs .*; give two runs of one scenario"):
-        pairing.choose(other, 0, None, ())
+        comparison.read_comparison(other, 0, None, ())
     for world, robot, at, says in (
         (7, None, (), "world 7 is not in"),
         (1, 9, (), "--robot 9: "),
         (1, 1, (61.0,), "--at 61: must be 0 to 60 s"),
     ):
         with pytest.raises(ConfigError, match=says):
-            pairing.choose(runs, world, robot, at)
+            comparison.read_comparison(runs, world, robot, at)

@@ -14,8 +14,8 @@ import pytest
 from angler_mjx.errors import AnglerError, ConfigError
 from angler_mjx.report.interop import mcap
 from angler_mjx.report.viewing import scene
-from angler_mjx.report.viewing.choose import good_world, worst_world
-from angler_mjx.runs.storage import environments, folder, inputs
+from angler_mjx.report.viewing.world_selection import good_world, worst_world
+from angler_mjx.runs.storage import environments, folder, input_copies
 from angler_mjx.runs.storage.folder import Run
 
 VALUES = (None, True, -1, 0, 10**9, 10**30, 1e300, "x", "../../etc", [], {}, [[]], [{"a": 1}])
@@ -35,7 +35,7 @@ def whole(run, tmp_path_factory):
     shutil.copytree(run.path, path)
     (path / "summary.json").write_text(json.dumps({"complete": False, "worlds": 2}))
     (path / "environment.json").write_text(json.dumps({"versions": {}, "commit": None}))
-    inputs.take(path, ["bluerov2_heavy", "bluerov2"])
+    input_copies.copy_inputs(path, ["bluerov2_heavy", "bluerov2"])
     return path
 
 
@@ -45,7 +45,7 @@ def use_all(path):
     _ = run.summary, run.environment, run.scenario
     assert run.episodes.num_rows == 8
     assert {worst_world(run), good_world(run)} <= {0, 1}
-    assert len(scene.read(run, 0).robots) == 4
+    assert len(scene.read_scene(run, 0).robots) == 4
 
 
 def assert_ours(path, what):
@@ -96,7 +96,7 @@ def replaced(value, path, new):
 
 def test_the_whole_run_can_be_read(whole, tmp_path):
     use_all(whole)
-    mcap.export(Run(whole), tmp_path / "out.mcap", [0])
+    mcap.export_bag(Run(whole), tmp_path / "out.mcap", [0])
 
 
 @daily("test_bytes_changed_anywhere")
@@ -169,17 +169,17 @@ def test_other_values_in_json(whole, tmp_path, name, few):
 def test_environments_are_read_as_a_file_of_their_own(whole, tmp_path):
     path = tmp_path / "run"
     shutil.copytree(whole, path)
-    group = environments.open_file(path)
-    assert np.asarray(environments.read(group, 1).goal_m).shape == (4, 3)
+    group = environments.open_environments(path)
+    assert np.asarray(environments.read_environments(group, 1).goal_m).shape == (4, 3)
     place = path / "trajectories.zarr" / "environment" / "goal_m" / "zarr.json"
     table = json.loads(place.read_text())
     place.write_text(json.dumps(table | {"shape": [2, 4, 7]}))
     with pytest.raises(ConfigError, match=r"goal_m: has the shape \(2, 4, 7\)"):
-        environments.open_file(path)
+        environments.open_environments(path)
     table["attributes"] = {}
     (path / "trajectories.zarr" / "environment" / "zarr.json").write_text('{"zarr_format": 3}')
     with pytest.raises(ConfigError, match="environment: holds no environments"):
-        environments.open_file(path)
+        environments.open_environments(path)
 
 
 def test_an_array_that_claims_to_be_huge_is_refused_before_it_is_read(whole, tmp_path):
@@ -210,11 +210,11 @@ def test_a_copy_that_was_changed_is_refused(whole, tmp_path):
     copy = path / "inputs" / "vehicles" / "bluerov2.toml"
     copy.write_text(copy.read_text().replace("BlueROV2", "Other"))
     with pytest.raises(ConfigError, match=r"vehicles/bluerov2\.toml: is not the copy"):
-        inputs.read_inputs(path)
+        input_copies.read_inputs(path)
     listed = path / "inputs" / "inputs.json"
     listed.write_text(listed.read_text().replace("vehicles/bluerov2.toml", "../../bluerov2.toml"))
     with pytest.raises(ConfigError, match="leads out of the folder"):
-        inputs.read_inputs(path)
+        input_copies.read_inputs(path)
 
 
 def test_a_damaged_run_cannot_be_resumed(whole, tmp_path):
@@ -225,7 +225,7 @@ def test_a_damaged_run_cannot_be_resumed(whole, tmp_path):
         folder.read_scenario(path)
     (path / "summary.json").write_text("[1]")
     with pytest.raises(ConfigError, match=r"summary\.json: cannot be read"):
-        folder.reopen(path, print)
+        folder.reopen_folder(path, print)
     assert path.is_dir()
 
 

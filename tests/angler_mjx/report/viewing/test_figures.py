@@ -12,7 +12,7 @@ from angler_mjx.robot.control.plans import PIECES
 
 
 def test_a_world_is_read_back_as_it_was_written(run, scene_maker):
-    read, written = scene.read(run, 1), scene_maker(1)
+    read, written = scene.read_scene(run, 1), scene_maker(1)
     last = max(robot.end_time_s for robot in written.robots)
     assert read.time_s[-1] <= last < read.time_s[-1] + 0.2 + 1e-9
     count = read.time_s.size
@@ -31,7 +31,7 @@ def test_a_world_is_read_back_as_it_was_written(run, scene_maker):
 
 def test_plans_with_velocities_are_shown_as_they_bend(jointed, scene_maker):
     run, motion = jointed
-    read, written = scene.read(run, 1), scene_maker(1)
+    read, written = scene.read_scene(run, 1), scene_maker(1)
     for i, (got, robot) in enumerate(zip(read.robots, written.robots, strict=True)):
         points = np.asarray(robot.plan_m, np.float32)
         # Two segments of so many pieces, through the way-points; padding dropped.
@@ -44,12 +44,12 @@ def test_plans_with_velocities_are_shown_as_they_bend(jointed, scene_maker):
 
 def test_the_current_of_a_stored_world_is_the_one_that_was_there(run, scene_maker):
     points = np.random.default_rng(0).uniform(-10.0, 10.0, (20, 3))
-    read, written = scene.read(run, 0), scene_maker(0)
+    read, written = scene.read_scene(run, 0), scene_maker(0)
     np.testing.assert_array_equal(read.current_at(points, 3.0), written.current_at(points, 3.0))
 
 
 def test_all_figures_are_drawn_from_the_folder(run):
-    paths = figures.make(run)
+    paths = figures.plot_figures(run)
     assert [path.name for path in paths] == [
         "outcomes.png",
         "distances.png",
@@ -61,12 +61,12 @@ def test_all_figures_are_drawn_from_the_folder(run):
 
 
 def test_worlds_can_be_named(run):
-    assert figures.make(run, [1])[-1].name == "map_world_1.png"
+    assert figures.plot_figures(run, [1])[-1].name == "map_world_1.png"
 
 
 def test_an_unknown_world_is_an_error(run):
     with pytest.raises(ConfigError, match="world 7 is not in"):
-        figures.make(run, [7])
+        figures.plot_figures(run, [7])
 
 
 def test_without_trajectories_the_maps_are_left_out(run, tmp_path):
@@ -74,4 +74,4 @@ def test_without_trajectories_the_maps_are_left_out(run, tmp_path):
         update={"time": run.scenario.time.model_copy(update={"record_hz": 0.0})}
     )
     bare = SimpleNamespace(path=tmp_path, scenario=scenario, episodes=run.episodes)
-    assert len(figures.make(bare)) == 3
+    assert len(figures.plot_figures(bare)) == 3

@@ -8,12 +8,12 @@ from matplotlib.collections import PatchCollection
 from matplotlib.quiver import Quiver
 
 from angler_mjx.report.viewing import style
-from angler_mjx.report.viewing.maps import one_world as maps
+from angler_mjx.report.viewing.maps import world_map as maps
 
 
 @pytest.fixture(scope="module")
 def figure(scene):
-    return maps.draw(scene, title="title", subtitle="subtitle")
+    return maps.plot_world(scene, title="title", subtitle="subtitle")
 
 
 def _texts(axes):
@@ -65,7 +65,7 @@ def test_the_way_taken_ends_with_the_episode(figure, scene):
 
 
 def test_description_counts_arrivals_and_causes(scene):
-    text = maps.describe(scene)
+    text = maps.describe_outcomes(scene)
     assert text.startswith("1 of 4 robots arrived")
     assert "1 hit rock or floor" in text
     assert "1 ran out of time" in text
@@ -82,14 +82,16 @@ def test_a_world_of_still_water_without_rock_and_obstacles_can_be_drawn(scene, t
             current=(),
         ),
     )
-    path = style.save(maps.draw(bare, title="bare", subtitle=""), tmp_path / "bare.png")
+    path = style.save_figure(
+        maps.plot_world(bare, title="bare", subtitle=""), tmp_path / "bare.png"
+    )
     assert path.read_bytes().startswith(b"\x89PNG")
 
 
 def test_a_large_fleet_is_drawn_whole_but_listed_in_part(scene):
     many = tuple(replace(scene.robots[i % 4], index=i) for i in range(30))
     crowd = replace(scene, robots=many)
-    figure = maps.draw(crowd, title="crowd", subtitle="")
+    figure = maps.plot_world(crowd, title="crowd", subtitle="")
     listed = [text.get_text() for text in figure.legends[0].get_texts()]
     assert listed[-1] == "... and 18 more"
     starts = {text.get_text() for text in figure.axes[0].texts}

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from angler_mjx.report.viewing.outlines import outline, rotation
+from angler_mjx.report.viewing.outlines import project_outline, rotation_matrix
 from angler_mjx.world.obstacles import BOX, CAPSULE, SPHERE
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
@@ -23,13 +23,13 @@ def test_rotation_equals_scipy():
         q = q / np.linalg.norm(q)
         # Two orders of summation in float64.
         np.testing.assert_allclose(
-            rotation(q), Rotation.from_quat(q[[1, 2, 3, 0]]).as_matrix(), atol=1e-14
+            rotation_matrix(q), Rotation.from_quat(q[[1, 2, 3, 0]]).as_matrix(), atol=1e-14
         )
 
 
 def test_a_sphere_is_a_circle_from_every_side():
     for plane in ((0, 1), (0, 2)):
-        corners = outline(SPHERE, np.array([0.5, 0.0, 0.0]), CENTRE, LEVEL, plane)
+        corners = project_outline(SPHERE, np.array([0.5, 0.0, 0.0]), CENTRE, LEVEL, plane)
         assert _area(corners) == pytest.approx(np.pi * 0.25 * POLYGON, rel=1e-12)
         np.testing.assert_allclose(corners.mean(axis=0), CENTRE[list(plane)], atol=1e-12)
 
@@ -37,15 +37,15 @@ def test_a_sphere_is_a_circle_from_every_side():
 def test_a_box_shows_its_faces():
     size = np.array([1.0, 0.5, 0.25])
     yaw = Rotation.from_euler("z", 30, degrees=True).as_quat()[[3, 0, 1, 2]]
-    assert _area(outline(BOX, size, CENTRE, yaw, (0, 1))) == pytest.approx(2.0 * 1.0)
+    assert _area(project_outline(BOX, size, CENTRE, yaw, (0, 1))) == pytest.approx(2.0 * 1.0)
     # From the south a turned box is as wide as its diagonal's shadow.
     wide = 2 * (np.cos(np.pi / 6) * 1.0 + np.sin(np.pi / 6) * 0.5)
-    assert _area(outline(BOX, size, CENTRE, yaw, (0, 2))) == pytest.approx(wide * 0.5)
+    assert _area(project_outline(BOX, size, CENTRE, yaw, (0, 2))) == pytest.approx(wide * 0.5)
 
 
 def test_a_capsule_is_a_circle_along_its_axis_and_a_stadium_across():
     size = np.array([0.4, 0.6, 0.0])
     circle = np.pi * 0.16 * POLYGON
-    assert _area(outline(CAPSULE, size, CENTRE, LEVEL, (0, 1))) == pytest.approx(circle)
-    across = _area(outline(CAPSULE, size, CENTRE, LEVEL, (0, 2)))
+    assert _area(project_outline(CAPSULE, size, CENTRE, LEVEL, (0, 1))) == pytest.approx(circle)
+    across = _area(project_outline(CAPSULE, size, CENTRE, LEVEL, (0, 2)))
     assert across == pytest.approx(circle + 2 * 0.4 * 1.2)

@@ -17,7 +17,7 @@ rr = pytest.importorskip("rerun", reason="the extra `view` is not installed")
 @pytest.fixture
 def run(tmp_path, scene, monkeypatch):
     """A run folder whose only world is the hand-made scene."""
-    monkeypatch.setattr(replay.scene, "read", lambda run, world: scene)
+    monkeypatch.setattr(replay.scene, "read_scene", lambda run, world: scene)
     return SimpleNamespace(path=tmp_path, scenario=SimpleNamespace(name="reef_fleet", seed=7))
 
 
@@ -26,9 +26,9 @@ def chunks(scene, tmp_path_factory):
     """The replay's chunks by entity."""
     path = tmp_path_factory.mktemp("replay") / "replay.rrd"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(replay.scene, "read", lambda run, world: scene)
+        patch.setattr(replay.scene, "read_scene", lambda run, world: scene)
         scenario = SimpleNamespace(name="reef_fleet", seed=7)
-        replay.write(SimpleNamespace(path=path.parent, scenario=scenario), [12])
+        replay.write_replay(SimpleNamespace(path=path.parent, scenario=scenario), [12])
     reader = rr.chunk.RrdReader(path)
     assert len(reader.blueprints()) == 1
     held = {}
@@ -107,7 +107,7 @@ def test_label_tells_the_outcome_at_its_time(chunks, scene):
 
 def test_write_replaces_an_older_replay_and_leaves_nothing_else(run):
     (run.path / REPLAY).write_text("old")
-    path = replay.write(run, [12])
+    path = replay.write_replay(run, [12])
     assert path == run.path / "replay.rrd"
     assert path.stat().st_size > 10_000
     assert [file.name for file in run.path.iterdir()] == ["replay.rrd"]
@@ -116,7 +116,7 @@ def test_write_replaces_an_older_replay_and_leaves_nothing_else(run):
 def test_without_rerun_it_says_how_to_make_the_replay_later(run, monkeypatch):
     monkeypatch.setitem(sys.modules, "rerun", None)
     with pytest.raises(UnsupportedError) as caught:
-        replay.write(run, [12])
+        replay.write_replay(run, [12])
     message = str(caught.value)
     assert "no replay was written" in message
     assert "angler-mjx[view]" in message
@@ -129,7 +129,7 @@ def test_without_a_display_it_says_what_to_do(run, monkeypatch):
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     with pytest.raises(UnsupportedError, match="no display") as caught:
-        replay.show(run, 12)
+        replay.show_world(run, 12)
     words = " ".join(str(caught.value).split())
     # The file that is named holds the world that was chosen, and its server is not for the network.
     assert f"angler replay {run.path} --world 12 --out world_12.rrd" in words
@@ -140,7 +140,7 @@ def test_without_a_display_it_says_what_to_do(run, monkeypatch):
 def test_a_chosen_world_is_written_to_a_file_of_its_own(run, tmp_path):
     out = tmp_path / "new" / "world_12.rrd"
     (run.path / REPLAY).write_text("the worst and a good world")
-    assert replay.write(run, [12], out) == out
+    assert replay.write_replay(run, [12], out) == out
     entities = {chunk.entity_path for chunk in rr.chunk.RrdReader(out).stream().to_chunks()}
     assert {entity.split("/")[1] for entity in entities if "world" in entity} == {"world_12"}
     assert (run.path / REPLAY).read_text() == "the worst and a good world"
@@ -154,7 +154,7 @@ def test_a_run_that_planned_anew_says_which_plans_are_shown(scene):
         return replay_world._fleet_table(one).text.as_arrow_array().to_pylist()[0]
 
     def lines(one):
-        return [sign.get_label() for sign in legends.signs(one)]
+        return [sign.get_label() for sign in legends.symbol_handles(one)]
 
     anew = replace(scene, replan_hz=2.0)
     assert "anew" not in text(scene)
@@ -174,9 +174,9 @@ def test_of_a_crowd_those_are_named_that_failed(scene, count, tmp_path, monkeypa
         for i in range(count)
     )
     crowd = replace(scene, robots=many)
-    monkeypatch.setattr(replay.scene, "read", lambda run, world: crowd)
+    monkeypatch.setattr(replay.scene, "read_scene", lambda run, world: crowd)
     scenario = SimpleNamespace(name="reef_fleet", seed=7)
-    replay.write(SimpleNamespace(path=tmp_path, scenario=scenario), [12])
+    replay.write_replay(SimpleNamespace(path=tmp_path, scenario=scenario), [12])
     held = {}
     for chunk in rr.chunk.RrdReader(tmp_path / REPLAY).stream().to_chunks():
         held.setdefault(chunk.entity_path, []).append(chunk)

@@ -7,7 +7,7 @@ from matplotlib.patches import Rectangle
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.report.viewing import statistics, style
-from angler_mjx.runs.storage.intervals import clustered
+from angler_mjx.runs.storage.confidence_intervals import clustered_rates
 from angler_mjx.runs.storage.results import OUTCOMES
 
 KINDS = (("bluerov2", "blue_gazebo"), ("bluerov2_heavy", "wu2018"))
@@ -45,17 +45,19 @@ def episodes():
 
 
 def test_bars_are_the_rates_and_lines_their_intervals(episodes):
-    axes = statistics.outcomes(episodes, "name").axes[0]
+    axes = statistics.plot_outcomes(episodes, "name").axes[0]
     bars = [patch for patch in axes.patches if isinstance(patch, Rectangle)]
     ended = np.array(episodes["outcome"].to_pylist())
-    rates = clustered({name: ended == name for name in OUTCOMES}, episodes["world"].to_numpy())
+    rates = clustered_rates(
+        {name: ended == name for name in OUTCOMES}, episodes["world"].to_numpy()
+    )
     for bar, line, outcome in zip(bars, axes.lines, OUTCOMES, strict=True):
         assert bar.get_width() == pytest.approx(COUNTS.get(outcome, 0) / 20)
         assert line.get_xdata() == pytest.approx((rates[outcome].low, rates[outcome].high))
 
 
 def test_bars_of_a_kind_fill_the_whole(episodes):
-    axes = statistics.outcomes(episodes, "name").axes[1]
+    axes = statistics.plot_outcomes(episodes, "name").axes[1]
     widths = np.array([patch.get_width() for patch in axes.patches]).reshape(2, len(OUTCOMES))
     np.testing.assert_allclose(widths.sum(axis=1), 1.0)
     assert [label.get_text() for label in axes.get_yticklabels()] == [
@@ -65,7 +67,7 @@ def test_bars_of_a_kind_fill_the_whole(episodes):
 
 
 def test_arrival_curves_level_off_at_the_rate_of_arrival(episodes):
-    axes = statistics.times(episodes, "name", 120.0).axes[0]
+    axes = statistics.plot_times(episodes, "name", 120.0).axes[0]
     for line in axes.lines:
         share = line.get_ydata()
         assert np.all(np.diff(share) >= 0)
@@ -76,19 +78,19 @@ def test_arrival_curves_level_off_at_the_rate_of_arrival(episodes):
 def test_of_a_task_its_completion_is_drawn_first():
     """Robots are done early, worlds late: three of five, half of them by 90 s."""
     task = make_episodes(COUNTS, completed_s=[80.0, 90.0, None, 100.0, None])
-    figure = statistics.times(task, "name", 120.0)
+    figure = statistics.plot_times(task, "name", 120.0)
     line = figure.axes[0].lines[0]
     assert line.get_label() == "task completed: median 90 s"
     assert line.get_xdata().tolist() == [0.0, 80.0, 90.0, 100.0, 120.0]
     assert line.get_ydata() == pytest.approx([0.0, 0.2, 0.4, 0.6, 0.6])
     titles = [text.get_text() for text in figure.texts]
     assert "name: half of the tasks that are completed take at most 90 s" in titles
-    titles = [text.get_text() for text in statistics.outcomes(task, "name").texts]
+    titles = [text.get_text() for text in statistics.plot_outcomes(task, "name").texts]
     assert "name: 60 % of tasks completed, 60 % of robots did their part" in titles
 
 
 def test_legends_of_histograms_cover_no_bar(episodes):
-    figure = statistics.distances(episodes, "name")
+    figure = statistics.plot_distances(episodes, "name")
     figure.draw_without_rendering()
     for axes in figure.axes:
         legend = axes.get_legend().get_window_extent()
@@ -99,7 +101,7 @@ def test_legends_of_histograms_cover_no_bar(episodes):
 
 
 def test_histograms_hold_every_robot(episodes):
-    figure = statistics.distances(episodes, "name")
+    figure = statistics.plot_distances(episodes, "name")
     assert len(figure.axes) == 2
     for axes in figure.axes:
         bars = [patch for patch in axes.patches if isinstance(patch, Rectangle)]
@@ -108,7 +110,7 @@ def test_histograms_hold_every_robot(episodes):
 
 def test_a_fleet_of_one_has_no_separation_to_show():
     alone = make_episodes(COUNTS, separation=np.inf)
-    assert len(statistics.distances(alone, "name").axes) == 1
+    assert len(statistics.plot_distances(alone, "name").axes) == 1
 
 
 @pytest.mark.parametrize("outcome", ["timeout", "collision_static"])
@@ -116,12 +118,12 @@ def test_a_run_in_which_nobody_arrives_can_be_drawn(outcome, tmp_path):
     episodes = make_episodes({outcome: 4})
     for i, figure in enumerate(
         (
-            statistics.outcomes(episodes, "name"),
-            statistics.distances(episodes, "name"),
-            statistics.times(episodes, "name", 120.0),
+            statistics.plot_outcomes(episodes, "name"),
+            statistics.plot_distances(episodes, "name"),
+            statistics.plot_times(episodes, "name", 120.0),
         )
     ):
-        assert style.save(figure, tmp_path / f"{i}.png").stat().st_size > 10_000
+        assert style.save_figure(figure, tmp_path / f"{i}.png").stat().st_size > 10_000
 
 
 def test_every_outcome_has_a_colour_and_words():
@@ -136,5 +138,5 @@ def test_a_name_that_is_none_of_a_figure_is_refused_before_anything_is_written(
     tmp_path, name, said
 ):
     with pytest.raises(ConfigError, match=rf"{name}: a figure cannot be written {said}; .*\.png"):
-        style.save(style.new_figure(2.0, 2.0, headline_in=0.5), tmp_path / "new" / name)
+        style.save_figure(style.new_figure(2.0, 2.0, headline_in=0.5), tmp_path / "new" / name)
     assert not (tmp_path / "new").exists()

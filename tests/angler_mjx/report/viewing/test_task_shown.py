@@ -70,14 +70,14 @@ def run(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def chunks(run):
-    return _chunks(replay.write(run, [0]))
+    return _chunks(replay.write_replay(run, [0]))
 
 
 @pytest.fixture(scope="module")
 def bag(run):
     """Messages [(time in s, message)] by topic."""
     path = run.path / "survey.mcap"
-    mcap.export(run, path, [0])
+    mcap.export_bag(run, path, [0])
     held = {}
     with AnyReader([path]) as reader:
         for connection, time, data in reader.messages():
@@ -194,7 +194,7 @@ def test_replay_and_bag_show_what_is_seen_at_a_time(run, chunks, bag, t):
 
 def test_arrows_are_the_water_at_the_height_of_the_fleet(run, chunks, bag):
     """The double gyre of Shadden et al. (2005), from its formula."""
-    shown = scene.read(run, 0)
+    shown = scene.read_scene(run, 0)
     low, high = shown.bounds_m
     size = high[:2] - low[:2]
     origins, times = column(chunks, "flow", "Arrows3D:origins")
@@ -245,11 +245,11 @@ def delivery(scene, tmp_path, monkeypatch):
     task = TaskHistory(
         spec=TaskSpec(kind="deliver", jobs=2, robots=2, tolerance_m=0.5, period=1),
         time_s=time,
-        place_m=np.arange(18.0).reshape(6, 3),
+        position_m=np.arange(18.0).reshape(6, 3),
         exists=np.ones(2, bool),
         by=np.array([0, -1]),
         done_at_s=np.array([3.0, np.nan]),
-        share=np.array([0, 0, 0, 0.5]),
+        progress=np.array([0, 0, 0, 0.5]),
         did=np.array([[0, 0], [0, 0], [0, 0], [1, 0]]),
         target=np.array(DELIVERY["target"]),
         carrying=np.array(DELIVERY["carrying"]),
@@ -276,10 +276,10 @@ def delivery(scene, tmp_path, monkeypatch):
             for robot in scene.robots[:2]
         ),
     )
-    monkeypatch.setattr(replay.scene, "read", lambda run, world: made)
+    monkeypatch.setattr(replay.scene, "read_scene", lambda run, world: made)
 
     scenario = SimpleNamespace(name="delivery", seed=7)
-    path = replay.write(SimpleNamespace(path=tmp_path, scenario=scenario), [0])
+    path = replay.write_replay(SimpleNamespace(path=tmp_path, scenario=scenario), [0])
     return made, _chunks(path)
 
 

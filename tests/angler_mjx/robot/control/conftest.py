@@ -14,8 +14,8 @@ from angler_mjx.robot.vehicles import library, params
 @pytest.fixture(scope="module")
 def robot():
     """A Heavy with all it knows, and a state: moving, tilted, off its path."""
-    given = params.build(library.load("bluerov2_heavy"), "wu2018", 14.8)
-    stacked = allocation.build(jax.tree.map(lambda leaf: leaf[None], given))
+    given = params.build_vehicle(library.load_vehicle("bluerov2_heavy"), "wu2018", 14.8)
+    stacked = allocation.build_allocation(jax.tree.map(lambda leaf: leaf[None], given))
     known = ControlParams(
         vehicle=given,
         allocation=jax.tree.map(lambda leaf: leaf[0], stacked),

@@ -43,7 +43,7 @@ def motion(t):
 def build(noise=True, **tables):
     """Sensor parameters with parts of the configuration replaced."""
     chosen = sensing_config.SensorsConfig.model_validate({"noise": noise, **tables})
-    return params.build(chosen, DT, GRAVITY)
+    return params.build_sensors(chosen, DT, GRAVITY)
 
 
 def believed(truth):
@@ -53,10 +53,12 @@ def believed(truth):
 def errors(sensors, sensed, carry, truth):
     """Error state [19]: true minus believed."""
     velocity = instruments.velocity_at(truth.nu, sensors.imu.offset_m)
-    turn = instruments.turned(quaternion.conjugate(truth.q), quaternion.conjugate(carry.q))
+    turn = instruments.rotation_between(
+        quaternion.conjugate(truth.q), quaternion.conjugate(carry.q)
+    )
     return jnp.concatenate(
         [
-            instruments.place(truth, sensors.imu.offset_m) - carry.p,
+            instruments.point_position(truth, sensors.imu.offset_m) - carry.p,
             quaternion.rotate(truth.q, velocity) - carry.v,
             turn,
             sensed.gyro_turn_on + sensed.gyro_walk - carry.gyro_bias,

@@ -23,10 +23,10 @@ ATTITUDE, HEAVE, PLANE = slice(3, 6), 2, slice(0, 2)
 
 @pytest.fixture(scope="module")
 def vehicles():
-    return params.stack(
+    return params.stack_vehicles(
         [
-            params.build(library.load("bluerov2_heavy"), "wu2018", 16.0),
-            params.build(library.load("bluerov2"), "blue_gazebo", 14.8),
+            params.build_vehicle(library.load_vehicle("bluerov2_heavy"), "wu2018", 16.0),
+            params.build_vehicle(library.load_vehicle("bluerov2"), "blue_gazebo", 14.8),
         ]
     )
 
@@ -34,7 +34,7 @@ def vehicles():
 @pytest.fixture(scope="module")
 def deliver(vehicles):
     """PWM, thrust and wrench of every vehicle for wrenches [2, N, 6]."""
-    given = allocation.build(vehicles)
+    given = allocation.build_allocation(vehicles)
 
     def one(given, B, tau):
         pwm = allocation.allocate(given, BodyWrench(tau=tau)).pwm_us
@@ -157,10 +157,14 @@ def faulty():
     """Allocations of sound and faulty vehicles, in float64."""
     with jax.enable_x64(True):
         robots = [
-            params.build(library.load(name), "blue_gazebo", 14.8, thruster_health=health)
+            params.build_vehicle(
+                library.load_vehicle(name), "blue_gazebo", 14.8, thruster_health=health
+            )
             for name, health in FAULTS
         ]
-        return params.stack(robots), allocation.build(params.stack(robots))
+        return params.stack_vehicles(robots), allocation.build_allocation(
+            params.stack_vehicles(robots)
+        )
 
 
 @pytest.fixture(scope="module")
@@ -170,7 +174,7 @@ def methods(faulty):
     def jitted(method):
         def one(given, tau):
             pwm = method(given, BodyWrench(tau=tau))
-            return pwm.pwm_us, allocation.realised(given, pwm).tau
+            return pwm.pwm_us, allocation.realised_wrench(given, pwm).tau
 
         many = quickly(jax.vmap(jax.vmap(one, (None, 0))))
 
@@ -263,7 +267,7 @@ def test_dead_thrusters_are_not_asked_and_the_wrench_is_met_by_the_others(method
 def test_an_unknown_fault_is_asked_as_before(faulty):
     vehicles, _ = faulty
     with jax.enable_x64(True):
-        sound = allocation.build(vehicles, np.ones((len(FAULTS), 8)))
+        sound = allocation.build_allocation(vehicles, np.ones((len(FAULTS), 8)))
     np.testing.assert_array_equal(sound.B_inverse[2], sound.B_inverse[0])
     np.testing.assert_array_equal(sound.B[2], vehicles.B[0])
 
@@ -273,7 +277,7 @@ def test_what_is_no_thrust_does_not_depend_on_the_unit(faulty, unit):
     """A thruster's unit of thrust scales B, and so what is asked; not who is asked for nothing."""
     vehicles, given = faulty
     with jax.enable_x64(True):
-        scaled = allocation.build(replace(vehicles, B=unit * np.asarray(vehicles.B)))
+        scaled = allocation.build_allocation(replace(vehicles, B=unit * np.asarray(vehicles.B)))
     ours, plain = np.asarray(scaled.B_inverse), np.asarray(given.B_inverse)
     np.testing.assert_array_equal(ours == 0.0, plain == 0.0)
     # float64.
@@ -289,7 +293,7 @@ def test_a_mode_makes_no_wrench_even_in_a_block_of_several(faulty):
     B = rng.normal(size=(6, 6)) @ others
     with jax.enable_x64(True):
         vehicle = jax.tree.map(lambda leaf: leaf[:1], faulty[0])
-        built = allocation.build(replace(vehicle, B=jnp.asarray(B[None])))
+        built = allocation.build_allocation(replace(vehicle, B=jnp.asarray(B[None])))
     mode, owner = np.asarray(built.mode[0]), np.asarray(built.mode_of[0])
     assert np.abs(mode).max() == 1.0
     for one in np.unique(owner):

@@ -32,7 +32,7 @@ KINDS = [
     ("bluerov2", "blue_gazebo"),
 ]
 CONTROL_S, PHYSICS_S, STEPS = 0.05, 0.01, 5
-CASCADE, GAINS = stages.build(stages.CONTROLLERS["cascade"], {})
+CASCADE, GAINS = stages.build_stack(stages.CONTROLLERS["cascade"], {})
 DEEP = np.array([0.0, 0.0, -10.0])
 WATER = physics.Water()
 ENGINE = ClosedForm(gravity_mps2=9.81)
@@ -48,8 +48,8 @@ def robots():
         )
         for name, chosen in KINDS
     ]
-    built = fleet.build(members)
-    return quickly(partial(fleet.draw, built))(jax.random.key(0))[1]
+    built = fleet.build_fleet(members)
+    return quickly(partial(fleet.sample_variants, built))(jax.random.key(0))[1]
 
 
 @pytest.fixture(scope="module")
@@ -223,7 +223,7 @@ def test_guidance_keeps_its_heading_where_the_path_hardly_moves(course):
 
 def test_wrap():
     angle = np.linspace(-20, 20, 401)
-    wrapped = np.asarray(model.wrap(jnp.asarray(angle)))
+    wrapped = np.asarray(model.wrap_angle(jnp.asarray(angle)))
     assert wrapped.min() >= -np.pi
     assert wrapped.max() <= np.pi
     # float32 on angles up to 20.

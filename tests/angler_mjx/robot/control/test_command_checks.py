@@ -12,7 +12,7 @@ from angler_mjx.robot.control import command_checks
 from angler_mjx.robot.control.commands import BodyTwist, BodyWrench, PoseTarget, ThrusterPwm
 from angler_mjx.robot.control.joint_trajectory import JointTrajectory
 from angler_mjx.robot.control.laws.targets import TrackingTarget
-from angler_mjx.robot.control.mixed import Mixed
+from angler_mjx.robot.control.mixed import MixedCommand
 from angler_mjx.robot.control.trajectory import Trajectory
 from angler_mjx.robot.vehicles import library, params
 from angler_mjx.sim.robot import thrust_and_power
@@ -93,7 +93,7 @@ def test_pulse_widths_that_the_host_holds_are_refused_beyond_the_thrust_table(va
         command_checks.check_pulses(ThrusterPwm(pwm_us=pulses))
     # A device's are not waited for; beyond the table its ends hold, and NaN stays NaN.
     command_checks.check_pulses(ThrusterPwm(pwm_us=jnp.asarray(pulses)))
-    vehicle = params.build(library.load("bluerov2_heavy"), "wu2018", 16.0)
+    vehicle = params.build_vehicle(library.load_vehicle("bluerov2_heavy"), "wu2018", 16.0)
     thrust, _ = thrust_and_power(vehicle, ThrusterPwm(pwm_us=jnp.asarray(pulses[3, 1])))
     ends = {True: vehicle.thrust_n[-1], False: vehicle.thrust_n[0]}
     expected = np.nan if np.isnan(value) else ends[value > 1500.0]
@@ -103,6 +103,8 @@ def test_pulse_widths_that_the_host_holds_are_refused_beyond_the_thrust_table(va
 @pytest.mark.parametrize("name", ["which", "fresh"])
 def test_a_mixed_command_chooses_for_every_robot(name):
     choice = {"which": of_robots(like=np.int32), "fresh": of_robots(like=np.int32)}
-    command_checks.check_choice(Mixed(commands=(), **choice), LEAD)
+    command_checks.check_choice(MixedCommand(commands=(), **choice), LEAD)
     with pytest.raises(ConfigError, match=rf"Mixed: {name} has the shape \[5\]: must be \[5, 2\]"):
-        command_checks.check_choice(Mixed(commands=(), **{**choice, name: np.zeros(5)}), LEAD)
+        command_checks.check_choice(
+            MixedCommand(commands=(), **{**choice, name: np.zeros(5)}), LEAD
+        )

@@ -27,7 +27,7 @@ def listed(controller):
 @pytest.mark.parametrize("controller", stages.CONTROLLERS)
 def test_default_gains_are_those_of_the_document(controller):
     names = stages.CONTROLLERS[controller]
-    _, gains = stages.build(names, {})
+    _, gains = stages.build_stack(names, {})
     ours = {
         name: dataclasses.asdict(one) for name, one in zip(names, gains, strict=True) if one != ()
     }

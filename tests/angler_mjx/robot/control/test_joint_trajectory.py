@@ -11,15 +11,26 @@ from scipy.interpolate import CubicHermiteSpline
 from angler_kernels import lanes
 from angler_mjx.errors import ConfigError
 from angler_mjx.robot.control import trajectory as planned
-from angler_mjx.robot.control.joint_goal import GoalError, JointGoal, JointPoint, build, validate
-from angler_mjx.robot.control.joint_tolerance import JointTolerance, ResultCode, result, tolerances
+from angler_mjx.robot.control.joint_goal import (
+    GoalError,
+    JointGoal,
+    JointPoint,
+    build_trajectory,
+    validate_goal,
+)
+from angler_mjx.robot.control.joint_tolerance import (
+    JointTolerance,
+    ResultCode,
+    build_tolerances,
+    evaluate_goal,
+)
 from angler_mjx.robot.control.joint_trajectory import (
     VEHICLE_JOINTS,
     JointState,
     from_path,
     pose_target,
     replace_at,
-    sample,
+    sample_state,
 )
 
 from ...compiling import quickly
@@ -31,9 +42,9 @@ V[-1] = 0
 LENGTH = 8
 """Rows of all trajectories here, so that each function is compiled once."""
 
-_sample_many = quickly(jax.vmap(sample, (None, 0)))
+_sample_many = quickly(jax.vmap(sample_state, (None, 0)))
 join_at = quickly(replace_at)
-judge = quickly(result)
+judge = quickly(evaluate_goal)
 
 
 def sample_many(path, t):
@@ -61,7 +72,7 @@ def goal(degree, *, joints=VEHICLE_JOINTS, time=TIME, p=P, v=V, a=A):
 
 
 def made(message, position=P[0], joints=VEHICLE_JOINTS):
-    return build(message, joints=joints, position=position, size=LENGTH)
+    return build_trajectory(message, joints=joints, position=position, size=LENGTH)
 
 
 def quintic(t, k):
@@ -128,7 +139,7 @@ def test_single_precision_is_enough():
 @pytest.mark.parametrize("rows", [LENGTH, 5], ids=["padded", "exact"])
 @pytest.mark.parametrize("degree", [1, 5])
 def test_the_last_point_is_held_at_rest(rows, degree):
-    path = build(goal(degree), joints=VEHICLE_JOINTS, position=P[0], size=rows)
+    path = build_trajectory(goal(degree), joints=VEHICLE_JOINTS, position=P[0], size=rows)
     state = sample_many(path, jnp.array([6.0, 6.5, 1e4]))
     np.testing.assert_allclose(state.position, np.tile(P[-1], (3, 1)), rtol=1e-6)
     np.testing.assert_array_equal(state.velocity, 0)
@@ -248,7 +259,7 @@ def test_lanes_give_what_vmap_gives():
     t = jnp.array([0.3, 1.2, 4.5])
 
     def one(old, t, new):
-        return sample(old, t), sample(replace_at(old, t, new), t), pose_target(old, t)
+        return sample_state(old, t), sample_state(replace_at(old, t, new), t), pose_target(old, t)
 
     want = quickly(jax.vmap(one))(batch, t, other)
     split = (lanes.split(x) for x in (batch, t, other))
@@ -259,7 +270,7 @@ def test_lanes_give_what_vmap_gives():
 
 def test_gradient_is_finite_where_padded():
     def total(position):
-        return sample(replace(path, position=position), jnp.array(7.0)).position.sum()
+        return sample_state(replace(path, position=position), jnp.array(7.0)).position.sum()
 
     path = made(goal(5))
     gradient = quickly(jax.grad(total))(path.position)
@@ -271,9 +282,9 @@ def test_gradient_is_finite_where_padded():
 def test_a_replacement_of_two_points_ends_its_join_with_the_speed_of_the_line(joints):
     """No row more than is needed: the start and two points."""
     n = len(joints)
-    old = build(goal(1, joints=joints), joints=joints, position=P[0, :n], size=LENGTH)
+    old = build_trajectory(goal(1, joints=joints), joints=joints, position=P[0, :n], size=LENGTH)
     message = goal(1, joints=joints, time=TIME[:2] + 2.0)
-    new = build(message, joints=joints, position=P[0, :n])
+    new = build_trajectory(message, joints=joints, position=P[0, :n])
     joined = replace_at(old, jnp.array(0.5), new)
     assert joined.velocity.shape == (3, n)
     # A line of one second.
@@ -309,7 +320,7 @@ def test_a_path_goes_to_joints_and_back():
     )
     joints = quickly(from_path)(path, jnp.array(0.3))
     t = jnp.asarray(WITHIN, jnp.float32)
-    position, velocity = quickly(jax.vmap(planned.sample, (None, 0)))(path, t)
+    position, velocity = quickly(jax.vmap(planned.sample_reference, (None, 0)))(path, t)
     target = quickly(jax.vmap(pose_target, (None, 0)))(joints, t)
     # float32 of the same lines.
     np.testing.assert_allclose(target.position_m, position, atol=2e-6)
@@ -331,7 +342,7 @@ def stands(t, away, *, before=ResultCode.ACTIVE, speed=0.0, **limits):
         velocity=now.velocity.at[0].add(speed),
         acceleration=now.acceleration,
     )
-    allowed = tolerances(VEHICLE_JOINTS, **limits)
+    allowed = build_tolerances(VEHICLE_JOINTS, **limits)
     return ResultCode(int(judge(path, allowed, jnp.array(t), measured, jnp.int32(before))))
 
 
@@ -406,7 +417,7 @@ def test_an_error_of_acceleration_is_that_against_the_reference(off, code):
     path = made(goal(5))
     now = jax.tree.map(lambda x: jnp.asarray(x[0]), sample_many(path, jnp.array([2.0])))
     assert abs(now.acceleration[0]) > 0.5
-    allowed = tolerances(VEHICLE_JOINTS, path={"x": JointTolerance(acceleration=0.1)})
+    allowed = build_tolerances(VEHICLE_JOINTS, path={"x": JointTolerance(acceleration=0.1)})
     for sign in (1, -1):
         measured = replace(now, acceleration=now.acceleration.at[0].add(sign * off))
         assert judge(path, allowed, jnp.array(2.0), measured, jnp.int32(ResultCode.ACTIVE)) == code
@@ -427,7 +438,7 @@ def test_codes_are_those_of_ros():
 def test_a_goal_that_asks_for_nothing_takes_all_of_the_robots_own_tolerances():
     own = JointTolerance(position=0.5, velocity=0.25, acceleration=0.125)
     given = {"x": JointTolerance(position=2.0)}
-    allowed = tolerances(VEHICLE_JOINTS, goal=given, default_path=own, default_goal=own)
+    allowed = build_tolerances(VEHICLE_JOINTS, goal=given, default_path=own, default_goal=own)
     for limits, position in ((allowed.path, 0.5), (allowed.goal, 2.0)):
         np.testing.assert_array_equal(limits.position, [position, 0.5, 0.5, 0.5])
         np.testing.assert_array_equal(limits.velocity, 0.25)
@@ -436,9 +447,9 @@ def test_a_goal_that_asks_for_nothing_takes_all_of_the_robots_own_tolerances():
 
 def test_a_tolerance_that_means_nothing_is_refused():
     with pytest.raises(ConfigError, match=r"goal_tolerance of joint 'x', velocity = -0.5"):
-        tolerances(VEHICLE_JOINTS, goal={"x": JointTolerance(velocity=-0.5)})
+        build_tolerances(VEHICLE_JOINTS, goal={"x": JointTolerance(velocity=-0.5)})
     with pytest.raises(ConfigError, match="path_tolerance of joint 'w'"):
-        tolerances(VEHICLE_JOINTS, path={"w": JointTolerance()})
+        build_tolerances(VEHICLE_JOINTS, path={"w": JointTolerance()})
 
 
 def moved(i, **change):
@@ -521,7 +532,7 @@ REFUSED = {
 def test_what_cannot_be_followed_is_refused_by_name(case):
     message, how, words, code = REFUSED[case]
     with pytest.raises(GoalError) as caught:
-        validate(message, robot="2", joints=VEHICLE_JOINTS, position=P[0], **how)
+        validate_goal(message, robot="2", joints=VEHICLE_JOINTS, position=P[0], **how)
     assert caught.value.code == code
     for word in ["robot 2", *words]:
         assert word in str(caught.value)
@@ -530,7 +541,7 @@ def test_what_cannot_be_followed_is_refused_by_name(case):
 def test_only_what_may_be_left_out_is_said_to_be():
     message = moved(3, positions=(0.0,), velocities=(0.0, 1.0))
     with pytest.raises(GoalError) as caught:
-        validate(message, robot="2", joints=VEHICLE_JOINTS, position=P[0])
+        validate_goal(message, robot="2", joints=VEHICLE_JOINTS, position=P[0])
     _, positions, velocities = str(caught.value).splitlines()
     assert positions.endswith("give one for each joint_name")
     assert velocities.endswith("give one for each joint_name, or none")
@@ -540,4 +551,4 @@ def test_what_can_be_followed_is_not_refused():
     here = P[0] + [0.3, 0, 0, 2 * np.pi]
     how = {"start_tolerance": 0.4, "max_speed": dict.fromkeys(VEHICLE_JOINTS, 50.0), "now_s": 1.0}
     for degree in (1, 3, 5):
-        validate(goal(degree), robot="0", joints=VEHICLE_JOINTS, position=here, **how)
+        validate_goal(goal(degree), robot="0", joints=VEHICLE_JOINTS, position=here, **how)

@@ -13,7 +13,7 @@ from angler_mjx.robot.control.joint_trajectory import (
     JointTrajectory,
     from_path,
 )
-from angler_mjx.robot.control.mixed import Mixed
+from angler_mjx.robot.control.mixed import MixedCommand
 from angler_mjx.robot.control.trajectory import Trajectory
 
 GOAL = np.array([0.0, 0.0, -8.0])
@@ -84,7 +84,7 @@ def test_without_a_plan_there_is_nothing_to_wait_for():
 
 def begun(names):
     state = Estimate(p=jnp.array([0.0, 0.0, -8.0]), q=jnp.array([1.0, 0, 0, 0]), nu=jnp.zeros(6))
-    built, _ = stages.build(names, {})
+    built, _ = stages.build_stack(names, {})
     return built, stack.reset(built, state, jnp.asarray(0.0))
 
 
@@ -106,7 +106,7 @@ def test_a_stage_below_plans_says_so():
 def test_of_several_commands_the_plan_counts_where_it_is_chosen(which, begin, progress):
     built, memory = begun(stages.CONTROLLERS["los"])
     path = plan(CASES["closed"][0])
-    command = Mixed(
+    command = MixedCommand(
         which=jnp.asarray(which), fresh=jnp.asarray(0), commands=(path, BodyTwist(nu=jnp.zeros(6)))
     )
     assert float(mixed.last_approach_s(command, GOAL, TOLERANCE_M)) == begin

@@ -13,7 +13,7 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.robot.control import joint_trajectory, mixed, stack, stages
 from angler_mjx.robot.control.commands import BodyTwist, BodyWrench, PoseTarget, ThrusterPwm
 from angler_mjx.robot.control.laws.targets import TrackingTarget, as_tracking
-from angler_mjx.robot.control.mixed import Mixed
+from angler_mjx.robot.control.mixed import MixedCommand
 from angler_mjx.robot.control.trajectory import Trajectory
 
 from ...compiling import quickly
@@ -41,7 +41,7 @@ KINDS = [type(command).__name__ for command in COMMANDS]
 
 def of(controller):
     """Its stages and gains, and the commands that it takes."""
-    made, gains = stages.build(stages.CONTROLLERS[controller], {})
+    made, gains = stages.build_stack(stages.CONTROLLERS[controller], {})
     taken = {kind for stage in made for kind in stage.takes} | {ThrusterPwm}
     return made, gains, tuple(command for command in COMMANDS if type(command) in taken)
 
@@ -62,7 +62,7 @@ def stepper(controller, robot):
 
     @quickly
     def mix(memory, which, fresh):
-        told = Mixed(which=which, fresh=fresh, commands=taken)
+        told = MixedCommand(which=which, fresh=fresh, commands=taken)
         action = mixed.step(made, gains, known, memory, at, told, *WATER)
         return action.memory, action.pwm, action.target_m
 
@@ -150,10 +150,12 @@ def test_who_wants_it_is_told_what_the_thrusters_gave_and_nothing_where_it_begin
             reset=begin,
             wants_realised=wants,
         )
-        made = (tells, *stages.build(["pseudo_inverse"], {})[0])
+        made = (tells, *stages.build_stack(["pseudo_inverse"], {})[0])
         memory = stack.ControlMemory(stages=((), ()), realised=BodyWrench(tau=gave))
         for fresh, told in ((0, gave), (1, jnp.zeros(6))):
-            command = Mixed(which=jnp.int32(0), fresh=jnp.int32(fresh), commands=(COMMANDS[4],))
+            command = MixedCommand(
+                which=jnp.int32(0), fresh=jnp.int32(fresh), commands=(COMMANDS[4],)
+            )
             gains = [stage.gains() for stage in made]
             action = mixed.step(made, gains, known, memory, at, command, *WATER)
             np.testing.assert_array_equal(action.demanded.tau, told if wants else 7.0)
@@ -185,10 +187,10 @@ def test_two_stages_that_want_it_are_told_as_one_is(robot):
             )
             for gives, step in ((BodyTwist, passes), (BodyWrench, pushes))
         ),
-        *stages.build(["pseudo_inverse"], {})[0],
+        *stages.build_stack(["pseudo_inverse"], {})[0],
     )
     memory = stack.ControlMemory(stages=((), (), ()), realised=BodyWrench(tau=jnp.full(6, 9.0)))
-    command = Mixed(which=jnp.int32(0), fresh=jnp.int32(0), commands=(COMMANDS[4],))
+    command = MixedCommand(which=jnp.int32(0), fresh=jnp.int32(0), commands=(COMMANDS[4],))
     gains = [stage.gains() for stage in made]
     action = mixed.step(made, gains, known, memory, at, command, *WATER)
     # Well within what the thrusters give, of which each may miss 0.005 N in its dead band.
@@ -197,7 +199,7 @@ def test_two_stages_that_want_it_are_told_as_one_is(robot):
 
 def test_a_command_that_no_stage_takes_is_refused(robot):
     made, gains, _ = of("ardusub")
-    told = Mixed(which=jnp.int32(0), fresh=jnp.int32(0), commands=(PATH, COMMANDS[4]))
+    told = MixedCommand(which=jnp.int32(0), fresh=jnp.int32(0), commands=(PATH, COMMANDS[4]))
     memory = stack.reset(made, robot[1], jnp.array(0.0))
     with pytest.raises(ConfigError, match="BodyTwist"):
         mixed.step(made, gains, robot[0], memory, robot[1], told, *WATER)

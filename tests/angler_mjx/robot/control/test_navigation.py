@@ -421,7 +421,7 @@ def test_the_gate_is_the_squared_innovation_in_units_of_its_covariance():
     H, y, r = rng.normal(size=(3, 19)), rng.normal(size=3), np.array([0.1, 0.2, 0.3])
     square = y @ np.linalg.solve(H @ np.asarray(carry.covariance) @ H.T + np.diag(r), y)
     for factor, passes in ((1 + 1e-9, True), (1 - 1e-9, False)):
-        fuse = error_state.fuse(
+        fuse = error_state.fuse_measurement(
             carry.covariance, jnp.zeros(19), H, y, r, square * factor, jnp.array(True)
         )
         assert bool(fuse[2]) == passes

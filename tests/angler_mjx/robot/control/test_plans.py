@@ -9,8 +9,8 @@ import pytest
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.robot.control import plans, stages
-from angler_mjx.robot.control.joint_goal import build
-from angler_mjx.robot.control.joint_trajectory import VEHICLE_JOINTS, JointTrajectory, sample
+from angler_mjx.robot.control.joint_goal import build_trajectory
+from angler_mjx.robot.control.joint_trajectory import VEHICLE_JOINTS, JointTrajectory, sample_state
 from angler_mjx.robot.control.trajectory import Trajectory
 
 from ...compiling import quickly
@@ -44,7 +44,7 @@ def lines():
 @pytest.fixture(scope="module")
 def sampled():
     """States of a trajectory at times."""
-    return quickly(jax.vmap(sample, (None, 0)))
+    return quickly(jax.vmap(sample_state, (None, 0)))
 
 
 @pytest.mark.parametrize("degree", [DEGREES, [1] * 8, [3] * 8, [5] * 8, [1, 5, 1, 3, 1, 5, 5, 5]])
@@ -52,8 +52,10 @@ def test_a_message_makes_the_same_motion(degree, sampled):
     """Also where lines lie between points whose other segments use velocities."""
     with jax.enable_x64(True):
         plan = joints(degree)
-        goal = plans.message(plan)
-        made = build(goal, joints=VEHICLE_JOINTS, position=plan.position[0].tolist(), size=16)
+        goal = plans.to_joint_goal(plan)
+        made = build_trajectory(
+            goal, joints=VEHICLE_JOINTS, position=plan.position[0].tolist(), size=16
+        )
         times = np.linspace(0.0, 8.5, 400)
         want, found = sampled(plan, times), sampled(made, times)
     # The heading is unwrapped by the whole; the others are compared as they are.
@@ -64,7 +66,7 @@ def test_a_message_makes_the_same_motion(degree, sampled):
 
 
 def test_way_points_are_a_message_of_places():
-    goal = plans.message(lines())
+    goal = plans.to_joint_goal(lines())
     assert goal.joint_names == ("x", "y", "z")
     assert [point.time_s for point in goal.points] == TIME_S[:6].tolist()
     assert all(point.velocities == () for point in goal.points)
@@ -80,12 +82,12 @@ def test_the_host_samples_as_the_device_does(sampled):
 
 
 def test_a_course_is_the_points_of_lines_and_more_of_what_is_bent():
-    time, place = plans.course(lines())
+    time, place = plans.trace_path(lines())
     np.testing.assert_array_equal(time, TIME_S[:6])
     np.testing.assert_array_equal(place, lines().position_m[:6])
-    straight = plans.course(joints([1] * 8))
+    straight = plans.trace_path(joints([1] * 8))
     np.testing.assert_array_equal(straight[1], place)
-    time, bent = plans.course(joints())
+    time, bent = plans.trace_path(joints())
     assert time.size == 1 + 5 * plans.PIECES
     np.testing.assert_allclose(bent[:: plans.PIECES], joints().position[:6, :3], atol=1e-12)
     # The first segment is a cubic: its second half from its ends, by hand.
@@ -97,32 +99,32 @@ def test_a_course_is_the_points_of_lines_and_more_of_what_is_bent():
 def test_whether_there_is_a_plan_is_known_of_both_types():
     several = jax.tree.map(lambda leaf: np.stack([leaf] * 3), (lines(), joints()))
     found = np.array([True, False, True])
-    assert plans.found(several[1]).tolist() == [True] * 3
+    assert plans.is_found(several[1]).tolist() == [True] * 3
     for plan in several:
-        assert plans.found(replace(plan, found=found)).tolist() == found.tolist()
+        assert plans.is_found(replace(plan, found=found)).tolist() == found.tolist()
         np.testing.assert_array_equal(plans.points_m(plan)[1], joints().position[:, :3])
 
 
 @pytest.mark.parametrize("plan", [lines(), joints()], ids=["way-points", "joints"])
 def test_its_place_is_that_of_its_course(plan):
-    time, place = plans.course(plan)
+    time, place = plans.trace_path(plan)
     with jax.enable_x64(True):
-        at = quickly(jax.vmap(plans.place, (None, 0)))(plan, jnp.asarray(time))
+        at = quickly(jax.vmap(plans.position_at, (None, 0)))(plan, jnp.asarray(time))
     np.testing.assert_allclose(at, place, atol=1e-12)
 
 
 def test_controllers_that_cannot_fly_a_plan_say_so():
     for name in stages.CONTROLLERS:
-        assert plans.checked(stages.named(name), lines()).position_m.shape == (8, 3)
+        assert plans.check_plan(stages.find_controller(name), lines()).position_m.shape == (8, 3)
     plan = joints()
-    assert plans.checked(stages.named("cascade"), plan) is plan
+    assert plans.check_plan(stages.find_controller("cascade"), plan) is plan
     said = "World.path is a JointTrajectory: controller 'los' takes Trajectory"
     with pytest.raises(ConfigError, match=said):
-        plans.checked(stages.named("los"), plan)
-    own, _ = stages.build(["los", "velocity", "prioritized"], {})
+        plans.check_plan(stages.find_controller("los"), plan)
+    own, _ = stages.build_stack(["los", "velocity", "prioritized"], {})
     said = "the controller of stages 'los', 'velocity', 'prioritized' takes Trajectory"
     with pytest.raises(ConfigError, match=said):
-        plans.checked(own, plan)
+        plans.check_plan(own, plan)
     arm = replace(plan, joints=("x", "y", "z", "elbow"))
     with pytest.raises(ConfigError, match=r"World.path: joints = .*'elbow'"):
-        plans.checked(stages.named("cascade"), arm)
+        plans.check_plan(stages.find_controller("cascade"), arm)

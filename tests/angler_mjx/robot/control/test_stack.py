@@ -19,7 +19,7 @@ from angler_mjx.robot.control.commands import (
     ThrusterPwm,
 )
 from angler_mjx.robot.control.joint_goal import JointGoal, JointPoint
-from angler_mjx.robot.control.joint_goal import build as build_goal
+from angler_mjx.robot.control.joint_goal import build_trajectory as build_goal
 from angler_mjx.robot.control.laws import follow
 from angler_mjx.robot.control.laws.targets import TrackingTarget
 from angler_mjx.robot.control.trajectory import Trajectory
@@ -35,7 +35,7 @@ PATH = Trajectory(
 def run(robot, names, command, memory=None):
     """One step of a stack with its own gains, and the memory before it."""
     known, at = robot
-    made, gains = stages.build(names, {})
+    made, gains = stages.build_stack(names, {})
     before = memory or stack.reset(made, at, quaternion.yaw(at.q))
     return before, stack.step(made, gains, known, before, at, command, DT, DENSITY, GRAVITY)
 
@@ -49,7 +49,7 @@ def same(x, y):
 def test_a_command_enters_where_its_type_is_taken(robot):
     """Given what the stage above gave, the rest of the cascade does the same; to the bit."""
     known, at = robot
-    made, gains = stages.build(stages.CONTROLLERS["cascade"], {})
+    made, gains = stages.build_stack(stages.CONTROLLERS["cascade"], {})
     before, whole = run(robot, stages.CONTROLLERS["cascade"], PATH)
     given = stack.StageInput(
         params=known, estimate=at, realised=None, dt=DT, density=DENSITY, gravity=GRAVITY
@@ -100,7 +100,7 @@ def test_what_the_thrusters_gave_is_handed_back(robot):
     gave = np.asarray(action.memory.realised.tau)
     asked = np.asarray(action.demanded.tau)
     assert np.abs(asked - gave).max() > 10.0
-    exact = allocation.realised(known.allocation, action.pwm).tau
+    exact = allocation.realised_wrench(known.allocation, action.pwm).tau
     np.testing.assert_array_equal(gave, exact)
     # Below the stage that wants it, nothing new is learned of its own demand.
     _, after = run(robot, names, BodyWrench(tau=jnp.ones(6)), action.memory)
@@ -113,7 +113,7 @@ def test_the_current_is_told_to_those_who_want_it():
     wanting = {
         name
         for name, names in stages.CONTROLLERS.items()
-        if stack.wants_flow(stages.build(names, {})[0])
+        if stack.wants_flow(stages.build_stack(names, {})[0])
     }
     assert wanting == {"tracking", "computed_torque"}
 
@@ -121,8 +121,8 @@ def test_the_current_is_told_to_those_who_want_it():
 def test_gains_reach_their_stage(robot):
     known, at = robot
     names = ["pose", "velocity", "pseudo_inverse"]
-    made, gains = stages.build(names, {"velocity": {"velocity_per_s": 0.0}})
-    plain = stages.build(names, {})[1]
+    made, gains = stages.build_stack(names, {"velocity": {"velocity_per_s": 0.0}})
+    plain = stages.build_stack(names, {})[1]
     assert gains[1].velocity_per_s == 0.0
     assert (gains[0], gains[2]) == (plain[0], plain[2])
     assert gains[1].rate_per_s == plain[1].rate_per_s
@@ -153,10 +153,10 @@ def goal():
 def test_a_joint_trajectory_is_followed_with_its_motion():
     command, gains = goal(), follow.FollowGains()
     clock = jnp.array(1.3)
-    now = joint_trajectory.sample(command, clock)
+    now = joint_trajectory.sample_state(command, clock)
     carry = replace(follow.reset(jnp.zeros(())), clock_s=clock)
     on_it = Estimate(p=now.position[:3], q=jnp.array([1.0, 0, 0, 0]), nu=jnp.zeros(6))
-    after, target = follow.track(gains, carry, on_it, command, DT)
+    after, target = follow.track_target(gains, carry, on_it, command, DT)
     assert float(after.clock_s) == pytest.approx(1.35)
     np.testing.assert_array_equal(target.position_m, now.position[:3])
     np.testing.assert_array_equal(target.velocity_mps, now.velocity[:3])
@@ -167,7 +167,7 @@ def test_a_joint_trajectory_is_followed_with_its_motion():
     # 0.7 m behind is half way from 0.4 m to 1.0 m: time runs at half its pace, so velocities halve
     # and accelerations quarter.
     behind = Estimate(p=now.position[:3] - jnp.array([0.7, 0, 0]), q=on_it.q, nu=on_it.nu)
-    after, slow = follow.track(gains, carry, behind, command, DT)
+    after, slow = follow.track_target(gains, carry, behind, command, DT)
     assert float(after.clock_s) == pytest.approx(1.325, abs=1e-6)
     np.testing.assert_allclose(slow.velocity_mps, now.velocity[:3] / 2, rtol=1e-5)
     np.testing.assert_allclose(slow.acceleration_mps2, now.acceleration[:3] / 4, rtol=1e-5)
@@ -196,7 +196,7 @@ def test_a_joint_trajectory_drives_a_stack(robot):
 )
 def test_what_is_no_stack_is_refused(names, words):
     with pytest.raises(ConfigError) as caught:
-        stages.build(names, {})
+        stages.build_stack(names, {})
     for word in words:
         assert word in str(caught.value)
 
@@ -209,7 +209,7 @@ def test_every_fault_of_the_gains_is_named_at_once():
         "ismc": {"layer_mps": 1.0},
     }
     with pytest.raises(ConfigError) as caught:
-        stages.build(stages.CONTROLLERS["cascade"], gains)
+        stages.build_stack(stages.CONTROLLERS["cascade"], gains)
     for word in (
         "lag_stop_m = 0.2 must be greater than lag_slow_m",
         "gains.pose.speed = 3: unknown gain; there is position_per_s, attitude_per_s",
@@ -220,15 +220,15 @@ def test_every_fault_of_the_gains_is_named_at_once():
 
 
 def test_a_command_that_no_stage_takes_is_refused():
-    made, _ = stages.build(stages.CONTROLLERS["ardusub"], {})
-    assert stack.entry(made, ThrusterPwm) == 2
-    assert stack.entry(made, TrackingTarget) == 1
+    made, _ = stages.build_stack(stages.CONTROLLERS["ardusub"], {})
+    assert stack.find_entry(made, ThrusterPwm) == 2
+    assert stack.find_entry(made, TrackingTarget) == 1
     with pytest.raises(ConfigError, match=r"BodyTwist: no stage of follow, ardusub takes it.*Pose"):
-        stack.entry(made, BodyTwist)
+        stack.find_entry(made, BodyTwist)
 
 
 def test_a_batch_of_commands_must_be_for_every_robot():
-    made, _ = stages.build(stages.CONTROLLERS["cascade"], {})
+    made, _ = stages.build_stack(stages.CONTROLLERS["cascade"], {})
     stack.check_command(made, BodyTwist(nu=jnp.zeros((5, 2, 6))), (5, 2), 8)
     wanted = r"BodyTwist: nu has the shape \[2, 6\]: must be \[5, 2, 6\], for \[world, robot, 6\]"
     with pytest.raises(ConfigError, match=wanted):

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from angler_mjx.robot.control.trajectory import Trajectory, sample, segment_at
+from angler_mjx.robot.control.trajectory import Trajectory, sample_reference, segment_at
 
 TIME = np.array([0.0, 1.0, 1.5, 4.0, 6.0])
 POINT = np.random.default_rng(0).normal(size=(5, 3))
@@ -23,7 +23,7 @@ def path(request):
 
 def test_position_is_interpolated_and_held_at_the_end(path):
     t = np.concatenate([TIME, np.linspace(0, 9, 77)])
-    position, _ = jax.vmap(sample, (None, 0))(path, t)
+    position, _ = jax.vmap(sample_reference, (None, 0))(path, t)
     expected = np.stack([np.interp(t, TIME, POINT[:, k]) for k in range(3)], axis=1)
     # float32 on metres.
     np.testing.assert_allclose(position, expected, atol=1e-6)
@@ -31,7 +31,7 @@ def test_position_is_interpolated_and_held_at_the_end(path):
 
 def test_velocity_is_the_slope_and_zero_at_the_end(path):
     t = np.array([0.0, 0.5, 1.2, 3.9, 5.0, 6.0, 7.5])
-    _, velocity = jax.vmap(sample, (None, 0))(path, t)
+    _, velocity = jax.vmap(sample_reference, (None, 0))(path, t)
     slope = np.diff(POINT, axis=0) / np.diff(TIME)[:, None]
     expected = np.concatenate([slope[[0, 0, 1, 2, 3]], np.zeros((2, 3))])
     # float32 on differences over half a second.
@@ -60,13 +60,15 @@ def test_a_path_of_one_place_is_that_place():
         time_s=jnp.zeros(4), position_m=jnp.tile(place, (4, 1)), found=jnp.array(False)
     )
     for t in (0.0, 5.0):
-        position, velocity = sample(path, jnp.array(t))
+        position, velocity = sample_reference(path, jnp.array(t))
         np.testing.assert_array_equal(position, place)
         np.testing.assert_array_equal(velocity, 0)
 
 
 def test_gradient_is_finite_where_padded(path):
-    gradient = jax.grad(lambda p: sample(p, jnp.array(7.0))[0].sum(), allow_int=True)(path)
+    gradient = jax.grad(lambda p: sample_reference(p, jnp.array(7.0))[0].sum(), allow_int=True)(
+        path
+    )
     # At the end only the last way-point counts.
     assert np.all(np.isfinite(gradient.position_m))
     np.testing.assert_allclose(gradient.position_m.sum(axis=0), 1.0)

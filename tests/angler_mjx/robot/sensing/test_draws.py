@@ -14,7 +14,7 @@ from angler_mjx.robot.control.navigation import NavigationParams
 from angler_mjx.robot.sensing import instruments, params, suite
 from angler_mjx.robot.sensing.config import SensorsConfig
 from angler_mjx.robot.sensing.readings import Truth
-from angler_mjx.sim.world_phases.sensing import OF_FILTER
+from angler_mjx.sim.world_phases.sensing import FILTER_STEP
 
 from ...independence import assert_uncorrelated
 
@@ -35,7 +35,7 @@ WHITE = SensorsConfig.model_validate(
 
 @pytest.fixture(scope="module")
 def sensors():
-    return params.build(WHITE, DT, G)
+    return params.build_sensors(WHITE, DT, G)
 
 
 def at_rest():
@@ -49,7 +49,7 @@ def at_rest():
 
 def turned(truth, q):
     """[3] rad about the axes of W: in F those of a robot that leans would be mixed."""
-    return quaternion.rotate(truth.q, instruments.turned(truth.q, q))
+    return quaternion.rotate(truth.q, instruments.rotation_between(truth.q, q))
 
 
 NAMES = [
@@ -117,9 +117,9 @@ def test_what_is_drawn_at_the_beginning_and_at_a_step_is_independent(sensors):
     def one(key):
         carry = suite.reset(sensors, key, truth)
         estimate = Estimate(p=truth.p, q=truth.q, nu=truth.nu)
-        start = navigation.reset(believes, estimate, jax.random.fold_in(key, OF_FILTER))
-        drawn = suite.draw(sensors, key, jnp.int32(0))
-        told = suite.disturb(sensors, key, jnp.int32(0), truth)
+        start = navigation.reset(believes, estimate, jax.random.fold_in(key, FILTER_STEP))
+        drawn = suite.sample_noise(sensors, key, jnp.int32(0))
+        told = suite.disturb_truth(sensors, key, jnp.int32(0), truth)
         flow = suite.disturb_current(sensors, key, jnp.int32(0), jnp.zeros(3))
         groups = {
             "turn-on gyro": carry.gyro_turn_on,
@@ -151,7 +151,7 @@ def test_each_number_of_a_step_serves_one_purpose(sensors):
     carry = suite.step(sensors, carry, jax.random.key(0), jnp.int32(0), truth)[0]
 
     def said(normal):
-        after, reading = suite.measure(sensors, carry, normal, jnp.int32(1), truth)
+        after, reading = suite.read_instruments(sensors, carry, normal, jnp.int32(1), truth)
         return jnp.concatenate([numbers(reading, truth), after.gyro_walk, after.accel_walk])
 
     zero = jnp.zeros(suite.N_NORMAL)

@@ -25,7 +25,7 @@ DEEP = (1.0, 2.0, -5.0)
 
 
 def build(noise=True, dt=DT, **tables):
-    return params.build(SensorsConfig.model_validate({"noise": noise, **tables}), dt, G)
+    return params.build_sensors(SensorsConfig.model_validate({"noise": noise, **tables}), dt, G)
 
 
 def truth(p=DEEP, turn=(0.0, 0.0, 0.0), nu=(0.0,) * 6, altitude=5.0):
@@ -97,9 +97,9 @@ def test_without_noise_readings_are_the_truth_bit_for_bit():
 
 def test_without_noise_the_disturbed_truth_is_the_truth():
     exact = truth(turn=(0.1, 0.2, 0.3), nu=range(6))
-    same = suite.disturb(build(noise=False), jax.random.key(0), jnp.int32(7), exact)
+    same = suite.disturb_truth(build(noise=False), jax.random.key(0), jnp.int32(7), exact)
     jax.tree.map(np.testing.assert_array_equal, same, exact)
-    off = suite.disturb(build(), jax.random.key(0), jnp.int32(7), exact)
+    off = suite.disturb_truth(build(), jax.random.key(0), jnp.int32(7), exact)
     assert all(np.any(a != b) for a, b in ((off.p, exact.p), (off.q, exact.q), (off.nu, exact.nu)))
 
 
@@ -160,7 +160,9 @@ def test_turned_is_the_inverse_of_the_exponential(shift):
         before = quaternion.exp(jnp.array([0.3, -1.0, 2.0]))
         after = -quaternion.multiply(before, quaternion.exp(jnp.asarray(rotation)))
         # Products of unit quaternions in float64.
-        np.testing.assert_allclose(instruments.turned(before, after), rotation, atol=1e-15)
+        np.testing.assert_allclose(
+            instruments.rotation_between(before, after), rotation, atol=1e-15
+        )
 
 
 def test_imu_noise_has_the_density_and_the_walk_of_its_data_sheet():
@@ -225,7 +227,7 @@ def test_noise_of_the_slow_instruments_has_the_stated_spread():
     counts = np.asarray(seen.depth_m, np.float64) / 0.002
     # 2,500 steps in float32: rounded to 2.4e-4 steps by the value's own last digit.
     np.testing.assert_allclose(counts, np.round(counts), atol=1e-3)
-    turn = quickly(jax.vmap(instruments.turned, (None, 0)))(truth().q, seen.ahrs_q)
+    turn = quickly(jax.vmap(instruments.rotation_between, (None, 0)))(truth().q, seen.ahrs_q)
     np.testing.assert_allclose(np.std(turn, axis=0), np.radians([0.3, 0.3, 1.0]), rtol=0.015)
     velocity = seen.dvl_velocity_mps[seen.dvl_fresh]
     np.testing.assert_allclose(np.std(velocity, axis=0), np.hypot(0.005, 0.003 * 5), rtol=0.015)
@@ -250,8 +252,8 @@ def test_hard_iron_swings_the_heading_once_a_turn():
 
     def read(heading):
         exact = truth(turn=(0.0, 0.0, heading))
-        q = instruments.attitude(sensors.ahrs, carry, exact, jnp.zeros(3), True)
-        return instruments.turned(exact.q, q)
+        q = instruments.measure_attitude(sensors.ahrs, carry, exact, jnp.zeros(3), True)
+        return instruments.rotation_between(exact.q, q)
 
     off = np.asarray(jax.vmap(read)(jnp.asarray(headings)))
     # The compass needle: the direction of the field in F, of length one from north, plus the iron.
@@ -304,7 +306,7 @@ def test_measure_runs_on_lanes():
         )
         normal = jnp.asarray(np.random.default_rng(1).normal(size=(n, suite.N_NORMAL)))
         at = jnp.arange(n, dtype=jnp.int32) * 5
-        function = partial(suite.measure, sensors)
+        function = partial(suite.read_instruments, sensors)
         arguments = (carries, normal, at, wander(n, seed=2))
         theirs = jax.jit(jax.vmap(function))(*arguments)
         ours = jax.jit(lambda *a: lanes.join(lanes.apply(function, *lanes.split(a))))(*arguments)

@@ -10,9 +10,9 @@ import pytest
 
 import angler_mjx.robot.vehicles
 from angler_mjx.errors import ConfigError
-from angler_mjx.files import parse
+from angler_mjx.files import parse_model
 from angler_mjx.robot.vehicles.config import VehicleConfig
-from angler_mjx.robot.vehicles.library import available, load, load_thruster
+from angler_mjx.robot.vehicles.library import list_vehicles, load_thruster, load_vehicle
 from angler_mjx.robot.vehicles.thruster_config import ThrusterTable
 
 DATA = Path(angler_mjx.robot.vehicles.__file__).parent / "data"
@@ -31,23 +31,23 @@ def changed(path, value, base=HEAVY):
 
 def complaint(data, model=VehicleConfig):
     with pytest.raises(ConfigError) as caught:
-        parse(model, data, source="some.toml")
+        parse_model(model, data, source="some.toml")
     return str(caught.value)
 
 
 def test_shipped_vehicles_and_sets():
-    assert available() == ["bluerov2", "bluerov2_heavy"]
-    assert set(load("bluerov2_heavy").parameter_sets) == {
+    assert list_vehicles() == ["bluerov2", "bluerov2_heavy"]
+    assert set(load_vehicle("bluerov2_heavy").parameter_sets) == {
         "wu2018",
         "von_benzon2022",
         "blue_gazebo",
     }
-    assert set(load("bluerov2").parameter_sets) == {"blue_gazebo", "blue_ismc"}
+    assert set(load_vehicle("bluerov2").parameter_sets) == {"blue_gazebo", "blue_ismc"}
 
 
 @pytest.mark.parametrize(("name", "box_m"), [("bluerov2_heavy", 0.575), ("bluerov2", 0.338)])
 def test_hull_has_the_outer_box_of_its_source(name, box_m):
-    hull = load(name).hull
+    hull = load_vehicle(name).hull
     ends = np.array([(c.from_m, c.to_m) for c in hull.capsules])
     radius = np.array([c.radius_m for c in hull.capsules])[:, None]
     size = (ends.max(1) + radius).max(0) - (ends.min(1) - radius).min(0)
@@ -58,7 +58,9 @@ def test_hull_has_the_outer_box_of_its_source(name, box_m):
 def test_diagonals_and_full_matrices_mean_the_same():
     body = ("parameter_sets", "wu2018", "rigid_body", "inertia_kgm2")
     full = changed(body, [[0.16, 0, 0], [0, 0.16, 0], [0, 0, 0.16]])
-    assert parse(VehicleConfig, full, source="a") == parse(VehicleConfig, HEAVY, source="a")
+    assert parse_model(VehicleConfig, full, source="a") == parse_model(
+        VehicleConfig, HEAVY, source="a"
+    )
 
 
 SET = ("parameter_sets", "wu2018")
@@ -128,13 +130,13 @@ def test_a_wrong_rotor_is_refused(path, value, says):
 
 def test_third_order_needs_its_numbers():
     data = changed(("rotor", "response"), "third_order")
-    assert parse(VehicleConfig, data, source="a").rotor.response == "third_order"
+    assert parse_model(VehicleConfig, data, source="a").rotor.response == "third_order"
     del data["rotor"]["third_order"]
     assert "needs a table [rotor.third_order]" in complaint(data)
 
 
 def test_health_is_by_name_in_the_order_of_the_file():
-    config = load("bluerov2")
+    config = load_vehicle("bluerov2")
     assert config.find_health({"thruster_5": 0.5, "thruster_1": 0}) == (0, 1, 1, 1, 0.5, 1)
     with pytest.raises(ConfigError, match=r"no thruster 'thruster_7'; it has thruster_1, .*_6"):
         config.find_health({"thruster_7": 0.0})
@@ -155,20 +157,22 @@ def test_every_group_needs_its_source():
 
 def test_unknown_names_list_what_there_is():
     with pytest.raises(ConfigError, match=r"unknown vehicle 'rov'.*bluerov2, bluerov2_heavy"):
-        load("rov")
+        load_vehicle("rov")
     with pytest.raises(ConfigError, match=r"no parameter set 'wu'.*wu2018"):
-        load("bluerov2_heavy").find_set("wu")
+        load_vehicle("bluerov2_heavy").find_set("wu")
     with pytest.raises(ConfigError, match=r"unknown thruster 't500'.*t200"):
         load_thruster("t500")
     with pytest.raises(ConfigError, match="cannot be read"):
-        load("no/such/file.toml")
+        load_vehicle("no/such/file.toml")
 
 
 def test_a_thruster_path_is_relative_to_the_vehicle_file(tmp_path):
     text = (DATA / "bluerov2.toml").read_text().replace('"t200"', '"mine.toml"')
     (tmp_path / "rov.toml").write_text(text)
     (tmp_path / "mine.toml").write_text((DATA / "thrusters" / "t200.toml").read_text())
-    assert load_thruster(load(str(tmp_path / "rov.toml")).rotor.model) == load_thruster("t200")
+    assert load_thruster(load_vehicle(str(tmp_path / "rov.toml")).rotor.model) == load_thruster(
+        "t200"
+    )
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ import pytest
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.robot.vehicles import drive, library
-from angler_mjx.robot.vehicles.params import build
+from angler_mjx.robot.vehicles.params import build_vehicle
 
 from . import made_up
 
@@ -17,7 +17,7 @@ def able(thrusters, forward_n=40.0, reverse_n=-30.0):
     place = np.array([x[0] for x in thrusters], float)
     way = np.array([x[1] for x in thrusters], float)
     wrench = np.concatenate([way, np.cross(place, way)], axis=1).T
-    return drive.drive(wrench, reverse_n, forward_n, D_L, D_Q)
+    return drive.compute_drive(wrench, reverse_n, forward_n, D_L, D_Q)
 
 
 X, Y, Z = (1, 0, 0), (0, 1, 0), (0, 0, 1)
@@ -38,7 +38,7 @@ CASES = {
 @pytest.mark.parametrize("case", CASES)
 def test_ways_that_are_missing(case):
     thrusters, missing = CASES[case]
-    assert able(thrusters).missing == missing
+    assert able(thrusters).missing_axes == missing
 
 
 def test_speeds_balance_damping_in_the_slower_direction():
@@ -48,7 +48,7 @@ def test_speeds_balance_damping_in_the_slower_direction():
 
 
 def test_thrusters_without_reverse_drive_no_way():
-    assert able(CASES["pair and lift"][0], reverse_n=0.0).missing == ("surge", "sway", "heave")
+    assert able(CASES["pair and lift"][0], reverse_n=0.0).missing_axes == ("surge", "sway", "heave")
 
 
 def test_a_sway_of_canted_thrusters_is_not_counted():
@@ -56,18 +56,20 @@ def test_a_sway_of_canted_thrusters_is_not_counted():
     lean = np.deg2rad(1.0)
     canted = [((0.2 * x, 0.2 * y, 0), (np.cos(lean), x * y * np.sin(lean), 0))
               for x in (1, -1) for y in (1, -1)]  # fmt: skip
-    assert able([*canted, ((0, 0, 0), Z)]).missing == ("sway",)
+    assert able([*canted, ((0, 0, 0), Z)]).missing_axes == ("sway",)
 
 
-@pytest.mark.parametrize("name", library.available())
+@pytest.mark.parametrize("name", library.list_vehicles())
 def test_shipped_vehicles_go_every_way(name):
-    config = library.load(name)
+    config = library.load_vehicle(name)
     for chosen in config.parameter_sets:
-        assert np.all(np.asarray(build(config, chosen, 16.0).terminal_speed_mps) > 0.3)
+        assert np.all(np.asarray(build_vehicle(config, chosen, 16.0).terminal_speed_mps) > 0.3)
 
 
 def test_a_vehicle_that_cannot_fly_is_named(tmp_path):
-    config = library.load(str(made_up.write(tmp_path / "t.toml", made_up.TORPEDO, name="tube")))
+    config = library.load_vehicle(
+        str(made_up.write(tmp_path / "t.toml", made_up.TORPEDO, name="tube"))
+    )
     lame = able(CASES["no lift"][0])
     with pytest.raises(ConfigError, match=r"vehicle 'tube' cannot fly a path: no thrust in heave"):
         drive.require_flyable(config, lame)
@@ -76,6 +78,6 @@ def test_a_vehicle_that_cannot_fly_is_named(tmp_path):
 
 def test_two_files_of_one_size_and_age_are_two_files(tmp_path):
     path = made_up.write(tmp_path / "t.toml", made_up.FOUR, name="one")
-    assert library.load(str(path)).name == "one"
+    assert library.load_vehicle(str(path)).name == "one"
     path.write_text(path.read_text().replace('"one"', '"two"'))
-    assert library.load(str(path)).name == "two"
+    assert library.load_vehicle(str(path)).name == "two"

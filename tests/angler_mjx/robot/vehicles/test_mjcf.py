@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from angler_mjx.robot.vehicles.drive import wrench_matrix
-from angler_mjx.robot.vehicles.library import available, load
+from angler_mjx.robot.vehicles.library import list_vehicles, load_vehicle
 from angler_mjx.robot.vehicles.mjcf import to_spec, to_xml
 
 
-@pytest.fixture(scope="module", params=available())
+@pytest.fixture(scope="module", params=list_vehicles())
 def vehicle(request):
-    config = load(request.param)
+    config = load_vehicle(request.param)
     return config, mujoco.MjModel.from_xml_string(to_xml(config, "blue_gazebo"))
 
 

@@ -9,8 +9,8 @@ import pytest
 from angler_mjx import frames
 from angler_mjx.robot.vehicles.config import VehicleConfig
 from angler_mjx.robot.vehicles.drive import full_force, terminal_speed, wrench_matrix
-from angler_mjx.robot.vehicles.library import load
-from angler_mjx.robot.vehicles.params import build, stack
+from angler_mjx.robot.vehicles.library import load_vehicle
+from angler_mjx.robot.vehicles.params import build_vehicle, stack_vehicles
 
 # Wrench of one newton of each thruster of the Heavy that blue's own geometry gives: x forward,
 # y starboard, z down, moments about the centre of mass. As published: rounded.
@@ -31,12 +31,12 @@ TABLE_ROUNDING = np.array([5e-4, 5e-4, 5e-4, 5e-5, 5e-5, 5e-5 + 0.0004 * 0.06])[
 
 @pytest.fixture(scope="module")
 def heavy():
-    return load("bluerov2_heavy")
+    return load_vehicle("bluerov2_heavy")
 
 
 @pytest.fixture(scope="module")
 def light():
-    return load("bluerov2")
+    return load_vehicle("bluerov2")
 
 
 def test_wrench_matrix_is_the_true_one_of_the_geometry(heavy):
@@ -72,7 +72,7 @@ def test_reaction_torque_opposes_the_spin(heavy):
 )
 def test_surge_terminal_speed_at_16_v(heavy, name, surge_mps):
     # The published comparison has two decimals.
-    assert float(build(heavy, name, 16.0).terminal_speed_mps[0]) == pytest.approx(
+    assert float(build_vehicle(heavy, name, 16.0).terminal_speed_mps[0]) == pytest.approx(
         surge_mps, abs=0.01
     )
 
@@ -91,7 +91,7 @@ def test_terminal_speed_balances_damping():
 
 
 def test_hull_is_about_the_center_of_mass_and_inside_its_sphere(heavy):
-    params = build(heavy, "wu2018", 16.0)
+    params = build_vehicle(heavy, "wu2018", 16.0)
     # float32 of numbers below 1.
     np.testing.assert_allclose(np.asarray(params.capsule_a_m)[:, 2], -0.011, atol=1e-7)
     ends = np.concatenate([params.capsule_a_m, params.capsule_b_m])
@@ -100,7 +100,7 @@ def test_hull_is_about_the_center_of_mass_and_inside_its_sphere(heavy):
 
 
 def test_numbers_of_the_file_arrive_unchanged(heavy):
-    params = build(heavy, None, 16.0)
+    params = build_vehicle(heavy, None, 16.0)
 
     def same(leaf, numbers):
         np.testing.assert_array_equal(leaf, np.asarray(numbers, dtype=leaf.dtype))
@@ -117,8 +117,10 @@ def test_numbers_of_the_file_arrive_unchanged(heavy):
 
 
 def test_a_fault_is_in_the_numbers_of_the_robot(heavy):
-    sound = build(heavy, "wu2018", 16.0)
-    faulty = build(heavy, "wu2018", 16.0, thruster_health={"thruster_8": 0.0, "thruster_1": 0.5})
+    sound = build_vehicle(heavy, "wu2018", 16.0)
+    faulty = build_vehicle(
+        heavy, "wu2018", 16.0, thruster_health={"thruster_8": 0.0, "thruster_1": 0.5}
+    )
     np.testing.assert_array_equal(faulty.thruster_health, [0.5, 1, 1, 1, 1, 1, 1, 0])
     np.testing.assert_array_equal(faulty.thruster_exists, [True] * 7 + [False])
     # Geometry and speeds stay those of the sound vehicle.
@@ -127,8 +129,8 @@ def test_a_fault_is_in_the_numbers_of_the_robot(heavy):
 
 
 def test_stack_pads_without_changing_a_robot(heavy, light):
-    robots = [build(light, None, 14.8), build(heavy, "wu2018", 16.0)]
-    fleet = stack(robots)
+    robots = [build_vehicle(light, None, 14.8), build_vehicle(heavy, "wu2018", 16.0)]
+    fleet = stack_vehicles(robots)
     assert fleet.B.shape == (2, 6, 8)
     assert fleet.capsule_a_m.shape == (2, 3, 3)
     np.testing.assert_array_equal(fleet.thruster_exists.sum(axis=1), [6, 8])

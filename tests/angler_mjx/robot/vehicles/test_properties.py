@@ -4,20 +4,20 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from angler_mjx.robot.vehicles.library import load
-from angler_mjx.robot.vehicles.properties import describe
+from angler_mjx.robot.vehicles.library import load_vehicle
+from angler_mjx.robot.vehicles.properties import describe_vehicle
 
 
 def test_wu_is_two_newtons_light():
-    facts = describe(load("bluerov2_heavy"), "wu2018", 16.0)
+    facts = describe_vehicle(load_vehicle("bluerov2_heavy"), "wu2018", 16.0)
     # The copies of the set swap the two numbers; weight is m g, so buoyancy is the larger.
     assert facts.weight_n == pytest.approx(112.8, abs=0.05)
     assert facts.buoyancy_n == pytest.approx(114.8, abs=0.05)
 
 
 def test_blue_gazebo_floats_as_its_source_says():
-    heavy = describe(load("bluerov2_heavy"), "blue_gazebo", 16.0)
-    light = describe(load("bluerov2"), "blue_gazebo", 16.0)
+    heavy = describe_vehicle(load_vehicle("bluerov2_heavy"), "blue_gazebo", 16.0)
+    light = describe_vehicle(load_vehicle("bluerov2"), "blue_gazebo", 16.0)
     # Net buoyancy is given with two decimals there.
     assert heavy.buoyancy_n - heavy.weight_n == pytest.approx(1.20, abs=0.01)
     assert light.buoyancy_n - light.weight_n == pytest.approx(0.28, abs=0.01)
@@ -25,11 +25,11 @@ def test_blue_gazebo_floats_as_its_source_says():
 
 @pytest.mark.parametrize(("axis", "key"), [(0, "roll_period_s"), (1, "pitch_period_s")])
 def test_period_is_that_of_the_undamped_pendulum(axis, key):
-    chosen = load("bluerov2_heavy").find_set("von_benzon2022")
+    chosen = load_vehicle("bluerov2_heavy").find_set("von_benzon2022")
     inertia = chosen.rigid_body.inertia_kgm2[axis][axis]
     virtual = inertia + chosen.added_mass.coefficients[3 + axis][3 + axis]
     moment = 1000 * 9.81 * 0.0134 * 0.01
-    period = getattr(describe(load("bluerov2_heavy"), "von_benzon2022", 16.0), key)
+    period = getattr(describe_vehicle(load_vehicle("bluerov2_heavy"), "von_benzon2022", 16.0), key)
     angle = 0.01
     after = solve_ivp(
         lambda _, s: [s[1], -moment * np.sin(s[0]) / virtual],
@@ -45,13 +45,13 @@ def test_period_is_that_of_the_undamped_pendulum(axis, key):
 
 
 def test_nothing_rights_a_vehicle_whose_centers_coincide():
-    facts = describe(load("bluerov2"), "blue_ismc", 16.0)
+    facts = describe_vehicle(load_vehicle("bluerov2"), "blue_ismc", 16.0)
     assert facts.roll_period_s is None
     assert facts.pitch_period_s is None
 
 
 def test_speed_time_constant_is_the_decay_rate_at_terminal_speed():
-    facts = describe(load("bluerov2_heavy"), "wu2018", 16.0)
+    facts = describe_vehicle(load_vehicle("bluerov2_heavy"), "wu2018", 16.0)
     mass, d_l, d_q = 11.5 + 5.5, 4.03, 18.18
     v = facts.terminal_speed_mps[0]
     force = d_l * v + d_q * v * v

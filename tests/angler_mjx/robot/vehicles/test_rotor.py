@@ -8,7 +8,7 @@ from scipy import signal
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.robot.vehicles import params, rotor
-from angler_mjx.robot.vehicles.library import load
+from angler_mjx.robot.vehicles.library import load_vehicle
 from angler_mjx.robot.vehicles.rotor import RotorFilter
 from angler_mjx.sim.physics import rotors
 
@@ -23,7 +23,9 @@ def x64():
 
 @pytest.fixture(scope="module")
 def heavy():
-    return params.build(load("bluerov2_heavy"), None, 16.0, rotor_response="third_order")
+    return params.build_vehicle(
+        load_vehicle("bluerov2_heavy"), None, 16.0, rotor_response="third_order"
+    )
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +35,7 @@ def respond(heavy):
     @jax.jit
     def run(commands):
         def one(states, command):
-            states, mean = rotors.advance(heavy, states, command, STEP_S)
+            states, mean = rotors.advance_rotors(heavy, states, command, STEP_S)
             return states, (states[0], mean)
 
         return jax.lax.scan(one, rotors.at_rest(heavy, float), commands)[1]
@@ -70,10 +72,14 @@ def test_any_held_command_is_followed_exactly(respond, deviation):
         # float64 on 50 N; scipy's states are 1e4 times larger than the thrust.
         deviation.close("rotor.third_order_commands", thrust[:, i], expected[1:], atol=1e-8)
     # Ten short steps of one command are one long one: thrusts, and means.
-    heavy = params.build(load("bluerov2_heavy"), None, 16.0, rotor_response="third_order")
+    heavy = params.build_vehicle(
+        load_vehicle("bluerov2_heavy"), None, 16.0, rotor_response="third_order"
+    )
     states = rotors.at_rest(heavy, float)
     for block in range(3):
-        states, whole = rotors.advance(heavy, states, jnp.asarray(commands[10 * block]), 0.01)
+        states, whole = rotors.advance_rotors(
+            heavy, states, jnp.asarray(commands[10 * block]), 0.01
+        )
         part = slice(10 * block, 10 * block + 10)
         np.testing.assert_allclose(states[0], thrust[part][-1], rtol=0, atol=1e-12)
         np.testing.assert_allclose(whole, mean[part].mean(axis=0), rtol=0, atol=1e-12)
@@ -82,7 +88,7 @@ def test_any_held_command_is_followed_exactly(respond, deviation):
 def test_states_rest_where_they_settle():
     """Any stable filter, one with a term in s^2 and a slow pole; in one long step."""
     filter = RotorFilter(numerator=(3.0, 40.0, 500.0), denominator=(20.0, 150.0, 500.0))
-    step = rotor.discretise(filter, 1.7)
+    step = rotor.discretise_rotor(filter, 1.7)
     # The slowest pole is at -4.4 1/s: 5e-4 are left after 1.7 s.
     assert np.abs(step.transition).max() < 5e-3
     # The mean of a step's response: what it falls short by is (a_1 - b_1) / a_0 (final value
@@ -92,19 +98,19 @@ def test_states_rest_where_they_settle():
 
 
 def test_a_vehicle_keeps_its_own_response_where_none_is_named(heavy):
-    config = load("bluerov2_heavy")
-    assert params.build(config, None, 16.0).rotor is None
+    config = load_vehicle("bluerov2_heavy")
+    assert params.build_vehicle(config, None, 16.0).rotor is None
     other = config.model_copy(
         update={"rotor": config.rotor.model_copy(update={"response": "third_order"})}
     )
-    assert params.build(other, None, 16.0).rotor == heavy.rotor
-    assert params.build(other, None, 16.0, rotor_response="first_order").rotor is None
+    assert params.build_vehicle(other, None, 16.0).rotor == heavy.rotor
+    assert params.build_vehicle(other, None, 16.0, rotor_response="first_order").rotor is None
 
 
 def test_a_response_without_numbers_is_refused():
-    config = load("bluerov2")
+    config = load_vehicle("bluerov2")
     bare = config.model_copy(
         update={"rotor": config.rotor.model_copy(update={"third_order": None})}
     )
     with pytest.raises(ConfigError, match=r"bluerov2.*\[rotor.third_order\]"):
-        params.build(bare, None, 16.0, rotor_response="third_order")
+        params.build_vehicle(bare, None, 16.0, rotor_response="third_order")

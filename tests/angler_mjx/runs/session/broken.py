@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.testing.driving import twist
+from angler_mjx.testing.driving import make_twist
 
 
 def shift(observation, **changes):
@@ -19,7 +19,7 @@ def broken(borrowed):
         """Stops where no command comes."""
 
         def step(self, commands=None):
-            return super().step(commands or {0: twist(0, 0, 0, 0, 0, 0)})
+            return super().step(commands or {0: make_twist(0, 0, 0, 0, 0, 0)})
 
     class Restless(borrowed):
         """Moves on when it is looked at."""
@@ -54,7 +54,7 @@ def broken(borrowed):
             turned = {}
             for robot, command in (commands or {}).items():
                 u, v, w, p, q, r = np.asarray(command.nu)
-                turned[robot] = twist(-v, u, w, p, q, r)
+                turned[robot] = make_twist(-v, u, w, p, q, r)
             return super().step(turned)
 
     class Careless(borrowed):

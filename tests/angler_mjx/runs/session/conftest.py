@@ -3,9 +3,9 @@
 import pytest
 
 from angler_mjx.errors import RunError
-from angler_mjx.robot.control.joint_tolerance import JointTolerance, tolerances
+from angler_mjx.robot.control.joint_tolerance import JointTolerance, build_tolerances
 from angler_mjx.robot.control.joint_trajectory import VEHICLE_JOINTS
-from angler_mjx.runs.session.batch import BatchSession
+from angler_mjx.runs.session.batch_session import BatchSession
 
 CALM = """
 schema_version = 1
@@ -40,7 +40,7 @@ def calm(tmp_path_factory):
 @pytest.fixture(scope="session")
 def heavies(calm):
     """Two Heavies in the fused engine, which may leave a JointTrajectory by half a metre."""
-    allowed = tolerances(
+    allowed = build_tolerances(
         VEHICLE_JOINTS,
         default_path=JointTolerance(position=0.5),
         default_goal=JointTolerance(position=0.15),

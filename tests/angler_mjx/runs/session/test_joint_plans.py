@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from angler_mjx.robot.control.joint_trajectory import CUBIC, JointTrajectory, from_path
-from angler_mjx.runs.session.batch import BatchSession
+from angler_mjx.runs.session.batch_session import BatchSession
 from angler_mjx.runs.session.recording import RecordedCourse, SessionRecording
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.sim.state import Outcome
-from angler_mjx.testing.driving import heading, pose, position, run, turned
+from angler_mjx.testing.driving import heading, heading_difference, make_pose, position, run_steps
 
 YAW, POINTS = 1.0, 300
 """Headings of all plans, whichever way they go; more points than sessions take by themselves."""
@@ -73,13 +73,13 @@ def test_robots_fly_them_leave_them_and_take_them_up_again(drawn, tmp_path):
             return seen
 
         now = fly(8.0)[-1]
-        assert turned(heading(now, 0), YAW) < 0.1
+        assert heading_difference(heading(now, 0), YAW) < 0.1
         aside = position(now, 0) + np.array([0.0, 0.0, -1.0])
-        fly(5.0, {0: pose(aside, YAW + 1.5)})
+        fly(5.0, {0: make_pose(aside, YAW + 1.5)})
         session.resume_plan(0)
         back = fly(6.0)
         assert [status.command for status in back[-1].status] == ["plan", "plan"]
-        assert turned(heading(back[-1], 0), YAW) < 0.1
+        assert heading_difference(heading(back[-1], 0), YAW) < 0.1
         # What is left of the longer plan, and what the way back and the wait took.
         rest = fly(float(path.time_s.max()))
         assert {status.outcome for status in rest[-1].status} == {Outcome.REACHED}
@@ -95,7 +95,7 @@ def test_a_joint_order_joins_the_plan_without_a_step(drawn):
     """A JointTrajectory that comes in mid-plan begins where the plan has the robot."""
     session, _ = drawn
     session.reset()
-    before = run(session, 6.0)[-1]
+    before = run_steps(session, 6.0)[-1]
     p = position(before, 0)
     order = jax.tree.map(lambda leaf: np.asarray(leaf)[0, 0], session.inside().worlds.path)
     stay = replace(

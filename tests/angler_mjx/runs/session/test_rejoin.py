@@ -7,15 +7,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from angler_mjx.runs.session.plan import Plan
 from angler_mjx.runs.session.rejoin import RejoinPaths
+from angler_mjx.runs.session.robot_plan import RobotPlan
 from angler_mjx.world import generate
-from angler_mjx.world.config import WorldConfig, resolve
+from angler_mjx.world.config import WorldConfig, resolve_world
 
 from ...compiling import quickly
 
 CLEARANCE_M, SPEED_MPS = 0.5, 0.5
-PLAN = Plan(
+PLAN = RobotPlan(
     time_s=np.array([0.0, 20.0, 36.0]),
     position_m=np.array([[-5.0, 4.0, -8.0], [5.0, 4.0, -8.0], [5.0, -4.0, -8.0]]),
 )
@@ -24,8 +24,8 @@ PLAN = Plan(
 @pytest.fixture(scope="module")
 def water():
     """An open cube of 12^3 cells of 1.5 m: x and y from -9 to 9 m, z from -20 to -2 m."""
-    recipe = resolve(WorldConfig(preset="open", shape=(12, 12, 12), placement="random"))
-    draw = quickly(lambda key: generate.generate(recipe, jnp.array([0.3]), key, 60.0, 1000.0))
+    recipe = resolve_world(WorldConfig(preset="open", shape=(12, 12, 12), placement="random"))
+    draw = quickly(lambda key: generate.generate_world(recipe, jnp.array([0.3]), key, 60.0, 1000.0))
     return draw(jax.random.key(0))
 
 
@@ -51,7 +51,7 @@ REST = np.zeros(3)
 def test_it_goes_straight_to_the_nearest_point_that_is_still_ahead(water):
     ways = RejoinPaths(water)
     p = np.array([-2.0, 1.0, -8.0])
-    back = ways.back(p, REST, PLAN, 4.0, CLEARANCE_M, SPEED_MPS)
+    back = ways.plan_rejoin(p, REST, PLAN, 4.0, CLEARANCE_M, SPEED_MPS)
     np.testing.assert_allclose(back.position_m[0], p)
     np.testing.assert_allclose(back.position_m[-1], PLAN.position_m[-1])
     # Straight across to (-2, 4), which the plan passes at 6 s, then along: 64 looks in 32 s.
@@ -59,7 +59,7 @@ def test_it_goes_straight_to_the_nearest_point_that_is_still_ahead(water):
     np.testing.assert_allclose(way[:, 0].min(), -2.0, atol=0.3)
     assert back.time_s[-1] == pytest.approx(36.0 - 6.0 + 6.0 + 1.0, abs=0.7)
     # Once it has passed the nearest place, it does not go back to it.
-    later = ways.back(p, REST, PLAN, 12.0, CLEARANCE_M, SPEED_MPS)
+    later = ways.plan_rejoin(p, REST, PLAN, 12.0, CLEARANCE_M, SPEED_MPS)
     assert np.all(np.diff(later.position_m[:, 0]) > -1e-6)
 
 
@@ -67,7 +67,7 @@ def test_it_sets_out_evenly_from_rest_and_keeps_its_speed_otherwise(water):
     ways = RejoinPaths(water)
     p = np.array([-2.0, 1.0, -8.0])
     for velocity, first in ((REST, 0.0), (np.array([0.0, 0.5, 0.0]), 0.5)):
-        back = ways.back(p, velocity, PLAN, 6.0, CLEARANCE_M, SPEED_MPS)
+        back = ways.plan_rejoin(p, velocity, PLAN, 6.0, CLEARANCE_M, SPEED_MPS)
         speed = np.linalg.norm(np.diff(back.position_m, axis=0), axis=1) / np.diff(back.time_s)
         assert np.all(np.diff(back.time_s) > 0)
         assert speed.max() <= SPEED_MPS + 1e-6
@@ -78,11 +78,11 @@ def test_it_sets_out_evenly_from_rest_and_keeps_its_speed_otherwise(water):
 def test_it_goes_around_a_wall(water):
     wall = with_rock(water, (slice(0, 10), 6, slice(None)))  # y from 0 to 1.5, open at large x
     p = np.array([-4.0, -3.0, -8.0])
-    back = RejoinPaths(wall).back(p, REST, PLAN, 0.0, CLEARANCE_M, SPEED_MPS)
+    back = RejoinPaths(wall).plan_rejoin(p, REST, PLAN, 0.0, CLEARANCE_M, SPEED_MPS)
     np.testing.assert_allclose(back.position_m[0], p)
     assert clearance(wall, back) >= CLEARANCE_M - 1e-3
     # The nearest point of the plan lies behind the wall: straight to it would run through rock.
-    straight = Plan(time_s=np.array([0.0, 1.0]), position_m=np.array([p, [-4.0, 4.0, -8.0]]))
+    straight = RobotPlan(time_s=np.array([0.0, 1.0]), position_m=np.array([p, [-4.0, 4.0, -8.0]]))
     assert clearance(wall, straight) == 0.0
 
 
@@ -93,7 +93,7 @@ def test_it_finds_a_hole_by_its_cells(water):
     wall[10, 6, 2] = False
     holed = replace(water, grid=replace(water.grid, occupied=jnp.asarray(wall)))
     plan = replace(PLAN, time_s=PLAN.time_s[:2], position_m=PLAN.position_m[:2])
-    back = RejoinPaths(holed).back(
+    back = RejoinPaths(holed).plan_rejoin(
         np.array([-4.0, -3.0, -8.0]), REST, plan, 0.0, CLEARANCE_M, SPEED_MPS
     )
     assert clearance(holed, back) >= CLEARANCE_M - 1e-3
@@ -107,12 +107,12 @@ def test_who_is_shut_in_has_no_way_back(water):
     shut = with_rock(water, (slice(None), 6, slice(None)))
     plan = replace(PLAN, time_s=PLAN.time_s[:2], position_m=PLAN.position_m[:2])
     p = np.array([-4.0, -3.0, -8.0])
-    assert RejoinPaths(shut).back(p, REST, plan, 0.0, CLEARANCE_M, SPEED_MPS) is None
+    assert RejoinPaths(shut).plan_rejoin(p, REST, plan, 0.0, CLEARANCE_M, SPEED_MPS) is None
 
 
 def test_who_is_close_to_rock_leaves_it_at_its_own_distance(water):
     """0.3 m from a wall a robot that keeps 0.5 m from rock would find no way at all."""
     wall = with_rock(water, (slice(None), 2, slice(None)))  # y from -6 to -4.5
     p = np.array([0.0, -4.2, -8.0])
-    back = RejoinPaths(wall).back(p, REST, PLAN, 0.0, CLEARANCE_M, SPEED_MPS)
+    back = RejoinPaths(wall).plan_rejoin(p, REST, PLAN, 0.0, CLEARANCE_M, SPEED_MPS)
     assert clearance(wall, back) == pytest.approx(0.3, abs=1e-3)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from angler_mjx.planning.planner import PathShape
-from angler_mjx.runs.simulator import prepare
+from angler_mjx.runs.simulator import world_preparation
 from angler_mjx.scenario.scenario import load_scenario
 
 SCENARIO = """
@@ -60,13 +60,13 @@ def keys(tmp_path, monkeypatch):
         def generate(recipe, radius, key, *rest):
             return jax.random.key_data(key)
 
-        monkeypatch.setattr(prepare.fleet, "draw", draw)
-        monkeypatch.setattr(prepare.fleet, "radius_bound", lambda _: jnp.ones(count))
-        monkeypatch.setattr(prepare.generate, "generate", generate)
-        monkeypatch.setattr(prepare.grid_planner, "plan", lambda *_: None)
+        monkeypatch.setattr(world_preparation.fleet, "sample_variants", draw)
+        monkeypatch.setattr(world_preparation.fleet, "radius_bound", lambda _: jnp.ones(count))
+        monkeypatch.setattr(world_preparation.generate, "generate_world", generate)
+        monkeypatch.setattr(world_preparation.grid_planner, "plan_grid", lambda *_: None)
         scenario = load_scenario(file)
-        make = prepare.preparer(
-            scenario, scenario.planner.chosen(), TILE, shape=PathShape(points=32)
+        make = world_preparation.build_preparer(
+            scenario, scenario.planner.planner_spec(), TILE, shape=PathShape(points=32)
         )
         worlds = make(None, jnp.uint32(seed), jnp.array([first], jnp.uint32))
         return tuple(map(np.asarray, (worlds.body, worlds.environment, worlds.sensing_key)))

@@ -11,9 +11,9 @@ import pytest
 from angler_mjx.planning.planner import PathShape
 from angler_mjx.planning.routes.policy import AlongRoutes
 from angler_mjx.runs.simulator import programs
-from angler_mjx.runs.simulator.compiling import CompileTime
+from angler_mjx.runs.simulator.compilation import CompileTime
 from angler_mjx.runs.simulator.simulator import Simulator
-from angler_mjx.scenario.editing import table_of, with_value
+from angler_mjx.scenario.editing import scenario_table, set_value
 from angler_mjx.scenario.scenario import Scenario
 
 WITHOUT_PATHS = PathShape(points=2)
@@ -21,9 +21,9 @@ WITHOUT_PATHS = PathShape(points=2)
 
 @pytest.fixture(autouse=True)
 def _no_others():
-    programs.forget()
+    programs.clear_shared()
     yield
-    programs.forget()
+    programs.clear_shared()
 
 
 @pytest.fixture(scope="module")
@@ -37,9 +37,9 @@ def _programs(scenario, **options):
 
 def _edited(scenario, edits):
     """A scenario with values at dotted keys, checked anew."""
-    table = table_of(scenario)
+    table = scenario_table(scenario)
     for key, value in edits.items():
-        table = with_value(table, key, value)
+        table = set_value(table, key, value)
     return Scenario.model_validate(table)
 
 
@@ -53,7 +53,7 @@ def test_a_scenario_of_another_name_and_seed_uses_the_programs_and_gives_its_own
     assert second.compile() == CompileTime()
     assert second.problems(0, 1, seed=9)[0].name.scenario == "other"
     shared = _flown(second)
-    programs.forget()
+    programs.clear_shared()
     alone = Simulator(other)
     assert alone.programs is not first.programs
     for path, leaf in jax.tree.leaves_with_path(_flown(alone)):
@@ -80,11 +80,11 @@ def _flown(simulator):
         {"fleet.0.estimate": "ekf"},
         {"planner.margin_m": 0.2},
         {"planner.points": 16},
-        {"planner.knows.obstacles": "predicted"},
+        {"planner.information.obstacles": "predicted"},
         {"planner.replan_hz": 1.0},
         {"controller.name": "ardusub"},
         {"world.preset": "open"},
-        {"breakdowns.share": 0.5},
+        {"breakdowns.fraction": 0.5},
         {"randomise.current": [0.5, 1.5]},
         {"acoustics": {"model": "range", "range_m": 20.0}},
     ],
@@ -120,7 +120,11 @@ def test_a_vehicle_file_that_was_edited_is_read_again(small, tmp_path):
 
 def test_code_of_a_caller_is_traced_anew(small, tmp_path):
     policy = AlongRoutes(
-        dt_s=small.time.control_dt_s, horizon_s=2.0, routes_margin_m=0.3, period=5, looks=5
+        dt_s=small.time.control_dt_s,
+        horizon_s=2.0,
+        routes_margin_m=0.3,
+        period=5,
+        observation_period=5,
     )
     assert _programs(small, policy=policy) is not _programs(small, policy=policy)
     file = tmp_path / "batch.py"
@@ -141,7 +145,7 @@ def test_planners_of_the_host_share_the_programs_that_draw_their_problems(small,
 
 
 def test_the_least_recently_used_programs_are_dropped(small, monkeypatch):
-    monkeypatch.setattr(programs, "HELD", 2)
+    monkeypatch.setattr(programs, "MAX_SHARED", 2)
     one, two = _programs(small), _programs(small, tile=1)
     assert _programs(small) is one
     _programs(small, tile=3)

@@ -3,8 +3,8 @@
 import pyarrow as pa
 import pytest
 
-from angler_mjx.runs.storage.columns import EPISODE_SCHEMA
-from angler_mjx.runs.storage.results import checked
+from angler_mjx.runs.storage.episode_columns import EPISODE_SCHEMA
+from angler_mjx.runs.storage.results import check_table
 
 OF_TEXT = {"outcome": "reached", "vehicle": "a", "parameter_set": "b", "failure_pair": "none"}
 
@@ -21,7 +21,7 @@ def rows(last):
 @pytest.mark.parametrize("last", ["redraws", "late_s", "failed_replans"])
 def test_columns_that_older_runs_lack_are_empty(last):
     table = rows(last)
-    found = checked(table)
+    found = check_table(table)
     assert found.schema.equals(EPISODE_SCHEMA)
     for name in EPISODE_SCHEMA.names:
         known = name in table.column_names
@@ -30,4 +30,4 @@ def test_columns_that_older_runs_lack_are_empty(last):
 
 def test_columns_of_no_version_are_refused():
     with pytest.raises(ValueError, match="holds the columns"):
-        checked(rows("plan_reason"))
+        check_table(rows("plan_reason"))

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.runs.storage import atomic, environments, folder, output_lock
+from angler_mjx.runs.storage import atomic_files, environments, folder, output_lock
 from angler_mjx.world.config import WorldConfig
 
 from ...report.viewing.conftest import make_environment
@@ -102,7 +102,7 @@ def test_what_somebody_put_under_the_name_of_a_dead_claim_stays(tmp_path):
 )
 def test_an_unfinished_run_says_the_one_way_on(name, words, tmp_path):
     leave(tmp_path / "out", name)
-    for take in (folder.create, folder.require_none):
+    for take in (folder.create_folder, folder.require_none):
         with pytest.raises(ConfigError, match=f"its process has ended; {words}"):
             take(tmp_path / "out")
     assert (tmp_path / ".out.partial" / name).exists()
@@ -114,9 +114,9 @@ def test_environments_of_a_killed_process_are_made_anew(tmp_path, monkeypatch):
     monkeypatch.setattr(environments, "generate_batch", lambda *_: batch)
     leave(tmp_path / "envs.zarr", "zarr.json")
     config = WorldConfig.model_validate({"preset": "open"})
-    assert environments.make(tmp_path / "envs.zarr", config, np.full(1, 0.4), 0, 1, 1) == 0
+    assert environments.generate_file(tmp_path / "envs.zarr", config, np.full(1, 0.4), 0, 1, 1) == 0
     assert [path.name for path in tmp_path.iterdir()] == ["envs.zarr"]
-    assert environments.open_file(tmp_path / "envs.zarr")["valid"].shape == (1,)
+    assert environments.open_environments(tmp_path / "envs.zarr")["valid"].shape == (1,)
 
 
 def test_where_there_are_no_locks_the_file_says_who_it_is(tmp_path, monkeypatch):
@@ -172,24 +172,24 @@ def test_what_is_in_the_way_at_the_end_stays_and_so_does_the_work(tmp_path):
 
 def test_a_file_is_whole_or_as_it_was(tmp_path):
     path = tmp_path / "file.txt"
-    atomic.write_text(path, "old")
+    atomic_files.write_text(path, "old")
 
     def broken_off():
-        with atomic.whole(path) as writing:
+        with atomic_files.write_atomically(path) as writing:
             writing.write_text("new, but not yet")
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         broken_off()
     assert path.read_text() == "old"
-    with pytest.raises(ConfigError, match="exists"), atomic.replacing(path, flag="--out"):
+    with pytest.raises(ConfigError, match="exists"), atomic_files.replace_file(path, flag="--out"):
         pass
     long = tmp_path / ("x" * 300)
-    with pytest.raises(ConfigError, match="written"), atomic.replacing(long, flag="--out"):
+    with pytest.raises(ConfigError, match="written"), atomic_files.replace_file(long, flag="--out"):
         pass
     with pytest.raises(ConfigError, match=r"--mcap .*too long"):
-        atomic.require_free(long, flag="--mcap")
-    with atomic.replacing(path, flag="--out", force=True) as writing:
+        atomic_files.require_free(long, flag="--mcap")
+    with atomic_files.replace_file(path, flag="--out", force=True) as writing:
         writing.write_text("new")
     assert path.read_text() == "new"
     assert [one.name for one in tmp_path.iterdir()] == ["file.txt"]

@@ -7,14 +7,20 @@ import zarr
 
 from angler_mjx.runs.storage import environments as store
 from angler_mjx.runs.storage import recorder, shards
-from angler_mjx.runs.storage.device_to_host import Constants, FinishedTile, Last, TileEnd, arrays
-from angler_mjx.runs.storage.recorder import Recorder, Shape
+from angler_mjx.runs.storage.device_to_host import (
+    FinishedTile,
+    LastState,
+    TileConstants,
+    TileEnd,
+    recorded_arrays,
+)
+from angler_mjx.runs.storage.recorder import Recorder, TrajectoryShape
 from angler_mjx.sim.record import FIELDS, Sample
 
 from ...report.viewing.conftest import make_environment
 
 TILE, SAMPLES, ROBOTS, OBSTACLES = 4, 6, 2, 3
-SHAPE = Shape(
+SHAPE = TrajectoryShape(
     worlds=7, samples=SAMPLES, robots=ROBOTS, thrusters=8, obstacles=OBSTACLES, plan_points=5
 )
 
@@ -31,7 +37,7 @@ def make_tile(environment, first, kept, rng):
 
     def part(n):
         values = {}
-        for field in (field for field in FIELDS if not field.optional):
+        for field in (field for field in FIELDS if not field.is_optional):
             lead = (TILE, n, *field.shape(SHAPE.sizes))
             values[field.path[0]] = rng.normal(size=lead).astype(np.float32)
             if field.about.whole:
@@ -40,7 +46,7 @@ def make_tile(environment, first, kept, rng):
         pwm[0, 0, 0, 1] = np.nan
         return Sample(**{**values, "pwm_us": pwm})
 
-    constants = Constants(
+    constants = TileConstants(
         valid=None,
         redraws=None,
         variant=None,
@@ -53,7 +59,7 @@ def make_tile(environment, first, kept, rng):
             "plan_m": rng.normal(size=(TILE, ROBOTS, 5, 3)).astype(np.float32),
         },
     )
-    last = Last(
+    last = LastState(
         step=np.full(TILE, 5, np.int32),
         p=rng.normal(size=(TILE, ROBOTS, 3)).astype(np.float32),
         q=rng.normal(size=(TILE, ROBOTS, 4)).astype(np.float32),
@@ -71,7 +77,9 @@ def write_all(path, environment):
     made = Recorder.create(path, SHAPE, environment, tile=TILE, sample_dt_s=0.1)
     rng = np.random.default_rng(0)
     tiles = [make_tile(environment, 0, 4, rng), make_tile(environment, 4, 3, rng)]
-    written = [made.write(tile.first, arrays(tile, SAMPLES), environment) for tile in tiles]
+    written = [
+        made.write(tile.first, recorded_arrays(tile, SAMPLES), environment) for tile in tiles
+    ]
     return tiles, written
 
 
@@ -137,20 +145,20 @@ def test_arrays_say_what_they_hold(written):
 def test_environments_are_what_the_store_would_have_written(written, environment, tmp_path):
     path, _, _ = written
     theirs = zarr.open_group(tmp_path / "theirs.zarr", mode="w-")
-    store.describe(theirs, environment, SHAPE.worlds, TILE)
+    store.create_arrays(theirs, environment, SHAPE.worlds, TILE)
     for first in (0, 4):
-        store.write(theirs, first, environment)
+        store.write_batch(theirs, first, environment)
     ours = zarr.open_group(path, mode="r")["environment"]
-    for name in store.leaves(environment):
+    for name in store.named_leaves(environment):
         np.testing.assert_array_equal(ours[name][...], theirs[name][...], err_msg=name)
-    assert store.read(ours, 5).obstacles.kinds == environment.obstacles.kinds
+    assert store.read_environments(ours, 5).obstacles.kinds == environment.obstacles.kinds
 
 
 def test_threads_and_blocks_change_no_byte(written, environment, tmp_path, monkeypatch):
     path, _, sizes = written
     monkeypatch.setattr(recorder, "BLOCK_BYTES", 1)
-    monkeypatch.setattr(recorder, "ENCODERS", 1)
-    monkeypatch.setattr(recorder, "WRITERS", 1)
+    monkeypatch.setattr(recorder, "ENCODER_THREADS", 1)
+    monkeypatch.setattr(recorder, "WRITER_THREADS", 1)
     _, others = write_all(tmp_path / "run.zarr", environment)
     assert others == sizes
     assert files(tmp_path / "run.zarr") == files(path)
@@ -175,11 +183,11 @@ def test_a_failed_write_leaves_no_file_and_is_told(environment, tmp_path, monkey
 
     monkeypatch.setattr(shards, "_write_all", full)
     with pytest.raises(OSError, match="No space left"):
-        made.write(0, arrays(tile, SAMPLES), environment)
+        made.write(0, recorded_arrays(tile, SAMPLES), environment)
     assert [p for p in (tmp_path / "run.zarr" / "p_m").rglob("c/**/*") if p.is_file()] == []
 
 
 def test_an_empty_shard_is_an_index_alone(tmp_path):
     place = tmp_path / "c" / "0"
-    assert shards.write(place, [], shard=3) == 3 * 16 + 4
+    assert shards.write_shard(place, [], shard=3) == 3 * 16 + 4
     assert place.read_bytes()[:48] == b"\xff" * 48

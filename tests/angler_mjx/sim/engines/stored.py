@@ -8,7 +8,7 @@ import pyarrow.parquet as pq
 
 from angler_mjx.runs.storage import device_to_host, results
 from angler_mjx.runs.storage.device_to_host import FinishedTile
-from angler_mjx.runs.storage.recorder import Recorder, Shape
+from angler_mjx.runs.storage.recorder import Recorder, TrajectoryShape
 from angler_mjx.sim import fleet
 
 
@@ -26,14 +26,16 @@ def store(path, scene, members, after, samples):
     tile = FinishedTile(
         first=0,
         kept=samples.p.shape[0],
-        constants=jax.tree.map(np.asarray, device_to_host.constants(scene.worlds, recorded=True)),
-        end=jax.tree.map(np.asarray, device_to_host.end(after, recorded=True)),
+        constants=jax.tree.map(
+            np.asarray, device_to_host.select_constants(scene.worlds, recorded=True)
+        ),
+        end=jax.tree.map(np.asarray, device_to_host.select_end(after, recorded=True)),
         parts=[samples],
     )
     worlds, steps, robots = samples.p.shape[:3]
     dt = scene.spec.control_dt_s
     path.mkdir()
-    shape = Shape(
+    shape = TrajectoryShape(
         worlds=worlds,
         samples=steps,
         robots=robots,
@@ -45,9 +47,9 @@ def store(path, scene, members, after, samples):
     environment = tile.constants.environment
     place = path / "trajectories.zarr"
     recorder = Recorder.create(place, shape, environment, tile=worlds, sample_dt_s=dt)
-    recorder.write(0, device_to_host.arrays(tile, steps), environment)
-    kinds = [(kind.vehicle, kind.parameter_set) for kind in fleet.variants(members)]
-    rows = results.episode_table(device_to_host.tile_result(tile), kinds, 0)
+    recorder.write(0, device_to_host.recorded_arrays(tile, steps), environment)
+    kinds = [(kind.vehicle, kind.parameter_set) for kind in fleet.list_variants(members)]
+    rows = results.episode_table(device_to_host.build_tile_result(tile), kinds, 0)
     pq.write_table(rows, path / "episodes.parquet")
     entries = [
         {

@@ -20,9 +20,9 @@ from angler_mjx.robot.control.laws.targets import as_tracking
 from angler_mjx.sim import robot, step
 from angler_mjx.sim.engines.lanes.engine import FusedEngine, GroupPhases
 from angler_mjx.sim.engines.lanes.layout import (
-    moving_of,
+    broadcast_lanes,
+    lane_state_of,
     scene_of,
-    spread_out,
     to_arrays,
     to_lanes,
 )
@@ -66,27 +66,27 @@ def at_rest(scene, engines_by_name):
     yaw = np.asarray(scene.worlds.environment.start_yaw_rad)
 
     def start(spec):
-        begin = quickly(jax.vmap(jax.vmap(partial(robot.begin, spec))))
+        begin = quickly(jax.vmap(jax.vmap(partial(robot.reset_controllers, spec))))
         return replace(first, carry=jax.device_get(begin(first.vehicles, yaw)))
 
     return start
 
 
 def spec_of(scene, names, gains=None):
-    made, numbers = stages.build(names, gains or {})
+    made, numbers = stages.build_stack(names, gains or {})
     return replace(scene.spec, stages=made, gains=numbers)
 
 
 def on_lanes(spec, kinds, worlds, state):
     """Memory and signals of the controllers, as the fused engine has them decide."""
-    scene, moving = scene_of(kinds, worlds), moving_of(kinds, state)
+    scene, moving = scene_of(kinds, worlds), lane_state_of(kinds, state)
     (given,), (robots,) = scene.groups, moving.groups
     t = time_of(spec, state)
-    here = GroupPhases(spec=spec, scene=scene, t=t, shape=scene.shape, given=given)
-    done = step.decide(here, {"known": robots.vehicle, "memory": robots.memory})
+    here = GroupPhases(spec=spec, scene=scene, t=t, shape=scene.shape, constants=given)
+    done = step.decide_commands(here, {"estimate": robots.vehicle, "memory": robots.memory})
     like = robots.vehicle.p[0]
     given_back = (done.slots()["memory"], done.record()["pwm_us"])
-    return to_arrays(jax.tree.map(lambda leaf: spread_out(leaf, like), given_back), 2)
+    return to_arrays(jax.tree.map(lambda leaf: broadcast_lanes(leaf, like), given_back), 2)
 
 
 def mapped(spec, kinds, worlds, state):
@@ -96,7 +96,7 @@ def mapped(spec, kinds, worlds, state):
         flow = jax.vmap(currents.velocity, (None, 0, None))(
             world.environment.current, vehicles.p, time_of(spec, state)
         )
-        decided = jax.vmap(partial(robot.decide, spec))(
+        decided = jax.vmap(partial(robot.run_controllers, spec))(
             world.control, carry, vehicles, world.path, flow
         )
         return decided[0], decided[2].pwm_us
@@ -294,7 +294,7 @@ KINDS = ["path", "joints", "pose", "tracking", "twist", "wrench", "signals"]
 def test_lanes_take_every_kind_of_command(kind, scene, at_rest, told):
     """What the fused engine does with a command is what the mjx engine does with it."""
     with jax.enable_x64(True):
-        state, decide = at_rest(scene.spec), partial(robot.decide, scene.spec, flow=None)
+        state, decide = at_rest(scene.spec), partial(robot.run_controllers, scene.spec, flow=None)
         moving = state.carry, state.vehicles, told[kind]
         expected = quickly(jax.vmap(jax.vmap(decide)))(scene.worlds.control, *moving)
         given = scene_of(scene.fleet, scene.worlds).groups[0].params
@@ -319,7 +319,7 @@ def test_the_kernel_of_every_controller_lowers_for_cuda(name, scene, at_rest, to
         part = Segment(Tile(jax.tree.map(single, scene.fleet), worlds), state, 1, 1, command, None)
         kernels = Kernels(LaunchedProgram(lanes=1, warps=1, interpret=False), spec, part)
         start = np.zeros(1, np.int32)
-        return kernels.phase(DECIDE, part.tile.groups[0], start, start, part.start)
+        return kernels.run_phase(DECIDE, part.tile.groups[0], start, start, part.start)
 
     traced = jax.jit(decide).trace(worlds, state, command)
     text = traced.lower(lowering_platforms=("cuda",)).as_text()

@@ -35,7 +35,7 @@ def begun():
 
 @pytest.fixture(scope="module")
 def ours():
-    return dynamics.build("bluerov2_heavy", "wu2018")
+    return dynamics.build_dynamics("bluerov2_heavy", "wu2018")
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +50,7 @@ def assert_close(a, b):
 
 
 def test_lanes_do_what_the_step_does(begun, ours, plain):
-    vehicle = params.build(library.load("bluerov2_heavy"), "wu2018", 16.0)
+    vehicle = params.build_vehicle(library.load_vehicle("bluerov2_heavy"), "wu2018", 16.0)
     engine, zero = ClosedForm(gravity_mps2=ours.water.gravity_mps2), jnp.zeros(())
 
     def one(state, thrust):

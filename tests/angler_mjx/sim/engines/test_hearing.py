@@ -16,16 +16,16 @@ from angler_mjx.sim.engines.triton.engine import TritonEngine
 from angler_mjx.sim.policy import Policy
 from angler_mjx.world.acoustics import access
 from angler_mjx.world.acoustics.channel import Channel
-from angler_mjx.world.acoustics.link import Budget
-from angler_mjx.world.acoustics.shadow import Rock
+from angler_mjx.world.acoustics.link import LinkBudget
+from angler_mjx.world.acoustics.shadow import RockLoss
 
 from ...compiling import quickly
 
 ROBOTS, STEPS, EVERY = 3, 24, 4
 PACKET_S, DT_S = 0.12, 0.05
 SHARED = Channel(
-    access=access.tdma(PACKET_S, 0.02, DT_S),
-    link=Budget(
+    access=access.build_tdma(PACKET_S, 0.02, DT_S),
+    link=LinkBudget(
         snr_db=40.0,
         bit_db=0.0,
         spreading=2.0,
@@ -34,7 +34,7 @@ SHARED = Channel(
         modulation="bpsk",
         fading="rayleigh",
     ),
-    rock=Rock(db_per_m=3.0),
+    rock=RockLoss(db_per_m=3.0),
     sound_mps=1500.0,
     packet_s=PACKET_S,
     dt_s=DT_S,
@@ -57,12 +57,12 @@ class Counting(Policy):
         p = known.belief.p
         return {"asked": jnp.zeros(p.shape[0], p.dtype), "told": known.others.time_s}
 
-    def says(self, carry):
+    def payload(self, carry):
         return carry["asked"]
 
     def act(self, carry, known, key, step):
         # What was said counts the steps before the packet began, so it tells when that was.
-        said = known.others.words * DT_S
+        said = known.others.payload * DT_S
         p = known.belief.p + jnp.array([0.2, 0.0, 0.0])
         command = PoseTarget(
             position_m=p, velocity_mps=jnp.zeros_like(p), yaw_rad=jnp.zeros_like(p[:, 0])
@@ -79,7 +79,7 @@ def scene(scenes):
     keys = jax.random.key_data(jax.random.split(jax.random.key(1), 2))
     worlds = replace(
         built.worlds,
-        radio_key=keys,
+        acoustics_key=keys,
         policy_key=keys,
         fails_at_s=jnp.asarray(np.array([[np.inf] * 3, [np.inf, np.inf, 0.1]]), kind),
     )
@@ -109,44 +109,44 @@ MJX = pytest.param("mjx", marks=pytest.mark.nightly(by="the kernels, farther fro
 @pytest.mark.parametrize("name", [MJX, "kernels"])
 def test_engines_agree(name, fly):
     (state, samples), (others, theirs) = fly(name), fly("lanes")
-    np.testing.assert_array_equal(state.radio.air.sent, others.radio.air.sent)
-    np.testing.assert_array_equal(state.radio.caught, others.radio.caught)
-    np.testing.assert_array_equal(state.radio.heard.known, others.radio.heard.known)
+    np.testing.assert_array_equal(state.modem.in_flight.sent, others.modem.in_flight.sent)
+    np.testing.assert_array_equal(state.modem.n_received, others.modem.n_received)
+    np.testing.assert_array_equal(state.modem.heard.is_heard, others.modem.heard.is_heard)
     np.testing.assert_array_equal(
-        state.radio.heard.words["policy"], others.radio.heard.words["policy"]
+        state.modem.heard.payload["policy"], others.modem.heard.payload["policy"]
     )
-    np.testing.assert_allclose(state.radio.heard.p_m, others.radio.heard.p_m, atol=5e-5)
+    np.testing.assert_allclose(state.modem.heard.p_m, others.modem.heard.p_m, atol=5e-5)
     np.testing.assert_allclose(samples.talk.age_s, theirs.talk.age_s, atol=1e-5)
-    np.testing.assert_allclose(samples.talk.share, theirs.talk.share, atol=1e-6)
+    np.testing.assert_allclose(samples.talk.fraction, theirs.talk.fraction, atol=1e-6)
 
 
 def test_some_packets_are_heard_and_some_are_lost(fly):
     state, samples = fly("lanes")
     slot = SHARED.access.slot
     turns = -(-STEPS // slot)
-    np.testing.assert_array_equal(state.radio.air.sent[0].sum(), turns)
+    np.testing.assert_array_equal(state.modem.in_flight.sent[0].sum(), turns)
     # Robot 2 of the second world has broken down when its turn comes.
-    np.testing.assert_array_equal(state.radio.air.sent[1, 2], 0)
-    heard = state.radio.caught.sum()
-    assert 0 < heard < (ROBOTS - 1) * state.radio.air.sent.sum()
-    last = samples.talk.share[:, -1]
+    np.testing.assert_array_equal(state.modem.in_flight.sent[1, 2], 0)
+    heard = state.modem.n_received.sum()
+    assert 0 < heard < (ROBOTS - 1) * state.modem.in_flight.sent.sum()
+    last = samples.talk.fraction[:, -1]
     assert ((last >= 0.0) & (last <= 1.0))[:, :2].all()
 
 
 def test_what_was_heard_is_of_the_time_of_sending(fly):
     """The policy says how often it was asked: as many steps as were flown when a packet began."""
     state, _ = fly("lanes")
-    heard = state.radio.heard
-    assert heard.known.any()
-    np.testing.assert_allclose(heard.words["policy"] * DT_S, heard.time_s, atol=1e-6)
+    heard = state.modem.heard
+    assert heard.is_heard.any()
+    np.testing.assert_allclose(heard.payload["policy"] * DT_S, heard.time_s, atol=1e-6)
     np.testing.assert_allclose(state.policy.carry["told"], heard.time_s, atol=1e-6)
-    begun = np.round(heard.time_s[heard.known] / DT_S).astype(int)
-    sender = np.nonzero(heard.known)[2]
+    begun = np.round(heard.time_s[heard.is_heard] / DT_S).astype(int)
+    sender = np.nonzero(heard.is_heard)[2]
     np.testing.assert_array_equal(begun // SHARED.access.slot % ROBOTS, sender)
 
 
 def test_worlds_that_were_drawn_without_a_channel_are_refused(scene):
-    worlds = replace(scene.worlds, radio_key=None)
+    worlds = replace(scene.worlds, acoustics_key=None)
     engine = ENGINES["lanes"]
     start = jax.eval_shape(partial(engine.reset, scene.spec), scene.fleet, worlds)
     with pytest.raises(ConfigError, match="acoustics"):

@@ -13,7 +13,7 @@ from angler_mjx.sim import fleet
 from angler_mjx.sim.engines.base import by_name
 from angler_mjx.sim.engines.lanes.engine import FusedEngine
 from angler_mjx.sim.engines.triton.engine import TritonEngine
-from angler_mjx.sim.phase import Done, Phase
+from angler_mjx.sim.phase import Phase, PhaseResult
 from angler_mjx.sim.record import ProgressRecord
 from angler_mjx.sim.state import Outcome
 from angler_mjx.sim.world_phases import phases, running
@@ -56,8 +56,8 @@ def work(here, now):
         "loaded": (number >= LOADED[:, 0]) & (number < LOADED[:, 1]),
     }
     none = jnp.zeros(len(LOADED), jnp.int32)
-    progress = ProgressRecord(share=number * 1.0, target=none, carrying=none, done=none + number)
-    return Done(slots=lambda: slots, record=lambda: {"task": progress})
+    progress = ProgressRecord(fraction=number * 1.0, target=none, carrying=none, done=none + number)
+    return PhaseResult(slots=lambda: slots, record=lambda: {"task": progress})
 
 
 WORK = Phase(name="work", of="world", run=work, reads=(), gives=("finished", "loaded"))
@@ -72,8 +72,8 @@ def scene(scenes):
     build, members, obstacles = scenes
     four = members("bluerov2") * len(FINISHED_FROM)
     built = build(2, members=four, config=obstacles["none"])
-    kinds, environment = fleet.build(four, load=LOAD), built.worlds.environment
-    control, body = fleet.parameters(kinds, built.worlds.variant)
+    kinds, environment = fleet.build_fleet(four, load=LOAD), built.worlds.environment
+    control, body = fleet.select_parameters(kinds, built.worlds.variant)
     cruise = built.worlds.control.cruise_speed_mps
     worlds = replace(
         built.worlds,
@@ -131,7 +131,7 @@ def test_engines_agree(name, fly, deviation):
 def test_what_a_task_records_holds_between_two_looks(flown):
     _, samples = flown
     looked = np.repeat([0, 4, 8], PERIOD)
-    np.testing.assert_array_equal(samples.task.share, [looked, looked])
+    np.testing.assert_array_equal(samples.task.fraction, [looked, looked])
     np.testing.assert_array_equal(samples.task.done[0, :, 3], looked)
 
 
@@ -174,7 +174,7 @@ def test_kernels_do_the_same_in_one_step(scene, fly, deviation):
     )
     deviation.close("in_flight.step", after.vehicles.p, samples.p[:, 1], rtol=4e-6, atol=4e-6)
     deviation.close("in_flight.step", after.vehicles.nu, samples.nu[:, 1], rtol=4e-6, atol=4e-6)
-    np.testing.assert_array_equal(sample.task.share, [4.0, 4.0])
+    np.testing.assert_array_equal(sample.task.fraction, [4.0, 4.0])
 
 
 @pytest.mark.usefixtures("as_if_on_an_h200", "fly")

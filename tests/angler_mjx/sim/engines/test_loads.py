@@ -14,7 +14,7 @@ from angler_mjx.robot.vehicles.load import Load
 from angler_mjx.sim import fleet
 from angler_mjx.sim.engines.lanes.engine import FusedEngine
 from angler_mjx.sim.fleet import Member, Variant
-from angler_mjx.sim.phase import Done, Phase
+from angler_mjx.sim.phase import Phase, PhaseResult
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.world_phases import phases, running
 from angler_mjx.world.tasks.spec import TaskSpec
@@ -41,7 +41,7 @@ NEUTRAL_US = 1490.0
 def work(here, now):
     """Robots take up and put down when they are to."""
     loaded = (here.number >= TAKES_AT) & (here.number < PUTS_AT)
-    return Done(slots=lambda: {"loaded": loaded, "finished": jnp.zeros(len(SETS), bool)})
+    return PhaseResult(slots=lambda: {"loaded": loaded, "finished": jnp.zeros(len(SETS), bool)})
 
 
 WORK = Phase(name="work", of="world", run=work, reads=(), gives=("loaded", "finished"))
@@ -82,7 +82,7 @@ def sunk(scenes):
         ),
         policy_key=jnp.zeros((1, 2), jnp.uint32),
     )
-    kinds = fleet.build(members(), multibody=False, load=LOAD)
+    kinds = fleet.build_fleet(members(), multibody=False, load=LOAD)
     spec, policy = replace(scene.spec, task=TASK), SaysMass()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(running, "PHASES", (phases.SENSE, WORK, phases.POLICY))
@@ -94,7 +94,7 @@ def sunk(scenes):
 
 def heave(parameter_set):
     """Mass, volume, added mass, linear and quadratic damping in heave, without and with load."""
-    given = library.load("bluerov2").parameter_sets[parameter_set]
+    given = library.load_vehicle("bluerov2").parameter_sets[parameter_set]
     own = np.array(
         [
             given.rigid_body.mass_kg,
@@ -168,9 +168,9 @@ def test_controllers_and_policies_know_of_the_load(sunk):
 
 
 def test_a_fleet_that_carries_nothing_is_as_it_was():
-    plain, able = (fleet.build(members(), multibody=False, load=x) for x in (None, LOAD))
-    assert not plain.carries
-    assert able.carries
+    plain, able = (fleet.build_fleet(members(), multibody=False, load=x) for x in (None, LOAD))
+    assert not plain.can_carry
+    assert able.can_carry
     for ours, theirs in zip(
         jax.tree.leaves(plain.control), jax.tree.leaves(able.control), strict=True
     ):
@@ -178,7 +178,9 @@ def test_a_fleet_that_carries_nothing_is_as_it_was():
         np.testing.assert_array_equal(ours, theirs[:2])
     key = jax.random.key(3)
     for ours, theirs in zip(
-        jax.tree.leaves(fleet.draw(plain, key)), jax.tree.leaves(fleet.draw(able, key)), strict=True
+        jax.tree.leaves(fleet.sample_variants(plain, key)),
+        jax.tree.leaves(fleet.sample_variants(able, key)),
+        strict=True,
     ):
         np.testing.assert_array_equal(ours, theirs)
     np.testing.assert_array_equal(fleet.radius_bound(plain), fleet.radius_bound(able))
@@ -189,5 +191,5 @@ def test_a_load_is_slowed_down_to_what_its_drag_leaves():
     quadratic."""
     bulky = replace(LOAD, drag_area_m2=(1.0, 0.0, 0.0))
     fast = [replace(one, cruise_speed_mps=10.0) for one in members(("blue_gazebo",))]
-    light, heavy = np.asarray(fleet.build(fast, multibody=False, load=bulky).cruise_mps)[0]
+    light, heavy = np.asarray(fleet.build_fleet(fast, multibody=False, load=bulky).cruise_mps)[0]
     np.testing.assert_allclose(heavy / light, np.sqrt(33.8 / (33.8 + 510.0)), rtol=1e-5)

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import angler_mjx.robot.vehicles
-from angler_experiments.shared.driving import CASES, HOLD_S, draw_commands
+from angler_experiments.shared.driving import CASES, HOLD_S, sample_commands
 from angler_mjx import frames
 from angler_mjx.robot.control.commands import ThrusterPwm
 from angler_mjx.robot.vehicles import library
@@ -61,7 +61,7 @@ def build(kinds, order):
     """The fleet with its variants in an order: each robot could be any of them."""
     variants = tuple(kinds[i] for i in order)
     member = Member(variants=variants, weights=(1.0,) * 3, cruise_speed_mps=0.5)
-    return fleet.build([member] * 3)
+    return fleet.build_fleet([member] * 3)
 
 
 @pytest.fixture(scope="module")
@@ -97,7 +97,7 @@ def signals(kinds):
     """PWM [command, case, robot, thruster], and the thrusts that a rotor settles at for it."""
     with jax.enable_x64(True):
         vehicles = build(kinds, ORDERS[0]).control.vehicle
-        thrust = np.stack([draw_commands(c, vehicles, N_COMMAND, i) for i, c in enumerate(CASES)])
+        thrust = np.stack([sample_commands(c, vehicles, N_COMMAND, i) for i, c in enumerate(CASES)])
         tables = np.asarray(vehicles.thrust_n)
     pwm, settled = np.zeros_like(thrust), np.zeros_like(thrust)
     for i, table in enumerate(tables):
@@ -113,7 +113,7 @@ def truth(kinds, signals):
     out = np.zeros((len(CASES), 3, N_COMMAND, 3))
     for i, kind in enumerate(kinds):
         vehicle = textbook.Vehicle(
-            library.load(kind.vehicle), kind.parameter_set, lambda p: flow_ned + 0 * p
+            library.load_vehicle(kind.vehicle), kind.parameter_set, lambda p: flow_ned + 0 * p
         )
         n = vehicle.T.shape[1]
         level = frames.quaternion_enu_to_ned(np.array([1.0, 0.0, 0.0, 0.0]))

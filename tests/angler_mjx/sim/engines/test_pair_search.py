@@ -10,14 +10,14 @@ import pytest
 from angler_kernels import lanes
 from angler_mjx.sim.engines.lanes import pairs as pair_search
 from angler_mjx.sim.engines.lanes.search import (
-    GROUP,
-    SLOTS,
-    Met,
+    GROUP_SIZE,
+    MAX_NOTED_GROUPS,
+    CandidateBody,
     NearestBody,
     OtherBodies,
     Seeker,
-    in_groups,
-    in_turn,
+    search_in_groups,
+    search_in_turn,
 )
 
 from ...compiling import quickly
@@ -42,11 +42,13 @@ def search(how, mine, theirs, limit, running, start_gap):
 
     def load(index):
         rows = index
-        if how is not pair_search.among_listed:
+        if how is not pair_search.search_listed:
             rows = (index, np.s_[:] if jnp.ndim(index) == 0 else np.arange(W))
-        p, fixed = pair_search.pick(state, rows)
+        p, fixed = pair_search.gather_lanes(state, rows)
         # Nothing of a shape is known by its bounding sphere alone: twice its place is its speed.
-        return Met(p=p, reach=RADIUS_M, details=lambda: (fixed, None, [2.0 * x for x in p]))
+        return CandidateBody(
+            p=p, reach=RADIUS_M, details=lambda: (fixed, None, [2.0 * x for x in p])
+        )
 
     def exact(me, met):
         fixed, _, v = met.details()
@@ -76,7 +78,7 @@ def search(how, mine, theirs, limit, running, start_gap):
 @pytest.fixture(scope="module")
 def searches():
     """A function of the same arguments that gives what each search finds."""
-    kinds = (pair_search.among_listed, in_groups, in_turn)
+    kinds = (pair_search.search_listed, search_in_groups, search_in_turn)
     functions = [quickly(partial(search, how)) for how in kinds]
     return lambda *args: [function(*args) for function in functions]
 
@@ -111,7 +113,7 @@ def test_there_are_ties_and_several_chunks_and_too_many_groups():
     ties = np.sum(gaps == gaps.min(axis=0), axis=0) > 1
     assert ties.mean() > 0.2
     assert N * R * W > 4 * pair_search.CHUNK
-    assert N > GROUP * SLOTS
+    assert N > GROUP_SIZE * MAX_NOTED_GROUPS
 
 
 def test_has_the_derivative_of_the_search_in_turn():
@@ -121,7 +123,7 @@ def test_has_the_derivative_of_the_search_in_turn():
 
     ours, theirs = (
         quickly(jax.grad(partial(cost, how=how)))([x + 0.25 for x in points(1, R)])
-        for how in (pair_search.among_listed, in_turn)
+        for how in (pair_search.search_listed, search_in_turn)
     )
     # Multiples of a quarter.
     jax.tree.map(np.testing.assert_array_equal, ours, theirs)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from angler_kernels import lanes
-from angler_kernels.lanes.planes import TABLE_FROM, PlaneLayout, is_table
+from angler_kernels.lanes.planes import TABLE_MIN_ROWS, PlaneLayout, is_table
 
 W, R = 5, 3
 
@@ -28,7 +28,7 @@ def body(lead):
         matrix=jnp.asarray(rng.normal(size=(*lead, 2, 3)), jnp.float32),
         flag=jnp.asarray(rng.random(lead) < 0.5),
         number=jnp.asarray(rng.integers(-9, 9, (*lead, 2)), jnp.int32),
-        long=jnp.asarray(rng.normal(size=(*lead, TABLE_FROM + 1, 2)), jnp.float32),
+        long=jnp.asarray(rng.normal(size=(*lead, TABLE_MIN_ROWS + 1, 2)), jnp.float32),
     )
 
 
@@ -44,7 +44,7 @@ def test_unpacks_what_was_packed(lead):
     layout = PlaneLayout.of(tree, len(lead))
     flat = layout.pack(tree, jnp.float32)
     assert flat.shape == (layout.planes * layout.lanes,)
-    assert layout.planes == 6 + 1 + 2 + 2 * (TABLE_FROM + 1)
+    assert layout.planes == 6 + 1 + 2 + 2 * (TABLE_MIN_ROWS + 1)
     assert_equal(layout.unpack(flat, lead), tree)
 
 
@@ -65,9 +65,9 @@ def test_reads_and_writes_lanes():
     layout = PlaneLayout.of(tree, 2)
     flat = layout.pack(tree, jnp.float32)
     row, worlds = 2, jnp.array([4, 0, 3])
-    got = layout.read(lambda place: flat[place], row * W + worlds)
-    assert is_table((TABLE_FROM + 1, 2))
-    assert not is_table((TABLE_FROM, 2))
+    got = layout.read_lanes(lambda place: flat[place], row * W + worlds)
+    assert is_table((TABLE_MIN_ROWS + 1, 2))
+    assert not is_table((TABLE_MIN_ROWS, 2))
     assert isinstance(got.long, lanes.LookupTable)
     wanted = jax.tree.map(lambda x: x[worlds, row], tree)
     for name in ("matrix", "flag", "number"):
@@ -75,7 +75,7 @@ def test_reads_and_writes_lanes():
         assert x.dtype == y.dtype
         np.testing.assert_array_equal(x, y)
     np.testing.assert_array_equal(got.long.take([7, 1]), wanted.long[:, 7, 1])
-    places = jnp.array([0, 1, TABLE_FROM])
+    places = jnp.array([0, 1, TABLE_MIN_ROWS])
     np.testing.assert_array_equal(got.long.take([places, 0]), wanted.long[np.arange(3), places, 0])
 
 
@@ -90,7 +90,7 @@ def test_writes_lanes_and_nothing_else():
     def store(place, value):
         target[place] = value
 
-    layout.write(store, row * W + worlds, lanes.split(chosen))
+    layout.write_lanes(store, row * W + worlds, lanes.split(chosen))
     written = ~np.isnan(target).reshape(layout.planes, R, W)
     assert written[:, row, worlds].all()
     assert written.sum() == layout.planes * len(worlds)

@@ -17,13 +17,13 @@ from angler_mjx.robot.control.joint_trajectory import CUBIC, from_path
 from angler_mjx.sim import step
 from angler_mjx.sim.engines.lanes.engine import GroupPhases
 from angler_mjx.sim.engines.lanes.layout import (
-    moving_of,
+    broadcast_lanes,
+    lane_state_of,
     scene_of,
-    spread_out,
     to_arrays,
     to_lanes,
 )
-from angler_mjx.sim.engines.mjx import OneWorld
+from angler_mjx.sim.engines.mjx import SingleWorld
 from angler_mjx.sim.engines.triton.kernels import Kernels
 from angler_mjx.sim.engines.triton.launch import LaunchedProgram
 from angler_mjx.sim.engines.triton.segment import Segment
@@ -96,21 +96,21 @@ def padded(plan):
 
 def on_lanes(spec, kinds, worlds, state):
     """Memory, signals and aim of the controllers, as the fused engine has them decide."""
-    scene, moving = scene_of(kinds, worlds), moving_of(kinds, state)
+    scene, moving = scene_of(kinds, worlds), lane_state_of(kinds, state)
     (given,), (robots,) = scene.groups, moving.groups
-    here = GroupPhases(spec=spec, scene=scene, t=jnp.zeros(()), shape=scene.shape, given=given)
-    done = step.decide(here, {"known": robots.vehicle, "memory": robots.memory})
+    here = GroupPhases(spec=spec, scene=scene, t=jnp.zeros(()), shape=scene.shape, constants=given)
+    done = step.decide_commands(here, {"estimate": robots.vehicle, "memory": robots.memory})
     like = robots.vehicle.p[0]
     back = (done.slots()["memory"], done.record())
-    return to_arrays(jax.tree.map(lambda leaf: spread_out(leaf, like), back), 2)
+    return to_arrays(jax.tree.map(lambda leaf: broadcast_lanes(leaf, like), back), 2)
 
 
 def mapped(spec, kinds, worlds, state):
     """The same as the mjx engine has them decide."""
 
     def one(world, vehicles, carry):
-        here = OneWorld(spec=spec, world=world, t=jnp.zeros(()))
-        done = step.decide(here, {"known": vehicles, "memory": carry})
+        here = SingleWorld(spec=spec, world=world, t=jnp.zeros(()))
+        done = step.decide_commands(here, {"estimate": vehicles, "memory": carry})
         return done.slots()["memory"], done.record()
 
     return jax.vmap(one)(worlds, state.vehicles, state.carry)
@@ -183,7 +183,7 @@ def test_the_kernel_reads_joints_of_many_points(scene, begun, plans):
         part = Segment(Tile(kinds, worlds), state, 1, 1, None, None)
         kernels = Kernels(LaunchedProgram(lanes=1, warps=1, interpret=False), scene.spec, part)
         begin = np.zeros(1, np.int32)
-        return kernels.phase(DECIDE, part.tile.groups[0], begin, begin, part.start)
+        return kernels.run_phase(DECIDE, part.tile.groups[0], begin, begin, part.start)
 
     traced = jax.jit(decide).trace(worlds, state)
     text = traced.lower(lowering_platforms=("cuda",)).as_text()
@@ -198,7 +198,7 @@ def single(x):
     "engine", ["fused", pytest.param("mjx", marks=pytest.mark.nightly(by="fused"))]
 )
 def test_plans_that_the_controllers_do_not_take_are_refused(engine, scene, plans, engines_by_name):
-    made, numbers = stages.build(stages.CONTROLLERS["los"], {})
+    made, numbers = stages.build_stack(stages.CONTROLLERS["los"], {})
     spec = replace(scene.spec, stages=made, gains=numbers)
     with jax.enable_x64(True):
         worlds = replace(scene.worlds, path=plans[False]["joints"])

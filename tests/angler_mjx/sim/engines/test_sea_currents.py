@@ -16,7 +16,7 @@ from angler_mjx.sim.engines.triton.engine import TritonEngine
 from angler_mjx.world import currents
 from angler_mjx.world.currents import DepthProfileConfig, GridConfig, TideConfig
 from angler_mjx.world.currents.sea import ConstituentConfig
-from angler_mjx.world.environment import region
+from angler_mjx.world.environment import region_corners
 
 from ...compiling import quickly
 
@@ -28,15 +28,15 @@ def scene(scenes, tmp_path_factory):
     """Single robots in worlds of currents alone, each at a place of its own in one file."""
     build, members, obstacles = scenes
     made = build(WORLDS, members=members("bluerov2"), config=obstacles["none"])
-    path = headland.write(tmp_path_factory.mktemp("ocean") / "headland.nc")
+    path = headland.write_dataset(tmp_path_factory.mktemp("ocean") / "headland.nc")
     configs = (
         # Ten times as fast as the file, so that it is seen in a moment; over a few of its cells.
         GridConfig(file=str(path), scale={"space": 0.01, "speed": 4.0, "time": 0.01}),
         DepthProfileConfig(depth_m=(0.0, 4.0, 8.0, 12.0), speed_mps=(0.1, 0.3)),
         TideConfig(constituents=(ConstituentConfig(name="M2", major_mps=0.3, minor_mps=0.1),)),
     )
-    lo, hi = region(jax.tree.map(lambda leaf: leaf[0], made.worlds.environment))
-    draw = partial(currents.draw, configs, region_lo=lo, region_hi=hi, horizon_s=10.0)
+    lo, hi = region_corners(jax.tree.map(lambda leaf: leaf[0], made.worlds.environment))
+    draw = partial(currents.sample_current, configs, region_lo=lo, region_hi=hi, horizon_s=10.0)
     current = quickly(jax.vmap(lambda key: draw(key=key)))(
         jax.random.split(jax.random.key(2), WORLDS)
     )

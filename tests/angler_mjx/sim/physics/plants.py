@@ -38,7 +38,7 @@ def configs() -> list[tuple[VehicleConfig, str]]:
     """All shipped vehicles with all their sets, and a Heavy whose matrices are full."""
     shipped = [
         (config, name)
-        for config in map(library.load, library.available())
+        for config in map(library.load_vehicle, library.list_vehicles())
         for name in sorted(config.parameter_sets)
     ]
     return [*shipped, (skewed(), "wu2018")]
@@ -46,7 +46,7 @@ def configs() -> list[tuple[VehicleConfig, str]]:
 
 def skewed() -> VehicleConfig:
     """A Heavy with full inertia and added mass, so that no cross term goes untested."""
-    data = library.load("bluerov2_heavy").model_dump()
+    data = library.load_vehicle("bluerov2_heavy").model_dump()
     chosen = data["parameter_sets"]["wu2018"]
     chosen["rigid_body"]["inertia_kgm2"] = [
         [0.26, 0.02, -0.03],
@@ -63,14 +63,16 @@ def skewed() -> VehicleConfig:
 
 def build(chosen: list[tuple[VehicleConfig, str]]) -> Plants:
     specs = [mjcf.to_spec(c, name, shapes=False) for c, name in chosen]
-    engine, body = mjx_engine.build(specs)
+    engine, body = mjx_engine.build_engine(specs)
     return Plants(
         names=[f"{config.name}/{name}" for config, name in chosen],
         configs=chosen,
         models=[spec.compile() for spec in specs],
         engine=engine,
         body=body,
-        params=params.stack([params.build(config, name, 16.0) for config, name in chosen]),
+        params=params.stack_vehicles(
+            [params.build_vehicle(config, name, 16.0) for config, name in chosen]
+        ),
     )
 
 

@@ -129,7 +129,7 @@ def test_gravity_is_that_of_the_water(plants):
 
     @quickly
     def both(gravity):
-        ours = plants.engine.under(gravity).inertia_and_force(body, *state)
+        ours = plants.engine.with_gravity(gravity).inertia_and_force(body, *state)
         return ours, ClosedForm(gravity_mps2=gravity).inertia_and_force(vehicle, *state)
 
     for gravity in (1.62, 9.81):
@@ -142,10 +142,10 @@ def test_models_that_mjx_compiles_otherwise_are_refused(plants):
     """Numbers may differ, what is compiled in must not: here the integrator."""
     specs = [mjcf.to_spec(config, name, shapes=False) for config, name in plants.configs[:2]]
     specs[1].option.timestep = 0.5
-    assert "opt.timestep" in mjx_engine.build(specs)[1].fields
+    assert "opt.timestep" in mjx_engine.build_engine(specs)[1].fields
     specs[1].option.integrator = mujoco.mjtIntegrator.mjINT_RK4
     with pytest.raises(ValueError, match=r"differ in MuJoCo's opt\.integrator.*fused"):
-        mjx_engine.build(specs)
+        mjx_engine.build_engine(specs)
 
 
 def test_arrays_of_two_shapes_are_refused_by_name(plants, monkeypatch):
@@ -160,17 +160,17 @@ def test_arrays_of_two_shapes_are_refused_by_name(plants, monkeypatch):
         put_model=lambda model, device: Uncounted(dof_damping=jnp.zeros(next(sizes))),
         make_data=lambda model, device: None,
     )
-    monkeypatch.setattr(mjx_engine, "_mjx", lambda: module)
+    monkeypatch.setattr(mjx_engine, "_import_mjx", lambda: module)
     specs = [mjcf.to_spec(config, name, shapes=False) for config, name in plants.configs[:2]]
     with pytest.raises(ValueError, match=r"differ in MuJoCo's dof_damping.*fused"):
-        mjx_engine.build(specs)
+        mjx_engine.build_engine(specs)
 
 
 def test_every_field_in_which_models_differ_differs(plants):
     """Each variant's model, put together again, is the model that it would have alone."""
     specs = [mjcf.to_spec(config, name, shapes=False) for config, name in plants.configs]
     for i, spec in enumerate(specs):
-        alone, nothing = mjx_engine.build([spec])
+        alone, nothing = mjx_engine.build_engine([spec])
         assert nothing.fields == {}
         mine = {name: leaf[i] for name, leaf in plants.body.fields.items()}
         found = plants.engine.model.tree_replace(mine)
@@ -184,14 +184,14 @@ def test_only_single_free_bodies_are_taken():
     body.add_joint(type=mujoco.mjtJoint.mjJNT_HINGE)
     body.add_geom(size=[0.1, 0, 0])
     with pytest.raises(ValueError, match="one free body"):
-        mjx_engine.build([spec])
+        mjx_engine.build_engine([spec])
 
 
 def test_models_stand_on_the_first_of_the_processes_own_devices(monkeypatch):
-    spec = mjcf.to_spec(library.load("bluerov2"), "blue_gazebo", shapes=False)
+    spec = mjcf.to_spec(library.load_vehicle("bluerov2"), "blue_gazebo", shapes=False)
     own = jax.local_devices()[0]
     monkeypatch.setattr(jax, "local_devices", lambda: [own, "another one of this process"])
-    engine, _ = mjx_engine.build([spec])
+    engine, _ = mjx_engine.build_engine([spec])
     arrays = [leaf for leaf in jax.tree.leaves(engine) if isinstance(leaf, jax.Array)]
     assert {device for leaf in arrays for device in leaf.devices()} == {own}
 

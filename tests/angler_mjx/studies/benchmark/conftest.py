@@ -113,16 +113,18 @@ def made(source):
 
 def _interrupted(source):
     """Make the results; what its database held when it was interrupted first."""
-    benchmark, out = running.read(source), source.parent / "results"
+    benchmark, out = running.read_benchmark(source), source.parent / "results"
     with pytest.raises(KeyboardInterrupt):
-        running.run(benchmark, source, out, workers=workers, told=Interrupting(5))
+        running.run_benchmark(benchmark, source, out, workers=workers, progress=Interrupting(5))
     early = out.parent / ".results.partial" / "results.sqlite"
     kept = rows(early, "SELECT id, plannerid, world, time FROM runs")
     again = Interrupting("before the tables")
     with pytest.raises(KeyboardInterrupt):
-        running.run(benchmark, source, out, workers=workers, resume=True, told=again)
+        running.run_benchmark(benchmark, source, out, workers=workers, resume=True, progress=again)
     last = Interrupting(None)
-    running.run(running.read(source), source, out, workers=workers, resume=True, told=last)
+    running.run_benchmark(
+        running.read_benchmark(source), source, out, workers=workers, resume=True, progress=last
+    )
     return kept
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from angler_mjx.planning.planner import NoPlan, joint_path, way_points
 from angler_mjx.studies.benchmark import measures
-from angler_mjx.studies.benchmark import paths as bytes_of
+from angler_mjx.studies.benchmark import path_archive as bytes_of
 
 
 def test_length_and_turning_of_a_polygon():
@@ -41,8 +41,8 @@ def test_plans_come_back_from_bytes_as_they_were(joints, rng):
         return way_points(time, place)
 
     given = [path(3), NoPlan("why"), path(7)]
-    data = bytes_of.packed(given)
-    found = bytes_of.unpacked(data)
+    data = bytes_of.pack_paths(given)
+    found = bytes_of.unpack_paths(data)
     assert found[1] is None
     for one, two in ((given[0], found[0]), (given[2], found[2])):
         assert type(one) is type(two)
@@ -51,9 +51,11 @@ def test_plans_come_back_from_bytes_as_they_were(joints, rng):
         if joints:
             for name in ("velocity", "acceleration", "degree", "commanded"):
                 np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
-    assert bytes_of.digest(data) == bytes_of.digest(bytes_of.packed(given))
-    assert bytes_of.digest(data) != bytes_of.digest(bytes_of.packed([given[0], given[2]]))
-    assert bytes_of.unpacked(bytes_of.packed([NoPlan("x")])) == [None]
+    assert bytes_of.compute_digest(data) == bytes_of.compute_digest(bytes_of.pack_paths(given))
+    assert bytes_of.compute_digest(data) != bytes_of.compute_digest(
+        bytes_of.pack_paths([given[0], given[2]])
+    )
+    assert bytes_of.unpack_paths(bytes_of.pack_paths([NoPlan("x")])) == [None]
 
 
 @pytest.fixture

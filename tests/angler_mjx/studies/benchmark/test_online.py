@@ -5,8 +5,8 @@ import json
 import pyarrow.parquet as pq
 import pytest
 
-from angler_mjx.studies.benchmark import again, questions, running
-from angler_mjx.studies.benchmark.columns import NUMBERS
+from angler_mjx.studies.benchmark import folder_comparison, problem_settings, running
+from angler_mjx.studies.benchmark.columns import NUMBER_COLUMNS
 from angler_mjx.studies.benchmark.report import reading
 from angler_mjx.studies.benchmark.store import BenchmarkStore
 
@@ -20,17 +20,17 @@ set.engine = "fused"
 
 [[planner]]
 name = "grid"
-knows = { obstacles = "observed" }
+information = { obstacles = "observed" }
 
 [[planner]]
 name = "grid"
 replan_hz = 1.0
-knows = { obstacles = "observed" }
+information = { obstacles = "observed" }
 
 [[planner]]
 policy = "mppi"
 settings = { samples = 32, hz = 5.0 }
-knows = { obstacles = "observed" }
+information = { obstacles = "observed" }
 """
 
 
@@ -43,12 +43,12 @@ def file(tmp_path, scenario_file):
 
 
 def test_what_a_folder_keeps_of_it_is_the_same_benchmark(file):
-    made = questions.read(file)
+    made = problem_settings.read_benchmark(file)
     kept = json.loads(json.dumps(made.resolved()))
-    other = questions.again(file.parent, kept, {})
-    assert [one.label for one in other.contestants] == [one.label for one in made.contestants]
-    assert [one.online for one in other.contestants] == [one.online for one in made.contestants]
-    assert [one.policy for one in other.contestants] == [None, None, "mppi"]
+    other = problem_settings.rebuild_benchmark(file.parent, kept, {})
+    assert [one.label for one in other.planners] == [one.label for one in made.planners]
+    assert [one.online for one in other.planners] == [one.online for one in made.planners]
+    assert [one.policy for one in other.planners] == [None, None, "mppi"]
     assert {s.scenario.digest() for s in other.settings} == {
         s.scenario.digest() for s in made.settings
     }
@@ -60,7 +60,7 @@ def test_a_database_of_an_older_version_is_brought_up_to_date(tmp_path):
         store._base.execute("ALTER TABLE runs DROP COLUMN failed_replans")
     with BenchmarkStore(place) as store:
         there = {row["name"] for row in store.rows("PRAGMA table_info(runs)")}
-    assert {name for _, name in NUMBERS} <= there
+    assert {name for _, name in NUMBER_COLUMNS} <= there
 
 
 class Stopping(Interrupting):
@@ -85,9 +85,13 @@ def test_online_and_policy_are_flown_once_and_alike_when_made_again(file):
     for who in ("grid, 1 Hz", "mppi"):
         going = (file.parent / ".out.partial").exists()
         with pytest.raises(KeyboardInterrupt):
-            running.run(running.read(file), file, out, told=Stopping(who), resume=going, **how)
+            running.run_benchmark(
+                running.read_benchmark(file), file, out, progress=Stopping(who), resume=going, **how
+            )
     last = Interrupting(None)
-    running.run(running.read(file), file, out, told=last, resume=True, **how)
+    running.run_benchmark(
+        running.read_benchmark(file), file, out, progress=last, resume=True, **how
+    )
     assert not any(text.endswith("flying grid, 1 Hz") for text in last.texts)
     found = pq.read_table(out / "runs.parquet").to_pylist()
     runs = {(row["planner"], row["world"]): row for row in found}
@@ -108,8 +112,10 @@ def test_online_and_policy_are_flown_once_and_alike_when_made_again(file):
         counts = [one["failed_replans"] for one in own[row["run"]]]
         online = row["planner"] == "grid, 1 Hz"
         assert row["failed_replans"] == (sum(counts) if online else None)
-    assert reading.read(out).planners == ["grid", "grid, 1 Hz", "mppi"]
-    assert "mppi: " in running.summary(out)
+    assert reading.read_results(out).planners == ["grid", "grid, 1 Hz", "mppi"]
+    assert "mppi: " in running.format_summary(out)
     twin = file.parent / "twin"
-    running.run(running.read(out), out, twin, told=Interrupting(None), **how)
-    assert again.compare(out, twin).same
+    running.run_benchmark(
+        running.read_benchmark(out), out, twin, progress=Interrupting(None), **how
+    )
+    assert folder_comparison.compare_folders(out, twin).same

@@ -20,13 +20,15 @@ def said(paths, status="planned"):
 
 def test_paths_of_another_kind_than_was_said_are_none():
     lines, joints = SimpleNamespace(joints=False), SimpleNamespace(joints=True)
-    assert planning._of_kind(said([LINE, LINE]), lines).status == "planned"
-    assert planning._of_kind(said([TURN, NoPlan("x")], "partial"), joints).status == "partial"
-    mixed = planning._of_kind(said([LINE, TURN]), lines)
+    assert planning._check_path_kind(said([LINE, LINE]), lines).status == "planned"
+    assert (
+        planning._check_path_kind(said([TURN, NoPlan("x")], "partial"), joints).status == "partial"
+    )
+    mixed = planning._check_path_kind(said([LINE, TURN]), lines)
     assert mixed.status == "partial"
     assert mixed.paths[0] is LINE
     assert mixed.paths[1].reason == "gives JointTrajectory, and its class says joints = False"
-    assert planning._of_kind(said([LINE, LINE]), joints).status == "none"
+    assert planning._check_path_kind(said([LINE, LINE]), joints).status == "none"
 
 
 @pytest.mark.parametrize(
@@ -44,6 +46,6 @@ def test_only_rows_that_repeat_the_last_are_cut_from_a_batch(times, kept):
     time = np.array(times, np.float32)[None, None]
     place = np.arange(15, dtype=np.float32).reshape(1, 1, 5, 3)
     batch = Trajectory(time_s=time, position_m=place, found=np.ones((1, 1), bool))
-    one = planning._robot(batch, 0, 0)
+    one = planning._extract_path(batch, 0, 0)
     np.testing.assert_array_equal(one.time_s, np.array(kept, np.float32))
     np.testing.assert_array_equal(one.position_m, place[0, 0, : len(kept)])

@@ -14,8 +14,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.studies.benchmark import again, running
-from angler_mjx.studies.benchmark import paths as bytes_of
+from angler_mjx.studies.benchmark import folder_comparison, running
+from angler_mjx.studies.benchmark import path_archive as bytes_of
 from angler_mjx.studies.benchmark.store import BenchmarkStore
 
 from .conftest import PLANNERS, Interrupting, rows, workers
@@ -70,7 +70,7 @@ def test_what_was_finished_before_an_interruption_is_neither_lost_nor_done_again
 
 def test_measures_of_straight_plans_are_those_of_straight_lines(runs, folder):
     plans = rows(folder / "results.sqlite", "SELECT runid, paths FROM plans")
-    unpacked = {run: bytes_of.unpacked(data) for run, data in plans}
+    unpacked = {run: bytes_of.unpack_paths(data) for run, data in plans}
     for world in range(4):
         row = runs[STRAIGHT, world]
         paths = unpacked[row["run"]]
@@ -129,18 +129,19 @@ def test_plans_of_the_same_numbers_fly_to_the_same_bytes(runs, robots):
 def test_a_folder_compared_with_itself_and_with_an_edited_one(folder, tmp_path):
     same = tmp_path / "same"
     shutil.copytree(folder, same)
-    assert again.compare(folder, same).same
+    assert folder_comparison.compare_folders(folder, same).same
     edited = tmp_path / "edited"
     shutil.copytree(folder, edited)
     with BenchmarkStore(edited / "results.sqlite") as store:
         run = store.rows("SELECT runid, paths FROM plans")[0]
-        paths = bytes_of.unpacked(run["paths"])
+        paths = bytes_of.unpack_paths(run["paths"])
         paths[1].position_m[1, 2] += np.float32(1e-3)
         store._write(
-            "UPDATE plans SET paths = ? WHERE runid = ?", [(bytes_of.packed(paths), run["runid"])]
+            "UPDATE plans SET paths = ? WHERE runid = ?",
+            [(bytes_of.pack_paths(paths), run["runid"])],
         )
         store._write("DELETE FROM runs WHERE plannerid = ? AND world = 2", [(3,)])
-    found = again.compare(folder, edited)
+    found = folder_comparison.compare_folders(folder, edited)
     assert not found.same
     assert found.planners[STRAIGHT].same_plans == 3
     assert found.planners[STRAIGHT].same_plans_other_outcomes == 0
@@ -175,9 +176,9 @@ def test_a_finished_folder_records_that_it_is_complete(folder):
 def test_a_full_disk_and_a_damaged_database_have_a_message_each(folder, tmp_path):
     full = sqlite3.OperationalError("database or disk is full")
     with BenchmarkStore(folder / "results.sqlite", only_read=True) as store:
-        assert isinstance(store._named(full), RunError)
-        assert "make room and go on with --resume" in str(store._named(full))
-        locked = store._named(sqlite3.OperationalError("database is locked"))
+        assert isinstance(store._name_error(full), RunError)
+        assert "make room and go on with --resume" in str(store._name_error(full))
+        locked = store._name_error(sqlite3.OperationalError("database is locked"))
         assert isinstance(locked, ConfigError)
     damaged = tmp_path / "results.sqlite"
     damaged.write_bytes(b"no database at all" * 100)
@@ -186,15 +187,18 @@ def test_a_full_disk_and_a_damaged_database_have_a_message_each(folder, tmp_path
 
 
 def test_a_finished_or_foreign_folder_is_not_gone_on_with(source, folder, tmp_path):
-    benchmark, how = running.read(source), {"workers": workers, "told": Interrupting(None)}
+    benchmark, how = (
+        running.read_benchmark(source),
+        {"workers": workers, "progress": Interrupting(None)},
+    )
     with pytest.raises(ConfigError, match="is complete"):
-        running.run(benchmark, source, folder, resume=True, **how)
+        running.run_benchmark(benchmark, source, folder, resume=True, **how)
     with pytest.raises(ConfigError, match="no interrupted benchmark"):
-        running.run(benchmark, source, tmp_path / "x", resume=True, **how)
+        running.run_benchmark(benchmark, source, tmp_path / "x", resume=True, **how)
     with pytest.raises(ConfigError, match="exists"):
-        running.run(benchmark, source, folder, **how)
+        running.run_benchmark(benchmark, source, folder, **how)
     with pytest.raises(ConfigError, match="no results folder"):
-        running.read(tmp_path)
+        running.read_benchmark(tmp_path)
 
 
 @pytest.mark.nightly(
@@ -242,7 +246,9 @@ def test_a_world_that_cannot_hold_the_team_is_nobodys_failure(source, tmp_path):
     file = source.with_name("crowded.toml")
     file.write_text(table)
     out = tmp_path / "crowded"
-    running.run(running.read(file), file, out, workers=workers, told=Interrupting(None))
+    running.run_benchmark(
+        running.read_benchmark(file), file, out, workers=workers, progress=Interrupting(None)
+    )
     found = pq.read_table(out / "runs.parquet").to_pylist()
     assert len(found) == 6
     assert {row["plan_reason"] for row in found} == {"the world cannot hold the team"}

@@ -2,7 +2,7 @@ import pytest
 
 from angler_mjx.cli import main as cli
 from angler_mjx.errors import ConfigError
-from angler_mjx.scenario.editing import first_difference
+from angler_mjx.scenario.editing import first_changed_key
 from angler_mjx.studies.fleet_size import conditions, running
 
 FILE = """
@@ -19,7 +19,7 @@ fleet = [{{ vehicle = "bluerov2_heavy" }}]
 def read(tmp_path, sizes="[1, 2, 4]", more="", **given):
     path = tmp_path / "study.toml"
     path.write_text(FILE.format(sizes=sizes, more=more))
-    return conditions.read(path, **given)
+    return conditions.read_study(path, **given)
 
 
 def test_conditions_are_all_combinations(tmp_path):
@@ -51,9 +51,9 @@ def test_a_span_begins_with_powers_of_two(tmp_path):
 def test_a_smoke_run_is_of_four_worlds_and_two_sizes(tmp_path):
     study = read(tmp_path, sizes="{ from = 3, to = 20 }", smoke=True)
     assert study.sizes == (3, 8)
-    assert (study.config.budget.batch, study.config.budget.most_worlds) == (4, 4)
-    with pytest.raises(ConfigError, match=r"--smoke: .*leave out --batch, --most-worlds"):
-        read(tmp_path, smoke=True, batch=8, most_worlds=16, most_minutes=None)
+    assert (study.config.budget.batch, study.config.budget.max_worlds) == (4, 4)
+    with pytest.raises(ConfigError, match=r"--smoke: .*leave out --batch, --max-worlds"):
+        read(tmp_path, smoke=True, batch=8, max_worlds=16, max_minutes=None)
 
 
 def test_the_command_asks_what_it_was_told(tmp_path, monkeypatch):
@@ -64,7 +64,7 @@ def test_the_command_asks_what_it_was_told(tmp_path, monkeypatch):
         asked.append((study, out, how))
         raise ConfigError("far enough")
 
-    monkeypatch.setattr(running, "run", run)
+    monkeypatch.setattr(running, "run_study", run)
     read(tmp_path, more="condition = [{ name = 'a' }, { name = 'b' }]")
     line = ["study", "fleet_size", str(tmp_path / "study.toml")]
     for more in (["--smoke"], ["--batch", "8", "--only", "b", "--devices", "1", "--resume"]):
@@ -99,10 +99,10 @@ def test_only_some_conditions(tmp_path):
         ("[1]", "axis.water = {}", "axis.water: has no values"),
         ("[1]", "condition = [{ name = 'a' }, { name = 'a' }]", "'a' is there twice"),
         ("[1]", "condition = [{ name = 'a', set = { seed = 1 } }]", "set.seed: give seed instead"),
-        ("[1]", "share = 0.5\narrivals = 1", "share and arrivals"),
+        ("[1]", "fraction = 0.5\narrivals = 1", "fraction and arrivals"),
         ("[1]", "arrivals = 2", "arrivals = 2: no team"),
         ("[1]", "size.key = 'fleet.3.count'", "size.key: .*there is no 3"),
-        ("[1]", "budget = { batch = 8, most_worlds = 4 }", "must hold one batch of 8"),
+        ("[1]", "budget = { batch = 8, max_worlds = 4 }", "must hold one batch of 8"),
         ("[1]", "probability = 1.0", "probability"),
         ("[1]", "axis.a.b.time.horizon_s = 90.0", "deadline_s = 100: worlds end after .*90"),
         ("[1]", "axis.a.b.time.horizon_s = 5.0", "deadline_s = 100: worlds end"),
@@ -120,14 +120,14 @@ def test_a_task_is_done_or_not(tmp_path):
     path.write_text(
         "name = 's'\nscenario = 'reef_survey'\nsizes = [1]\ndeadline_s = 9.0\nshare = 0.5\n"
     )
-    with pytest.raises(ConfigError, match=r"share = 0\.5: the scenario has a task"):
-        conditions.read(path)
+    with pytest.raises(ConfigError, match=r"fraction = 0\.5: the scenario has a task"):
+        conditions.read_study(path)
 
 
 def test_the_same_study_is_known_again(tmp_path):
     one = read(tmp_path).resolved()
-    assert first_difference(one, read(tmp_path, most_minutes=3.0).resolved()) is None
-    assert first_difference(read(tmp_path, sizes="[1, 2]").resolved(), one) == "study.sizes"
-    assert first_difference(read(tmp_path, batch=8).resolved(), one) == "study.budget.batch"
+    assert first_changed_key(one, read(tmp_path, max_minutes=3.0).resolved()) is None
+    assert first_changed_key(read(tmp_path, sizes="[1, 2]").resolved(), one) == "study.sizes"
+    assert first_changed_key(read(tmp_path, batch=8).resolved(), one) == "study.budget.batch"
     other = read(tmp_path, more="axis.a.b.world.density = 0.1")
-    assert first_difference(other.resolved(), one) == "study.axis.a"
+    assert first_changed_key(other.resolved(), one) == "study.axis.a"

@@ -48,7 +48,9 @@ def bars(axes):
 
 
 @pytest.mark.parametrize(
-    ("draw", "numbers"), [(figures.success, RATES), (figures.time, TIMES)], ids=["rate", "time"]
+    ("draw", "numbers"),
+    [(figures.plot_success, RATES), (figures.plot_time, TIMES)],
+    ids=["rate", "time"],
 )
 def test_points_and_bars_are_at_the_numbers_of_the_study(draw, numbers):
     found = bars(draw(FOUND).axes[0])
@@ -61,7 +63,7 @@ def test_points_and_bars_are_at_the_numbers_of_the_study(draw, numbers):
     assert np.all(found[0][0] < found[1][0])
 
 
-@pytest.mark.parametrize("draw", [figures.success, figures.time])
+@pytest.mark.parametrize("draw", [figures.plot_success, figures.plot_time])
 def test_lines_and_marks_are_wide_enough_to_be_seen_on_paper(draw):
     """Journals refuse lines under half a point; marks of 3 points are told from a line."""
     for axes in draw(FOUND).axes:

@@ -18,7 +18,7 @@ from angler_mjx.cli import main as cli
 from angler_mjx.cli.studies import fleet_size as command
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.studies.fleet_size import conditions, flying, folder, report, running
-from angler_mjx.studies.fleet_size.flying import arrival
+from angler_mjx.studies.fleet_size.flying import compute_completion_s
 from angler_mjx.studies.fleet_size.simulators import Simulators
 from angler_mjx.studies.fleet_size.store import Batch, StudyStore
 
@@ -66,7 +66,7 @@ obstacles = { dynamic = { count = 0 } }
 
 [budget]
 batch = 4
-most_worlds = 8
+max_worlds = 8
 
 [[condition]]
 name = "calm"
@@ -77,7 +77,7 @@ name = "moving"
 
 [[condition]]
 name = "breaking"
-set = { randomise = { current = [0.0, 0.0] }, breakdowns = { share = 1.0, latest_s = 2.0 } }
+set = { randomise = { current = [0.0, 0.0] }, breakdowns = { fraction = 1.0, latest_s = 2.0 } }
 """
 
 
@@ -111,7 +111,7 @@ def source(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def study(source):
-    return conditions.read(source)
+    return conditions.read_study(source)
 
 
 @pytest.fixture(scope="module")
@@ -124,7 +124,7 @@ def simulators(study):
 @pytest.fixture(scope="module")
 def whole(study, source, simulators, tmp_path_factory):
     out = tmp_path_factory.mktemp("whole") / "small"
-    found = running.run(study, source, out, told=Told(), simulators=simulators)
+    found = running.run_study(study, source, out, progress=Told(), simulators=simulators)
     return out, found
 
 
@@ -138,8 +138,8 @@ def test_every_world_has_a_row(whole, study):
         done = row["completed_s"]
         assert row["success"] == (done is not None and done <= 21.0)
         assert row["arrived"] + row["lost"] <= row["size"]
-    assert found == folder.read(out) | {"timing": found["timing"]}
-    assert found["ended"] == "most_worlds"
+    assert found == folder.read_results(out) | {"timing": found["timing"]}
+    assert found["ended"] == "max_worlds"
 
 
 def test_conditions_that_differ_in_numbers_share_programs(whole, simulators):
@@ -175,38 +175,38 @@ def test_worlds_get_the_current_that_they_would_be_drawn_with(study, simulators)
 
 def test_an_interrupted_study_goes_on_to_the_same_bytes(whole, study, source, simulators, tmp_path):
     out = tmp_path / "again"
-    begun = running.run(study, source, out, told=Told(4), simulators=simulators)
+    begun = running.run_study(study, source, out, progress=Told(4), simulators=simulators)
     assert (begun["ended"], begun["complete"]) == ("interrupted", False)
     assert (out / folder.PAGE).is_file()
     # As if the process had been killed in the middle of a line.
     with (out / "batches.jsonl").open("a") as file:
         file.write('{"condition":"ca')
     with pytest.raises(ConfigError, match="exists"):
-        running.run(study, source, out, told=Told(), simulators=simulators)
+        running.run_study(study, source, out, progress=Told(), simulators=simulators)
     told = Told()
-    found = running.run(study, source, out, told=told, resume=True, simulators=simulators)
+    found = running.run_study(study, source, out, progress=told, resume=True, simulators=simulators)
     for name in ("batches.jsonl", folder.RESULTS):
         assert (out / name).read_bytes() == (whole[0] / name).read_bytes()
     same = ("conditions", "ended", "worlds", "complete")
     assert {key: found[key] for key in same} == {key: whole[1][key] for key in same}
     with pytest.raises(ConfigError, match="is complete"):
-        running.run(study, source, out, told=Told(), resume=True, simulators=simulators)
+        running.run_study(study, source, out, progress=Told(), resume=True, simulators=simulators)
 
 
 @pytest.fixture
 def flights(monkeypatch):
     """What each process flew: its index, and how many tiles; at ``stop`` the second is
     interrupted."""
-    found, fly = SimpleNamespace(flown=[], stop=math.inf), flying.fly
+    found, fly = SimpleNamespace(flown=[], stop=math.inf), flying.fly_batch
 
-    def watched(*args, share, failures):
-        if len(found.flown) >= found.stop and share[0] == 1:
+    def watched(*args, partition, failures):
+        if len(found.flown) >= found.stop and partition[0] == 1:
             raise KeyboardInterrupt
-        part = fly(*args, share=share, failures=failures)
-        found.flown.append((share[0], len(part["first"])))
+        part = fly(*args, partition=partition, failures=failures)
+        found.flown.append((partition[0], len(part["first"])))
         return part
 
-    monkeypatch.setattr(flying, "fly", watched)
+    monkeypatch.setattr(flying, "fly_batch", watched)
     return found
 
 
@@ -217,8 +217,8 @@ def test_processes_that_share_batches_come_to_the_same_bytes(
     out = tmp_path / "shared"
 
     def run(one, resume=False):
-        return running.run(
-            study, source, out, told=Told(), simulators=simulators, processes=one, resume=resume
+        return running.run_study(
+            study, source, out, progress=Told(), simulators=simulators, processes=one, resume=resume
         )
 
     flights.stop = 6
@@ -246,7 +246,7 @@ def test_the_same_bytes_on_two_devices(whole, source, tmp_path):
     """By the command: the first batch of one size and condition."""
     file, out = tmp_path / "one.toml", tmp_path / "one"
     file.write_text(source.read_text())
-    line = ["study", "fleet_size", str(file), "--only", "moving", "--most-worlds", "4", "--json"]
+    line = ["study", "fleet_size", str(file), "--only", "moving", "--max-worlds", "4", "--json"]
     flags = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count=2"
     ended = subprocess.run(
         [sys.executable, "-m", "angler_mjx.cli.main", *line, "--devices", "2", "--out", str(out)],
@@ -265,10 +265,14 @@ def test_the_same_bytes_on_two_devices(whole, source, tmp_path):
 
 def test_a_batch_of_fewer_tiles_than_devices_is_told_of(study, source, simulators, tmp_path):
     told = Told(1)
-    running.run(study, source, tmp_path / "a", told=told, simulators=simulators, devices=1)
+    running.run_study(
+        study, source, tmp_path / "a", progress=told, simulators=simulators, devices=1
+    )
     assert not [text for text in map(str, told.said) if "devices have work" in text]
     told = Told(1)
-    running.run(study, source, tmp_path / "b", told=told, simulators=simulators, devices=3)
+    running.run_study(
+        study, source, tmp_path / "b", progress=told, simulators=simulators, devices=3
+    )
     assert "2 of 3 devices have work" in told.said[0]
     assert "tile = 1" in told.said[0]
 
@@ -278,21 +282,21 @@ def test_another_study_does_not_go_on_with_it(whole, source, tmp_path):
     shutil.copytree(whole[0], out)
     table = json.loads((out / folder.STUDY).read_text())
     (out / folder.STUDY).write_text(json.dumps(table | {"complete": False}))
-    other = conditions.read(source, batch=8)
+    other = conditions.read_study(source, batch=8)
     with pytest.raises(ConfigError, match=r"another study\.budget"):
-        running.run(other, source, out, told=Told(), resume=True)
+        running.run_study(other, source, out, progress=Told(), resume=True)
     with pytest.raises(ConfigError, match="no interrupted study"):
-        running.run(other, source, tmp_path / "nothing", told=Told(), resume=True)
+        running.run_study(other, source, tmp_path / "nothing", progress=Told(), resume=True)
 
 
 def test_no_batch_begins_after_the_time_is_over(source, tmp_path, simulators):
-    study = conditions.read(source, most_minutes=1e-9)
-    with pytest.raises(RunError, match=r"most_minutes.*over before the first batch"):
-        running.run(study, source, tmp_path / "late", told=Told(), simulators=simulators)
+    study = conditions.read_study(source, max_minutes=1e-9)
+    with pytest.raises(RunError, match=r"max_minutes.*over before the first batch"):
+        running.run_study(study, source, tmp_path / "late", progress=Told(), simulators=simulators)
     assert not (tmp_path / "late").exists()
-    given = conditions.read(source)
+    given = conditions.read_study(source)
     with pytest.raises(KeyboardInterrupt):
-        running.run(given, source, tmp_path / "no", told=_Never(), simulators=simulators)
+        running.run_study(given, source, tmp_path / "no", progress=_Never(), simulators=simulators)
     assert not (tmp_path / "no").exists()
 
 
@@ -307,10 +311,10 @@ def test_the_command_tells_what_came_of_it(whole, source, capsys):
         cli.main(["study", "fleet_size", str(source), "--out", str(out), "--resume"])
     assert left.value.code == cli.EXIT_FAULT
     assert "is complete; nothing is left to do" in capsys.readouterr().err
-    command._report(found, out, as_json=True)
+    command._print_study(found, out, as_json=True)
     told = json.loads(capsys.readouterr().out)
     assert told["conditions"] == json.loads(json.dumps(found["conditions"]))
-    command._report(found, out, as_json=False)
+    command._print_study(found, out, as_json=False)
     text = capsys.readouterr().out
     for one in found["conditions"]:
         assert one["name"] in text
@@ -323,19 +327,21 @@ def test_the_command_tells_what_came_of_it(whole, source, capsys):
 
 
 def test_a_batch_is_made_of_whole_tiles(source):
-    assert running.tile_of(conditions.read(source)) == 2  # the scenario's
+    assert running.tile_of(conditions.read_study(source)) == 2  # the scenario's
     with pytest.raises(ConfigError, match=r"budget\.batch = 3: must be whole tiles of 2 worlds"):
-        running.tile_of(conditions.read(source, batch=3, most_worlds=6))
+        running.tile_of(conditions.read_study(source, batch=3, max_worlds=6))
 
 
 def test_every_interval_names_its_level(source):
     """Of 14 sizes each may be accepted wrongly with 1 / 14 of half of 10 %, excluded with half."""
-    given = conditions.read(source)
+    given = conditions.read_study(source)
     rule = running.rule_of(given)
     rule = dataclasses.replace(rule, sizes=tuple(range(3, 17)), confidence=0.9)
-    found = {"levels": report.levels(rule)}
-    assert report.level(found, "share") == f"{100 * (1 - 0.05 - 0.05 / 14):.4g} %" == "94.64 %"
-    assert [report.level(found, kind) for kind in ("answer", "quantile", "mean")] == [
+    found = {"levels": report.confidence_levels(rule)}
+    assert (
+        report.format_level(found, "share") == f"{100 * (1 - 0.05 - 0.05 / 14):.4g} %" == "94.64 %"
+    )
+    assert [report.format_level(found, kind) for kind in ("answer", "quantile", "mean")] == [
         "90 %",
         "90 %",
         "95 %",
@@ -352,10 +358,10 @@ def test_every_interval_names_its_level(source):
 def test_arrival_of_some_robots():
     reached = np.array([[True, True, False], [False, False, True], [True, True, True]])
     end = np.array([[5.0, 9.0, 1.0], [2.0, 2.0, 7.0], [3.0, 1.0, 2.0]])
-    assert arrival(reached, end, 1).tolist() == [5.0, 7.0, 1.0]
-    assert arrival(reached, end, 2).tolist() == [9.0, math.inf, 2.0]
-    assert arrival(reached, end, 3).tolist() == [math.inf, math.inf, 3.0]
-    assert arrival(reached, end, 4).tolist() == [math.inf] * 3
+    assert compute_completion_s(reached, end, 1).tolist() == [5.0, 7.0, 1.0]
+    assert compute_completion_s(reached, end, 2).tolist() == [9.0, math.inf, 2.0]
+    assert compute_completion_s(reached, end, 3).tolist() == [math.inf, math.inf, 3.0]
+    assert compute_completion_s(reached, end, 4).tolist() == [math.inf] * 3
 
 
 def test_a_damaged_file_of_batches_is_refused(tmp_path):

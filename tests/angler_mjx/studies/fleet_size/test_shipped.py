@@ -12,7 +12,7 @@ FILES = tuple(list_shipped("angler_mjx.studies.fleet_size").values())
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
 def test_every_size_can_be_flown(path):
-    study = conditions.read(path)
+    study = conditions.read_study(path)
     assert study.config.name == path.stem
     for condition in study.conditions:
         for size in study.config.first_sizes():
@@ -23,7 +23,7 @@ def test_every_size_can_be_flown(path):
 
 def test_tasks_are_asked_in_currents_with_breakdowns_and_acoustics():
     for name in ("survey_reef", "delivery_corridor"):
-        study = conditions.read(next(path for path in FILES if path.stem == name))
+        study = conditions.read_study(next(path for path in FILES if path.stem == name))
         made = {one.name: study.scenario(one, 8) for one in study.conditions}
         speeds = [
             made[name].randomise.current[0] * 0.5 for name in ("still water", "0.2 m/s", "0.5 m/s")
@@ -32,8 +32,8 @@ def test_tasks_are_asked_in_currents_with_breakdowns_and_acoustics():
         for scenario in made.values():
             east, north, up = scenario.world.currents[0].velocity_mps
             assert (east**2 + north**2 + up**2) ** 0.5 == pytest.approx(0.5)
-        assert made["one in five breaks down"].breakdowns.share == 0.2
+        assert made["one in five breaks down"].breakdowns.fraction == 0.2
         assert made["acoustic"].acoustics.model == "budget"
         assert study.sizes == tuple(range(1, 65))
-        smoke = conditions.read(Path(study.source), smoke=True)
-        assert (smoke.sizes, smoke.config.budget.most_worlds) == ((1, 8), 4)
+        smoke = conditions.read_study(Path(study.source), smoke=True)
+        assert (smoke.sizes, smoke.config.budget.max_worlds) == ((1, 8), 4)

@@ -38,7 +38,7 @@ def asked(tmp_path_factory):
 @pytest.mark.parametrize("name", ASKED)
 def test_one_robot_is_too_few_and_eight_are_enough_as_far_as_four_worlds_tell(asked, name):
     out = asked(name)
-    found = folder.read(out)
+    found = folder.read_results(out)
     rows = pq.read_table(out / folder.RESULTS).to_pylist()
     assert [(row["condition"], row["size"], row["world"]) for row in rows] == [
         (ASKED[name], size, world) for size in (1, 8) for world in range(4)
@@ -58,7 +58,7 @@ def test_one_robot_is_too_few_and_eight_are_enough_as_far_as_four_worlds_tell(as
     # The sizes between were not flown, so the interval holds them.
     assert (answer["estimate"], answer["low"], answer["high"]) == (8, 2, None)
     assert answer["text"] == "open: 2 or more (95 %) after 8 worlds"
-    assert (found["ended"], found["complete"]) == ("most_worlds", True)
+    assert (found["ended"], found["complete"]) == ("max_worlds", True)
     assert answer["text"] in (out / folder.PAGE).read_text()
 
 

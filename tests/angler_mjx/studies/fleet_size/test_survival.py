@@ -22,7 +22,7 @@ TABLE = [
 
 @pytest.fixture(scope="module")
 def curve():
-    return survival.curve(np.array(WEEKS, float), np.array(RELAPSED, bool))
+    return survival.estimate_curve(np.array(WEEKS, float), np.array(RELAPSED, bool))
 
 
 def test_curve_is_the_published_one(curve):
@@ -42,7 +42,7 @@ def test_restricted_mean_of_all_that_were_watched_is_the_mean():
     rng = np.random.default_rng(3)
     times, until = rng.exponential(30.0, 400), 50.0
     ended = np.minimum(times, until)
-    mean, low, high = survival.restricted_mean(survival.curve(ended, times < until), until)
+    mean, low, high = survival.restricted_mean(survival.estimate_curve(ended, times < until), until)
     assert mean == pytest.approx(ended.mean())
     # Without losses before the end Greenwood's sum is the variance of the sample.
     half = 1.959964 * ended.std() / np.sqrt(len(ended))
@@ -50,11 +50,13 @@ def test_restricted_mean_of_all_that_were_watched_is_the_mean():
 
 
 def test_nothing_done():
-    found = survival.curve(np.full(5, 60.0), np.zeros(5, bool))
+    found = survival.estimate_curve(np.full(5, 60.0), np.zeros(5, bool))
     assert survival.restricted_mean(found, 60.0) == (60.0, 60.0, 60.0)
 
 
 def test_the_interval_of_a_mean_stays_within_the_observation():
     """Two worlds, done after 1 s and 99 s of 100 s: the normal interval would be -18 to 118 s."""
-    found = survival.restricted_mean(survival.curve(np.array([1.0, 99.0]), np.ones(2, bool)), 100.0)
+    found = survival.restricted_mean(
+        survival.estimate_curve(np.array([1.0, 99.0]), np.ones(2, bool)), 100.0
+    )
     assert found == (50.0, 0.0, 100.0)

@@ -16,7 +16,7 @@ VEHICLES = 5
 
 @pytest.fixture(scope="module")
 def begun():
-    return jax.jit(free_motion.draw, static_argnums=(1, 2))(jax.random.key(3), VEHICLES, 8)
+    return jax.jit(free_motion.sample_states, static_argnums=(1, 2))(jax.random.key(3), VEHICLES, 8)
 
 
 def moved(state, way):
@@ -57,7 +57,7 @@ def test_a_cpu_gets_fewer_steps_of_many_vehicles():
     assert free_motion.steps_of(10**6, "gpu") == free_motion.STEPS
     assert free_motion.steps_of(64, "cpu") == free_motion.STEPS
     many = free_motion.steps_of(2**20, "cpu")
-    assert free_motion.LEAST_STEPS <= many < free_motion.STEPS
+    assert free_motion.MIN_STEPS <= many < free_motion.STEPS
 
 
 def test_vehicles_that_move_apart_pass(begun):

@@ -12,9 +12,9 @@ import pytest
 from angler_mjx.cli.main import main
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.runs import provenance
-from angler_mjx.runs.simulator.compiling import Compiled, CompileTime, Together
+from angler_mjx.runs.simulator.compilation import CompiledFunction, CompileTime, ParallelCompiler
 from angler_mjx.runs.simulator.simulator import default_tile
-from angler_mjx.scenario.scenario import load_scenario, shipped
+from angler_mjx.scenario.scenario import load_scenario, shipped_scenarios
 from angler_mjx.sim.state import Outcome
 from angler_mjx.studies.speed import measuring, roofline
 from angler_mjx.studies.speed import (
@@ -33,21 +33,21 @@ from angler_mjx.studies.speed.workloads import (
     PROFILES,
     WORKLOADS,
     SpeedRequest,
-    cases,
+    build_cases,
 )
 
 from .rows import make_row
 
 
 def ask(**changes):
-    return cases(SpeedRequest(**changes))
+    return build_cases(SpeedRequest(**changes))
 
 
 @pytest.fixture(scope="module")
 def measured():
     """One closed loop, small enough for a test, on the engine that runs everywhere."""
     (case,) = ask(workloads=("closed_loop_8",), worlds=(2,), robots=(2,), kernels="xla")
-    (row,) = measuring.run([case], lambda case: None)
+    (row,) = measuring.measure_cases([case], lambda case: None)
     return row
 
 
@@ -89,11 +89,11 @@ SIMULATED = [
 def test_operations_of_every_simulation_are_counted(name):
     """Traced only: what follows the timed calls of `measure`."""
     (case,) = ask(workloads=(name,), worlds=(2,), robots=(1,))
-    counted = simulation._count(case.scenario.model_dump_json())
+    counted = simulation._count_scenario_flops(case.scenario.model_dump_json())
     # Hundreds of operations for a physics step of one robot, on either engine.
     assert 500 < counted.flops < 50_000
     # A scenario's repeats share one count.
-    assert simulation._count(case.scenario.model_dump_json()) is counted
+    assert simulation._count_scenario_flops(case.scenario.model_dump_json()) is counted
 
 
 TINY = """
@@ -134,9 +134,9 @@ class OneOperation:
 
     def compile(self):
         operations = {"prepare": jnp.sin, "reset": jnp.cos, "segment": jnp.cumsum}
-        with Together(3) as programs:
+        with ParallelCompiler(3) as programs:
             begun = {
-                name: programs.begin(Compiled(lambda x, of=of: of(x)), self._argument)
+                name: programs.begin(CompiledFunction(lambda x, of=of: of(x)), self._argument)
                 for name, of in operations.items()
             }
         seconds = {f"{name}_s": program.result()[1] for name, program in begun.items()}
@@ -151,7 +151,7 @@ def test_seconds_are_of_an_empty_and_then_of_a_full_cache(monkeypatch):
     monkeypatch.setattr(OneOperation, "results", [])
     before = {name: getattr(jax.config, name) for name in CACHE_SETTINGS}
     (case,) = ask(workloads=("compile",), scenarios=("open_water_current",), worlds=(2,))
-    rows = list(measuring.run([case], lambda case: None))
+    rows = list(measuring.measure_cases([case], lambda case: None))
     assert [row.workload.removeprefix("compile/open_water_current") for row in rows] == [
         f"{name}{end}" for end in ("", "/cached") for name in ("", *PROGRAMS)
     ]
@@ -171,7 +171,7 @@ def test_seconds_of_programs_that_are_compiled_twice_are_refused(monkeypatch):
                 file.unlink()
 
     monkeypatch.setattr(compilation, "Simulator", Forgetful)
-    (row,) = measuring.run(
+    (row,) = measuring.measure_cases(
         ask(workloads=("compile",), scenarios=("open_water_current",), worlds=(2,)),
         lambda case: None,
     )
@@ -190,7 +190,7 @@ def test_programs_are_compiled_without_and_with_a_cache(tmp_path, capsys):
     before = {name: getattr(jax.config, name) for name in CACHE_SETTINGS}
     main(["bench", "--workload", "compile", "--scenario", str(file), "--out", str(out)])
     assert {name: getattr(jax.config, name) for name in CACHE_SETTINGS} == before
-    rows = {row["workload"]: row for row in speed.read(out)}
+    rows = {row["workload"]: row for row in speed.read_rows(out)}
     seconds = {name.removeprefix("compile/tiny"): row["median"] for name, row in rows.items()}
     assert set(seconds) == {f"{name}{end}" for name in ("", *PROGRAMS) for end in ("", "/cached")}
     # Side by side: all takes as long as the longest, and no longer than one after the other.
@@ -202,7 +202,7 @@ def test_programs_are_compiled_without_and_with_a_cache(tmp_path, capsys):
     assert rows["compile/tiny/cached"]["cached_programs"] >= len(PROGRAMS)
     for row in rows.values():
         assert (row["worlds"], row["robots"], row["engine"]) == (2, 1, "fused")
-        assert (row["processor"], row["cpu_count"]) == (provenance.processor(), cores())
+        assert (row["processor"], row["cpu_count"]) == (provenance.processor_name(), cores())
         assert (row["versions"]["jax"], row["device"]) == (jax.__version__, "cpu")
     said = " ".join(capsys.readouterr().out.split())
     assert "compile/tiny/segment fused/xla" in said
@@ -216,7 +216,7 @@ def cores():
 
 def test_all_shipped_scenarios_are_compiled_for_the_tile_of_a_run():
     found = {case.label: case for case in ask(workloads=("compile",))}
-    assert set(found) == {f"compile/{name}" for name in shipped()}
+    assert set(found) == {f"compile/{name}" for name in shipped_scenarios()}
     assert found["compile/sitl_hold"].worlds == 1
     for case in found.values():
         assert case.worlds == default_tile(load_scenario(case.workload.source).worlds)
@@ -231,7 +231,7 @@ def test_all_shipped_scenarios_are_compiled_for_the_tile_of_a_run():
 
 def test_drawing_worlds_ends_with_a_number():
     (case,) = ask(workloads=("env_generation",), worlds=(2,), robots=(1,))
-    (row,) = measuring.run([case], lambda case: None)
+    (row,) = measuring.measure_cases([case], lambda case: None)
     assert row.refused is None
     assert 0 < row.low <= row.median <= row.high
 
@@ -294,7 +294,7 @@ def test_what_does_not_fit_is_reported_and_the_rest_goes_on(monkeypatch):
 
     monkeypatch.setattr(hull_clearance, "measure", measure)
     chosen = ask(workloads=("clearance",), worlds=(4, 16, 64), robots=(1, 2))
-    rows = list(measuring.run(chosen, lambda case: None))
+    rows = list(measuring.measure_cases(chosen, lambda case: None))
     # 64 worlds are not tried after 16 did not fit.
     assert [(row.worlds, row.robots) for row in rows] == [(4, 1), (16, 1), (4, 2), (16, 2)]
     assert [row.out_of_memory for row in rows] == [False, True, False, True]
@@ -307,7 +307,7 @@ def test_a_refused_run_has_no_number(monkeypatch):
         raise RunError("the timed run holds NaN: no number is given")
 
     monkeypatch.setattr(simulation, "measure", measure)
-    (row,) = measuring.run(ask(workloads=("mjx",), worlds=(4,)), lambda case: None)
+    (row,) = measuring.measure_cases(ask(workloads=("mjx",), worlds=(4,)), lambda case: None)
     assert row.median is None
     assert "NaN" in row.refused
     assert not row.out_of_memory
@@ -315,7 +315,7 @@ def test_a_refused_run_has_no_number(monkeypatch):
 
 @pytest.mark.parametrize("profile", sorted(PROFILES))
 def test_all_workloads_of_a_profile_load(profile):
-    chosen = cases(SpeedRequest(profile=profile))
+    chosen = build_cases(SpeedRequest(profile=profile))
     assert {case.workload.kind for case in chosen} <= {
         "dynamics",
         "simulation",
@@ -415,7 +415,7 @@ def test_the_command_ends_with_a_row_of_every_workload(tmp_path, name):
     size = ["--worlds", "2", "--robots", "1"]
     size += ["--scenario", "open_water_current"] if name == "compile" else []
     main(["bench", "--workload", name, *size, "--out", str(out)])
-    rows = speed.read(out)
+    rows = speed.read_rows(out)
     assert len(rows) == (8 if name == "compile" else 1)
     for row in rows:
         assert row["refused"] is None
@@ -447,7 +447,7 @@ def test_the_command_takes_several_of_everything(tmp_path, monkeypatch, capsys):
     numbers = ["--worlds", "2", "4", "--robots", "1", "4", "16"]
     for times in (1, 2):  # what is measured again is appended
         main(["bench", "--workload", "clearance", "dynamics", *numbers, "--out", str(out)])
-        rows = speed.read(out)
+        rows = speed.read_rows(out)
         assert [(row["workload"], row["worlds"], row["robots"]) for row in rows] == times * [
             *(("clearance", worlds, robots) for robots in (1, 4, 16) for worlds in (2, 4)),
             *(("dynamics", worlds, 1) for worlds in (2, 4)),
@@ -476,7 +476,7 @@ def test_the_command_says_what_recording_found(tmp_path, monkeypatch, capsys):
     said = " ".join(capsys.readouterr().out.split())
     assert "90% of what the disk takes" in said
     assert "above 0.48 Hz" in said
-    (row,) = speed.read(out)
+    (row,) = speed.read_rows(out)
     assert row["extra"] == extra
 
 

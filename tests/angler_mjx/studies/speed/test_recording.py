@@ -44,7 +44,7 @@ def test_the_rate_at_which_the_disk_keeps_up():
 def test_a_row_of_recording(scenario, tmp_path):
     folder = tmp_path / "disk"
     sized = {"label": "recording/short", "worlds": 2, "repeats": 10}
-    row = recording.measure(scenario, **sized, folder=folder, least_bytes=60_000)
+    row = recording.measure(scenario, **sized, folder=folder, min_bytes=60_000)
     assert (row.workload, row.unit, row.robots) == ("recording/short", "MB/s", 2)
     assert 0 < row.low <= row.median <= row.high
     assert row.repeats == 10

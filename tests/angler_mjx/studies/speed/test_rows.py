@@ -8,10 +8,10 @@ import pytest
 from angler_mjx.errors import ConfigError
 from angler_mjx.studies.speed import chart
 from angler_mjx.studies.speed import rows as speed
-from angler_mjx.studies.speed.ceilings import with_bounds
-from angler_mjx.studies.speed.compare import compare, latest
-from angler_mjx.studies.speed.report import around, complete
-from angler_mjx.studies.speed.roofline import DeviceSpeed, bound
+from angler_mjx.studies.speed.compare import compare_rows, select_latest
+from angler_mjx.studies.speed.report import compare_with_bound, describe_conditions
+from angler_mjx.studies.speed.roofline import DeviceSpeed, compute_bound
+from angler_mjx.studies.speed.roofline_bounds import with_bounds
 
 from .rows import make_row, write_rows
 
@@ -21,8 +21,8 @@ DEVICE = DeviceSpeed(copy_bytes_per_s=1e9, fma_flops_per_s=1e11, driver=None)
 def test_what_is_recorded_is_read_again(tmp_path):
     path = tmp_path / "deep" / "rows.jsonl"
     row = make_row()
-    speed.record(row, {**around(DEVICE), **complete(row, DEVICE)}, path)
-    (found,) = speed.read(path)
+    speed.append_row(row, {**describe_conditions(DEVICE), **compare_with_bound(row, DEVICE)}, path)
+    (found,) = speed.read_rows(path)
     assert {name: found[name] for name in asdict(row)} == asdict(row)
     for name in ("device", "versions", "commit", "driver", "copy_bytes_per_s", "fma_flops_per_s"):
         assert name in found
@@ -31,19 +31,19 @@ def test_what_is_recorded_is_read_again(tmp_path):
 def test_a_row_that_is_not_a_number_is_not_written(tmp_path):
     path = tmp_path / "rows.jsonl"
     with pytest.raises(ValueError):
-        speed.record(make_row(median=math.nan), {}, path)
+        speed.append_row(make_row(median=math.nan), {}, path)
     assert path.read_text() == ""
 
 
 def test_rows_of_the_first_version_are_read(rows_file):
-    first = speed.read(rows_file)[0]
+    first = speed.read_rows(rows_file)[0]
     assert (first["workload"], first["engine"], first["kernels"]) == ("reef_fleet", "mjx", "xla")
     assert first["flops"] is None
 
 
 def test_the_rows_of_the_repository_are_read():
     path = Path(__file__).parents[4] / "benchmarks" / "results.jsonl"
-    rows = speed.read(path)
+    rows = speed.read_rows(path)
     assert len(rows) == len(path.read_text().splitlines())
     assert all(row["engine"] for row in rows if row["unit"] == "vehicle-steps/s")
 
@@ -53,20 +53,20 @@ def test_a_line_that_is_no_row_is_named(tmp_path, line):
     path = tmp_path / "rows.jsonl"
     path.write_text(f"\n{line}\n")
     with pytest.raises(ConfigError, match="line 2"):
-        speed.read(path)
+        speed.read_rows(path)
 
 
 def test_the_lower_of_two_limits_is_the_roofline():
     # 1e11 flops/s over 4,000 each, 1e9 bytes/s over 30 each.
-    assert bound(make_row(), DEVICE) == pytest.approx(1e11 / 4000)
-    assert bound(make_row(flops=None), DEVICE) == pytest.approx(1e9 / 30)
-    assert bound(make_row(devices=4), DEVICE) == pytest.approx(4e11 / 4000)
-    assert bound(make_row(flops=None, least_bytes=None), DEVICE) is None
-    assert complete(make_row(median=5e6), DEVICE)["share_of_bound"] == pytest.approx(0.2)
+    assert compute_bound(make_row(), DEVICE) == pytest.approx(1e11 / 4000)
+    assert compute_bound(make_row(flops=None), DEVICE) == pytest.approx(1e9 / 30)
+    assert compute_bound(make_row(devices=4), DEVICE) == pytest.approx(4e11 / 4000)
+    assert compute_bound(make_row(flops=None, least_bytes=None), DEVICE) is None
+    assert compare_with_bound(make_row(median=5e6), DEVICE)["share_of_bound"] == pytest.approx(0.2)
 
 
 def test_commits_in_one_file_are_compared_size_by_size(rows_file):
-    ratios = {row.worlds: row for row in compare("abc", "def", rows_file).ratios}
+    ratios = {row.worlds: row for row in compare_rows("abc", "def", rows_file).ratios}
     assert sorted(ratios) == [1, 16]
     assert ratios[1].ratio == pytest.approx(3.0)
     assert (ratios[1].low, ratios[1].high) == pytest.approx((5.7e4 / 2.2e4, 6.6e4 / 1.9e4))
@@ -80,11 +80,11 @@ def test_files_of_two_machines_are_compared(tmp_path, rows_file):
     b = write_rows(
         tmp_path / "b.jsonl", [make_row(median=4e6, low=3.6e6, high=4.4e6)], device="NVIDIA H200"
     )
-    found = compare(str(a), str(b), rows_file)
+    found = compare_rows(str(a), str(b), rows_file)
     (row,) = found.ratios
     assert row.ratio == pytest.approx(4.0)
     assert "NVIDIA H200" in found.machines
-    assert not compare(str(a), str(a), rows_file).machines
+    assert not compare_rows(str(a), str(a), rows_file).machines
 
 
 HOST = {"processor": "Model A", "cpu_count": 2}
@@ -99,7 +99,7 @@ def seconds_row(seconds, name="compile/reef_fleet", **changes):
 def test_fewer_seconds_are_faster_and_one_repeat_has_no_spread(tmp_path):
     a = write_rows(tmp_path / "a.jsonl", [seconds_row(60.0)], **HOST)
     b = write_rows(tmp_path / "b.jsonl", [seconds_row(20.0)], **HOST)
-    found = compare(str(a), str(b), tmp_path / "none")
+    found = compare_rows(str(a), str(b), tmp_path / "none")
     (row,) = found.ratios
     assert (row.ratio, row.low, row.high) == pytest.approx((3.0, 3.0, 3.0))
     assert row.repeats == 1
@@ -113,7 +113,7 @@ def test_seconds_of_another_host_are_left_out_by_name(tmp_path, other):
     a = write_rows(tmp_path / "a.jsonl", rows, **HOST)
     b = write_rows(tmp_path / "b.jsonl", [seconds_row(50.0)], **HOST)
     write_rows(b, [seconds_row(20.0, segment), seconds_row(1.0, "compile/open")], **other)
-    found = compare(str(a), str(b), tmp_path / "none")
+    found = compare_rows(str(a), str(b), tmp_path / "none")
     assert [(row.workload, row.ratio) for row in found.ratios] == [("compile/reef_fleet", 1.2)]
     ours, theirs, new = found.left_out
     host = f"{other['processor']}, {other['cpu_count']} cores"
@@ -123,7 +123,9 @@ def test_seconds_of_another_host_are_left_out_by_name(tmp_path, other):
     assert f"in {b}: measured on {host}, in {a} on Model A, 2 cores" in theirs
     assert new.endswith(f"{a} has no such row")
     with pytest.raises(ConfigError, match=f"measured on Model A, 2 cores, in .* on {host}"):
-        compare(str(a), str(write_rows(tmp_path / "c.jsonl", rows, **other)), tmp_path / "none")
+        compare_rows(
+            str(a), str(write_rows(tmp_path / "c.jsonl", rows, **other)), tmp_path / "none"
+        )
 
 
 def test_rates_of_processors_are_kept_apart_where_a_side_has_several(tmp_path):
@@ -131,7 +133,7 @@ def test_rates_of_processors_are_kept_apart_where_a_side_has_several(tmp_path):
     a = write_rows(tmp_path / "a.jsonl", [make_row()], **HOST)
     b = write_rows(tmp_path / "b.jsonl", [make_row()], **HOST)
     write_rows(b, [make_row(median=4e6, low=3.6e6, high=4.4e6)], **OTHERS[1])
-    found = compare(str(a), str(b), tmp_path / "none")
+    found = compare_rows(str(a), str(b), tmp_path / "none")
     assert [row.ratio for row in found.ratios] == [1.0]
     (left_out,) = found.left_out
     assert "measured on Model A, 16 cores" in left_out
@@ -149,7 +151,7 @@ def test_seconds_stand_in_a_table_of_their_own(tmp_path):
     ]
     path = write_rows(tmp_path / "rows.jsonl", rows, versions={"jax": "1.2"}, **HOST)
     write_rows(path, [seconds_row(7.0)], **OTHERS[0])
-    assert "compile" not in chart.table(path).partition("\n")[2]
+    assert "compile" not in chart.format_table(path).partition("\n")[2]
     _, _, first, second = chart.compile_table(path).splitlines()
     assert "| reef_fleet | fused/xla | CPU | Model A, 2 cores | 64 x 4 |" in first
     assert "| -; - | -; - | 30.0; 4.0 | 60.0; 9.0 | 1.2 |" in first
@@ -163,24 +165,24 @@ def test_seconds_stand_in_a_table_of_their_own(tmp_path):
     chart.write_table(path, document)
     assert first in document.read_text()
     write_rows(path, [make_row()])
-    assert compare(str(path), str(path), path).left_out == []
+    assert compare_rows(str(path), str(path), path).left_out == []
 
 
 def test_a_later_row_takes_the_place_of_an_earlier(tmp_path):
     path = write_rows(tmp_path / "a.jsonl", [make_row(median=1.0e6), make_row(median=1.05e6)])
-    assert [row["median"] for row in latest(speed.read(path))] == [1.05e6]
+    assert [row["median"] for row in select_latest(speed.read_rows(path))] == [1.05e6]
 
 
 def test_comparing_with_nothing_says_so(tmp_path, rows_file):
     with pytest.raises(ConfigError, match="no row of"):
-        compare("abc", "fff", rows_file)
+        compare_rows("abc", "fff", rows_file)
     other = write_rows(tmp_path / "b.jsonl", [make_row(worlds=7)])
     with pytest.raises(ConfigError, match="same engine and size"):
-        compare("abc", str(other), rows_file)
+        compare_rows("abc", str(other), rows_file)
 
 
 def test_the_chart_has_a_line_for_each_device_and_engine(rows_file):
-    figure = chart.draw(rows_file)
+    figure = chart.plot_rows(rows_file)
     labels = [text.get_text() for text in figure.legends[0].get_texts()]
     assert sum("fused/xla, CPU" in label for label in labels) == 1
     assert sum("fused/xla, H200" in label for label in labels) == 1
@@ -196,7 +198,7 @@ def test_the_chart_has_a_line_for_each_device_and_engine(rows_file):
 def test_a_chart_of_no_simulation_is_refused(tmp_path):
     path = write_rows(tmp_path / "a.jsonl", [make_row(unit="worlds/s")])
     with pytest.raises(ConfigError, match="vehicle-steps/s"):
-        chart.draw(path)
+        chart.plot_rows(path)
 
 
 def test_the_table_takes_its_place_in_a_document(tmp_path, rows_file):
@@ -223,14 +225,14 @@ def test_bounds_of_many_days_are_of_one_definition(tmp_path):
     write_rows(path, [make_row()], device="A", fma_flops_per_s=3e10)
     write_rows(path, [make_row(flops_from=f"{old}, branches as the cheapest")], device="B")
     write_rows(path, [make_row()], device="C", copy_bytes_per_s=None, fma_flops_per_s=None)
-    bounds = [row["bound"] for row in with_bounds(speed.read(path))]
+    bounds = [row["bound"] for row in with_bounds(speed.read_rows(path))]
     assert bounds == [None, 1e7, 2e7, 1e7, 2e7, None]
 
 
 def test_a_processor_is_known_by_its_cores(tmp_path):
     path = write_rows(tmp_path / "rows.jsonl", [make_row()], cpu_count=2)
     write_rows(path, [make_row()], cpu_count=64, copy_bytes_per_s=1e11, fma_flops_per_s=4e12)
-    assert [row["bound"] for row in with_bounds(speed.read(path))] == [2e7, 1e9]
+    assert [row["bound"] for row in with_bounds(speed.read_rows(path))] == [2e7, 1e9]
 
 
 def test_a_document_without_a_place_is_left_alone(tmp_path, rows_file):
@@ -243,7 +245,7 @@ def test_a_document_without_a_place_is_left_alone(tmp_path, rows_file):
 
 def test_lines_are_strict_json(tmp_path):
     path = tmp_path / "rows.jsonl"
-    speed.record(replace(make_row(), flops=None), {}, path)
+    speed.append_row(replace(make_row(), flops=None), {}, path)
 
     def refuse(name):
         raise AssertionError(name)

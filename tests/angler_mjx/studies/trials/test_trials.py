@@ -16,7 +16,14 @@ from angler_mjx.sim.engines import free_flight
 from angler_mjx.studies.flights import courses, kinds, tracks
 from angler_mjx.studies.flights import samples as drawing
 from angler_mjx.studies.flights.kinds import FlightKind
-from angler_mjx.studies.trials import document, eight, figures, listing, samples, steps
+from angler_mjx.studies.trials import (
+    document,
+    figure_of_eight,
+    figures,
+    sample_report,
+    samples,
+    steps,
+)
 from angler_mjx.studies.trials.trial import Trial, misses_of_eight, misses_of_step
 from angler_mjx.world.currents import Uniform
 
@@ -29,14 +36,14 @@ HEAVY = FlightKind(vehicle="bluerov2_heavy", parameter_set="wu2018")
 def drifting():
     """One vehicle, 2 kg too heavy and thrusters still, in a current, for 60 s."""
     spec = kinds.spec_of("cascade")
-    params = kinds.chosen(kinds.build([HEAVY]), [0])
+    params = kinds.select_rows(kinds.build_params([HEAVY]), [0])
     params = jax.tree.map(lambda leaf: leaf[0], params)
     neutral = params.vehicle.volume_m3 * 1000.0
     plant = dataclasses.replace(params.vehicle, mass_kg=neutral + 2.0)
 
     @quickly
     def fly(flow):
-        return free_flight.fly(
+        return free_flight.simulate_flight(
             spec,
             params,
             jnp.array([0.0, 0.0, -200.0]),
@@ -78,7 +85,7 @@ def test_the_figure_of_eight_has_the_derivatives_that_it_says():
 
 
 def test_the_vortices_reach_the_speed_that_is_asked_for():
-    vortices = drawing.vortices(np.array([0.0, 0.4]))
+    vortices = drawing.build_vortices(np.array([0.0, 0.4]))
     a = np.linspace(0, 2 * np.pi, 2000)
     line = jnp.asarray(np.stack([2 * np.sin(a), np.sin(2 * a), 0 * a], axis=1), float)
     for row, most in enumerate((0.0, 0.4)):
@@ -106,12 +113,12 @@ def test_only_swings_that_do_not_die_out_are_oscillations(amplitude, decay_s, ex
     t = 0.05 * np.arange(1200)
     pose = np.zeros((1200, 4))
     pose[:, 1] = amplitude * np.exp(-(t - 40.0) / decay_s) * np.sin(2.0 * t)
-    assert tracks.swings(pose, -200) is expected
+    assert tracks.is_oscillating(pose, -200) is expected
 
 
 @pytest.fixture(scope="module")
 def flown():
-    return {name: steps.fly(name, [HEAVY]) for name in ("cascade", "los")}
+    return {name: steps.fly_steps(name, [HEAVY]) for name in ("cascade", "los")}
 
 
 def test_the_cascade_meets_its_targets_and_los_steers_its_own_heading(flown):
@@ -131,23 +138,23 @@ SEEDS = (3, 8, 170)
 
 @pytest.fixture(scope="module")
 def verdicts():
-    return list(samples.fly("cascade", SEEDS))
+    return list(samples.fly_samples("cascade", SEEDS))
 
 
 def test_a_seed_is_a_draw_within_its_limits():
-    many = [samples.draw(seed) for seed in range(300)]
-    assert {one.kind for one in many} == set(kinds.shipped())
+    many = [samples.sample_trial(seed) for seed in range(300)]
+    assert {one.kind for one in many} == set(kinds.shipped_vehicles())
     volts = [one.battery_v for one in many]
     assert min(volts) >= 12.0
     assert max(volts) <= 18.0
     assert max(np.linalg.norm(one.current_mps) for one in many) <= 0.8
     assert max(np.linalg.norm(one.step_m) for one in many) <= 2.0
-    shares = np.stack([one.gain_shares for one in many])
+    shares = np.stack([one.gain_factors for one in many])
     assert shares.min() >= 0.8
     assert shares.max() <= 1.2
-    again = samples.draw(170)
+    again = samples.sample_trial(170)
     assert again.kind == many[170].kind
-    np.testing.assert_array_equal(again.gain_shares, many[170].gain_shares)
+    np.testing.assert_array_equal(again.gain_factors, many[170].gain_factors)
 
 
 def test_every_gain_is_scaled_by_its_own_share_but_settings_stay():
@@ -163,9 +170,9 @@ def test_every_gain_is_scaled_by_its_own_share_but_settings_stay():
 
 
 def test_a_draw_flies_alone_as_it_does_among_others(verdicts):
-    (alone,) = samples.fly("cascade", SEEDS[1:2])
+    (alone,) = samples.fly_samples("cascade", SEEDS[1:2])
     among = verdicts[1]
-    assert alone.draw.seed == among.draw.seed == 8
+    assert alone.sample.seed == among.sample.seed == 8
     # Compiled for another number of robots the sums round otherwise; the loop is stable.
     assert alone.distance_m == pytest.approx(among.distance_m, abs=1e-3)
     assert alone.tilt_rad == pytest.approx(among.tilt_rad, abs=1e-3)
@@ -181,23 +188,23 @@ def test_outcomes_are_told_apart(verdicts):
         distance_m=0.0,
         able_mps=0.7,
     )
-    fast = dataclasses.replace(good.draw, current_mps=np.array([0.6, 0.0, 0.0]))
-    slow = dataclasses.replace(good.draw, current_mps=np.array([0.3, 0.0, 0.0]))
+    fast = dataclasses.replace(good.sample, current_mps=np.array([0.6, 0.0, 0.0]))
+    slow = dataclasses.replace(good.sample, current_mps=np.array([0.3, 0.0, 0.0]))
 
     def outcome(**changes):
         return dataclasses.replace(good, **changes).outcome
 
     assert outcome() == "station"
-    assert outcome(draw=fast, distance_m=2.0) == "outrun"
-    assert outcome(draw=slow, distance_m=2.0) == "away"
+    assert outcome(sample=fast, distance_m=2.0) == "outrun"
+    assert outcome(sample=slow, distance_m=2.0) == "away"
     for fault in ({"tilt_rad": 1.2}, {"rate_radps": 11.0}, {"end_rate_radps": 0.6}):
         assert outcome(**fault) == "failed"
     assert dataclasses.replace(good, distance_m=math.nan).fault == "diverges"
 
 
 def test_nothing_holds_level_what_has_neither_weight_nor_thrusters_for_it():
-    (loose,) = kinds.loose()
-    params = kinds.build([loose])
+    (loose,) = kinds.find_unstabilised()
+    params = kinds.build_params([loose])
     # Its centres of mass and of buoyancy are one, and no thruster is asked for pitch.
     assert float(jnp.abs(params.vehicle.p_cb_m).max()) == 0.0
     assert float(jnp.abs(params.allocation.B_inverse[0, :, 4]).max()) == 0.0
@@ -207,7 +214,7 @@ def trial_of(name, flown, verdicts):
     t = np.linspace(0, 2 * np.pi, 50)
     line = np.stack([2 * np.sin(t), np.sin(2 * t)], axis=1)
     eights = tuple(
-        eight.Eight(
+        figure_of_eight.FigureOfEight(
             kind=HEAVY,
             condition=condition,
             speed_mps=0.5,
@@ -216,7 +223,7 @@ def trial_of(name, flown, verdicts):
             track_m=line,
             course_m=line,
         )
-        for condition, _, _ in eight.CONDITIONS
+        for condition, _, _ in figure_of_eight.CONDITIONS
     )
     return Trial(controller=name, flown=flown[name], eights=eights, verdicts=tuple(verdicts[name]))
 
@@ -228,7 +235,9 @@ def test_the_document_holds_what_was_measured(tmp_path, flown, verdicts):
     assert [len(misses_of_eight(e)) for e in trials[0].eights] == [1, 0, 0]
     page = tmp_path / "control.md"
     page.write_text(f"before\n{document.BEGIN}\nold\n{document.END}\nafter\n")
-    document.write(page, document.text(trials, flown["cascade"].steps, "images"))
+    document.write_document(
+        page, document.format_document(trials, flown["cascade"].steps, "images")
+    )
     found = page.read_text()
     assert found.startswith("before\n")
     assert found.endswith("after\n")
@@ -241,7 +250,7 @@ def test_the_document_holds_what_was_measured(tmp_path, flown, verdicts):
     widths = [line.count("|") for line in rows]
     heads = [i for i, line in enumerate(rows) if line.startswith("| ---")]
     assert all(widths[i] == widths[i - 1] == widths[i + 1] for i in heads)
-    listing.write_draws(tmp_path / "draws.csv", trials)
+    sample_report.write_samples(tmp_path / "draws.csv", trials)
     with (tmp_path / "draws.csv").open() as file:
         listed = {
             (row["controller"], int(seed))
@@ -249,11 +258,11 @@ def test_the_document_holds_what_was_measured(tmp_path, flown, verdicts):
             for seed in row["seeds"].split()
         }
     lost = {
-        (name, v.draw.seed) for name in verdicts for v in verdicts[name] if v.outcome != "station"
+        (name, v.sample.seed) for name in verdicts for v in verdicts[name] if v.outcome != "station"
     }
     assert {("los", seed) for seed in SEEDS} <= lost
     assert listed == lost
-    figure = figures.draw(trials[1])
+    figure = figures.plot_trial(trials[1])
     assert [axes.get_title(loc="left") for axes in figure.axes[:3]] == [
         "2 m along x",
         "2 m along y",
@@ -265,7 +274,7 @@ def test_a_page_without_marks_is_left_alone(tmp_path):
     page = tmp_path / "control.md"
     page.write_text("nothing here\n")
     with pytest.raises(ConfigError, match="no place for tables"):
-        document.write(page, "x")
+        document.write_document(page, "x")
     assert page.read_text() == "nothing here\n"
 
 

@@ -14,29 +14,29 @@ VALUES = (None, True, -1, 10**30, "x", [], {}, [[]], [{"costs": 1}])
 
 @pytest.fixture
 def stored(tmp_path):
-    claimed = folder.create(tmp_path / "tuned")
+    claimed = folder.create_folder(tmp_path / "tuned")
     history = TuningHistory(
         generations=[Generation(costs=[1.0, 0.9], failed=[0, 1], gradients=None)]
     )
     table = {"settings": {"seed": 1}, "provenance": {"commit": None}}
-    folder.save(claimed.building, table, history, complete=False)
+    folder.save_checkpoint(claimed.building, table, history, complete=False)
     claimed.release()
     return tmp_path / "tuned", claimed.building / folder.CHECKPOINT
 
 
 def test_a_whole_checkpoint_is_taken_up(stored):
     out, _ = stored
-    claimed, table = folder.reopen(out)
-    assert folder.generations(table)[0].costs == [1.0, 0.9]
+    claimed, table = folder.reopen_folder(out)
+    assert folder.read_generations(table)[0].costs == [1.0, 0.9]
     with pytest.raises(ConfigError, match="another process makes this tuning"):
-        folder.reopen(out)
+        folder.reopen_folder(out)
     claimed.release()
 
 
 def test_what_is_refused_keeps_its_name_and_settings_that_are_not_there_are_other_ones(tmp_path):
     out = tmp_path / "tuned"
-    claimed = folder.create(out)
-    folder.save(
+    claimed = folder.create_folder(out)
+    folder.save_checkpoint(
         claimed.building, {"settings": {}, "provenance": {}}, TuningHistory(), complete=False
     )
     claimed.publish()
@@ -45,7 +45,7 @@ def test_what_is_refused_keeps_its_name_and_settings_that_are_not_there_are_othe
         tune._require_same(known["settings"], {"seed": 1}, out)
 
     with pytest.raises(ConfigError, match=r"another seed \(None there, 1 here\)"):
-        folder.reopen(out, require)
+        folder.reopen_folder(out, require)
     assert [path.name for path in tmp_path.rglob("*")] == ["tuned", folder.CHECKPOINT]
 
 
@@ -68,12 +68,12 @@ def test_damaged_checkpoints_end_in_our_errors_and_stay(stored):
         path.write_bytes(data)
         said = str(path)
         try:
-            claimed, found = folder.reopen(out)
+            claimed, found = folder.reopen_folder(out)
         except AnglerError as error:
             said = str(error)
             refused += 1
         else:
-            folder.generations(found)
+            folder.read_generations(found)
             claimed.release()
         assert str(path) in said
         assert path.read_bytes() == data

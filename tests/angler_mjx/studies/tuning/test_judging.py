@@ -9,19 +9,19 @@ import pytest
 
 from angler_mjx.sim.engines.free_flight import FreeFlight
 from angler_mjx.studies.flights import kinds, measures
-from angler_mjx.studies.flights.measures import LEVER_M, Measures, ReferenceMotion
+from angler_mjx.studies.flights.measures import LEVER_M, FlightMeasures, ReferenceMotion
 from angler_mjx.studies.tuning import objectives
 
 from ...compiling import quickly
 
 DT = 0.05
 STEPS = 600
-of_flight = quickly(measures.of_flight, static_argnums=3)
+of_flight = quickly(measures.measure_flight, static_argnums=3)
 
 
 @pytest.fixture(scope="module")
 def vehicle():
-    built = kinds.build(kinds.shipped()[:1]).vehicle
+    built = kinds.build_params(kinds.shipped_vehicles()[:1]).vehicle
     return jax.tree.map(lambda leaf: leaf[0], built)
 
 
@@ -38,7 +38,7 @@ def flown(vehicle, p, q=None, nu=None, pwm=None, pose=None, still=1.0, heading=1
         pose=jnp.zeros((n, 4)) if pose is None else jnp.asarray(pose),
         still=jnp.array(still),
         heading=jnp.array(heading),
-        way_m=jnp.array(2.0),
+        length_m=jnp.array(2.0),
     )
     return of_flight(flight, reference, vehicle, DT)
 
@@ -88,7 +88,7 @@ def some(n, seed):
     names = ("ise_m2s", "energy_jpm", "swing_m", "jitter_us", "rms_m", "end_m")
     scale = (1.0, 500.0, 0.05, 10.0, 0.1, 0.1)
     drawn = {k: s * rng.uniform(0.5, 1.5, n) for k, s in zip(names, scale, strict=True)}
-    return Measures(**drawn, failed=np.zeros(n, bool), position_m=np.zeros((n, 1, 3)))
+    return FlightMeasures(**drawn, failed=np.zeros(n, bool), position_m=np.zeros((n, 1, 3)))
 
 
 GROUP = np.array([0] * 10 + [1] * 30)
@@ -116,7 +116,7 @@ def test_objectives_are_the_formulas_that_are_documented():
         "robust": tail(found) / tail(start),
     }
     for objective, value in wanted.items():
-        judge = objectives.judge(objective, GROUP, start)
+        judge = objectives.build_objective(objective, GROUP, start)
         assert judge.cost(start) == pytest.approx(1.0, rel=1e-6)
         # Sums of 40 float32 numbers.
         assert judge.cost(found) == pytest.approx(value, rel=1e-5)
@@ -124,7 +124,7 @@ def test_objectives_are_the_formulas_that_are_documented():
 
 def test_a_flight_that_fails_counts_a_hundred_whatever_its_numbers():
     start = some(40, 1)
-    judge = objectives.judge("ise", GROUP, start)
+    judge = objectives.build_objective("ise", GROUP, start)
     found = batch(some(40, 2))
     sound = judge.costs(found)[0]
     for leaf in (found.ise_m2s, found.swing_m):
@@ -137,7 +137,7 @@ def test_a_flight_that_fails_counts_a_hundred_whatever_its_numbers():
 
 @pytest.mark.parametrize("objective", ["ise", "energy", "robust"])
 def test_gradients_are_those_of_the_cost(objective):
-    judge = objectives.judge(objective, GROUP, some(40, 1))
+    judge = objectives.build_objective(objective, GROUP, some(40, 1))
     rng = np.random.default_rng(5)
     # The i-th measure grows by its slope times the knob.
     slopes = {
@@ -151,7 +151,7 @@ def test_gradients_are_those_of_the_cost(objective):
 
     def cost(turn):
         moved = {k: getattr(found, k) + (np.nan_to_num(s[0]) @ turn) for k, s in slopes.items()}
-        return judge.cost(Measures(**{**vars(found), **moved}))
+        return judge.cost(FlightMeasures(**{**vars(found), **moved}))
 
     h = 3e-3
     for i, step in enumerate(h * np.eye(2)):

@@ -33,7 +33,7 @@ def made(method):
 @pytest.mark.parametrize("method", ["gradient", "cma"])
 def test_both_searches_find_the_optimum_within_their_bounds(method):
     history = TuningHistory()
-    search.run(made(method), bowl, history, GENERATIONS, lambda _: None)
+    search.run_search(made(method), bowl, history, GENERATIONS, lambda _: None)
     cost, found = history.best()
     # Each bends its steps to the bowl in a few dozen generations; 0.03 is 3 % of a gain.
     np.testing.assert_allclose(found, BEST, atol=0.03)
@@ -46,10 +46,10 @@ def test_both_searches_find_the_optimum_within_their_bounds(method):
 @pytest.mark.parametrize("method", ["gradient", "cma"])
 def test_a_search_that_was_told_what_was_found_goes_on_as_it_would_have(method):
     whole = TuningHistory()
-    search.run(made(method), bowl, whole, 12, lambda _: None)
+    search.run_search(made(method), bowl, whole, 12, lambda _: None)
     again = made(method)
-    history = search.replayed(again, whole.generations[:5])
-    search.run(again, bowl, history, 12, lambda _: None)
+    history = search.replay_history(again, whole.generations[:5])
+    search.run_search(again, bowl, history, 12, lambda _: None)
     assert history == whole
 
 

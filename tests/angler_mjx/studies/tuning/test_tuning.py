@@ -10,7 +10,7 @@ from angler_mjx.cli import main
 from angler_mjx.errors import ConfigError
 from angler_mjx.robot.control import stages
 from angler_mjx.robot.control.laws.ardusub.gains import ArduSubGains
-from angler_mjx.scenario.scenario import load_scenario, shipped
+from angler_mjx.scenario.scenario import load_scenario, shipped_scenarios
 from angler_mjx.studies.tuning import (
     figures,
     flying,
@@ -53,10 +53,12 @@ def settings(controller="cascade", method="cma", **more):
 @pytest.mark.parametrize("controller", stages.CONTROLLERS)
 def test_knobs_change_gains_within_bounds_and_never_their_sign(controller):
     spec = problem.spec_of(load_scenario(SCENARIO), controller)
-    turned = knobs.of_spec(spec)
+    turned = knobs.build_knobs(spec)
     for end in ("low", "high"):
         at = [getattr(knob, end) for knob in turned]
-        for stage, gains in zip(spec.stages, knobs.turned(spec, turned, np.array(at)), strict=True):
+        for stage, gains in zip(
+            spec.stages, knobs.apply_settings(spec, turned, np.array(at)), strict=True
+        ):
             if stage.check is not None:
                 stage.check(gains)
         for knob, setting in zip(turned, at, strict=True):
@@ -66,7 +68,9 @@ def test_knobs_change_gains_within_bounds_and_never_their_sign(controller):
                 least, most = knobs.RANGES.get(name, (0.0, math.inf))
                 assert least * (1 - 1e-3) <= value <= most * (1 + 1e-3)
     # What is written has four digits, and settings are of what is written.
-    for knob, at in zip(turned, knobs.rounded(turned, [0.1234567] * len(turned)), strict=True):
+    for knob, at in zip(
+        turned, knobs.round_settings(turned, [0.1234567] * len(turned)), strict=True
+    ):
         assert knob.values(at) == knob.values(0.1234567) or at in (knob.low, knob.high)
 
 
@@ -74,45 +78,48 @@ def test_gains_that_a_scenario_gives_are_where_the_search_begins():
     given = {"name": "cascade", "gains": {"velocity": {"velocity_per_s": 3.25}}}
     loaded = load_scenario(SCENARIO, controller=given)
     (knob,) = [
-        k for k in knobs.of_spec(problem.spec_of(loaded, "cascade")) if k.gains[0].startswith("vel")
+        k
+        for k in knobs.build_knobs(problem.spec_of(loaded, "cascade"))
+        if k.gains[0].startswith("vel")
     ]
     assert knob.start == (3.25,)
-    begin = knobs.of_spec(problem.spec_of(loaded, "pid"))
-    assert begin == knobs.of_spec(problem.spec_of(load_scenario(SCENARIO), "pid"))
+    begin = knobs.build_knobs(problem.spec_of(loaded, "pid"))
+    assert begin == knobs.build_knobs(problem.spec_of(load_scenario(SCENARIO), "pid"))
 
 
 def test_flights_are_known_by_their_numbers_and_go_round_robots_and_courses():
-    robots = samples.robots(load_scenario("heterogeneous"))
+    robots = samples.select_robots(load_scenario("heterogeneous"))
     assert any("blue_ismc" in label for label in robots.left_out)
     assert not any("blue_ismc" in label for label in robots.labels)
     n = 3 * len(robots.labels)
-    few = samples.draw(robots, n, 4, samples.TRAIN, 0.05, timed=True)
-    more = samples.draw(robots, 2 * n, 4, samples.TRAIN, 0.05, timed=True)
-    other = samples.draw(robots, n, 4, samples.HELD_OUT, 0.05, timed=True)
+    few = samples.sample_flights(robots, n, 4, samples.TRAIN, 0.05, timed=True)
+    more = samples.sample_flights(robots, 2 * n, 4, samples.TRAIN, 0.05, timed=True)
+    other = samples.sample_flights(robots, n, 4, samples.HELD_OUT, 0.05, timed=True)
     assert sorted(few.group) == list(range(n))
     for name in ("start_m", "yaw_rad"):
-        a, b = (np.asarray(getattr(x.orders, name)) for x in (few, more))
+        a, b = (np.asarray(getattr(x.settings, name)) for x in (few, more))
         np.testing.assert_array_equal(a, b[:n])
     mass = [
-        np.asarray(x.orders.plant.mass_kg / x.orders.params.vehicle.mass_kg) for x in (few, other)
+        np.asarray(x.settings.plant.mass_kg / x.settings.params.vehicle.mass_kg)
+        for x in (few, other)
     ]
     assert not np.any(mass[0] == mass[1])
     # A fifth more or less, to float32.
     assert np.all(np.abs(mass[0] - 1.0) <= 0.2 + 1e-6)
-    weak = samples.draw(robots, n, 4, samples.TRAIN, 0.05, timed=True, thrust_error=0.3)
-    thrust = np.asarray(weak.orders.plant.B) / np.where(
-        believed := np.asarray(few.orders.params.vehicle.B), believed, np.inf
+    weak = samples.sample_flights(robots, n, 4, samples.TRAIN, 0.05, timed=True, thrust_error=0.3)
+    thrust = np.asarray(weak.settings.plant.B) / np.where(
+        believed := np.asarray(few.settings.params.vehicle.B), believed, np.inf
     )
     share = thrust.max(axis=(1, 2))
     assert np.all(np.abs(share - 1.0) <= 0.3 + 1e-6)
     assert np.ptp(share) > 0.3
-    np.testing.assert_array_equal(few.orders.plant.B, few.orders.params.vehicle.B)
+    np.testing.assert_array_equal(few.settings.plant.B, few.settings.params.vehicle.B)
     still = np.asarray(few.reference.still) == 1
-    speed = np.linalg.norm(np.asarray(few.orders.current[0].velocity_mps), axis=1)
-    able = np.asarray(few.orders.params.vehicle.terminal_speed_mps)[:, :2].min(axis=1)
+    speed = np.linalg.norm(np.asarray(few.settings.current[0].velocity_mps), axis=1)
+    able = np.asarray(few.settings.params.vehicle.terminal_speed_mps)[:, :2].min(axis=1)
     assert np.all(speed <= np.minimum(0.8, 0.6 * able) + 1e-6)
     assert np.all(speed[~still] == 0.0)
-    swirl = np.abs(np.asarray(few.orders.current[1].circulation_m2ps)).max(axis=1)
+    swirl = np.abs(np.asarray(few.settings.current[1].circulation_m2ps)).max(axis=1)
     np.testing.assert_array_equal(swirl > 0, ~still)
     # Targets of steps are 0.5 to 2 m away; the reference is where the vehicle is to be at the end.
     steps = few.group % 3 == 0
@@ -123,7 +130,7 @@ def test_flights_are_known_by_their_numbers_and_go_round_robots_and_courses():
 def test_a_fleet_that_nothing_holds_level_is_refused():
     fleet = [{"vehicle": "bluerov2", "parameter_set": "blue_ismc"}]
     with pytest.raises(ConfigError, match="level"):
-        samples.robots(load_scenario(SCENARIO, fleet=fleet))
+        samples.select_robots(load_scenario(SCENARIO, fleet=fleet))
 
 
 @pytest.fixture(scope="module")
@@ -150,7 +157,7 @@ def test_the_gradient_is_that_of_the_flights_and_evolution_goes_the_same_way(cas
     def evaluate(candidates, *, gradients):
         return cascade.evaluate(candidates, gradients=gradients, done=lambda _: None)
 
-    search.run(Cma(low, high, seed=2), evaluate, history, 3, lambda _: None)
+    search.run_search(Cma(low, high, seed=2), evaluate, history, 3, lambda _: None)
     cost, best = history.best()
     assert cost < 0.9
     # Downhill by the gradient, within 75 degrees of the steepest way.
@@ -177,7 +184,7 @@ def test_a_tuning_that_was_interrupted_leaves_its_best_and_ends_with_the_same_by
     tmp_path, monkeypatch
 ):
     # One figure stands for all; the command draws them all below.
-    monkeypatch.setattr(figures, "ALL", {"search": figures.search})
+    monkeypatch.setattr(figures, "FIGURES", {"search": figures.plot_search})
     # Flights of 15 s are as good to be repeated as those of 30 s.
     monkeypatch.setattr(samples, "FLIGHT_S", 15.0)
     monkeypatch.setattr(flying, "FLIGHT_S", 15.0)
@@ -201,7 +208,7 @@ def test_a_tuning_that_was_interrupted_leaves_its_best_and_ends_with_the_same_by
         tune.tune(wanted, tmp_path / "whole")
     # The scenario takes the gains as they are written.
     scenario = tmp_path / "with_gains.toml"
-    source = shipped()[SCENARIO].read_text(encoding="utf-8")
+    source = shipped_scenarios()[SCENARIO].read_text(encoding="utf-8")
     assert "[controller" not in source
     scenario.write_text(source + "\n" + (tmp_path / "whole" / "gains.toml").read_text())
     assert load_scenario(scenario).controller.stack()[1] == whole.gains
@@ -220,7 +227,7 @@ def test_an_interrupt_before_anything_is_known_leaves_a_tuning_to_go_on_with(tmp
         tune.tune(wanted, out)
     with pytest.raises(ConfigError, match=r"another seed \(1 there, 2 here\)"):
         tune.tune(dataclasses.replace(wanted, seed=2), out, resume=True)
-    claimed, table = folder.reopen(out)
+    claimed, table = folder.reopen_folder(out)
     assert table["generations"] == []
     assert claimed.building.name == ".early.partial"
     claimed.release()
@@ -231,7 +238,7 @@ COMMENTS = ("one", "two")
 
 def test_parameter_files_hold_what_differs_by_the_names_of_the_firmware(tmp_path):
     gains = ArduSubGains(PSC_VELXY_P=4.25, ATC_RAT_RLL_D=0.0123, SERVO_TRIM=1510.0, ANGLE_MAX=3000)
-    written = gain_files.param(gains, 6, COMMENTS)
+    written = gain_files.format_param_file(gains, 6, COMMENTS)
     lines = [line for line in written.splitlines() if not line.startswith("#")]
     values = {name: float(value) for name, value in (line.split(",") for line in lines)}
     servos = {f"SERVO{i}_TRIM": 1510.0 for i in range(1, 7)}
@@ -246,7 +253,10 @@ def test_parameter_files_hold_what_differs_by_the_names_of_the_firmware(tmp_path
     known = {field.name for field in dataclasses.fields(ArduSubGains)}
     assert set(values) - set(servos) < known
     assert all(len(name) <= 16 for name in values)  # MAVLink has no longer ones
-    tabbed = [line.split("\t") for line in gain_files.params(gains, 6, COMMENTS).splitlines()[2:]]
+    tabbed = [
+        line.split("\t")
+        for line in gain_files.format_params_file(gains, 6, COMMENTS).splitlines()[2:]
+    ]
     assert {row[2]: float(row[3]) for row in tabbed} == values
     kinds = {row[2]: row[4] for row in tabbed}
     assert kinds["ANGLE_MAX"] == kinds["SERVO3_TRIM"] == "4"
@@ -260,7 +270,7 @@ def test_parameter_files_hold_what_differs_by_the_names_of_the_firmware(tmp_path
 
 
 def test_all_tuned_parameters_of_ardusub_have_a_documented_range():
-    tuned = {name for names in knobs.TUNED["ardusub"] for name in names}
+    tuned = {name for names in knobs.TUNED_GAINS["ardusub"] for name in names}
     assert tuned == set(knobs.RANGES)
     default = ArduSubGains()
     for name, (least, most) in knobs.RANGES.items():

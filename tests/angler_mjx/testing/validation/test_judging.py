@@ -11,15 +11,15 @@ from angler_mjx.cli.main import main
 from angler_mjx.errors import ConfigError
 from angler_mjx.testing.validation import page, terms
 from angler_mjx.testing.validation import validate as all_of_it
-from angler_mjx.testing.validation.judging import faults
+from angler_mjx.testing.validation.judging import find_faults
 from angler_mjx.testing.validation.results import (
     Expected,
-    Measured,
+    MeasuredDeviations,
     TermResult,
     ValidationResult,
-    read,
+    read_model,
 )
-from angler_mjx.testing.validation.terms import Worse
+from angler_mjx.testing.validation.terms import RegressionTolerance
 
 ROOT = Path(__file__).parents[4]
 ABOUT = {
@@ -72,7 +72,7 @@ module = "nowhere"
 """
 PAGE = "".join(
     f"before {name}\n<!-- validation:{name} begin -->\nold\n<!-- validation:{name} end -->\n"
-    for name in (*page.PARTS, "study", "speed")
+    for name in (*page.TERM_PARTS, "study", "speed")
 )
 
 
@@ -110,7 +110,7 @@ def run(root, found, **asked):
     path = root / "measured.json"
     path.write_text(json.dumps(found))
     request = all_of_it.ValidationRequest(measured=path, **asked)
-    return all_of_it.validate(request, root, lambda line: None)
+    return all_of_it.run_validation(request, root, lambda line: None)
 
 
 def test_what_is_as_expected_is_well(root):
@@ -130,10 +130,10 @@ def test_a_number_that_got_worse_is_named(root, found, key, words):
     run(root, measured())
     (fault,) = run(root, found, check=True)
     assert fault.key == key
-    assert words in fault.said
+    assert words in fault.message
     if "expected" in words:
-        assert "J; tests/test_a.py::test_x" in fault.said
-        assert "2026-01-02, commit 012345678" in fault.said
+        assert "J; tests/test_a.py::test_x" in fault.message
+        assert "2026-01-02, commit 012345678" in fault.message
 
 
 def test_rounding_may_move_and_the_scheme_may_get_better(root):
@@ -156,7 +156,7 @@ def test_a_term_that_no_test_measured_is_named(root):
     run(root, measured())
     (fault,) = run(root, found, check=True)
     assert fault.key == "a.scheme"
-    assert "tests/test_a.py::test_two" in fault.said
+    assert "tests/test_a.py::test_two" in fault.message
 
 
 def test_a_quick_run_does_without_the_long_tests(root):
@@ -174,16 +174,19 @@ def test_what_is_no_term_is_named(root):
 
 
 def test_a_count_has_room_for_chance(root):
-    here, expected = all_of_it.opened(root), read(Expected, root / "docs/validation/expected.json")
+    here, expected = (
+        all_of_it.open_checkout(root),
+        read_model(Expected, root / "docs/validation/expected.json"),
+    )
     # 4 + 3 sqrt(5) = 10.7.
     for count, caught in ((10.0, False), (11.0, True), (0.0, False)):
-        listed = faults(here.terms, expected, None, {"study": study(count)}, set())
+        listed = find_faults(here.terms, expected, None, {"study": study(count)}, set())
         assert [fault.key for fault in listed] == ["study.robots"] * caught
 
 
 def test_what_has_no_expectation_asks_for_one(root):
     (root / "docs" / "validation" / "expected.json").unlink()
-    assert all("--store" in fault.said for fault in run(root, measured()))
+    assert all("--store" in fault.message for fault in run(root, measured()))
     assert run(root, measured(), store=True) == []
     run(root, measured())
     assert run(root, measured(), check=True) == []
@@ -191,22 +194,22 @@ def test_what_has_no_expectation_asks_for_one(root):
 
 def test_what_exceeds_its_bound_is_not_stored(root):
     assert [f.key for f in run(root, measured(scheme=0.3), store=True)] == ["a.scheme"]
-    held = read(Expected, root / "docs/validation/expected.json").numbers
+    held = read_model(Expected, root / "docs/validation/expected.json").numbers
     assert held["a.scheme"].value == 0.1
 
 
 def test_allowed_is_never_more_than_the_bound():
-    worse = Worse(factor=10.0, floor=1e-3, reason="")
-    assert worse.allowed(0.0, 1.0) == 1e-3
-    assert worse.allowed(0.5, 1.0) == 1.0
-    assert worse.allowed(0.01, 1.0) == pytest.approx(0.1)
-    assert math.isnan(worse.allowed(math.nan, None))
+    worse = RegressionTolerance(factor=10.0, floor=1e-3, reason="")
+    assert worse.max_allowed(0.0, 1.0) == 1e-3
+    assert worse.max_allowed(0.5, 1.0) == 1.0
+    assert worse.max_allowed(0.01, 1.0) == pytest.approx(0.1)
+    assert math.isnan(worse.max_allowed(math.nan, None))
 
 
 def test_the_page_is_written_between_its_marks_alone(root):
     run(root, measured())
     text = (root / "docs" / "validation.md").read_text()
-    for name in (*page.PARTS, "study", "speed"):
+    for name in (*page.TERM_PARTS, "study", "speed"):
         assert f"before {name}\n" in text
     assert "old" not in text
     assert "| one | another | m | 1e-11 | 1e-13 | why | `test_a.py::test_one` |" in text
@@ -214,7 +217,7 @@ def test_the_page_is_written_between_its_marks_alone(root):
     # Twice is once.
     run(root, measured())
     assert (root / "docs" / "validation.md").read_text() == text
-    kept = read(ValidationResult, root / "docs" / "validation" / "validation.json")
+    kept = read_model(ValidationResult, root / "docs" / "validation" / "validation.json")
     assert set(kept.tests) == {"a.rounding", "a.scheme"}
 
 
@@ -224,7 +227,7 @@ def test_a_page_that_was_written_by_hand_is_caught(root):
     path.write_text(path.read_text().replace("| 1e-13 |", "| 1e-14 |"))
     (fault,) = run(root, measured(), check=True)
     assert fault.key == "docs/validation.md"
-    assert "--page" in fault.said
+    assert "--page" in fault.message
 
 
 def test_check_writes_nothing(root):
@@ -237,7 +240,7 @@ def test_out_leaves_the_checkout_alone(root, tmp_path):
     run(root, measured(), out=tmp_path / "other")
     assert (root / "docs" / "validation.md").read_text() == PAGE
     assert "1e-13" in (tmp_path / "other" / "validation.md").read_text()
-    assert read(ValidationResult, tmp_path / "other" / "validation.json").tests
+    assert read_model(ValidationResult, tmp_path / "other" / "validation.json").tests
 
 
 def test_rows_measured_at_another_time_say_so(root):
@@ -258,7 +261,7 @@ def test_rows_measured_at_another_time_say_so(root):
     ("spoil", "words"),
     [
         (lambda text: text.replace("<!-- validation:energy end -->", ""), "validation:energy"),
-        (lambda text: text + page.marks("strange")[0], "strange"),
+        (lambda text: text + page.part_markers("strange")[0], "strange"),
         (lambda text: text.replace("validation:study", "validation:other"), "other"),
     ],
 )
@@ -283,17 +286,17 @@ def test_a_file_that_is_no_measurement_is_named(root, text):
     path = root / "measured.json"
     path.write_text(text)
     with pytest.raises(ConfigError, match=r"measured\.json"):
-        read(Measured, path)
+        read_model(MeasuredDeviations, path)
 
 
 def test_an_installed_package_says_what_it_needs(monkeypatch, tmp_path):
     monkeypatch.setattr(terms, "__file__", str(tmp_path / "a" / "b" / "terms.py"))
     with pytest.raises(ConfigError, match="needs a checkout"):
-        terms.checkout()
+        terms.find_checkout()
 
 
 def test_the_command_ends_with_one_and_names_the_number(root, monkeypatch, capsys):
-    monkeypatch.setattr(terms, "checkout", lambda: root)
+    monkeypatch.setattr(terms, "find_checkout", lambda: root)
     path = root / "measured.json"
     path.write_text(json.dumps(measured(scheme=0.15)))
     with pytest.raises(SystemExit) as left:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.files import parse
+from angler_mjx.files import parse_model
 from angler_mjx.testing.validation import page, running, terms
 from angler_mjx.testing.validation.terms import Terms
 
@@ -16,7 +16,7 @@ CALL = re.compile(r'deviation(?:\.close)?\(\s*(?:deviation, )?f?"([a-z0-9_.{}\[\
 
 @pytest.fixture(scope="module")
 def held():
-    return terms.read(ROOT)
+    return terms.read_terms(ROOT)
 
 
 def sources():
@@ -61,18 +61,18 @@ def test_keys_are_given_once():
     }
     kinds = {"w": {"factor": 1.0, "floor": 0.0, "reason": ""}}
     with pytest.raises(ConfigError, match="a: given twice"):
-        parse(Terms, {"worse": kinds, "term": [row, row]}, source="terms")
+        parse_model(Terms, {"worse": kinds, "term": [row, row]}, source="terms")
     with pytest.raises(ConfigError, match=r"no \[worse"):
-        parse(Terms, {"worse": kinds, "term": [{**row, "worse": "x"}]}, source="terms")
+        parse_model(Terms, {"worse": kinds, "term": [{**row, "worse": "x"}]}, source="terms")
     both = {**row, "quick": True, "nightly": True}
     with pytest.raises(ConfigError, match="both quick and nightly"):
-        parse(Terms, {"worse": kinds, "term": [both]}, source="terms")
+        parse_model(Terms, {"worse": kinds, "term": [both]}, source="terms")
 
 
 def test_the_page_has_a_place_for_everything(held):
-    text = (ROOT / page.PAGE).read_text()
-    for name in (*page.PARTS, "speed", *(one.name for one in (*held.study, *held.stored))):
-        assert [text.count(mark) for mark in page.marks(name)] == [1, 1], name
+    text = (ROOT / page.PAGE_PATH).read_text()
+    for name in (*page.TERM_PARTS, "speed", *(one.name for one in (*held.study, *held.stored))):
+        assert [text.count(mark) for mark in page.part_markers(name)] == [1, 1], name
 
 
 def test_tests_are_compiled_as_by_make():

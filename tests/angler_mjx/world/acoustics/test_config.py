@@ -6,7 +6,7 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.world.acoustics.access import Aloha, Tdma
 from angler_mjx.world.acoustics.config import AcousticsConfig, refuse_acoustics
-from angler_mjx.world.acoustics.link import Budget, Reach
+from angler_mjx.world.acoustics.link import LinkBudget, RangeLink
 
 SIZE_M = (24.0, 24.0, 24.0)
 
@@ -37,7 +37,7 @@ def test_numbers_of_the_nanomodem_by_hand():
     """168 dB, 28 kHz, 8 kHz wide, 640 bit/s; it is said to reach farther than 2 km."""
     made = channel(model="budget", bits=128, fading="none")
     assert isinstance(made.access, Tdma)
-    assert isinstance(made.link, Budget)
+    assert isinstance(made.link, LinkBudget)
     assert made.packet_s == pytest.approx(0.2)
     assert made.link.snr_db == pytest.approx(168.0 - 37.6 - 39.03, abs=0.05)
     assert made.link.success(2000.0, 0.0) > 0.999
@@ -47,7 +47,7 @@ def test_numbers_of_the_nanomodem_by_hand():
 
 def test_a_range_is_a_channel():
     made = channel(model="range", range_m=10.0)
-    assert made.link == Reach(range_m=10.0)
+    assert made.link == RangeLink(range_m=10.0)
     assert channel(model="range", range_m=1.0).link.success(1.0, 0.0) == 1.0
 
 

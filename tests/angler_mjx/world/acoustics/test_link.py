@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from angler_mjx.world.acoustics.link import Budget, Reach, bit_error, packet_success
+from angler_mjx.world.acoustics.link import LinkBudget, RangeLink, bit_error, packet_success
 from angler_mjx.world.acoustics.link import transmission_loss_db as loss_db
 
 RATIOS = 10 ** (np.array([-5.0, 0.0, 5.0, 10.0, 25.0]) / 10)
@@ -55,7 +55,7 @@ def test_loss_of_a_kilometre():
 def test_budget_by_hand():
     """168 dB sent, 37.6 dB/Hz of noise over 8 kHz, 640 bit/s: what arrives at 2 km."""
     noise_db = 37.6 + 10 * math.log10(8000)
-    link = Budget(
+    link = LinkBudget(
         snr_db=168 - noise_db,
         bit_db=10 * math.log10(8000 / 640),
         spreading=1.5,
@@ -77,7 +77,7 @@ def test_budget_by_hand():
 @pytest.mark.parametrize("rock_db", [0.0, 7.5])
 def test_a_modem_drowns_others_where_it_is_louder_than_the_noise(rock_db):
     """Up to the distance at which 10 k log10(r) + a r eats up the signal (SciPy's root)."""
-    link = Budget(
+    link = LinkBudget(
         snr_db=60.0,
         bit_db=11.0,
         spreading=1.5,
@@ -97,12 +97,12 @@ def test_a_modem_drowns_others_where_it_is_louder_than_the_noise(rock_db):
 
 
 def test_within_a_range_all_is_loud():
-    link = Reach(range_m=50.0)
+    link = RangeLink(range_m=50.0)
     found = link.loud(np.array([1.0, 50.0, 50.1, 1.0]), np.array([0.0, 0.0, 0.0, 0.1]))
     assert found.tolist() == [True, True, False, False]
 
 
 def test_reach_is_all_or_nothing():
-    link = Reach(range_m=50.0)
+    link = RangeLink(range_m=50.0)
     np.testing.assert_array_equal(link.success(np.array([0.0, 50.0, 50.1]), 0.0), [1, 1, 0])
     assert link.success(np.array(1.0), 0.1) == 0.0

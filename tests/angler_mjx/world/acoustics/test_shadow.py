@@ -2,7 +2,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from angler_mjx.world.acoustics.shadow import CUT_DB, Rock, rock_between_m
+from angler_mjx.world.acoustics.shadow import CUT_DB, RockLoss, rock_between_m
 from angler_mjx.world.grid import Grid
 
 
@@ -52,7 +52,7 @@ def test_beside_above_and_outside_there_is_none(wall):
 
 def test_rock_cuts_or_damps(wall):
     a, b = jnp.array([-5.0, 0.1, -7.0]), jnp.array([5.0, 0.1, -7.0])
-    assert Rock(db_per_m=None).loss_db(wall, a, b) == CUT_DB
+    assert RockLoss(db_per_m=None).loss_db(wall, a, b) == CUT_DB
     within = float(rock_between_m(wall, a, b))
-    assert Rock(db_per_m=2.0).loss_db(wall, a, b) == pytest.approx(2.0 * within)
-    assert Rock(db_per_m=None).loss_db(wall, a, a + jnp.array([0.0, 1.0, 0.0])) == 0.0
+    assert RockLoss(db_per_m=2.0).loss_db(wall, a, b) == pytest.approx(2.0 * within)
+    assert RockLoss(db_per_m=None).loss_db(wall, a, a + jnp.array([0.0, 1.0, 0.0])) == 0.0

@@ -7,4 +7,4 @@ from angler_experiments.ocean import headland
 
 @pytest.fixture(scope="session")
 def ocean_file(tmp_path_factory):
-    return headland.write(tmp_path_factory.mktemp("ocean") / "headland.nc")
+    return headland.write_dataset(tmp_path_factory.mktemp("ocean") / "headland.nc")

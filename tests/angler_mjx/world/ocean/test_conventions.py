@@ -10,7 +10,7 @@ import xarray
 
 from angler_experiments.ocean import headland
 from angler_mjx.errors import ConfigError
-from angler_mjx.files import parse
+from angler_mjx.files import parse_model
 from angler_mjx.world import ocean
 from angler_mjx.world.currents.gridded import GridConfig
 from angler_mjx.world.currents.ground import BathymetryConfig
@@ -23,12 +23,12 @@ EAST = {"standard_name": "longitude", "units": "degrees_east"}
 
 @pytest.fixture(scope="module")
 def small():
-    return headland.dataset(12).isel(time=slice(0, 3), depth=slice(0, 2))
+    return headland.build_dataset(12).isel(time=slice(0, 3), depth=slice(0, 2))
 
 
 @pytest.fixture(scope="module")
 def field(small, tmp_path_factory):
-    return ocean.load(written(small, tmp_path_factory.mktemp("plain")), NONE)
+    return ocean.load_field(written(small, tmp_path_factory.mktemp("plain")), NONE)
 
 
 def written(data, folder, engine="h5netcdf"):
@@ -77,7 +77,9 @@ INTEGERS = {
 @pytest.mark.parametrize("case", FLOATS)
 def test_missing_floats_are_land(small, field, tmp_path, case):
     dtype, land, attributes = FLOATS[case]
-    read = ocean.load(written(stored(small, dtype, land, **attributes), tmp_path, "scipy"), NONE)
+    read = ocean.load_field(
+        written(stored(small, dtype, land, **attributes), tmp_path, "scipy"), NONE
+    )
     np.testing.assert_array_equal(read.wet, field.wet)
     np.testing.assert_array_equal(read.values, field.values)
 
@@ -86,7 +88,7 @@ def test_missing_floats_are_land(small, field, tmp_path, case):
 def test_missing_packed_integers_are_land(small, field, tmp_path, case):
     dtype, land, attributes = INTEGERS[case]
     data = stored(small, dtype, land, 1e-4, 0.01, **attributes)
-    read = ocean.load(written(data, tmp_path), NONE)
+    read = ocean.load_field(written(data, tmp_path), NONE)
     np.testing.assert_array_equal(read.wet, field.wet)
     np.testing.assert_allclose(read.values, field.values, atol=0.51e-4)
 
@@ -95,7 +97,7 @@ def test_unsigned_bytes_are_read_as_such(small, field, tmp_path):
     # Classic NetCDF has no unsigned bytes: 255 is stored as -1.
     data = stored(small, np.uint8, 255, 0.005, -0.6, _FillValue=np.int8(-1), _Unsigned="true")
     data = data.map(lambda v: v.copy(data=v.values.view(np.int8)), keep_attrs=True)
-    read = ocean.load(written(data, tmp_path, "scipy"), NONE)
+    read = ocean.load_field(written(data, tmp_path, "scipy"), NONE)
     np.testing.assert_array_equal(read.wet, field.wet)
     np.testing.assert_allclose(read.values, field.values, atol=0.0026)
 
@@ -111,7 +113,7 @@ def test_unsigned_bytes_are_read_as_such(small, field, tmp_path):
 def test_attributes_that_readers_take_otherwise_are_refused(small, tmp_path, attributes, words):
     data = stored(small, np.int16, -32767, 1e-4, 0.01, **attributes)
     with pytest.raises(ConfigError, match=words):
-        ocean.load(written(data, tmp_path), NONE)
+        ocean.load_field(written(data, tmp_path), NONE)
 
 
 def test_speeds_that_no_sea_has_are_refused_with_their_place(small, tmp_path):
@@ -119,21 +121,21 @@ def test_speeds_that_no_sea_has_are_refused_with_their_place(small, tmp_path):
     data.vo.values[1, 0, 6, 2] = -31.5
     spot = rf"vo = -31\.5 m/s at 2024-06-01T01:00:00, latitude {data.latitude[6]:g}, "
     with pytest.raises(ConfigError, match=spot + rf"longitude {data.longitude[2]:g}, depth 0.5 m"):
-        ocean.load(written(data, tmp_path), NONE)
+        ocean.load_field(written(data, tmp_path), NONE)
     data.vo.values[1, 0, 6, 2] = np.inf
     with pytest.raises(ConfigError, match="vo = inf m/s"):
-        ocean.load(written(data, tmp_path), NONE)
+        ocean.load_field(written(data, tmp_path), NONE)
     data.vo.values[1, 0, 6, 2], data.uo.values[1, 0, 6, 2] = 19.9, 0.0
-    assert ocean.load(written(data, tmp_path), NONE).values.max() == np.float32(19.9)
+    assert ocean.load_field(written(data, tmp_path), NONE).values.max() == np.float32(19.9)
     path = written(small, tmp_path)
     fastest = np.sqrt(np.nanmax(small.uo.values**2 + small.vo.values**2))
     for speed, is_refused in ((19.9 / fastest, False), (20.1 / fastest, True)):
         table = {"file": path, "scale": {"space": 10.0, "speed": float(speed)}}
         if is_refused:
             with pytest.raises(ConfigError, match=r"scale: makes 20\.1 m/s"):
-                parse(GridConfig, table, source="test")
+                parse_model(GridConfig, table, source="test")
         else:
-            parse(GridConfig, table, source="test")
+            parse_model(GridConfig, table, source="test")
 
 
 def on_rotated_pole(data, **more):
@@ -234,20 +236,20 @@ def above_the_floor(data):
 def test_axes_and_components_of_other_frames_are_refused(small, tmp_path, change, words):
     data = change(small[["uo", "vo"]].copy(deep=True))
     with pytest.raises(ConfigError, match=words) as caught:
-        ocean.load(written(data, tmp_path), NONE)
+        ocean.load_field(written(data, tmp_path), NONE)
     assert "\n" not in str(caught.value)
 
 
 def test_a_projection_that_is_not_described_is_refused(small, tmp_path):
     data = on_plane(small[["uo", "vo"]].copy(deep=True), "transverse_mercator").drop_vars("crs")
     with pytest.raises(ConfigError, match="uo has the grid mapping 'crs', which the file does not"):
-        ocean.load(written(data, tmp_path), NONE)
+        ocean.load_field(written(data, tmp_path), NONE)
 
 
 @pytest.mark.parametrize("mapping", ["transverse_mercator", None])
 def test_components_along_axes_of_a_plane_are_taken_as_they_are(small, field, tmp_path, mapping):
     data = on_plane(small[["uo", "vo"]].copy(deep=True), mapping, unit="km")
-    read = ocean.load(written(data, tmp_path), NONE)
+    read = ocean.load_field(written(data, tmp_path), NONE)
     assert not read.degrees
     np.testing.assert_array_equal(read.knots[0], 5e5 * np.arange(12))
     np.testing.assert_array_equal(read.values[read.wet], field.values[field.wet])
@@ -258,7 +260,7 @@ def test_a_geographic_grid_mapping_is_no_hindrance(small, field, tmp_path):
     data["crs"] = ((), 0, {"grid_mapping_name": "latitude_longitude"})
     data.uo.attrs["grid_mapping"] = "crs: latitude longitude"
     data.vo.attrs["grid_mapping"] = "lost"  # cut off by ncks: the axes say what they are
-    assert ocean.load(written(data, tmp_path), NONE) == field
+    assert ocean.load_field(written(data, tmp_path), NONE) == field
 
 
 @pytest.mark.parametrize(
@@ -271,14 +273,14 @@ def test_a_geographic_grid_mapping_is_no_hindrance(small, field, tmp_path):
 )
 def test_components_that_are_named_as_others_are_refused(small, tmp_path, names, words):
     with pytest.raises(ConfigError, match=words):
-        ocean.load(written(small, tmp_path), {**NONE, **names})
+        ocean.load_field(written(small, tmp_path), {**NONE, **names})
 
 
 def test_components_of_other_products_are_taken_by_name(small, field, tmp_path):
     data = small[["uo", "vo"]].copy(deep=True)
     data.uo.attrs["standard_name"] = "surface_geostrophic_eastward_sea_water_velocity"
     data.vo.attrs.pop("standard_name")
-    read = ocean.load(written(data, tmp_path), {"u": "uo", "v": "vo", "w": None})
+    read = ocean.load_field(written(data, tmp_path), {"u": "uo", "v": "vo", "w": None})
     np.testing.assert_array_equal(read.values, field.values)
 
 
@@ -299,7 +301,7 @@ def in_days(data, units, days, calendar):
 )
 def test_days_since_year_one_are_read(small, field, tmp_path, calendar, days):
     data = in_days(small, "days since 0001-01-01 00:00:00", days, calendar)
-    read = ocean.load(written(data, tmp_path), NONE)
+    read = ocean.load_field(written(data, tmp_path), NONE)
     assert read.begin == field.begin
     np.testing.assert_allclose(read.knots[3], field.knots[3], atol=1e-3)
 
@@ -329,14 +331,14 @@ def test_times_that_cannot_be_read_are_refused_in_whole_sentences(
     small, tmp_path, units, calendar, words
 ):
     with pytest.raises(ConfigError, match=f"time has the units .*{words}"):
-        ocean.load(written(in_days(small, units, 700000.5, calendar), tmp_path), NONE)
+        ocean.load_field(written(in_days(small, units, 700000.5, calendar), tmp_path), NONE)
 
 
 def test_times_that_were_never_written_are_refused(small, tmp_path):
     about = {"units": "hours since 2024-06-01", "standard_name": "time"}
     data = small.assign_coords(time=("time", [0.0, 1.0, FILL], about))
     with pytest.raises(ConfigError, match="time has missing times; cut them off"):
-        ocean.load(written(data, tmp_path), NONE)
+        ocean.load_field(written(data, tmp_path), NONE)
 
 
 def floor(small, name, values, axes=("latitude", "longitude"), **attributes):
@@ -387,7 +389,7 @@ def test_sea_floors_lie_where_the_file_says(small, height, tmp_path, case):
     axes = ("y", "x") if case == "ETOPO 1" else ("latitude", "longitude")
     values = height if sign < 0 else -height
     table = {"file": written(floor(small, name, values, axes, **attributes), tmp_path), **keys}
-    read = parse(BathymetryConfig, table, source="test").floor
+    read = parse_model(BathymetryConfig, table, source="test").floor
     np.testing.assert_array_equal(read.wet, height < 0)
     np.testing.assert_array_equal(read.depth_m[read.wet], -height[height < 0])
 
@@ -396,7 +398,7 @@ def test_sea_floors_lie_where_the_file_says(small, height, tmp_path, case):
 def test_a_floor_of_one_sign_needs_no_direction(small, height, tmp_path, sign):
     values = sign * np.where(height < 0, -height, 0)
     table = {"file": written(floor(small, "h", values), tmp_path), "variable": "h"}
-    read = parse(BathymetryConfig, table, source="test").floor
+    read = parse_model(BathymetryConfig, table, source="test").floor
     np.testing.assert_array_equal(read.wet, height < 0)
     np.testing.assert_array_equal(read.depth_m[read.wet], -height[height < 0])
 
@@ -423,14 +425,14 @@ def test_sea_floors_that_do_not_say_what_they_are_are_refused(
 ):
     path = written(floor(small, "z", height, **attributes), tmp_path)
     with pytest.raises(ConfigError, match=words):
-        parse(BathymetryConfig, {"file": path, "variable": "z", **keys}, source="test")
+        parse_model(BathymetryConfig, {"file": path, "variable": "z", **keys}, source="test")
 
 
 def test_missing_depths_of_a_sea_floor_are_land(small, height, tmp_path):
     values = np.where(height < 0, -height, 0).astype(np.float32)
     values[7, 7] = FILL
     data = floor(small, "deptho", values, standard_name="sea_floor_depth_below_geoid")
-    read = parse(BathymetryConfig, {"file": written(data, tmp_path)}, source="test").floor
+    read = parse_model(BathymetryConfig, {"file": written(data, tmp_path)}, source="test").floor
     assert height[7, 7] < 0
     assert not read.wet[7, 7]
     assert read.depth_m.max() < 60
@@ -442,4 +444,4 @@ def test_a_sea_floor_on_a_rotated_pole_is_refused(small, height, tmp_path):
     for name in ("latitude", "longitude"):
         data[f"r{name[:3]}"].attrs = {"standard_name": f"grid_{name}", "units": "degrees"}
     with pytest.raises(ConfigError, match="rlat is a grid_latitude"):
-        parse(BathymetryConfig, {"file": written(data, tmp_path)}, source="test")
+        parse_model(BathymetryConfig, {"file": written(data, tmp_path)}, source="test")

@@ -8,7 +8,7 @@ import xarray
 from pydantic import Field
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.files import FOLDER, FileModel, parse
+from angler_mjx.files import FOLDER_CONTEXT, FileModel, parse_model
 from angler_mjx.world import currents
 
 from ...compiling import quickly
@@ -24,12 +24,14 @@ class File(FileModel):
 
 def configs(ocean_file, **keys):
     data = {"current": [{"type": "grid", "file": ocean_file.name, **keys}]}
-    return parse(File, data, source="test", context={FOLDER: ocean_file.parent}).current
+    return parse_model(
+        File, data, source="test", context={FOLDER_CONTEXT: ocean_file.parent}
+    ).current
 
 
 def drawn(config, n, horizon_s=120.0):
     def one(key):
-        return currents.draw(config, key, LO, HI, horizon_s)[0]
+        return currents.sample_current(config, key, LO, HI, horizon_s)[0]
 
     return quickly(jax.vmap(one))(jax.random.split(jax.random.key(4), n))
 
@@ -133,7 +135,9 @@ def test_scale_shrinks_slows_and_keeps_the_pattern(ocean_file):
     place = {"latitude": [50.54, 50.54], "longitude": [-2.43, -2.43]}
     place["time"] = ["2024-06-01T05:00", "2024-06-01T05:00"]
     whole, small = (
-        currents.draw(configs(ocean_file, **place, **keys), jax.random.key(0), -HI, HI, 10.0)[0]
+        currents.sample_current(
+            configs(ocean_file, **place, **keys), jax.random.key(0), -HI, HI, 10.0
+        )[0]
         for keys in ({}, {"scale": {"space": 0.01, "depth": 0.01, "speed": 0.1}})
     )
     p, t = jnp.array([120.0, -200.0, -9.0]), jnp.array(900.0)
@@ -142,7 +146,7 @@ def test_scale_shrinks_slows_and_keeps_the_pattern(ocean_file):
     np.testing.assert_allclose(w, 0.1 * v, atol=1e-6)
     np.testing.assert_allclose(w_t, v_t, rtol=1e-4, atol=1e-9)
     np.testing.assert_allclose(K, 10 * J, rtol=1e-4, atol=1e-8)
-    fast = currents.scaled((small,), jnp.array(3.0))
+    fast = currents.scale_current((small,), jnp.array(3.0))
     np.testing.assert_allclose(currents.velocity(fast, 0.01 * p, 0.1 * t), 0.3 * v, atol=1e-6)
 
 
@@ -161,7 +165,7 @@ def test_derivatives_equal_automatic_differentiation(current):
 def test_a_world_is_the_same_in_any_company(ocean_file, current):
     alone = drawn(configs(ocean_file), 3)
     np.testing.assert_array_equal(np.asarray(alone.rest), np.asarray(current.rest)[:3])
-    beside = parse(
+    beside = parse_model(
         File,
         {
             "current": [
@@ -172,8 +176,8 @@ def test_a_world_is_the_same_in_any_company(ocean_file, current):
         source="test",
     ).current
     key = jax.random.key(9)
-    first = currents.draw(beside[:1], key, LO, HI, 60.0)[0]
-    both = currents.draw(beside, key, LO, HI, 60.0)
+    first = currents.sample_current(beside[:1], key, LO, HI, 60.0)[0]
+    both = currents.sample_current(beside, key, LO, HI, 60.0)
     np.testing.assert_array_equal(first.centre_m, both[0].centre_m)
 
 

@@ -8,10 +8,10 @@ from scipy.interpolate import RegularGridInterpolator
 
 from angler_experiments.ocean import headland
 from angler_mjx.errors import ConfigError
-from angler_mjx.files import parse
+from angler_mjx.files import parse_model
 from angler_mjx.world.config import WorldConfig
 from angler_mjx.world.generate import generate_batch
-from angler_mjx.world.ocean.floor import carried_over
+from angler_mjx.world.ocean.floor import knots_below
 
 SHAPE, CELL = (16, 16, 8), 2.0
 PLACE = {"latitude": [50.518, 50.518], "longitude": [-2.45, -2.45]}
@@ -21,7 +21,7 @@ N = 6
 
 def world(**keys):
     data = {"preset": "open", "shape": list(SHAPE), "cell_m": CELL, "depth_m": 1.0, **keys}
-    return parse(WorldConfig, {"placement": "random", **data}, source="test")
+    return parse_model(WorldConfig, {"placement": "random", **data}, source="test")
 
 
 def generated(config):
@@ -117,7 +117,7 @@ def test_a_floor_alone_lies_at_places_of_its_own(ocean_file):
 
 def test_knots_are_carried_to_the_knot_below_of_another_axis():
     """Before, on, between and beyond its knots; where none is below, from the first."""
-    below, between = carried_over(
+    below, between = knots_below(
         np.array([-2.0, 0.0, 5.0, 10.0, 35.0]), np.array([0.0, 10.0, 30.0])
     )
     np.testing.assert_array_equal(below, [0, 0, 0, 1, 2])
@@ -145,7 +145,7 @@ def test_files_that_do_not_lie_together_are_refused(ocean_file, tmp_path):
         world(currents=[grid, grid])
     with pytest.raises(ConfigError, match=r"bathymetry\.latitude: the sea floor lies where"):
         world(currents=[grid], bathymetry={"file": str(ocean_file), "latitude": [50.56, 50.58]})
-    far = headland.dataset(16)
+    far = headland.build_dataset(16)
     far = far.assign_coords(latitude=("latitude", far.latitude.values + 9, far.latitude.attrs))
     far.to_netcdf(tmp_path / "far.nc", engine="h5netcdf")
     with pytest.raises(ConfigError, match="give files of one area"):

@@ -14,7 +14,7 @@ NONE = {"u": None, "v": None, "w": None}
 
 @pytest.fixture(scope="module")
 def small():
-    return headland.dataset(10).isel(time=slice(0, 4), depth=slice(0, 3))
+    return headland.build_dataset(10).isel(time=slice(0, 4), depth=slice(0, 3))
 
 
 def written(data, tmp_path, **options):
@@ -24,7 +24,7 @@ def written(data, tmp_path, **options):
 
 
 def field_of(data, tmp_path, **names):
-    return ocean.load(written(data, tmp_path), {**NONE, **names})
+    return ocean.load_field(written(data, tmp_path), {**NONE, **names})
 
 
 def test_field_has_the_numbers_of_the_file(small, tmp_path):
@@ -147,7 +147,7 @@ def test_every_spelling_that_is_read_is_tried():
 
 def test_classic_netcdf_and_steady_files_of_one_level_are_read(small, tmp_path):
     data = small.isel(time=0, depth=0, drop=True)
-    field = ocean.load(written(data, tmp_path, engine="scipy"), NONE)
+    field = ocean.load_field(written(data, tmp_path, engine="scipy"), NONE)
     assert field.shape == (10, 10, 1, 1, 2)
     assert field.begin == ""
 
@@ -250,19 +250,19 @@ def test_a_name_chooses_among_variables(small, tmp_path):
 
 def test_what_is_no_netcdf_is_refused(tmp_path):
     with pytest.raises(ConfigError, match=r"none\.nc: cannot be read .No such file"):
-        ocean.load(str(tmp_path / "none.nc"), NONE)
+        ocean.load_field(str(tmp_path / "none.nc"), NONE)
     (tmp_path / "text.nc").write_text("velocity\n")
     with pytest.raises(ConfigError, match=r"text\.nc: is no NetCDF file"):
-        ocean.load(str(tmp_path / "text.nc"), NONE)
+        ocean.load_field(str(tmp_path / "text.nc"), NONE)
     (tmp_path / "cut.nc").write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(100))
     with pytest.raises(ConfigError, match=r"cut\.nc: cannot be read as NetCDF"):
-        ocean.load(str(tmp_path / "cut.nc"), NONE)
+        ocean.load_field(str(tmp_path / "cut.nc"), NONE)
 
 
 def test_a_field_that_programs_cannot_hold_is_refused_before_it_is_read(
     small, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(cf, "MOST_BYTES", 9599)
+    monkeypatch.setattr(cf, "MAX_BYTES", 9599)
     with pytest.raises(ConfigError, match=r"its field takes 9\.6 kB; 9\.6 kB are the most"):
         field_of(small, tmp_path)
 

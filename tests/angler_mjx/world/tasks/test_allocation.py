@@ -32,17 +32,17 @@ def view(
         able=jnp.asarray(able),
         active=jnp.asarray(able if active is None else active),
         p=robots_m,
-        travel=Travel(place_m=jobs_m),
+        travel=Travel(position_m=jobs_m),
         length_m=jnp.zeros(jobs),
         between_m=lambda job: jnp.sqrt(jnp.sum((jobs_m - jobs_m[job]) ** 2, axis=-1)),
         rank=jnp.arange(jobs) if rank is None else jnp.asarray(rank),
-        share=jnp.arange(robots, dtype=jnp.int32),
+        part=jnp.arange(robots, dtype=jnp.int32),
         exists=jnp.ones(jobs, bool),
     )
 
 
 def compiled(name: str) -> Callable[..., Any]:
-    return jax.jit(lambda *scene: allocation.by_name(name)(view(*map(jnp.asarray, scene))))
+    return jax.jit(lambda *scene: allocation.find_allocator(name)(view(*map(jnp.asarray, scene))))
 
 
 GIVEN = {name: compiled(name) for name in allocation.BUILT_IN}
@@ -160,7 +160,10 @@ def test_no_allocator_gives_a_job_to_two_or_one_that_is_not_open() -> None:
 
 
 def test_allocators_of_others_are_found_by_module_and_function() -> None:
-    assert allocation.by_name("angler_mjx.world.tasks.allocation:in_order") is allocation.in_order
+    assert (
+        allocation.find_allocator("angler_mjx.world.tasks.allocation:in_order")
+        is allocation.in_order
+    )
     for name in ("farthest", "no_such_module:f", "angler_mjx.world.tasks.allocation:none"):
         with pytest.raises(ConfigError, match="nearest, auction, sweep"):
-            allocation.by_name(name)
+            allocation.find_allocator(name)

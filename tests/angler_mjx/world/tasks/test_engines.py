@@ -43,10 +43,10 @@ def flown(scenes):
     start = built.worlds.environment.start_m
     places = start.at[1, 1].add(4.0)
     task = TaskWorld(
-        place_m=jnp.concatenate([places, start], axis=1),
+        position_m=jnp.concatenate([places, start], axis=1),
         exists=jnp.ones((2, 2), bool),
         rank=jnp.tile(jnp.arange(2, dtype=jnp.int32), (2, 1)),
-        share=jnp.tile(jnp.arange(2, dtype=jnp.int32), (2, 1)),
+        part=jnp.tile(jnp.arange(2, dtype=jnp.int32), (2, 1)),
         fits=jnp.ones(2, bool),
     )
     spec = TaskSpec(kind="tour", jobs=2, robots=2, tolerance_m=0.2, period=PERIOD)
@@ -75,8 +75,8 @@ def test_a_world_that_is_done_at_the_first_look_ends_and_another_waits(flown, na
     assert np.allclose(state.tally.end_time_s[0], 0.05)
     # The nearest robot is sent to what is left; the other stays.
     assert sorted(state.task.target[1].tolist()) == [-1, 1]
-    assert samples.task.share.shape == (2, STEPS // EVERY)
-    assert np.allclose(samples.task.share[:, 0], [1.0, 0.5])
+    assert samples.task.fraction.shape == (2, STEPS // EVERY)
+    assert np.allclose(samples.task.fraction[:, 0], [1.0, 0.5])
     assert samples.task.done[0, -1].tolist() == [1, 1]
 
 
@@ -84,8 +84,8 @@ def test_a_world_that_is_done_at_the_first_look_ends_and_another_waits(flown, na
 def test_engines_agree_on_the_task(flown, name):
     ours, seen = flown("lanes")
     state, samples = flown(name)
-    for field in ("done", "by", "knows", "target", "finished", "did"):
+    for field in ("done", "by", "information", "target", "finished", "did"):
         assert np.array_equal(getattr(state.task, field), getattr(ours.task, field)), field
     assert np.allclose(state.task.goal_m, ours.task.goal_m)
-    for field in ("share", "target", "carrying", "done"):
+    for field in ("fraction", "target", "carrying", "done"):
         assert np.array_equal(getattr(samples.task, field), getattr(seen.task, field)), field

@@ -6,12 +6,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from angler_mjx.world.tasks import sight
-from angler_mjx.world.tasks.history import Doing, Goods, TaskHistory
+from angler_mjx.world.tasks import visibility
+from angler_mjx.world.tasks.history import GoodsStatus, RobotActivity, TaskHistory
 from angler_mjx.world.tasks.spec import SurveySpec
 from angler_mjx.world.tasks.surface_quads import surface_quads
 
-from .test_work import CELL, flown, spec_of
+from .test_task_update import CELL, flown, spec_of
 
 LOOK_S = 0.5
 
@@ -27,11 +27,11 @@ def recorded(spec, ends=None):
     history = TaskHistory(
         spec=spec,
         time_s=LOOK_S * np.arange(len(states)),
-        place_m=np.asarray(task.place_m),
+        position_m=np.asarray(task.position_m),
         exists=np.asarray(task.exists),
         by=last.by,
         done_at_s=last.done_at_s,
-        share=np.array([state.progress for state in states]),
+        progress=np.array([state.progress for state in states]),
         did=np.array([state.did for state in states]),
         target=np.array([state.target for state in states]),
         carrying=np.array([state.carrying for state in states]),
@@ -50,23 +50,25 @@ def test_goods_are_where_the_states_say(dropped):
     _, states, _ = flown(spec)
     carries = next(k for k, state in enumerate(states) if state.carrying[0] >= 0)
     made = recorded(spec, ends={0: carries + 2})
-    history, counts = made.history, {goods: 0 for goods in Goods}
+    history, counts = made.history, {goods: 0 for goods in GoodsStatus}
     for k, state in enumerate(made.states):
         for job in range(6):
             holders = np.flatnonzero((state.carrying == job) & made.running[k])
-            expected = Goods.WAIT
+            expected = GoodsStatus.WAIT
             if state.done[job]:
-                expected = Goods.BROUGHT
+                expected = GoodsStatus.BROUGHT
             elif state.lost[job]:
-                expected = Goods.LOST
+                expected = GoodsStatus.LOST
             elif holders.size:
-                expected = Goods.TRAVEL
+                expected = GoodsStatus.TRAVEL
                 assert history.carrier[k, job] == holders[0]
             assert history.goods[k, job] == expected, (k, job)
             counts[expected] += 1
-    assert all(counts[goods] for goods in (Goods.WAIT, Goods.TRAVEL, Goods.BROUGHT))
-    assert (counts[Goods.LOST] > 0) == (dropped == "lost")
-    words = history.words(len(made.states) - 1)
+    assert all(
+        counts[goods] for goods in (GoodsStatus.WAIT, GoodsStatus.TRAVEL, GoodsStatus.BROUGHT)
+    )
+    assert (counts[GoodsStatus.LOST] > 0) == (dropped == "lost")
+    words = history.describe_progress(len(made.states) - 1)
     assert words.startswith("5 of 6 goods brought" if dropped == "lost" else "6 of 6 goods brought")
     assert ("1 lost" in words) == (dropped == "lost")
     assert ("complete after" in words) == (dropped == "back")
@@ -83,7 +85,7 @@ def test_goods_lie_at_their_places_or_with_their_robots():
             if holders.size:
                 expected = p_m[k, holders[0]]
             else:
-                expected = history.place_m[job + 6 * bool(state.done[job])]
+                expected = history.position_m[job + 6 * bool(state.done[job])]
             np.testing.assert_array_equal(at_m[k, job], expected)
 
 
@@ -97,29 +99,37 @@ def test_robots_that_go_wait_return_and_have_finished_are_told_apart(after):
             doing, target = made.history.doing[k, robot], int(state.target[robot])
             found.add(int(doing))
             if made.over[k, robot]:
-                assert doing == Doing.ENDED
-                assert made.history.does(k, robot) == ""
+                assert doing == RobotActivity.ENDED
+                assert made.history.describe_activity(k, robot) == ""
             elif target < 0:
-                assert made.history.does(k, robot) == "waits"
+                assert made.history.describe_activity(k, robot) == "waits"
             elif target < 5:
-                assert made.history.does(k, robot) == f"goes to place {target}"
+                assert made.history.describe_activity(k, robot) == f"goes to place {target}"
             else:
                 assert target == 5 + robot
-                assert made.history.does(k, robot) == "returns"
-    expected = {Doing.GOES, Doing.ENDED, Doing.RETURNS if after == "return" else Doing.WAITS}
+                assert made.history.describe_activity(k, robot) == "returns"
+    expected = {
+        RobotActivity.GOES,
+        RobotActivity.ENDED,
+        RobotActivity.RETURNS if after == "return" else RobotActivity.WAITS,
+    }
     assert expected <= found
-    assert made.history.words(0).startswith(f"{int(made.states[0].done.sum())} of 5 places visited")
+    assert made.history.describe_progress(0).startswith(
+        f"{int(made.states[0].done.sum())} of 5 places visited"
+    )
 
 
 def test_words_of_a_tour_of_all_count_visits():
     made = recorded(spec_of("tour", 4, shared=False))
     for k, state in enumerate(made.states):
-        assert made.history.words(k).startswith(f"{int(state.did.sum())} of 12 visits made")
-    assert "complete after" in made.history.words(len(made.states) - 1)
+        assert made.history.describe_progress(k).startswith(
+            f"{int(state.did.sum())} of 12 visits made"
+        )
+    assert "complete after" in made.history.describe_progress(len(made.states) - 1)
 
 
 def test_cells_were_seen_when_the_states_say():
-    cone = sight.footprint(math.radians(45.0), 5.0, CELL)
+    cone = visibility.build_footprint(math.radians(45.0), 5.0, CELL)
     survey = SurveySpec(of="floor", footprint=cone, altitude_cells=2, coverage=0.9)
     made = recorded(spec_of("survey", 20, survey=survey, timed=True))
     cells, total = made.history.cells, int(made.history.cells.sum())
@@ -127,8 +137,8 @@ def test_cells_were_seen_when_the_states_say():
         # Bits along z, six of one word.
         seen = ((state.seen >> np.arange(6, dtype=np.uint32)) & 1).astype(bool)[cells]
         np.testing.assert_array_equal(made.history.seen[k], seen)
-        assert made.history.words(k).startswith(f"{seen.sum()} of {total} cells seen (")
-    assert "90 % wanted" in made.history.words(0)
+        assert made.history.describe_progress(k).startswith(f"{seen.sum()} of {total} cells seen (")
+    assert "90 % wanted" in made.history.describe_progress(0)
 
 
 @pytest.mark.parametrize("of", ["floor", "rock", "both"])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from angler_kernels.matching import MatchedPairs
-from angler_mjx.world.routes import NO_WAY, Routes
+from angler_mjx.world.routes import NO_PATH, Routes
 from angler_mjx.world.tasks import pairs
 from angler_mjx.world.tasks.travel import Travel
 
@@ -22,7 +22,7 @@ def scene(seed: int) -> dict[str, Any]:
     """Steps and lengths that fit together nowhere, which nobody asks for."""
     random = np.random.default_rng(seed)
     words = random.integers(0, 27, (*SHAPE, PLACES)) | random.integers(0, 90, PLACES) << 5
-    words[random.random(words.shape) < 0.2] = NO_WAY
+    words[random.random(words.shape) < 0.2] = NO_PATH
     size = np.array(SHAPE) * CELL_M
     return {
         "words": words.astype(np.uint16),
@@ -38,7 +38,7 @@ def by_hand(words: Any, place_m: Any, p: Any, able: Any, open_: Any) -> list[int
         last = np.array(SHAPE) - 1
         cell = np.clip(np.floor((p[robot] - ORIGIN_M) / CELL_M).astype(int), 0, last)
         word = int(words[*cell, job])
-        if word == NO_WAY:
+        if word == NO_PATH:
             return 4.0 * float(np.linalg.norm(place_m[job] - p[robot]))
         step = np.array(np.unravel_index(word % 32, (3, 3, 3))) - 1
         rest = (word // 32) * CELL_M / 8 - CELL_M * np.sqrt(np.abs(step).sum())
@@ -59,7 +59,7 @@ def by_hand(words: Any, place_m: Any, p: Any, able: Any, open_: Any) -> list[int
 def routes(words: Any, place_m: Any) -> Routes:
     return Routes(
         words=words,
-        place_m=place_m,
+        position_m=place_m,
         clear=jnp.zeros((0, 0, 0), jnp.uint32),
         origin_m=jnp.array(ORIGIN_M),
         cell_m=jnp.array(CELL_M),
@@ -67,13 +67,13 @@ def routes(words: Any, place_m: Any) -> Routes:
 
 
 def plain(words: Any, place_m: Any, p: Any, able: Any, open_: Any) -> Any:
-    travel = Travel(place_m=place_m, routes=routes(words, place_m))
+    travel = Travel(position_m=place_m, routes=routes(words, place_m))
     return pairs.shortest_first(travel, p, able, open_)
 
 
 def kernel(words: Any, place_m: Any, p: Any, able: Any, open_: Any) -> Any:
-    asking = MatchedPairs.of((ROBOTS, JOBS), lanes_a_warp=64, interpret=True)
-    return pairs._Kernel(asking, words.shape).run(routes(words, place_m), p, able, open_)
+    asking = MatchedPairs.of((ROBOTS, JOBS), lanes_per_warp=64, interpret=True)
+    return pairs._MatchingKernel(asking, words.shape).run(routes(words, place_m), p, able, open_)
 
 
 @pytest.mark.parametrize("found", [plain, kernel])

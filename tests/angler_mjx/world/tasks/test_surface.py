@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from angler_mjx.world.grid import Grid
-from angler_mjx.world.tasks import sight, surface
+from angler_mjx.world.tasks import surface, visibility
 from angler_mjx.world.tasks.spec import SurveySpec
 
 CELL = 1.5
@@ -28,7 +28,7 @@ def grid_of(rock: np.ndarray) -> Grid:
 
 
 def spec_of(of: str) -> SurveySpec:
-    seen = sight.footprint(math.radians(50.0), 5.0, CELL)
+    seen = visibility.build_footprint(math.radians(50.0), 5.0, CELL)
     return SurveySpec(of=of, footprint=seen, altitude_cells=2, coverage=0.9)  # type: ignore[arg-type]
 
 
@@ -68,7 +68,7 @@ def test_surface_cells_are_free_and_border_on_what_is_surveyed() -> None:
 
 @pytest.mark.parametrize("of", ["floor", "both"])
 def test_viewpoints_are_reachable_and_see_what_is_theirs_and_enough_together(of: str) -> None:
-    spec, cover = spec_of(of), jax.jit(surface.cover, static_argnums=(0, 1))
+    spec, cover = spec_of(of), jax.jit(surface.choose_viewpoints, static_argnums=(0, 1))
     for seed in (3, 4):
         rock = rocky(seed)
         grid, reachable = grid_of(rock), ~rock
@@ -82,8 +82,8 @@ def test_viewpoints_are_reachable_and_see_what_is_theirs_and_enough_together(of:
         assert not cells[rock].any()
         covered = np.zeros(SHAPE, bool)
         for p, there, mine in zip(points, exists, world.of_job, strict=True):
-            cell = sight.cell_of(grid, p)
-            columns = np.asarray(sight.columns(spec, SHAPE, cell))
+            cell = visibility.cell_of(grid, p)
+            columns = np.asarray(visibility.window_columns(spec, SHAPE, cell))
             theirs = np.array(
                 [
                     (*column, k)
@@ -98,7 +98,7 @@ def test_viewpoints_are_reachable_and_see_what_is_theirs_and_enough_together(of:
             assert reachable[tuple(np.asarray(cell))]
             assert not covered[tuple(theirs.T)].any()  # each cell is one job's alone
             covered[tuple(theirs.T)] = True
-            way = np.asarray(sight.centre_m(grid, jnp.array(theirs))) - np.asarray(p)
+            way = np.asarray(visibility.centre_m(grid, jnp.array(theirs))) - np.asarray(p)
             length = np.linalg.norm(way, axis=1)
             assert (length <= 5.0 - 0.3 + 1e-4).all()
             assert (-way[:, 2] >= math.cos(math.radians(50.0)) * length - 1e-4).all()
@@ -112,11 +112,11 @@ def test_the_required_cells_are_exact(text: str) -> None:
     total = np.r_[np.arange(0, 4000), 99_999, 1_000_000, 2**24]
     spec = SurveySpec(
         of="floor",
-        footprint=sight.footprint(1.0, 5.0, CELL),
+        footprint=visibility.build_footprint(1.0, 5.0, CELL),
         altitude_cells=2,
         coverage=float(text),
     )
-    found = np.asarray(jax.jit(spec.required)(jnp.array(total, jnp.int32)))
+    found = np.asarray(jax.jit(spec.required_cells)(jnp.array(total, jnp.int32)))
     assert found.tolist() == [math.ceil(Fraction(text) * int(n)) for n in total]
 
 
@@ -125,13 +125,13 @@ def test_viewpoints_are_chosen_from_512_candidates_at_most() -> None:
     for of, shape in (("floor", (27, 19, 1)), ("rock", (27, 19, 1)), ("both", (19, 14, 1))):
         reachable = jnp.ones(shape, bool)
         ground = jnp.zeros(shape[:2], jnp.int32)
-        cells, _ = surface.candidates(spec_of(of), reachable, ground)
+        cells, _ = surface.candidate_cells(spec_of(of), reachable, ground)
         assert 64 <= len(cells) <= 512
 
 
 def test_a_world_whose_viewpoints_see_too_little_has_no_room() -> None:
     rock = rocky(5)
     grid = grid_of(rock)
-    cover = jax.jit(surface.cover, static_argnums=(0, 1))
+    cover = jax.jit(surface.choose_viewpoints, static_argnums=(0, 1))
     *_, fits, _ = cover(spec_of("floor"), 2, 0.3, grid, grid.origin_m[2], jnp.array(~rock))
     assert not fits

@@ -35,8 +35,8 @@ from angler_mjx.robot.control.laws import model
 from angler_mjx.robot.control.laws.ardusub import mixer as ardusub_mixer
 from angler_mjx.robot.control.laws.ardusub import pid as ardusub_pid
 from angler_mjx.robot.control.laws.ardusub.gains import ArduSubGains, check
-from angler_mjx.robot.control.laws.ardusub.pid import PidCarry, PidParameters, square_root
-from angler_mjx.robot.control.laws.model import wrap
+from angler_mjx.robot.control.laws.ardusub.pid import PidCarry, PidParameters, sqrt_controller
+from angler_mjx.robot.control.laws.model import wrap_angle
 from angler_mjx.robot.vehicles.params import VehicleParams
 
 __all__ = ["ArduSubCarry", "ArduSubGains", "check", "reset", "step"]
@@ -45,8 +45,8 @@ _CDEG = math.pi / 18000
 _CM = 0.01
 _THROTTLE_PER_UNIT = 2e-3
 """Output of the acceleration loop to throttle: thousandths, and twice for -1 to 1."""
-_BRAKE_LEAST = tuple(math.radians(x) for x in (40.0, 40.0, 10.0))
-_BRAKE_MOST = tuple(math.radians(x) for x in (720.0, 720.0, 120.0))
+_MIN_BRAKE_RADPS2 = tuple(math.radians(x) for x in (40.0, 40.0, 10.0))
+_MAX_BRAKE_RADPS2 = tuple(math.radians(x) for x in (720.0, 720.0, 120.0))
 """The attitude loop brakes with half of ATC_ACCEL_x_MAX, within these, rad/s^2."""
 
 
@@ -114,13 +114,15 @@ def step(
         The new memory, and the thruster signals.
     """
     velocity = quaternion.rotate(estimate.q, estimate.nu[:3])
-    plane, level = _plane(gains, carry, estimate, velocity, command, dt, gravity)
-    depth, velocity_error_z, throttle = _depth(gains, carry, estimate, velocity, command, dt)
+    plane, level = _control_plane(gains, carry, estimate, velocity, command, dt, gravity)
+    depth, velocity_error_z, throttle = _control_depth(
+        gains, carry, estimate, velocity, command, dt
+    )
     yaw, yaw_rate = _shape_yaw(gains, carry, command.yaw_rad, dt)
-    rate, turn = _attitude(gains, carry, estimate, yaw, yaw_rate, dt)
+    rate, turn = _control_attitude(gains, carry, estimate, yaw, yaw_rate, dt)
     factors = ardusub_mixer.frame_factors(vehicle.B)
     demand = jnp.concatenate([level, throttle[None], turn])
-    output, limited = ardusub_mixer.mix(factors, demand, gains.MOT_FV_CPLNG_K)
+    output, limited = ardusub_mixer.mix_demand(factors, demand, gains.MOT_FV_CPLNG_K)
     room = jnp.where(
         output > 0, gains.MOT_PWM_MAX - gains.SERVO_TRIM, gains.SERVO_TRIM - gains.MOT_PWM_MIN
     )
@@ -137,7 +139,7 @@ def step(
     return after, ThrusterPwm(pwm_us=gains.SERVO_TRIM + room * output)
 
 
-def _plane(
+def _control_plane(
     gains: ArduSubGains,
     carry: ArduSubCarry,
     estimate: Estimate,
@@ -149,7 +151,7 @@ def _plane(
     """Horizontal position to the demand [2] forward and left."""
     error = command.position_m[:2] - estimate.p[:2]
     distance = jnp.sqrt(jnp.sum(error**2) + 1e-12)
-    speed = square_root(distance, gains.PSC_POSXY_P, gains.WPNAV_ACCEL * _CM, dt)
+    speed = sqrt_controller(distance, gains.PSC_POSXY_P, gains.WPNAV_ACCEL * _CM, dt)
     speed = jnp.minimum(speed, gains.WPNAV_SPEED * _CM)
     wanted = command.velocity_mps[:2] + error * (speed / distance)
     parameters = PidParameters(
@@ -161,7 +163,7 @@ def _plane(
         FLTE=gains.PSC_VELXY_FLTE,
         FLTD=gains.PSC_VELXY_FLTD,
     )
-    plane, acceleration = ardusub_pid.pid(
+    plane, acceleration = ardusub_pid.update_pid(
         parameters, carry.plane, wanted, velocity[:2], carry.limited, dt
     )
     heading = quaternion.yaw(estimate.q)
@@ -172,7 +174,7 @@ def _plane(
     return plane, ardusub_mixer.lean_demand(upright, gains.ANGLE_MAX * _CDEG, gravity)[:2]
 
 
-def _depth(
+def _control_depth(
     gains: ArduSubGains,
     carry: ArduSubCarry,
     estimate: Estimate,
@@ -182,7 +184,7 @@ def _depth(
 ) -> tuple[PidCarry, jax.Array, jax.Array]:
     """Depth to the throttle [], which the mixer holds; with the filtered error of velocity []."""
     error = command.position_m[2] - estimate.p[2]
-    wanted = square_root(error, gains.PSC_POSZ_P, gains.WPNAV_ACCEL_Z * _CM, dt)
+    wanted = sqrt_controller(error, gains.PSC_POSZ_P, gains.WPNAV_ACCEL_Z * _CM, dt)
     wanted = jnp.clip(wanted, -gains.WPNAV_SPEED_DN * _CM, gains.WPNAV_SPEED_UP * _CM)
     slip = wanted + command.velocity_mps[2] - velocity[2]
     slip = ardusub_pid.low_pass(carry.velocity_error_z, slip, gains.PSC_VELZ_FLTE, dt)
@@ -197,7 +199,9 @@ def _depth(
     )
     target = gains.PSC_VELZ_P * slip / _CM
     measured = (velocity[2] - carry.velocity_mps[2]) / (dt * _CM)
-    depth, output = ardusub_pid.pid(parameters, carry.depth, target, measured, carry.limited, dt)
+    depth, output = ardusub_pid.update_pid(
+        parameters, carry.depth, target, measured, carry.limited, dt
+    )
     return depth, slip, _THROTTLE_PER_UNIT * output
 
 
@@ -205,15 +209,21 @@ def _shape_yaw(
     gains: ArduSubGains, carry: ArduSubCarry, wanted: jax.Array, dt: float
 ) -> tuple[jax.Array, jax.Array]:
     """Shaped heading [] and its rate []: limited in rate and in angular acceleration."""
-    most = gains.ATC_ACCEL_Y_MAX * _CDEG
-    rate = square_root(wrap(wanted - carry.yaw_rad), 1.0 / gains.ATC_INPUT_TC, most, dt)
+    max_acceleration = gains.ATC_ACCEL_Y_MAX * _CDEG
+    rate = sqrt_controller(
+        wrap_angle(wanted - carry.yaw_rad), 1.0 / gains.ATC_INPUT_TC, max_acceleration, dt
+    )
     slew = gains.ATC_SLEW_YAW * _CDEG
     rate = jnp.clip(rate, -slew, slew)
-    rate = jnp.clip(rate, carry.yaw_rate_radps - most * dt, carry.yaw_rate_radps + most * dt)
-    return wrap(carry.yaw_rad + rate * dt), rate
+    rate = jnp.clip(
+        rate,
+        carry.yaw_rate_radps - max_acceleration * dt,
+        carry.yaw_rate_radps + max_acceleration * dt,
+    )
+    return wrap_angle(carry.yaw_rad + rate * dt), rate
 
 
-def _attitude(
+def _control_attitude(
     gains: ArduSubGains,
     carry: ArduSubCarry,
     estimate: Estimate,
@@ -227,13 +237,16 @@ def _attitude(
     stiffness = jnp.array(
         [gains.ATC_ANG_RLL_P, gains.ATC_ANG_PIT_P, gains.ATC_ANG_YAW_P], like.dtype
     )
-    most = jnp.array(
+    max_acceleration = jnp.array(
         [gains.ATC_ACCEL_R_MAX, gains.ATC_ACCEL_P_MAX, gains.ATC_ACCEL_Y_MAX], like.dtype
     )
-    low, high = jnp.asarray(_BRAKE_LEAST, like.dtype), jnp.asarray(_BRAKE_MOST, like.dtype)
-    brake = jnp.clip(0.5 * _CDEG * most, low, high)
-    wanted = square_root(error, stiffness, brake, dt)
-    wanted = wanted + yaw_rate * quaternion.up(estimate.q)
+    low, high = (
+        jnp.asarray(_MIN_BRAKE_RADPS2, like.dtype),
+        jnp.asarray(_MAX_BRAKE_RADPS2, like.dtype),
+    )
+    brake = jnp.clip(0.5 * _CDEG * max_acceleration, low, high)
+    wanted = sqrt_controller(error, stiffness, brake, dt)
+    wanted = wanted + yaw_rate * quaternion.world_up(estimate.q)
     axes = ("RLL", "PIT", "YAW")
     parameters = PidParameters(
         **{
@@ -241,4 +254,6 @@ def _attitude(
             for name in ("P", "I", "D", "IMAX", "FLTT", "FLTE", "FLTD")
         }
     )
-    return ardusub_pid.pid(parameters, carry.rate, wanted, estimate.nu[3:], carry.limited, dt)
+    return ardusub_pid.update_pid(
+        parameters, carry.rate, wanted, estimate.nu[3:], carry.limited, dt
+    )

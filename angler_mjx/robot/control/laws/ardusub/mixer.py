@@ -9,7 +9,7 @@ the thrusters are and point, so they are read from the wrench matrix; axes are t
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.robot.control.laws.model import bounded
+from angler_mjx.robot.control.laws.model import limit_norm
 
 _DIRECTION = 0.5
 """Cosine above which a thruster pushes along an axis: 45 degrees count, rounding does not."""
@@ -25,17 +25,19 @@ def frame_factors(B: jax.Array) -> jax.Array:
     vertical = (jnp.abs(B[2]) > _DIRECTION).astype(B.dtype)
     level = 1.0 - vertical
     rows = [
-        level * _sign(B[0], _DIRECTION),
-        level * _sign(B[1], _DIRECTION),
-        vertical * _sign(B[2], _DIRECTION),
-        vertical * _sign(B[3], _ARM_M),
-        vertical * _sign(B[4], _ARM_M),
-        level * _sign(B[5], _ARM_M),
+        level * _threshold_sign(B[0], _DIRECTION),
+        level * _threshold_sign(B[1], _DIRECTION),
+        vertical * _threshold_sign(B[2], _DIRECTION),
+        vertical * _threshold_sign(B[3], _ARM_M),
+        vertical * _threshold_sign(B[4], _ARM_M),
+        level * _threshold_sign(B[5], _ARM_M),
     ]
     return jnp.stack(rows)
 
 
-def mix(factors: jax.Array, demand: jax.Array, coupling: float) -> tuple[jax.Array, jax.Array]:
+def mix_demand(
+    factors: jax.Array, demand: jax.Array, coupling: float
+) -> tuple[jax.Array, jax.Array]:
     """Thruster outputs [n_t] between -1 and 1 for a demand [6], and whether any was cut (bool []).
 
     A frame that can pitch (vectored_6dof) has two groups, roll-pitch-throttle and
@@ -48,8 +50,8 @@ def mix(factors: jax.Array, demand: jax.Array, coupling: float) -> tuple[jax.Arr
         coupling: K, ``MOT_FV_CPLNG_K``.
     """
     demand = jnp.clip(demand, -1.0, 1.0)
-    attitude = _sum(factors, demand, (2, 3, 4))
-    plane = _sum(factors, demand, (0, 1, 5))
+    attitude = _sum_rows(factors, demand, (2, 3, 4))
+    plane = _sum_rows(factors, demand, (0, 1, 5))
     largest_attitude, largest_plane = jnp.max(jnp.abs(attitude)), jnp.max(jnp.abs(plane))
     grouped = attitude / jnp.maximum(1.0, largest_attitude) + plane / jnp.maximum(
         1.0, largest_plane
@@ -73,11 +75,11 @@ def lean_demand(acceleration: jax.Array, angle_max: float, gravity: float) -> ja
     The firmware turns it into a lean angle as for a multicopter, atan(a / g), and gives the share
     of ``ANGLE_MAX`` (rad here) to the mixer instead of leaning.
     """
-    most = gravity * jnp.tan(jnp.asarray(angle_max, acceleration.dtype))
-    return jnp.arctan(bounded(acceleration, most) / gravity) / angle_max
+    max_acceleration = gravity * jnp.tan(jnp.asarray(angle_max, acceleration.dtype))
+    return jnp.arctan(limit_norm(acceleration, max_acceleration) / gravity) / angle_max
 
 
-def _sum(factors: jax.Array, demand: jax.Array, rows: tuple[int, ...]) -> jax.Array:
+def _sum_rows(factors: jax.Array, demand: jax.Array, rows: tuple[int, ...]) -> jax.Array:
     first, second, third = rows
     return (
         factors[first] * demand[first]
@@ -86,5 +88,5 @@ def _sum(factors: jax.Array, demand: jax.Array, rows: tuple[int, ...]) -> jax.Ar
     )
 
 
-def _sign(row: jax.Array, threshold: float) -> jax.Array:
+def _threshold_sign(row: jax.Array, threshold: float) -> jax.Array:
     return jnp.where(row > threshold, 1.0, jnp.where(row < -threshold, -1.0, 0.0)).astype(row.dtype)

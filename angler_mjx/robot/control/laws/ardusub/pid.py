@@ -47,7 +47,7 @@ def reset(like: jax.Array) -> PidCarry:
     return PidCarry(target=zero, error=zero, derivative=zero, integral=zero)
 
 
-def pid(
+def update_pid(
     parameters: PidParameters,
     carry: PidCarry,
     target: jax.Array,
@@ -81,11 +81,11 @@ def pid(
 def low_pass(old: jax.Array, new: jax.Array, cutoff_hz: Gain, dt: float) -> jax.Array:
     """First-order filter, one step; a cut-off of 0 lets everything through."""
     turns = 2.0 * math.pi * dt * jnp.asarray(cutoff_hz, old.dtype)
-    share = jnp.where(turns > 0, turns / (1.0 + turns), 1.0)
-    return old + share * (new - old)
+    alpha = jnp.where(turns > 0, turns / (1.0 + turns), 1.0)
+    return old + alpha * (new - old)
 
 
-def square_root(error: jax.Array, gain: Gain, acceleration: Gain, dt: float) -> jax.Array:
+def sqrt_controller(error: jax.Array, gain: Gain, acceleration: Gain, dt: float) -> jax.Array:
     """Rate [n] for an error [n]: P near zero, and what can be braked with ``acceleration`` beyond.
 
     P e for |e| <= a / P^2, else sgn(e) (2 a (|e| - a / (2 P^2)))^(1/2); never more than e / dt.

@@ -2,11 +2,11 @@
 
 const MEASURES = { planning_s: "planning\ns", first_s: "first\ns", best_s: "best\ns", makespan_s: "makespan\ns", flowtime_s: "flowtime\ns", energy_j: "energy\nJ", plan_turn_rad: "turn\nrad", min_clearance_m: "clearance\nm", min_separation_m: "separation\nm", density: "density\n", path_ratio: "way /\nstraight", free_lines: "free\nlines" };
 const COLUMNS = [
-  ["planner", "planner\n", (c) => names[c.planner]], ["scene", "scene\n", (c) => data.scenes[c.scene]], ["preset", "preset\n", (c) => c.preset], ["team", "robots\n", (c) => c.team], ["knows", "known of\nobst. / current", (c) => data.knowledge[c.knows]],
+  ["planner", "planner\n", (c) => names[c.planner]], ["scene", "scene\n", (c) => data.scenes[c.scene]], ["preset", "preset\n", (c) => c.preset], ["team", "robots\n", (c) => c.team], ["information", "known of\nobst. / current", (c) => data.knowledge[c.information]],
   ["asked", "asked\n", (c) => c.asked], ["closed", "not\nasked", (c) => c.closed], ["success", "success\n", (c) => c.success / c.asked], ["interval", "95 %\n", (c) => wilson(c.success, c.asked)[0]], ["planned", "planned\n", (c) => c.planned / c.asked], ["flown", "flown\n", (c) => c.flown / c.asked],
   ...data.measures.map((name) => [name, MEASURES[name] || name, (c) => c[name]]),
 ];
-const SHARE = new Set(["success", "planned", "flown"]), TEXT = new Set(["planner", "scene", "preset", "knows"]);
+const SHARE = new Set(["success", "planned", "flown"]), TEXT = new Set(["planner", "scene", "preset", "information"]);
 
 function shown(key, value, cell) {
   if (SHARE.has(key)) return cell.asked ? percent(value) + (key === "success" && cell.asked < data.few ? " *" : "") : "–";
@@ -16,7 +16,7 @@ function shown(key, value, cell) {
 
 function drawCells() {
   const chosen = new Set(state.planners), focused = document.activeElement?.dataset?.key;
-  const cells = data.cells.filter((c) => chosen.has(c.planner) && keepsScene(c.scene, c.team, c.knows));
+  const cells = data.cells.filter((c) => chosen.has(c.planner) && keepsScene(c.scene, c.team, c.information));
   const [key, , value] = COLUMNS.find(([k]) => k === state.sort) || [];
   if (key) {
     const absent = (v) => v === null || Number.isNaN(v);

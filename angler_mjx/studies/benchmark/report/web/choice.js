@@ -6,14 +6,14 @@ const rows = data.rows, names = data.planners;
 const hit = rows[data.judged], JUDGED = data.judged === "success" ? "succeeds" : "plans for all robots";
 const at = (id) => document.getElementById(id);
 const COSTS = { planning_s: ["planned", "Planning time"], makespan_s: ["success", "Makespan flown"], energy_j: ["success", "Energy flown"], flowtime_s: ["success", "Flowtime flown"] };
-const state = { planners: names.map((_, i) => i), scene: -1, team: -1, knows: -1, first: 0, second: Math.min(1, names.length - 1), example: 0, drawn: "", sort: "", down: false };
+const state = { planners: names.map((_, i) => i), scene: -1, team: -1, information: -1, first: 0, second: Math.min(1, names.length - 1), example: 0, drawn: "", sort: "", down: false };
 
 function readState() {
   const given = new URLSearchParams(location.hash.slice(1));
   const index = (key, list, none) => (given.has(key) ? list.map(String).indexOf(given.get(key)) : none);
   state.scene = index("scene", data.scenes, -1);
   state.team = index("team", data.teams, -1);
-  state.knows = index("knows", data.knowledge, -1);
+  state.information = index("information", data.knowledge, -1);
   const chosen = given.has("planners") ? given.getAll("planners").map((n) => names.indexOf(n)).filter((i) => i >= 0) : [];
   state.planners = chosen.length ? [...new Set(chosen)].sort((a, b) => a - b) : names.map((_, i) => i);
   state.first = Math.max(0, index("first", names, 0));
@@ -28,7 +28,7 @@ function writeState() {
   const said = new URLSearchParams();
   if (state.scene >= 0) said.set("scene", data.scenes[state.scene]);
   if (state.team >= 0) said.set("team", data.teams[state.team]);
-  if (state.knows >= 0) said.set("knows", data.knowledge[state.knows]);
+  if (state.information >= 0) said.set("information", data.knowledge[state.information]);
   if (state.planners.length < names.length) state.planners.forEach((i) => said.append("planners", names[i]));
   said.set("first", names[state.first]);
   said.set("second", names[state.second]);
@@ -44,8 +44,8 @@ function options(id, texts, every) {
   texts.forEach((text, i) => at(id).append(html("option", { value: i }, String(text))));
 }
 
-const keepsScene = (scene, team, knows) => (state.scene < 0 || scene === state.scene) && (state.team < 0 || team === data.teams[state.team]) && (state.knows < 0 || knows === state.knows);
-const kept = (i) => keepsScene(rows.scene[i], rows.team[i], rows.knows[i]);
+const keepsScene = (scene, team, information) => (state.scene < 0 || scene === state.scene) && (state.team < 0 || team === data.teams[state.team]) && (state.information < 0 || information === state.information);
+const kept = (i) => keepsScene(rows.scene[i], rows.team[i], rows.information[i]);
 const scenes = () => (state.scene < 0 ? data.scenes.map((_, i) => i) : [state.scene]);
 const teams = () => (state.team < 0 ? data.teams : [data.teams[state.team]]);
 

@@ -1,7 +1,7 @@
 // The page: everything drawn, and drawn again at every choice.
 
 function draw() {
-  for (const id of ["scene", "team", "knows", "first", "second", "example"]) at(id) && (at(id).value = state[id]);
+  for (const id of ["scene", "team", "information", "first", "second", "example"]) at(id) && (at(id).value = state[id]);
   document.querySelectorAll("#planners input").forEach((box, i) => (box.checked = state.planners.includes(i)));
   at("chosen").textContent = `(${state.planners.length} of ${names.length})`;
   for (const part of [drawAnswer, drawWinners, drawRates, drawProfiles, drawPair, drawFailures, drawExample, drawCells]) part();
@@ -29,7 +29,7 @@ function begin() {
   document.querySelectorAll(".few").forEach((node) => (node.textContent = data.few));
   options("scene", data.scenes, "all");
   options("team", data.teams, "all");
-  options("knows", data.knowledge, "all");
+  options("information", data.knowledge, "all");
   options("first", names);
   options("second", names);
   options("example", data.examples.map((one) => one.title));
@@ -45,7 +45,7 @@ function begin() {
     for (const event of ["mouseleave", "focusout"]) label.addEventListener(event, () => light(null));
     at("planners").append(label);
   });
-  for (const id of ["scene", "team", "knows", "first", "second", "example"]) {
+  for (const id of ["scene", "team", "information", "first", "second", "example"]) {
     at(id).addEventListener("change", () => {
       state[id] = Number(at(id).value);
       writeState();

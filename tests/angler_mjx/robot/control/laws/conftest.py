@@ -113,10 +113,10 @@ def estimate_of(state):
 
 
 def build_robots():
-    stacked = params.stack(
-        [params.build(library.load(name), chosen, 14.8) for name, chosen in KINDS]
+    stacked = params.stack_vehicles(
+        [params.build_vehicle(library.load_vehicle(name), chosen, 14.8) for name, chosen in KINDS]
     )
-    return stacked, allocation.build(stacked)
+    return stacked, allocation.build_allocation(stacked)
 
 
 @pytest.fixture(scope="session")

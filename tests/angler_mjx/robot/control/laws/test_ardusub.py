@@ -29,12 +29,12 @@ def test_frame_factors_are_the_firmwares(robots):
 def test_groups_are_scaled_as_a_whole(robots):
     vehicles, _ = robots
     factors = ardusub_mixer.frame_factors(vehicles.B[0])
-    output, cut = ardusub_mixer.mix(factors, jnp.array([1.0, 1.0, 0, 0, 0, 0]), 1.0)
+    output, cut = ardusub_mixer.mix_demand(factors, jnp.array([1.0, 1.0, 0, 0, 0, 0]), 1.0)
     # Forward and left at full: the pair that would get 2 gets 1, the other none; direction stays.
     np.testing.assert_allclose(np.abs(output), [1, 0, 0, 1, 0, 0, 0, 0], atol=1e-6)
     assert bool(cut)
     # Climb at full does not take from the plane's group.
-    output, cut = ardusub_mixer.mix(factors, jnp.array([0.5, 0.0, 1.0, 0, 0, 0]), 1.0)
+    output, cut = ardusub_mixer.mix_demand(factors, jnp.array([0.5, 0.0, 1.0, 0, 0, 0]), 1.0)
     np.testing.assert_allclose(np.abs(output), [0.5] * 4 + [1.0] * 4, atol=1e-6)
     assert not bool(cut)
 
@@ -45,8 +45,8 @@ def test_a_throttle_beyond_its_end_is_one_at_its_end(robots, kind):
     factors = ardusub_mixer.frame_factors(robots[0].B[kind])
     for sign in (1.0, -1.0):
         demand = jnp.array([0.3, 0.0, sign * 2.0, 0.0, 0.0, 0.0])
-        output, cut = ardusub_mixer.mix(factors, demand, 1.0)
-        full, full_cut = ardusub_mixer.mix(factors, demand.at[2].set(sign), 1.0)
+        output, cut = ardusub_mixer.mix_demand(factors, demand, 1.0)
+        full, full_cut = ardusub_mixer.mix_demand(factors, demand.at[2].set(sign), 1.0)
         np.testing.assert_array_equal(output, full)
         assert bool(cut) == bool(full_cut)
         np.testing.assert_array_equal(np.abs(output[4:6]), 1.0)
@@ -55,9 +55,9 @@ def test_a_throttle_beyond_its_end_is_one_at_its_end(robots, kind):
 def test_forward_gives_way_to_throttle_on_the_six_thruster_frame(robots):
     vehicles, _ = robots
     factors = ardusub_mixer.frame_factors(vehicles.B[3])
-    output, _ = ardusub_mixer.mix(factors, jnp.array([0.9, 0.0, 0.4, 0, 0, 0]), 1.0)
+    output, _ = ardusub_mixer.mix_demand(factors, jnp.array([0.9, 0.0, 0.4, 0, 0, 0]), 1.0)
     np.testing.assert_allclose(np.abs(output), [0.6] * 4 + [0.4] * 2 + [0.0] * 2, atol=1e-6)
-    free, _ = ardusub_mixer.mix(factors, jnp.array([0.9, 0.0, 0.4, 0, 0, 0]), 0.0)
+    free, _ = ardusub_mixer.mix_demand(factors, jnp.array([0.9, 0.0, 0.4, 0, 0, 0]), 0.0)
     np.testing.assert_allclose(np.abs(free[:4]), 0.9, atol=1e-6)
 
 
@@ -66,7 +66,7 @@ def test_square_root_controller_brakes_in_time():
     gain, most, dt = 6.0, 2.0, 0.001
 
     def step(error, _):
-        rate = ardusub_pid.square_root(error, gain, most, dt)
+        rate = ardusub_pid.sqrt_controller(error, gain, most, dt)
         return error - rate * dt, rate
 
     error, rates = quickly(lambda e: jax.lax.scan(step, e, length=3000))(jnp.asarray(3.0))
@@ -75,7 +75,9 @@ def test_square_root_controller_brakes_in_time():
     assert np.max(-np.diff(rates)) / dt < most * 1.01 + 1e-3
     # Linear near zero, with the sign.
     np.testing.assert_allclose(
-        ardusub_pid.square_root(jnp.array([0.01, -0.01]), 6.0, 2.0, dt), [0.06, -0.06], rtol=1e-6
+        ardusub_pid.sqrt_controller(jnp.array([0.01, -0.01]), 6.0, 2.0, dt),
+        [0.06, -0.06],
+        rtol=1e-6,
     )
 
 
@@ -84,13 +86,13 @@ def test_pid_terms():
     terms = ardusub_pid.PidParameters(P=2.0, I=0.5, D=0.1, IMAX=0.06, **same)
     carry = ardusub_pid.reset(jnp.zeros(1))
     free = jnp.asarray(False)
-    carry, out = ardusub_pid.pid(terms, carry, jnp.ones(1), jnp.zeros(1), free, DT)
+    carry, out = ardusub_pid.update_pid(terms, carry, jnp.ones(1), jnp.zeros(1), free, DT)
     # P 2, I 0.025, D 0.1 / 0.05.
     np.testing.assert_allclose(out, 2 + 0.025 + 2, rtol=1e-6)
-    held, _ = ardusub_pid.pid(terms, carry, jnp.ones(1), jnp.zeros(1), jnp.asarray(True), DT)
+    held, _ = ardusub_pid.update_pid(terms, carry, jnp.ones(1), jnp.zeros(1), jnp.asarray(True), DT)
     np.testing.assert_array_equal(held.integral, carry.integral)
     for _ in range(5):
-        carry, out = ardusub_pid.pid(terms, carry, jnp.ones(1), jnp.zeros(1), free, DT)
+        carry, out = ardusub_pid.update_pid(terms, carry, jnp.ones(1), jnp.zeros(1), free, DT)
     np.testing.assert_allclose(out, 2 + 0.06, rtol=1e-6)
     # One pole: after a time constant, 1 - 1 / e; backward Euler at a hundredth of it: 1 % less.
     y = jnp.zeros(())

@@ -78,7 +78,9 @@ def scattered(rng, gains):
 def vehicles(rng):
     """Heavies and six-thruster frames with full matrices; a third has no sway."""
     kinds = [("bluerov2_heavy", "wu2018"), ("bluerov2", "blue_gazebo")]
-    both = params.stack([params.build(library.load(name), one, 14.8) for name, one in kinds])
+    both = params.stack_vehicles(
+        [params.build_vehicle(library.load_vehicle(name), one, 14.8) for name, one in kinds]
+    )
     kind = np.arange(N) % 2
     picked = jax.tree.map(lambda leaf: np.asarray(leaf, float)[kind], both)
 

@@ -26,7 +26,7 @@ def test_a_path_that_climbs_is_looked_along_in_the_horizontal_plane(move, course
     at = Estimate(p=jnp.asarray(start), q=jnp.array([1.0, 0, 0, 0]), nu=jnp.zeros(6))
     # Fast enough to turn there in one step.
     gains = follow.FollowGains(yaw_rate_radps=100.0)
-    _, target = follow.track(gains, follow.reset(jnp.array(0.0)), at, path, DT)
+    _, target = follow.track_target(gains, follow.reset(jnp.array(0.0)), at, path, DT)
     assert float(target.yaw_rad) == pytest.approx(course, abs=1e-6)
     assert float(target.yaw_rate_radps) == pytest.approx(course / DT, abs=1e-4)
     np.testing.assert_allclose(target.velocity_mps, np.array(move) / 2, rtol=1e-6)

@@ -16,7 +16,7 @@ NOW = 0.4
 def told(terminal, velocity, asked=-1.0):
     vehicle = SimpleNamespace(terminal_speed_mps=jnp.array(terminal), steered=True)
     estimate = SimpleNamespace(q=quaternion.from_yaw(jnp.asarray(NOW)))
-    return float(model.heading(vehicle, estimate, jnp.array(velocity), jnp.asarray(asked)))
+    return float(model.choose_heading(vehicle, estimate, jnp.array(velocity), jnp.asarray(asked)))
 
 
 def test_a_vehicle_with_sway_keeps_the_heading_asked_for():

@@ -98,7 +98,7 @@ def test_laws_are_as_good_in_double(states, pool):
 
     def run(dtype):
         at, goal = jax.tree.map(lambda x: jnp.asarray(x, dtype), (estimate, target))
-        vehicle = params.build(library.load("bluerov2_heavy"), "wu2018", 14.8)
+        vehicle = params.build_vehicle(library.load_vehicle("bluerov2_heavy"), "wu2018", 14.8)
         found = steps(vehicle, at, goal)
         for name, made in found.items():
             for leaf in jax.tree.leaves(made):

@@ -17,7 +17,7 @@ def test_the_sliding_term_of_ismc_acts():
     """At |s| = 0.1 m/s it is worth 0.27 m/s^2; the law it is modelled on has 0.0005 there."""
     gains = ismc.IsmcGains(sliding_radps2=4.0, layer_radps=1.5)
     s = jnp.array([0.1, -0.1, 1e-3, 1.5, -9.0, 0.0])
-    term = np.asarray(ismc.slide(gains, s))
+    term = np.asarray(ismc.sliding_term(gains, s))
     assert np.all(np.sign(term) == np.sign(s))
     # rho / lambda for small s, rho tanh(1) at the layer, rho far outside.
     np.testing.assert_allclose(term[:3], np.asarray(s[:3]) * 4 / 1.5, rtol=3e-3)
@@ -28,7 +28,7 @@ def test_the_sliding_term_of_ismc_acts():
 def test_the_sliding_term_of_aitsm_acts():
     gains = aitsm.AitsmGains()
     s = jnp.array([0.1, -0.1, 1e-3, 0.5, -2.0, 0.0])
-    term = np.asarray(aitsm.slide(gains, jnp.full(6, 0.5), s))
+    term = np.asarray(aitsm.sliding_term(gains, jnp.full(6, 0.5), s))
     expected = 0.5 * np.sqrt(np.abs(s)) * np.clip(np.asarray(s) / 0.3, -1, 1)
     # The root is rounded off below 1e-12.
     np.testing.assert_allclose(term, expected, rtol=1e-5, atol=1e-9)
@@ -40,7 +40,7 @@ def test_the_adaptive_gain_grows_falls_and_is_bounded():
 
     def run(k, s, steps):
         for _ in range(steps):
-            k = aitsm.adapt(gains, k, s, DT)
+            k = aitsm.adapt_gain(gains, k, s, DT)
         return np.asarray(k)
 
     large, none = jnp.full(6, 3.0), jnp.zeros(6)
@@ -80,7 +80,7 @@ def test_sliding_variable_is_brought_down_against_a_disturbance():
 
 def _unit_vehicle():
     """1 kg, 1 kg m^2, nothing else."""
-    vehicle = params.build(library.load("bluerov2_heavy"), "wu2018", 14.8)
+    vehicle = params.build_vehicle(library.load_vehicle("bluerov2_heavy"), "wu2018", 14.8)
     return dataclasses.replace(
         vehicle,
         mass_kg=jnp.ones(()),

@@ -22,9 +22,9 @@ def rows(rows_and_folder):
 
 @pytest.fixture(scope="session")
 def results(rows_and_folder):
-    return reading.read(rows_and_folder[1])
+    return reading.read_results(rows_and_folder[1])
 
 
 @pytest.fixture(scope="session")
 def made(rows_and_folder):
-    return page.make(rows_and_folder[1])
+    return page.write_report(rows_and_folder[1])

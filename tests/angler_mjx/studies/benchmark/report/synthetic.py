@@ -6,7 +6,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from angler_mjx.runs.storage.columns import EPISODE_SCHEMA
+from angler_mjx.runs.storage.episode_columns import EPISODE_SCHEMA
 
 PRESETS = {"open": 0.0, "sparse": 0.02, "reef": 0.06, "dense": 0.12}
 NAMES = (

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from angler_mjx.studies.benchmark.report import curves, pictures, scenes
+from angler_mjx.studies.benchmark.report import curves, scene_maps, scenes
 from angler_mjx.studies.benchmark.report.reading import Runs
 
 
 @pytest.fixture(scope="module")
 def example(results):
-    return scenes.read(results.examples[0])
+    return scenes.read_example(results.examples[0])
 
 
 def look_of(line):
@@ -19,8 +19,8 @@ def look_of(line):
 
 
 def test_the_legend_of_an_example_shows_lines_and_marks_as_they_are_on_the_maps(example):
-    way = replace(example.ways[0], outcome=["timeout"] * len(example.start_m))
-    figure = pictures.example(replace(example, ways=[way]))
+    way = replace(example.paths[0], outcome=["timeout"] * len(example.start_m))
+    figure = scene_maps.plot_example(replace(example, paths=[way]))
     drawn = {look_of(line) for axes in figure.axes for line in axes.lines}
     shown = {line.get_label(): look_of(line) for line in figure.legends[0].get_lines()}
     assert {"planned", "flown", "goal (disc: start)", "failure"} <= set(shown)
@@ -29,7 +29,7 @@ def test_the_legend_of_an_example_shows_lines_and_marks_as_they_are_on_the_maps(
 
 def map_in(example, count):
     """Width and height of the first of ``count`` maps, and the width of the figure, inch."""
-    figure = pictures.example(replace(example, ways=example.ways[:1] * count))
+    figure = scene_maps.plot_example(replace(example, paths=example.paths[:1] * count))
     figure.draw_without_rendering()
     box = figure.axes[0].get_window_extent().transformed(figure.dpi_scale_trans.inverted())
     return box.width, box.height, figure.get_figwidth()
@@ -48,7 +48,7 @@ def panel_in(results, names):
     scene = np.array(list(names), object)[np.arange(len(results.runs)) % len(names)]
     runs = Runs({**results.runs.columns, "scene": scene})
     about = {**results.about, "scenes": list(names)}
-    figure = pictures.failures(replace(results, runs=runs, about=about))
+    figure = scene_maps.plot_failures(replace(results, runs=runs, about=about))
     figure.draw_without_rendering()
     panels = [axes for axes in figure.axes if axes.get_visible()]
     assert len(panels) == len(names)

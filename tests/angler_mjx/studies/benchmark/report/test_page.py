@@ -87,7 +87,7 @@ def test_labels_cannot_break_out_of_the_page(tmp_path):
     )
     about = json.loads((tmp_path / "about.json").read_text()) | {"name": NASTY}
     (tmp_path / "about.json").write_text(json.dumps(about))
-    path = page.make(tmp_path)
+    path = page.write_report(tmp_path)
     text = path.read_text(encoding="utf-8")
     assert held(path)["planners"] == [NASTY, "$\\frac{$"]
     assert text.count("</script>") == 2
@@ -107,7 +107,7 @@ def test_labels_cannot_break_out_of_the_page(tmp_path):
 def test_results_that_are_not_complete_have_a_page(tmp_path, given):
     few = {"planners": ("grid", "PRM"), "presets": ("reef",), "teams": (1, 2), "worlds": 3}
     rows = synthetic.write(tmp_path, **(few | given))
-    data = held(page.make(tmp_path))
+    data = held(page.write_report(tmp_path))
     assert len(data["rows"]["planner"]) == len(rows)
     json.dumps(data, allow_nan=False)
 
@@ -115,7 +115,7 @@ def test_results_that_are_not_complete_have_a_page(tmp_path, given):
 def test_where_no_robot_has_a_row_the_first_failures_of_runs_are_shown(tmp_path):
     rows = synthetic.write(tmp_path, planners=("PRM",), teams=(8,), worlds=30, examples=0)
     (tmp_path / "robots.parquet").unlink()
-    found = reading.read(tmp_path).failures
+    found = reading.read_results(tmp_path).failures
     failed = [row for row in rows if row["failure"]]
     assert failed
     assert found.run.tolist() == [row["run"] for row in failed]
@@ -165,5 +165,5 @@ def test_a_folder_that_is_none_is_refused_in_one_message(tmp_path, spoil, said):
     spoiled = spoil(tmp_path)
     folder = spoiled if said.startswith("nowhere") else tmp_path
     with pytest.raises(ConfigError, match=re.escape(said)) as caught:
-        scenes.embedded(reading.read(folder))
+        scenes.build_page_scenes(reading.read_results(folder))
     assert str(tmp_path) in str(caught.value)

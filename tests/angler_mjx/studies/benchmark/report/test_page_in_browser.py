@@ -9,7 +9,7 @@ from urllib.parse import urlencode
 import pytest
 
 from angler_mjx.studies.benchmark.report import page, paired
-from angler_mjx.studies.benchmark.report.profiles import profiles
+from angler_mjx.studies.benchmark.report.profiles import compute_profiles
 
 from . import synthetic
 from .test_page import NASTY
@@ -60,7 +60,7 @@ def test_everything_is_drawn_and_a_pair_is_compared_as_in_python(made, results, 
     assert len(texts(cells, "tr")) == 1 + 3 * 3 * 3
     pair = within(document, "pair")
     values = dict(zip(texts(pair, "th"), texts(pair, "td"), strict=True))
-    one = paired.compare(results, "RRTConnect", "KPIECE1")
+    one = paired.compare_planners(results, "RRTConnect", "KPIECE1")
     assert values["problems of both"] == str(one.pairs)
     assert values["only RRTConnect"] == str(one.only_first)
     said = [
@@ -80,7 +80,7 @@ def test_everything_is_drawn_and_a_pair_is_compared_as_in_python(made, results, 
         # Two bootstraps with generators of their own.
         assert numbers[1:3] == pytest.approx([ratio.low, ratio.high], rel=0.08)
         assert numbers[3] == ratio.pairs
-    found = profiles(results.runs, results.problem, results.planners, "makespan_s")
+    found = compute_profiles(results.runs, results.problem, results.planners, "makespan_s")
     label = f"grid: best on {100 * found.at('grid', 1.0):.0f} %"
     assert label in html.unescape(within(document, "profiles"))
 
@@ -117,7 +117,7 @@ def test_odd_labels_are_shown_as_they_are(tmp_path):
     labels = {"grid": NASTY, "PRM": "<b>PRM</b>"}
     given = {"planners": ("grid", "PRM"), "presets": ("reef",), "teams": (2,), "worlds": 4}
     rows = synthetic.write(folder, **given, labels=labels, flown=False, examples=0)
-    document = shown(page.make(folder), tmp_path / "browser")
+    document = shown(page.write_report(folder), tmp_path / "browser")
     assert "<title>synthetic</title>" in document
     assert {NASTY, "<b>PRM</b>"} < set(texts(within(document, "cells"), "td"))
     assert "Nothing has been flown yet" in document

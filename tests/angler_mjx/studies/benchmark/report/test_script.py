@@ -13,7 +13,7 @@ from importlib import resources
 import numpy as np
 import pytest
 
-from angler_mjx.studies.benchmark.report import curves, embedded, paired, pictures, rates
+from angler_mjx.studies.benchmark.report import curves, page_data, paired, rates, scene_maps
 
 NODE = shutil.which("node")
 WEB = resources.files("angler_mjx.studies.benchmark.report") / "web"
@@ -38,7 +38,7 @@ def compared(results):
     """Every pair of planners as the page's script compares them."""
     if NODE is None:
         pytest.skip("no node on PATH runs the page's script")
-    held = embedded.data(results)
+    held = page_data.build_page_data(results)
     pairs = list(itertools.combinations(range(len(held["planners"])), 2))
     problem = {
         "rows": held["rows"],
@@ -59,7 +59,7 @@ def compared(results):
 
 
 def test_the_page_and_the_table_show_the_same_intervals(compared, results):
-    table = list(csv.DictReader(io.StringIO(paired.table(results))))
+    table = list(csv.DictReader(io.StringIO(paired.format_pairs_csv(results))))
     assert len(table) == len(compared) == 3
     for row in table:
         page = compared[row["first"], row["second"]]
@@ -93,15 +93,15 @@ def test_both_sides_resample_by_mulberry32():
     expected = np.zeros((times, worlds), int)
     for i, number in enumerate(numbers):
         expected[i // worlds, int(number * worlds)] += 1
-    np.testing.assert_array_equal(paired._resample(worlds, times), expected)
+    np.testing.assert_array_equal(paired._resample_worlds(worlds, times), expected)
     assert np.all(expected.sum(axis=1) == worlds)
 
 
 def test_captions_state_how_problems_count_that_a_planner_did_not_get(results):
     runs = results.runs
-    given_up = int(np.sum(runs.counted & ~runs.asked))
+    given_up = int(np.sum(runs.counted & ~runs.requested))
     assert given_up > 0
-    said = curves._said(results)
+    said = curves._describe_rates(results)
     total = int(np.sum(runs["plan_status"] != "no room"))
     assert f"{given_up} of {total} runs count as failures" in said
     note = " ".join(html.unescape((WEB / "page.html").read_text(encoding="utf-8")).split())
@@ -110,14 +110,14 @@ def test_captions_state_how_problems_count_that_a_planner_did_not_get(results):
     assert "over problems that both solved (of planning time: both planned)" in note
     # The rates that the charts show follow that rule.
     hit, counted = runs[results.judged], runs.counted
-    for (planner,), rate in rates.by((runs["planner"],), hit, counted).items():
+    for (planner,), rate in rates.compute_rates((runs["planner"],), hit, counted).items():
         of = (runs["planner"] == planner) & (runs["plan_status"] != "no room")
-        assert (rate.count, rate.asked) == (int(np.sum(hit[of])), int(np.sum(of)))
+        assert (rate.count, rate.requested) == (int(np.sum(hit[of])), int(np.sum(of)))
 
 
 def test_a_point_is_hollow_below_ten_runs():
     def shown(count):
-        return rates.rate(np.ones(count, bool), np.ones(count, bool))
+        return rates.compute_rate(np.ones(count, bool), np.ones(count, bool))
 
     assert shown(9).few
     assert not shown(10).few
@@ -125,7 +125,7 @@ def test_a_point_is_hollow_below_ten_runs():
 
 
 def test_each_failure_is_one_point_in_the_panel_of_its_scene(results):
-    figure = pictures.failures(results)
+    figure = scene_maps.plot_failures(results)
     held = results.failures
     scene_of = dict(zip(results.runs["run"].tolist(), results.runs["scene"], strict=True))
     scenes = [scene_of[run] for run in held.run.tolist()]

@@ -10,7 +10,7 @@ import pytest
 from scipy import stats
 
 from angler_mjx.studies.benchmark.report import cells, paired, rates, reading
-from angler_mjx.studies.benchmark.report.profiles import profiles
+from angler_mjx.studies.benchmark.report.profiles import compute_profiles
 
 
 def _problem(row):
@@ -27,7 +27,7 @@ def _counted(rows, planner):
 
 
 def test_rates_count_what_was_asked_and_nothing_else(rows, results):
-    found = {(c.planner, c.scene, c.robots): c for c in cells.cells(results.runs)}
+    found = {(c.planner, c.scene, c.robots): c for c in cells.build_cells(results.runs)}
     assert any(c.success.closed for c in found.values())
     for (planner, scene, team), cell in found.items():
         here = [
@@ -36,7 +36,7 @@ def test_rates_count_what_was_asked_and_nothing_else(rows, results):
             if (row["planner"], row["scene"], row["robots"]) == (planner, scene, team)
         ]
         asked = [row for row in here if row["plan_status"] not in ("closed", "no room")]
-        assert (cell.success.asked, cell.success.closed) == (len(asked), len(here) - len(asked))
+        assert (cell.success.requested, cell.success.closed) == (len(asked), len(here) - len(asked))
         assert cell.success.count == sum(row["success"] for row in asked)
         known = [row["energy_j"] for row in asked if row["energy_j"] is not None]
         np.testing.assert_equal(cell.medians["energy_j"], np.median(known) if known else np.nan)
@@ -46,7 +46,7 @@ def test_rates_count_what_was_asked_and_nothing_else(rows, results):
 
 
 def test_bins_of_density_hold_every_row_between_their_edges(results):
-    bins = rates.density_bins(results.runs, results.problem)
+    bins = rates.build_density_bins(results.runs, results.problem)
     density = results.runs["density"]
     assert len(bins.edges) > 3
     assert np.all((bins.edges[bins.of] <= density) & (density <= bins.edges[bins.of + 1]))
@@ -57,7 +57,7 @@ def test_bins_of_density_hold_every_row_between_their_edges(results):
 def test_few_densities_have_a_bin_each(results):
     columns = dict(results.runs.columns)
     columns["density"] = np.array([0.0, 0.06, 0.12])[results.problem % 3]
-    bins = rates.density_bins(reading.Runs(columns), results.problem)
+    bins = rates.build_density_bins(reading.Runs(columns), results.problem)
     np.testing.assert_allclose(bins.centres, [0.0, 0.06, 0.12])
     np.testing.assert_array_equal(bins.of, results.problem % 3)
 
@@ -65,7 +65,7 @@ def test_few_densities_have_a_bin_each(results):
 @pytest.mark.parametrize("cost", ["planning_s", "makespan_s", "energy_j"])
 def test_profiles_are_what_one_counts_by_hand(rows, results, cost):
     planners = ("grid", "RRTConnect", "KPIECE1")
-    found = profiles(results.runs, results.problem, planners, cost)
+    found = compute_profiles(results.runs, results.problem, planners, cost)
     shown = [name for name in planners if not (name == "grid" and cost == "planning_s")]
     assert found.left_out == tuple(set(planners) - set(shown))
     counted = {name: _counted(rows, name) for name in shown}
@@ -125,20 +125,20 @@ def test_mcnemar_is_the_exact_binomial_test(first, second):
 def test_ratios_are_medians_with_an_interval_of_whole_worlds():
     random = np.random.default_rng(5)
     logs = random.normal(0.3, 0.5, 80)
-    alone = paired.ratio(logs, np.arange(80))
+    alone = paired.bootstrap_ratio(logs, np.arange(80))
     assert alone.median == pytest.approx(np.exp(np.median(logs)))
     found = stats.bootstrap(
         (logs,), np.median, method="percentile", n_resamples=4000, rng=np.random.default_rng(0)
     ).confidence_interval
     np.testing.assert_allclose(np.log([alone.low, alone.high]), found, atol=0.04)
     # Four copies of each world say no more than one.
-    again = paired.ratio(np.repeat(logs, 4), np.repeat(np.arange(80), 4))
+    again = paired.bootstrap_ratio(np.repeat(logs, 4), np.repeat(np.arange(80), 4))
     np.testing.assert_allclose((again.low, again.high), (alone.low, alone.high), rtol=0.04)
-    assert paired.ratio(logs, np.arange(80)) == alone
+    assert paired.bootstrap_ratio(logs, np.arange(80)) == alone
 
 
 def test_planners_are_compared_on_the_problems_of_both(rows, results):
-    one = paired.compare(results, "RRTConnect", "KPIECE1")
+    one = paired.compare_planners(results, "RRTConnect", "KPIECE1")
     a, b = _counted(rows, "RRTConnect"), _counted(rows, "KPIECE1")
     common = set(a) & set(b)
     won = [(a[q]["success"], b[q]["success"]) for q in common]
@@ -161,7 +161,7 @@ def test_planners_are_compared_on_the_problems_of_both(rows, results):
 
 
 def test_the_table_of_pairs_holds_each_once(results):
-    held = list(csv.DictReader(io.StringIO(paired.table(results))))
+    held = list(csv.DictReader(io.StringIO(paired.format_pairs_csv(results))))
     assert [(r["first"], r["second"]) for r in held] == list(
         itertools.combinations(("grid", "RRTConnect", "KPIECE1"), 2)
     )
@@ -172,8 +172,8 @@ def test_other_knowledge_is_another_problem_only_where_one_planner_had_both(resu
     columns = dict(results.runs.columns)
     told = np.where(columns["planner"] == "grid", "nothing", "observed").astype(object)
     apart = reading.Runs(columns | {"knows_obstacles": told})
-    assert reading.problems(apart).max() == results.problem.max()
+    assert reading.index_problems(apart).max() == results.problem.max()
     twice = reading.Runs({n: np.concatenate([v, v]) for n, v in columns.items()})
     half = np.repeat(np.array(["nothing", "truth"], object), len(results.runs))
     twice = reading.Runs(dict(twice.columns) | {"knows_obstacles": half})
-    assert reading.problems(twice).max() == 2 * results.problem.max() + 1
+    assert reading.index_problems(twice).max() == 2 * results.problem.max() + 1

@@ -1,0 +1,211 @@
+"""Making a dataset: its parts flown into run folders one by one, then what says what they are.
+
+It is built like a run, in a hidden folder beside its place; the manifest comes last. A part that
+was broken off is resumed as any run is, so nothing but tiles in flight is lost.
+"""
+
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.learning.datasets import card, checksums, index, manifest, manifest_building
+from angler_mjx.learning.datasets import parts as flown
+from angler_mjx.learning.datasets.config import DatasetConfig
+from angler_mjx.learning.datasets.parts import DatasetPart
+from angler_mjx.learning.datasets.sampling import CROSSED
+from angler_mjx.runs import multi_run
+from angler_mjx.runs.multi_run import RunsProgress
+from angler_mjx.runs.processes import OneProcess, Processes, reporting_failure
+from angler_mjx.runs.simulator.simulator import default_tile
+from angler_mjx.runs.storage import output_lock
+from angler_mjx.runs.storage.output_lock import OutputLock
+from angler_mjx.runs.storage.recorder import TrajectoryShape
+from angler_mjx.world.config import resolve_world
+
+TILE_BYTES = 2 * 10**9
+"""Samples of a tile at most, where the file names no tile: one is flown while another is written,
+and a GPU is as fast with half its tile."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DatasetRequest:
+    """What a person asked for."""
+
+    config: DatasetConfig
+    table: Mapping[str, Any]
+    """Of the scenario that all is made of."""
+    episodes: int
+    source: str
+
+    @property
+    def parts(self) -> tuple[DatasetPart, ...]:
+        """To be flown; see `parts.parts`."""
+        return flown.build_parts(self.config, self.table, self.episodes, self.source)
+
+    def resolved(self) -> dict[str, Any]:
+        """All of it in plain values."""
+        return {
+            "episodes": self.episodes,
+            "dataset": self.config.model_dump(mode="json"),
+            "scenario": dict(self.table),
+        }
+
+
+def read_request(path: Path, episodes: int) -> DatasetRequest:
+    """What is to be made of a dataset file.
+
+    Raises:
+        ConfigError: the file has faults, or episodes are none.
+    """
+    if episodes < 1:
+        raise ConfigError(f"--episodes {episodes}: must be at least 1")
+    config, table = flown.read_config(path)
+    return DatasetRequest(config=config, table=table, episodes=episodes, source=str(path))
+
+
+def make_dataset(
+    request: DatasetRequest,
+    out: Path,
+    *,
+    progress: RunsProgress,
+    resume: bool = False,
+    devices: int | None = None,
+    workers: int | None = None,
+    processes: Processes | None = None,
+) -> Path | None:
+    """Make a dataset, or go on with one.
+
+    Args:
+        request: what is to be in it.
+        out: folder to make.
+        progress: of how far it is.
+        resume: go on with an interrupted one.
+        devices: to fly on; all if left out. Changes no byte of the results.
+        workers: processes that plan, where a planner is one of the host.
+        processes: that share the making, part by part; each calls this with the same arguments,
+            and they leave each other afterwards.
+
+    Returns:
+        Its folder; None after an interruption (Ctrl-C): what was finished is kept, to go on with.
+
+    Raises:
+        ConfigError: the folder is taken, or what is asked for cannot be flown, or is not what was
+            begun there.
+        RunError: the disk or the device gave out, or another process did.
+    """
+    process_group = processes or OneProcess()
+    with reporting_failure(process_group):
+        return _make_parts(
+            request, out, progress, process_group, resume, {"devices": devices, "workers": workers}
+        )
+
+
+def _make_parts(
+    request: DatasetRequest,
+    out: Path,
+    progress: RunsProgress,
+    process_group: Processes,
+    resume: bool,
+    options: Mapping[str, Any],
+) -> Path | None:
+    parts = request.parts
+    _require_same_recording(parts, request.source)
+    _require_crossings(request.config, parts, request.source)
+    building = output_lock.partial_path(out)
+    with ExitStack() as stack:
+        lock = None
+        if process_group.index == 0:
+            is_complete = (out / manifest.MANIFEST).is_file()
+            lock = (
+                multi_run.resume_folder(out, "dataset", request.resolved(), is_complete=is_complete)
+                if resume
+                else multi_run.create_folder(out, "dataset", request.resolved())
+            )
+            stack.callback(lock.release)
+        process_group.meet("dataset")
+        flights = [
+            (part.path, part.scenario.model_copy(update={"tile": choose_tile(part)}))
+            for part in parts
+        ]
+        if not multi_run.fly_runs(
+            flights, building, progress, process_group, {"chunk": 1, **options}
+        ):
+            return None
+        if lock is not None:
+            _finish_dataset(request, parts, lock)
+        process_group.meet("whole")
+    return out
+
+
+def _require_same_recording(parts: Sequence[DatasetPart], source: str) -> None:
+    """Refuse parts that are recorded at different rates, or in different steps."""
+    first = parts[0].scenario
+    if first.time.record_hz == 0.0:
+        raise ConfigError(f"{source}: set.time.record_hz = 0: there is nothing to learn from it")
+    for part in parts:
+        for name, a, b in (
+            ("set.time.record_hz", first.time.record_hz, part.scenario.time.record_hz),
+            ("set.store", first.store, part.scenario.store),
+        ):
+            if a != b:
+                raise ConfigError(
+                    f"{source}: scene {part.scene!r}, {name}: {b} is not {a} as in scene "
+                    f"{parts[0].scene!r}; a dataset is recorded in one way"
+                )
+
+
+def _require_crossings(config: DatasetConfig, parts: Sequence[DatasetPart], source: str) -> None:
+    """Refuse crossings where no two robots are."""
+    if not all(part.robots < 2 for part in parts if part.split is None):
+        return
+    for kind in CROSSED:
+        if (minimum := config.sample.at_least.get(kind, 0.0)) > 0.0:
+            raise ConfigError(
+                f"{source}: sample.at_least.{kind} = {minimum:g}: every team that is not of a "
+                "shifted scene is one robot, which crosses nobody; give teams of two or more"
+            )
+
+
+def choose_tile(part: DatasetPart) -> int:
+    """Worlds in one device call: the file's, or as many as memory is to hold of them."""
+    scenario = part.scenario
+    if scenario.tile is not None:
+        return scenario.tile
+    obstacles = resolve_world(scenario.world).obstacles
+    per_world = TrajectoryShape(
+        worlds=1,
+        samples=round(scenario.time.horizon_s * scenario.time.record_hz),
+        robots=part.robots,
+        thrusters=8,
+        obstacles=obstacles.dynamic.count + len(obstacles.explicit),
+        plan_points=scenario.planner.points,
+        estimated=scenario.senses,
+    ).bytes_per_world()
+    fits = max(1, TILE_BYTES // per_world)
+    return min(default_tile(scenario.worlds), 1 << (fits.bit_length() - 1))
+
+
+def _finish_dataset(
+    request: DatasetRequest, parts: Sequence[DatasetPart], lock: OutputLock
+) -> None:
+    """Index, sums, card and, last, the manifest; then the folder gets its name."""
+    root = lock.building
+    try:
+        dataset_manifest = manifest_building.build_manifest(request.config, parts, root)
+        table = index.build_index(root, dataset_manifest)
+        dataset_manifest = manifest_building.add_counts(dataset_manifest, table)
+        index.write_index(root, table)
+        card.write_card(root, dataset_manifest, table)
+        (root / multi_run.REQUEST_FILE).unlink()
+        manifest.write_manifest(
+            root, dataset_manifest.model_copy(update={"sums": checksums.write_checksums(root)})
+        )
+    except OSError as error:
+        raise RunError(
+            f"--out {lock.out}: cannot be written ({error.strerror or error}); its flights are "
+            f"whole in {root}: make room and go on with --resume"
+        ) from error
+    lock.publish()

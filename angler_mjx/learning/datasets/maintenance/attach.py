@@ -1,0 +1,32 @@
+"""What became known of a dataset after it was made, put beside its manifest and into its card."""
+
+from pathlib import Path
+
+from angler_mjx.errors import RunError
+from angler_mjx.learning.datasets import card, checksums, gaps, index, manifest
+from angler_mjx.learning.datasets.gaps import SpotCheck
+
+
+def attach_spot_check(root: Path, spot_check: SpotCheck) -> None:
+    """Add a spot check, or replace an older one; sums of all other files stay as they were.
+
+    Args:
+        root: the dataset.
+        spot_check: the spot check.
+
+    Raises:
+        ConfigError: it is no dataset, its list of sums is damaged.
+        RunError: the disk gave out.
+    """
+    dataset_manifest = manifest.read_manifest(root)
+    table = index.read_index(root)
+    digests = checksums.read_checksums(root, dataset_manifest.sums)
+    try:
+        gaps.write_spot_check(root, spot_check)
+        card.write_readme(root, dataset_manifest, table)
+        digest = checksums.update_checksums(root, digests, (gaps.SPOT_CHECK_FILE, card.README))
+        manifest.write_manifest(root, dataset_manifest.model_copy(update={"sums": digest}))
+    except OSError as error:
+        raise RunError(
+            f"{root}: cannot be written ({error.strerror or error}); make room and write it again"
+        ) from error

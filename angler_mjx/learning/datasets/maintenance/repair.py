@@ -1,0 +1,147 @@
+"""What of a dataset was damaged or lost, flown again; what is whole is kept."""
+
+import gc
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import jax
+
+from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.learning.datasets import card, checksums, gaps, index, manifest
+from angler_mjx.learning.datasets.manifest import Manifest, PartEntry
+from angler_mjx.learning.datasets.verifying import replay
+from angler_mjx.runs import rollout
+from angler_mjx.runs.progress import Progress
+from angler_mjx.runs.storage import folder, output_lock
+
+_REQUIRED = (folder.CONFIG, "inputs/")
+"""Of a run: without these nobody knows what was flown."""
+
+_RUN_REPORTS = (folder.SUMMARY, folder.LOG, folder.ENVIRONMENT)
+"""Say how a run went, so they differ when it goes on."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RepairResult:
+    """What came of it."""
+
+    damaged: tuple[str, ...]
+    """Files that were."""
+    parts: tuple[str, ...]
+    """Run folders in which something was flown again."""
+    other: tuple[str, ...]
+    """Files that are whole now, with other bytes than before."""
+
+
+def repair_dataset(root: Path, progress: Progress, *, accept: bool = False) -> RepairResult:
+    """Fly again what was damaged.
+
+    Args:
+        root: the dataset.
+        progress: of how far it is.
+        accept: keep flights that came out otherwise than before, on another device or version.
+
+    Raises:
+        ConfigError: it is no dataset, what says what was flown is lost too, or this machine makes
+            other bytes and that was not accepted.
+        RunError: the disk or the device gave out.
+    """
+    dataset_manifest = manifest.read_manifest(root)
+    if output_lock.partial_path(root).exists():
+        raise ConfigError(f"{root}: is being made; wait, or go on with it by --resume")
+    digests = _read_checksums(root, dataset_manifest)
+    present = set(checksums.list_files(root))
+    current = dict(checksums.hash_files(root, sorted(present & digests.keys())))
+    damaged = sorted(name for name in digests if current.get(name) != digests[name])
+    if not damaged:
+        return RepairResult(damaged=(), parts=(), other=())
+    parts = [
+        part for part in dataset_manifest.parts if any(_is_in_part(name, part) for name in damaged)
+    ]
+    _require_inputs(root, parts, damaged)
+    if (differences := replay.environment_differences(dataset_manifest)) and parts and not accept:
+        raise ConfigError(
+            f"{root}: was made with another {', '.join(differences)}: flown again here, "
+            f"{len(parts)} of its parts would have other bytes; mend it there, copy the files "
+            "again, or take that with --accept"
+        )
+    for part in parts:
+        _refly_part(
+            root / part.path, [name for name in damaged if _is_in_part(name, part)], part, progress
+        )
+        jax.clear_caches()
+        gc.collect()
+    other = [
+        name
+        for name, digest in checksums.hash_files(
+            root, sorted(digests.keys() & set(checksums.list_files(root)))
+        )
+        if digest != digests[name] and Path(name).name not in _RUN_REPORTS and "/" in name
+    ]
+    if other and not accept:
+        raise RunError(
+            f"{root}: {len(other)} files came out otherwise than they were, {other[0]} first, "
+            "though device and versions are the same; keep them with --accept"
+        )
+    _finish_dataset(root, dataset_manifest, damaged)
+    return RepairResult(
+        damaged=tuple(damaged), parts=tuple(part.path for part in parts), other=tuple(other)
+    )
+
+
+def _read_checksums(root: Path, dataset_manifest: Manifest) -> dict[str, str]:
+    """Sums as they were; without their file, what is damaged cannot be known."""
+    try:
+        return checksums.read_checksums(root, dataset_manifest.sums)
+    except ConfigError as error:
+        raise ConfigError(
+            f"{error}; without it nobody can tell what is damaged: angler dataset verify --again "
+            "says what still is as it was flown"
+        ) from error
+
+
+def _is_in_part(name: str, part: PartEntry) -> bool:
+    return name.startswith(f"{part.path}/")
+
+
+def _require_inputs(root: Path, parts: Sequence[PartEntry], damaged: Sequence[str]) -> None:
+    for part in parts:
+        for name in damaged:
+            inner = name.removeprefix(f"{part.path}/")
+            if _is_in_part(name, part) and inner.startswith(_REQUIRED):
+                raise ConfigError(
+                    f"{root / name}: says what was flown, and is damaged or lost; copy it again"
+                )
+
+
+def _refly_part(root: Path, damaged: Sequence[str], part: PartEntry, progress: Progress) -> None:
+    """Take what is damaged away and go on with the run."""
+    try:
+        for name in damaged:
+            (root / name.removeprefix(f"{part.path}/")).unlink(missing_ok=True)
+        summary = root / folder.SUMMARY
+        if summary.exists():
+            table = json.loads(summary.read_text(encoding="utf-8"))
+            folder.write_json(summary, {**table, "complete": False})
+    except (OSError, ValueError) as error:
+        raise RunError(f"{root}: cannot be mended ({error})") from error
+    run = rollout.resume(root, progress=progress, chunk=1)
+    if not run.summary["complete"]:
+        raise RunError(f"{root}: was interrupted; mend it again, and it goes on")
+
+
+def _finish_dataset(root: Path, dataset_manifest: Manifest, damaged: Sequence[str]) -> None:
+    """Index, card and sums of what is there now; a spot check that was damaged is lost."""
+    try:
+        if gaps.SPOT_CHECK_FILE in damaged:
+            (root / gaps.SPOT_CHECK_FILE).unlink(missing_ok=True)
+        table = index.build_index(root, dataset_manifest)
+        index.write_index(root, table)
+        card.write_card(root, dataset_manifest, table)
+        manifest.write_manifest(
+            root, dataset_manifest.model_copy(update={"sums": checksums.write_checksums(root)})
+        )
+    except OSError as error:
+        raise RunError(f"{root}: cannot be written ({error.strerror or error})") from error

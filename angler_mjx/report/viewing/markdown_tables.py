@@ -1,0 +1,62 @@
+"""Tables in Markdown, and their place between two marks of a document."""
+
+import os
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from angler_mjx.errors import ConfigError
+
+
+def format_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table in Markdown; the first column is text, the others are numbers."""
+    lines = [head, ["---", *["---:"] * (len(head) - 1)], *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def require_marks(document: Path, begin: str, end: str) -> None:
+    """Refuse a document that `replace_section` could not write into.
+
+    Raises:
+        ConfigError: as `replace_section`.
+    """
+    _split_document(document, begin, end)
+
+
+def replace_section(document: Path, begin: str, body: str, end: str) -> None:
+    """Put a text between two marks of a document.
+
+    Args:
+        document: that has the marks.
+        begin: the mark before.
+        body: what is to stand between the marks.
+        end: the mark behind.
+
+    Raises:
+        ConfigError: the document cannot be read or written, or has no marks.
+    """
+    before, after = _split_document(document, begin, end)
+    try:
+        document.write_text(f"{before}{begin}\n{body}\n{end}{after}", encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"--out {document}: {error.strerror or error}") from error
+
+
+def image_link(document: Path, figure: Path) -> str:
+    """A line of a document, in Markdown, that shows a figure; called what its file is."""
+    title = figure.stem.replace("_", " ")
+    return f"![{title}]({os.path.relpath(figure, document.parent)})"
+
+
+def _split_document(document: Path, begin: str, end: str) -> tuple[str, str]:
+    """What stands before the first mark and behind the second."""
+    try:
+        old = document.read_text(encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"--out {document}: {error.strerror or error}") from error
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"--out {document}: cannot be read ({error})") from error
+    before, mark, rest = old.partition(begin)
+    _, last, after = rest.partition(end)
+    if not mark or not last:
+        raise ConfigError(f"--out {document}: has no place for tables ({begin} ... {end})")
+    return before, after

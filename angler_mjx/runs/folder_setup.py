@@ -1,0 +1,197 @@
+"""The folder of a run at its beginning: a new one, or one that is taken up again."""
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.robot.vehicles import library
+from angler_mjx.runs import sizes
+from angler_mjx.runs.progress import Progress
+from angler_mjx.runs.provenance import describe_environment, write_policy
+from angler_mjx.runs.simulator.simulator import Simulator
+from angler_mjx.runs.storage import folder, metadata_repair, output_lock
+from angler_mjx.runs.storage.output_lock import OutputLock
+from angler_mjx.runs.storage.plans.read import PlanFile, open_plans
+from angler_mjx.runs.storage.read_errors import read_table
+from angler_mjx.runs.storage.recorder import Recorder
+from angler_mjx.scenario.scenario import Scenario
+
+PLANS_FILE = "plans.json"
+"""Says which plans are flown."""
+
+
+def create_run_folder(
+    simulator: Simulator, path: Path, plans: PlanFile | None = None
+) -> OutputLock:
+    """Make the folder of a new run, with what is known before the first world.
+
+    Args:
+        simulator: of the run.
+        path: the folder to be.
+        plans: that are flown, instead of the scenario's planner.
+    """
+    scenario, shape = simulator.scenario, sizes.trajectory_shape(simulator)
+    resolved_scenario = scenario.model_copy(update=resolved_settings(simulator))
+    if scenario.time.record_hz > 0:
+        folder.require_space(path, scenario.worlds * shape.disk_bytes_per_world())
+    lock = folder.create_folder(path)
+    try:
+        extra_files = [("planner", file)] if (file := planner_file(simulator)) else []
+        folder.write_start_files(
+            lock.building, resolved_scenario, describe_environment(), extra_files
+        )
+        if plans is not None:
+            folder.write_json(lock.building / PLANS_FILE, _describe_plans(plans))
+        write_policy(lock.building, simulator.policy)
+        if scenario.time.record_hz > 0:
+            _create_trajectories(simulator, lock.building / folder.TRAJECTORIES)
+    except OSError as error:
+        lock.withdraw()
+        raise RunError(f"--out {path}: cannot be written ({error.strerror or error})") from error
+    except BaseException:
+        lock.withdraw()
+        raise
+    return lock
+
+
+def planner_file(simulator: Simulator) -> Path | None:
+    """The file of the planner's class, where it is one of a person's own."""
+    spec = simulator.planner
+    return None if spec is None else spec.reference.file
+
+
+def reopen_plans(
+    building: Path, plans_path: Path | str | None, scenario: Scenario
+) -> PlanFile | None:
+    """The plans with which a run began; None where a planner made them.
+
+    Args:
+        building: folder of the run.
+        plans_path: where they lie now; where they lay if left out.
+        scenario: of the run.
+
+    Raises:
+        ConfigError: they are not there any more, or others.
+    """
+    record_path = building / PLANS_FILE
+    if not record_path.exists():
+        if plans_path is not None:
+            raise ConfigError(
+                f"--plans {plans_path}: the run was begun with a planner, without plans"
+            )
+        return None
+    table = read_table(record_path)
+    plans = open_plans(Path(plans_path or str(table.get("path"))), scenario)
+    if plans.sha256() != table.get("sha256"):
+        raise ConfigError(
+            f"{plans.path}: is not the file of plans with which the run began; put that one back, "
+            "or name it with --plans"
+        )
+    return plans
+
+
+def _describe_plans(plans: PlanFile) -> dict[str, Any]:
+    """Which plans are flown: where they lie, a hash of all their bytes, and who says made them."""
+    return {
+        "path": str(plans.path.absolute()),
+        "sha256": plans.sha256(),
+        "planner": dict(plans.group.attrs).get("planner"),
+    }
+
+
+def _create_trajectories(simulator: Simulator, path: Path) -> None:
+    """Make the group of trajectories, with nothing in it yet."""
+    Recorder.create(
+        path,
+        sizes.trajectory_shape(simulator),
+        simulator.world_shape().environment,
+        tile=simulator.tile,
+        sample_dt_s=1.0 / simulator.scenario.time.record_hz,
+    )
+
+
+def require_same_scenario(path: Path, scenario: Scenario) -> None:
+    """Refuse to go on with a run of another scenario than the one that was named.
+
+    What a run may override stands in its folder, and is not compared.
+    """
+    building = output_lock.partial_path(path)
+    existing = building if (building / folder.CONFIG).is_file() else path
+    if not (existing / folder.CONFIG).is_file():
+        return  # and `folder.reopen_folder` says that there is no run
+    stored = folder.read_scenario(existing)
+    if stored.name != scenario.name:
+        raise ConfigError(
+            f"--resume {path}: is a run of {stored.name!r}, not of {scenario.name!r}; name "
+            "that scenario, or the folder of another run with --out"
+        )
+    now, before = (_fixed_settings(source) for source in (scenario, stored))
+    differing = [key for key in now if now[key] != before[key]]
+    if differing:
+        raise ConfigError(
+            f"--resume {path}: the scenario {scenario.name!r} was edited since the run began "
+            f"({', '.join(differing)}): undo that, or begin a new run"
+        )
+
+
+_FLAG_KEYS = (
+    ("time", "record_hz"),
+    ("planner", "name"),
+    ("planner", "requested"),
+    ("planner", "replan_hz"),
+    ("planner", "information"),
+    ("execution", "order"),
+    ("execution", "requested"),
+    ("policy", "name"),
+    ("policy", "information"),
+)
+"""Keys of tables that flags of a run change."""
+
+
+def _fixed_settings(scenario: Scenario) -> dict[str, Any]:
+    """What no flag of a run changes; a vehicle's copy stands for it."""
+    table = scenario.model_dump(
+        exclude={"worlds", "seed", "engine", "kernels", "tile", "description"}
+    )
+    for name, key in _FLAG_KEYS:
+        table[name].pop(key)
+    for entry in table["fleet"]:
+        entry["vehicle"] = library.load_vehicle(entry["vehicle"]).name
+    return table
+
+
+def repair_trajectories(simulator: Simulator, building: Path, progress: Progress) -> None:
+    """Put back descriptions of arrays that are missing; their tiles are then found wanting."""
+    fresh = building / ".described"
+    shutil.rmtree(fresh, ignore_errors=True)
+    try:
+        _create_trajectories(simulator, fresh)
+        for name in metadata_repair.repair_metadata(building / folder.TRAJECTORIES, fresh):
+            progress.tell(
+                f"{building / folder.TRAJECTORIES / name}: was missing or damaged, made again"
+            )
+    except OSError as error:
+        raise RunError(f"{building}: cannot be written ({error.strerror or error})") from error
+    finally:
+        shutil.rmtree(fresh, ignore_errors=True)
+
+
+@contextmanager
+def hold_lock(lock: OutputLock, *, is_new: bool) -> Iterator[None]:
+    """Part from a folder at the end; take it away if it is new and nothing was computed into it."""
+    try:
+        yield
+    except BaseException:
+        if is_new and lock.handle is not None and not folder.holds_results(lock.building):
+            lock.withdraw()
+        raise
+    finally:
+        lock.release()
+
+
+def resolved_settings(simulator: Simulator) -> dict[str, Any]:
+    """What the simulator chose where the scenario said nothing."""
+    return {"tile": simulator.tile, "kernels": simulator.kernels}

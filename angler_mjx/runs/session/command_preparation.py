@@ -1,0 +1,220 @@
+"""Orders made ready for slots: JointTrajectories joined to what goes on, paths padded, holds."""
+
+from dataclasses import replace
+from typing import Any
+
+import jax
+import numpy as np
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.robot.control import joint_goal
+from angler_mjx.robot.control.allocation import NEUTRAL_US
+from angler_mjx.robot.control.commands import PoseTarget, ThrusterPwm
+from angler_mjx.robot.control.joint_goal import JointGoal, JointPoint
+from angler_mjx.robot.control.joint_tolerance import JointTolerance, Tolerances, build_tolerances
+from angler_mjx.robot.control.joint_trajectory import (
+    LINEAR,
+    VEHICLE_JOINTS,
+    JointTrajectory,
+    replace_at,
+    sample_state,
+)
+from angler_mjx.robot.control.stack import Stages
+from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.runs.session.command_slots import CommandSlots
+from angler_mjx.runs.session.command_validation import CommandLimits
+from angler_mjx.runs.session.interface import Floats, SessionCommand
+from angler_mjx.runs.session.robot_plan import RobotPlan
+from angler_mjx.runs.session.state_view import StateView
+from angler_mjx.scenario.scenario import Scenario
+
+CLEARANCE_SLACK_M = 1e-3
+"""A way that just fits must not fail by rounding."""
+
+PATH_TOLERANCE = JointTolerance(position=1.2)
+"""m and rad. At 1 m the guidance waits: a robot that is farther away is being carried off."""
+GOAL_TOLERANCE = JointTolerance(position=0.15)
+GOAL_TIME_S = 15.0
+
+
+def stack_tolerances(requested: Tolerances | None, scenario: Scenario) -> Tolerances:
+    """Tolerances of every robot, [R] leading.
+
+    Raises:
+        ConfigError: one is of accelerations, which nobody measures here.
+    """
+    resolved = requested or build_tolerances(
+        VEHICLE_JOINTS,
+        default_path=PATH_TOLERANCE,
+        default_goal=GOAL_TOLERANCE,
+        default_goal_time_s=GOAL_TIME_S,
+    )
+    for key, limit in (("path", resolved.path), ("goal", resolved.goal)):
+        if np.isfinite(np.asarray(limit.acceleration)).any():
+            raise ConfigError(
+                f"tolerances.{key}.acceleration = {np.asarray(limit.acceleration)}: accelerations "
+                "are not measured; leave it out"
+            )
+    count = len(scenario.members())
+    per_robot: Tolerances = jax.tree.map(
+        lambda leaf: np.broadcast_to(np.asarray(leaf), (count, *np.shape(leaf))), resolved
+    )
+    return per_robot
+
+
+def start_time_s(order: SessionCommand) -> float:
+    """When an order begins, s of the session; 0: at once."""
+    return order.stamp_s if isinstance(order, JointGoal) else 0.0
+
+
+def prepare_command(
+    slots: CommandSlots,
+    view: StateView,
+    robot: int,
+    order: SessionCommand,
+    limits: CommandLimits,
+    now_s: float,
+) -> Any:
+    """A checked order as slots take it: of fixed shapes, and joined to what goes on now."""
+    if isinstance(order, JointGoal):
+        return join_trajectory(slots, view, robot, _drop_past_points(order, now_s))
+    order = jax.device_get(order)
+    if isinstance(order, JointTrajectory):
+        return join_trajectory(slots, view, robot, replace(order, found=None))
+    if isinstance(order, Trajectory):
+        plan = RobotPlan(time_s=np.asarray(order.time_s), position_m=np.asarray(order.position_m))
+        return plan.padded(limits.way_points, view.p.dtype)
+    if isinstance(order, ThrusterPwm):
+        pulses = np.asarray(order.pwm_us)
+        padding = view.pwm_us.shape[-1] - pulses.size
+        padded: Any = np.pad(pulses, (0, padding), constant_values=NEUTRAL_US)
+        return ThrusterPwm(pwm_us=padded)
+    return order
+
+
+def join_trajectory(
+    slots: CommandSlots, view: StateView, robot: int, new: JointGoal | JointTrajectory
+) -> JointTrajectory:
+    """A JointTrajectory joined to the reference of now."""
+    slot = jax.tree.map(lambda leaf: leaf[robot], slots.slot(JointTrajectory))
+    size = slot.time_s.shape[0]
+    if slots.kind(robot) is JointTrajectory:
+        old, t = slot, view.clock_s[robot]
+        joint_positions = np.asarray(_sample(old, t).position, float)
+    else:
+        joint_positions, joint_rates = _current_joints(slots, view, robot)
+        old, t = _straight_trajectory(slot, joint_positions, joint_rates), 0.0 * view.clock_s[robot]
+    if isinstance(new, JointGoal):
+        new = joint_goal.build_trajectory(
+            new, joints=VEHICLE_JOINTS, position=joint_positions.tolist(), size=size
+        )
+    cast = jax.tree.map(lambda x, like: np.asarray(x, like.dtype), _pad_trajectory(new, size), slot)
+    joined: JointTrajectory = jax.device_get(_join(old, t, cast))
+    return joined
+
+
+def compile_joins(slots: CommandSlots, view: StateView) -> None:
+    """Have compiled now what `join_trajectory` needs."""
+    if JointTrajectory in slots.kinds:
+        nothing = JointGoal(joint_names=("x",), points=(JointPoint(time_s=1.0, positions=(0.0,)),))
+        describe_farthest_joint(slots, view, 0)
+        join_trajectory(slots, view, 0, nothing)
+
+
+_join = jax.jit(replace_at)
+_sample = jax.jit(sample_state)
+
+
+def hold_command(
+    kinds: tuple[type, ...], view: StateView, robot: int, limits: CommandLimits
+) -> Any:
+    """A command to stay where a robot is; every stack takes a path, not every one a pose."""
+    p, yaw = view.p[robot], view.yaw_rad[robot]
+    if PoseTarget in kinds:
+        return PoseTarget(position_m=p, velocity_mps=0.0 * p, yaw_rad=yaw)
+    plan = RobotPlan(time_s=np.zeros(1), position_m=np.asarray(p, float)[None])
+    return plan.padded(limits.way_points, view.p.dtype)
+
+
+def plan_progress_s(stages: Stages, plan: RobotPlan, view: StateView, robot: int) -> float:
+    """How far along its plan a robot is, s of the plan's time."""
+    if stages[0].name in ("follow", "reference"):
+        return float(view.clock_s[robot])
+    times = np.linspace(0.0, plan.time_s[-1], 512)
+    distances = np.linalg.norm(plan.at(times) - np.asarray(view.p[robot], float), axis=1)
+    return float(times[np.argmin(distances)])
+
+
+def describe_farthest_joint(slots: CommandSlots, view: StateView, robot: int) -> str:
+    """Which joint is farthest from where its JointTrajectory has it, in words."""
+    slot = jax.tree.map(lambda leaf: leaf[robot], slots.slot(JointTrajectory))
+    reference = np.asarray(_sample(slot, view.clock_s[robot]).position, float)
+    errors = np.append(view.p[robot], view.yaw_rad[robot]) - reference
+    errors[3] = (errors[3] + np.pi) % (2 * np.pi) - np.pi
+    worst = int(np.argmax(np.abs(errors)))
+    return f"joint {VEHICLE_JOINTS[worst]!r} is off by {errors[worst]:.3g}"
+
+
+def _drop_past_points(goal: JointGoal, now_s: float) -> JointGoal:
+    """A message without the points whose time is over, by the clock of now."""
+    elapsed_s = now_s - goal.stamp_s if goal.stamp_s > 0 else 0.0
+    if elapsed_s <= 0:
+        return goal
+    points = [
+        replace(point, time_s=point.time_s - elapsed_s)
+        for point in goal.points
+        if point.time_s > elapsed_s
+    ]
+    return replace(goal, points=tuple(points or [replace(goal.points[-1], time_s=0.0)]))
+
+
+def _current_joints(slots: CommandSlots, view: StateView, robot: int) -> tuple[Floats, Floats]:
+    """Joints [4] and their rates of what goes on: the path's where there is one, else measured."""
+    if slots.kind(robot) is Trajectory:
+        path = jax.tree.map(lambda leaf: leaf[robot], slots.slot(Trajectory))
+        plan, t = RobotPlan(time_s=path.time_s, position_m=path.position_m), view.clock_s[robot]
+        position, next_position = plan.at(t), plan.at(t + 1e-3)
+        return np.append(position, view.heading_rad[robot]), np.append(
+            (next_position - position) / 1e-3, 0.0
+        )
+    return np.append(view.p[robot], view.yaw_rad[robot]), np.append(
+        ground_velocity(view, robot), 0.0
+    )
+
+
+def ground_velocity(view: StateView, robot: int) -> Floats:
+    """Velocity [3] in W."""
+    w, axis = float(view.q[robot, 0]), np.asarray(view.q[robot, 1:], float)
+    v = np.asarray(view.nu[robot, :3], float)
+    half_turn = 2.0 * np.cross(axis, v)
+    velocity: Floats = v + w * half_turn + np.cross(axis, half_turn)
+    return velocity
+
+
+def _straight_trajectory(
+    like: JointTrajectory, joint_positions: Floats, joint_rates: Floats
+) -> JointTrajectory:
+    """A line through joints [4] with their rates, as large as ``like``."""
+    time: Any = np.minimum(np.arange(like.time_s.shape[0]), 1).astype(like.time_s.dtype)
+    table: Any = (joint_positions + time[:, None] * joint_rates).astype(like.position.dtype)
+    return replace(
+        like,
+        time_s=time,
+        position=table,
+        velocity=0.0 * table,
+        acceleration=0.0 * table,
+        degree=0 * like.degree + LINEAR,
+        commanded=like.commanded | True,
+    )
+
+
+def _pad_trajectory(new: JointTrajectory, size: int) -> JointTrajectory:
+    """The same trajectory in ``size`` rows."""
+    more = size - np.shape(new.time_s)[0]
+
+    def edge(leaf: Any) -> Any:
+        value = np.asarray(leaf)
+        return np.pad(value, [(0, more)] + [(0, 0)] * (value.ndim - 1), mode="edge")
+
+    rows = ("time_s", "position", "velocity", "acceleration", "degree")
+    return replace(new, **{name: edge(getattr(new, name)) for name in rows})

@@ -1,0 +1,146 @@
+"""What every robot of a session is told, as arrays whose shapes never change.
+
+One slot for each type of command that the controllers take; whatever a robot is told, the step is
+the same compiled program.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from angler_mjx.robot.control import stack
+from angler_mjx.robot.control.allocation import NEUTRAL_US
+from angler_mjx.robot.control.commands import BodyTwist, BodyWrench, PoseTarget, ThrusterPwm
+from angler_mjx.robot.control.joint_trajectory import LINEAR, VEHICLE_JOINTS, JointTrajectory
+from angler_mjx.robot.control.laws.targets import TrackingTarget
+from angler_mjx.robot.control.mixed import MixedCommand
+from angler_mjx.robot.control.stack import Stages
+from angler_mjx.robot.control.trajectory import Trajectory
+
+COMMAND_TYPES = (
+    Trajectory,
+    JointTrajectory,
+    TrackingTarget,
+    PoseTarget,
+    BodyTwist,
+    BodyWrench,
+    ThrusterPwm,
+)
+"""All types of commands, from the highest down."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SlotSizes:
+    """Numbers of rows in the slots."""
+
+    robots: int
+    thrusters: int
+    points: int
+    """Of a JointTrajectory."""
+    way_points: int
+    """Of a Trajectory."""
+
+
+def command_types(stages: Stages) -> tuple[type, ...]:
+    """Types of commands that a stack takes."""
+    accepted = {kind for stage in stages for kind in stage.takes} | {ThrusterPwm}
+    return tuple(kind for kind in COMMAND_TYPES if kind in accepted)
+
+
+class CommandSlots:
+    """What robots are told; [1, R] leads in every array that leaves it.
+
+    Attributes:
+        kinds: types of its slots.
+    """
+
+    def __init__(self, stages: Stages, sizes: SlotSizes) -> None:
+        """All robots are told their paths, which are empty until they are put."""
+        self.kinds = command_types(stages)
+        self._entry = {kind: stack.find_entry(stages, kind) for kind in self.kinds}
+        blank = _blank_commands(sizes)
+        self._slots = [jax.tree.map(np.array, blank[kind]) for kind in self.kinds]
+        self._slot_index = np.zeros((1, sizes.robots), np.int32)
+        self._fresh = np.zeros((1, sizes.robots), np.int32)
+        self._step_commands: MixedCommand | None = None
+
+    def put(self, robot: int, command: Any) -> None:
+        """Tell a robot; its arrays have the shapes of the slots.
+
+        Stages that stood idle until now begin anew, and so does the first one with a new path.
+        """
+        kind = type(command)
+        slot = self.kinds.index(kind)
+        old_entry = self._entry[self.kinds[self._slot_index[0, robot]]]
+        new_entry = self._entry[kind]
+        fresh = old_entry if new_entry < old_entry else 0
+        fresh = max(fresh, 1) if kind in (Trajectory, JointTrajectory) else fresh
+        self._slot_index[0, robot] = slot
+        self._fresh[0, robot] = max(self._fresh[0, robot], fresh)
+        leaves = zip(jax.tree.leaves(self._slots[slot]), jax.tree.leaves(command), strict=True)
+        for stored, new in leaves:
+            stored[0, robot] = new
+        self._step_commands = None
+
+    def kind(self, robot: int) -> type:
+        """Type of what a robot is told."""
+        return self.kinds[int(self._slot_index[0, robot])]
+
+    def slot(self, kind: type) -> Any:
+        """What is in a slot, [R] leading; those that are told something else hold any numbers."""
+        return jax.tree.map(lambda leaf: leaf[0], self._slots[self.kinds.index(kind)])
+
+    def commands(self) -> MixedCommand:
+        """The commands of one step; after it no stage is fresh any more."""
+        if self._step_commands is None:
+            # Copied: a device array may share the memory of the numpy array that it is made of.
+            copies = jax.tree.map(np.copy, (self._slot_index, self._fresh, tuple(self._slots)))
+            which, fresh, commands = jax.device_put(copies)
+            self._step_commands = MixedCommand(which=which, fresh=fresh, commands=commands)
+        result = self._step_commands
+        if self._fresh.any():
+            self._fresh[:] = 0
+            self._step_commands = None
+        return result
+
+
+def _blank_commands(sizes: SlotSizes) -> dict[type, Any]:
+    """An empty command of each type, [1, R] leading."""
+    number = jnp.zeros(()).dtype
+
+    def zeros(*tail: int, like: Any = number) -> Any:
+        return np.zeros((1, sizes.robots, *tail), like)
+
+    joints = len(VEHICLE_JOINTS)
+    table = zeros(sizes.points, joints)
+    return {
+        Trajectory: Trajectory(
+            time_s=zeros(sizes.way_points),
+            position_m=zeros(sizes.way_points, 3),
+            found=zeros(like=bool) | True,
+        ),
+        JointTrajectory: JointTrajectory(
+            joints=VEHICLE_JOINTS,
+            time_s=zeros(sizes.points),
+            position=table,
+            velocity=table,
+            acceleration=table,
+            degree=zeros(sizes.points, like=np.int32) + LINEAR,
+            commanded=zeros(joints, like=bool) | True,
+        ),
+        TrackingTarget: TrackingTarget(
+            position_m=zeros(3),
+            velocity_mps=zeros(3),
+            acceleration_mps2=zeros(3),
+            yaw_rad=zeros(),
+            yaw_rate_radps=zeros(),
+            yaw_acceleration_radps2=zeros(),
+        ),
+        PoseTarget: PoseTarget(position_m=zeros(3), velocity_mps=zeros(3), yaw_rad=zeros()),
+        BodyTwist: BodyTwist(nu=zeros(6)),
+        BodyWrench: BodyWrench(tau=zeros(6)),
+        ThrusterPwm: ThrusterPwm(pwm_us=zeros(sizes.thrusters) + NEUTRAL_US),
+    }

@@ -1,0 +1,194 @@
+"""Policies and planners on one scene: what a policy is told and commands, through any session.
+
+A policy that flies in a batch is asked here by the loop of the host, with the same function: what
+the robots are told comes from the session's observation, what may be known of the scenery from the
+scene behind it. A `Problem` of any time is drawn in the same way.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, Protocol
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from angler_mjx._moved import renamed as _renamed
+from angler_mjx.errors import ConfigError
+from angler_mjx.planning import build_problem
+from angler_mjx.planning.problem import Problem
+from angler_mjx.robot.control.commands import Estimate
+from angler_mjx.runs.session.interface import Observation, Session, SessionCommand
+from angler_mjx.runs.session.recording import Recordable
+from angler_mjx.sim import policy as policies
+from angler_mjx.sim.information import Information
+from angler_mjx.sim.information import SceneObservation as Seen
+from angler_mjx.sim.policy import Policy, PolicyMemory
+from angler_mjx.sim.record import Belief
+from angler_mjx.sim.state import Outcome
+from angler_mjx.sim.world_phases.context import WorldContext
+from angler_mjx.world.acoustics.config import refuse_acoustics
+
+ACTIVE_OUTCOMES = (Outcome.RUNNING, Outcome.REACHED)
+
+
+class OnlineScene(Session, Recordable, Protocol):
+    """A session of which the scene can be seen."""
+
+
+class OnlineFlyer:
+    """A policy that commands the robots of a session."""
+
+    def __init__(self, session: OnlineScene, policy: Policy | None = None) -> None:
+        """Compile the policy and ask it to begin; the session stands at its reset.
+
+        Args:
+            session: that it commands.
+            policy: the one that the scenario asks for if left out.
+
+        Raises:
+            ConfigError: there is none, or the session does not take what it commands.
+        """
+        internals = session.inside()
+        active_policy = internals.simulator.policy if policy is None else policy
+        if active_policy is None:
+            raise ConfigError(
+                "nothing flies: the scenario plans nothing anew, keeps no order and names no "
+                'policy; set planner.replan_hz, execution.order = "kept" or policy.name, or give a '
+                "policy"
+            )
+        refuse_acoustics(
+            internals.simulator.scenario.acoustics,
+            'in a session robots know everything of each other; take "perfect", or angler rollout',
+        )
+        self._session, self._policy = session, active_policy
+        spec, stages = internals.simulator.spec, internals.simulator.spec.stages
+
+        def build_inputs(
+            world: Any, vehicles: Any, obstacles: Any, belief: Any, number: Any
+        ) -> Any:
+            context = WorldContext(
+                spec=spec,
+                policy=active_policy,
+                world=world,
+                number=number,
+                vehicles=vehicles,
+                obstacles=obstacles,
+            )
+            return context.build_policy_input(belief)
+
+        def begin_memory(scene: Any, *inputs: Any) -> PolicyMemory:
+            world, *moving = _single_world(scene)
+            memory: PolicyMemory = policies.begin_policy(
+                active_policy, stages, world.policy_key, build_inputs(world, *moving, *inputs)
+            )
+            return memory
+
+        def act(memory: PolicyMemory, scene: Any, *current: Any) -> tuple[PolicyMemory, Any]:
+            world, *moving = _single_world(scene)
+            inputs = partial(build_inputs, world, *moving, *current)
+            result: tuple[PolicyMemory, Any] = policies.step(
+                active_policy, world.policy_key, memory, inputs, current[-1]
+            )
+            return result
+
+        self._act: Callable[..., tuple[PolicyMemory, Any]] = jax.jit(act)
+        self._begin: Callable[..., PolicyMemory] = jax.jit(begin_memory)
+        self.restart()
+        # Compiled now, and not in the first step of a flight; what it gives is of no use yet.
+        jax.block_until_ready(self._act(self._memory, *self._scene(session.observe())))
+
+    def restart(self) -> None:
+        """Ask the policy to begin anew, after a reset of the session; nothing is compiled again."""
+        self._memory = self._begin(*self._scene(self._session.observe()))
+
+    @property
+    def memory(self) -> PolicyMemory:
+        """Of the policy."""
+        return self._memory
+
+    def commands(self, observation: Observation) -> dict[int, SessionCommand]:
+        """What the robots that still fly are told in the step that begins now.
+
+        Args:
+            observation: of the session, as it is.
+        """
+        self._memory, command = self._act(self._memory, *self._scene(observation))
+        host = jax.device_get(command)
+        commands: dict[int, SessionCommand] = {}
+        for robot, status in enumerate(observation.status):
+            if status.outcome in ACTIVE_OUTCOMES:
+                commands[robot] = jax.tree.map(lambda leaf, robot=robot: leaf[robot], host)
+        return commands
+
+    def _scene(self, observation: Observation) -> tuple[Any, ...]:
+        internals = self._session.inside()
+        scene = (internals.worlds, internals.state.vehicles, internals.state.obstacles)
+        number = np.int32(round(observation.time_s / self._session.dt_s))
+        return scene, _build_belief(observation.estimate), number
+
+
+def build_session_problem(session: OnlineScene, information: Information | None = None) -> Problem:
+    """What a planner is asked at this time of a session.
+
+    Robots begin where they are told that they are; time is counted from now.
+
+    Args:
+        session: a scene.
+        information: what may be known of what moves; what the scenario says if left out.
+    """
+    internals, observation = session.inside(), session.observe()
+    scenario, spec = internals.simulator.scenario, internals.simulator.spec
+    information_level = (
+        scenario.planner.information.to_information() if information is None else information
+    )
+    left_s = max(scenario.time.horizon_s - observation.time_s, spec.control_dt_s)
+    world, obstacles = _single_world((internals.worlds, internals.state.obstacles))
+    w, x, y, z = np.moveaxis(np.asarray(observation.estimate.q, np.float32), -1, 0)
+    problem = build_problem.build_problem_now(
+        world,
+        jnp.uint32(scenario.seed),
+        spec,
+        information_level,
+        left_s,
+        scenario.planner.deadline_s,
+        Seen(
+            time_s=jnp.float32(observation.time_s),
+            obstacles=obstacles,
+            at_m=jnp.asarray(observation.estimate.p, jnp.float32),
+        ),
+        jnp.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)),
+    )
+    host: Problem = jax.tree.map(np.asarray, problem)
+    return host
+
+
+def _single_world(batch: Any) -> Any:
+    """The one world of a batch of one."""
+    return jax.tree.map(lambda leaf: leaf[0], batch)
+
+
+def _build_belief(estimate: Estimate) -> Belief:
+    """What the robots are told of themselves; how sure they are nobody asks here."""
+    p, q, nu = (_to_float32(x) for x in (estimate.p, estimate.q, estimate.nu))
+    flow = None if estimate.flow is None else _to_float32(estimate.flow)
+    zeros = _to_float32(np.zeros_like(p))
+    return Belief(
+        p=p,
+        q=q,
+        nu=nu,
+        flow=flow,
+        position_std_m=zeros,
+        velocity_std_mps=zeros,
+        attitude_std_rad=zeros,
+    )
+
+
+def _to_float32(values: Any) -> Any:
+    """On the host, for a call that takes it to the device."""
+    return np.asarray(values, np.float32)
+
+
+def __getattr__(name: str) -> Any:
+    """Return what had another name before 0.2."""
+    return _renamed(__name__, name)

@@ -1,0 +1,191 @@
+"""The plan of one robot of a session on the host: as it was planned, or as it is taken up again."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from angler_mjx.robot.control import plans
+from angler_mjx.robot.control.joint_trajectory import LINEAR, VEHICLE_JOINTS, JointTrajectory
+from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.runs.session.interface import Floats
+
+ACCELERATION_MPS2 = 0.25
+"""At which the plan's speed is taken up."""
+EASING_POINTS = 8
+"""Way-points on which it is."""
+TURN_RADPS = 0.6
+"""At which a robot turns to the heading of its plan, where that has one."""
+
+_ROWS = ("time_s", "position", "velocity", "acceleration", "degree")
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotPlan:
+    """Way-points of one robot, as far as they are still to be gone."""
+
+    time_s: Floats
+    """[n] from 0."""
+    position_m: Floats
+    """[n, 3]."""
+    motion: JointTrajectory | None = None
+    """The same points with headings and velocities, in arrays of NumPy; None where lines join them
+    and the robot looks where it goes."""
+
+    @classmethod
+    def of(cls, plan: plans.Plan) -> "RobotPlan":
+        """A plan of one robot, in arrays of NumPy, without its padding."""
+        time = np.asarray(plan.time_s, float)
+        rows = int(np.searchsorted(time, time[-1])) + 1
+        if isinstance(plan, Trajectory):
+            return cls(time_s=time[:rows], position_m=np.asarray(plan.position_m, float)[:rows])
+        rows = max(rows, 2)
+        arrays: dict[str, Any] = {
+            name: np.asarray(getattr(plan, name), float)[:rows] for name in _ROWS[:-1]
+        }
+        degree: Any = np.asarray(plan.degree)[:rows]
+        return cls._from_motion(replace(plan, degree=degree, found=None, **arrays))
+
+    @classmethod
+    def _from_motion(cls, motion: JointTrajectory) -> "RobotPlan":
+        position = np.asarray(motion.position)
+        return cls(time_s=np.asarray(motion.time_s), position_m=position[:, :3], motion=motion)
+
+    @property
+    def kind(self) -> type:
+        """Type of the command."""
+        return Trajectory if self.motion is None else JointTrajectory
+
+    def at(self, time_s: Any) -> Floats:
+        """Positions [..., 3] at times [...]."""
+        times = np.asarray(time_s, float)
+        if self.motion is not None:
+            joints = plans.joints_at(self.motion, times.ravel()).position
+            positions: Floats = np.asarray(joints)[:, :3].reshape(*times.shape, 3)
+            return positions
+        points = [np.interp(times, self.time_s, self.position_m[:, i]) for i in range(3)]
+        positions = np.stack(points, axis=-1)
+        return positions
+
+    def after(
+        self, detour_m: Floats, arrive_s: Floats, join_s: float, yaw_rad: float
+    ) -> "RobotPlan":
+        """A way to the place of this plan at a time, and this plan from there on.
+
+        Args:
+            detour_m: [n, 3] corners of the way, the place of the plan last.
+            arrive_s: [n] when they are reached.
+            join_s: the plan's time there.
+            yaw_rad: the robot's at its beginning; a plan with headings is joined at its own, the
+                way taking as long as the turn does.
+        """
+        is_later = self.time_s > join_s + 1e-6
+        if self.motion is None:
+            return RobotPlan(
+                time_s=np.concatenate([arrive_s, self.time_s[is_later] - join_s + arrive_s[-1]]),
+                position_m=np.concatenate([detour_m, self.position_m[is_later]]),
+            )
+        join_state = plans.joints_at(self.motion, [join_s])
+        turn = np.mod(join_state.position[0, 3] - yaw_rad + np.pi, 2 * np.pi) - np.pi
+        arrival_s = _stretch_times(arrive_s, abs(float(turn)) / TURN_RADPS)
+        fraction = arrival_s / max(arrival_s[-1], 1e-9)
+        heading = join_state.position[0, 3] - turn * (1.0 - fraction)
+        table = np.column_stack([detour_m, heading])
+        table[-1] = join_state.position[0]
+        zeros = np.zeros_like(table)
+        detour_rows = {
+            "time_s": arrival_s,
+            "position": table,
+            "velocity": np.concatenate([zeros[:-1], join_state.velocity]),
+            "acceleration": np.concatenate([zeros[:-1], join_state.acceleration]),
+            "degree": np.append(np.full(len(detour_m) - 1, LINEAR), self._degrees_at([join_s])),
+        }
+        later_rows = {name: np.asarray(getattr(self.motion, name))[is_later] for name in _ROWS}
+        later_rows["time_s"] = later_rows["time_s"] - join_s + arrival_s[-1]
+        return self._from_rows(
+            {name: np.concatenate([detour_rows[name], later_rows[name]]) for name in _ROWS}
+        )
+
+    def eased(self, speed_fraction: float, speed_mps: float) -> "RobotPlan":
+        """The same way, begun at a share of its speed that grows to the whole evenly.
+
+        The plan's time t goes by as t = r s + (1 - r) s^2 / (2 T) for s < T, and as fast as the
+        new time s from then on.
+
+        Args:
+            speed_fraction: r.
+            speed_mps: that the plan begins with.
+        """
+        rest = 1.0 - speed_fraction
+        ramp = rest * speed_mps / ACCELERATION_MPS2
+        if ramp < 1e-3:
+            return self
+        s = np.linspace(0.0, ramp, EASING_POINTS + 1)[1:]
+        t = speed_fraction * s + rest * s**2 / (2.0 * ramp)
+        ramped_s = np.minimum(self.time_s, t[-1])
+        root = np.sqrt(speed_fraction**2 + 2.0 * rest * ramped_s / ramp)
+        corners = (root - speed_fraction) * ramp / rest + (self.time_s - ramped_s)
+        time, first = np.unique(np.concatenate([corners, s]), return_index=True)
+        if self.motion is None:
+            positions = np.concatenate([self.position_m, self.at(t)])
+            return RobotPlan(time_s=time, position_m=positions[first])
+        sampled = plans.joints_at(self.motion, t)
+
+        def rows(name: str) -> Any:
+            stored = np.asarray(getattr(self.motion, name))
+            return np.concatenate([stored, getattr(sampled, name)])[first]
+
+        rate = np.minimum(speed_fraction + rest * time / ramp, 1.0)[:, None]
+        gain = np.where(time < ramp, rest / ramp, 0.0)[:, None]
+        velocity = rows("velocity")
+        degree = np.concatenate([np.asarray(self.motion.degree), self._degrees_at(t)])[first]
+        return self._from_rows(
+            {
+                "time_s": time,
+                "position": rows("position"),
+                "velocity": velocity * rate,
+                "acceleration": rows("acceleration") * rate**2 + velocity * gain,
+                "degree": degree,
+            }
+        )
+
+    def padded(self, rows: int, dtype: Any) -> plans.Plan:
+        """As the controllers take it, in so many rows; arrays of NumPy."""
+        n_missing = rows - self.time_s.size
+
+        def edge(values: Any, like: Any) -> Any:
+            padding = [(0, n_missing)] + [(0, 0)] * (np.ndim(values) - 1)
+            return np.pad(values, padding, mode="edge").astype(like)
+
+        if self.motion is None:
+            is_found: Any = np.asarray(True)
+            return Trajectory(
+                time_s=edge(self.time_s, dtype),
+                position_m=edge(self.position_m, dtype),
+                found=is_found,
+            )
+        real: dict[str, Any] = {
+            name: edge(getattr(self.motion, name), dtype) for name in _ROWS[:-1]
+        }
+        return replace(self.motion, degree=edge(self.motion.degree, np.int32), **real)
+
+    def _degrees_at(self, time_s: Any) -> Any:
+        """Of the segments [n] that times [n] lie on."""
+        k = np.searchsorted(self.time_s, np.asarray(time_s, float), side="right") - 1
+        motion: Any = self.motion
+        return np.asarray(motion.degree)[np.clip(k, 0, self.time_s.size - 1)]
+
+    @classmethod
+    def _from_rows(cls, rows: dict[str, Any]) -> "RobotPlan":
+        commanded: Any = np.ones(len(VEHICLE_JOINTS), bool)
+        return cls._from_motion(JointTrajectory(joints=VEHICLE_JOINTS, commanded=commanded, **rows))
+
+
+def _stretch_times(arrive_s: Floats, min_duration_s: float) -> Floats:
+    """Times [n] from 0, stretched to at least so long."""
+    if arrive_s[-1] >= min_duration_s:
+        return arrive_s
+    if arrive_s[-1] > 0.0:
+        stretched: Floats = arrive_s * (min_duration_s / arrive_s[-1])
+        return stretched
+    return np.append(arrive_s[:-1], min_duration_s)

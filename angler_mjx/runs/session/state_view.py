@@ -1,0 +1,192 @@
+"""What is looked at after each step of a simulated scene: one compiled function of its state."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from angler_kernels import quaternion
+from angler_kernels.rigid_body import matrix_times
+from angler_mjx.robot.control import joint_tolerance
+from angler_mjx.robot.control.commands import BodyWrench, Estimate, ThrusterPwm
+from angler_mjx.robot.control.joint_tolerance import Tolerances
+from angler_mjx.robot.control.joint_trajectory import JointState, JointTrajectory
+from angler_mjx.robot.control.laws.follow import FollowCarry
+from angler_mjx.robot.vehicles.params import VehicleParams
+from angler_mjx.runs.session.fleet_facts import FleetFacts
+from angler_mjx.runs.session.interface import Floats, Observation, RobotStatus, SceneObstacles
+from angler_mjx.sim import robot
+from angler_mjx.sim.detection import detect_contacts
+from angler_mjx.sim.physics.step import VehicleState
+from angler_mjx.sim.record import Belief
+from angler_mjx.sim.state import World, WorldState
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class WatchedTrajectories:
+    """JointTrajectories whose tolerances are watched; [R] leads."""
+
+    trajectory: JointTrajectory
+    allowed: Tolerances
+    before: jax.Array
+    """int32 [R] result of the step before; see `joint_tolerance.evaluate_goal`."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class StateView:
+    """A scene at one time; [R] leads."""
+
+    p: jax.Array
+    q: jax.Array
+    nu: jax.Array
+    yaw_rad: jax.Array
+    outcome: jax.Array
+    pwm_us: jax.Array
+    realised: jax.Array
+    """[R, 6] N, N m."""
+    demanded: jax.Array | None
+    clearance_m: jax.Array
+    obstacle_p: jax.Array
+    obstacle_q: jax.Array
+    clock_s: jax.Array
+    """[R] how far along its path a robot is, by the guidance; 0 where it keeps no clock."""
+    heading_rad: jax.Array
+    """[R] that the guidance asks for; the robot's own where it keeps none."""
+    result: jax.Array
+    """int32 [R] a `joint_tolerance.ResultCode`."""
+
+
+@jax.jit
+def view_state(
+    worlds: World, state: WorldState, pwm_us: jax.Array, watched: WatchedTrajectories | None
+) -> StateView:
+    """Look at the first world of a tile.
+
+    Args:
+        worlds: [1] leads.
+        state: [1] leads.
+        pwm_us: [1, R, n_thruster] signals of the step before.
+        watched: where the controllers take JointTrajectories.
+    """
+    world, current, signals = jax.tree.map(lambda leaf: leaf[0], (worlds, state, pwm_us))
+    vehicles: VehicleState = current.vehicles
+    yaw = jax.vmap(quaternion.yaw)(vehicles.q)
+    first = current.carry.stages[0]
+    clock, heading = jnp.zeros_like(yaw), yaw
+    result = jnp.zeros_like(current.tally.outcome)
+    if isinstance(first, FollowCarry):
+        clock, heading = first.clock_s, first.yaw_rad
+        if watched is not None:
+            measured = jax.vmap(_measure_joints)(vehicles, yaw)
+            result = jax.vmap(joint_tolerance.evaluate_goal)(
+                watched.trajectory, watched.allowed, clock, measured, watched.before
+            )
+    contact = detect_contacts(world.environment, world.control.vehicle, vehicles, current.obstacles)
+    demanded = current.carry.demanded
+    return StateView(
+        p=vehicles.p,
+        q=vehicles.q,
+        nu=vehicles.nu,
+        yaw_rad=yaw,
+        outcome=current.tally.outcome,
+        pwm_us=signals,
+        realised=jax.vmap(_realised_wrench)(world.control.vehicle, signals),
+        demanded=None if demanded is None else demanded.tau,
+        clearance_m=contact.clearance_m,
+        obstacle_p=current.obstacles.p,
+        obstacle_q=current.obstacles.q,
+        clock_s=clock,
+        heading_rad=heading,
+        result=result,
+    )
+
+
+def _measure_joints(vehicle: VehicleState, yaw: jax.Array) -> JointState:
+    """A robot's joints x, y, z and yaw; of accelerations nothing is measured."""
+    velocity = quaternion.rotate(vehicle.q, vehicle.nu[:3])
+    turn = quaternion.rotate(vehicle.q, vehicle.nu[3:])[2:]
+    joints = jnp.concatenate([vehicle.p, yaw[None]])
+    return JointState(
+        position=joints,
+        velocity=jnp.concatenate([velocity, turn]),
+        acceleration=jnp.zeros_like(joints),
+    )
+
+
+def _realised_wrench(vehicle: VehicleParams, pwm_us: jax.Array) -> jax.Array:
+    """Wrench [6] that signals settle at, faults included."""
+    thrust, _ = robot.thrust_and_power(vehicle, ThrusterPwm(pwm_us=pwm_us))
+    wrench: jax.Array = matrix_times(vehicle.B, thrust)
+    return wrench
+
+
+def apply_belief(view: StateView, belief: Belief | None) -> StateView:
+    """A scene as its robots' controllers know it: the one place where their estimate comes from.
+
+    Args:
+        view: the truth.
+        belief: [1] leads; what they were told in the step before. None where that is the truth.
+    """
+    if belief is None:
+        return view
+    p, q, nu = (np.asarray(part)[0] for part in (belief.p, belief.q, belief.nu))
+    w, x, y, z = np.moveaxis(q, -1, 0)
+    yaw: Any = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    estimate: dict[str, Any] = {"p": p, "q": q, "nu": nu, "yaw_rad": yaw}
+    return replace(view, **estimate)
+
+
+def belief_covariance(belief: Belief | None) -> Floats | None:
+    """[R, 9, 9] of position, attitude and velocity, as far as it is known: the diagonal."""
+    if belief is None:
+        return None
+    parts = (belief.position_std_m, belief.attitude_std_rad, belief.velocity_std_mps)
+    std = np.concatenate([np.asarray(part)[0] for part in parts], axis=-1)
+    variance: Floats = std[:, :, None] * std[:, None, :] * np.eye(9)
+    return variance
+
+
+def build_observation(
+    facts: FleetFacts,
+    view: StateView,
+    estimated: StateView,
+    *,
+    time_s: float,
+    covariance: Floats | None,
+    target_m: Floats,
+    status: tuple[RobotStatus, ...],
+) -> Observation:
+    """A scene as sessions show it.
+
+    Args:
+        facts: of its robots.
+        view: the truth.
+        estimated: the same as the robots' controllers know it.
+        time_s: of the session.
+        covariance: see `Observation`.
+        target_m: [R, 3] place aimed at in the last step, in W.
+        status: of each robot.
+    """
+    rows = facts.obstacles
+    return Observation(
+        time_s=time_s,
+        estimate=Estimate(p=estimated.p, q=estimated.q, nu=estimated.nu),
+        covariance=covariance,
+        truth=Estimate(p=view.p, q=view.q, nu=view.nu),
+        pwm=ThrusterPwm(pwm_us=view.pwm_us),
+        demanded=None if view.demanded is None else BodyWrench(tau=view.demanded),
+        realised=BodyWrench(tau=view.realised),
+        target_m=target_m,
+        clearance_m=np.asarray(view.clearance_m),
+        obstacles=SceneObstacles(
+            position_m=np.asarray(view.obstacle_p)[rows.which],
+            attitude=np.asarray(view.obstacle_q)[rows.which],
+            kind=rows.kind,
+            half_size_m=rows.size_m,
+        ),
+        status=status,
+    )

@@ -1,0 +1,95 @@
+"""Files that are there whole or not at all, also after the power has failed."""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from angler_mjx.errors import ConfigError, RunError
+
+
+def require_free(path: Path, *, flag: str, force: bool = False) -> None:
+    """Refuse a file that cannot take its name; see `replace_file`."""
+    try:
+        is_folder, exists = path.is_dir(), path.exists()
+    except OSError as error:  # too long, or in a folder that must not be looked into
+        raise ConfigError(f"{flag} {path}: cannot be written ({error.strerror})") from error
+    if is_folder:
+        raise ConfigError(f"{flag} {path}: is a folder; give the name of a file")
+    if exists and not force:
+        hint = "--force" if flag.startswith("--") else "force=True"
+        raise ConfigError(f"{flag} {path}: exists; give another name, or replace it with {hint}")
+
+
+@contextmanager
+def write_atomically(path: Path, *, durable: bool = True) -> Iterator[Path]:
+    """A place beside a file in which to write it; it takes the file's name at the end.
+
+    Whatever ends the writing early, an
+    interrupt included, leaves nothing behind and an older file as it was.
+
+    Args:
+        path: the file; its folder is there.
+        durable: have what was written on the disk before it takes the name.
+
+    Raises:
+        OSError: the disk gave out.
+    """
+    # In front of the name: what is written often depends on how it ends.
+    temporary = path.with_name(f".unfinished.{path.name}")
+    try:
+        yield temporary
+        if durable:
+            sync_path(temporary)
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def replace_file(path: Path, *, flag: str, force: bool = False) -> Iterator[Path]:
+    """As `write_atomically`, for a file that a person named.
+
+    Args:
+        path: the file; its folder is made if need be.
+        flag: how a person named it, for messages.
+        force: replace an older file.
+
+    Raises:
+        ConfigError: the file exists, or its folder cannot be written.
+        RunError: the disk gave out.
+    """
+    try:
+        require_free(path, flag=flag, force=force)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.with_name(f".unfinished.{path.name}").touch()
+    except OSError as error:
+        raise ConfigError(f"{flag} {path}: cannot be written ({error.strerror})") from error
+    try:
+        with write_atomically(path) as writing:
+            yield writing
+    except OSError as error:
+        raise RunError(f"{flag} {path}: cannot be written ({error.strerror or error})") from error
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file whole or not at all.
+
+    Raises:
+        OSError: the disk gave out.
+    """
+    with write_atomically(path) as writing:
+        writing.write_text(text, encoding="utf-8")
+
+
+def sync_path(path: Path) -> None:
+    """Have a file, or the names in a folder, on the disk.
+
+    Raises:
+        OSError: the disk gave out.
+    """
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

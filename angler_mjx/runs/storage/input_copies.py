@@ -1,0 +1,307 @@
+"""Copies of the files that a run used, in its folder: ``inputs/``, listed in ``inputs.json``.
+
+A vehicle's copy names the copy of its thrusters, so that it can be loaded like any vehicle file.
+Shipped files are copied too: another version of this program may come with others.
+"""
+
+import hashlib
+import json
+import re
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.files import FileModel, parse_model
+from angler_mjx.quantities import SchemaVersion
+from angler_mjx.robot.vehicles import library
+from angler_mjx.runs.storage import atomic_files
+from angler_mjx.runs.storage.read_errors import read_table, wrap_read_errors
+from angler_mjx.world.config import WorldConfig
+
+INPUTS_FOLDER, INDEX_FILE = "inputs", "inputs.json"
+VEHICLE, THRUSTER, PLANNER, OCEAN = "vehicle", "thruster", "planner", "ocean"
+
+type Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+
+_MODEL = re.compile(r"""\bmodel["']?[ \t]*=[ \t]*("[^"\n]*"|'[^'\n]*')""")
+
+
+class Input(FileModel):
+    """A file that a run used."""
+
+    role: Annotated[str, Field(pattern="^[a-z_]+$")]
+    """vehicle, thruster, planner, ocean, plan, parameters."""
+    named: str
+    """As the scenario, the vehicle file or the command line named it."""
+    source: str
+    """Where it was."""
+    sha256: Sha256
+    """Of the file as it was."""
+    copy_path: str
+    """Below ``inputs/``."""
+    copy_sha256: Sha256
+    """Of the copy: a vehicle's names the copy of its thrusters."""
+
+
+class _Index(FileModel):
+    """``inputs.json``."""
+
+    schema_version: SchemaVersion = 1
+    files: tuple[Input, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _CurrentFile:
+    """A file as it is now."""
+
+    role: str
+    named: str
+    path: Path
+    data: bytes
+
+    @property
+    def sha256(self) -> str:
+        return hashlib.sha256(self.data).hexdigest()
+
+
+def copy_inputs(
+    building: Path, vehicles: Iterable[str], extra_files: Iterable[tuple[str, Path]] = ()
+) -> tuple[Input, ...]:
+    """Copy the files that a run uses into its folder.
+
+    Args:
+        building: folder of the run.
+        vehicles: as the scenario names them.
+        extra_files: role and file of what else is used.
+
+    Raises:
+        ConfigError: a file cannot be read or copied.
+        OSError: the copies cannot be written.
+    """
+    folder = building / INPUTS_FOLDER
+    folder.mkdir()
+    inputs: list[Input] = []
+    names: set[str] = set()
+    for named in dict.fromkeys(vehicles):
+        vehicle, thruster = _vehicle_files(named)
+        thruster_copies = [
+            entry for entry in inputs if (entry.role, entry.named) == (THRUSTER, thruster.named)
+        ]
+        if not thruster_copies:
+            thruster_copies = [_write_copy(folder, thruster, thruster.data, names)]
+            inputs += thruster_copies
+        vehicle_data = _point_to_thruster(vehicle, f"../{thruster_copies[0].copy_path}")
+        inputs.append(_write_copy(folder, vehicle, vehicle_data, names))
+    for role, path in extra_files:
+        current = _read_file(role, str(path), path)
+        inputs.append(_write_copy(folder, current, current.data, names))
+    index = _Index(files=tuple(inputs))
+    atomic_files.write_text(folder / INDEX_FILE, json.dumps(index.model_dump(), indent=2) + "\n")
+    return index.files
+
+
+def read_inputs(run: Path) -> tuple[Input, ...]:
+    """What a run used; nothing for runs of versions that kept no copies.
+
+    Raises:
+        ConfigError: the list is damaged, or a copy is not what was written.
+    """
+    folder = run / INPUTS_FOLDER
+    if not folder.exists():
+        return ()
+    source = folder / INDEX_FILE
+    files = parse_model(_Index, read_table(source), source=str(source)).files
+    for entry in files:
+        copy_path = PurePosixPath(entry.copy_path)
+        if copy_path.is_absolute() or ".." in copy_path.parts:
+            raise ConfigError(f"{source}: copy_path = {entry.copy_path!r} leads out of the folder")
+        path = folder / copy_path
+        with wrap_read_errors(path):
+            digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        if digest != entry.copy_sha256:
+            raise ConfigError(
+                f"{path}: is not the copy that the run made of {entry.named} (sha256 "
+                f"{digest[:12]}, "
+                f"not {entry.copy_sha256[:12]}); put that file back"
+            )
+    return files
+
+
+def vehicle_copies(run: Path) -> dict[str, Path]:
+    """Copies of a run's vehicle files by the names that its scenario gives them."""
+    folder = (run / INPUTS_FOLDER).resolve()
+    return {
+        entry.named: folder / entry.copy_path for entry in read_inputs(run) if entry.role == VEHICLE
+    }
+
+
+def vehicle_stand_ins(run: Path) -> dict[str, str]:
+    """Vehicles that are not there any more as a run used them, and the copies to use instead.
+
+    Returns:
+        Path of the copy by the name in the scenario.
+    """
+    used = {(entry.role, entry.named): entry.sha256 for entry in read_inputs(run)}
+    return {
+        named: str(path)
+        for named, path in vehicle_copies(run).items()
+        if _vehicle_state(named, used) != "same"
+    }
+
+
+def ocean_stand_ins(run: Path) -> dict[str, str]:
+    """As `vehicle_stand_ins`, of files of ocean models."""
+    folder = (run / INPUTS_FOLDER).resolve()
+    return {
+        entry.named: str(folder / entry.copy_path)
+        for entry in read_inputs(run)
+        if entry.role == OCEAN and _is_edited(entry) is not False
+    }
+
+
+def planner_stand_in(run: Path, name: str) -> str:
+    """Return the planner of a run by a name that can be loaded as it was.
+
+    Args:
+        run: folder of the run.
+        name: of the planner in its scenario.
+
+    Returns:
+        The name; of FILE.py:CLASS whose file was edited or is gone, that of the run's copy.
+    """
+    path, _, qualname = name.rpartition(":")
+    for entry in read_inputs(run):
+        is_planner = entry.role == PLANNER and Path(path).resolve() == Path(entry.source).resolve()
+        if is_planner and _is_edited(entry) is not False:
+            return f"{(run / INPUTS_FOLDER).resolve() / entry.copy_path}:{qualname}"
+    return name
+
+
+def world_files(world: WorldConfig) -> list[tuple[str, Path]]:
+    """Role and file of each file of an ocean model that a world uses."""
+    return [(OCEAN, Path(file)) for file in world.files]
+
+
+def replace_ocean_files(world: dict[str, Any], replacements: Mapping[str, str]) -> None:
+    """Name other files of ocean models in the table of a world."""
+    for table in (*world.get("currents", ()), world.get("bathymetry") or {}):
+        if "file" in table:
+            table["file"] = replacements.get(table["file"], table["file"])
+
+
+def _is_edited(entry: Input) -> bool | None:
+    """Whether a file is not what it was; None where it is gone."""
+    try:
+        return hashlib.sha256(Path(entry.source).read_bytes()).hexdigest() != entry.sha256
+    except OSError:
+        return None
+
+
+def require_unchanged(run: Path, *, flag: str) -> None:
+    """Refuse to go on with files other than those with which a run began.
+
+    Files that are gone are no obstacle: their copies are there. Of planners the copy is used where
+    the file is another one now.
+
+    Raises:
+        ConfigError: naming them.
+    """
+    inputs = read_inputs(run)
+    used = {(entry.role, entry.named): entry.sha256 for entry in inputs}
+    for entry in inputs:
+        if entry.role == OCEAN and _is_edited(entry):
+            raise ConfigError(
+                f"{flag}: {entry.source} was edited since the run began (what it was lies in "
+                f"{run / INPUTS_FOLDER}): put the old file back, or begin a new run"
+            )
+    edited = [named for named in vehicle_copies(run) if _vehicle_state(named, used) == "edited"]
+    if edited:
+        raise ConfigError(
+            f"{flag}: {', '.join(edited)} or its thruster file was edited since the run began "
+            f"(what it was lies in {run / INPUTS_FOLDER}): put the old file back, or begin a new "
+            "run"
+        )
+
+
+def vehicle_file(run: Path, label: str) -> str:
+    """Return the vehicle of a row of results for `library.load_vehicle`: its copy, if any."""
+    vehicle_paths = vehicle_copies(run)
+    for named, name in library.label_vehicles(str(path) for path in vehicle_paths.values()).items():
+        if name == label:
+            return named
+    return str(vehicle_paths.get(label, label))
+
+
+def _vehicle_state(
+    named: str, used: Mapping[tuple[str, str], str]
+) -> Literal["same", "edited", "gone"]:
+    """How a vehicle's files are now, against those that were used."""
+    try:
+        current = _vehicle_files(named)
+    except ConfigError:
+        try:
+            exists = library.locate_vehicle(named).exists()
+        except (ConfigError, OSError):
+            exists = False
+        return "edited" if exists else "gone"
+    is_same = all(used.get((entry.role, entry.named)) == entry.sha256 for entry in current)
+    return "same" if is_same else "edited"
+
+
+def _vehicle_files(named: str) -> tuple[_CurrentFile, _CurrentFile]:
+    """A vehicle's file and that of its thrusters, as they are now."""
+    vehicle = _read_file(VEHICLE, named, library.locate_vehicle(named))
+    model = library.load_vehicle(named).rotor.model
+    return vehicle, _read_file(THRUSTER, model, library.locate_thruster(model))
+
+
+def _read_file(role: str, named: str, path: Path) -> _CurrentFile:
+    try:
+        return _CurrentFile(role=role, named=named, path=path.absolute(), data=path.read_bytes())
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror or error})") from error
+
+
+def _write_copy(folder: Path, current: _CurrentFile, data: bytes, names: set[str]) -> Input:
+    """Write a copy, under a name that no other copy has."""
+    stem, suffix = current.path.stem[:60], current.path.suffix
+    kind = f"{current.role.rstrip('s')}s"
+    candidates = (
+        f"{kind}/{stem}{f'_{i}' if i > 1 else ''}{suffix}" for i in range(1, len(names) + 2)
+    )
+    name = next(entry for entry in candidates if entry not in names)
+    names.add(name)
+    (folder / name).parent.mkdir(exist_ok=True)
+    with atomic_files.write_atomically(folder / name) as writing:
+        writing.write_bytes(data)
+    return Input(
+        role=current.role,
+        named=current.named,
+        source=str(current.path),
+        sha256=current.sha256,
+        copy_path=name,
+        copy_sha256=hashlib.sha256(data).hexdigest(),
+    )
+
+
+def _point_to_thruster(vehicle: _CurrentFile, model: str) -> bytes:
+    """A vehicle file that names another thruster file, and is the same else."""
+    text = vehicle.data.decode("utf-8-sig")
+    expected = tomllib.loads(text)
+    expected["rotor"]["model"] = model
+    for match in _MODEL.finditer(text):
+        edited = text[: match.start(1)] + json.dumps(model) + text[match.end(1) :]
+        try:
+            if tomllib.loads(edited) == expected:
+                return edited.encode("utf-8")
+        except tomllib.TOMLDecodeError:
+            continue
+    raise ConfigError(
+        f"{vehicle.path}: rotor.model cannot be found in the text; write it in one line in plain "
+        'quotation marks, as in model = "t200"'
+    )

@@ -1,0 +1,337 @@
+"""What lies in ``trajectories.zarr``: names, dimensions and units, for writer and readers.
+
+What is recorded of a control step is declared in `angler_mjx.sim.record`; here it gets its place.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import numpy as np
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.robot.control.joint_trajectory import VEHICLE_JOINTS, JointTrajectory
+from angler_mjx.robot.control.plans import Plan, of_robot, points_m, trace_path
+from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.sim.record import ESTIMATE, FIELDS, SIZES, STATE_FIELDS, TASK
+from angler_mjx.world.tasks.history import TaskHistory
+from angler_mjx.world.tasks.spec import TaskSpec
+
+END_GROUP = "end"
+"""Group of the one state of each world that comes after its last sample."""
+ENVIRONMENT_GROUP = "environment"
+TIME_ARRAY = "time_s"
+
+YAW_INDEX = VEHICLE_JOINTS.index("yaw")
+
+MAX_SIZE = 10**7
+"""Of a dimension of one world: what claims more is damaged."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ArrayKind:
+    """An array of a run."""
+
+    dims: tuple[str, ...]
+    """After ``world``."""
+    unit: str
+    text: str
+    dtype: Any = np.float32
+
+
+_JOINT = {"joint": len(VEHICLE_JOINTS)}
+_NO_TASK = dict.fromkeys(("place", "job", "x", "y", "z"), 0)
+_STEP = ArrayKind(
+    dims=(),
+    unit="1",
+    text="control steps until this state, the one after the last sample",
+    dtype=np.int32,
+)
+_PLAN = {
+    "plan_time_s": ArrayKind(dims=("robot", "way_point"), unit="s", text="time of each way-point"),
+    "plan_m": ArrayKind(
+        dims=("robot", "way_point", "xyz"), unit="m", text="way-points, world frame"
+    ),
+}
+_JOINTS = ("robot", "way_point", "joint")
+MOTION_ARRAYS = {
+    "plan_yaw_rad": ArrayKind(
+        dims=("robot", "way_point"), unit="rad", text="heading at each way-point, 0 = east"
+    ),
+    "plan_velocity": ArrayKind(
+        dims=_JOINTS,
+        unit="m/s, rad/s",
+        text="of x, y, z and heading at each way-point, W",
+    ),
+    "plan_acceleration": ArrayKind(
+        dims=_JOINTS, unit="m/s^2, rad/s^2", text="likewise; 0 where the segments do not use it"
+    ),
+    "plan_degree": ArrayKind(
+        dims=("robot", "way_point"),
+        unit="1",
+        text="of the polynomial from each way-point on: 1, 3 or 5",
+        dtype=np.uint8,
+    ),
+}
+"""Of plans that are trajectories of joints (`JointTrajectory`); way-points alone have none."""
+
+TASK_ARRAYS = {
+    f"{TASK}/place_m": ArrayKind(
+        dims=("place", "xyz"),
+        unit="m",
+        text="places of the task, world frame: where jobs begin, where goods go (deliver alone), "
+        "homes of the robots",
+    ),
+    f"{TASK}/exists": ArrayKind(
+        dims=("job",), unit="1", text="1 for the jobs that this world has", dtype=np.uint8
+    ),
+    f"{TASK}/by": ArrayKind(
+        dims=("job",),
+        unit="1",
+        text="robot that did each job, the last one where all had to; -1: not done",
+        dtype=np.int16,
+    ),
+    f"{TASK}/done_at_s": ArrayKind(dims=("job",), unit="s", text="when; NaN: not done"),
+    f"{TASK}/cells": ArrayKind(
+        dims=("x", "y", "z"),
+        unit="1",
+        text="of a survey, cells next to what is surveyed: 1 to be seen, 2 seen, 0 others",
+        dtype=np.uint8,
+    ),
+    f"{TASK}/seen_at_s": ArrayKind(
+        dims=("x", "y", "z"),
+        unit="s",
+        text="of a survey, when a robot saw each cell first; NaN: never, or not to be seen",
+    ),
+}
+"""Of worlds with a task: what it is, and what had been done at the end."""
+
+ARRAYS: dict[str, ArrayKind] = {
+    **{
+        field.about.array: ArrayKind(
+            dims=("time", *field.about.axes),
+            unit=field.about.unit,
+            text=field.about.text,
+            dtype=field.stored,
+        )
+        for field in FIELDS
+    },
+    f"{END_GROUP}/step": _STEP,
+    **{
+        f"{END_GROUP}/{field.about.array}": ArrayKind(
+            dims=field.about.axes,
+            unit=field.about.unit,
+            text=field.about.text,
+            dtype=field.stored,
+        )
+        for field in STATE_FIELDS
+    },
+    **_PLAN,
+    **MOTION_ARRAYS,
+    **TASK_ARRAYS,
+}
+"""Arrays [world, ...] by their names in the group, in the order in which they are made."""
+
+EARLIER_DTYPES = {"pwm_us": np.uint16}
+"""Types that runs of version 0.1.0 have; they have no end either."""
+
+
+OPTIONAL_ARRAYS = {field.about.array: field.about.option for field in FIELDS if field.about.option}
+"""By which word arrays are asked for that only some runs have."""
+
+
+def array_names(
+    sizes: Mapping[str, int],
+    *,
+    estimated: bool,
+    jointed: bool = False,
+    also: Sequence[str] = (),
+) -> list[str]:
+    """Arrays of a run; those in which nothing could lie are left out.
+
+    Args:
+        sizes: of the dimensions that differ from run to run; those of a task where there is one.
+        estimated: whether any robot's controllers were told something other than the truth.
+        jointed: whether the plans are trajectories of joints.
+        also: what the run asked for beside what all have.
+    """
+    return [
+        name
+        for name, kind in ARRAYS.items()
+        if (estimated or not name.startswith(f"{ESTIMATE}/"))
+        and (jointed or name not in MOTION_ARRAYS)
+        and (name not in OPTIONAL_ARRAYS or OPTIONAL_ARRAYS[name] in also)
+        and (sizes.get("job", 0) > 0 or not name.startswith(f"{TASK}/"))
+        and 0 not in array_shape(kind, sizes)
+    ]
+
+
+def array_shape(kind: ArrayKind, sizes: Mapping[str, int]) -> tuple[int, ...]:
+    """Shape of a kind of array after the worlds."""
+    return tuple({**SIZES, **_JOINT, **_NO_TASK, **sizes}[dim] for dim in kind.dims)
+
+
+def check_layout(
+    nodes: Mapping[str, Any],
+    source: str,
+    *,
+    worlds: int,
+    robots: int,
+    estimated: bool,
+    also: Sequence[str] = (),
+    tasked: bool = False,
+) -> None:
+    """Refuse trajectories that are not those of a run, before anything of them is read.
+
+    Args:
+        nodes: of the Zarr group, by their names.
+        source: it lies, for messages.
+        worlds: of the run.
+        robots: of its fleet.
+        estimated: as in `array_names`.
+        also: likewise.
+        tasked: whether there is a task.
+
+    Raises:
+        ConfigError: an array is missing, or has another shape or type.
+    """
+    time = nodes[TIME_ARRAY]
+    if time.ndim != 1 or not 1 <= time.size <= MAX_SIZE or time.dtype.kind != "f":
+        raise ConfigError(
+            f"{source}/{TIME_ARRAY}: has the shape {time.shape} of {time.dtype}, not [time]"
+        )
+    sizes = {"time": time.size, "robot": robots}
+    for name, dim in (("plan_time_s", "way_point"), ("pwm_us", "thruster")):
+        sizes[dim] = _dimension_size(nodes, name, -1, source)
+    sizes["obstacle"] = (
+        _dimension_size(nodes, "obstacle_p_m", -2, source) if "obstacle_p_m" in nodes else 0
+    )
+    if tasked:
+        sizes |= {
+            "place": _dimension_size(nodes, f"{TASK}/place_m", -2, source),
+            "job": _dimension_size(nodes, f"{TASK}/by", -1, source),
+        }
+        if f"{TASK}/cells" in nodes:
+            for axis, dim in enumerate("xyz"):
+                sizes[dim] = _dimension_size(nodes, f"{TASK}/cells", axis - 3, source)
+    has_end = any(name.startswith(f"{END_GROUP}/") for name in nodes)
+    has_joints = not MOTION_ARRAYS.keys().isdisjoint(nodes)
+    for name in array_names(sizes, estimated=estimated, jointed=has_joints, also=also):
+        if name.startswith(f"{END_GROUP}/") and not has_end:
+            continue
+        if name not in nodes:
+            raise ConfigError(f"{source}/{name}: is missing; copy it again, or make the run anew")
+        array, kind = nodes[name], ARRAYS[name]
+        expected = (worlds, *array_shape(kind, sizes))
+        has_dtype = array.dtype in (kind.dtype, EARLIER_DTYPES.get(name, kind.dtype))
+        if array.shape != expected or not has_dtype or array.chunks != (1, *expected[1:]):
+            raise ConfigError(
+                f"{source}/{name}: is described as {array.dtype} {array.shape} in chunks of "
+                f"{array.chunks}, and should be {np.dtype(kind.dtype)} {expected} in chunks of one "
+                "world; copy its zarr.json again, or make the run anew"
+            )
+
+
+def _dimension_size(nodes: Mapping[str, Any], name: str, axis: int, source: str) -> int:
+    if name not in nodes:
+        raise ConfigError(f"{source}/{name}: is missing; copy it again, or make the run anew")
+    shape = nodes[name].shape
+    size = int(shape[axis]) if len(shape) >= -axis else -1
+    if not 1 <= size <= MAX_SIZE:
+        raise ConfigError(f"{source}/{name}: has the shape {shape}; copy its zarr.json again")
+    return size
+
+
+def plan_arrays(plan: Plan) -> dict[str, jax.Array]:
+    """The arrays of a plan by their names here, with its leading axes."""
+    arrays = {"plan_time_s": plan.time_s, "plan_m": points_m(plan)}
+    if isinstance(plan, JointTrajectory):
+        arrays |= {
+            "plan_yaw_rad": plan.position[..., YAW_INDEX],
+            "plan_velocity": plan.velocity,
+            "plan_acceleration": plan.acceleration,
+            "plan_degree": plan.degree,
+        }
+    return arrays
+
+
+def plan_courses(stored: Mapping[str, Any], world: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return the course of each robot's plan in a world, for pictures (`robot.control.plans`)."""
+    robots = stored["plan_time_s"].shape[1]
+    plan = read_plan(stored, world, np.ones(robots, bool))
+    return [trace_path(of_robot(plan, i)) for i in range(robots)]
+
+
+def read_plan(stored: Mapping[str, Any], world: int, is_found: Any) -> Plan:
+    """The plan of a world, the same numbers that were flown, in float32.
+
+    Args:
+        stored: arrays of a run's trajectories by name.
+        world: global index.
+        is_found: bool [R] whether the planner found a way for each robot.
+
+    Returns:
+        Arrays of NumPy, [R] leading.
+    """
+    fields: dict[str, Any] = {
+        "time_s": np.asarray(stored["plan_time_s"][world]),
+        "found": np.asarray(is_found, bool),
+    }
+    points: Any = np.asarray(stored["plan_m"][world])
+    if "plan_degree" not in stored:
+        return Trajectory(position_m=points, **fields)
+    yaw = np.asarray(stored["plan_yaw_rad"][world])
+    position: Any = np.concatenate([points, yaw[..., None]], axis=-1)
+    fields |= {
+        "velocity": np.asarray(stored["plan_velocity"][world]),
+        "acceleration": np.asarray(stored["plan_acceleration"][world]),
+        "degree": np.asarray(stored["plan_degree"][world], np.int32),
+        "commanded": np.ones((len(points), len(VEHICLE_JOINTS)), bool),
+    }
+    return JointTrajectory(joints=VEHICLE_JOINTS, position=position, **fields)
+
+
+def read_task(
+    stored: Mapping[str, Any],
+    world: int,
+    spec: TaskSpec,
+    *,
+    samples: int,
+    ended_s: np.ndarray,
+    completed_s: float | None,
+) -> TaskHistory:
+    """How far the task of a world was over time.
+
+    Args:
+        stored: arrays of a run's trajectories by name.
+        world: global index.
+        spec: settings of the task.
+        samples: how many are wanted, from the first.
+        ended_s: [R] when the episode of each robot was over.
+        completed_s: when the task was complete; None: never.
+    """
+
+    def read_array(name: str) -> np.ndarray:
+        return np.asarray(stored[f"{TASK}/{name}"][world])
+
+    def read_samples(name: str) -> np.ndarray:
+        return np.asarray(stored[f"{TASK}/{name}"][world, :samples], int)
+
+    is_survey = f"{TASK}/cells" in stored
+    return TaskHistory(
+        spec=spec,
+        time_s=np.asarray(stored[TIME_ARRAY][:samples], float),
+        position_m=read_array("place_m"),
+        exists=read_array("exists").astype(bool),
+        by=read_array("by").astype(int),
+        done_at_s=read_array("done_at_s"),
+        progress=np.asarray(stored[f"{TASK}/share"][world, :samples], float),
+        did=read_samples("done"),
+        target=read_samples("target"),
+        carrying=read_samples("carrying"),
+        ended_s=ended_s,
+        completed_s=np.nan if completed_s is None else completed_s,
+        cells=read_array("cells") > 0 if is_survey else None,
+        seen_at_s=read_array("seen_at_s") if is_survey else None,
+    )

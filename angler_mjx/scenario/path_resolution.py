@@ -1,0 +1,48 @@
+"""Paths in scenarios: those of a file begin at its folder, and are absolute once it is read."""
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from angler_mjx.planning import register
+
+
+def _absolute_path(path: str, folder: Path) -> str:
+    return str((folder / path).absolute()) if path else path
+
+
+def _absolute_vehicle(name: str, folder: Path) -> str:
+    return _absolute_path(name, folder) if name.endswith(".toml") else name
+
+
+PATH_KEYS: Mapping[tuple[str, ...], Callable[..., str]] = {
+    ("fleet", "*", "vehicle"): _absolute_vehicle,
+    ("planner", "name"): register.resolve_planner_name,
+    ("world", "currents", "*", "file"): _absolute_path,
+    ("world", "bathymetry", "file"): _absolute_path,
+}
+"""Keys that may hold paths, and what makes them absolute."""
+
+
+def resolve_paths(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """Keys of a scenario with the paths in them made absolute.
+
+    Args:
+        table: whole, or some of its keys; faults of it are left to who checks it.
+        folder: in which paths begin.
+    """
+    resolved: Any = table
+    for key, resolve in PATH_KEYS.items():
+        resolved = _resolve_key(resolved, key, partial(resolve, folder=folder))
+    return dict(resolved)
+
+
+def _resolve_key(value: Any, key: tuple[str, ...], resolve: Callable[[str], str]) -> Any:
+    if not key:
+        return resolve(value) if isinstance(value, str) else value
+    if key[0] == "*" and isinstance(value, list | tuple):
+        return [_resolve_key(entry, key[1:], resolve) for entry in value]
+    if isinstance(value, Mapping) and key[0] in value:
+        return {**value, key[0]: _resolve_key(value[key[0]], key[1:], resolve)}
+    return value

@@ -1,0 +1,153 @@
+"""What tables of a scenario ask of each other: functions that raise ValueError, naming the keys."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.robot.control.commands import PoseTarget
+from angler_mjx.robot.sensing import params as instruments
+from angler_mjx.robot.vehicles import library
+from angler_mjx.scenario import instrumented
+from angler_mjx.scenario.fleet_entry import FleetEntry
+from angler_mjx.scenario.randomise_table import UNCHANGED, RandomiseConfig
+from angler_mjx.scenario.store_table import StoreConfig
+from angler_mjx.scenario.tables import (
+    ControllerConfig,
+    ExecutionConfig,
+    PlannerConfig,
+    TimeConfig,
+    WaterConfig,
+)
+from angler_mjx.world.acoustics.config import AcousticsConfig
+from angler_mjx.world.config import WorldConfig, resolve_world
+from angler_mjx.world.currents import GaussMarkovConfig, GridConfig
+from angler_mjx.world.generate import check_fleet
+
+MAX_KNOTS = 100_000
+"""Most knots of a current over a run; each world holds them in memory."""
+
+
+def check_instruments(fleet: Sequence[FleetEntry], time: TimeConfig) -> None:
+    """Refuse instruments that cannot measure at the control steps."""
+    for i, entry in enumerate(fleet):
+        try:
+            instruments.check_sensors(entry.state_source()[1], time.control_dt_s)
+        except ConfigError as error:
+            raise ValueError(f"fleet.{i}.{error}") from error
+
+
+def check_currents(world: WorldConfig, time: TimeConfig) -> None:
+    """Refuse currents that a run is too long for."""
+    for i, current in enumerate(world.currents):
+        if isinstance(current, GridConfig):
+            try:
+                current.starts_s(time.horizon_s)
+            except ValueError as error:
+                raise ValueError(f"world.currents[{i}].{error}") from error
+        if not isinstance(current, GaussMarkovConfig):
+            continue
+        knots = time.horizon_s / current.knot_dt_s
+        if knots > MAX_KNOTS:
+            raise ValueError(
+                f"world.currents[{i}].knot_dt_s = {current.knot_dt_s:g}: {knots:.0f} knots in "
+                f"{time.horizon_s:g} s; {MAX_KNOTS} are the most: take a longer knot_dt_s"
+            )
+
+
+def check_fleet_fits(world: WorldConfig, fleet: Sequence[FleetEntry]) -> None:
+    """Refuse worlds that cannot hold the fleet."""
+    reach_m = [library.reach_m(library.load_vehicle(entry.vehicle)) for entry in fleet]
+    counts = [entry.count for entry in fleet]
+    try:
+        check_fleet(resolve_world(world), np.repeat(reach_m, counts))
+    except ConfigError as error:
+        raise ValueError(f"world, for the fleet: {error}") from error
+
+
+def check_randomisation(
+    randomise: RandomiseConfig, fleet: Sequence[FleetEntry], world: WorldConfig, water: WaterConfig
+) -> None:
+    """Refuse ranges of what there is not, and vehicles that they make impossible."""
+    if randomise.sensor_noise != UNCHANGED and all(
+        instrumented.uses_true_state(*entry.state_source()) for entry in fleet
+    ):
+        raise ValueError(
+            "randomise.sensor_noise: all robots are told the truth; give one of [[fleet]] "
+            'estimate = "noisy" or "ekf"'
+        )
+    if randomise.current != UNCHANGED and not world.currents:
+        raise ValueError("randomise.current: there is no current; add [[world.currents]]")
+    for i, entry in enumerate(fleet if randomise.changes_vehicles else ()):
+        try:
+            randomise.check(
+                library.load_vehicle(entry.vehicle),
+                entry.parameter_set_names(),
+                entry.battery_v,
+                water.density_kgpm3,
+            )
+        except ConfigError as error:
+            raise ValueError(f"fleet[{i}]: {error}") from error
+
+
+def check_rotors(fleet: Sequence[FleetEntry]) -> None:
+    """Refuse rotors of first and of third order together: their states have different shapes."""
+    first = None
+    for i, entry in enumerate(fleet):
+        config = library.load_vehicle(entry.vehicle)
+        is_third_order = config.find_response(entry.rotor_response) == "third_order"
+        response = config.rotor.third_order if is_third_order else None
+        coefficients = response and (response.numerator, response.denominator)
+        first = first or (coefficients,)
+        if coefficients != first[0]:
+            raise ValueError(
+                f"fleet[{i}]: the rotors of {config.name!r} answer otherwise than those of "
+                "fleet[0]; give all robots of a fleet the same rotor_response"
+            )
+
+
+def check_steering(controller: ControllerConfig, fleet: Sequence[FleetEntry]) -> None:
+    """Refuse controllers that push to the side where a vehicle cannot go there."""
+    sideways = [stage.name for stage in controller.stack()[0] if stage.wants_sway]
+    for i, entry in enumerate(fleet if sideways else ()):
+        if any("sway" in drive.missing_axes for drive in entry.drive_limits()):
+            raise ValueError(
+                f"controller: stage {sideways[0]!r} pushes to the side, and fleet[{i}], "
+                f"vehicle {library.load_vehicle(entry.vehicle).name!r}, has no sway; take another "
+                "controller, such as cascade or los"
+            )
+
+
+def takes_poses(controller: ControllerConfig) -> bool:
+    """Whether a stage of the controller can be guided by poses."""
+    return any(PoseTarget in stage.takes for stage in controller.stack()[0])
+
+
+def check_takes_poses(
+    planner: PlannerConfig, execution: ExecutionConfig, controller: ControllerConfig
+) -> None:
+    """Refuse controllers that cannot be guided by poses, where plans are looked after in flight."""
+    if takes_poses(controller):
+        return
+    key = f"planner.replan_hz = {planner.replan_hz:g}"
+    if execution.order == "kept":
+        key = 'execution.order = "kept"'
+    raise ValueError(
+        f"{key}: guides robots by poses, and no stage of controller {controller.title!r} takes "
+        "one; take another, such as cascade"
+    )
+
+
+def check_acoustics(acoustics: AcousticsConfig, store: StoreConfig, planner: PlannerConfig) -> None:
+    """Refuse records of packets where there are none, and plans that need more than they tell."""
+    if "acoustics" in store.also and acoustics.model == "perfect":
+        raise ValueError(
+            'store.also: "acoustics" is of packets, and acoustics.model = "perfect" has none; '
+            "leave it out, or take another model"
+        )
+    if acoustics.model != "perfect" and planner.replan_hz:
+        raise ValueError(
+            f"planner.replan_hz = {planner.replan_hz:g}: plans are made anew from where all robots "
+            'are, which acoustics tell nobody; leave it out, or take acoustics.model = "perfect", '
+            'or order = "kept" or a policy, which go by what each robot has heard'
+        )

@@ -1,0 +1,336 @@
+"""What a benchmark asks: scenarios out of its file, and the planners that are asked.
+
+A `Setting` is a set of problems: worlds of one scenario and seed, with what may be known of them.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from angler_mjx.errors import ConfigError, format_value
+from angler_mjx.files import FOLDER_CONTEXT, format_path, parse_model, read_toml
+from angler_mjx.runs.simulator.device_planning import build_device_planner
+from angler_mjx.scenario.editing import merge_tables, remove_horizon, scenario_table
+from angler_mjx.scenario.horizon_check import check_reachable
+from angler_mjx.scenario.scenario import Scenario, load_relative_scenario
+from angler_mjx.scenario.tables import InformationConfig
+from angler_mjx.scenario.task_table import require_goal_task
+from angler_mjx.sim.information import Information
+from angler_mjx.studies.benchmark import compared_planners as compared
+from angler_mjx.studies.benchmark.compared_planners import ComparedPlanner
+from angler_mjx.studies.benchmark.config import BenchmarkConfig
+
+DEFAULT_SCENE = "as it is"
+"""Name of the scene of a benchmark that names none."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Setting:
+    """A set of problems: worlds 0, 1 and on of a scenario."""
+
+    scene: str
+    """Preset and scene, as tables call it."""
+    robots: int
+    information: Information
+    scenario: Scenario
+    """With the number of worlds and the deadline."""
+    seed: int
+    """Of the worlds."""
+
+    @property
+    def preset(self) -> str:
+        """Of its worlds."""
+        return self.scenario.world.preset
+
+    def informed_scenario(self) -> Scenario:
+        """The scenario, which says what may be known."""
+        information = InformationConfig(
+            obstacles=self.information.obstacles, current=self.information.current
+        )
+        planner = self.scenario.planner.model_copy(update={"information": information})
+        return self.scenario.model_copy(update={"planner": planner})
+
+    def flown(self, planner: ComparedPlanner, source: str = "") -> Scenario:
+        """The scenario by which the robots of a contestant fly; see `compared_planners.flown`."""
+        return compared.build_flown_scenario(
+            self.scenario, self.information, planner, f"{source} ({self})"
+        )
+
+    def __str__(self) -> str:
+        return f"{self.scene}, {self.robots} robot{'s' if self.robots > 1 else ''}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Benchmark:
+    """A benchmark file with all that it names."""
+
+    config: BenchmarkConfig
+    scenario: Scenario
+    """That all problems are made of."""
+    planners: tuple[ComparedPlanner, ...]
+    settings: tuple[Setting, ...]
+
+    def select_planners(self, setting: Setting) -> list[ComparedPlanner]:
+        """Who is asked the problems of a setting, in the file's order."""
+        default_information = _default_information(self.config, self.scenario)
+        return [
+            planner
+            for planner in self.planners
+            if (
+                setting.information == planner.information
+                if planner.information
+                else setting.information in default_information
+            )
+            and (not planner.teams or setting.robots in planner.teams)
+            and (not planner.presets or setting.preset in planner.presets)
+        ]
+
+    def list_blind_planners(self) -> list[str]:
+        """Return a line on each contestant that steers in flight and is not given what moves."""
+        labels = {
+            planner.label
+            for setting in self.settings
+            for planner in self.select_planners(setting)
+            if (planner.policy is not None or planner.online.get("replan_hz"))
+            and setting.information.obstacles == "nothing"
+            and setting.scenario.obstacles_move
+        }
+        return [
+            f"planner {format_value(label)} flies blind: it has no information about obstacles "
+            "that move; "
+            'give it information = { obstacles = "observed" }'
+            for label in sorted(labels)
+        ]
+
+    def resolved(self) -> dict[str, Any]:
+        """All of it in plain values: the same table is the same benchmark."""
+        return {
+            "benchmark": self.config.model_dump(mode="json"),
+            "scenario": self.scenario.model_dump(mode="json", exclude_unset=True),
+            "planners": [
+                {"label": planner.label, "sha256": planner.sha256} for planner in self.planners
+            ],
+            "problems": sorted({setting.scenario.digest() for setting in self.settings}),
+        }
+
+
+def read_benchmark(path: Path, **overrides: Any) -> Benchmark:
+    """A benchmark from its file.
+
+    Args:
+        path: of the file.
+        **overrides: top-level keys that replace those of the file.
+
+    Raises:
+        ConfigError: naming every fault of it, or the first of what it names.
+        UnsupportedError: the libraries of a planner are not installed.
+    """
+    table = {**read_toml(path), **overrides}
+    source = str(path) + (f" with other {', '.join(overrides)}" if overrides else "")
+    folder = path.absolute().parent
+    config = parse_model(BenchmarkConfig, table, source=source, context={FOLDER_CONTEXT: folder})
+    scenario = load_relative_scenario(config.scenario, folder)
+    require_goal_task(
+        scenario.task, f"{path}: planners are compared by ways to one goal; leave it out"
+    )
+    return build_benchmark(config, scenario, str(path))
+
+
+def build_benchmark(config: BenchmarkConfig, scenario: Scenario, source: str) -> Benchmark:
+    """A benchmark from its table and its scenario.
+
+    Args:
+        config: with absolute paths.
+        scenario: that all problems are made of.
+        source: of the table, for messages.
+
+    Raises:
+        ConfigError, UnsupportedError: as `read_benchmark`.
+    """
+    try:
+        planners = tuple(compared.build_compared_planner(planner) for planner in config.planner)
+    except ConfigError as error:
+        raise ConfigError(f"{format_path(source)}: {error}") from error
+    settings = tuple(_build_settings(config, scenario, planners, source))
+    benchmark = Benchmark(config=config, scenario=scenario, planners=planners, settings=settings)
+    benchmark = replace(
+        benchmark, settings=tuple(s for s in settings if benchmark.select_planners(s))
+    )
+    if not benchmark.settings:
+        raise ConfigError(
+            f"{format_path(source)}: presets and teams: no planner is asked any of them; see "
+            "presets "
+            "and teams of each [[planner]]"
+        )
+    for setting in benchmark.settings:
+        selected = benchmark.select_planners(setting)
+        if not (
+            setting.scenario.world.currents
+            and any(_may_be_carried(planner) for planner in selected)
+        ):
+            check_reachable(
+                setting.scenario, f"{format_path(source)} ({setting}): set.time.horizon_s"
+            )
+        for planner in selected:
+            _require_usable(planner, setting, source)
+    return benchmark
+
+
+def _require_usable(planner: ComparedPlanner, setting: Setting, source: str) -> None:
+    """Refuse who can make no use of what is known, or cannot be flown as it is to be."""
+    if planner.on_device:
+        try:
+            build_device_planner(setting.informed_scenario(), planner.planner)
+        except ConfigError as error:
+            raise ConfigError(
+                f"{format_path(source)}: planner {format_value(planner.label)}: {error}; or say in "
+                "its "
+                "table "
+                "its levels, by information"
+            ) from error
+    setting.flown(planner, format_path(source))
+
+
+def _may_be_carried(planner: ComparedPlanner) -> bool:
+    """Whether it may be faster over ground than the cruise speed."""
+    return planner.flies_itself or planner.name == "current"
+
+
+def _build_settings(
+    config: BenchmarkConfig,
+    scenario: Scenario,
+    planners: tuple[ComparedPlanner, ...],
+    source: str,
+) -> list[Setting]:
+    for table in (config.set, *(entry.set for entry in config.scene)):
+        _refuse_reserved_keys(table, source)
+    base = scenario_table(scenario)
+    base["worlds"] = config.problems
+    base["planner"] = {
+        "margin_m": scenario.planner.margin_m,
+        "points": config.points or scenario.planner.points,
+        "deadline_s": config.deadline_s,
+    }
+    base["policy"] = {**base.get("policy", {}), "name": "none"}
+    # Contestants fly plans of their own, and auto goes by the planner that it chose.
+    if scenario.execution.by_auto:
+        base["execution"] = {"order": "free"}
+    if config.presets:  # The scenario's horizon is that of its own world.
+        base = remove_horizon(base)
+    base = merge_tables(base, config.set)
+    information_options = (
+        []
+        if all(entry.information for entry in planners)
+        else _default_information(config, scenario)
+    )
+    information_options += [
+        entry.information for entry in planners if entry.information is not None
+    ]
+    settings = []
+    for preset in config.presets or (None,):
+        for scene in config.scene or (None,):
+            table = merge_tables(base, {} if scene is None else scene.set)
+            if preset is not None:
+                table = merge_tables(table, {"world": {"preset": preset}})
+            names = [text for text in (preset, None if scene is None else scene.name) if text]
+            scene_name = " ".join(names) or DEFAULT_SCENE
+            whole = parse_model(Scenario, table, source=f"{source} ({scene_name})")
+            for team in config.teams or (None,):
+                team_scenario = (
+                    whole if team is None else with_team(whole, table, team, source, scene_name)
+                )
+                settings += [
+                    Setting(
+                        scene=scene_name,
+                        robots=len(team_scenario.members()),
+                        information=information,
+                        scenario=team_scenario,
+                        seed=seed,
+                    )
+                    for seed in config.seeds or (team_scenario.seed,)
+                    for information in dict.fromkeys(information_options)
+                ]
+    return settings
+
+
+RESERVED_KEYS = {
+    "worlds": "problems",
+    "seed": "seeds",
+    "planner.name": "[[planner]]",
+    "planner.settings": "settings in [[planner]]",
+    "planner.points": "points",
+    "planner.deadline_s": "deadline_s",
+    "planner.information": "[[information]]",
+    "planner.replan_hz": "replan_hz in [[planner]]",
+    "planner.delay_s": "delay_s in [[planner]]",
+    "policy.name": "policy in [[planner]]",
+}
+"""Keys of a scenario that a benchmark file says by keys of its own."""
+
+
+def _refuse_reserved_keys(table: Mapping[str, Any], source: str) -> None:
+    """Refuse changes of a scenario that a key of the benchmark stands for."""
+    for key, replacement in RESERVED_KEYS.items():
+        name, _, inner = key.partition(".")
+        held = table.get(name)
+        if name in table and (not inner or (isinstance(held, Mapping) and inner in held)):
+            raise ConfigError(f"{format_path(source)}: set.{key}: give {replacement} instead")
+
+
+def with_team(
+    whole: Scenario, table: Mapping[str, Any], robots: int, source: str, scene_name: str
+) -> Scenario:
+    """A scenario with another number of robots."""
+    entries = scenario_table(whole)["fleet"]
+    about = f"{source} ({scene_name}, {robots} robots)"
+    return parse_model(Scenario, {**table, "fleet": _scale_fleet(entries, robots)}, source=about)
+
+
+def _default_information(config: BenchmarkConfig, scenario: Scenario) -> list[Information]:
+    """What planners are told that do not say themselves."""
+    return [
+        entry.to_information() for entry in config.information or (scenario.planner.information,)
+    ]
+
+
+def _scale_fleet(entries: Sequence[dict[str, Any]], robots: int) -> list[dict[str, Any]]:
+    """Entries of a team of another size: as near to their shares as whole robots can be."""
+    counts = [entry.get("count", 1) for entry in entries]
+    exact = [count * robots / sum(counts) for count in counts]
+    rounded = [int(number) for number in exact]
+    rest = sorted(range(len(exact)), key=lambda i: (rounded[i] - exact[i], i))
+    for i in rest[: robots - sum(rounded)]:
+        rounded[i] += 1
+    return [
+        {**entry, "count": number}
+        for entry, number in zip(entries, rounded, strict=True)
+        if number > 0
+    ]
+
+
+def rebuild_benchmark(
+    building: Path, table: Mapping[str, Any], files: Mapping[str, str]
+) -> Benchmark:
+    """A benchmark from what its results folder keeps of it.
+
+    Args:
+        building: the folder, for messages.
+        table: of `Benchmark.resolved`.
+        files: copies of planner files, by the paths that they had.
+    """
+    source = str(building)
+    config = parse_model(BenchmarkConfig, table["benchmark"], source=source)
+    scenario = parse_model(Scenario, table["scenario"], source=source)
+    planners = tuple(
+        entry.model_copy(
+            update={"name": _copied_planner_name(entry.name, files), "label": entry.title}
+        )
+        for entry in config.planner
+    )
+    return build_benchmark(config.model_copy(update={"planner": planners}), scenario, source)
+
+
+def _copied_planner_name(name: str, files: Mapping[str, str]) -> str:
+    path, colon, qualname = name.rpartition(":")
+    return f"{files.get(path, path)}:{qualname}" if colon and path.endswith(".py") else name

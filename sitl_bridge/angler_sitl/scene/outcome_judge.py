@@ -1,0 +1,169 @@
+"""What a control period came to, for every robot of one world: as the simulator itself judges it.
+
+The phases of a control step (`angler_mjx.sim.step`) that follow when somebody else has moved the
+vehicles: obstacles, and the judgement of each robot.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.sim import robot
+from angler_mjx.sim.engines.mjx import SingleWorld
+from angler_mjx.sim.phase import run_phases
+from angler_mjx.sim.physics.step import VehicleState
+from angler_mjx.sim.state import SimSpec, World, WorldState
+from angler_mjx.sim.step import INTERACTION_PHASES, OBSTACLES
+from angler_sitl.scene.flat_arrays import Arrays, FlatLayout
+from angler_sitl.scene.motion import (
+    N_INPUTS,
+    SINGLE_THREAD_OPTIONS,
+    SceneMotion,
+    to_thruster_pwm,
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class OutcomeJudge:
+    """`judge_outcomes`, compiled for worlds of one shape, with few arrays in and out."""
+
+    step: Callable[
+        [Arrays, Arrays, NDArray[Any], NDArray[np.int32], NDArray[np.bool_]], tuple[Arrays, Arrays]
+    ]
+    """Constants, state, vehicles as `SceneMotion.extract_rows` gives them, inputs of the last step,
+    who is on
+    the last approach of its plan: to state and record."""
+    world: FlatLayout
+    state: FlatLayout
+    record: FlatLayout
+    """What the phases record, by field; [1] leads there."""
+
+    def pack_constants(self, world: World) -> Arrays:
+        """What has to be known of a world; [1] leads there."""
+        return self.world.pack_on_device(_remove_plans(world))
+
+    def to_arrays(self, state: WorldState) -> Arrays:
+        """A state as the step takes it; [1] leads there."""
+        return self.state.pack_on_device(state)
+
+    def from_arrays(self, state: Arrays) -> WorldState:
+        """The inverse of `begin`, as NumPy's arrays."""
+        unpacked: WorldState = self.state.unpack(tuple(map(np.asarray, state)))
+        return unpacked
+
+
+def compile_judge(
+    spec: SimSpec, motion: SceneMotion, world: World, state: WorldState
+) -> OutcomeJudge:
+    """Compile for worlds like this one.
+
+    Args:
+        spec: settings.
+        motion: of the vehicles.
+        world: [1] leads; another of the same scenario has the same shapes, but for its plans.
+        state: [1] leads.
+    """
+    world_layout, state_layout = (
+        FlatLayout.from_tree(_remove_plans(world)),
+        FlatLayout.from_tree(state),
+    )
+    thrusters = world.control.vehicle.B.shape[-1]
+    example_rows = motion.extract_rows(motion.to_arrays(state.vehicles))
+
+    records: list[FlatLayout] = []
+
+    def step(
+        world: Arrays,
+        state: Arrays,
+        vehicle_rows: jax.Array,
+        inputs: jax.Array,
+        approaching: jax.Array,
+    ) -> tuple[Arrays, Arrays]:
+        # One world is not batched: that would make tracing it take half as long again.
+        judged, record = judge_outcomes(
+            spec,
+            jax.tree.map(lambda x: x[0], world_layout.unpack(world)),
+            jax.tree.map(lambda x: x[0], state_layout.unpack(state)),
+            jax.vmap(motion.vehicles.unpack_row)(vehicle_rows[:, 1:]),
+            inputs[:, :thrusters],
+            vehicle_rows[:, 0] > 0,
+            approaching,
+        )
+        record = jax.tree.map(lambda x: x[None], record)
+        records.append(FlatLayout.from_tree(record))
+        return state_layout.pack(judged), records[-1].pack(record)
+
+    inputs = jax.ShapeDtypeStruct((len(example_rows), N_INPUTS), jnp.int32)
+    approaching = jax.ShapeDtypeStruct((len(example_rows),), jnp.bool_)
+    lowered = jax.jit(step).lower(
+        world_layout.array_specs, state_layout.array_specs, example_rows, inputs, approaching
+    )
+    compiled: Any = lowered.compile(SINGLE_THREAD_OPTIONS)
+    return OutcomeJudge(step=compiled, world=world_layout, state=state_layout, record=records[-1])
+
+
+def _remove_plans(world: World) -> World:
+    """A world [1] without its plans, which have any type and length.
+
+    The judgement needs no more of them than who is on the last approach.
+    """
+    robots, real = world.variant.shape, world.environment.start_m.dtype
+    empty: dict[str, Any] = {
+        "time_s": np.zeros((*robots, 0), real),
+        "position_m": np.zeros((*robots, 0, 3), real),
+        "found": np.zeros(robots, bool),
+    }
+    return replace(world, path=Trajectory(**empty))
+
+
+def judge_outcomes(
+    spec: SimSpec,
+    world: World,
+    state: WorldState,
+    vehicles: VehicleState,
+    pulses: jax.Array,
+    broken: jax.Array,
+    approaching: jax.Array,
+) -> tuple[WorldState, dict[str, Any]]:
+    """One world at the end of a control period.
+
+    Args:
+        spec: settings.
+        world: its constants.
+        state: at the beginning of the period.
+        vehicles: [N] at its end.
+        pulses: int32 [N, n_thruster] us, as the autopilots sent them last; for the energy.
+        broken: bool [N] who diverged in it.
+        approaching: bool [N] who is on the last approach of its plan.
+
+    Returns:
+        The state at the end of it, and what the phases recorded.
+    """
+    before = state.vehicles
+    t = state.step.astype(before.p.dtype) * spec.control_dt_s
+    context = SingleWorld(spec=spec, world=world, t=t, approaching=approaching)
+    thruster_signals = to_thruster_pwm(pulses, before.p.dtype)
+    _, power = context.map_bodies(robot.thrust_and_power, context.params.vehicle, thruster_signals)
+    slots = {
+        "vehicle": vehicles,
+        "obstacles": state.obstacles,
+        "tally": state.tally,
+        "before_m": before.p,
+        "power_w": power,
+        "broken": broken,
+    }
+    updated, record = run_phases(context, (OBSTACLES, *INTERACTION_PHASES), slots)
+    after = replace(
+        state,
+        vehicles=vehicles,
+        obstacles=updated["obstacles"],
+        tally=updated["tally"],
+        step=state.step + 1,
+    )
+    return after, record

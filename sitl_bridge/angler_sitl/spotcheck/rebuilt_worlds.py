@@ -1,0 +1,170 @@
+"""The worlds of a run made again from its scenario and seed, and held against what it recorded.
+
+Plans are not made again: whatever planned them, those that the run recorded are flown.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import numpy as np
+import pyarrow.compute as pc
+
+from angler_mjx.errors import RunError
+from angler_mjx.runs.simulator.simulator import Simulator
+from angler_mjx.runs.storage import environments as store
+from angler_mjx.runs.storage import trajectory_layout
+from angler_mjx.runs.storage.folder import TRAJECTORIES, Run
+from angler_mjx.runs.storage.read_errors import wrap_read_errors
+from angler_mjx.scenario.scenario import Scenario
+from angler_mjx.sim.state import World
+
+MAX_DIFFERENCE = 1e-3
+"""Greatest difference of a number of a world made again, in its own unit: m, m/s, s. Another kind
+of device rounds otherwise; a world that differs by more is another world."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class WorldLikeness:
+    """How like a world made again is to the one recorded."""
+
+    arrays: int
+    """Compared."""
+    identical: int
+    """Of these, the same byte by byte."""
+    difference: float
+    """Greatest one of the others; 0 if there are none."""
+    where: str
+    """Name of the array that holds it."""
+
+    def describe(self) -> str:
+        """In a few words."""
+        if self.identical == self.arrays:
+            return f"identical, all {self.arrays} arrays byte by byte"
+        return (
+            f"{self.identical} of {self.arrays} arrays identical, the others within "
+            f"{self.difference:.1e} ({self.where})"
+        )
+
+
+def single_world_scenario(scenario: Scenario) -> Scenario:
+    """A scenario to be computed one world at a time on any device: the closed form, plain XLA."""
+    return scenario.model_copy(update={"tile": 1, "engine": "fused", "kernels": "xla"})
+
+
+def sample_worlds(scenario: Scenario, indices: Sequence[int]) -> dict[int, World]:
+    """Worlds by their global indices; [1] leads."""
+    simulator = Simulator(single_world_scenario(scenario))
+    return {index: simulator.worlds(index) for index in indices}
+
+
+def add_recorded_plans(run: Run, index: int, worlds: World) -> World:
+    """A world with the plans that a run recorded of it.
+
+    Args:
+        run: with trajectories.
+        index: of the world.
+        worlds: made again; [1] leads.
+
+    Raises:
+        ConfigError: what the run recorded is damaged.
+    """
+    rows = run.episodes.filter(pc.field("world") == index)
+    stored: Any = run.trajectories
+    with wrap_read_errors(run.path / TRAJECTORIES):
+        plan = trajectory_layout.read_plan(
+            stored, index, rows["planned"].to_numpy(zero_copy_only=False)
+        )
+    # Where the other arrays are: a plan that lay elsewhere would have programs compiled once more.
+    sharding = getattr(worlds.variant, "sharding", None)
+    path: Any = jax.tree.map(lambda leaf: jax.device_put(leaf[None], sharding), plan)
+    return replace(worlds, path=path)
+
+
+def compare_world(run: Run, index: int, worlds: World) -> WorldLikeness:
+    """Hold a world against what a run recorded of it.
+
+    Args:
+        run: with trajectories.
+        index: of the world.
+        worlds: made again; [1] leads.
+
+    Raises:
+        ConfigError: what the run recorded is damaged.
+        RunError: it is another world.
+    """
+    with wrap_read_errors(run.path / TRAJECTORIES):
+        return _compare_arrays(run, index, worlds)
+
+
+def _compare_arrays(run: Run, index: int, worlds: World) -> WorldLikeness:
+    stored: Any = run.trajectories
+    arrays = {
+        f"environment/{name}": leaf for name, leaf in store.named_leaves(worlds.environment).items()
+    }
+    identical, worst, worst_name = 0, 0.0, ""
+    for name, leaf in arrays.items():
+        rebuilt = np.asarray(leaf)[0]
+        if rebuilt.size == 0:
+            identical += 1
+            continue
+        recorded = np.asarray(stored[name][index])
+        if recorded.shape != rebuilt.shape:
+            raise _make_mismatch_error(
+                run, index, f"{name} has the shape {rebuilt.shape}, not {recorded.shape}"
+            )
+        if np.array_equal(recorded, rebuilt, equal_nan=recorded.dtype.kind == "f"):
+            identical += 1
+            continue
+        difference = _max_difference(recorded, rebuilt)
+        if not difference <= MAX_DIFFERENCE:
+            raise _make_mismatch_error(run, index, f"{name} differs by {difference:g}")
+        if difference > worst:
+            worst, worst_name = difference, name
+    return WorldLikeness(
+        arrays=len(arrays), identical=identical, difference=worst, where=worst_name
+    )
+
+
+def _max_difference(recorded: np.ndarray, rebuilt: np.ndarray) -> float:
+    """Greatest difference; infinite where only one is finite, or where whole numbers differ."""
+    if recorded.dtype.kind != "f":
+        return float("inf")
+    is_finite = np.isfinite(recorded)
+    if not np.array_equal(is_finite, np.isfinite(rebuilt)):
+        return float("inf")
+    return float(
+        np.max(np.abs(recorded[is_finite].astype(float) - rebuilt[is_finite]), initial=0.0)
+    )
+
+
+def _make_mismatch_error(run: Run, index: int, reason: str) -> RunError:
+    return RunError(
+        f"{run.path}: world {index} cannot be made again: {reason}. Another version of this "
+        "program, "
+        "or another kind of device, made the run; make it again here with angler rollout"
+    )
+
+
+def select_robots(worlds: World, template: World, robots: int) -> World:
+    """A world with its first so many robots alone.
+
+    Rocks, water, obstacles, the robots' parameters and their plans stay; the other robots are not
+    there.
+
+    Args:
+        worlds: [1] leads.
+        template: of a scenario with so many robots: padding of thrusters is cut to its.
+        robots: how many stay.
+    """
+    if worlds.variant.shape[1] == robots:
+        return worlds
+
+    def first(leaf: jax.Array, shape: jax.Array) -> jax.Array:
+        return leaf[tuple(slice(0, n) for n in shape.shape)]
+
+    # Not as the planner of the scenario would give them.
+    path = jax.tree.map(lambda leaf: leaf[:, :robots], worlds.path)
+    selected: World = jax.tree.map(first, replace(worlds, path=path), replace(template, path=path))
+    return selected

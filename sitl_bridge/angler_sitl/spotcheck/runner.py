@@ -1,0 +1,286 @@
+"""A spot check from a run folder to a report: pick, make again, fly, compare.
+
+Each flight is written as it ends. What is interrupted is reported as far as it came, and goes on
+where it stopped.
+"""
+
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Protocol
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.robot.vehicles import library
+from angler_mjx.runs.provenance import describe_environment
+from angler_mjx.runs.simulator.simulator import Simulator
+from angler_mjx.runs.storage.folder import POLICY, Run
+from angler_mjx.sim.state import World
+from angler_sitl.firmware import binary as binaries
+from angler_sitl.firmware import parameters as firmware
+from angler_sitl.firmware.probe import identify_version
+from angler_sitl.missions.scenario_options import parse_speed
+from angler_sitl.spotcheck import (
+    flight,
+    folder,
+    rebuilt_worlds,
+    report_page,
+    world_flyers,
+    world_selection,
+)
+from angler_sitl.spotcheck.flight import RECORDED
+from angler_sitl.spotcheck.results import FlightKey, SpotcheckResult, SpotcheckSettings
+from angler_sitl.spotcheck.world_flyers import SpotcheckFlyer
+from angler_sitl.spotcheck.world_selection import WorldPick
+
+
+class SpotcheckProgress(Protocol):
+    """Who is told how far it is."""
+
+    def start(self, flights: int, done: int) -> None:
+        """So many flights in all, so many done before."""
+        ...
+
+    def report_task(self, description: str) -> None:
+        """Something begins."""
+        ...
+
+    def update_fraction(self, fraction: float) -> None:
+        """So much of the flight is done."""
+        ...
+
+    def finish_flight(self) -> None:
+        """A flight ended and was written."""
+        ...
+
+
+def run_spot_check(
+    run_path: Path,
+    settings: SpotcheckSettings,
+    out: Path,
+    progress: SpotcheckProgress,
+    *,
+    resume: bool = False,
+) -> SpotcheckResult:
+    """Do a spot check and write its folder.
+
+    Args:
+        run_path: folder of a batch run with trajectories.
+        settings: what is asked for.
+        out: folder to make.
+        progress: told how far it is.
+        resume: go on with an interrupted one in ``out``.
+
+    Returns:
+        What was found; not complete after an interruption (Ctrl-C), and then as far as it came.
+
+    Raises:
+        ConfigError: no such run, one that a policy commanded, fewer worlds than asked for, no
+            trajectories, a vehicle without a frame, no ArduSub, or a folder that cannot be used.
+        RunError: a world cannot be made again, or an autopilot ended. What was flown stays.
+    """
+    result = plan_spot_check(run_path, settings)
+    if resume:
+        result = _restore_picks(result, folder.reopen_folder(out, _build_request(result)))
+    else:
+        folder.create_folder(out)
+    folder.save_table(out, _build_table(result))
+    keys = _list_flights(result)
+    remaining = [key for key in keys if not folder.flight_path(out, *key).is_file()]
+    progress.start(len(keys), len(keys) - len(remaining))
+    complete = False
+    try:
+        progress.report_task("drawing the worlds again")
+        worlds = rebuilt_worlds.sample_worlds(
+            result.run.scenario, [pick.world for pick in result.picks]
+        )
+        result = replace(result, likeness=_compare_worlds(result, worlds))
+        worlds = {
+            index: rebuilt_worlds.add_recorded_plans(result.run, index, world)
+            for index, world in worlds.items()
+        }
+        _fly_all(result, worlds, remaining, out, progress)
+        complete = True
+    except KeyboardInterrupt:
+        if not result.likeness:
+            raise
+    result = replace(result, flights=_load_flights(result, out), complete=complete)
+    report_page.write_report(out, result)
+    folder.save_table(out, _build_table(result))
+    return result
+
+
+def load_result(run_path: Path, settings: SpotcheckSettings, out: Path) -> SpotcheckResult:
+    """A spot check that was done before, whole or as far as it came.
+
+    Args:
+        run_path: folder of its run.
+        settings: that it was asked with.
+        out: its folder.
+
+    Raises:
+        ConfigError: there is none, it is damaged, or was asked something else.
+    """
+    result = plan_spot_check(run_path, settings)
+    table = folder.load_table(out)
+    folder.require_same_request(out, table, _build_request(result))
+    result = _restore_picks(result, table)
+    return replace(result, flights=_load_flights(result, out), complete=table["complete"])
+
+
+def has_flown_plans(run: Run) -> bool:
+    """Whether robots of a run flew plans, as autopilots can, and were not commanded otherwise."""
+    return run.scenario.online or not (run.path / POLICY).exists()
+
+
+def plan_spot_check(run_path: Path, settings: SpotcheckSettings) -> SpotcheckResult:
+    """What is to be done, with everything refused that can be before anything is computed.
+
+    Raises:
+        ConfigError: as in `run_spot_check`.
+    """
+    run = Run(run_path)
+    scenario = run.scenario
+    if not has_flown_plans(run):
+        raise ConfigError(
+            f"{run.path / POLICY}: a policy commanded the robots of this run, and autopilots fly "
+            "plans, not that; give a run of plans, flown as they are or made anew in flight"
+        )
+    _ = run.trajectories
+    fleet = len(scenario.members())
+    counts = tuple(dict.fromkeys(settings.robots)) or (fleet,)
+    for count in counts:
+        world_flyers.select_fleet(scenario, count)
+    for entry in scenario.fleet:
+        for level in settings.levels:
+            firmware.for_vehicle(library.load_vehicle(entry.vehicle), level, settings.source)
+    if not settings.levels:
+        raise ConfigError("--level: give guided, thrusters or both")
+    parse_speed(settings.speed)
+    picks = world_selection.pick_worlds(
+        run.episodes, settings.episodes, seed=settings.seed, stratify=settings.stratify
+    )
+    binary = identify_version(binaries.find_binary(settings.binary))
+    return SpotcheckResult(
+        run=run,
+        settings=settings,
+        picks=picks,
+        counts=counts,
+        likeness={},
+        autopilot=f"{binary.version}, sha256 {binary.sha256[:12]}",
+        provenance=describe_environment(),
+    )
+
+
+def _build_request(result: SpotcheckResult) -> dict[str, Any]:
+    """All that the results depend on; another ArduSub flies otherwise."""
+    request = {"run": str(result.run.path), "ardusub": result.autopilot}
+    return {**request, **result.settings.to_request()}
+
+
+def _restore_picks(result: SpotcheckResult, table: dict[str, Any]) -> SpotcheckResult:
+    """With what an interrupted one knew; its worlds are those that it picked."""
+    picks = tuple(WorldPick(**pick) for pick in table["picks"])
+    return replace(result, picks=picks)
+
+
+def _build_table(result: SpotcheckResult) -> dict[str, Any]:
+    return {
+        "asked": _build_request(result),
+        "complete": result.complete,
+        "picks": [{"world": pick.world, "why": pick.why} for pick in result.picks],
+        "likeness": {str(world): text for world, text in result.likeness.items()},
+        "provenance": dict(result.provenance),
+    }
+
+
+def _list_flights(result: SpotcheckResult) -> list[FlightKey]:
+    """All flights, those of the batch simulator first."""
+    names = (*result.settings.against, *result.settings.levels)
+    return [
+        (pick.world, name, count)
+        for name in names
+        for count in result.counts
+        for pick in result.picks
+    ]
+
+
+def _compare_worlds(result: SpotcheckResult, worlds: dict[int, World]) -> dict[int, str]:
+    return {
+        index: rebuilt_worlds.compare_world(result.run, index, world).describe()
+        for index, world in worlds.items()
+    }
+
+
+def _fly_all(
+    result: SpotcheckResult,
+    worlds: dict[int, World],
+    keys: list[FlightKey],
+    out: Path,
+    progress: SpotcheckProgress,
+) -> None:
+    """Fly; whoever flies is made once for all worlds with so many robots."""
+    for count in result.counts:
+        selected = _select_robots(result, worlds, count, progress)
+        for name in (*result.settings.against, *result.settings.levels):
+            pending = [key for key in keys if key[1:] == (name, count)]
+            if pending:
+                progress.report_task(f"{name}, {count} robots: compiling")
+                with _make_flyer(result, name, count) as flyer:
+                    _fly_worlds(flyer, pending, selected, out, progress)
+
+
+def _select_robots(
+    result: SpotcheckResult, worlds: dict[int, World], count: int, progress: SpotcheckProgress
+) -> dict[int, World]:
+    """The worlds with so many robots."""
+    scenario = result.run.scenario
+    if count == len(scenario.members()):
+        return worlds
+    progress.report_task(f"{count} robots of {len(scenario.members())}")
+    template = Simulator(
+        rebuilt_worlds.single_world_scenario(world_flyers.select_fleet(scenario, count))
+    ).world_shape()
+    return {
+        index: rebuilt_worlds.select_robots(world, template, count)
+        for index, world in worlds.items()
+    }
+
+
+def _make_flyer(result: SpotcheckResult, name: str, count: int) -> SpotcheckFlyer:
+    """Whoever flies under this name."""
+    settings, scenario = result.settings, world_flyers.select_fleet(result.run.scenario, count)
+    for against in settings.against:
+        if name == against:
+            return world_flyers.BatchFlyer(scenario, against)
+    (level,) = (level for level in settings.levels if name == level)
+    return world_flyers.SitlFlyer(scenario, level, settings.source, settings.speed, settings.binary)
+
+
+def _fly_worlds(
+    flyer: SpotcheckFlyer,
+    keys: Iterable[FlightKey],
+    worlds: dict[int, World],
+    out: Path,
+    progress: SpotcheckProgress,
+) -> None:
+    for key in keys:
+        world, name, count = key
+        progress.report_task(f"{name}, {count} robots, world {world}")
+        new_flight = flyer.fly(world, worlds[world], progress.update_fraction)
+        flight.save_flight(folder.flight_path(out, *key), new_flight)
+        progress.finish_flight()
+
+
+def _load_flights(result: SpotcheckResult, out: Path) -> dict[FlightKey, flight.SpotcheckFlight]:
+    """All flights that are there, the recorded ones among them."""
+    flights: dict[FlightKey, flight.SpotcheckFlight] = {}
+    for pick in result.picks:
+        for count in result.counts:
+            flights[pick.world, RECORDED, count] = flight.load_recorded(
+                result.run, pick.world, count
+            )
+            for name in (*result.settings.against, *result.settings.levels):
+                path = folder.flight_path(out, pick.world, name, count)
+                if path.is_file():
+                    flights[pick.world, name, count] = flight.load_flight(path)
+    return flights

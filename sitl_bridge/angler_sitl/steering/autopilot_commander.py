@@ -1,0 +1,214 @@
+"""One autopilot as the session sees it: what it believes, how it stands, and what it is fed."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from angler_mjx.errors import RunError
+from angler_mjx.frames import body_frd_to_flu, quaternion_ned_to_enu, vector_ned_to_enu
+from angler_mjx.robot.control.allocation import NEUTRAL_US
+from angler_mjx.runs.session.interface import Floats
+from angler_sitl.wire import messages
+from angler_sitl.wire.link import MavlinkLink, PacketTap
+from angler_sitl.wire.ports import Ports
+
+MODE_NAMES = {
+    0: "STABILIZE",
+    1: "ACRO",
+    2: "ALT_HOLD",
+    3: "AUTO",
+    4: "GUIDED",
+    7: "CIRCLE",
+    9: "SURFACE",
+    16: "POSHOLD",
+    19: "MANUAL",
+    20: "MOTOR_DETECT",
+    21: "SURFTRAK",
+}
+
+STREAM_RATES_HZ = {
+    dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 50.0,
+    dialect.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 50.0,
+    dialect.MAVLINK_MSG_ID_EKF_STATUS_REPORT: 5.0,
+    dialect.MAVLINK_MSG_ID_HEARTBEAT: 5.0,
+    dialect.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
+}
+"""What is asked for, and how often: pose and velocity more than once in a control period, so that
+they are at most 20 ms old."""
+
+_N_OUTPUTS = 8
+"""Thrusters of the largest frame."""
+
+_POSE_MESSAGES = ("LOCAL_POSITION_NED", "ATTITUDE_QUATERNION")
+_POSE_MESSAGE_SET = set(_POSE_MESSAGES)
+
+_MAX_POSE_AGE_S = 0.5
+"""A pose older than this is not carried on: something is wrong, and the note says what."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EstimatedMotion:
+    """How robots move; [R] leads."""
+
+    p: Floats
+    """[R, 3] m in W."""
+    q: Floats
+    """[R, 4] F to W."""
+    nu: Floats
+    """[R, 6] in F."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class NavigationFix:
+    """External navigation of one robot at one time, NED and FRD."""
+
+    p: Floats
+    q: Floats
+    velocity_mps: Floats
+    position_std_m: Floats
+    velocity_std_mps: Floats
+    attitude_std_rad: Floats
+
+
+class AutopilotCommander:
+    """An autopilot behind its two links.
+
+    Attributes:
+        link: commands and telemetry.
+        vision: external navigation.
+    """
+
+    def __init__(self, name: str, sysid: int, ports: Ports, tap: PacketTap | None = None) -> None:
+        """Take over its sockets; nothing is sent before it speaks."""
+        self.name, self.sysid = name, sysid
+        self.link = MavlinkLink(ports.mavlink, name=name, sysid=sysid, tap=tap)
+        self.vision = MavlinkLink(ports.vision, name=name, sysid=sysid)
+
+    def tick(self, time_s: float) -> None:
+        """Once in a control period, by the scene's clock: take what came, send heartbeats."""
+        self.link.tick(time_s)
+        self.vision.tick(time_s)
+
+    def send_fix(self, time_s: float, fix: NavigationFix) -> None:
+        """Tell it where it is, if it listens already."""
+        if self.vision.has_peer:
+            self.vision.send(
+                messages.vision_position(
+                    time_s, fix.p, fix.q, fix.position_std_m, fix.attitude_std_rad
+                )
+            )
+            self.vision.send(messages.vision_speed(time_s, fix.velocity_mps, fix.velocity_std_mps))
+
+    def send_neutral(self) -> None:
+        """Let all of its outputs that are passed through stand still."""
+        self.link.send(messages.build_override(self.sysid, np.full(_N_OUTPUTS, NEUTRAL_US)))
+
+    @property
+    def armed(self) -> bool:
+        """Whether its motors may turn, by its own heartbeat; an answer to a command may lie."""
+        beat = self.link.latest.get("HEARTBEAT")
+        return beat is not None and bool(beat.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
+
+    @property
+    def mode(self) -> int | None:
+        """The firmware's number of its mode."""
+        beat = self.link.latest.get("HEARTBEAT")
+        return None if beat is None else int(beat.custom_mode)
+
+    @property
+    def flags(self) -> int | None:
+        """Flags of its filter, EKF_STATUS_FLAGS."""
+        report = self.link.latest.get("EKF_STATUS_REPORT")
+        return None if report is None else int(report.flags)
+
+    @property
+    def has_position(self) -> bool:
+        """Whether its filter knows its position."""
+        flags = self.flags
+        if flags is None or not self.link.latest.keys() >= _POSE_MESSAGE_SET:
+            return False
+        position_flag, constant_position_flag = (
+            dialect.EKF_POS_HORIZ_ABS,
+            dialect.EKF_CONST_POS_MODE,
+        )
+        return bool(flags & position_flag) and not flags & constant_position_flag
+
+    @property
+    def battery_v(self) -> float | None:
+        """Voltage of its battery; None where it does not say."""
+        status = self.link.latest.get("SYS_STATUS")
+        if status is None or status.voltage_battery in (0, 0xFFFF):
+            return None
+        return float(status.voltage_battery) / 1000.0
+
+    def note(self) -> str:
+        """How it stands, in a few words."""
+        battery = self.battery_v
+        parts = [
+            mode_name(self.mode),
+            "armed" if self.armed else "disarmed",
+            f"EKF {'good' if self.has_position else 'bad'} ({self.flags})",
+        ]
+        return ", ".join([*parts, *([] if battery is None else [f"{battery:.1f} V"])])
+
+    def estimate_state(self, time_s: float) -> list[float]:
+        """What it believes of its own motion, carried on to now.
+
+        Args:
+            time_s: of its clock, now.
+
+        Returns:
+            Position [3] m and velocity [3] m/s in NED, attitude [4] FRD to NED, rates [3] rad/s in
+            FRD.
+
+        Raises:
+            RunError: it has not told yet; see `located`.
+        """
+        if not self.link.latest.keys() >= _POSE_MESSAGE_SET:
+            raise RunError(f"{self.name}: its autopilot has not told its motion yet")
+        position, attitude = (self.link.latest[kind] for kind in _POSE_MESSAGES)
+        age = time_s - position.time_boot_ms / 1000.0
+        age = age if 0.0 <= age <= _MAX_POSE_AGE_S else 0.0
+        return [
+            position.x + position.vx * age,
+            position.y + position.vy * age,
+            position.z + position.vz * age,
+            *(position.vx, position.vy, position.vz),
+            *(attitude.q1, attitude.q2, attitude.q3, attitude.q4),
+            *(attitude.rollspeed, attitude.pitchspeed, attitude.yawspeed),
+        ]
+
+
+def collect_motion(pilots: Sequence[AutopilotCommander], time_s: float) -> EstimatedMotion:
+    """What autopilots believe of their own motion, carried on to now.
+
+    Args:
+        pilots: R of them.
+        time_s: of their clock, now.
+
+    Raises:
+        RunError: one of them has not told yet.
+    """
+    states = np.array([pilot.estimate_state(time_s) for pilot in pilots])
+    p, v, q, omega = np.split(states, (3, 6, 10), axis=1)
+    q = quaternion_ned_to_enu(q)
+    q = q / np.linalg.norm(q, axis=1, keepdims=True)
+    velocity = _rotate_to_body(q, vector_ned_to_enu(v))
+    nu = np.concatenate([velocity, body_frd_to_flu(omega)], axis=1)
+    return EstimatedMotion(p=vector_ned_to_enu(p), q=q, nu=nu)
+
+
+def mode_name(number: int | None) -> str:
+    """Name of a mode."""
+    return "no mode" if number is None else MODE_NAMES.get(number, f"mode {number}")
+
+
+def _rotate_to_body(q: Floats, v: Floats) -> Floats:
+    """Vectors of W in F; [R] leads."""
+    w, axis = q[:, :1], -q[:, 1:]
+    twice_cross: Any = 2.0 * np.cross(axis, v)
+    rotated: Floats = v + w * twice_cross + np.cross(axis, twice_cross)
+    return rotated

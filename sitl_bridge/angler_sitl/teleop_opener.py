@@ -1,0 +1,42 @@
+"""Real autopilots opened to be driven by hand, by `angler_mjx.teleop`."""
+
+from pathlib import Path
+
+from angler_mjx.scenario.scenario import Scenario
+from angler_mjx.teleop.opening import OpenedSession, Report, SessionOpener
+from angler_sitl.firmware.parameters import CommandLevel, PositionSource
+from angler_sitl.session import SitlSession
+from angler_sitl.wire.ground_station import GroundStation
+
+
+def build_session_opener(
+    *, level: CommandLevel, source: PositionSource, gcs: str | None, binary: Path | None
+) -> SessionOpener:
+    """What `angler_mjx.teleop.driving.run_teleop` takes.
+
+    Args:
+        level: where commands enter.
+        source: where the autopilots learn their position.
+        gcs: ground station that may join.
+        binary: the ArduSub; None for the usual one.
+
+    Raises:
+        ConfigError: no such ground station.
+    """
+    station = None if gcs is None else GroundStation(gcs)
+
+    def open_session(
+        scenario: Scenario, world: int, logs: Path | None, report: Report | None
+    ) -> OpenedSession:
+        if report is not None:
+            count = len(scenario.members())
+            report(f"{scenario.name}: world {world}, compiling, then booting {count} ArduSub")
+        session = SitlSession(
+            scenario, world=world, level=level, source=source, binary=binary, folder=logs
+        )
+        if station is None:
+            return OpenedSession(session=session)
+        station.join(session)
+        return OpenedSession(session=session, watchers=[station])
+
+    return open_session

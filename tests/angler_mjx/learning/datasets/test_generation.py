@@ -1,0 +1,175 @@
+"""Datasets from their files: parts, splits, and what is kept when the making is broken off."""
+
+import json
+import subprocess
+from dataclasses import replace
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from angler_mjx.cli import main
+from angler_mjx.errors import ConfigError
+from angler_mjx.learning.datasets import generation, index, manifest, parts
+from angler_mjx.runs import multi_run, rollout
+from angler_mjx.runs.progress import SilentProgress
+from angler_mjx.runs.storage.folder import Run
+
+
+class Told(SilentProgress):
+    def part(self, number, of, name):
+        pass
+
+
+def rewritten(file, name, *changes):
+    text = file.read_text()
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    path = file.parent / name
+    path.write_text(text)
+    return path
+
+
+def test_what_is_made_is_whole(made):
+    found = manifest.read_manifest(made)
+    assert found.episodes == 6
+    assert [part.worlds for part in found.parts] == [4, 2]
+    assert len({part.seed for part in found.parts}) == 2
+    for part in found.parts:
+        run = Run(made / part.path)
+        assert run.summary["complete"]
+        assert run.scenario.seed == part.seed
+        assert run.episodes.num_rows == part.robots * part.worlds
+    checked = subprocess.run(
+        ["sha256sum", "--check", "--strict", "--quiet", manifest.SUMS],
+        cwd=made,
+        capture_output=True,
+        check=False,
+    )
+    assert checked.returncode == 0, checked.stderr
+    assert not (made / multi_run.REQUEST_FILE).exists()
+    text = (made / "README.md").read_text()
+    assert "- here: `variants` 3; `mass` [0.97, 1.03]; `thrust` [0.9, 1.0]" in text
+    assert "test_there" in text
+    assert "6 flights" in text
+    assert "pip install 'zarr[cast-value-rs]" in text, "plain readers need it for arrays in steps"
+
+
+def test_a_tile_is_as_large_as_memory_is_to_hold(file):
+    """Arrays of a world in float32, counted one by one, and no other number of worlds fits."""
+    config, table = parts.read_config(file)
+    part = parts.build_parts(config, table, 6, "file")[0]
+    assert generation.choose_tile(part) == 2  # of the file
+    scenario = part.scenario
+    time = scenario.time.model_copy(update={"horizon_s": 3600.0, "record_hz": 20.0})
+    flown = scenario.model_copy(update={"tile": None, "worlds": 10**6, "time": time})
+    tile = generation.choose_tile(replace(part, scenario=flown))
+    samples, robots, obstacles = 3600 * 20, 2, 2
+    # p, q, nu, target, current, pwm of 8, for each robot; p and q of each obstacle.
+    least = 4 * samples * (robots * (3 + 4 + 6 + 3 + 3 + 8) + obstacles * 7)
+    assert tile & (tile - 1) == 0
+    assert tile * least <= 2e9 <= 4 * tile * least
+
+
+def test_shares_are_kept_to_one_episode(file):
+    config, table = parts.read_config(
+        rewritten(
+            file,
+            "weights.toml",
+            ("weight = 2.0", "weight = 2.0\nteams = [1, 2, 4]"),
+            ('name = "grid"', 'name = "grid"\nweight = 3.0\n\n[[expert]]\nname = "priority"'),
+        )
+    )
+    found = parts.build_parts(config, table, 1000, "file")
+    assert sum(part.scenario.worlds for part in found) == 1000
+    for part in found:
+        share = (2 / 3 / 3 if part.scene == "here" else 1 / 3) * (
+            0.75 if part.expert == "grid" else 0.25
+        )
+        assert abs(part.scenario.worlds - 1000 * share) <= 1
+        assert len(part.scenario.members()) == part.robots
+        assert part.scenario.planner.name == part.expert
+    assert {part.robots for part in found if part.scene == "here"} == {1, 2, 4}
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ((("weight = 2.0", "weight = -1.0"),), "weight"),
+        ((('name = "there"', 'name = "here"'),), "is there twice"),
+        ((("train = 0.5", "train = 0.7"),), "must be 1"),
+        ((('name = "grid"', 'name = "nobody"'),), "nobody"),
+        ((("shifted = true", "set = { seed = 3 }"),), "give seed instead"),
+        ((("shifted = true", "set = { time = { record_hz = 1.0 } }"),), "recorded in one way"),
+    ],
+)
+def test_what_cannot_be_made_is_refused(file, tmp_path, changes, said):
+    path = rewritten(file, "faulty.toml", *changes)
+    with pytest.raises(ConfigError, match=said):
+        generation.make_dataset(generation.read_request(path, 6), tmp_path / "out", progress=Told())
+    assert not any(tmp_path.iterdir())
+
+
+def test_too_few_episodes_say_how_many_would_do(file, tmp_path):
+    with pytest.raises(ConfigError, match=r"--episodes 1: .* give 2 or more"):
+        generation.make_dataset(generation.read_request(file, 1), tmp_path / "out", progress=Told())
+
+
+def test_a_broken_off_making_goes_on_to_the_same_bytes(file, made, tmp_path, monkeypatch):
+    flown, out = [], tmp_path / "out"
+    whole = rollout.rollout
+
+    def broken(scenario, **how):
+        flown.append(scenario.seed)
+        if len(flown) == 2:
+            raise KeyboardInterrupt
+        return whole(scenario, **how)
+
+    monkeypatch.setattr(rollout, "rollout", broken)
+    with pytest.raises(KeyboardInterrupt):
+        generation.make_dataset(generation.read_request(file, 6), out, progress=Told())
+    with pytest.raises(ConfigError, match="--resume"):
+        generation.make_dataset(generation.read_request(file, 6), out, progress=Told())
+    with pytest.raises(ConfigError, match="other episodes"):
+        generation.make_dataset(generation.read_request(file, 5), out, progress=Told(), resume=True)
+    monkeypatch.setattr(rollout, "rollout", whole)
+    assert (
+        generation.make_dataset(generation.read_request(file, 6), out, progress=Told(), resume=True)
+        == out
+    )
+    with pytest.raises(ConfigError, match="complete"):
+        generation.make_dataset(generation.read_request(file, 6), out, progress=Told(), resume=True)
+    data = [p.relative_to(made) for p in made.rglob("trajectories.zarr/**/*") if p.is_file()]
+    assert data
+    for name in data:
+        assert (out / name).read_bytes() == (made / name).read_bytes()
+    assert index.read_index(out).equals(index.read_index(made))
+
+
+def test_show_and_stray_folders(made, tmp_path, capsys):
+    main.main(["dataset", "show", str(made)])
+    assert "test_there: 2" in capsys.readouterr().out
+    with pytest.raises(SystemExit):
+        main.main(["dataset", "show", str(tmp_path)])
+    assert "not a dataset" in capsys.readouterr().err
+
+
+def test_manifests_are_not_believed(copy):
+    path = copy / manifest.MANIFEST
+    table = json.loads(path.read_text())
+    for change, said in (
+        ({"schema_version": 7}, "schema_version = 7"),
+        ({"parts": [{**table["parts"][0], "path": "../elsewhere"}]}, "leaves the dataset's folder"),
+        ({"parts": [{**table["parts"][0], "path": "/etc"}]}, "leaves the dataset's folder"),
+        ({"episodes": 0}, "episodes"),
+    ):
+        path.write_text(json.dumps({**table, **change}))
+        with pytest.raises(ConfigError, match=said):
+            manifest.read_manifest(copy)
+    path.write_text("{")
+    with pytest.raises(ConfigError, match="not valid JSON"):
+        manifest.read_manifest(copy)
+    pq.write_table(pa.table({"a": [1]}), copy / manifest.INDEX)
+    with pytest.raises(ConfigError, match="holds the columns a"):
+        index.read_index(copy)
