@@ -1,6 +1,6 @@
 """Underwater multi-robot simulation in batches, on JAX and MJX.
 
-The public names are loaded when they are first used, so that importing the package costs nothing.
+Public names are loaded at their first use, so that importing the package is fast.
 """
 
 from importlib import import_module
@@ -86,12 +86,12 @@ _HOME = {
 
 
 def __dir__() -> list[str]:
-    """The public names beside what has been loaded."""
+    """Return the public names and those already loaded."""
     return sorted({*globals(), *__all__})
 
 
 def __getattr__(name: str) -> Any:
-    """Load a public name from where it is defined."""
+    """Load a public name from its module."""
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(_HOME[name]), name)

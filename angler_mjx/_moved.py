@@ -1,4 +1,4 @@
-"""Import paths of versions before 0.2: each is the module of today, with a DeprecationWarning."""
+"""Import paths of versions before 0.2: each loads the new module, with a DeprecationWarning."""
 
 import importlib
 import sys
@@ -44,7 +44,7 @@ MOVED = {
     "angler_mjx.vehicles": "angler_mjx.robot.vehicles",
     "angler_mjx.viewing": "angler_mjx.report.viewing",
 }
-"""Package or module of before, and of today; modules below have the same names."""
+"""New package or module by its old path; modules below have the same names."""
 
 RENAMED = {
     "angler_mjx.learning.environment": {"make": "make_env"},
@@ -59,11 +59,11 @@ RENAMED = {
     },
     "angler_mjx.sim.policy": {"Known": "PolicyInput"},
 }
-"""Public names of before, and of today, by module."""
+"""New public names by module and old name."""
 
 
 def moved(name: str) -> str | None:
-    """Return the path of today of a module; None if it has not moved."""
+    """Return the new path of a module; None if it has not moved."""
     before = name
     while before not in MOVED:
         before = before.rpartition(".")[0]
@@ -73,14 +73,14 @@ def moved(name: str) -> str | None:
 
 
 def renamed(module: str, name: str) -> Any:
-    """Return an attribute of a module by its name of before, with a DeprecationWarning.
+    """Return an attribute of a module by its old name, with a DeprecationWarning.
 
     Args:
-        module: of today; it calls this from its ``__getattr__``.
-        name: that the module does not have.
+        module: new module; calls this from its ``__getattr__``.
+        name: old name, which the module does not have.
 
     Raises:
-        AttributeError: the name is none of before either.
+        AttributeError: the name is no old name either.
     """
     today = RENAMED[module].get(name)
     if today is None:
@@ -94,15 +94,15 @@ def renamed(module: str, name: str) -> Any:
 
 
 def renamed_attribute(instance: object, name: str, names: Mapping[str, str]) -> Any:
-    """Return an attribute of an object by its name of before, with a DeprecationWarning.
+    """Return an attribute of an object by its old name, with a DeprecationWarning.
 
     Args:
-        instance: that lacks the name; its ``__getattr__`` calls this.
+        instance: object without the name; its ``__getattr__`` calls this.
         name: of the attribute.
-        names: those of today by those of before.
+        names: new names by old names.
 
     Raises:
-        AttributeError: the name is none of before either.
+        AttributeError: the name is no old name either.
     """
     kind, today = type(instance).__name__, names.get(name)
     if today is None:
@@ -116,7 +116,7 @@ def renamed_attribute(instance: object, name: str, names: Mapping[str, str]) -> 
 
 
 class _Finder(MetaPathFinder, Loader):
-    """Finds modules at their paths of before."""
+    """A finder of modules at their old paths."""
 
     def __init__(self) -> None:
         self._specs: dict[str, ModuleSpec | None] = {}
@@ -138,14 +138,14 @@ class _Finder(MetaPathFinder, Loader):
         return module
 
     def exec_module(self, module: ModuleType) -> None:
-        """Give the module its own spec back: the import system has put that of before there."""
+        """Restore the module's own spec: the import system has put the old path's spec there."""
         spec = module.__spec__
         if spec is not None and spec.name in self._specs:
             module.__spec__ = self._specs.pop(spec.name)
 
 
 def install() -> None:
-    """Let imports find modules at their paths of before."""
+    """Make the import system find modules at their old paths."""
     if not any(isinstance(finder, _Finder) for finder in sys.meta_path):
         # Before the path finder, which would load a second copy of a module in a moved package.
         sys.meta_path.insert(0, _Finder())

@@ -1,7 +1,7 @@
-"""The errors that angler raises at its boundary, and how they show what a person gave.
+"""Errors that angler raises at its boundary, and the format of user inputs in their messages.
 
-Inside traced code nothing raises: a robot that diverges carries an outcome. Everything here is
-raised on the host, before or after a device call, and says what was wrong, where, and what to do.
+Traced code raises no errors: a robot that diverges carries an outcome. These errors are raised on
+the host, before or after a device call, and state the fault, its place, and a remedy.
 """
 
 import re
@@ -13,23 +13,23 @@ from pathlib import Path
 from typing import Any
 
 MAX_VALUE_CHARACTERS = 60
-"""Characters of a value that a message repeats."""
+"""Max number of characters of a value in a message."""
 
 MAX_ERROR_CHARACTERS = 300
-"""Characters of an exception's text that a message repeats."""
+"""Max number of characters of an exception's text in a message."""
 
 _UNBROKEN_TEXT = re.compile(r"\S{400,}")
-"""A name or value that a message repeats and that nobody would read."""
+"""A name or value too long to read in a message."""
 
 _MAX_LEVELS = 3
-"""Of tables and lists within one another that a message repeats."""
+"""Max depth of nested tables and lists in a message."""
 
 
 class AnglerError(Exception):
     """Base of every error that angler raises on purpose; the CLI prints it and exits with 2."""
 
     def __str__(self) -> str:
-        """The message; control characters in it are escaped, and what has no end is cut."""
+        """Return the message, with control characters escaped and overlong values cut."""
         return _UNBROKEN_TEXT.sub(
             lambda word: word[0][:MAX_VALUE_CHARACTERS] + "...",
             escape_control_characters(super().__str__()),
@@ -37,25 +37,25 @@ class AnglerError(Exception):
 
 
 class ConfigError(AnglerError, ValueError):
-    """A file, flag or argument holds something that cannot be used."""
+    """A file, flag or argument holds a value that cannot be used."""
 
 
 class UnsupportedError(AnglerError, NotImplementedError):
-    """What was asked for exists elsewhere: another engine, device or extra."""
+    """The requested feature is not supported here, but by another engine, device or extra."""
 
 
 class RunError(AnglerError, RuntimeError):
-    """A run cannot start or go on: folder, disk, device."""
+    """A run cannot start or continue: folder, disk, device."""
 
 
 def describe_error(
     error: BaseException, file: Path | None = None, max_characters: int = MAX_ERROR_CHARACTERS
 ) -> str:
-    """Return type, text and place of an exception that a user's code raised, on one line.
+    """Return type, text and place of a user code's exception, on one line.
 
     Args:
-        error: that was caught.
-        file: of the user's code, where it is one file.
+        error: caught exception.
+        file: file of the user's code, where it is a single file.
         max_characters: characters of the exception's text.
 
     Returns:
@@ -70,11 +70,11 @@ def describe_error(
 
 @contextmanager
 def report_user_errors(description: str, file: Path | None = None) -> Iterator[None]:
-    """Turn what a user's code raises into one message.
+    """Turn exceptions of user code into one message.
 
     Args:
-        description: names the code in the message.
-        file: of the code, where it is one file.
+        description: name of the code in the message.
+        file: file of the code, where it is a single file.
 
     Raises:
         ConfigError: the code raised an exception; gives its type, text, file and line.
@@ -88,7 +88,7 @@ def report_user_errors(description: str, file: Path | None = None) -> Iterator[N
 
 
 def _innermost_frame(error: BaseException, file: Path | None) -> traceback.FrameSummary | None:
-    """Return the innermost line in a user's file; that of any code outside angler where none is."""
+    """Return the innermost line in a user's file, else of any code outside angler."""
     lines = list(traceback.extract_tb(error.__traceback__))
     if isinstance(error, SyntaxError) and error.filename:
         lines.append(traceback.FrameSummary(error.filename, error.lineno, ""))
@@ -102,7 +102,7 @@ def _innermost_frame(error: BaseException, file: Path | None) -> traceback.Frame
 
 _LIBRARIES = tuple({sysconfig.get_path(key) for key in ("stdlib", "platstdlib", "purelib")})
 _ANGLER = (str(Path(__file__).parent), "<")
-"""Folders of code that is no user's; ``<`` begins the names of code without a file."""
+"""Folders of code that is not the user's; ``<`` begins the names of code without a file."""
 
 
 def _is_of(filename: str, folders: tuple[str, ...]) -> bool:
@@ -110,9 +110,9 @@ def _is_of(filename: str, folders: tuple[str, ...]) -> bool:
 
 
 def escape_control_characters(text: str, *, keep: str = "\n") -> str:
-    """A text whose characters that do not print (but for those to keep) are written as Python does.
+    """Return a text with its non-printing characters, except those to keep, escaped as by Python.
 
-    A terminal takes orders by such characters, and the names and values of files can hold them.
+    Terminals interpret such characters, and names and values of files can hold them.
     """
     if text.isprintable():
         return text
@@ -128,7 +128,7 @@ def format_value(value: Any, max_characters: int = MAX_VALUE_CHARACTERS) -> str:
 
 
 def format_bytes(n_byte: float) -> str:
-    """A number of bytes for a message, in the unit that fits it, as in "3.46 MB"."""
+    """Return a number of bytes for a message, in a suitable unit, as in "3.46 MB"."""
     for unit, n_unit_bytes in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
         if n_byte >= n_unit_bytes:
             return f"{n_byte / n_unit_bytes:.3g} {unit}"
@@ -136,7 +136,7 @@ def format_bytes(n_byte: float) -> str:
 
 
 def _value_pieces(value: Any, max_characters: int, levels: int) -> Iterator[str]:
-    """Yield pieces of a value's text, little more than ``max_characters`` characters in all."""
+    """Yield pieces of a value's text, little more than ``max_characters`` characters in total."""
     match value:
         case str():
             yield repr(value[: max_characters + 1])

@@ -1,8 +1,7 @@
-"""Reading TOML and JSON files into checked models, with every fault of a file reported at once.
+"""Reading of TOML and JSON files into checked models; all faults of a file are reported at once.
 
-The only place that turns a pydantic complaint into the message a person reads. What no model can
-take (integers beyond 64 bits, tables within tables without end) is found here before any model
-sees it.
+Only this module turns pydantic errors into user messages. Values that no model can take (integers
+beyond 64 bits, unlimited nesting) are detected here before validation.
 """
 
 import json
@@ -20,39 +19,39 @@ from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, mod
 from angler_mjx.errors import ConfigError, escape_control_characters, format_value
 
 MAX_TOML_BYTES, MAX_JSON_BYTES = 1 << 19, 1 << 24
-"""Largest files that are read: what a person writes is far smaller, and so is a fleet's plan."""
+"""Max file sizes, far above those of hand-written files and fleet plans."""
 
 FOLDER_CONTEXT = "folder"
-"""Context of a check: where paths in a file begin; the working directory if it is not there."""
+"""Context of a check: base folder of paths in a file; the working directory if absent."""
 _SOURCE_CONTEXT = "source"
 """Context of a check: name of the file, for warnings."""
 
 _MAX_LEVELS = 32
-"""Tables within tables that a file may hold; models have 8 at most."""
+"""Max depth of nested tables in a file; models have 8 at most."""
 _MAX_FAULTS = 20
-"""Faults of a file that are told; a file with more is another kind of file."""
+"""Max number of reported faults; a file with more is of another kind."""
 _MAX_FAULTS_READ = 1000
 _MAX_FAULT_CHARACTERS = 400
-"""Characters of a fault."""
+"""Max number of characters of a fault."""
 _MAX_KEY_PARTS = 64
-"""Parts of a dotted key. Python's reader takes time with the square of their number."""
+"""Max number of parts of a dotted key. The run time of Python's reader is quadratic in it."""
 
 _KEY_PART = r"(?:(?<![\w-])[\w-]++|\"[^\"\n]*+\"|'[^'\n]*+')[ \t]*+\.[ \t]*+"
 _LONG_DOTTED_KEY = re.compile(f"(?:{_KEY_PART}){{{_MAX_KEY_PARTS}}}")
 
 
 class RenamedKeyWarning(FutureWarning):
-    """A file or a caller uses a key by its name of before; it is read until 1.0."""
+    """A file or a caller uses an old name of a key; it is accepted until 1.0."""
 
 
 class FileModel(BaseModel):
-    """Base of every model that is read from a file: frozen, no unknown keys, no NaN, no inf.
+    """Base of all models of files: frozen, no unknown keys, no NaN, no inf.
 
-    Types are strict: an integer will do for a float, but neither text nor true for a number.
+    Types are strict: an integer is accepted for a float, but neither text nor true for a number.
 
     Attributes:
-        renamed_keys: keys of before by the field's name of today, read until 1.0 with a
-            `RenamedKeyWarning`; without one from JSON, which holds what programs wrote.
+        renamed_keys: old keys and the fields' new names, accepted until 1.0 with a
+            `RenamedKeyWarning`; without a warning from JSON, which programs write.
     """
 
     renamed_keys: ClassVar[Mapping[str, str]] = {}
@@ -68,16 +67,16 @@ class FileModel(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _normalise_table(cls, data: Any, info: ValidationInfo) -> Any:
-        """Return a table with tuples for lists and today's keys, for callers in Python too."""
+        """Return a table with tuples for lists and new keys, for callers in Python too."""
         if not isinstance(data, Mapping):
             return data
         table = _normalise_value(data, 0)
         return _rename_keys(cls, table, (info.context or {}).get(_SOURCE_CONTEXT, ""))
 
-    if not TYPE_CHECKING:  # a checker would take every attribute for one
+    if not TYPE_CHECKING:  # hidden from type checkers, which would accept any attribute
 
         def __getattr__(self, name: str) -> Any:
-            """Return a field by its name of before, with a `RenamedKeyWarning`."""
+            """Return a field by its old name, with a `RenamedKeyWarning`."""
             today = type(self).renamed_keys.get(name)
             if today is None:
                 return super().__getattr__(name)
@@ -90,15 +89,15 @@ class FileModel(BaseModel):
 
 
 def rename_keys(model: type[FileModel], table: Mapping[str, Any], source: str) -> dict[str, Any]:
-    """Return a table with today's keys, those of tables within it too, before others are merged.
+    """Return a table with new keys, also in nested tables, before other tables are merged.
 
     Args:
-        model: of the table.
+        model: model of the table.
         table: plain tables and values.
-        source: name of the file, for warnings; none are given for JSON.
+        source: name of the file, for warnings; no warnings for JSON.
 
     Raises:
-        ValueError: a key is there by both of its names.
+        ValueError: a key is given by both of its names.
     """
     renamed = _rename_keys(model, dict(table), source)
     for name, field in model.model_fields.items():
@@ -133,7 +132,7 @@ def _rename_keys(model: type[FileModel], table: dict[str, Any], source: str) -> 
 
 
 def dump_for_digest(model: FileModel) -> dict[str, Any]:
-    """Return the JSON table of a model with keys as they were first called, so digests last."""
+    """Return the JSON table of a model with the original names of keys, so digests stay equal."""
     table: dict[str, Any] = model.model_dump(mode="json")
     for name in type(model).model_fields:
         value = getattr(model, name)
@@ -149,7 +148,7 @@ def dump_for_digest(model: FileModel) -> dict[str, Any]:
 
 
 def _file_models(annotation: Any) -> Iterator[type[FileModel]]:
-    """Yield the models that a field's type names."""
+    """Yield the models in a field's type."""
     if isinstance(annotation, TypeAliasType):
         annotation = annotation.__value__
     if isinstance(annotation, type) and issubclass(annotation, FileModel):
@@ -159,41 +158,41 @@ def _file_models(annotation: Any) -> Iterator[type[FileModel]]:
 
 
 def base_folder(info: ValidationInfo) -> Path:
-    """Where paths begin in the table that is checked: see `FOLDER_CONTEXT`."""
+    """Return the base folder of paths in the checked table: see `FOLDER_CONTEXT`."""
     return Path((info.context or {}).get(FOLDER_CONTEXT) or Path.cwd())
 
 
 def absolute_path(file: str, info: ValidationInfo) -> str:
-    """A path from the folder of the file that names it, made absolute; for validators."""
+    """Return the absolute path of a path relative to the naming file's folder; for validators."""
     return str((base_folder(info) / file).absolute())
 
 
 @dataclass(frozen=True)
 class Fault:
-    """One thing that is wrong with a table."""
+    """A fault in a table."""
 
     key: tuple[str | int, ...]
-    """Where: names of tables and keys, and indices from 0."""
+    """Location: names of tables and keys, and indices from 0."""
     text: str
     """Key, value and reason, on one line."""
 
 
 class FaultyError(Exception):
-    """A table that is no model."""
+    """A table does not fit its model."""
 
     def __init__(self, faults: Sequence[Fault]) -> None:
-        """Everything that is wrong with it."""
+        """Set up the error with all faults of the table."""
         super().__init__(f"{len(faults)} faults")
         self.faults = tuple(faults)
 
 
 def format_path(path: Path | str) -> str:
-    """A path for a message: on one line whatever its characters are."""
+    """Return a path for a message, on one line."""
     return escape_control_characters(str(path), keep="")
 
 
 def read_text(path: Path, max_bytes: int) -> str:
-    """Read a text file in UTF-8; a byte order mark at its beginning is no part of the text.
+    """Read a text file in UTF-8, without a byte order mark at its beginning.
 
     Raises:
         ConfigError: the file is missing, unreadable, not UTF-8, or larger than ``max_bytes``.
@@ -223,10 +222,10 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def parse_toml(text: str, source: str) -> dict[str, Any]:
-    """What a text in TOML holds.
+    """Parse a text in TOML.
 
     Raises:
-        ConfigError: it is not TOML; ``source`` is what the message calls it.
+        ConfigError: it is not TOML; ``source`` is its name in the message.
     """
     if _LONG_DOTTED_KEY.search(text):
         raise ConfigError(
@@ -237,7 +236,7 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
 
 
 def read_json(path: Path) -> Any:
-    """Read a JSON file; a key that stands twice in an object is refused.
+    """Read a JSON file; a repeated key in an object is refused.
 
     Raises:
         ConfigError: the file is missing, unreadable or not JSON.
@@ -246,10 +245,10 @@ def read_json(path: Path) -> Any:
 
 
 def parse_json(text: str, source: str) -> Any:
-    """What a text in JSON holds; a key that stands twice in an object is refused.
+    """Parse a text in JSON; a repeated key in an object is refused.
 
     Raises:
-        ConfigError: it is not JSON; ``source`` is what the message calls it.
+        ConfigError: it is not JSON; ``source`` is its name in the message.
     """
     return _parse_text(source, "JSON", lambda: json.loads(text, object_pairs_hook=_unique_keys))
 
@@ -266,20 +265,20 @@ def _parse_text(source: str, kind: str, parser: Callable[[], Any]) -> Any:
             f"{source}: not valid {kind}: nested too deep; {_MAX_LEVELS} levels can be read"
         ) from error
     except ValueError as error:
-        # Beside faults of the language: numbers with more digits than Python converts.
+        # Beside syntax errors: numbers with more digits than Python converts.
         reason = str(error).partition(";")[0] if "digits" in str(error) else str(error)
         raise ConfigError(f"{source}: not valid {kind}: {reason}") from error
 
 
 class _DuplicateKeyError(Exception):
-    """A key that an object has twice."""
+    """A repeated key of an object."""
 
 
 def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     table = dict(pairs)
     if len(table) < len(pairs):
         unique_keys = list(table)
-        # The keys of a table stand in the order in which they first came.
+        # Keys of a table keep the order of their first occurrence.
         duplicate = next(
             name
             for i, (name, _) in enumerate(pairs)
@@ -296,9 +295,9 @@ def parse_model[M: FileModel](
 
     Args:
         model: The model to build.
-        data: Plain tables and values, as TOML and JSON give them.
+        data: Plain tables and values, as read from TOML and JSON.
         source: Name of the file, for the message.
-        context: For validators.
+        context: Context for validators.
 
     Raises:
         ConfigError: one message that lists every fault with its key, value and reason.
@@ -312,12 +311,12 @@ def parse_model[M: FileModel](
 def validate_model[M: FileModel](
     model: type[M], data: Any, context: Mapping[str, Any] | None = None
 ) -> M:
-    """As `parse_model`, for callers that put the message together themselves.
+    """Check ``data`` as `parse_model` does, for callers that compose the message themselves.
 
     Args:
         model: The model to build.
         data: Plain tables and values.
-        context: For validators.
+        context: Context for validators.
 
     Raises:
         FaultyError: with every fault.
@@ -335,7 +334,7 @@ def validate_model[M: FileModel](
 
 
 def format_faults(source: str, faults: Sequence[str]) -> str:
-    """The message of a file's faults: a line for each."""
+    """Return the message of a file's faults, one line for each."""
     head = f"{format_path(source)}: {len(faults)} fault{'s' if len(faults) != 1 else ''}"
     lines = [f"  {fault}" for fault in faults[:_MAX_FAULTS]]
     more = [f"  and {len(faults) - _MAX_FAULTS} more"] if len(faults) > _MAX_FAULTS else []
@@ -344,7 +343,7 @@ def format_faults(source: str, faults: Sequence[str]) -> str:
 
 @dataclass(frozen=True)
 class _RejectedValue:
-    """Stands for a value that no model may see."""
+    """A placeholder for a value that no model can take."""
 
     text: str
     reason: str
@@ -354,7 +353,7 @@ class _RejectedValue:
 
 
 def _normalise_value(value: Any, level: int) -> Any:
-    """The same with tuples for lists, and with `_RejectedValue` for what no model can take."""
+    """Return a value with tuples for lists, and `_RejectedValue` for values no model can take."""
     match value:
         case Mapping() | list() | tuple() if level > _MAX_LEVELS:
             return _RejectedValue("...", f"nested too deep; {_MAX_LEVELS} levels can be read")
@@ -379,7 +378,7 @@ def _normalise_value(value: Any, level: int) -> Any:
 
 
 def _is_consequent(entry: Mapping[str, Any]) -> bool:
-    """Whether an entry follows from others: a tuple lacks its faulty members to pydantic."""
+    """Return whether an entry follows from others: pydantic drops faulty members of a tuple."""
     if entry["type"] != "too_short":
         return False
     return len(entry["input"]) >= int(entry["ctx"]["min_length"])
@@ -409,12 +408,12 @@ def _build_fault(entry: dict[str, Any]) -> Fault:
         )
     message = "\n  ".join(_shorten(line, _MAX_FAULT_CHARACTERS) for line in message.splitlines())
     if entry["type"] == "value_error" and isinstance(value, Mapping):
-        # Of a whole table: the message says which of its keys.
+        # Of a whole table: the message names its keys.
         return Fault(key, f"{path}: {message}")
     return Fault(key, f"{path} = {format_value(value)}: {message}")
 
 
 def _shorten(text: str, max_characters: int) -> str:
-    """A text of ``max_characters`` characters at most, its middle left out."""
+    """Return a text of ``max_characters`` characters at most, with its middle left out."""
     half = max_characters // 2 - 3
     return text if len(text) <= max_characters else f"{text[:half]} ... {text[-half:]}"

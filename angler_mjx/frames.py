@@ -1,9 +1,10 @@
-"""The only module that changes a convention: east-north-up with forward-left-up, and its mirror.
+"""Conversions of conventions, only in this module: ENU/FLU and its mirror NED/FRD.
 
-Inside the simulator everything is ENU (world) and FLU (body). North-east-down and
-forward-right-down exist at the edges alone: autopilots, SNAME tables, the controllers of other
-projects. Every map here is its own inverse; both names are given so that a call says which way it
-goes. Functions take NumPy or JAX arrays with any leading axes and return the same kind and dtype.
+Inside the simulator all quantities are in ENU, east-north-up (world), and FLU, forward-left-up
+(body). North-east-down and forward-right-down exist only at the interfaces: autopilots, SNAME
+tables, the controllers of other projects. Every map here is its own inverse; both names exist so
+that a call states its direction. Functions take NumPy or JAX arrays with any leading axes and
+return the same kind and dtype.
 """
 
 import math
@@ -16,7 +17,7 @@ _HALF_SQRT = math.sqrt(0.5)
 
 
 def vector_enu_to_ned[A: (jax.Array, np.ndarray)](vector: A) -> A:
-    """East-north-up to north-east-down: [x, y, z] -> [y, x, -z].
+    """Convert east-north-up to north-east-down: [x, y, z] -> [y, x, -z].
 
     Args:
         vector: [..., 3] in ENU.
@@ -28,12 +29,12 @@ def vector_enu_to_ned[A: (jax.Array, np.ndarray)](vector: A) -> A:
 
 
 def vector_ned_to_enu[A: (jax.Array, np.ndarray)](vector: A) -> A:
-    """North-east-down to east-north-up; see ``vector_enu_to_ned``."""
+    """Convert north-east-down to east-north-up; see ``vector_enu_to_ned``."""
     return vector_enu_to_ned(vector)
 
 
 def body_flu_to_frd[A: (jax.Array, np.ndarray)](vector: A) -> A:
-    """Forward-left-up to forward-right-down: [x, y, z] -> [x, -y, -z].
+    """Convert forward-left-up to forward-right-down: [x, y, z] -> [x, -y, -z].
 
     Args:
         vector: [..., 3] in FLU, or [..., 6] for a twist [v, w] or a wrench [force, torque].
@@ -46,12 +47,12 @@ def body_flu_to_frd[A: (jax.Array, np.ndarray)](vector: A) -> A:
 
 
 def body_frd_to_flu[A: (jax.Array, np.ndarray)](vector: A) -> A:
-    """Forward-right-down to forward-left-up; see ``body_flu_to_frd``."""
+    """Convert forward-right-down to forward-left-up; see ``body_flu_to_frd``."""
     return body_flu_to_frd(vector)
 
 
 def quaternion_enu_to_ned[A: (jax.Array, np.ndarray)](quaternion: A) -> A:
-    """Attitude FLU in ENU to attitude FRD in NED.
+    """Convert attitude FLU in ENU to attitude FRD in NED.
 
     q_NB = q_NW q_WF q_FB with q_NW = [0, 1, 1, 0] / sqrt(2) and q_FB = [0, 1, 0, 0], multiplied
     out and with the sign turned so that small tilts at heading north keep w > 0.
@@ -68,7 +69,7 @@ def quaternion_enu_to_ned[A: (jax.Array, np.ndarray)](quaternion: A) -> A:
 
 
 def quaternion_ned_to_enu[A: (jax.Array, np.ndarray)](quaternion: A) -> A:
-    """Attitude FRD in NED to attitude FLU in ENU; see ``quaternion_enu_to_ned``."""
+    """Convert attitude FRD in NED to attitude FLU in ENU; see ``quaternion_enu_to_ned``."""
     return quaternion_enu_to_ned(quaternion)
 
 

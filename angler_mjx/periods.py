@@ -1,4 +1,4 @@
-"""What is done in some control steps only."""
+"""Computations in every n-th control step."""
 
 from collections.abc import Callable
 
@@ -8,15 +8,15 @@ import jax
 def every_n_steps[T](
     period: int, number: jax.Array, do: Callable[[], T], otherwise: Callable[[], T], every: int = 1
 ) -> T:
-    """One thing in every n-th control step, and another one in the rest.
+    """Return ``do()`` in every n-th control step, and ``otherwise()`` in the others.
 
     Args:
         period: n.
-        number: int32 [] control steps taken.
-        do: worked out in those whose number is a multiple of n.
-        otherwise: in the others.
-        every: what number is known to be a multiple of when the program is made: where n divides
-            it, nothing has to be decided on the device.
+        number: int32 [] number of control steps taken.
+        do: computed in steps whose number is a multiple of n.
+        otherwise: computed in the others.
+        every: known divisor of number at compile time: where n divides it, the device needs no
+            branch.
     """
     if every % period == 0:
         return do()

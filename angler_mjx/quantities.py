@@ -1,14 +1,15 @@
-"""Bounds of what stands in files: numbers beyond them mean a slip of unit or of the finger."""
+"""Bounds of values in files: values beyond them indicate a wrong unit or a typing error."""
 
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field
 
 MAX_COORDINATE_M = 20_000.0
-"""Longest length and farthest place in a file: float32 tells places there apart by 2 mm, and no sea
-is deeper than 11 km."""
+"""Max length and coordinate in a file: float32 resolves positions there to 2 mm, and no sea is
+deeper than 11 km."""
 MAX_SPEED_MPS = 20.0
-"""Fastest water and obstacle in a file: the fastest tidal stream, Saltstraumen, makes 10 m/s."""
+"""Max speed of water and obstacles in a file: the fastest tidal stream, Saltstraumen, reaches 10
+m/s."""
 
 type Coordinate = Annotated[float, Field(ge=-MAX_COORDINATE_M, le=MAX_COORDINATE_M)]
 type Length = Annotated[float, Field(ge=0, le=MAX_COORDINATE_M)]
@@ -35,4 +36,4 @@ def _reject_bool(value: Any) -> Any:
 
 type SchemaVersion = Annotated[Literal[1], BeforeValidator(_reject_bool)]
 type Sign = Annotated[Literal[-1, 1], BeforeValidator(_reject_bool)]
-"""For ``Literal`` alone, true is 1."""
+"""A sign; validated before ``Literal``, which accepts true as 1."""

@@ -1,4 +1,4 @@
-"""`angler bench`: how fast this machine is, as a table and as JSON lines; and what became of it."""
+"""`angler bench`: speed of this machine, as a table and as JSON lines; comparison and charts."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -30,32 +30,31 @@ def bench(
     chart: Path | None = None,
     table: Path | None = None,
 ) -> None:
-    """Measure how fast this machine is; or compare, draw or tabulate what was measured.
+    """Measure the speed of this machine; or compare, plot or tabulate measured results.
 
     Args:
         workload: dynamics, closed_loop_8, reef_fleet, mjx, recording, preparation, env_generation,
-            clearance, compile, or scenarios by name or path, several after one another; the
-            profile's if left out.
-        scenario: Scenarios that --workload compile compiles, by name or path; all shipped ones if
-            left out.
-        worlds: Worlds in one device call; one row for each number, as in --worlds 64 1024;
-            the profile's if left out, of compile those of a run of the scenario.
+            clearance, compile, or scenarios by name or path, one or several; the profile's if left
+            out.
+        scenario: Scenarios of --workload compile, by name or path; all shipped ones if left out.
+        worlds: Worlds in one device call; one row for each number, as in --worlds 64 1024; the
+            profile's if left out, for compile the worlds of a run of the scenario.
         robots: Robots in each world, as in --robots 1 4 16; the workload's own if left out, and
             always one in dynamics.
         engine: Engine of the simulations; the workload's own if left out.
-        kernels: What the fused engine is compiled by.
+        kernels: Compiler of the fused engine.
         controller: Controllers of the simulations by name, one row for each, as in --controller
             cascade tracking; the scenario's own if left out.
-        profile: Workloads and sizes where none are given: quick takes minutes on a laptop, full
-            and paper want a GPU.
+        profile: Default workloads and sizes: quick takes minutes on a laptop, full and paper need a
+            GPU.
         repeats: Timed calls of each row, at least 10.
-        device: Where to compute; JAX's choice if left out.
-        devices: Devices for the simulations; each has as many worlds as are asked for.
-        out: File to write: of rows (appended; benchmarks/results.jsonl if left out), the picture
-            of --chart, or the document of --table. recording writes to the disk it stands on.
+        device: Device to compute on; JAX's choice if left out.
+        devices: Devices for the simulations; each has the requested number of worlds.
+        out: File to write: rows (appended; benchmarks/results.jsonl if left out), the image of
+            --chart, or the document of --table. recording writes to the disk of this file.
         compare: Two files of rows, or two commits with rows in --out: print second over first.
-        chart: Draw a file of rows.
-        table: Print a file of rows as Markdown, or put it into the document --out.
+        chart: Plot a file of rows.
+        table: Print a file of rows as Markdown, or insert it into the document --out.
     """
     if [compare, chart, table].count(None) < 2:
         raise ConfigError("--compare, --chart, --table: give one of them")
@@ -156,7 +155,7 @@ def _print_rows(rows: "list[SpeedRow]", device: Any) -> None:
 
 
 def _build_seconds_table(rows: "list[SpeedRow]") -> Any:
-    """A table of the seconds of compiling, cold and cached side by side."""
+    """Return a table of the compile times, cold and cached side by side."""
     from angler_mjx.cli.shared.text_table import build_text_table as text_table
 
     table = text_table("workload", "worlds x robots", "empty cache", "full cache")
@@ -171,12 +170,12 @@ def _build_seconds_table(rows: "list[SpeedRow]") -> Any:
 
 
 def _row_name(row: "SpeedRow") -> str:
-    """Workload of a row; of seconds, whose rows are timed alike, without scenario and program."""
+    """Return the workload of a row; for compile times without scenario and program."""
     return row.workload.partition("/")[0] if row.unit == "s" else row.workload
 
 
 def _format_recording(row: "SpeedRow") -> str:
-    """What a row of recording has to say beside its rate."""
+    """Return the details of a recording row beside its rate."""
     x = row.extra
     return (
         f"{row.workload}, {_format_size(row)}: {x['disk_ratio']:.0%} of what the disk takes, "
@@ -188,7 +187,7 @@ def _format_recording(row: "SpeedRow") -> str:
 
 
 def _format_size(row: Any) -> str:
-    """Worlds and robots of a row or a ratio."""
+    """Return the worlds and robots of a row or a ratio."""
     size = f"{row.worlds:,} x {row.robots}"
     return size if row.devices == 1 else f"{row.devices} devices x {size}"
 
@@ -229,7 +228,7 @@ def _format_median(median: float, unit: str) -> str:
 
 
 def _format_interval(row: Any) -> str:
-    """Least and greatest ratio that the repeats allow; of one repeat nothing can be said."""
+    """Return the min and max ratio over the repeats; empty for a single repeat."""
     if row.repeats == 1:
         return "measured once"
     return f"{row.low:.2f} to {row.high:.2f}" + ("" if row.beyond_spread else ": no difference")

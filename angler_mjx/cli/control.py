@@ -15,18 +15,18 @@ def control(
     out: Path | None = None,
     device: Device | None = None,
 ) -> None:
-    """Fly the trials of the controllers: steps, a figure of eight, random draws.
+    """Fly the trials of the controllers: steps, a figure of eight, random samples.
 
-    Every shipped vehicle with every parameter set is flown, in open water, its state known exactly.
+    Every shipped vehicle flies with every parameter set, in open water, with its true state known.
 
     Args:
         controller: Controllers by name, as in --controller cascade tracking; all if left out.
-        draws: Random draws of each controller (vehicle, battery, current, gains), seeds from 0 on;
-            10000 take about a minute a controller on two cores.
-        draw: Fly the draw of this seed alone and say what came of it.
+        draws: Random samples of each controller (vehicle, battery, current, gains), with seeds from
+            0; 10000 take about a minute a controller on two cores.
+        draw: Fly the sample of this seed alone and print its result.
         out: Document whose tables are replaced; figures go to images/ and seeds to
             control_draws.csv beside it. Printed only if left out.
-        device: Where to compute; JAX's choice if left out.
+        device: Device to compute on; JAX's choice if left out.
     """
     if draws < 0 or (draw is not None and draw < 0):
         raise ConfigError("--draws, --draw: give 0 or more")
@@ -88,7 +88,7 @@ def _fly_trials(names: Sequence[str], n_samples: int, out: Path | None) -> None:
 
 
 def _progress_bar(console: Any, n_samples: int) -> Any:
-    """A bar of draws; what it gives takes the number of those just done."""
+    """Return a progress bar of samples; it yields a function of the number just done."""
     from contextlib import contextmanager
 
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn

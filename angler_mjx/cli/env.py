@@ -1,4 +1,4 @@
-"""`angler env`: generate environments into a file, and look at one of them."""
+"""`angler env`: generate environments into a file, and render one of them."""
 
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -25,12 +25,12 @@ def make_environments(
         out: File to make, for example envs.zarr.
         preset: Kind of world: angler2024, sparse, reef, dense, corridor, open, angler_nine_boxes.
         count: Number of worlds.
-        seed: World i of a seed is the same whatever the count.
-        density: Share of cells that are occupied; the preset's if left out.
-        robots: Number of robots that get a start and a goal.
-        radius_m: Radius of their bounding sphere.
-        placement: Where they start and go; the preset's if left out.
-        tile: Worlds generated at once.
+        seed: Seed of the worlds; world i of a seed does not depend on the count.
+        density: Fraction of occupied cells; the preset's if left out.
+        robots: Number of robots with a start and a goal.
+        radius_m: Radius of the robots' bounding sphere, m.
+        placement: Placement of starts and goals; the preset's if left out.
+        tile: Number of worlds generated at once.
     """
     for name, number, maximum in (
         ("count", count, 10**9),
@@ -71,12 +71,12 @@ def make_environments(
 def show_environment(
     file: Annotated[Path, tyro.conf.Positional], index: int = 0, *, out: Path
 ) -> None:
-    """Draw one environment of a file.
+    """Render one environment of a file.
 
     Args:
-        file: Made by `angler env make`, or a run folder that stored trajectories.
-        index: Which world.
-        out: Picture to write, for example env.png.
+        file: File of `angler env make`, or a run folder with stored trajectories.
+        index: Index of the world.
+        out: Image to write, for example env.png.
     """
     from angler_mjx.report.viewing import environment_figure, style
     from angler_mjx.runs.storage import environments as store
@@ -87,7 +87,7 @@ def show_environment(
     count = valid.shape[0]
     if not 0 <= index < count:
         raise ConfigError(f"--index {index}: {file} holds worlds 0 to {count - 1}")
-    config: Any = group.attrs.get("world_config")  # a run's environments carry none
+    config: Any = group.attrs.get("world_config")  # environments of a run have none
     name = str(config.get("preset", file.name)) if isinstance(config, dict) else file.name
     figure = environment_figure.plot_environment(
         store.read_environments(group, index), title=f"{name}, world {index}"

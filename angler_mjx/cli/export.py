@@ -8,7 +8,7 @@ import tyro
 from angler_mjx.errors import ConfigError
 
 MAX_DIGITS = 10
-"""Of the index of a world: a run has 1e9 at most."""
+"""Max number of digits of a world index: a run has 1e9 worlds at most."""
 
 
 def export(
@@ -17,12 +17,12 @@ def export(
     worlds: str | None = None,
     force: bool = False,
 ) -> None:
-    """Write worlds of a run folder into a bag that ROS 2 and Foxglove open.
+    """Write worlds of a run folder into a bag for ROS 2 and Foxglove.
 
     Args:
         run: Run folder.
         mcap: Bag to make, for example out.mcap.
-        worlds: Indices, as in 0,3; the worst and one good world if left out.
+        worlds: Indices of the worlds, as in 0,3; the worst and one good world if left out.
         force: Replace an older bag.
     """
     world_indices = None if worlds is None else parse_indices(worlds)
@@ -48,10 +48,10 @@ def export(
 
 
 def parse_indices(text: str) -> list[int]:
-    """Whole numbers with commas between them.
+    """Parse whole numbers separated by commas.
 
     Raises:
-        ConfigError: the text is something else, or beyond any run.
+        ConfigError: the text has another form, or an index exceeds any run.
     """
     from angler_mjx.errors import format_value
 

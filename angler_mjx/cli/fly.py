@@ -1,4 +1,4 @@
-"""`angler fly`: one scene, by a policy or by plans that are looked after, through a session."""
+"""`angler fly`: one scene through a session, by a policy or with plans updated in flight."""
 
 import sys
 import time
@@ -15,7 +15,7 @@ from angler_mjx.cli.sitl.run import build_opener as real_autopilots
 from angler_mjx.errors import ConfigError, RunError
 
 _EXIT_INTERRUPTED = 130
-"""Exit code of a shell's command that Ctrl-C ended."""
+"""Exit code of a shell command after Ctrl-C."""
 
 
 def fly(
@@ -35,27 +35,28 @@ def fly(
     ardusub: Path | None = None,
     device: Device = "cpu",
 ) -> None:
-    """Fly one world step by step, planning anew, keeping order, or by a policy.
+    """Fly one world step by step: by a policy, with replanning, or in the order of passing.
 
     Args:
         scenario: Name of a shipped scenario, or path of a scenario file (.toml).
-        planner: That plans; the scenario's if left out.
-        replan_hz: How often robots are planned for anew while they fly; 0: never.
-        information: Information level of what moves for planners and policies, such as
-            obstacles=observed,current=predicted; of what is not named, nothing. The scenario's if
-            left out.
-        order: Whether robots that are in time wait for those that are to pass a place before them.
-        policy: That commands the robots instead of their plans; the scenario's if left out.
-        session: What moves: the simulator, or real autopilots.
+        planner: Planner; the scenario's if left out.
+        replan_hz: Rate of replanning in flight; 0: none.
+        information: Information level of planners and policies, such as
+            obstacles=observed,current=predicted; nothing for a part that is not named. The
+            scenario's if left out.
+        order: Order of passing: free, kept (robots wait for those that pass a place before them by
+            the plans), or auto.
+        policy: Policy that commands the robots instead of their plans; the scenario's if left out.
+        session: Vehicles: simulated, or real autopilots.
         out: Run folder to make, for figures, replays and exports.
         world: Index of the world.
         seed: Seed of the run; the scenario's if left out.
-        level: For --session sitl, what is sent; guided (targets) if left out.
-        source: For --session sitl, where ArduSub learns its position; vision if left out.
-        isolate: For --session sitl, do it in a network namespace of its own.
-        ardusub: For --session sitl, the ArduSub to run; else ANGLER_ARDUSUB, else the installed
-            one.
-        device: Where to compute.
+        level: For --session sitl, the command level; guided (targets) if left out.
+        source: For --session sitl, the source of ArduSub's position; vision if left out.
+        isolate: For --session sitl, run in a network namespace of its own.
+        ardusub: For --session sitl, the ArduSub binary; if left out, that of ANGLER_ARDUSUB, else
+            the installed one.
+        device: Device to compute on.
     """
     sitl_flags = {"level": level, "source": source, "ardusub": ardusub}
     sitl_only = [

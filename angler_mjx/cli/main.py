@@ -1,6 +1,6 @@
-"""The `angler` command: its subcommands, and how an error reaches a person.
+"""The `angler` command: its subcommands, and its error messages and exit codes.
 
-JAX is imported only by the commands that compute, so that `angler --help` answers at once.
+JAX is imported only by the commands that compute, so that `angler --help` prints at once.
 """
 
 import gc
@@ -41,13 +41,14 @@ from angler_mjx.files import RenamedKeyWarning
 EXIT_FAULT, EXIT_INTERRUPTED, EXIT_BROKEN_PIPE = 2, 130, 141
 
 GC_THRESHOLDS = (100_000, 20, 20)
-"""Thresholds of Python's garbage collector. With its own it looks 900 times while JAX traces what a
-command computes, finds next to nothing, and takes a fifth of that time."""
+"""Thresholds of Python's garbage collector. With the default ones it runs 900 times while JAX
+traces a computation, frees almost nothing, and takes a fifth of that time."""
 
 LOG_LEVEL = ("TF_CPP_MIN_LOG_LEVEL", "3")
-"""Level of XLA's own log on stderr, read when JAX is imported; a level that is set is kept. From 2
-minutes on, XLA logs every compilation as an error, "Very slow compile? If you want to file a bug",
-and has no other switch. Its true errors reach Python as exceptions, and fatal ones are logged."""
+"""Level of XLA's own log on stderr, read when JAX is imported; a level that is already set is kept.
+From 2 minutes on, XLA logs every compilation as an error, "Very slow compile? If you want to file a
+bug", and has no other switch. Its true errors reach Python as exceptions, and fatal ones are
+logged."""
 
 GROUPS: dict[str, dict[str, Callable[..., Any]]] = {
     "dataset": {
@@ -76,31 +77,31 @@ GROUPS: dict[str, dict[str, Callable[..., Any]]] = {
 """Commands of two words."""
 
 DEFAULT_SUBCOMMANDS = {"scenarios": "list"}
-"""What a group does when no second word is given."""
+"""Default subcommand of a group."""
 
 
 def _env_group() -> None:
-    """Generate environments into a file, and look at one of them."""
+    """Generate environments into a file, and render one of them."""
 
 
 def _sitl_group() -> None:
-    """Install a real ArduSub, look whether it can be run here, fly scenarios on it."""
+    """Install ArduSub, check whether it runs here, fly scenarios on it."""
 
 
 def _scenarios_group() -> None:
-    """List the shipped scenarios, print one, or print what a file of yours may hold."""
+    """List the shipped scenarios, print one, or print the keys of scenario and vehicle files."""
 
 
 def _study_group() -> None:
-    """Answer a question with as many worlds as it takes: how many robots does a task need."""
+    """Answer a question with as many worlds as it needs, such as the team size of a task."""
 
 
 def _vehicle_group() -> None:
-    """List vehicles, show what one can do, export its MuJoCo model."""
+    """List vehicles, show the performance of a vehicle, export its MuJoCo model."""
 
 
 def _dataset_group() -> None:
-    """Make datasets of flights for planners that learn, judge and show them."""
+    """Make datasets of flights for learning planners, verify and show them."""
 
 
 COMMANDS: dict[str, Callable[..., Any]] = {
@@ -129,7 +130,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "tune": tune.tune,
     "validate": validate.validate,
 }
-"""Commands of one word; the groups stand here for the help text alone."""
+"""Commands of one word; groups are listed here for the help text only."""
 
 
 RENAMED_FLAGS = {
@@ -160,7 +161,7 @@ def _print_warning(
     file: TextIO | None = None,
     line: str | None = None,
 ) -> None:
-    """Print a warning of a file's key as a message of the command; any other as Python does."""
+    """Print a warning on a file's key as a message of the command; any other as Python does."""
     if issubclass(category, RenamedKeyWarning):
         print(f"angler: {message}", file=sys.stderr)
     else:
@@ -168,14 +169,14 @@ def _print_warning(
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run one command.
+    """Run a command.
 
-    Exits with 0 when it is done, with 2 and one message on stderr when something given to it cannot
-    be used, a run cannot go on or a planner raised in every world, with 130 when it was
-    interrupted, with 141 when nobody reads what it prints any more, and with 1 after a traceback: a
-    fault of angler's own, to be reported, or of a planner that is debugged.
+    Exits with 0 on success, with 2 and one message on stderr when an input cannot be used, a run
+    cannot go on or a planner raised in every world, with 130 when interrupted, with 141 when the
+    reader of its output has closed it, and with 1 after a traceback: a fault of angler itself, to
+    be reported, or of a planner under debugging.
     """
-    # What stops a job on a cluster is to end it as cleanly as Ctrl-C does.
+    # A cluster's stop signal ends the command as cleanly as Ctrl-C.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     gc.set_threshold(*GC_THRESHOLDS)
     os.environ.setdefault(*LOG_LEVEL)
@@ -199,12 +200,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 args=args,
                 config=(tyro.conf.OmitArgPrefixes,),
             )
-        except SystemExit:  # --help ends so, with all of it still to be written
+        except SystemExit:  # --help ends this way, with its text still unwritten
             sys.stdout.flush()
             raise
         sys.stdout.flush()
     except BrokenPipeError:
-        # Who read it has read enough (angler --help | head): what is left goes nowhere.
+        # The reader closed the pipe (angler --help | head): the rest of the output is dropped.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(EXIT_BROKEN_PIPE)
     except AnglerError as error:

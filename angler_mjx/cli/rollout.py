@@ -1,4 +1,4 @@
-"""`angler rollout` and what is done with its run folder: figures and replay."""
+"""`angler rollout`, and figures and replay of its run folder."""
 
 import json
 import sys
@@ -48,36 +48,35 @@ def rollout(
         worlds: Number of worlds; the scenario's if left out.
         seed: Seed of the run; the scenario's if left out.
         out: Run folder to make; runs/NAME if left out.
-        engine: Physics engine; the scenario's if left out. fused is the faster one, for rigid
-            vehicles.
-        kernels: What the fused engine is compiled by; triton on a GPU, else xla, if left out.
-        device: Where to compute; JAX's choice if left out.
-        devices: Number of devices to spread the worlds over; all there are if left out. Changes no
+        engine: Physics engine; the scenario's if left out. fused is faster, for rigid vehicles.
+        kernels: Compiler of the fused engine; if left out, triton on a GPU, else xla.
+        device: Device to compute on; JAX's choice if left out.
+        devices: Number of devices to spread the worlds over; all available if left out. Changes no
             byte of the results.
         tile: Worlds in one device call; part of the results' bytes.
         chunk: Finished worlds held in memory until they are written; sized from free memory if left
             out.
         record_hz: Rate of the stored trajectories; 0 stores none.
-        resume: Go on with an interrupted run in the same folder.
+        resume: Continue an interrupted run in the same folder.
         distributed: Share the run with other processes, here or on other hosts; each is started
             with the same arguments and sees the same run folder.
-        coordinator: Where process 0 can be reached, HOST:PORT; Slurm and Open MPI tell it.
-        processes: How many processes there are; Slurm and Open MPI tell it.
-        process: Index of this one, from 0; Slurm and Open MPI tell it.
-        planner: That gives robots their paths; the scenario's if left out. One that angler plan
-            --list names, or FILE.py:CLASS.
-        replan_hz: How often robots are planned for anew while they fly; 0: never.
-        information: Information level of what moves for planners and policies, such as
-            obstacles=observed,current=predicted; of what is not named, nothing. The scenario's if
-            left out.
-        order: Whether robots that are in time wait for those that are to pass a place before them.
-        policy: That commands the robots instead of their plans; the scenario's if left out. Its
-            settings stand in the scenario's [policy.NAME].
-        workers: Processes that plan, where the planner is one of the host; one for each processor
-            if left out. Changes no byte of the results.
-        plans: File of plans to fly (angler plan, or written by anything else), instead of a
-            planner's.
-        figures: Draw figures and write a replay at the end.
+        coordinator: Address of process 0, HOST:PORT; detected under Slurm and Open MPI.
+        processes: Number of processes; detected under Slurm and Open MPI.
+        process: Index of this process, from 0; detected under Slurm and Open MPI.
+        planner: Planner of the robots' paths: one of angler plan --list, or FILE.py:CLASS; the
+            scenario's if left out.
+        replan_hz: Rate of replanning in flight; 0: none.
+        information: Information level of planners and policies, such as
+            obstacles=observed,current=predicted; nothing for a part that is not named. The
+            scenario's if left out.
+        order: Order of passing: free, kept (robots wait for those that pass a place before them by
+            the plans), or auto.
+        policy: Policy that commands the robots instead of their plans; the scenario's if left out.
+            Its settings stand in the scenario's [policy.NAME].
+        workers: Number of planning processes, for planners on the host; one for each processor if
+            left out. Changes no byte of the results.
+        plans: File of plans to fly (of angler plan or another program), instead of a planner's.
+        figures: Plot figures and write a replay at the end.
         json: Print one JSON object instead of the table.
     """
     choose_device(device, distributed=distributed)
@@ -164,18 +163,18 @@ def figures(
     robot: int | None = None,
     at: tuple[float, ...] = (),
 ) -> None:
-    """Draw the figures of a run folder again and write its replay.
+    """Plot the figures of a run folder again and write its replay.
 
     Args:
         run: Run folder.
-        beside: Run folder of the same worlds, flown otherwise: draw what is around one robot in
-            both, at a few times, instead.
-        world: With --beside: index of the world; one that ends differently if left out.
-        robot: With --beside: index of the robot; one that ends differently if left out.
+        beside: Run folder of the same worlds with other flights: plot instead the surroundings of
+            one robot in both, at a few times.
+        world: With --beside: index of the world; a world with different outcomes if left out.
+        robot: With --beside: index of the robot; a robot with different outcomes if left out.
         at: With --beside: times, s; some before the robot's first failure if left out.
 
     Raises:
-        ConfigError: the runs are not of the same worlds, or do not hold what is to be drawn.
+        ConfigError: the runs are not of the same worlds, or lack the data to plot.
     """
     from angler_mjx.runs.storage.folder import FIGURES, Run
 
@@ -199,7 +198,7 @@ def replay(
     world: int | None = None,
     out: Path | None = None,
 ) -> None:
-    """Open the Rerun viewer on one world of a run folder, or write that world to a file.
+    """Open the Rerun viewer on a world of a run folder, or write that world to a file.
 
     Args:
         run: Run folder.
@@ -221,7 +220,7 @@ def replay(
 
 
 def _write_figures(run: "Run") -> None:
-    """Figures and replay of a run; without trajectories or viewer it says what is missing."""
+    """Write the figures and replay of a run; print any missing requirements."""
     from angler_mjx.report.viewing import figures as drawing
     from angler_mjx.report.viewing import replay as viewer
 
@@ -240,7 +239,7 @@ def _format_count(number: int, noun: str) -> str:
 
 
 def _format_task(task: dict[str, Any]) -> str:
-    """How the tasks of the worlds went, in a line."""
+    """Return a line with the results of the tasks of the worlds."""
     rate, duration = task["completed"], task["completed_s"]
     completed = (
         f"task completed in {rate['count']} worlds, {100 * rate['rate']:.1f} % "
@@ -255,7 +254,7 @@ def _format_task(task: dict[str, Any]) -> str:
 
 
 def _print_summary(run: "Run", *, as_json: bool) -> None:
-    """End of a run: one JSON object, or the table and the place of the run folder."""
+    """Print the end of a run: one JSON object, or the table and the path of the run folder."""
     summary = run.summary
     if as_json:
         print(json.dumps(summary))

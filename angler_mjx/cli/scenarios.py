@@ -1,4 +1,4 @@
-"""`angler scenarios`: what ships, what is in it, and what may stand in such a file."""
+"""`angler scenarios`: list shipped scenarios, print a file, print the keys of such files."""
 
 import sys
 from typing import Annotated, Literal
@@ -21,7 +21,7 @@ def list_scenarios() -> None:
 
 
 def show_scenario(scenario: Annotated[str, tyro.conf.Positional]) -> None:
-    """Print the file of a scenario: to read it, or to begin one of your own.
+    """Print the file of a scenario, to read or as the start of a new scenario.
 
     Args:
         scenario: Name of a shipped scenario, or path of a scenario file (.toml).
@@ -35,10 +35,10 @@ def show_scenario(scenario: Annotated[str, tyro.conf.Positional]) -> None:
 
 
 def print_reference(file: Annotated[Literal["scenario", "vehicle"], tyro.conf.Positional]) -> None:
-    """Print what may stand in a file, key by key: types, units, defaults, bounds, meanings.
+    """Print the keys of a file: types, units, defaults, bounds, meanings.
 
     Args:
-        file: The kind of file.
+        file: Kind of file.
     """
     from angler_mjx.scenario.reference import format_page
 

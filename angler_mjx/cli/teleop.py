@@ -43,27 +43,28 @@ def teleop(
 
     Args:
         scenario: Name of a shipped scenario, or path of a scenario file (.toml).
-        robots: Robots to drive, as in 0,2; all if left out. Tab goes from one to the next.
-        session: What moves: the simulator, or real autopilots.
+        robots: Robots to drive, as in 0,2; all if left out. Tab selects the next robot.
+        session: Vehicles: simulated, or real autopilots.
         script: File of timed keys instead of the keyboard.
-        realtime: Run a script at real time and not as fast as possible; the keyboard always is.
+        realtime: Run a script at real time instead of as fast as possible; the keyboard always runs
+            at real time.
         out: Run folder to make, for figures, replays and exports.
         world: Index of the world.
         seed: Seed of the run; the scenario's if left out.
         rerun: Open the Rerun viewer beside the terminal; with --out, save the replay there too.
         duration: Seconds to drive; until Q or the end of the script if left out.
-        speed: Linear speed at the beginning, m/s.
-        turn: Angular speed at the beginning, rad/s.
-        silence: Seconds without a key after which a driven robot stops. Below the delay of the
-            keyboard's repetition, driving stutters.
-        level: For --session sitl, what is sent: sticks (poshold if left out, althold, manual),
+        speed: Initial linear speed, m/s.
+        turn: Initial angular speed, rad/s.
+        silence: Seconds without a key after which a driven robot stops. Driving stutters if it is
+            below the repeat delay of the keyboard.
+        level: For --session sitl, the command level: sticks (poshold if left out, althold, manual),
             targets (guided), or the signals of our own controllers (thrusters).
-        source: For --session sitl, where ArduSub learns its position; vision if left out.
-        gcs: For --session sitl, a ground station that may join, as in udp:127.0.0.1:14550.
-        isolate: For --session sitl, do it in a network namespace of its own.
-        ardusub: For --session sitl, the ArduSub to run; else ANGLER_ARDUSUB, else the installed
-            one.
-        device: Where to compute.
+        source: For --session sitl, the source of ArduSub's position; vision if left out.
+        gcs: For --session sitl, a ground station that may connect, as in udp:127.0.0.1:14550.
+        isolate: For --session sitl, run in a network namespace of its own.
+        ardusub: For --session sitl, the ArduSub binary; if left out, that of ANGLER_ARDUSUB, else
+            the installed one.
+        device: Device to compute on.
     """
     sitl_flags = {"level": level, "source": source, "gcs": gcs, "ardusub": ardusub}
     sitl_only = [
@@ -105,7 +106,7 @@ def teleop(
 
 
 def _print_drive(result: "DriveResult") -> None:
-    """How it went, in a line for all and a line for each robot."""
+    """Print the result of a drive, in a line for all and a line for each robot."""
     pace = "as fast as possible" if result.overruns is None else str(result.overruns)
     print(
         f"{result.scene_s:.2f} s of the scene in {result.wall_s:.2f} s, {result.steps} steps, "

@@ -1,4 +1,4 @@
-"""`angler tune`: gains found on thousands of flights."""
+"""`angler tune`: gains tuned on thousands of flights."""
 
 import sys
 from pathlib import Path
@@ -31,23 +31,23 @@ def tune(
 ) -> None:
     """Tune the gains of a controller on the robots of a scenario.
 
-    Steps, standing still and a figure of eight are flown in open water, in drawn currents, with
-    masses other than believed. The folder holds gains.toml, a table that scenarios take as it is,
-    a report with figures and, for ardusub, parameter files for ground stations.
+    Steps, station keeping and a figure of eight are flown in open water, in sampled currents, with
+    masses that differ from the model. The folder holds gains.toml, a table for scenarios, a report
+    with figures and, for ardusub, parameter files for ground stations.
 
     Args:
         scenario: Name of a shipped scenario, or path of a scenario file (.toml).
         controller: Name of the controller, as in scenarios.
-        objective: ise (error of pose), energy (the same and energy by way), or robust (worst tenth,
-            failures and oscillation).
+        objective: ise (error of pose), energy (error of pose and energy per distance), or robust
+            (worst tenth, failures and oscillation).
         out: Folder to make; runs/tune-CONTROLLER-OBJECTIVE if left out.
-        rollouts: Flights of each candidate; as many others are held out.
-        generations: Of the search: 8 or more candidates each for cma, one for gradient.
-        seed: Of the flights and of the search.
-        method: How to search; gradient for ise and energy of controllers that do not switch, else
-            cma, if left out.
-        resume: Go on with an interrupted tuning in the same folder, with the same arguments.
-        device: Where to compute; JAX's choice if left out.
+        rollouts: Flights of each candidate; the same number of others is held out.
+        generations: Generations of the search: 8 or more candidates each for cma, one for gradient.
+        seed: Seed of the flights and of the search.
+        method: Search method; if left out, gradient for ise and energy of controllers that do not
+            switch, else cma.
+        resume: Continue an interrupted tuning in the same folder, with the same arguments.
+        device: Device to compute on; JAX's choice if left out.
     """
     choose_device(device)
     from angler_mjx.scenario.scenario import load_scenario
@@ -82,7 +82,7 @@ def tune(
 
 
 class _TuningBar(ProgressDisplay):
-    """Flights done, the least cost so far, and the time left, on stderr."""
+    """Progress on stderr: flights done, min cost so far, and time left."""
 
     def __init__(self) -> None:
         super().__init__(

@@ -1,4 +1,4 @@
-"""`angler validate`: what the physics is, held against independent references, measured anew."""
+"""`angler validate`: the physics, measured again against independent references."""
 
 import sys
 from pathlib import Path
@@ -17,18 +17,18 @@ def validate(
     store: bool = False,
     out: Path | None = None,
 ) -> None:
-    """Measure every term against its reference, compare with what was stored, write the page.
+    """Measure every term against its reference, compare with the stored results, write the page.
 
-    Runs the tests that measure, and studies of convergence, engines and precision. Ends with 1 and
-    a line for each number that got worse. Needs a checkout.
+    Runs the measuring tests, and studies of convergence, engines and precision. Exits with 1 and a
+    line for each number that got worse. Needs a checkout.
 
     Args:
-        quick: Only what takes seconds, and few worlds; the page keeps the rest as it was.
-        from_: Take what tests already measured (pytest --deviations FILE, as make test does), and
+        quick: Run only short measurements with few worlds; the page keeps the other results.
+        from_: Use measurements of earlier tests (pytest --deviations FILE, as make test does), and
             run nothing.
-        page: Measure nothing; write the page again from what is stored.
-        check: Compare only, also the page with what it is made from; nothing is written.
-        store: What is found is what is expected from now on, also where it got worse.
+        page: Measure nothing; write the page again from stored results.
+        check: Compare only, also the page with its source; nothing is written.
+        store: Store the results as the new expected values, also where they got worse.
         out: Folder for validation.md and validation.json; docs/ of the checkout if left out.
     """
     from angler_mjx.testing.validation import terms

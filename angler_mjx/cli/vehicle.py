@@ -1,4 +1,4 @@
-"""``angler vehicle``: what vehicles there are, what one of them can do, and its MuJoCo model."""
+"""``angler vehicle``: the shipped vehicles, their performance, and their MuJoCo models."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated

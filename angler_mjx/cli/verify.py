@@ -1,4 +1,4 @@
-"""`angler verify`: a run judged anew from its trajectories, and compared with its results."""
+"""`angler verify`: a run evaluated again from its trajectories, and compared with its results."""
 
 import json as text
 import sys
@@ -16,7 +16,7 @@ EXIT_DISAGREES = 1
 EXIT_INCONCLUSIVE = 3
 
 MAX_DIFFERENCES = 100
-"""Differences that are printed; the JSON object holds all."""
+"""Max number of differences printed; the JSON object holds all."""
 
 
 def verify(
@@ -24,18 +24,18 @@ def verify(
     worlds: str | None = None,
     json: Annotated[bool, tyro.conf.arg(name="json")] = False,
 ) -> None:
-    """Judge a run anew from its trajectories, and say what does not agree with its results.
+    """Evaluate a run again from its trajectories, and print the differences to its results.
 
-    A second judge, which shares nothing with the simulator, works out every robot's outcome, times,
-    path, energy, clearance and touch. Record at the control rate (--record-hz 20 where control_dt_s
-    is 0.05) to have all of them worked out; of other runs it says what can only be bounded. Exits
-    with 0 when nothing disagrees and outcomes were worked out anew, with 1 when something
-    disagrees, with 2 when the run cannot be judged, with 3 when nothing disagrees but no outcome
-    could be worked out anew.
+    An independent evaluation, which shares no code with the simulator, computes every robot's
+    outcome, times, path, energy, clearance and touch. Record at the control rate (--record-hz 20
+    where control_dt_s is 0.05) to compute all of them; other runs are bounded only where exact
+    values cannot be computed. Exits with 0 when all values agree and outcomes were computed, with 1
+    when values disagree, with 2 when the run cannot be evaluated, with 3 when all values agree but
+    no outcome could be computed.
 
     Args:
         run: Run folder.
-        worlds: Indices, as in 0,3; all that are finished if left out.
+        worlds: Indices of the worlds, as in 0,3; all finished worlds if left out.
         json: Print one JSON object instead of the table.
     """
     from rich.console import Console
@@ -99,7 +99,7 @@ def _print_verdict(verdict: "RefereeVerdict") -> None:
 
 
 def _format_conclusion(verdict: "RefereeVerdict") -> str:
-    """Return the last line: what the findings come to."""
+    """Return the last line: the conclusion of the findings."""
     if verdict.conclusion == "disagrees":
         wrong = sum(count.disagrees for count in verdict.counts.values())
         return f"does not agree: {wrong} findings"

@@ -1,4 +1,4 @@
-"""`angler warm`: compile what a run needs, and run nothing."""
+"""`angler warm`: compile the programs of a run, and run nothing."""
 
 from typing import Annotated, Any, Literal
 
@@ -19,16 +19,16 @@ def warm(
 ) -> None:
     """Compile the programs of a scenario into the cache, so that `angler rollout` starts sooner.
 
-    Give the flags that the run will get: each of these changes the programs. The last line that is
-    printed is the folder that keeps them.
+    Give the flags of the run: each of these changes the programs. The last printed line is the
+    cache folder.
 
     Args:
         scenario: Name of a shipped scenario, or path of a scenario file (.toml).
-        worlds: Number of worlds; the scenario's if left out. Counts where the tile is left out.
+        worlds: Number of worlds; the scenario's if left out. Used where the tile is left out.
         engine: Physics engine; the scenario's if left out.
-        kernels: What the fused engine is compiled by; triton on a GPU, else xla, if left out.
-        device: Where to compute; JAX's choice if left out.
-        devices: Number of devices to spread the worlds over; all there are if left out.
+        kernels: Compiler of the fused engine; if left out, triton on a GPU, else xla.
+        device: Device to compute on; JAX's choice if left out.
+        devices: Number of devices to spread the worlds over; all available if left out.
         tile: Worlds in one device call.
         record_hz: Rate of the stored trajectories; 0 stores none.
     """

@@ -1,1 +1,1 @@
-"""Figures, replays, tables and files of others, made of a results folder."""
+"""Figures, replays, tables and exchange files of a results folder."""

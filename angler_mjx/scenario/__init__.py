@@ -1,1 +1,1 @@
-"""Scenario files: what a run needs to know, checked before anything is computed."""
+"""Scenario files, checked before a run begins."""

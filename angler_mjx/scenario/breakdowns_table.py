@@ -1,4 +1,4 @@
-"""The table of a scenario file that says how many robots break down on their way, and when."""
+"""The table of a scenario file on robots that break down: fraction and times."""
 
 from collections.abc import Mapping
 from typing import ClassVar, Self
@@ -10,10 +10,10 @@ from angler_mjx.scenario.tables import TimeConfig
 
 
 class BreakdownsConfig(FileModel):
-    """Robots that break down on their way, for good; their episode ends as `failed`.
+    """Robots that break down in flight, for good; their episode ends as `failed`.
 
-    Each robot is drawn by itself, so worlds have more or fewer of them than the share says, and a
-    robot more in the fleet changes nothing for those before it. Nothing else that is drawn changes.
+    Each robot is sampled independently: the number of failures varies between worlds, and another
+    robot in the fleet changes nothing for those before it. No other sample changes.
     """
 
     renamed_keys: ClassVar[Mapping[str, str]] = {
@@ -21,12 +21,12 @@ class BreakdownsConfig(FileModel):
     }
 
     fraction: float = Field(default=0.0, ge=0.0, le=1.0)
-    """Of the robots: the chance of each; 0 for none."""
+    """Probability that a robot breaks down; 0 for none."""
     earliest_s: float = Field(default=0.0, ge=0.0, le=86400.0)
-    """Times are drawn evenly from here on. A robot ends with the first control period that is over
-    at its time or later, if its episode lasts that long."""
+    """Start of the interval in which times are uniformly sampled. A robot ends with the first
+    control period that is over at its time or later, if its episode lasts that long."""
     latest_s: float | None = Field(default=None, gt=0.0, le=86400.0)
-    """To here; the horizon if left out."""
+    """End of the interval; the horizon if left out."""
 
     @model_validator(mode="after")
     def _check_times_used(self) -> Self:
@@ -38,12 +38,12 @@ class BreakdownsConfig(FileModel):
         return self
 
     def span_s(self, horizon_s: float) -> tuple[float, float]:
-        """The earliest and the latest time, s."""
+        """Return the earliest and the latest time, s."""
         return self.earliest_s, horizon_s if self.latest_s is None else self.latest_s
 
 
 def check_breakdowns(breakdowns: BreakdownsConfig, time: TimeConfig) -> None:
-    """Refuse times that are none, or that no episode reaches.
+    """Refuse an empty interval, and times that no episode reaches.
 
     Raises:
         ValueError: naming the key and its value.

@@ -1,4 +1,4 @@
-"""Scenarios with other values than their files say: plain tables, changed key by key."""
+"""Scenarios with changed values: plain tables, changed key by key."""
 
 import copy
 import json
@@ -19,11 +19,11 @@ def _anchor_changes(table: dict[str, Any], info: ValidationInfo) -> dict[str, An
 
 
 type Changes = Annotated[dict[str, Any], AfterValidator(_anchor_changes)]
-"""Keys of a scenario in another file; paths in them begin at that file's folder."""
+"""Keys of a scenario in another file; their paths are relative to that file's folder."""
 
 
 def merge_tables(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """A table with other values; tables within it are merged, all else is replaced."""
+    """Return a table with changed values; nested tables are merged, other values replaced."""
     result = dict(table)
     for key, value in changes.items():
         old_value = result.get(key)
@@ -35,11 +35,11 @@ def merge_tables(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[s
 
 
 def first_changed_key(current: Mapping[str, Any], stored: Mapping[str, Any]) -> str | None:
-    """The dotted key of the first value that a table has otherwise than one that was written.
+    """Return the dotted key of the first value that differs from a stored table.
 
     Args:
         current: plain values; tuples are lists.
-        stored: read from a file; keys that it has at the top alone do not count.
+        stored: read from a file; additional keys at its top level do not count.
     """
     for key, value in current.items():
         stored_value = stored.get(key)
@@ -53,30 +53,30 @@ def first_changed_key(current: Mapping[str, Any], stored: Mapping[str, Any]) -> 
 
 
 def scenario_table(scenario: Scenario) -> dict[str, Any]:
-    """What a scenario's file said, in plain values; paths in it are absolute."""
+    """Return the keys of a scenario's file as plain values, with absolute paths."""
     table = scenario.model_dump(mode="json", exclude_unset=True)
     table["fleet"] = [entry.model_dump(mode="json", exclude_unset=True) for entry in scenario.fleet]
     return table
 
 
 def remove_horizon(table: dict[str, Any]) -> dict[str, Any]:
-    """A table whose horizon is that of its world's preset: for one that gets another world."""
+    """Return a table without its horizon, which then follows the preset of its new world."""
     time = {key: value for key, value in table.get("time", {}).items() if key != "horizon_s"}
     return {**table, "time": time}
 
 
 def set_value(table: dict[str, Any], key: str, value: Any) -> dict[str, Any]:
-    """A table in which one key has another value.
+    """Return a table in which one key has another value.
 
     Args:
         table: of a scenario.
         key: dotted, such as ``time.horizon_s``; entries of lists by their index from 0, as in
             ``fleet.0.count``, or all of them, as in ``fleet.*.estimate``. Settings of a planner
             stand in ``planner.NAME``, as in a file.
-        value: plain. A table takes the place of a whole table.
+        value: plain. A table replaces a whole table.
 
     Raises:
-        ConfigError: the key leads through something that is no table, or to no entry of a list.
+        ConfigError: the key leads through a value that is no table, or to no entry of a list.
     """
     parts = key.split(".")
     if parts[0] == "planner" and len(parts) > 2 and parts[1] not in PlannerConfig.model_fields:
@@ -87,7 +87,7 @@ def set_value(table: dict[str, Any], key: str, value: Any) -> dict[str, Any]:
 
 
 def _set_value(container: Any, parts: list[str], i: int, value: Any) -> None:
-    """Put a value into a table or list, where the parts from i on lead to."""
+    """Put a value into a table or list, at the parts of the key from i on."""
     part, is_last = parts[i], i == len(parts) - 1
     key, parent_key = ".".join(parts), ".".join(parts[:i])
     if isinstance(container, list):

@@ -1,4 +1,4 @@
-"""What a scenario file says about the robots of its fleet."""
+"""The table of a scenario file on the robots of its fleet."""
 
 from dataclasses import replace
 from typing import Annotated, Any, Self
@@ -21,38 +21,40 @@ type Weight = Annotated[float, Field(gt=0, le=1e9)]
 
 
 class FleetEntry(FileModel):
-    """One or more robots of a kind."""
+    """One or more equal robots."""
 
     vehicle: str
-    """Name of a shipped vehicle, or path of a vehicle file (.toml), from the folder of the scenario
-    file; kept as an absolute one."""
+    """Name of a shipped vehicle, or path of a vehicle file (.toml), relative to the folder of the
+    scenario file; stored as an absolute path."""
     count: int = Field(default=1, ge=1, le=1024)
-    """Number of such robots."""
+    """Number of robots."""
     parameter_set: str | None = None
-    """Name of one set of the vehicle; its default set if left out."""
+    """Name of a parameter set of the vehicle; its default set if left out."""
     parameter_mix: dict[str, Weight] = Field(default_factory=dict)
-    """Weights of several sets, drawn anew for each robot of each world; instead of one set."""
+    """Weights of several parameter sets, sampled for each robot of each world; instead of one
+    set."""
     battery_v: float = Field(default=16.0, gt=0.0)
-    """Within the voltages of the thruster file: 10 to 20 V for the T200."""
+    """Battery voltage, within the voltages of the thruster file: 10 to 20 V for the T200."""
     cruise_speed_mps: float = Field(default=0.5, gt=0.0, le=3.0)
-    """Greatest speed along a path; 60 % of the vehicle's terminal speed in surge, if that is
-    less."""
+    """Max speed along a path; at most 60 % of the vehicle's terminal speed in surge."""
     thruster_health: dict[str, float] = Field(default_factory=dict)
-    """Share of its thrust that each faulty thruster gives, 0 (dead) to 1 (sound), by its name in
+    """Fraction of its thrust that each faulty thruster gives, 0 (dead) to 1 (sound), by its name in
     the vehicle file."""
     fault_known: bool = True
-    """Whether the allocation knows thruster_health; if not, it takes all thrusters for sound."""
+    """Whether the allocation knows thruster_health; if not, it assumes sound thrusters."""
     rotor_response: RotorResponse | None = None
-    """First or third order; what the vehicle file says if left out. The same for a whole fleet."""
+    """Rotor response, first or third order; that of the vehicle file if left out. The same for a
+    whole fleet."""
     estimate: instrumented.Source = "truth"
-    """What the controllers are told: the true state, that with noise, or a navigation filter's."""
+    """State that the controllers use: the true state, the true state with noise, or the estimate of
+    a navigation filter."""
     sensors: SensorsConfig | None = None
     """Instruments, and the noise of "noisy"; the defaults if left out."""
 
     @field_validator("vehicle")
     @classmethod
     def _resolve_vehicle(cls, name: str, info: ValidationInfo) -> str:
-        """A path from the scenario's folder, made absolute; of a file without faults."""
+        """Return the vehicle with an absolute path; refuse a file with faults."""
         if name.endswith(".toml"):
             name = absolute_path(name, info)
         library.load_thruster(library.load_vehicle(name).rotor.model)
@@ -97,7 +99,7 @@ class FleetEntry(FileModel):
             require_flyable(config, limits)
 
     def drive_limits(self) -> list[Drive]:
-        """What the vehicle can do, with each of the parameter sets that it can have.
+        """Return the limits of the vehicle's motion, for each of its possible parameter sets.
 
         Raises:
             ConfigError: battery_v lies outside the thruster file.
@@ -123,15 +125,15 @@ class FleetEntry(FileModel):
         return limits
 
     def state_source(self) -> tuple[instrumented.Source, SensorsConfig]:
-        """What the controllers are told, and the instruments."""
+        """Return the source of the controllers' state, and the instruments."""
         return self.estimate, self.sensors or SensorsConfig()
 
     def build_member(self, number: int, randomise: RandomiseConfig) -> Member:
-        """The robots of this entry as the simulator takes them.
+        """Return the robots of this entry in the form that the simulator takes.
 
         Args:
-            number: of the entry.
-            randomise: how they differ from their files.
+            number: index of the entry.
+            randomise: variation of the robots about their files.
         """
         config = library.load_vehicle(self.vehicle)
         weights = self._parameter_weights(config.default_set)
@@ -162,5 +164,5 @@ class FleetEntry(FileModel):
         )
 
     def parameter_set_names(self) -> list[str]:
-        """The parameter sets that its robots can have."""
+        """Return the parameter sets that its robots can have."""
         return list(self._parameter_weights(library.load_vehicle(self.vehicle).default_set))

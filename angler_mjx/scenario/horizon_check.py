@@ -1,4 +1,4 @@
-"""Whether any robot of a scenario can be at its goal in time, as far as the scenario alone says."""
+"""Check of whether any robot can reach its goal in time, from the scenario alone."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from angler_mjx.world.config import resolve_world
 
 
 def minimum_time_s(scenario: Scenario) -> float:
-    """Time within which no robot can be at its goal: straight on at its cruise speed."""
+    """Return the min time [s] to any goal: a straight line at cruise speed."""
     world = resolve_world(scenario.world)
     cruise_mps = np.array(
         [entry.cruise_speed_mps for entry in scenario.fleet for _ in range(entry.count)]
@@ -23,15 +23,15 @@ def minimum_time_s(scenario: Scenario) -> float:
 def check_reachable(scenario: Scenario, key: str = "time.horizon_s") -> None:
     """Refuse a horizon in which no robot can be at its goal.
 
-    Plans are never faster over ground than the cruise speed, but for those of the planner current;
-    a policy may be, too: in a current neither is judged. Nor are tasks, which have other places.
+    Plans are no faster over ground than the cruise speed, except those of the planner `current` and
+    policies in a current: these are not checked. Tasks with several jobs are not checked either.
 
     Args:
-        scenario: that is to be planned or flown.
-        key: what the message calls the horizon, with the file that says it.
+        scenario: to plan or fly.
+        key: name of the horizon in the message, with its file.
 
     Raises:
-        ConfigError: naming the horizon and the least that is possible.
+        ConfigError: naming the horizon and the min time.
     """
     if scenario.task_spec() is not None:
         return

@@ -1,4 +1,4 @@
-"""The robots of a fleet whose controllers are not told the truth: neighbours alike in a group."""
+"""Robots whose controllers use an estimate: neighbours with equal instruments form a group."""
 
 import itertools
 from collections.abc import Sequence
@@ -14,11 +14,11 @@ from angler_mjx.robot.sensing.config import SensorsConfig
 from angler_mjx.sim.state import InstrumentedRobots
 
 type Source = Literal["truth", "noisy", "ekf"]
-"""What controllers are told: the true state, that with white noise, or a filter's estimate."""
+"""State that the controllers use: true, true with white noise, or a filter's estimate."""
 
 
 def uses_true_state(source: Source, config: SensorsConfig) -> bool:
-    """Whether controllers are told the truth: noise that is switched off is none."""
+    """Return whether controllers use the true state; so they do with noise switched off."""
     return source == "truth" or (source == "noisy" and not config.noise)
 
 
@@ -28,7 +28,7 @@ def build_groups(
     """Compile the instruments of a fleet (host side).
 
     Args:
-        robots: of each robot what it is told, and its instruments.
+        robots: source of the state and instruments of each robot.
         control_dt_s: control period, s.
         gravity_mps2: m/s^2.
 
@@ -57,13 +57,13 @@ def build_groups(
 
 
 def _group_key(robot: tuple[Source, SensorsConfig]) -> tuple[Source, bool, bool]:
-    """What the robots of a group have in common."""
+    """Return the properties that the robots of a group share."""
     source, config = robot
     return source, uses_true_state(source, config), config.noise
 
 
 def _repeat_parameters(navigation: NavigationParams, count: int) -> NavigationParams:
-    """With the numbers of the beginning for every robot."""
+    """Return the parameters with their numbers repeated for each robot."""
     names = [name for name in vars(navigation) if name != "sensors"]
     rows: dict[str, Any] = {name: jnp.full(count, getattr(navigation, name)) for name in names}
     return replace(navigation, **rows)

@@ -1,4 +1,4 @@
-"""The table of a scenario file that says what goods weigh, and how water holds them up and back."""
+"""The table of a scenario file on the mass and hydrodynamics of goods."""
 
 import math
 from collections.abc import Sequence
@@ -22,24 +22,24 @@ type Added = Annotated[float, Field(ge=0.0, le=1e4)]
 
 
 class LoadConfig(FileModel):
-    """A compact thing at the centre of mass of the robot that carries it; controllers know of it.
+    """Compact load at the centre of mass of the robot that carries it; controllers account for it.
 
-    What is left out is that of a sphere of its volume; see `docs/randomise.md`.
+    Values left out are those of a sphere of its volume; see `docs/randomise.md`.
     """
 
     mass_kg: float = Field(gt=0.0, le=1e4)
-    """In air."""
+    """Mass in air."""
     volume_m3: float = Field(ge=0.0, le=10.0)
-    """Displaced: what the water holds of it."""
+    """Displaced volume."""
     drag_area_m2: tuple[Area, Area, Area] | None = None
     """Drag coefficient times area, in surge, sway and heave."""
     added_mass_kg: tuple[Added, Added, Added] | None = None
-    """In surge, sway and heave."""
+    """Added mass in surge, sway and heave."""
 
     def load(self, density_kgpm3: float) -> Load:
-        """As fleets take it.
+        """Return the load in the form that fleets take.
 
-        A sphere's added mass is half of the water that it displaces (Lamb, Hydrodynamics, 6th ed.
+        A sphere's added mass is half the mass of the displaced water (Lamb, Hydrodynamics, 6th ed.
         1932, art. 92).
 
         Args:
@@ -59,10 +59,10 @@ class LoadConfig(FileModel):
 def check_load(load: Load, fleet: Sequence[FleetEntry]) -> None:
     """Refuse a load with which a vehicle cannot hold its depth.
 
-    A vehicle that cannot by its own file is not looked at: the load is not to blame.
+    A vehicle that cannot hold its depth without the load is not checked.
 
     Args:
-        load: of each robot, at a time.
+        load: of each robot that carries.
         fleet: entries of the scenario.
 
     Raises:

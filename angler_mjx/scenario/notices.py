@@ -1,4 +1,4 @@
-"""Lines that a run begins with: planner and order by auto, and who steers without information."""
+"""Lines at the start of a run: choices by auto, and steering without obstacle information."""
 
 from angler_mjx.scenario.scenario import Scenario
 
@@ -6,12 +6,12 @@ from angler_mjx.scenario.scenario import Scenario
 def run_notices(
     scenario: Scenario, *, uses_planner: bool = True, is_commanded: bool = False
 ) -> list[str]:
-    """Return the lines that a run of a scenario begins with.
+    """Return the lines that a run of a scenario prints at its start.
 
     Args:
         scenario: of the run.
         uses_planner: whether the scenario's planner makes the plans.
-        is_commanded: whether a policy of the caller's commands the robots.
+        is_commanded: whether a policy of the caller commands the robots.
     """
     notices = [
         planner_notice(scenario) if uses_planner else None,

@@ -1,4 +1,4 @@
-"""Paths in scenarios: those of a file begin at its folder, and are absolute once it is read."""
+"""Paths in scenarios: relative to the file's folder, absolute once it is read."""
 
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -22,15 +22,15 @@ PATH_KEYS: Mapping[tuple[str, ...], Callable[..., str]] = {
     ("world", "currents", "*", "file"): _absolute_path,
     ("world", "bathymetry", "file"): _absolute_path,
 }
-"""Keys that may hold paths, and what makes them absolute."""
+"""Keys that may hold paths, and the functions that make them absolute."""
 
 
 def resolve_paths(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """Keys of a scenario with the paths in them made absolute.
+    """Return keys of a scenario with absolute paths.
 
     Args:
-        table: whole, or some of its keys; faults of it are left to who checks it.
-        folder: in which paths begin.
+        table: whole, or some of its keys; not checked here.
+        folder: that paths are relative to.
     """
     resolved: Any = table
     for key, resolve in PATH_KEYS.items():

@@ -1,4 +1,4 @@
-"""Tables of a scenario file that say what policy commands the robots, if any does."""
+"""Tables of a scenario file on the policy that commands the robots, if any."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -22,27 +22,27 @@ from angler_mjx.scenario.tables import (
 )
 
 MAX_STEPS = 1000
-"""Of a sample: 50 s at 50 ms."""
+"""Max number of steps of a sample: 50 s at 50 ms."""
 
 
 class MppiConfig(FileModel):
-    """Path integral control; see `docs/mppi.md`."""
+    """Settings of model predictive path integral control; see `docs/mppi.md`."""
 
     output: Output = "twist"
-    """What robots are told: twist, velocities for the velocity loop of the controllers; wrench,
-    forces and moments for their allocation."""
+    """Command to the controllers: twist, velocities for the velocity loop; wrench, forces and
+    moments for the allocation."""
     hz: float = Field(default=10.0, gt=0.0, le=1e4)
-    """How often robots are told anew; a whole number of control steps from one time to the next."""
+    """Rate of new commands; the period is a whole number of control steps."""
     samples: int = Field(default=512, ge=2, le=2**16)
-    """Of each robot, each time."""
+    """Number of samples of each robot in each period."""
     horizon_s: float = Field(default=3.0, gt=0.0, le=600.0)
-    """How far samples look ahead; a whole number of their steps."""
+    """Horizon of the samples; a whole number of their steps."""
     dt_s: float = Field(default=0.1, ge=1e-3, le=10.0)
-    """Step of samples."""
+    """Time step of the samples."""
     knots: int = Field(default=8, ge=2, le=100)
-    """Velocities that a sample is made of, joined by lines; at most one a step."""
+    """Number of velocities that define a sample, joined by lines; at most one a step."""
     weights: dict[str, float] = Field(default_factory=dict)
-    """Those that differ; all above 0, or 0 for what is to cost nothing."""
+    """Cost weights that differ from the defaults; all above 0, or 0 for no cost."""
 
     @field_validator("weights")
     @classmethod
@@ -78,16 +78,16 @@ class MppiConfig(FileModel):
 
     @property
     def steps(self) -> int:
-        """Of a sample."""
+        """Return the number of steps of a sample."""
         return round(self.horizon_s / self.dt_s)
 
     @property
     def command_type(self) -> type:
-        """What it gives to the controllers."""
+        """Return the type of the command to the controllers."""
         return BodyTwist if self.output == "twist" else BodyWrench
 
     def period(self, time: TimeConfig) -> int:
-        """Control steps from one time that robots are told to the next.
+        """Return the number of control steps between two commands.
 
         Raises:
             ValueError: it is no whole number.
@@ -96,15 +96,15 @@ class MppiConfig(FileModel):
 
 
 class RoutesConfig(FileModel):
-    """Flight along ways that were worked out before the start; see `docs/routes.md`."""
+    """Flight along routes computed before the start; see `docs/routes.md`."""
 
     hz: float = Field(default=4.0, gt=0.0, le=1e4)
-    """How often robots are told anew; a whole number of control steps from one time to the next."""
+    """Rate of new commands; the period is a whole number of control steps."""
     horizon_s: float = Field(default=5.0, gt=0.0, le=600.0)
-    """How far ahead contacts with what moves count."""
+    """Time ahead within which contacts with moving obstacles and robots count."""
 
     def period(self, time: TimeConfig) -> int:
-        """Control steps from one time that robots are told to the next.
+        """Return the number of control steps between two commands.
 
         Raises:
             ValueError: it is no whole number.
@@ -113,18 +113,18 @@ class RoutesConfig(FileModel):
 
 
 class PolicyConfig(FileModel):
-    """What commands the robots while they fly, instead of their plans; see `docs/policies.md`."""
+    """Policy that commands the robots in flight instead of their plans; see `docs/policies.md`."""
 
     renamed_keys: ClassVar[Mapping[str, str]] = {"knows": "information"}
 
     name: Literal["none", "mppi", "routes"] = "none"
-    """None: robots fly their plans. mppi: each flies to its goal by path integral control, plan or
-    no plan. routes: each flies along a way that was worked out for every place of the world, and
-    gets out of the way of what it meets."""
+    """none: robots fly their plans. mppi: each robot flies to its goal by path integral control,
+    with or without a plan. routes: each robot flies along routes computed for every cell of the
+    world, and avoids moving obstacles and other robots."""
     information: InformationConfig | None = None
-    """Information level of what moves, whenever the policy acts. If left out: `planner.information`
-    where the file gives that, else obstacles = "observed". Set explicitly to "nothing", the policy
-    receives no obstacle, and commands say so."""
+    """Information level on moving obstacles, whenever the policy acts. If left out:
+    `planner.information` where the file gives that, else obstacles = "observed". Set explicitly to
+    "nothing", the policy receives no obstacle, and commands print a notice."""
     mppi: MppiConfig = MppiConfig()
     routes: RoutesConfig = RoutesConfig()
 
@@ -133,9 +133,9 @@ def default_information(policy: PolicyConfig, planner: PlannerConfig) -> Informa
     """Return the information level of a policy whose own table gives none.
 
     A policy that steers in flight observes obstacles unless ``planner.information`` gives a level.
-    Run folders of older versions store null: the level that was flown then is kept.
+    Run folders of older versions store null: their level is kept.
     """
-    if "information" in policy.model_fields_set:  # null, which no file in TOML can hold
+    if "information" in policy.model_fields_set:  # null, which a TOML file cannot hold
         observes_obstacles = policy.name == "routes" and planner.information == InformationConfig()
     else:
         observes_obstacles = not planner.information.model_fields_set
@@ -143,7 +143,7 @@ def default_information(policy: PolicyConfig, planner: PlannerConfig) -> Informa
 
 
 def _steps_per_period(key: str, hz: float, time: TimeConfig) -> int:
-    """Control steps from one time to the next at ``hz``; a ValueError if it is no whole number."""
+    """Return the control steps of a period at ``hz``; raise ValueError if not a whole number."""
     dt_s = time.control_dt_s
     check_whole_ratio(f"{key} = {hz:g}: 1 / (hz control_dt_s)", 1.0, hz * dt_s)
     return round(1.0 / (hz * dt_s))
@@ -155,7 +155,7 @@ def check_policy(
     controller: ControllerConfig,
     fleet: Sequence[FleetEntry],
 ) -> None:
-    """Refuse what the controllers or the fleet cannot be told, or not so often.
+    """Refuse commands that the controllers or the fleet cannot take, or not at that rate.
 
     Raises:
         ValueError: naming the key and its value.

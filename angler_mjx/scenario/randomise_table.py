@@ -1,8 +1,8 @@
-"""The table of a scenario file that says how robots, water and instruments differ from the files.
+"""The table of a scenario file on variations of robots, water and instruments about the files.
 
-Vehicles are drawn on the host, once a run: a bank of variants of each parameter set, from which
-every robot of every world is one, as it is with the sets of a ``parameter_mix``. So what programs
-hold of a fleet stays as small as the bank. Current and noise are numbers of each world.
+Vehicles are sampled on the host, once a run: a bank of variants of each parameter set, of which
+each robot of each world gets one, as with the sets of a ``parameter_mix``. The fleet data in device
+programs therefore stay as small as the bank. Current and noise are numbers of each world.
 """
 
 import itertools
@@ -38,43 +38,45 @@ type ScaleRange = Annotated[tuple[Scale, Scale], AfterValidator(_check_ascending
 
 UNCHANGED = (1.0, 1.0)
 MAX_HEAVE_FRACTION = 0.5
-"""Share of the thrust in heave that a vehicle may need to hold its depth: the rest is to move."""
+"""Max fraction of the thrust in heave to hold the depth; the rest is for motion."""
 
 
 class RandomiseConfig(FileModel):
-    """Ranges, low and high, drawn from evenly; factors of what the files say, [1, 1] for as said.
+    """Uniform ranges [low, high] of factors on the values of the files; [1, 1] for no change.
 
     See `docs/randomise.md`.
     """
 
     variants: int = Field(default=16, ge=1, le=1024)
-    """Drawn of each parameter set of each entry of the fleet; each robot of each world is one."""
+    """Number of variants of each parameter set of each fleet entry; each robot of each world is one
+    of them."""
     seed: int = Field(default=0, ge=0, lt=2**31)
-    """Of the variants; the same for all seeds of the run."""
+    """Seed of the variants; the same for all seeds of the run."""
     mass: FactorRange = UNCHANGED
-    """Of the dry mass; the inertia goes with it."""
+    """Factor on the dry mass; the inertia scales with it."""
     buoyancy: FactorRange = UNCHANGED
-    """Of the displaced volume."""
+    """Factor on the displaced volume."""
     damping: FactorRange = UNCHANGED
-    """Of linear and quadratic damping, drawn for each axis."""
+    """Factors on linear and quadratic damping, sampled for each axis."""
     added_mass: FactorRange = UNCHANGED
-    """Drawn for each axis; off the diagonal the root of the product of two."""
+    """Factors on the added mass, sampled for each axis; off the diagonal the root of the product of
+    two."""
     thrust: GainRange = UNCHANGED
-    """Of the thrust of each thruster by itself, at the power of the table."""
+    """Factor on the thrust of each single thruster, at the power of the table."""
     fault_probability: float = Field(default=0.0, ge=0.0, le=1.0)
-    """Of each thruster to be faulty."""
+    """Probability that a thruster is faulty."""
     fault_health: FractionRange = (0.0, 0.0)
-    """Share of its thrust that a faulty one gives: 0 is dead."""
+    """Fraction of its thrust that a faulty thruster gives: 0 is dead."""
     battery_v: VoltageRange | None = None
-    """Instead of the robots' own; within the voltages of the thruster file."""
+    """Battery voltage instead of the robots' own; within the voltages of the thruster file."""
     current: ScaleRange = UNCHANGED
-    """Of the speed of the current, drawn for each world; 0 is still water."""
+    """Factor on the speed of the current, sampled for each world; 0 is still water."""
     sensor_noise: ScaleRange = UNCHANGED
-    """Of the noise of all instruments, drawn for each robot of each world; filters go on believing
-    what the file says."""
+    """Factor on the noise of all instruments, sampled for each robot of each world; filters keep
+    the values of the file."""
     known: bool = False
-    """Whether controllers and planners are told what was drawn of the vehicle; if not, they take it
-    for what its files say."""
+    """Whether controllers and planners know the sampled vehicle; if not, they assume that of its
+    files."""
 
     @model_validator(mode="after")
     def _check_faults(self) -> "RandomiseConfig":
@@ -84,7 +86,7 @@ class RandomiseConfig(FileModel):
 
     @property
     def changes_vehicles(self) -> bool:
-        """Whether vehicles differ from their files."""
+        """Return whether vehicles differ from their files."""
         spans = (self.mass, self.buoyancy, self.damping, self.added_mass, self.thrust)
         return (
             any(span != UNCHANGED for span in spans)
@@ -94,17 +96,17 @@ class RandomiseConfig(FileModel):
 
     @property
     def changes_worlds(self) -> bool:
-        """Whether worlds have numbers of their own."""
+        """Return whether worlds have numbers of their own."""
         return self.current != UNCHANGED or self.sensor_noise != UNCHANGED
 
     def sample_variations(
         self, entry: int, parameter_set: str, thrusters: int
     ) -> tuple[Variation, ...]:
-        """The variants of one parameter set of an entry of the fleet.
+        """Sample the variants of one parameter set of an entry of the fleet.
 
         Every quantity takes each n-th of its range once (a Latin hypercube: McKay, Beckman and
         Conover 1979), so few variants cover it too. Numbers are bits of Philox, which NumPy keeps
-        the same for all time; a set's draws hang on nothing but seed, entry and set.
+        stable; the samples of a set depend only on seed, entry and set.
         """
         key_bytes = np.frombuffer(f"{entry}/{parameter_set}".encode(), np.uint8)
         bit_generator = np.random.Philox(np.random.SeedSequence([self.seed, *key_bytes.tolist()]))
@@ -149,9 +151,9 @@ class RandomiseConfig(FileModel):
         battery_v: float,
         density_kgpm3: float,
     ) -> None:
-        """Refuse ranges with vehicles in them that cannot hold their depth, faults aside.
+        """Refuse ranges with vehicles that cannot hold their depth, faults aside.
 
-        A vehicle that cannot by its own file is not looked at: the ranges are not to blame.
+        A vehicle that cannot hold its depth by its own file is not checked.
 
         Args:
             config: vehicle file.

@@ -1,6 +1,7 @@
-"""The reference of scenario and vehicle files, written from the models that check them.
+"""The reference of scenario and vehicle files, generated from the models that check them.
 
-``python -m angler_mjx.scenario.reference docs`` writes the pages; a test holds them to the models.
+``python -m angler_mjx.scenario.reference docs`` writes the pages; a test compares them with the
+models.
 """
 
 import ast
@@ -56,7 +57,7 @@ _UNITS = (
     ("_hz", "Hz"), ("_us", "µs"), ("_m", "m"), ("_s", "s"), ("_v", "V"), ("_n", "N"), ("_w", "W"),
     ("_cells", "cells"),
 )  # fmt: skip
-"""Unit by the end of a key."""
+"""Unit by the suffix of a key."""
 
 _TYPE_NAMES: dict[Any, str] = {
     float: "float",
@@ -74,7 +75,7 @@ _BOUND_SIGNS = {"gt": "> ", "ge": "≥ ", "lt": "< ", "le": "≤ "}
 
 
 def format_page(kind: str) -> str:
-    """The page of a kind of file, in Markdown."""
+    """Return the reference page of a kind of file, in Markdown."""
     title, head, models = _PAGES[kind]
     lines = [f"# {title}", "", "<!-- made by python -m angler_mjx.scenario.reference docs -->", ""]
     lines += [head, ""]
@@ -106,7 +107,7 @@ def _format_section(path: str, model: type[FileModel]) -> list[str]:
 
 
 def _nested_tables(path: str, model: type[FileModel]) -> Iterator[tuple[str, type[FileModel]]]:
-    """A model and those within it, by where they stand in a file."""
+    """Yield a model and its nested models, with their headings in a file."""
     yield path, model
     for name, entry in model.model_fields.items():
         key_path = f"{path}.{name}".lstrip(".")
@@ -124,7 +125,7 @@ def _nested_tables(path: str, model: type[FileModel]) -> Iterator[tuple[str, typ
 
 
 def _nested_models(annotation: Any, mark: str) -> Iterator[tuple[type[FileModel], str]]:
-    """Models that an annotation holds; the mark says how: [] many in a row, {} by name."""
+    """Yield the models in an annotation; the mark gives their container: [] list, {} by name."""
     annotation = _unwrap_annotation(annotation)[0]
     if inspect.isclass(annotation) and issubclass(annotation, FileModel):
         yield annotation, mark
@@ -136,7 +137,7 @@ def _nested_models(annotation: Any, mark: str) -> Iterator[tuple[type[FileModel]
 
 
 def _unwrap_annotation(annotation: Any) -> tuple[Any, list[Any]]:
-    """An annotation without its aliases, and what was said beside it."""
+    """Return an annotation without its aliases, and its metadata."""
     metadata: list[Any] = []
     while True:
         if isinstance(annotation, TypeAliasType):
@@ -250,7 +251,7 @@ def _format_default(entry: FieldInfo) -> str:
 
 
 def _field_docstrings(model: type[FileModel]) -> dict[str, str]:
-    """What stands below each field of a model and of its bases."""
+    """Return the docstrings below the fields of a model and of its bases."""
     docstrings: dict[str, str] = {}
     for base in reversed(model.__mro__):
         if not issubclass(base, FileModel) or base is FileModel:
@@ -269,7 +270,7 @@ def _field_docstrings(model: type[FileModel]) -> dict[str, str]:
 
 
 def main() -> None:
-    """Write all pages into the folder that is named."""
+    """Write all pages into the folder given as argument."""
     folder = Path(sys.argv[1])
     for kind in _PAGES:
         (folder / f"reference_{kind}.md").write_text(format_page(kind), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Scenario files: everything that a run needs to know, checked before anything is computed."""
+"""Scenario files: all settings of a run, checked before it begins."""
 
 import hashlib
 import json
@@ -64,28 +64,29 @@ class Scenario(FileModel):
     """A whole scenario file."""
 
     schema_version: SchemaVersion = 1
-    """Of this form of files."""
+    """Version of the file format."""
     name: str = Field(pattern=r"^[A-Za-z0-9_-]+$", max_length=100)
-    """Of the run folder, if the run is given none."""
+    """Name of the scenario; also of the run folder, unless the run names one."""
     description: str = ""
-    """For people."""
+    """Free text for readers."""
     engine: Literal["mjx", "fused"] = "mjx"
-    """What moves the vehicles: MuJoCo's MJX, or our own faster one for rigid vehicles."""
+    """Physics engine of the vehicles: MuJoCo's MJX, or the faster fused engine for rigid
+    vehicles."""
     kernels: Literal["xla", "triton"] | None = None
-    """What the engine is compiled by; for fused on a GPU triton if left out, else xla. Part of the
+    """Compiler of the engine; if left out, triton for fused on a GPU, else xla. Part of the
     result's bytes."""
     worlds: int = Field(default=256, ge=1, le=10**9)
     """Number of worlds, each with the whole fleet."""
     seed: int = Field(default=0, ge=0, lt=2**31)
-    """Of everything that is drawn; world i of a seed is the same in every run."""
+    """Seed of all sampling; world i of a seed is the same in every run."""
     tile: int | None = Field(default=None, ge=1, le=10**7)
-    """Worlds in one device call; chosen for the device if left out. Part of the result's bytes."""
+    """Worlds in one device call; device-dependent if left out. Part of the result's bytes."""
     goal_tolerance_m: float = Field(default=0.3, gt=0.0, le=MAX_COORDINATE_M)
-    """A robot has reached its goal within this distance."""
+    """Distance from its goal within which a robot has reached it."""
     time: TimeConfig = TimeConfig()
     water: WaterConfig = WaterConfig()
     world: WorldConfig
-    # Each entry's vehicle is looked through: 395 of them took a second to read.
+    # Every entry loads and checks its vehicle: 395 entries took a second to read.
     fleet: tuple[FleetEntry, ...] = Field(min_length=1, max_length=256)
     controller: ControllerConfig = ControllerConfig()
     planner: PlannerConfig = PlannerConfig()
@@ -95,12 +96,12 @@ class Scenario(FileModel):
     store: StoreConfig = StoreConfig()
     randomise: RandomiseConfig = RandomiseConfig()
     task: TaskConfig = GoalTask()
-    """What the robots of a world have to do; see `docs/tasks.md`."""
+    """Task of the robots of a world; see `docs/tasks.md`."""
     breakdowns: BreakdownsConfig = BreakdownsConfig()
 
     @model_validator(mode="after")
     def _set_horizon(self) -> Self:
-        """The horizon of a file that gives none; before the checks of what fits it."""
+        """Set the horizon of a file that gives none, before the checks that depend on it."""
         self.__dict__["time"] = self.time.with_default_horizon(
             presets.load_preset(self.world.preset).horizon_s
         )
@@ -108,7 +109,7 @@ class Scenario(FileModel):
 
     @model_validator(mode="after")
     def _set_planner(self) -> Self:
-        """Put the planner of this team in place of auto."""
+        """Replace auto by the planner of this team."""
         self.__dict__["planner"] = self.planner.resolve_auto(
             sum(entry.count for entry in self.fleet)
         )
@@ -116,14 +117,14 @@ class Scenario(FileModel):
 
     @model_validator(mode="after")
     def _set_policy(self) -> Self:
-        """Who flies from place to place, where the file does not say."""
+        """Set the policy of a task with several jobs, where the file gives none."""
         if not isinstance(self.task, GoalTask) and "name" not in self.policy.model_fields_set:
             self.__dict__["policy"] = self.policy.model_copy(update={"name": "routes"})
         return self
 
     @model_validator(mode="after")
     def _set_order(self) -> Self:
-        """Put the order that this team's plans are flown in in place of auto."""
+        """Replace auto by the order of passing of this team."""
         keeps_order = (
             self.planner.by_auto
             and sum(entry.count for entry in self.fleet) >= LARGE_TEAM
@@ -139,7 +140,7 @@ class Scenario(FileModel):
 
     @model_validator(mode="after")
     def _set_policy_information(self) -> Self:
-        """Set the information level of the policy, where the file gives none to it."""
+        """Set the information level of the policy, where the file gives none."""
         if self.policy.name != "none" and self.policy.information is None:
             information = default_information(self.policy, self.planner)
             policy = self.policy.model_copy(update={"information": information})
@@ -206,34 +207,34 @@ class Scenario(FileModel):
         return self
 
     def carried(self) -> Load | None:
-        """What each robot carries at a time; None where the task has nothing that weighs."""
+        """Return the load that a robot carries at a time; None where the task has no load."""
         if not isinstance(self.task, DeliverTask) or self.task.load is None:
             return None
         return self.task.load.load(self.water.density_kgpm3)
 
     def task_spec(self) -> TaskSpec | None:
-        """What the task is compiled from; None where each robot has a goal of its own."""
+        """Return the compiled task; None where each robot has a goal of its own."""
         robots = sum(entry.count for entry in self.fleet)
         return build_task_spec(self.task, resolve_world(self.world), robots, self.time)
 
     @property
     def flown(self) -> bool:
-        """Whether a policy that the scenario names commands the robots, or looks after plans."""
+        """Return whether a policy or online execution of plans commands the robots."""
         return self.online or self.policy.name != "none"
 
     @property
     def online(self) -> bool:
-        """Whether plans are looked after while they are flown."""
+        """Return whether plans are updated in flight."""
         return self.execution.order == "kept" or self.planner.replan_hz > 0.0
 
     @property
     def keeps_order_by_auto(self) -> bool:
-        """Whether plans are looked after for the order of passing alone, which nobody requested."""
+        """Return whether plans are updated only to keep the order of passing, and only by auto."""
         return self.execution.by_auto and self.execution.order == "kept"
 
     @property
     def obstacles_move(self) -> bool:
-        """Whether the worlds have obstacles that move."""
+        """Return whether the worlds have moving obstacles."""
         obstacles = resolve_world(self.world).obstacles
         return obstacles.dynamic.count > 0 or any(
             obstacle.motion.type != "static" for obstacle in obstacles.explicit
@@ -241,16 +242,16 @@ class Scenario(FileModel):
 
     @property
     def water_or_obstacles_move(self) -> bool:
-        """Whether the worlds have currents or obstacles that move."""
+        """Return whether the worlds have currents or moving obstacles."""
         return self.obstacles_move or bool(self.world.currents)
 
     @property
     def senses(self) -> bool:
-        """Whether the controllers of any robot are told something other than the truth."""
+        """Return whether the controllers of any robot use an estimate instead of the true state."""
         return any(not instrumented.uses_true_state(*entry.state_source()) for entry in self.fleet)
 
     def channel(self) -> Channel | None:
-        """That robots talk by; None where everybody knows everything."""
+        """Return the acoustic channel between the robots; None where communication is perfect."""
         return self.acoustics.channel(
             sum(entry.count for entry in self.fleet),
             resolve_world(self.world).size_m,
@@ -259,7 +260,7 @@ class Scenario(FileModel):
         )
 
     def members(self) -> list[Member]:
-        """The fleet, one member a robot."""
+        """Return the fleet, one member a robot."""
         entry_members = [
             entry.build_member(i, self.randomise) for i, entry in enumerate(self.fleet)
         ]
@@ -271,16 +272,16 @@ class Scenario(FileModel):
         ]
 
     def digest(self) -> str:
-        """Hexadecimal, of everything that the problems of a seed are drawn from.
+        """Return the hexadecimal digest of all settings that determine the problems of a seed.
 
-        Scenarios that differ in other things (engine, controllers, planner, recording) pose the
+        Scenarios that differ in other settings (engine, controllers, planner, recording) have the
         same problems.
         """
         world = dump_for_digest(self.world)
         for table, current in zip(world["currents"], self.world.currents, strict=True):
             if isinstance(current, GridConfig):
                 table["file"] = current.field.digest
-        if self.world.bathymetry is None:  # as before there were any: problems stay what they were
+        if self.world.bathymetry is None:  # keeps digests from before bathymetry existed
             del world["bathymetry"]
         problem_table = {
             "world": world,
@@ -298,7 +299,7 @@ class Scenario(FileModel):
         return hashlib.sha256(text.encode()).hexdigest()
 
     def sim_spec(self) -> SimSpec:
-        """The simulator's settings."""
+        """Return the simulator's settings."""
         controllers, gains = self.controller.stack()
         water = Water(density_kgpm3=self.water.density_kgpm3)
         state_sources = [entry.state_source() for entry in self.fleet for _ in range(entry.count)]
@@ -319,7 +320,7 @@ class Scenario(FileModel):
 
 
 def _problem_table(entry: FleetEntry) -> dict[str, Any]:
-    """An entry of the fleet without what only its flight shows; its vehicle as it is now."""
+    """Return an entry of the fleet without flight-only keys, with its vehicle's current data."""
     table = entry.model_dump(mode="json", exclude={"estimate", "sensors", "fault_known"})
     vehicle = library.load_vehicle(entry.vehicle)
     thruster = library.load_thruster(vehicle.rotor.model)
@@ -327,7 +328,7 @@ def _problem_table(entry: FleetEntry) -> dict[str, Any]:
 
 
 def shipped_scenarios() -> dict[str, Path]:
-    """Names and files of the scenarios that come with the package."""
+    """Return the names and files of the shipped scenarios."""
     return list_shipped("angler_mjx.scenario")
 
 
@@ -342,14 +343,14 @@ def load_scenario(name_or_path: str | Path, **overrides: Any) -> Scenario:
             working directory.
 
     Raises:
-        ConfigError: there is no such scenario, its file has faults, or an override has (all are
-            listed).
+        ConfigError: there is no such scenario, its file has faults, or an override has faults (all
+            are listed).
     """
     return read_scenario(name_or_path, overrides)
 
 
 def load_relative_scenario(name: str, folder: Path) -> Scenario:
-    """The scenario that another file names: a shipped one, or a path from that file's folder.
+    """Read a scenario named in another file: a shipped one, or a path from that file's folder.
 
     Raises:
         ConfigError: as of `load_scenario`.
@@ -362,7 +363,7 @@ def read_scenario(
     overrides: Mapping[str, Any],
     blame: Callable[[str], str] = lambda key: f"{key} (given with the scenario)",
 ) -> Scenario:
-    """As `load_scenario`; ``blame`` says what a person calls an override, e.g. ``--worlds``."""
+    """Read a scenario as `load_scenario` does; ``blame`` names an override, e.g. ``--worlds``."""
     path = find_scenario(name_or_path)
     try:
         data = rename_keys(Scenario, read_toml(path), str(path))
@@ -401,7 +402,7 @@ def _merge_value(before: Any, value: Any) -> Any:
 
 
 def _file_faults(data: Mapping[str, Any], context: Mapping[str, Any]) -> set[str]:
-    """What is wrong with a file itself."""
+    """Return the faults of a file itself."""
     try:
         validate_model(Scenario, data, context)
     except FaultyError as error:
@@ -412,7 +413,7 @@ def _file_faults(data: Mapping[str, Any], context: Mapping[str, Any]) -> set[str
 def _attribute_fault(
     fault: Fault, overrides: Mapping[str, Any], blame: Callable[[str], str]
 ) -> str:
-    """A fault that an override brought, by what a person calls that override."""
+    """Return a fault of an override, with the override's name from ``blame``."""
     overridden: list[tuple[str, ...]] = []
     for key, value in overrides.items():
         overridden += [(key, name) for name in value] if isinstance(value, dict) else [(key,)]
@@ -420,7 +421,7 @@ def _attribute_fault(
     if matching:
         return fault.text.replace(".".join(matching[0]), blame(".".join(matching[0])), 1)
     text = fault.text
-    if not fault.key:  # Of a whole file: the message says which keys.
+    if not fault.key:  # Of a whole file: the message names the keys.
         text = fault.text.removeprefix("(whole file): ")
         mentioned = [key for key in overridden if key[1:] and f"{'.'.join(key)} = " in text]
         if mentioned:
@@ -430,9 +431,10 @@ def _attribute_fault(
 
 
 def find_scenario(name_or_path: str | Path) -> Path:
-    """The file of a scenario.
+    """Return the file of a scenario.
 
     Raises:
-        ConfigError: there is no shipped one of that name, and it is no path of a ``.toml`` file.
+        ConfigError: there is no shipped scenario of that name, and it is no path of a ``.toml``
+            file.
     """
     return find_shipped(name_or_path, "angler_mjx.scenario", "scenario")

@@ -1,4 +1,4 @@
-"""The table of a scenario file that says how finely trajectories are stored."""
+"""The table of a scenario file on the resolution of stored trajectories."""
 
 from pydantic import Field, field_validator
 
@@ -7,25 +7,25 @@ from angler_mjx.sim.record import RecordOption
 
 
 class StoreConfig(FileModel):
-    """What of trajectories is stored, and how finely: exactly, in float32, or in steps.
+    """Stored arrays of trajectories, and their resolution: exact, in float32, or in steps.
 
-    Steps take a sixth of the room; see `docs/datasets.md`. Plans and the last states are always
+    Steps take a sixth of the space; see `docs/datasets.md`. Plans and the last states are always
     exact.
     """
 
     also: tuple[RecordOption, ...] = ()
-    """Recorded beside what all runs have: the thrusters' `wrench`; `clearance`, distances to what
-    is near; `acoustics`, share of packets heard and age of what is known."""
+    """Arrays beside those of all runs: the thrusters' `wrench`; `clearance`, distances to the
+    nearest obstacles; `acoustics`, fraction of packets received and age of information."""
     position_mm: float | None = Field(default=None, ge=0.01, le=1000.0)
-    """Step of places and distances; exact if left out, as with those that follow."""
+    """Step of positions and distances; exact if left out, as are the following."""
     velocity_mmps: float | None = Field(default=None, ge=0.01, le=1000.0)
-    """Of velocities, those of the water too, and in mrad/s of angular velocities."""
+    """Step of velocities, also of the water, and in mrad/s of angular velocities."""
     attitude_mrad: float | None = Field(default=None, ge=0.01, le=100.0)
-    """Of angles; of the components of quaternions half of it, in thousandths."""
+    """Step of angles; of the components of quaternions half of it, in thousandths."""
     force_mn: float | None = Field(default=None, ge=0.01, le=1e5)
-    """Of forces, and in mN m of moments."""
+    """Step of forces, and in mN m of moments."""
     pwm_us: float | None = Field(default=None, ge=0.01, le=100.0)
-    """Of the pulse widths that thrusters are given."""
+    """Step of the pulse widths of the thrusters."""
 
     @field_validator("also")
     @classmethod
@@ -36,10 +36,10 @@ class StoreConfig(FileModel):
         return also
 
     def step(self, unit: str, dims: tuple[str, ...]) -> float | None:
-        """Step of an array in its own unit; None where it is stored as it is.
+        """Return the step of an array in its own unit; None where it is stored exactly.
 
         Args:
-            unit: as arrays of a run say it.
+            unit: as in the arrays of a run.
             dims: names of its dimensions.
         """
         if "wxyz" in dims:

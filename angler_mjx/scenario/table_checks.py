@@ -1,4 +1,4 @@
-"""What tables of a scenario ask of each other: functions that raise ValueError, naming the keys."""
+"""Checks between tables of a scenario: functions that raise ValueError, naming the keys."""
 
 from collections.abc import Sequence
 
@@ -25,7 +25,7 @@ from angler_mjx.world.currents import GaussMarkovConfig, GridConfig
 from angler_mjx.world.generate import check_fleet
 
 MAX_KNOTS = 100_000
-"""Most knots of a current over a run; each world holds them in memory."""
+"""Max number of knots of a current over a run; each world holds them in memory."""
 
 
 def check_instruments(fleet: Sequence[FleetEntry], time: TimeConfig) -> None:
@@ -38,7 +38,7 @@ def check_instruments(fleet: Sequence[FleetEntry], time: TimeConfig) -> None:
 
 
 def check_currents(world: WorldConfig, time: TimeConfig) -> None:
-    """Refuse currents that a run is too long for."""
+    """Refuse currents that do not cover the run, or need too many knots for it."""
     for i, current in enumerate(world.currents):
         if isinstance(current, GridConfig):
             try:
@@ -68,7 +68,7 @@ def check_fleet_fits(world: WorldConfig, fleet: Sequence[FleetEntry]) -> None:
 def check_randomisation(
     randomise: RandomiseConfig, fleet: Sequence[FleetEntry], world: WorldConfig, water: WaterConfig
 ) -> None:
-    """Refuse ranges of what there is not, and vehicles that they make impossible."""
+    """Refuse ranges without effect, and vehicles that the ranges make impossible."""
     if randomise.sensor_noise != UNCHANGED and all(
         instrumented.uses_true_state(*entry.state_source()) for entry in fleet
     ):
@@ -91,7 +91,7 @@ def check_randomisation(
 
 
 def check_rotors(fleet: Sequence[FleetEntry]) -> None:
-    """Refuse rotors of first and of third order together: their states have different shapes."""
+    """Refuse first- and third-order rotors together: their states have different shapes."""
     first = None
     for i, entry in enumerate(fleet):
         config = library.load_vehicle(entry.vehicle)
@@ -107,7 +107,7 @@ def check_rotors(fleet: Sequence[FleetEntry]) -> None:
 
 
 def check_steering(controller: ControllerConfig, fleet: Sequence[FleetEntry]) -> None:
-    """Refuse controllers that push to the side where a vehicle cannot go there."""
+    """Refuse controllers with sway commands where a vehicle has no sway."""
     sideways = [stage.name for stage in controller.stack()[0] if stage.wants_sway]
     for i, entry in enumerate(fleet if sideways else ()):
         if any("sway" in drive.missing_axes for drive in entry.drive_limits()):
@@ -119,14 +119,14 @@ def check_steering(controller: ControllerConfig, fleet: Sequence[FleetEntry]) ->
 
 
 def takes_poses(controller: ControllerConfig) -> bool:
-    """Whether a stage of the controller can be guided by poses."""
+    """Return whether a stage of the controller takes poses."""
     return any(PoseTarget in stage.takes for stage in controller.stack()[0])
 
 
 def check_takes_poses(
     planner: PlannerConfig, execution: ExecutionConfig, controller: ControllerConfig
 ) -> None:
-    """Refuse controllers that cannot be guided by poses, where plans are looked after in flight."""
+    """Refuse controllers that take no poses, where plans are updated in flight."""
     if takes_poses(controller):
         return
     key = f"planner.replan_hz = {planner.replan_hz:g}"
@@ -139,7 +139,7 @@ def check_takes_poses(
 
 
 def check_acoustics(acoustics: AcousticsConfig, store: StoreConfig, planner: PlannerConfig) -> None:
-    """Refuse records of packets where there are none, and plans that need more than they tell."""
+    """Refuse records of packets without acoustics, and replanning with them."""
     if "acoustics" in store.also and acoustics.model == "perfect":
         raise ValueError(
             'store.also: "acoustics" is of packets, and acoustics.model = "perfect" has none; '

@@ -28,18 +28,19 @@ from angler_mjx.sim.information import Information, InformationLevel
 
 
 class WaterConfig(FileModel):
-    """The sea as a medium."""
+    """Properties of the water."""
 
     density_kgpm3: float = Field(default=1000.0, ge=900.0, le=1100.0)
-    """Fresh water by default: the published parameter sets were measured in it."""
+    """Density; that of fresh water by default, in which the published parameter sets were
+    measured."""
 
 
 class TimeConfig(FileModel):
-    """Time steps."""
+    """Horizon and time steps."""
 
     horizon_s: float = Field(default=120.0, gt=0.0, le=86400.0)
-    """Simulated time of an episode; a whole number of control periods; the world's preset's if left
-    out."""
+    """Simulated time of an episode; a whole number of control periods; the horizon of the world's
+    preset if left out."""
     physics_dt_s: float = Field(default=0.01, ge=1e-4, le=0.05)
     """Step of the physics."""
     control_dt_s: float = Field(default=0.05, ge=1e-4, le=1.0)
@@ -59,7 +60,7 @@ class TimeConfig(FileModel):
         return self
 
     def with_default_horizon(self, horizon_s: float) -> Self:
-        """The same with another horizon, unless it has been given one.
+        """Return the table with another horizon, unless the file gives one.
 
         Raises:
             ValueError: the horizon does not fit the other times.
@@ -85,15 +86,15 @@ class TimeConfig(FileModel):
 
     @property
     def steps_per_sample(self) -> int:
-        """Control steps from one stored sample to the next; the whole horizon if none is stored."""
+        """Control steps between two stored samples; 0 if none is stored."""
         return round(1.0 / (self.record_hz * self.control_dt_s)) if self.record_hz > 0 else 0
 
 
 def check_whole_ratio(description: str, dividend: float, divisor: float) -> None:
-    """Refuse a part that is no whole number of units, at least 1.
+    """Refuse a ratio that is not a whole number of at least 1.
 
     Raises:
-        ValueError: saying so of ``description``.
+        ValueError: naming ``description``.
     """
     ratio = dividend / divisor if divisor > 0 else math.inf
     if not math.isfinite(ratio):
@@ -103,18 +104,19 @@ def check_whole_ratio(description: str, dividend: float, divisor: float) -> None
 
 
 class ControllerConfig(FileModel):
-    """The controllers: a stack by its name or by its stages, and gains that differ from theirs."""
+    """A controller stack by name or by stages, with gains that differ from the defaults."""
 
     name: str | None = None
-    """One of `angler_mjx.robot.control.stages.CONTROLLERS`; the cascade if nothing is given."""
+    """Name of a stack, one of `angler_mjx.robot.control.stages.CONTROLLERS`; cascade if neither
+    name nor stages is given."""
     stages: tuple[str, ...] | None = Field(default=None, min_length=1)
-    """Stages from the highest down, instead of a name."""
+    """Stages from the highest to the lowest, instead of a name."""
     gains: dict[str, dict[str, float]] = Field(default_factory=dict)
-    """Of each stage."""
+    """Gains of each stage, by stage and gain."""
 
     @property
     def title(self) -> str:
-        """Its name, or its stages in a row."""
+        """Return the name, or the stages joined by "+"."""
         return "+".join(self.stages) if self.stages else self.name or "cascade"
 
     @model_validator(mode="before")
@@ -148,27 +150,28 @@ class ControllerConfig(FileModel):
         return self
 
     def stack(self) -> tuple[stack.Stages, tuple[Any, ...]]:
-        """The stages and the gains of each.
+        """Return the stages and the gains of each.
 
         Raises:
-            ConfigError: they are not a stack, or gains make no sense.
+            ConfigError: the stages form no stack, or gains are not valid.
         """
         names = self.stages or stages.CONTROLLERS[self.name or "cascade"]
         return stages.build_stack(names, self.gains)
 
 
 class InformationConfig(FileModel):
-    """What the planner may know of what moves; see `docs/planners.md`."""
+    """Information that planners receive; see `docs/planners.md`."""
 
     obstacles: InformationLevel = "nothing"
-    """Of those that move: nothing; observed, where they are at t = 0 and how fast; predicted, where
-    that takes them in the current that is known; truth, where they will be."""
+    """Level on moving obstacles. nothing: none. observed: positions and velocities at t = 0.
+    predicted: the motion that follows from them in the current at the current's level. truth: the
+    true motion."""
     current: InformationLevel = "nothing"
-    """Nothing; observed, its mean at the robots' starts at t = 0; predicted, all of it at t = 0,
-    taken to stay; truth, all of it for all time."""
+    """Level on the current. nothing: none. observed: its mean at the robots' starts at t = 0.
+    predicted: the whole field at t = 0, held constant. truth: the whole field at all times."""
 
     def to_information(self) -> Information:
-        """As planners are told."""
+        """Return the levels in the form that planners take."""
         return Information(obstacles=self.obstacles, current=self.current)
 
 
@@ -177,41 +180,42 @@ def _resolve_name(name: str, info: ValidationInfo) -> str:
 
 
 type PlannerName = Annotated[str, Field(max_length=4096), AfterValidator(_resolve_name)]
-"""Of a planner; the path of FILE.py:CLASS begins at the folder of the file that names it."""
+"""Name of a planner; the path of FILE.py:CLASS is relative to the folder of the naming file."""
 
 
 class PlannerConfig(FileModel):
-    """The planner that gives each robot its path; its own settings stand in [planner.NAME]."""
+    """The planner of the robots' paths; its own settings stand in [planner.NAME]."""
 
     renamed_keys: ClassVar[Mapping[str, str]] = {"knows": "information"}
 
     name: PlannerName = AUTO
-    """One that `angler plan --list` names, or FILE.py:CLASS of a file of yours. auto: grid or
+    """A planner of `angler plan --list`, or FILE.py:CLASS of a file of yours. auto: grid or
     priority, by the number of robots; see `docs/planners.md`."""
     requested: Literal["auto"] | None = None
     """Written into run folders beside the name of the planner that auto resolved to; not set by
     hand."""
     margin_m: Length = 0.1
-    """Kept free around each robot beside its own radius."""
+    """Clearance around each robot beside its own radius."""
     points: int = Field(default=32, ge=2, le=MAX_POINTS)
-    """Most way-points of a path; a planner's path of more is none. Paths of a file of plans
-    (`--plans`) may have up to 1,024, whatever this says. Part of the result's bytes."""
+    """Max number of waypoints of a path; a longer path of a planner counts as none. Paths of a
+    file of plans (`--plans`) may have up to 1,024, independent of this key. Part of the result's
+    bytes."""
     deadline_s: float = Field(default=5.0, gt=0.0, le=86400.0)
-    """Wall-clock time for each world; a planner that takes a tenth more is ended."""
+    """Wall-clock limit for each world; a planner that exceeds it by a tenth is stopped."""
     information: InformationConfig = InformationConfig()
     replan_hz: float = Field(default=0.0, ge=0.0, le=1e4)
-    """How often robots are planned for anew while they fly; 0: never. A whole number of control
-    steps from one time to the next; see `docs/online.md`."""
+    """Rate of replanning in flight; 0: none. The period is a whole number of control steps; see
+    `docs/online.md`."""
     delay_s: float = Field(default=0.0, ge=0.0, le=86400.0)
-    """From what new plans are made of, to when they are flown: a whole number of control steps, at
-    most the time between two plans."""
+    """Delay from the state that a new plan starts from until it is flown: a whole number of control
+    steps, at most one replanning period."""
     settings: dict[str, dict[str, Any]] = Field(default_factory=dict)
-    """The tables [planner.NAME] of planners, by their names; that of the chosen one is checked."""
+    """The tables [planner.NAME] of planners, by name; that of the chosen planner is checked."""
 
     @model_validator(mode="before")
     @classmethod
     def _collect_settings(cls, data: Any) -> Any:
-        """Tables of planners out of what stands beside our own keys."""
+        """Collect the planners' tables from the keys that are no fields of this model."""
         if not isinstance(data, Mapping):
             return data
         field_keys = cls.model_fields.keys() | cls.renamed_keys.keys()
@@ -234,14 +238,14 @@ class PlannerConfig(FileModel):
 
     @property
     def by_auto(self) -> bool:
-        """Whether auto chose the planner; not where code put another name in its place later."""
+        """Return whether auto chose the planner; False if code replaced the name later."""
         return self.requested is not None and self.name in AUTO_PLANNERS
 
     def resolve_auto(self, robots: int) -> Self:
         """Return the table with the planner of a team of ``robots`` in place of auto.
 
-        A table with another name is returned as it is. The name counts as left out: a table made
-        anew from the keys of the file, such as one for another team, is resolved again.
+        A table with another name is returned unchanged. The name counts as left out: a table
+        rebuilt from the keys of the file, such as for another team, is resolved again.
         """
         if self.name != AUTO:
             return self
@@ -250,17 +254,17 @@ class PlannerConfig(FileModel):
         return resolved
 
     def title(self, robots: int) -> str:
-        """Return the planner's name, with the reason where auto chose it for a team."""
+        """Return the planner's name, with the reason where auto chose it."""
         team = f"{robots} robot{'s' if robots > 1 else ''}"
         return f"{self.name} (auto: {team})" if self.by_auto else self.name
 
     @property
     def table(self) -> str:
-        """Name of the chosen planner's own table: of a class in a file, that of the class."""
+        """Return the name of the chosen planner's own table: for a class in a file, the class."""
         return self.name.rpartition(":")[2]
 
     def planner_spec(self) -> PlannerSpec:
-        """The planner with its settings.
+        """Return the planner with its settings.
 
         Raises:
             ConfigError: there is no such planner, or it has no such settings.
@@ -281,23 +285,23 @@ class PlannerConfig(FileModel):
 
 
 class ExecutionConfig(FileModel):
-    """How the robots of a world fly their plans together; see `docs/online.md`."""
+    """Joint execution of the plans of a world; see `docs/online.md`."""
 
     order: Literal["auto", "free", "kept"] = "auto"
-    """Free: each by itself, however late the others are. Kept: the robot that passes a place first
-    by the plans passes first, and the others wait for it. auto: kept for the teams that
-    planner.name = "auto" plans by priority where water or obstacles move, else free; see
-    `docs/online.md`."""
+    """free: each robot flies by itself, without regard to delays of others. kept: the robot that
+    passes a position first by the plans passes first, and the others wait for it. auto: kept for
+    the teams that planner.name = "auto" plans by priority where water or obstacles move, else free;
+    see `docs/online.md`."""
     requested: Literal["auto"] | None = None
     """Written into run folders beside the order that auto resolved to; not set by hand."""
 
     @property
     def by_auto(self) -> bool:
-        """Whether auto chose the order."""
+        """Return whether auto chose the order."""
         return self.requested is not None
 
     def resolve_auto(self, *, kept: bool) -> Self:
-        """Return the table with free or kept in place of auto; another table as it is.
+        """Return the table with free or kept in place of auto; another table unchanged.
 
         The order counts as left out, as in `PlannerConfig.resolve_auto`.
         """
@@ -350,7 +354,7 @@ _STRICT = ConfigDict(strict=True, allow_inf_nan=False)
 def _check_settings_table(
     reference: PlannerReference, settings: Mapping[str, Any], table: str
 ) -> None:
-    """Refuse settings of a planner that has none, or other ones."""
+    """Refuse settings that a planner does not have."""
     model = register.settings_class(reference.load())
     if model is None and settings:
         raise ConfigError(f"[planner.{table}]: this planner has no settings")
@@ -359,7 +363,7 @@ def _check_settings_table(
 
 
 def _check_settings(model: type, settings: Mapping[str, Any], table: str) -> None:
-    """Refuse settings that a planner does not have, and values that are none."""
+    """Refuse settings that a planner does not have, and values that are not valid."""
     names = [setting.name for setting in fields(model)]
     unknown = [key for key in settings if key not in names]
     if unknown:

@@ -1,4 +1,4 @@
-"""The table of a scenario file that says what the robots of a world have to do."""
+"""The table of a scenario file on the task of the robots of a world."""
 
 import math
 from dataclasses import replace
@@ -27,34 +27,34 @@ from angler_mjx.world.tasks.spec import (
 )
 
 MAX_ROBOTS = 64
-"""Of a fleet with a task."""
+"""Max number of robots of a fleet with a task."""
 DEFAULT_POSITIONS, DEFAULT_GOODS = 8, 4
-"""Of a task whose file gives no number."""
+"""Number of places and of goods of a task whose file gives none."""
 MAX_CELLS = 8192
-"""That a robot looks at, at a time."""
+"""Max number of cells that a robot sees at a time."""
 
 type Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 type Corner = tuple[Fraction, Fraction, Fraction]
 
 
 class GoalTask(FileModel):
-    """Each robot has a goal of its own, which the world gives it."""
+    """One goal for each robot, given by the world."""
 
     type: Literal["goal"] = "goal"
 
 
 class _Task(FileModel):
-    """What all tasks with several jobs have in common."""
+    """Common settings of all tasks with several jobs."""
 
     tolerance_m: float = Field(default=0.5, gt=0.0, le=MAX_COORDINATE_M)
-    """How near the centre of a robot has to come to a place."""
+    """Distance from a place within which the centre of a robot has reached it."""
     look_s: float = Field(default=0.5, gt=0.0, le=60.0)
-    """Time from one look at what is done to the next; a whole number of control periods."""
+    """Period of the checks of finished jobs; a whole number of control periods."""
     allocation: str = "nearest"
-    """Who shares the jobs out: nearest, auction, sweep, or MODULE:FUNCTION; see `docs/tasks.md`."""
+    """Allocation of the jobs: nearest, auction, sweep, or MODULE:FUNCTION; see `docs/tasks.md`."""
     after: WhenFinished = "hold"
-    """Whether a robot returns to its start when nothing is left for it; it ends its episode then,
-    and not before all that it knows of is done."""
+    """Behaviour of a robot without remaining jobs: hold its position, or return to its start. It
+    ends its episode then, and not before all jobs that it knows of are done."""
 
     @field_validator("allocation")
     @classmethod
@@ -64,21 +64,22 @@ class _Task(FileModel):
 
 
 class TourTask(_Task):
-    """Places that are to be visited."""
+    """Places to visit."""
 
     type: Literal["tour"]
     places: int | None = Field(default=None, ge=1, le=MAX_JOBS)
-    """Number of places, drawn for each world among the cells that all robots can reach; 8 if left
+    """Number of places, sampled for each world among the cells that all robots can reach; 8 if left
     out."""
     within: tuple[Corner, Corner] = WHOLE
-    """Part of the cube that they are drawn in: lower and upper corner, as shares of its edges."""
+    """Part of the cube in which places are sampled: lower and upper corner, as fractions of its
+    edges."""
     places_m: tuple[Vector, ...] = Field(default=(), max_length=MAX_JOBS)
-    """The places, instead of drawing; one that cannot be reached in a world is moved to the nearest
-    cell that can."""
+    """The places, instead of sampling; a place that cannot be reached in a world is moved to the
+    nearest reachable cell."""
     shared: bool = True
-    """Whether each place is for one robot; if not, every robot visits all of them."""
+    """Whether each place is visited by one robot; if not, every robot visits all of them."""
     ordered: bool = False
-    """Whether each robot visits them in their order; for those that are not shared."""
+    """Whether each robot visits the places in their order; only with shared = false."""
 
     @model_validator(mode="after")
     def _check_tour(self) -> Self:
@@ -92,46 +93,47 @@ class TourTask(_Task):
 
     @property
     def count(self) -> int:
-        """Number of places."""
+        """Return the number of places."""
         return len(self.places_m) or self.places or DEFAULT_POSITIONS
 
 
 class SurveyTask(_Task):
-    """Surfaces that are to be seen."""
+    """Surfaces to see."""
 
     type: Literal["survey"]
     of: Surface = "floor"
-    """What is to be seen: the sea floor and the rock that stands on it, faces of rock, or both."""
+    """Surfaces to see: the sea floor and the rock that stands on it, faces of rock, or both."""
     half_angle_deg: float = Field(default=45.0, gt=0.0, le=180.0)
-    """Of the cone about a robot's downward axis that it sees; 180 sees everything around."""
+    """Half angle of a robot's cone of view about its downward axis; 180 sees in all directions."""
     range_m: float = Field(default=5.0, gt=0.0, le=MAX_COORDINATE_M)
-    """How far it sees."""
+    """Range of view."""
     altitude_m: float = Field(default=3.0, gt=0.0, le=MAX_COORDINATE_M)
-    """Height of viewpoints above what they look at; to the nearest cell."""
+    """Height of viewpoints above the surface; rounded to whole cells."""
     coverage: float = Field(default=0.95, gt=0.0, le=1.0)
-    """Share of what can be seen that has to be."""
+    """Fraction of the visible surfaces that must be seen."""
     viewpoints: int = Field(default=64, ge=1, le=MAX_JOBS)
-    """Most viewpoints of a world; a run ends where they do not see enough."""
+    """Max number of viewpoints of a world; a run ends with an error where they do not see
+    enough."""
 
 
 class DeliverTask(_Task):
-    """Goods that are to be brought to other places; a robot carries one at a time."""
+    """Goods to deliver; a robot carries one item at a time."""
 
     type: Literal["deliver"]
     goods: int | None = Field(default=None, ge=1, le=MAX_JOBS)
-    """Number of goods; as many as from_m or to_m has places, or 4, if left out."""
+    """Number of goods; if left out, the number of places of from_m or to_m, or 4."""
     from_within: tuple[Corner, Corner] = WHOLE
-    """Part of the cube that they lie in: lower and upper corner, as shares of its edges."""
+    """Part of the cube in which goods lie: lower and upper corner, as fractions of its edges."""
     to_within: tuple[Corner, Corner] = WHOLE
-    """Part that they are to be brought to."""
+    """Part of the cube in which their destinations lie."""
     from_m: tuple[Vector, ...] = Field(default=(), max_length=MAX_JOBS)
-    """Where they lie, instead of drawing; moved as places_m of a tour are."""
+    """Places where the goods lie, instead of sampling; moved as places_m of a tour are."""
     to_m: tuple[Vector, ...] = Field(default=(), max_length=MAX_JOBS)
-    """Where each is to be brought, instead of drawing."""
+    """Destination of each item, instead of sampling."""
     load: LoadConfig | None = None
-    """What each of the goods is; nothing that a robot would feel, if left out."""
+    """Mass and hydrodynamics of each item; no effect on the robot if left out."""
     dropped: WhenDropped = "lost"
-    """What becomes of goods whose robot collides or breaks down: lost, or back where they lay."""
+    """State of goods whose robot collides or breaks down: lost, or back at their first place."""
 
     @model_validator(mode="after")
     def _check_position_counts(self) -> Self:
@@ -145,7 +147,7 @@ class DeliverTask(_Task):
 
     @property
     def count(self) -> int:
-        """Number of goods."""
+        """Return the number of goods."""
         return self.goods or len(self.from_m) or len(self.to_m) or DEFAULT_GOODS
 
 
@@ -157,10 +159,10 @@ type TaskConfig = Annotated[
 def build_task_spec(
     task: TaskConfig, world: WorldRecipe, robots: int, time: TimeConfig
 ) -> TaskSpec | None:
-    """What a task is compiled from; None where each robot has a goal of its own.
+    """Compile a task; return None where each robot has a goal of its own.
 
     Raises:
-        ValueError: it cannot be done in such worlds, by so many robots; names the key.
+        ValueError: it cannot be done in such worlds, or by that number of robots; names the key.
     """
     if isinstance(task, GoalTask):
         return None
@@ -190,7 +192,7 @@ def build_task_spec(
 
 
 def task_positions(task: TaskConfig) -> tuple[tuple[str, GoalSampling, int], ...]:
-    """Places of a task by the keys that say where they are, where jobs begin first."""
+    """Return the places of a task by the keys that give them, pickup places first."""
     if isinstance(task, TourTask):
         sampling = GoalSampling(within=task.within, fixed_m=task.places_m)
         return (("places_m" if task.places_m else "within", sampling, task.count),)
@@ -258,7 +260,7 @@ def _survey_spec(task: SurveyTask, world: WorldRecipe) -> SurveySpec:
 
 
 def _check_footprint(task: SurveyTask, spec: SurveySpec, cell_m: float) -> None:
-    """Refuse a footprint in which nothing lies, however steadily a viewpoint is held."""
+    """Refuse a footprint that sees nothing, even from a steadily held viewpoint."""
     half_angle_rad, height_m = math.radians(task.half_angle_deg), spec.altitude_cells * cell_m
     offset_m = (
         task.tolerance_m / math.sin(half_angle_rad) if half_angle_rad < math.pi - 1e-3 else 0.0
@@ -274,7 +276,7 @@ def _check_footprint(task: SurveyTask, spec: SurveySpec, cell_m: float) -> None:
 
 
 def check_task_policy(task: TaskConfig, policy: PolicyConfig, *, online: bool) -> None:
-    """Refuse what flies to one goal alone.
+    """Refuse policies and online execution that support a single goal only.
 
     Raises:
         ValueError: naming the keys.
@@ -298,7 +300,7 @@ def require_goal_task(task: TaskConfig, reason: str) -> None:
 
     Args:
         task: of a scenario.
-        reason: cannot do it, and what to do instead, for the message.
+        reason: text of the message: the limit, and an alternative.
 
     Raises:
         ConfigError: it is another task.

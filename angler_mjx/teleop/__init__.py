@@ -1,1 +1,1 @@
-"""Robots of a scene driven by a person at a terminal, or by a file of timed keys."""
+"""Teleoperation of a scene's robots, from a terminal or from a file of timed keys."""

@@ -1,4 +1,4 @@
-"""The camera that follows a driven robot: behind and above it, looking ahead, never in rock."""
+"""Chase camera of a driven robot: behind and above it, looking ahead, never in rock."""
 
 import math
 
@@ -8,20 +8,22 @@ from angler_mjx.teleop.pilot import heading
 from angler_mjx.world.grid import Grid
 
 BACK_M, UP_M = 2.0, 0.8
-"""Of the camera from the robot, along its level heading and upright."""
+"""Offset of the camera from the robot, along its level heading and upright."""
 
 DOWN_RAD = 0.21
-"""Pitch of the camera: less than that of the line to the robot, which is then seen below the
-middle, and what lies ahead of it above."""
+"""Pitch of the camera.
+
+It is less than that of the line to the robot, so the robot is seen below the middle, and the
+scene ahead of it above."""
 
 _STEPS = 14
-"""Parts of the way from the robot to the camera, each looked at for rock: 0.15 m."""
+"""Number of rock checks on the line from the robot to the camera: every 0.15 m."""
 
 
 def camera_pose(p: np.ndarray, q: np.ndarray, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
-    """Where the camera is, and how it is turned.
+    """Return the position and attitude of the camera.
 
-    It goes with the robot's heading and stays level while the robot tilts, as the keys do. Where
+    It follows the robot's heading and stays level while the robot tilts, as the keys do. Where
     rock would hide the robot, the camera comes nearer.
 
     Args:
@@ -50,7 +52,7 @@ def camera_pose(p: np.ndarray, q: np.ndarray, grid: Grid) -> tuple[np.ndarray, n
 
 
 def _is_in_rock(points_m: np.ndarray, grid: Grid) -> np.ndarray:
-    """Which of the points [n, 3] lie in an occupied cell; outside the cells there is none."""
+    """Return whether points [n, 3] lie in an occupied cell; outside the cells none does."""
     occupied = np.asarray(grid.occupied)
     cells = np.floor((points_m - np.asarray(grid.origin_m)) / float(grid.cell_m)).astype(int)
     inside = ((cells >= 0) & (cells < occupied.shape)).all(axis=1)

@@ -1,4 +1,4 @@
-"""Driving from beginning to end: session, keys, screen, recording and viewer put together."""
+"""Teleoperation from start to end: session, keys, screen, recording and viewer combined."""
 
 import math
 import time
@@ -23,16 +23,16 @@ from angler_mjx.teleop.terminal import Keyboard, Screen, has_screen
 
 @dataclass(frozen=True, kw_only=True)
 class TeleopSettings:
-    """What a person chooses on the command line."""
+    """Teleoperation settings from the command line."""
 
     robots: str | None = None
-    """As in ``0,2``; all if None."""
+    """Driven robots, as in ``0,2``; all if None."""
     script: Path | None = None
     """File of keys; the keyboard if None."""
     realtime: bool = True
-    """The keyboard always is."""
+    """Whether to keep real time; always with the keyboard."""
     out: Path | None = None
-    """Run folder to make."""
+    """Run folder to create."""
     world: int = 0
     rerun: bool = False
     duration_s: float | None = None
@@ -41,7 +41,7 @@ class TeleopSettings:
     silence_s: float = KEY_TIMEOUT_S
 
     def __post_init__(self) -> None:
-        """Refuse numbers that make no sense.
+        """Refuse invalid numbers.
 
         Raises:
             ConfigError: naming the flag and its value.
@@ -66,19 +66,19 @@ def run_teleop(
     """Drive robots of one world of a scenario.
 
     Args:
-        scenario: whose world and robots.
-        settings: who is driven, and how.
-        report: told why nothing moves yet.
-        opener: of the session that is driven.
+        scenario: source of the world and robots.
+        settings: driven robots, and options.
+        report: receives the reason of the delay before the start.
+        opener: of the session to drive.
 
     Returns:
-        How it went, and the run folder if one was asked for and at least one step was driven.
+        Result of the drive, and the run folder if requested and at least one step was driven.
 
     Raises:
-        ConfigError: something of the scenario or the settings cannot be used; nothing is left.
-        UnsupportedError: the viewer is not there.
-        RunError: the session broke off, and the run folder holds what was driven until then; or the
-            disk gave out, and what there is stays in the hidden folder.
+        ConfigError: the scenario or the settings cannot be used; nothing is left.
+        UnsupportedError: the viewer is not installed.
+        RunError: the session broke off, and the run folder holds the drive until then; or writing
+            to the disk failed, and the hidden folder keeps its files.
     """
     if not 0 <= settings.world < 2**31:
         raise ConfigError(
@@ -135,7 +135,7 @@ def _drive_session(
     settings: TeleopSettings,
     watchers: Sequence[Watcher],
 ) -> DriveResult:
-    """Drive with the terminal taken, if there is one, and give it back."""
+    """Drive with the terminal taken over, if there is one, and restore it."""
     with ExitStack() as terminal:
         screen = terminal.enter_context(Screen()) if has_screen() else None
         if isinstance(keys, Keyboard):

@@ -1,7 +1,7 @@
-"""What each key does: the bindings of ROS 2's teleop_twist_keyboard, and six more.
+"""Key bindings: those of ROS 2's teleop_twist_keyboard, and six more.
 
 The tables hold the documented bindings of that program (ros2/teleop_twist_keyboard, README); its
-rule that any key it does not know stops the robot holds here too.
+rule that any unknown key stops the robot holds here too.
 """
 
 from enum import Enum
@@ -9,16 +9,16 @@ from typing import NamedTuple
 
 
 class Direction(NamedTuple):
-    """Where a key drives: shares of the set speeds, each -1, 0 or 1, in the robot's level frame."""
+    """Direction of a key: fractions of the set speeds, -1, 0 or 1, in the robot's level frame."""
 
     surge: int
-    """Forward."""
+    """Forward, as a fraction of the set speed."""
     sway: int
-    """To port."""
+    """To port, as a fraction of the set speed."""
     heave: int
-    """Up."""
+    """Up, as a fraction of the set speed."""
     yaw: int
-    """Turning to port."""
+    """Turning to port, as a fraction of the set speed."""
 
 
 STILL = Direction(0, 0, 0, 0)
@@ -45,7 +45,7 @@ MOVES: dict[str, Direction] = {
     "t": Direction(0, 0, 1, 0),
     "b": Direction(0, 0, -1, 0),
 }
-"""Keys that drive."""
+"""Driving keys."""
 
 FACTORS: dict[str, tuple[float, float]] = {
     "q": (1.1, 1.1),
@@ -59,7 +59,7 @@ FACTORS: dict[str, tuple[float, float]] = {
 
 
 class KeyAction(Enum):
-    """What else a key can ask for."""
+    """Other actions of a key."""
 
     NEXT = "next robot"
     ALL = "all robots"
@@ -86,7 +86,7 @@ NAMES: dict[str, str] = {
     "escape": "\x1b",
     "ctrl-c": "\x03",
 }
-"""Keys that a file names in angle brackets, as in ``<tab>``."""
+"""Names of keys in angle brackets in a file, as in ``<tab>``."""
 
 HELP = (
     "   u  i  o    forward, turning       U  I  O    forward, to the side",
@@ -98,11 +98,11 @@ HELP = (
     "   p          back to the plan       h          hold position here",
     "   ?          this help              Q, Ctrl-C  end",
 )
-"""For the screen; 80 columns at most."""
+"""Help text of the screen; 80 columns at most."""
 
 
 def format_key(key: str) -> str:
-    """How a file of keys writes a key; those that it cannot write all stop, as ``<space>`` does."""
+    """Return the written form of a key; unwritable keys all stop, as ``<space>`` does."""
     named = {value: f"<{key_name}>" for key_name, value in NAMES.items()}
     written = key if key.isprintable() and key != "#" else "<space>"
     return named.get(key, written)

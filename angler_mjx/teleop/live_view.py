@@ -1,6 +1,6 @@
-"""The Rerun viewer beside the terminal: the world, and the robots as they are driven.
+"""Rerun viewer beside the terminal: the world, and the robots as they are driven.
 
-Imported only where Rerun is installed; `require_viewer` says so where it is not.
+Imported only where Rerun is installed; `require_viewer` raises where it is not.
 """
 
 import importlib.util
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     import rerun.blueprint as rrb
 
 MOVE_S, TRAIL_S = 0.1, 1.0
-"""From one pose to the next, and from one piece of a trail to the next, in seconds of the scene."""
+"""Intervals between poses, and between pieces of a trail, in seconds of the scene."""
 
 _WHITE_RGBA = (255, 255, 255, 255)
 
@@ -53,15 +53,15 @@ def require_viewer(out: Path | None) -> None:
 
 
 class Viewable(Session, Protocol):
-    """A session whose world can be shown."""
+    """Session whose world can be shown."""
 
     def inside(self) -> SessionInternals:
-        """What lies behind it."""
+        """Return the internals of the session."""
         ...
 
 
 class LiveView:
-    """Logs a session to a recording as it goes; see `loop.Watcher`.
+    """Logger of a session to a recording as it goes; see `loop.Watcher`.
 
     The entities are those of a replay (`angler_mjx.report.viewing.entities`), and ``ROOT/camera``.
     """
@@ -69,12 +69,12 @@ class LiveView:
     def __init__(
         self, recording: "rr.RecordingStream", session: Viewable, pilot: TeleopPilot, root: str
     ) -> None:
-        """Log what does not move.
+        """Log the static entities.
 
         Args:
-            recording: where to.
+            recording: destination.
             session: that is about to be driven.
-            pilot: knows who drives what.
+            pilot: its robots and their modes are shown.
             root: path of the entities.
         """
         self._recording, self._session, self._pilot = recording, session, pilot
@@ -89,7 +89,7 @@ class LiveView:
         self._log_static()
 
     def after(self, observation: Observation) -> None:
-        """Log what moved, and trails where they are due."""
+        """Log moved entities, and trails where they are due."""
         if self._steps % self._pose_period == 0:
             self._recording.set_time("time", duration=observation.time_s)
             motion = observation.truth or observation.estimate
@@ -126,12 +126,12 @@ class LiveView:
             fov_y=1.0,
             aspect_ratio=1.2,
             camera_xyz=rr.ViewCoordinates.FLU,
-            image_plane_distance=1e-5,  # its frame is not to be seen
+            image_plane_distance=1e-5,  # hides its frame
         )
         recording.log(f"{self._root}/camera", lens, static=True)
 
     def _log_robots(self, p: Floats, q: Floats) -> None:
-        """Poses [R, 3] and [R, 4] of the robots, and that of the camera."""
+        """Log the poses [R, 3] and [R, 4] of the robots, and that of the camera."""
         import rerun as rr
 
         from angler_mjx.report.viewing import entities
@@ -148,9 +148,9 @@ class LiveView:
             self._recording.log(path, rr.Transform3D(translation=position_m, quaternion=turn))
 
     def _log_labels(self, status: Sequence[RobotStatus]) -> None:
-        """What drives a robot and how it ended, where that is new.
+        """Log each robot's mode and outcome, where they change.
 
-        Robots that keys go to are marked, and white until they end.
+        Robots that receive keys are marked, and white until they end.
         """
         import rerun as rr
 
@@ -174,7 +174,7 @@ class LiveView:
             self._recording.log(f"{self._space}/{robot.name}/vehicle/label", dot)
 
     def _log_water(self, observation: Observation, p: Floats) -> None:
-        """The current at the robots [R, 3], and the obstacles in it."""
+        """Log the current at the robots [R, 3], and the obstacles in it."""
         import rerun as rr
 
         from angler_mjx.report.viewing import entities
@@ -191,7 +191,7 @@ class LiveView:
                 self._recording.log(f"{self._space}/obstacles/{name}", archetype)
 
     def _log_trails(self) -> None:
-        """The way since the last time; the view shows all the pieces."""
+        """Log the path since the last time; the view shows all the pieces."""
         import rerun as rr
 
         for robot, trail in zip(self._robots, self._trails, strict=True):
@@ -200,7 +200,7 @@ class LiveView:
             del trail[:-1]
 
     def _scene(self, time_s: float, observation: Observation | None) -> ReplayScene:
-        """The world at one time, as pictures take it."""
+        """Return the world at one time, in the form of figures."""
         obstacles = self._world.environment.obstacles
         p, q = np.array(obstacles.p0), np.array(obstacles.q0)
         if observation is not None and observation.obstacles is not None:
@@ -221,14 +221,14 @@ def open_viewer(session: Viewable, pilot: TeleopPilot, title: str, world: int) -
 
     Args:
         session: that is about to be driven.
-        pilot: who drives what.
+        pilot: its robots and their modes are shown.
         title: name of the recording.
         world: index of the world.
 
     Raises:
         UnsupportedError: the viewer cannot be started.
     """
-    # Else Rerun writes across the screen when somebody closes the window; read as it is imported.
+    # Else Rerun writes across the screen when its window is closed; read as it is imported.
     os.environ.setdefault("RUST_LOG", "off")
     import rerun as rr
 
@@ -239,7 +239,7 @@ def open_viewer(session: Viewable, pilot: TeleopPilot, title: str, world: int) -
 
 
 def _blueprint(session: Viewable, root: str) -> "rrb.Blueprint":
-    """Beside each other: behind the robot that the keys go to, and the whole world."""
+    """Build two views side by side: behind the robot that receives keys, and the whole world."""
     import rerun.blueprint as rrb
 
     grid = session.inside().worlds.environment.grid

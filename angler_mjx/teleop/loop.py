@@ -1,4 +1,4 @@
-"""The loop: keys in, commands out, a step of the scene, at real time or as fast as possible."""
+"""Control loop: keys in, commands out, a step of the scene, at real time or as fast as possible."""
 
 import time
 from collections.abc import Sequence
@@ -14,53 +14,53 @@ from angler_mjx.teleop.script import TimedKey
 from angler_mjx.teleop.signals import StopRequest
 
 REFRESH_S = 0.1
-"""From one painting of the screen to the next, by the wall clock."""
+"""Wall time between repaints of the screen."""
 
 
 class KeySource(Protocol):
-    """Where keys come from."""
+    """Source of keys."""
 
     @property
     def finished(self) -> bool:
-        """Whether no more will come."""
+        """Whether no more keys will come."""
         ...
 
     def read(self, time_s: float) -> list[str]:
-        """Keys since the last call; ``time_s`` is that of the scene."""
+        """Return the keys since the last call; ``time_s`` is that of the scene."""
         ...
 
 
 class Painter(Protocol):
-    """Shows lines."""
+    """Display of lines."""
 
     def paint(self, lines: Sequence[str]) -> None:
-        """Show them from the top."""
+        """Show lines from the top."""
         ...
 
 
 class Watcher(Protocol):
-    """Told of every step: a recorder, a viewer."""
+    """Receiver of every step: a recorder, a viewer."""
 
     def after(self, observation: Observation) -> None:
-        """A step is done, and this is what it led to."""
+        """Process the observation after a step."""
         ...
 
 
 @dataclass(frozen=True, kw_only=True)
 class DriveResult:
-    """How it went."""
+    """Result of a drive."""
 
     steps: int
     scene_s: float
-    """Of the scene."""
+    """Duration of the scene."""
     wall_s: float
     overruns: Overruns | None
-    """None where nobody kept real time."""
+    """Overruns; None without real time."""
     keys: tuple[TimedKey, ...]
-    """All that were pressed, with the time of the scene at which they took effect."""
+    """All pressed keys, with the time of the scene at which they took effect."""
     last: Observation
     broken: str = ""
-    """What broke it off; empty if it came to its end."""
+    """Reason of an early end; empty if the drive was completed."""
 
 
 def drive_session(
@@ -78,15 +78,15 @@ def drive_session(
     """Drive a session until a key, a signal, the duration or the end of the keys ends it.
 
     Args:
-        session: reset, and whatever it compiles is compiled.
+        session: reset, with everything compiled.
         pilot: turns keys into commands.
-        keys: where they come from.
+        keys: source of keys.
         title: of the scene, for the screen.
-        stop: whether a signal asked for the end.
+        stop: request to stop, set by a signal.
         realtime: one step in each control period of the wall clock; else as fast as possible.
-        duration_s: of the scene, at most; no limit if None.
-        screen: to show how it goes.
-        watchers: told of every step.
+        duration_s: max time of the scene; no limit if None.
+        screen: display of the status.
+        watchers: called after every step.
     """
     observation = session.observe()
     start_s, start_time_s, steps = time.perf_counter(), observation.time_s, 0
@@ -110,7 +110,7 @@ def drive_session(
             break
         try:
             observation = _step_session(session, pilot, observation)
-        except RunError as error:  # what was driven until then is not lost
+        except RunError as error:  # the drive so far is kept
             broken = str(error)
             break
         steps += 1
@@ -130,7 +130,7 @@ def drive_session(
 
 
 def _step_session(session: Session, pilot: TeleopPilot, observation: Observation) -> Observation:
-    """One step; a robot that has no plan to go back to stops instead."""
+    """Advance one step; a robot that has no plan to resume stops instead."""
     commands = pilot.build_commands(observation)
     for robot in commands.resume:
         try:

@@ -1,4 +1,4 @@
-"""The session that is driven: a simulated one, unless whoever starts the drive brings another."""
+"""Session to drive: a simulated one by default, or another by a custom opener."""
 
 import contextlib
 from collections.abc import Callable, Sequence
@@ -17,36 +17,38 @@ from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.teleop.loop import Watcher
 
 type Report = Callable[[str], None]
-"""Told in words why nothing moves yet."""
+"""Receiver of the reason of a delay before the start."""
 
 
 class Drivable(Session, Recordable, Protocol):
-    """A session that can be driven and recorded."""
+    """Session that can be driven and recorded."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class OpenedSession:
-    """A session that is ready, and who else is told of its steps."""
+    """Session that is ready, with the watchers of its steps."""
 
     session: Drivable
     watchers: Sequence[Watcher] = ()
 
 
 type SessionOpener = Callable[[Scenario, int, Path | None, Report | None], OpenedSession]
-"""Opens a session: its scenario, the index of its world, a folder for the robots' own logs (none:
-they are not kept), and whom to tell."""
+"""Opener of a session.
+
+Its arguments are the scenario, the index of the world, a folder for the robots' own logs (None: no
+logs), and the report."""
 
 
 def open_simulated(
     scenario: Scenario, world: int, _: Path | None = None, report: Report | None = None
 ) -> OpenedSession:
-    """One world of the simulator, compiled and reset.
+    """Open one world of the simulator, compiled and reset.
 
     Args:
-        scenario: whose world and robots.
+        scenario: source of the world and robots.
         world: global index of the world.
         _: simulated robots keep no logs.
-        report: told that it takes a while.
+        report: receives a notice of the delay.
 
     Raises:
         ConfigError: there is no such world.
@@ -60,7 +62,7 @@ def open_simulated(
 
 
 def _warm_up(session: BatchSession) -> None:
-    """Let a simulated scene compile now what a key would otherwise wait for while it is driven."""
+    """Compile a simulated scene's commands, so that no key waits for a compiler later."""
     session.reset()
     session.step({0: BodyTwist(nu=jnp.zeros(6))})
     with contextlib.suppress(ConfigError):  # it may have no plan
@@ -69,14 +71,14 @@ def _warm_up(session: BatchSession) -> None:
 
 
 def parse_robots(text: str | None, robots: int) -> tuple[int, ...]:
-    """Indices of the robots to drive; all of them if nothing is given.
+    """Return the indices of the robots to drive; all robots by default.
 
     Args:
         text: as in ``0,2``.
-        robots: how many there are.
+        robots: number of robots.
 
     Raises:
-        ConfigError: the text is something else, or one of them is not there.
+        ConfigError: the text has another format, or a robot does not exist.
     """
     if text is None:
         return tuple(range(robots))

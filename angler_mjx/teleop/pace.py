@@ -1,4 +1,4 @@
-"""Real time: a step of the scene in each control period of the wall clock, and how often not."""
+"""Real-time pace: one scene step per control period of the wall clock, and its overruns."""
 
 import time
 from collections.abc import Callable
@@ -7,24 +7,24 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, kw_only=True)
 class Overruns:
-    """Steps that were not done when their period was over."""
+    """Count of the steps that were not done when their period was over."""
 
     count: int = 0
     worst_s: float = 0.0
-    """How late the latest of them was done."""
+    """Max delay of a step."""
 
     def __str__(self) -> str:
-        """In words, for a screen."""
+        """Return the count as text for a screen."""
         if self.count == 0:
             return "no overruns"
         return f"{self.count} overrun{'s' * (self.count > 1)}, worst {1e3 * self.worst_s:.0f} ms"
 
 
 class RealTimePacer:
-    """Keeps a loop at real time.
+    """Pacer of a loop at real time.
 
-    A step that is late moves all later ones: the scene falls behind the wall clock, and never
-    hurries to catch up.
+    A late step moves all later ones: the scene falls behind the wall clock, and never hurries to
+    catch up.
     """
 
     def __init__(
@@ -33,7 +33,7 @@ class RealTimePacer:
         clock: Callable[[], float] = time.perf_counter,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        """The first period begins now.
+        """Start the first period.
 
         Args:
             dt_s: control period.

@@ -1,9 +1,9 @@
-"""From keys to commands: who is driven, how fast, and what happens when the keys fall silent.
+"""Conversion of keys to commands: driven robots, speeds, and the reaction to missing keys.
 
-Each robot that may be driven is in one of four modes. It begins with its plan. A key that drives
-takes it over (teleop). Silence, or a key that stops, brakes it (stopping): it is told a twist of
-zero until it is slow, and then the pose at which it came to rest (hold). ``p`` gives it back to its
-plan. Nothing here knows of terminals or of wall clocks: times are those of the scene.
+Each robot that may be driven is in one of four modes. It starts with its plan. A driving key takes
+it over (teleop). Missing keys, or a stop key, brake it (stopping): it receives a zero twist until
+it is slow, and then the pose at which it came to rest (hold). ``p`` returns it to its plan. The
+module depends on no terminal and no wall clock: times are those of the scene.
 """
 
 import math
@@ -20,25 +20,27 @@ from angler_mjx.runs.session.interface import Observation, RobotInfo
 from angler_mjx.teleop.keys import ACTIONS, FACTORS, MOVES, STILL, Direction, KeyAction
 
 KEY_TIMEOUT_S = 0.8
-"""Without a key for so long a robot stops. A key that is held repeats only after a while: 0.66 s on
-an X server that nobody configured, 0.5 s on most desktops. A shorter time would stop the robot in
-that gap; in a longer one it goes on blindly, 0.4 m in 0.8 s at 0.5 m/s."""
+"""Time without a key after which a robot stops.
+
+A held key repeats only after a while: 0.66 s on an unconfigured X server, 0.5 s on most desktops. A
+shorter time would stop the robot in that gap; in a longer one it moves on blindly, 0.4 m in 0.8 s
+at 0.5 m/s."""
 
 REST_MPS, REST_RADPS = 0.03, 0.05
-"""Slower than this a robot that brakes is at rest, and holds its position."""
+"""Max speeds of a braking robot at rest, which then holds its position."""
 
 BRAKE_S = 4.0
-"""A robot that has not come to rest in this time (the current may be too much for it) is told to
-hold where it is then."""
+"""Time limit of braking; then the robot holds its position, even if the current is too strong."""
 
 
 RIGHTING_PER_S = 1.0
-"""Rate at which a robot under keys is turned upright, for each radian of tilt. Without it the tilt
-that a turn or a stream leaves would stay: nothing in a twist says where up is."""
+"""Rate at which a robot under keys is turned upright, for each radian of tilt.
+
+Without it the tilt that a turn or a current leaves would stay: a twist has no upright reference."""
 
 
 class DriveMode(Enum):
-    """What drives a robot."""
+    """Drive mode of a robot."""
 
     PLAN = "plan"
     TELEOP = "teleop"
@@ -48,37 +50,37 @@ class DriveMode(Enum):
 
 @dataclass
 class _RobotControl:
-    """One robot's."""
+    """Control state of one robot."""
 
     mode: DriveMode = DriveMode.PLAN
     direction: Direction = STILL
     since_s: float = 0.0
-    """The last key while it is driven, or when it began to brake."""
+    """Time of the last key while driven, or of the start of braking."""
     is_sent: bool = True
-    """Whether the session knows of the mode."""
+    """Whether the mode was sent to the session."""
     remark: str = ""
-    """What a person should know, until the next key."""
+    """Note for the user, until the next key."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TeleopCommands:
-    """What a session is to be told before its next step."""
+    """Commands to a session before its next step."""
 
     commands: dict[int, Command] = field(default_factory=dict)
     resume: tuple[int, ...] = ()
-    """Robots that go back to their plans."""
+    """Robots that resume their plans."""
 
 
 class TeleopPilot:
-    """Drives some robots of a scene by keys.
+    """Pilot of some robots of a scene by keys.
 
     Attributes:
-        driven: indices of the robots that it may drive.
-        chosen: those that keys go to now.
+        driven: indices of the robots that may be driven.
+        chosen: robots that receive keys now.
         speed_mps: set linear speed.
         turn_radps: set angular speed.
-        help_wanted: whether the help is to be shown.
-        ended: whether a key asked for the end.
+        help_wanted: whether to show the help.
+        ended: whether a key requested the end.
     """
 
     def __init__(
@@ -90,7 +92,7 @@ class TeleopPilot:
         turn_radps: float,
         silence_s: float = KEY_TIMEOUT_S,
     ) -> None:
-        """Everybody follows the plan; keys go to the first of ``driven``."""
+        """Start with all robots on their plans; keys go to the first of ``driven``."""
         self.driven = tuple(driven)
         self.selected: tuple[int, ...] = self.driven[:1]
         self.speed_mps = speed_mps
@@ -102,21 +104,21 @@ class TeleopPilot:
         self._controls = {i: _RobotControl() for i in self.driven}
 
     def mode(self, robot: int) -> DriveMode:
-        """What drives a robot; the plan, for one that is not driven from here."""
+        """Return the drive mode of a robot; the plan, for a robot that is not driven from here."""
         control = self._controls.get(robot)
         return DriveMode.PLAN if control is None else control.mode
 
     def remark(self, robot: int) -> str:
-        """What a person should know of a robot; empty if nothing."""
+        """Return the user's note about a robot; empty if there is none."""
         control = self._controls.get(robot)
         return "" if control is None else control.remark
 
     def press(self, key: str, time_s: float) -> None:
-        """Take a key.
+        """Process a key.
 
         Args:
             key: one character.
-            time_s: when, in seconds of the scene.
+            time_s: time of the key, in seconds of the scene.
         """
         for control in self._selected_controls():
             control.remark = ""
@@ -141,18 +143,18 @@ class TeleopPilot:
                 self.stop(robot, time_s)
 
     def stop(self, robot: int, time_s: float) -> None:
-        """Brake a robot, whatever drives it; one that brakes or holds already goes on with that."""
+        """Brake a robot in any mode; a braking or holding robot is unchanged."""
         control = self._controls[robot]
         if control.mode in (DriveMode.PLAN, DriveMode.TELEOP):
             control.mode, control.since_s, control.is_sent = DriveMode.STOPPING, time_s, False
 
     def refuse(self, robot: int, reason: str, time_s: float) -> None:
-        """A robot cannot do what was asked for: it stops, and a person is told why."""
+        """Refuse a request for a robot: it stops, with the reason as its note."""
         self.stop(robot, time_s)
         self._controls[robot].remark = reason
 
     def build_commands(self, observation: Observation) -> TeleopCommands:
-        """What follows from the keys so far, for the step that begins now."""
+        """Return the commands from the keys so far, for the next step."""
         time_s, estimate = observation.time_s, observation.estimate
         commands: dict[int, Command] = {}
         resume = []
@@ -167,7 +169,7 @@ class TeleopPilot:
             ):
                 control.mode, control.is_sent = DriveMode.HOLD, False
             if control.mode is DriveMode.TELEOP:
-                # Told anew at each step: the level frame turns within F as the robot tilts.
+                # Sent again at each step: the level frame turns within F as the robot tilts.
                 nu = level_twist(self._scale_direction(control.direction), q)
                 commands[robot] = BodyTwist(nu=jnp.asarray(limit_twist(nu, self._robots[robot])))
             elif not control.is_sent:
@@ -202,17 +204,17 @@ class TeleopPilot:
                 self.ended = True
 
     def _scale_direction(self, direction: Direction) -> np.ndarray:
-        """[4] surge, sway, heave in m/s and turn in rad/s, as set."""
+        """Return [4] surge, sway, heave in m/s and turn in rad/s, at the set speeds."""
         return np.append(self.speed_mps * np.array(direction[:3]), self.turn_radps * direction.yaw)
 
 
 def _stop_command() -> BodyTwist:
-    """Stop; of those who take velocities alone, also the nearest thing to holding."""
+    """Return a stop; for robots that accept velocities alone, also the nearest to holding."""
     return BodyTwist(nu=jnp.zeros(6))
 
 
 def level_twist(velocity: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """A velocity in a robot's level frame as a twist in F that also rights the robot.
+    """Convert a velocity in a robot's level frame to a twist in F that also rights the robot.
 
     The level frame has the robot's heading and an upright z axis, so that forward stays level and
     up stays up while the robot tilts. nu_F = [R^T Rz(psi) v, R^T (e_z r + k (R e_z) x e_z)], R from
@@ -235,7 +237,7 @@ def level_twist(velocity: np.ndarray, q: np.ndarray) -> np.ndarray:
 
 
 def limit_twist(nu: np.ndarray, robot: RobotInfo) -> np.ndarray:
-    """A twist nu [6] in F, slowed to what a robot can do; its direction stays."""
+    """Return a twist nu [6] in F, slowed to the robot's limits; its direction stays."""
     linear, angular = nu[:3], nu[3:]
     speeds = np.abs(linear) / np.asarray(robot.max_speed_mps)
     turn = float(np.linalg.norm(angular)) / robot.max_turn_radps
@@ -243,7 +245,7 @@ def limit_twist(nu: np.ndarray, robot: RobotInfo) -> np.ndarray:
 
 
 def _to_body(q: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    """A vector [3] of W in F, on the host: a few operations of JAX take longer than a step."""
+    """Rotate a vector [3] from W to F on the host; a few JAX operations take longer than a step."""
     w, axis = float(q[0]), -np.asarray(q[1:], float)
     double_cross = 2.0 * np.cross(axis, vector)
     turned: np.ndarray = vector + w * double_cross + np.cross(axis, double_cross)
@@ -251,7 +253,7 @@ def _to_body(q: np.ndarray, vector: np.ndarray) -> np.ndarray:
 
 
 def hold_pose(estimate: Estimate, robot: int) -> PoseTarget:
-    """The pose at which a robot of a scene is, to be held."""
+    """Return the current pose of a robot of a scene, to be held."""
     q = np.asarray(estimate.q)[robot]
     return PoseTarget(
         position_m=jnp.asarray(np.asarray(estimate.p)[robot]),
@@ -261,12 +263,12 @@ def hold_pose(estimate: Estimate, robot: int) -> PoseTarget:
 
 
 def heading(q: np.ndarray) -> float:
-    """Heading psi, rad, about z up, 0 = east, of an attitude q [4] (Fossen 2021, eq. 2.81)."""
+    """Return heading psi, rad, about z up, 0 = east, of attitude q [4] (Fossen 2021, eq. 2.81)."""
     w, x, y, z = (float(part) for part in q)
     return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
 
 def _is_at_rest(control: _RobotControl, nu: np.ndarray, time_s: float) -> bool:
-    """Whether a robot that brakes has come to rest, or has tried for long enough."""
+    """Return whether a braking robot has come to rest, or has tried for long enough."""
     is_slow = np.linalg.norm(nu[:3]) < REST_MPS and np.linalg.norm(nu[3:]) < REST_RADPS
     return bool(is_slow) or time_s - control.since_s > BRAKE_S

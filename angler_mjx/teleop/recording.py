@@ -1,7 +1,7 @@
-"""What was driven, as a run folder: replays, figures and exports read it like any other run.
+"""Recording of a drive as a run folder, for replays, figures and exports as of any other run.
 
-Beside the files of every run lies ``keys.txt``, the keys that were pressed: as a script they drive
-the same scene the same way again.
+Beside the files of every run lies ``keys.txt``, the pressed keys: as a script they repeat the same
+drive of the same scene.
 """
 
 from typing import Any
@@ -17,20 +17,20 @@ KEYS_FILE = "keys.txt"
 
 
 class TeleopRecording(SessionRecording):
-    """A run folder in the making; see `SessionRecording`."""
+    """Run folder in progress; see `SessionRecording`."""
 
     def finish(self, driven: DriveResult, compile_s: float) -> Run | None:
         """Write the run.
 
         Args:
-            driven: how it went.
-            compile_s: seconds that compiling took.
+            driven: result of the drive.
+            compile_s: seconds of compilation.
 
         Returns:
             The run; None if not even one step was driven.
 
         Raises:
-            RunError: the disk gave out.
+            RunError: writing to the disk failed.
         """
         if not driven.steps:
             return None

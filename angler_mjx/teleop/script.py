@@ -1,8 +1,7 @@
-"""Files of timed keys: what a person would press, and when, in seconds of the scene.
+"""Files of timed keys: the keys of a drive with their times, in seconds of the scene.
 
-One key a line: ``2.5 <tab>``. A key that is held stands with the time from which and until which:
-``3-8 i``; it repeats as a keyboard does. A ``#`` that begins a line or follows a space begins a
-comment.
+One key a line: ``2.5 <tab>``. A held key has its start and end time: ``3-8 i``; it repeats as a
+keyboard does. A ``#`` that begins a line or follows a space begins a comment.
 """
 
 import re
@@ -15,43 +14,42 @@ from angler_mjx.files import format_path, read_text
 from angler_mjx.teleop import keys
 
 REPEAT_S = 0.1
-"""Between two keys of one that is held: no faster than a control loop looks, no slower than a
-dead-man's time allows."""
+"""Repeat period of a held key: not below a control period, not above the key timeout."""
 
 MAX_TIME_S = 86_400.0
-"""A scene is over by then: the longest horizon of a scenario."""
+"""Max time of a key: the longest horizon of a scenario."""
 MAX_KEYS = 1_000_000
-"""Keys of a file, those of held ones counted each."""
+"""Max keys of a file, with each repeat of a held key counted."""
 _MAX_BYTES, _MAX_LINE_LENGTH = 1 << 24, 200
-"""Of a file, and characters of a line."""
+"""Max bytes of a file, and max characters of a line."""
 
 MAX_FAULTS = 10
-"""Faults of a file that are told; a file with more is not one of keys."""
+"""Max reported faults of a file; a file with more is no key file."""
 
 _SLACK_S = 1e-6
-"""Times of the scene are sums of periods in floating point."""
+"""Tolerance of scene times, which are sums of periods in floating point."""
 
 _LINE = re.compile(r"(?P<begin>\S+?)(?:-(?P<end>[^\s-]\S*))?\s+(?P<key>\S+)")
 
 
 @dataclass(frozen=True)
 class TimedKey:
-    """A key and when it is pressed."""
+    """Key with its time."""
 
     time_s: float
     key: str
 
 
 class KeyScript:
-    """Keys that come at their times."""
+    """Source of keys at their times."""
 
     def __init__(self, timed: Sequence[TimedKey]) -> None:
-        """Keys in the order of time."""
+        """Create the source with the keys in the order of time."""
         self._timed = list(timed)
         self._next = 0
 
     def read(self, time_s: float) -> list[str]:
-        """Keys whose time has come since the last call."""
+        """Return the keys that became due since the last call."""
         first = self._next
         while self._next < len(self._timed) and self._timed[self._next].time_s <= time_s + _SLACK_S:
             self._next += 1
@@ -67,7 +65,7 @@ def load_keys(path: Path) -> list[TimedKey]:
     """Read a file of keys.
 
     Raises:
-        ConfigError: it cannot be read, holds no key, or has lines that make no sense (with
+        ConfigError: it cannot be read, holds no key, or has invalid lines (with
             their numbers).
     """
     try:
@@ -84,7 +82,7 @@ def load_keys(path: Path) -> list[TimedKey]:
             begin, presses, pressed = _parse_line(stripped)
             if begin < latest:
                 raise ValueError(f"comes before the line above it ({latest:g} s); sort the lines")
-            if len(timed) + presses > MAX_KEYS:  # asked before they are made
+            if len(timed) + presses > MAX_KEYS:  # checked before the keys are created
                 raise ValueError(
                     f"more than {MAX_KEYS:,} keys up to here; drive for a shorter time"
                 )
@@ -101,7 +99,7 @@ def load_keys(path: Path) -> list[TimedKey]:
         )
     if not timed:
         raise ConfigError(f"--script {format_path(path)}: holds no key; give lines such as `2.0 i`")
-    # A held key goes on past the lines that follow it.
+    # A held key continues past the lines that follow it.
     return sorted(timed, key=lambda timed_key: timed_key.time_s)
 
 
@@ -112,10 +110,10 @@ def save_keys(path: Path, timed: Sequence[TimedKey]) -> None:
 
 
 def _parse_line(line: str) -> tuple[float, int, str]:
-    """The first time of a line, how often its key comes, and the key.
+    """Return the first time of a line, the number of presses, and the key.
 
     Raises:
-        ValueError: saying what of it makes no sense.
+        ValueError: naming the fault.
     """
     if len(line) > _MAX_LINE_LENGTH or (match := _LINE.fullmatch(line)) is None:
         raise ValueError("give a time in seconds and a key, as in `2.0 i`")
@@ -140,10 +138,10 @@ def _parse_seconds(text: str) -> float:
 
 
 def _parse_key(text: str) -> str:
-    """The key of its written form.
+    """Return the key of its written form.
 
     Raises:
-        ValueError: it is none.
+        ValueError: it is no key.
     """
     if len(text) == 1:
         return text

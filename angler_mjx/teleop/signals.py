@@ -1,4 +1,4 @@
-"""Signals that ask for the end: the step that is being made is finished before anything closes."""
+"""Signals that request the end: the current step is finished before anything closes."""
 
 import signal
 from collections.abc import Callable, Iterator
@@ -10,16 +10,16 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class StopRequest:
-    """Whether a signal asked for the end: then the step that is being made is still finished."""
+    """Request to stop, set by a signal; the current step is still finished."""
 
     def __init__(self) -> None:
-        """Nobody did."""
+        """Create a request that is not set."""
         self.requested = False
         self.closing = False
-        """Whether what was driven is being put away, which nothing breaks off."""
+        """Whether the recording is being saved, which no signal interrupts."""
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
-        """Take a signal; a second one breaks off a step that does not end."""
+        """Handle a signal; a second one interrupts a step that does not end."""
         if self.requested and not self.closing:
             signal.default_int_handler(number, frame)
         self.requested = True
@@ -27,33 +27,33 @@ class StopRequest:
 
 @contextmanager
 def stop_on_signal() -> Iterator[StopRequest]:
-    """Ctrl-C, SIGTERM and a lost terminal (SIGHUP) ask for the end instead of breaking off."""
+    """Turn Ctrl-C, SIGTERM and a lost terminal (SIGHUP) into a request to stop."""
     stop = StopRequest()
     with _install_handler(stop):
         yield stop
 
 
 class BreakRequest:
-    """Breaks off what is being done, by KeyboardInterrupt."""
+    """Interruption of the current work, by KeyboardInterrupt."""
 
     def __init__(self) -> None:
-        """Nobody asked for it."""
+        """Create a request that is not set."""
         self._requested = False
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
-        """Take a signal."""
+        """Handle a signal."""
         self._requested = True
         signal.default_int_handler(number, frame)
 
     def check(self) -> None:
-        """Raise it again: one that falls into a callback of a library is swallowed there."""
+        """Raise the interruption again: a library's callback may have swallowed it."""
         if self._requested:
             raise KeyboardInterrupt
 
 
 @contextmanager
 def break_on_signal() -> Iterator[BreakRequest]:
-    """All three break off what is being done, so that what was begun is taken away."""
+    """Interrupt the current work on all three signals, so that its output is removed."""
     interrupt = BreakRequest()
     with _install_handler(interrupt):
         yield interrupt

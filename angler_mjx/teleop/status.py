@@ -1,4 +1,4 @@
-"""What the screen says: the scene in two lines, a line for each robot, and what was refused."""
+"""Text of the screen: the scene in two lines, a line for each robot, and refusals."""
 
 import math
 import textwrap
@@ -14,7 +14,7 @@ from angler_mjx.teleop.pace import Overruns
 from angler_mjx.teleop.pilot import DriveMode, TeleopPilot, heading
 
 WIDTH = 79
-"""Of a terminal of 80 columns, all that can be used."""
+"""Usable width of a terminal of 80 columns."""
 
 _HEAD = "  robot     depth m  hdg   m/s clear m  driven by  outcome"
 
@@ -26,14 +26,14 @@ def format_screen(
     pilot: TeleopPilot,
     overruns: Overruns | None,
 ) -> list[str]:
-    """The screen, from the top; no line is longer than `WIDTH`.
+    """Return the lines of the screen, from the top; no line is longer than `WIDTH`.
 
     Args:
         title: of the scene.
         robots: of the session.
         observation: latest.
-        pilot: who drives what.
-        overruns: so far; None where nobody keeps real time.
+        pilot: its modes and notes are shown.
+        overruns: so far; None without real time.
     """
     pace = "as fast as possible" if overruns is None else str(overruns)
     rows = [
@@ -53,7 +53,7 @@ def format_screen(
 
 
 def format_drive_mode(robot: int, pilot: TeleopPilot, status: RobotStatus) -> str:
-    """What drives a robot, in a word or two."""
+    """Return the drive mode of a robot, in a word or two."""
     if status.refused:
         return "hold"
     mode = pilot.mode(robot)
@@ -63,7 +63,7 @@ def format_drive_mode(robot: int, pilot: TeleopPilot, status: RobotStatus) -> st
 
 
 def compass_heading_deg(q: np.ndarray) -> float:
-    """Heading on a compass: degrees from north, clockwise, in [0, 360), of q [4], F to W."""
+    """Return the compass heading, degrees clockwise from north in [0, 360), of q [4], F to W."""
     return math.degrees(heading(frames.quaternion_enu_to_ned(np.asarray(q, float)))) % 360.0
 
 
@@ -84,7 +84,7 @@ def _format_robot(i: int, robot: RobotInfo, observation: Observation, pilot: Tel
 
 
 def _format_remarks(robot: RobotInfo, status: RobotStatus, remark: str) -> list[str]:
-    """What its driver and the pilot have to say of a robot, on lines of their own."""
+    """Return the notes of a robot's driver and of the pilot, on lines of their own."""
     texts = [f"refused: {status.refused}"] if status.refused else []
     texts += [text for text in (status.note, remark) if text]
     return [

@@ -1,10 +1,10 @@
-"""A terminal for a while: single keys in, a screen that is painted over in place out.
+"""Terminal for single-key input and for a screen that is repainted in place.
 
 Keys come as they are pressed, without echo. Signals keep their meaning, but the keys that suspend,
-dump core or stop the output (Ctrl-Z, Ctrl-backslash, Ctrl-S) become ordinary ones: a program that
-stands still drives nobody, and would leave the terminal as it is. Whatever ends the program's
-block, an exception or a signal, the terminal is given back as it was. The screen is the terminal's
-second one, so what stood there comes back as well.
+dump core or stop the output (Ctrl-Z, Ctrl-backslash, Ctrl-S) become ordinary ones: a stopped
+program drives no robot, and would leave the terminal as it is. However the program's block ends, by
+an exception or a signal, the terminal is restored. The screen is the terminal's alternate one, so
+its earlier content comes back as well.
 """
 
 import codecs
@@ -26,28 +26,28 @@ _ENTER = "\x1b[?1049h\x1b[?25l\x1b[2J"
 _LEAVE = "\x1b[?25h\x1b[?1049l"
 
 _SEQUENCE = re.compile(r"\x1b(?:\[[0-?]*[ -/]*[@-~]|O.|[^\x1b])?|.", re.DOTALL)
-"""One key: a character, or what arrow keys, function keys and Alt send."""
+"""One key: a character, or the sequence of an arrow key, a function key or Alt."""
 
 _IFLAG, _CC = 0, 6
-"""Places in what `termios.tcgetattr` gives."""
+"""Indices in the result of `termios.tcgetattr`."""
 
 _HANGUP = "\x03"
-"""A terminal that is gone is read as Ctrl-C."""
+"""A closed terminal is read as Ctrl-C."""
 
 
 def parse_keys(text: str) -> list[str]:
-    """Keys in what a terminal sent; those of several characters come as Escape."""
+    """Parse terminal input into keys; those of several characters come as Escape."""
     return [part[0] for part in _SEQUENCE.findall(text)]
 
 
 class Keyboard:
-    """Keys of the terminal on standard input."""
+    """Keyboard of the terminal on standard input."""
 
     def __init__(self) -> None:
-        """Look for the terminal; nothing is changed yet.
+        """Find the terminal; nothing is changed yet.
 
         Raises:
-            ConfigError: standard input is none.
+            ConfigError: standard input is no terminal.
         """
         if not sys.stdin.isatty():
             raise ConfigError(
@@ -59,7 +59,7 @@ class Keyboard:
         self.finished = False
 
     def __enter__(self) -> Self:
-        """Take keys as they are pressed; what was typed before is dropped."""
+        """Switch to single-key input; earlier input is dropped."""
         self._before = termios.tcgetattr(self._file)
         tty.setcbreak(self._file, termios.TCSAFLUSH)
         attributes = termios.tcgetattr(self._file)
@@ -76,15 +76,15 @@ class Keyboard:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Give the terminal back as it was; keys that nobody read are dropped."""
+        """Restore the terminal; unread keys are dropped."""
         with contextlib.suppress(termios.error):  # the terminal is gone
             termios.tcsetattr(self._file, termios.TCSAFLUSH, self._before)
 
     def read(self, time_s: float) -> list[str]:
-        """Keys that were pressed since the last call; does not wait.
+        """Return the keys pressed since the last call; does not wait.
 
         Args:
-            time_s: of the scene; a keyboard has no use for it.
+            time_s: of the scene; not used by a keyboard.
         """
         del time_s
         sent = b""
@@ -100,10 +100,10 @@ class Keyboard:
 
 
 class Screen:
-    """The terminal on standard output, painted over in place."""
+    """Screen of the terminal on standard output, repainted in place."""
 
     def __enter__(self) -> Self:
-        """Go to the terminal's second screen."""
+        """Switch to the terminal's alternate screen."""
         self._write(_ENTER)
         return self
 
@@ -113,27 +113,27 @@ class Screen:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Come back to the first."""
+        """Switch back to the main screen."""
         self._write(_LEAVE)
 
     def paint(self, lines: Sequence[str]) -> None:
         """Show lines from the top; those that do not fit are cut.
 
-        All goes out in one piece, and each line is overwritten before its rest is cleared: nothing
-        is blank for a moment.
+        All lines go out in one piece, and each is overwritten before its rest is cleared, to
+        prevent flicker.
         """
         columns, rows = shutil.get_terminal_size()
-        # Clearing behind a line that fills its row would take the last character away.
+        # Clearing behind a line that fills its row would remove the last character.
         shown = [line[: columns - 1] for line in lines[:rows]]
         self._write("\x1b[H" + "\r\n".join(f"{line}\x1b[K" for line in shown) + "\x1b[J")
 
     @staticmethod
     def _write(text: str) -> None:
-        with contextlib.suppress(OSError):  # the terminal is gone; the keyboard tells
+        with contextlib.suppress(OSError):  # the terminal is gone; the keyboard reports it
             sys.stdout.write(text)
             sys.stdout.flush()
 
 
 def has_screen() -> bool:
-    """Whether standard output is a terminal that can be painted over."""
+    """Return whether standard output is a terminal that can be repainted."""
     return sys.stdout.isatty() and os.environ.get("TERM", "dumb") != "dumb"

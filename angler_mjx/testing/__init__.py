@@ -1,6 +1,6 @@
 """Conformance suites of sessions and planners, the referee of runs, and validation.
 
-Plain functions, for any test runner. The names here are loaded when they are first used: the
+The checks are plain functions, for any test runner. The names here are loaded on first use: the
 referee (`angler_mjx.testing.referee`) needs neither JAX nor the simulator.
 """
 
@@ -31,11 +31,11 @@ __all__ = [
 ]
 
 _HOME = {"Bounds": "driving", "check_planner": "planner_checks"}
-"""Of the names that are not in `conformance`."""
+"""Modules of the names that are not in `conformance`."""
 
 
 def __getattr__(name: str) -> Any:
-    """Load a public name from where it is defined."""
+    """Load a public name from its module."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     home = _HOME.get(name, "conformance")

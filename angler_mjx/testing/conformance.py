@@ -1,7 +1,7 @@
-"""What any session must do, check by check, and the suite of all checks.
+"""Conformance checks of any session, and the suite of all checks.
 
 A check drives one robot of a session through its public methods alone, so it holds for a simulator
-and for real autopilots; `Bounds` says how well their physics must do. The scene should be calm
+and for real autopilots; `Bounds` holds the limits of their physics. The scene should be calm
 (little current, nothing that moves), with free water around the robot's start.
 """
 
@@ -25,28 +25,28 @@ __all__ = [
 
 @dataclass(frozen=True, kw_only=True)
 class Check:
-    """One thing that a session must do."""
+    """Check of one requirement of a session."""
 
     name: str
     asserts: str
-    """In words."""
+    """Requirement, in words."""
     run: Callable[[Session, Bounds], None]
-    """Resets the session first. Raises NonConformanceError, or Skipped."""
+    """Function of the check. Resets the session first. Raises NonConformanceError, or Skipped."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """How one check went."""
+    """Result of one check."""
 
     name: str
     skipped: str = ""
-    """Why, if it was."""
+    """Reason, if it was skipped."""
     fault: str = ""
-    """What did not hold; empty if all did."""
+    """Failed requirement; empty if there is none."""
 
 
 def _build_check(run: Callable[[Session, Bounds], None]) -> Check:
-    """A check from its function: its name, and the first line of what it says."""
+    """Return the check of a function: its name, and the first line of its docstring."""
     description = (run.__doc__ or "").strip().splitlines()[0]
     return Check(name=run.__name__, asserts=description, run=run)
 
@@ -80,19 +80,19 @@ def check_session(
     bounds: Bounds | None = None,
     only: Collection[str] | None = None,
 ) -> tuple[Result, ...]:
-    """Put a session through every check.
+    """Run every check on a session.
 
     Args:
-        make_session: makes the session that is checked; it is called once, and the session is
+        make_session: makes the session to check; it is called once, and the session is
             closed at the end.
-        bounds: how well it must do.
-        only: names of the checks to make; all of them if left out.
+        bounds: limits of the checks.
+        only: names of the checks to run; all of them if left out.
 
     Returns:
-        What came of each check, if nothing is wrong: passed, or skipped with the reason.
+        The result of each check, if there is no failure: passed, or skipped with the reason.
 
     Raises:
-        NonConformanceError: naming every check that failed and what did not hold.
+        NonConformanceError: naming every failed check with its fault.
     """
     session, limits = make_session(), bounds or Bounds()
     results, closing = [], refusals.a_closed_session_is_closed.__name__

@@ -1,9 +1,9 @@
-"""What any planner must do, check by check.
+"""Conformance checks of any planner.
 
     from angler_mjx.testing import check_planner
     check_planner(MyPlanner, simulator.problems(0, 3))
 
-A planner on the host is made anew for each check, so that what one leaves behind is seen.
+A planner on the host is created anew for each check, so that leftover state is detected.
 """
 
 import time
@@ -20,22 +20,22 @@ from angler_mjx.planning.problem import Problem
 from angler_mjx.testing.driving import NonConformanceError
 
 MAX_DEADLINE_RATIO = 1.1
-"""Of its deadline that a planner may take."""
+"""Max ratio of a planner's time to its deadline."""
 
 
 def check_planner(
     make: Callable[[], Planner], problems: Sequence[Problem], *, repeats: bool = True
 ) -> None:
-    """Put a planner of the host through all checks.
+    """Run all checks of a planner of the host.
 
     Args:
-        make: the planner, anew.
+        make: factory of the planner.
         problems: at least two, in arrays of NumPy (`Simulator.problems`).
-        repeats: whether the same problem must give the same plan; not so for planners that the
-            clock stops.
+        repeats: whether the same problem must give the same plan; not so for planners stopped by
+            the clock.
 
     Raises:
-        NonConformanceError: listing what does not hold.
+        NonConformanceError: listing the failures.
     """
     if len(problems) < 2:
         raise NonConformanceError("give at least two problems")
@@ -52,7 +52,7 @@ def check_planner(
 
 
 def _check_answers(planner: Planner, problem: Problem) -> list[str]:
-    """One sound path a robot, or why not; in time; nothing of the problem changed."""
+    """Check for one sound path per robot, or a reason; in time; with the problem unchanged."""
     before = jax.tree.map(np.array, problem)
     start_s = time.perf_counter()
     returned = planner.plan(problem)
@@ -73,7 +73,7 @@ def _check_answers(planner: Planner, problem: Problem) -> list[str]:
 
 
 def _check_repeatable(make: Callable[[], Planner], problems: Sequence[Problem]) -> list[str]:
-    """The same problem, the same plan: by another planner, and after other problems."""
+    """Check for the same plan of the same problem: by another planner, and after other problems."""
     first, second = problems[:2]
     planner, other_planner = make(), make()
     reference = planner.plan(first)
@@ -87,13 +87,13 @@ def _check_repeatable(make: Callable[[], Planner], problems: Sequence[Problem]) 
 
 
 def _check_single_robot(planner: Planner, problem: Problem) -> list[str]:
-    """A team of one is a team."""
+    """Check a team of one robot."""
     single = replace(problem, team=jax.tree.map(lambda leaf: leaf[:1], problem.team))
     return [f"team of one: {fault}" for fault in _check_answers(planner, single)]
 
 
 def _check_unreachable_goal(planner: Planner, problem: Problem) -> list[str]:
-    """A goal inside of rock is no error: its robot has no path."""
+    """Check a goal inside of rock: no error, and no path for its robot."""
     rock: Any = np.ones_like(problem.grid.occupied)
     walled = replace(problem, grid=replace(problem.grid, occupied=rock))
     try:
@@ -106,7 +106,7 @@ def _check_unreachable_goal(planner: Planner, problem: Problem) -> list[str]:
 
 
 def _is_reported_failure(returned: Any, robot: int) -> bool:
-    """Whether the planner itself said that there is no path."""
+    """Return whether the planner itself reported that there is no path."""
     try:
         return isinstance(returned[robot], NoPlan)
     except (TypeError, IndexError, KeyError):

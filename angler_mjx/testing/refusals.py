@@ -1,4 +1,4 @@
-"""Checks of what a session refuses, and of what it does then."""
+"""Checks of a session's refusals, and of its behaviour after them."""
 
 from typing import Any
 
@@ -24,7 +24,7 @@ from angler_mjx.testing.driving import (
 
 
 def bad_commands_are_refused(session: Session, bounds: Bounds) -> None:
-    """NaN, wrong shapes, too fast, unknown joints, false times: refused by name and value."""
+    """Require that NaN, wrong shapes, excess speed, unknown joints and false times are refused."""
     begin = session.reset()
     robot = session.robots[bounds.robot]
     for label, order, value in _bad_commands(session, begin, bounds.robot):
@@ -43,7 +43,7 @@ def bad_commands_are_refused(session: Session, bounds: Bounds) -> None:
 
 
 def _bad_commands(session: Session, now: Observation, robot: int) -> list[tuple[str, Any, str]]:
-    """Labels, orders that nobody can follow, and what the refusal must name."""
+    """Return labels, infeasible orders, and the texts that the refusal must name."""
     info, p, yaw = session.robots[robot], position(now, robot), heading(now, robot)
     count = len(info.thrusters)
     short: Any = np.zeros(5)
@@ -67,13 +67,13 @@ def _bad_commands(session: Session, now: Observation, robot: int) -> list[tuple[
 
 
 def _make_joint_goal(joint: str, *rows: tuple[float, float]) -> JointGoal:
-    """A JointTrajectory of one joint: times and places."""
+    """Return a JointTrajectory of one joint: times and positions."""
     points = tuple(JointPoint(time_s=t, positions=(float(x),)) for t, x in rows)
     return JointGoal(joint_names=(joint,), points=points)
 
 
 def a_refused_robot_holds_and_others_go_on(session: Session, bounds: Bounds) -> None:
-    """A robot whose command is refused in mid-course holds its place; the others go on."""
+    """Require that a robot refused in flight holds its position, and that the others go on."""
     require_accepts(session, bounds.robot, BodyTwist)
     session.reset()
     others = [i for i in range(len(session.robots)) if i != bounds.robot]
@@ -100,7 +100,7 @@ def a_refused_robot_holds_and_others_go_on(session: Session, bounds: Bounds) -> 
 
 
 def robots_that_are_not_there_are_refused(session: Session, bounds: Bounds) -> None:
-    """A command for a robot that is not there raises ConfigError, and nothing moves."""
+    """Require that a command for a missing robot raises ConfigError, and nothing moves."""
     begin = session.reset()
     for index in (len(session.robots), -1):
         try:
@@ -114,7 +114,7 @@ def robots_that_are_not_there_are_refused(session: Session, bounds: Bounds) -> N
 
 
 def a_closed_session_is_closed(session: Session, bounds: Bounds) -> None:
-    """After close, a step raises RunError."""
+    """Require that a step after close raises RunError."""
     session.reset()
     session.close()
     try:

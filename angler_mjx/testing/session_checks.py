@@ -1,4 +1,4 @@
-"""Checks of what a session does with time and with good commands; each drives one robot."""
+"""Checks of a session's time and of its response to valid commands; each drives one robot."""
 
 import itertools
 from typing import Any
@@ -27,7 +27,7 @@ from angler_mjx.testing.driving import (
 
 
 def reset_repeats(session: Session, bounds: Bounds) -> None:
-    """The same seed and the same commands lead to the same place."""
+    """Require that the same seed and commands lead to the same position."""
     ends = []
     for _ in range(2):
         begin = session.reset(seed=11)
@@ -44,7 +44,7 @@ def reset_repeats(session: Session, bounds: Bounds) -> None:
 
 
 def time_advances(session: Session, bounds: Bounds) -> None:
-    """Each step takes one control period."""
+    """Require that each step takes one control period."""
     before = session.reset().time_s
     for number, now in enumerate(run_steps(session, 0.5), 1):
         due = before + number * session.dt_s
@@ -55,7 +55,7 @@ def time_advances(session: Session, bounds: Bounds) -> None:
 
 
 def observing_changes_nothing(session: Session, bounds: Bounds) -> None:
-    """Looking twice shows the same, and shows what the step showed."""
+    """Require that repeated observations are equal, and equal to that of the step."""
     session.reset()
     after = run_steps(session, 0.5)[-1]
     for look in ("first", "second"):
@@ -66,7 +66,7 @@ def observing_changes_nothing(session: Session, bounds: Bounds) -> None:
 
 
 def commands_are_latched(session: Session, bounds: Bounds) -> None:
-    """A robot goes on with its last command until it is given another."""
+    """Require that a robot keeps its last command until it receives another."""
     require_accepts(session, bounds.robot, BodyTwist)
     session.reset()
     seen = run_steps(session, 5.0, {bounds.robot: make_twist(bounds.speed_mps, 0, 0, 0, 0, 0)})
@@ -81,7 +81,7 @@ def commands_are_latched(session: Session, bounds: Bounds) -> None:
 
 
 def twists_are_in_the_body_frame(session: Session, bounds: Bounds) -> None:
-    """A robot told a twist moves so along its own axes, and turns left for a positive yaw rate."""
+    """Require that a twist moves a robot along its own axes, and left for a positive yaw rate."""
     require_accepts(session, bounds.robot, BodyTwist)
     for axis, name in ((0, "surge"), (1, "sway"), (2, "heave"), (5, "yaw")):
         begin = session.reset()
@@ -90,7 +90,7 @@ def twists_are_in_the_body_frame(session: Session, bounds: Bounds) -> None:
         wanted[axis] = -bounds.speed_mps if axis == 2 else bounds.speed_mps
         seen = run_steps(session, 5.0, {bounds.robot: make_twist(*wanted)})
         late = np.mean([velocity(now, bounds.robot) for now in seen[-20:]], axis=0)
-        held = [0, 1, 2, 5]  # roll and pitch are the vehicle's own to balance
+        held = [0, 1, 2, 5]  # the vehicle balances roll and pitch itself
         off = np.abs(late - wanted)[held].max()
         require(
             off <= bounds.velocity_mps,
@@ -102,7 +102,7 @@ def twists_are_in_the_body_frame(session: Session, bounds: Bounds) -> None:
 def _require_direction(
     begin: Observation, end: Observation, bounds: Bounds, axis: int, name: str
 ) -> None:
-    """Whether the way in W is that of the command, by the heading at the start."""
+    """Require that the path in W has the commanded direction, by the heading at the start."""
     if axis == 5:
         left = heading(end, bounds.robot) - heading(begin, bounds.robot)
         require(
@@ -126,7 +126,7 @@ def _require_direction(
 
 
 def poses_are_reached(session: Session, bounds: Bounds) -> None:
-    """A pose a metre off, turned by a radian, is reached and kept."""
+    """Require that a pose at 1 m, turned by a radian, is reached and kept."""
     require_accepts(session, bounds.robot, PoseTarget)
     begin = session.reset()
     goal = position(begin, bounds.robot) + np.array([0.6, 0.5, -0.6])
@@ -142,7 +142,7 @@ def poses_are_reached(session: Session, bounds: Bounds) -> None:
 
 
 def wrenches_push(session: Session, bounds: Bounds) -> None:
-    """A wrench forward drives a robot forward."""
+    """Require that a wrench forward drives a robot forward."""
     require_accepts(session, bounds.robot, BodyWrench)
     session.reset()
     tau: Any = np.array([15.0, 0, 0, 0, 0, 0])
@@ -152,7 +152,7 @@ def wrenches_push(session: Session, bounds: Bounds) -> None:
 
 
 def neutral_signals_let_it_drift(session: Session, bounds: Bounds) -> None:
-    """With neutral signals nothing is held: a moving robot coasts, and slows down by drag."""
+    """Require that with neutral signals a moving robot coasts, and slows down by drag."""
     require_accepts(session, bounds.robot, ThrusterPwm)
     require_accepts(session, bounds.robot, BodyTwist)
     robot = session.robots[bounds.robot]
@@ -172,7 +172,7 @@ def neutral_signals_let_it_drift(session: Session, bounds: Bounds) -> None:
 
 
 def trajectories_are_followed_and_held(session: Session, bounds: Bounds) -> None:
-    """A JointTrajectory is followed in time, its end is held, and the note says so."""
+    """Require that a JointTrajectory is followed in time, its end held, and the note says so."""
     require_accepts(session, bounds.robot, JointGoal)
     begin = _hold_start(session, bounds)
     start, yaw = position(begin, bounds.robot), heading(begin, bounds.robot)
@@ -199,7 +199,7 @@ def trajectories_are_followed_and_held(session: Session, bounds: Bounds) -> None
 
 
 def _hold_start(session: Session, bounds: Bounds) -> Observation:
-    """A robot that holds its start: a path is joined to what its plan was about to do, else."""
+    """Hold a robot at its start; else a path would be joined to the next motion of its plan."""
     begin = session.reset()
     if PoseTarget not in session.robots[bounds.robot].accepts:
         return begin
@@ -208,14 +208,14 @@ def _hold_start(session: Session, bounds: Bounds) -> Observation:
 
 
 def _interpolate_path(t: float, times: Floats, offsets: Floats) -> Floats:
-    """Where a trajectory of lines from rest is; its first piece ends with the next one's speed."""
+    """Return the point on linear segments from rest; the first ends with the speed of the next."""
     knots = np.concatenate([[0.0], times])
     rows = np.concatenate([np.zeros((1, 3)), offsets])
     return np.array([np.interp(t, knots, rows[:, i]) for i in range(3)])
 
 
 def trajectories_are_replaced_smoothly(session: Session, bounds: Bounds) -> None:
-    """Another JointTrajectory in mid-course is joined without a jump of the place aimed at."""
+    """Require that another JointTrajectory in flight is joined without a jump of the target."""
     require_accepts(session, bounds.robot, JointGoal)
     begin = _hold_start(session, bounds)
     x, y, _ = position(begin, bounds.robot)
@@ -229,7 +229,7 @@ def trajectories_are_replaced_smoothly(session: Session, bounds: Bounds) -> None
 
 
 def plans_are_taken_up_again_smoothly(session: Session, bounds: Bounds) -> None:
-    """Plan, twist, plan: one robot is handed over and back without a jump, the others go on."""
+    """Require that plan, twist, plan causes no jump, and that the other robots go on."""
     require_accepts(session, bounds.robot, BodyTwist)
     begin = session.reset()
     if begin.status[bounds.robot].command != "plan":
@@ -262,15 +262,15 @@ def plans_are_taken_up_again_smoothly(session: Session, bounds: Bounds) -> None:
 def require_smooth(
     session: Session, bounds: Bounds, seen: list[Observation], speed_mps: float
 ) -> None:
-    """Require that the place aimed at does not step, nor the velocity in the first second.
+    """Require that the target does not step, nor the velocity in the first second.
 
     Later a path may have corners.
 
     Args:
-        session: that is checked.
-        bounds: how well.
-        seen: observations in a row.
-        speed_mps: of the place aimed at, at most.
+        session: session to check.
+        bounds: limits of the check.
+        seen: consecutive observations.
+        speed_mps: max speed of the target.
     """
     for before, now in itertools.pairwise(seen):
         jolt = np.abs(velocity(now, bounds.robot) - velocity(before, bounds.robot))[:3].max()

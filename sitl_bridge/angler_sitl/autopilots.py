@@ -1,4 +1,4 @@
-"""The autopilots of a scene: started, brought up, stepped together, and ended together."""
+"""Autopilots of a scene, started, brought up, stepped and closed together."""
 
 import shutil
 import tempfile
@@ -38,23 +38,24 @@ from angler_sitl.wire.lockstep import LockStep
 from angler_sitl.wire.tlog import FILE_NAME, TelemetryLog
 
 FIX_AGE_S = 0.03
-"""How old external navigation is when it is sent. The firmware takes it for so much older than when
-it came: half a step of its filter, and the time that the bytes would need on a wire. Sent at once,
-it would have its position run 24 ms ahead of the truth; so it is within 10 ms of it, a step of its
-filter."""
+"""Delay [s] of external navigation when it is sent.
+
+The firmware assumes this delay: half a step of its filter, plus the transmission time on a wire.
+Without the delay its position runs 24 ms ahead of the truth. With it the position is within 10 ms
+of the truth, a step of its filter."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class AutopilotSettings:
-    """How autopilots are run.
+    """Settings of the autopilots.
 
     Attributes:
-        binary: the ArduSub.
+        binary: ArduSub executable.
         level: where commands enter.
-        source: where their filters learn their position.
-        speed: times real time, at most; None as fast as it goes.
-        folder: for their logs; None keeps nothing.
-        parameters: of the firmware, beside our own or instead of them.
+        source: position source of their filters.
+        speed: max speed, times real time; None for no limit.
+        folder: folder of their logs; None for no logs.
+        parameters: firmware parameters that extend or override the defaults.
         on_crash: whether the loss of one autopilot ends the scene, or the others go on.
     """
 
@@ -71,27 +72,27 @@ class Autopilots:
     """All autopilots of a scene, in lock-step with it; a context manager.
 
     Attributes:
-        pilots: each of them.
+        pilots: one commander per autopilot.
         instances: their processes.
-        ready: what it took to bring them up.
-        differences: parameters that they did not take, by robot's name.
+        ready: record of the start-up.
+        differences: parameters that the autopilots did not accept, by robot name.
     """
 
     def __init__(
         self, settings: AutopilotSettings, scene: AutopilotScene, robots: tuple[RobotInfo, ...]
     ) -> None:
-        """Start them and bring them up: armed, in their mode, their vehicles still moored.
+        """Start the autopilots and bring them up: armed, in their mode, vehicles still moored.
 
         Raises:
             ConfigError: more robots than system numbers, or a vehicle without a matching frame.
-            RunError: one of them does not come up. None is left running.
+            RunError: an autopilot does not come up. No process is left running.
         """
         self._settings, self._scene = settings, scene
         self._exit = ExitStack()
         try:
             start_s = time.perf_counter()
             self._start_processes(robots)
-            self._lockstep.set_speed(None)  # nothing moves until they are armed
+            self._lockstep.set_speed(None)  # no limit: nothing moves until the autopilots are armed
             ready = boot_autopilots(
                 self.pilots,
                 self._advance_boot,
@@ -112,7 +113,7 @@ class Autopilots:
             raise
 
     def __enter__(self) -> Self:
-        """Itself."""
+        """Return the context manager itself."""
         return self
 
     def __exit__(
@@ -121,33 +122,33 @@ class Autopilots:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """End them all."""
+        """Close all autopilots."""
         self.close()
 
     @property
     def time_s(self) -> float:
-        """Their clock."""
+        """Time of the autopilots' clock, s."""
         return self._scene.time_s
 
     @property
     def lockstep(self) -> LockStep:
-        """What steps them."""
+        """Lock-step that steps the autopilots."""
         return self._lockstep
 
     def estimate_motion(self) -> EstimatedMotion:
-        """What they believe of their own motion, now."""
+        """Return the autopilots' estimates of their own motion at the current time."""
         return collect_motion(self.pilots, self.time_s)
 
     def note(self, robot: int) -> str:
-        """How one of them stands."""
+        """Return a short note on the state of a robot's autopilot."""
         reason = self._lockstep.lost.get(robot)
         return self.pilots[robot].note() if reason is None else f"lost: {reason.partition('; ')[0]}"
 
     def advance(self) -> None:
-        """One control period: step, take what they say, and tell them where they were.
+        """Advance one control period: step, receive telemetry, send position fixes.
 
         Raises:
-            RunError: one of them crashed, hangs or began anew.
+            RunError: an autopilot crashed, hangs or restarted.
         """
         steps_after_fix = round(FIX_AGE_S / self._scene.dt_s)
         self._lockstep.advance(self._scene.steps_per_period - steps_after_fix)
@@ -159,12 +160,12 @@ class Autopilots:
             pilot.send_fix(self.time_s, fix)
 
     def close(self) -> None:
-        """End them all; twice does no harm."""
+        """Close all autopilots; a second call has no effect."""
         self._exit.close()
 
     def _advance_boot(self) -> float:
         if self._settings.level == "thrusters":
-            # Without a word of ours these outputs are 0, which its battery takes for full reverse.
+            # Without these pulses the outputs are 0, which its battery takes for full reverse.
             for pilot in self.pilots:
                 pilot.send_neutral()
         self.advance()

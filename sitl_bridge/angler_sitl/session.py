@@ -1,7 +1,7 @@
-"""Real ArduSub autopilots as a session: the same commands, the same observations, the same plans.
+"""Session over real ArduSub autopilots, with the commands, observations and plans of any session.
 
-A world of a scenario, its water and its vehicles are the simulator's; what steers them are N
-processes of the firmware, stepped together with the water at 400 Hz.
+The world of the scenario, its water and its vehicles are the simulator's. The vehicles are steered
+by N firmware processes, stepped together with the water at 400 Hz.
 """
 
 from collections.abc import Mapping, Sequence
@@ -52,7 +52,7 @@ from angler_sitl.steering.levels import STICK_LEVELS
 
 
 class SitlSession:
-    """A `Session` over one world of a scenario that real autopilots steer; a context manager."""
+    """`Session` over one world of a scenario, steered by real autopilots; a context manager."""
 
     def __init__(
         self,
@@ -76,19 +76,21 @@ class SitlSession:
 
         Args:
             scenario: the scenario, its name, or its file.
-            world: which of its worlds.
+            world: index of the world in the scenario.
             level: where commands enter: see `angler_sitl.steering.levels`.
-            source: where the autopilots' filters learn their position.
-            estimate: what our own controllers and checks go by: the autopilots' filters, or the
+            source: position source of the autopilots' filters.
+            estimate: input of our own controllers and checks: the autopilots' filters, or the
                 truth.
-            speed: times real time at most, or ``max``.
-            binary: the ArduSub; else the environment's ``ANGLER_ARDUSUB``, or the installed one.
-            folder: where each robot's logs are kept; nowhere if left out.
-            robots: so many of the scenario's.
+            speed: max speed, times real time, or ``max``.
+            binary: ArduSub executable; else the environment's ``ANGLER_ARDUSUB``, or the installed
+                one.
+            folder: folder for each robot's logs; none are kept if left out.
+            robots: number of robots; the scenario's if left out.
             on_crash: whether the loss of one autopilot ends the scene, or the others go on.
-            parameters: of the firmware, beside our own or instead of them.
-            points: most points of a JointTrajectory.
-            start_tolerance: how far a path may begin from a robot, m and rad; 0 is any distance.
+            parameters: firmware parameters that extend or override the defaults.
+            points: max number of points of a JointTrajectory.
+            start_tolerance: max distance from a robot to the start of a path, m and rad; 0 is any
+                distance.
             tolerances: of JointTrajectories, for x, y, z and yaw; those of `paths` if left out.
 
         Raises:
@@ -98,7 +100,7 @@ class SitlSession:
         if world < 0:
             raise ConfigError(f"world = {world}: worlds are counted from 0")
         self._scenario = select_scenario(scenario, robots)
-        for entry in self._scenario.fleet:  # at once, and not after a minute of compiling
+        for entry in self._scenario.fleet:  # before compiling, which takes a minute
             firmware.for_vehicle(library.load_vehicle(entry.vehicle), level, source)
         self._tolerances = command_preparation.stack_tolerances(tolerances, self._scenario)
         self._points, self._start_tolerance = points, start_tolerance
@@ -121,7 +123,7 @@ class SitlSession:
         self.reset()
 
     def __enter__(self) -> Self:
-        """Itself."""
+        """Return the context manager itself."""
         return self
 
     def __exit__(
@@ -130,12 +132,12 @@ class SitlSession:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """End the autopilots."""
+        """Close the autopilots."""
         self._stop_autopilots()
 
     @property
     def robots(self) -> Sequence[RobotInfo]:
-        """Who is there, in order."""
+        """Robots of the scene, in order."""
         return self._facts.robots
 
     @property
@@ -145,14 +147,14 @@ class SitlSession:
 
     @property
     def autopilots(self) -> Autopilots:
-        """The autopilots, for those who look at them closely."""
+        """Autopilots of the scene, for close inspection."""
         self._require_open()
         if self._autopilots is None:
             raise RunError("the autopilots are down; reset the session")
         return self._autopilots
 
     def inside(self) -> SessionInternals:
-        """What lies behind the scene, for recordings; it is to be looked at, not to be changed."""
+        """Return the internals of the scene, for recordings; read-only."""
         self._require_open()
         return SessionInternals(
             simulator=self._simulator,
@@ -162,9 +164,9 @@ class SitlSession:
         )
 
     def reset(self, seed: int | None = None, *, worlds: World | None = None) -> Observation:
-        """See `Session.reset`: fresh processes, up and armed, vehicles at rest at their starts.
+        """Reset as `Session.reset`: new processes, armed, vehicles at rest at their starts.
 
-        No world is drawn if ``worlds`` is one; [1] leads, shapes stay.
+        If ``worlds`` is given, no world is sampled; [1] leads, shapes stay.
         """
         self._require_open()
         self._stop_autopilots()
@@ -189,7 +191,7 @@ class SitlSession:
             self._scene, self._facts, self._tolerances, use_truth=self._estimate == "truth"
         )
         self._view.begin(self._autopilots, self._command_queue, self._command_sender)
-        if self.settings.level in STICK_LEVELS:  # nobody can follow a plan there
+        if self.settings.level in STICK_LEVELS:  # no plan can be followed at stick levels
             for robot in range(len(self.robots)):
                 hold = command_preparation.hold_command(
                     (PoseTarget,), self._view.estimated_view, robot, self._limits
@@ -198,7 +200,7 @@ class SitlSession:
         return self.observe()
 
     def step(self, commands: Mapping[int, SessionCommand] | None = None) -> Observation:
-        """See `Session.step`."""
+        """Step as `Session.step`."""
         self._require_open()
         for robot in commands or {}:
             robot_checks.require_robot(self.robots, robot)
@@ -223,12 +225,12 @@ class SitlSession:
         return self.observe()
 
     def observe(self) -> Observation:
-        """See `Session.observe`."""
+        """Observe as `Session.observe`."""
         self._require_open()
         return self._view.make_observation(self._time_s, self._collect_status())
 
     def check(self, robot: int, command: SessionCommand) -> None:
-        """See `Session.check`."""
+        """Check a command as `Session.check`."""
         self._require_drivable(robot)
         info, view = self.robots[robot], self._view.estimated_view
         position = RobotPosition(
@@ -237,7 +239,7 @@ class SitlSession:
         command_validation.check_command(info, position, self._limits, command, self._time_s)
 
     def resume_plan(self, robot: int) -> None:
-        """See `Session.resume_plan`; what moves is not looked at on the way back."""
+        """Resume a plan as `Session.resume_plan`; the path back ignores moving obstacles."""
         self._require_drivable(robot)
         info, command_state, level = (
             self.robots[robot],
@@ -270,7 +272,7 @@ class SitlSession:
         self._command_queue.resume(robot, rejoin_path)
 
     def close(self) -> None:
-        """See `Session.close`: no autopilot is left running."""
+        """Close as `Session.close`: no autopilot is left running."""
         self._require_open()
         self._stop_autopilots()
         self._closed = True
@@ -284,7 +286,7 @@ class SitlSession:
         return self._facts.command_limits(self._points, self._start_tolerance)
 
     def _advance_period(self) -> None:
-        """One control period: decide, send, step, judge."""
+        """Advance one control period: decide, send, step, judge."""
         scene, autopilots = self._scene, self.autopilots
         before = scene.state
         decision = self._command_sender.steer(
@@ -300,7 +302,7 @@ class SitlSession:
         self._view.record_step(before, decision)
 
     def _collect_status(self) -> tuple[RobotStatus, ...]:
-        """As of the orders, and how each autopilot stands."""
+        """Return the status of each robot, with the note of its autopilot."""
         statuses = self._command_queue.status(np.asarray(self._view.view.outcome).tolist())
         notes = [self.autopilots.note(i) for i in range(len(statuses))]
         return tuple(
@@ -313,14 +315,14 @@ class SitlSession:
             raise RunError("the session is closed; make a new one")
 
     def _require_drivable(self, robot: int) -> None:
-        """Refuse to drive a robot that failed, or whose autopilot is gone."""
+        """Raise unless a robot can be driven: it has not failed and its autopilot runs."""
         self._require_open()
         if reason := self.autopilots.lockstep.lost.get(robot):
             raise ConfigError(f"{self.robots[robot].name}: cannot go on: {reason}")
         robot_checks.require_running(self.robots, robot, self._view.view.outcome)
 
     def _stop_autopilots(self) -> None:
-        """End the autopilots, if there are any."""
+        """Close the autopilots, if there are any."""
         if self._autopilots is not None:
             self._autopilots.close()
             self._autopilots = None

@@ -1,4 +1,4 @@
-"""Real autopilots opened to be driven by hand, by `angler_mjx.teleop`."""
+"""Opener of real autopilots for teleoperation by `angler_mjx.teleop`."""
 
 from pathlib import Path
 
@@ -12,13 +12,13 @@ from angler_sitl.wire.ground_station import GroundStation
 def build_session_opener(
     *, level: CommandLevel, source: PositionSource, gcs: str | None, binary: Path | None
 ) -> SessionOpener:
-    """What `angler_mjx.teleop.driving.run_teleop` takes.
+    """Build the session opener for `angler_mjx.teleop.driving.run_teleop`.
 
     Args:
         level: where commands enter.
-        source: where the autopilots learn their position.
+        source: position source of the autopilots.
         gcs: ground station that may join.
-        binary: the ArduSub; None for the usual one.
+        binary: ArduSub executable; None for the usual one.
 
     Raises:
         ConfigError: no such ground station.

@@ -1,4 +1,4 @@
-"""`angler dataset`: make, show and judge datasets."""
+"""`angler dataset`: make, show and verify datasets."""
 
 import json as text
 import sys
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 MAX_FINDINGS = 100
-"""Findings that are printed."""
+"""Max number of findings printed."""
 
 
 def make_dataset(
@@ -31,23 +31,23 @@ def make_dataset(
     processes: int | None = None,
     process: int | None = None,
 ) -> None:
-    """Fly the episodes of a dataset file, and write them with all that is to be known of them.
+    """Fly the episodes of a dataset file, and write them with their metadata.
 
     Args:
         config: Name of a shipped dataset file (reef), or the path of one (.toml).
-        episodes: How many, of all scenes, teams and experts together.
+        episodes: Number of episodes, over all scenes, teams and experts.
         out: Folder to make; datasets/NAME if left out.
-        resume: Go on with an interrupted one of the same file and number.
-        device: Where to compute; JAX's choice if left out.
-        devices: Number of devices to spread the worlds over; all there are if left out. Changes no
+        resume: Continue an interrupted dataset of the same file and number.
+        device: Device to compute on; JAX's choice if left out.
+        devices: Number of devices to spread the worlds over; all available if left out. Changes no
             byte of the results.
-        workers: Processes that plan, where a planner is one of the host; one for each processor if
+        workers: Number of planning processes, for planners on the host; one for each processor if
             left out. Changes no byte of the results.
         distributed: Share the flights with other processes, here or on other hosts; each is started
             with the same arguments and sees the same folders. Changes no byte of the results.
-        coordinator: Where process 0 can be reached, HOST:PORT; Slurm and Open MPI tell it.
-        processes: How many processes there are; Slurm and Open MPI tell it.
-        process: Index of this one, from 0; Slurm and Open MPI tell it.
+        coordinator: Address of process 0, HOST:PORT; detected under Slurm and Open MPI.
+        processes: Number of processes; detected under Slurm and Open MPI.
+        process: Index of this process, from 0; detected under Slurm and Open MPI.
     """
     choose_device(device, distributed=distributed)
     keep_all_programs()
@@ -91,10 +91,10 @@ def make_dataset(
 
 
 def show_dataset(dataset: Annotated[Path, tyro.conf.Positional]) -> None:
-    """Say what is in a dataset.
+    """Print a summary of a dataset.
 
     Args:
-        dataset: Its folder.
+        dataset: Dataset folder.
     """
     from angler_mjx.learning.datasets import manifest
 
@@ -102,7 +102,7 @@ def show_dataset(dataset: Annotated[Path, tyro.conf.Positional]) -> None:
 
 
 def _print_dataset(path: Path, dataset_manifest: "Manifest") -> str | None:
-    """Print what is in a dataset; return why no robot has a plan, where planners raised."""
+    """Print a summary of a dataset; return why no robot has a plan, where planners raised."""
     from rich.console import Console
 
     from angler_mjx.cli.shared.text_table import build_text_table as text_table
@@ -146,16 +146,16 @@ def verify_dataset(
     device: Device | None = None,
     json: Annotated[bool, tyro.conf.arg(name="json")] = False,
 ) -> None:
-    """Judge a dataset: its files, its values, and some of its episodes by flying them again.
+    """Verify a dataset: its files, its values, and some of its episodes by flying them again.
 
-    With the tile, kind of device and versions that made it every byte must come out the same;
-    elsewhere flights may part, and the report says how far they do. Exits with 0 when nothing is
-    wrong, with 1 when something is, with 2 when there is no dataset that could be judged.
+    With the tile, kind of device and versions that made it every byte must be equal; elsewhere
+    flights may differ, and the report says by how much. Exits with 0 when no fault is found, with 1
+    when there are faults, with 2 when there is no dataset to verify.
 
     Args:
-        dataset: Its folder.
-        again: How many episodes to fly again, spread over its parts.
-        device: Where to compute; JAX's choice if left out.
+        dataset: Dataset folder.
+        again: Number of episodes to fly again, spread over its parts.
+        device: Device to compute on; JAX's choice if left out.
         json: Print one JSON object instead of the table.
     """
     from rich.console import Console
@@ -195,12 +195,12 @@ def repair_dataset(
     accept: bool = False,
     device: Device | None = None,
 ) -> None:
-    """Fly again what of a dataset was damaged or lost; what is whole is kept.
+    """Fly damaged or lost episodes of a dataset again; whole ones are kept.
 
     Args:
-        dataset: Its folder.
-        accept: Keep flights that come out otherwise than before, on another device or version.
-        device: Where to compute; JAX's choice if left out.
+        dataset: Dataset folder.
+        accept: Keep flights that differ from before, on another device or version.
+        device: Device to compute on; JAX's choice if left out.
     """
     choose_device(device, distributed=False)
     keep_all_programs()
@@ -219,11 +219,11 @@ def repair_dataset(
 
 
 def merge_datasets(datasets: Annotated[tuple[Path, ...], tyro.conf.Positional], out: Path) -> None:
-    """Make one dataset of several that were recorded in one way.
+    """Merge datasets that were recorded with the same settings.
 
     Args:
-        datasets: Their folders.
-        out: Folder to make; files are linked into it where the disk can.
+        datasets: Dataset folders.
+        out: Folder to make; files are linked into it where the file system allows.
     """
     from angler_mjx.learning.datasets import manifest
     from angler_mjx.learning.datasets.maintenance import merge as keeping
@@ -236,10 +236,10 @@ def show_stats(
     dataset: Annotated[Path, tyro.conf.Positional],
     json: Annotated[bool, tyro.conf.arg(name="json")] = False,
 ) -> None:
-    """Count what is in a dataset: splits, experts, outcomes, and means and deviations of fields.
+    """Print counts of a dataset: splits, experts, outcomes, and means and deviations of fields.
 
     Args:
-        dataset: Its folder.
+        dataset: Dataset folder.
         json: Print one JSON object instead of tables.
     """
     from rich.console import Console
@@ -295,15 +295,16 @@ def export_dataset(
     split: str | None = None,
     success: bool | None = None,
 ) -> None:
-    """Write a dataset in the format of another library, a robot's flight an episode.
+    """Write a dataset in the format of another library, with each robot's flight as an episode.
 
     Args:
-        dataset: Its folder, or a run folder.
-        to: LeRobot 3.0, Minari, the HDF5 of motion policy networks, or plain Parquet.
+        dataset: Dataset folder, or a run folder.
+        to: Format: LeRobot 3.0, Minari, the HDF5 of motion policy networks, or plain Parquet.
         out: Folder to make.
-        action: What robots did: where their controllers aimed, or pulse widths.
-        split: Only this split.
-        success: Only episodes in which the whole team arrived (--success), or only the others.
+        action: Action of the robots: targets of their controllers, or pulse widths.
+        split: Export only this split.
+        success: Export only episodes in which the whole team arrived (--success), or only the
+            others.
     """
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn

@@ -1,1 +1,1 @@
-"""Commands about planners: plans, problems, and planners against each other."""
+"""Commands on planners: plans, planning problems, and benchmarks."""

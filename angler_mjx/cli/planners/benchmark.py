@@ -1,4 +1,4 @@
-"""`angler benchmark`: planners against each other."""
+"""`angler benchmark`: comparison of planners."""
 
 import sys
 from collections.abc import Callable
@@ -27,21 +27,21 @@ def benchmark(
     report: bool = False,
     device: Device | None = None,
 ) -> None:
-    """Compare planners on the same problems, and judge them by how their plans fly.
+    """Compare planners on the same problems, and evaluate the flights of their plans.
 
     Args:
         source: Name of a shipped benchmark (reference, fleets), or a benchmark file (.toml); or the
-            results folder of a benchmark, which is made again and compared with what it was.
+            results folder of a benchmark, which is made again and compared with the old results.
         out: Results folder to make; runs/NAME if left out.
-        presets: Of worlds; the file's if left out.
+        presets: World presets; the file's if left out.
         teams: Numbers of robots; the file's if left out.
         problems: Worlds of each preset, scene, team and seed; the file's if left out.
-        workers: Processes that plan; one for each processor if left out.
+        workers: Number of planning processes; one for each processor if left out.
         ray: Address of a Ray cluster whose processors plan (ray start --head prints it), such as
             127.0.0.1:6379.
         resume: Go on with a benchmark that was interrupted; nothing is done twice.
-        report: Only make tables, figures and page of a results folder anew.
-        device: Where to fly; JAX's choice if left out.
+        report: Only make the tables, figures and page of a results folder again.
+        device: Device of the flights; JAX's choice if left out.
     """
     choose_device(device)
     keep_all_programs()
@@ -85,7 +85,7 @@ def benchmark(
 
 
 def _print_comparison(first: Path, second: Path) -> None:
-    """Say whether two results folders are the same; ends with 1 if not."""
+    """Print whether two results folders are equal; exit with 1 if not."""
     from angler_mjx.studies.benchmark import folder_comparison
 
     compared = folder_comparison.compare_folders(first, second)
@@ -153,19 +153,19 @@ class _BenchmarkBar:
         self._bar.stop()
 
     def stop(self) -> None:
-        """Leave the bar as it stands."""
+        """Leave the bar as it is."""
         self._bar.stop()
 
     def start(self, runs: int) -> None:
-        """See `Told`."""
+        """See `BenchmarkProgress`."""
         self._bar.update(self._task, total=runs)
 
     def at(self, text: str) -> None:
-        """See `Told`."""
+        """See `BenchmarkProgress`."""
         self._bar.update(self._task, at=text)
         if not self._bar.console.is_terminal:
             print(text, file=sys.stderr, flush=True)
 
     def advance(self, runs: int) -> None:
-        """See `Told`."""
+        """See `BenchmarkProgress`."""
         self._bar.advance(self._task, runs)

@@ -1,4 +1,4 @@
-"""`angler plan`: plan the worlds of a scenario into a file that can be flown, here or elsewhere."""
+"""`angler plan`: plan the worlds of a scenario into a file of plans."""
 
 import sys
 from pathlib import Path
@@ -32,22 +32,21 @@ def plan(
 
     Args:
         scenario: Name of a shipped scenario, or path of a scenario file (.toml).
-        planner: That plans; the scenario's if left out. One that --list names, or FILE.py:CLASS.
-        information: Information level of what moves, such as
-            obstacles=observed,current=predicted; of what is not named, nothing. The scenario's if
-            left out.
+        planner: Planner of --list, or FILE.py:CLASS; the scenario's if left out.
+        information: Information level of the planner, such as obstacles=observed,current=predicted;
+            nothing for a part that is not named. The scenario's if left out.
         worlds: Number of worlds; the scenario's if left out.
         seed: Seed of the worlds; the scenario's if left out.
         out: File of plans to make; plans/NAME.zarr if left out.
-        workers: Processes that plan, where the planner is one of the host; one for each processor
-            if left out.
-        deadline_s: Wall-clock time for each world; the scenario's if left out.
-        points: Most way-points of a path; the scenario's if left out.
-        resume: Go on with a file that was interrupted.
+        workers: Number of planning processes, for planners on the host; one for each processor if
+            left out.
+        deadline_s: Wall-clock limit for each world, s; the scenario's if left out.
+        points: Max number of waypoints of a path; the scenario's if left out.
+        resume: Continue an interrupted file.
         debug: Index of one world to plan alone, in this process: the planner's exception ends the
             command with its traceback, breakpoint() and python -m pdb work, nothing is written.
-        device: Where to draw the worlds; JAX's choice if left out.
-        list_: Name the planners there are, and end.
+        device: Device to sample the worlds on; JAX's choice if left out.
+        list_: List the planners, and exit.
     """
     choose_device(device)
     keep_all_programs()
@@ -119,7 +118,7 @@ def plan(
 
 
 def _print_plans(scenario: "Scenario", world: int) -> None:
-    """Plan one world in this process, and print what each robot got."""
+    """Plan one world in this process, and print the plan of each robot."""
     from angler_mjx.planning.planner import NoPlan
     from angler_mjx.runs.simulator import debugging
 
@@ -143,15 +142,15 @@ def write_problems(
 
     Args:
         scenario: Name of a shipped scenario, or path of a scenario file (.toml).
-        information: Information level of what moves, such as
-            obstacles=observed,current=predicted; nothing where left out. The scenario's levels if
-            left out altogether.
-        raw: Write plain little-endian numbers, an array of a world a file, that a program without
-            a Zarr library can read.
+        information: Information level of the problems, such as
+            obstacles=observed,current=predicted; nothing for a part that is not named. The
+            scenario's if left out.
+        raw: Write plain little-endian numbers, one file for each array of a world, for programs
+            without a Zarr library.
         worlds: Number of worlds; the scenario's if left out.
         seed: Seed of the worlds; the scenario's if left out.
         out: File to make; problems/NAME.zarr if left out.
-        device: Where to draw the worlds; JAX's choice if left out.
+        device: Device to sample the worlds on; JAX's choice if left out.
     """
     choose_device(device)
     keep_all_programs()

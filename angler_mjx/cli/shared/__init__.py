@@ -1,1 +1,1 @@
-"""What several commands share: the device, what a scenario is given, the bar."""
+"""Shared parts of the commands: device, scenario inputs, progress bars."""

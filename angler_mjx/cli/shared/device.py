@@ -1,4 +1,4 @@
-"""Choosing the device and the compile cache, before JAX touches either."""
+"""Choice of the device and the compile cache, before JAX initialises either."""
 
 import os
 from typing import TYPE_CHECKING, Literal
@@ -17,9 +17,9 @@ def choose_device(device: Device | None, *, distributed: bool = False) -> None:
     Compiled programs are kept: see `angler_mjx.runs.simulator.compile_cache`.
 
     Args:
-        device: where to compute.
-        distributed: whether `join_processes` follows: processes that share a run must find each
-            other before one of them looks at its devices.
+        device: device to compute on.
+        distributed: whether `join_processes` follows: processes that share a run must connect
+            before any of them accesses its devices.
 
     Raises:
         ConfigError: there is no such device.
@@ -36,10 +36,11 @@ def choose_device(device: Device | None, *, distributed: bool = False) -> None:
 
 
 def keep_all_programs() -> None:
-    """Have the compile cache keep what compiles fast too; for commands that a person waits for.
+    """Make the compile cache keep fast compilations too; for interactive commands.
 
-    JAX leaves out what takes less than 1 s: of a scene on real autopilots all but two of 24
-    programs, 1 to 2 s of every start. ``JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS`` is obeyed.
+    JAX leaves out programs that compile in less than 1 s: of a scene on real autopilots all but two
+    of 24 programs, 1 to 2 s of every start. ``JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS`` takes
+    precedence.
     """
     import jax
 
@@ -55,18 +56,19 @@ def join_processes(
     processes: int | None,
     process: int | None,
 ) -> "Processes":
-    """The processes that share a run: this one alone, or all that were started with it.
+    """Return the processes that share a run: this one alone, or all that were started with it.
 
     Args:
-        device: as given to `choose_device`.
+        device: as in `choose_device`.
         distributed: whether there are others.
-        coordinator: host and port of process 0; as the next two, told by Slurm and Open MPI.
-        processes: how many there are.
-        process: index of this one.
+        coordinator: host and port of process 0; detected under Slurm and Open MPI, as are the next
+            two.
+        processes: number of processes.
+        process: index of this process.
 
     Raises:
-        ConfigError: flags of a shared run without ``--distributed``, or not enough of them.
-        RunError: the others did not come.
+        ConfigError: flags of a shared run without ``--distributed``, or missing flags.
+        RunError: the other processes did not connect.
     """
     from angler_mjx.runs.processes import OneProcess
     from angler_mjx.runs.processes import join_processes as join_others

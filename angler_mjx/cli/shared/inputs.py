@@ -1,4 +1,4 @@
-"""A scenario as a command line gives it: a file, and flags that replace keys of it."""
+"""Scenarios of a command line: a file, and flags that replace its keys."""
 
 from collections.abc import Mapping
 from dataclasses import fields
@@ -12,12 +12,11 @@ if TYPE_CHECKING:
 
 
 def build_scenario(name_or_path: str, **flags: Any) -> "Scenario":
-    """Read a scenario; what is wrong with a flag is said of the flag.
+    """Read a scenario; errors in a flag's value name the flag.
 
     Args:
         name_or_path: of a shipped scenario, or of a file.
-        **flags: keys of the scenario; those that are None are left to the file. A table holds
-            keys within it.
+        **flags: keys of the scenario; None keeps the file's value. A table holds nested keys.
 
     Raises:
         ConfigError: as `angler_mjx.scenario.scenario.load_scenario`.
@@ -29,10 +28,10 @@ def build_scenario(name_or_path: str, **flags: Any) -> "Scenario":
 
 
 def build_flyable_scenario(name_or_path: str, **flags: Any) -> "Scenario":
-    """As `build_scenario`, of a scenario that is to be planned or flown.
+    """Read a scenario to plan or fly, as `build_scenario` does.
 
     Raises:
-        ConfigError: also where no robot can be at its goal within the horizon.
+        ConfigError: also where no robot can reach its goal within the horizon.
     """
     from angler_mjx.scenario.horizon_check import check_reachable
 
@@ -42,15 +41,15 @@ def build_flyable_scenario(name_or_path: str, **flags: Any) -> "Scenario":
 
 
 def format_flag(key: str) -> str:
-    """The flag of a key: ``--record-hz`` of ``time.record_hz``, ``--policy`` of ``policy.name``."""
+    """Return the flag of a key, such as ``--record-hz`` of ``time.record_hz``."""
     return "--" + key.removesuffix(".name").rpartition(".")[2].replace("_", "-")
 
 
 def parse_information(text: str | None) -> dict[str, str] | None:
-    """The scenario's table of what is known, from a flag such as obstacles=observed,current=truth.
+    """Parse information levels from a flag such as obstacles=observed,current=truth.
 
     Raises:
-        ConfigError: naming the part that is none, and what is possible.
+        ConfigError: naming the part that is not valid, and the possible values.
     """
     if text is None:
         return None
@@ -77,7 +76,7 @@ def parse_information(text: str | None) -> dict[str, str] | None:
 def build_policy_table(
     name: str | None, information: dict[str, str] | None
 ) -> dict[str, Any] | None:
-    """Return the scenario's table of a policy that flags give.
+    """Return the scenario's table of a policy from flags.
 
     Args:
         name: of the policy; the scenario's if None.
@@ -89,13 +88,13 @@ def build_policy_table(
 
 
 def build_planner_table(name: str | None, **keys: Any) -> dict[str, Any] | None:
-    """The scenario's table of a planner that flags give.
+    """Return the scenario's table of a planner from flags.
 
-    Settings of the scenario's own planner stay with it.
+    The settings of the scenario's own planner are kept.
 
     Args:
         name: of the planner; the scenario's if None.
-        **keys: others of its table; those that are None are left to the file.
+        **keys: other keys of its table; None keeps the file's value.
     """
     table: dict[str, Any] = {key: value for key, value in keys.items() if value is not None}
     if name is None:
@@ -104,7 +103,7 @@ def build_planner_table(name: str | None, **keys: Any) -> dict[str, Any] | None:
 
 
 def require_positive(key: str, value: int | None) -> int | None:
-    """A number of processes from a flag.
+    """Return a number of processes from a flag.
 
     Raises:
         ConfigError: it is below 1.
@@ -115,11 +114,11 @@ def require_positive(key: str, value: int | None) -> int | None:
 
 
 def require_plans(planning: Mapping[str, Any] | None, source: str) -> None:
-    """Refuse to end a command as done when its planner raised an exception in every world.
+    """Refuse to end a command as successful when its planner raised in every world.
 
     Args:
         planning: as `angler_mjx.runs.storage.planning_summary.summarise_planning` returns it.
-        source: planned, for the message.
+        source: name of the planned scenario or file, for the message.
 
     Raises:
         RunError: no world was planned; names the planner, the exception, its file and line.

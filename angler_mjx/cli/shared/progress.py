@@ -23,17 +23,17 @@ class _SpeedColumn(ProgressColumn):
     """Vehicle-steps per second since the simulation began."""
 
     def render(self, task: Task) -> Text:
-        """Text of one task."""
+        """Return the text of a task."""
         seconds = task.elapsed or 0.0
         steps = task.fields["steps"]
         return Text(f"{steps / seconds:.2e} vehicle-steps/s" if steps and seconds else "")
 
 
 class ProgressDisplay:
-    """What is seen on stderr while it is entered, and stays as it stands at the end."""
+    """Progress display on stderr while entered; its last state stays on the terminal."""
 
     def __init__(self, *columns: ProgressColumn, quiet: bool = False) -> None:
-        """A bar of some columns, or nothing at all if ``quiet``."""
+        """Set up a bar with columns, or no display if ``quiet``."""
         self._bar = Progress(*columns, console=Console(stderr=True, quiet=quiet))
 
     def __enter__(self) -> Self:
@@ -47,15 +47,15 @@ class ProgressDisplay:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Leave the bar as it stands."""
+        """Leave the bar as it is."""
         self._bar.stop()
 
 
 class RunBar(ProgressDisplay):
-    """A progress bar on stderr; a `runs.rollout.SampleProgress`."""
+    """A progress bar on stderr; a `runs.progress.Progress`."""
 
     def __init__(self, *, quiet: bool) -> None:
-        """A bar, or nothing at all if ``quiet``."""
+        """Set up a bar, or no display if ``quiet``."""
         super().__init__(
             TextColumn("{task.description}"),
             BarColumn(),
@@ -69,15 +69,15 @@ class RunBar(ProgressDisplay):
         self._task = self._bar.add_task("drawing up", total=None, steps=0)
 
     def start(self, worlds: int, done: int) -> None:
-        """See `SampleProgress`."""
+        """See `Progress`."""
         self._worlds, self._done = worlds, float(done)
 
     def compiling(self) -> None:
-        """See `SampleProgress`."""
+        """See `Progress`."""
         self._bar.update(self._task, description="compiling")
 
     def compiled(self, compile_time: "CompileTime") -> None:
-        """See `SampleProgress`."""
+        """See `Progress`."""
         self._bar.console.print(f"compiled in {compile_time.total_s:.1f} s", highlight=False)
         self._bar.reset(
             self._task,
@@ -88,24 +88,24 @@ class RunBar(ProgressDisplay):
         )
 
     def advance(self, worlds: float, vehicle_steps: int) -> None:
-        """See `SampleProgress`."""
+        """See `Progress`."""
         self._done += worlds
         steps = self._bar.tasks[0].fields["steps"] + vehicle_steps
         self._bar.update(self._task, completed=int(self._done + 1e-6), steps=steps)
 
     def tell(self, text: str) -> None:
-        """See `SampleProgress`."""
+        """See `Progress`."""
         self._bar.console.print(text, highlight=False, markup=False)
 
 
 class PartsBar(RunBar):
-    """The same for several runs, one by one; a `runs.multi_run.Told`."""
+    """A progress bar of several runs in sequence; a `runs.multi_run.RunsProgress`."""
 
     def __init__(self, *, quiet: bool = False) -> None:
-        """A bar, or nothing at all if ``quiet``."""
+        """Set up a bar, or no display if ``quiet``."""
         super().__init__(quiet=quiet)
 
     def part(self, number: int, total: int, name: str) -> None:
-        """See `Told`."""
+        """See `RunsProgress`."""
         self._bar.console.print(f"run {number + 1} of {total}: {name}", highlight=False)
         self._bar.reset(self._task, description="drawing up", total=None, steps=0)

@@ -1,4 +1,4 @@
-"""Tables on the terminal that cut nothing off, however narrow it is."""
+"""Terminal tables that wrap text instead of cutting it off."""
 
 from typing import Any
 
@@ -6,13 +6,13 @@ from rich.table import Table
 
 
 def build_text_table(*headings: str, fixed: int = 1, **options: Any) -> Table:
-    """Make a table whose cells are folded onto further lines and never cut to an ellipsis.
+    """Make a table whose cells wrap onto further lines instead of ending in an ellipsis.
 
     Args:
-        *headings: of the columns.
+        *headings: headings of the columns.
         fixed: number of leading columns that keep their width while any other can be narrower;
             0 where their texts have no bounded length.
-        **options: of `rich.build_text_table.Table`.
+        **options: options of `rich.table.Table`.
     """
     text_table = Table(**options)
     for number, heading in enumerate(headings):

@@ -1,4 +1,4 @@
-"""`angler sitl`: real ArduSub processes. Getting one, and looking whether it runs here."""
+"""`angler sitl`: installation and checks of real ArduSub processes."""
 
 import sys
 from importlib.util import find_spec
@@ -16,16 +16,16 @@ def install_ardusub(
     version: str = "stable-4.5.3",
     sha256: str | None = None,
 ) -> None:
-    """Put an ArduSub SITL into the cache folder, where all commands find it.
+    """Install an ArduSub SITL into the cache folder, where all commands look for it.
 
-    It is fetched from ArduPilot's server, or taken from a file where there is no network. A broken
-    transfer goes on when the command is run again.
+    It is downloaded from ArduPilot's server, or taken from a file without a network. An interrupted
+    download continues when the command is run again.
 
     Args:
-        from_: Take this file and use no network.
-        url: Fetch it from here and not from ArduPilot's server.
-        version: Which official build: stable-4.5.3, latest, ...
-        sha256: Refuse it unless its checksum is this one.
+        from_: Install this file, without a network.
+        url: Download from this address instead of ArduPilot's server.
+        version: Official build: stable-4.5.3, latest, ...
+        sha256: Expected checksum; refuse any other file.
     """
     require_pymavlink()
     if from_ is not None and url is not None:
@@ -44,11 +44,12 @@ def install_ardusub(
 
 
 def run_doctor(ardusub: Path | None = None, isolate: bool = False) -> None:
-    """Look whether real autopilots can be run here, in one table.
+    """Check whether real autopilots can run here, and print the results in a table.
 
     Args:
-        ardusub: The ArduSub to look at; else ANGLER_ARDUSUB, else the installed one.
-        isolate: Do it in a network namespace, where no socket can be reached from outside.
+        ardusub: ArduSub binary to check; if left out, that of ANGLER_ARDUSUB, else the installed
+            one.
+        isolate: Run in a network namespace, where no socket can be reached from outside.
     """
     require_pymavlink()
     if isolate:
@@ -74,7 +75,7 @@ def run_doctor(ardusub: Path | None = None, isolate: bool = False) -> None:
 
 
 def require_pymavlink() -> None:
-    """Refuse to go on without pymavlink.
+    """Refuse to continue without pymavlink.
 
     Raises:
         UnsupportedError: it is not installed.
@@ -84,7 +85,7 @@ def require_pymavlink() -> None:
 
 
 class _TransferBar:
-    """Progress of a transfer on stderr."""
+    """Progress of a download on stderr."""
 
     def __init__(self) -> None:
         from rich.console import Console

@@ -42,26 +42,25 @@ def run(
 
     Args:
         scenario: Name of a shipped scenario, or path of a scenario file (.toml).
-        robots: Number of robots, the first of the scenario's; more of its last kind if it has
-            fewer.
+        robots: Number of robots, the first of the scenario; if it has fewer, more of its last kind.
         world: Index of the world.
         seed: Seed of the run; the scenario's if left out.
-        level: What is sent. thrusters: signals of our own controllers; guided: targets for
-            ArduSub's. The others are driven by hand: angler teleop --session sitl.
-        plan: grid for the planner's paths, or JSON files of JointTrajectories: one with all robots
-            or one for each. Robots in none of them follow the planner's path.
-        source: Where ArduSub learns its position.
-        speed: Times real time at most.
-        duration: Seconds of the scene, whoever has ended; until all robots have ended or the
-            horizon if left out.
+        level: Command level. thrusters: signals of our own controllers; guided: targets for
+            ArduSub's. The other levels are driven by hand: angler teleop --session sitl.
+        plan: grid for the planner's paths, or JSON files of JointTrajectories: one file with all
+            robots or one file for each. Robots in none of them follow the planner's path.
+        source: Source of ArduSub's position.
+        speed: Max speed as a multiple of real time.
+        duration: Duration of the scene in s, even if all robots have ended; until all robots have
+            ended or the horizon if left out.
         out: Run folder to make; runs/NAME-sitl if left out.
-        on_crash: Whether the loss of one ArduSub ends the run, or the others go on.
-        gcs: A ground station that may join, as in udp:127.0.0.1:14550.
-        isolate: Do it in a network namespace, where no socket can be reached from outside.
-        ardusub: The ArduSub to run; else ANGLER_ARDUSUB, else the installed one.
+        on_crash: After the loss of one ArduSub: end the run, or let the others continue.
+        gcs: Ground station that may connect, as in udp:127.0.0.1:14550.
+        isolate: Run in a network namespace, where no socket can be reached from outside.
+        ardusub: ArduSub binary; if left out, that of ANGLER_ARDUSUB, else the installed one.
         parameters: File with parameters of ArduSub, as angler tune and MAVProxy write them, for all
             robots.
-        device: Where to compute.
+        device: Device to compute on.
     """
     require_sitl(isolate=isolate, gcs=gcs)
     choose_device(device)
@@ -99,12 +98,12 @@ def run(
 
 
 def require_sitl(*, isolate: bool, gcs: str | None) -> None:
-    """Look whether there is what real autopilots need, and shut the network out if asked to.
+    """Check the requirements of real autopilots, and isolate the network if requested.
 
-    Call it before anything is loaded that starts threads: see `angler_sitl.firmware.isolation`.
+    Call before any import that starts threads: see `angler_sitl.firmware.isolation`.
 
     Raises:
-        ConfigError: a ground station is to join a network that nobody can join.
+        ConfigError: a ground station is to connect to an isolated network.
         UnsupportedError: pymavlink is not installed, or the system gives no network namespace.
     """
     from angler_mjx.cli.sitl.commands import require_pymavlink
@@ -122,7 +121,7 @@ def require_sitl(*, isolate: bool, gcs: str | None) -> None:
 def build_opener(
     *, level: CommandLevel, source: PositionSource, gcs: str | None, ardusub: Path | None
 ) -> "SessionOpener":
-    """Opens real autopilots for `angler teleop`; arguments as of `run`."""
+    """Return the opener of real autopilots for `angler teleop`; arguments as of `run`."""
     from angler_sitl.scene import motion
     from angler_sitl.teleop_opener import build_session_opener as of_autopilots
 
@@ -131,7 +130,7 @@ def build_opener(
 
 
 def _print_flight(flight: "MissionFlight") -> None:
-    """How it went, in a line for all and a line for each robot."""
+    """Print the result of a flight, in a line for all and a line for each robot."""
     print(
         f"{flight.scene_s:.2f} s of the scene in {flight.wall_s:.2f} s "
         f"({flight.real_time:.1f} times real time)"

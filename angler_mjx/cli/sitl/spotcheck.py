@@ -1,4 +1,4 @@
-"""`angler spotcheck`: episodes of a run or a dataset flown again by real ArduSub autopilots."""
+"""`angler spotcheck`: episodes of a run or a dataset, flown again by real ArduSub autopilots."""
 
 import sys
 from importlib.util import find_spec
@@ -36,28 +36,28 @@ def spotcheck(
 ) -> None:
     """Fly episodes of a run or a dataset again with real ArduSub autopilots, and report the gap.
 
-    Worlds are made again from the run's scenario and seed, and compared with what it recorded. The
-    same plans are flown at each level; where the run made them anew in flight, that is done again,
-    from what the autopilots believe. The folder holds report.md with figures, gaps.csv, and every
-    flight. Of a dataset episodes of all parts are flown, each part in a folder of its own, and what
-    they come to is written into the dataset: spotcheck.json, and its card.
+    Worlds are made again from the run's scenario and seed, and compared with its records. The same
+    plans are flown at each level; where the run replanned in flight, so do the autopilots, from
+    their own estimates. The folder holds report.md with figures, gaps.csv, and every flight. Of a
+    dataset episodes of all parts are flown, each part in a folder of its own, and the results are
+    written into the dataset: spotcheck.json, and its card.
 
     Args:
         run: Run folder of angler rollout, with trajectories; or a dataset.
-        episodes: How many worlds, of all parts of a dataset together.
-        stratify: outcome draws worlds so that rare outcomes are there; none draws any.
+        episodes: Number of worlds, over all parts of a dataset.
+        stratify: Sampling of worlds: outcome includes rare outcomes; none samples uniformly.
         against: Fly them again in the batch simulator too, with the surrogate of ArduSub, the
-            cascade, or both. What the run recorded is always compared.
-        level: Where commands enter the autopilots: at their thrusters, or as position targets.
-        robots: Fly the first so many robots of each world; several numbers are flown one after
-            another. All robots if left out.
-        source: Where the autopilots' filters learn their position.
-        speed: Times real time at most, or max.
-        seed: Of the draw of worlds.
-        ardusub: The ArduSub to run; else ANGLER_ARDUSUB, else the installed one.
+            cascade, or both. The run's records are always compared.
+        level: Command level of the autopilots: thruster signals, or position targets.
+        robots: Number of robots to fly, the first of each world; several numbers are flown in
+            sequence. All robots if left out.
+        source: Position source of the autopilots' filters.
+        speed: Max speed as a multiple of real time, or max.
+        seed: Seed of the sampling of worlds.
+        ardusub: ArduSub binary; if left out, that of ANGLER_ARDUSUB, else the installed one.
         out: Folder to make; RUN-spotcheck if left out.
-        resume: Go on with an interrupted spot check in the same folder, with the same arguments.
-        isolate: Do it in a network namespace, where no socket can be reached from outside.
+        resume: Continue an interrupted spot check in the same folder, with the same arguments.
+        isolate: Run in a network namespace, where no socket can be reached from outside.
     """
     if find_spec("pymavlink") is None:
         raise UnsupportedError("real autopilots need pymavlink: pip install 'angler-mjx[sitl]'")
@@ -115,7 +115,7 @@ def spotcheck(
 def _print_agreement(
     label: str, agree: tuple[int, int], track_m: float | None, path_m: float | None
 ) -> None:
-    """One line: of how many robots how many ended alike, and two medians."""
+    """Print a line: number of robots, number with equal outcomes, and two medians."""
     track_text, path_text = (
         "-" if value is None else f"{value:.2f} m" for value in (track_m, path_m)
     )
@@ -142,7 +142,7 @@ def _parse_speed(text: str) -> Literal["max"] | float:
 
 
 class _SpotcheckBar(ProgressDisplay):
-    """Flights done, and how far the one in the air is, on stderr."""
+    """Progress on stderr: flights done, and the fraction of the current flight."""
 
     def __init__(self) -> None:
         super().__init__(

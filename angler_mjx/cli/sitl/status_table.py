@@ -1,4 +1,4 @@
-"""How the robots of a flight stand, on stderr: a live table, or lines where no terminal is."""
+"""Status of the robots of a flight on stderr: a live table, or lines without a terminal."""
 
 import time
 from collections.abc import Sequence
@@ -18,19 +18,19 @@ from angler_sitl.missions.robot_status import MissionStatus
 from angler_sitl.session import SitlSession
 
 REFRESH_S = 0.25
-"""From one table to the next, by the wall clock."""
+"""Period of the live table, by the wall clock."""
 LINE_PERIOD_S = 10.0
-"""From one set of lines to the next, in seconds of the scene."""
+"""Period of the lines, in seconds of the scene."""
 
 
 def status_table(session: SitlSession) -> AbstractContextManager[Watcher]:
-    """What suits the place that stderr goes to."""
+    """Return the display that suits stderr."""
     console = Console(stderr=True)
     return _LiveTable(session, console) if console.is_terminal else _LinePrinter(session, console)
 
 
 class _LiveTable:
-    """A live table; the last one stays."""
+    """A live table; its last state stays."""
 
     def __init__(self, session: SitlSession, console: Console) -> None:
         self._session, self._latest = session, session.observe()
@@ -48,7 +48,7 @@ class _LiveTable:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        with suppress(RunError):  # where a crash took the autopilots away
+        with suppress(RunError):  # after a crash of the autopilots
             self._refresh()
         self._live.stop()
 
@@ -65,7 +65,7 @@ class _LiveTable:
 
 
 class _LinePrinter:
-    """Lines, for a file or a pipe."""
+    """A line printer, for a file or a pipe."""
 
     def __init__(self, session: SitlSession, console: Console) -> None:
         self._session, self._console, self._due_s = session, console, 0.0
@@ -84,7 +84,7 @@ class _LinePrinter:
 
     def after(self, observation: Observation) -> None:
         """See `Watcher`."""
-        # A thousandth of a second: times are sums in floating point.
+        # Tolerance of 1 ms: times are floating-point sums.
         if observation.time_s < self._due_s - 1e-3:
             return
         self._due_s += LINE_PERIOD_S
@@ -94,7 +94,7 @@ class _LinePrinter:
 
 
 def build_table(time_s: float, rows: Sequence[MissionStatus]) -> Table:
-    """All robots at one time."""
+    """Return a table of all robots at one time."""
     status = Table(title=f"{time_s:.2f} s", title_justify="left")
     for name in ("robot", "mode", "armed", "EKF", "off m", "clear m", "outcome", "remark"):
         side: Literal["right", "left"] = "right" if name.endswith(" m") else "left"

@@ -13,12 +13,12 @@ def compare(
     figure: Path | None = None,
     json: Annotated[bool, tyro.conf.arg(name="json")] = False,
 ) -> None:
-    """Say what differs between two runs of the same worlds, and what that changed, world by world.
+    """Print the differences between two runs of the same worlds, and their effects, world by world.
 
     Args:
         first: Run folder, called A.
         second: Run folder of the same seed, worlds and robots, called B. Changes are B minus A.
-        figure: File to draw the changes into, such as compare.png.
+        figure: File to plot the changes into, such as compare.png.
         json: Print one JSON object, with all worlds that changed, instead of the text.
     """
     from angler_mjx.report.viewing import style

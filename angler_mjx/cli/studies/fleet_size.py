@@ -29,30 +29,30 @@ def fleet_size(
     process: int | None = None,
     json: Annotated[bool, tyro.conf.arg(name="json")] = False,
 ) -> None:
-    """Find the smallest team that does a task by a deadline, with the interval of that answer.
+    """Find the smallest team that does a task by a deadline, with a confidence interval.
 
-    Worlds are added where the answer is open, until it is as sharp as the file asks or its budget
-    is spent. docs/fleet_size.md says what a file holds and how to read what comes of it.
+    Worlds are added where the answer is open, until its precision is that requested in the file or
+    its budget is spent. docs/fleet_size.md explains the file and the results.
 
     Args:
         source: Name of a shipped study (survey_reef, delivery_corridor, reef_crossing), or a file
             (.toml).
         out: Folder to make; runs/NAME if left out, runs/NAME-smoke with --smoke.
-        only: Names of the conditions to look at; all of the file if left out.
-        batch: Worlds of one size and condition at a time; the file's if left out.
-        max_worlds: Of one size and condition; the file's if left out.
-        max_minutes: No batch begins later than this; the file's if left out.
-        smoke: Fly four worlds of two sizes in each condition, to see that it runs: of the smallest
-            and of the one in the middle of those that are flown first.
-        resume: Go on with an interrupted study in the same folder; nothing is flown twice.
-        device: Where to compute; JAX's choice if left out.
-        devices: Number of devices to spread the worlds over; all there are if left out. Changes no
+        only: Names of the conditions to study; all of the file if left out.
+        batch: Number of worlds of one size and condition at a time; the file's if left out.
+        max_worlds: Max number of worlds of one size and condition; the file's if left out.
+        max_minutes: Time in minutes after which no batch begins; the file's if left out.
+        smoke: Fly four worlds of two sizes in each condition, as a test: the smallest size and the
+            middle one of those that are flown first.
+        resume: Continue an interrupted study in the same folder; nothing is flown twice.
+        device: Device to compute on; JAX's choice if left out.
+        devices: Number of devices to spread the worlds over; all available if left out. Changes no
             byte of the results.
         distributed: Share every batch with other processes, here or on other hosts; each is started
             with the same arguments and sees the same folder.
-        coordinator: Where process 0 can be reached, HOST:PORT; Slurm and Open MPI tell it.
-        processes: How many processes there are; Slurm and Open MPI tell it.
-        process: Index of this one, from 0; Slurm and Open MPI tell it.
+        coordinator: Address of process 0, HOST:PORT; detected under Slurm and Open MPI.
+        processes: Number of processes; detected under Slurm and Open MPI.
+        process: Index of this process, from 0; detected under Slurm and Open MPI.
         json: Print one JSON object instead of the tables.
     """
     choose_device(device, distributed=distributed)
@@ -98,7 +98,7 @@ def fleet_size(
 
 
 def _print_study(results: dict[str, Any], path: Path, *, as_json: bool) -> None:
-    """End of a study: one JSON object, or the table and the place of the folder."""
+    """Print the end of a study: one JSON object, or the table and the path of the folder."""
     if as_json:
         print(text.dumps({**results, "study": str(path)}))
         return
@@ -122,7 +122,7 @@ def _print_study(results: dict[str, Any], path: Path, *, as_json: bool) -> None:
 
 
 class _StudyBar(ProgressDisplay):
-    """What is flown, and the answer so far, on stderr; a `fleet_size.running.StudyProgress`."""
+    """Progress and current answer on stderr; a `fleet_size.running.StudyProgress`."""
 
     def __init__(self, *, quiet: bool) -> None:
         super().__init__(

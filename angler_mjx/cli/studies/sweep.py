@@ -34,27 +34,26 @@ def sweep(
 
     Args:
         scenario: Name of a shipped scenario, or path of a scenario file (.toml).
-        set: KEY=VALUE,VALUE,... once for each key that is varied: a dotted key of scenario files
-            such as fleet.0.count=1,2,4, and values as they stand there.
+        set: KEY=VALUE,VALUE,... once for each varied key: a dotted key of scenario files such as
+            fleet.0.count=1,2,4, and values as in the file.
         out: Folder to make; runs/NAME-sweep if left out.
         worlds: Number of worlds of each cell; the scenario's if left out.
         seed: Seed of the worlds, of all cells; the scenario's if left out.
-        engine: Physics engine; the scenario's if left out. fused is the faster one, for rigid
-            vehicles.
-        kernels: What the fused engine is compiled by; triton on a GPU, else xla, if left out.
+        engine: Physics engine; the scenario's if left out. fused is faster, for rigid vehicles.
+        kernels: Compiler of the fused engine; if left out, triton on a GPU, else xla.
         tile: Worlds in one device call; part of the results' bytes.
         record_hz: Rate of the stored trajectories; none are stored if left out.
-        resume: Go on with an interrupted sweep; give all else as it was begun with.
-        device: Where to compute; JAX's choice if left out.
-        devices: Number of devices to spread the worlds over; all there are if left out. Changes no
+        resume: Continue an interrupted sweep; all other arguments must be the same.
+        device: Device to compute on; JAX's choice if left out.
+        devices: Number of devices to spread the worlds over; all available if left out. Changes no
             byte of the results.
-        workers: Processes that plan, where the planner is one of the host; one for each processor
-            if left out. Changes no byte of the results.
+        workers: Number of planning processes, for planners on the host; one for each processor if
+            left out. Changes no byte of the results.
         distributed: Share the run of each cell with other processes, here or on other hosts; each
             is started with the same arguments and sees the same folder.
-        coordinator: Where process 0 can be reached, HOST:PORT; Slurm and Open MPI tell it.
-        processes: How many processes there are; Slurm and Open MPI tell it.
-        process: Index of this one, from 0; Slurm and Open MPI tell it.
+        coordinator: Address of process 0, HOST:PORT; detected under Slurm and Open MPI.
+        processes: Number of processes; detected under Slurm and Open MPI.
+        process: Index of this process, from 0; detected under Slurm and Open MPI.
         json: Print one JSON object instead of the tables.
     """
     choose_device(device, distributed=distributed)
@@ -107,7 +106,7 @@ def sweep(
 
 
 def _print_sweep(results: dict[str, Any], path: Path, *, as_json: bool) -> None:
-    """End of a sweep: one JSON object, or the tables and the place of the folder."""
+    """Print the end of a sweep: one JSON object, or the tables and the path of the folder."""
     if as_json:
         print(text.dumps({**results, "sweep": str(path)}))
         return

@@ -1,1 +1,1 @@
-"""Files that other programs read and write: trajectories in JSON, runs as bags of ROS 2."""
+"""Exchange files for other programs: trajectories in JSON, runs as bags of ROS 2."""

@@ -1,4 +1,4 @@
-"""A bag of ROS 2 messages in the MCAP format, with what ROS 2 and Foxglove need to open it."""
+"""Bag of ROS 2 messages in the MCAP format, complete for ROS 2 and Foxglove."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -8,7 +8,7 @@ from typing import Any, Self
 from mcap.well_known import SchemaEncoding
 from mcap.writer import Writer
 
-# The package's own writer cannot say which topics are kept for late listeners.
+# The package's own writer cannot mark topics as latched for late listeners.
 from mcap_ros2._dynamic import serialize_dynamic
 
 from angler_mjx.report.interop.ros_definitions import message_definition
@@ -20,10 +20,10 @@ _FOREVER = "{sec: 9223372036, nsec: 854775807}"
 
 
 class Bag:
-    """Writes messages, each a table of its fields; fields that are left out are 0 or empty."""
+    """Writer of messages, each a table of its fields; missing fields are 0 or empty."""
 
     def __init__(self, path: Path) -> None:
-        """Open a file, which is made anew."""
+        """Open a new file; an existing one is overwritten."""
         self._file = path.open("wb")
         self._writer = Writer(self._file)
         self._schemas: dict[str, int] = {}
@@ -32,7 +32,7 @@ class Bag:
         self._writer.start(profile="ros2", library="angler-mjx")
 
     def __enter__(self) -> Self:
-        """Begin."""
+        """Start writing and return the bag itself."""
         return self
 
     def __exit__(
@@ -41,7 +41,7 @@ class Bag:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Close the file, and its index if all went well."""
+        """Close the file, with its index unless an error occurred."""
         try:
             if kind is None:
                 self._writer.finish()
@@ -49,12 +49,12 @@ class Bag:
             self._file.close()
 
     def declare_topic(self, name: str, message: str, *, latched: bool = False) -> None:
-        """Declare a topic before anything is written to it.
+        """Declare a topic, before its first message.
 
         Args:
             name: of the topic.
             message: package/Name.
-            latched: a listener that comes late gets the last message too.
+            latched: whether late listeners receive the last message too.
         """
         if message not in self._schemas:
             text, full = message_definition(message), message.replace("/", "/msg/")
@@ -75,7 +75,7 @@ class Bag:
 
         Args:
             topic: declared before.
-            time_ns: when it was sent, ns.
+            time_ns: time of sending, ns.
             message: its fields.
         """
         channel, encode = self._channels[topic]
@@ -85,7 +85,7 @@ class Bag:
 
 
 def _qos_profile(*, latched: bool) -> str:
-    """A topic's quality of service, as rosbag2 writes it beside a channel."""
+    """Return a topic's quality of service, as rosbag2 writes it beside a channel."""
     return "\n".join(
         [
             f"- history: {_KEEP_LAST}",

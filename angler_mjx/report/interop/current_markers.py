@@ -6,14 +6,14 @@ from angler_mjx.report.interop import ros_messages as ros
 from angler_mjx.world.slices import CurrentSlices
 
 _STREAK_S = 4.0
-"""Length of a streak, as the time in which the water goes it."""
+"""Length of a streak, as the time in which the water passes it."""
 _TAIL, _HEAD = (0.44, 0.75, 0.88, 0.15), (0.86, 0.94, 0.98, 1.0)
-"""Colours of a streak's ends, RGBA: the water goes from dark to light."""
+"""Colours of a streak's ends, RGBA: the water flows from dark to light."""
 _WIDTH_M = 0.05
 
 
 def build_markers(slices: CurrentSlices, frame: str, row: int) -> list[ros.Message]:
-    """The streaks of a slice.
+    """Return the streaks of a slice.
 
     Args:
         slices: slices of a world.

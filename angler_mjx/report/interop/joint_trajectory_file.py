@@ -7,8 +7,8 @@
                                 "points": [{"positions": [1.0, 2.0, -3.0, 0.0],
                                             "time_from_start": {"sec": 4, "nanosec": 0}}]}}]}
 
-A point may also have ``velocities`` and ``accelerations``. ``trajectory`` is what
-``trajectory_msgs/JointTrajectory`` holds. Positions are in W: x east, y north, z up, in m; yaw in
+A point may also have ``velocities`` and ``accelerations``. ``trajectory`` holds the fields of
+``trajectory_msgs/JointTrajectory``. Positions are in W: x east, y north, z up, in m; yaw in
 rad about z, 0 = east.
 """
 
@@ -30,7 +30,7 @@ SCHEMA_VERSION = 1
 
 
 class _Time(FileModel):
-    """As ``builtin_interfaces/Time`` and ``Duration``."""
+    """Fields of ``builtin_interfaces/Time`` and ``Duration``."""
 
     sec: Annotated[int, Field(ge=0, lt=2**31)] = 0
     nanosec: Annotated[int, Field(ge=0, lt=NANO)] = 0
@@ -40,14 +40,14 @@ class _Time(FileModel):
 
 
 class _Header(FileModel):
-    """As ``std_msgs/Header``."""
+    """Fields of ``std_msgs/Header``."""
 
     stamp: _Time = _Time()
     frame_id: str = ""
 
 
 class _Point(FileModel):
-    """As ``trajectory_msgs/JointTrajectoryPoint``; efforts are no part of a plan here."""
+    """Fields of ``trajectory_msgs/JointTrajectoryPoint``; efforts are not used in plans."""
 
     positions: tuple[float, ...]
     velocities: tuple[float, ...] = ()
@@ -57,7 +57,7 @@ class _Point(FileModel):
 
 
 class _Trajectory(FileModel):
-    """As ``trajectory_msgs/JointTrajectory``."""
+    """Fields of ``trajectory_msgs/JointTrajectory``."""
 
     header: _Header = _Header()
     joint_names: tuple[str, ...]
@@ -90,14 +90,14 @@ class _File(FileModel):
 
 
 def read_trajectories(path: Path, *, robots: int | None = None) -> dict[int, JointGoal]:
-    """Trajectories of a file.
+    """Read the trajectories of a file.
 
     Args:
         path: of the file.
-        robots: how many robots there are; not checked if left out.
+        robots: number of robots; not checked if left out.
 
     Returns:
-        By index of the robot.
+        Trajectories by robot index.
 
     Raises:
         ConfigError: the file cannot be read, or one message with all its faults.
@@ -130,12 +130,12 @@ def write_trajectories(path: Path, goals: Mapping[int, JointGoal], *, force: boo
 
     Args:
         path: of the file.
-        goals: by index of the robot.
+        goals: by robot index.
         force: replace an older file.
 
     Raises:
         ConfigError: the file exists, its folder cannot be written, or a trajectory has faults.
-        RunError: the disk gave out.
+        RunError: writing to the disk failed.
     """
     faults = [f"robot {i}: {fault}" for i, goal in goals.items() for fault in shape_faults(goal)]
     if faults:

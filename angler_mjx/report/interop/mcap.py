@@ -1,8 +1,8 @@
-"""Some worlds of a run as a bag of ROS 2: plans, motions, frames, obstacles, tasks and currents.
+"""Selected worlds of a run as a ROS 2 bag: plans, motions, frames, obstacles, tasks and currents.
 
-Times are simulated times from 0, and ``/clock`` tells them. Each world has its own names: topics
-``/world_3/...`` and frames ``world_3``, ``world_3/robot_0/base_link``; ``/tf_static`` hangs all
-worlds on the frame ``map``, so that a viewer with that as its fixed frame shows any of them.
+Times are simulated times from 0, published on ``/clock``. Each world has its own names: topics
+``/world_3/...`` and frames ``world_3``, ``world_3/robot_0/base_link``; ``/tf_static`` attaches all
+worlds to the frame ``map``, so that a viewer with that fixed frame shows any of them.
 """
 
 from collections.abc import Callable, Sequence
@@ -31,7 +31,7 @@ from angler_mjx.world.tasks.history import TaskHistory
 from angler_mjx.world.tasks.surface_quads import SurfaceQuads, survey_surface
 
 MAP_FRAME = "map"
-"""Frame of all worlds."""
+"""Root frame of all worlds."""
 
 _ROCK, _STILL, _MOVING, _GOAL = (
     (0.55, 0.50, 0.42, 1.0),
@@ -39,10 +39,10 @@ _ROCK, _STILL, _MOVING, _GOAL = (
     (0.70, 0.60, 0.84, 1.0),
     (0.31, 0.84, 0.65, 1.0),
 )
-"""Colours, RGBA."""
+"""Marker colours, RGBA."""
 
 type SampleProgress = Callable[[int, int], None]
-"""Told how many samples are written, and how many there are."""
+"""Receiver of the number of written samples and of the total."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,17 +68,17 @@ class _BagWorld:
     obstacle_q: np.ndarray
     """[T, n, 4]."""
     outcome: list[str]
-    """[robot]"""
+    """[robot] outcomes."""
     task: TaskHistory | None
-    """None: each robot has its goal."""
+    """Task of the team; None if each robot has its goal."""
     surface: SurfaceQuads | None
-    """What a survey sees; None where there is none."""
+    """Surveyed surface; None without a survey."""
     flow: CurrentSlices | None
-    """None where the water is still."""
+    """Slices of the current; None in still water."""
 
     @property
     def name(self) -> str:
-        """Its frame, and the root of its topics."""
+        """Frame of the world, and the root of its topics."""
         return f"world_{self.index}"
 
     @property
@@ -87,7 +87,7 @@ class _BagWorld:
         return [f"{self.name}/robot_{i}" for i in range(self.p_m.shape[1])]
 
     def obstacles(self, *, still: bool) -> list[int]:
-        """Rows of the obstacles that stay where they are, or of the others."""
+        """Return the rows of the still obstacles, or of the moving ones."""
         all_obstacles = self.environment.obstacles
         is_listed = np.asarray(all_obstacles.exists) & (
             (np.asarray(all_obstacles.motion) == STATIC) == still
@@ -104,19 +104,19 @@ def export_bag(
     force: bool = False,
     progress: SampleProgress | None = None,
 ) -> None:
-    """Write some worlds of a run into a bag.
+    """Write selected worlds of a run into a bag.
 
     Args:
         run: run folder.
         out: the bag.
-        worlds: global indices; one that is given twice is written once.
+        worlds: global indices; duplicates are written once.
         force: replace an older file.
-        progress: told how far the writing is.
+        progress: receives the progress of writing.
 
     Raises:
         ConfigError: the run stored no trajectories or does not hold a world; or the file exists or
             cannot be written.
-        RunError: the disk gave out.
+        RunError: writing to the disk failed.
     """
     require_free(out, flag="--mcap", force=force)
     bag_worlds = [_read_world(run, world) for world in sorted(set(worlds))]
@@ -175,7 +175,7 @@ def _load_world(run: Run, world: int, rows: list[dict[str, Any]]) -> _BagWorld:
 
 
 def _write_static(bag: Bag, worlds: Sequence[_BagWorld]) -> None:
-    """Declare the topics, and write what holds from the start: frames, plans, scenery."""
+    """Declare the topics, and write the static messages: frames, plans, scenery."""
     bag.declare_topic("/clock", "rosgraph_msgs/Clock")
     bag.declare_topic("/tf", "tf2_msgs/TFMessage")
     bag.declare_topic("/tf_static", "tf2_msgs/TFMessage", latched=True)
@@ -204,7 +204,7 @@ def _write_static(bag: Bag, worlds: Sequence[_BagWorld]) -> None:
 
 
 def _write_samples(bag: Bag, worlds: Sequence[_BagWorld], progress: SampleProgress | None) -> None:
-    """Write what moves, in the order of time."""
+    """Write the dynamic messages, in the order of time."""
     longest = max(worlds, key=lambda world: world.time_s.size).time_s
     for k, time in enumerate(longest.tolist()):
         time_ns = ros.to_nanoseconds(time)
@@ -217,7 +217,7 @@ def _write_samples(bag: Bag, worlds: Sequence[_BagWorld], progress: SampleProgre
 
 
 def _write_sample(bag: Bag, world: _BagWorld, k: int) -> None:
-    """One sample of a world; a robot that diverged has none from then on."""
+    """Write one sample of a world; a diverged robot has none from then on."""
     time = float(world.time_s[k])
     time_ns, frames = ros.to_nanoseconds(time), []
     for i, robot in enumerate(world.robots):
@@ -255,7 +255,7 @@ def _write_sample(bag: Bag, world: _BagWorld, k: int) -> None:
 
 
 def _scenery_markers(world: _BagWorld) -> list[ros.Message]:
-    """Markers of what stays: cells, still obstacles, goals."""
+    """Return the markers of static objects: cells, still obstacles, goals."""
     head = ros.make_header(0.0, world.name)
     grid, obstacles = world.environment.grid, world.environment.obstacles
     cell = float(grid.cell_m)
@@ -280,7 +280,7 @@ def _scenery_markers(world: _BagWorld) -> list[ros.Message]:
 def _obstacle_markers(
     world: _BagWorld, time_s: float, row: int, p: np.ndarray, q: np.ndarray
 ) -> list[ros.Message]:
-    """Markers of one obstacle: one, and for a capsule its two ends."""
+    """Return the markers of one obstacle: one, and two ends for a capsule."""
     obstacles = world.environment.obstacles
     kind, (a, b, c) = int(obstacles.kind[row]), np.asarray(obstacles.size_m[row]).tolist()
     color = _STILL if int(obstacles.motion[row]) == STATIC else _MOVING

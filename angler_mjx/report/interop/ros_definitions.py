@@ -1,4 +1,4 @@
-"""Definitions of the ROS 2 messages that a bag holds, so that it can be opened without ROS.
+"""Definitions of the ROS 2 messages in a bag, so that it can be opened without ROS.
 
 Fields are those of the public .msg files of ROS 2 Humble and later (``common_interfaces``,
 ``geometry2``, ``rcl_interfaces``), without their comments.
@@ -61,19 +61,19 @@ FIELDS: dict[str, str] = {
     ),
     "visualization_msgs/MarkerArray": "visualization_msgs/Marker[] markers",
 }
-"""By package and name."""
+"""Fields of each message, by package and name."""
 
 _SEPARATOR = "\n" + "=" * 80 + "\n"
 
 
 def message_definition(name: str) -> str:
-    """The text that a bag stores for a message: its fields, then those of every message in it.
+    """Return the stored definition of a message: its fields, then those of each nested message.
 
     Args:
         name: package/Name, one of ``FIELDS``.
     """
     needed = [name]
-    for message in needed:  # grows while it is gone through
+    for message in needed:  # grows while it is iterated
         used = re.findall(r"^(\w+/\w+)", FIELDS[message], flags=re.MULTILINE)
         needed += [used_name for used_name in dict.fromkeys(used) if used_name not in needed]
     rest = [f"MSG: {used_name}\n{FIELDS[used_name]}" for used_name in needed[1:]]

@@ -1,6 +1,6 @@
 """ROS 2 messages as tables of their fields, from arrays in the frames of this project.
 
-Nothing is turned: ROS's world frame (REP 103: x east, y north, z up) is W, and its body frame
+Nothing is rotated: ROS's world frame (REP 103: x east, y north, z up) is W, and its body frame
 (x forward, y left, z up) is F. Only a quaternion's scalar moves from first to last.
 """
 
@@ -12,7 +12,7 @@ import numpy as np
 from angler_mjx.robot.control.joint_goal import JointGoal
 
 type Message = dict[str, Any]
-"""Fields by name; those that are left out are 0 or empty."""
+"""Fields by name; missing fields are 0 or empty."""
 
 NANO = 1_000_000_000
 
@@ -21,33 +21,33 @@ CUBE, SPHERE, CYLINDER, LINE_LIST, CUBE_LIST, SPHERE_LIST, TEXT = 1, 2, 3, 5, 6,
 
 
 def to_nanoseconds(time_s: float) -> int:
-    """A time in whole nanoseconds."""
+    """Convert a time to whole nanoseconds."""
     return round(time_s * NANO)
 
 
 def make_stamp(time_s: float) -> Message:
-    """A time as ``builtin_interfaces/Time`` or ``Duration``."""
+    """Return a time as ``builtin_interfaces/Time`` or ``Duration``."""
     sec, nanosec = divmod(to_nanoseconds(time_s), NANO)
     return {"sec": sec, "nanosec": nanosec}
 
 
 def make_header(time_s: float, frame: str) -> Message:
-    """As ``std_msgs/Header``."""
+    """Return a ``std_msgs/Header``."""
     return {"stamp": make_stamp(time_s), "frame_id": frame}
 
 
 def make_vector(values: np.ndarray) -> Message:
-    """[3] as ``geometry_msgs/Point`` or ``Vector3``."""
+    """Return [3] as ``geometry_msgs/Point`` or ``Vector3``."""
     return dict(zip("xyz", values.tolist(), strict=True))
 
 
 def make_quaternion(q: np.ndarray) -> Message:
-    """[4] wxyz as ``geometry_msgs/Quaternion``."""
+    """Return [4] wxyz as ``geometry_msgs/Quaternion``."""
     return dict(zip("wxyz", q.tolist(), strict=True))
 
 
 def make_pose(p: np.ndarray, q: np.ndarray | None = None) -> Message:
-    """Position [3] and attitude [4] wxyz as ``geometry_msgs/Pose``; level if left out."""
+    """Return position [3] and attitude [4] wxyz as ``geometry_msgs/Pose``; default level."""
     level: Message = {"w": 1.0}
     return {"position": make_vector(p), "orientation": level if q is None else make_quaternion(q)}
 
@@ -55,7 +55,7 @@ def make_pose(p: np.ndarray, q: np.ndarray | None = None) -> Message:
 def make_odometry(
     time_s: float, frame: str, child: str, p: np.ndarray, q: np.ndarray, nu: np.ndarray
 ) -> Message:
-    """A robot's true motion as ``nav_msgs/Odometry``: covariances are 0.
+    """Return a robot's true motion as ``nav_msgs/Odometry``: covariances are 0.
 
     Args:
         time_s: of the sample.
@@ -77,7 +77,7 @@ def make_odometry(
 def make_transform(
     time_s: float, frame: str, child: str, p: np.ndarray, q: np.ndarray | None = None
 ) -> Message:
-    """As ``geometry_msgs/TransformStamped``: where a child frame is."""
+    """Return the pose of a child frame as ``geometry_msgs/TransformStamped``."""
     turn: Message = {"w": 1.0} if q is None else make_quaternion(q)
     return {
         "header": make_header(time_s, frame),
@@ -87,7 +87,7 @@ def make_transform(
 
 
 def make_path(frame: str, time_s: np.ndarray, points_m: np.ndarray) -> Message:
-    """Way-points [n, 3] at times [n] as ``nav_msgs/Path``."""
+    """Return way-points [n, 3] at times [n] as ``nav_msgs/Path``."""
     poses = [
         {"header": make_header(float(t), frame), "pose": make_pose(p)}
         for t, p in zip(time_s, points_m, strict=True)
@@ -96,7 +96,7 @@ def make_path(frame: str, time_s: np.ndarray, points_m: np.ndarray) -> Message:
 
 
 def joint_trajectory(goal: JointGoal, frame: str = "") -> Message:
-    """As ``trajectory_msgs/JointTrajectory``."""
+    """Return a goal as ``trajectory_msgs/JointTrajectory``."""
     return {
         "header": make_header(goal.stamp_s, frame),
         "joint_names": list(goal.joint_names),
@@ -114,7 +114,7 @@ def joint_trajectory(goal: JointGoal, frame: str = "") -> Message:
 
 
 def thruster_pwm(pwm_us: np.ndarray) -> Message:
-    """Signals [n] of a robot's thrusters, us, as ``std_msgs/UInt16MultiArray``."""
+    """Return signals [n] of a robot's thrusters, us, as ``std_msgs/UInt16MultiArray``."""
     size = pwm_us.size
     return {
         "layout": {"dim": [{"label": "thruster_pwm_us", "size": size, "stride": size}]},
@@ -134,20 +134,20 @@ def make_marker(
     colors: np.ndarray | None = None,
     text: str = "",
 ) -> Message:
-    """As ``visualization_msgs/Marker``, there until it is replaced.
+    """Return a ``visualization_msgs/Marker`` that stays until it is replaced.
 
     Args:
         head: its header.
         name: its namespace.
-        index: its number in that.
-        kind: one of those above.
+        index: its number in the namespace.
+        kind: one of the kinds above.
         pose: its pose.
         scale_m: [3] size, or that of each point's body; of lines the first is their width, of text
             the last its height.
         rgba: [4] colour.
         points_m: [n, 3] of a list, in the frame of the pose.
         colors: [n, 4] of its points, if they differ.
-        text: of TEXT, which turns to who looks at it and goes along with its frame.
+        text: of TEXT, which faces the viewer and moves with its frame.
     """
     return {
         "header": head,

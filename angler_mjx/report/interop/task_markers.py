@@ -1,4 +1,4 @@
-"""Markers of a task over time, from `world.tasks.history`: those that replays show too."""
+"""Markers of a task over time, from `world.tasks.history`; replays show the same data."""
 
 import numpy as np
 
@@ -13,9 +13,9 @@ _UNSEEN, _SEEN, _OPEN, _GOODS = (
     (1.00, 1.00, 1.00, 1.0),
     (1.00, 0.78, 0.34, 1.0),
 )
-"""Colours, RGBA."""
+"""Marker colours, RGBA."""
 _EDGE, _THICK = 0.92, 0.04
-"""Of faces, in cells."""
+"""Edge and thickness of faces, in cells."""
 _POINT_M, _BOX_M, _LINE_M, _TEXT_M = 0.4, 0.44, 0.03, 0.5
 """Sizes of places, goods, lines to targets and letters."""
 
@@ -28,13 +28,13 @@ def build_markers(
     frame: str,
     sample: int,
 ) -> list[ros.Message]:
-    """What is new of a task at a sample; each marker stays until its next one.
+    """Return the new markers of a task at a sample; each marker stays until its next one.
 
     Args:
         task: of the world.
         environment: of the world.
-        quads: the surface that it sees, if it is a survey.
-        p_m: [T, R, 3] where the robots are, in W.
+        quads: the surveyed surface, for a survey.
+        p_m: [T, R, 3] positions of the robots, in W.
         frame: of the world.
         sample: number of the sample.
     """
@@ -54,13 +54,13 @@ def build_markers(
 def doing_markers(
     task: TaskHistory, robot: int, frame: str, outcome: str, sample: int
 ) -> list[ros.Message]:
-    """What a robot does, as text above it, where that is new.
+    """Return a robot's activity as text above it, where it changes.
 
     Args:
         task: of the world.
         robot: its index.
         frame: the robot's own.
-        outcome: how it ended, said from then on.
+        outcome: its outcome, shown after its end.
         sample: number of the sample.
     """
 
@@ -86,7 +86,7 @@ def _has_changed(rows: np.ndarray, sample: int) -> bool:
 def _progress_marker(
     task: TaskHistory, environment: Environment, head: ros.Message, sample: int
 ) -> ros.Message:
-    """How far the task is, above the middle of the cells."""
+    """Return the progress of the task, above the middle of the cells."""
     grid = environment.grid
     size = float(grid.cell_m) * np.array(grid.occupied.shape)
     above = np.asarray(grid.origin_m) + size * [0.5, 0.5, 1.0] + [0.0, 0.0, 2.0 * _TEXT_M]
@@ -100,7 +100,7 @@ def _progress_marker(
 def _surface_markers(
     task: TaskHistory, head: ros.Message, quads: SurfaceQuads, cell_m: float, sample: int
 ) -> list[ros.Message]:
-    """Lists of faces, one for each axis that some are square to."""
+    """Return lists of faces, one for each axis normal to some of them."""
     tint = np.array([_UNSEEN, _SEEN])[task.seen[sample][quads.cell].astype(int)]
     result = []
     for axis in np.unique(quads.axis).tolist():
@@ -112,7 +112,7 @@ def _surface_markers(
 
 
 def _job_markers(task: TaskHistory, head: ros.Message, sample: int) -> list[ros.Message]:
-    """Places, viewpoints, or where goods go: white until they are done."""
+    """Return places, viewpoints, or destinations of goods: white until they are done."""
     jobs = np.flatnonzero(task.exists)
     ends = task.spec.jobs if task.spec.kind == "deliver" else 0
     tint = np.array([_OPEN, _SEEN])[task.done[sample][jobs].astype(int)]
@@ -124,7 +124,7 @@ def _job_markers(task: TaskHistory, head: ros.Message, sample: int) -> list[ros.
 def _goods_marker(
     task: TaskHistory, head: ros.Message, p_m: np.ndarray, sample: int
 ) -> ros.Message:
-    """Goods where they are; lost ones are gone."""
+    """Return goods at their positions, without lost ones."""
     at_m = task.goods_m(p_m)[sample]
     is_present = np.isfinite(at_m).all(axis=1)
     goods_state = task.goods[sample]
@@ -137,7 +137,7 @@ def _goods_marker(
 def _target_lines(
     task: TaskHistory, head: ros.Message, p_m: np.ndarray, sample: int
 ) -> ros.Message:
-    """Lines from robots to where they are to go."""
+    """Return lines from robots to their targets."""
     is_moving = task.is_underway[sample] & np.isfinite(p_m).all(axis=1)
     ends = np.stack([p_m, task.position_m[np.maximum(task.target[sample], 0)]], axis=1)[is_moving]
     args = (

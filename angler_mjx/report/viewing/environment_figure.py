@@ -1,4 +1,4 @@
-"""The picture of one environment, before anything moves: in perspective, and from above."""
+"""Figure of one initial environment: in perspective, and from above."""
 
 import jax
 import jax.numpy as jnp
@@ -29,11 +29,11 @@ _FLOOR = "#cdbf9b"
 
 
 def plot_environment(environment: Environment, *, title: str) -> Figure:
-    """Cells, obstacles, starts, goals and current of one world.
+    """Plot cells, obstacles, starts, goals and current of one world.
 
     Args:
         environment: of one world.
-        title: what one sees.
+        title: of the figure.
     """
     low, high = _grid_bounds(environment.grid)
     with style.figure_style():
@@ -53,7 +53,7 @@ def _grid_bounds(grid: Grid) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _describe_difficulty(environment: Environment) -> str:
-    """Difficulty in one line."""
+    """Return the difficulty in one line."""
     n_robot = len(environment.start_m)
     facts = [
         f"{100 * float(environment.density):.1f} % of {np.size(environment.grid.occupied)} cells",
@@ -70,7 +70,7 @@ def _describe_difficulty(environment: Environment) -> str:
 def _plot_perspective(
     axes: Axes3D, environment: Environment, low: np.ndarray, high: np.ndarray
 ) -> None:
-    # A floor far below would squeeze everything else; it is left out.
+    # A floor far below would squeeze all else; it is left out.
     floor, size = float(environment.floor_z_m), high - low
     shown = floor > low[2] - max(size)
     bottom = floor if shown else float(low[2])
@@ -104,7 +104,7 @@ def _plot_perspective(
 
 
 def _rock_polygons(grid: Grid, norm: Normalize) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Outer faces of the occupied cells, [4, 3] each, and their shaded colours."""
+    """Return the outer faces of the occupied cells, [4, 3] each, and their shaded colours."""
     occupied = np.asarray(grid.occupied)
     origin, cell = np.asarray(grid.origin_m), float(grid.cell_m)
     beside = np.pad(occupied, 1)
@@ -122,7 +122,7 @@ def _rock_polygons(grid: Grid, norm: Normalize) -> tuple[list[np.ndarray], list[
 def _obstacle_polygons(
     environment: Environment, i: int
 ) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Faces of one obstacle at its start, and their shaded colours."""
+    """Return the faces of one obstacle at its start, and their shaded colours."""
     obstacles = environment.obstacles
     kind, size = int(obstacles.kind[i]), np.asarray(obstacles.size_m[i])
     turn, centre = rotation_matrix(np.asarray(obstacles.q0[i])), np.asarray(obstacles.p0[i])
@@ -136,7 +136,7 @@ def _obstacle_polygons(
 
 
 def _capsule_polygons(radius: float, half_length: float) -> list[np.ndarray]:
-    """Faces of a capsule about the origin along z; half length 0 gives a sphere."""
+    """Return the faces of a capsule about the origin along z; half length 0 gives a sphere."""
     polar, around = np.linspace(0.0, np.pi, 11), np.linspace(0.0, 2.0 * np.pi, 17)
     theta, phi = np.meshgrid(polar, around, indexing="ij")
     point = radius * np.stack(
@@ -148,7 +148,7 @@ def _capsule_polygons(radius: float, half_length: float) -> list[np.ndarray]:
 
 
 def _square_corners(side: np.ndarray) -> np.ndarray:
-    """Corners [4, 3] of the unit cube's face on one side, in order around it."""
+    """Return the corners [4, 3] of the unit cube's face on one side, in order around it."""
     axis = int(np.argmax(np.abs(side)))
     first, second = (a for a in range(3) if a != axis)
     corners = np.zeros((4, 3))
@@ -158,7 +158,7 @@ def _square_corners(side: np.ndarray) -> np.ndarray:
 
 
 def _shade_color(base: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """A colour as a face with that outward direction shows it under the light."""
+    """Return a colour as shaded by the light on a face with that outward normal."""
     facing = float(normal @ _LIGHT.direction) / max(float(np.linalg.norm(normal)), 1e-9)
     shade: np.ndarray = np.clip(base * (0.78 + 0.26 * facing), 0.0, 1.0)
     return shade
@@ -202,7 +202,7 @@ def _plot_map(axes: Axes, environment: Environment, low: np.ndarray, high: np.nd
 
 
 def _plot_current(axes: Axes, environment: Environment, low: np.ndarray, high: np.ndarray) -> None:
-    """The current at t = 0 in the middle of the grid's height."""
+    """Plot the current at t = 0 in the middle of the grid's height."""
     if not environment.current:
         return
     x, y = (np.linspace(low[i], high[i], 15)[1::2] for i in (0, 1))
@@ -232,7 +232,7 @@ def _plot_current(axes: Axes, environment: Environment, low: np.ndarray, high: n
 
 
 def _legend_handles(environment: Environment) -> list[Line2D | Patch]:
-    """What the signs mean, of those that occur."""
+    """Return legend entries of the occurring symbols."""
     obstacles = environment.obstacles
     exists, still = np.asarray(obstacles.exists), np.asarray(obstacles.motion) == STATIC
     handles: list[Line2D | Patch] = [

@@ -1,4 +1,4 @@
-"""The figures of a run, drawn from its folder alone into ``figures/``."""
+"""Figures of a run, plotted from its folder alone into ``figures/``."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,7 +11,7 @@ from angler_mjx.runs.storage.folder import FIGURES, Run
 
 
 def plot_figures(run: Run, worlds: Sequence[int] | None = None) -> list[Path]:
-    """Draw all figures of a run; older ones of the same name are replaced.
+    """Plot all figures of a run; older ones of the same name are replaced.
 
     ``outcomes.png``, ``distances.png`` and ``time_to_goal.png`` about all robots, and one
     ``map_world_K.png`` for each chosen world, where the run stored trajectories; of a task also
@@ -46,7 +46,7 @@ def plot_figures(run: Run, worlds: Sequence[int] | None = None) -> list[Path]:
 
 
 def save_task_map(run: Run, world: int) -> Path:
-    """Draw what a team did of its task in one world.
+    """Plot a team's task in one world.
 
     Args:
         run: run folder of a scenario with a task, with trajectories.
@@ -57,12 +57,12 @@ def save_task_map(run: Run, world: int) -> Path:
 
 
 def save_world_map(run: Run, world: int, label: str = "") -> Path:
-    """Draw the map of one world.
+    """Plot the map of one world.
 
     Args:
         run: run folder, with trajectories.
         world: global index.
-        label: why this one, for the title.
+        label: reason of the selection, for the title.
     """
     world_scene = scene.read_scene(run, world)
     density = float(world_scene.environment.density)
@@ -76,7 +76,7 @@ def save_world_map(run: Run, world: int, label: str = "") -> Path:
 
 
 def _select_worlds(run: Run, worlds: Sequence[int] | None) -> dict[int, str]:
-    """Worlds to map, and what to call them."""
+    """Return the worlds to map, with their labels."""
     if worlds is not None:
         indices = set(run.episodes["world"].to_pylist())
         for world in worlds:
@@ -84,6 +84,6 @@ def _select_worlds(run: Run, worlds: Sequence[int] | None) -> dict[int, str]:
                 raise ConfigError(f"world {world} is not in {run.path}")
         return dict.fromkeys(worlds, "")
     worst, good = worst_world(run), good_world(run)
-    if worst == good:  # a run of one world, or of worlds that all went alike
+    if worst == good:  # a run of one world, or of worlds with equal results
         return {worst: ""}
     return {worst: " (the worst)", good: " (a good one)"}

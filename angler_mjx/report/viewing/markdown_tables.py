@@ -1,4 +1,4 @@
-"""Tables in Markdown, and their place between two marks of a document."""
+"""Tables in Markdown, placed between two marks of a document."""
 
 import os
 from collections.abc import Iterable, Sequence
@@ -8,7 +8,7 @@ from angler_mjx.errors import ConfigError
 
 
 def format_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table in Markdown; the first column is text, the others are numbers."""
+    """Return a table in Markdown; the first column is text, the others are numbers."""
     lines = [head, ["---", *["---:"] * (len(head) - 1)], *rows]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
@@ -23,12 +23,12 @@ def require_marks(document: Path, begin: str, end: str) -> None:
 
 
 def replace_section(document: Path, begin: str, body: str, end: str) -> None:
-    """Put a text between two marks of a document.
+    """Replace the text between two marks of a document.
 
     Args:
-        document: that has the marks.
+        document: document with the marks.
         begin: the mark before.
-        body: what is to stand between the marks.
+        body: new text between the marks.
         end: the mark behind.
 
     Raises:
@@ -42,13 +42,13 @@ def replace_section(document: Path, begin: str, body: str, end: str) -> None:
 
 
 def image_link(document: Path, figure: Path) -> str:
-    """A line of a document, in Markdown, that shows a figure; called what its file is."""
+    """Return a Markdown line that shows a figure, with its file name as the text."""
     title = figure.stem.replace("_", " ")
     return f"![{title}]({os.path.relpath(figure, document.parent)})"
 
 
 def _split_document(document: Path, begin: str, end: str) -> tuple[str, str]:
-    """What stands before the first mark and behind the second."""
+    """Return the text before the first mark and the text behind the second."""
     try:
         old = document.read_text(encoding="utf-8")
     except OSError as error:

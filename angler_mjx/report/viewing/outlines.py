@@ -11,17 +11,17 @@ _CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1
 def project_outline(
     kind: int, size_m: np.ndarray, p: np.ndarray, q: np.ndarray, axes: tuple[int, int]
 ) -> np.ndarray:
-    """Outline of an obstacle seen along a world axis.
+    """Return the outline of an obstacle seen along a world axis.
 
     Args:
         kind: of the obstacle, as in `Obstacles.kind`.
         size_m: [3], as in `Obstacles.size_m`.
         p: [3] centre, W.
         q: [4] attitude wxyz, body to W.
-        axes: the two world axes of the picture, e.g. (0, 1) from above.
+        axes: the two world axes of the figure, e.g. (0, 1) from above.
 
     Returns:
-        Corners [n, 2] in the picture, anticlockwise.
+        Corners [n, 2] in the figure, anticlockwise.
     """
     flat = list(axes)
     rim = np.stack([np.cos(_RIM), np.sin(_RIM)], axis=1)
@@ -37,7 +37,7 @@ def project_outline(
 
 
 def rotation_matrix(q: np.ndarray) -> np.ndarray:
-    """Rotation matrix [3, 3] of a unit quaternion wxyz."""
+    """Return the rotation matrix [3, 3] of a unit quaternion wxyz."""
     w, x, y, z = q
     return np.array(
         [
@@ -49,7 +49,7 @@ def rotation_matrix(q: np.ndarray) -> np.ndarray:
 
 
 def _convex_hull(points: np.ndarray) -> np.ndarray:
-    """Convex hull of points [n, 2], anticlockwise (Andrew's monotone chain)."""
+    """Return the convex hull of points [n, 2], anticlockwise (Andrew's monotone chain)."""
     ordered = points[np.lexsort((points[:, 1], points[:, 0]))]
     lower, upper = _hull_chain(ordered), _hull_chain(ordered[::-1])
     return np.array(lower[:-1] + upper[:-1])

@@ -1,4 +1,4 @@
-"""Replays in the Rerun viewer: a file of some worlds of a run, or the viewer opened on one."""
+"""Replays in the Rerun viewer: a file of selected worlds of a run, or the viewer on one world."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,10 +19,10 @@ if TYPE_CHECKING:
 __all__ = ["good_world", "show_world", "worst_world", "write_replay"]
 
 SERVER_ADDRESS = "127.0.0.1"
-"""Address of this machine alone; without ``--bind`` Rerun's server listens on all interfaces."""
+"""Loopback address; without ``--bind`` Rerun's server listens on all interfaces."""
 
 _PLAYBACK_SPEED = 4.0
-"""Seconds of the run in one of the viewer's: a crossing takes a quarter of a minute."""
+"""Playback speed, times real time: a crossing takes a quarter of a minute."""
 
 
 def write_replay(run: Run, worlds: Sequence[int] | None = None, out: Path | None = None) -> Path:
@@ -35,8 +35,8 @@ def write_replay(run: Run, worlds: Sequence[int] | None = None, out: Path | None
 
     Raises:
         UnsupportedError: Rerun is not installed.
-        ConfigError: the run stored no trajectories, does not hold a world, or the file cannot be
-            named so.
+        ConfigError: the run stored no trajectories, does not hold a world, or the file name is
+            invalid.
         RunError: the file cannot be written.
     """
     chosen = list(dict.fromkeys([worst_world(run), good_world(run)] if worlds is None else worlds))
@@ -112,7 +112,7 @@ def _log_scenes(recording: "rr.RecordingStream", scenes: Sequence[scene.ReplaySc
 
 
 def _build_blueprint(scenes: Sequence[scene.ReplayScene]) -> "rrb.Blueprint":
-    """One tab a world; the run plays at once and again when it is over."""
+    """Build one tab per world; the run plays at once and repeats."""
     import rerun.blueprint as rrb
 
     tabs = [_build_tab(world_scene) for world_scene in scenes]
@@ -127,7 +127,7 @@ def _build_blueprint(scenes: Sequence[scene.ReplayScene]) -> "rrb.Blueprint":
 
 
 def _build_tab(world_scene: scene.ReplayScene) -> "rrb.Horizontal":
-    """The world in space; beside it the fleet's table, distances to goal or progress, events."""
+    """Build the world in space, with the fleet's table, distances or progress, and events."""
     import rerun.blueprint as rrb
 
     from angler_mjx.report.viewing.entities import MAX_NAMED

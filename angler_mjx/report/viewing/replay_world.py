@@ -1,6 +1,6 @@
 """One world of a run as entities of a Rerun recording; imported only where Rerun is installed.
 
-What `entities` draws, with the whole run on the timeline ``time``, in seconds; beside it the
+The entities of `entities`, with the whole run on the timeline ``time``, in seconds; beside them the
 fleet's table, distances to goal or progress of the task, and events.
 """
 
@@ -15,14 +15,14 @@ from angler_mjx.robot.vehicles import library
 from angler_mjx.world.tasks.history import GoodsStatus, RobotActivity, TaskHistory
 
 _TRAIL_POINTS = 2_000_000
-"""Points in all growing trails of a world, at most: 24 MB."""
+"""Max points in all growing trails of a world: 24 MB."""
 
 
 def log_world(recording: rr.RecordingStream, scene: ReplayScene, root: str) -> None:
     """Log one world.
 
     Args:
-        recording: where to.
+        recording: destination.
         scene: the world.
         root: path of its entities.
     """
@@ -85,7 +85,7 @@ def _log_robot(
 def _log_trail(
     recording: rr.RecordingStream, scene: ReplayScene, robot: RobotTrack, path: str
 ) -> None:
-    """The way taken so far: a line that grows about once a second."""
+    """Log the path so far: a line that grows about once a second."""
     path_m = scene.flown_path(robot)
     count = len(path_m)
     step = max(1, round(1.0 / max(float(scene.time_s[1]), 1e-3))) if len(scene.time_s) > 1 else 1
@@ -103,7 +103,7 @@ def _log_trail(
 def _log_label(
     recording: rr.RecordingStream, scene: ReplayScene, robot: RobotTrack, path: str
 ) -> None:
-    """The robot's number above it, with the outcome once it is known; a crowd's failures alone."""
+    """Log the robot's number above it, with its outcome after its end; in a crowd only failures."""
     is_named = len(scene.robots) <= entities.MAX_NAMED
     times_s, labels = [0.0], [str(robot.index)]
     if scene.task is not None:
@@ -125,7 +125,7 @@ def _log_label(
 
 
 def _label_phases(task: TaskHistory, robot: RobotTrack) -> tuple[list[float], list[str]]:
-    """Times at which a robot begins to do something else, and its label from then on."""
+    """Return the times at which a robot's activity changes, and its label from then on."""
     labels = [
         str(robot.index)
         if doing == RobotActivity.GOES
@@ -150,7 +150,7 @@ def _log_events(recording: rr.RecordingStream, scene: ReplayScene, path: str) ->
 
 
 def _job_events(task: TaskHistory) -> list[tuple[float, str, str]]:
-    """Times, texts and levels of what was done of a task; viewpoints of a survey are too many."""
+    """Return times, texts and levels of finished jobs of a task; not of survey viewpoints."""
     events = []
     for job in np.flatnonzero(task.exists).tolist():
         at_s, by = float(task.done_at_s[job]), int(task.by[job])
@@ -167,7 +167,7 @@ def _job_events(task: TaskHistory) -> list[tuple[float, str, str]]:
 
 
 def _goods_events(task: TaskHistory, job: int) -> list[tuple[float, str, str]]:
-    """When goods were taken up, and lost or back where they were, as far as samples tell."""
+    """Return when goods were taken up, and lost or returned, within the sample interval."""
     goods_state, events = task.goods[:, job], []
     for k in (np.flatnonzero(goods_state[1:] != goods_state[:-1]) + 1).tolist():
         at_s, robot = float(task.time_s[k]), int(task.carrier[k - 1, job])
@@ -183,7 +183,7 @@ def _goods_events(task: TaskHistory, job: int) -> list[tuple[float, str, str]]:
 def _log_progress(
     recording: rr.RecordingStream, scene: ReplayScene, task: TaskHistory, root: str
 ) -> None:
-    """The share of a task over time; and its words with a table of what each robot does."""
+    """Log the fraction of a task over time; and its text with a table of the robots' activities."""
     fraction_path = f"{root}/progress/share"
     line = rr.SeriesLines(colors=[of_task.SEEN], names=["share"], widths=[2])
     recording.log(fraction_path, line, static=True)

@@ -1,4 +1,4 @@
-"""One world of a run, read back for pictures: host arrays, the time axis cut to its end."""
+"""One world of a run, loaded for figures: host arrays, the time axis cut to its end."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -22,20 +22,20 @@ from angler_mjx.world.tasks.history import TaskHistory
 
 @dataclass(frozen=True, kw_only=True)
 class RobotTrack:
-    """One robot: who it was, where it went and how it ended."""
+    """Track of one robot: its kind, path and outcome."""
 
     index: int
     vehicle: str
     vehicle_file: str
-    """As `robot.vehicles.library.load` takes it: the run's copy, where it has one."""
+    """File name for `robot.vehicles.library.load`: the run's copy, where it has one."""
     parameter_set: str
     outcome: str
     end_time_s: float
-    """When its episode ended."""
+    """End time of its episode."""
     failure_pair: str
-    """What it touched: cell, floor, obstacle:i, robot:i or none."""
+    """Collision partner: cell, floor, obstacle:i, robot:i or none."""
     failure_m: np.ndarray
-    """[3] where it failed; NaN if it arrived."""
+    """[3] position of the failure; NaN if it arrived."""
     p_m: np.ndarray
     """[T, 3]."""
     q: np.ndarray
@@ -43,7 +43,7 @@ class RobotTrack:
     current_mps: np.ndarray
     """[T, 3] water velocity at the robot, W."""
     plan_m: np.ndarray
-    """[n, 3] places joined by lines: way-points, padding dropped; of bent segments several."""
+    """[n, 3] points of the polyline: way-points without padding; several for a bent segment."""
     start_m: np.ndarray
     """[3]."""
     goal_m: np.ndarray
@@ -51,7 +51,7 @@ class RobotTrack:
 
     @property
     def arrived(self) -> bool:
-        """Whether it reached its goal."""
+        """Whether the robot reached its goal."""
         return self.outcome == "reached"
 
 
@@ -70,9 +70,9 @@ class ReplayScene:
     obstacle_q: np.ndarray
     """[T, n, 4]."""
     replan_hz: float = 0.0
-    """How often plans were made anew in flight; those that are shown are the first ones."""
+    """Rate of replanning in flight; the plans shown are the first ones."""
     task: TaskHistory | None = None
-    """What the team does together, and how far it was when; None: each robot has its goal."""
+    """Task of the team with its progress; None: each robot has its goal."""
 
     @property
     def bounds_m(self) -> tuple[np.ndarray, np.ndarray]:
@@ -82,19 +82,19 @@ class ReplayScene:
         return low, low + float(grid.cell_m) * np.asarray(grid.occupied.shape)
 
     def flown_path(self, robot: RobotTrack) -> np.ndarray:
-        """Positions [n, 3] of a robot until its end; a diverged one's last are left out."""
+        """Return a robot's positions [n, 3] until its end; without the last ones if it diverged."""
         until_end = self.time_s <= robot.end_time_s + 1e-6
         path_m: np.ndarray = robot.p_m[until_end & np.isfinite(robot.p_m).all(axis=1)]
         return path_m
 
     def ended(self, robot: RobotTrack) -> str:
-        """How a robot ended, in words; with a task it has no goal to reach."""
+        """Return a robot's outcome in words; with a task it has no goal to reach."""
         if self.task is not None and robot.arrived:
             return "finished"
         return style.OUTCOME_TEXT[robot.outcome]
 
     def current_at(self, points_m: np.ndarray, time_s: float) -> np.ndarray:
-        """Water velocity [n, 3] at points [n, 3] and a time, m/s in W."""
+        """Return the water velocity [n, 3] at points [n, 3] and a time, m/s in W."""
         field = jax.vmap(currents.velocity, (None, 0, None))
         points = jnp.asarray(points_m, float)
         time = jnp.asarray(time_s, points.dtype)
@@ -102,7 +102,7 @@ class ReplayScene:
 
 
 def read_scene(run: Run, world: int) -> ReplayScene:
-    """One world of a run.
+    """Read one world of a run.
 
     Args:
         run: run folder.

@@ -1,4 +1,4 @@
-"""Figures about all robots of a run: how they ended, how near they came, how long they took."""
+"""Figures about all robots of a run: outcomes, min distances, and times."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -15,20 +15,20 @@ from angler_mjx.runs.storage.results import OUTCOMES, completion_times, outcome_
 
 
 def robot_kinds(episodes: pa.Table) -> list[tuple[str, str]]:
-    """Vehicle and parameter set of all kinds of robot in a run, sorted."""
+    """Return vehicle and parameter set of all kinds of robot in a run, sorted."""
     pairs = zip(episodes["vehicle"].to_pylist(), episodes["parameter_set"].to_pylist(), strict=True)
     return sorted(set(pairs))
 
 
 def rows_of(episodes: pa.Table, kind: tuple[str, str]) -> pa.Table:
-    """Rows of one kind of robot."""
+    """Return the rows of one kind of robot."""
     return episodes.filter(
         (pc.field("vehicle") == kind[0]) & (pc.field("parameter_set") == kind[1])
     )
 
 
 def plot_outcomes(episodes: pa.Table, name: str) -> Figure:
-    """Share of robots by outcome, with 95 % intervals clustered by world, of all and of each kind.
+    """Plot the fraction of robots by outcome, with 95 % intervals clustered by world, per kind.
 
     Args:
         episodes: rows of the run.
@@ -54,7 +54,7 @@ def plot_outcomes(episodes: pa.Table, name: str) -> Figure:
 
 
 def _headline(episodes: pa.Table, reached: float) -> str:
-    """Return what came of a run in words: of its tasks first."""
+    """Return the result of a run in words: that of its tasks first."""
     completed_s = completion_times(episodes)
     if completed_s is None:
         return f"{100 * reached:.0f} % of robots arrived"
@@ -89,7 +89,7 @@ def _rate_bars(axes: Axes, table: Mapping[str, Mapping[str, float]]) -> None:
 def _stacked_kinds(
     axes: Axes, tables: Mapping[tuple[str, str], Mapping[str, Mapping[str, float]]]
 ) -> None:
-    """One bar a kind of robot, its outcomes side by side; the interval is that of arrival."""
+    """Plot one bar per kind of robot, outcomes stacked; the interval is that of arrival."""
     for row_index, table in enumerate(tables.values()):
         left = 0.0
         for outcome in OUTCOMES:
@@ -132,7 +132,7 @@ def _stacked_kinds(
 
 
 def plot_distances(episodes: pa.Table, name: str) -> Figure:
-    """How near robots came to rock, floor and obstacles, and to each other.
+    """Plot the min distances of robots to rock, floor and obstacles, and to each other.
 
     Args:
         episodes: rows of the run.
@@ -161,7 +161,7 @@ def plot_distances(episodes: pa.Table, name: str) -> Figure:
 
 
 def _describe_clearance(episodes: pa.Table) -> str:
-    """How near half of the robots that arrived came to something, in words."""
+    """Return the median clearance of the robots that arrived, in words."""
     clearance = _read_column(episodes, "min_clearance_m")[_arrived_mask(episodes)]
     clearance = clearance[np.isfinite(clearance)]
     if clearance.size == 0:
@@ -170,7 +170,7 @@ def _describe_clearance(episodes: pa.Table) -> str:
 
 
 def _touch_histogram(axes: Axes, values: np.ndarray, arrived: np.ndarray, label: str) -> None:
-    """Stacked histogram of a least distance, arrived and failed, up to the 98th percentile."""
+    """Plot a stacked histogram of a min distance, arrived and failed, up to the 98th percentile."""
     high = max(float(np.quantile(values, 0.98)), 0.1)
     bins = np.linspace(0.0, high, 31)
     inside = np.clip(values, 0.0, high)
@@ -191,10 +191,10 @@ def _touch_histogram(axes: Axes, values: np.ndarray, arrived: np.ndarray, label:
 
 
 def plot_times(episodes: pa.Table, name: str, horizon_s: float) -> Figure:
-    """Share of robots that had arrived by a time, of each vehicle and parameter set.
+    """Plot the fraction of robots that had arrived by a time, per vehicle and parameter set.
 
-    Robots that never arrive count in the share, so a curve ends at the rate of arrival. Of a run
-    with a task, the first curve is the share of worlds that had completed it.
+    Robots that never arrive count in the fraction, so a curve ends at the rate of arrival. For a
+    run with a task, the first curve is the fraction of worlds that had completed it.
 
     Args:
         episodes: rows of the run.
@@ -246,7 +246,7 @@ def plot_times(episodes: pa.Table, name: str, horizon_s: float) -> Figure:
 
 
 def _describe_time(episodes: pa.Table, completed_s: np.ndarray | None) -> str:
-    """Return the median time of what a run is about, in words."""
+    """Return the median time of a run's objective, in words."""
     if completed_s is None:
         times_s = _finite_values(episodes, "time_to_goal_s")
         none_text, subject = "no robot arrived", "those that arrive need"
@@ -265,7 +265,7 @@ def _plot_curve(
     never: str,
     **line: Any,
 ) -> None:
-    """Draw the share of ``total`` that was done by each time, and name its median."""
+    """Plot the fraction of ``total`` that was done by each time, with its median."""
     ordered = np.sort(times_s)
     fraction = np.arange(1, ordered.size + 1) / max(total, 1)
     median = f"median {np.median(ordered):.0f} s" if ordered.size else never
@@ -280,7 +280,7 @@ def _plot_curve(
 
 
 def _time_window(arrival: np.ndarray, horizon_s: float) -> tuple[float, float]:
-    """Part of the time axis in which robots arrive, with some room; all of it if none does."""
+    """Return the time window in which robots arrive, with some margin; all of it if none does."""
     if arrival.size == 0:
         return 0.0, horizon_s
     first, last = 0.9 * float(arrival.min()), 1.1 * float(arrival.max())

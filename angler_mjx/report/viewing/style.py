@@ -1,4 +1,4 @@
-"""How pictures look: colours that colour-blind readers can tell apart, fonts, sizes, saving."""
+"""Style of figures: colours for colour-blind readers, fonts, sizes, saving."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -22,8 +22,10 @@ CURRENT = "#6f9fb8"
 OBSTACLE_DYNAMIC, OBSTACLE_STATIC = "#8a6fb0", "#55606b"
 
 ROBOTS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7A4E12", "#333333")
-"""Colours of robots, used in turn: Okabe and Ito's (Color Universal Design, 2008) without yellow,
-which is lost on white, and with brown and black."""
+"""Colours of robots, used in turn.
+
+Okabe and Ito's (Color Universal Design, 2008) without yellow, which is lost on white, and with
+brown and black."""
 
 OUTCOMES = {
     "reached": "#009E73",
@@ -52,17 +54,17 @@ OUTCOME_TEXT = {
 ROCK = colors.LinearSegmentedColormap.from_list(
     "rock", ["#93a3a6", "#b9bba8", "#ddd3b4", "#f1e6c8"]
 )
-"""Height of rock, deep to shallow: light enough for tracks to stand out on all of it."""
+"""Colour map of rock height, deep to shallow: light enough for tracks to stand out."""
 
 
 def robot_color(index: int) -> str:
-    """Colour of robot ``index``; they repeat after the last, so say the number as well."""
+    """Return the colour of robot ``index``; colours repeat, so show the number as well."""
     return ROBOTS[index % len(ROBOTS)]
 
 
 @contextmanager
 def figure_style() -> Iterator[None]:
-    """The look of all figures, inside a ``with``; nothing global is changed."""
+    """Apply the style of all figures, inside a ``with``; nothing global is changed."""
     settings: Any = {
         "font.family": "DejaVu Sans",
         "font.size": 9.5,
@@ -92,7 +94,7 @@ def figure_style() -> Iterator[None]:
 
 
 def new_figure(width_in: float, height_in: float, *, headline_in: float = 0.0) -> Figure:
-    """An empty figure that needs no display and no pyplot.
+    """Return an empty figure that needs no display and no pyplot.
 
     Args:
         width_in: width, inch.
@@ -108,21 +110,21 @@ def new_figure(width_in: float, height_in: float, *, headline_in: float = 0.0) -
 
 
 def add_headline(figure: Figure, title: str, subtitle: str) -> None:
-    """Title and a quieter line below it, at the top left of a figure."""
+    """Add a title and a quieter line below it, at the top left of a figure."""
     left, inch = 0.1 / figure.get_figwidth(), 1.0 / figure.get_figheight()
     figure.text(left, 1 - 0.1 * inch, title, fontsize=13.5, fontweight="bold", va="top")
     figure.text(left, 1 - 0.38 * inch, subtitle, fontsize=9.5, color=QUIET, va="top")
 
 
 FIGURE_FORMATS = (".png", ".pdf", ".svg", ".jpg")
-"""Ends of the names of figures that can be written."""
+"""Supported file name extensions of figures."""
 
 
 def require_format(path: Path, flag: str = "--out") -> None:
-    """Refuse a name that says no format of figures, before anything is drawn.
+    """Refuse a file name without a supported figure format, before anything is plotted.
 
     Raises:
-        ConfigError: naming those that there are.
+        ConfigError: naming the supported formats.
     """
     if path.suffix.lower() not in FIGURE_FORMATS:
         raise ConfigError(
@@ -131,15 +133,15 @@ def require_format(path: Path, flag: str = "--out") -> None:
 
 
 def save_figure(figure: Figure, path: Path, *, palette: int | None = None) -> Path:
-    """Write a figure, as PNG or what its name says; returns the path.
+    """Write a figure, as PNG or in the format of its name; return the path.
 
     Args:
-        figure: to be written.
+        figure: figure to write.
         path: of the file.
-        palette: as many colours at most; a third of the size for lines on paper.
+        palette: max number of colours; a third of the size for lines on paper.
 
     Raises:
-        ConfigError: the name has an ending that is no format of figures.
+        ConfigError: the extension is no format of figures.
         RunError: the file cannot be written.
     """
     formats = figure.canvas.get_supported_filetypes()

@@ -1,4 +1,4 @@
-"""What a team did of its task in one world: where, who, and how far it was when."""
+"""Figure of a team's task in one world: places, robots, and progress over time."""
 
 from typing import Any
 
@@ -21,7 +21,7 @@ SEEN, UNSEEN = "#9fd0a5", "#e8a39b"
 
 
 def plot_task(run: Run, scene: ReplayScene) -> Figure:
-    """Map from above with all places, and progress over time.
+    """Plot a map from above with all places, and progress over time.
 
     Args:
         run: run folder of a scenario with a task.
@@ -93,7 +93,7 @@ def _plot_points(axes: Axes, points_m: np.ndarray, by: np.ndarray, marker: str) 
 
 
 def _plot_cells(axes: Axes, scene: ReplayScene, cells: np.ndarray) -> None:
-    """Columns of a survey by the share of their cells that was seen; those with none stay water."""
+    """Plot the columns of a survey by the fraction of their seen cells; empty ones stay water."""
     grid = scene.environment.grid
     origin, cell = np.asarray(grid.origin_m), float(grid.cell_m)
     n_wanted, seen = np.sum(cells > 0, axis=2), np.sum(cells == 2, axis=2)

@@ -1,4 +1,4 @@
-"""A window of the Rerun viewer on one recording, and what it shows at first."""
+"""Window of the Rerun viewer on one recording, with its initial layout."""
 
 import os
 import socket
@@ -20,12 +20,13 @@ if TYPE_CHECKING:
 _VIEWER = (sys.executable, "-m", "rerun_cli")
 
 _START_S, _SETTLE_S = 30.0, 1.0
-"""A viewer that does not listen in that time has failed; so has one that ends within a second of
-listening, as it does where there is no screen or no graphics."""
+"""Time limit of the viewer's start, and time that it must keep running once it listens.
+
+It ends within a second of listening where there is no screen or no graphics."""
 
 
 def has_display() -> bool:
-    """Whether there is a display to open the viewer on."""
+    """Return whether there is a display for the viewer."""
     displays = (os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
     return sys.platform != "linux" or any(displays)
 
@@ -33,15 +34,15 @@ def has_display() -> bool:
 def open_viewer(
     recording: "rr.RecordingStream", blueprint: "rrb.Blueprint", viewer: Sequence[str] = _VIEWER
 ) -> None:
-    """Open the viewer on a recording; it stays when this process ends.
+    """Open the viewer on a recording; it stays open when this process ends.
 
-    It has a window of its own, and not a tab of a viewer that is open already: that one would go on
-    with the layout of what it showed before. What it says of its own doings is not shown, since a
-    terminal may be in use. It listens to this machine alone.
+    It has a window of its own, and not a tab of an open viewer: that viewer would keep the layout
+    of its earlier recording. Its own messages are not shown, since a terminal may be in use. It
+    listens to this machine alone.
 
     Args:
-        recording: what is logged to it from now on is shown.
-        blueprint: what is shown, and how.
+        recording: data logged to it from now on are shown.
+        blueprint: layout of the viewer.
         viewer: its command.
 
     Raises:
@@ -55,7 +56,7 @@ def open_viewer(
             stdin=subprocess.DEVNULL,
             stdout=output,
             stderr=output,
-            start_new_session=True,  # Ctrl-C in the terminal is not for it
+            start_new_session=True,  # Ctrl-C in the terminal must not reach the viewer
         )
         if not _is_listening(process, port):
             output.seek(0)
@@ -65,10 +66,10 @@ def open_viewer(
 
 
 def activate_blueprint(recording: "rr.RecordingStream", blueprint: "rrb.Blueprint") -> None:
-    """Have a recording shown by a blueprint.
+    """Activate a blueprint for a recording.
 
-    A mere default would lose against the blueprint of the last recording, which the viewer has kept
-    on disk, and which shows nothing where the world has another index.
+    A mere default would lose against the blueprint of the last recording, which the viewer keeps on
+    disk, and which shows nothing where the world has another index.
     """
     recording.send_blueprint(blueprint, make_active=True, make_default=True)
 
@@ -81,7 +82,7 @@ def _free_port() -> int:
 
 
 def _is_listening(viewer: subprocess.Popen[bytes], port: int) -> bool:
-    """Wait until the viewer listens, and see that it stays."""
+    """Wait until the viewer listens and keeps running; return whether it does."""
     last = time.monotonic() + _START_S
     while time.monotonic() < last and viewer.poll() is None:
         try:
@@ -97,17 +98,17 @@ def _is_listening(viewer: subprocess.Popen[bytes], port: int) -> bool:
 
 
 def _read_reason(output: IO[bytes]) -> str:
-    """The last line that the viewer wrote."""
+    """Return the last line of the viewer's output."""
     lines = output.read().decode(errors="replace").split("\n")
     return next((line for line in reversed(lines) if line), "it does not answer")
 
 
 def build_blueprint(content: "rrb.Container | rrb.View", panel: "rrb.TimePanel") -> "rrb.Blueprint":
-    """A window with nothing but views and the time panel.
+    """Build a window with only views and the time panel.
 
     Args:
         content: the views.
-        panel: how time runs.
+        panel: settings of the timeline.
     """
     import rerun.blueprint as rrb
 
@@ -127,14 +128,14 @@ def space_view(
     eye: "rrb.EyeControls3D",
     growing_paths: Sequence[str] = (),
 ) -> "rrb.Spatial3DView":
-    """A view of a world.
+    """Build a view of a world.
 
     Args:
-        contents: paths of what it shows.
+        contents: paths of the shown entities.
         root: path of the world's entities, with the leading slash.
         name: of the view.
-        eye: from where.
-        growing_paths: paths of entities that are shown with all that was logged of them until now.
+        eye: viewpoint.
+        growing_paths: paths of entities that are shown with all their data logged so far.
     """
     import rerun.blueprint as rrb
 
@@ -155,7 +156,7 @@ def space_view(
 
 
 def eye_above(bounds_m: tuple[np.ndarray, np.ndarray]) -> "rrb.EyeControls3D":
-    """An eye that sees all of a world from above one of its corners.
+    """Return an eye that sees the whole world from above one of its corners.
 
     Args:
         bounds_m: lower and upper corner [3] of the world.

@@ -1,4 +1,4 @@
-"""Which worlds of a run are worth looking at."""
+"""Selection of notable worlds of a run."""
 
 from collections.abc import Callable
 from typing import Any
@@ -9,9 +9,9 @@ from angler_mjx.runs.storage.folder import Run
 
 
 def worst_world(run: Run) -> int:
-    """Return the world that went worst.
+    """Return the world with the worst result.
 
-    Of a run with a task: a world that did not complete it, the one with the least progress first;
+    For a run with a task: a world that did not complete it, the one with the least progress first;
     where all completed it, the one that did so last. Ties, and runs without a task: the world in
     which most robots failed. Further ties go to the world with more different causes of failure,
     then to the one whose first failure came earliest, then to the lowest index.
@@ -27,11 +27,11 @@ def worst_world(run: Run) -> int:
 
 
 def good_world(run: Run) -> int:
-    """Return a world that went well.
+    """Return a world with a good result.
 
-    Most robots arrived; among such worlds the one with the smallest least clearance, because there
-    is most to see; then the lowest index. Of a run with a task: a world that completed it, with
-    most robots that did their part, then the earliest completion.
+    Most robots arrived; among such worlds the one with the smallest min clearance, because it shows
+    most; then the lowest index. For a run with a task: a world that completed it, with most robots
+    that did their part, then the earliest completion.
     """
 
     def goodness(rows: dict[str, np.ndarray]) -> tuple[float, ...]:
@@ -44,7 +44,7 @@ def good_world(run: Run) -> int:
 
 
 def _task_delay(rows: dict[str, np.ndarray]) -> tuple[float, float, float]:
-    """Whether the task of a world is incomplete, the fraction that is left, completion time [s].
+    """Return whether the task is incomplete, the fraction that is left, and completion time [s].
 
     Each is 0 where it does not apply, all of them without a task.
     """

@@ -1,8 +1,8 @@
-"""A second judge: from what a run stored, every robot's episode worked out anew and compared.
+"""Referee: every robot's episode recomputed from the record of a run and compared with it.
 
-NumPy alone, in float64, with its own distances, and with its own reading of vehicle and thruster
-files: nothing of the simulator is used (an import contract holds it to that). docs/verify.md says
-what is judged, by which definitions, and what cannot be.
+It uses NumPy alone, in float64, with its own distances, and its own reader of vehicle and thruster
+files, and nothing of the simulator (an import contract enforces it). docs/verify.md lists the
+judged quantities, their definitions, and the limits.
 """
 
 from collections.abc import Callable, Sequence
@@ -39,8 +39,8 @@ def judge(
 
     Args:
         path: the run folder.
-        chosen: indices of worlds; all that are finished if left out.
-        progress: called with the worlds done and their number.
+        chosen: indices of worlds; all finished worlds if left out.
+        progress: called with the number of worlds done and the total.
 
     Raises:
         ConfigError: it is no run folder, stored no trajectories, is damaged, or lacks a world.
@@ -72,7 +72,7 @@ def judge(
 
 
 def _judge_robot(scene: RefereeScene, robot: int) -> list[RefereeFinding]:
-    """Worked out anew where every step until the end was stored, held against bounds elsewhere."""
+    """Recompute an episode where every step until the end was stored; else compare with bounds."""
     stored = scene.state_at(scene.stored_step[robot])
     has_all_commands = len(scene.world.step) > len(scene.world.pwm_us)
     if scene.run.every == 1 and (has_all_commands or stored is not None):

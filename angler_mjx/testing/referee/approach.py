@@ -1,7 +1,7 @@
-"""How far along its plan a robot was: a plan is flown no sooner than on its last approach.
+"""Progress of a robot along its plan: a plan counts as flown only from its last approach on.
 
-Where a controller aimed is on the plan. A time on the plan never goes back and runs no faster than
-the clock, so the aims of a flight, one after another, bound it from both sides.
+The controller's aim is a point on the plan. A time on the plan never goes back and runs no faster
+than the clock, so the successive aims of a flight bound it from both sides.
 """
 
 import numpy as np
@@ -9,7 +9,7 @@ import numpy as np
 from angler_mjx.testing.referee.geometry import Floats
 
 APPROACH_M = 1.0
-"""The last approach begins so far outside the goal's tolerance."""
+"""Distance outside the goal's tolerance at which the last approach begins."""
 AIM_M = 1e-3
 """Rounding of an aim in float32, and of the plan's time behind it."""
 
@@ -51,8 +51,8 @@ def progress_s(
     Args:
         time_s: [P] of the way-points.
         point_m: [P, 3] joined by lines.
-        aim_m: [A, 3] where the controller aimed with each state; the last state may have none.
-        spans_s: [T] time since the state before; the first is not looked at.
+        aim_m: [A, 3] aim of the controller with each state; the last state may have none.
+        spans_s: [T] time since the state before; the first is not used.
 
     Returns:
         None where an aim is not on the lines: the plan is bent, or the controller aims elsewhere.
@@ -68,7 +68,7 @@ def progress_s(
         if k >= len(aim_m):
             low[k], high[k] = earliest, latest
             continue
-        # Parts of each line that lie within the rounding of the aim, as shares of it.
+        # Parts of each line that lie within the rounding of the aim, as fractions of it.
         offset_m = aim_m[k] - start
         middle = np.sum(offset_m * leg, axis=1) / np.where(square > 0.0, square, 1.0)
         miss_sq = np.sum((offset_m - middle[:, None] * leg) ** 2, axis=1)

@@ -1,4 +1,4 @@
-"""Judging a robot of whose episode only some states were stored: what they allow, and no more."""
+"""Judgement of a robot with only some stored states of its episode, by the bounds that they set."""
 
 import numpy as np
 
@@ -13,7 +13,7 @@ SPARSE = "what was between the samples is not known"
 
 
 def judge_bounded(scene: RefereeScene, robot: int) -> list[RefereeFinding]:
-    """Findings of one robot."""
+    """Return the findings of one robot."""
     collector, episode = FindingCollector(scene, robot), RefereeEpisode(scene, robot)
     step, outcome = scene.stored_step[robot], scene.stored_outcome(robot)
     world = scene.world
@@ -27,7 +27,7 @@ def judge_bounded(scene: RefereeScene, robot: int) -> list[RefereeFinding]:
     _check_time(collector, scene, robot, step)
     before = int(np.searchsorted(world.step, step, side="right")) - 1
     after = min(int(np.searchsorted(world.step, step)), len(world.step) - 1)
-    # A robot that failed stands where its episode ended: the next sample shows that place.
+    # A failed robot stays at the end position of its episode: the next sample shows it.
     held = after if outcome in FAILED and world.step[after] >= step else before
     _check_numbers(collector, scene, episode, step, before, held)
     _check_contact(collector, scene, episode, held if world.step[held] >= step else None, outcome)
@@ -44,7 +44,7 @@ def judge_bounded(scene: RefereeScene, robot: int) -> list[RefereeFinding]:
 def _check_outcome(
     collector: FindingCollector, scene: RefereeScene, episode: RefereeEpisode, step: int
 ) -> None:
-    """No state before the end may end the episode, and one that shows the end must allow it."""
+    """Check that no state before the end ends the episode, and that one at the end allows it."""
     robot, stored = episode.robot, scene.stored_outcome(episode.robot)
     world = scene.world
     shown = [k for k in range(1, len(world.step)) if world.step[k] < step]
@@ -71,13 +71,13 @@ def _check_outcome(
 def _allows_outcome(
     scene: RefereeScene, episode: RefereeEpisode, state: int, step: int, stored: str
 ) -> bool:
-    """Whether the first stored state at or after the end allows the stored outcome."""
+    """Return whether the first stored state at or after the end allows the stored outcome."""
     if scene.world.step[state] == step:
         expected = {"running"} if stored == "timeout" else {stored}
         if stored in scene.unseen(step):
             expected = {"running", "reached"}
         return stored == "diverged" or not expected.isdisjoint(episode.possible_outcomes(state))
-    # It has stood there since: what stands still is where it was, what moves is not.
+    # The robot has stood there since: still objects are where they were, moving ones are not.
     static_gap_m = episode.static_gap_m(state)
     if stored == "collision_static":
         return static_gap_m <= scene.contact_band_m
@@ -86,7 +86,7 @@ def _allows_outcome(
 
 
 def _check_time(collector: FindingCollector, scene: RefereeScene, robot: int, step: int) -> None:
-    """Between the last sample beside which it still ran and the first beside which it did not."""
+    """Check the end time: between the last running sample and the first that is not."""
     world, dt = scene.world, scene.run.control_dt_s
     ended = int(scene.ended[robot])
     low = float(world.step[min(ended, len(world.step)) - 1]) * dt if ended else 0.0
@@ -141,7 +141,7 @@ def _check_numbers(
         if np.isinf(sampled):
             collector.number(name, sampled, 0.0)
             continue
-        # Who touches nothing overlaps with nothing; who does may overlap with several things.
+        # Without contact there is no overlap; with contact several objects may overlap.
         touches = outcome.startswith("collision") or outcome == "diverged"
         high = min(sampled, 0.0) if is_hit else sampled
         collector.add_bounded(
@@ -156,7 +156,7 @@ def _check_contact(
     held: int | None,
     outcome: str,
 ) -> None:
-    """With what; ``held`` is the state that shows where a robot ended, if one does."""
+    """Check the collision partner; ``held`` is a state with the robot's end position, if any."""
     if not outcome.startswith("collision"):
         collector.add_no_contact("exact")
         return

@@ -1,4 +1,4 @@
-"""Holding one robot's results against what was judged, finding by finding."""
+"""Comparison of one robot's stored results with the judged ones, finding by finding."""
 
 from typing import Any
 
@@ -17,19 +17,19 @@ from angler_mjx.testing.referee.scene import FAILED, RefereeScene
 from angler_mjx.testing.referee.teamwork import NEVER
 
 TIME_ULPS = 4.0
-"""Times are sums and products of two float32."""
+"""Tolerance of times, which are sums and products of two float32."""
 
 PROGRESS_TOLERANCE = 1e-6
-"""A fraction of jobs or cells, in float32."""
+"""Tolerance of a fraction of jobs or cells, in float32."""
 
 POSITION_COLUMNS = ("failure_x_m", "failure_y_m", "failure_z_m")
 
 
 class FindingCollector:
-    """Findings of one robot, as they are made."""
+    """Collector of one robot's findings."""
 
     def __init__(self, scene: RefereeScene, robot: int) -> None:
-        """Nothing is found yet."""
+        """Create a collector without findings."""
         self.findings: list[RefereeFinding] = []
         self.row = scene.rows[robot]
         self._scene, self._robot = scene, robot
@@ -58,13 +58,13 @@ class FindingCollector:
         result: FindingResult,
         note: str = "",
     ) -> None:
-        """A verdict on what was stored and what was judged."""
+        """Add a verdict on a stored and a judged value."""
         self._add_finding(quantity, how, result, stored=stored, judged=judged, note=note)
 
     def number(
         self, quantity: str, judged: float, tolerance: float, *, relative: bool = False
     ) -> None:
-        """A number that was worked out anew."""
+        """Add a recomputed number."""
         stored = float(self.row[quantity])
         is_same = stored == judged or (np.isnan(stored) and np.isnan(judged))
         difference = 0.0 if is_same else abs(stored - judged)
@@ -83,7 +83,7 @@ class FindingCollector:
         )
 
     def add_bounded(self, quantity: str, low: float, high: float, why: str) -> None:
-        """A number that is only known to lie between two."""
+        """Add a number that is only known to lie between two limits."""
         stored = float(self.row[quantity])
         inside = low <= stored <= high
         self._add_finding(
@@ -96,12 +96,12 @@ class FindingCollector:
         )
 
     def unchecked(self, quantity: str, why: str) -> None:
-        """A quantity of which the record does not say enough."""
+        """Add a quantity that the record does not determine."""
         value = self.row.get(quantity)
         self._add_finding(quantity, "unchecked", "agrees", stored=value, judged=None, note=why)
 
     def time(self, judged_s: float, how: CheckMethod, result: FindingResult, note: str) -> None:
-        """When it ended; to the step."""
+        """Add the end time, exact to the step."""
         stored = self._scene.stored_end_s(self._robot)
         apart = abs(stored - judged_s)
         rounding = TIME_ULPS * float(np.spacing(np.float32(max(judged_s, 1.0))))
@@ -120,7 +120,7 @@ class FindingCollector:
         )
 
     def add_no_contact(self, how: CheckMethod) -> None:
-        """Without a collision there is no pair and no speed."""
+        """Add the absence of a collision: no pair and no speed."""
         pair, speed = self.row["failure_pair"], float(self.row["impact_speed_mps"])
         fits: FindingResult = "agrees" if pair == "none" else "disagrees"
         self._add_finding("failure_pair", how, fits, stored=pair, judged="none")
@@ -128,7 +128,7 @@ class FindingCollector:
         self._add_finding("impact_speed_mps", how, fits, stored=speed, judged=None)
 
     def set_position(self, outcome: str, p: Floats) -> None:
-        """Where it was at the end; not stored of robots that arrived."""
+        """Add the end position; it is not stored for robots that arrived."""
         stored = np.array([float(self.row[name]) for name in POSITION_COLUMNS])
         if outcome == "reached":
             fits = bool(np.isnan(stored).all())
@@ -146,7 +146,7 @@ class FindingCollector:
         )
 
     def task(self) -> None:
-        """How far the task of the world was, and whether what was stored of it can be."""
+        """Add the progress of the world's task, and whether the stored task data are possible."""
         scene, judged = self._scene, self._scene.task
         if scene.run.task is None:
             return
@@ -172,7 +172,7 @@ class FindingCollector:
     def _add_task_number(
         self, quantity: str, how: CheckMethod, judged: float, tolerance: float
     ) -> None:
-        """A number of a task: one that differs is undecided where rounding can have turned it."""
+        """Add a number of a task; a difference that rounding can explain is undecided."""
         stored, scene = float(self.row[quantity]), self._scene
         doubt = scene.task.doubt if scene.task is not None else ""
         is_same = stored == judged or (np.isnan(stored) and np.isnan(judged))
@@ -192,14 +192,14 @@ class FindingCollector:
         )
 
     def record(self, end: int) -> None:
-        """Whether the trajectory can be: its start, its outcomes, and rest after a failure."""
+        """Add whether the trajectory is possible: start, outcomes, and rest after a failure."""
         faults = self._faults(end)
         result: FindingResult = "disagrees" if faults else "agrees"
         text = "; ".join(faults)
         self._add_finding("record", "exact", result, stored=text or None, judged=None, note="")
 
     def _faults(self, end: int) -> list[str]:
-        """What is wrong with the trajectory; ``end`` is the state that ended the episode."""
+        """Return the faults of the trajectory; ``end`` is the state that ended the episode."""
         world, robot, faults = self._scene.world, self._robot, []
         start_m = np.float32(world.environment["start_m"][robot])  # as states are stored
         if not np.array_equal(np.float32(world.p[0, robot]), start_m):
@@ -236,7 +236,7 @@ class FindingCollector:
         return faults
 
     def _early_faults(self, end: int) -> list[str]:
-        """Return what is wrong with `passed_goal_early`; ``end`` is the state of the end."""
+        """Return the faults of `passed_goal_early`; ``end`` is the state of the end."""
         scene, is_early = self._scene, self.row["passed_goal_early"]
         if not is_early or scene.run.by_task or scene.run.every > 1:
             return []

@@ -1,7 +1,7 @@
-"""What was near to each robot of a world: every pair that can have been the nearest, worked out.
+"""Contact pairs of a world: distances of all pairs that can have been the nearest.
 
-Bounding spheres come first. They say which pairs can be nearer than what is known to be near, or
-can touch; only those are worked out, capsule by capsule.
+Bounding spheres come first. They select the pairs that can be nearer than the known ones, or can
+touch; only those are computed, capsule by capsule.
 """
 
 from collections.abc import Callable, Iterator
@@ -23,14 +23,14 @@ from angler_mjx.testing.referee.record import RefereeWorld
 from angler_mjx.testing.referee.vehicles import RefereeHull
 
 CELL, FLOOR, OBSTACLE, ROBOT = 0, 1, 2, 3
-"""Kinds of things, in the order in which the first of equals counts."""
+"""Kinds of objects, in order of priority at equal distance."""
 
 SEPARATION_M = 1.0
-"""Separations of robots are known up to here; it is their value where nobody is nearer."""
+"""Limit of known separations of robots; also the value where no robot is nearer."""
 
 SPHERE, BOX, CAPSULE = 0, 1, 2
 STILL = 0
-"""An obstacle's motion."""
+"""Motion kind of a still obstacle."""
 
 _BATCH_SIZE = 50_000
 _NARROW_BATCH_SIZE = 20_000
@@ -40,18 +40,18 @@ type Ints = NDArray[np.int64]
 
 @dataclass(frozen=True, kw_only=True)
 class ContactPairs:
-    """States of robots with a thing each; [n] leads."""
+    """Pairs of a robot's state and an object; [n] leads."""
 
     state: Ints
     robot: Ints
     kind: Ints
     index: Ints
-    """Which cell (flat), obstacle or robot; 0 for the floor."""
+    """Index of the cell (flat), obstacle or robot; 0 for the floor."""
     gap_m: Floats
-    """Distance of the hulls, or a lower bound of it."""
+    """Distance of the hulls, or a lower bound of the distance."""
 
     def take(self, chosen: Any) -> "ContactPairs":
-        """Some of them."""
+        """Return a selection of the pairs."""
         return ContactPairs(
             state=self.state[chosen],
             robot=self.robot[chosen],
@@ -62,7 +62,7 @@ class ContactPairs:
 
     @staticmethod
     def join(parts: "list[ContactPairs]") -> "ContactPairs":
-        """One after another."""
+        """Return the concatenation of pairs."""
         names = ("state", "robot", "kind", "index")
         whole = {
             n: np.concatenate([np.zeros(0, int), *(getattr(p, n) for p in parts)]) for n in names
@@ -72,27 +72,27 @@ class ContactPairs:
 
 @dataclass(frozen=True, kw_only=True)
 class NearbyPairs:
-    """What was near in one world."""
+    """Nearby pairs of one world."""
 
     pairs: ContactPairs
-    """All that can have been nearest or can have touched, with their distances."""
+    """All pairs that can have been nearest or can have touched, with their distances."""
     cap_m: Floats
-    """[R] distances to cells are known up to here, and so is the clearance."""
+    """[R] limit of known distances to cells, and of the clearance."""
 
     def clearance_m(self, robot: int, last: int) -> float:
-        """Least distance to cells, floor and obstacles in the states up to ``last``."""
+        """Return the min distance to cells, floor and obstacles in the states up to ``last``."""
         selected = self._select_pairs(robot, last) & (self.pairs.kind != ROBOT)
         return float(min(self.cap_m[robot], np.min(self.pairs.gap_m[selected], initial=np.inf)))
 
     def separation_m(self, robot: int, last: int) -> float:
-        """Least distance to another robot, at most `SEPARATION_M`; inf if there is no other."""
+        """Return the min distance to another robot, up to `SEPARATION_M`; inf without others."""
         if self.cap_m.size == 1:
             return float("inf")
         selected = self._select_pairs(robot, last) & (self.pairs.kind == ROBOT)
         return float(min(SEPARATION_M, np.min(self.pairs.gap_m[selected], initial=np.inf)))
 
     def of(self, robot: int) -> ContactPairs:
-        """All pairs of a robot."""
+        """Return all pairs of a robot."""
         return self.pairs.take(self.pairs.robot == robot)
 
     def _select_pairs(self, robot: int, last: int) -> NDArray[np.bool_]:
@@ -103,13 +103,13 @@ class NearbyPairs:
 def find_nearby(
     world: RefereeWorld, hulls: tuple[RefereeHull, ...], last: Ints, slack_m: float
 ) -> NearbyPairs:
-    """Work out what was near.
+    """Compute the nearby pairs.
 
     Args:
-        world: what was stored of it.
+        world: its record.
         hulls: [R] of the robots.
-        last: [R] the last state of each that matters.
-        slack_m: pairs that are farther than the nearest by no more than this are kept as well.
+        last: [R] last relevant state of each.
+        slack_m: pairs farther than the nearest by no more than this are kept as well.
     """
     cap = float(world.environment["grid/cell_m"]) - np.array([hull.reach_m for hull in hulls])
     candidates = ContactPairs.join(list(_find_candidates(world, hulls, last, cap)))
@@ -120,7 +120,7 @@ def find_nearby(
         (candidates.take(~robots), cap),
         (candidates.take(robots), np.full(cap.size, SEPARATION_M)),
     ):
-        # The pair with the least bound of each robot says how near something is at least.
+        # The pair with the min bound of each robot limits the distance from below.
         order = np.argsort(pairs.gap_m, kind="stable")
         first = order[np.unique(pairs.robot[order], return_index=True)[1]]
         nearest = narrow.gaps(pairs.take(first))
@@ -134,7 +134,7 @@ def find_nearby(
 def _find_candidates(
     world: RefereeWorld, hulls: tuple[RefereeHull, ...], last: Ints, cap: Floats
 ) -> Iterator[ContactPairs]:
-    """Pairs whose bounding spheres are near enough to be known at all."""
+    """Yield the pairs whose bounding spheres are near enough to be known at all."""
     reach = np.array([hull.reach_m for hull in hulls])
     is_judged = np.arange(len(world.step))[:, None] <= last[None, :]
     state, robot = (axis.astype(np.int64) for axis in np.nonzero(is_judged))
@@ -167,7 +167,7 @@ def _build_pairs(state: Ints, robot: Ints, kind: int, index: Any, gap_m: Floats)
 def _find_cells(
     world: RefereeWorld, state: Ints, robot: Ints, p: Floats, reach: Floats, cap: Floats
 ) -> Iterator[ContactPairs]:
-    """Occupied cells among the 27 around each centre: no other is nearer than the cap."""
+    """Yield occupied cells among the 27 around each centre: no other is nearer than the cap."""
     occupied = world.environment["grid/occupied"]
     edge = float(world.environment["grid/cell_m"])
     cell_index = np.floor((p - world.low_m) / edge).astype(np.int64)
@@ -210,7 +210,7 @@ def _obstacle_reach(world: RefereeWorld) -> Floats:
 
 
 def _find_robots(world: RefereeWorld, reach: Floats, last: Ints) -> Iterator[ContactPairs]:
-    """Both ways: each robot with each other one that is near it."""
+    """Yield both directions: each robot with each other robot near it."""
     for robot in range(reach.size):
         others = np.delete(np.arange(reach.size), robot)
         for begin in range(0, int(last[robot]) + 1, _BATCH_SIZE):
@@ -225,11 +225,11 @@ def _find_robots(world: RefereeWorld, reach: Floats, last: Ints) -> Iterator[Con
 
 
 class _NarrowPhase:
-    """Distances of hulls, capsule by capsule."""
+    """Narrow phase: distances of hulls, capsule by capsule."""
 
     def __init__(self, world: RefereeWorld, hulls: tuple[RefereeHull, ...]) -> None:
         self._world = world
-        # Fewer capsules than the most: the last one again.
+        # Hulls with fewer capsules repeat the last one.
         max_capsules = max(hull.r_m.size for hull in hulls)
         rows = [np.minimum(np.arange(max_capsules), hull.r_m.size - 1) for hull in hulls]
         self._a = np.stack([hull.a_m[row] for hull, row in zip(hulls, rows, strict=True)])
@@ -237,7 +237,7 @@ class _NarrowPhase:
         self._r = np.stack([hull.r_m[row] for hull, row in zip(hulls, rows, strict=True)])
 
     def gaps(self, pairs: ContactPairs) -> ContactPairs:
-        """The same pairs with their distances; negative where the shapes overlap."""
+        """Return the same pairs with their distances; negative where the shapes overlap."""
         gap_functions: tuple[Callable[[ContactPairs], Floats], ...] = (
             self._to_cells,
             self._to_floor,
@@ -255,7 +255,7 @@ class _NarrowPhase:
         )
 
     def _capsule_axes(self, state: Ints, robot: Ints) -> tuple[Floats, Floats, Floats]:
-        """Ends [n, c, 3] of the capsules' axes in the world, and radii [n, c]."""
+        """Return the ends [n, c, 3] of the capsules' axes in the world, and radii [n, c]."""
         p, q = self._world.p[state, robot], self._world.q[state, robot]
         a, b = (p[:, None] + rotate(q[:, None], x[robot]) for x in (self._a, self._b))
         return a, b, self._r[robot]

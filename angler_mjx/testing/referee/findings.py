@@ -1,4 +1,4 @@
-"""What the referee says: one finding for each quantity of each robot, and what they add up to."""
+"""Findings of the referee: one for each quantity of each robot, and their summary."""
 
 import math
 from collections.abc import Iterable
@@ -9,8 +9,10 @@ type Value = float | str | None
 type CheckMethod = Literal["exact", "bounded", "unchecked"]
 type FindingResult = Literal["agrees", "undecided", "disagrees"]
 type Conclusion = Literal["agrees", "agrees in part", "inconclusive", "disagrees"]
-"""Of a run. agrees: every outcome was worked out anew; agrees in part: some were; inconclusive: no
-outcome was, so nothing confirms the results; disagrees: a finding does."""
+"""Conclusion of a run.
+
+agrees: every outcome was recomputed; agrees in part: some were; inconclusive: no outcome was, so
+nothing confirms the results; disagrees: a finding does."""
 
 QUANTITIES = {
     "outcome": "",
@@ -24,8 +26,10 @@ QUANTITIES = {
     "failure_place_m": "m",
     "record": "",
 }
-"""What is judged of each robot, and its unit. ``record``: whether the trajectory itself can be:
-the start, robots at rest that have failed, and the outcome beside each sample."""
+"""Judged quantities of each robot, with units.
+
+``record``: whether the trajectory itself is possible: the start, rest of failed robots, and the
+outcome beside each sample."""
 
 TASK_QUANTITIES = {
     "jobs_done": "",
@@ -33,28 +37,30 @@ TASK_QUANTITIES = {
     "task_completed_s": "s",
     "task": "",
 }
-"""The same of runs with a task. ``task``: whether what the trajectories hold of it can be: who did
-which job and when, goods that robots carry, cells that were seen and when."""
+"""Judged quantities of runs with a task, with units.
+
+``task``: whether the task data of the trajectories are possible: the robot and time of each job,
+goods that robots carry, cells that were seen and when."""
 
 PATH_M, ENERGY_FRACTION, CLEARANCE_M, IMPACT_MPS = 1e-2, 1e-3, 1e-5, 1e-4
-"""Tolerances of what is checked exactly. Outcomes, pairs and times are to be equal."""
+"""Tolerances of exact checks. Outcomes, pairs and times have to be equal."""
 
 ENERGY_J = 1e-2
-"""And of energies near zero."""
+"""Absolute tolerance of energies near zero."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RefereeFinding:
-    """One quantity of one robot of one world."""
+    """Finding on one quantity of one robot of one world."""
 
     world: int
     robot: int
     quantity: str
     how: CheckMethod
-    """exact: worked out anew; bounded: held against what the record allows; unchecked: the record
-    does not say."""
+    """exact: recomputed; bounded: compared with the bounds of the record; unchecked: not
+    determined by the record."""
     result: FindingResult
-    """undecided: it differs, by a decision that rounding in float32 can have turned."""
+    """undecided: it differs, by a decision that rounding in float32 can have changed."""
     stored: Value
     judged: Value
     deviation: float = 0.0
@@ -62,7 +68,7 @@ class RefereeFinding:
     note: str = ""
 
     def line(self) -> str:
-        """In words, for a person."""
+        """Return the finding as text."""
         if self.result == "agrees":
             text = f"agrees ({self.how})"
         else:
@@ -74,7 +80,7 @@ class RefereeFinding:
         return f"world {self.world} robot {self.robot} {self.quantity}: {undecided}{text}{note}"
 
     def table(self) -> dict[str, Any]:
-        """For JSON: numbers that are none are null."""
+        """Return the finding for JSON: non-finite numbers are null."""
         return {name: _to_json_value(value) for name, value in asdict(self).items()}
 
 
@@ -91,7 +97,7 @@ def _to_json_value(value: Any) -> Any:
 
 @dataclass(kw_only=True)
 class FindingCount:
-    """Of one quantity, over all robots that were judged."""
+    """Counts of one quantity, over all judged robots."""
 
     exact: int = 0
     bounded: int = 0
@@ -99,17 +105,17 @@ class FindingCount:
     undecided: int = 0
     disagrees: int = 0
     largest: float = 0.0
-    """Largest deviation of those that agree and were checked exactly, relative for energies."""
+    """Largest deviation of agreeing exact checks, relative for energies."""
     why: dict[str, int] = field(default_factory=dict)
-    """Why robots were held against bounds or not checked, with the number of each reason."""
+    """Reasons of bounded or missing checks, with the number of robots of each."""
 
     @property
     def robots(self) -> int:
-        """Number of robots of whom the quantity was looked at."""
+        """Number of robots whose quantity was examined."""
         return self.exact + self.bounded + self.unchecked
 
     def text(self) -> str:
-        """Return how much was checked, in words: worked out anew, against bounds, and not."""
+        """Return the counts in words: recomputed, bounded, and unchecked."""
         text = f"{self.exact:,} of {self.robots:,} worked out anew"
         text += f", {self.undecided:,} of these undecided" if self.undecided else ""
         for number, label in (
@@ -122,28 +128,28 @@ class FindingCount:
 
 @dataclass(kw_only=True)
 class RefereeVerdict:
-    """What came of a run."""
+    """Verdict on a run."""
 
     run: str
     planned_worlds: int
-    """Those that the run was to have."""
+    """Number of planned worlds."""
     finished_worlds: int
-    """Those that it has results of."""
+    """Number of worlds with results."""
     worlds: int = 0
-    """Those that were judged."""
+    """Number of judged worlds."""
     robots: int = 0
     passed_goal_early: int = 0
-    """Robots that were at their goals before the last approaches of their plans, as stored."""
+    """Number of robots at their goals before the last approaches of their plans, as stored."""
     sampled: str = ""
     counts: dict[str, FindingCount] = field(
         default_factory=lambda: {q: FindingCount() for q in QUANTITIES}
     )
     differences: list[RefereeFinding] = field(default_factory=list)
-    """All that disagree or are undecided."""
+    """All findings that disagree or are undecided."""
 
     @property
     def conclusion(self) -> Conclusion:
-        """What the findings come to, by how many outcomes could be worked out anew."""
+        """Conclusion of the findings, by the number of recomputed outcomes."""
         outcomes = self.counts["outcome"]
         if any(count.disagrees for count in self.counts.values()):
             return "disagrees"
@@ -154,7 +160,7 @@ class RefereeVerdict:
 
     @property
     def agrees(self) -> bool:
-        """Whether outcomes were worked out anew and nothing disagrees."""
+        """Whether outcomes were recomputed and nothing disagrees."""
         return self.conclusion in ("agrees", "agrees in part")
 
     def add(self, findings: Iterable[RefereeFinding]) -> None:
@@ -171,7 +177,7 @@ class RefereeVerdict:
             self.differences.append(finding)
 
     def table(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return the verdict for JSON."""
         return {
             "run": self.run,
             "conclusion": self.conclusion,

@@ -1,4 +1,4 @@
-"""The plain files of a run folder: JSON, results, copies of what it was flown with."""
+"""Plain files of a run folder: JSON, results, copies of its input files."""
 
 import hashlib
 import json
@@ -25,20 +25,20 @@ NUMBER_COLUMNS = (
     "impact_speed_mps",
 )
 TASK_NUMBER_COLUMNS = ("jobs_done", "task_progress", "task_completed_s")
-"""The same of runs with a task."""
+"""Further number columns of runs with a task."""
 TEXT_COLUMNS = ("vehicle", "parameter_set", "outcome", "failure_pair")
-"""Columns of ``episodes.parquet`` that are judged."""
+"""Text columns of ``episodes.parquet`` that are judged."""
 
 OPTIONAL_COLUMNS = ("variant", "planned", "passed_goal_early")
-"""Columns that older runs, or runs written by others, may lack."""
+"""Columns that older runs, or runs written by other programs, may lack."""
 
 type Row = dict[str, Any]
-"""What was stored of one robot of one world; numbers that are missing are NaN."""
+"""Results of one robot of one world; missing numbers are NaN."""
 
 
 @contextmanager
 def reporting_damage(path: Path) -> Iterator[None]:
-    """Turn what a damaged file raises into one message."""
+    """Convert the exceptions of a damaged file to one message."""
     try:
         yield
     except ConfigError:
@@ -49,11 +49,11 @@ def reporting_damage(path: Path) -> Iterator[None]:
 
 
 def read_rows(path: Path, robots: int, *, has_task: bool = False) -> dict[int, list[Row]]:
-    """Results of each world, a row for each of so many robots.
+    """Read the results of each world, a row for each robot.
 
     Args:
         path: of ``episodes.parquet``.
-        robots: of each world.
+        robots: number of robots of each world.
         has_task: whether the run has a task, whose columns are read too.
 
     Raises:
@@ -83,7 +83,7 @@ def read_rows(path: Path, robots: int, *, has_task: bool = False) -> dict[int, l
 
 
 def _to_numbers(column: Any, name: str) -> Any:
-    """A column of numbers; a robot without others is infinitely far from them."""
+    """Convert a column to numbers; a robot without others is infinitely far from them."""
     numbers = column.cast(pa.float64())
     if name == "min_separation_m":
         numbers = numbers.fill_null(float("inf"))
@@ -91,10 +91,10 @@ def _to_numbers(column: Any, name: str) -> Any:
 
 
 def read_copies(folder: Path) -> dict[str, Path]:
-    """Vehicle files that the run was flown with, by the names that its scenario gives them.
+    """Return the vehicle files of the run, by their names in its scenario.
 
     Raises:
-        ConfigError: the list is damaged, or a copy is not what was written.
+        ConfigError: the list is damaged, or a copy has changed.
     """
     if not folder.exists():
         return {}
@@ -114,10 +114,10 @@ def read_copies(folder: Path) -> dict[str, Path]:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """A JSON object.
+    """Read a JSON object.
 
     Raises:
-        ConfigError: the file is missing or holds none.
+        ConfigError: the file is missing or holds no object.
     """
     with reporting_damage(path):
         table: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))

@@ -1,7 +1,7 @@
-"""Distances between segments, points and boxes, and turns by quaternions: NumPy, float64.
+"""Distances between segments, points and boxes, and rotations by quaternions: NumPy, float64.
 
-Written for the referee alone, from the definitions: nothing of the simulator's own distances is
-used. Leading axes broadcast; the last one is x, y, z. Lengths in metres.
+Written for the referee alone, from the definitions, without the simulator's own distances.
+Leading axes broadcast; the last one is x, y, z. Lengths in metres.
 """
 
 import numpy as np
@@ -11,7 +11,7 @@ type Floats = NDArray[np.float64]
 
 
 def rotate(q: Floats, v: Floats) -> Floats:
-    """Vectors v [..., 3] turned by quaternions q [..., 4] (wxyz), which are made units first."""
+    """Rotate vectors v [..., 3] by quaternions q [..., 4] (wxyz), which are normalised first."""
     unit = q / np.linalg.norm(q, axis=-1, keepdims=True)
     w, axis = unit[..., :1], unit[..., 1:]
     twice: Floats = 2.0 * np.cross(axis, v)
@@ -20,18 +20,18 @@ def rotate(q: Floats, v: Floats) -> Floats:
 
 
 def rotate_back(q: Floats, v: Floats) -> Floats:
-    """The inverse of `rotate`."""
+    """Invert `rotate`."""
     conjugate: Floats = q * np.array([1.0, -1.0, -1.0, -1.0])
     return rotate(conjugate, v)
 
 
 def segment_point(a: Floats, b: Floats, p: Floats) -> Floats:
-    """Distance [...] of segments from a to b to points p; a = b is allowed."""
+    """Return the distance [...] of segments from a to b to points p; a = b is allowed."""
     return _length(a + _nearest_fraction(a, b, p)[..., None] * (b - a) - p)
 
 
 def segment_segment(a: Floats, b: Floats, c: Floats, d: Floats) -> Floats:
-    """Distance [...] of segments from a to b to segments from c to d.
+    """Return the distance [...] of segments from a to b to segments from c to d.
 
     Two segments are nearest at an end of one of them, or where both lines have their common
     perpendicular; there the first one's line meets the plane of the second line and that
@@ -53,10 +53,10 @@ def segment_segment(a: Floats, b: Floats, c: Floats, d: Floats) -> Floats:
 
 
 def segment_box(a: Floats, b: Floats, half: Floats) -> Floats:
-    """Distance [...] of segments from a to b to boxes about the origin; 0 inside.
+    """Return the distance [...] of segments from a to b to boxes about the origin; 0 inside.
 
-    Along a segment the squared distance is a parabola between any two of the six places where it
-    crosses a plane of a face: the least of the seven parabolas' own minima is taken.
+    Along a segment the squared distance is a parabola between any two of the six points where it
+    crosses a plane of a face: the min of the seven parabolas' own minima is taken.
 
     Args:
         a: [..., 3].
@@ -87,7 +87,7 @@ def segment_box(a: Floats, b: Floats, half: Floats) -> Floats:
 
 
 def _nearest_fraction(a: Floats, b: Floats, p: Floats) -> Floats:
-    """Parameter [...] in [0, 1] of the point of a segment that is nearest to p."""
+    """Return the parameter [...] in [0, 1] of the point of a segment that is nearest to p."""
     d = b - a
     square = _dot(d, d)
     fraction: Floats = np.clip(_dot(p - a, d) / np.where(square > 0.0, square, 1.0), 0.0, 1.0)

@@ -1,4 +1,4 @@
-"""Judging a robot whose every control step was stored: all of its episode is worked out anew."""
+"""Judgement of a robot with every control step stored: its whole episode is recomputed."""
 
 from dataclasses import dataclass
 
@@ -12,28 +12,28 @@ from angler_mjx.testing.referee.geometry import Floats
 from angler_mjx.testing.referee.scene import RefereeEpisode, RefereeScene
 
 HALF_US = 0.5
-"""A command that was stored as whole microseconds is known to this."""
+"""Uncertainty of a command that was stored as whole microseconds."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class JudgedEnd:
-    """How the referee sees a robot's end."""
+    """End of a robot as judged by the referee."""
 
     outcome: str
     state: int
     result: FindingResult
     note: str
     how: CheckMethod = "exact"
-    """How much of it the record shows."""
+    """Method of the check."""
 
 
 def judge_exact(scene: RefereeScene, robot: int, stored: int) -> list[RefereeFinding]:
-    """Findings of one robot.
+    """Return the findings of one robot.
 
     Args:
         scene: its world.
         robot: its index.
-        stored: the state with which the results say that it ended; 0 if there is no such state.
+        stored: the state of its end by the results; 0 if there is no such state.
     """
     episode = RefereeEpisode(scene, robot)
     end = _judge_end(scene, episode, stored)
@@ -57,7 +57,7 @@ def judge_exact(scene: RefereeScene, robot: int, stored: int) -> list[RefereeFin
 
 
 def _judge_end(scene: RefereeScene, episode: RefereeEpisode, stored: int) -> JudgedEnd:
-    """The end: the stored one, where the record agrees or rounding allows it; else its own."""
+    """Return the stored end where the record agrees or rounding allows it; else the referee's."""
     robot, outcome = episode.robot, scene.stored_outcome(episode.robot)
     last = int(scene.last[robot])
     first = episode.first(last)
@@ -78,8 +78,8 @@ def _judge_end(scene: RefereeScene, episode: RefereeEpisode, stored: int) -> Jud
     allowed = episode.possible_outcomes(stored)
     if stored <= last and goes_on and (outcome in allowed or (horizon and "running" in allowed)):
         state = stored if first is None else min(first, stored)
-        # What rounding has turned is said with its number, and the rest is judged by the end
-        # that was stored.
+        # A difference by rounding is reported with its number, and the rest is judged by the
+        # stored end.
         return JudgedEnd(
             outcome=outcome, state=stored, result="undecided", note=episode.numbers(state)
         )
@@ -87,7 +87,7 @@ def _judge_end(scene: RefereeScene, episode: RefereeEpisode, stored: int) -> Jud
 
 
 def _referee_end(episode: RefereeEpisode, first: int | None, last: int) -> JudgedEnd:
-    """The end as the referee sees it, which the results do not."""
+    """Return the end as judged by the referee, different from the results."""
     state = last if first is None else first
     return JudgedEnd(
         outcome=episode.outcome(state), state=state, result="disagrees", note=episode.numbers(state)
@@ -101,9 +101,9 @@ def _is_the_end(scene: RefereeScene, state: int) -> bool:
 
 
 def _is_unseen_end(scene: RefereeScene, episode: RefereeEpisode, state: int) -> bool:
-    """Whether a robot's outcome can come with a state that does not show it.
+    """Return whether a robot's outcome can come with a state that does not show it.
 
-    What it touches or leaves comes first.
+    Contact and leaving the region come first.
     """
     still_running = {"running", "reached"} & episode.possible_outcomes(state)
     unseen = scene.unseen(int(scene.world.step[state]))
@@ -111,14 +111,14 @@ def _is_unseen_end(scene: RefereeScene, episode: RefereeEpisode, state: int) -> 
 
 
 def _is_held(scene: RefereeScene, robot: int, state: int) -> bool:
-    """Whether a robot stands in a state where it was in the state before."""
+    """Return whether a robot's position in a state equals that in the state before."""
     world = scene.world
     stands = np.array_equal(world.p[state, robot], world.p[state - 1, robot])
     return state > 0 and stands and not world.nu[state, robot].any()
 
 
 def _check_energy(collector: FindingCollector, scene: RefereeScene, robot: int, last: int) -> None:
-    """Power of every command until the end, for a control period each."""
+    """Check the energy: power of every command until the end, for a control period each."""
     pwm, dt = scene.world.pwm_us[:last, robot], scene.run.control_dt_s
     thrusters = scene.run.robot(robot, collector.row)
     signals = pwm[:, : thrusters.alive.size]
@@ -137,7 +137,7 @@ def _check_energy(collector: FindingCollector, scene: RefereeScene, robot: int, 
 def _check_contact(
     collector: FindingCollector, scene: RefereeScene, episode: RefereeEpisode, end: JudgedEnd
 ) -> None:
-    """With what, and how fast."""
+    """Check the collision partner and the impact speed."""
     if not end.outcome.startswith("collision"):
         collector.add_no_contact("exact")
         return
@@ -163,7 +163,7 @@ def _check_contact(
 
 
 def _other_velocity(scene: RefereeScene, state: int, kind: int, index: int) -> tuple[Floats, float]:
-    """Velocity [3] of what was touched, m/s in W, and how far off that can be."""
+    """Return the velocity [3] of the collision partner, m/s in W, and its uncertainty."""
     world, dt = scene.world, scene.run.control_dt_s
     if kind == ROBOT:
         return scene.velocity(state, index), 0.0
@@ -172,7 +172,7 @@ def _other_velocity(scene: RefereeScene, state: int, kind: int, index: int) -> t
     beside = range(max(state - 2, 0), min(state + 2, len(world.step)))
     mean = np.diff(world.obstacle_p[list(beside), index], axis=0) / dt
     before = min(state, 2)
-    # The mean velocities of the steps before and after; where there is none, the last two.
+    # The mean velocities of the steps before and after; at the end, of the last two steps.
     velocities = mean[before - 1 : before + 1] if len(mean) > before else mean[-2:]
     spread = float(np.linalg.norm(velocities[0] - velocities[-1]))
     return np.mean(velocities, axis=0), spread + 2.0 * scene.ulp_m / dt

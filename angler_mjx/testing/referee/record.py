@@ -1,4 +1,4 @@
-"""What the referee reads of a run folder: settings, results, and what was stored of each world."""
+"""Reader of a run folder for the referee: settings, results, and the record of each world."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ from angler_mjx.testing.referee.geometry import Floats
 from angler_mjx.testing.referee.vehicles import RefereeRobot
 
 BLOCK_BYTES = 2**27
-"""About so much of the record is held at a time."""
+"""Approximate size of a block of the record in memory."""
 
 OUTCOMES = (
     "running",
@@ -35,59 +35,59 @@ OUTCOMES = (
     "diverged",
     "failed",
 )
-"""By their numbers in ``trajectories.zarr``."""
+"""Outcomes by their numbers in ``trajectories.zarr``."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RefereeRun:
-    """A run folder, opened for judging."""
+    """Run folder, opened for judging."""
 
     path: Path
     control_dt_s: float
     every: int
-    """Control steps from one sample to the next."""
+    """Control steps between samples."""
     horizon_steps: int
     goal_tolerance_m: float
     breakdowns_s: tuple[float, float] | None
-    """Between which times robots may break down; None where none can."""
+    """Time limits of breakdowns; None without breakdowns."""
     task: teamwork.TaskRules | None
-    """Rules of the task that says who has reached; None where the distance to a goal does."""
+    """Rules of the task that decides arrival; None where the distance to a goal does."""
     has_flown_plans: bool
-    """Whether robots fly the stored plans and nothing else: neither plans made in flight, nor
-    commands of another policy or of a session."""
+    """Whether robots fly only the stored plans: no plans made in flight, and no commands of another
+    policy or of a session."""
     robots: tuple[RefereeRobot, ...]
     variants: Sequence[Mapping[str, Any]]
-    """Of ``variants.json``, by number; empty where vehicles are as their files say."""
+    """Variants of ``variants.json``, by number; empty where vehicles are as their files say."""
     rows: Mapping[int, Sequence[Row]]
-    """Of each finished world, in the order of the robots."""
+    """Rows of each finished world, in the order of the robots."""
     planned_worlds: int
-    """Those that the run was to have."""
+    """Number of planned worlds of the run."""
     is_single_scene: bool
-    """Whether it may be a scene that was driven and broken off before its horizon."""
+    """Whether it may be a driven scene that was broken off before its horizon."""
     whole_us: bool
-    """Whether commands were stored as whole microseconds, and not as they were."""
+    """Whether commands were stored as whole microseconds, and not unrounded."""
     group: Any
 
     @property
     def by_task(self) -> bool:
-        """Whether a task says who has reached, and not the distance to a goal."""
+        """Whether a task decides arrival, and not the distance to a goal."""
         return self.task is not None
 
     @property
     def has_older_rows(self) -> bool:
-        """Whether some worlds were flown when a robot had arrived whenever its goal was near."""
+        """Whether some rows are older, from when any state near the goal was an arrival."""
         rows = (row for world in self.rows.values() for row in world)
         return not self.by_task and any(row["passed_goal_early"] is None for row in rows)
 
     def robot(self, number: int, row: Row) -> RefereeRobot:
-        """The robot of a row, as it was drawn for its world."""
+        """Return the robot of a row, as sampled for its world."""
         robot = self.robots[number]
         return robot.with_variant(self.variants[int(row["variant"])]) if self.variants else robot
 
 
 @dataclass(frozen=True, kw_only=True)
 class RefereeWorld:
-    """What was stored of one world; T states, R robots, O obstacles. World frame, metres."""
+    """Record of one world; T states, R robots, O obstacles. World frame, metres."""
 
     index: int
     step: NDArray[np.int64]
@@ -107,21 +107,21 @@ class RefereeWorld:
     pwm_us: Floats
     """[T, R, n] or [T - 1, R, n]: the last state may come after all commands."""
     environment: Mapping[str, Any]
-    """What stands still: arrays of the world's environment by name, and of its task."""
+    """Static data: arrays of the world's environment by name, and of its task."""
     target: NDArray[np.int64]
-    """[T, R] place of the task that each robot goes to, or [T - 1, R] as ``pwm_us``; -1: it stays,
-    or there is no task."""
+    """[T, R] place of the task for each robot, or [T - 1, R] as ``pwm_us``; -1: the robot stays, or
+    there is no task."""
     carrying: NDArray[np.int64]
-    """The same of the goods that it carries; -1: none."""
+    """[T, R] goods carried by each robot, or [T - 1, R]; -1: none."""
 
     @property
     def low_m(self) -> Floats:
-        """[3] lower corner of the region that the fleet may not leave."""
+        """[3] lower corner of the permitted region."""
         return np.asarray(self.environment["grid/origin_m"], float)
 
     @property
     def high_m(self) -> Floats:
-        """[3] its upper corner."""
+        """[3] upper corner of the permitted region."""
         size = np.array(self.environment["grid/occupied"].shape) * float(
             self.environment["grid/cell_m"]
         )
@@ -155,7 +155,7 @@ def open_run(path: Path) -> RefereeRun:
     """Open a run folder.
 
     Raises:
-        ConfigError: it is none, stored no trajectories, or is damaged; says which file.
+        ConfigError: it is no run folder, stored no trajectories, or is damaged; names the file.
     """
     if not (path / "summary.json").is_file():
         unfinished = path.parent / f".{path.name}.partial"
@@ -193,7 +193,7 @@ def open_run(path: Path) -> RefereeRun:
     randomisation = config.get("randomise", {})
     if randomisation.get("battery_v") or randomisation.get(
         "fault_probability"
-    ):  # what powers hang on
+    ):  # they determine power
         variants = read_json(path / "variants.json")["variants"]
     with reporting_damage(path / "trajectories.zarr"):
         group: Any = zarr.open_group(path / "trajectories.zarr", mode="r")
@@ -239,10 +239,10 @@ def _is_single_scene(path: Path) -> bool:
 
 
 def read_worlds(run: RefereeRun, chosen: Sequence[int]) -> Iterator[RefereeWorld]:
-    """What was stored of worlds, in order.
+    """Yield the records of worlds, in order.
 
     Raises:
-        ConfigError: an array is missing, damaged or of another shape; says which world.
+        ConfigError: an array is missing, damaged or of another shape; names the world.
     """
     with reporting_damage(run.path / "trajectories.zarr"):
         per_world = sum(
@@ -262,7 +262,7 @@ def read_worlds(run: RefereeRun, chosen: Sequence[int]) -> Iterator[RefereeWorld
 
 
 def _read_block(run: RefereeRun, chosen: Sequence[int]) -> Iterator[RefereeWorld]:
-    """Neighbouring worlds, read at once: opening a chunk costs as much as reading a short one."""
+    """Yield neighbouring worlds, read at once: opening a chunk costs as much as a short read."""
     first, last = chosen[0], chosen[-1] + 1
     path = run.path / "trajectories.zarr"
 

@@ -1,4 +1,4 @@
-"""One world as the referee sees it: how far each state is from ending each robot's episode."""
+"""One world for the referee: margin of each state to the end of each robot's episode."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,11 +21,11 @@ from angler_mjx.testing.referee.geometry import Floats, rotate
 from angler_mjx.testing.referee.record import RefereeRun, RefereeWorld
 
 MAX_SPEED_SUM = 50.0
-"""A robot whose six velocities add up to this has diverged."""
+"""Sum of a robot's six velocities at which it has diverged."""
 
 CONTACT_ULPS, POSITION_ULPS = 4.0, 2.0
-"""Rounding that a distance between hulls, and one between points, can have, in units of the last
-place of the largest coordinate in float32."""
+"""Rounding of a distance between hulls, and of one between points, in units of the last place of
+the largest coordinate in float32."""
 
 FAILED = (
     "collision_static",
@@ -35,12 +35,12 @@ FAILED = (
     "diverged",
     "failed",
 )
-"""Outcomes that hold a robot where it is."""
+"""Outcomes that hold a robot in place."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RefereeScene:
-    """A world, what was stored of its robots' episodes, and what follows from the trajectories."""
+    """World with the record of its robots' episodes, and the quantities from its trajectories."""
 
     run: RefereeRun
     world: RefereeWorld
@@ -54,19 +54,19 @@ class RefereeScene:
 
     @property
     def contact_band_m(self) -> float:
-        """Gaps nearer to zero than this are neither a touch for sure nor none."""
+        """Band around zero in which a gap is neither a certain touch nor a certain miss."""
         return CONTACT_ULPS * self.ulp_m
 
     @property
     def position_band_m(self) -> float:
-        """The same of distances to the goal and to the bounds."""
+        """Same band of distances to the goal and to the bounds."""
         return POSITION_ULPS * self.ulp_m
 
     @cached_property
     def to_goal_m(self) -> Floats:
         """[T, R] distance to the goal less the tolerance: arrived below zero.
 
-        Of a run with a task -inf from when nothing is left for a robot, else inf.
+        For a run with a task -inf as soon as nothing is left for a robot, else inf.
         """
         if self.run.by_task:
             finished = np.full(self.world.p.shape[1], teamwork.NEVER)
@@ -79,7 +79,7 @@ class RefereeScene:
 
     @cached_property
     def task(self) -> teamwork.JudgedTask | None:
-        """What is judged of the task; None without one, or where no sample shows each look."""
+        """Judged task; None without a task, or where the samples do not show each look."""
         rules, world = self.run.task, self.world
         if rules is None or rules.period % self.run.every:
             return None
@@ -102,7 +102,7 @@ class RefereeScene:
 
     @property
     def shows_finish(self) -> bool:
-        """Whether the record shows when a robot has nothing left to do."""
+        """Whether the record shows the time at which a robot has nothing left to do."""
         rules, judged = self.run.task, self.task
         return (
             rules is not None
@@ -115,7 +115,7 @@ class RefereeScene:
     def arrives(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Bool [T, R] twice: whether a robot at its goal may have arrived, and whether it has.
 
-        They differ where the record does not say how far along its plan it was.
+        They differ where the record does not determine its progress along its plan.
         """
         may = np.ones(self.world.p.shape[:2], bool)
         must = may.copy()
@@ -128,12 +128,12 @@ class RefereeScene:
         return may, must
 
     def _approach(self, robot: int, may: NDArray[np.bool_], must: NDArray[np.bool_]) -> None:
-        """Write `arrives` of a robot that flies its stored plan, [T] each, where that shows it."""
+        """Write `arrives` of a robot on its stored plan, [T] each, where the plan shows it."""
         environment, tolerance_m = self.world.environment, self.run.goal_tolerance_m
         if "plan_degree" in environment and np.any(
             np.asarray(environment["plan_degree"][robot]) > 1
         ):
-            return  # it is bent: aims do not say the time on it
+            return  # it is bent: aims do not determine the time on it
         time_s = np.asarray(environment["plan_time_s"][robot], float)
         point_m = np.asarray(environment["plan_m"][robot], float)
         goal_m = np.asarray(environment["goal_m"][robot], float)
@@ -152,14 +152,14 @@ class RefereeScene:
 
     @cached_property
     def outside_m(self) -> Floats:
-        """[T, R] how far outside the region: left it above zero."""
+        """[T, R] distance outside the region: left it above zero."""
         p, world = self.world.p, self.world
         beyond: Floats = np.max(np.maximum(world.low_m - p, p - world.high_m), axis=2)
         return beyond
 
     @cached_property
     def sound(self) -> NDArray[np.bool_]:
-        """Bool [T, R] whether a state is one at all."""
+        """Bool [T, R] whether a state is valid."""
         speed = np.sum(np.abs(self.world.nu), axis=2)
         is_finite = np.isfinite(self.world.p).all(axis=2) & np.isfinite(self.world.q).all(axis=2)
         is_sound: NDArray[np.bool_] = is_finite & (speed < MAX_SPEED_SUM)
@@ -167,23 +167,23 @@ class RefereeScene:
 
     @cached_property
     def ended(self) -> Ints:
-        """[R] first state with which the record calls a robot's episode ended; T if none."""
+        """[R] first state at which the record has a robot's episode ended; T if none."""
         over = self.world.outcome > 0
         return np.where(over.any(axis=0), over.argmax(axis=0), len(self.world.step))
 
     @cached_property
     def stored_step(self) -> list[int | None]:
-        """[R] control steps until each robot's end, by the results; None if they do not say."""
+        """[R] control steps until each robot's end, by the results; None if they are missing."""
         return [self._stored_steps(row) for row in self.rows]
 
     def stored_end_s(self, robot: int) -> float:
-        """When a robot's episode ended, by the results."""
+        """Return the end time of a robot's episode, by the results."""
         row = self.rows[robot]
         reached = row["outcome"] == "reached"
         return float(row["time_to_goal_s" if reached else "failure_time_s"])
 
     def stored_outcome(self, robot: int) -> str:
-        """Of the results."""
+        """Return the outcome of the results."""
         return str(self.rows[robot]["outcome"])
 
     def _stored_steps(self, row: Row) -> int | None:
@@ -192,7 +192,7 @@ class RefereeScene:
         return round(steps) if np.isfinite(steps) and abs(steps) < 2**31 else None
 
     def unseen(self, step: int) -> set[str]:
-        """Outcomes that can come after so many control steps without that a trajectory shows it."""
+        """Return the outcomes possible after these control steps but not shown in the record."""
         outcomes = {"reached"} if self.run.by_task and not self.shows_finish else set[str]()
         if self.run.breakdowns_s is not None:
             earliest, latest = self.run.breakdowns_s
@@ -202,7 +202,7 @@ class RefereeScene:
         return outcomes
 
     def state_at(self, step: int | None) -> int | None:
-        """The state after so many control steps, if the record has it."""
+        """Return the state after a number of control steps, if it is in the record."""
         if step is None:
             return None
         state = int(np.searchsorted(self.world.step, step))
@@ -211,10 +211,10 @@ class RefereeScene:
 
     @cached_property
     def last(self) -> Ints:
-        """[R] last state of each robot that can matter: the latest end that anybody names.
+        """[R] last relevant state of each robot: the latest end by the results or the record.
 
-        What follows on it is no part of its episode. Those that certainly arrived or left before
-        are not followed further.
+        Later states are not part of its episode. Robots that certainly arrived or left before are
+        not followed further.
         """
         final = len(self.world.step) - 1
         named = np.minimum(self.ended, final)
@@ -228,12 +228,12 @@ class RefereeScene:
 
     @cached_property
     def near(self) -> NearbyPairs:
-        """What was near to the robots."""
+        """Nearby pairs of the robots."""
         hulls = tuple(robot.hull for robot in self.run.robots)
         return contacts.find_nearby(self.world, hulls, self.last, 2.0 * self.contact_band_m)
 
     def near_until(self, robot: int, state: int) -> NearbyPairs:
-        """What was near to a robot in the states up to one of them."""
+        """Return the nearby pairs of a robot in the states up to a given one."""
         if state == self.last[robot]:
             return self.near
         last = np.full(len(self.run.robots), -1, np.int64)
@@ -248,17 +248,17 @@ class RefereeScene:
         return np.concatenate([np.zeros((1, lines.shape[1])), np.cumsum(lines, axis=0)])
 
     def velocity(self, state: int, robot: int) -> Floats:
-        """[3] of a robot's centre, m/s in W."""
+        """Return the velocity [3] of a robot's centre, m/s in W."""
         return rotate(self.world.q[state, robot], self.world.nu[state, robot, :3])
 
     def name(self, kind: int, index: int) -> str:
-        """What was touched, as the results call it."""
+        """Return the name of a collision partner, as in the results."""
         return {CELL: "cell", FLOOR: "floor"}.get(
             kind, f"{'obstacle' if kind == OBSTACLE else 'robot'}:{index}"
         )
 
     def collision(self, kind: int, index: int) -> str:
-        """The outcome that touching something has."""
+        """Return the outcome of touching an object."""
         if kind == contacts.ROBOT:
             return "collision_robot"
         moving = (
@@ -268,7 +268,7 @@ class RefereeScene:
 
 
 class RefereeEpisode:
-    """One robot of a scene: which outcomes each of its states allows."""
+    """Episode of one robot of a scene: outcomes allowed by each of its states."""
 
     def __init__(self, scene: RefereeScene, robot: int) -> None:
         self._scene, self.robot = scene, robot
@@ -281,18 +281,18 @@ class RefereeEpisode:
         self._over = ~scene.sound[:, robot] | (self._min_gap_m <= 0.0) | (out > 0.0) | arrived
 
     def first(self, last: int) -> int | None:
-        """First state after the start, up to ``last``, that ends the episode."""
+        """Return the first state after the start, up to ``last``, that ends the episode."""
         over = np.flatnonzero(self._over[1 : last + 1])
         return int(over[0]) + 1 if over.size else None
 
     def touched_pairs(self, state: int, within_m: float = 0.0) -> ContactPairs:
-        """What a state touches, nearest first; within so much of the nearest."""
+        """Return the touched objects of a state, nearest first, up to this far from the nearest."""
         pairs = self._pairs.take(self._pairs.state == state)
         pairs = pairs.take(pairs.gap_m <= self._min_gap_m[state] + within_m)
         return pairs.take(np.lexsort((pairs.index, pairs.kind, pairs.gap_m)))
 
     def static_gap_m(self, state: int) -> float:
-        """Least distance in a state to cells, floor and obstacles that never move."""
+        """Return the min distance in a state to cells, floor and obstacles that never move."""
         nearby = self._pairs.take(self._pairs.state == state)
         pairs = zip(nearby.kind.tolist(), nearby.index.tolist(), nearby.gap_m.tolist(), strict=True)
         static_gaps = (
@@ -301,7 +301,7 @@ class RefereeEpisode:
         return min(static_gaps, default=float("inf"))
 
     def outcome(self, state: int) -> str:
-        """What a state means, with all numbers taken as they are."""
+        """Return the outcome of a state, with all numbers taken as they are."""
         scene = self._scene
         if not scene.sound[state, self.robot]:
             return "diverged"
@@ -314,7 +314,7 @@ class RefereeEpisode:
         return "reached" if arrived else "running"
 
     def possible_outcomes(self, state: int) -> set[str]:
-        """What a state can mean to somebody who rounds."""
+        """Return the possible outcomes of a state under rounding."""
         scene, outcomes = self._scene, set[str]()
         if not scene.sound[state, self.robot]:
             return {"diverged"}
@@ -340,7 +340,7 @@ class RefereeEpisode:
         return outcomes if arrived else outcomes | {"running"}
 
     def numbers(self, state: int) -> str:
-        """The numbers that decided about a state."""
+        """Return the numbers that decided about a state, as text."""
         scene = self._scene
         return (
             f"at {scene.world.step[state] * scene.run.control_dt_s:.6g} s the nearest thing is "

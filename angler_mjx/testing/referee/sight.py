@@ -1,7 +1,6 @@
-"""Which cells of a survey a robot sees: range, cone, and lines between points that meet no rock.
+"""Visible cells of a survey: range, cone, and lines between points without rock.
 
-Rounding in float32 can turn what is close: each question has two answers, whether it is so for sure
-and whether it can be so.
+Rounding in float32 can change close results: each question has two answers, certain and possible.
 """
 
 from dataclasses import dataclass
@@ -12,9 +11,9 @@ from numpy.typing import NDArray
 from angler_mjx.testing.referee.geometry import Floats, rotate
 
 NEAR_M = 1e-5
-"""Distances to the end of the range and to the face of the cone that rounding can turn."""
+"""Distances to the end of the range and to the face of the cone that rounding can change."""
 NEAR_CELLS = 1e-4
-"""The same of a line to the edge of a cell, in cells."""
+"""Distance of a line to the edge of a cell that rounding can change, in cells."""
 
 type Flags = NDArray[np.bool_]
 type Cells = NDArray[np.int64]
@@ -22,7 +21,7 @@ type Cells = NDArray[np.int64]
 
 @dataclass(frozen=True, kw_only=True)
 class Camera:
-    """What a robot sees with, and the rock that hides things from it."""
+    """Camera of a robot, and the rock that hides objects from it."""
 
     half_angle_rad: float
     range_m: float
@@ -34,7 +33,7 @@ class Camera:
 
 
 def find_visible(eye: Camera, p: Floats, q: Floats, cells: Cells) -> tuple[Flags, Flags]:
-    """Return which cells [n, 3] a robot sees for sure, and which it can see, bool [n] each.
+    """Return the cells [n, 3] that a robot certainly sees, and possibly sees, bool [n] each.
 
     Args:
         eye: of the robot.
@@ -59,15 +58,15 @@ def find_visible(eye: Camera, p: Floats, q: Floats, cells: Cells) -> tuple[Flags
 
 
 def find_hidden(occupied: Flags, begin: Floats, cells: Cells) -> tuple[Flags, Flags]:
-    """Return whether rock lies on the lines to centres of cells, for sure, and whether it can.
+    """Return whether rock certainly, and possibly, lies on the lines to centres of cells.
 
-    A line is cut at every plane between cells; the middles of the pieces say which cells it
-    crosses. The cell in which a line begins hides nothing.
+    A line is cut at every plane between cells; the middles of the pieces give the crossed cells.
+    The first cell of a line hides nothing.
 
     Args:
         occupied: bool [nx, ny, nz].
-        begin: [3] where the lines begin, in cells from the grid's lower corner.
-        cells: [n, 3] where they end.
+        begin: [3] start of the lines, in cells from the grid's lower corner.
+        cells: [n, 3] ends of the lines.
     """
     direction = cells + 0.5 - begin
     planes = np.arange(max(occupied.shape) + 1)

@@ -1,8 +1,8 @@
-"""The task of one world, worked out anew from where its robots were at each look.
+"""Task of one world, recomputed from the robots' positions at each look.
 
-What is done is judged: places visited, goods taken and brought, cells seen, when that was enough,
-and which robots had nothing left. Where robots were sent is their own decision and is taken as
-stored. docs/tasks.md defines the rules.
+The judged quantities are visited places, taken and delivered goods, seen cells, the time of
+completion, and robots with nothing left. The targets of robots are their own decision and are taken
+as stored. docs/tasks.md defines the rules.
 """
 
 from collections.abc import Mapping
@@ -17,29 +17,29 @@ from angler_mjx.testing.referee.geometry import Floats
 from angler_mjx.testing.referee.sight import Camera, Cells, Flags, find_visible
 
 NEVER = 2**31
-"""Control step of what does not happen."""
+"""Control step of an event that does not happen."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TaskRules:
-    """What ``config.json`` says of a task."""
+    """Task rules of ``config.json``."""
 
     kind: str
     tolerance_m: float
     period: int
-    """Control steps from one look to the next."""
+    """Control steps between looks."""
     is_shared: bool
     is_ordered: bool
     returns: bool
     """Whether robots finish at their starts."""
     goods_return: bool
-    """Whether goods of a robot that ended lie where they were taken from again."""
+    """Whether goods of a robot that ended return to their pick-up place."""
     coverage: Fraction
     surface: str
     half_angle_rad: float
     range_m: float
     is_fully_informed: bool
-    """Whether every robot knows at once what is done."""
+    """Whether every robot knows at once which jobs are done."""
 
 
 def read_rules(config: Mapping[str, Any]) -> TaskRules | None:
@@ -66,7 +66,7 @@ def read_rules(config: Mapping[str, Any]) -> TaskRules | None:
 
 @dataclass(frozen=True, kw_only=True)
 class TaskRecord:
-    """What was stored of a world at its looks: K looks, R robots, M jobs, P places."""
+    """Record of a world at its looks: K looks, R robots, M jobs, P places."""
 
     step: NDArray[np.int64]
     """[K] control steps before each look."""
@@ -78,28 +78,28 @@ class TaskRecord:
     running: Flags
     """[K, R]"""
     target: NDArray[np.int64]
-    """[K, R] place that each robot is sent to by each look; -1: it stays."""
+    """[K, R] place assigned to each robot by each look; -1: it stays."""
     carrying: NDArray[np.int64]
     """[K, R] goods that each robot carries after it; -1: none."""
     environment: Mapping[str, Any]
-    """What stands still, and what was stored of the task once."""
+    """Static data, and task data that were stored once."""
     low_m: Floats
     band_m: float
-    """Distances that differ from the tolerance by less can be turned by rounding."""
+    """Distances that differ from the tolerance by less can be changed by rounding."""
 
     @property
     def jobs(self) -> int:
-        """M."""
+        """Number of jobs M."""
         return len(self.environment["task/exists"])
 
     @property
     def exists(self) -> Flags:
-        """Bool [M]."""
+        """Bool [M] whether a job exists."""
         exists: Flags = np.asarray(self.environment["task/exists"]).astype(bool)
         return exists
 
     def look_at(self, time_s: Floats) -> NDArray[np.int64]:
-        """Return the look of each time; K for NaN, -1 for a time that is none of a look."""
+        """Return the look of each time; K for NaN, -1 for a time between looks."""
         steps = np.nan_to_num(np.asarray(time_s, float) / self.dt_s, nan=-1.0)
         index = np.searchsorted(self.step, np.round(steps).astype(np.int64))
         stored_steps = np.append(self.step, -1)[np.minimum(index, len(self.step))]
@@ -111,20 +111,20 @@ class TaskRecord:
 
 @dataclass(kw_only=True)
 class JudgedTask:
-    """What the referee says of a task."""
+    """Judgement of a task."""
 
     jobs_done: NDArray[np.int64]
-    """[R] jobs, or places where every robot visits all."""
+    """[R] number of jobs, or of places where every robot visits all."""
     progress: float
     completed_step: int
     finished_step: NDArray[np.int64]
     """[R] control steps after which a robot that still ran has reached; `NEVER`."""
     is_bounded: bool = False
-    """Whether who did which job is taken from the record where it can be so."""
+    """Whether the robot of each job is taken from the record where that is possible."""
     doubt: str = ""
-    """What rounding can have turned."""
+    """Quantities that rounding can have changed."""
     faults: list[str] = field(default_factory=list)
-    """What was stored of the task and cannot be."""
+    """Stored task data that are impossible."""
 
 
 def judge_task(rule: TaskRules, record: TaskRecord) -> JudgedTask:
@@ -161,13 +161,13 @@ def _step_of_look(record: TaskRecord, look: int) -> int:
 def _finished_steps(
     rule: TaskRules, record: TaskRecord, near: Flags, is_over: Flags
 ) -> NDArray[np.int64]:
-    """Return after how many control steps each robot has reached [R].
+    """Return the number of control steps until each robot has reached [R].
 
     Args:
         rule: of the task.
         record: of the world.
         near: bool [K, R, P].
-        is_over: bool [K, R] whether nothing is left for it.
+        is_over: bool [K, R] whether nothing is left for a robot.
     """
     robots = near.shape[1]
     if rule.returns:
@@ -178,7 +178,7 @@ def _finished_steps(
 
 
 def _count_jobs(by: NDArray[np.int64], robots: int) -> NDArray[np.int64]:
-    """Return how many jobs each robot did [R]."""
+    """Return the number of jobs done by each robot [R]."""
     return np.bincount(by[by >= 0], minlength=robots).astype(np.int64)
 
 
@@ -224,7 +224,7 @@ def _judge_tour(rule: TaskRules, record: TaskRecord, is_near: Flags) -> JudgedTa
 def _compare_jobs(
     record: TaskRecord, judged: JudgedTask, by: NDArray[np.int64], first: NDArray[np.int64]
 ) -> None:
-    """Hold who did which job and at which look against what was stored, [M] each."""
+    """Compare the robot and look of each job with the stored ones, [M] each."""
     stored_by = np.asarray(record.environment["task/by"])
     stored = record.look_at(record.environment["task/done_at_s"])
     for job in np.flatnonzero((stored_by != by) | (stored != first))[:3]:
@@ -286,7 +286,7 @@ def _judge_delivery(rule: TaskRules, record: TaskRecord, is_near: Flags) -> Judg
 def _judge_survey(
     rule: TaskRules, record: TaskRecord, distances_m: Floats, is_near: Flags
 ) -> JudgedTask:
-    """Judge a survey: cells by sight, viewpoints as far as the record says what is theirs."""
+    """Judge a survey: cells by sight, viewpoints as far as the record determines their cells."""
     looks, robots, jobs = *is_near.shape[:2], record.jobs
     cells, faults = (
         np.argwhere(record.environment["task/cells"] > 0),
@@ -326,7 +326,7 @@ def _judge_survey(
 
 
 def _find_views(rule: TaskRules, record: TaskRecord, cells: Cells) -> tuple[Flags, Flags]:
-    """Return which cells some robot sees at each look, for sure and possibly, bool [K, n]."""
+    """Return the cells seen by any robot at each look, certainly and possibly, bool [K, n]."""
     eye = Camera(
         half_angle_rad=rule.half_angle_rad,
         range_m=rule.range_m,
@@ -343,7 +343,7 @@ def _find_views(rule: TaskRules, record: TaskRecord, cells: Cells) -> tuple[Flag
 
 
 def _find_wrong_cells(rule: TaskRules, record: TaskRecord) -> list[str]:
-    """Return what is wrong with the cells that are to be seen: each is water at a surface."""
+    """Return the faults of the cells to be seen: each is water at a surface."""
     rock = np.asarray(record.environment["grid/occupied"]).astype(bool)
     cells = np.asarray(record.environment["task/cells"]) > 0
     height = record.low_m[2] + float(record.environment["grid/cell_m"]) * (
@@ -363,16 +363,16 @@ def _find_wrong_cells(rule: TaskRules, record: TaskRecord) -> list[str]:
 def _check_viewpoints(
     record: TaskRecord, distances_m: Floats, is_near: Flags, faults: list[str]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return who did each job [M] and the look at which it was over [M], as far as can be judged.
+    """Return the robot of each job [M] and the look of its completion [M], as far as possible.
 
-    Which cells are a viewpoint's is not stored. A job is over once a robot looked from its
+    The cells of a viewpoint are not stored. A job is over once a robot looked from its
     viewpoint; before that it is credited to the nearest robot whose episode goes on.
 
     Args:
         record: of the world.
         distances_m: [K, R, M] distances to viewpoints.
         is_near: bool [K, R, M].
-        faults: to be added to.
+        faults: list that receives the faults.
     """
     looks = len(record.step)
     by = np.where(record.exists, np.asarray(record.environment["task/by"]), -1)

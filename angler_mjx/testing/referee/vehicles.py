@@ -1,4 +1,4 @@
-"""What the referee reads of vehicle and thruster files: the hull, and what the thrusters draw."""
+"""Reader of vehicle and thruster files for the referee: the hull, and the thrusters' power."""
 
 import tomllib
 from collections.abc import Mapping
@@ -16,7 +16,7 @@ SHIPPED_FOLDER = Path(__file__).parents[2] / "robot" / "vehicles" / "data"
 
 @dataclass(frozen=True, kw_only=True)
 class RefereeHull:
-    """A union of capsules about the centre of mass, in body axes (forward, left, up)."""
+    """Union of capsules about the centre of mass, in body axes (forward, left, up)."""
 
     a_m: Floats
     """[c, 3] one end of each axis."""
@@ -27,7 +27,7 @@ class RefereeHull:
 
     @property
     def reach_m(self) -> float:
-        """Radius of the smallest sphere about the centre of mass that holds it."""
+        """Radius of the smallest enclosing sphere about the centre of mass."""
         ends = np.maximum(np.linalg.norm(self.a_m, axis=1), np.linalg.norm(self.b_m, axis=1))
         return float(np.max(ends + self.r_m))
 
@@ -37,21 +37,21 @@ class RefereeRobot:
     """One robot of the fleet."""
 
     names: tuple[str, ...]
-    """Of its vehicle: as the scenario calls it, and as its file does."""
+    """Names of its vehicle: in the scenario, and in its file."""
     parameter_sets: tuple[str, ...]
-    """Those that it can be."""
+    """Possible parameter sets."""
     hull: RefereeHull
     pwm_us: Floats
     """[n] of the thruster's table."""
     power_w: Floats
     """[n] at the robot's voltage."""
     alive: np.ndarray
-    """bool [t] the thrusters that it has and that are not dead: only they draw power."""
+    """bool [t] the thrusters that exist and are not dead: only they draw power."""
     table: Mapping[str, Any]
-    """Its thruster's file."""
+    """Table of its thruster's file."""
 
     def with_variant(self, variant: Mapping[str, Any]) -> "RefereeRobot":
-        """The same robot as a row of ``variants.json`` has it: hulls are never drawn."""
+        """Return the robot with a row of ``variants.json``: hulls are never sampled."""
         alive = self.alive
         if variant["drawn"].get("thrust"):
             alive = alive & (np.asarray(variant["drawn"]["thrust"], float) > 0.0)
@@ -60,15 +60,15 @@ class RefereeRobot:
         )
 
     def power(self, pwm_us: Floats) -> Floats:
-        """Power [...] W of signals [..., columns]; columns past the thrusters are padding."""
+        """Return power [...] W of signals [..., columns]; those past the thrusters are padding."""
         signals = pwm_us[..., : self.alive.size][..., self.alive]
         total_w: Floats = np.interp(signals, self.pwm_us, self.power_w).sum(axis=-1)
         return total_w
 
     def power_bounds(self, pwm_us: Floats, half_us: float) -> tuple[Floats, Floats]:
-        """Least and greatest power [...] W of signals known to ``half_us`` to either side."""
+        """Return min and max power [...] W of signals known to ``half_us`` to either side."""
         signals = pwm_us[..., : self.alive.size][..., self.alive]
-        # The table is monotonous between its points; those inside the stretch count as well.
+        # The table is monotonous between its points; points inside the interval count as well.
         powers = [
             np.interp(signals + s, self.pwm_us, self.power_w) for s in (-half_us, 0.0, half_us)
         ]
@@ -80,14 +80,14 @@ class RefereeRobot:
 
 
 def read_robot(entry: Mapping[str, Any], copies: Mapping[str, Path]) -> RefereeRobot:
-    """The robot of an entry of ``fleet`` in a run's config.
+    """Read the robot of an entry of ``fleet`` in a run's config.
 
     Args:
         entry: of the resolved scenario.
-        copies: files that the run was flown with, by the names that the scenario gives them.
+        copies: files of the run, by their names in the scenario.
 
     Raises:
-        ConfigError: a file is missing or holds no such numbers; says which.
+        ConfigError: a file is missing or lacks these numbers; names the file.
     """
     path = _find_file(str(entry["vehicle"]), copies)
     file = _read_toml(path)
@@ -120,7 +120,7 @@ def read_robot(entry: Mapping[str, Any], copies: Mapping[str, Path]) -> RefereeR
 
 
 def _power_at_voltage(table: Mapping[str, Any], voltage_v: float) -> Floats:
-    """Power [n] W at one voltage, on a straight line between the two columns beside it."""
+    """Return power [n] W at one voltage, interpolated linearly between the two nearest columns."""
     volts, power = np.asarray(table["voltage_v"], float), np.asarray(table["power_w"], float)
     if not volts[0] <= voltage_v <= volts[-1]:
         raise ValueError(f"battery_v = {voltage_v:g}: its thruster's table ends before")
@@ -131,7 +131,7 @@ def _power_at_voltage(table: Mapping[str, Any], voltage_v: float) -> Floats:
 
 
 def _find_file(name: str, copies: Mapping[str, Path]) -> Path:
-    """A vehicle's file: the run's copy, the path itself, or the shipped one."""
+    """Return a vehicle's file: the run's copy, the path itself, or the shipped one."""
     if name in copies:
         return copies[name]
     return Path(name) if name.endswith(".toml") else SHIPPED_FOLDER / f"{name}.toml"

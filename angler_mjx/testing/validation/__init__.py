@@ -1,1 +1,1 @@
-"""`angler validate`: what was measured against what, how near it came, as a page and as JSON."""
+"""`angler validate`: measured quantities, their references and deviations, as page and JSON."""

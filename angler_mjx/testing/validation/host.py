@@ -1,11 +1,11 @@
-"""Where and when something was measured, as it stands beside the numbers of the page."""
+"""Place and time of a measurement, as shown beside the numbers of the page."""
 
 import os
 from typing import Any
 
 
 def describe_host() -> dict[str, Any]:
-    """Versions, machine and commit of this process, and what changes its rounding or its tests."""
+    """Return versions, machine and commit of this process, and its rounding or test settings."""
     from angler_mjx.runs.provenance import describe_environment
 
     environment = describe_environment()
@@ -18,7 +18,7 @@ def describe_host() -> dict[str, Any]:
 
 
 def format_provenance(about: dict[str, Any]) -> str:
-    """One sentence: place, date and commit of what was measured."""
+    """Return one sentence: place, date and commit of a measurement."""
     where = about["device"] if about["backend"] != "cpu" else about.get("processor") or "CPU"
     cores = f", {about['cpu_count']} cores" if about["backend"] == "cpu" else ""
     jax = about["versions"].get("jax")

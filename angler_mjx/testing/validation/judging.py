@@ -1,4 +1,4 @@
-"""Which numbers got worse: what was found, held against what was expected of it."""
+"""Judgement of the validation results: comparison with their expectations."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -15,13 +15,13 @@ from angler_mjx.testing.validation.terms import RegressionTolerance, Terms
 
 @dataclass(frozen=True, kw_only=True)
 class ValidationFault:
-    """One number that is not as it should be."""
+    """One number with a fault."""
 
     key: str
     message: str
 
     def __str__(self) -> str:
-        """One line."""
+        """Return one line."""
         return f"{self.key}: {self.message}"
 
 
@@ -32,12 +32,12 @@ def find_faults(
     results: Mapping[str, TermResult],
     required: set[str],
 ) -> list[ValidationFault]:
-    """Everything that got worse, was not measured, or has no expectation.
+    """Return all results that got worse, were not measured, or have no expectation.
 
     Args:
-        terms: what is validated.
-        expected: what was found when it was stored.
-        measured: what the tests recorded; None if none were asked.
+        terms: the validated terms.
+        expected: stored expectations.
+        measured: deviations of the tests; None if no tests were requested.
         results: of studies, by name.
         required: keys of terms that the tests should have recorded.
     """

@@ -1,4 +1,4 @@
-"""The parts of docs/validation.md that are computed; what stands between them stays as it is."""
+"""Computed parts of docs/validation.md; the text between them is unchanged."""
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -21,12 +21,12 @@ _NOT_YET = "*Not measured yet.*"
 
 
 def part_markers(name: str) -> tuple[str, str]:
-    """The lines before and after a computed part."""
+    """Return the lines before and after a computed part."""
     return f"<!-- validation:{name} begin -->", f"<!-- validation:{name} end -->"
 
 
 def replace_part(text: str, name: str, body: str, source: str) -> str:
-    """A text with another body between the marks of a part.
+    """Return a text with a new body between the marks of a part.
 
     Raises:
         ConfigError: the text has no such marks, or has them twice.
@@ -41,11 +41,11 @@ def replace_part(text: str, name: str, body: str, source: str) -> str:
 def build_parts(
     terms: Terms, result: ValidationResult, stored: Mapping[str, TermResult], speed: str
 ) -> dict[str, str]:
-    """Body of each computed part, by name.
+    """Return the body of each computed part, by name.
 
     Args:
-        terms: what is validated.
-        result: what was found, now or earlier.
+        terms: the validated terms.
+        result: results, new or earlier.
         stored: results from elsewhere, by name.
         speed: the table of speeds.
     """
@@ -64,10 +64,10 @@ def build_parts(
 
 
 def rewrite_page(text: str, bodies: Mapping[str, str], source: str) -> str:
-    """The page with all its parts replaced.
+    """Return the page with all its parts replaced.
 
     Raises:
-        ConfigError: a part has no place on the page, or a place no part.
+        ConfigError: the parts and the marks of the page do not match.
     """
     marked_names = set(re.findall(r"<!-- validation:(\S+) begin -->", text))
     if unknown := marked_names - set(bodies):
@@ -78,7 +78,7 @@ def rewrite_page(text: str, bodies: Mapping[str, str], source: str) -> str:
 
 
 def format_table(rows: Sequence[Term], result: ValidationResult) -> str:
-    """Rows of one part: what, against what, how near it may and how near it came."""
+    """Return the rows of one part: quantity, reference, bound and deviation."""
     head = ["what", "compared with", "unit", "bound", "found", "reason of the bound", "test"]
     lines = [head, ["---", "---", "---", "---:", "---:", "---", "---"]]
     newest = _find_newest(result.about[row.key] for row in rows if row.key in result.about)
@@ -105,7 +105,7 @@ def format_table(rows: Sequence[Term], result: ValidationResult) -> str:
 
 
 def format_number(value: float) -> str:
-    """Two digits; small ones as 1e-13, without the zero that Python puts into an exponent."""
+    """Return two digits; small numbers as 1e-13, without Python's zero in the exponent."""
     if value == 0 or 1e-3 <= abs(value) < 1e4:
         return f"{value:.2g}"
     mantissa, exponent = f"{value:.1e}".split("e")
@@ -123,7 +123,7 @@ def _find_newest(abouts: Iterable[MeasurementMetadata]) -> MeasurementMetadata |
 def _footnote_mark(
     about: MeasurementMetadata | None, newest: MeasurementMetadata | None, older: dict[str, str]
 ) -> str:
-    """A number of a note where a row was measured earlier than the others."""
+    """Return the number of a note where a row was measured earlier than the others."""
     if about is None or newest is None or about == newest:
         return ""
     text = format_provenance(about.model_dump())

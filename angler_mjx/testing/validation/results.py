@@ -1,4 +1,4 @@
-"""What was found: deviations that tests wrote, results of studies, and the files that keep them."""
+"""Results: deviations of the tests, results of studies, and their files."""
 
 import json
 from datetime import UTC, datetime
@@ -14,7 +14,7 @@ from angler_mjx.testing.validation.host import describe_host
 
 
 class MeasurementMetadata(FileModel):
-    """Where and when."""
+    """Place and time of a measurement."""
 
     versions: dict[str, str | None]
     python: str
@@ -31,17 +31,17 @@ class MeasurementMetadata(FileModel):
 
 
 class Deviation(FileModel):
-    """The greatest value that the tests found for one term."""
+    """Max value measured by the tests for one term."""
 
     key: str
     value: float | str
-    """A text where it is no number: nan, inf."""
+    """Measured value; a text where it is no number: nan, inf."""
     bound: float
     tests: tuple[str, ...]
 
 
 class MeasuredDeviations(FileModel):
-    """A file that ``pytest --deviations`` wrote."""
+    """File of ``pytest --deviations``."""
 
     about: MeasurementMetadata
     deviations: tuple[Deviation, ...]
@@ -53,11 +53,11 @@ class StudyNumber(FileModel):
     value: float
     unit: str
     worse: str
-    """Name of a [worse.NAME] of the terms."""
+    """Name of the [worse.NAME] tolerance in the terms."""
 
 
 class TermResult(FileModel):
-    """What a study wrote: numbers that are compared, and the text that stands on the page."""
+    """Result of a study: numbers to compare, and its text on the page."""
 
     about: MeasurementMetadata
     numbers: dict[str, StudyNumber]
@@ -65,7 +65,7 @@ class TermResult(FileModel):
 
 
 class Expectation(FileModel):
-    """A number as it was when it was stored."""
+    """Stored number that new results are compared with."""
 
     value: float
     at_utc: str
@@ -73,17 +73,17 @@ class Expectation(FileModel):
 
 
 class Expected(FileModel):
-    """The file of expectations."""
+    """File of expectations."""
 
     numbers: dict[str, Expectation] = Field(default_factory=dict)
 
 
 class ValidationResult(FileModel):
-    """``validation.json``: all that the page is made from."""
+    """``validation.json``: all data of the page."""
 
     tests: dict[str, Deviation] = Field(default_factory=dict)
     about: dict[str, MeasurementMetadata] = Field(default_factory=dict)
-    """Of each key of ``tests``."""
+    """Metadata of each key of ``tests``."""
     studies: dict[str, TermResult] = Field(default_factory=dict)
 
 
@@ -91,7 +91,7 @@ def read_model[M: FileModel](model: type[M], path: Path) -> M:
     """Read a JSON file.
 
     Raises:
-        ConfigError: it cannot be read, or does not hold what it should.
+        ConfigError: it cannot be read, or its content is invalid.
     """
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
@@ -103,12 +103,12 @@ def read_model[M: FileModel](model: type[M], path: Path) -> M:
 
 
 def read_model_or_empty[M: FileModel](model: type[M], path: Path) -> M:
-    """As `read_model`; an empty one where there is no file yet."""
+    """Read as `read_model`; return an empty model where there is no file yet."""
     return read_model(model, path) if path.exists() else model()
 
 
 def write_json(path: Path, data: dict[str, Any]) -> None:
-    """Write a JSON file whole or not at all."""
+    """Write a JSON file atomically."""
     text = json.dumps(data, indent=1, allow_nan=False, ensure_ascii=False, sort_keys=True)
     with replace_file(path, flag="--out", force=True) as writing:
         writing.write_text(text + "\n", encoding="utf-8")
@@ -117,7 +117,7 @@ def write_json(path: Path, data: dict[str, Any]) -> None:
 def merge_results(
     old: ValidationResult, measured: MeasuredDeviations | None, results: dict[str, TermResult]
 ) -> ValidationResult:
-    """What was found before with what was found now in its place."""
+    """Return the old results, updated with the new ones."""
     deviations = measured.deviations if measured else ()
     about = {d.key: measured.about for d in deviations} if measured else {}
     return ValidationResult(
@@ -128,12 +128,12 @@ def merge_results(
 
 
 def save_result(path: Path, numbers: dict[str, StudyNumber], text: str) -> None:
-    """Write what a study found, with where and when.
+    """Write the result of a study, with its place and time.
 
     Args:
         path: its ``--json``.
-        numbers: what is compared with what was expected, by key.
-        text: Markdown that stands on the page.
+        numbers: numbers to compare with expectations, by key.
+        text: Markdown text of the page.
     """
     about = {**describe_host(), "at_utc": datetime.now(UTC).isoformat(timespec="seconds")}
     numbers_by_key = {key: number.model_dump() for key, number in numbers.items()}

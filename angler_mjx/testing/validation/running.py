@@ -1,4 +1,4 @@
-"""Tests and studies as processes of their own, with what they wrote."""
+"""Tests and studies as separate processes, with their results."""
 
 import os
 import subprocess
@@ -18,10 +18,10 @@ TEST_XLA_FLAGS = (
     "--xla_backend_extra_options=xla_cpu_disable_new_fusion_emitters "
     "--xla_backend_optimization_level=1"
 )
-"""Those of ``make test``: most of the tests' time is XLA's."""
+"""XLA flags of ``make test``: most of the tests' time is XLA's."""
 
 REPORT_PERIOD_S = 20.0
-"""Between two lines that say that something goes on."""
+"""Time between progress lines."""
 
 type Report = Callable[[str], None]
 
@@ -29,15 +29,15 @@ type Report = Callable[[str], None]
 def run_tests(
     root: Path, tests: Sequence[str], report: Report
 ) -> tuple[MeasuredDeviations, list[str]]:
-    """Run the named tests and read what they measured.
+    """Run the named tests and read their measurements.
 
     Args:
         root: of the checkout.
-        tests: as pytest takes them.
-        report: takes a line of progress.
+        tests: arguments of pytest.
+        report: receives a line of progress.
 
     Returns:
-        What was measured, and the tests that failed.
+        The measurements, and the failed tests.
 
     Raises:
         RunError: pytest could not run them.
@@ -75,18 +75,19 @@ def run_study(root: Path, study: StudyTerm, arguments: Sequence[str], report: Re
 
 
 def _parallel_options() -> list[str]:
-    """Two processes where there are two cores."""
+    """Return the options for two processes where there are two cores."""
     return ["-n", "2", "--dist", "loadfile"] if (os.cpu_count() or 1) > 1 else []
 
 
 def _run_process(
     command: Sequence[str], root: Path, defaults: dict[str, str], report: Report, name: str
 ) -> tuple[list[str], int]:
-    """Lines and exit status of a process; says every ``REPORT_PERIOD_S`` that it goes on.
+    """Return lines and exit status of a process, with progress every ``REPORT_PERIOD_S``.
 
-    Also where the process is silent: a study compiles for minutes before its first line.
+    Progress is needed also for a silent process: a study compiles for minutes before its first
+    line.
     """
-    # Without a terminal pytest-xdist prints in blocks; what it printed last is read at the end.
+    # Without a terminal pytest-xdist prints in blocks; its last output is read at the end.
     environment = {**defaults, **os.environ, "PYTHONUNBUFFERED": "1"}
     start_s, done = time.monotonic(), threading.Event()
     lines = list[str]()

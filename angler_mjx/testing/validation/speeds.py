@@ -1,4 +1,4 @@
-"""The table of speeds: the latest rows of benchmarks/results.jsonl, each with its commit."""
+"""Table of speeds: the latest rows of benchmarks/results.jsonl, each with its commit."""
 
 from collections import defaultdict
 from pathlib import Path
@@ -13,12 +13,12 @@ SCENARIO = "reef_fleet"
 
 
 def is_traceable(row: dict[str, Any]) -> bool:
-    """Whether a row says which commit was measured, and nothing in it had been changed."""
+    """Return whether a row names its commit, and the tree was unchanged."""
     return bool(row["commit"]) and not str(row["commit"]).endswith("-changed")
 
 
 def build_speed_table(results: Path) -> str:
-    """Simulation and preparation of the demo's scenario by device and size.
+    """Return simulation and preparation speeds of the demo's scenario by device and size.
 
     Args:
         results: file of rows; rows without a commit or from a changed tree are left out.

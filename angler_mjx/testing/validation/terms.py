@@ -1,4 +1,4 @@
-"""What is to be validated: the rows of docs/validation/terms.toml."""
+"""Terms of the validation: the rows of docs/validation/terms.toml."""
 
 import math
 from pathlib import Path
@@ -16,17 +16,17 @@ type PagePart = Literal["terms", "energy", "control", "engines", "clearance"]
 
 
 class RegressionTolerance(FileModel):
-    """How much more than expected a number of one kind may be before it got worse."""
+    """Tolerance of a kind of number: excess over the expectation that counts as worse."""
 
     factor: float = Field(ge=1.0)
     roots: float = Field(default=0.0, ge=0.0)
     """Standard deviations of a count."""
     floor: float = Field(ge=0.0, lt=1.0)
-    """Share of the bound below which nothing is news."""
+    """Fraction of the bound below which changes are ignored."""
     reason: str
 
     def max_allowed(self, expected: float, bound: float | None) -> float:
-        """Greatest number that is not worse; never more than the bound."""
+        """Return the max number that is not worse; never more than the bound."""
         limit = self.factor * abs(expected)
         if self.roots:
             limit += self.roots * math.sqrt(abs(expected) + 1.0)
@@ -36,7 +36,7 @@ class RegressionTolerance(FileModel):
 
 
 class Term(FileModel):
-    """One row: what a test measures, and against which independent implementation."""
+    """Validation term: the measured quantity of a test, and its independent reference."""
 
     key: str
     part: PagePart
@@ -45,17 +45,17 @@ class Term(FileModel):
     reference: str
     unit: str
     reason: str
-    """Of the bound that the test asserts."""
+    """Reason of the bound that the test asserts."""
     worse: str
     test: str
-    """What pytest is given to have it measured, from the root of the checkout."""
+    """Argument of pytest that measures the term, from the root of the checkout."""
     quick: bool = False
     nightly: bool = False
-    """Whether its test runs only where all are asked for."""
+    """Whether its test runs only in full test runs."""
 
 
 class StudyTerm(FileModel):
-    """A program that writes a result with ``--json FILE``."""
+    """Study: a program that writes a result with ``--json FILE``."""
 
     name: str
     module: str
@@ -65,15 +65,15 @@ class StudyTerm(FileModel):
 
 
 class StoredTerm(FileModel):
-    """A result that comes from elsewhere and lies beside the terms as NAME.json."""
+    """Stored result from elsewhere, beside the terms as NAME.json."""
 
     name: str
     command: str
-    """How it is made again."""
+    """Command that reproduces it."""
 
 
 class Terms(FileModel):
-    """The whole file."""
+    """Content of terms.toml."""
 
     worse: dict[str, RegressionTolerance]
     term: tuple[Term, ...]
@@ -95,16 +95,16 @@ class Terms(FileModel):
         return self
 
     def tests(self, *, quick: bool) -> list[str]:
-        """What pytest is given, each once."""
+        """Return the arguments of pytest, each once."""
         selected = [term.test for term in self.term if term.quick or not quick]
         return list(dict.fromkeys(selected))
 
 
 def find_checkout() -> Path:
-    """Root of the checkout that runs.
+    """Return the root of the running checkout.
 
     Raises:
-        ConfigError: this is an installed package: the tests, which are the measures, are not in it.
+        ConfigError: this is an installed package, which lacks the tests that measure.
     """
     root = Path(__file__).resolve().parents[3]
     if not ((root / FOLDER / TERMS_FILE).is_file() and (root / "tests").is_dir()):
@@ -116,7 +116,7 @@ def find_checkout() -> Path:
 
 
 def read_terms(root: Path) -> Terms:
-    """The terms of a checkout.
+    """Read the terms of a checkout.
 
     Raises:
         ConfigError: the file has faults.

@@ -1,4 +1,4 @@
-"""All of `angler validate`: measure, compare with what was expected, write the page."""
+"""Main program of `angler validate`: measure, compare with expectations, write the page."""
 
 from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -22,30 +22,30 @@ from angler_mjx.testing.validation.running import Report
 from angler_mjx.testing.validation.terms import EXPECTED_FILE, FOLDER, RESULTS_FILE, Terms
 
 MAX_STUDIES = 2
-"""Studies beside the tests."""
+"""Max number of studies that run beside the tests."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ValidationRequest:
-    """What is asked for."""
+    """Request of a validation."""
 
     quick: bool = False
-    """Tests that take seconds, and studies with few worlds."""
+    """Run only tests that take seconds, and studies with few worlds."""
     measured: Path | None = None
-    """Deviations that tests already wrote; no study is run then."""
+    """Deviations of an earlier test run; no study is run then."""
     page_only: bool = False
-    """Measure nothing: write the page again from what is stored."""
+    """Measure nothing: write the page again from the stored results."""
     check: bool = False
     """Compare, and write nothing."""
     store: bool = False
-    """What is found becomes what is expected."""
+    """Store the results as new expectations."""
     out: Path | None = None
     """Folder for page and JSON; those of the checkout if left out."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Checkout:
-    """What lies in the checkout."""
+    """Validation files of the checkout."""
 
     root: Path
     terms: Terms
@@ -55,12 +55,12 @@ class Checkout:
 
     @property
     def folder(self) -> Path:
-        """Of terms, expectations and results."""
+        """Folder of terms, expectations and results."""
         return self.root / FOLDER
 
 
 def open_checkout(root: Path) -> Checkout:
-    """Read everything that is compared with.
+    """Read all reference data.
 
     Raises:
         ConfigError: a file has faults.
@@ -82,12 +82,12 @@ def run_validation(request: ValidationRequest, root: Path, report: Report) -> li
     """Measure, compare, write.
 
     Args:
-        request: what is asked for.
+        request: requested options.
         root: of the checkout.
-        report: takes a line of progress.
+        report: receives a line of progress.
 
     Returns:
-        What is not as it should be; empty if all is well.
+        All faults; empty if there are none.
 
     Raises:
         ConfigError: files or the request have faults.
@@ -114,7 +114,7 @@ def run_validation(request: ValidationRequest, root: Path, report: Report) -> li
 
 
 def _required_keys(request: ValidationRequest, terms: Terms) -> set[str]:
-    """Keys of terms that must have been measured; tests run by others may be those of a day."""
+    """Return the keys of terms that must have been measured; nightly ones only in our own runs."""
     return {
         term.key
         for term in terms.term
@@ -132,14 +132,14 @@ def _check_request(request: ValidationRequest) -> None:
 def _run_measurements(
     request: ValidationRequest, checkout: Checkout, report: Report
 ) -> tuple[MeasuredDeviations | None, dict[str, TermResult], list[str]]:
-    """What tests and studies found, and which tests failed."""
+    """Return the results of tests and studies, and the failed tests."""
     if request.page_only:
         return None, {}, []
     if request.measured is not None:
         return results.read_model(MeasuredDeviations, request.measured), {}, []
     tests = checkout.terms.tests(quick=request.quick)
     report(_describe_plan(request, checkout, len(tests)))
-    # Side by side: each compiles on one core for most of its time, and nothing here is a timing.
+    # In parallel: each compiles on one core for most of its time, and no timings are taken.
     with ThreadPoolExecutor(MAX_STUDIES) as pool:
         futures = dict[str, Future[TermResult]]()
         for study in checkout.terms.study:
@@ -154,7 +154,7 @@ def _run_measurements(
 
 
 def _describe_plan(request: ValidationRequest, checkout: Checkout, tests: int) -> str:
-    """What a person waits for, before it begins."""
+    """Return a description of the work ahead."""
     studies = [
         study.name
         for study in checkout.terms.study
@@ -172,7 +172,7 @@ def _describe_plan(request: ValidationRequest, checkout: Checkout, tests: int) -
 def _update_expected(
     expected: Expected, measured: MeasuredDeviations | None, results: dict[str, TermResult]
 ) -> Expected:
-    """Expectations with what was found now in their place."""
+    """Return the expectations, updated with the new results."""
     numbers = dict(expected.numbers)
     if measured is not None:
         about = measured.about
@@ -190,7 +190,7 @@ def _update_expected(
 
 
 def _build_page(checkout: Checkout, result: ValidationResult) -> tuple[str, str]:
-    """The page as it is, and as it should be."""
+    """Return the current page, and the new one."""
     path = checkout.root / page.PAGE_PATH
     try:
         text = path.read_text(encoding="utf-8")
@@ -223,7 +223,7 @@ def _write_results(
 
 
 def _current_results(checkout: Checkout, merged: ValidationResult) -> dict[str, Any]:
-    """What is kept: what was found, without terms that are no more."""
+    """Return the results to keep: all without those of removed terms."""
     keys = {term.key for term in checkout.terms.term}
     names = {study.name for study in checkout.terms.study}
     kept = ValidationResult(

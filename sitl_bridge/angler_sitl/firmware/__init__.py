@@ -1,1 +1,1 @@
-"""The ArduSub program: where it is, its parameters, its process and its boot."""
+"""ArduSub program: its location, parameters, process and boot."""

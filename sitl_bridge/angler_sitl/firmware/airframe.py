@@ -1,4 +1,4 @@
-"""Whether a vehicle's thrusters are the motors of an ArduSub frame, one by one."""
+"""Match of a vehicle's thrusters to the motors of an ArduSub frame."""
 
 from collections.abc import Sequence
 
@@ -18,7 +18,7 @@ MIXER_FACTORS: dict[str, tuple[tuple[int, ...], ...]] = {
         (-1, 1, 0, -1, 0, 0),
     ),
 }
-"""The mixer of each frame, a row per motor: roll right, pitch up, yaw right, up, forward, right."""
+"""Mixer of each frame, a row per motor: roll right, pitch up, yaw right, up, forward, right."""
 
 FRAME_CONFIGS = {"vectored": 1, "vectored_6dof": 2}
 """Value of FRAME_CONFIG."""
@@ -27,10 +27,10 @@ _AXES = ("roll", "pitch", "yaw", "throttle", "forward", "lateral")
 
 
 def find_frame(vehicle: VehicleConfig) -> str:
-    """Name of the frame of a vehicle.
+    """Return the name of a vehicle's frame.
 
     Raises:
-        ConfigError: the file names none, or its thrusters are not the motors of that frame.
+        ConfigError: the file names no frame, or its thrusters are not the motors of that frame.
     """
     if vehicle.ardusub is None:
         raise ConfigError(
@@ -59,10 +59,10 @@ def find_frame(vehicle: VehicleConfig) -> str:
 def _mismatched_axes(
     thruster: Thruster, centre: Sequence[float], row: tuple[int, ...]
 ) -> list[str]:
-    """Axes in which the mixer would push the wrong way.
+    """Return the axes in which the mixer would push the wrong way.
 
-    A torque that the mixer does not use (the pitch of a vertical thruster off the middle, say) is
-    no fault: it is the vehicle's to live with.
+    A torque that the mixer does not use (the pitch of a vertical thruster off the middle, for
+    example) is no fault: the vehicle has to handle it.
     """
     force = np.asarray(thruster.direction)
     torque = np.cross(np.asarray(thruster.position_m) - np.asarray(centre), force)

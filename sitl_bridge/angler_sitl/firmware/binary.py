@@ -1,4 +1,4 @@
-"""Which ArduSub is run, and whether this machine can run it: the file alone is looked at."""
+"""Selection of the ArduSub program, and checks of its file against this machine."""
 
 import hashlib
 import os
@@ -13,22 +13,22 @@ from angler_mjx.files import FileModel, parse_model, read_toml
 ENVIRONMENT_VARIABLE = "ANGLER_ARDUSUB"
 PROGRAM_NAME, RECORD_NAME = "ardusub", "ardusub.toml"
 UNKNOWN_VERSION = "unknown"
-"""Version of a program without a record, until it states one itself."""
+"""Version of a program without a record, until it reports its version."""
 
 _MACHINES = {"x86_64": 62, "aarch64": 183, "armv7l": 40, "i686": 3}
-"""ELF's number of a machine (e_machine) by the kernel's name of it."""
+"""ELF number of a machine (e_machine) by its kernel name."""
 _INTERPRETER = 3
 """PT_INTERP: the program header that names the dynamic loader."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Binary:
-    """An ArduSub program.
+    """ArduSub program.
 
     Attributes:
-        path: Where it is.
-        version: As it said when it was installed, as in "4.5.3"; `UNKNOWN_VERSION` for others.
-        sha256: Of the file, hexadecimal.
+        path: Location of the program.
+        version: As reported at installation, as in "4.5.3"; `UNKNOWN_VERSION` for others.
+        sha256: Checksum of the file, hexadecimal.
     """
 
     path: Path
@@ -37,31 +37,31 @@ class Binary:
 
 
 class BinaryRecord(FileModel):
-    """What is written down beside an installed program."""
+    """Record beside an installed program."""
 
     version: str
-    """As the program itself says."""
+    """Version as reported by the program itself."""
     git: str
     wanted: str
-    """As asked for, as in stable-4.5.3."""
+    """Version as requested, as in stable-4.5.3."""
     source: str
     size_bytes: int
     sha256: str
 
 
 def cache_folder() -> Path:
-    """Where installed programs are: under XDG_CACHE_HOME, or ~/.cache."""
+    """Return the folder of installed programs: under XDG_CACHE_HOME, or ~/.cache."""
     cache_home = os.environ.get("XDG_CACHE_HOME", "")
-    # The specification says that a relative path is to be ignored.
+    # The XDG specification requires a relative path to be ignored.
     base = Path(cache_home) if Path(cache_home).is_absolute() else Path.home() / ".cache"
     return base / "angler-mjx" / PROGRAM_NAME
 
 
 def find_binary(explicit: Path | None = None) -> Binary:
-    """The program to run: the given one, else ANGLER_ARDUSUB's, else the installed one.
+    """Return the program to run: ``explicit``, else ANGLER_ARDUSUB's, else the installed one.
 
     Raises:
-        ConfigError: there is none, it cannot be run here, or it is not the file that was installed.
+        ConfigError: there is none, it cannot be run here, or its checksum is not the installed one.
     """
     if explicit is not None:
         return _load_named(explicit, "--ardusub")
@@ -78,7 +78,7 @@ def find_binary(explicit: Path | None = None) -> Binary:
 
 
 def load_installed(path: Path) -> Binary:
-    """A program with its record beside it.
+    """Return a program with the record beside it.
 
     Raises:
         ConfigError: the file cannot be run here, or its checksum is not the recorded one.
@@ -96,7 +96,7 @@ def load_installed(path: Path) -> Binary:
 
 
 def compute_sha256(path: Path) -> str:
-    """Checksum of a file, hexadecimal."""
+    """Return the checksum of a file, hexadecimal."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
@@ -106,7 +106,7 @@ def check_program(path: Path, *, run_bit: bool = True) -> None:
 
     Args:
         path: The file.
-        run_bit: Whether we must also be allowed to run it.
+        run_bit: Whether permission to run it is also required.
 
     Raises:
         ConfigError: it is missing, unreadable, no ELF program, one of another machine, needs a
@@ -125,7 +125,7 @@ def check_program(path: Path, *, run_bit: bool = True) -> None:
 
 
 def _load_named(path: Path, source: str) -> Binary:
-    """A program that somebody names; a script that starts one (by exec) will do as well."""
+    """Return a program named by the user; a script that starts one (by exec) is accepted."""
     try:
         if not (_is_script(path) and os.access(path, os.X_OK)):
             check_program(path)
@@ -143,7 +143,7 @@ def _is_script(path: Path) -> bool:
 
 
 def _find_fault(head: bytes) -> str | None:
-    """What hinders this machine from running a file that begins so, or None."""
+    """Return the reason why this machine cannot run a file with this header, or None."""
     if head[:4] != b"\x7fELF":
         appearance = "a web page" if head.lstrip()[:1] == b"<" else "something else"
         return f"not a Linux program (no ELF file, {appearance})"
@@ -166,7 +166,7 @@ def _find_fault(head: bytes) -> str | None:
 
 
 def _read_loader(head: bytes, wide: bool) -> str | None:
-    """Path of the dynamic loader that a program names; None for a static one."""
+    """Return the path of a program's dynamic loader; None for a static one."""
     (table,) = struct.unpack_from("<Q" if wide else "<I", head, 32 if wide else 28)
     size, count = struct.unpack_from("<HH", head, 54 if wide else 42)
     for at in range(table, table + size * count, size):

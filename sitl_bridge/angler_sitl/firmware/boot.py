@@ -1,10 +1,10 @@
-"""From a process that was just started to an autopilot that is armed in its mode.
+"""Boot of autopilots from just started processes to armed in their mode.
 
-Each autopilot goes through the same steps, all at the same time, a look once in a control period:
-it speaks; it is asked for its streams and all its parameters, and told where the origin is until it
-confirms; its filter finds its position; its mode is set; it is armed. Time limits are by the
-scene's clock, so they hold at any speed. What does not happen in time ends in one message with
-ArduSub's own last words.
+All autopilots go through the same steps at the same time, checked once in a control period. An
+autopilot sends its first message; its streams and all its parameters are requested, and the origin
+is sent until confirmed; its filter finds its position; its mode is set; it is armed. Time limits
+are by the scene's clock, so they hold at any speed. A timeout ends in one message with ArduSub's
+own last texts.
 """
 
 import time
@@ -19,16 +19,16 @@ from angler_sitl.steering.autopilot_commander import STREAM_RATES_HZ, AutopilotC
 
 HEARTBEAT_TIMEOUT_S = 15.0
 POSITION_TIMEOUT_S: dict[PositionSource, float] = {"vision": 40.0, "vicon": 40.0, "gps": 120.0}
-"""For the filter: with GPS it takes 41 s, else 5 s."""
+"""Time limit of the filter: with GPS it takes 41 s, else 5 s."""
 PARAMETERS_TIMEOUT_S = 20.0
 MODE_TIMEOUT_S = 10.0
 ARM_TIMEOUT_S = 20.0
 SPOOL_S = 1.0
-"""After the last one was armed: for 0.4 s its motors are held back, and it would drift."""
+"""Time after the last was armed: its motors are held back for 0.4 s, and it would drift."""
 _RETRY_PERIOD_S = 1.0
-"""After which a request that had no effect is made again."""
+"""Period after which a request without effect is repeated."""
 _MAX_REQUESTS = 20
-"""Parameters asked for one by one in a control period, where the list came with gaps."""
+"""Max parameters requested individually per control period, where the list came with gaps."""
 
 _REFUSALS = {
     dialect.MAV_RESULT_TEMPORARILY_REJECTED: "not now",
@@ -40,7 +40,7 @@ _REFUSALS = {
 
 @dataclass(frozen=True, kw_only=True)
 class WorldOrigin:
-    """Where W's origin lies on the globe; the water's surface is at altitude 0."""
+    """Position of W's origin on the globe; the water's surface is at altitude 0."""
 
     lat_deg: float
     lon_deg: float
@@ -48,7 +48,7 @@ class WorldOrigin:
 
 @dataclass(frozen=True, kw_only=True)
 class BootTimes:
-    """What it took until the last autopilot was ready."""
+    """Times until the last autopilot was ready."""
 
     sim_s: float
     wall_s: float
@@ -62,18 +62,18 @@ def boot_autopilots(
     source: PositionSource,
     home: WorldOrigin,
 ) -> BootTimes:
-    """Bring autopilots up that were just started.
+    """Bring up autopilots that were just started.
 
     Args:
         pilots: all of them.
-        advance: goes on by one control period with all of them, external navigation included, and
+        advance: advances all autopilots by one control period, external navigation included, and
             returns the scene's time.
         mode: the firmware's number.
-        source: where their filters learn their position.
+        source: position source of their filters.
         home: of the scene.
 
     Raises:
-        RunError: one of them does not come up; it says which and why.
+        RunError: an autopilot does not come up, with its name and the reason.
     """
     began, now = time.perf_counter(), advance()
     first, clock = now, _Clock(now)
@@ -99,7 +99,7 @@ class _Clock:
 def _boot_steps(
     pilot: AutopilotCommander, clock: _Clock, mode: int, source: PositionSource, home: WorldOrigin
 ) -> Iterator[None]:
-    """The steps of one autopilot; it yields whenever time has to go on."""
+    """Run the steps of one autopilot; it yields whenever time has to advance."""
     link = pilot.link
 
     def has_heartbeat() -> bool:
@@ -144,7 +144,7 @@ def _send_until_followed(
     parameters: tuple[float, ...],
     mode: int,
 ) -> Iterator[None]:
-    """A command until its heartbeat shows that it was followed."""
+    """Repeat a command until the heartbeat shows its effect."""
     arming = command == dialect.MAV_CMD_COMPONENT_ARM_DISARM
 
     def is_followed() -> bool:
@@ -166,7 +166,7 @@ def _wait_until(
     retry: Callable[[], None] | None = None,
     command: int | None = None,
 ) -> Iterator[None]:
-    """Let time go on until something holds, asking for it now and then.
+    """Wait until a condition holds, with repeated requests.
 
     Raises:
         RunError: it does not hold in time.
@@ -184,7 +184,7 @@ def _wait_until(
 def _format_failure(
     pilot: AutopilotCommander, failure_text: str, limit_s: float, command: int | None
 ) -> str:
-    """What did not happen, how the autopilot stands, and what it says itself."""
+    """Return the failure, the autopilot's status, and its own last texts."""
     message = f"{pilot.name}: {failure_text} within {limit_s:g} s of its own clock"
     if pilot.link.latest:
         message += f" ({pilot.note()})"
@@ -196,7 +196,7 @@ def _format_failure(
 
 
 def _origin_sender(pilot: AutopilotCommander, home: WorldOrigin) -> Callable[[], None]:
-    """Tells an autopilot where W's origin is, until it confirms."""
+    """Return a sender of W's origin to an autopilot, active until it confirms."""
 
     def send_origin() -> None:
         if "GPS_GLOBAL_ORIGIN" not in pilot.link.latest:
@@ -218,13 +218,13 @@ def _request_version(pilot: AutopilotCommander) -> None:
 
 
 def _parameters_complete(pilot: AutopilotCommander) -> Callable[[], bool]:
-    """Whether all parameters have come."""
+    """Return the condition that all parameters have come."""
     link = pilot.link
     return lambda: 0 < link.parameter_count <= len(link.parameter_indices)
 
 
 def _missing_requester(pilot: AutopilotCommander) -> Callable[[], None]:
-    """Asks for parameters whose messages were lost."""
+    """Return a sender of requests for parameters whose messages were lost."""
 
     def request_missing() -> None:
         link = pilot.link

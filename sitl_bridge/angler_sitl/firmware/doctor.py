@@ -1,4 +1,4 @@
-"""Looking whether real autopilots can be run here: one row for each thing that has to be right."""
+"""Checks of the requirements of real autopilots on this machine, one row each."""
 
 import tempfile
 from collections.abc import Iterator
@@ -17,7 +17,7 @@ from angler_sitl.firmware.binary import Binary, find_binary
 from angler_sitl.wire.ports import allocate_ports, port_number
 
 _N_VEHICLES = 8
-"""Vehicles whose ports are tried."""
+"""Number of vehicles in the port check."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,9 +25,9 @@ class DoctorCheck:
     """One row.
 
     Attributes:
-        name: What was looked at.
-        good: False where it is at fault; None where it is for the reader to judge.
-        text: What was found, and what to do about it.
+        name: Subject of the check.
+        good: False for a fault; None where the reader has to judge.
+        text: Result, and the remedy.
     """
 
     name: str
@@ -36,10 +36,10 @@ class DoctorCheck:
 
 
 def run_checks(ardusub: Path | None = None) -> Iterator[DoctorCheck]:
-    """Look at everything, a row at a time; what needs a program is left out where there is none.
+    """Run all checks, row by row; those that need a program are left out where there is none.
 
     Args:
-        ardusub: The program, where it is not to be found as `binary.find_binary` does.
+        ardusub: The program, where `binary.find_binary` does not find it.
     """
     yield _check_ports()
     try:
@@ -74,7 +74,7 @@ def _check_ports() -> DoctorCheck:
 
 
 def _check_vehicle(binary: Binary, name: str, *, first: bool) -> Iterator[DoctorCheck]:
-    """Boot it as one vehicle; the rows that do not depend on the vehicle come with the first."""
+    """Boot the program as one vehicle; general rows come with the first."""
     row_name = f"parameters, {name}"
     try:
         vehicle = library.load_vehicle(name)
@@ -103,7 +103,7 @@ def _check_vehicle(binary: Binary, name: str, *, first: bool) -> Iterator[Doctor
 
 
 def _check_sockets(open_sockets: list[sockets.BoundSocket]) -> DoctorCheck:
-    """Those of one autopilot that are not loopback's alone."""
+    """Check an autopilot's sockets for any not limited to loopback."""
     reachable = [str(entry) for entry in open_sockets if not entry.is_loopback]
     if not reachable:
         return DoctorCheck(name="open sockets", good=True, text="none but on loopback")

@@ -1,4 +1,4 @@
-"""Fetching a file over HTTP so that a broken transfer goes on where it stopped."""
+"""HTTP download that resumes a broken transfer."""
 
 import fcntl
 import http.client
@@ -13,7 +13,7 @@ from urllib.parse import urlsplit
 from angler_mjx.errors import ConfigError, RunError
 
 type TransferProgress = Callable[[int, int | None], None]
-"""Given the bytes that are here, and all of them where the server says how many."""
+"""Receiver of the number of bytes so far, and of the total where the server states it."""
 
 _TIMEOUT_S = 30.0
 _CHUNK = 1 << 16
@@ -22,18 +22,18 @@ _BROKEN = (urllib.error.URLError, http.client.HTTPException, ConnectionError, Ti
 
 
 def fetch_file(url: str, part: Path, progress: TransferProgress) -> None:
-    """Bring what lies at ``url`` into ``part``, going on from what is there of the same version.
+    """Download ``url`` into ``part``, resuming a partial file of the same version.
 
-    Whether it is the same version is the server's to say: its ETag or date of change, kept in a
-    file beside ``part``, goes back to it as If-Range. Without either, it begins again.
+    The server decides whether the version is the same: its ETag or date of change, kept in a file
+    beside ``part``, goes back to it as If-Range. Without either, the download restarts.
 
     Args:
         url: http or https.
-        part: File to fill. It stays when this fails, for the next time.
-        progress: Told of progress.
+        part: File to fill. It stays after a failure, for the next attempt.
+        progress: Receives the progress.
 
     Raises:
-        ConfigError: no such scheme, the server has no such file, or somebody else fetches it now.
+        ConfigError: no such scheme, no such file, or another process downloads it now.
         RunError: no connection, or it broke several times.
     """
     if urlsplit(url).scheme not in ("http", "https"):
@@ -55,7 +55,7 @@ def fetch_file(url: str, part: Path, progress: TransferProgress) -> None:
 def _try_transfer(
     url: str, file: BinaryIO, note: Path, progress: TransferProgress, *, last: bool
 ) -> bool:
-    """One request; whether all is here. A connection that breaks is an error the last time only."""
+    """Make one request; return whether the file is complete. A break raises only with ``last``."""
     try:
         return _transfer(url, file, note, progress)
     except urllib.error.HTTPError as error:
@@ -99,7 +99,7 @@ def _transfer(url: str, file: BinaryIO, note: Path, progress: TransferProgress) 
         length = response.headers["Content-Length"]
         total = None if length is None else received + int(length)
         progress(received, total)
-        # Not read(): that holds back what came when a connection breaks.
+        # Not read(): that holds back received data when a connection breaks.
         while chunk := response.read1(_CHUNK):
             file.write(chunk)
             received += len(chunk)

@@ -1,4 +1,4 @@
-"""Putting an ArduSub into the user's cache folder: fetched or copied, checked, asked, noted."""
+"""Installation of an ArduSub into the user's cache folder: copied, checked, probed, recorded."""
 
 import json
 import os
@@ -29,10 +29,10 @@ _BOARDS = {"x86_64": "SITL_x86_64_linux_gnu", "armv7l": "SITL_arm_linux_gnueabih
 
 
 def official_url(version: str) -> str:
-    """Where the official build of a version lies, for this machine.
+    """Return the URL of the official build of a version, for this machine.
 
     Raises:
-        ConfigError: that is no version's name.
+        ConfigError: the version name is invalid.
         UnsupportedError: there are no official builds for this machine.
     """
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9.\-]*", version):
@@ -52,17 +52,17 @@ def install_from_network(
     *,
     checksum: str | None = None,
 ) -> Binary:
-    """Fetch a program and install it.
+    """Download a program and install it.
 
     Args:
-        version: Which official build; of no meaning but as a name where ``url`` is given.
+        version: Official build; only a name where ``url`` is given.
         url: Address of another build.
-        progress: Told of progress.
-        checksum: The sha256 that it must have.
+        progress: Receives the progress.
+        checksum: The required sha256.
 
     Raises:
-        AnglerError: as `download.fetch_file`; or it is not an ArduSub for this machine, has another
-            checksum than it had when the same was installed last, or says another version.
+        AnglerError: as `download.fetch_file`; or it is not an ArduSub for this machine, its
+            checksum differs from its last installation, or it reports another version.
     """
     source_url = official_url(version) if url is None else url
     part = cache_folder() / f"{PROGRAM_NAME}.part"
@@ -75,7 +75,7 @@ def install_from_network(
 
 
 def install_from_file(path: Path, *, checksum: str | None = None) -> Binary:
-    """Copy a program and install it; a record that lies beside it must be true of it.
+    """Copy a program and install it; a record beside it must match.
 
     Raises:
         AnglerError: it is not an ArduSub for this machine, or has another checksum.
@@ -96,7 +96,7 @@ def install_from_file(path: Path, *, checksum: str | None = None) -> Binary:
 
 
 def _install(part: Path, *, wanted: str, source: str, checksum: str | None) -> Binary:
-    """Check a file in the cache folder and put it in place, its record after it."""
+    """Check a file in the cache folder and put it in place, followed by its record."""
     check_program(part, run_bit=False)
     digest = compute_sha256(part)
     _check_checksum(part.with_name(RECORD_NAME), wanted, source, digest, checksum)
@@ -130,7 +130,7 @@ def _check_checksum(
     if not record_path.is_file() or not wanted.startswith("stable-"):
         return
     previous = parse_model(BinaryRecord, read_toml(record_path), source=str(record_path))
-    # What was released does not change; what is called latest does.
+    # A release does not change; the latest build does.
     if previous.wanted == wanted and previous.sha256 != digest:
         raise ConfigError(
             f"{source}: its sha256 is {digest}, but {wanted} had {previous.sha256} when it was "

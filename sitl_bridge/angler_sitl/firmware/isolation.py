@@ -1,8 +1,8 @@
-"""A network of its own for this process and all it starts: nothing but loopback is in it.
+"""Network namespace for this process and its children: with loopback alone.
 
 ArduSub takes state packets on a socket that is open on all interfaces, and has no option against
 that. In a network namespace there is no other interface. Our sockets have to be in it too, so the
-whole program goes, and nobody outside can join: no ground station either.
+whole program moves there, and no outside process can join: no ground station either.
 """
 
 import fcntl
@@ -18,10 +18,10 @@ _IFF_UP = 0x1
 
 
 def isolate_network() -> None:
-    """Move this process into a network namespace of its own, its loopback up. There is no way back.
+    """Move this process into its own network namespace, with loopback up. It cannot be undone.
 
-    As root this takes no more; others need a user namespace with it, in which they are who they
-    were. That needs a process of one thread: call it before JAX is loaded.
+    Root needs no more; other users need a user namespace with it, in which they keep their ids.
+    That needs a process of one thread: call it before JAX is loaded.
 
     Raises:
         UnsupportedError: the kernel or its settings do not allow it.

@@ -1,7 +1,7 @@
-"""Parameters that an ArduSub is started with: what differs from its defaults, and why.
+"""Start parameters of an ArduSub: its differences from the defaults, and their reasons.
 
-A file of ``--defaults`` that names a parameter which the firmware does not know says nothing about
-it. So the values are read back from the running autopilot and compared (`find_differences`).
+The firmware silently ignores unknown parameters in a ``--defaults`` file. So the values are read
+back from the running autopilot and compared (`find_differences`).
 """
 
 import math
@@ -15,9 +15,9 @@ from angler_mjx.robot.vehicles.config import VehicleConfig
 from angler_sitl.firmware import airframe
 
 type CommandLevel = Literal["thrusters", "guided", "poshold", "althold", "manual"]
-"""What is commanded: thrusters themselves, or one of the firmware's own modes."""
+"""Entry level of commands: the thrusters themselves, or one of the firmware's own modes."""
 type PositionSource = Literal["vision", "vicon", "gps"]
-"""Where its filter learns its position: from us, from SITL's own Vicon, or from SITL's own GPS."""
+"""Position source of the filter: external navigation, SITL's own Vicon, or SITL's own GPS."""
 
 LEVELS: tuple[CommandLevel, ...] = get_args(CommandLevel.__value__)
 SOURCES: tuple[PositionSource, ...] = get_args(PositionSource.__value__)
@@ -26,13 +26,13 @@ PASSTHROUGH = 50
 """SERVOn_FUNCTION of RC channel k passed through is 50 + k; 1 would do the same for k = n only."""
 
 RENAMED = {"GPS1_TYPE": "GPS_TYPE", "SYSID_THISMAV": "MAV_SYSID"}
-"""Names of 4.6 and what other versions call them. Both are written; one has to be known."""
+"""Parameter names of 4.6 and of other versions. Both are written; at least one must be known."""
 
 MAX_NAME_LENGTH = 16
-"""Letters of a parameter's name, of MAVLink."""
+"""Max letters of a parameter's name in MAVLink."""
 _MAX_BYTES = 1 << 20
 _QGROUNDCONTROL_FIELDS, _AUTOPILOT = 5, "1"
-"""Fields of a line of QGroundControl, and MAV_COMP_ID_AUTOPILOT1 in its second one."""
+"""Fields of a QGroundControl line, and MAV_COMP_ID_AUTOPILOT1 in its second field."""
 
 _STREAMS = ("RAW_SENS", "EXT_STAT", "RC_CHAN", "POSITION", "EXTRA1", "EXTRA2", "EXTRA3")
 
@@ -59,7 +59,7 @@ _SOURCE_PARAMETERS: dict[str, dict[str, tuple[float, str]]] = {
         "SERIAL5_PROTOCOL": (2, "MAVLink from SITL's own Vicon"),
         "SIM_VICON_TMASK": (3, "it sends position and velocity"),
     },
-    # Of these two the EKF's defaults are the barometer and nothing.
+    # The EKF's defaults of these two parameters are the barometer and none.
     "gps": {
         "EK3_SRC1_POSZ": (3, "depth from the GPS, which works under water here"),
         "EK3_SRC1_VELZ": (3, "and vertical velocity"),
@@ -71,12 +71,12 @@ _STICK_PARAMETERS = {"JS_GAIN_DEFAULT": (1.0, "full stick is full thrust")}
 def for_vehicle(
     vehicle: VehicleConfig, level: CommandLevel, source: PositionSource, *, log: bool = True
 ) -> dict[str, float]:
-    """Parameters of one robot.
+    """Return the parameters of one robot.
 
     Args:
         vehicle: Its vehicle file.
-        level: What it is commanded by.
-        source: Where it learns its position.
+        level: Where commands enter.
+        source: Its position source.
         log: Whether it writes its own log, some 45 kB for each second it is armed.
 
     Raises:
@@ -115,7 +115,7 @@ def read_parameters(path: Path) -> dict[str, float]:
         Values by name, in the firmware's units.
 
     Raises:
-        ConfigError: there is no such file, a line is none of these, or lines are of two vehicles.
+        ConfigError: no such file, a line of another format, or lines of two vehicles.
     """
     values = {}
     system = None
@@ -153,10 +153,10 @@ def read_parameters(path: Path) -> dict[str, float]:
 
 
 def find_differences(expected: Mapping[str, float], actual: Mapping[str, float]) -> list[str]:
-    """What an autopilot has otherwise than it was told, a sentence each, sorted; empty if nothing.
+    """Return the parameters that differ from their start values, a sentence each, sorted.
 
     Args:
-        expected: Values it was started with.
+        expected: Start values.
         actual: All of its parameters, read back.
     """
     messages = []
@@ -175,7 +175,7 @@ def find_differences(expected: Mapping[str, float], actual: Mapping[str, float])
 
 
 def explain_parameter(name: str) -> str:
-    """Why a parameter of `for_vehicle` is set, in a few words; "" for others."""
+    """Return the reason for a parameter of `for_vehicle`, in a few words; "" for others."""
     for table in (_COMMON_PARAMETERS, _STICK_PARAMETERS, *_SOURCE_PARAMETERS.values()):
         if name in table:
             return table[name][1]

@@ -1,7 +1,7 @@
-"""One autopilot, started for a few seconds in water that does not move it, to be asked questions.
+"""Probe: one autopilot, run for a few seconds in still water, to be queried.
 
-Lock-step is held with the simplest physics there is: at rest, level, at the origin. It runs as
-fast as the autopilot takes it, so a boot of seconds takes a fraction of one.
+Lock-step is held with the simplest physics: at rest, level, at the origin. It runs at the
+autopilot's max speed, so a boot of seconds takes a fraction of one.
 """
 
 import contextlib
@@ -21,14 +21,15 @@ from angler_sitl.wire.ports import Ports, allocate_ports
 
 _DT_S = 1 / 400
 _SILENCE_S = 10.0
-"""Wall time without a servo packet after which it hangs: it asks again after 1.1 s, and a
-busy machine takes its time to start a program."""
+"""Wall time without a servo packet after which the autopilot counts as hanging.
+
+It repeats a packet after 1.1 s, and a busy machine starts a program slowly."""
 _LOOK_S = 0.1
-"""Wall time after which it is looked whether the process still runs."""
+"""Wall time between checks whether the process still runs."""
 _BOOT_S = 2.0
-"""Clock of the autopilot at which it answers everything; it has set up after 1.75 s."""
+"""Autopilot clock at which it answers all requests; its setup ends after 1.75 s."""
 _LIMIT_S = 30.0
-"""Clock of the autopilot until which it must have answered: 1300 parameters take 2."""
+"""Limit of the autopilot clock for all answers: 1300 parameters take 2."""
 _AT_REST = (
     '\n{{"timestamp":{:.6f},"imu":{{"gyro":[0,0,0],"accel_body":[0,0,-9.80665]}},'
     '"position":[0,0,0],"quaternion":[1,0,0,0],"velocity":[0,0,0],"no_time_sync":1}}\n'
@@ -40,13 +41,13 @@ VERSION_MESSAGE_ID = 148
 
 @dataclass(frozen=True, kw_only=True)
 class ProbeResult:
-    """What an autopilot said of itself.
+    """Answers of an autopilot.
 
     Attributes:
         version: As in "4.6.0-dev".
         git: First characters of the commit it was built from.
         parameters: All of them, by name.
-        sysid: The MAVLink number that it uses.
+        sysid: Its MAVLink system number.
     """
 
     version: str
@@ -57,17 +58,17 @@ class ProbeResult:
 
 @dataclass
 class StationaryAutopilot:
-    """An autopilot that stands still, and what it has sent so far.
+    """Stationary autopilot, with its received messages.
 
     Attributes:
         instance: The process.
         ports: Its sockets.
         time_s: Its clock.
-        pwm: The last servo packet's values.
-        version: AUTOPILOT_VERSION, where it came.
-        parameters: By name, those that came.
-        expected: How many there are; 0 while unknown.
-        sysid: Who sends heartbeats; 0 while unknown.
+        pwm: Values of the last servo packet.
+        version: AUTOPILOT_VERSION, if received.
+        parameters: Received parameters, by name.
+        expected: Number of parameters; 0 while unknown.
+        sysid: System number of the heartbeats; 0 while unknown.
     """
 
     instance: AutopilotProcess
@@ -87,7 +88,7 @@ class StationaryAutopilot:
         self.ports.mavlink.setblocking(False)
 
     def step_until(self, condition: Callable[[], bool], limit_s: float) -> bool:
-        """Step until ``condition`` or until its clock has gone on by so much; whether it is done.
+        """Step until ``condition`` holds or the time limit of its clock; return whether it holds.
 
         Raises:
             RunError: the process ended or sends nothing.
@@ -101,7 +102,7 @@ class StationaryAutopilot:
         return True
 
     def send(self, message: Any) -> None:
-        """Send a MAVLink message, if the autopilot has said where it is."""
+        """Send a MAVLink message, if the autopilot's address is known."""
         if self._peer is not None:
             data = message.pack(self._mavlink)
             self._mavlink.seq = (self._mavlink.seq + 1) % 256
@@ -115,7 +116,7 @@ class StationaryAutopilot:
         self.ports.fdm.sendto(_AT_REST.format(self.time_s).encode(), peer)
 
     def _receive_packet(self) -> tuple[bytes, tuple[str, int]]:
-        """The next servo packet and where it came from."""
+        """Return the next servo packet and its source address."""
         for _ in range(round(_SILENCE_S / _LOOK_S)):
             with contextlib.suppress(TimeoutError):
                 return self.ports.fdm.recvfrom(256)
@@ -147,7 +148,7 @@ class StationaryAutopilot:
 def start_stationary(
     binary: Binary, folder: Path, parameters: Mapping[str, float]
 ) -> Iterator[StationaryAutopilot]:
-    """Start an autopilot, step it until it has set up, and end it afterwards.
+    """Start an autopilot, step it until it has set up, and close it afterwards.
 
     Raises:
         RunError: it does not start, ends, hangs, or sends no heartbeat.
@@ -168,7 +169,7 @@ def start_stationary(
 
 
 def query_autopilot(autopilot: StationaryAutopilot, *, parameters: bool = True) -> ProbeResult:
-    """Ask for the version and, if wanted, all parameters.
+    """Request the version and, if wanted, all parameters.
 
     Raises:
         RunError: it does not answer.
@@ -203,7 +204,7 @@ def read_version(message: Any) -> tuple[str, str]:
 
 
 def identify_version(binary: Binary) -> Binary:
-    """Return a program with the version that it states itself, where no record holds it.
+    """Return a program with its reported version, where no record holds it.
 
     Raises:
         ConfigError: it does not answer as an ArduSub.
@@ -226,7 +227,7 @@ def _request_until(
     request: Callable[[StationaryAutopilot], None],
     subject: str,
 ) -> None:
-    # UDP loses what a full buffer cannot take, so it is asked again, by the autopilot's clock.
+    # UDP drops packets on a full buffer, so the request is repeated, by the autopilot's clock.
     for _ in range(3):
         request(autopilot)
         if autopilot.step_until(condition, _LIMIT_S / 3):

@@ -1,17 +1,17 @@
-"""One autopilot process: its folder, its command line, its death.
+"""One autopilot process: its folder, its command line, its end.
 
-The process runs in a folder of its own (it writes eeprom.bin, logs/ and terrain/ where it stands)
-and a session of its own (Ctrl-C is for us, we end it), with its output in a file. The kernel kills
-it when we die: PR_SET_PDEATHSIG is set by a small Python program that then becomes the autopilot by
-exec. That program, and not a ``preexec_fn``, because code between fork and exec can deadlock when
-other threads hold a lock, and JAX has many. It also looks whether its parent is still
-there, so a parent that died before the request leaves nothing behind either.
+The process runs in its own folder (it writes eeprom.bin, logs/ and terrain/ there) and in its own
+session (Ctrl-C is for us, we end it), with its output in a file. The kernel kills it when we die:
+PR_SET_PDEATHSIG is set by a small Python program that then becomes the autopilot by exec. A
+``preexec_fn`` is not used, because code between fork and exec can deadlock when other threads hold
+a lock, and JAX has many. The program also checks that its parent is still there, so a parent that
+died before the request leaves no process behind either.
 
-It becomes a batch process: woken by a reply, it does not take the core of the one that still has
-others to answer.
+It becomes a batch process: woken by a reply, it does not take the core of the process that still
+has to answer others.
 
 The kernel watches the thread that started the process, not the program: an `AutopilotProcess` must
-be made by a thread that outlives it.
+be created by a thread that outlives it.
 """
 
 import os
@@ -31,13 +31,13 @@ from angler_sitl.firmware.binary import Binary
 from angler_sitl.wire.ports import LOOPBACK, Ports, port_number
 
 HOME_LAT_DEG, HOME_LON_DEG = 47.6, -122.3
-"""Where W's origin lies on the globe: any place in the sea but 0, 0, which SITL takes as none."""
+"""Position of W's origin on the globe: any in the sea but 0, 0, which SITL takes as none."""
 
 LOG_NAME = "ardusub.log"
 PARAMETERS_NAME = "angler.parm"
 
 _GRACE_S = 0.2
-"""Time for a clean exit, which an autopilot that waits for physics cannot make use of."""
+"""Time for a clean exit, which an autopilot waiting for physics cannot use."""
 
 _HELPER = """
 import ctypes, os, signal, sys
@@ -60,15 +60,15 @@ except OSError as error:
 
 @dataclass(frozen=True, kw_only=True)
 class LaunchSpec:
-    """What one autopilot is started with.
+    """Launch settings of one autopilot.
 
     Attributes:
         binary: The ArduSub to run.
-        folder: Its own folder; made if it is not there.
+        folder: Its own folder; created if missing.
         name: Its name in messages, as in robot_0.
         sysid: MAVLink system number, 1 to 254.
         ports: Sockets of `ports.allocate`.
-        parameters: Values by the firmware's names, as of `parameters.for_vehicle`.
+        parameters: Values by firmware name, as of `parameters.for_vehicle`.
     """
 
     binary: Binary
@@ -79,11 +79,11 @@ class LaunchSpec:
     parameters: Mapping[str, float]
 
     def command_line(self) -> list[str]:
-        """Command line, the program's path first.
+        """Return the command line, the program's path first.
 
         Home's altitude is 0, else its depth sensor is wrong; all serial lines but two are off, else
-        they listen on all interfaces; ``--wipe`` because what an earlier run saved would win. No
-        ``--speedup``: whoever answers its packets keeps the pace.
+        they listen on all interfaces; ``--wipe`` because saved values of an earlier run win. No
+        ``--speedup``: the replies to its packets set the pace.
         """
         ports = self.ports
         # SITL's own Vicon is a device on a serial line of its own.
@@ -108,7 +108,7 @@ class AutopilotProcess:
     """One running autopilot; a context manager that leaves no process behind."""
 
     def __init__(self, launch: LaunchSpec) -> None:
-        """Start it.
+        """Start the process.
 
         Raises:
             RunError: its folder cannot be written, or no process can be started.
@@ -136,7 +136,7 @@ class AutopilotProcess:
         self.pid = self._process.pid
 
     def fault(self) -> str | None:
-        """None while it runs or after `kill`; else what ended it, with the end of its log."""
+        """Return the cause of its end, with its log tail; None while it runs or after `kill`."""
         code = self._process.poll()
         if code is None or self._killed:
             return None
@@ -145,7 +145,7 @@ class AutopilotProcess:
         return f"{self.launch.name}: its ArduSub (pid {self.pid}) ended {ended}{last_lines}"
 
     def condition(self) -> str:
-        """What a process that still runs is doing, for the report of a hang."""
+        """Return the activity of a running process, for the report of a hang."""
         activity = {
             "R": "is busy",
             "S": "waits",
@@ -157,7 +157,7 @@ class AutopilotProcess:
         return f"{self.launch.name}: its ArduSub (pid {self.pid}) {activity}{last_lines}"
 
     def read_log_tail(self, lines: int = 5) -> list[str]:
-        """The last lines of what it printed."""
+        """Return the last lines of its output."""
         try:
             with self._log.open("rb") as log:
                 log.seek(0, os.SEEK_END)
@@ -168,14 +168,14 @@ class AutopilotProcess:
         return [line.rstrip() for line in text.splitlines() if line.strip()][-lines:]
 
     def kill(self) -> None:
-        """End it and reap it; twice does no harm.
+        """Kill the process and reap it; a second call has no effect.
 
-        An autopilot that waits for physics only takes a note of SIGTERM, so SIGKILL follows.
+        An autopilot waiting for physics only records SIGTERM, so SIGKILL follows.
         """
         kill_processes([self])
 
     def __enter__(self) -> Self:
-        """Itself."""
+        """Return the context manager itself."""
         return self
 
     def __exit__(
@@ -184,7 +184,7 @@ class AutopilotProcess:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """End the process."""
+        """Kill the process."""
         self.kill()
 
     def _format_last_lines(self) -> str:
@@ -195,8 +195,8 @@ class AutopilotProcess:
 
 
 def kill_processes(instances: list[AutopilotProcess]) -> None:
-    """End so many autopilots with one time of grace for all of them."""
-    # Popen signals only a child that it has not reaped, so a number used again is never meant.
+    """Kill autopilots with one grace period for all."""
+    # Popen signals only a child that it has not reaped, so a reused number is never hit.
     for instance in instances:
         instance._killed = instance._killed or instance._process.poll() is None
         instance._process.terminate()

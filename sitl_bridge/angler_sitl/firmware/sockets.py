@@ -1,4 +1,4 @@
-"""Sockets of a process, as the kernel lists them: which of them other machines could reach."""
+"""Sockets of a process, as the kernel lists them, and their reach from other machines."""
 
 import os
 import socket
@@ -13,13 +13,13 @@ _LISTENING = "0A"
 
 @dataclass(frozen=True, kw_only=True)
 class BoundSocket:
-    """One socket that has an address.
+    """One socket with an address.
 
     Attributes:
         protocol: "udp", "tcp" or "raw".
-        address: It is bound to; unspecified (0.0.0.0) means every interface.
+        address: Its bound address; unspecified (0.0.0.0) means every interface.
         port: Its number.
-        peer: The only one whose packets reach it, if it is connected.
+        peer: Its only accepted sender, if it is connected.
     """
 
     protocol: str
@@ -33,21 +33,21 @@ class BoundSocket:
         return self.address.is_loopback or (self.peer is not None and self.peer.is_loopback)
 
     def __str__(self) -> str:
-        """As in "udp 0.0.0.0:5501"."""
+        """Return the socket as in "udp 0.0.0.0:5501"."""
         return f"{self.protocol} {self.address}:{self.port}"
 
 
 def list_sockets(pid: int) -> list[BoundSocket]:
-    """Sockets with an address that a process of ours has; none if it has ended."""
+    """Return the sockets with an address of a process of ours; none if it has ended."""
     inodes = _list_inodes(pid)
     return [entry for inode, entry in _read_tables(pid) if inode in inodes]
 
 
 def count_receivers(pid: int, port: int) -> int:
-    """UDP sockets, of whatever process, that take what anybody sends to a port.
+    """Count the UDP sockets of all processes that receive the packets sent to a port.
 
     Args:
-        pid: A process of ours: it is the network that this one is in.
+        pid: A process of ours, in the network of interest.
         port: Its number.
     """
     receivers = [
@@ -57,7 +57,7 @@ def count_receivers(pid: int, port: int) -> int:
 
 
 def _read_tables(pid: int) -> Iterator[tuple[str, BoundSocket]]:
-    """All sockets with an address in the network of a process, by inode."""
+    """Yield all sockets with an address in the network of a process, by inode."""
     for table in _TABLES:
         try:
             lines = Path(f"/proc/{pid}/net/{table}").read_text().splitlines()[1:]
@@ -77,7 +77,7 @@ def _list_inodes(pid: int) -> set[str]:
             if target.startswith("socket:["):
                 inodes.add(target[len("socket:[") : -1])
     except OSError:
-        # It has ended, or a file was closed while we looked: what was found so far is true.
+        # The process ended, or a file was closed during the scan: the sockets so far are valid.
         pass
     return inodes
 
@@ -95,7 +95,7 @@ def _parse_row(protocol: str, local: str, remote: str, state: str) -> BoundSocke
 
 
 def _parse_address(text: str) -> tuple[IPv4Address | IPv6Address, int]:
-    """Address and port of the kernel's form: words of 32 bits in the machine's byte order."""
+    """Parse address and port of the kernel's form: 32-bit words in the machine's byte order."""
     digits, _, port = text.partition(":")
     chunks = [int(digits[i : i + 8], 16) for i in range(0, len(digits), 8)]
     packed = b"".join(socket.htonl(chunk).to_bytes(4, "big") for chunk in chunks)

@@ -1,1 +1,1 @@
-"""Whole flights of a scenario on real autopilots."""
+"""Complete missions of a scenario on real autopilots."""

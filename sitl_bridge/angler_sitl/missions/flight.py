@@ -1,4 +1,4 @@
-"""A flight from armed to done: every robot along its plan until it has ended, or the time is up."""
+"""Flight of armed robots along their plans until all have ended, or the time is up."""
 
 import time
 from collections.abc import Mapping, Sequence
@@ -16,20 +16,20 @@ from angler_sitl.session import SitlSession
 
 @dataclass(frozen=True, kw_only=True)
 class MissionFlight:
-    """How it went."""
+    """Result of a flight."""
 
     steps: int
     scene_s: float
     wall_s: float
     last: Observation
     broken: str = ""
-    """What broke it off; empty if it came to its end."""
+    """Reason of an early end; empty if the flight was completed."""
     by_signal: bool = False
-    """Whether that was a signal."""
+    """Whether a signal ended the flight."""
 
     @property
     def real_time(self) -> float:
-        """Times real time."""
+        """Speed of the flight, times real time."""
         return self.scene_s / max(self.wall_s, 1e-9)
 
 
@@ -42,18 +42,18 @@ def fly_mission(
     watchers: Sequence[Watcher] = (),
     stop: StopRequest | None = None,
 ) -> MissionFlight:
-    """Fly until every robot has ended, or so long.
+    """Fly until every robot has ended, or until the time is up.
 
-    A robot ends when it fails, when its autopilot is lost, and when it has come through: through
-    its JointTrajectory if it was given one, else when it arrives.
+    A robot ends when it fails, when its autopilot is lost, and when it has completed its
+    JointTrajectory; without a JointTrajectory, when it arrives.
 
     Args:
         session: just reset; goals were checked.
-        duration_s: of the scene, at most.
-        goals: JointTrajectories by index of the robot; the others follow their plans.
-        whole: go on to the end of that time, whoever has ended.
-        watchers: told of every step.
-        stop: whether a signal asked for the end.
+        duration_s: max time of the scene.
+        goals: JointTrajectories by robot index; the other robots follow their plans.
+        whole: fly to the end of that time, even if all robots have ended.
+        watchers: called after every step.
+        stop: request to stop, set by a signal.
     """
     start_s, steps = time.perf_counter(), 0
     observation, broken = session.observe(), ""
@@ -67,7 +67,7 @@ def fly_mission(
             break
         try:
             observation = session.step(commands)
-        except RunError as error:  # what was flown until then is not lost
+        except RunError as error:  # the flight so far is kept
             broken = str(error)
             break
         commands = {}

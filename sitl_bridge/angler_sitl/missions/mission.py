@@ -1,4 +1,4 @@
-"""A whole flight of a scenario on real autopilots: checked, booted, flown, and recorded."""
+"""Mission of a scenario on real autopilots: checked, booted, flown, and recorded."""
 
 import math
 import time
@@ -30,34 +30,34 @@ from angler_sitl.wire.ground_station import GroundStation
 from angler_sitl.wire.ports import MAX_VEHICLES
 
 type ReportText = Callable[[str], None]
-"""Told in words what is going on."""
+"""Receiver of progress messages."""
 type WatcherFactory = Callable[[SitlSession], AbstractContextManager[Watcher]]
-"""Makes what shows how everybody stands."""
+"""Factory of the display of the robots' status."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MissionSettings:
-    """What a person chooses on the command line."""
+    """Mission settings from the command line."""
 
     out: Path
-    """Run folder to make."""
+    """Run folder to create."""
     world: int = 0
     level: CommandLevel = "guided"
     source: PositionSource = "vision"
     plan: Sequence[str] = (plans.GRID,)
-    """As in `plans.load_trajectories`."""
+    """Sources of the plans, as in `plans.load_trajectories`."""
     speed: Literal["max"] | float = "max"
     on_crash: Literal["end", "hold"] = "end"
     duration_s: float | None = None
-    """Of the scene, whoever has ended; until all have or the horizon if None."""
+    """Fixed duration of the scene; if None, until all robots have ended or the horizon."""
     gcs: str | None = None
     """Ground station that may join, as in ``udp:127.0.0.1:14550``."""
     binary: Path | None = None
     parameters: Path | None = None
-    """File of the firmware's, beside our own or instead of them."""
+    """File of firmware parameters that extend or override the defaults."""
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be flown.
+        """Refuse settings that cannot be flown.
 
         Raises:
             ConfigError: naming the flag and its value.
@@ -81,21 +81,21 @@ def run_mission(
     """Fly one world of a scenario.
 
     Args:
-        scenario: whose world and robots.
-        settings: how.
-        report: told what is going on until the robots move.
-        display: shows how they stand from then on.
+        scenario: source of the world and robots.
+        settings: of the mission.
+        report: receives progress messages until the robots move.
+        display: shows the robots' status from then on.
 
     Returns:
-        How it went, and the run folder.
+        Result of the flight, and the run folder.
 
     Raises:
-        ConfigError: something given cannot be used; nothing is left.
-        RunError: the autopilots do not come up, and nothing is left; or one of them failed in
-            flight, and the run folder holds what was flown until then.
+        ConfigError: an input cannot be used; nothing is left.
+        RunError: the autopilots do not come up, and nothing is left; or an autopilot failed in
+            flight, and the run folder holds the flight until then.
     """
     count = len(scenario.members())
-    if count > MAX_VEHICLES:  # at once, and not after a minute of compiling
+    if count > MAX_VEHICLES:  # before compiling, which takes a minute
         raise ConfigError(f"{count} robots: real autopilots can be 1 to {MAX_VEHICLES}")
     goals = plans.load_trajectories(settings.plan, count)
     firmware_parameters = (
@@ -117,7 +117,7 @@ def run_mission(
         )
         opened_s = time.perf_counter() - start_s
         interrupt.check()
-        autopilots = session.autopilots  # which a crash takes away from the session
+        autopilots = session.autopilots  # a crash removes them from the session
         _report_ready(autopilots, report)
         plans.check_goals(session, goals)
         watchers: list[Watcher] = [recording]
@@ -155,7 +155,7 @@ def run_mission(
 
 
 def _list_inputs(settings: MissionSettings) -> list[tuple[str, Path]]:
-    """Files that a flight takes beside those of its scenario."""
+    """Return the input files of a flight beside those of its scenario."""
     files = [("plan", Path(name)) for name in settings.plan if name != plans.GRID]
     if settings.parameters is not None:
         files.append(("parameters", settings.parameters))
@@ -182,7 +182,7 @@ def _open_session(
 
 
 def _report_ready(autopilots: Autopilots, report: ReportText) -> None:
-    """How long it took, and which parameters the autopilots did not take."""
+    """Report the start-up time and the parameters that the autopilots did not accept."""
     ready = autopilots.ready
     report(f"ready after {ready.sim_s:.1f} s of their clock, {ready.wall_s:.1f} s of ours")
     for name, differences in autopilots.differences.items():
@@ -191,7 +191,7 @@ def _report_ready(autopilots: Autopilots, report: ReportText) -> None:
 
 
 def _check_result(flight: MissionFlight, stored_run: Run | None) -> tuple[MissionFlight, Run]:
-    """The run, unless one of the autopilots broke it off."""
+    """Return the flight and its run, or raise if an autopilot broke it off."""
     if stored_run is None:
         raise RunError(flight.broken or "not one step was flown")
     if flight.broken and not flight.by_signal:
@@ -200,7 +200,7 @@ def _check_result(flight: MissionFlight, stored_run: Run | None) -> tuple[Missio
 
 
 def _get_version(autopilots: Autopilots, chosen: running.AutopilotSettings) -> str:
-    """Return the version that the first autopilot stated, or else that of the program's record."""
+    """Return the version stated by the first autopilot, or else that of the program's record."""
     stated = autopilots.pilots[0].link.latest.get("AUTOPILOT_VERSION")
     return chosen.binary.version if stated is None else read_version(stated)[0]
 
@@ -212,7 +212,7 @@ def _summarise_run(
     flight: MissionFlight,
     goals: dict[int, JointGoal],
 ) -> dict[str, Any]:
-    """What only a run on real autopilots has."""
+    """Return the summary entries specific to a run on real autopilots."""
     names = [pilot.name for pilot in autopilots.pilots]
     return {
         "level": chosen.level,

@@ -1,4 +1,4 @@
-"""What robots fly along: the paths of the planner, or JointTrajectories from files."""
+"""Plans of the robots: paths of the planner, or JointTrajectories from files."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,16 +18,16 @@ from angler_mjx.runs.session.recording import FlownPath
 
 GRID = "grid"
 PATH_POINTS = 256
-"""Of a way that is drawn."""
+"""Number of points of a rendered path."""
 
 
 def load_trajectories(sources: Sequence[str], robots: int) -> dict[int, JointGoal]:
-    """JointTrajectories by index of the robot; none of them where the planner's paths are flown.
+    """Return JointTrajectories by robot index; empty where the planner's paths are flown.
 
     Args:
         sources: ``grid``, or files as `angler_mjx.report.interop` writes them: one with all robots,
-            or several. Robots that are in none of them follow the planner's path.
-        robots: how many there are.
+            or several. Robots in none of the files follow the planner's path.
+        robots: number of robots.
 
     Raises:
         ConfigError: a file cannot be used, or a robot is in two of them.
@@ -46,7 +46,7 @@ def load_trajectories(sources: Sequence[str], robots: int) -> dict[int, JointGoa
 
 
 def sample_path(session: Session, robot: int, goal: JointGoal) -> FlownPath:
-    """Where a trajectory takes a robot from where it is, as a path of many points."""
+    """Return the path of a trajectory from the robot's position, with many points."""
     observation = session.observe()
     p, q = (np.asarray(part)[robot] for part in (observation.estimate.p, observation.estimate.q))
     start = [*p.tolist(), float(quaternion.yaw(q))]
@@ -57,10 +57,10 @@ def sample_path(session: Session, robot: int, goal: JointGoal) -> FlownPath:
 
 
 def check_goals(session: Session, goals: dict[int, JointGoal]) -> None:
-    """Refuse trajectories that robots cannot follow from where they are.
+    """Refuse trajectories that robots cannot follow from their positions.
 
     Raises:
-        ConfigError: one message with the faults of all of them.
+        ConfigError: one message with the faults of all trajectories.
     """
     faults = []
     for robot, goal in goals.items():

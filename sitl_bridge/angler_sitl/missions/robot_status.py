@@ -1,4 +1,4 @@
-"""How each robot of a flight stands, in a row of plain facts."""
+"""Status of each robot of a flight, one row per robot."""
 
 from dataclasses import dataclass
 
@@ -11,22 +11,22 @@ from angler_sitl.steering.autopilot_commander import mode_name
 
 @dataclass(frozen=True, kw_only=True)
 class MissionStatus:
-    """Of one robot."""
+    """Status of one robot."""
 
     name: str
     mode: str
     armed: bool
     has_position: bool
-    """Whether its autopilot knows its position."""
+    """Whether its autopilot has a position estimate."""
     off_m: float
-    """From where it truly is to what it aims at."""
+    """Distance from the true position to the target."""
     clearance_m: float
     outcome: str
     remark: str
-    """What there is to say beside that; empty if nothing."""
+    """Further remarks; empty if there are none."""
 
     def format_line(self) -> str:
-        """In a line of text."""
+        """Return the status as a line of text."""
         parts = [
             f"{self.name}: {self.mode}, {'armed' if self.armed else 'disarmed'}",
             f"EKF {'good' if self.has_position else 'bad'}",
@@ -38,7 +38,7 @@ class MissionStatus:
 
 
 def collect_status(session: SitlSession, observation: Observation) -> list[MissionStatus]:
-    """How everybody stands.
+    """Return the status of all robots.
 
     Args:
         session: after a step.
@@ -50,7 +50,7 @@ def collect_status(session: SitlSession, observation: Observation) -> list[Missi
     rows = []
     for i, (pilot, status) in enumerate(zip(autopilots.pilots, observation.status, strict=True)):
         is_lost = i in autopilots.lockstep.lost
-        # The autopilot's own words stand in columns; what the orders say comes before them.
+        # The autopilot's own note is in columns; the status of the orders comes first.
         note = autopilots.note(i) if is_lost else status.note.removesuffix(pilot.note())
         refusal = f"refused: {status.refused}" if status.refused and not is_lost else ""
         rows.append(

@@ -1,4 +1,4 @@
-"""The scenario that autopilots are put into, and how fast it goes."""
+"""Scenario and speed options of the autopilots."""
 
 from pathlib import Path
 from typing import Literal
@@ -10,12 +10,12 @@ FASTEST = "max"
 
 
 def select_scenario(scenario: Scenario | str | Path, robots: int | None) -> Scenario:
-    """A scenario with so many robots.
+    """Return a scenario with a given number of robots.
 
     Args:
         scenario: itself, its name, or its file.
-        robots: how many; the first of its fleet, and more of the last kind if it has fewer. Where
-            places are given, they take the first.
+        robots: number of robots; the first of its fleet, and more of the last kind if it has fewer.
+            With explicit places, robots take the first ones.
 
     Raises:
         ConfigError: the scenario has faults, or the number is below 1.
@@ -38,7 +38,7 @@ def select_scenario(scenario: Scenario | str | Path, robots: int | None) -> Scen
 
 
 def parse_speed(speed: Literal["max"] | float) -> float | None:
-    """Times real time; None as fast as it goes.
+    """Return the speed, times real time; None for no limit.
 
     Raises:
         ConfigError: it is not a positive number.

@@ -1,1 +1,1 @@
-"""The simulator's own water and vehicles under real autopilots."""
+"""Water and vehicles of the simulator under real autopilots."""

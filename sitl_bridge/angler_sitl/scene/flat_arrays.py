@@ -1,4 +1,4 @@
-"""Trees as a few flat arrays: a compiled call takes microseconds for every array, in and out."""
+"""Trees as a few flat arrays: a compiled call takes microseconds per array, in and out."""
 
 import math
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ type Arrays = tuple[jax.Array, ...]
 
 @dataclass(frozen=True, kw_only=True)
 class FlatLayout:
-    """Where the leaves of a tree lie in one array for each type of number."""
+    """Layout of a tree's leaves in one array for each type of number."""
 
     tree: Any
     shapes: tuple[tuple[int, ...], ...]
@@ -21,7 +21,7 @@ class FlatLayout:
 
     @classmethod
     def from_tree(cls, tree: Any) -> "FlatLayout":
-        """The layout of trees like this one, with JAX's default types."""
+        """Return the layout of trees like this one, with JAX's default types."""
         leaves, structure = jax.tree.flatten(tree)
         return cls(
             tree=structure,
@@ -31,24 +31,24 @@ class FlatLayout:
 
     @property
     def array_specs(self) -> tuple[jax.ShapeDtypeStruct, ...]:
-        """What `pack` gives, for a compiler."""
+        """Shapes and types of the result of `pack`, for a compiler."""
         return tuple(
             jax.ShapeDtypeStruct((sum(math.prod(self.shapes[i]) for i in members),), dtype)
             for dtype, members in self._group_by_dtype().items()
         )
 
     def pack(self, tree: Any) -> Arrays:
-        """The arrays of a traced tree; one for each type."""
+        """Return the arrays of a traced tree, one for each type."""
         arrays: Arrays = self._concatenate_leaves(tree, jnp)
         return arrays
 
     def pack_on_device(self, tree: Any) -> Arrays:
-        """The same of a tree that is not traced; nothing is compiled."""
+        """Return the arrays of a tree that is not traced; nothing is compiled."""
         arrays: Arrays = jax.device_put(self._concatenate_leaves(tree, np))
         return arrays
 
     def unpack(self, arrays: tuple[Any, ...]) -> Any:
-        """The inverse of `pack`; its leaves are traced, or NumPy's, as the arrays are."""
+        """Invert `pack`; the leaves are traced, or NumPy's, as the arrays are."""
         leaves: list[Any] = [None] * len(self.shapes)
         for array, members in zip(arrays, self._group_by_dtype().values(), strict=True):
             offset = 0

@@ -1,11 +1,11 @@
-"""Motion of all vehicles of one world, compiled to one call with as little around it as can be.
+"""Motion of all vehicles of one world, compiled to one call with minimal overhead.
 
 The equations are those of the simulator (`angler_mjx.sim.engines.lanes.steps.physics_step`), at the
-step of the lock-step. Around them a call has three arrays: the constants of the world, the vehicles
-with what was last sent of them, and whole numbers from outside. They are whole so that they need no
-conversion, and the time is exact. float64: at 400 steps a second a float32 position 20 m from the
-origin takes steps of 1.9 um, and a constant velocity is rounded the same way at each of them, up to
-0.4 mm/s beside the velocity that the autopilot is told.
+step of the lock-step. A call has three arrays: the constants of the world, the vehicles with their
+last sensor state, and integer inputs. Integers need no conversion, and keep the time exact.
+float64: at 400 steps a second a float32 position 20 m from the origin takes steps of 1.9 um, and
+a constant velocity is rounded the same way at each step, up to 0.4 mm/s beside the velocity that
+the autopilot receives.
 """
 
 import itertools
@@ -33,25 +33,28 @@ from angler_mjx.world.currents import Current
 from angler_sitl.wire.packets import STATE_NUMBERS
 
 GRAVITY_MPS2 = 9.80665
-"""What the autopilot takes for its weight. The simulator's own is 0.03 % more; a specific force
-made with that one would not fit the velocities that it is told."""
+"""Gravity that the autopilot assumes.
+
+The simulator's own is 0.03 % more; a specific force computed with that value would not fit the
+velocities that the autopilot receives."""
 
 N_PULSES = 16
 OUTCOME_COLUMN, STEPS_COLUMN = N_PULSES, N_PULSES + 1
-"""Columns of the input behind the pulse widths: the robot's outcome, and steps since t = 0."""
+"""Input columns behind the pulse widths: the robot's outcome, and steps since t = 0."""
 N_INPUTS = N_PULSES + 2
 
 DIVERGED_COLUMN = STATE_NUMBERS
-"""Column of the output behind what is sent: whether the vehicle has diverged so far."""
+"""Output column behind the sensor state: whether the vehicle has diverged so far."""
 _VEHICLE_COLUMN = STATE_NUMBERS + 1
 """First column of the vehicle itself."""
 
 MIN_PULSE_US, MAX_PULSE_US = 900, 2100
-"""Pulse widths outside, above all the zeros while an autopilot boots, are no pulse at all."""
+"""Limits of valid pulse widths; zeros while an autopilot boots, for example, are no pulse."""
 
 SINGLE_THREAD_OPTIONS = {"xla_cpu_multi_thread_eigen": False}
-"""For the compiler of small programs: to hand a part to another thread takes longer than the part,
-and the autopilots need the other cores."""
+"""Options of the compiler of small programs.
+
+A change of thread takes longer than the work itself, and the autopilots need the other cores."""
 
 type MotionStep = Callable[[jax.Array, jax.Array, NDArray[np.int32]], jax.Array]
 """Constants, vehicles [N, _], int32 inputs [N, INPUTS] to vehicles [N, _]."""
@@ -59,51 +62,51 @@ type MotionStep = Callable[[jax.Array, jax.Array, NDArray[np.int32]], jax.Array]
 
 @dataclass(frozen=True, kw_only=True)
 class SceneMotion:
-    """The compiled step, and where things lie in its arrays."""
+    """Compiled step, with the layout of its arrays."""
 
     step: MotionStep
     vehicles: "MotionRows"
-    """Of one vehicle, behind what is said of it."""
+    """Layout of one vehicle, behind its sensor state."""
 
     def pack_constants(self, world: World) -> jax.Array:
-        """What a step has to know of a world; [1] leads there."""
+        """Return the constants of a world for the step; [1] leads there."""
         return _put_on_device(_flatten((world.control.vehicle, world.environment.current)))
 
     def to_arrays(self, vehicles: VehicleState) -> jax.Array:
-        """Vehicles [1, N] as the step takes them, with nothing said of them yet."""
+        """Return vehicles [1, N] in the form of the step, without a sensor state."""
         rows = self.vehicles.pack(vehicles)
         return _put_on_device(
             np.concatenate([np.zeros((len(rows), _VEHICLE_COLUMN)), rows], axis=1)
         )
 
     def extract_rows(self, rows: jax.Array) -> NDArray[Any]:
-        """Whether each vehicle has diverged, and the vehicle; [N, 1 + width].
+        """Return whether each vehicle has diverged, and the vehicle; [N, 1 + width].
 
-        Of JAX's default float type, in which the rest of the simulator is.
+        The type is JAX's default float type, as in the rest of the simulator.
         """
         return np.asarray(rows)[:, DIVERGED_COLUMN:].astype(jnp.result_type(float))
 
 
 @dataclass(frozen=True, kw_only=True)
 class MotionRows:
-    """Where the fields of a tree lie in a row."""
+    """Layout of a tree's fields in a row."""
 
     tree: Any
     shapes: tuple[tuple[int, ...], ...]
 
     @classmethod
     def from_tree(cls, tree: Any) -> "MotionRows":
-        """Rows of arrays [1, N, ...]."""
+        """Return the layout of rows of arrays [1, N, ...]."""
         leaves, structure = jax.tree.flatten(tree)
         return cls(tree=structure, shapes=tuple(leaf.shape[2:] for leaf in leaves))
 
     def pack(self, tree: Any) -> NDArray[np.float64]:
-        """Arrays [1, N, ...] as rows [N, width]."""
+        """Return arrays [1, N, ...] as rows [N, width]."""
         leaves = [np.asarray(leaf, np.float64)[0] for leaf in jax.tree.leaves(tree)]
         return np.concatenate([leaf.reshape(len(leaf), -1) for leaf in leaves], axis=1)
 
     def unpack_row(self, row: jax.Array) -> Any:
-        """One traced row as the tree of one vehicle."""
+        """Return one traced row as the tree of one vehicle."""
         ends = itertools.pairwise(np.cumsum([0, *map(math.prod, self.shapes)]))
         parts = [row[a:b].reshape(shape) for (a, b), shape in zip(ends, self.shapes, strict=True)]
         return jax.tree.unflatten(self.tree, parts)
@@ -149,17 +152,17 @@ def compile_motion(water: Water, dt_s: float, world: World, vehicles: VehicleSta
 
 
 def compute_inline() -> None:
-    """Have JAX run small programs in the thread that calls them; for commands, before any is run.
+    """Have JAX run small programs in the calling thread; for CLI commands, before any program runs.
 
-    Otherwise it hands each to a thread of its own and waits for it: two changes of thread that cost
-    a step more than its physics, the more so where autopilots keep all cores busy. It is a setting
-    of the whole process, hence not made by importing anything.
+    By default JAX hands each program to another thread and waits for it. The two changes of thread
+    cost a step more than its physics, especially where autopilots keep all cores busy. The setting
+    holds for the whole process, so no import makes it.
     """
     jax.config.update("jax_cpu_enable_async_dispatch", False)
 
 
 def to_thruster_pwm(pulses: jax.Array, dtype: Any) -> ThrusterPwm:
-    """Pulse widths as thrusters take them: what is no pulse is neutral.
+    """Convert pulse widths to thruster PWM; invalid pulses become neutral.
 
     Args:
         pulses: int32 [..., n_thruster] us, as an autopilot sends them.
@@ -170,10 +173,10 @@ def to_thruster_pwm(pulses: jax.Array, dtype: Any) -> ThrusterPwm:
 
 
 def _compute_sensor_state(vehicle: VehicleState, acceleration: jax.Array) -> jax.Array:
-    """What an autopilot is told of its vehicle: `STATE_NUMBERS`, in NED and FRD.
+    """Return the sensor state of a vehicle for its autopilot: `STATE_NUMBERS`, in NED and FRD.
 
     Args:
-        vehicle: one.
+        vehicle: a single vehicle.
         acceleration: [3] of its centre of mass, m/s^2, in W.
     """
     proper_acceleration = acceleration + jnp.array([0.0, 0.0, GRAVITY_MPS2], acceleration.dtype)
@@ -199,10 +202,10 @@ def _step_vehicle(
     inputs: jax.Array,
     t: jax.Array,
 ) -> jax.Array:
-    """One step of one vehicle.
+    """Advance one vehicle by one step.
 
-    The acceleration is the step's own impulse over its length: it and the gravity of the autopilot,
-    summed over the steps, give the velocities that are sent, with nothing left over.
+    The acceleration is the step's own impulse over its length: with the gravity of the autopilot,
+    summed over the steps, it gives exactly the velocities that are sent.
     """
     before: VehicleState = rows.unpack_row(row[_VEHICLE_COLUMN:])
     pwm = to_thruster_pwm(inputs[: params.B.shape[-1]], row.dtype)
@@ -218,13 +221,13 @@ def _step_vehicle(
 
 
 def _flatten(tree: Any) -> NDArray[np.float64]:
-    """Arrays [1, ...] in a row."""
+    """Return arrays [1, ...] as one flat array."""
     leaves = [np.asarray(leaf, np.float64).reshape(-1) for leaf in jax.tree.leaves(tree)]
     return np.concatenate(leaves)
 
 
 def _unflatten(like: Any, flat: jax.Array) -> Any:
-    """The inverse of `_flatten`, without the leading axis."""
+    """Invert `_flatten`, without the leading axis."""
     leaves, tree = jax.tree.flatten(like)
     out, offset = [], 0
     for leaf in leaves:

@@ -1,7 +1,7 @@
-"""What a control period came to, for every robot of one world: as the simulator itself judges it.
+"""Outcome of a control period for every robot of one world, as the simulator itself judges it.
 
-The phases of a control step (`angler_mjx.sim.step`) that follow when somebody else has moved the
-vehicles: obstacles, and the judgement of each robot.
+The phases of a control step (`angler_mjx.sim.step`) that follow the motion of the vehicles:
+obstacles, and the judgement of each robot.
 """
 
 from collections.abc import Callable
@@ -36,24 +36,25 @@ class OutcomeJudge:
     step: Callable[
         [Arrays, Arrays, NDArray[Any], NDArray[np.int32], NDArray[np.bool_]], tuple[Arrays, Arrays]
     ]
-    """Constants, state, vehicles as `SceneMotion.extract_rows` gives them, inputs of the last step,
-    who is on
-    the last approach of its plan: to state and record."""
+    """Compiled step.
+
+    Constants, state, vehicles as `SceneMotion.extract_rows` gives them, inputs of the last step,
+    and the mask of robots on their last approach, to state and record."""
     world: FlatLayout
     state: FlatLayout
     record: FlatLayout
-    """What the phases record, by field; [1] leads there."""
+    """Layout of the record of the phases, by field; [1] leads there."""
 
     def pack_constants(self, world: World) -> Arrays:
-        """What has to be known of a world; [1] leads there."""
+        """Return the constants of a world for the step; [1] leads there."""
         return self.world.pack_on_device(_remove_plans(world))
 
     def to_arrays(self, state: WorldState) -> Arrays:
-        """A state as the step takes it; [1] leads there."""
+        """Return a state in the form of the step; [1] leads there."""
         return self.state.pack_on_device(state)
 
     def from_arrays(self, state: Arrays) -> WorldState:
-        """The inverse of `begin`, as NumPy's arrays."""
+        """Invert `to_arrays`, with NumPy arrays."""
         unpacked: WorldState = self.state.unpack(tuple(map(np.asarray, state)))
         return unpacked
 
@@ -85,7 +86,7 @@ def compile_judge(
         inputs: jax.Array,
         approaching: jax.Array,
     ) -> tuple[Arrays, Arrays]:
-        # One world is not batched: that would make tracing it take half as long again.
+        # One world is not batched: batching makes tracing half as long again.
         judged, record = judge_outcomes(
             spec,
             jax.tree.map(lambda x: x[0], world_layout.unpack(world)),
@@ -109,9 +110,9 @@ def compile_judge(
 
 
 def _remove_plans(world: World) -> World:
-    """A world [1] without its plans, which have any type and length.
+    """Return a world [1] without its plans, whose types and lengths vary.
 
-    The judgement needs no more of them than who is on the last approach.
+    The judgement needs only the mask of robots on the last approach.
     """
     robots, real = world.variant.shape, world.environment.start_m.dtype
     empty: dict[str, Any] = {
@@ -131,19 +132,19 @@ def judge_outcomes(
     broken: jax.Array,
     approaching: jax.Array,
 ) -> tuple[WorldState, dict[str, Any]]:
-    """One world at the end of a control period.
+    """Judge one world at the end of a control period.
 
     Args:
         spec: settings.
         world: its constants.
         state: at the beginning of the period.
         vehicles: [N] at its end.
-        pulses: int32 [N, n_thruster] us, as the autopilots sent them last; for the energy.
-        broken: bool [N] who diverged in it.
-        approaching: bool [N] who is on the last approach of its plan.
+        pulses: int32 [N, n_thruster] us, last pulses of the autopilots; for the energy.
+        broken: bool [N] robots that diverged in the period.
+        approaching: bool [N] robots on the last approach of their plans.
 
     Returns:
-        The state at the end of it, and what the phases recorded.
+        The state at the end of the period, and the record of the phases.
     """
     before = state.vehicles
     t = state.step.astype(before.p.dtype) * spec.control_dt_s

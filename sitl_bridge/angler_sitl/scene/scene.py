@@ -1,8 +1,8 @@
-"""The simulator's own water and vehicles under real autopilots: one world of a scenario.
+"""Water and vehicles of the simulator under real autopilots: one world of a scenario.
 
-Vehicle files, parameter sets as they were drawn, rotors, current, cells and obstacles are those of
-world number `world` of a run of the scenario. What moves the vehicles is the pulse widths of the
-autopilots, 400 times a second; what came of it is judged once a control period.
+Vehicle files, sampled parameter sets, rotors, current, cells and obstacles are those of world
+number `world` of a run of the scenario. The pulse widths of the autopilots move the vehicles, 400
+times a second; the outcome is judged once a control period.
 """
 
 from dataclasses import dataclass
@@ -24,12 +24,12 @@ from angler_sitl.wire.packets import STATE_NUMBERS
 type Floats = NDArray[np.float64]
 
 DT_S = 1 / 400
-"""The rate of ArduSub's own main loop."""
+"""Period of ArduSub's own main loop."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SensorStates:
-    """All vehicles at one time, as autopilots are told; [N] leads."""
+    """Sensor states of all vehicles at one time; [N] leads."""
 
     numbers: Floats
     """[N, 16] in the order of `packets.STATE_NUMBERS`."""
@@ -66,10 +66,10 @@ class AutopilotScene:
     Attributes:
         simulator: of the scenario, one world a tile.
         worlds: the world; [1] leads.
-        state: as it was last judged; [1] leads. Memory of controllers in it is not kept up.
+        state: state at the last judgement; [1] leads. Controller memory in it is not updated.
         judged: the same as few arrays on the device.
-        record: what the last judgement recorded, by field; [1] leads. Empty before the first.
-        states: the vehicles now.
+        record: record of the last judgement, by field; [1] leads. Empty before the first.
+        states: current sensor states of the vehicles.
         dt_s: length of a step.
         period: steps in a control period.
         moored: whether the vehicles are held at their starts, at rest, with the world's time at 0
@@ -77,11 +77,11 @@ class AutopilotScene:
     """
 
     def __init__(self, scenario: Scenario, *, world: int = 0, dt_s: float = DT_S) -> None:
-        """Draw the world and compile everything that a step needs.
+        """Sample the world and compile everything that a step needs.
 
         Args:
-            scenario: what to simulate.
-            world: which of its worlds.
+            scenario: scenario to simulate.
+            world: index of the world in the scenario.
             dt_s: length of a step.
 
         Raises:
@@ -117,11 +117,11 @@ class AutopilotScene:
         self.reset()
 
     def reset(self, seed: int | None = None, worlds: World | None = None) -> None:
-        """Begin anew: everybody at its start, moored, all clocks at 0.
+        """Reset the scene: all vehicles at their starts, moored, all clocks at 0.
 
         Args:
             seed: of the world; the scenario's if left out. Nothing is compiled for another one.
-            worlds: instead of what would be drawn; [1] leads, of the same shapes.
+            worlds: replaces the sampled world; [1] leads, of the same shapes.
         """
         if worlds is None:
             self._sample_world(self._seed if seed is None else seed)
@@ -136,30 +136,30 @@ class AutopilotScene:
         self._ticks, self._steps = 0, 0
         self.state, self.moored = self._start, True
         self.record: dict[str, Any] = {}
-        # Whoever has failed is held where it is: so everybody's state at rest is known.
+        # Failed robots are held in place: so the state at rest of every robot is known.
         self._inputs[:, motion.OUTCOME_COLUMN] = Outcome.OUT_OF_BOUNDS
         at_rest = np.asarray(self._motion.step(self._motion_constants, self._rows, self._inputs))
-        # Not before the result is there: the step may read our array itself, while we go on.
+        # Wait for the result: the step may read our array itself while we go on.
         self._inputs[:, motion.OUTCOME_COLUMN] = Outcome.RUNNING
         self.states = SensorStates(numbers=at_rest[:, :STATE_NUMBERS])
 
     @property
     def state_layout(self) -> FlatLayout:
-        """Of `judged`."""
+        """Layout of `judged`."""
         return self._judge.state
 
     @property
     def time_s(self) -> float:
-        """The autopilots' clock, s; it runs while the vehicles are moored too."""
+        """Time of the autopilots' clock, s; it runs while the vehicles are moored too."""
         return self._ticks * self.dt_s
 
     @property
     def pulses(self) -> NDArray[np.int32]:
-        """[N, 16] us, of the last step: those that the account of a period goes by."""
+        """[N, 16] us, of the last step; the account of a period uses them."""
         return self._inputs[:, : motion.N_PULSES].copy()
 
     def step(self, pwm: NDArray[np.int32]) -> SensorStates:
-        """One step of all vehicles.
+        """Advance all vehicles by one step.
 
         Args:
             pwm: [N, 16] pulse widths, us; outside 900 to 2100 a thruster is off.
@@ -175,14 +175,14 @@ class AutopilotScene:
         return self.states
 
     def judge(self, approaching: NDArray[np.bool_] | None = None) -> None:
-        """Close a control period: obstacles move, contact is looked for, accounts are kept.
+        """Close a control period: move obstacles, detect contact, update accounts.
 
         Args:
-            approaching: [N] who is on the last approach of its plan; if left out, the goals alone
-                count.
+            approaching: [N] robots on the last approach of their plans; if left out, the goals
+                alone count.
 
-        A robot that failed stands still from now on, as an obstacle to the others. To be called
-        after every `period` steps, but for those in which the vehicles were moored.
+        A failed robot stands still from then on, as an obstacle to the others. Call this after
+        every `period` steps, except those in which the vehicles were moored.
         """
         rows = self._motion.extract_rows(self._rows)
         if approaching is None:

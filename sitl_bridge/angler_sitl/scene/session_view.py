@@ -1,4 +1,4 @@
-"""What a session shows of its scene: the truth, what autopilots believe, and records of both."""
+"""View of a session on its scene: the truth, the autopilots' estimates, and records of both."""
 
 from dataclasses import replace
 from functools import partial
@@ -34,26 +34,26 @@ from angler_sitl.steering.guidance import GuidanceDecision, belief_from_motion, 
 
 
 class SessionView:
-    """A scene as it was seen last.
+    """Last view of a scene.
 
     Attributes:
         view: the truth.
-        seen: the same as the robots' autopilots know it, or the truth where that is trusted.
+        seen: the autopilots' estimate of it, or the truth where that is used.
         belief: of the robots, for the controllers; [1, R] leads.
-        target_m: [R, 3] place aimed at in the last step, in W.
+        target_m: [R, 3] target position of the last step, in W.
         sample: of the state before the last step, with its command; None before the first.
     """
 
     def __init__(
         self, scene: AutopilotScene, facts: FleetFacts, tolerances: Tolerances, *, use_truth: bool
     ) -> None:
-        """Nothing is seen yet.
+        """Create the view; nothing is observed yet.
 
         Args:
-            scene: to look at.
+            scene: scene to observe.
             facts: of its robots.
             tolerances: tolerances of JointTrajectories, [R] leading.
-            use_truth: whether robots are told the truth, and not what their autopilots believe.
+            use_truth: whether robots receive the truth instead of their autopilots' estimates.
         """
         self._scene, self._facts, self._tolerances, self._uses_truth = (
             scene,
@@ -71,14 +71,14 @@ class SessionView:
     def begin(
         self, autopilots: Autopilots, command_queue: CommandQueue, command_sender: CommandSender
     ) -> None:
-        """Look for the first time: everybody aims at where it is."""
+        """Observe for the first time: every robot's target is its own position."""
         self.update(autopilots, command_queue, command_sender)
         self.target_m = np.asarray(self.estimated_view.p)
 
     def update(
         self, autopilots: Autopilots, command_queue: CommandQueue, command_sender: CommandSender
     ) -> None:
-        """Look at what is there now."""
+        """Update the view from the current state."""
         scene, watched = self._scene, None
         if JointTrajectory in command_queue.slots.kinds:
             previous_results: Any = command_queue.results
@@ -104,11 +104,11 @@ class SessionView:
         self.view, self.estimated_view = view, apply_belief(view, self.belief)
 
     def record_step(self, before: WorldState, decision: GuidanceDecision) -> None:
-        """Keep a record of a step, with the pulses that its energy was counted by.
+        """Record a step, with the pulses that its energy was counted by.
 
         Args:
-            before: the state that it began with.
-            decision: what was decided then.
+            before: state at the start of the step.
+            decision: decision of the step.
         """
         self.target_m = np.asarray(decision.target_m)[0]
         record = {
@@ -119,7 +119,7 @@ class SessionView:
         self.sample = Sample(**record, belief=None if self._uses_truth else self.belief)
 
     def make_observation(self, time_s: float, status: tuple[RobotStatus, ...]) -> Observation:
-        """As sessions show it.
+        """Return the observation of the session.
 
         Args:
             time_s: of the session.
@@ -136,7 +136,7 @@ class SessionView:
         )
 
     def _thruster_pwm(self, pulses: NDArray[np.int32]) -> Any:
-        """[1, R, n_thruster] pulse widths of [R, 16], neutral where there is no pulse."""
+        """Return [1, R, n_thruster] pulse widths of [R, 16], neutral where there is no pulse."""
         pwm = pulses[None, :, : self._facts.thrusters]
         is_pulse = (pwm >= MIN_PULSE_US) & (pwm <= MAX_PULSE_US)
         return np.where(is_pulse, pwm, NEUTRAL_US).astype(self._scene.state.vehicles.p.dtype)

@@ -1,1 +1,1 @@
-"""Episodes of a batch run that real autopilots fly again, and how far apart the two are."""
+"""Spot checks: episodes of a batch run repeated on real autopilots, and the gaps between both."""

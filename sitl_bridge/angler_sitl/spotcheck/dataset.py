@@ -1,7 +1,7 @@
-"""A spot check of a dataset: one of each of its parts, and what all of them come to.
+"""Spot check of a dataset: one of each of its parts, and the summary of all.
 
-The folder holds a spot check a part, with its report. The sum goes into the dataset itself, beside
-its manifest and into its card.
+The folder holds a spot check per part, with its report. The summary goes into the dataset itself,
+beside its manifest and into its card.
 """
 
 import datetime
@@ -33,20 +33,20 @@ def check_dataset(
     *,
     resume: bool = False,
 ) -> SpotCheck | None:
-    """Do a spot check of a dataset, and write what it found into it.
+    """Run a spot check of a dataset, and write its results into the dataset.
 
     Args:
         dataset_path: the dataset.
-        settings: what is asked for; episodes are those of all parts together.
-        out: folder to make, beside the dataset.
-        progress: told how far each part is.
-        resume: go on with an interrupted one in ``out``.
+        settings: of the spot check; the number of episodes is that of all parts together.
+        out: folder to create, beside the dataset.
+        progress: receives the progress of each part.
+        resume: resume an interrupted spot check in ``out``.
 
     Returns:
-        What was found; None after an interruption (Ctrl-C), and then the dataset is as it was.
+        The result; None after an interruption (Ctrl-C), and then the dataset is unchanged.
 
     Raises:
-        ConfigError: no dataset, one of policies alone or with fewer episodes than asked for, or as
+        ConfigError: no dataset, only policies in it, fewer episodes than requested, or as
             in `runner.run_spot_check`.
         RunError: as in `runner.run_spot_check`.
     """
@@ -88,12 +88,12 @@ def check_dataset(
 
 
 def allocate_episodes(worlds: Sequence[int], count: int, seed: int) -> list[int]:
-    """Episodes of each part: one of each while there are as many, the others by their worlds.
+    """Allocate episodes to parts: at least one of each if there are enough, the rest by worlds.
 
     Args:
-        worlds: of each part.
-        count: of all parts together.
-        seed: says which parts have one where they are too few.
+        worlds: number of worlds of each part.
+        count: number of episodes of all parts together.
+        seed: selects the parts with an episode where there are too few.
     """
     if count <= len(worlds):
         chosen = np.random.default_rng(seed).permutation(len(worlds))[:count]
@@ -105,7 +105,7 @@ def allocate_episodes(worlds: Sequence[int], count: int, seed: int) -> list[int]
 def _allocate_settings(
     parts: Sequence[PartEntry], settings: SpotcheckSettings
 ) -> list[tuple[PartEntry, SpotcheckSettings]]:
-    """Parts of which some episodes are flown, each with settings of its own."""
+    """Return the parts with episodes to fly, each with its own settings."""
     worlds = [part.worlds for part in parts]
     if settings.episodes < 1:
         raise ConfigError(f"--episodes {settings.episodes}: give 1 or more")
@@ -130,7 +130,7 @@ def _check_part(
     *,
     resume: bool,
 ) -> SpotcheckResult:
-    """The spot check of a part, or what is left of it."""
+    """Run the spot check of a part, or the rest of an interrupted one."""
     begun = resume and (out / folder.TABLE).is_file()
     if begun and folder.load_table(out)["complete"]:
         return runner.load_result(run_path, settings, out)

@@ -1,4 +1,4 @@
-"""Pictures of a spot check: all flights of a world laid over each other, and the gaps of all."""
+"""Figures of a spot check: all flights of a world in one plot, and all gaps."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -24,16 +24,16 @@ COLORS = {
     "thrusters": style.ROBOTS[0],
     "guided": style.ROBOTS[1],
 }
-"""Of each flight."""
+"""Color of each kind of flight."""
 MAX_ROBOTS = 4
-"""Robots of a world that are drawn, at most."""
+"""Max number of robots of a world that are plotted."""
 _PLANES = (((0, 1), "east, m", "north, m"), ((0, 2), "east, m", "height, m"))
 _MIN_DISTANCE_M = 1e-3
-"""Distances below this are drawn as this."""
+"""Lower limit of plotted distances."""
 
 
 def plot_world(result: SpotcheckResult, world: int, robots: int) -> Figure:
-    """All flights of a world: a column for each robot, from above, from the south, and over time.
+    """Plot all flights of a world: a column per robot, from above, from the south, and over time.
 
     Args:
         result: the spot check.
@@ -110,7 +110,7 @@ def _plot_track(
         *path[:, plane].T,
         color=COLORS[name],
         linewidth=1.3,
-        # What was recorded lies below: the others are often on it.
+        # The recorded flight lies below: the others are often on it.
         zorder=3 if name == RECORDED else 4,
     )
     if flight.rows[robot]["outcome"] != "reached":
@@ -119,7 +119,7 @@ def _plot_track(
 
 
 def _plot_rock(panel: Axes, environment: Any, world: int, plane: tuple[int, int]) -> None:
-    """Where there is rock at any height, or at any place north."""
+    """Plot the rock at any height, or at any position north."""
     occupied = np.asarray(environment["grid/occupied"][world])
     low, cell = environment["grid/origin_m"][world], float(environment["grid/cell_m"][world])
     (other,) = {0, 1, 2} - set(plane)
@@ -138,7 +138,7 @@ def _plot_rock(panel: Axes, environment: Any, world: int, plane: tuple[int, int]
 
 
 def _set_limits(panel: Axes, paths: Sequence[Any], plane: tuple[int, int]) -> None:
-    """A square that holds all flights, and a metre around."""
+    """Set square limits that hold all flights, with a margin of a metre."""
     points = np.concatenate(paths)[:, plane]
     low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
     half = 0.5 * float(np.max(high - low)) + 1.0
@@ -149,7 +149,7 @@ def _set_limits(panel: Axes, paths: Sequence[Any], plane: tuple[int, int]) -> No
 
 
 def _plot_distance(panel: Axes, flights: dict[str, SpotcheckFlight], robot: int) -> None:
-    """Distance of each flight to what was recorded, over time, until either ends."""
+    """Plot the distance of each flight to the recorded one, over time, until either ends."""
     recorded = flights[RECORDED]
     for name, flight in flights.items():
         count = min(flight.time_s.size, recorded.time_s.size)
@@ -173,7 +173,7 @@ def _plot_distance(panel: Axes, flights: dict[str, SpotcheckFlight], robot: int)
 
 
 def plot_summary(result: SpotcheckResult) -> Figure:
-    """Distances over time of each level to each reference, and all outcomes beside each other."""
+    """Plot distances over time of each level to each reference, and all outcomes side by side."""
     levels, references = result.settings.levels, result.settings.references
     count = max(result.counts)
     with style.figure_style():
@@ -218,7 +218,7 @@ def _plot_band(panel: Axes, gaps: Sequence[FlightGap], color: str, label: str) -
     apart = np.full((len(gaps), time.size), np.nan)
     for row, gap in zip(apart, gaps, strict=True):
         row[: gap.apart_m.size] = np.maximum(gap.apart_m, _MIN_DISTANCE_M)
-    # The last few robots on their way are no sample.
+    # The last few active robots are no sample.
     has_samples = np.sum(np.isfinite(apart), axis=0) >= max(1, len(gaps) // 4)
     low, middle, high = np.nanpercentile(apart[:, has_samples], [10, 50, 90], axis=0)
     panel.plot(time[has_samples], middle, color=color, linewidth=1.6, label=label)
@@ -226,7 +226,7 @@ def _plot_band(panel: Axes, gaps: Sequence[FlightGap], color: str, label: str) -
 
 
 def _plot_outcomes(panel: Axes, result: SpotcheckResult, count: int) -> None:
-    """A row for each kind of flight, a column for each robot of each world."""
+    """Plot a row for each kind of flight, a column for each robot of each world."""
     names = result.flight_names()
     table = np.full((len(names), len(result.picks) * count), np.nan)
     for i, name in enumerate(names):

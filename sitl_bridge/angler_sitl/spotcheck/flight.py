@@ -1,7 +1,7 @@
-"""One world flown once: where its robots were, what their thrusters were told, how they ended.
+"""One flight of one world: positions of its robots, thruster signals, and outcomes.
 
-The same form for what a run recorded, for what the batch simulator flies again, and for real
-autopilots. In a file it is an ``.npz``; rows of the robots are those of ``episodes.parquet``.
+The form is the same for a recorded run, for the batch simulator, and for real autopilots. In a file
+it is an ``.npz``; rows of the robots are those of ``episodes.parquet``.
 """
 
 import json
@@ -26,7 +26,7 @@ from angler_mjx.sim.state import World, WorldState
 type Floats = NDArray[np.floating[Any]]
 
 RECORDED = "recorded"
-"""Name of what the run itself recorded."""
+"""Name of the recorded flight of the run itself."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,24 +40,24 @@ class SpotcheckFlight:
     pwm_us: NDArray[np.int64]
     """[T, R, n_thruster]; 1500 in padding columns."""
     rows: tuple[dict[str, Any], ...]
-    """Of each robot, as in ``episodes.parquet``."""
+    """Row of each robot, as in ``episodes.parquet``."""
 
     @property
     def end_s(self) -> Floats:
-        """[R] when each robot's episode ended."""
+        """[R] end time of each robot's episode."""
         return np.array([results.end_time_s(row) for row in self.rows])
 
     def position_at(self, robot: int, time_s: float) -> Floats:
-        """[3] where a robot was, between two samples on a straight line."""
+        """Return the position [3] of a robot, interpolated linearly between two samples."""
         path = self.p_m[:, robot]
         return np.array([np.interp(time_s, self.time_s, path[:, axis]) for axis in range(3)])
 
 
 def load_recorded(run: Run, world: int, robots: int) -> SpotcheckFlight:
-    """What a run recorded of its first so many robots.
+    """Load the recorded flight of the first robots of a run.
 
     Raises:
-        ConfigError: it stored no trajectories, or is damaged.
+        ConfigError: the run stored no trajectories, or is damaged.
     """
     rows = run.episodes.filter(pc.field("world") == world).to_pylist()[:robots]
     stored: Any = run.trajectories
@@ -82,12 +82,12 @@ def build_flight(
     seed: int,
     sample_dt_s: float,
 ) -> SpotcheckFlight:
-    """A flight from a simulation's own pytrees.
+    """Build a flight from a simulation's own pytrees.
 
     Args:
         worlds: [1] leads.
         state: at the end; [1] leads.
-        samples: one after another; [1] leads, or [1, n] of n samples.
+        samples: in order of time; [1] leads, or [1, n] of n samples.
         world: global index.
         variants: vehicle and parameter set of each variant.
         seed: of the run.
@@ -114,11 +114,11 @@ def build_flight(
 
 
 def save_flight(path: Path, flight: SpotcheckFlight) -> None:
-    """Write a flight, whole or not at all.
+    """Write a flight atomically.
 
     Raises:
         ConfigError: its folder cannot be written.
-        RunError: the disk gave out.
+        RunError: writing to the disk failed.
     """
     with replace_file(path, flag="--out", force=True) as writing, writing.open("wb") as file:
         np.savez_compressed(

@@ -1,7 +1,7 @@
-"""The folder of a spot check: ``spotcheck.json``, ``flights/``, and the report.
+"""Folder of a spot check: ``spotcheck.json``, ``flights/``, and the report.
 
-``spotcheck.json`` holds what was asked for and what was picked; a flight is written as it ends,
-so whatever is interrupted goes on with ``--resume`` after the last whole one.
+``spotcheck.json`` holds the request and the picked worlds. Each flight is written when it ends, so
+an interrupted spot check resumes with ``--resume`` after the last complete flight.
 """
 
 import json
@@ -18,7 +18,7 @@ TABLE, FLIGHTS = "spotcheck.json", "flights"
 
 
 def create_folder(out: Path) -> None:
-    """Make the folder of a new spot check.
+    """Create the folder of a new spot check.
 
     Raises:
         ConfigError: it exists, or its parent cannot be written.
@@ -38,14 +38,14 @@ def create_folder(out: Path) -> None:
 
 
 def reopen_folder(out: Path, request: dict[str, Any]) -> dict[str, Any]:
-    """What an interrupted spot check knows.
+    """Return the table of an interrupted spot check.
 
     Args:
         out: its folder.
-        request: what is asked for now.
+        request: current request.
 
     Raises:
-        ConfigError: there is none, it is complete, or it was asked something else.
+        ConfigError: there is none, it is complete, or its request differs.
     """
     output_lock.require_name(out, flag="--resume")
     if not (out / TABLE).is_file():
@@ -58,15 +58,15 @@ def reopen_folder(out: Path, request: dict[str, Any]) -> dict[str, Any]:
 
 
 def require_same_request(out: Path, table: dict[str, Any], request: dict[str, Any]) -> None:
-    """Refuse to go on with a spot check that was asked something else.
+    """Refuse to resume a spot check with a different request.
 
     Args:
         out: its folder.
-        table: what it knows; see `load_table`.
-        request: what is asked for now.
+        table: its table; see `load_table`.
+        request: current request.
 
     Raises:
-        ConfigError: naming what differs.
+        ConfigError: naming the difference.
     """
     for key, value in request.items():
         if table["asked"].get(key) != value:
@@ -77,7 +77,7 @@ def require_same_request(out: Path, table: dict[str, Any], request: dict[str, An
 
 
 def load_table(out: Path) -> dict[str, Any]:
-    """``spotcheck.json``.
+    """Load ``spotcheck.json``.
 
     Raises:
         ConfigError: it is damaged.
@@ -94,23 +94,23 @@ def load_table(out: Path) -> dict[str, Any]:
 
 
 def save_table(out: Path, table: dict[str, Any]) -> None:
-    """Write ``spotcheck.json``, the whole file or none of it."""
+    """Write ``spotcheck.json`` atomically."""
     save_text(out / TABLE, json.dumps(table, indent=1) + "\n")
 
 
 def save_text(path: Path, text: str) -> None:
-    """Write a file of the folder whole or not at all."""
+    """Write a file of the folder atomically."""
     with replace_file(path, flag="--out", force=True) as writing:
         writing.write_text(text, encoding="utf-8")
 
 
 def flight_path(out: Path, world: int, name: str, robots: int) -> Path:
-    """Where a flight lies.
+    """Return the path of a flight.
 
     Args:
         out: the folder.
         world: global index.
-        name: of what flew.
-        robots: how many.
+        name: of the flight.
+        robots: number of robots.
     """
     return out / FLIGHTS / f"world_{world:06d}" / f"{name}_{robots}.npz"

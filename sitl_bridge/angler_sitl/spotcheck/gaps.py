@@ -1,4 +1,4 @@
-"""How far two flights of the same world are apart, robot by robot and in sum."""
+"""Gaps between two flights of the same world, per robot and in summary."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,66 +14,66 @@ from angler_sitl.spotcheck.flight import Floats, SpotcheckFlight
 
 @dataclass(frozen=True, kw_only=True)
 class FlightGap:
-    """One robot of one world: a flight against another; differences are the first minus it."""
+    """Gap of one robot between a flight and a reference; differences are flight minus reference."""
 
     world: int
     robot: int
     outcome: str
-    """Of the flight."""
+    """Outcome of the flight."""
     other_outcome: str
-    """Of the one that it is held against."""
+    """Outcome of the reference flight."""
     time_s: Floats
-    """[T] while both were on their way."""
+    """[T] while both were active."""
     apart_m: Floats
-    """[T] distance of the two at the same time."""
+    """[T] distance between both at the same time."""
     track_rms_m: float
-    """Root mean square of it."""
+    """Root mean square of that distance."""
     track_end_m: float
-    """Distance at the last time at which both were on their way."""
+    """Distance at the last time at which both were active."""
     path_rms_m: float
-    """Root mean square distance to the other's way, whenever that was there: without delays."""
+    """Root mean square distance to the path of the other flight, at any time: without delays."""
     endpoint_m: float
-    """Between the places where their episodes ended."""
+    """Distance between the end positions of their episodes."""
     arrival_s: float
     """Difference of arrival times; NaN unless both arrived."""
     clearance_m: float
-    """Difference of least clearances."""
+    """Difference of min clearances."""
     effort_us: float
-    """Root mean square signal beside neutral, while both were on their way."""
+    """Difference of efforts: root mean square signal from neutral, while both were active."""
     other_effort_us: float
 
     @property
     def agrees(self) -> bool:
-        """Whether both ended the same way."""
+        """Whether both have the same outcome."""
         return self.outcome == self.other_outcome
 
 
 @dataclass(frozen=True, kw_only=True)
 class GapSummary:
-    """All robots of all worlds of one kind of flight against another."""
+    """Summary of all robots of all worlds for one kind of flight against a reference."""
 
     robots: int
     agree: int
-    """Ended the same way."""
+    """Number with the same outcome."""
     arrivals_agree: int
-    """Both arrived, or neither."""
+    """Number with both arrived, or neither."""
     agree_low: float
     agree_high: float
-    """95 % interval of the share of ``agree``, by world: robots of one are not independent."""
+    """95 % interval of the fraction of ``agree``, by world: its robots are not independent."""
     track_rms_m: tuple[float, float]
-    """Median, and nine of ten are below; so the others."""
+    """Median and 90th percentile; as for the others."""
     path_rms_m: tuple[float, float]
     endpoint_m: tuple[float, float]
-    """Of those that ended the same way."""
+    """Of robots with the same outcome."""
     arrival_s: tuple[float, float]
-    """Median, and the least that nine of ten differ by at most, whichever is earlier."""
+    """Median and 90th percentile of the absolute difference."""
     clearance_m: tuple[float, float]
     effort_ratio: float
-    """Median of the flight's effort over the other's."""
+    """Median ratio of the flight's effort to the reference's."""
 
 
 def compute_gaps(world: int, flight: SpotcheckFlight, other: SpotcheckFlight) -> list[FlightGap]:
-    """Gaps of all robots of a world.
+    """Return the gaps of all robots of a world.
 
     Args:
         world: global index.
@@ -89,7 +89,7 @@ def _compute_gap(
     ends = float(flight.end_s[robot]), float(other.end_s[robot])
     row, other_row = flight.rows[robot], other.rows[robot]
     count = min(flight.time_s.size, other.time_s.size)
-    # The first sample is always there: everybody begins at the same place.
+    # The first sample is always valid: every robot starts at the same position.
     is_shared = flight.time_s[:count] <= max(min(ends), 0.0)
     path, other_path = flight.p_m[:count, robot][is_shared], other.p_m[:count, robot][is_shared]
     apart = np.linalg.norm(path - other_path, axis=1)
@@ -123,14 +123,14 @@ def _rms(values: Floats) -> float:
 
 
 def _compute_effort(pwm_us: NDArray[np.int64]) -> float:
-    """Of the thrusters that are there; where no pulse was sent (0) there is no effort."""
+    """Return the effort of the existing thrusters; no pulse (0) counts as no effort."""
     deviation = np.where(pwm_us == 0, 0.0, pwm_us - NEUTRAL_US)
     used = np.any(deviation != 0.0, axis=0)
     return _rms(deviation[:, used]) if used.any() else 0.0
 
 
 def _distance_to_path(points: Floats, path: Floats) -> Floats:
-    """[n] distance of points [n, 3] to a way [m, 3] of straight pieces."""
+    """Return the distance [n] of points [n, 3] to a path [m, 3] of straight segments."""
     if len(path) < 2:
         distances: Floats = np.linalg.norm(points - path[0], axis=1)
         return distances
@@ -143,7 +143,7 @@ def _distance_to_path(points: Floats, path: Floats) -> Floats:
 
 
 def summarise_gaps(gaps: Sequence[FlightGap]) -> GapSummary:
-    """What gaps come to; at least one."""
+    """Return the summary of gaps; at least one."""
     agree = sum(gap.agrees for gap in gaps)
     is_same = np.array([gap.agrees for gap in gaps])
     rates = clustered_rates(
@@ -170,7 +170,7 @@ def summarise_gaps(gaps: Sequence[FlightGap]) -> GapSummary:
 
 
 def _median_and_p90(values: Any) -> tuple[float, float]:
-    """Median and 90th percentile of those that are numbers; NaN where there are none."""
+    """Return the median and 90th percentile of the numbers among values; NaN if there are none."""
     finite = np.asarray(values, float)
     finite = finite[np.isfinite(finite)]
     if finite.size == 0:

@@ -1,6 +1,6 @@
-"""The worlds of a run made again from its scenario and seed, and held against what it recorded.
+"""Worlds of a run rebuilt from its scenario and seed, and compared with the recorded ones.
 
-Plans are not made again: whatever planned them, those that the run recorded are flown.
+Plans are not rebuilt: the recorded plans are flown, whatever planned them.
 """
 
 from collections.abc import Sequence
@@ -21,25 +21,26 @@ from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.state import World
 
 MAX_DIFFERENCE = 1e-3
-"""Greatest difference of a number of a world made again, in its own unit: m, m/s, s. Another kind
-of device rounds otherwise; a world that differs by more is another world."""
+"""Max difference of a number of a rebuilt world, in its own unit: m, m/s, s.
+
+Rounding differs between kinds of device; a larger difference means another world."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class WorldLikeness:
-    """How like a world made again is to the one recorded."""
+    """Likeness of a rebuilt world to the recorded one."""
 
     arrays: int
-    """Compared."""
+    """Number of compared arrays."""
     identical: int
-    """Of these, the same byte by byte."""
+    """Number of arrays that are the same byte by byte."""
     difference: float
-    """Greatest one of the others; 0 if there are none."""
+    """Max difference of the other arrays; 0 if there are none."""
     where: str
-    """Name of the array that holds it."""
+    """Name of the array with that difference."""
 
     def describe(self) -> str:
-        """In a few words."""
+        """Return a short description."""
         if self.identical == self.arrays:
             return f"identical, all {self.arrays} arrays byte by byte"
         return (
@@ -49,26 +50,26 @@ class WorldLikeness:
 
 
 def single_world_scenario(scenario: Scenario) -> Scenario:
-    """A scenario to be computed one world at a time on any device: the closed form, plain XLA."""
+    """Return a scenario for one world at a time on any device: the closed form, plain XLA."""
     return scenario.model_copy(update={"tile": 1, "engine": "fused", "kernels": "xla"})
 
 
 def sample_worlds(scenario: Scenario, indices: Sequence[int]) -> dict[int, World]:
-    """Worlds by their global indices; [1] leads."""
+    """Sample worlds by their global indices; [1] leads."""
     simulator = Simulator(single_world_scenario(scenario))
     return {index: simulator.worlds(index) for index in indices}
 
 
 def add_recorded_plans(run: Run, index: int, worlds: World) -> World:
-    """A world with the plans that a run recorded of it.
+    """Return a world with its recorded plans.
 
     Args:
         run: with trajectories.
         index: of the world.
-        worlds: made again; [1] leads.
+        worlds: rebuilt; [1] leads.
 
     Raises:
-        ConfigError: what the run recorded is damaged.
+        ConfigError: the recorded data are damaged.
     """
     rows = run.episodes.filter(pc.field("world") == index)
     stored: Any = run.trajectories
@@ -76,22 +77,22 @@ def add_recorded_plans(run: Run, index: int, worlds: World) -> World:
         plan = trajectory_layout.read_plan(
             stored, index, rows["planned"].to_numpy(zero_copy_only=False)
         )
-    # Where the other arrays are: a plan that lay elsewhere would have programs compiled once more.
+    # Same device as the other arrays: another device would compile the programs once more.
     sharding = getattr(worlds.variant, "sharding", None)
     path: Any = jax.tree.map(lambda leaf: jax.device_put(leaf[None], sharding), plan)
     return replace(worlds, path=path)
 
 
 def compare_world(run: Run, index: int, worlds: World) -> WorldLikeness:
-    """Hold a world against what a run recorded of it.
+    """Compare a rebuilt world with the recorded one.
 
     Args:
         run: with trajectories.
         index: of the world.
-        worlds: made again; [1] leads.
+        worlds: rebuilt; [1] leads.
 
     Raises:
-        ConfigError: what the run recorded is damaged.
+        ConfigError: the recorded data are damaged.
         RunError: it is another world.
     """
     with wrap_read_errors(run.path / TRAJECTORIES):
@@ -128,7 +129,7 @@ def _compare_arrays(run: Run, index: int, worlds: World) -> WorldLikeness:
 
 
 def _max_difference(recorded: np.ndarray, rebuilt: np.ndarray) -> float:
-    """Greatest difference; infinite where only one is finite, or where whole numbers differ."""
+    """Return the max difference; infinite if only one is finite, or if whole numbers differ."""
     if recorded.dtype.kind != "f":
         return float("inf")
     is_finite = np.isfinite(recorded)
@@ -148,15 +149,15 @@ def _make_mismatch_error(run: Run, index: int, reason: str) -> RunError:
 
 
 def select_robots(worlds: World, template: World, robots: int) -> World:
-    """A world with its first so many robots alone.
+    """Return a world reduced to its first robots.
 
-    Rocks, water, obstacles, the robots' parameters and their plans stay; the other robots are not
-    there.
+    Rocks, water, obstacles, the robots' parameters and their plans stay; the other robots are
+    removed.
 
     Args:
         worlds: [1] leads.
-        template: of a scenario with so many robots: padding of thrusters is cut to its.
-        robots: how many stay.
+        template: of a scenario with that number of robots: thruster padding is cut to its size.
+        robots: number of robots that stay.
     """
     if worlds.variant.shape[1] == robots:
         return worlds

@@ -1,4 +1,4 @@
-"""The report of a spot check: ``report.md``, ``gaps.csv`` and figures."""
+"""Report of a spot check: ``report.md``, ``gaps.csv`` and figures."""
 
 import csv
 import io
@@ -34,10 +34,10 @@ _COLUMNS = (
 
 
 def write_report(out: Path, result: SpotcheckResult) -> None:
-    """Write everything that can be said so far.
+    """Write the report of all results so far.
 
     Raises:
-        RunError: the disk gave out.
+        RunError: writing to the disk failed.
     """
     folder.save_text(out / GAPS, _format_csv(result))
     pictures = []
@@ -56,10 +56,10 @@ def write_report(out: Path, result: SpotcheckResult) -> None:
 
 
 def summarise_rows(result: SpotcheckResult) -> list[tuple[str, int, str, GapSummary]]:
-    """What all gaps come to: who flew, robots, reference.
+    """Return the summary of all gaps: flyer, robots, reference.
 
-    The batch simulator's own flights are held against what was recorded, to tell how much of the
-    gap is a matter of controllers alone.
+    The batch simulator's own flights are compared with the recorded ones, to separate the part of
+    the gap that is due to controllers alone.
     """
     return [
         (name, count, reference, gaps.summarise_gaps(listed))
@@ -70,7 +70,7 @@ def summarise_rows(result: SpotcheckResult) -> list[tuple[str, int, str, GapSumm
 
 
 def list_comparisons(result: SpotcheckResult) -> list[tuple[str, str]]:
-    """Who flew, and what that is held against."""
+    """Return the compared pairs: flyer and reference."""
     settings = result.settings
     levels: list[tuple[str, str]] = [
         (level, other) for level in settings.levels for other in settings.references
@@ -79,11 +79,11 @@ def list_comparisons(result: SpotcheckResult) -> list[tuple[str, str]]:
 
 
 def format_report(result: SpotcheckResult, pictures: Sequence[tuple[int, int, str]]) -> str:
-    """The report.
+    """Return the text of the report.
 
     Args:
         result: the spot check.
-        pictures: world, robots and file of each overlay.
+        pictures: world, robots and file of each overlay figure.
     """
     scenario, origin = result.run.scenario, result.provenance
     ended = "" if result.complete else " **Interrupted: go on with --resume.**"
@@ -128,7 +128,7 @@ _READING = (
 
 
 def format_gap_table(result: SpotcheckResult) -> str:
-    """The table of all gaps."""
+    """Return the table of all gaps."""
     head = [
         "flown by",
         "robots",
@@ -164,7 +164,7 @@ def format_gap_table(result: SpotcheckResult) -> str:
 
 
 def format_outcome_table(result: SpotcheckResult) -> str:
-    """The table of how robots ended in each kind of flight, over the worlds that were picked."""
+    """Return the table of outcomes of each kind of flight, over the picked worlds."""
     groups = [
         (
             name,
@@ -190,14 +190,14 @@ def format_outcome_table(result: SpotcheckResult) -> str:
 
 
 def _format_counts(group_rows: Sequence[Mapping[str, Any]], occurring: Sequence[str]) -> list[str]:
-    """How many of some robots have a plan, and how many ended in each way."""
+    """Return the number of robots with a plan, and the number with each outcome."""
     outcomes = [row["outcome"] for row in group_rows]
     numbers = (sum(bool(row["planned"]) for row in group_rows), *map(outcomes.count, occurring))
     return [f"{number} of {len(group_rows)}" for number in numbers]
 
 
 def _format_world(result: SpotcheckResult, world: int, count: int) -> str:
-    """How each robot of a world ended, in each flight."""
+    """Return the outcome of each robot of a world, in each flight."""
     names = [name for name in result.flight_names() if (world, name, count) in result.flights]
     body = []
     for robot in range(count):
@@ -212,7 +212,7 @@ def _format_world(result: SpotcheckResult, world: int, count: int) -> str:
 
 
 def _format_csv(result: SpotcheckResult) -> str:
-    """One row for each robot of each world, level and reference."""
+    """Return one row for each robot of each world, level and reference."""
     written = io.StringIO()
     writer = csv.writer(written, lineterminator="\n")
     writer.writerow(["level", "robots", "against", *_COLUMNS])

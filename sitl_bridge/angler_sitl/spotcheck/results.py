@@ -1,4 +1,4 @@
-"""What was asked of a spot check, and what it found so far."""
+"""Request of a spot check, and its results so far."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -14,47 +14,47 @@ from angler_sitl.spotcheck.world_flyers import ReferenceController, SpotLevel
 from angler_sitl.spotcheck.world_selection import Stratify, WorldPick
 
 type FlightKey = tuple[int, str, int]
-"""World, name of what flew, robots."""
+"""World, name of the flight, robots."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SpotcheckSettings:
-    """What is asked for."""
+    """Settings of a spot check."""
 
     episodes: int = 8
     stratify: Stratify = "outcome"
     seed: int = 0
-    """Of the draw of worlds."""
+    """Seed of the selection of worlds."""
     against: tuple[ReferenceController, ...] = ("surrogate", "cascade")
     levels: tuple[SpotLevel, ...] = ("thrusters", "guided")
     robots: tuple[int, ...] = ()
-    """Each count is flown: the first so many of each world. Empty for all robots of the run."""
+    """Robot counts to fly: the first robots of each world. Empty for all robots of the run."""
     source: PositionSource = "vision"
     speed: Literal["max"] | float = "max"
     binary: Path | None = None
 
     def to_request(self) -> dict[str, Any]:
-        """What the results depend on, as JSON has it."""
+        """Return the settings that determine the results, in JSON form."""
         chosen = {k: v for k, v in asdict(self).items() if k not in ("speed", "binary")}
         return {k: list(v) if isinstance(v, tuple) else v for k, v in chosen.items()}
 
     @property
     def references(self) -> tuple[str, ...]:
-        """What autopilots are held against."""
+        """References that autopilots are compared with."""
         return (RECORDED, *self.against)
 
 
 @dataclass(frozen=True, kw_only=True)
 class SpotcheckResult:
-    """A spot check, whole or as far as it came."""
+    """Spot check, complete or partial."""
 
     run: Run
     settings: SpotcheckSettings
     picks: tuple[WorldPick, ...]
     counts: tuple[int, ...]
-    """Robots."""
+    """Robot counts."""
     likeness: Mapping[int, str]
-    """Of each world made again to the one recorded."""
+    """Likeness of each rebuilt world to the recorded one."""
     autopilot: str
     """Version and checksum of the ArduSub."""
     provenance: Mapping[str, Any]
@@ -62,7 +62,7 @@ class SpotcheckResult:
     complete: bool = False
 
     def list_gaps(self, level: str, robots: int, reference: str) -> list[FlightGap]:
-        """Of all worlds that have both flights."""
+        """Return the gaps of all worlds that have both flights."""
         all_gaps = list[FlightGap]()
         for pick in self.picks:
             flight = self.flights.get((pick.world, level, robots))
@@ -73,7 +73,7 @@ class SpotcheckResult:
 
     @property
     def plans(self) -> str:
-        """Who made the plans, when, and knowing what: the same in every flight."""
+        """Origin of the plans, their times and their information: the same in every flight."""
         scenario = self.run.scenario
         planner, information = scenario.planner, scenario.planner.information
         parts = [f"by {planner.name} before the start"]
@@ -88,5 +88,5 @@ class SpotcheckResult:
         return ", ".join(parts)
 
     def flight_names(self) -> tuple[str, ...]:
-        """Of all flights of a world, in the order of tables and legends."""
+        """Return the names of all flights of a world, in the order of tables and legends."""
         return (*self.settings.references, *self.settings.levels)

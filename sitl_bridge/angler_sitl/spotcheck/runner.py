@@ -1,7 +1,7 @@
-"""A spot check from a run folder to a report: pick, make again, fly, compare.
+"""Spot check from a run folder to a report: pick, rebuild, fly, compare.
 
-Each flight is written as it ends. What is interrupted is reported as far as it came, and goes on
-where it stopped.
+Each flight is written when it ends. An interrupted spot check is reported as far as it is done, and
+resumes at the interruption.
 """
 
 from collections.abc import Iterable
@@ -34,22 +34,22 @@ from angler_sitl.spotcheck.world_selection import WorldPick
 
 
 class SpotcheckProgress(Protocol):
-    """Who is told how far it is."""
+    """Receiver of the progress of a spot check."""
 
     def start(self, flights: int, done: int) -> None:
-        """So many flights in all, so many done before."""
+        """Start with the total number of flights and the number done before."""
         ...
 
     def report_task(self, description: str) -> None:
-        """Something begins."""
+        """Report the start of a task."""
         ...
 
     def update_fraction(self, fraction: float) -> None:
-        """So much of the flight is done."""
+        """Report the fraction of the current flight that is done."""
         ...
 
     def finish_flight(self) -> None:
-        """A flight ended and was written."""
+        """Report a flight that ended and was written."""
         ...
 
 
@@ -61,22 +61,22 @@ def run_spot_check(
     *,
     resume: bool = False,
 ) -> SpotcheckResult:
-    """Do a spot check and write its folder.
+    """Run a spot check and write its folder.
 
     Args:
         run_path: folder of a batch run with trajectories.
-        settings: what is asked for.
-        out: folder to make.
-        progress: told how far it is.
-        resume: go on with an interrupted one in ``out``.
+        settings: of the spot check.
+        out: folder to create.
+        progress: receives the progress.
+        resume: resume an interrupted spot check in ``out``.
 
     Returns:
-        What was found; not complete after an interruption (Ctrl-C), and then as far as it came.
+        The result; partial after an interruption (Ctrl-C).
 
     Raises:
-        ConfigError: no such run, one that a policy commanded, fewer worlds than asked for, no
+        ConfigError: no such run, a run commanded by a policy, fewer worlds than requested, no
             trajectories, a vehicle without a frame, no ArduSub, or a folder that cannot be used.
-        RunError: a world cannot be made again, or an autopilot ended. What was flown stays.
+        RunError: a world cannot be rebuilt, or an autopilot ended. Finished flights stay.
     """
     result = plan_spot_check(run_path, settings)
     if resume:
@@ -110,15 +110,15 @@ def run_spot_check(
 
 
 def load_result(run_path: Path, settings: SpotcheckSettings, out: Path) -> SpotcheckResult:
-    """A spot check that was done before, whole or as far as it came.
+    """Load an earlier spot check, complete or partial.
 
     Args:
         run_path: folder of its run.
-        settings: that it was asked with.
+        settings: of its request.
         out: its folder.
 
     Raises:
-        ConfigError: there is none, it is damaged, or was asked something else.
+        ConfigError: there is none, it is damaged, or its request differs.
     """
     result = plan_spot_check(run_path, settings)
     table = folder.load_table(out)
@@ -128,12 +128,12 @@ def load_result(run_path: Path, settings: SpotcheckSettings, out: Path) -> Spotc
 
 
 def has_flown_plans(run: Run) -> bool:
-    """Whether robots of a run flew plans, as autopilots can, and were not commanded otherwise."""
+    """Return whether robots of a run flew plans, as autopilots can, and had no other commands."""
     return run.scenario.online or not (run.path / POLICY).exists()
 
 
 def plan_spot_check(run_path: Path, settings: SpotcheckSettings) -> SpotcheckResult:
-    """What is to be done, with everything refused that can be before anything is computed.
+    """Plan a spot check, and refuse faulty requests before anything is computed.
 
     Raises:
         ConfigError: as in `run_spot_check`.
@@ -172,13 +172,13 @@ def plan_spot_check(run_path: Path, settings: SpotcheckSettings) -> SpotcheckRes
 
 
 def _build_request(result: SpotcheckResult) -> dict[str, Any]:
-    """All that the results depend on; another ArduSub flies otherwise."""
+    """Return everything that the results depend on; another ArduSub flies differently."""
     request = {"run": str(result.run.path), "ardusub": result.autopilot}
     return {**request, **result.settings.to_request()}
 
 
 def _restore_picks(result: SpotcheckResult, table: dict[str, Any]) -> SpotcheckResult:
-    """With what an interrupted one knew; its worlds are those that it picked."""
+    """Restore the table of an interrupted spot check, with its picked worlds."""
     picks = tuple(WorldPick(**pick) for pick in table["picks"])
     return replace(result, picks=picks)
 
@@ -194,7 +194,7 @@ def _build_table(result: SpotcheckResult) -> dict[str, Any]:
 
 
 def _list_flights(result: SpotcheckResult) -> list[FlightKey]:
-    """All flights, those of the batch simulator first."""
+    """Return all flights, those of the batch simulator first."""
     names = (*result.settings.against, *result.settings.levels)
     return [
         (pick.world, name, count)
@@ -218,7 +218,7 @@ def _fly_all(
     out: Path,
     progress: SpotcheckProgress,
 ) -> None:
-    """Fly; whoever flies is made once for all worlds with so many robots."""
+    """Fly all flights; a flyer is built once for all worlds with the same number of robots."""
     for count in result.counts:
         selected = _select_robots(result, worlds, count, progress)
         for name in (*result.settings.against, *result.settings.levels):
@@ -232,7 +232,7 @@ def _fly_all(
 def _select_robots(
     result: SpotcheckResult, worlds: dict[int, World], count: int, progress: SpotcheckProgress
 ) -> dict[int, World]:
-    """The worlds with so many robots."""
+    """Return the worlds reduced to a number of robots."""
     scenario = result.run.scenario
     if count == len(scenario.members()):
         return worlds
@@ -247,7 +247,7 @@ def _select_robots(
 
 
 def _make_flyer(result: SpotcheckResult, name: str, count: int) -> SpotcheckFlyer:
-    """Whoever flies under this name."""
+    """Return the flyer of this name."""
     settings, scenario = result.settings, world_flyers.select_fleet(result.run.scenario, count)
     for against in settings.against:
         if name == against:
@@ -272,7 +272,7 @@ def _fly_worlds(
 
 
 def _load_flights(result: SpotcheckResult, out: Path) -> dict[FlightKey, flight.SpotcheckFlight]:
-    """All flights that are there, the recorded ones among them."""
+    """Load all existing flights, including the recorded ones."""
     flights: dict[FlightKey, flight.SpotcheckFlight] = {}
     for pick in result.picks:
         for count in result.counts:

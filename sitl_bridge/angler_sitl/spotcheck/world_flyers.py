@@ -1,4 +1,4 @@
-"""Flying a world of a run again: in the batch simulator, or by real autopilots."""
+"""Flyers that repeat a world of a run: in the batch simulator, or with real autopilots."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -25,20 +25,20 @@ from angler_sitl.spotcheck.rebuilt_worlds import single_world_scenario
 type SpotLevel = Literal["guided", "thrusters"]
 """Levels that can follow plans."""
 type ReferenceController = Literal["surrogate", "cascade"]
-"""Controllers of the batch simulator that autopilots are held against."""
+"""Controllers of the batch simulator that autopilots are compared with."""
 
 CONTROLLER_STACKS: dict[ReferenceController, str] = {"surrogate": "ardusub", "cascade": "cascade"}
-"""Their stacks."""
+"""Controller stack of each."""
 
 type FlightProgress = Callable[[float], None]
-"""Told the share of the horizon that was flown."""
+"""Receiver of the flown fraction of the horizon."""
 
 
 class SpotcheckFlyer(Protocol):
-    """Flies worlds."""
+    """Flyer of worlds."""
 
     def __enter__(self) -> Self:
-        """Itself."""
+        """Return the context manager itself."""
         ...
 
     def __exit__(
@@ -47,7 +47,7 @@ class SpotcheckFlyer(Protocol):
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Whatever it holds is let go."""
+        """Release all resources."""
         ...
 
     def fly(self, index: int, worlds: World, progress: FlightProgress) -> SpotcheckFlight:
@@ -56,26 +56,26 @@ class SpotcheckFlyer(Protocol):
         Args:
             index: its global index.
             worlds: itself; [1] leads.
-            progress: told how far it is.
+            progress: receives the progress.
         """
         ...
 
 
 class BatchFlyer:
-    """The batch simulator with a controller of its own choice."""
+    """Batch simulator with a selected controller."""
 
     def __init__(self, scenario: Scenario, against: ReferenceController) -> None:
-        """Put the simulation together.
+        """Build the simulation.
 
         Args:
             scenario: of the run, with the robots that fly.
-            against: whose controllers.
+            against: reference controller.
         """
         update = {"controller": ControllerConfig(name=CONTROLLER_STACKS[against])}
         self._simulator = Simulator(single_world_scenario(scenario).model_copy(update=update))
 
     def __enter__(self) -> Self:
-        """Itself."""
+        """Return the context manager itself."""
         return self
 
     def __exit__(
@@ -84,10 +84,10 @@ class BatchFlyer:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Nothing is held."""
+        """Release nothing: no resources are held."""
 
     def fly(self, index: int, worlds: World, progress: FlightProgress) -> SpotcheckFlight:
-        """See `SpotcheckFlyer.fly`."""
+        """Fly a world as `SpotcheckFlyer.fly`."""
         simulator = self._simulator
         sample_dt_s = simulator.steps_per_sample * simulator.spec.control_dt_s
         state, samples = simulator.reset(worlds), list[Sample]()
@@ -96,7 +96,7 @@ class BatchFlyer:
             samples.append(jax.tree.map(np.asarray, sample))
             progress((number + 1) / simulator.segments)
             sampled_s = ((number + 1) * simulator.samples - 1) * sample_dt_s
-            # A sample after the last robot's end: it says where that was.
+            # A sample after the last robot's end holds its end position.
             if int(running[0]) == 0 and sampled_s >= float(np.max(state.tally.end_time_s)):
                 break
         return flight.build_flight(
@@ -111,10 +111,10 @@ class BatchFlyer:
 
 
 class SitlFlyer:
-    """Real autopilots at one level, brought up anew for each world.
+    """Real autopilots at one level, started anew for each world.
 
-    Where the scenario looks after its plans, its policy does so here too: from what the autopilots
-    believe, with the keys of the world, and as late as in the batch simulator.
+    Where the scenario updates its plans, its policy does so here too: from the autopilots'
+    estimates, with the keys of the world, and with the delay of the batch simulator.
     """
 
     def __init__(
@@ -133,7 +133,7 @@ class SitlFlyer:
         self._policy: online_policy.OnlineFlyer | None = None
 
     def __enter__(self) -> Self:
-        """Itself."""
+        """Return the context manager itself."""
         return self
 
     def __exit__(
@@ -142,11 +142,11 @@ class SitlFlyer:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """No autopilot is left running."""
+        """Close the session: no autopilot is left running."""
         self._session.close()
 
     def fly(self, index: int, worlds: World, progress: FlightProgress) -> SpotcheckFlight:
-        """See `SpotcheckFlyer.fly`."""
+        """Fly a world as `SpotcheckFlyer.fly`."""
         session, timing = self._session, self._scenario.time
         observed = session.reset(worlds=worlds)
         policy = self._prepare_policy()
@@ -157,7 +157,7 @@ class SitlFlyer:
             if step % timing.steps_per_sample == 0:
                 samples.append(jax.tree.map(np.asarray, session.inside().sample))
                 progress((step + 1) / timing.control_steps)
-                if all_ended:  # this sample says where the last robot was when it ended
+                if all_ended:  # this sample holds the end position of the last robot
                     break
         internals = session.inside()
         return flight.build_flight(
@@ -171,7 +171,7 @@ class SitlFlyer:
         )
 
     def _prepare_policy(self) -> online_policy.OnlineFlyer | None:
-        """What looks after the plans of the world that was just reset; compiled once for all."""
+        """Return the policy that updates the plans of the current world; compiled once for all."""
         if not self._scenario.online:
             return None
         if self._policy is None:
@@ -182,10 +182,10 @@ class SitlFlyer:
 
 
 def select_fleet(scenario: Scenario, robots: int) -> Scenario:
-    """The scenario of a run with its first so many robots.
+    """Return the scenario of a run reduced to its first robots.
 
     Raises:
-        ConfigError: it has fewer.
+        ConfigError: the scenario has fewer robots.
     """
     fleet = len(scenario.members())
     if not 1 <= robots <= fleet:

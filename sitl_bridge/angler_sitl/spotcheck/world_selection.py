@@ -1,8 +1,8 @@
-"""Which worlds of a run are flown again: drawn by a seed, and rare outcomes are there.
+"""Selection of the worlds of a run to repeat: sampled by a seed, with rare outcomes included.
 
-Stratified: the outcome that the fewest worlds hold has the first turn, then the next, and so on
-around until there are enough. Whose turn it is draws one of the worlds left in which some robot
-ended that way. So with as many worlds as outcomes each of them occurs, and common ones fill up.
+Stratified: the outcome held by the fewest worlds has the first turn, then the next, and so on
+around until there are enough. In each turn one of the worlds left with that outcome of some robot
+is sampled. So with as many worlds as outcomes each outcome occurs, and common ones fill up.
 """
 
 from dataclasses import dataclass
@@ -18,30 +18,30 @@ type Stratify = Literal["outcome", "none"]
 
 @dataclass(frozen=True, kw_only=True)
 class WorldPick:
-    """One world that was picked."""
+    """One picked world."""
 
     world: int
     """Global index."""
     why: str
-    """The outcome that it stands for; ``any`` where nothing was asked for."""
+    """The outcome that it represents; ``any`` without stratification."""
 
 
 def pick_worlds(
     episodes: pa.Table, count: int, *, seed: int = 0, stratify: Stratify = "outcome"
 ) -> tuple[WorldPick, ...]:
-    """Draw worlds of a run.
+    """Sample worlds of a run.
 
     Args:
         episodes: rows of `angler_mjx.runs.storage.episode_columns.EPISODE_SCHEMA`.
-        count: how many worlds.
-        seed: of the draw.
-        stratify: whether rare outcomes are drawn on purpose.
+        count: number of worlds.
+        seed: of the sampling.
+        stratify: whether rare outcomes are sampled on purpose.
 
     Returns:
         Different worlds, in the order of their indices.
 
     Raises:
-        ConfigError: there are fewer, or the number is below 1.
+        ConfigError: the run has fewer worlds, or the number is below 1.
     """
     worlds = np.unique(episodes["world"].to_numpy())
     if count < 1:
@@ -69,7 +69,7 @@ def pick_worlds(
 
 
 def _worlds_by_outcome(episodes: pa.Table) -> dict[str, set[int]]:
-    """Worlds in which some robot ended in each way."""
+    """Return the worlds with each outcome of some robot."""
     worlds_by_outcome: dict[str, set[int]] = {}
     rows = zip(episodes["world"].to_pylist(), episodes["outcome"].to_pylist(), strict=True)
     for world, outcome in rows:

@@ -1,1 +1,1 @@
-"""Our part of the control of real autopilots."""
+"""Control of real autopilots by our own controllers."""

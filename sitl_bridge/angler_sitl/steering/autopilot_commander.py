@@ -1,4 +1,4 @@
-"""One autopilot as the session sees it: what it believes, how it stands, and what it is fed."""
+"""One autopilot as the session sees it: its estimates, its status, and its inputs."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -36,22 +36,23 @@ STREAM_RATES_HZ = {
     dialect.MAVLINK_MSG_ID_HEARTBEAT: 5.0,
     dialect.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
 }
-"""What is asked for, and how often: pose and velocity more than once in a control period, so that
-they are at most 20 ms old."""
+"""Requested messages and their rates.
+
+Pose and velocity come more than once per control period, so they are at most 20 ms old."""
 
 _N_OUTPUTS = 8
-"""Thrusters of the largest frame."""
+"""Number of thrusters of the largest frame."""
 
 _POSE_MESSAGES = ("LOCAL_POSITION_NED", "ATTITUDE_QUATERNION")
 _POSE_MESSAGE_SET = set(_POSE_MESSAGES)
 
 _MAX_POSE_AGE_S = 0.5
-"""A pose older than this is not carried on: something is wrong, and the note says what."""
+"""Max age of a pose to extrapolate; beyond it a fault is likely, and the note reports it."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class EstimatedMotion:
-    """How robots move; [R] leads."""
+    """Motion estimates of robots; [R] leads."""
 
     p: Floats
     """[R, 3] m in W."""
@@ -74,7 +75,7 @@ class NavigationFix:
 
 
 class AutopilotCommander:
-    """An autopilot behind its two links.
+    """Autopilot behind its two links.
 
     Attributes:
         link: commands and telemetry.
@@ -82,18 +83,18 @@ class AutopilotCommander:
     """
 
     def __init__(self, name: str, sysid: int, ports: Ports, tap: PacketTap | None = None) -> None:
-        """Take over its sockets; nothing is sent before it speaks."""
+        """Take over the sockets; nothing is sent before the autopilot's first message."""
         self.name, self.sysid = name, sysid
         self.link = MavlinkLink(ports.mavlink, name=name, sysid=sysid, tap=tap)
         self.vision = MavlinkLink(ports.vision, name=name, sysid=sysid)
 
     def tick(self, time_s: float) -> None:
-        """Once in a control period, by the scene's clock: take what came, send heartbeats."""
+        """Process one control period of the scene's clock: receive messages, send heartbeats."""
         self.link.tick(time_s)
         self.vision.tick(time_s)
 
     def send_fix(self, time_s: float, fix: NavigationFix) -> None:
-        """Tell it where it is, if it listens already."""
+        """Send a position fix, if the autopilot listens already."""
         if self.vision.has_peer:
             self.vision.send(
                 messages.vision_position(
@@ -103,30 +104,30 @@ class AutopilotCommander:
             self.vision.send(messages.vision_speed(time_s, fix.velocity_mps, fix.velocity_std_mps))
 
     def send_neutral(self) -> None:
-        """Let all of its outputs that are passed through stand still."""
+        """Set all passed-through outputs to neutral."""
         self.link.send(messages.build_override(self.sysid, np.full(_N_OUTPUTS, NEUTRAL_US)))
 
     @property
     def armed(self) -> bool:
-        """Whether its motors may turn, by its own heartbeat; an answer to a command may lie."""
+        """Whether the motors may turn, by the heartbeat; a command acknowledgement may be wrong."""
         beat = self.link.latest.get("HEARTBEAT")
         return beat is not None and bool(beat.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
 
     @property
     def mode(self) -> int | None:
-        """The firmware's number of its mode."""
+        """Firmware number of the current mode."""
         beat = self.link.latest.get("HEARTBEAT")
         return None if beat is None else int(beat.custom_mode)
 
     @property
     def flags(self) -> int | None:
-        """Flags of its filter, EKF_STATUS_FLAGS."""
+        """Flags of the filter, EKF_STATUS_FLAGS."""
         report = self.link.latest.get("EKF_STATUS_REPORT")
         return None if report is None else int(report.flags)
 
     @property
     def has_position(self) -> bool:
-        """Whether its filter knows its position."""
+        """Whether the filter has a position estimate."""
         flags = self.flags
         if flags is None or not self.link.latest.keys() >= _POSE_MESSAGE_SET:
             return False
@@ -138,14 +139,14 @@ class AutopilotCommander:
 
     @property
     def battery_v(self) -> float | None:
-        """Voltage of its battery; None where it does not say."""
+        """Battery voltage; None where none is reported."""
         status = self.link.latest.get("SYS_STATUS")
         if status is None or status.voltage_battery in (0, 0xFFFF):
             return None
         return float(status.voltage_battery) / 1000.0
 
     def note(self) -> str:
-        """How it stands, in a few words."""
+        """Return a short note on the autopilot's status."""
         battery = self.battery_v
         parts = [
             mode_name(self.mode),
@@ -155,17 +156,17 @@ class AutopilotCommander:
         return ", ".join([*parts, *([] if battery is None else [f"{battery:.1f} V"])])
 
     def estimate_state(self, time_s: float) -> list[float]:
-        """What it believes of its own motion, carried on to now.
+        """Return the autopilot's estimate of its own motion, extrapolated to the current time.
 
         Args:
-            time_s: of its clock, now.
+            time_s: current time of its clock.
 
         Returns:
             Position [3] m and velocity [3] m/s in NED, attitude [4] FRD to NED, rates [3] rad/s in
             FRD.
 
         Raises:
-            RunError: it has not told yet; see `located`.
+            RunError: there is no estimate yet; see `located`.
         """
         if not self.link.latest.keys() >= _POSE_MESSAGE_SET:
             raise RunError(f"{self.name}: its autopilot has not told its motion yet")
@@ -183,14 +184,14 @@ class AutopilotCommander:
 
 
 def collect_motion(pilots: Sequence[AutopilotCommander], time_s: float) -> EstimatedMotion:
-    """What autopilots believe of their own motion, carried on to now.
+    """Return the autopilots' estimates of their own motion, extrapolated to the current time.
 
     Args:
-        pilots: R of them.
-        time_s: of their clock, now.
+        pilots: R commanders.
+        time_s: current time of their clock.
 
     Raises:
-        RunError: one of them has not told yet.
+        RunError: an autopilot has no estimate yet.
     """
     states = np.array([pilot.estimate_state(time_s) for pilot in pilots])
     p, v, q, omega = np.split(states, (3, 6, 10), axis=1)
@@ -202,12 +203,12 @@ def collect_motion(pilots: Sequence[AutopilotCommander], time_s: float) -> Estim
 
 
 def mode_name(number: int | None) -> str:
-    """Name of a mode."""
+    """Return the name of a mode."""
     return "no mode" if number is None else MODE_NAMES.get(number, f"mode {number}")
 
 
 def _rotate_to_body(q: Floats, v: Floats) -> Floats:
-    """Vectors of W in F; [R] leads."""
+    """Rotate vectors from W to F; [R] leads."""
     w, axis = q[:, :1], -q[:, 1:]
     twice_cross: Any = 2.0 * np.cross(axis, v)
     rotated: Floats = v + w * twice_cross + np.cross(axis, twice_cross)

@@ -1,4 +1,4 @@
-"""From what robots are told to what their autopilots are sent, once in a control period."""
+"""Conversion of robot commands to autopilot messages, once in a control period."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -19,14 +19,14 @@ from angler_sitl.wire.link import MavlinkMessage
 
 
 class CommandSender:
-    """Our own controllers of all robots, and their voice.
+    """Our own controllers of all robots, and the sender of their output.
 
     Attributes:
         memory: of the controllers, [1, R] leading.
     """
 
     def __init__(self, level: CommandLevel, spec: SimSpec) -> None:
-        """Nothing is compiled yet.
+        """Create the sender; nothing is compiled yet.
 
         Args:
             level: where commands enter.
@@ -35,12 +35,12 @@ class CommandSender:
         self._level, self._guidance = level, Guidance(spec)
 
     def reset(self, scene: AutopilotScene, command: MixedCommand) -> None:
-        """Begin anew, with the vehicles at their starts.
+        """Reset the controllers, with the vehicles at their starts.
 
         Args:
-            scene: that they are in.
-            command: anything that robots could be told; a decision is made once for nobody, so that
-                none that counts waits for a compiler.
+            scene: scene of the vehicles.
+            command: any valid command; one decision is made and discarded, so that no later
+                decision waits for a compiler.
         """
         vehicles = scene.state.vehicles
         self.memory = self._guidance.initialise_memory(scene.worlds, vehicles)
@@ -56,14 +56,14 @@ class CommandSender:
         estimate: Belief,
         command: MixedCommand,
     ) -> GuidanceDecision:
-        """One control step: decide, and send.
+        """Run one control step: decide, and send.
 
         Args:
             scene: for its constants and its clock.
-            pilots: whom to send to.
-            robots: whom they steer.
-            estimate: what these believe of their motion, [1, R] leading.
-            command: what they are told.
+            pilots: receivers of the output.
+            robots: the robots that they steer.
+            estimate: estimates of the robots' motion, [1, R] leading.
+            command: commands of the robots.
         """
         decision = self._guidance.decide(scene.worlds, scene.state, self.memory, estimate, command)
         self.memory = decision.memory

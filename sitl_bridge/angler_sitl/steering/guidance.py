@@ -1,4 +1,4 @@
-"""Our part of the control of real autopilots: one compiled step of the stack of a level."""
+"""Guidance above real autopilots: one compiled step of the controller stack of a level."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -23,24 +23,24 @@ from angler_sitl.steering.autopilot_commander import EstimatedMotion
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class GuidanceDecision:
-    """What came of one control step; [1, R] leads."""
+    """Result of one control step; [1, R] leads."""
 
     memory: ControlMemory
     target_m: jax.Array
-    """[1, R, 3] position aimed at, in W."""
+    """[1, R, 3] target position, in W."""
     output: Any
-    """A command of the type that the stack's last stage gives."""
+    """Command of the output type of the stack's last stage."""
     approaching: jax.Array
-    """bool [1, R] who is on the last approach of its plan, or has none."""
+    """bool [1, R] whether a robot is on the last approach of its plan, or has none."""
     current_mps: jax.Array
     """[1, R, 3] water velocity at the robots, in W."""
 
 
 class Guidance:
-    """The stack of a level for all robots of a world, compiled once."""
+    """Controller stack of a level for all robots of a world, compiled once."""
 
     def __init__(self, spec: SimSpec) -> None:
-        """Nothing is compiled yet.
+        """Create the guidance; nothing is compiled yet.
 
         Args:
             spec: of the level, see `angler_sitl.steering.levels.build_level_spec`.
@@ -51,7 +51,7 @@ class Guidance:
         self._decide = jax.jit(partial(_run_controllers, spec))
 
     def initialise_memory(self, worlds: World, vehicles: VehicleState) -> ControlMemory:
-        """Memory of all robots at their starts, [1, R] leading."""
+        """Return the memory of all robots at their starts, [1, R] leading."""
         memory: ControlMemory = self._begin(worlds, vehicles)
         return memory
 
@@ -63,17 +63,17 @@ class Guidance:
         estimate: Belief,
         command: MixedCommand,
     ) -> GuidanceDecision:
-        """One control step.
+        """Run one control step.
 
         Args:
             worlds: [1] leads.
             state: the truth, for the current alone.
             memory: of the stacks.
-            estimate: what the robots believe of their motion, [1, R] leading.
-            command: what they are told.
+            estimate: estimates of the robots' motion, [1, R] leading.
+            command: commands of the robots.
         """
         if not self._sends_pwm:
-            # There is a slot for signals, the last, which this level takes from nobody.
+            # The last slot is for signals, which this level accepts from no robot.
             command = MixedCommand(
                 which=command.which, fresh=command.fresh, commands=command.commands[:-1]
             )
@@ -135,9 +135,9 @@ def _run_controllers(
 
 
 def belief_from_motion(motion: EstimatedMotion, like: Any) -> Belief:
-    """What autopilots believe, as controllers take it.
+    """Convert the autopilots' estimates to the form of the controllers.
 
-    They do not say how sure they are: the spreads are NaN. Nor do they know of a current: still
+    Autopilots report no uncertainty: the spreads are NaN. They do not estimate a current: still
     water, as from every filter here.
 
     Args:
@@ -158,7 +158,7 @@ def belief_from_motion(motion: EstimatedMotion, like: Any) -> Belief:
 
 
 def belief_from_truth(vehicles: VehicleState) -> Belief:
-    """The truth in the same form, [1, R] leading; of a current nothing is told either."""
+    """Return the truth in the same form, [1, R] leading; without a current either."""
     fields: dict[str, Any] = {
         name: np.asarray(getattr(vehicles, name)) for name in ("p", "q", "nu")
     }

@@ -1,4 +1,4 @@
-"""Where commands enter a real autopilot: at its thrusters, its position targets, or its sticks.
+"""Entry levels of commands to a real autopilot: its thrusters, position targets, or sticks.
 
 A level is a short stack of our own controllers (`angler_mjx.robot.control.stack`) above those of
 the autopilot: the output of the last stage is sent. Everything is in W and F here;
@@ -8,10 +8,10 @@ the autopilot: the output of the last stage is sent. Everything is in W and F he
 |---|---|---|
 | thrusters | the scenario's controllers, whole | signals, passed through to the outputs |
 | guided | guidance along paths | position with velocity and heading, GUIDED |
-| poshold, althold, manual | none | sticks; a twist is a share of the vehicle's top speeds |
+| poshold, althold, manual | none | sticks; a twist is a fraction of the vehicle's top speeds |
 
 A twist at the level ``guided`` moves the target on evenly, and the target waits for a robot that
-is behind. The firmware has targets of velocity alone too; a vehicle had half of one after 5 s.
+is behind. The firmware has pure velocity targets too; a vehicle reached half of one after 5 s.
 """
 
 from dataclasses import dataclass, replace
@@ -40,12 +40,12 @@ LEVEL_MODES: dict[CommandLevel, int] = {
     "althold": 2,
     "manual": 19,
 }
-"""The firmware's number of the mode that each level needs."""
+"""Firmware number of the mode of each level."""
 
 STICK_LEVELS: tuple[CommandLevel, ...] = ("poshold", "althold", "manual")
 
 LEASH_M, LEASH_RAD = 0.5, 0.5
-"""How far the target of a twist may be ahead of a robot that does not keep up."""
+"""Max lead of a twist's target over a robot that does not keep up."""
 
 
 @jax.tree_util.register_dataclass
@@ -54,15 +54,15 @@ class GuidedCarry:
     """Memory of the level ``guided``."""
 
     position_m: jax.Array
-    """[3] target of the step before, in W."""
+    """[3] target of the previous step, in W."""
     yaw_rad: jax.Array
-    """[] its heading."""
+    """[] heading of the target."""
     steered: jax.Array
-    """bool [] a twist moved it."""
+    """bool [] whether a twist moved the target."""
 
 
 def build_level_spec(level: CommandLevel, spec: SimSpec) -> SimSpec:
-    """Settings of the simulation with the controllers of a level.
+    """Return the settings of the simulation with the controllers of a level.
 
     Args:
         level: where commands enter.
@@ -83,11 +83,11 @@ def build_level_spec(level: CommandLevel, spec: SimSpec) -> SimSpec:
 def accepted_command_types(
     level: CommandLevel, scenario_types: tuple[type, ...]
 ) -> tuple[type, ...]:
-    """Types of commands that robots take at a level.
+    """Return the command types that robots accept at a level.
 
     Args:
-        level: where they enter.
-        scenario_types: what the scenario's own controllers take.
+        level: where commands enter.
+        scenario_types: command types of the scenario's own controllers.
     """
     if level == "thrusters":
         return scenario_types
@@ -107,7 +107,7 @@ def _step_guided(
     inputs: StageInput,
     command: PoseTarget | TrackingTarget | BodyTwist,
 ) -> tuple[GuidedCarry, TrackingTarget]:
-    """The target of one control step."""
+    """Return the target of one control step."""
     if isinstance(command, BodyTwist):
         target = _advance_target(carry, inputs.estimate, command, inputs.dt)
     else:
@@ -123,7 +123,7 @@ def _step_guided(
 def _advance_target(
     carry: GuidedCarry, estimate: Estimate, command: BodyTwist, dt: float
 ) -> TrackingTarget:
-    """The target moved on by a twist, from where the robot is if another command stood before."""
+    """Advance the target by a twist, starting at the robot after any other command."""
     yaw = quaternion.yaw(estimate.q)
     velocity = quaternion.rotate(quaternion.from_yaw(yaw), command.nu[:3])
     lead = jnp.where(carry.steered, carry.position_m - estimate.p, 0.0)
@@ -145,7 +145,7 @@ def _advance_target(
 def _step_sticks(
     _: NoGains, carry: tuple[()], __: StageInput, command: PoseTarget | BodyTwist
 ) -> tuple[tuple[()], BodyTwist]:
-    """Sticks held as a twist; let go where a robot is to stay."""
+    """Return the sticks as a twist; centred where a robot is to stay."""
     if isinstance(command, BodyTwist):
         return carry, command
     still = jnp.zeros_like(command.position_m)
@@ -169,7 +169,7 @@ _STICKS = Stage(
 
 
 def adapt_facts(level: CommandLevel, facts: FleetFacts) -> FleetFacts:
-    """What is known of a scene's robots, with the commands that they take at a level."""
+    """Return the facts of a scene's robots, with the command types of a level."""
     robots = tuple(
         replace(robot, accepts=accepted_command_types(level, robot.accepts))
         for robot in facts.robots

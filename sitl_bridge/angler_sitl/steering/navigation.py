@@ -1,8 +1,8 @@
-"""External navigation: what an autopilot is told of its own motion from outside.
+"""External navigation: motion estimates that an autopilot receives from outside.
 
-By default the truth; where a scenario's fleet has instruments and filters of its own
-(`angler_mjx.robot.sensing`), what those make of it, with its spread. SITL adds its own noise to
-gyroscopes and accelerometers in either case, but none to this.
+By default they are the truth; where a scenario's fleet has instruments and filters of its own
+(`angler_mjx.robot.sensing`), they are the filters' estimates, with their spread. SITL adds its own
+noise to gyroscopes and accelerometers in either case, but none to external navigation.
 """
 
 from functools import partial
@@ -27,7 +27,7 @@ class Navigation:
     """Navigation systems of all robots of a scene."""
 
     def __init__(self, scene: AutopilotScene, spec: SimSpec) -> None:
-        """Nothing is compiled where robots are told the truth."""
+        """Create the systems; nothing is compiled where robots receive the truth."""
         self._scene, self._spec = scene, spec
         self._sense = jax.jit(partial(_step_sensing, spec))
         self._begin = jax.jit(partial(_reset_sensing, spec))
@@ -41,7 +41,7 @@ class Navigation:
         )
 
     def build_fixes(self) -> list[NavigationFix]:
-        """What each robot is told now; once in a control period."""
+        """Return the current navigation fix of each robot; once in a control period."""
         if not self._spec.instrumented:
             states = self._scene.states
             zeros = np.zeros_like(states.p_ned)
@@ -64,7 +64,7 @@ class Navigation:
         ]
 
     def _estimate_motion(self) -> tuple[Floats, ...]:
-        """What instruments and filters make of the truth, NED and FRD, [R] leading."""
+        """Return the filters' estimates of the motion, NED and FRD, [R] leading."""
         scene, number = self._scene, np.int32(self._measurement_count)
         self._measurement_count += 1
         self._memory, belief = self._sense(scene.worlds, self._memory, number, scene.state.vehicles)
@@ -80,7 +80,7 @@ class Navigation:
 
 
 def rotate_to_world(q: Floats, nu: Floats) -> Floats:
-    """Linear velocity [..., 3] in W of nu [..., 6] in F, at an attitude [..., 4]."""
+    """Return linear velocity [..., 3] in W of nu [..., 6] in F, at an attitude [..., 4]."""
     w, axis, v = q[..., :1], q[..., 1:], nu[..., :3]
     twice_cross = 2.0 * np.cross(axis, v)
     rotated: Floats = v + w * twice_cross + np.cross(axis, twice_cross)

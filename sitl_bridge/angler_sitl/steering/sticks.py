@@ -1,10 +1,10 @@
-"""A twist as the sticks of a pilot, with the meaning that each mode of the firmware gives them.
+"""Conversion of a twist to pilot sticks, by the meaning of the sticks in each firmware mode.
 
 Where a mode takes a stick for a velocity (POSHOLD along all axes and in turning, ALT_HOLD up, down
-and in turning), its dead zone is jumped over and its scale is set by parameters, so that the robot
-moves with that twist. Where a mode takes it for a share of full thrust, a share of the vehicle's
-top speed is that share of the stick: half a stick is then less than half of the thrust that the
-speed needs, or more; it is a pilot's eye that closes the loop.
+and in turning), its dead zone is skipped and its scale is set by parameters, so that the robot
+moves with that twist. Where a mode takes a stick for a fraction of full thrust, a fraction of the
+vehicle's top speed is that fraction of the stick: half a stick gives less than half of the thrust
+that the speed needs, or more; the pilot closes the loop by eye.
 """
 
 from typing import Any
@@ -15,18 +15,20 @@ from angler_mjx.runs.session.interface import Floats, RobotInfo
 from angler_sitl.firmware.parameters import CommandLevel
 
 _LEVEL_ZONE, _TURN_ZONE = 0.25, 0.1
-"""Dead zones, as shares of the stick: THR_DZ = 100 and RC4_DZ = 40, of 400 us."""
+"""Dead zones, as fractions of the stick: THR_DZ = 100 and RC4_DZ = 40, of 400 us."""
 _UP_ZONE, _MAX_DOWN = 0.1925, 0.925
-"""The throttle counts 0 to 1000 from 1130 to 1900 us (RC3_DZ = 30), with its middle at 1500 us and
+"""Throttle zone and limit.
+
+The throttle counts 0 to 1000 from 1130 to 1900 us (RC3_DZ = 30), with its middle at 1500 us and
 THR_DZ = 100 on either side: its lower end is reached before that of the stick."""
 _FULL_TURN_RADPS = np.radians(45.0 * 3.375)
-"""Full stick is 45 degrees, by ACRO_YAW_P a second."""
+"""Turn rate of full stick: 45 degrees, times ACRO_YAW_P, a second."""
 
 
 def stick_parameters(level: CommandLevel, robot: RobotInfo) -> dict[str, float]:
-    """The firmware's scales: full stick is the vehicle's top speed.
+    """Return the firmware's scales: full stick is the vehicle's top speed.
 
-    Beyond the dead zone it counts a level stick from there, but not up to 1.
+    Beyond the dead zone the firmware counts a level stick from there, but not up to 1.
     """
     if level not in ("poshold", "althold"):
         return {}
@@ -39,11 +41,11 @@ def stick_parameters(level: CommandLevel, robot: RobotInfo) -> dict[str, float]:
 
 
 def twist_to_sticks(level: CommandLevel, robot: RobotInfo, nu: Floats) -> Floats:
-    """Sticks [4] forward, left, up and turning left, -1 to 1.
+    """Return sticks [4] forward, left, up and turning left, -1 to 1.
 
     Args:
         level: poshold, althold or manual.
-        robot: whose top speeds.
+        robot: source of the top speeds.
         nu: [6] in F.
     """
     x, y, z = map(float, robot.max_speed_mps)

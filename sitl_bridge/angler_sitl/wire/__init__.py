@@ -1,1 +1,1 @@
-"""What goes over sockets: servo packets, state, MAVLink, and the lock-step."""
+"""Socket traffic: servo packets, state, MAVLink, and the lock-step."""

@@ -1,9 +1,9 @@
-"""A ground station that may join: every vehicle's MAVLink, both ways, over one UDP port.
+"""Ground station that may join: every vehicle's MAVLink, both ways, over one UDP port.
 
 Its traffic goes over the line on which the autopilots take external navigation, and not over the
-session's: a ground station asks for streams at rates of its own, and the firmware keeps rates by
-line. One socket serves all vehicles, because some ground stations answer only to where the last
-packet came from; what they send goes to the vehicle that it names, or to all.
+session's: a ground station requests streams at its own rates, and the firmware keeps rates by line.
+One socket serves all vehicles, because some ground stations answer only to the source of the last
+packet; their packets go to the vehicle that they name, or to all.
 """
 
 import socket
@@ -19,17 +19,17 @@ _MAX_PACKET_BYTES = 65_536
 
 
 def parse_address(text: str) -> tuple[str, int]:
-    """Host and port of a ground station.
+    """Return host and port of a ground station.
 
     Args:
         text: as in ``udp:127.0.0.1:14550``.
 
     Raises:
-        ConfigError: it is something else.
+        ConfigError: the address is invalid.
     """
     kind, _, rest = text.partition(":")
     host, _, number = rest.rpartition(":")
-    # int() takes more than people mean by a number.
+    # int() accepts more than plain digits.
     plain = number.isascii() and number.isdecimal() and len(number) <= 5
     port = int(number) if plain else 0
     if kind != "udp" or not host or not 0 < port < 65_536:
@@ -40,25 +40,25 @@ def parse_address(text: str) -> tuple[str, int]:
 
 
 class GroundStation:
-    """Forwards between a ground station and the autopilots of a session; a context manager.
+    """Forwarder between a ground station and the autopilots of a session; a context manager.
 
-    It works whenever a control period is over; see `angler_mjx.teleop.loop.Watcher`.
+    It runs after each control period; see `angler_mjx.teleop.loop.Watcher`.
     """
 
     def __init__(self, address: str) -> None:
-        """Nothing is sent before `join`.
+        """Create the forwarder; nothing is sent before `join`.
 
         Args:
             address: as in ``udp:127.0.0.1:14550``.
 
         Raises:
-            ConfigError: it is none, or its host has no address.
+            ConfigError: the address is invalid, or its host has no address.
         """
         host, port = parse_address(address)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         try:
-            self._socket.connect((host, port))  # so that nobody else is listened to
+            self._socket.connect((host, port))  # only packets of this ground station are received
         except OSError as error:
             self._socket.close()
             raise ConfigError(f"--gcs {address}: {error.strerror or error}") from error
@@ -66,27 +66,27 @@ class GroundStation:
         self._parser.robust_parsing = True
 
     def __enter__(self) -> Self:
-        """Itself."""
+        """Return the context manager itself."""
         return self
 
     def __exit__(self, *ended: object) -> None:
-        """Close its socket."""
+        """Close the socket."""
         self._socket.close()
 
     def join(self, session: SitlSession) -> None:
-        """Let it hear the autopilots of a session, as they are since its last reset."""
+        """Forward the autopilots of a session, as they are since its last reset."""
         self._pilots = session.autopilots.pilots
         for pilot in self._pilots:
             pilot.vision.listeners.append(self._forward)
 
     def after(self, observation: Observation) -> None:
-        """Pass on what the ground station has sent."""
+        """Forward the packets of the ground station."""
         while True:
             try:
                 data = self._socket.recv(_MAX_PACKET_BYTES)
             except BlockingIOError:
                 return
-            except ConnectionError:  # nobody listens there yet
+            except ConnectionError:  # no listener there yet
                 continue
             for message in self._parser.parse_buffer(data) or ():
                 target = getattr(message, "target_system", 0)
@@ -98,4 +98,4 @@ class GroundStation:
         try:
             self._socket.send(packet)
         except (BlockingIOError, ConnectionError):
-            return  # as if it were lost on its way: UDP promises nothing
+            return  # as if lost in transit: UDP gives no guarantee

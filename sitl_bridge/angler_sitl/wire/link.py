@@ -1,10 +1,9 @@
 """MAVLink 2 with one autopilot over a UDP socket of our own, paced by the scene's clock.
 
-The autopilot is told our port and speaks first; answers go to where its packets come from, which
-another port may be after it restarted. Nothing here waits: `MavlinkLink.receive` takes what is
-there, and whoever steps the scene looks again one control period later. Every packet, in and out,
-goes through
-a tap: a log (`angler_sitl.wire.tlog`), or a ground station that listens along.
+The autopilot receives our port and sends first; replies go to the source of its packets, which may
+be another port after a restart. Nothing here blocks: `MavlinkLink.receive` takes the packets that
+have arrived, and the caller looks again one control period later. Every packet, in and out, goes
+through a tap: a log (`angler_sitl.wire.tlog`), or a ground station that listens along.
 """
 
 import socket
@@ -16,49 +15,49 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 type MavlinkMessage = Any
-"""A message of the dialect; its package tells a type checker nothing."""
+"""Message of the dialect; its package has no types."""
 type PacketTap = Callable[[bytes, float], None]
-"""Given each packet, in and out, and the scene's time, s."""
+"""Receiver of each packet, in and out, with the scene's time, s."""
 
 GROUND_STATION = 255
-"""Our system number: commands of a pilot are taken from no other."""
+"""Our system number: commands of a pilot are accepted from no other."""
 _COMPONENT = dialect.MAV_COMP_ID_MISSIONPLANNER
 _AUTOPILOT = dialect.MAV_COMP_ID_AUTOPILOT1
 _HEARTBEAT_S = 1.0
 _MAX_PACKET_BYTES = 65_536
 _MAX_TEXTS = 50
-"""Last words of an autopilot that are kept."""
+"""Max number of kept status texts of an autopilot."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class StatusText:
-    """Something that an autopilot said in words."""
+    """Status text of an autopilot."""
 
     time_s: float
     severity: int
-    """As in syslog: 0 emergency to 7 debug."""
+    """Severity as in syslog: 0 emergency to 7 debug."""
     text: str
 
 
 class MavlinkLink:
-    """One autopilot's MAVLink.
+    """MAVLink connection of one autopilot.
 
     Attributes:
         name: of the robot, for messages.
         sysid: its system number.
         latest: its latest message of each kind, by the message's name.
-        texts: what it said in words, oldest first.
-        parameters: values by name, as far as they have come.
-        parameter_count: how many it has; 0 until it says.
-        parameter_indices: numbers of those that have come.
-        acks: result of the latest answer to each command, by the command's number.
-        listeners: told of each packet that its autopilot sends.
+        texts: its status texts, oldest first.
+        parameters: received values by name.
+        parameter_count: number of its parameters; 0 until reported.
+        parameter_indices: numbers of the received parameters.
+        acks: result of the latest acknowledgement of each command, by the command's number.
+        listeners: receivers of each packet of its autopilot.
     """
 
     def __init__(
         self, bound: socket.socket, *, name: str, sysid: int, tap: PacketTap | None = None
     ) -> None:
-        """Take over a socket that is bound already; it is not closed here."""
+        """Take over a bound socket; it is not closed here."""
         bound.setblocking(False)
         self._socket, self._tap = bound, tap
         self._mav = dialect.MAVLink(self, srcSystem=GROUND_STATION, srcComponent=_COMPONENT)
@@ -76,11 +75,11 @@ class MavlinkLink:
 
     @property
     def has_peer(self) -> bool:
-        """Whether it has sent anything; before that nobody knows where to send to."""
+        """Whether a packet has come; before that the destination is unknown."""
         return self._peer is not None
 
     def tick(self, time_s: float) -> None:
-        """Take what has come, and send a heartbeat if one is due by the scene's clock."""
+        """Receive packets, and send a heartbeat if one is due by the scene's clock."""
         self.receive(time_s)
         if self.has_peer and time_s >= self._beat_s + _HEARTBEAT_S:
             self._beat_s = time_s
@@ -96,10 +95,10 @@ class MavlinkLink:
             )
 
     def receive(self, time_s: float) -> None:
-        """Take what has come.
+        """Receive the packets that have arrived.
 
         Args:
-            time_s: of the scene, now; what is sent until the next call bears it in the log.
+            time_s: current scene time; packets sent until the next call bear it in the log.
         """
         self._time_s = time_s
         while True:
@@ -115,22 +114,22 @@ class MavlinkLink:
                     self._handle_message(message)
 
     def send(self, message: MavlinkMessage) -> None:
-        """Send a message; to an autopilot that was not heard of yet it is lost."""
+        """Send a message; it is lost if the autopilot has sent nothing yet."""
         self._mav.send(message)
 
     def write(self, packet: bytes) -> None:
-        """What the codec calls with a packet that is ready."""
+        """Write an encoded packet; called by the codec."""
         if self._peer is None:
             return
         try:
             self._socket.sendto(packet, self._peer)
         except (BlockingIOError, ConnectionError):
-            return  # as if it were lost on its way: UDP promises nothing
+            return  # as if lost in transit: UDP gives no guarantee
         if self._tap is not None:
             self._tap(bytes(packet), self._time_s)
 
     def command(self, number: int, *parameters: float) -> None:
-        """Send a command and forget its earlier answer.
+        """Send a command and clear its earlier acknowledgement.
 
         Args:
             number: a ``MAV_CMD``.
@@ -141,19 +140,19 @@ class MavlinkLink:
         self.send(dialect.MAVLink_command_long_message(self.sysid, _AUTOPILOT, number, 0, *padded))
 
     def request_stream(self, message: int, rate_hz: float) -> None:
-        """Ask for a kind of message at a rate of its clock."""
+        """Request a message type at a rate of the autopilot's clock."""
         self.command(dialect.MAV_CMD_SET_MESSAGE_INTERVAL, message, 1e6 / rate_hz)
 
     def request_parameters(self) -> None:
-        """Ask for all of its parameters."""
+        """Request all parameters."""
         self.send(dialect.MAVLink_param_request_list_message(self.sysid, _AUTOPILOT))
 
     def request_parameter(self, index: int) -> None:
-        """Ask for one of its parameters by its number."""
+        """Request one parameter by its number."""
         self.send(dialect.MAVLink_param_request_read_message(self.sysid, _AUTOPILOT, b"", index))
 
     def format_last_texts(self, count: int = 3) -> str:
-        """The last things that it said in words, for the report of a failure."""
+        """Return the last status texts, for the report of a failure."""
         return "; ".join(text.text for text in list(self.texts)[-count:])
 
     def _handle_message(self, message: MavlinkMessage) -> None:

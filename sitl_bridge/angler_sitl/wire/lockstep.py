@@ -1,15 +1,15 @@
-"""The barrier between N autopilots and one scene: a step, all ask and are answered, the next step.
+"""Barrier between N autopilots and one scene: all autopilots get a reply, then the next step.
 
-An autopilot sends a servo packet and waits for one reply, whose time is its clock from then on. The
-scene steps when all have asked, so no clock is ever more than a step ahead of another, and after
-each step all agree. The autopilots are told not to pace themselves; where a speed is asked for, the
-pace is kept here, once for all of them.
+An autopilot sends a servo packet and waits for one reply; the reply's time becomes its clock. The
+scene steps when all have sent, so no clock is ever more than a step ahead of another, and after
+each step all agree. The autopilots do not pace themselves; a requested speed is kept here, once for
+all of them.
 
 A pulse's width is known at its end, and a pulse takes most of a step: the scene's step needs the
-pulse widths of the packets before. It is taken while the autopilots work at their next packets, and
-who sends one finds the reply ready.
+pulse widths of the packets before. The step runs while the autopilots work at their next packets,
+so the reply to a packet is ready when it arrives.
 
-Wall time is looked at for two things alone: that pace, and an autopilot that no longer asks.
+Wall time is used for two things alone: that pace, and an autopilot that sends no more packets.
 """
 
 import os
@@ -29,13 +29,13 @@ from angler_sitl.scene.scene import AutopilotScene
 from angler_sitl.wire import packets
 
 POLL_S = 0.1
-"""How long a silent autopilot is waited for before it is looked whether it still runs."""
+"""Wait for a silent autopilot before each check whether it still runs."""
 
 RESEND_S = 1.0
 """An autopilot that waits sends the same packet again after 1.1 s of wall time."""
 
 _MAX_LATENESS_S = 0.1
-"""Behind the pace by more than this, what was missed is let go: no rush to catch up."""
+"""Max lag behind the pace that is caught up; a larger one is dropped."""
 
 type Address = tuple[str, int]
 
@@ -44,25 +44,25 @@ _NO_ADDRESS: Address = ("", 0)
 
 @dataclass(kw_only=True)
 class LockStepTimes:
-    """Where the wall time of the barriers went, s."""
+    """Wall time of the barriers by cause, s."""
 
     barriers: int = 0
     waiting_s: float = 0.0
-    """For servo packets, and reading them: what autopilots took longer than the scene's step."""
+    """Waiting for servo packets, and reading them: autopilot time beyond the scene's step."""
     physics_s: float = 0.0
     replies_s: float = 0.0
-    """Text, and sending it."""
+    """Writing and sending replies."""
     pacing_s: float = 0.0
 
 
 class LockStep:
-    """N autopilots and their scene.
+    """Lock-step of N autopilots and their scene.
 
     Attributes:
         pwm: int32 [N, 16] pulse widths of the last packet of each, us.
-        lost: the autopilots that are gone, and why; only with ``on_crash = "hold"``.
+        lost: the lost autopilots, and why; only with ``on_crash = "hold"``.
         speed: simulated over wall time; None for as fast as possible. May be changed.
-        spent: where the time went.
+        spent: wall time by cause.
     """
 
     def __init__(
@@ -80,13 +80,13 @@ class LockStep:
         """Take over the sockets.
 
         Args:
-            sockets: of each autopilot, bound, where its servo packets come in.
-            scene: of as many vehicles.
+            sockets: bound socket of each autopilot for its servo packets.
+            scene: of the same number of vehicles.
             names: of the vehicles.
-            fault: what ended an autopilot, by its index; None while it runs.
-            condition: what one is doing that runs but no longer asks.
+            fault: cause of an autopilot's end, by its index; None while it runs.
+            condition: activity of an autopilot that runs but sends no packets.
             speed: simulated over wall time; None for as fast as possible.
-            hang_s: wall time after which one that runs but does not ask is taken to hang.
+            hang_s: wall time without a packet after which a running autopilot counts as hanging.
             on_crash: whether the loss of an autopilot ends the run, or only its vehicle's thrust.
         """
         self.pwm: NDArray[np.int32] = np.zeros((len(sockets), N_PULSES), np.int32)
@@ -101,10 +101,10 @@ class LockStep:
         self._text = [b""] * len(self._sockets)
         self._next = list(self._text)
         self._buffer = memoryview(bytearray(2 * packets.MAX_SERVO_BYTES))
-        # Where each autopilot and we have a core, looking again is quicker than being woken.
+        # With a core for each autopilot and for us, polling is quicker than being woken.
         self._spins = speed is None and len(self._sockets) < len(os.sched_getaffinity(0))
         self._pace_from_s, self._pace_time_s = time.perf_counter(), scene.time_s
-        # Long ago: packets that gathered before the first answer are repeats of the first.
+        # Long ago: packets that gathered before the first reply are repeats of the first.
         self._answered_s = [-np.inf] * len(self._sockets)
         for bound_socket in self._sockets:
             # Blocking with the kernel's own time limit: Python's would cost a poll a packet.
@@ -118,15 +118,15 @@ class LockStep:
         return self._scene.time_s
 
     def set_speed(self, speed: float | None) -> None:
-        """From now on so many times real time at most; None for as fast as possible."""
+        """Set the max speed, times real time; None for as fast as possible."""
         self.speed = speed
         self._pace_from_s, self._pace_time_s = time.perf_counter(), self._scene.time_s
 
     def advance(self, steps: int) -> None:
-        """So many steps of the scene.
+        """Advance the scene by a number of steps.
 
         Raises:
-            RunError: an autopilot ended, hangs or began anew, naming it; or a state is not finite.
+            RunError: an autopilot ended, hangs or restarted, naming it; or a state is not finite.
                 With ``on_crash = "hold"`` only when none is left.
         """
         for _ in range(steps):
@@ -158,7 +158,7 @@ class LockStep:
         times.waiting_s += sent_s - paced_s - sending_s
 
     def _send_reply(self, i: int, now_s: float) -> None:
-        """The reply to the packet that an autopilot sent last."""
+        """Send the reply to the last packet of an autopilot."""
         if now_s - self._answered_s[i] > RESEND_S:
             self._forget_repeats(i)
         self._text[i] = text = self._next[i]
@@ -166,7 +166,7 @@ class LockStep:
         self._answered_s[i] = now_s
 
     def _wait_for_packet(self, i: int) -> None:
-        """The next servo packet of an autopilot."""
+        """Wait for the next servo packet of an autopilot."""
         start_s = time.perf_counter()
         while i not in self.lost:
             try:
@@ -185,20 +185,20 @@ class LockStep:
                 self.pwm[i] = pulses
                 return
             elif frame == self._frame[i]:
-                # It did not get the reply: the same once more, and its clock stays right.
+                # The reply was lost: it is sent again, and the clock stays right.
                 self._sockets[i].sendto(self._text[i], source)
             else:
                 self._drop_autopilot(i, self._format_reboot(i))
 
     def _receive(self, bound_socket: socket.socket) -> tuple[int, Address]:
-        """A packet and where it comes from; BlockingIOError if none comes for `POLL_S`."""
+        """Return a packet and its source; BlockingIOError if none comes for `POLL_S`."""
         if self._spins:
             deadline_s = time.perf_counter() + POLL_S
             while time.perf_counter() < deadline_s:
                 try:
                     return bound_socket.recvfrom_into(self._buffer, 0, socket.MSG_DONTWAIT)
                 except BlockingIOError:
-                    os.sched_yield()  # whoever else wants this core goes first
+                    os.sched_yield()  # other threads waiting for this core go first
         return bound_socket.recvfrom_into(self._buffer)
 
     def _handle_silence(self, i: int, waited_s: float) -> None:
@@ -214,7 +214,7 @@ class LockStep:
             )
 
     def _handle_new_address(self, i: int, frame: int, source: Address) -> None:
-        """A packet from another address than before."""
+        """Handle a packet from a new address."""
         if frame <= self._frame[i]:
             self._drop_autopilot(i, self._format_reboot(i))
             return
@@ -239,7 +239,7 @@ class LockStep:
             raise RunError("no autopilot is left: " + "; ".join(self.lost.values()))
 
     def _forget_repeats(self, i: int) -> None:
-        """Drop what came again while we were slow: one answer is due, not one for each."""
+        """Drop repeated packets: one reply is due, not one for each."""
         try:
             while True:
                 self._sockets[i].recv_into(self._buffer, 0, socket.MSG_DONTWAIT)

@@ -12,18 +12,18 @@ from angler_mjx.runs.session.interface import Floats
 from angler_sitl.wire.link import MavlinkMessage
 
 _N_OVERRIDE_CHANNELS = 18
-"""Channels of an override; those that are 0 stay as they are."""
+"""Number of channels of an override; those that are 0 stay as they are."""
 _ACCELERATION_IGNORED = 0x1C0
-"""Type mask of a position target: the firmware takes none with accelerations."""
+"""Type mask of a position target: the firmware accepts none with accelerations."""
 _YAW_RATE_IGNORED = 0x800
 _DIAGONAL = [0, 6, 11, 15, 18, 20]
-"""Of a matrix [6, 6], in the rows of its upper triangle."""
+"""Diagonal indices of a matrix [6, 6], in the rows of its upper triangle."""
 _STICK, _UP_NEUTRAL, _UP = 1000, 500, 500
-"""Full deflection; of up and down it is 0 to 1000."""
+"""Full deflections of the sticks; up and down has the range 0 to 1000."""
 
 
 def build_override(sysid: int, pwm_us: Floats) -> MavlinkMessage:
-    """Signals of the thrusters as radio channels, which the firmware passes through to its outputs.
+    """Build thruster signals as radio channels, which the firmware passes through to its outputs.
 
     Args:
         sysid: of the autopilot.
@@ -37,7 +37,7 @@ def build_override(sysid: int, pwm_us: Floats) -> MavlinkMessage:
 def build_position_target(
     sysid: int, time_s: float, position_m: Floats, velocity_mps: Floats, yaw_rad: float
 ) -> MavlinkMessage:
-    """A place with the velocity that it has, and a heading.
+    """Build a position target with its velocity and heading.
 
     Args:
         sysid: of the autopilot.
@@ -64,7 +64,7 @@ def build_position_target(
 
 
 def build_manual_control(sysid: int, deflection: Floats) -> MavlinkMessage:
-    """Sticks of a pilot.
+    """Build the message of a pilot's sticks.
 
     Args:
         sysid: of the autopilot.
@@ -78,7 +78,7 @@ def build_manual_control(sysid: int, deflection: Floats) -> MavlinkMessage:
 def vision_position(
     time_s: float, p: Floats, q: Floats, position_std_m: Floats, attitude_std_rad: Floats
 ) -> MavlinkMessage:
-    """A pose as external navigation.
+    """Build a pose of external navigation.
 
     Args:
         time_s: the autopilot's clock.
@@ -95,7 +95,7 @@ def vision_position(
 
 
 def vision_speed(time_s: float, velocity_mps: Floats, std_mps: Floats) -> MavlinkMessage:
-    """A velocity [3] over ground, NED, as external navigation."""
+    """Build a velocity [3] over ground, NED, of external navigation."""
     covariance = np.diag(np.square(std_mps)).ravel()
     return dialect.MAVLink_vision_speed_estimate_message(
         round(time_s * 1e6), *velocity_mps.tolist(), covariance.tolist()
@@ -103,7 +103,7 @@ def vision_speed(time_s: float, velocity_mps: Floats, std_mps: Floats) -> Mavlin
 
 
 def quaternion_to_euler(q: NDArray[Any]) -> tuple[float, float, float]:
-    """Roll, pitch and yaw, rad, of an attitude FRD to NED (Fossen 2021, eq. 2.28 to 2.30)."""
+    """Return roll, pitch, yaw, rad, of an attitude FRD to NED (Fossen 2021, eq. 2.28 to 2.30)."""
     w, x, y, z = map(float, q)
     pitch = math.asin(max(-1.0, min(1.0, 2 * (w * y - x * z))))
     roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
@@ -111,5 +111,5 @@ def quaternion_to_euler(q: NDArray[Any]) -> tuple[float, float, float]:
 
 
 def heading_to_ned(yaw_rad: float) -> float:
-    """Heading from north, clockwise, of one from east, counter-clockwise; within [-pi, pi]."""
+    """Return the heading clockwise from north of one counter-clockwise from east; in [-pi, pi]."""
     return math.remainder(0.5 * math.pi - float(yaw_rad), math.tau)

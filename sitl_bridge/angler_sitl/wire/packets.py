@@ -1,13 +1,12 @@
 """Bytes between ArduSub and its physics: servo packets in, state text out.
 
 The servo packet is little endian: u16 magic, u16 frame_rate, u32 frame_count, then 16 or 32 x u16
-pulse widths. The magic says how many; it can change at run time. The frame_rate is advice and is
-not read.
+pulse widths. The magic gives the number of channels; it can change at run time. The frame_rate is
+advisory and is not read.
 
-The reply looks like JSON, but the parser searches for the key text and reads what follows: no space
-may stand after a colon, the line must end, and no key may hold the name of another that comes
-later. What is not finite in the accelerations or rates ends the autopilot at once, so it is never
-sent.
+The reply looks like JSON, but the parser searches for the key text and reads the value behind it:
+no space may stand after a colon, the line must end, and no key may hold the name of a later key.
+A non-finite acceleration or rate ends the autopilot at once, so none is ever sent.
 """
 
 import math
@@ -31,7 +30,7 @@ _PULSE_FORMATS = {
 STATE_NUMBERS = 16
 """Rates [3], specific force [3], position [3], quaternion [4] and velocity [3] of one vehicle."""
 
-# Nanometres and nanoseconds: far below what the autopilot's float32 can tell apart.
+# Nanometres and nanoseconds: far below the resolution of the autopilot's float32.
 _VECTOR = b"[%.9f,%.9f,%.9f]"
 _STATE = (
     b'\n{"timestamp":%.9f,"imu":{"gyro":'
@@ -42,13 +41,13 @@ _STATE = (
     + _VECTOR
     + b',"quaternion":[%.9f,%.9f,%.9f,%.9f],"velocity":'
     + _VECTOR
-    # The autopilot would sleep to keep its own pace; ours is kept for all of them at once.
+    # No own pace of the autopilot: the pace is kept here for all at once.
     + b',"no_time_sync":1}\n'
 )
 
 
 def read_servo(data: bytes | memoryview) -> tuple[int, tuple[int, ...]] | None:
-    """Frame number and the first 16 pulse widths, us; None for what is no servo packet."""
+    """Return frame number and the first 16 pulse widths, us; None unless a servo packet."""
     if len(data) < _HEADER.size:
         return None
     magic, _, frame = _HEADER.unpack_from(data)
@@ -59,18 +58,18 @@ def read_servo(data: bytes | memoryview) -> tuple[int, tuple[int, ...]] | None:
 
 
 def write_state(name: str, time_s: float, numbers: Sequence[float]) -> bytes:
-    """The reply to one vehicle.
+    """Return the reply to one vehicle.
 
     Args:
         name: of the vehicle, for the message.
-        time_s: the autopilot's clock from now on.
+        time_s: the autopilot's clock from then on.
         numbers: `STATE_NUMBERS` in the order given there: rad/s and m/s^2 in body FRD, m in NED,
             FRD to NED with the scalar first, m/s in NED.
 
     Raises:
         RunError: a number is not finite.
     """
-    # A sum is finite only if all are; no state comes near to overflowing it.
+    # A sum is finite only if all terms are; no state comes near to overflowing it.
     if not math.isfinite(sum(numbers)):
         raise RunError(
             f"{name}: its simulated state is not finite at {time_s:.3f} s ({list(numbers)}); "

@@ -1,7 +1,7 @@
 """Sockets of a fleet of autopilots: our ends are bound before any autopilot starts.
 
-Every number is the kernel's choice, so several fleets run on one machine and no list of ports has
-to be kept free. A port is held from the moment it is known until `Ports.close`, so nobody can take
+The kernel chooses every number, so several fleets run on one machine and no list of ports has to
+be kept free. A port is held from its allocation until `Ports.close`, so no other process can take
 it in between.
 """
 
@@ -12,7 +12,7 @@ from angler_mjx.errors import ConfigError, RunError
 
 LOOPBACK = "127.0.0.1"
 MAX_VEHICLES = 254
-"""MAVLink counts systems from 1 to 255, and 255 is the ground station: us."""
+"""Max number of vehicles: MAVLink system numbers are 1 to 255, and 255 is the ground station."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,12 +20,12 @@ class Ports:
     """Sockets of one vehicle, all UDP, all bound to loopback.
 
     Attributes:
-        fdm: Servo packets arrive here, ``--sim-port-out``. The replies go to their sender.
+        fdm: Receives servo packets, ``--sim-port-out``. The replies go to their sender.
         mavlink: ``--serial0 udpclient:``, for commands and telemetry.
         vision: ``--serial1 udpclient:``, for external navigation.
-        rc: Holds the port that the autopilot is told to take radio control packets from,
-            ``--rc-in-port``. It would bind it on all interfaces and has no option against that;
-            as the port is taken, it goes without. Nothing is ever read from this socket.
+        rc: Holds the autopilot's port of radio control packets, ``--rc-in-port``. The autopilot
+            would bind it on all interfaces and has no option against that; as the port is taken,
+            it goes without. Nothing is ever read from this socket.
     """
 
     fdm: socket.socket
@@ -39,22 +39,22 @@ class Ports:
         return port_number(self.rc)
 
     def close(self) -> None:
-        """Close all of them; twice does no harm."""
+        """Close all sockets; a second call has no effect."""
         for field in fields(self):
             getattr(self, field.name).close()
 
 
 def port_number(bound: socket.socket) -> int:
-    """Port number of a bound socket."""
+    """Return the port number of a bound socket."""
     return int(bound.getsockname()[1])
 
 
 def allocate_ports(count: int) -> list[Ports]:
-    """Bind the sockets of so many vehicles.
+    """Bind the sockets of a number of vehicles.
 
     Raises:
         ConfigError: fewer than one vehicle, or more than MAVLink has numbers for.
-        RunError: the machine gives no more sockets; those already bound are closed.
+        RunError: the machine has no more sockets; those already bound are closed.
     """
     if not 1 <= count <= MAX_VEHICLES:
         raise ConfigError(
@@ -80,7 +80,7 @@ def _bind_ports() -> Ports:
     try:
         for _ in fields(Ports):
             sockets.append(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
-            # Without SO_REUSEADDR: that is what keeps everybody else out.
+            # Without SO_REUSEADDR: so no other process can bind the port.
             sockets[-1].bind((LOOPBACK, 0))
     except OSError:
         for bound_socket in sockets:

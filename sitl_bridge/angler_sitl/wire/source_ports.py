@@ -1,9 +1,9 @@
-"""Every autopilot calls from a port of its own: looked at before the first is answered.
+"""Unique source ports of the autopilots, checked before the first reply.
 
 The firmware leaves the number to the kernel and lets others have the same one (SO_REUSEADDR). Any
-two autopilots of a machine, of one fleet or of two, so share it once in 28,232 times (as many ports
-Linux gives by default), and two of sixteen once in 235 starts. What is sent to it reaches the
-younger alone; the elder waits for ever.
+two autopilots of a machine, of one fleet or of two, so share it once in 28,232 times (the number of
+Linux's default ports), and two of sixteen once in 235 starts. Packets sent to it reach the younger
+autopilot alone; the elder waits for ever.
 """
 
 import select
@@ -15,19 +15,19 @@ from angler_sitl.firmware.process import AutopilotProcess
 from angler_sitl.firmware.sockets import count_receivers
 
 WAIT_S = 10.0
-"""For the first packets of all; one that sends none is told of by the lock-step."""
+"""Time limit of the first packets; the lock-step reports an autopilot that sends none."""
 
 _POLL_S, _MAX_STARTS = 0.1, 5
 
 
 def restart_shared_ports(instances: list[AutopilotProcess]) -> None:
-    """Start anew those that share their port, in place; they have done nothing yet.
+    """Restart autopilots that share their port, in place; they have done nothing yet.
 
     Args:
-        instances: Just started; nobody has answered them.
+        instances: Just started; no reply was sent yet.
 
     Raises:
-        RunError: one of them shares its port each time.
+        RunError: an autopilot shares its port each time.
     """
     deadline_s = time.perf_counter() + WAIT_S
     for i, instance in enumerate(instances):
@@ -46,7 +46,7 @@ def restart_shared_ports(instances: list[AutopilotProcess]) -> None:
 
 
 def _find_source_port(instance: AutopilotProcess, deadline_s: float) -> int | None:
-    """Port that the first packet came from, which stays where it is; None if none comes in time."""
+    """Return the source port of the first packet, still queued; None if none comes in time."""
     fdm = instance.launch.ports.fdm
     while instance.fault() is None:
         if select.select([fdm], [], [], _POLL_S)[0]:

@@ -1,7 +1,7 @@
-"""A telemetry log as ground stations write it: MAVProxy and Mission Planner replay it.
+"""Telemetry log in the format of ground stations: MAVProxy and Mission Planner replay it.
 
-Each packet stands behind its time: microseconds since 1970, 8 bytes, big-endian. Here the clock is
-that of the scene, begun when the log was: it plays at the pace of the scene, however fast it ran.
+Each packet stands behind its time: microseconds since 1970, 8 bytes, big-endian. The clock is that
+of the scene, started with the log: it plays at the pace of the scene, at any speed of the run.
 """
 
 import struct
@@ -14,10 +14,10 @@ FILE_NAME = "mavlink.tlog"
 
 
 class TelemetryLog:
-    """A log in the making; its `tap` is given to a link."""
+    """Open log; its `tap` is given to a link."""
 
     def __init__(self, path: Path) -> None:
-        """Begin a new file.
+        """Create a new file.
 
         Raises:
             RunError: it cannot be written.
@@ -29,9 +29,9 @@ class TelemetryLog:
             raise RunError(f"{path}: cannot be written ({error.strerror or error})") from error
 
     def log_packet(self, packet: bytes, time_s: float) -> None:
-        """Write a packet that passed at a time of the scene."""
+        """Write a packet at its scene time."""
         self._file.write(struct.pack(">Q", self._began_us + round(time_s * 1e6)) + packet)
 
     def close(self) -> None:
-        """Write what is left; twice does no harm."""
+        """Flush and close the log; a second call has no effect."""
         self._file.close()

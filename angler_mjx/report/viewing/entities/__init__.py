@@ -1,7 +1,7 @@
 """Worlds as entities of a Rerun recording; imported only where Rerun is installed.
 
-What a replay and a live view draw alike is `scenery`; `task` and `water` are what replays draw of a
-team's task and of the current over time.
+`scenery` draws the entities common to replays and live views; `task` and `water` draw a team's task
+and the current over time, for replays.
 """
 
 from angler_mjx.report.viewing.entities.scenery import (

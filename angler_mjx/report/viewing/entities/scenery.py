@@ -1,7 +1,7 @@
-"""What a replay and a live view draw alike; imported only where Rerun is installed.
+"""Entities common to replays and live views; imported only where Rerun is installed.
 
-Everything in space lies under ``ROOT/space``: rock, floor and bounds, obstacles, the current that
-the robots feel, and each robot under its name, with its goal, its plan, its vehicle's shapes, its
+Everything in space lies under ``ROOT/space``: rock, floor and bounds, obstacles, the current at
+the robots, and each robot under its name, with its goal, its plan, its vehicle's shapes, its
 trail and its label.
 """
 
@@ -18,18 +18,20 @@ from angler_mjx.robot.vehicles.config import Box, Cylinder, Sphere, VehicleConfi
 from angler_mjx.world.obstacles import BOX, CAPSULE, SPHERE, STATIC
 
 DOT, LARGE_DOT = -3.0, -6.0
-"""Radii of the points of labels: below zero they are pixels, so that a robot of half a metre is
-found in a world of thirty."""
+"""Radii of label points.
+
+Negative values are pixels, so that a robot of half a metre is visible in a world of thirty."""
 
 MAX_NAMED = 16
-"""Robots that are all named in space; of a larger fleet those are that failed, or nothing else
-could be seen."""
+"""Max fleet size with all robots named in space.
+
+In a larger fleet only failed robots are named, to keep the view clear."""
 
 _PLAN, _TRAIL = -0.75, -1.5
-"""Radii of lines, in pixels: seen from afar, and hiding nothing from a camera beside them."""
+"""Radii of lines, in pixels: visible from afar, and thin for a camera beside them."""
 
 ARROW_S = 4.0
-"""Length of a current arrow: the way of the water in this time, so that 0.25 m/s shows as 1 m."""
+"""Time scale of current arrows: 0.25 m/s shows as 1 m."""
 
 type Rgba = tuple[int, int, int, int]
 
@@ -37,7 +39,7 @@ type RerunShape = type[rr.Boxes3D] | type[rr.Capsules3D] | type[rr.Ellipsoids3D]
 
 
 def log_surroundings(recording: rr.RecordingStream, scene: ReplayScene, root: str) -> None:
-    """Log rock, floor and bounds of a world under ``root``, and how currents look."""
+    """Log rock, floor and bounds of a world under ``root``, and the style of currents."""
     grid = scene.environment.grid
     low, high = scene.bounds_m
     cell, floor = float(grid.cell_m), float(scene.environment.floor_z_m)
@@ -82,7 +84,7 @@ def log_surroundings(recording: rr.RecordingStream, scene: ReplayScene, root: st
 
 
 def log_obstacles(recording: rr.RecordingStream, scene: ReplayScene, root: str) -> None:
-    """Sizes and colours of the obstacles under ``root``: one entity a shape."""
+    """Log sizes and colours of the obstacles under ``root``: one entity a shape."""
     obstacles = scene.environment.obstacles
     for kind, name, rows in _group_by_shape(scene):
         size = np.asarray(obstacles.size_m)[rows]
@@ -103,7 +105,7 @@ def log_obstacles(recording: rr.RecordingStream, scene: ReplayScene, root: str) 
 
 
 def obstacle_poses(scene: ReplayScene) -> list[tuple[str, RerunShape, dict[str, Any]]]:
-    """Where the obstacles are at the times of the scene, one entry an entity.
+    """Return the poses of the obstacles at the times of the scene, one entry per entity.
 
     Returns:
         Name below ``obstacles``, archetype, and its fields: [T, n, 3] in W or [T, n, 4].
@@ -124,7 +126,7 @@ def obstacle_poses(scene: ReplayScene) -> list[tuple[str, RerunShape, dict[str, 
 
 
 def _group_by_shape(scene: ReplayScene) -> list[tuple[int, str, np.ndarray]]:
-    """Shapes of which there are obstacles: kind, name and rows."""
+    """Return the occurring obstacle shapes: kind, name and rows."""
     obstacles = scene.environment.obstacles
     kind, exists = np.asarray(obstacles.kind), np.asarray(obstacles.exists)
     shapes = ((SPHERE, "spheres"), (BOX, "boxes"), (CAPSULE, "capsules"))
@@ -135,7 +137,7 @@ def _group_by_shape(scene: ReplayScene) -> list[tuple[int, str, np.ndarray]]:
 def _log_vehicle(
     recording: rr.RecordingStream, config: VehicleConfig, path: str, color: Rgba
 ) -> None:
-    """The visible shapes of a vehicle, and its hull's capsules in the robot's colour."""
+    """Log the visible shapes of a vehicle, and its hull's capsules in the robot's colour."""
     center = np.asarray(config.base.center_of_mass_m)
     for shape in config.visual.shapes:
         tint = [tuple(round(255 * value) for value in shape.rgba)]
@@ -193,18 +195,18 @@ def log_robot(
     plan_m: np.ndarray,
     named: bool = True,
 ) -> None:
-    """What does not change of a robot: where it is to go, its shapes, and how the rest looks.
+    """Log the static entities of a robot: goal, shapes, and the styles of the others.
 
     The pose of its vehicle, its label and its trail are logged in time.
 
     Args:
-        recording: where to.
+        recording: destination.
         config: of its vehicle.
         robot: its index.
         space: path of its entities.
         goal_m: [3] in W; NaN where it has none of its own.
         plan_m: [n, 3] way-points in W.
-        named: whether its goal is written at; else only a click tells.
+        named: whether its goal has a visible label; else only on a click.
     """
     color = robot_rgba(robot)
     if np.isfinite(goal_m).all():
@@ -222,23 +224,23 @@ def log_robot(
 
 
 def current_arrows(current_mps: np.ndarray) -> np.ndarray:
-    """Arrows [..., 3], m, of the water's velocity, m/s in W; they are logged as ``current``."""
+    """Return arrows [..., 3], m, of the water's velocity, m/s in W; logged as ``current``."""
     return ARROW_S * current_mps
 
 
 def time_column(seconds: np.ndarray) -> rr.TimeColumn:
-    """Times [n], s, as a column of the timeline."""
+    """Return times [n], s, as a column of the timeline."""
     return rr.TimeColumn("time", duration=seconds)
 
 
 def to_xyzw(q: np.ndarray) -> np.ndarray:
-    """Quaternions wxyz in the order that Rerun takes."""
+    """Convert quaternions wxyz to Rerun's order."""
     reordered: np.ndarray = q[..., [1, 2, 3, 0]]
     return reordered
 
 
 def _z_axis_rotation(axis: np.ndarray) -> np.ndarray:
-    """Quaternion xyzw that takes the z axis to ``axis`` [3], by the half-way formula."""
+    """Return the quaternion xyzw from the z axis to ``axis`` [3], by the half-way formula."""
     length = float(np.linalg.norm(axis))
     x, y, z = axis / length if length > 0 else (0.0, 0.0, 1.0)
     if z < -1 + 1e-9:
@@ -249,17 +251,17 @@ def _z_axis_rotation(axis: np.ndarray) -> np.ndarray:
 
 
 def robot_rgba(robot: int) -> Rgba:
-    """Of a robot: that of the figures, half-way to white: legible on the viewer's dark ground."""
+    """Return the figures' colour of a robot, half-way to white: legible on a dark background."""
     r, g, b, a = to_rgba(style.robot_color(robot))
     return (r + 255) // 2, (g + 255) // 2, (b + 255) // 2, a
 
 
 def ending_color(*, arrived: bool) -> Rgba:
-    """Of the label of a robot whose episode is over."""
+    """Return the label colour of a robot whose episode is over."""
     return to_rgba("#4fd6a4" if arrived else "#ff6b57")
 
 
 def to_rgba(name: str) -> Rgba:
-    """A colour by its name or number, as Rerun takes it."""
+    """Convert a colour name or number to Rerun's form."""
     r, g, b, a = (round(255 * value) for value in colors.to_rgba(name))
     return r, g, b, a

@@ -1,7 +1,7 @@
-"""The task of a team in a replay: what is covered, places, goods, and who goes where.
+"""Task of a team in a replay: coverage, places, goods, and targets of the robots.
 
-Everything lies under ``ROOT/space/task``; what robots do stands in their labels and in the table of
-the fleet. All of it is what `world.tasks.history` says of the samples.
+Everything lies under ``ROOT/space/task``; the robots' activities are in their labels and in the
+table of the fleet. All data come from `world.tasks.history` at the samples.
 """
 
 import numpy as np
@@ -21,11 +21,11 @@ from angler_mjx.world.tasks.history import GoodsStatus, TaskHistory
 from angler_mjx.world.tasks.surface_quads import SurfaceQuads, survey_surface
 
 SEEN, UNSEEN = to_rgba("#5fd3b0"), to_rgba("#c7663f")
-"""Of surfaces: light green and dark orange differ in lightness as well."""
+"""Colours of surfaces: light green and dark orange differ in lightness as well."""
 OPEN, GOODS = to_rgba("#ffffff"), to_rgba("#ffc857")
 
 _MAX_COLORS = 2_000_000
-"""Colours of all faces at all times, at most: 8 MB; of larger surveys looks are left out."""
+"""Max face colours over all times: 8 MB; for larger surveys some samples are left out."""
 _HALF_EDGE, _THIN = 0.46, 0.02
 """Half edge and half thickness of a face, in cells."""
 _BOX = 0.22
@@ -38,9 +38,9 @@ def log_task(
     """Log the task of a world.
 
     Args:
-        recording: where to.
+        recording: destination.
         scene: the world.
-        task: of it.
+        task: of the world.
         root: path of the entities: ``space/task`` of the world.
     """
     _log_progress(recording, scene, task, f"{root}/progress")
@@ -57,11 +57,11 @@ def log_task(
 
 
 def find_changes(rows: np.ndarray, max_count: int | None = None) -> np.ndarray:
-    """Samples at which an array [T, ...] is another than before, the first one among them.
+    """Return the samples at which an array [T, ...] changes, including the first.
 
     Args:
-        rows: what may change.
-        max_count: so many at most, evenly chosen, the last one always among them.
+        rows: the array.
+        max_count: max number, evenly chosen, always with the last one.
     """
     flat = rows.reshape(len(rows), -1)
     changed = np.flatnonzero(np.r_[True, np.any(flat[1:] != flat[:-1], axis=1)])
@@ -76,7 +76,7 @@ def find_changes(rows: np.ndarray, max_count: int | None = None) -> np.ndarray:
 def _log_progress(
     recording: rr.RecordingStream, scene: ReplayScene, task: TaskHistory, path: str
 ) -> None:
-    """A line of text above the world."""
+    """Log a line of text above the world."""
     low, high = scene.bounds_m
     above = np.array([0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), high[2]])
     above[2] += 0.06 * float(max(high - low))
@@ -94,7 +94,7 @@ def _log_progress(
 def _log_surface(
     recording: rr.RecordingStream, task: TaskHistory, quads: SurfaceQuads, cell_m: float, path: str
 ) -> None:
-    """The surface of a survey: seen or not."""
+    """Log the surface of a survey: seen or not."""
     half = np.full((len(quads.axis), 3), _HALF_EDGE * cell_m)
     half[np.arange(len(half)), quads.axis] = _THIN * cell_m
     boxes = rr.Boxes3D.from_fields(centers=quads.centre_m, half_sizes=half, fill_mode="solid")
@@ -109,7 +109,7 @@ def _log_surface(
 
 
 def _log_jobs(recording: rr.RecordingStream, task: TaskHistory, path: str) -> None:
-    """Places of a tour, or viewpoints of a survey: white, then in the colour of who did them."""
+    """Log places of a tour, or viewpoints of a survey: white, then in the colour of their robot."""
     jobs = np.flatnonzero(task.exists)
     is_tour = task.spec.kind == "tour"
     points = rr.Points3D.from_fields(
@@ -130,14 +130,14 @@ def _log_jobs(recording: rr.RecordingStream, task: TaskHistory, path: str) -> No
 
 
 def _doer_color(task: TaskHistory, job: int) -> Rgba:
-    """Of a place that was done; where all have to come there it is nobody's."""
+    """Return the colour of a finished place; neutral where all robots have to come."""
     return robot_rgba(int(task.by[job])) if task.spec.shared else ending_color(arrived=True)
 
 
 def _log_goods(
     recording: rr.RecordingStream, scene: ReplayScene, task: TaskHistory, root: str
 ) -> None:
-    """Goods where they are, and the ways that they are to go."""
+    """Log the goods at their positions, and their transport paths."""
     present, jobs = np.flatnonzero(task.exists), task.spec.jobs
     ends = task.position_m[jobs + present]
     lines = np.stack([task.position_m[present], ends], axis=1)
@@ -188,7 +188,7 @@ def _log_good(
     job: int,
     path: str,
 ) -> None:
-    """A box that lies, travels below its robot, and lies again; gone when it is lost."""
+    """Log a box that lies, travels below its robot, and lies again; removed when it is lost."""
     box = rr.Boxes3D.from_fields(
         half_sizes=[[_BOX] * 3], labels=[f"goods {job}"], fill_mode="solid"
     )
@@ -204,7 +204,7 @@ def _log_good(
         [
             *rr.Boxes3D.columns(centers=(at_m + below)[is_present]).partition(count),
             *rr.Boxes3D.columns(colors=tint[is_present]).partition(count),
-            # Its robot's label tells what a robot brings.
+            # The label of the robot shows its load.
             *rr.Boxes3D.columns(show_labels=is_named & (goods_state != GoodsStatus.TRAVEL)),
         ],
     )
@@ -213,7 +213,7 @@ def _log_good(
 def _log_target_line(
     recording: rr.RecordingStream, task: TaskHistory, robot: RobotTrack, path: str
 ) -> None:
-    """A thin line from a robot to where it is to go; none where it stays."""
+    """Log a thin line from a robot to its target; none where it stays."""
     line = rr.LineStrips3D.from_fields(colors=[robot_rgba(robot.index)], radii=[-0.5])
     recording.log(path, line, static=True)
     target = task.target[:, robot.index]

@@ -1,4 +1,4 @@
-"""The current over time in a replay: arrows on a level lattice at the height of the fleet."""
+"""Current over time in a replay: arrows on a level lattice at the height of the fleet."""
 
 import numpy as np
 import rerun as rr
@@ -8,21 +8,21 @@ from angler_mjx.report.viewing.scene import ReplayScene
 from angler_mjx.world.slices import CurrentSlices, slice_flight
 
 _STILL_MPS = 1e-3
-"""Slower water has no arrows."""
+"""Min speed of water with arrows."""
 _USUAL_LENGTH, _MAX_LENGTH = 0.8, 1.5
-"""Lengths of arrows in spacings of the lattice: at most points no longer, and nowhere."""
+"""Max length of arrows in lattice spacings: at most points, and at all points."""
 
 
 def log_flow(recording: rr.RecordingStream, scene: ReplayScene, path: str) -> float:
-    """Log the current of a world, with a label that tells its greatest speed on the lattice.
+    """Log the current of a world, with a label of its max speed on the lattice.
 
     Args:
-        recording: where to.
+        recording: destination.
         scene: the world.
         path: of the entity; there is none where the water is still.
 
     Returns:
-        Length of arrows, as the time in which the water goes it, s.
+        Length of arrows, as the time in which the water passes it, s.
     """
     if not scene.environment.current or not scene.robots:
         return ARROW_S
@@ -52,7 +52,7 @@ def log_flow(recording: rr.RecordingStream, scene: ReplayScene, path: str) -> fl
 def _log_arrows(
     recording: rr.RecordingStream, slices: CurrentSlices, scale_s: float, path: str
 ) -> None:
-    """Arrows whose middles are the points of the lattice that lie in water."""
+    """Log arrows centred on the lattice points that lie in water."""
     vectors, count = scale_s * slices.velocity_mps, slices.wet.sum(axis=1)
     arrows = rr.Arrows3D.from_fields(colors=[to_rgba("#dceffa")], radii=[0.028 * slices.spacing_m])
     recording.log(path, arrows, static=True)

@@ -1,1 +1,1 @@
-"""Maps: of a whole world, and of what is around one robot in two runs."""
+"""Maps: of a whole world, and of the surroundings of one robot in two runs."""

@@ -1,4 +1,4 @@
-"""What lies under everything on a map: the cube's water, its floor, and rock."""
+"""Base layer of a map: the cube's water, its floor, and rock."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,11 +11,11 @@ from angler_mjx.report.viewing.scene import ReplayScene
 from angler_mjx.world.grid import Grid
 
 ABOVE, SOUTH = (0, 1), (0, 2)
-"""World axes of pictures from above and from the south: x and y, x and z."""
+"""World axes of figures from above and from the south: x and y, x and z."""
 
 
 def plot_bounds(axes: Axes, scene: ReplayScene, plane: tuple[int, int]) -> None:
-    """The water of the cube, and the floor below it."""
+    """Plot the water of the cube, and the floor below it."""
     low, high = scene.bounds_m
     a, b = plane
     axes.set_aspect("equal", anchor="N")
@@ -41,7 +41,7 @@ def plot_bounds(axes: Axes, scene: ReplayScene, plane: tuple[int, int]) -> None:
 
 
 def plot_rock(axes: Axes, grid: Grid, plane: tuple[int, int], norm: Normalize) -> None:
-    """Cells as squares, coloured by the height of the topmost or of the nearest one."""
+    """Plot cells as squares, coloured by the height of the topmost or of the nearest one."""
     occupied = np.asarray(grid.occupied)
     origin, cell = np.asarray(grid.origin_m), float(grid.cell_m)
     height = origin[2] + cell * (np.arange(occupied.shape[2]) + 1.0)

@@ -1,4 +1,4 @@
-"""What of two runs of the same worlds is shown beside each other: a world, a robot, some times."""
+"""Comparison of runs of the same worlds: the shown world, robot and times."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,13 +11,13 @@ from angler_mjx.report.viewing.scene import ReplayScene, RobotTrack
 from angler_mjx.runs.storage.folder import Run
 
 BEFORE_S = (8.0, 4.0, 0.0)
-"""Times that are shown if none are given: so long before the first failure."""
+"""Default times: seconds before the first failure."""
 _SAME = ("start_m", "goal_m", "floor_z_m")
 
 
 @dataclass(frozen=True, kw_only=True)
 class WorldComparison:
-    """What is to be drawn."""
+    """Data of the comparison map."""
 
     scenes: tuple[ReplayScene, ...]
     names: tuple[str, ...]
@@ -28,7 +28,7 @@ class WorldComparison:
 def read_comparison(
     runs: Sequence[Run], world: int | None, robot: int | None, at_s: Sequence[float]
 ) -> WorldComparison:
-    """Read one world of some runs, and decide what of it is shown.
+    """Read one world of some runs, and select the shown robot and times.
 
     Args:
         runs: of the same worlds, with trajectories.
@@ -37,7 +37,7 @@ def read_comparison(
         at_s: times, s; some before the first failure of that robot if empty.
 
     Raises:
-        ConfigError: the runs are of other worlds, do not hold that one, or there is no such robot
+        ConfigError: the runs are of other worlds, do not hold the world, or there is no such robot
             or time.
     """
     for run in runs:
@@ -65,7 +65,7 @@ def read_comparison(
 
 
 def describe_control(run: Run) -> str:
-    """How the robots of a run were led, in words."""
+    """Return the control of a run's robots, in words."""
     planner, policy = run.scenario.planner, run.scenario.policy
     if policy.name != "none":
         return f"{policy.name}, all the way"
@@ -75,7 +75,7 @@ def describe_control(run: Run) -> str:
 
 
 def _find_differing(runs: Sequence[Run], world: int | None) -> tuple[int, int]:
-    """A world, and a robot in it, that end differently in the first two runs; else the first."""
+    """Return a world and a robot that end differently in the first two runs; else the first."""
     ends = [
         {(row["world"], row["robot"]): row["outcome"] for row in run.episodes.to_pylist()}
         for run in runs
@@ -109,7 +109,7 @@ def _check_same(runs: Sequence[Run], scenes: Sequence[ReplayScene], world: int) 
 
 
 def _default_times(robots: Sequence[RobotTrack]) -> tuple[float, ...]:
-    """Before the first failure; of robots that all arrived, quarters of the way."""
+    """Return times before the first failure; if all arrived, quarters of the path."""
     failed = [track.end_time_s for track in robots if not track.arrived]
     if failed:
         return tuple(sorted({max(round(min(failed) - t, 1), 0.0) for t in BEFORE_S}))

@@ -1,7 +1,7 @@
-"""Two runs of one world beside each other: what is around one robot, at a few times.
+"""Two runs of one world side by side: the surroundings of one robot, at a few times.
 
-A row for each run and a column for each time. Each picture is a horizontal slice through the world
-at the robot's height, so that what it shows is what the robot can meet.
+A row for each run and a column for each time. Each panel is a horizontal slice through the world
+at the robot's height, so that it shows the objects that the robot can meet.
 """
 
 import math
@@ -22,16 +22,16 @@ from angler_mjx.robot.vehicles import library
 from angler_mjx.world.obstacles import SPHERE
 
 _MIN_HALF_WIDTH_M = 5.0
-"""Half of what is seen, if both robots fit into it."""
+"""Min half width of the view; more if the robots do not fit into it."""
 _TRAIL_S = 6.0
-"""Of an obstacle's way."""
+"""Time span of an obstacle's trail."""
 _LEVEL_M = 0.75
-"""Other robots and ways are drawn faintly further above or below than this."""
+"""Height difference beyond which other robots and paths are plotted faintly."""
 _HALO = [effects.withStroke(linewidth=2.6, foreground=style.PAPER)]
 
 
 def plot_comparison(comparison: WorldComparison) -> Figure:
-    """A row for each run, a column for each time."""
+    """Plot a row for each run, a column for each time."""
     rows, columns = len(comparison.scenes), len(comparison.at_s)
     with style.figure_style():
         figure = style.new_figure(3.5 * columns + 0.4, 3.6 * rows + 1.5, headline_in=0.65)
@@ -54,7 +54,7 @@ def plot_comparison(comparison: WorldComparison) -> Figure:
                 axes.set_yticks([])
                 depth_m = -float(_position_at(scene, scene.robots[comparison.robot], t)[2])
                 end = float(scene.time_s[-1])
-                # Behind its last sample, a tenth of a second of rounding aside, nothing is known.
+                # Behind its last sample, a tenth of a second of rounding aside, there are no data.
                 end_text = f", over since {end:g} s" if t > end + 0.1 else ""
                 axes.set_title(f"t = {t:g} s, {depth_m:.1f} m deep{end_text}", fontsize=9.5)
                 if column == 0:
@@ -74,13 +74,13 @@ def _sample_index(scene: ReplayScene, t: float) -> int:
 
 
 def _position_at(scene: ReplayScene, robot: RobotTrack, t: float) -> np.ndarray:
-    """Where a robot [3] is, or ended."""
+    """Return a robot's position [3] at a time, or at its end."""
     position_m: np.ndarray = robot.p_m[_sample_index(scene, min(t, robot.end_time_s))]
     return position_m if np.isfinite(position_m).all() else scene.flown_path(robot)[-1]
 
 
 def _view_window(comparison: WorldComparison, t: float) -> tuple[np.ndarray, float]:
-    """Middle [2] and half of what is seen: all the runs' robots with something around them."""
+    """Return middle [2] and half width of the view: all runs' robots with some margin."""
     positions_m = np.array(
         [_position_at(scene, scene.robots[comparison.robot], t)[:2] for scene in comparison.scenes]
     )
@@ -109,7 +109,7 @@ def _plot_panel(axes: Axes, scene: ReplayScene, robot: int, t: float) -> None:
 
 
 def _plot_rock(axes: Axes, scene: ReplayScene, height_m: float) -> None:
-    """Cells that the slice goes through."""
+    """Plot the cells cut by the slice."""
     grid = scene.environment.grid
     origin, cell = np.asarray(grid.origin_m), float(grid.cell_m)
     occupied = np.asarray(grid.occupied)
@@ -122,7 +122,7 @@ def _plot_rock(axes: Axes, scene: ReplayScene, height_m: float) -> None:
 
 
 def _plot_obstacles(axes: Axes, scene: ReplayScene, height_m: float, t: float) -> None:
-    """Those that the slice goes through filled, with where they came from; others as lines."""
+    """Plot the obstacles cut by the slice filled, with their trails; others as lines."""
     obstacles, sample = scene.environment.obstacles, _sample_index(scene, t)
     since = _sample_index(scene, max(t - _TRAIL_S, 0.0))
     for i in np.flatnonzero(np.asarray(obstacles.exists)):
@@ -154,7 +154,7 @@ def _plot_obstacles(axes: Axes, scene: ReplayScene, height_m: float, t: float) -
 def _plot_robot(
     axes: Axes, scene: ReplayScene, robot: RobotTrack, t: float, *, faint: bool
 ) -> None:
-    """Its body, the way until now, and what it flew afterwards."""
+    """Plot a robot's body, its path so far, and its later path."""
     color = style.robot_color(robot.index)
     path_m, position_m = scene.flown_path(robot), _position_at(scene, robot, t)
     n_flown = _sample_index(scene, min(t, robot.end_time_s)) + 1
@@ -190,7 +190,7 @@ def _plot_robot(
 
 
 def _radius_m(robot: RobotTrack) -> float:
-    """Of the sphere that holds its hull, however it turns."""
+    """Return the radius of the sphere that holds its hull in any attitude."""
     vehicle = library.load_vehicle(robot.vehicle_file)
     center = np.asarray(vehicle.base.center_of_mass_m)
     return max(
@@ -205,7 +205,7 @@ def _to_xy(position_m: np.ndarray) -> tuple[float, float]:
 
 
 def _plot_scale_bar(axes: Axes) -> None:
-    """A bar of two metres."""
+    """Plot a bar of two metres."""
     (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
     x, y = left + 0.05 * (right - left), bottom + 0.06 * (top - bottom)
     axes.plot([x, x + 2.0], [y, y], color=style.INK, lw=2.5, solid_capstyle="butt", zorder=10)

@@ -1,4 +1,4 @@
-"""What the lines and signs on a map mean."""
+"""Legends of the lines and symbols on a map."""
 
 import numpy as np
 from matplotlib.lines import Line2D
@@ -9,11 +9,11 @@ from angler_mjx.report.viewing.scene import ReplayScene
 from angler_mjx.world.obstacles import STATIC
 
 MAX_LISTED = 12
-"""Robots listed below the map; a larger fleet is drawn whole but not listed whole."""
+"""Max robots listed below the map; a larger fleet is plotted whole but not listed whole."""
 
 
 def robot_handles(scene: ReplayScene) -> list[Line2D]:
-    """A line for each robot: who it is, how it ended and when."""
+    """Return a line for each robot: its name, its outcome and its end time."""
     handles = [
         Line2D(
             [],
@@ -32,7 +32,7 @@ def robot_handles(scene: ReplayScene) -> list[Line2D]:
 
 
 def symbol_handles(scene: ReplayScene) -> list[Line2D | Patch]:
-    """What the other signs mean, of those that occur."""
+    """Return legend entries of the other occurring symbols."""
     obstacles = scene.environment.obstacles
     exists = np.asarray(obstacles.exists)
     still = np.asarray(obstacles.motion) == STATIC

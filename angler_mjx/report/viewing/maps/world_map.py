@@ -1,4 +1,4 @@
-"""The map of one world: from above and from the south, with rock, water, obstacles and tracks."""
+"""Map of one world: from above and from the south, with rock, water, obstacles and tracks."""
 
 import matplotlib.patheffects as effects
 import numpy as np
@@ -18,11 +18,11 @@ _HALO = [effects.withStroke(linewidth=2.6, foreground=style.PAPER)]
 
 
 def plot_world(scene: ReplayScene, *, title: str, subtitle: str) -> Figure:
-    """The map of a world.
+    """Plot the map of a world.
 
     Args:
         scene: the world.
-        title: what one sees.
+        title: of the map.
         subtitle: a quieter line below.
     """
     low, high = scene.bounds_m
@@ -57,7 +57,7 @@ def plot_world(scene: ReplayScene, *, title: str, subtitle: str) -> Figure:
 
 
 def describe_outcomes(scene: ReplayScene) -> str:
-    """How the world went, in words: arrivals, then the causes of failure."""
+    """Return the outcomes of a world in words: arrivals, then the causes of failure."""
     ends = [robot.outcome for robot in scene.robots]
     arrived = ends.count("reached")
     causes = [
@@ -70,7 +70,7 @@ def describe_outcomes(scene: ReplayScene) -> str:
 
 
 def _plot_current(axes: Axes, scene: ReplayScene) -> None:
-    """The current at the start, in the middle of the cube's height."""
+    """Plot the current at the start, in the middle of the cube's height."""
     if not scene.environment.current:
         return
     low, high = scene.bounds_m
@@ -113,7 +113,7 @@ def _plot_current(axes: Axes, scene: ReplayScene) -> None:
 
 
 def _plot_obstacles(axes: Axes, scene: ReplayScene, plane: tuple[int, int]) -> None:
-    """Outlines at the start; of moving ones the way and a thin outline at the end as well."""
+    """Plot outlines at the start; for moving obstacles also the path and a thin end outline."""
     obstacles = scene.environment.obstacles
     paths_m = []
     for i in np.flatnonzero(np.asarray(obstacles.exists)):
@@ -192,7 +192,7 @@ def _plot_failure(
     axes.plot(x, y, "X", ms=11, color=style.INK, mec=style.PAPER, mew=1.2, zorder=9)
     left, right = axes.get_xlim()
     far = x > left + 0.75 * (right - left)
-    # Two robots that met fail at one place: their labels stand below each other.
+    # Two robots that collided fail at one position: their labels stand below each other.
     above = sum(
         bool(np.linalg.norm((other.failure_m - robot.failure_m)[list(plane)]) < 1.5)
         for other in scene.robots[: robot.index]
@@ -212,7 +212,7 @@ def _plot_failure(
 
 
 def _describe_cause(robot: RobotTrack) -> str:
-    """What ended the robot, in a word or two."""
+    """Return the cause of a robot's end, in a word or two."""
     if robot.failure_pair == "none":
         return {"out_of_bounds": "out of bounds", "timeout": "time out"}.get(
             robot.outcome, robot.outcome
