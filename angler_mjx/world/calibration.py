@@ -1,10 +1,10 @@
-"""From the density that a person asks for to the fill that the automaton starts from.
+"""Conversion from a requested density to the initial fill of the automaton.
 
-What a rule leaves of its random walls has no closed form, so it is measured once and shipped as
-data. ``python -m angler_mjx.world.calibration`` measures it again and rewrites the file. Cells
-outside the grid count as free, so walls die at the faces and small grids end up emptier; to first
-order this goes with the share of cells at a face, that is with the mean of 1/nx, 1/ny, 1/nz, and
-the table is interpolated linearly in it.
+The density of a rule's result has no closed form, so it is measured once and shipped as data.
+``python -m angler_mjx.world.calibration`` measures it again and rewrites the file. Cells outside
+the grid count as free, so walls die at the faces and small grids end up emptier; to first order
+this is proportional to the fraction of cells at a face, that is to the mean of 1/nx, 1/ny, 1/nz,
+and the table is interpolated linearly in it.
 """
 
 import json
@@ -25,8 +25,8 @@ from angler_mjx.world.rules import AutomatonRule, Shape, sample_cells
 _FILE = "calibration.json"
 _EDGES = (8, 12, 16, 24, 32)
 _CELLS_PER_POINT = 4_000_000
-"""Worlds of any size together have this many cells per point: the standard error of the density is
-then below 1e-3 for every rule and size here."""
+"""Cells per point over worlds of any size: the standard error of the density is then below 1e-3 for
+every rule and size here."""
 _RULES = {
     AutomatonRule(die_below=2, born_above=12, steps=1): np.round(np.arange(0.005, 0.4001, 0.01), 4),
     AutomatonRule(die_below=6, born_above=8, steps=2): np.round(np.arange(0.12, 0.2801, 0.005), 4),
@@ -40,7 +40,7 @@ class CalibrationTable(FileModel):
     edge_cells: tuple[int, ...]
     fill: tuple[float, ...]
     density: tuple[tuple[float, ...], ...]
-    """One row per edge, one value per fill; rising along each row."""
+    """One row per edge, one value per fill; increasing along each row."""
 
 
 class _Tables(FileModel):
@@ -49,10 +49,10 @@ class _Tables(FileModel):
 
 
 def fill_for_density(rule: AutomatonRule, shape: Shape, density: float) -> float:
-    """Share of random walls that leads to a density, on average over worlds.
+    """Return the fraction of random walls that gives a density, on average over worlds.
 
     Raises:
-        ConfigError: the rule was never measured, or the density is outside what was measured.
+        ConfigError: the rule was never measured, or the density is outside the measured range.
     """
     table = _load_tables().get(rule)
     if table is None:
@@ -70,7 +70,7 @@ def fill_for_density(rule: AutomatonRule, shape: Shape, density: float) -> float
 
 
 def _densities_for(table: CalibrationTable, shape: Shape) -> np.ndarray:
-    """Densities at the fills of the table, for a shape."""
+    """Return the densities at the fills of the table, for a shape."""
     face_fraction = float(np.mean(1.0 / np.array(shape)))
     table_fractions = 1.0 / np.array(table.edge_cells)
     if not table_fractions.min() <= face_fraction <= table_fractions.max():
@@ -94,7 +94,7 @@ def _load_tables() -> dict[AutomatonRule, CalibrationTable]:
 def measure_densities(
     rule: AutomatonRule, fills: np.ndarray, edges: tuple[int, ...] = _EDGES
 ) -> CalibrationTable:
-    """Mean densities of a rule; the same random numbers serve all fills, so the curve is smooth."""
+    """Measure the mean densities of a rule; all fills share random numbers, for smooth curves."""
     rows = []
     for edge in edges:
         n_world = min(256, max(8, 1_000_000 // edge**3))
@@ -102,7 +102,7 @@ def measure_densities(
         of_batch = jax.jit(partial(_mean_density, rule, (edge, edge, edge), n_world))
         keys = jax.random.split(jax.random.key(edge), n_batch)
         measured = [np.mean([of_batch(fill, key) for key in keys]) for fill in fills]
-        # Two fills may give the same density within the error; the inverse needs a rising curve.
+        # Two fills may give equal densities within the error; the inverse needs a rising curve.
         rows.append(tuple(np.round(np.maximum.accumulate(np.array(measured, float)), 6).tolist()))
     return CalibrationTable(
         rule=rule, edge_cells=edges, fill=tuple(fills.tolist()), density=tuple(rows)

@@ -1,8 +1,8 @@
-"""What a scenario file may say about the world, and what comes of it.
+"""The world table of a scenario file, and its resolution to a recipe.
 
-`WorldConfig` is what a person writes: a preset and a few changes to it. `resolve_world` fills in
-everything else from the preset and gives a `WorldRecipe`: complete, hashable, one meaning. The
-recipe is what `generate` reads as a static argument.
+`WorldConfig` is the user's table: a preset and changes to it. `resolve_world` fills in all other
+values from the preset and returns a `WorldRecipe`: complete, hashable, unique. `generate` takes the
+recipe as a static argument.
 """
 
 from typing import Annotated, Literal, Self
@@ -25,54 +25,55 @@ Fraction = Annotated[float, Field(ge=0, lt=1)]
 
 
 class WorldConfig(FileModel):
-    """The world of a scenario: a preset and what differs from it; the rest is the preset's."""
+    """The world of a scenario: a preset and changes to it; other keys are those of the preset."""
 
     preset: str = "reef"
-    """Name of a world that ships: angler2024, sparse, reef, dense, corridor, open,
+    """Name of a shipped preset: angler2024, sparse, reef, dense, corridor, open,
     angler_nine_boxes."""
     density: Fraction | None = None
-    """Share of cells that are occupied, on average over worlds."""
+    """Fraction of occupied cells, on average over worlds."""
     fill: Fraction | None = None
-    """Instead of density: share of walls before the rule is applied."""
+    """Fraction of walls before the rule is applied, instead of density."""
     shape: tuple[Cells, Cells, Cells] | None = None
     """Number of cells along x, y, z."""
     cell_m: Annotated[float, Field(ge=0.01, le=1000)] | None = None
-    """Edge of a cell."""
+    """Edge length of a cell."""
     depth_m: Length | None = None
     """Depth of the top of the grid below the surface."""
     floor_depth_m: PositiveLength | None = None
-    """Depth of the sea floor; the bottom of the grid if neither file nor preset says more."""
+    """Depth of the sea floor; the bottom of the grid if neither file nor preset gives it."""
     rule: Rule | None = None
-    """How the cells of rock come about."""
+    """Rule that generates the cells of rock."""
     min_obstacles: Annotated[int, Field(ge=0, le=128**3)] | None = None
-    """Worlds with fewer occupied cells are drawn again."""
+    """Min number of occupied cells; worlds with fewer are sampled again."""
     redraw_limit: Annotated[int, Field(ge=0, le=1_000_000)] = 100
-    """A world that has been drawn again this often and still cannot hold the fleet is given up."""
+    """Max number of resamplings of a world; a world that still cannot hold the fleet is given
+    up."""
     placement: Placement | None = None
-    """Where robots start and go: each from another corner, side by side, anywhere, or as given."""
+    """Starts and goals of robots: each from a different corner, side by side, random, or given."""
     clearance_m: Length = 0.3
     """Free water between two robots at their starts, and at their goals."""
     start_m: tuple[Vector, ...] = ()
     """Starts of the robots, for placement = "given"."""
     goal_m: tuple[Vector, ...] = ()
-    """Their goals."""
+    """Goals of the robots, for placement = "given"."""
     currents: tuple[CurrentConfig, ...] = ()
-    """Components of the current, which add up."""
+    """Components of the current; their sum is the current."""
     bathymetry: BathymetryConfig | None = None
-    """The sea floor of a file."""
+    """Sea floor from a file."""
     obstacles: ObstaclesConfig | None = None
     """Obstacles beside the cells of rock."""
 
     @property
     def files(self) -> tuple[str, ...]:
-        """Files of ocean models that it uses, each once."""
+        """Return the files of its ocean models, each once."""
         files = [component.file for component in self.currents if isinstance(component, GridConfig)]
         files += [self.bathymetry.file] if self.bathymetry else []
         return tuple(dict.fromkeys(files))
 
     @property
     def held_bytes(self) -> int:
-        """Of the fields of its currents, which programs hold once for all worlds."""
+        """Return the bytes of its current fields, which programs hold once for all worlds."""
         grids = [component for component in self.currents if isinstance(component, GridConfig)]
         return sum(sum(part.nbytes for part in component.field.numbers) for component in grids)
 
@@ -94,12 +95,12 @@ class WorldConfig(FileModel):
 
 
 class WorldRecipe(FileModel):
-    """A world config with nothing left open. Lengths in metres, W."""
+    """A fully resolved world config. Lengths in metres, W."""
 
     shape: tuple[int, int, int]
     cell_m: float
     origin_m: Vector
-    """Lower corner of the grid: centred on the origin seen from above."""
+    """Lower corner of the grid, whose centre has x = y = 0."""
     floor_z_m: float
     rule: Rule
     fill: float
@@ -115,7 +116,7 @@ class WorldRecipe(FileModel):
 
     @property
     def has_ground(self) -> bool:
-        """Whether files say where there is rock."""
+        """Return whether files give the rock."""
         coasts = [
             component.coast for component in self.currents if isinstance(component, GridConfig)
         ]
@@ -123,22 +124,22 @@ class WorldRecipe(FileModel):
 
     @property
     def is_empty(self) -> bool:
-        """Whether no world of it holds anything that stands still: water between flat faces."""
+        """Return whether its worlds have no static obstacles: only water between flat faces."""
         bare = isinstance(self.rule, OpenRule) and not self.obstacles.explicit
         return bare and not self.has_ground
 
     @property
     def size_m(self) -> Vector:
-        """Edges of the grid."""
+        """Return the edges of the grid."""
         x, y, z = (n * self.cell_m for n in self.shape)
         return x, y, z
 
 
 def resolve_world(config: WorldConfig) -> WorldRecipe:
-    """The recipe that a world config stands for.
+    """Return the recipe of a world config.
 
     Raises:
-        ConfigError: unknown preset, or values that do not go together.
+        ConfigError: unknown preset, or values that contradict each other.
     """
     preset = presets.load_preset(config.preset)
     shape = config.shape or preset.shape
@@ -185,7 +186,7 @@ def resolve_world(config: WorldConfig) -> WorldRecipe:
 def _resolve_fill(
     config: WorldConfig, preset: presets.Preset, rule: Rule, shape: tuple[int, int, int]
 ) -> float:
-    """Share of walls before the rule; 0 for rules that do not start from random walls."""
+    """Return the fraction of walls before the rule; 0 for rules that do not use random walls."""
     density, fill = config.density, config.fill
     if density is not None and fill is not None:
         raise ConfigError(f"density = {density} and fill = {fill}: give one of them, not both")

@@ -1,6 +1,6 @@
-"""How hard a world is: the length of the shortest way, and whether the straight line is free.
+"""Difficulty of a world: the length of the shortest path, and whether the straight line is free.
 
-Ways go through centres of cells, to any of the 26 neighbours, without cutting corners: a diagonal
+Paths go through centres of cells, to any of the 26 neighbours, without cutting corners: a diagonal
 move needs all cells of the 2 x 2 or 2 x 2 x 2 block that it spans. Arrays hold many worlds, along
 their last axis.
 """
@@ -19,37 +19,38 @@ from angler_mjx.world import groups, path_length_kernel
 
 type Move = tuple[int, ...]
 type _Settling = tuple[jax.Array, jax.Array, jax.Array]
-"""Groups that had their turn, lengths [n_pair], and whether each is settled."""
+"""Number of groups done, lengths [n_pair], and whether each is settled."""
 type _SearchState = tuple[jax.Array, jax.Array, jax.Array, jax.Array]
-"""Rounds, ways [nx, ny, nz, n] to a group's goals, their lengths [n], and which are settled."""
+"""Number of rounds, path lengths [nx, ny, nz, n] to a group's goals, lengths [n], and settled
+flags."""
 MOVES: tuple[Move, ...] = tuple(m for m in itertools.product((-1, 0, 1), repeat=3) if any(m))
 _STRIDE = (9, 3, 1)
-"""From a move to the next one along each axis, in bits of a word of moves."""
+"""Stride from a move to the next along each axis, in bits of a word of moves."""
 _EDGE = 1 << 18
-"""Lengths are whole multiples of this part of a cell's edge: sums are then exact in any order, and
-so is the question whether a way can still be improved. The rounded square roots of 2 and 3 are
-within 1.1e-6 of the true ones."""
+"""Number of length units in a cell's edge. Lengths are whole numbers of units: sums are then exact
+in any order, and so is the test whether a path can still be improved. The rounded square roots of 2
+and 3 are within 1.1e-6 of the true values."""
 _COST = {n_axis: round(_EDGE * math.sqrt(n_axis)) for n_axis in (1, 2, 3)}
 _NO_PATH = 1 << 30
-"""No way: 4,096 edges, which is many times the longest way through any grid that is drawn here."""
+"""Length without a path: 4,096 edges, many times the longest path through any grid generated
+here."""
 LENGTHS = path_length_kernel.Lengths(
     of_axes=(_COST[1], _COST[2], _COST[3]), none=_NO_PATH, strides=_STRIDE
 )
-"""The same for kernels."""
+"""The same units for kernels."""
 _GROUP_DIVISOR = 8
-"""A group of pairs is this part of all of them."""
+"""Number of groups into which all pairs are divided."""
 
 
 def shortest_paths(passable: jax.Array, nz: int, start: jax.Array, goal: jax.Array) -> jax.Array:
-    """Length of the shortest way between pairs of cells, in cell edges; inf where none is.
+    """Return shortest path lengths between pairs of cells, in cell edges; inf where none exists.
 
-    Bellman's equation, relaxed layer by layer (fast sweeping): a sweep along an axis carries every
-    way that never turns back on that axis to its end at once. A round is six sweeps, forth and back
-    along each axis. A pair is settled when no cell can be improved so much that a way through it,
-    straight on to the start from there, would be shorter; its length is then exact. One round
-    settles most pairs. All pairs get one, group by group; those that are left are gathered into
-    groups again, and each of these goes on until all of it is settled. One loop does both: what
-    is written once is compiled once.
+    Bellman's equation, relaxed layer by layer (fast sweeping): a single sweep along an axis updates
+    every path that never turns back on that axis. A round is six sweeps, forth and back along each
+    axis. A pair is settled when no cell can be improved enough to make a path through it, straight
+    from there to the start, shorter; its length is then exact. One round settles most pairs. All
+    pairs get one round, group by group; the remaining pairs form new groups, and each of these
+    continues until it is settled. One loop does both, so the body is compiled once.
 
     Args:
         passable: packed cells, [nx, ny, words, n_world] (see `angler_kernels.bit_grid`).
@@ -83,8 +84,8 @@ def shortest_paths(passable: jax.Array, nz: int, start: jax.Array, goal: jax.Arr
             return more
 
         def go_on(state: _SearchState) -> _SearchState:
-            # Tied to what changes, the moves stay bits: XLA would take the test of each bit out of
-            # the loop, as 26 grids to be read instead of one.
+            # Tied to a loop variable, the moves stay bits: XLA would hoist each bit's test out of
+            # the loop, as 26 grids to read instead of one.
             distance, moves = jax.lax.optimization_barrier((state[1], theirs))
             distance = _sweep_all(distance, moves)
             return state[0] + 1, distance, *_length_at_start(distance, moves, their_start)
@@ -132,15 +133,15 @@ def by_kernel(
 
 
 def in_cells(length: jax.Array) -> jax.Array:
-    """Lengths in cell edges; inf where there is no way."""
+    """Return lengths in cell edges; inf where no path exists."""
     edges = length.astype(float) / _EDGE
     return jnp.where(edges < _NO_PATH // _EDGE, edges, jnp.inf)
 
 
 def open_path_lengths(passable: jax.Array, nz: int, start: jax.Array, goal: jax.Array) -> jax.Array:
-    """As `shortest_paths`, where the passable cells are a box: nothing is searched.
+    """Return lengths as `shortest_paths` does, for a box of passable cells: without a search.
 
-    A way that never leaves the box that its two ends span is as short as a way can be.
+    A path within the box that its two ends span is a shortest path.
     """
     flat = unpack_grid(passable, nz).reshape(-1, passable.shape[-1])
     shape = (*passable.shape[:2], nz)
@@ -150,7 +151,7 @@ def open_path_lengths(passable: jax.Array, nz: int, start: jax.Array, goal: jax.
 
 
 def _free_length(apart: Sequence[jax.Array]) -> jax.Array:
-    """Length of the shortest way between cells that are so many cells apart along each axis."""
+    """Return the shortest path length between cells, by their offsets along each axis."""
     shortest = jnp.minimum(jnp.minimum(apart[0], apart[1]), apart[2])
     longest = jnp.maximum(jnp.maximum(apart[0], apart[1]), apart[2])
     middle = apart[0] + apart[1] + apart[2] - shortest - longest
@@ -160,17 +161,17 @@ def _free_length(apart: Sequence[jax.Array]) -> jax.Array:
 
 
 def bit_of(move: Move) -> jax.Array:
-    """The bit of a move in a word of moves: its place in a block of 3 x 3 x 3."""
+    """Return the bit of a move in a word of moves: its index in a block of 3 x 3 x 3."""
     position = sum(stride * (k + 1) for stride, k in zip(_STRIDE, move, strict=True))
     bit: jax.Array = jnp.uint32(1 << position)
     return bit
 
 
 def _moves_into(passable: jax.Array, nz: int) -> jax.Array:
-    """Which moves may end in each cell: uint32 [nx, ny, nz, n_world], bits as `bit_of` has them."""
+    """Return the moves that may end in each cell: uint32 [nx, ny, nz, n_world], as of `bit_of`."""
     allowed = jnp.zeros((), jnp.uint32)
     blocks: dict[Move, jax.Array] = {(0, 0, 0): passable}
-    # A block is that of one axis less, and the same one cell back along the axis.
+    # A block is that of one axis fewer, and the same shifted one cell back along the axis.
     for move in sorted(MOVES, key=lambda m: sum(map(abs, m))):
         axis = next(a for a in range(3) if move[a])
         fewer = blocks[tuple(0 if a == axis else move[a] for a in range(3))]
@@ -180,7 +181,7 @@ def _moves_into(passable: jax.Array, nz: int) -> jax.Array:
 
 
 def _sweep_all(distance: jax.Array, moves: jax.Array) -> jax.Array:
-    """Ways [nx, ny, nz, ...] after a sweep to either side of each axis."""
+    """Return path lengths [nx, ny, nz, ...] after a sweep to either side of each axis."""
     for axis in range(3):
         distance = _sweep_axis(distance, moves, axis)
     return distance
@@ -189,7 +190,7 @@ def _sweep_all(distance: jax.Array, moves: jax.Array) -> jax.Array:
 def _length_at_start(
     distance: jax.Array, moves: jax.Array, start: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Length [...] at each start [3, ...], and whether no relaxation can change it."""
+    """Return the length [...] at each start [3, ...], and whether no relaxation can change it."""
     flat = _flat_index(start, distance.shape)
     length = jnp.take_along_axis(distance.reshape(-1, *flat.shape), flat[None], axis=0)[0]
     new = relax_moves(pad_axes(distance, (0, 1, 2)), distance.shape, moves, MOVES)
@@ -204,17 +205,17 @@ def _length_at_start(
 
 
 def _flat_index(cell: jax.Array, shape: Sequence[int]) -> jax.Array:
-    """Flat index of cells [3, ...] of a grid."""
+    """Return the flat index of cells [3, ...] of a grid."""
     return (cell[0] * shape[1] + cell[1]) * shape[2] + cell[2]
 
 
 def _sweep_axis(distance: jax.Array, moves: jax.Array, axis: int) -> jax.Array:
-    """Ways after a sweep to either side: layer by layer, each from the one before it.
+    """Return path lengths after a sweep to either side: layer by layer, each from the previous one.
 
     Args:
         distance: [nx, ny, nz, ...] lengths so far.
         moves: uint32 [nx, ny, nz, ...] (see `_moves_into`).
-        axis: to sweep along.
+        axis: axis of the sweep.
     """
     n = distance.shape[axis]
     across = [a for a in range(3) if a != axis]
@@ -222,7 +223,7 @@ def _sweep_axis(distance: jax.Array, moves: jax.Array, axis: int) -> jax.Array:
     layer_of = partial(jax.lax.dynamic_index_in_dim, axis=axis)
 
     def sweep(turn: jax.Array, distance: jax.Array) -> jax.Array:
-        # Either side reads the same cells of the layer before: only the bits differ, by a shift.
+        # Both sides read the same cells of the previous layer: only the bits differ, by a shift.
         first, step = jnp.where(turn == 0, 0, n - 1), 1 - 2 * turn
         shift = jnp.where(turn == 0, 2 * _STRIDE[axis], 0).astype(jnp.uint32)
 
@@ -246,7 +247,7 @@ def _sweep_axis(distance: jax.Array, moves: jax.Array, axis: int) -> jax.Array:
 
 
 def pad_axes(distance: jax.Array, axes: Sequence[int]) -> jax.Array:
-    """Ways with one more cell at both ends of some axes, from which no way leads."""
+    """Return path lengths padded with a cell without a path at both ends of some axes."""
     pad = [(1, 1) if axis in axes else (0, 0) for axis in range(distance.ndim)]
     return jnp.pad(distance, pad, constant_values=_NO_PATH)
 
@@ -257,13 +258,13 @@ def relax_moves(
     moves: jax.Array,
     which: Sequence[Move],
 ) -> jax.Array:
-    """Least length of a way to each cell that ends with one of some moves.
+    """Return the min path length to each cell over paths that end with one of some moves.
 
     Args:
-        wide: ways to where the moves come from, widened (see `pad_axes`) along some axes; along the
-            others, the cells that the moves come from are those of the same index.
+        wide: path lengths at the origins of the moves, padded (see `pad_axes`) along some axes;
+            along the others, the origins have the same index.
         shape: of the result.
-        moves: uint32, which moves may end in each cell.
+        moves: uint32, moves that may end in each cell.
         which: moves to try.
     """
     nothing = jnp.int32(_NO_PATH)
@@ -284,14 +285,14 @@ def relax_moves(
 
 
 def line_is_free(occupied: jax.Array, start: jax.Array, goal: jax.Array) -> jax.Array:
-    """Whether the straight segment between two points meets no occupied cell; bool [...].
+    """Return whether the straight segment between two points meets no occupied cell; bool [...].
 
-    Exact slab test against all cells; touching a cell's face, edge or corner is not meeting it.
+    Exact slab test against all cells; touching a cell's face, edge or corner does not count.
 
     Args:
         occupied: bool [nx, ny, nz, ...].
         start: [3, ...] in cell edges from the lower corner of the grid.
-        goal: [3, ...] likewise.
+        goal: [3, ...], as ``start``.
     """
     enter, leave = jnp.zeros((), start.dtype), jnp.ones((), start.dtype)
     for axis, n in enumerate(occupied.shape[:3]):
@@ -305,5 +306,5 @@ def line_is_free(occupied: jax.Array, start: jax.Array, goal: jax.Array) -> jax.
         first = jnp.where(still, -jnp.inf, jnp.minimum(t0, t1))
         enter = jnp.maximum(enter, jnp.where(beside, jnp.inf, first))
         leave = jnp.minimum(leave, jnp.where(still, jnp.inf, jnp.maximum(t0, t1)))
-    # Rounding of t is below 1e-6; a shorter stay in a cell is a touch.
+    # Rounding of t is below 1e-6; a shorter interval in a cell counts as a touch.
     return ~jnp.any(occupied & (leave - enter > 1e-5), axis=(0, 1, 2))

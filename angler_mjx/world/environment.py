@@ -1,6 +1,6 @@
-"""What one world is: static cells, obstacles, currents, and where each robot starts and goes.
+"""Contents of a world: static cells, obstacles, currents, and starts and goals of the robots.
 
-Pytrees of one world; a batch of worlds has one more leading axis on every leaf. Everything here is
+Pytrees of one world; a batch of worlds has one more leading axis on every leaf. All quantities are
 in the world frame W (x east, y north, z up, metres, water surface at z = 0).
 """
 
@@ -17,34 +17,34 @@ from angler_mjx.world.obstacles import Obstacles
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class Environment:
-    """One world, complete: everything but the robots' own parameters and state."""
+    """A complete world, without the robots' own parameters and state."""
 
     grid: Grid
     floor_z_m: jax.Array
     """[] height of the sea floor, m (negative)."""
     obstacles: Obstacles
-    """Explicit and drawn obstacles, [n_obstacle] rows; rows with exists = False are padding."""
+    """Explicit and sampled obstacles, [n_obstacle] rows; rows with exists = False are padding."""
     current: Current
     start_m: jax.Array
     """[n_robot, 3] start of each robot's centre of mass."""
     start_yaw_rad: jax.Array
     """[n_robot] heading at the start, about z up, 0 = east."""
     goal_m: jax.Array
-    """[n_robot, 3]."""
+    """[n_robot, 3] goal of each robot."""
     density: jax.Array
-    """[] share of cells that are occupied."""
+    """[] fraction of occupied cells."""
     path_ratio: jax.Array
     """[n_robot] shortest 26-connected free path over the straight line, start to goal; >= 1."""
     line_free: jax.Array
     """bool [n_robot] whether the straight line from start to goal meets no occupied cell."""
     redraws: jax.Array
-    """int32 [] how many drawings were thrown away before this one could hold the fleet."""
+    """int32 [] number of samples rejected before this one could hold the fleet."""
     valid: jax.Array
     """bool [] False only where the redraw limit was reached; such a world is never simulated."""
 
 
 def region_corners(environment: Environment) -> tuple[jax.Array, jax.Array]:
-    """Lower and upper corner [3] of the cube that fleets work in, m, in W."""
+    """Return the lower and upper corner [3] of the cube that fleets work in, m, in W."""
     grid = environment.grid
     size = jnp.array(grid.occupied.shape, grid.origin_m.dtype) * grid.cell_m
     return grid.origin_m, grid.origin_m + size

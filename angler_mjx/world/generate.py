@@ -1,7 +1,7 @@
-"""Whole worlds from a recipe and a key: cells, starts and goals, obstacles, current, difficulty.
+"""Generation of complete worlds from a recipe and a key.
 
-`generate_world` makes one world and is pure; `generate_batch` is the boundary where it is compiled
-and batched. World i of a seed is the same whatever batch it is made in.
+`generate_world` makes one world and is pure; `generate_batch` is the boundary that compiles and
+batches it. World i of a seed does not depend on its batch.
 """
 
 import math
@@ -22,7 +22,8 @@ from angler_mjx.world.placement import check_positions
 from angler_mjx.world.sampling import sample_world
 
 _SEA_FLOOR = 0x464C4F4F
-"""Folded into a world's key for the place of its sea floor: no other draw has it."""
+"""Folded into a world's key for the position of its sea floor: a constant that no other sample
+uses."""
 
 
 def generate_world(
@@ -32,10 +33,10 @@ def generate_world(
     horizon_s: float = 120.0,
     water_density_kgm3: jax.Array | float = 1000.0,
 ) -> Environment:
-    """One world for one fleet.
+    """Generate a world for a fleet.
 
-    Cells and places are drawn again, with new keys, until the world holds the fleet or the limit
-    of the recipe is reached; then ``valid`` is False.
+    Cells and positions are sampled again, with new keys, until the world holds the fleet or the
+    limit of the recipe is reached; then ``valid`` is False.
 
     Args:
         recipe: static.
@@ -90,13 +91,13 @@ def generate_world(
 
 
 def sample_current(recipe: WorldRecipe, key: jax.Array, horizon_s: float) -> currents.Current:
-    """The current alone of the world that `generate_world` makes; arguments as there."""
+    """Sample only the current of the world of `generate_world`; arguments as there."""
     lo, hi = _region_corners(recipe)
     return currents.sample_current(recipe.currents, jax.random.split(key, 3)[2], lo, hi, horizon_s)
 
 
 def _region_corners(recipe: WorldRecipe) -> tuple[jax.Array, jax.Array]:
-    """Lower and upper corner [3] of the water of the grid, m, W."""
+    """Return the lower and upper corner [3] of the water of the grid, m, W."""
     lo = jnp.array(recipe.origin_m, float)
     hi = lo + jnp.array(recipe.size_m, float)
     return lo.at[2].max(recipe.floor_z_m), hi
@@ -105,7 +106,7 @@ def _region_corners(recipe: WorldRecipe) -> tuple[jax.Array, jax.Array]:
 def _sample_ground(
     recipe: WorldRecipe, key: jax.Array, current_key: jax.Array, horizon_s: float
 ) -> tuple[currents.Current, jax.Array | None]:
-    """The current of a world, and the rock of the file in which it lies."""
+    """Sample the current of a world, and return its rock from the file."""
     lo, hi = _region_corners(recipe)
     current = currents.sample_current(recipe.currents, current_key, lo, hi, horizon_s)
     x, y, z = (
@@ -133,10 +134,10 @@ def generate_batch(
     horizon_s: float = 120.0,
     water_density_kgm3: float = 1000.0,
 ) -> Environment:
-    """Worlds ``first_index`` to ``first_index + count - 1`` of a seed, compiled once per count.
+    """Generate worlds ``first_index`` to ``first_index + count - 1`` of a seed.
 
     Args:
-        config: of the scenario.
+        config: world config of the scenario.
         radius_m: [n_robot] radius of each robot's bounding sphere, or [count, n_robot] where
             fleets differ between worlds.
         seed: 0 to 2^32 - 1; the key of a world is this seed's, folded with the world's index.
@@ -149,7 +150,7 @@ def generate_batch(
         Environment with a leading axis of ``count``.
 
     Raises:
-        ConfigError: a robot that no cell could hold, or more robots than places in the file.
+        ConfigError: a robot too large for any cell, or more robots than given positions.
     """
     recipe = resolve_world(config)
     radius = np.asarray(radius_m)
@@ -164,15 +165,15 @@ def generate_batch(
 
 
 def check_fleet(recipe: WorldRecipe, radius_m: np.ndarray | jax.Array) -> None:
-    """Refuse a fleet that no drawing of the recipe can hold, before anything is compiled.
+    """Refuse a fleet that no sample of the recipe can hold, before compilation.
 
     Args:
-        recipe: of the world.
+        recipe: recipe of the world.
         radius_m: [..., n_robot] radius of each robot's bounding sphere.
 
     Raises:
-        ConfigError: no robot, more than cells, one too wide for the cells, or given places that are
-            not free.
+        ConfigError: no robot, more robots than cells, a robot too wide for the cells, or given
+            positions that are not free.
     """
     radius = np.asarray(radius_m)
     n_robot = radius.shape[-1]
@@ -195,7 +196,7 @@ def check_fleet(recipe: WorldRecipe, radius_m: np.ndarray | jax.Array) -> None:
 
 
 def require_valid(environment: Environment, first_index: int = 0) -> None:
-    """Refuse a batch in which no world at all can hold its fleet.
+    """Refuse a batch in which no world can hold its fleet.
 
     Raises:
         ConfigError: all worlds reached the redraw limit.

@@ -21,12 +21,12 @@ class Grid:
 
 
 def height_above_bottom(grid: Grid, floor_z_m: jax.Array, p: jax.Array) -> jax.Array:
-    """Height [] of a point above the first rock straight below it, or above the sea floor; m.
+    """Return the height [] of a point above the first rock below it, or above the sea floor; m.
 
     Args:
         grid: static cells.
         floor_z_m: [] height of the floor.
-        p: [3] in W; beside the grid there is only the floor.
+        p: [3] in W; outside the grid there is only the floor.
     """
     shape = grid.occupied.shape
     cell = jnp.floor((p - grid.origin_m) / grid.cell_m).astype(jnp.int32)

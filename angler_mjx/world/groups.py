@@ -1,7 +1,7 @@
-"""Work on many things in small groups: first each once, then again those that are not done.
+"""Computations on many items in small groups: each item once, then the unfinished items again.
 
-Under ``vmap`` a loop would repeat for all what a few of them need. Here one loop body works on a
-group at a time, and is written, and so compiled, once.
+Under ``vmap`` a loop would repeat for all items the iterations that only a few need. Here one loop
+body works on a group at a time, and is compiled once.
 """
 
 from dataclasses import dataclass
@@ -13,21 +13,21 @@ import jax.numpy as jnp
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class WorldGroup:
-    """Which of n things have their turn."""
+    """Indices of a group of n items."""
 
     index: jax.Array
-    """int32 [size]; n or more where a place is empty: to be written nowhere."""
+    """int32 [size]; n or more for an empty slot: not written."""
     read: jax.Array
-    """int32 [size]; where an empty place reads something that there is."""
+    """int32 [size]; a valid index to read for empty slots."""
 
 
 def choose_group(turn: jax.Array, left: jax.Array, size: int) -> WorldGroup:
-    """The group of a turn: neighbours until all had one, then the first that are left.
+    """Return the group of a turn: neighbours until all items had one, then unfinished items.
 
     Args:
-        turn: [] counted from 0.
-        left: bool [n] those that are not done.
-        size: of a group; static.
+        turn: [] index of the turn, from 0.
+        left: bool [n] unfinished items.
+        size: size of a group; static.
     """
     n = left.shape[0]
     (again,) = jnp.nonzero(left, size=size, fill_value=n)
@@ -36,5 +36,5 @@ def choose_group(turn: jax.Array, left: jax.Array, size: int) -> WorldGroup:
 
 
 def all_had_turn(turn: jax.Array, n: int, size: int) -> jax.Array:
-    """Whether all of n things had a turn before this one, bool []."""
+    """Return whether all of n items had a turn before this one, bool []."""
     return turn >= -(-n // size)

@@ -1,6 +1,6 @@
-"""The shortest ways of `difficulty` as one GPU kernel: a program per pair of cells.
+"""The shortest paths of `difficulty` as one GPU kernel: a program per pair of cells.
 
-The same sweeps and the same question whether a pair is settled, so the same lengths to the last
+The sweeps and the test whether a pair is settled are the same, so the lengths are equal to the last
 bit, since all of them are whole numbers. A program's lanes are the cells of one layer of its grid.
 """
 
@@ -24,14 +24,15 @@ _LAYERS = tuple((a, *(b for b in range(3) if b != a)) for a in range(3))
 
 @dataclass(frozen=True, kw_only=True)
 class Lengths:
-    """How lengths are counted."""
+    """Units of lengths."""
 
     of_axes: tuple[int, int, int]
-    """Of moves over 1, 2, 3 axes."""
+    """Lengths of moves over 1, 2, 3 axes."""
     none: int
-    """No way."""
+    """Length without a path."""
     strides: tuple[int, int, int]
-    """From a move's bit to that of the next move along each axis; the middle bit is no move."""
+    """Stride from a move's bit to that of the next move along each axis; the middle bit is no
+    move."""
 
 
 def shortest_length(
@@ -42,12 +43,12 @@ def shortest_length(
     *,
     interpret: bool = False,
 ) -> jax.Array:
-    """Length of the shortest way between two cells, int32 []; ``lengths.none`` where none is.
+    """Return the shortest path length between two cells, int32 []; ``lengths.none`` where none is.
 
     Args:
-        moves: uint32 [nx, ny, nz] which moves may end in each cell.
+        moves: uint32 [nx, ny, nz] moves that may end in each cell.
         start: int32 [3] cell.
-        goal: int32 [3] cell, taken to be free.
+        goal: int32 [3] cell, assumed free.
         lengths: static.
         interpret: run as ordinary JAX, on any device.
     """
@@ -77,18 +78,18 @@ class _PathLengthKernel:
 
     @property
     def total(self) -> int:
-        """Cells with one more at both ends of each axis."""
+        """Return the number of cells, padded at both ends of each axis."""
         return math.prod(n + 2 for n in self.shape)
 
     @property
     def wide(self) -> tuple[int, int, int]:
-        """Strides of the cells with those at the ends."""
+        """Return the strides of the padded cells."""
         _, ny, nz = self.shape
         return (ny + 2) * (nz + 2), nz + 2, 1
 
     @property
     def strides(self) -> tuple[int, int, int]:
-        """Strides of the moves."""
+        """Return the strides of the moves."""
         _, ny, nz = self.shape
         return ny * nz, nz, 1
 
@@ -110,7 +111,7 @@ class _PathLengthKernel:
         program.barrier()
         last = sum((c + 1) * s for c, s in zip(start, self.wide, strict=True))
 
-        # Shorter than this is none: most pairs need a sweep or two.
+        # No path is shorter than this: most pairs need a sweep or two.
         bound = self._free_length([jnp.abs(a - b) for a, b in zip(start, goal, strict=True)])
 
         def again(_: Any) -> Any:
@@ -121,7 +122,9 @@ class _PathLengthKernel:
             more = jax.lax.cond(
                 shortest > bound,
                 lambda: self._can_improve(distance, moves, lane, start, shortest),
-                lambda: 0 * shortest,  # Triton takes no constant as what a branch gives.
+                lambda: (
+                    0 * shortest
+                ),  # Triton does not accept a constant as the result of a branch.
             )
             return shortest, more
 
@@ -131,7 +134,7 @@ class _PathLengthKernel:
         length[0] = shortest
 
     def _sweep_axis(self, distance: Any, moves: Any, lane: Any, axis: int, b: int, c: int) -> None:
-        """To either side of an axis, layer by layer."""
+        """Sweep to either side of an axis, layer by layer."""
         n = self.shape[axis]
         real = lane < self.shape[b] * self.shape[c]
         i, j = jnp.where(real, lane // self.shape[c], 0), jnp.where(real, lane % self.shape[c], 0)
@@ -157,7 +160,7 @@ class _PathLengthKernel:
             jax.lax.fori_loop(1, n, advance, jnp.int32(0))
 
     def _relax_moves(self, distance: Any, at: Any, may: Any, real: Any, which: Any) -> Any:
-        """Least length of a way to each cell that ends with one of some moves."""
+        """Return the min path length to each cell over paths that end with one of some moves."""
         none = jnp.int32(self.lengths.none)
         best = none
         for count, cost in enumerate(self.lengths.of_axes, start=1):
@@ -174,7 +177,7 @@ class _PathLengthKernel:
         return best
 
     def _free_length(self, apart: list[Any]) -> Any:
-        """Length of the shortest way between cells that are so many cells apart along each axis."""
+        """Return the shortest path length between cells, by their offsets along each axis."""
         one, two, three = self.lengths.of_axes
         shortest = jnp.minimum(jnp.minimum(apart[0], apart[1]), apart[2])
         longest = jnp.maximum(jnp.maximum(apart[0], apart[1]), apart[2])
@@ -182,7 +185,7 @@ class _PathLengthKernel:
         return three * shortest + two * (middle - shortest) + one * (longest - middle)
 
     def _can_improve(self, distance: Any, moves: Any, lane: Any, start: Any, shortest: Any) -> Any:
-        """Whether a way through any cell that can be improved could be shorter; int32 []."""
+        """Return whether a path through any improvable cell could be shorter; int32 []."""
         nx, ny, nz = self.shape
         real = lane < ny * nz
         j, k = jnp.where(real, lane // nz, 0), jnp.where(real, lane % nz, 0)
@@ -204,6 +207,6 @@ class _PathLengthKernel:
 
 
 def lanes_needed(shape: tuple[int, ...]) -> int:
-    """Cells of the largest layer of a grid."""
+    """Return the number of cells of the largest layer of a grid."""
     nx, ny, nz = shape
     return max(nx * ny, ny * nz, nx * nz)

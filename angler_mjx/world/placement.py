@@ -1,4 +1,4 @@
-"""Where robots start and where they go: free, clear of each other, and reachable.
+"""Placement of robots' starts and goals: free, clear of each other, and reachable.
 
 Starts and goals are centres of cells. All of them lie in one connected region of cells that the
 widest robot of the fleet can pass, so every robot can reach its goal. Passable means: the sphere of
@@ -26,11 +26,11 @@ from angler_mjx.world.obstacles.explicit import explicit_rows
 # go to the other four, so up to four robots share no corner at all.
 _CORNERS = (0b000, 0b011, 0b101, 0b110, 0b111, 0b100, 0b010, 0b001)
 _JITTER_CELLS = {"cross": 3.0, "parallel": 1.0}
-"""How much farther from its corner or lane a robot may stand than the nearest free cell."""
+"""Max extra distance, in cells, from a robot's corner or lane beyond the nearest free cell."""
 
 
 def cell_centres(recipe: WorldRecipe) -> jax.Array:
-    """Centres of all cells, [nx, ny, nz, 3] m, W; the same to the last bit in every program."""
+    """Return the centres of all cells, [nx, ny, nz, 3] m, W; bitwise equal in every program."""
     axes = (
         jnp.array(low + recipe.cell_m * (np.arange(n) + 0.5), float)
         for low, n in zip(recipe.origin_m, recipe.shape, strict=True)
@@ -41,14 +41,14 @@ def cell_centres(recipe: WorldRecipe) -> jax.Array:
 def passable_cells(
     free: jax.Array, ground: jax.Array, cell_m: float, radius_m: jax.Array
 ) -> jax.Array:
-    """Cells at whose centre a sphere meets nothing occupied, nothing outside and no ground.
+    """Return the cells at whose centre a sphere meets no occupied cell, face of the grid or ground.
 
     A neighbour through a face, edge or corner is sqrt(1), sqrt(2), sqrt(3) half cells away; cells
-    two away never matter to a radius below 1.5 cells.
+    two away are irrelevant for a radius below 1.5 cells.
 
     Args:
         free: packed cells, [nx, ny, words, n_world].
-        ground: [nx, ny, nz] distance of each centre to floor and obstacles that stand still, m.
+        ground: [nx, ny, nz] distance of each centre to floor and static obstacles, m.
         cell_m: edge of a cell.
         radius_m: [n_world] radius of the sphere; below 1.5 cells.
 
@@ -66,12 +66,12 @@ def passable_cells(
 
 
 def obstacle_gap(obstacles: Obstacles, points: jax.Array, only_static: bool) -> jax.Array:
-    """Distance [...] of points [..., 3] to the nearest obstacle's surface at its start, m.
+    """Return distances [...] of points [..., 3] to the nearest obstacle's surface at its start, m.
 
     Args:
-        obstacles: of one world.
+        obstacles: obstacles of one world.
         points: [..., 3] m, W.
-        only_static: leave out those that move.
+        only_static: leave out moving obstacles.
     """
     gaps = jax.vmap(partial(_obstacle_gaps, obstacles))(points.reshape(-1, 3))
     counts = obstacles.exists & ((obstacles.motion == STATIC) | (not only_static))
@@ -79,7 +79,7 @@ def obstacle_gap(obstacles: Obstacles, points: jax.Array, only_static: bool) -> 
 
 
 def _obstacle_gaps(obstacles: Obstacles, p: jax.Array) -> jax.Array:
-    """Distance [n] of a point to each obstacle's surface at its start, m."""
+    """Return the distance [n] of a point to each obstacle's surface at its start, m."""
     point, zero = p[None], jnp.zeros(1, p.dtype)
     to_one = partial(capsules_obstacle, point, point, zero, kinds=obstacles.kinds)
     return jax.vmap(to_one)(obstacles.p0, obstacles.q0, obstacles.kind, obstacles.size_m)
@@ -89,11 +89,11 @@ def check_positions(recipe: WorldRecipe, radius_m: np.ndarray) -> None:
     """Refuse starts and goals of a file that lie outside the grid or touch an explicit obstacle.
 
     Args:
-        recipe: with placement "given".
+        recipe: recipe with placement "given".
         radius_m: [n_robot].
 
     Raises:
-        ConfigError: naming every such place.
+        ConfigError: naming every such position.
     """
     if len(radius_m) != len(recipe.start_m):
         raise ConfigError(
@@ -133,17 +133,17 @@ def choose_positions(
     radius_m: jax.Array,
     keys: jax.Array,
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Starts and goals of fleets, one for each world.
+    """Choose starts and goals of fleets, one fleet for each world.
 
-    Robots are placed in order; each takes the best cell that is left. A goal is at least half the
+    Robots are placed in order; each takes the best remaining cell. A goal is at least half the
     grid's longest edge away from its start.
 
     Args:
         recipe: static.
         free: packed cells, [nx, ny, words, n_world], all connected.
         passable: packed cells, those of ``free`` that the widest robot can pass.
-        start_gap: [nx, ny, nz] from each centre to explicit obstacles that are there at the start,
-            moving ones too, m.
+        start_gap: [nx, ny, nz] distance from each centre to explicit obstacles at the start, also
+            moving ones, m.
         radius_m: [n_robot, n_world].
         keys: [n_world] random key of each world's placement.
 
@@ -161,7 +161,7 @@ def choose_positions(
 
     def at_random(key: jax.Array) -> tuple[jax.Array, ...]:
         of_noise, *others = fold_keys(key, 3)
-        # One field serves all robots: taking the least value left is drawing without putting back.
+        # One field serves all robots: the least remaining value is a sample without replacement.
         noise = jax.random.uniform(of_noise, (2, point.shape[1]), jnp.float32)
         mirror, rotation = uniform_rows(jnp.stack(others), max(3, n_robot), jnp.float32)
         rotation = rotation[:n_robot].at[0].set(0.0)
@@ -197,16 +197,16 @@ def choose_positions(
 
 
 def cell_of(recipe: WorldRecipe, p: jax.Array) -> jax.Array:
-    """Index [..., 3] (int32) of the cell that holds a point [..., 3] m, W; the nearest if none."""
+    """Return the index [..., 3] (int32) of the cell nearest to a point [..., 3] m, W."""
     index = jnp.floor((p - jnp.array(recipe.origin_m, p.dtype)) / recipe.cell_m)
     return jnp.clip(index.astype(jnp.int32), 0, jnp.array(recipe.shape) - 1)
 
 
 def _open_cells(free: jax.Array, passable: jax.Array, nz: int) -> jax.Array:
-    """Largest connected region of the passable cells, packed.
+    """Return the largest connected region of the passable cells, packed.
 
-    Most fleets can pass every free cell, and those are connected already. The search is then given
-    an empty grid, on which it ends at once.
+    Most fleets can pass every free cell, and those are connected already. The search then gets an
+    empty grid, on which it ends at once.
     """
     whole = jnp.all(passable == free, axis=(0, 1, 2))
     return jnp.where(whole, passable, largest_cavern(jnp.where(whole, 0, passable), nz))
@@ -215,7 +215,7 @@ def _open_cells(free: jax.Array, passable: jax.Array, nz: int) -> jax.Array:
 def _fixed_positions(
     recipe: WorldRecipe, open_cell: jax.Array, start_gap: jax.Array, radius_m: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """The places of the file; they hold where the cells that they lie in would be taken."""
+    """Return the positions of the file; they are accepted where their cells would be."""
     start, goal = jnp.array(recipe.start_m, float), jnp.array(recipe.goal_m, float)
     _, ny, nz = recipe.shape
     strides = jnp.array([ny * nz, nz, 1])
@@ -232,10 +232,10 @@ def _fixed_positions(
 def _cheapest_cell(
     may: jax.Array, price: jax.Array, point: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Centre [3, n_world] of the cheapest cell [cells, n_world] that may be taken, if there is one.
+    """Return the centre [3, n_world] of the cheapest allowed cell [cells, n_world], and if any is.
 
-    Two plain minima, of the price and of the index among the cheapest: vectors serve them, which
-    they do not a search for the index of the least.
+    Two plain minima, of the price and of the index among the cheapest, are vectorised; an argmin is
+    not.
     """
     price = jnp.where(may, price, jnp.inf)
     lowest = jnp.min(price, axis=0)
@@ -247,7 +247,7 @@ def _cheapest_cell(
 def _target_points(
     recipe: WorldRecipe, n_robot: int, mirrored: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Points [n_robot, 3] that the robots' starts and goals should be near to, m, W.
+    """Return target points [n_robot, 3] of the robots' starts and goals, m, W.
 
     Args:
         recipe: static.
@@ -273,10 +273,10 @@ def _target_points(
 def _cell_cost(
     recipe: WorldRecipe, point: jax.Array, target: jax.Array, noise: jax.Array, turned: jax.Array
 ) -> jax.Array:
-    """What a robot pays for each cell, [cells, n_world]; the cheapest is taken.
+    """Return a robot's cost of each cell, [cells, n_world]; the cheapest is taken.
 
-    At random each robot counts the field from a value of its own, ``turned`` [n_world], on. If all
-    began at 0, a cell that one robot may not have, near its start, would be the next one's.
+    With random placement each robot counts the field from its own value, ``turned`` [n_world]. If
+    all began at 0, a cell refused to one robot, near its start, would go to the next robot.
     """
     if recipe.placement == "random":
         return (noise + turned) % 1.0
@@ -285,11 +285,11 @@ def _cell_cost(
 
 
 def _point_distance(point: jax.Array, to: jax.Array) -> jax.Array:
-    """Distances [cells, n_world] of points [3, cells, 1] to one [3, n_world] in each world."""
+    """Return distances [cells, n_world] of points [3, cells, 1] to a point [3, n_world] each."""
     x, y, z = (point[axis] - to[axis] for axis in range(3))
     return jnp.sqrt(x * x + y * y + z * z)
 
 
 def _erode_axis(free: jax.Array, axis: int, nz: int) -> jax.Array:
-    """Cells that are free with both neighbours along an axis; what lies outside is not free."""
+    """Return the cells that are free with both neighbours along an axis; outside is not free."""
     return free & shift_grid(free, axis, 1, nz) & shift_grid(free, axis, -1, nz)

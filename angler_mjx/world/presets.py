@@ -1,4 +1,4 @@
-"""The worlds that come with the package, as data: one TOML file each."""
+"""The presets of worlds that come with the package, as data: one TOML file each."""
 
 from functools import cache
 from importlib import resources
@@ -15,11 +15,11 @@ _FOLDER = "data"
 
 
 class Preset(FileModel):
-    """A complete world but for currents; density or fill for rules that start from random walls."""
+    """A complete world without currents; density or fill for rules that start from random walls."""
 
     description: str
     source: str
-    """Where the numbers come from."""
+    """Source of the numbers."""
     shape: tuple[int, int, int]
     cell_m: Annotated[float, Field(gt=0)]
     depth_m: Annotated[float, Field(ge=0)] = 2.0
@@ -30,12 +30,12 @@ class Preset(FileModel):
     min_obstacles: int = 0
     placement: Literal["cross", "parallel", "random"] = "cross"
     horizon_s: Annotated[float, Field(gt=0, le=86400)] = 120.0
-    """Of scenarios in it that give none: time for the ways through it; see `docs/planners.md`."""
+    """Default horizon of scenarios in this world: time for its paths; see `docs/planners.md`."""
     obstacles: ObstaclesConfig = ObstaclesConfig()
 
 
 def list_presets() -> tuple[str, ...]:
-    """Names of all presets, sorted."""
+    """Return the names of all presets, sorted."""
     folder = resources.files("angler_mjx.world") / _FOLDER
     names = (entry.name for entry in folder.iterdir())
     return tuple(sorted(n.removesuffix(".toml") for n in names if n.endswith(".toml")))
@@ -43,10 +43,10 @@ def list_presets() -> tuple[str, ...]:
 
 @cache
 def load_preset(name: str) -> Preset:
-    """A preset by name.
+    """Return a preset by name.
 
     Raises:
-        ConfigError: there is none of that name.
+        ConfigError: there is no preset of that name.
     """
     if name not in list_presets():
         raise ConfigError(

@@ -1,8 +1,7 @@
-"""How the static cells of a world come about: the rules that a preset or a file can name.
+"""Rules that generate the static cells of a world, as named by a preset or a file.
 
-Each rule is a model for files; `sample_cells` turns one and random keys into cells, one world for
-each key. What it gives is always one cavern: free cells that the largest cavern does not reach are
-filled.
+Each rule is a model for files; `sample_cells` turns a rule and random keys into cells, one world
+for each key. The result is always one cavern: free cells outside the largest cavern are filled.
 """
 
 import math
@@ -30,7 +29,7 @@ class AutomatonRule(FileModel):
     born_above: int = Field(ge=0, le=26)
     """A free cell with more neighbouring walls becomes a wall."""
     steps: int = Field(ge=0, le=20)
-    """How often this is done."""
+    """Number of steps of the automaton."""
 
 
 class WallsRule(FileModel):
@@ -40,7 +39,7 @@ class WallsRule(FileModel):
     count: int = Field(default=3, ge=1, le=128)
     """Number of walls."""
     gate_cells: int = Field(default=3, ge=1, le=128)
-    """Edge of a gate."""
+    """Edge of a gate, in cells."""
 
     def check(self, shape: Shape) -> None:
         """Raise a ConfigError if the walls do not fit between the start and goal cells."""
@@ -56,7 +55,7 @@ class WallsRule(FileModel):
 
 
 class OpenRule(FileModel):
-    """No cells at all."""
+    """A grid without rock."""
 
     type: Literal["open"] = "open"
 
@@ -70,12 +69,12 @@ def sample_cells(
     fill: float | jax.Array,
     keys: jax.Array,
 ) -> jax.Array:
-    """Occupied cells of worlds.
+    """Sample the occupied cells of worlds.
 
     Args:
         rule: static.
         shape: number of cells along x, y, z; static.
-        fill: [] share of walls that an automaton starts from.
+        fill: [] initial fraction of walls of an automaton.
         keys: [n_world] random key of each world's cells.
 
     Returns:
@@ -86,7 +85,7 @@ def sample_cells(
         case AutomatonRule():
 
             def at_random(key: jax.Array) -> jax.Array:
-                # Drawn flat: the same numbers, and a third of the time to compile.
+                # Sampled flat: the same numbers, and a third of the compile time.
                 wall = jax.random.uniform(key, (math.prod(shape),), jnp.float32) < fill
                 return pack_grid(wall.reshape(shape))
 
@@ -107,9 +106,9 @@ def sample_cells(
 
 
 def _sample_walls(rule: WallsRule, shape: Shape, key: jax.Array) -> jax.Array:
-    """Evenly spaced walls; the gate of each is drawn uniformly over all its places."""
+    """Return evenly spaced walls; the position of each gate is sampled uniformly."""
     nx, ny, nz = shape
-    # i-th wall of n: the cells before, between and after differ by one at most.
+    # i-th wall of n: the numbers of cells before, between and after differ by one at most.
     at_x = jnp.array([(i + 1) * nx // (rule.count + 1) for i in range(rule.count)])
     span = jnp.array([ny, nz]) - rule.gate_cells + 1
     corner = jax.random.randint(key, (rule.count, 2), 0, span)

@@ -1,9 +1,9 @@
-"""The part of a world that may have to be drawn again: its cells, and where the fleet stands.
+"""Resampling of a world until it fits: its cells, and the positions of the fleet.
 
-A world alone is drawn in a loop until it can hold its fleet. Under ``vmap`` that loop would repeat
-for all worlds what a few of them need, so `sample_world` brings its own rule for a batch: group by
-group all worlds are drawn once, and then only those that failed (`groups`). Large batches go
-through in tiles of worlds that the device's caches and memory can hold. What a world looks like
+A single world is sampled in a loop until it can hold its fleet. Under ``vmap`` that loop would
+repeat for all worlds the iterations that only a few need, so `sample_world` brings its own rule for
+a batch: group by group all worlds are sampled once, and then only those that failed (`groups`).
+Large batches are split into tiles of worlds that the device's caches and memory can hold. A world
 depends on its key alone. The functions behind `sample_world` have their axis of worlds last (see
 `angler_kernels.bit_grid`).
 """
@@ -28,9 +28,9 @@ from angler_mjx.world.placement import (
 from angler_mjx.world.rules import sample_cells
 
 _GROUP_DIVISOR = 4
-"""A group of worlds that are drawn together is this part of a tile."""
+"""Number of groups into which a tile is divided for sampling."""
 _TILE_NUMBERS = {"cpu": 1 << 21}
-"""Lengths of ways that a tile may hold, by platform: 8 MiB, what caches hold, on a CPU."""
+"""Max number of path lengths in a tile, by platform: 8 MiB, the size of caches, on a CPU."""
 _TILE_NUMBERS_ELSEWHERE = 1 << 28
 """512 MiB: enough work for every thread of a GPU, and a small part of its memory."""
 
@@ -38,7 +38,7 @@ _TILE_NUMBERS_ELSEWHERE = 1 << 28
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class WorldSample:
-    """Cells of one world, where its fleet stands, and how hard its ways are."""
+    """Cells of one world, positions of its fleet, and difficulty of its paths."""
 
     occupied: jax.Array
     """bool [nx, ny, nz]."""
@@ -47,11 +47,11 @@ class WorldSample:
     goal: jax.Array
     """[n_robot, 3] m, W."""
     path_ratio: jax.Array
-    """[n_robot] shortest way over straight line."""
+    """[n_robot] shortest path over straight line."""
     line_free: jax.Array
-    """bool [n_robot]."""
+    """bool [n_robot] whether the straight line is free."""
     redraws: jax.Array
-    """int32 [] drawings thrown away before this one."""
+    """int32 [] samples rejected before this one."""
     fits: jax.Array
     """bool [] whether the world holds the fleet."""
 
@@ -59,12 +59,12 @@ class WorldSample:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class _WorldAttempt:
-    """One try at each of many worlds; the axis of worlds is the last of every leaf."""
+    """One attempt at each of many worlds; the axis of worlds is the last of every leaf."""
 
     occupied: jax.Array
     """Packed cells."""
     passable: jax.Array
-    """Packed cells that the widest robot can pass."""
+    """Packed cells passable for the widest robot."""
     start: jax.Array
     goal: jax.Array
     fits: jax.Array
@@ -74,13 +74,13 @@ class _WorldAttempt:
 def sample_world(
     recipe: WorldRecipe, radius_m: jax.Array, key: jax.Array, rock: jax.Array | None = None
 ) -> WorldSample:
-    """Cells and places of one world, drawn until the fleet fits or the recipe's limit is reached.
+    """Sample cells and positions of a world until the fleet fits or the recipe's limit is reached.
 
     Args:
         recipe: static.
         radius_m: [n_robot] radius of each robot's bounding sphere; below 1.5 cells.
         key: random key of this world's cells.
-        rock: bool [nx, ny, nz] cells that are occupied whatever is drawn; none if left out.
+        rock: bool [nx, ny, nz] cells that are always occupied; none if left out.
     """
     inputs = (radius_m, key) if rock is None else (radius_m, key, rock)
 
@@ -111,14 +111,14 @@ def sample_world(
 def sample_worlds(
     recipe: WorldRecipe, radius_m: jax.Array, keys: jax.Array, rock: jax.Array | None = None
 ) -> WorldSample:
-    """As `sample_world`, for worlds [n_world, n_robot] and [n_world], tile by tile."""
+    """Sample worlds [n_world, n_robot] and [n_world] as `sample_world` does, tile by tile."""
     n_world, n_robot = radius_m.shape
     max_worlds = tile_size(recipe, n_robot)
     if n_world <= max_worlds:
         return _sample_tile(recipe, radius_m, keys, rock)
     n_tile = -(-n_world // max_worlds)
     tile = -(-n_world // n_tile)
-    # The last tile is filled up with the first worlds once more; they are cut off again.
+    # The last tile is padded with the first worlds; the copies are cut off again.
     index = jnp.arange(n_tile * tile).reshape(n_tile, tile) % n_world
     inputs = (radius_m, keys) if rock is None else (radius_m, keys, rock)
     tiles = jax.lax.map(lambda i: _sample_tile(recipe, *(part[i] for part in inputs)), index)
@@ -129,7 +129,7 @@ def sample_worlds(
 
 
 def tile_size(recipe: WorldRecipe, n_robot: int) -> int:
-    """Most worlds that are drawn at once on the platform that JAX computes on."""
+    """Return the max number of worlds sampled at once on the platform that JAX computes on."""
     numbers = _TILE_NUMBERS.get(jax.default_backend(), _TILE_NUMBERS_ELSEWHERE)
     nx, ny, nz = recipe.shape
     return max(1, numbers // (nx * ny * nz * n_robot))
@@ -138,7 +138,7 @@ def tile_size(recipe: WorldRecipe, n_robot: int) -> int:
 def _sample_tile(
     recipe: WorldRecipe, radius_m: jax.Array, keys: jax.Array, rock: jax.Array | None = None
 ) -> WorldSample:
-    """Worlds [n_world, n_robot], [n_world], all at once."""
+    """Sample worlds [n_world, n_robot], [n_world], all at once."""
     radius = radius_m.T
     packed = None if rock is None else pack_grid(jnp.moveaxis(rock, 0, -1))
     made = _resample_worlds(recipe, radius, keys, packed)
@@ -162,7 +162,7 @@ def _sample_tile(
 def _resample_worlds(
     recipe: WorldRecipe, radius: jax.Array, keys: jax.Array, rock: jax.Array | None
 ) -> _WorldAttempt:
-    """Worlds drawn until each holds its fleet or reached the limit.
+    """Sample worlds until each holds its fleet or reached the limit.
 
     Args:
         recipe: static.
@@ -213,14 +213,14 @@ def attempt_worlds(
     redraws: jax.Array,
     rock: jax.Array | None = None,
 ) -> _WorldAttempt:
-    """One try at each world.
+    """Return one attempt at each world.
 
     Args:
         recipe: static.
         radius: [n_robot, n_world].
         keys: [n_world].
-        redraws: int32 [n_world] which try at its world this is.
-        rock: packed cells that are occupied whatever is drawn; none if left out.
+        redraws: int32 [n_world] index of the attempt at its world.
+        rock: packed cells that are always occupied; none if left out.
     """
 
     def keys_of_try(key: jax.Array, redraws: jax.Array) -> jax.Array:
@@ -251,14 +251,14 @@ def measure_difficulty(
     start: jax.Array,
     goal: jax.Array,
 ) -> tuple[jax.Array, jax.Array]:
-    """Path ratio and whether the straight line is free, [n_robot, n_world] each.
+    """Return the path ratio and whether the straight line is free, [n_robot, n_world] each.
 
     Args:
         recipe: static.
         occupied: bool [nx, ny, nz, n_world].
         passable: packed cells.
         start: [n_robot, 3, n_world] m, W.
-        goal: likewise.
+        goal: as ``start``.
     """
     start, goal = (jnp.moveaxis(p, 1, -1) for p in (start, goal))
     from_cell, to_cell = (jnp.moveaxis(cell_of(recipe, p), -1, 0) for p in (start, goal))
@@ -269,20 +269,21 @@ def measure_difficulty(
     origin = jnp.array(recipe.origin_m, float)
     in_cells = (jnp.moveaxis((p - origin) / recipe.cell_m, -1, 0) for p in (start, goal))
     line_free = line_is_free(occupied[:, :, :, None], *in_cells)
-    # A lattice way is never shorter than the line; 1 - 1e-7 would be rounding.
+    # A lattice path is never shorter than the line; 1 - 1e-7 would be rounding.
     return jnp.maximum(ratio, 1.0), line_free
 
 
 def _obstacle_gaps(recipe: WorldRecipe) -> tuple[jax.Array, jax.Array]:
-    """Distances [nx, ny, nz] of the cells' centres to what no rule draws, m.
+    """Return the distances [nx, ny, nz] of the cells' centres to the unsampled obstacles, m.
 
-    To floor and explicit obstacles that stand still, and to all explicit obstacles at the start.
+    The first to floor and explicit static obstacles, the second to all explicit obstacles at the
+    start.
     """
     centres = cell_centres(recipe)
     ground = centres[..., 2] - recipe.floor_z_m
     start_gap = jnp.full(recipe.shape, jnp.inf)
     if recipe.obstacles.explicit:
-        rows = explicit_rows(recipe.obstacles.explicit, 1000.0)  # Density changes no shape.
+        rows = explicit_rows(recipe.obstacles.explicit, 1000.0)  # Density does not change shapes.
         start_gap = obstacle_gap(rows, centres, only_static=False)
         ground = jnp.minimum(ground, obstacle_gap(rows, centres, only_static=True))
     return ground, start_gap

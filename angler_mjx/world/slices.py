@@ -1,4 +1,4 @@
-"""The water of a world in level slices at some times, for pictures: a lattice of velocities."""
+"""Horizontal slices of the water of a world at some times, for plots: a lattice of velocities."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -11,15 +11,15 @@ from angler_mjx.world import currents
 from angler_mjx.world.environment import Environment
 
 ACROSS, SLICES = 12, 120
-"""Points along the longer side of a slice, and slices of a flight at most."""
+"""Number of points along the longer side of a slice, and max number of slices of a flight."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CurrentSlices:
-    """Velocities of the water on the same n places east and north in each of k slices."""
+    """Velocities of the water on the same n points in the plane in each of k slices."""
 
     sample: np.ndarray
-    """int [k] of the flight."""
+    """int [k] sample of the flight."""
     time_s: np.ndarray
     """[k] their times."""
     point_m: np.ndarray
@@ -27,13 +27,13 @@ class CurrentSlices:
     velocity_mps: np.ndarray
     """[k, n, 3] in W."""
     wet: np.ndarray
-    """bool [k, n] points that do not lie in rock or below the sea floor."""
+    """bool [k, n] points that lie neither in rock nor below the sea floor."""
     spacing_m: float
-    """From one point to the next."""
+    """Distance between two points."""
 
 
 def _sample_slices(environment: Environment, time_s: np.ndarray, z_m: np.ndarray) -> dict[str, Any]:
-    """Fields of slices at times [k] and heights [k]."""
+    """Return the fields of slices at times [k] and heights [k]."""
     grid = environment.grid
     occupied, cell = np.asarray(grid.occupied), float(grid.cell_m)
     low, size = np.asarray(grid.origin_m, float), cell * np.array(occupied.shape)
@@ -70,14 +70,14 @@ def _sample_slices(environment: Environment, time_s: np.ndarray, z_m: np.ndarray
 def slice_flight(
     environment: Environment, time_s: np.ndarray, p_m: np.ndarray, running: np.ndarray
 ) -> CurrentSlices:
-    """Slices at the middle height of a fleet, as it flies.
+    """Return slices at the middle height of a fleet, over its flight.
 
     Args:
-        environment: of one world; host arrays.
-        time_s: [T] of the samples.
-        p_m: [T, R, 3] where the robots are, in W; NaN of those that diverged.
-        running: bool [T, R] whose episode goes on; when none does, the last height stays, and
-            before any the middle of the cells.
+        environment: environment of one world; host arrays.
+        time_s: [T] times of the samples.
+        p_m: [T, R, 3] positions of the robots, in W; NaN for diverged robots.
+        running: bool [T, R] whether the episode continues; without such robots the last height is
+            kept, at first the middle of the cells.
     """
     at = np.unique(np.linspace(0, len(time_s) - 1, min(len(time_s), SLICES)).astype(int))
     height = np.where(running & np.isfinite(p_m).all(axis=2), p_m[..., 2], np.nan)

@@ -1,1 +1,1 @@
-"""Sound under water as a means of talking: water, noise, links, who may send, and who hears."""
+"""Underwater acoustic communication: sound, noise, links, medium access, and reception."""

@@ -1,4 +1,4 @@
-"""Who may send when: slots in turn (TDMA), or whenever one likes (ALOHA), in slots or not.
+"""Medium access: slots in turn (TDMA), or random access (ALOHA), slotted or not.
 
 Times are whole numbers of control steps, so that all worlds of a batch begin slots together.
 """
@@ -9,41 +9,40 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, kw_only=True)
 class Tdma:
-    """One robot after the other; a slot ends when its packet has passed everybody."""
+    """Robots send in turn; a slot ends when its packet has passed all receivers."""
 
     slot: int
-    """Control steps."""
+    """Length of a slot in control steps."""
 
     @property
     def period(self) -> int:
-        """Control steps of which packets begin in none but the first, counted from t = 0.
+        """Return the period in control steps of the steps in which packets begin, from t = 0.
 
-        What came in in the others is understood by the next such step.
+        Packets that arrive in between are received at the next such step.
         """
         return self.slot
 
 
 @dataclass(frozen=True, kw_only=True)
 class Aloha:
-    """Each robot by itself, now and then.
+    """Each robot sends at random.
 
-    In every chance it sends with one probability, but not while its last packet is on its way.
+    At each chance it sends with a fixed probability, but not while its last packet is in flight.
     """
 
     chance: int
-    """Control steps from one chance to the next: a slot where there are some."""
+    """Control steps from one chance to the next: a slot in slotted access."""
     probability: float
     slotted: bool
-    """Whether packets begin at the chance; otherwise anywhere between it and the next."""
+    """Whether packets begin at the chance; if not, at any time between it and the next."""
     rests: int
-    """Chances from a packet to the next that its sender may take."""
+    """Number of chances that a sender skips after a packet."""
     look: int
-    """Control steps from one time that robots are told what they heard to the next; divides the
-    time from chance to chance."""
+    """Control steps between two receptions by the robots; divides the steps between chances."""
 
     @property
     def period(self) -> int:
-        """As in `Tdma`: a chance is a whole number of looks."""
+        """Return the period as in `Tdma`: a chance is a whole number of looks."""
         return self.look
 
 
@@ -51,7 +50,7 @@ type Access = Tdma | Aloha
 
 
 def build_tdma(packet_s: float, longest_s: float, dt_s: float) -> Tdma:
-    """Slots of a packet and the longest way of sound, rounded up.
+    """Return slots of a packet and the max travel time of sound, rounded up.
 
     Args:
         packet_s: duration of a packet.
@@ -62,7 +61,7 @@ def build_tdma(packet_s: float, longest_s: float, dt_s: float) -> Tdma:
 
 
 def build_slotted_aloha(packet_s: float, longest_s: float, dt_s: float, interval_s: float) -> Aloha:
-    """Slots as in `build_tdma`, open to all.
+    """Return slots as in `build_tdma`, open to all robots.
 
     Args:
         packet_s: duration of a packet.
@@ -82,15 +81,15 @@ def build_slotted_aloha(packet_s: float, longest_s: float, dt_s: float, interval
 
 
 def build_pure_aloha(packet_s: float, longest_s: float, dt_s: float, interval_s: float) -> Aloha:
-    """Packets that begin at any time; arguments as in `build_slotted_aloha`.
+    """Return access with packets at any time; arguments as in `build_slotted_aloha`.
 
-    Chances come a quarter of a packet apart, or in every control step if that is longer: with each
-    a robot is drawn to begin or not, and when before the next.
+    Chances are a quarter of a packet apart, or one in each control step if that is longer: at each
+    chance it is sampled whether and when before the next chance the robot begins.
     """
     look = _look_steps(packet_s, dt_s)
     chance_s = look * dt_s
     rests = _whole_steps(packet_s + longest_s, chance_s) + 1
-    # Mean time between packets: so many chances at rest, then a geometric number of them.
+    # Mean time between packets: the skipped chances, then a geometric number of them.
     free = interval_s / chance_s - rests + 1
     return Aloha(
         chance=look,
@@ -106,5 +105,5 @@ def _look_steps(packet_s: float, dt_s: float) -> int:
 
 
 def _whole_steps(time_s: float, dt_s: float) -> int:
-    """Least whole number of periods that is longer, by a thousandth of one for rounding."""
+    """Return the least whole number of periods above a time; a thousandth covers rounding."""
     return math.floor(time_s / dt_s + 1e-3) + 1

@@ -1,9 +1,9 @@
-"""The channel that the robots of a world share: packets on their way, and what each has heard.
+"""The shared channel of the robots of a world: packets in flight, and information received.
 
-A packet is what its sender knew when it began. It reaches each receiver after the way of sound and
-is understood when its last bit is in, if the link lets it through, no other packet comes in at the
-same time, and the receiver does not send. Times are continuous; robots begin packets, and are told
-what they understood, in control steps.
+A packet holds its sender's data at its beginning. It arrives at each receiver after the travel time
+of sound and is received when its last bit is in, if the link lets it through, no other packet
+arrives at the same time, and the receiver does not send. Times are continuous; robots begin
+packets, and get received ones, in control steps.
 """
 
 from collections.abc import Callable
@@ -23,9 +23,10 @@ from angler_mjx.world.acoustics.shadow import RockLoss
 from angler_mjx.world.grid import Grid
 
 NEVER_S = -1e6
-"""When packets began that were never sent."""
+"""Start time of packets that were never sent."""
 OF_CHANCE = 0x53454E44
-"""What a key of a world and step is folded with for who sends; the key itself is of the losses."""
+"""Constant folded into the key of a world and step to sample the senders; the plain key samples
+losses."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,14 +36,14 @@ class Channel:
     access: Access
     link: Link
     rock: RockLoss | None
-    """None: sound goes through it as through water."""
+    """Loss in rock; None: rock has no effect on sound."""
     sound_mps: float
     packet_s: float
     """Duration of a packet."""
     dt_s: float
     """Control period."""
     lost_after_s: float = 60.0
-    """Who was not heard for so long is taken to be out."""
+    """Silence after which a robot is considered lost."""
 
 
 @jax.tree_util.register_dataclass
@@ -51,80 +52,81 @@ class Packet:
     """The last packet of each robot; [R] leads."""
 
     p_m: Any
-    """[R, 3] where it believed itself to be when the packet began, in W."""
+    """[R, 3] the sender's estimate of its position when the packet began, in W."""
     v_mps: Any
-    """[R, 3] its velocity over ground as it believed it, in W."""
+    """[R, 3] the sender's estimate of its velocity over ground, in W."""
     time_s: Any
-    """[R] when that was."""
+    """[R] time of the estimates."""
     payload: Any = None
-    """What else it said: of any shape, [R] leading."""
+    """Additional data of any shape, [R] leading."""
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class HeardRobots:
-    """What robots have heard of each other; [receiver, sender] leads.
+    """Information of robots on each other; [receiver, sender] leads.
 
-    Of itself none has heard anything. Who was not heard yet is where it started, at rest, and has
-    said what it would have said then.
+    No robot receives packets from itself. A sender not yet heard has its start position, at rest,
+    and the payload of the start.
     """
 
     p_m: jax.Array
-    """[R, R, 3] where the sender believed itself to be, in W."""
+    """[R, R, 3] the sender's estimate of its position, in W."""
     v_mps: jax.Array
-    """[R, R, 3] its velocity over ground as it believed it, in W."""
+    """[R, R, 3] the sender's estimate of its velocity over ground, in W."""
     time_s: jax.Array
-    """[R, R] since the start, when that was."""
+    """[R, R] time of the estimates since the start."""
     is_heard: jax.Array
-    """bool [R, R] whether it was heard at all."""
+    """bool [R, R] whether a packet of the sender was received."""
     payload: Any = None
-    """What else the sender said, [R, R] leading."""
+    """Additional data of the sender, [R, R] leading."""
 
-    if not TYPE_CHECKING:  # a checker would take every attribute for one
+    if not TYPE_CHECKING:  # hidden from type checkers, which would accept any attribute
 
         def __getattr__(self, name: str) -> Any:
             """Return a field by its name before 0.2, with a DeprecationWarning."""
             return renamed_attribute(self, name, {"words": "payload"})
 
     def extrapolate_m(self, time_s: jax.Array) -> jax.Array:
-        """[R, R, 3] where they are at a time [] if they went straight on."""
+        """Return [R, R, 3] the senders' positions at a time [], extrapolated by velocity."""
         return self.p_m + self.v_mps * (time_s - self.time_s)[..., None]
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class InFlight:
-    """Packets on their way; [receiver, sender] leads where there are two."""
+    """Packets in flight; [receiver, sender] leads where there are two."""
 
     packet: Packet
     arrive_s: jax.Array
-    """[R, R] when the first bit of the last packet comes in; its beginning on the diagonal."""
+    """[R, R] arrival time of the first bit of the last packet; its beginning on the diagonal."""
     passes: jax.Array
-    """bool [R, R] whether it is on its way and will be understood, as far as can be told yet."""
+    """bool [R, R] whether it is in flight and will be received, by the collisions and losses so
+    far."""
     loud: jax.Array | None
-    """bool [R, R] whether it drowns others; None where they take turns."""
+    """bool [R, R] whether it interferes with others; None in access by turns."""
     sent: jax.Array
-    """int32 [R] packets that each began."""
+    """int32 [R] packets sent by each robot."""
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class ModemState:
-    """Memory of the channel of one world."""
+    """State of the channel of one world."""
 
     in_flight: InFlight
     heard: HeardRobots
     n_received: jax.Array
-    """int32 [R] packets that each understood."""
+    """int32 [R] packets received by each robot."""
 
 
 def begin_channel(channel: Channel, p_m: jax.Array, payload: Any = None) -> ModemState:
-    """Nothing said yet.
+    """Return the state of the channel before any packet.
 
     Args:
-        channel: that is shared.
-        p_m: [R, 3] where the robots start, in W.
-        payload: what each would say beside, [R] leading.
+        channel: shared channel.
+        p_m: [R, 3] start positions of the robots, in W.
+        payload: additional data of each robot, [R] leading.
     """
     n, zero = p_m.shape[0], jnp.zeros_like(p_m)
     nobody, none = jnp.zeros((n, n), bool), jnp.zeros(n, jnp.int32)
@@ -139,7 +141,7 @@ def begin_channel(channel: Channel, p_m: jax.Array, payload: Any = None) -> Mode
 
 
 def init_heard(p_m: jax.Array, payload: Any = None) -> HeardRobots:
-    """What robots that start at p_m [R, 3] know of each other before anything is said."""
+    """Return the initial information of robots that start at p_m [R, 3]."""
     n = p_m.shape[0]
 
     def to_all(leaf: jax.Array) -> jax.Array:
@@ -156,43 +158,43 @@ def init_heard(p_m: jax.Array, payload: Any = None) -> HeardRobots:
 
 @dataclass(frozen=True, kw_only=True)
 class ChannelInput:
-    """A control step of one world."""
+    """Inputs of a control step of one world."""
 
     key: jax.Array
-    """Of this world and step."""
+    """Key of this world and step."""
     number: jax.Array
-    """int32 [] control steps taken; as one number for all worlds of a batch, what is done now and
-    then alone costs nothing in the other steps."""
+    """int32 [] control steps taken; a single number for all worlds of a batch, so that periodic
+    computations cost nothing in the other steps."""
     p_m: jax.Array
-    """[R, 3] where the robots are, in W."""
+    """[R, 3] positions of the robots, in W."""
     grid: Grid
-    """Rock."""
+    """Rock cells."""
     make_packet: Callable[[], Packet]
-    """What robots say now, worked out where packets begin."""
+    """Returns the current packets of the robots; called where packets begin."""
     silent: jax.Array | None = None
-    """bool [R] who cannot send."""
+    """bool [R] robots that cannot send."""
     every: int = 1
-    """What the number is known to be a multiple of."""
+    """Known divisor of the number."""
 
     def every_n_steps[T](self, period: int, do: Callable[[], T], otherwise: Callable[[], T]) -> T:
         """See `counting.every_n_steps`."""
         return every_n_steps(period, self.number, do, otherwise, self.every)
 
     def time_s(self, channel: Channel) -> jax.Array:
-        """[] at the beginning of the step."""
+        """Return the time [] at the beginning of the step."""
         return self.number.astype(self.p_m.dtype) * channel.dt_s
 
 
 def step(channel: Channel, memory: ModemState, now: ChannelInput) -> tuple[ModemState, jax.Array]:
-    """One control step of one world: packets come in, and others begin.
+    """Take a control step of one world: receive packets, and begin others.
 
     Args:
-        channel: that is shared.
-        memory: of the channel.
+        channel: shared channel.
+        memory: state of the channel.
         now: the step.
 
     Returns:
-        The memory, and who understood a packet of whom by now, bool [receiver, sender].
+        The state, and packets received by now, bool [receiver, sender].
     """
     if isinstance(channel.access, Tdma):
         return _step_tdma(channel, channel.access, memory, now)
@@ -202,11 +204,11 @@ def step(channel: Channel, memory: ModemState, now: ChannelInput) -> tuple[Modem
 def _step_tdma(
     channel: Channel, access: Tdma, memory: ModemState, now: ChannelInput
 ) -> tuple[ModemState, jax.Array]:
-    """One packet is on its way at a time: all that is looked at is of its sender."""
+    """Take a step with one packet in flight at a time: only its sender is processed."""
     robots = now.p_m.shape[0]
     last = _SenderColumns(first=jnp.maximum(now.number - 1, 0) // access.slot % robots, count=1)
     turn = _SenderColumns(first=now.number // access.slot % robots, count=1)
-    # By the next slot all have it, however times are rounded.
+    # By the next slot all packets have arrived, with any rounding of times.
     memory, came = _deliver_packets(channel, memory, now, last, now.number % access.slot == 0)
     always = jnp.ones(1, bool)
 
@@ -225,7 +227,7 @@ def _step_tdma(
 def _step_aloha(
     channel: Channel, access: Aloha, memory: ModemState, now: ChannelInput
 ) -> tuple[ModemState, jax.Array]:
-    """Anybody may send, now and then."""
+    """Take a step in which any robot may send."""
     robots, dtype = now.p_m.shape[0], now.p_m.dtype
     everybody = _SenderColumns(first=None, count=robots)
     chance_s = access.chance * channel.dt_s
@@ -254,7 +256,7 @@ def _step_aloha(
 
 @dataclass(frozen=True, kw_only=True)
 class _SenderColumns:
-    """Neighbouring senders: one of them, or all."""
+    """A range of adjacent senders: a single sender, or all."""
 
     first: jax.Array | None
     """int32 []; None for all."""
@@ -262,11 +264,11 @@ class _SenderColumns:
 
     @property
     def rows(self) -> jax.Array:
-        """int32 [count]."""
+        """Return the indices int32 [count]."""
         return jnp.arange(self.count) + (0 if self.first is None else self.first)
 
     def of(self, tree: Any, axis: int) -> Any:
-        """Their part of arrays with senders along an axis."""
+        """Return the senders' part of arrays with senders along an axis."""
         first = self.first
         if first is None:
             return tree
@@ -274,7 +276,7 @@ class _SenderColumns:
         return jax.tree.map(lambda leaf: cut(leaf, first), tree)
 
     def put(self, tree: Any, part: Any, axis: int) -> Any:
-        """The arrays with another such part."""
+        """Return the arrays with this part replaced."""
         first = self.first
         if first is None:
             return part
@@ -289,14 +291,14 @@ def _deliver_packets(
     senders: _SenderColumns,
     over: jax.Array | bool = False,
 ) -> tuple[ModemState, jax.Array]:
-    """Packets whose last bit has come in by now are understood, bool [receiver, count].
+    """Receive the packets whose last bit has arrived by now, bool [receiver, count].
 
     Args:
-        channel: that is shared.
-        memory: before.
+        channel: shared channel.
+        memory: state before the step.
         now: the step.
-        senders: whose packets may be on their way.
-        over: bool [] whether their time is over, so that all are in.
+        senders: robots whose packets may be in flight.
+        over: bool [] whether their time is over, so that all have arrived.
     """
     in_flight, robots = memory.in_flight, memory.n_received.shape[0]
     arrive, passes = senders.of((in_flight.arrive_s, in_flight.passes), 1)
@@ -332,15 +334,15 @@ def _begin_packets(
     begins: jax.Array,
     at_s: jax.Array,
 ) -> InFlight:
-    """Packets that begin in this step.
+    """Begin packets in this step.
 
     Args:
-        channel: that is shared.
-        in_flight: before.
+        channel: shared channel.
+        in_flight: packets before the step.
         now: the step.
-        senders: who may begin one.
-        begins: bool [count] who does.
-        at_s: [count] when.
+        senders: robots that may begin a packet.
+        begins: bool [count] robots that begin a packet.
+        at_s: [count] times of beginning.
     """
     if now.silent is not None:
         begins = begins & ~senders.of(now.silent, 0)
@@ -358,7 +360,7 @@ def _begin_packets(
         luck = jnp.full_like(chance, 0.5)
 
     def put(new: Any, old: Any, axis: int) -> Any:
-        """What is new of those who begin one."""
+        """Return the new values for robots that begin a packet."""
 
         def choose(new: jax.Array, old: jax.Array) -> jax.Array:
             is_sender = begins.reshape(-1, *(1,) * (old.ndim - 1 - axis))
@@ -382,10 +384,10 @@ def _begin_packets(
 
 
 def _is_drowned(arrive_s: jax.Array, loud: jax.Array, packet_s: float) -> jax.Array:
-    """Whether another packet comes in beside each at its receiver, or this sends; bool [R, R].
+    """Return whether another packet overlaps each at its receiver, or it sends; bool [R, R].
 
-    No packet takes the place of another before that has passed all receivers, so packets are
-    compared with all that can come in beside them when the later one of two begins.
+    A packet replaces another only after that has passed all receivers, so packets are compared with
+    all possible overlaps when the later of two begins.
     """
     apart = jnp.abs(arrive_s[:, :, None] - arrive_s[:, None, :])
     other = ~jnp.eye(arrive_s.shape[0], dtype=bool)

@@ -1,4 +1,4 @@
-"""The table of a scenario file that says how robots talk."""
+"""The acoustics table of a scenario file."""
 
 from typing import Literal, Self
 
@@ -21,67 +21,67 @@ from angler_mjx.world.acoustics.link import (
 from angler_mjx.world.acoustics.shadow import RockLoss
 
 MIN_SUCCESS = 1e-3
-"""A channel that lets fewer packets pass, even next to the sender, lets none pass."""
+"""Min success probability next to the sender; a channel below it passes no packets."""
 
 
 class AcousticsConfig(FileModel):
-    """How robots tell each other where they are and how far they are; see `docs/acoustics.md`."""
+    """Communication of positions and task progress between robots; see `docs/acoustics.md`."""
 
     model: Literal["perfect", "range", "budget"] = "perfect"
-    """perfect: everybody knows everything at once. range: packets are heard within `range_m`.
+    """perfect: instant and complete communication. range: packets are received within `range_m`.
     budget: by signal and noise at the receiver, bit by bit."""
     range_m: PositiveLength | None = None
-    """Of the model range."""
+    """Range of the model range."""
     access: Literal["tdma", "aloha", "slotted_aloha"] = "tdma"
-    """Who may send when: in turn, whenever it likes, or that in slots."""
+    """Medium access: slots in turn, at random times, or at random in slots."""
     interval_s: float = Field(default=10.0, gt=0.0, le=86400.0)
-    """Mean time between packets of one robot that sends when it likes."""
+    """Mean time between packets of a robot with random access."""
     guard_s: float | None = Field(default=None, ge=0.0, le=60.0)
-    """Rest of a slot after its packet; as long as sound takes across the region if left out, and no
-    shorter."""
+    """Rest of a slot after its packet; the travel time of sound across the region if left out, and
+    no shorter."""
     bits: int = Field(default=128, ge=1, le=10**6)
-    """Of a packet, all of it."""
+    """Total number of bits of a packet."""
     bit_rate_bps: float = Field(default=640.0, gt=0.0, le=1e6)
-    """Of the modem."""
+    """Bit rate of the modem."""
     lost_after_s: float = Field(default=60.0, gt=0.0, le=86400.0)
-    """A robot that was not heard for so long is taken to have broken down, and others do its part
-    of a task."""
+    """Silence after which a robot is considered broken down, and others take over its part of a
+    task."""
     sound_mps: float | None = Field(default=None, ge=1300.0, le=1700.0)
     """Speed of sound; by Mackenzie's equation if left out."""
     temperature_c: float = Field(default=10.0, ge=0.0, le=35.0)
-    """Of the water."""
+    """Temperature of the water."""
     salinity_ppt: float = Field(default=35.0, ge=0.0, le=45.0)
-    """Parts per thousand: 35 in the ocean, 0 in lakes."""
+    """Salinity in parts per thousand: 35 in the ocean, 0 in lakes."""
     depth_m: float = Field(default=10.0, ge=0.0, le=8000.0)
-    """Of the fleet, for speed and absorption of sound."""
+    """Depth of the fleet, for speed and absorption of sound."""
     ph: float = Field(default=8.0, ge=7.0, le=9.0)
-    """Of the water, for its absorption."""
+    """pH of the water, for its absorption."""
     absorption: Literal["thorp", "francois_garrison", "ainslie_mccolm"] = "francois_garrison"
-    """Whose equation."""
+    """Absorption model."""
     spreading: float = Field(default=1.5, ge=1.0, le=2.0)
-    """Exponent of the distance: 1 between surface and floor, 2 in open water, 1.5 as it is used
-    where nobody knows."""
+    """Spreading exponent of the distance: 1 between surface and floor, 2 in open water, 1.5 as the
+    usual compromise."""
     frequency_khz: float = Field(default=28.0, ge=0.1, le=1000.0)
-    """Middle of the modem's band."""
+    """Centre of the modem's band."""
     bandwidth_khz: float = Field(default=8.0, gt=0.0, le=1000.0)
-    """Of its band."""
+    """Width of the modem's band."""
     source_level_db: float = Field(default=168.0, ge=60.0, le=220.0)
-    """Of the sender, dB re 1 uPa at 1 m."""
+    """Source level of the sender, dB re 1 uPa at 1 m."""
     modulation: Modulation = "bpsk"
-    """bpsk, coherent phase shift keying, or fsk, frequency shift keying without a phase."""
+    """Modulation: bpsk, coherent phase shift keying, or fsk, noncoherent frequency shift keying."""
     fading: Fading = "rayleigh"
-    """Of the channel: rayleigh, bit by bit, or none."""
+    """Fading of the channel: rayleigh, bit by bit, or none."""
     shipping: float = Field(default=0.5, ge=0.0, le=1.0)
-    """Ships far off, for the noise: from none to many."""
+    """Distant shipping, for the noise: 0 for none to 1 for dense."""
     wind_mps: float = Field(default=5.0, ge=0.0, le=50.0)
-    """For the noise of waves."""
+    """Wind speed, for the noise of waves."""
     self_noise_db: float | None = Field(default=None, ge=-50.0, le=200.0)
-    """Density of the noise that the receiver itself makes, dB re 1 uPa^2/Hz, beside that of the
-    sea; none if left out."""
+    """Spectral density of the receiver's own noise, dB re 1 uPa^2/Hz, added to that of the sea;
+    none if left out."""
     rock: Literal["cuts", "damps", "lets_pass"] = "cuts"
-    """What rock on the straight way does."""
+    """Effect of rock on the straight path: cuts, damps or lets sound pass."""
     rock_db_per_m: float = Field(default=10.0, ge=0.0, le=1000.0)
-    """Loss in rock that damps."""
+    """Loss in damping rock."""
 
     @model_validator(mode="after")
     def _check_consistent(self) -> Self:
@@ -97,16 +97,16 @@ class AcousticsConfig(FileModel):
     def channel(
         self, robots: int, size_m: tuple[float, float, float], control_dt_s: float, horizon_s: float
     ) -> Channel | None:
-        """What robots share; None where everybody knows everything.
+        """Return the shared channel of the robots; None where communication is perfect.
 
         Args:
-            robots: that share it.
+            robots: number of robots that share it.
             size_m: edges of the region.
             control_dt_s: control period.
-            horizon_s: of an episode.
+            horizon_s: horizon of an episode.
 
         Raises:
-            ValueError: no packet gets through, or not in time.
+            ValueError: no packet is received, or not in time.
         """
         if self.model == "perfect":
             return None
@@ -136,13 +136,13 @@ class AcousticsConfig(FileModel):
         )
 
     def speed_mps(self) -> float:
-        """Of sound."""
+        """Return the speed of sound."""
         if self.sound_mps is not None:
             return self.sound_mps
         return sound.speed_mps(self.temperature_c, self.salinity_ppt, self.depth_m)
 
     def absorption_db_per_km(self) -> float:
-        """At the middle of the band."""
+        """Return the absorption at the middle of the band."""
         water = (self.temperature_c, self.salinity_ppt, self.depth_m, self.ph)
         if self.absorption == "thorp":
             return sound.thorp_db_per_km(self.frequency_khz)
@@ -151,14 +151,14 @@ class AcousticsConfig(FileModel):
         return sound.francois_garrison_db_per_km(self.frequency_khz, *water)
 
     def noise_db(self) -> float:
-        """Density of the noise at the middle of the band, dB re 1 uPa^2/Hz."""
+        """Return the spectral density of the noise at the middle of the band, dB re 1 uPa^2/Hz."""
         ambient = sound.ambient_db(self.frequency_khz, self.shipping, self.wind_mps)
         if self.self_noise_db is None:
             return ambient
         return sound.added_db(ambient, self.self_noise_db)
 
     def link(self) -> Link:
-        """From one robot to another."""
+        """Return the link from one robot to another."""
         if self.model == "range":
             return RangeLink(range_m=self.range_m or 0.0)
         band_hz = 1e3 * self.bandwidth_khz
@@ -208,14 +208,14 @@ class AcousticsConfig(FileModel):
 
 
 def refuse_acoustics(table: AcousticsConfig, reason: str) -> None:
-    """Refuse robots that talk where nobody would hear them.
+    """Refuse acoustics where no robot would receive packets.
 
     Args:
-        table: of a scenario.
-        reason: cannot do it, and what to do instead, for the message.
+        table: acoustics table of a scenario.
+        reason: text of the message: the limit, and an alternative.
 
     Raises:
-        ConfigError: everybody does not know everything.
+        ConfigError: communication is not perfect.
     """
     if table.model != "perfect":
         raise ConfigError(f"acoustics.model = {table.model!r}: {reason}")

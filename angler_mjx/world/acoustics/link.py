@@ -1,6 +1,6 @@
-"""Whether a packet gets through from one robot to another.
+"""Probability that a packet is received from another robot.
 
-Functions of distance for arrays of NumPy and of JAX alike: files are checked without a device.
+Functions of distance for NumPy and JAX arrays: files are checked without a device.
 """
 
 import math
@@ -14,57 +14,57 @@ import scipy.special
 from jax.scipy.special import erfc
 
 type Modulation = Literal["bpsk", "fsk"]
-"""Coherent binary phase shift keying, or binary frequency shift keying without a phase."""
+"""Coherent binary phase shift keying, or noncoherent binary frequency shift keying."""
 type Fading = Literal["none", "rayleigh"]
-"""Of bits: none, as in white noise alone, or of a channel without a steady path, bit by bit."""
+"""Fading of bits: none, in white noise only, or Rayleigh, of a channel without a steady path."""
 
 NEAREST_M = 1.0
-"""Source levels are those at 1 m; nearer is no louder."""
+"""Reference distance of source levels; sound is no louder at shorter distances."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RangeLink:
-    """Everything is heard within a range, and nothing beyond it."""
+    """A link with reception within a range, and none beyond it."""
 
     range_m: float
 
     def success(self, distance_m: Any, rock_db: Any) -> Any:
-        """Probability [...] that a packet is understood, 0 or 1.
+        """Return the probability [...] that a packet is received, 0 or 1.
 
         Args:
             distance_m: [...] from sender to receiver.
-            rock_db: [...] loss in rock; any is too much.
+            rock_db: [...] loss in rock; any loss blocks the packet.
         """
         return 1.0 * ((distance_m <= self.range_m) & (rock_db <= 0.0))
 
     def loud(self, distance_m: Any, rock_db: Any) -> Any:
-        """Whether it drowns another packet, bool [...]; arguments as in `success`."""
+        """Return whether a packet interferes with others, bool [...]; arguments as in `success`."""
         return self.success(distance_m, rock_db) > 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class LinkBudget:
-    """Sound that spreads, is absorbed, and comes in among noise."""
+    """A link by spreading, absorption, and noise."""
 
     snr_db: float
-    """Signal over noise, both over the band of the modem, at 1 m."""
+    """Signal-to-noise ratio over the band of the modem, at 1 m."""
     bit_db: float
-    """Energy of a bit over the density of the noise, less the ratio before: band over bit rate."""
+    """Bit energy over noise density, relative to ``snr_db``: band over bit rate."""
     spreading: float
     """Exponent k of the distance: 1 cylindrical, 2 spherical."""
     absorption_db_per_m: float
     bits: int
-    """Of a packet; all have to be right."""
+    """Number of bits of a packet; all must be correct."""
     modulation: Modulation
     fading: Fading
 
     def snr(self, distance_m: Any, rock_db: Any) -> Any:
-        """Signal over noise [...] at the receiver, dB; arguments as in `success`."""
+        """Return the signal-to-noise ratio [...] at the receiver, dB; arguments as in `success`."""
         loss = transmission_loss_db(distance_m, self.spreading, self.absorption_db_per_m)
         return self.snr_db - loss - rock_db
 
     def success(self, distance_m: Any, rock_db: Any) -> Any:
-        """Probability [...] that a packet is understood.
+        """Return the probability [...] that a packet is received.
 
         Args:
             distance_m: [...] from sender to receiver.
@@ -74,7 +74,7 @@ class LinkBudget:
         return packet_success(bit_error(ratio, self.modulation, self.fading), self.bits)
 
     def loud(self, distance_m: Any, rock_db: Any) -> Any:
-        """Whether it drowns another packet, bool [...]: where it is louder than the noise."""
+        """Return whether a packet interferes with others, bool [...]: if it exceeds the noise."""
         return self.snr(distance_m, rock_db) > 0.0
 
 
@@ -82,7 +82,7 @@ type Link = RangeLink | LinkBudget
 
 
 def transmission_loss_db(distance_m: Any, spreading: float, absorption_db_per_m: float) -> Any:
-    """Loss [...] from 1 m to a distance, dB: ``10 k log10(r) + a r``.
+    """Return the transmission loss [...] from 1 m to a distance, dB: ``10 k log10(r) + a r``.
 
     Urick, Principles of Underwater Sound, 3rd ed., 1983, ch. 5; Stojanovic, On the relationship
     between capacity and distance in an underwater acoustic communication channel, 2007.
@@ -98,7 +98,7 @@ def transmission_loss_db(distance_m: Any, spreading: float, absorption_db_per_m:
 
 
 def bit_error(ratio: Any, modulation: Modulation, fading: Fading) -> Any:
-    """Probability [...] that a bit comes out wrong.
+    """Return the probability [...] of a bit error.
 
     Proakis, Salehi, Digital Communications, 5th ed., 2008: sections 4.3 and 4.5 in white noise,
     13.3 in Rayleigh fading, where ``ratio`` is its mean.
@@ -113,7 +113,7 @@ def bit_error(ratio: Any, modulation: Modulation, fading: Fading) -> Any:
         if fading == "none":
             complement = erfc if of is jnp else scipy.special.erfc
             return 0.5 * complement(of.sqrt(ratio))
-        # 1 - sqrt(g / (1 + g)) without taking like numbers from each other.
+        # 1 - sqrt(g / (1 + g)) without cancellation.
         root = of.sqrt(ratio / (1.0 + ratio))
         return 0.5 / ((1.0 + ratio) * (1.0 + root))
     if fading == "none":
@@ -122,13 +122,13 @@ def bit_error(ratio: Any, modulation: Modulation, fading: Fading) -> Any:
 
 
 def packet_success(error: Any, bits: int) -> Any:
-    """Probability [...] that all bits are right, each of which is wrong with ``error`` [...]."""
+    """Return the probability [...] that all bits are right, for bit errors ``error`` [...]."""
     of = _array_module(error)
     return of.exp(bits * of.log1p(-error))
 
 
 def to_decibels(ratio: float) -> float:
-    """A ratio of powers in dB."""
+    """Convert a ratio of powers to dB."""
     return 10.0 * math.log10(ratio)
 
 

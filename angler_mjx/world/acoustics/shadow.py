@@ -1,4 +1,4 @@
-"""Rock between those who talk."""
+"""Sound loss by rock between robots."""
 
 import math
 from dataclasses import dataclass
@@ -9,18 +9,18 @@ import jax.numpy as jnp
 from angler_mjx.world.grid import Grid
 
 CUT_DB = 1e3
-"""Loss of what is cut off: no modem is that loud."""
+"""Loss of a blocked path: no modem is that loud."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RockLoss:
-    """What rock does to sound."""
+    """Loss of sound in rock."""
 
     db_per_m: float | None
-    """Loss on the way through it; None where it lets nothing pass."""
+    """Loss per length in rock; None where rock blocks sound."""
 
     def loss_db(self, grid: Grid, a_m: jax.Array, b_m: jax.Array) -> jax.Array:
-        """Loss [] on the straight way from a [3] to b [3], dB."""
+        """Return the loss [] on the straight path from a [3] to b [3], dB."""
         within = rock_between_m(grid, a_m, b_m)
         if self.db_per_m is None:
             return jnp.where(within > 0.0, CUT_DB, 0.0)
@@ -28,11 +28,11 @@ class RockLoss:
 
 
 def rock_between_m(grid: Grid, a_m: jax.Array, b_m: jax.Array) -> jax.Array:
-    """Length [] of the straight way from a [3] to b [3] that lies in occupied cells, m.
+    """Return the length [] of the straight path from a [3] to b [3] in occupied cells, m.
 
-    By places evenly along it, at most an edge of a cell apart within the grid: what is cut across a
-    corner can be missed, and the length is right to about an edge. Sea floor and surface throw no
-    shadow.
+    Samples points evenly along the path, at most a cell's edge apart within the grid: short cuts
+    across a corner can be missed, and the length is accurate to about an edge. Sea floor and
+    surface cast no shadow.
     """
     shape = grid.occupied.shape
     count = math.ceil(math.sqrt(sum(n * n for n in shape)))

@@ -1,10 +1,10 @@
-"""Speed of sound in sea water, how it is absorbed, and what noise there is."""
+"""Speed of sound in sea water, its absorption, and ambient noise."""
 
 import math
 
 
 def speed_mps(temperature_c: float, salinity_ppt: float, depth_m: float) -> float:
-    """Speed of sound in sea water, m/s.
+    """Return the speed of sound in sea water, m/s.
 
     Mackenzie, Nine-term equation for sound speed in the oceans, J. Acoust. Soc. Am. 70, 1981; for 2
     to 30 degrees, 25 to 40 parts per thousand, 0 to 8000 m, with a standard error of 0.07 m/s.
@@ -24,7 +24,7 @@ def speed_mps(temperature_c: float, salinity_ppt: float, depth_m: float) -> floa
 
 
 def thorp_db_per_km(frequency_khz: float) -> float:
-    """Absorption in sea water of 4 degrees at 1 km, dB/km.
+    """Return the absorption in sea water of 4 degrees at 1 km, dB/km.
 
     Thorp, Analytic description of the low-frequency attenuation coefficient, J. Acoust. Soc. Am.
     42, 1967, in the form for dB/km of Stojanovic, 2007: from some hundred Hz to 50 kHz.
@@ -36,7 +36,7 @@ def thorp_db_per_km(frequency_khz: float) -> float:
 def francois_garrison_db_per_km(
     frequency_khz: float, temperature_c: float, salinity_ppt: float, depth_m: float, ph: float
 ) -> float:
-    """Absorption in sea water, dB/km.
+    """Return the absorption in sea water, dB/km.
 
     Francois, Garrison, Sound absorption based on ocean measurements, part II, J. Acoust. Soc. Am.
     72, 1982: boric acid, magnesium sulphate and pure water; 0.4 to 1000 kHz, within 5 %.
@@ -60,7 +60,7 @@ def francois_garrison_db_per_km(
 def ainslie_mccolm_db_per_km(
     frequency_khz: float, temperature_c: float, salinity_ppt: float, depth_m: float, ph: float
 ) -> float:
-    """Absorption in sea water, dB/km.
+    """Return the absorption in sea water, dB/km.
 
     Ainslie, McColm, A simplified formula for viscous and chemical absorption in sea water, J.
     Acoust. Soc. Am. 103, 1998; within 10 % of Francois and Garrison in most seas.
@@ -75,14 +75,14 @@ def ainslie_mccolm_db_per_km(
 
 
 def _relaxation_term(strength: float, at_khz: float, frequency_khz: float) -> float:
-    """Absorption over the square of the frequency by a process that relaxes at ``at_khz``."""
-    if at_khz == 0.0:  # Of boric acid in fresh water, where there is none.
+    """Return the absorption over squared frequency of a relaxation process at ``at_khz``."""
+    if at_khz == 0.0:  # Boric acid in fresh water, which has none.
         return 0.0
     return strength * at_khz / (at_khz**2 + frequency_khz**2)
 
 
 def ambient_db(frequency_khz: float, shipping: float, wind_mps: float) -> float:
-    """Density of the noise of the sea, dB re 1 uPa^2/Hz: turbulence, ships, waves, heat.
+    """Return the spectral density of sea noise, dB re 1 uPa^2/Hz: turbulence, ships, waves, heat.
 
     Coates, Underwater Acoustic Systems, 1989, after Wenz, Acoustic ambient noise in the ocean, J.
     Acoust. Soc. Am. 34, 1962; as given by Stojanovic, 2007.
@@ -90,7 +90,7 @@ def ambient_db(frequency_khz: float, shipping: float, wind_mps: float) -> float:
     Args:
         frequency_khz: above 0.
         shipping: from 0, none, to 1, dense.
-        wind_mps: m/s.
+        wind_mps: wind speed, m/s.
     """
     log = math.log10(frequency_khz)
     turbulence = 17.0 - 30.0 * log
@@ -102,5 +102,5 @@ def ambient_db(frequency_khz: float, shipping: float, wind_mps: float) -> float:
 
 
 def added_db(*levels_db: float) -> float:
-    """Level of the sum of powers, dB."""
+    """Return the level of the sum of powers, dB."""
     return 10.0 * math.log10(sum(math.pow(10.0, 0.1 * level) for level in levels_db))

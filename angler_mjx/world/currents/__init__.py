@@ -82,14 +82,14 @@ def sample_current(
     region_hi: jax.Array,
     horizon_s: float,
 ) -> Current:
-    """The current of one world.
+    """Sample the current of a world.
 
     Args:
         configs: one per component.
         key: random key of this world's current.
-        region_lo: [3] lower corner of the region where vortices stand, m, W.
+        region_lo: [3] lower corner of the region of vortices, m, W.
         region_hi: [3] upper corner.
-        horizon_s: the time that the current has to cover; a Python number, it sets array sizes.
+        horizon_s: time that the current covers; a Python number, which sets array sizes.
     """
     lo, hi = jnp.asarray(region_lo, float), jnp.asarray(region_hi, float)
     keys = fold_keys(key, len(configs)) if configs else ()

@@ -1,4 +1,4 @@
-"""Tables of files for Rankine vortices and the double gyre, whose flows have closed forms."""
+"""Tables of files for Rankine vortices and the double gyre, with closed-form flows."""
 
 import math
 from typing import Annotated, Literal, Self
@@ -19,19 +19,19 @@ type PositionXY = tuple[
 
 
 class RankineConfig(FileModel):
-    """Rankine vortices: cores that turn like solid bodies, free vortices around them."""
+    """Rankine vortices: cores in solid-body rotation, free vortices around them."""
 
     type: Literal["rankine"] = "rankine"
     count: Annotated[int, Field(ge=1, le=1000)] | None = None
-    """Number of vortices at random places of the region; left out where centre_m is given."""
+    """Number of vortices at random positions of the region; left out where centre_m is given."""
     centre_m: Annotated[tuple[PositionXY, ...], Field(min_length=1, max_length=1000)] | None = None
-    """East and north of each axis; random places of the region if left out."""
+    """East and north of each axis; random positions of the region if left out."""
     turning: Literal["either", "anticlockwise", "clockwise"] = "either"
-    """Seen from above; either way is drawn vortex by vortex."""
+    """Sense of rotation, seen from above; either is sampled for each vortex."""
     peak_speed_mps: tuple[Speed, Speed]
-    """Lowest and highest greatest speed of a vortex, at the rim of its core; drawn uniformly."""
+    """Min and max of a vortex's peak speed, at the rim of its core; sampled uniformly."""
     core_radius_m: tuple[float, float] = (1.0, 3.0)
-    """Lowest and highest core radius a; at least 1 m: the flow then varies little over a hull."""
+    """Min and max core radius a; at least 1 m: the flow then varies little over a hull."""
 
     @model_validator(mode="after")
     def _check_spans(self) -> Self:
@@ -54,7 +54,7 @@ class RankineConfig(FileModel):
         return self
 
     def sample(self, key: jax.Array, lo: jax.Array, hi: jax.Array, horizon_s: float) -> Rankine:
-        """Places as given, or uniform in the region seen from above."""
+        """Sample positions uniformly in the region seen from above, unless given."""
         n = len(self.centre_m) if self.centre_m is not None else self.count or 0
         where, speed_u, radius_u, direction_u = uniform_rows(fold_keys(key, 4), 2 * n, lo.dtype)
         peak = scale_uniform(speed_u[:n], *self.peak_speed_mps)
@@ -71,21 +71,21 @@ class RankineConfig(FileModel):
 
 
 class DoubleGyreConfig(FileModel):
-    """Two gyres that fill the region seen from above, the wall between them swaying east and west.
+    """Two gyres that fill the region seen from above; the wall between them sways east and west.
 
-    Water crosses none of the region's sides. Beyond them the formula goes on, ever faster.
+    No water crosses the region's sides. Beyond them the formula continues, with growing speed.
     """
 
     type: Literal["double_gyre"] = "double_gyre"
     peak_speed_mps: Annotated[Speed, Field(gt=0)]
-    """Greatest speed in the region if epsilon is 0; (1 + 2 epsilon) times it is never exceeded."""
+    """Max speed in the region if epsilon is 0; (1 + 2 epsilon) times it is never exceeded."""
     epsilon: float = Field(default=0.0, ge=0, lt=0.5)
-    """How far the wall between the gyres sways; 0 is a steady flow."""
+    """Amplitude of the sway of the wall between the gyres; 0 is a steady flow."""
     period_s: float = Field(default=60.0, ge=0.1, le=1e6)
-    """Of the swaying."""
+    """Period of the sway."""
 
     def sample(self, key: jax.Array, lo: jax.Array, hi: jax.Array, horizon_s: float) -> DoubleGyre:
-        """Nothing is drawn."""
+        """Return the flow as configured, without sampling."""
         extent = hi[:2] - lo[:2]
         return DoubleGyre(
             lo_m=lo[:2],

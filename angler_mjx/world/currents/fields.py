@@ -1,7 +1,7 @@
 """Components of a current: velocity fields at a point and a time, with their derivatives.
 
-The vortices and gyres stand where they are: the field is given, not solved for. All are free of
-divergence.
+Vortices and gyres do not move: the field is prescribed, not solved for. All components are
+divergence-free.
 """
 
 from dataclasses import dataclass, replace
@@ -25,14 +25,14 @@ type Flow = tuple[jax.Array, jax.Array, jax.Array]
 
 
 class Component(Protocol):
-    """One kind of current: a pytree that knows its flow at a point and time."""
+    """Base of current components: a pytree with the flow at a point and time."""
 
     def flow(self, p: jax.Array, t: jax.Array) -> Flow:
-        """Velocity, its rate and its Jacobian at p [3] m and t [] s, in W."""
+        """Return velocity, its rate and its Jacobian at p [3] m and t [] s, in W."""
         ...
 
     def scaled(self, factor: jax.Array) -> Self:
-        """The same field ``factor`` [] times as fast everywhere, at the same times."""
+        """Return the field scaled by ``factor`` [] in speed, at the same times."""
         ...
 
 
@@ -42,7 +42,7 @@ type Current = tuple[Component, ...]
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class Uniform:
-    """The same steady velocity everywhere."""
+    """A uniform steady velocity."""
 
     velocity_mps: jax.Array
     """[3] in W."""
@@ -60,7 +60,7 @@ class Uniform:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class GaussMarkov:
-    """The same velocity everywhere, wandering in time; smooth between knots."""
+    """A uniform velocity that varies randomly in time; smooth between knots."""
 
     knots_mps: jax.Array
     """[n_knot, 3] velocity at t = 0, knot_dt_s, 2 knot_dt_s ...; in W; held after the last."""
@@ -124,18 +124,18 @@ class Rankine:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class DoubleGyre:
-    """Two gyres side by side in a rectangle, the wall between them swaying; no vertical part."""
+    """Two gyres side by side in a rectangle, with a swaying wall; no vertical velocity."""
 
     lo_m: jax.Array
     """[2] lower corner of the rectangle, in W."""
     extent_m: jax.Array
     """[2] lengths of its sides along x and y."""
     stream_m2ps: jax.Array
-    """[] greatest value of the stream function."""
+    """[] max value of the stream function."""
     epsilon: jax.Array
-    """[] how far the wall between the gyres sways; 0 is steady."""
+    """[] amplitude of the sway of the wall between the gyres; 0 is steady."""
     period_s: jax.Array
-    """[] of the swaying."""
+    """[] period of the sway."""
 
     def flow(self, p: jax.Array, t: jax.Array) -> Flow:
         """See `Component.flow`."""
@@ -151,14 +151,14 @@ class DoubleGyre:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class DepthProfile:
-    """A steady level velocity that depends on depth alone; smooth between knots."""
+    """A steady horizontal velocity that depends on depth only; smooth between knots."""
 
     depth_m: jax.Array
-    """[n] of the knots below the surface, rising."""
+    """[n] depths of the knots below the surface, increasing."""
     knots_mps: jax.Array
-    """[n, 2] east and north; held above the first and below the last."""
+    """[n, 2] velocity of the knots, east and north; held above the first and below the last."""
     slopes_1ps: jax.Array
-    """[n, 2] derivatives of the knots by depth."""
+    """[n, 2] derivatives of the knots with respect to depth."""
 
     def flow(self, p: jax.Array, t: jax.Array) -> Flow:
         """See `Component.flow`."""
@@ -172,16 +172,16 @@ class DepthProfile:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class Tide:
-    """Tidal constituents: the same level velocity everywhere, the sum of turning ellipses."""
+    """Tidal constituents: a uniform horizontal velocity, the sum of rotating ellipses."""
 
     speed_radps: jax.Array
-    """[n] of the phases."""
+    """[n] rates of the phases."""
     phase_rad: jax.Array
-    """[n] at t = 0; at phase 0 a constituent's velocity is ``cosine_mps``."""
+    """[n] phases at t = 0; at phase 0 a constituent's velocity is ``cosine_mps``."""
     cosine_mps: jax.Array
     """[n, 2] half axis of the ellipse, east and north."""
     sine_mps: jax.Array
-    """[n, 2] half axis a quarter of a turn later."""
+    """[n, 2] half axis a quarter turn later."""
 
     def flow(self, p: jax.Array, t: jax.Array) -> Flow:
         """See `Component.flow`."""
@@ -193,10 +193,10 @@ class Tide:
 
 
 def evaluate_current(current: Current, p: jax.Array, t: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Velocity of the water and its material derivative at a point.
+    """Return the velocity of the water and its material derivative at a point.
 
     Args:
-        current: of one world; empty for still water.
+        current: current of one world; empty for still water.
         p: [3] m, W.
         t: [] s.
 
@@ -211,10 +211,10 @@ def evaluate_current(current: Current, p: jax.Array, t: jax.Array) -> tuple[jax.
 
 
 def velocity(current: Current, p: jax.Array, t: jax.Array) -> jax.Array:
-    """Velocity [3] of the water at a point, m/s, W (see `evaluate_current`)."""
+    """Return the velocity [3] of the water at a point, m/s, W (see `evaluate_current`)."""
     return evaluate_current(current, p, t)[0]
 
 
 def scale_current(current: Current, factor: jax.Array) -> Current:
-    """The same current ``factor`` [] times as fast everywhere, at the same times."""
+    """Return the current scaled by ``factor`` [] in speed, at the same times."""
     return tuple(component.scaled(factor) for component in current)

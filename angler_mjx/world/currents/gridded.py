@@ -1,4 +1,4 @@
-"""Currents of an ocean model's file: one field for all worlds, each at a place and time in it."""
+"""Currents from an ocean model's file: one field for all worlds, each at its position and time."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -30,24 +30,22 @@ from angler_mjx.world.ocean.deepest_cells import (
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class Gridded:
-    """A field on a grid of places and times, linear between them and held beyond the ends.
+    """A field on a grid of positions and times, linear between knots and held beyond the ends.
 
-    The field is one for all worlds and no part of a world's arrays: programs hold its numbers.
+    All worlds share the field, which is no part of a world's arrays: programs hold its numbers.
     """
 
     knot: jax.Array
-    """int32 [4] along y, x, depth and time: knots from which the world's origin and start are
-    said."""
+    """int32 [4] along y, x, depth and time: reference knots of the world's origin and start."""
     rest: jax.Array
-    """[4] how far they lie beyond them, in units of the field's axes."""
+    """[4] offsets of origin and start from these knots, in units of the field's axes."""
     rate: jax.Array
-    """[4] places on the axes by metre along y, x and z of W, and by second."""
+    """[4] positions on the axes per metre along y, x and z of W, and per second."""
     factor: jax.Array
-    """[3] of the velocity along x, y and z."""
+    """[3] factors on the velocity along x, y and z."""
     field: ocean.OceanField = field(metadata={"static": True})
     numbers: Any = None
-    """Where the field's ``numbers`` are to be looked up, for kernels; None for those of the
-    field."""
+    """Location of the field's ``numbers`` for kernels; None for the field's own."""
 
     def flow(self, p: jax.Array, t: jax.Array) -> Flow:
         """See `Component.flow`."""
@@ -71,13 +69,13 @@ class Gridded:
 
 
 def list_fields(current: Current) -> tuple[ocean.OceanField, ...]:
-    """The fields that a current looks up, each once."""
+    """Return the fields of a current, each once."""
     fields = [component.field for component in current if isinstance(component, Gridded)]
     return tuple(dict.fromkeys(fields))
 
 
 def bind_fields(current: Current, where: Callable[[ocean.OceanField], Sequence[Any]]) -> Current:
-    """A current whose fields are looked up where ``where`` says."""
+    """Return a current whose fields are read from the location that ``where`` returns."""
     return tuple(
         replace(component, numbers=tuple(where(component.field)))
         if isinstance(component, Gridded)
@@ -87,60 +85,61 @@ def bind_fields(current: Current, where: Callable[[ocean.OceanField], Sequence[A
 
 
 class ScaleConfig(FileModel):
-    """For tanks and rivers: a field made smaller or larger, slower or faster."""
+    """Scale factors of a field for tanks and rivers: size and speed."""
 
     space: float = Key(default=1.0, ge=1e-6, le=1e6)
-    """Metres here to a metre of the file, seen from above."""
+    """Metres here per metre of the file, horizontally."""
     depth: float = Key(default=1.0, ge=1e-6, le=1e6)
-    """Metres here to a metre of depth in the file."""
+    """Metres here per metre of depth in the file."""
     speed: float = Key(default=1.0, ge=0.0, le=1e3)
-    """Level speed here over that of the file; that of the vertical one is depth / space as much."""
+    """Horizontal speed here over that of the file; the vertical speed is scaled by depth / space in
+    addition."""
     time: float | None = Key(default=None, ge=1e-6, le=1e9)
-    """Seconds here to a second of the file; space / speed if left out: what drifts then runs
-    through the same pattern."""
+    """Seconds here per second of the file; space / speed if left out: drifting bodies then pass the
+    same pattern."""
 
     @property
     def seconds(self) -> float:
-        """Seconds here to a second of the file."""
+        """Return the seconds here per second of the file."""
         if self.time is not None:
             return self.time
         return self.space / self.speed if self.speed else 1.0
 
 
 class GridConfig(FileModel):
-    """The current of an ocean model's file; each world lies at a place and time in it."""
+    """The current of an ocean model's file; each world has its own position and time in it."""
 
     type: Literal["grid"] = "grid"
     file: str = Key(min_length=1, max_length=4096)
-    """NetCDF file by the CF conventions; see `docs/ocean.md`."""
+    """NetCDF file with CF conventions; see `docs/ocean.md`."""
     u: str | None = None
-    """Name of the eastward velocity in it; found by its standard_name if left out."""
+    """Name of the eastward velocity in the file; identified by its standard_name if left out."""
     v: str | None = None
     """Name of the northward velocity."""
     w: str | None = None
-    """Name of the upward velocity; none if left out and no variable says that it is it."""
+    """Name of the upward velocity; none if left out and no standard_name identifies it."""
     latitude: Span | None = None
-    """From where to where worlds lie, in degrees (of files in metres: m along y); all of the file's
-    water if left out. Twice the same is one place."""
+    """Min and max latitude of worlds, in degrees (of files in metres: m along y); all of the file's
+    water if left out. Two equal values are a single position."""
     longitude: Span | None = None
-    """Likewise, eastward (of files in metres: m along x)."""
+    """Min and max longitude, eastward (of files in metres: m along x)."""
     time: tuple[str, str] | None = None
-    """Earliest and latest start, UTC, as in "2024-06-01T12:00"; whenever a whole run lies in the
-    file's times if left out."""
+    """Earliest and latest start, UTC, as in "2024-06-01T12:00"; if left out, any start whose whole
+    run lies in the file's times."""
     coast: bool = False
-    """Whether land is rock: cells whose nearest knot has no water at its depth. Without it only the
-    water's values are carried on to there."""
+    """Whether land is rock: cells whose nearest knot has no water at its depth. If not, values of
+    water are extended onto land."""
     scale: ScaleConfig = ScaleConfig()
 
     @field_validator("file")
     @classmethod
     def _resolve_path(cls, file: str, info: ValidationInfo) -> str:
-        """A path from the scenario's folder, made absolute."""
+        """Return the absolute path of a path relative to the scenario's folder."""
         return absolute_path(file, info)
 
     @model_validator(mode="after")
     def _check_span(self) -> Self:
-        _ = self.field  # its own faults name the file
+        _ = self.field  # errors of the file name it
         try:
             self._find_deepest_cells()
             self.starts_s(0.0)
@@ -150,7 +149,7 @@ class GridConfig(FileModel):
         return self
 
     def _require_slow(self) -> None:
-        """Require that the scaled field is no faster than other currents may be."""
+        """Require that the scaled field does not exceed the speed limit of currents."""
         values, scale = self.field.values, self.scale
         factor = np.array([1.0, 1.0, scale.depth / scale.space], np.float32)
         squares = np.square(values * factor[: values.shape[-1]])
@@ -163,12 +162,12 @@ class GridConfig(FileModel):
 
     @property
     def field(self) -> ocean.OceanField:
-        """The file's."""
+        """Return the field of the file."""
         return ocean.load_field(self.file, {"u": self.u, "v": self.v, "w": self.w})
 
     @cached_property
     def deepest_cells(self) -> DeepestCells:
-        """Where worlds may lie."""
+        """Return the cells in which worlds may lie."""
         return self._find_deepest_cells()
 
     def _find_deepest_cells(self) -> DeepestCells:
@@ -178,13 +177,13 @@ class GridConfig(FileModel):
         return find_deepest_cells(field.wet, field.knots, field.degrees, y, x)
 
     def starts_s(self, horizon_s: float) -> Span:
-        """Earliest and latest start, in seconds after the file's first time.
+        """Return the earliest and latest start, in seconds after the file's first time.
 
         Args:
-            horizon_s: of a run, which must end within the file's times.
+            horizon_s: horizon of a run, which must end within the file's times.
 
         Raises:
-            ValueError: there is none.
+            ValueError: there is no such start.
         """
         knots = self.field.knots[3]
         if len(knots) == 1:
@@ -214,7 +213,7 @@ class GridConfig(FileModel):
         return float(low), float(high)
 
     def sample(self, key: jax.Array, lo: jax.Array, hi: jax.Array, horizon_s: float) -> Gridded:
-        """A place of water for the middle of the region, and a time at which its run begins."""
+        """Sample a position in water for the middle of the region, and a start time of its run."""
         field, scale = self.field, self.scale
         position_key, time_key = fold_keys(key, 2)
         depth = jnp.asarray(field.knots[2], float)
@@ -229,7 +228,7 @@ class GridConfig(FileModel):
         times = field.knots[3]
         first = max(int(np.searchsorted(times, early, side="right")) - 1, 0)
         since = (early - times[first]) + jax.random.uniform(time_key, (), float) * (late - early)
-        # Said from the knot before it: seconds after years have no digits left in float32.
+        # Relative to the knot before it: float32 cannot resolve seconds after years.
         after = jnp.asarray(times[first:] - times[first], float)
         past = jnp.clip(jnp.searchsorted(after, since, side="right") - 1, 0)
         others = jnp.stack([jnp.full((), -field.knots[2][0]), since - after[past]])

@@ -1,4 +1,4 @@
-"""Rock that files of ocean models bring into a world: sea floors by column, and coasts."""
+"""Rock of a world from ocean-model files: sea floors by column, and coasts."""
 
 from collections.abc import Sequence
 from functools import cached_property
@@ -25,37 +25,39 @@ from angler_mjx.world.ocean.floor import CellCentres, below_floor, dry_cells, kn
 
 
 class BathymetryConfig(FileModel):
-    """The sea floor of a file: in every column the cells below it are rock, and all of land's.
+    """The sea floor of a file: in each column the cells below it are rock, and all cells of land.
 
-    With a current of type "grid" the floor lies where that does; else worlds lie in it at places of
-    their own.
+    With a current of type "grid" the floor has the current's position; else worlds have their own
+    positions in it.
     """
 
     file: str = Key(min_length=1, max_length=4096)
-    """NetCDF file by the CF conventions; see `docs/ocean.md`."""
+    """NetCDF file with CF conventions; see `docs/ocean.md`."""
     variable: str | None = None
-    """Name of the sea floor's depth or height in it; found by its standard_name if left out."""
+    """Name of the sea floor's depth or height in the file; identified by its standard_name if left
+    out."""
     positive: Literal["up", "down"] | None = None
-    """Whether its numbers are heights ("up") or depths ("down"); for files that do not say it by a
-    standard_name or ``positive`` of the variable."""
+    """Whether its values are heights ("up") or depths ("down"); for files without a standard_name
+    or ``positive`` attribute of the variable."""
     latitude: Span | None = None
-    """From where to where worlds lie, as in a current of type "grid"; not beside one."""
+    """Min and max latitude of worlds, as in a current of type "grid"; not beside such a current."""
     longitude: Span | None = None
-    """Likewise, eastward."""
+    """Min and max longitude, eastward; as latitude."""
     space: float | None = Key(default=None, ge=1e-6, le=1e6)
-    """Metres here to a metre of the file, 1 if left out; not beside a current of type "grid"."""
+    """Metres here per metre of the file, 1 if left out; not beside a current of type "grid"."""
     depth: float | None = Key(default=None, ge=1e-6, le=1e6)
-    """Metres here to a metre of depth in the file, 1 if left out; not beside one either."""
+    """Metres here per metre of depth in the file, 1 if left out; not beside such a current
+    either."""
 
     @field_validator("file")
     @classmethod
     def _resolve_path(cls, file: str, info: ValidationInfo) -> str:
-        """A path from the scenario's folder, made absolute."""
+        """Return the absolute path of a path relative to the scenario's folder."""
         return absolute_path(file, info)
 
     @model_validator(mode="after")
     def _check_span(self) -> Self:
-        _ = self.floor  # its own faults name the file
+        _ = self.floor  # errors of the file name it
         try:
             self._find_deepest_cells()
         except ValueError as error:
@@ -64,12 +66,12 @@ class BathymetryConfig(FileModel):
 
     @property
     def floor(self) -> ocean.SeaFloor:
-        """The file's."""
+        """Return the sea floor of the file."""
         return ocean.load_floor(self.file, self.variable, self.positive)
 
     @cached_property
     def deepest_cells(self) -> DeepestCells:
-        """Where worlds may lie, where no current says it."""
+        """Return the cells in which worlds may lie, where no current gives the position."""
         return self._find_deepest_cells()
 
     def _find_deepest_cells(self) -> DeepestCells:
@@ -80,11 +82,11 @@ class BathymetryConfig(FileModel):
 
 
 def check_files(currents: Sequence[FileModel], bathymetry: BathymetryConfig | None) -> None:
-    """Refuse files that do not lie together.
+    """Refuse files that do not cover the same area.
 
     Args:
         currents: configs of the current's components.
-        bathymetry: of the same world, if it has one.
+        bathymetry: bathymetry of the same world, if any.
 
     Raises:
         ValueError: naming the key.
@@ -128,16 +130,16 @@ def find_rock(
     hi: jax.Array,
     centres: CellCentres,
 ) -> jax.Array | None:
-    """Cells bool [nx, ny, nz] of a world that files say to be rock; None if none does.
+    """Return the cells bool [nx, ny, nz] of rock from files; None if no file gives rock.
 
     Args:
-        configs: of the current's components.
-        current: of the world, drawn.
-        bathymetry: of the world, if it has one.
-        key: for a place of the sea floor where no current says it.
+        configs: configs of the current's components.
+        current: sampled current of the world.
+        bathymetry: bathymetry of the world, if any.
+        key: for a position of the sea floor where no current gives it.
         lo: [3] lower corner of the region, m, W.
         hi: [3] upper corner.
-        centres: of the cells.
+        centres: centres of the cells.
     """
     rock_cells = None
     grid_current = None

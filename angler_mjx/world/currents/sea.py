@@ -1,4 +1,4 @@
-"""Tables of files for the currents of open sea: profiles over depth, and tidal constituents."""
+"""Tables of files for open-sea currents: depth profiles, and tidal constituents."""
 
 import math
 from typing import Annotated, Literal, Self
@@ -46,27 +46,28 @@ CONSTITUENTS = {
     "MF": 1.0980331,
     "MM": 0.5443747,
 }
-"""Speeds of tidal constituents in degrees an hour, as NOAA's tables of harmonic constituents have
-them; from Schureman, Manual of Harmonic Analysis and Prediction of Tides, US Coast and Geodetic
-Survey Special Publication 98, 1940 (1958), table 2."""
+"""Speeds of tidal constituents in degrees an hour, as in NOAA's tables of harmonic constituents;
+from Schureman, Manual of Harmonic Analysis and Prediction of Tides, US Coast and Geodetic Survey
+Special Publication 98, 1940 (1958), table 2."""
 
 FORTNIGHT_S = 1_275_721.0
-"""From one spring tide to the next: 360 degrees over the difference of the speeds of S2 and M2."""
+"""Period of spring tides: 360 degrees over the difference of the speeds of S2 and M2."""
 
 
 class DepthProfileConfig(FileModel):
-    """A level velocity that depends on depth alone: knots, and a smooth curve through them."""
+    """A horizontal velocity that depends on depth only: knots, and a smooth curve through them."""
 
     type: Literal["depth_profile"] = "depth_profile"
     depth_m: Annotated[tuple[Length, ...], Field(min_length=2, max_length=64)]
-    """Depths of the knots below the surface, rising. The velocity is held above and below them."""
+    """Depths of the knots below the surface, increasing. The velocity is held above and below
+    them."""
     velocity_mps: Annotated[tuple[Level, ...], Field(min_length=2, max_length=64)] | None = None
-    """East and north at each knot; drawn if left out."""
+    """East and north velocity at each knot; sampled if left out."""
     speed_mps: tuple[Speed, Speed] | None = None
-    """Lowest and highest speed of a knot, drawn uniformly for each; instead of velocity_mps."""
+    """Min and max speed of a knot, sampled uniformly for each; instead of velocity_mps."""
     turn_deg: float | None = Field(default=None, ge=0, le=180)
-    """Where knots are drawn: greatest turn of the direction from one to the next, 30 if left out;
-    that of the first is any."""
+    """For sampled knots: max change of direction between neighbours, 30 if left out; the first
+    direction is random."""
 
     @model_validator(mode="after")
     def _check_knots(self) -> Self:
@@ -91,7 +92,7 @@ class DepthProfileConfig(FileModel):
     def sample(
         self, key: jax.Array, lo: jax.Array, hi: jax.Array, horizon_s: float
     ) -> DepthProfile:
-        """Knots as given, or drawn from the surface down."""
+        """Return given knots, or sample them from the surface down."""
         depth, n = jnp.array(self.depth_m, lo.dtype), len(self.depth_m)
         if self.speed_mps is None:
             knots = jnp.array(self.velocity_mps, lo.dtype)
@@ -108,19 +109,19 @@ class DepthProfileConfig(FileModel):
 
 
 class ConstituentConfig(FileModel):
-    """One tidal constituent of a current: an ellipse that the velocity runs through."""
+    """A tidal constituent of a current: an ellipse traced by the velocity."""
 
     name: str
-    """M2, S2, N2, K1, O1 ...: one of those whose speeds are known, see `docs/ocean.md`."""
+    """Name of the constituent, such as M2, S2, N2, K1 or O1; for all names see `docs/ocean.md`."""
     major_mps: Annotated[Speed, Field(ge=0)]
-    """Half of the ellipse's long axis: the greatest speed."""
+    """Half of the ellipse's long axis: the max speed."""
     minor_mps: Speed = 0.0
-    """Half of its short axis; positive where the velocity turns anticlockwise seen from above,
-    negative where it turns clockwise, 0 where it goes to and fro."""
+    """Half of its short axis; positive for anticlockwise rotation seen from above, negative for
+    clockwise, 0 for motion along a line."""
     inclination_deg: float = Field(default=0.0, ge=-360, le=360)
-    """Of the long axis, anticlockwise from east."""
+    """Direction of the long axis, anticlockwise from east."""
     phase_deg: float = Field(default=0.0, ge=-360, le=360)
-    """Lag: the velocity points along the long axis this much after time 0."""
+    """Phase lag: the phase after time 0 at which the velocity points along the long axis."""
 
     @model_validator(mode="after")
     def _check_constituent(self) -> Self:
@@ -137,13 +138,13 @@ class ConstituentConfig(FileModel):
 
 
 class TideConfig(FileModel):
-    """Tidal constituents, the same everywhere in a world; worlds begin at times of their own."""
+    """Tidal constituents, uniform in a world; each world has its own start time."""
 
     type: Literal["tide"] = "tide"
     constituents: Annotated[tuple[ConstituentConfig, ...], Field(min_length=1, max_length=64)]
-    """Which there are; they add up."""
+    """The constituents; the velocity is their sum."""
     start_s: tuple[float, float] = (0.0, FORTNIGHT_S)
-    """Earliest and latest time of a flight's start, drawn uniformly; from one spring tide to the
+    """Earliest and latest time of a flight's start, sampled uniformly; from one spring tide to the
     next if left out."""
 
     @model_validator(mode="after")
@@ -158,11 +159,11 @@ class TideConfig(FileModel):
         return self
 
     def sample(self, key: jax.Array, lo: jax.Array, hi: jax.Array, horizon_s: float) -> Tide:
-        """The time at which the flight begins, as the phases at its start."""
+        """Sample the start time of the flight, as phases at its start."""
         speed, lag, cosine, sine = self.ellipses()
         low, high = self.start_s
-        # Of the share that is drawn float32 has seven digits, of a phase after years none; so whole
-        # turns up to the earliest start are taken off before.
+        # Float32 has seven digits for the sampled fraction, none for a phase after years; so whole
+        # turns up to the earliest start are removed first.
         begun = np.mod(speed * low - lag, 2.0 * math.pi)
         fraction = jax.random.uniform(key, (), lo.dtype)
         elapsed_phase = fraction * jnp.asarray(speed * (high - low), lo.dtype)
@@ -174,7 +175,7 @@ class TideConfig(FileModel):
         )
 
     def ellipses(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Speeds [n] rad/s, lags [n] rad, and both half axes [n, 2] m/s, in float64.
+        """Return speeds [n] rad/s, lags [n] rad, and both half axes [n, 2] m/s, in float64.
 
         With the long axis at an angle a from east, u + i v = exp(i a) (major cos(w t - g) +
         i minor sin(w t - g)) (Pawlowicz, Beardsley & Lentz, Computers & Geosciences 28, 2002).

@@ -1,4 +1,4 @@
-"""Tables of files that say a current, and how each draws its component for one world."""
+"""Tables of files for currents, and the sampling of their components for one world."""
 
 import math
 from collections.abc import Mapping
@@ -20,19 +20,19 @@ type Vector = tuple[Speed, Speed, Speed]
 
 
 class UniformConfig(FileModel):
-    """The same steady velocity in every world."""
+    """The same uniform steady velocity in every world."""
 
     type: Literal["uniform"] = "uniform"
     velocity_mps: Vector
     """East, north, up."""
 
     def sample(self, key: jax.Array, lo: jax.Array, hi: jax.Array, horizon_s: float) -> Uniform:
-        """Nothing is drawn."""
+        """Return the current as configured, without sampling."""
         return Uniform(velocity_mps=jnp.array(self.velocity_mps, lo.dtype))
 
 
 class GaussMarkovConfig(FileModel):
-    """A velocity that wanders about a mean: an Ornstein-Uhlenbeck process, clipped in speed.
+    """A random velocity about a mean: an Ornstein-Uhlenbeck process, clipped in speed.
 
     At the knots it is discretised exactly (v_k+1 - m = rho (v_k - m) + std sqrt(1 - rho^2) xi,
     rho = exp(-knot_dt / time_constant)) and starts in its stationary distribution.
@@ -44,16 +44,16 @@ class GaussMarkovConfig(FileModel):
 
     type: Literal["gauss_markov"] = "gauss_markov"
     max_speed_mps: Annotated[Speed, Field(gt=0)]
-    """Faster knots are shortened to this speed, so it is never exceeded."""
+    """Max speed; the speed of faster knots is reduced to it."""
     std_mps: Annotated[Speed, Field(gt=0)] | None = None
     """Standard deviation per horizontal axis before clipping; max_speed_mps / 2.5 if left out, so
     that about one knot in twenty is clipped."""
     mean_mps: Vector = (0.0, 0.0, 0.0)
     """East, north, up."""
     time_constant_s: float = Field(default=60.0, gt=0, le=1e6)
-    """Of the process's memory."""
+    """Time constant of the process."""
     vertical_fraction: float = Field(default=0.1, ge=0, le=1)
-    """Standard deviation of the vertical velocity over the horizontal one's."""
+    """Standard deviation of the vertical velocity over that of the horizontal one."""
     knot_dt_s: float = Field(default=5.0, ge=0.01, le=86400)
     """Time between knots; a run has 100,000 of them at most."""
 
@@ -64,7 +64,7 @@ class GaussMarkovConfig(FileModel):
         return self
 
     def sample(self, key: jax.Array, lo: jax.Array, hi: jax.Array, horizon_s: float) -> GaussMarkov:
-        """Knots from t = 0 to past ``horizon_s``."""
+        """Sample knots from t = 0 to past ``horizon_s``."""
         n_knot = max(2, math.ceil(horizon_s / self.knot_dt_s) + 1)
         std = self.max_speed_mps / 2.5 if self.std_mps is None else self.std_mps
         rho = math.exp(-self.knot_dt_s / self.time_constant_s)
@@ -83,15 +83,15 @@ class GaussMarkovConfig(FileModel):
 
 
 class VorticesConfig(FileModel):
-    """Lamb-Oseen vortices at random places of the region, turning either way."""
+    """Lamb-Oseen vortices at random positions of the region, with random sense of rotation."""
 
     type: Literal["vortices"] = "vortices"
     count: int = Field(ge=1, le=1000)
     """Number of vortices."""
     peak_speed_mps: SpeedSpan
-    """Lowest and highest greatest speed of a vortex; drawn uniformly."""
+    """Min and max of a vortex's peak speed; sampled uniformly."""
     core_radius_m: Span = (1.0, 3.0)
-    """Lowest and highest core radius a; at least 1 m: the flow then varies little over a hull."""
+    """Min and max core radius a; at least 1 m: the flow then varies little over a hull."""
 
     @model_validator(mode="after")
     def _check_spans(self) -> Self:
@@ -102,7 +102,7 @@ class VorticesConfig(FileModel):
         return self
 
     def sample(self, key: jax.Array, lo: jax.Array, hi: jax.Array, horizon_s: float) -> Vortices:
-        """Places uniform in the region seen from above."""
+        """Sample positions uniformly in the region seen from above."""
         n = self.count
         where, speed_u, radius_u, direction_u = uniform_rows(fold_keys(key, 4), 2 * n, lo.dtype)
         peak = scale_uniform(speed_u[:n], *self.peak_speed_mps)

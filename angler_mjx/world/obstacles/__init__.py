@@ -1,4 +1,4 @@
-"""Bodies that are not cells: explicit and sampled obstacles, still, drifting or scripted.
+"""Obstacles beside the grid's cells: explicit and sampled, static, drifting or scripted.
 
 Public names of the package: arrays of obstacles (`types`), their drag in water (`bodies`), their
 motion (`motion`), their tables in files (`config`) and the sampling of one world's (`sampling`).

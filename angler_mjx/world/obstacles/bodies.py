@@ -1,4 +1,4 @@
-"""What a shape of uniform density is to the water: volume, inertia, added mass and drag.
+"""Hydrodynamics of shapes of uniform density: volume, inertia, added mass and drag.
 
 Geometry only: multiply by the mass, by the water's density or by half of it. Plain numpy in double
 precision, evaluated on the host while a world's obstacles are set up.
@@ -47,7 +47,7 @@ class Body:
 
 
 def build_sphere(radius: float) -> Body:
-    """A sphere: added mass of half the displaced mass (Lamb, Hydrodynamics, 1932, art. 92)."""
+    """Return a sphere; added mass: half the displaced mass (Lamb, Hydrodynamics, 1932, art. 92)."""
     volume = 4.0 / 3.0 * math.pi * radius**3
     spin = 0.5 * _SPIN_FRICTION * radius**5
     return Body(
@@ -59,7 +59,7 @@ def build_sphere(radius: float) -> Body:
 
 
 def build_box(half: tuple[float, float, float]) -> Body:
-    """A box with half extents ``half``.
+    """Return a box with half extents ``half``.
 
     Added mass along an axis: the square prism with the same length and frontal area (DNV table
     above). Added inertia and rotational drag are strip estimates, with each strip of a face moving
@@ -79,7 +79,7 @@ def build_box(half: tuple[float, float, float]) -> Body:
 
 
 def build_capsule(radius: float, half_length: float) -> Body:
-    """A capsule along z; ``half_length`` is that of its axis, without the caps.
+    """Return a capsule along z; ``half_length`` is that of its axis, without the caps.
 
     Added mass of the prolate spheroid with the same volume and the same length over width (Lamb,
     1932, art. 114 and 115). Drag: caps as a sphere, cylinder across the flow; across-axis
@@ -103,7 +103,7 @@ def build_capsule(radius: float, half_length: float) -> Body:
 
 
 def _prolate_spheroid(volume: float, slenderness: float) -> Floats:
-    """Added mass [6] over density of a spheroid along z, length over width ``slenderness`` >= 1."""
+    """Return the added mass [6] over density of a spheroid along z, length over width >= 1."""
     e2 = 1.0 - slenderness**-2
     b2 = (volume / (4.0 / 3.0 * math.pi * slenderness)) ** (2.0 / 3.0)
     a2 = b2 * slenderness**2

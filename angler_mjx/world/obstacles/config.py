@@ -1,6 +1,6 @@
-"""What a scenario file may say about obstacles: some by hand, some drawn.
+"""The obstacles table of a scenario file: explicit and sampled obstacles.
 
-Lengths in metres, angles in degrees, all places and directions in W (x east, y north, z up).
+Lengths in metres, angles in degrees, all positions and directions in W (x east, y north, z up).
 """
 
 import math
@@ -24,53 +24,53 @@ Fraction = Annotated[float, Field(ge=0, le=1)]
 
 
 class StaticMotion(FileModel):
-    """Stays where it is."""
+    """No motion."""
 
     type: Literal["static"] = "static"
 
 
 class DriftMotion(FileModel):
-    """Moves as the water moves it."""
+    """Drift with the water."""
 
     type: Literal["drift"] = "drift"
     relative_velocity_mps: Velocity = (0.0, 0.0, 0.0)
-    """Velocity at the start relative to the water there; zero: it starts with the water."""
+    """Velocity at the start relative to the water there; zero for the velocity of the water."""
 
 
 class StraightMotion(FileModel):
-    """Moves at constant speed and is thrown back by the bounds of the world."""
+    """Motion at constant speed, reflected by the bounds of the world."""
 
     type: Literal["straight"] = "straight"
     velocity_mps: Velocity
-    """At the start; east, north, up."""
+    """Velocity at the start; east, north, up."""
 
 
 class SineMotion(FileModel):
-    """Swings about its position."""
+    """Sinusoidal motion about the obstacle's position."""
 
     type: Literal["sine"] = "sine"
     amplitude_m: Vector
-    """East, north, up."""
+    """Amplitude; east, north, up."""
     period_s: Period
-    """Of a whole swing."""
+    """Period of the oscillation."""
     phase_deg: Angle = 0.0
-    """At t = 0; 0 in the middle."""
+    """Phase at t = 0; 0 in the middle."""
 
 
 class CircleMotion(FileModel):
-    """Goes round its position, anticlockwise about the axis."""
+    """Circular motion about the obstacle's position, anticlockwise about the axis."""
 
     type: Literal["circle"] = "circle"
     radius_m: PositiveLength
-    """Of the circle."""
+    """Radius of the circle."""
     period_s: Period
-    """Of a whole turn."""
+    """Period of a full turn."""
     clockwise: bool = False
-    """The other way round."""
+    """Whether the motion is clockwise."""
     phase_deg: Angle = 0.0
     """Angle at t = 0, from east (from north where the axis is nearly east)."""
     axis: Axis = (0.0, 0.0, 1.0)
-    """About which it goes, in W; of any length."""
+    """Axis of the circle, in W; of any length."""
 
     @model_validator(mode="after")
     def _check_axis(self) -> Self:
@@ -87,13 +87,13 @@ type Motion = Annotated[
 
 class _PositionedTable(FileModel):
     position_m: Vector
-    """Centre at the start; of the swing or circle for those motions."""
+    """Centre at the start; for sine and circle, the centre of the motion."""
     rpy_deg: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
-    """Roll, pitch, yaw: turned about x, then y, then z of the world."""
+    """Roll, pitch, yaw: rotations about x, then y, then z of the world."""
     motion: Motion = StaticMotion()
-    """How it moves."""
+    """Motion of the obstacle."""
     mass_kg: Annotated[float, Field(gt=0, le=1e9)] | None = None
-    """As heavy as the water it displaces if left out; matters for drifting ones only."""
+    """Mass; that of the displaced water if left out. Used for drifting obstacles only."""
 
 
 class SphereConfig(_PositionedTable):
@@ -101,7 +101,7 @@ class SphereConfig(_PositionedTable):
 
     type: Literal["sphere"] = "sphere"
     radius_m: PositiveLength
-    """Of the sphere."""
+    """Radius of the sphere."""
 
 
 class BoxConfig(_PositionedTable):
@@ -109,7 +109,7 @@ class BoxConfig(_PositionedTable):
 
     type: Literal["box"] = "box"
     size_m: tuple[PositiveLength, PositiveLength, PositiveLength]
-    """Full edges."""
+    """Full edge lengths."""
 
 
 class CapsuleConfig(_PositionedTable):
@@ -117,9 +117,9 @@ class CapsuleConfig(_PositionedTable):
 
     type: Literal["capsule"] = "capsule"
     radius_m: PositiveLength
-    """Of the caps."""
+    """Radius of the caps."""
     length_m: PositiveLength
-    """Of the axis."""
+    """Length of the axis."""
 
 
 type ExplicitConfig = Annotated[
@@ -128,7 +128,7 @@ type ExplicitConfig = Annotated[
 
 
 class DynamicConfig(FileModel):
-    """Drifting spheres and cubes, drawn anew for each world."""
+    """Drifting spheres and cubes, sampled for each world."""
 
     renamed_keys: ClassVar[Mapping[str, str]] = {
         "cube_share": "cube_fraction",
@@ -139,17 +139,17 @@ class DynamicConfig(FileModel):
     count: int = Field(default=0, ge=0, le=4096)
     """Number in each world."""
     radius_m: Span = (0.4, 0.75)
-    """Lowest and highest radius, of the sphere or of the sphere around the cube."""
+    """Min and max radius, of the sphere or of the bounding sphere of the cube."""
     cube_fraction: Fraction = 0.5
     """Probability of a cube; the others are spheres."""
     rise_fraction: Fraction = 0.2
-    """Probability of one lighter than water."""
+    """Probability of a body lighter than water."""
     sink_fraction: Fraction = 0.2
-    """Probability of one heavier than water; the rest are neutral."""
+    """Probability of a body heavier than water; the rest are neutral."""
     vertical_speed_mps: SpeedSpan = (0.02, 0.1)
-    """Lowest and highest steady speed at which the light ones rise and the heavy ones sink; it
-    sets their mass. (Density would be an awkward knob: a sphere of 0.5 m radius that is 0.1 %
-    lighter than water already rises at 0.17 m/s.)"""
+    """Min and max steady speed at which light bodies rise and heavy ones sink; it sets their mass.
+    (Density is impractical as a parameter: a sphere of 0.5 m radius that is 0.1 % lighter than
+    water already rises at 0.17 m/s.)"""
 
     @model_validator(mode="after")
     def _check_spans(self) -> Self:
@@ -165,9 +165,9 @@ class DynamicConfig(FileModel):
 
 
 class ObstaclesConfig(FileModel):
-    """The obstacles of a scenario beside the cells of its grid."""
+    """Obstacles of a scenario beside the cells of its grid."""
 
     dynamic: DynamicConfig = DynamicConfig()
-    """Those that are drawn."""
+    """Sampled obstacles."""
     explicit: tuple[ExplicitConfig, ...] = ()
-    """Those that stand where the file says."""
+    """Obstacles listed in the file."""

@@ -1,4 +1,4 @@
-"""Rows for the obstacles that a file lists by hand; the same in every world."""
+"""Rows of the explicit obstacles of a file; the same in every world."""
 
 import math
 from collections.abc import Sequence
@@ -35,11 +35,11 @@ _MOTION = {"static": STATIC, "drift": DRIFT, "straight": STRAIGHT, "sine": SINE,
 
 
 def explicit_rows(items: Sequence[ExplicitConfig], density: jax.Array | float) -> Obstacles:
-    """Obstacles of a list from a file, in its order.
+    """Return the obstacles of a list from a file, in its order.
 
     Args:
         items: at least one.
-        density: [] of the water, kg/m^3.
+        density: [] density of the water, kg/m^3.
     """
     shapes = [_body_shape(item) for item in items]
     kind = [k for k, _, _ in shapes]
@@ -74,7 +74,7 @@ def _to_array(values: Sequence[object]) -> jax.Array:
 
 
 def _body_shape(item: ExplicitConfig) -> tuple[int, Vector, bodies.Body]:
-    """Kind, size as `Obstacles.size_m` has it, and geometry."""
+    """Return kind, size as of `Obstacles.size_m`, and geometry."""
     match item:
         case SphereConfig():
             return SPHERE, (item.radius_m, 0.0, 0.0), bodies.build_sphere(item.radius_m)
@@ -89,7 +89,7 @@ def _body_shape(item: ExplicitConfig) -> tuple[int, Vector, bodies.Body]:
 
 
 def _motion_path(item: ExplicitConfig) -> bodies.Floats:
-    """The columns of `Obstacles.path`."""
+    """Return the columns of `Obstacles.path`."""
     row = np.zeros(8)
     match item.motion:
         case StraightMotion() as motion:
@@ -111,7 +111,7 @@ def _motion_path(item: ExplicitConfig) -> bodies.Floats:
 
 
 def _start_velocity(item: ExplicitConfig, q: bodies.Floats) -> bodies.Floats:
-    """Velocity [6] at the start relative to the water, body frame."""
+    """Return the velocity [6] at the start relative to the water, body frame."""
     nu = np.zeros(6)
     if isinstance(item.motion, DriftMotion):
         v, w, u = np.array(item.motion.relative_velocity_mps), q[0], -q[1:]
@@ -121,7 +121,7 @@ def _start_velocity(item: ExplicitConfig, q: bodies.Floats) -> bodies.Floats:
 
 
 def _to_quaternion(rpy_deg: Vector) -> bodies.Floats:
-    """Attitude [4] (wxyz) after turning about the world's x, then y, then z."""
+    """Return the attitude [4] (wxyz) of rotations about the world's x, then y, then z."""
     roll, pitch, yaw = (0.5 * math.radians(angle) for angle in rpy_deg)
     cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
     cy, sy = math.cos(yaw), math.sin(yaw)

@@ -1,9 +1,9 @@
-"""How obstacles move: drifting ones as rigid bodies in moving water, scripted ones by closed form.
+"""Motion of obstacles: drifting as rigid bodies in moving water, scripted by closed form.
 
 Drifting bodies have added mass, quadratic drag, weight and buoyancy, and the force of the flow's
-own acceleration; the vortices exert no moment on them. They are thrown back, as their bounding
-spheres and without loss, by static cells and by the bounds. They do not touch each other, explicit
-obstacles or robots. Scripted movers run on rails: nothing stops them.
+own acceleration; the vortices exert no moment on them. Static cells and the bounds reflect them, as
+their bounding spheres and without loss. They do not touch each other, explicit obstacles or robots.
+Scripted obstacles are never stopped.
 """
 
 from collections.abc import Callable
@@ -40,7 +40,7 @@ type NearestCell = Callable[[jax.Array], tuple[jax.Array, jax.Array]]
 """Distance [] of a point [3] to the occupied cells, and the unit direction [3] away from them."""
 
 type Law = Callable[[Obstacles, jax.Array], tuple[jax.Array, jax.Array]]
-"""Position [3] and velocity [3], in W, of one scripted mover at a time."""
+"""Position [3] and velocity [3], in W, of a scripted obstacle."""
 
 
 def reset(
@@ -49,12 +49,12 @@ def reset(
     density: jax.Array | float,
     gravity: jax.Array | float,
 ) -> ObstacleState:
-    """State of the obstacles at t = 0; drifting ones move with the water, plus their ``nu0``.
+    """Return the state of the obstacles at t = 0; drifting ones move with the water, plus ``nu0``.
 
     Args:
         obstacles: [n] rows of one world.
-        current: of the same world.
-        density: [] of the water, kg/m^3.
+        current: current of the same world.
+        density: [] density of the water, kg/m^3.
         gravity: [] m/s^2, positive.
     """
     zero = jnp.zeros_like(obstacles.nu0)
@@ -88,18 +88,18 @@ def step(
     density: jax.Array | float,
     gravity: jax.Array | float,
 ) -> ObstacleState:
-    """State of the obstacles at t + dt.
+    """Return the state of the obstacles at t + dt.
 
     Args:
         obstacles: [n] rows of one world.
         state: at t.
-        current: of the same world.
+        current: current of the same world.
         t: [] s.
         dt: [] s.
         bounds_lo: [3] lower corner of the region that obstacles stay in, m, W.
         bounds_hi: [3] upper corner.
         grid: static cells of the world.
-        density: [] of the water, kg/m^3.
+        density: [] density of the water, kg/m^3.
         gravity: [] m/s^2, positive.
     """
 
@@ -126,7 +126,7 @@ def advance_obstacle(
     density: jax.Array | float,
     gravity: jax.Array | float,
 ) -> ObstacleState:
-    """State of one obstacle at t + dt; arguments as in `step`, for one row."""
+    """Return the state of one obstacle at t + dt; arguments as in `step`, for one row."""
     straight = partial(_straight_motion, bounds_lo=bounds_lo, bounds_hi=bounds_hi)
     after = _move_scripted(body, now, t + dt, straight)
     if DRIFT not in body.motions:
@@ -151,7 +151,7 @@ def _compute_acceleration(
     density: jax.Array | float,
     gravity: jax.Array | float,
 ) -> jax.Array:
-    """Nu' [6] of one drifting body, body frame."""
+    """Return nu' [6] of one drifting body, body frame."""
     v_c, Dv_c = evaluate_current(current, now.p, t)
     v_r = now.nu[:3] - rotate_inverse(now.q, v_c)
     omega = now.nu[3:]
@@ -178,7 +178,7 @@ def _compute_acceleration(
 
 
 def _half_height(body: Obstacles, q: jax.Array) -> jax.Array:
-    """Half the vertical extent [] of a body at attitude q."""
+    """Return half the vertical extent [] of a body at attitude q."""
     up = jnp.abs(to_matrix(q)[2])
     box = jnp.sum(up * body.size_m)
     capsule = body.size_m[0] + up[2] * body.size_m[1]
@@ -189,7 +189,7 @@ def _half_height(body: Obstacles, q: jax.Array) -> jax.Array:
 def _off_cells(
     p: jax.Array, v: jax.Array, radius: jax.Array, nearest_cell: NearestCell
 ) -> tuple[jax.Array, jax.Array]:
-    """A sphere that reaches into a cell is put back to touch it, its velocity turned outward."""
+    """Move a sphere that overlaps a cell back to its surface, and turn its velocity outward."""
     distance, normal = nearest_cell(p)
     inside = jnp.maximum(radius - distance, 0.0)
     inward = jnp.minimum(jnp.sum(v * normal), 0.0)
@@ -199,7 +199,7 @@ def _off_cells(
 def _off_bounds(
     p: jax.Array, v: jax.Array, lo: jax.Array, hi: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """A centre past a bound is put back on it, and the velocity component that leads out turned."""
+    """Move a centre beyond a bound back onto it, and reverse the outward velocity component."""
     leaving = ((p < lo) & (v < 0.0)) | ((p > hi) & (v > 0.0))
     return jnp.clip(p, lo, jnp.maximum(lo, hi)), jnp.where(leaving, -v, v)
 
@@ -207,7 +207,7 @@ def _off_bounds(
 def _move_scripted(
     body: Obstacles, now: ObstacleState, t: jax.Array, straight: Law
 ) -> ObstacleState:
-    """One scripted mover at t; any other obstacle as it was."""
+    """Return the state of a scripted obstacle at t; any other obstacle unchanged."""
     laws: dict[int, Law] = {STRAIGHT: straight, SINE: _sine_motion, CIRCLE: _circle_motion}
     for motion, law in laws.items():
         if motion not in body.motions:
@@ -221,7 +221,7 @@ def _move_scripted(
 def _straight_motion(
     body: Obstacles, t: jax.Array, *, bounds_lo: jax.Array, bounds_hi: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Constant speed, thrown back by the bounds: a triangle wave in each axis.
+    """Return constant speed, reflected by the bounds: a triangle wave in each axis.
 
     The bounds are those of the centre, one bounding radius inside the region, and are widened to
     hold the start where that lies outside.
@@ -236,14 +236,14 @@ def _straight_motion(
 
 
 def _sine_motion(body: Obstacles, t: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """p0 + A sin(omega t + phase)."""
+    """Return p0 + A sin(omega t + phase), and its velocity."""
     amplitude, rate, phase = body.path[:3], body.path[3], body.path[4]
     angle = rate * t + phase
     return body.p0 + amplitude * jnp.sin(angle), amplitude * (rate * jnp.cos(angle))
 
 
 def _circle_motion(body: Obstacles, t: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """p0 + arm cos(omega t + phase) + axis x arm sin(omega t + phase)."""
+    """Return p0 + arm cos(omega t + phase) + axis x arm sin(omega t + phase), and its velocity."""
     arm, rate, phase, axis = body.path[:3], body.path[3], body.path[4], body.path[5:8]
     angle = rate * t + phase
     side = jnp.cross(axis, arm)
@@ -252,17 +252,17 @@ def _circle_motion(body: Obstacles, t: jax.Array) -> tuple[jax.Array, jax.Array]
 
 
 def _select(where: jax.Array, a: ObstacleState, b: ObstacleState) -> ObstacleState:
-    """A where true, else b, leaf by leaf."""
+    """Return a where true, else b, leaf by leaf."""
     chosen: ObstacleState = jax.tree.map(lambda x, y: jnp.where(where, x, y), a, b)
     return chosen
 
 
 def _diagonal_matrix(v: jax.Array) -> jax.Array:
-    """Matrix [n, n] with v [n] on its diagonal."""
+    """Return the matrix [n, n] with v [n] on its diagonal."""
     return v[:, None] * jnp.eye(v.shape[0], dtype=v.dtype)
 
 
 def _norm(v: jax.Array) -> jax.Array:
-    """Length [] of a vector [3], its gradient at zero zero instead of NaN."""
+    """Return the length [] of a vector [3], with gradient zero instead of NaN at zero."""
     square = jnp.sum(v * v)
     return jnp.where(square > 0.0, jnp.sqrt(jnp.where(square > 0.0, square, 1.0)), 0.0)

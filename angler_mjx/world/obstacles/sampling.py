@@ -1,9 +1,9 @@
-"""One world's obstacles from a config and a key: the explicit rows, then the drawn ones.
+"""Obstacles of one world from a config and a key: explicit rows first, then sampled ones.
 
-Drawn obstacles are placed one after another. Each tries a fixed number of random places and takes
-the first that is free: clear of cells, of explicit obstacles, of the points to keep clear, and of
-those already placed. If none is clear of the latter, the one that overlaps least is taken; if none
-is clear of the former, the row is left out (``exists = False``).
+Sampled obstacles are placed one after another. Each tries a fixed number of random positions and
+takes the first free one: clear of cells, of explicit obstacles, of the points to keep clear, and of
+obstacles already placed. If none is clear of obstacles already placed, the position with the least
+overlap is taken; if none is clear of the others, the row is left out (``exists = False``).
 """
 
 import math
@@ -42,18 +42,18 @@ def sample_obstacles(
     water_density: jax.Array | float,
     gravity: jax.Array | float = GRAVITY_MPS2,
 ) -> Obstacles:
-    """Obstacles of one world: the explicit ones first, then the drawn ones; at least one row.
+    """Sample the obstacles of one world: explicit ones first, then sampled ones; at least one row.
 
     Args:
-        config: what to draw.
+        config: table of obstacles.
         key: random key of this world's obstacles.
-        grid: static cells; drawn obstacles must be smaller in radius than a cell.
+        grid: static cells; sampled obstacles must be smaller in radius than a cell.
         bounds_lo: [3] lower corner of the region that obstacles stay in, m, W.
         bounds_hi: [3] upper corner.
         keep_out_m: [k, 3] points to keep clear of (starts and goals), m, W.
         keep_out_radius_m: [k] or [] distance to keep from each to an obstacle's surface, m.
         water_density: [] kg/m^3.
-        gravity: [] m/s^2, turns the asked rise and sink speeds into masses.
+        gravity: [] m/s^2, converts rise and sink speeds into masses.
     """
     explicit = explicit_rows(config.explicit, water_density) if config.explicit else None
     if config.dynamic.count == 0 and explicit is not None:
@@ -84,7 +84,7 @@ def sample_obstacles(
 def _sample_drifting(
     config: DynamicConfig, key: jax.Array, density: jax.Array | float, gravity: jax.Array | float
 ) -> Obstacles:
-    """Rows of drifting spheres and cubes, all at the origin."""
+    """Sample rows of drifting spheres and cubes, all at the origin."""
     n = config.count
     keys = fold_keys(key, 5)
     size, shape, tendency, speed = uniform_rows(keys[:4], n)
@@ -105,7 +105,7 @@ def _sample_drifting(
 
 
 def _empty_row(density: jax.Array | float) -> Obstacles:
-    """One row that does not exist, for worlds without obstacles."""
+    """Return a row with exists = False, for worlds without obstacles."""
     one, upright = jnp.ones(1), jnp.eye(1, 4)
     row = _build_bodies(one, jnp.zeros(1, bool), 0.0 * one, upright, density, GRAVITY_MPS2, ())
     return replace(row, exists=jnp.zeros(1, bool), motions=())
@@ -120,18 +120,18 @@ def _build_bodies(
     gravity: jax.Array | float,
     kinds: tuple[int, ...],
 ) -> Obstacles:
-    """Rows of drifting spheres and cubes.
+    """Return rows of drifting spheres and cubes.
 
-    Every coefficient of a shape goes with a power of its size, so the shapes of bounding radius
-    1 m are scaled. A body that rises at v is lighter than its displaced water by its drag at v over
+    Every coefficient of a shape scales with a power of its size, so the shapes of bounding radius 1
+    m are scaled. A body that rises at v is lighter than its displaced water by its drag at v over
     gravity.
 
     Args:
         scale: [n] bounding radius, m.
-        cube: bool [n] whether it is one, or else a sphere.
-        rise: [n] speed at which it rises, negative where it sinks, m/s.
+        cube: bool [n] True for a cube, False for a sphere.
+        rise: [n] rise speed, negative where the body sinks, m/s.
         q0: [n, 4] attitude.
-        density: [] of the water, kg/m^3.
+        density: [] density of the water, kg/m^3.
         gravity: [] m/s^2.
         kinds: shapes that can occur.
     """
@@ -169,7 +169,7 @@ def _build_bodies(
 
 
 def _gap_to(obstacles: Obstacles, p: jax.Array) -> jax.Array:
-    """Distance [] of a point to the surfaces of obstacles at their start."""
+    """Return the distance [] of a point to the surfaces of obstacles at their start."""
     point, zero = p[None], jnp.zeros(1, p.dtype)
     to_one = partial(capsules_obstacle, point, point, zero, kinds=obstacles.kinds)
     return jnp.min(jax.vmap(to_one)(obstacles.p0, obstacles.q0, obstacles.kind, obstacles.size_m))
@@ -178,11 +178,11 @@ def _gap_to(obstacles: Obstacles, p: jax.Array) -> jax.Array:
 def _choose_positions(
     tries: jax.Array, margin: jax.Array, radius: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """A place [n, 3] for each of n obstacles, and whether it is free.
+    """Return a position [n, 3] for each of n obstacles, and whether it is free.
 
     Args:
-        tries: [n, k, 3] places to try, m, W.
-        margin: [n, k] clearance there to everything that stands already; must not be negative.
+        tries: [n, k, 3] positions to try, m, W.
+        margin: [n, k] clearance there to cells and fixed obstacles; not free where negative.
         radius: [n] bounding radii.
     """
     n = radius.shape[0]
@@ -193,7 +193,7 @@ def _choose_positions(
         score = jnp.where(margin[i] >= 0.0, jnp.minimum(overlap, 0.0), -jnp.inf)
         best = jnp.argmax(score)
         chosen, free = tries[i, best], margin[i, best] >= 0.0
-        # One that is left out keeps no place.
+        # A left-out obstacle occupies no position.
         return p.at[i].set(jnp.where(free, chosen, jnp.inf)), (chosen, free)
 
     _, (positions, free) = jax.lax.scan(choose_one, jnp.zeros((n, 3), tries.dtype), jnp.arange(n))
@@ -201,7 +201,7 @@ def _choose_positions(
 
 
 def _concatenate_rows(first: Obstacles, second: Obstacles) -> Obstacles:
-    """The rows of two sets, in order."""
+    """Return the rows of two sets, in order."""
     kinds = tuple(sorted(set(first.kinds) | set(second.kinds)))
     motions = tuple(sorted(set(first.motions) | set(second.motions)))
     first, second = (replace(rows, kinds=kinds, motions=motions) for rows in (first, second))

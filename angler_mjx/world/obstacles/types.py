@@ -1,4 +1,4 @@
-"""What obstacles are and where they are: two pytrees of one world, [n] rows each.
+"""Properties and states of obstacles: two pytrees of one world, [n] rows each.
 
 Rows with ``exists = False`` are padding; their numbers are harmless but mean nothing.
 """
@@ -30,7 +30,7 @@ STATIC, DRIFT, STRAIGHT, SINE, CIRCLE = 0, 1, 2, 3, 4
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class Obstacles:
-    """What the obstacles of one world are; [n] rows, constant during an episode."""
+    """Properties of the obstacles of one world; [n] rows, constant during an episode."""
 
     kind: jax.Array
     """int32 [n]: 0 sphere, 1 box, 2 capsule."""
@@ -66,7 +66,7 @@ class Obstacles:
     exists: jax.Array
     """bool [n]: False rows are padding: never touched, never seen."""
     kinds: tuple[int, ...] = field(metadata={"static": True})
-    """The kinds that can occur, sorted, so that other code is not traced."""
+    """The kinds that can occur, sorted, to avoid tracing code of others."""
     motions: tuple[int, ...] = field(metadata={"static": True})
     """The motions that can occur, sorted."""
 
@@ -74,7 +74,7 @@ class Obstacles:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class ObstacleState:
-    """Where the obstacles of one world are."""
+    """State of the obstacles of one world."""
 
     p: jax.Array
     """[n, 3] centre, m, W."""
@@ -83,10 +83,10 @@ class ObstacleState:
     nu: jax.Array
     """[n, 6] velocity [u v w p q r], m/s and rad/s, body frame (scripted movers too)."""
     nu_dot: jax.Array
-    """[n, 6] smooth acceleration of the step before, body frame (for the two-step scheme)."""
+    """[n, 6] smooth acceleration of the previous step, body frame (for the two-step scheme)."""
 
 
 def bounding_radius(kind: jax.Array, size: jax.Array) -> jax.Array:
-    """Radius [] of the sphere about the centre that holds an obstacle of ``size`` [3], m."""
+    """Return the bounding radius [] about the centre of an obstacle of ``size`` [3], m."""
     box = jnp.sqrt(jnp.sum(size * size))
     return jnp.where(kind == BOX, box, size[0] + jnp.where(kind == CAPSULE, size[1], 0.0))

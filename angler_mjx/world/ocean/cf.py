@@ -1,6 +1,6 @@
-"""NetCDF files by the CF conventions: variables by their standard names, axes in units of ours.
+"""NetCDF files by the CF conventions: variables by standard names, axes in our units.
 
-Only this module knows xarray. See cfconventions.org, version 1.11, chapters 2.5 (missing values), 3
+Only this module uses xarray. See cfconventions.org, version 1.11, chapters 2.5 (missing values), 3
 (units and standard names), 4 (axes) and 5 (coordinates, grid mappings).
 """
 
@@ -19,10 +19,10 @@ from angler_mjx.world.ocean.missing import find_missing
 EXTRA = "pip install 'angler-mjx[ocean]'"
 
 MAX_BYTES = 2**28
-"""Of one field in memory, as float32: programs hold a copy each."""
+"""Max size of one field in memory, as float32: programs hold a copy each."""
 
 _REASON = 400
-"""Characters of another library's message that are repeated."""
+"""Max number of characters of another library's message."""
 
 AXES = ("y", "x", "depth", "time")
 """Names of the axes here, in the order of every array."""
@@ -39,14 +39,14 @@ _STANDARD = {
     "time": "time",
 }
 _HEIGHTS = ("height", "altitude")
-"""Beginnings of the standard names of vertical axes that count upwards."""
+"""Prefixes of the standard names of vertical axes that count upwards."""
 _FOREIGN = (
     "grid_latitude",
     "grid_longitude",
     "projection_y_angular_coordinate",
     "projection_x_angular_coordinate",
 )
-"""Standard names of axes in degrees that are no latitudes and longitudes."""
+"""Standard names of axes in degrees other than latitude and longitude."""
 _LETTERS = {"X": "x", "Y": "y", "Z": "depth", "T": "time"}
 _NAMES = {
     **{name: "y" for name in ("lat", "latitude", "y")},
@@ -76,34 +76,34 @@ EASTWARD = ("eastward_sea_water_velocity", "sea_water_x_velocity")
 NORTHWARD = ("northward_sea_water_velocity", "sea_water_y_velocity")
 UPWARD = ("upward_sea_water_velocity",)
 NORTH_OR_Y, EAST_OR_X = ("northward", "y_velocity"), ("eastward", "x_velocity")
-"""Words of the standard names of components along each axis."""
+"""Words in the standard names of components along each axis."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CoordinateAxis:
-    """Knots of one axis, rising."""
+    """Knots of one axis, increasing."""
 
     knots: np.ndarray
     """[n] float64: degrees or metres of y and x; metres below the surface; seconds after the
     first."""
     degrees: bool = False
     begin: np.datetime64 | None = None
-    """Of the time axis: what its first knot is."""
+    """Time of the first knot of a time axis."""
     turned: bool = False
-    """Whether the file has its knots the other way round."""
+    """Whether the file's knots are in reverse order."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class VariableRequest:
-    """A variable that is looked for."""
+    """A requested variable."""
 
     key: str
-    """What a scenario calls it."""
+    """Its name in a scenario."""
     name: str | None
-    """In the file, where that is given; else it is found by its standard name."""
+    """Its name in the file; if None, it is identified by its standard name."""
     standard: tuple[str, ...]
     name_parts: tuple[str, ...] = ()
-    """Of which its standard name, where the file has one, holds one at least; any name if empty."""
+    """Words of which its standard name, if any, must contain at least one; any name if empty."""
     needed: bool = True
     """Whether the file must have it."""
 
@@ -113,27 +113,27 @@ class FileVariables:
     """Variables of a file on their common axes."""
 
     parts: tuple[np.ndarray, ...]
-    """[y, x, depth, time] each; m/s, or m; NaN where nothing is known."""
+    """[y, x, depth, time] each; m/s, or m; NaN where missing."""
     axes: Mapping[str, CoordinateAxis]
     names: tuple[str, ...]
-    """Of the variables in the file."""
+    """Names of the variables in the file."""
     attributes: tuple[Mapping[str, str], ...]
-    """Of the variables, as text."""
+    """Attributes of the variables, as text."""
 
 
 def read_variables(
     path: Path, wanted: Sequence[VariableRequest], units: Mapping[str, float]
 ) -> FileVariables:
-    """Variables of a file.
+    """Read variables of a file.
 
     Args:
-        path: of a NetCDF file.
-        wanted: variables; those that the file need not have and has not are left out.
-        units: that they may have, and how much of ours each is.
+        path: path of a NetCDF file.
+        wanted: requested variables; optional ones that the file lacks are left out.
+        units: accepted units, and the factor of each to our unit.
 
     Raises:
-        ConfigError: there is no such file, or it cannot be used; says why.
-        UnsupportedError: what reads it is not installed.
+        ConfigError: there is no such file, or it cannot be used; gives the reason.
+        UnsupportedError: the library that reads it is not installed.
     """
     with _open_file(path) as stored:
         data = _decode_dataset(path, stored)
@@ -226,11 +226,11 @@ def _decode_dataset(path: Path, stored: Any) -> Any:
 
 
 def _mask_missing(path: Path, stored: Any, array: Any) -> Any:
-    """Return a variable with NaN for whatever is missing by its attributes.
+    """Return a variable with NaN for values that are missing by its attributes.
 
     Args:
-        path: of the file.
-        stored: the variable as the file has it.
+        path: path of the file.
+        stored: the variable as stored in the file.
         array: the same unpacked.
     """
     try:
@@ -246,7 +246,7 @@ def _format_reason(error: BaseException) -> str:
 
 
 def _choose_variable(path: Path, data: Any, request: VariableRequest) -> str | None:
-    """The name of the variable that is meant."""
+    """Return the name of the requested variable."""
     key, name = request.key, request.name
     about = {str(v): data[v].attrs.get("standard_name", "") for v in data.data_vars}
     if name is not None:
@@ -290,7 +290,7 @@ def _choose_variable(path: Path, data: Any, request: VariableRequest) -> str | N
 def _read_axes(
     path: Path, stored: Any, data: Any, array: Any
 ) -> dict[str, tuple[str, CoordinateAxis]]:
-    """Dimension and knots of each axis of a variable, by our name of the axis."""
+    """Return dimension and knots of each axis of a variable, by our name of the axis."""
     axes_by_kind: dict[str, tuple[str, CoordinateAxis]] = {}
     for dim in map(str, array.dims):
         if dim not in data.variables:
@@ -340,7 +340,7 @@ def _read_axes(
 
 
 def _axis_kind(path: Path, dim: str, coordinate: Any) -> str | None:
-    """Return our name of an axis; None if nothing that is understood says it."""
+    """Return our name of an axis; None if nothing identifies it."""
     about = coordinate.attrs
     units = str(about.get("units", "")).lower()
     standard = str(about.get("standard_name", "")).lower()
@@ -356,7 +356,7 @@ def _axis_kind(path: Path, dim: str, coordinate: Any) -> str | None:
 
 
 def _read_knots(path: Path, kind: str, dim: str, coordinate: Any) -> CoordinateAxis:
-    """Return the knots of one axis in our units, rising where they may be turned round."""
+    """Return the knots of one axis in our units, increasing where they may be reversed."""
     if kind == "time":
         return _read_times(path, dim, coordinate)
     values = np.asarray(coordinate.values, np.float64)
@@ -387,7 +387,7 @@ def _is_degrees(path: Path, kind: str, dim: str, coordinate: Any) -> bool:
     """Return whether a horizontal axis is one of latitudes or longitudes.
 
     Raises:
-        ConfigError: it is in degrees, and nothing says that it is latitude or longitude.
+        ConfigError: it is in degrees, and nothing identifies it as latitude or longitude.
     """
     about = coordinate.attrs
     units = str(about.get("units", "")).strip().lower()
@@ -410,7 +410,7 @@ def _require_frame(
     """Require that a variable's axes and components are east and north, or both of one plane.
 
     Raises:
-        ConfigError: they are not, or the file does not say it.
+        ConfigError: they are not, or the file does not state it.
     """
     (y, axis), (x, _) = axes["y"], axes["x"]
     mapping = _grid_mapping(path, data, array, is_needed=not axis.degrees)
@@ -440,8 +440,8 @@ def _grid_mapping(path: Path, data: Any, array: Any, *, is_needed: bool) -> str 
     """Return the grid_mapping_name of a variable; None if it has none.
 
     Args:
-        path: of the file.
-        data: of the file.
+        path: path of the file.
+        data: dataset of the file.
         array: the variable.
         is_needed: whether a mapping that the variable names must be in the file.
     """
@@ -461,7 +461,7 @@ def _grid_mapping(path: Path, data: Any, array: Any, *, is_needed: bool) -> str 
 
 
 def _is_upward(coordinate: Any, values: np.ndarray) -> bool:
-    """Return whether a vertical axis counts upwards: as it says, else by its sign."""
+    """Return whether a vertical axis counts upwards: by its attribute, else by its sign."""
     positive = str(coordinate.attrs.get("positive", "")).lower()
     if positive in ("up", "down"):
         return positive == "up"
@@ -474,7 +474,7 @@ def _read_times(path: Path, dim: str, coordinate: Any) -> CoordinateAxis:
     """Return the knots of a time axis, s after the first.
 
     Raises:
-        ConfigError: they are missing, fall, or are in no calendar whose days are those of UTC.
+        ConfigError: they are missing, decrease, or use a calendar whose days are not those of UTC.
     """
     import xarray
 
@@ -514,7 +514,7 @@ def _require_rising(path: Path, dim: str, knots: np.ndarray, *, either: bool) ->
 
 
 def _order_axes(array: Any, axes: Mapping[str, tuple[str, CoordinateAxis]]) -> np.ndarray:
-    """Values [y, x, depth, time] of a variable, axes rising."""
+    """Return the values [y, x, depth, time] of a variable, with increasing axes."""
     kinds = [kind for kind in AXES if kind in axes]
     order = [axes[kind][0] for kind in kinds]
     alone = {dim: 0 for dim in array.dims if dim not in order}

@@ -1,4 +1,4 @@
-"""Where in a field worlds may lie: places of water within spans, and the metres of a degree."""
+"""Positions of worlds in a field: water within spans, and the metres of a degree."""
 
 import math
 from collections.abc import Sequence
@@ -11,13 +11,13 @@ import numpy as np
 from angler_kernels.table import take_row
 
 _MAJOR_M, _FLATTENING = 6_378_137.0, 1.0 / 298.257223563
-"""WGS 84."""
+"""Ellipsoid WGS 84."""
 
 type Span = tuple[float, float]
 
 
 def metres_per_degree(latitude_deg: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Metres to a degree of latitude and of longitude at a latitude, on the ellipsoid WGS 84.
+    """Return metres per degree of latitude and of longitude at a latitude, on the ellipsoid WGS 84.
 
     pi / 180 times the radius of curvature of the meridian, a (1 - e^2) / (1 - e^2 sin^2)^(3/2), and
     that of the parallel, a cos / (1 - e^2 sin^2)^(1/2) (Torge, Geodesy, 3rd edition, section 4.1).
@@ -32,7 +32,7 @@ def metres_per_degree(latitude_deg: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 @dataclass(frozen=True, kw_only=True)
 class DeepestCells:
-    """Parts of cells of a field in which worlds may lie, those with the deepest water first.
+    """Parts of cells of a field in which worlds may lie, the deepest water first.
 
     A cell lies between two knots along y and along x. It counts as water down to a depth if all
     four of its knots do.
@@ -41,23 +41,23 @@ class DeepestCells:
     knot: np.ndarray
     """int32 [n, 2] lower knots along y and x."""
     low: np.ndarray
-    """[n, 2] where the part begins beyond them, in degrees or metres."""
+    """[n, 2] offset of the part from these knots, in degrees or metres."""
     length: np.ndarray
-    """[n, 2] how far it reaches."""
+    """[n, 2] lengths of the part."""
     area: np.ndarray
-    """[n] sum of the areas of the parts up to and with this one."""
+    """[n] cumulative area of the parts."""
     count: np.ndarray
-    """int32 [depth] how many of them, counted from the first, are water down to a depth."""
+    """int32 [depth] number of parts, from the first, that are water down to a depth."""
 
     def sample(self, key: jax.Array, level: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """A place, uniform over the area of those with water down to a level.
+        """Sample a position, uniform over the area of the parts with water down to a level.
 
         Args:
-            key: random.
-            level: int32 [] number of the depth.
+            key: random key.
+            level: int32 [] index of the depth.
 
         Returns:
-            Lower knot int32 [2] along y and x, and what lies beyond it [2].
+            Lower knot int32 [2] along y and x, and the offset from it [2].
         """
         along, y, x = jax.random.uniform(key, (3,))
         area = jnp.asarray(self.area, float)
@@ -68,12 +68,12 @@ class DeepestCells:
 
 
 def span_in(key: str, span: Span | None, knots: np.ndarray, *, turns: bool = False) -> Span | None:
-    """A span of places as a file counts them: longitudes may be from 0 to 360 there.
+    """Return a span in the file's convention: its longitudes may be from 0 to 360.
 
     Args:
-        key: what a scenario calls it.
-        span: lowest and highest; None for all of the file.
-        knots: of the file's axis.
+        key: name of the span in a scenario.
+        span: min and max; None for all of the file.
+        knots: knots of the file's axis.
         turns: whether it is a longitude.
 
     Raises:
@@ -101,14 +101,14 @@ def find_deepest_cells(
     y: Span | None,
     x: Span | None,
 ) -> DeepestCells:
-    """Where worlds may lie.
+    """Return the parts of cells in which worlds may lie.
 
     Args:
         wet: bool [y, x, depth] knots with water.
-        knots: of y and x.
+        knots: knots of y and x.
         degrees: whether they are latitudes and longitudes.
-        y: between which latitudes, or metres; everywhere if None. A span may be a single place.
-        x: between which longitudes, or metres.
+        y: min and max latitude, or metres; all if None. A span may be a single position.
+        x: min and max longitude, or metres.
 
     Raises:
         ValueError: there is no water.
@@ -135,7 +135,7 @@ def find_deepest_cells(
     order = np.argsort(-deepest[iy, ix], kind="stable")
     iy, ix = iy[order], ix[order]
     shrink = np.cos(np.radians(knots[0][iy])) if degrees else 1.0
-    # A span that is one place has no length, and no area: then all parts count alike.
+    # A span of a single position has no length and no area: all parts then have equal weight.
     width = [np.where(long_y > 0, long_y, 0.0)[iy], np.where(long_x > 0, long_x, 0.0)[ix]]
     sides = [side if side.any() else np.ones_like(side) for side in width]
     levels = np.arange(wet.shape[2])
@@ -156,20 +156,20 @@ def locate_origin(
     space: float,
     centre: jax.Array,
 ) -> tuple[jax.Array, jax.Array]:
-    """How W lies in a file: where its origin is, and places on the axes by metre.
+    """Return the position of W in a file: that of its origin, and the scale of the axes.
 
-    A tangent plane: a metre has everywhere as many degrees as at the place.
+    A tangent plane: the degrees per metre are everywhere those at the position.
 
     Args:
-        knot: int32 [2] below the place along y and x.
-        beyond: [2] the place beyond it.
-        knots: of y and x.
+        knot: int32 [2] knots below the position along y and x.
+        beyond: [2] offset of the position from the knots.
+        knots: knots of y and x.
         degrees: whether they are latitudes and longitudes.
-        space: metres here to a metre of the file.
-        centre: [2 or 3] of W, that lies at the place, m.
+        space: metres here per metre of the file.
+        centre: [2 or 3] point of W at the position, m.
 
     Returns:
-        The origin [2] beyond the knot along y and x, and places by metre [2].
+        The offset [2] of the origin from the knot along y and x, and axis units per metre [2].
     """
     north = east = jnp.ones(())
     if degrees:

@@ -1,9 +1,8 @@
-"""A field of velocity on a grid, as programs hold it: one for all worlds.
+"""A velocity field on a grid, as programs hold it: one for all worlds.
 
-Values of water are carried on into land and where they are missing, so that a place between them is
-never half still: each dry knot has the values of the wet knot of its depth that is nearest, and
-where a depth has no water at all, those of the depth above. A knot is dry if any of its times is
-missing.
+Values of water are extended onto land and missing knots, so that interpolation is never with still
+water: each dry knot has the values of the nearest wet knot of its depth, and a depth without water
+has those of the depth above. A knot is dry if any of its times is missing.
 """
 
 import hashlib
@@ -23,32 +22,32 @@ from angler_mjx.world.ocean import cf
 from angler_mjx.world.ocean.cf import VariableRequest
 
 _EVEN = 1e-6
-"""Steps of an axis that differ by less than this share of one count as one."""
+"""Relative tolerance within which the steps of an axis count as equal."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OceanField:
-    """Velocities on a grid; two are the same if their numbers are."""
+    """Velocities on a grid; fields with equal numbers are equal."""
 
     values: np.ndarray
     """[y, x, depth, time, component] float32, m/s: east, north and, where there are three, up."""
     wet: np.ndarray
-    """bool [y, x, depth] where there is water."""
+    """bool [y, x, depth] True for water."""
     knots: tuple[np.ndarray, ...]
-    """Of y, x, depth and time, rising, float64: degrees or metres, metres below the surface,
-    seconds after the first."""
+    """Knots of y, x, depth and time, increasing, float64: degrees or metres, metres below the
+    surface, seconds after the first."""
     degrees: bool
     """Whether y and x are latitude and longitude."""
     begin: str
     """First time, UTC, as in ISO 8601; empty where there is none."""
     source: str
-    """File that it was read from; of no account to whether two fields are the same."""
+    """File of the field; ignored in comparisons of fields."""
     names: tuple[str | None, str | None, str | None]
-    """Of u, v and w in it, where they were given."""
+    """Names of u, v and w in the file, where given."""
 
     @cached_property
     def digest(self) -> str:
-        """Hexadecimal, of everything."""
+        """Return the hexadecimal digest of all data."""
         made = hashlib.sha256(repr((self.values.shape, self.degrees, self.begin)).encode())
         for array in (self.values, self.wet, *self.knots):
             made.update(np.ascontiguousarray(array).tobytes())
@@ -65,18 +64,18 @@ class OceanField:
 
     @cached_property
     def shape(self) -> tuple[int, int, int, int, int]:
-        """Knots along y, x, depth and time, and components."""
+        """Return the number of knots along y, x, depth and time, and of components."""
         ny, nx, nz, nt, count = self.values.shape
         return ny, nx, nz, nt, count
 
     @cached_property
     def axes(self) -> tuple[GridAxis, ...]:
-        """The axes as programs know them."""
+        """Return the axes in the form that programs use."""
         return tuple(even_axis(knots) for knots in self.knots)
 
     @cached_property
     def numbers(self) -> tuple[np.ndarray, ...]:
-        """Flat arrays that programs look up: the values, and the knots of long uneven axes."""
+        """Return the flat arrays for lookups: the values, and the knots of long uneven axes."""
         uneven = [
             knots - knots[0]
             for axis, knots in zip(self.axes, self.knots, strict=True)
@@ -86,7 +85,7 @@ class OceanField:
 
 
 def even_axis(knots: np.ndarray) -> GridAxis:
-    """An axis as programs know it: by its step, where that is the same all along."""
+    """Return an axis in the form that programs use: by its step, where that is constant."""
     if len(knots) == 1:
         return GridAxis(count=1, step=1.0)
     steps = np.diff(knots)
@@ -100,25 +99,25 @@ def even_axis(knots: np.ndarray) -> GridAxis:
 
 
 def load_field(path: str, names: Mapping[str, str | None]) -> OceanField:
-    """The field of a file, read once for as long as the file stays as it is.
+    """Load the field of a file, once for each version of the file.
 
     Args:
-        path: of a NetCDF file.
-        names: of the variables u, v and w in it, where they are given.
+        path: path of a NetCDF file.
+        names: names of the variables u, v and w in it, where given.
 
     Raises:
-        ConfigError: there is no such file, or it is none that can be used; says why.
-        UnsupportedError: what reads it is not installed.
+        ConfigError: there is no such file, or it cannot be used; gives the reason.
+        UnsupportedError: the library that reads it is not installed.
     """
     return _read_field(path, file_stamp(path), (names.get("u"), names.get("v"), names.get("w")))
 
 
 def file_stamp(path: str) -> tuple[int, int]:
-    """What changes with a file: when it was written, and its size."""
+    """Return a stamp that changes with a file: modification time and size."""
     try:
         about = Path(path).stat()
     except (OSError, ValueError):
-        return 0, 0  # reading it says what is wrong
+        return 0, 0  # reading the file reports the fault
     return about.st_mtime_ns, about.st_size
 
 
@@ -159,15 +158,15 @@ def _read_field(
 
 
 def _require_slow(path: str, read: cf.FileVariables, values: np.ndarray) -> None:
-    """Require that no velocity is faster than those of other currents.
+    """Require that no velocity exceeds the speed limit of currents.
 
     Args:
-        path: of the file.
+        path: path of the file.
         read: axes and names of the components.
         values: [y, x, depth, time, component] m/s; NaN where missing.
 
     Raises:
-        ConfigError: one is; says where and when.
+        ConfigError: a velocity does; gives position and time.
     """
     speed = np.sqrt(np.sum(np.square(values), axis=-1))
     fast = speed > MAX_SPEED_MPS
@@ -196,12 +195,12 @@ def _require_slow(path: str, read: cf.FileVariables, values: np.ndarray) -> None
 def fill_land_values(
     values: np.ndarray, wet: np.ndarray, knots: tuple[np.ndarray, ...], degrees: bool
 ) -> np.ndarray:
-    """Values of water for every knot; see the module.
+    """Return the values extended to every knot; see the module.
 
     Args:
         values: [y, x, depth, ...].
         wet: bool [y, x, depth]; one knot at least.
-        knots: of y and x.
+        knots: knots of y and x.
         degrees: whether they are latitudes and longitudes.
     """
     out = values.copy()

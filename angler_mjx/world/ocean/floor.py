@@ -1,4 +1,4 @@
-"""Sea floors of files, and which cells of a world are rock by them or by a field's land."""
+"""Sea floors of files, and the cells of rock in a world by them or by a field's land."""
 
 import hashlib
 from collections.abc import Sequence
@@ -44,10 +44,10 @@ _DIRECTIONS = {
     **dict.fromkeys(("depth", "deptho", "sea_floor_depth"), "down"),
     **dict.fromkeys(("elevation", "altitude", "height"), "up"),
 }
-"""By names of variables, where no attribute says it."""
+"""Directions by variable name, where no attribute gives them."""
 
 LAND_M = -1e4
-"""Depth that stands for land: no cell of any world is above it."""
+"""Depth value of land: no cell of any world is above it."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -55,22 +55,22 @@ class SeaFloor:
     """Depths of the sea floor at knots."""
 
     depth_m: np.ndarray
-    """[y, x] of the water: on land that of the nearest water."""
+    """[y, x] depth of the water: on land that of the nearest water."""
     wet: np.ndarray
-    """bool [y, x] where the sea floor is below the surface."""
+    """bool [y, x] whether the sea floor is below the surface."""
     knots: tuple[np.ndarray, np.ndarray]
-    """Of y and x, rising: degrees or metres."""
+    """Knots of y and x, increasing: degrees or metres."""
     degrees: bool
 
     @cached_property
     def axes(self) -> tuple[GridAxis, GridAxis]:
-        """The axes as programs know them."""
+        """Return the axes in the form that programs use."""
         y, x = (even_axis(knots) for knots in self.knots)
         return y, x
 
     @cached_property
     def digest(self) -> str:
-        """Hexadecimal, of everything."""
+        """Return the hexadecimal digest of all data."""
         made = hashlib.sha256(repr(self.degrees).encode())
         for array in (self.depth_m, self.wet, *self.knots):
             made.update(np.ascontiguousarray(array).tobytes())
@@ -78,16 +78,16 @@ class SeaFloor:
 
 
 def load_floor(path: str, variable: str | None, positive: str | None = None) -> SeaFloor:
-    """Read the sea floor of a file, once for as long as the file stays as it is.
+    """Read the sea floor of a file, once for each version of the file.
 
     Args:
-        path: of a NetCDF file.
-        variable: its name in the file; None if its standard_name says which it is.
-        positive: "up" for heights, "down" for depths; None if the file says it.
+        path: path of a NetCDF file.
+        variable: its name in the file; None to identify it by its standard_name.
+        positive: "up" for heights, "down" for depths; None if the file gives it.
 
     Raises:
-        ConfigError: there is no such file, or it is none that can be used; says why.
-        UnsupportedError: what reads it is not installed.
+        ConfigError: there is no such file, or it cannot be used; gives the reason.
+        UnsupportedError: the library that reads it is not installed.
     """
     return _read_floor(path, file_stamp(path), variable, positive)
 
@@ -131,13 +131,13 @@ def _positive_direction(
     """Return the direction in which a sea floor is positive, "up" or "down".
 
     Args:
-        path: of the file.
+        path: path of the file.
         read: name and attributes of the variable.
-        values: of the variable, m.
-        positive: direction that the scenario says; None if it does not.
+        values: values of the variable, m.
+        positive: direction in the scenario; None if it has none.
 
     Raises:
-        ConfigError: nothing says it, the file says both, or the scenario says the other.
+        ConfigError: no direction is given, the file gives both, or the scenario contradicts it.
     """
     name, attributes = read.names[0], read.attributes[0]
     standard = attributes.get("standard_name", "")
@@ -157,7 +157,7 @@ def _positive_direction(
     if len(directions) == 1:
         return str(directions.pop())
     if not directions and not (np.any(values > 0.0) and np.any(values < 0.0)):
-        return "up" if np.any(values < 0.0) else "down"  # the other way round all of it is land
+        return "up" if np.any(values < 0.0) else "down"  # in the other direction all of it is land
     why = (
         f"has the standard_name {standard} and positive = {by_attribute}, which contradict each "
         "other"
@@ -170,7 +170,7 @@ def _positive_direction(
 
 
 def _require_shallow(path: str, read: cf.FileVariables, depth: np.ndarray) -> None:
-    """Require that no depth or height [y, x], m, is beyond those of files."""
+    """Require that depths or heights [y, x], m, are within the bounds of files."""
     far = np.argwhere(np.abs(depth) > MAX_COORDINATE_M)
     if not len(far):
         return
@@ -187,7 +187,7 @@ def _require_shallow(path: str, read: cf.FileVariables, depth: np.ndarray) -> No
 
 @dataclass(frozen=True, kw_only=True)
 class CellCentres:
-    """Middles of the cells of a world along each axis of W, m."""
+    """Centres of the cells of a world along each axis of W, m."""
 
     x: jax.Array
     y: jax.Array
@@ -201,15 +201,15 @@ def dry_cells(
     frame: tuple[jax.Array, jax.Array, jax.Array],
     centres: CellCentres,
 ) -> jax.Array:
-    """Cells [nx, ny, nz] whose nearest knot is land, or below the sea floor of a field.
+    """Return cells [nx, ny, nz] whose nearest knot is land, or below a field's sea floor.
 
     Args:
         wet: bool [y, x, depth].
         axes: y, x and depth.
-        knots: of the axes.
-        frame: knots int32 [3 or more] from which the origin of W is said, what lies beyond them,
-            and places on the axes by metre, as `currents.Gridded` has them.
-        centres: of the cells.
+        knots: knots of the axes.
+        frame: reference knots int32 [3 or more] of the origin of W, its offset from them, and axis
+            units per metre, as in `currents.Gridded`.
+        centres: centres of the cells.
     """
     y, x, z = (
         _nearest_knots(axis, values, (frame[0][i], frame[1][i], frame[2][i]), along)
@@ -227,16 +227,16 @@ def below_floor(
     scale: float,
     centres: CellCentres,
 ) -> jax.Array:
-    """Cells [nx, ny, nz] whose middle lies below the sea floor of its column, or on land.
+    """Return cells [nx, ny, nz] whose centre is below the sea floor of its column, or on land.
 
-    The depth of a column is that between the four knots around its middle, linear in both
-    directions; it is land where the nearest knot is.
+    The depth of a column is bilinear between the four knots around its centre; it is land where the
+    nearest knot is.
 
     Args:
-        floor: of the file.
+        floor: sea floor of the file.
         frame: as in `dry_cells`, of y and x of the floor's axes.
-        scale: metres here to a metre of depth in the file.
-        centres: of the cells.
+        scale: metres here per metre of depth in the file.
+        centres: centres of the cells.
     """
     spots = [
         _locate_along(axis, values, (frame[0][i], frame[1][i], frame[2][i]), along)
@@ -256,11 +256,11 @@ def below_floor(
 
 
 def knots_below(knots: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """For each knot of one axis the knot of another below it, and what lies between, exactly.
+    """Return for each knot of an axis the knot of another below it, and the exact offset.
 
     Args:
-        knots: [n] of the axis on which places are said.
-        others: [m] of the axis on which they are to be said.
+        knots: [n] knots of the source axis.
+        others: [m] knots of the target axis.
     """
     below = np.maximum(np.searchsorted(others, knots, side="right") - 1, 0)
     return below.astype(np.int32), knots - others[below]
@@ -272,7 +272,7 @@ def _locate_along(
     frame: tuple[jax.Array, jax.Array, jax.Array],
     along: jax.Array,
 ) -> tuple[jax.Array, jax.Array]:
-    """Lower knots and shares of the way to the next of places along an axis of W."""
+    """Return lower knots and fractions to the next knot for positions along an axis of W."""
     knot, rest, rate = frame
     table = jnp.asarray(knots - knots[0], rest.dtype)
 

@@ -29,14 +29,14 @@ _DEFAULT_FILL = {
 
 
 def find_missing(stored: np.ndarray, attributes: Mapping[str, Any]) -> np.ndarray:
-    """Return which values of a variable are missing, bool of their shape.
+    """Return whether each value of a variable is missing, bool of their shape.
 
     Args:
-        stored: values as the file has them, neither scaled nor masked.
-        attributes: of the variable in the file.
+        stored: values as stored in the file, neither scaled nor masked.
+        attributes: attributes of the variable in the file.
 
     Raises:
-        ValueError: an attribute cannot be understood; says which.
+        ValueError: an attribute is not valid; names it.
     """
     if stored.dtype.kind not in "iuf":
         raise ValueError(f"its values are no numbers ({stored.dtype})")
@@ -65,7 +65,7 @@ class _Bound:
 def _apply_signedness(
     numbers: np.ndarray, stored: np.dtype[Any], attributes: Mapping[str, Any]
 ) -> np.ndarray:
-    """Return numbers that the stored integer type holds as signed or unsigned, by ``_Unsigned``."""
+    """Return numbers of the stored integer type as signed or unsigned, by ``_Unsigned``."""
     kind = {"true": "u", "false": "i"}.get(str(attributes.get("_Unsigned", "")).lower())
     if kind is None or stored.kind not in "iu":
         return numbers
@@ -78,7 +78,7 @@ def _apply_signedness(
 def _read_numbers(
     key: str, count: int | None, stored: np.dtype[Any], attributes: Mapping[str, Any]
 ) -> np.ndarray:
-    """Return the numbers [n] of an attribute; ``count`` of them, if that is not None."""
+    """Return the numbers [n] of an attribute; ``count`` numbers, if that is not None."""
     numbers = np.ravel(np.asarray(attributes[key]))
     if numbers.dtype.kind not in "iuf" or count not in (None, len(numbers)):
         wanted = "a number" if count == 1 else "numbers" if count is None else f"{count} numbers"
@@ -88,7 +88,7 @@ def _read_numbers(
 
 
 def _format_attribute(attribute: Any) -> str:
-    """Return an attribute as a message shows it."""
+    """Return an attribute in the form of messages."""
     return format_value(np.asarray(attribute).tolist())
 
 
@@ -105,7 +105,7 @@ def _fill_values(
             # A number that an integer type cannot hold equals none of the values.
             if dtype.kind == "f" or cast == number:
                 yield cast
-    # With the other sign the default fill value lies in the middle of what the type holds.
+    # With the other sign the default fill value lies in the middle of the type's range.
     default = _DEFAULT_FILL.get(dtype.str[1:]) if dtype == stored else None
     if "_FillValue" not in attributes and default is not None:
         yield dtype.type(default)
@@ -130,7 +130,7 @@ def _valid_bounds(
 
 
 def _is_outside(values: np.ndarray, bounds: list[_Bound]) -> np.ndarray:
-    """Return which values lie outside the valid range, bool of their shape."""
+    """Return whether each value lies outside the valid range, bool of their shape."""
     outside = np.zeros(values.shape, bool)
     for bound in bounds:
         outside |= values > bound.number if bound.is_upper else values < bound.number
@@ -144,7 +144,7 @@ def _require_packed(
     bounds: list[_Bound],
     attributes: Mapping[str, Any],
 ) -> None:
-    """Require that floating-point bounds of packed integers say the same in either unit.
+    """Require that floating-point bounds of packed integers agree in either unit.
 
     By CF they are in packed units; by the NetCDF Users Guide (appendix A, valid_range) those of the
     type of ``scale_factor`` are in unpacked units.

@@ -1,1 +1,1 @@
-"""Tasks of a fleet: places to visit, surfaces to see, goods to bring; who does what, who knows."""
+"""Tasks of a fleet: visits, surveys and deliveries, their allocation, and the robots' beliefs."""

@@ -1,8 +1,9 @@
-"""Who takes which job: nearest first, auction, or a sweep cut into equal shares.
+"""Allocation of jobs to robots: nearest first, auction, or a sweep cut into equal parts.
 
-An allocator is a function of what one robot knows of a world (`AllocationView`), which may be the
-truth; it gives the next job of every robot. Where all know the same, all come to the same; where
-each knows something else, each works all of it out for itself and takes its own part.
+An allocator is a function of one robot's information on a world (`AllocationView`), which may be
+the truth; it returns the next job of every robot. With equal information all robots get the same
+result; else each robot computes the whole allocation from its own information and takes its own
+part.
 """
 
 import importlib
@@ -19,54 +20,54 @@ from angler_mjx.world.tasks.travel import Travel
 
 @dataclass(frozen=True, kw_only=True)
 class AllocationView:
-    """What is known of a world when jobs are shared out."""
+    """Information on a world for the allocation of jobs."""
 
     open: jax.Array
-    """bool [M] jobs that somebody has to begin."""
+    """bool [M] jobs that a robot still has to begin."""
     able: jax.Array
-    """bool [R] robots that can take one."""
+    """bool [R] robots that can take a job."""
     active: jax.Array
-    """bool [R] robots that have not ended; those that carry something take no other job."""
+    """bool [R] robots that have not ended; robots that carry goods take no other job."""
     p: jax.Array
-    """[R, 3] where robots are, m in W."""
+    """[R, 3] positions of robots, m in W."""
     travel: Travel
-    """Ways; the first M places are where jobs begin."""
+    """Paths; the first M places are the beginnings of jobs."""
     length_m: jax.Array
-    """[M] way from the beginning of each job to its end."""
+    """[M] path length from the beginning of each job to its end."""
     between_m: Callable[[jax.Array], jax.Array]
-    """Way [M] from the end of a job, int32 [], to the beginnings of all."""
+    """Path length [M] from the end of a job, int32 [], to the beginnings of all."""
     rank: jax.Array
-    """int32 [M] place of each job in boustrophedon order."""
+    """int32 [M] index of each job in boustrophedon order."""
     part: jax.Array
-    """int32 [R] which part of that order is each robot's."""
+    """int32 [R] each robot's part of that order."""
     exists: jax.Array
     """bool [M] jobs of this world, open or not."""
 
     @property
     def reach_m(self) -> jax.Array:
-        """[R, M] way of each robot to the beginning of each job."""
+        """Return [R, M] path lengths of each robot to the beginning of each job."""
         return self.travel.path_lengths_m(self.p, jnp.arange(self.open.shape[0], dtype=jnp.int32))
 
 
 type Allocator = Callable[[AllocationView], jax.Array]
-"""Next job of each robot, int32 [R]; -1 for none. No job is given to two."""
+"""Next job of each robot, int32 [R]; -1 for none. No job is given to two robots."""
 
 
 def nearest(view: AllocationView) -> jax.Array:
-    """Each robot takes the open job that is nearest to it, unless that is nearer to another.
+    """Give each robot the nearest open job, unless another robot is nearer.
 
-    The shortest way of all is taken, again and again.
+    The shortest remaining path is taken repeatedly.
     """
     return pairs.shortest_first(view.travel, view.p, view.able, view.open)
 
 
 def auction(view: AllocationView) -> jax.Array:
-    """Sequential single-item auction: the lowest bid of all for any job wins, again and again.
+    """Allocate by sequential single-item auction: the lowest bid for any job wins, repeatedly.
 
-    A bid is the way that the robot would have gone when the job is done, all that it has won before
-    included, so loads come out even (M. G. Lagoudakis et al., "Auction-Based Multi-Robot Routing",
-    Robotics: Science and Systems 2005, rule MINIMAX). Each goes to the first job that it won; the
-    auction ends when every robot has one.
+    A bid is the robot's path length until the job is done, jobs won before included, so loads are
+    balanced (M. G. Lagoudakis et al., "Auction-Based Multi-Robot Routing", Robotics: Science and
+    Systems 2005, rule MINIMAX). Each robot goes to the first job that it won; the auction ends when
+    every robot has a job.
     """
     robots = jnp.arange(view.able.shape[0])
 
@@ -91,10 +92,10 @@ def auction(view: AllocationView) -> jax.Array:
 
 
 def sweep(view: AllocationView) -> jax.Array:
-    """Jobs in boustrophedon order, cut into contiguous parts that are equal within one.
+    """Allocate jobs in boustrophedon order, cut into contiguous parts of equal size within one.
 
-    Each robot does its part in order. Parts of robots that are lost are cut again among those that
-    have nothing left to do.
+    Each robot does its part in order. Parts of lost robots are cut again among the robots without
+    remaining jobs.
     """
     robots = view.able.shape[0]
     count = jnp.sum(view.exists, dtype=jnp.int32)
@@ -103,7 +104,7 @@ def sweep(view: AllocationView) -> jax.Array:
     first_job = _first_job(robot_jobs, view.rank)
     idle = view.able & (first_job < 0)
     orphan = view.open & ~jnp.any(robot_jobs & view.active[:, None], axis=0)
-    # Places of the orphans among themselves, cut among the idle.
+    # Indices of the orphaned jobs among themselves, cut among the idle robots.
     earlier = (view.rank[:, None] > view.rank) & orphan
     orphan_rank = jnp.sum(earlier, axis=1, dtype=jnp.int32)
     among = jnp.maximum(jnp.sum(idle, dtype=jnp.int32), 1)
@@ -114,34 +115,34 @@ def sweep(view: AllocationView) -> jax.Array:
 
 
 def part_of(rank: jax.Array, count: jax.Array, parts: jax.Array | int) -> jax.Array:
-    """Which of so many contiguous parts, equal within one, each place in an order is in."""
+    """Return the contiguous part, equal in size within one, of each index in an order."""
     return rank * parts // jnp.maximum(count, 1)
 
 
 def _first_job(may: jax.Array, rank: jax.Array) -> jax.Array:
-    """The first in order of what may be chosen, bool [..., M]; -1 where nothing may."""
+    """Return the first allowed job in order, bool [..., M]; -1 where none is."""
     best = jnp.argmin(jnp.where(may, rank, rank.shape[-1]), axis=-1)
     return jnp.where(jnp.any(may, axis=-1), best, -1).astype(jnp.int32)
 
 
 def in_order(view: AllocationView) -> jax.Array:
-    """Each robot takes the open job of the lowest number; for tours in order."""
+    """Give each robot the open job of the lowest number; for tours in order."""
     jobs = jnp.arange(view.open.shape[0], dtype=jnp.int32)
     return jnp.where(view.able, _first_job(view.open, jobs), -1)
 
 
 BUILT_IN: Mapping[str, Allocator] = {"nearest": nearest, "auction": auction, "sweep": sweep}
-"""By their names in scenario files."""
+"""Allocators by their names in scenario files."""
 
 
 def find_allocator(name: str) -> Allocator:
-    """An allocator.
+    """Return an allocator.
 
     Args:
         name: one of `BUILT_IN`, or MODULE:FUNCTION of an installed package.
 
     Raises:
-        ConfigError: there is none of that name.
+        ConfigError: there is no allocator of that name.
     """
     if name in BUILT_IN:
         return BUILT_IN[name]
@@ -163,7 +164,7 @@ def find_allocator(name: str) -> Allocator:
 
 
 def named_in_errors(name: str) -> Allocator:
-    """Return an allocator as `find_allocator` does; what it raises names its file and line."""
+    """Return an allocator as `find_allocator` does; its exceptions name their file and line."""
     allocator = find_allocator(name)
 
     def allocate(view: AllocationView) -> jax.Array:

@@ -1,4 +1,4 @@
-"""One bit for each job, 32 to a word: small enough to be sent in a packet."""
+"""One bit for each job, 32 to a word: small enough for a packet."""
 
 import jax
 import jax.numpy as jnp
@@ -7,8 +7,8 @@ WORD = 32
 
 
 def pack_flags(flags: jax.Array) -> jax.Array:
-    """Words uint32 [..., W] of flags bool [..., M]; job j is bit j % 32 of word j // 32."""
-    # Each flag is worked out by itself, not 32 in a row.
+    """Pack flags bool [..., M] into words uint32 [..., W]; job j is bit j % 32 of word j // 32."""
+    # Each flag is computed separately, not 32 in sequence.
     jobs, flags = flags.shape[-1], jax.lax.optimization_barrier(flags)
     words = -(-jobs // WORD)
     fill = [(0, 0)] * (flags.ndim - 1) + [(0, words * WORD - jobs)]
@@ -18,13 +18,13 @@ def pack_flags(flags: jax.Array) -> jax.Array:
 
 
 def unpack_flags(words: jax.Array, jobs: int) -> jax.Array:
-    """Flags bool [..., M] of words uint32 [..., W]."""
+    """Unpack flags bool [..., M] from words uint32 [..., W]."""
     bit_index = jnp.arange(WORD, dtype=jnp.uint32)
     flags = ((words[..., None] >> bit_index) & 1).astype(bool)
     return flags.reshape(*words.shape[:-1], -1)[..., :jobs]
 
 
 def union_words(words: jax.Array) -> jax.Array:
-    """Bits uint32 [R, W] that any of several has set, of words [R, n, W]."""
+    """Return the union uint32 [R, W] of the bits of words [R, n, W]."""
     union: jax.Array = jax.lax.reduce(words, jnp.uint32(0), jax.lax.bitwise_or, (1,))
     return union

@@ -1,4 +1,4 @@
-"""Goods that are brought from place to place: each robot carries one at a time."""
+"""Delivery of goods: each robot carries one item at a time."""
 
 from dataclasses import replace
 
@@ -9,7 +9,7 @@ from angler_mjx.world.tasks.spec import TaskSpec, TaskState
 
 
 def carried_goods(spec: TaskSpec, state: TaskState) -> jax.Array:
-    """Goods that some robot carries, bool [M]."""
+    """Return the goods carried by a robot, bool [M]."""
     holds = state.carrying[:, None] == jnp.arange(spec.jobs)
     return jnp.any(holds, axis=0)
 
@@ -17,16 +17,16 @@ def carried_goods(spec: TaskSpec, state: TaskState) -> jax.Array:
 def advance_goods(
     spec: TaskSpec, state: TaskState, running: jax.Array, near: jax.Array
 ) -> tuple[TaskState, jax.Array]:
-    """Goods are put down where they go, and taken up where robots were sent for them.
+    """Deliver goods at their destinations, and pick up goods where robots were sent for them.
 
     Args:
         spec: settings.
-        state: before.
-        running: bool [R] robots whose episode goes on.
+        state: state before.
+        running: bool [R] robots whose episode continues.
         near: bool [R, P] running robots at places.
 
     Returns:
-        The state, and bool [R, M] who brought which goods.
+        The state, and bool [R, M] goods delivered by each robot.
     """
     jobs, robots = spec.jobs, jnp.arange(spec.robots)
     holds = state.carrying[:, None] == jnp.arange(jobs)
@@ -35,7 +35,7 @@ def advance_goods(
     keeps = running & ~jnp.any(brought, axis=1)
     carrying = jnp.where(keeps, state.carrying, -1)
     lost = state.lost | dropped if spec.dropped == "lost" else state.lost
-    # One takes it, though two that know little of each other may come for it.
+    # One robot takes it, though two with little information on each other may come for it.
     at_pickup = near[:, :jobs] & (state.target[:, None] == jnp.arange(jobs))
     at_pickup &= (carrying < 0)[:, None] & ~(
         state.done | lost | jnp.any(holds & running[:, None], axis=0)

@@ -1,4 +1,4 @@
-"""How far the task of a world was at each time of a record, for pictures and files; host arrays."""
+"""Progress of the task of a world at each time of a record, for plots and files; host arrays."""
 
 from dataclasses import dataclass
 from enum import IntEnum
@@ -10,31 +10,31 @@ from angler_mjx.world.tasks.spec import TaskSpec
 
 
 class RobotActivity(IntEnum):
-    """What a robot does of its task."""
+    """Activity of a robot in its task."""
 
     GOES = 0
-    """To a place where a job begins."""
+    """On its way to the beginning of a job."""
     BRINGS = 1
-    """Goods to where they go."""
+    """On its way with goods to their destination."""
     RETURNS = 2
-    """To its start."""
+    """On its way to its start."""
     WAITS = 3
-    """For a job that it might have to take over."""
+    """Waiting for a job that it might have to take over."""
     ENDED = 4
-    """Nothing more: it has finished, or is lost to the task."""
+    """Inactive: finished, or lost to the task."""
 
 
 class GoodsStatus(IntEnum):
-    """Where goods are."""
+    """Status of goods."""
 
     WAIT = 0
-    """Where they are taken from."""
+    """At their pickup place."""
     TRAVEL = 1
-    """With a robot."""
+    """Carried by a robot."""
     BROUGHT = 2
-    """Where they go."""
+    """Delivered."""
     LOST = 3
-    """With a robot that ended."""
+    """Lost with a robot that ended."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,53 +43,54 @@ class TaskHistory:
 
     spec: TaskSpec
     time_s: np.ndarray
-    """[T] of the samples."""
+    """[T] times of the samples."""
     position_m: np.ndarray
-    """[P, 3] in W; jobs first, then where goods go, then homes."""
+    """[P, 3] in W; jobs first, then destinations of goods, then homes."""
     exists: np.ndarray
     """bool [M]."""
     by: np.ndarray
     """int [M] robot that did each job; -1: not done."""
     done_at_s: np.ndarray
-    """[M] when; NaN: not done."""
+    """[M] time of completion; NaN: not done."""
     progress: np.ndarray
-    """[T] of the task that is done; of a survey, of its cells that were seen."""
+    """[T] fraction of the task that is done; of a survey, the fraction of its cells seen."""
     did: np.ndarray
-    """int [T, R] jobs that each robot did; where a tour is not shared, places that it visited."""
+    """int [T, R] number of jobs done by each robot; where a tour is not shared, of places
+    visited."""
     target: np.ndarray
-    """int [T, R] place that each robot goes to; -1: it stays."""
+    """int [T, R] target place of each robot; -1: it stays."""
     carrying: np.ndarray
-    """int [T, R] job whose goods each robot carries; -1 for none."""
+    """int [T, R] job of the goods carried by each robot; -1 for none."""
     ended_s: np.ndarray
-    """[R] when the episode of each robot was over."""
+    """[R] end of the episode of each robot."""
     completed_s: float
-    """When the task was complete; NaN: never."""
+    """Time of completion of the task; NaN: never."""
     cells: np.ndarray | None = None
-    """bool [nx, ny, nz] cells that a survey is to see."""
+    """bool [nx, ny, nz] cells of a survey."""
     seen_at_s: np.ndarray | None = None
-    """[nx, ny, nz] when each was seen first; NaN: never."""
+    """[nx, ny, nz] time at which each cell was first seen; NaN: never."""
 
     def _has_passed(self, at_s: np.ndarray) -> np.ndarray:
-        """Whether times [n] have come at the samples, bool [T, n]; they are float32's."""
+        """Return whether times [n] have passed at the samples, bool [T, n]; in float32."""
         now = self.time_s * (1.0 + 1e-6) + 1e-6
         since: np.ndarray = at_s <= now[:, None]
         return since
 
     @cached_property
     def done(self) -> np.ndarray:
-        """Jobs that were done by then, bool [T, M]."""
+        """Return the jobs done by each sample, bool [T, M]."""
         return self._has_passed(self.done_at_s)
 
     @cached_property
     def seen(self) -> np.ndarray:
-        """Which cells of a survey were seen by then, bool [T, n], in the order of ``cells``."""
+        """Return the cells of a survey seen by each sample, bool [T, n], in order of ``cells``."""
         if self.cells is None or self.seen_at_s is None:
             return np.zeros((len(self.time_s), 0), bool)
         return self._has_passed(self.seen_at_s[self.cells])
 
     @cached_property
     def doing(self) -> np.ndarray:
-        """What each robot does, `RobotActivity` [T, R]."""
+        """Return the activity of each robot, `RobotActivity` [T, R]."""
         activity = np.full(self.target.shape, RobotActivity.GOES)
         activity[self.target >= self.spec.jobs] = RobotActivity.BRINGS
         activity[self.target >= self.spec.homes] = RobotActivity.RETURNS
@@ -99,13 +100,13 @@ class TaskHistory:
 
     @cached_property
     def is_underway(self) -> np.ndarray:
-        """Which robots are on their way to a place, bool [T, R]."""
+        """Return whether each robot is on its way to a place, bool [T, R]."""
         underway: np.ndarray = self.doing <= RobotActivity.RETURNS
         return underway
 
     @cached_property
     def carrier(self) -> np.ndarray:
-        """Robot that carries the goods of each job, int [T, M]; -1: none."""
+        """Return the robot that carries the goods of each job, int [T, M]; -1: none."""
         holds = self.carrying[..., None] == np.arange(self.spec.jobs)
         holds &= ~self._has_passed(self.ended_s)[..., None]
         carrier_index: np.ndarray = np.where(holds.any(axis=1), np.argmax(holds, axis=1), -1)
@@ -113,7 +114,7 @@ class TaskHistory:
 
     @cached_property
     def goods(self) -> np.ndarray:
-        """Where the goods of each job are, `GoodsStatus` [T, M]."""
+        """Return the status of the goods of each job, `GoodsStatus` [T, M]."""
         travels = self.carrier >= 0
         dropped = np.maximum.accumulate(travels, axis=0) & ~travels
         status = np.full(travels.shape, GoodsStatus.WAIT)
@@ -124,10 +125,10 @@ class TaskHistory:
         return status
 
     def goods_m(self, p_m: np.ndarray) -> np.ndarray:
-        """Where goods are, [T, M, 3] in W; NaN of those that are lost, or that do not exist.
+        """Return the positions of goods, [T, M, 3] in W; NaN if lost, or not existing.
 
         Args:
-            p_m: [T, R, 3] where the robots are, in W.
+            p_m: [T, R, 3] positions of the robots, in W.
         """
         jobs = self.spec.jobs
         at = np.broadcast_to(self.position_m[:jobs], (*self.goods.shape, 3)).copy()
@@ -139,7 +140,7 @@ class TaskHistory:
         return at
 
     def describe_activity(self, sample: int, robot: int) -> str:
-        """What a robot does at a sample, in words; empty when its episode is over."""
+        """Describe the activity of a robot at a sample; empty when its episode is over."""
         target = int(self.target[sample, robot])
         noun = {"tour": "place", "survey": "viewpoint", "deliver": "goods"}[self.spec.kind]
         return {
@@ -151,7 +152,7 @@ class TaskHistory:
         }[RobotActivity(self.doing[sample, robot])]
 
     def describe_progress(self, sample: int) -> str:
-        """How far the task was at a sample, in a line."""
+        """Describe the progress of the task at a sample, in a line."""
         jobs = int(self.exists.sum())
         done = int(self.done[sample][self.exists].sum())
         if self.cells is not None and self.spec.survey is not None:

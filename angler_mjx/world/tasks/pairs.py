@@ -1,8 +1,8 @@
-"""Robots and jobs in pairs, shortest ways first.
+"""Pairing of robots and jobs, shortest paths first.
 
-On a GPU one kernel reads the ways and finds the pairs: a program for each who asks, which a look at
-the task is for every robot where each knows something else. A program of whom nobody can take a job
-ends at once, and no way is ever written to memory.
+On a GPU one kernel reads the paths and forms the pairs: a program for each requesting robot, which
+is every robot where their information differs. A program without a robot that can take a job ends
+at once, and no path is ever written to memory.
 """
 
 from dataclasses import dataclass
@@ -19,21 +19,21 @@ from angler_mjx.world.tasks import travel
 from angler_mjx.world.tasks.travel import Travel
 
 _LANES_A_WARP = 256
-"""8 for each thread: what a way is worked out from has to stay in registers."""
+"""8 for each thread: the data of a path must stay in registers."""
 
 
 def shortest_first(travel: Travel, p: jax.Array, able: jax.Array, open_: jax.Array) -> jax.Array:
-    """The job of each robot: the shortest way of all is taken, again and again.
+    """Return the job of each robot: the shortest remaining path is taken repeatedly.
 
     Args:
-        travel: ways to places, of which the first M are where jobs begin.
-        p: [R, 3] where robots are, m in W.
-        able: bool [R] who can take one.
-        open_: bool [M] which can be taken.
+        travel: paths to places, of which the first M are the beginnings of jobs.
+        p: [R, 3] positions of robots, m in W.
+        able: bool [R] robots that can take a job.
+        open_: bool [M] jobs that can be taken.
 
     Returns:
-        int32 [R], -1 for none. Of equally long ways that of the lower robot comes first, then that
-        to the lower job.
+        int32 [R], -1 for none. Ties go to the robot of lower index, then to the job of
+        lower index.
     """
     shape = able.shape[0], open_.shape[0]
     pairs = MatchedPairs.of(shape, lanes_per_warp=_LANES_A_WARP)
@@ -47,12 +47,12 @@ def shortest_first(travel: Travel, p: jax.Array, able: jax.Array, open_: jax.Arr
 class _MatchingKernel:
     pairs: MatchedPairs
     shape: tuple[int, ...]
-    """Of `Routes.words`."""
+    """Shape of `Routes.words`."""
 
     __name__ = "shortest_first"
 
     def run(self, routes: Routes, p: jax.Array, able: jax.Array, open_: jax.Array) -> jax.Array:
-        """As `shortest_first`."""
+        """Return jobs as `shortest_first` does."""
         grid = jnp.concatenate([routes.origin_m, routes.cell_m[None]])
         flat = [x.reshape(-1) for x in (routes.words, routes.position_m, grid, p)]
         flags = [x.astype(jnp.int32) for x in (able, open_)]
@@ -76,7 +76,7 @@ class _MatchingKernel:
         program.when(jnp.max(can) > 0, take)
 
     def _path_lengths(self, words: Any, position_m: Any, grid: Any, p: Any) -> Any:
-        """Of each lane; what lanes that are no pair read is not looked at."""
+        """Return the path length of each lane; values of lanes that are no pair are ignored."""
         program, (*cells, n_position) = self.pairs.program, self.shape
         row, column, real = self.pairs.lane_pairs
         origin, cell_m = [grid[axis] for axis in range(3)], grid[3]

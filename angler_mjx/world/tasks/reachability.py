@@ -1,4 +1,4 @@
-"""Which cells of a world the robots of a fleet can reach."""
+"""Cells of a world that the robots of a fleet can reach."""
 
 import jax
 import jax.numpy as jnp
@@ -10,15 +10,15 @@ from angler_mjx.world.obstacles import STATIC
 from angler_mjx.world.placement import obstacle_gap, passable_cells
 
 _WIDEST_CELLS = 1.49
-"""Clearance that cells are looked at for; they are not beyond one and a half."""
+"""Max clearance for which cells are checked; they are not checked beyond one and a half."""
 
 
 def reachable_cells(environment: Environment, clearance_m: jax.Array) -> jax.Array:
-    """The largest region of cells, joined by faces, whose centres keep a clearance.
+    """Return the largest region of cells, joined by faces, whose centres keep a clearance.
 
     Args:
-        environment: of one world.
-        clearance_m: [] from rock, floor, faces of the grid and obstacles that stand.
+        environment: environment of one world.
+        clearance_m: [] clearance from rock, floor, faces of the grid and static obstacles.
 
     Returns:
         bool [nx, ny, nz].
@@ -30,7 +30,7 @@ def reachable_cells(environment: Environment, clearance_m: jax.Array) -> jax.Arr
     gap = centre[..., 2] - environment.floor_z_m
     if STATIC in environment.obstacles.motions:
         gap = jnp.minimum(gap, obstacle_gap(environment.obstacles, centre, only_static=True))
-    # Cells are measured by their edge, which is a number of the world.
+    # Lengths in cell edges: the edge is a number of the world.
     radius = jnp.minimum(clearance_m / grid.cell_m, _WIDEST_CELLS)[None]
     passable = passable_cells(pack_grid(~grid.occupied[..., None]), gap / grid.cell_m, 1.0, radius)
     return unpack_grid(largest_cavern(passable, shape[2]), shape[2])[..., 0]

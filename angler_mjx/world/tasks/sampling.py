@@ -1,4 +1,4 @@
-"""The task of a world: where its places lie."""
+"""Sampling of the task of a world: its places."""
 
 import math
 from dataclasses import dataclass
@@ -14,18 +14,18 @@ from angler_mjx.world.tasks.spec import TaskSpec, TaskWorld
 from angler_mjx.world.tasks.visibility import cell_of, centre_m
 
 type Subregion = tuple[tuple[float, float, float], tuple[float, float, float]]
-"""Of a world's cube: its lower and its upper corner, as shares of the cube's edges."""
+"""Part of a world's cube: lower and upper corner, as fractions of the cube's edges."""
 
 WHOLE: Subregion = ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
 
 
 @dataclass(frozen=True, kw_only=True)
 class GoalSampling:
-    """Where places are drawn, or where they are."""
+    """Region in which places are sampled, or fixed places."""
 
     within: Subregion = WHOLE
     fixed_m: tuple[tuple[float, float, float], ...] = ()
-    """In W, instead of drawing."""
+    """Places in W, instead of sampling."""
 
 
 def sample_task(
@@ -36,14 +36,14 @@ def sample_task(
     environment: Environment,
     reachable: jax.Array,
 ) -> TaskWorld:
-    """The task of one world.
+    """Sample the task of one world.
 
     Args:
         spec: settings.
-        begin: where jobs begin; a survey finds its viewpoints itself.
-        end: where goods go.
-        key: of the world's task; nothing else is drawn with it.
-        environment: of the world.
+        begin: places where jobs begin; a survey computes its viewpoints itself.
+        end: destinations of goods.
+        key: random key of the world's task only.
+        environment: environment of the world.
         reachable: bool [nx, ny, nz] cells that robots can reach.
     """
     grid, survey = environment.grid, None
@@ -76,10 +76,10 @@ def sample_task(
 def _sample_positions(
     wanted: GoalSampling, count: int, key: jax.Array, grid: Grid, reachable: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Places [count, 3] in W that robots can reach, and bool [] whether there are so many.
+    """Return reachable places [count, 3] in W, and bool [] whether there are enough.
 
-    Drawn ones are centres of different cells. A given one whose cell cannot be reached is moved to
-    the centre of the nearest one that can.
+    Sampled places are centres of different cells. A given place whose cell cannot be reached is
+    moved to the centre of the nearest reachable cell.
     """
     shape = reachable.shape
     cells = jnp.stack(jnp.meshgrid(*map(jnp.arange, shape), indexing="ij"), axis=-1).reshape(-1, 3)
@@ -100,9 +100,9 @@ def _sample_positions(
 
 
 def rank_boustrophedon(positions: jax.Array, exists: jax.Array, grid: Grid) -> jax.Array:
-    """Place int32 [M] of each job in lanes to and fro; those that do not exist come last.
+    """Return each job's index int32 [M] in lanes back and forth; missing jobs come last.
 
-    Lanes lie side by side along y, as many as make squares of the places' shares of the area.
+    Lanes lie side by side along y; their number makes each place's part of the area square.
     """
     jobs = positions.shape[0]
     nx, ny, _ = grid.occupied.shape
@@ -118,7 +118,7 @@ def rank_boustrophedon(positions: jax.Array, exists: jax.Array, grid: Grid) -> j
 def _assign_parts(
     spec: TaskSpec, positions: jax.Array, exists: jax.Array, rank: jax.Array, start_m: jax.Array
 ) -> jax.Array:
-    """Which share of the order each robot takes, int32 [R]: that which begins nearest to it."""
+    """Return each robot's part of the order, int32 [R]: the part that begins nearest to it."""
     robots = spec.robots
     part = allocation.part_of(rank, jnp.sum(exists, dtype=jnp.int32), robots)
     first = (part == jnp.arange(robots)[:, None]) & exists

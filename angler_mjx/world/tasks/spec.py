@@ -1,9 +1,9 @@
-"""What a task consists of: its settings, what is drawn of it for a world, and what changes.
+"""Settings of a task, its samples for a world, and its state.
 
-A task is M jobs, each of which a robot does alone. Jobs are places to be visited (tour), points
-from which a part of a surface is seen (survey), or goods to be brought to other places (deliver).
-All places of a world stand in one list of P: where jobs begin [M], where goods go [M] (deliver
-alone), and the homes of the robots [R], which are their starts.
+A task is M jobs, each done by a single robot. Jobs are places to visit (tour), viewpoints of parts
+of a surface (survey), or goods to deliver to other places (deliver). All places of a world are in
+one list of P: beginnings of jobs [M], destinations of goods [M] (deliver only), and the homes of
+the robots [R], which are their starts.
 """
 
 from dataclasses import dataclass
@@ -18,43 +18,43 @@ type WhenFinished = Literal["hold", "return"]
 type WhenDropped = Literal["lost", "back"]
 
 MAX_JOBS = 512
-"""Of a task."""
+"""Max number of jobs of a task."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Footprint:
-    """What a robot sees at a time: a cone about the body's downward axis, of limited range."""
+    """Field of view of a robot: a cone about the body's downward axis, of limited range."""
 
     half_angle_rad: float
-    """Of the cone; pi sees everything about the robot."""
+    """Half angle of the cone; pi sees all directions."""
     range_m: float
     wide: int
-    """Cells to each side of a robot's that the footprint can reach."""
+    """Cells to each side of the robot's cell that the footprint can reach."""
     down: int
-    """And below it."""
+    """Cells below it."""
     up: int
-    """And above."""
+    """Cells above it."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SurveySpec:
-    """What is to be seen, and with what."""
+    """Settings of a survey: surface and field of view."""
 
     of: Surface
     footprint: Footprint
     altitude_cells: int
-    """Height of viewpoints above what they look at."""
+    """Height of viewpoints above the surface, in cells."""
     coverage: float
-    """Share of what can be seen that has to be."""
+    """Fraction of the visible surface that must be seen."""
 
     def required_cells(self, total: jax.Array) -> jax.Array:
-        """Return the least whole number of cells that is the coverage of ``total``, int32 [...].
+        """Return the least whole number of cells that reaches the coverage of ``total``.
 
-        Exact: the coverage is taken as the fraction that its file says (denominators to 32,768),
-        since 0.6 in single precision asks for 16 of 25 cells.
+        Exact: the coverage is taken as the decimal fraction of its file (denominators to 32,768),
+        since 0.6 in single precision requires 16 of 25 cells.
 
         Args:
-            total: int32 [...] cells that can be seen.
+            total: int32 [...] number of visible cells.
         """
         ratio = Fraction(self.coverage).limit_denominator(2**15)
         whole, rest = total // ratio.denominator, total % ratio.denominator
@@ -63,65 +63,65 @@ class SurveySpec:
 
 @dataclass(frozen=True, kw_only=True)
 class TaskSpec:
-    """Settings of a task that are fixed while it is compiled."""
+    """Settings of a task that are fixed at compile time."""
 
     kind: Kind
     jobs: int
-    """M, at most; worlds of a survey may have fewer."""
+    """M, the max number of jobs; worlds of a survey may have fewer."""
     robots: int
-    """R."""
+    """R, the number of robots."""
     tolerance_m: float
-    """How near a robot's centre has to come to a place."""
+    """Distance from a place within which a robot's centre has reached it."""
     period: int
-    """Control steps from one look at the task to the next."""
+    """Control steps between two updates of the task."""
     allocation: str = "nearest"
-    """Who shares jobs out, by name; see `angler_mjx.world.tasks.allocation`."""
+    """Name of the allocation; see `angler_mjx.world.tasks.allocation`."""
     after: WhenFinished = "hold"
-    """Whether robots return to their starts when nothing is left for them."""
+    """Behaviour of robots without remaining jobs: hold, or return to their starts."""
     shared: bool = True
-    """Whether each place of a tour is for one robot; otherwise every robot visits all."""
+    """Whether each place of a tour is visited by one robot; if not, every robot visits all."""
     ordered: bool = False
     """Whether each robot visits the places of a tour in their order."""
     dropped: WhenDropped = "lost"
-    """What becomes of goods whose robot ended: lost, or back where they were taken from."""
+    """State of goods whose robot ended: lost, or back at their pickup place."""
     survey: SurveySpec | None = None
     timed: bool = False
-    """Whether it is kept when each cell of a survey was seen first, for what is recorded."""
+    """Whether the first time at which each cell of a survey is seen is stored, for records."""
 
     @property
     def goods_return(self) -> bool:
-        """Whether goods that somebody took may lie where they were again."""
+        """Return whether goods can return to their pickup place."""
         return self.kind == "deliver" and self.dropped == "back"
 
     @property
     def words(self) -> int:
-        """32-bit words that hold one bit for each job."""
+        """Return the number of 32-bit words that hold one bit for each job."""
         return -(-self.jobs // 32)
 
     @property
     def homes(self) -> int:
-        """Index of the first robot's home among the places."""
+        """Return the index of the first robot's home among the places."""
         return self.jobs * (2 if self.kind == "deliver" else 1)
 
     @property
     def positions(self) -> int:
-        """P."""
+        """Return P, the number of places."""
         return self.homes + self.robots
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class SurveyWorld:
-    """What is to be seen in one world; cells are those of the grid."""
+    """Surface of a survey in one world; cells are those of the grid."""
 
     cells: jax.Array
-    """bool [nx, ny, nz] free cells next to a surface that can be seen from some viewpoint."""
+    """bool [nx, ny, nz] free cells next to a surface that are visible from a viewpoint."""
     words: jax.Array
-    """uint32 [nx, ny, w] the same, packed along z, as each look wants them."""
+    """uint32 [nx, ny, w] the same, packed along z, for the updates."""
     ground: jax.Array
     """int32 [nx, ny] lowest free cell of each column; nz where there is none."""
     of_job: jax.Array
-    """uint32 [M, c, w] which cells of the columns about its viewpoint are a job's, packed along z
+    """uint32 [M, c, w] cells of a job, in the columns about its viewpoint, packed along z
     (`angler_kernels.bit_grid`); see `sight.columns`."""
     count: jax.Array
     """int32 [] number of ``cells``."""
@@ -133,13 +133,13 @@ class TaskWorld:
     """The task of one world."""
 
     position_m: jax.Array
-    """[P, 3] in W; see the module's text."""
+    """[P, 3] in W; see the module's docstring."""
     exists: jax.Array
     """bool [M]."""
     rank: jax.Array
-    """int32 [M] place of each job in boustrophedon order."""
+    """int32 [M] index of each job in boustrophedon order."""
     part: jax.Array
-    """int32 [R] which part of that order is each robot's, where it is cut into equal ones."""
+    """int32 [R] each robot's part of that order, where it is cut into equal parts."""
     fits: jax.Array
     """bool [] whether the world has room for the task."""
     survey: SurveyWorld | None = None
@@ -148,64 +148,66 @@ class TaskWorld:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class TaskState:
-    """How far the task of one world is."""
+    """State of the task of one world."""
 
     done: jax.Array
-    """bool [M] in truth."""
+    """bool [M] jobs that are done, in truth."""
     lost: jax.Array
-    """bool [M] goods that nobody can bring any more."""
+    """bool [M] goods that can no longer be delivered."""
     by: jax.Array
-    """int32 [M] robot that did it, the last one where all had to; -1 before."""
+    """int32 [M] robot that did it, the last one where all robots had to; -1 before."""
     done_at_s: jax.Array
-    """[M] when; NaN before."""
+    """[M] time of completion; NaN before."""
     believed_over: jax.Array
-    """uint32 [R, W] jobs that each robot knows to be over, as bits; where a tour is not shared,
+    """uint32 [R, W] jobs that each robot believes to be over, as bits; where a tour is not shared,
     the places that it visited."""
     target: jax.Array
-    """int32 [R] place that each robot goes to; -1: it stays."""
+    """int32 [R] target place of each robot; -1: it stays."""
     goal_m: jax.Array
-    """[R, 3] in W: that place, or where it stays."""
+    """[R, 3] in W: that place, or the position where it stays."""
     carrying: jax.Array
-    """int32 [R] job whose goods it carries; -1 for none."""
+    """int32 [R] job of the goods that it carries; -1 for none."""
     did: jax.Array
-    """int32 [R] jobs that each robot did; where a tour is not shared, places that it visited."""
+    """int32 [R] number of jobs done by each robot; where a tour is not shared, of places
+    visited."""
     finished: jax.Array
-    """bool [R] whether nothing is left for it."""
+    """bool [R] whether the robot has no remaining jobs."""
     complete: jax.Array
-    """bool [] whether the task is."""
+    """bool [] whether the task is complete."""
     completed_s: jax.Array
-    """[] when; NaN before."""
+    """[] time of completion; NaN before."""
     progress: jax.Array
-    """[] share of the task that is done, of a survey the share that was seen."""
+    """[] fraction of the task that is done; of a survey, the fraction seen."""
     seen: jax.Array | None = None
-    """uint32 [nx, ny, w] cells of a survey that some robot has seen, packed along z."""
+    """uint32 [nx, ny, w] cells of a survey that a robot has seen, packed along z."""
     seen_at_s: jax.Array | None = None
-    """[nx, ny, nz] when some robot saw each cell first; NaN before. None where nobody asks."""
+    """[nx, ny, nz] time at which each cell was first seen; NaN before. None where not stored."""
     goods_belief: "GoodsBelief | None" = None
-    """What each robot takes to be in hand; None where all know all, or no goods come back."""
+    """Goods that each robot believes to be carried; None with full information, or where no goods
+    return."""
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class GoodsBelief:
-    """Goods that each robot takes to be in somebody's hands, so that it need not go there."""
+    """Goods that each robot believes to be carried by others, so that it need not go there."""
 
     missing: jax.Array
-    """uint32 [R, W] of which it found the place empty, as bits."""
+    """uint32 [R, W] goods whose place it found empty, as bits."""
     at_s: jax.Array
-    """[R] when, the last time that one was added."""
+    """[R] time of the last addition."""
     in_hand: jax.Array
-    """uint32 [R, W] those, and the ones that others say they carry."""
+    """uint32 [R, W] these goods, and those that others report to carry."""
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class TaskReport:
-    """What robots say of their part of a task, [R] leading."""
+    """Reports of robots on their part of a task, [R] leading."""
 
     over: jax.Array
-    """uint32 [R, W] jobs that each knows to be over, as bits."""
+    """uint32 [R, W] jobs that each robot believes to be over, as bits."""
     carrying: jax.Array
-    """int32 [R] job whose goods it carries; -1 for none."""
+    """int32 [R] job of the goods that it carries; -1 for none."""
     at_work: jax.Array
-    """bool [R] whether its episode goes on."""
+    """bool [R] whether its episode continues."""

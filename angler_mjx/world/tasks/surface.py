@@ -1,8 +1,8 @@
-"""What a survey is to see, and from where: surface cells, and viewpoints that cover them.
+"""Surface cells of a survey, and viewpoints that cover them.
 
-Viewpoints are taken greedily, each time the one from which most cells are seen that none before it
-sees: no other rule of polynomial cost covers a set with much fewer (U. Feige, "A Threshold of ln n
-for Approximating Set Cover", Journal of the ACM 45(4), 1998).
+Viewpoints are chosen greedily, each time the viewpoint with the most cells not yet seen: no other
+rule of polynomial cost covers a set with much fewer (U. Feige, "A Threshold of ln n for
+Approximating Set Cover", Journal of the ACM 45(4), 1998).
 """
 
 import math
@@ -17,12 +17,12 @@ from angler_mjx.world.tasks import visibility
 from angler_mjx.world.tasks.spec import SurveySpec, SurveyWorld
 
 MAX_CANDIDATES = 512
-"""Viewpoints that a world's are chosen from."""
+"""Max number of candidate viewpoints of a world."""
 _DOWN = (0.0, 0.0, -1.0)
 
 
 def ground_cells(grid: Grid, floor_z_m: jax.Array) -> jax.Array:
-    """Lowest free cell int32 [nx, ny] of each column above the floor; nz where there is none."""
+    """Return the lowest free cell int32 [nx, ny] of each column above the floor; nz if none."""
     nz = grid.occupied.shape[2]
     middle = grid.origin_m[2] + (jnp.arange(nz) + 0.5) * grid.cell_m
     free = ~grid.occupied & (middle > floor_z_m)
@@ -30,10 +30,10 @@ def ground_cells(grid: Grid, floor_z_m: jax.Array) -> jax.Array:
 
 
 def surface_cells(spec: SurveySpec, grid: Grid, ground: jax.Array) -> jax.Array:
-    """Free cells bool [nx, ny, nz] that border on what is surveyed.
+    """Return the free cells bool [nx, ny, nz] that border on the surveyed surface.
 
-    Of the floor, the lowest free cell of each column: it lies on the sea floor, or on the rock that
-    stands there. Of rock, all that share a face with a cell of rock.
+    For the floor, the lowest free cell of each column: it lies on the sea floor, or on the rock
+    there. For rock, all free cells that share a face with a cell of rock.
     """
     rock, nz = grid.occupied, grid.occupied.shape[2]
     bordering = jnp.zeros_like(rock)
@@ -53,13 +53,13 @@ def surface_cells(spec: SurveySpec, grid: Grid, ground: jax.Array) -> jax.Array:
 def candidate_cells(
     spec: SurveySpec, reachable: jax.Array, ground: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Cells that viewpoints are chosen from.
+    """Return the candidate cells of viewpoints.
 
     Over each column of the floor the reachable cell whose height above it is nearest to the
-    altitude; around rock a lattice. Both are thinned out evenly to `MAX_CANDIDATES`.
+    altitude; around rock a lattice. Both are thinned evenly to `MAX_CANDIDATES`.
 
     Returns:
-        Cells int32 [n, 3], and bool [n] which of them robots can reach.
+        Cells int32 [n, 3], and bool [n] whether robots can reach them.
     """
     shape, cells, may = reachable.shape, [], []
     divisor = 2 if spec.of == "both" else 1
@@ -94,22 +94,22 @@ def choose_viewpoints(
     floor_z_m: jax.Array,
     reachable: jax.Array,
 ) -> tuple[jax.Array, jax.Array, jax.Array, SurveyWorld]:
-    """Viewpoints of one world.
+    """Choose the viewpoints of one world.
 
-    They see half of what the coverage may leave out, as well: what a robot sees from a little
+    They also see half of the cells that the coverage may leave out, since the view from slightly
     beside a viewpoint differs. No more are taken than that needs.
 
     Args:
         spec: settings.
-        jobs: most viewpoints, M.
-        spare_m: what is seen from a viewpoint must be seen from so far beside it too.
+        jobs: max number of viewpoints, M.
+        spare_m: distance from a viewpoint within which its cells must also be seen.
         grid: rock.
         floor_z_m: [] height of the floor.
         reachable: bool [nx, ny, nz] cells that robots can reach.
 
     Returns:
-        Viewpoints [M, 3] in W, bool [M] which exist, bool [] whether they see enough, and what is
-        to be seen.
+        Viewpoints [M, 3] in W, bool [M] whether they exist, bool [] whether they see enough, and
+        the surface to see.
     """
     ground = ground_cells(grid, floor_z_m)
     surface = surface_cells(spec, grid, ground)

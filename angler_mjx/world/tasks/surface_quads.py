@@ -1,4 +1,4 @@
-"""The surface that a survey sees, as squares: where its cells touch rock or the sea floor."""
+"""The surface of a survey as squares, where its cells touch rock or the sea floor."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from angler_mjx.world.tasks.history import TaskHistory
 from angler_mjx.world.tasks.spec import Surface
 
 _OUT = 0.48
-"""How far from the middle of its cell a square lies, in cells."""
+"""Distance of a square from the middle of its cell, in cells."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,9 +19,9 @@ class SurfaceQuads:
     centre_m: np.ndarray
     """[n, 3] in W."""
     axis: np.ndarray
-    """int [n] that each is square to: 0 for x, 1 for y, 2 for z."""
+    """int [n] axis normal to each: 0 for x, 1 for y, 2 for z."""
     cell: np.ndarray
-    """int [n] number of its cell among those of the survey, in the order of its array."""
+    """int [n] index of its cell among those of the survey, in the order of its array."""
 
 
 def surface_quads(
@@ -32,10 +32,10 @@ def surface_quads(
     cell_m: float,
     floor_z_m: float,
 ) -> SurfaceQuads:
-    """Faces through which the cells of a survey touch what it surveys.
+    """Return the faces through which the cells of a survey touch its surface.
 
     Args:
-        of: what is surveyed: of the floor, the lower faces of the lowest free cells; of rock, all
+        of: surveyed surface: for the floor, the lower faces of the lowest free cells; for rock, all
             faces behind which there is rock.
         cells: bool [nx, ny, nz] cells of the survey.
         occupied: bool [nx, ny, nz] rock.
@@ -69,7 +69,7 @@ def surface_quads(
 
 
 def survey_surface(task: TaskHistory, environment: Environment) -> SurfaceQuads | None:
-    """What the survey of a world is to see; None where its task is another."""
+    """Return the surface of the survey of a world; None where its task is another."""
     if task.cells is None or task.spec.survey is None:
         return None
     grid = environment.grid

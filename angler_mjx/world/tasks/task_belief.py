@@ -1,7 +1,7 @@
-"""What robots know of a task: what they see and hear, what they take to be over, and what is new.
+"""Beliefs of robots on a task: sight, reports, finished jobs, and news.
 
-Whoever knows everything at once knows what all others do; the rest know what they did, saw and
-heard.
+With perfect communication every robot has all information; else each has its own actions, sight and
+received reports.
 """
 
 from dataclasses import dataclass, replace
@@ -16,46 +16,46 @@ from angler_mjx.world.tasks.spec import GoodsBelief, TaskReport, TaskSpec, TaskS
 
 @dataclass(frozen=True, kw_only=True)
 class TaskScene:
-    """What a look sees of one world."""
+    """Inputs of a task update of one world."""
 
     t: jax.Array
     """[] s."""
     p: jax.Array
-    """[R, 3] where robots are, m in W."""
+    """[R, 3] positions of robots, m in W."""
     q: jax.Array
     """[R, 4] their attitudes, wxyz, body to W."""
     running: jax.Array
-    """bool [R] robots whose episode goes on."""
+    """bool [R] robots whose episode continues."""
     believed_m: jax.Array
-    """[R, 3] where they take themselves to be."""
+    """[R, 3] the robots' estimates of their positions."""
     grid: Grid
     others: "HeardReports | None" = None
-    """What they have heard of each other; None: all know all."""
+    """Reports that they have received; None: all robots have all information."""
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class HeardReports:
-    """What each robot knows of the others; the knowing one leads."""
+    """Information of each robot on the others; the receiver leads."""
 
     p: jax.Array
-    """[R, R, 3] where they last said they were, m in W."""
+    """[R, R, 3] last reported positions, m in W."""
     active: jax.Array
-    """bool [R, R] who is taken to be at work."""
+    """bool [R, R] robots believed to be active."""
     report: TaskReport
-    """What they last said, [R, R] leading."""
+    """Last reports, [R, R] leading."""
     lost_after_s: float
-    """How long one has to be silent to be taken to be lost; so long empty places are believed."""
+    """Silence after which a robot is believed lost; beliefs in empty places last as long."""
 
 
 def build_report(state: TaskState, running: jax.Array | None = None) -> TaskReport:
-    """What robots say; ``running`` is bool [R] whose episode goes on, all if left out."""
+    """Build the robots' reports; ``running`` is bool [R] continuing episodes, all if left out."""
     at_work = jnp.ones(state.did.shape, bool) if running is None else running
     return TaskReport(over=state.believed_over, carrying=state.carrying, at_work=at_work)
 
 
 def find_near(spec: TaskSpec, p: jax.Array, position_m: jax.Array) -> jax.Array:
-    """Which robots are at which places, bool [R, P]."""
+    """Return whether each robot is at each place, bool [R, P]."""
     apart = p[:, None] - position_m
     return jnp.sum(apart * apart, axis=-1) <= spec.tolerance_m**2
 
@@ -63,20 +63,20 @@ def find_near(spec: TaskSpec, p: jax.Array, position_m: jax.Array) -> jax.Array:
 def update_beliefs(
     spec: TaskSpec, task: TaskWorld, state: TaskState, scene: TaskScene
 ) -> TaskState:
-    """Who knows which jobs to be over."""
+    """Update the jobs that each robot believes to be over."""
     if not spec.shared:
         return state
     over = state.done | state.lost | ~task.exists
     if scene.others is None:
-        # Nobody works on when enough is seen.
+        # Work ends when enough is seen.
         over |= state.complete
         believed_over = jnp.broadcast_to(bits.pack_flags(over), state.believed_over.shape)
         return replace(state, believed_over=believed_over)
-    # Who comes to a place sees that there is nothing left to do.
+    # A robot at a place sees that there is nothing left to do.
     gone = over | deliver.carried_goods(spec, state) if spec.kind == "deliver" else over
     at_position = find_near(spec, scene.p, task.position_m[: spec.jobs]) & scene.running[:, None]
     done_jobs = over & (state.by == jnp.arange(spec.robots)[:, None])
-    if state.goods_belief is not None:  # an empty place does not say that anything is over
+    if state.goods_belief is not None:  # an empty place does not show that a job is over
         state = replace(
             state,
             goods_belief=_update_goods_belief(
@@ -97,18 +97,19 @@ def _update_goods_belief(
     gone: jax.Array,
     at_position: jax.Array,
 ) -> GoodsBelief:
-    """Whose hands which goods are in, as far as each robot knows.
+    """Update the goods that each robot believes to be carried.
 
-    An empty place says no more than that somebody took what lay there: it is believed for as long
-    as it takes to know that one is lost. Who carries goods says so, until they are brought.
+    An empty place shows only that a robot took the goods there: the belief lasts for the time after
+    which a silent robot is considered lost. A robot reports the goods it carries until they are
+    delivered.
 
     Args:
         spec: settings.
-        belief: before.
-        scene: what is seen.
-        others: what is heard.
-        gone: bool [M] goods that do not lie where they were.
-        at_position: bool [R, M] who is where goods lie.
+        belief: belief before.
+        scene: inputs of the update.
+        others: received reports.
+        gone: bool [M] goods that are not at their pickup place.
+        at_position: bool [R, M] robots at the pickup places of goods.
     """
     empty = bits.pack_flags(at_position & gone)
     old = jnp.where((scene.t - belief.at_s < others.lost_after_s)[:, None], belief.missing, 0)
@@ -124,19 +125,20 @@ def _update_goods_belief(
 
 
 def has_news(spec: TaskSpec, before: TaskState, after: TaskState, scene: TaskScene) -> jax.Array:
-    """Whether a robot has learned anything since the last look, bool [R]: it then thinks anew."""
+    """Return whether a robot has news since the last update, bool [R]: it then decides again."""
     learned = jnp.any(closed_jobs(before) != closed_jobs(after), axis=1) | (scene.t == 0.0)
     if scene.others is None and spec.shared:
         learned |= jnp.any(~scene.running & (before.target >= 0))
     if scene.others is not None:
-        # Nobody tells a robot that another has fallen silent, and goods that it put down it may
-        # have known to be gone since it took them: who goes to no job looks for one at each look.
+        # No report says that another robot has fallen silent, and a robot may have known goods
+        # that it put down to be gone since it took them: robots without a job look for one at
+        # each update.
         learned |= (before.target < 0) | (before.target >= spec.jobs)
     return learned
 
 
 def closed_jobs(state: TaskState) -> jax.Array:
-    """Jobs uint32 [R, W] for which a robot does not set out: over, or in somebody's hands."""
+    """Return jobs uint32 [R, W] that a robot does not begin: over, or carried by others."""
     return (
         state.believed_over
         if state.goods_belief is None

@@ -1,7 +1,7 @@
-"""A look at the task of a world: what was done, who knows it, and what each robot does next.
+"""Update of the task of a world: finished jobs, beliefs, and each robot's next target.
 
-In truth a job is done when a robot was there; robots decide by what they know. Whoever knows
-everything at once decides as all others do; the rest go by their own knowledge alone.
+In truth a job is done when a robot was there; robots decide by their beliefs. With perfect
+communication all robots decide alike; else each decides by its own information only.
 """
 
 from dataclasses import replace
@@ -28,13 +28,13 @@ from angler_mjx.world.tasks.travel import Travel
 def begin_task(
     spec: TaskSpec, task: TaskWorld, start_m: jax.Array, *, heard: bool = False
 ) -> TaskState:
-    """Nothing done, nobody sent anywhere.
+    """Return the initial state: no job done, no robot sent anywhere.
 
     Args:
         spec: settings.
-        task: of the world.
-        start_m: [R, 3] in W.
-        heard: whether robots know of each other what they have heard.
+        task: task of the world.
+        start_m: [R, 3] starts of the robots, in W.
+        heard: whether robots know of each other only by received reports.
     """
     jobs, robots, kind = spec.jobs, spec.robots, start_m.dtype
     nothing = jnp.zeros((robots, spec.words), jnp.uint32)
@@ -64,14 +64,14 @@ def begin_task(
 def update_task(
     spec: TaskSpec, task: TaskWorld, state: TaskState, scene: TaskScene, travel: Travel
 ) -> TaskState:
-    """The state after a look.
+    """Return the state after an update.
 
     Args:
         spec: settings.
-        task: of the world.
-        state: before.
-        scene: what is seen of the world.
-        travel: ways between its places.
+        task: task of the world.
+        state: state before.
+        scene: inputs of the update.
+        travel: paths between its places.
     """
     after = task_belief.update_beliefs(spec, task, _update_done(spec, task, state, scene), scene)
     return _choose_targets(
@@ -80,7 +80,7 @@ def update_task(
 
 
 def _update_done(spec: TaskSpec, task: TaskWorld, state: TaskState, scene: TaskScene) -> TaskState:
-    """What has become true since the last look."""
+    """Update the true state of the jobs since the last update."""
     near = task_belief.find_near(spec, scene.p, task.position_m) & scene.running[:, None]
     by = near[:, : spec.jobs]
     if spec.kind == "deliver":
@@ -129,7 +129,7 @@ def _with_progress(
 def _update_visits(
     spec: TaskSpec, task: TaskWorld, state: TaskState, scene: TaskScene, near: jax.Array
 ) -> TaskState:
-    """A tour of which every robot visits all places: what each knows is where it was."""
+    """Update a tour of which every robot visits all places: each robot knows its own visits."""
     before = bits.unpack_flags(state.believed_over, spec.jobs)
     if spec.ordered:
         jobs = jnp.arange(spec.jobs)
@@ -147,7 +147,7 @@ def _update_visits(
 def _update_seen(
     survey: SurveySpec, world: SurveyWorld, seen: jax.Array, scene: TaskScene
 ) -> jax.Array:
-    """Cells that some robot has seen by now, uint32 [nx, ny, w]."""
+    """Return the cells that any robot has seen so far, uint32 [nx, ny, w]."""
     shape, wanted = scene.grid.occupied.shape, world.words & ~seen
     down = -jax.vmap(rotate, (0, None))(scene.q, jnp.array([0.0, 0.0, 1.0], scene.p.dtype))
 
@@ -162,7 +162,7 @@ def _update_seen(
 
 
 def _with_seen(state: TaskState, new: jax.Array, seen: jax.Array, t: jax.Array) -> TaskState:
-    """Cells uint32 [nx, ny, w] that were seen, and of them the new ones."""
+    """Return the state with seen cells uint32 [nx, ny, w], and the new ones of them."""
     at_s = state.seen_at_s
     if at_s is not None:
         at_s = jnp.where(bit_grid.unpack_grid(new, at_s.shape[2]), t, at_s)
@@ -178,13 +178,13 @@ def _find_finished(
     scene: TaskScene,
     near: jax.Array,
 ) -> jax.Array:
-    """Whose jobs of a survey are over, bool [R, M].
+    """Return the jobs of a survey that are over by each robot, bool [R, M].
 
-    A job is over when all its cells are seen, whoever saw them, or when a robot has looked from its
-    viewpoint (``near``, bool [R, M]): more cannot be seen from there. Cells that were seen in
-    passing are the nearest robot's.
+    A job is over when all its cells are seen, by any robots, or when a robot has been at its
+    viewpoint (``near``, bool [R, M]): more cannot be seen from there. Cells seen in passing are
+    attributed to the nearest robot.
     """
-    # A whole column is one word or a few: a look at each cell would cost several times as much.
+    # A whole column is one word or a few: access to each cell would cost several times as much.
     points, shape = task.position_m[: spec.jobs], scene.grid.occupied.shape
 
     def whole(point: jax.Array, job_cells: jax.Array) -> jax.Array:
@@ -205,7 +205,7 @@ def _choose_targets(
     travel: Travel,
     news: jax.Array,
 ) -> TaskState:
-    """Where each robot goes next: on to where it goes, unless it has learned something."""
+    """Choose each robot's next target: its current target, unless it has news."""
     over = bits.unpack_flags(state.believed_over, spec.jobs)
     robots = jnp.arange(spec.robots)
     carries = state.carrying >= 0
@@ -241,9 +241,9 @@ def _allocate_jobs(
     closed: jax.Array,
     news: jax.Array,
 ) -> jax.Array:
-    """Next job of each robot that thinks anew, int32 [R]; -1 for none.
+    """Return the next job of each robot with news, int32 [R]; -1 for none.
 
-    For the others nobody is taken to be able, so that there is little to work out.
+    All other robots count as unable, which keeps the computation small.
     """
     jobs = jnp.arange(spec.jobs, dtype=jnp.int32)
     length = jnp.zeros(spec.jobs, scene.p.dtype)
@@ -292,7 +292,7 @@ def _allocate_jobs(
     ) -> jax.Array:
         return allocate(view(p, active, free & news[robot], ~closed, task.part))[robot]
 
-    # What a robot knows of itself needs no packet.
+    # A robot's information on itself needs no packet.
     robots, others = jnp.arange(spec.robots), scene.others
     p = others.p.at[robots, robots].set(scene.believed_m)
     active = others.active.at[robots, robots].set(scene.running)

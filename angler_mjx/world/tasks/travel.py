@@ -1,4 +1,4 @@
-"""How far it is: straight, or along ways free of rock."""
+"""Path lengths: straight, or along paths free of rock."""
 
 from dataclasses import dataclass
 
@@ -9,26 +9,26 @@ from angler_mjx.world import routes
 from angler_mjx.world.routes import Routes
 
 DETOUR_FACTOR = 4.0
-"""Times the straight way that is taken where no way is known: from where no robot should be."""
+"""Factor on the straight length where no path is known: from positions where no robot should be."""
 
 
 def straight_lengths(p: jax.Array, to: jax.Array) -> jax.Array:
-    """Lengths [n, m] of straight lines from points [n, 3] to points [m, 3], m."""
+    """Return lengths [n, m] of straight lines from points [n, 3] to points [m, 3], m."""
     x, y, z = ((p[:, None, axis] - to[:, axis]) ** 2 for axis in range(3))
     return jnp.sqrt(x + y + z)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Travel:
-    """Ways between places of one world."""
+    """Paths between places of one world."""
 
     position_m: jax.Array
     """[P, 3] in W."""
     routes: Routes | None = None
-    """Ways free of rock to the same places; None: straight."""
+    """Paths free of rock to the same places; None: straight."""
 
     def path_lengths_m(self, p: jax.Array, position_index: jax.Array) -> jax.Array:
-        """Lengths [n, m] of ways from points [n, 3] in W to places int32 [m], m."""
+        """Return lengths [n, m] of paths from points [n, 3] in W to places int32 [m], m."""
         line = straight_lengths(p, self.position_m[position_index])
         if self.routes is None:
             return line

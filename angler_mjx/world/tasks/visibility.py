@@ -1,8 +1,8 @@
-"""What robots see: cells of the grid in a cone of limited range, with free lines of sight.
+"""Visibility: cells of the grid in a cone of limited range, with free lines of sight.
 
-A line of sight goes through the cells that it crosses, and is free when none of them is rock. Which
-cells these are is known from where it crosses the planes between cells, so all are looked up at
-once. Only the cells of a window about the robot's own are looked at.
+A line of sight is free when none of the cells that it crosses is rock. These cells follow from its
+crossings of the planes between cells, so all are looked up at once. Only the cells of a window
+about the robot's own cell are checked.
 """
 
 import math
@@ -16,17 +16,17 @@ from angler_mjx.world.grid import Grid
 from angler_mjx.world.tasks.spec import Footprint, SurveySpec
 
 _PARALLEL = 1e-6
-"""Cells along an axis that a line does not cross any plane of."""
+"""Offset below which a line counts as crossing no plane along an axis, in cells."""
 
 _UNROLLED = 8
-"""Windows that a GPU unites in one kernel."""
+"""Number of windows that a GPU unites in one kernel."""
 
 
 def build_footprint(half_angle_rad: float, range_m: float, cell_m: float) -> Footprint:
-    """A footprint, with the cells that it can reach from anywhere in a cell of ``cell_m``."""
+    """Return a footprint, with its max reach in cells from anywhere in a cell of ``cell_m``."""
     sideways = 1.0 if half_angle_rad >= math.pi / 2 else math.sin(half_angle_rad)
     upwards = max(0.0, -math.cos(half_angle_rad))
-    # From anywhere in a cell to another's centre; half a cell is won at either end.
+    # From anywhere in a cell to another's centre; half a cell is gained at either end.
     cells = [math.floor(fraction * range_m / cell_m + 0.5) for fraction in (sideways, 1.0, upwards)]
     wide, down, up = cells
     return Footprint(
@@ -41,17 +41,17 @@ def build_footprint(half_angle_rad: float, range_m: float, cell_m: float) -> Foo
 def window_cells(
     spec: SurveySpec, shape: tuple[int, ...], ground: jax.Array, cell: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """The cells of the window about a cell.
+    """Return the cells of the window about a cell.
 
     Args:
         spec: settings.
-        shape: of the grid.
+        shape: shape of the grid.
         ground: int32 [nx, ny] lowest free cell of each column.
         cell: int32 [3] the middle.
 
     Returns:
-        Cells int32 [n, 3], and bool [n] which of them are in the grid; those that are not are
-        given as cells of it all the same. Of a survey of the floor alone, one cell a column.
+        Cells int32 [n, 3], and bool [n] whether they are in the grid; cells outside are clipped
+        to it. For a survey of the floor only, one cell a column.
     """
     seen = spec.footprint
     side, last = np.arange(-seen.wide, seen.wide + 1), jnp.array(shape, jnp.int32) - 1
@@ -66,7 +66,7 @@ def window_cells(
 
 
 def window_columns(spec: SurveySpec, shape: tuple[int, ...], cell: jax.Array) -> jax.Array:
-    """Columns int32 [c, 2] of the window about a cell int32 [3], in the order of `window_cells`."""
+    """Return columns int32 [c, 2] of the window about a cell int32 [3], in `window_cells` order."""
     side = np.arange(-spec.footprint.wide, spec.footprint.wide + 1)
     step = np.stack(np.meshgrid(side, side, indexing="ij"), -1).reshape(-1, 2)
     last = jnp.array(shape[:2], jnp.int32) - 1
@@ -74,13 +74,13 @@ def window_columns(spec: SurveySpec, shape: tuple[int, ...], cell: jax.Array) ->
 
 
 def pack_columns(spec: SurveySpec, nz: int, height: jax.Array, which: jax.Array) -> jax.Array:
-    """Cells of windows as bits along z of their columns.
+    """Return cells of windows as bits along z of their columns.
 
     Args:
         spec: settings.
         nz: cells of the grid along z.
         height: int32 [k, n] third coordinate of the cells of k windows, from `window_cells`.
-        which: bool [k, n] those of them that are meant; none that lie outside the grid.
+        which: bool [k, n] cells to pack; none outside the grid.
 
     Returns:
         Words uint32 [k, c, w] of the columns, in the order of `window_columns`.
@@ -89,7 +89,7 @@ def pack_columns(spec: SurveySpec, nz: int, height: jax.Array, which: jax.Array)
     height, which = (x.reshape(len(x), side * side, -1, 1) for x in (height, which))
     word = jnp.arange(-(-nz // WORD), dtype=jnp.int32)
     bit = jnp.uint32(1) << (height % WORD).astype(jnp.uint32)
-    # Cells of a column are different ones, so a sum of their bits is their union.
+    # Cells of a column are distinct, so the sum of their bits is their union.
     column_bits = jnp.where(which & (height // WORD == word), bit, jnp.uint32(0))
     return jnp.sum(column_bits, axis=2, dtype=jnp.uint32)
 
@@ -97,13 +97,13 @@ def pack_columns(spec: SurveySpec, nz: int, height: jax.Array, which: jax.Array)
 def union_windows(
     spec: SurveySpec, shape: tuple[int, ...], cell: jax.Array, words: jax.Array
 ) -> jax.Array:
-    """The union of what lies in the windows about several cells.
+    """Return the union of the windows about several cells.
 
     Args:
         spec: settings.
-        shape: of the grid.
-        cell: int32 [k, 3] their middles.
-        words: uint32 [k, c, w] of their columns, as `pack_columns` gives them.
+        shape: shape of the grid.
+        cell: int32 [k, 3] centre cells of the windows.
+        words: uint32 [k, c, w] words of their columns, as returned by `pack_columns`.
 
     Returns:
         Packed grid uint32 [nx, ny, w].
@@ -111,7 +111,7 @@ def union_windows(
     wide, (nx, ny, _) = spec.footprint.wide, shape
     side = 2 * wide + 1
 
-    # Each column of the grid looks up what is its own, window after window: to write from each
+    # Each column of the grid looks up its own bits, window after window: to write from each
     # window, or to compare all its columns with those of the grid, costs several times as much.
     def add(grid: jax.Array, window: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, None]:
         middle, words = window
@@ -126,40 +126,40 @@ def union_windows(
 
 
 def window_size(spec: SurveySpec) -> int:
-    """Number n of cells of a window."""
+    """Return the number n of cells of a window."""
     seen = spec.footprint
     columns = (2 * seen.wide + 1) ** 2
     return columns if spec.of == "floor" else columns * (seen.down + seen.up + 1)
 
 
 def cell_of(grid: Grid, p: jax.Array) -> jax.Array:
-    """Cell int32 [..., 3] that holds p [..., 3] in W; the nearest one outside the grid."""
+    """Return the cell int32 [..., 3] of p [..., 3] in W; the nearest cell if outside the grid."""
     last = jnp.array(grid.occupied.shape) - 1
     cell = jnp.floor((p - grid.origin_m) / grid.cell_m).astype(jnp.int32)
     return jnp.clip(cell, 0, last)
 
 
 def centre_m(grid: Grid, cell: jax.Array) -> jax.Array:
-    """Centre [..., 3] m in W of a cell int32 [..., 3]."""
+    """Return the centre [..., 3] m in W of a cell int32 [..., 3]."""
     return grid.origin_m + (cell + 0.5) * grid.cell_m
 
 
 def in_cone(
     seen: Footprint, p: jax.Array, down: jax.Array, at_m: jax.Array, spare_m: float = 0.0
 ) -> jax.Array:
-    """Whether points lie in the cone and range of a footprint, bool [...].
+    """Return whether points lie in the cone and range of a footprint, bool [...].
 
     Args:
         seen: the footprint.
-        p: [3] where the robot is, in W.
+        p: [3] position of the robot, in W.
         down: [3] its downward axis in W, of length 1.
         at_m: [..., 3] points in W.
-        spare_m: the points must lie in it from wherever within so much of p.
+        spare_m: distance from p within which the points must lie in the footprint from everywhere.
     """
     offset = at_m - p
     near = jnp.sum(offset * offset, axis=-1) <= (seen.range_m - spare_m) ** 2
     if seen.half_angle_rad < math.pi - 1e-3:
-        # A cone with its apex so far ahead lies in all that are moved by spare_m.
+        # A cone with its apex moved ahead by this lies in all cones moved by spare_m.
         offset = offset - down * (spare_m / math.sin(seen.half_angle_rad))
         length = jnp.sqrt(jnp.sum(offset * offset, axis=-1))
         near &= jnp.sum(offset * down, axis=-1) >= math.cos(seen.half_angle_rad) * length
@@ -169,16 +169,16 @@ def in_cone(
 def is_free(
     seen: Footprint, grid: Grid, p: jax.Array, cells: jax.Array, wanted: jax.Array
 ) -> jax.Array:
-    """Whether the lines from p [3] in W to the centres of cells int32 [n, 3] are free, bool [n].
+    """Return whether lines from p [3] in W to centres of cells int32 [n, 3] are free, bool [n].
 
-    The cell that p lies in is not looked at.
+    The cell of p is not checked.
 
     Args:
         seen: a footprint whose window holds the cells.
         grid: rock.
         p: [3] in W.
         cells: int32 [n, 3].
-        wanted: bool [n] for which of them that is asked; the others come out either way.
+        wanted: bool [n] requested cells; the result for others is undefined.
     """
     begin = (p - grid.origin_m) / grid.cell_m
     direction = cells + 0.5 - begin
@@ -195,7 +195,7 @@ def is_free(
         at = jnp.floor(begin + fraction[..., None] * direction).astype(jnp.int32)
         entered = jnp.where(forward, plane, plane - 1)
         at = jnp.clip(at.at[..., axis].set(entered), 0, last)
-        # All the others read the same cell, which costs a GPU next to nothing.
+        # All others read the same cell, which costs a GPU almost nothing.
         at = jnp.where(wanted[:, None], at, 0)
         rock = grid.occupied[at[..., 0], at[..., 1], at[..., 2]]
         free &= ~jnp.any(rock & ~slow & (fraction < 1.0), axis=0)
@@ -211,19 +211,19 @@ def seen_cells(
     down: jax.Array,
     spare_m: float = 0.0,
 ) -> tuple[jax.Array, jax.Array]:
-    """What a robot sees of the cells that are wanted.
+    """Return the requested cells that a robot sees.
 
     Args:
         spec: settings.
         grid: rock.
         wanted: uint32 [nx, ny, w] free cells, packed along z.
         ground: int32 [nx, ny] lowest free cell of each column.
-        p: [3] where it is, in W.
+        p: [3] position of the robot, in W.
         down: [3] its downward axis in W, of length 1.
         spare_m: as in `in_cone`.
 
     Returns:
-        Cells int32 [n, 3] of the window about it, and bool [n] which it sees.
+        Cells int32 [n, 3] of the window about it, and bool [n] whether it sees them.
     """
     cells, inside = window_cells(spec, grid.occupied.shape, ground, cell_of(grid, p))
     x, y, z = cells[:, 0], cells[:, 1], cells[:, 2]
