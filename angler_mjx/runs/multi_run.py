@@ -12,6 +12,7 @@ from typing import Any, Protocol
 import jax
 
 from angler_mjx.errors import ConfigError
+from angler_mjx.files import FileModel, rename_keys
 from angler_mjx.runs import rollout
 from angler_mjx.runs.processes import Processes, RunProcesses
 from angler_mjx.runs.progress import Progress
@@ -56,7 +57,12 @@ def create_folder(out: Path, kind: str, request: Mapping[str, Any]) -> OutputLoc
 
 
 def resume_folder(
-    out: Path, kind: str, request: Mapping[str, Any], *, is_complete: bool
+    out: Path,
+    kind: str,
+    request: Mapping[str, Any],
+    *,
+    models: Mapping[str, type[FileModel]],
+    is_complete: bool,
 ) -> OutputLock:
     """Take up the folder of several runs that were broken off.
 
@@ -64,6 +70,7 @@ def resume_folder(
         out: folder to be.
         kind: it is, in a word.
         request: as of `create_folder`; must be the same.
+        models: models of tables in it, whose keys may have been renamed since it was begun.
         is_complete: whether nothing is left to do.
 
     Raises:
@@ -75,6 +82,9 @@ def resume_folder(
     if not (building / REQUEST_FILE).is_file():
         raise ConfigError(f"--resume {out}: there is no interrupted {kind} of that name")
     stored = read_table(building / REQUEST_FILE)
+    for name, model in models.items():
+        if isinstance(table := stored.get(name), dict):
+            stored[name] = rename_keys(model, table, str(building / REQUEST_FILE))
     difference = first_changed_key(request, stored)
     if difference is not None:
         raise ConfigError(

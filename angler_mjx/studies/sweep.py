@@ -141,7 +141,9 @@ def read_sweep(out: Path) -> dict[str, Any]:
 
 def _resume_sweep(request: SweepRequest, out: Path) -> OutputLock:
     whole = (out / SWEEP).is_file() and bool(read_sweep(out).get("complete"))
-    return multi_run.resume_folder(out, "sweep", request.resolved(), is_complete=whole)
+    return multi_run.resume_folder(
+        out, "sweep", request.resolved(), models={"scenario": Scenario}, is_complete=whole
+    )
 
 
 def _fly_cells(

@@ -23,6 +23,7 @@ from angler_mjx.runs.simulator.simulator import default_tile
 from angler_mjx.runs.storage import output_lock
 from angler_mjx.runs.storage.output_lock import OutputLock
 from angler_mjx.runs.storage.recorder import TrajectoryShape
+from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.world.config import resolve_world
 
 TILE_BYTES = 2 * 10**9
@@ -120,7 +121,13 @@ def _make_parts(
         if process_group.index == 0:
             is_complete = (out / manifest.MANIFEST).is_file()
             lock = (
-                multi_run.resume_folder(out, "dataset", request.resolved(), is_complete=is_complete)
+                multi_run.resume_folder(
+                    out,
+                    "dataset",
+                    request.resolved(),
+                    models={"dataset": DatasetConfig, "scenario": Scenario},
+                    is_complete=is_complete,
+                )
                 if resume
                 else multi_run.create_folder(out, "dataset", request.resolved())
             )

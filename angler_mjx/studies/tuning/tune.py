@@ -5,10 +5,12 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from angler_mjx.errors import ConfigError
+from angler_mjx.files import rename_keys
 from angler_mjx.robot.vehicles.thrusters import FloatArray
 from angler_mjx.runs import provenance
 from angler_mjx.runs.storage.output_lock import OutputLock
 from angler_mjx.runs.storage.read_errors import wrap_read_errors
+from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.studies.tuning import folder, outcome, report, search
 from angler_mjx.studies.tuning.optimisers import Adam, Cma, Optimiser
 from angler_mjx.studies.tuning.outcome import TuningOutcome
@@ -154,7 +156,12 @@ def _open_folder(
 
 
 def _require_same(stored: dict[str, Any], wanted: dict[str, Any], out: Path) -> None:
-    """Refuse to go on with a tuning of other settings."""
+    """Refuse to resume a tuning of other settings.
+
+    Keys of its scenario may have been renamed since it was begun.
+    """
+    if isinstance(scenario := stored.get("scenario"), dict):
+        stored = {**stored, "scenario": rename_keys(Scenario, scenario, folder.CHECKPOINT)}
     for name in sorted({*wanted, *stored}):
         value = stored.get(name)
         if name not in wanted or wanted[name] != value:
