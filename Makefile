@@ -53,7 +53,7 @@ fuzz-sim: SEED ?= 0
 fuzz-sim: $(STAMP)  ## fly WORLDS=1000 random worlds (SEED=0) with both engines and judge them
 	$(BIN)/python -m tests.fuzz.simulator --worlds $(WORLDS) --seed $(SEED) $(FUZZ_ARGS)
 
-# Not a part of what CI runs: 300 mutants take a night. See docs/mutants.md.
+# Not a part of what CI runs: 300 mutants take a night. See docs/how_to/mutants.md.
 mutants: $(STAMP)  ## put small faults into the code and see whether tests find them
 	@$(BIN)/python -c 'import cosmic_ray' 2>/dev/null || { echo "make: installing the extra mutants"; \
 	  if command -v uv >/dev/null 2>&1; then \
@@ -63,7 +63,7 @@ mutants: $(STAMP)  ## put small faults into the code and see whether tests find 
 	  fi; }
 	$(BIN)/python -m tools.mutants $(MUTANTS_ARGS)
 
-# In parts of eight minutes: call it again until none is unfinished. See docs/gpu_check.md.
+# In parts of eight minutes: call it again until none is unfinished. See docs/how_to/gpu_check.md.
 gpu-check: $(STAMP)  ## compare engines, kernels, policies and rates on a GPU with the CPU
 	$(BIN)/python -m tools.gpu_check $(GPU_CHECK_ARGS)
 

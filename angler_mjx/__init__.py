@@ -12,9 +12,9 @@ if TYPE_CHECKING:
     from angler_mjx.planning.planner import BatchPlanner, NoPlan, Planner, joint_path, way_points
     from angler_mjx.planning.problem import Problem
     from angler_mjx.robot.control.commands import BodyTwist, BodyWrench, PoseTarget, ThrusterPwm
-    from angler_mjx.robot.control.joint_goal import JointGoal, JointPoint
-    from angler_mjx.robot.control.joint_trajectory import JointTrajectory
-    from angler_mjx.robot.control.trajectory import Trajectory
+    from angler_mjx.robot.control.commands.joint_goal import JointGoal, JointPoint
+    from angler_mjx.robot.control.commands.joint_trajectory import JointTrajectory
+    from angler_mjx.robot.control.commands.trajectory import Trajectory
     from angler_mjx.runs.rollout import resume, rollout
     from angler_mjx.runs.session.batch_session import BatchSession
     from angler_mjx.runs.session.interface import Observation, Session
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 _moved.install()
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 __all__ = [
     "BatchPlanner",
@@ -61,9 +61,9 @@ _HOME = {
     "BatchSession": "angler_mjx.runs.session.batch_session",
     "BodyTwist": "angler_mjx.robot.control.commands",
     "BodyWrench": "angler_mjx.robot.control.commands",
-    "JointGoal": "angler_mjx.robot.control.joint_goal",
-    "JointPoint": "angler_mjx.robot.control.joint_goal",
-    "JointTrajectory": "angler_mjx.robot.control.joint_trajectory",
+    "JointGoal": "angler_mjx.robot.control.commands.joint_goal",
+    "JointPoint": "angler_mjx.robot.control.commands.joint_goal",
+    "JointTrajectory": "angler_mjx.robot.control.commands.joint_trajectory",
     "NoPlan": "angler_mjx.planning.planner",
     "Observation": "angler_mjx.runs.session.interface",
     "Outcome": "angler_mjx.sim.state",
@@ -76,7 +76,7 @@ _HOME = {
     "Session": "angler_mjx.runs.session.interface",
     "Simulator": "angler_mjx.runs.simulator.simulator",
     "ThrusterPwm": "angler_mjx.robot.control.commands",
-    "Trajectory": "angler_mjx.robot.control.trajectory",
+    "Trajectory": "angler_mjx.robot.control.commands.trajectory",
     "joint_path": "angler_mjx.planning.planner",
     "load_scenario": "angler_mjx.scenario.scenario",
     "resume": "angler_mjx.runs.rollout",

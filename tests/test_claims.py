@@ -16,7 +16,7 @@ RESULTS = ROOT / "benchmarks" / "results.jsonl"
 
 REEF = {"workload": "reef_fleet", "worlds": 16384, "robots": 4, "devices": 1}
 EIGHT = {"workload": "closed_loop_8", "worlds": 65536, "robots": 8, "devices": 1}
-CLAIMS = {
+STATEMENTS = {
     "README, the table: mjx": (
         "README.md",
         r"while all move, (\S+) vehicle-steps/s with everything on",
@@ -51,17 +51,17 @@ def rows():
     return select_latest(speed.read_rows(RESULTS))
 
 
-@pytest.mark.parametrize("claim", CLAIMS)
-def test_a_rate_is_that_of_its_row(rows, claim):
-    file, pattern, wanted = CLAIMS[claim]
+@pytest.mark.parametrize("statement", STATEMENTS)
+def test_a_rate_is_that_of_its_row(rows, statement):
+    file, pattern, wanted = STATEMENTS[statement]
     found = re.findall(pattern, (ROOT / file).read_text())
     assert len(found) == 1, f"{file}: {pattern!r} is there {len(found)} times"
     wanted = {**wanted, "device": "NVIDIA H200"}
-    mine = [row for row in rows if all(row[key] == value for key, value in wanted.items())]
-    assert mine, f"no row of {wanted}"
-    row = mine[-1]
-    said = f"{file} says {found[0]}, the row of commit {row['commit']}: {row['median']:.3g}"
-    assert found[0] == chart.format_rate(row["median"]), said
+    matching = [row for row in rows if all(row[key] == value for key, value in wanted.items())]
+    assert matching, f"no row of {wanted}"
+    row = matching[-1]
+    message = f"{file} says {found[0]}, the row of commit {row['commit']}: {row['median']:.3g}"
+    assert found[0] == chart.format_rate(row["median"]), message
 
 
 def test_several_devices_scale_as_said(rows):
@@ -78,10 +78,11 @@ def test_several_devices_scale_as_said(rows):
 
 
 def test_the_table_of_performance_is_that_of_the_rows():
-    text = (ROOT / "docs" / "performance.md").read_text()
+    text = (ROOT / "docs" / "generated" / "performance.md").read_text()
     between = text.partition(chart.BEGIN)[2].partition(chart.END)[0]
     assert between.strip() == chart.format_table(RESULTS), (
-        "write it again: angler bench --table benchmarks/results.jsonl --out docs/performance.md"
+        "write it again: "
+        "angler bench --table benchmarks/results.jsonl --out docs/generated/performance.md"
     )
 
 
@@ -123,7 +124,7 @@ def _spot_check():
             (f"{100 * apart['guided']:.0f} cm", alike["guided"], found["about"]["at_utc"][:10]),
         ),
         "sitl": (
-            "docs/sitl.md",
+            "docs/how_to/spotcheck.md",
             r"newest stored check \(([\d-]+), .*\): against what the run recorded (\d+ of \d+)\s"
             r"robots end the same way at `thrusters`, (\S+) m from its tracks, and (\d+ of \d+) at "
             r"`guided`, (\S+) m",
@@ -136,7 +137,7 @@ def _spot_check():
             ),
         ),
         "validation, guided": (
-            "docs/validation.md",
+            "docs/generated/validation.md",
             r"\| guided \| recorded \| (\d+ of \d+) \| ([\d.]+),",
             (alike["guided"], f"{apart['guided']:.3f}"),
         ),
@@ -160,7 +161,7 @@ def _single():
             (f"{run['robots']:,}", f"{run['worlds']:,}", *seconds, large["date"]),
         ),
         "validation, a run of 65,536": (
-            "docs/validation.md",
+            "docs/explanation/validation.md",
             r"simulates (\S+) robots to the end of their episodes in (\d+) s after (\d+) s of\s"
             r"compiling. Both were measured on (\S+);",
             (f"{run['robots']:,}", *seconds, large["date"]),
@@ -172,7 +173,7 @@ def _single():
             (f"{made['robots']:,}", str(after_s), str(made["memory_gb"]), demo["date"]),
         ),
         "validation, the demo": (
-            "docs/validation.md",
+            "docs/explanation/validation.md",
             r"took (\d+) s in a fresh clone with empty\scaches on 2 cores: (\d+) s of installing, "
             r"(\d+) s of compiling, (\d+) s of simulating, the rest figures\sand replay; (\S+) GB",
             tuple(
@@ -187,11 +188,15 @@ def _single():
             (*pace, *steps, hold["date"]),
         ),
         "sitl, whole flights": (
-            "docs/sitl.md",
+            "docs/reference/sitl.md",
             r"four robots with guidance, MAVLink, logs and recording, goes (\S+) to (\S+) times",
             tuple(pace),
         ),
-        "sitl, the lockstep": ("docs/sitl.md", r"\n\| 4 \| (\S+) to (\S+) \| 92 to", tuple(steps)),
+        "sitl, the lockstep": (
+            "docs/reference/sitl.md",
+            r"\n\| 4 \| (\S+) to (\S+) \| 92 to",
+            tuple(steps),
+        ),
     }
 
 
@@ -216,9 +221,9 @@ TEXTS = {**_spot_check(), **_single(), **_convergence()}
 """Page, pattern and what its groups have to be, by what is stored."""
 
 
-@pytest.mark.parametrize("claim", TEXTS)
-def test_a_text_states_what_is_stored(claim):
-    file, pattern, wanted = TEXTS[claim]
+@pytest.mark.parametrize("statement", TEXTS)
+def test_a_text_states_what_is_stored(statement):
+    file, pattern, wanted = TEXTS[statement]
     found = re.findall(pattern, (ROOT / file).read_text())
     assert len(found) == 1, f"{file}: {pattern!r} is there {len(found)} times"
     states = found[0] if isinstance(found[0], tuple) else (found[0],)
@@ -239,19 +244,19 @@ def test_every_number_of_the_table_is_held():
     """A row of README's table is matched by a claim: a new one needs a stored measurement."""
     text = (ROOT / "README.md").read_text()
     table = text[text.index("| claim |") : text.index("**Limits.**")]
-    patterns = [pattern for file, pattern, _ in (*TEXTS.values(), *CLAIMS.values())]
+    patterns = [pattern for file, pattern, _ in (*TEXTS.values(), *STATEMENTS.values())]
     rows = [row for row in table.splitlines()[2:] if row]
     assert len(rows) == 5
     for row in rows:
-        claim = row.split(" | ")[0]
+        statement = row.split(" | ")[0]
         for pattern in patterns:
-            claim = re.sub(pattern, "", claim)
-        left = re.sub(r"\b(?:H200|2 CPU cores|64 flights)\b", "", claim)
+            statement = re.sub(pattern, "", statement)
+        left = re.sub(r"\b(?:H200|2 CPU cores|64 flights)\b", "", statement)
         assert not re.findall(r"\d", left), f"README states what nothing stores: {left}"
 
 
 def test_sets_of_a_vehicle_differ_in_top_speed_as_said():
-    (said,) = re.findall(r"differ by (\S+) in top speed", (ROOT / "README.md").read_text())
+    (message,) = re.findall(r"differ by (\S+) in top speed", (ROOT / "README.md").read_text())
     ratios = []
     for config in map(library.load_vehicle, library.list_vehicles()):
         tops = [
@@ -259,4 +264,4 @@ def test_sets_of_a_vehicle_differ_in_top_speed_as_said():
             for name in config.parameter_sets
         ]
         ratios.append(max(tops) / min(tops))
-    assert f"{max(ratios):.1f}" == said
+    assert f"{max(ratios):.1f}" == message

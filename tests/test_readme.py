@@ -12,7 +12,9 @@ ROOT = Path(__file__).parent.parent
     ("page", "examples"),
     [
         ("README.md", 9),
-        pytest.param("docs/policies.md", 9, marks=pytest.mark.nightly(by="sim/test_policy.py")),
+        pytest.param(
+            "docs/tutorials/own_policy.md", 9, marks=pytest.mark.nightly(by="sim/test_policy.py")
+        ),
     ],
 )
 def test_the_python_examples(page, examples, tmp_path, monkeypatch):

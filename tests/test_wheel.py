@@ -96,13 +96,13 @@ def _imported(path):
 @cache
 def _foreign(distribution):
     """All of a distribution: where imported from, file, whether when needed only."""
-    own = {package.name for package in PACKAGES[distribution]}
+    shipped = {package.name for package in PACKAGES[distribution]}
     return [
         (DISTRIBUTION.get(name, name), path.relative_to(ROOT), late)
         for package in PACKAGES[distribution]
         for path in package.rglob("*.py")
         for name, late in _imported(path)
-        if name not in own and name not in sys.stdlib_module_names
+        if name not in shipped and name not in sys.stdlib_module_names
     ]
 
 
@@ -148,7 +148,7 @@ def wheels(tmp_path_factory):
     """Path by distribution, built from what git tracks, so that nothing of this checkout helps."""
     if find_spec("pip") is None:
         pytest.skip("pip is not installed")
-    place = tmp_path_factory.mktemp("wheel")
+    folder_of_wheels = tmp_path_factory.mktemp("wheel")
     tracked = subprocess.run(
         ["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=False
     )
@@ -156,21 +156,32 @@ def wheels(tmp_path_factory):
         pytest.skip("not a git checkout")
     for name in filter(None, tracked.stdout.split("\0")):
         if (ROOT / name).is_file():
-            (place / "source" / name).parent.mkdir(parents=True, exist_ok=True)
-            (place / "source" / name).write_bytes((ROOT / name).read_bytes())
+            (folder_of_wheels / "source" / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder_of_wheels / "source" / name).write_bytes((ROOT / name).read_bytes())
     return {
-        name: _build(place / "source" / folder.relative_to(ROOT), place / name)
+        name: _build(
+            folder_of_wheels / "source" / folder.relative_to(ROOT), folder_of_wheels / name
+        )
         for name, folder in DISTRIBUTIONS.items()
     }
 
 
-def _build(source, place):
-    command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "-w", str(place)]
+def _build(source, folder_of_wheels):
+    command = [
+        sys.executable,
+        "-m",
+        "pip",
+        "wheel",
+        "--quiet",
+        "--no-deps",
+        "-w",
+        str(folder_of_wheels),
+    ]
     built = subprocess.run([*command, str(source)], capture_output=True, text=True, check=False)
     if "hatchling" in built.stderr and "No matching distribution" in built.stderr:
         pytest.skip("hatchling cannot be had here")
     assert built.returncode == 0, built.stderr
-    (path,) = place.glob("*.whl")
+    (path,) = folder_of_wheels.glob("*.whl")
     return path
 
 
@@ -187,6 +198,17 @@ def test_a_wheel_holds_every_package_and_its_data_and_nothing_else(wheels, distr
     }
     assert held == wanted
     assert ("angler_mjx/scenario/shipped/reef_fleet.toml" in held) == (distribution == "angler-mjx")
+
+
+def _install(site, *paths):
+    command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index"]
+    done = subprocess.run(
+        [*command, "--target", str(site), *map(str, paths)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
 
 
 def _run(site, script, *words):
@@ -229,14 +251,14 @@ print(learned.load().__module__)
         (("vehicle", "show", "bluerov2_heavy"), 0, "13.500 kg"),
         # Refused for what is asked of a file that was found and read.
         (("benchmark", "fleets", "--presets", "nowhere"), 2, "nowhere"),
+        (("benchmark", "reference", "--presets", "nowhere"), 2, "nowhere"),
         (("study", "fleet_size", "survey_reef", "--only", "nothing"), 2, "nothing"),
         (("dataset", "make", "reef", "--episodes", "0"), 2, "--episodes 0: must be at least 1"),
     ],
     ids=lambda value: value[0] if isinstance(value, tuple) else "",
 )
 def test_the_wheel_alone_reads_the_files_that_it_ships(wheels, tmp_path, words, code, text):
-    with zipfile.ZipFile(wheels["angler-mjx"]) as opened:
-        opened.extractall(tmp_path / "site")
+    _install(tmp_path / "site", wheels["angler-mjx"])
     done = _run(tmp_path / "site", COMMAND, *words)
     assert done.returncode == code, done.stderr
     assert text in (done.stderr if code else done.stdout)
@@ -245,8 +267,6 @@ def test_the_wheel_alone_reads_the_files_that_it_ships(wheels, tmp_path, words, 
 
 @pytest.mark.nightly(by="test_what_is_imported_is_declared")
 def test_the_wheel_of_experiments_brings_its_planner(wheels, tmp_path):
-    for path in wheels.values():
-        with zipfile.ZipFile(path) as opened:
-            opened.extractall(tmp_path / "site")
+    _install(tmp_path / "site", *wheels.values())
     done = _run(tmp_path / "site", LEARNED)
     assert done.stdout.strip() == "angler_experiments.learned_planner.planner", done.stderr

@@ -87,8 +87,9 @@ def bench(
 def _run_measurements(request: Any, out: Path) -> None:
     from rich.console import Console
 
-    from angler_mjx.studies.speed import measuring, roofline, workloads
-    from angler_mjx.studies.speed.report import compare_with_bound, describe_conditions
+    from angler_mjx.studies.speed import roofline, workloads
+    from angler_mjx.studies.speed.measured import measuring
+    from angler_mjx.studies.speed.roofline import compare_with_bound, describe_conditions
     from angler_mjx.studies.speed.rows import append_row
 
     cases = workloads.build_cases(request)
@@ -119,7 +120,7 @@ def _print_rows(rows: "list[SpeedRow]", device: Any) -> None:
     from rich.console import Console
 
     from angler_mjx.cli.shared.text_table import build_text_table as text_table
-    from angler_mjx.studies.speed.report import compare_with_bound
+    from angler_mjx.studies.speed.roofline import compare_with_bound
 
     table = text_table("workload", "worlds x robots", "median (spread)", "of roofline", "compile")
     console = Console()
@@ -235,7 +236,7 @@ def _format_interval(row: Any) -> str:
 
 
 def _save_chart(rows: Path, out: Path) -> None:
-    from angler_mjx.report.viewing import style
+    from angler_mjx.report.plotting import style
     from angler_mjx.studies.speed import chart
 
     style.save_figure(chart.plot_rows(rows), out)

@@ -10,8 +10,8 @@ from angler_mjx.errors import ConfigError
 
 def control(
     controller: tuple[str, ...] = (),
-    draws: int = 0,
-    draw: int | None = None,
+    samples: int = 0,
+    sample: int | None = None,
     out: Path | None = None,
     device: Device | None = None,
 ) -> None:
@@ -21,15 +21,15 @@ def control(
 
     Args:
         controller: Controllers by name, as in --controller cascade tracking; all if left out.
-        draws: Random samples of each controller (vehicle, battery, current, gains), with seeds from
-            0; 10000 take about a minute a controller on two cores.
-        draw: Fly the sample of this seed alone and print its result.
+        samples: Number of random samples of each controller (vehicle, battery, current, gains),
+            with seeds from 0; 10000 take about a minute per controller on two cores.
+        sample: Fly the sample of this seed alone and print its result.
         out: Document whose tables are replaced; figures go to images/ and seeds to
             control_draws.csv beside it. Printed only if left out.
         device: Device to compute on; JAX's choice if left out.
     """
-    if draws < 0 or (draw is not None and draw < 0):
-        raise ConfigError("--draws, --draw: give 0 or more")
+    if samples < 0 or (sample is not None and sample < 0):
+        raise ConfigError("--samples, --sample: give 0 or more")
     choose_device(device)
     from angler_mjx.robot.control.stages import CONTROLLERS
     from angler_mjx.studies.flights import kinds
@@ -37,10 +37,10 @@ def control(
     names = controller or tuple(CONTROLLERS)
     for name in names:
         kinds.spec_of(name)
-    if draw is not None:
-        _fly_samples(names, draw)
+    if sample is not None:
+        _fly_samples(names, sample)
     else:
-        _fly_trials(names, draws, out)
+        _fly_trials(names, samples, out)
 
 
 def _fly_samples(names: Sequence[str], seed: int) -> None:
@@ -54,7 +54,7 @@ def _fly_samples(names: Sequence[str], seed: int) -> None:
 def _fly_trials(names: Sequence[str], n_samples: int, out: Path | None) -> None:
     from rich.console import Console
 
-    from angler_mjx.report.viewing import style
+    from angler_mjx.report.plotting import style
     from angler_mjx.studies.flights import kinds
     from angler_mjx.studies.trials import document, figures, sample_report, steps, trial
 
@@ -97,7 +97,7 @@ def _progress_bar(console: Any, n_samples: int) -> Any:
     def bar() -> Any:
         columns = (BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
         with Progress(*columns, console=console, transient=True) as display:
-            task = display.add_task("draws", total=n_samples, visible=n_samples > 0)
+            task = display.add_task("samples", total=n_samples, visible=n_samples > 0)
             yield lambda count: display.advance(task, count)
 
     return bar()

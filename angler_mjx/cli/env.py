@@ -78,7 +78,8 @@ def show_environment(
         index: Index of the world.
         out: Image to write, for example env.png.
     """
-    from angler_mjx.report.viewing import environment_figure, style
+    from angler_mjx.report.plotting import style
+    from angler_mjx.report.viewing import environment_figure
     from angler_mjx.runs.storage import environments as store
 
     style.require_format(out)

@@ -96,7 +96,7 @@ def fly(
     )
     if not loaded.flown:
         raise ConfigError(
-            "angler fly: the scenario plans nothing anew, keeps no order and names no policy; give "
+            "angler fly: the scenario has no replanning, no order and no policy; give "
             "--replan-hz, --order kept, --policy mppi or --policy routes (angler rollout flies "
             "plans as they are)"
         )

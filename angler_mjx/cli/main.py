@@ -134,6 +134,8 @@ COMMANDS: dict[str, Callable[..., Any]] = {
 
 
 RENAMED_FLAGS = {
+    "--draw": "--sample",
+    "--draws": "--samples",
     "--knows": "--information",
     "--most-minutes": "--max-minutes",
     "--most-worlds": "--max-worlds",

@@ -98,7 +98,7 @@ def rollout(
         require_plans,
         require_positive,
     )
-    from angler_mjx.cli.shared.progress import RunBar
+    from angler_mjx.cli.shared.progress import ProgressBar
     from angler_mjx.runs import rollout as runs
 
     flag_values = {
@@ -131,7 +131,7 @@ def rollout(
         raise ConfigError(f"--resume takes everything from the run folder; leave out {flags}")
     loaded = build_scenario(scenario) if resume else build_flyable_scenario(scenario, **overrides)
     out_path = out or Path("runs") / loaded.name
-    with RunBar(quiet=json or process_group.index > 0) as bar:
+    with ProgressBar(quiet=json or process_group.index > 0) as bar:
         options: dict[str, Any] = {
             "chunk": chunk,
             "progress": bar,
@@ -184,7 +184,7 @@ def figures(
         _write_figures(Run(run))
         print(run / "figures")
         return
-    from angler_mjx.report.viewing import style
+    from angler_mjx.report.plotting import style
     from angler_mjx.report.viewing.maps import comparison
     from angler_mjx.report.viewing.maps import comparison_map as pictures
 

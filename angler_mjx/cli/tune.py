@@ -5,16 +5,9 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 
 from angler_mjx.cli.shared.device import Device, choose_device
-from angler_mjx.cli.shared.progress import ProgressDisplay
+from angler_mjx.cli.shared.progress import ProgressBar
 
 
 def tune(
@@ -66,7 +59,7 @@ def tune(
         seed=seed,
     )
     out_path = out or Path("runs") / f"tune-{controller}-{objective}"
-    with _TuningBar() as bar:
+    with ProgressBar() as bar:
         result = tuning.tune(settings, out_path, bar, resume=resume)
     print(
         f"objective, 1 before: {result.train.cost:.3f} on the flights tuned on, "
@@ -79,34 +72,3 @@ def tune(
     if not result.complete:
         print("interrupted: go on with --resume", file=sys.stderr)
         sys.exit(130)
-
-
-class _TuningBar(ProgressDisplay):
-    """Progress on stderr: flights done, min cost so far, and time left."""
-
-    def __init__(self) -> None:
-        super().__init__(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("flights"),
-            TimeElapsedColumn(),
-            TimeRemainingColumn(),
-        )
-        self._task = self._bar.add_task("setting up", total=None)
-
-    def start(self, flights: int, done: int) -> None:
-        """See `angler_mjx.studies.tuning.tune.TuningProgress`."""
-        self._bar.reset(self._task, description="compiling", total=flights, completed=done)
-
-    def flown(self, flights: int) -> None:
-        """See `angler_mjx.studies.tuning.tune.TuningProgress`."""
-        self._bar.advance(self._task, flights)
-
-    def generation(self, number: int, best: float) -> None:
-        """See `angler_mjx.studies.tuning.tune.TuningProgress`."""
-        self._bar.update(self._task, description=f"generation {number}, best {best:.4f}")
-
-    def measuring(self) -> None:
-        """See `angler_mjx.studies.tuning.tune.TuningProgress`."""
-        self._bar.update(self._task, description="measuring what was found")

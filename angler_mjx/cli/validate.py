@@ -29,7 +29,8 @@ def validate(
         page: Measure nothing; write the page again from stored results.
         check: Compare only, also the page with its source; nothing is written.
         store: Store the results as the new expected values, also where they got worse.
-        out: Folder for validation.md and validation.json; docs/ of the checkout if left out.
+        out: Folder for validation.md and validation.json; docs/generated and docs/validation of
+            the checkout if left out.
     """
     from angler_mjx.testing.validation import terms
     from angler_mjx.testing.validation.validate import ValidationRequest

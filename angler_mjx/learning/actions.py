@@ -1,4 +1,4 @@
-"""What an agent may tell its robots: numbers from -1 to 1, made commands of the controllers."""
+"""Actions of an agent: numbers from -1 to 1, scaled to commands of the controllers."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,13 +14,13 @@ from angler_mjx.robot.control.commands import BodyTwist, BodyWrench, PoseTarget,
 from angler_mjx.sim.physics.step import VehicleState
 
 POSE_RANGE = (2.0, 2.0, 2.0, 3.14159265)
-"""Offset along forward, left (level), up, m, and of the heading, rad."""
+"""Range of the offset along forward, left (level), up, m, and of the heading, rad."""
 TWIST_RANGE = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
-"""Velocity over ground in F, m/s and rad/s."""
+"""Range of velocity over ground in F, m/s and rad/s."""
 WRENCH_RANGE = (80.0, 80.0, 80.0, 15.0, 15.0, 15.0)
-"""Wrench in F, N and N m."""
+"""Range of the wrench in F, N and N m."""
 PWM_RANGE_US = (400.0,)
-"""Of each thruster, us from neutral."""
+"""Range of each thruster, us from neutral."""
 NEUTRAL_US = 1500.0
 
 type MakeCommand = Callable[[jax.Array, VehicleState, jax.Array, jax.Array], Any]
@@ -28,18 +28,18 @@ type MakeCommand = Callable[[jax.Array, VehicleState, jax.Array, jax.Array], Any
 
 @dataclass(frozen=True, kw_only=True)
 class ActionSpace:
-    """One kind of action; ``range`` is what 1 stands for, element by element, -1 the opposite."""
+    """Kind of action; ``range`` holds the values of 1, element by element, -1 the opposite."""
 
     name: str
     unit: str
     size: int
-    """Numbers for each robot."""
+    """Number of action values of each robot."""
     range: tuple[float, ...]
     command: type | None
-    """That it becomes; None: the robots follow their plans."""
+    """Command that the action becomes; None: the robots follow their plans."""
     make_command: MakeCommand
-    """Of scaled numbers [W, R, size], the robots [W, R, ...], and position [W, R, 3] and heading
-    [W, R] of the aim."""
+    """Builds the command from scaled numbers [W, R, size], the robots [W, R, ...], and position [W,
+    R, 3] and heading [W, R] of the aim."""
 
 
 def _make_no_command(_: jax.Array, __: VehicleState, ___: jax.Array, ____: jax.Array) -> None:
@@ -47,7 +47,7 @@ def _make_no_command(_: jax.Array, __: VehicleState, ___: jax.Array, ____: jax.A
 
 
 def _rotate_by_heading(yaw_rad: jax.Array, offset: jax.Array) -> jax.Array:
-    """An offset [..., 3] forward, left and up of a heading, in W."""
+    """Rotate an offset [..., 3] forward, left and up of a heading into W."""
     c, s = jnp.cos(yaw_rad), jnp.sin(yaw_rad)
     x, y, z = jnp.moveaxis(offset, -1, 0)
     return jnp.stack([c * x - s * y, s * x + c * y, z], axis=-1)
@@ -94,32 +94,32 @@ KINDS: dict[str, tuple[str, tuple[float, ...], type | None, MakeCommand]] = {
     "wrench": ("N, N m, in F", WRENCH_RANGE, BodyWrench, _make_wrench),
     "pwm": ("us from 1500", PWM_RANGE_US, ThrusterPwm, _make_pwm),
 }
-"""By name: unit, range, command, and how it is made."""
+"""Unit, range, command and constructor of each kind of action, by name."""
 
 
 def build_action_space(
     name: str, thrusters: int, scale: tuple[float, ...] | None = None
 ) -> ActionSpace:
-    """An action by its name.
+    """Build an action space by its name.
 
     Args:
         name: one of `KINDS`.
-        thrusters: of each robot, padding included.
+        thrusters: number of thrusters of each robot, padding included.
         scale: other ranges than those of `KINDS`.
 
     Raises:
-        ConfigError: there is none of this name, or the ranges are not as many as its numbers, or
-            not above 0, or pulse widths would leave the thrust table.
+        ConfigError: the name is unknown, the number of ranges differs from the action's size, a
+            range is not above 0, or pulse widths would leave the thrust table.
     """
     if name not in KINDS:
-        raise ConfigError(f"action = {name!r}: there is {', '.join(KINDS)}")
+        raise ConfigError(f"action = {name!r}: available: {', '.join(KINDS)}")
     unit, default, command, make = KINDS[name]
     expected = default * thrusters if name == "pwm" else default
     chosen = expected if scale is None else tuple(scale)
     if len(chosen) != len(expected) or not all(0 < x < float("inf") for x in chosen):
         raise ConfigError(
             f"scale = {chosen}: action {name!r} has {len(expected)} numbers ({unit or 'none'}); "
-            "give what 1 stands for in each, above 0"
+            "give the value of 1 for each, above 0"
         )
     if name == "pwm" and max(chosen) > PWM_RANGE_US[0]:
         raise ConfigError(
@@ -131,10 +131,11 @@ def build_action_space(
 
 
 def check_actions(action: Any, shape: tuple[int, ...]) -> None:
-    """Refuse actions of another shape, and numbers that are not finite where values are known.
+    """Refuse actions of another shape, and numbers that are not finite where values are concrete.
 
     Raises:
-        ConfigError: says which it is and which it must be; of a number, where it stands.
+        ConfigError: wrong shape, with the required one; or a number that is not finite, with its
+            index.
     """
     if jnp.shape(action) != shape:
         raise ConfigError(

@@ -1,4 +1,4 @@
-"""Worlds drawn beforehand, from which ended episodes are replaced: nothing compiles again."""
+"""Bank of sampled worlds that replace ended episodes without compiling again."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -15,20 +15,20 @@ from angler_mjx.sim.state import EngineConstants, World, WorldState
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class WorldBank:
-    """[B] worlds, and how each begins."""
+    """[B] worlds and their initial states."""
 
     worlds: World
     initial_state: WorldState
     laid: EngineConstants
-    """See `Engine.pack_constants`."""
+    """Constants as packed by `Engine.pack_constants`."""
 
     @property
     def count(self) -> int:
-        """How many."""
+        """Return the number of worlds."""
         return int(self.initial_state.step.shape[0])
 
     def select_initial_state(self, rows: jax.Array) -> WorldState:
-        """States at t = 0 of worlds ``rows`` int32 [W]."""
+        """Return states at t = 0 of worlds ``rows`` int32 [W]."""
         state: WorldState = jax.tree.map(lambda leaf: leaf[rows], self.initial_state)
         return state
 
@@ -36,13 +36,13 @@ class WorldBank:
 def sample_worlds(
     simulator: Simulator, count: int, *, first: int = 0, seed: int | None = None
 ) -> WorldBank:
-    """A bank of worlds first, first + 1 and on.
+    """Sample a bank of consecutive worlds.
 
     Args:
         simulator: with one device and no policy.
-        count: how many worlds.
-        first: global index of the first.
-        seed: instead of the scenario's.
+        count: number of worlds.
+        first: global index of the first world.
+        seed: seed; the scenario's if left out.
 
     Raises:
         ConfigError: count is no whole number above 0, or as `Simulator.worlds`.
@@ -58,21 +58,21 @@ def sample_worlds(
 
 
 def build_bank(simulator: Simulator, worlds: World, initial_states: list[WorldState]) -> WorldBank:
-    """A bank of worlds that are there, and their states at t = 0 tile by tile."""
+    """Build a bank of existing worlds and their states at t = 0, tile by tile."""
     count = worlds.variant.shape[0]
-    validated = to_default_device(simulator.validate_worlds(worlds))
+    adopted = to_default_device(simulator.adopt(worlds))
     lay_out = jax.jit(simulator.engine.pack_constants)
-    laid = lay_out(to_default_device(simulator.fleet), validated)
-    return WorldBank(worlds=validated, initial_state=_concatenate(initial_states, count), laid=laid)
+    laid = lay_out(to_default_device(simulator.fleet), adopted)
+    return WorldBank(worlds=adopted, initial_state=_concatenate(initial_states, count), laid=laid)
 
 
 def to_default_device(tree: Any) -> Any:
-    """Arrays that lie nowhere in particular: a simulator's belong to its devices' mesh."""
+    """Move arrays from the mesh of a simulator's devices to the default device."""
     return jax.tree.map(jnp.asarray, jax.device_get(tree))
 
 
 def _concatenate(tiles: list[Any], count: int) -> Any:
-    """The first ``count`` worlds of tiles."""
+    """Return the first ``count`` worlds of tiles."""
 
     def join_leaves(*leaves: np.ndarray) -> jax.Array:
         return jnp.asarray(np.concatenate(leaves)[:count])

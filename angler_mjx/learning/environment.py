@@ -1,4 +1,4 @@
-"""An environment of many worlds in pure JAX: ``reset`` and ``step``, to be jitted and scanned.
+"""Environment of many worlds in pure JAX: ``reset`` and ``step``, to be jitted and scanned.
 
 A world whose episode ended is replaced in the same step by another one of the bank (Gymnasium's
 SAME_STEP): the observation is then that of the new world, ``info["final_obs"]`` that of the old.
@@ -21,20 +21,20 @@ from angler_mjx.learning.bank import WorldBank
 from angler_mjx.learning.observations import ObservationPart, ObservedState
 from angler_mjx.robot.control import stack
 from angler_mjx.runs.simulator.simulator import Simulator
+from angler_mjx.sim import sensing
 from angler_mjx.sim.engines.base import Engine
 from angler_mjx.sim.fleet import Fleet
 from angler_mjx.sim.state import Outcome, SimSpec, WorldState
-from angler_mjx.sim.world_phases import sensing
 
 type Aim = Literal["goal", "start"]
-"""What robots are rewarded for being near to: their goals, or the poses that they start at."""
+"""Target of robots: their goals, or the poses at the start."""
 
 DEFAULT_OBSERVATION = ("velocity", "upright", "goal", "heading")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EnvironmentRules:
-    """What is fixed while an environment is compiled."""
+    """Static configuration of a compiled environment."""
 
     spec: SimSpec
     engine: Engine
@@ -51,15 +51,15 @@ class EnvironmentRules:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class EnvState:
-    """What changes from step to step; [W] leads but in ``key``."""
+    """State of an environment; [W] leads except for ``key``."""
 
     world_state: WorldState
     row: jax.Array
-    """int32 [W] which world of the bank each is."""
+    """int32 [W] index in the bank of each world."""
     action: jax.Array
-    """[W, R, size] the last one, from -1 to 1; zeros at the beginning of an episode."""
+    """[W, R, size] last action, from -1 to 1; zeros at the beginning of an episode."""
     key: jax.Array
-    """Of the worlds that come."""
+    """Key of later worlds."""
 
 
 type StepResult = tuple[EnvState, jax.Array, jax.Array, jax.Array, jax.Array, dict[str, Any]]
@@ -68,40 +68,40 @@ type StepResult = tuple[EnvState, jax.Array, jax.Array, jax.Array, jax.Array, di
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class FleetEnv:
-    """An environment; a pytree, so that its bank is an argument of compiled functions.
+    """Environment; a pytree, so that its bank is an argument of compiled functions.
 
-    ``jax.jit(FleetEnv.step)(env, state, action)`` compiles once. Where a function of one's own
-    closes over an environment, its bank is a constant of the program: pass it in if it is large.
+    ``jax.jit(FleetEnv.step)(env, state, action)`` compiles once. Where a function closes over an
+    environment, its bank is a constant of the program: pass it as an argument if it is large.
     """
 
     bank: WorldBank
     fleet: Fleet
     initial_observation: jax.Array
-    """[B, R, size] what is seen of each world of the bank at its beginning."""
+    """[B, R, size] first observation of each world of the bank."""
     rules: EnvironmentRules = field(metadata={"static": True})
     worlds: int = field(metadata={"static": True})
 
     @property
     def robots(self) -> int:
-        """In each world."""
+        """Return the number of robots of each world."""
         return int(self.initial_observation.shape[1])
 
     @property
     def action_shape(self) -> tuple[int, int, int]:
-        """[world, robot, number]."""
+        """Return [world, robot, number]."""
         return self.worlds, self.robots, self.rules.action.size
 
     @property
     def observation_shape(self) -> tuple[int, int, int]:
-        """[world, robot, number]."""
+        """Return [world, robot, number]."""
         return self.worlds, self.robots, int(self.initial_observation.shape[2])
 
     def reset(self, key: jax.Array | None = None) -> tuple[EnvState, jax.Array]:
-        """All worlds at t = 0.
+        """Start all worlds at t = 0.
 
         Args:
-            key: draws which worlds of the bank; left out, they are its first, and those that come
-                are drawn by the key of 0.
+            key: samples worlds of the bank; left out, they are its first, and later ones are
+                sampled by the key of 0.
 
         Returns:
             The state, and observations [W, R, size].
@@ -110,7 +110,7 @@ class FleetEnv:
         return result
 
     def step(self, state: EnvState, action: jax.Array) -> StepResult:
-        """One step of all worlds; those that end begin anew as others.
+        """Advance all worlds by one step; ended worlds are replaced.
 
         It is ``action_repeat`` control steps long, all with one action.
 
@@ -140,7 +140,7 @@ class FleetEnv:
         aim_m, yaw = self._aim_pose(state.row)
         scaled = clipped * jnp.asarray(rules.action.range, clipped.dtype)
         estimate, _ = self._estimate_motion(before, state.row)
-        # A robot without a sound action gets no command at all: NaN, which it diverges by.
+        # A robot without a sound action gets NaN as command, by which it diverges.
         is_finite = jnp.all(finite, axis=-1, keepdims=True)
         scaled = jnp.where(is_finite, scaled, jnp.nan)
         command = rules.action.make_command(scaled, estimate, aim_m, yaw)
@@ -194,7 +194,7 @@ class FleetEnv:
     def _replace_ended(
         self, state: EnvState, observation: jax.Array, ended: jax.Array
     ) -> tuple[EnvState, jax.Array]:
-        """Put worlds of the bank in the place of those that ended [W]."""
+        """Replace ended worlds [W] by worlds of the bank."""
 
         def replace_worlds() -> tuple[EnvState, jax.Array]:
             key, row_key = jax.random.split(state.key)
@@ -239,7 +239,7 @@ class FleetEnv:
     def _estimate_motion(self, state: WorldState, rows: jax.Array) -> tuple[Any, Any]:
         """Return the robots' own motion and the current [W, R, 3], m/s in W, at a state's time.
 
-        Both are the truth, or what the instruments of that time give: the same that the
+        Both are the truth, or readings of the instruments at that time: the values that the
         controllers use in the control step that begins with this state.
         """
         t = state.step * self.rules.spec.control_dt_s
@@ -268,7 +268,7 @@ class FleetEnv:
 
 
 def _with_finite_energy(after: WorldState, before: WorldState) -> WorldState:
-    """Return the state with the energy of before where a command that is no number made it NaN."""
+    """Return the state with the earlier energy where a command of NaN made it NaN."""
     energy = jnp.where(
         jnp.isfinite(after.tally.energy_j), after.tally.energy_j, before.tally.energy_j
     )
@@ -277,7 +277,7 @@ def _with_finite_energy(after: WorldState, before: WorldState) -> WorldState:
 
 @jax.jit
 def _reset(env: FleetEnv, key: jax.Array | None) -> tuple[EnvState, jax.Array]:
-    """See `FleetEnv.reset`; compiled, so that its arrays lie where those of `step` do."""
+    """Reset an environment; compiled, so that its arrays lie on the device of those of `step`."""
     if key is None:
         key, row = jax.random.key(0), jnp.arange(env.worlds, dtype=jnp.int32) % env.bank.count
     else:
@@ -308,26 +308,26 @@ def make_env(
     seed: int | None = None,
     action_repeat: int = 1,
 ) -> FleetEnv:
-    """An environment over a simulator.
+    """Make an environment over a simulator.
 
     Args:
         simulator: with one device and without a policy.
-        worlds: that fly side by side.
-        bank: worlds to draw beforehand, twice ``worlds`` if left out; or those that were drawn.
+        worlds: number of worlds in the batch.
+        bank: number of worlds to sample, twice ``worlds`` if left out; or a bank of sampled worlds.
         action: one of `actions.KINDS`.
-        scale: what 1 stands for in each number of the action.
+        scale: value of 1 in each number of the action.
         observe: parts of `observations.PARTS`.
         reward: weights of terms of `rewards.TERMS`; `rewards.DEFAULT_WEIGHTS` if left out.
-        aim: what robots are to be near to.
+        aim: target of robots.
         horizon: control steps of an episode; the scenario's if left out.
-        seed: of the bank, instead of the scenario's.
+        seed: seed of the bank; the scenario's if left out.
         action_repeat: control steps that an action is held for; the horizon is a whole number of
             these.
 
     Raises:
-        ConfigError: a name or number is none that there is, no stage of the controllers takes the
-            action, the current is asked for where nobody tells it, or the simulator has several
-            devices or a policy.
+        ConfigError: a name is unknown or a number out of range, no stage of the controllers takes
+            the action, the current is observed where no instrument measures it, or the simulator
+            has several devices or a policy.
     """
     if simulator.devices != 1 or simulator.policy is not None:
         instead = ""
@@ -368,8 +368,8 @@ def make_env(
     tells_current = not simulator.spec.instrumented or stack.wants_flow(simulator.spec.stages)
     if "current" in observe and not tells_current:
         raise ConfigError(
-            "observe: 'current' is told by nobody here: robots have instruments, and their "
-            "controllers do not ask for it; leave it out"
+            "observe: 'current' is not available: robots have instruments, and their "
+            "controllers do not use the current; leave it out"
         )
     weights = rewards.check_weights(rewards.DEFAULT_WEIGHTS if reward is None else reward)
     if not isinstance(bank, WorldBank):
@@ -411,5 +411,5 @@ def _with_first_observations(env: FleetEnv) -> FleetEnv:
 
 
 def __getattr__(name: str) -> Any:
-    """Return what had another name before 0.2."""
+    """Return a name of 0.1, with a DeprecationWarning."""
     return _renamed(__name__, name)

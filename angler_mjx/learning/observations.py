@@ -1,4 +1,4 @@
-"""What an agent is told of each robot, in parts that have names, units, frames and bounds."""
+"""Observations of each robot, in parts with names, units, frames and bounds."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -17,11 +17,11 @@ from angler_mjx.world import currents
 from angler_mjx.world.obstacles import bounding_radius
 
 NUM_NEAREST = 3
-"""Robots and obstacles that are told, the nearest first."""
+"""Number of observed robots and of observed obstacles, the nearest first."""
 RANGE_M = 10.0
-"""How far robots and obstacles are seen; who is farther stands at this distance, ahead."""
+"""Range [m] of observed robots and obstacles; farther ones are placed at this distance, ahead."""
 CELL_OFFSETS = np.array(list(product((-1, 0, 1), repeat=3)), np.int32)
-"""Points around a robot in F, edges of a cell, in the order in which they are told."""
+"""Points around a robot in F, in edges of a cell, in the order of observation."""
 LAYOUT = 2
 """Version of the meaning of observations, to be stored with learned weights: parts of the same name
 in another layout are other numbers."""
@@ -29,26 +29,26 @@ in another layout are other numbers."""
 
 @dataclass(frozen=True, kw_only=True)
 class ObservedState:
-    """What parts are made of: worlds [W] at one time."""
+    """Inputs of the parts: worlds [W] at one time."""
 
     worlds: World
-    """A bank."""
+    """Bank of worlds."""
     rows: jax.Array
-    """int32 [W] which of them."""
+    """int32 [W] index in the bank."""
     state: WorldState
     estimate: VehicleState
-    """[W, R] the robots' motion as they are told it; ``p``, ``q`` and ``nu`` are looked at."""
+    """[W, R] estimated motion of the robots; ``p``, ``q`` and ``nu`` are used."""
     flow: jax.Array
-    """[W, R, 3] current as they are told it, m/s, in W."""
+    """[W, R, 3] estimated current, m/s, in W."""
     aim_m: jax.Array
-    """[W, R, 3] in W."""
+    """[W, R, 3] position of the aim in W."""
     aim_yaw_rad: jax.Array
-    """[W, R]."""
+    """[W, R] heading of the aim."""
     action: jax.Array
-    """[W, R, size] the last one, from -1 to 1."""
+    """[W, R, size] last action, from -1 to 1."""
 
     def to_body_frame(self, vector: jax.Array) -> jax.Array:
-        """Vectors [W, R, ..., 3] of W in F."""
+        """Rotate vectors [W, R, ..., 3] of W into F."""
         q = self.estimate.q.reshape(*self.estimate.q.shape[:2], *(1,) * (vector.ndim - 3), 4)
         turn = jnp.vectorize(quaternion.rotate_inverse, signature="(4),(3)->(3)")
         turned: jax.Array = turn(q, vector)
@@ -62,39 +62,39 @@ class ObservedState:
 
 
 def observe_velocity(observed: ObservedState) -> jax.Array:
-    """[6] velocity over ground as told, m/s and rad/s, in F."""
+    """Return [6] estimated velocity over ground, m/s and rad/s, in F."""
     return observed.estimate.nu
 
 
 def observe_upright(observed: ObservedState) -> jax.Array:
-    """[3] the world's z axis in F: attitude without heading, 1."""
+    """Return [3] the world's z axis in F: attitude without heading, 1."""
     up = jnp.zeros_like(observed.estimate.p).at[..., 2].set(1.0)
     return observed.to_body_frame(up)
 
 
 def observe_goal(observed: ObservedState) -> jax.Array:
-    """[3] from the robot to its aim (goal, or the pose to hold), m, in F."""
+    """Return [3] the vector from the robot to its aim (goal, or the pose to hold), m, in F."""
     return observed.to_body_frame(observed.aim_m - observed.estimate.p)
 
 
 def observe_heading(observed: ObservedState) -> jax.Array:
-    """[2] cosine and sine of the aim's heading less the robot's, 1."""
+    """Return [2] cosine and sine of the aim's heading less the robot's, 1."""
     error_rad = observed.aim_yaw_rad - jax.vmap(jax.vmap(quaternion.yaw))(observed.estimate.q)
     return jnp.stack([jnp.cos(error_rad), jnp.sin(error_rad)], axis=-1)
 
 
 def observe_depth(observed: ObservedState) -> jax.Array:
-    """[1] z of the robot, m, in W: 0 at the surface, negative below."""
+    """Return [1] z of the robot, m, in W: 0 at the surface, negative below."""
     return observed.estimate.p[..., 2:]
 
 
 def observe_current(observed: ObservedState) -> jax.Array:
-    """[3] velocity of the water at the robot as told, m/s, in F."""
+    """Return [3] the estimated velocity of the water at the robot, m/s, in F."""
     return observed.to_body_frame(observed.flow)
 
 
 def observe_robots(observed: ObservedState) -> jax.Array:
-    """[3 * `NUM_NEAREST`] from the robot to the nearest others, as they are, m, in F."""
+    """Return [3 * `NUM_NEAREST`] vectors from the robot to the nearest others, true, m, in F."""
     positions_m, n = observed.state.vehicles.p, observed.estimate.p.shape[1]
     offset_m = positions_m[:, None, :] - observed.estimate.p[:, :, None]
     is_other = jnp.broadcast_to(~np.eye(n, dtype=bool), offset_m.shape[:-1])
@@ -102,7 +102,7 @@ def observe_robots(observed: ObservedState) -> jax.Array:
 
 
 def observe_obstacles(observed: ObservedState) -> jax.Array:
-    """[4 * `NUM_NEAREST`] from the robot to the nearest obstacles' centres, m, in F; radii, m."""
+    """Return [4 * `NUM_NEAREST`] vectors to the nearest obstacles' centres, m, in F; radii, m."""
     body = observed.worlds.environment.obstacles
     exists = body.exists[observed.rows]
     offset_m = observed.state.obstacles.p[:, None, :] - observed.estimate.p[:, :, None]
@@ -120,7 +120,7 @@ def observe_obstacles(observed: ObservedState) -> jax.Array:
 
 
 def observe_cells(observed: ObservedState) -> jax.Array:
-    """[27] 1 where a point is in rock or outside: 3 x 3 x 3 points in F, edges of a cell apart."""
+    """Return [27] 1 at points in rock or outside: 3 x 3 x 3 points in F, edges of a cell apart."""
     grid = observed.worlds.environment.grid
     shape = np.array(grid.occupied.shape[1:])
     origin, size = grid.origin_m[observed.rows], grid.cell_m[observed.rows]
@@ -134,14 +134,14 @@ def observe_cells(observed: ObservedState) -> jax.Array:
 
 
 def observe_action(observed: ObservedState) -> jax.Array:
-    """[size] the last action, from -1 to 1."""
+    """Return [size] the last action, from -1 to 1."""
     return observed.action
 
 
 def _select_nearest(
     observed: ObservedState, offset_m: jax.Array, is_visible: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """The `NUM_NEAREST` of vectors [W, R, n, 3] in F, filled up, their places, if they are seen."""
+    """Return `NUM_NEAREST` of vectors [W, R, n, 3] in F, padded, their indices and visibility."""
     distance_sq = jnp.sum(offset_m * offset_m, axis=-1)
     distance_sq = jnp.where(is_visible & (distance_sq < RANGE_M**2), distance_sq, jnp.inf)
     nearest, index = jax.lax.top_k(-distance_sq, min(NUM_NEAREST, offset_m.shape[2]))
@@ -155,7 +155,7 @@ def _select_nearest(
 
 @dataclass(frozen=True, kw_only=True)
 class ObservationPart:
-    """A part of an observation."""
+    """Part of an observation."""
 
     name: str
     observe: Callable[[ObservedState], jax.Array]
@@ -210,14 +210,15 @@ PARTS = {
         ),
     )
 }
-"""By name; numbers are clipped to their bounds. ``observe_action`` has as many as the action."""
+"""Parts by name; numbers are clipped to their bounds. ``observe_action`` has the size of the
+action."""
 
 
 def select_parts(names: Sequence[str], action_size: int) -> tuple[ObservationPart, ...]:
-    """Parts by their names, in their order.
+    """Return parts by their names, in their order.
 
     Raises:
-        ConfigError: none is named, or one twice, or one that does not exist.
+        ConfigError: no name, a repeated name, or an unknown name.
     """
     unknown = [name for name in names if name not in PARTS]
     if unknown or not names or len(set(names)) != len(names) or isinstance(names, str):
@@ -233,20 +234,20 @@ def select_parts(names: Sequence[str], action_size: int) -> tuple[ObservationPar
 
 
 def build_bounds(parts: Sequence[ObservationPart]) -> tuple[Any, Any]:
-    """Lowest and highest numbers [size] of an observation of one robot."""
+    """Return the lowest and highest numbers [size] of an observation of one robot."""
     low = np.concatenate([np.full(part.size, part.low, np.float32) for part in parts])
     high = np.concatenate([np.full(part.size, part.high, np.float32) for part in parts])
     return low, high
 
 
 def build_observation(parts: Sequence[ObservationPart], observed: ObservedState) -> jax.Array:
-    """Observations [W, R, size], parts one after the other."""
+    """Return observations [W, R, size], parts one after the other."""
     values = [jnp.clip(part.observe(observed), part.low, part.high) for part in parts]
     return jnp.concatenate(values, axis=-1)
 
 
 def current_at(worlds: World, rows: jax.Array, p: jax.Array, t: jax.Array) -> jax.Array:
-    """True current [W, R, 3] m/s in W at p [W, R, 3] and t [W] s, of ``rows`` of a bank."""
+    """Return true current [W, R, 3] m/s in W at p [W, R, 3] and t [W] s, of ``rows`` of a bank."""
     current = jax.tree.map(lambda leaf: leaf[rows], worlds.environment.current)
     velocity_at = jax.vmap(jax.vmap(currents.velocity, (None, 0, None)))
     flow: jax.Array = velocity_at(current, p, t)

@@ -1,4 +1,4 @@
-"""What a control step was worth to each robot: terms with names and units, weighted and added."""
+"""Reward of a control step for each robot: weighted sum of terms with names and units."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -12,23 +12,23 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.sim.state import Outcome, WorldState
 
 MARGIN_M = 0.5
-"""Nearer than this to anything counts as near."""
+"""Distance [m] below which clearance counts as low."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RewardStep:
-    """A step of worlds [W], of one control step or of several."""
+    """Step of worlds [W], of one control step or of several."""
 
     before: WorldState
     after: WorldState
     aim_m: jax.Array
-    """[W, R, 3] in W."""
+    """[W, R, 3] position of the aim in W."""
     aim_yaw_rad: jax.Array
-    """[W, R]."""
+    """[W, R] heading of the aim."""
     last_action: jax.Array
-    """[W, R, size] action before."""
+    """[W, R, size] action of the step before."""
     action: jax.Array
-    """[W, R, size]."""
+    """[W, R, size] action of this step."""
     dt_s: float
 
 
@@ -37,33 +37,33 @@ def _distance_to_aim(state: WorldState, aim_m: jax.Array) -> jax.Array:
 
 
 def progress(step: RewardStep) -> jax.Array:
-    """M by which the robot came nearer to its aim."""
+    """Return the decrease of the distance to the aim, m."""
     return _distance_to_aim(step.before, step.aim_m) - _distance_to_aim(step.after, step.aim_m)
 
 
 def distance(step: RewardStep) -> jax.Array:
-    """M s: distance to the aim after the step, times its length."""
+    """Return the distance to the aim after the step, times its length, m s."""
     return _distance_to_aim(step.after, step.aim_m) * step.dt_s
 
 
 def square(step: RewardStep) -> jax.Array:
-    """M^2 s: its square, times the step's length."""
+    """Return the squared distance, times the step's length, m^2 s."""
     return _distance_to_aim(step.after, step.aim_m) ** 2 * step.dt_s
 
 
 def heading(step: RewardStep) -> jax.Array:
-    """S: 1 - cosine of the heading's error, times the step's length."""
+    """Return 1 - cosine of the heading's error, times the step's length, s."""
     yaw = jax.vmap(jax.vmap(quaternion.yaw))(step.after.vehicles.q)
     return (1.0 - jnp.cos(yaw - step.aim_yaw_rad)) * step.dt_s
 
 
 def energy(step: RewardStep) -> jax.Array:
-    """KJ that the thrusters took."""
+    """Return the energy of the thrusters, kJ."""
     return (step.after.tally.energy_j - step.before.tally.energy_j) / 1000.0
 
 
 def clearance(step: RewardStep) -> jax.Array:
-    """M by which the least distance so far to anything fell in this step, below `MARGIN_M`."""
+    """Return the fall of the least clearance so far in this step, below `MARGIN_M`, m."""
 
     def margin_shortfall(state: WorldState) -> jax.Array:
         min_distance_m = jnp.minimum(state.tally.min_clearance_m, state.tally.min_separation_m)
@@ -73,20 +73,20 @@ def clearance(step: RewardStep) -> jax.Array:
 
 
 def collision(step: RewardStep) -> jax.Array:
-    """1 in the step in which the robot fails: touches, leaves the region or diverges."""
+    """Return 1 in the step of the robot's failure: contact, leaving the region, divergence."""
     outcome = step.after.tally.outcome
     ended = (step.before.tally.outcome == Outcome.RUNNING) & (outcome != Outcome.RUNNING)
     return (ended & (outcome != Outcome.REACHED)).astype(step.action.dtype)
 
 
 def arrival(step: RewardStep) -> jax.Array:
-    """1 in the step in which the robot reaches its goal."""
+    """Return 1 in the step in which the robot reaches its goal."""
     running = step.before.tally.outcome == Outcome.RUNNING
     return (running & (step.after.tally.outcome == Outcome.REACHED)).astype(step.action.dtype)
 
 
 def roughness(step: RewardStep) -> jax.Array:
-    """Mean square of the change of the action's numbers since the step before."""
+    """Return the mean square of the change of the action's numbers since the step before."""
     if not step.action.shape[-1]:
         return jnp.zeros(step.action.shape[:-1], step.action.dtype)
     return jnp.mean((step.action - step.last_action) ** 2, axis=-1)
@@ -98,7 +98,7 @@ TERMS: dict[str, Callable[[RewardStep], jax.Array]] = {
         progress, distance, square, heading, energy, clearance, collision, arrival, roughness
     )
 }  # fmt: skip
-"""By name; each gives [W, R], 0 for robots whose episode had ended."""
+"""Terms by name; each gives [W, R], 0 for robots whose episode had ended."""
 
 DEFAULT_WEIGHTS = {
     "progress": 1.0,
@@ -110,10 +110,10 @@ DEFAULT_WEIGHTS = {
 
 
 def check_weights(weights: Mapping[str, float]) -> tuple[tuple[str, float], ...]:
-    """Weights of terms as they are kept.
+    """Return weights of terms as a tuple.
 
     Raises:
-        ConfigError: a term does not exist, none is given, or a weight is no finite number.
+        ConfigError: a term does not exist, there is no term, or a weight is not finite.
     """
     unknown = [name for name in weights if name not in TERMS]
     if unknown or not weights:
@@ -131,7 +131,7 @@ def check_weights(weights: Mapping[str, float]) -> tuple[tuple[str, float], ...]
 def compute_reward(
     weights: tuple[tuple[str, float], ...], step: RewardStep
 ) -> tuple[jax.Array, dict[str, jax.Array]]:
-    """Reward [W, R], and its terms by name, weighted, whose sum it is."""
+    """Return the reward [W, R], and its weighted terms by name, whose sum it is."""
     is_running = step.before.tally.outcome == Outcome.RUNNING
     terms = {
         name: jnp.where(is_running, weight * TERMS[name](step), 0.0) for name, weight in weights

@@ -1,7 +1,7 @@
-"""The same environment with Gymnasium's vector API: arrays of NumPy in and out.
+"""Environment with Gymnasium's vector API: arrays of NumPy in and out.
 
-Needs the extra ``learn``. A sub-environment is a world with all its robots: observations are
-[W, R, size], actions [W, R, size], and the reward of a world is the sum over its robots.
+Needs the extra ``learn``. A sub-environment is a world with all its robots: observations are [W, R,
+size], actions [W, R, size], and the reward of a world is the sum over its robots.
 """
 
 from typing import Any
@@ -21,15 +21,15 @@ type Numbers = np.ndarray[Any, Any]
 
 
 class FleetVectorEnv(VectorEnv[Numbers, Numbers, Numbers]):
-    """Worlds side by side, replaced in the step in which they end.
+    """Batch of worlds, replaced in the step in which they end.
 
-    Where any ended, ``info["final_obs"]`` and ``info["final_info"]`` hold what they ended with, and
-    ``info["_final_obs"]`` and ``info["_final_info"]`` bool [W] say which worlds these are. Every
-    other entry has such a mask too, which is False of worlds that were replaced.
+    Where any ended, ``info["final_obs"]`` and ``info["final_info"]`` hold their last values, and
+    ``info["_final_obs"]`` and ``info["_final_info"]`` bool [W] mark these worlds. Every other entry
+    has such a mask too, which is False for replaced worlds.
     """
 
     def __init__(self, env: FleetEnv) -> None:
-        """Of an environment, whose bank it shares."""
+        """Wrap an environment and share its bank."""
         self._env = env
         self._state: EnvState | None = None
         self._step, self._reset = jax.jit(FleetEnv.step), FleetEnv.reset
@@ -53,18 +53,18 @@ class FleetVectorEnv(VectorEnv[Numbers, Numbers, Numbers]):
     def reset(
         self, *, seed: Any = None, options: dict[str, Any] | None = None
     ) -> tuple[Numbers, dict[str, Any]]:
-        """All worlds at t = 0.
+        """Start all worlds at t = 0.
 
         Args:
-            seed: a whole number draws which worlds of the bank; left out, they are its first at
-                the first reset, and go on being drawn after it.
-            options: none are known.
+            seed: whole number that samples worlds of the bank; left out, they are its first at the
+                first reset, and sampled further after it.
+            options: None; there are no options.
 
         Raises:
-            ConfigError: the seed is no whole number, or options are given.
+            ConfigError: the seed is not a whole number, or there are options.
         """
         if options:
-            raise ConfigError(f"options = {options}: there are none; leave them out")
+            raise ConfigError(f"options = {options}: there are no options; leave them out")
         if seed is not None and (isinstance(seed, bool) or not isinstance(seed, int | np.integer)):
             raise ConfigError(f"seed = {seed!r}: give one whole number for all worlds, or None")
         key = None if self._state is None else self._state.key
@@ -74,11 +74,11 @@ class FleetVectorEnv(VectorEnv[Numbers, Numbers, Numbers]):
         return np.array(observation, np.float32), {}
 
     def step(self, actions: Numbers) -> tuple[Numbers, Numbers, Numbers, Numbers, dict[str, Any]]:
-        """One control step of all worlds.
+        """Advance all worlds by one control step.
 
         Raises:
-            ConfigError: nothing was reset yet, or the actions have another shape, or a number that
-                is not finite.
+            ConfigError: no reset before, or the actions have another shape, or a number that is not
+                finite.
         """
         if self._state is None:
             raise ConfigError("step: the environment was not reset; call reset first")
@@ -100,7 +100,7 @@ class FleetVectorEnv(VectorEnv[Numbers, Numbers, Numbers]):
 
 
 def _add_masks(info: dict[str, Any], mask: Numbers) -> dict[str, Any]:
-    """Return info with a mask bool [W] beside each entry, in dictionaries of it too."""
+    """Return info with a mask bool [W] beside each entry, also in nested dictionaries."""
     masked: dict[str, Any] = {}
     for name, value in info.items():
         masked[name] = _add_masks(value, mask) if isinstance(value, dict) else value

@@ -1,8 +1,7 @@
-"""What a planner on the host answered, and what of it can be flown.
+"""Answers of planners on the host, and the check of their paths before the flight.
 
-A planner may be anybody's. Its answer is looked at before anything flies it: who gives the wrong
-robots, NaN, jumps or what is too fast has no path for that robot, and the reason is told; the
-other robots keep theirs. Whether a path meets anything is not asked here: the flight shows it.
+A path with a wrong number of points, NaN, jumps or too high a speed is refused with a reason; the
+paths of other robots remain. Collisions are not checked: the flight shows them.
 """
 
 from collections.abc import Sequence
@@ -14,7 +13,7 @@ import numpy as np
 from angler_mjx.errors import format_value
 from angler_mjx.planning.planner import MAX_POINTS, NoPlan, Path
 from angler_mjx.planning.problem import Problem
-from angler_mjx.robot.control.joint_trajectory import (
+from angler_mjx.robot.control.commands.joint_trajectory import (
     CUBIC,
     LINEAR,
     QUINTIC,
@@ -23,7 +22,7 @@ from angler_mjx.robot.control.joint_trajectory import (
     JointTrajectory,
     interpolate_segment,
 )
-from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 
 type Status = Literal["planned", "partial", "none", "timeout", "error", "died"]
 """All robots have a path; some; none; it took too long; it threw; its process died, twice."""
@@ -32,7 +31,7 @@ START_M = 0.01
 """How far from the robot's start a path may begin."""
 
 SPEED_TOLERANCE = 0.01
-"""By what share a path may be faster than the robot's cruise speed, for rounding."""
+"""Fraction by which a path may exceed the robot's cruise speed, for rounding."""
 
 ROUNDING_M = 1e-4
 """How much farther than that two points may lie apart: float32 of places and times."""
@@ -41,10 +40,10 @@ ROUNDING_S = 1e-3
 """How much after the horizon a path may end."""
 
 MAX_PROGRESS_POINTS = 1000
-"""Better paths of which a planner may tell."""
+"""Limit of better paths that a planner can report."""
 
 SPEED_SAMPLES = 32
-"""Times within a segment at which the speed along a curve is looked at."""
+"""Times within a segment at which the speed along a curve is checked."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,10 +59,14 @@ class Answer:
     planning_s: float
     """Wall time inside ``plan``; until it was ended where it was."""
     extras: dict[str, float] = field(default_factory=dict)
-    """What else the planner tells of this problem, by name."""
+    """Further numbers that the planner reports on this problem, by name."""
     progress: tuple[tuple[float, float], ...] = ()
     """Each time that the planner had a better path: seconds since its search began, and the cost of
     that path, in a measure of its own."""
+
+
+FAILED_STATUSES = ("error", "died", "timeout")
+"""Statuses of problems for which the planner raised, died or gave no answer in time."""
 
 
 def check_answer(
@@ -76,11 +79,11 @@ def check_answer(
     *,
     any_speed: bool = False,
 ) -> Answer:
-    """What can be flown of what a planner gave; one that is no list of paths is an error.
+    """Return the flyable part of an answer; an answer that is no list of paths is an error.
 
     Args:
-        returned: what ``plan`` returned, whatever it is.
-        problem: that it was asked.
+        returned: any value that ``plan`` returned.
+        problem: of the answer.
         planning_s: wall time inside ``plan``.
         extras: of the planner, a mapping of names to numbers; others are left out.
         max_points: of one path.
@@ -111,7 +114,7 @@ def check_answer(
 
 
 def failed_answer(robots: int, status: Status, reason: str, planning_s: float) -> Answer:
-    """No robot of a team has a path, for one reason."""
+    """Return the answer in which no robot has a path, all for one reason."""
     paths: list[Path | NoPlan] = [NoPlan(reason) for _ in range(robots)]
     return Answer(paths=paths, status=status, reason=reason, planning_s=planning_s)
 
@@ -119,11 +122,11 @@ def failed_answer(robots: int, status: Status, reason: str, planning_s: float) -
 def check_paths(
     returned: Any, problem: Problem, max_points: int = MAX_POINTS, *, any_speed: bool = False
 ) -> list[Path | NoPlan]:
-    """A path of each robot that can be flown, or why there is none.
+    """Return for each robot a flyable path or the reason for none.
 
     Args:
-        returned: what a planner's ``plan`` returned, whatever it is.
-        problem: that it was asked, in arrays of NumPy.
+        returned: any value that a planner's ``plan`` returned.
+        problem: of the answer, in arrays of NumPy.
         max_points: of one path.
         any_speed: see `check_answer`.
     """
@@ -220,7 +223,7 @@ def _check_times(values: Any, max_points: int) -> Any:
 def _check_array(
     name: str, values: Any, shape: tuple[int, ...] | None, kind: Any = np.float32
 ) -> Any:
-    """As NumPy's array of a shape (None: any) and type, all finite."""
+    """Return values as NumPy's array of a shape (None: any) and type; all must be finite."""
     try:
         array = np.asarray(values)
         if array.dtype.kind not in "biuf":
@@ -263,7 +266,7 @@ def _check_motion(path: Path, problem: Problem, robot: int, any_speed: bool) -> 
 
 
 def _check_curve_speeds(path: JointTrajectory, cruise: float, time: np.ndarray) -> None:
-    """Speeds within the segments that are bent."""
+    """Check speeds within the segments that are bent."""
     bent = np.flatnonzero((np.asarray(path.degree)[:-1] > LINEAR) & (np.diff(time) > 0))
     if not len(bent):
         return

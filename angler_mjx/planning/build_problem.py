@@ -1,117 +1,73 @@
-"""Problems out of drawn worlds."""
+"""Build problems from sampled worlds."""
 
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.planning.problem import Problem, Team
+from angler_mjx.planning.problem import Problem, ProblemSettings, Team
 from angler_mjx.robot.control.stack import ControlParams
 from angler_mjx.sim import information
-from angler_mjx.sim.information import Information, SceneObservation
-from angler_mjx.sim.state import SimSpec, World
+from angler_mjx.sim.information import SceneObservation
+from angler_mjx.sim.state import FleetWorld, SimSpec
 
 _N_POWER_SPEEDS = 9
-"""Speeds of which a robot's power is told, that of lying still among them."""
+"""Speeds at which a robot's power is given, 0 among them."""
 
 
-def build_problems(
-    world: World,
+def build_problem(
+    world: FleetWorld,
     seed: jax.Array,
     spec: SimSpec,
-    information: Information,
-    horizon_s: float,
-    deadline_s: float,
+    settings: ProblemSettings,
+    now: SceneObservation | None = None,
+    yaw_rad: jax.Array | None = None,
 ) -> Problem:
-    """What a planner is asked in one world; ``vmap`` it for a batch.
+    """Build the problem of one world, at its start or during the flight; ``vmap`` it for a batch.
 
     Args:
-        world: drawn; its path is not looked at.
-        seed: uint32 [] for what the planner draws.
+        world: one sampled world; its path is not used.
+        seed: uint32 [] of the planner's random draws.
         spec: of the simulation.
-        information: what may be known.
-        horizon_s: nothing is flown after it.
-        deadline_s: wall-clock time for the problem.
+        settings: of the problem; its times are counted from ``now``.
+        now: observation in flight, whose positions the robots start from; None at t = 0.
+        yaw_rad: [R] headings at ``now``, rad.
     """
-    environment = world.environment
-    team_state = build_team(
-        world.control, environment.start_m, environment.start_yaw_rad, environment.goal_m
-    )
-    return _build_problem(world, team_state, seed, spec, information, horizon_s, deadline_s, None)
-
-
-def build_problem_now(
-    world: World,
-    seed: jax.Array,
-    spec: SimSpec,
-    information_level: Information,
-    horizon_s: float,
-    deadline_s: float,
-    now: SceneObservation,
-    yaw_rad: jax.Array,
-) -> Problem:
-    """As `build_problems`, at a time of the flight; the problem's time is counted from it.
-
-    Args:
-        world: drawn; its path is not looked at.
-        seed: uint32 [] for what the planner draws.
-        spec: of the simulation.
-        information_level: what may be known.
-        horizon_s: nothing is flown so long after it.
-        deadline_s: wall-clock time for the problem.
-        now: what is observed; robots start where they are then.
-        yaw_rad: [R] their headings.
-    """
-    team_state = build_team(world.control, now.at_m, yaw_rad, world.environment.goal_m)
-    return _build_problem(
-        world, team_state, seed, spec, information_level, horizon_s, deadline_s, now
-    )
-
-
-def _build_problem(
-    world: World,
-    team_state: Team,
-    seed: jax.Array,
-    spec: SimSpec,
-    information_level: Information,
-    horizon_s: float,
-    deadline_s: float,
-    observation: SceneObservation | None,
-) -> Problem:
-    environment, water = world.environment, spec.water
-    at_m, begin_s = (None, None) if observation is None else (observation.at_m, observation.time_s)
+    environment, water, levels = world.environment, spec.water, settings.information
+    start_m, start_yaw_rad = environment.start_m, environment.start_yaw_rad
+    at_m = begin_s = None
+    if now is not None:
+        at_m, begin_s = now.at_m, now.time_s
+        start_m = at_m
+    if yaw_rad is not None:
+        start_yaw_rad = yaw_rad
     return Problem(
         grid=environment.grid,
         floor_z_m=environment.floor_z_m,
-        team=team_state,
+        team=build_team(world.control, start_m, start_yaw_rad, environment.goal_m),
         obstacles=information.obstacle_information(
             environment,
-            information_level,
-            horizon_s,
+            levels,
+            settings.horizon_s,
             spec.control_dt_s,
             water.density_kgpm3,
             water.gravity_mps2,
-            observation,
+            now,
         ),
-        current=information.current_information(
-            environment, information_level.current, at_m, begin_s
-        ),
+        current=information.current_information(environment, levels.current, at_m, begin_s),
         seed=seed,
-        horizon_s=horizon_s,
-        goal_tolerance_m=spec.goal_tolerance_m,
-        information=information_level,
-        deadline_s=deadline_s,
+        **settings.static_fields(),
     )
 
 
 def build_team(
     control: ControlParams, start_m: jax.Array, start_yaw_rad: jax.Array, goal_m: jax.Array
 ) -> Team:
-    """The robots of a problem, from where they are to where they go.
+    """Build the robots of a problem, from their starts to their goals.
 
     Args:
         control: of the robots, [R] leading.
-        start_m: [R, 3].
-        start_yaw_rad: [R].
-        goal_m: [R, 3].
+        start_m: [R, 3] m, W.
+        start_yaw_rad: [R] rad.
+        goal_m: [R, 3] m, W.
     """
     vehicle = control.vehicle_model
     speed = vehicle.terminal_speed_mps
@@ -134,7 +90,7 @@ def build_team(
 
 
 def _power_curves(control: ControlParams) -> jax.Array:
-    """Power [3, n] of one robot, see `Team.power_w`."""
+    """Return the power [3, n] of one robot, see `Team.power_w`."""
     vehicle = control.vehicle_model
     fractions = jnp.linspace(0.0, 1.0, _N_POWER_SPEEDS, dtype=vehicle.terminal_speed_mps.dtype)
 

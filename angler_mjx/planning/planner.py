@@ -1,8 +1,8 @@
-"""What a planner is: an object that gives each robot of a problem a path, or says why not.
+"""Protocols of planners: objects that compute a path, or the reason for none, for each robot.
 
-Written in NumPy (or anything that Python can call) it plans one problem at a time, on the host, in
-processes of its own. Written in JAX it plans a batch, on the device, within the program that draws
-the worlds. How one is found by its name stands in `angler_mjx.planning.register`.
+A `Planner` plans one problem at a time, on the host, in processes of its own. A `BatchPlanner` is
+written in JAX and plans a batch, on the device, within the program that samples the worlds. All it
+may use is in the problem. `angler_mjx.planning.register` finds planners by name.
 """
 
 from collections.abc import Sequence
@@ -12,73 +12,85 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from angler_mjx.planning.problem import Problem
-from angler_mjx.robot.control.joint_trajectory import CUBIC, LINEAR, VEHICLE_JOINTS, JointTrajectory
+from angler_mjx.robot.control.commands.joint_trajectory import (
+    CUBIC,
+    LINEAR,
+    VEHICLE_JOINTS,
+    JointTrajectory,
+)
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.robot.control.plans import Plan
-from angler_mjx.robot.control.trajectory import Trajectory
 
 type Path = Plan
-"""Of one robot: way-points joined by lines; or points with headings, and with velocities cubics."""
+"""Path of one robot: way-points joined by lines, or points with headings joined by lines or
+cubics."""
 
 MAX_POINTS = 1024
-"""Of one path."""
+"""Limit of way-points of one path."""
 
 
 @dataclass(frozen=True)
 class NoPlan:
-    """There is no path for a robot; it is told to hold its start."""
+    """Answer for a robot without a path, which then holds its start."""
 
     reason: str
-    """For a table: a few words."""
+    """Reason in a few words, for a table."""
 
 
 @runtime_checkable
 class Planner(Protocol):
     """Plans one problem on the host.
 
-    A class whose paths are `JointTrajectory` says so by ``joints = True``, or its settings do by an
-    attribute of that name. One whose settings can be chosen has a frozen dataclass ``Settings``
-    with defaults, and is made with one; the scenario's table ``[planner.NAME]`` is checked against
-    it.
+    A class whose paths are `JointTrajectory` declares ``joints = True``, or its settings have an
+    attribute of that name. A class with settings has a frozen dataclass ``Settings`` with defaults;
+    its constructor takes one, and the scenario's table ``[planner.NAME]`` is checked against it.
     """
 
     def plan(self, problem: Problem) -> Sequence[Path | NoPlan]:
-        """A path for each robot, in their order, or why there is none.
+        """Return a path or a reason for each robot, in their order.
 
         Args:
-            problem: arrays of NumPy. It should be answered within ``problem.deadline_s``; who
-                takes more than a tenth longer is ended.
+            problem: arrays of NumPy. The time limit is ``problem.deadline_s``; a planner that takes
+                more than a tenth longer is ended.
         """
         ...
 
 
 @runtime_checkable
 class BatchPlanner(Protocol):
-    """Plans a batch on the device; its method is traced."""
+    """Plans a batch on the device; its method is traced.
+
+    Settings are declared as by `Planner`. Two methods are optional. ``check_problem(settings)``
+    raises `ConfigError` for `ProblemSettings` that the planner cannot plan. ``plan_one(problem)``
+    returns the paths [robot] of one problem; with it each world is planned where it is sampled, for
+    planners that gain nothing from a batch.
+    """
 
     def plan_batch(self, problems: Problem) -> Path:
-        """Paths of all robots.
+        """Return the paths of all robots, before the flight or (``is_replan``) during it.
 
         Args:
             problems: arrays of JAX, [world] leading.
 
         Returns:
-            A path with [world, robot] leading; ``found`` is False where there is none.
+            A path with [world, robot] leading and ``problem.points`` rows; ``found`` is False
+            where there is none.
         """
         ...
 
 
 @dataclass(frozen=True)
 class PathShape:
-    """What the paths of all robots are like; programs are compiled for it."""
+    """Shape of the paths of all robots; programs are compiled for it."""
 
     points: int
     """Rows; shorter paths repeat their last."""
     joints: bool = False
-    """Whether they are `JointTrajectory`, not `Trajectory`."""
+    """Whether paths are `JointTrajectory`, not `Trajectory`."""
 
 
 def way_points(time_s: Any, position_m: Any) -> Trajectory:
-    """A path along lines.
+    """Return a path along lines.
 
     Args:
         time_s: [n] increasing, from 0, s.
@@ -94,12 +106,12 @@ def way_points(time_s: Any, position_m: Any) -> Trajectory:
 def joint_path(
     time_s: Any, position_m: Any, yaw_rad: Any, velocity: Any | None = None
 ) -> JointTrajectory:
-    """A path with headings, and with velocities, between which it runs along cubics.
+    """Return a path with headings: lines, or cubics if velocities are given.
 
     Args:
         time_s: [n] increasing, from 0, s.
         position_m: [n, 3] m, W; the first is the robot's start.
-        yaw_rad: [n] heading about z up, 0 = east; unwrapped: a step of a turn is a turn.
+        yaw_rad: [n] heading about z up, 0 = east; unwrapped.
         velocity: [n, 4] of x, y, z in m/s and of the heading in rad/s; lines where left out.
     """
     time = _as_float32(time_s)

@@ -1,11 +1,12 @@
-"""What a planner is asked: one world, the team in it, and what may be known of what moves.
+"""Input of a planner: one world, its team, and the information on moving obstacles and current.
 
-The same for every planner, whatever it is written in: arrays of NumPy on the host, of JAX on a
-device, where [world] leads on all of them. All is in W (x east, y north, z up, metres, water
-surface at z = 0); robots are told apart by their number.
+All planners receive the same: arrays of NumPy on the host, of JAX on a device, where [world] leads
+on all of them. Nothing else reaches a planner, so its paths depend on its problem and its settings
+alone. Positions are in W (x east, y north, z up, metres, water surface at z = 0); the index of a
+robot identifies it.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -14,22 +15,22 @@ import numpy as np
 
 from angler_mjx._moved import renamed_attribute
 from angler_mjx.sim.information import CurrentInformation, Information, ObstacleInformation
-from angler_mjx.world.grid import Grid
+from angler_mjx.world.rock.grid import Grid
 
 
 @dataclass(frozen=True, kw_only=True)
 class ProblemName:
-    """Which problem it is: the same name is the same problem, wherever it is drawn."""
+    """Identity of a problem: equal names are equal problems on every machine."""
 
     scenario: str
     """Name of the scenario."""
     preset: str
-    """Of its worlds."""
+    """Preset of its worlds."""
     seed: int
     world: int
     """Index of the world in all worlds of that seed."""
     digest: str
-    """Hexadecimal, of everything in the scenario that the problem is drawn from."""
+    """Digest, hexadecimal, of everything in the scenario that the problem depends on."""
 
     def __str__(self) -> str:
         return f"{self.scenario} ({self.preset}), seed {self.seed}, world {self.world}"
@@ -38,7 +39,7 @@ class ProblemName:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class Team:
-    """The robots of one world: where they are, where they go, and what they can do."""
+    """Robots of one world: starts, goals and capabilities."""
 
     start_m: Any
     """[R, 3] start of each robot's centre of mass."""
@@ -47,7 +48,7 @@ class Team:
     goal_m: Any
     """[R, 3]."""
     radius_m: Any
-    """[R] sphere about the centre of mass that holds the hull, however it turns."""
+    """[R] radius of the sphere about the centre of mass that holds the hull in every attitude."""
     capsule_a_m: Any
     """[R, c, 3] one end of the axis of each capsule of the hull, from the centre of mass, in the
     body frame (x forward, y left, z up); padding repeats the last capsule."""
@@ -56,9 +57,9 @@ class Team:
     capsule_r_m: Any
     """[R, c] radius of each capsule."""
     cruise_speed_mps: Any
-    """[R] what the robot is to keep to along its path; no plan may be faster."""
+    """[R] speed limit along a path, m/s."""
     terminal_speed_mps: Any
-    """[R, 3] surge, sway, heave at full thrust in still water; 0 for a way that it cannot push."""
+    """[R, 3] surge, sway, heave at full thrust in still water, m/s; 0 without thrust that way."""
     acceleration_mps2: Any
     """[R, 3] surge, sway, heave from rest at full thrust, added mass included."""
     power_w: Any
@@ -66,32 +67,59 @@ class Team:
     alone, level and without net weight; at speeds of 0 to the terminal one in equal steps."""
 
 
+_STATIC = {"static": True}
+"""Metadata of fields that are compiled in."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProblemSettings:
+    """Numbers that all problems of a scenario share; hashable, static under jit."""
+
+    horizon_s: float = field(metadata=_STATIC)
+    """End of the flight [s], counted from the problem's start."""
+    goal_tolerance_m: float = field(metadata=_STATIC)
+    """Distance [m] of a robot's centre from its goal at which it has arrived."""
+    information: Information = field(metadata=_STATIC)
+    """Information levels; ``obstacles`` and ``current`` of a problem hold no more than them."""
+    deadline_s: float = field(metadata=_STATIC)
+    """Wall-clock time [s] that a planner has for one problem."""
+    margin_m: float = field(default=0.1, metadata=_STATIC)
+    """Distance [m] to keep beyond the radii, from rock, obstacles and other robots."""
+    points: int = field(default=32, metadata=_STATIC)
+    """Way-points that paths of a batch have; the limit of a path from the host."""
+    max_cruise_speed_mps: float | None = field(default=None, metadata=_STATIC)
+    """Cruise speed [m/s] of the fastest robot; None where it is not known at compile time."""
+    cell_m: float | None = field(default=None, metadata=_STATIC)
+    """Edge [m] of the grid's cells, as ``grid.cell_m``; None where it is not known at compile
+    time."""
+    water_or_obstacles_move: bool = field(default=False, metadata=_STATIC)
+    """Whether the worlds of the scenario have currents or moving obstacles, known or not."""
+    is_replan: bool = field(default=False, metadata=_STATIC)
+    """Whether robots are under way: starts are then positions on their present paths."""
+
+    def static_fields(self) -> dict[str, Any]:
+        """Return these settings by name, as a `Problem` takes them."""
+        return {item.name: getattr(self, item.name) for item in fields(ProblemSettings)}
+
+
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Problem:
-    """One world to be planned for."""
+class Problem(ProblemSettings):
+    """One world to plan for."""
 
     grid: Grid
-    """Rock; what is outside its cube is out of bounds."""
+    """Rock; its cube bounds the world."""
     floor_z_m: Any
-    """[] height of the sea floor."""
+    """[] height of the sea floor, m."""
     team: Team
     obstacles: ObstacleInformation
-    """Bodies that are not cells, as far as they are known."""
+    """Obstacles, as far as they are known."""
     current: CurrentInformation
-    """The water's motion, as far as it is known."""
+    """Motion of the water, as far as it is known."""
     seed: Any
-    """uint32 [] for what a planner draws: the same seed and problem, the same plan."""
-    horizon_s: float = field(metadata={"static": True})
-    """Nothing is flown after it."""
-    goal_tolerance_m: float = field(metadata={"static": True})
-    """A robot has arrived when its centre is this near to its goal."""
-    information: Information = field(metadata={"static": True})
-    """What may be known; ``obstacles`` and ``current`` hold no more than that."""
-    deadline_s: float = field(metadata={"static": True})
-    """Wall-clock time that a planner has for this problem."""
-    name: ProblemName | None = field(default=None, metadata={"static": True})
-    """None where many problems lie in one batch."""
+    """uint32 [] seed of random draws: equal seeds and problems have equal plans."""
+    name: ProblemName | None = field(default=None, metadata=_STATIC)
+    """Identity of the world; None in a batch."""
 
     if not TYPE_CHECKING:  # a checker would take every attribute for one
 
@@ -106,17 +134,17 @@ class Problem:
 
     @property
     def lower_m(self) -> Any:
-        """[3] lower corner of the cube that robots have to stay in; the floor cuts it off."""
+        """Lower corner [3] of the cube that robots have to stay in; the floor cuts it off."""
         return self.grid.origin_m
 
     @property
     def upper_m(self) -> Any:
-        """[3] upper corner."""
+        """Upper corner [3] of that cube."""
         cells = np.array(self.grid.occupied.shape[-3:], np.float32)
         return self.grid.origin_m + self.grid.cell_m[..., None] * cells
 
     def current_mps(self, p: Any, t: Any) -> np.ndarray:
-        """Velocity of the water where and when it is asked for, as far as it is known.
+        """Return the known velocity of the water at points and times.
 
         Args:
             p: [n, 3] points, m, W.

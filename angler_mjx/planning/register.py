@@ -1,74 +1,72 @@
-"""Planners by their names: of this package, of other packages, of files.
+"""Registry of planners: entry points of this and other packages, and classes of files.
 
     auto                            grid or priority, resolved by the scenario
-    grid, priority, current         part of the program that draws the worlds
-    RRTConnect                      an entry point of that name, in the group `GROUP`
+    grid, RRTConnect                an entry point of that name, in the group `GROUP`
     planners/straight.py:Straight   a class of a file
 
-A class is only loaded where it is asked for, so that a planner whose libraries are missing harms
-nobody who does not use it.
+A class is loaded at its first use, so that missing libraries of a planner affect its users only.
 """
 
 import hashlib
 import importlib
 import inspect
-import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
 from importlib.metadata import entry_points
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
-from angler_mjx.errors import ConfigError, UnsupportedError, describe_error, format_value
+from angler_mjx.errors import ConfigError, UnsupportedError, format_value
 from angler_mjx.planning.planner import MAX_POINTS
 from angler_mjx.planning.planner_choice import AUTO, AUTO_PLANNERS
+from angler_mjx.user_classes import load_module
 
 GROUP = "angler_mjx.planners"
-"""Of entry points by which other packages bring planners: NAME = "module:Class"."""
-
-DEVICE: Mapping[str, str] = {
-    "grid": "angler_mjx.planning.grid:GridPlanner",
-    "priority": "angler_mjx.planning.priority.planner:PriorityPlanner",
-    "current": "angler_mjx.planning.current.planner:CurrentPlanner",
-}
-"""Planners that are part of the program which draws the worlds, and their classes."""
+"""Group of the entry points of planners: NAME = "module:Class"."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlannerReference:
-    """Where the class of a planner is; can be given to another process."""
+    """Location of a planner's class; can be sent to another process."""
 
     name: str
-    """As the scenario names it."""
+    """Name in the scenario."""
     module: str
     """Name of a module, or path of a file."""
     qualname: str
-    """Of the class in it."""
+    """Name of the class in it."""
     sha256: str | None = None
-    """Of the file."""
+    """SHA-256 of the file; None of a module."""
     text: bytes | None = field(default=None, repr=False, compare=False)
-    """Of the file when the planner was chosen; every process runs this text, whatever the file
-    holds later."""
+    """Text of the file when the planner was chosen; every process runs it, also after the file has
+    changed."""
 
     @property
     def on_device(self) -> bool:
-        """Whether it is part of the program that draws the worlds, without a problem between."""
-        return self.name in DEVICE
+        """Return whether the class has ``plan_batch``; loads it, see `load`."""
+        return callable(getattr(self.load(), "plan_batch", None))
+
+    @property
+    def is_built_in(self) -> bool:
+        """Return whether the planner is part of this package."""
+        return self.file is None and self.module.startswith("angler_mjx.")
 
     @property
     def file(self) -> Path | None:
-        """The file, where it is one."""
+        """The file; None of a module."""
         return Path(self.module) if self.sha256 is not None else None
 
     def load(self) -> type:
-        """The class.
+        """Return the class.
 
         Raises:
             ConfigError: there is no such class, or the file cannot be run.
             UnsupportedError: it needs a library that is not installed.
         """
-        module = _load_file_module(self) if self.file else _import_module(self)
+        if self.sha256 is not None:
+            module = load_module(self.module, self.text or b"")
+        else:
+            module = _import_module(self)
         value = module
         try:
             for part in self.qualname.split("."):
@@ -86,16 +84,16 @@ class PlannerReference:
 
 @dataclass(frozen=True, kw_only=True)
 class PlannerSpec:
-    """A planner that can be made anywhere: its class and its settings."""
+    """Class and settings of a planner, from which any process can make it."""
 
     reference: PlannerReference
     settings: Mapping[str, Any] = field(default_factory=dict)
-    """Those that differ from their defaults; checked before."""
+    """Settings that differ from their defaults, checked before."""
     max_points: int = MAX_POINTS
-    """Of one path that can be flown; who gives more is refused."""
+    """Limit of way-points of one path; longer paths are refused."""
 
     def make(self) -> Any:
-        """The planner.
+        """Return a new planner.
 
         Raises:
             ConfigError, UnsupportedError: as `PlannerReference.load`.
@@ -106,26 +104,28 @@ class PlannerSpec:
 
 
 def planner_names() -> list[str]:
-    """Return the planners that can be named anywhere, the built-in ones first; auto is none."""
-    return [*DEVICE, *sorted(_installed_planners())]
+    """Return the names of installed planners, those of auto first."""
+    return sorted(
+        _installed_planners(), key=lambda name: (name not in AUTO_PLANNERS, name.swapcase())
+    )
 
 
-def resolve_planner_name(name: str, folder: Path) -> str:
-    """The same name; a class of a file with the file's path from a folder, made absolute."""
-    path, _, qualname = name.rpartition(":")
-    return f"{(folder / path).absolute()}:{qualname}" if _is_file_path(path) else name
+def built_in_device_planners() -> list[str]:
+    """Return the names of this package's planners on the device."""
+    references = {name: find(name) for name in planner_names()}
+    return [name for name, found in references.items() if found.is_built_in and found.on_device]
 
 
 def _is_file_path(path: str) -> bool:
-    """Whether what stands before a colon is the file of a class."""
+    """Return whether the part before the colon is a file."""
     return path.endswith(".py")
 
 
 def find(name: str) -> PlannerReference:
-    """Where a planner is.
+    """Return the reference of a planner.
 
     Args:
-        name: of one, or FILE.py:CLASS.
+        name: of an entry point, or FILE.py:CLASS.
 
     Raises:
         ConfigError: there is no planner of that name, or no such file.
@@ -146,7 +146,12 @@ def find(name: str) -> PlannerReference:
             f"planner {format_value(AUTO)}: is chosen in a scenario, by the number of robots; name "
             f"{' or '.join(AUTO_PLANNERS)}"
         )
-    location = DEVICE.get(name) or _installed_planners().get(name)
+    location = _installed_planners().get(name)
+    if location is None and name in AUTO_PLANNERS:
+        raise ConfigError(
+            f"planner {format_value(name)}: the installed angler-mjx has no such entry point; "
+            "install it again (in a checkout: make venv)"
+        )
     if location is None:
         raise ConfigError(
             f"unknown planner {format_value(name)}; there is {', '.join(planner_names())}, "
@@ -157,7 +162,11 @@ def find(name: str) -> PlannerReference:
 
 
 def settings_class(planner: type) -> type | None:
-    """The dataclass of a planner's settings; None where it has none."""
+    """Return the dataclass of a planner's settings; None of a planner without.
+
+    Raises:
+        ConfigError: it is no dataclass, or a setting has no default.
+    """
     settings = getattr(planner, "Settings", None)
     if settings is None:
         return None
@@ -172,7 +181,7 @@ def settings_class(planner: type) -> type | None:
 
 
 def plans_joints(spec: PlannerSpec) -> bool:
-    """Whether a planner's paths are trajectories of joints: ``joints`` of its settings or class."""
+    """Return whether paths are `JointTrajectory`: ``joints`` of the settings or the class."""
     planner_class = spec.reference.load()
     settings = settings_class(planner_class)
     default = getattr(planner_class, "joints", False)
@@ -206,29 +215,6 @@ def _import_module(reference: PlannerReference) -> Any:
             f"planner {reference.name}: needs {error.name}, which is not installed; "
             "the planners that come with this package: pip install 'angler-mjx[plan]'"
         ) from error
-
-
-def _load_file_module(reference: PlannerReference) -> Any:
-    """Run the text of a file as a module, once in each process; it can import files beside it.
-
-    Another text is another module. The text is that of the time when the planner was chosen, so a
-    process that starts after an edit, or on a machine without the file, plans as all others do.
-    """
-    path, text = Path(reference.module), reference.text or b""
-    name = f"angler_mjx_planner_{path.stem}_{str(reference.sha256)[:16]}"
-    if name in sys.modules:
-        return sys.modules[name]
-    if str(path.parent) not in sys.path:
-        sys.path.append(str(path.parent))
-    module = ModuleType(name)
-    module.__file__ = str(path)
-    sys.modules[name] = module
-    try:
-        exec(compile(text, str(path), "exec"), vars(module))
-    except Exception as error:  # a user's code may raise any exception; the message names it
-        del sys.modules[name]
-        raise ConfigError(f"{path}: cannot be run ({describe_error(error, path)})") from error
-    return module
 
 
 def _class_names(module: Any) -> Iterator[str]:

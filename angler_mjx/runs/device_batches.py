@@ -14,8 +14,8 @@ from typing import Protocol
 import jax
 import numpy as np
 
+from angler_mjx.progress import Progress
 from angler_mjx.robot.control.plans import Plan
-from angler_mjx.runs.progress import Progress
 from angler_mjx.runs.simulator import devices
 from angler_mjx.runs.simulator.host_planning import PlanNotes, SampledBatch
 from angler_mjx.runs.simulator.simulator import Simulator
@@ -46,7 +46,7 @@ class StoredPlans(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class _InFlight:
-    """A segment that the device works on, by tile."""
+    """A segment in flight on the device, by tile."""
 
     number: int
     samples: list[Sample]
@@ -54,7 +54,7 @@ class _InFlight:
 
 
 def split_tiles(tiles: Sequence[int], devices: int) -> list[list[int]]:
-    """Tiles, given by their first worlds, in device batches of up to one a device."""
+    """Split tiles, given by their first worlds, into device batches of at most one a device."""
     return [list(tiles[i : i + devices]) for i in range(0, len(tiles), devices)]
 
 
@@ -127,7 +127,7 @@ def _sample_batch(simulator: Simulator, firsts: list[int], seed: int | None) -> 
 
 
 def _pad_firsts(simulator: Simulator, firsts: list[int]) -> list[int]:
-    """A first world for each device."""
+    """Return a first world for each device."""
     return [*firsts, *firsts[-1:] * (simulator.devices - len(firsts))]
 
 
@@ -203,13 +203,13 @@ class _BatchFlight:
         ]
 
     def _tile_end(self, i: int) -> TileEnd:
-        """The end of a tile: its own, however long it went on beside others."""
+        """Return the end of a tile, at its own last sample even if others of the batch went on."""
         end: TileEnd = jax.tree.map(np.asarray, self._end[i])
         last = self._last[i]
         return end if last is None else replace(end, last=last)
 
     def _take_samples(self, segment: _InFlight) -> None:
-        """Samples of a segment, of those tiles that had not ended before it."""
+        """Take the samples of a segment for those tiles that had not ended before it."""
         sim = self._sim
         for i, count in enumerate(self._counts):
             if self._ended[i]:

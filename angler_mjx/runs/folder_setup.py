@@ -1,5 +1,6 @@
-"""The folder of a run at its beginning: a new one, or one that is taken up again."""
+"""Folder of a run at its start: a new one, or an interrupted one that is resumed."""
 
+import json
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -7,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.progress import Progress
 from angler_mjx.robot.vehicles import library
 from angler_mjx.runs import sizes
-from angler_mjx.runs.progress import Progress
 from angler_mjx.runs.provenance import describe_environment, write_policy
 from angler_mjx.runs.simulator.simulator import Simulator
-from angler_mjx.runs.storage import folder, metadata_repair, output_lock
+from angler_mjx.runs.storage import folder, output_lock
 from angler_mjx.runs.storage.output_lock import OutputLock
 from angler_mjx.runs.storage.plans.read import PlanFile, open_plans
 from angler_mjx.runs.storage.read_errors import read_table
@@ -38,27 +39,19 @@ def create_run_folder(
     if scenario.time.record_hz > 0:
         folder.require_space(path, scenario.worlds * shape.disk_bytes_per_world())
     lock = folder.create_folder(path)
-    try:
+    with lock.filling() as building:
         extra_files = [("planner", file)] if (file := planner_file(simulator)) else []
-        folder.write_start_files(
-            lock.building, resolved_scenario, describe_environment(), extra_files
-        )
+        folder.write_start_files(building, resolved_scenario, describe_environment(), extra_files)
         if plans is not None:
-            folder.write_json(lock.building / PLANS_FILE, _describe_plans(plans))
-        write_policy(lock.building, simulator.policy)
+            folder.write_json(building / PLANS_FILE, _describe_plans(plans))
+        write_policy(building, simulator.policy)
         if scenario.time.record_hz > 0:
-            _create_trajectories(simulator, lock.building / folder.TRAJECTORIES)
-    except OSError as error:
-        lock.withdraw()
-        raise RunError(f"--out {path}: cannot be written ({error.strerror or error})") from error
-    except BaseException:
-        lock.withdraw()
-        raise
+            _create_trajectories(simulator, building / folder.TRAJECTORIES)
     return lock
 
 
 def planner_file(simulator: Simulator) -> Path | None:
-    """The file of the planner's class, where it is one of a person's own."""
+    """Return the file of a user's planner class; None for other planners."""
     spec = simulator.planner
     return None if spec is None else spec.reference.file
 
@@ -66,7 +59,7 @@ def planner_file(simulator: Simulator) -> Path | None:
 def reopen_plans(
     building: Path, plans_path: Path | str | None, scenario: Scenario
 ) -> PlanFile | None:
-    """The plans with which a run began; None where a planner made them.
+    """Return the plans with which a run began; None where a planner made them.
 
     Args:
         building: folder of the run.
@@ -94,7 +87,7 @@ def reopen_plans(
 
 
 def _describe_plans(plans: PlanFile) -> dict[str, Any]:
-    """Which plans are flown: where they lie, a hash of all their bytes, and who says made them."""
+    """Return the plans' path, the SHA-256 of all their bytes, and the planner that they name."""
     return {
         "path": str(plans.path.absolute()),
         "sha256": plans.sha256(),
@@ -152,7 +145,7 @@ _FLAG_KEYS = (
 
 
 def _fixed_settings(scenario: Scenario) -> dict[str, Any]:
-    """What no flag of a run changes; a vehicle's copy stands for it."""
+    """Return the settings that no flag of a run changes; vehicles by name."""
     table = scenario.model_dump(
         exclude={"worlds", "seed", "engine", "kernels", "tile", "description"}
     )
@@ -169,14 +162,57 @@ def repair_trajectories(simulator: Simulator, building: Path, progress: Progress
     shutil.rmtree(fresh, ignore_errors=True)
     try:
         _create_trajectories(simulator, fresh)
-        for name in metadata_repair.repair_metadata(building / folder.TRAJECTORIES, fresh):
-            progress.tell(
+        for name in _repair_metadata(building / folder.TRAJECTORIES, fresh):
+            progress.report(
                 f"{building / folder.TRAJECTORIES / name}: was missing or damaged, made again"
             )
     except OSError as error:
         raise RunError(f"{building}: cannot be written ({error.strerror or error})") from error
     finally:
         shutil.rmtree(fresh, ignore_errors=True)
+
+
+def _repair_metadata(path: Path, fresh: Path) -> list[str]:
+    """Put back what describes a group's arrays, where it is missing or cannot be read.
+
+    Args:
+        path: group of an interrupted run.
+        fresh: the same group as `Recorder.create` makes it; moved into the other piece by piece.
+
+    Returns:
+        The files that were put back, below ``path``.
+
+    Raises:
+        ConfigError: a description can be read and is of another array.
+        OSError: the disk gave out.
+    """
+    repaired = []
+    for fresh_file in sorted(file for file in fresh.rglob("*") if file.is_file()):
+        name = fresh_file.relative_to(fresh)
+        target = path / name
+        if name.name == "zarr.json" and (stored := _read_essentials(target)) is not None:
+            if stored != _read_essentials(fresh_file):
+                raise ConfigError(
+                    f"{target}: does not describe what this run stores; put the right file back, "
+                    f"or remove {target.parent}, and it is computed again"
+                )
+        elif not (target.is_file() and target.read_bytes() == fresh_file.read_bytes()):
+            target.parent.mkdir(parents=True, exist_ok=True)
+            fresh_file.replace(target)
+            repaired.append(str(name))
+    return repaired
+
+
+def _read_essentials(path: Path) -> dict[str, Any] | None:
+    """Return the part of a description that fixes the array's bytes; None if unreadable."""
+    try:
+        table = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return None
+    if not isinstance(table, dict):
+        return None
+    ignored = ("attributes", "dimension_names", "consolidated_metadata")
+    return {key: value for key, value in table.items() if key not in ignored}
 
 
 @contextmanager
@@ -193,5 +229,5 @@ def hold_lock(lock: OutputLock, *, is_new: bool) -> Iterator[None]:
 
 
 def resolved_settings(simulator: Simulator) -> dict[str, Any]:
-    """What the simulator chose where the scenario said nothing."""
+    """Return the settings that the simulator chose for keys missing in the scenario."""
     return {"tile": simulator.tile, "kernels": simulator.kernels}

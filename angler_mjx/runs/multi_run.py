@@ -1,4 +1,4 @@
-"""Several runs in one folder, one after another: what datasets and sweeps are made of.
+"""Several runs in one folder, one after another, for datasets and sweeps.
 
 The folder is built like a run, hidden beside its place; what says that it is whole comes last. A
 run of it that was broken off is resumed as any run is, so nothing but tiles in flight is lost.
@@ -7,32 +7,22 @@ run of it that was broken off is resumed as any run is, so nothing but tiles in 
 import gc
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import jax
 
-from angler_mjx.errors import ConfigError
-from angler_mjx.files import FileModel, rename_keys
+from angler_mjx.files import FileModel
+from angler_mjx.progress import Progress
 from angler_mjx.runs import rollout
 from angler_mjx.runs.processes import Processes, RunProcesses
-from angler_mjx.runs.progress import Progress
-from angler_mjx.runs.storage import folder, output_lock
+from angler_mjx.runs.storage import folder, output_lock, results_folder
 from angler_mjx.runs.storage.output_lock import OutputLock
-from angler_mjx.runs.storage.read_errors import read_table
-from angler_mjx.scenario.editing import first_changed_key
 from angler_mjx.scenario.scenario import Scenario
 
 REQUEST_FILE = "making.json"
 """What is made, while it is; a resume must ask for the same."""
 RUNS_FOLDER = "runs"
 """Folder of the runs."""
-
-
-class RunsProgress(Progress, Protocol):
-    """What several runs tell: as a run does, and which of them it is."""
-
-    def part(self, number: int, of: int, name: str) -> None:
-        """A run of them begins."""
 
 
 def create_folder(out: Path, kind: str, request: Mapping[str, Any]) -> OutputLock:
@@ -45,14 +35,12 @@ def create_folder(out: Path, kind: str, request: Mapping[str, Any]) -> OutputLoc
 
     Raises:
         ConfigError: the name is taken or cannot be had.
+        RunError: the disk gave out.
     """
     lock = output_lock.acquire(out, kind=kind)
-    try:
-        folder.write_json(lock.building / REQUEST_FILE, dict(request))
-        (lock.building / RUNS_FOLDER).mkdir()
-    except OSError as error:
-        lock.withdraw()
-        raise ConfigError(f"--out {out}: cannot be written ({error.strerror})") from error
+    with lock.filling() as building:
+        folder.write_json(building / REQUEST_FILE, dict(request))
+        (building / RUNS_FOLDER).mkdir()
     return lock
 
 
@@ -64,7 +52,7 @@ def resume_folder(
     models: Mapping[str, type[FileModel]],
     is_complete: bool,
 ) -> OutputLock:
-    """Take up the folder of several runs that were broken off.
+    """Take up an interrupted folder of several runs; see `results_folder.resume_folder`.
 
     Args:
         out: folder to be.
@@ -74,34 +62,24 @@ def resume_folder(
         is_complete: whether nothing is left to do.
 
     Raises:
-        ConfigError: there is none, it is whole, or something else was asked for.
+        ConfigError: there is none, it is complete, or its request differs.
     """
-    if is_complete:
-        raise ConfigError(f"--resume {out}: this {kind} is complete; nothing is left to do")
-    building = folder.locate_folder(out)
-    if not (building / REQUEST_FILE).is_file():
-        raise ConfigError(f"--resume {out}: there is no interrupted {kind} of that name")
-    stored = read_table(building / REQUEST_FILE)
-    for name, model in models.items():
-        if isinstance(table := stored.get(name), dict):
-            stored[name] = rename_keys(model, table, str(building / REQUEST_FILE))
-    difference = first_changed_key(request, stored)
-    if difference is not None:
-        raise ConfigError(
-            f"--resume {out}: was begun with another {difference} (see {building / REQUEST_FILE}); "
-            "give what "
-            "it was begun with, or begin a new one"
-        )
-    lock = output_lock.acquire_unfinished(out, kind=kind)
-    if lock is None:
-        raise ConfigError(f"--resume {out}: there is no interrupted {kind} of that name")
+    lock, _ = results_folder.resume_folder(
+        out,
+        kind=kind,
+        file=REQUEST_FILE,
+        is_complete=is_complete,
+        check=lambda building: results_folder.require_same_request(
+            building / REQUEST_FILE, request, models
+        ),
+    )
     return lock
 
 
 def fly_runs(
     parts: Iterable[tuple[str, Scenario]],
     building: Path,
-    progress: RunsProgress,
+    progress: Progress,
     processes: Processes,
     options: Mapping[str, Any],
 ) -> bool:
@@ -116,7 +94,7 @@ def fly_runs(
     """
     parts = tuple(parts)
     for number, (path, scenario) in enumerate(parts):
-        progress.part(number, len(parts), path)
+        progress.report(f"run {number + 1} of {len(parts)}: {path}")
         if not _fly_run(
             scenario, building / path, progress, RunProcesses(processes, path), options
         ):
@@ -130,7 +108,7 @@ def fly_runs(
 def _fly_run(
     scenario: Scenario,
     path: Path,
-    progress: RunsProgress,
+    progress: Progress,
     processes: Processes,
     options: Mapping[str, Any],
 ) -> bool:
@@ -147,7 +125,7 @@ def _fly_run(
 
 
 def run_status(path: Path) -> str:
-    """How far a run is: whole, begun or none."""
+    """Return the status of a run: whole, begun or none."""
     if (path / folder.SUMMARY).is_file() and folder.Run(path).summary.get("complete"):
         return "whole"
     building = path if path.is_dir() and any(path.iterdir()) else output_lock.partial_path(path)

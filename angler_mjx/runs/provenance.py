@@ -1,4 +1,4 @@
-"""Where a number comes from: versions, device, machine, commit and command of this process."""
+"""Provenance of results: versions, device, machine, commit and command of this process."""
 
 import os
 import platform
@@ -20,7 +20,7 @@ from angler_mjx.sim.policy import Policy
 
 
 def describe_environment() -> dict[str, Any]:
-    """Versions, device, machine, commit and command of this process."""
+    """Return versions, device, machine, commit and command of this process."""
     packages = ("angler-mjx", "jax", "jaxlib", "mujoco", "mujoco-mjx", "numpy", "zarr", "pyarrow")
     device = jax.devices()[0]
     return {
@@ -56,7 +56,7 @@ def cpu_count() -> int:
 
 
 def peak_memory_bytes() -> int:
-    """Largest resident size of this process so far (host memory)."""
+    """Return the largest resident size of this process so far, bytes of host memory."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
@@ -68,7 +68,7 @@ def _package_version(package: str) -> str | None:
 
 
 def _read_commit() -> str | None:
-    """Commit of the checkout that runs, with a mark if it was changed; None outside a checkout.
+    """Return the commit of this checkout, marked if changed; None outside a checkout.
 
     ``ANGLER_COMMIT`` stands for it where it is set: a copied tree has no history.
     """

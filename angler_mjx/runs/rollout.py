@@ -1,10 +1,13 @@
-"""A whole run: tiles of worlds from start to end, their results into a run folder.
+"""Run a scenario: simulate its tiles of worlds and write their results into a run folder.
 
 A run is built in a hidden folder beside its place and moved there when it is whole: finished, or
 interrupted with all finished tiles in it. An interrupted run can be taken up again.
 """
 
+import queue
+import threading
 import time
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,16 +18,22 @@ import numpy as np
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.planning.online import host_replanner
 from angler_mjx.planning.online.policy import Online
+from angler_mjx.progress import Progress
 from angler_mjx.runs import device_batches, folder_setup, sizes
 from angler_mjx.runs.log import Log
 from angler_mjx.runs.processes import OneProcess, Processes, reporting_failure
-from angler_mjx.runs.progress import Progress, SilentProgress
 from angler_mjx.runs.provenance import peak_memory_bytes, require_policy
 from angler_mjx.runs.simulator import scenario_policy
 from angler_mjx.runs.simulator.compilation import CompileTime
 from angler_mjx.runs.simulator.simulator import Simulator
-from angler_mjx.runs.storage import device_to_host, folder, output_lock, planning_summary, results
-from angler_mjx.runs.storage.background_writer import BackgroundWriter
+from angler_mjx.runs.storage import (
+    device_to_host,
+    folder,
+    output_lock,
+    planning_summary,
+    results,
+    results_folder,
+)
 from angler_mjx.runs.storage.device_to_host import FinishedTile
 from angler_mjx.runs.storage.output_lock import OutputLock
 from angler_mjx.runs.storage.plans.read import PlanFile, open_plans
@@ -40,7 +49,7 @@ class NothingKeptError(RunError):
 
 @dataclass(kw_only=True)
 class _RunTimer:
-    """Where the time of a run went, and the steps it was spent on."""
+    """Times of a run by activity, and the steps simulated in them."""
 
     compile: CompileTime
     started_s: float = field(default_factory=time.perf_counter)
@@ -116,7 +125,7 @@ def rollout(
             lock = folder_setup.create_run_folder(simulator, path, plan_file)
             stack.enter_context(folder_setup.hold_lock(lock, is_new=processes.count == 1))
         processes.meet("folder")
-        run_progress = progress or SilentProgress()
+        run_progress = progress or Progress()
         return _Rollout(
             simulator, path, buffered_tiles, run_progress, processes, lock, plan_file
         ).run()
@@ -158,18 +167,18 @@ def resume(
         RunError: as in `rollout`.
     """
     path, processes = Path(out), processes or OneProcess()
-    run_progress = progress or SilentProgress()
+    run_progress = progress or Progress()
     with reporting_failure(processes), ExitStack() as stack:
         lock = None
         if processes.index == 0:
             if scenario is not None:
                 folder_setup.require_same_scenario(path, scenario)
-            existing = folder.locate_folder(path)
+            existing = results_folder.locate_folder(path)
             require_policy(
                 existing,
                 _resolve_policy(existing, policy) if simulator is None else simulator.policy,
             )
-            lock = folder.reopen_folder(path, run_progress.tell)
+            lock = folder.reopen_folder(path, run_progress.report)
             stack.enter_context(folder_setup.hold_lock(lock, is_new=False))
         processes.meet("found")
         building = output_lock.partial_path(path)
@@ -200,14 +209,14 @@ def resume(
 
 
 def _resolve_policy(building: Path, policy: Policy | None) -> Policy | None:
-    """What will command the robots of a run that goes on."""
+    """Return the policy that commands the robots of a resumed run."""
     if not (building / folder.CONFIG).exists():
         return policy
     return scenario_policy.resolve_policy(folder.read_scenario(building), policy)
 
 
 class _Rollout:
-    """One run in the making, or this process's share of it."""
+    """A run that is being made, or this process's part of it."""
 
     def __init__(
         self,
@@ -231,7 +240,7 @@ class _Rollout:
         self._progress = Log(self._building / f"{folder.LOG}{number}", progress)
         self._processes = processes
         self._shape = sizes.trajectory_shape(simulator)
-        self._failures = planning_summary.PlanningFailures(self._progress.tell)
+        self._failures = planning_summary.PlanningFailures(self._progress.report)
         self._recorder: Recorder | None = None
         if self._scenario.time.record_hz > 0:
             self._recorder = Recorder.reopen(
@@ -258,10 +267,11 @@ class _Rollout:
         for line in notices.run_notices(
             self._scenario, uses_planner=self._sim.planner is not None, is_commanded=commanded
         ):
-            self._progress.tell(line)
-        self._progress.compiling()
+            self._progress.report(line)
+        self._progress.describe("compiling")
         clock = _RunTimer(compile=self._sim.compile())
-        self._progress.compiled(clock.compile)
+        self._progress.report(f"compiled in {clock.compile.total_s:.1f} s")
+        self._progress.describe("simulating")
         # Nobody writes a tile before everybody has looked which ones there are.
         processes.meet("start")
         interrupted = self._simulate_tiles(tiles, clock)
@@ -279,7 +289,7 @@ class _Rollout:
         return folder.Run(self._out)
 
     def _assign_tiles(self) -> tuple[list[int], int]:
-        """First worlds of this process's tiles, and the worlds that were finished before."""
+        """Return the first worlds of this process's tiles, and the worlds finished before."""
         stored = folder.read_parts(self._building)
         finished = set() if stored is None else set(stored["world"].to_pylist())
         remaining = []
@@ -291,10 +301,10 @@ class _Rollout:
         return remaining[self._processes.index :: self._processes.count], len(finished)
 
     def _has_lost_arrays(self, first: int) -> bool:
-        """Whether trajectories of a finished tile are not there any more."""
+        """Return whether trajectories of a finished tile are missing."""
         name = None if self._recorder is None else self._recorder.find_missing(first)
         if name is not None and self._processes.index == 0:
-            self._progress.tell(
+            self._progress.report(
                 f"{self._building / folder.TRAJECTORIES / name}: worlds {first} and on are missing "
                 "or damaged; they are computed again"
             )
@@ -304,7 +314,7 @@ class _Rollout:
         """Run the tiles and write them; returns whether that was interrupted."""
         processes, interrupted = self._processes, False
         recorded = self._recorder is not None
-        writer = BackgroundWriter[FinishedTile](self._write_tile, max_waiting=self._buffered_tiles)
+        writer = _TileWriter(self._write_tile, max_waiting=self._buffered_tiles)
         started_s = time.perf_counter()
         try:
             for finished in device_batches.simulate_tiles(
@@ -330,7 +340,7 @@ class _Rollout:
             writer.close()
             clock.disk_wait_s = writer.waited_s
             for reason, count in host_replanner.take_failures():
-                self._progress.tell(f"planning in flight failed {count} times: {reason}")
+                self._progress.report(f"planning in flight failed {count} times: {reason}")
         return interrupted
 
     def _write_tile(self, tile: FinishedTile) -> None:
@@ -405,3 +415,60 @@ class _Rollout:
                 f"--out {self._out}: cannot be written ({error.strerror or error}); all finished "
                 f"worlds are in {self._building}; make room and go on with --resume"
             ) from error
+
+
+class _TileWriter:
+    """Writes finished tiles in order, in a thread, while the device computes the next ones.
+
+    Their number is bounded: `put` blocks while there is no room. After a failed write nothing more
+    is written, and the error is raised by the next `put` or by `close`.
+    """
+
+    def __init__(self, write: Callable[[FinishedTile], None], *, max_waiting: int) -> None:
+        """Start the thread.
+
+        Args:
+            write: writes a tile.
+            max_waiting: tiles waiting or being written at most.
+        """
+        self._write = write
+        self._slots = threading.BoundedSemaphore(max_waiting)
+        self._waiting: queue.SimpleQueue[FinishedTile | None] = queue.SimpleQueue()
+        self._error: BaseException | None = None
+        self._thread = threading.Thread(target=self._write_items, name="angler-writer")
+        self._thread.start()
+        self.waited_s = 0.0
+        """Seconds that `put` and `close` waited for the disk."""
+
+    def put(self, tile: FinishedTile) -> None:
+        """Hand over a tile.
+
+        Raises:
+            RunError: or whatever a write before raised.
+        """
+        started_s = time.perf_counter()
+        self._slots.acquire()
+        self.waited_s += time.perf_counter() - started_s
+        if self._error is not None:
+            self._slots.release()
+            raise self._error
+        self._waiting.put(tile)
+
+    def close(self) -> None:
+        """Wait until everything is written; errors as in `put`."""
+        started_s = time.perf_counter()
+        self._waiting.put(None)
+        self._thread.join()
+        self.waited_s += time.perf_counter() - started_s
+        if self._error is not None:
+            raise self._error
+
+    def _write_items(self) -> None:
+        while (tile := self._waiting.get()) is not None:
+            try:
+                if self._error is None:
+                    self._write(tile)
+            except BaseException as error:
+                self._error = error
+            finally:
+                self._slots.release()

@@ -1,24 +1,24 @@
-"""How much a run holds: its trajectories on disk, and finished tiles in memory."""
+"""Sizes of a run: its trajectories on disk, and finished tiles in memory."""
 
 import numpy as np
 import psutil
 
 from angler_mjx.errors import ConfigError, RunError, format_bytes
-from angler_mjx.robot.control.joint_trajectory import JointTrajectory
+from angler_mjx.robot.control.commands.joint_trajectory import JointTrajectory
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.runs.storage.device_to_host import task_sizes
 from angler_mjx.runs.storage.recorder import TrajectoryShape
 
 
 def trajectory_shape(simulator: Simulator) -> TrajectoryShape:
-    """Sizes of a run's trajectories."""
+    """Return the sizes of a run's trajectories."""
     scenario = simulator.scenario
     world = simulator.world_shape()
     return TrajectoryShape(
         worlds=scenario.worlds,
         samples=simulator.samples * simulator.segments,
         robots=len(scenario.members()),
-        thrusters=world.control.vehicle.B.shape[-1],
+        thrusters=simulator.thrusters,
         obstacles=world.environment.obstacles.kind.shape[-1],
         plan_points=world.path.time_s.shape[-1],
         jointed=isinstance(world.path, JointTrajectory),
@@ -30,7 +30,7 @@ def trajectory_shape(simulator: Simulator) -> TrajectoryShape:
 
 
 def max_buffered_tiles(simulator: Simulator, chunk: int | None) -> int:
-    """Finished tiles held in memory until they are written.
+    """Return the number of finished tiles held in memory until they are written.
 
     Raises:
         ConfigError: the chunk is not even one world.

@@ -1,7 +1,8 @@
 """The table of a scenario file on the robots of its fleet."""
 
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator, model_validator
@@ -23,6 +24,8 @@ type Weight = Annotated[float, Field(gt=0, le=1e9)]
 class FleetEntry(FileModel):
     """One or more equal robots."""
 
+    renamed_keys: ClassVar[Mapping[str, str]] = {"fault_known": "fault_visible"}
+
     vehicle: str
     """Name of a shipped vehicle, or path of a vehicle file (.toml), relative to the folder of the
     scenario file; stored as an absolute path."""
@@ -40,7 +43,7 @@ class FleetEntry(FileModel):
     thruster_health: dict[str, float] = Field(default_factory=dict)
     """Fraction of its thrust that each faulty thruster gives, 0 (dead) to 1 (sound), by its name in
     the vehicle file."""
-    fault_known: bool = True
+    fault_visible: bool = True
     """Whether the allocation knows thruster_health; if not, it assumes sound thrusters."""
     rotor_response: RotorResponse | None = None
     """Rotor response, first or third order; that of the vehicle file if left out. The same for a
@@ -144,13 +147,13 @@ class FleetEntry(FileModel):
                 parameter_set=name,
                 battery_v=self.battery_v,
                 thruster_health=tuple(self.thruster_health.items()),
-                fault_known=self.fault_known,
+                fault_known=self.fault_visible,
                 rotor_response=self.rotor_response,
             )
             bank = [variant]
             if randomise.changes_vehicles:
                 variations = randomise.sample_variations(number, name, len(config.thrusters.layout))
-                is_variation_visible = randomise.known
+                is_variation_visible = randomise.visible
                 bank = [
                     replace(variant, variation=v, variation_known=is_variation_visible)
                     for v in variations

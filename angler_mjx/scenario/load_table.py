@@ -24,7 +24,7 @@ type Added = Annotated[float, Field(ge=0.0, le=1e4)]
 class LoadConfig(FileModel):
     """Compact load at the centre of mass of the robot that carries it; controllers account for it.
 
-    Values left out are those of a sphere of its volume; see `docs/randomise.md`.
+    Values left out are those of a sphere of its volume; see `docs/how_to/randomise.md`.
     """
 
     mass_kg: float = Field(gt=0.0, le=1e4)

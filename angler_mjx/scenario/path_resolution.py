@@ -5,7 +5,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from angler_mjx.planning import register
+from angler_mjx.user_classes import make_name_absolute
 
 
 def _absolute_path(path: str, folder: Path) -> str:
@@ -18,7 +18,8 @@ def _absolute_vehicle(name: str, folder: Path) -> str:
 
 PATH_KEYS: Mapping[tuple[str, ...], Callable[..., str]] = {
     ("fleet", "*", "vehicle"): _absolute_vehicle,
-    ("planner", "name"): register.resolve_planner_name,
+    ("controller", "stages", "*"): make_name_absolute,
+    ("planner", "name"): make_name_absolute,
     ("world", "currents", "*", "file"): _absolute_path,
     ("world", "bathymetry", "file"): _absolute_path,
 }

@@ -26,7 +26,7 @@ MAX_STEPS = 1000
 
 
 class MppiConfig(FileModel):
-    """Settings of model predictive path integral control; see `docs/mppi.md`."""
+    """Settings of model predictive path integral control; see `docs/reference/mppi.md`."""
 
     output: Output = "twist"
     """Command to the controllers: twist, velocities for the velocity loop; wrench, forces and
@@ -96,7 +96,7 @@ class MppiConfig(FileModel):
 
 
 class RoutesConfig(FileModel):
-    """Flight along routes computed before the start; see `docs/routes.md`."""
+    """Flight along routes computed before the start; see `docs/reference/routes.md`."""
 
     hz: float = Field(default=4.0, gt=0.0, le=1e4)
     """Rate of new commands; the period is a whole number of control steps."""
@@ -113,7 +113,7 @@ class RoutesConfig(FileModel):
 
 
 class PolicyConfig(FileModel):
-    """Policy that commands the robots in flight instead of their plans; see `docs/policies.md`."""
+    """Policy that commands the robots instead of plans; see `docs/reference/policies.md`."""
 
     renamed_keys: ClassVar[Mapping[str, str]] = {"knows": "information"}
 

@@ -6,8 +6,8 @@ programs therefore stay as small as the bank. Current and noise are numbers of e
 """
 
 import itertools
-from collections.abc import Sequence
-from typing import Annotated
+from collections.abc import Mapping, Sequence
+from typing import Annotated, ClassVar
 
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
@@ -44,8 +44,10 @@ MAX_HEAVE_FRACTION = 0.5
 class RandomiseConfig(FileModel):
     """Uniform ranges [low, high] of factors on the values of the files; [1, 1] for no change.
 
-    See `docs/randomise.md`.
+    See `docs/how_to/randomise.md`.
     """
+
+    renamed_keys: ClassVar[Mapping[str, str]] = {"known": "visible"}
 
     variants: int = Field(default=16, ge=1, le=1024)
     """Number of variants of each parameter set of each fleet entry; each robot of each world is one
@@ -74,7 +76,7 @@ class RandomiseConfig(FileModel):
     sensor_noise: ScaleRange = UNCHANGED
     """Factor on the noise of all instruments, sampled for each robot of each world; filters keep
     the values of the file."""
-    known: bool = False
+    visible: bool = False
     """Whether controllers and planners know the sampled vehicle; if not, they assume that of its
     files."""
 

@@ -26,7 +26,6 @@ from angler_mjx.quantities import MAX_COORDINATE_M, SchemaVersion
 from angler_mjx.robot.vehicles import library
 from angler_mjx.robot.vehicles.load import Load
 from angler_mjx.scenario import instrumented, table_checks
-from angler_mjx.scenario.breakdowns_table import BreakdownsConfig, check_breakdowns
 from angler_mjx.scenario.fleet_entry import FleetEntry
 from angler_mjx.scenario.load_table import check_load
 from angler_mjx.scenario.path_resolution import resolve_paths
@@ -34,11 +33,13 @@ from angler_mjx.scenario.policy_tables import PolicyConfig, check_policy, defaul
 from angler_mjx.scenario.randomise_table import RandomiseConfig
 from angler_mjx.scenario.store_table import StoreConfig
 from angler_mjx.scenario.tables import (
+    BreakdownsConfig,
     ControllerConfig,
     ExecutionConfig,
     PlannerConfig,
     TimeConfig,
     WaterConfig,
+    check_breakdowns,
     check_replanning,
 )
 from angler_mjx.scenario.task_table import (
@@ -96,7 +97,7 @@ class Scenario(FileModel):
     store: StoreConfig = StoreConfig()
     randomise: RandomiseConfig = RandomiseConfig()
     task: TaskConfig = GoalTask()
-    """Task of the robots of a world; see `docs/tasks.md`."""
+    """Task of the robots of a world; see `docs/reference/tasks.md`."""
     breakdowns: BreakdownsConfig = BreakdownsConfig()
 
     @model_validator(mode="after")
@@ -321,7 +322,7 @@ class Scenario(FileModel):
 
 def _problem_table(entry: FleetEntry) -> dict[str, Any]:
     """Return an entry of the fleet without flight-only keys, with its vehicle's current data."""
-    table = entry.model_dump(mode="json", exclude={"estimate", "sensors", "fault_known"})
+    table = entry.model_dump(mode="json", exclude={"estimate", "sensors", "fault_visible"})
     vehicle = library.load_vehicle(entry.vehicle)
     thruster = library.load_thruster(vehicle.rotor.model)
     return {**table, "vehicle": [vehicle.model_dump(mode="json"), thruster.model_dump(mode="json")]}

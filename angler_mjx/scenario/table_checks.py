@@ -73,7 +73,7 @@ def check_randomisation(
         instrumented.uses_true_state(*entry.state_source()) for entry in fleet
     ):
         raise ValueError(
-            "randomise.sensor_noise: all robots are told the truth; give one of [[fleet]] "
+            "randomise.sensor_noise: all robots use their true state; give one of [[fleet]] "
             'estimate = "noisy" or "ekf"'
         )
     if randomise.current != UNCHANGED and not world.currents:
@@ -147,7 +147,7 @@ def check_acoustics(acoustics: AcousticsConfig, store: StoreConfig, planner: Pla
         )
     if acoustics.model != "perfect" and planner.replan_hz:
         raise ValueError(
-            f"planner.replan_hz = {planner.replan_hz:g}: plans are made anew from where all robots "
-            'are, which acoustics tell nobody; leave it out, or take acoustics.model = "perfect", '
-            'or order = "kept" or a policy, which go by what each robot has heard'
+            f"planner.replan_hz = {planner.replan_hz:g}: replanning needs the positions of all "
+            "robots, which acoustics do not provide; leave it out, or take acoustics.model = "
+            '"perfect", or order = "kept" or a policy, which use received packets alone'
         )

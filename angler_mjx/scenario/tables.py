@@ -1,8 +1,9 @@
-"""Tables of a scenario file: water, time steps, controller, planner."""
+"""Tables of a scenario file: water, time steps, controller, planner, breakdowns."""
 
 import math
 from collections.abc import Mapping
 from dataclasses import fields
+from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self, get_type_hints
 
 from pydantic import (
@@ -23,8 +24,9 @@ from angler_mjx.planning.planner_choice import AUTO, AUTO_PLANNERS, choose_plann
 from angler_mjx.planning.register import PlannerReference, PlannerSpec
 from angler_mjx.quantities import Length
 from angler_mjx.robot.control import stack, stages
-from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.sim.information import Information, InformationLevel
+from angler_mjx.user_classes import is_class_of_file, make_name_absolute
 
 
 class WaterConfig(FileModel):
@@ -103,21 +105,38 @@ def check_whole_ratio(description: str, dividend: float, divisor: float) -> None
         raise ValueError(f"{description} = {ratio:g} must be a whole number of at least 1")
 
 
+def _resolve_class(name: str, info: ValidationInfo) -> str:
+    return make_name_absolute(name, base_folder(info))
+
+
+type StageName = Annotated[str, Field(max_length=4096), AfterValidator(_resolve_class)]
+"""Name of a stage; the path of FILE.py:CLASS is relative to the folder of the naming file."""
+
+
 class ControllerConfig(FileModel):
     """A controller stack by name or by stages, with gains that differ from the defaults."""
 
     name: str | None = None
     """Name of a stack, one of `angler_mjx.robot.control.stages.CONTROLLERS`; cascade if neither
     name nor stages is given."""
-    stages: tuple[str, ...] | None = Field(default=None, min_length=1)
-    """Stages from the highest to the lowest, instead of a name."""
+    stages: tuple[StageName, ...] | None = Field(default=None, min_length=1)
+    """Stages from the highest to the lowest, instead of a name; FILE.py:CLASS for a control law of
+    your own."""
     gains: dict[str, dict[str, float]] = Field(default_factory=dict)
-    """Gains of each stage, by stage and gain."""
+    """Gains of each stage, by stage and gain; a law of FILE.py:CLASS has the name CLASS."""
 
     @property
     def title(self) -> str:
         """Return the name, or the stages joined by "+"."""
-        return "+".join(self.stages) if self.stages else self.name or "cascade"
+        if not self.stages:
+            return self.name or "cascade"
+        return "+".join(name.rpartition(":")[2] for name in self.stages)
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Return the files of control laws of users."""
+        names = [name for name in self.stages or () if is_class_of_file(name)]
+        return tuple(dict.fromkeys(Path(name.rpartition(":")[0]) for name in names))
 
     @model_validator(mode="before")
     @classmethod
@@ -160,7 +179,7 @@ class ControllerConfig(FileModel):
 
 
 class InformationConfig(FileModel):
-    """Information that planners receive; see `docs/planners.md`."""
+    """Information that planners receive; see `docs/reference/planners.md`."""
 
     obstacles: InformationLevel = "nothing"
     """Level on moving obstacles. nothing: none. observed: positions and velocities at t = 0.
@@ -175,11 +194,7 @@ class InformationConfig(FileModel):
         return Information(obstacles=self.obstacles, current=self.current)
 
 
-def _resolve_name(name: str, info: ValidationInfo) -> str:
-    return register.resolve_planner_name(name, base_folder(info))
-
-
-type PlannerName = Annotated[str, Field(max_length=4096), AfterValidator(_resolve_name)]
+type PlannerName = Annotated[str, Field(max_length=4096), AfterValidator(_resolve_class)]
 """Name of a planner; the path of FILE.py:CLASS is relative to the folder of the naming file."""
 
 
@@ -190,7 +205,7 @@ class PlannerConfig(FileModel):
 
     name: PlannerName = AUTO
     """A planner of `angler plan --list`, or FILE.py:CLASS of a file of yours. auto: grid or
-    priority, by the number of robots; see `docs/planners.md`."""
+    priority, by the number of robots; see `docs/reference/planners.md`."""
     requested: Literal["auto"] | None = None
     """Written into run folders beside the name of the planner that auto resolved to; not set by
     hand."""
@@ -205,7 +220,7 @@ class PlannerConfig(FileModel):
     information: InformationConfig = InformationConfig()
     replan_hz: float = Field(default=0.0, ge=0.0, le=1e4)
     """Rate of replanning in flight; 0: none. The period is a whole number of control steps; see
-    `docs/online.md`."""
+    `docs/how_to/online.md`."""
     delay_s: float = Field(default=0.0, ge=0.0, le=86400.0)
     """Delay from the state that a new plan starts from until it is flown: a whole number of control
     steps, at most one replanning period."""
@@ -285,13 +300,13 @@ class PlannerConfig(FileModel):
 
 
 class ExecutionConfig(FileModel):
-    """Joint execution of the plans of a world; see `docs/online.md`."""
+    """Joint execution of the plans of a world; see `docs/how_to/online.md`."""
 
     order: Literal["auto", "free", "kept"] = "auto"
     """free: each robot flies by itself, without regard to delays of others. kept: the robot that
     passes a position first by the plans passes first, and the others wait for it. auto: kept for
     the teams that planner.name = "auto" plans by priority where water or obstacles move, else free;
-    see `docs/online.md`."""
+    see `docs/how_to/online.md`."""
     requested: Literal["auto"] | None = None
     """Written into run folders beside the order that auto resolved to; not set by hand."""
 
@@ -322,7 +337,7 @@ def check_replanning(planner: PlannerConfig, time: TimeConfig) -> None:
     if planner.replan_hz == 0.0:
         if planner.delay_s > 0.0:
             raise ValueError(
-                f"planner.delay_s = {planner.delay_s:g}: nothing is planned anew; "
+                f"planner.delay_s = {planner.delay_s:g}: there is no replanning; "
                 "give planner.replan_hz"
             )
         return
@@ -384,3 +399,56 @@ def _check_settings(model: type, settings: Mapping[str, Any], table: str) -> Non
         model(**settings)
     except (TypeError, ValueError) as error:
         raise ConfigError(f"[planner.{table}]: {error}") from error
+
+
+class BreakdownsConfig(FileModel):
+    """Robots that break down in flight, for good; their episode ends as `failed`.
+
+    Each robot is sampled independently: the number of failures varies between worlds, and another
+    robot in the fleet changes nothing for those before it. No other sample changes.
+    """
+
+    renamed_keys: ClassVar[Mapping[str, str]] = {
+        "share": "fraction",
+    }
+
+    fraction: float = Field(default=0.0, ge=0.0, le=1.0)
+    """Probability that a robot breaks down; 0 for none."""
+    earliest_s: float = Field(default=0.0, ge=0.0, le=86400.0)
+    """Start of the interval in which times are uniformly sampled. A robot ends with the first
+    control period that is over at its time or later, if its episode lasts that long."""
+    latest_s: float | None = Field(default=None, gt=0.0, le=86400.0)
+    """End of the interval; the horizon if left out."""
+
+    @model_validator(mode="after")
+    def _check_times_used(self) -> Self:
+        unused_keys = self.model_fields_set - {"fraction"}
+        if self.fraction == 0.0 and (self.earliest_s > 0.0 or self.latest_s is not None):
+            raise ValueError(
+                f"{', '.join(sorted(unused_keys))}: no robot breaks down; give fraction"
+            )
+        return self
+
+    def span_s(self, horizon_s: float) -> tuple[float, float]:
+        """Return the earliest and the latest time, s."""
+        return self.earliest_s, horizon_s if self.latest_s is None else self.latest_s
+
+
+def check_breakdowns(breakdowns: BreakdownsConfig, time: TimeConfig) -> None:
+    """Refuse an empty interval, and times that no episode reaches.
+
+    Raises:
+        ValueError: naming the key and its value.
+    """
+    earliest, latest = breakdowns.span_s(time.horizon_s)
+    if latest > time.horizon_s:
+        raise ValueError(
+            f"breakdowns.latest_s = {latest:g}: episodes end at time.horizon_s = "
+            f"{time.horizon_s:g}; take at most that, or leave it out"
+        )
+    if earliest > latest:
+        key = "time.horizon_s" if breakdowns.latest_s is None else "breakdowns.latest_s"
+        raise ValueError(
+            f"breakdowns.earliest_s = {earliest:g}: later than {key} = {latest:g}; "
+            "the earlier time comes first"
+        )

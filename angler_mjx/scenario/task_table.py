@@ -1,8 +1,9 @@
 """The table of a scenario file on the task of the robots of a world."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import Annotated, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
@@ -14,7 +15,7 @@ from angler_mjx.scenario.load_table import LoadConfig
 from angler_mjx.scenario.policy_tables import PolicyConfig
 from angler_mjx.scenario.tables import TimeConfig, check_whole_ratio
 from angler_mjx.world.config import Vector, WorldRecipe
-from angler_mjx.world.rules import OpenRule
+from angler_mjx.world.rock.rules import OpenRule
 from angler_mjx.world.tasks import allocation, visibility
 from angler_mjx.world.tasks.sampling import WHOLE, GoalSampling
 from angler_mjx.world.tasks.spec import (
@@ -51,7 +52,7 @@ class _Task(FileModel):
     look_s: float = Field(default=0.5, gt=0.0, le=60.0)
     """Period of the checks of finished jobs; a whole number of control periods."""
     allocation: str = "nearest"
-    """Allocation of the jobs: nearest, auction, sweep, or MODULE:FUNCTION; see `docs/tasks.md`."""
+    """Allocation: nearest, auction, sweep or MODULE:FUNCTION; see `docs/reference/tasks.md`."""
     after: WhenFinished = "hold"
     """Behaviour of a robot without remaining jobs: hold its position, or return to its start. It
     ends its episode then, and not before all jobs that it knows of are done."""
@@ -64,22 +65,27 @@ class _Task(FileModel):
 
 
 class TourTask(_Task):
-    """Places to visit."""
+    """Positions to visit."""
+
+    renamed_keys: ClassVar[Mapping[str, str]] = {
+        "places": "positions",
+        "places_m": "positions_m",
+    }
 
     type: Literal["tour"]
-    places: int | None = Field(default=None, ge=1, le=MAX_JOBS)
-    """Number of places, sampled for each world among the cells that all robots can reach; 8 if left
-    out."""
+    positions: int | None = Field(default=None, ge=1, le=MAX_JOBS)
+    """Number of positions, sampled for each world among the cells that all robots can reach; 8 if
+    left out."""
     within: tuple[Corner, Corner] = WHOLE
-    """Part of the cube in which places are sampled: lower and upper corner, as fractions of its
+    """Part of the cube in which positions are sampled: lower and upper corner, as fractions of its
     edges."""
-    places_m: tuple[Vector, ...] = Field(default=(), max_length=MAX_JOBS)
-    """The places, instead of sampling; a place that cannot be reached in a world is moved to the
-    nearest reachable cell."""
+    positions_m: tuple[Vector, ...] = Field(default=(), max_length=MAX_JOBS)
+    """Positions in W, instead of sampling; a position that cannot be reached in a world is moved to
+    the nearest reachable cell."""
     shared: bool = True
-    """Whether each place is visited by one robot; if not, every robot visits all of them."""
+    """Whether each position is visited by one robot; if not, every robot visits all of them."""
     ordered: bool = False
-    """Whether each robot visits the places in their order; only with shared = false."""
+    """Whether each robot visits the positions in their order; only with shared = false."""
 
     @model_validator(mode="after")
     def _check_tour(self) -> Self:
@@ -87,14 +93,14 @@ class TourTask(_Task):
             raise ValueError(
                 "ordered = true: one robot after the other would have to wait; give shared = false"
             )
-        if self.places_m and self.places is not None:
-            raise ValueError("places and places_m: give one of them, not both")
+        if self.positions_m and self.positions is not None:
+            raise ValueError("positions and positions_m: give one of them, not both")
         return self
 
     @property
     def count(self) -> int:
-        """Return the number of places."""
-        return len(self.places_m) or self.places or DEFAULT_POSITIONS
+        """Return the number of positions."""
+        return len(self.positions_m) or self.positions or DEFAULT_POSITIONS
 
 
 class SurveyTask(_Task):
@@ -127,7 +133,7 @@ class DeliverTask(_Task):
     to_within: tuple[Corner, Corner] = WHOLE
     """Part of the cube in which their destinations lie."""
     from_m: tuple[Vector, ...] = Field(default=(), max_length=MAX_JOBS)
-    """Places where the goods lie, instead of sampling; moved as places_m of a tour are."""
+    """Places where the goods lie, instead of sampling; moved as positions_m of a tour are."""
     to_m: tuple[Vector, ...] = Field(default=(), max_length=MAX_JOBS)
     """Destination of each item, instead of sampling."""
     load: LoadConfig | None = None
@@ -141,7 +147,8 @@ class DeliverTask(_Task):
             positions_m = getattr(self, name)
             if positions_m and len(positions_m) != self.count:
                 raise ValueError(
-                    f"{name} has {len(positions_m)} places for {self.count} goods: give one to each"
+                    f"{name} has {len(positions_m)} positions for {self.count} goods: give one for "
+                    "each"
                 )
         return self
 
@@ -194,8 +201,8 @@ def build_task_spec(
 def task_positions(task: TaskConfig) -> tuple[tuple[str, GoalSampling, int], ...]:
     """Return the places of a task by the keys that give them, pickup places first."""
     if isinstance(task, TourTask):
-        sampling = GoalSampling(within=task.within, fixed_m=task.places_m)
-        return (("places_m" if task.places_m else "within", sampling, task.count),)
+        sampling = GoalSampling(within=task.within, fixed_m=task.positions_m)
+        return (("positions_m" if task.positions_m else "within", sampling, task.count),)
     if isinstance(task, DeliverTask):
         pickup = GoalSampling(within=task.from_within, fixed_m=task.from_m)
         delivery = GoalSampling(within=task.to_within, fixed_m=task.to_m)
@@ -226,8 +233,8 @@ def _check_positions(key: str, sampling: GoalSampling, count: int, world: WorldR
         cells *= int(np.sum((fractions >= a) & (fractions <= b)))
     if count > cells:
         raise ValueError(
-            f"{key} = {sampling.within}: {count} places do not fit {cells} cells; take fewer, or a "
-            "larger part of the world"
+            f"{key} = {sampling.within}: {count} positions do not fit {cells} cells; take fewer, "
+            "or a larger part of the world"
         )
 
 
@@ -241,7 +248,7 @@ def _survey_spec(task: SurveyTask, world: WorldRecipe) -> SurveySpec:
         coverage=task.coverage,
     )
     if isinstance(world.rule, OpenRule) and task.of == "rock":
-        raise ValueError('task.of = "rock": there is none in such worlds; take "floor"')
+        raise ValueError('task.of = "rock": such worlds have no rock; take "floor"')
     if task.of != "rock" and world.floor_z_m < world.origin_m[2] - cell_m:
         raise ValueError(
             f"task.of = {task.of!r}: the sea floor lies {world.origin_m[2] - world.floor_z_m:g} m "
@@ -253,8 +260,8 @@ def _survey_spec(task: SurveyTask, world: WorldRecipe) -> SurveySpec:
     n_cells = visibility.window_size(spec)
     if n_cells > MAX_CELLS:
         raise ValueError(
-            f"task.range_m = {task.range_m:g}: a robot would look at {n_cells} cells at a time; "
-            f"{MAX_CELLS} are the most: take a shorter range, or a larger world.cell_m"
+            f"task.range_m = {task.range_m:g}: a robot would see {n_cells} cells at a time; "
+            f"the maximum is {MAX_CELLS}: take a shorter range, or a larger world.cell_m"
         )
     return spec
 
@@ -285,12 +292,12 @@ def check_task_policy(task: TaskConfig, policy: PolicyConfig, *, online: bool) -
         return
     if policy.name == "mppi":
         raise ValueError(
-            f"task.type = {task.type!r}: its robots have one place after another to go to, and "
+            f"task.type = {task.type!r}: its robots visit several positions, and "
             'policy.name = "mppi" makes its map for one goal; leave it out, or take "routes"'
         )
     if online:
         raise ValueError(
-            f"task.type = {task.type!r}: its robots have one place after another to go to, and "
+            f"task.type = {task.type!r}: its robots visit several positions, and "
             "planner.replan_hz and execution.order look after plans to one goal; leave them out"
         )
 

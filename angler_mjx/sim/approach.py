@@ -5,9 +5,9 @@ from typing import Any
 import jax
 
 from angler_mjx.robot.control import mixed, plans
-from angler_mjx.robot.control.joint_trajectory import JointTrajectory
+from angler_mjx.robot.control.commands.joint_trajectory import JointTrajectory
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.robot.control.mixed import MixedCommand
-from angler_mjx.robot.control.trajectory import Trajectory
 from angler_mjx.sim.state import SimSpec, World
 
 

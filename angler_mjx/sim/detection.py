@@ -1,7 +1,7 @@
 """Contact detection: exact distances from every hull to everything it can touch.
 
 Contact is detected, not resolved: the first touch ends the episode of the robot. All distances are
-those of the hull's capsules (docs/validation.md compares them with coal).
+those of the hull's capsules (docs/explanation/validation.md compares them with coal).
 """
 
 from dataclasses import dataclass

@@ -7,7 +7,7 @@ Where robots carry loads, each variant stands there once more, with the load.
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
 import jax
@@ -27,7 +27,7 @@ from angler_mjx.robot.vehicles.variation import Variation, apply_variation
 from angler_mjx.sampling import fold_keys
 from angler_mjx.sim.physics import mjx_engine
 from angler_mjx.sim.physics.mjx_engine import BodyInertia, MjxPhysics
-from angler_mjx.sim.state import World
+from angler_mjx.sim.state import FleetWorld, World
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -301,10 +301,25 @@ def laden_cruise(fleet: Fleet, worlds: World) -> jax.Array:
     """
     robots, kinds = fleet.log_weight.shape
     bound = fleet.cruise_mps[jnp.arange(robots), worlds.variant + kinds]
-    return jnp.minimum(worlds.control.cruise_speed_mps, bound)
+    return jnp.minimum(worlds.cruise_speed_mps, bound)
 
 
-def apply_loads(fleet: Fleet | None, world: World, loaded: jax.Array | None) -> World:
+def add_parameters(fleet: Fleet, worlds: World) -> FleetWorld:
+    """Return worlds [...] with the parameters that the fleet gives to their variants.
+
+    Args:
+        fleet: all variants.
+        worlds: any leading axes.
+    """
+    control, body = select_parameters(fleet, worlds.variant)
+    return FleetWorld(
+        **{entry.name: getattr(worlds, entry.name) for entry in fields(World)},
+        control=replace(control, cruise_speed_mps=worlds.cruise_speed_mps),
+        body=body,
+    )
+
+
+def apply_loads(fleet: Fleet | None, world: FleetWorld, loaded: jax.Array | None) -> FleetWorld:
     """One world with the parameters of those of its robots that carry something.
 
     Args:
@@ -315,11 +330,11 @@ def apply_loads(fleet: Fleet | None, world: World, loaded: jax.Array | None) -> 
     if fleet is None or loaded is None or not fleet.can_carry:
         return world
     control, body = select_parameters(fleet, fleet.loaded_variant(world.variant, loaded))
-    cruise = jnp.where(loaded, laden_cruise(fleet, world), world.control.cruise_speed_mps)
+    cruise = jnp.where(loaded, laden_cruise(fleet, world), world.cruise_speed_mps)
     return replace(world, control=replace(control, cruise_speed_mps=cruise), body=body)
 
 
-def sample_variants(fleet: Fleet, key: jax.Array) -> tuple[jax.Array, ControlParams, BodyInertia]:
+def sample_variants(fleet: Fleet, key: jax.Array) -> tuple[jax.Array, ControlParams]:
     """Which variant each robot of one world is.
 
     A robot's number and its own chances decide, nothing else: a robot more, of whatever vehicle,
@@ -330,7 +345,7 @@ def sample_variants(fleet: Fleet, key: jax.Array) -> tuple[jax.Array, ControlPar
         key: of this draw in this world.
 
     Returns:
-        int32 [n_robot] variants, and the parameters and inertias of the robots, [n_robot] leading.
+        int32 [n_robot] variants, and the parameters of the robots, [n_robot] leading.
     """
     n_robot, n_variant = fleet.log_weight.shape
     if n_variant == 1:  # Nothing is left to chance.
@@ -339,6 +354,6 @@ def sample_variants(fleet: Fleet, key: jax.Array) -> tuple[jax.Array, ControlPar
         # Of one row at a time: the first numbers of a row are the same however long it is.
         of_robot = fold_keys(key, n_robot)
         chosen = jax.vmap(jax.random.categorical)(of_robot, fleet.log_weight).astype(jnp.int32)
-    control, body = select_parameters(fleet, chosen)
+    control, _ = select_parameters(fleet, chosen)
     speed = jnp.take_along_axis(fleet.cruise_mps, chosen[:, None], axis=1)[:, 0]
-    return chosen, replace(control, cruise_speed_mps=speed), body
+    return chosen, replace(control, cruise_speed_mps=speed)

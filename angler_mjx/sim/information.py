@@ -19,7 +19,15 @@ from angler_mjx._moved import renamed as _renamed
 from angler_mjx.world import obstacles as bodies
 from angler_mjx.world.currents import Current, Uniform, velocity
 from angler_mjx.world.environment import Environment, region_corners
-from angler_mjx.world.obstacles import DRIFT, STATIC, ObstacleState, bounding_radius
+from angler_mjx.world.obstacles import (
+    BOX,
+    CAPSULE,
+    DRIFT,
+    SPHERE,
+    STATIC,
+    ObstacleState,
+    bounding_radius,
+)
 
 type InformationLevel = Literal["nothing", "observed", "predicted", "truth"]
 """How much is known, the least first."""
@@ -45,31 +53,33 @@ class Information:
 class ObstacleInformation:
     """Bodies that are not cells; [n] rows. Still ones stand on every map, whatever is known."""
 
-    kind: Any
+    kind: jax.Array
     """int32 [n]: 0 sphere, 1 box, 2 capsule."""
-    half_size_m: Any
+    half_size_m: jax.Array
     """[n, 3] m: sphere (radius, 0, 0); box half edges along its own x, y, z; capsule (radius, half
     length of the axis, 0), the axis along the body's z."""
-    radius_m: Any
+    radius_m: jax.Array
     """[n] sphere about the centre that holds the body, however it turns."""
-    exists: Any
+    exists: jax.Array
     """bool [n] False for padding, and for what is not known."""
-    moves: Any
+    moves: jax.Array
     """bool [n]."""
-    velocity_mps: Any
+    velocity_mps: jax.Array
     """[n, 3] when observed; zero for still ones and where it is not known."""
-    time_s: Any
+    time_s: jax.Array
     """[T] times of the places since the observation; one, 0, where nothing is known of what
     comes."""
-    p_m: Any
+    p_m: jax.Array
     """[n, T, 3] places of the centre; held after the last."""
-    q: Any
+    q: jax.Array
     """[n, T, 4] attitudes, wxyz, body to W."""
     some_stand: bool = field(default=True, metadata={"static": True})
     """Whether any of them can be a still one: no code need look for those if not."""
+    kinds: tuple[int, ...] = field(default=(SPHERE, BOX, CAPSULE), metadata={"static": True})
+    """Kinds that occur; code for others need not be compiled."""
 
     @property
-    def size_m(self) -> Any:
+    def size_m(self) -> jax.Array:
         """[n, 3] the former name of `half_size_m`, with the same meaning."""
         warnings.warn(rename_warning(type(self)), DeprecationWarning, stacklevel=2)
         return self.half_size_m
@@ -92,7 +102,7 @@ class CurrentInformation:
     """Added up; none where nothing is known."""
     stays: bool = field(metadata={"static": True})
     """Whether what was observed is taken to stay."""
-    begin_s: Any = None
+    begin_s: jax.Array | None = None
     """[] time of the observation since the start of the flight; None for the start."""
 
     def velocity(self, p: jax.Array, t: jax.Array) -> jax.Array:
@@ -106,10 +116,10 @@ class CurrentInformation:
 class SceneObservation:
     """What is seen of one world at a time of its flight."""
 
-    time_s: Any
+    time_s: jax.Array
     """[] since the start."""
     obstacles: ObstacleState
-    at_m: Any
+    at_m: jax.Array
     """[R, 3] where the robots are."""
 
 
@@ -197,6 +207,7 @@ def obstacle_information(
         p_m=jnp.where(is_included[:, None, None], positions, 0.0),
         q=jnp.where(is_included[:, None, None], attitudes, jnp.array([1.0, 0.0, 0.0, 0.0])),
         some_stand=STATIC in body.motions,
+        kinds=body.kinds,
     )
 
 

@@ -35,7 +35,7 @@ from angler_mjx.sim.information import (
 )
 from angler_mjx.sim.record import Belief
 from angler_mjx.world.acoustics.channel import HeardRobots, init_heard
-from angler_mjx.world.grid import Grid
+from angler_mjx.world.rock.grid import Grid
 from angler_mjx.world.routes import Routes
 
 RESET_STEP = 2**32 - 1

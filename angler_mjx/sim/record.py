@@ -449,6 +449,22 @@ STATE_FIELDS: tuple[RecordedField, ...] = tuple(one for one in FIELDS if one.abo
 """Those of the state."""
 
 
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class WorldRecord:
+    """Fields of a sample that phases of worlds record; None where they record nothing."""
+
+    belief: Belief | None = None
+    talk: AcousticsRecord | None = None
+    task: ProgressRecord | None = None
+
+
+def build_sample(worlds: WorldRecord, bodies: Mapping[str, jax.Array]) -> Sample:
+    """Return the sample of what phases of worlds, and of robots and obstacles, recorded."""
+    recorded: dict[str, Any] = {**vars(worlds), **bodies}
+    return Sample(**recorded)
+
+
 def of_phase(phase: str, also: Sequence[str] = ()) -> tuple[RecordedField, ...]:
     """Those of the sample itself that a phase gives by their names, ``also`` being asked for."""
     return tuple(

@@ -7,6 +7,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jax.typing import DTypeLike
 
 from angler_kernels import rigid_body, thruster
 from angler_mjx.robot.control import mixed, stack
@@ -127,6 +128,28 @@ def is_on_last_approach(
     """
     progress_s = mixed.progress_s if isinstance(command, MixedCommand) else stack.progress_s
     return progress_s(spec.stages, memory, command) >= last_approach_s
+
+
+def begin_tally(contact: Contact, dtype: DTypeLike) -> Tally:
+    """Return the tally of running robots at their starts, [R] leading.
+
+    Args:
+        contact: of the start; [R] leads.
+        dtype: of numbers that are accumulated.
+    """
+    n = contact.clearance_m.shape[0]
+    return Tally(
+        outcome=jnp.zeros(n, jnp.int32),
+        end_time_s=jnp.zeros(n, dtype),
+        passed_early=jnp.zeros(n, bool),
+        path_length_m=jnp.zeros(n, dtype),
+        energy_j=jnp.zeros(n, dtype),
+        min_clearance_m=contact.clearance_m,
+        min_separation_m=contact.separation_m,
+        touched=jnp.zeros(n, jnp.int32),
+        touched_index=jnp.full(n, -1, jnp.int32),
+        impact_speed_mps=jnp.full(n, jnp.nan, dtype),
+    )
 
 
 def update_tally(

@@ -5,25 +5,24 @@ is the same function in every engine, and adds nothing to the programs of runs t
 """
 
 from dataclasses import replace
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 
 from angler_mjx.sim.detection import compute_distances
 from angler_mjx.sim.record import Clearance, Sample
-from angler_mjx.sim.state import SimSpec, World
+from angler_mjx.sim.state import FleetWorld, SimSpec
 from angler_mjx.world.obstacles import ObstacleState
 
 
-def add_clearances(spec: SimSpec, worlds: World, sample: Sample) -> Sample:
+def add_clearances(spec: SimSpec, worlds: FleetWorld, sample: Sample) -> Sample:
     """A sample [W, ...] of worlds with the distances that are asked for."""
     if "clearance" not in spec.also:
         return sample
     return replace(sample, clearance=_compute_clearances(worlds, _extract_poses(sample)))
 
 
-def add_all_clearances(spec: SimSpec, worlds: World, samples: Sample) -> Sample:
+def add_all_clearances(spec: SimSpec, worlds: FleetWorld, samples: Sample) -> Sample:
     """The same of samples [W, n, ...], one after another: all at once would need much memory."""
     if "clearance" not in spec.also:
         return samples
@@ -37,8 +36,10 @@ def _extract_poses(sample: Sample) -> tuple[jax.Array, ...]:
     return sample.p, sample.q, sample.obstacle_p, sample.obstacle_q
 
 
-def _compute_clearances(worlds: World, poses: tuple[jax.Array, ...]) -> Clearance:
-    def world_clearance(world: World, p: Any, q: Any, body_p: Any, body_q: Any) -> Clearance:
+def _compute_clearances(worlds: FleetWorld, poses: tuple[jax.Array, ...]) -> Clearance:
+    def world_clearance(
+        world: FleetWorld, p: jax.Array, q: jax.Array, body_p: jax.Array, body_q: jax.Array
+    ) -> Clearance:
         still = jnp.zeros((*body_p.shape[:-1], 6), body_p.dtype)
         bodies = ObstacleState(p=body_p, q=body_q, nu=still, nu_dot=still)
         rock, obstacle, robot = compute_distances(

@@ -9,15 +9,15 @@ import jax.numpy as jnp
 
 from angler_kernels import quaternion
 from angler_mjx.errors import ConfigError
+from angler_mjx.sim import hearing, robot, sensing
 from angler_mjx.sim import policy as policies
-from angler_mjx.sim import robot
 from angler_mjx.sim.detection import detect_contacts
 from angler_mjx.sim.physics import step as physics
 from angler_mjx.sim.physics.step import Multibody
 from angler_mjx.sim.policy import Policy
-from angler_mjx.sim.state import SimSpec, Tally, World, WorldState
-from angler_mjx.sim.world_phases import hearing, phases, sensing
-from angler_mjx.sim.world_phases.context import GoalAssignment, WorldContext
+from angler_mjx.sim.state import FleetWorld, SimSpec, World, WorldState
+from angler_mjx.sim.world_context import GoalAssignment, WorldContext
+from angler_mjx.sim.world_phases import sense_motion
 from angler_mjx.world import obstacles as obstacle_motion
 from angler_mjx.world.acoustics import channel
 from angler_mjx.world.tasks import task_update as tasks
@@ -25,7 +25,7 @@ from angler_mjx.world.tasks.spec import TaskState
 
 
 def reset(
-    spec: SimSpec, engine: Multibody, bodies: Any, world: World, policy: Policy | None = None
+    spec: SimSpec, engine: Multibody, bodies: Any, world: FleetWorld, policy: Policy | None = None
 ) -> WorldState:
     """One world at t = 0.
 
@@ -54,23 +54,11 @@ def reset(
         environment.obstacles, environment.current, water.density_kgpm3, water.gravity_mps2
     )
     contact = detect_contacts(environment, world.control.vehicle, vehicles, moving)
-    n, dtype = environment.start_m.shape[0], environment.start_m.dtype
     state = WorldState(
         vehicles=vehicles,
         carry=jax.vmap(partial(robot.reset_controllers, spec))(vehicles, environment.start_yaw_rad),
         obstacles=moving,
-        tally=Tally(
-            outcome=jnp.zeros(n, jnp.int32),
-            end_time_s=jnp.zeros(n, dtype),
-            passed_early=jnp.zeros(n, bool),
-            path_length_m=jnp.zeros(n, dtype),
-            energy_j=jnp.zeros(n, dtype),
-            min_clearance_m=contact.clearance_m,
-            min_separation_m=contact.separation_m,
-            touched=jnp.zeros(n, jnp.int32),
-            touched_index=jnp.full(n, -1, jnp.int32),
-            impact_speed_mps=jnp.full(n, jnp.nan, dtype),
-        ),
+        tally=robot.begin_tally(contact, environment.start_m.dtype),
         step=jnp.zeros((), jnp.int32),
         senses=sensing.reset(spec, world, vehicles),
         task=_begin_task(spec, world),
@@ -95,7 +83,9 @@ def _begin_task(spec: SimSpec, world: World) -> TaskState | None:
     )
 
 
-def _begin_policy(spec: SimSpec, world: World, state: WorldState, policy: Policy) -> WorldState:
+def _begin_policy(
+    spec: SimSpec, world: FleetWorld, state: WorldState, policy: Policy
+) -> WorldState:
     """A state with the memory of a policy, which knows what the first step tells the robots."""
     context = WorldContext(
         spec=spec,
@@ -106,7 +96,7 @@ def _begin_policy(spec: SimSpec, world: World, state: WorldState, policy: Policy
         obstacles=state.obstacles,
         outcome=state.tally.outcome,
     )
-    belief = phases.sense_motion(context, {"senses": state.senses}).slots().get("estimate")
+    belief = sense_motion(context, state.senses)[1]
     others = None if spec.acoustics is None else channel.init_heard(world.environment.start_m)
     sent = None
     if state.task is not None:  # The first look at the task comes with the first step.

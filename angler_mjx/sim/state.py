@@ -1,6 +1,6 @@
 """What a simulated world consists of: its constants, its state, and what is kept of each robot."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from enum import IntEnum
 from typing import Any, Literal
 
@@ -113,25 +113,19 @@ class WorldFactors:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class World:
-    """What does not change during an episode of one world; [n_robot] leads in fleet and paths.
+    """Sampled constants of one world during an episode; [n_robot] leads in fleet and paths.
 
-    Some of it is derived: ``control`` (but for its cruise speeds) and ``body`` from the fleet and
-    ``variant``, ``cell_neighbours`` from the environment's cells. A `Simulator` refuses parameters
-    that were edited here and packs edited cells anew (`angler_mjx.sim.validate_worlds`); who calls
-    an engine without one keeps them in step.
+    Nothing in it is derived: the robots' parameters are those of the fleet's ``variant``
+    (`angler_mjx.sim.fleet.add_parameters`).
     """
 
     environment: Environment
     variant: jax.Array
     """int32 [n_robot] which variant of the fleet (vehicle and parameter set) each robot is."""
-    body: BodyInertia
-    """Empty where the fleet has no multibody models."""
-    control: ControlParams
+    cruise_speed_mps: jax.Array
+    """[n_robot] speed along a planned path."""
     path: Plan
     """What the robots are told, if nothing else commands them; all of one type."""
-    cell_neighbours: jax.Array | None = None
-    """int32 [nx + 2, ny + 2, nz + 2] `clearance.cell_neighbours`, packed once for all segments
-    where the engine looks cells up in it. Engines called without it pack for each segment."""
     sensing_key: jax.Array | None = None
     """uint32 [n_robot, 2] key of each robot's instruments; None where the fleet has none."""
     policy_key: jax.Array | None = None
@@ -152,6 +146,22 @@ class World:
     def planned(self) -> jax.Array:
         """Bool [n_robot] whether the planner found a way; the others are told to hold."""
         return plans.is_found(self.path)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class FleetWorld(World):
+    """World with the parameters of its robots; made by `angler_mjx.sim.fleet.add_parameters`."""
+
+    control: ControlParams
+    """[n_robot] leads."""
+    body: BodyInertia
+    """[n_robot] leads; empty where the fleet has no multibody models."""
+
+    @property
+    def sampled(self) -> World:
+        """The world without what was added."""
+        return World(**{entry.name: getattr(self, entry.name) for entry in fields(World)})
 
 
 @jax.tree_util.register_dataclass

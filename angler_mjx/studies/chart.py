@@ -8,7 +8,7 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from angler_mjx.report.viewing import style
+from angler_mjx.report.plotting import style
 
 MAX_LINES = 16
 """Combinations of other settings that are drawn; the table holds all."""

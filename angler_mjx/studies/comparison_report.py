@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from angler_mjx.errors import format_value
-from angler_mjx.report.viewing import style
+from angler_mjx.report.plotting import style
 from angler_mjx.runs.storage import planning_summary
 
 MAX_LISTED = 10

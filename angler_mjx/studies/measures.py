@@ -31,9 +31,9 @@ def measure_run(run: Run) -> dict[str, Any]:
 
     Returns:
         ``worlds``, ``robots`` (of a world), ``problems`` (`Scenario.digest`), ``planned``: robots
-        that have a path, ``planning`` (`runs.storage.planning_summary.summarise`), ``outcomes``
-        (`runs.storage.results.outcome_rates`), ``team``: worlds in which all robots arrived, with
-        Wilson's interval; ``task``: of runs with a task, the worlds that completed it
+        that have a path, ``planning`` (`runs.storage.planning_summary.summarise_planning`),
+        ``outcomes`` (`runs.storage.results.outcome_rates`), ``team``: worlds in which all robots
+        arrived, with Wilson's interval; ``task``: of runs with a task, the worlds that completed it
         (``completed``) and when (``completed_s``), else None; by cost its mean; and what it took.
     """
     episodes = run.episodes

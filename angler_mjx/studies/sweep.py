@@ -6,6 +6,7 @@ figure. A sweep that is interrupted holds them for the cells that were finished.
 """
 
 import itertools
+import re
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -15,23 +16,55 @@ from typing import Any
 import pyarrow as pa
 
 from angler_mjx.errors import AnglerError, ConfigError, RunError
-from angler_mjx.report.viewing import style
+from angler_mjx.files import FaultyError, format_faults, validate_model
+from angler_mjx.progress import Progress
+from angler_mjx.report.plotting import style
 from angler_mjx.runs import multi_run
-from angler_mjx.runs.multi_run import RunsProgress
+from angler_mjx.runs.multi_run import RUNS_FOLDER
 from angler_mjx.runs.processes import OneProcess, Processes, reporting_failure
 from angler_mjx.runs.provenance import describe_environment
 from angler_mjx.runs.rollout import NothingKeptError
+from angler_mjx.runs.simulator.world_preparation import check_planner
 from angler_mjx.runs.storage import folder, output_lock
 from angler_mjx.runs.storage.folder import Run
 from angler_mjx.runs.storage.output_lock import OutputLock
 from angler_mjx.runs.storage.read_errors import read_table
-from angler_mjx.scenario.editing import scenario_table
+from angler_mjx.scenario.editing import remove_horizon, scenario_table
+from angler_mjx.scenario.horizon_check import check_reachable
 from angler_mjx.scenario.scenario import Scenario
-from angler_mjx.studies import cells, chart, measures, paired, tables
-from angler_mjx.studies.cells import StudyCell
-from angler_mjx.studies.sweep_axes import SettingAxis
+from angler_mjx.studies import chart, measures, paired, tables
+from angler_mjx.studies.grid import (
+    GridCell,
+    SettingAxis,
+    count_cells,
+    iterate_cells,
+)
 
 SWEEP, TABLE, PAGE, FIGURE = "sweep.json", "sweep.parquet", "sweep.md", "sweep.png"
+
+MAX_CELLS = 10_000
+"""Cells of a sweep."""
+_MAX_NAME_LENGTH = 80
+"""Characters of a run folder's name."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StudyCell:
+    """One combination of settings."""
+
+    number: int
+    names: Mapping[str, str]
+    """Values by key, as they were written."""
+    values: Mapping[str, Any]
+    """Values by key."""
+    scenario: Scenario
+
+    @property
+    def path(self) -> str:
+        """Of its run, below the sweep's folder."""
+        parts = [f"{key.rpartition('.')[2]}_{name}" for key, name in self.names.items()]
+        text = re.sub(r"[^A-Za-z0-9_.-]+", "_", "_".join(parts))[:_MAX_NAME_LENGTH].strip("._")
+        return f"{RUNS_FOLDER}/{self.number:03d}_{text}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,15 +102,82 @@ def build_request(scenario: Scenario, axes: Sequence[SettingAxis], source: str) 
         name=scenario.name,
         table=table,
         axes=tuple(axes),
-        cells=cells.build_cells(table, axes, source),
+        cells=build_cells(table, axes, source),
     )
+
+
+def build_cells(
+    table: Mapping[str, Any], axes: Sequence[SettingAxis], source: str
+) -> tuple[StudyCell, ...]:
+    """All cells; the last axis changes fastest.
+
+    A cell whose world has another preset gets that one's horizon, unless one is set.
+
+    Args:
+        table: of the scenario (`angler_mjx.scenario.editing.scenario_table`).
+        axes: to be varied.
+        source: of the scenario, for messages.
+
+    Raises:
+        ConfigError: naming everything that is wrong with any of them, and the settings by which.
+    """
+    count = count_cells(axes)
+    if count > MAX_CELLS:
+        raise ConfigError(f"--set: makes {count:,} cells; {MAX_CELLS:,} are the most: vary less")
+    study_cells: list[StudyCell] = []
+    faults: dict[str, list[Mapping[str, str]]] = {}
+    for cell in iterate_cells(axes):
+        names = cell.names
+        try:
+            scenario = _build_scenario(table, cell)
+        except FaultyError as error:
+            for fault in error.faults:
+                faults.setdefault(fault.text, []).append(names)
+        except ConfigError as error:
+            faults.setdefault(str(error), []).append(names)
+        else:
+            study_cells.append(
+                StudyCell(number=cell.number, names=names, values=cell.values, scenario=scenario)
+            )
+    if faults:
+        varied_keys = [axis.key for axis in axes if len(axis.values) > 1]
+        raise ConfigError(
+            format_faults(source, [_format_fault(x, at, varied_keys) for x, at in faults.items()])
+        )
+    return tuple(study_cells)
+
+
+def _build_scenario(table: Mapping[str, Any], cell: GridCell) -> Scenario:
+    """Build the scenario of a cell.
+
+    Raises:
+        FaultyError, ConfigError: it cannot be flown.
+    """
+    values, preset = cell.values, table["world"].get("preset")
+    base = dict(table)
+    if values.get("world.preset", preset) != preset and "time.horizon_s" not in values:
+        base = remove_horizon(base)
+    scenario = validate_model(Scenario, cell.edit(base))
+    check_planner(scenario)
+    check_reachable(scenario)
+    return scenario
+
+
+def _format_fault(text: str, settings: Sequence[Mapping[str, str]], keys: Sequence[str]) -> str:
+    """A fault, and the settings that all cells share that have it."""
+    shared = [
+        f"--set {key}={settings[0][key]}"
+        for key in keys
+        if all(x[key] == settings[0][key] for x in settings)
+    ]
+    return f"{text} ({' '.join(shared)})" if shared else text
 
 
 def run_sweep(
     request: SweepRequest,
     out: Path,
     *,
-    progress: RunsProgress,
+    progress: Progress,
     resume: bool = False,
     devices: int | None = None,
     workers: int | None = None,
@@ -149,7 +249,7 @@ def _resume_sweep(request: SweepRequest, out: Path) -> OutputLock:
 def _fly_cells(
     flights: Sequence[tuple[str, Scenario]],
     building: Path,
-    progress: RunsProgress,
+    progress: Progress,
     together: Processes,
     options: Mapping[str, Any],
 ) -> bool:

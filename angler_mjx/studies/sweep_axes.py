@@ -9,10 +9,10 @@ belong to the value.
 import re
 import tomllib
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from typing import Any
 
 from angler_mjx.errors import ConfigError, format_value
+from angler_mjx.studies.grid import SettingAxis
 
 RESERVED_KEYS = {
     "worlds": "give --worlds: the cells of a sweep have the same worlds",
@@ -26,18 +26,6 @@ RESERVED_KEYS = {
 _KEY = re.compile(r"[A-Za-z0-9_-]+(\.([A-Za-z0-9_-]+|\*))*")
 _WORD = re.compile(r"[^\s\"'\[\]{}=,]+")
 _CLOSED_BY = {"[": "]", "{": "}"}
-
-
-@dataclass(frozen=True, kw_only=True)
-class SettingAxis:
-    """One key, and the values that it takes."""
-
-    key: str
-    """Dotted."""
-    values: tuple[Any, ...]
-    """Plain."""
-    names: tuple[str, ...]
-    """The values as they were written."""
 
 
 def parse_axes(texts: Iterable[str]) -> tuple[SettingAxis, ...]:

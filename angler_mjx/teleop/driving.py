@@ -6,19 +6,70 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from angler_mjx.errors import ConfigError, RunError, format_value
 from angler_mjx.report.viewing import replay, viewer_window
+from angler_mjx.runs.session.recording import RecordedCourse, SessionRecording
 from angler_mjx.runs.storage import folder
 from angler_mjx.runs.storage.folder import Run
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.teleop import live_view, opening, script
 from angler_mjx.teleop.loop import DriveResult, Watcher, drive_session
 from angler_mjx.teleop.pilot import KEY_TIMEOUT_S, TeleopPilot
-from angler_mjx.teleop.recording import TeleopRecording
 from angler_mjx.teleop.script import KeyScript
 from angler_mjx.teleop.signals import StopRequest, break_on_signal, stop_on_signal
 from angler_mjx.teleop.terminal import Keyboard, Screen, has_screen
+
+KEYS_FILE = "keys.txt"
+"""File of the pressed keys in a run folder; as a script they repeat the drive of the scene."""
+
+
+class TeleopRecording(SessionRecording):
+    """Run folder in progress; see `SessionRecording`."""
+
+    def finish(self, driven: DriveResult, compile_s: float) -> Run | None:
+        """Write the run.
+
+        Args:
+            driven: result of the drive.
+            compile_s: seconds of compilation.
+
+        Returns:
+            The run; None if not even one step was driven.
+
+        Raises:
+            RunError: writing to the disk failed.
+        """
+        if not driven.steps:
+            return None
+        try:
+            script.save_keys(self.building / KEYS_FILE, driven.keys)
+        except OSError as error:
+            raise RunError(
+                f"{self.building / KEYS_FILE}: cannot be written ({error.strerror or error})"
+            ) from error
+        return self.close(
+            RecordedCourse(
+                steps=driven.steps,
+                wall_s=driven.wall_s,
+                compile_s=compile_s,
+                more={"teleop": _build_summary(driven)},
+                interrupted=driven.broken,
+            )
+        )
+
+
+def _build_summary(driven: DriveResult) -> dict[str, Any]:
+    overruns = driven.overruns
+    return {
+        "steps": driven.steps,
+        "scene_s": driven.scene_s,
+        "realtime": overruns is not None,
+        "overruns": None if overruns is None else overruns.count,
+        "worst_overrun_s": None if overruns is None else overruns.worst_s,
+        "keys": len(driven.keys),
+    }
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,6 +4,7 @@ Imported only where Rerun is installed; `require_viewer` raises where it is not.
 """
 
 import importlib.util
+import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,16 +14,17 @@ import jax
 import numpy as np
 
 from angler_mjx.errors import UnsupportedError
-from angler_mjx.report.viewing import style, viewer_window
-from angler_mjx.report.viewing.scene import ReplayScene
+from angler_mjx.report.plotting import style
+from angler_mjx.report.plotting.scene import ReplayScene
+from angler_mjx.report.viewing import viewer_window
 from angler_mjx.robot.control import plans
 from angler_mjx.robot.vehicles import library
 from angler_mjx.runs.session.batch_session import SessionInternals
 from angler_mjx.runs.session.interface import Floats, Observation, RobotStatus, Session
 from angler_mjx.sim.state import Outcome, World
-from angler_mjx.teleop import chase_camera
-from angler_mjx.teleop.pilot import TeleopPilot
+from angler_mjx.teleop.pilot import TeleopPilot, heading
 from angler_mjx.teleop.status import format_drive_mode
+from angler_mjx.world.rock.grid import Grid
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -30,7 +32,17 @@ if TYPE_CHECKING:
 
 MOVE_S, TRAIL_S = 0.1, 1.0
 """Intervals between poses, and between pieces of a trail, in seconds of the scene."""
+BACK_M, UP_M = 2.0, 0.8
+"""Offset of the chase camera from the robot, along its level heading and upright."""
 
+DOWN_RAD = 0.21
+"""Pitch of the chase camera.
+
+It is less than that of the line to the robot, so the robot is seen below the middle, and the
+scene ahead of it above."""
+
+_ROCK_CHECKS = 14
+"""Number of rock checks on the line from the robot to the camera: every 0.15 m."""
 _WHITE_RGBA = (255, 255, 255, 255)
 
 
@@ -140,7 +152,7 @@ class LiveView:
         driven = self._pilot.selected[0]
         if np.isfinite(p[driven]).all():  # it may have diverged
             grid = self._world.environment.grid
-            moved[f"{self._root}/camera"] = chase_camera.camera_pose(p[driven], q[driven], grid)
+            moved[f"{self._root}/camera"] = camera_pose(p[driven], q[driven], grid)
         for i, robot in enumerate(self._robots):
             moved[f"{self._space}/{robot.name}/vehicle"] = (p[i], q[i])
         for path, (position_m, attitude) in moved.items():
@@ -256,3 +268,44 @@ def _blueprint(session: Viewable, root: str) -> "rrb.Blueprint":
     return viewer_window.build_blueprint(
         rrb.Horizontal(chased, whole, column_shares=[1.2, 1.0]), panel
     )
+
+
+def camera_pose(p: np.ndarray, q: np.ndarray, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
+    """Return the position and attitude of the chase camera: behind and above the robot.
+
+    It follows the robot's heading and stays level while the robot tilts, as the keys do. Where
+    rock would hide the robot, the camera comes nearer.
+
+    Args:
+        p: [3] of the robot, m in W.
+        q: [4] attitude of the robot, F to W.
+        grid: cells of the world, as host arrays.
+
+    Returns:
+        Position [3], m in W, and quaternion [4] wxyz: x ahead, y to the left, z up.
+    """
+    psi = heading(q)
+    offset_m = np.array([-BACK_M * math.cos(psi), -BACK_M * math.sin(psi), UP_M])
+    path_m = p + np.linspace(0.0, 1.0, _ROCK_CHECKS + 1)[1:, None] * offset_m
+    blocked = np.flatnonzero(_is_in_rock(path_m, grid))
+    n_clear = _ROCK_CHECKS if blocked.size == 0 else int(blocked[0])
+    half, down = 0.5 * psi, 0.5 * DOWN_RAD
+    attitude = np.array(
+        [
+            math.cos(half) * math.cos(down),
+            -math.sin(half) * math.sin(down),
+            math.cos(half) * math.sin(down),
+            math.sin(half) * math.cos(down),
+        ]
+    )
+    return p + max(n_clear, 1) / _ROCK_CHECKS * offset_m, attitude
+
+
+def _is_in_rock(points_m: np.ndarray, grid: Grid) -> np.ndarray:
+    """Return whether points [n, 3] lie in an occupied cell; outside the cells none does."""
+    occupied = np.asarray(grid.occupied)
+    cells = np.floor((points_m - np.asarray(grid.origin_m)) / float(grid.cell_m)).astype(int)
+    inside = ((cells >= 0) & (cells < occupied.shape)).all(axis=1)
+    x, y, z = np.clip(cells, 0, np.array(occupied.shape) - 1).T
+    rock: np.ndarray = inside & occupied[x, y, z].astype(bool)
+    return rock

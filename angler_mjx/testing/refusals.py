@@ -6,7 +6,7 @@ import numpy as np
 
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.robot.control.commands import BodyTwist, PoseTarget, ThrusterPwm
-from angler_mjx.robot.control.joint_goal import JointGoal, JointPoint
+from angler_mjx.robot.control.commands.joint_goal import JointGoal, JointPoint
 from angler_mjx.runs.session.interface import Observation, Session
 from angler_mjx.testing.driving import (
     Bounds,

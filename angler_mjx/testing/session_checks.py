@@ -8,8 +8,8 @@ import numpy as np
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.robot.control.commands import BodyTwist, BodyWrench, PoseTarget, ThrusterPwm
-from angler_mjx.robot.control.joint_goal import JointGoal, JointPoint
-from angler_mjx.robot.control.joint_tolerance import ResultCode
+from angler_mjx.robot.control.commands.joint_goal import JointGoal, JointPoint
+from angler_mjx.robot.control.commands.joint_tolerance import ResultCode
 from angler_mjx.runs.session.interface import Floats, Observation, Session
 from angler_mjx.testing.driving import (
     Bounds,

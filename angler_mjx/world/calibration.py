@@ -20,7 +20,7 @@ import numpy as np
 from angler_kernels.bit_grid import count_cells
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import FileModel, parse_model
-from angler_mjx.world.rules import AutomatonRule, Shape, sample_cells
+from angler_mjx.world.rock.rules import AutomatonRule, Shape, sample_cells
 
 _FILE = "calibration.json"
 _EDGES = (8, 12, 16, 24, 32)

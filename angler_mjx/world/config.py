@@ -16,7 +16,7 @@ from angler_mjx.world import calibration, presets
 from angler_mjx.world.currents import CurrentConfig, GridConfig, ground
 from angler_mjx.world.currents.ground import BathymetryConfig
 from angler_mjx.world.obstacles import ObstaclesConfig
-from angler_mjx.world.rules import AutomatonRule, OpenRule, Rule, WallsRule
+from angler_mjx.world.rock.rules import AutomatonRule, OpenRule, Rule, WallsRule
 
 type Vector = tuple[Coordinate, Coordinate, Coordinate]
 type Placement = Literal["cross", "parallel", "random", "given"]

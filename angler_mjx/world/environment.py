@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 
 from angler_mjx.world.currents import Current
-from angler_mjx.world.grid import Grid
 from angler_mjx.world.obstacles import Obstacles
+from angler_mjx.world.rock.grid import Grid
 
 
 @jax.tree_util.register_dataclass

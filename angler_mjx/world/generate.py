@@ -16,9 +16,9 @@ from angler_mjx.world import currents, obstacles
 from angler_mjx.world.config import WorldConfig, WorldRecipe, resolve_world
 from angler_mjx.world.currents import ground
 from angler_mjx.world.environment import Environment
-from angler_mjx.world.grid import Grid
 from angler_mjx.world.ocean.floor import CellCentres
 from angler_mjx.world.placement import check_positions
+from angler_mjx.world.rock.grid import Grid
 from angler_mjx.world.sampling import sample_world
 
 _SEA_FLOOR = 0x464C4F4F

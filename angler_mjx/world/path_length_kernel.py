@@ -93,7 +93,7 @@ class _PathLengthKernel:
         _, ny, nz = self.shape
         return ny * nz, nz, 1
 
-    def __call__(self, ends: Any, moves: Any, length: Any, distance: Any) -> None:
+    def __call__(self, ends: jax.Ref, moves: jax.Ref, length: jax.Ref, distance: jax.Ref) -> None:
         program, none = self.program, self.lengths.none
         lane = jnp.arange(program.lanes, dtype=jnp.int32)
         nowhere = jnp.full((program.lanes,), none, jnp.int32)
@@ -133,7 +133,9 @@ class _PathLengthKernel:
         )
         length[0] = shortest
 
-    def _sweep_axis(self, distance: Any, moves: Any, lane: Any, axis: int, b: int, c: int) -> None:
+    def _sweep_axis(
+        self, distance: jax.Ref, moves: jax.Ref, lane: jax.Array, axis: int, b: int, c: int
+    ) -> None:
         """Sweep to either side of an axis, layer by layer."""
         n = self.shape[axis]
         real = lane < self.shape[b] * self.shape[c]
@@ -159,7 +161,7 @@ class _PathLengthKernel:
 
             jax.lax.fori_loop(1, n, advance, jnp.int32(0))
 
-    def _relax_moves(self, distance: Any, at: Any, may: Any, real: Any, which: Any) -> Any:
+    def _relax_moves(self, distance: jax.Ref, at: Any, may: Any, real: Any, which: Any) -> Any:
         """Return the min path length to each cell over paths that end with one of some moves."""
         none = jnp.int32(self.lengths.none)
         best = none
@@ -176,7 +178,7 @@ class _PathLengthKernel:
             best = jnp.minimum(best, nearest + cost)
         return best
 
-    def _free_length(self, apart: list[Any]) -> Any:
+    def _free_length(self, apart: list[jax.Array]) -> Any:
         """Return the shortest path length between cells, by their offsets along each axis."""
         one, two, three = self.lengths.of_axes
         shortest = jnp.minimum(jnp.minimum(apart[0], apart[1]), apart[2])
@@ -184,7 +186,9 @@ class _PathLengthKernel:
         middle = apart[0] + apart[1] + apart[2] - shortest - longest
         return three * shortest + two * (middle - shortest) + one * (longest - middle)
 
-    def _can_improve(self, distance: Any, moves: Any, lane: Any, start: Any, shortest: Any) -> Any:
+    def _can_improve(
+        self, distance: jax.Ref, moves: jax.Ref, lane: jax.Array, start: Any, shortest: Any
+    ) -> Any:
         """Return whether a path through any improvable cell could be shorter; int32 []."""
         nx, ny, nz = self.shape
         real = lane < ny * nz

@@ -9,7 +9,7 @@ from pydantic import Field
 from angler_mjx.errors import ConfigError, format_value
 from angler_mjx.files import FileModel, parse_model, read_toml
 from angler_mjx.world.obstacles import ObstaclesConfig
-from angler_mjx.world.rules import Rule
+from angler_mjx.world.rock.rules import Rule
 
 _FOLDER = "data"
 
@@ -30,7 +30,7 @@ class Preset(FileModel):
     min_obstacles: int = 0
     placement: Literal["cross", "parallel", "random"] = "cross"
     horizon_s: Annotated[float, Field(gt=0, le=86400)] = 120.0
-    """Default horizon of scenarios in this world: time for its paths; see `docs/planners.md`."""
+    """Default horizon of scenarios in this world: time for its paths."""
     obstacles: ObstaclesConfig = ObstaclesConfig()
 
 

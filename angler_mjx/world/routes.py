@@ -8,9 +8,12 @@ so a robot that descends it arrives. `angler_mjx.planning.routes.route_fields` c
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import jax.numpy as jnp
+
+from angler_mjx._moved import renamed as _renamed
 
 MOVE_BITS = 5
 """Bits of the step in a word: its index in a block of 3 x 3 x 3; the middle one (`STAY`) is
@@ -148,3 +151,8 @@ def is_clear(routes: Routes, x: jax.Array, y: jax.Array, z: jax.Array) -> jax.Ar
         at.append(jnp.clip(cube, 0, FINER * n - 1).astype(jnp.int32))
     word = routes.clear[at[0], at[1], at[2] >> 5]
     return inside & (((word >> (at[2] & 31).astype(jnp.uint32)) & 1) == 1)
+
+
+def __getattr__(name: str) -> Any:
+    """Return what had another name before 0.2."""
+    return _renamed(__name__, name)

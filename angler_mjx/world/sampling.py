@@ -25,7 +25,7 @@ from angler_mjx.world.placement import (
     obstacle_gap,
     passable_cells,
 )
-from angler_mjx.world.rules import sample_cells
+from angler_mjx.world.rock.rules import sample_cells
 
 _GROUP_DIVISOR = 4
 """Number of groups into which a tile is divided for sampling."""

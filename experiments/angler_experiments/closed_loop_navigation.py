@@ -1,7 +1,7 @@
-"""How fleets do when their controllers are told the truth, noise, or a filter's estimate.
+"""Performance of fleets whose controllers receive the truth, noise, or a filter's estimate.
 
 The same worlds each time: those of a shipped scenario on the fused engine. Prints the table of
-docs/sensors.md.
+docs/reference/sensors.md.
 """
 
 from typing import Any
@@ -24,7 +24,7 @@ COLLISIONS = (Outcome.COLLISION_STATIC, Outcome.COLLISION_DYNAMIC, Outcome.COLLI
 
 
 def fly_worlds(scenario: Scenario) -> tuple[np.ndarray, Any]:
-    """Outcomes [world, robot] and samples [world, sample, robot, ...] of a tile."""
+    """Return outcomes [world, robot] and samples [world, sample, robot, ...] of a tile."""
     simulator = Simulator(scenario)
     worlds = simulator.worlds()
     state, parts = simulator.reset(worlds), []
@@ -36,7 +36,7 @@ def fly_worlds(scenario: Scenario) -> tuple[np.ndarray, Any]:
 
 
 def format_row(name: str, outcome: np.ndarray, samples: Any) -> str:
-    """A line of the table; errors are root mean squares over samples of robots on their way."""
+    """Format a line of the table; errors are root mean squares over samples of running robots."""
     is_running = samples.outcome == Outcome.RUNNING
     aim_error_m = np.linalg.norm(samples.p - samples.target_m, axis=-1)[is_running]
     cells = [name]

@@ -1,14 +1,15 @@
-"""The study that chose the discretisation: five ways to take a step, against DOP853.
+"""Study that selected the discretisation: five schemes of a step, against DOP853.
 
 All of them step the same equations, those of `angler_mjx.sim.physics`, in float64: four vehicles
 with rotor lag, in a uniform current with one vortex, under random thruster commands that change
-every 0.2 s. What is compared is the greatest distance from the reference at any of these changes.
+every 0.2 s. The measure is the greatest distance from the reference at any of these changes.
 
     python -m angler_experiments.convergence
 
 prints the table; `angler validate` puts it on the page.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,9 +23,9 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from angler_experiments.shared import schemes
-from angler_experiments.shared.driving import CASES, HOLD_S, DrivingCase, sample_commands
 from angler_kernels import quaternion
 from angler_kernels.current_field import lamb_oseen_circulation
+from angler_mjx.robot.control import allocation
 from angler_mjx.robot.vehicles import library, mjcf, params
 from angler_mjx.robot.vehicles.params import VehicleParams
 from angler_mjx.sim.physics import mjx_engine, step
@@ -32,6 +33,33 @@ from angler_mjx.sim.physics.mjx_engine import BodyInertia, MjxPhysics
 from angler_mjx.sim.physics.step import VehicleState, Water
 from angler_mjx.testing.validation.results import StudyNumber, save_result
 from angler_mjx.world.currents import Current, Uniform, Vortices
+
+HOLD_S = 0.2
+"""Interval between changes of a thruster command."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DrivingCase:
+    """How roughly the vehicles are driven."""
+
+    name: str
+    speed_mps: float
+    """Amplitude of surge, sway and heave: the force that drag exerts at this speed."""
+    tilt_rad: float
+    """Amplitude of the moments about x and y: what holds the vehicle at this tilt."""
+    moment_nm: tuple[float, float, float]
+    """Amplitude of further moments about x, y, z."""
+    memory: float
+    """Correlation of a command with the one 0.2 s before."""
+
+
+CASES = (
+    DrivingCase(
+        name="moderate", speed_mps=0.22, tilt_rad=0.03, moment_nm=(0.0, 0.0, 0.6), memory=0.95
+    ),
+    DrivingCase(name="violent", speed_mps=1.2, tilt_rad=0.0, moment_nm=(8.0, 8.0, 6.0), memory=0.5),
+)
+
 
 type Array = NDArray[np.float64]
 
@@ -44,12 +72,12 @@ VARIANTS = (
 STEPS_MS = (40, 20, 10, 5)
 BATTERY_V = 16.0
 QUICK: dict[str, Any] = {"cases": CASES[:1], "steps_ms": (10,), "names": ("ours",)}
-"""What `--quick` studies."""
+"""Cases of `--quick`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ConvergenceSetup:
-    """The vehicles [n_variant], and the water that they are in."""
+    """Vehicles [n_variant], and the water that they are in."""
 
     engine: MjxPhysics
     body: BodyInertia
@@ -59,7 +87,7 @@ class ConvergenceSetup:
 
 @dataclass(frozen=True, kw_only=True)
 class ConvergenceRow:
-    """One line of the table."""
+    """Line of the table."""
 
     case: str
     vehicle: str
@@ -68,7 +96,28 @@ class ConvergenceRow:
     greatest_tilt_deg: float
     step_ms: int
     error_cm: dict[str, float]
-    """By scheme; NaN where it blew up."""
+    """Error by scheme; NaN after divergence."""
+
+
+def sample_commands(
+    case: DrivingCase, vehicles: VehicleParams, n: int, seed: int
+) -> NDArray[np.float64]:
+    """Thrusts [n_variant, n, n_thruster] N that settle random wrenches, held for 0.2 s each."""
+    rng = np.random.default_rng(seed)
+    noise = rng.uniform(-1.0, 1.0, (n, 6)) * math.sqrt(3.0)
+    for k in range(1, n):
+        noise[k] = case.memory * noise[k - 1] + math.sqrt(1 - case.memory**2) * noise[k]
+    linear, quadratic = np.asarray(vehicles.D_l)[:, :3], np.asarray(vehicles.D_q)[:, :3]
+    force = (linear + quadratic * case.speed_mps) * case.speed_mps
+    volume, p_cb = np.asarray(vehicles.volume_m3), np.asarray(vehicles.p_cb_m)
+    righting = Water().density_kgpm3 * Water().gravity_mps2 * volume * p_cb[:, 2]
+    moment = case.tilt_rad * righting[:, None] * np.array([1, 1, 0]) + case.moment_nm
+    amplitude = np.concatenate([force, moment], axis=1)
+    inverse = np.asarray(allocation.build_allocation(vehicles).B_inverse)
+    thrust = np.einsum("vti,vi,ki->vkt", inverse, amplitude / 2, noise)
+    ends = np.asarray(vehicles.thrust_n)[:, None, [0, -1]]
+    clipped: NDArray[np.float64] = np.clip(thrust, ends[..., :1], ends[..., 1:])
+    return clipped
 
 
 def build_setup(variants: Sequence[tuple[str, str]]) -> ConvergenceSetup:
@@ -94,7 +143,7 @@ def build_setup(variants: Sequence[tuple[str, str]]) -> ConvergenceSetup:
 
 
 def first_state(n_thruster: int) -> VehicleState:
-    """A vehicle at rest in the middle of the water column."""
+    """Return the state of a vehicle at rest in the middle of the water column."""
     return VehicleState(
         p=jnp.array([0.0, 0.0, -30.0]),
         q=jnp.array([1.0, 0.0, 0.0, 0.0]),
@@ -107,7 +156,7 @@ def first_state(n_thruster: int) -> VehicleState:
 def build_simulator(
     setup: ConvergenceSetup, scheme: schemes.Scheme
 ) -> Callable[[Array, int], Array]:
-    """A function (commands, step_ms) -> positions [n_variant, n_command, 3] after each command."""
+    """Build a function (commands, step_ms) -> positions [n_variant, n_command, 3] by command."""
 
     def simulate_vehicle(
         body: BodyInertia,
@@ -116,7 +165,7 @@ def build_simulator(
         dt: jax.Array,
         steps: jax.Array,
     ) -> jax.Array:
-        # The current is steady: any time will do.
+        # The current is steady, so the time is arbitrary.
         zero, water = jnp.zeros(()), Water()
         state = first_state(commands.shape[-1])
         state = step.start_multistep(setup.engine, body, vehicle, state, setup.current, zero, water)
@@ -127,7 +176,7 @@ def build_simulator(
                     setup.engine, body, vehicle, state, command, setup.current, zero, dt, water
                 )
 
-            # A traced number of steps: one compilation a scheme, whatever the step.
+            # A traced number of steps: one compilation per scheme, for any step.
             state = jax.lax.fori_loop(0, steps, take_step, state)
             return state, state.p
 
@@ -143,7 +192,7 @@ def build_simulator(
 
 
 def integrate_reference(setup: ConvergenceSetup, commands: Array) -> Array:
-    """States [n_variant, n_command, 13 + n_thruster] by DOP853, after each command."""
+    """Return states [n_variant, n_command, 13 + n_thruster] by DOP853, after each command."""
     n, n_thruster = len(commands), commands.shape[-1]
     start = first_state(n_thruster)
 
@@ -195,10 +244,10 @@ def run_study(
 
     Args:
         seconds: length of each run.
-        cases: how roughly to drive.
+        cases: driving cases.
         steps_ms: divisors of 200.
         variants: vehicles and their parameter sets.
-        names: of the schemes.
+        names: names of the schemes.
 
     Returns:
         Rows by case, vehicle and step.
@@ -243,7 +292,7 @@ def _greatest_tilt_deg(q: Array) -> float:
 
 
 def to_markdown(rows: Sequence[ConvergenceRow]) -> str:
-    """The table as a person reads it: greatest position error in cm."""
+    """Format the table of greatest position errors in cm."""
     names = list(rows[0].error_cm)
     head = ["case", "vehicle, set", "step, ms", *names]
     lines = [" | ".join(head), " | ".join(["---"] * 2 + ["---:"] * (len(head) - 2))]
@@ -260,7 +309,7 @@ def _format_centimetres(value: float) -> str:
 
 
 def result_numbers(rows: Sequence[ConvergenceRow]) -> Mapping[str, StudyNumber]:
-    """The errors of the scheme that is used, by case, vehicle, set and step."""
+    """Return the errors of the adopted scheme, by case, vehicle, set and step."""
     return {
         f"{row.case}.{row.vehicle}.{row.parameter_set}.{row.step_ms}_ms": StudyNumber(
             value=row.error_cm["ours"], unit="cm", worse="scheme"
@@ -277,7 +326,7 @@ def main(
     Args:
         json: File for the result, as `angler validate` reads it.
         seconds: Length of each run.
-        quick: Only the scheme that is used, at its default step, in moderate manoeuvres.
+        quick: Only the adopted scheme, at its default step, in moderate manoeuvres.
     """
     rows = run_study(seconds, **QUICK) if quick else run_study(seconds)
     table = to_markdown(rows)

@@ -1,9 +1,9 @@
-r"""CPU against GPU: the same worlds on both, and which decision made rounding a difference.
+r"""CPU against GPU: the same worlds on both, and the decisions that rounding changed.
 
     python -m angler_experiments.devices_parity --out devices.json
 
 flies 256 worlds of `reef_fleet`, seed 7, in a process for each platform at the same time, and
-traces every robot that ended otherwise (`angler_experiments.shared.tracing`). It needs a machine
+traces every robot with another outcome (`angler_experiments.shared.tracing`). It needs a machine
 with both. Two runs of one platform are compared by their tiles or by flags of XLA:
 
     python -m angler_experiments.devices_parity --platforms cpu cpu --tiles 128 64
@@ -31,23 +31,23 @@ from angler_mjx.sim.state import Outcome
 from angler_mjx.testing.validation.results import StudyNumber, save_result
 
 DEVICES = {"gpu": "cuda", "cpu": "cpu"}
-"""What JAX is told."""
+"""Names of platforms for JAX."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ParitySettings:
-    """What is flown, on both sides."""
+    """Settings of the flights, on both sides."""
 
     scenario: str = "reef_fleet"
     worlds: int = 256
-    """How many."""
+    """Number of worlds."""
     seed: int = 7
-    """Of the worlds."""
+    """Seed of the worlds."""
     seconds: float = 120.0
     """Length of the episodes."""
 
     def load(self) -> Scenario:
-        """The scenario, sampled at control rate."""
+        """Return the scenario, sampled at control rate."""
         chosen = load_scenario(
             self.scenario, worlds=self.worlds, seed=self.seed, time={"horizon_s": self.seconds}
         )
@@ -63,7 +63,7 @@ def fly_both(
     """Fly both sides, each in a process of its own, at the same time.
 
     Raises:
-        RunError: one of them failed.
+        RunError: a process failed.
     """
     with tempfile.TemporaryDirectory() as folder:
         files = [Path(folder) / f"side_{k}.npz" for k in range(2)]
@@ -77,7 +77,7 @@ def fly_both(
                 arguments += [f"--{name}", str(getattr(settings, name))]
             command = [sys.executable, "-m", "angler_experiments.devices_parity", *arguments]
             processes.append(subprocess.Popen(command, env=environment))
-        # Both are waited for, so that none is left behind.
+        # Wait for both processes, so that neither remains.
         codes = [process.wait() for process in processes]
         for platform, code in zip(platforms, codes, strict=True):
             if code:
@@ -87,7 +87,7 @@ def fly_both(
 
 
 def path_length_differences(a: StudyFlight, b: StudyFlight) -> np.ndarray:
-    """Differences of path length of robots that ended the same way."""
+    """Return differences of path length of robots with the same outcome."""
     is_same_end = ~tracing.is_different(a, b)
     difference_m: np.ndarray = np.abs(a.path_length_m.astype(np.float64) - b.path_length_m)[
         is_same_end
@@ -96,7 +96,7 @@ def path_length_differences(a: StudyFlight, b: StudyFlight) -> np.ndarray:
 
 
 def result_numbers(a: StudyFlight, b: StudyFlight, traces: list[Trace]) -> dict[str, StudyNumber]:
-    """What is compared from one time to the next."""
+    """Return the numbers that are compared between versions."""
     difference_m = path_length_differences(a, b)
     return {
         "other_end": StudyNumber(value=float(len(traces)), unit="robots", worse="count"),
@@ -107,7 +107,7 @@ def result_numbers(a: StudyFlight, b: StudyFlight, traces: list[Trace]) -> dict[
 
 
 def to_markdown(a: StudyFlight, b: StudyFlight, traces: list[Trace], names: tuple[str, str]) -> str:
-    """What was found, as it stands on the page."""
+    """Format the results for the page."""
     difference_m = path_length_differences(a, b)
     arrived = [int(np.sum(side.outcome == Outcome.REACHED)) for side in (a, b)]
     n_other_outcome = sum(trace.outcomes[0] != trace.outcomes[1] for trace in traces)
@@ -148,10 +148,10 @@ def main(
     out: Path | None = None,
     side: Path | None = None,
 ) -> None:
-    """Fly the same worlds on two platforms and trace every robot that ended otherwise.
+    """Fly the same worlds on two platforms and trace every robot with another outcome.
 
     Args:
-        settings: what is flown.
+        settings: settings of the flights.
         platforms: cpu or gpu, twice.
         tiles: worlds in one call, of each.
         second_flags: flags of XLA for the second, instead of those of the environment.

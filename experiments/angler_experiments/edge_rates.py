@@ -1,10 +1,10 @@
-"""How many edges of a team the compiled check answers in a second, on one core.
+"""Rate of the compiled check of a team's edges, on one core.
 
     python -m angler_experiments.edge_rates reef_fleet
 
-Edges of three kinds in the worlds of a scenario: between two random places of the cube, between two
+Edges of three kinds in the worlds of a scenario: between two random points of the cube, between two
 free states anywhere in it, and from a free state 1 to 3 m on for each robot, as a tree grows. All
-at once, and one after another from Python. Obstacles that move stand where they are at t = 0.
+at once, and one after another from Python. Moving obstacles are fixed at their positions at t = 0.
 """
 
 import time
@@ -14,9 +14,9 @@ import jax
 import numpy as np
 import tyro
 
-from angler_mjx.planning.build_problem import build_problems
+from angler_mjx.planning.build_problem import build_problem
 from angler_mjx.planning.host.edges import EdgeChecker
-from angler_mjx.planning.problem import Problem
+from angler_mjx.planning.problem import Problem, ProblemSettings
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.sim.information import Information
@@ -26,21 +26,24 @@ HORIZON_S = 120.0
 
 
 def sample_problems(scenario: str, worlds: int) -> list[Problem]:
-    """The first worlds of a scenario, with the true motion of what moves."""
+    """Return the problems of the first worlds, with the true motion of obstacles."""
     sim = Simulator(load_scenario(scenario, worlds=worlds), tile=worlds)
-    information = Information(obstacles="truth")
-    batch = jax.jit(
-        jax.vmap(
-            lambda world, seed: build_problems(world, seed, sim.spec, information, HORIZON_S, 5.0)
-        )
-    )(sim.worlds(0), np.arange(worlds, dtype=np.uint32))
+    settings = ProblemSettings(
+        horizon_s=HORIZON_S,
+        goal_tolerance_m=sim.spec.goal_tolerance_m,
+        information=Information(obstacles="truth"),
+        deadline_s=5.0,
+    )
+    batch = jax.jit(jax.vmap(lambda world, seed: build_problem(world, seed, sim.spec, settings)))(
+        sim.add_parameters(sim.worlds(0)), np.arange(worlds, dtype=np.uint32)
+    )
     return [jax.tree.map(lambda x, i=i: np.asarray(x)[i], batch) for i in range(worlds)]
 
 
 def iterate_edge_kinds(
     problem: Problem, checker: EdgeChecker, n: int
 ) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
-    """Names of the kinds, and edges [n, 3 R] of each."""
+    """Yield names of the kinds, and edges [n, 3 R] of each."""
     rng = np.random.default_rng(0)
     low, high = np.asarray(problem.lower_m, float), np.asarray(problem.upper_m, float)
 
@@ -67,7 +70,7 @@ def iterate_edge_kinds(
 
 
 def median_seconds(call: Callable[[], object]) -> float:
-    """Median time of a call that has been made before."""
+    """Return the median time of a call after a first call."""
     call()
     durations = []
     for _ in range(REPEATS):
@@ -78,7 +81,7 @@ def median_seconds(call: Callable[[], object]) -> float:
 
 
 def measure_rates(checker: EdgeChecker, a: np.ndarray, b: np.ndarray) -> tuple[float, float, float]:
-    """Share of edges that are free, edges/s at once, and edges/s one after another."""
+    """Return the fraction of free edges, edges/s at once, and edges/s one after another."""
     rows, ends, check = list(a[: len(a) // 4]), list(b[: len(a) // 4]), checker.edge_flat
     flat = (a.reshape(len(a), -1, 3), b.reshape(len(b), -1, 3))
     batch_s = median_seconds(lambda: checker.edges(*flat))
@@ -92,9 +95,9 @@ def main(
     """Print a row for each world and kind.
 
     Args:
-        scenario: a shipped name or a file.
-        worlds: how many of its worlds.
-        n: edges of each kind.
+        scenario: name of a shipped scenario, or a file.
+        worlds: number of its worlds.
+        n: number of edges of each kind.
     """
     print("world | kind | free | edges/s at once | edges/s one by one")
     for number, problem in enumerate(sample_problems(scenario, worlds)):

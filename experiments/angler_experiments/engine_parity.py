@@ -1,12 +1,12 @@
-"""How far the fused engine is from mjx: whole episodes of the same worlds, in float32.
+"""Deviation of the fused engine from mjx: whole episodes of the same worlds, in float32.
 
 Every world is run twice: same cells, obstacles, currents, paths and fleet, another engine. All
-shipped vehicles and parameter sets are drawn.
+shipped vehicles and parameter sets are sampled.
 
     python -m angler_experiments.engine_parity --worlds 250
 
 A robot is counted as *within the bound* as long as its positions of the two runs differ by no more
-than `bound_m`. What takes it past the bound is a decision that rounding tips: an obstacle that was
+than `bound_m`. It leaves the bound by a decision that rounding changes: an obstacle that was
 touched a step later, a thruster at the edge of its dead band.
 """
 
@@ -19,6 +19,7 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
+from angler_experiments.shared.tracing import bound_m
 from angler_mjx.robot.vehicles import library
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import Scenario, load_scenario
@@ -27,61 +28,41 @@ from angler_mjx.testing.validation.results import StudyNumber, save_result
 
 type Array = NDArray[np.float64]
 
-STANDARD_DEVIATIONS = 5.0
-
 
 @dataclass(frozen=True, kw_only=True)
 class EngineParity:
-    """What was found; [n] robots of all worlds."""
+    """Comparison of the engines; [n] robots of all worlds."""
 
     distance_m: Array
     """[n, samples] distance of the two runs."""
     bound_m: Array
-    """[samples] what rounding can explain."""
+    """[samples] distance that rounding can explain."""
     outcome: NDArray[np.int32]
-    """[2, n] by mjx and by fused."""
+    """[2, n] outcomes by mjx and by fused."""
     touched: NDArray[np.int32]
-    """[2, n, 2] what was touched, and which of these."""
+    """[2, n, 2] kind and index of the touched object."""
     end_time_s: Array
-    """[2, n]."""
+    """[2, n] end times."""
     variants: NDArray[np.int32]
-    """[n] which vehicle and set."""
+    """[n] vehicle and parameter set."""
 
     @property
     def is_within(self) -> NDArray[np.bool_]:
-        """[n] robots that stay within the bound to the end."""
+        """Return [n] whether a robot stays within the bound to the end."""
         is_inside: NDArray[np.bool_] = np.all(self.distance_m <= self.bound_m, axis=1)
         return is_inside
 
     @property
     def is_same(self) -> NDArray[np.bool_]:
-        """[n] robots whose episodes end the same way, on the same thing."""
+        """Return [n] whether both episodes have the same outcome, with the same object."""
         is_alike: NDArray[np.bool_] = (self.outcome[0] == self.outcome[1]) & np.all(
             self.touched[0] == self.touched[1], axis=1
         )
         return is_alike
 
 
-def bound_m(steps: Array, reach_m: float) -> Array:
-    """How far apart rounding takes two float32 runs of the same equations.
-
-    Both round the position once a physics step, by up to half a unit in the last place (ulp) of the
-    greatest coordinate. The two errors are independent and uniform, so the difference is a random
-    walk with steps of variance ulp^2 / 6: after n steps its standard deviation is ulp sqrt(n / 6).
-    Five of these are allowed. Rounding of velocities and forces adds little: damping and
-    the control loop take it out within seconds.
-
-    Args:
-        steps: physics steps taken.
-        reach_m: greatest coordinate.
-    """
-    ulp = float(np.spacing(np.float32(reach_m)))
-    bound: Array = STANDARD_DEVIATIONS * ulp * np.sqrt(np.maximum(steps, 1) / 6)
-    return bound
-
-
 def all_vehicles_scenario(scenario: Scenario) -> Scenario:
-    """The scenario with two robots of each shipped vehicle, which draw any of its sets."""
+    """Return the scenario with two robots of each shipped vehicle, which sample any of its sets."""
     fleet = [
         {
             "vehicle": vehicle,
@@ -97,7 +78,7 @@ def compare_engines(scenario: Scenario, tile: int = 125) -> EngineParity:
     """Run all worlds of a scenario by both engines.
 
     Args:
-        scenario: with as many worlds as are wanted; those of the last tile are all run.
+        scenario: scenario with the number of worlds; the last tile is run whole.
         tile: worlds in one call.
     """
     engines = [
@@ -126,7 +107,7 @@ def compare_engines(scenario: Scenario, tile: int = 125) -> EngineParity:
 
 
 def _run_tile(engines: list[Simulator], first: int) -> tuple[Any, Any, Any]:
-    """One tile by mjx and by fused, and the variants; [n] robots lead."""
+    """Run one tile by mjx and by fused; return both and the variants, [n] robots leading."""
     worlds = engines[0].worlds(first)
     runs = []
     for simulator in engines:
@@ -152,7 +133,7 @@ def _run_tile(engines: list[Simulator], first: int) -> tuple[Any, Any, Any]:
 
 
 def format_report(parity: EngineParity, names: list[str]) -> str:
-    """The numbers as a person reads them."""
+    """Format the numbers for people."""
     is_within, is_same = parity.is_within, parity.is_same
     max_distance_m = parity.distance_m.max(axis=1)
     lines = [
@@ -182,11 +163,11 @@ def format_report(parity: EngineParity, names: list[str]) -> str:
 
 
 def result_numbers(parity: EngineParity, size: str) -> dict[str, StudyNumber]:
-    """What is compared from one time to the next; counts in robots.
+    """Return the numbers that are compared between versions; counts in robots.
 
     Args:
-        parity: of the two runs.
-        size: of the runs, for the keys.
+        parity: comparison of the two runs.
+        size: size of the runs, for the keys.
     """
     max_distance_m = parity.distance_m.max(axis=1)
     other_end = parity.end_time_s[0] != parity.end_time_s[1]
@@ -204,7 +185,7 @@ def result_numbers(parity: EngineParity, size: str) -> dict[str, StudyNumber]:
 
 
 def to_markdown(parity: EngineParity) -> str:
-    """The numbers as they stand on the page."""
+    """Format the numbers for the page."""
     is_within, is_same = parity.is_within, parity.is_same
     max_distance_m = parity.distance_m.max(axis=1)
     other_end = parity.end_time_s[0] != parity.end_time_s[1]
@@ -232,11 +213,11 @@ def main(
     seconds: float = 120.0,
     json: Path | None = None,
 ) -> EngineParity:
-    """Run the same worlds by mjx and by fused, and say how far they are apart.
+    """Run the same worlds by mjx and by fused, and report their deviation.
 
     Args:
         scenario: name of a shipped scenario, or path of a file; the fleet is replaced.
-        worlds: how many.
+        worlds: number of worlds.
         seconds: length of the episodes.
         json: file for the result, as `angler validate` reads it.
     """

@@ -1,12 +1,12 @@
-"""How fast OMPL's planners plan for teams, on one core.
+"""Speed of OMPL's planners for teams, on one core.
 
     python -m angler_experiments.ompl_speed --robots 1 4 8 16 --count 200
 
-Worlds of a shipped scenario whose fleet is made larger or smaller; what moves in them is not known
-to the planner, nor is the current. Reported are the search alone, which is what others report, and
-all of `plan`: making the compiled checks ready, the search, shortcuts and timing. Compiling is
-apart. Every path is looked at anew, by closed forms of this file: the robots' spheres among cells,
-faces, floor, obstacles that stand, and each other.
+Worlds of a shipped scenario with a larger or smaller fleet; the planner has no information on
+moving obstacles and current. The report gives the search alone, as others do, and all of `plan`:
+preparing the compiled checks, the search, shortcuts and timing. Compiling is separate. Every path
+is checked again, by closed forms of this file: the robots' spheres among cells, faces, floor, fixed
+obstacles, and each other.
 """
 
 import time
@@ -19,22 +19,22 @@ import tyro
 from angler_mjx.planning.answers import Answer, check_answer
 from angler_mjx.planning.host.ompl.planners import PLANNERS
 from angler_mjx.planning.problem import Problem
-from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import load_scenario
 
 SAMPLE_SPACING_M = 0.01
-"""Between the places of a path that are looked at."""
+"""Spacing between the checked points of a path."""
 
 
 def build_problems(scenario: str, robots: int, count: int, deadline_s: float) -> list[Problem]:
-    """Problems of worlds 0, 1 and on.
+    """Build problems of worlds 0, 1 and so on.
 
     Args:
-        scenario: name of a shipped one.
-        robots: of a team; half of them (rounded up) are of the scenario's first kind.
-        count: of problems.
-        deadline_s: of each.
+        scenario: name of a shipped scenario.
+        robots: robots of a team; half of them (rounded up) are of the scenario's first kind.
+        count: number of problems.
+        deadline_s: time limit of each problem.
     """
     shipped = load_scenario(scenario)
     kinds = [kind.model_dump(exclude_unset=True) for kind in shipped.fleet[:2]]
@@ -50,7 +50,7 @@ def build_problems(scenario: str, robots: int, count: int, deadline_s: float) ->
 
 
 def min_clearance_m(answer: Answer, problem: Problem) -> float:
-    """Least distance of any robot's sphere to rock, face, floor or another robot's; m."""
+    """Return least distance of any robot's sphere to rock, face, floor or another robot's; m."""
     paths = [path for path in answer.paths if isinstance(path, Trajectory)]
     end = max(float(path.time_s[-1]) for path in paths)
     time_s = np.linspace(0.0, end, 2 + int(end * 0.5 / SAMPLE_SPACING_M))
@@ -94,13 +94,13 @@ def main(
     """Plan and report.
 
     Args:
-        planner: OMPL's name.
-        scenario: name of a shipped one.
-        robots: of each team.
+        planner: OMPL's name of the planner.
+        scenario: name of a shipped scenario.
+        robots: robots of each team.
         count: problems of each size.
-        deadline_s: of each problem.
-        mode: of the planner.
-        look: problems of each size whose paths are looked at anew.
+        deadline_s: time limit of each problem.
+        mode: mode of the planner.
+        look: problems of each size with checked paths.
     """
     planner_class = PLANNERS[planner]
     planner_instance = planner_class(planner_class.Settings(mode=mode))
@@ -119,7 +119,7 @@ def main(
 
 
 def format_row(team: int, answers: list[Answer], problems: list[Problem], look: int) -> str:
-    """One line of the table; all problems count in the times, those without a plan as they took."""
+    """Format a line of the table; times include problems without a plan."""
     solved = [answer.status == "planned" for answer in answers]
     search = 1e3 * np.array([answer.extras.get("search_s", np.nan) for answer in answers])
     whole = 1e3 * np.array([answer.planning_s for answer in answers])

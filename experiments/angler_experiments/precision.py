@@ -2,9 +2,9 @@
 
     python -m angler_experiments.precision --worlds 64
 
-Runs are made in float32. Here every world is flown in float64 too, from the same numbers, so that
-what float32 costs stands by itself: for rounding alone, and for the robots whose episodes end
-otherwise, traced to what differed first (`angler_experiments.shared.tracing`).
+Runs are made in float32. This study flies every world in float64 too, from the same numbers, to
+isolate the effect of float32: for rounding alone, and for the robots with another outcome, traced
+to the first difference (`angler_experiments.shared.tracing`).
 """
 
 import math
@@ -20,7 +20,7 @@ from angler_mjx.testing.validation.results import StudyNumber, save_result
 
 
 def energy_difference(single: StudyFlight, double: StudyFlight) -> float:
-    """Median relative difference of the electrical energy of robots that ended the same way."""
+    """Return median relative difference of electrical energy of robots with the same outcome."""
     is_same_end = ~tracing.is_different(single, double)
     single_j, double_j = (
         single.energy_j.astype(np.float64)[is_same_end],
@@ -33,7 +33,7 @@ def main(worlds: int = 64, seconds: float = 120.0, json: Path | None = None) -> 
     """Fly worlds of `reef_fleet`, seed 7, in float32 and in float64, and compare.
 
     Args:
-        worlds: how many.
+        worlds: number of worlds.
         seconds: length of the episodes.
         json: file for the result, as `angler validate` reads it.
     """

@@ -1,9 +1,9 @@
-"""Every shipped scenario flown by both engines, every robot judged by the referee.
+"""Campaign of the referee: every shipped scenario on both engines, every robot judged.
 
     python -m angler_experiments.referee_campaign --robots 1000 --horizon-s 60
 
-Runs are recorded at the control rate, which the referee needs to work everything out anew. A row
-says how many robots were judged, what came of it, and the largest deviation of each quantity.
+Runs are recorded at the control rate, which the referee needs to recompute everything. A row lists
+the number of judged robots, the result, and the largest deviation of each quantity.
 """
 
 import tempfile
@@ -28,12 +28,12 @@ DEVIATIONS = (
     "min_separation_m",
     "impact_speed_mps",
 )
-"""What has a tolerance; the rest is to be equal."""
+"""Quantities with a tolerance; the rest must be equal."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CampaignFlight:
-    """A scenario, an engine, and what the referee says of their run."""
+    """Scenario, engine, and the referee's report of the run."""
 
     scenario: str
     engine: Engine
@@ -41,7 +41,7 @@ class CampaignFlight:
 
 
 def prepare_scenario(name: str, engine: Engine, robots: int, horizon_s: float) -> Scenario:
-    """A shipped scenario with about so many robots in all, recorded at the control rate."""
+    """Return a shipped scenario with about this number of robots, recorded at control rate."""
     scenario = load_scenario(name, engine=engine)
     worlds = max(1, round(robots / len(scenario.members())))
     timing = {"horizon_s": horizon_s, "record_hz": 1.0 / scenario.time.control_dt_s}
@@ -51,7 +51,7 @@ def prepare_scenario(name: str, engine: Engine, robots: int, horizon_s: float) -
 def fly_and_judge(
     names: tuple[str, ...], engines: tuple[Engine, ...], robots: int, horizon_s: float
 ) -> Iterator[CampaignFlight]:
-    """Fly and judge, one run after another; no run stays on the disk."""
+    """Fly and judge, one run after another; runs are deleted from the disk."""
     for name in names:
         for engine in engines:
             with tempfile.TemporaryDirectory() as folder:
@@ -63,7 +63,7 @@ def fly_and_judge(
 
 
 def format_row(flight: CampaignFlight) -> str:
-    """A row of the table."""
+    """Format a row of the table."""
     verdict = flight.verdict
     wrong = sum(count.disagrees for count in verdict.counts.values())
     undecided = len(verdict.differences) - wrong
@@ -81,10 +81,10 @@ def main(
     """Fly scenarios, judge every robot, print a row each.
 
     Args:
-        robots: About so many in each run.
-        horizon_s: Instead of the scenarios' own.
-        scenarios: Names; all that are shipped if left out.
-        engines: Which of the two.
+        robots: Approximate number of robots in each run.
+        horizon_s: Horizon, instead of the scenarios' own.
+        scenarios: Names of scenarios; all shipped ones if left out.
+        engines: Engines to run.
     """
     print(f"| run | worlds | robots | disagree | undecided | {' | '.join(DEVIATIONS)} |")
     print(f"| --- | {' | '.join(['---:'] * (4 + len(DEVIATIONS)))} |")

@@ -1,4 +1,4 @@
-"""A formation for the scenario ``sitl_formation``: a square of robots that moves, turns and widens.
+"""Formation for the scenario ``sitl_formation``: a square of robots that moves, turns and widens.
 
     python -m angler_experiments.sitl_formation formation.json
     angler sitl run sitl_formation --plan formation.json
@@ -16,7 +16,7 @@ import numpy as np
 import tyro
 
 from angler_mjx.report.interop import joint_trajectory_file
-from angler_mjx.robot.control.joint_goal import JointGoal, JointPoint
+from angler_mjx.robot.control.commands.joint_goal import JointGoal, JointPoint
 from angler_mjx.scenario.scenario import load_scenario
 
 SCENARIO = "sitl_formation"
@@ -24,18 +24,18 @@ MOVE_S, HOLD_S, STEP_S = 60.0, 10.0, 4.0
 SHIFT_M = np.array([9.0, 0.0, -2.0])
 TURN_RAD, WIDENING = math.pi / 2, 1.2
 _H_S = 1e-3
-"""For differences of places."""
+"""Step of finite differences of positions."""
 
 
 def robot_positions(start_m: np.ndarray, time_s: float) -> np.ndarray:
-    """Where the robots are to be [n, 3], m in W.
+    """Return the reference positions of the robots [n, 3], m in W.
 
     Args:
-        start_m: [n, 3] where they begin.
-        time_s: since then.
+        start_m: [n, 3] start positions.
+        time_s: time since the start.
     """
     fraction = min(max(time_s / MOVE_S, 0.0), 1.0)
-    # Rest, and no acceleration, at both ends.
+    # At rest, without acceleration, at both ends.
     progress = fraction**3 * (10.0 + fraction * (6.0 * fraction - 15.0))
     middle = start_m.mean(axis=0)
     cos, sin = math.cos(TURN_RAD * progress), math.sin(TURN_RAD * progress)
@@ -46,7 +46,7 @@ def robot_positions(start_m: np.ndarray, time_s: float) -> np.ndarray:
 
 
 def build_goals(start_m: np.ndarray) -> dict[int, JointGoal]:
-    """A JointTrajectory for each robot, held at its end for a while."""
+    """Build a JointTrajectory for each robot, held at its end for a while."""
     times = np.append(np.arange(0.0, MOVE_S + STEP_S / 2, STEP_S), MOVE_S + HOLD_S)
     p, before, after = (
         np.stack([robot_positions(start_m, t + shift) for t in times])

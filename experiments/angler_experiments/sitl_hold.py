@@ -1,10 +1,10 @@
-"""How well robots of a run kept to where they were sent, at its end.
+"""Position errors of the robots of a run, at its end.
 
     angler sitl run sitl_hold --duration 90 --out runs/hold
     python -m angler_experiments.sitl_hold runs/hold --last-s 30
 
-Errors are those of the true position against the target, at the recorded samples; beside them, by
-how far the autopilot's own filter was off, if that was recorded.
+Errors are those of the true position against the target, at the recorded samples; beside them the
+errors of the autopilot's own filter, if recorded.
 """
 
 from dataclasses import dataclass
@@ -20,16 +20,16 @@ from angler_mjx.sim.record import ESTIMATE
 
 @dataclass(frozen=True, kw_only=True)
 class HoldingError:
-    """Of one robot, over the last seconds of a run; m."""
+    """Error of one robot, over the last seconds of a run; m."""
 
     robot: int
     worst_m: float
     rms_m: float
     filter_worst_m: float
-    """NaN where it was not recorded."""
+    """Largest error of the filter; NaN where it was not recorded."""
 
     def format_row(self) -> str:
-        """One line of the table."""
+        """Format a line of the table."""
         return f"{self.robot:5d} {self.worst_m:9.3f} {self.rms_m:9.3f} {self.filter_worst_m:13.3f}"
 
 
@@ -37,11 +37,11 @@ HEAD = "robot   worst m     rms m  filter off m"
 
 
 def measure_errors(run: Run, last_s: float) -> list[HoldingError]:
-    """Every robot of the last world of a run.
+    """Measure every robot of the last world of a run.
 
     Args:
-        run: with trajectories.
-        last_s: how much of its end is looked at.
+        run: run with trajectories.
+        last_s: measured seconds at its end.
     """
     stored: Any = run.trajectories
     world = int(run.episodes["world"].to_numpy()[-1])
@@ -65,11 +65,11 @@ def measure_errors(run: Run, last_s: float) -> list[HoldingError]:
 
 
 def main(run: Annotated[Path, tyro.conf.Positional], last_s: float = 30.0) -> None:
-    """Show how far each robot was from its target.
+    """Print the distance of each robot from its target.
 
     Args:
         run: Run folder.
-        last_s: Seconds at the end that are looked at.
+        last_s: Measured seconds at the end.
     """
     print(HEAD)
     for error in measure_errors(Run(run), last_s):

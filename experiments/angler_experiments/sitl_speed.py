@@ -1,11 +1,11 @@
-"""How fast real autopilots and their water run together: lock-step at 400 Hz, no pacing.
+"""Speed of real autopilots with their water: lock-step at 400 Hz, no pacing.
 
     python -m angler_experiments.sitl_speed --robots 1 4 8 16
 
 For each number of robots it starts as many ArduSubs on the scenario's water, lets them boot, and
-times the lock-step with the vehicles afloat, judged once a control period as in a session. Where
-the wall time of a step goes: *waiting* is for the autopilots, the *judge* is the simulator's
-detection and account, spread over the steps of a control period.
+times the lock-step with the vehicles afloat, judged once a control period as in a session. The wall
+time of a step is split: *waiting* is for the autopilots, the *judge* is the simulator's detection
+and account, spread over the steps of a control period.
 """
 
 import tempfile
@@ -17,11 +17,11 @@ import tyro
 
 from angler_mjx.robot.vehicles import library
 from angler_mjx.scenario.scenario import Scenario, load_scenario
+from angler_sitl.autopilots.lockstep import LockStep, LockStepTimes
 from angler_sitl.firmware import binary, parameters
 from angler_sitl.firmware.process import AutopilotProcess, LaunchSpec, kill_processes
 from angler_sitl.scene import motion
 from angler_sitl.scene.scene import AutopilotScene
-from angler_sitl.wire.lockstep import LockStep, LockStepTimes
 from angler_sitl.wire.ports import Ports, allocate_ports
 
 BOOT_S = 6.0
@@ -30,18 +30,18 @@ BOOT_S = 6.0
 
 @dataclass(frozen=True, kw_only=True)
 class SitlSpeed:
-    """What was measured; wall time a step in microseconds."""
+    """Measured speed; wall time of a step in microseconds."""
 
     robots: int
     real_time: float
-    """Simulated over wall time."""
+    """Ratio of simulated to wall time."""
     physics_us: float
     replies_us: float
     waiting_us: float
     judge_us: float
 
     def format_row(self) -> str:
-        """One line of the table."""
+        """Format a line of the table."""
         return (
             f"{self.robots:6d} {self.real_time:9.1f}x {self.physics_us:9.1f} {self.judge_us:9.1f} "
             f"{self.replies_us:13.1f} {self.waiting_us:9.1f}"
@@ -57,10 +57,10 @@ def measure_speed(
     """Run one fleet for some simulated seconds.
 
     Args:
-        scenario: its fleet is flown, or rather drifts: nobody commands it.
-        ardusub: the autopilot.
-        folder: where each keeps its files.
-        sim_s: simulated time that is measured.
+        scenario: scenario whose fleet drifts without commands.
+        ardusub: file of the autopilot.
+        folder: folder of the autopilots' files.
+        sim_s: measured simulated time.
     """
     scene = AutopilotScene(scenario)
     names = [f"robot_{i}" for i in range(len(scene.states.numbers))]
@@ -141,9 +141,9 @@ def main(
 
     Args:
         robots: Sizes of the fleet.
-        scenario: Whose water it is.
-        vehicle: Of which the fleet is made.
-        sim_s: Simulated time that is measured.
+        scenario: Scenario of the water.
+        vehicle: Vehicle of the fleet.
+        sim_s: Measured simulated time.
         ardusub: The autopilot; else ANGLER_ARDUSUB, else the installed one.
     """
     motion.compute_inline()

@@ -1,4 +1,4 @@
-"""What a spot check found, kept for the page: its numbers out of the folder that it wrote.
+"""Results of a spot check for the page, from the folder that it wrote.
 
     angler spotcheck runs/reef --episodes 8 --out runs/spot
     python -m angler_experiments.spotcheck_result runs/spot --json docs/validation/spotcheck.json
@@ -23,10 +23,10 @@ HEAD = ("flown by", "against", "same outcome", "track, m", "way, m", "endpoint, 
 
 
 def read_gaps(folder: Path) -> list[dict[str, str]]:
-    """Rows of ``gaps.csv``: one for each robot, level and reference.
+    """Read the rows of ``gaps.csv``: one for each robot, level and reference.
 
     Raises:
-        ConfigError: there are none.
+        ConfigError: the file does not exist, or has no rows.
     """
     path = folder / "gaps.csv"
     try:
@@ -39,7 +39,7 @@ def read_gaps(folder: Path) -> list[dict[str, str]]:
 
 
 def summarise_gaps(rows: list[dict[str, str]]) -> dict[tuple[str, str], dict[str, float]]:
-    """By level and reference: robots, how many ended otherwise, medians of the distances."""
+    """Return by level and reference: robots, other outcomes, medians of the distances."""
     summaries = {}
     for pair in dict.fromkeys((row["level"], row["against"]) for row in rows):
         pair_rows = [row for row in rows if (row["level"], row["against"]) == pair]
@@ -63,7 +63,7 @@ def summarise_gaps(rows: list[dict[str, str]]) -> dict[tuple[str, str], dict[str
 
 
 def to_markdown(sums: dict[tuple[str, str], dict[str, float]], autopilot: str) -> str:
-    """The table, and what its columns are."""
+    """Format the table and the meaning of its columns."""
     lines = [" | ".join(HEAD), " | ".join(["---", "---", *["---:"] * (len(HEAD) - 2)])]
     for (level, reference), summary in sums.items():
         n_same = summary["robots"] - summary["other_outcome"]
@@ -83,10 +83,10 @@ def to_markdown(sums: dict[tuple[str, str], dict[str, float]], autopilot: str) -
 
 
 def main(folder: Annotated[Path, tyro.conf.Positional], json: Path) -> None:
-    """Write what a spot check found as a result that `angler validate` puts on its page.
+    """Write the results of a spot check for the page of `angler validate`.
 
     Args:
-        folder: of the spot check.
+        folder: folder of the spot check.
         json: file for the result.
     """
     table = folder / "spotcheck.json"

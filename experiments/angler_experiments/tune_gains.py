@@ -2,9 +2,9 @@
 
     python -m angler_experiments.tune_gains
 
-The cost is that of `angler_mjx.sim.engines.gradients.tracking_cost`: how far robots are from where
-their paths want them. Adam works on the logarithms of the gains, which keeps them positive. What is
-printed at the end was measured on worlds that the gains were not tuned on.
+The cost is that of `angler_mjx.sim.engines.gradients.tracking_cost`: distances of robots from the
+set-points of their paths. Adam works on the logarithms of the gains, which keeps them positive. The
+printed costs at the end are of worlds that the gains were not tuned on.
 """
 
 import time
@@ -32,16 +32,17 @@ TUNED = (
 )
 """Stages of the cascade, and their gains."""
 ADAM_DECAY = (0.9, 0.99)
-"""Adam's averages of the gradient and of its square: shares kept from one iteration to the next."""
+"""Decay rates of Adam's averages of the gradient and of its square from one iteration to the
+next."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TuningResult:
-    """What came of it."""
+    """Result of the tuning."""
 
     before: dict[str, float]
     after: dict[str, float]
-    """Gains that are tuned, by stage and gain as in ``pose.position_per_s``."""
+    """Tuned gains, by stage and gain as in ``pose.position_per_s``."""
     costs_m2: list[float]
     """Cost on the worlds tuned on, before each iteration."""
     unseen_m2: tuple[float, float]
@@ -61,9 +62,9 @@ def tune(
 
     Args:
         scenario: name of a shipped scenario, or path of a file.
-        worlds: how many to tune on.
+        worlds: number of worlds to tune on.
         seconds: length of the rollouts.
-        iterations: of Adam.
+        iterations: iterations of Adam.
         rate: greatest change of a gain's logarithm in an iteration.
     """
     if worlds < 1 or iterations < 1 or rate <= 0:
@@ -113,10 +114,10 @@ def tune(
 
 
 def stage_gains(spec: SimSpec, stage: str) -> Any:
-    """The gains of a stage of the controllers.
+    """Return the gains of a stage of the controllers.
 
     Raises:
-        ConfigError: they have no such stage.
+        ConfigError: the controllers have no such stage.
     """
     names = [stage_spec.name for stage_spec in spec.stages]
     if stage not in names:
@@ -128,7 +129,7 @@ def stage_gains(spec: SimSpec, stage: str) -> Any:
 
 
 def replace_tuned_gains(spec: SimSpec, theta: jax.Array) -> tuple[Any, ...]:
-    """The gains of all stages, with those in `TUNED` replaced by exp(theta) [5]."""
+    """Return the gains of all stages, with those in `TUNED` replaced by exp(theta) [5]."""
     tuned: dict[str, dict[str, Any]] = {}
     for i, (stage, gain) in enumerate(TUNED):
         tuned.setdefault(stage, {})[gain] = jnp.exp(theta[i])
@@ -144,7 +145,10 @@ def _descend(
     iterations: int,
     rate: float,
 ) -> tuple[list[float], jax.Array]:
-    """Adam (Kingma and Ba 2015) with a rate that falls to zero; costs before each iteration."""
+    """Descend by Adam (Kingma and Ba 2015) with a rate that falls to zero.
+
+    Return costs by iteration.
+    """
     mean, square = jnp.zeros_like(theta), jnp.zeros_like(theta)
     slow, slower = ADAM_DECAY
     costs = []
@@ -170,9 +174,9 @@ def main(
 
     Args:
         scenario: name of a shipped scenario, or path of a file.
-        worlds: how many to tune on.
+        worlds: number of worlds to tune on.
         seconds: length of the rollouts.
-        iterations: of Adam.
+        iterations: iterations of Adam.
         rate: greatest change of a gain's logarithm in an iteration.
     """
     result = tune(scenario, worlds, seconds, iterations, rate)

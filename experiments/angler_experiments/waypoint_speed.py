@@ -1,8 +1,8 @@
-"""What way-points cost: the same plans with more of them, flown by the fused engine.
+"""Cost of way-points: the same plans with more of them, flown by the fused engine.
 
     python -m angler_experiments.waypoint_speed --worlds 16384
 
-The grid planner's paths are divided evenly by their rows, so that they lead the same way at the
+The grid planner's paths are divided evenly by their rows, so that they follow the same paths at the
 same times; rates are medians of five flights over the first third of the horizon.
 """
 
@@ -14,7 +14,7 @@ import numpy as np
 import tyro
 
 from angler_mjx.planning.planner import PathShape
-from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import load_scenario
 
@@ -22,11 +22,11 @@ FLIGHTS = 5
 
 
 def resample_path(path: Any, points: int) -> Trajectory:
-    """Paths with another number of way-points.
+    """Resample paths to another number of way-points.
 
     Args:
         path: `Trajectory`, [world, robot] leading.
-        points: of each.
+        points: number of way-points of each path.
     """
     time_s, position_m = np.asarray(path.time_s), np.asarray(path.position_m)
     rows = np.linspace(0.0, time_s.shape[-1] - 1, points)
@@ -42,7 +42,7 @@ def resample_path(path: Any, points: int) -> Trajectory:
 
 
 def measure_rate(simulator: Simulator, worlds: Any) -> float:
-    """Vehicle-steps/s, the median of some flights; compiled before the first."""
+    """Return vehicle-steps/s, the median of some flights; compiled before the first."""
     segments = max(1, simulator.segments // 3)
     robots = worlds.variant.size * simulator.spec.physics_steps * simulator.segment_steps
     rates = []
@@ -60,8 +60,8 @@ def main(worlds: int = 1024, points: tuple[int, ...] = (32, 256, 1024)) -> None:
     """Print the rate for each number of way-points.
 
     Args:
-        worlds: of `reef_fleet`, in one tile.
-        points: of a path.
+        worlds: worlds of `reef_fleet`, in one tile.
+        points: numbers of way-points of a path.
     """
     scenario = load_scenario(
         "reef_fleet", engine="fused", worlds=worlds, tile=worlds, time={"record_hz": 0.0}

@@ -2,8 +2,8 @@
 
 A packed grid is uint32 [nx, ny, words, ...]. Further axes, such as one of worlds, stand last: a
 shift along the grid then moves whole runs of worlds, which both a CPU's vectors and a GPU's threads
-read in one go. Bits above the grid's upper face are 0 in every grid that `pack_grid` or
-`shift_grid` gives.
+read in one go. Bits above the grid's upper face are 0 in every result of `pack_grid` and
+`shift_grid`.
 """
 
 import jax
@@ -14,7 +14,7 @@ WORD = 32
 
 
 def pack_grid(cells: jax.Array) -> jax.Array:
-    """Packed grid, uint32 [nx, ny, words, ...], of a boolean one [nx, ny, nz, ...]."""
+    """Return the packed grid, uint32 [nx, ny, words, ...], of a boolean grid [nx, ny, nz, ...]."""
     nx, ny, nz, *batch = cells.shape
     n_words = -(-nz // WORD)
     pad = [(0, 0), (0, 0), (0, n_words * WORD - nz)] + [(0, 0)] * len(batch)
@@ -24,29 +24,30 @@ def pack_grid(cells: jax.Array) -> jax.Array:
 
 
 def unpack_grid(grid: jax.Array, nz: int) -> jax.Array:
-    """Boolean grid [nx, ny, nz, ...] of a packed one [nx, ny, words, ...]."""
+    """Return the boolean grid [nx, ny, nz, ...] of a packed grid [nx, ny, words, ...]."""
     z = jnp.arange(nz)
     bit = (z % WORD).astype(jnp.uint32).reshape(nz, *[1] * (grid.ndim - 3))
     return (jnp.repeat(grid, WORD, axis=2)[:, :, :nz] >> bit & 1).astype(bool)
 
 
 def full_grid(shape: tuple[int, int, int]) -> jax.Array:
-    """Packed grid [nx, ny, words] with every cell set."""
+    """Return a packed grid [nx, ny, words] with every cell set."""
     return pack_grid(jnp.ones(shape, bool))
 
 
 def count_cells(grid: jax.Array) -> jax.Array:
-    """Number of set cells, int32 [...], of a packed grid [nx, ny, words, ...]."""
+    """Count the set cells, int32 [...], of a packed grid [nx, ny, words, ...]."""
     return jnp.sum(jax.lax.population_count(grid), axis=(0, 1, 2), dtype=jnp.int32)
 
 
 def shift_grid(grid: jax.Array, axis: int, step: int, nz: int) -> jax.Array:
-    """The grid moved by one cell; what comes in from outside is free (0).
+    """Move the grid by one cell; cells that enter from outside are free (0).
 
     Args:
         grid: packed, [nx, ny, words, ...].
         axis: 0, 1, 2 for x, y, z.
-        step: 1 towards greater indices, -1 towards smaller ones: cell i takes what i - step had.
+        step: 1 towards greater indices, -1 towards smaller ones: cell i takes the value of cell i -
+            step.
         nz: cells along z; a bit moved past them is dropped.
     """
     if axis < 2:
@@ -62,7 +63,7 @@ def shift_grid(grid: jax.Array, axis: int, step: int, nz: int) -> jax.Array:
 
 
 def _shift_axis(grid: jax.Array, axis: int, step: int) -> jax.Array:
-    """The array moved by one along an axis, with zeros coming in."""
+    """Move the array by one along an axis and fill with zeros."""
     n = grid.shape[axis]
     pad = [(0, 0)] * grid.ndim
     pad[axis] = (1, 0) if step == 1 else (0, 1)

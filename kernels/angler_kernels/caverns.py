@@ -1,8 +1,8 @@
 """Free caverns of a regular 3-D grid: cells connected through faces (6-neighbourhood).
 
-A cavern is filled from its first cell, 32 cells to a word; then the next cavern, until what is left
-cannot hold a larger one. One bounded loop does both for all worlds of a batch, each at its own
-pace, so no grid can overflow a stack and a world seldom waits.
+A cavern is filled from its first cell, 32 cells to a word; then the next cavern, until the
+remaining cells cannot hold a larger one. One bounded loop does both for all worlds of a batch, each
+at its own pace, so no grid can overflow a stack and a world seldom waits.
 """
 
 from typing import NamedTuple
@@ -13,24 +13,24 @@ import jax.numpy as jnp
 from angler_kernels.bit_grid import count_cells, shift_grid
 
 _SPREADS = 4
-"""Cells that water spreads by before it is asked whether it still rises; asking costs more than a
-spread, and one to three spreads in vain cost less than an answer each time."""
+"""Cells that water spreads by between two tests whether it still rises. A test costs more than a
+spread; one to three spreads in vain cost less than a test each time."""
 
 
 class _CavernSearch(NamedTuple):
-    """Which caverns have been seen; packed grids, and counts of cells."""
+    """Search state: packed grids, and counts of cells."""
 
     unfilled: jax.Array
-    """Cells of no cavern that was filled; the one being filled is still among them."""
+    """Cells of no filled cavern; the cavern being filled is still among them."""
     water: jax.Array
-    """What is filled of the present cavern."""
+    """Filled cells of the present cavern."""
     best: jax.Array
-    """The largest cavern so far."""
+    """Largest cavern so far."""
     best_size: jax.Array
 
 
 def largest_cavern(free: jax.Array, nz: int) -> jax.Array:
-    """Cells of the largest cavern; of equally large ones, that with the first cell in flat order.
+    """Return cells of the largest cavern; of equal ones, the one with the first cell in flat order.
 
     Args:
         free: packed, [nx, ny, words, ...] (see `angler_kernels.bit_grid`).
@@ -66,7 +66,7 @@ def largest_cavern(free: jax.Array, nz: int) -> jax.Array:
 
 
 def _spread_water(water: jax.Array, free: jax.Array, nz: int) -> jax.Array:
-    """Water and the free cells that share a face with it."""
+    """Return water and the free cells that share a face with it."""
     wet = water
     for axis in range(3):
         for step in (1, -1):
@@ -77,7 +77,7 @@ def _spread_water(water: jax.Array, free: jax.Array, nz: int) -> jax.Array:
 
 
 def _first_cell(grid: jax.Array) -> jax.Array:
-    """The grid with nothing but its first cell in flat order; empty if it is."""
+    """Return the grid with only its first set cell in flat order; empty if the grid is."""
     nx, ny, n_words = grid.shape[:3]
     n = nx * ny * n_words
     flat = jnp.arange(n, dtype=jnp.int32).reshape(nx, ny, n_words, *[1] * (grid.ndim - 3))

@@ -17,7 +17,7 @@ type BinaryCount = list[jax.Array]
 
 
 def block_count(wall: jax.Array, nz: int) -> BinaryCount:
-    """Number of walls in the 3x3x3 block about each cell, itself included.
+    """Count the walls in the 3x3x3 block about each cell, itself included.
 
     The sum is separable: three sums of three along the axes.
 
@@ -61,7 +61,7 @@ def apply_rule(wall: jax.Array, die_below: int, born_above: int, nz: int) -> jax
 
 
 def _add_three(a: BinaryCount, b: BinaryCount, c: BinaryCount) -> BinaryCount:
-    """Digits of a + b + c, numbers of as many digits."""
+    """Return the digits of a + b + c, numbers of as many digits."""
     ones, carries = zip(
         *(_full_adder(*digits) for digits in zip(a, b, c, strict=True)), strict=True
     )
@@ -74,13 +74,13 @@ def _add_three(a: BinaryCount, b: BinaryCount, c: BinaryCount) -> BinaryCount:
 
 
 def _full_adder(a: jax.Array, b: jax.Array, c: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Digit and carry of a + b + c."""
+    """Return digit and carry of a + b + c."""
     half = a ^ b
     return half ^ c, a & b | c & half
 
 
 def _reaches_minimum(count: BinaryCount, minimum: int) -> jax.Array:
-    """All bits set where the count is at least a number."""
+    """Return all bits set where the count is at least a number."""
     if minimum <= 0:
         return jnp.full_like(count[0], ~jnp.uint32(0))
     if minimum >= 1 << len(count):

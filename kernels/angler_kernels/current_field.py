@@ -23,7 +23,7 @@ _SERIES = tuple((-1.0) ** k / math.factorial(k + 1) for k in range(14))
 
 
 def smooth_knots(t: jax.Array, knots: jax.Array, knot_dt: jax.Array) -> Field:
-    """A velocity that is the same everywhere and passes through knots in time.
+    """Return the field that is uniform in space and passes through knots in time.
 
     Between two knots v = v_k + (3 s^2 - 2 s^3) (v_k+1 - v_k): once continuously differentiable in
     time and never outside the convex hull of the knots. Held before the first and after the last.
@@ -47,9 +47,9 @@ def smooth_knots(t: jax.Array, knots: jax.Array, knot_dt: jax.Array) -> Field:
 def lamb_oseen_vortices(
     p: jax.Array, centre: jax.Array, circulation: jax.Array, core: jax.Array
 ) -> Field:
-    """Steady Lamb-Oseen vortices with vertical axes.
+    """Return the field of steady Lamb-Oseen vortices with vertical axes.
 
-    Each turns the water at v_theta = Gamma / (2 pi r) (1 - exp(-r^2 / a^2)) (Saffman, Vortex
+    Each vortex turns the water at v_theta = Gamma / (2 pi r) (1 - exp(-r^2 / a^2)) (Saffman, Vortex
     Dynamics, 1992, section 13.1, with a^2 = 4 nu t frozen). Written with phi(s) = (1 - exp(-s)) / s
     and s = r^2 / a^2 it is v = Gamma / (2 pi a^2) phi(s) [-y, x, 0], smooth at the axis too.
 
@@ -72,7 +72,7 @@ def lamb_oseen_vortices(
 
 
 def lamb_oseen_circulation(peak_speed: jax.Array, core: jax.Array) -> jax.Array:
-    """Circulation of the Lamb-Oseen vortex whose greatest speed is ``peak_speed``, m^2/s.
+    """Return the circulation [m^2/s] of the Lamb-Oseen vortex of the greatest speed ``peak_speed``.
 
     At r = PEAK_RADIUS a, where exp(x^2) = 1 + 2 x^2, the speed is
     Gamma / (2 pi a) 2 x / (1 + 2 x^2) = 0.6382 Gamma / (2 pi a).
@@ -84,11 +84,11 @@ def lamb_oseen_circulation(peak_speed: jax.Array, core: jax.Array) -> jax.Array:
 def rankine_vortices(
     p: jax.Array, centre: jax.Array, circulation: jax.Array, core: jax.Array
 ) -> Field:
-    """Steady Rankine vortices with vertical axes.
+    """Return the field of steady Rankine vortices with vertical axes.
 
-    Each turns the water at v_theta = Gamma r / (2 pi a^2) within its core, r <= a, and at
-    Gamma / (2 pi r) outside; fastest at r = a. The velocity is continuous, the Jacobian jumps at
-    r = a: there it is that of the core.
+    Each vortex turns the water at v_theta = Gamma r / (2 pi a^2) within its core, r <= a, and at
+    Gamma / (2 pi r) outside; fastest at r = a. The velocity is continuous, the Jacobian jumps at r
+    = a: there it is that of the core.
 
     Args:
         p: [3] m.
@@ -116,7 +116,7 @@ def double_gyre(
     epsilon: jax.Array,
     period: jax.Array,
 ) -> Field:
-    """Two gyres in a rectangle whose common wall sways, with the stream function in metres.
+    """Return the field of two gyres in a rectangle whose common wall sways (stream function in m).
 
     From Shadden, Lekien & Marsden, Physica D 212, 2005:
     psi = A sin(pi f) sin(pi Y), f = e X^2 + (1 - 2 e) X, e = epsilon sin(2 pi t / period), where X
@@ -154,7 +154,7 @@ def double_gyre(
 
 
 def double_gyre_stream(peak_speed: jax.Array, extent: jax.Array) -> jax.Array:
-    """Stream function A [] m^2/s of the steady double gyre of a greatest speed, m/s.
+    """Return the stream function A [] m^2/s of the steady double gyre of a greatest speed, m/s.
 
     The square of the speed is (pi A)^2 times a mean of (1 / b)^2 and (2 / a)^2 at most, for sides
     a and b. Where the gyres sway, 2 / a grows by |df/dX| <= 1 + 2 epsilon.
@@ -167,7 +167,7 @@ def double_gyre_stream(peak_speed: jax.Array, extent: jax.Array) -> jax.Array:
 
 
 def depth_profile(p: jax.Array, depth: jax.Array, knots: jax.Array, slopes: jax.Array) -> Field:
-    """A steady level velocity that depends on depth alone.
+    """Return the field of a steady level velocity that depends on depth alone.
 
     Between two knots each component is the cubic with their values and slopes (Hermite); held
     above the first and below the last. Free of divergence: it has no vertical part, and nothing
@@ -197,7 +197,7 @@ def depth_profile(p: jax.Array, depth: jax.Array, knots: jax.Array, slopes: jax.
 
 
 def monotone_slopes(depth: jax.Array, knots: jax.Array) -> jax.Array:
-    """Slopes [n, 2] with which a profile through knots never leaves the span of two neighbours.
+    """Return slopes [n, 2] of a profile that stays within each pair of neighbouring knots.
 
     Zero where a component turns back and at both ends; else the weighted harmonic mean of the
     slopes of the chords on either side (Fritsch & Butland, SIAM J. Sci. Stat. Comput. 5, 1984,
@@ -222,7 +222,7 @@ def monotone_slopes(depth: jax.Array, knots: jax.Array) -> jax.Array:
 def tidal_current(
     t: jax.Array, speed: jax.Array, phase: jax.Array, cosine: jax.Array, sine: jax.Array
 ) -> Field:
-    """Tidal constituents: the same level velocity everywhere, each turning along an ellipse.
+    """Return the field of tidal constituents: uniform in space, each turning along an ellipse.
 
     v = sum_k cosine_k cos(speed_k t + phase_k) + sine_k sin(speed_k t + phase_k).
 
@@ -243,25 +243,28 @@ def tidal_current(
 
 
 def _level_jacobian(shear: jax.Array, down: jax.Array, up: jax.Array) -> jax.Array:
-    """[[-shear, -down, 0], [up, shear, 0], 0]: the Jacobian of a level flow free of divergence."""
+    """Return [[-shear, -down, 0], [up, shear, 0], 0].
+
+    The Jacobian of a divergence-free level flow.
+    """
     zero = jnp.zeros_like(shear)
     rows = ((-shear, -down, zero), (up, shear, zero), (zero, zero, zero))
     return jnp.stack([jnp.stack(row) for row in rows])
 
 
 def material_derivative(v: jax.Array, v_t: jax.Array, J: jax.Array) -> jax.Array:
-    """Dv/Dt = dv/dt + (v . grad) v, [3]: what a particle of water feels, m/s^2.
+    """Return Dv/Dt = dv/dt + (v . grad) v, [3] m/s^2: the acceleration of a particle of water.
 
-    For v [3], its derivative by time v_t [3], and J [3, 3], that by place.
+    For v [3], its time derivative v_t [3], and its spatial derivative J [3, 3].
     """
     return v_t + jnp.sum(J * v[None, :], axis=1)
 
 
 def _phi(s: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """phi(s) = (1 - exp(-s)) / s and its derivative, for s >= 0.
+    """Return phi(s) = (1 - exp(-s)) / s and its derivative, for s >= 0.
 
     Near zero both are power series with as many terms as the type has digits; the closed form,
-    which cancels there, is given a harmless argument so that gradients stay finite.
+    which cancels there, gets a harmless argument there so that gradients stay finite.
     """
     is_small = s < _SERIES_BELOW
     safe = jnp.where(is_small, 1.0, s)
@@ -277,7 +280,7 @@ def _phi(s: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 def _count_terms(dtype: jnp.dtype) -> int:
-    """Terms of the series of phi's derivative that a type can tell from none at the threshold."""
+    """Count the terms of the series of phi's derivative that a type resolves at the threshold."""
     threshold = 2.0 ** (-56 if dtype.itemsize > 4 else -27)
     return next(
         k for k, c in enumerate(_SERIES) if k and k * abs(c) * _SERIES_BELOW ** (k - 1) < threshold

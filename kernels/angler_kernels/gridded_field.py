@@ -1,6 +1,6 @@
 """Velocity fields on a grid: linear in space and time between knots, with their derivatives.
 
-Axes are y, x, depth and time, in that order. A place on an axis is said as a knot and what lies
+Axes are y, x, depth and time, in that order. A position on an axis is a knot and the remainder
 beyond it, so that single precision suffices far from the first knot.
 """
 
@@ -17,35 +17,36 @@ from angler_kernels.table import count_not_above, take_row
 
 @dataclass(frozen=True, kw_only=True)
 class GridAxis:
-    """One axis of a grid."""
+    """Axis of a grid."""
 
     count: int
     """Number of knots."""
     step: float | None
-    """From one knot to the next where that is the same all along, else None. Of a single knot any
-    number."""
+    """Distance from one knot to the next where it is constant, else None. Any number for a single
+    knot."""
     knots: tuple[float, ...] = ()
-    """Where steps differ and knots are few: their places, which programs then hold as numbers."""
+    """Positions of the knots where steps differ and knots are few; programs hold them as
+    numbers."""
 
 
 MAX_STATIC_KNOTS = 16
-"""Most knots that programs hold as numbers."""
+"""Maximum number of knots that programs hold as numbers."""
 
 type AxisPosition = tuple[jax.Array, jax.Array, jax.Array]
-"""Lower knot int32 [], share of the way to the next [], and derivative of that share [] by the
-place on the axis: 0 beyond the ends, where the field is held."""
+"""Lower knot int32 [], fraction of the way to the next [], and derivative of that fraction [] by
+the position on the axis: 0 beyond the ends, where the field is held."""
 
 
 def locate_knot(
     axis: GridAxis, knots: jax.Array | None, knot: jax.Array, rest: jax.Array
 ) -> AxisPosition:
-    """Between which knots of an axis a place lies.
+    """Return the position on an axis: the knots that enclose it and the fraction between them.
 
     Args:
         axis: static.
-        knots: [count] places of the knots, rising, where they differ in steps and are many.
-        knot: int32 [] from which the place is said.
-        rest: [] how far beyond it, of either sign.
+        knots: [count] positions of the knots, rising, where their steps differ and they are many.
+        knot: int32 [] knot from which the position is measured.
+        rest: [] distance beyond that knot, of either sign.
     """
     if axis.count == 1:
         zero = jnp.zeros_like(rest)
@@ -80,7 +81,7 @@ def locate_knot(
 def interpolate_linear(
     values: jax.Array, shape: tuple[int, int, int, int, int], spots: Sequence[AxisPosition]
 ) -> list[jax.Array]:
-    """A field between its knots, and its derivatives by the places on the axes.
+    """Interpolate a field between its knots, with its derivatives by the positions on the axes.
 
     Args:
         values: flat, of ``shape`` [y, x, depth, time, component] in row-major order.
@@ -94,7 +95,7 @@ def interpolate_linear(
     steps = [min(n, 2) for n in shape[:4]]
 
     def read_row(lower: list[jax.Array]) -> list[list[jax.Array]]:
-        """Values at one or two times."""
+        """Return values at one or two times."""
         index = lower[0]
         for k, n in zip(lower[1:], shape[1:4], strict=True):
             index = index * n + k
@@ -104,7 +105,7 @@ def interpolate_linear(
         return [[part[k * count : (k + 1) * count]] for k in range(steps[3])]
 
     def interpolate_axis(axis: int, lower: list[jax.Array]) -> list[jax.Array]:
-        """The field where the knots of the axes before ``axis`` are chosen."""
+        """Return the field where the knots of the axes before ``axis`` are chosen."""
         k, fraction, slope = spots[axis]
         if axis == 3:
             ends = read_row([*lower, k])
@@ -130,7 +131,7 @@ def gridded_velocity(
     rate: jax.Array,
     factor: jax.Array,
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Velocity, its rate and its Jacobian of a field on a grid (see `current_field`).
+    """Return velocity, its rate and its Jacobian of a field on a grid (see `current_field`).
 
     Args:
         p: [3] m.
@@ -139,9 +140,9 @@ def gridded_velocity(
             z.
         shape: static.
         axes: y, x, depth and time, each with its knots where their steps differ.
-        knot: int32 [4] of each axis, from which p = 0 and t = 0 are said.
-        rest: [4] of p = 0 and t = 0 beyond those knots.
-        rate: [4] places on the axes by metre along y, x and z, and by second.
+        knot: int32 [4] knot of each axis from which p = 0 and t = 0 are measured.
+        rest: [4] distance of p = 0 and t = 0 beyond those knots.
+        rate: [4] positions on the axes by metre along y, x and z, and by second.
         factor: [3] of the velocity along x, y and z.
     """
     coordinates = (p[1], p[0], p[2], t)

@@ -9,19 +9,19 @@ import jax.numpy as jnp
 from angler_kernels.programs import BlockProgram, on_gpu
 
 _LANES_PER_WARP = 1024
-"""32 for each thread: nothing is read in the loop, so that registers are all that counts."""
+"""Lanes for each warp, 32 for each thread: nothing is read in the loop, so only registers count."""
 MAX_LANES = 16 * _LANES_PER_WARP
-"""Of a program: one for each pair."""
+"""Maximum number of lanes of a program: one for each pair."""
 
 
 def match_pairs(lengths: jax.Array) -> jax.Array:
-    """Pairs of rows and columns, each in one at most: the shortest of all, then of those left.
+    """Match rows with columns, each once at most: the shortest pair of all, then of remaining ones.
 
     Args:
-        lengths: [r, m] lengths; inf for what is no pair.
+        lengths: [r, m] lengths; inf where there is no pair.
 
     Returns:
-        The column of each row, int32 [r]; -1 for none. Of equally long pairs that of the lower row
+        Column of each row, int32 [r]; -1 for none. Of equally long pairs that of the lower row
         comes first, then that of the lower column.
     """
     kernel = _ShortestMatchingKernel(MatchedPairs.of(lengths.shape, lanes_per_warp=_LANES_PER_WARP))
@@ -31,7 +31,7 @@ def match_pairs(lengths: jax.Array) -> jax.Array:
 
 
 def _match_sequentially(lengths: jax.Array) -> jax.Array:
-    """As `match_pairs`."""
+    """Match rows with columns one after the other, as `match_pairs`."""
     rows, columns = lengths.shape
     row, column = jnp.arange(rows), jnp.arange(columns, dtype=jnp.int32)
 
@@ -43,7 +43,7 @@ def _match_sequentially(lengths: jax.Array) -> jax.Array:
     ) -> tuple[jax.Array, jax.Array, jax.Array]:
         taken, min_lengths, lengths = state
         first = jnp.argmin(min_lengths)
-        # By the least number of a column: the place of a minimum is dearer than the minimum.
+        # By the least number of a column: the index of a minimum costs more than the minimum.
         matched_column = jnp.min(jnp.where(lengths[first] == min_lengths[first], column, columns))
         is_matched = (row == first) & (min_lengths[first] < jnp.inf)
         lengths = jnp.where(is_matched[:, None] | (column == matched_column), jnp.inf, lengths)
@@ -55,17 +55,17 @@ def _match_sequentially(lengths: jax.Array) -> jax.Array:
 
 @dataclass(frozen=True)
 class MatchedPairs:
-    """A program with a lane for each pair, for kernels that work lengths out themselves."""
+    """Program with a lane for each pair, for kernels that compute the lengths themselves."""
 
     rows: int
     columns: int
     padded_columns: int
-    """Columns, and as many more as make a power of two."""
+    """Number of columns, padded to a power of two."""
     program: BlockProgram
 
     @classmethod
     def of(cls, shape: tuple[int, ...], *, lanes_per_warp: int, interpret: bool = False) -> Self:
-        """Of rows and columns."""
+        """Build the program for rows and columns."""
         rows, columns = shape
         padded_columns = 1 << (columns - 1).bit_length()
         program = BlockProgram.of(
@@ -75,17 +75,17 @@ class MatchedPairs:
 
     @property
     def lane(self) -> Any:
-        """Numbers of the lanes."""
+        """Return the numbers of the lanes."""
         return jnp.arange(self.program.lanes, dtype=jnp.int32)
 
     @property
     def lane_pairs(self) -> tuple[Any, Any, Any]:
-        """Row and column of each lane, and whether there is such a pair."""
+        """Return row and column of each lane, and whether the pair exists."""
         row, column = self.lane // self.padded_columns, self.lane % self.padded_columns
         return row, column, (row < self.rows) & (column < self.columns)
 
     def clear_matches(self, taken: Any) -> None:
-        """Write that no row has a column."""
+        """Clear the columns of all rows."""
         none = jnp.full((self.program.lanes,), -1, jnp.int32)
         self.program.store(taken, self.lane, none, self.lane < self.rows)
         self.program.barrier()
@@ -94,7 +94,7 @@ class MatchedPairs:
         """Write the column of each row that gets one.
 
         Args:
-            lengths: of each lane; inf for what is no pair.
+            lengths: length of each lane's pair; inf where there is no pair.
             taken: [r] cleared before.
         """
         lane, (row, column, _) = self.lane, self.lane_pairs
@@ -121,7 +121,7 @@ class _ShortestMatchingKernel:
     __name__ = "matched"
 
     def run(self, lengths: jax.Array) -> jax.Array:
-        """The column of each row."""
+        """Return the column of each row."""
         out = jax.ShapeDtypeStruct((self.pairs.rows,), jnp.int32)
         (taken,) = self.pairs.program.run(self, [lengths.reshape(-1)], [out])
         return taken

@@ -1,10 +1,10 @@
 """Nearest neighbours of many bodies by a uniform grid, exact up to a stated distance.
 
-Bodies are sorted by the cell that their centre is in. Cells are so large that what is near enough
-to count lies in the 3 x 3 x 3 cells around; along x three cells are one stretch of the sorted
-list, so each body looks through nine stretches. Candidates are taken in the order of the gap of
-their bounding spheres, and the costly distance of a pair is worked out only while that gap is less
-than the least distance found. Nothing has a capacity: crowded cells take longer.
+Bodies are sorted by the cell of their centre. Cells are so large that all neighbours within the
+distance lie in the 3 x 3 x 3 cells around; along x three cells are one stretch of the sorted list,
+so each body searches nine stretches. Candidates are taken in the order of the gap of their bounding
+spheres, and the costly distance of a pair is computed only while that gap is less than the least
+distance found. Nothing has a capacity: crowded cells take longer.
 """
 
 from collections.abc import Callable
@@ -14,31 +14,32 @@ import jax
 import jax.numpy as jnp
 
 CELLS_PER_AXIS = 1024
-"""The cell number of three axes fits 31 bits. Bodies further out share the last cell of an axis:
+"""Maximum number of cells along an axis: the cell number of three axes fits 31 bits. Bodies further
+out share the last cell of an axis:
 neighbours stay neighbours."""
 
 SLACK = 1.0001
-"""Cells are this much larger than they have to be, so that rounding cannot part neighbours."""
+"""Relative growth of cells beyond their necessary size, so that rounding cannot part neighbours."""
 
 
 CANDIDATES_PER_ROUND = 4
-"""Candidates looked at in one round of a loop, since a round has a price of its own. On the CPU 1,
-4 and 8 cost the same."""
+"""Candidates tested in one round of a loop, since a round has a cost of its own. On the CPU 1, 4
+and 8 cost the same."""
 
 QUEUE_LENGTH = 4
-"""Candidates kept from one look at all of them."""
+"""Candidates kept from one pass over all of them."""
 
 
 class _Stretches(NamedTuple):
-    """Where the candidates of one body are in the sorted list; [n] leads for all bodies."""
+    """Candidates of one body in the sorted list; [n] leads for all bodies."""
 
     shift: jax.Array
-    """int32 [9] place in the sorted list less number of the candidate."""
+    """int32 [9] index in the sorted list less number of the candidate."""
     end: jax.Array
     """int32 [9] number of candidates in this stretch and those before it."""
 
     def sorted_index(self, i: jax.Array) -> jax.Array:
-        """Place [] in the sorted list of candidate i [] of one body."""
+        """Return the index [] in the sorted list of candidate i [] of one body."""
         shift = self.shift[0]
         for k in range(8):
             shift = jnp.where(i >= self.end[k], self.shift[k + 1], shift)
@@ -52,7 +53,7 @@ def find_nearest(
     distance: Callable[[Any, Any], jax.Array],
     limit_m: jax.Array | float,
 ) -> tuple[jax.Array, jax.Array]:
-    """Distance [n] of each body to the nearest other and the index of that one, int32 [n].
+    """Return distance [n] of each body to its nearest neighbour and that one's index, int32 [n].
 
     Exact up to ``limit_m``; ``limit_m`` and -1 where nothing is nearer. Derivatives are those of
     ``distance`` for the pair found.
@@ -60,7 +61,7 @@ def find_nearest(
     Args:
         centre: [n, 3] m; a body's bounding sphere stands here.
         radius: [n] of the bounding spheres, m.
-        bodies: pytree of what ``distance`` needs to know, [n] leads.
+        bodies: pytree of the inputs of ``distance``, [n] leads.
         distance: of two bodies, [] m; never less than the gap of their spheres. It is called with
             the body of the lower index first, so both of a pair get the same number.
         limit_m: [] m, >= 0.
@@ -102,7 +103,7 @@ def find_nearest(
 
 
 def _sort_bodies(centre: jax.Array, reach: jax.Array) -> tuple[jax.Array, _Stretches]:
-    """Bodies int32 [n] in the order of their cells, and the candidates of each body."""
+    """Return bodies int32 [n] in the order of their cells, and the candidates of each body."""
     cell = jnp.floor((centre - jnp.min(centre, axis=0)) / (SLACK * reach))
     # One ring of cells without bodies lies around.
     cell = jnp.clip(cell.astype(jnp.int32), 0, CELLS_PER_AXIS - 1) + 1
@@ -118,17 +119,20 @@ def _sort_bodies(centre: jax.Array, reach: jax.Array) -> tuple[jax.Array, _Stret
 
 
 class _Pair(NamedTuple):
-    """A gap [] to another body and the index [] of that body; -1 for none, just a limit."""
+    """Gap [] to another body and the index [] of that body; -1 for none, only a limit."""
 
     gap: jax.Array
     body: jax.Array
 
     def is_before(self, other: "_Pair") -> jax.Array:
-        """Whether this one is nearer; of equals the lower index, and a limit before any body."""
+        """Return whether this pair is nearer.
+
+        Of equals the lower index, and a limit before any body.
+        """
         return (self.gap < other.gap) | ((self.gap == other.gap) & (self.body < other.body))
 
     def replace_where(self, other: "_Pair", where: jax.Array) -> "_Pair":
-        """This one where told so."""
+        """Return this pair where the mask is true, else the other."""
         return _Pair(*(jnp.where(where, new, old) for new, old in zip(self, other, strict=True)))
 
 
@@ -146,8 +150,8 @@ def _search_nearest(
 
     Args:
         self_index: int32 [].
-        stretches: of this body.
-        sphere_gap: of the body at a place of the sorted list, inf for ``self_index``.
+        stretches: candidates of this body.
+        sphere_gap: gap of the body at an index of the sorted list, inf for ``self_index``.
         distance: to the body of an index.
         limit_m: [] m.
     """
@@ -155,7 +159,7 @@ def _search_nearest(
     total = stretches.end[8]
 
     def next_candidates(is_needed: jax.Array, last: _Pair, limit: jax.Array) -> _Queue:
-        """The candidates that follow the last one in the order of sphere gaps, below a limit."""
+        """Return the candidates after the last one in the order of sphere gaps, below a limit."""
 
         def scan_candidates(carry: tuple[jax.Array, _Queue]) -> tuple[jax.Array, _Queue]:
             i, queue = carry
@@ -168,7 +172,7 @@ def _search_nearest(
                 i = i + 1
             return i, queue
 
-        # A body that wants none begins at the end: the loop is not entered if no body wants any.
+        # A body that needs none begins at the end: the loop is not entered if no body needs any.
         start = (jnp.where(is_needed, 0, total), (_Pair(limit, no_body),) * QUEUE_LENGTH)
         return jax.lax.while_loop(lambda carry: carry[0] < total, scan_candidates, start)[1]
 
@@ -195,7 +199,7 @@ def _search_nearest(
 
 
 def _insert_sorted(queue: _Queue, new: _Pair) -> _Queue:
-    """A sorted queue of the same length with one more candidate, less the last."""
+    """Insert a candidate into a sorted queue and drop its last."""
     out = []
     for old in queue:
         is_before = new.is_before(old)

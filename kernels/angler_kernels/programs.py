@@ -1,9 +1,9 @@
-"""One GPU program for each problem of a batch, written in Pallas and lowered by Triton.
+"""GPU programs, one for each problem of a batch, written in Pallas and lowered by Triton.
 
-For searches that go on for as long as their own problem needs. A program has a lane for each cell
-of a layer, or each column, of a grid; what lanes tell each other goes through scratch memory small
-enough to stay in the caches, with a barrier between writing and reading. Under ``vmap`` each
-problem of the batch gets a program.
+For searches whose number of steps depends on the problem. A program has a lane for each cell of a
+layer, or each column, of a grid; lanes exchange values through scratch memory small enough to stay
+in the caches, with a barrier between writing and reading. Under ``vmap`` each problem of the batch
+gets a program.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,17 +16,18 @@ from jax.experimental import pallas as pl
 from jax.experimental.pallas import triton as plt
 
 MAX_LANES = 2048
-"""Two for each thread that a program can have; more would not fit its registers."""
+"""Maximum number of lanes, two for each thread that a program can have; more would not fit its
+registers."""
 
 
 def on_gpu() -> bool:
-    """Whether what JAX computes by default is computed where these programs run."""
+    """Return whether JAX's default device can run these programs."""
     return jax.default_backend() == "gpu"
 
 
 @dataclass(frozen=True, kw_only=True)
 class BlockProgram:
-    """A program of ``lanes`` or more lanes.
+    """Program of ``lanes`` or more lanes.
 
     Attributes:
         lanes: a power of two on a GPU.
@@ -42,7 +43,7 @@ class BlockProgram:
     def of(
         cls, min_lanes: int, *, lanes_per_warp: int = 64, interpret: bool = False
     ) -> "BlockProgram":
-        """With at least so many lanes."""
+        """Build a program with at least ``min_lanes`` lanes."""
         lanes = max(32, 1 << (min_lanes - 1).bit_length())
         return cls(lanes=lanes, lanes_per_warp=lanes_per_warp, interpret=interpret)
 
@@ -52,7 +53,7 @@ class BlockProgram:
         arrays: Sequence[jax.Array],
         out: Sequence[jax.ShapeDtypeStruct],
     ) -> Sequence[jax.Array]:
-        """Run a kernel of references to flat arrays, and to those that it fills."""
+        """Run a kernel on references to flat arrays and to the arrays that it fills."""
         filled: Sequence[jax.Array] = pl.pallas_call(
             kernel,
             out_shape=list(out),
@@ -65,23 +66,24 @@ class BlockProgram:
         return filled
 
     def load(self, ref: Any, at: Any, mask: Any, other: Any) -> Any:
-        """What lanes read at their places; ``other`` where the mask says not to."""
+        """Read values at the lanes' indices; ``other`` where the mask is false."""
         return plt.load(ref.at[at], mask=mask, other=other)
 
     def store(self, ref: Any, at: Any, value: Any, mask: Any) -> None:
-        """Write at the lanes' places, where the mask says so."""
+        """Write at the lanes' indices where the mask is true."""
         if not self.interpret:
             plt.store(ref.at[at], value, mask=mask)
             return
-        # Interpreted, a lane that is masked writes what it found, over what another one wrote.
+        # Interpreted, a masked lane writes the value that it found, over one written by another
+        # lane.
         values = ref[...]
         ref[...] = values.at[jnp.where(mask, at, values.size)].set(value, mode="drop")
 
     def barrier(self) -> None:
-        """What any lane wrote before, all lanes read afterwards."""
+        """Make all writes of any lane visible to all lanes."""
         if not self.interpret:
             plt.debug_barrier()
 
     def when(self, condition: Any, action: Callable[[], None]) -> None:
-        """Do something if a number of the whole program says so."""
+        """Run an action if a number of the whole program is true."""
         pl.when(condition)(action)

@@ -22,7 +22,7 @@ from angler_kernels.quaternion import exp_small, multiply, rotate, rotate_invers
 
 
 def rigid_body_coriolis(mass: jax.Array, inertia: jax.Array, nu: jax.Array) -> jax.Array:
-    """C_RB(nu) nu, [6], for nu [6] of a body with mass [] and inertia [3, 3] about the origin."""
+    """Return C_RB(nu) nu, [6], for nu [6], mass [] and inertia [3, 3] about the origin."""
     v, omega = nu[:3], nu[3:]
     return jnp.concatenate(
         [mass * jnp.cross(omega, v), jnp.cross(omega, matrix_times(inertia, omega))]
@@ -30,7 +30,7 @@ def rigid_body_coriolis(mass: jax.Array, inertia: jax.Array, nu: jax.Array) -> j
 
 
 def added_mass_coriolis(M_A: jax.Array, nu_r: jax.Array) -> jax.Array:
-    """C_A(nu_r) nu_r, [6], for nu_r [6] and M_A [6, 6], by momenta (Fossen 2021, eq. 6.43)."""
+    """Return C_A(nu_r) nu_r, [6], for nu_r [6], M_A [6, 6], by momenta (Fossen 2021, eq. 6.43)."""
     momentum = matrix_times(M_A, nu_r)
     linear, angular = momentum[:3], momentum[3:]
     v_r, omega = nu_r[:3], nu_r[3:]
@@ -40,12 +40,12 @@ def added_mass_coriolis(M_A: jax.Array, nu_r: jax.Array) -> jax.Array:
 
 
 def damping_wrench(D_l: jax.Array, D_q: jax.Array, nu_r: jax.Array) -> jax.Array:
-    """Wrench [6] ``-(D_l + D_q |nu_r|) nu_r``, with D_l [6] and D_q [6], >= 0, for nu_r [6]."""
+    """Return wrench [6] ``-(D_l + D_q |nu_r|) nu_r`` for D_l [6] >= 0, D_q [6] >= 0, nu_r [6]."""
     return -(D_l + D_q * jnp.abs(nu_r)) * nu_r
 
 
 def damping_slope(D_l: jax.Array, D_q: jax.Array, nu_r: jax.Array) -> jax.Array:
-    """Diagonal [6] D_l + 2 D_q |nu_r|, the growth of damping with velocity; N s/m, N m s/rad.
+    """Return diagonal [6] D_l + 2 D_q |nu_r|: damping's derivative by velocity; N s/m, N m s/rad.
 
     For D_l [6], D_q [6] and nu_r [6].
     """
@@ -53,12 +53,18 @@ def damping_slope(D_l: jax.Array, D_q: jax.Array, nu_r: jax.Array) -> jax.Array:
 
 
 def submerged_fraction(z: jax.Array, height: jax.Array) -> jax.Array:
-    """Submerged share [] of a hull of ``height`` [] m, centred ``z`` [] m above the surface."""
+    """Return the submerged fraction [] of a hull of ``height`` [] m, centred at ``z`` [] m.
+
+    ``z`` is the height above the surface.
+    """
     return jnp.clip(0.5 - z / height, 0.0, 1.0)
 
 
 def buoyancy_wrench(q: jax.Array, lift: jax.Array, p_cb: jax.Array) -> jax.Array:
-    """Wrench [6] of an upward force ``lift`` [] N (world) at ``p_cb`` [3] m (body), for q [4]."""
+    """Return the wrench [6] of an upward force ``lift`` [] N at ``p_cb`` [3] m, for q [4].
+
+    The force is in the world frame, ``p_cb`` in the body frame.
+    """
     force = lift * world_up(q)
     return jnp.concatenate([force, jnp.cross(p_cb, force)])
 
@@ -66,7 +72,7 @@ def buoyancy_wrench(q: jax.Array, lift: jax.Array, p_cb: jax.Array) -> jax.Array
 def flow_inertia_wrench(
     M_A: jax.Array, displaced_mass: jax.Array, omega: jax.Array, v_c: jax.Array, Dv_c: jax.Array
 ) -> jax.Array:
-    """Wrench [6] of an accelerated flow: M_A nu_c' + [rho V Dv_c/Dt; 0].
+    """Return the wrench [6] of an accelerated flow: M_A nu_c' + [rho V Dv_c/Dt; 0].
 
     Args:
         M_A: [6, 6] added mass.
@@ -96,7 +102,7 @@ def water_wrench(
     density: jax.Array | float,
     gravity: jax.Array | float,
 ) -> jax.Array:
-    """Everything that the water does to a body, but for the inertia M_A nu' itself.
+    """Return the wrench of the water on a body, except the inertia M_A nu' itself.
 
     -C_A(nu_r) nu_r - D(nu_r) nu_r + buoyancy + M_A nu_c' + [rho V Dv_c/Dt; 0]. Buoyancy and
     rho V Dv_c/Dt fade linearly while the hull leaves the water; M_A and D do not.
@@ -134,11 +140,11 @@ def water_wrench(
 def advance_velocity(
     nu: jax.Array, nu_dot: jax.Array, nu_dot_before: jax.Array, dt: jax.Array | float
 ) -> jax.Array:
-    """One step of velocity by the two-step Adams-Bashforth formula, second order.
+    """Advance the velocity by the two-step Adams-Bashforth formula, second order.
 
-    nu + dt (3/2 nu_dot - 1/2 nu_dot_before), one evaluation of the forces a step; the first step
-    of a run gives nu_dot twice and is Euler's. Discontinuous forces (thrusters) are not put
-    through it: their impulse over the step is exact and is added by the caller.
+    nu + dt (3/2 nu_dot - 1/2 nu_dot_before), one evaluation of the forces a step; the first step of
+    a run passes nu_dot twice and is Euler's. Discontinuous forces (thrusters) are not put through
+    it: their impulse over the step is exact and is added by the caller.
     """
     return nu + dt * (1.5 * nu_dot - 0.5 * nu_dot_before)
 
@@ -154,13 +160,13 @@ def advance_damped_velocity(
     mean_thrust: jax.Array,
     dt: jax.Array | float,
 ) -> tuple[jax.Array, jax.Array]:
-    """One step of velocity, second order, stable for any strength of damping.
+    """Advance the velocity by a second-order step, stable for any strength of damping.
 
     M d = dt (f + 1/2 h(d) + 1/2 (f - g) + b),  nu(t + dt) = nu + d,  g(t + dt) = f + h(d),
 
-    where h(d) = D(nu_r) nu_r - D(nu_r + d) (nu_r + d) is how damping changes. Damping is taken by
+    where h(d) = D(nu_r) nu_r - D(nu_r + d) (nu_r + d) is the change of damping. Damping is taken by
     the trapezoidal rule, solved by two iterations of Newton's method with the slope J at the
-    beginning, (M + dt/2 J) d = ...; what else changes the smooth force f is extrapolated by the
+    beginning, (M + dt/2 J) d = ...; other changes of the smooth force f are extrapolated by the
     two-step Adams-Bashforth formula. g is the force of the step before with the damping of the
     velocity that it led to: without other changes g = f. Without damping this is
     `advance_velocity`, which is unstable where dt J / M > 1.
@@ -173,7 +179,7 @@ def advance_damped_velocity(
         D_q: [6] quadratic damping, >= 0.
         force: [6] f, all smooth forces, damping included.
         force_before: [6] g of the step before; f itself before the first step.
-        mean_thrust: [6] b, the mean over the step of forces known in advance.
+        mean_thrust: [6] b, mean over the step of the forces that are fixed in advance.
         dt: [] s.
 
     Returns:
@@ -184,7 +190,7 @@ def advance_damped_velocity(
     impulse = (1.5 * dt) * force - (0.5 * dt) * force_before + dt * mean_thrust
     change = spd_solve.solve(implicit, impulse[:, None])[:, 0]
     damping = damping_wrench(D_l, D_q, nu_r)
-    # Newton again: what the slope has missed of the change of damping.
+    # Newton again: the part of the change of damping that the slope has missed.
     residual = damping_wrench(D_l, D_q, nu_r + change) - damping + slope * change
     change = change + spd_solve.solve(implicit, 0.5 * dt * residual[:, None])[:, 0]
     return nu + change, force + damping_wrench(D_l, D_q, nu_r + change) - damping
@@ -193,7 +199,7 @@ def advance_damped_velocity(
 def advance_pose(
     p: jax.Array, q: jax.Array, nu: jax.Array, nu_next: jax.Array, dt: jax.Array | float
 ) -> tuple[jax.Array, jax.Array]:
-    """One step of pose with the mean velocity of the step, on the manifold, second order.
+    """Advance the pose with the mean velocity of the step, on the manifold, second order.
 
     The body turns by exp(dt omega), at most 3 rad a step; the position moves along the mean body
     velocity expressed in the attitude at mid-step.
@@ -217,8 +223,8 @@ def advance_pose(
 
 
 def matrix_times(matrix: jax.Array, vector: jax.Array) -> jax.Array:
-    """Product [m] of ``matrix`` [m, n] and ``vector`` [n], as products and sums.
+    """Return the product [m] of ``matrix`` [m, n] and ``vector`` [n], as products and sums.
 
-    A dot product would be TF32 on some GPUs unless told otherwise, and a call of its own.
+    A dot product would be TF32 on some GPUs by default, and a call of its own.
     """
     return jnp.sum(matrix * vector[None, :], axis=1)

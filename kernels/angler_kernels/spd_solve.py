@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 
 def solve(matrix: jax.Array, rhs: jax.Array) -> jax.Array:
-    """Solve ``matrix @ x = right``.
+    """Solve ``matrix @ x = rhs``.
 
     Args:
         matrix: [n, n] symmetric positive definite; the lower triangle is read.

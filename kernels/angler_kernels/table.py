@@ -1,6 +1,6 @@
-"""Rows of a table and places in a sorted one, for one table and one value.
+"""Rows of a table and indices in a sorted one, for one table and one value.
 
-Nothing here reads a whole table: a search touches as many entries as the binary digits of its
+No function reads a whole table: a search touches as many entries as the binary digits of its
 length, so tables may stay in memory while everything else is in registers.
 """
 
@@ -13,34 +13,34 @@ type Predicate = Callable[[jax.Array], jax.Array]
 
 
 def take_row(table: jax.Array, i: jax.Array) -> jax.Array:
-    """Row ``i`` [] of ``table`` [n, ...]; i must lie within [0, n)."""
+    """Return row ``i`` [] of ``table`` [n, ...]; i must lie within [0, n)."""
     row: jax.Array = jax.lax.dynamic_index_in_dim(table, i, keepdims=False)
     return row
 
 
 def count_below(table: jax.Array, value: jax.Array) -> jax.Array:
-    """How many entries (int32 []) of a non-decreasing ``table`` [n] are less than ``value`` []."""
+    """Count the entries (int32 []) of a non-decreasing ``table`` [n] less than ``value`` []."""
     return _count_prefix(table, lambda entry: entry < value)
 
 
 def count_not_above(table: jax.Array, value: jax.Array) -> jax.Array:
-    """How many entries (int32 []) of a non-decreasing ``table`` [n] are at most ``value`` []."""
+    """Count the entries (int32 []) of a non-decreasing ``table`` [n] not above ``value`` []."""
     return _count_prefix(table, lambda entry: entry <= value)
 
 
 def last_not_above(table: jax.Array, value: jax.Array, start_index: jax.Array) -> jax.Array:
-    """Where the last entry that is at most ``value`` stands, looked for from a place on.
+    """Return the index of the last entry that is at most ``value``, searched from a start index.
 
-    A search from the last place found costs two reads where the value has moved on by no entry or
-    by one; from a place behind the value it begins at the first entry.
+    A search from the last result costs two reads where the value has moved on by no entry or by
+    one; from an index behind the value it begins at the first entry.
 
     Args:
         table: [n] non-decreasing.
-        value: [] to look for; no derivative is taken of it.
-        start_index: int32 [] place in [0, n) to begin at.
+        value: [] value to search; no derivative is taken of it.
+        start_index: int32 [] index in [0, n) to begin at.
 
     Returns:
-        int32 [], the same wherever it begins; 0 where no entry is.
+        int32 [], independent of the start; 0 where no entry is.
     """
     last = table.shape[0] - 1
     begin = jnp.where(take_row(table, start_index) <= value, start_index, 0)
@@ -53,7 +53,7 @@ def last_not_above(table: jax.Array, value: jax.Array, start_index: jax.Array) -
 
 
 def _count_prefix(table: jax.Array, holds: Predicate) -> jax.Array:
-    """Length of the stretch at the beginning of ``table`` [n] for which ``holds``, bit by bit."""
+    """Return the length of the prefix of ``table`` [n] for which ``holds``, bit by bit."""
     n = table.shape[0]
     digits = n.bit_length()
 

@@ -9,7 +9,7 @@ from angler_kernels.table import count_below, take_row
 def lookup(
     table: jax.Array, pwm: jax.Array, first: jax.Array | float, step: jax.Array | float
 ) -> jax.Array:
-    """Linear interpolation [] of ``table`` [n] at ``pwm`` [], held at both ends.
+    """Interpolate ``table`` [n] linearly at ``pwm`` [], held at both ends; result [].
 
     Args:
         table: [n] values at ``first + step * i``.
@@ -26,7 +26,7 @@ def lookup(
 def inverse_lookup(
     table: jax.Array, value: jax.Array, first: jax.Array | float, step: jax.Array | float
 ) -> jax.Array:
-    """PWM [] at which a non-decreasing ``table`` [n] takes ``value`` [], clipped to its ends.
+    """Return the PWM [] at which a non-decreasing ``table`` [n] takes ``value`` [], clipped. ends.
 
     Where the table is flat (the dead band) the lower end of the flat stretch is returned;
     ``first`` [] and ``step`` [] as in `lookup`.
@@ -42,7 +42,7 @@ def inverse_lookup(
 def rotor_lag(
     thrust: jax.Array, command: jax.Array, tau: jax.Array, dt: jax.Array | float
 ) -> tuple[jax.Array, jax.Array]:
-    """One step of the lag tau f' = command - f, solved exactly for a command held over the step.
+    """Advance the lag tau f' = command - f by an exact step with a command held over it.
 
     Args:
         thrust: [...] N at the beginning of the step.
@@ -66,10 +66,10 @@ def rotor_filter(
     transition: jax.Array,
     mean: jax.Array,
 ) -> tuple[jax.Array, jax.Array]:
-    """One step of a linear filter of order k, for a command held over the step.
+    """Advance a linear filter of order k by one step with a command held over it.
 
-    The distance of the states from where they settle decays by itself: g = x - settled u,
-    x(t+dt) = settled u + transition g, and the mean thrust is u + mean . g.
+    The distance of the states from their rest values decays by itself: g = x - settled u, x(t+dt) =
+    settled u + transition g, and the mean thrust is u + mean . g.
 
     Args:
         states: [k, ...] N; the first row is the thrust.

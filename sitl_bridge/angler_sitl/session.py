@@ -15,7 +15,7 @@ import numpy as np
 
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.robot.control.commands import PoseTarget
-from angler_mjx.robot.control.joint_tolerance import Tolerances
+from angler_mjx.robot.control.commands.joint_tolerance import Tolerances
 from angler_mjx.robot.vehicles import library
 from angler_mjx.runs.session import (
     command_preparation,
@@ -39,13 +39,13 @@ from angler_mjx.runs.session.interface import (
 from angler_mjx.runs.session.rejoin import RejoinPaths
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.state import World
-from angler_sitl.autopilots import Autopilots, AutopilotSettings
+from angler_sitl.autopilots.autopilots import Autopilots, AutopilotSettings
+from angler_sitl.autopilots.session_view import SessionView
 from angler_sitl.firmware import binary as binaries
 from angler_sitl.firmware import parameters as firmware
 from angler_sitl.firmware.parameters import CommandLevel, PositionSource
-from angler_sitl.missions.scenario_options import parse_speed, select_scenario
+from angler_sitl.scene.scenario_options import parse_speed, select_scenario
 from angler_sitl.scene.scene import AutopilotScene
-from angler_sitl.scene.session_view import SessionView
 from angler_sitl.steering import levels
 from angler_sitl.steering.command_sender import CommandSender
 from angler_sitl.steering.levels import STICK_LEVELS

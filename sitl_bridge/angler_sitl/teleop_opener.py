@@ -5,8 +5,8 @@ from pathlib import Path
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.teleop.opening import OpenedSession, Report, SessionOpener
 from angler_sitl.firmware.parameters import CommandLevel, PositionSource
+from angler_sitl.missions.ground_station import GroundStation
 from angler_sitl.session import SitlSession
-from angler_sitl.wire.ground_station import GroundStation
 
 
 def build_session_opener(

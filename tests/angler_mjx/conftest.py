@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 
 from angler_mjx.robot.control.commands import ThrusterPwm
-from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.robot.vehicles import library
 from angler_mjx.robot.vehicles.variation import Variation
 from angler_mjx.sim import fleet
 from angler_mjx.sim.engines.lanes.engine import FusedEngine
 from angler_mjx.sim.engines.mjx import MjxEngine
 from angler_mjx.sim.fleet import Fleet, Member, Variant
-from angler_mjx.sim.state import SimSpec, World
+from angler_mjx.sim.state import FleetWorld, SimSpec, World
 from angler_mjx.world import currents, obstacles
 from angler_mjx.world.currents import (
     DoubleGyreConfig,
@@ -28,8 +28,8 @@ from angler_mjx.world.currents import (
     VorticesConfig,
 )
 from angler_mjx.world.environment import Environment
-from angler_mjx.world.grid import Grid
 from angler_mjx.world.obstacles import ObstaclesConfig
+from angler_mjx.world.rock.grid import Grid
 
 from .compiling import quickly
 from .small import scenario, scenario_file
@@ -86,6 +86,11 @@ class Scene:
     fleet: Fleet
     worlds: World
     """[n] leads."""
+
+    @property
+    def equipped(self) -> FleetWorld:
+        """The worlds with the parameters of their robots."""
+        return fleet.add_parameters(self.fleet, self.worlds)
 
 
 OTHERWISE = Variation(
@@ -177,8 +182,9 @@ def one_world(kinds: Fleet, draw: Any, config: ObstaclesConfig, key: jax.Array) 
     rows = {name: getattr(environment, name)[:n] for name in of_robots}
     environment = replace(environment, **rows)
     path = jax.tree.map(lambda leaf: leaf[:n], path)
-    variant, control, body = jax.device_get(draw(of_fleet))
-    world = World(environment=environment, variant=variant, body=body, control=control, path=path)
+    variant, control = jax.device_get(draw(of_fleet))
+    cruise = control.cruise_speed_mps
+    world = World(environment=environment, variant=variant, cruise_speed_mps=cruise, path=path)
     return jax.tree.map(lambda leaf: leaf.astype(jax.dtypes.canonicalize_dtype(leaf.dtype)), world)
 
 

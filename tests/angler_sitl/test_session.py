@@ -13,11 +13,11 @@ import pytest
 
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.robot.control.commands import BodyTwist, PoseTarget
+from angler_mjx.teleop.driving import TeleopRecording
 from angler_mjx.teleop.loop import DriveResult
-from angler_mjx.teleop.recording import TeleopRecording
 from angler_mjx.testing import Bounds, check_session
 from angler_mjx.testing.driving import make_twist, run_steps
-from angler_sitl.missions.scenario_options import select_scenario
+from angler_sitl.scene.scenario_options import select_scenario
 from angler_sitl.session import SitlSession
 
 pytestmark = pytest.mark.sitl

@@ -25,7 +25,7 @@ DAILY, NIGHTLY = (
 """Commands of our own, which stand for a verb or hold flags that pages only name."""
 OUTPUTS = ("--out", "--mcap", "--figure")
 FILES = ("small.toml", "small_task.toml", "benchmark.toml", "dataset.toml")
-OWN = ("README.md", "docs", "benchmarks", "experiments")
+TRACKED = ("README.md", "docs", "benchmarks", "experiments")
 """Folders of the project that lines name files of."""
 LIMIT_S = 1800.0
 
@@ -122,24 +122,24 @@ class Workshop:
             text = _resized(_block(row["page"], row["holds"]), row["name"])
             (folder / row["name"]).write_text(text, encoding="utf-8")
         for i, word in enumerate(words):
-            if word.partition("/")[0] in OWN:
+            if word.partition("/")[0] in TRACKED:
                 self._copy(folder, word)
             elif i == 0 or words[i - 1] not in OUTPUTS:
                 self._take(folder, word)
 
     def _copy(self, folder, word):
         """Copy a file or folder of the project, sized for tests, and what it names beside it."""
-        source, place = ROOT / word, folder / word
-        place.parent.mkdir(parents=True, exist_ok=True)
+        source, target = ROOT / word, folder / word
+        target.parent.mkdir(parents=True, exist_ok=True)
         if source.is_dir():
-            shutil.copytree(source, place, dirs_exist_ok=True)
-        if not source.is_file() or place.exists():
+            shutil.copytree(source, target, dirs_exist_ok=True)
+        if not source.is_file() or target.exists():
             return
         if source.suffix != ".toml":
-            shutil.copy(source, place)
+            shutil.copy(source, target)
             return
         text = _resized(source.read_text(encoding="utf-8"), word)
-        place.write_text(text, encoding="utf-8")
+        target.write_text(text, encoding="utf-8")
         for name in re.findall(r'"([\w./]+\.(?:nc|py))[:"]', text):
             other = os.path.relpath((source.parent / name).resolve(), ROOT)
             self._copy(folder, other)
@@ -148,14 +148,14 @@ class Workshop:
     def _take(self, folder, word):
         """Copy what another command made, making it first if none did."""
         row = next((row for row in TABLE["made"] if word in row["names"]), None)
-        place = folder / word
-        if row is None or place.exists():
+        target = folder / word
+        if row is None or target.exists():
             return
         if row["by"] not in self._made:
             self._made[row["by"]] = self.run(printed.command(row["by"])) / "made"
-        place.parent.mkdir(parents=True, exist_ok=True)
+        target.parent.mkdir(parents=True, exist_ok=True)
         source = self._made[row["by"]]
-        (shutil.copytree if source.is_dir() else shutil.copy)(source, place)
+        (shutil.copytree if source.is_dir() else shutil.copy)(source, target)
 
 
 def _resized(text, name):
@@ -215,5 +215,5 @@ def _in_a_process(folder, line):
         timeout=LIMIT_S,
         check=False,
     )
-    said = f"{done.stdout[-2000:]}\n{done.stderr[-4000:]}"
-    assert done.returncode == 0, f"exit code {done.returncode}: {shlex.join(line)}\n{said}"
+    output = f"{done.stdout[-2000:]}\n{done.stderr[-4000:]}"
+    assert done.returncode == 0, f"exit code {done.returncode}: {shlex.join(line)}\n{output}"

@@ -97,8 +97,8 @@ def test_a_module_parses(command, parsed, capsys, monkeypatch):
         runpy.run_module(command.words[1], run_name="__main__", alter_sys=False)
     except SystemExit as left:
         code = left.code
-    said = f"{command.page}: {command.line}: {code}\n{capsys.readouterr().err}"
-    assert code in (0, None), said
+    message = f"{command.page}: {command.line}: {code}\n{capsys.readouterr().err}"
+    assert code in (0, None), message
     assert len(calls) == 1
 
 
@@ -122,10 +122,10 @@ def test_every_program_is_known():
 def test_lines_of_every_form_are_read():
     lines = {command.line for command in COMMANDS}
     assert len(COMMANDS) > 150
-    assert "angler scenarios" in lines  # of a block of README
+    assert "angler scenarios" in lines  # of a block
     assert "angler dataset verify datasets/reef --again 20" in lines  # of an indented block
     assert "angler fly dense_dynamic --planner RRTConnect --replan-hz 1" in lines  # of two lines
-    assert {command.page for command in COMMANDS} >= {"README.md", "docs/sitl.md"}
+    assert {command.page for command in COMMANDS} >= {"README.md", "docs/how_to/sitl.md"}
 
 
 def test_a_line_is_split_as_a_shell_does():

@@ -1,4 +1,4 @@
-"""The figure of what modems cost a fleet, of the study that docs/acoustics.md shows."""
+"""The figure of what modems cost a fleet, of the study that docs/reference/acoustics.md shows."""
 
 from pathlib import Path
 
@@ -12,13 +12,13 @@ STUDY = Path(__file__).parents[2] / "docs" / "fleet_size" / "survey_reef.json"
 
 def test_the_shown_study_says_what_its_page_does() -> None:
     """Six robots are enough where all know all and too few by modem; many touch each other."""
-    known, heard = (
+    perfect, heard = (
         {size["size"]: size for size in sizes}
         for sizes in fleets.read_conditions(STUDY, ("still water", "acoustic"))
     )
-    assert known[6]["low"] >= 0.95
+    assert perfect[6]["low"] >= 0.95
     assert heard[6]["high"] < 0.95 <= heard[8]["low"]
-    assert known[64]["lost_per_robot"] < 0.001
+    assert perfect[64]["lost_per_robot"] < 0.001
     # "of 16, 32 and 64 robots 1, 8 and 37 % are lost"
     lost = [heard[size]["lost_per_robot"] for size in (16, 32, 64)]
     assert lost == pytest.approx([0.01, 0.08, 0.37], abs=0.005)

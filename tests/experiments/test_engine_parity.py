@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from angler_experiments import engine_parity
+from angler_experiments.shared import tracing
 from angler_mjx.scenario.scenario import load_scenario
 
 
@@ -51,5 +52,5 @@ def test_the_bound_is_a_random_walk():
     for row in increments:
         a = (a + row.astype(np.float32)).astype(np.float32)
         b = (b + (row + rng.uniform(-5e-7, 5e-7, walks)).astype(np.float32)).astype(np.float32)
-    bound = engine_parity.bound_m(np.array([steps]), 11.0)[0]
+    bound = tracing.bound_m(np.array([steps]), 11.0)[0]
     assert 0.05 * bound < np.abs(a - b).max() < bound

@@ -61,12 +61,12 @@ ROWS = [
 ]
 
 
-def folder(place, rows, teams):
-    place.mkdir()
-    pq.write_table(pa.Table.from_pylist(rows, RUN_SCHEMA), place / "runs.parquet")
+def folder(target, rows, teams):
+    target.mkdir()
+    pq.write_table(pa.Table.from_pylist(rows, RUN_SCHEMA), target / "runs.parquet")
     about = {"name": "x", "planners": PLANNERS, "scenes": ["reef"], "teams": teams}
-    (place / "about.json").write_text(json.dumps(about))
-    return place
+    (target / "about.json").write_text(json.dumps(about))
+    return target
 
 
 @pytest.fixture
@@ -83,10 +83,10 @@ def test_arrivals_are_those_counted_by_hand(parts):
     assert "| grid | 25 (50) | 50 (50) |" in lines
     assert "| grid, 1 Hz | 75 (88) | - |" in lines
     assert "| mppi | 100 (100) | - |" in lines
-    assert "**reef, 2 robots**" in (known := fleets.format_by_level(study))
-    assert "**reef, 4 robots**" not in known
-    assert "| mppi | 0 (0) | 100 (100) | - | - |" in known
-    assert "| grid, 1 Hz | - | 75 (88) | - | - |" in known
+    assert "**reef, 2 robots**" in (by_level := fleets.format_by_level(study))
+    assert "**reef, 4 robots**" not in by_level
+    assert "| mppi | 0 (0) | 100 (100) | - | - |" in by_level
+    assert "| grid, 1 Hz | - | 75 (88) | - | - |" in by_level
 
 
 def test_failed_replans_are_a_robots_mean_and_of_those_alone_that_plan_anew(parts):
@@ -120,10 +120,10 @@ def test_what_is_still_to_be_flown_has_not_failed(tmp_path, capsys):
         row("mppi", "observed", 2, 0, 0, plan_status="policy", robots_planned=0, **unflown),
     ]
     fleets.main((folder(tmp_path / "a", rows, [2]),))
-    said = capsys.readouterr().out
-    assert "2 runs are not flown yet" in said
-    assert "| grid | 50 (50) |" in said
-    assert "| mppi |" not in said
+    output = capsys.readouterr().out
+    assert "2 runs are not flown yet" in output
+    assert "| grid | 50 (50) |" in output
+    assert "| mppi |" not in output
 
 
 def test_a_run_that_is_there_twice_is_not_counted_twice(parts):
@@ -146,20 +146,20 @@ def study_file():
 
 def test_the_studys_file_asks_what_its_page_says():
     made = problem_settings.read_benchmark(study_file())
-    asked = [(s, one) for s in made.settings for one in made.select_planners(s)]
-    assert {s.preset for s, _ in asked} == {"open", "reef", "dense", "corridor"}
-    assert {s.robots for s, _ in asked} == {1, 4, 16, 64}
-    assert all(one.spec is None or one.spec.reference.on_device for _, one in asked)
+    pairs = [(s, one) for s in made.settings for one in made.select_planners(s)]
+    assert {s.preset for s, _ in pairs} == {"open", "reef", "dense", "corridor"}
+    assert {s.robots for s, _ in pairs} == {1, 4, 16, 64}
+    assert all(one.spec is None or one.spec.reference.on_device for _, one in pairs)
     levels = {
         (s.robots, one.name, s.information.obstacles)
-        for s, one in asked
+        for s, one in pairs
         if s.preset == "dense" and not one.online
     }
     for robots in (4, 16):
         for name in ("grid", "priority", "current", "mppi"):
             for level in fleets.LEVELS:
                 assert (robots, name, level) in levels
-    assert len({(s.robots, one.label) for s, one in asked if one.flies_itself}) == 20
+    assert len({(s.robots, one.label) for s, one in pairs if one.flies_itself}) == 20
 
 
 @pytest.mark.nightly(

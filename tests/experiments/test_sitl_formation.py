@@ -31,9 +31,9 @@ def test_velocities_are_those_of_the_places(world):
     made = build_goals(np.array(world.start_m))[5]
     point = made.points[7]
     ahead = robot_positions(np.array(world.start_m), point.time_s + 0.1)[5]
-    told = np.array(point.positions) + 0.1 * np.array(point.velocities)
-    told += 0.005 * np.array(point.accelerations)
-    np.testing.assert_allclose(told, ahead, atol=1e-5)  # jerk of 0.02 m/s^3 times 0.1^3 / 6
+    predicted = np.array(point.positions) + 0.1 * np.array(point.velocities)
+    predicted += 0.005 * np.array(point.accelerations)
+    np.testing.assert_allclose(predicted, ahead, atol=1e-5)  # jerk of 0.02 m/s^3 times 0.1^3 / 6
 
 
 def test_the_file_holds_all_robots(world, tmp_path):

@@ -13,7 +13,7 @@ from angler_mjx.sim.state import Outcome, Touched
 
 DT_S, STEPS, PHYSICS_STEPS = 0.05, 200, 5
 W, R, K = 2, 2, 3
-MINE = (1, 0)
+FIRST = (1, 0)
 """The world and robot that end otherwise."""
 
 
@@ -57,11 +57,11 @@ def ended(flight, outcome, touched=Touched.NOTHING, index=-1, end_s=8.0):
         "touched_index": index,
         "end_time_s": end_s,
     }
-    given = {}
+    changed = {}
     for name, value in changes.items():
-        given[name] = getattr(flight, name).copy()
-        given[name][MINE] = value
-    return replace(flight, **given)
+        changed[name] = getattr(flight, name).copy()
+        changed[name][FIRST] = value
+    return replace(flight, **changed)
 
 
 def moved(flight, name, at, by):
@@ -73,12 +73,12 @@ def moved(flight, name, at, by):
 
 def only(a, b):
     (found,) = tracing.trace_differences(a, b, DT_S, PHYSICS_STEPS)
-    assert (found.world, found.robot) == MINE
+    assert (found.world, found.robot) == FIRST
     return found
 
 
 HIT = (Outcome.COLLISION_DYNAMIC, Touched.OBSTACLE, 2)
-AFTER = (MINE[0], slice(100, None))
+AFTER = (FIRST[0], slice(100, None))
 
 
 def test_flights_that_end_alike_are_not_traced(flight):
@@ -100,11 +100,11 @@ def test_another_world_comes_before_all(flight):
 
 def test_an_obstacle_that_drifts_away_and_one_that_is_thrown_back(flight):
     slowly = flight.obstacle_p.copy()
-    slowly[MINE[0], 100:, 2, 2] += 1e-4 * np.arange(STEPS - 100)
+    slowly[FIRST[0], 100:, 2, 2] += 1e-4 * np.arange(STEPS - 100)
     found = only(flight, ended(replace(flight, obstacle_p=slowly), *HIT))
     assert found.cause is Cause.DRIFT
     thrown = flight.obstacle_p.copy()
-    thrown[MINE[0], 100:, 2, 1] -= 0.02 * np.arange(STEPS - 100)
+    thrown[FIRST[0], 100:, 2, 1] -= 0.02 * np.arange(STEPS - 100)
     found = only(flight, ended(replace(flight, obstacle_p=thrown), *HIT))
     assert found.cause is Cause.BOUNCE
     assert found.at_s == pytest.approx(5.05)
@@ -129,14 +129,14 @@ def test_the_other_robot(flight):
 
 def test_where_it_aims_comes_before_where_it_goes(flight):
     aimed = moved(flight, "target_m", (*AFTER, 0), 0.2)
-    other = moved(aimed, "p", (MINE[0], slice(110, None), 0), 0.1)
+    other = moved(aimed, "p", (FIRST[0], slice(110, None), 0), 0.1)
     assert only(flight, ended(other, *HIT)).cause is Cause.AIM
     itself = moved(flight, "p", (*AFTER, 0), 0.1)
     assert only(flight, ended(itself, *HIT)).cause is Cause.SELF
 
 
 def test_rounding_is_no_cause_but_its_size_is_told(flight):
-    other = moved(flight, "p", (MINE[0], slice(None), 0), 6e-7)
+    other = moved(flight, "p", (FIRST[0], slice(None), 0), 6e-7)
     found = only(flight, ended(other, Outcome.COLLISION_STATIC, Touched.CELL))
     assert found.cause is Cause.TOUCH
     assert found.size_m == pytest.approx(6e-7, rel=1e-2)
@@ -146,7 +146,7 @@ def test_rounding_is_no_cause_but_its_size_is_told(flight):
 
 
 def test_what_comes_after_the_first_end_is_no_cause(flight):
-    other = moved(flight, "p", (MINE[0], slice(170, None), 0), 1.0)
+    other = moved(flight, "p", (FIRST[0], slice(170, None), 0), 1.0)
     assert only(flight, ended(other, *HIT, end_s=8.0)).cause is Cause.TOUCH
 
 

@@ -28,11 +28,11 @@ def rankine(xy, t):
 
 
 def test_uniform_flow_with_and_against_and_across():
-    way = [np.zeros(2), np.array([6.0, 0.0])]
-    assert uniform_min_time_s([0.2, 0.0], *way, 0.5) == pytest.approx(6 / 0.7)
-    assert uniform_min_time_s([-0.2, 0.0], *way, 0.5) == pytest.approx(6 / 0.3)
-    assert uniform_min_time_s([0.0, 0.3], *way, 0.5) == pytest.approx(6 / 0.4)
-    assert uniform_min_time_s([-0.6, 0.0], *way, 0.5) == math.inf
+    points = [np.zeros(2), np.array([6.0, 0.0])]
+    assert uniform_min_time_s([0.2, 0.0], *points, 0.5) == pytest.approx(6 / 0.7)
+    assert uniform_min_time_s([-0.2, 0.0], *points, 0.5) == pytest.approx(6 / 0.3)
+    assert uniform_min_time_s([0.0, 0.3], *points, 0.5) == pytest.approx(6 / 0.4)
+    assert uniform_min_time_s([-0.6, 0.0], *points, 0.5) == math.inf
 
 
 def test_best_speed_in_still_water_is_where_hotel_is_twice_the_drag():

@@ -21,7 +21,7 @@ def write_inputs(folder):
             text, count = re.subn(rf"(?m)^{key} = .*$", f"{key} = {value}", text)
             assert count, f"{row['of']}: has no key {key}"
         (folder / name).write_text(text, encoding="utf-8")
-    page = (ROOT / "docs" / "planners.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "tutorials" / "own_planner.md").read_text(encoding="utf-8")
     blocks = re.findall(r"(?ms)^```python\n(.*?)^```", page)
     source = next(block for block in blocks if "class Straight" in block)
     (folder / "straight.py").write_text(source, encoding="utf-8")

@@ -163,7 +163,7 @@ def _randomise(rng: random.Random, scenario: dict[str, Any]) -> dict[str, Any]:
     }
     if rng.random() < 0.3:
         found |= {"fault_probability": 0.2, "fault_health": [0.0, 0.5]}
-    return {"variants": rng.choice([1, 3]), "known": rng.random() < 0.5, **found}
+    return {"variants": rng.choice([1, 3]), "visible": rng.random() < 0.5, **found}
 
 
 def _fleet(rng: random.Random, *, rock: bool) -> tuple[list[dict[str, Any]], dict[str, str]]:
@@ -189,7 +189,7 @@ def _fleet(rng: random.Random, *, rock: bool) -> tuple[list[dict[str, Any]], dic
             layout = [thruster.name for thruster in config.thrusters.layout]
             faulty = rng.sample(layout, rng.randint(1, 3))
             entry["thruster_health"] = {one: rng.choice([0.0, 0.3, 0.7]) for one in faulty}
-            entry["fault_known"] = rng.random() < 0.5
+            entry["fault_visible"] = rng.random() < 0.5
         estimate = rng.choice(["truth", "truth", "noisy", "ekf"])
         if estimate != "truth":
             entry["estimate"] = estimate
@@ -335,7 +335,7 @@ def simpler(case: Case) -> list[Case]:
     for i, entry in enumerate(fleet):
         for key in ("thruster_health", "estimate", "parameter_mix"):
             if key in entry:
-                dropped = (key, "fault_known") if key == "thruster_health" else (key,)
+                dropped = (key, "fault_visible") if key == "thruster_health" else (key,)
                 less = {k: v for k, v in entry.items() if k not in dropped}
                 found.append(with_fleet([*fleet[:i], less, *fleet[i + 1 :]]))
     if scenario.get("randomise"):

@@ -71,7 +71,7 @@ def fly(
     dt = scenario.time.control_dt_s
     assert simulator.steps_per_sample == 1
     books = Books(
-        vehicle=worlds.control.vehicle,
+        vehicle=simulator.add_parameters(worlds).control.vehicle,
         current=worlds.environment.current,
         density=scenario.water.density_kgpm3,
         gravity=simulator.spec.water.gravity_mps2,

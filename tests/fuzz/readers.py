@@ -22,7 +22,8 @@ from angler_mjx.studies.speed.chart import format_table
 from angler_mjx.teleop import script
 from angler_mjx.teleop.terminal import parse_keys
 from angler_sitl.firmware import parameters
-from angler_sitl.wire import ground_station, packets
+from angler_sitl.missions import ground_station
+from angler_sitl.wire import packets
 from angler_sitl.wire.link import MavlinkLink, dialect
 
 ROOT = Path(__file__).parents[2]

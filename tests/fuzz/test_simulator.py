@@ -65,7 +65,7 @@ def flown(tmp_path_factory):
         flying.fly(mjx, worlds, 0, samples.append),
         flying.fly(fused, fused.adopt(worlds), 0),
     ]
-    return worlds, flights, samples, simulator.bounds(mjx, worlds)
+    return mjx.add_parameters(worlds), flights, samples, simulator.bounds(mjx, worlds)
 
 
 @pytest.mark.nightly(by="the judges' own tests below")

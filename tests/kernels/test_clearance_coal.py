@@ -43,7 +43,7 @@ def along_z(d):
     return np.stack([x, np.cross(z, x), z], 1)
 
 
-def draw_hulls(rng, n):
+def sample_hulls(rng, n):
     """Ends [n, c, 3] about the origin and radii [n, c]."""
     a, b = rng.uniform(-0.35, 0.35, (2, n, N_CAPSULE, 3))
     return a, b, rng.uniform(0.05, 0.2, (n, N_CAPSULE))
@@ -71,9 +71,9 @@ def coal_to_cells(boxes, hull, R, p):
     callback, wanted = coal.DistanceCallBackDefault(), request()
     out = np.full(len(p), np.inf)
     for shape, turn, at in movers:
-        turns, places = R @ turn, p + R @ at
+        turns, origins = R @ turn, p + R @ at
         for i in range(len(p)):
-            shape.setTransform(coal.Transform3s(turns[i], places[i]))
+            shape.setTransform(coal.Transform3s(turns[i], origins[i]))
             shape.computeAABB()
             callback.data.clear()
             callback.data.request = wanted
@@ -90,11 +90,11 @@ def cell_queries():
     boxes = coal.DynamicAABBTreeCollisionManager()
     objects = []  # the manager holds no reference of its own
     for index in np.argwhere(occupied):
-        place = coal.Transform3s(np.eye(3), ORIGIN + CELL * (index + 0.5))
-        objects.append(coal.CollisionObject(coal.Box(CELL, CELL, CELL), place))
+        pose = coal.Transform3s(np.eye(3), ORIGIN + CELL * (index + 0.5))
+        objects.append(coal.CollisionObject(coal.Box(CELL, CELL, CELL), pose))
         boxes.registerObject(objects[-1])
     boxes.setup()
-    a, b, r = draw_hulls(rng, N_HULL)
+    a, b, r = sample_hulls(rng, N_HULL)
     p = ORIGIN + CELL * rng.uniform(-0.5, np.array(SHAPE) + 0.5, (N_HULL, N_POSE, 3))
     R = rotations(rng, N_HULL * N_POSE)[0].reshape(N_HULL, N_POSE, 3, 3)
     want = np.stack([coal_to_cells(boxes, (a[i], b[i], r[i]), R[i], p[i]) for i in range(N_HULL)])
@@ -142,7 +142,7 @@ def hull_pairs():
     """Pairs of hulls side by side with coal's distances."""
     rng = np.random.default_rng(1)
     n = 2000
-    (a1, b1, r1), (a2, b2, r2) = draw_hulls(rng, n), draw_hulls(rng, n)
+    (a1, b1, r1), (a2, b2, r2) = sample_hulls(rng, n), sample_hulls(rng, n)
     shift = rng.uniform(-1.2, 1.2, (n, 1, 3))
     a2, b2 = a2 + shift, b2 + shift
     want, wanted, result = np.full(n, np.inf), request(), coal.DistanceResult()
@@ -150,9 +150,9 @@ def hull_pairs():
         other = capsules_of(a2[i], b2[i], r2[i])
         for shape, turn, at in capsules_of(a1[i], b1[i], r1[i]):
             for shape2, turn2, at2 in other:
-                place, place2 = coal.Transform3s(turn, at), coal.Transform3s(turn2, at2)
+                pose, pose2 = coal.Transform3s(turn, at), coal.Transform3s(turn2, at2)
                 result.clear()
-                gap = coal.distance(shape, place, shape2, place2, wanted, result)
+                gap = coal.distance(shape, pose, shape2, pose2, wanted, result)
                 want[i] = min(want[i], max(gap, 0.0))
     return (a1, b1, r1, a2, b2, r2), want
 
@@ -172,17 +172,17 @@ def hulls_at_obstacles():
     """Hulls beside spheres, boxes and capsules with coal's distances."""
     rng = np.random.default_rng(2)
     n = 2000
-    a, b, r = draw_hulls(rng, n)
+    a, b, r = sample_hulls(rng, n)
     kind, size = rng.integers(0, 3, n), rng.uniform(0.1, 1.0, (n, 3))
     p, (R, q) = rng.uniform(-2, 2, (n, 3)), rotations(rng, n)
     want, wanted, result = np.full(n, np.inf), request(), coal.DistanceResult()
     for i in range(n):
         x, y, z = size[i]
         shape = (coal.Sphere(x), coal.Box(2 * x, 2 * y, 2 * z), coal.Capsule(x, 2 * y))[kind[i]]
-        place = coal.Transform3s(R[i], p[i])
+        pose = coal.Transform3s(R[i], p[i])
         for capsule, turn, at in capsules_of(a[i], b[i], r[i]):
             result.clear()
-            gap = coal.distance(capsule, coal.Transform3s(turn, at), shape, place, wanted, result)
+            gap = coal.distance(capsule, coal.Transform3s(turn, at), shape, pose, wanted, result)
             want[i] = min(want[i], max(gap, 0.0))
     return (a, b, r, p, q), kind, size, want
 

@@ -18,7 +18,7 @@ import angler_kernels
 SHAPE = r"(?:(bool|u?int\d*) )?\[([a-z0-9_+, ]*)\]"
 SIZES = (5, 7, 11, 13, 17, 19)
 ARRAYS = ("jax.Array", "jax.Array | float")
-NOT_SAID = {
+UNSTATED = {
     # Of any number of axes.
     "bit_grid.pack_grid",
     "bit_grid.count_cells",
@@ -48,9 +48,9 @@ def public():
 
 def inputs(function):
     """Name -> annotation of what it takes, as written."""
-    given = inspect.signature(inspect.unwrap(function)).parameters.values()
+    stated = inspect.signature(inspect.unwrap(function)).parameters.values()
     return {
-        one.name: re.sub(r"^'|'$", "", inspect.formatannotation(one.annotation)) for one in given
+        one.name: re.sub(r"^'|'$", "", inspect.formatannotation(one.annotation)) for one in stated
     }
 
 
@@ -60,9 +60,11 @@ def read(function):
     taken = {}
     for name in inputs(function):
         listed = re.search(rf"^    {name}: (.*)$", text, re.M)
-        said = re.match(SHAPE, listed[1]) if listed else None
-        said = said or re.search(rf"\b{name}(?:``)? {SHAPE}", text.partition("Args:")[0])
-        taken[name] = said.groups() if said else None
+        stated_shape = re.match(SHAPE, listed[1]) if listed else None
+        stated_shape = stated_shape or re.search(
+            rf"\b{name}(?:``)? {SHAPE}", text.partition("Args:")[0]
+        )
+        taken[name] = stated_shape.groups() if stated_shape else None
     returned = text.partition("Returns:")[2]
     if not returned:
         returned = text.partition("\n\n")[0]
@@ -79,8 +81,8 @@ def size(axis, sizes):
     return sizes.setdefault(letter.strip(), SIZES[len(sizes)]) + int(more or 0)
 
 
-def shape(said, sizes):
-    return tuple(size(axis.strip(), sizes) for axis in said.split(",") if axis.strip())
+def shape(stated_shape, sizes):
+    return tuple(size(axis.strip(), sizes) for axis in stated_shape.split(",") if axis.strip())
 
 
 FUNCTIONS = {
@@ -88,7 +90,7 @@ FUNCTIONS = {
     for name, function in public()
     if inputs(function) and set(inputs(function).values()) <= set(ARRAYS)
 }
-SAID = {
+STATED = {
     name
     for name, function in FUNCTIONS.items()
     if all(read(function)[0].values()) and read(function)[1]
@@ -96,20 +98,22 @@ SAID = {
 
 
 def test_no_more_kernels_than_these_leave_a_shape_unsaid():
-    assert set(FUNCTIONS) - SAID == NOT_SAID
+    assert set(FUNCTIONS) - STATED == UNSTATED
 
 
-@pytest.mark.parametrize("name", sorted(SAID))
+@pytest.mark.parametrize("name", sorted(STATED))
 def test_a_kernel_takes_and_gives_the_shapes_that_it_says(name):
-    taken, given = read(FUNCTIONS[name])
+    taken, stated = read(FUNCTIONS[name])
     sizes: dict = {}
     like = {
-        argument: jax.ShapeDtypeStruct(shape(said, sizes), kind or "float32")
-        for argument, (kind, said) in taken.items()
+        argument: jax.ShapeDtypeStruct(shape(stated_shape, sizes), kind or "float32")
+        for argument, (kind, stated_shape) in taken.items()
     }
     found = jax.tree.leaves(jax.eval_shape(FUNCTIONS[name], **like))
-    assert [leaf.shape for leaf in found] == [shape(said, sizes) for _, said in given]
-    for leaf, (kind, _) in zip(found, given, strict=True):
+    assert [leaf.shape for leaf in found] == [
+        shape(stated_shape, sizes) for _, stated_shape in stated
+    ]
+    for leaf, (kind, _) in zip(found, stated, strict=True):
         assert not kind or leaf.dtype.name == kind
 
 
@@ -120,8 +124,8 @@ def broken(x):
 
 def test_a_docstring_that_lies_is_found_out():
     broken.__annotations__["x"] = jax.Array
-    taken, given = read(broken)
-    assert (taken, given) == ({"x": (None, "3, n")}, [("", "3")])
+    taken, stated = read(broken)
+    assert (taken, stated) == ({"x": (None, "3, n")}, [("", "3")])
     sizes: dict = {}
     x = jax.ShapeDtypeStruct(shape("3, n", sizes), jnp.float32)
     assert jax.eval_shape(broken, x).shape != shape("3", sizes)

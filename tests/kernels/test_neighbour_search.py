@@ -26,8 +26,8 @@ def ball_gap(one, other):
     return jnp.sqrt(jnp.sum((p - q) ** 2)) - r - s
 
 
-def one_world(centre, sphere, place, r, within):
-    return find_nearest(centre, sphere, (place, r), ball_gap, within)
+def one_world(centre, sphere, position, r, within):
+    return find_nearest(centre, sphere, (position, r), ball_gap, within)
 
 
 worlds = jax.vmap(one_world, (0, 0, 0, 0, None))
@@ -38,24 +38,28 @@ def search():
     return quickly(worlds)
 
 
-def draw(rng, n_world, n, extent):
+def sample(rng, n_world, n, extent):
     centre = rng.uniform(-extent, extent, (n_world, n, 3))
-    place = centre + rng.uniform(-0.1, 0.1, centre.shape)
+    position = centre + rng.uniform(-0.1, 0.1, centre.shape)
     r = rng.uniform(0.02, 0.2, (n_world, n))
-    sphere = np.linalg.norm(place - centre, axis=2) + r
-    return centre, sphere, place, r
+    sphere = np.linalg.norm(position - centre, axis=2) + r
+    return centre, sphere, position, r
 
 
-def all_pairs(place, r):
-    gap = np.linalg.norm(place[:, :, None] - place[:, None], axis=3) - r[:, :, None] - r[:, None]
+def all_pairs(position, r):
+    gap = (
+        np.linalg.norm(position[:, :, None] - position[:, None], axis=3)
+        - r[:, :, None]
+        - r[:, None]
+    )
     gap[:, np.arange(gap.shape[1]), np.arange(gap.shape[1])] = np.inf
     return gap
 
 
 def check(search, world):
-    _, _, place, r = world
+    _, _, position, r = world
     distance, index = (np.asarray(x) for x in search(*world, WITHIN))
-    gap = all_pairs(place, r)
+    gap = all_pairs(position, r)
     least = gap.min(axis=2)
     np.testing.assert_allclose(distance, np.minimum(least, WITHIN), atol=ROUNDING)
     np.testing.assert_array_equal(index[least > WITHIN], -1)
@@ -70,7 +74,7 @@ def test_equals_all_pairs_from_a_crowd_to_a_wide_sea(search, extent):
     # In a crowd every body is a candidate of every other; at 1e5 m most bodies are beyond the
     # outermost cells.
     rng = np.random.default_rng(0)
-    world = draw(rng, 6, 200, extent)
+    world = sample(rng, 6, 200, extent)
     if extent >= 1e3:  # pairs that would never meet by chance
         for part in (world[0], world[2]):
             part[:, 150:] = part[:, :50] + 0.3
@@ -81,7 +85,7 @@ def test_equals_all_pairs_from_a_crowd_to_a_wide_sea(search, extent):
 
 def test_one_world_does_not_see_another(search):
     rng = np.random.default_rng(1)
-    world = draw(rng, 6, 200, 4.0)
+    world = sample(rng, 6, 200, 4.0)
     together = search(*world, WITHIN)
     for i in range(6):
         alone = search(*(np.repeat(x[i : i + 1], 6, axis=0) for x in world), WITHIN)
@@ -91,7 +95,7 @@ def test_one_world_does_not_see_another(search):
 
 def test_both_of_a_pair_get_the_same_number(search):
     distance, index = (
-        np.asarray(x) for x in search(*draw(np.random.default_rng(2), 6, 200, 3.0), WITHIN)
+        np.asarray(x) for x in search(*sample(np.random.default_rng(2), 6, 200, 3.0), WITHIN)
     )
     where, one = np.nonzero(index >= 0)
     other = index[where, one]
@@ -104,16 +108,16 @@ def test_bodies_on_the_edges_of_cells_and_at_one_place(search):
     # A lattice with the spacing of the cells puts every body on a corner of its cell.
     r, apart = 0.1, WITHIN + 0.2 - 1e-9
     lattice = np.stack(np.meshgrid(*(np.arange(6.0),) * 3, indexing="ij"), -1).reshape(-1, 3)
-    place = np.tile(lattice[:200] * apart, (6, 1, 1))
-    place[1, 100:] = place[1, :100]
-    place[2] = 7.0
+    position = np.tile(lattice[:200] * apart, (6, 1, 1))
+    position[1, 100:] = position[1, :100]
+    position[2] = 7.0
     radii = np.full((6, 200), r)
-    check(search, (place, radii, place, radii))
+    check(search, (position, radii, position, radii))
 
 
 @pytest.mark.parametrize("n", [1, 2])
 def test_few_bodies(search, n):
-    world = draw(np.random.default_rng(3), 1, n, 0.2)
+    world = sample(np.random.default_rng(3), 1, n, 0.2)
     distance, index = (np.asarray(x) for x in search(*world, WITHIN))
     if n == 1:
         np.testing.assert_array_equal(distance, [[WITHIN]])
@@ -124,18 +128,18 @@ def test_few_bodies(search, n):
 
 
 def test_gradient_is_that_of_the_nearest_pair(search):
-    centre, sphere, place, r = draw(np.random.default_rng(4), 6, 200, 3.0)
+    centre, sphere, position, r = sample(np.random.default_rng(4), 6, 200, 3.0)
 
     def total(shift):
-        moved = (centre + shift, sphere, place + shift, r)
+        moved = (centre + shift, sphere, position + shift, r)
         return jnp.sum(worlds(*moved, WITHIN)[0])
 
-    got = np.asarray(quickly(jax.grad(total))(np.zeros_like(place)))
-    _, index = (np.asarray(x) for x in search(centre, sphere, place, r, WITHIN))
-    want = np.zeros_like(place)
+    got = np.asarray(quickly(jax.grad(total))(np.zeros_like(position)))
+    _, index = (np.asarray(x) for x in search(centre, sphere, position, r, WITHIN))
+    want = np.zeros_like(position)
     for w, i in zip(*np.nonzero(index >= 0), strict=True):
         j = index[w, i]
-        away = (place[w, i] - place[w, j]) / np.linalg.norm(place[w, i] - place[w, j])
+        away = (position[w, i] - position[w, j]) / np.linalg.norm(position[w, i] - position[w, j])
         want[w, i] += away
         want[w, j] -= away
     np.testing.assert_allclose(got, want, atol=1e-9)  # unit vectors, sums of a few of them

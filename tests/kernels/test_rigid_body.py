@@ -137,8 +137,8 @@ def test_a_steady_uniform_current_changes_nothing_but_the_frame(rng, deviation):
 
     def nu_dot(nu, v_c):
         water = water_of(M_A, q, nu, v_c, np.zeros((N, 3)))
-        own = jax.vmap(rigid_body.rigid_body_coriolis, (None, None, 0))(mass, inertia, nu)
-        return np.linalg.solve(M, np.asarray(water - own)[..., None])[..., 0]
+        rigid = jax.vmap(rigid_body.rigid_body_coriolis, (None, None, 0))(mass, inertia, nu)
+        return np.linalg.solve(M, np.asarray(water - rigid)[..., None])[..., 0]
 
     still = nu_dot(nu - nu_c, np.zeros((N, 3)))
     carried = nu_dot(nu, v_c)
@@ -246,8 +246,8 @@ def test_pose_step_follows_the_helix(rng, deviation):
     v = nu[:, :3]
     across = np.cross(axis, v)
     along = np.sum(axis * v, axis=1, keepdims=True) * axis
-    way = along + np.sin(angle) / angle * (v - along) + (1 - np.cos(angle)) / angle * across
-    exact = R0.apply(way)
+    rotated = along + np.sin(angle) / angle * (v - along) + (1 - np.cos(angle)) / angle * across
+    exact = R0.apply(rotated)
     _, q = run(0.1)
     deviation.close("pose.attitude", matrices(q), (R0 * turn).as_matrix(), atol=1e-13)
     np.testing.assert_allclose(np.linalg.norm(q, axis=1), 1, atol=1e-15)

@@ -45,6 +45,6 @@ def test_only_the_lower_triangle_is_read():
 def test_gradient():
     matrix, right = systems(3, 1, 10)
     with jax.enable_x64(True):
-        given = jax.grad(lambda b: spd_solve.solve(jax.numpy.asarray(matrix), b).sum())(right)
+        gradient = jax.grad(lambda b: spd_solve.solve(jax.numpy.asarray(matrix), b).sum())(right)
     # d(1^T A^-1 b) / db = A^-1 1, to rounding.
-    np.testing.assert_allclose(given[:, 0], np.linalg.solve(matrix, np.ones(3)), rtol=1e-12)
+    np.testing.assert_allclose(gradient[:, 0], np.linalg.solve(matrix, np.ones(3)), rtol=1e-12)

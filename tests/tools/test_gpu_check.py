@@ -9,7 +9,7 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from angler_mjx.planning.register import DEVICE
+from angler_mjx.planning.register import find, planner_names
 from angler_mjx.scenario.policy_tables import PolicyConfig
 from angler_mjx.scenario.scenario import shipped_scenarios
 from angler_mjx.sim.engines.base import by_name
@@ -30,6 +30,12 @@ MEASURED = {"angler_mjx.studies.speed.roofline"}
 def covered(kind):
     found = {name for check in CHECKS.values() for name in check.covers}
     return {name.partition(":")[2] for name in found if name.startswith(f"{kind}:")}
+
+
+def built_in_device_planners():
+    modules = {name: find(name).module for name in planner_names()}
+    ours = {name: module for name, module in modules.items() if module.startswith("angler_mjx.")}
+    return [name for name, module in ours.items() if ".host." not in module]
 
 
 def launching():
@@ -63,8 +69,8 @@ def test_every_kernel_is_checked():
 @pytest.mark.parametrize(
     ("kind", "every"),
     [
-        ("planner", set(DEVICE)),
-        ("replanning", set(DEVICE)),
+        ("planner", set(built_in_device_planners())),
+        ("replanning", set(built_in_device_planners())),
         ("policy", set(get_args(PolicyConfig.model_fields["name"].annotation))),
         ("scenario", set(shipped_scenarios())),
         ("workload", set(WORKLOADS)),
@@ -127,19 +133,19 @@ def test_durations_may_differ_by_a_fraction_of_the_cpus(ratio, faults):
 
 
 ROW = {"median": 89.0, "worlds": 4, "robots": 1, "unit": "steps/s"}
-KNOWN = {**ROW, "median": 100.0, "date": "2026-01-02", "commit": "abc"}
+STORED = {**ROW, "median": 100.0, "date": "2026-01-02", "commit": "abc"}
 SECONDS = {**ROW, "median": 20.0, "unit": "s", "processor": "A", "cpu_count": 16}
-COMPILED = {**KNOWN, **SECONDS, "median": 18.1}
+COMPILED = {**STORED, **SECONDS, "median": 18.1}
 
 
 @pytest.mark.parametrize(
-    ("row", "known", "status"),
+    ("row", "stored", "status"),
     [
-        (ROW, KNOWN, "slower"),
-        ({**ROW, "median": 91.0}, KNOWN, "passed"),
-        ({**ROW, "median": 200.0}, KNOWN, "passed"),
+        (ROW, STORED, "slower"),
+        ({**ROW, "median": 91.0}, STORED, "passed"),
+        ({**ROW, "median": 200.0}, STORED, "passed"),
         (ROW, None, "skipped"),
-        (ROW, {**KNOWN, "worlds": 8}, "skipped"),
+        (ROW, {**STORED, "worlds": 8}, "skipped"),
         (SECONDS, COMPILED, "passed"),
         (SECONDS, {**COMPILED, "median": 17.9}, "slower"),
         ({**SECONDS, "median": 1.0}, COMPILED, "passed"),
@@ -147,8 +153,8 @@ COMPILED = {**KNOWN, **SECONDS, "median": 18.1}
         (SECONDS, {**COMPILED, "cpu_count": 2}, "skipped"),
     ],
 )
-def test_a_rate_is_judged_by_the_stored_median(row, known, status):
-    judged, reason = workloads.judge_rate(row, known)
+def test_a_rate_is_judged_by_the_stored_median(row, stored, status):
+    judged, reason = workloads.judge_rate(row, stored)
     assert judged == status
     rate = f"{row['median']:.1f} s" if row["unit"] == "s" else f"{row['median']:.3e} steps/s"
     assert reason.startswith(rate)
@@ -157,9 +163,9 @@ def test_a_rate_is_judged_by_the_stored_median(row, known, status):
 def test_medians_are_stored_by_card_beside_others(tmp_path):
     path = tmp_path / "medians.json"
     assert workloads.read_medians("A", path) == {}
-    workloads.write_medians("A", {"dynamics": KNOWN}, path)
-    workloads.write_medians("B", {"dynamics": {**KNOWN, "median": 7.0}}, path)
-    workloads.write_medians("A", {"mjx": KNOWN}, path)
+    workloads.write_medians("A", {"dynamics": STORED}, path)
+    workloads.write_medians("B", {"dynamics": {**STORED, "median": 7.0}}, path)
+    workloads.write_medians("A", {"mjx": STORED}, path)
     assert set(workloads.read_medians("A", path)) == {"dynamics", "mjx"}
     assert workloads.read_medians("B", path)["dynamics"]["median"] == 7.0
 
@@ -230,10 +236,10 @@ def test_outcomes_of_another_commit_are_not_believed(on_cpu, capsys, monkeypatch
 )
 def test_failed_tests_say_why(code, last, status, reason):
     text = f"FAILED tests/a.py::test_b - ModuleNotFoundError: no trimesh\n{last}"
-    judged, said = judge_tests(code, text)
+    judged, judged_reason = judge_tests(code, text)
     assert judged == status
-    assert reason in said
-    assert last in said
+    assert reason in judged_reason
+    assert last in judged_reason
 
 
 def test_a_machine_without_a_needed_module_is_refused_before_the_first_check(tmp_path, monkeypatch):

@@ -90,13 +90,13 @@ def test_relevant_are_those_that_import_a_module_the_nearest_first(tree):
     assert len(used) == 3
 
 
-def drawn(tree, seed=0, count=1000):
-    places = pytest.importorskip("tools.mutants.positions", reason="needs the extra `mutants`")
-    return places.sample(tree, ["angler_mjx/rooms"], count, seed)
+def sampled(tree, seed=0, count=1000):
+    positions = pytest.importorskip("tools.mutants.positions", reason="needs the extra `mutants`")
+    return positions.sample(tree, ["angler_mjx/rooms"], count, seed)
 
 
 def test_every_place_that_a_test_should_judge_is_a_mutant_and_no_other(tree):
-    found = {(one.line, one.operator.split("_")[0]) for one in drawn(tree)}
+    found = {(one.line, one.operator.split("_")[0]) for one in sampled(tree)}
     lines = CODE.splitlines()
     at = {lines[line - 1].strip(): operator for line, operator in found if line > 1}
     assert at.keys() == {
@@ -114,10 +114,10 @@ def test_every_place_that_a_test_should_judge_is_a_mutant_and_no_other(tree):
 
 
 def test_a_sample_is_that_of_its_seed_and_every_mutant_is_one_fault(tree):
-    first, again = drawn(tree, seed=1, count=4), drawn(tree, seed=1, count=4)
+    first, again = sampled(tree, seed=1, count=4), sampled(tree, seed=1, count=4)
     assert first == again
-    assert [one.name for one in first] != [one.name for one in drawn(tree, seed=2, count=4)]
-    for one in drawn(tree):
+    assert [one.name for one in first] != [one.name for one in sampled(tree, seed=2, count=4)]
+    for one in sampled(tree):
         before = (tree / one.file).read_text().splitlines()
         after = one.code.splitlines()
         compile(one.code, one.file, "exec")
@@ -125,7 +125,7 @@ def test_a_sample_is_that_of_its_seed_and_every_mutant_is_one_fault(tree):
 
 
 def test_where_takes_the_other_branch(tree):
-    code = [one.code for one in drawn(tree) if one.operator == "SwapWhere"]
+    code = [one.code for one in sampled(tree) if one.operator == "SwapWhere"]
     assert len(code) == 1
     assert "jnp.where(jnp.logical_not(a > 0), jnp.minimum(a, b), -b)" in code[0]
 
@@ -339,18 +339,18 @@ def test_a_row_of_a_removed_file_is_gone_and_in_no_count(tree, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "folders", "said"),
+    ("text", "folders", "message"),
     [
         ("{", None, "list.jsonl:1: not JSON"),
         ('{"room": "a"}', None, "list.jsonl:1: 'file' is missing"),
         (None, ["angler_mjx/nowhere"], "no row of angler_mjx/nowhere"),
     ],
 )
-def test_a_list_that_cannot_be_read_is_refused(tree, tmp_path, text, folders, said):
+def test_a_list_that_cannot_be_read_is_refused(tree, tmp_path, text, folders, message):
     path = stored_list(tmp_path, SUM)
     if text is not None:
         path.write_text(text)
-    with pytest.raises(mutant_list.ListError, match=said):
+    with pytest.raises(mutant_list.ListError, match=message):
         mutant_list.load_list(tree, path, folders)
 
 

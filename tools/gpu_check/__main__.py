@@ -34,31 +34,31 @@ ROW_FIELDS = (
 class GpuCheckOptions:
     """Compare engines, kernels, policies, planners and rates of a GPU with the CPU's outcomes.
 
-    A call ends after --minutes; the next one goes on with what is left.
+    A call ends after --minutes; the next one continues with the remaining checks.
     """
 
     device: Literal["gpu", "cpu"] = "gpu"
     """Device under test; cpu tries the script itself, in small."""
     minutes: float = 8.0
-    """After so long, processes are ended and their checks are left to the next call."""
+    """Minutes after which processes are ended and their checks are left to the next call."""
     jobs: int = min(16, os.cpu_count() or 1)
-    """Processes side by side; rates are measured alone."""
+    """Parallel processes; rates are measured alone."""
     only: tuple[str, ...] = ()
-    """Beginnings of the names of checks to run; all if left out."""
+    """Prefixes of the names of checks to run; all if left out."""
     results: Path = running.ROOT / ".cache" / "gpu_check.jsonl"
-    """File of outcomes, a line each; those of another commit or device are not believed."""
+    """File of outcomes, one per line; those of another commit or device are ignored."""
     again: bool = False
-    """Run once more what failed, was slower or was skipped."""
+    """Run once more the checks that failed, were slower or were skipped."""
     fresh: bool = False
     """Forget all outcomes of this commit and device."""
     list: bool = False
-    """Only list the checks and what is known of each."""
+    """Only list the checks and the known outcome of each."""
     store: bool = False
     """Store the measured rates as medians of this card, with date and commit."""
 
 
 def main(options: GpuCheckOptions) -> int:
-    """Run checks; return 0 if all of the chosen passed or were skipped, 3 if some are left."""
+    """Run checks; return 0 if all chosen ones passed or were skipped, 3 if some remain."""
     cache = running.ROOT / ".cache" / "gpu_check_programs"
     cache.mkdir(parents=True, exist_ok=True)
     deadline = time.monotonic() + 60.0 * options.minutes
@@ -107,7 +107,7 @@ def main(options: GpuCheckOptions) -> int:
 
 
 def _describe_device(machine: Machine) -> dict[str, Any]:
-    """Describe the device, from a process of its own: this one holds no device memory."""
+    """Describe the device in a separate process, so that this one holds no device memory."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder, "about.json")
         if text := running.run_work(machine, "about", machine.device, out):
@@ -159,7 +159,7 @@ def _store_medians(outcomes: dict[str, CheckOutcome], about: dict[str, Any]) -> 
 def _print_summary(
     chosen: list[str], outcomes: dict[str, CheckOutcome], about: dict[str, Any]
 ) -> int:
-    """Print what became of each check and of all; return the exit status."""
+    """Print the outcome of each check and of all; return the exit status."""
     statuses = {
         name: outcomes[name].status if name in outcomes else "unfinished" for name in chosen
     }

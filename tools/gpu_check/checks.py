@@ -1,4 +1,4 @@
-"""All checks by name, and what each of them covers."""
+"""All checks by name, and the coverage of each."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from angler_mjx.planning.register import built_in_device_planners
 from angler_mjx.studies.speed.workloads import WORKLOADS
 from tools.gpu_check import kernels, simulations, workloads
 from tools.gpu_check.comparing import ErrorBound
@@ -16,16 +17,17 @@ type Run = Callable[[], Mapping[str, np.ndarray]]
 
 @dataclass(frozen=True, kw_only=True)
 class GpuCheck:
-    """One line of the results."""
+    """Check of the results."""
 
     name: str
     run: Run
     """Arrays by name; computed in a process for each device."""
     bounds: Mapping[str, ErrorBound] = field(default_factory=dict)
     covers: frozenset[str] = frozenset()
-    """Such as ``engine:mjx/xla``, ``kernel:angler_kernels.matching``, ``planner:grid``."""
+    """Covered parts, such as ``engine:mjx/xla``, ``kernel:angler_kernels.matching``,
+    ``planner:grid``."""
     compared: bool = True
-    """Whether the CPU computes the same; else it only has to end."""
+    """Whether results are compared with the CPU; else the check only has to end."""
     needs: tuple[str, ...] = ()
     """Packages without which the check is skipped."""
 
@@ -59,7 +61,7 @@ RECORDING = {"record_hz": 1.0}
 
 
 def _flight_check(name: str, scenario: str, covers: set[str], **changes: Any) -> GpuCheck:
-    """Fly a scenario on the fused engine, with its default kernels, unless changes say another."""
+    """Build a check of a flight on the fused engine; changes may choose its kernels."""
     return GpuCheck(
         name=f"flight/{name}",
         run=partial(simulations.fly_worlds, scenario, **{"engine": "fused", **changes}),
@@ -69,7 +71,7 @@ def _flight_check(name: str, scenario: str, covers: set[str], **changes: Any) ->
 
 
 def _flight_checks() -> list[GpuCheck]:
-    """Every engine, device planner, policy, allocation and shipped scenario."""
+    """Build flights for every engine, device planner, policy, allocation and shipped scenario."""
     reef: dict[str, Any] = {"worlds": 16, "time": RECORDING}
     brief: dict[str, Any] = {"worlds": 8, "time": {**RECORDING, "horizon_s": 40.0}}
     triton = {
@@ -80,23 +82,25 @@ def _flight_checks() -> list[GpuCheck]:
         "kernel:angler_mjx.sim.engines.triton",
     }
     replanning: dict[str, Any] = {"replan_hz": 0.5, "information": {"obstacles": "observed"}}
+    planners = built_in_device_planners()
     few = {"samples": 64}
     nearest = {"task": {"allocation": "nearest"}}
     return [
         _flight_check("reef_fleet", "reef_fleet", triton, **reef),
         _flight_check("reef_fleet-xla", "reef_fleet", {"engine:fused/xla"}, kernels="xla", **reef),
         _flight_check("reef_fleet-mjx", "reef_fleet", {"engine:mjx/xla"}, engine="mjx", **reef),
-        # 7 of 128 worlds have plans of another duration, 2 of them among the first 16: a share of
-        # 16 could not tell that from the bound.
-        _flight_check(
-            "priority",
-            "reef_fleet",
-            {"planner:priority"},
-            planner={"name": "priority"},
-            **{**reef, "worlds": 64},
-        ),
-        _flight_check(
-            "current", "reef_fleet", {"planner:current"}, planner={"name": "current"}, **reef
+        # 7 of 128 worlds of priority have plans of another duration, 2 of them among the first 16:
+        # a fraction of 16 could not tell that from the bound.
+        *(
+            _flight_check(
+                name,
+                "reef_fleet",
+                {f"planner:{name}"},
+                planner={"name": name},
+                **{**reef, "worlds": 64 if name == "priority" else 16},
+            )
+            for name in planners
+            if name != "grid"
         ),
         _flight_check(
             "mppi", "reef_fleet", {"policy:mppi"}, policy={"name": "mppi", "mppi": few}, **brief
@@ -112,7 +116,7 @@ def _flight_checks() -> list[GpuCheck]:
                 planner={"name": name, **replanning},
                 **brief,
             )
-            for name in ("grid", "priority", "current")
+            for name in planners
         ),
         _flight_check("order", "reef_fleet", {"order:kept"}, execution={"order": "kept"}, **brief),
         _flight_check("dense_dynamic", "dense_dynamic", set(), **brief),
@@ -142,12 +146,12 @@ def _workload_checks() -> list[GpuCheck]:
 CHECKS: dict[str, GpuCheck] = {
     check.name: check for check in (*_flight_checks(), *_workload_checks(), *_kernel_checks())
 }
-"""Those that compile longest come first."""
+"""Checks of computations, those that compile longest first."""
 
 TESTS = "tests/gpu"
-"""The tests marked ``gpu``, run by pytest."""
+"""Check of the tests marked ``gpu``, run by pytest."""
 RATES = [f"rate/{name}" for name in WORKLOADS]
-"""Timed alone, after all others."""
+"""Checks of rates, timed alone, after all others."""
 
 
 def list_checks() -> list[str]:

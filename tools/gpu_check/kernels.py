@@ -1,7 +1,7 @@
 """Kernels on random inputs: programs of their own on a GPU, readable code elsewhere.
 
-The inputs are those of the tests, which hold both forms to plain Python, Dijkstra or SciPy on a
-CPU. Each function returns arrays by name; the caller runs it on both devices and compares them.
+The inputs are those of the tests, which compare both forms with plain Python, Dijkstra or SciPy on
+a CPU. Each function returns arrays by name; the caller runs it on both devices and compares them.
 """
 
 from typing import Any
@@ -14,7 +14,7 @@ type Arrays = dict[str, np.ndarray]
 
 
 def run_matching() -> Arrays:
-    """Return columns [40, r] that `run_matching.match_pairs` assigns to rows."""
+    """Return columns [40, r] that `angler_kernels.matching.match_pairs` assigns to rows."""
     from angler_kernels.matching import match_pairs
     from tests.kernels.pairs.test_matching import lengths
 
@@ -22,7 +22,7 @@ def run_matching() -> Arrays:
 
 
 def run_pairs() -> Arrays:
-    """Return jobs [40, R] that `world.tasks.run_pairs.shortest_first` assigns to robots."""
+    """Return jobs [40, R] that `world.tasks.pairs.shortest_first` assigns to robots."""
     from tests.angler_mjx.world.tasks.test_pairs import plain, scene
 
     scenes = [scene(seed) for seed in range(40)]

@@ -1,4 +1,4 @@
-"""Checks as processes side by side, each computed on the device and on the CPU, then compared."""
+"""Parallel processes for checks, each computed on the device and on the CPU, then compared."""
 
 import importlib.util
 import json
@@ -23,7 +23,7 @@ REFERENCE_FLAGS = (
     "--xla_backend_extra_options=xla_cpu_disable_new_fusion_emitters "
     "--xla_backend_optimization_level=1"
 )
-"""Of the CPU's programs, as in `make test`: they compile in a third of the time."""
+"""XLA flags of the CPU's programs, as in `make test`: they compile in a third of the time."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,23 +32,23 @@ class CheckOutcome:
 
     name: str
     status: str
-    """passed, failed, slower, skipped, or unfinished where time was up."""
+    """passed, failed, slower, skipped, or unfinished at the deadline."""
     seconds: float
     reason: str = ""
     row: dict[str, Any] = field(default_factory=dict)
-    """Of a rate."""
+    """Row of a rate."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Machine:
-    """Where checks run."""
+    """Machine of the checks."""
 
     device: str
     """gpu or cpu."""
     cache: Path
     """Folder of compiled programs, shared by all processes."""
     deadline: float
-    """Of `time.monotonic`: processes that still run then are ended."""
+    """Time of `time.monotonic` at which running processes are ended."""
 
     def start_module(
         self, module: Sequence[str], platform: str, log: Path
@@ -95,7 +95,7 @@ def run_work(machine: Machine, name: str, platform: str, out: Path) -> str | Non
     """Run `tools.gpu_check.work` to its end.
 
     Returns:
-        Empty if it ended well, None if time was up, else the last lines of its output.
+        Empty after success, None after the deadline, else the last lines of its output.
     """
     log = out.with_suffix(".log")
     process = machine.start_module(["tools.gpu_check.work", name, str(out)], platform, log)
@@ -164,7 +164,7 @@ def run_tests(machine: Machine) -> CheckOutcome:
 
 
 def judge_tests(code: int, text: str) -> tuple[str, str]:
-    """Return a status and its reason: of failed tests all that pytest printed last.
+    """Return a status and its reason: of failed tests pytest's last lines.
 
     Args:
         code: exit status of pytest.
@@ -179,11 +179,11 @@ def judge_tests(code: int, text: str) -> tuple[str, str]:
 def run_side_by_side(
     machine: Machine, names: Sequence[str], jobs: int, report: Callable[[CheckOutcome], None]
 ) -> None:
-    """Run checks, ``jobs`` processes at once; none begins after the deadline.
+    """Run checks in ``jobs`` parallel processes; none begins after the deadline.
 
     Args:
-        machine: where.
-        names: in the order of beginning.
+        machine: machine of the checks.
+        names: names of checks in the order of starting.
         jobs: processes, two of each check.
         report: called with each outcome, from this thread.
     """

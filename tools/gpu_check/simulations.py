@@ -1,4 +1,4 @@
-"""Flights of small worlds: what was sampled, planned and flown, as arrays to compare."""
+"""Flights of small worlds: samples, plans and trajectories as arrays to compare."""
 
 from typing import Any
 
@@ -20,15 +20,15 @@ BOUNDS = {
     "early_m": ErrorBound(atol=1e-2, fraction=0.95, axes=2, why=ROUNDING, equal="plan_m"),
     "outcome": ErrorBound(fraction=0.85, axes=2, why=ROUNDING),
 }
-"""Of robots [world, robot]; cells must be equal. Of durations of plans the mean of each world's
-team counts: which robot of a team waits for another can be a tie."""
+"""Bounds of robots [world, robot]; cells must be equal. Of durations of plans the mean of each
+world's team is compared: which robot of a team waits for another can be a tie."""
 
 
 def fly_worlds(scenario: str, **changes: Any) -> dict[str, np.ndarray]:
     """Simulate every world of a scenario to its horizon.
 
     Args:
-        scenario: name of a shipped one.
+        scenario: name of a shipped scenario.
         **changes: as of `load_scenario`; tables are merged.
 
     Returns:

@@ -1,4 +1,4 @@
-"""One computation in a process of its own: ``python -m tools.gpu_check.work NAME OUT``."""
+"""Computation in a separate process: ``python -m tools.gpu_check.work NAME OUT``."""
 
 import importlib
 import json
@@ -6,14 +6,15 @@ import sys
 from pathlib import Path
 
 NEEDED = ("mujoco.mjx", "pytest")
-"""Modules that only some checks import: a machine without them is refused before the first."""
+"""Modules that only some checks import: a machine without them is refused before the first
+check."""
 
 
 def main(name: str, out: Path) -> None:
     """Compute a check on JAX's default device, or describe that device.
 
     Args:
-        name: of a check, ``rate/WORKLOAD``, or ``about``.
+        name: name of a check, ``rate/WORKLOAD``, or ``about``.
         out: file to write: arrays of a check (.npz), JSON of the others.
     """
     if name == "about":

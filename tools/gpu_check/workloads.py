@@ -1,4 +1,4 @@
-"""Workloads of `angler bench`, and their medians against stored ones of the same card."""
+"""Workloads of `angler bench`, and their medians compared with stored ones of the same card."""
 
 import json
 import tempfile
@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 
 SIZES = {"dynamics": 65536}
-"""Worlds in one call where they are not `WORLDS`."""
+"""Worlds in one call where they differ from `WORLDS`."""
 WORLDS = 1024
 COMPILED_SCENARIO = {"cpu": "open_water_current", "gpu": "reef_fleet"}
 """Scenario that ``compile`` compiles; its row is of all programs, with an empty cache."""
 CPU_WORLDS = 2
 """Worlds on a CPU, where only the script itself is tested."""
 MAX_LOSS = 0.10
-"""Loss of a rate that is named."""
+"""Loss of a rate beyond which it counts as slower."""
 HOST = ("processor", "cpu_count")
-"""What seconds of compiling depend on beside the card."""
+"""Properties of the host that compile seconds depend on beside the card."""
 STORED = Path(__file__).parents[2] / "benchmarks" / "gpu_medians.json"
 
 
@@ -34,7 +34,7 @@ def measure_workload(workload: str) -> dict[str, Any]:
     import jax
 
     from angler_mjx.runs.provenance import describe_environment
-    from angler_mjx.studies.speed import measuring
+    from angler_mjx.studies.speed.measured import measuring
     from angler_mjx.studies.speed.workloads import SpeedRequest, build_cases
 
     backend = jax.default_backend()
@@ -57,13 +57,13 @@ def measure_workload(workload: str) -> dict[str, Any]:
 
 
 def run_to_end(workload: str) -> dict[str, np.ndarray]:
-    """Run a workload to its end beside others: no rate is taken from it."""
+    """Run a workload to its end in parallel with others, without measuring its rate."""
     row = measure_workload(workload)
     return {"has_number": np.array([row["median"] > 0])}
 
 
 def read_medians(device: str, path: Path = STORED) -> dict[str, dict[str, Any]]:
-    """Medians of a card by workload; empty where none are stored."""
+    """Read the medians of a card by workload; empty where none are stored."""
     if not path.is_file():
         return {}
     medians: dict[str, dict[str, Any]] = json.loads(path.read_text()).get(device, {})
@@ -81,7 +81,7 @@ def judge_rate(row: dict[str, Any], reference: dict[str, Any] | None) -> tuple[s
     """Return a status, ``passed``, ``slower`` or ``skipped``, and its reason.
 
     Args:
-        row: measured.
+        row: measured row.
         reference: stored row of the same card and workload, if any.
     """
     is_duration = row["unit"] == "s"

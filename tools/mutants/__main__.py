@@ -1,4 +1,4 @@
-"""``python -m tools.mutants``: draw mutants, put them to the tests, report."""
+"""``python -m tools.mutants``: sample mutants, run the tests on them, report."""
 
 import os
 import sys
@@ -29,15 +29,15 @@ FOLDERS = (
 
 @dataclass(frozen=True, kw_only=True)
 class MutantOptions:
-    """Small faults, one at a time, put to the tests that can know of them.
+    """Try small faults, one at a time, on the tests that can detect them.
 
-    What is known already is not tried again: a run that was stopped goes on where it was.
+    Known results are not repeated: an interrupted run resumes.
     """
 
     sample: int = 300
-    """Mutants."""
+    """Number of mutants."""
     seed: int = 0
-    """Of the sample. Same tree, same folders, same seed: same mutants."""
+    """Seed of the sample. Same tree, same folders, same seed: same mutants."""
     folders: tuple[str, ...] | None = None
     """Folders whose modules are mutated; with --stored, rooms of the list. Left out: engines,
     physics, control, planning, scenarios, runs and storage, or all rooms of the list."""
@@ -45,25 +45,26 @@ class MutantOptions:
     """Try the mutants of this list (JSON lines) instead of a sample; --sample and --seed do
     nothing."""
     workers: int = max(1, (os.cpu_count() or 1) // 2)
-    """Copies of the tree, each with its share of the processors."""
+    """Copies of the tree, each with its part of the processors."""
     nearest: int | None = None
-    """Run only so many of the test files that can know of a mutant, the nearest."""
+    """Maximum number of test files for a mutant, the nearest."""
     minutes: float = 15.0
-    """For one mutant: after so long no further test file is begun, and it counts as survived."""
+    """Minutes for one mutant, after which no further test file begins, and it counts as
+    survived."""
     hours: float = 8.0
-    """After so long no further mutant is begun."""
+    """Hours after which no further mutant begins."""
     out: Path = ROOT / ".mutants"
     """Folder for results, copies and compiled programs."""
     again: bool = False
-    """Try once more what survived."""
+    """Try once more the mutants that survived."""
     list: bool = False
-    """Only show the sample, its diffs and how many test files can know of each."""
+    """Only show the sample, its diffs and the number of relevant test files."""
     report: bool = False
-    """Only report what is known of the sample."""
+    """Only report the known results of the sample."""
 
 
 def main(options: MutantOptions) -> int:
-    """Run as told."""
+    """Run the options' command; return the exit status."""
     if options.workers < 1:
         return _print_error(f"--workers {options.workers}: must be at least 1")
     try:
@@ -120,12 +121,12 @@ def _print_error(reason: str) -> int:
 
 
 def _read_results(options: MutantOptions) -> dict[str, dict[str, Any]]:
-    """The last result of each mutant."""
+    """Return the last result of each mutant."""
     return {row["mutant"]: row for row in trials.read_rows(options.out / "results.jsonl")}
 
 
 def _try_mutants(options: MutantOptions, mutants: Sequence[Mutant]) -> None:
-    """Put to the tests what is not known yet, or survived and is to be tried again."""
+    """Try the mutants without a result, or those that survived and are to be tried again."""
     results = _read_results(options)
     todo = [
         mutant_to_try

@@ -1,4 +1,4 @@
-"""A file with one fault in it."""
+"""File with one fault in it."""
 
 import difflib
 import hashlib
@@ -7,17 +7,17 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, kw_only=True)
 class Mutant:
-    """A file with one fault."""
+    """File with one fault."""
 
     name: str
-    """Of the file's bytes and the fault: the same fault in a file that changed has another."""
+    """Hash of the file's bytes and the fault: the same fault in a changed file has another name."""
     file: str
     """Path in the tree, with slashes."""
     line: int
     operator: str
     diff: str
     code: str
-    """The whole file."""
+    """Text of the whole file."""
 
 
 def build_mutant(
@@ -29,9 +29,9 @@ def build_mutant(
         file: path in the tree.
         before: the file's text.
         after: the text with the fault.
-        line: of the fault, from 1.
-        operator: that made it.
-        fault: text that tells this fault from all others of ``operator`` in this file.
+        line: line of the fault, from 1.
+        operator: operator of the fault.
+        fault: text that identifies this fault among all others of ``operator`` in this file.
     """
     diff = difflib.unified_diff(
         before.splitlines(), after.splitlines(), file, file, lineterm="", n=2

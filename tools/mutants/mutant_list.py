@@ -1,8 +1,8 @@
-"""Mutants of a stored list, put into the files as they stand now.
+"""Mutants of a stored list, applied to the present files.
 
 A list is a file of JSON lines, each with ``room``, ``file``, ``line``, ``operator`` and ``diff``
 (unified, one hunk). Tests that are written after the list was stored are measured by faults that
-nobody chose afterwards.
+were not selected afterwards.
 """
 
 import ast
@@ -20,7 +20,7 @@ _KEYS = ("room", "file", "line", "operator", "diff")
 
 
 class ListError(ValueError):
-    """A stored list cannot be read."""
+    """Stored list that cannot be read."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,11 +35,11 @@ class MutantList:
 
 
 def load_list(root: Path, file: Path, folders: Sequence[str] | None = None) -> MutantList:
-    """Apply each diff of a list to its file as it stands.
+    """Apply each diff of a list to its present file.
 
     Args:
-        root: of the tree.
-        file: the list.
+        root: root of the tree.
+        file: list file.
         folders: rooms whose rows are taken; all of the list if left out.
 
     Raises:

@@ -1,9 +1,9 @@
-"""What a fault can be: chosen operators of Cosmic Ray, and those that branch-free code needs.
+"""Operators of faults: chosen ones of Cosmic Ray, and those for branch-free code.
 
 Code for JAX decides with ``jnp.where``, ``minimum`` and ``any`` rather than with ``if``; Cosmic Ray
-knows none of these. Left out of its operators is what hardly compiles (``x >> y`` for floats,
-``is`` for arrays) or says nothing about the tests (removed decorators): caught at once, it would
-only flatter the share.
+knows none of these. Operators are left out whose faults hardly compile (``x >> y`` for floats,
+``is`` for arrays) or show nothing about the tests (removed decorators): caught at once, they would
+only raise the fraction.
 """
 
 from collections.abc import Iterator
@@ -28,7 +28,7 @@ COUNTERPARTS = {a: b for pair in _COUNTERPART_PAIRS for a, b in (pair, pair[::-1
     "max": "min",
     "sum": "max",
 }
-"""Functions of `jax.numpy` that take the same arguments and mean something else."""
+"""Functions of `jax.numpy` with the same arguments and another meaning."""
 
 _MODULES = {"jnp", "np", "lax"}
 
@@ -39,18 +39,18 @@ class SwapTwin(Operator):
     """``jnp.minimum`` becomes ``jnp.maximum``, and so on."""
 
     def mutation_positions(self, node: Any) -> Iterator[Position]:
-        """Where such a function is named."""
+        """Yield the positions of such a function's name."""
         if isinstance(node, Name) and node.value in COUNTERPARTS and _is_numpy_attribute(node):
             yield node.start_pos, node.end_pos
 
     def mutate(self, node: Any, index: int) -> Any:
-        """Name the other one."""
+        """Replace the name by the counterpart's."""
         node.value = COUNTERPARTS[node.value]
         return node
 
     @classmethod
     def examples(cls) -> tuple[Example, ...]:
-        """As Cosmic Ray asks for them."""
+        """Return examples, as Cosmic Ray requires."""
         return (Example("jnp.minimum(a, b)", "jnp.maximum(a, b)"),)
 
 
@@ -58,21 +58,21 @@ class SwapWhere(Operator):
     """``jnp.where(c, a, b)`` takes a where it took b."""
 
     def mutation_positions(self, node: Any) -> Iterator[Position]:
-        """Where three arguments are chosen by."""
+        """Yield the positions of calls with three arguments."""
         if node.type == "arglist" and len(_positional_arguments(node)) == 3:
             name = node.get_previous_sibling().get_previous_leaf()
             if isinstance(name, Name) and name.value == "where" and _is_numpy_attribute(name):
                 yield name.start_pos, name.end_pos
 
     def mutate(self, node: Any, index: int) -> Any:
-        """Turn the condition round."""
+        """Negate the condition."""
         condition = node.children[0].get_code().strip()
         node.children[0] = parso.parse(f"jnp.logical_not({condition})")
         return node
 
     @classmethod
     def examples(cls) -> tuple[Example, ...]:
-        """As Cosmic Ray asks for them."""
+        """Return examples, as Cosmic Ray requires."""
         return (Example("jnp.where(c, a, b)", "jnp.where(jnp.logical_not(c), a, b)"),)
 
 
@@ -84,7 +84,7 @@ def _is_numpy_attribute(name: Any) -> bool:
 
 
 def _positional_arguments(arguments: Any) -> list[Any]:
-    """Arguments by position."""
+    """Return the positional arguments."""
     rows = [child for child in arguments.children if child.type not in ("operator", "argument")]
     return rows if len(rows) * 2 - 1 <= len(arguments.children) else []
 
@@ -94,7 +94,7 @@ def _replacement_names(prefix: str, names: tuple[str, ...]) -> list[str]:
 
 
 def build_families() -> dict[str, dict[str, Operator]]:
-    """Families of operators: of all faults that a family can put in a place, one is drawn."""
+    """Build families of operators: of all faults of a family at a position, one is sampled."""
     replace = "ReplaceBinaryOperator"
     binary = [
         name

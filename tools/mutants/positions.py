@@ -1,4 +1,4 @@
-"""Where faults can be put, and a random sample of them."""
+"""Positions of possible faults, and a random sample of them."""
 
 import ast
 import random
@@ -14,7 +14,7 @@ from tools.mutants.mutant import Mutant, build_mutant
 from tools.mutants.operators import build_families
 
 _TRIES = 20
-"""Faults that are drawn at one place until one of them is Python and changes something."""
+"""Number of faults sampled at a position until one of them is valid Python and changes the code."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,17 +23,17 @@ class _CodePosition:
     family: str
     start: tuple[int, int]
     choices: tuple[tuple[str, int], ...]
-    """Operators, and which of its occurrences in the file this is."""
+    """Operators, and the index of the occurrence in the file."""
 
 
 def sample_mutants(root: Path, folders: Sequence[str], count: int, seed: int) -> list[Mutant]:
-    """Mutants at ``count`` places, all places being equally likely; one at each.
+    """Sample mutants at ``count`` positions, all equally likely; one at each.
 
     Args:
-        root: of the tree.
-        folders: whose modules are mutated, from the root.
-        count: how many; all places in random order if there are fewer.
-        seed: of the choice.
+        root: root of the tree.
+        folders: folders of the mutated modules, from the root.
+        count: number of mutants; all positions in random order if there are fewer.
+        seed: seed of the sample.
     """
     operators = build_families()
     positions = [
@@ -62,9 +62,9 @@ def sample_mutants(root: Path, folders: Sequence[str], count: int, seed: int) ->
 def _find_positions(
     operators: dict[str, dict[str, Operator]], file: str, code: str
 ) -> Iterator[_CodePosition]:
-    """All places of a file, in the order of the operators' families and then of the file."""
+    """Yield all positions of a file, in the order of operators' families and then of the file."""
     nodes = list(ast_nodes(get_ast(code)))
-    # The bare stars and strokes of parameters are no products: a call by name is the same.
+    # The bare stars and slashes of parameters are no products: a call by name is the same.
     bare_nodes = [
         node for node in nodes if node.type == "operator" and node.parent.type == "parameters"
     ]
@@ -108,15 +108,16 @@ def _is_other_python(before: str, after: str) -> bool:
 
 
 def _find_spared(code: str) -> list[tuple[tuple[int, int], tuple[int, int]]]:
-    """Ranges that no test could or should judge: from (line, column) up to before another.
+    """Return spared ranges, from (line, column) up to before another, that no test should judge.
 
-    Annotations, decorators, imports, what is raised and what it says, formatted text, ``__repr__``,
-    aliases of types, asserts, and ``strict=`` of ``zip``, which only guards against ourselves.
+    Annotations, decorators, imports, raised exceptions and their messages, formatted text,
+    ``__repr__``, aliases of types, asserts, and ``strict=`` of ``zip``, which only guards against
+    ourselves.
     """
     lines = code.splitlines(keepends=True)
 
     def to_characters(line: int, column: int) -> tuple[int, int]:
-        """Python counts bytes, Cosmic Ray characters."""
+        """Convert a byte column of Python into a character column of Cosmic Ray."""
         return line, len(lines[line - 1].encode()[:column].decode())
 
     return [

@@ -1,7 +1,7 @@
-"""A plugin of pytest for the runs of mutants: bounds the process, and keeps the order of files.
+"""Plugin of pytest for the runs of mutants: limits the process, and keeps the order of files.
 
-The bounds are set in here rather than between fork and exec, where a program with threads must not
-run Python.
+The limits are set in the process rather than between fork and exec, where a program with threads
+must not run Python.
 """
 
 import os
@@ -11,15 +11,15 @@ from pathlib import Path
 import pytest
 
 CORES = "MUTANTS_CORES"
-"""Environment variable: processors for the tests, with commas."""
+"""Environment variable: processors for the tests, separated by commas."""
 MEMORY_BYTES = 64 << 30
-"""Of addresses: a fault may ask for arrays without end, and must fail at that rather than take the
-machine with it. JAX alone maps some 10 GiB."""
+"""Limit of the address space: a fault may allocate arrays without end, and must fail before it
+exhausts the machine. JAX alone maps some 10 GiB."""
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_load_initial_conftests(early_config: pytest.Config) -> None:
-    """Before anything of the project is imported."""
+    """Set the limits before anything of the project is imported."""
     os.sched_setaffinity(0, {int(core) for core in os.environ[CORES].split(",")})
     _, hard_limit = resource.getrlimit(resource.RLIMIT_AS)
     soft_limit = (
@@ -30,6 +30,6 @@ def pytest_load_initial_conftests(early_config: pytest.Config) -> None:
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Sort by the place of each item's file on the command line, whatever conftest says."""
+    """Sort items by the position of their files on the command line, regardless of conftest."""
     order = {Path(name).resolve(): i for i, name in enumerate(config.args)}
     items.sort(key=lambda item: order.get(item.path.resolve(), len(order)))

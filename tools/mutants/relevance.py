@@ -1,4 +1,4 @@
-"""Which test files can know of a module, the nearest first: read from the imports."""
+"""Test files that can detect faults of a module, the nearest first: read from the imports."""
 
 import ast
 from collections import deque
@@ -6,18 +6,18 @@ from collections.abc import Mapping
 from pathlib import Path
 
 SOURCES = (".", "kernels", "sitl_bridge", "experiments")
-"""Folders of the tree that packages stand in."""
+"""Folders of the tree with packages."""
 PACKAGES = ("angler_mjx", "angler_kernels", "angler_sitl", "angler_experiments")
 
 
 class ImportGraph:
-    """The project's modules, and what each of them and each test file imports."""
+    """Import graph of the project's modules and test files."""
 
     def __init__(self, root: Path) -> None:
         """Read all files of a tree."""
         self._root = root
         self._module: dict[str, str] = {}
-        """Of a file its module."""
+        """Module of each file."""
         package_folders = [
             (root / source / package, root / source)
             for source in SOURCES
@@ -39,10 +39,10 @@ class ImportGraph:
         }
 
     def measure_distances(self, file: str) -> dict[str, int]:
-        """Test files that import a module, and over how many others; 1 is at first hand.
+        """Return the import distance of the test files that reach a module; 1 is a direct import.
 
         Args:
-            file: of the module, from the root.
+            file: file of the module, from the root.
         """
         target = self._module[file]
         distance_by_test = {}
@@ -55,14 +55,15 @@ class ImportGraph:
     def rank_tests(
         self, file: str, seconds: Mapping[str, float] | None = None, nearest: int | None = None
     ) -> list[str]:
-        """Test files of a module, the nearest first.
+        """Rank the test files of a module, the nearest first.
 
-        Of those that are equally near, those beside the module, then those of its name, the quick.
+        Among equally near files, those beside the module come first, then those of its name, then
+        the quick ones.
 
         Args:
-            file: of the module, from the root.
-            seconds: what each test file takes; one that is not among them is left out.
-            nearest: no more than so many of all, whatever they take.
+            file: file of the module, from the root.
+            seconds: duration of each test file; others are left out.
+            nearest: maximum number of files, regardless of their durations.
         """
         distance = self.measure_distances(file)
         is_elsewhere = {test: not _is_beside(test, file) for test in distance}
@@ -78,7 +79,7 @@ class ImportGraph:
         )
 
     def _count_steps(self, direct: Mapping[str, int], target: str) -> int | None:
-        """From what a test file imports, at the steps given, to a module."""
+        """Count the import steps from a test file's imports to a module."""
         steps = dict(direct)
         queue = deque(sorted(steps, key=lambda name: steps[name]))
         while queue:
@@ -90,7 +91,7 @@ class ImportGraph:
         return steps.get(target)
 
     def _test_imports(self, file: Path) -> dict[str, int]:
-        """What a test file and its helpers import: 1; what only a conftest does: 2."""
+        """Return imports of a test file and its helpers at distance 1, of a conftest alone at 2."""
         conftests = [
             self._root / folder / "conftest.py"
             for folder in file.relative_to(self._root).parents
@@ -101,7 +102,7 @@ class ImportGraph:
         )
 
     def _imports_with_helpers(self, files: list[Path]) -> set[str]:
-        """Modules of the project that files import, with the helpers beside them."""
+        """Return modules of the project that files import, with the helpers beside them."""
         modules, queue, seen = set[str](), list(files), set[Path]()
         while queue:
             path = queue.pop()
@@ -112,7 +113,7 @@ class ImportGraph:
         return modules
 
     def _find_helpers(self, file: Path) -> list[Path]:
-        """Files beside a test file that it imports by a relative name."""
+        """Find the files beside a test file that it imports by a relative name."""
         helpers = []
         for node in ast.walk(ast.parse(file.read_text())):
             if isinstance(node, ast.ImportFrom) and node.level:
@@ -124,7 +125,7 @@ class ImportGraph:
         return helpers
 
     def _read_imports(self, file: Path, module: str) -> set[str]:
-        """Modules of the project that a file imports."""
+        """Return the modules of the project that a file imports."""
         modules = set()
         for node in ast.walk(ast.parse(file.read_text())):
             if isinstance(node, ast.Import):
@@ -136,6 +137,6 @@ class ImportGraph:
 
 
 def _is_beside(test: str, file: str) -> bool:
-    """Whether a test file stands where its module does: tests/a/b/test_x.py and a/b/y.py."""
+    """Return whether a test file stands beside its module: tests/a/b/test_x.py and a/b/y.py."""
     folder = test.removeprefix("tests/").rpartition("/")[0]
     return file.startswith(folder + "/") or f"/{folder}/" in f"/{file}"

@@ -1,4 +1,4 @@
-"""What became of a sample: the share that tests caught, and every fault that they let through."""
+"""Report of a sample: the fraction of caught faults, and every fault that survived."""
 
 import math
 import tomllib
@@ -10,7 +10,7 @@ _TWO_SIDED_95 = 1.96
 
 
 def caught_fraction(caught: int, total: int) -> tuple[float, float, float]:
-    """Share caught, and its interval of 95 % after Wilson."""
+    """Return the caught fraction and its 95 % interval after Wilson."""
     if total == 0:
         return math.nan, 0.0, 1.0
     p, z2 = caught / total, _TWO_SIDED_95**2
@@ -22,13 +22,13 @@ def caught_fraction(caught: int, total: int) -> tuple[float, float, float]:
 
 
 def read_equivalents(file: Path) -> dict[tuple[str, str], str]:
-    """Faults that were read and change nothing that matters: file and changed lines -> why."""
+    """Read the reviewed faults that change nothing relevant: file and changed lines -> reason."""
     rows = tomllib.loads(file.read_text()).get("equivalent", [])
     return {(row["file"], _changed_lines(row["diff"])): row["why"] for row in rows}
 
 
 def _changed_lines(diff: str) -> str:
-    """The lines that go and come in a diff, without how far they stand to the right."""
+    """Return the changed lines of a diff without their indentation."""
     return "\n".join(
         f"{line[0]} {line[1:].strip()}"
         for line in diff.strip().splitlines()
@@ -43,12 +43,12 @@ def format_report(
     reasons: Mapping[tuple[str, str], str],
     gone: Sequence[str] = (),
 ) -> str:
-    """Markdown: a table by folder, then the survivors with their diffs.
+    """Return Markdown: a table by folder, then the survivors with their diffs.
 
     Args:
-        folders: that were mutated.
+        folders: mutated folders.
         rows: results.
-        missing: mutants of the sample that were not tried yet.
+        missing: mutants of the sample without a result.
         reasons: see `read_equivalents`.
         gone: ``file:line`` of rows of a stored list whose lines no longer stand in their file;
             they are in no count.

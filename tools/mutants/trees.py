@@ -27,28 +27,28 @@ _OPTIONS = (
 
 @dataclass(frozen=True, kw_only=True)
 class PytestRun:
-    """A run of pytest."""
+    """Run of pytest."""
 
     code: int | None
-    """Its exit status; None where it was stopped."""
+    """Exit status; None where it was stopped."""
     seconds: float
     failed: str
-    """The test that failed first, or the last lines where no test could begin."""
+    """Test that failed first, or the last lines where no test could begin."""
 
     @property
     def has_passed(self) -> bool:
-        """Whether nothing failed; that all is skipped is no failure."""
+        """Return whether nothing failed; a run with all tests skipped passes."""
         return self.code in (0, _NO_TESTS)
 
 
 class StoppedError(RuntimeError):
-    """The tests were ended from outside: their result says nothing."""
+    """Interruption of the tests from outside: they have no result."""
 
 
 class WorkerTree:
-    """A worker's copy of the tree.
+    """Copy of the tree for one worker.
 
-    Files are compiled once, and Python checks them by what they hold: a file that is changed twice
+    Files are compiled once, and Python checks them by their contents: a file that is changed twice
     within the clock's resolution is still read anew.
     """
 
@@ -56,8 +56,8 @@ class WorkerTree:
         """Copy a tree.
 
         Args:
-            root: the tree.
-            copy: where to; what is there is replaced.
+            root: tree to copy.
+            copy: target folder; its contents are replaced.
             xla: folder of compiled programs, shared by all copies.
             cores: processors for the tests.
         """
@@ -71,7 +71,7 @@ class WorkerTree:
             return (_IGNORED_ANYWHERE | ignored_at_top) & set(names)
 
         shutil.copytree(root, copy, ignore=ignored_names, symlinks=True)
-        # The copy before whatever else is on the path, which may hold the tree itself.
+        # The copy before the rest of the path, which may hold the tree itself.
         path = [*(str(copy / source) for source in SOURCES), os.environ.get("PYTHONPATH", "")]
         self._environment = os.environ | {
             "PYTHONPATH": os.pathsep.join(filter(None, path)),
@@ -88,7 +88,7 @@ class WorkerTree:
 
     @contextlib.contextmanager
     def replace_file(self, file: str, code: str) -> Iterator[None]:
-        """With other code in a file."""
+        """Replace the text of a file within the context."""
         path = self.root / file
         before = path.read_bytes()
         path.write_text(code)
@@ -101,11 +101,11 @@ class WorkerTree:
         """Run test files in this order, up to the first failure.
 
         Args:
-            files: from the root.
+            files: paths from the root.
             limit_s: wall time after which it is stopped.
 
         Raises:
-            StoppedError: by `stop`.
+            StoppedError: `stop` was called.
         """
         began = time.monotonic()
         with subprocess.Popen(
@@ -136,7 +136,7 @@ class WorkerTree:
         )
 
     def stop(self) -> None:
-        """End what runs, and run nothing more; from another thread."""
+        """End the running tests and start no more; called from another thread."""
         self._stopped = True
         process = self._running
         if process is not None:
@@ -144,6 +144,6 @@ class WorkerTree:
 
 
 def _kill_group(process: subprocess.Popen[str]) -> None:
-    """End pytest and whatever its tests started."""
+    """End pytest and the processes that its tests started."""
     with contextlib.suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)

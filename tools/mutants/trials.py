@@ -1,4 +1,4 @@
-"""Put every mutant of a sample to the tests, several at once, and keep what became of each."""
+"""Trials of all mutants of a sample, several at once, with a log of results."""
 
 import hashlib
 import json
@@ -16,20 +16,20 @@ from tools.mutants.mutant import Mutant
 from tools.mutants.trees import WorkerTree
 
 type Outcome = Literal["caught", "stuck", "survived"]
-"""A test failed; the tests took far longer than they do; all that were run passed."""
+"""Result: a test failed; the tests took far longer than usual; all tests that ran passed."""
 
 START_S = 15.0
-"""Beside the tests' own time: importing, with two processors to a worker."""
+"""Seconds beside the tests' own time: importing, with two processors per worker."""
 MAX_SLOWDOWN = 4.0
-"""A fault makes XLA compile anew what the cache would have held: only beyond this many times what
-the tests take without it they are stuck."""
+"""Factor on the usual time beyond which tests count as stuck. A fault makes XLA compile anew
+programs that the cache would have held."""
 CHUNK_S = 60.0
-"""Test files that take less than this one after another are run by one process."""
+"""Seconds of test files that one process runs in sequence."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MutantResult:
-    """What became of a mutant."""
+    """Result of a mutant."""
 
     mutant: str
     file: str
@@ -38,16 +38,16 @@ class MutantResult:
     diff: str
     outcome: Outcome
     by: str
-    """The test that caught it."""
+    """Test that caught the mutant."""
     seconds: float
     tried: tuple[str, ...]
-    """Test files that were run."""
+    """Number of test files that were run."""
     left: int
-    """Relevant test files that the time was too short for."""
+    """Number of relevant test files that did not fit into the time."""
 
 
 def read_rows(file: Path) -> list[dict[str, Any]]:
-    """Lines of JSON; the last one may have been cut short by whatever ended the program."""
+    """Read lines of JSON; a truncated last line is skipped."""
     if not file.exists():
         return []
     rows = []
@@ -60,15 +60,15 @@ def read_rows(file: Path) -> list[dict[str, Any]]:
 
 
 class MutantLog:
-    """A file of JSON lines that several threads write."""
+    """File of JSON lines that several threads write."""
 
     def __init__(self, file: Path) -> None:
-        """Open or begin it."""
+        """Open or create the file."""
         self._file, self._lock = file, threading.Lock()
         file.parent.mkdir(parents=True, exist_ok=True)
 
     def write(self, row: Mapping[str, Any]) -> None:
-        """Add a line; what a crash cut short is closed first."""
+        """Write a line; a line truncated by a crash is ended first."""
         with self._lock, self._file.open("ab+") as file:
             if file.tell():
                 file.seek(-1, os.SEEK_END)
@@ -78,7 +78,7 @@ class MutantLog:
 
 
 def copy_trees(root: Path, folder: Path, workers: int) -> list[WorkerTree]:
-    """A copy of the tree for each worker, with its share of the processors."""
+    """Copy the tree for each worker, with its part of the processors."""
     cores = sorted(os.sched_getaffinity(0))
     core_groups = [cores[i::workers] or [cores[i % len(cores)]] for i in range(workers)]
     return [
@@ -90,7 +90,7 @@ def copy_trees(root: Path, folder: Path, workers: int) -> list[WorkerTree]:
 def run_all[T](
     trees: Sequence[WorkerTree], work: Sequence[T], action: Callable[[WorkerTree, T], None]
 ) -> None:
-    """Do something for each piece of work, each tree one at a time; the first error ends it all."""
+    """Run an action for each item, each tree one at a time; the first error ends all."""
     free: queue.SimpleQueue[WorkerTree] = queue.SimpleQueue()
     for tree in trees:
         free.put(tree)
@@ -107,7 +107,7 @@ def run_all[T](
         try:
             for job in as_completed(jobs):
                 job.result()
-        except BaseException:  # an interrupt, too, must not wait for tests of many minutes
+        except BaseException:  # an interrupt must not wait for tests of many minutes either
             pool.shutdown(wait=False, cancel_futures=True)
             for tree in trees:
                 tree.stop()
@@ -117,10 +117,10 @@ def run_all[T](
 def measure_tests(
     trees: Sequence[WorkerTree], files: Sequence[str], folder: Path
 ) -> dict[str, float]:
-    """Seconds that each test file takes without a fault, most programs being compiled for it.
+    """Measure the seconds of each test file without a fault, compiling most programs for it.
 
-    What fails without a fault, or takes more than 15 minutes, tells nothing and is left out.
-    Times are kept, and taken again only for files that changed or failed.
+    A test file that fails without a fault, or takes more than 15 minutes, is left out. Times are
+    kept, and taken again only for files that changed or failed.
     """
     results_file, log = folder / "tests.jsonl", MutantLog(folder / "tests.jsonl")
     root = trees[0].root
@@ -148,7 +148,7 @@ def measure_tests(
 
 
 def hash_file(file: Path) -> str:
-    """Of a file's bytes."""
+    """Return the hash of a file's bytes."""
     return hashlib.sha256(file.read_bytes()).hexdigest()[:12]
 
 
@@ -162,11 +162,11 @@ def try_mutant(
     """Run the tests of one mutant, the nearest first.
 
     Args:
-        tree: to put it in.
-        mutant: the fault.
+        tree: tree in which the fault is put.
+        mutant: mutant to try.
         files: relevant test files in order.
-        seconds: what each takes without a fault.
-        limit_s: no further files are begun after so long.
+        seconds: duration of each file without a fault.
+        limit_s: time after which no further files begin.
     """
     result = _untried_result(mutant, len(files))
     began = time.monotonic()
@@ -216,16 +216,16 @@ def try_all(
     limit_s: float,
     until: float,
 ) -> None:
-    """Put mutants to the tests until all are through or the time is up.
+    """Try mutants until all have results or the time is up.
 
     Args:
-        trees: of the workers.
-        mutants: those that nothing is known of yet.
-        folder: of the results.
-        seconds: what each test file takes.
+        trees: trees of the workers.
+        mutants: mutants without a result.
+        folder: folder of the results.
+        seconds: duration of each test file.
         ranked: test files of a mutant, the nearest first.
-        limit_s: for one mutant.
-        until: `time.monotonic` after which none is begun.
+        limit_s: time limit of one mutant.
+        until: `time.monotonic` after which no mutant begins.
     """
     log = MutantLog(folder / "results.jsonl")
 

@@ -1,8 +1,8 @@
-"""``python -m tools.value_digests``: digest what commands compute; compare two such files.
+"""``python -m tools.value_digests``: digests of computed values; comparison of two such files.
 
 Digests are of values: names, shapes, types and bytes of arrays and columns, without provenance,
-times of a clock or versions. Two commits are compared on one machine, with one version of JAX,
-each from a checkout of its own.
+times of a clock or versions. Two commits are compared on one machine, with one version of JAX, each
+from a checkout of its own.
 """
 
 import hashlib
@@ -41,9 +41,9 @@ class MakeOptions:
     """Run the commands of items.toml and write the digests of their results."""
 
     out: Path
-    """JSON file of digests; items that it holds are not run again."""
+    """JSON file of digests; items in the file are not run again."""
     only: tuple[str, ...] = ()
-    """Beginnings of the names of items to run; all if left out."""
+    """Prefixes of the names of items to run; all if left out."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,7 +88,7 @@ def make_digests(options: MakeOptions) -> int:
 
 
 def _run_command(folder: Path, line: str) -> str | None:
-    """Run a command of `angler` in a folder; return its last words where it fails."""
+    """Run a command of `angler` in a folder; return its last words after a failure."""
     write_inputs(folder)
     paths = os.pathsep.join(str(ROOT / p) for p in ("", "kernels", "sitl_bridge", "experiments"))
     try:
@@ -136,7 +136,7 @@ def _is_group(path: Path) -> bool:
 
 
 def _column_values(column: pa.ChunkedArray) -> np.ndarray:
-    """Return a column as an array: numbers as they are, all else as JSON, nulls kept."""
+    """Return a column as an array: numbers unchanged, all else as JSON, nulls kept."""
     if column.null_count == 0 and (
         pa.types.is_integer(column.type) or pa.types.is_floating(column.type)
     ):
@@ -153,7 +153,7 @@ def hash_values(values: np.ndarray) -> str:
 
 
 def compare_digests(options: CompareOptions) -> int:
-    """Print what differs; return 1 if anything does."""
+    """Print the differences; return 1 if there are any."""
     before: Digests = json.loads(options.before.read_text())
     after: Digests = json.loads(options.after.read_text())
     names: dict[str, str] = json.loads(options.renamed.read_text()) if options.renamed else {}

@@ -59,7 +59,7 @@ def make_dataset(
         process=process,
     )
     from angler_mjx.cli.shared.inputs import require_positive
-    from angler_mjx.cli.shared.progress import PartsBar
+    from angler_mjx.cli.shared.progress import ProgressBar
     from angler_mjx.learning.datasets import generation, manifest
     from angler_mjx.runs.processes import reporting_failure
     from angler_mjx.shipped import find_shipped
@@ -68,7 +68,7 @@ def make_dataset(
         config = find_shipped(config, "angler_mjx.learning.datasets", "dataset file")
         request = generation.read_request(config, episodes)
     out_path = out or Path("datasets") / request.config.name
-    with PartsBar(quiet=process_group.index > 0) as bar:
+    with ProgressBar(quiet=process_group.index > 0) as bar:
         dataset_path = generation.make_dataset(
             request,
             out_path,
@@ -204,10 +204,10 @@ def repair_dataset(
     """
     choose_device(device, distributed=False)
     keep_all_programs()
-    from angler_mjx.cli.shared.progress import PartsBar
+    from angler_mjx.cli.shared.progress import ProgressBar
     from angler_mjx.learning.datasets.maintenance import repair as keeping
 
-    with PartsBar() as bar:
+    with ProgressBar() as bar:
         result = keeping.repair_dataset(dataset, bar, accept=accept)
     if not result.damaged:
         print("nothing is damaged")

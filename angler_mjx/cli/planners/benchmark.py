@@ -66,14 +66,15 @@ def benchmark(
         return
     for line in study.list_blind_planners():
         print(line, file=sys.stderr)
+    from angler_mjx.cli.shared.progress import ProgressBar
+
     pool = _build_pool(require_positive("workers", workers), ray)
-    with _BenchmarkBar() as bar:
+    with ProgressBar() as bar:
         try:
             running.run_benchmark(
                 study, source, out_path, workers=pool, resume=resume, progress=bar
             )
         except KeyboardInterrupt:
-            bar.stop()
             print(f"interrupted: go on with --resume --out {out_path}", file=sys.stderr)
             sys.exit(130)
     print(running.format_summary(out_path))
@@ -123,49 +124,6 @@ def _format_comparison(compared: "FolderComparison") -> str:
         )
     if not compared.same:
         lines.append(
-            "A search that the clock ends gives other plans each time: see docs/benchmark.md"
+            "A search that the clock ends gives other plans each time: see docs/how_to/benchmark.md"
         )
     return "\n".join(lines)
-
-
-class _BenchmarkBar:
-    """A progress bar on stderr; a `studies.benchmark.running.BenchmarkProgress`."""
-
-    def __init__(self) -> None:
-        from rich.console import Console
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn
-
-        columns = (
-            "runs",
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeElapsedColumn(),
-            "{task.fields[at]}",
-        )
-        self._bar = Progress(*columns, console=Console(stderr=True))
-        self._task = self._bar.add_task("runs", total=None, at="")
-
-    def __enter__(self) -> "_BenchmarkBar":
-        self._bar.start()
-        return self
-
-    def __exit__(self, *why: object) -> None:
-        self._bar.stop()
-
-    def stop(self) -> None:
-        """Leave the bar as it is."""
-        self._bar.stop()
-
-    def start(self, runs: int) -> None:
-        """See `BenchmarkProgress`."""
-        self._bar.update(self._task, total=runs)
-
-    def at(self, text: str) -> None:
-        """See `BenchmarkProgress`."""
-        self._bar.update(self._task, at=text)
-        if not self._bar.console.is_terminal:
-            print(text, file=sys.stderr, flush=True)
-
-    def advance(self, runs: int) -> None:
-        """See `BenchmarkProgress`."""
-        self._bar.advance(self._task, runs)

@@ -1,26 +1,26 @@
-"""Progress of a run on the terminal: worlds done, speed, time left."""
+"""Progress bar on stderr: the one implementation of `angler_mjx.progress.Progress` for people."""
 
 from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 from rich.console import Console
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
-    Progress,
     ProgressColumn,
     Task,
     TextColumn,
+    TimeElapsedColumn,
     TimeRemainingColumn,
 )
+from rich.progress import Progress as RichProgress
 from rich.text import Text
 
-if TYPE_CHECKING:
-    from angler_mjx.runs.simulator.compilation import CompileTime
+from angler_mjx.progress import Progress
 
 
 class _SpeedColumn(ProgressColumn):
-    """Vehicle-steps per second since the simulation began."""
+    """Vehicle-steps per second since the work began."""
 
     def render(self, task: Task) -> Text:
         """Return the text of a task."""
@@ -29,12 +29,28 @@ class _SpeedColumn(ProgressColumn):
         return Text(f"{steps / seconds:.2e} vehicle-steps/s" if steps and seconds else "")
 
 
-class ProgressDisplay:
-    """Progress display on stderr while entered; its last state stays on the terminal."""
+class ProgressBar(Progress):
+    """Progress bar on stderr while entered; its last state stays on the terminal."""
 
-    def __init__(self, *columns: ProgressColumn, quiet: bool = False) -> None:
-        """Set up a bar with columns, or no display if ``quiet``."""
-        self._bar = Progress(*columns, console=Console(stderr=True, quiet=quiet))
+    def __init__(self, description: str = "setting up", *, quiet: bool = False) -> None:
+        """Set up a bar, or no display if ``quiet``.
+
+        Args:
+            description: of the first step.
+            quiet: whether nothing is shown.
+        """
+        self._bar = RichProgress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[unit]}"),
+            _SpeedColumn(),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+            console=Console(stderr=True, quiet=quiet),
+        )
+        self._done = self._done_before = 0.0
+        self._task = self._bar.add_task(description, total=None, steps=0, unit="")
 
     def __enter__(self) -> Self:
         """Show the bar."""
@@ -50,62 +66,26 @@ class ProgressDisplay:
         """Leave the bar as it is."""
         self._bar.stop()
 
-
-class RunBar(ProgressDisplay):
-    """A progress bar on stderr; a `runs.progress.Progress`."""
-
-    def __init__(self, *, quiet: bool) -> None:
-        """Set up a bar, or no display if ``quiet``."""
-        super().__init__(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            _SpeedColumn(),
-            TimeRemainingColumn(),
-            quiet=quiet,
-        )
-        self._worlds = 0
-        self._done = 0.0
-        self._task = self._bar.add_task("drawing up", total=None, steps=0)
-
-    def start(self, worlds: int, done: int) -> None:
+    def start(self, total: int, done: int = 0, unit: str = "worlds") -> None:
         """See `Progress`."""
-        self._worlds, self._done = worlds, float(done)
+        self._done = self._done_before = float(done)
+        self._bar.reset(self._task, description="", total=total, completed=done, steps=0, unit=unit)
 
-    def compiling(self) -> None:
-        """See `Progress`."""
-        self._bar.update(self._task, description="compiling")
+    def describe(self, text: str) -> None:
+        """See `Progress`; times count from the last step without any work."""
+        task = self._bar.tasks[0]
+        if self._done == self._done_before:
+            self._bar.reset(self._task, total=task.total, completed=int(self._done))
+        self._bar.update(self._task, description=text)
+        if not self._bar.console.is_terminal:
+            self.report(text)
 
-    def compiled(self, compile_time: "CompileTime") -> None:
+    def advance(self, amount: float, vehicle_steps: int = 0) -> None:
         """See `Progress`."""
-        self._bar.console.print(f"compiled in {compile_time.total_s:.1f} s", highlight=False)
-        self._bar.reset(
-            self._task,
-            description="worlds",
-            total=self._worlds,
-            completed=int(self._done),
-            steps=0,
-        )
-
-    def advance(self, worlds: float, vehicle_steps: int) -> None:
-        """See `Progress`."""
-        self._done += worlds
+        self._done += amount
         steps = self._bar.tasks[0].fields["steps"] + vehicle_steps
         self._bar.update(self._task, completed=int(self._done + 1e-6), steps=steps)
 
-    def tell(self, text: str) -> None:
+    def report(self, text: str) -> None:
         """See `Progress`."""
-        self._bar.console.print(text, highlight=False, markup=False)
-
-
-class PartsBar(RunBar):
-    """A progress bar of several runs in sequence; a `runs.multi_run.RunsProgress`."""
-
-    def __init__(self, *, quiet: bool = False) -> None:
-        """Set up a bar, or no display if ``quiet``."""
-        super().__init__(quiet=quiet)
-
-    def part(self, number: int, total: int, name: str) -> None:
-        """See `RunsProgress`."""
-        self._bar.console.print(f"run {number + 1} of {total}: {name}", highlight=False)
-        self._bar.reset(self._task, description="drawing up", total=None, steps=0)
+        self._bar.console.print(text, highlight=False, markup=False, soft_wrap=True)

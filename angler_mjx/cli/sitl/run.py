@@ -68,8 +68,8 @@ def run(
     from angler_mjx.cli.shared.inputs import build_scenario
     from angler_mjx.cli.sitl.status_table import status_table
     from angler_sitl.missions import mission
-    from angler_sitl.missions.scenario_options import select_scenario
     from angler_sitl.scene import motion
+    from angler_sitl.scene.scenario_options import select_scenario
 
     motion.compute_inline()
     loaded = build_scenario(scenario, seed=seed)

@@ -6,16 +6,9 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    TaskProgressColumn,
-    TextColumn,
-    TimeElapsedColumn,
-)
 
 from angler_mjx.cli.shared.device import choose_device, keep_all_programs
-from angler_mjx.cli.shared.progress import ProgressDisplay
+from angler_mjx.cli.shared.progress import ProgressBar
 from angler_mjx.errors import ConfigError, UnsupportedError
 
 
@@ -87,7 +80,7 @@ def spotcheck(
     )
     out_path = out or run.with_name(f"{run.resolve().name}-spotcheck")
     if (run / MANIFEST).is_file():
-        with _SpotcheckBar() as bar:
+        with ProgressBar() as bar:
             report = of_dataset.check_dataset(run, settings, out_path, bar, resume=resume)
         for row in () if report is None else report.rows:
             _print_agreement(
@@ -100,7 +93,7 @@ def spotcheck(
             print(f"not checked, nothing was flown of them: {', '.join(report.left_out)}")
         _print_result(out_path, complete=report is not None)
         return
-    with _SpotcheckBar() as bar:
+    with ProgressBar() as bar:
         results = runner.run_spot_check(run, settings, out_path, bar, resume=resume)
     for name, count, reference, comparison in report_page.summarise_rows(results):
         _print_agreement(
@@ -139,37 +132,3 @@ def _parse_speed(text: str) -> Literal["max"] | float:
         return float(text)
     except ValueError:
         raise ConfigError(f"--speed {text}: give a positive number, or max") from None
-
-
-class _SpotcheckBar(ProgressDisplay):
-    """Progress on stderr: flights done, and the fraction of the current flight."""
-
-    def __init__(self) -> None:
-        super().__init__(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            TaskProgressColumn(),
-            MofNCompleteColumn(),
-            TextColumn("flights"),
-            TimeElapsedColumn(),
-        )
-        self._all = self._bar.add_task("setting up", total=None)
-        self._done = 0.0
-
-    def start(self, flights: int, done: int) -> None:
-        """See `angler_sitl.spotcheck.runner.SpotcheckProgress`."""
-        self._done = float(done)
-        self._bar.reset(self._all, total=flights, completed=done)
-
-    def report_task(self, description: str) -> None:
-        """See `angler_sitl.spotcheck.runner.SpotcheckProgress`."""
-        self._bar.update(self._all, description=description)
-
-    def update_fraction(self, fraction: float) -> None:
-        """See `angler_sitl.spotcheck.runner.SpotcheckProgress`."""
-        self._bar.update(self._all, completed=self._done + fraction)
-
-    def finish_flight(self) -> None:
-        """See `angler_sitl.spotcheck.runner.SpotcheckProgress`."""
-        self._done += 1.0
-        self._bar.update(self._all, completed=self._done)

@@ -21,7 +21,7 @@ def compare(
         figure: File to plot the changes into, such as compare.png.
         json: Print one JSON object, with all worlds that changed, instead of the text.
     """
-    from angler_mjx.report.viewing import style
+    from angler_mjx.report.plotting import style
     from angler_mjx.runs.storage.folder import Run
     from angler_mjx.studies import compare as comparing
     from angler_mjx.studies import comparison_report

@@ -6,10 +6,9 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
-from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
 
 from angler_mjx.cli.shared.device import Device, choose_device, join_processes, keep_all_programs
-from angler_mjx.cli.shared.progress import ProgressDisplay
+from angler_mjx.cli.shared.progress import ProgressBar
 
 
 def fleet_size(
@@ -32,7 +31,7 @@ def fleet_size(
     """Find the smallest team that does a task by a deadline, with a confidence interval.
 
     Worlds are added where the answer is open, until its precision is that requested in the file or
-    its budget is spent. docs/fleet_size.md explains the file and the results.
+    its budget is spent. docs/how_to/fleet_size.md explains the file and the results.
 
     Args:
         source: Name of a shipped study (survey_reef, delivery_corridor, reef_crossing), or a file
@@ -79,7 +78,7 @@ def fleet_size(
             max_minutes=max_minutes,
         )
     out_path = out or Path("runs") / (f"{study.config.name}-smoke" if smoke else study.config.name)
-    with _StudyBar(quiet=json or process_group.index > 0) as bar:
+    with ProgressBar(quiet=json or process_group.index > 0) as bar:
         results = running.run_study(
             study,
             source,
@@ -119,34 +118,3 @@ def _print_study(results: dict[str, Any], path: Path, *, as_json: bool) -> None:
     console.print(table)
     console.print(report.ENDING_TEXTS[results["ended"]], highlight=False)
     print(path / "page.md")
-
-
-class _StudyBar(ProgressDisplay):
-    """Progress and current answer on stderr; a `fleet_size.running.StudyProgress`."""
-
-    def __init__(self, *, quiet: bool) -> None:
-        super().__init__(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("worlds"),
-            TimeElapsedColumn(),
-            quiet=quiet,
-        )
-        self._task = self._bar.add_task("setting up", total=None)
-        self._reported: dict[str, str] = {}
-
-    def tell(self, text: str) -> None:
-        """See `angler_mjx.studies.fleet_size.running.StudyProgress`."""
-        self._bar.console.print(text, highlight=False, markup=False)
-
-    def begin(self, condition: str, size: int) -> None:
-        """See `angler_mjx.studies.fleet_size.running.StudyProgress`."""
-        self._bar.update(self._task, description=f"{condition}, {size} robots")
-
-    def flown(self, condition: str, worlds: int, so_far: str) -> None:
-        """See `angler_mjx.studies.fleet_size.running.StudyProgress`."""
-        self._bar.advance(self._task, worlds)
-        if self._reported.get(condition) != so_far:
-            self._reported[condition] = so_far
-            self._bar.console.print(f"{condition}: {so_far}", highlight=False, markup=False)

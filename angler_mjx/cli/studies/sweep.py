@@ -66,7 +66,7 @@ def sweep(
         process=process,
     )
     from angler_mjx.cli.shared.inputs import build_scenario, require_plans, require_positive
-    from angler_mjx.cli.shared.progress import PartsBar
+    from angler_mjx.cli.shared.progress import ProgressBar
     from angler_mjx.runs.processes import reporting_failure
     from angler_mjx.runs.storage import planning_summary
     from angler_mjx.studies import sweep as sweeping
@@ -85,7 +85,7 @@ def sweep(
         )
         request = sweeping.build_request(loaded, axes, scenario)
     out_path = out or Path("runs") / f"{loaded.name}-sweep"
-    with PartsBar(quiet=json or process_group.index > 0) as bar:
+    with ProgressBar(quiet=json or process_group.index > 0) as bar:
         results = sweeping.run_sweep(
             request,
             out_path,

@@ -1,4 +1,4 @@
-"""What a person, and a machine, read of a dataset first: ``README.md`` and ``croissant.json``."""
+"""Card of a dataset for people and machines: ``README.md`` and ``croissant.json``."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -19,17 +19,17 @@ README, CROISSANT = "README.md", "croissant.json"
 
 
 def write_card(root: Path, manifest: Manifest, table: pa.Table) -> None:
-    """Write both, and the figures, of what lies in a dataset's folder.
+    """Write both files and the figures of a dataset's folder.
 
     Args:
-        root: of the dataset.
-        manifest: of it; what its sums are does not matter.
+        root: folder of the dataset.
+        manifest: its manifest; the sums are ignored.
         table: its index.
 
     Raises:
         ConfigError: a run is damaged.
         RunError: a figure cannot be written.
-        OSError: the disk gave out.
+        OSError: writing failed.
     """
     figures.plot_figures(root, manifest, table)
     write_readme(root, manifest, table)
@@ -37,11 +37,11 @@ def write_card(root: Path, manifest: Manifest, table: pa.Table) -> None:
 
 
 def write_readme(root: Path, manifest: Manifest, table: pa.Table) -> None:
-    """Write the card alone; what else it names lies there.
+    """Write the card alone, with links to files that exist in the folder.
 
     Raises:
         ConfigError: a run or the spot check is damaged.
-        OSError: the disk gave out.
+        OSError: writing failed.
     """
     card_text = format_card(
         manifest,
@@ -55,7 +55,7 @@ def write_readme(root: Path, manifest: Manifest, table: pa.Table) -> None:
 
 
 def _count_outcomes(root: Path, manifest: Manifest) -> dict[str, Counter[str]]:
-    """How robots ended, by scene and expert."""
+    """Count the outcomes of robots, by scene and expert."""
     outcomes: dict[str, Counter[str]] = {}
     for part in manifest.parts:
         ended = folder.Run(root / part.path).episodes["outcome"].to_pylist()
@@ -64,7 +64,7 @@ def _count_outcomes(root: Path, manifest: Manifest) -> dict[str, Counter[str]]:
 
 
 def _describe_randomisation(root: Path, manifest: Manifest) -> list[str]:
-    """What was drawn of robots, water and instruments, by scene; nothing where nothing was."""
+    """List the randomised properties of robots, water and instruments, by scene; empty if none."""
     scenes: dict[str, str] = {}
     for part in manifest.parts:
         randomisation = folder.Run(root / part.path).scenario.randomise
@@ -74,10 +74,11 @@ def _describe_randomisation(root: Path, manifest: Manifest) -> list[str]:
     if not scenes:
         return []
     return [
-        "## What was drawn",
+        "## Randomisation",
         "",
-        "Factors of what the files say, low and high; `variants.json` of each run folder has those "
-        "of every variant, `episodes.parquet` which one a robot was and what its world has.",
+        "Factors on the values of the files, low and high; `variants.json` of each run folder has "
+        "those of every variant, `episodes.parquet` the variant of each robot and the factors of "
+        "its world.",
         "",
         *[f"- {scene}: {factors}" for scene, factors in scenes.items()],
         "",
@@ -85,7 +86,7 @@ def _describe_randomisation(root: Path, manifest: Manifest) -> list[str]:
 
 
 def _count_bytes(root: Path) -> int:
-    """Of the run folders: what tells of them is written after this."""
+    """Count the bytes of the run folders; descriptions are written later."""
     return sum(path.stat().st_size for path in (root / RUNS_FOLDER).rglob("*") if path.is_file())
 
 
@@ -98,15 +99,15 @@ def format_card(
     randomised: Sequence[str],
     spotcheck: Sequence[str],
 ) -> str:
-    """The card.
+    """Return the text of the card.
 
     Args:
-        manifest: of the dataset.
+        manifest: manifest of the dataset.
         table: its index.
-        outcomes: of robots, by scene and expert.
-        n_byte: of its run folders.
+        outcomes: number of robots by outcome, by scene and expert.
+        n_byte: bytes of its run folders.
         randomised: lines on how robots differ from their files.
-        spotcheck: lines on what real autopilots made of it.
+        spotcheck: lines on the spot check with real autopilots.
     """
     robots = pc.sum(table["robots"]).as_py()
     hours = pc.sum(pc.multiply(table["duration_s"], pc.cast(table["robots"], pa.float32())))
@@ -126,8 +127,8 @@ def format_card(
         f"`{manifest.command}` with angler-mjx {environment['versions'].get('angler-mjx')} on "
         f"{environment['device']} ({manifest.created}).",
         "",
-        "Simulated, not measured at sea. Robots that failed are in it, labelled: who learns from "
-        "this is to say whether from all, or from `success` alone.",
+        "Simulated, not measured at sea. Failed robots are included and labelled: state for "
+        "each training whether it uses all episodes, or `success` alone.",
         "",
         "## Read it",
         "",
@@ -145,16 +146,16 @@ def format_card(
         "",
         "## Splits",
         "",
-        "By environment: the hash of the rock decides, so no rock of one split is in another, here "
-        "or in any other dataset of the same shares. `test_...` are shifted: nothing like them is "
-        "in `train`.",
+        "By environment: the hash of the rock decides, so no rock of one split is in another, in "
+        "this or in any other dataset of the same fractions. `test_...` are shifted: `train` has "
+        "no scenes like them.",
         "",
         *_format_split_table(table),
         "",
         f"![Counts]({figures.COUNTS_FILE})",
         "",
         *_format_sample_table(manifest, table),
-        "## Who flew, and how it ended",
+        "## Experts and outcomes",
         "",
         *_format_outcome_table(outcomes),
         "",
@@ -178,7 +179,7 @@ def format_card(
         "",
         *[f"- {key.replace('_', ' ')}: {value}" for key, value in manifest.conventions.items()],
         "",
-        "| array | of | unit | stored | what it is |",
+        "| array | of | unit | stored | description |",
         "|---|---|---|---|---|",
         *[
             f"| `{name}` | {', '.join(entry.dims)} | {entry.unit} | "
@@ -200,7 +201,7 @@ def format_card(
         "",
         "- The same tile, kernels, kind of device and versions make the same bytes again; others "
         "make flights that part from these as chaotic motion does.",
-        "- Contacts end a robot's episode; nothing is learned here about what comes after.",
+        "- Contacts end a robot's episode; the dataset has no data after them.",
         "",
     ]
     return "\n".join(lines)
@@ -225,15 +226,15 @@ def _format_split_table(table: pa.Table) -> list[str]:
 
 
 def _format_sample_table(manifest: Manifest, table: pa.Table) -> list[str]:
-    """What was wished of the chosen episodes, and what they have."""
+    """Return a table of requested and actual fractions of the chosen episodes."""
     if not manifest.sample.has_bounds:
         return []
     thinned = table.filter(pc.is_in(table["split"], pa.array(SPLITS)))
     lines = [
-        "Readers are given the chosen episodes: of train, val and test each as many as have the "
-        "shares that were wished. The others lie there too (`chosen=None`).",
+        "Readers get the chosen episodes: of train, val and test each, a subset with the requested "
+        "fractions. The others are stored too (`chosen=None`).",
         "",
-        "| share | wished | flown, % | chosen, % |",
+        "| kind | requested | flown, % | chosen, % |",
         "|---|---|---|---|",
     ]
     chosen = thinned["chosen"].to_numpy(zero_copy_only=False)

@@ -1,4 +1,4 @@
-"""Checksums of a dataset's files, in a file that ``sha256sum -c`` takes too."""
+"""Checksums of a dataset's files, in a format that ``sha256sum -c`` reads."""
 
 import hashlib
 import os
@@ -11,37 +11,38 @@ from angler_mjx.learning.datasets.manifest import MANIFEST, SUMS, require_inside
 from angler_mjx.runs.storage import atomic_files, output_lock
 
 _EXCLUDED = {SUMS, MANIFEST, output_lock.LOCK}
-"""Files of the dataset's own folder without a sum: the manifest holds that of the sums."""
+"""Files of the dataset's own folder without a checksum: the manifest holds that of the checksum
+file."""
 
 
 def list_files(root: Path) -> list[str]:
-    """All files that have a sum, by their paths below a dataset's folder, sorted."""
+    """List the files that have a checksum, by their paths below a dataset's folder, sorted."""
     paths = (path for path in root.rglob("*") if path.is_file())
     names = (path.relative_to(root).as_posix() for path in paths)
     return sorted(name for name in names if name not in _EXCLUDED)
 
 
 def hash_file(path: Path) -> str:
-    """SHA-256 of a file, hexadecimal.
+    """Return the SHA-256 of a file, hexadecimal.
 
     Raises:
-        OSError: it cannot be read.
+        OSError: the file cannot be read.
     """
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def hash_files(root: Path, names: list[str]) -> Iterator[tuple[str, str]]:
-    """Names and sums of files, in order; threads of all processors work on them."""
+    """Yield names and checksums of files, in order, computed by threads of all processors."""
     with ThreadPoolExecutor(min(os.cpu_count() or 1, 16)) as pool:
         yield from zip(names, pool.map(lambda name: hash_file(root / name), names), strict=True)
 
 
 def write_checksums(root: Path) -> str:
-    """Write the sums of all files of a folder; returns that of the file of sums.
+    """Write the checksums of all files of a folder; return that of the checksum file.
 
     Raises:
-        OSError: the disk gave out.
+        OSError: writing failed.
     """
     lines = [f"{digest}  {name}\n" for name, digest in hash_files(root, list_files(root))]
     atomic_files.write_text(root / SUMS, "".join(lines))
@@ -49,18 +50,18 @@ def write_checksums(root: Path) -> str:
 
 
 def update_checksums(root: Path, digests: Mapping[str, str], names: Iterable[str]) -> str:
-    """Write the sums anew for some files that were written, as they were for all others.
+    """Rewrite the checksums of changed files and keep the others.
 
     Args:
-        root: the dataset.
-        digests: sums as they were; see `read_checksums`.
-        names: of the files.
+        root: folder of the dataset.
+        digests: previous checksums; see `read_checksums`.
+        names: names of the changed files.
 
     Returns:
-        The sum of the file of sums.
+        Checksum of the checksum file.
 
     Raises:
-        OSError: the disk gave out.
+        OSError: reading or writing failed.
     """
     updated = {**digests, **{name: hash_file(root / name) for name in names}}
     lines = [f"{digest}  {name}\n" for name, digest in sorted(updated.items())]
@@ -69,21 +70,20 @@ def update_checksums(root: Path, digests: Mapping[str, str], names: Iterable[str
 
 
 def read_checksums(root: Path, digest: str) -> dict[str, str]:
-    """Sums by the names of files.
+    """Read the checksums by the names of files.
 
     Args:
-        root: the dataset.
-        digest: of the file of sums, as the manifest says.
+        root: folder of the dataset.
+        digest: checksum of the checksum file, from the manifest.
 
     Raises:
-        ConfigError: the file is missing, is another one, or names a file outside.
+        ConfigError: the file is missing, has another checksum, or names a file outside.
     """
     path = root / SUMS
     try:
         if hash_file(path) != digest:
             raise ConfigError(
-                f"{path}: is not the file that {root / MANIFEST} says (its SHA-256 differs); "
-                "copy it again"
+                f"{path}: its SHA-256 differs from that in {root / MANIFEST}; copy it again"
             )
         lines = path.read_text(encoding="utf-8").splitlines()
     except OSError as error:

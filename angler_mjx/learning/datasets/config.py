@@ -1,4 +1,4 @@
-"""What a dataset file says: what is flown, by whom, and who learns from what."""
+"""Dataset file: scenes, experts and splits."""
 
 import math
 from typing import Annotated, Self
@@ -12,7 +12,7 @@ from angler_mjx.scenario.editing import Changes
 from angler_mjx.studies.benchmark.config import PlannerEntry
 
 RESERVED_KEYS = ("worlds", "seed", "policy", "execution")
-"""Keys of a scenario that a dataset file says by keys of its own."""
+"""Keys of a scenario that a dataset file replaces by keys of its own."""
 
 type DatasetName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$", max_length=60)]
 
@@ -22,29 +22,29 @@ class DatasetScene(FileModel):
 
     name: DatasetName
     weight: float = Field(default=1.0, gt=0.0, le=1e6)
-    """Its share of the episodes, beside the weights of the other scenes."""
+    """Weight of its episodes relative to the other scenes."""
     set: Changes = Field(default_factory=dict)
-    """Keys of the scenario that are otherwise here; tables are merged."""
+    """Keys of the scenario that differ in the scene; tables are merged."""
     teams: tuple[Annotated[int, Field(ge=1, le=1024)], ...] = ()
-    """Numbers of robots, in equal shares; the scenario's fleet if left out."""
+    """Numbers of robots, in equal fractions; the scenario's fleet if left out."""
     shifted: bool = False
-    """Whether nobody is to learn from it: all its episodes are a test by its name."""
+    """Whether the scene is for testing alone: all its episodes are a test by its name."""
 
     @property
     def split(self) -> str | None:
-        """Of all its episodes; None where their environments decide."""
+        """Return the split of all its episodes; None where their environments decide."""
         return f"test_{self.name}" if self.shifted else None
 
 
 class Expert(PlannerEntry):
-    """One whose flights are recorded: a planner, flown as it planned or online, or a policy."""
+    """Pilot of recorded flights: a planner, executed offline or online, or a policy."""
 
     weight: float = Field(default=1.0, gt=0.0, le=1e6)
-    """Its share of the episodes of a scene, beside the weights of the others there."""
+    """Weight of its episodes relative to the other experts of a scene."""
 
 
 class SplitConfig(FileModel):
-    """Shares of the environments, of scenes that are not shifted."""
+    """Fractions of the environments by split, in scenes that are not shifted."""
 
     train: float = Field(default=0.8, ge=0.0, le=1.0)
     val: float = Field(default=0.1, ge=0.0, le=1.0)
@@ -59,25 +59,25 @@ class SplitConfig(FileModel):
 
 
 class DatasetConfig(FileModel):
-    """A whole dataset file."""
+    """Dataset file."""
 
     schema_version: SchemaVersion = 1
-    """Of this form of files."""
+    """Version of the file format."""
     name: DatasetName
-    """Of the dataset, and of its folder if it is given none."""
+    """Name of the dataset, and of its folder unless that is named otherwise."""
     description: str = ""
-    """For people."""
+    """Description for people."""
     licence: Annotated[str, Field(min_length=1, max_length=200)] = "CC-BY-4.0"
-    """Of the data, an SPDX identifier where there is one."""
+    """Licence of the data, an SPDX identifier where one exists."""
     scenario: str
-    """That all episodes are made of: a shipped one, or a file, from the folder of this one."""
+    """Scenario of all episodes: a shipped one, or a file, relative to the folder of this file."""
     seed: int = Field(default=0, ge=0, lt=2**31)
-    """Of the dataset; each part has one of its own, made of it."""
+    """Seed of the dataset; each part has a seed of its own, derived from it."""
     set: Changes = Field(default_factory=dict)
-    """Keys of the scenario that are otherwise in this dataset; tables are merged."""
+    """Keys of the scenario that differ in this dataset; tables are merged."""
     split: SplitConfig = SplitConfig()
     sample: SampleConfig = SampleConfig()
-    """What is chosen of what was flown."""
+    """Fractions of the chosen episodes."""
     scene: tuple[DatasetScene, ...] = Field(min_length=1, max_length=256)
     expert: tuple[Expert, ...] = Field(min_length=1, max_length=64)
 

@@ -1,4 +1,4 @@
-"""A dataset in Croissant 1.1, the metadata of MLCommons (JSON-LD)."""
+"""Metadata of a dataset in Croissant 1.1 of MLCommons (JSON-LD)."""
 
 from pathlib import Path
 from typing import Any
@@ -51,11 +51,11 @@ _CONTEXT: dict[str, Any] = {
 
 
 def build_metadata(root: Path, manifest: Manifest) -> dict[str, Any]:
-    """The dataset's ``croissant.json``.
+    """Build the dataset's ``croissant.json``.
 
     Args:
-        root: of the dataset, with its index.
-        manifest: of it.
+        root: folder of the dataset, with its index.
+        manifest: its manifest.
     """
     return {
         "@context": _CONTEXT,

@@ -1,4 +1,4 @@
-"""Figures of a dataset's card, drawn from its folder alone: counts, lengths, and some flights."""
+"""Figures of a dataset's card, plotted from its folder alone: counts, lengths, and some flights."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -15,7 +15,7 @@ from matplotlib.patches import Patch
 
 from angler_mjx.learning.datasets import manifest_building
 from angler_mjx.learning.datasets.manifest import Manifest
-from angler_mjx.report.viewing import scene, style
+from angler_mjx.report.plotting import scene, style
 from angler_mjx.report.viewing.maps import base_map
 from angler_mjx.runs.storage.folder import Run
 from angler_mjx.runs.storage.results import OUTCOMES
@@ -23,11 +23,11 @@ from angler_mjx.runs.storage.results import OUTCOMES
 COUNTS_FILE, LENGTHS_FILE, FLIGHTS_FILE = "counts.png", "lengths.png", "flights.png"
 
 COUNTED_COLUMNS = ("split", "difficulty", "preset", "expert")
-"""Of the index, whose values are counted."""
+"""Columns of the index whose values are counted."""
 MAX_MAPS = 6
-"""Episodes that are mapped."""
+"""Number of mapped episodes."""
 NUM_COLORS = 128
-"""Colours of a file."""
+"""Number of colours of a file."""
 
 _MEASURES = (
     ("duration_s", "time until the last robot's end, s", "episodes"),
@@ -35,17 +35,17 @@ _MEASURES = (
     ("min_clearance_m", "least clearance of a robot, m", "robots"),
     ("path_ratio", "shortest way around rock over straight line", "episodes"),
 )
-"""Distributions: column of the index or of the runs, what it is, and of what."""
+"""Distributions: column of the index or of the runs, its label, and its table."""
 _BIN_LIMITS = (10, 40)
-"""At least and at most."""
+"""Lower and upper limits of the number of bins."""
 
 
 def plot_figures(root: Path, manifest: Manifest, table: pa.Table) -> None:
-    """Draw all figures of a dataset into its folder.
+    """Plot all figures of a dataset into its folder.
 
     Args:
-        root: of the dataset.
-        manifest: of it.
+        root: folder of the dataset.
+        manifest: its manifest.
         table: its index.
 
     Raises:
@@ -65,7 +65,7 @@ def plot_figures(root: Path, manifest: Manifest, table: pa.Table) -> None:
 
 
 def _read_robots(root: Path, manifest: Manifest) -> pa.Table:
-    """Columns of all parts' robots, and the expert of each."""
+    """Return columns of all parts' robots, and the expert of each."""
     names = ["outcome", *(name for name, _, of in _MEASURES if of == "robots")]
     parts = []
     for part in manifest.parts:
@@ -75,10 +75,10 @@ def _read_robots(root: Path, manifest: Manifest) -> pa.Table:
 
 
 def plot_counts(manifest: Manifest, table: pa.Table, ended: Mapping[str, int]) -> Figure:
-    """How robots ended, and how many episodes there are of each split, difficulty and so on.
+    """Plot outcomes of robots, and numbers of episodes by split, difficulty and so on.
 
     Args:
-        manifest: of the dataset.
+        manifest: manifest of the dataset.
         table: its index.
         ended: robots by outcome.
     """
@@ -133,7 +133,7 @@ def _plot_bars(
     dark: Sequence[int] | None = None,
     colors: Sequence[str] | None = None,
 ) -> None:
-    """Bars with their numbers; ``dark`` is the part of each that is drawn dark."""
+    """Plot bars with their numbers; ``dark`` is the dark part of each."""
     positions = np.arange(len(labels))
     panel.barh(positions, values, height=0.66, color=style.FAINT if colors is None else colors)
     if dark is not None:
@@ -152,7 +152,7 @@ def _plot_bars(
 
 
 def plot_distributions(table: pa.Table, robots: pa.Table) -> Figure:
-    """How long flights took, how far they went, and how near to things they came, by expert.
+    """Plot durations, distances and clearances of flights, by expert.
 
     Args:
         table: the index.
@@ -163,15 +163,15 @@ def plot_distributions(table: pa.Table, robots: pa.Table) -> Figure:
         figure = style.new_figure(10.4, 6.2, headline_in=0.65)
         style.add_headline(
             figure,
-            "How long, how far, how near",
-            "share of each expert's episodes or robots; what is beyond a side counts to its bar",
+            "Duration, length, clearance",
+            "fraction of each expert's episodes or robots; outer bars include all values beyond",
         )
         panels = figure.subplots(2, 2).ravel()
         for panel, (name, label, of) in zip(panels, _MEASURES, strict=True):
             rows = table if of == "episodes" else robots
             expert = pc.index_in(rows["expert"], pa.array(experts)).to_numpy()
             _plot_distribution(panel, rows[name].to_numpy().astype(float), expert, len(experts))
-            panel.set(xlabel=label, ylabel=f"share of {of}, %")
+            panel.set(xlabel=label, ylabel=f"fraction of {of}, %")
         handles = [
             Line2D([], [], color=style.robot_color(i), linewidth=2.0, label=expert)
             for i, expert in enumerate(experts)
@@ -181,11 +181,11 @@ def plot_distributions(table: pa.Table, robots: pa.Table) -> Figure:
 
 
 def _plot_distribution(panel: Axes, values: np.ndarray, expert: np.ndarray, experts: int) -> None:
-    """Outlines of histograms, one an expert, between the 1st and the 99th of 100 of all."""
+    """Plot outlines of histograms, one per expert, between the 1st and 99th percentile of all."""
     is_finite = np.isfinite(values)
     panel.grid(axis="y")
     if not is_finite.any():
-        panel.text(0.5, 0.5, "there is none", ha="center", transform=panel.transAxes)
+        panel.text(0.5, 0.5, "no values", ha="center", transform=panel.transAxes)
         return
     low, high = np.quantile(values[is_finite], [0.01, 0.99])
     bins = int(np.clip(2.0 * np.sqrt(is_finite.sum() / experts), *_BIN_LIMITS))
@@ -201,11 +201,11 @@ def _plot_distribution(panel: Axes, values: np.ndarray, expert: np.ndarray, expe
 
 
 def plot_flights(root: Path, manifest: Manifest, table: pa.Table) -> Figure:
-    """Some episodes from above, evenly spread over the chosen ones.
+    """Plot maps of some episodes, evenly spread over the chosen ones.
 
     Args:
-        root: of the dataset.
-        manifest: of it.
+        root: folder of the dataset.
+        manifest: its manifest.
         table: its index.
     """
     rows = table.filter(table["chosen"]) if pc.any(table["chosen"]).as_py() else table

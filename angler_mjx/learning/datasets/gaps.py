@@ -1,4 +1,4 @@
-"""How far real autopilots were from a dataset: ``spotcheck.json``, and what the card says of it."""
+"""Deviation of real autopilots from a dataset: ``spotcheck.json``, and its lines of the card."""
 
 from pathlib import Path
 from typing import Literal
@@ -12,36 +12,36 @@ from angler_mjx.runs.storage import folder
 SPOT_CHECK_FILE = "spotcheck.json"
 
 type MedianAndP90 = tuple[float | None, float | None]
-"""Median, and what nine of ten are below; None where there is no value."""
+"""Median and 90th percentile; None without values."""
 
 
 class GapRow(FileModel):
-    """All flights by one kind of pilot, against one kind of flight of the same episodes."""
+    """Flights by one kind of pilot, compared with one kind of flight of the same episodes."""
 
     flown_by: str
-    """thrusters or guided: where commands enter the autopilots; or a controller of the batch."""
+    """Entry of commands into the autopilots, thrusters or guided; or a controller of the batch."""
     against: str
-    """recorded: the dataset; or a controller of the batch, flown again."""
+    """Reference: recorded, the dataset; or a controller of the batch, flown again."""
     robots: int = Field(ge=1)
     agree: int = Field(ge=0)
-    """Robots that ended the same way."""
+    """Number of robots with the same outcome."""
     agree_low: float
     agree_high: float
-    """95 % interval of their share, by episode."""
+    """95 % interval of their fraction, by episode."""
     arrivals_agree: int = Field(ge=0)
-    """Robots that arrived in both, or in neither."""
+    """Number of robots that arrived in both, or in neither."""
     track_rms_m: MedianAndP90
-    """Of robots: root mean square distance at the same time."""
+    """Root mean square distance of robots at the same time."""
     path_rms_m: MedianAndP90
-    """The same to the other's way, whenever it was there."""
+    """Root mean square distance to the other's path, at any time."""
     endpoint_m: MedianAndP90
-    """Between the ends of those that ended alike."""
+    """Distance between the end points of robots with the same outcome."""
     arrival_s: MedianAndP90
-    """Difference of arrivals; its size in nine of ten."""
+    """Difference of arrival times; 90th percentile of its magnitude."""
     clearance_m: MedianAndP90
     """Difference of least clearances."""
     effort_ratio: float | None
-    """Median ratio of signals beside neutral."""
+    """Median ratio of signals relative to neutral."""
 
 
 class CheckedPart(FileModel):
@@ -53,51 +53,51 @@ class CheckedPart(FileModel):
 
 
 class SpotCheck(FileModel):
-    """``spotcheck.json``."""
+    """Contents of ``spotcheck.json``."""
 
     schema_version: Literal[1] = 1
     autopilot: str
-    """Version and sum of the ArduSub."""
+    """Version and checksum of ArduSub."""
     command: str
     created: str
     """UTC, ISO 8601."""
     seed: int
-    """Of the draw of episodes."""
+    """Seed of the sample of episodes."""
     stratify: str
-    """outcome: rare outcomes were drawn on purpose; none: they were not."""
+    """outcome: rare outcomes were sampled more often; none: they were not."""
     source: str
-    """Where the autopilots learned their position."""
+    """Source of the autopilots' position."""
     flown: tuple[CheckedPart, ...] = Field(min_length=1)
     left_out: tuple[str, ...] = ()
-    """Parts of which nothing was flown: too few episodes, or a policy commanded them."""
+    """Parts without flights: too few episodes, or commanded by a policy."""
     rows: tuple[GapRow, ...]
 
 
 def read_spot_check(root: Path) -> SpotCheck | None:
-    """The spot check of a dataset; None where there was none.
+    """Return the spot check of a dataset; None where there was none.
 
     Raises:
-        ConfigError: it is damaged.
+        ConfigError: the file is damaged.
     """
     path = root / SPOT_CHECK_FILE
     return parse_model(SpotCheck, read_json(path), source=str(path)) if path.is_file() else None
 
 
 def write_spot_check(root: Path, spot_check: SpotCheck) -> None:
-    """Write it, whole or not at all.
+    """Write the spot check, complete or not at all.
 
     Raises:
-        OSError: the disk gave out.
+        OSError: writing failed.
     """
     folder.write_json(root / SPOT_CHECK_FILE, spot_check.model_dump(mode="json"))
 
 
 def format_spot_check(spot_check: SpotCheck | None) -> list[str]:
-    """Lines of the card."""
+    """Return lines of the card."""
     if spot_check is None:
         return [
-            "No episode of it was flown by real autopilots yet; `angler spotcheck PATH` flies a "
-            "sample on ArduSub and says here how far that is from the dataset.",
+            "Real autopilots have not flown episodes of it yet; `angler spotcheck PATH` flies a "
+            "sample on ArduSub and reports the deviation from the dataset in this section.",
         ]
     episodes = sum(len(part.worlds) for part in spot_check.flown)
     left_out = f" Nothing was flown of {', '.join(spot_check.left_out)}."
@@ -129,7 +129,7 @@ def format_spot_check(spot_check: SpotCheck | None) -> list[str]:
 
 
 _STRATIFY_NOTES = {
-    "outcome": "Rare outcomes were drawn on purpose, so it is no sample of how often robots arrive."
+    "outcome": "Rare outcomes were sampled more often, so arrival rates do not follow from it."
 }
 
 
@@ -142,10 +142,10 @@ def _format_number(value: float | None, form: str) -> str:
 
 
 def require_outside(root: Path, out: Path) -> None:
-    """Refuse flights inside a dataset: they would be no files of it.
+    """Refuse flights inside a dataset's folder: they are no files of the dataset.
 
     Raises:
-        ConfigError: they would be.
+        ConfigError: the output folder is inside the dataset.
     """
     if out.resolve().is_relative_to(root.resolve()):
         raise ConfigError(f"--out {out}: lies in the dataset {root}; give a folder beside it")

@@ -1,7 +1,7 @@
-"""Making a dataset: its parts flown into run folders one by one, then what says what they are.
+"""Generation of a dataset: its parts flown into run folders one by one, then its descriptions.
 
-It is built like a run, in a hidden folder beside its place; the manifest comes last. A part that
-was broken off is resumed as any run is, so nothing but tiles in flight is lost.
+It is built like a run, in a hidden folder beside its target; the manifest is written last. An
+interrupted part is resumed as any run is, so only tiles in flight are lost.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,8 +16,8 @@ from angler_mjx.learning.datasets import parts as flown
 from angler_mjx.learning.datasets.config import DatasetConfig
 from angler_mjx.learning.datasets.parts import DatasetPart
 from angler_mjx.learning.datasets.sampling import CROSSED
+from angler_mjx.progress import Progress
 from angler_mjx.runs import multi_run
-from angler_mjx.runs.multi_run import RunsProgress
 from angler_mjx.runs.processes import OneProcess, Processes, reporting_failure
 from angler_mjx.runs.simulator.simulator import default_tile
 from angler_mjx.runs.storage import output_lock
@@ -27,27 +27,27 @@ from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.world.config import resolve_world
 
 TILE_BYTES = 2 * 10**9
-"""Samples of a tile at most, where the file names no tile: one is flown while another is written,
-and a GPU is as fast with half its tile."""
+"""Maximum bytes of the samples of a tile, where the file sets no tile: one is flown while another
+is written, and a GPU is as fast with half its tile."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DatasetRequest:
-    """What a person asked for."""
+    """Inputs of a dataset."""
 
     config: DatasetConfig
     table: Mapping[str, Any]
-    """Of the scenario that all is made of."""
+    """Table of the scenario of all parts."""
     episodes: int
     source: str
 
     @property
     def parts(self) -> tuple[DatasetPart, ...]:
-        """To be flown; see `parts.parts`."""
+        """Return the parts to fly; see `parts.build_parts`."""
         return flown.build_parts(self.config, self.table, self.episodes, self.source)
 
     def resolved(self) -> dict[str, Any]:
-        """All of it in plain values."""
+        """Return all of it in plain values."""
         return {
             "episodes": self.episodes,
             "dataset": self.config.model_dump(mode="json"),
@@ -56,10 +56,10 @@ class DatasetRequest:
 
 
 def read_request(path: Path, episodes: int) -> DatasetRequest:
-    """What is to be made of a dataset file.
+    """Read the request of a dataset file.
 
     Raises:
-        ConfigError: the file has faults, or episodes are none.
+        ConfigError: the file has faults, or the number of episodes is not above 0.
     """
     if episodes < 1:
         raise ConfigError(f"--episodes {episodes}: must be at least 1")
@@ -71,31 +71,31 @@ def make_dataset(
     request: DatasetRequest,
     out: Path,
     *,
-    progress: RunsProgress,
+    progress: Progress,
     resume: bool = False,
     devices: int | None = None,
     workers: int | None = None,
     processes: Processes | None = None,
 ) -> Path | None:
-    """Make a dataset, or go on with one.
+    """Make a dataset, or resume one.
 
     Args:
-        request: what is to be in it.
-        out: folder to make.
-        progress: of how far it is.
-        resume: go on with an interrupted one.
-        devices: to fly on; all if left out. Changes no byte of the results.
-        workers: processes that plan, where a planner is one of the host.
-        processes: that share the making, part by part; each calls this with the same arguments,
-            and they leave each other afterwards.
+        request: contents of the dataset.
+        out: folder to create.
+        progress: receives the progress.
+        resume: continue an interrupted dataset.
+        devices: devices to run on; all if left out. They change no byte of the results.
+        workers: processes that plan, for planners on the host.
+        processes: processes that share the parts; each calls this function with the same arguments,
+            and they disconnect afterwards.
 
     Returns:
-        Its folder; None after an interruption (Ctrl-C): what was finished is kept, to go on with.
+        Its folder; None after an interruption (Ctrl-C): finished tiles are kept for resuming.
 
     Raises:
-        ConfigError: the folder is taken, or what is asked for cannot be flown, or is not what was
-            begun there.
-        RunError: the disk or the device gave out, or another process did.
+        ConfigError: the folder exists, the request cannot be flown, or differs from the one that
+            was begun in the folder.
+        RunError: the disk, the device or another process failed.
     """
     process_group = processes or OneProcess()
     with reporting_failure(process_group):
@@ -107,7 +107,7 @@ def make_dataset(
 def _make_parts(
     request: DatasetRequest,
     out: Path,
-    progress: RunsProgress,
+    progress: Progress,
     process_group: Processes,
     resume: bool,
     options: Mapping[str, Any],
@@ -151,7 +151,7 @@ def _require_same_recording(parts: Sequence[DatasetPart], source: str) -> None:
     """Refuse parts that are recorded at different rates, or in different steps."""
     first = parts[0].scenario
     if first.time.record_hz == 0.0:
-        raise ConfigError(f"{source}: set.time.record_hz = 0: there is nothing to learn from it")
+        raise ConfigError(f"{source}: set.time.record_hz = 0: the dataset would have no samples")
     for part in parts:
         for name, a, b in (
             ("set.time.record_hz", first.time.record_hz, part.scenario.time.record_hz),
@@ -165,19 +165,19 @@ def _require_same_recording(parts: Sequence[DatasetPart], source: str) -> None:
 
 
 def _require_crossings(config: DatasetConfig, parts: Sequence[DatasetPart], source: str) -> None:
-    """Refuse crossings where no two robots are."""
+    """Refuse crossings for teams of fewer than two robots."""
     if not all(part.robots < 2 for part in parts if part.split is None):
         return
     for kind in CROSSED:
         if (minimum := config.sample.at_least.get(kind, 0.0)) > 0.0:
             raise ConfigError(
                 f"{source}: sample.at_least.{kind} = {minimum:g}: every team that is not of a "
-                "shifted scene is one robot, which crosses nobody; give teams of two or more"
+                "shifted scene is one robot, without crossings; give teams of two or more"
             )
 
 
 def choose_tile(part: DatasetPart) -> int:
-    """Worlds in one device call: the file's, or as many as memory is to hold of them."""
+    """Return the worlds of one device call: the file's, or as many as memory may hold."""
     scenario = part.scenario
     if scenario.tile is not None:
         return scenario.tile
@@ -198,7 +198,7 @@ def choose_tile(part: DatasetPart) -> int:
 def _finish_dataset(
     request: DatasetRequest, parts: Sequence[DatasetPart], lock: OutputLock
 ) -> None:
-    """Index, sums, card and, last, the manifest; then the folder gets its name."""
+    """Write index, checksums, card and, last, the manifest; then rename the folder."""
     root = lock.building
     try:
         dataset_manifest = manifest_building.build_manifest(request.config, parts, root)

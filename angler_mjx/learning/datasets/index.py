@@ -1,4 +1,4 @@
-"""The index of a dataset: a row an episode, made of the parts' own files and of nothing else."""
+"""Index of a dataset: a row per episode, computed from the parts' own files alone."""
 
 import hashlib
 from collections.abc import Iterator, Mapping
@@ -21,28 +21,28 @@ _COLUMNS: tuple[tuple[str, pa.DataType, str, str], ...] = (
     ("episode", pa.int64(), "1", "number of the row"),
     ("part", pa.int32(), "1", "index in the manifest's parts"),
     ("world", pa.int64(), "1", "index of the world in the part"),
-    ("seed", pa.int64(), "1", "seed of the part; with the world's index it makes it again"),
+    ("seed", pa.int64(), "1", "seed of the part; with the index it determines the world"),
     ("scene", pa.string(), "", "scene of the dataset file"),
     ("preset", pa.string(), "", "preset of the world"),
-    ("expert", pa.string(), "", "who planned or commanded"),
-    ("knows_obstacles", pa.string(), "", "what it was told of obstacles that move"),
-    ("knows_current", pa.string(), "", "what it was told of the current"),
-    ("robots", pa.int32(), "1", "of the team"),
+    ("expert", pa.string(), "", "planner or policy"),
+    ("knows_obstacles", pa.string(), "", "information level of moving obstacles"),
+    ("knows_current", pa.string(), "", "information level of the current"),
+    ("robots", pa.int32(), "1", "number of robots"),
     ("split", pa.string(), "", "train, val, test, or test_SCENE of a shifted scene"),
     (
         "environment",
         pa.string(),
         "",
-        "hash of the rock; without any, of all that was drawn",
+        "hash of the rock; without rock, of all samples",
     ),
-    ("samples", pa.int32(), "1", "samples until the last robot had ended"),
-    ("duration_s", pa.float32(), "s", "until the last robot had ended"),
-    ("planned", pa.int32(), "1", "robots that had a path"),
+    ("samples", pa.int32(), "1", "number of samples until the last robot ended"),
+    ("duration_s", pa.float32(), "s", "time until the last robot ended"),
+    ("planned", pa.int32(), "1", "robots with a path"),
     ("reached", pa.int32(), "1", "robots that arrived"),
-    ("success", pa.bool_(), "1", "whether all of them did"),
-    ("energy_j", pa.float32(), "J", "of all robots"),
-    ("density", pa.float32(), "1", "share of cells that are occupied"),
-    ("path_ratio", pa.float32(), "1", "shortest way over straight line, mean of the robots"),
+    ("success", pa.bool_(), "1", "whether all robots arrived"),
+    ("energy_j", pa.float32(), "J", "energy of all robots"),
+    ("density", pa.float32(), "1", "fraction of occupied cells"),
+    ("path_ratio", pa.float32(), "1", "shortest path over straight line, mean of the robots"),
     ("free_lines", pa.int32(), "1", "robots whose straight line to the goal meets no rock"),
     (
         "crossings",
@@ -57,7 +57,7 @@ _COLUMNS: tuple[tuple[str, pa.DataType, str, str], ...] = (
         "trivial: all lines free and none cross; blocked: rock in some, none cross; crossing: some "
         "cross, rock in half of them or fewer; both: some cross, rock in more than half",
     ),
-    ("chosen", pa.bool_(), "1", "whether it is given to readers that do not ask for all"),
+    ("chosen", pa.bool_(), "1", "whether readers use it by default"),
 )
 
 SCHEMA = pa.schema(
@@ -69,16 +69,16 @@ SCHEMA = pa.schema(
 """Columns of ``index.parquet``, with unit and meaning in each field's metadata."""
 
 CROSSING_M = 1.5
-"""Lines that pass each other nearer than this cross: two vehicles and a metre between them."""
+"""Distance below which straight lines cross [m]: two vehicles and a metre between them."""
 
 ROUNDING_M = 1e-3
-"""Positions are stored in float32 and in steps of a millimetre."""
+"""Rounding of positions [m]: float32 in steps of a millimetre."""
 
 
 def build_rows(
     root: Path, part: int, entry: Mapping[str, Any], fractions: SplitConfig, first: int
 ) -> pa.Table:
-    """Rows of a part, all of them chosen.
+    """Return the rows of a part, all of them chosen.
 
     Args:
         root: run folder of the part.
@@ -149,7 +149,7 @@ def build_rows(
 
 
 def _read_environments(run: Run, worlds: int) -> Iterator[dict[str, np.ndarray]]:
-    """What the index looks at of the worlds' environments, some worlds at a time."""
+    """Yield the environment arrays that the index needs, some worlds at a time."""
     group: Any = run.trajectories[trajectory_layout.ENVIRONMENT_GROUP]
     names = ["grid/occupied", "floor_z_m", "start_m", "goal_m", "line_free", "density"]
     names += ["path_ratio", *(n for n in ("obstacles/p0", "obstacles/size_m") if n in group)]
@@ -162,7 +162,7 @@ def _read_environments(run: Run, worlds: int) -> Iterator[dict[str, np.ndarray]]
 
 
 def _describe_environments(environments: Mapping[str, np.ndarray]) -> dict[str, Any]:
-    """What the index says of some worlds: hashes, and how hard they are."""
+    """Return the index columns of some worlds: hashes and difficulty."""
     rest = [
         environments[name] for name in sorted(environments) if name not in ("density", "path_ratio")
     ]
@@ -180,13 +180,14 @@ def _describe_environments(environments: Mapping[str, np.ndarray]) -> dict[str, 
 
 
 def hash_environment(occupied: np.ndarray, rest: bytes) -> str:
-    """What tells environments apart, hexadecimal.
+    """Return the hexadecimal hash that identifies an environment.
 
-    The rock alone where there is any: who has seen it with one team has seen it with all.
+    The hash is of the rock alone where there is any: a learner that has seen it with one team has
+    seen it with all.
 
     Args:
         occupied: bool [x, y, z].
-        rest: all else that was drawn, for worlds without rock.
+        rest: all other sampled properties, for worlds without rock.
     """
     shape = np.array(occupied.shape, "<i8").tobytes()
     content = np.packbits(occupied).tobytes() if occupied.any() else rest
@@ -194,7 +195,7 @@ def hash_environment(occupied: np.ndarray, rest: bytes) -> str:
 
 
 def assign_split(digest: str, fractions: SplitConfig) -> str:
-    """The split of an environment: by its hash alone, so it is the same in every dataset."""
+    """Return split of an environment by its hash alone, so that it is the same in every dataset."""
     fraction = int(hashlib.sha256(digest.encode()).hexdigest()[:13], 16) / 16**13
     for name in SPLITS[:-1]:
         fraction -= getattr(fractions, name)
@@ -206,8 +207,8 @@ def assign_split(digest: str, fractions: SplitConfig) -> str:
 def classify_difficulty(free_lines: np.ndarray, crossings: np.ndarray, robots: int) -> np.ndarray:
     """Return the level of each episode, str [n]: one of `sampling.DIFFICULTIES`.
 
-    Lines that cross alone do not tell episodes apart where every team starts in other corners and
-    meets in the middle; how many of them rock lies in does.
+    Crossing lines alone do not separate episodes where every team starts in opposite corners and
+    meets in the middle; the number of lines that rock obstructs does.
 
     Args:
         free_lines: int [n], robots whose straight line to the goal meets no rock.
@@ -246,7 +247,7 @@ def count_crossings(start_m: np.ndarray, goal_m: np.ndarray) -> np.ndarray:
 
 
 def segment_gap_m(p: np.ndarray, q: np.ndarray, r: np.ndarray, s: np.ndarray) -> np.ndarray:
-    """Distances [...] between lines from p to q and from r to s, [..., 3] each, m.
+    """Return distances [...] between segments p to q and r to s, [..., 3] each, m.
 
     C. Ericson, Real-Time Collision Detection (2005), section 5.1.9.
     """
@@ -265,7 +266,7 @@ def segment_gap_m(p: np.ndarray, q: np.ndarray, r: np.ndarray, s: np.ndarray) ->
 
 
 def build_index(root: Path, manifest: Manifest) -> pa.Table:
-    """The index of all parts of a dataset.
+    """Build the index of all parts of a dataset.
 
     Raises:
         ConfigError: a run is damaged.
@@ -285,9 +286,9 @@ def build_index(root: Path, manifest: Manifest) -> pa.Table:
 
 
 def find_shared_environment(table: pa.Table) -> tuple[str, str, str] | None:
-    """Two splits that share an environment, and that; None where none do.
+    """Return two splits that share an environment, and its hash; None where no splits do.
 
-    What is in two splits is learned by heart.
+    An environment in two splits would reward memorising it.
     """
     splits_by_rock: dict[str, str] = {}
     rocks, splits = table["environment"].to_pylist(), table["split"].to_pylist()
@@ -299,20 +300,20 @@ def find_shared_environment(table: pa.Table) -> tuple[str, str, str] | None:
 
 
 def write_index(root: Path, table: pa.Table) -> None:
-    """Write the index with checksums, whole or not at all.
+    """Write the index with checksums, complete or not at all.
 
     Raises:
-        OSError: the disk gave out.
+        OSError: writing failed.
     """
     with atomic_files.write_atomically(root / INDEX) as writing:
         pq.write_table(table, writing, compression="zstd", write_page_checksum=True)
 
 
 def read_index(root: Path) -> pa.Table:
-    """The index of a dataset.
+    """Read the index of a dataset.
 
     Raises:
-        ConfigError: it is damaged, or holds something else.
+        ConfigError: the file is damaged, or has other columns.
     """
     path = root / INDEX
     with wrap_read_errors(path):

@@ -1,7 +1,7 @@
-"""The manifest of a dataset: ``dataset.json``, which is written last and says what all else is.
+"""Manifest of a dataset: ``dataset.json``, written last, which describes all other files.
 
-A dataset is a folder: ``dataset.json``; ``index.parquet``, a row an episode; ``runs/PART``, run
-folders; ``sha256sums.txt``, which ``sha256sum -c`` takes too; ``README.md`` and ``croissant.json``,
+A dataset is a folder: ``dataset.json``; ``index.parquet``, a row per episode; ``runs/PART``, run
+folders; ``sha256sums.txt``, which ``sha256sum -c`` reads; ``README.md`` and ``croissant.json``,
 made of these.
 """
 
@@ -19,25 +19,25 @@ SCHEMA_VERSION = 1
 MANIFEST, INDEX, SUMS = "dataset.json", "index.parquet", "sha256sums.txt"
 
 SPLITS = ("train", "val", "test")
-"""By environment; those of shifted scenes are ``test_NAME``."""
+"""Splits by environment; those of shifted scenes are ``test_NAME``."""
 
 
 class PartEntry(FileModel):
-    """A run folder of a dataset."""
+    """Run folder of a dataset."""
 
     path: str
-    """Below the dataset's folder, with slashes."""
+    """Path below the dataset's folder, with slashes."""
     scene: str
     expert: str
     robots: int = Field(ge=1)
     worlds: int = Field(ge=1)
     seed: int = Field(ge=0)
     split: str | None
-    """Of all its episodes; None where their environments decide."""
+    """Split of all its episodes; None where their environments decide."""
     digest: str
-    """Of all that its problems are drawn from; see `Scenario.digest`."""
+    """Digest of all inputs of its problems; see `Scenario.digest`."""
     tile: int = Field(ge=1)
-    """Worlds in one device call: part of the bytes."""
+    """Worlds in one device call; the bytes depend on it."""
     kernels: str | None
 
     @model_validator(mode="after")
@@ -47,18 +47,18 @@ class PartEntry(FileModel):
 
 
 class ArrayEntry(FileModel):
-    """An array of the trajectories."""
+    """Array of the trajectories."""
 
     dims: tuple[str, ...]
     unit: str
     description: str
     dtype: str
     step: float | None
-    """In its unit, where it is stored in steps; None where it is exact."""
+    """Step in its unit, where it is stored in steps; None where it is exact."""
 
 
 class Manifest(FileModel):
-    """``dataset.json``."""
+    """Contents of ``dataset.json``."""
 
     schema_version: Literal[1] = 1
     name: str
@@ -69,22 +69,22 @@ class Manifest(FileModel):
     command: str
     episodes: int = Field(ge=1)
     splits: dict[str, int]
-    """Episodes of each."""
+    """Number of episodes of each split."""
     sample: SampleConfig = SampleConfig()
-    """Shares that the chosen ones of train, val and test were to have."""
+    """Requested fractions of the chosen episodes of train, val and test."""
     chosen: dict[str, int] = Field(default_factory=dict)
-    """Chosen episodes of each split."""
+    """Number of chosen episodes of each split."""
     split_shares: dict[str, float]
-    """Of environments, in scenes that are not shifted."""
+    """Fractions of environments, in scenes that are not shifted."""
     parts: tuple[PartEntry, ...] = Field(min_length=1)
     conventions: dict[str, str]
-    """Frames, units, quaternions, what is missing."""
+    """Frames, units, quaternions, missing values."""
     arrays: dict[str, ArrayEntry]
-    """Of every part's trajectories, by their names."""
+    """Arrays of every part's trajectories, by their names."""
     time: dict[str, float]
-    """Steps and rates, s and Hz; horizons stand in the parts' config.json."""
+    """Steps and rates, s and Hz; horizons are in the parts' config.json."""
     seeds: dict[str, Any]
-    """The dataset's own, and how keys are made of seeds."""
+    """Seed of the dataset, and the derivation of keys from seeds."""
     parameter_sets: dict[str, str]
     """SHA-256 of every vehicle and thruster file, by name and set."""
     environment: dict[str, Any]
@@ -97,7 +97,7 @@ def require_inside(path: str) -> None:
     """Refuse a path that leaves the dataset's folder.
 
     Raises:
-        ValueError: it does.
+        ValueError: the path leaves the folder.
     """
     pure = PurePosixPath(path)
     if pure.is_absolute() or ".." in pure.parts or not pure.parts or "\\" in path:
@@ -105,10 +105,10 @@ def require_inside(path: str) -> None:
 
 
 def read_manifest(root: Path) -> Manifest:
-    """The manifest of a dataset.
+    """Read the manifest of a dataset.
 
     Raises:
-        ConfigError: there is none, or it is damaged, or of a version that is not known here.
+        ConfigError: the file is missing, damaged, or of an unknown version.
     """
     path = root / MANIFEST
     if not path.is_file():
@@ -128,9 +128,9 @@ def read_manifest(root: Path) -> Manifest:
 
 
 def write_manifest(root: Path, manifest: Manifest) -> None:
-    """Write the manifest, whole or not at all.
+    """Write the manifest, complete or not at all.
 
     Raises:
-        OSError: the disk gave out.
+        OSError: writing failed.
     """
     folder.write_json(root / MANIFEST, manifest.model_dump(mode="json"))

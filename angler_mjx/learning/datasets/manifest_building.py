@@ -1,4 +1,4 @@
-"""What the manifest of a dataset says, found in its parts."""
+"""Manifest of a dataset, collected from its parts."""
 
 import datetime
 import shlex
@@ -18,12 +18,12 @@ from angler_mjx.runs.storage import folder, input_copies, trajectory_layout
 
 
 def build_manifest(config: DatasetConfig, parts: Sequence[DatasetPart], root: Path) -> Manifest:
-    """The manifest of a dataset, but for what its index counts and the sums of its files.
+    """Build the manifest of a dataset, without counts of its index and checksums of its files.
 
     Args:
         config: the dataset file.
-        parts: that were flown.
-        root: of the dataset.
+        parts: flown parts.
+        root: folder of the dataset.
 
     Raises:
         ConfigError: a run is damaged.
@@ -79,7 +79,7 @@ def build_manifest(config: DatasetConfig, parts: Sequence[DatasetPart], root: Pa
 
 
 def add_counts(manifest: Manifest, table: pa.Table) -> Manifest:
-    """A manifest with what the index counts.
+    """Return a manifest with the counts of the index.
 
     Args:
         manifest: the manifest.
@@ -95,7 +95,7 @@ def add_counts(manifest: Manifest, table: pa.Table) -> Manifest:
 
 
 def count_values(table: pa.Table, column: str) -> dict[str, int]:
-    """How often each value of a column of text occurs, by value."""
+    """Count the values of a column of text, by value."""
     value_counts = table[column].value_counts().to_pylist()
     return dict(sorted((entry["values"], entry["counts"]) for entry in value_counts))
 
@@ -118,7 +118,7 @@ def _describe_arrays(run: folder.Run) -> dict[str, ArrayEntry]:
 
 
 def _collect_parameter_sets(runs: Sequence[folder.Run]) -> dict[str, str]:
-    """Sums of the vehicle and thruster files of all parts."""
+    """Return the checksums of the vehicle and thruster files of all parts."""
     checksums: dict[str, str] = {}
     for run in runs:
         for entry in input_copies.read_inputs(run.path):

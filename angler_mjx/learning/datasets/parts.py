@@ -1,4 +1,4 @@
-"""The parts of a dataset: for each scene, size of team and expert one run, with its own seed."""
+"""Parts of a dataset: one run for each scene, team size and expert, with its own seed."""
 
 import hashlib
 import re
@@ -19,25 +19,25 @@ from angler_mjx.studies.benchmark.problem_settings import with_team
 
 @dataclass(frozen=True, kw_only=True)
 class DatasetPart:
-    """A run of a dataset."""
+    """Run of a dataset."""
 
     path: str
-    """Below the dataset's folder, with slashes."""
+    """Path below the dataset's folder, with slashes."""
     scene: str
     expert: str
-    """Its label."""
+    """Label of the expert."""
     robots: int
     split: str | None
-    """Of all its episodes; None where their environments decide."""
+    """Split of all its episodes; None where their environments decide."""
     scenario: Scenario
-    """With its worlds and its seed."""
+    """Scenario with its worlds and its seed."""
 
 
 def read_config(path: Path) -> tuple[DatasetConfig, dict[str, Any]]:
-    """A dataset file, and the table of the scenario that it is made of.
+    """Read a dataset file, and the table of its scenario.
 
     Raises:
-        ConfigError: naming every fault of the file.
+        ConfigError: the file has faults; the message names all.
     """
     folder = path.absolute().parent
     config = parse_model(
@@ -51,13 +51,13 @@ def read_config(path: Path) -> tuple[DatasetConfig, dict[str, Any]]:
 def build_parts(
     config: DatasetConfig, table: Mapping[str, Any], episodes: int, source: str
 ) -> tuple[DatasetPart, ...]:
-    """What is to be flown.
+    """Build the parts to fly.
 
     Args:
-        config: the file.
-        table: of the scenario that it is made of.
-        episodes: of all parts together.
-        source: of the file, for messages.
+        config: dataset file.
+        table: table of its scenario.
+        episodes: number of episodes of all parts together.
+        source: name of the file, for messages.
 
     Raises:
         ConfigError: a scene or an expert cannot be flown so, or the episodes are too few.
@@ -92,7 +92,7 @@ def build_parts(
 def _select_experts(
     config: DatasetConfig, scene: DatasetScene, team: int | None, table: Mapping[str, Any]
 ) -> list[tuple[Expert, float]]:
-    """Who flies a scene with a team, and their weights."""
+    """Return the experts of a scene with a team, and their weights."""
     preset = merge_tables(merge_tables(table, config.set), scene.set)["world"].get("preset")
     matching = [
         expert
@@ -145,7 +145,7 @@ def _build_part(
 
 
 def _build_expert_tables(table: Mapping[str, Any], expert: Expert) -> dict[str, Any]:
-    """What of a scenario an expert says."""
+    """Return the scenario tables that an expert replaces."""
     information = (
         {} if expert.information is None else {"information": expert.information.model_dump()}
     )
@@ -167,17 +167,17 @@ def _build_expert_tables(table: Mapping[str, Any], expert: Expert) -> dict[str, 
 
 
 _PLANNER_KEYS = ("margin_m", "points", "deadline_s", "information")
-"""Of a scenario's planner, whoever plans."""
+"""Keys of a scenario's planner that hold for every planner."""
 
 
 def part_seed(seed: int, number: int) -> int:
-    """Seed of a part, so that no two parts of a dataset fly in the same worlds."""
+    """Return the seed of a part, so that no two parts of a dataset sample the same worlds."""
     text = f"angler dataset {seed} part {number}".encode()
     return int.from_bytes(hashlib.sha256(text).digest()[:4], "big") >> 1
 
 
 def _apportion(fractions: list[float], total: int) -> list[int]:
-    """A whole number as near to its shares as whole numbers can be."""
+    """Split a whole number by fractions, as closely as whole numbers can."""
     counts = [int(fraction * total) for fraction in fractions]
     rest = sorted(range(len(fractions)), key=lambda i: (counts[i] - fractions[i] * total, i))
     for i in rest[: total - sum(counts)]:
@@ -186,7 +186,7 @@ def _apportion(fractions: list[float], total: int) -> list[int]:
 
 
 def _min_episodes(fractions: list[float]) -> int:
-    """Fewest episodes of which every part gets one."""
+    """Return the least number of episodes of which every part gets one."""
     max_episodes = round(1.0 / min(fractions)) + len(fractions)
     return next(
         (n for n in range(len(fractions), max_episodes) if min(_apportion(fractions, n)) >= 1),

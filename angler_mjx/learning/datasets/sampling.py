@@ -1,8 +1,8 @@
-"""Which episodes of a dataset are chosen, so that its shares are those that were wished for.
+"""Choice of a dataset's episodes so that its fractions match the requested ones.
 
-All that was flown stays. Of train, val and test each, what there is too much of is thinned until
-every share holds: whole kinds of episodes in proportion, and of a kind those of the highest ticket,
-a number that is drawn from the part's seed and the world's index alone.
+All flown episodes are kept. Of train, val and test each, surplus episodes are thinned until every
+fraction holds: whole kinds of episodes in proportion, and of a kind those of the highest ticket, a
+number that is derived from the part's seed and the world's index alone.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,14 +18,14 @@ type Kind = Literal["trivial", "crossing", "blocked", "both", "failed"]
 """Values of the index's ``difficulty``; ``failed``: not all of the team arrived."""
 
 DIFFICULTIES: tuple[Kind, ...] = ("trivial", "crossing", "blocked", "both")
-"""Each episode is one of them."""
+"""Difficulties; each episode has one of them."""
 CROSSED: tuple[Kind, ...] = ("crossing", "both")
-"""Those in which straight lines of robots cross."""
+"""Difficulties with crossing straight lines of robots."""
 FAILED: Kind = "failed"
 
 
 class SampleConfig(FileModel):
-    """Shares of the chosen episodes that each kind is to have, at least and at most."""
+    """Lower and upper bounds of the fraction of each kind among the chosen episodes."""
 
     at_least: dict[Kind, float] = Field(default_factory=dict)
     at_most: dict[Kind, float] = Field(default_factory=dict)
@@ -40,7 +40,7 @@ class SampleConfig(FileModel):
             if self.at_least[kind] > self.at_most[kind]:
                 raise ValueError(
                     f"at_least.{kind} = {self.at_least[kind]:g} is more than at_most.{kind} = "
-                    f"{self.at_most[kind]:g}; no dataset has such a share"
+                    f"{self.at_most[kind]:g}; no dataset satisfies both"
                 )
         min_total = sum(self.at_least.get(kind, 0.0) for kind in DIFFICULTIES)
         max_total = sum(self.at_most.get(kind, 1.0) for kind in DIFFICULTIES)
@@ -59,11 +59,11 @@ class SampleConfig(FileModel):
 
     @property
     def has_bounds(self) -> bool:
-        """Whether any share is bounded."""
+        """Return whether any fraction is bounded."""
         return bool(self.at_least or self.at_most)
 
     def format_bounds(self, kind: Kind) -> str:
-        """What is wished of a kind, in words."""
+        """Return the bounds of a kind in words."""
         bounds = (("at least", self.at_least), ("at most", self.at_most))
         texts = [
             f"{label} {100 * fractions[kind]:g} %"
@@ -73,7 +73,7 @@ class SampleConfig(FileModel):
         return ", ".join(texts) or "any"
 
     def upper_bounds(self) -> list[tuple[np.ndarray, float]]:
-        """Every bound as cells of `CELL_MASKS` and the share that they may have at most."""
+        """Return every bound as cells of `CELL_MASKS` and their largest fraction."""
         bounds = [(CELL_MASKS[kind], fraction) for kind, fraction in self.at_most.items()]
         return bounds + [
             (~CELL_MASKS[kind], 1.0 - fraction) for kind, fraction in self.at_least.items()
@@ -87,11 +87,11 @@ CELL_MASKS: Mapping[Kind, np.ndarray] = {
     },
     "failed": np.tile([False, True], len(DIFFICULTIES)),
 }
-"""Bool [8]: which kinds of episodes, by difficulty and whether they failed, each name holds."""
+"""Bool [8] by name: kinds of episodes, by difficulty and failure."""
 
 
 def is_kind(table: pa.Table, kind: Kind) -> np.ndarray:
-    """Which episodes of an index are of a kind; bool [episode]."""
+    """Return whether episodes of an index are of a kind; bool [episode]."""
     matches: np.ndarray
     if kind == FAILED:
         matches = ~table["success"].to_numpy(zero_copy_only=False)
@@ -101,14 +101,14 @@ def is_kind(table: pa.Table, kind: Kind) -> np.ndarray:
 
 
 def select_episodes(table: pa.Table, config: SampleConfig, thin: Sequence[str]) -> np.ndarray:
-    """Which episodes of an index are chosen; bool [episode].
+    """Choose episodes of an index; bool [episode].
 
-    All of other splits are: shifted scenes test what is as it is there.
+    All episodes of other splits are chosen: shifted scenes are tested unchanged.
 
     Args:
-        table: the index, with all its columns but this one.
-        config: shares.
-        thin: splits in which they are to hold, in each by itself.
+        table: index with all its columns but the result.
+        config: bounds of the fractions.
+        thin: splits in which the bounds hold, each by itself.
     """
     keep = np.ones(len(table), bool)
     if not config.has_bounds:
@@ -130,11 +130,11 @@ def select_episodes(table: pa.Table, config: SampleConfig, thin: Sequence[str]) 
 
 
 def thin_counts(counts: np.ndarray, caps: list[tuple[np.ndarray, float]]) -> np.ndarray:
-    """How many of each cell stay, so that no cap is exceeded.
+    """Return the number of episodes of each cell that remain, so that no cap is exceeded.
 
     Args:
-        counts: int [c], what there is.
-        caps: cells, bool [c], and the share of all that stay which they may have at most.
+        counts: int [c] episodes of each cell.
+        caps: cells, bool [c], and their largest fraction of the remaining episodes.
     """
     kept = counts.astype(np.int64)
     while True:
@@ -149,18 +149,18 @@ def thin_counts(counts: np.ndarray, caps: list[tuple[np.ndarray, float]]) -> np.
 
 
 def _max_inside(outside: int, fraction: float) -> int:
-    """How many there may be so that they are a share of themselves and the others at most."""
+    """Return the largest number that is at most a fraction of itself and the others."""
     if fraction >= 1.0:
         return int(np.iinfo(np.int64).max)
     return int(np.floor(outside * fraction / (1.0 - fraction) + 1e-9))
 
 
 def scale_counts(counts: np.ndarray, total: int) -> np.ndarray:
-    """Numbers of a sum as near to the proportions of counts as whole numbers can be.
+    """Scale counts to a sum, as close to their proportions as whole numbers can be.
 
     Args:
         counts: int [c].
-        total: that they come to; at most their sum.
+        total: requested sum; at most the sum of the counts.
     """
     exact = counts * (total / max(int(counts.sum()), 1))
     down = np.floor(exact).astype(np.int64)
@@ -170,7 +170,7 @@ def scale_counts(counts: np.ndarray, total: int) -> np.ndarray:
 
 
 def hash_worlds(seed: np.ndarray, world: np.ndarray) -> np.ndarray:
-    """A number of each world of a seed, uint64 [episode], as good as drawn.
+    """Return a pseudo-random number of each world of a seed, uint64 [episode].
 
     The mixer of SplitMix64 (G. Steele, D. Lea, C. Flood, Fast splittable pseudorandom number
     generators, 2014).

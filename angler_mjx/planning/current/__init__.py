@@ -1,1 +1,1 @@
-"""Ways through moving water that take least energy or least time, in batches on the device."""
+"""Planner of paths of least energy or least time in moving water, in batches on the device."""

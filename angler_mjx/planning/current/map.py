@@ -1,4 +1,4 @@
-"""The steps that one robot may make between cells, and what each costs it in the current."""
+"""Steps of one robot between cells, and the cost of each in the current."""
 
 from collections.abc import Callable
 
@@ -19,11 +19,11 @@ type Flow = Callable[[jax.Array], jax.Array]
 """Velocity [3] m/s of the water at a point [3]."""
 
 _SAMPLE_FRACTIONS = (0.25, 0.75)
-"""Where the water is looked at, as shares of a step."""
+"""Positions of water samples, as fractions of a step."""
 
 
 def step_costs(land: Terrain, team: PowerModel, clearance_m: jax.Array, flow: Flow) -> jax.Array:
-    """Cost of each of `STEPS` from each cell, metres of still water.
+    """Return the cost of each of `STEPS` from each cell, metres of still water.
 
     Args:
         land: the world.
@@ -61,7 +61,7 @@ def step_costs(land: Terrain, team: PowerModel, clearance_m: jax.Array, flow: Fl
 
 
 def _is_step_free(layout: LatticeLayout, free: FreeSpace) -> jax.Array:
-    """Whether each step from each cell is free, bool [26, nx, ny, nz]."""
+    """Return whether each step from each cell is free, bool [26, nx, ny, nz]."""
     shape = layout.shape
     at = layout.guard_size + layout.row * jnp.arange(shape[0])[:, None] + jnp.arange(shape[1])
     edge_bits = free.edges[:, at]

@@ -1,9 +1,9 @@
-"""What a metre of way costs one robot in moving water, and how fast it goes there.
+"""Cost of a metre of path for one robot in moving water, and its speed over ground there.
 
-A robot that is to move along a direction d over ground in a current c has to swim w = s d - c
+A robot that moves along a direction d over ground in a current c has the velocity w = s d - c
 through the water, where s is its speed over ground: at the speed V through the water,
-s = d.c + sqrt(V^2 - |c - (d.c) d|^2) (Zermelo's triangle). Its heading is that of the way over
-ground, as the guidance holds it, so that a current from the side is met with the side.
+s = d.c + sqrt(V^2 - |c - (d.c) d|^2) (Zermelo's triangle). Its heading is that of the path over
+ground, as the guidance holds it, so that a current from the side needs sway.
 """
 
 from dataclasses import dataclass, field
@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 
 type Objective = Literal["energy", "time"]
-"""What is to be least."""
+"""Objective of a path."""
 
 NO_PATH_COST = 1e4
 """Cost of a metre, in metres of still water, against a current that cannot be overcome."""
@@ -22,13 +22,13 @@ _SPEED_RATIOS = (0.5, 0.75, 1.0, 1.25, 1.5, 2.0)
 """Speeds through the water that are tried, over the cruise speed."""
 
 _MIN_SPEED_RATIO = 0.1
-"""Over ground, over the cruise speed: who comes on no faster stands in a current for ever."""
+"""Least speed over ground as a fraction of the cruise speed; slower progress counts as none."""
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class PowerModel:
-    """What swimming takes one robot: p_0 + k_i v_i^n_i along each axis of its body alone."""
+    """Propulsion power of one robot: p_0 + k_i v_i^n_i along each axis of its body alone."""
 
     cruise_mps: jax.Array
     """[] through the water."""
@@ -53,15 +53,15 @@ def power_model(
     max_speed_fraction: float,
     objective: Objective,
 ) -> PowerModel:
-    """The robot of a row of powers.
+    """Fit the power model of a robot to its powers.
 
     Args:
         cruise_mps: [] cruise speed.
-        terminal_mps: [3] terminal speeds in still water; 0 for a way that it cannot push.
+        terminal_mps: [3] terminal speeds in still water; 0 without thrust that way.
         power_w: [3, n] power at constant speeds of 0 to the terminal ones, in equal steps.
         max_speed_fraction: of the terminal speeds that may be swum; the rest is left to the
             controllers.
-        objective: what is to be least.
+        objective: of the path.
     """
     steps = power_w.shape[-1] - 1
     rest_w = power_w[0, 0]
@@ -96,7 +96,7 @@ def power_model(
 def cost_and_speed(
     robot: PowerModel, direction: jax.Array, flow: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Cost of a metre, and the speed over ground at which it costs least.
+    """Return the cost of a metre, and the speed over ground of least cost.
 
     Args:
         robot: one.
@@ -153,7 +153,7 @@ def cost_and_speed(
 
 
 def _body_power(robot: PowerModel, axes: tuple[jax.Array, ...]) -> jax.Array:
-    """Power [...] at speeds [...] along the three axes of the body.
+    """Return the power [...] at speeds [...] along the three axes of the body.
 
     Thrusters' power goes with about the 1.5th power of their thrust. Thrusts for two axes add up in
     half of the thrusters and cancel in the others; their squares add up on the whole.

@@ -1,56 +1,63 @@
-"""What scenarios call current: ways that take least energy or least time in the current it knows.
+"""Planner current: paths of least energy or least time in the known current.
 
-For each robot alone: least costs from all cells (`search`), the way that leads down them, shortened
-and bent by what it costs (`shaping`). Then the team is put in time: who cannot go at once sets off
-later (`timetable`); for whom no time suits a way is sought in space and time, as the planner
-priority does, which knows no current. Speeds are those through the water that cost least, so that a
-robot may be faster over ground than it cruises where the water carries it.
+Each robot is planned alone first: least costs from all cells (`search`), a path down them,
+shortened and bent to lower its cost (`shaping`). Then departures are scheduled (`timetable`): a
+robot whose path is blocked departs later. A robot that no departure suits is searched in space and
+time as by the planner priority, which ignores the current. Speeds through the water are those of
+least cost, so a robot may exceed its cruise speed over ground where the current carries it.
 """
 
 from dataclasses import dataclass
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 
 from angler_kernels.programs import on_gpu
+from angler_mjx.errors import ConfigError
 from angler_mjx.planning.current import search, search_kernel
 from angler_mjx.planning.current.map import step_costs
 from angler_mjx.planning.current.motion_cost import Objective, PowerModel, power_model
 from angler_mjx.planning.current.shaping import descend_path, leg_costs, resample_path, shorten_path
 from angler_mjx.planning.current.timetable import schedule_departures
-from angler_mjx.planning.path_search.bodies import bodies_traffic
+from angler_mjx.planning.path_search.bodies import moving_traffic, still_obstacles
 from angler_mjx.planning.path_search.lattice import Terrain, build_terrain
-from angler_mjx.planning.path_search.robot_search import PathSearchConfig
+from angler_mjx.planning.path_search.robot_search import PathSearchConfig, path_search_config
 from angler_mjx.planning.priority import planner as priority
-from angler_mjx.planning.problem import Team
-from angler_mjx.robot.control.trajectory import Trajectory, hold_position
-from angler_mjx.sim.information import CurrentInformation, ObstacleInformation
-from angler_mjx.world.environment import Environment
+from angler_mjx.planning.problem import Problem, ProblemSettings, Team
+from angler_mjx.robot.control.commands.trajectory import Trajectory, hold_position
+from angler_mjx.sim.information import CurrentInformation
 
 MAX_ROBOTS_AT_ONCE = 4096
 """Robots whose costs are in memory at once: 0.2 MB each in worlds of 16^3 cells."""
 
 _DEPARTURE_STEP_S = 2.0
-"""Between the times at which a robot can set off."""
+"""Time [s] between two possible departures."""
+_MIN_POINTS = 4
+"""Least number of way-points of a path: two ends, a late departure and a bend."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CurrentSettings:
-    """What a scenario can choose of it, in [planner.current]."""
+    """Settings of the table [planner.current]."""
 
     least: Objective = "energy"
-    """What ways take least of: energy, with a second worth what makes the cruise speed the best one
-    in still water; or time, at the cruise speed through the water."""
+    """Objective: energy, with a price of time that makes the cruise speed optimal in still water;
+    or time, at the cruise speed through the water."""
     effort: float = 0.7
-    """Share of the terminal speeds that may be swum; the rest is left to the controllers."""
+    """Fraction of the terminal speeds that paths may use; the rest is left to the controllers."""
     start_hold_s: float = 30.0
-    """The latest time at which a robot sets off."""
+    """Latest departure [s] of a robot."""
     budget: int = 4
-    """Searches of single robots, for each robot of the team, for those for whom no such time
-    suits; 0: they get no path."""
+    """Searches of single robots per robot of the team, for robots that no departure suits; 0: they
+    get no path."""
 
     def __post_init__(self) -> None:
-        """Refuse what is none."""
+        """Check the ranges.
+
+        Raises:
+            ValueError: a value is out of its range.
+        """
         if self.least not in ("energy", "time"):
             raise ValueError(f'least = "{self.least}": must be "energy" or "time"')
         if not 0.1 <= self.effort <= 1.0:
@@ -61,84 +68,60 @@ class CurrentSettings:
             raise ValueError(f"budget = {self.budget}: must be 0 to 10000")
 
 
-@dataclass(frozen=True, kw_only=True)
-class CurrentConfig:
-    """Of a scenario; hashable, static under jit."""
-
-    settings: CurrentSettings
-    horizon_s: float
-    margin_m: float
-    """Kept beyond the radii."""
-    n_point: int
-    """Way-points of a path."""
-    observes_moving_obstacles: bool
-    """Whether obstacles that move are known of."""
-    search_config: PathSearchConfig
-    """How ways are sought for those for whom no time suits."""
-
-
 class CurrentPlanner:
-    """What scenarios call current; `plan_paths` is part of the program that draws the worlds."""
+    """Planner ``current`` of scenarios, a `BatchPlanner`."""
 
     Settings = CurrentSettings
 
+    def __init__(self, settings: CurrentSettings) -> None:
+        """Keep the settings."""
+        self._settings = settings
+
+    def check_problem(self, problem: ProblemSettings) -> None:
+        """Refuse paths with too few points; see `BatchPlanner`."""
+        if problem.points < _MIN_POINTS:
+            raise ConfigError(
+                f"planner.points = {problem.points}: the planner current needs at least "
+                f"{_MIN_POINTS}"
+            )
+
+    def plan_batch(self, problems: Problem) -> Trajectory:
+        """Return the paths of all worlds; see `BatchPlanner`."""
+        return plan_paths(problems, self._settings, path_search_config(problems))
+
 
 def plan_paths(
-    environments: Environment,
-    teams: Team,
-    current: CurrentInformation,
-    obstacles: ObstacleInformation,
-    seeds: jax.Array,
-    config: CurrentConfig,
+    problems: Problem, settings: CurrentSettings, config: PathSearchConfig
 ) -> Trajectory:
     """Plan the fleets of a batch of worlds, [W] leading everywhere.
 
     Args:
-        environments: the worlds; their own currents are not looked at.
-        teams: with starts and goals.
-        current: as far as it is known.
-        obstacles: that may move.
-        seeds: uint32 [W] for what is drawn by lot.
-        config: static.
+        problems: the worlds, R robots each.
+        settings: static.
+        config: static; of the search in space and time for robots that no departure suits.
 
     Returns:
         Trajectory [W, R] from the starts at time 0 to the goals; where ``found`` is False every row
-        is the start. No two paths meet, nor does one meet a robot without a way.
+        is the start. No two paths meet, nor does a path meet a robot without one.
     """
-    paths = _plan_in_chunks(environments, teams, current, obstacles, config)
-    if config.settings.budget == 0:
+    paths = _plan_in_chunks(problems, settings, config)
+    if settings.budget == 0:
         return paths
-    return priority.plan_teams(
-        environments,
-        teams.radius_m,
-        teams.cruise_speed_mps,
-        seeds,
-        config.search_config,
-        config.settings.budget,
-        obstacles if config.observes_moving_obstacles else None,
-        first=paths,
-    )
+    return priority.plan_teams(problems, config, settings.budget, first=paths)
 
 
 def _plan_in_chunks(
-    environments: Environment,
-    teams: Team,
-    current: CurrentInformation,
-    obstacles: ObstacleInformation,
-    config: CurrentConfig,
+    problems: Problem, settings: CurrentSettings, config: PathSearchConfig
 ) -> Trajectory:
-    worlds, robots = teams.radius_m.shape
+    worlds, robots = problems.team.radius_m.shape
     chunk = max(1, MAX_ROBOTS_AT_ONCE // robots)
     if worlds <= chunk:
-        return _plan_batch(environments, teams, current, obstacles, config)
+        return _plan_batch(problems, settings, config)
     parts = -(-worlds // chunk)
     rows = jnp.minimum(jnp.arange(parts * chunk), worlds - 1).reshape(parts, chunk)
 
     def plan_chunk(row: jax.Array) -> Trajectory:
-        environment, team, flow, bodies = jax.tree.map(
-            lambda leaf: leaf[row], (environments, teams, current, obstacles)
-        )
-        return _plan_batch(environment, team, flow, bodies, config)
+        return _plan_batch(jax.tree.map(lambda leaf: leaf[row], problems), settings, config)
 
     chunk_paths = jax.lax.map(plan_chunk, rows)
     paths: Trajectory = jax.tree.map(
@@ -148,26 +131,12 @@ def _plan_in_chunks(
 
 
 def _plan_batch(
-    environments: Environment,
-    teams: Team,
-    current: CurrentInformation,
-    obstacles: ObstacleInformation,
-    config: CurrentConfig,
+    problems: Problem, settings: CurrentSettings, config: PathSearchConfig
 ) -> Trajectory:
+    teams = problems.team
     worlds, robots = teams.radius_m.shape
-    settings = config.settings
-    terrains = jax.vmap(build_terrain)(environments)
-
-    def of_team(team: Team) -> PowerModel:
-        return jax.vmap(power_model, in_axes=(0, 0, 0, None, None))(
-            team.cruise_speed_mps,
-            team.terminal_speed_mps,
-            team.power_w,
-            settings.effort,
-            settings.least,
-        )
-
-    models = jax.vmap(of_team)(teams)
+    terrains = jax.vmap(_problem_terrain)(problems)
+    models = jax.vmap(partial(_power_models, settings=settings))(teams)
     clearance = teams.radius_m + config.margin_m
 
     def costs(
@@ -176,7 +145,7 @@ def _plan_batch(
         zero = jnp.zeros((), clearance_m.dtype)
         return step_costs(land, team, clearance_m, lambda p: flow.velocity(p, zero))
 
-    cost = jax.vmap(costs)(terrains, models, clearance, current)
+    cost = jax.vmap(costs)(terrains, models, clearance, problems.current)
     start, goal = (
         jax.vmap(_cells_at)(terrains, points_m) for points_m in (teams.start_m, teams.goal_m)
     )
@@ -186,8 +155,7 @@ def _plan_batch(
 
     def of_robot(
         land: Terrain,
-        floor_z_m: jax.Array,
-        flow: CurrentInformation,
+        problem: Problem,
         robot: PowerModel,
         clearance_m: jax.Array,
         cost: jax.Array,
@@ -195,60 +163,68 @@ def _plan_batch(
         ends: tuple[jax.Array, jax.Array, jax.Array],
     ) -> Trajectory:
         return _departure_paths(
-            land, floor_z_m, flow, robot, clearance_m - 1e-4, cost, value, ends, config
+            land,
+            problem.floor_z_m,
+            problem.current,
+            robot,
+            clearance_m - 1e-4,
+            cost,
+            value,
+            ends,
+            settings,
+            config,
         )
 
     def of_world(
         land: Terrain,
-        floor_z_m: jax.Array,
-        flow: CurrentInformation,
-        bodies: ObstacleInformation,
-        team: Team,
+        problem: Problem,
         robot: PowerModel,
         clearance_m: jax.Array,
         cost: jax.Array,
         value: jax.Array,
         start: jax.Array,
     ) -> Trajectory:
+        team = problem.team
         ends = (start, team.start_m, team.goal_m)
-        paths = jax.vmap(of_robot, in_axes=(None, None, None, 0, 0, 0, 0, 0))(
-            land, floor_z_m, flow, robot, clearance_m, cost, value, ends
-        )
-        moving = (
-            bodies_traffic(bodies, config.horizon_s) if config.observes_moving_obstacles else None
+        paths = jax.vmap(of_robot, in_axes=(None, None, 0, 0, 0, 0, 0))(
+            land, problem, robot, clearance_m, cost, value, ends
         )
         return schedule_departures(
             paths,
             hold_position(team.start_m, config.n_point),
             team.radius_m,
-            moving,
+            moving_traffic(problem),
             config.margin_m,
             config.horizon_s,
         )
 
-    return jax.vmap(of_world)(
-        terrains,
-        environments.floor_z_m,
-        current,
-        obstacles,
-        teams,
-        models,
-        clearance,
-        cost,
-        value,
-        start,
+    return jax.vmap(of_world)(terrains, problems, models, clearance, cost, value, start)
+
+
+def _problem_terrain(problem: Problem) -> Terrain:
+    return build_terrain(problem.grid, problem.floor_z_m, still_obstacles(problem.obstacles))
+
+
+def _power_models(team: Team, settings: CurrentSettings) -> PowerModel:
+    """Return the power models [R] of a team."""
+    return jax.vmap(power_model, in_axes=(0, 0, 0, None, None))(
+        team.cruise_speed_mps,
+        team.terminal_speed_mps,
+        team.power_w,
+        settings.effort,
+        settings.least,
     )
 
 
 def _costs_to_goal(cost: jax.Array, goal: jax.Array) -> jax.Array:
-    """`search.costs_to_goal`, by a program for each robot where that is possible."""
+    """Return `search.costs_to_goal`, by a program for each robot on a GPU."""
     if on_gpu():
         return jax.vmap(search_kernel.costs_to_goal)(cost, goal)
     return search.costs_to_goal(cost, goal)
 
 
 def _cells_at(land: Terrain, position_m: jax.Array) -> jax.Array:
-    """Cells int32 [R, 3] that hold places [R, 3]."""
+    """Return the cells int32 [R, 3] that hold points [R, 3], m, W."""
     top = jnp.array(land.layout.shape) - 1
     at = jnp.floor((position_m - land.grid.origin_m) / land.grid.cell_m).astype(jnp.int32)
     return jnp.clip(at, 0, top)
@@ -263,9 +239,10 @@ def _departure_paths(
     cost: jax.Array,
     value: jax.Array,
     ends: tuple[jax.Array, jax.Array, jax.Array],
-    config: CurrentConfig,
+    settings: CurrentSettings,
+    config: PathSearchConfig,
 ) -> Trajectory:
-    """The way of one robot for each time at which it can set off, [H] leading."""
+    """Return the path of one robot for each departure, [H] leading."""
     cell, start_m, goal_m = ends
     cells, reached = search.trace_path(cost, value, cell, 2 * sum(land.layout.shape))
     centres = land.grid.origin_m + (cells + 0.5) * land.grid.cell_m
@@ -281,7 +258,7 @@ def _departure_paths(
     path_m = descend_path(
         land, robot, points, clearance_m, floor_z_m, current.velocity, current.stays
     )
-    count = int(config.settings.start_hold_s // _DEPARTURE_STEP_S) + 1
+    count = int(settings.start_hold_s // _DEPARTURE_STEP_S) + 1
 
     def departing_path(at_s: jax.Array) -> Trajectory:
         leg = leg_costs(robot, path_m, current.velocity, at_s, current.stays)

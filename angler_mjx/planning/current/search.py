@@ -1,4 +1,4 @@
-"""Least cost from every cell to a goal, and the way that leads there; batches, not single robots.
+"""Least cost from every cell to a goal, and the path there; for batches, not single robots.
 
 Value iteration over cells and their 26 neighbours: a cell's cost is the least of a step's and its
 neighbour's. All cells at once, until none changes; loops end for the batch as a whole.
@@ -11,19 +11,19 @@ import jax.numpy as jnp
 import numpy as np
 
 NO_PATH_COST = 1e9
-"""Cost from where there is no way, metres of still water."""
+"""Cost of a cell without a path, metres of still water."""
 
 STEPS = np.array([s for s in itertools.product((-1, 0, 1), repeat=3) if s != (0, 0, 0)])
 """[26, 3] cells."""
 
 
 def max_sweeps(shape: tuple[int, ...]) -> int:
-    """More are not made over cells of this shape."""
+    """Return the limit of sweeps over cells of this shape."""
     return 4 * sum(shape)
 
 
 def costs_to_goal(cost: jax.Array, goal: jax.Array) -> jax.Array:
-    """Least cost from every cell.
+    """Return the least cost from every cell.
 
     Args:
         cost: [B, 26, nx, ny, nz] of the step from a cell along each of `STEPS`; `NO_PATH_COST` for
@@ -66,7 +66,7 @@ def costs_to_goal(cost: jax.Array, goal: jax.Array) -> jax.Array:
 def trace_path(
     cost: jax.Array, value: jax.Array, start: jax.Array, length: int
 ) -> tuple[jax.Array, jax.Array]:
-    """Cells of the way of one robot.
+    """Return the cells of the path of one robot.
 
     Args:
         cost: [26, nx, ny, nz], as above.

@@ -1,8 +1,7 @@
-"""`search.costs_to_goal` as one GPU program for each robot, which ends when its own costs stand.
+"""`search.costs_to_goal` as one GPU program for each robot, which ends when its costs converge.
 
-Costs are lowered where they are, so that a sweep uses what it has found itself. They only ever
-sink, and stand at the same numbers in whatever order cells are looked at: those of `search`, to
-the last bit.
+Costs are lowered in place, so a sweep uses its own results. They only decrease, and converge to the
+same numbers in any order of the cells: those of `search`, to the last bit.
 """
 
 from dataclasses import dataclass
@@ -15,11 +14,11 @@ from angler_kernels.programs import BlockProgram
 from angler_mjx.planning.current.search import NO_PATH_COST, STEPS, max_sweeps
 
 _MAX_LANES = 1024
-"""Cells that are looked at together."""
+"""Cells that are relaxed together."""
 
 
 def costs_to_goal(cost: jax.Array, goal: jax.Array, *, interpret: bool = False) -> jax.Array:
-    """As `search.costs_to_goal`, of one robot.
+    """Return `search.costs_to_goal` of one robot.
 
     Args:
         cost: float16 [26, nx, ny, nz].
@@ -51,18 +50,18 @@ class _CostKernel:
 
     @property
     def size(self) -> int:
-        """Cells."""
+        """Number of cells."""
         nx, ny, nz = self.shape
         return nx * ny * nz
 
     @property
     def n_padded_cells(self) -> int:
-        """Cells with one more at both ends of each axis."""
+        """Number of cells with one more at both ends of each axis."""
         nx, ny, nz = self.shape
         return (nx + 2) * (ny + 2) * (nz + 2)
 
     def padded_index(self, x: Any, y: Any, z: Any) -> Any:
-        """Where a cell stands among those with one more at both ends."""
+        """Return the index of a cell among those with one more at both ends."""
         _, ny, nz = self.shape
         return ((x + 1) * (ny + 2) + y + 1) * (nz + 2) + z + 1
 
@@ -117,7 +116,7 @@ class _CostKernel:
         jax.lax.fori_loop(0, parts, write_values, jnp.int32(0))
 
     def _cells_of_part(self, part: Any, lane: Any) -> tuple[Any, Any, Any]:
-        """Cells of a part, where they stand among those with ends, and whether there are so many.
+        """Return the padded indices of the cells of a part, and which of them exist.
 
         Those beyond the last are the last.
         """

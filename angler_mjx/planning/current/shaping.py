@@ -1,4 +1,4 @@
-"""From a way over cells to a smooth one: shortcuts that cost least, then a descent in its shape."""
+"""From a path over cells to a smooth one: shortcuts of least cost, then a descent in its shape."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -16,7 +16,7 @@ type Flow = Callable[[jax.Array, jax.Array], jax.Array]
 _WINDOW = 24
 """Rows that one shortcut can leave out."""
 _N_SAMPLES = 8
-"""Times that the water is looked at along a shortcut."""
+"""Number of water samples along a shortcut."""
 _N_ITERATIONS = 40
 """Of descent."""
 _HOLD_ITERATIONS = 3
@@ -39,7 +39,7 @@ class LegCosts:
 def leg_costs(
     robot: PowerModel, points: jax.Array, flow: Flow, begin_s: jax.Array, stays: bool
 ) -> LegCosts:
-    """What legs of a way cost, and how long each takes.
+    """Return the cost and the duration of the legs of a path.
 
     Args:
         robot: one.
@@ -84,7 +84,7 @@ def leg_costs(
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class _DescentState:
-    """Of one way."""
+    """State of the descent of one path."""
 
     path_m: jax.Array
     value: jax.Array
@@ -102,18 +102,18 @@ def shorten_path(
     flow: Flow,
     max_points: int,
 ) -> tuple[jax.Array, jax.Array]:
-    """The cheapest way along straight lines between points of a way, all in sight of each other.
+    """Return the cheapest path along lines of sight between points of a path.
 
     Args:
         land: the world.
         robot: one.
-        points: [n, 3] of a way whose legs are free; its end may be repeated.
-        clearance_m: [] to keep from what stands.
+        points: [n, 3] of a path with free legs; its end may be repeated.
+        clearance_m: [] to keep from still bodies.
         flow: of the water; as it is at time 0.
         max_points: points of the result, static.
 
     Returns:
-        Points [most, 3], the last repeated; and whether they were enough, bool [].
+        Points [max_points, 3], the last repeated; and whether they were enough, bool [].
     """
     n = points.shape[0]
     # Repetitions first, where the way back from the end can stop at the first of them.
@@ -156,7 +156,7 @@ def shorten_path(
 
 
 def resample_path(points: jax.Array, count: int) -> jax.Array:
-    """Points [count, 3] along lines between points [n, 3]: all of those, and others between them.
+    """Return points [count, 3] along lines between points [n, 3], which are among them.
 
     Longer legs are given more. ``count`` is at least n; points that repeat another are left out.
     """
@@ -181,11 +181,11 @@ def descend_path(
     flow: Flow,
     stays: bool,
 ) -> jax.Array:
-    """A way of the same ends that costs less, as free as the first.
+    """Return a path with the same ends, as clear as the first, that costs less.
 
-    Each step goes down the gradient of the cost, smoothed over the way by the inverse of its
+    Each step goes down the gradient of the cost, smoothed over the path by the inverse of its
     second difference: a bend of any length goes at the same rate, as in Newton's method for the
-    length. Near what stands costs more, and legs that would not be free do not go there.
+    length. Positions near still bodies cost more, and legs that would not be free do not go there.
 
     Args:
         land: the world.
@@ -265,12 +265,12 @@ def descend_path(
 
 
 def _leg_ends(is_leg: jax.Array) -> jax.Array:
-    """Points [n + 1] at the ends of legs [n]."""
+    """Return the points [n + 1] at the ends of legs [n]."""
     return jnp.concatenate([is_leg, is_leg[-1:]]) | jnp.concatenate([is_leg[:1], is_leg])
 
 
 def _smooth_slope(slope: jax.Array, fixed: jax.Array) -> jax.Array:
-    """Inverse second difference of rows [n, 3] over those that are not ``fixed`` [n]; 0 there.
+    """Return the inverse second difference of rows [n, 3]; 0 at rows that are ``fixed`` [n].
 
     Between two rows that stay, a and b, the inverse is Green's function of a string held there:
     (i - a) (b - j) / (b - a) for i <= j.
@@ -290,7 +290,7 @@ def _smooth_slope(slope: jax.Array, fixed: jax.Array) -> jax.Array:
 def _is_inside(
     land: Terrain, p: jax.Array, clearance_m: jax.Array, floor_z_m: jax.Array
 ) -> jax.Array:
-    """Whether a point [3] keeps clear of the cube's faces and the floor, as cells' centres do."""
+    """Return whether a point [3] keeps clear of faces and floor, as centres of cells do."""
     lo, n = land.grid.origin_m, jnp.array(land.layout.shape)
     hi = lo + n * land.grid.cell_m
     walls = jnp.all((p >= lo + clearance_m) & (p <= hi - clearance_m))
@@ -298,7 +298,7 @@ def _is_inside(
 
 
 def _nearness_cost(land: Terrain, p: jax.Array, clearance_m: jax.Array) -> jax.Array:
-    """Cost of a metre near what stands, in metres.
+    """Return the cost of a metre near still bodies, in metres.
 
     Distances of cells' centres, read between them: beside a flat wall half the distance and a
     quarter of a cell.

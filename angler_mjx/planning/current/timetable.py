@@ -1,4 +1,4 @@
-"""When each robot of a team sets off, so that ways fixed in space do not meet in time."""
+"""Departures of a team, so that paths fixed in space do not meet in time."""
 
 from dataclasses import replace
 
@@ -9,10 +9,10 @@ from angler_mjx.planning.path_search.bodies import GOAL_CLEAR_S
 from angler_mjx.planning.path_search.starts import meets_starts, select_flyable, select_paths
 from angler_mjx.planning.path_search.string_pulling import is_path_clear
 from angler_mjx.planning.path_search.traffic import GridTraffic, meets_traffic
-from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 
 _N_ORDERS = 3
-"""Orders of the team that are tried; who was left without a time goes first in the next."""
+"""Orders of the team that are tried; a robot left without a departure is first in the next."""
 
 
 def schedule_departures(
@@ -23,10 +23,10 @@ def schedule_departures(
     margin_m: float,
     horizon_s: float,
 ) -> Trajectory:
-    """One of its ways for each robot of a team, none of which meet.
+    """Select one candidate path for each robot of a team, so that none meet.
 
     Args:
-        candidates: [R, H]: the way of each robot for each time at which it can set off, the first
+        candidates: [R, H] path of each robot for each departure, the first
             preferred; ``is_found`` says whether there is one.
         hold_paths: [R] paths that stay at the starts.
         radius_m: [R].
@@ -95,7 +95,7 @@ def schedule_departures(
 def _is_clear_of_bodies(
     candidates: Trajectory, bodies: GridTraffic | None, by_m: jax.Array
 ) -> jax.Array:
-    """Which ways [H] of a robot are there, and clear of bodies until they are over, bool [H]."""
+    """Return which paths [H] of a robot exist and stay clear of bodies to their end, bool [H]."""
     if bodies is None:
         return candidates.found
     inflated = replace(bodies, reach_m=bodies.reach_m + by_m)

@@ -1,4 +1,4 @@
-"""A team among what it can touch, by Pinocchio and coal: the reference for what is compiled.
+"""Collision model of a team by Pinocchio and coal: the reference for the compiled checks.
 
 A configuration q has for each robot x, y, z, heading, then its arm's joints, if it has an arm (see
 `robots`). Roll and pitch are 0.
@@ -33,7 +33,7 @@ class NearestObstacle(NamedTuple):
 
 
 class TeamModel:
-    """A team and what it can touch: cells, sides of the cube, obstacles, and each other.
+    """Collision model of a team: rock, sides of the cube, obstacles, and each other.
 
     Attributes:
         model: of Pinocchio; `q` of a team without arms is [4 R].
@@ -90,11 +90,11 @@ class TeamModel:
 
     @classmethod
     def from_problem(cls, problem: Problem) -> Self:
-        """The team of a problem, in its world."""
+        """Build the team of a problem in its world."""
         return cls(team_hulls(problem), problem)
 
     def q(self, pose: np.ndarray) -> np.ndarray:
-        """Configuration of a team, place [R, 4] of x, y, z, heading; arms at their neutral."""
+        """Return the configuration of a team at x, y, z, heading [R, 4]; arms at neutral."""
         configuration = np.array(pin.neutral(self.model))
         for row, joint in zip(np.asarray(pose, float), self._joints, strict=True):
             configuration[joint : joint + 4] = row
@@ -110,7 +110,7 @@ class TeamModel:
         self._world.update()
 
     def state(self, q: np.ndarray) -> bool:
-        """Whether the team touches nothing at q."""
+        """Return whether the team touches nothing at q."""
         self._update_placements(q)
         if self._find_buried() is not None:
             return False
@@ -134,7 +134,7 @@ class TeamModel:
         )
 
     def edge(self, a: np.ndarray, b: np.ndarray, resolution_m: float) -> bool:
-        """Whether the team touches nothing at samples of the straight way from a to b.
+        """Return whether the team touches nothing at samples of the line from a to b.
 
         Args:
             a: configuration.
@@ -153,13 +153,13 @@ class TeamModel:
         )
 
     def clearance(self, q: np.ndarray) -> float:
-        """Least distance of any robot to anything, m; see `NearestObstacle`."""
+        """Return the least distance of any robot to anything, m; see `NearestObstacle`."""
         return self.nearest(q).distance_m
 
     def nearest(self, q: np.ndarray) -> NearestObstacle:
-        """What comes nearest to what at q.
+        """Return the nearest pair of bodies at q.
 
-        Pairs are worked out in the order of a lower bound of their distance, until that is no less
+        Pairs are computed in the order of a lower bound of their distance, until that is no less
         than the least found.
         """
         self._update_placements(q)
@@ -183,7 +183,7 @@ class TeamModel:
         return best
 
     def _add_scenery(self) -> list[tuple[int, int]]:
-        """Add what is no robot; rows of obstacles and their numbers among the bodies."""
+        """Add all bodies but robots; return rows of obstacles and their numbers among bodies."""
         moving = []
         problem = self._problem
         for bodies in (
@@ -215,7 +215,7 @@ class TeamModel:
         body.computeAABB()
 
     def _find_buried(self) -> int | None:
-        """A body whose origin lies in rock that has no geometry, if there is one.
+        """Return a body whose origin lies in rock without geometry; None if there is none.
 
         One that touches no rock that can be touched lies on one side of it with all its points.
         """
@@ -227,7 +227,7 @@ class TeamModel:
         return int(hit[0]) if len(hit) else None
 
     def _distance_bounds(self) -> np.ndarray:
-        """Lower bounds [robots' bodies, all bodies] of distances; -inf where two may overlap.
+        """Return lower bounds [robots' bodies, all bodies] of distances; -inf on possible overlap.
 
         The ball about a robot's body against the box of the other's own frame.
         """
@@ -239,7 +239,7 @@ class TeamModel:
 
 
 def _distance_request() -> Any:
-    """Distances with their points, signed, to 1e-5 m: coal stops at the square of a length."""
+    """Return a request for signed distances with points, to 1e-5 m: coal stops at its square."""
     request = coal.DistanceRequest(True, True)
     request.gjk_tolerance = 1e-10
     request.gjk_max_iterations = 1000

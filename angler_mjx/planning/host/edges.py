@@ -18,21 +18,21 @@ from angler_mjx.planning.host.timed import Traffic, timed_edge, timed_edges
 from angler_mjx.planning.problem import Problem
 
 MAX_NEAR_REACH = 0.99
-"""Edges of a cell; spheres that reach farther ask how far the rock is."""
+"""Reach in edges of a cell; larger spheres use the distance to rock."""
 
 
 class EdgeChecker:
     """Checks states and edges of the team of one problem.
 
     Cells, the faces of the cube (the spheres stay within), the sea floor, obstacles that stand, and
-    the robots among each other. Nothing is called free that comes nearer than ``margin_m``; what is
-    farther than ``margin_m + SLACK_M`` is.
+    the robots among each other. A state or edge nearer than ``margin_m`` is not free; one farther
+    than ``margin_m + SLACK_M`` is.
 
     Attributes:
-        robots: how many of the team are checked, R.
-        edge_flat: one edge, from and to float64 [3 R] (contiguous); the fastest way in.
+        robots: number of checked robots, R.
+        edge_flat: one edge, from and to float64 [3 R] (contiguous); the fastest entry.
         state_flat: one state, float64 [3 R].
-        packed: the problem as compiled functions take it.
+        packed: the problem as arguments of compiled functions.
     """
 
     robots: int
@@ -71,30 +71,30 @@ class EdgeChecker:
         self.state_flat = partial(sweeping.is_state_free, *self.packed)
 
     def state(self, p: np.ndarray) -> bool:
-        """Whether the team can be at p [R, 3], m, W."""
+        """Return whether the team can be at p [R, 3], m, W."""
         return self.state_flat(self._flatten_state(p))
 
     def states(self, p: np.ndarray) -> np.ndarray:
-        """Whether the team can be at each of p [n, R, 3]; bool [n]."""
+        """Return whether the team can be at each of p [n, R, 3]; bool [n]."""
         flat = self._flatten_states(p)
         return sweeping.are_edges_free(*self.packed, flat, flat)
 
     def edge(self, a: np.ndarray, b: np.ndarray) -> bool:
-        """Whether the team can go from a [R, 3] to b [R, 3], m, W."""
+        """Return whether the team can go from a [R, 3] to b [R, 3], m, W."""
         return self.edge_flat(self._flatten_state(a), self._flatten_state(b))
 
     def edges(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        """Whether the team can go from each of a to each of b [n, R, 3]; bool [n]."""
+        """Return whether the team can go from each of a to each of b [n, R, 3]; bool [n]."""
         return sweeping.are_edges_free(
             *self.packed, self._flatten_states(a), self._flatten_states(b)
         )
 
     def clearance(self, p: np.ndarray) -> float:
-        """Least distance of any robot's sphere to anything, m; negative where they overlap."""
+        """Return the least distance of any robot's sphere to anything, m; negative on overlap."""
         return float(self.clearances(np.asarray(p)[None])[0])
 
     def clearances(self, p: np.ndarray) -> np.ndarray:
-        """The same for each of p [n, R, 3]; float64 [n]."""
+        """Return `clearance` of each of p [n, R, 3]; float64 [n]."""
         self._measure_rings()
         return sweeping.team_clearances(*self.packed, self._flatten_states(p))
 
@@ -107,7 +107,7 @@ class EdgeChecker:
         t_b: float,
         traffic: Traffic,
     ) -> bool:
-        """Whether one robot can go from a [3] at t_a to b [3] at t_b, s, at one speed.
+        """Return whether one robot can go from a [3] at t_a to b [3] at t_b, s, at one speed.
 
         Looked at are cells, faces, floor, obstacles that stand, those that move (their bounding
         spheres along lines between the places that are known, whatever ``moving`` says), and the
@@ -118,7 +118,7 @@ class EdgeChecker:
             a: m, W.
             t_a: 0 or later.
             b: where it stays the whole time, if it is a.
-            t_b: not before t_a; inf for one who stays.
+            t_b: not before t_a; inf for a robot that stays.
             traffic: the other robots' paths.
         """
         robot_index = self._check_robot_index(robot)
@@ -142,7 +142,7 @@ class EdgeChecker:
         t_b: np.ndarray,
         traffic: Traffic,
     ) -> np.ndarray:
-        """The same for each of a, b [n, 3] and t_a, t_b [n]; bool [n]."""
+        """Return `timed_edge` of each of a, b [n, 3] and t_a, t_b [n]; bool [n]."""
         robot_index = self._check_robot_index(robot)
         starts_m, goals_m = (np.ascontiguousarray(p, np.float64).reshape(-1, 3) for p in (a, b))
         begin, end = (np.ascontiguousarray(t, np.float64).reshape(-1) for t in (t_a, t_b))

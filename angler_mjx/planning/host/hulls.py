@@ -13,13 +13,12 @@ from angler_mjx.planning.problem import Problem
 class HullChecker:
     """Checks states and edges of the team's hulls: capsules, turned about z by the heading.
 
-    On an edge places and headings all go straight from one to the other, at the same share of it.
-    Nothing is called free that comes nearer than ``margin_m``; on an edge, and in a state, what
-    comes nearer than `compiled.advancing.TOLERANCE_M` more is not either.
+    On an edge positions and headings change linearly and together.
+    A state or edge nearer than ``margin_m`` plus `compiled.advancing.TOLERANCE_M` is not free.
 
     Attributes:
-        robots: how many of the team are checked, R.
-        edge_flat: one edge, from and to float64 [4 R] (contiguous); the fastest way in.
+        robots: number of checked robots, R.
+        edge_flat: one edge, from and to float64 [4 R] (contiguous); the fastest entry.
     """
 
     robots: int
@@ -46,20 +45,20 @@ class HullChecker:
         self.edge_flat = partial(advancing.is_edge_free, *self._packed, self._hull, self._turning)
 
     def state(self, q: np.ndarray) -> bool:
-        """Whether the team can be at q [R, 4]: x, y, z (m, W), heading (rad)."""
+        """Return whether the team can be at q [R, 4]: x, y, z (m, W), heading (rad)."""
         flat = self._flatten_states(q)[0]
         return self.edge_flat(flat, flat)
 
     def states(self, q: np.ndarray) -> np.ndarray:
-        """The same for each of q [n, R, 4]; bool [n]."""
+        """Return `state` of each of q [n, R, 4]; bool [n]."""
         return self.edges(q, q)
 
     def edge(self, a: np.ndarray, b: np.ndarray) -> bool:
-        """Whether the team can go from a [R, 4] to b [R, 4]."""
+        """Return whether the team can go from a [R, 4] to b [R, 4]."""
         return self.edge_flat(self._flatten_states(a)[0], self._flatten_states(b)[0])
 
     def edges(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        """The same for each of a and b [n, R, 4]; bool [n]."""
+        """Return `edge` of each of a and b [n, R, 4]; bool [n]."""
         return advancing.are_edges_free(
             *self._packed,
             self._hull,
@@ -69,7 +68,7 @@ class HullChecker:
         )
 
     def clearances(self, q: np.ndarray) -> np.ndarray:
-        """Least distance of any hull to anything for each of q [n, R, 4]; float64 [n], m.
+        """Return the least distance of any hull to anything at each of q [n, R, 4]; float64 [n], m.
 
         Exact up to the least radius of the robots' spheres; a lower bound beyond.
         """

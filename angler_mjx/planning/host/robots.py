@@ -12,6 +12,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 
+from angler_mjx._moved import renamed as _renamed
 from angler_mjx.planning.problem import Problem
 from angler_mjx.robot.vehicles.params import VehicleParams
 
@@ -32,7 +33,7 @@ class PlannedRobot:
 
     @classmethod
     def of(cls, vehicle: VehicleParams, arm: tuple[Any, Any] | None = None) -> Self:
-        """The hull of a vehicle file that was built, with an arm or without."""
+        """Build the hull of a vehicle file, with an arm or without."""
         return cls(
             capsule_a_m=np.asarray(vehicle.capsule_a_m, float),
             capsule_b_m=np.asarray(vehicle.capsule_b_m, float),
@@ -42,7 +43,7 @@ class PlannedRobot:
 
     @classmethod
     def from_radius(cls, radius_m: float) -> Self:
-        """A sphere about the centre of mass."""
+        """Build a sphere about the centre of mass."""
         return cls(
             capsule_a_m=np.zeros((1, 3)),
             capsule_b_m=np.zeros((1, 3)),
@@ -51,7 +52,7 @@ class PlannedRobot:
 
 
 def team_hulls(problem: Problem) -> list[PlannedRobot]:
-    """The hulls of the team of a problem."""
+    """Return the hulls of the team of a problem."""
     hulls = problem.team
     rows = zip(hulls.capsule_a_m, hulls.capsule_b_m, hulls.capsule_r_m, strict=True)
     return [
@@ -65,7 +66,7 @@ def team_hulls(problem: Problem) -> list[PlannedRobot]:
 
 
 def build_model(robots: Sequence[PlannedRobot]) -> tuple[Any, Any, list[int]]:
-    """Model and geometry model of a team, and where each robot's numbers begin in q.
+    """Build model and geometry model of a team, and the offset of each robot in q.
 
     Bodies are named ``robot_N_capsule_M``, and those of arms ``robot_N_`` and their own name.
     """
@@ -88,14 +89,14 @@ def build_model(robots: Sequence[PlannedRobot]) -> tuple[Any, Any, list[int]]:
 
 
 def owner_index(name: str) -> int:
-    """Number of the robot that a body belongs to."""
+    """Return the index of the robot that a body belongs to."""
     return int(name.split("_")[1])
 
 
 def _attach_arm(
     model: Any, geometry: Any, name: str, joint: int, arm: tuple[Any, Any]
 ) -> tuple[Any, Any]:
-    """Both with an arm below a robot's heading."""
+    """Attach an arm below a robot's heading, to model and geometry model."""
     arm_model, bodies = (part.copy() for part in arm)
     for index in range(1, arm_model.njoints):
         arm_model.names[index] = f"{name}_{arm_model.names[index]}"
@@ -112,10 +113,15 @@ def _attach_arm(
 
 
 def _capsule_geometry(a: np.ndarray, b: np.ndarray, r: float) -> tuple[Any, Any]:
-    """Geometry and placement of a capsule by the ends of its axis."""
+    """Return geometry and placement of a capsule by the ends of its axis."""
     axis = b - a
     length = float(np.linalg.norm(axis))
     if length == 0.0:
         return coal.Sphere(r), pin.SE3(np.eye(3), a)
     rotation = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis / length).matrix()
     return coal.Capsule(r, length), pin.SE3(rotation, 0.5 * (a + b))
+
+
+def __getattr__(name: str) -> Any:
+    """Return what had another name before 0.2."""
+    return _renamed(__name__, name)

@@ -1,4 +1,4 @@
-"""What robots can touch in a problem, as geometries of coal with names."""
+"""Bodies of a problem that robots can touch, as named geometries of coal."""
 
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -25,7 +25,7 @@ class SceneryBody(NamedTuple):
 
 
 def enclosed_rock(occupied: np.ndarray) -> np.ndarray:
-    """Rock bool [nx, ny, nz] with rock across all six faces: nothing touches it first."""
+    """Return rock bool [nx, ny, nz] with rock across all six faces, which nothing touches first."""
     solid = np.pad(np.asarray(occupied, bool), 1)
     core = (slice(1, -1),) * 3
     inside = solid[core].copy()
@@ -36,7 +36,7 @@ def enclosed_rock(occupied: np.ndarray) -> np.ndarray:
 
 
 def rock_bodies(problem: Problem) -> Iterator[SceneryBody]:
-    """Boxes of the rock that can be touched: ``cell_I_J_K``."""
+    """Return boxes of the rock that can be touched: ``cell_I_J_K``."""
     grid = problem.grid
     edge, origin = float(grid.cell_m), np.asarray(grid.origin_m, float)
     rock = np.asarray(grid.occupied, bool)
@@ -48,7 +48,7 @@ def rock_bodies(problem: Problem) -> Iterator[SceneryBody]:
 
 
 def wall_bodies(problem: Problem) -> Iterator[SceneryBody]:
-    """Boxes around the cube, the floor among them, each as thick as the cube is wide."""
+    """Return boxes around the cube and the floor, each as thick as the cube is wide."""
     grid = problem.grid
     low = np.asarray(grid.origin_m, float).copy()
     high = low + float(grid.cell_m) * np.array(grid.occupied.shape)
@@ -64,7 +64,7 @@ def wall_bodies(problem: Problem) -> Iterator[SceneryBody]:
 
 
 def obstacle_bodies(problem: Problem) -> Iterator[SceneryBody]:
-    """Bodies that are known to exist, where they are at t = 0: ``obstacle_N``."""
+    """Return known obstacles where they are at t = 0: ``obstacle_N``."""
     information = problem.obstacles
     for row in np.flatnonzero(information.exists):
         size = np.asarray(information.half_size_m[row], float)
@@ -77,7 +77,7 @@ def obstacle_bodies(problem: Problem) -> Iterator[SceneryBody]:
 
 
 def obstacle_pose(problem: Problem, row: int, time_s: float) -> tuple[np.ndarray, np.ndarray]:
-    """Matrix [3, 3] and centre [3] of an obstacle: between two known places on the line.
+    """Return matrix [3, 3] and centre [3] of an obstacle, on the line between known positions.
 
     Attitudes between are the normed mean of their quaternions; the last is held.
     """

@@ -29,7 +29,7 @@ class Traffic:
 
     @classmethod
     def of(cls, time_s: np.ndarray, position_m: np.ndarray, radius_m: np.ndarray) -> Self:
-        """Traffic from arrays of any real type.
+        """Build traffic from arrays of any real type.
 
         Raises:
             ConfigError: the shapes do not belong together, a time falls, or a number is not finite.
@@ -56,13 +56,13 @@ class Traffic:
 
     @classmethod
     def none(cls) -> Self:
-        """No traffic."""
+        """Build traffic without paths."""
         return cls.of(np.zeros((0, 1)), np.zeros((0, 1, 3)), np.zeros(0))
 
 
 @compile_function
 def _last_index_before(time: np.ndarray, t: float) -> int:
-    """The last of the times that is not after t; -1 where there is none."""
+    """Return the index of the last time that is not after t; -1 if there is none."""
     low, high = 0, time.shape[0]
     while low < high:
         middle = (low + high) // 2
@@ -75,7 +75,7 @@ def _last_index_before(time: np.ndarray, t: float) -> int:
 
 @compile_function
 def _time_fraction(t: float, begin: float, end: float) -> float:
-    """How much of the way from begin to end is gone at t."""
+    """Return the fraction of the interval from begin to end that has passed at t."""
     return (t - begin) / (end - begin) if end - begin > 0.0 else 0.0
 
 
@@ -90,7 +90,7 @@ def _relative_motion(
     path_fraction: float,
     next_path_fraction: float,
 ) -> tuple[float, float]:
-    """A coordinate's difference of two motions a to b and p to q between two shares of each.
+    """Return the difference of two motions a to b and p to q in one coordinate, and its change.
 
     At first, and how it changes from there.
     """
@@ -110,7 +110,7 @@ def meets_path(
 ) -> bool:
     """Return whether a point going from a at t_a to b at t_b is within ``min_distance`` of a path.
 
-    Between two of the path's times both go along lines, and so does the way between them.
+    Between two of the path's times both go along lines, and so does their difference.
     """
     last = time.shape[0] - 1
     k, t = _last_index_before(time, t_a), t_a
@@ -181,7 +181,7 @@ def timed_edge(
     b: np.ndarray,
     t_b: float,
 ) -> bool:
-    """Whether one robot can go from a at t_a to b at t_b; see `edges.EdgeChecker.timed_edge`."""
+    """Return whether one robot can go from a at t_a to b at t_b; see `edges.EdgeChecker`."""
     world = unpack_fields(head, reals)
     radius_m, keep = world.radius[robot], world.keep[0]
     reach = radius_m + keep
@@ -218,7 +218,7 @@ def timed_edges(
     b: np.ndarray,
     t_b: np.ndarray,
 ) -> np.ndarray:
-    """Many of them; a and b float64 [n, 3], times float64 [n]."""
+    """Check many timed edges; a and b float64 [n, 3], times float64 [n]."""
     free = np.empty(a.shape[0], np.bool_)
     for n in range(a.shape[0]):
         free[n] = timed_edge(

@@ -1,14 +1,17 @@
-"""The inside of a worker process: makes planners, and has them plan what comes down the pipe.
+"""Main program of a worker process: makes planners and plans the problems that it receives.
 
-A planner is anybody's code. Whatever it raises is its failure on that problem, and no more.
-Only `angler_mjx.planning.host.processes` starts it. Down come the pool's own planner (or None),
-then for each problem its planner and the problem, pickled. A message up is a pickled tuple that
-begins with a word: ``ready`` (or ``cannot`` and why not), then for each problem ``began``, when the
-planner is asked, and ``done`` with the answer.
+Any exception of a planner is its answer to that problem. Only `process.WorkerProcess` starts this
+program. It sends the pool's own planner (or None), then for each problem its planner and the
+problem, pickled. It receives pickled tuples that begin with a word: ``ready`` (or ``cannot`` and
+the reason), then for each problem ``began``, when the planner starts, and ``done`` with the answer.
 """
 
+import fcntl
+import os
 import pickle
+import select
 import signal
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,7 +20,6 @@ from pathlib import Path
 
 from angler_mjx.errors import AnglerError, describe_error
 from angler_mjx.planning.answers import Answer, check_answer, failed_answer
-from angler_mjx.planning.host.processes.ending import end_with
 from angler_mjx.planning.planner import Planner
 from angler_mjx.planning.problem import Problem
 from angler_mjx.planning.register import PlannerSpec
@@ -25,22 +27,37 @@ from angler_mjx.planning.register import PlannerSpec
 
 @dataclass
 class _LoadedPlanner:
-    """A planner that was made here."""
+    """A planner that this process made."""
 
     planner: Planner
     max_points: int
     file: Path | None
-    """Of its class, where it is one of a user's."""
+    """File of its class; None of a module."""
     warm: Callable[[Problem], object] | None
-    """Until it was called."""
+    """Its ``warm_up``; None without, and after the call."""
 
 
 class _LoadFailure(str):
-    """Why a planner cannot be made."""
+    """Reason why a planner cannot be made."""
+
+
+def end_with(watch: int) -> None:
+    """Let the kernel end this process's group when the other end of a pipe is closed.
+
+    A thread that watched the pipe would wait for the interpreter, which a planner may hold without
+    end; the default action of the kernel's signal (SIGIO) needs no interpreter.
+
+    Args:
+        watch: descriptor of a pipe's reading end, to which nothing is ever written.
+    """
+    fcntl.fcntl(watch, fcntl.F_SETOWN, -os.getpgrp())
+    fcntl.fcntl(watch, fcntl.F_SETFL, fcntl.fcntl(watch, fcntl.F_GETFL) | os.O_ASYNC)
+    if select.select([watch], [], [], 0.0)[0]:
+        sys.exit(1)
 
 
 def main(pipe: int, watch: int) -> None:
-    """Works until there is nobody left to work for.
+    """Plan until the pool closes its end of the pipe.
 
     Args:
         pipe: descriptor of the socket to the pool.
@@ -67,7 +84,7 @@ def main(pipe: int, watch: int) -> None:
 def _serve_problem(
     connection: Connection, planners: dict[bytes, _LoadedPlanner | _LoadFailure]
 ) -> None:
-    """Answers one problem."""
+    """Receive one problem and send its answer."""
     packed_planner = connection.recv_bytes()
     problem: Problem = pickle.loads(connection.recv_bytes())
     if packed_planner not in planners:
@@ -85,14 +102,8 @@ def _serve_problem(
             planner.warm(problem)
         except BaseException as error:
             connection.send(("began",))
-            connection.send(
-                (
-                    "done",
-                    failed_answer(
-                        problem.robots, "error", describe_error(error, planner.file), 0.0
-                    ),
-                )
-            )
+            reason = describe_error(error, planner.file)
+            connection.send(("done", failed_answer(problem.robots, "error", reason, 0.0)))
             return
         planner.warm, warm_up_s = None, time.perf_counter() - begin
     connection.send(("began",))

@@ -1,4 +1,4 @@
-"""What a sample costs: the way that is left, what it comes too near to, and the power it takes."""
+"""Cost of a sample: remaining path, approach to bodies, and power."""
 
 from dataclasses import dataclass
 
@@ -9,16 +9,16 @@ import jax.numpy as jnp
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class Weights:
-    """What a sample costs, in metres of way; and how samples are drawn and weighed."""
+    """Weights of costs, in metres of path, and settings of the sampling."""
 
     end: float = 1.0
-    """Way left at the end."""
+    """Weight of the remaining path at the end."""
     along: float = 1.0
-    """Way left, mean over the horizon."""
+    """Weight of the mean remaining path over the horizon."""
     touch_per_s: float = 100.0
     """Of being in touch with anything."""
     near_per_s: float = 2.0
-    """Of being nearer than the margin; grows with the square of what is missing."""
+    """Weight of an approach below the margin; the cost grows with the square of the deficit."""
     margin_m: float = 0.3
     """Gap to anything from which on nearness costs."""
     effort: float = 0.05
@@ -28,13 +28,13 @@ class Weights:
     noise: float = 0.5
     """Standard deviation of a knot, over the cruise speed."""
     response_s: float = 0.3
-    """Time constant by which asked velocities are taken up."""
+    """Time constant [s] with which commanded velocities are followed."""
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class CostBodies:
-    """What moves, over the horizon."""
+    """Moving bodies over the horizon."""
 
     centre_m: jax.Array
     """[H, n, 3] at the end of each step, in W."""
@@ -43,7 +43,7 @@ class CostBodies:
 
 
 def nearness_cost(weights: Weights, gap_m: jax.Array) -> jax.Array:
-    """Cost per second of gaps [...] to a body."""
+    """Return the cost per second of gaps [...] to a body."""
     shortfall = jnp.clip(1.0 - gap_m / weights.margin_m, 0.0, 1.0)
     return weights.near_per_s * shortfall**2 + weights.touch_per_s * (gap_m < 0.0)
 
@@ -51,7 +51,7 @@ def nearness_cost(weights: Weights, gap_m: jax.Array) -> jax.Array:
 def risk_cost(
     weights: Weights, p: jax.Array, clear_m: jax.Array, centre_m: jax.Array, reach_m: jax.Array
 ) -> jax.Array:
-    """Cost per second [S] of being where samples are.
+    """Return the cost per second [S] of the positions of samples.
 
     Args:
         weights: of the cost.

@@ -2,7 +2,7 @@
 
 Both are numbers at nodes half a cell apart, at the centres of cells and in the middles of their
 faces, edges and corners, read by trilinear interpolation. Along a flat wall, and in a passage of
-one cell, what is read of the gap is exact.
+one cell, the interpolated gap is exact.
 """
 
 import itertools
@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.world.grid import Grid
+from angler_mjx.world.rock.grid import Grid
 
 FAR = 1e6
-"""Way left, m, from where none is known yet."""
+"""Remaining path [m] of nodes before their first value."""
 
 
 @jax.tree_util.register_dataclass
@@ -31,7 +31,7 @@ class DistanceField:
 
 
 def nodes_m(grid: Grid) -> jax.Array:
-    """Places [nx, ny, nz, 3] of the nodes, m, in W."""
+    """Return the positions [nx, ny, nz, 3] of the nodes, m, W."""
     axes = [
         grid.origin_m[i] + 0.5 * grid.cell_m * jnp.arange(2 * n + 1)
         for i, n in enumerate(grid.occupied.shape)
@@ -57,7 +57,7 @@ def obstacle_distance(grid: Grid, floor_z_m: jax.Array) -> jax.Array:
 
 
 def _distance_to_cells(cells: jax.Array) -> jax.Array:
-    """Distance [nx, ny, nz], in cells, from nodes to the cells that are set, [n, n, n].
+    """Return distances [nx, ny, nz] in cells from nodes to the set cells [n, n, n].
 
     Squared distance to boxes of one grid is a sum over axes: its minimum is taken one by one.
     """
@@ -73,7 +73,7 @@ def _distance_to_cells(cells: jax.Array) -> jax.Array:
 def path_length_to_goal(
     free: jax.Array, goal_m: jax.Array, origin_m: jax.Array, h: jax.Array
 ) -> jax.Array:
-    """Length [nx, ny, nz] of the shortest way in free water from each node to a goal.
+    """Return the length [nx, ny, nz] of the shortest free path from each node to a goal.
 
     Solves |grad V| = 1 by upwind differences (Godunov's; first order), all nodes at once, until
     nothing changes. Nodes near the goal are given their distance from it. What is not free takes
@@ -117,7 +117,7 @@ def path_length_to_goal(
 
 
 def _neighbour_values(value: jax.Array, step: tuple[int, ...]) -> jax.Array:
-    """What stands at each node's neighbour; `FAR` beyond the border."""
+    """Return the value of each node's neighbour; `FAR` beyond the border."""
     padded = jnp.pad(value, 1, constant_values=FAR)
     return jax.lax.slice(
         padded,
@@ -127,7 +127,7 @@ def _neighbour_values(value: jax.Array, step: tuple[int, ...]) -> jax.Array:
 
 
 def _min_neighbour(value: jax.Array) -> jax.Array:
-    """Least of the 26 neighbours, less what a diagonal is longer than a step."""
+    """Return the least of the 26 neighbours, less the excess of a diagonal over a step."""
     best = value
     for axis in range(3):
         ahead = tuple(int(i == axis) for i in range(3))
@@ -139,7 +139,7 @@ def _min_neighbour(value: jax.Array) -> jax.Array:
 
 
 def _upwind_solution(value: jax.Array, h: jax.Array) -> jax.Array:
-    """Solution at each node for the values of its neighbours as they are."""
+    """Return the solution at each node for the present values of its neighbours."""
     axis_values = []
     for axis in range(3):
         ahead = tuple(int(i == axis) for i in range(3))
@@ -165,7 +165,7 @@ def _upwind_solution(value: jax.Array, h: jax.Array) -> jax.Array:
 
 
 def interpolate(field: DistanceField, p: tuple[jax.Array, jax.Array, jax.Array]) -> list[jax.Array]:
-    """Numbers at points, by trilinear interpolation; held beyond the border.
+    """Interpolate numbers at points, trilinearly; held beyond the border.
 
     Args:
         field: [nx, ny, nz, k].

@@ -1,4 +1,4 @@
-"""What water does to one robot that holds its heading, level: drag, thrusts against it, power.
+"""Drag, thrusts and power of one robot that holds its heading, level.
 
 Three directions alone, those of the robot's own axes; samples [S] are last. Turning is left out.
 """
@@ -30,7 +30,7 @@ class DragHull:
     thrusters: jax.Array
     """[n_thruster, 3] thrust per newton of a force."""
     max_thrust_n: jax.Array
-    """[] thrust of a thruster, either way."""
+    """[] thrust limit of a thruster in both directions."""
     fastest_mps: jax.Array
     """[3] through the water, along the robot's axes."""
     cruise_mps: jax.Array
@@ -40,7 +40,7 @@ class DragHull:
 def build_drag_hull(
     params: ControlParams, yaw_rad: jax.Array, density_kgpm3: float, gravity_mps2: float
 ) -> DragHull:
-    """The numbers of one robot as its controllers know it.
+    """Build the hull of one robot from its controllers' vehicle model.
 
     A vehicle without thrust in some direction is taken to turn its bow there.
     """
@@ -60,32 +60,32 @@ def build_drag_hull(
 
 
 def to_body(hull: DragHull, x: jax.Array) -> jax.Array:
-    """Vectors [3, S] of W along the robot's axes."""
+    """Rotate vectors [3, S] from W to the robot's axes."""
     c, s = hull.heading[0], hull.heading[1]
     return jnp.stack([c * x[0] + s * x[1], c * x[1] - s * x[0], x[2]])
 
 
 def to_world(hull: DragHull, x: jax.Array) -> jax.Array:
-    """Vectors [3, S] along the robot's axes, in W."""
+    """Rotate vectors [3, S] from the robot's axes to W."""
     c, s = hull.heading[0], hull.heading[1]
     return jnp.stack([c * x[0] - s * x[1], s * x[0] + c * x[1], x[2]])
 
 
 def drag_coefficient(hull: DragHull, through: jax.Array) -> jax.Array:
-    """Drag [3, S] over velocity, N s/m, of velocities [3, S] through the water."""
+    """Return drag over velocity [3, S], N s/m, of velocities [3, S] through the water."""
     return hull.linear[:, None] + hull.quadratic[:, None] * jnp.abs(through)
 
 
 def lift_force(hull: DragHull) -> jax.Array:
-    """Buoyancy less weight, a force [3, 1] along the robot's axes."""
+    """Return buoyancy less weight, a force [3, 1] along the robot's axes."""
     up = jnp.array([0.0, 0.0, 1.0], hull.lift_n.dtype)
     return (hull.lift_n * up)[:, None]
 
 
 def limit_velocity(hull: DragHull, through: jax.Array) -> jax.Array:
-    """Velocities [3, S] through the water, shortened to what thrust can hold.
+    """Shorten velocities [3, S] through the water to those that thrust can hold.
 
-    Surge and sway take the same thrusters: at each half of what it can do alone, forces add up.
+    Surge and sway take the same thrusters: at half of the limit of each, forces add up.
     Those of quadratic drag then leave an ellipse of velocities. Heave has its own.
     """
     speed_ratio = through / hull.fastest_mps[:, None]
@@ -101,7 +101,7 @@ def limit_velocity(hull: DragHull, through: jax.Array) -> jax.Array:
 
 
 def allocate_thrust(hull: DragHull, force: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """What thrusters can do of forces [3, S] along the robot's axes.
+    """Return the realisable part of forces [3, S] along the robot's axes.
 
     Surge and sway are cut by one factor, heave by its own, so that no thruster runs past its end by
     either alone.
@@ -118,7 +118,7 @@ def allocate_thrust(hull: DragHull, force: jax.Array) -> tuple[jax.Array, jax.Ar
 
 
 def relative_power(hull: DragHull, thrust_n: jax.Array) -> jax.Array:
-    """Power [S] of thrusts [n_thruster, S], over that of cruising ahead through still water.
+    """Return the power [S] of thrusts [n_thruster, S] over that of cruising in still water.
 
     A propeller takes power as the 3/2 of its thrust.
     """

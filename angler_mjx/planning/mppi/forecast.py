@@ -1,4 +1,4 @@
-"""What is known of obstacles and of the current, over a horizon."""
+"""Known obstacles, robots and current over a horizon."""
 
 import jax
 import jax.numpy as jnp
@@ -7,13 +7,13 @@ from angler_mjx.sim.information import CurrentInformation, ObstacleInformation
 from angler_mjx.world.acoustics.channel import HeardRobots
 
 ABSENT_REACH_M = -1e3
-"""Reach of what is not there."""
+"""Reach of absent bodies."""
 
 
 def current_along(
     current: CurrentInformation | None, path_m: jax.Array, ahead_s: jax.Array
 ) -> jax.Array:
-    """Velocity [H, 3] of the water in W, as far as it is known, along a way [H, 3] at times [H]."""
+    """Return the known velocity [H, 3] of the water in W along positions [H, 3] at times [H]."""
     if current is None:
         return jnp.zeros_like(path_m)
     velocity_mps: jax.Array = jax.vmap(current.velocity)(path_m, ahead_s)
@@ -23,10 +23,10 @@ def current_along(
 def extrapolate_robots(
     others: HeardRobots, time_s: jax.Array, ahead_s: jax.Array, robot: jax.Array
 ) -> jax.Array:
-    """Places [H, R, 3] of robots at times [H] from now, as far as one of them has heard.
+    """Return positions [H, R, 3] of robots at times [H] from now, as far as one has heard.
 
     Args:
-        others: what all have heard of each other.
+        others: received states of the robots.
         time_s: [] now.
         ahead_s: [H]
         robot: int32 [] whose knowledge it is.
@@ -38,7 +38,7 @@ def extrapolate_robots(
 def extrapolate_obstacles(
     information: ObstacleInformation | None, ahead_s: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Places [n, H, 3] at times [H] from now, and bounding radii [n].
+    """Return positions [n, H, 3] at times [H] from now, and bounding radii [n].
 
     On lines between places that are told, held after the last; straight on where one is told. What
     does not exist has the radius `ABSENT_REACH_M`.

@@ -1,7 +1,7 @@
-"""How a robot answers the velocities that it is asked for, in samples; two models of one step.
+"""Response of a robot to commanded velocities, in samples; two models of one step.
 
 `ThrusterLag` takes the velocity loop of the controllers as a lag of first order, towards the
-velocity that thrust can hold in the current. `ForceModel` works out the forces of thrusters, within
+velocity that thrust can hold in the current. `ForceModel` computes the forces of thrusters, within
 their limits, and moves the robot by its mass, added mass, drag and net weight.
 """
 
@@ -21,7 +21,7 @@ class RobotModel(Protocol):
     def step(
         self, v: jax.Array, target_mps: jax.Array, flow: jax.Array, dt_s: float
     ) -> tuple[jax.Array, jax.Array]:
-        """One step of samples.
+        """Advance samples by one step.
 
         Args:
             v: [3, S] velocities over ground, in W.
@@ -73,7 +73,7 @@ class ForceModel:
     ) -> tuple[jax.Array, jax.Array]:
         """See `RobotModel.step`.
 
-        The force is what takes up the asked velocity as a lag would. Drag is taken at the end of
+        The force follows the commanded velocity as a lag would. Drag is taken at the end of
         the step, by its slope at the beginning: within limits the velocity then is that of the lag.
         """
         hull = self.hull

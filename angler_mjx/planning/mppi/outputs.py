@@ -1,4 +1,4 @@
-"""What one robot is told: the velocity that its samples came to, or the wrench that takes it up."""
+"""Command of one robot: the velocity of its samples, or the wrench that follows it."""
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +16,7 @@ def build_twist(
     yaw_rad: jax.Array,
     attitude_per_s: jax.Array | float,
 ) -> BodyTwist:
-    """A velocity over ground, and the turn that closes the error of heading.
+    """Return a velocity over ground, and the yaw rate that closes the heading error.
 
     Args:
         vehicle: one without sway turns its bow to where it goes.
@@ -40,7 +40,7 @@ def build_wrench(
     density_kgpm3: float,
     gravity_mps2: float,
 ) -> BodyWrench:
-    """The wrench of the full closed form by which the asked velocity is taken up as by a lag.
+    """Return the wrench of the closed form that follows the commanded velocity as a lag.
 
     The moment turns the vehicle level and to its heading, critically damped, and carries what
     righting, drag and added mass do to it. The current is that of the estimate; none if it has

@@ -1,6 +1,6 @@
-"""A fleet flown by path integral control: each robot among what the others meant to do last.
+"""Path integral control of a fleet: each robot among the last plans of the others.
 
-Where robots talk by acoustics, each is among what it has heard of them, going straight on.
+With acoustics each robot extrapolates the others from their last packets.
 """
 
 from dataclasses import dataclass, field
@@ -24,16 +24,16 @@ from angler_mjx.sim.information import Information
 from angler_mjx.sim.policy import Policy, PolicyInput
 
 type Output = Literal["twist", "wrench"]
-"""What robots are commanded by."""
+"""Types of command."""
 
 PATH_MARGIN_M = 0.1
-"""Beside a robot's radius, for the way that is left."""
+"""Distance [m] beyond a robot's radius in the field of remaining path."""
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class MppiMemory:
-    """What it keeps of one world; [R] leads but for the time."""
+    """Memory of one world; [R] leads but for the time."""
 
     field: fields.DistanceField
     knots: jax.Array
@@ -67,7 +67,7 @@ class Mppi(Policy):
 
     @property
     def steps(self) -> int:
-        """Of a sample."""
+        """Number of steps of a sample."""
         return round(self.horizon_s / self.dt_s)
 
     def reset(self, inputs: PolicyInput, key: jax.Array) -> MppiMemory:
@@ -106,7 +106,7 @@ class Mppi(Policy):
         robots, radii = jnp.arange(inputs.goal_m.shape[0]), inputs.params.vehicle_model.radius_m
 
         def bodies_around(i: jax.Array) -> jax.Array:
-            """[H, n, 3] robots and obstacles, as far as robot i knows."""
+            """Return [H, n, 3] robots and obstacles, as far as robot i knows them."""
             if inputs.others is None:
                 return centre
             heard = forecast.extrapolate_robots(inputs.others, inputs.time_s, ahead_s, i)
@@ -158,7 +158,7 @@ class Mppi(Policy):
     def _build_commands(
         self, inputs: PolicyInput, target_mps: jax.Array, flow: jax.Array, yaw: jax.Array
     ) -> BodyTwist | BodyWrench:
-        """Of all robots, for velocities over ground [R, 3] in the currents [R, 3] there."""
+        """Build commands of all robots for velocities over ground [R, 3] in currents [R, 3]."""
 
         def build_command(
             vehicle: VehicleParams, *robot_inputs: jax.Array

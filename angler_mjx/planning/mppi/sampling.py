@@ -1,8 +1,8 @@
-"""Path integral control of one robot: samples, what they cost, and the new mean.
+"""Path integral control of one robot: samples, their costs, and the new mean.
 
 A sample is a row of knots, velocities over ground in W, joined by lines. Pure functions of one
 robot; robots and worlds are the caller's ``vmap``. Samples are the last axis, and time is a scan,
-so what is held at a time is one step of them.
+so memory holds one step of them at a time.
 """
 
 from dataclasses import dataclass
@@ -16,16 +16,16 @@ from angler_mjx.planning.mppi.distance_field import DistanceField, interpolate
 from angler_mjx.planning.mppi.models import RobotModel
 
 type SampleState = tuple[jax.Array, jax.Array, jax.Array, jax.Array]
-"""Places, velocities [3, S], way left and cost [S] of samples."""
+"""Positions, velocities [3, S], remaining path and cost [S] of samples."""
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class RolloutScene:
-    """What one robot flies in, over the horizon."""
+    """Scene of one robot over the horizon."""
 
     field: DistanceField
-    """Of gap and way left, in this order."""
+    """Fields of gap and remaining path, in this order."""
     bodies: CostBodies
     flow_mps: jax.Array
     """[H, 3] velocity of the water, in W, where the robot meant to be."""
@@ -38,7 +38,7 @@ class RolloutScene:
 
 
 def shift_knots(knots: jax.Array, by_s: jax.Array | float, horizon_s: float) -> jax.Array:
-    """Knots [K, 3] as they are ``by_s`` [] later; held after the last."""
+    """Return knots [K, 3] as they are ``by_s`` [] later; held after the last."""
     last = knots.shape[0] - 1
     at = jnp.clip(jnp.arange(last + 1) + by_s * (last / horizon_s), 0.0, last)
     low = jnp.minimum(at.astype(jnp.int32), last - 1)
@@ -57,7 +57,7 @@ def improve_mean(
     samples: int,
     dt_s: float,
 ) -> tuple[jax.Array, jax.Array]:
-    """A better mean, and where it leads.
+    """Return a better mean and its path.
 
     Args:
         weights: of the cost.
@@ -91,7 +91,7 @@ def rollout_costs(
     knots: jax.Array,
     dt_s: float,
 ) -> jax.Array:
-    """Costs [S] of knots [K, 3, S], m; other arguments as in `improve_mean`."""
+    """Return the costs [S] of knots [K, 3, S], m; other arguments as in `improve_mean`."""
     steps, near_m = scene.flow_mps.shape[0], 1.5 * scene.field.spacing_m
 
     def step(carry: SampleState, i: jax.Array) -> tuple[SampleState, None]:
@@ -120,7 +120,7 @@ def rollout_path(
     knots: jax.Array,
     dt_s: float,
 ) -> jax.Array:
-    """Places [H, 3] to which knots [K, 3] lead, at the end of each step."""
+    """Return the positions [H, 3] at the end of each step along knots [K, 3]."""
 
     def step(carry: tuple[jax.Array, jax.Array], i: jax.Array) -> tuple[Any, jax.Array]:
         p, v, _ = _step_samples(model, scene, *carry, knots[..., None], i, dt_s)
@@ -139,7 +139,7 @@ def _step_samples(
     i: jax.Array,
     dt_s: float,
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Places and velocities [3, S] after step i of samples, and their power [S]."""
+    """Return positions and velocities [3, S] after step i of samples, and their power [S]."""
     last = knots.shape[0] - 1
     at = i * (last / scene.flow_mps.shape[0])
     low = jnp.minimum(at.astype(jnp.int32), last - 1)

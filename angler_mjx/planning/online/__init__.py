@@ -1,1 +1,1 @@
-"""Planning while robots fly: order of passing kept by those who are late, and plans made anew."""
+"""Planning in flight: passing order of late robots, and replanning."""

@@ -1,4 +1,4 @@
-"""Clocks along the plans of a team: where each robot is to be now, and who has to wait."""
+"""Clocks along the plans of a team: target of each robot, and waits."""
 
 from dataclasses import dataclass, replace
 from functools import partial
@@ -18,11 +18,11 @@ SLACK_M = 0.2
 """How far a robot may be from its place on the plan and still count as there; order keeps it free
 beside the radii."""
 PATIENCE_S = 5.0
-"""Nobody waits longer for a robot that gets no further and does not wait for one that does."""
+"""Limit [s] of a wait for a robot that makes no progress and waits for none that does."""
 MIN_PROGRESS_S = 0.5
-"""Of its plan; who has come less far than this in all that time got no further."""
+"""Progress [s] along a plan below which a robot made none in that time."""
 SILENCE_S = 60.0
-"""Nobody waits longer for a robot that it has not heard since, where robots talk by acoustics."""
+"""Limit [s] of a wait for a robot that sent no packet since, with acoustics."""
 MIN_SPEED_MPS = 0.05
 """Of a robot that is behind: slower cruise speeds count as this one."""
 
@@ -41,17 +41,17 @@ class PlanStatus:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class PlanProgress:
-    """Of robots [R] along their plans: what they tell each other."""
+    """Progress of robots [R] along their plans, as they send it to each other."""
 
     passed_s: jax.Array
     """[R] how far each is on its plan."""
     stands: jax.Array
-    """bool [R] who is waited for no longer."""
+    """bool [R] robots for which others no longer wait."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class HeardProgress:
-    """What robots have heard of each other's `PlanProgress`, and when that is looked at."""
+    """Received `PlanProgress` of other robots, and the present time."""
 
     others: HeardRobots
     """Its words are `PlanProgress`, [R, R] leading."""
@@ -61,7 +61,7 @@ class HeardProgress:
     def observe_team(
         self, progress: PlanProgress, at_m: jax.Array, speed_mps: jax.Array
     ) -> ObservedTeam:
-        """What each takes the others for; what it knows of itself, [R], needs no packet."""
+        """Return each robot's picture of the others; that of itself, [R], needs no packet."""
         others, heard = self.others, self.others.payload
         is_self = jnp.eye(at_m.shape[0], dtype=bool)
         is_silent = self.time_s - others.time_s > SILENCE_S
@@ -75,24 +75,24 @@ class HeardProgress:
 
 
 def initial_status(clock_s: jax.Array) -> PlanStatus:
-    """Robots [R] so far along their plans, none of which stands yet."""
+    """Return the status of robots [R] at given clocks, none of which stands yet."""
     return PlanStatus(passed_s=clock_s, for_s=jnp.zeros_like(clock_s))
 
 
 def shift_status(status: PlanStatus, before_s: jax.Array, after_s: jax.Array) -> PlanStatus:
-    """The same when clocks [R] are set from one time to another, as for new plans."""
+    """Return the status with clocks [R] moved from one time to another, as for new plans."""
     return replace(status, passed_s=status.passed_s + after_s - before_s)
 
 
 def initial_clocks(q: jax.Array) -> FollowCarry:
-    """Clocks at 0 for robots [R] with attitudes q [R, 4]."""
+    """Return clocks at 0 for robots [R] with attitudes q [R, 4]."""
     w, x, y, z = jnp.moveaxis(q, -1, 0)
     yaw = jnp.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
     return jax.vmap(follow.reset)(yaw)
 
 
 def reach_m(radius_m: jax.Array) -> jax.Array:
-    """[R, R] distance of centres below which two robots are in each other's way."""
+    """Return distances [R, R] of centres below which two robots block each other."""
     return radius_m[:, None] + radius_m + 2 * SLACK_M
 
 
@@ -107,21 +107,21 @@ def step(
     status: PlanStatus | None = None,
     heard: HeardProgress | None = None,
 ) -> tuple[FollowCarry, PoseTarget, PlanStatus | None]:
-    """One control step of a team; [R] leads.
+    """Advance the clocks of a team by one control step; [R] leads.
 
     Args:
         gains: of the guidance.
         carry: clocks and headings.
-        estimate: the robots as they are told of themselves.
+        estimate: of the robots' own motion.
         plan: theirs.
-        order: who passes first; None: each flies by its own clock.
+        order: of passing; None: each flies by its own clock.
         cruise_mps: [R] for how late a robot is that is behind its place.
         dt: control period, s.
-        status: who is waited for no longer; None: all are waited for.
-        heard: what each knows of the others' progress; None: all of it.
+        status: of robots for which others no longer wait; None: they wait for all.
+        heard: received progress of the others; None: all is known.
 
     Returns:
-        The memory, where each robot is to be, and who stands now. The heading turns at a limited
+        The memory, the target of each robot, and the status. The heading turns at a limited
         rate.
     """
     next_carry, target = jax.vmap(partial(follow.step, gains, dt=dt))(carry, estimate, plan)
@@ -147,7 +147,7 @@ def step(
 def progress_s(
     carry: FollowCarry, estimate: Estimate, plan: Plan, cruise_mps: jax.Array
 ) -> jax.Array:
-    """How far robots [R] are on their plans, by where they are told to be; arguments of `step`."""
+    """Return the progress [R] along plans by estimated positions; arguments of `step`."""
     position_m = jax.vmap(plans.position_at)(plan, carry.clock_s)
     behind_m = jnp.maximum(
         jnp.sqrt(jnp.sum((position_m - estimate.p) ** 2, axis=-1)) - SLACK_M, 0.0
@@ -156,7 +156,7 @@ def progress_s(
 
 
 def build_progress(passed: jax.Array, status: PlanStatus | None) -> PlanProgress:
-    """What robots so far along [R] tell each other."""
+    """Build the progress that robots [R] send each other."""
     nothing_stuck = jnp.zeros_like(passed, bool)
     is_stuck = nothing_stuck if status is None else status.for_s > PATIENCE_S
     return PlanProgress(passed_s=passed, stands=is_stuck)
@@ -165,7 +165,7 @@ def build_progress(passed: jax.Array, status: PlanStatus | None) -> PlanProgress
 def update_status(
     status: PlanStatus, passed_s: jax.Array, waits: jax.Array, dt: float
 ) -> PlanStatus:
-    """Who stands one control step later; ``waits`` [R] for others who get on."""
+    """Update the status by one control step; ``waits`` [R] for others that advance."""
     gets_on = waits | (passed_s > status.passed_s + MIN_PROGRESS_S)
     return PlanStatus(
         passed_s=jnp.where(gets_on, passed_s, status.passed_s),

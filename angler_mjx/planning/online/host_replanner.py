@@ -1,7 +1,7 @@
-"""A planner of the host, as what plans anew while the robots of one scene fly.
+"""Replanning by a planner on the host, in the flight of one scene.
 
-It plans in a process of its own, as before a start, and the compiled policy waits for it: what it
-did not find within its deadline is no plan, and the robots brake and hold.
+It plans in a process of its own, as before a start, and the compiled policy waits for it. Without
+an answer within its deadline there is no plan, and the robots brake and hold.
 """
 
 from collections import Counter
@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
+from angler_mjx.planning.answers import FAILED_STATUSES
 from angler_mjx.planning.problem import Problem
 from angler_mjx.planning.register import PlannerReference, PlannerSpec
-from angler_mjx.robot.control.trajectory import Trajectory, hold_position
+from angler_mjx.robot.control.commands.trajectory import Trajectory, hold_position
 
 if TYPE_CHECKING:
     from angler_mjx.planning.host.workers import Workers
@@ -22,15 +23,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class HostReplanner:
-    """A planner with ``plan``."""
+    """A planner with ``plan``; hashable, static under jit."""
 
     reference: PlannerReference
     settings: tuple[tuple[str, Any], ...]
     points: int
-    """Rows of its plans; who gives more is refused."""
+    """Rows of its plans; longer paths are refused."""
 
     def __call__(self, problem: Problem) -> Trajectory:
-        """Plans [R] of one problem."""
+        """Return plans [R] of one problem; see `Replanning.planner`."""
         start = problem.team.start_m
         like = jax.eval_shape(lambda at: hold_position(at, self.points), start)
         # The problem is all that an answer depends on, but for the clock.
@@ -41,7 +42,7 @@ class HostReplanner:
 
 
 def _plan_on_host(replanner: HostReplanner, problem: Problem) -> Trajectory:
-    """Asks the process; a robot without a plan stays at its start."""
+    """Plan by the worker process; a robot without a plan stays at its start."""
     host_problem: Problem = jax.tree.map(np.asarray, problem)
     workers = _find_workers(replanner)
     answer = workers.take(workers.submit(host_problem))
@@ -61,9 +62,6 @@ def _plan_on_host(replanner: HostReplanner, problem: Problem) -> Trajectory:
     return Trajectory(time_s=time, position_m=position_m, found=is_found)
 
 
-FAILED_STATUSES = ("error", "died", "timeout")
-"""Statuses of problems for which the planner raised, or gave no answer in time."""
-
 FAILURES: Counter[str] = Counter()
 """How often planning failed in flight since the last `take_failures`, by reason."""
 
@@ -76,7 +74,7 @@ def take_failures() -> list[tuple[str, int]]:
 
 
 _PROCESSES: "dict[HostReplanner, Workers]" = {}
-"""One process for each planner that was asked; they end with this one, or by `close_workers`."""
+"""One process for each planner in use; they end with this one, or by `close_workers`."""
 
 
 def _find_workers(replanner: HostReplanner) -> "Workers":
@@ -93,6 +91,6 @@ def _find_workers(replanner: HostReplanner) -> "Workers":
 
 
 def close_workers() -> None:
-    """End the processes that plan; who is asked later gets a new one."""
+    """End the processes that plan; later problems start new ones."""
     while _PROCESSES:
         _PROCESSES.popitem()[1].close()

@@ -1,4 +1,4 @@
-"""What is known of obstacles at a later time, and plans as traffic for each other."""
+"""Obstacle information at a later time, and plans as traffic for each other."""
 
 from dataclasses import replace
 
@@ -6,12 +6,12 @@ import jax
 import jax.numpy as jnp
 
 from angler_mjx.planning.path_search.traffic import GridTraffic, is_motion_clear
-from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.sim.information import ObstacleInformation
 
 
 def advance_obstacles(information: ObstacleInformation, delay_s: float) -> ObstacleInformation:
-    """What is known of obstacles, its times counted from ``delay_s`` after the observation."""
+    """Return obstacle information with times counted from ``delay_s`` after the observation."""
     time, position_m = information.time_s, information.p_m
     if delay_s == 0.0:
         return information
@@ -33,7 +33,7 @@ def plans_as_traffic(plan: Trajectory, radius_m: jax.Array, counts: jax.Array) -
 
 
 def is_clear(path: Trajectory, traffic: GridTraffic, horizon_s: float) -> jax.Array:
-    """Whether the path of one robot keeps the reach of all traffic until the horizon, bool []."""
+    """Return whether the path of one robot keeps the reach of all traffic, bool []."""
     begin, end = path.time_s, jnp.append(path.time_s[1:], jnp.maximum(path.time_s[-1], horizon_s))
     after = jnp.concatenate([path.position_m[1:], path.position_m[-1:]])
     legs = jax.vmap(is_motion_clear, (None, 0, 0, 0, 0))(

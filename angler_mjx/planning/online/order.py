@@ -1,14 +1,14 @@
-"""Who passes each crossing of a team's plans first, and how far others may go before it has.
+"""Passing order at the crossings of a team's plans, and the limits of clocks that keep it.
 
-Plans say when a robot is where, so that where two paths come nearer than their reach at different
-times, one of them passes first. A robot that is late would be met there by one that is not. Each
-robot has a clock along its plan; kept order is a bound on each clock by the others' clocks:
+Where two paths come nearer than their reach at different times, one robot passes first by plan. A
+late robot would meet a punctual one there. Each robot has a clock along its plan; the order is kept
+by a limit of each clock by the others' clocks:
 
-    robot b may be at its place of time t only when robot a has left, by its own clock, all places
-    near to that one which its plan left before t; or is level with b, where that is sooner.
+    robot b may be at its position of time t only when robot a has left, by its own clock, all
+    positions near to it that its plan left before t; or is level with b, where that is sooner.
 
-Every bound names a time that is not after the one it guards, so the robot whose clock is behind all
-others is never held: whoever waits, waits for somebody who flies, and the team does not stand.
+No limit is later than the time it guards, so the robot with the least clock is never held: a
+waiting robot waits for a moving one, and the team does not stand.
 """
 
 from dataclasses import dataclass
@@ -20,10 +20,10 @@ from angler_mjx.robot.control import plans
 from angler_mjx.robot.control.plans import Plan
 
 SAMPLES = 128
-"""Places of a plan that are compared; between two of them robots are taken to be anywhere."""
+"""Compared positions of a plan; between two of them a robot may be anywhere."""
 _ROUNDING = 0.1
-"""Share of half a sample by which clocks that are level may differ: of two that wait at
-the same time each would be taken to be behind the other, by a last bit."""
+"""Fraction of half a sample by which level clocks may differ: of two robots that wait at the same
+time each would otherwise be behind the other by a last bit."""
 _STUCK_MOTION_S = 1.0
 """Kept clear, too: where robots that get no further may be so soon. Most are carried about by the
 current."""
@@ -37,17 +37,17 @@ class PassingOrder:
     time_s: jax.Array
     """[K] of the places that are compared, on the clocks of all plans."""
     half_s: jax.Array
-    """[] a place stands for so much time before and after its own."""
+    """[] time [s] before and after its own for which a position stands."""
     needs_s: jax.Array
-    """[b, K, a] what the clock of a must have passed before b may be there; -inf: nothing."""
+    """[b, K, a] time that the clock of a must have passed before b may be there; -inf: none."""
     position_m: jax.Array
     """[b, K, 3] the places."""
     reach_m: jax.Array
-    """[b, K, a] between a's centre and the place; nearer ones are in each other's way."""
+    """[b, K, a] distance of a's centre from the position below which they block each other."""
 
 
 def build_order(plan: Plan, reach_m: jax.Array, samples: int = SAMPLES) -> PassingOrder:
-    """The order of a team's plans.
+    """Build the passing order of a team's plans.
 
     Args:
         plan: [R] leading.
@@ -88,7 +88,7 @@ def build_order(plan: Plan, reach_m: jax.Array, samples: int = SAMPLES) -> Passi
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class ObservedTeam:
-    """What each robot of a world takes the others for; [who, whom] leads."""
+    """Each robot's picture of the others; [observer, observed] leads."""
 
     clock_s: jax.Array
     """[R, R]"""
@@ -108,18 +108,18 @@ def clock_limits(
     speed_mps: jax.Array | None = None,
     observed: ObservedTeam | None = None,
 ) -> tuple[jax.Array, jax.Array]:
-    """How far the clock of each robot may go now.
+    """Return the limit of the clock of each robot.
 
     Args:
         order: of the world.
         clock_s: [R] how far each robot is along its plan.
-        stands: bool [R] whose clock nobody waits for: others only keep clear of where it is.
+        stands: bool [R] robots for which no other waits: others only keep clear of their position.
         at_m: [R, 3] where the robots are.
         speed_mps: [R] how fast they are.
-        observed: what each takes the others for, where that is not what they are.
+        observed: each robot's picture of the others; None: their true states.
 
     Returns:
-        [R], inf where nothing is in its way; and bool [R] whose way is barred by one that stands.
+        [R], inf where nothing is in its way; and bool [R] whether a standing robot blocks it.
     """
     entry = order.time_s - order.half_s
     # Who is there, or was, is not kept from it any more.

@@ -1,18 +1,18 @@
-"""Plans that take over from one another: what is left of one, and the way on to the next."""
+"""Transition between plans: the rest of one, and the line to the next."""
 
 from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.robot.control.trajectory import Trajectory, sample_reference
+from angler_mjx.robot.control.commands.trajectory import Trajectory, sample_reference
 
 MIN_SPEED_MPS = 0.05
-"""On the way to a plan's first point."""
+"""Least speed [m/s] on the line to a plan's first point."""
 
 
 def pad_plan(plan: Trajectory, points: int) -> Trajectory:
-    """A plan [R] with at least ``points`` rows; the last is repeated."""
+    """Pad a plan [R] to at least ``points`` rows by repeating the last."""
     extra = max(points - plan.time_s.shape[-1], 0)
     return replace(
         plan,
@@ -22,7 +22,7 @@ def pad_plan(plan: Trajectory, points: int) -> Trajectory:
 
 
 def remaining_plan(plan: Trajectory, clock_s: jax.Array) -> Trajectory:
-    """What is left of the plan of one robot at a time [] of its clock; its time begins anew."""
+    """Return the rest of a robot's plan after a time [] of its clock, counted from 0 again."""
     position_m, _ = sample_reference(plan, clock_s)
     has_passed = plan.time_s <= clock_s
     return replace(
@@ -33,7 +33,7 @@ def remaining_plan(plan: Trajectory, clock_s: jax.Array) -> Trajectory:
 
 
 def join_plan(position_m: jax.Array, plan: Trajectory, speed_mps: jax.Array) -> Trajectory:
-    """From ``position_m`` [3] straight to the first point of a plan, and along it; one row more.
+    """Put a line from ``position_m`` [3] to a plan's first point before it; one row more.
 
     Where the robot's place on the old plan is the first point of the new one, that takes no time.
     """

@@ -1,4 +1,4 @@
-"""The policy that flies plans online: in the order that they pass in, and made anew on the way."""
+"""Policy that follows plans in flight: in their passing order, and with replanning."""
 
 from dataclasses import dataclass, field, replace
 
@@ -10,9 +10,9 @@ from angler_mjx.planning.online.guidance import HeardProgress, PlanProgress, Pla
 from angler_mjx.planning.online.order import PassingOrder
 from angler_mjx.planning.online.replanning import FleetPlans, Replanning
 from angler_mjx.robot.control.commands import Estimate, PoseTarget
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.robot.control.laws.follow import FollowCarry, FollowGains
 from angler_mjx.robot.control.plans import Plan
-from angler_mjx.robot.control.trajectory import Trajectory
 from angler_mjx.sim.information import Information
 from angler_mjx.sim.policy import Policy, PolicyInput
 
@@ -20,17 +20,17 @@ from angler_mjx.sim.policy import Policy, PolicyInput
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class ReplanningMemory:
-    """Of one world."""
+    """Memory of one world."""
 
     clocks: FollowCarry
     """[R]"""
     order: PassingOrder | None
     status: PlanStatus | None
-    """Who is waited for no longer, where order is kept."""
+    """Robots for which others no longer wait, if order is kept."""
     plans: FleetPlans | None
-    """Where they are made anew; otherwise the world's own are flown."""
+    """Present plans with replanning; None: the world's own."""
     progress: PlanProgress | None = None
-    """Of each, for others to hear, where order is kept by acoustics."""
+    """Progress of each robot for the others, if order is kept by acoustics."""
 
 
 @jax.tree_util.register_dataclass
@@ -42,7 +42,7 @@ class Online(Policy):
     dt_s: float = field(default=0.05, metadata={"static": True})
     """Control period."""
     keeps_order: bool = field(default=False, metadata={"static": True})
-    """Whether robots wait for those who are to pass first."""
+    """Whether robots wait for those that pass first."""
     replanning: Replanning | None = field(default=None, metadata={"static": True})
     information: Information | None = field(default=None, metadata={"static": True})
     observation_period: int = field(default=1, metadata={"static": True})
@@ -85,7 +85,7 @@ class Online(Policy):
         return guidance.build_progress(clocks.clock_s, None)
 
     def payload(self, carry: ReplanningMemory) -> PlanProgress | None:
-        """See `Policy.says`."""
+        """See `Policy.payload`."""
         return carry.progress
 
     def act(
@@ -117,7 +117,7 @@ class Online(Policy):
         return replace(carry, clocks=clocks, status=status, progress=progress), target
 
     def executed_plans(self, carry: ReplanningMemory, path: Plan) -> tuple[Plan, jax.Array]:
-        """See `Policy.flown`."""
+        """See `Policy.executed_plans`."""
         return path if carry.plans is None else carry.plans.now, carry.clocks.clock_s
 
     def _build_order(self, path: Plan, inputs: PolicyInput) -> PassingOrder | None:
@@ -133,7 +133,7 @@ class Online(Policy):
         key: jax.Array,
         step: jax.Array,
     ) -> ReplanningMemory:
-        """Make plans, and take them up, in the steps in which that is due."""
+        """Make plans and take them up in the steps where that is due."""
         makes, takes = replanning.check_schedule(settings, step)
         cruise = inputs.params.cruise_speed_mps
 

@@ -1,8 +1,8 @@
-"""Plans made anew while robots fly, from what they are told then.
+"""Replanning in flight, from the information of that time.
 
-Every so many control steps the team is planned for again, from where its plans take it by the time
-that the new ones are taken up. A robot for which there is no plan keeps its old one where that is
-clear of what is known and of the others' new plans; otherwise it stops and holds.
+At a fixed period the team is planned again, from the positions on its present plans at which the
+new ones are taken up. A robot without a new plan keeps its old one if that is clear of known
+obstacles and of the others' new plans; otherwise it stops and holds.
 """
 
 from collections.abc import Callable
@@ -18,84 +18,79 @@ from angler_mjx.planning.online.motion import advance_obstacles, is_clear, plans
 from angler_mjx.planning.online.plan_joining import join_plan, pad_plan, remaining_plan
 from angler_mjx.planning.path_search.bodies import bodies_traffic
 from angler_mjx.planning.path_search.traffic import GridTraffic, concatenate_traffic
-from angler_mjx.planning.problem import Problem
+from angler_mjx.planning.problem import Problem, ProblemSettings
+from angler_mjx.robot.control.commands.trajectory import Trajectory, sample_reference
 from angler_mjx.robot.control.laws.follow import FollowCarry
-from angler_mjx.robot.control.trajectory import Trajectory, sample_reference
-from angler_mjx.sim.information import CurrentInformation, Information, ObstacleInformation
+from angler_mjx.sim.information import CurrentInformation, ObstacleInformation
 from angler_mjx.sim.policy import RESET_STEP, PolicyInput
 
 
 @dataclass(frozen=True, kw_only=True)
 class Replanning:
-    """How a team is planned for anew; hashable, static under jit."""
+    """Settings of replanning; hashable, static under jit."""
 
     planner: Callable[[Problem], Trajectory]
-    """Of one problem, traced."""
+    """Planner of one problem, traced."""
     every: int
     """Control steps from one observation to the next."""
     delay: int
     """Control steps from an observation until its plans are taken up; at most ``every``."""
     dt_s: float
     """Control period."""
-    points: int
-    """Rows of the plans that it gives."""
-    margin_m: float
-    """Kept beside the radii."""
-    information: Information
-    horizon_s: float
-    goal_tolerance_m: float
-    deadline_s: float
+    problem: ProblemSettings
+    """Settings of the problems that it plans."""
 
     @property
     def delay_s(self) -> float:
-        """Time from an observation until its plans are taken up."""
+        """Time [s] from an observation until its plans are taken up."""
         return self.delay * self.dt_s
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class FleetPlans:
-    """Of the robots of one world."""
+    """Plans of the robots of one world."""
 
     now: Trajectory
-    """[R] that they fly along, by their clocks."""
+    """[R] plans that robots follow by their clocks."""
     soon: Trajectory
-    """[R] made last; begin where the robots will be when they are taken up."""
+    """[R] plans made last; they begin where the robots will be when they are taken up."""
     take: jax.Array
-    """bool [R] who is to take ``soon`` up; the others go on with what is left of ``now``."""
+    """bool [R] robots that take ``soon`` up; the others go on with the rest of ``now``."""
     failed_s: jax.Array
-    """[R, n] when no new plan was found for a robot that had not arrived; inf where one was, or
-    nothing was made yet. Of the n times in the horizon; later ones are not counted."""
+    """[R, n] time [s] of each of the n replans in the horizon without a plan for a robot that had
+    not arrived; inf with a plan, or before."""
 
     def failed(self, until_s: jax.Array) -> jax.Array:
-        """Int32 [R]: how often no new plan was found before a time [R] of each robot."""
+        """Return the number of failures before a time [R] of each robot, int32 [R]."""
         return jnp.sum(self.failed_s < until_s[..., None], axis=-1, dtype=jnp.int32)
 
 
 def initial_plans(settings: Replanning, inputs: PolicyInput) -> FleetPlans:
-    """Plans at t = 0: those that were made before the start.
+    """Return the plans at t = 0: those made before the start.
 
     Args:
         settings: of the replanning.
-        inputs: what the robots know then; its path is a Trajectory.
+        inputs: at t = 0; its path is a Trajectory.
     """
     path: Any = inputs.path
-    now = pad_plan(path, settings.points + 1)
+    points = settings.problem.points
+    now = pad_plan(path, points + 1)
     rows = path.time_s.shape[0]
-    soon = jax.tree.map(lambda leaf: leaf, pad_plan(path, settings.points))
+    soon = jax.tree.map(lambda leaf: leaf, pad_plan(path, points))
     soon = replace(
         soon,
-        time_s=soon.time_s[:, : settings.points],
-        position_m=soon.position_m[:, : settings.points],
+        time_s=soon.time_s[:, :points],
+        position_m=soon.position_m[:, :points],
     )
     nobody = jnp.zeros(rows, bool)
-    times = max(round(settings.horizon_s / settings.dt_s) - 1, 0) // settings.every
+    times = max(round(settings.problem.horizon_s / settings.dt_s) - 1, 0) // settings.every
     never = jnp.full((rows, times), jnp.inf, inputs.goal_m.dtype)
     return FleetPlans(now=now, soon=soon, take=nobody, failed_s=never)
 
 
 def check_schedule(settings: Replanning, step: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Whether plans are to be made in a control step, and whether they are to be taken up."""
+    """Return whether plans are made in a control step, and whether they are taken up."""
     since = step - settings.delay
     makes = (step > 0) & (step % settings.every == 0)
     return makes, (since > 0) & (since % settings.every == 0)
@@ -112,9 +107,9 @@ def replan(
 
     Args:
         settings: of the replanning.
-        plans: that the robots have.
+        plans: present ones.
         clocks: along them.
-        inputs: what may be known now.
+        inputs: of this time.
         key: of this world and step.
     """
     if inputs.grid is None or inputs.obstacles is None or inputs.current is None:
@@ -129,17 +124,14 @@ def replan(
         obstacles=obstacles,
         current=_advance_current(inputs.current, settings.delay_s),
         seed=jax.random.bits(jax.random.fold_in(key, RESET_STEP), dtype=jnp.uint32),
-        horizon_s=settings.horizon_s,
-        goal_tolerance_m=settings.goal_tolerance_m,
-        information=settings.information,
-        deadline_s=settings.deadline_s,
+        **settings.problem.static_fields(),
     )
     new = settings.planner(problem)
     radius = problem.team.radius_m
     old = jax.vmap(remaining_plan)(plans.now, soon_s)
     is_clear = _is_remainder_clear(settings, old, new, radius, obstacles)
     distance_m = jnp.sqrt(jnp.sum((inputs.goal_m - inputs.belief.p) ** 2, axis=-1))
-    is_missing = ~new.found & (distance_m > settings.goal_tolerance_m)
+    is_missing = ~new.found & (distance_m > problem.goal_tolerance_m)
     at = jnp.round(inputs.time_s / (settings.every * settings.dt_s)).astype(jnp.int32) - 1
     failed_s = plans.failed_s.at[:, at].set(
         jnp.where(is_missing, inputs.time_s, jnp.inf), mode="drop"
@@ -152,7 +144,7 @@ def replan(
 def take_up(
     plans: FleetPlans, clocks: FollowCarry, cruise_mps: jax.Array
 ) -> tuple[FleetPlans, FollowCarry]:
-    """Go over to the plans that were made; all clocks begin anew, headings go on."""
+    """Replace plans by the new ones; all clocks begin at 0, headings go on."""
     position_m, _ = jax.vmap(sample_reference)(plans.now, clocks.clock_s)
     new = jax.vmap(join_plan)(position_m, plans.soon, cruise_mps)
     old = jax.vmap(remaining_plan)(plans.now, clocks.clock_s)
@@ -171,13 +163,14 @@ def _is_remainder_clear(
     radius_m: jax.Array,
     obstacles: ObstacleInformation,
 ) -> jax.Array:
-    """Whether what is left of each robot's plan is clear of obstacles and new plans, bool [R]."""
-    bodies = bodies_traffic(obstacles, settings.horizon_s)
+    """Return whether the rest of each plan is clear of obstacles and new plans, bool [R]."""
+    horizon_s, margin_m = settings.problem.horizon_s, settings.problem.margin_m
+    bodies = bodies_traffic(obstacles, horizon_s)
     traffic = concatenate_traffic(bodies, plans_as_traffic(new, radius_m, new.found))
 
     def is_path_clear(path: Trajectory, radius: jax.Array) -> jax.Array:
-        grown: GridTraffic = replace(traffic, reach_m=traffic.reach_m + radius + settings.margin_m)
-        return is_clear(path, grown, settings.horizon_s)
+        grown: GridTraffic = replace(traffic, reach_m=traffic.reach_m + radius + margin_m)
+        return is_clear(path, grown, horizon_s)
 
     return jax.vmap(is_path_clear)(old, radius_m)
 
@@ -189,7 +182,7 @@ def _advance_current(current: CurrentInformation, delay_s: float) -> CurrentInfo
 
 
 def _stay_at(start_m: jax.Array, like: Trajectory) -> jax.Array:
-    """Points of plans that stay at ``start_m`` [R, 3]."""
+    """Return points of plans that stay at ``start_m`` [R, 3]."""
     return jnp.broadcast_to(start_m[:, None], like.position_m.shape)
 
 

@@ -1,1 +1,1 @@
-"""The way of one robot through space and time: a lattice in bits, search, and string-pulling."""
+"""Path search of one robot in space and time: a lattice in bits, search, and string-pulling."""

@@ -1,8 +1,8 @@
-"""Loops that end together: the one thing a world may know of the others in its batch.
+"""Loops that end together: the only dependence of a world on the others of its batch.
 
 Under vmap a loop whose end differs between worlds makes every world's whole state wait, row by row,
-behind a select. A loop that ends for the batch as a whole does not. A result must never depend on
-what is found here, only how many rounds without effect are made.
+behind a select. A loop that ends for the batch as a whole does not. Only the number of rounds
+without effect may depend on the batch, never a result.
 """
 
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ import jax.numpy as jnp
 
 @jax.custom_batching.custom_vmap
 def min_of_batch(x: jax.Array) -> jax.Array:
-    """The least ``x`` [] of all worlds under vmap; ``x`` itself without."""
+    """Return the least ``x`` [] of all worlds under vmap; ``x`` itself without."""
     return x
 
 

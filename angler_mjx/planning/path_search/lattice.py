@@ -13,9 +13,8 @@ import jax.numpy as jnp
 
 from angler_kernels.clearance import capsules_obstacle
 from angler_mjx.errors import UnsupportedError
-from angler_mjx.world.environment import Environment
-from angler_mjx.world.grid import Grid
-from angler_mjx.world.obstacles import STATIC, Obstacles
+from angler_mjx.planning.path_search.bodies import StillObstacles
+from angler_mjx.world.rock.grid import Grid
 
 MAX_NZ = 32
 """Cells along z that fit in a word."""
@@ -25,7 +24,7 @@ _REACH = 3
 
 @dataclass(frozen=True)
 class Edge:
-    """A straight way between two cells of one block of 1, 2 or 3 axes; walked both ways."""
+    """A line between two cells of one block of 1, 2 or 3 axes, in both directions."""
 
     near: tuple[int, int, int]
     """Corner of the block, 0 or 1 per axis, where it begins."""
@@ -36,12 +35,12 @@ class Edge:
 
     @property
     def axes(self) -> int:
-        """How many axes it spans: its length is sqrt(axes) cells."""
+        """Number of axes of the block: its length is sqrt(axes) cells."""
         return sum(self.block)
 
     @property
     def layers(self) -> int:
-        """Layers it takes: sqrt(1, 2, 3) cells at half a cell a layer, rounded up."""
+        """Number of layers: sqrt(1, 2, 3) cells at half a cell a layer, rounded up."""
         return self.axes + 1
 
 
@@ -75,30 +74,30 @@ class LatticeLayout:
 
     @property
     def guard_size(self) -> int:
-        """Guard words at each end."""
+        """Number of guard words at each end."""
         return self.row + 1
 
     @property
     def inner(self) -> int:
-        """Words between the guards at the ends."""
+        """Number of words between the guards at the ends."""
         return self.shape[0] * self.row
 
     @property
     def total(self) -> int:
-        """Words in all."""
+        """Number of all words."""
         return self.inner + 2 * self.guard_size
 
     def pad(self, inner: jax.Array) -> jax.Array:
-        """Words [inner] with the guards put on, [total]."""
+        """Put the guards around words [inner]; [total]."""
         return jnp.pad(inner, self.guard_size)
 
     def pack_cells(self, cells: jax.Array) -> jax.Array:
-        """Cells bool [nx, ny, nz] as words [total]."""
+        """Pack cells bool [nx, ny, nz] into words [total]."""
         columns = jnp.pad(column_bits(cells), ((0, 0), (0, 1)))
         return self.pad(columns.reshape(self.inner))
 
     def shift_to_neighbour(self, packed: jax.Array, dx: int, dy: int, dz: int) -> jax.Array:
-        """What stands at each cell's neighbour (dx, dy, dz), words [inner]."""
+        """Return the bits of each cell's neighbour (dx, dy, dz), words [inner]."""
         at = self.guard_size + dx * self.row + dy
         neighbours = packed[at : at + self.inner]
         if dz > 0:
@@ -106,7 +105,7 @@ class LatticeLayout:
         return neighbours << -dz if dz < 0 else neighbours
 
     def column_centres(self, grid: Grid) -> tuple[jax.Array, jax.Array]:
-        """X and y [total] of the centre of each word's column, m."""
+        """Return x and y [total] of the centre of each word's column, m."""
         n = jnp.arange(self.total) - self.guard_size
         x = grid.origin_m[0] + (n // self.row + 0.5) * grid.cell_m
         y = grid.origin_m[1] + (n % self.row + 0.5) * grid.cell_m
@@ -114,7 +113,7 @@ class LatticeLayout:
 
 
 def column_bits(cells: jax.Array) -> jax.Array:
-    """Cells bool [nx, ny, nz] as one word per column, uint32 [nx, ny].
+    """Pack cells bool [nx, ny, nz] into one word per column, uint32 [nx, ny].
 
     Raises:
         UnsupportedError: the grid is higher than a word has bits.
@@ -128,7 +127,7 @@ def column_bits(cells: jax.Array) -> jax.Array:
 
 
 def span_bits(lo: jax.Array, hi: jax.Array) -> jax.Array:
-    """Words with bits lo..hi (integers, any size) set; none where hi < lo."""
+    """Return words with bits lo..hi (integers, any size) set; none where hi < lo."""
     low, high = jnp.clip(lo, 0, 31).astype(jnp.uint32), jnp.clip(hi, 0, 31).astype(jnp.uint32)
     bits = (jnp.uint32(2) << high) - (jnp.uint32(1) << low)
     return jnp.where((lo <= hi) & (hi >= 0) & (lo <= 31), bits, jnp.uint32(0))
@@ -137,14 +136,15 @@ def span_bits(lo: jax.Array, hi: jax.Array) -> jax.Array:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class Terrain:
-    """What does not move in one world, as the planner sees it."""
+    """Map of one world: all that does not move."""
 
     grid: Grid
     columns: jax.Array
     """uint32 [nx, ny] the occupied cells."""
     gap_m: jax.Array
     """[nx, ny, nz] distance from a cell's centre to rock, faces of the cube and floor."""
-    obstacles: Obstacles
+    obstacles: StillObstacles | None
+    """None where the world can have none."""
     edge_gap_m: jax.Array | None
     """[13, nx, ny, nz] least distance of the edge in the block whose lowest corner is this cell to
     a static obstacle; None where the world can have none."""
@@ -164,15 +164,20 @@ class FreeSpace:
     """uint32 [13, total] edges that are clear, at the lowest corner of their block."""
 
 
-def build_terrain(environment: Environment) -> Terrain:
-    """Build the part of the planner's world that all robots share."""
-    grid, obstacles = environment.grid, environment.obstacles
+def build_terrain(grid: Grid, floor_z_m: jax.Array, obstacles: StillObstacles | None) -> Terrain:
+    """Build the map that all robots of one world share.
+
+    Args:
+        grid: rock.
+        floor_z_m: [] height of the sea floor, m.
+        obstacles: still ones; None for none.
+    """
     shape = grid.occupied.shape
     layout = LatticeLayout(shape=(shape[0], shape[1], shape[2]))
     centre = _cell_centres(grid, layout.shape)
-    floor = centre[..., 2] - environment.floor_z_m
+    floor = centre[..., 2] - floor_z_m
     cell_gap = edge_gap = None
-    if STATIC in obstacles.motions:
+    if obstacles is not None:
         cell_gap = _obstacle_gap(obstacles, centre, centre)
         near = jnp.array([edge.near for edge in EDGES]) * grid.cell_m
         far = jnp.array([edge.far for edge in EDGES]) * grid.cell_m
@@ -191,7 +196,7 @@ def build_terrain(environment: Environment) -> Terrain:
 
 
 def free_space(land: Terrain, clearance_m: jax.Array) -> FreeSpace:
-    """Cells and edges that keep ``clearance_m`` [] from everything that does not move.
+    """Return cells and edges that keep ``clearance_m`` [] from all that does not move.
 
     An edge is free where all cells of its block are: the distance from rock to any point of the
     block's inside is least at one of its cells' centres, because rock is made of the same cells.
@@ -214,7 +219,7 @@ def free_space(land: Terrain, clearance_m: jax.Array) -> FreeSpace:
 
 
 def line_of_sight(land: Terrain, a: jax.Array, b: jax.Array, clearance_m: jax.Array) -> jax.Array:
-    """Whether the segment from a [3] to b [3] keeps ``clearance_m`` from cells and obstacles.
+    """Return whether the segment from a [3] to b [3] keeps ``clearance_m`` from all still bodies.
 
     Rock is grown by the clearance along each axis, so that near its corners and edges the test asks
     for up to sqrt(3) times more than it must. The segment is clipped to each grown column; the
@@ -244,19 +249,19 @@ def line_of_sight(land: Terrain, a: jax.Array, b: jax.Array, clearance_m: jax.Ar
         jnp.floor(jnp.clip(high_z, -1.0, 32.0)).astype(jnp.int32),
     )
     clear = ~jnp.any((s_in <= s_out) & ((met & land.columns) != 0))
-    if STATIC in land.obstacles.motions:
+    if land.obstacles is not None:
         clear &= _obstacle_gap(land.obstacles, a, b) >= clearance_m
     return clear
 
 
 def _cell_centres(grid: Grid, shape: tuple[int, int, int]) -> jax.Array:
-    """Centres [nx, ny, nz, 3], m."""
+    """Return the centres [nx, ny, nz, 3], m."""
     index = jnp.stack(jnp.meshgrid(*(jnp.arange(n) for n in shape), indexing="ij"), axis=-1)
     return grid.origin_m + (index + 0.5) * grid.cell_m
 
 
 def _rock_gap(grid: Grid) -> jax.Array:
-    """Distance [nx, ny, nz] from cell centres to the nearest occupied box or face of the cube.
+    """Return distances [nx, ny, nz] from cell centres to the nearest rock or face of the cube.
 
     Squared distance to boxes of the same grid is a sum over the axes, so its minimum is taken one
     axis after the other.
@@ -275,8 +280,8 @@ def _rock_gap(grid: Grid) -> jax.Array:
     return jnp.sqrt(jnp.minimum(square, far)) * grid.cell_m
 
 
-def _obstacle_gap(obstacles: Obstacles, a: jax.Array, b: jax.Array) -> jax.Array:
-    """Least distance [...] of segments from a to b [..., 3] to the static obstacles, m."""
+def _obstacle_gap(obstacles: StillObstacles, a: jax.Array, b: jax.Array) -> jax.Array:
+    """Return the least distance [...] of segments a to b [..., 3] to the still obstacles, m."""
     if a.ndim > 1:
         return jax.vmap(lambda start, end: _obstacle_gap(obstacles, start, end))(a, b)
 
@@ -286,6 +291,7 @@ def _obstacle_gap(obstacles: Obstacles, a: jax.Array, b: jax.Array) -> jax.Array
             a[None], b[None], axis_radius, p, q, kind, size, kinds=obstacles.kinds
         )
 
-    gap = jax.vmap(gap_to_obstacle)(obstacles.p0, obstacles.q0, obstacles.kind, obstacles.size_m)
-    is_static = obstacles.exists & (obstacles.motion == STATIC)
-    return jnp.min(jnp.where(is_static, gap, jnp.inf))
+    gap = jax.vmap(gap_to_obstacle)(
+        obstacles.p_m, obstacles.q, obstacles.kind, obstacles.half_size_m
+    )
+    return jnp.min(jnp.where(obstacles.exists, gap, jnp.inf))

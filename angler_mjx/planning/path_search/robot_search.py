@@ -1,4 +1,4 @@
-"""The way of one robot among all that moves: searched on the lattice, then pulled straight."""
+"""Path search of one robot among traffic: on the lattice, then pulled straight."""
 
 import math
 from dataclasses import dataclass, replace
@@ -7,13 +7,15 @@ import jax
 import jax.numpy as jnp
 
 from angler_kernels.programs import MAX_LANES, on_gpu
+from angler_mjx.errors import ConfigError
 from angler_mjx.planning.path_search import search, search_kernel
 from angler_mjx.planning.path_search.bodies import GOAL_CLEAR_S
 from angler_mjx.planning.path_search.lattice import FreeSpace, Terrain, free_space
 from angler_mjx.planning.path_search.string_pulling import pull_string
 from angler_mjx.planning.path_search.tracing import Route, trace_back
 from angler_mjx.planning.path_search.traffic import Balls, GridTraffic, PlannedTraffic, build_balls
-from angler_mjx.robot.control.trajectory import Trajectory, hold_position
+from angler_mjx.planning.problem import ProblemSettings
+from angler_mjx.robot.control.commands.trajectory import Trajectory, hold_position
 
 MAX_LAYERS = 1024
 """More memory than any search needs."""
@@ -21,7 +23,7 @@ MAX_LAYERS = 1024
 
 @dataclass(frozen=True, kw_only=True)
 class PathSearchConfig:
-    """Settings of the search for ways; hashable, static under jit."""
+    """Settings of the path search; hashable, static under jit."""
 
     horizon_s: float = 120.0
     """A goal reached later is not found."""
@@ -34,13 +36,46 @@ class PathSearchConfig:
     horizon_s / n_layer: with fewer layers than 2 horizon_s speed / cell the search moves slower
     than the robot can, and finds less. Diagonal steps are up to 16 % slow: allow that much more."""
     start_hold_s: float = 30.0
-    """How long the start of a robot that is not planned yet is kept clear."""
+    """Time [s] for which the start of a robot that is not planned yet is kept clear."""
     room_m: float = 0.0
-    """Distance between robots beyond the margin, where a way allows it; for priority."""
+    """Distance [m] between robots beyond the margin, where a path allows it; for priority."""
+
+
+def path_search_config(problem: ProblemSettings) -> PathSearchConfig:
+    """Return the search settings of a problem, with the layers that its fastest robot needs."""
+    speed_mps, cell_m = problem.max_cruise_speed_mps, problem.cell_m
+    n_layer = MAX_LAYERS
+    if speed_mps is not None and cell_m is not None:
+        n_layer = required_layers(problem.horizon_s, speed_mps, cell_m)
+    return PathSearchConfig(
+        horizon_s=problem.horizon_s,
+        margin_m=problem.margin_m,
+        n_point=problem.points,
+        n_layer=n_layer,
+    )
+
+
+def require_still_water(problem: ProblemSettings, name: str) -> None:
+    """Refuse information on the current that a planner in still water cannot use.
+
+    Args:
+        problem: settings of the problem.
+        name: of the planner.
+
+    Raises:
+        ConfigError: the current may be known, and obstacles are not predicted in it.
+    """
+    information = problem.information
+    if information.current != "nothing" and information.obstacles != "predicted":
+        raise ConfigError(
+            f'planner.information.current = "{information.current}": the planner {name} plans in '
+            "still water, where the current can only help to predict obstacles; take "
+            'planner.information.obstacles = "predicted", or "nothing" here, or another planner'
+        )
 
 
 def required_layers(horizon_s: float, speed_mps: float, cell_m: float) -> int:
-    """Layers with which a search to the horizon goes as fast as a robot of that speed can.
+    """Return the layers by which a search reaches the horizon at the full speed of a robot.
 
     A layer is half a step along an axis; diagonal steps are rounded up by up to 16 %.
     """
@@ -49,7 +84,7 @@ def required_layers(horizon_s: float, speed_mps: float, cell_m: float) -> int:
 
 
 def grow_bodies(bodies: GridTraffic | None, by_m: jax.Array) -> GridTraffic | None:
-    """Bodies with ``by_m`` [] more to keep from each."""
+    """Return bodies with ``by_m`` [] more reach."""
     return None if bodies is None else replace(bodies, reach_m=bodies.reach_m + by_m)
 
 
@@ -106,7 +141,7 @@ def _search_reachable(
     goal: jax.Array,
     may_stay: jax.Array,
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """As `search.search_reachable`, from a cell [3] at a layer []; on a GPU by its kernel."""
+    """Run `search.search_reachable` from a cell [3] at a layer []; on a GPU by its kernel."""
     nx, ny, _ = land.layout.shape
     if on_gpu() and nx * ny <= MAX_LANES:
         return search_kernel.search_reachable(land, free, around, start, goal, may_stay)
@@ -116,7 +151,7 @@ def _search_reachable(
 
 
 def _cell_of(land: Terrain, p: jax.Array, step_m: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Cell [3] that holds p [3], and the layers [] from p to its centre at ``step_m`` a layer."""
+    """Return the cell [3] that holds p [3], and the layers [] to its centre at ``step_m`` each."""
     grid = land.grid
     shape = jnp.array(land.layout.shape)
     cell = jnp.clip(jnp.floor((p - grid.origin_m) / grid.cell_m).astype(jnp.int32), 0, shape - 1)
@@ -127,7 +162,7 @@ def _cell_of(land: Terrain, p: jax.Array, step_m: jax.Array) -> tuple[jax.Array,
 
 
 def _cell_bit(land: Terrain, cell: jax.Array) -> jax.Array:
-    """Words [total] with one cell [3] set."""
+    """Return words [total] with one cell [3] set."""
     layout = land.layout
     at = layout.guard_size + cell[0] * layout.row + cell[1]
     bit = jnp.uint32(1) << cell[2].astype(jnp.uint32)
@@ -135,14 +170,14 @@ def _cell_bit(land: Terrain, cell: jax.Array) -> jax.Array:
 
 
 def _is_met(around: Balls, p: jax.Array) -> jax.Array:
-    """Whether a robot that stands at p [3] is met in each layer, int32 [L]."""
+    """Return whether a robot that stands at p [3] is met in each layer, int32 [L]."""
     gap = around.centre_m - p
     inside = (around.radius_m >= 0.0) & (jnp.sum(gap * gap, axis=-1) < around.radius_m**2)
     return jnp.any(inside, axis=1).astype(jnp.int32)
 
 
 def _free_from_now(around: Balls, p: jax.Array) -> jax.Array:
-    """Whether a robot that stands at p [3] from each layer on is never met, bool [L]."""
+    """Return whether a robot at p [3] is never met from each layer on, bool [L]."""
     return ~jax.lax.cummax(_is_met(around, p), reverse=True).astype(bool)
 
 

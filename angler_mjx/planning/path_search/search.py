@@ -36,7 +36,7 @@ ROBOTS_PER_LOOP = 16
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class LayerLines:
-    """What the next layer needs of those before; words [..., total], newest last."""
+    """Lines of earlier layers that the next one needs; words [..., total], newest last."""
 
     reached: jax.Array
     """[total] cells reached at the last layer."""
@@ -69,7 +69,7 @@ def search_reachable(
     goal: jax.Array,
     may_stay: jax.Array,
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Cells that the robot can be in at each layer, until it can end at its goal.
+    """Return the cells that the robot can reach at each layer, until its goal.
 
     Args:
         land: the world.
@@ -118,7 +118,7 @@ def search_reachable(
 
 
 def _empty_lines(layout: LatticeLayout) -> LayerLines:
-    """The lines before the first layer: nothing reached, nothing taken."""
+    """Return the lines before the first layer: nothing reached, nothing taken."""
 
     def zeros(*lead: int) -> jax.Array:
         return jnp.zeros((*lead, layout.total), jnp.uint32)
@@ -134,7 +134,7 @@ def _empty_lines(layout: LatticeLayout) -> LayerLines:
 def _shift_lines(
     lines: LayerLines, reached: jax.Array, rest: jax.Array, middle: tuple[jax.Array, ...]
 ) -> LayerLines:
-    """The lines one layer later."""
+    """Return the lines one layer later."""
     leave = [
         jnp.concatenate([line[1:], (reached & ~rest[axes])[None]])
         for axes, line in zip((1, 2, 3), lines.leave, strict=True)
@@ -152,7 +152,7 @@ def _shift_lines(
 
 
 def _advance_layer(layout: LatticeLayout, free: FreeSpace, lines: LayerLines) -> jax.Array:
-    """Cells [inner] that are reached one layer after the last of ``lines``."""
+    """Return the cells [inner] that are reached one layer after the last of ``lines``."""
     taken = (
         lines.middle[0][0] | lines.middle[0][1],
         lines.middle[1][0] | lines.middle[1][1] | lines.middle[1][2],
@@ -184,7 +184,7 @@ def _advance_layer(layout: LatticeLayout, free: FreeSpace, lines: LayerLines) ->
 
 
 class _TrafficStamp:
-    """Marks what the other robots take during a layer."""
+    """Marks the cells that other robots take during a layer."""
 
     def __init__(self, land: Terrain) -> None:
         self.grid = land.grid
@@ -193,7 +193,7 @@ class _TrafficStamp:
     def __call__(
         self, centre: jax.Array, radius: jax.Array
     ) -> tuple[jax.Array, tuple[jax.Array, jax.Array, jax.Array]]:
-        """Taken cells [4, total] (waiting, steps over 1, 2, 3 axes) and middles, per axes."""
+        """Return taken cells [4, total] (waiting, steps over 1 to 3 axes) and middles, per axes."""
         rest = [self._mark_cylinders(centre, radius, (0, 0, 0), QUARTER[axes]) for axes in range(4)]
         middle = [
             jnp.stack(
@@ -210,13 +210,13 @@ class _TrafficStamp:
     def _mark_cylinders(
         self, centre: jax.Array, radius: jax.Array, block: tuple[int, int, int], grow: float
     ) -> jax.Array:
-        """Words [total] of the points at the middle of ``block`` inside any robot's cylinder.
+        """Return words [total] of the middles of ``block`` inside any robot's cylinder.
 
         Args:
             centre: [R, 3] m.
             radius: [R] m, negative where the robot does not count.
             block: (0, 0, 0) for the cells' centres.
-            grow: what the radius grows by, cells.
+            grow: growth of the radius, cells.
         """
         cell = self.grid.cell_m
         inflated = jnp.where(radius >= 0.0, radius + grow * cell, -1.0)

@@ -1,9 +1,9 @@
 """The search of `search` as one GPU kernel: a program per robot, its lines in registers.
 
-A program's lanes are the columns of one robot's grid. In each layer a lane tells its neighbours
-from where steps set out, works out the steps over all blocks that have their lowest corner in its
-column, and tells its neighbours where these end; all else stays in its registers. A program ends as
-soon as its own robot can arrive, whatever the others of the batch need.
+A program's lanes are the columns of one robot's grid. In each layer a lane sends its neighbours
+the starts of steps, computes the steps over all blocks that have their lowest corner in its
+column, and sends its neighbours the ends of these; all else stays in its registers. A program ends
+as soon as its own robot can arrive, whatever the others of the batch need.
 """
 
 from dataclasses import dataclass
@@ -39,7 +39,7 @@ BALLS_PER_LOOP = 4
 """Balls that are marked without a loop."""
 
 _SPANS = tuple((axes, up) for up in (0, 1) for axes in range(4) if axes >= up)
-"""What a ball's span of bits depends on: axes of the step, and whether half a cell further up."""
+"""Kinds of a ball's span of bits: axes of the step, and whether half a cell further up."""
 
 
 @jax.tree_util.register_dataclass
@@ -56,7 +56,7 @@ class Cylinders:
 
 
 def build_cylinders(land: Terrain, balls: Balls) -> Cylinders:
-    """The cylinders around balls, each with a quarter of the steps' lengths more."""
+    """Return the cylinders around balls, each with a quarter of the steps' lengths more."""
     cell = land.grid.cell_m
     counts = balls.radius_m >= 0.0
     wide = [jnp.where(counts, balls.radius_m + QUARTER[axes] * cell, -1.0) for axes in range(4)]
@@ -83,7 +83,7 @@ def search_reachable(
     *,
     interpret: bool = False,
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """As `search.search_reachable`; layers of the history after the arrival are not written.
+    """Run `search.search_reachable`; layers after the arrival are not written.
 
     Args:
         land: the world.
@@ -137,7 +137,7 @@ def search_reachable(
 
 
 def _pad_to_groups(balls: Balls) -> Balls:
-    """Balls with as many more, which do not count, as fill the last group."""
+    """Pad balls to whole groups by balls that do not count."""
     more = -balls.radius_m.shape[1] % BALLS_PER_LOOP
     return Balls(
         centre_m=jnp.pad(balls.centre_m, ((0, 0), (0, more), (0, 0))),
@@ -229,7 +229,7 @@ class _SearchKernel:
         arrival[0] = arrived
 
     def _clear_scratch(self, scratch: Any, lane: Any) -> None:
-        """Guards are never written again."""
+        """Clear the scratch memory; guards are never written again."""
         size = _SCRATCH * self.layout.total
         zero = jnp.zeros((self.program.lanes,), jnp.uint32)
 
@@ -244,7 +244,7 @@ class _SearchKernel:
     def _advance_layer(
         self, scratch: Any, at: Any, real: Any, lines: Any, open_edges: list[_Bits]
     ) -> _Bits:
-        """Cells that are reached one layer after the last of ``lines``; not free ones too."""
+        """Return the cells reached one layer after the last of ``lines``, occupied ones too."""
         layout = self.layout
 
         def scratch_index(line: int, x: int, y: int) -> Any:
@@ -276,7 +276,7 @@ class _SearchKernel:
     def _mark_taken(
         self, row: Any, x: Any, y: Any, half: Any, centre_xy: Any, square: Any, span: Any
     ) -> tuple[_Bits, ...]:
-        """What the balls of a layer take: waiting and steps over 1, 2, 3 axes, then middles."""
+        """Mark cells taken by balls of a layer: waiting, steps over 1 to 3 axes, then middles."""
         zero = jnp.zeros((self.program.lanes,), jnp.uint32)
         kinds = ((0, 0, 0),) * 4 + BLOCKS
         grows = (0, 1, 2, 3, *(sum(block) for block in BLOCKS))
@@ -311,14 +311,14 @@ class _SearchKernel:
 
 
 def _shift_up(bits: _Bits, dz: int) -> _Bits:
-    """What stands dz cells above."""
+    """Return the bits dz cells above."""
     if dz > 0:
         return bits >> dz
     return bits << -dz if dz < 0 else bits
 
 
 def _blocked_blocks(middle: Any) -> dict[tuple[int, int, int], _Bits]:
-    """Kinds of block whose middle is taken while a step over it would be there."""
+    """Return the kinds of block whose middle is taken during a step over it."""
     blocked = {}
     for axes, count in ((1, 2), (2, 3), (3, 2)):
         of_axes = [block for block in BLOCKS if sum(block) == axes]
@@ -336,7 +336,7 @@ def _bitwise_or(bits: Any) -> _Bits:
 
 
 def _shift_lines(lines: Any, reached: _Bits, taken: tuple[_Bits, ...]) -> Any:
-    """The lines one layer later: reached, leave per axes, rest, middles per axes."""
+    """Return the lines one layer later: reached, leave per axes, rest, middles per axes."""
     _, leave, _, middle = lines
     rest, middles = taken[:4], dict(zip(BLOCKS, taken[4:], strict=True))
     leave = tuple(

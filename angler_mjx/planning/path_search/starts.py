@@ -1,10 +1,10 @@
-"""Paths among robots that stay where they start, as those do that have no way."""
+"""Paths among robots that hold their starts, as robots without a path do."""
 
 import jax
 import jax.numpy as jnp
 
 from angler_mjx.planning.path_search.traffic import GridTraffic, is_motion_clear
-from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 
 _ROUNDING_M = 1e-3
 """Rounding must not take back a path that just fits."""
@@ -13,7 +13,7 @@ _ROUNDING_M = 1e-3
 def meets_starts(
     path: Trajectory, start_m: jax.Array, reach_m: jax.Array, horizon_s: float
 ) -> jax.Array:
-    """Whether a path comes too near to each robot's start, bool [R]; its own too.
+    """Return whether a path comes too near to each robot's start, bool [R]; its own too.
 
     Args:
         path: of one robot.
@@ -36,7 +36,7 @@ def meets_starts(
 
 
 def select_flyable(is_found: jax.Array, is_met: jax.Array) -> jax.Array:
-    """Which paths may be flown, bool [R]: none that meets the start of a robot that stays there.
+    """Return which paths meet no start of a robot that stays there, bool [R].
 
     A path that is taken back is one more robot at its start, hence the rounds.
 
@@ -53,7 +53,7 @@ def select_flyable(is_found: jax.Array, is_met: jax.Array) -> jax.Array:
 
 
 def select_paths(is_selected: jax.Array, plans: Trajectory, hold_paths: Trajectory) -> Trajectory:
-    """Some robots' paths [R]; the others hold their starts, and are not found.
+    """Select some robots' paths [R]; the others hold their starts and are not found.
 
     Args:
         is_selected: bool [R].

@@ -1,9 +1,9 @@
-"""String-pulling: from a way over cells to few way-points, at cruise speed where that is clear.
+"""String-pulling: from a path over cells to few way-points, at cruise speed where that is clear.
 
-The way over cells is a timetable that is clear as it stands. The pulled path goes ahead of it: a
-straight segment is taken only if it is clear of rock and, at its new times, of all that moves,
-and if the robot can stand at its end until the timetable leaves there. So the timetable can be
-resumed at every way-point, and a wait that safety needs stays.
+The path over cells is a clear timetable. The pulled path goes ahead of it: a straight segment is
+taken only if it is clear of rock and, at its new times, of all that moves, and if the robot can
+stand at its end until the timetable leaves there. So the timetable can be resumed at every
+way-point, and necessary waits remain.
 """
 
 from dataclasses import dataclass, replace
@@ -16,7 +16,7 @@ from angler_mjx.planning.path_search.bodies import GOAL_CLEAR_S
 from angler_mjx.planning.path_search.lattice import Terrain, line_of_sight
 from angler_mjx.planning.path_search.tracing import Route
 from angler_mjx.planning.path_search.traffic import GridTraffic, PlannedTraffic, is_motion_clear
-from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 
 
 @jax.tree_util.register_dataclass
@@ -66,7 +66,7 @@ def pull_string(
 
     Args:
         land: the world.
-        others: what moves.
+        others: traffic.
         route: K rows, a timetable no faster than the cruise speed, ending with the time up to which
             the robot must be able to stand at its goal.
         clearance_m: [] to keep from cells and obstacles.
@@ -120,7 +120,7 @@ def pull_string(
 
 
 def is_path_clear(traffic: GridTraffic, path: Trajectory, until_s: jax.Array) -> jax.Array:
-    """Whether a whole path keeps clear, and then its end until ``until_s``.
+    """Return whether a whole path keeps clear, and then its end until ``until_s``.
 
     The timetable's own legs were proved by the search; this proves all of them once more, exactly.
     """
@@ -181,7 +181,7 @@ def _extend_string(
 
 
 def _collect_waypoints(start: jax.Array, knots: _Knot, n_point: int) -> Trajectory:
-    """Gather the knots that stay, each with arrival and departure, into ``n_point`` rows."""
+    """Collect the kept knots with arrivals and departures into ``n_point`` rows."""
     time = jnp.stack([knots.arrive_s, knots.leave_s], axis=1).reshape(-1)
     position_m = jnp.repeat(knots.position_m, 2, axis=0)
     time = jnp.where(jnp.repeat(knots.keep, 2), time, 0.0)

@@ -1,4 +1,4 @@
-"""The way back from the goal: one route through the sets that the search reached."""
+"""Backward trace from the goal: one route through the reached sets of the search."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ from angler_mjx.planning.path_search.traffic import Balls
 
 
 def _backward_tables() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Of the 26 steps: what to add to a cell to get the one before, layers, cover of the way.
+    """Return of the 26 steps the offset to the cell before, the layers, and the covered block.
 
     The cover is five rows (share of the step still ahead, layer before arrival, 1 the last), some
     of them equal; see `search`.
@@ -46,7 +46,7 @@ _STEPS, _LAYERS, _REMAINING_FRACTION, _LAYERS_BEFORE, _INFLATION = _backward_tab
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class Route:
-    """A way over cells in time; K rows from the start to the goal, the first one repeated."""
+    """A path over cells in time; K rows from the start to the goal, the first one repeated."""
 
     position_m: jax.Array
     """[K, 3]."""
@@ -82,10 +82,10 @@ def trace_back(
     goal: tuple[jax.Array, jax.Array],
     start: tuple[jax.Array, jax.Array],
 ) -> Route:
-    """A way from the start to the goal through the reached sets, walked backwards.
+    """Trace a path from the goal to the start through the reached sets.
 
     Where the robot could have been in the same cell one layer before, it waited there: so every
-    cell of the way is entered as early as it can be. Among the steps that could have led there the
+    cell of the path is entered as early as possible. Among the steps that could have led there the
     one that begins nearest to the straight line from the start is taken.
 
     Args:
@@ -137,7 +137,7 @@ def _step_back(
     start: tuple[jax.Array, jax.Array],
     walk: _WalkState,
 ) -> _WalkState:
-    """One wait of a layer or one step, backwards."""
+    """Trace one wait of a layer or one step backwards."""
     recent: Balls = jax.tree.map(
         lambda leaf: jax.lax.dynamic_slice_in_dim(leaf, jnp.maximum(walk.layer - 4, 0), 4), balls
     )
@@ -169,7 +169,7 @@ def _step_back(
 def _was_reached(
     layout: LatticeLayout, history: jax.Array, cells: jax.Array, layers: jax.Array
 ) -> jax.Array:
-    """Whether each of ``cells`` [n, 3] is in the reached set of its layer [n], bool [n]."""
+    """Return whether each of ``cells`` [n, 3] is in the reached set of its layer [n], bool [n]."""
     inside = jnp.all((cells >= 0) & (cells < jnp.array(layout.shape)), axis=-1) & (layers >= 0)
     at = layers * layout.inner + cells[:, 0] * layout.row + cells[:, 1]
     packed = history.reshape(-1)[jnp.where(inside, at, 0)]
@@ -177,7 +177,7 @@ def _was_reached(
 
 
 def _edges_to(layout: LatticeLayout, free: FreeSpace, cell: jax.Array) -> jax.Array:
-    """Whether the edges of the 26 steps to ``cell`` [3] are free, bool [26]; guards are not."""
+    """Return whether edges of the 26 steps to ``cell`` [3] are free, bool [26]; never guards."""
     low = cell + np.minimum(0, -_STEPS)
     word = layout.guard_size + low[:, 0] * layout.row + low[:, 1]
     edge = np.repeat(np.arange(len(EDGES)), 2)
@@ -186,7 +186,7 @@ def _edges_to(layout: LatticeLayout, free: FreeSpace, cell: jax.Array) -> jax.Ar
 
 
 def _is_clear_of_balls(land: Terrain, recent: Balls, walk: _WalkState) -> jax.Array:
-    """Whether waiting and each of the 26 steps to the cell keep clear of the balls, bool [27]."""
+    """Return whether waiting and each of the 26 steps to the cell are clear of balls, bool [27]."""
     cell = land.grid.cell_m
     centre_m = land.grid.origin_m + (walk.cell + 0.5) * cell
     first = jnp.maximum(walk.layer - 4, 0)
@@ -203,7 +203,7 @@ def _is_clear_of_balls(land: Terrain, recent: Balls, walk: _WalkState) -> jax.Ar
 
 
 def _off_line(points: jax.Array, a: jax.Array, b: jax.Array) -> jax.Array:
-    """Squared distance [n] of ``points`` [n, 3] from the line through a and b, in cells."""
+    """Return squared distances [n] of ``points`` [n, 3] from the line a to b, in cells."""
     d = (b - a).astype(jnp.float32)
     r = (points - a).astype(jnp.float32)
     along = jnp.sum(r * d, axis=-1)

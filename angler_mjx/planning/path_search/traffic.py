@@ -1,11 +1,11 @@
-"""What moves beside one robot, in time: what it must keep clear of while it is planned."""
+"""Traffic: moving robots and bodies in time, from which a planned robot keeps clear."""
 
 from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 
 
 @jax.tree_util.register_dataclass
@@ -26,7 +26,7 @@ class GridTraffic:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class PlannedTraffic:
-    """All that moves beside one robot."""
+    """Traffic of one robot: other robots and bodies."""
 
     robots: GridTraffic
     bodies: GridTraffic | None
@@ -41,12 +41,12 @@ class Balls:
     centre_m: jax.Array
     """[L, R, 3] position at the middle of the layer."""
     radius_m: jax.Array
-    """[L, R] reach plus the farthest way from there within the layer; negative where the robot
+    """[L, R] reach plus the farthest motion within the layer; negative where the robot
     does not count."""
 
 
 def build_balls(traffic: GridTraffic, layer_s: jax.Array, n_layer: int) -> Balls:
-    """Balls that hold the traffic during layers of ``layer_s`` [] from time 0 on.
+    """Build balls that hold the traffic during layers of ``layer_s`` [] from time 0 on.
 
     Within a layer a robot cannot be farther from where it is at the middle than the length of path
     between, whatever corners it takes.
@@ -70,7 +70,7 @@ def build_balls(traffic: GridTraffic, layer_s: jax.Array, n_layer: int) -> Balls
 
 
 def concatenate_traffic(a: GridTraffic, b: GridTraffic) -> GridTraffic:
-    """Two sets of rows as one; shorter ones repeat their last point."""
+    """Concatenate two sets of rows; shorter rows repeat their last point."""
     points = max(a.time_s.shape[1], b.time_s.shape[1])
 
     def pad_rows(rows: GridTraffic) -> GridTraffic:
@@ -91,7 +91,7 @@ def concatenate_traffic(a: GridTraffic, b: GridTraffic) -> GridTraffic:
 def is_motion_clear(
     traffic: GridTraffic, a: jax.Array, t_a: jax.Array, b: jax.Array, t_b: jax.Array
 ) -> jax.Array:
-    """Whether steady motion from a [3] at t_a [] to b [3] at t_b >= t_a keeps the reach; exact.
+    """Return whether steady motion from a [3] at t_a [] to b [3] at t_b keeps the reach; exact.
 
     Over the common time of the motion and one leg of another robot the relative motion is a
     straight line; its distance to the origin is the least distance.
@@ -103,7 +103,7 @@ def is_motion_clear(
 
 
 def meets_traffic(path: Trajectory, traffic: GridTraffic) -> jax.Array:
-    """Whom of the traffic a path meets, its end held for ever; exact.
+    """Return which rows of the traffic a path meets, its end held without limit; exact.
 
     Returns:
         bool [R].
@@ -121,7 +121,7 @@ def meets_traffic(path: Trajectory, traffic: GridTraffic) -> jax.Array:
 def _meets_legs(
     traffic: GridTraffic, a: jax.Array, t_a: jax.Array, b: jax.Array, t_b: jax.Array
 ) -> jax.Array:
-    """Whether steady motion comes within reach of each leg of the traffic, bool [R, P]."""
+    """Return whether steady motion comes within reach of each leg of the traffic, bool [R, P]."""
     begin = traffic.time_s
     end = jnp.concatenate([begin[:, 1:], jnp.full_like(begin[:, :1], jnp.inf)], axis=1)
     low = jnp.maximum(begin, t_a)

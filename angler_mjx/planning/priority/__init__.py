@@ -1,1 +1,1 @@
-"""Search over priorities: who is planned before whom, until the whole team has a way."""
+"""Search over orders of priority, until the whole team has paths."""

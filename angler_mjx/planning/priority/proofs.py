@@ -1,8 +1,8 @@
-"""Which teams nobody can plan whole: what can be proved, in NumPy, for tests and studies.
+"""Proofs that a team cannot be planned whole, in NumPy, for tests and studies.
 
 Each proof is a necessary condition of the planners' task: spheres that keep a clearance from each
 other all the time and from rock, lines at cruise speed, arrival by the horizon and standing there.
-That none of them holds proves nothing.
+Without a proof the team may still be impossible.
 """
 
 import itertools
@@ -17,7 +17,7 @@ _TOLERANCE = 1e-3
 
 
 def prove_unsolvable(problem: Problem, margin_m: float) -> str | None:
-    """Why the team of one world cannot be planned whole; None where that is not proved.
+    """Return the reason why a team cannot be planned whole; None without a proof.
 
     Args:
         problem: arrays of NumPy.
@@ -44,14 +44,14 @@ def prove_unsolvable(problem: Problem, margin_m: float) -> str | None:
 
 
 def _cell_of(problem: Problem, p: NDArray[np.float64]) -> tuple[int, ...]:
-    """Cell that holds p [3]."""
+    """Return the cell that holds p [3]."""
     at = np.floor((p - np.asarray(problem.grid.origin_m)) / float(problem.grid.cell_m)).astype(int)
     inside = np.clip(at, 0, np.array(problem.grid.occupied.shape) - 1)
     return tuple(int(k) for k in inside)
 
 
 def _are_connected(free: NDArray[np.bool_], a: tuple[int, ...], b: tuple[int, ...]) -> bool:
-    """Whether two cells are joined over faces.
+    """Return whether two cells are joined over faces.
 
     A body with a radius passes no edge or corner between free cells if all else there is rock.
     """

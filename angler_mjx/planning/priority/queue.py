@@ -1,9 +1,9 @@
-"""Many teams, planned side by side: who is done makes room for the next.
+"""Queue of teams planned side by side: the next team takes the slot of a finished one.
 
 Worlds need very different effort: most teams are planned in the first pass, a few only after the
-whole budget. Stepped in lock-step all would wait for the hardest. Here a fixed number of slots hold
-a world each; a slot whose team is done hands its paths out and takes the next world. What a team
-comes to depends on that team alone, so neither the slots nor the others in the batch change it.
+whole budget. In lock-step all would wait for the hardest. Instead a fixed number of slots hold a
+world each; a slot whose team is finished stores its paths and takes the next world. The result of a
+team depends on that team alone, not on the slots or the others in the batch.
 """
 
 from collections.abc import Callable
@@ -42,8 +42,8 @@ def run_slots[Task, State, Out](
         slots: how many are stepped side by side, at most.
         begin: state of one task.
         step: a step of one task.
-        ended: bool [] whether one has ended; asked after at least one step.
-        result: what is kept of one.
+        ended: bool [] whether a search has ended; called after at least one step.
+        result: result of a search.
 
     Returns:
         [count] leading.

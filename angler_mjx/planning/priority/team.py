@@ -1,13 +1,13 @@
-"""The search of one team, robot by robot: who finds no way drives some of the others out.
+"""Search of one team, robot by robot: a robot without a path displaces some of the others.
 
-A robot that is to be planned is searched a way clear of all that are (see `planning.path_search`).
-If there is none, it is tried again with some of those, drawn by lot and more at each try, not
-looked at; whom the new path then meets loses its own and waits for its next turn. So robots that
-are hard to plan come to be first, and only what stands in their way is planned again. The most
-robots that were ever planned at a time are handed out.
+The path of a robot is searched clear of all planned robots (`planning.path_search`). If there is
+none, the search is repeated while some of these, at random and more at each try, are ignored; a
+robot that the new path meets loses its own and waits for its next turn. So robots that are hard to
+plan come first, and only robots that block them are planned again. The result is the largest set of
+robots that was planned at a time.
 
-The paths of the robots that are planned never meet: each new one is proved against those that it
-was searched among, and takes out those of the rest that it meets.
+The paths of planned robots never meet: each new one is proved against those that it was searched
+among, and displaces those of the rest that it meets.
 """
 
 from dataclasses import dataclass, replace
@@ -19,12 +19,12 @@ from angler_mjx.planning.path_search.lattice import Terrain
 from angler_mjx.planning.path_search.robot_search import PathSearchConfig, grow_bodies, plan_robot
 from angler_mjx.planning.path_search.starts import meets_starts, select_flyable, select_paths
 from angler_mjx.planning.path_search.traffic import GridTraffic, PlannedTraffic, meets_traffic
-from angler_mjx.robot.control.trajectory import Trajectory, hold_position
+from angler_mjx.robot.control.commands.trajectory import Trajectory, hold_position
 
 _NEVER = 2**31 - 1
 
 _IGNORED_FRACTION = 0.25
-"""Fraction of the planned robots that is not looked at, for each try that failed before."""
+"""Fraction of the planned robots that is ignored, for each earlier failure."""
 
 _STAGES = 2
 """Searches of a robot among all that are planned: with all the room beyond the margin, then with
@@ -37,7 +37,7 @@ _MIN_ROOM_FRACTION = 0.25
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class PriorityTask:
-    """One team to be planned; [R] leads but for the land."""
+    """One team to plan; [R] leads but for the land."""
 
     land: Terrain
     start_m: jax.Array
@@ -49,30 +49,30 @@ class PriorityTask:
     seed: jax.Array
     """uint32 []."""
     first: Trajectory | None = None
-    """[R] what is planned already: paths that do not meet; None for nothing."""
+    """[R] paths that are planned already and do not meet; None without."""
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class TeamSearch:
-    """Where the search of one team stands."""
+    """State of the search of one team."""
 
     plans: Trajectory
-    """[R]; ``found`` is who is planned, the others hold their starts."""
+    """[R]; ``found`` marks planned robots, the others hold their starts."""
     best: Trajectory
-    """[R] the most that were planned at a time."""
+    """[R] paths of the largest set that was planned at a time."""
     tries: jax.Array
     """int32 [R] searches that failed since the robot had a path."""
     turn: jax.Array
-    """int32 [R] who has the least is searched first."""
+    """int32 [R] turn; the robot with the least is searched first."""
     hopeless: jax.Array
-    """bool [R] no way even where no other robot is looked at."""
+    """bool [R] no path even without the other robots."""
     used: jax.Array
     """int32 [] searches so far."""
 
 
 def begin_search(task: PriorityTask, config: PathSearchConfig) -> TeamSearch:
-    """Who has no path yet and needs longest is first."""
+    """Return the search at its start; the robot with the longest flight has the first turn."""
     n_robot = task.radius_m.shape[0]
     hold_paths = hold_position(task.start_m, config.n_point)
     first = (
@@ -93,7 +93,7 @@ def begin_search(task: PriorityTask, config: PathSearchConfig) -> TeamSearch:
 
 
 def is_finished(search: TeamSearch, budget: int) -> jax.Array:
-    """Whether nothing is left to be searched, or the budget (a robot) is used up; bool []."""
+    """Return whether all robots are settled or the budget (per robot) is used up; bool []."""
     settled = jnp.all(search.plans.found | search.hopeless)
     return settled | (search.used >= budget * search.tries.shape[0])
 
@@ -101,7 +101,7 @@ def is_finished(search: TeamSearch, budget: int) -> jax.Array:
 def search_next_robot(
     task: PriorityTask, search: TeamSearch, config: PathSearchConfig
 ) -> TeamSearch:
-    """Search one robot a way."""
+    """Search the path of one robot."""
     planned = search.plans.found
     is_waiting = ~planned & ~search.hopeless
     i = jnp.argmin(jnp.where(is_waiting, search.turn, _NEVER))
@@ -149,7 +149,7 @@ def search_next_robot(
 def select_flyable_paths(
     task: PriorityTask, best: Trajectory, config: PathSearchConfig
 ) -> Trajectory:
-    """Of the best paths [R] those that meet no start of a robot that stays there."""
+    """Select of the best paths [R] those that meet no start of a robot that stays there."""
     reach = task.radius_m[:, None] + task.radius_m + config.margin_m
 
     def meets(path: Trajectory, reach_m: jax.Array) -> jax.Array:

@@ -1,1 +1,1 @@
-"""Ways to places of a world, worked out before the start, and the policy that flies them."""
+"""Routes to places of a world, computed before the start, and the policy that follows them."""

@@ -1,9 +1,9 @@
-"""The velocity of one robot among bodies that move: near to the wanted one, and without contact.
+"""Velocity of one robot among moving bodies: near the wanted one, and without contact.
 
 Velocity obstacles (P. Fiorini and Z. Shiller, "Motion planning in dynamic environments using
 velocity obstacles", Int. J. Robotics Research 17(7), 1998): for each of a set of velocities the
-time to the first contact is worked out, with all bodies going straight on. Among robots each takes
-half of what is to be avoided: reciprocal velocity obstacles (J. van den Berg, M. Lin and
+time to the first contact is computed, with all bodies going straight on. Among robots each takes
+half of the avoidance: reciprocal velocity obstacles (J. van den Berg, M. Lin and
 D. Manocha, "Reciprocal velocity obstacles for real-time multi-agent navigation", ICRA 2008), whose
 penalty this is, w / time + |v - v wanted|. Robots that do the same and meet head-on pass each other
 on their left-hand sides: each prefers to turn to its right.
@@ -32,21 +32,21 @@ CONTACT_S = 1.5
 """A contact in so many seconds costs as much as a velocity that is off the wanted one by the cruise
 speed; one at the horizon costs nothing."""
 ROCK_COST = 6.0
-"""What flying into rock at once costs, likewise."""
+"""Cost of an immediate contact with rock, likewise."""
 ROCK_S = (0.5, 1.0, 1.5, 2.0)
 """Times ahead at which rock is looked for."""
 LEFT_TURN_COST = 0.03
-"""What going straight to the left costs more than to the right, likewise."""
+"""Extra cost of a velocity straight to the left over one to the right, likewise."""
 RESPONSE_S = 0.3
 """Time in which a robot takes up a velocity."""
 STANDS_MPS = 0.05
-"""A robot slower than this is not taken to get out of the way."""
+"""Speed [m/s] below which a robot counts as standing and does not give way."""
 STANDING_COST = 1.5
-"""What standing still costs a robot that came no nearer to its place for long, likewise."""
+"""Cost of standing still for a robot without progress for long, likewise."""
 ROOM_M = 0.5
 """Beside the margin, that robots with nowhere to go leave to others."""
 OUT_PER_S = 0.5
-"""Share of what it is too near to a body that a robot has to come away in a second."""
+"""Fraction of a deficit of distance that a robot has to regain in a second."""
 SLIP = 0.05
 """Share of the distance to such a body that it must not lose."""
 SLIP_S = 0.5
@@ -56,14 +56,14 @@ SLIP_S = 0.5
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class AvoidedBodies:
-    """What one robot must not touch; [n] rows."""
+    """Bodies that one robot must not touch; [n] rows."""
 
     p_m: jax.Array
     """[n, 3] centres, in W."""
     v_mps: jax.Array
     """[n, 3] in W."""
     reach_m: jax.Array
-    """[n] distance of the centres at a contact, with the margin; below 0 for what is not there."""
+    """[n] distance of the centres at a contact, with the margin; below 0 for absent bodies."""
     yields: jax.Array
     """bool [n] whether the body avoids this robot as this robot does it."""
 
@@ -78,7 +78,7 @@ def choose_velocity(
     horizon_s: jax.Array | float,
     held_up: jax.Array | float = 0.0,
 ) -> jax.Array:
-    """The velocity to have, [3] m/s over ground in W.
+    """Return the velocity to fly, [3] m/s over ground in W.
 
     Args:
         routes: of the world, for rock.
@@ -88,7 +88,7 @@ def choose_velocity(
         preferred_mps: [3] velocity that it would have alone.
         speed_mps: [] its cruise speed.
         horizon_s: contacts later than this do not count.
-        held_up: [] 0 to 1, how little of its way the robot made of late. Before a body that stands,
+        held_up: [] 0 to 1, lack of progress of late. Before a body that stands,
             too, nothing is as near to the wanted velocity as to stand there for ever.
     """
     candidates_mps = candidate_velocities(preferred_mps, speed_mps)
@@ -122,7 +122,7 @@ def choose_velocity(
 
 
 def make_room(bodies: AvoidedBodies, p: jax.Array) -> jax.Array:
-    """Where to a robot with nowhere to go leaves others room, [3]: at most 1 long, 0 to stay."""
+    """Return the vector [3] along which a robot without a goal gives way; at most 1 long."""
     apart = p - bodies.p_m
     far = jnp.sqrt(jnp.sum(apart**2, axis=-1) + 1e-12)
     near = jnp.clip(1.0 - (far - bodies.reach_m) / ROOM_M, 0.0, 1.0) * (bodies.reach_m > 0.0)
@@ -131,7 +131,7 @@ def make_room(bodies: AvoidedBodies, p: jax.Array) -> jax.Array:
 
 
 def inflate_for_doubt(bodies: AvoidedBodies, p: jax.Array, doubt_m: jax.Array) -> AvoidedBodies:
-    """Bodies that may be somewhere else by [n] m, but not so that the robot were too near now."""
+    """Inflate bodies by their position uncertainty [n] m, but not into contact with the robot."""
     distance_m = jnp.sqrt(jnp.sum((bodies.p_m - p) ** 2, axis=-1) + 1e-12)
     max_reach_m = jnp.maximum(bodies.reach_m, (1.0 - SLIP) * distance_m)
     inflated_m = jnp.minimum(bodies.reach_m + doubt_m, max_reach_m)
@@ -141,7 +141,7 @@ def inflate_for_doubt(bodies: AvoidedBodies, p: jax.Array, doubt_m: jax.Array) -
 
 
 def candidate_velocities(preferred_mps: jax.Array, speed_mps: jax.Array) -> list[jax.Array]:
-    """Velocities to be tried, x, y, z [m]: slower ones, and others about the wanted one [3]."""
+    """Return candidate velocities x, y, z [m]: slower ones, and others about the wanted one [3]."""
     length = jnp.sqrt(jnp.sum(preferred_mps**2) + 1e-12)
     still = jnp.array([1.0, 0.0, 0.0])
     ahead = jnp.where(length > 1e-3, preferred_mps / length, still)
@@ -169,7 +169,7 @@ def candidate_velocities(preferred_mps: jax.Array, speed_mps: jax.Array) -> list
 def contact_s(
     bodies: AvoidedBodies, p: jax.Array, v: jax.Array, candidates_mps: Sequence[jax.Array]
 ) -> jax.Array:
-    """Times [n, m] to the first contact with each body at velocities x, y, z [m]; inf for none.
+    """Return times [n, m] to first contact with each body at velocities x, y, z [m]; inf for none.
 
     With a body that is nearer than its reach: until the distance is less by `SLIP`, unless the
     robot comes away.

@@ -1,7 +1,7 @@
-"""Where a robot is to fly next on its way to a place: the farthest cell of the way that it sees.
+"""Next aim of a robot on its route to a place: the farthest cell of the route in sight.
 
-The way is walked down the field for a few cells, and the string between the robot and the last of
-them is pulled: the aim is the farthest of these cells to which the straight line is clear.
+The route is followed down the field for a few cells: the aim is the farthest of these cells to
+which the straight line is clear.
 """
 
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from angler_mjx.world import routes as reading
 from angler_mjx.world.routes import FINER, Routes
 
 CELLS = 8
-"""Of the way that are looked at: what is behind two corners need not be seen yet. A power of 2."""
+"""Cells of the route that are checked, a power of 2; two corners ahead are enough."""
 _HALVINGS = tuple(CELLS >> k for k in range(CELLS.bit_length()))
 """Cells by which the aim is tried to be moved on: 8, 4, 2, 1."""
 
@@ -21,18 +21,18 @@ _HALVINGS = tuple(CELLS >> k for k in range(CELLS.bit_length()))
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class Aim:
-    """What one robot flies towards."""
+    """Aim of one robot."""
 
     point_m: jax.Array
     """[3] in W."""
     is_at_goal: jax.Array
     """bool [] whether that is the place itself."""
     exists: jax.Array
-    """bool [] whether there is a way at all."""
+    """bool [] whether there is a route."""
 
 
 def compute_aim(routes: Routes, goal_index: jax.Array, p: jax.Array) -> Aim:
-    """The point to fly towards.
+    """Return the point to fly towards.
 
     Args:
         routes: of the world.
@@ -40,7 +40,7 @@ def compute_aim(routes: Routes, goal_index: jax.Array, p: jax.Array) -> Aim:
         p: [3] of the robot, in W.
 
     Returns:
-        The farthest point of the way that is seen; the centre of the robot's own cell where none
+        The farthest point of the route in sight; the centre of the robot's own cell where none
         is, which lies farther from any rock than the robot does. A robot in a cell that does not
         keep the clearance is led to the next one that does.
     """
@@ -75,9 +75,9 @@ def compute_aim(routes: Routes, goal_index: jax.Array, p: jax.Array) -> Aim:
 
 
 def is_line_clear(routes: Routes, a: jax.Array, b: jax.Array) -> jax.Array:
-    """Whether a robot can go straight from a [3] to b [3] in W, bool [].
+    """Return whether a robot can go straight from a [3] to b [3] in W, bool [].
 
-    Looked up at points at most 1.08 cubes apart, for the longest line to `CELLS` cells of a way.
+    Checked at points at most 1.08 cubes apart, on the longest line to `CELLS` cells of a route.
     """
     count = int(CELLS * 3**0.5 * FINER) + FINER
     fraction = (jnp.arange(count) + 1.0) / count

@@ -1,4 +1,4 @@
-"""A fleet flown along ways that were worked out before the start: nothing is searched in flight."""
+"""Policy that follows routes computed before the start: there is no search in flight."""
 
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -25,12 +25,12 @@ from angler_mjx.world.routes import Routes
 NEAR_PER_S = 0.8
 """Velocity per metre that is left to the place, below the cruise speed."""
 PATIENCE_S = 4.0
-"""Time in which a robot that makes none of its way becomes ready to go another one."""
+"""Time [s] after which a robot without progress is ready to take another route."""
 IDLE = 0.4
-"""Share of the cruise speed at which robots with nowhere to go get out of the way."""
+"""Fraction of the cruise speed at which robots without a goal give way."""
 DOUBT, DOUBT_M = 0.6, 1.0
-"""What a robot may have turned aside since it was heard: a share of its way since then, at most so
-much."""
+"""Deviation of a robot since its last packet, as a fraction of its motion since then, and its limit
+[m]."""
 MOVES_MPS = 0.1
 """Below this velocity the heading is kept."""
 
@@ -38,7 +38,7 @@ MOVES_MPS = 0.1
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class RoutesMemory:
-    """What it keeps of one world; [R] leads."""
+    """Memory of one world; [R] leads."""
 
     stay_m: jax.Array
     """[R, 3] where to stay, of robots that are to go nowhere."""
@@ -47,7 +47,7 @@ class RoutesMemory:
     yaw_rad: jax.Array
     """[R] heading to have."""
     held_up: jax.Array
-    """[R] 0 to 1, how little of its way each made of late."""
+    """[R] 0 to 1, lack of progress of late."""
 
 
 @jax.tree_util.register_dataclass
@@ -107,7 +107,7 @@ class AlongRoutes(Policy):
         robots = jnp.arange(goal_index.shape[0])
 
         def robots_of(i: jax.Array) -> tuple[jax.Array, jax.Array]:
-            """Places and velocities [R, 3] of all robots, as far as robot i knows."""
+            """Return positions and velocities [R, 3] of all robots, as robot i knows them."""
             if inputs.others is None:
                 return p, v
             return inputs.others.extrapolate_m(inputs.time_s)[i], inputs.others.v_mps[i]
@@ -151,7 +151,7 @@ class AlongRoutes(Policy):
 
 
 def _routes_and_goals(inputs: PolicyInput) -> tuple[Routes, jax.Array]:
-    """Routes of the world, and the robots' places."""
+    """Return the routes of the world and the goals of the robots."""
     if inputs.routes is None or inputs.goal_index is None:
         raise ConfigError(
             "policy AlongRoutes: the worlds were drawn without routes; give it to the Simulator "
@@ -163,7 +163,7 @@ def _routes_and_goals(inputs: PolicyInput) -> tuple[Routes, jax.Array]:
 def _turn_headings(
     yaw: jax.Array, velocity: jax.Array, max_turn_rad: jax.Array | float
 ) -> jax.Array:
-    """Headings [R] turned towards the courses of velocities [R, 3], by ``max_turn_rad`` rad."""
+    """Turn headings [R] towards the courses of velocities [R, 3], by ``max_turn_rad`` rad."""
     moves = velocity[:, 0] ** 2 + velocity[:, 1] ** 2 > MOVES_MPS**2
     course = jnp.arctan2(
         jnp.where(moves, velocity[:, 1], 0.0), jnp.where(moves, velocity[:, 0], 1.0)
@@ -176,7 +176,7 @@ def _turn_headings(
 
 
 def _moving_bodies(information: ObstacleInformation | None) -> AvoidedBodies:
-    """Those that move, as bounding spheres; those that stand are rock to the routes already."""
+    """Return moving obstacles as bounding spheres; still ones are rock of the routes already."""
     if information is None:
         none = jnp.zeros((0, 3))
         return AvoidedBodies(p_m=none, v_mps=none, reach_m=none[:, 0], yields=jnp.zeros(0, bool))

@@ -1,9 +1,9 @@
-"""The fields of `angler_mjx.world.routes`: from every cell, the shortest way to each place.
+"""Fields of `angler_mjx.world.routes`: from every cell, the shortest route to each place.
 
-Bellman's equation on the lattice of the planner grid: ways go through centres of cells that keep
-the clearance, to any of the 26 neighbours, without cutting corners (`ways.lattice`). All cells are
-relaxed at once until none changes. Lengths are whole numbers while they are summed, so a field is
-exact, and the same on every device.
+Bellman's equation on the lattice of the planner grid: routes go through centres of cells that keep
+the clearance, to any of the 26 neighbours, without cutting corners (`path_search.lattice`). All
+cells are relaxed at once until none changes. Lengths are whole numbers while they are summed, so a
+field is exact, and the same on every device.
 """
 
 import itertools
@@ -16,11 +16,12 @@ import jax.numpy as jnp
 from angler_kernels.clearance import capsules_obstacle
 from angler_mjx._moved import renamed as _renamed
 from angler_mjx.planning.path_search.batching import min_of_batch
+from angler_mjx.planning.path_search.bodies import select_still
 from angler_mjx.planning.path_search.lattice import EDGES, Terrain, build_terrain
 from angler_mjx.world.difficulty import LENGTHS, MOVES, Move, bit_of, pad_axes, relax_moves
 from angler_mjx.world.environment import Environment
-from angler_mjx.world.grid import Grid
 from angler_mjx.world.obstacles import STATIC, Obstacles
+from angler_mjx.world.rock.grid import Grid
 from angler_mjx.world.routes import (
     FINER,
     MAX_PARTS,
@@ -43,7 +44,7 @@ _REACH = 2
 
 
 def compute_routes(environment: Environment, goal_m: jax.Array, clearance_m: jax.Array) -> Routes:
-    """Ways of one world to P places.
+    """Compute the routes of one world to P places.
 
     Args:
         environment: of the world; obstacles that move are left out.
@@ -51,7 +52,8 @@ def compute_routes(environment: Environment, goal_m: jax.Array, clearance_m: jax
         clearance_m: [] kept by centres of robots from rock, floor, faces of the cube and obstacles
             that stand: the widest robot's radius and a margin.
     """
-    land = build_terrain(environment)
+    still = select_still(environment.obstacles)
+    land = build_terrain(environment.grid, environment.floor_z_m, still)
     clear = land.gap_m >= clearance_m
     if land.cell_gap_m is not None:
         clear &= land.cell_gap_m >= clearance_m
@@ -85,7 +87,7 @@ def compute_routes(environment: Environment, goal_m: jax.Array, clearance_m: jax
 
 
 def _allowed_moves(land: Terrain, clear: jax.Array, clearance_m: jax.Array) -> jax.Array:
-    """Which moves may end in each cell, bits of uint32 [nx, ny, nz], as `difficulty` has them."""
+    """Return the moves that may end in each cell, bits of uint32 [nx, ny, nz]."""
     shape, allowed = clear.shape, jnp.zeros(clear.shape, jnp.uint32)
     for number, edge in enumerate(EDGES):
         size = [n - extent for n, extent in zip(shape, edge.block, strict=True)]
@@ -104,7 +106,7 @@ def _allowed_moves(land: Terrain, clear: jax.Array, clearance_m: jax.Array) -> j
 
 
 def _initial_lengths(clear: jax.Array, cell: jax.Array) -> jax.Array:
-    """Lengths int32 [nx, ny, nz] before any step, of ways to a cell [3]."""
+    """Return lengths int32 [nx, ny, nz] before any step, of routes to a cell [3]."""
     nowhere = jnp.full(clear.shape, LENGTHS.none, jnp.int32)
     i, j, k = cell
     lengths: jax.Array = nowhere.at[i, j, k].set(jnp.where(clear[i, j, k], 0, LENGTHS.none))
@@ -112,7 +114,7 @@ def _initial_lengths(clear: jax.Array, cell: jax.Array) -> jax.Array:
 
 
 def _relax_until_settled(lengths: jax.Array, moves: jax.Array) -> jax.Array:
-    """Lengths [P, nx, ny, nz] that no step makes shorter, from what they begin with."""
+    """Relax lengths [P, nx, ny, nz] until no step shortens them."""
 
     def relax(_: int, lengths: jax.Array) -> jax.Array:
         return jax.vmap(
@@ -137,17 +139,17 @@ def _relax_until_settled(lengths: jax.Array, moves: jax.Array) -> jax.Array:
 def _encode_cells(
     lengths: jax.Array, moves: jax.Array, clear: jax.Array, cell: jax.Array
 ) -> jax.Array:
-    """Words uint16 [nx, ny, nz] of settled lengths to a cell [3]."""
+    """Encode settled lengths to a cell [3] as words uint16 [nx, ny, nz]."""
     none, edge = LENGTHS.none, LENGTHS.of_axes[0]
     index = jnp.stack(jnp.meshgrid(*(jnp.arange(n) for n in lengths.shape), indexing="ij"))
 
     def off(move: Move) -> jax.Array:
-        """Square of the distance from where a step back leads to the place."""
+        """Return the squared distance to the place from the cell before a step."""
         apart = [index[axis] - move[axis] - cell[axis] for axis in range(3)]
         return apart[0] ** 2 + apart[1] ** 2 + apart[2] ** 2
 
     def first_step(lengths: jax.Array, moves_of_axes: Sequence[Move], bits: jax.Array) -> _Steps:
-        """Lengths, and the first steps: of equally long ways that nearer to the straight line."""
+        """Return lengths and first steps; of equal lengths the one nearer to the straight line."""
         wide, best = pad_axes(lengths, (0, 1, 2)), jnp.full(lengths.shape, none, jnp.int32)
         nearest, step = best, jnp.full(lengths.shape, STAY, jnp.int32)
         for move in moves_of_axes:
@@ -182,7 +184,7 @@ def _encode_cells(
 
 
 def _clear_cubes(environment: Environment, clearance_m: jax.Array) -> jax.Array:
-    """Words uint32 [4 nx, 4 ny, w] of the cubes whose centre keeps the clearance."""
+    """Return words uint32 [4 nx, 4 ny, w] of the cubes whose centre keeps the clearance."""
     grid = environment.grid
     square = _fine_square(grid)
     clear = square >= (clearance_m / grid.cell_m * (2 * FINER)) ** 2
@@ -202,7 +204,7 @@ def _clear_cubes(environment: Environment, clearance_m: jax.Array) -> jax.Array:
 
 
 def _fine_square(grid: Grid) -> jax.Array:
-    """Squares of distances from cubes' centres to rock and faces, [4 nx, 4 ny, 4 nz] int16.
+    """Return squared distances from cubes' centres to rock and faces, [4 nx, 4 ny, 4 nz] int16.
 
     In units of half a cube's edge, and at most that of `_REACH` cells. A square is a sum over the
     axes, so its minimum is taken one axis after the other.
@@ -228,7 +230,7 @@ def _fine_square(grid: Grid) -> jax.Array:
 
 
 def _distance_to_bodies(obstacles: Obstacles, at_m: jax.Array) -> jax.Array:
-    """Distance [...] of points [..., 3] to the obstacles that stand, m."""
+    """Return the distance [...] of points [..., 3] to the still obstacles, m."""
     points = at_m.reshape(-1, 3)
 
     def nearest_distance(
@@ -253,5 +255,5 @@ def _distance_to_bodies(obstacles: Obstacles, at_m: jax.Array) -> jax.Array:
 
 
 def __getattr__(name: str) -> Any:
-    """Return what had another name before 0.2."""
+    """Return an attribute by its name before 0.2."""
     return _renamed(__name__, name)

@@ -23,7 +23,7 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.files import FileModel, format_faults, format_path, parse_model, read_json
 from angler_mjx.quantities import SchemaVersion
 from angler_mjx.report.interop.ros_messages import NANO, joint_trajectory
-from angler_mjx.robot.control.joint_goal import JointGoal, JointPoint, shape_faults
+from angler_mjx.robot.control.commands.joint_goal import JointGoal, JointPoint, shape_faults
 from angler_mjx.runs.storage.atomic_files import replace_file
 
 SCHEMA_VERSION = 1

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from angler_mjx.robot.control.joint_goal import JointGoal
+from angler_mjx.robot.control.commands.joint_goal import JointGoal
 
 type Message = dict[str, Any]
 """Fields by name; missing fields are 0 or empty."""

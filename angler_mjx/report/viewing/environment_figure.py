@@ -16,12 +16,12 @@ from mpl_toolkits.mplot3d.art3d import (  # type: ignore[import-untyped]
     Poly3DCollection,
 )
 
-from angler_mjx.report.viewing import style
-from angler_mjx.report.viewing.outlines import project_outline, rotation_matrix
+from angler_mjx.report.plotting import style
+from angler_mjx.report.plotting.outlines import project_outline, rotation_matrix
 from angler_mjx.world import currents
 from angler_mjx.world.environment import Environment
-from angler_mjx.world.grid import Grid
 from angler_mjx.world.obstacles import BOX, STATIC
+from angler_mjx.world.rock.grid import Grid
 
 _LIGHT = LightSource(azdeg=300, altdeg=50)
 _SIDES = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]])

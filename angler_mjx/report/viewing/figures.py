@@ -4,7 +4,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.report.viewing import scene, statistics, style, task_figure
+from angler_mjx.report.plotting import scene, style
+from angler_mjx.report.viewing import statistics, task_figure
 from angler_mjx.report.viewing.maps import world_map
 from angler_mjx.report.viewing.world_selection import good_world, worst_world
 from angler_mjx.runs.storage.folder import FIGURES, Run

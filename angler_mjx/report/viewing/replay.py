@@ -6,7 +6,8 @@ from types import ModuleType
 from typing import TYPE_CHECKING
 
 from angler_mjx.errors import RunError, UnsupportedError
-from angler_mjx.report.viewing import scene, viewer_window
+from angler_mjx.report.plotting import scene
+from angler_mjx.report.viewing import viewer_window
 from angler_mjx.report.viewing.maps import world_map
 from angler_mjx.report.viewing.world_selection import good_world, worst_world
 from angler_mjx.runs.storage.atomic_files import replace_file

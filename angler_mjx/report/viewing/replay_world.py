@@ -7,10 +7,10 @@ fleet's table, distances to goal or progress of the task, and events.
 import numpy as np
 import rerun as rr
 
+from angler_mjx.report.plotting.scene import ReplayScene, RobotTrack
 from angler_mjx.report.viewing import entities
 from angler_mjx.report.viewing.entities import task as of_task
 from angler_mjx.report.viewing.entities.water import log_flow
-from angler_mjx.report.viewing.scene import ReplayScene, RobotTrack
 from angler_mjx.robot.vehicles import library
 from angler_mjx.world.tasks.history import GoodsStatus, RobotActivity, TaskHistory
 

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
-from angler_mjx.report.viewing import style
+from angler_mjx.report.plotting import style
 from angler_mjx.runs.storage.results import OUTCOMES, completion_times, outcome_rates
 
 

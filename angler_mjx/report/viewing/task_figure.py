@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 
-from angler_mjx.report.viewing import style
+from angler_mjx.report.plotting import style
+from angler_mjx.report.plotting.scene import ReplayScene
 from angler_mjx.report.viewing.maps import base_map
-from angler_mjx.report.viewing.scene import ReplayScene
 from angler_mjx.runs.storage.folder import TRAJECTORIES, Run
 from angler_mjx.runs.storage.read_errors import wrap_read_errors
 from angler_mjx.sim.record import TASK

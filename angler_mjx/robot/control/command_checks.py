@@ -7,10 +7,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.robot.control.commands import BodyTwist, BodyWrench, PoseTarget, ThrusterPwm
-from angler_mjx.robot.control.joint_trajectory import JointTrajectory
-from angler_mjx.robot.control.laws.targets import TrackingTarget
-from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.robot.control.commands import (
+    BodyTwist,
+    BodyWrench,
+    PoseTarget,
+    ThrusterPwm,
+    TrackingTarget,
+)
+from angler_mjx.robot.control.commands.joint_trajectory import JointTrajectory
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.robot.vehicles.thrusters import PWM_HIGH_US, PWM_LOW_US
 
 type Axes = tuple[int | str, ...]

@@ -15,19 +15,20 @@ import jax
 import jax.numpy as jnp
 
 from angler_kernels import quaternion
+from angler_mjx._moved import renamed as _renamed
 from angler_mjx.robot.control import allocation, plans, stack
-from angler_mjx.robot.control.commands import BodyWrench, Estimate, PoseTarget
-from angler_mjx.robot.control.joint_trajectory import JointTrajectory
-from angler_mjx.robot.control.laws.targets import TrackingTarget
+from angler_mjx.robot.control.commands import BodyWrench, Estimate, PoseTarget, TrackingTarget
+from angler_mjx.robot.control.commands.joint_trajectory import JointTrajectory
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.robot.control.stack import (
     Action,
+    Command,
     ControlMemory,
     ControlParams,
     Stage,
     StageInput,
     Stages,
 )
-from angler_mjx.robot.control.trajectory import Trajectory
 
 
 @jax.tree_util.register_dataclass
@@ -183,17 +184,23 @@ def _select_realised(stage: Stage, memory: ControlMemory, new: jax.Array) -> Bod
     return BodyWrench(tau=jnp.where(new, 0.0, memory.realised.tau))
 
 
-def _select(flag: Any, yes: Any, no: Any) -> Any:
-    return jax.tree.map(lambda a, b: jnp.where(flag, a, b), yes, no)
+def _select[T](flag: jax.Array, yes: T, no: T) -> T:
+    selected: T = jax.tree.map(lambda a, b: jnp.where(flag, a, b), yes, no)
+    return selected
 
 
-def _target_position(command: Any, before: jax.Array) -> jax.Array:
+def _target_position(command: Command, before: jax.Array) -> jax.Array:
     aims: jax.Array = (
         command.position_m if isinstance(command, PoseTarget | TrackingTarget) else before
     )
     return aims
 
 
-def _demanded_wrench(command: Any, before: jax.Array) -> jax.Array:
+def _demanded_wrench(command: Command, before: jax.Array) -> jax.Array:
     demanded: jax.Array = command.tau if isinstance(command, BodyWrench) else before
     return demanded
+
+
+def __getattr__(name: str) -> Any:
+    """Return what had another name before 0.2."""
+    return _renamed(__name__, name)

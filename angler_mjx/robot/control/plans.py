@@ -12,9 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.robot.control import joint_trajectory, stages, trajectory
-from angler_mjx.robot.control.joint_goal import JointGoal, JointPoint
-from angler_mjx.robot.control.joint_trajectory import (
+from angler_mjx.robot.control import stages
+from angler_mjx.robot.control.commands import joint_trajectory, trajectory
+from angler_mjx.robot.control.commands.joint_goal import JointGoal, JointPoint
+from angler_mjx.robot.control.commands.joint_trajectory import (
     CUBIC,
     LINEAR,
     QUINTIC,
@@ -23,8 +24,8 @@ from angler_mjx.robot.control.joint_trajectory import (
     JointTrajectory,
     interpolate_segment,
 )
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.robot.control.stack import Stages
-from angler_mjx.robot.control.trajectory import Trajectory
 
 type Plan = Trajectory | JointTrajectory
 """Of one robot, or with any axes leading on every leaf."""
@@ -181,7 +182,7 @@ def trace_path(plan: Plan) -> tuple[np.ndarray, np.ndarray]:
 
 
 def to_joint_goal(plan: Plan) -> JointGoal:
-    """The plan of one robot as the message that `joint_goal.build` makes the same motion of.
+    """Return one robot's plan as a message of the same motion for `joint_goal.build_trajectory`.
 
     Joints x, y and z of way-points; the heading too of a JointTrajectory. A message says of points,
     not of segments, what they are joined by, so a segment between two points that have more than it

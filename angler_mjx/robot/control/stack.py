@@ -24,10 +24,10 @@ from angler_mjx.robot.control.commands import (
     Estimate,
     PoseTarget,
     ThrusterPwm,
+    TrackingTarget,
 )
-from angler_mjx.robot.control.joint_trajectory import JointTrajectory
-from angler_mjx.robot.control.laws.targets import TrackingTarget
-from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.robot.control.commands.joint_trajectory import JointTrajectory
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.robot.vehicles.params import VehicleParams
 
 type Command = (
@@ -180,7 +180,7 @@ def check_command(stages: Stages, command: Command, lead: tuple[int, ...], thrus
     command_checks.check_arrays(command, lead, thrusters)
 
 
-def progress_s(stages: Stages, memory: ControlMemory, plan: Any) -> jax.Array:
+def progress_s(stages: Stages, memory: ControlMemory, plan: Command) -> jax.Array:
     """Return the time [] s along its plan that a robot has come to.
 
     Args:
@@ -277,7 +277,7 @@ def _demanded_or_nan(demanded: BodyWrench | None, estimate: Estimate) -> BodyWre
     return demanded or BodyWrench(tau=jnp.full_like(estimate.nu, jnp.nan))
 
 
-def _target_position(command: Any, before: jax.Array) -> jax.Array:
+def _target_position(command: Command, before: jax.Array) -> jax.Array:
     """Position [3] that a command aims at; ``before`` where it does not aim."""
     aims: jax.Array = (
         command.position_m if isinstance(command, PoseTarget | TrackingTarget) else before

@@ -2,7 +2,8 @@
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
+from functools import cache
 from types import ModuleType
 from typing import Any
 
@@ -16,8 +17,10 @@ from angler_mjx.robot.control.commands import (
     Estimate,
     PoseTarget,
     ThrusterPwm,
+    TrackingTarget,
 )
-from angler_mjx.robot.control.joint_trajectory import JointTrajectory
+from angler_mjx.robot.control.commands.joint_trajectory import JointTrajectory
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.robot.control.laws import (
     aitsm,
     computed_torque,
@@ -31,9 +34,8 @@ from angler_mjx.robot.control.laws import (
     velocity,
 )
 from angler_mjx.robot.control.laws.ardusub import law as ardusub
-from angler_mjx.robot.control.laws.targets import TrackingTarget
 from angler_mjx.robot.control.stack import Stage, StageInput, Stages
-from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.user_classes import is_class_of_file, load_class
 
 _PATHS = (Trajectory, JointTrajectory)
 _POSES = (PoseTarget, TrackingTarget)
@@ -206,6 +208,66 @@ current forward (tracking, computed_torque) are told it; those that reject what 
 (ismc, aitsm, and all with an integral alone) are not."""
 
 
+def find_stage(name: str) -> Stage:
+    """Return a stage by its name, or that of a user's control law, FILE.py:CLASS.
+
+    Raises:
+        ConfigError: there is no such stage; the file or its class is no control law.
+    """
+    if is_class_of_file(name):
+        return _user_stage(load_class(name, "control law"))
+    if name not in STAGES:
+        raise ConfigError(
+            f"stages: unknown {name!r}; there is {', '.join(STAGES)}, or give a class of a file as "
+            "FILE.py:CLASS"
+        )
+    return STAGES[name]
+
+
+@cache
+def _user_stage(law_class: type) -> Stage:
+    """Return the stage of a user's class; CONTRIBUTING.md says what it has to have."""
+    name = law_class.__name__
+    missing = [entry for entry in ("takes", "gives", "step") if not hasattr(law_class, entry)]
+    if missing:
+        raise ConfigError(f"control law {name}: has no {' and no '.join(missing)}")
+    law: Any = law_class()
+    takes = tuple(law.takes)
+    commands = {*_PATHS, *_POSES, BodyTwist, BodyWrench}
+    if unknown := [kind for kind in takes if kind not in commands]:
+        raise ConfigError(f"control law {name}: takes {unknown[0]!r}, which is no command")
+    if law.gives not in {*_POSES, BodyTwist, BodyWrench, ThrusterPwm}:
+        raise ConfigError(f"control law {name}: gives {law.gives!r}, which is no command")
+    if name in STAGES:
+        raise ConfigError(f"control law {name}: a built-in stage has this name; take another one")
+    return Stage(
+        name=name,
+        takes=takes,
+        gives=law.gives,
+        step=law.step,
+        reset=(lambda estimate, _: law.reset(estimate)) if hasattr(law, "reset") else _no_memory,
+        gains=_register_gains(name, getattr(law_class, "Gains", stack.NoGains)),
+        check=getattr(law, "check", None),
+        wants_flow=getattr(law, "wants_flow", False),
+        wants_realised=getattr(law, "wants_realised", False),
+        wants_sway=getattr(law, "wants_sway", False),
+        progress=getattr(law, "progress", None),
+    )
+
+
+def _register_gains(name: str, gains: type) -> type:
+    """Return the dataclass of a law's gains, as a pytree."""
+    if not is_dataclass(gains):
+        raise ConfigError(f"control law {name}: Gains is no dataclass")
+    try:
+        made = gains()
+    except TypeError as error:
+        raise ConfigError(f"control law {name}: each of its Gains has to have a default") from error
+    if jax.tree.leaves(made) == [made]:
+        jax.tree_util.register_dataclass(gains)
+    return gains
+
+
 def find_controller(controller: str) -> Stages:
     """The stages of a stack that has a name."""
     return tuple(STAGES[name] for name in CONTROLLERS[controller])
@@ -227,16 +289,16 @@ def build_stack(
     """A stack by the names of its stages, and the gains of each (host side).
 
     Args:
-        names: from the highest to the lowest.
-        gains: by stage and gain, those that differ from a stage's own.
+        names: from the highest to the lowest; FILE.py:CLASS for a user's control law.
+        gains: by stage and gain, those that differ from a stage's own; a user's stage has the name
+            of its class.
 
     Raises:
         ConfigError: a stage or gain that is not known, a gain that makes no sense, stages that do
             not fit; one message with every fault.
     """
-    if unknown := [name for name in names if name not in STAGES]:
-        raise ConfigError(f"stages: unknown {_quote_names(unknown)}; there is {', '.join(STAGES)}")
-    stages = tuple(STAGES[name] for name in names)
+    stages = tuple(find_stage(name) for name in names)
+    names = tuple(stage.name for stage in stages)
     faults = fit_faults(stages)
     faults += [
         f"gains.{name}: the stack has no such stage; its stages are {', '.join(names)}"

@@ -1,1 +1,1 @@
-"""What a robot's instruments tell it of its own motion, from the true motion and seeded noise."""
+"""Instruments of a robot: readings of its own motion from the true motion and seeded noise."""

@@ -1,6 +1,6 @@
-"""The instruments one by one: the exact value, and what noise makes of it. Pure, of one robot.
+"""Single instruments of one robot: exact value and noise, as pure functions.
 
-With ``noise`` False a function returns the exact value and nothing else touches it.
+With ``noise`` False a function returns the exact value unchanged.
 """
 
 import jax
@@ -19,22 +19,25 @@ from angler_mjx.robot.sensing.readings import SensorCarry, Truth
 
 
 def is_due(every: jax.Array, step: jax.Array, phase: jax.Array | int = 0) -> jax.Array:
-    """Whether an instrument speaks (bool []) at a step, counted from 0; ``every`` 0: never."""
+    """Return whether an instrument gives a reading (bool []) at a step from 0.
+
+    ``every`` 0: never.
+    """
     return (every > 0) & (step % jnp.maximum(every, 1) == phase)
 
 
 def point_position(truth: Truth, offset: jax.Array) -> jax.Array:
-    """Where [3] a point of the robot is, in W; ``offset`` [3] in F."""
+    """Return the position [3] of a point of the robot, in W; ``offset`` [3] in F."""
     return truth.p + quaternion.rotate(truth.q, offset)
 
 
 def velocity_at(nu: jax.Array, offset: jax.Array) -> jax.Array:
-    """Velocity [3] of a point of the robot, in F: v + omega x offset."""
+    """Return the velocity [3] of a point of the robot, in F: v + omega x offset."""
     return nu[:3] + jnp.cross(nu[3:], offset)
 
 
 def rotation_between(before: jax.Array, after: jax.Array) -> jax.Array:
-    """Rotation vector [3], rad, of the rotation conj(before) after, between two attitudes [4].
+    """Return the rotation vector [3], rad, of conj(before) after, between two attitudes [4].
 
     The logarithm of SO(3), 2 atan2(|u|, w) u / |u|; its series 2 u / w for the smallest angles.
     """
@@ -55,15 +58,15 @@ def measure_inertial(
     dt: jax.Array,
     gravity: jax.Array,
 ) -> tuple[jax.Array, jax.Array]:
-    """Mean angular velocity and mean specific force that an IMU is exposed to in a period.
+    """Return mean angular velocity and mean specific force of an IMU in a period.
 
     omega = log(q0* q1) / dt, f = R(q0 exp(dt omega / 2))^T ((v1 - v0) / dt + gravity z).
 
     Args:
         before_q: [4] attitude at the beginning.
-        before_velocity: [3] of the IMU's place, in W, m/s.
-        q: [4] and at the end.
-        velocity: [3] and at the end.
+        before_velocity: [3] velocity of the IMU, in W, m/s.
+        q: [4] attitude at the end.
+        velocity: [3] velocity at the end.
         dt: [] period, s.
         gravity: [] m/s^2.
 
@@ -79,7 +82,7 @@ def measure_inertial(
 def measure_depth(
     params: DepthParams, surface: jax.Array, truth: Truth, normal: jax.Array, noise: bool
 ) -> jax.Array:
-    """Depth [] of the sensor's place, m: -z + offset of the scale + noise, in whole steps."""
+    """Return the depth [] of the sensor, m: -z + offset of the scale + noise, in whole steps."""
     exact = -point_position(truth, params.offset_m)[2]
     if not noise:
         return exact
@@ -91,9 +94,9 @@ def measure_depth(
 def measure_attitude(
     params: AhrsParams, carry: SensorCarry, truth: Truth, normal: jax.Array, noise: bool
 ) -> jax.Array:
-    """Attitude [4] as the AHRS has it: the true one turned in W by its errors.
+    """Return the attitude [4] of the AHRS: the true attitude, rotated in W by its errors.
 
-    That the robot leans is left out of `iron_error`, as a compass corrects for it.
+    The tilt of the robot is left out of `iron_error`, as a compass corrects for it.
     """
     if not noise:
         return truth.q
@@ -109,7 +112,7 @@ def measure_attitude(
 
 
 def iron_error(iron: jax.Array, heading: jax.Array) -> jax.Array:
-    """What a compass is off by [], rad, by the robot's own field h [2].
+    """Return the error [] of a compass, rad, by the robot's own field h [2].
 
     It sees the Earth's horizontal field, in F (sin psi, cos psi) for a heading psi from east, plus
     h: atan2(h_x cos psi - h_y sin psi, 1 + h_x sin psi + h_y cos psi).
@@ -119,19 +122,19 @@ def iron_error(iron: jax.Array, heading: jax.Array) -> jax.Array:
 
 
 def dvl_velocity(params: DvlParams, truth: Truth, normal: jax.Array, noise: bool) -> jax.Array:
-    """Velocity [3] over ground of the DVL's place, in F, m/s; ``normal`` [3]."""
+    """Return the velocity [3] over ground of the DVL, in F, m/s; ``normal`` [3]."""
     exact = velocity_at(truth.nu, params.offset_m)
     return exact + dvl_std(params, exact) * normal if noise else exact
 
 
 def dvl_std(params: DvlParams, velocity: jax.Array) -> jax.Array:
-    """Standard deviation [] of a DVL's axis, m/s: additive, and in proportion to the speed."""
+    """Return standard deviation [] of a DVL's axis, m/s: additive, and in proportion to speed."""
     square = jnp.sum(velocity * velocity)
     return jnp.sqrt(params.std_mps**2 + params.std_per_speed**2 * square)
 
 
 def dvl_locked(params: DvlParams, truth: Truth, normal: jax.Array, noise: bool) -> jax.Array:
-    """Whether a DVL gives a velocity (bool []): bottom lock, and no dropout; ``normal`` []."""
+    """Return whether a DVL gives a velocity (bool []): bottom lock, no dropout; ``normal`` []."""
     altitude, tilt = truth.altitude_m, quaternion.world_up(truth.q)[2]
     lock = (altitude >= params.min_altitude_m) & (altitude <= params.max_altitude_m)
     lock &= tilt >= params.min_cos_tilt
@@ -139,7 +142,7 @@ def dvl_locked(params: DvlParams, truth: Truth, normal: jax.Array, noise: bool) 
 
 
 def usbl_fix(params: UsblParams, truth: Truth, normal: jax.Array, noise: bool) -> jax.Array:
-    """Position [3] of the transponder in W, m; ``normal`` [7]: noise, outlier, whether it is."""
+    """Return position [3] of the transponder in W, m; ``normal`` [7]: noise, outlier, choice."""
     exact = point_position(truth, params.offset_m)
     if not noise:
         return exact
@@ -148,24 +151,24 @@ def usbl_fix(params: UsblParams, truth: Truth, normal: jax.Array, noise: bool) -
 
 
 def usbl_std(params: UsblParams, position: jax.Array) -> jax.Array:
-    """Standard deviation [] of a USBL's axis, m: additive, and in proportion to the range."""
+    """Return standard deviation [] of a USBL's axis, m: additive, and in proportion to range."""
     offset = position - params.transceiver_m
     return jnp.sqrt(params.std_m**2 + params.std_per_range**2 * jnp.sum(offset * offset))
 
 
 def gps_position(params: GpsParams, truth: Truth, normal: jax.Array, noise: bool) -> jax.Array:
-    """Position [2] of the antenna, east and north, m; ``normal`` [2]."""
+    """Return the position [2] of the antenna, east and north, m; ``normal`` [2]."""
     exact = point_position(truth, params.offset_m)[:2]
     return exact + params.std_m * normal if noise else exact
 
 
 def gps_received(params: GpsParams, truth: Truth) -> jax.Array:
-    """Whether the antenna is at the surface (bool [])."""
+    """Return whether the antenna is at the surface (bool [])."""
     return -point_position(truth, params.offset_m)[2] <= params.max_depth_m
 
 
 def disturb_truth(params: TruthNoiseParams, truth: Truth, normal: jax.Array, noise: bool) -> Truth:
-    """The true state with white noise; ``normal`` [12]. The altitude stays as it is."""
+    """Return the true state with white noise; ``normal`` [12]. The altitude is unchanged."""
     if not noise:
         return truth
     turn = quaternion.exp(params.attitude_std_rad * normal[3:6])

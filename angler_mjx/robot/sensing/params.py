@@ -1,4 +1,4 @@
-"""What the sensor model knows of one robot: arrays in SI units, compiled from a config."""
+"""Sensor parameters of one robot: arrays in SI units, compiled from a config."""
 
 import math
 from dataclasses import dataclass, field, fields, replace
@@ -15,20 +15,20 @@ from angler_mjx.robot.sensing.config import ImuConfig, SensorsConfig, UsblConfig
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class ImuParams:
-    """Standard deviations are of a mean over one control period."""
+    """Parameters of the IMU; standard deviations are of a mean over one control period."""
 
     offset_m: jax.Array
-    """[3] in F, from the centre of mass."""
+    """[3] position from the centre of mass, in F."""
     gyro_std: jax.Array
     """[] rad/s: density / sqrt(dt)."""
     gyro_walk_std: jax.Array
-    """[] rad/s, of what the wandering bias gets in one step."""
+    """[] rad/s, increment of the wandering bias in one step."""
     gyro_walk_kept: jax.Array
-    """[] 1, what is left of it after one step: exp(-dt / tau)."""
+    """[] 1, fraction of the wandering bias that remains after one step: exp(-dt / tau)."""
     gyro_turn_on_std: jax.Array
-    """[] rad/s."""
+    """[] rad/s, constant bias."""
     accel_std: jax.Array
-    """[] m/s^2, and so on as for the gyroscopes."""
+    """[] m/s^2; this and the following as for the gyroscopes."""
     accel_walk_std: jax.Array
     accel_walk_kept: jax.Array
     accel_turn_on_std: jax.Array
@@ -37,10 +37,10 @@ class ImuParams:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class DepthParams:
-    """Of the pressure sensor."""
+    """Parameters of the pressure sensor."""
 
     every: jax.Array
-    """int32 [], here and below: steps from reading to reading, 0 = not fitted."""
+    """int32 [] steps from reading to reading, 0 = not fitted; the same in the classes below."""
     offset_m: jax.Array
     std_m: jax.Array
     resolution_m: jax.Array
@@ -50,7 +50,7 @@ class DepthParams:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class AhrsParams:
-    """Of compass and level."""
+    """Parameters of compass and level."""
 
     every: jax.Array
     level_std_rad: jax.Array
@@ -62,7 +62,7 @@ class AhrsParams:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class DvlParams:
-    """Of the Doppler log."""
+    """Parameters of the Doppler log."""
 
     every: jax.Array
     offset_m: jax.Array
@@ -72,13 +72,13 @@ class DvlParams:
     max_altitude_m: jax.Array
     min_cos_tilt: jax.Array
     dropout_below: jax.Array
-    """[] a standard normal number below this is a dropout."""
+    """[] threshold of a standard normal number, below which a reading is lost."""
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class UsblParams:
-    """Of the acoustic positioning."""
+    """Parameters of the acoustic positioning."""
 
     every: jax.Array
     latency: jax.Array
@@ -95,7 +95,7 @@ class UsblParams:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class GpsParams:
-    """Of the satellite receiver."""
+    """Parameters of the satellite receiver."""
 
     every: jax.Array
     offset_m: jax.Array
@@ -106,7 +106,7 @@ class GpsParams:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class TruthNoiseParams:
-    """Of the noise on the true state."""
+    """Parameters of the noise on the true state."""
 
     position_std_m: jax.Array
     attitude_std_rad: jax.Array
@@ -118,7 +118,7 @@ class TruthNoiseParams:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class SensorParams:
-    """The instruments of one robot."""
+    """Instruments of one robot."""
 
     imu: ImuParams
     depth: DepthParams
@@ -130,17 +130,18 @@ class SensorParams:
     dt_s: jax.Array
     """[] control period."""
     gravity_mps2: jax.Array
-    """[]"""
+    """[] gravity."""
     noise: bool = field(metadata={"static": True})
-    """False: readings are exact. They still come at their rates, after their latency, and only
-    with bottom lock or at the surface. The figures above remain what a filter believes."""
+    """Whether readings are noisy. False: readings are exact. They still come at their rates, after
+    their latency, and only with bottom lock or at the surface. A filter still assumes the figures
+    above."""
 
 
 def scale_noise(params: SensorParams, factor: jax.Array) -> SensorParams:
-    """The same instruments with ``factor`` [] times the noise.
+    """Return the same instruments with ``factor`` [] times the noise.
 
-    Standard deviations are scaled, those of biases too; rates, dropouts, the share of echoes and
-    the steps of readings stay.
+    Standard deviations are scaled, those of biases too; rates, dropouts, the probability of echoes
+    and the steps of readings do not change.
     """
 
     def scaled(part: Any) -> Any:
@@ -152,15 +153,15 @@ def scale_noise(params: SensorParams, factor: jax.Array) -> SensorParams:
 
 
 def check_sensors(config: SensorsConfig, control_dt_s: float) -> None:
-    """Refuse instruments that cannot be (host side).
+    """Refuse impossible instruments (host side).
 
     Args:
-        config: of the robot.
+        config: instruments of the robot.
         control_dt_s: control period, s.
 
     Raises:
-        ConfigError: a USBL whose latency is not shorter than its period, or a DVL whose altitudes
-            leave nothing between them.
+        ConfigError: a USBL whose latency is not shorter than its period, or a DVL without a range
+            between its altitudes.
     """
     dvl, usbl = config.dvl, config.usbl
     if not dvl.min_altitude_m < dvl.max_altitude_m:
@@ -183,7 +184,7 @@ def build_sensors(config: SensorsConfig, control_dt_s: float, gravity_mps2: floa
     Rates become whole control periods: the nearest, at least one.
 
     Args:
-        config: of the robot.
+        config: instruments of the robot.
         control_dt_s: control period, s.
         gravity_mps2: m/s^2.
 
@@ -263,7 +264,7 @@ def _build_imu(config: ImuConfig, dt: float) -> ImuParams:
 
 
 def _random_walk_step(density: float, tau: float, dt: float) -> tuple[float, float]:
-    """What is kept and what is added in one step of db/dt = -b / tau + density w(t), exactly."""
+    """Return decay and increment of one step of db/dt = -b / tau + density w(t), exactly."""
     added = density * math.sqrt(-0.5 * tau * math.expm1(-2 * dt / tau))
     return math.exp(-dt / tau), added
 
@@ -288,7 +289,7 @@ def _period_steps(fitted: bool, period_s: float, dt: float) -> jax.Array:
 
 
 def _normal_quantile(probability: float) -> jax.Array:
-    """Where a standard normal number lies below with this probability."""
+    """Return the quantile of the standard normal distribution for a probability."""
     return _scalar_array(NormalDist().inv_cdf(probability) if probability > 0 else -math.inf)
 
 

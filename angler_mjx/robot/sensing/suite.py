@@ -1,4 +1,4 @@
-"""All instruments of one robot at one control step, with memory and randomness made explicit.
+"""Step of all instruments of one robot, with explicit memory and randomness.
 
 Randomness comes in as standard normal numbers. ``sample_noise`` makes them from the robot's key and
 the number of the step, nothing else; ``read_instruments`` is elementwise arithmetic, so it runs
@@ -17,16 +17,16 @@ from angler_mjx.robot.sensing.params import SensorParams
 from angler_mjx.robot.sensing.readings import ImuReading, Reading, SensorCarry, Truth
 
 N_NORMAL = 29
-"""Numbers a step takes: gyro 3, accelerometer 3, their biases 3 + 3, depth 1, attitude 3, DVL
-3 + 1, USBL 7, GPS 2."""
+"""Random numbers of a step: gyro 3, accelerometer 3, their biases 3 + 3, depth 1, attitude 3, DVL 3
++ 1, USBL 7, GPS 2."""
 
 
 def sample_noise(params: SensorParams, key: jax.Array, step: jax.Array) -> jax.Array:
-    """Standard normal numbers [N_NORMAL] of a robot's step.
+    """Sample the standard normal numbers [N_NORMAL] of a robot's step.
 
     Args:
-        params: of the robot.
-        key: of the robot, the world's key folded with the robot's index.
+        params: instruments of the robot.
+        key: key of the robot: the world's key folded with the robot's index.
         step: int32 [] control steps since the beginning.
     """
     dtype = params.dt_s.dtype
@@ -37,11 +37,11 @@ def sample_noise(params: SensorParams, key: jax.Array, step: jax.Array) -> jax.A
 
 
 def reset(params: SensorParams, key: jax.Array, truth: Truth) -> SensorCarry:
-    """Switch the instruments on: draw what stays the same from then on.
+    """Start the instruments: sample the constant errors.
 
     Args:
-        params: of the robot.
-        key: of the robot, as for ``sample_noise``.
+        params: instruments of the robot.
+        key: key of the robot, as for ``sample_noise``.
         truth: its motion at the first step.
     """
     dtype = truth.p.dtype
@@ -67,7 +67,7 @@ def reset(params: SensorParams, key: jax.Array, truth: Truth) -> SensorCarry:
 def step(
     params: SensorParams, carry: SensorCarry, key: jax.Array, step: jax.Array, truth: Truth
 ) -> tuple[SensorCarry, Reading]:
-    """Read all instruments: ``read_instruments`` with what ``sample_noise`` gives."""
+    """Read all instruments: ``read_instruments`` with the numbers of ``sample_noise``."""
     return read_instruments(params, carry, sample_noise(params, key, step), step, truth)
 
 
@@ -77,7 +77,7 @@ def read_instruments(
     """Read all instruments.
 
     Args:
-        params: of the robot.
+        params: instruments of the robot.
         carry: their memory.
         normal: [N_NORMAL] standard normal numbers of this step.
         step: int32 [] control steps since the beginning; call with every one from 0 on.
@@ -117,10 +117,10 @@ def read_instruments(
 
 
 def disturb_truth(params: SensorParams, key: jax.Array, step: jax.Array, truth: Truth) -> Truth:
-    """The true state with white noise, without any instrument; exact with ``noise`` False."""
+    """Return the true state with white noise, without instruments; exact with ``noise`` False."""
     if not params.noise:
         return truth
-    # A branch of its own: what it draws must not depend on whether instruments are read too.
+    # A branch of its own: its samples must not depend on whether instruments are read too.
     key = jax.random.fold_in(jax.random.fold_in(key, step + 1), 1)
     normal = jax.random.normal(key, (12,), truth.p.dtype)
     return instruments.disturb_truth(params.truth, truth, normal, params.noise)
@@ -129,7 +129,7 @@ def disturb_truth(params: SensorParams, key: jax.Array, step: jax.Array, truth: 
 def disturb_current(
     params: SensorParams, key: jax.Array, step: jax.Array, current: jax.Array
 ) -> jax.Array:
-    """The true current [3] with white noise, m/s; exact with ``noise`` False."""
+    """Return the true current [3] with white noise, m/s; exact with ``noise`` False."""
     if not params.noise:
         return current
     key = jax.random.fold_in(jax.random.fold_in(key, step + 1), 2)
@@ -138,7 +138,7 @@ def disturb_current(
 
 
 def _imu_velocity(params: SensorParams, truth: Truth) -> jax.Array:
-    """Velocity [3] of the IMU's place, m/s in W."""
+    """Return the velocity [3] of the IMU, m/s in W."""
     velocity = instruments.velocity_at(truth.nu, params.imu.offset_m)
     return quaternion.rotate(truth.q, velocity)
 
@@ -146,7 +146,7 @@ def _imu_velocity(params: SensorParams, truth: Truth) -> jax.Array:
 def _measure_imu(
     params: SensorParams, carry: SensorCarry, normal: jax.Array, truth: Truth
 ) -> tuple[SensorCarry, ImuReading]:
-    """The IMU: biases move on, then mean and present values with the same noise."""
+    """Read the IMU: advance the biases, then add the same noise to mean and present values."""
     imu, velocity = params.imu, _imu_velocity(params, truth)
     mean_rate, force = instruments.measure_inertial(
         carry.before_q, carry.before_velocity, truth.q, velocity, params.dt_s, params.gravity_mps2

@@ -1,1 +1,1 @@
-"""Vehicle files, their parameter sets, and what they compile to: parameters and MJCF."""
+"""Vehicle files, their parameter sets, and the parameters and MJCF compiled from them."""

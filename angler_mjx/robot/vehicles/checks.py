@@ -1,4 +1,4 @@
-"""What numbers in a vehicle file must satisfy to describe a body that can exist.
+"""Checks that the numbers of a vehicle file describe a body that can exist.
 
 Each function raises ValueError with the reason and the remedy; the models turn it into a fault of
 the file.
@@ -11,17 +11,20 @@ import numpy as np
 type Matrix = tuple[tuple[float, ...], ...]
 
 SMALLEST, LARGEST = 1e-9, 1e9
-"""Of what a vehicle file may give as a mass, an inertia, a length, a coefficient; SI units."""
+"""Range of masses, inertias, lengths and coefficients of a vehicle file; SI units."""
 
 PWM_LOW_US, PWM_HIGH_US = 1100, 1900
-"""What a thruster file must cover."""
+"""PWM range [us] that a thruster file must cover."""
 
 # Matrices and unit vectors are typed by hand in files: more than this is an error, not rounding.
 _RELATIVE_TOLERANCE = 1e-6
 
 
 def _symmetric_matrix(value: Any, size: int) -> np.ndarray:
-    """Turn a diagonal or a full matrix of a file into a symmetric array, or say what is wrong."""
+    """Turn a diagonal or a full matrix of a file into a symmetric array.
+
+    Raise ValueError otherwise.
+    """
     shape_hint = f"give {size} diagonal values or {size} rows of {size} values"
     rows = value if isinstance(value, tuple | list) else ()
     cells = [x for row in rows for x in (row if isinstance(row, tuple | list) else (row,))]

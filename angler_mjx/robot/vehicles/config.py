@@ -24,14 +24,14 @@ type Fraction = Annotated[float, Field(ge=0, le=1)]
 
 
 class Capsule(FileModel):
-    """A cylinder with half-spheres at its ends, in the base frame."""
+    """Cylinder with half-spheres at its ends, in the base frame."""
 
     from_m: Vector3
-    """One end of the axis."""
+    """[3] one end of the axis, m."""
     to_m: Vector3
-    """The other end."""
+    """[3] other end of the axis, m."""
     radius_m: Positive
-    """Of the cylinder and its ends."""
+    """Radius of the cylinder and its ends, m."""
 
     @model_validator(mode="after")
     def _check_length(self) -> Self:
@@ -42,30 +42,30 @@ class Capsule(FileModel):
 
 
 class Base(FileModel):
-    """Where the centre of mass lies in the base frame."""
+    """Position of the centre of mass in the base frame."""
 
     center_of_mass_m: Vector3
-    """In the base frame."""
+    """[3] centre of mass in the base frame, m."""
     source: Source
 
 
 class HullTable(FileModel):
-    """Outer shape: for distances, and for how buoyancy fades at the surface."""
+    """Outer shape: for distances, and for the fading of buoyancy at the surface."""
 
     height_m: Positive
     """Height over which buoyancy fades from full to none as the hull leaves the water."""
     capsules: Annotated[tuple[Capsule, ...], Field(min_length=1, max_length=64)]
-    """Together they are the hull; distances are to them."""
+    """Capsules that together form the hull; distances are to them."""
     source: Source
 
 
 class Thruster(FileModel):
-    """One thruster, in the base frame."""
+    """Thruster in the base frame."""
 
     name: Name
-    """For faults of thrusters, and in tables."""
+    """Name for faults of thrusters and tables."""
     position_m: Vector3
-    """Of the rotor."""
+    """[3] position of the rotor, m."""
     direction: Annotated[tuple[float, float, float], AfterValidator(checks.check_unit_vector)]
     """Unit vector of the force on the vehicle at positive thrust (PWM above neutral)."""
     spin: Sign
@@ -73,10 +73,10 @@ class Thruster(FileModel):
 
 
 class Thrusters(FileModel):
-    """Where the thrusters are and where they push."""
+    """Positions and directions of the thrusters."""
 
     layout: Annotated[tuple[Thruster, ...], Field(min_length=1, max_length=64)]
-    """In the order of the signals."""
+    """Thrusters in the order of the signals."""
     source: Source
 
     @field_validator("layout")
@@ -88,51 +88,51 @@ class Thrusters(FileModel):
 
 class _Shape(FileModel):
     name: Name
-    """Of the geometry in the MuJoCo model."""
+    """Name of the geometry in the MuJoCo model."""
     rgba: tuple[Fraction, Fraction, Fraction, Fraction]
-    """Colour, and opacity."""
+    """Colour and opacity."""
 
 
 class Box(_Shape):
-    """A visible box: centre and full edge lengths, in the base frame."""
+    """Visible box: centre and full edge lengths, in the base frame."""
 
     shape: Literal["box"]
     position_m: Vector3
-    """Centre."""
+    """[3] centre, m."""
     size_m: tuple[Positive, Positive, Positive]
-    """Full edges."""
+    """[3] full edge lengths, m."""
 
 
 class Cylinder(_Shape):
-    """A visible cylinder between two points of the base frame."""
+    """Visible cylinder between two points of the base frame."""
 
     shape: Literal["cylinder"]
     from_m: Vector3
-    """One end of the axis."""
+    """[3] one end of the axis, m."""
     to_m: Vector3
-    """The other end."""
+    """[3] other end of the axis, m."""
     radius_m: Positive
-    """Of the cylinder."""
+    """Radius of the cylinder, m."""
 
 
 class Sphere(_Shape):
-    """A visible sphere, in the base frame."""
+    """Visible sphere, in the base frame."""
 
     shape: Literal["sphere"]
     position_m: Vector3
-    """Centre."""
+    """[3] centre, m."""
     radius_m: Positive
-    """Of the sphere."""
+    """Radius of the sphere, m."""
 
 
 type Shape = Annotated[Box | Cylinder | Sphere, Field(discriminator="shape")]
 
 
 class Visual(FileModel):
-    """What a viewer shows; nothing of it enters the physics."""
+    """Shapes for viewers; the physics ignores them."""
 
     shapes: Annotated[tuple[Shape, ...], Field(max_length=256)]
-    """For viewers."""
+    """Shapes for viewers."""
     source: Source
 
     @field_validator("shapes")
@@ -153,12 +153,12 @@ class RigidBody(FileModel):
 
 
 class Buoyancy(FileModel):
-    """Displaced volume and where its centre lies, from the centre of mass."""
+    """Displaced volume and its centre, from the centre of mass."""
 
     volume_m3: Positive
-    """Fully submerged."""
+    """Displaced volume, fully submerged, m^3."""
     center_of_buoyancy_m: Vector3
-    """From the centre of mass."""
+    """[3] centre of buoyancy from the centre of mass, m."""
     source: Source
 
 
@@ -195,18 +195,18 @@ class Damping(FileModel):
 
 
 class ArduSub(FileModel):
-    """How the vehicle is known to the ArduSub firmware."""
+    """Identity of the vehicle in the ArduSub firmware."""
 
     frame: Literal["vectored", "vectored_6dof"]
-    """Its frame there; thrusters must stand in ``layout`` as that frame numbers its motors."""
+    """Frame of the firmware; ``layout`` must list thrusters in the motor order of that frame."""
     source: Source
 
 
 class ParameterSet(FileModel):
-    """One published or identified set of coefficients of the vehicle."""
+    """Published or identified set of coefficients of the vehicle."""
 
     description: str
-    """For people."""
+    """Description for people."""
     rigid_body: RigidBody
     buoyancy: Buoyancy
     added_mass: AddedMass
@@ -214,29 +214,29 @@ class ParameterSet(FileModel):
 
 
 class VehicleConfig(FileModel):
-    """A vehicle file."""
+    """Vehicle file."""
 
     name: Name
-    """Of the vehicle, in tables."""
+    """Name of the vehicle, in tables."""
     description: str
-    """For people."""
+    """Description for people."""
     default_set: str
-    """The parameter set that is used where none is named."""
+    """Parameter set that is used where none is named."""
     base: Base
     hull: HullTable
     thrusters: Thrusters
     rotor: Rotor
     visual: Visual
     ardusub: ArduSub | None = None
-    """None: no real ArduSub can steer it."""
+    """ArduSub frame; None: real ArduSub cannot steer the vehicle."""
     parameter_sets: Annotated[dict[Name, ParameterSet], Field(min_length=1)]
-    """By name."""
+    """Parameter sets by name."""
 
     @model_validator(mode="after")
     def _check_default(self) -> Self:
         if self.default_set not in self.parameter_sets:
             raise ValueError(
-                f"default_set = {format_value(self.default_set)} is none of "
+                f"default_set = {format_value(self.default_set)} is not among "
                 + ", ".join(self.parameter_sets)
             )
         return self
@@ -270,13 +270,13 @@ class VehicleConfig(FileModel):
         return chosen
 
     def find_health(self, health: Mapping[str, float]) -> tuple[float, ...]:
-        """Return the share of its thrust that each thruster gives, in the order of ``layout``.
+        """Return the fraction of its thrust that each thruster gives, in the order of ``layout``.
 
         Args:
-            health: shares in [0, 1] by thruster name; the others give all of theirs.
+            health: fractions in [0, 1] by thruster name; 1 for thrusters that are not listed.
 
         Raises:
-            ConfigError: the vehicle has no thruster of a name, or a share is out of range.
+            ConfigError: the vehicle has no thruster of a name, or a fraction is out of range.
         """
         names = [thruster.name for thruster in self.thrusters.layout]
         for name, fraction in health.items():

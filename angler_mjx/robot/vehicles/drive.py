@@ -1,9 +1,9 @@
-"""Which ways a vehicle can be driven by its thrusters, and what it needs to fly a path.
+"""Axes that thrusters can drive, and the requirements of flying a path.
 
-Level, a vehicle has four ways to go: surge, sway, heave and yaw; righting moments see to roll and
-pitch. A way is there if thrusters can push along it and along none of the other three, both ways.
-A path can be flown with surge, heave and yaw: where sway is missing, controllers turn the bow to
-where the vehicle must go.
+A level vehicle has four axes: surge, sway, heave and yaw; righting moments hold roll and pitch. An
+axis can be driven if thrusters can push along it, in both directions, and along none of the other
+three. A path can be flown with surge, heave and yaw: where sway is missing, controllers turn the
+bow into the direction of travel.
 """
 
 from dataclasses import dataclass
@@ -15,27 +15,29 @@ from angler_mjx.robot.vehicles.config import VehicleConfig
 from angler_mjx.robot.vehicles.thrusters import FloatArray
 
 MIN_SWAY_FRACTION = 0.1
-"""A sway slower than this share of surge is not counted: all ways together would be held to it."""
+"""Least sway speed as a fraction of surge; a slower sway counts as missing, because it would limit
+the speed along all axes."""
 
 _AXES = {"surge": 0, "sway": 1, "heave": 2, "yaw": 5}
 """Rows of the wrench matrix."""
 _ALONE = 1e-2
-"""Share of a push along one way that may go along the others, and of the largest singular value
-below which one is a small offset of the geometry (as in `angler_mjx.robot.control.allocation`)."""
+"""Limit, as a fraction of a push along one axis, of its parts along the others, and as a fraction
+of the largest singular value, below which a singular value counts as a small offset of the geometry
+(as in `angler_mjx.robot.control.allocation`)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Drive:
-    """What a vehicle can do at full thrust."""
+    """Abilities of a vehicle at full thrust."""
 
     terminal_speed_mps: FloatArray
-    """[3] surge, sway, heave in still water, the slower direction; 0 for one that is not there."""
+    """[3] surge, sway, heave in still water, the slower direction; 0 for a missing axis."""
     yaw: bool
-    """Whether it can turn about the vertical alone."""
+    """Whether the vehicle can turn about the vertical alone."""
 
     @property
     def missing_axes(self) -> tuple[str, ...]:
-        """Ways that are not there."""
+        """Return the names of the missing axes."""
         available = [*(self.terminal_speed_mps > 0), self.yaw]
         return tuple(
             axis for axis, is_available in zip(_AXES, available, strict=True) if not is_available
@@ -45,11 +47,11 @@ class Drive:
 def compute_drive(
     B: FloatArray, reverse_n: float, forward_n: float, D_l: FloatArray, D_q: FloatArray
 ) -> Drive:
-    """What thrusters and damping make of a vehicle.
+    """Compute the abilities of a vehicle from its thrusters and damping.
 
     Args:
         B: [6, n_t] wrench per newton of each thruster, in F.
-        reverse_n: thrust of each at the lowest PWM, N (negative).
+        reverse_n: thrust of each thruster at the lowest PWM, N (negative).
         forward_n: thrust at the highest PWM, N.
         D_l: [3] linear damping of surge, sway, heave, N s/m.
         D_q: [3] quadratic damping, N s^2/m^2.
@@ -70,7 +72,7 @@ def require_flyable(config: VehicleConfig, able: Drive) -> None:
     """Refuse a vehicle that cannot fly a path.
 
     Raises:
-        ConfigError: naming it and the ways that it lacks.
+        ConfigError: the vehicle lacks an axis; the message names both.
     """
     lacking = [axis for axis in able.missing_axes if axis != "sway"]
     if lacking:
@@ -82,9 +84,9 @@ def require_flyable(config: VehicleConfig, able: Drive) -> None:
 
 
 def full_force(rows: FloatArray, reverse_n: float, forward_n: float) -> FloatArray:
-    """Largest force along each axis that is there in both directions.
+    """Return the largest force along each axis that can be driven in both directions.
 
-    Each thruster runs at the end of its table that helps: one that points backward pushes in
+    Each thruster runs at the end of its table that helps: a thruster that points backward pushes in
     reverse to drive the vehicle forward.
 
     Args:
@@ -102,7 +104,7 @@ def full_force(rows: FloatArray, reverse_n: float, forward_n: float) -> FloatArr
 
 
 def terminal_speed(force_n: FloatArray, D_l: FloatArray, D_q: FloatArray) -> FloatArray:
-    """Speed at which damping balances a force: the positive root of D_l v + D_q v^2 = F.
+    """Return the speed at which damping balances a force: the positive root of D_l v + D_q v^2 = F.
 
     Still water, one axis at a time, net buoyancy left out.
 
@@ -114,7 +116,7 @@ def terminal_speed(force_n: FloatArray, D_l: FloatArray, D_q: FloatArray) -> Flo
 
 
 def wrench_matrix(config: VehicleConfig) -> FloatArray:
-    """Wrench at the centre of mass, in F, per newton of each thruster.
+    """Return the wrench at the centre of mass, in F, per newton of each thruster.
 
     Column i is [d_i; r_i x d_i - s_i k d_i], r_i from the centre of mass, d_i the direction of
     positive thrust, s_i the spin, k the reaction torque per newton (m).

@@ -1,4 +1,4 @@
-"""Finding and reading vehicle files and thruster files: those shipped here, and the user's own."""
+"""Vehicle files and thruster files: lookup and reading of shipped files and of the user's own."""
 
 from collections.abc import Iterable
 from functools import lru_cache
@@ -16,7 +16,7 @@ _THRUSTERS = _VEHICLES / "thrusters"
 
 
 def list_vehicles() -> list[str]:
-    """Names of the shipped vehicles, sorted."""
+    """List the names of the shipped vehicles, sorted."""
     return list(_list_names(_VEHICLES))
 
 
@@ -35,7 +35,7 @@ def load_vehicle(name_or_path: str) -> VehicleConfig:
 
 @lru_cache(maxsize=64)
 def _parse_vehicle(path: Path, text: str) -> VehicleConfig:
-    """Of a file with this text: a scenario asks for the same one many times."""
+    """Parse a vehicle file of this text, cached: a scenario loads the same file many times."""
     config = parse_model(VehicleConfig, parse_toml(text, format_path(path)), source=str(path))
     if not config.rotor.model.endswith(".toml"):
         return config
@@ -45,17 +45,17 @@ def _parse_vehicle(path: Path, text: str) -> VehicleConfig:
 
 
 def locate_vehicle(name_or_path: str) -> Path:
-    """File of a vehicle; arguments and errors as in `load_vehicle`."""
+    """Return the file of a vehicle; arguments and errors as in `load_vehicle`."""
     return _locate_file(name_or_path, _VEHICLES, "vehicle")
 
 
 def locate_thruster(name_or_path: str) -> Path:
-    """File of a thruster; arguments and errors as in `load_thruster`."""
+    """Return the file of a thruster; arguments and errors as in `load_thruster`."""
     return _locate_file(name_or_path, _THRUSTERS, "thruster")
 
 
 def label_vehicles(vehicles: Iterable[str]) -> dict[str, str]:
-    """What to call vehicles in tables: the names in their files, unless two files share one.
+    """Return table labels of vehicles: the names in their files, unless two files share a name.
 
     Args:
         vehicles: as a scenario names them.
@@ -87,7 +87,7 @@ def _parse_thruster(path: Path, text: str) -> ThrusterTable:
 
 
 def reach_m(config: VehicleConfig) -> float:
-    """Radius of the smallest sphere about the centre of mass that holds the hull, m."""
+    """Return the radius [m] of the smallest sphere about the centre of mass that holds the hull."""
     center = np.asarray(config.base.center_of_mass_m)
     return max(
         float(np.linalg.norm(np.asarray(end) - center)) + capsule.radius_m
@@ -98,7 +98,7 @@ def reach_m(config: VehicleConfig) -> float:
 
 @lru_cache
 def _list_names(folder: Path) -> tuple[str, ...]:
-    """Of the files that are shipped, which do not change."""
+    """List the names of shipped files, cached: they do not change."""
     return tuple(sorted(path.stem for path in folder.glob("*.toml")))
 
 

@@ -1,10 +1,10 @@
-"""A load that a vehicle carries: what it adds to the vehicle's parameters.
+"""Load that a vehicle carries: its additions to the vehicle's parameters.
 
-A compact body that is held at the vehicle's centre of mass, so that centre stays where it is and no
-moment comes of its weight or its drag. What it adds stands beside the vehicle's own: how load and
-vehicle disturb each other's water is left out, as in the sum of parts of Fossen (Handbook of Marine
-Craft Hydrodynamics and Motion Control, 2nd ed. 2021, 8.4.2: drag of a body from drag areas,
-F = 1/2 rho Cd A |u| u).
+A compact body that is held at the vehicle's centre of mass, so that centre does not move and the
+load's weight and drag exert no moment. Its parameters are added to the vehicle's: the hydrodynamic
+interaction of load and vehicle is left out, as in the sum of parts of Fossen (Handbook of Marine
+Craft Hydrodynamics and Motion Control, 2nd ed. 2021, 8.4.2: drag of a body from drag areas, F = 1/2
+rho Cd A |u| u).
 """
 
 from dataclasses import dataclass
@@ -18,27 +18,27 @@ type Three = tuple[float, float, float]
 
 @dataclass(frozen=True, kw_only=True)
 class Load:
-    """What is carried; axes are those of F."""
+    """Carried body; axes are those of F."""
 
     mass_kg: float
     volume_m3: float
-    """Displaced, fully submerged."""
+    """Displaced volume, fully submerged."""
     drag_area_m2: Three
     """Cd A in surge, sway and heave."""
     added_mass_kg: Three
-    """In surge, sway and heave."""
+    """Added mass in surge, sway and heave."""
     density_kgpm3: float
-    """Of the water, for the drag."""
+    """Density of the water, for the drag."""
 
 
 def add_load(config: VehicleConfig, parameter_set: str, load: Load) -> VehicleConfig:
-    """The vehicle file of a robot that carries a load: what one of its sets says, and the load's.
+    """Return vehicle file of a robot that carries a load: the sum of a parameter set and the load.
 
     The load's mass has no inertia about the centre of mass; its buoyancy acts there too, so the
     centre of buoyancy of both lies between it and the vehicle's own.
 
     Raises:
-        ConfigError: there is no such set.
+        ConfigError: the vehicle has no such set.
     """
     parameters = config.find_set(parameter_set)
     body, water, damping = parameters.rigid_body, parameters.buoyancy, parameters.damping

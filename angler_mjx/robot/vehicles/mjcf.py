@@ -1,8 +1,8 @@
-"""A vehicle file as a MuJoCo model: one free body with its mass, its inertia and a visible shape.
+"""MuJoCo model of a vehicle file: one free body with its mass, its inertia and a visible shape.
 
 The body's origin is the centre of mass. Water is not in the model: buoyancy, added mass, damping
 and thrust are the simulator's own terms, so no fluid attribute of MuJoCo is ever set (its fluid
-models have no added-mass inertia, and MJX computes another of them than was asked for).
+models have no added-mass inertia, and MJX may compute another model than the requested one).
 """
 
 import logging
@@ -17,7 +17,7 @@ from angler_mjx.robot.vehicles.thrusters import FloatArray
 # A T200 is 0.1 m across its nozzle and about as long; only looks depend on these.
 _NOZZLE_RADIUS_M = 0.05
 _NOZZLE_HALF_LENGTH_M = 0.045
-# Thrusters are coloured by the way they turn, as the propellers of the kit are.
+# Thrusters are coloured by their sense of rotation, as the propellers of the kit are.
 _SPIN_RGBA = {1: (0.10, 0.65, 0.30, 0.9), -1: (0.90, 0.45, 0.10, 0.9)}
 _HULL_RGBA = (0.35, 0.65, 0.95, 0.12)
 # MuJoCo's viewers show geom groups 0 to 2 and hide 3 to 5 until they are switched on.
@@ -167,7 +167,7 @@ def _add_thrusters(body: mujoco.MjsBody, config: VehicleConfig, center: FloatArr
 
 
 def _z_to(axis: FloatArray) -> FloatArray:
-    """Quaternion wxyz of the shortest turn that takes the z axis to ``axis`` (unit)."""
+    """Return quaternion wxyz of the shortest rotation that takes the z axis to ``axis`` (unit)."""
     # Half-way formula; straight down has no shortest turn, so it is a half turn about x.
     if axis[2] < -1 + 1e-9:
         return np.array([0.0, 1.0, 0.0, 0.0])

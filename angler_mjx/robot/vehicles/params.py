@@ -1,6 +1,6 @@
-"""What the physics knows of one robot: a pytree of arrays, compiled from a vehicle file.
+"""Physical parameters of one robot: a pytree of arrays, compiled from a vehicle file.
 
-Everything is about the robot's centre of mass, in F (x forward, y left, z up). The work is done
+Everything is about the robot's centre of mass, in F (x forward, y left, z up). Compilation runs
 once, on the host, in float64; the arrays have JAX's default float type.
 """
 
@@ -24,7 +24,7 @@ from angler_mjx.robot.vehicles.thrusters import tables_at
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class VehicleParams:
-    """One robot. ``n_t`` thrusters and ``c`` capsules include padding after ``stack_vehicles``."""
+    """Parameters of one robot; ``n_t`` and ``c`` include padding after ``stack_vehicles``."""
 
     mass_kg: jax.Array
     """[] dry mass."""
@@ -51,24 +51,25 @@ class VehicleParams:
     tau_s: jax.Array
     """[] time constant of the rotors; for rotors of first order."""
     capsule_a_m: jax.Array
-    """[c, 3] one end of each hull capsule's axis; padding repeats the last capsule."""
+    """[c, 3] first end of each hull capsule's axis; padding repeats the last capsule."""
     capsule_b_m: jax.Array
-    """[c, 3] the other end."""
+    """[c, 3] second end."""
     capsule_r_m: jax.Array
     """[c] radius of each capsule."""
     radius_m: jax.Array
     """[] smallest sphere about the centre of mass that holds the hull."""
     terminal_speed_mps: jax.Array
     """[3] surge, sway, heave at full thrust in still water; the slower of the two directions. 0 for
-    a way in which thrusters cannot push alone (see `angler_mjx.robot.vehicles.compute_drive`)."""
+    an axis along which thrusters cannot push alone (see
+    `angler_mjx.robot.vehicles.drive.compute_drive`)."""
     thruster_exists: jax.Array
-    """bool [n_t] False for padding and for dead thrusters: neither draws power."""
+    """bool [n_t] whether the thruster draws power: False for padding and for dead thrusters."""
     thruster_health: jax.Array
-    """[n_t] share of the table's thrust that each thruster gives: 1 as the table says, 0 dead."""
+    """[n_t] fraction of the table's thrust that each thruster gives: 1 as in the table, 0 dead."""
     rotor: RotorFilter | None = field(default=None, metadata={"static": True})
-    """What thrusts follow their commands by; None for a lag of first order."""
+    """Response of thrusts to their commands; None for a lag of first order."""
     steered: bool = field(default=False, metadata={"static": True})
-    """Whether some of these vehicles have no sway, so that controllers must look."""
+    """Whether some of these vehicles have no sway, so that controllers must turn the bow."""
 
 
 def build_vehicle(
@@ -86,14 +87,15 @@ def build_vehicle(
         config: Vehicle file.
         parameter_set: Name of one of its sets; None for its default.
         voltage_v: Battery voltage, V.
-        thruster_health: Share of its thrust, in [0, 1], of each thruster that is not sound, by
-            name. Terminal speeds are those of a sound vehicle.
-        thrust_gain: Times the share of each, in the order of the file; 1 if left out.
-        rotor_response: First or third order; None for what the file says.
+        thruster_health: Fraction of its thrust, in [0, 1], of each faulty thruster, by name.
+            Terminal speeds are those of a sound vehicle.
+        thrust_gain: Factor on the fraction of each thruster, in the order of the file; 1 if left
+            out.
+        rotor_response: First or third order; None for the response of the file.
 
     Raises:
-        ConfigError: unknown set or thruster, a voltage outside the thruster's data, a share out of
-            range, or a response that the file has no numbers for.
+        ConfigError: unknown set or thruster, a voltage outside the thruster's data, a fraction out
+            of range, or a response without numbers in the file.
     """
     chosen = config.find_set(parameter_set)
     health = np.array(config.find_health(thruster_health or {}))
@@ -135,7 +137,7 @@ def build_vehicle(
 
 
 def stack_vehicles(variants: list[VehicleParams]) -> VehicleParams:
-    """Put robots of any kind side by side, padded to common numbers of thrusters and capsules.
+    """Stack robots of any kind, padded to common numbers of thrusters and capsules.
 
     Args:
         variants: At least one robot; their rotors must be alike.

@@ -1,4 +1,4 @@
-"""Numbers of a vehicle that a person wants to see before flying it: all closed forms."""
+"""Numbers of a vehicle to inspect before a flight: all closed forms."""
 
 import math
 from dataclasses import dataclass
@@ -12,25 +12,26 @@ from angler_mjx.robot.vehicles.thrusters import FloatArray, tables_at
 
 GRAVITY_MPS2 = 9.81
 FRESH_WATER_KGPM3 = 1000.0
-"""The published sets were identified in fresh water; weight and buoyancy are compared there."""
+"""Density of fresh water, in which the published sets were identified; weight and buoyancy are
+compared in it."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class VehicleProperties:
-    """One vehicle with one parameter set at one voltage, in still fresh water."""
+    """Properties of a vehicle with one parameter set at one voltage, in still fresh water."""
 
     parameter_set: str
     mass_kg: float
     weight_n: float
     buoyancy_n: float
     wrench_matrix: FloatArray
-    """[6, n_t]"""
+    """[6, n_t] wrench at the centre of mass, in F, per newton of each thruster; 1 and m."""
     terminal_speed_mps: FloatArray
     """[3] surge, sway, heave; the slower of the two directions."""
     speed_time_constant_s: FloatArray
-    """[3] how fast a small deviation from the terminal speed dies out."""
+    """[3] time constant with which a small deviation from the terminal speed decays."""
     roll_period_s: float | None
-    """None where nothing rights the vehicle."""
+    """Undamped period in roll; None without a righting moment."""
     pitch_period_s: float | None
     rotor_time_constant_s: float
 
@@ -38,7 +39,7 @@ class VehicleProperties:
 def describe_vehicle(
     config: VehicleConfig, parameter_set: str | None, voltage_v: float
 ) -> VehicleProperties:
-    """Work out the properties of a vehicle.
+    """Compute the properties of a vehicle.
 
     Raises:
         ConfigError: unknown set or thruster, or a voltage outside the thruster's data.
@@ -73,7 +74,10 @@ def _buoyancy_n(chosen: ParameterSet) -> float:
 
 
 def _period_s(chosen: ParameterSet, axis: int) -> float | None:
-    """Undamped small-angle period, diagonal terms: T = 2 pi sqrt((I + M_A) / (rho g V z_cb))."""
+    """Return undamped small-angle period, diagonal terms.
+
+    T = 2 pi sqrt((I + M_A) / (rho g V z_cb)).
+    """
     stiffness = _buoyancy_n(chosen) * chosen.buoyancy.center_of_buoyancy_m[2]
     if stiffness <= 0:
         return None

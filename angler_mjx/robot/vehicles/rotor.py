@@ -1,7 +1,8 @@
-"""A rotor of third order: from a transfer function to one exact step.
+"""Rotor of third order: from a transfer function to one exact step.
 
 The thrust f follows its command u by f = (b_2 s^2 + b_1 s + b_0) / (s^3 + a_2 s^2 + a_1 s + a_0) u,
-with b_0 = a_0, so that it settles at the command. All of it is done once, on the host, in float64.
+with b_0 = a_0, so that it settles at the command. All of it is computed once, on the host, in
+float64.
 """
 
 import math
@@ -25,14 +26,14 @@ class RotorFilter:
 
 @dataclass(frozen=True)
 class RotorStep:
-    """One step of the filter, as `angler_kernels.thruster.rotor_filter` takes it."""
+    """Step of the filter, as an input of `angler_kernels.thruster.rotor_filter`."""
 
     settled: FloatArray
     """[3] states at rest for a command of 1 N."""
     transition: FloatArray
-    """[3, 3]."""
+    """[3, 3] exp(A dt)."""
     mean: FloatArray
-    """[3]."""
+    """[3] first row of the mean of exp(A t) over the step."""
 
 
 ORDER = 3
@@ -41,7 +42,7 @@ ORDER = 3
 
 @lru_cache(maxsize=64)
 def discretise_rotor(rotor: RotorFilter, dt: float) -> RotorStep:
-    """The exact step of ``dt`` seconds for a command that is held.
+    """Return the exact step of ``dt`` seconds for a command that is held.
 
     States of the observer form, x_1 = f, x_1' = -a_2 x_1 + x_2 + b_2 u, x_2' = -a_1 x_1 + x_3 +
     b_1 u, x_3' = -a_0 x_1 + b_0 u, with x_2 divided by a_2 and x_3 by a_1: all are in newtons, of
@@ -62,7 +63,10 @@ def discretise_rotor(rotor: RotorFilter, dt: float) -> RotorStep:
 
 
 def _matrix_exponential(matrix: FloatArray) -> FloatArray:
-    """Exp of a small matrix: Taylor's series of a 2^-n part of it, squared n times."""
+    """Return exponential of a small matrix.
+
+    Taylor's series of a 2^-n part of it, squared n times.
+    """
     halvings = max(0, math.ceil(math.log2(max(np.abs(matrix).sum(axis=1).max(), 1.0)))) + 2
     part = matrix / 2.0**halvings
     term = total = np.eye(len(matrix))

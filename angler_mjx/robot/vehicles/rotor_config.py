@@ -1,4 +1,4 @@
-"""Models of the rotors in a vehicle file: how thrust follows its command, and what turns along."""
+"""Models of rotors in a vehicle file: response of thrust to its command, and reaction torque."""
 
 from typing import Annotated, Literal, Self
 
@@ -11,14 +11,14 @@ type RotorResponse = Literal["first_order", "third_order"]
 type Positive = Annotated[float, Field(gt=0), AfterValidator(checks.check_positive)]
 type Number = Annotated[float, Field(ge=-checks.LARGEST, le=checks.LARGEST)]
 type Source = Annotated[str, Field(min_length=1)]
-"""Where the numbers come from."""
+"""Origin of the numbers."""
 
 
 class LagTable(FileModel):
     """First-order lag of the rotors."""
 
     time_constant_s: Positive
-    """Of the thrust."""
+    """Time constant of the thrust, s."""
     source: Source
 
 
@@ -26,9 +26,9 @@ class ThirdOrder(FileModel):
     """Transfer function of the rotors from settled to present thrust, highest power of s first."""
 
     numerator: tuple[Number, Number, Number]
-    """Of s^2, s and 1."""
+    """Coefficients of s^2, s and 1."""
     denominator: tuple[Positive, Positive, Positive, Positive]
-    """Of s^3, s^2, s and 1."""
+    """Coefficients of s^3, s^2, s and 1."""
     source: Source
 
     @model_validator(mode="after")
@@ -51,17 +51,17 @@ class ReactionTorque(FileModel):
     """Torque about the rotor's axis per newton of thrust."""
 
     coefficient_m: Annotated[float, Field(ge=0, le=100)]
-    """Newton metres for each newton."""
+    """Newton metres per newton of thrust."""
     source: Source
 
 
 class Rotor(FileModel):
-    """What all thrusters of the vehicle have in common."""
+    """Common properties of all thrusters of the vehicle."""
 
     model: str
     """Name of a shipped thruster file, or a path to one, relative to the vehicle file."""
     response: RotorResponse = "first_order"
-    """What the rotors answer by where a fleet does not say otherwise."""
+    """Response of the rotors where a fleet does not choose another."""
     lag: LagTable
     third_order: ThirdOrder | None = None
     reaction_torque: ReactionTorque

@@ -12,21 +12,21 @@ from angler_mjx.robot.vehicles.rotor_config import Number, Positive, Source
 
 
 class ThrusterTable(FileModel):
-    """A thruster file: static thrust and electrical power against PWM and supply voltage."""
+    """Thruster file: static thrust and electrical power against PWM and supply voltage."""
 
     name: Name
-    """Of the thruster."""
+    """Name of the thruster."""
     description: str
-    """For people."""
+    """Description for people."""
     source: Source
     voltage_v: Annotated[tuple[Positive, ...], Field(min_length=2)]
-    """Of the columns; rising."""
+    """Voltages of the columns; rising."""
     pwm_us: Annotated[tuple[Annotated[int, Field(ge=0, le=10_000)], ...], Field(min_length=2)]
-    """Of the rows; rising, 1100 to 1900 at least."""
+    """PWM values of the rows; rising, 1100 to 1900 at least."""
     thrust_n: tuple[tuple[Number, ...], ...]
-    """One row per PWM value, one column per voltage."""
+    """Thrust: one row per PWM value, one column per voltage."""
     power_w: tuple[tuple[Number, ...], ...]
-    """As ``thrust_n``; electrical power, never negative."""
+    """Electrical power, laid out as ``thrust_n``; never negative."""
 
     @model_validator(mode="after")
     def _check_consistent(self) -> Self:

@@ -14,13 +14,13 @@ from angler_mjx.robot.vehicles.thruster_config import ThrusterTable
 PWM_LOW_US, PWM_HIGH_US = checks.PWM_LOW_US, checks.PWM_HIGH_US
 PWM_STEP_US = 4
 PWM_GRID_US = np.arange(PWM_LOW_US, PWM_HIGH_US + PWM_STEP_US, PWM_STEP_US)
-"""[201] the grid of every thrust and power table; every PWM value of the T200 data lies on it."""
+"""[201] grid of every thrust and power table; every PWM value of the T200 data lies on it."""
 
 type FloatArray = NDArray[np.float64]
 
 
 def tables_at(table: ThrusterTable, voltage_v: float) -> tuple[FloatArray, FloatArray]:
-    """Thrust and electrical power on the PWM grid, bilinear in PWM and voltage.
+    """Return thrust and electrical power on the PWM grid, bilinear in PWM and voltage.
 
     Args:
         table: Data of one thruster.

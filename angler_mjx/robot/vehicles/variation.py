@@ -1,8 +1,8 @@
-"""How one robot differs from its vehicle file: factors on what a parameter set says.
+"""Deviation of one robot from its vehicle file: factors on the numbers of a parameter set.
 
-A varied vehicle is a vehicle file with other numbers: models and checks take it as any other. The
-inertia goes with the mass. Added mass keeps its symmetry and stays positive definite: element ij
-goes with the root of the product of the factors of i and j.
+A varied vehicle is a vehicle file with other numbers: models and checks treat it as any other. The
+inertia varies with the mass. Added mass keeps its symmetry and stays positive definite: element ij
+varies with the root of the product of the factors of i and j.
 """
 
 from collections.abc import Mapping
@@ -23,32 +23,32 @@ _ONES: Six = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
 
 @dataclass(frozen=True, kw_only=True)
 class Variation:
-    """Factors, 1 for as the file says."""
+    """Factors; 1 for the number of the file."""
 
     number: int = 0
-    """In the bank of its parameter set."""
+    """Index in the bank of its parameter set."""
     mass: float = 1.0
-    """Of dry mass and inertia."""
+    """Factor of dry mass and inertia."""
     buoyancy: float = 1.0
-    """Of the displaced volume."""
+    """Factor of the displaced volume."""
     damping: Six = _ONES
-    """Of linear and quadratic damping, by axis [u v w p q r]."""
+    """Factors of linear and quadratic damping, by axis [u v w p q r]."""
     added_mass: Six = _ONES
-    """By axis."""
+    """Factors of added mass, by axis [u v w p q r]."""
     thrust: tuple[float, ...] = ()
-    """Share of its thrust that each thruster gives, gain and faults together, in the order of the
-    file; all of it if left out."""
+    """Fraction of its thrust that each thruster gives, gain and faults together, in the order of
+    the file; 1 if left out."""
     battery_v: float | None = None
-    """V; the robot's own if left out."""
+    """Battery voltage, V; the robot's own if left out."""
 
 
 def apply_variation(
     config: VehicleConfig, parameter_set: str, variation: Variation
 ) -> VehicleConfig:
-    """The vehicle file of one robot: what its ``parameter_set`` says is varied.
+    """Return the vehicle file of one robot, with its ``parameter_set`` varied.
 
     Raises:
-        ConfigError: there is no such set.
+        ConfigError: the vehicle has no such set.
     """
     parameters = config.find_set(parameter_set)
     body, water = parameters.rigid_body, parameters.buoyancy
@@ -91,20 +91,20 @@ def heave_forces(
     battery_v: float,
     density_kgpm3: float,
 ) -> tuple[float, float]:
-    """What lifts a vehicle under water, and what its thrusters can do about it.
+    """Return the net buoyancy of a vehicle under water and its available thrust in heave.
 
     Args:
         config: vehicle file.
         parameter_set: name of one of its sets.
-        variation: of it; ``thrust`` may be one number for all thrusters.
-        battery_v: where the variation has none.
-        density_kgpm3: of the water.
+        variation: its variation; ``thrust`` may be one number for all thrusters.
+        battery_v: voltage where the variation has none.
+        density_kgpm3: density of the water.
 
     Returns:
-        Buoyancy less weight, N, and the thrust in heave that is there both ways, N.
+        Buoyancy less weight, N, and the heave thrust that is available in both directions, N.
 
     Raises:
-        ConfigError: there is no such set, or the voltage lies outside the thruster's data.
+        ConfigError: the vehicle has no such set, or the voltage lies outside the thruster's data.
     """
     chosen = apply_variation(config, parameter_set, variation).find_set(parameter_set)
     volts = battery_v if variation.battery_v is None else variation.battery_v

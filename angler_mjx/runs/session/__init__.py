@@ -1,1 +1,1 @@
-"""One scene, step by step, whatever drives it: the simulator, or real autopilots."""
+"""Interactive session of one scene, step by step: the simulator, or real autopilots."""

@@ -1,4 +1,4 @@
-"""One world of the simulator as a session: each robot takes commands of any level, step by step."""
+"""Session of one world of the simulator: each robot takes commands of any level, step by step."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -11,8 +11,8 @@ import numpy as np
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.robot.control.allocation import NEUTRAL_US
 from angler_mjx.robot.control.commands import BodyWrench
-from angler_mjx.robot.control.joint_tolerance import Tolerances
-from angler_mjx.robot.control.joint_trajectory import JointTrajectory
+from angler_mjx.robot.control.commands.joint_tolerance import Tolerances
+from angler_mjx.robot.control.commands.joint_trajectory import JointTrajectory
 from angler_mjx.runs.session import (
     command_preparation,
     command_validation,
@@ -35,31 +35,32 @@ from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import Scenario, load_scenario
 from angler_mjx.scenario.task_table import require_goal_task
 from angler_mjx.sim.record import Sample
-from angler_mjx.sim.state import World, WorldState
+from angler_mjx.sim.state import FleetWorld, WorldState
 
 DEFAULT_POINTS = 256
-"""Points of a JointTrajectory, where a caller says nothing."""
+"""Default number of points of a JointTrajectory."""
 DEFAULT_START_TOLERANCE = 0.5
-"""m, and rad of yaw: how far a path may begin from a robot, where a caller says nothing."""
+"""Default tolerance, m and rad of yaw, of the start of a path from a robot."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SessionInternals:
-    """What lies behind a simulated scene, for those who record or draw it; [1] world leads."""
+    """Internals of a simulated scene, for recording and plotting; [1] world leads."""
 
     simulator: Simulator
-    worlds: World
+    worlds: FleetWorld
     state: WorldState
-    """As it is now."""
+    """Present state."""
     sample: Sample | None
-    """Of the state before the last step, with the signals of that step; None before the first."""
+    """Sample of the state before the last step, with the signals of that step; None before the
+    first."""
 
 
 class BatchSession:
-    """A `Session` over one world of a scenario: the same world as number ``world`` of its runs.
+    """`Session` over one world of a scenario: the same world as number ``world`` of its runs.
 
-    Everything is compiled when it is made; no command, however mixed, compiles anything again. It
-    runs on JAX's default device as plain XLA, also where a run would take kernels of its own.
+    Everything is compiled in the constructor; no command, however mixed, compiles anything again.
+    It runs on JAX's default device as plain XLA, also where a run would use kernels of its own.
     """
 
     def __init__(
@@ -76,16 +77,18 @@ class BatchSession:
         """Compile the scene and reset it.
 
         Args:
-            scenario: the scenario, its name, or its file.
-            world: which of its worlds.
-            seed: instead of the scenario's.
-            engine: likewise, ``mjx`` or ``fused``.
-            points: most points of a JointTrajectory.
-            start_tolerance: how far a path may begin from a robot, m and rad; 0 is any distance.
-            tolerances: of JointTrajectories, for x, y, z and yaw; those of `paths` if left out.
+            scenario: scenario, its name, or its file.
+            world: index of the world.
+            seed: seed; the scenario's if left out.
+            engine: ``mjx`` or ``fused``; the scenario's if left out.
+            points: maximum number of points of a JointTrajectory.
+            start_tolerance: maximum distance of a path's start from the robot, m and rad; 0 is any
+                distance.
+            tolerances: tolerances of JointTrajectories, for x, y, z and yaw; those of `paths` if
+                left out.
 
         Raises:
-            ConfigError: the scenario has faults, or there is no such world, engine or tolerance.
+            ConfigError: the scenario has faults, or the world, engine or tolerance does not exist.
         """
         self._scenario = _resolve_scenario(scenario, seed, engine)
         if world < 0:
@@ -99,23 +102,23 @@ class BatchSession:
         self._points, self._start_tolerance = points, start_tolerance
         self._closed, self._sampled_seed = False, -1
         self.reset()
-        self.step()  # everything that a step needs is compiled now
+        self.step()  # compile everything that a step needs
         command_preparation.compile_joins(self._command_queue.slots, self._view)
         self._rejoin_paths.compile()
         self.reset()
 
     @property
     def robots(self) -> Sequence[RobotInfo]:
-        """Who is there, in order."""
+        """Return the robots, in order."""
         return self._facts.robots
 
     @property
     def dt_s(self) -> float:
-        """Control period, s."""
+        """Return the control period, s."""
         return self._dt_s
 
     def inside(self) -> SessionInternals:
-        """What lies behind the scene; it is to be looked at, not to be changed."""
+        """Return the internals of the scene, read-only."""
         self._require_open()
         return SessionInternals(
             simulator=self._simulator,
@@ -125,11 +128,12 @@ class BatchSession:
         )
 
     def reset(self, seed: int | None = None) -> Observation:
-        """See `Session.reset`; other seeds draw another world of the same scenario."""
+        """Reset the scene, see `Session.reset`; other seeds sample another world of scenario."""
         self._require_open()
         number = self._scenario.seed if seed is None else seed
         if number != self._sampled_seed:
-            self._load_world(self._simulator.worlds(self._index, seed=number))
+            sampled = self._simulator.worlds(self._index, seed=number)
+            self._load_world(self._simulator.add_parameters(sampled))
             self._sampled_seed = number
         self._state, self._steps = self._initial_state, 0
         self._sample: Sample | None = None
@@ -143,7 +147,7 @@ class BatchSession:
         return self.observe()
 
     def step(self, commands: Mapping[int, SessionCommand] | None = None) -> Observation:
-        """See `Session.step`."""
+        """Advance one control period; see `Session.step`."""
         self._require_open()
         for robot in commands or {}:
             robot_checks.require_robot(self.robots, robot)
@@ -170,7 +174,7 @@ class BatchSession:
         return self.observe()
 
     def observe(self) -> Observation:
-        """See `Session.observe`."""
+        """Return the present scene; see `Session.observe`."""
         self._require_open()
         return build_observation(
             self._facts,
@@ -183,7 +187,7 @@ class BatchSession:
         )
 
     def check(self, robot: int, command: SessionCommand) -> None:
-        """See `Session.check`."""
+        """Refuse a command that a robot cannot follow; see `Session.check`."""
         self._require_running(robot)
         info, view = self.robots[robot], self._estimated_view
         position = RobotPosition(
@@ -192,7 +196,10 @@ class BatchSession:
         command_validation.check_command(info, position, self._limits, command, self._time_s)
 
     def resume_plan(self, robot: int) -> None:
-        """See `Session.resume_plan`; what moves is not looked at on the way back."""
+        """Resume a robot's plan, see `Session.resume_plan`.
+
+        Moving obstacles are ignored on the way.
+        """
         self._require_running(robot)
         name, command_state = self.robots[robot].name, self._command_queue[robot]
         if not self._facts.found[robot]:
@@ -221,7 +228,7 @@ class BatchSession:
         self._command_queue.resume(robot, rejoin_plan)
 
     def close(self) -> None:
-        """See `Session.close`."""
+        """Release the session; see `Session.close`."""
         self._require_open()
         self._closed = True
         del (
@@ -239,7 +246,7 @@ class BatchSession:
 
     @property
     def _due_before_s(self) -> float:
-        """What is due by then is due in the step that begins now."""
+        """Return the time by which orders are due in the step that begins now."""
         return (self._steps + 0.5) * self._dt_s
 
     @property
@@ -251,16 +258,16 @@ class BatchSession:
             raise RunError("the session is closed; make a new one")
 
     def _require_running(self, robot: int) -> None:
-        """Refuse to drive a robot that failed."""
+        """Refuse to command a robot that failed."""
         self._require_open()
         robot_checks.require_running(self.robots, robot, self._view.outcome)
 
-    def _load_world(self, worlds: World) -> None:
-        """Take a world, and what can be known of it before anything moves."""
+    def _load_world(self, worlds: FleetWorld) -> None:
+        """Load a world, and its facts at the start."""
         self._worlds = worlds
         self._facts = fleet_facts.gather_facts(self._simulator, worlds)
         state = self._simulator.reset(worlds)
-        # Beside the others: a leaf that lay elsewhere would have the step compiled once more.
+        # On the device of the others: a leaf elsewhere would have the step compiled once more.
         nu = state.vehicles.nu
         no_demand = jax.device_put(np.full(nu.shape, np.nan, nu.dtype), nu.sharding)
         carry = replace(state.carry, demanded=BodyWrench(tau=no_demand))
@@ -282,16 +289,15 @@ class BatchSession:
 def _resolve_scenario(
     scenario: Scenario | str | Path, seed: int | None, engine: str | None
 ) -> Scenario:
-    """The scenario with its overrides, one world at a time."""
+    """Return the scenario with its overrides, one world at a time."""
     resolved = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
     require_goal_task(
         resolved.task,
-        "a session tells robots nothing of a task; fly it with angler rollout, or take a scenario "
-        'of type = "goal"',
+        'a session has no tasks; fly it with angler rollout, or take a scenario of type = "goal"',
     )
     changes: dict[str, Any] = {"tile": 1, "kernels": "xla"}
     if engine not in (None, "mjx", "fused"):
-        raise ConfigError(f"engine = {engine!r}: there is mjx and fused")
+        raise ConfigError(f"engine = {engine!r}: give mjx or fused")
     if engine is not None:
         changes["engine"] = engine
     if seed is not None:

@@ -1,4 +1,4 @@
-"""Orders made ready for slots: JointTrajectories joined to what goes on, paths padded, holds."""
+"""Preparation of orders for slots: joined JointTrajectories, padded paths, holds."""
 
 from dataclasses import replace
 from typing import Any
@@ -7,20 +7,23 @@ import jax
 import numpy as np
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.robot.control import joint_goal
 from angler_mjx.robot.control.allocation import NEUTRAL_US
-from angler_mjx.robot.control.commands import PoseTarget, ThrusterPwm
-from angler_mjx.robot.control.joint_goal import JointGoal, JointPoint
-from angler_mjx.robot.control.joint_tolerance import JointTolerance, Tolerances, build_tolerances
-from angler_mjx.robot.control.joint_trajectory import (
+from angler_mjx.robot.control.commands import PoseTarget, ThrusterPwm, joint_goal
+from angler_mjx.robot.control.commands.joint_goal import JointGoal, JointPoint
+from angler_mjx.robot.control.commands.joint_tolerance import (
+    JointTolerance,
+    Tolerances,
+    build_tolerances,
+)
+from angler_mjx.robot.control.commands.joint_trajectory import (
     LINEAR,
     VEHICLE_JOINTS,
     JointTrajectory,
     replace_at,
     sample_state,
 )
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.robot.control.stack import Stages
-from angler_mjx.robot.control.trajectory import Trajectory
 from angler_mjx.runs.session.command_slots import CommandSlots
 from angler_mjx.runs.session.command_validation import CommandLimits
 from angler_mjx.runs.session.interface import Floats, SessionCommand
@@ -29,7 +32,7 @@ from angler_mjx.runs.session.state_view import StateView
 from angler_mjx.scenario.scenario import Scenario
 
 CLEARANCE_SLACK_M = 1e-3
-"""A way that just fits must not fail by rounding."""
+"""Slack by which a path that exactly fits may violate the clearance, for rounding."""
 
 PATH_TOLERANCE = JointTolerance(position=1.2)
 """m and rad. At 1 m the guidance waits: a robot that is farther away is being carried off."""
@@ -38,10 +41,10 @@ GOAL_TIME_S = 15.0
 
 
 def stack_tolerances(requested: Tolerances | None, scenario: Scenario) -> Tolerances:
-    """Tolerances of every robot, [R] leading.
+    """Stack the tolerances of every robot, [R] leading.
 
     Raises:
-        ConfigError: one is of accelerations, which nobody measures here.
+        ConfigError: a tolerance is of accelerations, which are not measured.
     """
     resolved = requested or build_tolerances(
         VEHICLE_JOINTS,
@@ -63,7 +66,7 @@ def stack_tolerances(requested: Tolerances | None, scenario: Scenario) -> Tolera
 
 
 def start_time_s(order: SessionCommand) -> float:
-    """When an order begins, s of the session; 0: at once."""
+    """Return the start time of an order, s of the session; 0: at once."""
     return order.stamp_s if isinstance(order, JointGoal) else 0.0
 
 
@@ -75,7 +78,7 @@ def prepare_command(
     limits: CommandLimits,
     now_s: float,
 ) -> Any:
-    """A checked order as slots take it: of fixed shapes, and joined to what goes on now."""
+    """Turn a checked order into slot arrays of fixed shapes, joined to the present motion."""
     if isinstance(order, JointGoal):
         return join_trajectory(slots, view, robot, _drop_past_points(order, now_s))
     order = jax.device_get(order)
@@ -95,7 +98,7 @@ def prepare_command(
 def join_trajectory(
     slots: CommandSlots, view: StateView, robot: int, new: JointGoal | JointTrajectory
 ) -> JointTrajectory:
-    """A JointTrajectory joined to the reference of now."""
+    """Join a JointTrajectory to the present reference."""
     slot = jax.tree.map(lambda leaf: leaf[robot], slots.slot(JointTrajectory))
     size = slot.time_s.shape[0]
     if slots.kind(robot) is JointTrajectory:
@@ -114,7 +117,7 @@ def join_trajectory(
 
 
 def compile_joins(slots: CommandSlots, view: StateView) -> None:
-    """Have compiled now what `join_trajectory` needs."""
+    """Compile the functions of `join_trajectory`."""
     if JointTrajectory in slots.kinds:
         nothing = JointGoal(joint_names=("x",), points=(JointPoint(time_s=1.0, positions=(0.0,)),))
         describe_farthest_joint(slots, view, 0)
@@ -128,7 +131,7 @@ _sample = jax.jit(sample_state)
 def hold_command(
     kinds: tuple[type, ...], view: StateView, robot: int, limits: CommandLimits
 ) -> Any:
-    """A command to stay where a robot is; every stack takes a path, not every one a pose."""
+    """Return a command to hold position; every stack takes a path, not every one a pose."""
     p, yaw = view.p[robot], view.yaw_rad[robot]
     if PoseTarget in kinds:
         return PoseTarget(position_m=p, velocity_mps=0.0 * p, yaw_rad=yaw)
@@ -137,7 +140,7 @@ def hold_command(
 
 
 def plan_progress_s(stages: Stages, plan: RobotPlan, view: StateView, robot: int) -> float:
-    """How far along its plan a robot is, s of the plan's time."""
+    """Return a robot's progress along its plan, s of the plan's time."""
     if stages[0].name in ("follow", "reference"):
         return float(view.clock_s[robot])
     times = np.linspace(0.0, plan.time_s[-1], 512)
@@ -146,7 +149,7 @@ def plan_progress_s(stages: Stages, plan: RobotPlan, view: StateView, robot: int
 
 
 def describe_farthest_joint(slots: CommandSlots, view: StateView, robot: int) -> str:
-    """Which joint is farthest from where its JointTrajectory has it, in words."""
+    """Name the joint that deviates most from its JointTrajectory, in words."""
     slot = jax.tree.map(lambda leaf: leaf[robot], slots.slot(JointTrajectory))
     reference = np.asarray(_sample(slot, view.clock_s[robot]).position, float)
     errors = np.append(view.p[robot], view.yaw_rad[robot]) - reference
@@ -156,7 +159,7 @@ def describe_farthest_joint(slots: CommandSlots, view: StateView, robot: int) ->
 
 
 def _drop_past_points(goal: JointGoal, now_s: float) -> JointGoal:
-    """A message without the points whose time is over, by the clock of now."""
+    """Drop the points of a message whose time is over."""
     elapsed_s = now_s - goal.stamp_s if goal.stamp_s > 0 else 0.0
     if elapsed_s <= 0:
         return goal
@@ -169,7 +172,10 @@ def _drop_past_points(goal: JointGoal, now_s: float) -> JointGoal:
 
 
 def _current_joints(slots: CommandSlots, view: StateView, robot: int) -> tuple[Floats, Floats]:
-    """Joints [4] and their rates of what goes on: the path's where there is one, else measured."""
+    """Return joints [4] and their rates of reference.
+
+    The path's where there is one, else measured.
+    """
     if slots.kind(robot) is Trajectory:
         path = jax.tree.map(lambda leaf: leaf[robot], slots.slot(Trajectory))
         plan, t = RobotPlan(time_s=path.time_s, position_m=path.position_m), view.clock_s[robot]
@@ -183,7 +189,7 @@ def _current_joints(slots: CommandSlots, view: StateView, robot: int) -> tuple[F
 
 
 def ground_velocity(view: StateView, robot: int) -> Floats:
-    """Velocity [3] in W."""
+    """Return the velocity [3] in W."""
     w, axis = float(view.q[robot, 0]), np.asarray(view.q[robot, 1:], float)
     v = np.asarray(view.nu[robot, :3], float)
     half_turn = 2.0 * np.cross(axis, v)
@@ -194,7 +200,7 @@ def ground_velocity(view: StateView, robot: int) -> Floats:
 def _straight_trajectory(
     like: JointTrajectory, joint_positions: Floats, joint_rates: Floats
 ) -> JointTrajectory:
-    """A line through joints [4] with their rates, as large as ``like``."""
+    """Return a straight line through joints [4] with their rates, as large as ``like``."""
     time: Any = np.minimum(np.arange(like.time_s.shape[0]), 1).astype(like.time_s.dtype)
     table: Any = (joint_positions + time[:, None] * joint_rates).astype(like.position.dtype)
     return replace(
@@ -209,7 +215,7 @@ def _straight_trajectory(
 
 
 def _pad_trajectory(new: JointTrajectory, size: int) -> JointTrajectory:
-    """The same trajectory in ``size`` rows."""
+    """Pad a trajectory to ``size`` rows."""
     more = size - np.shape(new.time_s)[0]
 
     def edge(leaf: Any) -> Any:

@@ -1,4 +1,4 @@
-"""What each robot of a session was told, and how it stands with that."""
+"""Orders of each robot of a session, and their status."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from angler_mjx.robot.control.joint_goal import JointGoal
-from angler_mjx.robot.control.joint_tolerance import ResultCode
-from angler_mjx.robot.control.joint_trajectory import JointTrajectory
+from angler_mjx.robot.control.commands.joint_goal import JointGoal
+from angler_mjx.robot.control.commands.joint_tolerance import ResultCode
+from angler_mjx.robot.control.commands.joint_trajectory import JointTrajectory
 from angler_mjx.robot.control.plans import check_plan
 from angler_mjx.robot.control.stack import Stages
 from angler_mjx.runs.session import command_preparation
@@ -21,37 +21,37 @@ from angler_mjx.runs.session.state_view import StateView
 from angler_mjx.sim.state import Outcome
 
 PLAN_COMMAND = "plan"
-"""What a robot follows that was told nothing else."""
+"""Command of a robot without orders."""
 
 
 @dataclass(kw_only=True)
 class CommandState:
-    """The order of one robot, and how it stands with it."""
+    """Order of one robot, and its status."""
 
     plan: RobotPlan
-    """As it was told it last."""
+    """Last plan."""
     command: str = PLAN_COMMAND
     plan_time_s: float = 0.0
-    """How far along its plan it was when it was told something else."""
+    """Progress along the plan when another order came."""
     refused: str = ""
     note: str = ""
     result: ResultCode = ResultCode.SUCCESSFUL
-    """Of its JointTrajectory; ACTIVE while it follows one."""
+    """Result of its JointTrajectory; ACTIVE while it follows one."""
     pending: JointGoal | None = None
-    """One that begins later."""
+    """Order with a later start."""
 
 
 class CommandQueue:
-    """Takes checked orders for robots, and refusals.
+    """Queue of checked orders for robots, and refusals.
 
     Attributes:
-        slots: what the controllers are told.
+        slots: commands of the controllers.
     """
 
     def __init__(
         self, stages: Stages, facts: FleetFacts, limits: CommandLimits, dtype: Any
     ) -> None:
-        """Every robot is told its plan.
+        """Give every robot its plan.
 
         Raises:
             ConfigError: the controllers do not take plans of its type.
@@ -73,16 +73,16 @@ class CommandQueue:
                 self._states[robot].note = "the planner found no way: it holds its start"
 
     def __getitem__(self, robot: int) -> CommandState:
-        """The order of a robot."""
+        """Return the order of a robot."""
         return self._states[robot]
 
     @property
     def results(self) -> np.ndarray:
-        """int32 [R] how JointTrajectories stand."""
+        """Return the results of JointTrajectories, int32 [R]."""
         return np.array([state.result for state in self._states], np.int32)
 
     def status(self, outcomes: Sequence[Any]) -> tuple[RobotStatus, ...]:
-        """For an observation."""
+        """Return the status of the robots, for an observation."""
         return tuple(
             RobotStatus(
                 outcome=Outcome(int(outcome)),
@@ -94,7 +94,7 @@ class CommandQueue:
         )
 
     def due(self, now_s: float) -> dict[int, SessionCommand]:
-        """JointTrajectories that waited for this time."""
+        """Return the JointTrajectories that are due."""
         return {
             robot: state.pending
             for robot, state in enumerate(self._states)
@@ -119,19 +119,19 @@ class CommandQueue:
             state.result, state.note = ResultCode.ACTIVE, ResultCode.ACTIVE.name
 
     def refuse(self, robot: int, reason: str, view: StateView) -> None:
-        """Refuse a robot's order: it holds; refused again, where it was refused first."""
+        """Refuse a robot's order: it holds position, that of the first refusal if refused again."""
         if not self._states[robot].refused:
             self._hold_position(robot, view)
         self._states[robot].refused = reason
 
     def resume(self, robot: int, plan: RobotPlan) -> None:
-        """Let a robot follow its plan from its beginning."""
+        """Let a robot follow its plan from the plan's beginning."""
         self._states[robot] = CommandState(plan=plan)
         padded_plan = plan.padded(self._limits.rows(plan.kind), self._dtype)
         self.slots.put(robot, check_plan(self._stages, padded_plan))
 
     def report(self, view: StateView) -> None:
-        """Say how JointTrajectories stand; one that failed ends where the robot is."""
+        """Update the results of JointTrajectories; a failed one ends at the robot's position."""
         for robot, state in enumerate(self._states):
             if state.result is not ResultCode.ACTIVE:
                 continue
@@ -139,7 +139,7 @@ class CommandQueue:
             state.result, note = code, code.name
             if code in (ResultCode.PATH_TOLERANCE_VIOLATED, ResultCode.GOAL_TOLERANCE_VIOLATED):
                 joint = command_preparation.describe_farthest_joint(self.slots, view, robot)
-                note = f"{code.name}: {joint}; it holds here"
+                note = f"{code.name}: {joint}; holding position"
                 self._hold_position(robot, view)
             self._states[robot].note = note
 
@@ -148,7 +148,7 @@ class CommandQueue:
         self._put_command(robot, command, "hold", view)
 
     def _put_command(self, robot: int, command: Any, name: str, view: StateView) -> None:
-        """Tell a robot something else than what it had."""
+        """Give a robot another command."""
         state = self._states[robot]
         plan_time_s = state.plan_time_s
         if state.command == PLAN_COMMAND:

@@ -1,7 +1,7 @@
-"""What every robot of a session is told, as arrays whose shapes never change.
+"""Commands of every robot of a session, as arrays of fixed shapes.
 
-One slot for each type of command that the controllers take; whatever a robot is told, the step is
-the same compiled program.
+One slot for each type of command that the controllers take; the step is the same compiled program
+for all commands.
 """
 
 from dataclasses import dataclass
@@ -13,12 +13,21 @@ import numpy as np
 
 from angler_mjx.robot.control import stack
 from angler_mjx.robot.control.allocation import NEUTRAL_US
-from angler_mjx.robot.control.commands import BodyTwist, BodyWrench, PoseTarget, ThrusterPwm
-from angler_mjx.robot.control.joint_trajectory import LINEAR, VEHICLE_JOINTS, JointTrajectory
-from angler_mjx.robot.control.laws.targets import TrackingTarget
+from angler_mjx.robot.control.commands import (
+    BodyTwist,
+    BodyWrench,
+    PoseTarget,
+    ThrusterPwm,
+    TrackingTarget,
+)
+from angler_mjx.robot.control.commands.joint_trajectory import (
+    LINEAR,
+    VEHICLE_JOINTS,
+    JointTrajectory,
+)
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.robot.control.mixed import MixedCommand
 from angler_mjx.robot.control.stack import Stages
-from angler_mjx.robot.control.trajectory import Trajectory
 
 COMMAND_TYPES = (
     Trajectory,
@@ -34,31 +43,31 @@ COMMAND_TYPES = (
 
 @dataclass(frozen=True, kw_only=True)
 class SlotSizes:
-    """Numbers of rows in the slots."""
+    """Numbers of rows of the slots."""
 
     robots: int
     thrusters: int
     points: int
-    """Of a JointTrajectory."""
+    """Rows of a JointTrajectory."""
     way_points: int
-    """Of a Trajectory."""
+    """Rows of a Trajectory."""
 
 
 def command_types(stages: Stages) -> tuple[type, ...]:
-    """Types of commands that a stack takes."""
+    """Return the types of commands that a stack takes."""
     accepted = {kind for stage in stages for kind in stage.takes} | {ThrusterPwm}
     return tuple(kind for kind in COMMAND_TYPES if kind in accepted)
 
 
 class CommandSlots:
-    """What robots are told; [1, R] leads in every array that leaves it.
+    """Commands of robots; [1, R] leads in every returned array.
 
     Attributes:
         kinds: types of its slots.
     """
 
     def __init__(self, stages: Stages, sizes: SlotSizes) -> None:
-        """All robots are told their paths, which are empty until they are put."""
+        """Fill the slots with empty paths for all robots."""
         self.kinds = command_types(stages)
         self._entry = {kind: stack.find_entry(stages, kind) for kind in self.kinds}
         blank = _blank_commands(sizes)
@@ -68,9 +77,9 @@ class CommandSlots:
         self._step_commands: MixedCommand | None = None
 
     def put(self, robot: int, command: Any) -> None:
-        """Tell a robot; its arrays have the shapes of the slots.
+        """Put the command of a robot; its arrays have the shapes of the slots.
 
-        Stages that stood idle until now begin anew, and so does the first one with a new path.
+        Stages that were idle are reset, and so is the first stage with a new path.
         """
         kind = type(command)
         slot = self.kinds.index(kind)
@@ -86,15 +95,18 @@ class CommandSlots:
         self._step_commands = None
 
     def kind(self, robot: int) -> type:
-        """Type of what a robot is told."""
+        """Return the type of a robot's command."""
         return self.kinds[int(self._slot_index[0, robot])]
 
     def slot(self, kind: type) -> Any:
-        """What is in a slot, [R] leading; those that are told something else hold any numbers."""
+        """Return arrays of a slot, [R] leading.
+
+        Rows of robots with other commands are arbitrary.
+        """
         return jax.tree.map(lambda leaf: leaf[0], self._slots[self.kinds.index(kind)])
 
     def commands(self) -> MixedCommand:
-        """The commands of one step; after it no stage is fresh any more."""
+        """Return the commands of one step; after it no stage is fresh any more."""
         if self._step_commands is None:
             # Copied: a device array may share the memory of the numpy array that it is made of.
             copies = jax.tree.map(np.copy, (self._slot_index, self._fresh, tuple(self._slots)))
@@ -108,7 +120,7 @@ class CommandSlots:
 
 
 def _blank_commands(sizes: SlotSizes) -> dict[type, Any]:
-    """An empty command of each type, [1, R] leading."""
+    """Return an empty command of each type, [1, R] leading."""
     number = jnp.zeros(()).dtype
 
     def zeros(*tail: int, like: Any = number) -> Any:

@@ -1,4 +1,4 @@
-"""What of a command a robot cannot follow: found on the host, before anything moves.
+"""Validation of commands on the host, before a step.
 
 Every check raises a ConfigError that names the robot, the part of the command and its value.
 """
@@ -12,10 +12,16 @@ import jax
 import numpy as np
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.robot.control import joint_goal
-from angler_mjx.robot.control.commands import BodyTwist, BodyWrench, PoseTarget, ThrusterPwm
-from angler_mjx.robot.control.joint_goal import JointGoal
-from angler_mjx.robot.control.joint_trajectory import (
+from angler_mjx.robot.control.commands import (
+    BodyTwist,
+    BodyWrench,
+    PoseTarget,
+    ThrusterPwm,
+    TrackingTarget,
+    joint_goal,
+)
+from angler_mjx.robot.control.commands.joint_goal import JointGoal
+from angler_mjx.robot.control.commands.joint_trajectory import (
     CUBIC,
     VEHICLE_JOINTS,
     JointState,
@@ -23,20 +29,19 @@ from angler_mjx.robot.control.joint_trajectory import (
     interpolate_segment,
     is_continuous,
 )
-from angler_mjx.robot.control.laws.targets import TrackingTarget
-from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.robot.vehicles.thrusters import PWM_HIGH_US, PWM_LOW_US
 from angler_mjx.runs.session.interface import Floats, RobotInfo
 
 LIMIT_MARGIN = 1.0 + 1e-6
-"""A command at the very limit passes in spite of rounding."""
+"""Relative margin by which a command at the limit passes in spite of rounding."""
 SEGMENT_FRACTIONS: Any = np.linspace(0.0, 1.0, 9)
-"""Places on a segment at which its speed is looked at."""
+"""Fractions of a segment at which its speed is checked."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RobotPosition:
-    """Where a robot is, for what a command may ask of it."""
+    """Pose of a robot, for checks of commands."""
 
     p: Floats
     """[3] m, in W."""
@@ -44,23 +49,23 @@ class RobotPosition:
 
     @property
     def joints(self) -> tuple[float, ...]:
-        """Of the vehicle's joints x, y, z and yaw."""
+        """Return the vehicle's joints x, y, z and yaw."""
         return (*map(float, self.p), self.yaw_rad)
 
 
 @dataclass(frozen=True, kw_only=True)
 class CommandLimits:
-    """What a session can take."""
+    """Limits of a session's commands."""
 
     start_tolerance: float
-    """How far a path may begin from a robot; m, and rad of yaw."""
+    """Maximum distance of a path's start from the robot; m, and rad of yaw."""
     points: int
-    """Of a JointTrajectory."""
+    """Maximum number of points of a JointTrajectory."""
     way_points: int
-    """Of a Trajectory."""
+    """Maximum number of way-points of a Trajectory."""
 
     def rows(self, kind: type) -> int:
-        """Of a path of either type."""
+        """Return the maximum number of rows of a path of either type."""
         return self.points if kind is JointTrajectory else self.way_points
 
 
@@ -70,14 +75,15 @@ def check_command(
     """Refuse a command that a robot cannot follow.
 
     Args:
-        robot: which.
-        position: where it is.
-        limits: of the session.
-        command: of any type.
+        robot: robot that receives the command.
+        position: pose of the robot.
+        limits: limits of the session.
+        command: command of any type.
         now_s: time of the session.
 
     Raises:
-        ConfigError: naming the robot, what does not hold, and its value.
+        ConfigError: the robot cannot follow the command; the message names the violated limit and
+            the value.
     """
     kind = type(command)
     if kind not in robot.accepts:
@@ -86,7 +92,7 @@ def check_command(
     if kind is JointGoal:
         _check_goal(robot, position, limits, command, now_s)
         return
-    # To the host as they are: numpy would have JAX compile a change of their type.
+    # Copied to the host unchanged: numpy would have JAX compile a change of their type.
     faults = _FAULT_CHECKS[kind](robot, position, limits, jax.device_get(command))
     if faults:
         head = f"{robot.name}: {kind.__name__} refused, {len(faults)} fault"
@@ -97,7 +103,7 @@ def _check_goal(
     robot: RobotInfo, position: RobotPosition, limits: CommandLimits, goal: JointGoal, now_s: float
 ) -> None:
     surge, sway, heave = map(float, robot.max_speed_mps)
-    level = max(surge, sway)  # a vehicle can turn the better side forward
+    level = max(surge, sway)  # the faster direction, into which a vehicle can turn
     joint_goal.validate_goal(
         goal,
         robot=robot.name,
@@ -114,7 +120,9 @@ def _check_goal(
         )
 
 
-def _pose_faults(robot: RobotInfo, _: RobotPosition, __: CommandLimits, command: Any) -> list[str]:
+def _pose_faults(
+    robot: RobotInfo, _: RobotPosition, __: CommandLimits, command: PoseTarget
+) -> list[str]:
     faults = _array_faults(command, {"position_m": (3,), "velocity_mps": (3,), "yaw_rad": ()})
     return faults or _velocity_faults(robot, "velocity_mps", command.velocity_mps)
 
@@ -130,7 +138,9 @@ def _tracking_faults(
     ]
 
 
-def _twist_faults(robot: RobotInfo, _: RobotPosition, __: CommandLimits, command: Any) -> list[str]:
+def _twist_faults(
+    robot: RobotInfo, _: RobotPosition, __: CommandLimits, command: BodyTwist
+) -> list[str]:
     if faults := _array_faults(command, {"nu": (6,)}):
         return faults
     nu = np.asarray(command.nu, float)
@@ -144,11 +154,15 @@ def _twist_faults(robot: RobotInfo, _: RobotPosition, __: CommandLimits, command
     return faults + _turn_faults(robot, "nu[3:]", float(np.linalg.norm(nu[3:])))
 
 
-def _wrench_faults(_: RobotInfo, __: RobotPosition, ___: CommandLimits, command: Any) -> list[str]:
+def _wrench_faults(
+    _: RobotInfo, __: RobotPosition, ___: CommandLimits, command: BodyWrench
+) -> list[str]:
     return _array_faults(command, {"tau": (6,)})
 
 
-def _pwm_faults(robot: RobotInfo, _: RobotPosition, __: CommandLimits, command: Any) -> list[str]:
+def _pwm_faults(
+    robot: RobotInfo, _: RobotPosition, __: CommandLimits, command: ThrusterPwm
+) -> list[str]:
     if faults := _array_faults(command, {"pwm_us": (len(robot.thrusters),)}):
         return faults
     return [
@@ -237,7 +251,7 @@ def _joint_speed_faults(robot: RobotInfo, command: JointTrajectory) -> list[str]
 
 
 def _array_faults(command: Any, shapes: dict[str, tuple[int, ...]]) -> list[str]:
-    """Arrays of a wrong shape, or numbers that are not finite."""
+    """List arrays of a wrong shape, or with numbers that are not finite."""
     faults = []
     for name, shape in shapes.items():
         value = np.asarray(getattr(command, name), float)
@@ -273,7 +287,7 @@ def _away_faults(name: str, joint_label: str, away: float, tolerance: float) -> 
     ]
 
 
-def _velocity_faults(robot: RobotInfo, name: str, velocity: Any) -> list[str]:
+def _velocity_faults(robot: RobotInfo, name: str, velocity: jax.Array | np.ndarray) -> list[str]:
     speed, max_speed_mps = float(np.linalg.norm(velocity)), float(np.max(robot.max_speed_mps))
     if speed <= max_speed_mps * LIMIT_MARGIN:
         return []

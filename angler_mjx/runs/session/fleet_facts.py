@@ -1,4 +1,4 @@
-"""What is known of a scene's robots and obstacles before anything moves."""
+"""Facts of a scene's robots and obstacles at the start."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -7,8 +7,8 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from angler_mjx.robot.control.joint_goal import JointGoal
-from angler_mjx.robot.control.joint_trajectory import JointTrajectory
+from angler_mjx.robot.control.commands.joint_goal import JointGoal
+from angler_mjx.robot.control.commands.joint_trajectory import JointTrajectory
 from angler_mjx.robot.control.plans import of_robot
 from angler_mjx.robot.vehicles import library
 from angler_mjx.robot.vehicles.drive import full_force, terminal_speed
@@ -17,15 +17,15 @@ from angler_mjx.runs.session.command_validation import CommandLimits
 from angler_mjx.runs.session.interface import Floats, RobotInfo
 from angler_mjx.runs.session.robot_plan import RobotPlan
 from angler_mjx.runs.simulator.simulator import Simulator
-from angler_mjx.sim.state import World
+from angler_mjx.sim.state import FleetWorld
 
 REJOIN_WAYPOINTS = 32
-"""Way-points that a way back to a plan may have beside those of the plan."""
+"""Number of way-points of a way back to a plan, beyond those of the plan."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ObstacleRows:
-    """Obstacles that are there."""
+    """Existing obstacles."""
 
     which: NDArray[np.integer[Any]]
     kind: NDArray[np.integer[Any]]
@@ -34,27 +34,27 @@ class ObstacleRows:
 
 @dataclass(frozen=True, kw_only=True)
 class FleetFacts:
-    """Of one world; [R] leads."""
+    """Facts of one world; [R] leads."""
 
     robots: tuple[RobotInfo, ...]
     plans: tuple[RobotPlan, ...]
     found: tuple[bool, ...]
-    """Whether the planner found a way for each robot."""
+    """Whether the planner found a path for each robot."""
     radius_m: tuple[float, ...]
     cruise_mps: tuple[float, ...]
     thrusters: int
     """Rows of the signals, padding included."""
     way_points: int
-    """Of the planner's paths."""
+    """Number of way-points of the planner's paths."""
     jointed: bool
-    """Whether these are trajectories of joints."""
+    """Whether these paths are trajectories of joints."""
     obstacles: ObstacleRows
 
     def command_limits(self, points: int, start_tolerance: float) -> CommandLimits:
-        """What a session of this world can take: no less than its own plans.
+        """Return the limits of a session of this world, at least the sizes of its own plans.
 
         Args:
-            points: of a JointTrajectory, as its caller wants it.
+            points: requested maximum number of points of a JointTrajectory.
             start_tolerance: see `CommandLimits`.
         """
         max_waypoints = self.way_points + REJOIN_WAYPOINTS
@@ -65,12 +65,12 @@ class FleetFacts:
         )
 
 
-def gather_facts(simulator: Simulator, worlds: World) -> FleetFacts:
+def gather_facts(simulator: Simulator, worlds: FleetWorld) -> FleetFacts:
     """Read a world.
 
     Args:
-        simulator: of its scenario.
-        worlds: [1] leads.
+        simulator: simulator of its scenario.
+        worlds: world, [1] leads.
     """
     count = worlds.variant.shape[1]
     path: Any = jax.tree.map(lambda leaf: leaf[0], jax.device_get(worlds.path))
@@ -94,7 +94,7 @@ def gather_facts(simulator: Simulator, worlds: World) -> FleetFacts:
     )
 
 
-def _robot_info(simulator: Simulator, worlds: World, i: int) -> RobotInfo:
+def _robot_info(simulator: Simulator, worlds: FleetWorld, i: int) -> RobotInfo:
     vehicle, parameter_set = simulator.variants()[int(worlds.variant[0, i])]
     params = worlds.control.vehicle
     accepts = command_types(simulator.spec.stages)

@@ -1,11 +1,12 @@
-"""Policies and planners on one scene: what a policy is told and commands, through any session.
+"""Policies and planners on one scene, through any session.
 
-A policy that flies in a batch is asked here by the loop of the host, with the same function: what
-the robots are told comes from the session's observation, what may be known of the scenery from the
-scene behind it. A `Problem` of any time is drawn in the same way.
+A policy of a batch is called here by the loop of the host, with the same function: the estimate of
+the robots comes from the session's observation, information on the scenery from the scene behind
+it. A `Problem` of any time is built in the same way.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any, Protocol
 
@@ -20,42 +21,44 @@ from angler_mjx.planning.problem import Problem
 from angler_mjx.robot.control.commands import Estimate
 from angler_mjx.runs.session.interface import Observation, Session, SessionCommand
 from angler_mjx.runs.session.recording import Recordable
+from angler_mjx.runs.simulator.world_preparation import problem_settings
 from angler_mjx.sim import policy as policies
 from angler_mjx.sim.information import Information
 from angler_mjx.sim.information import SceneObservation as Seen
-from angler_mjx.sim.policy import Policy, PolicyMemory
+from angler_mjx.sim.physics.step import VehicleState
+from angler_mjx.sim.policy import Policy, PolicyInput, PolicyMemory
 from angler_mjx.sim.record import Belief
-from angler_mjx.sim.state import Outcome
-from angler_mjx.sim.world_phases.context import WorldContext
+from angler_mjx.sim.state import FleetWorld, Outcome
+from angler_mjx.sim.world_context import WorldContext
 from angler_mjx.world.acoustics.config import refuse_acoustics
+from angler_mjx.world.obstacles import ObstacleState
 
 ACTIVE_OUTCOMES = (Outcome.RUNNING, Outcome.REACHED)
 
 
 class OnlineScene(Session, Recordable, Protocol):
-    """A session of which the scene can be seen."""
+    """Session with access to its scene."""
 
 
 class OnlineFlyer:
-    """A policy that commands the robots of a session."""
+    """Policy that commands the robots of a session."""
 
     def __init__(self, session: OnlineScene, policy: Policy | None = None) -> None:
-        """Compile the policy and ask it to begin; the session stands at its reset.
+        """Compile the policy and start it; the session is at its reset.
 
         Args:
-            session: that it commands.
-            policy: the one that the scenario asks for if left out.
+            session: session that the policy commands.
+            policy: policy; the scenario's if left out.
 
         Raises:
-            ConfigError: there is none, or the session does not take what it commands.
+            ConfigError: the scenario has no policy, or the session does not take its commands.
         """
         internals = session.inside()
         active_policy = internals.simulator.policy if policy is None else policy
         if active_policy is None:
             raise ConfigError(
-                "nothing flies: the scenario plans nothing anew, keeps no order and names no "
-                'policy; set planner.replan_hz, execution.order = "kept" or policy.name, or give a '
-                "policy"
+                "no policy: the scenario has no replanning, no order and no policy; set "
+                'planner.replan_hz, execution.order = "kept" or policy.name, or give a policy'
             )
         refuse_acoustics(
             internals.simulator.scenario.acoustics,
@@ -65,8 +68,12 @@ class OnlineFlyer:
         spec, stages = internals.simulator.spec, internals.simulator.spec.stages
 
         def build_inputs(
-            world: Any, vehicles: Any, obstacles: Any, belief: Any, number: Any
-        ) -> Any:
+            world: FleetWorld,
+            vehicles: VehicleState,
+            obstacles: ObstacleState,
+            belief: Belief | None,
+            number: jax.Array,
+        ) -> PolicyInput:
             context = WorldContext(
                 spec=spec,
                 policy=active_policy,
@@ -95,23 +102,23 @@ class OnlineFlyer:
         self._act: Callable[..., tuple[PolicyMemory, Any]] = jax.jit(act)
         self._begin: Callable[..., PolicyMemory] = jax.jit(begin_memory)
         self.restart()
-        # Compiled now, and not in the first step of a flight; what it gives is of no use yet.
+        # Compiled now, and not in the first step of a flight; the result is discarded.
         jax.block_until_ready(self._act(self._memory, *self._scene(session.observe())))
 
     def restart(self) -> None:
-        """Ask the policy to begin anew, after a reset of the session; nothing is compiled again."""
+        """Restart the policy after a reset of the session; nothing is compiled again."""
         self._memory = self._begin(*self._scene(self._session.observe()))
 
     @property
     def memory(self) -> PolicyMemory:
-        """Of the policy."""
+        """Return the memory of the policy."""
         return self._memory
 
     def commands(self, observation: Observation) -> dict[int, SessionCommand]:
-        """What the robots that still fly are told in the step that begins now.
+        """Return commands of the running robots for the step that begins now.
 
         Args:
-            observation: of the session, as it is.
+            observation: present observation of the session.
         """
         self._memory, command = self._act(self._memory, *self._scene(observation))
         host = jax.device_get(command)
@@ -129,29 +136,31 @@ class OnlineFlyer:
 
 
 def build_session_problem(session: OnlineScene, information: Information | None = None) -> Problem:
-    """What a planner is asked at this time of a session.
+    """Build the problem of a session at its present time, from which its times are counted.
 
-    Robots begin where they are told that they are; time is counted from now.
+    Robots start at their estimated positions.
 
     Args:
         session: a scene.
-        information: what may be known of what moves; what the scenario says if left out.
+        information: levels of the problem; those of the scenario if left out.
     """
     internals, observation = session.inside(), session.observe()
     scenario, spec = internals.simulator.scenario, internals.simulator.spec
     information_level = (
         scenario.planner.information.to_information() if information is None else information
     )
-    left_s = max(scenario.time.horizon_s - observation.time_s, spec.control_dt_s)
+    settings = replace(
+        problem_settings(scenario, information_level),
+        horizon_s=max(scenario.time.horizon_s - observation.time_s, spec.control_dt_s),
+        is_replan=True,
+    )
     world, obstacles = _single_world((internals.worlds, internals.state.obstacles))
     w, x, y, z = np.moveaxis(np.asarray(observation.estimate.q, np.float32), -1, 0)
-    problem = build_problem.build_problem_now(
+    problem = build_problem.build_problem(
         world,
         jnp.uint32(scenario.seed),
         spec,
-        information_level,
-        left_s,
-        scenario.planner.deadline_s,
+        settings,
         Seen(
             time_s=jnp.float32(observation.time_s),
             obstacles=obstacles,
@@ -164,12 +173,12 @@ def build_session_problem(session: OnlineScene, information: Information | None 
 
 
 def _single_world(batch: Any) -> Any:
-    """The one world of a batch of one."""
+    """Return the world of a batch of one."""
     return jax.tree.map(lambda leaf: leaf[0], batch)
 
 
 def _build_belief(estimate: Estimate) -> Belief:
-    """What the robots are told of themselves; how sure they are nobody asks here."""
+    """Build the belief of the robots from an estimate, without covariance."""
     p, q, nu = (_to_float32(x) for x in (estimate.p, estimate.q, estimate.nu))
     flow = None if estimate.flow is None else _to_float32(estimate.flow)
     zeros = _to_float32(np.zeros_like(p))
@@ -185,10 +194,10 @@ def _build_belief(estimate: Estimate) -> Belief:
 
 
 def _to_float32(values: Any) -> Any:
-    """On the host, for a call that takes it to the device."""
+    """Convert to float32 on the host, for a call that moves the values to the device."""
     return np.asarray(values, np.float32)
 
 
 def __getattr__(name: str) -> Any:
-    """Return what had another name before 0.2."""
+    """Return a name of 0.1, with a DeprecationWarning."""
     return _renamed(__name__, name)

@@ -1,7 +1,7 @@
-"""What happened in a session, as a run folder: figures, replays and exports read it like any other.
+"""Recording of a session as a run folder: figures, replays and exports read it like any other.
 
-Samples are kept in memory and written at the end, for until then nobody knows how many there are:
-an hour of four robots at 5 Hz takes 10 MB.
+Samples are kept in memory and written at the end, because their number is unknown until then: an
+hour of four robots at 5 Hz takes 10 MB.
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,7 +14,7 @@ import jax
 import numpy as np
 
 from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.robot.control.joint_trajectory import LINEAR
+from angler_mjx.robot.control.commands.joint_trajectory import LINEAR
 from angler_mjx.runs.provenance import describe_environment, peak_memory_bytes
 from angler_mjx.runs.session.batch_session import SessionInternals
 from angler_mjx.runs.session.interface import Floats, Observation
@@ -28,29 +28,29 @@ from angler_mjx.sim.record import Sample, recorded_options, sizes_of
 
 
 class Recordable(Protocol):
-    """A session whose truth can be recorded."""
+    """Session whose true state can be recorded."""
 
     def inside(self) -> SessionInternals:
-        """What lies behind it."""
+        """Return its internals."""
         ...
 
 
 @dataclass(frozen=True, kw_only=True)
 class FlownPath:
-    """Where a robot was to be, at so many times."""
+    """Reference positions of a robot at some times."""
 
     time_s: Floats
-    """[n]."""
+    """[n] times."""
     position_m: Floats
     """[n, 3] in W."""
     yaw_rad: Floats
     """[n] unwrapped."""
 
     def arrays(self, rows: int, *, joints: bool) -> dict[str, Any]:
-        """As plans are recorded: so many rows, joined by lines.
+        """Return arrays of a recorded plan, resampled to a number of rows by straight lines.
 
         Args:
-            rows: of the plan.
+            rows: rows of the plan.
             joints: whether the plans of the run are trajectories of joints.
         """
         times = np.linspace(self.time_s[0], self.time_s[-1], rows)
@@ -66,7 +66,7 @@ class FlownPath:
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedCourse:
-    """How a session went, for the summary of its run."""
+    """Course of a session, for the summary of its run."""
 
     steps: int
     """Control steps."""
@@ -75,11 +75,11 @@ class RecordedCourse:
     more: Mapping[str, Any]
     """Further keys of the summary."""
     interrupted: str = ""
-    """What broke it off; empty if it came to its end."""
+    """Cause of an interruption; empty after a complete session."""
 
 
 class SessionRecording:
-    """A run folder in the making; a hidden one, of which nothing stays unless it is finished."""
+    """Run folder being written; hidden, and removed unless it is finished."""
 
     def __init__(
         self,
@@ -88,13 +88,13 @@ class SessionRecording:
         world: int,
         inputs: Sequence[tuple[str, Path]] = (),
     ) -> None:
-        """Nothing is made yet.
+        """Set the inputs; the folder is created later.
 
         Args:
-            out: folder to make; must not exist.
-            scenario: that is run.
+            out: folder to create; must not exist.
+            scenario: scenario of the session.
             world: global index of its world.
-            inputs: role and file of what is used beside the scenario's vehicles.
+            inputs: role and file of inputs other than the scenario's vehicles.
 
         Raises:
             ConfigError: the scenario stores no trajectories.
@@ -113,18 +113,12 @@ class SessionRecording:
         self._lock: OutputLock | None = None
 
     def __enter__(self) -> Self:
-        """Take the folder's name, so that nobody waits for an hour in vain, and copy the inputs."""
+        """Reserve the folder's name, so that conflicts show early, and copy the inputs."""
         lock = folder.create_folder(self._out)
-        try:
+        with lock.filling() as building:
             vehicles = [entry.vehicle for entry in self._scenario.fleet]
             files = [*copies.world_files(self._scenario.world), *self._inputs]
-            copies.copy_inputs(lock.building, vehicles, files)
-        except OSError as error:
-            lock.withdraw()
-            raise ConfigError(f"--out {self._out}: cannot be written ({error.strerror})") from error
-        except BaseException:
-            lock.withdraw()
-            raise
+            copies.copy_inputs(building, vehicles, files)
         self._lock = lock
         return self
 
@@ -134,31 +128,31 @@ class SessionRecording:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Take away what was not finished."""
+        """Remove an unfinished recording."""
         if self._lock is not None:
             self._lock.withdraw()
 
     @property
     def building(self) -> Path:
-        """The hidden folder, for files that are to lie beside those of every run.
+        """Return the hidden folder, for files in addition to those of every run.
 
         Raises:
-            RunError: it is not open.
+            RunError: the recording is not open.
         """
         if self._lock is None:
             raise RunError("the recording is not open")
         return self._lock.building
 
     def begin(self, session: Recordable) -> None:
-        """Record a session from here on; it runs the same scenario."""
+        """Record a session of the same scenario from now on."""
         self._session = session
 
     def plan(self, robot: int, path: FlownPath) -> None:
-        """Keep this as a robot's plan, and not the planner's path."""
+        """Record this plan of a robot instead of the planner's path."""
         self._paths[robot] = path
 
     def after(self, observation: Observation) -> None:
-        """Keep a sample, if one is due; called after every step."""
+        """Record a sample if one is due; called after every step."""
         sample = self._session.inside().sample
         if sample is not None and self._steps % self._steps_per_sample == 0:
             self._samples.append(jax.tree.map(np.asarray, sample))
@@ -168,10 +162,10 @@ class SessionRecording:
         """Write the run.
 
         Returns:
-            The run; None if not even one step was made.
+            The run; None without steps.
 
         Raises:
-            RunError: the disk gave out.
+            RunError: writing failed.
         """
         if self._lock is None or not self._samples:
             return None
@@ -194,21 +188,21 @@ class SessionRecording:
             return folder.finish_folder(lock, episodes, summary)
         except OSError as error:
             raise RunError(
-                f"--out {self._out}: cannot be written ({error.strerror or error}); what there is "
-                f"lies in {building}"
+                f"--out {self._out}: cannot be written ({error.strerror or error}); the "
+                f"unfinished recording is in {building}"
             ) from error
         finally:
             lock.release()
 
     def _build_tile(self, internals: SessionInternals) -> FinishedTile:
-        """The world as the tile of a run, its samples joined to [1, n, ...]."""
+        """Build the world as the tile of a run, its samples joined to [1, n, ...]."""
         joined: Sample = jax.tree.map(lambda *leaves: np.stack(leaves, axis=1), *self._samples)
         constants = jax.tree.map(
             np.array, device_to_host.select_constants(internals.worlds, recorded=True)
         )
         for robot, path in self._paths.items():
             constants.planned[0, robot] = True
-            # In as many rows as the planner's paths have.
+            # With as many rows as the planner's paths.
             rows = constants.plan["plan_time_s"].shape[-1]
             for name, values in path.arrays(rows, joints="plan_degree" in constants.plan).items():
                 constants.plan[name][0, robot] = values
@@ -221,12 +215,12 @@ class SessionRecording:
         )
 
     def _resolved_scenario(self, internals: SessionInternals) -> Scenario:
-        """The scenario as it was run. Its horizon stays: what is drawn in time depends on it."""
+        """Return the scenario as run. Its horizon is kept: samples in time depend on it."""
         changes: dict[str, Any] = {
-            # As many as are needed for this index; the others are not in the run.
+            # As many worlds as this index needs; the others are not in the run.
             "worlds": self._world + 1,
             "tile": 1,
-            # Of flights on real autopilots nothing is recorded beside what all have.
+            # Flights on real autopilots record only the common columns.
             "store": self._scenario.store.model_copy(
                 update={"also": recorded_options(self._samples[0])}
             ),
@@ -266,7 +260,7 @@ class SessionRecording:
         recorder.sync(tile.first)
 
     def _build_summary(self, scenario: Scenario, course: RecordedCourse) -> dict[str, Any]:
-        """As of every run, and how it went."""
+        """Build the summary of a run, with the course of the session."""
         steps = course.steps * scenario.time.physics_steps * len(scenario.members())
         interruption = {"interrupted": course.interrupted} if course.interrupted else {}
         return {

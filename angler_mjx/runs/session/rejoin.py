@@ -1,9 +1,9 @@
-"""The way back to a plan, for a robot that was driven away from it.
+"""Way back to a plan, for a robot that was driven away from it.
 
-It goes straight to the nearest later point of the plan if nothing that does not move is in the way,
-and else over free cells, pulled straight. What moves (other robots, drifting obstacles) is not
-looked at: the plan's own times do not hold any more either. The robot sets out at the speed that it
-has along its way, and takes up the plan's from there.
+The robot goes straight to the nearest later point of the plan if no static obstacle is in the way,
+and else over free cells, shortened by straight lines. Moving obstacles and other robots are
+ignored: the plan's own times do not hold any more either. The robot starts at its present speed
+along the way, and takes up the plan's from there.
 """
 
 from functools import cached_property
@@ -13,22 +13,24 @@ import jax
 import numpy as np
 
 from angler_mjx.planning.path_search import lattice
+from angler_mjx.planning.path_search.bodies import select_still
 from angler_mjx.runs.session.interface import Floats
 from angler_mjx.runs.session.robot_plan import RobotPlan
 from angler_mjx.world.environment import Environment
 
 CHECKED_POINTS = 64
-"""Points that are looked at together; their number is fixed, so that nothing compiles anew."""
+"""Points that are checked together; their number is fixed, so that nothing compiles anew."""
 CLEARANCE_FRACTIONS = (1.0, 0.75, 0.5)
-"""Of the clearance, that the first straight piece must keep: a robot that was driven close to rock
-may leave it at its own distance. Half a bounding sphere is more than half a hull's width."""
+"""Fractions of the clearance that the first straight piece must keep: a robot that was driven close
+to rock may leave it at its own distance. Half a bounding sphere is more than half a hull's
+width."""
 
 
 class RejoinPaths:
-    """What a robot of one world can go past."""
+    """Obstacles of one world and paths around them."""
 
     def __init__(self, environment: Environment) -> None:
-        """Take what does not move of one world; nothing is compiled until a way is asked for."""
+        """Set the static obstacles of one world; the first query compiles."""
         self._environment = environment
 
     def plan_rejoin(
@@ -41,16 +43,16 @@ class RejoinPaths:
         speed_mps: float,
         yaw_rad: float = 0.0,
     ) -> RobotPlan | None:
-        """From a point back to a plan and on along it; None where no way is found.
+        """Return a plan from a point back to a plan and on along it; None where no path is found.
 
         Args:
-            p: [3] where the robot is.
+            p: [3] position of the robot.
             velocity: [3] m/s over ground, in W.
-            plan: its plan.
-            left_s: how far along it was when it left, s of the plan's time.
-            clearance_m: to keep from everything that does not move.
-            speed_mps: on the way back.
-            yaw_rad: the robot's heading, for plans that have headings.
+            plan: plan of the robot.
+            left_s: progress along the plan when it was left, s of the plan's time.
+            clearance_m: clearance from static obstacles.
+            speed_mps: speed on the way back.
+            yaw_rad: heading of the robot, for plans with headings.
         """
         end = float(plan.time_s[-1])
         times = np.linspace(min(left_s, end), end, CHECKED_POINTS)
@@ -75,7 +77,7 @@ class RejoinPaths:
         return rejoined.eased(float(np.clip(speed_fraction, 0.0, 1.0)), speed_mps)
 
     def compile(self) -> None:
-        """Have compiled now what `back` needs."""
+        """Compile the functions of `plan_rejoin`."""
         self._reachable_points(np.zeros(3), np.zeros((1, 3)), 0.0)
 
     @cached_property
@@ -85,7 +87,7 @@ class RejoinPaths:
 
     @cached_property
     def _cell_gap_m(self) -> Floats:
-        """[nx, ny, nz] from cells' centres to everything that does not move."""
+        """Return distances [nx, ny, nz] from cells' centres to static obstacles."""
         gap = np.asarray(self._terrain.gap_m, float)
         if self._terrain.cell_gap_m is None:
             return gap
@@ -93,14 +95,14 @@ class RejoinPaths:
         return min_gap_m
 
     def _reachable_points(self, a: Floats, points: Floats, clearance_m: float) -> Any:
-        """Bool [n] which of up to `CHECKED_POINTS` points can be gone to in a straight line."""
+        """Return bool [n] whether straight lines to at most `CHECKED_POINTS` points are free."""
         n_missing = CHECKED_POINTS - len(points)
         padded = np.pad(points, ((0, n_missing), (0, 0)), mode="edge")
         clearance = np.asarray(clearance_m, padded.dtype)
         return np.asarray(_line_of_sight(self._terrain, a, padded, clearance))[: len(points)]
 
     def _nearest_reachable(self, a: Floats, points: Floats, clearance_m: float) -> int | None:
-        """Of points on the plan the nearest that can be gone to, with less clearance if need be."""
+        """Return the nearest reachable point of the plan, with less clearance if necessary."""
         distances = np.linalg.norm(points - a, axis=1)
         for fraction in CLEARANCE_FRACTIONS:
             reachable = self._reachable_points(a, points, fraction * clearance_m)
@@ -111,7 +113,7 @@ class RejoinPaths:
     def _path_around(
         self, p: Floats, points: Floats, clearance_m: float
     ) -> tuple[list[Floats], int] | None:
-        """Corners of a way over free cells, and the point of the plan that it ends at."""
+        """Return corners of a path over free cells, and the point of the plan at its end."""
         grid = self._terrain.grid
         origin, cell = np.asarray(grid.origin_m, float), float(grid.cell_m)
         free = self._cell_gap_m >= clearance_m
@@ -133,7 +135,7 @@ class RejoinPaths:
     def _shorten_chain(
         self, chain: Floats, points: Floats, clearance_m: float
     ) -> tuple[list[Floats], int] | None:
-        """A chain of centres with those left out that need not be corners."""
+        """Shorten a chain of centres by leaving out unnecessary corners."""
         corners = [chain[0]]
         at = 0
         while True:
@@ -145,14 +147,15 @@ class RejoinPaths:
             if not len(ahead):
                 return None
             visible = np.flatnonzero(self._reachable_points(chain[at], ahead, clearance_m))
-            # The next centre is a step between free cells, whatever rounding says of it.
+            # The next centre is a step between free cells, regardless of rounding.
             at += 1 + (int(visible[-1]) if visible.size else 0)
             corners.append(chain[at])
 
 
 @jax.jit
 def _build_terrain(environment: Environment) -> lattice.Terrain:
-    return lattice.build_terrain(environment)
+    still = select_still(environment.obstacles)
+    return lattice.build_terrain(environment.grid, environment.floor_z_m, still)
 
 
 @jax.jit
@@ -164,7 +167,10 @@ def _line_of_sight(
 
 
 def _count_steps(free: Any, goals: Any) -> Floats:
-    """Steps [nx, ny, nz] between faces of free cells to the nearest goal cell; inf where none."""
+    """Return steps [nx, ny, nz] between faces of free cells to the nearest goal cell.
+
+    Inf where none.
+    """
     steps = np.full(free.shape, np.inf)
     front = np.zeros(free.shape, bool)
     inside = np.all((goals >= 0) & (goals < free.shape), axis=1)
@@ -186,7 +192,7 @@ def _count_steps(free: Any, goals: Any) -> Floats:
 
 
 def _descend_steps(steps: Floats, cell: Any) -> Any:
-    """Cells [n, 3] from one to a goal, a step at a time."""
+    """Return cells [n, 3] from a cell to a goal, a step at a time."""
     chain = [cell]
     while steps[tuple(chain[-1])] > 0:
         near = _neighbour_cells(chain[-1], steps.shape)
@@ -196,7 +202,7 @@ def _descend_steps(steps: Floats, cell: Any) -> Any:
 
 
 def _neighbour_cells(cell: Any, shape: tuple[int, ...]) -> Any:
-    """The cell and its 26 neighbours that are inside, [n, 3]."""
+    """Return the cell and its neighbours inside the grid, 27 at most, [n, 3]."""
     offsets = np.stack(np.meshgrid(*[(-1, 0, 1)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     near = cell + offsets
     return near[np.all((near >= 0) & (near < shape), axis=1)]

@@ -1,4 +1,4 @@
-"""Who is in a scene, and who can still be driven."""
+"""Checks that a robot of a scene exists and can be commanded."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -12,22 +12,22 @@ def require_robot(robots: Sequence[RobotInfo], robot: int) -> None:
     """Refuse the index of a robot that a session does not have.
 
     Raises:
-        ConfigError: saying which there are.
+        ConfigError: the robot does not exist; the message lists the robots.
     """
     if robot not in range(len(robots)):
-        raise ConfigError(f"robot {robot}: there is none; this session has 0 to {len(robots) - 1}")
+        raise ConfigError(f"robot {robot}: does not exist; this session has 0 to {len(robots) - 1}")
 
 
 def require_running(robots: Sequence[RobotInfo], robot: int, outcomes: Any) -> None:
-    """Refuse to drive a robot that failed.
+    """Refuse to command a robot that failed.
 
     Args:
-        robots: of the session.
-        robot: index of one.
+        robots: robots of the session.
+        robot: index of the robot.
         outcomes: [R] `Outcome` of each.
 
     Raises:
-        ConfigError: it is not there, or its episode ended.
+        ConfigError: the robot does not exist, or its episode ended.
     """
     require_robot(robots, robot)
     outcome = Outcome(int(outcomes[robot]))

@@ -1,4 +1,4 @@
-"""The plan of one robot of a session on the host: as it was planned, or as it is taken up again."""
+"""Plan of one robot of a session on the host: as planned, or as rejoined."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -6,35 +6,39 @@ from typing import Any
 import numpy as np
 
 from angler_mjx.robot.control import plans
-from angler_mjx.robot.control.joint_trajectory import LINEAR, VEHICLE_JOINTS, JointTrajectory
-from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.robot.control.commands.joint_trajectory import (
+    LINEAR,
+    VEHICLE_JOINTS,
+    JointTrajectory,
+)
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.runs.session.interface import Floats
 
 ACCELERATION_MPS2 = 0.25
-"""At which the plan's speed is taken up."""
+"""Acceleration to the plan's speed."""
 EASING_POINTS = 8
-"""Way-points on which it is."""
+"""Number of way-points of the acceleration."""
 TURN_RADPS = 0.6
-"""At which a robot turns to the heading of its plan, where that has one."""
+"""Rate of turning to the heading of the plan, where it has headings."""
 
 _ROWS = ("time_s", "position", "velocity", "acceleration", "degree")
 
 
 @dataclass(frozen=True, kw_only=True)
 class RobotPlan:
-    """Way-points of one robot, as far as they are still to be gone."""
+    """Remaining way-points of one robot."""
 
     time_s: Floats
-    """[n] from 0."""
+    """[n] times from 0."""
     position_m: Floats
-    """[n, 3]."""
+    """[n, 3] positions in W."""
     motion: JointTrajectory | None = None
-    """The same points with headings and velocities, in arrays of NumPy; None where lines join them
-    and the robot looks where it goes."""
+    """Points of the same plan with headings and velocities, in arrays of NumPy; None where straight
+    lines join them and the robot heads along its path."""
 
     @classmethod
     def of(cls, plan: plans.Plan) -> "RobotPlan":
-        """A plan of one robot, in arrays of NumPy, without its padding."""
+        """Build the plan of one robot, in arrays of NumPy, without its padding."""
         time = np.asarray(plan.time_s, float)
         rows = int(np.searchsorted(time, time[-1])) + 1
         if isinstance(plan, Trajectory):
@@ -53,11 +57,11 @@ class RobotPlan:
 
     @property
     def kind(self) -> type:
-        """Type of the command."""
+        """Return the type of the command."""
         return Trajectory if self.motion is None else JointTrajectory
 
     def at(self, time_s: Any) -> Floats:
-        """Positions [..., 3] at times [...]."""
+        """Return positions [..., 3] at times [...]."""
         times = np.asarray(time_s, float)
         if self.motion is not None:
             joints = plans.joints_at(self.motion, times.ravel()).position
@@ -70,14 +74,14 @@ class RobotPlan:
     def after(
         self, detour_m: Floats, arrive_s: Floats, join_s: float, yaw_rad: float
     ) -> "RobotPlan":
-        """A way to the place of this plan at a time, and this plan from there on.
+        """Return a detour to the position of this plan at a time, followed by the plan from there.
 
         Args:
-            detour_m: [n, 3] corners of the way, the place of the plan last.
-            arrive_s: [n] when they are reached.
-            join_s: the plan's time there.
-            yaw_rad: the robot's at its beginning; a plan with headings is joined at its own, the
-                way taking as long as the turn does.
+            detour_m: [n, 3] corners of the detour, the position of the plan last.
+            arrive_s: [n] times of the corners.
+            join_s: the plan's time at the last corner.
+            yaw_rad: heading of the robot at the beginning; a plan with headings is joined at its
+                heading, the detour lasting at least as long as the turn.
         """
         is_later = self.time_s > join_s + 1e-6
         if self.motion is None:
@@ -107,14 +111,14 @@ class RobotPlan:
         )
 
     def eased(self, speed_fraction: float, speed_mps: float) -> "RobotPlan":
-        """The same way, begun at a share of its speed that grows to the whole evenly.
+        """Return the same path, begun at a fraction of its speed that grows evenly to 1.
 
         The plan's time t goes by as t = r s + (1 - r) s^2 / (2 T) for s < T, and as fast as the
         new time s from then on.
 
         Args:
             speed_fraction: r.
-            speed_mps: that the plan begins with.
+            speed_mps: initial speed of the plan.
         """
         rest = 1.0 - speed_fraction
         ramp = rest * speed_mps / ACCELERATION_MPS2
@@ -150,7 +154,7 @@ class RobotPlan:
         )
 
     def padded(self, rows: int, dtype: Any) -> plans.Plan:
-        """As the controllers take it, in so many rows; arrays of NumPy."""
+        """Return the plan for the controllers, with a number of rows; arrays of NumPy."""
         n_missing = rows - self.time_s.size
 
         def edge(values: Any, like: Any) -> Any:
@@ -170,7 +174,7 @@ class RobotPlan:
         return replace(self.motion, degree=edge(self.motion.degree, np.int32), **real)
 
     def _degrees_at(self, time_s: Any) -> Any:
-        """Of the segments [n] that times [n] lie on."""
+        """Return degrees of the segments [n] at times [n]."""
         k = np.searchsorted(self.time_s, np.asarray(time_s, float), side="right") - 1
         motion: Any = self.motion
         return np.asarray(motion.degree)[np.clip(k, 0, self.time_s.size - 1)]
@@ -182,7 +186,7 @@ class RobotPlan:
 
 
 def _stretch_times(arrive_s: Floats, min_duration_s: float) -> Floats:
-    """Times [n] from 0, stretched to at least so long."""
+    """Return times [n] from 0, stretched to a minimum duration."""
     if arrive_s[-1] >= min_duration_s:
         return arrive_s
     if arrive_s[-1] > 0.0:

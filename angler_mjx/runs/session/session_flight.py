@@ -1,4 +1,4 @@
-"""One scene flown to its end by a policy, through any session, and recorded."""
+"""Flight of one scene to its end by a policy, through any session, and recorded."""
 
 import time
 from collections.abc import Callable
@@ -15,13 +15,13 @@ from angler_mjx.sim.state import Outcome
 
 @dataclass(frozen=True, kw_only=True)
 class SessionFlight:
-    """How it went."""
+    """Result of a flight."""
 
     last: Observation
     steps: int
     wall_s: float
     broken: str = ""
-    """What broke it off; empty if it came to its end."""
+    """Cause of an interruption; empty after a complete flight."""
 
 
 def fly_session(
@@ -31,17 +31,17 @@ def fly_session(
     flyer: OnlineFlyer | None = None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> SessionFlight:
-    """Fly until no robot runs any more, or the horizon, or something breaks it off.
+    """Fly until no robot runs any more, the horizon, or an interruption.
 
     Args:
-        session: at its reset.
-        horizon_s: of the scenario.
-        watch: told of every step.
-        flyer: that commands; by the policy of the scenario if left out.
-        stopped: whether somebody asked for the end.
+        session: session at its reset.
+        horizon_s: horizon of the scenario.
+        watch: called after every step.
+        flyer: source of commands; the policy of the scenario if left out.
+        stopped: returns whether to stop.
 
     Raises:
-        ConfigError: the scenario asks for no policy.
+        ConfigError: the scenario has no policy.
     """
     policy_flyer = OnlineFlyer(session) if flyer is None else flyer
     observation, steps, interruption, started_s = session.observe(), 0, "", time.perf_counter()
@@ -51,7 +51,7 @@ def fly_session(
             break
         try:
             observation = session.step(policy_flyer.commands(observation))
-        except RunError as error:  # what was flown until then is not lost
+        except RunError as error:  # the flight until then is kept
             interruption = str(error)
             break
         steps += 1
@@ -65,7 +65,7 @@ def fly_session(
 
 
 def build_course(flight: SessionFlight, compile_s: float) -> RecordedCourse:
-    """For the summary of a run folder."""
+    """Return the course of a flight for the summary of a run folder."""
     return RecordedCourse(
         steps=flight.steps,
         wall_s=flight.wall_s,
@@ -76,5 +76,5 @@ def build_course(flight: SessionFlight, compile_s: float) -> RecordedCourse:
 
 
 def __getattr__(name: str) -> Any:
-    """Return what had another name before 0.2."""
+    """Return a name of 0.1, with a DeprecationWarning."""
     return _renamed(__name__, name)

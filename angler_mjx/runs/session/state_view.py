@@ -1,4 +1,4 @@
-"""What is looked at after each step of a simulated scene: one compiled function of its state."""
+"""View of a simulated scene after each step: one compiled function of its state."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -9,10 +9,9 @@ import numpy as np
 
 from angler_kernels import quaternion
 from angler_kernels.rigid_body import matrix_times
-from angler_mjx.robot.control import joint_tolerance
-from angler_mjx.robot.control.commands import BodyWrench, Estimate, ThrusterPwm
-from angler_mjx.robot.control.joint_tolerance import Tolerances
-from angler_mjx.robot.control.joint_trajectory import JointState, JointTrajectory
+from angler_mjx.robot.control.commands import BodyWrench, Estimate, ThrusterPwm, joint_tolerance
+from angler_mjx.robot.control.commands.joint_tolerance import Tolerances
+from angler_mjx.robot.control.commands.joint_trajectory import JointState, JointTrajectory
 from angler_mjx.robot.control.laws.follow import FollowCarry
 from angler_mjx.robot.vehicles.params import VehicleParams
 from angler_mjx.runs.session.fleet_facts import FleetFacts
@@ -21,13 +20,13 @@ from angler_mjx.sim import robot
 from angler_mjx.sim.detection import detect_contacts
 from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.record import Belief
-from angler_mjx.sim.state import World, WorldState
+from angler_mjx.sim.state import FleetWorld, WorldState
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class WatchedTrajectories:
-    """JointTrajectories whose tolerances are watched; [R] leads."""
+    """JointTrajectories with monitored tolerances; [R] leads."""
 
     trajectory: JointTrajectory
     allowed: Tolerances
@@ -38,7 +37,7 @@ class WatchedTrajectories:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class StateView:
-    """A scene at one time; [R] leads."""
+    """Scene at one time; [R] leads."""
 
     p: jax.Array
     q: jax.Array
@@ -53,24 +52,24 @@ class StateView:
     obstacle_p: jax.Array
     obstacle_q: jax.Array
     clock_s: jax.Array
-    """[R] how far along its path a robot is, by the guidance; 0 where it keeps no clock."""
+    """[R] progress along the path by the guidance, s; 0 where it keeps no clock."""
     heading_rad: jax.Array
-    """[R] that the guidance asks for; the robot's own where it keeps none."""
+    """[R] heading that the guidance demands; the robot's own where it keeps none."""
     result: jax.Array
-    """int32 [R] a `joint_tolerance.ResultCode`."""
+    """int32 [R] result, a `joint_tolerance.ResultCode`."""
 
 
 @jax.jit
 def view_state(
-    worlds: World, state: WorldState, pwm_us: jax.Array, watched: WatchedTrajectories | None
+    worlds: FleetWorld, state: WorldState, pwm_us: jax.Array, watched: WatchedTrajectories | None
 ) -> StateView:
-    """Look at the first world of a tile.
+    """Return the view of the first world of a tile.
 
     Args:
-        worlds: [1] leads.
-        state: [1] leads.
+        worlds: world, [1] leads.
+        state: its state, [1] leads.
         pwm_us: [1, R, n_thruster] signals of the step before.
-        watched: where the controllers take JointTrajectories.
+        watched: monitored trajectories, where the controllers take JointTrajectories.
     """
     world, current, signals = jax.tree.map(lambda leaf: leaf[0], (worlds, state, pwm_us))
     vehicles: VehicleState = current.vehicles
@@ -106,7 +105,7 @@ def view_state(
 
 
 def _measure_joints(vehicle: VehicleState, yaw: jax.Array) -> JointState:
-    """A robot's joints x, y, z and yaw; of accelerations nothing is measured."""
+    """Return a robot's joints x, y, z and yaw; accelerations are not measured."""
     velocity = quaternion.rotate(vehicle.q, vehicle.nu[:3])
     turn = quaternion.rotate(vehicle.q, vehicle.nu[3:])[2:]
     joints = jnp.concatenate([vehicle.p, yaw[None]])
@@ -118,18 +117,18 @@ def _measure_joints(vehicle: VehicleState, yaw: jax.Array) -> JointState:
 
 
 def _realised_wrench(vehicle: VehicleParams, pwm_us: jax.Array) -> jax.Array:
-    """Wrench [6] that signals settle at, faults included."""
+    """Return the wrench [6] that signals settle at, faults included."""
     thrust, _ = robot.thrust_and_power(vehicle, ThrusterPwm(pwm_us=pwm_us))
     wrench: jax.Array = matrix_times(vehicle.B, thrust)
     return wrench
 
 
 def apply_belief(view: StateView, belief: Belief | None) -> StateView:
-    """A scene as its robots' controllers know it: the one place where their estimate comes from.
+    """Return the view with the controllers' estimate: the only source of the estimate.
 
     Args:
-        view: the truth.
-        belief: [1] leads; what they were told in the step before. None where that is the truth.
+        view: true state.
+        belief: belief of the step before, [1] leads. None where it is the truth.
     """
     if belief is None:
         return view
@@ -141,7 +140,7 @@ def apply_belief(view: StateView, belief: Belief | None) -> StateView:
 
 
 def belief_covariance(belief: Belief | None) -> Floats | None:
-    """[R, 9, 9] of position, attitude and velocity, as far as it is known: the diagonal."""
+    """Return covariance [R, 9, 9] of position, attitude and velocity, as known: the diagonal."""
     if belief is None:
         return None
     parts = (belief.position_std_m, belief.attitude_std_rad, belief.velocity_std_mps)
@@ -160,16 +159,16 @@ def build_observation(
     target_m: Floats,
     status: tuple[RobotStatus, ...],
 ) -> Observation:
-    """A scene as sessions show it.
+    """Build an observation of a session.
 
     Args:
-        facts: of its robots.
-        view: the truth.
-        estimated: the same as the robots' controllers know it.
-        time_s: of the session.
+        facts: facts of its robots.
+        view: true state.
+        estimated: view with the controllers' estimate.
+        time_s: time of the session.
         covariance: see `Observation`.
-        target_m: [R, 3] place aimed at in the last step, in W.
-        status: of each robot.
+        target_m: [R, 3] set-point of the position in the last step, in W.
+        status: status of each robot.
     """
     rows = facts.obstacles
     return Observation(

@@ -1,1 +1,1 @@
-"""A scenario made runnable: worlds drawn and planned, compiled steps, devices."""
+"""Runnable scenario: sampled and planned worlds, compiled steps, devices."""

@@ -1,7 +1,7 @@
-"""Programs compiled side by side: while XLA works on one, Python writes down the next.
+"""Parallel compilation of programs: while XLA compiles one, Python traces the next.
 
-XLA compiles without Python's lock, so a thread each is enough. What is compiled is what would be
-compiled one after the other.
+XLA compiles without Python's lock, so one thread per program is enough. The programs are those that
+sequential compilation would give.
 """
 
 import gc
@@ -17,13 +17,13 @@ from typing import Any, Self
 import jax
 
 NO_AUTOTUNING = {"xla_gpu_autotune_level": 0}
-"""For all programs: XLA's search for a faster form of its kernels takes a GPU long, and what it
-finds is no faster. Drawing and planning (8 robots, 1,024 worlds on an H200) took 291 s instead of
-14 s, a segment of a delivery on an H100 22 s instead of 18 s."""
+"""Compiler option for all programs: XLA's search for a faster form of its kernels takes long on a
+GPU, and its results are no faster. Sampling and planning (8 robots, 1,024 worlds on an H200) took
+291 s instead of 14 s, a segment of a delivery on an H100 22 s instead of 18 s."""
 
 
 class CompiledFunction:
-    """A function compiled as a program of its own, or traced as a part of another program.
+    """Function compiled as a program of its own, or traced as a part of another program.
 
     JAX accepts compiler options for a whole program only and refuses a jitted function with options
     inside another trace. Calls with traced arguments therefore use a jitted function without
@@ -31,18 +31,18 @@ class CompiledFunction:
     """
 
     def __init__(self, function: Callable[..., Any], **options: Any) -> None:
-        """Jit a function twice; nothing is traced yet.
+        """Jit a function twice; it is traced later.
 
         Args:
-            function: to compile.
-            **options: of `jax.jit`, other than compiler options.
+            function: function to compile.
+            **options: options of `jax.jit`, other than compiler options.
         """
         self._part = jax.jit(function, **options)
         self._whole: Any = jax.jit(function, compiler_options=NO_AUTOTUNING, **options)
         self._run: Callable[..., Any] = self._whole
 
     def __call__(self, *arguments: Any) -> Any:
-        """Results of the function; tracers where an argument is one."""
+        """Return the results of the function; tracers where an argument is one."""
         if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(arguments)):
             return self._part(*arguments)
         with jax.core.eval_context():
@@ -57,7 +57,7 @@ class CompiledFunction:
         return self._whole.eval_shape(*example)
 
     def keep(self, executable: Callable[..., Any]) -> None:
-        """Run an executable, made of `lower`, in calls with arrays from now on."""
+        """Use an executable, made of `lower`, in calls with arrays from now on."""
         self._run = executable
 
 
@@ -66,11 +66,12 @@ class CompileTime:
     """Seconds from Python to machine code."""
 
     prepare_s: float = 0.0
-    """Of one function, while others may have been compiled beside it; so are the next two."""
+    """Seconds of one function, while others may have been compiled in parallel; so are the next
+    two."""
     reset_s: float = 0.0
     segment_s: float = 0.0
     total_s: float = 0.0
-    """Of all of them, by the clock on the wall: less than their sum."""
+    """Wall-clock time of all functions: less than their sum."""
 
     def by_program(self) -> dict[str, float]:
         """Return the seconds of each program by its name, without the total."""
@@ -79,27 +80,27 @@ class CompileTime:
 
 @dataclass(frozen=True, kw_only=True)
 class PendingProgram:
-    """A program in the making."""
+    """Program during compilation."""
 
     lowering_s: float
-    """What it took to trace and to write it down."""
+    """Seconds of tracing and lowering."""
     made: Future[tuple[Any, float]]
 
     def result(self) -> tuple[Any, float]:
-        """The compiled function, and the seconds that it took from Python to machine code."""
+        """Return the compiled function, and the seconds from Python to machine code."""
         executable, compile_s = self.made.result()
         return executable, self.lowering_s + compile_s
 
 
 class ParallelCompiler:
-    """Compiles what is given to it, each in a thread of its own; leaving it waits for all."""
+    """Compiler with one thread per program; leaving the context waits for all."""
 
     def __init__(self, max_threads: int) -> None:
-        """With threads for ``max_threads`` programs."""
+        """Set the number of threads."""
         self._threads = ThreadPoolExecutor(max_threads, thread_name_prefix="compile")
 
     def __enter__(self) -> Self:
-        """Take programs from now on."""
+        """Accept programs from now on."""
         return self
 
     def __exit__(
@@ -108,7 +109,7 @@ class ParallelCompiler:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Wait; what has not begun is left out if something failed."""
+        """Wait for all programs; skip those that have not begun after a failure."""
         self._threads.shutdown(cancel_futures=error is not None)
 
     def begin(self, function: Any, *example: Any) -> PendingProgram:
@@ -123,10 +124,10 @@ class ParallelCompiler:
 
 
 class _CollectionPause:
-    """Python's cyclic garbage collection, paused while any thread traces a program.
+    """Pause of Python's cyclic garbage collection while any thread traces a program.
 
-    A trace makes millions of objects that live until it ends; visiting them again and again took
-    23 % of the time to trace and lower the programs of `reef_fleet` (15.7 s instead of 12.1).
+    A trace makes millions of objects that live until it ends; visiting them repeatedly took 23 % of
+    the time to trace and lower the programs of `reef_fleet` (15.7 s instead of 12.1).
     """
 
     def __init__(self) -> None:
@@ -134,7 +135,7 @@ class _CollectionPause:
 
     @contextmanager
     def paused(self) -> Iterator[None]:
-        """Pause until the last thread has left, then restore what the caller had set."""
+        """Pause until the last thread has left, then restore the caller's setting."""
         with self._lock:
             if self._inside == 0:
                 self._was_enabled = gc.isenabled()

@@ -1,7 +1,7 @@
-"""Compiled programs kept on disk, for Python as for the command.
+"""Disk cache of compiled programs, for Python and the command line.
 
-A `Simulator` switches this on. It is left alone where ``JAX_COMPILATION_CACHE_DIR`` or JAX's own
-setting names a folder, and where ``ANGLER_COMPILE_CACHE=0`` says not to keep any.
+A `Simulator` enables it. It does nothing where ``JAX_COMPILATION_CACHE_DIR`` or JAX's own setting
+names a folder, or where ``ANGLER_COMPILE_CACHE=0`` disables it.
 """
 
 import os
@@ -14,21 +14,21 @@ import jax
 from jax.experimental.compilation_cache import compilation_cache
 
 OPT_OUT = "ANGLER_COMPILE_CACHE"
-"""Environment variable; "0" keeps nothing."""
+"""Environment variable; "0" disables the cache."""
 
 
 def cache_folder() -> Path:
-    """Where programs are kept: ``angler-mjx/xla`` in the user's cache folder."""
+    """Return the folder of programs: ``angler-mjx/xla`` in the user's cache folder."""
     base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     return base / "angler-mjx" / "xla"
 
 
 def enable_cache() -> None:
-    """Have JAX keep what it compiles, unless the user said where or not to."""
+    """Enable JAX's cache, unless the user has set its folder or disabled it."""
     if os.environ.get(OPT_OUT) == "0" or jax.config.jax_compilation_cache_dir is not None:
         return
     jax.config.update("jax_compilation_cache_dir", str(cache_folder()))
-    # JAX looks at the setting once, when it first compiles: that may have been before.
+    # JAX reads the setting once, at its first compilation, which may have been earlier.
     compilation_cache.reset_cache()
 
 
@@ -37,7 +37,8 @@ def use_cache_folder(folder: Path) -> Iterator[None]:
     """Keep every program in a folder, however fast it compiles, until the context ends.
 
     Args:
-        folder: of the programs, which are read from it as well; the user's cache is left alone.
+        folder: folder from which programs are read and to which they are written; the user's cache
+            is not used.
     """
     settings = {
         "jax_enable_compilation_cache": True,

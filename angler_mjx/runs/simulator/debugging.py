@@ -1,4 +1,4 @@
-"""One world planned in this process, so that a debugger reaches the planner's code."""
+"""Planning of one world in this process, so that a debugger reaches the planner's code."""
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning import answers
@@ -9,20 +9,20 @@ from angler_mjx.scenario.scenario import Scenario
 
 
 def plan_in_process(scenario: Scenario, world: int) -> list[Path | NoPlan]:
-    """Return what a planner of the host answers in one world; nothing it raises is caught.
+    """Return the answer of a host planner in one world; its exceptions are not caught.
 
-    No deadline ends it.
+    There is no time limit.
 
     Args:
-        scenario: with its planner.
-        world: index.
+        scenario: scenario with a planner.
+        world: index of the world.
 
     Raises:
-        ConfigError: the planner is one of the device, or there is no such world.
+        ConfigError: the planner runs on the device, or the world does not exist.
     """
     check_key_number("--debug", world)
     spec = scenario.planner.planner_spec()
-    if spec.reference.on_device or not callable(getattr(spec.reference.load(), "plan", None)):
+    if not callable(getattr(spec.reference.load(), "plan", None)):
         raise ConfigError(
             f"--debug: planner {spec.reference.name} is part of the program that samples the "
             "worlds; only a class with plan(problem) can be debugged"

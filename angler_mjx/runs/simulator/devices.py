@@ -1,8 +1,7 @@
-"""The devices of a simulation: a 1-D mesh of tiles, and whether what is asked for fits on them.
+"""Devices of a simulation: a 1-D mesh of tiles, and their memory.
 
-Worlds do not talk to each other, so a device runs the program of one tile whatever the number of
-devices beside it: `shard_function` wraps that program in ``shard_map`` and XLA is left nothing to
-divide.
+Worlds are independent, so a device runs the program of one tile for any number of devices:
+`shard_function` wraps that program in ``shard_map`` and XLA has nothing to divide.
 """
 
 from collections.abc import Callable
@@ -18,22 +17,22 @@ from angler_mjx.errors import ConfigError, RunError, format_bytes
 
 AXIS = "worlds"
 SHARDED = PartitionSpec(AXIS)
-"""A leaf whose leading axis is spread over the devices."""
+"""Sharding of a leaf whose leading axis is spread over the devices."""
 REPLICATED = PartitionSpec()
-"""A leaf that every device holds whole."""
+"""Sharding of a leaf that every device holds whole."""
 
 USABLE_FRACTION = 0.95
-"""Share of the memory limit that a suggested tile fills: allocation leaves gaps."""
+"""Fraction of the memory limit that a suggested tile fills: allocation leaves gaps."""
 
 
 def build_mesh(devices: int | None) -> Mesh:
-    """Devices of this process in a row.
+    """Return the mesh of devices of this process.
 
     Args:
-        devices: how many; all of them if None.
+        devices: number of devices; all if None.
 
     Raises:
-        ConfigError: there are fewer.
+        ConfigError: the process has fewer devices.
     """
     local_devices = jax.local_devices()
     count = len(local_devices) if devices is None else devices
@@ -51,19 +50,19 @@ def build_mesh(devices: int | None) -> Mesh:
 def shard_function(
     mesh: Mesh, function: Callable[..., Any], *specs: PartitionSpec
 ) -> Callable[..., Any]:
-    """``function`` of one tile as a function of one tile a device.
+    """Return ``function`` of one tile as a function of one tile per device.
 
     Args:
-        mesh: from `build_mesh`.
-        function: of arrays; the results' leading axis is that of the tile's worlds.
+        mesh: mesh from `build_mesh`.
+        function: function of arrays; the results' leading axis is that of the tile's worlds.
         *specs: ``SHARDED`` or ``REPLICATED`` for each argument.
     """
-    # No check of what varies over the mesh: loop carries begin as constants in the engines.
+    # No check of varying values over the mesh: loop carries begin as constants in the engines.
     return jax.shard_map(function, mesh=mesh, in_specs=specs, out_specs=SHARDED, check_vma=False)
 
 
 def with_sharding(tree: Any, mesh: Mesh, spec: PartitionSpec) -> Any:
-    """Shapes with the sharding that they will have."""
+    """Return shapes with their future sharding."""
     sharding = NamedSharding(mesh, spec)
     return jax.tree.map(
         lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=sharding), tree
@@ -71,7 +70,7 @@ def with_sharding(tree: Any, mesh: Mesh, spec: PartitionSpec) -> Any:
 
 
 def split_shards(tree: Any, count: int) -> list[Any]:
-    """The parts of a spread tree on the first ``count`` devices, in the order of the mesh.
+    """Return the parts of a sharded tree on the first ``count`` devices, in the order of the mesh.
 
     The copies to the host have begun when this returns; ``np.asarray`` of a leaf waits for its own.
     """
@@ -87,21 +86,21 @@ def split_shards(tree: Any, count: int) -> list[Any]:
 
 @dataclass(frozen=True, kw_only=True)
 class DeviceMemory:
-    """What one device needs for its tile, in bytes."""
+    """Memory of one device for its tile, in bytes."""
 
     prepare: int
-    """While worlds are made, beside what is still held of the tile before."""
+    """Bytes during preparation of worlds, with the held data of the previous tile."""
     segment: int
-    """While a segment runs, with the samples of the one before still there."""
+    """Bytes during a segment, with the samples of the previous one."""
 
     @property
     def needed(self) -> int:
-        """At most at any time."""
+        """Return the peak."""
         return max(self.prepare, self.segment)
 
 
 def analyse_memory(prepare: Any, reset: Any, segment: Any) -> DeviceMemory | None:
-    """Memory of the compiled functions by XLA's own account; None where it gives none."""
+    """Return the memory of the compiled functions as reported by XLA; None without a report."""
     parts = [function.memory_analysis() for function in (prepare, reset, segment)]
     if any(part is None for part in parts):
         return None
@@ -115,19 +114,19 @@ def analyse_memory(prepare: Any, reset: Any, segment: Any) -> DeviceMemory | Non
 
 
 def limit_bytes(device: jax.Device) -> int:
-    """Memory that one device can give: its own, or the machine's."""
+    """Return the memory limit of one device: its own, or the machine's."""
     stats = device.memory_stats() or {}
     return int(stats.get("bytes_limit") or psutil.virtual_memory().total)
 
 
 def require_memory(held_bytes: int) -> None:
-    """Refuse what programs hold for all worlds where it fills a device.
+    """Refuse program constants of all worlds that fill a device.
 
     Args:
-        held_bytes: bytes in each of the three programs that a run has loaded.
+        held_bytes: bytes of constants in each of the three programs of a run.
 
     Raises:
-        ConfigError: a quarter of a device's memory would not hold them.
+        ConfigError: they exceed a quarter of a device's memory.
     """
     limit = limit_bytes(jax.local_devices()[0])
     if 3 * held_bytes > limit // 4:
@@ -136,17 +135,17 @@ def require_memory(held_bytes: int) -> None:
             "programs, "
             f"and a device has {format_bytes(limit)}, a quarter of which is for them: take fewer "
             "depths or "
-            "times, or a smaller area (see docs/ocean.md)"
+            "times, or a smaller area (see docs/how_to/ocean.md)"
         )
 
 
 def largest_tile(tile: int, needed: int, limit: int) -> int:
-    """Largest tile that fits, memory being proportional to the worlds."""
+    """Return the largest tile that fits, memory being proportional to the worlds."""
     return max(int(tile * USABLE_FRACTION * limit / max(needed, 1)), 0)
 
 
 def tile_too_large(tile: int, needed: int | None, limit: int, cause: str) -> RunError:
-    """The error that says what would fit."""
+    """Return the error that names the largest fitting tile."""
     max_tile = 0 if needed is None else min(largest_tile(tile, needed, limit), tile - 1)
     need_text = "" if needed is None else f", {format_bytes(needed)} a device are needed"
     advice = (
@@ -162,12 +161,12 @@ def tile_too_large(tile: int, needed: int | None, limit: int, cause: str) -> Run
 
 
 def is_out_of_memory(error: BaseException) -> bool:
-    """Whether a run-time error of JAX says that device memory is used up."""
+    """Return whether a run-time error of JAX reports exhausted device memory."""
     return isinstance(error, jax.errors.JaxRuntimeError) and "RESOURCE_EXHAUSTED" in str(error)
 
 
 def tree_bytes(tree: Any) -> int:
-    """Size of a tree of shapes."""
+    """Return the size of a tree of shapes."""
     return sum(
         int(np.prod(leaf.shape)) * np.dtype(leaf.dtype).itemsize for leaf in jax.tree.leaves(tree)
     )

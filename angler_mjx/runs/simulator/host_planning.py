@@ -1,6 +1,6 @@
-"""Plans by planners on the host: problems to worker processes, answers back to worlds.
+"""Planning on the host: problems to worker processes, answers back to worlds.
 
-The device flies one device batch of worlds while the workers plan the next.
+The device simulates one device batch of worlds while the workers plan the next.
 """
 
 import os
@@ -14,11 +14,11 @@ import numpy as np
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning import register
-from angler_mjx.planning.answers import Answer
+from angler_mjx.planning.answers import FAILED_STATUSES, Answer
 from angler_mjx.planning.planner import NoPlan, Path, PathShape
 from angler_mjx.planning.problem import Problem, ProblemName
 from angler_mjx.planning.register import PlannerSpec
-from angler_mjx.robot.control.joint_trajectory import JointTrajectory
+from angler_mjx.robot.control.commands.joint_trajectory import JointTrajectory
 from angler_mjx.sim.state import World
 
 if TYPE_CHECKING:
@@ -27,17 +27,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class PlanNotes:
-    """What is kept of how some worlds were planned; arrays of NumPy."""
+    """Status and duration of the planning of some worlds; arrays of NumPy."""
 
     planning_s: np.ndarray
-    """[w] wall-clock time of the planner; NaN where it is not known."""
+    """[w] wall-clock time [s] of the planner; NaN if unknown."""
     status: np.ndarray
     """[w] text: a status of `angler_mjx.planning.answers`."""
     reason: np.ndarray
-    """[w, r] text: why a robot has no path; empty where it has one."""
+    """[w, r] text: reason why a robot has no path; empty with a path."""
 
     def rows(self, chosen: slice) -> "PlanNotes":
-        """Of some of the worlds."""
+        """Return the notes of some of the worlds."""
         return PlanNotes(
             planning_s=self.planning_s[chosen],
             status=self.status[chosen],
@@ -46,11 +46,11 @@ class PlanNotes:
 
 
 def split_problems(problems: Problem, names: Sequence[ProblemName]) -> list[Problem]:
-    """Problems of a batch, each with its name.
+    """Return the problems of a batch, each with its name.
 
     Args:
         problems: [world] leading on all arrays, on the host or a device.
-        names: of the first of them; others are left out.
+        names: of the first problems; others are left out.
     """
     leaves, structure = jax.tree.flatten(jax.tree.map(np.asarray, problems))
     named_problems = []
@@ -62,21 +62,21 @@ def split_problems(problems: Problem, names: Sequence[ProblemName]) -> list[Prob
 
 @dataclass(frozen=True, kw_only=True)
 class SampledBatch:
-    """A device batch of worlds that is drawn, and may still be planned."""
+    """A device batch of sampled worlds, which may still be planned."""
 
     worlds: World
     tickets: Mapping[int, int] = field(default_factory=dict)
-    """Of its problems on the host, by the world's index in the device batch."""
+    """Tickets of its problems on the host, by the world's index in the device batch."""
 
 
 def path_shape(spec: PlannerSpec | None, points: int) -> PathShape:
-    """What a planner's paths are like.
+    """Return the shape of a planner's paths.
 
     Args:
-        spec: the planner.
+        spec: the planner; None without one.
         points: of the scenario.
     """
-    if spec is None or spec.reference.on_device:
+    if spec is None:
         return PathShape(points=points)
     return PathShape(points=points, joints=register.plans_joints(spec))
 
@@ -84,18 +84,15 @@ def path_shape(spec: PlannerSpec | None, points: int) -> PathShape:
 def start_planners(
     spec: PlannerSpec | None, shape: PathShape, count: int | None
 ) -> "HostPlanners | None":
-    """Who plans on the host; None where the planner is one of the device, or there is none.
+    """Return the workers of a planner on the host; None without one, or for one on the device.
 
     Raises:
-        ConfigError: the class is no planner.
-        UnsupportedError: it needs a library that is not installed.
+        ConfigError: the class is not a planner.
+        UnsupportedError: a library of the planner is not installed.
     """
     if spec is None or spec.reference.on_device:
         return None
-    planner_class = spec.reference.load()
-    if callable(getattr(planner_class, "plan_batch", None)):
-        return None
-    if not callable(getattr(planner_class, "plan", None)):
+    if not callable(getattr(spec.reference.load(), "plan", None)):
         raise ConfigError(
             f"planner {spec.reference.name}: has neither plan(problem) nor plan_batch(problems)"
         )
@@ -103,14 +100,14 @@ def start_planners(
 
 
 class HostPlanners:
-    """Worker processes of one planner, started when the first problem comes."""
+    """Worker processes of one planner, started at the first problem."""
 
     def __init__(self, spec: PlannerSpec, points: int, count: int | None) -> None:
-        """Nothing is started yet.
+        """Keep the planner; nothing is started yet.
 
         Args:
-            spec: what workers plan with.
-            points: most of a path.
+            spec: the planner.
+            points: limit of way-points of a path.
             count: processes; one for each processor if left out.
         """
         self._spec = replace(spec, max_points=points)
@@ -118,7 +115,7 @@ class HostPlanners:
         self._workers: Workers | None = None
 
     def begin(self, problems: Mapping[int, Problem]) -> dict[int, int]:
-        """Hand problems in, by their places; returns their tickets."""
+        """Submit problems, by their indices, and return their tickets."""
         if self._workers is None:
             from angler_mjx.planning.host.workers import Workers
 
@@ -126,7 +123,7 @@ class HostPlanners:
         return {at: self._workers.submit(problem) for at, problem in problems.items()}
 
     def finish(self, tickets: Mapping[int, int]) -> dict[int, Answer]:
-        """Their answers, by their places; waits for them."""
+        """Wait for answers and return them by their indices."""
         if self._workers is None:
             return {}
         return {at: self._workers.take(ticket) for at, ticket in tickets.items()}
@@ -139,12 +136,11 @@ class HostPlanners:
 
 
 def planning_status(has_path: np.ndarray, reported: np.ndarray | None = None) -> np.ndarray:
-    """How planning of worlds ended.
+    """Return the planning status of worlds.
 
     Args:
-        has_path: bool [w, r] which robots have a path that is flown.
-        reported: [w] text: what is known of it; what it says of numbers of robots is worked out
-            anew.
+        has_path: bool [w, r] robots with a path that is flown.
+        reported: [w] text: reported statuses; those that count robots are computed again.
 
     Returns:
         [w] text: a status of `angler_mjx.planning.answers`.
@@ -158,15 +154,15 @@ def planning_status(has_path: np.ndarray, reported: np.ndarray | None = None) ->
 
 
 def gather_paths(answers: Mapping[int, Answer], initial: Path) -> tuple[Path, PlanNotes]:
-    """Answers as paths of a batch of worlds.
+    """Return answers as paths of a batch of worlds.
 
     Args:
-        answers: by the worlds' places; those that were not asked hold.
+        answers: by the indices of the worlds; robots of other worlds hold.
         initial: paths of robots that have none, [w, r] leading; their type and number of points are
             those of all.
 
     Returns:
-        Paths, [w, r] leading, and how they were planned.
+        Paths, [w, r] leading, and their planning notes.
     """
     has_path = np.zeros(initial.time_s.shape[:2], bool)
     reason = np.full(has_path.shape, "", object)
@@ -180,7 +176,7 @@ def gather_paths(answers: Mapping[int, Answer], initial: Path) -> tuple[Path, Pl
             elif type(path) is not type(initial):
                 is_wanted_joint = isinstance(initial, JointTrajectory)
                 reason[w, r] = (
-                    f"gives {type(path).__name__}, and its class says joints = {is_wanted_joint}"
+                    f"returns {type(path).__name__}, but its class has joints = {is_wanted_joint}"
                 )
             else:
                 _fill_path(result, (w, r), path)
@@ -189,16 +185,12 @@ def gather_paths(answers: Mapping[int, Answer], initial: Path) -> tuple[Path, Pl
     return result, notes
 
 
-FAILED_STATUSES = ("error", "died", "timeout")
-"""Statuses of worlds whose planner raised, died or gave no answer in time."""
-
-
 def warn_of_failures(notes: PlanNotes | None, first: int) -> None:
     """Warn of worlds whose planner failed, for callers that receive the worlds alone.
 
     Args:
-        notes: of the worlds; None where they were planned on the device.
-        first: index of the first of them.
+        notes: notes of the worlds; None where they were planned on the device.
+        first: index of the first world.
     """
     if notes is None:
         return
@@ -214,7 +206,7 @@ def warn_of_failures(notes: PlanNotes | None, first: int) -> None:
 
 
 def _fill_path(arrays: Any, index: tuple[int, int], path: Path) -> None:
-    """Write a path into the arrays of all; its last row is repeated."""
+    """Write a path into the arrays of all paths; its last row is repeated."""
     n = path.time_s.shape[0]
     for path_field in fields(arrays):
         rows, values = getattr(arrays, path_field.name), getattr(path, path_field.name)

@@ -1,9 +1,8 @@
 """Compiled functions of a scenario, shared by simulators of this process that need the same ones.
 
 Tracing and compiling a scenario takes seconds to a minute, and a grid of cells, a notebook or a
-test needs the same programs many times. `shared_programs` returns those made before where
-everything that was traced into them is equal. Programs that hold a planner or policy of a caller,
-or fields of
+test needs the same programs many times. `shared_programs` returns earlier programs where everything
+that was traced into them is equal. Programs that hold a planner or policy of a caller, or fields of
 files, are made anew for each simulator: their code and their files may have changed.
 """
 
@@ -20,7 +19,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from angler_kernels.clearance import cell_neighbours
 from angler_mjx.planning.planner import PathShape
 from angler_mjx.planning.register import PlannerSpec
 from angler_mjx.robot.control.stack import Command
@@ -63,14 +61,15 @@ SEGMENT_SAMPLES, SEGMENT_STEPS = 25, 100
 H200 2 ms to begin: as long as 70 control steps of 1,024 worlds of 8 robots."""
 
 UNTRACED_KEYS = {"name", "description", "worlds", "seed", "tile"}
-"""Keys of a scenario that no program depends on; its tile is given beside it."""
+"""Keys of a scenario that no program depends on; the tile is a separate input."""
 UNTRACED_PLANNER_KEYS = {"name", "requested", "settings"}
-"""Keys of a planner that no program depends on where it plans on the host, or paths are given."""
+"""Keys of a planner that no program depends on where it plans on the host, or where paths are
+inputs."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ProgramSetup:
-    """Everything from which the programs of a scenario are made."""
+    """Inputs of a scenario's programs."""
 
     scenario: Scenario
     tile: int
@@ -79,9 +78,9 @@ class ProgramSetup:
     kernels: str
     paths: PathShape
     planner: PlannerSpec | None
-    """A planner that is part of the programs; None where paths come from outside them."""
+    """Planner that is part of the programs; None where paths come from outside them."""
     policy: tuple[Policy, ...]
-    """On the devices of the mesh; empty without one."""
+    """Policy on the devices of the mesh; empty without one."""
     has_user_code: bool
     """Whether code of a caller is traced: a policy object, or a class with ``plan_batch``."""
 
@@ -109,25 +108,25 @@ class ProgramSetup:
 
 
 class Programs:
-    """Compiled functions of one scenario on one tile a device; shapes as in `Simulator`.
+    """Compiled functions of one scenario for one tile per device; shapes as in `Simulator`.
 
     Attributes:
         fleet: compiled vehicles, on every device.
-        engine: that advances the worlds.
+        engine: engine that advances the worlds.
         samples: stored samples in one segment.
-        steps_per_sample: control steps from one to the next.
+        steps_per_sample: control steps between samples.
         prepare: worlds of the fleet, from the seed and the first world of each device.
         reset: states of the fleet's worlds at t = 0.
         step: one control step.
-        segment: one segment from the end of the one before, of a run.
+        segment: one segment of a run, from the end of the segment before.
         from_anywhere: one segment from any control step.
         commanded: one segment with a command in place of the paths.
-        take: parameters of the fleet's variants.
-        pack: cells of worlds as the engine reads them; None where it reads them as they are.
+        add_parameters: worlds with the parameters of the fleet's variants.
+        pack_cells: cells of worlds as the engine reads them; None where it reads the grid itself.
     """
 
     def __init__(self, setup: ProgramSetup) -> None:
-        """Compile the vehicles and put the functions together; programs are not compiled yet.
+        """Compile the vehicles and build the functions; programs are compiled later.
 
         Raises:
             ConfigError: a vehicle file has faults, or the fleet does not fit the world's cells.
@@ -154,38 +153,38 @@ class Programs:
         self.prepare = self._shard(sampling, REPLICATED, REPLICATED, SHARDED)
         # A policy is an argument of the programs: one with other numbers needs no compilation.
         policy_specs = (REPLICATED,) * len(setup.policy)
-        reset, step = (
-            partial(function, self.spec)
-            for function in (self.engine.reset, self.engine.control_step)
-        )
+        reset = partial(self.engine.reset, self.spec)
         self.reset = self._shard(reset, REPLICATED, SHARDED, *policy_specs)
-        self.step = self._shard(step, REPLICATED, SHARDED, SHARDED, SHARDED, *policy_specs)
+        self.step = self._shard(
+            self._run_step, REPLICATED, SHARDED, SHARDED, SHARDED, SHARDED, *policy_specs
+        )
         # Of runs, whose segments begin where the one before ended; and of any.
         steps = self.samples * self.steps_per_sample
         of_run, of_any = (partial(self._run_segment, n) for n in (steps, 1))
         self.segment = self._shard(
-            of_run, REPLICATED, SHARDED, SHARDED, *policy_specs, donate_argnums=2
+            of_run, REPLICATED, SHARDED, SHARDED, SHARDED, *policy_specs, donate_argnums=2
         )
         self.segment_any_step = self._shard(
-            of_any, REPLICATED, SHARDED, SHARDED, *policy_specs, donate_argnums=2
+            of_any, REPLICATED, SHARDED, SHARDED, SHARDED, *policy_specs, donate_argnums=2
         )
         self.commanded = self._shard(
-            self._run_commanded, REPLICATED, SHARDED, SHARDED, SHARDED, donate_argnums=2
+            self._run_commanded, REPLICATED, SHARDED, SHARDED, SHARDED, SHARDED, donate_argnums=2
         )
-        self.take = partial(self._shard(fleet.select_parameters, REPLICATED, SHARDED), self.fleet)
-        uses_neighbours = scenario.engine == "fused"
-        self.pack = self._shard(jax.vmap(cell_neighbours), SHARDED) if uses_neighbours else None
+        self.add_parameters = self._shard(fleet.add_parameters, REPLICATED, SHARDED)
+        self.pack_cells = self._shard(self.engine.pack_cells, SHARDED)
 
     def problem(self, information: Information) -> CompiledFunction:
-        """Return the program that makes problems of worlds at an information level."""
+        """Return the program that builds problems of worlds at an information level."""
         if information not in self._problems:
             build = partial(build_tile_problems, self._setup.scenario, information)
-            self._problems[information] = self._shard(build, SHARDED, REPLICATED, SHARDED)
+            self._problems[information] = self._shard(
+                build, REPLICATED, SHARDED, REPLICATED, SHARDED
+            )
         return self._problems[information]
 
     @cached_property
     def batch_shape(self) -> World:
-        """Shapes, types and shardings of a device batch; tracing a planner takes long."""
+        """Return shapes, types and shardings of a device batch; tracing a planner takes long."""
         shapes = self.prepare.shape(*self._seed_shapes())
         worlds: World = with_sharding(shapes, self._setup.mesh, SHARDED)
         return worlds
@@ -207,15 +206,15 @@ class Programs:
             return compile_time
 
     def explain(self, error: Exception) -> None:
-        """Turn a device's error for want of memory into one that names a tile that would fit.
+        """Turn a device's out-of-memory error into one that names a fitting tile.
 
         Raises:
-            RunError: it is one of those; others are left as they are.
+            RunError: the error is of that kind; others are ignored.
         """
         if not on_devices.is_out_of_memory(error):
             return
         limit = limit_bytes(self._setup.mesh.devices.flat[0])
-        # What failed needs more than there is, whatever the account says.
+        # The failed program needs more than the limit, in spite of the report.
         needed = None if self.memory is None else max(self.memory.needed, limit)
         cause = str(error).splitlines()[0][:120]
         raise tile_too_large(self._setup.tile, needed, limit, cause) from error
@@ -226,7 +225,8 @@ class Programs:
         try:
             results = [program.result() for program in pending]
         except jax.errors.JaxRuntimeError as error:
-            # There is no account yet of what the programs need: what they give is the least.
+            # No report of the programs' memory is available: the size of their results is a lower
+            # bound.
             min_bytes = (2 * tree_bytes(worlds) + tree_bytes(state)) // mesh.size
             self.memory = DeviceMemory(prepare=min_bytes, segment=min_bytes)
             self.explain(error)
@@ -250,21 +250,22 @@ class Programs:
         )
 
     def _start_compilation(self) -> tuple[World, WorldState, list[PendingProgram]]:
-        """Shapes of worlds and their states; prepare, reset and segment, compiled side by side."""
+        """Start compiling prepare, reset and segment; return shapes of worlds and states."""
         mesh = self._setup.mesh
         kinds, number, firsts = self._seed_shapes()
         policy_shapes = with_sharding(self._setup.policy, mesh, REPLICATED)
         with ParallelCompiler(3) as programs:
-            # Each is traced for the shapes that come of the one before: tracing that gave them.
+            # Each is traced for the result shapes of the one before, known from its trace.
             prepare = programs.begin(self.prepare, kinds, number, firsts)
             worlds = self.batch_shape
             reset = programs.begin(self.reset, kinds, worlds, *policy_shapes)
             state = with_sharding(self.reset.shape(kinds, worlds, *policy_shapes), mesh, SHARDED)
-            segment = programs.begin(self.segment, kinds, worlds, state, *policy_shapes)
+            cells = with_sharding(self.pack_cells.shape(worlds), mesh, SHARDED)
+            segment = programs.begin(self.segment, kinds, worlds, state, cells, *policy_shapes)
         return worlds, state, [prepare, reset, segment]
 
     def _seed_shapes(self) -> tuple[Fleet, Any, Any]:
-        """Arguments of the function that prepares worlds: fleet, seed, first worlds."""
+        """Return the arguments of the preparing function: fleet, seed, first worlds."""
         mesh = self._setup.mesh
         number = jax.ShapeDtypeStruct((), jnp.uint32)
         firsts = jax.ShapeDtypeStruct((mesh.size,), jnp.uint32)
@@ -277,15 +278,28 @@ class Programs:
     def _shard(
         self, function: Callable[..., Any], *specs: PartitionSpec, **options: Any
     ) -> CompiledFunction:
-        """A compiled function that runs on each device, on its tiles.
+        """Return a compiled function that runs on each device, on its tile.
 
-        Results say themselves that they lie tile by tile: what takes them is then one program,
-        whether it was compiled ahead of time or is called.
+        Results carry their sharding by tiles: a function of them is then one program, whether it
+        was compiled ahead of time or is called.
         """
         return CompiledFunction(
             on_devices.shard_function(self._setup.mesh, function, *specs),
             out_shardings=NamedSharding(self._setup.mesh, SHARDED),
             **options,
+        )
+
+    def _run_step(
+        self,
+        kinds: Fleet,
+        worlds: World,
+        state: WorldState,
+        cells: jax.Array | None,
+        command: Command | None,
+        policy: Policy | None = None,
+    ) -> tuple[WorldState, Sample]:
+        return self.engine.control_step(
+            self.spec, kinds, worlds, state, command, policy, cells=cells
         )
 
     def _run_segment(
@@ -294,6 +308,7 @@ class Programs:
         kinds: Fleet,
         worlds: World,
         state: WorldState,
+        cells: jax.Array | None,
         policy: Policy | None = None,
         command: Command | None = None,
     ) -> SegmentResult:
@@ -307,14 +322,20 @@ class Programs:
             command=command,
             policy=policy,
             begins=begins,
+            cells=cells,
         )
         running = jnp.sum(after.tally.outcome == Outcome.RUNNING, axis=-1, dtype=jnp.int32)
         return after, sample, running
 
     def _run_commanded(
-        self, kinds: Fleet, worlds: World, state: WorldState, command: Command
+        self,
+        kinds: Fleet,
+        worlds: World,
+        state: WorldState,
+        cells: jax.Array | None,
+        command: Command,
     ) -> SegmentResult:
-        return self._run_segment(1, kinds, worlds, state, None, command)
+        return self._run_segment(1, kinds, worlds, state, cells, None, command)
 
 
 _shared: OrderedDict[Hashable, Programs] = OrderedDict()
@@ -348,7 +369,7 @@ def clear_shared() -> None:
 
 
 def _segment_size(scenario: Scenario) -> tuple[int, int]:
-    """Samples in one segment, and control steps from one to the next."""
+    """Return samples in one segment, and control steps between samples."""
     timing = scenario.time
     steps = timing.steps_per_sample or _largest_divisor(timing.control_steps, 100)
     if not timing.steps_per_sample:

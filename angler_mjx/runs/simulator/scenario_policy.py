@@ -1,33 +1,21 @@
-"""The policy that a scenario asks for: one by name, or order kept and plans made anew in flight."""
+"""Policy of a scenario: one by name, or passing order and replanning in flight."""
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 from angler_mjx.errors import ConfigError
+from angler_mjx.planning.device_planner import build_device_planner
 from angler_mjx.planning.mppi.costs import Weights
 from angler_mjx.planning.mppi.policy import Mppi
-from angler_mjx.planning.online.device_replanners import (
-    BatchReplanner,
-    CurrentReplanner,
-    GridReplanner,
-    PriorityReplanner,
-)
 from angler_mjx.planning.online.host_replanner import HostReplanner
 from angler_mjx.planning.online.policy import Online
 from angler_mjx.planning.online.replanning import Replanning
-from angler_mjx.planning.problem import Problem
+from angler_mjx.planning.problem import Problem, ProblemSettings
 from angler_mjx.planning.register import PlannerSpec, plans_joints
 from angler_mjx.planning.routes.policy import AlongRoutes
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.robot.control.laws.follow import FollowGains
-from angler_mjx.robot.control.trajectory import Trajectory
-from angler_mjx.runs.simulator.device_planning import (
-    CURRENT,
-    GRID,
-    current_config,
-    path_search_config,
-    priority_budget,
-)
+from angler_mjx.runs.simulator.world_preparation import problem_settings
 from angler_mjx.scenario.policy_tables import default_information
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.information import Information
@@ -35,22 +23,22 @@ from angler_mjx.sim.policy import Policy
 
 
 def resolve_policy(scenario: Scenario, policy: Policy | None) -> Policy | None:
-    """What commands the robots of a scenario.
+    """Return the policy that commands the robots of a scenario.
 
     Args:
-        scenario: that may name a policy, or ask for order or replanning.
-        policy: a policy of the caller's; it takes the place of an order that auto chose.
+        scenario: may name a policy, a passing order or replanning.
+        policy: of the caller; it replaces an order that auto chose.
 
     Raises:
-        ConfigError: both ask for the robots, or the planner cannot plan while they fly.
+        ConfigError: both command the robots, or the planner cannot replan.
     """
     if policy is not None and scenario.keeps_order_by_auto:
         return policy
     if not scenario.flown:
         if policy is None and scenario.task_spec() is not None:
             raise ConfigError(
-                f"task.type = {scenario.task.type!r}: plans lead to one goal, and nobody flies "
-                "from place to place; leave policy.name out, or give a policy of your own"
+                f"task.type = {scenario.task.type!r}: plans lead to one goal, not from "
+                "position to position; leave policy.name out, or give a policy of your own"
             )
         return policy
     if policy is not None:
@@ -69,7 +57,7 @@ def resolve_policy(scenario: Scenario, policy: Policy | None) -> Policy | None:
 
 
 def build_routes_policy(scenario: Scenario) -> AlongRoutes:
-    """Flight along routes with a scenario's settings."""
+    """Build the policy along routes with a scenario's settings."""
     settings = scenario.policy.routes
     period = settings.period(scenario.time)
     return AlongRoutes(
@@ -83,7 +71,7 @@ def build_routes_policy(scenario: Scenario) -> AlongRoutes:
 
 
 def build_mppi(scenario: Scenario) -> Mppi:
-    """Path integral control with a scenario's settings."""
+    """Build path integral control with a scenario's settings."""
     settings, time = scenario.policy.mppi, scenario.time
     return Mppi(
         weights=Weights(**settings.weights),
@@ -108,10 +96,10 @@ def _policy_information(scenario: Scenario) -> Information:
 
 
 def build_online_policy(scenario: Scenario) -> Online:
-    """The policy of a scenario that flies its plans online.
+    """Build the policy that follows the plans of a scenario online.
 
     Raises:
-        ConfigError: the planner cannot plan while robots fly.
+        ConfigError: the planner cannot replan.
     """
     _, gains = scenario.controller.stack()
     follow_gains = gains[0] if isinstance(gains[0], FollowGains) else FollowGains()
@@ -121,7 +109,7 @@ def build_online_policy(scenario: Scenario) -> Online:
         dt_s=dt_s,
         keeps_order=scenario.execution.order == "kept",
         replanning=settings,
-        information=None if settings is None else settings.information,
+        information=None if settings is None else settings.problem.information,
         observation_period=1 if settings is None else settings.every,
         ahead_s=0.0 if settings is None else scenario.time.horizon_s,
     )
@@ -131,44 +119,30 @@ def _replanning_settings(scenario: Scenario) -> Replanning | None:
     planner, time = scenario.planner, scenario.time
     if planner.replan_hz == 0.0:
         return None
+    spec = planner.planner_spec()
+    problem = replace(
+        problem_settings(scenario, planner.information.to_information()),
+        deadline_s=_deadline_s(scenario, spec),
+        is_replan=True,
+    )
     return Replanning(
-        planner=_build_replanner(scenario),
+        planner=_build_replanner(scenario, spec, problem),
         every=round(1.0 / (planner.replan_hz * time.control_dt_s)),
         delay=round(planner.delay_s / time.control_dt_s),
         dt_s=time.control_dt_s,
-        points=planner.points,
-        margin_m=planner.margin_m,
-        information=planner.information.to_information(),
-        horizon_s=time.horizon_s,
-        goal_tolerance_m=scenario.goal_tolerance_m,
-        deadline_s=_deadline_s(scenario),
+        problem=problem,
     )
 
 
-def _build_replanner(scenario: Scenario) -> Callable[[Problem], Trajectory]:
-    spec = scenario.planner.planner_spec()
-    if spec.reference.name == CURRENT:
-        return CurrentReplanner(config=current_config(scenario, spec))
+def _build_replanner(
+    scenario: Scenario, spec: PlannerSpec, problem: ProblemSettings
+) -> Callable[[Problem], Trajectory]:
     if spec.reference.on_device:
-        config = path_search_config(scenario, spec)
-        if spec.reference.name == GRID:
-            return GridReplanner(config=config)
-        return PriorityReplanner(config=replace(config, room_m=0.0), budget=priority_budget(spec))
-    settings = tuple(sorted(spec.settings.items()))
-    if _is_host_planner(spec):
-        return _build_host_replanner(scenario, spec, settings)
-    return BatchReplanner(reference=spec.reference, settings=settings)
+        return build_device_planner(spec, problem)
+    return _build_host_replanner(scenario, spec)
 
 
-def _is_host_planner(spec: PlannerSpec) -> bool:
-    if spec.reference.on_device:
-        return False
-    return not callable(getattr(spec.reference.load(), "plan_batch", None))
-
-
-def _build_host_replanner(
-    scenario: Scenario, spec: PlannerSpec, settings: tuple[tuple[str, Any], ...]
-) -> HostReplanner:
+def _build_host_replanner(scenario: Scenario, spec: PlannerSpec) -> HostReplanner:
     name, rate = spec.reference.name, f"planner.replan_hz = {scenario.planner.replan_hz:g}"
     if scenario.tile != 1:
         raise ConfigError(
@@ -181,14 +155,15 @@ def _build_host_replanner(
             f"{rate}: planner {name} gives headings (JointTrajectory), and replanning goes on from "
             "way-points; leave out its heading, or replan_hz"
         )
+    settings = tuple(sorted(spec.settings.items()))
     return HostReplanner(
         reference=spec.reference, settings=settings, points=scenario.planner.points
     )
 
 
-def _deadline_s(scenario: Scenario) -> float:
-    """Wall-clock time for a plan: one of the host has to be made when it is to be taken up."""
+def _deadline_s(scenario: Scenario, spec: PlannerSpec) -> float:
+    """Return the time limit [s] of a plan; on the host it ends when the plan is due."""
     planner = scenario.planner
-    if not _is_host_planner(planner.planner_spec()):
+    if spec.reference.on_device:
         return planner.deadline_s
     return min(planner.deadline_s, planner.delay_s or 1.0 / planner.replan_hz)

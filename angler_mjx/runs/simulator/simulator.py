@@ -1,9 +1,9 @@
-"""A scenario made runnable: worlds from indices, and the compiled reset, step and segment.
+"""Runnable scenario: worlds from indices, and the compiled reset, step and segment.
 
 Its compiled functions are those of `angler_mjx.runs.simulator.programs`. Every call works on one
-tile a device: a fixed number of worlds with consecutive global indices, so a run of any size
-compiles once, and the same tile on the same kind of device gives the same bytes wherever it stands
-in a run and however many devices there are.
+tile per device: a fixed number of worlds with consecutive global indices, so a run of any size
+compiles once, and the same tile on the same kind of device gives the same bytes at any position of
+a run and for any number of devices.
 """
 
 from collections.abc import Sequence
@@ -28,7 +28,11 @@ from angler_mjx.runs.simulator.compilation import CompileTime
 from angler_mjx.runs.simulator.devices import REPLICATED, SHARDED
 from angler_mjx.runs.simulator.host_planning import PlanNotes, SampledBatch
 from angler_mjx.runs.simulator.programs import Programs, SegmentResult
-from angler_mjx.runs.simulator.world_preparation import check_key_number, replace_paths
+from angler_mjx.runs.simulator.world_preparation import (
+    check_key_number,
+    check_worlds,
+    replace_paths,
+)
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim import fleet
 from angler_mjx.sim import policy as policies
@@ -37,35 +41,34 @@ from angler_mjx.sim.fleet import Fleet
 from angler_mjx.sim.information import Information
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.record import Sample
-from angler_mjx.sim.state import SimSpec, World, WorldState
-from angler_mjx.sim.validate_worlds import WorldValidator
+from angler_mjx.sim.state import FleetWorld, SimSpec, World, WorldState
 
 DEFAULT_TILE = {"cpu": 128, "gpu": 4096}
-"""Worlds in one device call where the scenario does not say: measured in docs/validation.md."""
+"""Worlds in one device call where the scenario does not say."""
 
 
 def default_tile(worlds: int) -> int:
-    """Tile for a run of ``worlds`` on the default device: never more than the run holds."""
+    """Return tile of a run of ``worlds`` on the default device: at most the worlds of the run."""
     return min(worlds, DEFAULT_TILE.get(jax.default_backend(), DEFAULT_TILE["cpu"]))
 
 
 MIN_POINTS = 2
-"""Of paths that nobody flies."""
+"""Number of points of unused paths."""
 
 
 class Simulator:
     """Compiled simulation of one scenario, in device batches: one tile of worlds on each device.
 
-    With one device, a device batch is a tile. Every leaf that a method gives or takes has [devices
-    * tile] worlds leading, spread over the devices.
+    With one device, a device batch is a tile. Every leaf of a method's arguments and results has
+    [devices * tile] worlds leading, spread over the devices.
 
     Attributes:
-        scenario: what is simulated.
+        scenario: simulated scenario.
         tile: worlds of one device in one call.
         devices: number of devices.
         samples: stored samples in one segment.
-        steps_per_sample: control steps from one to the next.
-        paths: what the robots' paths are like.
+        steps_per_sample: control steps between samples.
+        paths: type and number of points of the robots' paths.
     """
 
     def __init__(
@@ -78,21 +81,21 @@ class Simulator:
         workers: int | None = None,
         paths: PathShape | None = None,
     ) -> None:
-        """Read the vehicles and put the functions together; nothing is compiled yet.
+        """Read the vehicles and build the functions; they are compiled later.
 
         Args:
-            scenario: what to simulate.
+            scenario: scenario to simulate.
             tile: worlds in one call; the scenario's, or else the device's default.
             devices: devices to spread tiles over; all of this process if None.
-            policy: that commands the robots in every control step, instead of their paths.
-            workers: processes that plan, where the planner is one of the host; one for each
-                processor if left out. Changes no byte of the results.
-            paths: what those that `replace_paths` will give are like, where no planner is to be
-                asked.
+            policy: policy that commands the robots in every control step, instead of their paths.
+            workers: number of processes of a host planner; one for each processor if left out. It
+                changes no byte of the results.
+            paths: type and number of points of paths from `replace_paths`, where no planner is
+                used.
 
         Raises:
-            ConfigError: a vehicle file has faults, the fleet does not fit the world's cells, or
-                there are fewer devices.
+            ConfigError: a vehicle file has faults, the fleet does not fit the world's cells, or the
+                process has fewer devices.
         """
         compile_cache.enable_cache()
         on_devices.require_memory(scenario.world.held_bytes)
@@ -107,10 +110,10 @@ class Simulator:
         if self.kernels == "triton" and jax.default_backend() != "gpu":
             raise ConfigError(
                 'kernels = "triton": needs an NVIDIA GPU, and JAX computes on '
-                f'{jax.default_backend()} here; use kernels = "xla"'
+                f'{jax.default_backend()}; use kernels = "xla"'
             )
         by_task = scenario.task_spec() is not None
-        # Where robots have one place after another to go to, nobody plans a way to one goal.
+        # Along routes of several places no path to a single goal is planned.
         is_unplanned = paths is not None or by_task
         self._planner_spec = None if is_unplanned else scenario.planner.planner_spec()
         points = MIN_POINTS if by_task else scenario.planner.points
@@ -127,24 +130,23 @@ class Simulator:
             paths=self.paths,
             planner=None if self._planners else self._planner_spec,
             policy=self._policy_numbers,
-            has_user_code=has_policy or self._traces_planner(),
+            has_user_code=has_policy or self._traces_planner() or bool(scenario.controller.files),
         )
         self._programs = programs.shared_programs(setup)
         self.samples = self._programs.samples
         self.steps_per_sample = self._programs.steps_per_sample
-        self._validator = WorldValidator(
-            self.fleet, take=self._programs.take, pack=self._programs.pack
-        )
+        self._packed: tuple[jax.Array, jax.Array | None] | None = None
 
     def _traces_planner(self) -> bool:
-        """Whether code of a planner of somebody else is a part of the programs."""
+        """Return whether planner code of a user is part of the programs."""
         if self.scenario.planner.replan_hz:
-            return not self.scenario.planner.planner_spec().reference.on_device
+            reference = self.scenario.planner.planner_spec().reference
+            return not (reference.is_built_in and reference.on_device)
         spec = self._planner_spec
-        return spec is not None and self._planners is None and not spec.reference.on_device
+        return spec is not None and self._planners is None and not spec.reference.is_built_in
 
     def _replicate_policy(self, policy: Policy) -> Policy:
-        """A policy with its numbers, as arrays of JAX's types, on every device."""
+        """Return a policy with its numbers as JAX arrays on every device."""
         numbers = jax.tree.map(
             lambda leaf: (
                 leaf if isinstance(leaf, jax.Array) else np.asarray(leaf, jnp.result_type(leaf))
@@ -155,7 +157,7 @@ class Simulator:
         return sharded
 
     def _policy_arguments(self, policy: Policy | None) -> tuple[Policy, ...]:
-        """The last argument of the programs: the simulator's policy, or one with other numbers."""
+        """Return last argument of programs: the simulator's policy, or one with other numbers."""
         if policy is None:
             return self._policy_numbers
         if not self._policy_numbers:
@@ -168,61 +170,69 @@ class Simulator:
 
     @property
     def policy(self) -> Policy | None:
-        """That commands the robots."""
+        """Return the policy that commands the robots."""
         return self._policy_numbers[0] if self._policy_numbers else None
 
     @property
     def fleet(self) -> Fleet:
-        """Compiled vehicles; programs hold their numbers, so another fleet is another simulator."""
+        """Return compiled vehicles, constants of programs.
+
+        Another fleet needs another simulator.
+        """
         return self._programs.fleet
 
     @property
     def spec(self) -> SimSpec:
-        """Settings of the simulation, which its programs hold."""
+        """Return the settings of the simulation, constants of its programs."""
         return self._programs.spec
 
     @property
+    def thrusters(self) -> int:
+        """Number of thrusters of a robot, padding included."""
+        return int(self.fleet.control.vehicle.B.shape[-1])
+
+    @property
     def segment_steps(self) -> int:
-        """Control steps in one segment."""
+        """Return the control steps of one segment."""
         return self.samples * self.steps_per_sample
 
     @property
     def segments(self) -> int:
-        """Segments in the horizon."""
+        """Return the segments of the horizon."""
         return self.scenario.time.control_steps // self.segment_steps
 
     def variants(self) -> list[tuple[str, str]]:
-        """Vehicle and parameter set of each variant, in the order of ``World.variant``."""
+        """Return vehicle and parameter set of each variant, in the order of ``World.variant``."""
         kinds = fleet.list_variants(self.scenario.members())
         return [(kind.vehicle, kind.parameter_set) for kind in kinds]
 
     def labels(self) -> list[tuple[str, str]]:
-        """As `variants`, for tables: a vehicle is called what its file says, wherever that lies."""
+        """Return `variants` with labels for tables: the vehicle's name from its file."""
         variants = self.variants()
         names = library.label_vehicles(vehicle for vehicle, _ in variants)
         return [(names[vehicle], parameter_set) for vehicle, parameter_set in variants]
 
     def worlds(self, first: int = 0, *, seed: int | None = None) -> World:
-        """Worlds first, first + 1 and on: drawn, furnished and planned.
+        """Return worlds first, first + 1 and so on: sampled and planned.
 
         Args:
             first: global index of the first world.
-            seed: instead of the scenario's.
+            seed: seed; the scenario's if left out.
 
         Returns:
             World with [devices * tile] leading on every leaf.
 
         Raises:
-            ConfigError: index or seed is no whole number from 0 to 2**32 - 1.
+            ConfigError: index or seed is not a whole number from 0 to 2**32 - 1.
         """
         return self.device_batch([first + i * self.tile for i in range(self.devices)], seed=seed)
 
     def device_batch(self, firsts: Sequence[int], *, seed: int | None = None) -> World:
-        """As `worlds`, with the first world of each device's tile given on its own.
+        """Return worlds as `worlds`, from the first world of each device's tile.
 
         Args:
-            firsts: global indices, one a device.
-            seed: instead of the scenario's.
+            firsts: global indices, one per device.
+            seed: seed; the scenario's if left out.
 
         Raises:
             ConfigError: as `worlds`.
@@ -233,36 +243,36 @@ class Simulator:
 
     @property
     def planner(self) -> PlannerSpec | None:
-        """That plans; None where paths are given, or robots go from place to place."""
+        """Return the planner; None where paths are inputs, or robots follow routes."""
         return self._planner_spec
 
     @property
     def hosted(self) -> bool:
-        """Whether worlds are planned by processes of the host."""
+        """Return whether worlds are planned by processes of the host."""
         return self._planners is not None
 
     def begin(
         self, firsts: Sequence[int], *, seed: int | None = None, counts: Sequence[int] | None = None
     ) -> SampledBatch:
-        """Sample the worlds of a device batch, and hand their problems to planners on the host.
+        """Sample the worlds of a device batch, and submit their problems to host planners.
 
-        Errors as of `device_batch`. `finish` returns the worlds; in between the device can fly
+        Errors as of `device_batch`. `finish` returns the worlds; in between the device can simulate
         others.
 
         Args:
             firsts: as of `device_batch`.
             seed: as of `device_batch`.
-            counts: number of worlds of each tile that count; the host plans for no others.
+            counts: number of used worlds of each tile; the host plans for no others.
         """
         run_seed = self.scenario.seed if seed is None else seed
         number = check_key_number("seed", run_seed)
         indices = [check_key_number("first", first) for first in firsts]
-        # Put in their places, as `compile` says they are: otherwise it is another program.
+        # Placed as in `compile`: other placements are another program.
         numbers = jax.device_put(
             (number, np.asarray(indices, np.uint32)),
             (NamedSharding(self._mesh, REPLICATED), NamedSharding(self._mesh, SHARDED)),
         )
-        worlds = self._validator.accept_sampled(self._programs.prepare(self.fleet, *numbers))
+        worlds: World = self._programs.prepare(self.fleet, *numbers)
         if self._planners is None:
             return SampledBatch(worlds=worlds)
         names = [
@@ -271,7 +281,7 @@ class Simulator:
             for i in range(self.tile)
         ]
         problems = host_planning.split_problems(
-            self._programs.problem(self._information)(worlds, *numbers), names
+            self._programs.problem(self._information)(self.fleet, worlds, *numbers), names
         )
         counts = [self.tile] * len(firsts) if counts is None else counts
         rows = [t * self.tile + i for t, count in enumerate(counts) for i in range(count)]
@@ -280,13 +290,13 @@ class Simulator:
         )
 
     def finish(self, sampled: SampledBatch) -> tuple[World, PlanNotes | None]:
-        """The worlds of a device batch that was begun, planned.
+        """Return the planned worlds of a sampled device batch.
 
         Returns:
-            As `device batch`, and how they were planned, where that was not on the device.
+            Worlds as of `device_batch`, and planning notes of a host planner.
 
         Raises:
-            RunError: the planner cannot be made.
+            RunError: the planner cannot be created.
         """
         if self._planners is None:
             return sampled.worlds, None
@@ -297,12 +307,12 @@ class Simulator:
     def sample_problems(
         self, first: int = 0, *, seed: int | None = None, information: Information | None = None
     ) -> tuple[World, Problem]:
-        """A device batch of worlds that nobody has planned, and what a planner is asked in them.
+        """Return a device batch of worlds without plans, and its planning problems.
 
         Args:
             first: global index of the first world; each device has the same tile.
-            seed: instead of the scenario's.
-            information: what may be known; instead of what the scenario says.
+            seed: seed; the scenario's if left out.
+            information: information levels; the scenario's if left out.
 
         Returns:
             Worlds, and problems with [devices * tile] leading.
@@ -316,8 +326,9 @@ class Simulator:
             (number, np.full(self.devices, index, np.uint32)),
             (NamedSharding(self._mesh, REPLICATED), NamedSharding(self._mesh, SHARDED)),
         )
-        worlds = self._validator.accept_sampled(self._programs.prepare(self.fleet, *numbers))
-        return worlds, self._programs.problem(information or self._information)(worlds, *numbers)
+        worlds: World = self._programs.prepare(self.fleet, *numbers)
+        build = self._programs.problem(information or self._information)
+        return worlds, build(self.fleet, worlds, *numbers)
 
     def problems(
         self,
@@ -327,13 +338,13 @@ class Simulator:
         seed: int | None = None,
         information: Information | None = None,
     ) -> list[Problem]:
-        """What a planner is asked in worlds first, first + 1 and on, in arrays of NumPy.
+        """Return the planning problems of worlds first, first + 1 and so on, in arrays of NumPy.
 
         Args:
             first: global index of the first world.
-            count: how many, at most a tile.
-            seed: instead of the scenario's.
-            information: as in `asked`.
+            count: number of worlds, at most a tile.
+            seed: seed; the scenario's if left out.
+            information: as in `sample_problems`.
 
         Raises:
             ConfigError: as `worlds`.
@@ -346,13 +357,13 @@ class Simulator:
     def named(
         self, problems: Problem, first: int, count: int, *, seed: int | None = None
     ) -> list[Problem]:
-        """Problems of a batch as `problems` gives them, one by one, each with its name.
+        """Split problems of a batch and name each, as `problems` returns them.
 
         Args:
-            problems: of `asked`.
-            first: index of the first.
-            count: how many of them.
-            seed: of their worlds; the scenario's if left out.
+            problems: problems of `sample_problems`.
+            first: index of the first world.
+            count: number of worlds.
+            seed: seed of their worlds; the scenario's if left out.
         """
         run_seed = int(self.scenario.seed if seed is None else seed)
         return host_planning.split_problems(
@@ -364,10 +375,10 @@ class Simulator:
         return self.scenario.planner.information.to_information()
 
     def with_paths(self, worlds: World, path: Path) -> World:
-        """Worlds whose robots are told other paths.
+        """Return worlds with other paths.
 
         Args:
-            worlds: of this simulator.
+            worlds: worlds of this simulator.
             path: arrays of NumPy or JAX, [devices * tile, robot] leading.
 
         Raises:
@@ -387,45 +398,58 @@ class Simulator:
 
     @cached_property
     def _digest(self) -> str:
-        """Of the scenario: half a millisecond to make, and the same for all worlds."""
+        """Return the digest of the scenario, cached: it takes half a millisecond."""
         return self.scenario.digest()
 
     def close(self) -> None:
-        """End the processes that plan, where there are any."""
+        """End the planning processes, if any."""
         if self._planners is not None:
             self._planners.close()
 
     def adopt(self, worlds: World) -> World:
-        """Worlds with the parameters that this simulator's fleet gives to their variants.
+        """Return sampled worlds that `engine` may be given, checked.
 
-        For worlds that another simulator drew, or whose ``variant`` was edited.
+        For worlds of another simulator or with edits, and for programs of one's own.
+
+        Args:
+            worlds: any number of worlds, leading.
+
+        Raises:
+            ConfigError: a robot cannot be its variant, or there is no code for the kind or motion
+                of an obstacle.
+        """
+        check_worlds(self.fleet, worlds)
+        return worlds.sampled if isinstance(worlds, FleetWorld) else worlds
+
+    def add_parameters(self, worlds: World) -> FleetWorld:
+        """Return worlds with the parameters of their robots.
 
         Args:
             worlds: [devices * tile] leading.
 
         Raises:
-            ConfigError: a robot cannot be its variant.
+            ConfigError: as `adopt`.
         """
-        return self._validator.adopt(worlds)
+        equipped: FleetWorld = self._programs.add_parameters(self.fleet, self.adopt(worlds))
+        return equipped
 
-    def validate_worlds(self, worlds: World) -> World:
-        """Worlds as programs of one's own may give them to `engine`: checked, cells packed.
-
-        Args:
-            worlds: any number of them, leading.
-
-        Raises:
-            ConfigError: as `reset`.
-        """
-        return self._validator.validate_worlds(worlds)
+    def _pack_cells(self, worlds: World) -> jax.Array | None:
+        """Cells as the engine looks them up; those of the grid of the call before are kept."""
+        occupied = worlds.environment.grid.occupied
+        if self._packed is not None and self._packed[0] is occupied:
+            return self._packed[1]
+        packed: jax.Array | None = self._programs.pack_cells(worlds)
+        if isinstance(occupied, jax.Array) and not isinstance(occupied, jax.core.Tracer):
+            self._packed = (occupied, packed)
+        return packed
 
     @property
     def engine(self) -> engines.Engine:
-        """What advances the worlds, for programs of one's own (`angler_mjx.learning`)."""
+        """Return the engine, for programs of the user (`angler_mjx.learning`)."""
         return self._programs.engine
 
     def world_shape(self) -> World:
-        """Shapes and types of one tile of worlds, without computing any."""
+        """Return shapes and types of one tile of worlds, without computing any."""
 
         def of_tile(leaf: jax.ShapeDtypeStruct) -> jax.ShapeDtypeStruct:
             return jax.ShapeDtypeStruct((self.tile, *leaf.shape[1:]), leaf.dtype)
@@ -434,23 +458,18 @@ class Simulator:
         return shapes
 
     def reset(self, worlds: World, *, policy: Policy | None = None) -> WorldState:
-        """State of each world at t = 0.
+        """Return the state of each world at t = 0.
 
         Args:
             worlds: from ``worlds``.
-            policy: the simulator's with other numbers in it.
+            policy: the simulator's policy with other numbers.
 
         Raises:
-            ConfigError: the worlds hold what the engine would not see
-                (`angler_mjx.sim.validate_worlds`), as in `step` and `segment`; no stage of the
-                controllers takes what the policy commands, or it is made otherwise than the
-                simulator's.
+            ConfigError: as `adopt`, and in `step` and `segment`; no stage of the controllers takes
+                what the policy commands, or it is made otherwise than the simulator's.
         """
-        validated, policy_arguments = (
-            self._validator.validate_worlds(worlds),
-            self._policy_arguments(policy),
-        )
-        state: WorldState = self._programs.reset(self.fleet, validated, *policy_arguments)
+        adopted, policy_arguments = self.adopt(worlds), self._policy_arguments(policy)
+        state: WorldState = self._programs.reset(self.fleet, adopted, *policy_arguments)
         return state
 
     def step(
@@ -461,30 +480,29 @@ class Simulator:
         *,
         policy: Policy | None = None,
     ) -> tuple[WorldState, Sample]:
-        """One control step.
+        """Advance the worlds by one control step.
 
         Args:
             worlds: from ``worlds``.
             state: from ``reset`` or the step before.
             command: to the controllers of all robots instead of their paths, [world, robot]
                 leading; it enters at the first stage that takes its type. `MixedCommand` drives
-                each robot by a command of another type. A policy is not asked then.
-            policy: the simulator's with other numbers in it.
+                each robot by a command of another type. The policy is not called then.
+            policy: the simulator's policy with other numbers.
 
         Returns:
             The next state, and the sample of the state before with its command.
 
         Raises:
-            ConfigError: no stage of the controllers takes the command, an array of it has another
-                shape than every robot of every world wants, or pulse widths in NumPy's arrays are
+            ConfigError: no stage of the controllers takes the command, an array of it does not have
+                the shape for every robot of every world, or pulse widths in NumPy's arrays are
                 outside the thrust table; or as `reset`.
         """
         if command is not None:
-            self._check(command, worlds, state)
-        validated = self._validator.validate_worlds(worlds)
-        policy_arguments = self._policy_arguments(policy)
+            self._check(command, state)
+        adopted, policy_arguments = self.adopt(worlds), self._policy_arguments(policy)
         after, sample = self._programs.step(
-            self.fleet, validated, state, command, *policy_arguments
+            self.fleet, adopted, state, self._pack_cells(adopted), command, *policy_arguments
         )
         return after, sample
 
@@ -496,7 +514,7 @@ class Simulator:
         *,
         policy: Policy | None = None,
     ) -> tuple[WorldState, Sample]:
-        """``segment_steps`` control steps; the given state's memory is used up.
+        """Advance the worlds by ``segment_steps`` control steps; the state's memory is reused.
 
         Args:
             worlds: from ``worlds``.
@@ -505,7 +523,7 @@ class Simulator:
             policy: as for `step`.
 
         Returns:
-            The state after them, and samples [world, samples, ...].
+            State after the segment, and samples [world, samples, ...].
 
         Raises:
             ConfigError: as `step`.
@@ -514,42 +532,38 @@ class Simulator:
             if int(state.step[0]) % self.segment_steps == 0:
                 after, sample, _ = self.advance(worlds, state, policy=policy)
                 return after, sample
-            validated, policy_arguments = (
-                self._validator.validate_worlds(worlds),
-                self._policy_arguments(policy),
-            )
+            adopted, policy_arguments = self.adopt(worlds), self._policy_arguments(policy)
             after, sample, _ = self._programs.segment_any_step(
-                self.fleet, validated, state, *policy_arguments
+                self.fleet, adopted, state, self._pack_cells(adopted), *policy_arguments
             )
             return after, sample
-        self._check(command, worlds, state)
-        validated = self._validator.validate_worlds(worlds)
-        after, sample, _ = self._programs.commanded(self.fleet, validated, state, command)
+        self._check(command, state)
+        adopted = self.adopt(worlds)
+        after, sample, _ = self._programs.commanded(
+            self.fleet, adopted, state, self._pack_cells(adopted), command
+        )
         return after, sample
 
     def advance(
         self, worlds: World, state: WorldState, *, policy: Policy | None = None
     ) -> SegmentResult:
-        """As `segment`, and int32 [world]: how many robots of each are still on their way.
+        """Advance as `segment`, and count the running robots of each world, int32 [world].
 
-        The state is of `reset` or of the segment before: of whole segments.
-        The count is an array of its own: it can be read after the state was used up.
+        The state is that of `reset` or of the segment before. The count is an array of its own: it
+        can be read after the state was used up.
         """
-        validated, policy_arguments = (
-            self._validator.validate_worlds(worlds),
-            self._policy_arguments(policy),
-        )
+        adopted, policy_arguments = self.adopt(worlds), self._policy_arguments(policy)
         after, sample, running = self._programs.segment(
-            self.fleet, validated, state, *policy_arguments
+            self.fleet, adopted, state, self._pack_cells(adopted), *policy_arguments
         )
         return after, sample, running
 
-    def _check(self, command: Command | MixedCommand, worlds: World, state: WorldState) -> None:
-        """Refuse commands that the controllers cannot be given."""
-        lead, thrusters = state.tally.outcome.shape, worlds.control.vehicle.B.shape[-1]
+    def _check(self, command: Command | MixedCommand, state: WorldState) -> None:
+        """Refuse commands that the controllers cannot take."""
+        lead, thrusters = state.tally.outcome.shape, self.thrusters
         for part in command.commands if isinstance(command, MixedCommand) else [command]:
             stack.check_command(self.spec.stages, part, lead, thrusters)
-        if isinstance(command, MixedCommand):  # of its commands some hold any numbers
+        if isinstance(command, MixedCommand):  # unused elements of its commands hold any numbers
             command_checks.check_choice(command, lead)
         else:
             command_checks.check_pulses(command)
@@ -562,19 +576,19 @@ class Simulator:
             needs the same programs.
 
         Raises:
-            RunError: the tile does not fit into device memory; says which one does.
+            RunError: the tile does not fit into device memory; the message names one that does.
         """
         return self._programs.compile()
 
     @property
     def programs(self) -> Programs:
-        """Compiled functions, which simulators of equal scenarios share."""
+        """Return compiled functions, which simulators of equal scenarios share."""
         return self._programs
 
     def explain(self, error: Exception) -> None:
-        """Turn a device's error for want of memory into one that says which tile would fit.
+        """Turn a device's out-of-memory error into one that names a fitting tile.
 
         Raises:
-            RunError: it is one of those; others are left as they are.
+            RunError: the error is of that kind; others are ignored.
         """
         self._programs.explain(error)

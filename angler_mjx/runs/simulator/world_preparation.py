@@ -1,4 +1,4 @@
-"""Worlds from their indices: drawn and furnished, and planned by planners on the device."""
+"""Worlds from their indices: sampled, and planned by planners on the device."""
 
 import operator
 from collections.abc import Callable
@@ -10,36 +10,29 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from angler_kernels.clearance import cell_neighbours
 from angler_mjx.errors import ConfigError, format_value
-from angler_mjx.planning import grid as grid_planner
-from angler_mjx.planning.build_problem import build_problems
-from angler_mjx.planning.path_search.robot_search import PathSearchConfig
+from angler_mjx.planning.build_problem import build_problem
+from angler_mjx.planning.device_planner import DevicePlanner, build_device_planner
 from angler_mjx.planning.planner import Path, PathShape
-from angler_mjx.planning.problem import Problem
+from angler_mjx.planning.problem import Problem, ProblemSettings
 from angler_mjx.planning.register import PlannerSpec
 from angler_mjx.planning.routes import route_fields as fields_of_routes
-from angler_mjx.robot.control.joint_trajectory import JointTrajectory
-from angler_mjx.robot.control.joint_trajectory import hold_position as hold_joints
+from angler_mjx.robot.control.commands.joint_trajectory import JointTrajectory
+from angler_mjx.robot.control.commands.joint_trajectory import hold_position as hold_joints
+from angler_mjx.robot.control.commands.trajectory import hold_position
 from angler_mjx.robot.control.stack import ControlParams
-from angler_mjx.robot.control.trajectory import hold_position
-from angler_mjx.runs.simulator.device_planning import (
-    GRID,
-    build_device_planner,
-    has_obstacle_information,
-    path_search_config,
-)
 from angler_mjx.sampling import fold_keys, scale_uniform, uniform_rows
 from angler_mjx.scenario.randomise_table import RandomiseConfig
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.scenario.task_table import task_positions
 from angler_mjx.sim import fleet
-from angler_mjx.sim.information import Information, obstacle_information
+from angler_mjx.sim.information import Information
 from angler_mjx.sim.policy import Policy
-from angler_mjx.sim.state import World, WorldFactors
+from angler_mjx.sim.state import FleetWorld, World, WorldFactors
 from angler_mjx.world import currents, generate
 from angler_mjx.world.config import WorldRecipe, resolve_world
 from angler_mjx.world.environment import Environment
+from angler_mjx.world.obstacles import Obstacles
 from angler_mjx.world.routes import Routes
 from angler_mjx.world.tasks import sampling
 from angler_mjx.world.tasks.reachability import reachable_cells
@@ -48,34 +41,34 @@ from angler_mjx.world.tasks.spec import TaskWorld
 
 MAX_BATCH = {"gpu": 16384}
 DEFAULT_MAX_BATCH = 4096
-"""Worlds drawn and planned in one go, by platform; memory grows with the planner's history. On an
+"""Worlds sampled and planned at once, by platform; memory grows with the planner's history. On an
 H200 a quarter more worlds a second are made 16,384 at once than 4,096."""
 
 PLANNING_KEY = 0x504C414E
-"""Folded into a world's key for the planner's own draws: no child of the world's draws has it."""
+"""Folded into a world's key for the planner's draws; no key of the world's own draws has it."""
 BREAKDOWN_KEY = 0x4641494C
-"""As `PLANNING_KEY`, for what breaks down."""
+"""As `PLANNING_KEY`, for breakdowns."""
 
 ACOUSTICS_KEY = 0x52414449
-"""As `PLANNING_KEY`, for the channel that a world's robots share."""
+"""Constant for the acoustic channel of a world, as `PLANNING_KEY`."""
 TASK_KEY = 0x5441534B
-"""As `PLANNING_KEY`, for the places of a task."""
+"""Constant for the positions of a task, as `PLANNING_KEY`."""
 TASK_MARGIN_M = 0.3
-"""Beside the widest robot's radius at the places of a task, where no policy says more."""
+"""Distance [m] beyond the widest robot's radius at places of a task, unless a policy sets it."""
 
 type PrepareWorlds = Callable[[fleet.Fleet, jax.Array, jax.Array], World]
-"""Worlds [tile] of a fleet, from the seed [] and the first world's index [1], both uint32."""
+"""Makes worlds [tile] of a fleet, from the seed [] and the first world's index [1], both uint32."""
 
 
 def check_key_number(name: str, value: Any) -> np.uint32:
-    """A seed or an index of a world, as keys take it.
+    """Return a seed or an index of a world as keys take it.
 
     Args:
-        name: for messages.
+        name: name for messages.
         value: any whole number, of Python or NumPy.
 
     Raises:
-        ConfigError: it is none, or keys cannot hold it.
+        ConfigError: the value is not a whole number, or keys cannot hold it.
     """
     try:
         number = operator.index(value)
@@ -96,25 +89,29 @@ def build_preparer(
     shape: PathShape,
     policy: Policy | None = None,
 ) -> PrepareWorlds:
-    """The function that makes a tile of worlds.
+    """Return the function that makes a tile of worlds.
 
     Args:
-        scenario: whose worlds.
-        spec: the planner, if it plans on the device; without one robots are told to hold their
-            starts.
-        tile: how many at once.
+        scenario: of the worlds.
+        spec: the planner, if it plans on the device; without one robots hold their starts.
+        tile: number of worlds.
         shape: of the paths.
-        policy: that is to command them, which needs a key in each, and may ask for routes.
+        policy: that will command them, which needs a key in each world, and may need routes.
+
+    Raises:
+        ConfigError: the planner cannot plan such worlds.
     """
     recipe = resolve_world(scenario.world)
-    grid_config = (
-        path_search_config(scenario, spec)
-        if spec is not None and spec.reference.name == GRID
-        else None
-    )
+    settings = problem_settings(scenario, scenario.planner.information.to_information())
+    planner = None if spec is None else build_device_planner(spec, settings)
 
     def prepare_one(kinds: fleet.Fleet, seed: jax.Array, index: jax.Array) -> World:
-        return _prepare_world(scenario, recipe, shape, grid_config, policy, kinds, seed, index)
+        world = _prepare_world(scenario, recipe, shape, policy, kinds, seed, index)
+        if planner is None or not planner.plans_alone:
+            return world
+        equipped = fleet.add_parameters(kinds, world)
+        problem = build_problem(equipped, _planner_seed(seed, index), scenario.sim_spec(), settings)
+        return replace_paths(world, planner.plan_one(problem), planner.reference.name, shape)
 
     def sample_tile(kinds: fleet.Fleet, seed: jax.Array, first: jax.Array) -> World:
         prepare_world = partial(prepare_one, kinds, seed)
@@ -128,82 +125,178 @@ def build_preparer(
         worlds: World = jax.lax.map(prepare_world, index, batch_size=max_batch)
         return worlds
 
-    if spec is None or grid_config is not None:
+    if planner is None or planner.plans_alone:
         return sample_tile
-    planner, information = (
-        build_device_planner(scenario, spec),
-        scenario.planner.information.to_information(),
+    return partial(_sample_planned, scenario, planner, shape, sample_tile)
+
+
+def _sample_planned(
+    scenario: Scenario,
+    planner: DevicePlanner,
+    shape: PathShape,
+    sample_tile: PrepareWorlds,
+    kinds: fleet.Fleet,
+    seed: jax.Array,
+    first: jax.Array,
+) -> World:
+    """Return a tile of worlds with the paths of a planner that plans the tile at once."""
+    worlds = sample_tile(kinds, seed, first)
+    information = scenario.planner.information.to_information()
+    problems = build_tile_problems(scenario, information, kinds, worlds, seed, first)
+    return replace_paths(worlds, planner.plan_batch(problems), planner.reference.name, shape)
+
+
+def problem_settings(scenario: Scenario, information: Information) -> ProblemSettings:
+    """Return the settings of the problems of a scenario, before the flight.
+
+    Args:
+        scenario: of the worlds.
+        information: levels of the problems.
+    """
+    planner = scenario.planner
+    return ProblemSettings(
+        horizon_s=scenario.time.horizon_s,
+        goal_tolerance_m=scenario.goal_tolerance_m,
+        information=information,
+        deadline_s=planner.deadline_s,
+        margin_m=planner.margin_m,
+        points=planner.points,
+        max_cruise_speed_mps=max(entry.cruise_speed_mps for entry in scenario.fleet),
+        cell_m=resolve_world(scenario.world).cell_m,
+        water_or_obstacles_move=scenario.water_or_obstacles_move,
     )
 
-    def sample_planned(kinds: fleet.Fleet, seed: jax.Array, first: jax.Array) -> World:
-        worlds = sample_tile(kinds, seed, first)
-        problems = build_tile_problems(scenario, information, worlds, seed, first)
-        return replace_paths(worlds, planner(worlds, problems), spec.reference.name, shape)
 
-    return sample_planned
+def check_planner(scenario: Scenario, spec: PlannerSpec | None = None) -> None:
+    """Refuse scenarios whose problems a built-in planner of the device cannot plan.
+
+    Args:
+        scenario: of the worlds.
+        spec: the planner; that of the scenario if left out.
+
+    Raises:
+        ConfigError: the planner refuses its problems.
+    """
+    spec = spec or scenario.planner.planner_spec()
+    if spec.reference.is_built_in and spec.reference.on_device:
+        information = scenario.planner.information.to_information()
+        build_device_planner(spec, problem_settings(scenario, information))
 
 
 def build_tile_problems(
     scenario: Scenario,
     information: Information,
+    kinds: fleet.Fleet,
     worlds: World,
     seed: jax.Array,
     first: jax.Array,
 ) -> Problem:
-    """The problems of a tile of worlds, [world] leading; to be traced.
+    """Return the problems of a tile of worlds, [world] leading, traced.
 
     Args:
-        scenario: whose worlds.
-        information: what may be known of them.
-        worlds: drawn.
-        seed: [] of the run.
-        first: [1] index of the first world.
+        scenario: of the worlds.
+        information: levels of the problems.
+        kinds: fleet of the worlds.
+        worlds: sampled.
+        seed: uint32 [] of the run.
+        first: uint32 [1] index of the first world.
     """
     count = worlds.variant.shape[0]
     index = first[0] + jnp.arange(count, dtype=jnp.uint32)
     seeds = jax.vmap(lambda i: _planner_seed(seed, i))(index)
-    horizon_s, deadline_s = scenario.time.horizon_s, scenario.planner.deadline_s
+    settings = problem_settings(scenario, information)
 
-    def build_one(world: World, number: jax.Array) -> Problem:
-        return build_problems(
-            world, number, scenario.sim_spec(), information, horizon_s, deadline_s
-        )
+    def build_one(world: FleetWorld, world_seed: jax.Array) -> Problem:
+        return build_problem(world, world_seed, scenario.sim_spec(), settings)
 
-    return jax.vmap(build_one)(worlds, seeds)
+    return jax.vmap(build_one)(fleet.add_parameters(kinds, worlds), seeds)
 
 
 def replace_paths(worlds: World, path: Path, name: str, shape: PathShape) -> World:
-    """Worlds whose robots are told other paths.
+    """Return worlds with other paths.
 
     Args:
-        worlds: [world] leading.
-        path: [world, robot] leading.
+        worlds: a batch, [world] leading, or one world.
+        path: [world, robot] leading, or [robot] of one world.
         name: of the planner, for messages.
-        shape: that they must have.
+        shape: required of the paths.
 
     Raises:
-        ConfigError: the paths have other shapes.
+        ConfigError: the paths have another shape.
     """
     if isinstance(path, JointTrajectory) != shape.joints:
         expected = "JointTrajectory" if shape.joints else "Trajectory"
-        raise ConfigError(f"planner {name}: gives {type(path).__name__}; {expected} is flown here")
+        raise ConfigError(f"planner {name}: returns {type(path).__name__}; {expected} is required")
     lead = worlds.variant.shape
+    axes = "[world, robot]" if len(lead) == 2 else "[robot]"
     for field in fields(path):
         leaf = getattr(path, field.name)
         if not hasattr(leaf, "shape"):
             continue
-        if leaf.shape[:2] != lead or (
+        if leaf.shape[: len(lead)] != lead or (
             field.name == "time_s" and leaf.shape != (*lead, shape.points)
         ):
             raise ConfigError(
                 f"planner {name}: gives {field.name} of the shape {leaf.shape}; paths must have "
-                f"[world, robot] = {list(lead)} leading, and {shape.points} points (planner.points)"
+                f"{axes} = {list(lead)} leading, and {shape.points} points (planner.points)"
             )
     return replace(worlds, path=path)
 
 
+def check_worlds(kinds: fleet.Fleet, worlds: World) -> None:
+    """Refuse worlds that the programs of a fleet were not made for (host side).
+
+    Args:
+        kinds: the fleet.
+        worlds: [world] leading; traced ones are not looked at.
+
+    Raises:
+        ConfigError: a robot cannot be its variant, or there is no code for the kind or motion of an
+            obstacle.
+    """
+    obstacles = worlds.environment.obstacles
+    looked_at = (worlds.variant, obstacles.kind, obstacles.motion, obstacles.exists)
+    if not any(isinstance(leaf, jax.core.Tracer) for leaf in looked_at):
+        _check_variants(np.isfinite(np.asarray(kinds.log_weight)), np.asarray(worlds.variant))
+        _check_obstacles(obstacles)
+
+
+def _check_variants(possible: np.ndarray, variant: np.ndarray) -> None:
+    """Refuse variants [W, R] that are not ``possible`` [R, n_variant]."""
+    robots, kinds = possible.shape
+    if variant.shape[1:] != (robots,):
+        raise ConfigError(
+            f"World.variant has the shape {variant.shape}: must be [world, robot] with "
+            f"{robots} robots"
+        )
+    inside = (variant >= 0) & (variant < kinds)
+    right = inside & possible[np.arange(robots), np.where(inside, variant, 0)]
+    if not right.all():
+        world, robot = np.argwhere(~right)[0]
+        can = ", ".join(map(str, np.flatnonzero(possible[robot])))
+        raise ConfigError(
+            f"World.variant of world {world}, robot {robot} is {variant[world, robot]}: this "
+            f"robot can be {can}; say in the scenario's [[fleet]] what it can be"
+        )
+
+
+def _check_obstacles(obstacles: Obstacles) -> None:
+    """Refuse obstacles that `Obstacles.kinds` and ``motions`` do not name."""
+    exists = np.asarray(obstacles.exists)
+    for name, made in (("kind", obstacles.kinds), ("motion", obstacles.motions)):
+        values = np.asarray(getattr(obstacles, name))
+        wrong = exists & ~np.isin(values, made)
+        if wrong.any():
+            world, which = np.argwhere(wrong)[0]
+            raise ConfigError(
+                f"World.environment.obstacles.{name} of world {world}, obstacle {which} is "
+                f"{values[world, which]}: obstacles.{name}s = {made} says what programs are made "
+                f"for; replace {name}s too"
+            )
+
+
 def _planner_seed(seed: jax.Array, index: jax.Array) -> jax.Array:
-    """What a planner draws from in one world; independent of what the world is drawn from."""
+    """Return the seed of a planner in one world, independent of the samples of the world."""
     key = jax.random.fold_in(jax.random.key(seed), index)
     return jax.random.bits(jax.random.fold_in(key, PLANNING_KEY), dtype=jnp.uint32)
 
@@ -212,16 +305,15 @@ def _prepare_world(
     scenario: Scenario,
     recipe: WorldRecipe,
     shape: PathShape,
-    planner: PathSearchConfig | None,
     policy: Policy | None,
     kinds: fleet.Fleet,
     seed: jax.Array,
     index: jax.Array,
 ) -> World:
-    """World ``index`` of a run: its key is the run's, folded with the global index."""
+    """Sample world ``index`` of a run; its key is the run's, folded with the global index."""
     key = jax.random.fold_in(jax.random.key(seed), index)
     of_fleet, of_world, of_senses, of_policy, of_factors = fold_keys(key, 5)
-    variant, control, body = fleet.sample_variants(kinds, of_fleet)
+    variant, control = fleet.sample_variants(kinds, of_fleet)
     environment = generate.generate_world(
         recipe,
         fleet.radius_bound(kinds),
@@ -237,34 +329,16 @@ def _prepare_world(
     path: Path
     if shape.joints:
         path = hold_joints(environment.start_m, environment.start_yaw_rad, shape.points)
-    elif planner is None:
-        path = hold_position(environment.start_m, shape.points)
     else:
-        obstacles = None
-        if has_obstacle_information(scenario):
-            spec = scenario.sim_spec()
-            obstacles = obstacle_information(
-                environment,
-                scenario.planner.information.to_information(),
-                scenario.time.horizon_s,
-                spec.control_dt_s,
-                spec.water.density_kgpm3,
-                spec.water.gravity_mps2,
-            )
-        path = grid_planner.plan_grid(
-            environment, control.vehicle.radius_m, control.cruise_speed_mps, planner, obstacles
-        )
+        path = hold_position(environment.start_m, shape.points)
     # Folded with the robot's number, so that a robot more changes nothing for those before it.
     of_robot = fold_keys(of_senses, variant.shape[0])
-    uses_neighbours = scenario.engine == "fused"
     task = _sample_task(scenario, policy, key, environment, control)
     return World(
         environment=environment,
         variant=variant,
-        body=body,
-        control=control,
+        cruise_speed_mps=control.cruise_speed_mps,
         path=path,
-        cell_neighbours=cell_neighbours(environment.grid.occupied) if uses_neighbours else None,
         sensing_key=jax.random.key_data(of_robot) if scenario.senses else None,
         policy_key=None if policy is None else jax.random.key_data(of_policy),
         acoustics_key=None
@@ -280,12 +354,12 @@ def _prepare_world(
 def sample_water_and_breakdowns(
     scenario: Scenario, seed: jax.Array, index: jax.Array
 ) -> tuple[currents.Current, jax.Array | None]:
-    """The current of a world and its robots' breakdowns alone, as drawn with all else.
+    """Sample the current of a world and its robots' breakdowns alone, equal to those of the world.
 
-    To be traced. Nothing else that is drawn hangs on them, but for what planners know of a current.
+    Traced. No other sample depends on them, except information of planners on a current.
 
     Args:
-        scenario: whose world.
+        scenario: of the world.
         seed: [] of the run.
         index: [] of the world.
 
@@ -308,7 +382,7 @@ def _build_routes(
     control: ControlParams,
     task: TaskWorld | None,
 ) -> Routes | None:
-    """Ways to the goals or the task's places, where a policy asks; the widest robot can go them."""
+    """Compute routes of the widest robot to goals or places of the task, if a policy needs them."""
     if policy is None or policy.routes_margin_m is None:
         return None
     clearance_m = jnp.max(control.vehicle.radius_m) + policy.routes_margin_m
@@ -323,7 +397,7 @@ def _sample_task(
     environment: Environment,
     control: ControlParams,
 ) -> TaskWorld | None:
-    """The task of a world, from a key of its own: the rest of the world is the same without it."""
+    """Sample the task of a world from a key of its own; the rest of the world is independent."""
     spec = scenario.task_spec()
     if spec is None:
         return None
@@ -343,15 +417,15 @@ def _sample_task(
 
 
 def sample_breakdowns(scenario: Scenario, key: jax.Array, robots: int) -> jax.Array | None:
-    """When each robot of a world breaks down.
+    """Sample the time at which each robot of a world breaks down.
 
     Args:
-        scenario: which may let some.
+        scenario: with breakdowns or none.
         key: of the world.
         robots: of the fleet; one more changes nothing for those before it.
 
     Returns:
-        [robots] s, inf for never; None where none can.
+        [robots] s, inf for never; None without breakdowns.
     """
     settings = scenario.breakdowns
     if settings.fraction == 0.0:
@@ -363,7 +437,7 @@ def sample_breakdowns(scenario: Scenario, key: jax.Array, robots: int) -> jax.Ar
 
 
 def _sample_factors(config: RandomiseConfig, key: jax.Array, robots: int) -> WorldFactors | None:
-    """What is drawn for one world; a robot more changes nothing for those before it."""
+    """Sample the factors of one world; one more robot changes nothing for those before it."""
     if not config.changes_worlds:
         return None
     of_current, of_noise = uniform_rows(fold_keys(key, 2), max(robots, 1))

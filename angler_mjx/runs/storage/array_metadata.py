@@ -1,4 +1,4 @@
-"""What each array of environments, problems and plans on disk is: axes, unit and meaning.
+"""Axes, unit and meaning of each array of environments, problems and plans on disk.
 
 Names are those of the files. Every array that is written has an entry; one that lacks it is a fault
 of this table. Positions and directions are in W (x east, y north, z up, surface at z = 0) unless a
@@ -27,7 +27,7 @@ class ArrayMetadata:
     text: str
 
     def attributes(self) -> dict[str, Any]:
-        """As they stand in the file."""
+        """Return the attributes as stored in the file."""
         return {"unit": self.unit, "description": self.text}
 
 

@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all, also after the power has failed."""
+"""Files that are whole or absent, also after a power failure."""
 
 import os
 from collections.abc import Iterator
@@ -23,7 +23,7 @@ def require_free(path: Path, *, flag: str, force: bool = False) -> None:
 
 @contextmanager
 def write_atomically(path: Path, *, durable: bool = True) -> Iterator[Path]:
-    """A place beside a file in which to write it; it takes the file's name at the end.
+    """Write a file inside, under another name beside it; it takes the file's name at the end.
 
     Whatever ends the writing early, an
     interrupt included, leaves nothing behind and an older file as it was.
@@ -48,7 +48,7 @@ def write_atomically(path: Path, *, durable: bool = True) -> Iterator[Path]:
 
 @contextmanager
 def replace_file(path: Path, *, flag: str, force: bool = False) -> Iterator[Path]:
-    """As `write_atomically`, for a file that a person named.
+    """Write a file that a user named as `write_atomically` does.
 
     Args:
         path: the file; its folder is made if need be.
@@ -83,7 +83,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def sync_path(path: Path) -> None:
-    """Have a file, or the names in a folder, on the disk.
+    """Flush a file, or the names in a folder, to the disk.
 
     Raises:
         OSError: the disk gave out.

@@ -28,7 +28,7 @@ Z = 1.959963984540054
 
 @dataclass(frozen=True, kw_only=True)
 class ClusteredRate:
-    """A share, and the interval in which it lies with 95 %."""
+    """A fraction and its 95 % interval."""
 
     count: int
     rate: float
@@ -39,7 +39,7 @@ class ClusteredRate:
 
 
 def wilson_interval(count: float, total: float) -> tuple[float, float]:
-    """95 % Wilson score interval of a proportion (Wilson, JASA 22, 1927).
+    """Return the 95 % Wilson score interval of a proportion (Wilson, JASA 22, 1927).
 
     Args:
         count: in question.
@@ -61,7 +61,7 @@ def wilson_interval(count: float, total: float) -> tuple[float, float]:
 def clustered_rates(
     has_outcome: Mapping[str, np.ndarray], world: np.ndarray
 ) -> dict[str, ClusteredRate]:
-    """Rates of outcomes that exclude each other, with intervals clustered by world.
+    """Return the rates of exclusive outcomes, with intervals clustered by world.
 
     Args:
         has_outcome: bool [n] by outcome: whether each robot had it.
@@ -105,7 +105,7 @@ def clustered_rates(
 
 @dataclass(frozen=True, kw_only=True)
 class ClusteredMean:
-    """A mean, and the interval in which it lies with 95 %."""
+    """A mean and its 95 % interval."""
 
     count: int
     """Values."""
@@ -116,7 +116,7 @@ class ClusteredMean:
 
 
 def clustered_mean(values: np.ndarray, world: np.ndarray) -> ClusteredMean:
-    """Mean of values that share worlds.
+    """Return the mean of values that share worlds.
 
     A mean over robots is a ratio of sums over worlds: its variance is the estimator above with
     sums of values for counts of robots, and the interval is Student's with one degree of freedom
@@ -144,7 +144,7 @@ def clustered_mean(values: np.ndarray, world: np.ndarray) -> ClusteredMean:
 
 
 def _design_effect(hit: np.ndarray, number: np.ndarray, robots: np.ndarray) -> float | None:
-    """Design effect of a share; None where it cannot be estimated."""
+    """Estimate the design effect of a fraction; None where that is impossible."""
     fraction, worlds = float(np.mean(hit)), len(robots)
     if fraction in (0.0, 1.0) or worlds < 2:
         return None

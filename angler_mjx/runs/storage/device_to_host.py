@@ -1,23 +1,23 @@
-"""From the device to the host: what a finished tile of worlds leaves behind."""
+"""Results of a finished tile of worlds: selected on the device, copied to the host."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from angler_mjx.errors import RunError
-from angler_mjx.planning.online.policy import ReplanningMemory
-from angler_mjx.planning.online.replanning import FleetPlans
-from angler_mjx.robot.control.plans import length_m
 from angler_mjx.runs.simulator.host_planning import PlanNotes
-from angler_mjx.runs.storage.results import TaskResult, TileResult
+from angler_mjx.runs.storage.episode_columns import (
+    TileResult,
+    select_state_columns,
+    select_world_columns,
+)
 from angler_mjx.runs.storage.trajectory_layout import END_GROUP, plan_arrays
 from angler_mjx.sim.record import FIELDS, STATE_FIELDS, TASK, RecordedField, Sample
-from angler_mjx.sim.state import Outcome, Tally, World, WorldFactors, WorldState
+from angler_mjx.sim.state import Outcome, Tally, World, WorldState
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.tasks.spec import TaskState, TaskWorld
 
@@ -28,22 +28,17 @@ type TileArrays = dict[str, Callable[[slice], np.ndarray]]
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class TileConstants:
-    """What the host keeps of the worlds of a tile; [tile] leads."""
+    """Constants of a tile's worlds that the host keeps; [tile] leads."""
 
     valid: jax.Array
-    redraws: jax.Array
     variant: jax.Array
     planned: jax.Array
-    plan_length_m: jax.Array
-    """[tile, r] of the lines between a path's points."""
-    plan_end_s: jax.Array
-    """[tile, r] when a path is over."""
+    columns: dict[str, jax.Array]
+    """Episode columns that are taken from worlds; see `EpisodeColumn.of_world`."""
     environment: Environment | None
     """None where nothing is recorded, as the plans."""
     plan: dict[str, jax.Array] | None
     """By the names of their arrays; see `runs.storage.trajectory_layout`."""
-    factors: WorldFactors | None = None
-    """None where none were drawn."""
     task: TaskWorld | None = None
     """None where each robot has a goal of its own."""
 
@@ -70,18 +65,16 @@ class LastState:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class TileEnd:
-    """What the host keeps of the last state of a tile; [tile] leads."""
+    """Parts of a tile's last state that the host keeps; [tile] leads."""
 
     tally: Tally
     p: jax.Array
     last: LastState | None = None
     """What follows on the samples; None where nothing is recorded."""
-    failed_replans: jax.Array | None = None
-    """int32 [tile, r] until each robot's end; None where nothing was planned anew."""
+    columns: dict[str, jax.Array] = field(default_factory=dict)
+    """Episode columns that are taken from the state; see `EpisodeColumn.of_state`."""
     task: TaskState | None = None
     """None where each robot has a goal of its own."""
-    packets: jax.Array | None = None
-    """int32 [tile, r, 2] that each sent, and heard; None without acoustics."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,27 +92,21 @@ class FinishedTile:
     """How its worlds were planned, where that was not on the device."""
 
 
-_length_m = jax.jit(length_m)
-
-
 def select_constants(worlds: World, *, recorded: bool) -> TileConstants:
-    """What to keep of worlds."""
+    """Return the parts of sampled worlds that the host keeps."""
     return TileConstants(
         valid=worlds.environment.valid,
         task=worlds.task,
-        redraws=worlds.environment.redraws,
         variant=worlds.variant,
         planned=worlds.planned,
-        plan_length_m=_length_m(worlds.path),
-        plan_end_s=worlds.path.time_s[..., -1],
-        factors=worlds.factors,
+        columns=select_world_columns(worlds),
         environment=worlds.environment if recorded else None,
         plan=plan_arrays(worlds.path) if recorded else None,
     )
 
 
 def select_end(state: WorldState, *, recorded: bool) -> TileEnd:
-    """What to keep of the last state."""
+    """Return the parts of the last state that the host keeps."""
     last = LastState(
         step=state.step,
         p=state.vehicles.p,
@@ -133,33 +120,13 @@ def select_end(state: WorldState, *, recorded: bool) -> TileEnd:
         tally=state.tally,
         p=state.vehicles.p,
         last=last if recorded else None,
-        failed_replans=_failed_replans(state),
+        columns=select_state_columns(state),
         task=state.task,
-        packets=_packet_counts(state),
     )
 
 
-def _packet_counts(state: WorldState) -> jax.Array | None:
-    modem = state.modem
-    return None if modem is None else jnp.stack([modem.in_flight.sent, modem.n_received], axis=-1)
-
-
-def _failed_replans(state: WorldState) -> jax.Array | None:
-    """What a robot's planner did after its end is not counted: others may have flown on."""
-    carry = None if state.policy is None else state.policy.carry
-    if not isinstance(carry, ReplanningMemory) or carry.plans is None:
-        return None
-    count: jax.Array = _failed_until(carry.plans, state.tally.outcome, state.tally.end_time_s)
-    return count
-
-
-@jax.jit
-def _failed_until(plans: FleetPlans, outcome: jax.Array, end_time_s: jax.Array) -> jax.Array:
-    return plans.failed(jnp.where(outcome == Outcome.RUNNING, jnp.inf, end_time_s))
-
-
 def last_state_from(following: Sample, step: int) -> LastState:
-    """The state after the last sample of a tile, from the samples that follow on it.
+    """Return the state after the last sample of a tile, from the samples that follow it.
 
     Args:
         following: samples of the next segment; [tile, n] leads.
@@ -195,43 +162,27 @@ def require_valid(constants: TileConstants, first: int, n_worlds: int) -> None:
 
 
 def build_tile_result(tile: FinishedTile) -> TileResult:
-    """A tile's end as host arrays, the horizon's end turned into time-outs."""
-    n_worlds, factors = tile.kept, tile.constants.factors
-    tally = jax.tree.map(lambda leaf: np.asarray(leaf)[:n_worlds], tile.end.tally)
-    outcome = np.where(tally.outcome == Outcome.RUNNING, Outcome.TIMEOUT, tally.outcome)
+    """Return a tile's end as host arrays; robots that still ran at the horizon have a time-out."""
+    constants, end, notes = tile.constants, tile.end, tile.notes
+    kept, tally, task = jax.tree.map(
+        lambda leaf: np.asarray(leaf)[: tile.kept],
+        (constants.columns | end.columns, end.tally, end.task),
+    )
     return TileResult(
-        world=np.arange(tile.first, tile.first + n_worlds),
-        variant=np.asarray(tile.constants.variant)[:n_worlds],
-        planned=np.asarray(tile.constants.planned)[:n_worlds],
-        outcome=outcome,
-        end_time_s=tally.end_time_s,
-        passed_early=tally.passed_early,
-        path_length_m=tally.path_length_m,
-        energy_j=tally.energy_j,
-        min_clearance_m=tally.min_clearance_m,
-        min_separation_m=tally.min_separation_m,
-        touched=tally.touched,
-        touched_index=tally.touched_index,
-        impact_speed_mps=tally.impact_speed_mps,
-        p=np.asarray(tile.end.p)[:n_worlds],
-        plan_length_m=np.asarray(tile.constants.plan_length_m)[:n_worlds],
-        plan_end_s=np.asarray(tile.constants.plan_end_s)[:n_worlds],
-        notes=None if tile.notes is None else tile.notes.rows(slice(n_worlds)),
-        redraws=np.asarray(tile.constants.redraws)[:n_worlds],
-        task=_task_result(tile),
-        packets=None if tile.end.packets is None else np.asarray(tile.end.packets)[:n_worlds],
-        failed_replans=None
-        if tile.end.failed_replans is None
-        else np.asarray(tile.end.failed_replans)[:n_worlds],
-        current_factor=None if factors is None else np.asarray(factors.current)[:n_worlds],
-        sensor_noise_factor=None
-        if factors is None
-        else np.asarray(factors.sensor_noise)[:n_worlds],
+        world=np.arange(tile.first, tile.first + tile.kept),
+        variant=np.asarray(constants.variant)[: tile.kept],
+        planned=np.asarray(constants.planned)[: tile.kept],
+        outcome=np.where(tally.outcome == Outcome.RUNNING, Outcome.TIMEOUT, tally.outcome),
+        tally=tally,
+        p=np.asarray(end.p)[: tile.kept],
+        notes=None if notes is None else notes.rows(slice(tile.kept)),
+        task=task,
+        kept=kept,
     )
 
 
 def task_sizes(task: TaskWorld | None) -> dict[str, int]:
-    """Sizes of the dimensions of a task by their names in `layout`, worlds leading or not."""
+    """Return the sizes of a task's dimensions by their names in `trajectory_layout`."""
     if task is None:
         return {}
     cells = () if task.survey is None else task.survey.cells.shape[-3:]
@@ -242,19 +193,8 @@ def task_sizes(task: TaskWorld | None) -> dict[str, int]:
     }
 
 
-def _task_result(tile: FinishedTile) -> TaskResult | None:
-    world, state = tile.constants.task, tile.end.task
-    if world is None or state is None:
-        return None
-    return TaskResult(
-        jobs_done=np.asarray(state.did)[: tile.kept],
-        progress=np.asarray(state.progress)[: tile.kept],
-        completed_s=np.asarray(state.completed_s)[: tile.kept],
-    )
-
-
 def _task_arrays(tile: FinishedTile) -> TileArrays:
-    """What a task was, and how far it was at the end."""
+    """Return the arrays of a task and of its progress at the end."""
     world, state = tile.constants.task, tile.end.task
     if world is None or state is None:
         return {}
@@ -275,18 +215,18 @@ def _task_arrays(tile: FinishedTile) -> TileArrays:
 
 
 def recorded_arrays(tile: FinishedTile, samples: int) -> TileArrays:
-    """Recorded arrays of a tile.
+    """Return the recorded arrays of a tile.
 
     Args:
         tile: with its parts.
         samples: in the whole horizon.
     """
     result: TileArrays = {}
-    for field in FIELDS:
-        rows = [values for part in tile.parts if (values := field.of(part)) is not None]
+    for entry in FIELDS:
+        rows = [values for part in tile.parts if (values := entry.of(part)) is not None]
         if rows:
-            result[field.about.array] = partial(
-                _convert_stored, field, partial(_join_parts, rows, samples)
+            result[entry.about.array] = partial(
+                _convert_stored, entry, partial(_join_parts, rows, samples)
             )
     if tile.end.last is not None:
         result[f"{END_GROUP}/step"] = partial(_select_rows, tile.end.last.step)
@@ -300,7 +240,7 @@ def recorded_arrays(tile: FinishedTile, samples: int) -> TileArrays:
 
 
 def _join_parts(parts: list[np.ndarray], samples: int, worlds: slice) -> np.ndarray:
-    """[n, samples, ...]: NaN, or for whole numbers the last value, where the tile had ended."""
+    """Return [n, samples, ...]; after the tile's end NaN, or the last value of whole numbers."""
     count = len(parts[0][worlds])
     joined = np.empty((count, samples, *parts[0].shape[2:]), parts[0].dtype)
     offset = 0
@@ -318,7 +258,7 @@ def _select_rows(values: Any, worlds: slice) -> np.ndarray:
 def _convert_stored(
     field: RecordedField, make: Callable[[slice], np.ndarray], worlds: slice
 ) -> np.ndarray:
-    """As it is stored, but for the type of floats: these are converted block by block."""
+    """Return values as stored, except the type of floats, which is converted block by block."""
     values = make(worlds)
     if field.about.none is not None:
         # fmax takes the number where the other is NaN; nan_to_num takes six times as long.

@@ -15,15 +15,15 @@ import numpy as np
 import zarr
 from zarr.codecs import BloscCodec
 
-from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.runs.storage import array_metadata, input_copies, output_lock
+from angler_mjx.errors import ConfigError
+from angler_mjx.runs.storage import array_metadata, input_copies, results_folder
 from angler_mjx.runs.storage.read_errors import wrap_read_errors
 from angler_mjx.world import currents, ocean
 from angler_mjx.world.config import WorldConfig, resolve_world
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.generate import generate_batch, require_valid
-from angler_mjx.world.grid import Grid
 from angler_mjx.world.obstacles import Obstacles
+from angler_mjx.world.rock.grid import Grid
 
 SCHEMA_VERSION = 1
 
@@ -108,7 +108,7 @@ def create_arrays(group: zarr.Group, environment: Environment, count: int, tile:
 
 
 def _describe_field(component: currents.Component) -> dict[str, str | None] | None:
-    """Where the field of a current is kept, which no world holds; None where there is none."""
+    """Return the place of a current's field, which worlds do not hold; None without one."""
     if not isinstance(component, currents.Gridded):
         return None
     field = component.field
@@ -131,7 +131,7 @@ def write_batch(group: zarr.Group, first: int, environment: Environment) -> None
 
 
 def read_environments(group: zarr.Group, index: int | slice) -> Environment:
-    """One world of a group, or a batch of them; leaves are host arrays.
+    """Read one world of a group, or a batch of them; leaves are host arrays.
 
     Args:
         group: written before.
@@ -176,7 +176,7 @@ def _group_path(group: zarr.Group) -> Path:
 
 
 def _array_dims(name: str, count: int) -> tuple[str, ...]:
-    """Dimensions of an array after ``world``."""
+    """Return the dimensions of an array after ``world``."""
     field_name = name.rsplit("/", 1)[-1]
     dims = _DIMS.get(name)
     if dims is None and count == 1 and name.startswith("obstacles/"):
@@ -218,7 +218,7 @@ def _read_group(group: zarr.Group, index: int | slice) -> Environment:
 
 
 def _load_field(group: zarr.Group, metadata: dict[str, str | None]) -> ocean.OceanField:
-    """The field that worlds were made with: of the run's copy of its file, or of the file."""
+    """Load the field of the worlds' current, from the run's copy of its file or the file."""
     group_path, source = _group_path(group), str(metadata["file"])
     # Those of a run lie in its trajectories.
     copies = input_copies.ocean_stand_ins(group_path.parent.parent) if group.path else {}
@@ -258,11 +258,9 @@ def generate_file(
         RunError: the path cannot be written.
     """
     tile = min(tile, count)
-    # What a process that was killed left cannot be gone on with: it is made anew.
-    lock = output_lock.acquire(path, kind="file of environments", advise=lambda building: None)
     invalid, done = 0, 0
-    try:
-        group = zarr.open_group(lock.building, mode="a")
+    with results_folder.build_folder(path, kind="file of environments") as building:
+        group = zarr.open_group(building, mode="a")
         for first in range(0, count, tile):
             batch = generate_batch(config, radius_m, seed, first, tile)
             if first == 0:
@@ -276,18 +274,11 @@ def generate_file(
             done = min(first + tile, count)
             invalid += int(np.sum(~np.asarray(batch.valid)[: done - first]))
             advance(done)
-    except OSError as error:
-        lock.withdraw()
-        raise RunError(f"{path}: cannot be written ({error.strerror or error})") from error
-    except BaseException:
-        lock.withdraw()
-        raise
-    lock.publish()
     return invalid
 
 
 def open_environments(path: Path) -> zarr.Group:
-    """A file that `generate_file` wrote, or the environments of a run folder.
+    """Open a file that `generate_file` wrote, or the environments of a run folder.
 
     Raises:
         ConfigError: there is none, or it is something else.
@@ -308,7 +299,7 @@ def open_environments(path: Path) -> zarr.Group:
 
 
 def named_leaves(tree: Any) -> dict[str, Any]:
-    """Arrays of an environment, or another dataclass, by their names in a group."""
+    """Return the arrays of an environment, or another dataclass, by their names in a group."""
     named = jax.tree_util.tree_flatten_with_path(tree)[0]
     return {"/".join(_key_name(step) for step in path): leaf for path, leaf in named}
 

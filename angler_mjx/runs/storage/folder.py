@@ -1,4 +1,4 @@
-"""The run folder: where it is built, what lies in it, and how it is read back.
+"""Run folder: its files, how it is built and how it is read back.
 
 ``config.json`` resolved scenario, ``environment.json`` versions and machine, ``policy.json`` where
 one commanded the robots, ``variants.json`` where vehicles were randomised, ``inputs/`` copies of
@@ -12,7 +12,7 @@ import json
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,7 @@ from angler_mjx.runs.storage import (
     input_copies,
     output_lock,
     results,
+    results_folder,
     trajectory_layout,
 )
 from angler_mjx.runs.storage.output_lock import OutputLock, partial_path
@@ -44,7 +45,7 @@ FIGURES, REPLAY, ROBOTS, LOG = "figures", "replay.rrd", "robots", "run.log"
 
 @dataclass(frozen=True)
 class Run:
-    """A run folder, read lazily; whatever of it is damaged is a `ConfigError` that names it."""
+    """A run folder, read lazily; a damaged part raises a `ConfigError` that names it."""
 
     path: Path
 
@@ -64,12 +65,12 @@ class Run:
 
     @cached_property
     def summary(self) -> dict[str, Any]:
-        """What ``summary.json`` holds."""
+        """Content of ``summary.json``."""
         return read_table(self.path / SUMMARY)
 
     @cached_property
     def environment(self) -> dict[str, Any]:
-        """What ``environment.json`` holds: versions, device, machine, commit, command."""
+        """Content of ``environment.json``: versions, device, machine, commit, command."""
         return read_table(self.path / ENVIRONMENT)
 
     @cached_property
@@ -112,12 +113,12 @@ class Run:
         return group
 
     def vehicle_file(self, label: str) -> str:
-        """The vehicle of a row of ``episodes``, as `robot.vehicles.library.load` takes it."""
+        """Return the vehicle of a row of ``episodes`` for `robot.vehicles.library.load_vehicle`."""
         return input_copies.vehicle_file(self.path, label)
 
 
 def read_scenario(path: Path) -> Scenario:
-    """The resolved scenario of a run folder, whole or in the making.
+    """Read the resolved scenario of a run folder, complete or not.
 
     Raises:
         ConfigError: it is damaged.
@@ -130,13 +131,18 @@ def read_scenario(path: Path) -> Scenario:
             entry["vehicle"] = replacements.get(entry["vehicle"], entry["vehicle"])
         input_copies.replace_ocean_files(table["world"], input_copies.ocean_stand_ins(path))
         if "name" in table.get("planner", {}):
-            name = input_copies.planner_stand_in(path, table["planner"]["name"])
+            name = input_copies.class_stand_in(path, table["planner"]["name"])
             table["planner"]["name"] = name
+        controller = table.get("controller", {})
+        if controller.get("stages"):
+            controller["stages"] = [
+                input_copies.class_stand_in(path, name) for name in controller["stages"]
+            ]
     return parse_model(Scenario, table, source=str(source))
 
 
 def read_episodes(path: Path) -> pa.Table:
-    """Rows of episodes, missing values as nulls; older files held NaN and infinity for them.
+    """Read rows of episodes, missing values as nulls, also where older files have NaN.
 
     Raises:
         ConfigError: the file is damaged or holds something else.
@@ -147,7 +153,7 @@ def read_episodes(path: Path) -> pa.Table:
 
 
 def recovery_advice(building: Path) -> str | None:
-    """What can be done about the hidden folder of a process that is gone; None if it holds nothing.
+    """Return the advice on the hidden folder of an ended process; None if it holds nothing.
 
     A run can go on as soon as it says of what it is; logs of robots are kept.
     """
@@ -169,11 +175,8 @@ def create_folder(out: Path) -> OutputLock:
         ConfigError: ``out`` exists, or its parent cannot be written.
     """
     lock = output_lock.acquire(out, advise=recovery_advice)
-    try:
-        (lock.building / PARTS).mkdir()
-    except OSError as error:
-        lock.withdraw()
-        raise ConfigError(f"--out {out}: cannot be written ({error.strerror})") from error
+    with lock.filling() as building:
+        (building / PARTS).mkdir()
     return lock
 
 
@@ -191,7 +194,8 @@ def write_start_files(
         environment: versions and machine.
         extra_files: role and file of what is used beside the scenario's vehicles.
     """
-    files = [*input_copies.world_files(scenario.world), *(extra_files or [])]
+    laws = [(input_copies.LAW, file) for file in scenario.controller.files]
+    files = [*input_copies.world_files(scenario.world), *laws, *(extra_files or [])]
     input_copies.copy_inputs(building, [entry.vehicle for entry in scenario.fleet], files)
     write_json(building / CONFIG, scenario.model_dump(mode="json"))
     _write_variants(building, scenario)
@@ -204,51 +208,50 @@ def _write_variants(building: Path, scenario: Scenario) -> None:
         write_json(building / VARIANTS, {"variants": fleet.describe_variants(scenario.members())})
 
 
-def locate_folder(out: Path) -> Path:
-    """Where the run of this name lies: hidden while it is built, also by one that was killed."""
-    building = partial_path(out)
-    return building if building.exists() else out
-
-
 def reopen_folder(out: Path, report: Callable[[str], None]) -> OutputLock:
-    """Make an interrupted run of ``out`` ready to go on; returns the folder to build in.
+    """Make an interrupted run ready to go on; returns the claim of its folder.
 
     Args:
         out: name of the run.
-        report: told what is damaged and made again.
+        report: receives a line for each part that is damaged and made again.
 
     Raises:
         ConfigError: there is none, it is complete, it goes on, or its vehicles were edited.
+        RunError: the disk gave out.
     """
-    if not partial_path(out).exists() and (out / SUMMARY).is_file():
-        summary = Run(out).summary
-        if summary.get("complete") is True:
-            raise ConfigError(f"--resume {out}: this run is complete; nothing is left to do")
-        if "interrupted" in summary:
-            raise ConfigError(f"--resume {out}: this scene broke off and cannot go on; run it anew")
-    existing = locate_folder(out)
-    if not (existing / CONFIG).is_file():
-        raise ConfigError(f"--resume {out}: there is no interrupted run of that name")
-    scenario = read_scenario(existing)  # before anything is moved, as the next
+    lock, scenario = results_folder.resume_folder(
+        out,
+        kind="run",
+        file=CONFIG,
+        is_complete=_is_complete(out),
+        check=partial(_check_inputs, out, report),
+    )
+    with lock.keeping() as building:
+        _restore_parts(building)
+        _set_damaged_aside(building, report)
+        _write_variants(building, scenario)
+    return lock
+
+
+def _is_complete(out: Path) -> bool:
+    """Return whether a run is complete; refuse a scene that broke off, which cannot go on."""
+    if partial_path(out).exists() or not (out / SUMMARY).is_file():
+        return False
+    summary = Run(out).summary
+    if summary.get("complete") is not True and "interrupted" in summary:
+        raise ConfigError(f"--resume {out}: this scene broke off and cannot go on; run it anew")
+    return summary.get("complete") is True
+
+
+def _check_inputs(out: Path, report: Callable[[str], None], existing: Path) -> Scenario:
+    """Return the scenario of a run whose inputs are what they were."""
+    scenario = read_scenario(existing)
     input_copies.require_unchanged(existing, flag=f"--resume {out}")
     if (existing / input_copies.INPUTS_FOLDER).resolve() in Path(scenario.planner.name).parents:
         report(
             f"the planner's file is another one now; the run goes on with {scenario.planner.name}"
         )
-    lock = output_lock.acquire_unfinished(out)
-    if lock is None:
-        raise ConfigError(f"--resume {out}: there is no interrupted run of that name")
-    try:
-        _restore_parts(lock.building)
-        _set_damaged_aside(lock.building, report)
-        _write_variants(lock.building, scenario)
-    except OSError as error:
-        lock.release()
-        raise ConfigError(f"--resume {out}: cannot be written ({error.strerror})") from error
-    except BaseException:
-        lock.release()
-        raise
-    return lock
+    return scenario
 
 
 def _restore_parts(building: Path) -> None:
@@ -272,7 +275,7 @@ def _set_damaged_aside(building: Path, report: Callable[[str], None]) -> None:
 
 
 def read_parts(building: Path) -> pa.Table | None:
-    """Episodes of the finished tiles, ordered by world and robot; None if there are none.
+    """Read the episodes of finished tiles, ordered by world and robot; None without any.
 
     Raises:
         ConfigError: a part is damaged.
@@ -301,7 +304,7 @@ def write_episodes(path: Path, episodes: pa.Table) -> None:
 
 
 def holds_results(building: Path) -> bool:
-    """Whether anything was computed into a hidden folder."""
+    """Return whether a hidden folder holds results."""
     parts = building / PARTS
     return (building / EPISODES).exists() or (parts.is_dir() and any(parts.iterdir()))
 

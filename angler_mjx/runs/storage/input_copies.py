@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
+from angler_mjx._moved import renamed as _renamed
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import FileModel, parse_model
 from angler_mjx.quantities import SchemaVersion
@@ -25,6 +26,8 @@ from angler_mjx.world.config import WorldConfig
 
 INPUTS_FOLDER, INDEX_FILE = "inputs", "inputs.json"
 VEHICLE, THRUSTER, PLANNER, OCEAN = "vehicle", "thruster", "planner", "ocean"
+LAW = "law"
+"""Role of a file of control laws."""
 
 type Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
 
@@ -35,7 +38,7 @@ class Input(FileModel):
     """A file that a run used."""
 
     role: Annotated[str, Field(pattern="^[a-z_]+$")]
-    """vehicle, thruster, planner, ocean, plan, parameters."""
+    """vehicle, thruster, planner, law, ocean, plan, parameters."""
     named: str
     """As the scenario, the vehicle file or the command line named it."""
     source: str
@@ -106,7 +109,7 @@ def copy_inputs(
 
 
 def read_inputs(run: Path) -> tuple[Input, ...]:
-    """What a run used; nothing for runs of versions that kept no copies.
+    """Read the list of files that a run used; empty for versions that kept no copies.
 
     Raises:
         ConfigError: the list is damaged, or a copy is not what was written.
@@ -133,7 +136,7 @@ def read_inputs(run: Path) -> tuple[Input, ...]:
 
 
 def vehicle_copies(run: Path) -> dict[str, Path]:
-    """Copies of a run's vehicle files by the names that its scenario gives them."""
+    """Return the copies of a run's vehicle files by their names in its scenario."""
     folder = (run / INPUTS_FOLDER).resolve()
     return {
         entry.named: folder / entry.copy_path for entry in read_inputs(run) if entry.role == VEHICLE
@@ -141,7 +144,7 @@ def vehicle_copies(run: Path) -> dict[str, Path]:
 
 
 def vehicle_stand_ins(run: Path) -> dict[str, str]:
-    """Vehicles that are not there any more as a run used them, and the copies to use instead.
+    """Return the copies of vehicles that are missing or edited since the run.
 
     Returns:
         Path of the copy by the name in the scenario.
@@ -155,7 +158,7 @@ def vehicle_stand_ins(run: Path) -> dict[str, str]:
 
 
 def ocean_stand_ins(run: Path) -> dict[str, str]:
-    """As `vehicle_stand_ins`, of files of ocean models."""
+    """Return the copies of missing or edited files of ocean models."""
     folder = (run / INPUTS_FOLDER).resolve()
     return {
         entry.named: str(folder / entry.copy_path)
@@ -164,26 +167,27 @@ def ocean_stand_ins(run: Path) -> dict[str, str]:
     }
 
 
-def planner_stand_in(run: Path, name: str) -> str:
-    """Return the planner of a run by a name that can be loaded as it was.
+def class_stand_in(run: Path, name: str) -> str:
+    """Return the planner or control law of a run by a name that can be loaded as it was.
 
     Args:
         run: folder of the run.
-        name: of the planner in its scenario.
+        name: in its scenario.
 
     Returns:
         The name; of FILE.py:CLASS whose file was edited or is gone, that of the run's copy.
     """
     path, _, qualname = name.rpartition(":")
     for entry in read_inputs(run):
-        is_planner = entry.role == PLANNER and Path(path).resolve() == Path(entry.source).resolve()
-        if is_planner and _is_edited(entry) is not False:
+        is_class = entry.role in (PLANNER, LAW)
+        is_file = is_class and Path(path).resolve() == Path(entry.source).resolve()
+        if is_file and _is_edited(entry) is not False:
             return f"{(run / INPUTS_FOLDER).resolve() / entry.copy_path}:{qualname}"
     return name
 
 
 def world_files(world: WorldConfig) -> list[tuple[str, Path]]:
-    """Role and file of each file of an ocean model that a world uses."""
+    """Return role and file of each file of an ocean model that a world uses."""
     return [(OCEAN, Path(file)) for file in world.files]
 
 
@@ -195,7 +199,7 @@ def replace_ocean_files(world: dict[str, Any], replacements: Mapping[str, str]) 
 
 
 def _is_edited(entry: Input) -> bool | None:
-    """Whether a file is not what it was; None where it is gone."""
+    """Return whether a file was edited; None if it is missing."""
     try:
         return hashlib.sha256(Path(entry.source).read_bytes()).hexdigest() != entry.sha256
     except OSError:
@@ -240,7 +244,7 @@ def vehicle_file(run: Path, label: str) -> str:
 def _vehicle_state(
     named: str, used: Mapping[tuple[str, str], str]
 ) -> Literal["same", "edited", "gone"]:
-    """How a vehicle's files are now, against those that were used."""
+    """Compare a vehicle's files with those that were used."""
     try:
         current = _vehicle_files(named)
     except ConfigError:
@@ -254,7 +258,7 @@ def _vehicle_state(
 
 
 def _vehicle_files(named: str) -> tuple[_CurrentFile, _CurrentFile]:
-    """A vehicle's file and that of its thrusters, as they are now."""
+    """Read a vehicle's file and that of its thrusters as they are now."""
     vehicle = _read_file(VEHICLE, named, library.locate_vehicle(named))
     model = library.load_vehicle(named).rotor.model
     return vehicle, _read_file(THRUSTER, model, library.locate_thruster(model))
@@ -290,7 +294,7 @@ def _write_copy(folder: Path, current: _CurrentFile, data: bytes, names: set[str
 
 
 def _point_to_thruster(vehicle: _CurrentFile, model: str) -> bytes:
-    """A vehicle file that names another thruster file, and is the same else."""
+    """Return a vehicle file that names another thruster file and is otherwise the same."""
     text = vehicle.data.decode("utf-8-sig")
     expected = tomllib.loads(text)
     expected["rotor"]["model"] = model
@@ -305,3 +309,8 @@ def _point_to_thruster(vehicle: _CurrentFile, model: str) -> bytes:
         f"{vehicle.path}: rotor.model cannot be found in the text; write it in one line in plain "
         'quotation marks, as in model = "t200"'
     )
+
+
+def __getattr__(name: str) -> Any:
+    """Return what had another name before 0.2."""
+    return _renamed(__name__, name)

@@ -1,4 +1,4 @@
-"""Folders that are built beside their place, by one process at a time.
+"""Lock and hidden name of a folder that one process builds.
 
 ``NAME`` is made at once, empty, so that nobody else can take it while the work goes on; the work
 goes into the hidden ``.NAME.partial`` beside it, which takes the place of the empty folder at the
@@ -11,8 +11,8 @@ import os
 import platform
 import shutil
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,7 @@ RESUMABLE, BROKEN_OFF = "go on with it with --resume, or remove", "it cannot go 
 
 @dataclass(kw_only=True)
 class OutputLock:
-    """A folder that this process builds."""
+    """Claim of a folder that this process builds."""
 
     out: Path
     """The name that it will have."""
@@ -73,6 +73,43 @@ class OutputLock:
         shutil.rmtree(self.building, ignore_errors=True)
         self.release()
 
+    @contextmanager
+    def filling(self) -> Iterator[Path]:
+        """Write the first files of a new folder inside; it is withdrawn if that fails.
+
+        Raises:
+            RunError: the disk gave out.
+        """
+        try:
+            yield self.building
+        except OSError as error:
+            self.withdraw()
+            raise RunError(
+                f"{self.flag} {self.out}: cannot be written ({error.strerror or error})"
+            ) from error
+        except BaseException:
+            self.withdraw()
+            raise
+
+    @contextmanager
+    def keeping(self) -> Iterator[Path]:
+        """Work inside on a folder that can be resumed; it is released if that fails.
+
+        Raises:
+            RunError: the disk gave out.
+        """
+        try:
+            yield self.building
+        except OSError as error:
+            self.release()
+            raise RunError(
+                f"{self.flag} {self.out}: cannot be written ({error.strerror or error}); finished "
+                f"parts are in {self.building}: make room and go on with --resume"
+            ) from error
+        except BaseException:
+            self.release()
+            raise
+
     def _unlock(self) -> None:
         if self.handle is not None:
             os.close(self.handle)
@@ -80,12 +117,12 @@ class OutputLock:
 
 
 def partial_path(out: Path) -> Path:
-    """Where the folder ``out`` is built."""
+    """Return the path where the folder ``out`` is built."""
     return out.parent / f"{PREFIX}{out.name}{SUFFIX}"
 
 
 def default_advice(building: Path) -> str | None:
-    """What can be done about a hidden folder that holds anything but its lock."""
+    """Return the advice on a hidden folder; None if it holds nothing but its lock."""
     return RESUMABLE if any(path.name != LOCK for path in building.iterdir()) else None
 
 
@@ -176,7 +213,7 @@ def require_none(
 
 
 def _is_bare(out: Path) -> bool:
-    """Whether a name is free, or taken by nothing but the empty folder of a claim."""
+    """Return whether a name is free, or taken only by the empty folder of a claim."""
     if not os.path.lexists(out):
         return True
     return out.is_dir() and not out.is_symlink() and not any(out.iterdir())
@@ -319,7 +356,7 @@ def _read_owner(handle: int) -> dict[str, Any]:
 
 
 def _is_alive(owner: dict[str, Any]) -> bool:
-    """Whether the process that a lock names goes on; one on another host may."""
+    """Return whether the process named in a lock may be running; on another host it may."""
     if not owner:
         return False
     if owner.get("host") != platform.node():
@@ -329,7 +366,7 @@ def _is_alive(owner: dict[str, Any]) -> bool:
 
 
 def _process_start(pid: Any) -> str | None:
-    """When a process of this host began, in ticks since boot; None if there is none."""
+    """Return the start of a process of this host, ticks since boot; None if there is none."""
     try:
         return Path(f"/proc/{int(pid)}/stat").read_text().rpartition(")")[2].split()[19]
     except (OSError, ValueError, TypeError, IndexError):

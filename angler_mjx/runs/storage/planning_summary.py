@@ -1,4 +1,4 @@
-"""How the planning of a run's worlds ended: the fraction of robots with a plan, and why not all."""
+"""Summary of a run's planning: fraction of robots with a plan, and reasons for the others."""
 
 import re
 from collections import Counter
@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from angler_mjx.runs.simulator.host_planning import FAILED_STATUSES, PlanNotes
+from angler_mjx.planning.answers import FAILED_STATUSES
+from angler_mjx.runs.simulator.host_planning import PlanNotes
 from angler_mjx.runs.storage import confidence_intervals
 
 RAISED_STATUSES = ("error", "died")
@@ -127,10 +128,10 @@ def planner_fault(planning: Mapping[str, Any] | None) -> str | None:
 
 
 class PlanningFailures:
-    """Says once of each kind of failure of a planner that it happened, as soon as it does."""
+    """Reports each kind of planner failure once, when it first occurs."""
 
     def __init__(self, report: Callable[[str], None]) -> None:
-        """Nothing has failed yet.
+        """Begin without failures.
 
         Args:
             report: receives each message.
@@ -139,7 +140,7 @@ class PlanningFailures:
         self._kinds: set[str] = set()
 
     def add(self, worlds: np.ndarray, notes: PlanNotes | None) -> None:
-        """Look through some worlds.
+        """Report new kinds of failure in some worlds.
 
         Args:
             worlds: [w] indices.

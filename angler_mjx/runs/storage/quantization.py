@@ -33,7 +33,7 @@ class Quantization:
 
     @property
     def dtype(self) -> np.dtype[Any]:
-        """On disk."""
+        """Type on disk."""
         return np.dtype(np.int16 if self.is_short else np.int32)
 
     @property
@@ -47,7 +47,7 @@ class Quantization:
         return None if self.is_short else int(np.iinfo(self.dtype).max)
 
     def filters(self, ndim: int) -> list[Any]:
-        """Codecs between the array and its bytes."""
+        """Return the codecs between the array and its bytes."""
         pairs: list[tuple[str, int]] = [("NaN", self.missing)]
         if self.endless is not None:
             pairs.append(("Infinity", self.endless))
@@ -67,11 +67,11 @@ class Quantization:
 
     @staticmethod
     def compressor() -> BloscCodec:
-        """Of what the filters leave."""
+        """Return the compressor of the filtered bytes."""
         return BloscCodec(cname="zstd", shuffle="bitshuffle", clevel=1)
 
     def round_values(self, values: np.ndarray) -> np.ndarray:
-        """Values as they are read back."""
+        """Return values as they are read back."""
         steps = self._quantize(values)
         values_read: np.ndarray = steps.astype(np.float32) / np.float32(self.per_unit)
         values_read[steps == self.missing] = np.nan
@@ -80,12 +80,12 @@ class Quantization:
         return values_read
 
     def encode_worlds(self, values: np.ndarray) -> list[bytes]:
-        """Chunks of some worlds, [n, time, ...], a chunk each; what is out of range is clamped."""
+        """Encode worlds [n, time, ...], a chunk each; values out of range are clamped."""
         # A world's chunk: its own axes first, time last.
         return [_ENCODER.encode(world) for world in self._quantize(np.moveaxis(values, 1, -1))]
 
     def _quantize(self, values: np.ndarray) -> np.ndarray:
-        """Numbers of steps, in rows one after another whatever the order of the values."""
+        """Return numbers of steps, in rows one after another whatever the order of the values."""
         steps = np.empty(values.shape, np.float32)
         np.multiply(values, np.float32(self.per_unit), out=steps)
         np.rint(steps, out=steps)
@@ -101,7 +101,7 @@ class Quantization:
 
 
 def build_quantization(step: float | None, unit: str) -> Quantization | None:
-    """How an array is stored in steps of a size; None for none, which leaves it exact.
+    """Return the quantization of an array to a step; None without a step, stored exactly.
 
     Args:
         step: in the array's unit.

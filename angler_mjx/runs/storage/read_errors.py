@@ -1,4 +1,4 @@
-"""One boundary for files that may be damaged: whatever reading them raises becomes one message.
+"""Reading of files that may be damaged: any exception becomes one message.
 
 Zarr, its codecs, Arrow, JSON and NumPy raise dozens of kinds of errors on files that were cut,
 overwritten or edited, and the kinds change with their versions.
@@ -43,7 +43,7 @@ def wrap_read_errors(path: Path, advice: str = DEFAULT_ADVICE) -> Iterator[None]
 
 
 def read_table(path: Path, advice: str = DEFAULT_ADVICE) -> dict[str, Any]:
-    """A JSON file that holds one object.
+    """Read a JSON file that holds one object.
 
     Raises:
         ConfigError: it holds something else, or cannot be read.

@@ -1,9 +1,9 @@
 """Trajectories on disk: one sharded Zarr v3 group, a chunk per world, a shard per tile.
 
 Chunks are compressed by LZ4 after a shuffle of bytes, where they are not stored in steps
-(`angler_mjx.runs.storage.build_quantization`). Samples of ``reef_fleet`` at 10 Hz, two busy
-cores, a disk that takes 2 GB/s, median rates in samples before compression and bytes left: LZ4 with
-byte shuffle 1.4 GB/s, 53 %; without shuffle 1.4 GB/s, 65 %; with bit shuffle 1.1 GB/s, 52 %;
+(`angler_mjx.runs.storage.quantization.build_quantization`). Samples of ``reef_fleet`` at 10 Hz, two
+busy cores, a disk that takes 2 GB/s, median rates in samples before compression and bytes left: LZ4
+with byte shuffle 1.4 GB/s, 53 %; without shuffle 1.4 GB/s, 65 %; with bit shuffle 1.1 GB/s, 52 %;
 Zstandard 1 with byte shuffle 0.7 GB/s, 50 %; no compression 1.4 GB/s, 100 %. So LZ4 costs nothing
 even there, and doubles what a slower disk or more cores can record.
 """
@@ -46,7 +46,7 @@ _ENCODER = Blosc(cname="lz4", shuffle=SHUFFLE, clevel=1)
 
 @dataclass(frozen=True, kw_only=True)
 class TrajectoryShape:
-    """Sizes of a run's trajectories."""
+    """Return the sizes of a run's trajectories."""
 
     worlds: int
     samples: int
@@ -78,20 +78,20 @@ class TrajectoryShape:
         }
 
     def names(self) -> list[str]:
-        """Arrays of the run; see `layout`."""
+        """Return the names of the run's arrays; see `trajectory_layout`."""
         return trajectory_layout.array_names(
             self.sizes, estimated=self.estimated, jointed=self.jointed, also=self.also
         )
 
     def stepped(self, name: str) -> Quantization | None:
-        """How an array is stored in steps; None where it is stored exactly."""
+        """Return the quantization of an array; None where it is stored exactly."""
         kind = trajectory_layout.ARRAYS[name]
         if kind.dims[:1] != ("time",) or not np.issubdtype(kind.dtype, np.floating):
             return None
         return build_quantization(self.store_config.step(kind.unit, kind.dims), kind.unit)
 
     def disk_bytes_per_world(self) -> int:
-        """What a world takes on the disk at most; in steps a byte a value, twice what is usual."""
+        """Return the largest size of a world on disk, bytes; a quantized value counts as one."""
         total = 0
         for name in self.names():
             kind, steps = trajectory_layout.ARRAYS[name], self.stepped(name)
@@ -100,7 +100,7 @@ class TrajectoryShape:
         return total
 
     def bytes_per_world(self) -> int:
-        """Uncompressed size of one world's samples and plan."""
+        """Return the uncompressed size of a world's samples and plan, bytes."""
         kinds = [trajectory_layout.ARRAYS[name] for name in self.names()]
         return sum(
             math.prod(trajectory_layout.array_shape(kind, self.sizes))
@@ -162,7 +162,7 @@ class Recorder:
             done.result()
 
     def _environment_arrays(self) -> dict[str, Any]:
-        """Arrays of the environments that are not empty, by their names in the whole group."""
+        """Return the environments' arrays that are not empty, by their names in the whole group."""
         return {
             f"{trajectory_layout.ENVIRONMENT_GROUP}/{name}": node
             for name, node in self._environment.items()
@@ -236,7 +236,7 @@ class Recorder:
         )
 
     def _write_environment(self, number: int, count: int, environment: Environment) -> None:
-        """Write the chunks of a tile's environments as `store.write_batch`, without its calls."""
+        """Write the chunks of a tile's environments as `environments.write_batch`, without Zarr."""
         for name, leaf in store.named_leaves(environment).items():
             array = self._environment[name]
             values = np.zeros(array.chunks, array.dtype)
@@ -292,12 +292,12 @@ class Recorder:
 
 
 def _shard_path(array: Path, shard: int, ndim: int) -> Path:
-    """File of a shard; only the worlds are divided."""
+    """Return the file of a shard; only the axis of worlds is divided."""
     return array / "c" / "/".join([str(shard), *"0" * (ndim - 1)])
 
 
 def _split_blocks(array: Any, count: int) -> list[slice]:
-    """Worlds [0, kept) in slices of about ``BLOCK_BYTES``."""
+    """Split worlds [0, kept) into slices of about ``BLOCK_BYTES``."""
     world_bytes = array.nbytes // array.shape[0]
     step = max(1, BLOCK_BYTES // world_bytes)
     return [slice(first, min(first + step, count)) for first in range(0, count, step)]
@@ -309,7 +309,7 @@ def _encode_chunks(
     steps: Quantization | None,
     worlds: slice,
 ) -> list[bytes]:
-    """Chunks of some worlds, a chunk each."""
+    """Encode some worlds, a chunk each."""
     if steps is not None:
         return steps.encode_worlds(read_rows(worlds))
     values = np.ascontiguousarray(read_rows(worlds).astype(dtype, copy=False))

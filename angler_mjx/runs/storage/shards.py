@@ -1,4 +1,4 @@
-"""Writing one file of a Zarr v3 array in one go: a chunk, or a shard of many.
+"""Writing of one file of a Zarr v3 array at once: a chunk, or a shard of many.
 
 A shard file holds the chunks one after another, then an index of uint64 pairs (offset, length) and
 the CRC-32C of the index (Zarr v3, codec ``sharding_indexed``). Zarr's own writer treats every chunk
@@ -72,7 +72,7 @@ def write_file(path: Path, pieces: Iterable[bytes]) -> int:
 
 
 def is_sound(path: Path, *, shard: int | None) -> bool:
-    """Whether a file is there with the length that it says itself.
+    """Return whether a file is present with the length that its index gives.
 
     Args:
         path: of the file.
@@ -97,7 +97,7 @@ def is_sound(path: Path, *, shard: int | None) -> bool:
 
 
 def _build_index(lengths: list[int], shard: int) -> bytes:
-    """Where each chunk stands, and the sum that guards it."""
+    """Build the index of a shard: offset and length of each chunk, and their checksum."""
     index = np.full((shard, 2), ABSENT, "<u8")
     ends = np.cumsum(lengths, dtype=np.uint64)
     index[: len(lengths), 0] = ends - np.array(lengths, np.uint64)
@@ -108,7 +108,7 @@ def _build_index(lengths: list[int], shard: int) -> bytes:
 
 
 def start_writeback(file: int, offset: int, length: int) -> None:
-    """Let the disk begin now: by itself Linux waits for 30 s, or until much memory is unwritten.
+    """Start writing to disk now; by default Linux waits 30 s or until much is unwritten.
 
     Only with the part that is new: each call goes through all pages of the part that it names.
     """

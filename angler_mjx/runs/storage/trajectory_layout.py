@@ -1,4 +1,4 @@
-"""What lies in ``trajectories.zarr``: names, dimensions and units, for writer and readers.
+"""Names, dimensions and units of ``trajectories.zarr``, for writer and readers.
 
 What is recorded of a control step is declared in `angler_mjx.sim.record`; here it gets its place.
 """
@@ -11,9 +11,9 @@ import jax
 import numpy as np
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.robot.control.joint_trajectory import VEHICLE_JOINTS, JointTrajectory
+from angler_mjx.robot.control.commands.joint_trajectory import VEHICLE_JOINTS, JointTrajectory
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.robot.control.plans import Plan, of_robot, points_m, trace_path
-from angler_mjx.robot.control.trajectory import Trajectory
 from angler_mjx.sim.record import ESTIMATE, FIELDS, SIZES, STATE_FIELDS, TASK
 from angler_mjx.world.tasks.history import TaskHistory
 from angler_mjx.world.tasks.spec import TaskSpec
@@ -148,7 +148,7 @@ def array_names(
     jointed: bool = False,
     also: Sequence[str] = (),
 ) -> list[str]:
-    """Arrays of a run; those in which nothing could lie are left out.
+    """Return the arrays of a run, without those that are always empty.
 
     Args:
         sizes: of the dimensions that differ from run to run; those of a task where there is one.
@@ -168,7 +168,7 @@ def array_names(
 
 
 def array_shape(kind: ArrayKind, sizes: Mapping[str, int]) -> tuple[int, ...]:
-    """Shape of a kind of array after the worlds."""
+    """Return the shape of a kind of array after the worlds."""
     return tuple({**SIZES, **_JOINT, **_NO_TASK, **sizes}[dim] for dim in kind.dims)
 
 
@@ -244,7 +244,7 @@ def _dimension_size(nodes: Mapping[str, Any], name: str, axis: int, source: str)
 
 
 def plan_arrays(plan: Plan) -> dict[str, jax.Array]:
-    """The arrays of a plan by their names here, with its leading axes."""
+    """Return the arrays of a plan by their names on disk, with its leading axes."""
     arrays = {"plan_time_s": plan.time_s, "plan_m": points_m(plan)}
     if isinstance(plan, JointTrajectory):
         arrays |= {
@@ -264,7 +264,7 @@ def plan_courses(stored: Mapping[str, Any], world: int) -> list[tuple[np.ndarray
 
 
 def read_plan(stored: Mapping[str, Any], world: int, is_found: Any) -> Plan:
-    """The plan of a world, the same numbers that were flown, in float32.
+    """Read the plan of a world, the same numbers that were flown, in float32.
 
     Args:
         stored: arrays of a run's trajectories by name.
@@ -301,7 +301,7 @@ def read_task(
     ended_s: np.ndarray,
     completed_s: float | None,
 ) -> TaskHistory:
-    """How far the task of a world was over time.
+    """Read the progress of a world's task over time.
 
     Args:
         stored: arrays of a run's trajectories by name.

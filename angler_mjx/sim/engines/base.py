@@ -40,6 +40,10 @@ class Engine(Protocol):
         """A bank's constants as the engine reads them, made once for many control steps."""
         ...
 
+    def pack_cells(self, worlds: World) -> jax.Array | None:
+        """Cells of worlds as the engine looks them up; None where it reads the grid itself."""
+        ...
+
     def control_step(
         self,
         spec: SimSpec,
@@ -51,6 +55,7 @@ class Engine(Protocol):
         rows: jax.Array | None = None,
         constants: EngineConstants = (),
         steps: int = 1,
+        cells: jax.Array | None = None,
     ) -> tuple[WorldState, Sample]:
         """One control step, or several with one command.
 
@@ -66,6 +71,7 @@ class Engine(Protocol):
             constants: of `pack_constants`, of the same fleet and worlds, or nothing: only with
                 ``rows``.
             steps: how many control steps.
+            cells: of `pack_cells`, of the same worlds; packed in the program if left out.
 
         Returns:
             The state so many control periods later, and the sample of the state before one of the
@@ -85,11 +91,13 @@ class Engine(Protocol):
         command: Command | None = None,
         policy: Policy | None = None,
         begins: int = 1,
+        cells: jax.Array | None = None,
     ) -> tuple[WorldState, Sample]:
         """``n_sample * steps_per_sample`` control steps, all with one command, or with a policy's.
 
         Samples are [tile, n_sample, ...]. The number of the first step is a multiple of ``begins``:
-        an engine may leave out of its program what other steps would need.
+        an engine may leave out of its program what other steps would need; ``cells`` as in
+        `control_step`.
         """
         ...
 

@@ -12,20 +12,29 @@ from angler_mjx.errors import UnsupportedError
 from angler_mjx.robot.control import plans
 from angler_mjx.robot.control.stack import Command, ControlParams
 from angler_mjx.sim import sample_clearances, start
+from angler_mjx.sim import world_phases as running
 from angler_mjx.sim.approach import last_approaches_s
-from angler_mjx.sim.detection import Contact, detect_contacts
-from angler_mjx.sim.fleet import Fleet, apply_loads
-from angler_mjx.sim.phase import Slots, run_phases
+from angler_mjx.sim.detection import detect_contacts
+from angler_mjx.sim.fleet import Fleet, add_parameters, apply_loads
+from angler_mjx.sim.phase import run_phase
 from angler_mjx.sim.physics import mjx_engine
 from angler_mjx.sim.physics import step as physics
 from angler_mjx.sim.physics.step import Multibody, VehicleState
 from angler_mjx.sim.policy import Policy
-from angler_mjx.sim.record import Sample
-from angler_mjx.sim.state import EngineConstants, SimSpec, World, WorldState
-from angler_mjx.sim.step import INDEPENDENT_PHASES, INTERACTION_PHASES, OBSTACLES
+from angler_mjx.sim.record import Sample, build_sample
+from angler_mjx.sim.state import EngineConstants, FleetWorld, SimSpec, World, WorldState
+from angler_mjx.sim.step import (
+    JUDGE,
+    OBSTACLES,
+    JudgeInput,
+    Judgement,
+    MovedRobots,
+    PlanApproach,
+    RobotState,
+    move_independently,
+)
 from angler_mjx.sim.step_repetition import repeat_steps
-from angler_mjx.sim.world_phases import running
-from angler_mjx.sim.world_phases.running import WorldMemory, WorldPhaseOutput
+from angler_mjx.sim.world_phases import WorldMemory, WorldPhaseOutput
 from angler_mjx.world import currents
 from angler_mjx.world import obstacles as obstacle_motion
 from angler_mjx.world.currents import Current
@@ -35,88 +44,56 @@ from angler_mjx.world.obstacles import ObstacleState
 
 @dataclass(frozen=True, kw_only=True)
 class SingleWorld:
-    """Robots [R] and obstacles [n] of one world, as phases want them; see `phase.BatchContext`."""
+    """Robots [R] and obstacles [n] of one world; a `phase.BodyBatch`."""
 
     spec: SimSpec
-    world: World
+    world: FleetWorld
     t: jax.Array
-    engine: Any = None
-    """A `Multibody` of the fleet; None for those who move the vehicles themselves."""
-    override_command: Command | None = None
-    """Instead of the paths."""
-    finished: jax.Array | None = None
-    """See `phase.BatchContext`."""
-    last_approach_s: jax.Array | None = None
-    """See `phase.BatchContext`."""
-    approaching: jax.Array | None = None
-    """See `phase.BatchContext`."""
+    engine: Multibody | None = None
+    """Of the fleet; None where the vehicles are moved by something else."""
     _flows: list[tuple[VehicleState, jax.Array]] = field(default_factory=list, init=False)
-
-    @property
-    def params(self) -> ControlParams:
-        """See `phase.BatchContext`."""
-        return self.world.control
-
-    @property
-    def command(self) -> Any:
-        """See `phase.BatchContext`."""
-        if self.override_command is not None:
-            return self.override_command
-        return plans.check_plan(self.spec.stages, self.world.path)
-
-    @property
-    def current(self) -> Current:
-        """See `phase.BatchContext`."""
-        return self.world.environment.current
-
-    @property
-    def goal_m(self) -> jax.Array:
-        """See `phase.BatchContext`."""
-        return self.world.environment.goal_m
-
-    @property
-    def fails_at_s(self) -> jax.Array | None:
-        """See `phase.BatchContext`."""
-        return self.world.fails_at_s
 
     @cached_property
     def corners(self) -> tuple[jax.Array, jax.Array]:
-        """See `phase.BatchContext`."""
+        """Lower and upper corner [3] of the region, m, in W."""
         return region_corners(self.world.environment)
 
-    def flow(self, vehicle: VehicleState) -> jax.Array:
-        """See `phase.BatchContext`."""
+    def flow(self, current: Current, vehicle: VehicleState) -> jax.Array:
+        """See `phase.BodyBatch`."""
         for cached_vehicle, flow in self._flows:  # controllers and the record ask for the same
             if cached_vehicle is vehicle:
                 return flow
-        flow = jax.vmap(currents.velocity, (None, 0, None))(self.current, vehicle.p, self.t)
+        flow = jax.vmap(currents.velocity, (None, 0, None))(current, vehicle.p, self.t)
         self._flows.append((vehicle, flow))
         return flow
 
-    def map_bodies(
-        self, function: Callable[..., Any], *bodies: Any, shared: tuple[Any, ...] = ()
-    ) -> Any:
-        """See `phase.BatchContext`."""
+    def map_bodies[T](
+        self, function: Callable[..., T], *bodies: object, shared: tuple[object, ...] = ()
+    ) -> T:
+        """See `phase.BodyBatch`."""
         axes = (0,) * len(bodies) + (None,) * len(shared)
         return jax.vmap(function, axes)(*bodies, *shared)
 
-    def repeat(self, times: int, body: Callable[[jax.Array, Any], Any], tree: Any) -> Any:
-        """See `phase.BatchContext`; with derivatives backwards."""
+    def repeat[T](self, times: int, body: Callable[[jax.Array, T], T], tree: T) -> T:
+        """See `phase.BodyBatch`; with derivatives backwards."""
 
-        def step_once(now: Any, i: jax.Array) -> tuple[Any, None]:
+        def step_once(now: T, i: jax.Array) -> tuple[T, None]:
             return body(i, now), None
 
-        return jax.lax.scan(step_once, tree, jnp.arange(times))[0]
+        after: T = jax.lax.scan(step_once, tree, jnp.arange(times))[0]
+        return after
 
     def physics_step(
         self,
         params: ControlParams,
         vehicle: VehicleState,
-        thrust_n: Any,
+        thrust_n: jax.Array,
         current: Current,
         t: jax.Array,
     ) -> VehicleState:
-        """See `phase.BatchContext`."""
+        """See `phase.BodyBatch`."""
+        if self.engine is None:
+            raise RuntimeError("these vehicles are moved by something else")
         moved: VehicleState = jax.vmap(physics.step, (None, 0, 0, 0, 0, None, None, None, None))(
             self.engine,
             self.world.body,
@@ -131,7 +108,7 @@ class SingleWorld:
         return moved
 
     def advance(self, obstacles: ObstacleState) -> ObstacleState:
-        """See `phase.BatchContext`."""
+        """See `phase.BodyBatch`."""
         environment = self.world.environment
         return obstacle_motion.step(
             environment.obstacles,
@@ -145,16 +122,41 @@ class SingleWorld:
             self.spec.water.gravity_mps2,
         )
 
-    def contact(self, now: Slots) -> Contact:
-        """See `phase.BatchContext`."""
-        vehicles = self.world.control.vehicle
-        return detect_contacts(self.world.environment, vehicles, now["vehicle"], now["obstacles"])
+
+def judge_world(
+    batch: SingleWorld,
+    moved: MovedRobots,
+    obstacles: ObstacleState,
+    *,
+    finished: jax.Array | None = None,
+    approach: PlanApproach | jax.Array | None = None,
+) -> Judgement:
+    """Account for the step of one world when everything in it has moved.
+
+    Args:
+        batch: the world.
+        moved: its robots.
+        obstacles: its obstacles.
+        finished: as in `step.JudgeInput`.
+        approach: as in `step.JudgeInput`.
+    """
+    environment = batch.world.environment
+    inputs = JudgeInput(
+        **vars(moved),
+        goal_m=environment.goal_m,
+        contact=detect_contacts(environment, batch.world.control.vehicle, moved.vehicle, obstacles),
+        finished=finished,
+        fails_at_s=batch.world.fails_at_s,
+        approach=approach,
+        corners=batch.corners,
+    )
+    return run_phase(JUDGE, batch, inputs)[0]
 
 
 def control_step(
     spec: SimSpec,
     engine: Multibody,
-    world: World,
+    world: FleetWorld,
     state: WorldState,
     command: Command | None = None,
     policy: Policy | None = None,
@@ -193,41 +195,47 @@ def control_step(
             state.tally.outcome,
             fleet=fleet,
         )
-    context = SingleWorld(
-        spec=spec,
-        world=apply_loads(fleet, world, output.loaded),
-        t=t,
-        engine=engine,
-        override_command=output.command if command is None else command,
-        finished=output.finished,
-        last_approach_s=output.last_approach_s
-        if policy is not None
-        else last_approaches_s(spec, world, command),
-        approaching=output.approaching,
+    flown = apply_loads(fleet, world, output.loaded)
+    batch = SingleWorld(spec=spec, world=flown, t=t, engine=engine)
+    override = output.command if command is None else command
+    driver = plans.check_plan(spec.stages, world.path) if override is None else override
+    moved, record = move_independently(
+        batch,
+        RobotState(vehicle=state.vehicles, memory=state.carry, tally=state.tally),
+        state.vehicles if output.estimate is None else output.estimate,
+        flown.control,
+        driver,
+        world.environment.current,
     )
-    slots = {
-        "vehicle": state.vehicles,
-        "estimate": state.vehicles if output.estimate is None else output.estimate,
-        "memory": state.carry,
-        "tally": state.tally,
-        "obstacles": state.obstacles,
-    }
-    now, record = run_phases(context, (*INDEPENDENT_PHASES, OBSTACLES, *INTERACTION_PHASES), slots)
+    obstacles, seen = run_phase(OBSTACLES, batch, state.obstacles)
+    begin_s = output.last_approach_s
+    if policy is None:
+        begin_s = last_approaches_s(spec, world, command)
+    judgement = judge_world(
+        batch,
+        moved,
+        obstacles,
+        finished=output.finished,
+        approach=output.approaching
+        if begin_s is None
+        else PlanApproach(plan=driver, begin_s=begin_s),
+    )
     after = WorldState(
-        vehicles=now["vehicle"],
-        carry=now["memory"],
-        obstacles=now["obstacles"],
-        tally=now["tally"],
+        vehicles=moved.vehicle,
+        carry=moved.memory,
+        obstacles=obstacles,
+        tally=judgement.tally,
         step=state.step + 1,
         **vars(memory),
     )
-    return after, Sample(**output.record, **record)
+    record |= seen
+    return after, build_sample(output.record, record)
 
 
 def segment(
     spec: SimSpec,
     engine: Multibody,
-    world: World,
+    world: FleetWorld,
     state: WorldState,
     n_sample: int,
     steps_per_sample: int,
@@ -270,16 +278,19 @@ class MjxEngine:
         self, spec: SimSpec, fleet: Fleet, worlds: World, policy: Policy | None = None
     ) -> WorldState:
         """See `Engine.reset`."""
-        reset_world = partial(
-            start.reset, spec, _select_multibody(spec, fleet, worlds), policy=policy
-        )
-        state: WorldState = jax.vmap(reset_world)(worlds.body, worlds)
+        reset_world = partial(start.reset, spec, _select_multibody(spec, fleet), policy=policy)
+        equipped = add_parameters(fleet, worlds)
+        state: WorldState = jax.vmap(reset_world)(equipped.body, equipped)
         return state
 
     def pack_constants(self, fleet: Fleet, worlds: World) -> EngineConstants:
         """See `Engine.pack_constants`: nothing."""
         del fleet, worlds
         return ()
+
+    def pack_cells(self, worlds: World) -> None:
+        """See `Engine.pack_cells`: None."""
+        del worlds
 
     def control_step(
         self,
@@ -292,18 +303,20 @@ class MjxEngine:
         rows: jax.Array | None = None,
         constants: EngineConstants = (),
         steps: int = 1,
+        cells: jax.Array | None = None,
     ) -> tuple[WorldState, Sample]:
         """See `Engine.control_step`."""
+        del constants, cells
         if rows is not None:
             worlds = jax.tree.map(lambda leaf: leaf[rows], worlds)
-        engine = _select_multibody(spec, fleet, worlds)
+        engine, equipped = _select_multibody(spec, fleet), add_parameters(fleet, worlds)
 
         def step_tile(state: WorldState) -> tuple[WorldState, Sample]:
             number = _shared_step_number(spec, state, policy) if rows is None else None
             step_world = partial(control_step, spec, policy=policy, number=number, fleet=fleet)
             after: WorldState
-            after, sample = jax.vmap(step_world, (None, 0, 0, 0))(engine, worlds, state, command)
-            return after, sample_clearances.add_clearances(spec, worlds, sample)
+            after, sample = jax.vmap(step_world, (None, 0, 0, 0))(engine, equipped, state, command)
+            return after, sample_clearances.add_clearances(spec, equipped, sample)
 
         return repeat_steps(step_tile, state, steps)
 
@@ -319,9 +332,11 @@ class MjxEngine:
         command: Command | None = None,
         policy: Policy | None = None,
         begins: int = 1,
+        cells: jax.Array | None = None,
     ) -> tuple[WorldState, Sample]:
         """See `Engine.segment`."""
-        del begins
+        del begins, cells
+        engine, equipped = _select_multibody(spec, fleet), add_parameters(fleet, worlds)
         count: dict[str, Any] = {"n_sample": n_sample, "steps_per_sample": steps_per_sample}
         options: dict[str, Any] = {
             "number": _shared_step_number(spec, state, policy),
@@ -329,12 +344,15 @@ class MjxEngine:
         }
         fly: Any = partial(segment, spec, policy=policy, **options, **count)
 
-        def run_world(world: World, state: WorldState, command: Command | None) -> Any:
-            return fly(_select_multibody(spec, fleet, worlds), world, state, command=command)
+        def run_world(
+            world: FleetWorld, state: WorldState, command: Command | None
+        ) -> tuple[WorldState, Sample]:
+            flown: tuple[WorldState, Sample] = fly(engine, world, state, command=command)
+            return flown
 
         after: WorldState
-        after, samples = jax.vmap(run_world)(worlds, state, command)
-        return after, sample_clearances.add_all_clearances(spec, worlds, samples)
+        after, samples = jax.vmap(run_world)(equipped, state, command)
+        return after, sample_clearances.add_all_clearances(spec, equipped, samples)
 
 
 def _shared_step_number(
@@ -345,14 +363,9 @@ def _shared_step_number(
     return state.step[0] if wanted else None
 
 
-def _select_multibody(spec: SimSpec, fleet: Fleet, worlds: World) -> mjx_engine.MjxPhysics:
+def _select_multibody(spec: SimSpec, fleet: Fleet) -> mjx_engine.MjxPhysics:
     if fleet.engine is None:
         raise UnsupportedError(
             "the fleet was built without multibody models: engine mjx needs them"
-        )
-    if worlds.body.fields.keys() != fleet.body.fields.keys():
-        raise UnsupportedError(
-            "the worlds were drawn of a fleet without the multibody fields of this one: engine mjx "
-            "needs them (`Simulator.adopt` gives them)"
         )
     return fleet.engine.with_gravity(spec.water.gravity_mps2)

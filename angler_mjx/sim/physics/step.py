@@ -11,8 +11,9 @@ In this order, at time t with pose (p, q), velocity nu, thrusts f, and a command
 5. pose by the mean of nu(t) and nu(t+dt): q(t+dt) = q exp(dt omega_mean), p(t+dt) = p + dt R(q at
    mid-step) v_mean.
 
-Second order with one evaluation of the forces a step (docs/validation.md has the convergence). The
-damping of small vehicles is stiff (2 D_q |omega| / I passes 100 1/s), hence its implicit treatment.
+Second order with one evaluation of the forces a step; convergence: docs/generated/validation.md.
+The damping of small vehicles is stiff (2 D_q |omega| / I passes 100 1/s), hence its implicit
+treatment.
 """
 
 from dataclasses import dataclass, replace

@@ -111,8 +111,7 @@ def build_compared_planner(entry: PlannerEntry) -> ComparedPlanner:
         spec=spec,
         information=information,
         joints=register.plans_joints(spec),
-        on_device=spec.reference.on_device
-        or callable(getattr(spec.reference.load(), "plan_batch", None)),
+        on_device=spec.reference.on_device,
         online=entry.online,
         presets=entry.presets,
         teams=entry.teams,

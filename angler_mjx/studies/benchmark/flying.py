@@ -10,9 +10,9 @@ import numpy as np
 
 from angler_mjx.planning.answers import Answer
 from angler_mjx.planning.planner import NoPlan
+from angler_mjx.progress import Progress
 from angler_mjx.robot.control.plans import Plan
 from angler_mjx.runs import device_batches
-from angler_mjx.runs.progress import SilentProgress
 from angler_mjx.runs.simulator import host_planning
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.runs.storage import device_to_host, results
@@ -97,7 +97,7 @@ def fly_plans(
         simulator,
         [first for _, first in flight_tiles],
         recorded=setting.scenario.time.record_hz > 0,
-        progress=SilentProgress(),
+        progress=Progress(),
         plans=_TilePlans(flight_tiles),
         seed=setting.seed,
         strict=False,

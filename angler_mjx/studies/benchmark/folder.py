@@ -1,7 +1,7 @@
-"""The results folder of a benchmark: its files, made once and gone on with.
+"""Results folder of a benchmark.
 
 ``benchmark.toml`` (as it was given), ``resolved.json``, ``environment.json``, ``inputs/`` copies of
-vehicle, thruster and planner files, ``results.sqlite``; at the end ``write_about.json``, Parquet
+vehicle, thruster and planner files, ``results.sqlite``; at the end ``about.json``, Parquet
 tables, ``examples/``, ``figures/`` and ``report.html``. While it is made, it is hidden
 (``.NAME.partial``).
 """
@@ -11,14 +11,15 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.errors import ConfigError
 from angler_mjx.runs.provenance import describe_environment
-from angler_mjx.runs.storage import atomic_files, input_copies, output_lock
+from angler_mjx.runs.storage import atomic_files, input_copies, output_lock, results_folder
 from angler_mjx.runs.storage.folder import ENVIRONMENT, write_json
 from angler_mjx.runs.storage.output_lock import OutputLock
 from angler_mjx.runs.storage.read_errors import read_table, wrap_read_errors
-from angler_mjx.scenario.editing import first_changed_key
+from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.studies.benchmark import problem_settings
+from angler_mjx.studies.benchmark.config import BenchmarkConfig
 from angler_mjx.studies.benchmark.problem_settings import Benchmark
 from angler_mjx.studies.benchmark.store import FILE, BenchmarkStore
 
@@ -27,15 +28,15 @@ FOLDER_KIND = "benchmark"
 
 
 def create_folder(benchmark: Benchmark, source: Path, out: Path) -> OutputLock:
-    """A new folder, with all that the benchmark is made of.
+    """Create the folder, with all inputs of the benchmark.
 
     Raises:
         ConfigError: the name is taken.
         RunError: it cannot be written.
     """
-    lock = output_lock.acquire(out, kind=FOLDER_KIND, advise=_resumable_status)
-    building = lock.building
-    try:
+    advise = results_folder.resumable_by(FILE)
+    lock = output_lock.acquire(out, kind=FOLDER_KIND, advise=advise)
+    with lock.filling() as building:
         shutil.copyfile(source / SOURCE if source.is_dir() else source, building / SOURCE)
         vehicles = [entry.vehicle for s in benchmark.settings for entry in s.scenario.fleet]
         files = [entry.file for entry in benchmark.planners]
@@ -49,47 +50,32 @@ def create_folder(benchmark: Benchmark, source: Path, out: Path) -> OutputLock:
         write_json(building / RESOLVED, benchmark.resolved())
         unfinished = building / f".unfinished.{FILE}"
         BenchmarkStore(unfinished, new=True).close()
-        unfinished.replace(building / FILE)  # who is killed before leaves nothing to go on with
-    except OSError as error:
-        lock.withdraw()
-        raise RunError(f"--out {out}: cannot be written ({error.strerror or error})") from error
-    except BaseException:
-        lock.withdraw()
-        raise
+        unfinished.replace(building / FILE)  # a process killed before it leaves nothing to resume
     return lock
 
 
-def _resumable_status(building: Path) -> str | None:
-    return output_lock.RESUMABLE if (building / FILE).exists() else None
-
-
 def reopen_folder(benchmark: Benchmark, out: Path) -> OutputLock:
-    """Take up a folder that was interrupted.
+    """Take up a folder that was interrupted; see `results_folder.resume_folder`.
 
     Raises:
-        ConfigError: there is none, it is finished, or it is of another benchmark.
+        ConfigError: there is none, it is complete, or it is of another benchmark.
     """
-    if (out / ABOUT).is_file():
-        raise ConfigError(f"--resume: {out} is complete; nothing is left to do")
-    lock = output_lock.acquire_unfinished(out, kind=FOLDER_KIND)
-    if lock is None:
-        raise ConfigError(f"--resume: there is no interrupted benchmark {out}")
-    try:
-        then = read_table(lock.building / RESOLVED)
-        other = first_changed_key(benchmark.resolved(), then)
-        if other is not None:
-            raise ConfigError(
-                f"--resume: {out} was begun with another {other}; put the old value back (see "
-                f"{lock.building / RESOLVED}), or begin a new benchmark with --out"
-            )
-    except BaseException:
-        lock.release()
-        raise
+    lock, _ = results_folder.resume_folder(
+        out,
+        kind=FOLDER_KIND,
+        file=RESOLVED,
+        is_complete=(out / ABOUT).is_file(),
+        check=lambda building: results_folder.require_same_request(
+            building / RESOLVED,
+            benchmark.resolved(),
+            {"benchmark": BenchmarkConfig, "scenario": Scenario},
+        ),
+    )
     return lock
 
 
 def read_folder(folder: Path) -> Benchmark:
-    """The benchmark of a results folder, with the files that it keeps copies of.
+    """Read the benchmark of a results folder, with its copies of files.
 
     Raises:
         ConfigError: it is none, or is damaged.

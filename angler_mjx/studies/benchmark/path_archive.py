@@ -8,8 +8,8 @@ from typing import Any, cast
 import numpy as np
 
 from angler_mjx.planning.planner import NoPlan, Path
-from angler_mjx.robot.control.joint_trajectory import VEHICLE_JOINTS, JointTrajectory
-from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.robot.control.commands.joint_trajectory import VEHICLE_JOINTS, JointTrajectory
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 
 _JOINTS = ("position", "velocity", "acceleration", "degree")
 

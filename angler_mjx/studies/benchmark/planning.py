@@ -10,17 +10,17 @@ import jax
 import numpy as np
 
 from angler_mjx.planning.answers import Answer, check_answer, failed_answer
+from angler_mjx.planning.device_planner import build_device_planner
 from angler_mjx.planning.host.pool import Pool
-from angler_mjx.planning.host.processes.runner import DEADLINE_FACTOR
+from angler_mjx.planning.host.workers import DEADLINE_FACTOR
 from angler_mjx.planning.planner import NoPlan, Path, PathShape
 from angler_mjx.planning.problem import Problem
 from angler_mjx.robot.control import plans
-from angler_mjx.robot.control.joint_trajectory import JointTrajectory
-from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.robot.control.commands.joint_trajectory import JointTrajectory
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.runs.simulator.compilation import CompiledFunction
-from angler_mjx.runs.simulator.device_planning import build_device_planner
 from angler_mjx.runs.simulator.simulator import Simulator
-from angler_mjx.runs.simulator.world_preparation import replace_paths
+from angler_mjx.runs.simulator.world_preparation import problem_settings, replace_paths
 from angler_mjx.studies.benchmark import path_archive as bytes_of
 from angler_mjx.studies.benchmark.columns import CLOSED, NO_ROOM, POLICY, TEXT_COLUMNS
 from angler_mjx.studies.benchmark.compared_planners import ComparedPlanner
@@ -226,21 +226,22 @@ def _plan_on_device(
         wanted = [world for world in worlds if first <= world < first + simulator.tile]
         if not wanted:
             continue
-        inputs = simulator.sample_problems(
+        sampled, problems = simulator.sample_problems(
             first, seed=setting.seed, information=setting.information
         )
         try:
             if program_key not in programs:
                 begin = time.perf_counter()
-                planner = build_device_planner(setting.informed_scenario(), entry.planner)
-                program = CompiledFunction(planner)
-                programs[program_key] = program.lower(*inputs).compile()
-                jax.block_until_ready(programs[program_key](*inputs))
+                settings = problem_settings(setting.scenario, setting.information)
+                planner = build_device_planner(entry.planner, settings)
+                program = CompiledFunction(planner.plan_batch)
+                programs[program_key] = program.lower(problems).compile()
+                jax.block_until_ready(programs[program_key](problems))
                 extras = {"warm_up_s": time.perf_counter() - begin}
             begin = time.perf_counter()
-            path = jax.block_until_ready(programs[program_key](*inputs))
+            path = jax.block_until_ready(programs[program_key](problems))
             seconds = time.perf_counter() - begin
-            replace_paths(inputs[0], path, entry.label, shape)
+            replace_paths(sampled, path, entry.label, shape)
             host = jax.device_get(path)
             teams = {
                 w: [_extract_path(host, w - first, r) for r in range(setting.robots)]

@@ -10,7 +10,7 @@ from typing import Any
 
 from angler_mjx.errors import ConfigError, format_value
 from angler_mjx.files import FOLDER_CONTEXT, format_path, parse_model, read_toml
-from angler_mjx.runs.simulator.device_planning import build_device_planner
+from angler_mjx.runs.simulator.world_preparation import check_planner
 from angler_mjx.scenario.editing import merge_tables, remove_horizon, scenario_table
 from angler_mjx.scenario.horizon_check import check_reachable
 from angler_mjx.scenario.scenario import Scenario, load_relative_scenario
@@ -52,7 +52,7 @@ class Setting:
         return self.scenario.model_copy(update={"planner": planner})
 
     def flown(self, planner: ComparedPlanner, source: str = "") -> Scenario:
-        """The scenario by which the robots of a contestant fly; see `compared_planners.flown`."""
+        """Return the scenario of flights; see `compared_planners.build_flown_scenario`."""
         return compared.build_flown_scenario(
             self.scenario, self.information, planner, f"{source} ({self})"
         )
@@ -181,7 +181,7 @@ def _require_usable(planner: ComparedPlanner, setting: Setting, source: str) -> 
     """Refuse who can make no use of what is known, or cannot be flown as it is to be."""
     if planner.on_device:
         try:
-            build_device_planner(setting.informed_scenario(), planner.planner)
+            check_planner(setting.informed_scenario(), planner.planner)
         except ConfigError as error:
             raise ConfigError(
                 f"{format_path(source)}: planner {format_value(planner.label)}: {error}; or say in "

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import jax
 import numpy as np
@@ -17,6 +17,7 @@ import numpy as np
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.planning.host.pool import Pool
 from angler_mjx.planning.planner import PathShape
+from angler_mjx.progress import Progress
 from angler_mjx.runs.provenance import describe_environment
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.runs.storage import output_lock, planning_summary
@@ -28,19 +29,6 @@ from angler_mjx.studies.benchmark.compared_planners import ComparedPlanner
 from angler_mjx.studies.benchmark.problem_settings import Benchmark, Setting
 from angler_mjx.studies.benchmark.report import page
 from angler_mjx.studies.benchmark.store import FILE, STATUS, BenchmarkStore
-
-
-class BenchmarkProgress(Protocol):
-    """What a benchmark tells while it goes on."""
-
-    def start(self, runs: int) -> None:
-        """So many runs are to be made, or were made before."""
-
-    def at(self, text: str) -> None:
-        """What is being done."""
-
-    def advance(self, runs: int) -> None:
-        """So many runs more are planned, were planned before, or will not be asked."""
 
 
 @dataclass(kw_only=True)
@@ -104,7 +92,7 @@ def run_benchmark(
     *,
     workers: Callable[[], Pool],
     resume: bool = False,
-    progress: BenchmarkProgress,
+    progress: Progress,
 ) -> None:
     """Make the results folder of a benchmark.
 
@@ -114,7 +102,7 @@ def run_benchmark(
         out: results folder.
         workers: makes the pool in which planners of the host plan.
         resume: go on with one that was interrupted.
-        progress: what to tell meanwhile.
+        progress: receives the progress.
 
     Raises:
         ConfigError: the folder is taken, or there is nothing to go on with.
@@ -131,7 +119,7 @@ def _run_in_folder(
     out: Path,
     pool: Pool,
     resume: bool,
-    progress: BenchmarkProgress,
+    progress: Progress,
 ) -> None:
     lock = (
         folder.reopen_folder(benchmark, out)
@@ -142,7 +130,7 @@ def _run_in_folder(
     try:
         with BenchmarkStore(building / FILE) as store:
             _run_settings(benchmark, store, pool, progress)
-            progress.at("tables and page")
+            progress.describe("tables and page")
             _write_results(benchmark, building, store, complete=True)
         lock.publish()
     except OSError as error:
@@ -234,13 +222,13 @@ def _write_results(
 
 
 def _run_settings(
-    benchmark: Benchmark, store: BenchmarkStore, pool: Pool, progress: BenchmarkProgress
+    benchmark: Benchmark, store: BenchmarkStore, pool: Pool, progress: Progress
 ) -> None:
     total = sum(
         setting.scenario.worlds * len(benchmark.select_planners(setting))
         for setting in benchmark.settings
     )
-    progress.start(total)
+    progress.start(total, unit="runs")
     simulators = _Simulators()
     about = _experiment_columns()
     for setting in benchmark.settings:
@@ -265,20 +253,20 @@ def _run_setting(
     simulators: _Simulators,
     store: BenchmarkStore,
     pool: Pool,
-    progress: BenchmarkProgress,
+    progress: Progress,
 ) -> None:
     config = benchmark.config
-    progress.at(f"{setting}: compiling")
+    progress.describe(f"{setting}: compiling")
     joints = [planner.joints for _, planner in planners]
     simulator = simulators.of(setting, all(joints))
     problems = planning.sample_problems(setting, simulator, experiment)
     examples = min(config.examples, setting.scenario.worlds)
     for world in range(examples):
         store.add_scenery(experiment, world, scenery.pack_scenery(problems.problems[world]))
-    progress.at(f"{setting}: planning")
+    progress.describe(f"{setting}: planning")
     planning.plan_problems(problems, planners, store, pool, config.close_after, progress.advance)
     for kind in sorted(set(joints)):
-        progress.at(f"{setting}: flying")
+        progress.describe(f"{setting}: flying")
         numbers = [
             n for n, planner in planners if planner.joints == kind and not planner.flies_itself
         ]
@@ -290,7 +278,7 @@ def _run_setting(
             flying.find_unflown_plans(experiment, [number], store) if planner.flies_itself else []
         )
         if flights:
-            progress.at(f"{setting}: flying {planner.label}")
+            progress.describe(f"{setting}: flying {planner.label}")
             simulator = simulators.of(setting, planner.joints, planner)
             flying.fly_plans(setting, simulator, flights, examples, store)
 

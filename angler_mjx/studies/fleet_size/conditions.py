@@ -1,6 +1,5 @@
 """What a fleet-size study asks: conditions, and the scenario of each with a team of each size."""
 
-import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -8,11 +7,12 @@ from typing import Any
 
 from angler_mjx.errors import ConfigError, format_value
 from angler_mjx.files import FOLDER_CONTEXT, format_path, parse_model, read_toml
-from angler_mjx.runs.simulator.device_planning import build_device_planner
+from angler_mjx.runs.simulator.world_preparation import check_planner
 from angler_mjx.scenario.editing import merge_tables, scenario_table, set_value
 from angler_mjx.scenario.horizon_check import check_reachable
 from angler_mjx.scenario.scenario import Scenario, load_relative_scenario
 from angler_mjx.studies.fleet_size.config import FleetSizeConfig
+from angler_mjx.studies.grid import ChangesAxis, iterate_cells
 
 DEFAULT_CONDITION = "as it is"
 """Name of the only condition of a study that names none."""
@@ -62,9 +62,7 @@ class FleetSizeStudy:
         except ConfigError as error:
             raise ConfigError(f"{where}: size.key: {error}") from error
         scenario = parse_model(Scenario, table, source=where)
-        spec = scenario.planner.planner_spec()
-        if spec.reference.on_device:
-            build_device_planner(scenario, spec)  # refuses what it can make no use of
+        check_planner(scenario)
         return scenario
 
     def resolved(self) -> dict[str, Any]:
@@ -166,25 +164,22 @@ def _check_condition(study: FleetSizeStudy, condition: Condition, size: int) -> 
 
 
 def _build_conditions(config: FleetSizeConfig, base: Mapping[str, Any]) -> list[Condition]:
-    """All combinations, the last axis changing fastest."""
-    axes: list[tuple[str, Mapping[str, Mapping[str, Any]]]] = []
+    """Build the condition of each cell of the grid; the last axis changes fastest."""
+    axes = [_build_axis(key, changes) for key, changes in config.axis.items()]
     if config.condition:
-        axes.append(("condition", {entry.name: entry.set for entry in config.condition}))
-    axes += list(config.axis.items())
+        named = {entry.name: entry.set for entry in config.condition}
+        axes.insert(0, _build_axis("condition", named))
     conditions = []
-    for chosen in itertools.product(*(values.items() for _, values in axes)):
-        table = dict(base)
-        for _, changes in chosen:
-            table = merge_tables(table, changes)
+    for cell in iterate_cells(axes):
+        table = cell.edit(base)
         table["time"] = {**table.get("time", {}), "record_hz": 0.0}
-        conditions.append(
-            Condition(
-                name=", ".join(name for name, _ in chosen) or DEFAULT_CONDITION,
-                values={axis: name for (axis, _), (name, _) in zip(axes, chosen, strict=True)},
-                table=table,
-            )
-        )
+        name = cell.label or DEFAULT_CONDITION
+        conditions.append(Condition(name=name, values=cell.names, table=table))
     return conditions
+
+
+def _build_axis(key: str, changes: Mapping[str, Mapping[str, Any]]) -> ChangesAxis:
+    return ChangesAxis(key=key, names=tuple(changes), values=tuple(changes.values()))
 
 
 def _select_conditions(

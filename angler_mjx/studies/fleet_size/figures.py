@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullFormatter, ScalarFormatter
 
-from angler_mjx.report.viewing import style
+from angler_mjx.report.plotting import style
 from angler_mjx.studies.fleet_size.report import format_level
 
 SUCCESS, TIME = "success.png", "time.png"

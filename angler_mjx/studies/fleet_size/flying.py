@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from angler_mjx.progress import Progress
 from angler_mjx.runs import device_batches
-from angler_mjx.runs.progress import SilentProgress
 from angler_mjx.runs.storage import device_to_host
 from angler_mjx.runs.storage.device_to_host import FinishedTile
 from angler_mjx.runs.storage.planning_summary import PlanningFailures
@@ -58,7 +58,7 @@ def fly_batch(
         simulator,
         tiles,
         recorded=False,
-        progress=SilentProgress(),
+        progress=Progress(),
         seed=study.config.seed,
         strict=False,
         modify_worlds=partial(simulators.change, condition, size, simulator),
@@ -105,7 +105,9 @@ def _summarise_tile(
     reached = result.outcome == Outcome.REACHED
     if result.task is None:
         completed = compute_completion_s(
-            reached, result.end_time_s, study.config.required_arrivals(reached.shape[1])
+            reached,
+            np.asarray(result.tally.end_time_s),
+            study.config.required_arrivals(reached.shape[1]),
         )
     else:
         completed = np.nan_to_num(result.task.completed_s.astype(float), nan=np.inf)
@@ -116,8 +118,8 @@ def _summarise_tile(
         ],
         "arrived": np.sum(reached, axis=1).tolist(),
         "lost": np.sum(~reached & (result.outcome != Outcome.TIMEOUT), axis=1).tolist(),
-        "energy_j": np.sum(result.energy_j, axis=1, dtype=float).round(3).tolist(),
-        "path_m": np.sum(result.path_length_m, axis=1, dtype=float).round(3).tolist(),
+        "energy_j": np.sum(result.tally.energy_j, axis=1, dtype=float).round(3).tolist(),
+        "path_m": np.sum(result.tally.path_length_m, axis=1, dtype=float).round(3).tolist(),
         "no_room": no_room.tolist(),
         "planned": planned if result.task is None else [None] * len(planned),
     }

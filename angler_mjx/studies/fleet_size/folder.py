@@ -1,4 +1,4 @@
-"""The folder of a study: built hidden, with every batch as it comes, whole under its own name.
+"""Folder of a study: each batch is kept as it is finished.
 
 ``study.toml`` (as it was given), ``resolved.json``, ``environment.json``, ``batches.jsonl``; at the
 end, or when it is interrupted, ``study.json``, ``results.parquet``, ``page.md`` and figures. While
@@ -10,15 +10,16 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.errors import ConfigError
 from angler_mjx.runs.provenance import describe_environment
-from angler_mjx.runs.storage import output_lock
+from angler_mjx.runs.storage import output_lock, results_folder
 from angler_mjx.runs.storage.folder import ENVIRONMENT, write_json
 from angler_mjx.runs.storage.output_lock import OutputLock
 from angler_mjx.runs.storage.read_errors import read_table, wrap_read_errors
-from angler_mjx.scenario.editing import first_changed_key
+from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.studies.fleet_size import figures, report
 from angler_mjx.studies.fleet_size.conditions import FleetSizeStudy
+from angler_mjx.studies.fleet_size.config import FleetSizeConfig
 from angler_mjx.studies.fleet_size.store import FILE, Batch
 
 SOURCE, RESOLVED, STUDY = "study.toml", "resolved.json", "study.json"
@@ -27,60 +28,43 @@ FOLDER_KIND = "study"
 
 
 def create_folder(study: FleetSizeStudy, source: Path, out: Path, tile: int) -> OutputLock:
-    """A new folder, with all that the study is made of.
+    """Create the folder, with all inputs of the study.
 
     Raises:
         ConfigError: the name is taken.
         RunError: it cannot be written.
     """
-    lock = output_lock.acquire(out, kind=FOLDER_KIND, advise=_resumable_status)
-    try:
-        shutil.copyfile(source, lock.building / SOURCE)
-        write_json(lock.building / ENVIRONMENT, describe_environment())
-        write_json(lock.building / RESOLVED, {**study.resolved(), "tile": tile})
-    except OSError as error:
-        lock.withdraw()
-        raise RunError(f"--out {out}: cannot be written ({error.strerror or error})") from error
-    except BaseException:
-        lock.withdraw()
-        raise
+    lock = output_lock.acquire(out, kind=FOLDER_KIND, advise=results_folder.resumable_by(FILE))
+    with lock.filling() as building:
+        shutil.copyfile(source, building / SOURCE)
+        write_json(building / ENVIRONMENT, describe_environment())
+        write_json(building / RESOLVED, {**study.resolved(), "tile": tile})
     return lock
 
 
-def _resumable_status(building: Path) -> str | None:
-    batches = building / FILE
-    return output_lock.RESUMABLE if batches.is_file() and batches.stat().st_size else None
-
-
 def reopen_folder(study: FleetSizeStudy, out: Path) -> tuple[OutputLock, int]:
-    """Take up a folder that was interrupted, and its tile.
+    """Take up a folder that was interrupted, and its tile; see `results_folder.resume_folder`.
 
     Raises:
         ConfigError: there is none, it is complete, or it is of another study.
     """
-    if (out / STUDY).is_file() and read_results(out).get("complete"):
-        raise ConfigError(f"--resume: {out} is complete; nothing is left to do")
-    lock = output_lock.acquire_unfinished(out, kind=FOLDER_KIND)
-    if lock is None:
-        raise ConfigError(f"--resume: there is no interrupted study {out}")
-    resolved_path = lock.building / RESOLVED
-    try:
-        then = read_table(resolved_path)
-        with wrap_read_errors(resolved_path):
-            other, tile = first_changed_key(study.resolved(), then), int(then["tile"])
-        if other is not None:
-            raise ConfigError(
-                f"--resume: {out} was begun with another {other}; put the old value back (see "
-                f"{resolved_path}), or begin a new study with --out"
-            )
-    except BaseException:
-        lock.release()
-        raise
-    return lock, tile
+
+    def check(building: Path) -> int:
+        path = building / RESOLVED
+        stored = results_folder.require_same_request(
+            path, study.resolved(), {"study": FleetSizeConfig, "scenario": Scenario}
+        )
+        with wrap_read_errors(path):
+            return int(stored["tile"])
+
+    is_complete = (out / STUDY).is_file() and bool(read_results(out).get("complete"))
+    return results_folder.resume_folder(
+        out, kind=FOLDER_KIND, file=RESOLVED, is_complete=is_complete, check=check
+    )
 
 
 def read_results(out: Path) -> dict[str, Any]:
-    """What the ``study.json`` of a folder holds.
+    """Read the ``study.json`` of a folder.
 
     Raises:
         ConfigError: there is none, or it is damaged.
@@ -93,20 +77,14 @@ def read_results(out: Path) -> dict[str, Any]:
 def publish_results(
     lock: OutputLock, study: FleetSizeStudy, results: Mapping[str, Any], batches: Sequence[Batch]
 ) -> None:
-    """Tables, page and figures; then the folder gets its name.
+    """Write tables, page and figures, and publish the folder.
 
     Raises:
         RunError: the disk gave out.
     """
-    building = lock.building
-    try:
+    with lock.keeping() as building:
         write_json(building / STUDY, dict(results))
         report.write_results(building / RESULTS, study, batches)
         report.write_page(building / PAGE, results)
         figures.plot_figures(results, building)
-    except OSError as error:
-        raise RunError(
-            f"--out {lock.out}: cannot be written ({error.strerror or error}); its flights are "
-            f"in {building}: make room and go on with --resume"
-        ) from error
     lock.publish()

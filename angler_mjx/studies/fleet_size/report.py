@@ -175,7 +175,7 @@ ENDING_TEXTS = {
 def confidence_levels(rule: SequentialRule) -> dict[str, float]:
     """Confidence of each kind of interval: of an answer, a size's share, a quantile, a mean.
 
-    That of a share is of both ends of `sequence.PrimitiveRule.ends` together.
+    That of a share is of both ends of `sequential_test.SequentialRule` together.
     """
     half = 0.5 * (1.0 - rule.confidence)
     return {
@@ -284,8 +284,8 @@ def write_page(path: Path, results: Mapping[str, Any]) -> None:
         format_markdown_table(*answers_table(results)),
         f"The interval holds the smallest such number of robots with {level_text}, for each "
         "condition "
-        "by itself, however long was flown (docs/fleet_size.md says why). Of sizes that were not "
-        "flown, one counts as too few where the next larger one that was, and all below, are.",
+        "by itself, however long was flown (docs/explanation/fleet_size.md). Of sizes that were "
+        "not flown, one counts as too few where the next larger one that was, and all below, are.",
         "![success](success.png)",
         "![time](time.png)",
         f"Intervals of shares ({format_level(results, 'share')}, each size by itself) decide "

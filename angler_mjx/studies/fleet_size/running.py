@@ -9,13 +9,14 @@ keeps the folder.
 
 import time
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import jax
 
 from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.progress import Progress
 from angler_mjx.runs.processes import OneProcess, Processes, reporting_failure
 from angler_mjx.runs.provenance import describe_environment
 from angler_mjx.runs.simulator.simulator import default_tile
@@ -40,19 +41,6 @@ class _StoppedError(Exception):
     """One of the processes was interrupted, and all know it."""
 
 
-class StudyProgress(Protocol):
-    """What a study tells while it goes on."""
-
-    def tell(self, text: str) -> None:
-        """Something that a person may want to do otherwise."""
-
-    def begin(self, condition: str, size: int) -> None:
-        """A batch is to be flown; its program may have to be compiled first."""
-
-    def flown(self, condition: str, worlds: int, so_far: str) -> None:
-        """A batch of worlds is over; what is known of the answer of its condition."""
-
-
 @dataclass(kw_only=True)
 class _Work:
     """A study in the making."""
@@ -60,7 +48,7 @@ class _Work:
     study: FleetSizeStudy
     rule: SequentialRule
     store: StudyStore
-    progress: StudyProgress
+    progress: Progress
     stored_batches: dict[tuple[str, int, int], Batch]
     taken: dict[str, dict[int, tuple[int, int]]]
     """Of each condition the counts of the batches that were asked for."""
@@ -68,6 +56,8 @@ class _Work:
     together: Processes
     failures: PlanningFailures
     """Of planners, each kind said once."""
+    answers: dict[str, str] = field(default_factory=dict)
+    """Answer so far of each condition, as reported last."""
     flown: int = 0
     """Batches that were flown in this run."""
 
@@ -111,7 +101,7 @@ def run_study(
     source: Path,
     out: Path,
     *,
-    progress: StudyProgress,
+    progress: Progress,
     resume: bool = False,
     devices: int | None = None,
     simulators: Simulators | None = None,
@@ -165,13 +155,13 @@ def _report_idle_devices(
     tile: int,
     devices: int | None,
     together: Processes,
-    progress: StudyProgress,
+    progress: Progress,
 ) -> None:
     """Say so where a batch has too few tiles for all devices."""
     n_devices = len(jax.local_devices()) if devices is None else devices
     batch, total_devices = study.config.budget.batch, n_devices * together.count
     if batch // tile < total_devices:
-        progress.tell(
+        progress.report(
             f"budget.batch = {batch}: {batch // tile} of {total_devices} devices have work, each "
             "takes whole "
             f"tiles of {tile} worlds; give a larger --batch, or in the file set = {{ tile = "
@@ -184,7 +174,7 @@ def _run_in_folder(
     lock: OutputLock | None,
     building: Path,
     simulators: Simulators,
-    progress: StudyProgress,
+    progress: Progress,
     together: Processes,
 ) -> dict[str, Any] | None:
     """What ``study.json`` holds; None of a process that does not keep the folder."""
@@ -200,7 +190,7 @@ def _run_in_folder(
         taken={item.name: {} for item in study.conditions},
         ends_at=None if minutes is None else begun + 60.0 * minutes,
         together=together,
-        failures=PlanningFailures(progress.tell),
+        failures=PlanningFailures(progress.report),
     )
     together.meet("known", len(store.batches))  # nobody writes before all have read
     try:
@@ -256,7 +246,7 @@ def _fly_cells(work: _Work, simulators: Simulators, cells: list[tuple[int, Condi
                 return False
             simulators.begin((other, work.rule.sizes[ahead]) for ahead, other in left)
             left = left[1:]
-            work.progress.begin(condition.name, size)
+            work.progress.describe(f"{condition.name}, {size} robots")
             batch = _fly_shared_batch(
                 work, simulators, condition, size, _next_world(work, at, condition)
             )
@@ -265,7 +255,10 @@ def _fly_cells(work: _Work, simulators: Simulators, cells: list[tuple[int, Condi
         hits, total = counts.get(at, (0, 0))
         counts[at] = (hits + batch.hits(work.study.config.deadline_s), total + batch.worlds)
         so_far = build_answer(work.rule, counts).text(work.rule.confidence)
-        work.progress.flown(condition.name, batch.worlds, so_far)
+        if work.answers.get(condition.name) != so_far:
+            work.answers[condition.name] = so_far
+            work.progress.report(f"{condition.name}: {so_far}")
+        work.progress.advance(batch.worlds)
     return True
 
 

@@ -23,7 +23,6 @@ from typing import Any
 import jax
 import numpy as np
 
-from angler_mjx.runs.simulator.device_planning import CURRENT
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.runs.simulator.world_preparation import sample_water_and_breakdowns
 from angler_mjx.scenario.randomise_table import UNCHANGED
@@ -167,7 +166,7 @@ def _can_replace_water(scenario: Scenario) -> bool:
         return False
     information = scenario.planner.information
     blind = information.current == information.obstacles == "nothing"
-    return scenario.task_spec() is not None or (blind and scenario.planner.name != CURRENT)
+    return scenario.task_spec() is not None or (blind and scenario.planner.name != "current")
 
 
 def _program_key(scenario: Scenario) -> str:

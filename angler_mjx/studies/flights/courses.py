@@ -10,9 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from angler_mjx.robot.control.commands import PoseTarget
-from angler_mjx.robot.control.joint_trajectory import QUINTIC, VEHICLE_JOINTS, JointTrajectory
+from angler_mjx.robot.control.commands.joint_trajectory import (
+    QUINTIC,
+    VEHICLE_JOINTS,
+    JointTrajectory,
+)
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.robot.control.stack import Command
-from angler_mjx.robot.control.trajectory import Trajectory
 from angler_mjx.robot.vehicles.thrusters import FloatArray
 
 START_M = (0.0, 0.0, -10.0)

@@ -12,7 +12,7 @@ import numpy as np
 from angler_mjx.errors import ConfigError
 from angler_mjx.robot.control import allocation, stages
 from angler_mjx.robot.control.commands import PoseTarget
-from angler_mjx.robot.control.joint_trajectory import JointTrajectory
+from angler_mjx.robot.control.commands.joint_trajectory import JointTrajectory
 from angler_mjx.robot.control.stack import Command, ControlParams
 from angler_mjx.robot.vehicles import library, params
 from angler_mjx.robot.vehicles.rotor_config import RotorResponse

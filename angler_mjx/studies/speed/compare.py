@@ -10,7 +10,7 @@ from angler_mjx.studies.speed import rows as speed
 
 type Key = tuple[Any, ...]
 type Fields = dict[str, Any]
-"""Of a row, as `rows.read` gives them."""
+"""Of a row, as `rows.read_rows` gives them."""
 
 SIZE = ("workload", "engine", "kernels", "worlds", "robots", "devices", "unit")
 """Fields that two rows must have alike to be compared at all."""

@@ -8,14 +8,18 @@ and operations that one step needs: the lower of the two is its roofline (Willia
 Patterson, 2009).
 """
 
+import shlex
 import subprocess
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
+from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from angler_mjx.runs.provenance import describe_environment
 from angler_mjx.sim.engines.triton import launch as triton
 from angler_mjx.studies.speed.rows import SpeedRow, iterate_turns, seconds_of
 
@@ -136,3 +140,21 @@ def _median_s(elements: int, function: jax.stages.Wrapped, repeats: int) -> floa
     program = function.lower(x, a, b).compile()
     taken = [(seconds_of(program, x, a, b)[0], counts) for counts in iterate_turns(repeats)]
     return float(np.median([seconds for seconds, counts in taken if counts]))
+
+
+def describe_conditions(device: DeviceSpeed) -> dict[str, Any]:
+    """Return the device with its measured limits and driver, versions, machine, commit and command.
+
+    Rows are for others to read: of absolute paths in the command the last name is kept.
+    """
+    conditions = {**describe_environment(), **asdict(device)}
+    arguments = shlex.split(conditions["command"])
+    names = [Path(word).name if Path(word).is_absolute() else word for word in arguments]
+    return {**conditions, "command": shlex.join(names)}
+
+
+def compare_with_bound(row: SpeedRow, device: DeviceSpeed) -> dict[str, Any]:
+    """Return the roofline of a row in its own unit, and the fraction of it that was reached."""
+    highest = compute_bound(row, device)
+    reached = None if highest is None or row.median is None else row.median / highest
+    return {"bound": highest, "share_of_bound": reached}

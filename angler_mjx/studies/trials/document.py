@@ -1,4 +1,4 @@
-"""The tables of docs/control.md, put between its marks."""
+"""The tables of docs/generated/control.md, put between its marks."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -156,7 +156,7 @@ def _format_samples(trials: Sequence[Trial]) -> str:
             "Failing draws of vehicles that something holds level: "
             + ("\n\n" + "\n".join(faults) if faults else "none."),
             "Seeds of all draws that did not keep station are in "
-            "[control_draws.csv](control_draws.csv); `angler control --controller NAME --draw "
+            "[control_draws.csv](control_draws.csv); `angler control --controller NAME --sample "
             "SEED` flies one again.",
         ]
     )

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from angler_mjx.report.viewing import style
+from angler_mjx.report.plotting import style
 from angler_mjx.studies.flights import kinds
 from angler_mjx.studies.flights.kinds import FlightKind
 from angler_mjx.studies.trials import figure_of_eight, steps

@@ -36,7 +36,7 @@ def fly_trials(
     Args:
         controller: name of the stack.
         vehicles: what flies steps and figures of eight.
-        n_sample: number of random draws, seeds 0 to n_draw - 1.
+        n_sample: number of random samples, seeds 0 to n_sample - 1.
         done: told the number of draws after each chunk.
     """
     return Trial(

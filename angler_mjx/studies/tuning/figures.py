@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from angler_mjx.report.viewing import style
+from angler_mjx.report.plotting import style
 from angler_mjx.robot.vehicles.thrusters import FloatArray
 from angler_mjx.studies.flights.measures import TRACK_PERIOD_S, FlightMeasures
 from angler_mjx.studies.tuning.knobs import SPAN

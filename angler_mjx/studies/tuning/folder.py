@@ -1,4 +1,4 @@
-"""The folder of a tuning: built hidden, kept after each generation, whole under its own name.
+"""Folder of a tuning: a checkpoint is kept after each generation.
 
 ``checkpoint.json`` settings and everything that was found, ``gains.toml``, ``report.md``, figures,
 and for ArduSub ``ardusub.param`` and ``ardusub.params``. While a search goes on, the folder is
@@ -13,13 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.runs.storage import atomic_files, output_lock
+from angler_mjx.errors import RunError
+from angler_mjx.runs.storage import atomic_files, output_lock, results_folder
 from angler_mjx.runs.storage.output_lock import OutputLock
 from angler_mjx.runs.storage.read_errors import read_table, wrap_read_errors
 from angler_mjx.studies.tuning.search import Generation, TuningHistory
 
 CHECKPOINT = "checkpoint.json"
+FOLDER_KIND = "tuning"
 ADVICE = "put back a copy of it, or begin a new tuning"
 
 
@@ -29,39 +30,37 @@ def create_folder(out: Path) -> OutputLock:
     Raises:
         ConfigError: it or ``out`` exists, or the parent cannot be written.
     """
-    return output_lock.acquire(out, kind="tuning", advise=_resumable_status)
-
-
-def _resumable_status(building: Path) -> str | None:
-    return output_lock.RESUMABLE if (building / CHECKPOINT).exists() else None
+    advise = results_folder.resumable_by(CHECKPOINT)
+    return output_lock.acquire(out, kind=FOLDER_KIND, advise=advise)
 
 
 def reopen_folder(
     out: Path, require: Callable[[dict[str, Any]], None] = lambda checkpoint: None
 ) -> tuple[OutputLock, dict[str, Any]]:
-    """The hidden folder of an interrupted tuning, and its checkpoint.
+    """Take up an interrupted tuning, and its checkpoint; see `results_folder.resume_folder`.
 
     Args:
         out: name of the tuning.
-        require: raises where it is not to be gone on with; asked before anything is moved.
+        require: raises where the checkpoint must not be resumed.
 
     Raises:
         ConfigError: there is none, it is complete, it goes on, or its checkpoint is damaged.
     """
-    building = output_lock.partial_path(out)
-    hidden = building.exists()
-    checkpoint_folder = building if hidden else out
-    if not (checkpoint_folder / CHECKPOINT).is_file():
-        raise ConfigError(f"--resume {out}: there is no interrupted tuning of that name")
-    table = _read_checkpoint(checkpoint_folder)
-    if table["complete"] and not hidden:
-        raise ConfigError(f"--resume {out}: this tuning is complete; nothing is left to do")
-    with wrap_read_errors(checkpoint_folder / CHECKPOINT, ADVICE):
-        require(table)
-    lock = output_lock.acquire_unfinished(out, kind="tuning")
-    if lock is None:
-        raise ConfigError(f"--resume {out}: there is no interrupted tuning of that name")
-    return lock, table
+
+    def check(building: Path) -> dict[str, Any]:
+        checkpoint = _read_checkpoint(building)
+        with wrap_read_errors(building / CHECKPOINT, ADVICE):
+            require(checkpoint)
+        return checkpoint
+
+    is_published = not output_lock.partial_path(out).exists() and (out / CHECKPOINT).is_file()
+    return results_folder.resume_folder(
+        out,
+        kind=FOLDER_KIND,
+        file=CHECKPOINT,
+        is_complete=is_published and _read_checkpoint(out)["complete"],
+        check=check,
+    )
 
 
 def _read_checkpoint(folder: Path) -> dict[str, Any]:
@@ -94,12 +93,12 @@ def save_checkpoint(
 
 
 def read_generations(table: dict[str, Any]) -> list[Generation]:
-    """What a checkpoint knows."""
+    """Return the generations of a checkpoint."""
     return [_parse_generation(row) for row in table["generations"]]
 
 
 def _parse_generation(fields: dict[str, Any]) -> Generation:
-    """One generation; TypeError or ValueError for anything else."""
+    """Parse a generation; raise TypeError or ValueError for anything else."""
     generation = Generation(**fields)
     costs = np.asarray(generation.costs, float)
     failed = np.asarray(generation.failed)

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
+from angler_mjx.report.plotting.style import save_figure
 from angler_mjx.report.viewing.markdown_tables import format_table
-from angler_mjx.report.viewing.style import save_figure
 from angler_mjx.studies.flights.measures import FlightMeasures
 from angler_mjx.studies.tuning import figures, folder, gain_files
 from angler_mjx.studies.tuning.outcome import STIFFER, ObjectivePart, TuningOutcome
@@ -99,8 +99,8 @@ def _format_objective(outcome: TuningOutcome) -> str:
     return "\n\n".join(
         [
             format_table(head, rows),
-            "What the gains began with is 1; docs/tuning.md has the formulas. The last row tells "
-            "how far the gains are from trouble.",
+            "What the gains began with is 1; docs/how_to/tuning.md has the formulas. The last row "
+            "tells how far the gains are from trouble.",
             *([lost] if lost else []),
         ]
     )

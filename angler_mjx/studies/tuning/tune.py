@@ -2,10 +2,11 @@
 
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import rename_keys
+from angler_mjx.progress import Progress
 from angler_mjx.robot.vehicles.thrusters import FloatArray
 from angler_mjx.runs import provenance
 from angler_mjx.runs.storage.output_lock import OutputLock
@@ -18,42 +19,10 @@ from angler_mjx.studies.tuning.problem import TuningProblem, TuningSettings
 from angler_mjx.studies.tuning.search import Generation, TuningHistory
 
 
-class TuningProgress(Protocol):
-    """What a tuning tells while it goes on."""
-
-    def start(self, flights: int, done: int) -> None:
-        """A search of so many flights begins, some of them flown before."""
-
-    def flown(self, flights: int) -> None:
-        """A device call is over."""
-
-    def generation(self, number: int, best: float) -> None:
-        """A generation is over; the least cost so far."""
-
-    def measuring(self) -> None:
-        """The search is over; what it found is flown again."""
-
-
-class SilentTuningProgress:
-    """A progress that says nothing."""
-
-    def start(self, flights: int, done: int) -> None:
-        """See `TuningProgress`."""
-
-    def flown(self, flights: int) -> None:
-        """See `TuningProgress`."""
-
-    def generation(self, number: int, best: float) -> None:
-        """See `TuningProgress`."""
-
-    def measuring(self) -> None:
-        """See `TuningProgress`."""
-
-
 def tune(
     settings: TuningSettings,
     out: Path,
-    progress: TuningProgress | None = None,
+    progress: Progress | None = None,
     *,
     resume: bool = False,
 ) -> TuningOutcome:
@@ -65,7 +34,7 @@ def tune(
     Args:
         settings: of the tuning.
         out: folder to make.
-        progress: told how it goes.
+        progress: receives the progress.
         resume: go on with an interrupted tuning of the same settings.
 
     Raises:
@@ -74,7 +43,7 @@ def tune(
         RunError: the disk gave out.
         KeyboardInterrupt: before anything was found.
     """
-    reporter = progress or SilentTuningProgress()
+    reporter = progress or Progress()
     problem = TuningProblem(settings)
     optimiser = _build_optimiser(problem)
     lock, table, history = _open_folder(settings, out, optimiser, resume=resume)
@@ -90,26 +59,27 @@ def _search_and_write(
     lock: OutputLock,
     table: dict[str, Any],
     history: TuningHistory,
-    progress: TuningProgress,
+    progress: Progress,
 ) -> TuningOutcome:
     """Search on in a folder, and close it."""
     settings, building = problem.settings, lock.building
     each = optimiser.population * settings.rollouts
-    progress.start(settings.generations * each, len(history.generations) * each)
+    progress.start(settings.generations * each, len(history.generations) * each, "flights")
+    progress.describe("compiling")
 
     def evaluate(candidates: FloatArray, *, gradients: bool) -> Generation:
-        return problem.evaluate(candidates, gradients=gradients, done=progress.flown)
+        return problem.evaluate(candidates, gradients=gradients, done=progress.advance)
 
     def keep(current: TuningHistory) -> None:
         folder.save_checkpoint(building, table, current, complete=False)
-        progress.generation(len(current.generations), current.best()[0])
+        progress.describe(f"generation {len(current.generations)}, best {current.best()[0]:.4f}")
 
     try:
         search.run_search(optimiser, evaluate, history, settings.generations, keep)
     except KeyboardInterrupt:
         if not history.generations:
             raise
-    progress.measuring()
+    progress.describe("measuring what was found")
     tuning_outcome = outcome.measure_outcome(problem, history, table["provenance"])
     report.write_report(building, tuning_outcome)
     folder.save_checkpoint(building, table, history, complete=tuning_outcome.complete)

@@ -1,8 +1,8 @@
 """Referee: every robot's episode recomputed from the record of a run and compared with it.
 
 It uses NumPy alone, in float64, with its own distances, and its own reader of vehicle and thruster
-files, and nothing of the simulator (an import contract enforces it). docs/verify.md lists the
-judged quantities, their definitions, and the limits.
+files, and nothing of the simulator (an import contract enforces it). docs/how_to/verify.md lists
+the judged quantities, their definitions, and the limits.
 """
 
 from collections.abc import Callable, Sequence

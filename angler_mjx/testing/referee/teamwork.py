@@ -2,7 +2,7 @@
 
 The judged quantities are visited places, taken and delivered goods, seen cells, the time of
 completion, and robots with nothing left. The targets of robots are their own decision and are taken
-as stored. docs/tasks.md defines the rules.
+as stored. docs/reference/tasks.md defines the rules.
 """
 
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""Computed parts of docs/validation.md; the text between them is unchanged."""
+"""Computed parts of docs/generated/validation.md; the text between them is unchanged."""
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -14,7 +14,7 @@ from angler_mjx.testing.validation.results import (
 )
 from angler_mjx.testing.validation.terms import PagePart, StoredTerm, StudyTerm, Term, Terms
 
-PAGE_PATH = Path("docs/validation.md")
+PAGE_PATH = Path("docs/generated/validation.md")
 TERM_PARTS: tuple[PagePart, ...] = ("terms", "energy", "control", "engines", "clearance")
 
 _NOT_YET = "*Not measured yet.*"

@@ -1,5 +1,6 @@
 """Main program of `angler validate`: measure, compare with expectations, write the page."""
 
+from collections import defaultdict
 from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
@@ -8,7 +9,10 @@ from typing import Any
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.runs.storage.atomic_files import replace_file
-from angler_mjx.testing.validation import page, results, running, speeds
+from angler_mjx.studies.speed import rows as speed
+from angler_mjx.studies.speed.chart import device_name, format_rate
+from angler_mjx.studies.speed.compare import select_latest
+from angler_mjx.testing.validation import page, results, running
 from angler_mjx.testing.validation import terms as all_terms
 from angler_mjx.testing.validation.judging import ValidationFault, find_faults
 from angler_mjx.testing.validation.results import (
@@ -23,6 +27,11 @@ from angler_mjx.testing.validation.terms import EXPECTED_FILE, FOLDER, RESULTS_F
 
 MAX_STUDIES = 2
 """Max number of studies that run beside the tests."""
+
+
+SPEED_ROWS_PATH = Path("benchmarks/results.jsonl")
+SPEED_SCENARIO = "reef_fleet"
+"""Scenario of the table of speeds."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -196,7 +205,7 @@ def _build_page(checkout: Checkout, result: ValidationResult) -> tuple[str, str]
         text = path.read_text(encoding="utf-8")
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror or error})") from error
-    table = speeds.build_speed_table(checkout.root / speeds.RESULTS_PATH)
+    table = build_speed_table(checkout.root / SPEED_ROWS_PATH)
     bodies = page.build_parts(checkout.terms, result, checkout.stored, table)
     return text, page.rewrite_page(text, bodies, str(path))
 
@@ -232,3 +241,46 @@ def _current_results(checkout: Checkout, merged: ValidationResult) -> dict[str, 
         studies={k: v for k, v in merged.studies.items() if k in names},
     )
     return kept.model_dump()
+
+
+def is_traceable(row: dict[str, Any]) -> bool:
+    """Return whether a row names its commit, and the tree was unchanged."""
+    return bool(row["commit"]) and not str(row["commit"]).endswith("-changed")
+
+
+def build_speed_table(results: Path) -> str:
+    """Return simulation and preparation speeds of the demo's scenario by device and size.
+
+    Args:
+        results: file of rows; rows without a commit or from a changed tree are left out.
+
+    Raises:
+        ConfigError: the file cannot be read.
+    """
+    rows = select_latest([row for row in speed.read_rows(results) if is_traceable(row)])
+    rows_by_setup: dict[tuple[str, int, int], dict[str, dict[str, Any]]] = defaultdict(dict)
+    for row in rows:
+        if row["workload"] == SPEED_SCENARIO:
+            name = str(row["engine"])
+        elif row["workload"] == f"preparation/{SPEED_SCENARIO}":
+            name = "preparation"
+        else:
+            continue
+        rows_by_setup[device_name(row), row["worlds"], row["robots"]][name] = row
+    head = (
+        "| device | worlds x robots | mjx, vehicle-steps/s | fused, vehicle-steps/s "
+        "| drawing and planning, worlds/s |\n| --- | ---: | ---: | ---: | ---: |"
+    )
+    lines = [
+        f"| {device} | {worlds:,} x {robots} | "
+        + " | ".join(
+            _format_cell(rows_by_engine.get(name)) for name in ("mjx", "fused", "preparation")
+        )
+        + " |"
+        for (device, worlds, robots), rows_by_engine in sorted(rows_by_setup.items())
+    ]
+    return "\n".join([head, *lines])
+
+
+def _format_cell(row: dict[str, Any] | None) -> str:
+    return "-" if row is None else f"{format_rate(row['median'])} ({row['commit'][:7]})"

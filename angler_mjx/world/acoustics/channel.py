@@ -20,7 +20,7 @@ from angler_mjx.sampling import fold_keys
 from angler_mjx.world.acoustics.access import Access, Aloha, Tdma
 from angler_mjx.world.acoustics.link import Link, LinkBudget
 from angler_mjx.world.acoustics.shadow import RockLoss
-from angler_mjx.world.grid import Grid
+from angler_mjx.world.rock.grid import Grid
 
 NEVER_S = -1e6
 """Start time of packets that were never sent."""
@@ -51,11 +51,11 @@ class Channel:
 class Packet:
     """The last packet of each robot; [R] leads."""
 
-    p_m: Any
+    p_m: jax.Array
     """[R, 3] the sender's estimate of its position when the packet began, in W."""
-    v_mps: Any
+    v_mps: jax.Array
     """[R, 3] the sender's estimate of its velocity over ground, in W."""
-    time_s: Any
+    time_s: jax.Array
     """[R] time of the estimates."""
     payload: Any = None
     """Additional data of any shape, [R] leading."""
@@ -85,7 +85,7 @@ class HeardRobots:
 
         def __getattr__(self, name: str) -> Any:
             """Return a field by its name before 0.2, with a DeprecationWarning."""
-            return renamed_attribute(self, name, {"words": "payload"})
+            return renamed_attribute(self, name, {"place_m": "extrapolate_m", "words": "payload"})
 
     def extrapolate_m(self, time_s: jax.Array) -> jax.Array:
         """Return [R, R, 3] the senders' positions at a time [], extrapolated by velocity."""
@@ -177,7 +177,7 @@ class ChannelInput:
     """Known divisor of the number."""
 
     def every_n_steps[T](self, period: int, do: Callable[[], T], otherwise: Callable[[], T]) -> T:
-        """See `counting.every_n_steps`."""
+        """See `periods.every_n_steps`."""
         return every_n_steps(period, self.number, do, otherwise, self.every)
 
     def time_s(self, channel: Channel) -> jax.Array:
@@ -267,21 +267,23 @@ class _SenderColumns:
         """Return the indices int32 [count]."""
         return jnp.arange(self.count) + (0 if self.first is None else self.first)
 
-    def of(self, tree: Any, axis: int) -> Any:
+    def of[T](self, tree: T, axis: int) -> T:
         """Return the senders' part of arrays with senders along an axis."""
         first = self.first
         if first is None:
             return tree
         cut = partial(jax.lax.dynamic_slice_in_dim, slice_size=1, axis=axis)
-        return jax.tree.map(lambda leaf: cut(leaf, first), tree)
+        part: T = jax.tree.map(lambda leaf: cut(leaf, first), tree)
+        return part
 
-    def put(self, tree: Any, part: Any, axis: int) -> Any:
+    def put[T](self, tree: T, part: T, axis: int) -> T:
         """Return the arrays with this part replaced."""
         first = self.first
         if first is None:
             return part
         put = partial(jax.lax.dynamic_update_slice_in_dim, axis=axis)
-        return jax.tree.map(lambda leaf, new: put(leaf, new, first), tree, part)
+        replaced: T = jax.tree.map(lambda leaf, new: put(leaf, new, first), tree, part)
+        return replaced
 
 
 def _deliver_packets(
@@ -359,14 +361,15 @@ def _begin_packets(
     else:
         luck = jnp.full_like(chance, 0.5)
 
-    def put(new: Any, old: Any, axis: int) -> Any:
+    def put[T](new: T, old: T, axis: int) -> T:
         """Return the new values for robots that begin a packet."""
 
         def choose(new: jax.Array, old: jax.Array) -> jax.Array:
             is_sender = begins.reshape(-1, *(1,) * (old.ndim - 1 - axis))
             return jnp.where(is_sender, new, old)
 
-        return senders.put(old, jax.tree.map(choose, new, senders.of(old, axis)), axis)
+        chosen: T = jax.tree.map(choose, new, senders.of(old, axis))
+        return senders.put(old, chosen, axis)
 
     arrive = put(at_s + distance / channel.sound_mps, in_flight.arrive_s, 1)
     passes = put((luck < chance) & ~is_self, in_flight.passes, 1)

@@ -25,7 +25,7 @@ MIN_SUCCESS = 1e-3
 
 
 class AcousticsConfig(FileModel):
-    """Communication of positions and task progress between robots; see `docs/acoustics.md`."""
+    """Messages with positions and progress between robots; see `docs/reference/acoustics.md`."""
 
     model: Literal["perfect", "range", "budget"] = "perfect"
     """perfect: instant and complete communication. range: packets are received within `range_m`.

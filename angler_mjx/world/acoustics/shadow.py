@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.world.grid import Grid
+from angler_mjx.world.rock.grid import Grid
 
 CUT_DB = 1e3
 """Loss of a blocked path: no modem is that loud."""

@@ -16,8 +16,8 @@ from angler_mjx.errors import format_value
 from angler_mjx.files import FileModel, absolute_path, format_path
 from angler_mjx.quantities import MAX_SPEED_MPS
 from angler_mjx.sampling import fold_keys
-from angler_mjx.world import ocean
 from angler_mjx.world.currents.fields import Current, Flow
+from angler_mjx.world.ocean import OceanField, load_field
 from angler_mjx.world.ocean.deepest_cells import (
     DeepestCells,
     Span,
@@ -43,7 +43,7 @@ class Gridded:
     """[4] positions on the axes per metre along y, x and z of W, and per second."""
     factor: jax.Array
     """[3] factors on the velocity along x, y and z."""
-    field: ocean.OceanField = field(metadata={"static": True})
+    field: OceanField = field(metadata={"static": True})
     numbers: Any = None
     """Location of the field's ``numbers`` for kernels; None for the field's own."""
 
@@ -68,13 +68,13 @@ class Gridded:
         return replace(self, factor=factor * self.factor)
 
 
-def list_fields(current: Current) -> tuple[ocean.OceanField, ...]:
+def list_fields(current: Current) -> tuple[OceanField, ...]:
     """Return the fields of a current, each once."""
     fields = [component.field for component in current if isinstance(component, Gridded)]
     return tuple(dict.fromkeys(fields))
 
 
-def bind_fields(current: Current, where: Callable[[ocean.OceanField], Sequence[Any]]) -> Current:
+def bind_fields(current: Current, where: Callable[[OceanField], Sequence[Any]]) -> Current:
     """Return a current whose fields are read from the location that ``where`` returns."""
     return tuple(
         replace(component, numbers=tuple(where(component.field)))
@@ -111,7 +111,7 @@ class GridConfig(FileModel):
 
     type: Literal["grid"] = "grid"
     file: str = Key(min_length=1, max_length=4096)
-    """NetCDF file with CF conventions; see `docs/ocean.md`."""
+    """NetCDF file with CF conventions; see `docs/how_to/ocean.md`."""
     u: str | None = None
     """Name of the eastward velocity in the file; identified by its standard_name if left out."""
     v: str | None = None
@@ -161,9 +161,9 @@ class GridConfig(FileModel):
             )
 
     @property
-    def field(self) -> ocean.OceanField:
+    def field(self) -> OceanField:
         """Return the field of the file."""
-        return ocean.load_field(self.file, {"u": self.u, "v": self.v, "w": self.w})
+        return load_field(self.file, {"u": self.u, "v": self.v, "w": self.w})
 
     @cached_property
     def deepest_cells(self) -> DeepestCells:

@@ -11,9 +11,9 @@ from pydantic import ValidationInfo, field_validator, model_validator
 
 from angler_kernels.table import take_row
 from angler_mjx.files import FileModel, absolute_path, format_path
-from angler_mjx.world import ocean
 from angler_mjx.world.currents.fields import Current
 from angler_mjx.world.currents.gridded import GridConfig, Gridded
+from angler_mjx.world.ocean import SeaFloor, load_floor
 from angler_mjx.world.ocean.deepest_cells import (
     DeepestCells,
     Span,
@@ -32,7 +32,7 @@ class BathymetryConfig(FileModel):
     """
 
     file: str = Key(min_length=1, max_length=4096)
-    """NetCDF file with CF conventions; see `docs/ocean.md`."""
+    """NetCDF file with CF conventions; see `docs/how_to/ocean.md`."""
     variable: str | None = None
     """Name of the sea floor's depth or height in the file; identified by its standard_name if left
     out."""
@@ -65,9 +65,9 @@ class BathymetryConfig(FileModel):
         return self
 
     @property
-    def floor(self) -> ocean.SeaFloor:
+    def floor(self) -> SeaFloor:
         """Return the sea floor of the file."""
-        return ocean.load_floor(self.file, self.variable, self.positive)
+        return load_floor(self.file, self.variable, self.positive)
 
     @cached_property
     def deepest_cells(self) -> DeepestCells:

@@ -112,7 +112,7 @@ class ConstituentConfig(FileModel):
     """A tidal constituent of a current: an ellipse traced by the velocity."""
 
     name: str
-    """Name of the constituent, such as M2, S2, N2, K1 or O1; for all names see `docs/ocean.md`."""
+    """Name of the constituent, such as M2, S2 or K1; all names: `docs/how_to/ocean.md`."""
     major_mps: Annotated[Speed, Field(ge=0)]
     """Half of the ellipse's long axis: the max speed."""
     minor_mps: Speed = 0.0

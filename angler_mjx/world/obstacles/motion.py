@@ -23,7 +23,6 @@ from angler_kernels.rigid_body import (
     water_wrench,
 )
 from angler_mjx.world.currents import Current, evaluate_current
-from angler_mjx.world.grid import Grid
 from angler_mjx.world.obstacles.types import (
     BOX,
     CIRCLE,
@@ -35,6 +34,7 @@ from angler_mjx.world.obstacles.types import (
     ObstacleState,
     bounding_radius,
 )
+from angler_mjx.world.rock.grid import Grid
 
 type NearestCell = Callable[[jax.Array], tuple[jax.Array, jax.Array]]
 """Distance [] of a point [3] to the occupied cells, and the unit direction [3] away from them."""

@@ -16,7 +16,6 @@ import jax.numpy as jnp
 from angler_kernels.clearance import capsules_obstacle, point_grid
 from angler_mjx.robot.vehicles.properties import GRAVITY_MPS2
 from angler_mjx.sampling import fold_keys, scale_uniform, uniform_rows
-from angler_mjx.world.grid import Grid
 from angler_mjx.world.obstacles import bodies
 from angler_mjx.world.obstacles.config import DynamicConfig, ObstaclesConfig
 from angler_mjx.world.obstacles.explicit import explicit_rows
@@ -27,6 +26,7 @@ from angler_mjx.world.obstacles.types import (
     Obstacles,
     bounding_radius,
 )
+from angler_mjx.world.rock.grid import Grid
 
 _TRIES = 64
 

@@ -60,7 +60,7 @@ _DEGREES = {
 }
 _REGRID = (
     "first turn its components to east and north (of a rotated pole: cdo rotuvb), then interpolate "
-    "them to one-dimensional latitude and longitude (cdo remapbil); docs/ocean.md says how"
+    "them to one-dimensional latitude and longitude (cdo remapbil); docs/how_to/ocean.md says how"
 )
 METRES = {"m": 1.0, "meter": 1.0, "meters": 1.0, "metre": 1.0, "metres": 1.0, "km": 1e3}
 PER_SECOND = {

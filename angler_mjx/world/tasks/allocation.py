@@ -9,10 +9,12 @@ part.
 import importlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
+from angler_mjx._moved import renamed as _renamed
 from angler_mjx.errors import ConfigError, format_value, report_user_errors
 from angler_mjx.world.tasks import pairs
 from angler_mjx.world.tasks.travel import Travel
@@ -172,3 +174,8 @@ def named_in_errors(name: str) -> Allocator:
             return allocator(view)
 
     return allocate
+
+
+def __getattr__(name: str) -> Any:
+    """Return what had another name before 0.2."""
+    return _renamed(__name__, name)

@@ -6,7 +6,6 @@ at once, and no path is ever written to memory.
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -61,7 +60,14 @@ class _MatchingKernel:
         return taken
 
     def __call__(
-        self, words: Any, position_m: Any, grid: Any, p: Any, able: Any, open_: Any, taken: Any
+        self,
+        words: jax.Ref,
+        position_m: jax.Ref,
+        grid: jax.Ref,
+        p: jax.Ref,
+        able: jax.Ref,
+        open_: jax.Ref,
+        taken: jax.Ref,
     ) -> None:
         pairs, program = self.pairs, self.pairs.program
         row, column, real = pairs.lane_pairs
@@ -75,7 +81,9 @@ class _MatchingKernel:
 
         program.when(jnp.max(can) > 0, take)
 
-    def _path_lengths(self, words: Any, position_m: Any, grid: Any, p: Any) -> Any:
+    def _path_lengths(
+        self, words: jax.Ref, position_m: jax.Ref, grid: jax.Ref, p: jax.Ref
+    ) -> jax.Array:
         """Return the path length of each lane; values of lanes that are no pair are ignored."""
         program, (*cells, n_position) = self.pairs.program, self.shape
         row, column, real = self.pairs.lane_pairs

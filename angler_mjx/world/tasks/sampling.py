@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from angler_kernels.matching import match_pairs
 from angler_mjx.world.environment import Environment
-from angler_mjx.world.grid import Grid
+from angler_mjx.world.rock.grid import Grid
 from angler_mjx.world.tasks import allocation, surface, travel
 from angler_mjx.world.tasks.spec import TaskSpec, TaskWorld
 from angler_mjx.world.tasks.visibility import cell_of, centre_m

@@ -122,7 +122,7 @@ class SurveyWorld:
     """int32 [nx, ny] lowest free cell of each column; nz where there is none."""
     of_job: jax.Array
     """uint32 [M, c, w] cells of a job, in the columns about its viewpoint, packed along z
-    (`angler_kernels.bit_grid`); see `sight.columns`."""
+    (`angler_kernels.bit_grid`); see `visibility.window_columns`."""
     count: jax.Array
     """int32 [] number of ``cells``."""
 

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from angler_kernels import bit_grid
-from angler_mjx.world.grid import Grid
+from angler_mjx.world.rock.grid import Grid
 from angler_mjx.world.tasks import visibility
 from angler_mjx.world.tasks.spec import SurveySpec, SurveyWorld
 

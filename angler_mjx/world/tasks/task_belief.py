@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.world.grid import Grid
+from angler_mjx.world.rock.grid import Grid
 from angler_mjx.world.tasks import bits, deliver
 from angler_mjx.world.tasks.spec import GoodsBelief, TaskReport, TaskSpec, TaskState, TaskWorld
 

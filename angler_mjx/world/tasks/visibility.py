@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from angler_kernels.bit_grid import WORD
-from angler_mjx.world.grid import Grid
+from angler_mjx.world.rock.grid import Grid
 from angler_mjx.world.tasks.spec import Footprint, SurveySpec
 
 _PARALLEL = 1e-6

@@ -1,1 +1,1 @@
-"""What talking by sound costs: how far packets get, and how old what is known becomes."""
+"""Acoustic communication: range of packets, and age of information."""

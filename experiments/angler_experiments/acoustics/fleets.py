@@ -1,4 +1,4 @@
-"""What a fleet pays for talking by modem, in one figure of a fleet-size study.
+"""Cost of communication by modem for a fleet, in one figure of a fleet-size study.
 
     python -m angler_experiments.acoustics.fleets docs/fleet_size/survey_reef.json
 
@@ -12,21 +12,21 @@ from typing import Annotated, Any
 import tyro
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.report.viewing import style
+from angler_mjx.report.plotting import style
 
 MEASURES = (
     ("rate", "met the deadline, %", 100.0),
     ("median_s", "median time until it is done, s", 1.0),
     ("lost_per_robot", "robots lost, %", 100.0),
 )
-"""Key of a size in a study's file, what stands at its axis, and the factor between the two."""
+"""Key of a size in a study's file, label of its axis, and the factor between the two."""
 
 
 def read_conditions(study: Path, names: tuple[str, str]) -> list[list[dict[str, Any]]]:
-    """Sizes that were flown, smallest first, of two conditions of a study.
+    """Return the flown sizes, smallest first, of two conditions of a study.
 
     Raises:
-        ConfigError: the file is none of a study, or has no such condition.
+        ConfigError: the file is not one of a study, or lacks the condition.
     """
     try:
         sizes_by_condition = {
@@ -48,7 +48,7 @@ def read_conditions(study: Path, names: tuple[str, str]) -> list[list[dict[str, 
 def plot_conditions(
     conditions_sizes: list[list[dict[str, Any]]], labels: tuple[str, str], out: Path
 ) -> None:
-    """Success, time and losses against the size of the team, of both conditions."""
+    """Plot success, time and losses against the size of the team, of both conditions."""
     ticks = [1 << k for k in range(7)]
     with style.figure_style():
         chart = style.new_figure(11.0, 3.4)
@@ -72,7 +72,7 @@ def plot_conditions(
 
 
 def _scale_value(value: Any, factor: float) -> float | None:
-    """A number of a study, with an interval or without; None where it is never reached."""
+    """Scale a number of a study, with an interval or without; None where it is never reached."""
     middle = value["value"] if isinstance(value, dict) else value
     return None if middle is None else factor * float(middle)
 
@@ -83,12 +83,12 @@ def main(
     perfect: str = "still water",
     acoustic: str = "acoustic",
 ) -> None:
-    """Draw the figure.
+    """Plot the figure.
 
     Args:
         study: Its study.json.
         out: Picture to write.
-        perfect: Condition in which robots know everything of each other.
+        perfect: Condition with complete information on other robots.
         acoustic: The same with modems.
     """
     try:

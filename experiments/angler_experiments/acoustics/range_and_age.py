@@ -1,10 +1,10 @@
-"""How far packets of a small modem get, and how old a team's knowledge of itself becomes.
+"""Range of packets of a small modem, and age of a team's information on itself.
 
     python -m angler_experiments.acoustics.range_and_age --out docs/images
 
-Ranges are the equations of `docs/acoustics.md` alone. Ages are those of robots at rest in a cube of
-24 m that hear each other perfectly but for collisions, simulated by the channel of a rollout; in
-turn they are compared with the closed form, and `--smoke` fails if they differ.
+Ranges are the equations of `docs/reference/acoustics.md` alone. Ages are those of robots at rest in
+a cube of 24 m that hear each other perfectly but for collisions, simulated by the channel of a
+rollout; in turn they are compared with the closed form, and `--smoke` fails if they differ.
 """
 
 import csv
@@ -17,18 +17,18 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 
-from angler_mjx.report.viewing import style
+from angler_mjx.report.plotting import style
 from angler_mjx.world.acoustics import channel
 from angler_mjx.world.acoustics.access import Tdma
 from angler_mjx.world.acoustics.channel import Channel, ChannelInput
 from angler_mjx.world.acoustics.config import AcousticsConfig
-from angler_mjx.world.grid import Grid
+from angler_mjx.world.rock.grid import Grid
 
 SIZE_M = (24.0, 24.0, 24.0)
 DT_S = 0.05
 TEAMS = (2, 4, 8, 16, 32)
 NOISY_DB = 90.0
-"""Density of a receiver's own noise, dB re 1 uPa^2/Hz: 50 dB over the sea's."""
+"""Density of a receiver's own noise, dB re 1 uPa^2/Hz: 50 dB above the sea's."""
 LINKS: dict[str, dict[str, Any]] = {
     "BPSK, no fading": {"fading": "none"},
     "FSK, no fading": {"modulation": "fsk", "fading": "none"},
@@ -38,11 +38,12 @@ LINKS: dict[str, dict[str, Any]] = {
 }
 ACCESS = {"tdma": "in turn (TDMA)", "slotted_aloha": "slotted ALOHA", "aloha": "ALOHA"}
 TOLERANCE = 0.02
-"""Of mean ages in turn, against the closed form; where packets begin in a run shifts them."""
+"""Relative tolerance of mean ages in turn, against the closed form; the start times of packets
+shift them."""
 
 
 def compute_successes(range_m: np.ndarray) -> dict[str, np.ndarray]:
-    """Probability that a packet of 128 bits is understood, [n] of ranges [n], by link."""
+    """Return the probability of receiving a packet of 128 bits, [n] of ranges [n], by link."""
     success_by_link = {}
     for name, settings in LINKS.items():
         link = AcousticsConfig.model_validate({"model": "budget", **settings}).link()
@@ -51,16 +52,16 @@ def compute_successes(range_m: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def build_channel(access: str, robots: int) -> Channel:
-    """A channel in which nothing but collisions loses packets, at the load that gets most through.
+    """Build a channel in which only collisions lose packets, at the load of maximum throughput.
 
     Args:
-        access: who may send when.
-        robots: that share it.
+        access: medium access.
+        robots: number of robots of the channel.
     """
     settings = {"model": "range", "range_m": 100.0, "rock": "lets_pass", "access": access}
     base_config = AcousticsConfig.model_validate(settings)
     packet_s = base_config.bits / base_config.bit_rate_bps
-    slot_s = 0.25  # a packet and the way across, in steps of the controllers
+    slot_s = 0.25  # a packet and its travel time, in control steps
     each_s = slot_s if access == "slotted_aloha" else 2.0 * packet_s
     loaded_config = base_config.model_copy(update={"interval_s": max(robots * each_s, 0.6)})
     channel_model = loaded_config.channel(robots, SIZE_M, DT_S, 1e6)
@@ -70,7 +71,7 @@ def build_channel(access: str, robots: int) -> Channel:
 
 
 def mean_age_s(acoustic_channel: Channel, robots: int, seconds: float, worlds: int) -> float:
-    """Mean age of what a robot knows of another, s, after a fifth of the time."""
+    """Return the mean age [s] of a robot's information on another, after a fifth of the time."""
     steps = round(seconds / DT_S)
     position_m = jax.random.uniform(jax.random.key(0), (worlds, robots, 3)) * jnp.array(SIZE_M)
     empty_grid = Grid(
@@ -106,9 +107,9 @@ def mean_age_s(acoustic_channel: Channel, robots: int, seconds: float, worlds: i
 
 
 def expected_age_s(acoustic_channel: Channel, robots: int) -> float:
-    """Mean age in closed form: told a slot after it began, and a frame until the next.
+    """Return mean age in closed form: received a slot after its start, and a frame until the next.
 
-    A packet of 0.2 s and up to 28 ms of way is told after 0.25 s, in steps of 0.05 s.
+    A packet of 0.2 s and up to 28 ms of travel time is received after 0.25 s, in steps of 0.05 s.
     """
     if not isinstance(acoustic_channel.access, Tdma):
         raise ValueError("robots do not take turns")
@@ -117,7 +118,7 @@ def expected_age_s(acoustic_channel: Channel, robots: int) -> float:
 
 
 def plot_figure(out: Path, rows: list[dict[str, Any]]) -> None:
-    """Both charts, side by side."""
+    """Plot both charts, side by side."""
     range_m = np.geomspace(10.0, 30_000.0, 300)
     with style.figure_style():
         chart = style.new_figure(9.0, 3.6)
@@ -143,7 +144,7 @@ def plot_figure(out: Path, rows: list[dict[str, Any]]) -> None:
 
 
 def main(out: Path = Path("docs/images"), seconds: float = 400.0, smoke: bool = False) -> None:
-    """Draw the figure and write its numbers beside it.
+    """Plot the figure and write its numbers beside it.
 
     Args:
         out: Folder of the figure.

@@ -1,1 +1,1 @@
-"""Benchmarks of planners, and their tables for a page."""
+"""Benchmarks of planners, and their tables for documents."""

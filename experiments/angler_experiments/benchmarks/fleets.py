@@ -1,9 +1,10 @@
-"""Tables and figures of the study of fleets: teams, planning anew in flight, and what is known.
+"""Tables and figures of the fleets benchmark: team sizes, replanning, information levels.
 
     python -m angler_experiments.benchmarks.fleets runs/fleets --figures docs/images
 
-Several folders are taken as one: the same study, shared among processes. Ways to fly are told apart
-by planner or policy, and by how often plans are made anew; what they are told stands beside.
+Several folders are taken as one study, divided among processes. Rows are planners or policies with
+their replanning rate; columns are team sizes or information levels. The output is a page of
+Markdown, such as docs/generated/benchmark_fleets.md.
 """
 
 from collections.abc import Iterator, Sequence
@@ -21,27 +22,26 @@ from angler_mjx.studies.benchmark.report.rates import ReportRate, compute_rate
 from angler_mjx.studies.benchmark.report.reading import Results, Runs
 
 LEVELS = ("nothing", "observed", "predicted", "truth")
-"""Of what may be known of obstacles that move, from least to most."""
+"""Information levels of moving obstacles, from least to most."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FleetsStudy:
-    """The runs of the study."""
+    """Runs of the study."""
 
     results: Results
     flight_modes: dict[str, str]
-    """How the robots fly, by the planners' labels: a planner or a policy, and how often it plans
-    anew."""
+    """Flight mode by planner label: a planner or a policy, and its replanning period."""
     n_unflown: int
-    """Runs that are still to be flown; they are not among the results."""
+    """Number of runs that are not flown yet; they are not among the results."""
 
     @property
     def all_flight_modes(self) -> list[str]:
-        """In the order of the study."""
+        """Return the flight modes in the order of the study."""
         return list(dict.fromkeys(self.flight_modes[name] for name in self.results.planners))
 
     def select_runs(self, flight_mode: str, preset: str, robots: int, level: str) -> Runs:
-        """The runs of one cell that count."""
+        """Return the counted runs of one cell."""
         runs = self.results.runs
         is_mode = np.isin(
             runs["planner"], [label for label, x in self.flight_modes.items() if x == flight_mode]
@@ -52,7 +52,7 @@ class FleetsStudy:
 
     @property
     def multi_level_cases(self) -> Iterator[tuple[str, int]]:
-        """Scenes and teams that were flown at more than one level."""
+        """Yield scenes and teams that were flown at several levels."""
         runs = self.results.runs
         for scene in self.results.scenes:
             for robots in self.teams:
@@ -62,7 +62,7 @@ class FleetsStudy:
 
     @property
     def teams(self) -> list[int]:
-        """Numbers of robots."""
+        """Return the numbers of robots."""
         return sorted(set(self.results.runs["robots"].tolist()))
 
 
@@ -70,7 +70,7 @@ def read_study(folders: Sequence[Path]) -> FleetsStudy:
     """Read results folders of one study; they need not be complete.
 
     Raises:
-        ConfigError: one is none, or a run is in two of them.
+        ConfigError: a folder holds no results, or a run is in two of them.
     """
     parts = [reading.read_results(folder) for folder in folders]
     columns = {
@@ -118,17 +118,17 @@ def _flight_mode(entry: dict[str, Any]) -> str:
 
 
 def arrival_rate(runs: Runs) -> ReportRate:
-    """Teams that arrive whole."""
+    """Return the rate of teams that arrive whole."""
     return compute_rate(runs["success"], np.ones(len(runs), bool))
 
 
 def format_by_team(study: FleetsStudy, level: str) -> list[str]:
-    """Whole teams that arrive, and of the robots, at one level: a table a scene."""
+    """Format arrivals of whole teams, and of robots, at one level: a table per scene."""
     lines = []
     for scene in study.results.scenes:
         lines += ["", f"**{scene}**", ""]
         teams = [str(team) for team in study.teams]
-        lines += _format_header([f"teams (robots) that arrive, %; told `{level}`", *teams])
+        lines += _format_header([f"teams (robots) that arrive, %; information `{level}`", *teams])
         for flight_mode in study.all_flight_modes:
             cells = [
                 _format_cell(study.select_runs(flight_mode, scene, team, level))
@@ -140,7 +140,7 @@ def format_by_team(study: FleetsStudy, level: str) -> list[str]:
 
 
 def format_by_level(study: FleetsStudy) -> list[str]:
-    """The same by what is known, where more than one level was flown."""
+    """Format the same by information level, where several levels were flown."""
     lines = []
     for scene, robots in study.multi_level_cases:
         lines += ["", f"**{scene}, {_format_robots(robots)}**", ""]
@@ -158,8 +158,8 @@ def format_by_level(study: FleetsStudy) -> list[str]:
 
 
 def format_replans(study: FleetsStudy) -> list[str]:
-    """How often a robot on its way got no new plan, where plans are made anew."""
-    header = ["no new plan, times a robot", "told", *[f"{team}" for team in study.teams]]
+    """Format failed replans per robot, by scene, planner and information level."""
+    header = ["failed replans per robot", "information", *[f"{team}" for team in study.teams]]
     lines = ["", *_format_header(header)]
     for scene in study.results.scenes:
         for flight_mode in study.all_flight_modes:
@@ -175,11 +175,11 @@ def format_replans(study: FleetsStudy) -> list[str]:
 
 
 def format_pairs(study: FleetsStudy) -> list[str]:
-    """Each planner that plans anew, less the same one told as much that does not."""
+    """Format each replanning planner against itself without replanning, at the same level."""
     runs = study.results.runs
     lines = [
         "",
-        *_format_header(["planned anew less once", "problems", "points (95 %)", "McNemar's p"]),
+        *_format_header(["replanned less not", "problems", "points (95 %)", "McNemar's p"]),
     ]
     levels = {
         label: set(runs["knows_obstacles"][runs["planner"] == label])
@@ -225,27 +225,31 @@ def main(
     level: str = "observed",
     figures: Path | None = None,
 ) -> None:
-    """Print the tables of the study, and draw its figures.
+    """Print the tables of the study, and plot its figures.
 
     Args:
         folders: Results folders of the study.
-        level: Of knowledge, of the tables by team.
-        figures: Folder to draw figures into; none are drawn if left out.
+        level: Information level of the tables by team.
+        figures: Folder of figures; none are plotted if left out.
     """
     if not folders:
         raise ConfigError("folders: give the results folder of the study, or several of its parts")
     if level not in LEVELS:
         raise ConfigError(f"--level {level}: give one of {', '.join(LEVELS)}")
     study = read_study(folders)
+    print(
+        "<!-- generated by python -m angler_experiments.benchmarks.fleets -->\n\n# Fleets: tables"
+    )
     if study.n_unflown:
         print(f"{study.n_unflown} runs are not flown yet, and left out")
-    for lines in (
-        format_by_team(study, level),
-        format_by_level(study),
-        format_replans(study),
-        format_pairs(study),
-    ):
-        print("\n".join(lines))
+    tables = {
+        "By team": format_by_team(study, level),
+        "By information level": format_by_level(study),
+        "Failed replans": format_replans(study),
+        "Paired": format_pairs(study),
+    }
+    for title, lines in tables.items():
+        print("\n".join(["", f"## {title}", *lines]))
     if figures is not None:
         from angler_experiments.benchmarks import fleets_figures
 

@@ -1,4 +1,4 @@
-"""Figures of the study of fleets: arrivals against the team, and against what is known."""
+"""Figures of the study of fleets: arrivals against the team, and against information levels."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -8,13 +8,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from angler_experiments.benchmarks.fleets import LEVELS, FleetsStudy, arrival_rate
-from angler_mjx.report.viewing import style
+from angler_mjx.report.plotting import style
 from angler_mjx.studies.benchmark.report import plot_style
 from angler_mjx.studies.benchmark.report.rates import ReportRate
 
 
 def make_figures(study: FleetsStudy, level: str, folder: Path) -> list[Path]:
-    """Draw both; the second only where more than one level was flown."""
+    """Plot both figures; the second only where several levels were flown."""
     figures = {"fleets_teams.png": plot_by_team(study, level)}
     if any(study.multi_level_cases):
         figures["fleets_known.png"] = plot_by_level(study)
@@ -22,7 +22,7 @@ def make_figures(study: FleetsStudy, level: str, folder: Path) -> list[Path]:
 
 
 def plot_by_team(study: FleetsStudy, level: str) -> Figure:
-    """Whole teams that arrive, a panel a scene."""
+    """Plot arrivals of whole teams, a panel per scene."""
     ticks = [str(team) for team in study.teams]
     panels = {
         scene: {
@@ -41,7 +41,7 @@ def plot_by_team(study: FleetsStudy, level: str) -> Figure:
 
 
 def plot_by_level(study: FleetsStudy) -> Figure:
-    """Whole teams that arrive, by what may be known, a panel a scene and team."""
+    """Plot arrivals of whole teams by information level, a panel per scene and team."""
     panels = {
         f"{scene}, {robots} robot{'' if robots == 1 else 's'}": {
             flight_mode: [

@@ -1,10 +1,10 @@
-"""How many teams the planners of the device plan, and how fast.
+"""Fraction of teams that device planners plan, and their rate.
 
     python -m angler_experiments.benchmarks.fleets_planned --presets reef --teams 16 32 --worlds 512
 
 Still water without drifting obstacles, robots of the reef fleet's two kinds crossing the middle.
-Rates are of the second of two drawings with plans, less one without plans. Of teams that are not
-whole it says how many are proved to have no plan at all (`planning.priority.proofs`).
+Rates are of the second of two samplings with plans, less one without plans. Of incomplete teams it
+reports how many provably have no plan at all (`planning.priority.proofs`).
 """
 
 import time
@@ -23,7 +23,7 @@ from angler_mjx.scenario.scenario import Scenario, load_scenario
 def build_scenario(
     preset: str, robots: int, worlds: int, horizon_s: float, planner: str
 ) -> Scenario:
-    """Teams of one size in worlds of one preset."""
+    """Build the scenario of teams of one size in worlds of one preset."""
     small = robots // 2
     heavy = load_scenario("reef_fleet").fleet[0].model_copy(update={"count": robots - small})
     fleet: list[Any] = [heavy.model_dump(exclude_unset=True)]
@@ -41,7 +41,7 @@ def build_scenario(
 
 
 def sample_timed(simulator: Simulator) -> tuple[Any, float]:
-    """Worlds, and the seconds that the second drawing of them took."""
+    """Sample worlds; return them and the seconds of a second sampling."""
     jax.block_until_ready(simulator.worlds())
     start_s = time.perf_counter()
     worlds = jax.block_until_ready(simulator.worlds())
@@ -58,11 +58,11 @@ def main(
     """Print a row for each planner, preset and size of team.
 
     Args:
-        presets: of the worlds.
-        teams: robots in each.
-        planners: of the device.
-        worlds: of each row, in one tile.
-        horizon_s: that plans must end in.
+        presets: presets of the worlds.
+        teams: robots of each team.
+        planners: device planners.
+        worlds: worlds of each row, in one tile.
+        horizon_s: horizon of the plans.
     """
     print(
         "| preset | robots | planner | teams, % | robots, % | worlds/s |\n|---|---|---|---|---|---|"

@@ -1,10 +1,10 @@
-"""How near the robots of planned teams come to each other, by their plans alone.
+"""Separation of the robots of planned teams, by their plans alone.
 
     python -m angler_experiments.benchmarks.plan_separation runs/reference
 
 Every whole team of two or more, in closed form: between two way-points of any of its robots all of
-them move straight, so the distance of two is least where that of two lines is. Rock is not looked
-at. Shares no code with planners, nor with the simulator's judgement.
+them move straight, so the distance of two is least where that of two lines is. Rock is ignored.
+Shares no code with planners, nor with the simulator's judgement.
 """
 
 import json
@@ -31,15 +31,15 @@ QUERY = """
 
 
 def min_gap_m(times: list[np.ndarray], positions: list[np.ndarray], radius: np.ndarray) -> float:
-    """Least distance of two of a team's spheres, m; negative where they overlap.
+    """Return the least distance of two of a team's spheres, m; negative where they overlap.
 
     Args:
-        times: [n] s of each robot's way-points, from 0; held after the last.
-        positions: [n, 3] m of them.
-        radius: [R] m.
+        times: [n] s times of each robot's way-points, from 0; held after the last.
+        positions: [n, 3] m positions of the way-points.
+        radius: [R] m radii of the spheres.
     """
     knots = np.unique(np.concatenate(times))
-    knots = np.append(knots, knots[-1] + 1.0)  # at the end all stand
+    knots = np.append(knots, knots[-1] + 1.0)  # at the end all robots hold their positions
     positions_m = np.stack(
         [
             np.stack([np.interp(knots, t, p[:, axis]) for axis in range(3)], axis=-1)

@@ -2,7 +2,7 @@
 
 |grad T| V - grad T . c = 1 up to the goal, T = 0 there. The scheme is semi-Lagrangian: from each
 grid point the vehicle goes straight to the rim of the square around it, three cells away; between
-grid points of the rim T is linear, and the place on the rim is searched among nine a cell.
+grid points of the rim T is linear, and the position on the rim is searched among nine per cell.
 """
 
 import math
@@ -26,15 +26,15 @@ _FRACTIONS = np.linspace(0.0, 1.0, 9)
 def steady_min_time_s(
     flow: Flow, start: FloatArray, goal: FloatArray, speed: float, bounds: Bounds, *, cells: int
 ) -> float:
-    """Least time on a grid of square cells, of first order in their size.
+    """Return the least time on a grid of square cells, of first order in their size.
 
     Args:
         flow: `Flow`, read at time 0.
         start: [2] m.
         goal: [2] m.
-        speed: through the water, m/s.
-        bounds: `Bounds`; no way leaves them.
-        cells: along the longer side.
+        speed: speed through the water, m/s.
+        bounds: `Bounds`; no path leaves them.
+        cells: number of cells along the longer side.
     """
     lo, hi = (np.asarray(x, float) for x in bounds)
     start, goal = np.asarray(start, float), np.asarray(goal, float)
@@ -81,9 +81,9 @@ def steady_min_time_s(
 
 
 def _travel_times(flow: Flow, p: FloatArray, h: float, speed: float, k: int) -> FloatArray:
-    """Times to the places between rim points ``k`` and the next, [x, y, share], by the flow midway.
+    """Return times to positions between rim points ``k`` and the next, [x, y, fraction].
 
-    Infinite where the flow lets the vehicle not go there.
+    The flow is that midway. Infinite where the flow keeps the vehicle from the position.
     """
     a, b = np.array(_RING[k], float), np.array(_RING[(k + 1) % len(_RING)], float)
     displacement = a + _FRACTIONS[:, None] * (b - a)

@@ -1,9 +1,9 @@
-"""Least times and energies in level flows, to measure planners against; no planner's code is here.
+"""Least times and energies in level flows, a reference for planners without their code.
 
 A vehicle moves at a constant speed through the water, free to head anywhere (Zermelo, 1931). On
 uniform flow both answers are closed forms. Elsewhere `shoot_min_time_s` shoots Zermelo's extremals
 from the start over a fan of headings and refines the one that is first at the goal, in flows that
-change with time too; `grid` finds the same number for steady flows by another way.
+change with time too; `grid` finds the same number for steady flows by another method.
 """
 
 import math
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 type FloatArray = NDArray[np.float64]
 type Flow = Callable[[FloatArray, float], FloatArray]
-"""Velocity [..., 2] of the water at places [..., 2] and a time: m/s, m, s."""
+"""Velocity [..., 2] of the water at positions [..., 2] and a time: m/s, m, s."""
 type Bounds = tuple[tuple[float, float], tuple[float, float]]
 """(x_lo, y_lo), (x_hi, y_hi), m."""
 
@@ -25,13 +25,13 @@ _SLOPE_STEP_M = 1e-4
 def uniform_min_time_s(
     current_mps: FloatArray, start: FloatArray, goal: FloatArray, speed: float
 ) -> float:
-    """Zermelo's least time on uniform flow: |goal - start - c T| = V T; infinite if out of reach.
+    """Return Zermelo's least time on uniform flow: |goal - start - c T| = V T; inf if unreachable.
 
     Args:
         current_mps: [2] c.
         start: [2] m.
         goal: [2] m.
-        speed: V through the water, m/s.
+        speed: V, speed through the water, m/s.
     """
     displacement = np.asarray(goal, float) - np.asarray(start, float)
     length = float(np.hypot(*displacement))
@@ -54,18 +54,18 @@ def uniform_min_energy_j(
     cubic_ws3pm3: float,
     speeds: tuple[float, float],
 ) -> tuple[float, float]:
-    """Least energy along the line at one speed V of a span, for P(V) = hotel + c V^3.
+    """Return the least energy along the line at one speed V of a range, P(V) = hotel + c V^3.
 
     Args:
         current_mps: [2].
         start: [2] m.
         goal: [2] m.
-        hotel_w: power that is drawn at rest.
+        hotel_w: power consumed at rest.
         cubic_ws3pm3: c.
         speeds: least and greatest V, m/s.
 
     Returns:
-        The energy, J, and the speed at which it is had, m/s; infinite if out of reach.
+        Energy, J, and its speed, m/s; infinite if out of reach.
     """
 
     def energy(v: FloatArray) -> FloatArray:
@@ -84,12 +84,12 @@ def uniform_min_energy_j(
 
 @dataclass(frozen=True, kw_only=True)
 class _ExtremalFan:
-    """Extremals that were shot: when each passed nearest to the goal, and how near, m."""
+    """Extremals: time and distance, m, of each one's nearest pass of the goal."""
 
     time_s: FloatArray
     miss_m: FloatArray
     side: FloatArray
-    """Sign of which side of the goal it passed, seen along its way over ground."""
+    """Side of the goal that it passed, as a sign, seen along its way over ground."""
 
 
 def shoot_min_time_s(
@@ -104,21 +104,21 @@ def shoot_min_time_s(
     headings: int = 720,
     start_time_s: float = 0.0,
 ) -> float:
-    """Least time by shooting extremals; infinite if none reaches the goal within the horizon.
+    """Return the least time by shooting extremals; infinite without arrival within the horizon.
 
-    Two neighbouring headings between which the goal lies are halved until the miss is nothing.
-    An extremal that meets the bounds ends there: a way along a wall is not found.
+    Two neighbouring headings between which the goal lies are halved until the miss vanishes. An
+    extremal that meets the bounds ends there: a path along a wall is not found.
 
     Args:
         flow: `Flow`.
         start: [2] m.
         goal: [2] m.
-        speed: through the water, m/s.
+        speed: speed through the water, m/s.
         bounds: `Bounds`.
         horizon_s: longest time.
-        step_s: of Runge and Kutta's fourth order.
-        headings: of the fan.
-        start_time_s: on the clock of the flow.
+        step_s: step of Runge and Kutta's fourth order.
+        headings: number of headings of the fan.
+        start_time_s: start time on the clock of the flow.
     """
     best, limit = math.inf, horizon_s
     while True:
@@ -139,7 +139,10 @@ def shoot_min_time_s(
 
 
 def _first_arrival_s(shoot: "_Shooter", headings: int) -> float:
-    """Least time among the nearest passes of a fan; an earlier pass may hide behind a nearer."""
+    """Return least time among the nearest passes of a fan.
+
+    A nearer pass may hide an earlier one.
+    """
     angles = np.linspace(-math.pi, math.pi, headings, endpoint=False)
     fan = shoot(angles)
     next_index = np.roll(np.arange(headings), -1)
@@ -195,7 +198,7 @@ class _Shooter:
             v3, w3 = self._rates(p + 0.5 * dt * v2, angle + 0.5 * dt * w2, t + 0.5 * dt)
             v4, w4 = self._rates(p + dt * v3, angle + dt * w3, t + dt)
             p_next = p + dt / 6.0 * (v1 + 2 * v2 + 2 * v3 + v4)
-            # Nearest point of the short line from p to where the step ends.
+            # Nearest point of the short line from p to the end of the step.
             step_m, goal_offset = p_next - p, self.goal - p
             fraction = np.sum(step_m * goal_offset, axis=1) / np.maximum(
                 np.sum(step_m * step_m, axis=1), 1e-30

@@ -1,1 +1,1 @@
-"""Dataset files, and what is measured of datasets."""
+"""Dataset files, and measurements of datasets."""

@@ -1,8 +1,8 @@
-"""How fast a dataset is read: random windows, windows in order, whole episodes; PyTorch, Grain.
+"""Reading speed of a dataset: random windows, windows in order, whole episodes; PyTorch, Grain.
 
     python -m angler_experiments.datasets.reading_speed datasets/reef
 
-Files that were read before lie in memory: it is the reader that is measured, not the disk.
+Files that were read before lie in memory: the measurement is of the reader, not of the disk.
 """
 
 import time
@@ -14,14 +14,14 @@ import numpy as np
 import tyro
 
 from angler_mjx.learning import datasets
-from angler_mjx.learning.datasets.reading.windows import Windows
+from angler_mjx.learning.datasets.windows import Windows
 
 BATCH = 64
-"""Windows that PyTorch's workers hand over at once."""
+"""Number of windows that PyTorch's workers pass at once."""
 
 
 def measure_rate(items: Iterable[Any], seconds: float) -> tuple[float, float]:
-    """Items and bytes a second of what is iterated for so long, the first ones left out."""
+    """Return items and bytes per second of some seconds of iteration, without the first items."""
     iterator = iter(items)
     for _ in range(20):
         next(iterator)
@@ -38,13 +38,13 @@ def measure_rate(items: Iterable[Any], seconds: float) -> tuple[float, float]:
 def print_rate(
     label: str, make_items: Callable[[], Iterable[Any]], seconds: float, items_per_read: int = 1
 ) -> None:
-    """Print a row: the best of three, of items that hold so many."""
+    """Print a row: the best of three, for items of several reads each."""
     best = max(measure_rate(make_items(), seconds) for _ in range(3))
     print(f"| {label} | {items_per_read * best[0]:,.0f} | {best[1] / 1e9:.2f} |", flush=True)
 
 
 def build_torch_loader(windows: Windows, workers: int) -> Iterable[Any]:
-    """A pass by PyTorch's workers, in batches: each costs as much to hand over as one window."""
+    """Build a pass by PyTorch's workers, in batches: each costs as much to pass as one window."""
     from torch.utils.data import DataLoader
 
     from angler_mjx.learning.datasets.loaders.torch import WindowStream

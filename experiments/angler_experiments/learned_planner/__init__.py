@@ -1,1 +1,1 @@
-"""A planner that learned from plans: flow matching draws ways, closed forms choose among them."""
+"""Planner learned from plans: flow matching samples paths, closed forms choose among them."""

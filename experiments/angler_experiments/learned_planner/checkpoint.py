@@ -1,4 +1,4 @@
-"""Trained networks in one file: arrays by names in an ``.npz``, with what they were made for."""
+"""Trained networks in one file: arrays by names in an ``.npz``, with their sizes and origin."""
 
 import hashlib
 import json
@@ -17,18 +17,18 @@ from angler_experiments.learned_planner.shapes import SCHEMA, NetworkSize
 from angler_mjx.errors import ConfigError, format_value
 
 SHIPPED_FILE = "weights.npz"
-"""Beside this module."""
+"""File of the shipped network, beside this module."""
 _ABOUT, _KIND = "about", "angler_mjx learned planner"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Checkpoint:
-    """A network that can plan."""
+    """Network that can plan."""
 
     params: Params
     width: NetworkSize
     about: dict[str, Any]
-    """How it was made: examples, steps, loss, seed."""
+    """Origin: examples, steps, loss, seed."""
 
 
 def save_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
@@ -51,7 +51,8 @@ def load_checkpoint(path: Path | None = None) -> Checkpoint:
     """Read a checkpoint; the shipped one if no path is given.
 
     Raises:
-        ConfigError: it is none, it is damaged, or it was made for another version of this planner.
+        ConfigError: the file is not a checkpoint, is damaged, or was made for another version of
+            this planner.
     """
     if path is None:
         with resources.as_file(resources.files(__package__) / SHIPPED_FILE) as shipped_path:
@@ -60,10 +61,10 @@ def load_checkpoint(path: Path | None = None) -> Checkpoint:
 
 
 def hash_checkpoint(path: Path | None = None) -> str:
-    """What tells a checkpoint from all others; the shipped one's if no path is given.
+    """Return the hash of a checkpoint; that of the shipped one without a path.
 
     Raises:
-        ConfigError: there is no such file.
+        ConfigError: the file does not exist.
     """
     try:
         data = (path or Path(__file__).with_name(SHIPPED_FILE)).read_bytes()

@@ -1,4 +1,4 @@
-"""Flow matching: from noise to ways along straight lines, and back."""
+"""Flow matching: from noise to paths along straight lines, and back."""
 
 import jax
 import jax.numpy as jnp
@@ -12,14 +12,14 @@ from angler_experiments.learned_planner.shapes import N_CHANNELS, N_INNER_POINTS
 def loss(
     params: Params, scenes: Scene, paths: jax.Array, has_path: jax.Array, key: jax.Array
 ) -> jax.Array:
-    """Mean square error [] of velocities over a batch of worlds.
+    """Return the mean square error [] of velocities over a batch of worlds.
 
     Args:
-        params: of the network.
-        scenes: [W] leading.
-        paths: [W, R, inner, 4] of the expert.
-        has_path: bool [W, R] whose ways are to be learned.
-        key: of noise and times.
+        params: parameters of the network.
+        scenes: scenes, [W] leading.
+        paths: [W, R, inner, 4] paths of the expert.
+        has_path: bool [W, R] whether the path is learned.
+        key: key of noise and times.
     """
     of_noise, of_time = jax.random.split(key)
     noise = jax.random.normal(of_noise, paths.shape)
@@ -38,23 +38,27 @@ def loss(
 def sample_paths(
     params: Params, context: EncodedScene, key: jax.Array, samples: int, steps: int
 ) -> jax.Array:
-    """Ways [samples, R, inner, 4] of one team.
+    """Sample paths [samples, R, inner, 4] of one team.
 
-    Each robot's noise is drawn by its place in the batch of ``key``'s numbers; see `sample_noise`.
+    Each robot's noise is sampled by its index in the batch of ``key``'s numbers; see
+    `sample_noise`.
 
     Args:
-        params: of the network.
-        context: of the world.
-        key: of the noise.
-        samples: how many for each robot.
-        steps: of the flow.
+        params: parameters of the network.
+        context: encoded scene of the world.
+        key: key of the noise.
+        samples: number of paths of each robot.
+        steps: number of steps of the flow.
     """
     initial_noise = sample_noise(key, samples, context.exists.shape[0])
     return integrate_flow(params, context, initial_noise, steps)
 
 
 def sample_noise(key: jax.Array, samples: int, robots: int) -> jax.Array:
-    """Where ways begin, [samples, R, inner, 4]: of a robot by its number, in a team of any size."""
+    """Sample initial noise [samples, R, inner, 4].
+
+    Of a robot by its number, in a team of any size.
+    """
 
     def sample_robot(robot: jax.Array) -> jax.Array:
         return jax.random.normal(
@@ -67,7 +71,7 @@ def sample_noise(key: jax.Array, samples: int, robots: int) -> jax.Array:
 def integrate_flow(
     params: Params, context: EncodedScene, initial_noise: jax.Array, steps: int
 ) -> jax.Array:
-    """Noise [samples, R, inner, 4] carried to ways by ``steps`` steps of the midpoint rule."""
+    """Transport noise [samples, R, inner, 4] to paths by ``steps`` steps of the midpoint rule."""
     rate = jax.vmap(network.velocity, in_axes=(None, None, 0, None))
     dt = 1.0 / steps
 

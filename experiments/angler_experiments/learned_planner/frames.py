@@ -1,4 +1,4 @@
-"""The straight frame of one robot: its start, and axes along its way to the goal, aside and up."""
+"""Straight frame of one robot: its start, and axes towards the goal, sideways and up."""
 
 from dataclasses import dataclass
 
@@ -14,29 +14,29 @@ class StraightFrame:
     """Frame of one robot; ``vmap`` it for a team."""
 
     start_m: jax.Array
-    """[3] in W."""
+    """[3] start in W."""
     length_m: jax.Array
-    """[] from start to goal."""
+    """[] distance from start to goal."""
     axes: jax.Array
     """[3, 3] rows: along the straight line, level to the left of it, and up across both; in W."""
 
     def to_frame(self, vector: jax.Array) -> jax.Array:
-        """Vectors [..., 3] of W in this frame."""
+        """Transform vectors [..., 3] of W into this frame."""
         return jnp.einsum("...i,ki->...k", vector, self.axes, precision="highest")
 
     def to_world(self, vector: jax.Array) -> jax.Array:
-        """Vectors [..., 3] of this frame in W."""
+        """Transform vectors [..., 3] of this frame into W."""
         return jnp.einsum("...k,ki->...i", vector, self.axes, precision="highest")
 
     def points_on_line(self, fraction: jax.Array) -> jax.Array:
-        """Points [n, 3] of the straight line in W at shares [n] of its length."""
+        """Return points [n, 3] of the straight line in W at fractions [n] of its length."""
         return self.start_m + fraction[:, None] * self.length_m * self.axes[0]
 
 
 def build_straight_frame(start_m: jax.Array, goal_m: jax.Array) -> StraightFrame:
-    """The frame of a robot from ``start_m`` [3] to ``goal_m`` [3].
+    """Build the frame of a robot from ``start_m`` [3] to ``goal_m`` [3].
 
-    A way straight up or down takes x for its left; one of no length runs along x.
+    A vertical line takes x for its left; a line of no length runs along x.
     """
     delta = goal_m - start_m
     length = jnp.sqrt(jnp.sum(delta * delta))

@@ -1,4 +1,4 @@
-"""The network: a velocity of ways, given what is seen from the straight lines of a team.
+"""Network: velocity of paths, conditioned on the surroundings of a team's straight lines.
 
 Tokens stand along the line of each robot. Surroundings enter by a convolution along the line whose
 kernel spans its whole cross-section; robots and obstacles by attention with the geometry of each
@@ -28,24 +28,24 @@ type Params = dict[str, Any]
 """Arrays by names; nested."""
 
 _N_TIME_FREQUENCIES = 8
-"""Waves by which the network is told how far the flow is."""
+"""Number of frequencies that encode the time of the flow."""
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class EncodedScene:
-    """What does not change while ways are drawn."""
+    """Encoded scene, constant while paths are sampled."""
 
     tokens: jax.Array
-    """[R, slices, units]."""
+    """[R, slices, units] tokens along the lines."""
     pairs: jax.Array
-    """[R, R, units]."""
+    """[R, R, units] features of pairs."""
     exists: jax.Array
-    """bool [R]."""
+    """bool [R] whether the robot exists."""
 
 
 def init_params(key: jax.Array, width: NetworkSize) -> Params:
-    """Numbers of an untrained network; its velocity is zero everywhere."""
+    """Return the numbers of an untrained network; its velocity is zero everywhere."""
     d = width.units
     keys = iter(jax.random.split(key, 16 + 8 * width.blocks))
 
@@ -83,7 +83,7 @@ def init_params(key: jax.Array, width: NetworkSize) -> Params:
 
 
 def encode_scene(params: Params, scene: Scene) -> EncodedScene:
-    """What is to be said of one world, once."""
+    """Encode the scene of one world, once."""
     gap = jnp.pad(scene.gap.astype(jnp.float32), ((0, 0), (1, 1), (0, 0), (0, 0)), mode="edge")
     robots = gap.shape[0]
     gap = gap.reshape(robots, N_SLICES + 2, N_ASIDE * N_ABOVE)
@@ -100,7 +100,7 @@ def encode_scene(params: Params, scene: Scene) -> EncodedScene:
 
 
 def velocity(params: Params, context: EncodedScene, path: jax.Array, time: jax.Array) -> jax.Array:
-    """Velocity [R, inner, 4] of ways [R, inner, 4] at a time [] of the flow, 0 to 1."""
+    """Return the velocity [R, inner, 4] of paths [R, inner, 4] at a time [] of the flow, 0 to 1."""
     phases = time * jnp.pi * 2.0 ** jnp.arange(_N_TIME_FREQUENCIES) / 4.0
     time_features = jnp.concatenate([jnp.sin(phases), jnp.cos(phases)])
     ends = jnp.pad(path, ((0, 0), (1, 1), (0, 0)))
@@ -121,7 +121,7 @@ def velocity(params: Params, context: EncodedScene, path: jax.Array, time: jax.A
 
 
 def _attend_to_team(block: Params, context: EncodedScene, h: jax.Array) -> jax.Array:
-    """What each robot takes from the others, [R, units]; nothing where it is alone."""
+    """Return each robot's attention to the others, [R, units]; zeros where it is alone."""
     mean = jnp.mean(h, axis=1)
     query = _apply_dense(block["query"], mean)
     key = _apply_dense(block["key"], mean)[None] + context.pairs
@@ -142,10 +142,10 @@ def _attend_to_bodies(params: Params, scene: Scene) -> jax.Array:
 
 
 def _masked_softmax(score: jax.Array, mask: jax.Array) -> jax.Array:
-    """Shares of those that count along the last axis; zeros where none does."""
+    """Return the softmax over included elements of the last axis; zeros where there are none."""
     masked = jnp.where(mask, score, -jnp.inf)
     max_score = jax.lax.stop_gradient(jnp.max(masked, axis=-1, keepdims=True, initial=-1e9))
-    # Nothing that is left out may be infinite: its slope would be none.
+    # Excluded elements must be finite: otherwise their derivative is NaN.
     weight = jnp.where(mask, jnp.exp(jnp.where(mask, score - max_score, 0.0)), 0.0)
     total = jnp.sum(weight, axis=-1, keepdims=True)
     return weight / jnp.where(total > 0.0, total, 1.0)

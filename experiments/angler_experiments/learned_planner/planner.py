@@ -1,4 +1,4 @@
-"""What scenarios call learned: ways drawn by a network, repaired and chosen in closed form."""
+"""Planner learned: paths sampled by a network, repaired and chosen in closed form."""
 
 from dataclasses import dataclass, replace
 from functools import partial
@@ -14,45 +14,45 @@ from angler_experiments.learned_planner.scene import build_frames, build_scene
 from angler_experiments.learned_planner.shapes import N_CHANNELS, N_INNER_POINTS
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning.problem import Problem
-from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 
 MAX_ROBOTS_AT_ONCE = {"gpu": 2048}
 DEFAULT_MAX_ROBOTS_AT_ONCE = 64
 """Robots whose candidates are in memory at once, by platform."""
 
 _N_START_HOLDS = 6
-"""Times at which a robot may set off."""
+"""Number of start times of a robot."""
 _TEAM_SEED, _COST_NOISE = 7, 0.3
-"""Number of the lot by which teams are drawn, and how much worse it makes arrivals."""
+"""Seed of alternative teams, and its random increase of arrival times."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LearnedSettings:
-    """What a scenario can choose of it, in [planner.learned]."""
+    """Settings of the planner, in [planner.learned]."""
 
     samples: int = 16
-    """Ways drawn for each robot; the straight line is one more candidate."""
+    """Paths sampled for each robot; the straight line is one more candidate."""
     steps: int = 4
-    """Of the flow from noise to ways."""
+    """Steps of the flow from noise to paths."""
     repair: bool = True
-    """False: the first way that is drawn is flown, whatever it meets."""
+    """False: the first sampled path is flown without checks."""
     draw: Literal["learned", "noise"] = "learned"
-    """What ways are drawn from: the network; or, for comparison, smooth noise."""
+    """Source of sampled paths: the network; or, for comparison, smooth noise."""
     pushes: int = 60
-    """How often way-points are moved out of rock."""
+    """Number of pushes of way-points out of rock."""
     rounds: int = 4
-    """How often the team is chosen anew, with those who found nothing first."""
+    """Number of choices of the team, robots without a path first."""
     start_hold_s: float = 25.0
-    """The latest time at which a robot sets off."""
+    """Latest start time of a robot."""
     margin_m: float = 0.1
-    """Kept beyond the radii, from rock and between robots."""
+    """Margin beyond the radii, from rock and between robots."""
     points: int = 32
-    """Of a path; the same as planner.points."""
+    """Points of a path; the same as planner.points."""
     checkpoint: str = ""
-    """File of a network; empty: the one that comes with this package."""
+    """File of a network; empty: the shipped one."""
 
     def __post_init__(self) -> None:
-        """Refuse what is none."""
+        """Refuse settings out of range."""
         for name, low, high in (
             ("samples", 1, 1024),
             ("steps", 1, 100),
@@ -79,20 +79,20 @@ class LearnedPlanner:
         """Read the network.
 
         Raises:
-            ConfigError: there is no such checkpoint, or it is for another version.
+            ConfigError: the checkpoint does not exist, or is for another version.
         """
         self.settings = settings or LearnedSettings()
         file = self.settings.checkpoint
         self._params = checkpoint.load_checkpoint(Path(file).expanduser() if file else None).params
 
     def plan_batch(self, problems: Problem) -> Trajectory:
-        """Paths [world, robot]; ``found`` is False where all candidates meet something.
+        """Return paths [world, robot]; ``found`` is False where all candidates collide.
 
         Args:
-            problems: [world] leading.
+            problems: problems, [world] leading.
 
         Raises:
-            ConfigError: the grid is higher than the check of lines takes.
+            ConfigError: the grid is higher than the check of lines allows.
         """
         shape = problems.grid.occupied.shape
         if shape[-1] > 32:
@@ -103,12 +103,12 @@ class LearnedPlanner:
         return paths
 
     def plan_teams(self, problems: Problem, teams: int) -> Trajectory:
-        """Several answers to each problem, to be judged by who can fly them.
+        """Return several answers to each problem, for a choice by simulation.
 
         Args:
-            problems: [world] leading.
-            teams: how many; the first is that of `plan_batch`, the others are chosen from the same
-                candidates with arrivals made worse at random. Without repair all are one.
+            problems: problems, [world] leading.
+            teams: number of answers; the first is that of `plan_batch`, the others are chosen from
+                the same candidates with arrivals delayed at random. Without repair all are equal.
 
         Returns:
             Paths [world, team, robot].
@@ -171,7 +171,7 @@ class LearnedPlanner:
 
 
 def _smooth_noise(noise: jax.Array) -> jax.Array:
-    """Noise [..., inner, 4] as ways of two half waves across, with no delays."""
+    """Return noise [..., inner, 4] as paths of two half waves sideways, without delays."""
     fraction = jnp.arange(1, N_INNER_POINTS + 1) / (N_INNER_POINTS + 1)
     first = noise[..., :1, :] * jnp.sin(jnp.pi * fraction)[:, None]
     second = 0.5 * noise[..., 1:2, :] * jnp.sin(2.0 * jnp.pi * fraction)[:, None]

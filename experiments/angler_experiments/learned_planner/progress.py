@@ -4,15 +4,15 @@ import time
 
 
 class ProgressClock:
-    """Tells lines, with seconds since it was made."""
+    """Printer of lines with seconds since its creation."""
 
     def __init__(self) -> None:
-        """Begin to count."""
+        """Start the clock."""
         self._start_s = time.perf_counter()
 
     @property
     def seconds(self) -> float:
-        """Since the beginning."""
+        """Return the seconds since the beginning."""
         return time.perf_counter() - self._start_s
 
     def __call__(self, text: str) -> None:

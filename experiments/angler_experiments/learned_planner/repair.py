@@ -1,10 +1,10 @@
-"""What makes drawn ways fit to fly: pushed out of rock, and checked, one robot after the other.
+"""Repair of sampled paths: pushes out of rock, and a choice of collision-free ones, robot by robot.
 
-All in closed form. Way-points are moved up the slope of the distance to rock; then every leg is
-held against rock, faces and floor, and against what is known of obstacles over time. What is left
-of a team is chosen robot by robot, each the candidate that arrives first among those that meet
-none of the robots chosen before. Who finds none goes first in the next round, and if it finds none
-then, the others go around it.
+All in closed form. Way-points are moved up the gradient of the distance to rock; then every leg is
+checked against rock, faces and floor, and against the known motion of obstacles. From the remaining
+candidates of a team paths are chosen robot by robot, each the candidate that arrives first among
+those that meet none of the robots chosen before. A robot without a candidate is first in the next
+round, and if it finds none then, the others avoid it.
 """
 
 from dataclasses import dataclass, replace
@@ -25,56 +25,56 @@ from angler_mjx.planning.path_search.traffic import (
     meets_traffic,
 )
 from angler_mjx.planning.problem import Problem
-from angler_mjx.robot.control.trajectory import Trajectory, hold_position
+from angler_mjx.robot.control.commands.trajectory import Trajectory, hold_position
 from angler_mjx.sim.information import ObstacleInformation
 
 _ROUNDING_M = 1e-3
 _PUSH_FRACTION = 0.5
-"""Share of what is missing that a push gives."""
+"""Fraction of the missing distance that a push adds."""
 _SMOOTHING_FRACTION = 0.02
-"""Share by which a push draws a way-point to the middle of its neighbours."""
+"""Fraction by which a push moves a way-point to the middle of its neighbours."""
 _PUSH_MARGIN_M = 0.8
-"""Pushes aim at so much more than must be kept: distances are read between cells' centres, and the
-check asks for more at the edges of rock."""
+"""Margin of pushes beyond the required distance: distances are interpolated between cells' centres,
+and the check requires more at the edges of rock."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RepairConfig:
-    """How ways are repaired; static."""
+    """Settings of the repair; static."""
 
     margin_m: float
     pushes: int
     hold_s: tuple[float, ...]
-    """Times after which a robot may set off."""
+    """Start times of a robot."""
     rounds: int
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class Candidates:
-    """Paths that robots may take: [R, C] leads."""
+    """Possible paths of robots: [R, C] leads."""
 
     paths: Trajectory
-    """``found`` is whether it is clear of all but the other robots."""
+    """Paths; ``found`` is whether the path is clear of all but the other robots."""
 
 
 def push_out_of_rock(
     problem: Problem, field: jax.Array, position_m: jax.Array, need_m: jax.Array, pushes: int
 ) -> jax.Array:
-    """Points [n, 3] of one way with those between its ends moved out of rock.
+    """Push points [n, 3] of one path between its ends out of rock.
 
     Args:
-        problem: of the world.
-        field: of `rock_distance.compute_depth_field`.
-        position_m: the way.
+        problem: problem of the world.
+        field: distances of `rock_distance.compute_depth_field`.
+        position_m: points of the path.
         need_m: [] distance to keep.
-        pushes: how often each is moved.
+        pushes: number of moves of each point.
     """
     depth = partial(rock_distance.interpolate_field, problem.grid, field)
     slope = jax.vmap(jax.value_and_grad(depth))
 
     def push_once(_: int, position_m: jax.Array) -> jax.Array:
-        # Middles of legs are pushed too, and take both their ends along.
+        # Middles of legs are pushed too, and move both their ends.
         middle = 0.5 * (position_m[1:] + position_m[:-1])
         gap, gradient = slope(jnp.concatenate([position_m[1:-1], middle]))
         gradient_norm = jnp.sqrt(jnp.sum(gradient**2, axis=-1, keepdims=True))
@@ -93,12 +93,12 @@ def push_out_of_rock(
 def build_candidates(
     problem: Problem, frames: StraightFrame, samples: jax.Array, config: RepairConfig
 ) -> Candidates:
-    """All paths that the robots of one world may take.
+    """Build all candidate paths of the robots of one world.
 
     Args:
-        problem: of the world.
-        frames: [R].
-        samples: [samples, R, inner, 4] ways.
+        problem: problem of the world.
+        frames: straight frames [R].
+        samples: [samples, R, inner, 4] encoded paths.
         config: static.
     """
     team = problem.team
@@ -162,7 +162,7 @@ def _is_path_clear(
 
 
 def _obstacle_traffic(obstacles: ObstacleInformation, horizon_s: float) -> GridTraffic | None:
-    """All obstacles that are known, those that stand among them, as spheres along timed ways."""
+    """Return all known obstacles, fixed ones included, as spheres along timed paths."""
     if obstacles.radius_m.shape[-1] == 0:
         return None
     moving = bodies_traffic(obstacles, horizon_s)
@@ -180,7 +180,7 @@ def _obstacle_traffic(obstacles: ObstacleInformation, horizon_s: float) -> GridT
 
 
 def _avoids_bodies(bodies: GridTraffic, path: Trajectory) -> jax.Array:
-    """Whether a path meets no body until it is over and a little after; bool []."""
+    """Return whether a path meets no body until shortly after its end; bool []."""
     position_m = jnp.concatenate([path.position_m, path.position_m[-1:]])
     time = jnp.append(path.time_s, path.time_s[-1] + GOAL_CLEAR_S)
     legs = jax.vmap(is_motion_clear, in_axes=(None, 0, 0, 0, 0))(
@@ -195,14 +195,14 @@ def choose_team_paths(
     config: RepairConfig,
     cost_factors: jax.Array | None = None,
 ) -> Trajectory:
-    """Paths [R] of one team, no two of which meet; ``found`` is who has one.
+    """Choose paths [R] of one team, no two of which meet; ``found`` is False without one.
 
     Args:
-        problem: of the world.
-        candidates: what its robots may take.
+        problem: problem of the world.
+        candidates: candidate paths of its robots.
         config: static.
-        cost_factors: [R, C] by which arrivals are multiplied before the first of them is taken;
-            nothing if left out.
+        cost_factors: [R, C] factors on arrival times in the choice of the first arrival; 1 if left
+            out.
     """
     team = problem.team
     robots, _, count = candidates.paths.time_s.shape

@@ -1,21 +1,23 @@
-"""Distances to what stands for certain: rock, the faces of the cube, the sea floor."""
+"""Distances to fixed boundaries: rock, the faces of the cube, the sea floor."""
 
 import jax
 import jax.numpy as jnp
 
 from angler_mjx.planning.path_search.lattice import span_bits
-from angler_mjx.world.grid import Grid
+from angler_mjx.world.rock.grid import Grid
 
 _REACH_CELLS = 4
-"""Cells that distances look away."""
+"""Range of distances in cells."""
 _ROUNDING_M = 1e-3
 
 
 def compute_depth_field(grid: Grid, floor_z_m: jax.Array) -> jax.Array:
-    """Signed distance [nx, ny, nz] of cells' centres to what stands, m; negative within it.
+    """Return signed distance [nx, ny, nz] of cells' centres to fixed boundaries, m.
+
+    Negative inside.
 
     Exact outside to cells, up to `_REACH_CELLS` of them; inside rock it is that to the nearest free
-    cell. It leads ways out of rock; whether one is clear is asked of `is_segment_clear`.
+    cell. It guides paths out of rock; `is_segment_clear` checks whether a path is clear.
     """
     solid = jnp.pad(grid.occupied, _REACH_CELLS, constant_values=True)
     outside = _distance_to(solid, grid.cell_m)
@@ -39,9 +41,9 @@ def _distance_to(is_target: jax.Array, cell_m: jax.Array) -> jax.Array:
 
 
 def interpolate_field(grid: Grid, field: jax.Array, position_m: jax.Array) -> jax.Array:
-    """A field [nx, ny, nz] of cells' centres between them, at places [..., 3]: values [...].
+    """Interpolate a field [nx, ny, nz] of cells' centres at positions [..., 3]: values [...].
 
-    Beside the grid it falls by a metre a metre, so that its slope leads back.
+    Outside the grid it falls by a metre per metre, so that its gradient leads back.
     """
     top = jnp.array(field.shape) - 1
     at = (position_m - grid.origin_m) / grid.cell_m - 0.5
@@ -61,18 +63,18 @@ def interpolate_field(grid: Grid, field: jax.Array, position_m: jax.Array) -> ja
 def is_segment_clear(
     grid: Grid, columns: jax.Array, a: jax.Array, b: jax.Array, clearance_m: jax.Array
 ) -> jax.Array:
-    """Whether the segment from a [3] to b [3] keeps ``clearance_m`` [] from every rock; bool [].
+    """Return whether the segment a [3], b [3] keeps ``clearance_m`` [] from every rock; bool [].
 
-    Rock is grown by the clearance along each axis, which asks for up to sqrt(3) times more at its
+    Rock is grown by the clearance along each axis, which requires up to sqrt(3) times more at its
     edges and corners. The segment is clipped to each grown column, and the bits of the column that
     its heights there cover must be free.
 
     Args:
-        grid: the cells.
-        columns: uint32 [nx, ny] of them (`lattice.column_words`).
-        a: begin.
+        grid: cells.
+        columns: uint32 [nx, ny] columns of the cells (`lattice.column_bits`).
+        a: start.
         b: end.
-        clearance_m: to keep.
+        clearance_m: required clearance.
     """
     cell, origin = grid.cell_m, grid.origin_m
     d = jnp.where(jnp.abs(b - a) < 1e-6, 1e-6, b - a)
@@ -97,7 +99,7 @@ def is_segment_clear(
 def is_within_bounds(
     grid: Grid, floor_z_m: jax.Array, position_m: jax.Array, clearance_m: jax.Array
 ) -> jax.Array:
-    """Whether places [n, 3] all keep ``clearance_m`` from faces and floor; bool []."""
+    """Return whether positions [n, 3] all keep ``clearance_m`` from faces and floor; bool []."""
     top = grid.origin_m + grid.cell_m * jnp.array(grid.occupied.shape)
     keep = clearance_m - _ROUNDING_M
     low = grid.origin_m.at[2].max(floor_z_m) + keep

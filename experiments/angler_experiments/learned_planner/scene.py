@@ -1,7 +1,7 @@
-"""What the network is told of one world: all of it seen from the straight lines of its robots.
+"""Input of the network for one world, relative to the straight lines of its robots.
 
-Nothing here depends on where W begins, nor on the number of a robot. Rock, faces of the cube, sea
-floor are one field of distances; obstacles that stand or move are rows of their own.
+The input depends neither on the origin of W nor on the number of a robot. Rock, faces of the cube,
+sea floor are one field of distances; obstacles that stand or move are rows of their own.
 """
 
 from dataclasses import dataclass
@@ -16,38 +16,39 @@ from angler_mjx.planning.problem import Problem
 from angler_mjx.sim.information import ObstacleInformation
 
 _MAX_GAP_M = 3.0
-"""Gaps count up to this."""
+"""Maximum of gaps; greater ones are clipped."""
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """One world as the network sees it."""
+    """Input of the network for one world."""
 
     gap: jax.Array
     """[R, slices, aside, above] distance to rock, less the radius, over `_MAX_GAP_M`."""
     own: jax.Array
-    """[R, 4] length, slope, radius, cruise speed."""
+    """[R, 4] length, slope, radius, cruise speed of the robot."""
     others: jax.Array
-    """[R, R, 14] of robot i: start, goal, place when they are nearest on straight lines, of robot
-    j in i's frame; that distance, when, its radius and speed, and the length of its line."""
+    """[R, R, 14] of robot i: start, goal, position at the closest approach of straight lines, of
+    robot j in i's frame; distance and time of that approach, its radius and speed, and the length
+    of its line."""
     bodies: jax.Array
-    """[R, n, 7] place at the start, velocity, radius."""
+    """[R, n, 7] position at the start, velocity, radius."""
     water: jax.Array
-    """[R, slices, 3] the current as it is told, at t = 0, in the frame of each robot."""
+    """[R, slices, 3] known current at t = 0, in the frame of each robot."""
     exists: jax.Array
-    """bool [R]."""
+    """bool [R] whether the robot exists."""
     body_exists: jax.Array
-    """bool [n]."""
+    """bool [n] whether the body exists."""
 
 
 def build_frames(problem: Problem) -> StraightFrame:
-    """The frames [R] of a team."""
+    """Build the frames [R] of a team."""
     return jax.vmap(build_straight_frame)(problem.team.start_m, problem.team.goal_m)
 
 
 def build_scene(problem: Problem) -> Scene:
-    """One world; ``vmap`` it for a batch.
+    """Build the input of one world; ``vmap`` it for a batch.
 
     Args:
         problem: arrays of JAX, without [world].

@@ -1,6 +1,6 @@
-"""A fleet environment as Brax's trainers want one: all worlds in one state.
+"""Fleet environment for Brax's trainers: all worlds in one state.
 
-Brax is asked not to wrap it: worlds begin anew by themselves, and episodes have their own length.
+Brax must not wrap it: the environment replaces ended worlds, and episodes have their own length.
 """
 
 from collections.abc import Iterator, Sequence
@@ -16,7 +16,7 @@ from angler_mjx.learning.environment import FleetEnv
 
 @contextmanager
 def patch_device_put() -> Iterator[None]:
-    """While Brax 0.14 trains: the one function that it calls and JAX 0.11 no longer has."""
+    """Restore, while Brax 0.14 trains, the one function that it calls and JAX 0.11 lacks."""
 
     def device_put_replicated(tree: Any, devices: Sequence[jax.Device]) -> Any:
         def replicate(leaf: Any) -> jax.Array:
@@ -38,11 +38,11 @@ class BraxFleet(Env):  # type: ignore[misc]
     """Worlds of one robot each; observations [W, size], actions [W, size]."""
 
     def __init__(self, env: FleetEnv) -> None:
-        """Of an environment with one robot in a world."""
+        """Wrap an environment with one robot in a world."""
         self._env = env
 
     def reset(self, rng: jax.Array) -> State:
-        """All worlds; ``rng`` [W, 2] of which the first counts."""
+        """Reset all worlds; ``rng`` [W, 2], of which the first is used."""
         key = jax.random.wrap_key_data(rng.reshape(-1, rng.shape[-1])[0])
         state, observation = self._env.reset(key)
         zeros = jnp.zeros(self._env.worlds)
@@ -52,7 +52,7 @@ class BraxFleet(Env):  # type: ignore[misc]
         )
 
     def step(self, state: State, action: jax.Array) -> State:
-        """One control step of all worlds."""
+        """Advance all worlds by one control step."""
         next_state, observation, reward, terminated, truncated, _ = self._env.step(
             state.pipeline_state, action[:, None]
         )
@@ -72,19 +72,19 @@ class BraxFleet(Env):  # type: ignore[misc]
 
     @property
     def observation_size(self) -> int:
-        """Numbers of an observation."""
+        """Return the size of an observation."""
         return self._env.observation_shape[-1]
 
     @property
     def action_size(self) -> int:
-        """Numbers of an action."""
+        """Return the size of an action."""
         return self._env.action_shape[-1]
 
     @property
     def backend(self) -> str:
-        """Brax's engines have names; this is none of them."""
+        """Return a name that is none of Brax's engines."""
         return "angler_mjx"
 
     def unbatched(self, **_: Any) -> "BraxFleet":
-        """Itself, whatever wrapper is asked for."""
+        """Return the environment itself: wrappers are ignored."""
         return self

@@ -1,10 +1,10 @@
-"""How fast the environment of `angler_mjx.learning` is beside `Simulator.segment`.
+"""Speed of the environment of `angler_mjx.learning` relative to `Simulator.segment`.
 
     python -m angler_experiments.learning.speed --worlds 8192
 
-Both are told velocities of zero, or with ``--action plan`` fly their plans; the environment is
-scanned in one program, with observations, rewards and new worlds for ended ones. Prints
-robot steps a second of both, the best of ``--repeats``, and their ratio.
+Both are commanded velocities of zero, or with ``--action plan`` fly their plans; the environment is
+scanned in one program, with observations, rewards and new worlds for ended ones. Prints robot steps
+per second of both, the best of ``--repeats``, and their ratio.
 """
 
 import time
@@ -22,7 +22,7 @@ from angler_mjx.scenario.scenario import load_scenario
 
 
 def min_duration_s(run: Callable[[], Any], repeats: int) -> float:
-    """Least time that a call took, after one that is not counted."""
+    """Return the least time of a call, after an uncounted one."""
     jax.block_until_ready(run())
     durations = []
     for _ in range(repeats):
@@ -33,7 +33,7 @@ def min_duration_s(run: Callable[[], Any], repeats: int) -> float:
 
 
 def build_scan(steps: int) -> Any:
-    """A program of an environment and its state: so many steps with actions of zeros."""
+    """Build a program of an environment and its state: a number of steps with actions of zeros."""
 
     def fly(env: FleetEnv, state: EnvState) -> tuple[EnvState, jax.Array]:
         action = jnp.zeros(env.action_shape)
@@ -58,14 +58,14 @@ def main(
     """Measure both.
 
     Args:
-        worlds: side by side.
-        repeats: of which the best counts.
-        action: of the environment: plan, or twist with zeros.
+        worlds: number of worlds in the batch.
+        repeats: number of measurements, of which the best counts.
+        action: action of the environment: plan, or twist with zeros.
         scenario: Name of a shipped scenario, or path of a scenario file (.toml).
-        kernels: of the fused engine in `Simulator.segment`; its default if left out.
+        kernels: kernels of the fused engine in `Simulator.segment`; its default if left out.
         action_repeat: control steps that the environment holds an action for.
     """
-    # No record: `segment` then keeps one sample of its steps.
+    # Without a record `segment` keeps one sample of its steps.
     changes: dict[str, Any] = {"engine": "fused", "time": {"record_hz": 0.0}}
     if kernels:
         changes["kernels"] = kernels

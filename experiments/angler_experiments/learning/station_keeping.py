@@ -1,10 +1,10 @@
-"""PPO against the cascade: holding a place among vortices, with one BlueROV2 Heavy.
+"""PPO against the cascade: station keeping among vortices, with one BlueROV2 Heavy.
 
     python -m angler_experiments.learning.station_keeping --minutes 10
     python -m angler_experiments.learning.station_keeping --smoke
 
-The agent gives velocities to the velocity controller; the cascade is told to hold the pose. Both
-fly the same worlds, which were not trained on. Needs the extra ``learn`` (Brax's PPO).
+The agent gives velocities to the velocity controller; the cascade is commanded to hold the pose.
+Both fly the same worlds, which are not in the training set. Needs the extra ``learn`` (Brax's PPO).
 """
 
 import time
@@ -32,14 +32,14 @@ REWARD = {
     "collision": -1.0,
 }
 SPEED_SCALE = (0.8, 0.8, 0.5, 0.3, 0.3, 0.6)
-"""That an action of 1 asks for, m/s and rad/s."""
+"""Velocity of an action of 1, m/s and rad/s."""
 EVALUATION_SEED = 1_000_003
-"""Seed of the worlds that are judged by."""
+"""Seed of the evaluated worlds."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrainingSize:
-    """Of a training."""
+    """Size of a training."""
 
     worlds: int
     bank: int
@@ -52,18 +52,18 @@ class TrainingSize:
 
 @dataclass(frozen=True, kw_only=True)
 class StationFlight:
-    """How worlds were flown."""
+    """Result of flights."""
 
     rms_m: float
     late_rms_m: float
-    """Of the second half of the episodes."""
+    """Root mean square error of the second half of the episodes."""
     energy_j: float
-    """Mean of an episode."""
+    """Mean energy of an episode."""
     failed: int
-    """Episodes that ended early."""
+    """Number of episodes that ended early."""
 
     def format_line(self, name: str) -> str:
-        """For people."""
+        """Format a line for people."""
         return (
             f"{name:8} RMS error {self.rms_m:.3f} m (second half {self.late_rms_m:.3f} m), "
             f"energy {self.energy_j:,.0f} J, {self.failed} failed"
@@ -71,13 +71,13 @@ class StationFlight:
 
 
 class OutOfTimeError(Exception):
-    """Training has had its time."""
+    """Expired time of a training."""
 
 
 def train(
     env: FleetEnv, size: TrainingSize, seed: int = 0
 ) -> tuple[Callable[..., Any], int, float]:
-    """A policy (observation, key) -> action; and the steps and seconds of its training."""
+    """Return a policy (observation, key) -> action; and the steps and seconds of its training."""
     from brax.training.agents.ppo import networks as ppo_networks
     from brax.training.agents.ppo import train as ppo
 
@@ -143,7 +143,7 @@ def evaluate_policy(env: FleetEnv, act: Callable[[jax.Array], jax.Array]) -> Sta
         return jax.lax.scan(step_env, env.reset(), length=env.rules.horizon)[1]
 
     distance_m, energy, terminated = map(np.asarray, jax.jit(fly)(env))
-    is_ended = np.cumsum(terminated, axis=0) - terminated > 0  # of the world that came in its place
+    is_ended = np.cumsum(terminated, axis=0) - terminated > 0  # of the world that replaced it
     first_episode = np.ma.masked_array(distance_m, is_ended)
     half = len(distance_m) // 2
     return StationFlight(
@@ -158,9 +158,9 @@ def main(minutes: float = 10.0, worlds: int = 256, seed: int = 0, smoke: bool = 
     """Train, fly and compare.
 
     Args:
-        minutes: of training, compiling included.
-        worlds: side by side.
-        seed: of the training.
+        minutes: minutes of training, compiling included.
+        worlds: number of worlds in the batch.
+        seed: seed of the training.
         smoke: a few updates on a few worlds, to see that it runs.
     """
     size = TrainingSize(worlds=worlds, bank=2 * worlds, evaluation_worlds=128, minutes=minutes)

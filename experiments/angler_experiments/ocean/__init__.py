@@ -1,1 +1,1 @@
-"""Fields of ocean models: a file to fly in, and what drifts in it."""
+"""Fields of ocean models: a file for flights, and drift of particles in it."""

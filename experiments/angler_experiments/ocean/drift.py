@@ -4,12 +4,12 @@
     python parcels_drift.py runs/drift        # in an environment of its own, with parcels
     python -m angler_experiments.ocean.drift --out runs/drift
 
-A thousand particles begin at drawn places and depths of the tidal stream around a headland
-(`angler_experiments.ocean.headland`) and go where the water goes. Ours are advected in JAX by the
+A thousand particles begin at sampled positions and depths of the tidal stream around a headland
+(`angler_experiments.ocean.headland`) and drift with the water. Ours are advected in JAX by the
 current that a scenario with ``type = "grid"`` flies in, in float32, by Runge-Kutta steps of fourth
 order. They are compared with SciPy (``RegularGridInterpolator`` and ``solve_ivp``) and, once
 ``parcels_drift.py`` has written its tracks, with Parcels. ``--smoke`` takes few particles, asserts
-what is expected and needs neither Parcels nor a figure.
+expected values and needs neither Parcels nor a figure.
 """
 
 import argparse
@@ -21,6 +21,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import xarray
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from scipy.integrate import solve_ivp
 from scipy.interpolate import RegularGridInterpolator
 
@@ -29,20 +31,22 @@ from angler_mjx.world import currents
 from angler_mjx.world.currents import Current, GridConfig
 
 DAY_S, STEP_S, STEPS_PER_SAMPLE = 86_400.0, 300.0, 12
-"""A track is kept every ``STEPS_PER_SAMPLE`` steps: every hour."""
+"""Duration [s], step [s], and steps per sample of a track: one sample per hour."""
 MARGIN_M = 700.0
-"""How near to the file's edge a particle may come by which they are compared."""
+"""Distance to the file's edge below which particles are left out of the comparison."""
 N_SCIPY_PARTICLES = 100
-"""How many of the particles SciPy follows: a second each."""
+"""Number of particles that SciPy follows: a second each."""
 MAX_DISTANCE_M = 1.0
-"""Greatest distance after a day; see docs/ocean.md for what was found."""
+"""Greatest distance after a day; see docs/how_to/ocean.md for the measured ones."""
 MIDDLE = (headland.LATITUDE + 0.035, headland.LONGITUDE)
+HOUR = 4
+"""Hour of the plotted speeds: the tide runs."""
 
 type Array = np.ndarray
 
 
 def build_current(path: Path) -> Current:
-    """The current of a world whose origin lies in the middle of the file, at its first time."""
+    """Build the current of a world with its origin in the middle of the file, at its first time."""
     config = GridConfig(
         file=str(path),
         latitude=(MIDDLE[0], MIDDLE[0]),
@@ -54,7 +58,7 @@ def build_current(path: Path) -> Current:
 
 
 def axes_m(current: Any) -> tuple[Array, Array]:
-    """Metres north and east of the origin at the knots of the field, in float64."""
+    """Return metres north and east of the origin at the knots of the field, in float64."""
     field = current.field
     at = [
         (knots - knots[int(current.knot[i])] - float(current.rest[i])) / float(current.rate[i])
@@ -64,7 +68,7 @@ def axes_m(current: Any) -> tuple[Array, Array]:
 
 
 def sample_starts(current: Any, count: int) -> Array:
-    """Places [count, 3] m in water, drawn over the whole file, 1 to 15 m below the surface."""
+    """Sample positions [count, 3] m in water over the whole file, 1 to 15 m below the surface."""
     y, x = axes_m(current)
     rng, positions = np.random.default_rng(0), np.zeros((0, 3))
     while len(positions) < count:
@@ -76,7 +80,7 @@ def sample_starts(current: Any, count: int) -> Array:
 
 
 def is_in_water(current: Any, p: Array) -> Array:
-    """Whether all eight knots around places [n, 3] are water."""
+    """Return whether all eight knots around positions [n, 3] are water."""
     field = current.field
     y, x = axes_m(current)
     lower = [
@@ -90,7 +94,7 @@ def is_in_water(current: Any, p: Array) -> Array:
 
 
 def integrate_tracks(current: Current, begin: Array) -> Array:
-    """Tracks [hour, n, 3] of particles by Runge-Kutta steps of fourth order, in JAX."""
+    """Return tracks [hour, n, 3] of particles by Runge-Kutta steps of fourth order, in JAX."""
 
     def velocity(p: jax.Array, t: jax.Array) -> jax.Array:
         return jax.vmap(currents.velocity, (None, 0, None))(current, p, t)
@@ -117,7 +121,7 @@ def integrate_tracks(current: Current, begin: Array) -> Array:
 
 
 def integrate_with_scipy(current: Any, begin: Array) -> Array:
-    """As `integrate_tracks`, by SciPy in float64 with an error of a millimetre at most."""
+    """Return tracks as `integrate_tracks`, by SciPy in float64 with a maximum error of 1 mm."""
     field = current.field
     y, x = axes_m(current)
     axes = (y, x, field.knots[2], field.knots[3])
@@ -132,7 +136,7 @@ def integrate_with_scipy(current: Any, begin: Array) -> Array:
             return velocity_mps
 
         times = np.arange(len(out)) * STEPS_PER_SAMPLE * STEP_S
-        # No step jumps over a whole cell or an hour's knot.
+        # No step skips a whole cell or an hour's knot.
         solution = solve_ivp(
             velocity, (0.0, DAY_S), [px, py], t_eval=times, rtol=1e-8, atol=1e-3, max_step=600.0
         )
@@ -141,7 +145,7 @@ def integrate_with_scipy(current: Any, begin: Array) -> Array:
 
 
 def write_flat_field(current: Any, path: Path) -> None:
-    """The field on the plane in which ours drift, land carried on, for those who know no land."""
+    """Write the field on the plane of our drift, extended into land, for programs without land."""
     field = current.field
     y, x = axes_m(current)
     begin = np.datetime64(field.begin)
@@ -155,7 +159,7 @@ def write_flat_field(current: Any, path: Path) -> None:
 
 
 def compare_tracks(ours: Array, theirs: Array, clear: Array) -> dict[str, Any]:
-    """Distances between two sets of tracks, of particles that stayed clear of land."""
+    """Return distances between two sets of tracks, of particles that stayed clear of land."""
     distance_m = np.linalg.norm((ours - theirs)[:, clear, :2], axis=-1)
     return {
         "particles": int(clear.sum()),
@@ -168,13 +172,13 @@ def compare_tracks(ours: Array, theirs: Array, clear: Array) -> dict[str, Any]:
 
 
 def run_study(out: Path, particles: int) -> dict[str, Any]:
-    """Make, compare and keep the tracks; returns what was found."""
+    """Make, compare and store the tracks; return the results."""
     out.mkdir(parents=True, exist_ok=True)
     current = build_current(headland.write_dataset(out / "headland.nc"))
     begin = sample_starts(current[0], particles)
     ours = integrate_tracks(current, begin)
     y, x = axes_m(current[0])
-    # Parcels knows nothing beyond its knots, and between two hours a particle moves on.
+    # Parcels has no values beyond its knots, and between two hours a particle moves on.
     low, high = np.array([x[0], y[0]]) + MARGIN_M, np.array([x[-1], y[-1]]) - MARGIN_M
     is_inside = np.all((ours[..., :2] > low) & (ours[..., :2] < high), axis=(0, 2))
     clear = is_inside & np.all([is_in_water(current[0], p) for p in ours], axis=0)
@@ -192,7 +196,7 @@ def run_study(out: Path, particles: int) -> dict[str, Any]:
     }
     if (out / "parcels.npz").exists():
         with np.load(out / "parcels.npz") as stored:
-            # Those that stayed clear of land.
+            # Particles that stayed clear of land.
             is_all = np.ones(int(clear.sum()), bool)
             compared = compare_tracks(ours[:, clear], stored["tracks"], is_all)
             results["parcels"] = {"version": str(stored["version"]), **compared}
@@ -213,9 +217,56 @@ def main() -> None:
         assert results["scipy"]["greatest_m"] < MAX_DISTANCE_M, results
         assert results["mean_speed_mps"] > 0.05, results
         return
-    from angler_experiments.ocean import drift_figure
 
-    print(drift_figure.plot_drift(arguments.out))
+    print(plot_drift(arguments.out))
+
+
+def plot_drift(folder: Path) -> Path:
+    """Plot the tracks over the stream, and the distances of their ends; return the file."""
+    with np.load(folder / "tracks.npz") as stored:
+        ours, clear, scipy = stored["ours"], stored["clear"], stored["scipy"]
+    with xarray.open_dataset(folder / "flat.nc", engine="h5netcdf") as flat:
+        part = flat.isel(time=HOUR, depth=1).load()
+    with xarray.open_dataset(folder / "headland.nc", engine="h5netcdf") as file:
+        wet = np.isfinite(file["uo"].isel(time=HOUR, depth=1).values)
+    results = json.loads((folder / "drift.json").read_text())
+    figure = Figure(figsize=(10, 4.2), layout="tight")
+    left, right = figure.subplots(1, 2, width_ratios=(1.5, 1))
+    x, y = part["lon"].values / 1e3, part["lat"].values / 1e3
+    speed = np.where(wet, np.hypot(part["U"], part["V"]), np.nan)
+    left.set_facecolor("0.75")
+    speed_mesh = left.pcolormesh(x, y, speed, cmap="Blues", vmin=0, shading="nearest")
+    figure.colorbar(speed_mesh, ax=left, label=f"speed at hour {HOUR}, m/s")
+    plotted = np.flatnonzero(clear)[:: max(1, int(clear.sum()) // 60)]
+    left.plot(ours[:, plotted, 0] / 1e3, ours[:, plotted, 1] / 1e3, color="tab:red", lw=0.6)
+    left.plot(*(ours[0, plotted, k] / 1e3 for k in (0, 1)), "k.", ms=2)
+    left.set(xlabel="east, km", ylabel="north, km", aspect="equal")
+    left.set_title(f"{len(plotted)} of {int(clear.sum())} particles, 24 h; land grey", fontsize=10)
+    _plot_distances(right, "SciPy", ours[:, : scipy.shape[1]], scipy, clear[: scipy.shape[1]])
+    if "parcels" in results:
+        with np.load(folder / "parcels.npz") as stored:
+            tracks = stored["tracks"]
+        is_all = np.ones(tracks.shape[1], bool)
+        _plot_distances(
+            right, f"Parcels {results['parcels']['version']}", ours[:, clear], tracks, is_all
+        )
+    right.set(xlabel="hours", ylabel="distance from ours, m", yscale="log", xlim=(0, 24))
+    right.axhline(1.0, color="0.5", ls=":", lw=1)
+    right.legend(fontsize=8)
+    right.set_title("median, and the farthest of all (dashed)", fontsize=10)
+    path = folder / "drift.png"
+    figure.savefig(path, dpi=110)
+    return path
+
+
+def _plot_distances(
+    axes: Axes, name: str, ours: np.ndarray, theirs: np.ndarray, clear: np.ndarray
+) -> None:
+    """Plot distances between two sets of tracks, hour by hour."""
+    distance_m = np.linalg.norm((ours - theirs)[1:, clear, :2], axis=-1)
+    hours = np.arange(1, len(distance_m) + 1)
+    (line,) = axes.plot(hours, np.median(distance_m, axis=1), label=name)
+    axes.plot(hours, distance_m.max(axis=1), color=line.get_color(), ls="--", lw=1)
 
 
 if __name__ == "__main__":

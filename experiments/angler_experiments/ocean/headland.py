@@ -1,12 +1,12 @@
-"""A tidal stream around a headland, as a file of an ocean model would hold it.
+"""Tidal stream around a headland, in the format of an ocean model's file.
 
     python -m angler_experiments.ocean.headland headland.nc
 
 A coast runs from west to east, and a round headland of 2 km stands out from it. The stream is that
 of a potential flow past a cylinder, turned by the tidal constituents M2 and S2; in its lee, on
 either side by turns, an eddy. Both come from stream functions that are constant along the coast, so
-no water crosses it; deeper water is slower and turns later. Nothing is drawn: the same numbers
-every time.
+no water crosses it; deeper water is slower and turns later. Nothing is sampled: the numbers are
+always the same.
 """
 
 import argparse
@@ -17,10 +17,10 @@ import numpy as np
 import xarray
 
 LATITUDE, LONGITUDE = 50.50, -2.45
-"""Of the middle of the coast."""
+"""Position of the middle of the coast."""
 SPACING_M = 500.0
 RADIUS_M = 2000.0
-"""Of the headland."""
+"""Radius of the headland."""
 STREAM_MPS = 0.25
 """Greatest speed of the tide, far from the headland."""
 DEPTHS_M = (0.5, 2.0, 5.0, 10.0, 15.0, 22.0, 30.0, 40.0)
@@ -30,7 +30,7 @@ _M2, _S2 = 2 * np.pi / (12.4206012 * 3600), 2 * np.pi / (12.0 * 3600)
 
 
 def sea_floor_m(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Depth of the sea floor, m, by metres east and north; negative on land."""
+    """Return the depth of the sea floor, m, by metres east and north; negative on land."""
     distance_m = np.minimum(y, np.hypot(x, y) - RADIUS_M)
     depth: np.ndarray = np.where(
         distance_m > 0, 4.0 + 44.0 * np.tanh(np.maximum(distance_m, 0.0) / 5000.0), -5.0
@@ -39,14 +39,14 @@ def sea_floor_m(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def stream_m2ps(x: np.ndarray, y: np.ndarray, depth_m: float, time_s: np.ndarray) -> np.ndarray:
-    """Stream function, m^2/s; the velocity is its derivative by y, and minus that by x."""
+    """Return stream function, m^2/s; the velocity is its derivative by y, and minus that by x."""
     delayed_s = time_s - 40.0 * depth_m
     tide = 0.8 * np.cos(_M2 * delayed_s) + 0.2 * np.cos(_S2 * delayed_s - 0.6)
     square = np.maximum(x * x + y * y, 0.25 * RADIUS_M**2)
     potential = y * (1.0 - RADIUS_M**2 / square)
     total = STREAM_MPS * tide * potential
     for side in (-1.0, 1.0):
-        # In the lee of the stream that ran an hour and a half before.
+        # In the lee of the stream one and a half hours earlier.
         strength = np.maximum(side * np.cos(_M2 * (delayed_s - 5400.0)), 0.0)
         eddy_distance = np.hypot(x - side * 2.1 * RADIUS_M, y - 0.7 * RADIUS_M) / 1300.0
         wall = np.tanh(np.maximum(potential, 0.0) / 1500.0)
@@ -57,7 +57,7 @@ def stream_m2ps(x: np.ndarray, y: np.ndarray, depth_m: float, time_s: np.ndarray
 
 
 def build_dataset(n: int = 24) -> Any:
-    """The field on ``n`` x ``n`` knots, in the packed form in which such files are published."""
+    """Build the field on ``n`` x ``n`` knots, in the packed form of published files."""
     x = SPACING_M * (np.arange(n) - 0.5 * (n - 1))
     y = SPACING_M * (np.arange(n) - 3.0)
     time_s = 3600.0 * np.arange(HOURS + 1)
@@ -117,11 +117,11 @@ def build_dataset(n: int = 24) -> Any:
 
 
 def write_dataset(path: Path, n: int = 24) -> Path:
-    """Write the file, velocities as whole tenths of a millimetre a second.
+    """Write the file, velocities as whole tenths of a millimetre per second.
 
     Args:
-        path: of the NetCDF file.
-        n: knots along latitude and longitude.
+        path: path of the NetCDF file.
+        n: number of knots along latitude and longitude.
     """
     packed = {
         "dtype": "int16",
@@ -145,7 +145,7 @@ def write_dataset(path: Path, n: int = 24) -> Path:
 
 
 def main() -> None:
-    """Write the file that the command line names."""
+    """Write the file of the command line."""
     parser = argparse.ArgumentParser(description="Write the file of a tidal stream.")
     parser.add_argument("path", type=Path)
     parser.add_argument("--knots", type=int, default=24, help="along latitude and longitude")

@@ -1,11 +1,11 @@
-"""The particles of `drift` by OceanParcels, in an environment of its own.
+"""Particles of `drift` by OceanParcels, in an environment of its own.
 
     python -m venv parcels && parcels/bin/pip install "parcels>=4" netCDF4
     parcels/bin/python experiments/angler_experiments/ocean/parcels_drift.py runs/drift
 
-Reads the places and the field that ``drift`` left in the folder and writes ``parcels.npz``: tracks
-of the particles that stayed clear of land. The field is on a plane (``mesh="flat"``) with the water
-carried on into land, as ours is: what is compared is interpolation and integration.
+Reads the positions and the field of ``drift`` from the folder and writes ``parcels.npz``: tracks of
+the particles that stayed clear of land. The field is on a plane (``mesh="flat"``) with the water
+extended into land, as ours is: the comparison is of interpolation and integration.
 """
 
 import argparse
@@ -19,11 +19,11 @@ import xarray
 STEP_S, STEPS_PER_SAMPLE, HOURS = 300.0, 12, 24
 
 parcels: Any = importlib.import_module("parcels")
-"""No dependency of this package."""
+"""Module of Parcels, not a dependency of this package."""
 
 
 def build_fieldset(path: Path) -> Any:
-    """The field of the folder as Parcels has it."""
+    """Build the field of the folder for Parcels."""
     data = xarray.open_dataset(path).load()
     about = {
         "time": {"axis": "T", "standard_name": "time"},
@@ -38,7 +38,7 @@ def build_fieldset(path: Path) -> Any:
 
 
 def main() -> None:
-    """Advect and write."""
+    """Advect and write the tracks."""
     parser = argparse.ArgumentParser(description="The particles of drift, by OceanParcels.")
     parser.add_argument("folder", type=Path)
     folder = parser.parse_args().folder

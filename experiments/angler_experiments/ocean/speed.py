@@ -1,8 +1,8 @@
-"""What a current of a file costs: one scenario with it, and with three vortices instead.
+"""Cost of a current from a file: one scenario with it, and with three vortices instead.
 
     python -m angler_experiments.ocean.speed --worlds 65536
 
-Flies `reef_fleet` with both currents by turns and prints vehicle-steps a second and their ratio.
+Flies `reef_fleet` with both currents by turns and prints vehicle-steps per second and their ratio.
 """
 
 import argparse
@@ -23,7 +23,7 @@ VORTICES: dict[str, Any] = {"type": "vortices", "count": 3, "peak_speed_mps": [0
 
 
 def build_simulation(name: str, current: dict[str, Any], worlds: int) -> tuple[Simulator, Any, Any]:
-    """A compiled simulator of `reef_fleet` in a current, with its worlds and their state."""
+    """Build a compiled simulator of `reef_fleet` in a current, with its worlds and their state."""
     world_table = load_scenario(name).world.model_dump(mode="json", exclude_none=True)
     table = {**world_table, "currents": [current]}
     scenario = load_scenario(
@@ -36,7 +36,7 @@ def build_simulation(name: str, current: dict[str, Any], worlds: int) -> tuple[S
 
 
 def time_segment(simulator: Simulator, worlds: Any, state: Any) -> tuple[float, Any]:
-    """Wall time of a segment, and the state after it."""
+    """Return the wall time of a segment, and the state after it."""
     start_s = time.perf_counter()
     next_state, _, running = simulator.advance(worlds, state)
     jax.block_until_ready(running)
@@ -44,7 +44,7 @@ def time_segment(simulator: Simulator, worlds: Any, state: Any) -> tuple[float, 
 
 
 def compare_currents(name: str, worlds: int, repeats: int) -> dict[str, Any]:
-    """Medians of both, taken by turns."""
+    """Return medians of both, measured by turns."""
     with tempfile.TemporaryDirectory() as folder:
         path = headland.write_dataset(Path(folder) / "headland.nc")
         grid: dict[str, Any] = {"type": "grid", "file": str(path)}
@@ -74,7 +74,7 @@ def compare_currents(name: str, worlds: int, repeats: int) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Measure as the command line says."""
+    """Run the measurement of the command line."""
     parser = argparse.ArgumentParser(description="What a current of a file costs.")
     parser.add_argument("--scenario", default="reef_fleet")
     parser.add_argument("--worlds", type=int, default=65536)

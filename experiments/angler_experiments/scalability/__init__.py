@@ -1,1 +1,1 @@
-"""What more of everything costs, and what it does to arrivals: see docs/scalability.md."""
+"""Cost and arrivals over problem size: see docs/explanation/scalability.md."""

@@ -1,10 +1,10 @@
-"""What larger teams, denser rock and less certain vehicles do to arrivals: sweeps of shipped files.
+"""Effect of larger teams, denser rock and less certain vehicles on arrivals: sweeps.
 
     python -m angler_experiments.scalability.arrivals teams --out runs/teams
     python -m angler_experiments.scalability.arrivals uncertainty --out runs/uncertainty
 
-Each sweep is what `angler sweep` makes, and goes on where it was ended when the command is given
-anew. Figures, their data and tables for the page are made of the sweeps, whole or not.
+Each sweep of a shipped file is one of `angler sweep`, and resumes when the command is repeated.
+Figures, their data and tables for the page are made of the sweeps, complete or not.
 """
 
 import json
@@ -15,8 +15,9 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from angler_mjx.report.viewing import markdown_tables, style
-from angler_mjx.runs.progress import SilentProgress
+from angler_mjx.progress import Progress
+from angler_mjx.report.plotting import style
+from angler_mjx.report.viewing import markdown_tables
 from angler_mjx.runs.simulator import compile_cache
 from angler_mjx.runs.storage import folder, output_lock
 from angler_mjx.scenario.scenario import load_scenario
@@ -27,16 +28,16 @@ from angler_mjx.studies.sweep_axes import parse_axes
 
 @dataclass(frozen=True, kw_only=True)
 class ArrivalsStudy:
-    """One sweep."""
+    """Sweep of a study."""
 
     name: str
     scenario: str
-    """Shipped, or a file beside this one."""
+    """Shipped scenario, or a file beside this module."""
     set: tuple[str, ...]
-    """As for `angler sweep`."""
+    """Values as for `angler sweep`."""
 
     def build_request(self, **options: Any) -> sweep.SweepRequest:
-        """What is to be flown.
+        """Build the request of the sweep.
 
         Args:
             **options: keys of the scenario.
@@ -73,7 +74,7 @@ STUDIES: dict[str, tuple[ArrivalsStudy, ...]] = {
         ArrivalsStudy(
             name="faults",
             scenario="reef_fleet",
-            set=("randomise.fault_probability=0.0,0.05,0.1,0.2", "randomise.known=false,true"),
+            set=("randomise.fault_probability=0.0,0.05,0.1,0.2", "randomise.visible=false,true"),
         ),
         ArrivalsStudy(
             name="mix",
@@ -92,22 +93,22 @@ STUDIES: dict[str, tuple[ArrivalsStudy, ...]] = {
         ),
     ),
 }
-"""By the word of the command line; ``smoke`` is quick, and flown to see that all of it works."""
+"""Studies by the word of the command line; ``smoke`` is quick, for a test of all of it."""
 
 
-class ArrivalsProgress(SilentProgress):
-    """Says which run begins."""
+class ArrivalsProgress(Progress):
+    """Progress that prints its lines, such as the run that begins."""
 
-    def part(self, number: int, of: int, name: str) -> None:
-        """See `angler_mjx.runs.multi_run.ArrivalsProgress`."""
-        print(f"  run {number + 1} of {of}: {name}", flush=True)
+    def report(self, text: str) -> None:
+        """See `Progress`."""
+        print(f"  {text}", flush=True)
 
 
 def run_study(study: ArrivalsStudy, out: Path, **options: Any) -> dict[str, Any]:
-    """Fly what is left of a sweep; returns what it came to.
+    """Fly the remaining cells of a sweep; return its results.
 
     Args:
-        study: which.
+        study: study to run.
         out: folder of its sweep.
         **options: keys of the scenario.
     """
@@ -122,11 +123,11 @@ def run_study(study: ArrivalsStudy, out: Path, **options: Any) -> dict[str, Any]
 def store_results(
     results: dict[str, Any], name: str, data: Path, images: Path, page: Path | None
 ) -> None:
-    """Keep the numbers of a sweep beside its figure, and its tables in a page.
+    """Write the numbers of a sweep beside its figure, and its tables into a page.
 
     Args:
-        results: of the sweep.
-        name: of the study.
+        results: results of the sweep.
+        name: name of the study.
         data: folder of numbers.
         images: folder of figures.
         page: with marks ``<!-- NAME: begin -->`` and ``<!-- NAME: end -->``.
@@ -159,17 +160,17 @@ def main(
     page: Path | None = None,
     smoke: bool = False,
 ) -> None:
-    """Fly the sweeps of a study, and draw them.
+    """Fly the sweeps of a study, and plot them.
 
     Args:
-        study: Which.
-        out: Folder of the sweeps; what is there already is not flown again.
-        worlds: Of each cell; the scenario's if left out.
+        study: Name of the study.
+        out: Folder of the sweeps; finished cells are not flown again.
+        worlds: Worlds of each cell; the scenario's if left out.
         engine: Physics engine.
         data: Folder of the figures' numbers; OUT if left out.
         images: Folder of figures; OUT if left out.
         page: Document whose tables are replaced.
-        smoke: Instead of the study only what ``smoke`` flies, in seconds.
+        smoke: Fly only the study ``smoke``, in seconds.
     """
     compile_cache.enable_cache()
     options: dict[str, Any] = {"engine": engine}

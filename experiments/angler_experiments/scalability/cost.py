@@ -1,11 +1,11 @@
-"""What more worlds, robots, obstacles, vortices, cells and way-points cost, in time and memory.
+"""Cost of worlds, robots, obstacles, vortices, cells and way-points, in time and memory.
 
     python -m angler_experiments.scalability.cost --out docs/scalability/cost.jsonl
     python -m angler_experiments.scalability.plot docs/scalability/cost.jsonl
 
-Rows are written as they come, and those that the file holds already for this device are not
-measured again: a run that was ended, or that ran into --limit-s, goes on when it is started anew.
-They are rows of `angler bench` with ``extra.size``: how many there are of what is varied.
+Rows are written one by one, and rows of this device in the file are not measured again: a run that
+was ended, or that reached --limit-s, resumes when it is repeated. They are rows of `angler bench`
+with ``extra.size``: the number of varied things.
 """
 
 import gc
@@ -33,7 +33,7 @@ type Key = tuple[str, int, str, str]
 
 PREFIX = "scalability/"
 WORLDS = {"gpu": {"fused": 4096, "mjx": 256}, "cpu": {"fused": 16, "mjx": 4}}
-"""Of what is not measured over worlds."""
+"""Number of worlds where it is not varied."""
 SMOKE = (("dynamics", "fused"),)
 SMOKE_SIZES = (16, 64, 256)
 
@@ -41,15 +41,15 @@ SMOKE_SIZES = (16, 64, 256)
 def list_rungs(
     names: Sequence[str], engines: Sequence[Engine], backend: str
 ) -> list[tuple[Any, ...]]:
-    """Ladder, engine and size of every row, the quick ones first.
+    """Return ladder, engine and size of every row, the quick ones first.
 
     Args:
-        names: of ladders; all if empty.
-        engines: to be measured.
+        names: names of ladders; all if empty.
+        engines: engines to measure.
         backend: cpu or gpu.
 
     Raises:
-        ConfigError: there is no such ladder.
+        ConfigError: the ladder does not exist.
     """
     for name in names:
         if name not in BY_NAME:
@@ -64,13 +64,13 @@ def list_rungs(
 
 
 def row_key(row: dict[str, Any]) -> Key:
-    """What a row is of: ladder, number, engine, device."""
+    """Return the key of a row: ladder, number, engine, device."""
     name = row["workload"].removeprefix(PREFIX)
     return name, int(row["extra"]["size"]), row["engine"], row["device"]
 
 
 def measure_row(ladder: Ladder, engine: Engine, size: int, repeats: int, backend: str) -> SpeedRow:
-    """One row; without a number where it was refused."""
+    """Measure one row; it has no number where it was refused."""
     label = f"{PREFIX}{ladder.name}"
     worlds = size if ladder.key is None else WORLDS[backend][engine]
     try:
@@ -110,13 +110,13 @@ def measure_row(ladder: Ladder, engine: Engine, size: int, repeats: int, backend
 def measure_missing(
     requested: Sequence[tuple[Any, ...]], out: Path, repeats: int, limit_s: float
 ) -> Iterator[tuple[SpeedRow, float]]:
-    """Measure what a file lacks; gives each row with the seconds that it took in all.
+    """Measure the rows that a file lacks; yield each with its total seconds.
 
     Args:
-        requested: from `list_rungs`.
+        requested: rows of `list_rungs`.
         out: file of rows.
-        repeats: timed turns of each.
-        limit_s: no row is begun after so long.
+        repeats: timed turns of each row.
+        limit_s: time after which no row begins.
     """
     environment, backend = describe_environment(), jax.default_backend()
     measured = {row_key(row) for row in rows.read_rows(out)} if out.exists() else set()
@@ -143,15 +143,15 @@ def main(
     limit_s: float = 330.0,
     smoke: bool = False,
 ) -> None:
-    """Measure what a file of rows lacks.
+    """Measure the rows that a file lacks.
 
     Args:
         out: File of rows; they are appended.
-        ladders: What is varied: dynamics, worlds, robots, obstacles, vortices, cells, points; all
-            if left out.
-        engines: To be measured, one after another.
+        ladders: Varied sizes: dynamics, worlds, robots, obstacles, vortices, cells, points; all if
+            left out.
+        engines: Engines to measure, one after another.
         repeats: Timed turns of each row.
-        limit_s: No row is begun after so many seconds.
+        limit_s: Seconds after which no row begins.
         smoke: Only a few small rows of the equations of motion, in seconds.
     """
     compile_cache.enable_cache()

@@ -3,9 +3,9 @@
     python -m venv crazyflow-venv && crazyflow-venv/bin/pip install crazyflow
     crazyflow-venv/bin/python crazyflow_speed.py --out cost.jsonl
 
-One drone in each world with its default dynamics and control, told nothing to do: what the table
-in its README is of. This program knows nothing of the rest of the project, so that its
-environment needs nothing of it, and adds rows of the same form to a file.
+One drone in each world with its default dynamics and control, without commands, as in the table of
+its README. This program knows nothing of the rest of the project, so that its environment needs
+nothing of it, and adds rows of the same form to a file.
 """
 
 import argparse
@@ -23,12 +23,12 @@ SIZES = {"gpu": (1024, 16_384, 262_144, 1_048_576), "cpu": (64, 256, 1024)}
 
 
 def measure_rate(worlds: int, steps: int, repeats: int) -> dict[str, Any]:
-    """One row.
+    """Measure one row.
 
     Args:
-        worlds: with one drone each.
-        steps: of the physics in one call.
-        repeats: timed calls, after two that are not.
+        worlds: number of worlds with one drone each.
+        steps: physics steps in one call.
+        repeats: timed calls, after two untimed ones.
     """
     jax = importlib.import_module("jax")
     flow = importlib.import_module("crazyflow.sim")

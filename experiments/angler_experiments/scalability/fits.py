@@ -18,22 +18,22 @@ class PowerLawFit:
     factor: float
     exponent: float
     low: float
-    """End of the exponent's 95 % interval, Student's with points - 2; NaN of two points."""
+    """Lower end of the exponent's 95 % interval, Student's with points - 2; NaN of two points."""
     high: float
     last: float
-    """Exponent between the last two points: what more costs where there are many already."""
+    """Exponent between the last two points: the marginal cost at large sizes."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LinearFit:
-    """y = fixed + each x, neither below 0, by least squares of what is off in relation to y."""
+    """y = fixed + each x, neither below 0, by least squares of relative residuals."""
 
     fixed: float
     each: float
 
 
 def fit_linear(x: Sequence[float], y: Sequence[float]) -> LinearFit | None:
-    """Fit a fixed cost and one of each; None of fewer than two sizes.
+    """Fit a fixed cost and a cost per item; None of fewer than two sizes.
 
     Args:
         x: sizes, above 0.

@@ -1,4 +1,4 @@
-"""What is varied to see what it costs: one thing at a time, in steps of a factor."""
+"""Varied sizes of the cost study: one at a time, in steps of a factor."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,19 +9,19 @@ from angler_mjx.scenario.editing import scenario_table, set_value
 from angler_mjx.scenario.scenario import Scenario, load_scenario
 
 HEIGHT = 16
-"""Cells one above the other; the grid planner takes 32 at most, so worlds grow to the sides."""
+"""Number of cells vertically; the grid planner takes 32 at most, so worlds grow sideways."""
 SCENARIO = Path(__file__).with_name("cost.toml")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Ladder:
-    """One thing that is varied, all else as in ``cost.toml``."""
+    """Varied size; all else as in ``cost.toml``."""
 
     name: str
     label: str
-    """For figures."""
+    """Label for figures."""
     key: str | None
-    """Of the scenario; None for the number of worlds, and for vehicles alone."""
+    """Key of the scenario; None for the number of worlds, and for vehicles alone."""
     gpu: tuple[int, ...]
     """Sizes on a GPU."""
     cpu: tuple[int, ...]
@@ -29,15 +29,15 @@ class Ladder:
     """Sizes on a GPU by the mjx engine, which is much slower; on a CPU as ``cpu``."""
 
     def scenario_value(self, size: int) -> Any:
-        """Of the key."""
+        """Return the value of the key."""
         return [size, size, HEIGHT] if self.name == "cells" else size
 
     def count(self, size: int) -> int:
-        """How many there are of what is varied."""
+        """Return the number of varied things."""
         return size * size * HEIGHT if self.name == "cells" else size
 
     def sizes(self, engine: str, backend: str) -> tuple[int, ...]:
-        """That an engine is measured at."""
+        """Return the sizes at which an engine is measured."""
         if backend == "cpu":
             return self.cpu
         return self.mjx if engine == "mjx" else self.gpu
@@ -97,17 +97,17 @@ LADDERS = (
         cpu=(8, 32, 128),
     ),
 )
-"""The first is of vehicles alone, the others of whole worlds."""
+"""Ladders; the first is of vehicles alone, the others of whole worlds."""
 
 BY_NAME = {one.name: one for one in LADDERS}
 
 
 def build_scenario(ladder: Ladder, size: int, engine: str) -> Scenario:
-    """The scenario of one rung.
+    """Build the scenario of one rung.
 
     Args:
-        ladder: what is varied.
-        size: so many.
+        ladder: varied size.
+        size: its value.
         engine: fused or mjx.
     """
     table = scenario_table(load_scenario(SCENARIO, engine=engine))

@@ -1,4 +1,4 @@
-"""MuJoCo MJX by itself: the vehicle as a free body, no water, no control, no worlds.
+"""Baseline of MuJoCo MJX: the vehicle as a free body, no water, no control, no worlds.
 
 Cost of `mjx.step`, beside which the equations of motion of `angler_mjx.studies.speed` are measured.
 """
@@ -27,15 +27,15 @@ from angler_mjx.studies.speed.rows import (
 )
 
 STEP_DIVISOR = 10
-"""The equations of motion are repeated so many times as often in a call."""
+"""Factor by which the equations of motion are repeated more often in a call."""
 
 
 def measure_mjx(*, vehicles: int, repeats: int) -> SpeedRow:
     """Time `mjx.step` of independent free bodies.
 
     Args:
-        vehicles: in one device call, one in each world.
-        repeats: timed calls, after some that are not.
+        vehicles: vehicles in one device call, one in each world.
+        repeats: timed calls, after some untimed ones.
 
     Returns:
         Rates in vehicle-steps/s.

@@ -1,6 +1,6 @@
-"""Figures and tables of what more costs, from a file of rows; nothing is computed anew.
+"""Figures and tables of costs, from a file of rows without new measurements.
 
-The page says the command, docs/scalability.md.
+The command is in docs/generated/scalability.md.
 """
 
 import json
@@ -21,61 +21,62 @@ from angler_experiments.scalability.cost import PREFIX
 from angler_experiments.scalability.fits import LinearFit, PowerLawFit, fit_linear, fit_power_law
 from angler_experiments.scalability.ladders import BY_NAME, LADDERS
 from angler_mjx.errors import ConfigError
-from angler_mjx.report.viewing import markdown_tables, style
+from angler_mjx.report.plotting import style
+from angler_mjx.report.viewing import markdown_tables
 from angler_mjx.studies.speed import rows as speed
 
 BEGIN, END = "<!-- cost: begin -->", "<!-- cost: end -->"
-"""What stands between them in a page is replaced by the tables."""
+"""Marks in a page between which the tables are replaced."""
 STEPS = 100
-"""Physics steps whose time is told: a second of simulated time of ours."""
+"""Physics steps of the reported time: a second of simulated time of ours."""
 MIN_SPAN = 5.0
-"""Of an axis of costs, from its end to its beginning."""
+"""Least ratio of an axis of costs, from its end to its beginning."""
 PUBLISHED = {
     "source": "Crazyflow 0.4.0, table in its README: RTX 4090, first-principles dynamics, one "
     "drone in each world",
     "worlds": (64, 1024, 16_384, 65_536, 262_144),
     "rate": (1.2e6, 18.7e6, 257e6, 678e6, 914e6),
 }
-"""Beside ours as they were published: other machines, another vehicle."""
+"""Published rates of others: other machines, another vehicle."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlotLine:
-    """What one engine on one device took over one ladder."""
+    """Costs of one engine on one device over one ladder."""
 
     ladder: str
     engine: str
     device: str
     size: tuple[float, ...]
     seconds: tuple[float, ...]
-    """For ``STEPS`` physics steps of all robots, medians."""
+    """Seconds for ``STEPS`` physics steps of all robots, medians."""
     low: tuple[float, ...]
     high: tuple[float, ...]
     bytes: tuple[float | None, ...]
-    """Of the program: arguments, results and temporaries; None where XLA does not say."""
+    """Bytes of the program: arguments, results and temporaries; None without a report of XLA."""
 
     @property
     def time(self) -> PowerLawFit | None:
-        """Of the seconds."""
+        """Fit the seconds."""
         return fit_power_law(self.size, self.seconds)
 
     @property
     def memory(self) -> PowerLawFit | None:
-        """Of the bytes."""
+        """Fit the bytes."""
         return fit_power_law(*self.reported_bytes)
 
     @property
     def reported_bytes(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Sizes and bytes where XLA says how many."""
+        """Return sizes and bytes with a report of XLA."""
         reported = [(x, y) for x, y in zip(self.size, self.bytes, strict=True) if y]
         return tuple(x for x, _ in reported), tuple(y for _, y in reported)
 
 
 def read_lines(path: Path) -> list[PlotLine]:
-    """All lines of a file of rows; of several rows of one size the last counts.
+    """Read all lines of a file of rows; of several rows of one size the last counts.
 
     Raises:
-        ConfigError: the file cannot be read, or holds no such row.
+        ConfigError: the file cannot be read, or holds no row of a ladder.
     """
     rows_by_line: dict[tuple[str, str, str], dict[float, dict[str, Any]]] = defaultdict(dict)
     for row in speed.read_rows(path):
@@ -117,7 +118,7 @@ def _build_line(
 
 
 def format_fits(plot_lines: Sequence[PlotLine]) -> str:
-    """The fits, in Markdown."""
+    """Format the fits in Markdown."""
     several = _several_devices(plot_lines)
     head = ["what is varied", "engine", *["device"] * several, "from", "to", f"ms, {STEPS} steps"]
     head += ["exponent of time (95 %)", "of the last step", "fixed, ms", "each more, us"]
@@ -150,7 +151,7 @@ def _several_devices(plot_lines: Sequence[PlotLine]) -> bool:
 
 
 def format_exponent(fit: PowerLawFit | None) -> str:
-    """An exponent with its interval."""
+    """Format an exponent with its interval."""
     if fit is None:
         return "-"
     if math.isnan(fit.low):
@@ -159,15 +160,15 @@ def format_exponent(fit: PowerLawFit | None) -> str:
 
 
 def format_bytes(n_byte: float) -> str:
-    """Bytes, in GB or MB."""
+    """Format bytes in GB or MB."""
     return f"{n_byte / 1e9:.3g} GB" if n_byte >= 1e9 else f"{n_byte / 1e6:.3g} MB"
 
 
 def plot_costs(plot_lines: Sequence[PlotLine], quantity: str) -> Figure:
-    """Costs on logarithmic axes, a panel for each thing that is varied.
+    """Plot costs on logarithmic axes, a panel for each ladder.
 
     Args:
-        plot_lines: lines.
+        plot_lines: lines to plot.
         quantity: time or memory.
     """
     shown_ladders = [item for item in LADDERS if any(x.ladder == item.name for x in plot_lines)]
@@ -214,15 +215,15 @@ def plot_costs(plot_lines: Sequence[PlotLine], quantity: str) -> Figure:
 
 
 class PlainFormatter(LogFormatter):
-    """Plain numbers at the ticks that matplotlib thinks should have one."""
+    """Plain numbers at the ticks that matplotlib labels."""
 
     def __call__(self, x: float, pos: int | None = None) -> str:
-        """See `LogFormatter`."""
+        """Return a label; see `LogFormatter`."""
         return f"{x:g}" if super().__call__(x, pos) else ""
 
 
 def _widen_axis(axes: Axes) -> None:
-    """So that a few per cent do not look like much; plain numbers beside it."""
+    """Widen an axis, so that a few per cent stay small, with plain numbers beside it."""
     low, high = axes.dataLim.intervaly
     more = max(1.15, math.sqrt(MIN_SPAN * low / high))
     axes.set_autoscaley_on(False)
@@ -269,13 +270,13 @@ def main(
     figures: Path | None = None,
     page: Path | None = None,
 ) -> None:
-    """Print the fits; draw them, and put them into a page.
+    """Print the fits; plot them, and write them into a page.
 
     Args:
         rows: File of rows, by angler_experiments.scalability.cost.
-        figures: Folder to draw scalability_time.png and scalability_memory.png into, and to write
-            the fits beside the rows.
-        page: Document that has the marks between which the table is put.
+        figures: Folder of scalability_time.png and scalability_memory.png; the fits are written
+            beside the rows.
+        page: Document with marks between which the table is replaced.
     """
     plot_lines = read_lines(rows)
     print(format_fits(plot_lines))
@@ -309,7 +310,7 @@ def main(
 
 
 def _to_json(fit: PowerLawFit | LinearFit | None) -> dict[str, float | None] | None:
-    """A fit as a table, null for NaN."""
+    """Return a fit as a table, null for NaN."""
     if fit is None:
         return None
     return {key: None if math.isnan(value) else value for key, value in vars(fit).items()}

@@ -1,1 +1,1 @@
-"""What several studies share: what is driven, flown, integrated and traced."""
+"""Common parts of studies: driving, flights, integration schemes, tracing."""

@@ -1,7 +1,7 @@
-"""Whole episodes kept at control rate: what two runs of the same worlds are compared by.
+"""Whole episodes stored at control rate, for comparing two runs of the same worlds.
 
-A flight holds what was drawn and planned, where every robot and obstacle was at each control step,
-and how each robot ended. It goes through a file, so that the two runs can be of two processes.
+A flight holds samples and plans, the positions of every robot and obstacle at each control step,
+and the outcome of each robot. It goes through a file, so that the two runs can be of two processes.
 """
 
 from dataclasses import dataclass
@@ -26,48 +26,48 @@ type Array = NDArray[Any]
 
 @dataclass(frozen=True, kw_only=True)
 class StudyFlight:
-    """All worlds of one run; W worlds, R robots, T control steps, K obstacles, N way-points."""
+    """Worlds of one run; W worlds, R robots, T control steps, K obstacles, N way-points."""
 
     cells: Array
     """bool [W, x, y, z] rock."""
     variant: Array
-    """[W, R] vehicle and set."""
+    """[W, R] vehicle and parameter set."""
     start_m: Array
-    """[W, R, 3]."""
+    """[W, R, 3] start."""
     goal_m: Array
-    """[W, R, 3]."""
+    """[W, R, 3] goal."""
     redraws: Array
-    """[W]."""
+    """[W] repeated samplings of the world."""
     planned: Array
-    """bool [W, R] whether the planner found a way."""
+    """bool [W, R] whether the planner found a path."""
     plan_m: Array
-    """[W, R, N, 3]."""
+    """[W, R, N, 3] way-points."""
     plan_s: Array
-    """[W, R, N]."""
+    """[W, R, N] times of way-points."""
     p: Array
     """[W, T, R, 3] m in W."""
     target_m: Array
-    """[W, T, R, 3] where the controller aims."""
+    """[W, T, R, 3] set-point of the position."""
     pwm_us: Array
-    """[W, T, R, n_thruster]."""
+    """[W, T, R, n_thruster] signals."""
     obstacle_p: Array
-    """[W, T, K, 3]."""
+    """[W, T, K, 3] positions of obstacles."""
     outcome: Array
-    """[W, R]."""
+    """[W, R] outcomes."""
     end_time_s: Array
-    """[W, R]."""
+    """[W, R] end times."""
     path_length_m: Array
-    """[W, R]."""
+    """[W, R] path lengths."""
     energy_j: Array
-    """[W, R]."""
+    """[W, R] electrical energies."""
     touched: Array
-    """[W, R] a `Touched`."""
+    """[W, R] kind of the touched object, a `Touched`."""
     touched_index: Array
-    """[W, R]."""
+    """[W, R] index of the touched object."""
 
 
 def record_at_control_rate(scenario: Scenario) -> Scenario:
-    """The scenario with a sample at every control step."""
+    """Return the scenario with a sample at every control step."""
     timing = {**scenario.time.model_dump(), "record_hz": 1.0 / scenario.time.control_dt_s}
     return Scenario.model_validate({**scenario.model_dump(), "time": timing})
 
@@ -87,10 +87,10 @@ def fly_scenario(scenario: Scenario, tile: int) -> StudyFlight:
 
 
 def fly_in_double(scenario: Scenario, tile: int) -> tuple[StudyFlight, StudyFlight]:
-    """The same worlds flown in float32 and in float64.
+    """Fly the same worlds in float32 and in float64.
 
-    Worlds are drawn and planned in float32, and their numbers taken over as they are: both fly the
-    same reefs, currents, vehicles and plans.
+    Worlds are sampled and planned in float32, and their numbers copied unchanged: both fly the same
+    reefs, currents, vehicles and plans.
     """
     simulator = Simulator(scenario, tile=tile)
     engine = engines.by_name(scenario.engine, "xla")
@@ -126,13 +126,13 @@ def save_flight(flight: StudyFlight, path: Path) -> None:
 
 
 def load_flight(path: Path) -> StudyFlight:
-    """Read what `save_flight` wrote."""
+    """Read a flight of `save_flight`."""
     with np.load(path) as arrays:
         return StudyFlight(**{name: arrays[name] for name in arrays.files})
 
 
 def _to_float64[T](tree: T) -> T:
-    """The same numbers as float64; JAX has to be asked for it around the call."""
+    """Return the same numbers as float64; the caller must enable float64 in JAX."""
 
     def to_float64(leaf: Any) -> Any:
         return leaf.astype(np.float64) if np.issubdtype(leaf.dtype, np.floating) else leaf
@@ -142,7 +142,7 @@ def _to_float64[T](tree: T) -> T:
 
 
 def _select_samples(sample: Sample) -> dict[str, Array]:
-    """What is kept of a segment's samples [W, T, ...]."""
+    """Select the stored parts of a segment's samples [W, T, ...]."""
     names = ("p", "target_m", "pwm_us", "obstacle_p")
     return {name: np.asarray(getattr(sample, name)) for name in names}
 
@@ -169,7 +169,7 @@ def _build_flight(worlds: World, state: WorldState, samples: list[dict[str, Arra
 
 
 def _join_tiles(parts: list[StudyFlight], worlds: int) -> StudyFlight:
-    """Tiles one after another, without the padding of the last."""
+    """Join tiles, without the padding of the last."""
     return StudyFlight(
         **{
             name: np.concatenate([getattr(part, name) for part in parts])[:worlds]

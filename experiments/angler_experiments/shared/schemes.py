@@ -1,4 +1,4 @@
-"""Ways to take one step of a vehicle, to compare with the simulator's own.
+"""Integration schemes of one step of a vehicle, to compare with the simulator's own.
 
 Each has the arguments of `angler_mjx.sim.physics.step.step` and steps the same equations; only the
 formula differs. Rotor lag is exact in all of them.
@@ -31,7 +31,7 @@ def accelerate(
     t: jax.Array,
     water: Water,
 ) -> jax.Array:
-    """Acceleration nu' [6] under given thrusts."""
+    """Return the acceleration nu' [6] under a thrust."""
     inertia, force, _ = step.smooth_force(engine, body, vehicle, state, current, t, water)
     total = force + rigid_body.matrix_times(vehicle.B, thrust)
     return spd_solve.solve(inertia, total[:, None])[:, 0]
@@ -48,7 +48,7 @@ def _euler_world(
     dt: jax.Array,
     water: Water,
 ) -> VehicleState:
-    """Semi-implicit Euler on the velocity in the world, as MuJoCo's default integrator."""
+    """Step by semi-implicit Euler on the velocity in the world, as MuJoCo's default integrator."""
     thrust, mean = thruster.rotor_lag(state.thrust, command, vehicle.tau_s, dt)
     a = accelerate(engine, body, vehicle, state, mean, current, t, water)
     v, omega = state.nu[:3], state.nu[3:]
@@ -70,7 +70,7 @@ def _euler_body(
     dt: jax.Array,
     water: Water,
 ) -> VehicleState:
-    """Semi-implicit Euler on the velocity in the body."""
+    """Step by semi-implicit Euler on the velocity in the body."""
     thrust, mean = thruster.rotor_lag(state.thrust, command, vehicle.tau_s, dt)
     nu = state.nu + dt * accelerate(engine, body, vehicle, state, mean, current, t, water)
     p = state.p + dt * quaternion.rotate(state.q, nu[:3])
@@ -89,7 +89,7 @@ def _explicit(
     dt: jax.Array,
     water: Water,
 ) -> VehicleState:
-    """Ours with the damping left explicit: two-step Adams-Bashforth for all smooth forces."""
+    """Step by our scheme with explicit damping: Adams-Bashforth for all smooth forces."""
     thrust, mean = thruster.rotor_lag(state.thrust, command, vehicle.tau_s, dt)
     inertia, force, _ = step.smooth_force(engine, body, vehicle, state, current, t, water)
     a, before = (spd_solve.solve(inertia, x[:, None])[:, 0] for x in (force, state.force_before))
@@ -110,7 +110,7 @@ def _heun(
     dt: jax.Array,
     water: Water,
 ) -> VehicleState:
-    """Heun's method with our pose step: two evaluations of the forces a step."""
+    """Step by Heun's method with our pose step: two evaluations of the forces per step."""
     thrust, mean = thruster.rotor_lag(state.thrust, command, vehicle.tau_s, dt)
     a = accelerate(engine, body, vehicle, state, mean, current, t, water)
     guess = state.nu + dt * a

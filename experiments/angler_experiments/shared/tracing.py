@@ -1,10 +1,10 @@
-"""Which decision turned rounding into a difference: two flights of the same worlds, robot by robot.
+"""Tracing of decisions that rounding changed: two flights of the same worlds, robot by robot.
 
-For every robot that ended otherwise the quantities that could have led to it are looked at in the
-order of time: what was drawn, the plan, the obstacle or robot that it touched in either run, where
-it aimed, itself. The first that is further apart than rounding explains is named, with its size
-then and a second before. Where none is, the two runs were one to the end, and a threshold (touch,
-arrival, edge of the region) lay between them.
+For every robot with another outcome the quantities that could have caused it are compared in the
+order of time: samples, the plan, the obstacle or robot that it touched in either run, its
+set-point, itself. The first quantity that deviates by more than rounding explains is named, with
+its deviation then and a second before. Where none does, the two runs agreed to the end, and a
+threshold (contact, arrival, edge of the region) lay between them.
 """
 
 from collections.abc import Iterator
@@ -15,21 +15,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from angler_experiments.engine_parity import bound_m
 from angler_experiments.shared.flights import StudyFlight
 from angler_mjx.sim.state import Outcome, Touched
 
 type Array = NDArray[Any]
 
 PLAN_M = 1e-3
-"""Plans further apart are two plans: the planner has cells of metres."""
+"""Distance beyond which two plans differ: the planner has cells of metres."""
+STANDARD_DEVIATIONS = 5.0
+"""Standard deviations of the random walk of rounding errors that `bound_m` allows."""
 TURN_M = 1e-3
-"""An obstacle whose way in one control step (50 ms) differs by more from that in the one before was
-thrown back: 0.02 m/s of velocity, 0.4 m/s^2; the water does not push it so hard."""
+"""Change of an obstacle's displacement from one control step (50 ms) to the next that counts as a
+bounce: 0.02 m/s of velocity, 0.4 m/s^2; the water does not push it so hard."""
 
 
 class Cause(StrEnum):
-    """What differed first."""
+    """First quantity that differed."""
 
     WORLD = "the world that was drawn"
     PLAN = "plan: a tie of the planner"
@@ -45,7 +46,7 @@ class Cause(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class Trace:
-    """One robot that ended otherwise."""
+    """Trace of one robot with another outcome."""
 
     world: int
     robot: int
@@ -53,31 +54,50 @@ class Trace:
     end_s: tuple[float, float]
     cause: Cause
     at_s: float
-    """When it was further apart than rounding explains, or when the first of the two ended."""
+    """Time at which it deviated by more than rounding explains, or at which the first of the two
+    ended."""
     size_m: float
-    """How far apart it was then; metres."""
+    """Deviation at that time; metres."""
     before_m: float
-    """And a second earlier."""
+    """Deviation a second earlier."""
 
 
 def is_different(a: StudyFlight, b: StudyFlight) -> Array:
-    """Which robots [W, R] end in another way, or on another thing."""
+    """Return which robots [W, R] have another outcome, or with another object."""
     is_same: Array = (
         (a.outcome == b.outcome) & (a.touched == b.touched) & (a.touched_index == b.touched_index)
     )
     return ~is_same
 
 
+def bound_m(steps: Array, reach_m: float) -> Array:
+    """Return the distance [m] up to which rounding separates two float32 runs of one equation.
+
+    Both round the position once a physics step, by up to half a unit in the last place (ulp) of the
+    greatest coordinate. The two errors are independent and uniform, so the difference is a random
+    walk with steps of variance ulp^2 / 6: after n steps its standard deviation is ulp sqrt(n / 6).
+    Five of these are allowed. Rounding of velocities and forces adds little: damping and
+    the control loop take it out within seconds.
+
+    Args:
+        steps: physics steps taken.
+        reach_m: greatest coordinate.
+    """
+    ulp = float(np.spacing(np.float32(reach_m)))
+    bound: Array = STANDARD_DEVIATIONS * ulp * np.sqrt(np.maximum(steps, 1) / 6)
+    return bound
+
+
 def trace_differences(
     a: StudyFlight, b: StudyFlight, dt_s: float, physics_steps: int
 ) -> list[Trace]:
-    """Every robot that ended otherwise, by world and number.
+    """Trace every robot with another outcome, by world and number.
 
     Args:
-        a: one run.
-        b: the other, of the same worlds.
+        a: first run.
+        b: other run of the same worlds.
         dt_s: control period.
-        physics_steps: in a control step.
+        physics_steps: physics steps in a control step.
     """
     reach = float(np.abs(a.p[np.isfinite(a.p)]).max())
     steps = np.arange(a.p.shape[1], dtype=np.float64) * physics_steps
@@ -89,12 +109,12 @@ def trace_differences(
 
 @dataclass(frozen=True, kw_only=True)
 class _Divergence:
-    """Something that can have come first."""
+    """Candidate of the first difference."""
 
     cause: Cause
     step: int
     gap: Array
-    """[T] m."""
+    """[T] m deviation."""
 
 
 def _trace_robot(
@@ -120,9 +140,9 @@ def _trace_robot(
 def _find_divergences(
     a: StudyFlight, b: StudyFlight, w: int, r: int, bound: Array, last: int
 ) -> Iterator[_Divergence]:
-    """What is further apart than rounding explains before the first of the two ends.
+    """Yield deviations beyond rounding before the first of the two ends.
 
-    Things of the same step come in the order of cause and effect.
+    Deviations of the same step come in the order of cause and effect.
     """
     sampled_fields = ("cells", "variant", "redraws")
     if any(not np.array_equal(getattr(a, n)[w], getattr(b, n)[w]) for n in sampled_fields):
@@ -141,7 +161,7 @@ def _find_divergences(
             yield from _find_track_divergence(
                 Cause.ROBOT, a.p[w, :, index], b.p[w, :, index], bound, last
             )
-    # What it aims at moves with the robot's own place; rounding of both.
+    # The set-point moves with the robot's own position; rounding of both.
     yield from _find_track_divergence(
         Cause.AIM, a.target_m[w, :, r], b.target_m[w, :, r], 2 * bound, last
     )
@@ -151,7 +171,7 @@ def _find_divergences(
 def _find_track_divergence(
     cause: Cause, a: Array, b: Array, bound: Array, last: int
 ) -> Iterator[_Divergence]:
-    """When two tracks [T, 3] leave each other."""
+    """Yield the time at which two tracks [T, 3] separate."""
     distance_m = np.linalg.norm(a.astype(np.float64) - b, axis=-1)
     outside = np.flatnonzero(distance_m[: last + 1] > bound[: last + 1])
     if not outside.size:
@@ -163,13 +183,13 @@ def _find_track_divergence(
 
 
 def _is_bounce(track: Array, step: int) -> bool:
-    """Whether an obstacle was thrown back within three control steps of one."""
+    """Return whether an obstacle bounced within three control steps of a step."""
     window = track[max(0, step - 3) : step + 4].astype(np.float64)
     return bool(np.abs(np.diff(window, 2, axis=0)).max(initial=0.0) > TURN_M)
 
 
 def _threshold_divergence(a: StudyFlight, b: StudyFlight, w: int, r: int, last: int) -> _Divergence:
-    """Two runs that were one until the first ended: which threshold lay between them."""
+    """Return the threshold that lay between two runs that agreed until the first ended."""
     kinds = {int(a.outcome[w, r]), int(b.outcome[w, r])}
     touching = {Outcome.COLLISION_STATIC, Outcome.COLLISION_DYNAMIC, Outcome.COLLISION_ROBOT}
     cause = Cause.TOUCH if kinds & touching else Cause.EDGE

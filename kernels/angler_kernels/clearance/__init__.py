@@ -1,4 +1,4 @@
-"""Exact distances between the shapes that hulls, cells and obstacles are made of."""
+"""Exact distances between the shapes of hulls, cells and obstacles."""
 
 from angler_kernels.clearance.grid import capsules_grid, point_grid
 from angler_kernels.clearance.neighbours import (

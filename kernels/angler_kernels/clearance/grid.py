@@ -1,7 +1,7 @@
 """Distances to a regular grid of cubes, from the 3 x 3 x 3 cells around a point.
 
-No mesh and no tree: what is nearer than one cell edge lies among the 27 cells around the cell of
-the point. Near the border of the grid the window is moved inside it, where it still holds every
+No mesh and no tree: every surface nearer than one cell edge lies among the 27 cells around the cell
+of the point. Near the border of the grid the window is moved inside it, where it still holds every
 cell that it would have held.
 """
 
@@ -20,7 +20,7 @@ def capsules_grid(
     origin: jax.Array,
     cell: jax.Array,
 ) -> jax.Array:
-    """Distance [] of a union of capsules to the occupied cells; negative is overlap.
+    """Return the distance [] of a union of capsules to the occupied cells; negative is overlap.
 
     Exact up to ``cell - hull radius`` and never greater: a cell outside the window is at least one
     edge away from ``centre``, so at least that far from the hull. The hull radius is that of the
@@ -49,10 +49,11 @@ def capsules_grid(
 def point_grid(
     p: jax.Array, occupied: jax.Array, origin: jax.Array, cell: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Distance [] of a point to the occupied cells and the unit direction [3] away from them.
+    """Return the distance [] of a point to the occupied cells and the direction [3] away from them.
 
-    Exact up to ``cell``, and ``cell`` where nothing is nearer (the direction then means nothing).
-    Inside a cell the distance is 0 and the direction points from that cell's centre to the point.
+    Exact up to ``cell``, and ``cell`` where nothing is nearer (the direction, a unit vector, then
+    means nothing). Inside a cell the distance is 0 and the direction points from that cell's centre
+    to the point.
 
     Args:
         p: [3] m.
@@ -76,7 +77,7 @@ def point_grid(
 def _cell_window(
     p: jax.Array, occupied: jax.Array, origin: jax.Array, cell: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Lower corners [m, 3] and occupancy [m] of the cells around the cell that holds p."""
+    """Return lower corners [m, 3] and occupancy [m] of the cells around the cell that holds p."""
     size = tuple(min(3, n) for n in occupied.shape)
     limit = jnp.array([n - s for n, s in zip(occupied.shape, size, strict=True)])
     start = jnp.floor((p - origin) / cell).astype(jnp.int32) - 1

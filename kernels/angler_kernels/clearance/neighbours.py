@@ -17,21 +17,21 @@ from angler_kernels.clearance.shapes import LineSegment, point_box, segment_poin
 type Scalars = Sequence[jax.Array]
 
 type _PairSearch = tuple[jax.Array, jax.Array, jax.Array, jax.Array, jax.Array]
-"""Cells left, least gap so far, its cell, its capsule, its place on the axis."""
+"""Remaining cells, least gap so far, its cell, its capsule, its parameter on the axis."""
 
 
 def cell_neighbours(occupied: jax.Array) -> jax.Array:
-    """Occupancy of the cells around each cell, packed; int32 [nx + 2, ny + 2, nz + 2].
+    """Pack the occupancy of the cells around each cell; int32 [nx + 2, ny + 2, nz + 2].
 
     Entry (x, y, z) belongs to cell (x - 1, y - 1, z - 1): there is one ring of cells outside the
-    grid. Its bit ``9 i + 3 j + k`` says whether cell (x + i - 2, y + j - 2, z + k - 2) is occupied.
+    grid. Its bit ``9 i + 3 j + k`` is set if cell (x + i - 2, y + j - 2, z + k - 2) is occupied.
 
     Args:
         occupied: bool [nx, ny, nz]; everything outside the grid is free.
     """
     packed = jnp.pad(occupied, 2)
     for axis, stride, kind in ((2, 1, jnp.uint8), (1, 3, jnp.uint16), (0, 9, jnp.int32)):
-        # Each axis on its own and in few bits: fused, every entry would read 27 flags.
+        # Each axis is packed separately in few bits: fused, every entry would read 27 flags.
         packed = jax.lax.optimization_barrier(packed).astype(kind)
         n = packed.shape[axis] - 2
         parts = [
@@ -44,7 +44,7 @@ def cell_neighbours(occupied: jax.Array) -> jax.Array:
 def neighbour_window(
     p: jax.Array, origin: jax.Array, cell: jax.Array, shape: tuple[int, int, int]
 ) -> tuple[jax.Array, jax.Array]:
-    """Where to look up the cells around a point, and where they stand.
+    """Return the look-up index and the window position of the cells around a point.
 
     A point outside the grid takes the nearest entry, which holds every cell nearer than one edge.
 
@@ -78,7 +78,7 @@ def capsules_neighbours(
     cell: jax.Array,
     below: jax.Array | float = jnp.inf,
 ) -> jax.Array:
-    """Distance [] of a union of capsules to the occupied cells; the same as `capsules_grid`.
+    """Return the distance [] of a union of capsules to the occupied cells, as `capsules_grid`.
 
     Exact up to ``cell - hull radius`` and to ``below``, and never greater. The nearest cell of the
     nearest capsule is searched with gradients stopped; the gap of that pair is differentiated.
@@ -91,10 +91,10 @@ def capsules_neighbours(
         lo: [3] lower corner of the cell of bit 0.
         mask: int32 [] entry of `cell_neighbours`.
         cell: [] edge of a cell.
-        below: [] >= 0; greater distances do not matter, and are not looked for.
+        below: [] >= 0; greater distances are not searched.
     """
     n = a.shape[0]
-    # From here on in coordinates of the window: they are small, so that rounding is.
+    # The rest is in coordinates of the window, whose small numbers round least.
     first = [[a[k, i] - lo[i] for i in range(3)] for k in range(n)]
     second = [[b[k, i] - lo[i] for i in range(3)] for k in range(n)]
     lines = [LineSegment.from_ends(p, q) for p, q in zip(first, second, strict=True)]
@@ -126,11 +126,11 @@ def capsules_neighbours(
 def point_neighbours(
     p: jax.Array, lo: jax.Array, mask: jax.Array, cell: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Distance [] of a point to the occupied cells and the unit direction [3] away from them.
+    """Return the distance [] of a point to the occupied cells and the direction [3] away from them.
 
     The same as `point_grid`: exact up to ``cell``, and ``cell`` where nothing is nearer (the
-    direction then means nothing). Inside a cell the distance is 0 and the direction points from
-    that cell's centre to the point.
+    direction, a unit vector, then means nothing). Inside a cell the distance is 0 and the direction
+    points from that cell's centre to the point.
 
     Args:
         p: [3] m.
@@ -170,11 +170,11 @@ def _cells_within_reach(
     inner: jax.Array,
     hull_radius: jax.Array,
 ) -> jax.Array:
-    """Bits [] of the cells that can hold the nearest point, for a hull about a point of the window.
+    """Return bits [] of the cells that can hold the nearest point of a hull about a window point.
 
     A cell at distance x of the point has a gap of at least x - hull radius and at most x + inner,
-    where ``inner`` is the distance of the point to the hull (negative inside). What is farther
-    than the least upper bound, or than ``cap``, is left out.
+    where ``inner`` is the distance of the point to the hull (negative inside). Cells farther than
+    the least upper bound, or than ``cap``, are left out.
     """
     squares = list(_cell_squares(point, cell))
     far = jnp.full_like(cell, jnp.inf)
@@ -189,7 +189,7 @@ def _cells_within_reach(
 def _nearest_pair(
     lines: Sequence[LineSegment], r: Scalars, mask: jax.Array, cell: jax.Array, cap: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """The cell and the capsule with the least gap below ``cap``.
+    """Return the cell and the capsule with the least gap below ``cap``.
 
     Returns:
         int32 [] bit of the cell, -1 if there is none; int32 [] capsule; parameter [] on its axis.
@@ -197,8 +197,9 @@ def _nearest_pair(
 
     def body(carry: _PairSearch) -> _PairSearch:
         remaining, best, bit, capsule, s = carry
-        # Bodies side by side in a kernel go round as often as the busiest of them: one that has no
-        # cell left has to come out as it went in.
+        # Bodies side by side in a kernel iterate as often as the slowest of them: a body without
+        # cells left
+        # has to come out unchanged.
         has_cell = remaining != 0
         at = 31 - jax.lax.clz(remaining & -remaining)
         low = _cell_corner(at, cell)
@@ -220,7 +221,7 @@ def _nearest_pair(
 
 
 def _cell_squares(point: Scalars, cell: jax.Array) -> Iterator[jax.Array]:
-    """Squared distances [] of a point of the window to its 27 cells, in the order of bits."""
+    """Yield the squared distances [] of a window point to its 27 cells, in the order of bits."""
     axes = []
     for x in point:
         past = [x - jnp.clip(x, i * cell, (i + 1) * cell) for i in range(3)]
@@ -233,7 +234,7 @@ def _cell_squares(point: Scalars, cell: jax.Array) -> Iterator[jax.Array]:
 
 
 def _cell_corner(bit: jax.Array, cell: jax.Array) -> list[jax.Array]:
-    """Lower corner, as three scalars, of the cell of a bit, in the window."""
+    """Return the lower corner, as three scalars, of the cell of a bit, in the window."""
     nine, three = jnp.full_like(bit, 9), jnp.full_like(bit, 3)
     i = jax.lax.div(bit, nine)
     rest = bit - nine * i
@@ -242,7 +243,7 @@ def _cell_corner(bit: jax.Array, cell: jax.Array) -> list[jax.Array]:
 
 
 def _select_value(index: jax.Array, values: Sequence[jax.Array]) -> jax.Array:
-    """``values[which]`` without a gather."""
+    """Return ``values[index]`` without a gather."""
     chosen = values[0]
     for k, value in enumerate(values[1:], start=1):
         chosen = jnp.where(index == k, value, chosen)
@@ -250,6 +251,6 @@ def _select_value(index: jax.Array, values: Sequence[jax.Array]) -> jax.Array:
 
 
 def _squared_distance(u: jax.Array, v: jax.Array) -> jax.Array:
-    """Squared distance [] of two points [3]."""
+    """Return the squared distance [] of two points [3]."""
     x, y, z = (u[i] - v[i] for i in range(3))
     return x * x + y * y + z * z

@@ -18,11 +18,11 @@ from angler_kernels.quaternion import rotate, rotate_inverse
 SPHERE, BOX, CAPSULE = 0, 1, 2
 
 type Vector = Sequence[jax.Array] | jax.Array
-"""Three scalars, in an array or apart."""
+"""Three scalars, in an array or separate."""
 
 
 def point_box(p: jax.Array, lo: jax.Array, hi: jax.Array) -> jax.Array:
-    """Distance [] of a point p [3] to the axis-aligned box from lo [3] to hi [3]; inside 0."""
+    """Return the distance [] of a point p [3] to the axis-aligned box lo [3], hi [3]; inside 0."""
     return _safe_sqrt(
         _squared_length(
             [jnp.maximum(jnp.maximum(lo[i] - p[i], p[i] - hi[i]), 0.0) for i in range(3)]
@@ -31,20 +31,20 @@ def point_box(p: jax.Array, lo: jax.Array, hi: jax.Array) -> jax.Array:
 
 
 def segment_point(a: jax.Array, b: jax.Array, p: jax.Array) -> jax.Array:
-    """Distance [] of the segment from a [3] to b [3] to the point p [3]; a = b is allowed."""
+    """Return the distance [] of the segment a [3], b [3] to the point p [3]; a = b is allowed."""
     d, gap = b - a, a - p
     s = _nearest_parameter(d, -gap)
     return _safe_sqrt(_squared_length([gap[i] + s * d[i] for i in range(3)]))
 
 
 def segment_segment(a1: jax.Array, b1: jax.Array, a2: jax.Array, b2: jax.Array) -> jax.Array:
-    """Distance [] of two segments, a1 [3] to b1 [3] and a2 [3] to b2 [3], however they lie.
+    """Return distance [] of two segments, a1 [3] to b1 [3] and a2 [3] to b2 [3], in any position.
 
     They may be parallel, cross, or have no length. The squared gap is convex on the unit square of
     the two parameters: its minimum is the crossing of the two lines' common normal, if that lies in
     the square, or lies on one of the four edges, each of which is an end point against a segment.
-    The least of the five is taken; every one of them is the gap of two points that exist, so
-    rounding where the lines are nearly parallel can not make the answer too small.
+    The least of the five is taken; each is the gap of two points of the segments, so rounding where
+    the lines are nearly parallel can not make the answer too small.
     """
     d1, d2, gap = b1 - a1, b2 - a2, a1 - a2
     s1, s2 = _common_normal(d1, d2, gap)
@@ -61,7 +61,7 @@ def segment_segment(a1: jax.Array, b1: jax.Array, a2: jax.Array, b2: jax.Array) 
         return _squared_length([gap[i] + s * d1[i] - t * d2[i] for i in range(3)])
 
     # The points are chosen, not the least of five gaps: often two of the five are the same points,
-    # and a minimum hands its gradient to both or to neither where rounding tells them apart
+    # and a minimum passes its gradient to both or to neither where rounding separates them
     # in one place of the compiled program and not in another.
     (s, t), *others = pairs
     min_square = square(s, t)
@@ -75,13 +75,13 @@ def segment_segment(a1: jax.Array, b1: jax.Array, a2: jax.Array, b2: jax.Array) 
 
 
 def segment_box(a: jax.Array, b: jax.Array, lo: jax.Array, hi: jax.Array) -> jax.Array:
-    """Distance [] of the segment from a [3] to b [3] to the box from lo [3] to hi [3]."""
+    """Return the distance [] of the segment a [3], b [3] to the axis-aligned box lo [3], hi [3]."""
     line = LineSegment.from_ends(a, b)
     return line.gap_at(line.nearest_parameter(lo, hi), lo, hi)
 
 
 class LineSegment(NamedTuple):
-    """A segment a + s d, 0 <= s <= 1, made ready for distances to axis-aligned boxes."""
+    """Segment a + s d, 0 <= s <= 1, prepared for distances to axis-aligned boxes."""
 
     a: list[jax.Array]
     d: list[jax.Array]
@@ -92,14 +92,14 @@ class LineSegment(NamedTuple):
 
     @classmethod
     def from_ends(cls, a: Vector, b: Vector) -> Self:
-        """The segment from a [3] to b [3]."""
+        """Build the segment from a [3] to b [3]."""
         d = [b[i] - a[i] for i in range(3)]
         weight = [x * x for x in d]
         inverse = [1.0 / jnp.where(w > 0.0, x, 1.0) for x, w in zip(d, weight, strict=True)]
         return cls([a[i] for i in range(3)], d, weight, inverse)
 
     def nearest_parameter(self, lo: Vector, hi: Vector) -> jax.Array:
-        """Parameter [] of a point of the segment nearest to the box from lo [3] to hi [3].
+        """Return parameter [] of a point of the segment nearest to the box from lo [3] to hi [3].
 
         Half the derivative of the squared gap along the line grows with s and is piecewise linear,
 
@@ -142,7 +142,7 @@ class LineSegment(NamedTuple):
         lo: Vector,
         hi: Vector,
     ) -> jax.Array:
-        """Distance [] of the segment's point at parameter s to a box; inside 0."""
+        """Return the distance [] of the segment's point at parameter s to a box; inside 0."""
         at = [self.a[i] + s * self.d[i] for i in range(3)]
         return _safe_sqrt(
             _squared_length([at[i] - jnp.clip(at[i], lo[i], hi[i]) for i in range(3)])
@@ -152,7 +152,7 @@ class LineSegment(NamedTuple):
 def segment_oriented_box(
     a: jax.Array, b: jax.Array, p: jax.Array, q: jax.Array, half: jax.Array
 ) -> jax.Array:
-    """Distance [] of a segment, a [3] to b [3], to a box with half extents ``half`` [3].
+    """Return the distance [] of a segment, a [3] to b [3], to a box with half extents ``half`` [3].
 
     Its centre is p [3], its attitude q [4] (wxyz), which rotates vectors of the box's frame to the
     frame of a, b and p.
@@ -163,7 +163,7 @@ def segment_oriented_box(
 def capsules_capsules(
     a1: jax.Array, b1: jax.Array, r1: jax.Array, a2: jax.Array, b2: jax.Array, r2: jax.Array
 ) -> jax.Array:
-    """Least distance [] between two unions of capsules; negative is overlap of the radii.
+    """Return least distance [] between two unions of capsules; negative is overlap of the radii.
 
     Args:
         a1: [c, 3] one end of each axis of the first body.
@@ -188,7 +188,7 @@ def capsules_obstacle(
     size: jax.Array,
     kinds: Sequence[int] = (SPHERE, BOX, CAPSULE),
 ) -> jax.Array:
-    """Least distance [] of a union of capsules to one obstacle; negative is overlap of the radii.
+    """Return the least distance [] of a union of capsules to one obstacle; negative is overlap.
 
     Args:
         a: [c, 3] one end of each capsule's axis.
@@ -216,24 +216,24 @@ def capsules_obstacle(
 
 
 def _squared_length(v: Vector) -> jax.Array:
-    """Squared length [] of a vector."""
+    """Return the squared length [] of a vector."""
     return _dot(v, v)
 
 
 def _dot(u: Vector, v: Vector) -> jax.Array:
-    """Inner product [] of two vectors, written out."""
+    """Return the inner product [] of two vectors, written out."""
     return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
 
 
 def _safe_sqrt(square: jax.Array) -> jax.Array:
-    """Square root [] whose derivative at zero is zero instead of infinite."""
+    """Return the square root [] whose derivative at zero is zero instead of infinite."""
     return jnp.where(square > 0.0, jnp.sqrt(jnp.where(square > 0.0, square, 1.0)), 0.0)
 
 
 def _nearest_parameter(d: jax.Array, to_point: Vector) -> jax.Array:
-    """Parameter in [0, 1] of the point of a segment d nearest to a point, both seen from its start.
+    """Return the parameter in [0, 1] of the point of a segment d nearest to a point.
 
-    A constant to gradients.
+    Both are relative to the start of the segment. A constant to gradients.
     """
     square = _squared_length(d)
     s = _dot(d, to_point) / jnp.where(square > 0.0, square, 1.0)
@@ -241,7 +241,7 @@ def _nearest_parameter(d: jax.Array, to_point: Vector) -> jax.Array:
 
 
 def _common_normal(d1: jax.Array, d2: jax.Array, gap: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Parameters of the feet of two lines' common normal, held to [0, 1]; 0 and a foot if none.
+    """Return the parameters of the feet of two lines' common normal, clipped to [0, 1]; 0 if none.
 
     The determinant is taken as |d1 x d2|^2, which keeps its digits where the lines are nearly
     parallel; |d1|^2 |d2|^2 - (d1 . d2)^2 does not.
@@ -254,5 +254,5 @@ def _common_normal(d1: jax.Array, d2: jax.Array, gap: jax.Array) -> tuple[jax.Ar
 
 
 def _cross(u: jax.Array, v: jax.Array) -> list[jax.Array]:
-    """Vector product of two vectors [3], as three scalars."""
+    """Return the vector product of two vectors [3], as three scalars."""
     return [u[i] * v[j] - u[j] * v[i] for i, j in ((1, 2), (2, 0), (0, 1))]

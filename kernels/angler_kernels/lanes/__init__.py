@@ -1,10 +1,11 @@
-"""Functions of one body, run on many with one array for every element."""
+"""Functions of one body, evaluated on many with one array for every element."""
 
 from angler_kernels.lanes.folding import Instructions, use_instructions
 from angler_kernels.lanes.sharing import compute_shared
 from angler_kernels.lanes.table import LookupTable
 from angler_kernels.lanes.transform import apply
 from angler_kernels.lanes.trees import (
+    UnsupportedOperationError,
     any_lane,
     broadcast_like,
     flatten,
@@ -18,6 +19,7 @@ from angler_kernels.lanes.trees import (
 __all__ = [
     "Instructions",
     "LookupTable",
+    "UnsupportedOperationError",
     "any_lane",
     "apply",
     "broadcast_like",

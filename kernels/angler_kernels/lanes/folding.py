@@ -1,4 +1,4 @@
-"""One operation on whole lanes, left out where constants say what comes of it."""
+"""Operations on whole lanes, omitted where constants determine the result."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -13,12 +13,12 @@ import numpy as np
 
 @dataclass(frozen=True, kw_only=True)
 class Instructions:
-    """What a compiler is to be told by name, because it does not choose it by itself."""
+    """Instructions that a compiler does not choose by itself."""
 
     reciprocal: Callable[[jax.Array], jax.Array]
     """1 / x of float32 lanes."""
     multiply_add: Callable[[jax.Array, jax.Array, jax.Array], jax.Array]
-    """a b + c of float32 lanes, rounded once."""
+    """Returns a b + c of float32 lanes, rounded once."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,7 +26,7 @@ class _Product:
     """Lanes that are ``sign * a * b``."""
 
     lanes: jax.Array
-    """Kept, so that its identity is not given to others."""
+    """Kept, so that no other lanes get its identity."""
     a: jax.Array
     b: jax.Array
     sign: int
@@ -43,7 +43,7 @@ _target: ContextVar[_Target | None] = ContextVar("target", default=None)
 
 @contextmanager
 def use_instructions(instructions: Instructions) -> Iterator[None]:
-    """Within it, float32 lanes are divided by reciprocals, and sums of products are fused.
+    """Divide float32 lanes by reciprocals and fuse sums of products, within the context.
 
     For compilers whose division takes care of denormal numbers that bodies in water never see, and
     that keep multiplication and addition apart.
@@ -75,7 +75,7 @@ _CONSTANT: dict[str, Callable[..., Any]] = {
 
 
 def fold_operation(eqn: Any, operands: Sequence[Any]) -> Any:
-    """One operation on one element.
+    """Apply one operation to one element.
 
     Args:
         eqn: the jaxpr's equation.
@@ -95,7 +95,7 @@ def fold_operation(eqn: Any, operands: Sequence[Any]) -> Any:
 
 
 def apply_binary(primitive: Any, a: Any, b: Any) -> Any:
-    """One of the two-operand operations in which no parameter is needed."""
+    """Apply a binary operation that needs no parameter."""
     folded = _fold_constants(primitive.name, (a, b), [isinstance(x, np.generic) for x in (a, b)])
     if folded is not None:
         return folded
@@ -116,14 +116,14 @@ def _evaluate_constants(eqn: Any, operands: Sequence[Any]) -> Any:
 
 
 _NEUTRAL_CONSTANTS = {("add", 0), ("sub", 0), ("mul", 1), ("div", 1)}
-"""Operations with a second constant that give their first operand."""
+"""Operations with a second constant whose result is their first operand."""
 
 _ABSORBING_CONSTANTS = {("mul", 0), ("div", 0)}
-"""Operations with a first constant that give that constant."""
+"""Operations with a first constant whose result is that constant."""
 
 
 def _fold_constants(name: str, x: Sequence[Any], constant: Sequence[bool]) -> Any:
-    """What follows from a constant operand alone; None if nothing does."""
+    """Return the result that a constant operand alone determines; None if there is none."""
     if name == "select_n" and constant[0]:
         return x[1 + int(x[0])]
     if name not in ("add", "sub", "mul", "div", "and", "or") or not any(constant):
@@ -158,7 +158,7 @@ def _bind_plain(primitive: Any, params: dict[str, Any], operands: Sequence[Any])
 
 
 def _broadcast_operands(*operands: Any) -> list[jax.Array]:
-    """All as wide as the widest."""
+    """Broadcast all operands to the widest."""
     lanes = np.broadcast_shapes(*(np.shape(x) for x in operands))
     return [
         x if np.shape(x) == lanes and isinstance(x, jax.Array) else jnp.broadcast_to(x, lanes)
@@ -167,7 +167,7 @@ def _broadcast_operands(*operands: Any) -> list[jax.Array]:
 
 
 def _bind_quotient(instructions: Instructions, a: Any, b: Any) -> Any:
-    """``a / b`` by a reciprocal."""
+    """Return ``a / b`` by a reciprocal."""
     inverse = instructions.reciprocal(b)
     return (
         inverse if isinstance(a, np.generic) and a == 1 else apply_binary(jax.lax.mul_p, inverse, a)
@@ -175,7 +175,7 @@ def _bind_quotient(instructions: Instructions, a: Any, b: Any) -> Any:
 
 
 def _fuse_product(target: _Target, name: str, x: Any, y: Any) -> Any:
-    """``x + y`` or ``x - y`` where one of them is a product; None where none is."""
+    """Return ``x + y`` or ``x - y`` where one of them is a product; None where none is."""
     flip = -1 if name == "sub" else 1
     if (product := target.products.get(id(y))) is not None:
         sign, rest = flip * product.sign, x
@@ -190,7 +190,7 @@ def _fuse_product(target: _Target, name: str, x: Any, y: Any) -> Any:
 def _record_product(
     target: _Target, name: str, params: dict[str, Any], operands: Sequence[Any], result: Any
 ) -> None:
-    """Remember what was multiplied, in case it is added to something."""
+    """Record the factors of a product, in case it is added to something."""
     if np.shape(result) == ():
         return
     sign = 1

@@ -1,7 +1,7 @@
 """Trees of per-body arrays in one flat array, a plane of lanes for every element.
 
-Element k of lane n is at place ``k * lanes + n``: programs that work on neighbouring lanes read
-neighbouring places.
+Element k of lane n has the index ``k * lanes + n``: programs that work on neighbouring lanes read
+neighbouring elements.
 """
 
 import math
@@ -19,17 +19,17 @@ TABLE_MIN_ROWS = 16
 """Arrays of one body with more rows than this stay in memory and are read by the entry."""
 
 type LoadFunction = Callable[[Any], Any]
-"""Values at places of a flat array."""
+"""Loads values at indices of a flat array."""
 
 
 def is_table(tail: tuple[int, ...]) -> bool:
-    """Whether an array [...] of one body is read from memory by the entry."""
+    """Return whether an array [...] of one body is read from memory by the entry."""
     return len(tail) > 0 and tail[0] > TABLE_MIN_ROWS
 
 
 @dataclass(frozen=True, kw_only=True)
 class LeafLayout:
-    """Where one leaf of a tree lies."""
+    """Position of one leaf of a tree."""
 
     first: int
     """Number of its first plane."""
@@ -38,13 +38,13 @@ class LeafLayout:
 
     @property
     def size(self) -> int:
-        """Number of its planes."""
+        """Return the number of its planes."""
         return math.prod(self.shape)
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlaneLayout:
-    """Where the leaves of a tree lie."""
+    """Positions of the leaves of a tree."""
 
     tree: Any
     leaves: tuple[LeafLayout, ...]
@@ -52,7 +52,7 @@ class PlaneLayout:
 
     @classmethod
     def of(cls, tree: Any, lead: int) -> "PlaneLayout":
-        """Layout of arrays [W, (n,) ...] with ``lead`` axes of lanes, or of shapes of such."""
+        """Build the layout of arrays [W, (n,) ...] with ``lead`` axes of lanes, or of shapes."""
         flat, structure = jax.tree.flatten(tree)
         leaves, first = [], 0
         for leaf in flat:
@@ -65,16 +65,19 @@ class PlaneLayout:
 
     @property
     def planes(self) -> int:
-        """Number of planes of the whole tree."""
+        """Return the number of planes of the whole tree."""
         return sum(leaf.size for leaf in self.leaves)
 
     @property
     def size(self) -> int:
-        """Number of places."""
+        """Return the number of elements."""
         return self.planes * self.lanes
 
     def pack(self, tree: Any, dtype: Any) -> jax.Array:
-        """Arrays [W, (n,) ...] as one flat array [planes * lanes]; whole numbers must be small."""
+        """Pack arrays [W, (n,) ...] into one flat array [planes * lanes].
+
+        Whole numbers must be small.
+        """
         rows = []
         for leaf, value in zip(self.leaves, jax.tree.leaves(tree), strict=True):
             lead = value.ndim - len(leaf.shape)
@@ -83,7 +86,7 @@ class PlaneLayout:
         return jnp.concatenate(rows).reshape(-1)
 
     def unpack(self, flat: jax.Array, lead: tuple[int, ...]) -> Any:
-        """The inverse of `pack`.
+        """Return the arrays of a flat array: the inverse of `pack`.
 
         Args:
             flat: [..., planes * lanes].
@@ -105,7 +108,7 @@ class PlaneLayout:
     def read_lanes(
         self, load: LoadFunction, lane: Any, only: Callable[[Any], Any] = lambda tree: tree
     ) -> Any:
-        """The tree of lanes number ``lane``, or a part of it; long arrays as tables."""
+        """Read the tree of lanes number ``lane``, or a part of it; long arrays as tables."""
         selected = only(jax.tree.unflatten(self.tree, self.leaves))
         return jax.tree.map(lambda leaf: self._read_leaf(leaf, load, lane), selected)
 
@@ -139,14 +142,14 @@ class SampleBuffer:
     """
 
     layout: PlaneLayout
-    """Of one sample."""
+    """Layout of one sample."""
     samples: int
     rows: int
     worlds: int
 
     @property
     def size(self) -> int:
-        """Numbers of all samples."""
+        """Return the number of elements of all samples."""
         return self.samples * self.layout.planes * self.rows * self.worlds
 
     def write_lanes(
@@ -160,7 +163,7 @@ class SampleBuffer:
                 store(block + (first + k) * self.worlds + world, x)
 
     def unpack(self, flat: jax.Array) -> Any:
-        """Arrays [worlds, samples, rows, ...]."""
+        """Return arrays [worlds, samples, rows, ...]."""
         leaf_stride = self.samples * self.rows * self.worlds
         out = []
         for leaf in self.layout.leaves:
@@ -172,7 +175,7 @@ class SampleBuffer:
 
 
 def cast_element(value: Any, dtype: Any) -> Any:
-    """A number read from an array of floats, with its own type."""
+    """Cast a number read from an array of floats to its own type."""
     if value.dtype == dtype:
         return value
     return value != 0 if dtype == np.bool_ else value.astype(dtype)

@@ -1,4 +1,4 @@
-"""Rules for operations that move elements about, or combine them: nothing but object arrays."""
+"""Rules for operations that move or combine elements: object arrays only."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -10,14 +10,14 @@ import numpy as np
 
 from angler_kernels.lanes.folding import apply_binary
 from angler_kernels.lanes.table import LookupTable
-from angler_kernels.lanes.trees import Elements
+from angler_kernels.lanes.trees import Elements, UnsupportedOperationError
 
 type PrimitiveRule = Callable[[Any, Sequence[Elements]], list[Elements]]
-"""What becomes of an equation's operands."""
+"""Rule of a primitive: operands of an equation to its results."""
 
 
 def from_array(value: np.ndarray) -> Elements:
-    """A constant array as an object array of typed numbers."""
+    """Return a constant array as an object array of typed numbers."""
     out = np.empty(value.shape, object)
     for index in np.ndindex(*value.shape):
         out[index] = value[index]
@@ -46,7 +46,7 @@ def _apply_slice(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
 
 
 def _apply_dynamic_slice(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
-    """Rows at a traced index: loaded from a table, or picked from lanes one by one."""
+    """Return rows at a traced index: loaded from a table, or selected from lanes one by one."""
     source, *starts = operands
     sizes = eqn.params["slice_sizes"]
     first = [start[()] for start in starts]
@@ -62,7 +62,7 @@ def _apply_dynamic_slice(eqn: Any, operands: Sequence[Elements]) -> list[Element
 
 
 def _select_element(source: Elements, position: Sequence[Any]) -> Any:
-    """The element of a small array at a place of which each number may be traced."""
+    """Return the element of a small array at a position whose indices may be traced."""
     if not position:
         return source[()]
     at, *rest = position
@@ -76,11 +76,11 @@ def _select_element(source: Elements, position: Sequence[Any]) -> Any:
 
 
 def _apply_gather(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
-    """Entries of a table [n], one for each index: what ``vmap`` makes of a look-up."""
+    """Return entries of a table [n], one for each index: a look-up under ``vmap``."""
     source, indices = operands
     shape = eqn.outvars[0].aval.shape
     if not isinstance(source, LookupTable) or eqn.params["slice_sizes"] != (1,):
-        raise NotImplementedError(f"lanes: gather only looks up single entries of a Table: {eqn}")
+        raise UnsupportedOperationError(eqn, "gather only looks up single entries of a Table")
     out = np.empty(indices.size, object)
     for i, at in enumerate(indices.ravel()):
         out[i] = source.take([at])
@@ -101,7 +101,7 @@ def _apply_unstack(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
 
 
 def _as_object_array(value: Any) -> Elements:
-    """A row of an object array, which numpy gives bare where it has no axes left."""
+    """Return a row of an object array; numpy returns a bare element where no axes remain."""
     if isinstance(value, np.ndarray) and value.dtype == object:
         return value
     out = np.empty((), object)

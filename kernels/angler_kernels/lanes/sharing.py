@@ -1,11 +1,12 @@
-"""Compute once what several results need, where a compiler would compute it for each of them.
+"""Shared values of several results, computed once where a compiler would repeat them.
 
-XLA on a CPU makes a loop of every result and repeats in each what they have in common, if the
-operations look cheap: three components of a force cost the whole way to them three times. A value
-behind an optimisation barrier is written to memory once and read by all.
+XLA on a CPU makes a loop of every result and repeats in each the operations that they have in
+common, if these look cheap: three components of a force cost all operations that lead to them three
+times. A value behind an optimisation barrier is written to memory once and read by all.
 
-Which values are worth that is found from the graph of operations. Seen from its end, a value that
-several loops need is held if repeating what leads to it would cost more than memory does.
+The values worth holding are found from the graph of operations. Seen from its end, a value that
+several loops need is held if repeating the operations that lead to it would cost more than memory
+does.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,10 +18,10 @@ from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 from angler_kernels.lanes.trees import flatten
 
 MEMORY_COST = 12
-"""What it costs to write an array and to begin a loop for it, in operations on such an array."""
+"""Cost of writing an array and beginning a loop for it, in operations on such an array."""
 
 EXPENSIVE_COST = 8
-"""What a division, a root or a look-up costs, in additions."""
+"""Cost of a division, a root or a look-up, in additions."""
 
 _EXPENSIVE = {"div", "rem", "sqrt", "rsqrt", "exp", "log", "pow", "sin", "cos", "atan2", "gather"}
 _FREE = {"broadcast_in_dim", "reshape", "squeeze"}
@@ -37,14 +38,14 @@ _MEMORY_OPERATIONS = (
     "dot",
     "concatenate",
 )
-"""What the names of operations begin with that have their operands and results in memory."""
+"""Prefixes of the names of operations that have their operands and results in memory."""
 
 _N_PASSES = 3
-"""Times that a choice is thinned out: a value held makes those behind it cheaper."""
+"""Number of passes that thin out a choice: a held value makes those behind it cheaper."""
 
 
 def compute_shared(function: Callable[[], Any]) -> Any:
-    """What ``function`` gives, a tree of object arrays, with values in common computed once.
+    """Wrap a function with a tree of object arrays as result to compute common values once.
 
     The values and their derivatives are the same, up to how a compiler rounds.
     """
@@ -60,14 +61,14 @@ def compute_shared(function: Callable[[], Any]) -> Any:
 
 
 def _insert_barriers(closed: ClosedJaxpr) -> Callable[..., list[Any]]:
-    """The same function, with barriers."""
+    """Return the same function with barriers."""
     plain = jax.make_jaxpr(lambda *x: _evaluate_jaxpr(closed, x, None))(*closed.in_avals)
     hold = _choose_held_variables(plain.jaxpr)
     return lambda *x: _evaluate_jaxpr(plain, x, hold)
 
 
 def _arrange_body(value: Any) -> Any:
-    """`_insert_barriers` for what stands in the parameters of a loop."""
+    """Apply `_insert_barriers` to a parameter of a loop."""
     if isinstance(value, tuple):
         return tuple(map(_arrange_body, value))
     if isinstance(value, ClosedJaxpr):
@@ -78,8 +79,8 @@ def _arrange_body(value: Any) -> Any:
 def _evaluate_jaxpr(closed: ClosedJaxpr, args: Sequence[Any], hold: set[Any] | None) -> list[Any]:
     """Evaluate with barriers behind the variables to hold.
 
-    Where these are not known yet (None), functions that are called are written out, and the bodies
-    of loops arranged.
+    Where the variables are not chosen yet (None), called functions are inlined and the bodies of
+    loops arranged.
     """
     jaxpr = closed.jaxpr
     values: dict[Any, Any] = dict(zip(jaxpr.constvars, closed.consts, strict=True))
@@ -100,7 +101,7 @@ def _evaluate_jaxpr(closed: ClosedJaxpr, args: Sequence[Any], hold: set[Any] | N
 
 
 def _choose_held_variables(jaxpr: Jaxpr) -> set[Any]:
-    """Variables to be held in memory."""
+    """Choose the variables to hold in memory."""
     graph = _Graph(jaxpr)
     held = graph.choose_held(set(), set(range(len(graph.out))))
     for _ in range(_N_PASSES):
@@ -140,7 +141,7 @@ class _Graph:
         self._in_memory.update(index_of[x] for x in ends if x in index_of)
 
     def choose_held(self, held: set[int], candidates: set[int]) -> set[int]:
-        """Values of ``candidates`` worth holding where those of ``held`` are."""
+        """Choose the values of ``candidates`` worth holding where those of ``held`` are."""
         leading = self._leading_operations(held)
         loops = [0] * len(self.out)
         chosen: set[int] = set()
@@ -163,7 +164,7 @@ class _Graph:
         return chosen
 
     def _leading_operations(self, held: set[int]) -> list[int]:
-        """Operations that lead to each value from what is in memory before it."""
+        """Count the operations that lead to each value from the nearest values in memory."""
         sets: list[int] = []
         for i, before in enumerate(self._before):
             sets.append(1 << i)

@@ -1,4 +1,4 @@
-"""A large array of one body that stays in memory, for `apply`."""
+"""Large array of one body that stays in memory, for `apply`."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -9,7 +9,7 @@ import numpy as np
 
 
 class LookupTable:
-    """An array [n, ...] of each body, read an entry at a time.
+    """Array [n, ...] of each body, read an entry at a time.
 
     Attributes:
         shape: of one body's array.
@@ -25,14 +25,14 @@ class LookupTable:
         base: Any = 0,
         step: int = 1,
     ) -> None:
-        """Describe where the entries are.
+        """Set the position of the entries.
 
         Args:
-            load: values at places in memory, lanes of whole numbers or one for all.
+            load: loads values at memory indices, lanes of whole numbers or one for all.
             shape: of one body's array.
             dtype: of its entries.
-            base: lanes, the place of each body's first entry.
-            step: from one entry to the next, in row-major order of ``shape``.
+            base: lanes, index of each body's first entry.
+            step: distance from one entry to the next, in row-major order of ``shape``.
         """
         self.shape = shape
         self.dtype = np.dtype(dtype)
@@ -41,12 +41,12 @@ class LookupTable:
         self._step = step
 
     def where(self, condition: Any, other: "LookupTable") -> "LookupTable":
-        """This table for lanes of which a condition holds, another of the same array for others."""
+        """Return this table for lanes where a condition holds, another of same array for others."""
         base = jnp.where(condition, self._base, other._base)
         return LookupTable(self._load, self.shape, self.dtype, base=base, step=self._step)
 
     def take(self, index: Sequence[Any]) -> Any:
-        """The entry at ``index``, one number or lanes of them for each axis."""
+        """Return the entry at ``index``, one number or lanes of them for each axis."""
         offset: Any = 0
         for axis, at in enumerate(index):
             stride = self._step * math.prod(self.shape[axis + 1 :])
@@ -55,14 +55,14 @@ class LookupTable:
         return self._load(self._base + offset)
 
     def read_all(self) -> np.ndarray:
-        """All entries, as an object array of lanes."""
+        """Return all entries, as an object array of lanes."""
         out = np.empty(self.shape, object)
         for index in np.ndindex(*self.shape):
             out[index] = self.take(index)
         return out
 
     def __getitem__(self, window: tuple[slice, ...]) -> np.ndarray:
-        """Entries at constant places."""
+        """Return the entries at constant indices."""
         indices = np.indices(self.shape)[(slice(None), *window)]
         out = np.empty(indices.shape[1:], object)
         for index in np.ndindex(*out.shape):

@@ -1,4 +1,4 @@
-"""Evaluate a function of one body on many bodies, with one array for every element of its arrays.
+"""Evaluation of a function of one body on many bodies, with one array per element of its arrays.
 
 ``vmap`` turns an array [3] of one body into an array [n, 3]. This turns it into three arrays [n],
 the lanes: small axes become Python objects, and only elementwise operations on whole lanes remain.
@@ -22,14 +22,22 @@ from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 from angler_kernels.lanes.folding import fold_operation
 from angler_kernels.lanes.shaping import SHAPING, PrimitiveRule, from_array
 from angler_kernels.lanes.table import LookupTable
-from angler_kernels.lanes.trees import Elements, any_lane, broadcast_like, flatten, split
+from angler_kernels.lanes.trees import (
+    Elements,
+    UnsupportedOperationError,
+    any_lane,
+    broadcast_like,
+    flatten,
+    naming_source,
+    split,
+)
 
 
 def apply(function: Callable[..., Any], *args: Any) -> Any:
     """Evaluate ``function`` of one body on lanes.
 
     Args:
-        function: of one body, in JAX; see the list of rules below for what it may use.
+        function: function of one body, in JAX; the rules below list the operations that it may use.
         *args: pytrees as the function takes them, each leaf [...] an object array [...] of lanes
             (from `split`), a `LookupTable`, or a number that is the same for all.
 
@@ -44,7 +52,7 @@ def apply(function: Callable[..., Any], *args: Any) -> Any:
 
 
 def _to_elements(leaf: Any) -> Elements:
-    """A leaf as an object array."""
+    """Return a leaf as an object array."""
     if isinstance(leaf, np.ndarray) and leaf.dtype == object:
         return leaf
     out = np.empty((), object)
@@ -53,7 +61,7 @@ def _to_elements(leaf: Any) -> Elements:
 
 
 def _typed_constant(value: Any) -> Any:
-    """A Python number with JAX's default type."""
+    """Return a Python number with JAX's default type."""
     return np.asarray(value, jnp.result_type(value))[()]
 
 
@@ -87,26 +95,27 @@ def _evaluate_jaxpr(
         operands = [read(var) for var in eqn.invars]
         rule = RULES.get(eqn.primitive.name)
         if rule is not None:
-            results = rule(eqn, operands)
+            with naming_source(eqn):
+                results = rule(eqn, operands)
         elif _is_elementwise(eqn):
             results = [_apply_elementwise(eqn, operands)]
         else:
-            raise NotImplementedError(f"lanes: no rule for {eqn}")
+            raise UnsupportedOperationError(eqn, "no rule for")
         values.update(zip(eqn.outvars, results, strict=True))
     return [read(var) for var in jaxpr.outvars]
 
 
-_AXES = {"axis", "axes", "dimension", "dimensions", "dimension_numbers"}
-"""What parameters are called that name an axis."""
+_NOT_ELEMENTWISE = {"axis", "axes", "dimension", "dimensions", "dimension_numbers", "branches"}
+"""Parameters of operations that are none on numbers alone: they name an axis, or hold programs."""
 
 
 def _is_elementwise(eqn: Any) -> bool:
-    """Whether it is an operation on numbers, done to each element of operands as numpy would.
+    """Return whether an equation is an elementwise operation on numbers, broadcast as by numpy.
 
-    The shapes do not tell: a running sum has those of its operand. But it names an axis, and a
+    The shapes do not decide: a running sum has those of its operand. But it names an axis, and a
     factorisation does not take a number.
     """
-    if len(eqn.outvars) != 1 or not eqn.invars or _AXES & eqn.params.keys():
+    if len(eqn.outvars) != 1 or not eqn.invars or _NOT_ELEMENTWISE & eqn.params.keys():
         return False
     try:
         shape = np.broadcast_shapes(*(var.aval.shape for var in eqn.invars))
@@ -121,7 +130,7 @@ def _is_elementwise(eqn: Any) -> bool:
 
 @cache
 def _takes_numbers(primitive: Any, dtypes: tuple[Any, ...], params: tuple[Any, ...]) -> bool:
-    """Whether an operation is one on numbers too."""
+    """Return whether an operation is defined on numbers as well."""
     numbers = [jax.ShapeDtypeStruct((), dtype) for dtype in dtypes]
     try:
         jax.eval_shape(partial(primitive.bind, **dict(params)), *numbers)
@@ -131,14 +140,14 @@ def _takes_numbers(primitive: Any, dtypes: tuple[Any, ...], params: tuple[Any, .
 
 
 def _constant_elements(value: Any) -> Elements:
-    """What a function holds beside its arguments: numbers, or arrays that are the same for all."""
+    """Return the constants of a function: numbers, or arrays that are the same for all lanes."""
     if isinstance(value, jax.core.Tracer):
         return split(value, 0)
     return from_array(np.asarray(value))
 
 
 def _apply_elementwise(eqn: Any, operands: Sequence[Elements]) -> Elements:
-    """One operation on each element; operands are broadcast as numpy would."""
+    """Apply one operation to each element; operands are broadcast as by numpy."""
     out = np.empty(eqn.outvars[0].aval.shape, object)
     full_operands = (x.read_all() if isinstance(x, LookupTable) else x for x in operands)
     operands = [np.broadcast_to(x, out.shape) for x in full_operands]
@@ -153,7 +162,7 @@ def _apply_call(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
 
 
 def _apply_while(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
-    """Repeat until the condition fails in every lane; lanes that are done keep what they have."""
+    """Repeat until the condition fails in every lane; finished lanes keep their values."""
     params = eqn.params
     n_cond, n_body = params["cond_nconsts"], params["body_nconsts"]
     of_cond, of_body = operands[:n_cond], operands[n_cond : n_cond + n_body]
@@ -181,13 +190,13 @@ def _apply_while(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
 
 
 def _apply_scan(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
-    """A loop of fixed length that reads and gives no rows: ``fori_loop``."""
+    """Apply a loop of fixed length that neither reads nor returns rows: ``fori_loop``."""
     params = eqn.params
     inner = params["jaxpr"].jaxpr
     outer_vars = [*eqn.invars, *eqn.outvars]
     inner_vars = [*inner.invars, *inner.outvars]
     if any(x.aval.shape != y.aval.shape for x, y in zip(outer_vars, inner_vars, strict=True)):
-        raise NotImplementedError(f"lanes: only loops without rows: {eqn}")
+        raise UnsupportedOperationError(eqn, "only loops without rows")
     n_const = len(eqn.invars) - len(eqn.outvars)
     const = operands[:n_const]
 
@@ -205,7 +214,7 @@ def _apply_scan(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
 def _broadcast_start(
     body: Callable[[Sequence[Elements]], list[Elements]], start: list[Elements]
 ) -> tuple[list[jax.Array], Callable[[Sequence[jax.Array]], Any]]:
-    """The start of a loop with lanes as wide as the loop makes them: one number or all lanes."""
+    """Return start of a loop with lanes as wide as the loop makes them: one number or all lanes."""
     row, rebuild = flatten(start)
     row = [jnp.asarray(x) for x in row]
     while True:

@@ -1,19 +1,49 @@
 """Trees whose leaves are object arrays of lanes: one array for every element of a body's arrays."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.extend import source_info_util
 
 type Elements = Any
-"""An object array of lanes, or a `Table`."""
+"""Object array of lanes, or a `LookupTable`."""
+
+
+class UnsupportedOperationError(NotImplementedError):
+    """A function of one body uses an operation that lanes have no rule for.
+
+    Attributes:
+        operation: name of JAX's primitive.
+        source: file, line and function of the code that uses it; empty where JAX does not say.
+    """
+
+    def __init__(self, eqn: Any, reason: str) -> None:
+        """Describe an equation of a jaxpr and why it has no rule."""
+        super().__init__(f"lanes: {reason}: {eqn}")
+        self.operation: str = eqn.primitive.name
+        self.source: str = source_info_util.summarize(eqn.source_info)
+
+
+@contextmanager
+def naming_source(eqn: Any) -> Iterator[None]:
+    """Give an `UnsupportedOperationError` without a source that of the call it comes from.
+
+    JAX traces its own compiled functions once, without the code that calls them.
+    """
+    try:
+        yield
+    except UnsupportedOperationError as error:
+        error.source = error.source or source_info_util.summarize(eqn.source_info)
+        raise
 
 
 def split(tree: Any, lead: int = 1) -> Any:
-    """Arrays with ``lead`` axes of lanes in front to object arrays of lanes, leaf by leaf."""
+    """Turn arrays with ``lead`` axes of lanes in front into object arrays, leaf by leaf."""
 
     def split_leaf(leaf: jax.Array) -> Elements:
         tail = leaf.shape[lead:]
@@ -26,7 +56,7 @@ def split(tree: Any, lead: int = 1) -> Any:
 
 
 def join(tree: Any) -> Any:
-    """Object arrays of lanes to arrays with the lanes' axes in front, leaf by leaf."""
+    """Turn object arrays of lanes into arrays with the lanes' axes in front, leaf by leaf."""
 
     def join_leaf(leaf: Elements) -> jax.Array:
         shape = np.broadcast_shapes(*(np.shape(x) for x in leaf.ravel()))
@@ -39,7 +69,7 @@ def join(tree: Any) -> Any:
 
 
 def pack(items: Sequence[Any], shape: tuple[int, ...]) -> Elements:
-    """Lanes in a row as an object array of the given shape."""
+    """Return a row of lanes as an object array of a shape."""
     out = np.empty(len(items), object)
     for i, item in enumerate(items):  # an assignment of the whole would look into the lanes
         out[i] = item
@@ -47,7 +77,7 @@ def pack(items: Sequence[Any], shape: tuple[int, ...]) -> Elements:
 
 
 def flatten(tree: Any) -> tuple[list[jax.Array], Callable[[Sequence[jax.Array]], Any]]:
-    """The lanes of a tree of object arrays in a row, and what puts such a row back into a tree."""
+    """Return lanes of a tree of object arrays in a row, and the function that rebuilds the tree."""
     leaves, structure = jax.tree.flatten(tree)
     shapes = [leaf.shape for leaf in leaves]
     flat = [x for leaf in leaves for x in leaf.ravel()]
@@ -64,11 +94,11 @@ def flatten(tree: Any) -> tuple[list[jax.Array], Callable[[Sequence[jax.Array]],
 
 
 def repeat(times: Any, body: Callable[[jax.Array, Any], Any], tree: Any) -> Any:
-    """``body(i, tree)`` a number of times, on a tree of object arrays, in a loop of the program.
+    """Repeat ``body(i, tree)`` on a tree of object arrays, in a loop of the program.
 
     Args:
-        times: how often; a number, or int32 [].
-        body: of int32 [] i and the tree; gives the same tree.
+        times: number of repetitions; a number, or int32 [].
+        body: function of int32 [] i and the tree; returns the same tree.
         tree: object arrays whose lanes all have their final shape.
     """
     flat, rebuild = flatten(tree)
@@ -81,17 +111,17 @@ def repeat(times: Any, body: Callable[[jax.Array, Any], Any], tree: Any) -> Any:
 
 
 def broadcast_like(x: Any, like: jax.Array) -> jax.Array:
-    """Lanes or a number, with the shape and type of ``like``."""
+    """Return lanes or a number with the shape and type of ``like``."""
     return jnp.broadcast_to(jnp.asarray(x, like.dtype), like.shape)
 
 
 def any_lane(where: Any) -> jax.Array:
-    """Whether any lane of a bool array is true, in a form that all backends know."""
+    """Return whether any lane of a bool array is true, in a form that all backends support."""
     return jnp.max(jnp.where(where, 1, 0)) > 0
 
 
 def select_lanes(condition: jax.Array, tree: Any, otherwise: Any) -> Any:
-    """The lanes of one tree of object arrays where a condition holds, those of the other else."""
+    """Select the lanes of one tree of object arrays where a condition holds, else of the other."""
     flat, rebuild = flatten(otherwise)
     return rebuild(
         [jnp.where(condition, x, y) for x, y in zip(flatten(tree)[0], flat, strict=True)]

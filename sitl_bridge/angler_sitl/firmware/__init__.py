@@ -1,1 +1,1 @@
-"""ArduSub program: its location, parameters, process and boot."""
+"""ArduSub program: its location, parameters, process and ports."""

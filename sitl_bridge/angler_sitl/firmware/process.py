@@ -67,7 +67,7 @@ class LaunchSpec:
         folder: Its own folder; created if missing.
         name: Its name in messages, as in robot_0.
         sysid: MAVLink system number, 1 to 254.
-        ports: Sockets of `ports.allocate`.
+        ports: Sockets of `ports.allocate_ports`.
         parameters: Values by firmware name, as of `parameters.for_vehicle`.
     """
 

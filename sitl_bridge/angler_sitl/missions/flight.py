@@ -5,8 +5,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from angler_mjx.errors import RunError
-from angler_mjx.robot.control.joint_goal import JointGoal
-from angler_mjx.robot.control.joint_tolerance import ResultCode
+from angler_mjx.robot.control.commands.joint_goal import JointGoal
+from angler_mjx.robot.control.commands.joint_tolerance import ResultCode
 from angler_mjx.runs.session.interface import Observation, RobotStatus
 from angler_mjx.sim.state import Outcome
 from angler_mjx.teleop.loop import Watcher

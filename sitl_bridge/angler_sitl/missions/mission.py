@@ -8,26 +8,39 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from angler_kernels import quaternion
 from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.robot.control.joint_goal import JointGoal
-from angler_mjx.runs.session.recording import RecordedCourse, SessionRecording
+from angler_mjx.report.interop import joint_trajectory_file
+from angler_mjx.robot.control.commands import joint_goal
+from angler_mjx.robot.control.commands.joint_goal import JointGoal
+from angler_mjx.robot.control.commands.joint_trajectory import VEHICLE_JOINTS, sample_state
+from angler_mjx.runs.session.interface import Session
+from angler_mjx.runs.session.recording import FlownPath, RecordedCourse, SessionRecording
 from angler_mjx.runs.storage import folder
 from angler_mjx.runs.storage.folder import Run
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.teleop.loop import Watcher
 from angler_mjx.teleop.signals import break_on_signal, stop_on_signal
-from angler_sitl import autopilots as running
-from angler_sitl.autopilots import Autopilots
+from angler_sitl.autopilots import autopilots as running
+from angler_sitl.autopilots.autopilots import Autopilots
 from angler_sitl.firmware import binary as binaries
 from angler_sitl.firmware import parameters as firmware
 from angler_sitl.firmware.parameters import CommandLevel, PositionSource
 from angler_sitl.firmware.probe import read_version
-from angler_sitl.missions import plans
 from angler_sitl.missions.flight import MissionFlight, fly_mission
+from angler_sitl.missions.ground_station import GroundStation
 from angler_sitl.session import SitlSession
 from angler_sitl.steering.levels import STICK_LEVELS
-from angler_sitl.wire.ground_station import GroundStation
 from angler_sitl.wire.ports import MAX_VEHICLES
+
+GRID = "grid"
+"""Source of plans: the paths of the planner."""
+PATH_POINTS = 256
+"""Number of points of a rendered path."""
 
 type ReportText = Callable[[str], None]
 """Receiver of progress messages."""
@@ -44,8 +57,8 @@ class MissionSettings:
     world: int = 0
     level: CommandLevel = "guided"
     source: PositionSource = "vision"
-    plan: Sequence[str] = (plans.GRID,)
-    """Sources of the plans, as in `plans.load_trajectories`."""
+    plan: Sequence[str] = (GRID,)
+    """Sources of the plans, as in `load_trajectories`."""
     speed: Literal["max"] | float = "max"
     on_crash: Literal["end", "hold"] = "end"
     duration_s: float | None = None
@@ -97,7 +110,7 @@ def run_mission(
     count = len(scenario.members())
     if count > MAX_VEHICLES:  # before compiling, which takes a minute
         raise ConfigError(f"{count} robots: real autopilots can be 1 to {MAX_VEHICLES}")
-    goals = plans.load_trajectories(settings.plan, count)
+    goals = load_trajectories(settings.plan, count)
     firmware_parameters = (
         {} if settings.parameters is None else firmware.read_parameters(settings.parameters)
     )
@@ -119,11 +132,11 @@ def run_mission(
         interrupt.check()
         autopilots = session.autopilots  # a crash removes them from the session
         _report_ready(autopilots, report)
-        plans.check_goals(session, goals)
+        check_goals(session, goals)
         watchers: list[Watcher] = [recording]
         recording.begin(session)
         for robot, goal in goals.items():
-            recording.plan(robot, plans.sample_path(session, robot, goal))
+            recording.plan(robot, sample_path(session, robot, goal))
         if station is not None:
             station.join(session)
             watchers.append(station)
@@ -156,7 +169,7 @@ def run_mission(
 
 def _list_inputs(settings: MissionSettings) -> list[tuple[str, Path]]:
     """Return the input files of a flight beside those of its scenario."""
-    files = [("plan", Path(name)) for name in settings.plan if name != plans.GRID]
+    files = [("plan", Path(name)) for name in settings.plan if name != GRID]
     if settings.parameters is not None:
         files.append(("parameters", settings.parameters))
     return files
@@ -228,3 +241,54 @@ def _summarise_run(
         "lost": {names[i]: why for i, why in autopilots.lockstep.lost.items()},
         "trajectories": {names[i]: flight.last.status[i].note for i in goals},
     }
+
+
+def load_trajectories(sources: Sequence[str], robots: int) -> dict[int, JointGoal]:
+    """Return JointTrajectories by robot index; empty where the planner's paths are flown.
+
+    Args:
+        sources: ``grid``, or files as `angler_mjx.report.interop` writes them: one with all robots,
+            or several. Robots in none of the files follow the planner's path.
+        robots: number of robots.
+
+    Raises:
+        ConfigError: a file cannot be used, or a robot is in two of them.
+    """
+    if list(sources) == [GRID]:
+        return {}
+    goals: dict[int, JointGoal] = {}
+    for name in sources:
+        if name == GRID:
+            raise ConfigError("--plan grid: give it alone, or files alone")
+        more = joint_trajectory_file.read_trajectories(Path(name), robots=robots)
+        if duplicates := sorted(goals.keys() & more.keys()):
+            raise ConfigError(f"--plan {name}: robot {duplicates[0]} is in an earlier file already")
+        goals.update(more)
+    return goals
+
+
+def sample_path(session: Session, robot: int, goal: JointGoal) -> FlownPath:
+    """Return the path of a trajectory from the robot's position, with many points."""
+    observation = session.observe()
+    p, q = (np.asarray(part)[robot] for part in (observation.estimate.p, observation.estimate.q))
+    start = [*p.tolist(), float(quaternion.yaw(q))]
+    trajectory = joint_goal.build_trajectory(goal, joints=VEHICLE_JOINTS, position=start)
+    times = np.linspace(0.0, float(trajectory.time_s[-1]), PATH_POINTS)
+    points = np.asarray(jax.vmap(sample_state, (None, 0))(trajectory, jnp.asarray(times)).position)
+    return FlownPath(time_s=goal.stamp_s + times, position_m=points[:, :3], yaw_rad=points[:, 3])
+
+
+def check_goals(session: Session, goals: dict[int, JointGoal]) -> None:
+    """Refuse trajectories that robots cannot follow from their positions.
+
+    Raises:
+        ConfigError: one message with the faults of all trajectories.
+    """
+    faults = []
+    for robot, goal in goals.items():
+        try:
+            session.check(robot, goal)
+        except ConfigError as error:
+            faults.append(str(error))
+    if faults:
+        raise ConfigError("\n".join(["--plan: cannot be flown", *faults]))

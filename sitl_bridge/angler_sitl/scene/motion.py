@@ -28,7 +28,7 @@ from angler_mjx.robot.vehicles.params import VehicleParams
 from angler_mjx.sim import robot
 from angler_mjx.sim.engines.lanes import steps as lane_steps
 from angler_mjx.sim.physics.step import VehicleState, Water
-from angler_mjx.sim.state import World
+from angler_mjx.sim.state import FleetWorld
 from angler_mjx.world.currents import Current
 from angler_sitl.wire.packets import STATE_NUMBERS
 
@@ -68,7 +68,7 @@ class SceneMotion:
     vehicles: "MotionRows"
     """Layout of one vehicle, behind its sensor state."""
 
-    def pack_constants(self, world: World) -> jax.Array:
+    def pack_constants(self, world: FleetWorld) -> jax.Array:
         """Return the constants of a world for the step; [1] leads there."""
         return _put_on_device(_flatten((world.control.vehicle, world.environment.current)))
 
@@ -112,7 +112,9 @@ class MotionRows:
         return jax.tree.unflatten(self.tree, parts)
 
 
-def compile_motion(water: Water, dt_s: float, world: World, vehicles: VehicleState) -> SceneMotion:
+def compile_motion(
+    water: Water, dt_s: float, world: FleetWorld, vehicles: VehicleState
+) -> SceneMotion:
     """Compile the step for worlds like this one.
 
     Args:

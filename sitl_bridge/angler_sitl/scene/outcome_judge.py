@@ -13,13 +13,13 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.sim import robot
-from angler_mjx.sim.engines.mjx import SingleWorld
-from angler_mjx.sim.phase import run_phases
+from angler_mjx.sim.engines.mjx import SingleWorld, judge_world
+from angler_mjx.sim.phase import run_phase
 from angler_mjx.sim.physics.step import VehicleState
-from angler_mjx.sim.state import SimSpec, World, WorldState
-from angler_mjx.sim.step import INTERACTION_PHASES, OBSTACLES
+from angler_mjx.sim.state import FleetWorld, SimSpec, WorldState
+from angler_mjx.sim.step import OBSTACLES, MovedRobots
 from angler_sitl.scene.flat_arrays import Arrays, FlatLayout
 from angler_sitl.scene.motion import (
     N_INPUTS,
@@ -45,7 +45,7 @@ class OutcomeJudge:
     record: FlatLayout
     """Layout of the record of the phases, by field; [1] leads there."""
 
-    def pack_constants(self, world: World) -> Arrays:
+    def pack_constants(self, world: FleetWorld) -> Arrays:
         """Return the constants of a world for the step; [1] leads there."""
         return self.world.pack_on_device(_remove_plans(world))
 
@@ -60,7 +60,7 @@ class OutcomeJudge:
 
 
 def compile_judge(
-    spec: SimSpec, motion: SceneMotion, world: World, state: WorldState
+    spec: SimSpec, motion: SceneMotion, world: FleetWorld, state: WorldState
 ) -> OutcomeJudge:
     """Compile for worlds like this one.
 
@@ -109,7 +109,7 @@ def compile_judge(
     return OutcomeJudge(step=compiled, world=world_layout, state=state_layout, record=records[-1])
 
 
-def _remove_plans(world: World) -> World:
+def _remove_plans(world: FleetWorld) -> FleetWorld:
     """Return a world [1] without its plans, whose types and lengths vary.
 
     The judgement needs only the mask of robots on the last approach.
@@ -125,7 +125,7 @@ def _remove_plans(world: World) -> World:
 
 def judge_outcomes(
     spec: SimSpec,
-    world: World,
+    world: FleetWorld,
     state: WorldState,
     vehicles: VehicleState,
     pulses: jax.Array,
@@ -148,23 +148,24 @@ def judge_outcomes(
     """
     before = state.vehicles
     t = state.step.astype(before.p.dtype) * spec.control_dt_s
-    context = SingleWorld(spec=spec, world=world, t=t, approaching=approaching)
+    batch = SingleWorld(spec=spec, world=world, t=t)
     thruster_signals = to_thruster_pwm(pulses, before.p.dtype)
-    _, power = context.map_bodies(robot.thrust_and_power, context.params.vehicle, thruster_signals)
-    slots = {
-        "vehicle": vehicles,
-        "obstacles": state.obstacles,
-        "tally": state.tally,
-        "before_m": before.p,
-        "power_w": power,
-        "broken": broken,
-    }
-    updated, record = run_phases(context, (OBSTACLES, *INTERACTION_PHASES), slots)
+    _, power = batch.map_bodies(robot.thrust_and_power, world.control.vehicle, thruster_signals)
+    moved = MovedRobots(
+        vehicle=vehicles,
+        memory=state.carry,
+        tally=state.tally,
+        before_m=before.p,
+        power_w=power,
+        broken=broken,
+    )
+    obstacles, record = run_phase(OBSTACLES, batch, state.obstacles)
+    judgement = judge_world(batch, moved, obstacles, approach=approaching)
     after = replace(
         state,
         vehicles=vehicles,
-        obstacles=updated["obstacles"],
-        tally=updated["tally"],
+        obstacles=obstacles,
+        tally=judgement.tally,
         step=state.step + 1,
     )
     return after, record

@@ -15,7 +15,7 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.scenario.task_table import require_goal_task
-from angler_mjx.sim.state import Outcome, World
+from angler_mjx.sim.state import FleetWorld, Outcome, World
 from angler_mjx.world.acoustics.config import refuse_acoustics
 from angler_sitl.scene import motion, outcome_judge
 from angler_sitl.scene.flat_arrays import FlatLayout
@@ -126,7 +126,7 @@ class AutopilotScene:
         if worlds is None:
             self._sample_world(self._seed if seed is None else seed)
         else:
-            self.worlds: World = worlds
+            self.worlds: FleetWorld = self.simulator.add_parameters(worlds)
             self._start, self._sampled_seed = self.simulator.reset(worlds), None
         self._motion_constants = self._motion.pack_constants(self.worlds)
         self._judge_constants = self._judge.pack_constants(self.worlds)
@@ -196,6 +196,7 @@ class AutopilotScene:
 
     def _sample_world(self, seed: int) -> None:
         if seed != self._sampled_seed:
-            self.worlds = self.simulator.worlds(self._index, seed=seed)
-            self._start = self.simulator.reset(self.worlds)
+            sampled = self.simulator.worlds(self._index, seed=seed)
+            self.worlds = self.simulator.add_parameters(sampled)
+            self._start = self.simulator.reset(sampled)
             self._sampled_seed = seed

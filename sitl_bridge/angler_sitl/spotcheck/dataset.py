@@ -18,18 +18,19 @@ from angler_mjx.learning.datasets import manifest, sampling
 from angler_mjx.learning.datasets.gaps import CheckedPart, GapRow, SpotCheck
 from angler_mjx.learning.datasets.maintenance import attach
 from angler_mjx.learning.datasets.manifest import Manifest, PartEntry
+from angler_mjx.progress import Progress
+from angler_mjx.runs.storage import results_folder
 from angler_mjx.runs.storage.folder import Run
 from angler_sitl.spotcheck import folder, gaps, report_page, runner
 from angler_sitl.spotcheck.gaps import FlightGap, GapSummary
 from angler_sitl.spotcheck.results import SpotcheckResult, SpotcheckSettings
-from angler_sitl.spotcheck.runner import SpotcheckProgress
 
 
 def check_dataset(
     dataset_path: Path,
     settings: SpotcheckSettings,
     out: Path,
-    progress: SpotcheckProgress,
+    progress: Progress,
     *,
     resume: bool = False,
 ) -> SpotCheck | None:
@@ -126,13 +127,14 @@ def _check_part(
     run_path: Path,
     settings: SpotcheckSettings,
     out: Path,
-    progress: SpotcheckProgress,
+    progress: Progress,
     *,
     resume: bool,
 ) -> SpotcheckResult:
     """Run the spot check of a part, or the rest of an interrupted one."""
-    begun = resume and (out / folder.TABLE).is_file()
-    if begun and folder.load_table(out)["complete"]:
+    existing = results_folder.locate_folder(out)
+    begun = resume and (existing / folder.TABLE).is_file()
+    if begun and existing == out and folder.load_table(out)["complete"]:
         return runner.load_result(run_path, settings, out)
     return runner.run_spot_check(run_path, settings, out, progress, resume=begun)
 

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from angler_mjx.report.viewing import style
+from angler_mjx.report.plotting import style
 from angler_mjx.runs.storage import trajectory_layout
 from angler_mjx.runs.storage.results import OUTCOMES
 from angler_sitl.spotcheck.flight import RECORDED, SpotcheckFlight

@@ -9,16 +9,18 @@ from pathlib import Path
 from typing import Any
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.runs.storage import output_lock
+from angler_mjx.runs.storage import output_lock, results_folder
 from angler_mjx.runs.storage.atomic_files import replace_file
+from angler_mjx.runs.storage.output_lock import OutputLock
 from angler_mjx.runs.storage.read_errors import read_table, wrap_read_errors
 
 ADVICE = "put back a copy of it, or begin a new spot check"
 TABLE, FLIGHTS = "spotcheck.json", "flights"
+FOLDER_KIND = "spot check"
 
 
-def create_folder(out: Path) -> None:
-    """Create the folder of a new spot check.
+def create_folder(out: Path) -> OutputLock:
+    """Claim the folder of a new spot check.
 
     Raises:
         ConfigError: it exists, or its parent cannot be written.
@@ -29,16 +31,11 @@ def create_folder(out: Path) -> None:
             f"--out {out}: an unfinished spot check lies there; take it up again with --resume or "
             "remove it"
         )
-    if out.exists() or out.is_symlink():
-        raise ConfigError(f"--out {out}: exists; give another folder or remove it")
-    try:
-        (out / FLIGHTS).mkdir(parents=True)
-    except OSError as error:
-        raise ConfigError(f"--out {out}: cannot be written ({error.strerror})") from error
+    return output_lock.acquire(out, kind=FOLDER_KIND, advise=results_folder.resumable_by(TABLE))
 
 
-def reopen_folder(out: Path, request: dict[str, Any]) -> dict[str, Any]:
-    """Return the table of an interrupted spot check.
+def reopen_folder(out: Path, request: dict[str, Any]) -> tuple[OutputLock, dict[str, Any]]:
+    """Take up an interrupted spot check, and its table; see `results_folder.resume_folder`.
 
     Args:
         out: its folder.
@@ -47,14 +44,22 @@ def reopen_folder(out: Path, request: dict[str, Any]) -> dict[str, Any]:
     Raises:
         ConfigError: there is none, it is complete, or its request differs.
     """
+
+    def check(building: Path) -> dict[str, Any]:
+        table = load_table(building)
+        require_same_request(out, table, request)
+        return table
+
     output_lock.require_name(out, flag="--resume")
-    if not (out / TABLE).is_file():
-        raise ConfigError(f"--resume {out}: there is no spot check of that name")
-    table = load_table(out)
-    if table["complete"]:
-        raise ConfigError(f"--resume {out}: this spot check is complete; nothing is left to do")
-    require_same_request(out, table, request)
-    return table
+    existing = results_folder.locate_folder(out)
+    is_published = existing == out and (out / TABLE).is_file()
+    return results_folder.resume_folder(
+        out,
+        kind=FOLDER_KIND,
+        file=TABLE,
+        is_complete=is_published and load_table(out)["complete"],
+        check=check,
+    )
 
 
 def require_same_request(out: Path, table: dict[str, Any], request: dict[str, Any]) -> None:

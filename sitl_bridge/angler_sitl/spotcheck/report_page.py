@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from angler_mjx.report.plotting.style import save_figure
 from angler_mjx.report.viewing.markdown_tables import format_table
-from angler_mjx.report.viewing.style import save_figure
 from angler_mjx.runs.storage.results import OUTCOMES
 from angler_sitl.spotcheck import figures, folder, gaps
 from angler_sitl.spotcheck.flight import RECORDED

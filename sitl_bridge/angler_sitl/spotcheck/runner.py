@@ -7,9 +7,10 @@ resumes at the interruption.
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from angler_mjx.errors import ConfigError
+from angler_mjx.progress import Progress
 from angler_mjx.robot.vehicles import library
 from angler_mjx.runs.provenance import describe_environment
 from angler_mjx.runs.simulator.simulator import Simulator
@@ -18,7 +19,7 @@ from angler_mjx.sim.state import World
 from angler_sitl.firmware import binary as binaries
 from angler_sitl.firmware import parameters as firmware
 from angler_sitl.firmware.probe import identify_version
-from angler_sitl.missions.scenario_options import parse_speed
+from angler_sitl.scene.scenario_options import parse_speed
 from angler_sitl.spotcheck import (
     flight,
     folder,
@@ -33,31 +34,11 @@ from angler_sitl.spotcheck.world_flyers import SpotcheckFlyer
 from angler_sitl.spotcheck.world_selection import WorldPick
 
 
-class SpotcheckProgress(Protocol):
-    """Receiver of the progress of a spot check."""
-
-    def start(self, flights: int, done: int) -> None:
-        """Start with the total number of flights and the number done before."""
-        ...
-
-    def report_task(self, description: str) -> None:
-        """Report the start of a task."""
-        ...
-
-    def update_fraction(self, fraction: float) -> None:
-        """Report the fraction of the current flight that is done."""
-        ...
-
-    def finish_flight(self) -> None:
-        """Report a flight that ended and was written."""
-        ...
-
-
 def run_spot_check(
     run_path: Path,
     settings: SpotcheckSettings,
     out: Path,
-    progress: SpotcheckProgress,
+    progress: Progress,
     *,
     resume: bool = False,
 ) -> SpotcheckResult:
@@ -80,16 +61,25 @@ def run_spot_check(
     """
     result = plan_spot_check(run_path, settings)
     if resume:
-        result = _restore_picks(result, folder.reopen_folder(out, _build_request(result)))
+        lock, table = folder.reopen_folder(out, _build_request(result))
+        result = _restore_picks(result, table)
     else:
-        folder.create_folder(out)
-    folder.save_table(out, _build_table(result))
+        lock = folder.create_folder(out)
+    with lock.keeping() as building:
+        result = _fly_and_report(result, building, progress)
+    lock.publish()
+    return result
+
+
+def _fly_and_report(result: SpotcheckResult, building: Path, progress: Progress) -> SpotcheckResult:
+    """Fly the remaining flights into a folder, and write its report."""
+    folder.save_table(building, _build_table(result))
     keys = _list_flights(result)
-    remaining = [key for key in keys if not folder.flight_path(out, *key).is_file()]
-    progress.start(len(keys), len(keys) - len(remaining))
+    remaining = [key for key in keys if not folder.flight_path(building, *key).is_file()]
+    progress.start(len(keys), len(keys) - len(remaining), "flights")
     complete = False
     try:
-        progress.report_task("drawing the worlds again")
+        progress.describe("drawing the worlds again")
         worlds = rebuilt_worlds.sample_worlds(
             result.run.scenario, [pick.world for pick in result.picks]
         )
@@ -98,14 +88,14 @@ def run_spot_check(
             index: rebuilt_worlds.add_recorded_plans(result.run, index, world)
             for index, world in worlds.items()
         }
-        _fly_all(result, worlds, remaining, out, progress)
+        _fly_all(result, worlds, remaining, building, progress)
         complete = True
     except KeyboardInterrupt:
         if not result.likeness:
             raise
-    result = replace(result, flights=_load_flights(result, out), complete=complete)
-    report_page.write_report(out, result)
-    folder.save_table(out, _build_table(result))
+    result = replace(result, flights=_load_flights(result, building), complete=complete)
+    report_page.write_report(building, result)
+    folder.save_table(building, _build_table(result))
     return result
 
 
@@ -216,7 +206,7 @@ def _fly_all(
     worlds: dict[int, World],
     keys: list[FlightKey],
     out: Path,
-    progress: SpotcheckProgress,
+    progress: Progress,
 ) -> None:
     """Fly all flights; a flyer is built once for all worlds with the same number of robots."""
     for count in result.counts:
@@ -224,19 +214,19 @@ def _fly_all(
         for name in (*result.settings.against, *result.settings.levels):
             pending = [key for key in keys if key[1:] == (name, count)]
             if pending:
-                progress.report_task(f"{name}, {count} robots: compiling")
+                progress.describe(f"{name}, {count} robots: compiling")
                 with _make_flyer(result, name, count) as flyer:
                     _fly_worlds(flyer, pending, selected, out, progress)
 
 
 def _select_robots(
-    result: SpotcheckResult, worlds: dict[int, World], count: int, progress: SpotcheckProgress
+    result: SpotcheckResult, worlds: dict[int, World], count: int, progress: Progress
 ) -> dict[int, World]:
     """Return the worlds reduced to a number of robots."""
     scenario = result.run.scenario
     if count == len(scenario.members()):
         return worlds
-    progress.report_task(f"{count} robots of {len(scenario.members())}")
+    progress.describe(f"{count} robots of {len(scenario.members())}")
     template = Simulator(
         rebuilt_worlds.single_world_scenario(world_flyers.select_fleet(scenario, count))
     ).world_shape()
@@ -261,14 +251,21 @@ def _fly_worlds(
     keys: Iterable[FlightKey],
     worlds: dict[int, World],
     out: Path,
-    progress: SpotcheckProgress,
+    progress: Progress,
 ) -> None:
     for key in keys:
         world, name, count = key
-        progress.report_task(f"{name}, {count} robots, world {world}")
-        new_flight = flyer.fly(world, worlds[world], progress.update_fraction)
+        progress.describe(f"{name}, {count} robots, world {world}")
+        done = 0.0
+
+        def update_fraction(fraction: float) -> None:
+            nonlocal done
+            progress.advance(fraction - done)
+            done = fraction
+
+        new_flight = flyer.fly(world, worlds[world], update_fraction)
         flight.save_flight(folder.flight_path(out, *key), new_flight)
-        progress.finish_flight()
+        update_fraction(1.0)
 
 
 def _load_flights(result: SpotcheckResult, out: Path) -> dict[FlightKey, flight.SpotcheckFlight]:

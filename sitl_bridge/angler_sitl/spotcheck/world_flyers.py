@@ -16,7 +16,7 @@ from angler_mjx.scenario.tables import ControllerConfig
 from angler_mjx.sim.record import Sample
 from angler_mjx.sim.state import Outcome, World
 from angler_sitl.firmware.parameters import PositionSource
-from angler_sitl.missions.scenario_options import select_scenario
+from angler_sitl.scene.scenario_options import select_scenario
 from angler_sitl.session import SitlSession
 from angler_sitl.spotcheck import flight
 from angler_sitl.spotcheck.flight import SpotcheckFlight

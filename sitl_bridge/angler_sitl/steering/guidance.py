@@ -15,7 +15,7 @@ from angler_mjx.robot.control.stack import ControlMemory
 from angler_mjx.sim import robot
 from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.record import Belief
-from angler_mjx.sim.state import SimSpec, World, WorldState
+from angler_mjx.sim.state import FleetWorld, SimSpec, WorldState
 from angler_mjx.world import currents
 from angler_sitl.steering.autopilot_commander import EstimatedMotion
 
@@ -50,14 +50,14 @@ class Guidance:
         self._begin = jax.jit(partial(_reset_controllers, spec))
         self._decide = jax.jit(partial(_run_controllers, spec))
 
-    def initialise_memory(self, worlds: World, vehicles: VehicleState) -> ControlMemory:
+    def initialise_memory(self, worlds: FleetWorld, vehicles: VehicleState) -> ControlMemory:
         """Return the memory of all robots at their starts, [1, R] leading."""
         memory: ControlMemory = self._begin(worlds, vehicles)
         return memory
 
     def decide(
         self,
-        worlds: World,
+        worlds: FleetWorld,
         state: WorldState,
         memory: ControlMemory,
         estimate: Belief,
@@ -83,7 +83,7 @@ class Guidance:
         return decision
 
 
-def _reset_controllers(spec: SimSpec, worlds: World, vehicles: VehicleState) -> ControlMemory:
+def _reset_controllers(spec: SimSpec, worlds: FleetWorld, vehicles: VehicleState) -> ControlMemory:
     memory = jax.vmap(jax.vmap(partial(robot.reset_controllers, spec)))(
         vehicles, worlds.environment.start_yaw_rad
     )
@@ -95,7 +95,7 @@ def _reset_controllers(spec: SimSpec, worlds: World, vehicles: VehicleState) -> 
 
 def _run_controllers(
     spec: SimSpec,
-    worlds: World,
+    worlds: FleetWorld,
     p: jax.Array,
     step: jax.Array,
     memory: ControlMemory,
@@ -103,7 +103,7 @@ def _run_controllers(
     command: MixedCommand,
 ) -> GuidanceDecision:
     def decide_world(
-        world: World,
+        world: FleetWorld,
         p: jax.Array,
         step: jax.Array,
         memory: Any,

@@ -22,13 +22,18 @@ import jax.numpy as jnp
 from angler_kernels import quaternion
 from angler_mjx.errors import ConfigError
 from angler_mjx.robot.control import stages
-from angler_mjx.robot.control.commands import BodyTwist, Estimate, PoseTarget
-from angler_mjx.robot.control.joint_goal import JointGoal
-from angler_mjx.robot.control.joint_trajectory import JointTrajectory
+from angler_mjx.robot.control.commands import (
+    BodyTwist,
+    Estimate,
+    PoseTarget,
+    TrackingTarget,
+    as_tracking,
+)
+from angler_mjx.robot.control.commands.joint_goal import JointGoal
+from angler_mjx.robot.control.commands.joint_trajectory import JointTrajectory
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.robot.control.laws.model import wrap_angle
-from angler_mjx.robot.control.laws.targets import TrackingTarget, as_tracking
 from angler_mjx.robot.control.stack import NoGains, Stage, StageInput
-from angler_mjx.robot.control.trajectory import Trajectory
 from angler_mjx.runs.session.fleet_facts import FleetFacts
 from angler_mjx.sim.state import SimSpec
 from angler_sitl.firmware.parameters import LEVELS, CommandLevel

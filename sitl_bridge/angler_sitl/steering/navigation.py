@@ -14,9 +14,9 @@ import numpy as np
 
 from angler_mjx.frames import quaternion_enu_to_ned, vector_enu_to_ned
 from angler_mjx.runs.session.interface import Floats
+from angler_mjx.sim import sensing
 from angler_mjx.sim.record import Belief
 from angler_mjx.sim.state import SensingMemory, SimSpec, World
-from angler_mjx.sim.world_phases import sensing
 from angler_sitl.scene.scene import AutopilotScene
 from angler_sitl.steering.autopilot_commander import NavigationFix
 

@@ -1,1 +1,1 @@
-"""Socket traffic: servo packets, state, MAVLink, and the lock-step."""
+"""Socket traffic: servo packets, state and MAVLink."""

@@ -3,16 +3,21 @@
 The autopilot receives our port and sends first; replies go to the source of its packets, which may
 be another port after a restart. Nothing here blocks: `MavlinkLink.receive` takes the packets that
 have arrived, and the caller looks again one control period later. Every packet, in and out, goes
-through a tap: a log (`angler_sitl.wire.tlog`), or a ground station that listens along.
+through a tap: a `TelemetryLog`, or a ground station that listens along.
 """
 
 import socket
+import struct
+import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from angler_mjx.errors import RunError
 
 type MavlinkMessage = Any
 """Message of the dialect; its package has no types."""
@@ -21,6 +26,9 @@ type PacketTap = Callable[[bytes, float], None]
 
 GROUND_STATION = 255
 """Our system number: commands of a pilot are accepted from no other."""
+TLOG_NAME = "mavlink.tlog"
+"""File name of a telemetry log."""
+
 _COMPONENT = dialect.MAV_COMP_ID_MISSIONPLANNER
 _AUTOPILOT = dialect.MAV_COMP_ID_AUTOPILOT1
 _HEARTBEAT_S = 1.0
@@ -175,3 +183,32 @@ class MavlinkLink:
             self.texts.append(status_text)
         elif kind == "COMMAND_ACK":
             self.acks[message.command] = message.result
+
+
+class TelemetryLog:
+    """Telemetry log in the format of ground stations: MAVProxy and Mission Planner replay it.
+
+    Each packet stands behind its time: microseconds since 1970, 8 bytes, big-endian. The clock is
+    that of the scene, started with the log: it plays at the pace of the scene, at any speed of the
+    run. Its `log_packet` is the tap of a link.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Create a new file.
+
+        Raises:
+            RunError: it cannot be written.
+        """
+        self._path, self._began_us = path, time.time_ns() // 1000
+        try:
+            self._file = path.open("wb")
+        except OSError as error:
+            raise RunError(f"{path}: cannot be written ({error.strerror or error})") from error
+
+    def log_packet(self, packet: bytes, time_s: float) -> None:
+        """Write a packet at its scene time."""
+        self._file.write(struct.pack(">Q", self._began_us + round(time_s * 1e6)) + packet)
+
+    def close(self) -> None:
+        """Flush and close the log; a second call has no effect."""
+        self._file.close()

@@ -103,11 +103,11 @@ def test_an_action_that_is_held_is_as_many_steps_of_it(simulator, env, step):
     now, _ = held.reset()
     gained = 0.0
     for _ in range(2):
-        now, seen_held, reward, _, truncated, told = fly(now, twist)
+        now, seen_held, reward, _, truncated, details = fly(now, twist)
         gained += reward
-    assert (np.asarray(told["time_s"]) == 0.4).all()
+    assert (np.asarray(details["time_s"]) == 0.4).all()
     np.testing.assert_allclose(now.world_state.vehicles.p, state.world_state.vehicles.p, atol=1e-5)
-    np.testing.assert_allclose(told["energy_j"], info["energy_j"], rtol=1e-4)
+    np.testing.assert_allclose(details["energy_j"], info["energy_j"], rtol=1e-4)
     np.testing.assert_allclose(seen_held, seen, atol=1e-4)
     # Progress and energy add up; distance is taken four times as rarely, for four times as long.
     np.testing.assert_allclose(gained, worth, rtol=0.02, atol=0.02)
@@ -253,25 +253,25 @@ def stepped(instrumented):
         used = fly(instrumented, state, still)[1].belief
         after = go(instrumented, state, jnp.full(instrumented.action_shape, 0.1))
         by = {
-            name: fly(instrumented, state, waypoint(told))[0]
-            for name, told in (("belief", used), ("truth", state.world_state.vehicles))
+            name: fly(instrumented, state, waypoint(details))[0]
+            for name, details in (("belief", used), ("truth", state.world_state.vehicles))
         }
         rows.append((state, parts_of(instrumented, seen), used, after[0], by))
         state, seen = after[:2]
     return rows
 
 
-def waypoint(told):
+def waypoint(details):
     """The command of an action of 0.1 from a pose: 0.2 m and 0.314 rad on, level."""
-    yaw = Rotation.from_quat(np.asarray(told.q)[..., [1, 2, 3, 0]].reshape(-1, 4))
+    yaw = Rotation.from_quat(np.asarray(details.q)[..., [1, 2, 3, 0]].reshape(-1, 4))
     yaw = yaw.as_euler("ZYX")[:, 0].reshape(WORLDS, 2)
     c, s = np.cos(yaw), np.sin(yaw)
     level = np.stack([0.2 * (c - s), 0.2 * (s + c), np.full_like(c, 0.2)], axis=-1)
-    place = jnp.asarray(np.asarray(told.p) + level, told.p.dtype)
+    position = jnp.asarray(np.asarray(details.p) + level, details.p.dtype)
     return PoseTarget(
-        position_m=place,
-        velocity_mps=jnp.zeros_like(place),
-        yaw_rad=jnp.asarray(yaw + 0.1 * np.pi, place.dtype),
+        position_m=position,
+        velocity_mps=jnp.zeros_like(position),
+        yaw_rad=jnp.asarray(yaw + 0.1 * np.pi, position.dtype),
     )
 
 
@@ -366,8 +366,8 @@ def test_cells_lie_in_the_frame_of_the_robot(sight, level):
     q = np.asarray(sight.estimate.q)
     if level:  # a heading of 90 degrees: what is ahead lies along y of W
         q = np.broadcast_to([np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)], q.shape)
-    told = replace(sight.estimate, q=jnp.asarray(q))
-    seen = observations.observe_cells(replace(sight, estimate=told))
+    details = replace(sight.estimate, q=jnp.asarray(q))
+    seen = observations.observe_cells(replace(sight, estimate=details))
     grid = sight.worlds.environment.grid
     for w, row in enumerate(np.asarray(sight.rows)):
         rock = np.asarray(grid.occupied)[row]
@@ -385,9 +385,9 @@ def test_cells_lie_in_the_frame_of_the_robot(sight, level):
 
 def test_numbers_are_clipped_to_bounds_that_are_those_of_the_space(sight):
     parts = observations.select_parts(ALL, 6)
-    told = replace(sight.estimate, p=sight.estimate.p.at[..., 2].set(-2000.0))
+    details = replace(sight.estimate, p=sight.estimate.p.at[..., 2].set(-2000.0))
     seen = observations.build_observation(
-        parts, replace(sight, estimate=told, aim_m=told.p + 500.0)
+        parts, replace(sight, estimate=details, aim_m=details.p + 500.0)
     )
     low, high = observations.build_bounds(parts)
     assert ((seen >= low) & (seen <= high)).all()

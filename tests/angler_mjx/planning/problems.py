@@ -1,11 +1,18 @@
 """Problems made by hand."""
 
+import jax.numpy as jnp
 import numpy as np
 
+from angler_mjx.planning.path_search.grid import plan_grid
 from angler_mjx.planning.problem import Problem, Team
-from angler_mjx.sim.information import CurrentInformation, Information, ObstacleInformation
+from angler_mjx.sim.information import (
+    CurrentInformation,
+    Information,
+    ObstacleInformation,
+    obstacle_information,
+)
 from angler_mjx.world.currents import Uniform
-from angler_mjx.world.grid import Grid
+from angler_mjx.world.rock.grid import Grid
 
 
 def f32(values):
@@ -87,3 +94,40 @@ def problem(
         information=Information(),
         deadline_s=deadline_s,
     )
+
+
+def world_problem(world, radius_m, speed_mps, obstacles=None, seed=0, horizon_s=120.0):
+    """The problem of an `Environment` in which nothing is known to move, or ``obstacles`` are."""
+    zeros = jnp.zeros((*radius_m.shape, 3))
+    known = "nothing" if obstacles is None else "truth"
+    still = obstacle_information(world, Information(), horizon_s, 0.05, 1000.0, 9.81)
+    return Problem(
+        grid=world.grid,
+        floor_z_m=world.floor_z_m,
+        team=Team(
+            start_m=world.start_m,
+            start_yaw_rad=world.start_yaw_rad,
+            goal_m=world.goal_m,
+            radius_m=radius_m,
+            capsule_a_m=zeros[:, None],
+            capsule_b_m=zeros[:, None],
+            capsule_r_m=radius_m[:, None],
+            cruise_speed_mps=speed_mps,
+            terminal_speed_mps=zeros,
+            acceleration_mps2=zeros,
+            power_w=zeros[..., None],
+        ),
+        obstacles=still if obstacles is None else obstacles,
+        current=CurrentInformation(components=(), stays=True),
+        seed=seed,
+        horizon_s=horizon_s,
+        goal_tolerance_m=0.5,
+        information=Information(obstacles=known),
+        deadline_s=2.0,
+    )
+
+
+def plan_world(world, radius_m, speed_mps, config, obstacles=None):
+    """Paths of the grid planner in an `Environment`."""
+    asked = world_problem(world, radius_m, speed_mps, obstacles, horizon_s=config.horizon_s)
+    return plan_grid(asked, config)

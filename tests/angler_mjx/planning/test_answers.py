@@ -7,7 +7,7 @@ import pytest
 
 from angler_mjx.planning.answers import check_answer, check_paths
 from angler_mjx.planning.planner import NoPlan, joint_path, way_points
-from angler_mjx.robot.control.joint_trajectory import CUBIC
+from angler_mjx.robot.control.commands.joint_trajectory import CUBIC
 
 from .problems import problem
 

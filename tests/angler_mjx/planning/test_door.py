@@ -18,7 +18,7 @@ from angler_mjx.planning.planner import PathShape
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.testing import NonConformanceError, check_planner
 
-DOCS = Path(__file__).parents[3] / "docs" / "planners.md"
+DOCS = Path(__file__).parents[3] / "docs" / "tutorials" / "own_planner.md"
 SNIPPETS = re.findall(r"```python\n(.*?)```", DOCS.read_text(), re.S)
 
 

@@ -8,15 +8,15 @@ import pytest
 
 from angler_kernels.clearance import capsules_obstacle
 from angler_mjx.errors import UnsupportedError
-from angler_mjx.planning.grid import plan_grid
 from angler_mjx.planning.path_search import search
 from angler_mjx.planning.path_search.robot_search import PathSearchConfig
 from angler_mjx.world.environment import Environment
-from angler_mjx.world.grid import Grid
 from angler_mjx.world.obstacles import BOX, CAPSULE, DRIFT, SPHERE, STATIC, Obstacles
+from angler_mjx.world.rock.grid import Grid
 
 from ..compiling import quickly
 from ..lattice import least_costs
+from .problems import plan_world
 
 CELL = 1.5
 SHAPE = (12, 10, 9)
@@ -112,7 +112,7 @@ def rock_gap(world, points):
 def planner():
     @quickly
     def run(worlds):
-        return jax.vmap(lambda w: plan_grid(w, jnp.asarray(RADIUS), jnp.asarray(SPEED), CONFIG))(
+        return jax.vmap(lambda w: plan_world(w, jnp.asarray(RADIUS), jnp.asarray(SPEED), CONFIG))(
             worlds
         )
 
@@ -229,7 +229,7 @@ def test_a_batch_and_robots_in_groups_are_planned_the_same(plans, worlds, monkey
     """Alone, and marking four robots in groups of three, of which the last is not full."""
     # The loops of a batch end when its slowest world ends; alone, a world ends earlier.
     monkeypatch.setattr(search, "ROBOTS_PER_LOOP", 3)
-    single = quickly(partial(plan_grid, config=CONFIG))
+    single = quickly(partial(plan_world, config=CONFIG))
     for w in (0, 1, 4, 7):
         alone = single(worlds[w], RADIUS, SPEED)
         np.testing.assert_array_equal(alone.found, plans.found[w])
@@ -297,7 +297,7 @@ def test_closed_goal_fails_alone(planner, worlds):
 def passing():
     """A function (starts, goals, config) -> world and plans of two robots in open water."""
     config = PathSearchConfig(margin_m=0.9)
-    run = quickly(partial(plan_grid, config=config))
+    run = quickly(partial(plan_world, config=config))
 
     def call(starts, goals):
         world = make_world(np.zeros((9, 7, 7), bool), starts, goals)
@@ -354,7 +354,7 @@ def beside_rock():
     return lambda off: from_beside(world, off, off)
 
 
-run_beside = quickly(partial(plan_grid, config=PathSearchConfig(margin_m=0.2)))
+run_beside = quickly(partial(plan_world, config=PathSearchConfig(margin_m=0.2)))
 
 
 def from_beside(world, start_off, goal_off):
@@ -367,7 +367,7 @@ def from_beside(world, start_off, goal_off):
 @pytest.fixture(scope="module")
 def hasty():
     """Plans within 10 s that keep off no start."""
-    return quickly(partial(plan_grid, config=PathSearchConfig(horizon_s=10.0, start_hold_s=0.0)))
+    return quickly(partial(plan_world, config=PathSearchConfig(horizon_s=10.0, start_hold_s=0.0)))
 
 
 def test_a_path_that_meets_a_start_in_its_first_second_is_taken_back(hasty):
@@ -417,7 +417,7 @@ def test_static_obstacles_and_floor_are_kept_clear():
     world = make_world(
         np.zeros((12, 7, 7), bool), [[0, 3, 3]], [[11, 3, 3]], obstacles, floor_below=-2.0
     )
-    path = quickly(partial(plan_grid, config=CONFIG))(world, RADIUS[:1], SPEED[:1])
+    path = quickly(partial(plan_world, config=CONFIG))(world, RADIUS[:1], SPEED[:1])
     assert path.found[0]
     track = dense(np.asarray(path.time_s[0]), np.asarray(path.position_m[0]), step=0.1)
 
@@ -451,4 +451,4 @@ def test_starts_and_goals_off_the_centres_are_met_exactly():
 def test_too_high_a_grid_is_refused():
     world = make_world(np.zeros((2, 2, 33), bool), [[0, 0, 0]], [[1, 1, 32]])
     with pytest.raises(UnsupportedError, match="33"):
-        plan_grid(world, jnp.asarray(RADIUS[:1]), jnp.asarray(SPEED[:1]), CONFIG)
+        plan_world(world, jnp.asarray(RADIUS[:1]), jnp.asarray(SPEED[:1]), CONFIG)

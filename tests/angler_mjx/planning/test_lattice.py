@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from angler_mjx.planning.path_search.bodies import select_still
 from angler_mjx.planning.path_search.lattice import (
     EDGES,
     build_terrain,
@@ -29,8 +30,8 @@ from angler_mjx.planning.path_search.traffic import (
     is_motion_clear,
 )
 from angler_mjx.world.environment import Environment
-from angler_mjx.world.grid import Grid
 from angler_mjx.world.obstacles import SPHERE, STATIC, Obstacles
+from angler_mjx.world.rock.grid import Grid
 
 from ..compiling import quickly
 from .rules import STEPS, Scene, clear, layers_of, segment_gap, taken
@@ -83,13 +84,17 @@ def make_world(occupied, sphere):
     )
 
 
+def terrain_of(world):
+    return build_terrain(world.grid, world.floor_z_m, select_still(world.obstacles))
+
+
 @quickly
 def explore(world, others, start, first, goal, may_stay, ends, scattered):
     """All that the planner does on its lattice for one robot, and the ways back from ``ends``.
 
     Those once more through ``scattered`` sets, that no search has made.
     """
-    land = build_terrain(world)
+    land = terrain_of(world)
     free = free_space(land, jnp.asarray(CLEARANCE_M))
     layout = land.layout
     # The start's bit, in the layout that `Layout.pack` documents.
@@ -390,7 +395,7 @@ def test_what_is_seen_in_a_straight_line():
     @quickly
     @jax.vmap
     def seen(a, b):
-        return line_of_sight(build_terrain(make_world(occupied, sphere)), a, b, CLEARANCE_M)
+        return line_of_sight(terrain_of(make_world(occupied, sphere)), a, b, CLEARANCE_M)
 
     found = np.asarray(seen(np.float32(a), np.float32(b)))
 
@@ -515,7 +520,7 @@ def round_a_wall(until_s):
 @quickly
 def run_pull(world, others, route):
     return pull_string(
-        build_terrain(world), others, route, jnp.asarray(0.3), jnp.asarray(0.5), n_point=5
+        terrain_of(world), others, route, jnp.asarray(0.3), jnp.asarray(0.5), n_point=5
     )
 
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.planning import grid
 from angler_mjx.planning.path_search.robot_search import (
     MAX_LAYERS,
     PathSearchConfig,
@@ -21,6 +20,7 @@ from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import load_scenario
 
 from ..compiling import quickly
+from .problems import plan_world, world_problem
 from .test_grid import CELL, make_world, stack
 
 CONFIG = PathSearchConfig(horizon_s=90.0, start_hold_s=5.0)
@@ -65,9 +65,16 @@ SEEDS = np.arange(4, dtype=np.uint32)
 
 
 def plans(worlds, seeds, slots, config=CONFIG, radius=RADIUS):
-    n = len(seeds)
-    run = partial(planner.plan_teams, config=config, budget=BUDGET, slots=slots)
-    return quickly(run)(worlds, np.tile(radius, (n, 1)), np.tile(SPEED, (n, 1)), seeds)
+    @quickly
+    def run(worlds, seeds):
+        def asked(world, seed):
+            one = partial(world_problem, seed=seed, horizon_s=config.horizon_s)
+            return one(world, jnp.asarray(radius), jnp.asarray(SPEED))
+
+        problems = jax.vmap(asked)(worlds, seeds)
+        return planner.plan_teams(problems, config, BUDGET, slots=slots)
+
+    return run(worlds, seeds)
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +84,7 @@ def found():
 
 @pytest.fixture(scope="module")
 def in_order():
-    run = jax.vmap(partial(grid.plan_grid, config=CONFIG), in_axes=(0, None, None))
+    run = jax.vmap(partial(plan_world, config=CONFIG), in_axes=(0, None, None))
     return quickly(run)(WORLDS, RADIUS, SPEED)
 
 

@@ -8,7 +8,7 @@ import pytest
 from angler_mjx.planning.path_search import search, search_kernel
 from angler_mjx.planning.path_search.lattice import FreeSpace, LatticeLayout, Terrain
 from angler_mjx.planning.path_search.traffic import Balls
-from angler_mjx.world.grid import Grid
+from angler_mjx.world.rock.grid import Grid
 
 CELL = 1.5
 SHAPE = (5, 4, 7)

@@ -17,7 +17,7 @@ import zarr
 from angler_mjx.cli.main import main
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.planning.planner import PathShape
-from angler_mjx.runs.progress import SilentProgress
+from angler_mjx.progress import Progress
 from angler_mjx.runs.rollout import resume, rollout
 from angler_mjx.runs.simulator.host_planning import planning_status
 from angler_mjx.runs.simulator.simulator import Simulator
@@ -25,8 +25,12 @@ from angler_mjx.runs.storage.plans import problems
 from angler_mjx.runs.storage.plans import write as plan_writer
 from angler_mjx.runs.storage.plans.read import open_plans, summarise_plan_file
 
-DOCS = Path(__file__).parents[3] / "docs" / "planners.md"
-TEN_LINES, *_, SCRIPT = re.findall(r"```python\n(.*?)```", DOCS.read_text(), re.S)
+DOCS = Path(__file__).parents[3] / "docs"
+TEN_LINES, _, SCRIPT = (
+    block
+    for page in ("tutorials/own_planner.md", "reference/plan_files.md")
+    for block in re.findall(r"```python\n(.*?)```", (DOCS / page).read_text(), re.S)
+)
 LAME = '''
 
 class Lame(Straight):
@@ -294,7 +298,7 @@ def test_a_world_that_is_not_planned_yet_is_named(asked, given, planned, tmp_pat
 def test_a_run_goes_on_with_its_own_plans(asked, given, planned, flown, tmp_path):
     path = shutil.copytree(planned, tmp_path / "plans.zarr")
 
-    class Stopping(SilentProgress):
+    class Stopping(Progress):
         def advance(self, worlds, steps):
             raise KeyboardInterrupt
 
@@ -316,7 +320,7 @@ def test_a_run_goes_on_with_the_planner_that_it_began_with(asked, simulator, flo
     out, said, text = tmp_path / "run", [], file.read_text()
     rollout(asked, out=out, simulator=simulator, progress=Once())
     progress = Once()
-    progress.done, progress.tell = float("-inf"), said.append
+    progress.done, progress.report = float("-inf"), said.append
     file.write_text("edited while the run was interrupted: no Python\n")
     try:
         assert without_time(resume(out, workers=1, progress=progress)).equals(without_time(flown))
@@ -325,7 +329,7 @@ def test_a_run_goes_on_with_the_planner_that_it_began_with(asked, simulator, flo
     assert "inputs/planners/straight.py:Lame" in said[0]
 
 
-class Once(SilentProgress):
+class Once(Progress):
     """Interrupts in the second tile."""
 
     def __init__(self):
@@ -421,7 +425,7 @@ def problems_of(simulator, count):
     ]
 
 
-SHORTEST = DOCS.parent / "examples" / "shortest.cpp"
+SHORTEST = DOCS / "examples" / "shortest.cpp"
 
 
 @pytest.mark.skipif(shutil.which("c++") is None, reason="there is no C++ compiler (c++)")

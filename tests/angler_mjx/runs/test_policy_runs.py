@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from angler_mjx.errors import ConfigError
+from angler_mjx.progress import Progress
 from angler_mjx.robot.control.commands import Estimate, ThrusterPwm
 from angler_mjx.runs.folder_setup import require_same_scenario
-from angler_mjx.runs.progress import SilentProgress
 from angler_mjx.runs.rollout import resume, rollout
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.runs.storage.folder import Run, partial_path
@@ -105,7 +105,7 @@ def test_the_run_says_which_policy_it_had(run):
     assert len(said["sha256"]) == 64
 
 
-class Stopping(SilentProgress):
+class Stopping(Progress):
     """Interrupts after the first tile."""
 
     def advance(self, worlds, vehicle_steps):

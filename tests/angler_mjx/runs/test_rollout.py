@@ -20,8 +20,8 @@ import zarr
 
 from angler_mjx.cli.main import main
 from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.progress import Progress
 from angler_mjx.robot.vehicles import library
-from angler_mjx.runs.progress import SilentProgress
 from angler_mjx.runs.rollout import resume, rollout
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.runs.storage import folder, input_copies
@@ -203,7 +203,7 @@ def test_the_command_prints_the_documented_keys(
     assert summary == json.loads((out / "summary.json").read_text())
 
 
-class Stop(SilentProgress):
+class Stop(Progress):
     """Presses Ctrl-C in the middle of the second tile."""
 
     def __init__(self):
@@ -215,13 +215,13 @@ class Stop(SilentProgress):
             raise KeyboardInterrupt
 
 
-class Listen(SilentProgress):
+class Listen(Progress):
     """Keeps what it is told."""
 
     def __init__(self):
         self.told = []
 
-    def tell(self, text):
+    def report(self, text):
         self.told.append(text)
 
 
@@ -236,7 +236,7 @@ def test_interrupted_and_resumed_is_the_same_run(run, scenario, simulator, tmp_p
 
 
 def test_interrupted_at_once_leaves_nothing(scenario, simulator, tmp_path):
-    class Stop(SilentProgress):
+    class Stop(Progress):
         """Presses Ctrl-C in the first tile."""
 
         def advance(self, worlds, vehicle_steps):
@@ -258,7 +258,7 @@ def files_restored():
 
 
 def test_a_full_disk_keeps_the_finished_tiles(run, scenario, simulator, tmp_path):
-    class FillUp(SilentProgress):
+    class FillUp(Progress):
         """Fills the disk in the last tile."""
 
         done = 0.0
@@ -368,10 +368,12 @@ def test_triton_kernels_without_a_gpu_are_refused(scenario):
 
 
 def test_what_takes_the_name_meanwhile_costs_nothing(run, scenario, simulator, tmp_path):
-    class Squat(SilentProgress):
+    class Squat(Progress):
         """Puts something of another under the run's name, which was empty."""
 
-        def compiled(self, took):
+        def report(self, text):
+            if not text.startswith("compiled"):
+                return
             assert list((tmp_path / "mine").iterdir()) == []
             (tmp_path / "mine" / "of_another.txt").write_text("other")
 
@@ -396,12 +398,14 @@ def test_names_that_cannot_be_are_refused_before_anything_is_computed(scenario, 
 def test_a_living_run_is_not_resumed(scenario, simulator, tmp_path):
     out = tmp_path / "alive"
 
-    class Twice(SilentProgress):
+    class Twice(Progress):
         """Tries the same run from another process's place."""
 
         said = ""
 
-        def compiled(self, took):
+        def report(self, text):
+            if not text.startswith("compiled"):
+                return
             for again in (lambda: resume(out), lambda: rollout(scenario, out=out)):
                 with pytest.raises(ConfigError, match=rf"another process.*{os.getpid()}") as caught:
                     again()

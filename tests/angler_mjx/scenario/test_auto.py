@@ -15,7 +15,7 @@ from angler_mjx.scenario import notices
 from angler_mjx.scenario.editing import scenario_table
 from angler_mjx.scenario.scenario import Scenario, find_scenario, load_scenario
 from angler_mjx.studies import sweep_axes
-from angler_mjx.studies.cells import build_cells
+from angler_mjx.studies.sweep import build_cells
 
 
 def fleet_of(robots):

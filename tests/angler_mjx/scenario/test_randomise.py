@@ -86,20 +86,20 @@ def test_a_varied_vehicle_has_what_was_drawn_and_still_can_be():
     assert config.find_set(name) is before
 
 
-@pytest.mark.parametrize("known", [False, True])
-def test_controllers_and_planners_know_what_they_are_told(known):
-    kinds = fleet.build_fleet(drawn(**SPANS, known=known).members(), multibody=False)
+@pytest.mark.parametrize("visible", [False, True])
+def test_controllers_and_planners_know_what_they_are_told(visible):
+    kinds = fleet.build_fleet(drawn(**SPANS, visible=visible).members(), multibody=False)
     told, said = kinds.control.vehicle_model, library.load_vehicle("bluerov2_heavy")
     mass = np.asarray(told.mass_kg)[:8]
     nominal = said.find_set(None).rigid_body.mass_kg
-    assert bool(np.allclose(mass, nominal)) is not known
+    assert bool(np.allclose(mass, nominal)) is not visible
     assert not np.allclose(kinds.control.vehicle.mass_kg[:8], nominal)
     # Voltage: the thrust that the allocation counts on.
     reach = np.asarray(kinds.control.allocation.thrust_n)[:8, -1]
-    assert bool(np.ptp(reach) > 1.0) is known
+    assert bool(np.ptp(reach) > 1.0) is visible
     world = (jnp.zeros((16, 3)), jnp.zeros(16), jnp.ones((16, 3)))
     speeds = np.asarray(build_team(kinds.control, *world).terminal_speed_mps)[:8, 0]
-    assert bool(np.ptp(speeds) > 0.1) is known
+    assert bool(np.ptp(speeds) > 0.1) is visible
 
 
 def test_worlds_have_their_own_current_and_noise():
@@ -154,7 +154,7 @@ def test_instruments_with_twice_the_noise_err_twice_as_much():
         ({"mass": [1.0, 9.0]}, ["randomise", "fleet[0]", "sinks", "9 times", "narrow"]),
         ({"buoyancy": [1.0, 9.0]}, ["fleet[0]", "rises", "in heave"]),
         ({"battery_v": [5.0, 16.0]}, ["fleet[0]", "5 V", "10 V"]),
-        ({"sensor_noise": [0.5, 2.0]}, ["randomise.sensor_noise", "told the truth", "estimate"]),
+        ({"sensor_noise": [0.5, 2.0]}, ["randomise.sensor_noise", "true state", "estimate"]),
         ({"battery_v": [14.0, 30.0]}, ["randomise.battery_v", "30 V", "20 V"]),
         ({"fault_health": [0.1, 0.5]}, ["fault_health", "fault_probability"]),
         ({"variants": 0}, ["randomise.variants", "1"]),

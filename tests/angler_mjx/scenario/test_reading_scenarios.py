@@ -63,7 +63,7 @@ TYPES = {
     "seed": {"top": "seed = false"},
     "schema_version": {},
     "fleet[0].battery_v": {"fleet": 'battery_v = "12"'},
-    "fleet[0].fault_known": {"fleet": "fault_known = 1"},
+    "fleet[0].fault_visible": {"fleet": "fault_visible = 1"},
     "fleet[0].count": {"fleet": "count = 2.0"},
 }
 

@@ -36,7 +36,7 @@ def test_faults_and_rotors_reach_the_fleet(tmp_path):
         tmp_path,
         '[[fleet]]\nvehicle = "bluerov2"\n'
         "thruster_health = { thruster_5 = 0.25, thruster_1 = 0.0 }\n"
-        'fault_known = false\nrotor_response = "third_order"',
+        'fault_visible = false\nrotor_response = "third_order"',
     )
     (kind,) = load_scenario(path).members()[-1].variants
     assert kind.thruster_health == (("thruster_5", 0.25), ("thruster_1", 0.0))

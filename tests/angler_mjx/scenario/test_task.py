@@ -41,7 +41,7 @@ def test_without_a_task_and_with_goal_nothing_is_compiled_and_problems_are_the_s
 
 
 def test_tasks_are_flown_along_routes_unless_a_file_says_otherwise(tmp_path: Path) -> None:
-    table = '[task]\ntype = "tour"\nplaces = 5\nlook_s = 0.25\n'
+    table = '[task]\ntype = "tour"\npositions = 5\nlook_s = 0.25\n'
     tour = scenario(tmp_path, table)
     spec = tour.sim_spec().task
     assert (spec.kind, spec.jobs, spec.robots, spec.period) == ("tour", 5, 2, 5)
@@ -59,7 +59,7 @@ def test_places_of_goods_count_twice(tmp_path: Path) -> None:
     two = scenario(tmp_path, given)
     assert two.sim_spec().task.jobs == 2
     assert Scenario.model_validate(two.model_dump()) == two  # as a run folder keeps it
-    tour = scenario(tmp_path, '[task]\ntype = "tour"\nplaces_m = [[0.0, 0.0, -5.0]]\n')
+    tour = scenario(tmp_path, '[task]\ntype = "tour"\npositions_m = [[0.0, 0.0, -5.0]]\n')
     assert Scenario.model_validate(tour.model_dump()) == tour
 
 
@@ -67,12 +67,12 @@ def test_places_of_goods_count_twice(tmp_path: Path) -> None:
     ("table", "said"),
     [
         ('type = "hunt"', "type"),
-        ('type = "tour"\nplaces = 0', "places"),
-        ('type = "tour"\nplaces = 513', "places"),
-        ('type = "tour"\nplaces = 100\nwithin = [[0, 0, 0], [0.2, 0.2, 0.2]]', "100 places"),
+        ('type = "tour"\npositions = 0', "positions"),
+        ('type = "tour"\npositions = 513', "positions"),
+        ('type = "tour"\npositions = 100\nwithin = [[0, 0, 0], [0.2, 0.2, 0.2]]', "100 positions"),
         ('type = "tour"\nwithin = [[0.5, 0, 0], [0.2, 1, 1]]', "second corner"),
-        ('type = "tour"\nplaces_m = [[100.0, 0.0, -5.0]]', "outside the world"),
-        ('type = "tour"\nplaces = 2\nplaces_m = [[1.0, 0.0, -5.0]]', "not both"),
+        ('type = "tour"\npositions_m = [[100.0, 0.0, -5.0]]', "outside the world"),
+        ('type = "tour"\npositions = 2\npositions_m = [[1.0, 0.0, -5.0]]', "not both"),
         ('type = "tour"\nordered = true', "shared = false"),
         ('type = "tour"\nlook_s = 0.12', "look_s"),
         ('type = "tour"\nallocation = "luck"', "nearest, auction, sweep"),
@@ -84,8 +84,11 @@ def test_places_of_goods_count_twice(tmp_path: Path) -> None:
         ('type = "survey"\naltitude_m = 30.0\nrange_m = 40.0', "altitude_m"),
         ('type = "survey"\nof = "rock"\nrange_m = 60.0', "cells at a time"),
         ('type = "deliver"\ngoods = 5000', "goods"),
-        ('type = "deliver"\ngoods = 3\nto_m = [[0.0, 0.0, -5.0]]', "1 places for 3 goods"),
-        ('type = "deliver"\ngoods = 300\nto_within = [[0, 0, 0], [0.3, 0.3, 0.5]]', "300 places"),
+        ('type = "deliver"\ngoods = 3\nto_m = [[0.0, 0.0, -5.0]]', "1 positions for 3 goods"),
+        (
+            'type = "deliver"\ngoods = 300\nto_within = [[0, 0, 0], [0.3, 0.3, 0.5]]',
+            "300 positions",
+        ),
         ('type = "tour"\n[policy]\nname = "mppi"', "one goal"),
         ('type = "tour"\n[planner]\nreplan_hz = 1.0', "replan_hz"),
     ],
@@ -102,7 +105,7 @@ def test_what_cannot_be_done_is_refused_in_one_message(
 def test_worlds_in_which_there_is_nothing_to_survey_are_refused(tmp_path: Path) -> None:
     table = '[task]\ntype = "survey"\nof = "{}"\n'
     opened = HEAD.replace('preset = "reef"', 'preset = "open"')
-    with pytest.raises(ConfigError, match="there is none in such worlds"):
+    with pytest.raises(ConfigError, match="such worlds have no rock"):
         scenario(tmp_path, table.format("rock"), opened)
     deep = HEAD.replace('preset = "reef"', 'preset = "reef"\nfloor_depth_m = 60.0')
     with pytest.raises(ConfigError, match="below the world's cells"):
@@ -110,5 +113,5 @@ def test_worlds_in_which_there_is_nothing_to_survey_are_refused(tmp_path: Path) 
 
 
 def test_a_session_refuses_a_task(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="a session tells robots nothing of a task"):
+    with pytest.raises(ConfigError, match="a session has no tasks"):
         BatchSession(scenario(tmp_path, '[task]\ntype = "tour"\n'))

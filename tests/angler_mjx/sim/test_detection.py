@@ -13,8 +13,8 @@ from angler_mjx.sim.detection import SEPARATION_RADIUS_M, detect_contacts
 from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.state import Touched
 from angler_mjx.world.environment import Environment
-from angler_mjx.world.grid import Grid
 from angler_mjx.world.obstacles import BOX, DRIFT, SPHERE, STATIC, Obstacles, ObstacleState
+from angler_mjx.world.rock.grid import Grid
 
 from ..compiling import quickly
 

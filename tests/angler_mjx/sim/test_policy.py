@@ -18,7 +18,7 @@ from angler_mjx.robot.control.commands import (
     PoseTarget,
     ThrusterPwm,
 )
-from angler_mjx.robot.control.joint_trajectory import VEHICLE_JOINTS, JointTrajectory
+from angler_mjx.robot.control.commands.joint_trajectory import VEHICLE_JOINTS, JointTrajectory
 from angler_mjx.robot.control.laws import follow
 from angler_mjx.robot.control.stack import ControlParams
 from angler_mjx.robot.vehicles import library, params
@@ -29,7 +29,7 @@ from angler_mjx.sim.engines.mjx import MjxEngine
 from angler_mjx.sim.engines.triton.engine import TritonEngine
 from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.policy import Policy, PolicyInput
-from angler_mjx.sim.world_phases.context import WorldContext
+from angler_mjx.sim.world_context import WorldContext
 from angler_mjx.world import currents
 
 from ..compiling import quickly
@@ -192,7 +192,7 @@ def test_a_policy_that_is_the_first_stage_flies_as_the_stack(scene, guided):
         first = jax.tree.map(lambda leaf: leaf[0], known)
         return jax.lax.scan(one, begin(first, worlds.environment.start_yaw_rad), known)
 
-    carry, (target_m, pwm_us) = by_stack(scene.worlds, seen)
+    carry, (target_m, pwm_us) = by_stack(scene.equipped, seen)
     # float64; the heading at the start comes from the attitude here.
     np.testing.assert_allclose(np.moveaxis(seen.target_m, 1, 0), target_m, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(np.moveaxis(seen.pwm_us, 1, 0), pwm_us, rtol=1e-9, atol=1e-9)
@@ -352,7 +352,7 @@ def test_signals_are_as_many_as_the_thrusters(begin, signals, taken):
 @pytest.fixture(scope="module")
 def told(scene):
     """A function: the time, currents and goals that a policy is told, and where its robots are."""
-    world = jax.tree.map(lambda leaf: np.asarray(leaf)[1], scene.worlds)
+    world = jax.tree.map(lambda leaf: np.asarray(leaf)[1], scene.equipped)
     start = world.environment.start_m
     vehicles = VehicleState(
         p=start,

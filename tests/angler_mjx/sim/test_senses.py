@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 
 from angler_mjx.robot.control import stages
-from angler_mjx.robot.control.joint_trajectory import from_path
+from angler_mjx.robot.control.commands.joint_trajectory import from_path
 from angler_mjx.robot.sensing.config import SensorsConfig
 from angler_mjx.scenario import instrumented
+from angler_mjx.sim import sensing
 from angler_mjx.sim.engines.lanes.engine import FusedEngine
 from angler_mjx.sim.engines.mjx import MjxEngine
 from angler_mjx.sim.engines.triton.engine import TritonEngine
 from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.state import SimSpec
-from angler_mjx.sim.world_phases import sensing
-from angler_mjx.world.grid import Grid, height_above_bottom
+from angler_mjx.world.rock.grid import Grid, height_above_bottom
 
 from .. import declared
 from ..compiling import quickly

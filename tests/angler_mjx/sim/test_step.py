@@ -23,12 +23,10 @@ def test_the_physics_steps_follow_each_other_in_time():
             tree = body(jnp.asarray(i), tree)
         return tree
 
-    here = SimpleNamespace(
+    batch = SimpleNamespace(
         spec=SimpleNamespace(physics_steps=4, physics_dt_s=0.02, also=()),
         t=jnp.asarray(0.8),
-        params="params",
-        current="current",
-        flow=lambda vehicle: vehicle.p * 0.1,
+        flow=lambda current, vehicle: vehicle.p * 0.1,
         map_bodies=lambda function, *bodies: function(*bodies),
         repeat=repeat,
         physics_step=physics_step,
@@ -41,20 +39,22 @@ def test_the_physics_steps_follow_each_other_in_time():
         thrust=jnp.zeros(8),
     )
     outcome = jnp.asarray(Outcome.RUNNING)
-    now = {
-        "vehicle": vehicle,
-        "tally": SimpleNamespace(outcome=outcome),
-        "thrust_n": jnp.asarray(7.0),
-    }
-    done = step.move_robots(here, now)
+    inputs = step.MoveInput(
+        vehicle=vehicle,
+        tally=SimpleNamespace(outcome=outcome),
+        thrust_n=jnp.asarray(7.0),
+        params="params",
+        current="current",
+    )
+    done = step.move_robots(batch, inputs)
     assert not seen, "nothing moves before it is asked for"
-    slots, record = done.slots(), done.record()
+    motion, record = done.output(), done.record()
     np.testing.assert_allclose([row[4] for row in seen], [0.8, 0.82, 0.84, 0.86], atol=1e-6)
     assert [row[1] for row in seen] == [5.0, 6.0, 7.0, 8.0]
     assert {(row[0], row[2], row[3]) for row in seen} == {("params", 7.0, "current")}
-    np.testing.assert_array_equal(slots["vehicle"].p, [9.0, 4.0, 1.0])
-    np.testing.assert_array_equal(slots["before_m"], vehicle.p)
-    assert not slots["broken"]
+    np.testing.assert_array_equal(motion.vehicle.p, [9.0, 4.0, 1.0])
+    np.testing.assert_array_equal(motion.before_m, vehicle.p)
+    assert not motion.broken
     # What is recorded is that of the beginning.
     np.testing.assert_array_equal(record["p"], vehicle.p)
     np.testing.assert_allclose(record["current_mps"], vehicle.p * 0.1)

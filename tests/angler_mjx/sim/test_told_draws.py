@@ -11,10 +11,10 @@ from angler_kernels import quaternion
 from angler_mjx.robot.control.navigation import NavigationParams
 from angler_mjx.robot.sensing import instruments, params
 from angler_mjx.robot.sensing.config import SensorsConfig
+from angler_mjx.sim import sensing
 from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.state import InstrumentedRobots, SimSpec
-from angler_mjx.sim.world_phases import sensing
-from angler_mjx.world.grid import Grid
+from angler_mjx.world.rock.grid import Grid
 
 from ..independence import assert_uncorrelated
 

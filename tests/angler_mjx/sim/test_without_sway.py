@@ -7,7 +7,7 @@ import jax
 import numpy as np
 import pytest
 
-from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.sim.engines.lanes.engine import FusedEngine
@@ -63,7 +63,7 @@ def test_four_thrusters_fly_along_lines_across_a_current(scenes, tmp_path):
     kind = Variant(vehicle=four, parameter_set="blue_gazebo", battery_v=16.0)
     member = Member(variants=(kind,), weights=(1.0,), cruise_speed_mps=0.5)
     made = build(len(STARTS_M), members=[member], config=obstacles["none"])
-    terminal = np.asarray(made.worlds.control.vehicle.terminal_speed_mps)[:, 0]
+    terminal = np.asarray(made.equipped.control.vehicle.terminal_speed_mps)[:, 0]
     assert np.all(terminal[:, 1] == 0.0)
     assert np.all(terminal[:, 0] > 0.5)
     worlds = replace(made.worlds, environment=open_water(made.worlds.environment), path=lines())
@@ -122,7 +122,7 @@ def test_four_thrusters_fly_the_planners_paths(controller, tmp_path):
     scenario = load_scenario(tmp_path / "s.toml")
     simulator = Simulator(scenario, tile=2)
     worlds = simulator.worlds(first=0)
-    terminal = np.asarray(worlds.control.vehicle.terminal_speed_mps)
+    terminal = np.asarray(simulator.add_parameters(worlds).control.vehicle.terminal_speed_mps)
     assert np.all(terminal[:, 0, 1] == 0.0)
     assert np.all(terminal[:, 1] > 0.5)
     state = simulator.reset(worlds)

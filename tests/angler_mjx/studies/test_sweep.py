@@ -1,6 +1,7 @@
 """A sweep from its command to its tables, broken off and taken up again, and two runs of it."""
 
 import json
+import re
 import shutil
 import statistics
 
@@ -10,8 +11,8 @@ from scipy import stats
 
 from angler_mjx.cli.main import main
 from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.progress import Progress
 from angler_mjx.runs import multi_run, rollout
-from angler_mjx.runs.progress import SilentProgress
 from angler_mjx.runs.storage.folder import Run
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.studies import chart, compare, comparison_report, sweep, tables
@@ -46,14 +47,17 @@ KEY = "world.currents.0.max_speed_mps"
 SET = [f"{KEY}=1.5,0.5"]
 
 
-class Broken(SilentProgress):
+class Broken(Progress):
     """Someone who presses Ctrl-C when a certain run begins."""
 
     def __init__(self, at):
         self.at, self.parts = at, []
 
-    def part(self, number, of, name):
-        self.parts.append((number, of, name))
+    def report(self, text):
+        if not (begun := re.fullmatch(r"run (\d+) of (\d+): (.*)", text)):
+            return
+        number = int(begun[1]) - 1
+        self.parts.append((number, int(begun[2]), begun[3]))
         if number == self.at:
             raise KeyboardInterrupt
 

@@ -5,7 +5,7 @@ import pytest
 from angler_mjx.errors import ConfigError
 from angler_mjx.scenario.editing import scenario_table, set_value
 from angler_mjx.scenario.scenario import load_scenario
-from angler_mjx.studies.cells import build_cells
+from angler_mjx.studies.sweep import build_cells
 from angler_mjx.studies.sweep_axes import parse_axes, parse_axis
 
 

@@ -10,15 +10,14 @@ from angler_mjx.cli.main import main
 from angler_mjx.cli.teleop import teleop
 from angler_mjx.errors import ConfigError, RunError, UnsupportedError
 from angler_mjx.report.interop import mcap
-from angler_mjx.report.viewing import scene
+from angler_mjx.report.plotting import scene
 from angler_mjx.runs.storage.folder import Run, reopen_folder
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.sim.state import Outcome
 from angler_mjx.teleop import live_view, opening
-from angler_mjx.teleop.driving import TeleopSettings, run_teleop
+from angler_mjx.teleop.driving import KEYS_FILE, TeleopRecording, TeleopSettings, run_teleop
 from angler_mjx.teleop.loop import drive_session
 from angler_mjx.teleop.pilot import KEY_TIMEOUT_S, DriveMode, TeleopPilot
-from angler_mjx.teleop.recording import KEYS_FILE, TeleopRecording
 from angler_mjx.teleop.script import KeyScript, TimedKey, load_keys
 from angler_mjx.teleop.signals import StopRequest
 

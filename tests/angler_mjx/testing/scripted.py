@@ -12,15 +12,15 @@ import numpy as np
 
 from angler_mjx.robot.control.commands import ThrusterPwm
 from angler_mjx.robot.vehicles import library, params
-from angler_mjx.runs.storage.device_to_host import TileResult
+from angler_mjx.runs.storage.episode_columns import TileResult
 from angler_mjx.runs.storage.results import episode_table
 from angler_mjx.sim import robot
 from angler_mjx.sim.detection import detect_contacts
 from angler_mjx.sim.physics.step import VehicleState
-from angler_mjx.sim.state import Outcome, SimSpec, Tally
+from angler_mjx.sim.state import Outcome, SimSpec
 from angler_mjx.world.environment import Environment
-from angler_mjx.world.grid import Grid
 from angler_mjx.world.obstacles import Obstacles, ObstacleState
+from angler_mjx.world.rock.grid import Grid
 
 from ..compiling import quickly
 from .hand_made import CELLS, DT_S, EDGE_M, FLOOR_M, LOW_M, Ball, Flight
@@ -141,18 +141,7 @@ def fly(robots, rock, balls, pwm, place):
     @quickly
     def run(signals):
         contact = detect_contacts(environment, vehicles, still, obstacles_at(0))
-        tally = Tally(
-            outcome=jnp.zeros(n, jnp.int32),
-            end_time_s=jnp.zeros(n),
-            passed_early=jnp.zeros(n, bool),
-            path_length_m=jnp.zeros(n),
-            energy_j=jnp.zeros(n),
-            min_clearance_m=contact.clearance_m,
-            min_separation_m=contact.separation_m,
-            touched=jnp.zeros(n, jnp.int32),
-            touched_index=jnp.full(n, -1, jnp.int32),
-            impact_speed_mps=jnp.full(n, jnp.nan),
-        )
+        tally = robot.begin_tally(contact, jnp.float32)
         given = (jnp.arange(STEPS, dtype=jnp.float32), signals)
         return jax.lax.scan(step, (still, tally), given)
 
@@ -165,23 +154,11 @@ def fly(robots, rock, balls, pwm, place):
         planned=np.ones((1, n), bool),
         outcome=outcome[None],
         p=last.p[None],
-        redraws=np.zeros(1, int),
-        plan_length_m=np.zeros((1, n)),
-        plan_end_s=np.zeros((1, n)),
-        notes=None,
-        **{
-            name: getattr(tally, name)[None]
-            for name in (
-                "end_time_s",
-                "passed_early",
-                "path_length_m",
-                "energy_j",
-                "min_clearance_m",
-                "min_separation_m",
-                "touched",
-                "touched_index",
-                "impact_speed_mps",
-            )
+        tally=jax.tree.map(lambda leaf: leaf[None], tally),
+        kept={
+            "redraws": np.zeros(1, int),
+            "plan_length_m": np.zeros((1, n)),
+            "plan_end_s": np.zeros((1, n)),
         },
     )
     names = [(config.name, config.default_set) for config in configs]

@@ -11,9 +11,9 @@ import pytest
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import parse_model
 from angler_mjx.world import currents, obstacles
-from angler_mjx.world.grid import Grid
 from angler_mjx.world.obstacles import bodies as obstacle_bodies
 from angler_mjx.world.obstacles.explicit import explicit_rows
+from angler_mjx.world.rock.grid import Grid
 
 from ..compiling import quickly
 

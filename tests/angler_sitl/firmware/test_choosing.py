@@ -4,7 +4,7 @@ import pytest
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.scenario.scenario import load_scenario
-from angler_sitl.missions.scenario_options import select_scenario
+from angler_sitl.scene.scenario_options import select_scenario
 
 
 def test_fewer_robots_take_the_first_places():

@@ -19,7 +19,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from angler_mjx.cli.main import main
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.report.interop import joint_trajectory_file, mcap
-from angler_mjx.robot.control.joint_goal import JointGoal, JointPoint
+from angler_mjx.robot.control.commands.joint_goal import JointGoal, JointPoint
 from angler_mjx.runs.storage.folder import Run
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.teleop import driving, opening

@@ -68,7 +68,7 @@ def test_the_same_signals_make_the_same_way_as_in_the_simulator(afloat):
         scene.judge()
         command = ThrusterPwm(pwm_us=pwm[None, :, :8].astype(theirs.vehicles.p.dtype))
         theirs, _ = simulator.step(worlds, theirs, command)
-    assert traced.count("control_step") == 1  # what a step gives has the types of what it takes
+    assert traced.count("_run_step") == 1  # what a step gives has the types of what it takes
     ours = scene.state
     # float32 there, float64 here: at 25 m each of 1,200 steps rounds a position by up to 1 um, and
     # a steady velocity always the same way.

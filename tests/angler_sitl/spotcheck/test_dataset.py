@@ -27,7 +27,7 @@ from angler_mjx.learning.datasets import (
 from angler_mjx.learning.datasets.config import DatasetConfig, DatasetScene, Expert
 from angler_mjx.learning.datasets.maintenance import repair
 from angler_mjx.learning.datasets.verifying import integrity
-from angler_mjx.runs.progress import SilentProgress
+from angler_mjx.progress import Progress
 from angler_sitl.spotcheck import dataset, flight, runner, world_selection
 from angler_sitl.spotcheck.results import SpotcheckResult, SpotcheckSettings
 
@@ -154,7 +154,7 @@ def test_the_gap_is_written_into_the_dataset_which_stays_whole(place, asked, tmp
     assert row.arrival_s == (0.0, 0.0)
     text = (place / card.README).read_text()
     assert "| guided | recorded | 12 of 12" in text
-    assert "no sample of how often" in text
+    assert "sampled more often" in text
     assert files(place) == []
     after = checksums.read_checksums(place, manifest.read_manifest(place).sums)
     assert {name for name in after if after[name] != before.get(name)} == {
@@ -220,10 +220,10 @@ def test_a_damaged_spot_check_is_said_and_taken_away_by_repair(place, asked, tmp
     with pytest.raises(ConfigError, match=r"spotcheck\.json"):
         card.write_readme(place, manifest.read_manifest(place), index.read_index(place))
     monkeypatch.setattr(figures, "plot_figures", lambda *_: None)
-    assert repair.repair_dataset(place, SilentProgress()).damaged == (gaps.SPOT_CHECK_FILE,)
+    assert repair.repair_dataset(place, Progress()).damaged == (gaps.SPOT_CHECK_FILE,)
     assert gaps.read_spot_check(place) is None
     assert files(place) == []
-    assert "No episode of it was flown" in (place / card.README).read_text()
+    assert "Real autopilots have not flown" in (place / card.README).read_text()
 
 
 def test_a_disk_that_gives_out_is_said(place, asked, tmp_path, monkeypatch):

@@ -20,9 +20,10 @@ from matplotlib.figure import Figure
 
 from angler_mjx.cli.main import main
 from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.robot.control.joint_trajectory import JointTrajectory
+from angler_mjx.progress import Progress
+from angler_mjx.robot.control.commands.joint_trajectory import JointTrajectory
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.robot.control.laws.ardusub.gains import ArduSubGains
-from angler_mjx.robot.control.trajectory import Trajectory
 from angler_mjx.robot.vehicles import library
 from angler_mjx.runs.rollout import rollout
 from angler_mjx.runs.storage.folder import (
@@ -246,8 +247,7 @@ def world(made):
     return World(
         environment=environment,
         variant=np.zeros((1, 4), np.int32),
-        body=None,
-        control=None,
+        cruise_speed_mps=np.ones((1, 4), np.float32),
         path=Trajectory(time_s=times, position_m=np.float32([plans]), found=np.ones((1, 4), bool)),
     )
 
@@ -322,23 +322,18 @@ def test_a_flight_is_read_as_it_was_written(run, tmp_path):
         flight.load_flight(tmp_path / "a" / "one.npz")
 
 
-class Told:
+class Told(Progress):
     """A progress that remembers."""
 
     def __init__(self):
         self.begun, self.flights = None, 0
 
-    def start(self, flights, done):
-        self.begun = (flights, done)
+    def start(self, total, done=0, unit="worlds"):
+        self.begun = (total, done)
+        assert unit == "flights"
 
-    def report_task(self, what):
-        pass
-
-    def update_fraction(self, share):
-        pass
-
-    def finish_flight(self):
-        self.flights += 1
+    def advance(self, amount, vehicle_steps=0):
+        self.flights += amount
 
 
 class Shifted:
@@ -390,7 +385,7 @@ def test_a_spot_check_reports_the_gaps(run, flyers, settings, tmp_path):
     out, told = tmp_path / "check", Told()
     found = runner.run_spot_check(run.path, settings, out, told)
     assert found.complete
-    assert (told.begun, told.flights) == ((4, 0), 4)
+    assert (told.begun, told.flights) == ((4, 0), pytest.approx(4))
     with (out / "gaps.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 2 * 3 * 4  # levels, references, robots
@@ -444,7 +439,7 @@ def test_what_cannot_be_checked_is_refused(run, stand_in, tmp_path, capsys):
         ([str(bare), "--episodes", "1"], "trajectories.zarr: is missing"),
         ([str(run.path), "--episodes", "1", "--robots", "5"], "the run has 4 robots"),
         ([str(run.path), "--episodes", "1", "--speed", "fast"], "--speed fast"),
-        ([str(run.path), "--episodes", "1", "--resume"], "there is no spot check"),
+        ([str(run.path), "--episodes", "1", "--resume"], "there is no interrupted spot check"),
         ([str(run.path), "--episodes", "1", "--ardusub", str(tmp_path / "x")], str(tmp_path / "x")),
     ):
         asked = given if "--ardusub" in given else [*given, "--ardusub", program]

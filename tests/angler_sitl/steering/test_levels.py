@@ -9,10 +9,15 @@ import pytest
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.robot.control import stack
-from angler_mjx.robot.control.commands import BodyTwist, Estimate, PoseTarget, ThrusterPwm
-from angler_mjx.robot.control.joint_goal import JointGoal
-from angler_mjx.robot.control.laws.targets import TrackingTarget
-from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.robot.control.commands import (
+    BodyTwist,
+    Estimate,
+    PoseTarget,
+    ThrusterPwm,
+    TrackingTarget,
+)
+from angler_mjx.robot.control.commands.joint_goal import JointGoal
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.runs.session.interface import RobotInfo
 from angler_mjx.sim.state import SimSpec
 from angler_sitl.firmware.parameters import LEVELS

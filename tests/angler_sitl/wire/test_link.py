@@ -10,8 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from scipy.spatial.transform import Rotation
 
 from angler_sitl.wire import messages
-from angler_sitl.wire.link import MavlinkLink
-from angler_sitl.wire.tlog import TelemetryLog
+from angler_sitl.wire.link import MavlinkLink, TelemetryLog
 
 LOOPBACK = "127.0.0.1"
 

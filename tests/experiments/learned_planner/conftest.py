@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from angler_experiments.learned_planner.planner import LearnedPlanner, LearnedSettings
-from angler_experiments.learned_planner.training import examples
+from angler_experiments.learned_planner.train import examples
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import load_scenario
 

@@ -76,8 +76,8 @@ def test_the_entry_point_names_the_planner():
     table = tomllib.loads(
         (Path(__file__).parents[3] / "experiments" / "pyproject.toml").read_text()
     )
-    place = table["project"]["entry-points"]["angler_mjx.planners"]["learned"]
-    module, _, name = place.partition(":")
+    entry = table["project"]["entry-points"]["angler_mjx.planners"]["learned"]
+    module, _, name = entry.partition(":")
     spec = PlannerSpec(
         reference=PlannerReference(name="learned", module=module, qualname=name),
         settings={"samples": 2},

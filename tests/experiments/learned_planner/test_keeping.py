@@ -8,9 +8,9 @@ import pytest
 
 from angler_experiments.learned_planner.evaluate.evaluation_log import EvaluationLog
 from angler_experiments.learned_planner.scene import Scene
-from angler_experiments.learned_planner.training import example_files
-from angler_experiments.learned_planner.training.examples import Examples
-from angler_experiments.learned_planner.training.from_simulation import Source
+from angler_experiments.learned_planner.train import example_files
+from angler_experiments.learned_planner.train.examples import Examples
+from angler_experiments.learned_planner.train.from_simulation import Source
 from angler_mjx.errors import ConfigError
 
 SOURCES = (Source(worlds=4, robots=2), Source(worlds=1, preset="dense"))
@@ -41,14 +41,14 @@ def _never(*_):
 
 
 def test_examples_are_drawn_once(tmp_path, monkeypatch):
-    made, file, told = _examples(), tmp_path / "there" / "examples.npz", []
+    made, file, reports = _examples(), tmp_path / "there" / "examples.npz", []
     monkeypatch.setattr(
         example_files.from_simulation, "sample_sources", lambda chosen, worlds: iter([made])
     )
-    first = example_files.load_or_sample(SOURCES, None, file, told.append)
+    first = example_files.load_or_sample(SOURCES, None, file, reports.append)
     monkeypatch.setattr(example_files.from_simulation, "sample_sources", _never)
-    again = example_files.load_or_sample(SOURCES, None, file, told.append)
-    some = example_files.load_or_sample(SOURCES, 3, file, told.append)
+    again = example_files.load_or_sample(SOURCES, None, file, reports.append)
+    some = example_files.load_or_sample(SOURCES, 3, file, reports.append)
     for a, b, c in zip(*map(jax.tree.leaves, (first, again, some)), strict=True):
         assert a.dtype == b.dtype
         np.testing.assert_array_equal(a, b)

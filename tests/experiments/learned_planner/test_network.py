@@ -10,7 +10,7 @@ import pytest
 from angler_experiments.learned_planner import flow, network
 from angler_experiments.learned_planner.scene import Scene, build_scene
 from angler_experiments.learned_planner.shapes import NetworkSize
-from angler_experiments.learned_planner.training import examples
+from angler_experiments.learned_planner.train import examples
 
 pytestmark = pytest.mark.nightly(
     by="tests/experiments/learned_planner/test_plans.py, whose plans come of the shipped network"
@@ -31,42 +31,44 @@ def params():
 
 
 @pytest.fixture(scope="module")
-def told(made):
+def scene_of(made):
     return jax.tree.map(lambda leaf: leaf[0], made.scenes)
 
 
 @pytest.fixture(scope="module")
 def carried(params):
     @jax.jit
-    def run(told, begin):
-        return flow.integrate_flow(params, network.encode_scene(params, told), begin, 2)
+    def run(scene_of, begin):
+        return flow.integrate_flow(params, network.encode_scene(params, scene_of), begin, 2)
 
     return run
 
 
-def _ordered(told: Scene, order) -> Scene:
+def _ordered(scene_of: Scene, order) -> Scene:
     rows = {
-        name: getattr(told, name)[order] for name in ("gap", "own", "bodies", "water", "exists")
+        name: getattr(scene_of, name)[order] for name in ("gap", "own", "bodies", "water", "exists")
     }
-    return replace(told, others=told.others[order][:, order], **rows)
+    return replace(scene_of, others=scene_of.others[order][:, order], **rows)
 
 
-def test_the_order_of_robots_changes_their_order_only(told, carried):
+def test_the_order_of_robots_changes_their_order_only(scene_of, carried):
     begin = flow.sample_noise(jax.random.key(0), 2, 4)
     order = np.array([2, 0, 3, 1])
-    straight = carried(told, begin)
-    other = carried(_ordered(told, order), begin[:, order])
+    straight = carried(scene_of, begin)
+    other = carried(_ordered(scene_of, order), begin[:, order])
     np.testing.assert_allclose(other, straight[:, order], atol=2e-5)
     assert np.abs(straight[:, order] - straight).max() > 0.1
 
 
-def test_the_order_of_obstacles_changes_nothing(told, carried):
+def test_the_order_of_obstacles_changes_nothing(scene_of, carried):
     begin = flow.sample_noise(jax.random.key(0), 2, 4)
-    back = replace(told, bodies=told.bodies[:, ::-1], body_exists=told.body_exists[::-1])
-    np.testing.assert_allclose(carried(back, begin), carried(told, begin), atol=2e-5)
+    back = replace(
+        scene_of, bodies=scene_of.bodies[:, ::-1], body_exists=scene_of.body_exists[::-1]
+    )
+    np.testing.assert_allclose(carried(back, begin), carried(scene_of, begin), atol=2e-5)
 
 
-def test_rows_that_do_not_exist_change_nothing(made, told, carried):
+def test_rows_that_do_not_exist_change_nothing(made, scene_of, carried):
     padded = jax.tree.map(lambda leaf: leaf[0], examples.pad_team(made, 6).scenes)
     padded = replace(
         padded,
@@ -77,14 +79,14 @@ def test_rows_that_do_not_exist_change_nothing(made, told, carried):
     assert begin.shape[1] == 6
     np.testing.assert_array_equal(begin[:, :4], flow.sample_noise(jax.random.key(0), 2, 4))
     np.testing.assert_allclose(
-        carried(padded, begin)[:, :4], carried(told, begin[:, :4]), atol=2e-5
+        carried(padded, begin)[:, :4], carried(scene_of, begin[:, :4]), atol=2e-5
     )
 
 
-def test_other_robots_are_seen(told, carried):
+def test_other_robots_are_seen(scene_of, carried):
     begin = flow.sample_noise(jax.random.key(0), 2, 4)
-    alone = replace(told, exists=jnp.array([True, False, False, False]))
-    gap = np.abs(carried(alone, begin)[:, 0] - carried(told, begin)[:, 0])
+    alone = replace(scene_of, exists=jnp.array([True, False, False, False]))
+    gap = np.abs(carried(alone, begin)[:, 0] - carried(scene_of, begin)[:, 0])
     assert gap.max() > 1e-3
 
 
@@ -101,23 +103,23 @@ def test_the_loss_has_a_slope_where_there_are_no_obstacles(params, made):
 def _moved(problem, turn, shift, cells):
     """A problem in a W that is turned by ``turn`` [3, 3] and then shifted."""
 
-    def place(p):
+    def moved(p):
         return p @ turn.T + shift
 
     shape = np.array(problem.grid.occupied.shape) * np.asarray(problem.grid.cell_m)
     corners = np.stack([np.zeros(3), shape]) + np.asarray(problem.grid.origin_m)
-    origin = place(corners).min(axis=0)
-    known = problem.obstacles
+    origin = moved(corners).min(axis=0)
+    moving = problem.obstacles
     return replace(
         problem,
         grid=replace(problem.grid, occupied=cells, origin_m=jnp.asarray(origin, jnp.float32)),
         floor_z_m=problem.floor_z_m + shift[2],
         team=replace(
             problem.team,
-            start_m=place(problem.team.start_m),
-            goal_m=place(problem.team.goal_m),
+            start_m=moved(problem.team.start_m),
+            goal_m=moved(problem.team.goal_m),
         ),
-        obstacles=replace(known, p_m=place(known.p_m), velocity_mps=known.velocity_mps @ turn.T),
+        obstacles=replace(moving, p_m=moved(moving.p_m), velocity_mps=moving.velocity_mps @ turn.T),
     )
 
 
@@ -135,8 +137,8 @@ def test_where_w_is_changes_nothing(planned, turn, shift):
     rock = np.asarray(problem.grid.occupied)
     cells = np.rot90(rock, axes=(0, 1)) if turn is QUARTER else rock
     other = _moved(problem, turn, np.array(shift, np.float32), jnp.asarray(cells))
-    told = jax.jit(build_scene)
-    here, there = told(problem), told(other)
+    scene_of = jax.jit(build_scene)
+    here, there = scene_of(problem), scene_of(other)
     for name in ("gap", "own", "others", "bodies"):
         np.testing.assert_allclose(getattr(there, name), getattr(here, name), atol=3e-4)
     assert np.ptp(np.asarray(here.gap)) > 0.3

@@ -14,7 +14,7 @@ from angler_experiments.learned_planner.scene import build_frames
 STEP_S = 0.05
 
 
-def _places(path, world, robot, time):
+def _positions(path, world, robot, time):
     when, where = path.time_s[world, robot], path.position_m[world, robot]
     return np.stack([np.interp(time, when, where[:, k]) for k in range(3)], axis=-1)
 
@@ -28,12 +28,12 @@ def test_paths_go_from_start_to_goal_and_keep_the_cruise_speed(planned, answered
     team = jax.tree.map(np.asarray, problems.team)
     assert answered.time_s.shape == (4, 4, 32)
     for world, robot in np.argwhere(answered.found):
-        time, place = answered.time_s[world, robot], answered.position_m[world, robot]
-        np.testing.assert_allclose(place[0], team.start_m[world, robot], atol=1e-4)
-        np.testing.assert_allclose(place[-1], team.goal_m[world, robot], atol=1e-4)
+        time, position = answered.time_s[world, robot], answered.position_m[world, robot]
+        np.testing.assert_allclose(position[0], team.start_m[world, robot], atol=1e-4)
+        np.testing.assert_allclose(position[-1], team.goal_m[world, robot], atol=1e-4)
         assert time[0] == 0.0
         assert time[-1] <= problems.horizon_s
-        span, leg = np.diff(time), np.linalg.norm(np.diff(place, axis=0), axis=1)
+        span, leg = np.diff(time), np.linalg.norm(np.diff(position, axis=0), axis=1)
         assert (span >= 0.0).all()
         assert (leg <= team.cruise_speed_mps[world, robot] * span * (1 + 1e-4) + 1e-5).all()
         assert time[-1] > 1.0
@@ -51,10 +51,10 @@ def test_no_two_paths_meet_whoever_stands(planned, answered):
     radius = np.asarray(planned[1].team.radius_m)
     time = np.arange(0.0, 60.0, STEP_S)
     for world in range(4):
-        place = [_places(answered, world, robot, time) for robot in range(4)]
+        position = [_positions(answered, world, robot, time) for robot in range(4)]
         for a, b in itertools.combinations(range(4), 2):
             if answered.found[world, a] or answered.found[world, b]:
-                gap = np.linalg.norm(place[a] - place[b], axis=1).min()
+                gap = np.linalg.norm(position[a] - position[b], axis=1).min()
                 assert gap > radius[world, a] + radius[world, b] + 0.1 - 2e-3
 
 
@@ -65,31 +65,31 @@ def test_no_path_touches_rock_faces_or_floor(planned, answered):
     assert grid.occupied.any(axis=(1, 2, 3)).all()
     for world, robot in np.argwhere(answered.found):
         end = answered.time_s[world, robot, -1]
-        place = _places(answered, world, robot, np.arange(0.0, end, STEP_S)).astype(float)
+        position = _positions(answered, world, robot, np.arange(0.0, end, STEP_S)).astype(float)
         need = radius[world, robot] + 0.1 - 2e-3
         origin, cell = grid.origin_m[world], grid.cell_m[world]
         low = origin + cell * np.argwhere(grid.occupied[world])
-        nearest = np.clip(place[:, None], low, low + cell)
-        gap = np.linalg.norm(place[:, None] - nearest, axis=-1)
+        nearest = np.clip(position[:, None], low, low + cell)
+        gap = np.linalg.norm(position[:, None] - nearest, axis=-1)
         assert gap.min() > need
         top = origin + cell * np.array(grid.occupied.shape[1:])
-        assert (place - origin).min() > need
-        assert (top - place).min() > need
-        assert place[:, 2].min() - floor[world] > need
+        assert (position - origin).min() > need
+        assert (top - position).min() > need
+        assert position[:, 2].min() - floor[world] > need
 
 
 def test_no_path_meets_obstacles_that_go_on_as_observed(planned, answered):
     problems = planned[1]
-    known = jax.tree.map(np.asarray, problems.obstacles)
+    bodies = jax.tree.map(np.asarray, problems.obstacles)
     radius = np.asarray(problems.team.radius_m)
-    assert known.exists.any()
+    assert bodies.exists.any()
     for world, robot in np.argwhere(answered.found):
         time = np.arange(0.0, answered.time_s[world, robot, -1], STEP_S)
-        place = _places(answered, world, robot, time)
-        for body in np.flatnonzero(known.exists[world]):
-            there = known.p_m[world, body, 0] + time[:, None] * known.velocity_mps[world, body]
-            gap = np.linalg.norm(place - there, axis=1).min()
-            assert gap > known.radius_m[world, body] + radius[world, robot] + 0.1 - 2e-3
+        position = _positions(answered, world, robot, time)
+        for body in np.flatnonzero(bodies.exists[world]):
+            there = bodies.p_m[world, body, 0] + time[:, None] * bodies.velocity_mps[world, body]
+            gap = np.linalg.norm(position - there, axis=1).min()
+            assert gap > bodies.radius_m[world, body] + radius[world, robot] + 0.1 - 2e-3
 
 
 @pytest.mark.parametrize("robot", [0, 3])
@@ -100,16 +100,16 @@ def test_a_way_of_a_path_leads_back_near_to_it(planned, robot):
     assert path.found
     frame = jax.tree.map(lambda leaf: leaf[robot], build_frames(problem))
     speed = problem.team.cruise_speed_mps[robot]
-    way = path_encoding.encode_path(path, frame, speed)
-    place = np.asarray(path_encoding.decode_points(way, frame, problem.team.goal_m[robot]))
+    encoded = path_encoding.encode_path(path, frame, speed)
+    position = np.asarray(path_encoding.decode_points(encoded, frame, problem.team.goal_m[robot]))
     corner = np.asarray(path.position_m, float)
     begin, leg = corner[:-1], np.diff(corner, axis=0)
     square = np.maximum((leg**2).sum(axis=1), 1e-12)
-    share = np.clip(((place[:, None] - begin) * leg).sum(axis=-1) / square, 0.0, 1.0)
-    off = np.linalg.norm(place[:, None] - (begin + share[..., None] * leg), axis=-1).min(axis=1)
+    share = np.clip(((position[:, None] - begin) * leg).sum(axis=-1) / square, 0.0, 1.0)
+    off = np.linalg.norm(position[:, None] - (begin + share[..., None] * leg), axis=-1).min(axis=1)
     assert off.max() < 1e-3
     time, _ = path_encoding.time_path(
-        place, path_encoding.decode_delays_s(way), np.float32(0.0), speed
+        position, path_encoding.decode_delays_s(encoded), np.float32(0.0), speed
     )
     # Corners are cut, so it is not later than the path; delays are kept.
     assert 0.8 * path.time_s[-1] < time[-1] < path.time_s[-1] + 0.5

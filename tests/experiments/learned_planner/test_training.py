@@ -6,7 +6,7 @@ import pytest
 
 from angler_experiments.learned_planner import checkpoint
 from angler_experiments.learned_planner.shapes import NetworkSize
-from angler_experiments.learned_planner.training import examples, from_runs
+from angler_experiments.learned_planner.train import examples, from_runs
 from angler_mjx.errors import ConfigError
 from angler_mjx.runs.rollout import rollout
 
@@ -22,17 +22,17 @@ def several(made):
 def test_an_interruption_changes_no_number(several, tmp_path):
     pytest.importorskip("optax", reason="needs the extra learn")
     pytest.importorskip("orbax.checkpoint", reason="needs the extra learn")
-    from angler_experiments.learned_planner.training import loop as train
+    from angler_experiments.learned_planner.train import loop as train
 
     config = train.TrainConfig(
         width=NetworkSize(units=8, blocks=1), sources=(), steps=4, batch=2, rate=1e-2, call=2
     )
-    told = []
-    whole = train.train(config, several, tmp_path / "whole", told.append, validation_set=several)
-    train.train(config, several, tmp_path / "parts", told.append, stop=2, validation_set=several)
+    reports = []
+    whole = train.train(config, several, tmp_path / "whole", reports.append, validation_set=several)
+    train.train(config, several, tmp_path / "parts", reports.append, stop=2, validation_set=several)
     assert not (tmp_path / "parts" / "weights.npz").exists()
-    parts = train.train(config, several, tmp_path / "parts", told.append, validation_set=several)
-    assert "goes on after step 2" in told
+    parts = train.train(config, several, tmp_path / "parts", reports.append, validation_set=several)
+    assert "goes on after step 2" in reports
     for a, b in zip(jax.tree.leaves(whole), jax.tree.leaves(parts), strict=True):
         np.testing.assert_array_equal(a, b)
         assert np.isfinite(np.asarray(a, float)).all()
@@ -42,13 +42,13 @@ def test_an_interruption_changes_no_number(several, tmp_path):
     assert found.about["steps"] == 4
     other = train.TrainConfig(**{**vars(config), "seed": 1})
     with pytest.raises(ConfigError, match="another --out"):
-        train.train(other, several, tmp_path / "whole", told.append)
+        train.train(other, several, tmp_path / "whole", reports.append)
 
 
 def test_the_rate_goes_up_and_then_down_over_the_steps_there_will_be():
     pytest.importorskip("optax", reason="needs the extra learn")
     pytest.importorskip("orbax.checkpoint", reason="needs the extra learn")
-    from angler_experiments.learned_planner.training import loop
+    from angler_experiments.learned_planner.train import loop
 
     config = loop.TrainConfig(
         width=NetworkSize(units=8, blocks=1), sources=(), steps=7, batch=2, rate=0.01
@@ -67,7 +67,7 @@ def test_the_rate_goes_up_and_then_down_over_the_steps_there_will_be():
 def test_a_time_decides_the_steps_once(tmp_path, monkeypatch):
     pytest.importorskip("optax", reason="needs the extra learn")
     pytest.importorskip("orbax.checkpoint", reason="needs the extra learn")
-    from angler_experiments.learned_planner.training import loop
+    from angler_experiments.learned_planner.train import loop
 
     config = loop.TrainConfig(
         width=NetworkSize(units=8, blocks=1), sources=(), steps=9000, batch=2, rate=0.01

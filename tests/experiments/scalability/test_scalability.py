@@ -139,10 +139,10 @@ def test_rows_that_are_there_are_not_measured_again(file, monkeypatch):
         )  # fmt: skip
 
     monkeypatch.setattr(cost, "measure_row", measure)
-    asked = cost.list_rungs(["worlds", "obstacles"], ["fused", "mjx"], "cpu")
-    assert len(list(cost.measure_missing(asked, file, 10, 1e9))) == len(measured)
+    rungs = cost.list_rungs(["worlds", "obstacles"], ["fused", "mjx"], "cpu")
+    assert len(list(cost.measure_missing(rungs, file, 10, 1e9))) == len(measured)
     assert measured == [("worlds", "mjx", 64), *[("obstacles", "mjx", n) for n in (4, 16, 64)]]
-    assert list(cost.measure_missing(asked, file, 10, 1e9)) == []
+    assert list(cost.measure_missing(rungs, file, 10, 1e9)) == []
     assert (
         list(cost.measure_missing([*cost.list_rungs(["cells"], ["fused"], "cpu")], file, 10, -1.0))
         == []

@@ -116,9 +116,9 @@ def test_lanes_that_look_up_give_the_same(found):
             p, t, values, SHAPE, axes, *numbers, jnp.asarray(FACTOR)
         )
 
-    given = (lanes.split(jnp.asarray(p), 1), lanes.split(jnp.asarray(t), 1))
+    operands = (lanes.split(jnp.asarray(p), 1), lanes.split(jnp.asarray(t), 1))
     tables = (table(VALUES), table(KNOTS[1]), table(KNOTS[2]))
-    for part, want in zip(lanes.join(lanes.apply(one, *given, *tables)), found, strict=True):
+    for part, want in zip(lanes.join(lanes.apply(one, *operands, *tables)), found, strict=True):
         np.testing.assert_allclose(np.broadcast_to(part, want.shape), want, atol=1e-12)
 
 
@@ -127,12 +127,20 @@ def test_axes_of_one_knot_are_the_same_everywhere():
     knots = (KNOTS[0], KNOTS[1])
     axes = (AXES[0], AXES[1], GridAxis(count=1, step=1.0), GridAxis(count=1, step=1.0))
     values = VALUES[:, :, 0, 0, :2]
-    given = [(axes[0], None), (axes[1], jnp.asarray(KNOTS[1])), (axes[2], None), (axes[3], None)]
+    operands = [(axes[0], None), (axes[1], jnp.asarray(KNOTS[1])), (axes[2], None), (axes[3], None)]
     knot = np.array([2, 1, 0, 0])
 
     def one(p, t):
         return gridded_field.gridded_velocity(
-            p, t, jnp.asarray(values).reshape(-1), (5, 4, 1, 1, 2), given, knot, REST, RATE, FACTOR
+            p,
+            t,
+            jnp.asarray(values).reshape(-1),
+            (5, 4, 1, 1, 2),
+            operands,
+            knot,
+            REST,
+            RATE,
+            FACTOR,
         )
 
     p, t, at = points()

@@ -9,12 +9,14 @@ from angler_kernels import matching
 ROWS, COLUMNS = 5, 11
 
 
-def by_hand(way: np.ndarray) -> list[int]:
-    taken, way = [-1] * len(way), way.copy()
-    while np.isfinite(way).any():
-        row, column = np.unravel_index(np.argmin(way), way.shape)  # the first of equal ones
+def by_hand(distances: np.ndarray) -> list[int]:
+    taken, distances = [-1] * len(distances), distances.copy()
+    while np.isfinite(distances).any():
+        row, column = np.unravel_index(
+            np.argmin(distances), distances.shape
+        )  # the first of equal ones
         taken[row] = int(column)
-        way[row], way[:, column] = np.inf, np.inf
+        distances[row], distances[:, column] = np.inf, np.inf
     return taken
 
 
@@ -29,14 +31,14 @@ def lengths() -> np.ndarray:
 
 
 def test_the_shortest_is_taken_of_all_that_are_left() -> None:
-    ways = lengths()
-    found = np.asarray(jax.jit(jax.vmap(matching.match_pairs))(jnp.array(ways)))
-    assert found.tolist() == [by_hand(way) for way in ways]
+    batch = lengths()
+    found = np.asarray(jax.jit(jax.vmap(matching.match_pairs))(jnp.array(batch)))
+    assert found.tolist() == [by_hand(distances) for distances in batch]
 
 
 def test_the_program_for_gpus_gives_the_same() -> None:
     pairs = matching.MatchedPairs.of((ROWS, COLUMNS), lanes_per_warp=64, interpret=True)
     kernel = matching._ShortestMatchingKernel(pairs)
-    ways = lengths()
-    found = np.asarray(jax.jit(jax.vmap(kernel.run))(jnp.array(ways)))
-    assert found.tolist() == [by_hand(way) for way in ways]
+    batch = lengths()
+    found = np.asarray(jax.jit(jax.vmap(kernel.run))(jnp.array(batch)))
+    assert found.tolist() == [by_hand(distances) for distances in batch]

@@ -1,1 +1,1 @@
-"""Datasets in the formats of others, a robot's flight each."""
+"""Datasets in formats of other projects, one robot's flight per episode."""

@@ -1,8 +1,8 @@
-"""A robot's flight, as formats of single agents hold it: what it knew, what it did, and whether.
+"""Flights of single robots for formats of single agents: states, actions and masks.
 
-The state is 19 numbers: place, attitude, velocity, goal, current. Of the others there are so many
-as the dataset's teams have, less one, nearest first at each sample, by place and velocity relative
-to the robot in W; where there is none, zeros and a 0 in the mask.
+The state is 19 numbers: position, attitude, velocity, goal, current. The number of other robots is
+that of the dataset's teams less one, nearest first at each sample, by position and velocity
+relative to the robot in W; missing robots are zeros with 0 in the mask.
 """
 
 from collections.abc import Iterator
@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.learning.datasets.reading.dataset import Dataset
-from angler_mjx.learning.datasets.reading.episode import Episode
+from angler_mjx.learning.datasets.dataset import Dataset
+from angler_mjx.learning.datasets.episode import Episode
 from angler_mjx.robot.control.allocation import NEUTRAL_US
 
 STATE_COLUMNS = (
@@ -23,14 +23,14 @@ STATE_COLUMNS = (
     *("goal_x_m", "goal_y_m", "goal_z_m"),
     *("current_x_mps", "current_y_mps", "current_z_mps"),
 )
-"""Names of the numbers of a state, in order; world frame, but velocities in the body's."""
+"""Names of the numbers of a state, in order; world frame, but velocities in the body frame."""
 
 OTHER_COLUMNS = ("there", "dx_m", "dy_m", "dz_m", "dvx_mps", "dvy_mps", "dvz_mps")
-"""Of each other robot."""
+"""Names of the numbers of each other robot."""
 
 ACTIONS = {"target": ("target_x_m", "target_y_m", "target_z_m"), "pwm": ()}
-"""What a robot did, by name: where its controller aimed, world frame; or pulse widths, us. Those of
-thrusters that a robot does not have are neutral."""
+"""Actions of a robot by name: set-point of its controller, world frame; or pulse widths, us. Those
+of missing thrusters are neutral."""
 
 UNITS = {
     "m": "m",
@@ -51,34 +51,34 @@ REQUIRED_FIELDS = ("p_m", "q", "nu", "target_m", "current_mps", "pwm_us")
 
 @dataclass(frozen=True, kw_only=True)
 class ExportedFlight:
-    """One robot's, until its end."""
+    """Flight of one robot, until its end."""
 
     episode: int
-    """Its place in the dataset's index."""
+    """Row of the episode in the dataset's index."""
     robot: int
     outcome: str
     split: str
     task: str
     time_s: np.ndarray
-    """[t]."""
+    """[t] time since the start."""
     state: np.ndarray
     """float32 [t, 19]; see `STATE_COLUMNS`."""
     others: np.ndarray
     """float32 [t, others, 7]; see `OTHER_COLUMNS`."""
     action: np.ndarray
-    """float32 [t, a]."""
+    """float32 [t, a]; see `ACTIONS`."""
 
     @property
     def arrived(self) -> bool:
-        """At its goal."""
+        """Return whether the robot reached its goal."""
         return self.outcome == "reached"
 
 
 def action_names(data: Dataset, action: str) -> tuple[str, ...]:
-    """Of the numbers of an action.
+    """Return the names of the numbers of an action.
 
     Raises:
-        ConfigError: there is no such action.
+        ConfigError: the action is unknown.
     """
     if action not in ACTIONS:
         raise ConfigError(f"--action {action}: must be {' or '.join(ACTIONS)}")
@@ -105,15 +105,16 @@ def other_names(data: Dataset) -> tuple[str, ...]:
 def iterate_flights(
     data: Dataset, action: str, *, of: Dataset | None = None
 ) -> Iterator[ExportedFlight]:
-    """All of a dataset, one after another.
+    """Iterate over all flights of a dataset.
 
     Args:
-        data: whose flights.
+        data: dataset with the flights.
         action: see `ACTIONS`.
-        of: the whole that it is a part of, by whose teams and vehicles arrays are as wide.
+        of: the whole dataset of which ``data`` is a part; its teams and vehicles set the widths of
+            arrays.
 
     Raises:
-        ConfigError: there is no such action, or a file is damaged.
+        ConfigError: the action is unknown, or a file is damaged.
     """
     full = of or data
     names = action_names(full, action)
@@ -128,12 +129,12 @@ def iterate_flights(
 
 
 def count_flights(data: Dataset) -> int:
-    """How many there are, at most: one that ended before its first sample is left out."""
+    """Count the flights at most: a flight that ended before its first sample is left out."""
     return int(data.robots.sum())
 
 
 def _first_episode_per_part(data: Dataset) -> np.ndarray:
-    """An episode of each part."""
+    """Return one episode of each part."""
     episodes: np.ndarray = np.unique(data.index["part"].to_numpy(), return_index=True)[1]
     return episodes
 
@@ -164,7 +165,7 @@ def _build_flight(
 
 
 def _relative_others(arrays: dict[str, np.ndarray], robot: int, max_others: int) -> np.ndarray:
-    """[t, most, 7], nearest first."""
+    """Return the other robots relative to a robot, [t, max_others, 7], nearest first."""
     positions_m, velocity_mps = arrays["p_m"], _world_velocity(arrays["q"], arrays["nu"])
     steps, team = positions_m.shape[:2]
     features = np.zeros((steps, max_others, len(OTHER_COLUMNS)), np.float32)
@@ -181,14 +182,14 @@ def _relative_others(arrays: dict[str, np.ndarray], robot: int, max_others: int)
 
 
 def _world_velocity(q: np.ndarray, nu: np.ndarray) -> np.ndarray:
-    """Velocities in W, of attitudes and of velocities in the body's frame."""
+    """Return velocities in W from attitudes and velocities in the body frame."""
     w, v, u = q[..., :1], q[..., 1:], nu[..., :3]
     rotated: np.ndarray = u + 2.0 * np.cross(v, np.cross(v, u) + w * u)
     return rotated
 
 
 def describe_columns(data: Dataset, action: str) -> dict[str, Any]:
-    """What stands beside the numbers in every format: names, units and frames."""
+    """Describe the numbers for every format: names, units and frames."""
     names = {"state": STATE_COLUMNS, "others": OTHER_COLUMNS, "action": action_names(data, action)}
     return {
         **{key: list(columns) for key, columns in names.items()},

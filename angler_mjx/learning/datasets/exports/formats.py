@@ -1,12 +1,12 @@
-"""A dataset in another format: into a folder that is there whole or not at all."""
+"""Export of a dataset to another format: the folder appears complete or not at all."""
 
 from collections.abc import Callable
 from pathlib import Path
 
-from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.errors import ConfigError
+from angler_mjx.learning.datasets.dataset import open_dataset
 from angler_mjx.learning.datasets.exports import flights, lerobot, minari, mpinets, parquet
-from angler_mjx.learning.datasets.reading.dataset import open_dataset
-from angler_mjx.runs.storage import output_lock
+from angler_mjx.runs.storage import results_folder
 
 type WriteDataset = Callable[..., None]
 
@@ -16,7 +16,7 @@ FORMATS: dict[str, WriteDataset] = {
     "mpinets": mpinets.write_dataset,
     "parquet": parquet.write_dataset,
 }
-"""By their names on the command line."""
+"""Formats by their names on the command line."""
 
 
 def export_dataset(
@@ -33,31 +33,23 @@ def export_dataset(
 
     Args:
         root: the dataset, or a run folder.
-        out: folder to make.
+        out: folder to create.
         to: one of `FORMATS`.
-        action: what a robot did; see `flights.ACTIONS`.
-        split: only this one.
+        action: action of a robot; see `flights.ACTIONS`.
+        split: only this split; all if None.
         success: only episodes in which the whole team arrived, or only the others.
-        progress: told how many flights are written, and of how many.
+        progress: called with the numbers of written flights and of all flights.
 
     Raises:
-        ConfigError: there is no such dataset, format, action or split, or the folder is taken.
+        ConfigError: the dataset, format, action or split does not exist, or the folder does.
         UnsupportedError: the format's library is not installed.
-        RunError: the disk gave out.
+        RunError: writing failed.
     """
     if to not in FORMATS:
         raise ConfigError(f"--to {to}: must be one of {', '.join(FORMATS)}")
     data = open_dataset(root, split=split, success=success, fields=flights.REQUIRED_FIELDS)
     flights.action_names(data, action)
     n_flights = flights.count_flights(data)
-    lock = output_lock.acquire(out, kind="export", advise=lambda _: None)
-    try:
-        FORMATS[to](data, lock.building, action, lambda done: progress(done, n_flights))
-    except OSError as error:
-        lock.withdraw()
-        raise RunError(f"--out {out}: cannot be written ({error.strerror or error})") from error
-    except BaseException:
-        lock.withdraw()
-        raise
-    lock.publish()
+    with results_folder.build_folder(out, kind="export") as building:
+        FORMATS[to](data, building, action, lambda done: progress(done, n_flights))
     return out

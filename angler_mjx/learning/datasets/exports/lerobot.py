@@ -1,11 +1,11 @@
-"""Flights as a LeRobot dataset, version 3.0: an episode a robot's flight, without pictures.
+"""LeRobot dataset, version 3.0: one robot's flight per episode, without images.
 
-Episodes lie split by split, so that ``splits`` of ``info.json`` are ranges. Whoever reads it needs
-LeRobot; writing takes Parquet and JSON alone.
+Episodes are ordered by split, so that ``splits`` of ``info.json`` are ranges. Reading needs
+LeRobot; writing needs Parquet and JSON alone.
 """
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,23 +15,30 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.learning.datasets.exports import flights, lerobot_statistics
+from angler_mjx.learning.datasets.dataset import Dataset
+from angler_mjx.learning.datasets.exports import flights
 from angler_mjx.learning.datasets.exports.flights import ExportedFlight
-from angler_mjx.learning.datasets.exports.lerobot_statistics import Statistics
-from angler_mjx.learning.datasets.reading.dataset import Dataset
 from angler_mjx.runs.storage import folder
 
 FORMAT_VERSION = "v3.0"
 DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 EPISODES_PATH = "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 CHUNK_SIZE = 1000
-"""Files of a folder."""
+"""Maximum number of files of a folder."""
 MAX_FRAMES = 500_000
-"""Of a data file."""
+"""Maximum number of frames of a data file."""
 EPISODES_PER_FILE = 10_000
 """Episodes of a file of episodes, some 50 MB of statistics at most."""
 ROW_GROUP_SIZE = 1000
 """Episodes of a row group, which are kept in memory until they are written."""
+
+QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
+"""Quantiles by the names of LeRobot's statistics."""
+STATISTIC_NAMES = ("min", "max", "mean", "std", "count", *QUANTILES)
+"""Statistics of a feature, in LeRobot's order."""
+
+type Statistics = dict[str, np.ndarray]
+"""Values [width] of a feature by the names of `STATISTIC_NAMES`; ``count`` is [1]."""
 
 _INTEGER_COLUMNS = ("frame_index", "episode_index", "index", "task_index")
 
@@ -40,7 +47,7 @@ def write_dataset(data: Dataset, out: Path, action: str, progress: Callable[[int
     """Write a LeRobot dataset; arguments and errors as of `parquet.write_dataset`.
 
     Raises:
-        ConfigError: the recording rate is no whole number, which LeRobot asks for.
+        ConfigError: the recording rate is not a whole number, as LeRobot requires.
     """
     hz = data.run(int(data.index["part"][0].as_py())).scenario.time.record_hz
     if hz != int(hz):
@@ -66,7 +73,7 @@ def write_dataset(data: Dataset, out: Path, action: str, progress: Callable[[int
 
 
 class _LeRobotWriter:
-    """A dataset in the making."""
+    """Writer of a dataset."""
 
     def __init__(self, out: Path, data: Dataset, actions: tuple[str, ...]) -> None:
         others = list(flights.other_names(data))
@@ -115,10 +122,10 @@ class _LeRobotWriter:
         for name, parts in self._names.items():
             rows = np.ascontiguousarray(values[name], np.float32)
             columns[name] = pa.FixedSizeListArray.from_arrays(rows.reshape(-1), len(parts))
-            statistics[name] = lerobot_statistics.compute_statistics(rows)
+            statistics[name] = compute_statistics(rows)
         for name, numbers in counted.items():
             columns[name] = numbers
-            statistics[name] = lerobot_statistics.compute_statistics(numbers[:, None])
+            statistics[name] = compute_statistics(numbers[:, None])
         self._aggregate_statistics(statistics)
         chunk, file = self._files.write(columns, steps)
         number = self.episodes // EPISODES_PER_FILE
@@ -131,7 +138,7 @@ class _LeRobotWriter:
                 "data/file_index": file,
                 "dataset_from_index": self.frames,
                 "dataset_to_index": self.frames + steps,
-                **lerobot_statistics.build_columns(statistics),
+                **build_statistics_columns(statistics),
                 "meta/episodes/chunk_index": number // CHUNK_SIZE,
                 "meta/episodes/file_index": number % CHUNK_SIZE,
                 "outcome": flight.outcome,
@@ -142,13 +149,13 @@ class _LeRobotWriter:
         self.frames += steps
 
     def _aggregate_statistics(self, episode: dict[str, Statistics]) -> None:
-        """Add an episode's statistics to those of all episodes."""
+        """Merge an episode's statistics into those of all episodes."""
         for name, statistics in episode.items():
             before = [self._statistics[name]] if name in self._statistics else []
-            self._statistics[name] = lerobot_statistics.aggregate_statistics([*before, statistics])
+            self._statistics[name] = aggregate_statistics([*before, statistics])
 
     def close(self, hz: int) -> None:
-        """Write what says what all of it is."""
+        """Write the metadata of the whole dataset."""
         self._files.close()
         self._episodes.close()
         pq.write_table(_build_task_table(self._tasks), self.out / "meta" / "tasks.parquet")
@@ -196,7 +203,7 @@ class _DataFileWriter:
         self._writer: Any = None
 
     def write(self, columns: dict[str, Any], steps: int) -> tuple[int, int]:
-        """Write the rows of an episode; says into which chunk and file."""
+        """Write the rows of an episode; return its chunk and file."""
         if self._frames + steps > MAX_FRAMES:
             self.close()
             self._number, self._frames = self._number + 1, 0
@@ -210,7 +217,7 @@ class _DataFileWriter:
         return self._number // CHUNK_SIZE, self._number % CHUNK_SIZE
 
     def close(self) -> None:
-        """End the file that is open."""
+        """Close the open file."""
         if self._writer is not None:
             self._writer.close()
 
@@ -234,7 +241,7 @@ class _EpisodeFileWriter:
             self._flush()
 
     def close(self) -> None:
-        """Write the remaining rows and end the file that is open."""
+        """Write the remaining rows and close the open file."""
         self._flush()
         if self._writer is not None:
             self._writer.close()
@@ -256,7 +263,7 @@ class _EpisodeFileWriter:
 
 
 def _build_task_table(tasks: dict[str, int]) -> pa.Table:
-    """As pandas reads it with the tasks as index, which LeRobot counts on."""
+    """Build the table of tasks as pandas reads it with the tasks as index, as LeRobot requires."""
     dtypes = {"task_index": ("int64", "int64"), "task": ("unicode", "object")}
     pandas_metadata = {
         "index_columns": ["task"],
@@ -275,3 +282,62 @@ def _build_task_table(tasks: dict[str, int]) -> pa.Table:
     }
     table = pa.table({"task_index": list(tasks.values()), "task": list(tasks)})
     return table.replace_schema_metadata({"pandas": json.dumps(pandas_metadata)})
+
+
+def compute_statistics(rows: np.ndarray) -> Statistics:
+    """Return the statistics of a feature over one episode.
+
+    LeRobot's editing tools (delete, split, merge) aggregate the statistics of the episodes that are
+    left: a dataset without them leaves its policies nothing to normalise by.
+
+    A quantile is the smallest value that the fraction of the samples does not exceed: LeRobot's own
+    are that value to a bin of its histogram, the range over 5,000.
+
+    Args:
+        rows: [samples, width], at least one sample.
+    """
+    rows = rows.astype(float)
+    quantiles = np.quantile(rows, list(QUANTILES.values()), axis=0, method="inverted_cdf")
+    return {
+        "min": rows.min(axis=0),
+        "max": rows.max(axis=0),
+        "mean": rows.mean(axis=0),
+        "std": rows.std(axis=0),
+        "count": np.array([len(rows)]),
+        **dict(zip(QUANTILES, quantiles, strict=True)),
+    }
+
+
+def aggregate_statistics(episodes: Iterable[Statistics]) -> Statistics:
+    """Return the statistics of a feature over several episodes, as LeRobot aggregates them.
+
+    Mean and standard deviation are those of all samples. Quantiles are the means of the episodes'
+    quantiles, weighted by samples.
+    """
+    stacked = [np.stack(values) for values in zip(*map(_ordered_values, episodes), strict=True)]
+    by_name = dict(zip(STATISTIC_NAMES, stacked, strict=True))
+    count = by_name["count"]
+    total = count.sum(axis=0)
+    mean = (by_name["mean"] * count).sum(axis=0) / total
+    variance = ((by_name["std"] ** 2 + (by_name["mean"] - mean) ** 2) * count).sum(axis=0) / total
+    return {
+        "min": by_name["min"].min(axis=0),
+        "max": by_name["max"].max(axis=0),
+        "mean": mean,
+        "std": np.sqrt(variance),
+        "count": total,
+        **{name: (by_name[name] * count).sum(axis=0) / total for name in QUANTILES},
+    }
+
+
+def _ordered_values(statistics: Statistics) -> list[np.ndarray]:
+    return [statistics[name] for name in STATISTIC_NAMES]
+
+
+def build_statistics_columns(features: Mapping[str, Statistics]) -> dict[str, Any]:
+    """Return the columns of an episode's row: ``stats/FEATURE/NAME``, lists of numbers."""
+    return {
+        f"stats/{feature}/{name}": values.tolist()
+        for feature, statistics in features.items()
+        for name, values in statistics.items()
+    }

@@ -1,6 +1,6 @@
-"""Flights as a Minari dataset, written by Minari itself: an episode a robot's flight.
+"""Minari dataset, written by Minari itself: one robot's flight per episode.
 
-There is one observation more than there are actions, as Minari has it: the last sample has none.
+Minari requires one observation more than actions: the last sample has no action.
 """
 
 import json
@@ -15,16 +15,16 @@ import numpy as np
 
 from angler_mjx import __version__
 from angler_mjx.errors import UnsupportedError
+from angler_mjx.learning.datasets.dataset import Dataset
 from angler_mjx.learning.datasets.exports import flights
-from angler_mjx.learning.datasets.reading.dataset import Dataset
 
 FOLDER_VARIABLE = "MINARI_DATASETS_PATH"
 BUFFER_SIZE = 200
-"""Flights that are handed over at once."""
+"""Number of flights that are passed to Minari at once."""
 
 
 def write_dataset(data: Dataset, out: Path, action: str, progress: Callable[[int], None]) -> None:
-    """Write ``angler/NAME-v0`` below a folder, which ``MINARI_DATASETS_PATH`` then names.
+    """Write ``angler/NAME-v0`` below a folder, to be named by ``MINARI_DATASETS_PATH``.
 
     Arguments and errors as of `parquet.write_dataset`.
 
@@ -52,7 +52,7 @@ def write_dataset(data: Dataset, out: Path, action: str, progress: Callable[[int
         "requirements": [f"angler-mjx=={__version__}"],
     }
     before = os.environ.get(FOLDER_VARIABLE)
-    os.environ[FOLDER_VARIABLE] = str(out)  # Minari knows no other way to be told
+    os.environ[FOLDER_VARIABLE] = str(out)  # Minari has no other interface for it
     try:
         _write_buffers(minari, _build_buffers(data, action, EpisodeBuffer, progress), description)
     finally:
@@ -74,7 +74,10 @@ def _write_buffers(minari: Any, episodes: Iterator[Any], description: Mapping[st
 def _build_buffers(
     data: Dataset, action: str, buffer_class: Any, progress: Callable[[int], None]
 ) -> Iterator[Any]:
-    """Flights as Minari's buffers; those of a single sample, in which nothing is done, left out."""
+    """Yield flights as Minari's buffers.
+
+    Flights of a single sample have no action and are left out.
+    """
     number = 0
     for count, flight in enumerate(flights.iterate_flights(data, action), 1):
         progress(count)

@@ -1,8 +1,8 @@
-"""Flights in the HDF5 layout of motion policy networks (Fishman et al. 2022), for points in water.
+"""HDF5 layout of motion policy networks (Fishman et al. 2022), for points in water.
 
 ``global_solutions`` [n, T, 4] are flights of robots that arrived, x, y, z and heading at T times
-evenly spread; rock and obstacles at the start are cuboids, cylinders and, beside what that layout
-knows, spheres, padded with zeros to the most there are.
+evenly spaced; rock and obstacles at the start are cuboids, cylinders and, beyond that layout,
+spheres, padded with zeros to the largest number.
 """
 
 from collections.abc import Callable, Mapping
@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 
 from angler_mjx.errors import UnsupportedError
+from angler_mjx.learning.datasets.dataset import Dataset
 from angler_mjx.learning.datasets.exports import flights
-from angler_mjx.learning.datasets.reading.dataset import Dataset
 from angler_mjx.world.obstacles.types import BOX, CAPSULE, SPHERE
 
 SOLUTION_POINTS = 50
-"""Of a solution, as theirs have."""
+"""Number of points of a solution, as in the original data."""
 
 
 def write_dataset(data: Dataset, out: Path, action: str, progress: Callable[[int], None]) -> None:
@@ -26,7 +26,7 @@ def write_dataset(data: Dataset, out: Path, action: str, progress: Callable[[int
     Raises:
         ConfigError: a file is damaged.
         UnsupportedError: h5py is not installed.
-        OSError: the disk gave out.
+        OSError: writing failed.
     """
     try:
         import h5py
@@ -56,7 +56,7 @@ def write_dataset(data: Dataset, out: Path, action: str, progress: Callable[[int
 
 
 def resample_flight(flight: flights.ExportedFlight) -> np.ndarray:
-    """[POINTS, 4] of a flight: x, y, z, m, and heading, rad, evenly in time."""
+    """Resample a flight to [POINTS, 4]: x, y, z, m, and heading, rad, evenly in time."""
     time_s = np.linspace(flight.time_s[0], flight.time_s[-1], SOLUTION_POINTS)
     w, x, y, z = flight.state[:, 3:7].T
     heading = np.unwrap(np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))
@@ -65,7 +65,7 @@ def resample_flight(flight: flights.ExportedFlight) -> np.ndarray:
 
 
 def build_shapes(environment: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Rock and obstacles of a world at its start, by the names of the layout, [count, ...]."""
+    """Return rock and obstacles of a world at its start, by the names of layout, [count, ...]."""
     cell = float(environment["grid/cell_m"]) if "grid/cell_m" in environment else 1.0
     cells = np.argwhere(environment["grid/occupied"])
     centres = environment["grid/origin_m"] + cell * (cells + 0.5)
@@ -104,7 +104,7 @@ ATTRIBUTES = {
 
 
 def _max_shape_counts(data: Dataset) -> dict[str, int]:
-    """Rows that each kind of shape needs."""
+    """Return the number of rows that each kind of shape needs."""
     max_counts: dict[str, int] = {}
     for i in range(len(data)):
         for name, rows in build_shapes(data.episode(i).environment).items():

@@ -1,4 +1,4 @@
-"""Flights in Parquet: a row a sample, files of some hundred flights each."""
+"""Flights in Parquet: a row per sample, files of some hundred flights each."""
 
 import json
 from collections.abc import Callable, Iterator
@@ -9,12 +9,12 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from angler_mjx.learning.datasets.dataset import Dataset
 from angler_mjx.learning.datasets.exports import flights
 from angler_mjx.learning.datasets.exports.flights import ExportedFlight
-from angler_mjx.learning.datasets.reading.dataset import Dataset
 
 FLIGHTS_PER_FILE = 500
-"""Of a file."""
+"""Number of flights of a file."""
 
 
 def write_dataset(data: Dataset, out: Path, action: str, progress: Callable[[int], None]) -> None:
@@ -22,13 +22,13 @@ def write_dataset(data: Dataset, out: Path, action: str, progress: Callable[[int
 
     Args:
         data: the dataset.
-        out: the folder, empty.
+        out: empty folder.
         action: see `flights.ACTIONS`.
-        progress: told how many are written.
+        progress: called with the number of written flights.
 
     Raises:
-        ConfigError: there is no such action, or a file is damaged.
-        OSError: the disk gave out.
+        ConfigError: the action is unknown, or a file is damaged.
+        OSError: writing failed.
     """
     names = flights.action_names(data, action)
     schema = _build_schema(data, names, flights.describe_columns(data, action))

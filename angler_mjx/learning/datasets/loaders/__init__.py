@@ -1,1 +1,1 @@
-"""Windows for those who train: orders that can be had again, PyTorch, Grain."""
+"""Windows for training: reproducible orders, PyTorch, Grain."""

@@ -1,13 +1,13 @@
-"""Windows for Grain, which is imported here and nowhere else.
+"""Windows for Grain, the only module that imports it.
 
-`build_source` gives a `grain.MapDataset`: shuffle, batch and map it as any other. Its iterators say
-where they are (``get_state``), and go on from there.
+`build_source` gives a `grain.MapDataset`: shuffle, batch and map it as any other. Its iterators
+store their position (``get_state``) and resume from it.
 """
 
 from typing import Any
 
 from angler_mjx.errors import UnsupportedError
-from angler_mjx.learning.datasets.reading.windows import Windows
+from angler_mjx.learning.datasets.windows import Windows
 
 try:
     import grain
@@ -16,5 +16,5 @@ except ImportError as error:
 
 
 def build_source(windows: Windows) -> Any:
-    """All windows, in order, as a `grain.MapDataset`."""
+    """Return all windows, in order, as a `grain.MapDataset`."""
     return grain.MapDataset.source(windows)

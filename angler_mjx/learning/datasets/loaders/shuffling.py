@@ -1,27 +1,27 @@
-"""In which order windows are seen: the same for the same seed, however many read them."""
+"""Order of windows: the same for the same seed, with any number of readers."""
 
 from collections.abc import Iterator
 
 import numpy as np
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.learning.datasets.reading.windows import Windows
+from angler_mjx.learning.datasets.windows import Windows
 
 GROUP_SIZE = 64
 """Episodes whose windows are shuffled together: their arrays are decoded about once."""
 
 
 def shuffle_windows(windows: Windows, seed: int, epoch: int, group: int = GROUP_SIZE) -> np.ndarray:
-    """Numbers of all windows: episodes are shuffled, then the windows of each group of them.
+    """Return the shuffled numbers of all windows: episodes first, then windows within groups.
 
-    Philox of NumPy, keyed by seed and epoch; it does not depend on who reads them, nor on the
-    machine.
+    Philox of NumPy, keyed by seed and epoch; it depends neither on the readers nor on the machine.
 
     Args:
-        windows: to be seen.
-        seed: of the whole training.
-        epoch: of this pass.
-        group: episodes of a group; all windows of a dataset are shuffled at once by as many.
+        windows: windows to shuffle.
+        seed: seed of the whole training.
+        epoch: number of this pass.
+        group: episodes of a group; with the number of all episodes, all windows are shuffled at
+            once.
 
     Raises:
         ConfigError: seed, epoch or group are out of range.
@@ -41,12 +41,12 @@ def shuffle_windows(windows: Windows, seed: int, epoch: int, group: int = GROUP_
 
 
 def shard_numbers(numbers: np.ndarray, *, start: int, index: int, of: int) -> Iterator[int]:
-    """What one of several readers sees, beginning after ``start`` that all of them have seen.
+    """Yield the windows of one of several readers, after ``start`` windows that all have read.
 
     Args:
-        numbers: of a whole pass.
-        start: seen before, by all readers together.
-        index: of this reader.
-        of: readers.
+        numbers: window numbers of a whole pass.
+        start: windows read before, by all readers together.
+        index: index of this reader.
+        of: number of readers.
     """
     return (int(number) for number in numbers[start + index :: of])

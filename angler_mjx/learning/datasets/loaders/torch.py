@@ -1,6 +1,6 @@
-"""Windows for PyTorch, which is imported here and nowhere else.
+"""Windows for PyTorch, the only module that imports it.
 
-JAX is imported beside what reads; give `DataLoader` ``multiprocessing_context="forkserver"``.
+JAX is imported in reading processes; give `DataLoader` ``multiprocessing_context="forkserver"``.
 """
 
 from collections.abc import Iterator
@@ -10,7 +10,7 @@ import numpy as np
 
 from angler_mjx.errors import ConfigError, UnsupportedError
 from angler_mjx.learning.datasets.loaders import shuffling
-from angler_mjx.learning.datasets.reading.windows import Window, Windows
+from angler_mjx.learning.datasets.windows import Window, Windows
 
 try:
     import torch
@@ -20,26 +20,26 @@ except ImportError as error:
 
 
 class WindowDataset(Dataset):  # type: ignore[misc]
-    """Windows by their numbers, for samplers of PyTorch's own."""
+    """Windows by their numbers, for samplers of PyTorch."""
 
     def __init__(self, windows: Windows) -> None:
-        """Of a dataset."""
+        """Wrap the windows of a dataset."""
         self.windows = windows
 
     def __len__(self) -> int:
-        """Windows."""
+        """Return the number of windows."""
         return len(self.windows)
 
     def __getitem__(self, number: int) -> dict[str, Any]:
-        """A window, of tensors."""
+        """Return a window of tensors."""
         return to_tensors(self.windows[number])
 
 
 class WindowStream(IterableDataset):  # type: ignore[misc]
-    """A pass over all windows, shuffled alike for whatever workers and ranks share it.
+    """Pass over all windows, shuffled alike for any number of workers and ranks.
 
-    Where it was broken off it goes on: `seen` windows of the pass, of all ranks together, are left
-    out. ``state_dict`` and ``load_state_dict`` keep seed, epoch and what was seen.
+    An interrupted pass resumes: `seen` windows of the pass, of all ranks together, are left out.
+    ``state_dict`` and ``load_state_dict`` hold seed, epoch and number of seen windows.
     """
 
     def __init__(
@@ -51,17 +51,17 @@ class WindowStream(IterableDataset):  # type: ignore[misc]
         world_size: int = 1,
         group: int = shuffling.GROUP_SIZE,
     ) -> None:
-        """Of a dataset.
+        """Set the windows, their order and this process's fraction of them.
 
         Args:
-            windows: of it.
-            seed: of the order.
-            rank: of this process of a distributed training.
-            world_size: processes of it.
+            windows: windows of a dataset.
+            seed: seed of the order.
+            rank: rank of this process in a distributed training.
+            world_size: number of its processes.
             group: see `shuffling.shuffle_windows`.
 
         Raises:
-            ConfigError: the rank is none.
+            ConfigError: the rank is out of range.
         """
         if not 0 <= rank < world_size:
             raise ConfigError(f"rank = {rank}: must be at least 0 and less than {world_size}")
@@ -71,11 +71,11 @@ class WindowStream(IterableDataset):  # type: ignore[misc]
         self.seen = 0
 
     def __len__(self) -> int:
-        """Windows that this rank sees in a whole pass."""
+        """Return the number of windows of this rank in a whole pass."""
         return len(range(self.rank, len(self.windows), self.world_size))
 
     def __iter__(self) -> Iterator[dict[str, Any]]:
-        """What this worker of this rank sees."""
+        """Yield the windows of this worker of this rank."""
         numbers = shuffling.shuffle_windows(self.windows, self.seed, self.epoch, self.group)
         info = get_worker_info()
         workers, worker = (1, 0) if info is None else (info.num_workers, info.id)
@@ -88,14 +88,14 @@ class WindowStream(IterableDataset):  # type: ignore[misc]
         return (to_tensors(self.windows[number]) for number in selected)
 
     def state_dict(self) -> dict[str, int]:
-        """Where it is, as `load_state_dict` takes it."""
+        """Return the position, as an input of `load_state_dict`."""
         return {"seed": self.seed, "epoch": self.epoch, "seen": self.seen}
 
     def load_state_dict(self, state: dict[str, int]) -> None:
-        """Go on from there."""
+        """Resume from a position."""
         self.seed, self.epoch, self.seen = state["seed"], state["epoch"], state["seen"]
 
 
 def to_tensors(window: Window) -> dict[str, Any]:
-    """A window whose arrays are tensors, in the same memory."""
+    """Return a window whose arrays are tensors, in the same memory."""
     return {name: torch.from_numpy(np.asarray(value)) for name, value in window.items()}

@@ -1,1 +1,1 @@
-"""Datasets that were made before: mended, joined, counted."""
+"""Maintenance of datasets: repair, merge, attach, summary."""

@@ -1,4 +1,4 @@
-"""What became known of a dataset after it was made, put beside its manifest and into its card."""
+"""Attachment of later findings to a dataset, beside its manifest and in its card."""
 
 from pathlib import Path
 
@@ -8,15 +8,15 @@ from angler_mjx.learning.datasets.gaps import SpotCheck
 
 
 def attach_spot_check(root: Path, spot_check: SpotCheck) -> None:
-    """Add a spot check, or replace an older one; sums of all other files stay as they were.
+    """Add a spot check, or replace an older one; checksums of all other files are kept.
 
     Args:
-        root: the dataset.
+        root: folder of the dataset.
         spot_check: the spot check.
 
     Raises:
-        ConfigError: it is no dataset, its list of sums is damaged.
-        RunError: the disk gave out.
+        ConfigError: the folder is no dataset, or its checksum file is damaged.
+        RunError: writing failed.
     """
     dataset_manifest = manifest.read_manifest(root)
     table = index.read_index(root)

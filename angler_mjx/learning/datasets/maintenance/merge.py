@@ -1,58 +1,52 @@
-"""Several datasets in one."""
+"""Merging of datasets."""
 
 import os
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
-from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.errors import ConfigError
 from angler_mjx.learning.datasets import card, checksums, index, manifest, manifest_building
 from angler_mjx.learning.datasets.index import build_index, find_shared_environment
 from angler_mjx.learning.datasets.manifest import Manifest, PartEntry
 from angler_mjx.runs.multi_run import RUNS_FOLDER
-from angler_mjx.runs.storage import output_lock
+from angler_mjx.runs.storage import output_lock, results_folder
 
 COMMON_KEYS = ("arrays", "time", "conventions", "split_shares", "sample", "licence")
-"""What datasets must have in common."""
+"""Keys of the manifest that must agree between datasets."""
 
 
 def merge_datasets(roots: Sequence[Path], out: Path, name: str | None = None) -> Path:
-    """Make one dataset of several; files are linked where the disk can, else copied.
+    """Merge datasets into one; files are linked where the disk can, else copied.
 
     Args:
-        roots: of the datasets.
-        out: folder to make.
-        name: of the new one; that of its folder if None.
+        roots: folders of the datasets.
+        out: folder to create.
+        name: name of the new dataset; that of its folder if None.
 
     Raises:
-        ConfigError: they do not go together, hold the same worlds twice, or the folder is taken.
-        RunError: the disk gave out.
+        ConfigError: the datasets do not agree, hold the same worlds twice, or the folder exists.
+        RunError: writing failed.
     """
     if len(roots) < 2:
         raise ConfigError("merge: give two datasets or more")
     manifests = [manifest.read_manifest(root) for root in roots]
     _require_alike(roots, manifests)
-    lock = output_lock.acquire(out, kind="dataset")
-    try:
-        whole = _merge_parts(roots, manifests, lock.building, name or out.name)
-        table = build_index(lock.building, whole)
+    with results_folder.build_folder(
+        out, kind="dataset", advise=output_lock.default_advice
+    ) as building:
+        whole = _merge_parts(roots, manifests, building, name or out.name)
+        table = build_index(building, whole)
         if (pair := find_shared_environment(table)) is not None:
             raise ConfigError(
                 f"merge: splits {pair[0]} and {pair[1]} would share the environment {pair[2]}; "
                 "a shifted scene of one is in another's train, val or test"
             )
-        index.write_index(lock.building, table)
+        index.write_index(building, table)
         whole = manifest_building.add_counts(whole, table)
-        card.write_card(lock.building, whole, table)
-        digest = checksums.write_checksums(lock.building)
-        manifest.write_manifest(lock.building, whole.model_copy(update={"sums": digest}))
-    except OSError as error:
-        lock.withdraw()
-        raise RunError(f"--out {out}: cannot be written ({error.strerror or error})") from error
-    except BaseException:
-        lock.withdraw()
-        raise
-    lock.publish()
+        card.write_card(building, whole, table)
+        digest = checksums.write_checksums(building)
+        manifest.write_manifest(building, whole.model_copy(update={"sums": digest}))
     return out
 
 
@@ -79,7 +73,7 @@ def _require_alike(roots: Sequence[Path], manifests: Sequence[Manifest]) -> None
 def _merge_parts(
     roots: Sequence[Path], manifests: Sequence[Manifest], building: Path, name: str
 ) -> Manifest:
-    """Bring the run folders together; the manifest but for index and sums."""
+    """Link the run folders together; return the manifest without index and checksums."""
     (building / RUNS_FOLDER).mkdir()
     entries: list[PartEntry] = []
     for root, dataset in zip(roots, manifests, strict=True):
@@ -108,7 +102,7 @@ def _merge_parts(
 
 
 def _link_or_copy(source: str, target: str) -> None:
-    """A file in another place: files of datasets are never written to again, only replaced."""
+    """Link or copy a file; files of datasets are never written to again, only replaced."""
     try:
         os.link(source, target)
     except OSError:

@@ -1,4 +1,4 @@
-"""What of a dataset was damaged or lost, flown again; what is whole is kept."""
+"""Repair of a dataset: damaged or missing parts are flown again, sound ones are kept."""
 
 import gc
 import json
@@ -12,41 +12,41 @@ from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.learning.datasets import card, checksums, gaps, index, manifest
 from angler_mjx.learning.datasets.manifest import Manifest, PartEntry
 from angler_mjx.learning.datasets.verifying import replay
+from angler_mjx.progress import Progress
 from angler_mjx.runs import rollout
-from angler_mjx.runs.progress import Progress
 from angler_mjx.runs.storage import folder, output_lock
 
 _REQUIRED = (folder.CONFIG, "inputs/")
-"""Of a run: without these nobody knows what was flown."""
+"""Files of a run that define its flights."""
 
 _RUN_REPORTS = (folder.SUMMARY, folder.LOG, folder.ENVIRONMENT)
-"""Say how a run went, so they differ when it goes on."""
+"""Reports on the course of a run, which differ after a resume."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RepairResult:
-    """What came of it."""
+    """Result of a repair."""
 
     damaged: tuple[str, ...]
-    """Files that were."""
+    """Damaged files."""
     parts: tuple[str, ...]
-    """Run folders in which something was flown again."""
+    """Run folders with repeated flights."""
     other: tuple[str, ...]
-    """Files that are whole now, with other bytes than before."""
+    """Files that are intact now, with other bytes than before."""
 
 
 def repair_dataset(root: Path, progress: Progress, *, accept: bool = False) -> RepairResult:
-    """Fly again what was damaged.
+    """Fly the damaged files again.
 
     Args:
-        root: the dataset.
-        progress: of how far it is.
-        accept: keep flights that came out otherwise than before, on another device or version.
+        root: folder of the dataset.
+        progress: receives the progress.
+        accept: keep flights with other bytes than before, from another device or version.
 
     Raises:
-        ConfigError: it is no dataset, what says what was flown is lost too, or this machine makes
-            other bytes and that was not accepted.
-        RunError: the disk or the device gave out.
+        ConfigError: the folder is no dataset, the definition of the flights is lost too, or this
+            machine makes other bytes and that was not accepted.
+        RunError: the disk or the device failed.
     """
     dataset_manifest = manifest.read_manifest(root)
     if output_lock.partial_path(root).exists():
@@ -63,7 +63,7 @@ def repair_dataset(root: Path, progress: Progress, *, accept: bool = False) -> R
     _require_inputs(root, parts, damaged)
     if (differences := replay.environment_differences(dataset_manifest)) and parts and not accept:
         raise ConfigError(
-            f"{root}: was made with another {', '.join(differences)}: flown again here, "
+            f"{root}: was made with another {', '.join(differences)}: flown again on this machine, "
             f"{len(parts)} of its parts would have other bytes; mend it there, copy the files "
             "again, or take that with --accept"
         )
@@ -92,13 +92,13 @@ def repair_dataset(root: Path, progress: Progress, *, accept: bool = False) -> R
 
 
 def _read_checksums(root: Path, dataset_manifest: Manifest) -> dict[str, str]:
-    """Sums as they were; without their file, what is damaged cannot be known."""
+    """Read the checksums; refuse a dataset without them, whose damage cannot be known."""
     try:
         return checksums.read_checksums(root, dataset_manifest.sums)
     except ConfigError as error:
         raise ConfigError(
-            f"{error}; without it nobody can tell what is damaged: angler dataset verify --again "
-            "says what still is as it was flown"
+            f"{error}; without it damage cannot be located: angler dataset verify --again "
+            "lists the intact flights"
         ) from error
 
 
@@ -112,12 +112,12 @@ def _require_inputs(root: Path, parts: Sequence[PartEntry], damaged: Sequence[st
             inner = name.removeprefix(f"{part.path}/")
             if _is_in_part(name, part) and inner.startswith(_REQUIRED):
                 raise ConfigError(
-                    f"{root / name}: says what was flown, and is damaged or lost; copy it again"
+                    f"{root / name}: defines the flights, and is damaged or lost; copy it again"
                 )
 
 
 def _refly_part(root: Path, damaged: Sequence[str], part: PartEntry, progress: Progress) -> None:
-    """Take what is damaged away and go on with the run."""
+    """Remove the damaged files and resume the run."""
     try:
         for name in damaged:
             (root / name.removeprefix(f"{part.path}/")).unlink(missing_ok=True)
@@ -133,7 +133,7 @@ def _refly_part(root: Path, damaged: Sequence[str], part: PartEntry, progress: P
 
 
 def _finish_dataset(root: Path, dataset_manifest: Manifest, damaged: Sequence[str]) -> None:
-    """Index, card and sums of what is there now; a spot check that was damaged is lost."""
+    """Write index, card and checksums of the present files; a damaged spot check is dropped."""
     try:
         if gaps.SPOT_CHECK_FILE in damaged:
             (root / gaps.SPOT_CHECK_FILE).unlink(missing_ok=True)

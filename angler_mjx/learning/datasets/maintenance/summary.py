@@ -1,4 +1,4 @@
-"""What is in a dataset, in numbers."""
+"""Summary of a dataset in numbers."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -8,24 +8,25 @@ import numpy as np
 import pyarrow as pa
 
 from angler_mjx.learning.datasets import index, manifest
-from angler_mjx.learning.datasets.reading.dataset import Dataset, open_dataset
+from angler_mjx.learning.datasets.dataset import Dataset, open_dataset
 from angler_mjx.runs.storage import folder, trajectory_layout
 
 MEASURES = ("duration_s", "energy_j", "density", "path_ratio", "samples")
-"""Columns of the index of which quantiles are told."""
+"""Columns of the index with reported quantiles."""
 
 
 def compute_stats(root: Path, max_episodes: int = 1000) -> dict[str, Any]:
-    """Return counts by split, scene, expert and outcome, quantiles, and what normalises fields.
+    """Return counts by split, scene, expert and outcome, quantiles, and normalisation of fields.
 
-    Fields of thrusters stand by vehicle, where several fly: a column is another thruster in each.
+    Fields of thrusters are grouped by vehicle, where several fly: a column is another thruster in
+    each.
 
     Args:
-        root: of the dataset.
+        root: folder of the dataset.
         max_episodes: episodes of train that are read for means and deviations.
 
     Raises:
-        ConfigError: it is none, or damaged.
+        ConfigError: the folder is no dataset, or is damaged.
     """
     dataset_manifest, table = manifest.read_manifest(root), index.read_index(root)
     n_byte = sum(path.stat().st_size for path in root.rglob("*") if path.is_file())
@@ -78,7 +79,7 @@ def _to_plain_moments(mean: np.ndarray, std: np.ndarray) -> dict[str, list[float
 
 
 def _count_by(table: pa.Table, column: str) -> dict[str, dict[str, float]]:
-    """Episodes, fractions of teams that arrive and of robots with a plan, by a column's values."""
+    """Count episodes, arrived teams and planned robots, by a column's values."""
     names = np.array(table[column].to_pylist())
     success = table["success"].to_numpy(zero_copy_only=False)
     planned, robots = (table[name].to_numpy() for name in ("planned", "robots"))

@@ -1,1 +1,1 @@
-"""Whether a dataset is what it says: its files, its values, and some of its flights flown again."""
+"""Verification of a dataset: its files, its values, and some of its flights flown again."""

@@ -1,4 +1,4 @@
-"""Files against their sums, parts against the manifest, values against what they can be."""
+"""Checks of files against their checksums, of parts against the manifest, and of values."""
 
 import os
 from collections.abc import Iterator, Mapping
@@ -14,22 +14,22 @@ import pyarrow as pa
 from angler_mjx.errors import ConfigError
 from angler_mjx.learning.datasets import checksums, index
 from angler_mjx.learning.datasets.manifest import SPLITS, Manifest, PartEntry
-from angler_mjx.learning.datasets.reading.stored import StoredArray
+from angler_mjx.learning.datasets.stored import StoredArray
 from angler_mjx.learning.datasets.verifying.report import DatasetCheck
 from angler_mjx.runs.storage import folder
 from angler_mjx.runs.storage.folder import Run
 from angler_mjx.sim.state import Outcome
 
 MAX_SPEED_MPS, MAX_RATE_RADPS = 20.0, 50.0
-"""Of a vehicle: what is faster has diverged."""
+"""Limits of a vehicle's motion; faster means divergence."""
 MAX_DISTANCE_M = 30_000.0
 PWM_US = (1100.0, 1900.0)
 WORLDS_PER_TASK = 16
-"""Looked at by one thread at a time."""
+"""Number of worlds of a thread's task."""
 
 
 def check_files(root: Path, manifest: Manifest) -> DatasetCheck:
-    """Every file against its sum."""
+    """Check every file against its checksum."""
     check = DatasetCheck(name="files")
     digests = checksums.read_checksums(root, manifest.sums)
     present = set(checksums.list_files(root))
@@ -50,13 +50,13 @@ def check_files(root: Path, manifest: Manifest) -> DatasetCheck:
 
 
 def check_parts(root: Path, manifest: Manifest) -> DatasetCheck:
-    """Every part against what the manifest says of it."""
+    """Check every part against the manifest."""
     check = DatasetCheck(name="parts")
     for part in manifest.parts:
         try:
             run = Run(root / part.path)
             scenario = run.scenario
-            stored: Any = run.trajectories  # whose schema is checked there
+            stored: Any = run.trajectories  # the schema is checked by the models
             summary = run.summary
         except ConfigError as error:
             check.add_finding(part.path, str(error))
@@ -88,7 +88,7 @@ def _list_arrays(stored: Any) -> set[str]:
 
 
 def check_index(root: Path, manifest: Manifest, table: pa.Table) -> DatasetCheck:
-    """The index made again of the parts, and its splits."""
+    """Check the index against one computed anew from the parts, and its splits."""
     check = DatasetCheck(name="index", looked_at=f"{len(table):,} episodes", exact=len(table))
     try:
         rebuilt = index.build_index(root, manifest)
@@ -120,7 +120,7 @@ def check_index(root: Path, manifest: Manifest, table: pa.Table) -> DatasetCheck
 
 
 def check_values(root: Path, manifest: Manifest) -> DatasetCheck:
-    """Every sample against what it can be."""
+    """Check every sample against its physical limits."""
     check = DatasetCheck(name="values")
     worlds = samples = 0
     with ThreadPoolExecutor(min(os.cpu_count() or 1, 16)) as pool:
@@ -144,23 +144,23 @@ def check_values(root: Path, manifest: Manifest) -> DatasetCheck:
 
 
 _CHECKED_ARRAYS = ("p_m", "q", "nu", "pwm_us", "outcome", "current_mps", "target_m")
-"""Arrays whose values are looked at."""
+"""Arrays with checked values."""
 
 
 @dataclass(frozen=True)
 class _CheckedWorlds:
-    """What some worlds came to."""
+    """Results of some worlds."""
 
     worlds: int
     samples: int
     faults: list[tuple[str, str]]
-    """Name of an array, and what is wrong in it."""
+    """Name of an array, and the fault in it."""
 
 
 def _check_worlds(
     stored: Mapping[str, StoredArray], part: PartEntry, manifest: Manifest, first: int
 ) -> _CheckedWorlds:
-    """Worlds of a part from number ``first`` on, `WORLDS_PER_TASK` of them at most."""
+    """Check worlds of a part from number ``first`` on, at most `WORLDS_PER_TASK`."""
     worlds = range(first, min(first + WORLDS_PER_TASK, part.worlds))
     arrays = {name: np.stack([array.read(i) for i in worlds]) for name, array in stored.items()}
     return _CheckedWorlds(
@@ -171,7 +171,7 @@ def _check_worlds(
 def _find_faults(
     first: int, arrays: Mapping[str, np.ndarray], manifest: Manifest
 ) -> Iterator[tuple[str, str]]:
-    """Faults of some worlds: [w, t, r, ...]."""
+    """Yield the faults of some worlds: [w, t, r, ...]."""
     outcome = arrays["outcome"].astype(int)
     is_finite = np.isfinite(arrays["p_m"]).all(-1)  # NaN after the tile had ended
     running = is_finite & (outcome == 0)

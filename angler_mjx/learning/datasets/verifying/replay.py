@@ -1,4 +1,4 @@
-"""Episodes flown again, from what the dataset says of them, and compared with what it holds."""
+"""Comparison of a dataset's episodes with flights repeated from its own description."""
 
 import gc
 from collections.abc import Callable, Mapping, Sequence
@@ -12,9 +12,9 @@ import numpy as np
 from angler_mjx.learning.datasets.manifest import Manifest, PartEntry
 from angler_mjx.learning.datasets.verifying.report import DatasetCheck
 from angler_mjx.planning.planner import PathShape
+from angler_mjx.progress import Progress
 from angler_mjx.robot.control.plans import Plan
 from angler_mjx.runs import device_batches, sizes
-from angler_mjx.runs.progress import SilentProgress
 from angler_mjx.runs.provenance import describe_environment
 from angler_mjx.runs.simulator.host_planning import PlanNotes
 from angler_mjx.runs.simulator.simulator import Simulator
@@ -23,26 +23,27 @@ from angler_mjx.runs.storage.folder import Run
 from angler_mjx.sim.state import Outcome, World
 
 COMPARED_KEYS = ("backend", "device")
-"""Of an environment: what else the bytes depend on, beside versions and the tile."""
+"""Keys of an environment that bytes depend on, beside versions and the tile."""
 COMPARED_VERSIONS = ("angler-mjx", "jax", "jaxlib", "mujoco", "mujoco-mjx")
 
 COMPARE_AT_S, MAX_APART_M, MIN_NEAR_FRACTION = 10.0, 0.1, 0.95
-"""Elsewhere this share of the robots is to be within so many metres after so many seconds."""
+"""On other devices and versions this fraction of the robots must be within a distance [m] after a
+time [s]."""
 MIN_ALIKE_FRACTION = 0.9
-"""And this share is to end alike."""
+"""Least fraction of robots with the same outcome."""
 
 
 @dataclass(kw_only=True)
 class _ReplayComparison:
-    """What came of flights again."""
+    """Comparison of repeated flights."""
 
     at: int
-    """Sample at which places are compared."""
+    """Sample at which positions are compared."""
     robots: int = 0
     alike: int = 0
-    """That ended as they had."""
+    """Number of robots with the same outcome."""
     apart_m: list[float] = field(default_factory=list)
-    """Of robots, `COMPARE_AT_S` into their flights; NaN where a sample is missing."""
+    """Distance of robots, `COMPARE_AT_S` into their flights; NaN where a sample is missing."""
     equal: int = 0
     worlds: int = 0
 
@@ -53,13 +54,13 @@ def replay_episodes(
     """Fly episodes again, spread over the parts, whole tiles of them.
 
     Where device and versions are those that made the dataset, every byte must be the same; else
-    flights may part, and only so far.
+    flights may deviate within bounds.
 
     Args:
-        root: the dataset.
-        manifest: of it.
-        count: of the episodes.
-        progress: told how many are done, and of how many.
+        root: folder of the dataset.
+        manifest: its manifest.
+        count: number of episodes.
+        progress: called with the numbers of finished and of all episodes.
     """
     check = DatasetCheck(name="flown again")
     differing = environment_differences(manifest)
@@ -87,7 +88,7 @@ def replay_episodes(
 def _check_bounds(
     check: DatasetCheck, comparison: _ReplayComparison, differing: Sequence[str]
 ) -> None:
-    """Note how far flights parted, and what is more than they may."""
+    """Record the deviation of flights, and its excess over the bounds."""
     alike = f"{comparison.alike} of {comparison.robots} robots ended alike"
     apart = np.array(comparison.apart_m)
     apart = apart[np.isfinite(apart)]
@@ -108,7 +109,7 @@ def _check_bounds(
 
 
 def environment_differences(manifest: Manifest) -> list[str]:
-    """In what this machine is not the one that made a dataset, as far as bytes depend on it."""
+    """Return the differences between this machine and a dataset's that bytes depend on."""
     recorded, current = manifest.environment, describe_environment()
     differences = [name for name in COMPARED_KEYS if recorded.get(name) != current[name]]
     before = recorded.get("versions", {})
@@ -118,7 +119,7 @@ def environment_differences(manifest: Manifest) -> list[str]:
 
 
 def select_worlds(parts: Sequence[PartEntry], count: int) -> list[tuple[PartEntry, list[int]]]:
-    """Worlds of one tile of each part, as many of a part as are its share of the episodes."""
+    """Return worlds of one tile of each part, in proportion to its episodes."""
     total = sum(part.worlds for part in parts)
     selected, done = [], 0.0
     for part in parts:
@@ -135,14 +136,14 @@ def select_worlds(parts: Sequence[PartEntry], count: int) -> list[tuple[PartEntr
 
 @dataclass(frozen=True)
 class _StoredRunPlans:
-    """Plans of a run, for planners that do not plan alike twice; a `device_batches.StoredPlans`."""
+    """Plans of a run, for planners with varying results; a `device_batches.StoredPlans`."""
 
     run: Run
 
     def of(
         self, firsts: list[int], worlds: World, simulator: Simulator
     ) -> tuple[Plan, PlanNotes | None]:
-        """See `device_batches.StoredPlans`."""
+        """Return stored plans; see `device_batches.StoredPlans`."""
         robots = worlds.path.time_s.shape[1]
         planned = self.run.episodes["planned"].to_numpy(zero_copy_only=False).reshape(-1, robots)
         stored: Any = self.run.trajectories
@@ -161,7 +162,7 @@ def _replay_part(
     *,
     exact: bool,
 ) -> None:
-    """Fly the worlds' tile again, and compare them."""
+    """Fly the worlds' tile again and compare them."""
     run = Run(root / part.path)
     first = worlds[0] - worlds[0] % part.tile
     stored: Any = run.trajectories
@@ -177,7 +178,7 @@ def _replay_part(
         (tile,) = next(
             iter(
                 device_batches.simulate_tiles(
-                    simulator, [first], recorded=True, progress=SilentProgress(), plans=plans
+                    simulator, [first], recorded=True, progress=Progress(), plans=plans
                 )
             )
         )
@@ -193,7 +194,7 @@ def _replay_part(
 
 
 def _round_values(values: np.ndarray, steps: Any) -> np.ndarray:
-    """As whoever reads them from the disk would get them."""
+    """Round values as a reader of the stored files gets them."""
     return values if steps is None else steps.round_values(values)
 
 
@@ -226,7 +227,7 @@ def _compare_world(
 
 
 def _format_difference(world: int, flown: np.ndarray, recorded: np.ndarray) -> str:
-    """The first element in which they differ."""
+    """Describe the first element that differs."""
     unequal = ~((flown == recorded) | ((flown != flown) & (recorded != recorded)))
     index = tuple(int(i) for i in np.argwhere(unequal)[0])
     return (

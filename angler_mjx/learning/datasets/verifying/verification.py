@@ -1,4 +1,4 @@
-"""All checks of a dataset, one after another."""
+"""Sequence of all checks of a dataset."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -12,15 +12,15 @@ from angler_mjx.learning.datasets.verifying.report import DatasetCheck, Verifica
 def verify_dataset(
     root: Path, flights: int, progress: Callable[[str, int, int], None]
 ) -> VerificationReport:
-    """Judge a dataset.
+    """Verify a dataset.
 
     Args:
-        root: its folder.
+        root: folder of the dataset.
         flights: episodes to fly again; they are left out where files or values are wrong.
-        progress: told what is looked at, how much of it is done, and how much there is.
+        progress: called with the name of the check, the finished amount and the total.
 
     Raises:
-        ConfigError: there is no manifest, or it cannot be read.
+        ConfigError: the manifest is missing or damaged.
     """
     dataset_manifest = manifest.read_manifest(root)
     steps: list[Callable[[], DatasetCheck]] = [
@@ -46,7 +46,7 @@ def verify_dataset(
             )
         )
     else:
-        why = "what is stored is damaged" if flights else "--again N flies N episodes again"
+        why = "stored files are damaged" if flights else "--again N flies N episodes again"
         checks.append(
             DatasetCheck(
                 name="flown again",

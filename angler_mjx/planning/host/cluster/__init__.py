@@ -1,4 +1,4 @@
-"""Planning on a Ray cluster: how it is joined, what runs there, and what travels there.
+"""Planning on a Ray cluster: the connection and the executor.
 
 Ray (extra ``ray``) is imported when a cluster is joined, and nowhere else.
 """

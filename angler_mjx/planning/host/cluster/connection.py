@@ -1,25 +1,32 @@
-"""A Ray cluster that somebody started: joining it, and leaving it as it was."""
+"""Connection to a Ray cluster that a user started, and the versions on its machines."""
 
+import hashlib
 import logging
 import os
 import re
 import subprocess
 import sys
 import sysconfig
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 from angler_mjx.errors import ConfigError, UnsupportedError, format_value
-from angler_mjx.planning.host.cluster.versions import format_differences, installed_versions
 
 HEALTH_TIMEOUT_S = 20.0
-"""Within which a head has to answer."""
+"""Time limit [s] of the answer of a head."""
 
 VERSION_TIMEOUT_S = 120.0
-"""Within which a machine of the cluster has to say what is installed there."""
+"""Time limit [s] of a machine's answer with its versions."""
+
+PACKAGE_FOLDER = Path(__file__).parents[3]
+"""Folder of the package."""
+
+LIBRARIES = ("numpy", "jax", "jaxlib", "ompl", "numba", "coal", "pin")
+"""Distributions of which another version may give other plans."""
 
 SHARED_PREFIXES = ("JAX_", "XLA_", "NUMBA_")
-"""Beginnings of environment variables that may change plans, and are the same everywhere."""
+"""Beginnings of environment variables that may change plans; all machines receive them."""
 
 
 class Cluster:
@@ -34,15 +41,15 @@ class Cluster:
     processors: int
 
     def __init__(self, address: str) -> None:
-        """Joins it.
+        """Join the cluster.
 
-        A process is in one cluster at a time: who has called ``ray.init`` stays joined by `leave`.
+        A process is in one cluster at a time; one that the process had joined before stays joined.
 
         Args:
             address: HOST:PORT of its head.
 
         Raises:
-            ConfigError: nobody answers there, or its machines have other versions installed.
+            ConfigError: no head answers, or its machines have other versions installed.
             UnsupportedError: Ray is not installed.
         """
         self._address = address
@@ -59,18 +66,18 @@ class Cluster:
             raise
 
     def leave(self) -> None:
-        """Leaves it, unless somebody else had joined it before."""
+        """Leave the cluster, unless the process had joined it before."""
         if self._has_joined:
             self._has_joined = False
             self.ray.shutdown()
             self._log_worker_deaths(True)
 
     def create_actor(self, actor_class: type, *arguments: Any) -> Any:
-        """An actor that holds a processor, as soon as there is one.
+        """Return an actor that will hold a processor, as soon as one is free.
 
         Args:
             actor_class: its class.
-            arguments: what it is made of.
+            arguments: of its constructor.
         """
         remote_class = self.ray.remote(
             num_cpus=1,
@@ -83,10 +90,10 @@ class Cluster:
         return remote_class.remote(*arguments)
 
     def check_versions(self, versions: dict[str, str], machine: str) -> None:
-        """Compares what is installed.
+        """Compare versions with those of this machine.
 
         Raises:
-            ConfigError: it differs.
+            ConfigError: they differ.
         """
         differing = format_differences(versions, self._versions)
         if differing:
@@ -122,11 +129,11 @@ class Cluster:
         self._log_worker_deaths(False)
 
     def _log_worker_deaths(self, is_enabled: bool) -> None:
-        """Whether Ray prints of every process of the cluster that dies; it has no option for it."""
+        """Set whether Ray prints the death of every process; Ray has no option for it."""
         self.ray._private.worker._worker_logs_enabled = is_enabled
 
     def _check_all_machines(self) -> None:
-        """Asks every machine that takes work what is installed there."""
+        """Check the versions of every machine that takes work."""
         ray = self.ray
         strategies = ray.util.scheduling_strategies
         pending = {}
@@ -150,7 +157,7 @@ class Cluster:
 
 
 def _import_ray() -> Any:
-    """The module; under ``uv run`` it is not to copy the working directory to all machines."""
+    """Return the module; under ``uv run`` it must not copy the working directory to machines."""
     os.environ.setdefault("RAY_ENABLE_UV_RUN_RUNTIME_ENV", "0")
     try:
         import ray
@@ -163,7 +170,7 @@ def _import_ray() -> Any:
 
 
 def _check_health(address: str) -> None:
-    """Asks a head for its health, in another process: Ray ends one that it cannot connect."""
+    """Check a head's health in another process, as Ray ends a process that it cannot connect."""
     command = [sys.executable, "-m", "ray.scripts.scripts", "health-check", "--address", address]
     path = os.pathsep.join(entry or os.getcwd() for entry in sys.path)
     try:
@@ -190,9 +197,9 @@ def _check_health(address: str) -> None:
 
 
 def _actor_environment() -> dict[str, str]:
-    """Of what runs on the cluster: the same modules, and nothing on an accelerator.
+    """Return the environment of actors: this process's modules, and no accelerator.
 
-    Places that are not on a machine are passed over there, and its own follow.
+    A machine skips paths that it does not have; its own paths follow.
     """
     library_folders = [
         sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")
@@ -213,6 +220,31 @@ def _actor_environment() -> dict[str, str]:
 
 
 def _last_line(error: BaseException) -> str:
-    """The last line of an exception's text, which says most where Ray repeats a traceback."""
+    """Return the last line of an exception's text, the useful one where Ray repeats a traceback."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     return lines[-1] if lines else type(error).__name__
+
+
+def installed_versions() -> dict[str, str]:
+    """Return versions by name; that of this package holds a digest of its files too."""
+    digest = hashlib.sha256()
+    for file in sorted(PACKAGE_FOLDER.rglob("*.py")):
+        digest.update(str(file.relative_to(PACKAGE_FOLDER)).encode() + b"\0" + file.read_bytes())
+    package_version = f"{_installed_version('angler-mjx')} ({digest.hexdigest()[:12]})"
+    return {"angler_mjx": package_version, **{name: _installed_version(name) for name in LIBRARIES}}
+
+
+def format_differences(remote: dict[str, str], local: dict[str, str]) -> str:
+    """Return the differences for a message; empty if there are none."""
+    return "; ".join(
+        f"{name} {remote.get(name, 'missing')} there, {local_version} here"
+        for name, local_version in local.items()
+        if remote.get(name) != local_version
+    )
+
+
+def _installed_version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "missing"

@@ -1,1 +1,1 @@
-"""What numba compiles for `edges` and `hulls`: balls and hulls swept among all there is."""
+"""Functions compiled by numba for `edges` and `hulls`: sweeps of balls and hulls."""

@@ -1,7 +1,7 @@
 """Compiled: a team of hulls that move and turn at once, by conservative advancement.
 
-From where the hulls are they go on as far as no point of them can get to anything, and so on to
-the end. What comes nearer than `TOLERANCE_M` more than asked is called hit.
+In each step the hulls advance as far as none of their points can reach anything, until the end. An
+approach below the required distance plus `TOLERANCE_M` counts as a hit.
 """
 
 import math
@@ -15,7 +15,7 @@ from angler_mjx.planning.host.compiled.sweeping import ball_gap, obstacle_radius
 from angler_mjx.planning.host.compiled.sweeping import is_team_clear as balls_clear
 
 TOLERANCE_M = 1e-3
-"""Nearer than this, beyond what is asked for, counts as a hit."""
+"""Distance [m] beyond the required one below which an approach counts as a hit."""
 
 
 @compile_function
@@ -67,7 +67,7 @@ def _axis_gap(
 
 @compile_function
 def _cell_range(start: float, delta: float, margin: float, n: int) -> tuple[int, int]:
-    """Cells along one axis that come within ``margin`` of a segment: from, and up to but not."""
+    """Return the first and past-the-last cell of an axis within ``margin`` of a segment."""
     low, high = min(start, start + delta) - margin, max(start, start + delta) + margin
     return max(math.floor(low), 0), min(math.floor(high) + 1, n)
 
@@ -76,7 +76,7 @@ def _cell_range(start: float, delta: float, margin: float, n: int) -> tuple[int,
 def _world_gap(
     world: PackedFields, cells: np.ndarray, hull: np.ndarray, q: np.ndarray, i: int, near: float
 ) -> float:
-    """Lower bound of the distance of a hull to what stands; exact where it is less than ``near``.
+    """Return a lower bound of the distance of a hull to still bodies; exact below ``near``.
 
     ``near`` is at most the radius of its sphere.
     """
@@ -95,7 +95,7 @@ def _world_gap(
 def _pair_gap(
     world: PackedFields, hull: np.ndarray, q: np.ndarray, i: int, j: int, near: float
 ) -> float:
-    """The same of two hulls."""
+    """Return the same bound for two hulls."""
     wx, wy, wz = (
         q[4 * i] - q[4 * j],
         q[4 * i + 1] - q[4 * j + 1],
@@ -121,7 +121,7 @@ def _pair_gap(
 
 @compile_function
 def team_gap(world: PackedFields, cells: np.ndarray, hull: np.ndarray, q: np.ndarray) -> float:
-    """Least distance of any hull to anything: exact up to the least radius of the spheres."""
+    """Return the least distance of any hull to anything, exact up to the least sphere radius."""
     best = math.inf
     for i in range(hull.shape[0]):
         best = min(best, _world_gap(world, cells, hull, q, i, world.radius[i]))
@@ -139,11 +139,11 @@ def is_team_clear(
     a: np.ndarray,
     b: np.ndarray,
 ) -> bool:
-    """Whether all hulls go from a to b [4 R] and touch nothing.
+    """Return whether all hulls go from a to b [4 R] without contact.
 
     Args:
         world: numbers.
-        cells: of `mapping.words`.
+        cells: of `cell_map.build_cell_map`.
         hull: [R, c, 7] ends and radius of each capsule, body frame.
         turning: [R] how far a hull reaches from its vertical axis.
         a: x, y, z, heading of each robot.
@@ -194,7 +194,7 @@ def are_edges_free(
     a: np.ndarray,
     b: np.ndarray,
 ) -> np.ndarray:
-    """Many edges, a and b float64 [n, 4 R]."""
+    """Check many edges, a and b float64 [n, 4 R]."""
     world = unpack_fields(head, reals)
     free = np.empty(a.shape[0], np.bool_)
     for n in range(a.shape[0]):
@@ -212,7 +212,7 @@ def is_edge_free(
     a: np.ndarray,
     b: np.ndarray,
 ) -> bool:
-    """One edge, a and b float64 [4 R]."""
+    """Check one edge, a and b float64 [4 R]."""
     return is_team_clear(unpack_fields(head, reals), cells, hull, turning, a, b)
 
 
@@ -220,7 +220,7 @@ def is_edge_free(
 def team_clearances(
     head: np.ndarray, reals: np.ndarray, cells: np.ndarray, hull: np.ndarray, q: np.ndarray
 ) -> np.ndarray:
-    """Least distances [n] of any hull to anything, q float64 [n, 4 R]; see `team_gap`."""
+    """Return the least distance [n] of any hull to anything, q float64 [n, 4 R]; see `team_gap`."""
     world = unpack_fields(head, reals)
     gaps = np.empty(q.shape[0])
     for n in range(q.shape[0]):

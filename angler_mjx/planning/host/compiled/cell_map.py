@@ -28,7 +28,7 @@ NO_ROCK = 1 << 20
 
 @compile_function
 def build_cell_map(occupied: np.ndarray) -> np.ndarray:
-    """What stands around each cell of a grid, for the functions of `cells`.
+    """Return the neighbourhood of each cell of a grid, for the functions of `cells`.
 
     Args:
         occupied: bool [nx, ny, nz].
@@ -77,7 +77,7 @@ def measure_rings(cells: np.ndarray) -> None:
 
 @compile_function
 def _mark_neighbours(word: np.ndarray, i: int, j: int, k: int) -> None:
-    """Sets, in all cells around a cell of rock, the bit that it has from there."""
+    """Set the bit of a cell of rock in all cells around it."""
     nx, ny, nz = word.shape
     for u in range(max(i - 1, 0), min(i + 2, nx)):
         for v in range(max(j - 1, 0), min(j + 2, ny)):
@@ -87,7 +87,7 @@ def _mark_neighbours(word: np.ndarray, i: int, j: int, k: int) -> None:
 
 @compile_function
 def _visible_bits(word: int) -> int:
-    """A word without the bits of what stands behind others."""
+    """Return a word without the bits of cells that stand behind others."""
     kept, remaining = word, word
     while remaining != 0:
         bit = _BIT_OF_REMAINDER[(remaining & -remaining) % 37]
@@ -99,7 +99,7 @@ def _visible_bits(word: int) -> int:
 
 @compile_function
 def _relax_line(rings: np.ndarray, line: np.ndarray, i: int, j: int, step: int) -> None:
-    """Brings a line of cells up to date with those before it in a pass over the grid."""
+    """Update a line of cells from those before it in a pass over the grid."""
     nx, ny, nz = rings.shape
     ring_line = rings[i, j]
     line[:] = NO_ROCK

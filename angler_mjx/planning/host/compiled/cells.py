@@ -1,9 +1,10 @@
-"""Balls swept among the cells of a grid: exact, by a walk through the cells that the centre passes.
+"""Sweep of balls among the cells of a grid: exact, by a walk through the cells on the line.
 
-Lengths are in edges of a cell, from the lower corner of the grid. In each cell a word says which of
-the 27 cells around can be touched first: a neighbour across an edge counts only where neither of
-the two across its faces is rock, for one of those is nearer, and so on. A ball smaller than a cell
-is then tested on its piece of way in that cell against planes, edges and corners of that cell only.
+Lengths are in edges of a cell, from the lower corner of the grid. In each cell a word marks the
+cells of the 27 around it that can be touched first: a neighbour across an edge counts only where
+neither of the two across its faces is rock, for one of those is nearer, and so on. A ball smaller
+than a cell is then tested on its piece of line in that cell against planes, edges and
+corners of that cell.
 """
 
 import math
@@ -20,7 +21,7 @@ _FACE_BITS = (4, 10, 12, 14, 16, 22)
 
 
 def _allowed_masks() -> np.ndarray:
-    """Words [64] of neighbours that can be touched from near some of the faces.
+    """Return words [64] of neighbours that can be touched from near some of the faces.
 
     Bit 2 n of the index: near the lower face along axis n; bit 2 n + 1: near the upper one.
     """
@@ -35,7 +36,7 @@ def _allowed_masks() -> np.ndarray:
 
 _ALLOWED = _allowed_masks()
 _SURE = sum(1 << bit for bit in (_CENTRE_BIT, *_FACE_BITS))
-"""Neighbours that are touched by what is near to their faces."""
+"""Neighbours that any ball near to their faces touches."""
 _CORNER = np.maximum(_STEPS, 0).astype(np.float64)
 """[27, 3] corner of the cell that the neighbour begins at."""
 _USED = np.abs(_STEPS).astype(np.float64)
@@ -49,7 +50,7 @@ _BIT_OF_REMAINDER[[(1 << bit) % 37 for bit in range(27)]] = np.arange(27)
 def _touches_neighbour(
     word: int, x0: float, y0: float, z0: float, x1: float, y1: float, z1: float, r: float
 ) -> bool:
-    """Whether a ball on its way within one cell, in that cell's coordinates, meets a neighbour."""
+    """Return whether a ball moving within one cell, in its coordinates, meets a neighbour."""
     near = (
         (min(x0, x1) <= r)
         | (max(x0, x1) >= 1.0 - r) << 1
@@ -89,7 +90,7 @@ def _window_touches(
     segment: tuple[float, float, float, float, float, float],
     r: float,
 ) -> bool:
-    """Whether a ball of any size, swept along all of its way, meets rock near one cell of it."""
+    """Return whether a ball of any size, swept along its whole line, meets rock near one cell."""
     ax, ay, az, dx, dy, dz = segment
     for i in range(max(at[0] - reach, 0), min(at[0] + reach + 1, cells.shape[1])):
         for j in range(max(at[1] - reach, 0), min(at[1] + reach + 1, cells.shape[2])):
@@ -105,7 +106,7 @@ def _window_touches(
 
 @compile_function
 def ball_touches(cells: np.ndarray, x: float, y: float, z: float, r: float) -> bool:
-    """Whether a ball inside the grid meets rock."""
+    """Return whether a ball inside the grid meets rock."""
     i = min(max(int(x), 0), cells.shape[1] - 1)
     j = min(max(int(y), 0), cells.shape[2] - 1)
     k = min(max(int(z), 0), cells.shape[3] - 1)
@@ -123,9 +124,9 @@ def ball_touches(cells: np.ndarray, x: float, y: float, z: float, r: float) -> b
 
 @compile_function
 def _cell_crossing(start: float, delta: float, at: int) -> tuple[float, float, int]:
-    """Where a coordinate leaves its cell, how far it is from one cell to the next, and which way.
+    """Return where a coordinate leaves its cell, the step to the next cell, and its sign.
 
-    In shares of the way.
+    Positions are fractions of the line.
     """
     if delta > 0.0:
         return (at + 1.0 - start) / delta, 1.0 / delta, 1
@@ -140,9 +141,9 @@ def swept_ball_touches(
     ax: float, ay: float, az: float, bx: float, by: float, bz: float,
     r: float,
 ) -> bool:  # fmt: skip
-    """Whether a ball of radius r that goes from a to b inside the grid meets rock.
+    """Return whether a ball of radius r that goes from a to b inside the grid meets rock.
 
-    ``cells`` are of `mapping.words`.
+    ``cells`` are of `cell_map.build_cell_map`.
     """
     nx, ny, nz = cells.shape[1], cells.shape[2], cells.shape[3]
     i = min(max(int(ax), 0), nx - 1)
@@ -194,7 +195,7 @@ def swept_ball_touches(
 
 @compile_function
 def point_gap(cells: np.ndarray, x: float, y: float, z: float, max_gap: float) -> float:
-    """Distance of a point to the nearest rock, or ``max_gap`` where none is nearer."""
+    """Return the distance of a point to the nearest rock, at most ``max_gap``."""
     nx, ny, nz = cells.shape[1], cells.shape[2], cells.shape[3]
     i = min(max(int(x), 0), nx - 1)
     j = min(max(int(y), 0), ny - 1)

@@ -13,7 +13,7 @@ _CONFIG: Any = numba.config
 
 
 def _cache_folder() -> str:
-    """Where compiled code is kept, told apart by the sources of all that is compiled.
+    """Return the folder of compiled code, named by the sources of all that is compiled.
 
     Numba looks only at the file of the function itself: with one folder for all sources, a change
     in a function that another file calls would go on running as it was.
@@ -37,7 +37,7 @@ _CACHE_FOLDER = _cache_folder()
 
 
 def compile_function[F: Callable[..., Any]](function: F) -> F:
-    """The function compiled at its first call: no interpreter lock, arithmetic as NumPy's."""
+    """Compile a function at its first call: no interpreter lock, arithmetic as NumPy's."""
     previous = _CONFIG.CACHE_DIR
     _CONFIG.CACHE_DIR = _CACHE_FOLDER
     try:

@@ -1,4 +1,4 @@
-"""A problem as three flat arrays: what compiled functions are called with at least cost."""
+"""A problem as three flat arrays, the cheapest arguments of compiled functions."""
 
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
@@ -11,10 +11,10 @@ from angler_mjx.planning.host.compiled.compiling import compile_function
 from angler_mjx.planning.problem import Problem
 
 type Moving = Literal["ignored", "at_start"]
-"""What checks without a time make of obstacles that move."""
+"""Treatment of moving obstacles by checks without a time."""
 
 SLACK_M = 1e-5
-"""Added to every distance that is asked for: what float32 rounds off places within 64 m."""
+"""Distance [m] added to all required ones: rounding of float32 positions within 64 m."""
 
 
 class PackedProblem(NamedTuple):
@@ -26,17 +26,17 @@ class PackedProblem(NamedTuple):
     reals: np.ndarray
     """float64, in the order of `PackedFields`."""
     cells: np.ndarray
-    """int32 [2, nx, ny, nz] of `mapping.build_cell_map`."""
+    """int32 [2, nx, ny, nz] of `cell_map.build_cell_map`."""
 
 
 class PackedFields(NamedTuple):
     """Views into the numbers of a `PackedProblem`."""
 
     box: np.ndarray
-    """[10] lower corner of the cells, inverse of their edge, lower corner of what may be flown in,
-    upper corner of it."""
+    """[10] lower corner of the cells, inverse of their edge, lower corner of the flight volume,
+    its upper corner."""
     keep: np.ndarray
-    """[1] distance that is asked for beyond the radii, m."""
+    """[1] required distance beyond the radii, m."""
     radius: np.ndarray
     """[R] of the robots."""
     still: np.ndarray
@@ -52,7 +52,7 @@ class PackedFields(NamedTuple):
 
 @compile_function
 def unpack_fields(head: np.ndarray, reals: np.ndarray) -> PackedFields:
-    """The numbers by their names."""
+    """Return the numbers by their names."""
     robots, still, drift, times = head[0], head[1], head[2], head[3]
     a = 11 + robots
     b = a + 17 * still
@@ -78,7 +78,7 @@ def pack_problem(
 ) -> PackedProblem:
     """Make a problem ready; see `edges.EdgeChecker` for the arguments.
 
-    Without ``far``, what looks farther than a cell around may be slow.
+    Without ``far``, tests farther than a cell around may be slow.
     """
     if not margin_m >= 0.0:
         raise ConfigError(f"margin_m = {margin_m}: give the distance to keep, 0 or more")
@@ -123,7 +123,7 @@ def pack_problem(
 
 
 def _obstacle_row(problem: Problem, row: int) -> list[float]:
-    """Numbers [17] of one obstacle where it stands at t = 0."""
+    """Return the numbers [17] of one obstacle at t = 0."""
     obstacles = problem.obstacles
     rotation = rotation_matrix(np.asarray(obstacles.q[row, 0], float)).T
     return [
@@ -136,7 +136,7 @@ def _obstacle_row(problem: Problem, row: int) -> list[float]:
 
 
 def rotation_matrix(q: np.ndarray) -> np.ndarray:
-    """Matrix [3, 3] of a quaternion [4] wxyz, which turns the body's frame into W."""
+    """Return the matrix [3, 3] of a quaternion [4] wxyz, from the body's frame to W."""
     w, x, y, z = (q / np.linalg.norm(q)).tolist()
     return np.array(
         [

@@ -1,6 +1,6 @@
 """Squared distances of segments to points, segments and boxes: compiled, in scalars of float64.
 
-A segment is a start (ax, ay, az) and the way (dx, dy, dz) from there to its end; a way of zero is
+A segment is a start (ax, ay, az) and the vector (dx, dy, dz) to its end; a vector of zero is
 a point.
 """
 
@@ -12,7 +12,7 @@ def segment_point(
     ax: float, ay: float, az: float, dx: float, dy: float, dz: float,
     px: float, py: float, pz: float,
 ) -> float:  # fmt: skip
-    """Of a segment to the point p."""
+    """Return the squared distance of a segment to the point p."""
     wx, wy, wz = ax - px, ay - py, az - pz
     square = dx * dx + dy * dy + dz * dz
     s = 0.0
@@ -27,7 +27,7 @@ def segment_segment(
     ax: float, ay: float, az: float, dx: float, dy: float, dz: float,
     bx: float, by: float, bz: float, ex: float, ey: float, ez: float,
 ) -> float:  # fmt: skip
-    """Of a segment to the segment from b along e.
+    """Return the squared distance of a segment to the segment from b along e.
 
     The least is at an end of one of the two, or where the lines' common normal stands on both.
     """
@@ -51,7 +51,7 @@ def segment_segment(
 
 @compile_function
 def _distance_outside(x: float, lo: float, hi: float) -> float:
-    """How far a coordinate is below (negative) or above the interval; 0 within."""
+    """Return the distance below (negative) or above the interval; 0 within."""
     return min(x - lo, 0.0) + max(x - hi, 0.0)
 
 
@@ -60,7 +60,7 @@ def segment_box(
     ax: float, ay: float, az: float, dx: float, dy: float, dz: float,
     lx: float, ly: float, lz: float, hx: float, hy: float, hz: float,
 ) -> float:  # fmt: skip
-    """Of a segment to the box from l to h; 0 where they meet.
+    """Return the squared distance of a segment to the box from l to h; 0 where they meet.
 
     Half the derivative of the squared distance along the segment grows and is piecewise linear; it
     bends only where the line passes a plane of the box. Between the last bend where it is negative

@@ -12,7 +12,7 @@ from angler_mjx.planning.host.compiled.segments import segment_box, segment_poin
 
 @compile_function
 def is_inside(box: np.ndarray, p: np.ndarray, i: int, reach: float) -> bool:
-    """Whether a ball is within the faces of the cube and above the floor; not, where it is NaN."""
+    """Return whether a ball is within the cube and above the floor; False for NaN."""
     for n in range(3):
         x = p[3 * i + n]
         if not (box[4 + n] + reach <= x <= box[7 + n] - reach):
@@ -24,7 +24,7 @@ def is_inside(box: np.ndarray, p: np.ndarray, i: int, reach: float) -> bool:
 def segment_obstacle(
     row: np.ndarray, ax: float, ay: float, az: float, dx: float, dy: float, dz: float
 ) -> float:
-    """Squared distance of a segment to what an obstacle is spanned by, and its own radius.
+    """Return the squared distance of a segment to an obstacle's core, and the core's radius.
 
     A sphere is spanned by its centre, a capsule by its axis; a box is all its own, with no radius.
     """
@@ -50,7 +50,7 @@ def segment_obstacle(
 
 @compile_function
 def obstacle_radius(row: np.ndarray) -> float:
-    """What an obstacle reaches beyond what it is spanned by."""
+    """Return the distance from an obstacle's core to its surface."""
     return 0.0 if row[0] == 1.0 else row[1]
 
 
@@ -60,7 +60,7 @@ def is_clear_of_obstacles(
     ax: float, ay: float, az: float, bx: float, by: float, bz: float,
     reach: float,
 ) -> bool:  # fmt: skip
-    """Whether a ball of radius ``reach`` from a to b meets no standing obstacle."""
+    """Return whether a ball of radius ``reach`` from a to b meets no standing obstacle."""
     dx, dy, dz = bx - ax, by - ay, bz - az
     for n in range(still.shape[0]):
         row = still[n]
@@ -80,7 +80,7 @@ def is_clear_of_rock(
     ax: float, ay: float, az: float, bx: float, by: float, bz: float,
     reach: float,
 ) -> bool:  # fmt: skip
-    """Whether a ball of radius ``reach`` from a to b, both inside the cube, meets no cell."""
+    """Return whether a ball of radius ``reach`` from a to b inside the cube meets no cell."""
     n = box[3]
     return not swept_ball_touches(
         cells,
@@ -92,7 +92,7 @@ def is_clear_of_rock(
 
 @compile_function
 def _are_pairs_clear(radius: np.ndarray, keep: float, a: np.ndarray, b: np.ndarray) -> bool:
-    """Whether no two balls come together: closest approach of two motions in the same share."""
+    """Return whether no two balls meet, by the closest approach of two motions in one time."""
     n = radius.shape[0]
     for i in range(n):
         for j in range(i):
@@ -112,7 +112,7 @@ def _are_pairs_clear(radius: np.ndarray, keep: float, a: np.ndarray, b: np.ndarr
 
 @compile_function
 def is_motion_clear(world: PackedFields, cells: np.ndarray, a: np.ndarray, b: np.ndarray) -> bool:
-    """Whether all balls go from a [3 R] to b [3 R], at both of which they are known to be clear."""
+    """Return whether all balls go from a [3 R] to b [3 R], which are clear, without contact."""
     radius, keep = world.radius, world.keep[0]
     if not _are_pairs_clear(radius, keep, a, b):
         return False
@@ -128,7 +128,7 @@ def is_motion_clear(world: PackedFields, cells: np.ndarray, a: np.ndarray, b: np
 
 @compile_function
 def is_team_clear(world: PackedFields, cells: np.ndarray, a: np.ndarray, b: np.ndarray) -> bool:
-    """Whether all balls go from a [3 R] to b [3 R] and touch nothing; the cheap tests first."""
+    """Return whether all balls go from a [3 R] to b [3 R] without contact; cheap tests first."""
     box, radius, keep = world.box, world.radius, world.keep[0]
     n = radius.shape[0]
     for i in range(n):
@@ -150,7 +150,7 @@ def is_team_clear(world: PackedFields, cells: np.ndarray, a: np.ndarray, b: np.n
 def is_robot_clear(
     world: PackedFields, cells: np.ndarray, a: np.ndarray, b: np.ndarray, i: int
 ) -> bool:
-    """Whether ball i touches nothing as all go from a to b; of the others nothing else is asked."""
+    """Return whether ball i touches nothing as all go from a to b; others are not tested."""
     box, radius, keep = world.box, world.radius, world.keep[0]
     reach = radius[i] + keep
     if not (is_inside(box, b, i, reach) and is_inside(box, a, i, reach)):
@@ -180,13 +180,13 @@ def is_robot_clear(
 def is_edge_free(
     head: np.ndarray, reals: np.ndarray, cells: np.ndarray, a: np.ndarray, b: np.ndarray
 ) -> bool:
-    """One edge, a and b float64 [3 R]."""
+    """Check one edge, a and b float64 [3 R]."""
     return is_team_clear(unpack_fields(head, reals), cells, a, b)
 
 
 @compile_function
 def is_state_free(head: np.ndarray, reals: np.ndarray, cells: np.ndarray, p: np.ndarray) -> bool:
-    """One state, p float64 [3 R]."""
+    """Check one state, p float64 [3 R]."""
     return is_team_clear(unpack_fields(head, reals), cells, p, p)
 
 
@@ -194,7 +194,7 @@ def is_state_free(head: np.ndarray, reals: np.ndarray, cells: np.ndarray, p: np.
 def are_edges_free(
     head: np.ndarray, reals: np.ndarray, cells: np.ndarray, a: np.ndarray, b: np.ndarray
 ) -> np.ndarray:
-    """Many edges, a and b float64 [n, 3 R]."""
+    """Check many edges, a and b float64 [n, 3 R]."""
     world = unpack_fields(head, reals)
     free = np.empty(a.shape[0], np.bool_)
     for n in range(a.shape[0]):
@@ -206,7 +206,7 @@ def are_edges_free(
 def team_clearances(
     head: np.ndarray, reals: np.ndarray, cells: np.ndarray, p: np.ndarray
 ) -> np.ndarray:
-    """Least distance [n] of any ball to anything, p float64 [n, 3 R]."""
+    """Return the least distance [n] of any ball to anything, p float64 [n, 3 R]."""
     world = unpack_fields(head, reals)
     gaps = np.empty(p.shape[0])
     for n in range(p.shape[0]):
@@ -216,7 +216,7 @@ def team_clearances(
 
 @compile_function
 def _team_gap(world: PackedFields, cells: np.ndarray, p: np.ndarray) -> float:
-    """Least distance of any ball to anything."""
+    """Return the least distance of any ball to anything."""
     best = math.inf
     for i in range(world.radius.shape[0]):
         x, y, z, radius_m = p[3 * i], p[3 * i + 1], p[3 * i + 2], world.radius[i]
@@ -232,7 +232,7 @@ def _team_gap(world: PackedFields, cells: np.ndarray, p: np.ndarray) -> float:
 def ball_gap(
     world: PackedFields, cells: np.ndarray, x: float, y: float, z: float, max_gap: float
 ) -> float:
-    """Distance of a point to what stands, or at least ``max_gap`` where nothing is nearer."""
+    """Return the distance of a point to still bodies, or at least ``max_gap`` beyond it."""
     box = world.box
     max_gap = min(max_gap, x - box[4], y - box[5], z - box[6], box[7] - x, box[8] - y, box[9] - z)
     for n in range(world.still.shape[0]):

@@ -30,14 +30,14 @@ class OmplPlanner:
     Settings: ClassVar[type[of.OmplSettings]] = of.OmplSettings
 
     def __init__(self, settings: of.OmplSettings | None = None) -> None:
-        """Makes it.
+        """Keep the settings and prepare OMPL.
 
         Args:
             settings: an instance of its ``Settings``; the defaults if left out.
 
         Raises:
             ConfigError: a setting is out of its bounds.
-            UnsupportedError: OMPL or what it needs is not installed.
+            UnsupportedError: OMPL or a library that it needs is not installed.
         """
         self.settings = self.Settings() if settings is None else settings
         of.check_settings(self.NAME, self.settings)
@@ -55,18 +55,18 @@ class OmplPlanner:
         self.extras: dict[str, float] = {}
         """Of the last plan: ``setup_s`` (of the checks), ``search_s``, ``first_s`` (to OMPL's first
         path), ``best_s`` (to the last that was better), ``best_cost`` (length in the space of the
-        team), ``edges`` looked at, ``simplify_s``, ``delay_s`` (waited at the start), ``attempts``.
+        team), checked ``edges``, ``simplify_s``, ``delay_s`` (waited at the start), ``attempts``.
         One by one, sums over robots."""
         self.progress: Progress = []
         """Of the last plan: each time that OMPL had a better path, seconds since its search began
         and ``best_cost``, up to 1,000. One by one a team has no such row, and none is here."""
 
     def warm_up(self, problem: Problem) -> None:
-        """Compiles what planning such problems needs."""
+        """Compile the functions that planning such problems needs."""
         self._warm_up(self.NAME, self.settings, problem)
 
     def plan(self, problem: Problem) -> Sequence[Path | NoPlan]:
-        """A path of each robot; see `angler_mjx.planning.planner.Planner`."""
+        """Return a path of each robot; see `angler_mjx.planning.planner.Planner`."""
         self.extras, self.progress = {}, []
         paths, self.extras, self.progress = self._planned(self.NAME, self.settings, problem)
         return paths

@@ -1,4 +1,4 @@
-"""What all of OMPL's planners do with a problem."""
+"""From a problem to paths, for all planners of OMPL."""
 
 import time
 from dataclasses import replace
@@ -25,14 +25,14 @@ from angler_mjx.planning.problem import Problem
 
 
 def begin() -> None:
-    """Once in a process, before anything else."""
+    """Prepare OMPL once in a process, before anything else."""
     silence_log()
 
 
 def planned(
     planner: str, settings: OmplSettings, problem: Problem
 ) -> tuple[list[Path | NoPlan], dict[str, float], list[tuple[float, float]]]:
-    """Paths of all robots, what there is to note of them, and how the search got better.
+    """Return paths of all robots, the numbers to note, and the progress of the search.
 
     Args:
         planner: OMPL's name.
@@ -57,7 +57,7 @@ def planned(
 
 
 def warm_up(planner: str, settings: OmplSettings, problem: Problem) -> None:
-    """Compiles all that planning such problems needs, and has OMPL look at the parameters."""
+    """Compile the functions that such problems need, and let OMPL check the parameters."""
     checks = EdgeChecker(problem)
     start = np.asarray(problem.team.start_m, float)
     flat = start.reshape(-1)

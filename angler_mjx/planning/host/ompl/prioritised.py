@@ -1,12 +1,12 @@
-"""Robot after robot: each plans alone, among the paths of those before it.
+"""Prioritised planning: each robot plans alone, among the paths of the robots before it.
 
-At first a path is searched in space, past the balls of robots that stand: those before it at their
-goals, those after it at their starts, unless they are on its own start or goal. It is flown at
-constant speed along each of its edges, and set off as soon as no earlier robot's path and no
-obstacle known to move is met in time. Where a robot has no way so, as where two swap places in a
-gap, all begin anew in another order: by turns in space and time (`spacetime`), where those after it
-are not in its way, and in space. The ways of earlier robots are never changed. If no order gives
-all of them a way, that in space with most ways stands; robots without one hold their starts.
+At first a path is searched in space, past balls of standing robots: earlier ones at their goals,
+later ones at their starts, unless they are on its own start or goal. Each edge has a constant
+speed, and the departure is the first at which no path of an earlier robot and no known moving
+obstacle is met. If a robot has no such path, as when two swap positions in a gap, all begin again
+in another order: in turns in space and time (`spacetime`), where later robots are ignored, and in
+space. Paths of earlier robots are never changed. If no order gives a path to all robots, the order
+in space with most paths is used; robots without a path hold their starts.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,7 +27,7 @@ MAX_ORDERS = 8
 
 
 def plan_sequentially(problem: Problem, task: TeamTask) -> list[TeamMotion | str]:
-    """A motion of each robot, or why it has none.
+    """Return a motion of each robot, or the reason for none.
 
     Args:
         problem: arrays of NumPy.
@@ -60,7 +60,7 @@ def _count_planned(answers: Mapping[int, TeamMotion | str]) -> int:
 
 
 def _find_blocked(problem: Problem, task: TeamTask) -> dict[int, TeamMotion | str]:
-    """Robots that cannot be at their start or goal, whoever else is where; and why."""
+    """Return robots that cannot be at their start or goal wherever the others are, with reasons."""
     reasons: dict[int, TeamMotion | str] = {}
     for robot in range(problem.robots):
         try:
@@ -73,7 +73,7 @@ def _find_blocked(problem: Problem, task: TeamTask) -> dict[int, TeamMotion | st
 def _plan_in_order(
     problem: Problem, order: list[int], held: list[int], task: TeamTask, standing: bool
 ) -> dict[int, TeamMotion | str]:
-    """Motions of robots in an order, of which some more hold their starts.
+    """Return motions of robots in an order; additional robots hold their starts.
 
     Args:
         problem: arrays of NumPy.
@@ -81,7 +81,7 @@ def _plan_in_order(
         held: others, which stand.
         task: how.
         standing: whether all are taken to stand at their starts before, and their goals after,
-            their motion; in space and time, only those that stay there are looked at.
+            their motion; in space and time, only those that stay there are avoided.
     """
     goal = np.asarray(problem.team.goal_m, float)
     radius = np.asarray(problem.team.radius_m, float)
@@ -111,7 +111,7 @@ def _plan_in_order(
 def _remove_blocked(
     problem: Problem, answers: dict[int, TeamMotion | str], task: TeamTask
 ) -> dict[int, TeamMotion | str]:
-    """The same, but nobody goes where a robot that has no way holds its start."""
+    """Return the motions that pass no start that a robot without a path holds."""
     start = np.asarray(problem.team.start_m, float)
     answers = dict(answers)
     while True:
@@ -131,7 +131,7 @@ def _remove_blocked(
 def _others_to_avoid(
     problem: Problem, robot: int, order: Sequence[int], stands: np.ndarray, task: TeamTask
 ) -> list[int]:
-    """Others that a robot goes around where they stand: all that are not at its start or goal."""
+    """Return robots to go around where they stand: all that are not at its start or goal."""
     radius = np.asarray(problem.team.radius_m, float)
     ends_m = [np.asarray(end, float)[robot] for end in (problem.team.start_m, problem.team.goal_m)]
     others = []
@@ -144,7 +144,7 @@ def _others_to_avoid(
 
 
 def _build_traffic(movers: Sequence[tuple[TeamMotion | str, float]]) -> Traffic:
-    """Paths of robots with a motion, all with as many points."""
+    """Return paths of robots with a motion, padded to the same number of points."""
     paths = [
         (*robot_waypoints(each.time_s, each.path[:, 0, :3], each.delay_s), radius)
         for each, radius in movers

@@ -1,4 +1,4 @@
-"""A problem as OMPL's planners take it: what moves, who else is there, and whether it can be."""
+"""A problem as OMPL's planners take it: moving obstacles, other robots, bounds and checker."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -11,7 +11,7 @@ from angler_mjx.planning.host.ompl.settings import Moving
 from angler_mjx.planning.problem import Problem
 
 ROUNDING_M = 1e-4
-"""Of float32 places, by which a margin is less than what there is at an end of the path."""
+"""Rounding [m] of float32 positions, by which a margin is below the distance at an end."""
 
 SPHERE = 0
 """Kind of an obstacle."""
@@ -26,7 +26,7 @@ class BlockedRobotError(Exception):
 
 
 def apply_moving_choice(problem: Problem, moving: Moving) -> Problem:
-    """The problem with obstacles that move taken as they are chosen to be.
+    """Return the problem with moving obstacles as the setting ``moving`` takes them.
 
     Args:
         problem: arrays of NumPy.
@@ -58,7 +58,7 @@ def apply_moving_choice(problem: Problem, moving: Moving) -> Problem:
 
 
 def add_standing_balls(problem: Problem, centres: np.ndarray, radii: np.ndarray) -> Problem:
-    """The problem with balls that stand.
+    """Return the problem with additional balls that stand.
 
     Args:
         problem: arrays of NumPy.
@@ -92,10 +92,10 @@ def add_standing_balls(problem: Problem, centres: np.ndarray, radii: np.ndarray)
 
 
 def build_checker(problem: Problem, robots: Sequence[int], margin_m: float) -> EdgeChecker:
-    """What looks at edges of some robots; with less margin where an end has less room.
+    """Build the edge checker of some robots, with less margin where an end has less room.
 
     Raises:
-        CannotError: a start or goal is taken or outside, or two overlap.
+        BlockedRobotError: a start or goal is taken or outside, or two overlap.
     """
     start = np.asarray(problem.team.start_m, float)[robots]
     goal = np.asarray(problem.team.goal_m, float)[robots]
@@ -125,7 +125,7 @@ def _blocked_error(
 def space_bounds(
     problem: Problem, robots: Sequence[int], heading: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper bounds [R d] of the space: the cube above the floor, less each radius.
+    """Return bounds [R d] of the space: the cube above the floor, less each radius.
 
     Headings are bounded by half a turn to each side of the start's.
     """

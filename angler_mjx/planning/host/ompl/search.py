@@ -1,6 +1,6 @@
 """One search of OMPL: from a team's start to its goal, in the space of all its numbers.
 
-The space is RealVector of x, y, z (and heading) of each robot. Its edges are looked at whole, by
+The space is RealVector of x, y, z (and heading) of each robot. Its edges are checked whole, by
 the compiled check, and never by states between. OMPL takes its seed from a generator that gives
 one to each sampler as it is made; setting it before they are made fixes them all, any number of
 times in a process (OMPL says an error then, which is switched off).
@@ -24,13 +24,13 @@ type EdgeCheck = Callable[[np.ndarray, np.ndarray], bool]
 type StateCheck = Callable[[np.ndarray], bool]
 
 ANYTIME = ("AORRTC", "BITstar", "RRTstar", "InformedRRTstar", "SORRTstar")
-"""Go on improving until they are stopped, and tell their best cost meanwhile."""
+"""Planners that improve until they are stopped, and report their best cost."""
 
 ROADMAPS = ("PRM", "PRMstar")
 """Look for the solution in a thread of their own: no Python may say when they end."""
 
 SINGLE_BATCH = ("FMT", "BFMT")
-"""Draw all samples at once, and have no more to do when these gave no path."""
+"""Planners that draw all samples at once and end if these give no path."""
 
 DEFAULT_SAMPLES = 1000
 """Of FMT and BFMT at first, in OMPL."""
@@ -39,7 +39,7 @@ EDGES_PER_CLOCK_CHECK = 64
 """Edges between two looks at the clock."""
 
 MAX_PROGRESS_POINTS = 1000
-"""Better paths that are told of; of more, every other one between the first and the last."""
+"""Limit of reported better paths; of more, every other one between the first and the last."""
 
 MIN_SEARCH_S = 1e-4
 """A search is not begun with less left."""
@@ -61,13 +61,13 @@ class SearchSpace:
 
 @dataclass
 class SearchResult:
-    """What a search found."""
+    """Result of a search."""
 
     points: np.ndarray | None
     """[k, d] of the path; None where there is none."""
     extras: dict[str, float] = field(default_factory=dict)
     """``search_s``, ``first_s`` (to the first path), ``best_s`` (to the last that was better),
-    ``best_cost`` (of OMPL's objective: length in the space), ``edges`` looked at."""
+    ``best_cost`` (of OMPL's objective: length in the space), checked ``edges``."""
     progress: list[tuple[float, float]] = field(default_factory=list)
     """Each time that there was a better path: seconds since the search began, and its cost."""
 
@@ -90,7 +90,7 @@ class PlanningOrder:
 
 
 class _MotionValidator(ob.MotionValidator):
-    """The compiled check, as OMPL asks for it."""
+    """The compiled edge check as a motion validator of OMPL."""
 
     def __init__(self, info: Any, space: SearchSpace) -> None:
         super().__init__(info)
@@ -103,7 +103,7 @@ class _MotionValidator(ob.MotionValidator):
         self._b = np.zeros(len(space.checked_columns))
 
     def checkMotion(self, a: Any, b: Any, *last: Any) -> bool:  # noqa: N802
-        """Whether the team can go from a to b; where it could last be is not told.
+        """Return whether the team can go from a to b, without its last valid state.
 
         After the search's end nothing is free: LBKPIECE1 asks on for a while before it looks at
         the clock.
@@ -126,7 +126,7 @@ class _StateValidator(ob.StateValidityChecker):
         self._p = np.zeros(len(space.checked_columns))
 
     def isValid(self, p: Any) -> bool:  # noqa: N802
-        """Whether the team can be there."""
+        """Return whether the team can be at a state."""
         self._p[:] = [p[i] for i in self._columns]
         return self._state(self._p)
 
@@ -165,17 +165,17 @@ class _OmplSetup:
         self.size = size
 
     def path_states(self, path: Any) -> np.ndarray:
-        """States [k, d] of a path."""
+        """Return the states [k, d] of a path."""
         return np.array([[state[i] for i in range(self.size)] for state in path.getStates()])
 
 
 def silence_log() -> None:
-    """Has OMPL say nothing."""
+    """Disable OMPL's messages."""
     ou.setLogLevel(ou.LOG_NONE)
 
 
 def make_planner(planner: str, info: Any, parameters: dict[str, Any]) -> Any:
-    """One of OMPL's planners with its parameters.
+    """Return one of OMPL's planners with its parameters.
 
     Raises:
         ConfigError: OMPL does not take one.
@@ -194,7 +194,7 @@ def make_planner(planner: str, info: Any, parameters: dict[str, Any]) -> Any:
 def search_path(
     space: SearchSpace, start: np.ndarray, goal: np.ndarray, order: PlanningOrder
 ) -> SearchResult:
-    """A path from start to goal.
+    """Return a path from start to goal.
 
     Args:
         space: where.
@@ -228,9 +228,9 @@ def search_path(
 def _run_anytime(
     setup: _OmplSetup, order: PlanningOrder, begin: float
 ) -> list[tuple[float, float]]:
-    """Runs a planner that improves; when there was a better path, and its cost.
+    """Run a planner that improves; return times of better paths and their costs.
 
-    It is asked each time that it asks whether to stop.
+    Its best cost is read at each of its checks whether to stop.
     """
     planner = make_planner(order.planner, setup.info, order.parameters)
     planner.setProblemDefinition(setup.problem)
@@ -262,7 +262,7 @@ def _run_anytime(
 
 
 def _run_once(setup: _OmplSetup, order: PlanningOrder, begin: float) -> None:
-    """Runs a planner that ends with its first path, or a roadmap."""
+    """Run a planner that ends with its first path, or a roadmap."""
     end = begin + order.limit_s
     max_edges, clock, motions = order.edge_limit or math.inf, time.perf_counter, setup.motions
     samples = order.parameters.get("setNumSamples", DEFAULT_SAMPLES)

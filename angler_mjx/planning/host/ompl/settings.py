@@ -1,4 +1,4 @@
-"""What can be chosen of each planner: what all share, and OMPL's own parameters.
+"""Settings of OMPL's planners: shared ones, and OMPL's own parameters.
 
 A parameter that is None keeps OMPL's own value; its field knows the setter and the bounds.
 """
@@ -16,17 +16,16 @@ type Moving = Literal["timed", "still", "ignored"]
 
 @dataclass(frozen=True, kw_only=True)
 class OmplSettings:
-    """What all planners share."""
+    """Settings that all planners share."""
 
     mode: Mode = "composite"
     """All robots in one space; or one after another, the earlier ones as obstacles in time."""
     simplify: Simplify = "shortcut"
-    """What is made of the path: straighter by this project's shortcuts; by OMPL's
-    ``PathSimplifier``; or nothing."""
+    """Treatment of the path: this project's shortcuts, OMPL's ``PathSimplifier``, or none."""
     time_limit_s: float | None = None
     """Wall time for all of it; the problem's deadline where that is less or this is left out."""
     edge_limit: int | None = None
-    """Edges that a search may look at before it ends with what it has; unlike the clock, the same
+    """Limit of edges of a search, which then ends with its best path; unlike the clock, the same
     on every machine. PRM and PRMstar cannot."""
     first: bool = False
     """Whether planners that go on improving end with their first path."""
@@ -35,8 +34,8 @@ class OmplSettings:
     margin_m: float = 0.05
     """Kept between the robots' spheres and anything else."""
     moving: Moving = "timed"
-    """Of obstacles known to move: the team waits at its starts until they are out of the way; they
-    are taken to stay where they are at t = 0; or they are not looked at."""
+    """Treatment of known moving obstacles: the team waits at its starts until its path is clear;
+    they stay where they are at t = 0; or they are ignored."""
     thrust_share: float = 0.8
     """Of the speed at full thrust that may be used through the water."""
     turn_radps: float = 0.5
@@ -46,7 +45,7 @@ class OmplSettings:
 
     @property
     def joints(self) -> bool:
-        """Whether paths are trajectories of joints."""
+        """Return whether paths are trajectories of joints."""
         return self.heading
 
 
@@ -190,7 +189,7 @@ _BOUNDS = {
 
 
 def ompl_parameters(settings: OmplSettings) -> dict[str, Any]:
-    """OMPL's setters and what they are given."""
+    """Return OMPL's setters and their values."""
     return {
         each.metadata["set"]: value
         for each in fields(settings)
@@ -199,7 +198,7 @@ def ompl_parameters(settings: OmplSettings) -> dict[str, Any]:
 
 
 def check_settings(planner: str, settings: OmplSettings) -> None:
-    """Looks at the numbers.
+    """Check the numbers.
 
     Raises:
         ConfigError: one is out of its bounds, or there is no such choice.

@@ -1,8 +1,8 @@
-"""Straightening a team's path, and thinning it, by whole batches of edges.
+"""Straightening and thinning of a team's path, by whole batches of edges.
 
-All points of the path and some between them are tried against each other, and the quickest way
-through those that can be joined is taken; then single robots are straightened while the others
-keep their ways. Nothing is drawn, so the same path becomes the same.
+Edges between all points of the path, and some between them, are checked, and the quickest path over
+free edges is taken; then single robots are straightened while the others keep their paths. There
+are no random draws, so equal paths have equal results.
 """
 
 import time
@@ -25,7 +25,7 @@ MIN_IMPROVEMENT = 1e-3
 """Share of its cost by which a round has to shorten a path for another."""
 
 MAX_PIECES = 96
-"""Pieces into which a path is cut where no way through its own points has few enough."""
+"""Pieces of a path in which no path through its own points has few enough."""
 
 MAX_THINNED_POINTS = 400
 """Points of a path that is thinned; one with more is left."""
@@ -37,7 +37,7 @@ NO_TRAFFIC = Traffic.none()
 def build_smoothing_problem(
     checks: EdgeChecker, traffic: Traffic = NO_TRAFFIC, clock_mps: float = 0.0
 ) -> SmoothingProblem:
-    """What edges are looked at among.
+    """Build the problem against which edges are checked.
 
     Args:
         checks: of the team.
@@ -52,11 +52,11 @@ def build_smoothing_problem(
 def shorten_path(
     points: np.ndarray, smoothing: SmoothingProblem, speed: np.ndarray, end: float
 ) -> np.ndarray:
-    """A path that is quicker, or as it was.
+    """Return a quicker path, or the same.
 
     Args:
         points: [k, R, d] of the team; x, y, z first. Its edges are free.
-        smoothing: what edges are looked at among.
+        smoothing: problem of the edge checks.
         speed: [R] m/s of each robot.
         end: of `time.perf_counter`; no round begins after it.
     """
@@ -73,11 +73,11 @@ def shorten_path(
 def thin_path(
     points: np.ndarray, smoothing: SmoothingProblem, speed: np.ndarray, max_points: int
 ) -> np.ndarray:
-    """The quickest path through points of one, or between them, with few enough; or as it was.
+    """Return the quickest path through few enough points of a path, or the same.
 
     Args:
         points: [k, R, d] of the team; its edges are free.
-        smoothing: what edges are looked at among.
+        smoothing: problem of the edge checks.
         speed: [R] m/s of each robot.
         max_points: points that there may be.
     """

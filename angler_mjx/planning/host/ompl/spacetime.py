@@ -1,10 +1,9 @@
-"""One robot's search in space and time, where it cannot just set off later.
+"""Search of one robot in space and time, for robots that a later departure does not help.
 
-States are x, y, z and the time, as the metres that the robot could have gone by then; an edge goes
-forward in time, is no faster than the robot may be, and meets nothing on its way. The goal is to be
-reached at a chosen time, and several are tried, the earliest first. OMPL's tree planners ask for
-edges from the earlier state to the later; where a planner takes an edge for one that can be flown
-both ways, its path may run back in time, and is not taken.
+States are x, y, z and the time, in metres at the robot's speed; an edge goes forward in time,
+within the robot's speed, and meets nothing. The goal is reached at a chosen time, of which several
+are tried, the earliest first. OMPL's tree planners check edges from the earlier state to the later;
+where a planner takes an edge in both directions, its path may run back in time, and is not used.
 """
 
 import time
@@ -24,10 +23,10 @@ from angler_mjx.planning.host.timed import Traffic
 from angler_mjx.planning.problem import Problem
 
 ARRIVAL_FACTORS = (1.2, 1.6, 2.4, 4.0)
-"""Times of arrival that are tried, in times that the straight way takes."""
+"""Arrival times that are tried, as multiples of the duration of the straight line."""
 
 MIN_PATH_LENGTH_M = 2.0
-"""Of a way that is shorter, the time is reckoned as for this."""
+"""Least length [m] by which arrival times are computed."""
 
 
 class _SpacetimeChecker:
@@ -50,7 +49,7 @@ class _SpacetimeChecker:
         return self.checks.timed_edge(0, p[:3], time_s, p[:3], time_s, self.traffic)
 
     def are_edges_free(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        """Of a, b [n, 1, 4]."""
+        """Check edges a, b [n, 1, 4]."""
         a, b = a[:, 0], b[:, 0]
         clock_m, length_m = b[:, 3] - a[:, 3], np.linalg.norm(b[:, :3] - a[:, :3], axis=1)
         is_slow_enough = (clock_m > 0.0) & (length_m <= SPEED_FACTOR * clock_m)
@@ -72,7 +71,7 @@ class _SpacetimeChecker:
 def plan_spacetime_motion(
     problem: Problem, robots: Sequence[int], task: TeamTask, traffic: Traffic, time_fraction: float
 ) -> TeamMotion:
-    """A motion of one robot among the paths of others.
+    """Return a motion of one robot among the paths of others.
 
     Args:
         problem: arrays of NumPy.
@@ -82,8 +81,8 @@ def plan_spacetime_motion(
         time_fraction: of the time that is left, for all of this.
 
     Raises:
-        seeing.CannotError: its start or goal is taken.
-        NoWayError: there is no path.
+        BlockedRobotError: its start or goal is taken.
+        NoPathError: there is no path.
     """
     begin = time.perf_counter()
     end = begin + time_fraction * max(0.0, task.end - begin)
@@ -132,7 +131,7 @@ def _search_states(
     limit: float,
     attempt: int,
 ) -> np.ndarray | None:
-    """States [k, 4] from the start at t = 0 to the goal at its time; None where none was found."""
+    """Return states [k, 4] from the start at t = 0 to the goal at its time; None without a path."""
     low, high = problem_setup.space_bounds(problem, robots, heading=False)
     last = arrival * spacetime.speed
     space = SearchSpace(
@@ -178,7 +177,7 @@ def _search_states(
 def _is_slow_enough(
     problem: Problem, path: np.ndarray, time_s: np.ndarray, robots: Sequence[int], task: TeamTask
 ) -> bool:
-    """Whether the robot can be as fast as that in the current, at both ends of each edge."""
+    """Return whether the robot reaches the speed in the current at both ends of each edge."""
     if not problem.current.components:
         return True
     bounds = timing_limits(

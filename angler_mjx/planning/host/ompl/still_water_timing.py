@@ -8,7 +8,7 @@ MIN_SPEED_MPS = 1e-3
 """Over ground; a robot that can only be slower cannot go there."""
 
 SPEED_FACTOR = 1.0 - 1e-3
-"""Of the speeds that may be: what float32 rounds off places and times."""
+"""Factor of speeds, for the rounding of float32 positions and times."""
 
 LINE_TOLERANCE_M = 1e-6
 """How far a point may lie off the line of its neighbours, in time too, to be left out."""
@@ -18,7 +18,7 @@ LINE_TOLERANCE_M = 1e-6
 def time_in_still_water(
     path: np.ndarray, speed: np.ndarray, turn_radps: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A path in time, along each edge of which its slowest robot is at its speed.
+    """Return a path in time, along each edge of which its slowest robot has its speed.
 
     Args:
         path: [k, R, d] x, y, z (and heading) of each.
@@ -49,7 +49,7 @@ def time_in_still_water(
 
 @compile_function
 def needed_points(time: np.ndarray, path: np.ndarray) -> np.ndarray:
-    """Which points [n] of one robot's way [n, d] are not on the line of their neighbours, in time.
+    """Return which points [n] of a robot's path [n, d] are off the line of their neighbours.
 
     The first and the last always are needed.
     """

@@ -1,4 +1,4 @@
-"""Compiled: a team's path made straighter, and told by fewer points."""
+"""Compiled: straightening of a team's path, and reduction of its points."""
 
 import math
 from typing import NamedTuple
@@ -15,23 +15,23 @@ PIECES = 24
 """Into which a path is cut, at least; more where it has more points."""
 
 TOTAL_TIME_WEIGHT = 0.1
-"""Weight of all robots' ways beside the slowest one's."""
+"""Weight of the time of all robots beside that of the slowest one."""
 
 ROUNDING = 1e-9
 """Share of a cost that adding up may take away."""
 
 SAME = 1e-9
 SAME_FRACTION = 1e-5
-"""By how much, and by what share of a coordinate, places on a line may lie beside it."""
+"""Tolerance of positions on a line, in m and as a fraction of a coordinate."""
 
 
 class SmoothingProblem(NamedTuple):
-    """What edges are looked at among: those of a team, or one robot's in space and time."""
+    """Problem against which edges are checked: of a team, or of one robot in space and time."""
 
     head: np.ndarray
     reals: np.ndarray
     cells: np.ndarray
-    """These of `compile_function.packed.PackedProblem`."""
+    """These of `compiled.packed.PackedProblem`."""
     time_s: np.ndarray
     position_m: np.ndarray
     radius_m: np.ndarray
@@ -44,7 +44,7 @@ class SmoothingProblem(NamedTuple):
 def _is_edge_free(
     smoothing: SmoothingProblem, world: PackedFields, a: np.ndarray, b: np.ndarray
 ) -> bool:
-    """Whether all can go from a [R, d] to b, where they can be."""
+    """Return whether all can go from a [R, d] to b, both of which are valid."""
     if smoothing.clock_mps > 0.0:
         clock_m = b[0, 3] - a[0, 3]
         if not (clock_m > 0.0 and _edge_length(a, b, 0) <= SPEED_FACTOR * clock_m):
@@ -60,7 +60,7 @@ def _is_edge_free(
 
 @compile_function
 def _flatten_positions(p: np.ndarray) -> np.ndarray:
-    """Places [3 R] of [R, d]."""
+    """Return the positions [3 R] of states [R, d]."""
     if p.shape[1] == 3:
         return p.reshape(p.size)
     return p[:, :3].copy().reshape(3 * p.shape[0])
@@ -74,7 +74,7 @@ def _edge_length(a: np.ndarray, b: np.ndarray, robot: int) -> float:
 
 @compile_function
 def _edge_cost(a: np.ndarray, b: np.ndarray, speed: np.ndarray) -> float:
-    """Of an edge: time of the slowest robot, s, and a little of all robots'."""
+    """Return the time of the slowest robot, s, and a little of that of all robots."""
     robots = a.shape[0]
     slowest_s, total = 0.0, 0.0
     for robot in range(robots):
@@ -87,7 +87,7 @@ def _edge_cost(a: np.ndarray, b: np.ndarray, speed: np.ndarray) -> float:
 
 @compile_function
 def path_cost(path: np.ndarray, speed: np.ndarray) -> float:
-    """Of a path [k, R, d]."""
+    """Return the cost of a path [k, R, d]."""
     total = 0.0
     for k in range(path.shape[0] - 1):
         total += _edge_cost(path[k], path[k + 1], speed)
@@ -96,7 +96,7 @@ def path_cost(path: np.ndarray, speed: np.ndarray) -> float:
 
 @compile_function
 def _backtrack(path: np.ndarray, predecessors: np.ndarray) -> np.ndarray:
-    """The points of a way from the first to the last, of each of which is known which is before."""
+    """Return the points of a path from first to last by the predecessor of each."""
     count, at = 1, path.shape[0] - 1
     while at != 0:
         at = predecessors[at]
@@ -116,7 +116,7 @@ def _shortest_through(
     ends: np.ndarray,
     speed: np.ndarray,
 ) -> np.ndarray:
-    """The quickest way through the points, in their order, from the first to the last.
+    """Return the quickest path through points in their order, from the first to the last.
 
     An edge is looked at only where it would be quicker, and where the way through it, straight on
     to the last point, would be no slower than the quickest that is known. Points to ``ends`` [k] of
@@ -147,13 +147,13 @@ def _shortest_through(
 
 @compile_function
 def _next_indices(count: int) -> np.ndarray:
-    """Of points that each begin an edge of their own."""
+    """Return the next indices of points that each begin an edge of their own."""
     return np.minimum(np.arange(count) + 1, count - 1)
 
 
 @compile_function
 def _subdivide(path: np.ndarray, speed: np.ndarray, pieces: int) -> tuple[np.ndarray, np.ndarray]:
-    """The path with points between its own, evenly in time; and to which each one's edge goes."""
+    """Return the path with further points, evenly in time, and the end of each point's edge."""
     edges = path.shape[0] - 1
     total = max(path_cost(path, speed), 1e-9)
     parts = np.empty(edges, np.int64)
@@ -175,7 +175,7 @@ def _subdivide(path: np.ndarray, speed: np.ndarray, pieces: int) -> tuple[np.nda
 def _straighten_robot(
     path: np.ndarray, begin: int, end: int, robot: int, tried: np.ndarray
 ) -> bool:
-    """Puts one robot on a line from begin to end in ``tried``; whether that changes anything."""
+    """Put one robot on a line from begin to end in ``tried``; return whether it changes it."""
     last, has_moved = end - begin, False
     step = 1.0 / last
     for n in range(last + 1):
@@ -197,7 +197,7 @@ def _straighten_if_free(
     end: int,
     robot: int,
 ) -> None:
-    """Puts one robot on a line from begin to end where it may go there, as the others go."""
+    """Put one robot on a line from begin to end if it is free while the others move."""
     tried = path[begin : end + 1].copy()
     if not _straighten_robot(path, begin, end, robot, tried):
         return
@@ -215,7 +215,7 @@ def _straighten_if_free(
 
 @compile_function
 def _straighten_each(smoothing: SmoothingProblem, world: PackedFields, path: np.ndarray) -> None:
-    """Each robot straight over as much of the path as can be, the others as they go.
+    """Straighten each robot over as much of the path as is free, the others unchanged.
 
     Tried are the whole, its halves, quarters and eighths, each with those between.
     """
@@ -233,7 +233,7 @@ def _straighten_each(smoothing: SmoothingProblem, world: PackedFields, path: np.
 def shortest_through_points(
     smoothing: SmoothingProblem, path: np.ndarray, speed: np.ndarray
 ) -> np.ndarray:
-    """The quickest way through the points of a path [k, R, d], of speeds [R] m/s."""
+    """Return the quickest path through the points of a path [k, R, d], at speeds [R] m/s."""
     world = unpack_fields(smoothing.head, smoothing.reals)
     last = path.shape[0] - 1
     if last > 1 and _is_edge_free(smoothing, world, path[0], path[last]):
@@ -245,7 +245,7 @@ def shortest_through_points(
 def straighten_path(
     smoothing: SmoothingProblem, path: np.ndarray, speed: np.ndarray
 ) -> tuple[np.ndarray, float, float]:
-    """A round, where no way goes straight to the goal: the path, and its cost before and after."""
+    """Straighten a path without a free line to the goal; return it, its cost before and after."""
     world = unpack_fields(smoothing.head, smoothing.reals)
     before = path_cost(path, speed)
     path, ends = _subdivide(path, speed, PIECES)
@@ -260,13 +260,13 @@ def straighten_path(
 def reduce_points(
     smoothing: SmoothingProblem, path: np.ndarray, speed: np.ndarray, max_points: int, pieces: int
 ) -> np.ndarray:
-    """The quickest way through points of a path with at most ``max_points`` of them; none: no rows.
+    """Return the quickest path over at most ``max_points`` points of a path; no rows if none.
 
     Args:
-        smoothing: what edges are looked at among.
+        smoothing: problem of the edge checks.
         path: [k, R, d]; its own edges are free.
         speed: [R] m/s.
-        max_points: points of the way; 2 or more.
+        max_points: points of the path; 2 or more.
         pieces: into which the path is cut before, at least; 0: not at all.
     """
     world = unpack_fields(smoothing.head, smoothing.reals)

@@ -1,8 +1,8 @@
 """From a problem to a motion of some of its robots, planned together.
 
-A search finds a path, shortcuts make it straighter, and it is timed. Where obstacles are known to
-move, or other robots' paths are fixed, the robots wait at their starts until the way is free; if it
-never is, another path is searched.
+A search finds a path, which is shortened and timed. Among known moving obstacles or fixed paths of
+other robots, the robots wait at their starts until the path is free; if it never is, another path
+is searched.
 """
 
 import math
@@ -28,10 +28,10 @@ from angler_mjx.planning.path_search.bodies import GOAL_CLEAR_S
 from angler_mjx.planning.problem import Problem
 
 SEARCH_TIME_FRACTION = 0.9
-"""Of the time that is left, for a search; the rest for what is made of its path."""
+"""Fraction of the remaining time for a search; the rest is for shortcuts and timing."""
 
 MAX_ATTEMPTS = 20
-"""Paths that are searched where robots cannot wait until the way is free."""
+"""Limit of searches where no wait makes a path free."""
 
 MAX_DELAYS = 60
 """Times of setting off that are tried, `DELAY_STEP_S` or more apart."""
@@ -61,13 +61,13 @@ class TeamMotion:
 
 @dataclass(kw_only=True)
 class TeamTask:
-    """What is planned, and what was noted on the way."""
+    """Planner, limits and notes of the planning of a team."""
 
     planner: str
     """OMPL's name."""
     settings: OmplSettings
     seed: tuple[int, ...]
-    """Of the problem; and more, for what is tried beside."""
+    """Seed of the problem, followed by numbers of attempts."""
     end: float
     """Of `time.perf_counter`."""
     extras: dict[str, float] = field(default_factory=dict)
@@ -75,11 +75,11 @@ class TeamTask:
     """Of the search of the whole team: s since the first one began, and the best cost then."""
 
     def remaining_s(self) -> float:
-        """Time that is left, s."""
+        """Return the remaining time, s."""
         return self.end - time.perf_counter()
 
     def add_extras(self, more: dict[str, float]) -> None:
-        """Adds to what was noted."""
+        """Add numbers to the notes."""
         for name, value in more.items():
             self.extras[name] = self.extras.get(name, 0.0) + value
 
@@ -91,7 +91,7 @@ def plan_motion(
     traffic: Traffic | None = None,
     time_fraction: float = 1.0,
 ) -> TeamMotion:
-    """A motion of some robots from their starts to their goals.
+    """Return a motion of some robots from their starts to their goals.
 
     Args:
         problem: arrays of NumPy.
@@ -101,8 +101,8 @@ def plan_motion(
         time_fraction: of the time that is left, for all of this.
 
     Raises:
-        seeing.CannotError: a start or goal is taken.
-        NoWayError: there is no path.
+        BlockedRobotError: a start or goal is taken.
+        NoPathError: there is no path.
     """
     begin = time.perf_counter()
     settings = task.settings
@@ -153,7 +153,7 @@ def _time_path(
     settings: OmplSettings,
     checks: EdgeChecker,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A path in time, with as few points of each robot as can be flown, if there is such a one."""
+    """Return the path in time with few enough points of each robot; None if there is none."""
     time_s, timed_path = time_path(path, problem, robots, settings)
     max_points = settings.points - 1
     if len(time_s) <= max_points:
@@ -184,7 +184,7 @@ def _search_path(
     end: float,
     attempt: int,
 ) -> np.ndarray:
-    """A path [k, R, d], as straight as was chosen."""
+    """Return a path [k, R, d], simplified as the settings demand."""
     settings = task.settings
     start, goal = problem_setup.start_and_goal(problem, robots, settings.heading)
     remaining_s = max(0.0, end - time.perf_counter())
@@ -224,7 +224,7 @@ def _find_delay(
     path: np.ndarray,
     traffic: Traffic,
 ) -> float | None:
-    """How long all have to wait so that nothing that moves is met; None if it always is."""
+    """Return the wait of all robots that avoids all that moves; None if none does."""
     obstacles = problem.obstacles
     is_moving = np.asarray(obstacles.exists, bool) & np.asarray(obstacles.moves, bool)
     if not is_moving.any() and len(traffic.radius_m) == 0:
@@ -247,7 +247,7 @@ def _find_delay(
 def _can_stay_at_goals(
     static_checks: EdgeChecker, ends: np.ndarray, arrival_s: float, stay_s: float, traffic: Traffic
 ) -> bool:
-    """Whether no other robot ever comes where some stand at their goals.
+    """Return whether other robots stay clear of robots that stand at their goals.
 
     Asked only where `_is_clear_with_delay` has looked for a while: it knows already where it looked
     for ever.
@@ -261,7 +261,7 @@ def _can_stay_at_goals(
 def _checker_without_moving(
     problem: Problem, robots: Sequence[int], margin_m: float
 ) -> EdgeChecker:
-    """What looks at edges as if no obstacle moved."""
+    """Return the edge checker without moving obstacles."""
     obstacles = problem.obstacles
     is_static = np.asarray(obstacles.exists, bool) & ~np.asarray(obstacles.moves, bool)
     return problem_setup.build_checker(
@@ -277,7 +277,7 @@ def _is_clear_with_delay(
     delay_s: float,
     stay_s: float,
 ) -> bool:
-    """Whether all can go after a wait, and stay at their goals."""
+    """Return whether all can go after a wait, and stay at their goals."""
     begin = np.concatenate([[0.0], time_s[:-1] + delay_s, [time_s[-1] + delay_s]])
     end = np.concatenate([[delay_s], time_s[1:] + delay_s, [time_s[-1] + delay_s + stay_s]])
     for robot in range(path.shape[1]):

@@ -55,7 +55,7 @@ class TimingLimits:
 def timing_limits(
     problem: Problem, robots: list[int], thrust_fraction: float, turn_radps: float
 ) -> TimingLimits:
-    """Of some robots of a team.
+    """Return the limits of some robots of a team.
 
     Args:
         problem: arrays of NumPy.
@@ -76,7 +76,7 @@ def timing_limits(
 def time_path(
     path: np.ndarray, problem: Problem, robots: list[int], settings: OmplSettings
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Times of a path.
+    """Return the times of a path.
 
     Args:
         path: [k, R, d] x, y, z (and heading) of the team at each point.
@@ -88,7 +88,7 @@ def time_path(
         Times [n] from 0, s, and the path [n, R, d] there.
 
     Raises:
-        TooStrongError: a robot cannot go where the path does.
+        CurrentTooStrongError: a robot cannot go where the path does.
     """
     if not problem.current.components:
         speed = np.asarray(problem.team.cruise_speed_mps, float)[robots]
@@ -126,7 +126,7 @@ def time_path(
 
 
 def max_ground_speed(ahead: np.ndarray, water: np.ndarray, bounds: TimingLimits) -> np.ndarray:
-    """Highest speed over ground [..., R]; 0 where a robot cannot go that way at all.
+    """Return the highest speed over ground [..., R]; 0 in a direction without headway.
 
     Args:
         ahead: [..., R, 3] unit vectors.
@@ -145,7 +145,7 @@ def max_ground_speed(ahead: np.ndarray, water: np.ndarray, bounds: TimingLimits)
 def robot_waypoints(
     time: np.ndarray, path: np.ndarray, delay_s: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """One robot's way-points: begun later, and without those on the line of their neighbours.
+    """Return a robot's way-points, started later, without those on lines of their neighbours.
 
     Args:
         time: [n] from 0, s.
@@ -165,7 +165,7 @@ def robot_waypoints(
 
 
 def _subdivide(path: np.ndarray, max_points: int) -> np.ndarray:
-    """The path in pieces that are short where the current may differ; no more than may be."""
+    """Divide a path into pieces short enough for the current, at most as many as allowed."""
     length = np.linalg.norm(np.diff(path, axis=0)[..., :3], axis=-1).max(axis=1)
     edges = len(length)
     n_spare = max(0, max_points - 2 - edges)
@@ -183,7 +183,7 @@ def _subdivide(path: np.ndarray, max_points: int) -> np.ndarray:
 def water_velocity(
     problem: Problem, path: np.ndarray, time: np.ndarray, fraction: float
 ) -> np.ndarray:
-    """Velocity [n - 1, R, 3] of the water at a share of each piece of a path [n, R, 3]; m/s, W."""
+    """Return the water velocity [n - 1, R, 3] at a fraction of each piece of a path, m/s, W."""
     position_m = (path[:-1] + fraction * np.diff(path, axis=0))[..., :3]
     time_s = np.repeat((time[:-1] + fraction * np.diff(time))[:, None], position_m.shape[1], axis=1)
     count = time_s.size

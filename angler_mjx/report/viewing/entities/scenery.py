@@ -11,9 +11,9 @@ import numpy as np
 import rerun as rr
 from matplotlib import colors
 
-from angler_mjx.report.viewing import style
-from angler_mjx.report.viewing.outlines import rotation_matrix
-from angler_mjx.report.viewing.scene import ReplayScene
+from angler_mjx.report.plotting import style
+from angler_mjx.report.plotting.outlines import rotation_matrix
+from angler_mjx.report.plotting.scene import ReplayScene
 from angler_mjx.robot.vehicles.config import Box, Cylinder, Sphere, VehicleConfig
 from angler_mjx.world.obstacles import BOX, CAPSULE, SPHERE, STATIC
 

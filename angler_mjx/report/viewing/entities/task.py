@@ -7,6 +7,7 @@ table of the fleet. All data come from `world.tasks.history` at the samples.
 import numpy as np
 import rerun as rr
 
+from angler_mjx.report.plotting.scene import ReplayScene, RobotTrack
 from angler_mjx.report.viewing.entities.scenery import (
     DOT,
     MAX_NAMED,
@@ -16,7 +17,6 @@ from angler_mjx.report.viewing.entities.scenery import (
     time_column,
     to_rgba,
 )
-from angler_mjx.report.viewing.scene import ReplayScene, RobotTrack
 from angler_mjx.world.tasks.history import GoodsStatus, TaskHistory
 from angler_mjx.world.tasks.surface_quads import SurfaceQuads, survey_surface
 

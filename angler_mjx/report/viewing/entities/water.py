@@ -3,8 +3,8 @@
 import numpy as np
 import rerun as rr
 
+from angler_mjx.report.plotting.scene import ReplayScene
 from angler_mjx.report.viewing.entities.scenery import ARROW_S, DOT, time_column, to_rgba
-from angler_mjx.report.viewing.scene import ReplayScene
 from angler_mjx.world.slices import CurrentSlices, slice_flight
 
 _STILL_MPS = 1e-3

@@ -6,9 +6,9 @@ from matplotlib.collections import PatchCollection
 from matplotlib.colors import Normalize
 from matplotlib.patches import Rectangle
 
-from angler_mjx.report.viewing import style
-from angler_mjx.report.viewing.scene import ReplayScene
-from angler_mjx.world.grid import Grid
+from angler_mjx.report.plotting import style
+from angler_mjx.report.plotting.scene import ReplayScene
+from angler_mjx.world.rock.grid import Grid
 
 ABOVE, SOUTH = (0, 1), (0, 2)
 """World axes of figures from above and from the south: x and y, x and z."""

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.report.viewing import scene
-from angler_mjx.report.viewing.scene import ReplayScene, RobotTrack
+from angler_mjx.report.plotting import scene
+from angler_mjx.report.plotting.scene import ReplayScene, RobotTrack
 from angler_mjx.runs.storage.folder import Run
 
 BEFORE_S = (8.0, 4.0, 0.0)

@@ -13,11 +13,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch, Polygon, Rectangle
 
-from angler_mjx.report.viewing import style
+from angler_mjx.report.plotting import style
+from angler_mjx.report.plotting.outlines import project_outline
+from angler_mjx.report.plotting.scene import ReplayScene, RobotTrack
 from angler_mjx.report.viewing.maps import base_map
 from angler_mjx.report.viewing.maps.comparison import WorldComparison
-from angler_mjx.report.viewing.outlines import project_outline
-from angler_mjx.report.viewing.scene import ReplayScene, RobotTrack
 from angler_mjx.robot.vehicles import library
 from angler_mjx.world.obstacles import SPHERE
 

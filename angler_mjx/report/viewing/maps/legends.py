@@ -4,8 +4,8 @@ import numpy as np
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from angler_mjx.report.viewing import style
-from angler_mjx.report.viewing.scene import ReplayScene
+from angler_mjx.report.plotting import style
+from angler_mjx.report.plotting.scene import ReplayScene
 from angler_mjx.world.obstacles import STATIC
 
 MAX_LISTED = 12

@@ -8,10 +8,10 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
-from angler_mjx.report.viewing import style
+from angler_mjx.report.plotting import style
+from angler_mjx.report.plotting.outlines import project_outline
+from angler_mjx.report.plotting.scene import ReplayScene, RobotTrack
 from angler_mjx.report.viewing.maps import base_map, legends
-from angler_mjx.report.viewing.outlines import project_outline
-from angler_mjx.report.viewing.scene import ReplayScene, RobotTrack
 from angler_mjx.world.obstacles import STATIC
 
 _HALO = [effects.withStroke(linewidth=2.6, foreground=style.PAPER)]

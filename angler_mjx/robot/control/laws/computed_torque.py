@@ -11,10 +11,15 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.robot.control.commands import BodyWrench, Estimate, PoseTarget
+from angler_mjx.robot.control.commands import (
+    BodyWrench,
+    Estimate,
+    PoseTarget,
+    TrackingTarget,
+    as_tracking,
+)
 from angler_mjx.robot.control.laws import model
 from angler_mjx.robot.control.laws.checks import check_gains
-from angler_mjx.robot.control.laws.targets import TrackingTarget, as_tracking
 from angler_mjx.robot.vehicles.params import VehicleParams
 
 

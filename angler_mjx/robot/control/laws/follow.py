@@ -11,13 +11,17 @@ import jax
 import jax.numpy as jnp
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.robot.control import joint_trajectory, trajectory
-from angler_mjx.robot.control.commands import Estimate, PoseTarget
-from angler_mjx.robot.control.joint_trajectory import JointTrajectory
+from angler_mjx.robot.control.commands import (
+    Estimate,
+    PoseTarget,
+    TrackingTarget,
+    joint_trajectory,
+    trajectory,
+)
+from angler_mjx.robot.control.commands.joint_trajectory import JointTrajectory
+from angler_mjx.robot.control.commands.trajectory import Trajectory, segment_at
 from angler_mjx.robot.control.laws.checks import check_gains
 from angler_mjx.robot.control.laws.model import wrap_angle
-from angler_mjx.robot.control.laws.targets import TrackingTarget
-from angler_mjx.robot.control.trajectory import Trajectory, segment_at
 
 
 @jax.tree_util.register_dataclass

@@ -20,10 +20,10 @@ import jax.numpy as jnp
 from angler_kernels import quaternion
 from angler_kernels.table import take_row
 from angler_mjx.robot.control.commands import BodyTwist, Estimate
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.robot.control.laws import model
 from angler_mjx.robot.control.laws.checks import check_gains
 from angler_mjx.robot.control.laws.model import wrap_angle
-from angler_mjx.robot.control.trajectory import Trajectory
 from angler_mjx.robot.vehicles.params import VehicleParams
 
 _MOVES_MPS = 0.05

@@ -5,8 +5,7 @@ import jax.numpy as jnp
 
 from angler_kernels import quaternion, rigid_body
 from angler_kernels.rigid_body import matrix_times
-from angler_mjx.robot.control.commands import Estimate
-from angler_mjx.robot.control.laws.targets import TrackingTarget
+from angler_mjx.robot.control.commands import Estimate, TrackingTarget
 from angler_mjx.robot.vehicles.params import VehicleParams
 
 SPEED_FRACTION = 0.9

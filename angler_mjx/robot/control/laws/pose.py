@@ -6,10 +6,9 @@ import jax
 import jax.numpy as jnp
 
 from angler_kernels import quaternion
-from angler_mjx.robot.control.commands import BodyTwist, Estimate, PoseTarget
+from angler_mjx.robot.control.commands import BodyTwist, Estimate, PoseTarget, TrackingTarget
 from angler_mjx.robot.control.laws import model
 from angler_mjx.robot.control.laws.checks import check_gains
-from angler_mjx.robot.control.laws.targets import TrackingTarget
 from angler_mjx.robot.vehicles.params import VehicleParams
 
 

@@ -1,1 +1,1 @@
-"""Problems and plans on disk: written, and read again; see ``docs/planners.md``."""
+"""Problems and plans on disk: written, and read again; see ``docs/reference/plan_files.md``."""

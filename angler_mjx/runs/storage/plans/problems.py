@@ -15,10 +15,9 @@ import numpy as np
 import zarr
 from zarr.codecs import BloscCodec
 
-from angler_mjx.errors import RunError
 from angler_mjx.planning.problem import Problem
 from angler_mjx.runs.simulator.simulator import Simulator
-from angler_mjx.runs.storage import array_metadata, output_lock
+from angler_mjx.runs.storage import array_metadata, results_folder
 from angler_mjx.runs.storage.environments import named_leaves
 
 SCHEMA, SCHEMA_VERSION = "angler_mjx problems", 2
@@ -46,9 +45,8 @@ def write_problems(
         RunError: the path cannot be written.
     """
     total, tile = simulator.scenario.worlds, simulator.tile
-    lock = output_lock.acquire(path, kind="file of problems", advise=lambda building: None)
-    try:
-        group = zarr.open_group(lock.building, mode="a")
+    with results_folder.build_folder(path, kind="file of problems") as building:
+        group = zarr.open_group(building, mode="a")
         for first in range(0, total, tile):
             problems = simulator.problems(first, min(tile, total - first))
             batch: Any = jax.tree.map(
@@ -62,22 +60,15 @@ def write_problems(
                     array: Any = group[name]
                 array[first : first + len(rows)] = rows
             advance(first + len(problems))
-    except OSError as error:
-        lock.withdraw()
-        raise RunError(f"{path}: cannot be written ({error.strerror or error})") from error
-    except BaseException:
-        lock.withdraw()
-        raise
-    lock.publish()
 
 
 def _without_name(problem: Problem) -> Problem:
-    """Problems of one batch have one structure; their names are not in it."""
+    """Return a problem without its name, so that problems of a batch have one structure."""
     return replace(problem, name=None)
 
 
 def _problem_arrays(batch: Problem) -> dict[str, Any]:
-    """Arrays by their names in the file, where components of the current are called ``current/i``.
+    """Return arrays by their names in the file; components of the current are ``current/i``.
 
     Python's fields have ``current/components/i``.
     """

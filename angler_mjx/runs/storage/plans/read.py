@@ -1,4 +1,4 @@
-"""Plans on disk: a Zarr group that anything can write, and that is flown like what a planner gave.
+"""Plans on disk: a Zarr group that any program can write, flown like a planner's answers.
 
     attributes      schema = "angler_mjx plans", schema_version = 1, digest and seed of the problems
     points          int32 [world, robot]            way-points of a path; 0: there is none
@@ -14,7 +14,7 @@
     status          int32 [world]                   optional: which of the attribute ``statuses``
 
 World i of the arrays is world i of the seed. A number of points below 0 says that a world is not
-planned yet. ``docs/planners.md`` has a writer of twenty lines.
+planned yet. ``docs/reference/plan_files.md`` has a writer of twenty lines.
 """
 
 import hashlib
@@ -28,14 +28,14 @@ import zarr
 
 from angler_mjx.errors import ConfigError, format_value
 from angler_mjx.planning.planner import MAX_POINTS, PathShape
-from angler_mjx.robot.control.joint_trajectory import (
+from angler_mjx.robot.control.commands.joint_trajectory import (
     CUBIC,
     LINEAR,
     VEHICLE_JOINTS,
     JointTrajectory,
 )
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.robot.control.plans import Plan
-from angler_mjx.robot.control.trajectory import Trajectory
 from angler_mjx.runs.simulator.host_planning import PlanNotes, planning_status
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.runs.storage import output_lock, planning_summary
@@ -61,7 +61,7 @@ class PlanFile:
     """Of the paths as they are flown: those of the file, their last point repeated."""
 
     def of(self, firsts: list[int], worlds: World, simulator: Simulator) -> tuple[Plan, PlanNotes]:
-        """Paths of some tiles of worlds; what cannot be flown is none, with its reason.
+        """Return the paths of some tiles of worlds; a path that cannot be flown is none.
 
         Args:
             firsts: first world of each device's tile.
@@ -96,7 +96,7 @@ class PlanFile:
             time,
             position_m,
             start,
-            np.asarray(worlds.control.cruise_speed_mps),
+            np.asarray(worlds.cruise_speed_mps),
             simulator.scenario.time.horizon_s,
         )
         is_found = (count > 0) & (faults == "")
@@ -120,7 +120,7 @@ class PlanFile:
         return Trajectory(**paths), notes
 
     def _read_motion(self, rows: np.ndarray) -> dict[str, np.ndarray] | None:
-        """Headings, velocities, accelerations and degrees; None where there are no headings."""
+        """Read headings, velocities, accelerations and degrees; None without headings."""
         if not self.shape.joints:
             return None
         yaw = self._read_rows("yaw_rad", rows)
@@ -132,7 +132,7 @@ class PlanFile:
         return {"yaw_rad": yaw, **defaults, **stored}
 
     def sha256(self) -> str:
-        """Hexadecimal, of all bytes of the file."""
+        """Return the SHA-256 of all bytes of the file, hexadecimal."""
         digest = hashlib.sha256()
         with wrap_read_errors(self.path):
             for path in sorted(self.path.rglob("*")):
@@ -180,12 +180,12 @@ def summarise_plan_file(path: Path) -> dict[str, Any]:
 
 
 def open_plans(path: Path, scenario: Scenario) -> PlanFile:
-    """A file of plans for the worlds of a scenario.
+    """Open a file of plans for the worlds of a scenario.
 
     Raises:
         ConfigError: it is none, is damaged, or was made for other problems.
     """
-    with wrap_read_errors(path, "give a file of angler plan, or one as docs/planners.md describes"):
+    with wrap_read_errors(path, "give a file of angler plan; format: docs/reference/plan_files.md"):
         group = zarr.open_group(path, mode="r")
         attributes: dict[str, Any] = dict(group.attrs)
         shapes = {name: np.shape(array) for name, array in group.arrays()}
@@ -194,7 +194,8 @@ def open_plans(path: Path, scenario: Scenario) -> PlanFile:
     for name, dims in _ARRAYS.items():
         if len(shapes.get(name, ())) != dims:
             raise ConfigError(
-                f"{path}/{name}: must be an array of {dims} dimensions; see docs/planners.md"
+                f"{path}/{name}: must be an array of {dims} dimensions; "
+                "see docs/reference/plan_files.md"
             )
     worlds, robots, points = shapes["time_s"]
     if shapes["points"] != (worlds, robots) or shapes["position_m"] != (worlds, robots, points, 3):
@@ -279,7 +280,7 @@ def _widen_paths(rows: np.ndarray, points: int) -> np.ndarray:
 def _pad_paths(
     count: np.ndarray, time: np.ndarray, values: np.ndarray, is_found: np.ndarray, start: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Times and places that repeat their last; robots without a path hold their start."""
+    """Pad times and points by repeating the last; robots without a path hold their start."""
     points = time.shape[-1]
     index = np.minimum(np.arange(points), np.clip(count - 1, 0, points - 1)[..., None])
     time = np.take_along_axis(time, index, 2)
@@ -299,7 +300,7 @@ def _build_joint_paths(
     start: np.ndarray,
     points: int,
 ) -> JointTrajectory:
-    """Paths of joints of so many points, as `_pad_paths` has times and places."""
+    """Build joint paths of a number of points from times and points of `_pad_paths`."""
     zeros = np.zeros_like(start)
     padded = {
         name: _pad_paths(count, time, motion[name], is_found, zeros)[1]
@@ -325,7 +326,7 @@ def _path_faults(
     speed: np.ndarray,
     horizon_s: float,
 ) -> np.ndarray:
-    """Why a path cannot be flown, [w, r] text; empty where it can, or where there is none."""
+    """Return the fault of each path, text [w, r]; empty where it can be flown or is missing."""
     points = time.shape[-1]
     is_point = np.arange(points) < count[..., None]
     with np.errstate(invalid="ignore"):

@@ -1,7 +1,8 @@
-"""Making a file of plans: some worlds at a time, so that it can be interrupted and gone on with."""
+"""Writing of a file of plans, some worlds at a time; an interruption can be resumed."""
 
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +14,11 @@ from zarr.codecs import BloscCodec
 from angler_mjx.errors import ConfigError, RunError, format_value
 from angler_mjx.planning.planner import PathShape
 from angler_mjx.robot.control import plans
-from angler_mjx.robot.control.joint_trajectory import LINEAR, JointTrajectory
+from angler_mjx.robot.control.commands.joint_trajectory import LINEAR, JointTrajectory
 from angler_mjx.robot.control.plans import Plan, points_m
 from angler_mjx.runs.simulator.host_planning import PlanNotes, SampledBatch, planning_status
 from angler_mjx.runs.simulator.simulator import Simulator
-from angler_mjx.runs.storage import output_lock
+from angler_mjx.runs.storage import output_lock, results_folder
 from angler_mjx.runs.storage.output_lock import OutputLock
 from angler_mjx.runs.storage.plans.read import SCHEMA, SCHEMA_VERSION
 from angler_mjx.runs.storage.read_errors import wrap_read_errors
@@ -28,7 +29,7 @@ _UNPLANNED = -1
 
 
 class PlanWriter:
-    """Makes a file of plans, some worlds at a time; what was written can be gone on with."""
+    """Writes a file of plans, some worlds at a time; it can be resumed."""
 
     def __init__(self, lock: OutputLock, group: zarr.Group) -> None:
         """Use `open_writer`."""
@@ -40,7 +41,7 @@ class PlanWriter:
         }
 
     def planned(self) -> int:
-        """Robots that have a path already."""
+        """Number of robots that have a path."""
         count: Any = self._group["points"]
         return int(np.sum(np.asarray(count[:]) > 0))
 
@@ -84,14 +85,14 @@ class PlanWriter:
         self._lock.publish()
 
     def release(self) -> None:
-        """Leave it as it is, to be gone on with."""
+        """Release the file as it is, for a resumption."""
         self._lock.release()
 
 
 def open_writer(
     path: Path, scenario: Scenario, shape: PathShape, *, resume: bool, tile: int
 ) -> PlanWriter:
-    """A file of plans to be written.
+    """Open a file of plans for writing.
 
     Args:
         path: of the Zarr group.
@@ -109,44 +110,43 @@ def open_writer(
     lock = output_lock.acquire(
         path, kind="file of plans", advise=lambda building: output_lock.RESUMABLE
     )
-    try:
-        group = zarr.open_group(lock.building, mode="a")
+    with lock.filling() as building:
+        group = zarr.open_group(building, mode="a")
         group.attrs.update(
             {"schema": SCHEMA, "schema_version": SCHEMA_VERSION, **_file_attributes(scenario)}
         )
         _create_arrays(group, scenario.worlds, len(scenario.members()), shape, tile)
-    except OSError as error:
-        lock.withdraw()
-        raise RunError(f"{path}: cannot be written ({error.strerror or error})") from error
     return PlanWriter(lock, group)
 
 
 def _reopen_writer(path: Path, scenario: Scenario, shape: PathShape) -> PlanWriter:
-    if path.is_dir() and any(path.iterdir()):
-        raise ConfigError(f"--resume {path}: this file is complete; nothing is left to do")
-    lock = output_lock.acquire_unfinished(path, kind="file of plans")
-    if lock is None:
-        raise ConfigError(f"--resume {path}: there is no interrupted file of that name")
-    try:
-        with wrap_read_errors(lock.building):
-            group = zarr.open_group(lock.building, mode="r+")
-            array: Any = group["time_s"]
-            attributes, stored_shape = dict(group.attrs), array.shape
-        for key, value in _file_attributes(scenario).items():
-            if attributes.get(key) != value:
-                raise ConfigError(
-                    f"--resume {path}: was begun with another {key} "
-                    f"({format_value(attributes.get(key))}, not "
-                    f"{format_value(value)}); begin a new file"
-                )
-        if stored_shape != (scenario.worlds, len(scenario.members()), shape.points):
-            raise ConfigError(
-                f"--resume {path}: was begun with other worlds or points {stored_shape}"
-            )
-    except BaseException:
-        lock.release()
-        raise
+    lock, _ = results_folder.resume_folder(
+        path,
+        kind="file of plans",
+        file="zarr.json",
+        is_complete=path.is_dir() and any(path.iterdir()),
+        check=partial(_require_same_plans, path, scenario, shape),
+    )
+    with lock.keeping() as building, wrap_read_errors(building):
+        group = zarr.open_group(building, mode="r+")
     return PlanWriter(lock, group)
+
+
+def _require_same_plans(path: Path, scenario: Scenario, shape: PathShape, building: Path) -> None:
+    """Refuse to resume a file of other problems or paths."""
+    with wrap_read_errors(building):
+        group = zarr.open_group(building, mode="r")
+        array: Any = group["time_s"]
+        attributes, stored_shape = dict(group.attrs), array.shape
+    for key, value in _file_attributes(scenario).items():
+        if attributes.get(key) != value:
+            raise ConfigError(
+                f"--resume {path}: was begun with another {key} "
+                f"({format_value(attributes.get(key))}, not "
+                f"{format_value(value)}); begin a new file"
+            )
+    if stored_shape != (scenario.worlds, len(scenario.members()), shape.points):
+        raise ConfigError(f"--resume {path}: was begun with other worlds or points {stored_shape}")
 
 
 def _file_attributes(scenario: Scenario) -> dict[str, Any]:
@@ -200,7 +200,7 @@ def plan_worlds(
     resume: bool = False,
     advance: Callable[[int, int], None] = lambda done, planned: None,
 ) -> int:
-    """Plan the worlds of a scenario into a file; what was planned before is kept.
+    """Plan the worlds of a scenario into a file; earlier plans are kept.
 
     Args:
         path: of the Zarr group.

@@ -5,9 +5,8 @@ rigid body in place of MJX. Lanes are [R, W] for robots, [n_obstacle, W] for obs
 worlds, so the worlds lie side by side in memory.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from functools import cached_property, partial
+from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import jax
@@ -15,14 +14,16 @@ import jax.numpy as jnp
 
 from angler_kernels import lanes
 from angler_mjx.robot.control import plans
-from angler_mjx.robot.control.stack import Command, ControlParams
+from angler_mjx.robot.control.mixed import MixedCommand
+from angler_mjx.robot.control.plans import Plan
+from angler_mjx.robot.control.stack import Command
 from angler_mjx.sim import sample_clearances, start
+from angler_mjx.sim import world_phases as running
 from angler_mjx.sim.approach import last_approaches_s
 from angler_mjx.sim.detection import Contact
 from angler_mjx.sim.engines.lanes import pairs
 from angler_mjx.sim.engines.lanes.layout import (
     GroupConstants,
-    LaneRobots,
     LaneScene,
     LaneState,
     apply_load,
@@ -32,30 +33,33 @@ from angler_mjx.sim.engines.lanes.layout import (
     lanes_of_group,
     of_group,
     outcome_of,
+    pack_cells,
     scene_of,
     to_arrays,
     to_lanes,
     vehicles_of,
     world_state,
 )
-from angler_mjx.sim.engines.lanes.steps import Cells, GridShape, LaneContext
-from angler_mjx.sim.fleet import Fleet
-from angler_mjx.sim.phase import Phase, Slots, run_phases
+from angler_mjx.sim.engines.lanes.steps import Cells, GridShape, LaneBatch
+from angler_mjx.sim.fleet import Fleet, add_parameters
+from angler_mjx.sim.phase import Record, run_phase
 from angler_mjx.sim.physics.closed_form import ClosedForm
 from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.policy import Policy
-from angler_mjx.sim.record import Sample
+from angler_mjx.sim.record import Sample, build_sample
 from angler_mjx.sim.state import EngineConstants, SimSpec, World, WorldState
 from angler_mjx.sim.step import (
-    INDEPENDENT_PHASES,
-    INTERACTION_PHASES,
-    LATER_SLOTS,
+    JUDGE,
     OBSTACLES,
-    PERSISTENT_SLOTS,
+    JudgeInput,
+    Judgement,
+    MovedRobots,
+    PlanApproach,
+    RobotState,
+    move_independently,
 )
 from angler_mjx.sim.step_repetition import repeat_steps
-from angler_mjx.sim.world_phases import running
-from angler_mjx.sim.world_phases.running import WorldMemory, WorldPhaseOutput
+from angler_mjx.sim.world_phases import WorldMemory, WorldPhaseOutput
 from angler_mjx.world.currents import Current
 from angler_mjx.world.obstacles import Obstacles, ObstacleState
 
@@ -69,13 +73,18 @@ class FusedEngine:
         """See `Engine.reset`."""
         engine = ClosedForm(gravity_mps2=spec.water.gravity_mps2)
         reset_world = partial(start.reset, spec, engine, policy=policy)
-        state: WorldState = jax.vmap(reset_world)(worlds.control.vehicle, worlds)
+        equipped = add_parameters(fleet, worlds)
+        state: WorldState = jax.vmap(reset_world)(equipped.control.vehicle, equipped)
         return state
 
     def pack_constants(self, fleet: Fleet, worlds: World) -> EngineConstants:
-        """See `Engine.pack_constants`: nothing."""
-        del fleet, worlds
-        return ()
+        """See `Engine.pack_constants`: the cells."""
+        del fleet
+        return (pack_cells(worlds),)
+
+    def pack_cells(self, worlds: World) -> jax.Array:
+        """See `Engine.pack_cells`."""
+        return pack_cells(worlds)
 
     def control_step(
         self,
@@ -88,23 +97,34 @@ class FusedEngine:
         rows: jax.Array | None = None,
         constants: EngineConstants = (),
         steps: int = 1,
+        cells: jax.Array | None = None,
     ) -> tuple[WorldState, Sample]:
         """See `Engine.control_step`."""
+        if constants:
+            (cells,) = constants
         if steps > 1:
             step_once = partial(
-                self.control_step, spec, fleet, worlds, command=command, policy=policy, rows=rows
+                self.control_step,
+                spec,
+                fleet,
+                worlds,
+                command=command,
+                policy=policy,
+                rows=rows,
+                cells=cells,
             )
             return repeat_steps(step_once, state, steps)
-        scene = scene_of(fleet, worlds, rows)
+        scene = scene_of(fleet, worlds, rows, cells)
         number = state.step[0] if rows is None else state.step
         policy = running.active_policy(policy, command)
         memory, output = WorldMemory.of(state), WorldPhaseOutput()
+        row_worlds = worlds if rows is None else jax.tree.map(lambda leaf: leaf[rows], worlds)
+        equipped = add_parameters(fleet, row_worlds)
         if running.has_world_phases(spec, policy):
-            row_worlds = worlds if rows is None else jax.tree.map(lambda leaf: leaf[rows], worlds)
             memory, output = running.run_tile_phases(
                 spec,
                 policy,
-                row_worlds,
+                equipped,
                 memory,
                 number,
                 state.vehicles,
@@ -113,13 +133,12 @@ class FusedEngine:
                 fleet=fleet,
             )
         moving = lane_state_of(fleet, state)
-        stepped_worlds = worlds if rows is None else jax.tree.map(lambda leaf: leaf[rows], worlds)
         begin_s = output.last_approach_s
         if policy is None:
-            begin_s = jax.vmap(partial(last_approaches_s, spec))(stepped_worlds, command)
+            begin_s = jax.vmap(partial(last_approaches_s, spec))(row_worlds, command)
         after, seen = _control_step(spec, scene, moving, number, command, output, begin_s)
-        sample = Sample(**output.record, **to_arrays(seen, 2))
-        sample = sample_clearances.add_clearances(spec, stepped_worlds, sample)
+        sample = build_sample(output.record, to_arrays(seen, 2))
+        sample = sample_clearances.add_clearances(spec, equipped, sample)
         return world_state(after, state.step + 1, memory), sample
 
     def segment(
@@ -134,10 +153,12 @@ class FusedEngine:
         command: Command | None = None,
         policy: Policy | None = None,
         begins: int = 1,
+        cells: jax.Array | None = None,
     ) -> tuple[WorldState, Sample]:
         """See `Engine.segment`."""
         del begins
-        scene, policy = scene_of(fleet, worlds), running.active_policy(policy, command)
+        scene, equipped = scene_of(fleet, worlds, cells=cells), add_parameters(fleet, worlds)
+        policy = running.active_policy(policy, command)
         row, rebuild = lanes.flatten(lane_state_of(fleet, state))
         rebuilds: list[Any] = []
         begin_s = None
@@ -156,7 +177,7 @@ class FusedEngine:
                 )
                 ended = outcome_of(moving) if spec.by_task else None
                 memory, output = running.run_tile_phases(
-                    spec, policy, worlds, memory, number, vehicles, bodies, ended, fleet=fleet
+                    spec, policy, equipped, memory, number, vehicles, bodies, ended, fleet=fleet
                 )
             after, sample = _control_step(spec, scene, moving, number, command, output, begin_s)
             now, again = lanes.flatten(sample)
@@ -186,92 +207,42 @@ class FusedEngine:
         )
         after = world_state(rebuild(row), state.step + n_sample * steps_per_sample, memory)
         record = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, 1), record)
-        samples = Sample(**record, **to_arrays(rebuilds[0](kept), 3))
-        return after, sample_clearances.add_all_clearances(spec, worlds, samples)
+        samples = build_sample(record, to_arrays(rebuilds[0](kept), 3))
+        return after, sample_clearances.add_all_clearances(spec, equipped, samples)
 
 
 @dataclass(frozen=True, kw_only=True)
-class SceneContext(LaneContext):
-    """Obstacles of all worlds of a scene; see `phase.BatchContext`."""
+class SceneBatch(LaneBatch):
+    """Bodies of all worlds of a scene; see `phase.BodyBatch`."""
 
     spec: SimSpec
     scene: LaneScene
     t: jax.Array
     shape: GridShape
-    _flows: list[tuple[VehicleState, Any]] = field(default_factory=list, init=False)
+    _flows: list[tuple[VehicleState, jax.Array]] = field(default_factory=list, init=False)
 
     @property
     def current(self) -> Current:
-        """See `LaneContext`."""
+        """See `LaneBatch`."""
         return self.scene.current
 
     @property
     def cells(self) -> Cells:
-        """See `LaneContext`."""
+        """See `LaneBatch`."""
         return self.scene.cells
 
     @property
     def obstacles(self) -> Obstacles:
-        """See `LaneContext`."""
+        """See `LaneBatch`."""
         return self.scene.obstacles
 
-    def flow(self, vehicle: VehicleState) -> Any:
-        """See `phase.BatchContext`."""
+    def flow(self, current: Current, vehicle: VehicleState) -> jax.Array:
+        """See `phase.BodyBatch`."""
         for cached_vehicle, flow in self._flows:  # controllers and the record ask for the same
             if cached_vehicle is vehicle:
                 return flow
-        self._flows.append((vehicle, super().flow(vehicle)))
+        self._flows.append((vehicle, super().flow(current, vehicle)))
         return self._flows[-1][1]
-
-
-@dataclass(frozen=True, kw_only=True)
-class GroupPhases(SceneContext):
-    """Robots of a group, of all worlds."""
-
-    constants: GroupConstants
-    override_command: Any = None
-    """Instead of their paths."""
-    finished: Any = None
-    """See `phase.BatchContext`."""
-    loaded: Any = None
-    """bool [] who carries a load; None where nobody can."""
-    last_approach_s: Any = None
-    """See `phase.BatchContext`."""
-    approaching: Any = None
-    """See `phase.BatchContext`."""
-    nearest_contact: Contact | None = None
-    """The nearest thing to each robot of the group, when all have moved."""
-
-    @cached_property
-    def params(self) -> ControlParams:
-        """See `phase.BatchContext`."""
-        light, laden = self.constants.params, self.constants.laden
-        if self.loaded is None or laden is None:
-            return light
-        return apply_load(self.loaded, laden, light)
-
-    @property
-    def command(self) -> Any:
-        """See `phase.BatchContext`."""
-        if self.override_command is not None:
-            return self.override_command
-        return plans.check_plan(self.spec.stages, self.constants.path)
-
-    @property
-    def goal_m(self) -> Any:
-        """See `phase.BatchContext`."""
-        return self.constants.goal_m
-
-    @property
-    def fails_at_s(self) -> Any:
-        """See `phase.BatchContext`."""
-        return self.constants.fails_at_s
-
-    def contact(self, now: Slots) -> Contact:
-        """See `phase.BatchContext`."""
-        if self.nearest_contact is None:
-            raise RuntimeError("a phase that meets others began before they had moved")
-        return self.nearest_contact
 
 
 def _control_step(
@@ -282,85 +253,112 @@ def _control_step(
     command: Command | None,
     output: WorldPhaseOutput,
     begin_s: jax.Array | None,
-) -> tuple[LaneState, dict[str, Any]]:
-    """One control step of all worlds, and its part of the sample.
+) -> tuple[LaneState, Record]:
+    """Return all worlds after a control step, and its part of the sample.
 
     ``number`` is that of all worlds, or [W] of each; ``command`` [W, R, ...] stands in for the
-    paths, and for the policy's; ``output`` [W, R, ...] is what the phases of worlds gave;
-    ``begin_s`` [W, R] when the last approaches of plans begin.
+    paths, and for the policy's; ``output`` [W, R, ...] is that of the phases of worlds; ``begin_s``
+    [W, R] when the last approaches of plans begin.
     """
     like = moving.groups[0].vehicle.p[0]
     t = jnp.asarray(number, like.dtype) * spec.control_dt_s
-    context_fields: dict[str, Any] = {"spec": spec, "scene": scene, "t": t, "shape": scene.shape}
-    active_command = output.command if command is None else command
+    make = partial(SceneBatch, spec=spec, scene=scene, t=t, shape=scene.shape)
+    driver = output.command if command is None else command
     groups, records = [], []
     for constants, robots in zip(scene.groups, moving.groups, strict=True):
-        make = partial(GroupPhases, **context_fields, constants=constants)
         with jax.named_scope("robots"):
             now, record = lanes.compute_shared(
-                partial(_run_independent, make, robots, active_command, output)
+                partial(_move_group, make(), constants, robots, driver, output)
             )
         groups.append(now)
         records.append(record)
-    sample = concatenate_groups(records)
-    obstacles, seen = _advance_obstacles(SceneContext(**context_fields), moving.obstacles)
+    sample: Record = concatenate_groups(records)
+    obstacles, seen = _advance_obstacles(make(), moving.obstacles)
     sample |= seen
     met = lanes.compute_shared(partial(pairs.find_contact, scene, groups, obstacles))
-    after, records = [], []
+    after = []
     for constants, now in zip(scene.groups, groups, strict=True):
-        context = GroupPhases(
-            **context_fields,
-            constants=constants,
-            override_command=None
-            if begin_s is None
-            else to_lanes(of_group(active_command, constants.group), 2),
-            last_approach_s=to_lanes(of_group(begin_s, constants.group), 2),
-            approaching=to_lanes(of_group(output.approaching, constants.group), 2),
-            finished=to_lanes(of_group(output.finished, constants.group), 2),
-            nearest_contact=lanes_of_group(met, constants.group),
+        contact = lanes_of_group(met, constants.group)
+        judged: Judgement = lanes.compute_shared(
+            partial(_judge_group, make(), constants, now, contact, driver, output, begin_s)
         )
-        judged, record = lanes.compute_shared(partial(_run_group, context, INTERACTION_PHASES, now))
-        after.append(LaneRobots(**{name: judged[name] for name in PERSISTENT_SLOTS}))
-        records.append(record)
-    sample |= concatenate_groups(records)
+        after.append(RobotState(vehicle=now.vehicle, memory=now.memory, tally=judged.tally))
     return LaneState(groups=tuple(after), obstacles=obstacles), sample
 
 
-def _run_independent(
-    make: Callable[..., GroupPhases],
-    robots: LaneRobots,
-    command: Command | None,
+def _select_driver(
+    spec: SimSpec, constants: GroupConstants, command: Any
+) -> Plan | Command | MixedCommand:
+    """Return the command of the robots of a group as lanes, or else their paths."""
+    override: Command | MixedCommand | None = to_lanes(of_group(command, constants.group), 2)
+    return plans.check_plan(spec.stages, constants.path) if override is None else override
+
+
+def _move_group(
+    batch: SceneBatch,
+    constants: GroupConstants,
+    robots: RobotState,
+    command: Any,
     output: WorldPhaseOutput,
-) -> tuple[Any, Any]:
-    """What the robots of a group do by themselves.
+) -> tuple[MovedRobots, Record]:
+    """Move the robots of a group, each by itself.
 
-    ``command`` and ``output`` [W, R, ...] are their commands, and what the phases of worlds gave.
+    ``command`` and ``output`` [W, R, ...] are their commands, and that of the phases of worlds.
     """
-    group = make().constants.group
-    command, estimate, loaded = (
-        to_lanes(of_group(x, group), 2) for x in (command, output.estimate, output.loaded)
+    loaded = to_lanes(of_group(output.loaded, constants.group), 2)
+    estimate = to_lanes(of_group(output.estimate, constants.group), 2)
+    params = constants.params
+    if loaded is not None and constants.laden is not None:
+        params = apply_load(loaded, constants.laden, params)
+    moved, record = move_independently(
+        batch,
+        robots,
+        robots.vehicle if estimate is None else estimate,
+        params,
+        _select_driver(batch.spec, constants, command),
+        batch.current,
     )
-    slots = {**vars(robots), "estimate": robots.vehicle if estimate is None else estimate}
-    return _run_group(make(override_command=command, loaded=loaded), INDEPENDENT_PHASES, slots)
-
-
-def _run_group(context: GroupPhases, phases: tuple[Phase, ...], slots: Slots) -> tuple[Any, Any]:
-    """Phases of a group: the slots that anybody reads after them, and the record."""
-    now, record = run_phases(context, phases, slots)
-    like = slots["vehicle"].p[0]
+    like = robots.vehicle.p[0]
     # What a controller sets to a number is one number for all lanes.
-    now["memory"], record = jax.tree.map(
-        lambda leaf: broadcast_lanes(leaf, like), (now["memory"], record)
+    memory, record = jax.tree.map(lambda leaf: broadcast_lanes(leaf, like), (moved.memory, record))
+    return replace(moved, memory=memory), record
+
+
+def _judge_group(
+    batch: SceneBatch,
+    constants: GroupConstants,
+    moved: MovedRobots,
+    contact: Contact,
+    command: Any,
+    output: WorldPhaseOutput,
+    begin_s: jax.Array | None,
+) -> Judgement:
+    """Account for the step of the robots of a group; ``begin_s`` as in `_control_step`."""
+    finished, approaching, begins = (
+        to_lanes(of_group(x, constants.group), 2)
+        for x in (output.finished, output.approaching, begin_s)
     )
-    return {name: now[name] for name in LATER_SLOTS if name in now}, record
+    approach: PlanApproach | jax.Array | None = approaching
+    if begins is not None:
+        plan = _select_driver(batch.spec, constants, command)
+        approach = PlanApproach(plan=plan, begin_s=begins)
+    inputs = JudgeInput(
+        **vars(moved),
+        goal_m=constants.goal_m,
+        contact=contact,
+        finished=finished,
+        fails_at_s=constants.fails_at_s,
+        approach=approach,
+        corners=(batch.cells.lo, batch.cells.hi),
+    )
+    return run_phase(JUDGE, batch, inputs)[0]
 
 
-def _advance_obstacles(
-    context: SceneContext, obstacles: ObstacleState
-) -> tuple[ObstacleState, Any]:
-    """The obstacles after a step, and their record; rows of padding stay where they are."""
-    slots = {"obstacles": obstacles}
-    if context.scene.n_obstacle == 0:
-        return obstacles, OBSTACLES.run(context, slots).record()
-    now, record = lanes.compute_shared(partial(run_phases, context, (OBSTACLES,), slots))
-    return now["obstacles"], record
+def _advance_obstacles(batch: SceneBatch, obstacles: ObstacleState) -> tuple[ObstacleState, Record]:
+    """Return the obstacles after a step, and their record; rows of padding stay where they are."""
+    if batch.scene.n_obstacle == 0:
+        return obstacles, OBSTACLES.run(batch, obstacles).record()
+    after: tuple[ObstacleState, Record] = lanes.compute_shared(
+        partial(run_phase, OBSTACLES, batch, obstacles)
+    )
+    return after

@@ -20,6 +20,7 @@ from angler_mjx.robot.vehicles.params import VehicleParams
 from angler_mjx.sim.detection import SEPARATION_RADIUS_M, Contact
 from angler_mjx.sim.engines.lanes.search import (
     CandidateBody,
+    LaneIndex,
     NearestBody,
     OtherBodies,
     SearchFunction,
@@ -62,7 +63,7 @@ def find_contact(
     state: VehicleState,
     obstacles: OtherBodies,
     robots: Sequence[OtherBodies],
-    row: Any,
+    row: LaneIndex,
     search: SearchFunction | None = None,
 ) -> Contact:
     """The nearest thing to each robot, as far as it can matter to its tally.
@@ -135,7 +136,7 @@ def centre_velocity(q: Lanes, nu: Lanes) -> Lanes:
     return lanes.apply(_rotate_velocity, q, nu)
 
 
-def bounding_reach(body: Obstacles) -> Any:
+def bounding_reach(body: Obstacles) -> jax.Array:
     """Radius of the bounding spheres of obstacles; -inf for rows that are padding."""
     radius = lanes.apply(bounding_radius, body.kind, body.size_m)[()]
     return jnp.where(body.exists[()], radius, -jnp.inf)

@@ -12,14 +12,15 @@ from angler_kernels import clearance, lanes
 from angler_kernels.lanes.planes import is_table
 from angler_mjx.errors import RunError
 from angler_mjx.robot.control.plans import Plan
-from angler_mjx.robot.control.stack import ControlMemory, ControlParams
+from angler_mjx.robot.control.stack import ControlParams
 from angler_mjx.sim.engines.lanes import judge as lane_judge
 from angler_mjx.sim.engines.lanes import steps as lane_steps
 from angler_mjx.sim.engines.lanes.steps import Cells
 from angler_mjx.sim.fleet import Fleet, VehicleGroup, laden_cruise
 from angler_mjx.sim.physics.step import VehicleState
-from angler_mjx.sim.state import Tally, World, WorldState
-from angler_mjx.sim.world_phases.running import WorldMemory
+from angler_mjx.sim.state import World, WorldState
+from angler_mjx.sim.step import RobotState
+from angler_mjx.sim.world_phases import WorldMemory
 from angler_mjx.world.currents import Current, bind_fields
 from angler_mjx.world.environment import Environment, region_corners
 from angler_mjx.world.obstacles import Obstacles, ObstacleState
@@ -30,21 +31,10 @@ MAX_ELEMENTS = 2**31
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class LaneRobots:
-    """What changes from step to step of the robots of a group, as lanes."""
-
-    vehicle: VehicleState
-    memory: ControlMemory
-    """Of the controllers."""
-    tally: Tally
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, kw_only=True)
 class LaneState:
     """What changes from step to step, as lanes."""
 
-    groups: tuple[LaneRobots, ...]
+    groups: tuple[RobotState, ...]
     obstacles: ObstacleState
 
 
@@ -58,8 +48,8 @@ class GroupConstants:
     """With their load; None where there are none. Elements that it does not change are the same
     objects."""
     path: Plan
-    goal_m: Any
-    fails_at_s: Any
+    goal_m: jax.Array
+    fails_at_s: jax.Array | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,7 +67,7 @@ class LaneScene:
     n_obstacle: int
 
 
-def concatenate_groups(parts: Sequence[Any], like: Sequence[jax.Array] = ()) -> Any:
+def concatenate_groups[T](parts: Sequence[T], like: Sequence[jax.Array] = ()) -> T:
     """Trees of lanes [n, W] of the groups as one, [R, W].
 
     Where ``like`` gives lanes of each group, elements may be one number for all robots of a group;
@@ -99,10 +89,11 @@ def concatenate_groups(parts: Sequence[Any], like: Sequence[jax.Array] = ()) -> 
             out[index] = concatenate_lanes([leaf[index] for leaf in leaves])
         return out
 
-    return jax.tree.map(concatenate_leaf, *parts)
+    joined: T = jax.tree.map(concatenate_leaf, *parts)
+    return joined
 
 
-def lanes_of_group(tree: Any, group: VehicleGroup) -> Any:
+def lanes_of_group[T](tree: T, group: VehicleGroup) -> T:
     """The robots of a group of lanes [R, W]."""
 
     def select_rows(leaf: np.ndarray) -> np.ndarray:
@@ -111,12 +102,15 @@ def lanes_of_group(tree: Any, group: VehicleGroup) -> Any:
             out[index] = leaf[index][group.first : group.first + group.count]
         return out
 
-    return jax.tree.map(select_rows, tree)
+    selected: T = jax.tree.map(select_rows, tree)
+    return selected
 
 
-def of_group(tree: Any, group: VehicleGroup) -> Any:
+def of_group[T](tree: T, group: VehicleGroup) -> T:
     """The robots of a group of arrays [W, R, ...]."""
-    return jax.tree.map(lambda leaf: leaf[:, group.first : group.first + group.count], tree)
+    rows = slice(group.first, group.first + group.count)
+    selected: T = jax.tree.map(lambda leaf: leaf[:, rows], tree)
+    return selected
 
 
 def broadcast_lanes(elements: np.ndarray, like: jax.Array) -> np.ndarray:
@@ -127,21 +121,23 @@ def broadcast_lanes(elements: np.ndarray, like: jax.Array) -> np.ndarray:
     return out
 
 
-def to_lanes(tree: Any, lead: int, rows: jax.Array | None = None) -> Any:
+def to_lanes[T](tree: T, lead: int, rows: jax.Array | None = None) -> T:
     """Arrays [W, ...] with ``lead`` axes of lanes as object arrays, worlds last.
 
     Long ones become tables. Of arrays of more worlds, ``rows`` int32 [W] says which are meant:
     tables are read where they stand, nothing long is copied.
     """
 
-    def convert_leaf(leaf: jax.Array) -> Any:
+    def convert_leaf(leaf: jax.Array) -> lanes.LookupTable | np.ndarray:
         tail = leaf.shape[lead:]
         if is_table(tail):
             return _build_table(leaf, lead, rows)
         chosen = leaf if rows is None else leaf[rows]
-        return lanes.split(jnp.swapaxes(chosen, 0, lead - 1), lead)
+        elements: np.ndarray = lanes.split(jnp.swapaxes(chosen, 0, lead - 1), lead)
+        return elements
 
-    return jax.tree.map(convert_leaf, tree)
+    converted: T = jax.tree.map(convert_leaf, tree)
+    return converted
 
 
 def _build_table(leaf: jax.Array, lead: int, rows: jax.Array | None = None) -> lanes.LookupTable:
@@ -159,23 +155,24 @@ def _build_table(leaf: jax.Array, lead: int, rows: jax.Array | None = None) -> l
     base = jnp.asarray(body if rows is None else jnp.asarray(body)[rows]) * np.int32(size)
     base = jnp.swapaxes(base, 0, lead - 1)
 
-    def load(index: Any) -> jax.Array:
+    def load(index: jax.Array) -> jax.Array:
         return flat.at[index].get(mode="promise_in_bounds")
 
     return lanes.LookupTable(load, tail, leaf.dtype, base=base)
 
 
-def to_arrays(tree: Any, lead: int) -> Any:
+def to_arrays[T](tree: T, lead: int) -> T:
     """Object arrays of lanes [..., W] to arrays [W, ...]."""
-    return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, lead - 1, 0), lanes.join(tree))
+    arrays: T = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, lead - 1, 0), lanes.join(tree))
+    return arrays
 
 
 def lane_state_of(fleet: Fleet, state: WorldState) -> LaneState:
     """The state of worlds as lanes."""
 
-    def convert_group(group: VehicleGroup) -> LaneRobots:
-        robots = LaneRobots(vehicle=state.vehicles, memory=state.carry, tally=state.tally)
-        lanes_of: LaneRobots = to_lanes(of_group(robots, group), 2)
+    def convert_group(group: VehicleGroup) -> RobotState:
+        robots = RobotState(vehicle=state.vehicles, memory=state.carry, tally=state.tally)
+        lanes_of: RobotState = to_lanes(of_group(robots, group), 2)
         return lanes_of
 
     return LaneState(
@@ -218,16 +215,20 @@ def grid_shape(environment: Environment) -> lane_steps.GridShape:
     return nx, ny, nz
 
 
-def packed_cells(worlds: World) -> jax.Array:
-    """`clearance.cell_neighbours` of worlds [W, ...], packed now if that was not done before."""
-    if worlds.cell_neighbours is not None:
-        return worlds.cell_neighbours
+def pack_cells(worlds: World) -> jax.Array:
+    """Return `clearance.cell_neighbours` of worlds [W, ...]."""
     return jax.vmap(clearance.cell_neighbours)(worlds.environment.grid.occupied)
 
 
-def scene_of(fleet: Fleet, worlds: World, rows: jax.Array | None = None) -> LaneScene:
-    """Everything that stays the same, laid out as lanes; ``rows`` as in `to_lanes`."""
+def scene_of(
+    fleet: Fleet, worlds: World, rows: jax.Array | None = None, cells: jax.Array | None = None
+) -> LaneScene:
+    """Everything that stays the same, laid out as lanes; ``rows`` as in `to_lanes`.
+
+    ``cells`` are those of `pack_cells`; packed now if left out.
+    """
     environment = worlds.environment
+    neighbours = pack_cells(worlds) if cells is None else cells
 
     def group_constants(group: VehicleGroup) -> GroupConstants:
         params, laden = _select_params(fleet, group, worlds, rows)
@@ -244,7 +245,7 @@ def scene_of(fleet: Fleet, worlds: World, rows: jax.Array | None = None) -> Lane
     return LaneScene(
         groups=tuple(map(group_constants, fleet.groups)),
         current=_current_lanes(environment.current, rows),
-        cells=_cell_lanes(worlds, rows),
+        cells=_cell_lanes(environment, neighbours, rows),
         shape=grid_shape(environment),
         obstacles=obstacles,
         reach=lane_judge.bounding_reach(obstacles),
@@ -269,8 +270,7 @@ def _current_lanes(current: Current, rows: jax.Array | None) -> Current:
     )
 
 
-def _cell_lanes(worlds: World, rows: jax.Array | None = None) -> Cells:
-    environment, neighbours = worlds.environment, packed_cells(worlds)
+def _cell_lanes(environment: Environment, neighbours: jax.Array, rows: jax.Array | None) -> Cells:
     grid = environment.grid
     lo, hi = jax.vmap(region_corners)(environment)
     return Cells(
@@ -302,7 +302,7 @@ def _select_params(
         _select_parameter(leaf, letters, group.variant, now)
         for leaf, letters in zip(leaves, group.sameness, strict=True)
     ]
-    speeds = [worlds.control.cruise_speed_mps]
+    speeds = [worlds.cruise_speed_mps]
     if fleet.can_carry:
         speeds.append(laden_cruise(fleet, worlds))
 
@@ -316,12 +316,12 @@ def _select_params(
 
 def _select_parameter(
     leaf: jax.Array, letters: str, common: int, variants: Sequence[jax.Array]
-) -> list[Any]:
+) -> list[lanes.LookupTable | np.ndarray]:
     """One leaf [n_variant, ...] of the parameters, by each of the numbers [n, W] of robots."""
     tail = leaf.shape[1:]
     flat = leaf.reshape(-1)
 
-    def load(index: Any) -> jax.Array:
+    def load(index: jax.Array) -> jax.Array:
         return flat.at[index].get(mode="promise_in_bounds")
 
     if is_table(tail):
@@ -337,17 +337,18 @@ def _select_parameter(
         elif letter == "s":
             same[k] = flat[common * len(letters) + k]
 
-    def row(variant: jax.Array) -> Any:
+    def row(variant: jax.Array) -> np.ndarray:
         items = [
             load(variant * np.int32(len(letters)) + k) if letter == "v" else same[k]
             for k, letter in enumerate(letters)
         ]
-        return lanes.pack(items, tail)
+        elements: np.ndarray = lanes.pack(items, tail)
+        return elements
 
     return [row(robot_variant) for robot_variant in variants]
 
 
-def apply_load(loaded: Any, laden: ControlParams, params: ControlParams) -> ControlParams:
+def apply_load(loaded: jax.Array, laden: ControlParams, params: ControlParams) -> ControlParams:
     """Parameters of robots with their load where they have one; ``loaded`` is lanes [] of bool."""
 
     def select_leaf(with_load: Any, without: Any) -> Any:

@@ -3,10 +3,10 @@
 Of thousands of pairs of a robot and a shape a handful are near enough to matter. All pairs are
 looked at for that; those that are wanted are listed, and their distances worked out a chunk at a
 time. This is plain JAX's way. A kernel, whose lanes are few, does better with
-`search.of_lanes`.
+`search.search_lanes`.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -21,18 +21,20 @@ from angler_mjx.sim.engines.lanes.layout import LaneScene, concatenate_groups
 from angler_mjx.sim.engines.lanes.search import (
     CandidateBody,
     GapFunction,
+    LaneIndex,
     NearestBody,
     OtherBodies,
     Seeker,
 )
 from angler_mjx.sim.physics.step import VehicleState
+from angler_mjx.sim.step import MovedRobots
 from angler_mjx.world.obstacles import Obstacles, ObstacleState
 
 CHUNK = 128
 """Pairs whose distances are worked out at once: few cost as much as this many."""
 
 
-def gather_lanes(tree: Any, index: Any) -> Any:
+def gather_lanes[T](tree: T, index: LaneIndex) -> T:
     """Lanes at an index of lanes [n, W]; what is the same for all, and tables, stay as they are."""
 
     def gather_leaf(leaf: Any) -> Any:
@@ -42,10 +44,13 @@ def gather_lanes(tree: Any, index: Any) -> Any:
         items = [x.at[index].get(mode="promise_in_bounds") if np.ndim(x) == 2 else x for x in whole]
         return lanes.pack(items, leaf.shape)
 
-    return jax.tree.map(gather_leaf, tree)
+    gathered: T = jax.tree.map(gather_leaf, tree)
+    return gathered
 
 
-def candidate_robot(hull: lane_judge.LaneHull, state: VehicleState, index: Any) -> CandidateBody:
+def candidate_robot(
+    hull: lane_judge.LaneHull, state: VehicleState, index: LaneIndex
+) -> CandidateBody:
     """Robots at an index of lanes [n, W]."""
     theirs, now = gather_lanes((hull, state), index)
     return CandidateBody(
@@ -56,7 +61,7 @@ def candidate_robot(hull: lane_judge.LaneHull, state: VehicleState, index: Any) 
 
 
 def candidate_obstacle(
-    obstacles: Obstacles, reach: jax.Array, state: ObstacleState, index: Any
+    obstacles: Obstacles, reach: jax.Array, state: ObstacleState, index: LaneIndex
 ) -> CandidateBody:
     """Obstacles, at an index of lanes [n, W]."""
     body, radius, now = gather_lanes((obstacles, lanes.pack([reach], ()), state), index)
@@ -68,17 +73,17 @@ def candidate_obstacle(
 
 
 def find_contact(
-    scene: LaneScene, groups: Sequence[Mapping[str, Any]], obstacles: ObstacleState
+    scene: LaneScene, groups: Sequence[MovedRobots], obstacles: ObstacleState
 ) -> Contact:
-    """The nearest thing to each robot of a scene when all have moved; ``groups`` are their slots.
+    """Return the nearest thing to each robot of a scene when all have moved.
 
     Robots of all groups at once: code for each pair of groups would take most of the time that it
     takes to compile a step.
     """
-    vehicles = [now["vehicle"] for now in groups]
+    vehicles = [now.vehicle for now in groups]
     state, tally = (
         concatenate_groups(vehicles),
-        concatenate_groups([now["tally"] for now in groups]),
+        concatenate_groups([now.tally for now in groups]),
     )
     hulls = [lane_judge.hull_of(constants.params.vehicle) for constants in scene.groups]
     hull = concatenate_groups(hulls, like=[vehicle.p[0] for vehicle in vehicles])
@@ -104,7 +109,7 @@ def search_listed(
     others: OtherBodies,
     measure_gap: GapFunction,
     start: NearestBody,
-    self_index: Any,
+    self_index: LaneIndex,
 ) -> NearestBody:
     """See `lane_search.Search`; the lanes of ``seeker`` are [R, W].
 

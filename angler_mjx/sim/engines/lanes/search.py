@@ -10,21 +10,25 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from angler_kernels import lanes
 from angler_mjx.sim.engines.lanes.steps import Lanes
+
+type LaneIndex = jax.Array | np.ndarray | int | tuple[jax.Array | np.ndarray | slice | None, ...]
+"""Index of lanes [n, W]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CandidateBody:
     """A shape that robots can meet, in every lane; what costs something is loaded when asked for.
 
-    ``details`` gives what it is (Obstacles or `judge.Hull`), its attitude q [4], and its velocity
-    [3] in W.
+    ``details`` gives what it is (Obstacles or `judge.LaneHull`), its attitude q [4], and its
+    velocity [3] in W.
     """
 
     p: Lanes
-    reach: Any
+    reach: jax.Array
     """Radius of its bounding sphere; -inf where there is none."""
     details: Callable[[], tuple[Any, Lanes, Lanes]]
 
@@ -59,7 +63,7 @@ class Seeker:
     limit_m: Lanes
     """[] distances from here on do not matter, unless something touches."""
 
-    def is_candidate(self, candidate: CandidateBody, is_other: Any) -> jax.Array:
+    def is_candidate(self, candidate: CandidateBody, is_other: jax.Array | bool) -> jax.Array:
         """Whether a shape is near enough to matter."""
         square = sum((candidate.p[k] - self.p[k]) ** 2 for k in range(3))
         within = jnp.maximum(self.limit_m[()], 0.0) + self.radius_m[()] + candidate.reach
@@ -90,7 +94,9 @@ it saves."""
 type GapFunction = Callable[[Seeker, CandidateBody], tuple[Any, Any, Lanes]]
 """The gap to a shape, whether it never moves, and its velocity [3]."""
 
-type SearchFunction = Callable[[Seeker, OtherBodies, GapFunction, NearestBody, Any], NearestBody]
+type SearchFunction = Callable[
+    [Seeker, OtherBodies, GapFunction, NearestBody, LaneIndex], NearestBody
+]
 """The nearest of some shapes and of one found before, if nearer than the limit or touching.
 
 The last argument is the number of the shape that is the lane's own. The first of equals counts.
@@ -102,7 +108,7 @@ def search_in_turn(
     others: OtherBodies,
     measure_gap: GapFunction,
     start: NearestBody,
-    self_index: Any,
+    self_index: LaneIndex,
 ) -> NearestBody:
     """See `SearchFunction`: one shape after another, skipped where no lane wants it."""
     if others.count == 0:
@@ -134,7 +140,7 @@ def search_in_groups(
     others: OtherBodies,
     measure_gap: GapFunction,
     start: NearestBody,
-    self_index: Any,
+    self_index: LaneIndex,
 ) -> NearestBody:
     """See `SearchFunction`: each lane lists the shapes that it wants and works through its list.
 
@@ -201,7 +207,7 @@ def search_lanes(
     others: OtherBodies,
     measure_gap: GapFunction,
     start: NearestBody,
-    self_index: Any,
+    self_index: LaneIndex,
 ) -> NearestBody:
     """See `SearchFunction`: what is quicker for so many shapes."""
     search = search_in_groups if others.count >= LIST_THRESHOLD else search_in_turn

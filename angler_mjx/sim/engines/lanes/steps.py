@@ -13,6 +13,7 @@ import jax
 
 from angler_kernels import clearance, lanes
 from angler_kernels.table import take_row
+from angler_mjx.errors import ConfigError
 from angler_mjx.robot.control.stack import ControlParams
 from angler_mjx.robot.vehicles.params import VehicleParams
 from angler_mjx.sim.physics import step as physics
@@ -35,37 +36,31 @@ class Cells:
 
     neighbours: Any
     """int32 [m] flattened `clearance.cell_neighbours`."""
-    origin_m: Any
+    origin_m: jax.Array
     """[3]."""
-    cell_m: Any
+    cell_m: jax.Array
     """[]."""
-    floor_z_m: Any
+    floor_z_m: jax.Array
     """[]."""
-    lo: Any
+    lo: jax.Array
     """[3] lower corner of the region, m."""
-    hi: Any
+    hi: jax.Array
     """[3] upper corner."""
 
 
 type GridShape = tuple[int, int, int]
 
 
-class LaneContext:
-    """Fields of `angler_mjx.sim.phase.BatchContext` as lanes; an engine provides them.
+class LaneBatch:
+    """Bodies on lanes; a `angler_mjx.sim.phase.BodyBatch`.
 
-    Whoever has robots adds ``params``, ``command``, ``goal_m``, ``finished``, ``fails_at_s`` and
-    ``contact``; whoever has obstacles adds ``obstacles``.
+    ``current``, ``cells`` and ``obstacles`` are for batches of obstacles.
     """
 
     spec: SimSpec
     t: jax.Array
     shape: GridShape
     """Of the grid."""
-
-    @property
-    def params(self) -> ControlParams:
-        """Of the robots."""
-        raise NotImplementedError
 
     @property
     def current(self) -> Current:
@@ -82,39 +77,50 @@ class LaneContext:
         """What they are."""
         raise NotImplementedError
 
-    @property
-    def corners(self) -> tuple[Lanes, Lanes]:
-        """Of the region."""
-        return self.cells.lo, self.cells.hi
+    def flow(self, current: Current, vehicle: VehicleState) -> jax.Array:
+        """See `phase.BodyBatch`."""
+        velocity: jax.Array = lanes.apply(currents.velocity, current, vehicle.p, self.t)
+        return velocity
 
-    def flow(self, vehicle: VehicleState) -> Lanes:
-        """Velocity [3] of the water at the robots."""
-        return lanes.apply(currents.velocity, self.current, vehicle.p, self.t)
+    def map_bodies[T](
+        self, function: Callable[..., T], *bodies: object, shared: tuple[object, ...] = ()
+    ) -> T:
+        """See `phase.BodyBatch`.
 
-    def map_bodies(
-        self, function: Callable[..., Any], *bodies: Any, shared: tuple[Any, ...] = ()
-    ) -> Any:
-        """A function of one body for all lanes."""
-        return lanes.apply(function, *bodies, *shared)
+        Raises:
+            ConfigError: the function uses an operation of JAX that lanes have no rule for.
+        """
+        try:
+            mapped: T = lanes.apply(function, *bodies, *shared)
+        except lanes.UnsupportedOperationError as error:
+            source = error.source or "a control law"
+            raise ConfigError(
+                f"{source}: the fused engine has no rule for {error.operation}; take engine = "
+                '"mjx" (--engine mjx), or the operations that CONTRIBUTING.md lists for control '
+                "laws"
+            ) from error
+        return mapped
 
-    def repeat(self, times: int, body: Callable[[jax.Array, Any], Any], tree: Any) -> Any:
-        """``body(i, tree)`` a number of times."""
-        return lanes.repeat(times, body, tree)
+    def repeat[T](self, times: int, body: Callable[[jax.Array, T], T], tree: T) -> T:
+        """See `phase.BodyBatch`."""
+        after: T = lanes.repeat(times, body, tree)
+        return after
 
     def physics_step(
         self,
         params: ControlParams,
         vehicle: VehicleState,
-        thrust_n: Lanes,
+        thrust_n: jax.Array,
         current: Current,
         t: jax.Array,
-    ) -> Any:
-        """One physics step of all robots."""
+    ) -> VehicleState:
+        """See `phase.BodyBatch`."""
         step = partial(physics_step, self.spec.physics_dt_s, self.spec.water)
-        return lanes.apply(step, params.vehicle, vehicle, thrust_n, current, t)
+        after: VehicleState = lanes.apply(step, params.vehicle, vehicle, thrust_n, current, t)
+        return after
 
-    def advance(self, obstacles: ObstacleState) -> Any:
-        """One control step of obstacles."""
+    def advance(self, obstacles: ObstacleState) -> ObstacleState:
+        """See `phase.BodyBatch`."""
         return advance_obstacles(
             self.spec, self.shape, self.obstacles, obstacles, self.current, self.cells, self.t
         )
@@ -142,8 +148,8 @@ def advance_obstacles(
     current: Current,
     cells: Cells,
     t: jax.Array,
-) -> Any:
-    """One control step of obstacles.
+) -> ObstacleState:
+    """Move obstacles on by a control step.
 
     Args:
         spec: settings.
@@ -171,7 +177,8 @@ def advance_obstacles(
             spec.water.gravity_mps2,
         )
 
-    return lanes.apply(advance_body, body, state, current, cells, t)
+    after: ObstacleState = lanes.apply(advance_body, body, state, current, cells, t)
+    return after
 
 
 def _nearest_cell(shape: GridShape, cells: Cells, p: jax.Array) -> tuple[jax.Array, jax.Array]:

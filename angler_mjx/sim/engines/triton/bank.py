@@ -7,6 +7,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
 
 from angler_kernels import lanes
 from angler_kernels.lanes.planes import cast_element, is_table
@@ -18,13 +19,13 @@ from angler_mjx.sim.fleet import Fleet, VehicleGroup
 class ConstantBank:
     """Where each parameter lies: all elements of a variant together, variants one after another."""
 
-    tree: Any
+    tree: jax.tree_util.PyTreeDef
     shapes: tuple[tuple[int, ...], ...]
-    dtypes: tuple[Any, ...]
+    dtypes: tuple[DTypeLike, ...]
     firsts: tuple[int, ...]
 
     @classmethod
-    def of(cls, fleet: Fleet, dtype: Any) -> tuple["ConstantBank", jax.Array]:
+    def of(cls, fleet: Fleet, dtype: DTypeLike) -> tuple["ConstantBank", jax.Array]:
         """The places, and the flat array."""
         leaves, tree = jax.tree.flatten(fleet.control)
         sizes = [leaf.size for leaf in leaves]
@@ -37,7 +38,7 @@ class ConstantBank:
         return bank, jnp.concatenate([leaf.reshape(-1).astype(dtype) for leaf in leaves])
 
     def read_lanes(
-        self, load: Callable[[Any], Any], group: VehicleGroup, variant: Any
+        self, load: Callable[[Any], Any], group: VehicleGroup, variant: jax.Array
     ) -> ControlParams:
         """Parameters of lanes of robots of a group, by their variants.
 

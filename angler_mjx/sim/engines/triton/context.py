@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import fields
 from functools import cached_property, partial
 from typing import Any
 
@@ -9,23 +10,28 @@ import jax
 
 from angler_mjx.robot.control import plans
 from angler_mjx.robot.control.stack import ControlParams
+from angler_mjx.sim import step
 from angler_mjx.sim.detection import Contact
 from angler_mjx.sim.engines.lanes import judge as lane_judge
 from angler_mjx.sim.engines.lanes.search import CandidateBody, OtherBodies
-from angler_mjx.sim.engines.lanes.steps import Cells, LaneContext
+from angler_mjx.sim.engines.lanes.steps import Cells, LaneBatch
 from angler_mjx.sim.engines.triton import launch as triton
 from angler_mjx.sim.engines.triton.segment import Segment
-from angler_mjx.sim.engines.triton.tile import RobotConstants
+from angler_mjx.sim.engines.triton.tile import Refs, RobotConstants, WorldConstants
 from angler_mjx.sim.fleet import VehicleGroup
-from angler_mjx.sim.phase import Slots
-from angler_mjx.sim.state import SimSpec
+from angler_mjx.sim.phase import Phase
+from angler_mjx.sim.physics.step import VehicleState
+from angler_mjx.sim.state import SimSpec, Tally
 from angler_mjx.world.currents import Current
+from angler_mjx.world.obstacles import Obstacles
 
 
-class KernelProgram(LaneContext):
+class KernelProgram(LaneBatch):
     """Lanes of a program of a kernel: constants are loaded when they are asked for."""
 
-    def __init__(self, spec: SimSpec, part: Segment, data: Any, row: Any, at: Any) -> None:
+    def __init__(
+        self, spec: SimSpec, part: Segment, data: Refs, row: jax.Array, at: jax.Array
+    ) -> None:
         """Nothing is loaded yet but whose constants these are.
 
         Args:
@@ -51,16 +57,16 @@ class KernelProgram(LaneContext):
 
     @cached_property
     def current(self) -> Current:
-        """See `LaneContext`."""
+        """See `LaneBatch`."""
         return self._tile.current(self._data, self._water)
 
     @cached_property
     def cells(self) -> Cells:
-        """See `LaneContext`."""
+        """See `LaneBatch`."""
         return self._tile.read_cells(self._data, self._water, self._world)
 
     @cached_property
-    def _water(self) -> Any:
+    def _water(self) -> WorldConstants:
         return self._tile.read_water(self._data, self._world)
 
 
@@ -73,8 +79,8 @@ class KernelBodies(KernelProgram):
             getattr(self, name)
 
     @cached_property
-    def obstacles(self) -> Any:
-        """See `LaneContext`."""
+    def obstacles(self) -> Obstacles:
+        """See `LaneBatch`."""
         body_index = self._tile.body_of(self._row, self._world)
         return self._tile.read_body(self._data, body_index, lambda x: x.obstacle)
 
@@ -87,13 +93,13 @@ class KernelGroup(KernelProgram):
         spec: SimSpec,
         part: Segment,
         group: VehicleGroup,
-        slot_refs: Mapping[str, Any],
-        data: Any,
+        slot_refs: Mapping[str, jax.Ref],
+        data: Refs,
         *,
-        row: Any,
-        at: Any,
-        first: Any,
-        count: Any,
+        row: jax.Array,
+        at: jax.Array,
+        first: jax.Array,
+        count: jax.Array,
     ) -> None:
         """As `KernelProgram`.
 
@@ -112,8 +118,26 @@ class KernelGroup(KernelProgram):
         self._group, self._slot_refs, self._count = group, slot_refs, count
         self.t = part.elapsed_s(first + count, spec)
 
+    def read_input(self, phase: Phase[Any, Any]) -> Any:
+        """Read the input of a phase, field by field."""
+        inputs: dict[str, Any] = {}
+        for entry in fields(phase.takes):
+            has_slot = self._part.has_slot(entry.name)
+            read = self.read_slot if has_slot else partial(self._read_constant, inputs)
+            inputs[entry.name] = read(entry.name)
+        return phase.takes(**inputs)
+
+    def _read_constant(self, inputs: Mapping[str, Any], name: str) -> Any:
+        """Return a field of the input of a phase that is no slot of its own."""
+        if name == "flow":
+            estimate = inputs["estimate"]
+            return step.select_flow(self, lambda: self.current, estimate)
+        if name == "contact":
+            return self._find_contact(inputs["tally"], inputs["vehicle"])
+        return getattr(self, name)
+
     def read_slot(self, name: str) -> Any:
-        """A slot of these robots."""
+        """Return a slot of these robots."""
         slot_name, layout = self._part.layout(name)
         return layout.read_lanes(triton.make_loader(self._slot_refs[slot_name]), self._lane)
 
@@ -121,60 +145,66 @@ class KernelGroup(KernelProgram):
     def _constants(self) -> RobotConstants:
         return self._tile.read_robot(self._data, self._tile.body_of(self._row, self._world))
 
+    def _read_optional(self, name: str) -> jax.Array | None:
+        value: jax.Array | None = self.read_slot(name) if name in self._slot_refs else None
+        return value
+
     @cached_property
     def params(self) -> ControlParams:
-        """See `phase.BatchContext`."""
+        """See `step.DecideInput`."""
         loaded = self.read_slot("loaded")[()] if "loaded" in self._slot_refs else None
         return self._tile.params(self._data, self._group, self._constants, loaded)
 
     @property
     def command(self) -> Any:
-        """See `phase.BatchContext`."""
+        """See `step.DecideInput`."""
         if "command" in self._slot_refs:
             return self.read_slot("command")
         return plans.check_plan(self.spec.stages, self._constants.path)
 
     @property
-    def goal_m(self) -> Any:
-        """See `phase.BatchContext`."""
+    def goal_m(self) -> jax.Array:
+        """See `step.JudgeInput`."""
         return self._constants.goal_m
 
     @property
-    def finished(self) -> Any:
-        """See `phase.BatchContext`."""
-        return self.read_slot("finished") if "finished" in self._slot_refs else None
+    def finished(self) -> jax.Array | None:
+        """See `step.JudgeInput`."""
+        return self._read_optional("finished")
 
     @property
-    def last_approach_s(self) -> Any:
-        """See `phase.BatchContext`."""
-        return self.read_slot("last_approach_s") if "last_approach_s" in self._slot_refs else None
+    def approach(self) -> step.PlanApproach | jax.Array | None:
+        """See `step.JudgeInput`."""
+        if "last_approach_s" not in self._slot_refs:
+            return self._read_optional("approaching")
+        return step.PlanApproach(plan=self.command, begin_s=self.read_slot("last_approach_s"))
 
     @property
-    def approaching(self) -> Any:
-        """See `phase.BatchContext`."""
-        return self.read_slot("approaching") if "approaching" in self._slot_refs else None
-
-    @property
-    def fails_at_s(self) -> Any:
-        """See `phase.BatchContext`."""
+    def fails_at_s(self) -> jax.Array | None:
+        """See `step.JudgeInput`."""
         return self._constants.fails_at_s
 
-    def contact(self, now: Slots) -> Contact:
-        """See `phase.BatchContext`."""
+    @property
+    def corners(self) -> tuple[jax.Array, jax.Array]:
+        """See `step.JudgeInput`."""
+        return self.cells.lo, self.cells.hi
+
+    def _find_contact(self, tally: Tally, vehicle: VehicleState) -> Contact:
+        """Return the nearest thing to each robot, among all that have moved."""
         tile, slot_refs = self._tile, self._slot_refs
         others = [self._candidate_robots(slot_refs["vehicle"], other) for other in tile.groups]
         return lane_judge.find_contact(
             self.shape,
             lane_judge.hull_of(self.params.vehicle),
             self.cells,
-            now["tally"],
-            now["vehicle"],
+            tally,
+            vehicle,
             self._candidate_obstacles(slot_refs["track"]),
             others if tile.robots > 1 else [],
             self._row,
         )
 
-    def _candidate_robots(self, robots: Any, other: VehicleGroup) -> OtherBodies:
+    def _candidate_robots(self, robots: jax.Ref, other: VehicleGroup) -> OtherBodies:
         """The robots of a group, as those of the same worlds meet them."""
         tile, data, at = self._tile, self._data, self._at
 
@@ -194,7 +224,7 @@ class KernelGroup(KernelProgram):
 
         return OtherBodies(count=other.count, load=load, first=other.first)
 
-    def _candidate_obstacles(self, track: Any) -> OtherBodies:
+    def _candidate_obstacles(self, track: jax.Ref) -> OtherBodies:
         """The obstacles after a control step, as robots of the same worlds meet them."""
         tile, data, at = self._tile, self._data, self._at
 

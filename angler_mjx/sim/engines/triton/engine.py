@@ -20,25 +20,30 @@ import jax.numpy as jnp
 
 from angler_mjx.robot.control.stack import Command
 from angler_mjx.sim import sample_clearances
+from angler_mjx.sim import world_phases as running
 from angler_mjx.sim.approach import last_approaches_s
 from angler_mjx.sim.engines.lanes.engine import FusedEngine
+from angler_mjx.sim.engines.lanes.layout import pack_cells
 from angler_mjx.sim.engines.triton import launch as triton
 from angler_mjx.sim.engines.triton.kernels import KernelLaunch, Kernels
 from angler_mjx.sim.engines.triton.segment import MAX_STEPS_AHEAD, Segment, SegmentArrays
 from angler_mjx.sim.engines.triton.tile import Tile
-from angler_mjx.sim.fleet import Fleet
+from angler_mjx.sim.fleet import Fleet, add_parameters
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.record import Sample
 from angler_mjx.sim.state import EngineConstants, SimSpec, World, WorldState
 from angler_mjx.sim.step_repetition import repeat_steps
-from angler_mjx.sim.world_phases import running
-from angler_mjx.sim.world_phases.running import WorldMemory, WorldPhaseOutput
+from angler_mjx.sim.world_phases import WorldMemory, WorldPhaseOutput
 
 UNROLLED_STEPS = 10
 """Control steps in the body of the loop; a multiple of `MAX_STEPS_AHEAD`."""
 
 LANES = 32
 """Lanes of one program: one warp, so that a program skips what none of its lanes needs."""
+
+
+type Drivers = tuple[Command | None, Policy | None, jax.Array | None]
+"""Command, policy and packed cells of a segment."""
 
 
 class TritonEngine:
@@ -64,6 +69,10 @@ class TritonEngine:
         """See `Engine.pack_constants`: constants in flat arrays."""
         return Tile(fleet, worlds).constants
 
+    def pack_cells(self, worlds: World) -> jax.Array:
+        """See `Engine.pack_cells`."""
+        return pack_cells(worlds)
+
     def control_step(
         self,
         spec: SimSpec,
@@ -75,6 +84,7 @@ class TritonEngine:
         rows: jax.Array | None = None,
         constants: EngineConstants = (),
         steps: int = 1,
+        cells: jax.Array | None = None,
     ) -> tuple[WorldState, Sample]:
         """See `Engine.control_step`."""
         if steps > 1 and running.has_world_phases(spec, running.active_policy(policy, command)):
@@ -87,10 +97,11 @@ class TritonEngine:
                 policy=policy,
                 rows=rows,
                 constants=constants,
+                cells=cells,
             )
             return repeat_steps(again, state, steps)
         after, sample = self._run_segment(
-            spec, fleet, worlds, state, 1, steps, command, policy, rows, constants
+            spec, fleet, worlds, state, 1, steps, command, policy, cells, rows, constants
         )
         return after, jax.tree.map(lambda leaf: leaf[:, 0], sample)
 
@@ -106,22 +117,37 @@ class TritonEngine:
         command: Command | None = None,
         policy: Policy | None = None,
         begins: int = 1,
+        cells: jax.Array | None = None,
     ) -> tuple[WorldState, Sample]:
         """See `Engine.segment`."""
         count = {"n_sample": n_sample, "steps_per_sample": steps_per_sample}
 
-        def plain(fleet: Fleet, worlds: World, state: WorldState, drivers: Any) -> Any:
-            command, policy = drivers
-            plan: dict[str, Any] = {**count, "command": command, "policy": policy}
+        def plain(
+            fleet: Fleet, worlds: World, state: WorldState, drivers: Drivers
+        ) -> tuple[WorldState, Sample]:
+            command, policy, cells = drivers
+            plan: dict[str, Any] = {**count, "command": command, "policy": policy, "cells": cells}
             return FusedEngine().segment(spec, fleet, worlds, state, **plan)
 
-        def fast(fleet: Fleet, worlds: World, state: WorldState, drivers: Any) -> Any:
-            command, policy = drivers
-            plan: dict[str, Any] = {"command": command, "policy": policy, "begins": begins}
-            return self._run_segment(spec, fleet, worlds, state, n_sample, steps_per_sample, **plan)
+        def fast(
+            fleet: Fleet, worlds: World, state: WorldState, drivers: Drivers
+        ) -> tuple[WorldState, Sample]:
+            command, policy, cells = drivers
+            return self._run_segment(
+                spec,
+                fleet,
+                worlds,
+                state,
+                n_sample,
+                steps_per_sample,
+                command,
+                policy,
+                cells,
+                begins=begins,
+            )
 
         both = triton.with_gradient_of(plain, fast)
-        after: tuple[WorldState, Sample] = both(fleet, worlds, state, (command, policy))
+        after: tuple[WorldState, Sample] = both(fleet, worlds, state, (command, policy, cells))
         return after
 
     def _run_segment(
@@ -134,6 +160,7 @@ class TritonEngine:
         steps_per_sample: int,
         command: Command | None,
         policy: Policy | None,
+        cells: jax.Array | None,
         rows: jax.Array | None = None,
         constants: EngineConstants = (),
         begins: int = 1,
@@ -147,10 +174,11 @@ class TritonEngine:
 
         row_worlds = worlds if rows is None else jax.tree.map(lambda leaf: leaf[rows], worlds)
         state, command, rows, flying = jax.tree.map(fill, (state, command, rows, row_worlds))
+        equipped = add_parameters(fleet, flying)
         policy = running.active_policy(policy, command)
         watched = running.observes_obstacles(policy)
         run_phases, output = (
-            partial(running.run_tile_phases, spec, policy, flying, fleet=fleet),
+            partial(running.run_tile_phases, spec, policy, equipped, fleet=fleet),
             None,
         )
         if running.has_world_phases(spec, policy):
@@ -163,7 +191,10 @@ class TritonEngine:
         begin_s = None
         if policy is None:
             begin_s = jax.vmap(partial(last_approaches_s, spec))(flying, command)
-        tile = Tile(fleet, flying if rows is None else worlds, rows, constants)
+        if rows is None:
+            tile = Tile(fleet, flying, None, constants, jax.tree.map(fill, cells))
+        else:
+            tile = Tile(fleet, worlds, rows, constants, cells)
         steps = n_sample * steps_per_sample
         period = running.phase_period(spec, policy) if rows is None and steps > 1 else 1
 
@@ -186,7 +217,7 @@ class TritonEngine:
 
         def run_periods(
             period: int, prepared: tuple[Segment, tuple[KernelLaunch, KernelLaunch]]
-        ) -> Any:
+        ) -> tuple[WorldState, Sample]:
             """With phases of worlds that act once a period, where the segment begins with one."""
             part, launches = prepared
             if output is None:
@@ -209,7 +240,9 @@ class TritonEngine:
             now = state.step[0] % period == 0
             end = jax.lax.cond(now, partial(run_periods, period, usual), otherwise)
         after, samples = jax.tree.map(lambda leaf: leaf[:count], end)
-        return after, sample_clearances.add_all_clearances(spec, row_worlds, samples)
+        return after, sample_clearances.add_all_clearances(
+            spec, add_parameters(fleet, row_worlds), samples
+        )
 
 
 def _steps_ahead(period: int, watched: bool) -> int:
@@ -343,7 +376,9 @@ def _run_chunks(
         x: the arrays before.
     """
 
-    def run_chunk(carry: tuple[jax.Array, SegmentArrays], _: None) -> tuple[Any, None]:
+    def run_chunk(
+        carry: tuple[jax.Array, SegmentArrays], _: None
+    ) -> tuple[tuple[jax.Array, SegmentArrays], None]:
         base, x = carry
         x = steps(base, size, x)
         return (base + size, x), None

@@ -1,7 +1,7 @@
 """The kernels of the fused engine: one a phase of robots, and the obstacles ahead of them."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import partial
 from typing import Any
 
@@ -17,19 +17,20 @@ from angler_mjx.sim.phase import Phase
 from angler_mjx.sim.state import SimSpec
 from angler_mjx.sim.step import (
     DECIDE,
-    INDEPENDENT_PHASES,
-    INTERACTION_PHASES,
     JUDGE,
     MOVE,
     OBSTACLES,
 )
+from angler_mjx.world.obstacles import ObstacleState
 
 OPTIONAL_SLOTS = {
-    DECIDE.name: ("command", "loaded"),
-    MOVE.name: ("loaded",),
-    JUDGE.name: ("command", "finished", "last_approach_s", "approaching"),
+    "command": ("command", "approach"),
+    "loaded": ("params",),
+    "finished": ("finished",),
+    "last_approach_s": ("approach",),
+    "approaching": ("approach",),
 }
-"""Slots that phases of robots read, by the phase's name, where somebody gives them."""
+"""Fields of phases' inputs that are made of a slot, by the slot, where something gives it."""
 
 _OBSTACLE_RECORD = OBSTACLES.name
 """Record of the obstacles."""
@@ -56,11 +57,11 @@ class Kernels:
         alone = [
             (phase, jax.jit(partial(self.run_phase, phase, g)))
             for g in groups
-            for phase in INDEPENDENT_PHASES
+            for phase in (DECIDE, MOVE)
         ]
         meet = [
             (phase, jax.jit(partial(self.run_phase, phase, g)))
-            for phase in INTERACTION_PHASES
+            for phase in (JUDGE,)
             for g in groups
         ]
         advance_obstacles = jax.jit(self.advance_obstacles)
@@ -76,7 +77,8 @@ class Kernels:
         def robots(base: jax.Array, at: jax.Array, x: SegmentArrays) -> SegmentArrays:
             for phase, launch in (*alone, *meet):
                 changed = launch(base, at, x)
-                changed_slots = dict(zip(phase.gives, changed, strict=False))
+                gives = [entry.name for entry in fields(phase.gives)]
+                changed_slots = dict(zip(gives, changed, strict=False))
                 records = {phase.name: changed[-1]} if phase.name in x.records else {}
                 x = replace(x, slots={**x.slots, **changed_slots}, records={**x.records, **records})
             return x
@@ -84,22 +86,32 @@ class Kernels:
         return obstacles, robots
 
     def run_phase(
-        self, phase: Phase, group: VehicleGroup, base: jax.Array, k: jax.Array, x: SegmentArrays
+        self,
+        phase: Phase[Any, Any],
+        group: VehicleGroup,
+        base: jax.Array,
+        k: jax.Array,
+        x: SegmentArrays,
     ) -> Sequence[jax.Array]:
         """One phase of the robots of a group, and its record: what it gives, in that order."""
         part, tile = self._part, self._tile
-        read = [part.layout(slot)[0] for slot in phase.reads]
-        constant = {slot: x.slots[slot] for slot in read if slot not in phase.gives}
-        optional = OPTIONAL_SLOTS.get(phase.name, ())
-        constant |= {slot: x.slots[slot] for slot in optional if slot in x.slots}
+        names = [entry.name for entry in fields(phase.takes)]
+        gives = [entry.name for entry in fields(phase.gives)]
+        read = [part.layout(name)[0] for name in names if part.has_slot(name)]
+        constant = {slot: x.slots[slot] for slot in read if slot not in gives}
+        constant |= {
+            slot: x.slots[slot]
+            for slot, made in OPTIONAL_SLOTS.items()
+            if slot in x.slots and not set(made).isdisjoint(names)
+        }
         if phase.meets:
             constant["track"] = x.track
-        changed = {slot: x.slots[slot] for slot in phase.gives}
+        changed = {slot: x.slots[slot] for slot in gives}
         if phase.name in part.buffers:
             changed["record"] = x.records[phase.name]
         head = [part.first, base, k, *tile.arrays]
 
-        def kernel(*refs: Any) -> None:
+        def kernel(*refs: jax.Ref) -> None:
             (first, base, k), data = refs[:3], refs[3 : len(head)]
             slot_refs = dict(zip(constant, refs[len(head) :], strict=False))
             slot_refs |= dict(zip(changed, refs[-len(changed) :], strict=True))
@@ -116,8 +128,7 @@ class Kernels:
                 first=part.steps_taken(first, at),
                 count=count,
             )
-            slots = {slot: context.read_slot(slot) for slot in phase.reads}
-            done = phase.run(context, slots)
+            done = phase.run(context, context.read_input(phase))
             if "record" in slot_refs:
 
                 def write_record() -> None:
@@ -126,9 +137,9 @@ class Kernels:
 
                 with context.discard_loads():
                     triton.run_when(count % part.every == 0, write_record)
-            values = done.slots()
-            for slot in phase.gives:
-                part.layouts[slot].write_lanes(store(slot_refs[slot]), lane, values[slot])
+            after = done.output()
+            for slot in gives:
+                part.layouts[slot].write_lanes(store(slot_refs[slot]), lane, getattr(after, slot))
 
         values, kept = [*head, *constant.values()], list(changed.values())
         return self._call_kernel(kernel, group.count, values, kept)
@@ -140,7 +151,7 @@ class Kernels:
         part, tile = self._part, self._tile
         head = [part.first, base, k, *tile.arrays]
 
-        def kernel(*refs: Any) -> None:
+        def kernel(*refs: jax.Ref) -> None:
             (first, base, k), data = refs[:3], refs[3 : len(head)]
             state, track, seen = refs[-3:]
             row, lane, at, store = self._locate_program(0)
@@ -149,10 +160,10 @@ class Kernels:
             context.load_constants()
             taken = part.steps_taken(first, at)
 
-            def advance_step(i: jax.Array, now: Any) -> Any:
+            def advance_step(i: jax.Array, now: ObstacleState) -> ObstacleState:
                 step = count + i
                 context.t = part.elapsed_s(taken + step, self._spec)
-                done = OBSTACLES.run(context, {"obstacles": now})
+                done = OBSTACLES.run(context, now)
 
                 def write_record() -> None:
                     keep = store(seen)
@@ -162,12 +173,13 @@ class Kernels:
 
                 is_left = step < part.steps
                 triton.run_when(is_left & (step % part.every == 0), write_record)
-                after = done.slots()["obstacles"]
+                after = done.output()
                 tracked = TrackedObstacle(
                     p=after.p, q=after.q, v=lane_judge.centre_velocity(after.q, after.nu)
                 )
                 part.track_layout.write_lanes(store(track), part.track_offset(step) + lane, tracked)
-                return lanes.select_lanes(is_left, after, now)
+                kept: ObstacleState = lanes.select_lanes(is_left, after, now)
+                return kept
 
             start = part.bodies.read_lanes(triton.make_loader(state), lane)
             part.bodies.write_lanes(
@@ -179,12 +191,18 @@ class Kernels:
         )
 
     def _call_kernel(
-        self, kernel: Any, rows: int, constant: list[Any], changed: list[Any]
+        self,
+        kernel: Callable[..., None],
+        rows: int,
+        constant: list[jax.Array],
+        changed: list[jax.Array],
     ) -> Sequence[jax.Array]:
         """Run a kernel on ``rows`` x worlds."""
         return triton.call_kernel(kernel, self._program, self._tile.worlds, rows, constant, changed)
 
-    def _locate_program(self, first: int) -> tuple[Any, Any, Any, Any]:
+    def _locate_program(
+        self, first: int
+    ) -> tuple[jax.Array, jax.Array, jax.Array, Callable[[jax.Ref], Callable[..., None]]]:
         """Row, lanes and worlds of this program, and how its lanes are stored."""
         at, row = triton.locate_lanes(self._program.lanes)
         row = first + row

@@ -1,21 +1,25 @@
 """Where everything that changes in a segment lies for the kernels: states, scratch and records."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jax.typing import DTypeLike
 
 from angler_kernels.lanes.planes import PlaneLayout, SampleBuffer
 from angler_mjx.robot.control.stack import Command
 from angler_mjx.sim import record, step
 from angler_mjx.sim.engines.triton.tile import Tile
-from angler_mjx.sim.phase import Phase
-from angler_mjx.sim.record import Sample
+from angler_mjx.sim.phase import Phase, Record
+from angler_mjx.sim.record import Sample, WorldRecord, build_sample
 from angler_mjx.sim.state import SimSpec, WorldState
-from angler_mjx.sim.step import INDEPENDENT_PHASES, INTERACTION_PHASES, OBSTACLES, PERSISTENT_SLOTS
-from angler_mjx.sim.world_phases.running import WorldMemory, WorldPhaseOutput
+from angler_mjx.sim.step import DECIDE, JUDGE, MOVE, OBSTACLES, RobotState
+from angler_mjx.sim.world_phases import WorldMemory, WorldPhaseOutput
+
+_ALWAYS_SLOTS = ("estimate", "thrust_n", "power_w", "before_m", "broken")
+"""Slots that do not last from step to step; `step.scratch_shapes` and the estimate."""
 
 MAX_STEPS_AHEAD = 5
 """Control steps that obstacles are moved ahead of the robots, where no policy watches them."""
@@ -26,9 +30,9 @@ MAX_STEPS_AHEAD = 5
 class TrackedObstacle:
     """Where an obstacle is after a control step: what detection wants to know."""
 
-    p: Any
-    q: Any
-    v: Any
+    p: jax.Array | jax.ShapeDtypeStruct
+    q: jax.Array | jax.ShapeDtypeStruct
+    v: jax.Array | jax.ShapeDtypeStruct
 
 
 @jax.tree_util.register_dataclass
@@ -37,8 +41,8 @@ class SegmentArrays:
     """Flat arrays that change from launch to launch."""
 
     slots: dict[str, jax.Array]
-    """Slots of the phases of robots, by name; see `angler_mjx.sim.step.CommandSlots`. Also
-    what `WorldPhaseOutput.to_slots` gives, and ``command`` where one drives them."""
+    """Slots of the phases of robots, by field of their inputs and outputs (`angler_mjx.sim.step`);
+    those of `WorldPhaseOutput.to_slots`; ``command`` where one drives the robots."""
     bodies: jax.Array
     """`ObstacleState`, as far ahead as they were moved."""
     track: jax.Array
@@ -47,7 +51,7 @@ class SegmentArrays:
     """What each phase of robots and obstacles recorded, by the phase's name."""
     memory: WorldMemory
     """[W] leads: what robots know of themselves is not the kernels' work."""
-    phase_records: dict[str, Any]
+    phase_records: WorldRecord
     """Record of the phases of worlds, [samples, W, ...]."""
 
 
@@ -110,7 +114,7 @@ class Segment:
         self.track_layout = tile.layout(TrackedObstacle(p=three, q=four, v=three), tile.obstacles)
         self.buffers = {
             phase.name: shelf
-            for phase in (*INDEPENDENT_PHASES, OBSTACLES, *INTERACTION_PHASES)
+            for phase in (DECIDE, MOVE, OBSTACLES, JUDGE)
             if (shelf := self._sample_buffer(phase)) is not None
         }
         # Written before it is read: it need not be filled.
@@ -124,28 +128,33 @@ class Segment:
             track=allocate(ahead * self.track_layout.size if tile.some_obstacle else 1),
             records={name: allocate(buffer.size) for name, buffer in self.buffers.items()},
             memory=WorldMemory.of(state),
-            phase_records={}
+            phase_records=WorldRecord()
             if output is None
             else jax.tree.map(
                 lambda leaf: jnp.zeros((n_sample, *leaf.shape), leaf.dtype), output.record
             ),
         )
 
+    def has_slot(self, name: str) -> bool:
+        """Return whether a field of the input of a phase is a slot."""
+        return name in (*_ALWAYS_SLOTS, *(entry.name for entry in fields(RobotState)))
+
     def layout(self, slot: str) -> tuple[str, PlaneLayout]:
         """The slot that one is read from, and its layout: what is known may be the truth."""
         name = "vehicle" if slot == "estimate" and slot not in self.layouts else slot
         return name, self.layouts[name]
 
-    def steps_taken(self, first: Any, at: Any) -> Any:
+    def steps_taken(self, first: jax.Ref, at: jax.Array) -> jax.Array:
         """Control steps that worlds number ``at`` took before, of `first` in a kernel."""
-        return first[at] if self.tile.some_rows else first[0]
+        steps: jax.Array = first[at] if self.tile.some_rows else first[0]
+        return steps
 
-    def elapsed_s(self, count: Any, spec: SimSpec) -> jax.Array:
+    def elapsed_s(self, count: jax.Array, spec: SimSpec) -> jax.Array:
         """[] s when so many control steps were taken."""
         t: jax.Array = count.astype(self.tile.dtype) * spec.control_dt_s
         return t
 
-    def track_offset(self, count: Any) -> Any:
+    def track_offset(self, count: jax.Array) -> jax.Array:
         """Where in the track a control step begins, counted from the segment's first."""
         return count % self.ahead * self.track_layout.size
 
@@ -153,24 +162,28 @@ class Segment:
         """The state after all steps, and the samples."""
         tile, state = self.tile, self._state
         of_robot, of_body = (tile.worlds, tile.robots), (tile.worlds, tile.obstacles)
-        kept = {
-            name: self.layouts[name].unpack(end.slots[name], of_robot) for name in PERSISTENT_SLOTS
-        }
+        kept = RobotState(
+            **{
+                entry.name: self.layouts[entry.name].unpack(end.slots[entry.name], of_robot)
+                for entry in fields(RobotState)
+            }
+        )
         after = WorldState(
-            vehicles=kept["vehicle"],
-            carry=kept["memory"],
+            vehicles=kept.vehicle,
+            carry=kept.memory,
             obstacles=self.bodies.unpack(end.bodies, of_body),
-            tally=kept["tally"],
+            tally=kept.tally,
             step=state.step + self.steps,
             **vars(end.memory),
         )
-        seen = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, 1), end.phase_records)
+        worlds: WorldRecord = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, 1), end.phase_records)
+        seen: Record = {}
         for name, buffer in self.buffers.items():
             seen |= buffer.unpack(end.records[name])
         if not tile.some_obstacle:  # rows of padding stay where they are
             repeat_samples = partial(_repeat_samples, times=self._samples)
             seen |= jax.tree.map(repeat_samples, step.record_obstacles(state.obstacles))
-        return after, Sample(**seen)
+        return after, build_sample(worlds, seen)
 
     def _scratch_layouts(self, output: WorldPhaseOutput | None) -> dict[str, PlaneLayout]:
         """Layouts of what is made anew in every step."""
@@ -182,7 +195,7 @@ class Segment:
             layouts |= {name: PlaneLayout.of(tree, 2) for name, tree in output.to_slots().items()}
         return layouts
 
-    def _sample_buffer(self, phase: Phase) -> SampleBuffer | None:
+    def _sample_buffer(self, phase: Phase[Any, Any]) -> SampleBuffer | None:
         """Room for what a phase records, if it records anything."""
         tile, fields = self.tile, record.of_phase(phase.name, self._also)
         if not fields or (phase.of == "obstacle" and not tile.some_obstacle):
@@ -198,7 +211,7 @@ class Segment:
         return tile.sample_buffer(tile.layout(shapes, rows), self._samples)
 
 
-def _allocate_array(size: int, dtype: Any) -> jax.Array:
+def _allocate_array(size: int, dtype: DTypeLike) -> jax.Array:
     """An array [size] that holds anything."""
     room: jax.Array = jax.lax.empty((size,), dtype)
     return room

@@ -1,7 +1,7 @@
 """What stays the same of a tile of worlds during a segment, laid out for kernels."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +11,7 @@ from angler_kernels import lanes
 from angler_kernels.lanes.planes import PlaneLayout, SampleBuffer
 from angler_mjx.robot.control.plans import Plan
 from angler_mjx.robot.control.stack import ControlParams
-from angler_mjx.sim.engines.lanes.layout import grid_shape, packed_cells
+from angler_mjx.sim.engines.lanes.layout import grid_shape, pack_cells
 from angler_mjx.sim.engines.lanes.steps import Cells
 from angler_mjx.sim.engines.triton import launch as triton
 from angler_mjx.sim.engines.triton.bank import ConstantBank
@@ -19,8 +19,12 @@ from angler_mjx.sim.fleet import Fleet, VehicleGroup, laden_cruise
 from angler_mjx.sim.state import EngineConstants, World
 from angler_mjx.world.currents import Current, bind_fields, list_fields
 from angler_mjx.world.environment import region_corners
+from angler_mjx.world.obstacles import Obstacles
 from angler_mjx.world.obstacles.types import bounding_radius
 from angler_mjx.world.ocean import OceanField
+
+type Refs = Sequence[jax.Ref]
+"""References of a kernel to `Tile.arrays`."""
 
 
 @jax.tree_util.register_dataclass
@@ -28,13 +32,13 @@ from angler_mjx.world.ocean import OceanField
 class RobotConstants:
     """Of one robot."""
 
-    variant: Any
+    variant: jax.Array
     path: Plan
-    goal_m: Any
-    cruise_speed_mps: Any
-    laden_cruise_mps: Any
+    goal_m: jax.Array
+    cruise_speed_mps: jax.Array
+    laden_cruise_mps: jax.Array | None
     """With their load; None where there are none, as with the next."""
-    fails_at_s: Any
+    fails_at_s: jax.Array | None
 
 
 @jax.tree_util.register_dataclass
@@ -42,12 +46,12 @@ class RobotConstants:
 class WorldConstants:
     """Of one world."""
 
-    current: Any
-    origin_m: Any
-    cell_m: Any
-    floor_z_m: Any
-    lo: Any
-    hi: Any
+    current: Current
+    origin_m: jax.Array
+    cell_m: jax.Array
+    floor_z_m: jax.Array
+    lo: jax.Array
+    hi: jax.Array
 
 
 @jax.tree_util.register_dataclass
@@ -55,8 +59,8 @@ class WorldConstants:
 class BodyConstants:
     """Of one obstacle."""
 
-    obstacle: Any
-    reach: Any
+    obstacle: Obstacles
+    reach: jax.Array
     """Radius of the bounding sphere, m; -inf for padding."""
 
 
@@ -83,6 +87,7 @@ class Tile:
         worlds: World,
         rows: jax.Array | None = None,
         constants: EngineConstants = (),
+        cells: jax.Array | None = None,
     ) -> None:
         """Pack a tile.
 
@@ -91,6 +96,7 @@ class Tile:
             worlds: [B] of which there are constants.
             rows: int32 [W] which of them fly; all, in order, if left out.
             constants: of `constants`, of the same fleet and worlds, where it is there.
+            cells: of `pack_cells`, of the same worlds; packed now if left out.
         """
         environment = worlds.environment
         self.dtype = environment.start_m.dtype
@@ -103,14 +109,14 @@ class Tile:
         self.groups = fleet.groups
         self._numbered = fleet.loaded_variant
         self._bank, bank = ConstantBank.of(fleet, self.dtype)
-        neighbours = packed_cells(worlds)
+        neighbours = pack_cells(worlds) if cells is None else cells
         self._cells = neighbours[0].size
         self._robot, robot = self.pack(
             RobotConstants(
                 variant=worlds.variant,
                 path=worlds.path,
                 goal_m=environment.goal_m,
-                cruise_speed_mps=worlds.control.cruise_speed_mps,
+                cruise_speed_mps=worlds.cruise_speed_mps,
                 laden_cruise_mps=laden_cruise(fleet, worlds) if fleet.can_carry else None,
                 fails_at_s=worlds.fails_at_s,
             ),
@@ -144,7 +150,7 @@ class Tile:
         tables = [jnp.asarray(x, self.dtype) for field in self._fields for x in field.numbers]
         self.arrays = (*self.constants, which, *tables)
 
-    def pack(self, tree: Any, lead: int) -> tuple[PlaneLayout, jax.Array]:
+    def pack(self, tree: object, lead: int) -> tuple[PlaneLayout, jax.Array]:
         """A tree of arrays [W, (n,) ...] flat, and where its parts lie."""
         layout = PlaneLayout.of(tree, lead)
         return layout, layout.pack(tree, self.dtype)
@@ -153,7 +159,7 @@ class Tile:
         """Shape of numbers of one body."""
         return jax.ShapeDtypeStruct(tail, self.dtype)
 
-    def layout(self, tree: Any, rows: int) -> PlaneLayout:
+    def layout(self, tree: object, rows: int) -> PlaneLayout:
         """Layout of arrays [W, rows, ...], from shapes [...] of one body."""
         shapes = jax.tree.map(
             lambda leaf: jax.ShapeDtypeStruct((self.worlds, rows, *leaf.shape), leaf.dtype), tree
@@ -166,21 +172,25 @@ class Tile:
             layout=layout, samples=samples, rows=layout.lanes // self.worlds, worlds=self.worlds
         )
 
-    def world_index(self, refs: Any, at: Any) -> Any:
+    def world_index(self, refs: Refs, at: jax.Array) -> jax.Array:
         """Whose constants those of worlds number ``at`` are, in a kernel given ``arrays``."""
         return refs[5][at] if self.some_rows else at
 
-    def body_of(self, row: Any, world: Any) -> Any:
+    def body_of(self, row: jax.Array, world: jax.Array) -> jax.Array:
         """Number of the constants of bodies number ``row`` of ``world``, robots or obstacles."""
         return row * self._stored + world
 
-    def read_robot(self, refs: Any, lane: Any) -> RobotConstants:
+    def read_robot(self, refs: Refs, lane: jax.Array) -> RobotConstants:
         """Constants of robots number ``lane``; see `body_of`."""
         constants: RobotConstants = self._robot.read_lanes(triton.make_loader(refs[1]), lane)
         return constants
 
     def params(
-        self, refs: Any, group: VehicleGroup, constants: RobotConstants, loaded: Any = None
+        self,
+        refs: Refs,
+        group: VehicleGroup,
+        constants: RobotConstants,
+        loaded: jax.Array | None = None,
     ) -> ControlParams:
         """Parameters of robots of a group; ``loaded`` says who carries something, if any can."""
         variant, cruise = constants.variant[()], constants.cruise_speed_mps
@@ -190,17 +200,17 @@ class Tile:
         params = self._bank.read_lanes(triton.make_loader(refs[0]), group, variant)
         return replace(params, cruise_speed_mps=cruise)
 
-    def params_at(self, refs: Any, group: VehicleGroup, lane: Any) -> ControlParams:
+    def params_at(self, refs: Refs, group: VehicleGroup, lane: jax.Array) -> ControlParams:
         """Parameters of robots number ``lane`` of a group, but for their cruise speeds."""
         variant = self._robot.read_lanes(triton.make_loader(refs[1]), lane, lambda x: x.variant)
         return self._bank.read_lanes(triton.make_loader(refs[0]), group, variant[()])
 
-    def read_water(self, refs: Any, at: Any) -> WorldConstants:
+    def read_water(self, refs: Refs, at: jax.Array) -> WorldConstants:
         """Constants of worlds number ``at``."""
         constants: WorldConstants = self._world.read_lanes(triton.make_loader(refs[2]), at)
         return constants
 
-    def current(self, refs: Any, water: WorldConstants) -> Current:
+    def current(self, refs: Refs, water: WorldConstants) -> Current:
         """The current of worlds, and where it looks up what all of them share."""
         first, field_refs = 6, {}
         for field in self._fields:
@@ -215,11 +225,12 @@ class Tile:
 
         return bind_fields(water.current, where)
 
-    def read_body(self, refs: Any, index: Any, only: Any) -> Any:
+    def read_body[T](self, refs: Refs, index: jax.Array, only: Callable[[BodyConstants], T]) -> T:
         """A part of the constants of obstacles number ``index``."""
-        return self._body.read_lanes(triton.make_loader(refs[3]), index, only)
+        part: T = self._body.read_lanes(triton.make_loader(refs[3]), index, only)
+        return part
 
-    def read_cells(self, refs: Any, water: WorldConstants, at: Any) -> Cells:
+    def read_cells(self, refs: Refs, water: WorldConstants, at: jax.Array) -> Cells:
         """Cells of worlds number ``at``."""
         base = at * np.int32(self._cells)
         load = triton.make_loader(refs[4])

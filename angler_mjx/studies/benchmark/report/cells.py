@@ -17,6 +17,8 @@ class ReportCell:
     preset: str
     robots: int
     knowledge: str
+    rows: np.ndarray
+    """int [k] its rows."""
     success: ReportRate
     planned: ReportRate
     flown: ReportRate
@@ -39,6 +41,7 @@ def build_cells(runs: Runs) -> list[ReportCell]:
                 preset=preset,
                 robots=robots,
                 knowledge=knowledge,
+                rows=rows,
                 success=compute_rate(cell_runs["success"], requested),
                 planned=compute_rate(cell_runs["planned"], requested),
                 flown=compute_rate(cell_runs["flown"], requested),

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
-from angler_mjx.report.viewing import style
+from angler_mjx.report.plotting import style
 from angler_mjx.studies.benchmark.report import plot_style
 from angler_mjx.studies.benchmark.report.profiles import PerformanceProfiles, compute_profiles
 from angler_mjx.studies.benchmark.report.rates import (
@@ -29,7 +29,7 @@ _RATIO_TICKS = (1, 1.02, 1.05, 1.1, 1.2, 1.5, 2, 3, 5, 10, 20, 50, 100, 1000, 10
 
 
 def success_by_team(results: Results) -> Figure:
-    """Success against team size, a panel a scene, a line a planner."""
+    """Plot success against team size, a panel a scene, a line a planner."""
     runs, scenes = results.runs, results.scenes
     teams = sorted(set(runs["robots"].tolist()))
     groups = (runs["scene"], runs["planner"], runs["robots"])
@@ -60,7 +60,7 @@ def success_by_team(results: Results) -> Figure:
 
 
 def success_by_density(results: Results) -> Figure:
-    """Success against the density of rock, over all scenes."""
+    """Plot success against the density of rock, over all scenes."""
     runs = results.runs
     bins = build_density_bins(runs, results.problem)
     rates = compute_rates((runs["planner"], bins.of), runs[results.judged], runs.counted)
@@ -82,17 +82,17 @@ def success_by_density(results: Results) -> Figure:
 
 
 def profiles_of_time(results: Results) -> Figure | None:
-    """Performance profile of planning time."""
+    """Plot the performance profile of planning time."""
     return _plot_profiles(results, ("planning_s",))
 
 
 def profiles_of_cost(results: Results) -> Figure | None:
-    """Performance profiles of what was flown."""
+    """Plot the performance profiles of flown costs."""
     return _plot_profiles(results, ("makespan_s", "energy_j", "flowtime_s"))
 
 
 def planning_time(results: Results) -> Figure | None:
-    """Planning time over team size: median, quartiles, and the 5th and 95th percentile."""
+    """Plot planning time over team size: median, quartiles, and the 5th and 95th percentile."""
     runs = results.runs
     valid = np.isfinite(runs["planning_s"]) & (runs["planning_s"] > 0) & runs.requested
     if not valid.any():

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from angler_mjx.report.viewing.style import save_figure
+from angler_mjx.report.plotting.style import save_figure
 from angler_mjx.studies.benchmark.report import curves, scene_maps, scenes
 from angler_mjx.studies.benchmark.report.reading import Results
 

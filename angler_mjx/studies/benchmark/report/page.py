@@ -1,4 +1,4 @@
-"""The page of a benchmark: one file that holds its numbers, its charts and how it was made."""
+"""Page of a benchmark: one file with its statistics, charts and origin."""
 
 import json
 import re
@@ -12,7 +12,6 @@ from angler_mjx.studies.benchmark.report import figures, page_data, paired, read
 
 NAME, PAIRS = "report.html", "comparisons.csv"
 _SCRIPTS = (
-    "statistics.js",
     "charts.js",
     "maps.js",
     "choice.js",
@@ -21,12 +20,12 @@ _SCRIPTS = (
     "cells.js",
     "page.js",
 )
-"""In this order: the last one begins."""
+"""Scripts of the page, in this order; the last one starts it."""
 _PLACEHOLDER = re.compile(r"@@(TITLE|STYLE|DATA|SCRIPT)@@")
 
 
 def write_report(folder: Path) -> Path:
-    """Draw the figures of a benchmark, compare its planners, and write its page.
+    """Plot the figures of a benchmark, compare its planners, and write its page.
 
     Args:
         folder: its results; need not be complete.
@@ -35,7 +34,7 @@ def write_report(folder: Path) -> Path:
         The page.
 
     Raises:
-        ConfigError: the folder is none.
+        ConfigError: the folder holds no results of a benchmark.
         RunError: a file cannot be written.
     """
     results = reading.read_results(folder)
@@ -52,7 +51,7 @@ def write_report(folder: Path) -> Path:
 
 
 def render_page(results: reading.Results) -> str:
-    """The page.
+    """Return the text of the page.
 
     Args:
         results: of a benchmark.

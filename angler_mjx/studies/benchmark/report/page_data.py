@@ -1,24 +1,26 @@
-"""What the page holds of a benchmark: columns of numbers, rounded, and the scenes it draws."""
+"""Data of a benchmark's page: rounded statistics of every selection, cells, failures, scenes."""
 
 import math
 from typing import Any
 
 import numpy as np
 
-from angler_mjx.report.viewing import style
+from angler_mjx.report.plotting import style
 from angler_mjx.studies.benchmark.report import cells, scenes
-from angler_mjx.studies.benchmark.report.profiles import COSTS
-from angler_mjx.studies.benchmark.report.rates import FEW, ReportRate, build_density_bins
+from angler_mjx.studies.benchmark.report.rates import FEW, build_density_bins
 from angler_mjx.studies.benchmark.report.reading import MEASURES, Results
+from angler_mjx.studies.benchmark.report.selections import (
+    build_page_selection,
+    round_digits,
+    select_rows,
+)
 
-_DIGITS = 4
-_COST_DIGITS = 7
-"""The page compares costs: its ratios must agree with ``comparisons.csv`` to four digits."""
+_MEDIAN_DIGITS = 4
 _MAX_FAILURES = 20_000
 
 
 def build_page_data(results: Results) -> dict[str, Any]:
-    """Everything that the page's script reads.
+    """Return everything that the page's script reads.
 
     Args:
         results: of a benchmark.
@@ -26,37 +28,37 @@ def build_page_data(results: Results) -> dict[str, Any]:
     runs = results.runs
     knowledge = list(dict.fromkeys(runs.knowledge.tolist()))
     bins = build_density_bins(runs, results.problem)
-    rows = {
-        "planner": _index_values(runs["planner"], results.planners),
-        "scene": _index_values(runs["scene"], results.scenes),
-        "team": runs["robots"].tolist(),
-        "information": _index_values(runs.knowledge, knowledge),
-        "problem": results.problem.tolist(),
-        "world": results.world.tolist(),
-        "asked": runs.requested.astype(int).tolist(),
-        "counted": runs.counted.astype(int).tolist(),
-        "planned": runs["planned"].astype(int).tolist(),
-        "success": runs["success"].astype(int).tolist(),
-        "bin": bins.of.tolist(),
-        **{name: [round_digits(x, _COST_DIGITS) for x in runs[name]] for name in COSTS},
-    }
+    teams = sorted(set(runs["robots"].tolist()))
+    choices = (
+        _index_values(runs["scene"], results.scenes),
+        _index_values(runs["robots"], teams),
+        _index_values(runs.knowledge, knowledge),
+    )
+    report_cells = cells.build_cells(runs)
     return {
         "about": results.about,
         "planners": results.planners,
         "scenes": results.scenes,
-        "teams": sorted(set(runs["robots"].tolist())),
+        "teams": teams,
         "knowledge": knowledge,
         "few": FEW,
         "judged": results.judged,
         "pending": results.pending,
-        "rows": rows,
-        "bins": {
-            "centres": [round_digits(x) for x in bins.centres],
-            "edges": [round_digits(x) for x in bins.edges],
+        "totals": {
+            "problems": len(np.unique(results.problem)),
+            "runs": len(runs),
+            "asked": int(np.sum(runs.requested)),
+            "closed": int(np.sum(runs.counted & ~runs.requested)),
+            "no_room": int(np.sum(~runs.counted)),
         },
+        "selections": {
+            selection.key: build_page_selection(results, selection.rows, bins)
+            for selection in select_rows(*choices)
+        },
+        "centres": [round_digits(x) for x in bins.centres],
         "measures": MEASURES,
-        "cells": [_build_cell(cell, results, knowledge) for cell in cells.build_cells(runs)],
-        "failures": _build_failures(results),
+        "cells": [_build_cell(cell, results, knowledge) for cell in report_cells],
+        "failures": _build_failures(results, report_cells),
         "outcomes": {
             name: {"color": style.OUTCOMES[name], "text": style.OUTCOME_TEXT[name]}
             for name in style.OUTCOMES
@@ -65,23 +67,12 @@ def build_page_data(results: Results) -> dict[str, Any]:
     }
 
 
-def round_digits(value: float, digits: int = _DIGITS) -> float | int | None:
-    """A number for JSON with so many digits; None for what is no number."""
-    if not math.isfinite(value):
-        return None
-    short = float(f"{value:.{digits}g}")
-    return int(short) if short.is_integer() else short
-
-
-def _index_values(values: np.ndarray, names: list[str]) -> list[int]:
+def _index_values(values: np.ndarray, names: list[Any]) -> list[int]:
     number = {name: i for i, name in enumerate(names)}
     return [number[value] for value in values.tolist()]
 
 
 def _build_cell(cell: cells.ReportCell, results: Results, knowledge: list[str]) -> dict[str, Any]:
-    def counted(rate: ReportRate) -> int:
-        return rate.count
-
     return {
         "planner": results.planners.index(cell.planner),
         "scene": results.scenes.index(cell.scene),
@@ -90,23 +81,28 @@ def _build_cell(cell: cells.ReportCell, results: Results, knowledge: list[str]) 
         "information": knowledge.index(cell.knowledge),
         "asked": cell.success.requested,
         "closed": cell.success.closed,
-        "success": counted(cell.success),
-        "planned": counted(cell.planned),
-        "flown": counted(cell.flown),
-        **{name: round_digits(value) for name, value in cell.medians.items()},
+        "success": round_digits(cell.success.fraction),
+        "interval": [round_digits(cell.success.low), round_digits(cell.success.high)],
+        "planned": round_digits(cell.planned.fraction),
+        "flown": round_digits(cell.flown.fraction),
+        **{name: round_digits(value, _MEDIAN_DIGITS) for name, value in cell.medians.items()},
     }
 
 
-def _build_failures(results: Results) -> dict[str, Any]:
-    """Places of robots that failed, by row; every so many of them where there are very many."""
+def _build_failures(results: Results, report_cells: list[cells.ReportCell]) -> dict[str, Any]:
+    """Return positions of failed robots by cell; of very many every n-th one."""
     failures, runs = results.failures, results.runs
-    row_of_run = {number: i for i, number in enumerate(runs["run"].tolist())}
-    indices = np.array([i for i, run in enumerate(failures.run.tolist()) if run in row_of_run], int)
+    cell_of_run = {
+        run: i for i, cell in enumerate(report_cells) for run in runs["run"][cell.rows].tolist()
+    }
+    indices = np.array(
+        [i for i, run in enumerate(failures.run.tolist()) if run in cell_of_run], int
+    )
     step = max(1, math.ceil(len(indices) / _MAX_FAILURES))
     shown = indices[::step]
     outcomes = list(dict.fromkeys(failures.outcome.tolist()))
     return {
-        "row": [row_of_run[run] for run in failures.run[shown].tolist()],
+        "cell": [cell_of_run[run] for run in failures.run[shown].tolist()],
         "outcome": _index_values(failures.outcome[shown], outcomes),
         "outcomes": outcomes,
         "x": [round(x, 2) for x in failures.x_m[shown].tolist()],

@@ -7,8 +7,8 @@ two alone solved. Ratios of costs are medians over problems that both solved, th
 over problems that both planned, with percentiles of a bootstrap that resamples whole worlds (Efron
 and Tibshirani 1993), always with the same seed.
 
-The report's page computes the same ratios for any selection of its reader. Both sides resample by
-one generator, so that the page and ``comparisons.csv`` show one interval.
+The report's page holds these comparisons for every selection of its reader
+(`angler_mjx.studies.benchmark.report.selections`).
 """
 
 import csv
@@ -16,20 +16,21 @@ import io
 import itertools
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.special import bdtr
 
 from angler_mjx.runs.storage.confidence_intervals import wilson_interval
 from angler_mjx.studies.benchmark.report.rates import FEW
-from angler_mjx.studies.benchmark.report.reading import Results
+from angler_mjx.studies.benchmark.report.reading import Results, Runs
 
 RATIOS = {"planning_s": "planned", "makespan_s": "success", "energy_j": "success"}
 """Costs whose ratios are taken, and what both must have done."""
 RESAMPLES = 1000
 _SEED = 1
 _STEP, _MASK = 0x6D2B79F5, 0xFFFFFFFF
-"""Increment and word of the generator mulberry32, which JavaScript computes alike."""
+"""Increment and word of the generator mulberry32."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,12 +87,28 @@ def compare_planners(results: Results, first: str, second: str) -> PairedCompari
         first: label.
         second: label.
     """
-    runs = results.runs
-    rows = [np.flatnonzero((runs["planner"] == name) & runs.counted) for name in (first, second)]
-    first_problems, second_problems = (results.problem[at] for at in rows)
+    return compare_rows(
+        results.runs, results.problem, results.world, results.judged, (first, second)
+    )
+
+
+def compare_rows(
+    runs: Runs, problem: np.ndarray, world: np.ndarray, judged: str, planners: tuple[str, str]
+) -> PairedComparison:
+    """Compare two planners over some rows of a benchmark.
+
+    Args:
+        runs: rows.
+        problem: int [n] problem of each row.
+        world: int [n] world of each row.
+        judged: column that rates are of.
+        planners: labels.
+    """
+    rows = [np.flatnonzero((runs["planner"] == name) & runs.counted) for name in planners]
+    first_problems, second_problems = (problem[at] for at in rows)
     _, i, j = np.intersect1d(first_problems, second_problems, return_indices=True)
     a, b = rows[0][i], rows[1][j]
-    won = runs[results.judged]
+    won = runs[judged]
     counts = (
         int(np.sum(won[a] & won[b])),
         int(np.sum(won[a] & ~won[b])),
@@ -104,10 +121,10 @@ def compare_planners(results: Results, first: str, second: str) -> PairedCompari
         x, y = runs[cost][a], runs[cost][b]
         with np.errstate(invalid="ignore"):
             used = runs[needs][a] & runs[needs][b] & (x > 0) & (y > 0)
-        ratios[cost] = bootstrap_ratio(np.log(x[used] / y[used]), results.world[a][used])
+        ratios[cost] = bootstrap_ratio(np.log(x[used] / y[used]), world[a][used])
     return PairedComparison(
-        first=first,
-        second=second,
+        first=planners[0],
+        second=planners[1],
         both=counts[0],
         only_first=counts[1],
         only_second=counts[2],
@@ -163,7 +180,7 @@ def bootstrap_ratio(logs: np.ndarray, world: np.ndarray) -> PairedRatio:
     order = np.argsort(logs, kind="stable")
     ordered, world_index = logs[order], np.unique(world, return_inverse=True)[1][order]
     counts = _resample_worlds(int(world_index.max()) + 1, RESAMPLES)[:, world_index]
-    ends = np.cumsum(counts, axis=1)
+    ends = np.cumsum(counts, axis=1, dtype=np.int32)
     total = ends[:, -1:]
     lower = ordered[np.sum(ends <= (total - 1) // 2, axis=1)]
     upper = ordered[np.sum(ends <= total // 2, axis=1)]
@@ -172,6 +189,7 @@ def bootstrap_ratio(logs: np.ndarray, world: np.ndarray) -> PairedRatio:
     return PairedRatio(median=median, low=float(low), high=float(high), pairs=len(logs))
 
 
+@lru_cache(maxsize=64)
 def _resample_worlds(worlds: int, times: int) -> np.ndarray:
     """Return how often each world is chosen in each resample, int [times, worlds].
 
@@ -182,7 +200,8 @@ def _resample_worlds(worlds: int, times: int) -> np.ndarray:
     mixed = ((mixed + ((mixed ^ (mixed >> 7)) * (mixed | 61) & _MASK)) & _MASK) ^ mixed
     chosen = (((mixed ^ (mixed >> 14)) / 2**32) * worlds).astype(np.int64)
     row = np.repeat(np.arange(times), worlds)
-    return np.bincount(row * worlds + chosen, minlength=times * worlds).reshape(times, worlds)
+    counts = np.bincount(row * worlds + chosen, minlength=times * worlds).astype(np.int32)
+    return counts.reshape(times, worlds)
 
 
 def format_pairs_csv(results: Results) -> str:

@@ -1,4 +1,4 @@
-"""How planners look in figures, so that fourteen can be told apart."""
+"""Style of planners in figures; fourteen have distinct looks."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,31 +10,31 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import PercentFormatter
 
-from angler_mjx.report.viewing import style
+from angler_mjx.report.plotting import style
 
 _COLUMNS = 7
 
 
 @contextmanager
 def styled() -> Iterator[None]:
-    """The look of all figures, with names taken as they are, dollars and all."""
+    """Apply the style of all figures, with names as they are, dollar signs included."""
     with style.figure_style(), mpl.rc_context({"text.parse_math": False}):
         yield
 
 
 def line_style(planner_index: int) -> dict[str, Any]:
-    """Colour and dashes of a planner; colours repeat after eight, then lines are dashed."""
+    """Return colour and dashes of a planner; colours repeat after eight, then lines are dashed."""
     is_dashed = planner_index // len(style.ROBOTS) % 2 == 1
     return {"color": style.robot_color(planner_index), "linestyle": "--" if is_dashed else "-"}
 
 
 def marker_style(planner_index: int) -> str:
-    """Sign of a planner's points."""
+    """Return the marker of a planner's points."""
     return "s" if planner_index // len(style.ROBOTS) % 2 == 1 else "o"
 
 
 def add_legend(figure: Figure, planners: list[str]) -> None:
-    """Who is who, below a figure."""
+    """Add the legend of planners below a figure."""
     handles = [
         Line2D(
             [], [], **line_style(i), marker=marker_style(i), markersize=4, linewidth=1.6, label=name
@@ -46,19 +46,19 @@ def add_legend(figure: Figure, planners: list[str]) -> None:
 
 
 def legend_height_in(planners: list[str]) -> float:
-    """Height that a legend takes, inch."""
+    """Return the height [inch] of a legend."""
     return 0.24 * (1 + len(planners) // _COLUMNS)
 
 
 def format_fraction_axis(axes: Axes) -> None:
-    """A vertical axis of shares."""
+    """Format the vertical axis as fractions in per cent."""
     axes.set_ylim(-0.02, 1.03)
     axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
     axes.grid(axis="y")
 
 
 def add_panels(figure: Figure, count: int, n_columns: int, *, sharey: bool = True) -> list[Axes]:
-    """As many axes as are needed, ``n_columns`` side by side."""
+    """Add as many axes as are needed, ``n_columns`` side by side."""
     n_rows = -(-count // n_columns)
     grid = figure.subplots(n_rows, n_columns, squeeze=False, sharey=sharey)
     all_axes: list[Axes] = list(grid.flat)

@@ -64,12 +64,13 @@ class Runs:
         """The rows that a mask, or indices, choose."""
         return Runs({name: values[chosen] for name, values in self.columns.items()})
 
-    @property
+    @cached_property
     def requested(self) -> np.ndarray:
         """Bool [n]: neither closed nor without room."""
-        return ~np.isin(self["plan_status"].astype(str), (CLOSED, NO_ROOM))
+        requested: np.ndarray = ~np.isin(self["plan_status"].astype(str), (CLOSED, NO_ROOM))
+        return requested
 
-    @property
+    @cached_property
     def counted(self) -> np.ndarray:
         """Bool [n]: asked, or taken to fail as the planner had been given up.
 

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch
 
-from angler_mjx.report.viewing import style
+from angler_mjx.report.plotting import style
 from angler_mjx.studies.benchmark.report import plot_style
 from angler_mjx.studies.benchmark.report.reading import Results
 from angler_mjx.studies.benchmark.report.scenes import Example, ScenePath

@@ -1,8 +1,8 @@
 """Speed of drawing environments on this device, apart from planning and simulation.
 
-Timed is what `world.generate_batch` gives, complete and on the device: cells, starts and goals,
-path ratio and line of sight, obstacles and current. A batch with a world that cannot hold its
-fleet, or whose ways are not finite, is refused.
+Timed is what `world.generate.generate_batch` gives, complete and on the device: cells, starts and
+goals, path ratio and line of sight, obstacles and current. A batch with a world that cannot hold
+its fleet, or whose ways are not finite, is refused.
 """
 
 import time
@@ -15,7 +15,7 @@ from angler_mjx.studies.speed.rows import SpeedRow
 from angler_mjx.world.config import WorldConfig, resolve_world
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.generate import generate_batch
-from angler_mjx.world.rules import AutomatonRule
+from angler_mjx.world.rock.rules import AutomatonRule
 
 _RADIUS_M = 0.4
 """About the bounding sphere of a BlueROV2."""

@@ -31,7 +31,7 @@ def sample_worlds(scenario: Scenario, count: int) -> World:
         count: how many; ``MAX_DIFFERENT`` are drawn if it is larger.
 
     Returns:
-        World, [min(count, DIFFERENT)] leading; the last one drawn is kept for the next call.
+        World, [min(count, MAX_DIFFERENT)] leading; the last one drawn is kept for the next call.
 
     Raises:
         RunError: some cannot hold the fleet.

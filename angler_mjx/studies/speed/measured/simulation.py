@@ -6,7 +6,7 @@ physics steps that robots lived: one that has ended is not simulated for a livin
 
 from collections import deque
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import jax
@@ -204,9 +204,10 @@ def _time_turns(
     calls = _calls_per_turn(simulator)
     seconds = calls * simulator.segment_steps * simulator.spec.control_dt_s
     rates, actives = [], []
+    fly = partial(_run_calls, simulator, program, worlds, simulator.programs.pack_cells(worlds))
     for counts in iterate_turns(repeats):
         state = jax.block_until_ready(simulator.reset(worlds))
-        taken, (after, sample) = seconds_of(_run_calls, simulator, program, worlds, state, calls)
+        taken, (after, sample) = seconds_of(fly, state, calls)
         active = require_moving(after, sample, seconds)
         # What is measured is freed before the next state is made: it counts in peak memory.
         del state, after, sample
@@ -222,12 +223,19 @@ def _calls_per_turn(simulator: Simulator) -> int:
 
 
 def _run_calls(
-    simulator: Simulator, program: Any, worlds: World, state: WorldState, calls: int
+    simulator: Simulator,
+    program: Any,
+    worlds: World,
+    cells: jax.Array | None,
+    state: WorldState,
+    calls: int,
 ) -> tuple[WorldState, Sample]:
     """Calls one behind another as in a run: the next is given while one is still computed."""
     in_flight: deque[jax.Array] = deque()
     for _ in range(calls):
-        state, sample, running = program(simulator.fleet, worlds, state, *simulator._policy_numbers)
+        state, sample, running = program(
+            simulator.fleet, worlds, state, cells, *simulator._policy_numbers
+        )
         in_flight.append(running)
         if len(in_flight) == device_batches.SEGMENTS_IN_FLIGHT:
             in_flight.popleft().block_until_ready()
@@ -245,7 +253,9 @@ def _compile_segment(simulator: Simulator, sampled: World) -> tuple[float, Any]:
     driver = on_devices.with_sharding(simulator._policy_numbers, mesh, on_devices.REPLICATED)
     state = simulator.programs.reset.shape(simulator.fleet, shapes, *driver)
     state = on_devices.with_sharding(state, mesh, on_devices.SHARDED)
-    lowered = simulator.programs.segment.lower(simulator.fleet, shapes, state, *driver)
+    cells = simulator.programs.pack_cells.shape(shapes)
+    cells = on_devices.with_sharding(cells, mesh, on_devices.SHARDED)
+    lowered = simulator.programs.segment.lower(simulator.fleet, shapes, state, cells, *driver)
     compile_s, program = seconds_of(lowered.compile)
     _require_room(simulator.tile, program)
     return compile_s, program

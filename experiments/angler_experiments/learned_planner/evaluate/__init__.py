@@ -1,1 +1,1 @@
-"""What the learned planner is worth: whole flights in worlds that nobody learned from."""
+"""Evaluation of the learned planner by whole flights in worlds outside the training set."""

@@ -1,13 +1,12 @@
-"""What the learned planner is worth: whole flights in worlds that nobody learned from.
+"""Evaluation of the learned planner by whole flights in worlds outside the training set.
 
     python -m angler_experiments.learned_planner.evaluate arrivals --worlds 128
     python -m angler_experiments.learned_planner.evaluate samples --worlds 128
     python -m angler_experiments.learned_planner.evaluate curve --out runs/curve
 
-Rows: ``straight`` flies the straight line; ``drawn`` the first way that the network draws, not
-checked; ``learned`` is the planner as it comes; ``noise`` is the same repair of smooth noise
-instead of the network's ways, so that what is learned can be told from what is repaired; ``grid``
-and ``priority`` search.
+Rows: ``straight`` flies the straight line; ``drawn`` the first path that the network samples,
+unchecked; ``learned`` is the shipped planner; ``noise`` repairs smooth noise instead of the
+network's paths, to separate learning from repair; ``grid`` and ``priority`` search.
 """
 
 import tyro

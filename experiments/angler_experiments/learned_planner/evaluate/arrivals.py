@@ -1,4 +1,4 @@
-"""A row for each planner in each sea, and for each number of samples."""
+"""Arrivals of each planner in each sea, and for each number of samples."""
 
 from pathlib import Path
 from typing import Any, Literal
@@ -29,11 +29,12 @@ def evaluate_arrivals(
     Args:
         seas: By their labels.
         planners: By their names.
-        worlds: Of each row.
-        checkpoint: Of the network; the shipped one if empty.
-        samples: Ways drawn for each robot; a row for each number.
-        ahead: More rows of ``learned``: of so many teams, the best in a flight ahead.
-        told: What is known of the current to the flight ahead.
+        worlds: Worlds of each row.
+        checkpoint: File of the network; the shipped one if empty.
+        samples: Paths sampled for each robot; a row for each number.
+        ahead: More rows of ``learned``: numbers of teams, of which the best in a flight ahead is
+            taken.
+        told: Information level of the current for the flight ahead.
         out: Folder of arrivals.json, whose rows are not flown again, and arrivals.png.
     """
     report = ProgressClock()
@@ -87,15 +88,15 @@ def evaluate_samples(
     checkpoint: str = "",
     out: Path | None = None,
 ) -> None:
-    """Print what the network is worth beside noise, by the number of ways drawn and by the repair.
+    """Print the network's gain over noise, by the numbers of sampled paths and by the repair.
 
     Args:
         seas: By their labels.
-        counts: Of ways drawn for each robot.
+        counts: Numbers of paths sampled for each robot.
         planners: By their names.
-        worlds: Of each row.
-        checkpoint: Of the network; the shipped one if empty.
-        out: Folder, as of `evaluate_arrivals`.
+        worlds: Worlds of each row.
+        checkpoint: File of the network; the shipped one if empty.
+        out: Folder, as in `evaluate_arrivals`.
     """
     evaluate_arrivals(
         seas=seas, planners=planners, worlds=worlds, checkpoint=checkpoint, samples=counts, out=out

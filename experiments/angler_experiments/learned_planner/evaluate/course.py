@@ -1,4 +1,4 @@
-"""The worlds of a sea, drawn once, in which planners are flown one after the other."""
+"""Worlds of a sea, sampled once, in which planners are flown one after the other."""
 
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -12,49 +12,50 @@ import numpy as np
 from angler_experiments.learned_planner.evaluate.lookahead import LookaheadSimulator
 from angler_experiments.learned_planner.evaluate.rows import POINTS, Sea, build_scenario
 from angler_experiments.learned_planner.planner import LearnedPlanner, LearnedSettings
+from angler_mjx.planning.device_planner import build_device_planner
 from angler_mjx.planning.planner import Path, PathShape
 from angler_mjx.planning.problem import Problem
-from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.runs.simulator.compilation import CompiledFunction, ParallelCompiler, PendingProgram
-from angler_mjx.runs.simulator.device_planning import build_device_planner
 from angler_mjx.runs.simulator.simulator import Simulator
+from angler_mjx.runs.simulator.world_preparation import problem_settings
 from angler_mjx.runs.storage.confidence_intervals import ClusteredRate, clustered_rates
 from angler_mjx.sim.information import InformationLevel
 from angler_mjx.sim.state import Outcome, World
 
 _N_TIMED_CALLS = 2
-"""Calls that are timed."""
+"""Number of timed calls."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CourseRow:
-    """What a planner comes to in a sea."""
+    """Result of a planner in a sea."""
 
     found: ClusteredRate
-    """Robots that have a path."""
+    """Rate of robots that have a path."""
     arrived: ClusteredRate
-    """Robots that arrive."""
+    """Rate of robots that arrive."""
     planning_s: float
-    """Of all worlds, once compiled; the least of some calls."""
+    """Seconds for all worlds, once compiled; the least of some calls."""
     compile_s: float
     flight_s: float
     detour: float | None
-    """Length of the paths over that of the straight lines, in the mean of robots that have one."""
+    """Length of the paths over that of the straight lines, mean over robots with a path."""
     planned_s: float | None
-    """When paths end, in the mean of robots that have one."""
+    """End time of paths, mean over robots with a path."""
     ended: Mapping[str, float]
-    """Share of robots by how they ended."""
+    """Fraction of robots by outcome."""
 
     def table(self) -> dict[str, Any]:
-        """For a file."""
+        """Return the row as a table for a file."""
         return asdict(self)
 
 
 class EvaluationCourse:
-    """Worlds that are one tile."""
+    """Worlds of one tile."""
 
     def __init__(self, sea: Sea, worlds: int, report: Callable[[str], None]) -> None:
-        """Compile what flies, and draw the worlds."""
+        """Compile the flight, and sample the worlds."""
         self.sea, self.worlds, self.report = sea, worlds, report
         grid_scenario = build_scenario(sea, {"name": "grid"}, worlds)
         self.simulator = Simulator(grid_scenario, tile=worlds, paths=PathShape(points=POINTS))
@@ -68,7 +69,7 @@ class EvaluationCourse:
         )
 
     def fly_all(self, planners: Mapping[str, dict[str, Any]]) -> Iterator[tuple[str, CourseRow]]:
-        """Rows of planners as they come; all are compiled, side by side, before any is timed.
+        """Yield rows of planners; all are compiled in parallel before any is timed.
 
         Args:
             planners: tables by names.
@@ -86,20 +87,21 @@ class EvaluationCourse:
 
     def _begin_compile(self, compiler: ParallelCompiler, planner: dict[str, Any]) -> PendingProgram:
         planner_scenario = build_scenario(self.sea, planner, self.worlds)
-        plan = build_device_planner(planner_scenario, planner_scenario.planner.planner_spec())
-        program = CompiledFunction(plan)
-        return compiler.begin(program, self.sampled_worlds, self.problems)
+        spec = planner_scenario.planner.planner_spec()
+        information = planner_scenario.planner.information.to_information()
+        device_planner = build_device_planner(spec, problem_settings(planner_scenario, information))
+        return compiler.begin(CompiledFunction(device_planner.plan_batch), self.problems)
 
     def fly_ahead(
         self, settings: dict[str, Any], teams: int, current_level: InformationLevel
     ) -> CourseRow:
-        """The row of the learned planner where several of its answers are flown ahead.
+        """Return the row of the learned planner with several answers flown ahead.
 
         Args:
-            settings: its own.
-            teams: answers to each problem.
-            current_level: how much of the current is known to the flight ahead, not to the planner;
-                predicted would be flown as the truth.
+            settings: settings of the planner.
+            teams: number of answers to each problem.
+            current_level: information level of the current for the flight ahead, not for the
+                planner; predicted would be flown as the truth.
         """
         grid_scenario = build_scenario(self.sea, {"name": "grid"}, self.worlds)
         information = replace(
@@ -113,16 +115,16 @@ class EvaluationCourse:
         compile_s = time.perf_counter() - start_s
         lookahead = LookaheadSimulator(grid_scenario)
 
-        def plan(worlds: World, problems: Problem) -> Trajectory:
-            return lookahead.select_best(worlds, program(problems), flight_problems)
+        def plan(problems: Problem) -> Trajectory:
+            return lookahead.select_best(self.sampled_worlds, program(problems), flight_problems)
 
         return self._make_row(plan, compile_s)
 
     def _make_row(self, plan: Callable[..., Path], compile_s: float) -> CourseRow:
-        jax.block_until_ready(plan(self.sampled_worlds, self.problems))
+        jax.block_until_ready(plan(self.problems))
         times = [time.perf_counter()]
         for _ in range(_N_TIMED_CALLS):
-            path = jax.block_until_ready(plan(self.sampled_worlds, self.problems))
+            path = jax.block_until_ready(plan(self.problems))
             times.append(time.perf_counter())
         planned_at_s = times[-1]
         outcome = self.fly_to_end(self.simulator.with_paths(self.sampled_worlds, path))
@@ -147,7 +149,7 @@ class EvaluationCourse:
         )
 
     def fly_to_end(self, worlds: World) -> np.ndarray:
-        """Outcomes [world, robot] of flights to their end."""
+        """Return outcomes [world, robot] of flights to their end."""
         state = self.simulator.reset(worlds)
         for _ in range(self.simulator.segments):
             state, _, running = self.simulator.advance(worlds, state)
@@ -161,7 +163,7 @@ def _mean_or_none(values: np.ndarray) -> float | None:
 
 
 def _clustered_rate(is_success: np.ndarray) -> ClusteredRate:
-    """Share [worlds, robots] with an interval that knows which robots share a world."""
+    """Return a fraction [worlds, robots] with an interval clustered by worlds."""
     world = np.repeat(np.arange(is_success.shape[0]), is_success.shape[1])
     flat_success = is_success.reshape(-1)
     return clustered_rates({"yes": flat_success, "no": ~flat_success}, world)["yes"]

@@ -1,11 +1,11 @@
-"""What a larger training set is worth."""
+"""Value of a larger training set."""
 
 import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from angler_experiments.learned_planner import checkpoint, train
+from angler_experiments.learned_planner import checkpoint
 from angler_experiments.learned_planner.evaluate import figure
 from angler_experiments.learned_planner.evaluate.course import EvaluationCourse
 from angler_experiments.learned_planner.evaluate.evaluation_log import (
@@ -15,10 +15,11 @@ from angler_experiments.learned_planner.evaluate.evaluation_log import (
 )
 from angler_experiments.learned_planner.evaluate.rows import find_sea, planner_table
 from angler_experiments.learned_planner.progress import ProgressClock
-from angler_experiments.learned_planner.training import example_files, loop
+from angler_experiments.learned_planner.train import example_files, loop
+from angler_experiments.learned_planner.train.configs import CONFIGS
 
 _WORLDS_PER_LEARNED = 20.0 / 19.0
-"""Worlds in all for each that is learned from."""
+"""Number of evaluated worlds for each training world."""
 
 
 def evaluate_curve(
@@ -33,22 +34,23 @@ def evaluate_curve(
     seas: tuple[str, ...] = ("reef",),
     examples: Path | None = None,
 ) -> None:
-    """Train on more and more worlds, and print what each is worth.
+    """Train on growing sets of worlds, and print the results of each.
 
     Args:
-        out: Folder of the trainings, curve.json and curve.png; what is there is not done again.
+        out: Folder of the trainings, curve.json and curve.png; finished parts are not repeated.
         sizes: Worlds of the training sets; each is the beginning of the next.
-        config: Of `train`.
-        steps: Instead of the config's; the same for all sizes.
-        minutes: Of each training, by the pace of this machine: fewer steps, the same for all.
-        worlds: That each is judged in.
+        config: Config of `train`.
+        steps: Steps, the same for all sizes; the config's if left out.
+        minutes: Minutes of each training, by the pace of this machine: fewer steps, the same for
+            all.
+        worlds: Worlds of each evaluation.
         planners: By their names.
-        samples: Ways drawn for each robot.
-        seas: To be judged in.
-        examples: File of examples, as of `train`; read if it is there, otherwise written.
+        samples: Paths sampled for each robot.
+        seas: Seas of the evaluation.
+        examples: File of examples, as in `train`; read if it exists, otherwise written.
     """
     report = ProgressClock()
-    train_config = train.CONFIGS[config]
+    train_config = CONFIGS[config]
     train_config = replace(train_config, steps=steps or train_config.steps)
     all_examples = example_files.load_or_sample(
         train_config.sources, math.ceil(max(sizes) * _WORLDS_PER_LEARNED), examples, report

@@ -1,4 +1,4 @@
-"""Rows as they come, in a JSON file: what stands there is not flown again."""
+"""Log of rows in a JSON file: rows of the file are not flown again."""
 
 import json
 from pathlib import Path
@@ -16,13 +16,13 @@ _HEAD = (
 
 
 class EvaluationLog:
-    """A file of rows, each with a key that says all that it depends on."""
+    """File of rows, each with a key of all that it depends on."""
 
     def __init__(self, file: Path | None) -> None:
         """Read the file, where there is one.
 
         Raises:
-            ConfigError: it is no file of rows.
+            ConfigError: the file has no rows.
         """
         self._file = file
         self.rows: list[dict[str, Any]] = []
@@ -35,11 +35,11 @@ class EvaluationLog:
                 ) from error
 
     def find(self, key: dict[str, Any]) -> dict[str, Any] | None:
-        """The row of a key, if it is there."""
+        """Return the row of a key, if there is one."""
         return next((row for row in self.rows if row["key"] == key), None)
 
     def add(self, key: dict[str, Any], row: dict[str, Any]) -> dict[str, Any]:
-        """Write one more row; it is on the disk when this returns."""
+        """Append a row; it is on the disk when this returns."""
         device = jax.devices()[0].device_kind
         entry = {"key": key, "device": device, **row}
         self.rows.append(entry)
@@ -51,17 +51,17 @@ class EvaluationLog:
 
 
 def format_rate(rate: dict[str, Any]) -> str:
-    """A rate with its interval, in per cent."""
+    """Format a rate with its interval, in per cent."""
     return f"{100 * rate['rate']:.1f} ({100 * rate['low']:.1f} to {100 * rate['high']:.1f})"
 
 
 def format_head() -> str:
-    """Head of the table of `format_row`."""
+    """Format the head of the table of `format_row`."""
     return f"{_HEAD}\n{'|---' * (_HEAD.count('|') - 1)}|"
 
 
 def format_row(row: dict[str, Any]) -> str:
-    """A row of a table for people."""
+    """Format a row of a table for people."""
     key = row["key"]
     samples_text = f"{key['samples']}" if "samples" in key else ""
     return (

@@ -1,17 +1,17 @@
-"""Pictures of rows."""
+"""Figures of rows."""
 
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from angler_mjx.report.viewing import style
+from angler_mjx.report.plotting import style
 
 _PERCENT = 100.0
 
 
 def plot_arrivals(rows: list[dict[str, Any]], file: Path) -> Path:
-    """Bars of arrivals with their intervals, planners side by side in each sea."""
+    """Plot bars of arrivals with their intervals, planners side by side in each sea."""
     seas = list(dict.fromkeys(row["key"]["sea"] for row in rows))
     names = list(dict.fromkeys(_row_name(row) for row in rows))
     row_colors = _row_colors(rows)
@@ -37,7 +37,7 @@ def plot_arrivals(rows: list[dict[str, Any]], file: Path) -> Path:
 
 
 def _row_colors(rows: list[dict[str, Any]]) -> dict[str, tuple[str, float]]:
-    """Colour of each name by its planner, and depth by its samples: more of them are darker."""
+    """Return colour of each name by its planner, and its depth by its samples: more are darker."""
     planners = list(dict.fromkeys(row["key"]["planner"] for row in rows))
     counts = sorted({row["key"]["samples"] for row in rows if "samples" in row["key"]})
     step = 0.65 / max(len(counts) - 1, 1)
@@ -56,7 +56,7 @@ def _row_name(row: dict[str, Any]) -> str:
 
 
 def plot_curve(rows: list[dict[str, Any]], file: Path) -> Path:
-    """Arrivals, and the loss on worlds that were held back, against the size of the training."""
+    """Plot arrivals and validation loss against the size of the training set."""
     names = list(dict.fromkeys(row["key"]["planner"] for row in rows))
     with style.figure_style():
         figure = style.new_figure(8.4, 3.4)
@@ -81,7 +81,7 @@ def plot_curve(rows: list[dict[str, Any]], file: Path) -> Path:
 
 
 def _rates_with_interval(rows: list[dict[str, Any]]) -> tuple[np.ndarray, np.ndarray]:
-    """Arrivals [n] in per cent, and how far their intervals reach down and up [2, n]."""
+    """Return arrivals [n] in per cent, and the extents of their intervals down and up [2, n]."""
     arrived = [row["arrived"] for row in rows]
     rate, low, high = (
         _PERCENT * np.array([entry[k] for entry in arrived]) for k in ("rate", "low", "high")

@@ -1,8 +1,8 @@
-"""Teams flown ahead: the best of several answers, by a flight in the engine in what is told.
+"""Flights ahead of teams: the best of several answers by simulation with the available information.
 
-A planner is asked by a problem, which holds no vehicles; whoever has a simulator can fly. The
-robots are then those of the simulator, with their controllers, in the current as it is told; bodies
-that move are left out of the flight, and its samples are held against the places that are told.
+A planner's problem holds no vehicles; the owner of a simulator can fly. The robots are then those
+of the simulator, with their controllers, in the current as known; moving bodies are left out of the
+flight, and its samples are checked against their known positions.
 """
 
 from dataclasses import replace
@@ -14,7 +14,7 @@ import numpy as np
 
 from angler_mjx.planning.planner import PathShape
 from angler_mjx.planning.problem import Problem
-from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.information import ObstacleInformation
@@ -22,11 +22,11 @@ from angler_mjx.sim.state import Outcome, World
 from angler_mjx.world.obstacles.types import STATIC
 
 SAMPLE_HZ = 2.0
-"""Samples of a flight ahead."""
+"""Sample rate of a flight ahead."""
 
 
 def restrict_to_information(worlds: World, problems: Problem) -> World:
-    """Worlds in which nothing is but what was told: the water, and bodies that stand."""
+    """Return worlds reduced to the available information: the water, and fixed bodies."""
     environment = worlds.environment
     bodies = environment.obstacles
     static_bodies = replace(bodies, exists=bodies.exists & (bodies.motion == STATIC))
@@ -37,13 +37,13 @@ def restrict_to_information(worlds: World, problems: Problem) -> World:
 
 
 class LookaheadSimulator:
-    """Flies teams in what is told."""
+    """Simulator of teams with the available information."""
 
     def __init__(self, scenario: Scenario) -> None:
-        """With a simulator of its own; it is compiled when first asked.
+        """Set up a simulator; it is compiled at its first use.
 
         Args:
-            scenario: whose worlds are one tile.
+            scenario: scenario with worlds of one tile.
         """
         sampled_time = scenario.time.model_copy(update={"record_hz": SAMPLE_HZ})
         self._simulator = Simulator(
@@ -53,29 +53,29 @@ class LookaheadSimulator:
         )
 
     def select_best(self, worlds: World, teams: Trajectory, problems: Problem) -> Trajectory:
-        """Of each world's teams that of which most robots arrive; of equals the first.
+        """Return of each world's teams the one with most arrivals; of equals the first.
 
         Args:
-            worlds: as they are.
+            worlds: true worlds.
             teams: paths [world, team, robot].
-            problems: what is told of the worlds.
+            problems: problems of the worlds.
         """
-        known_worlds = restrict_to_information(worlds, problems)
+        reduced_worlds = restrict_to_information(worlds, problems)
         candidates = [
             jax.tree.map(partial(_select_team, k), teams) for k in range(teams.found.shape[1])
         ]
         safe = jnp.stack(
-            [self._count_safe(known_worlds, candidate, problems) for candidate in candidates],
+            [self._count_safe(reduced_worlds, candidate, problems) for candidate in candidates],
             axis=1,
         )
         rows, best_index = jnp.arange(safe.shape[0]), jnp.argmax(safe, axis=1)
         chosen: Trajectory = jax.tree.map(lambda leaf: leaf[rows, best_index], teams)
         return chosen
 
-    def _count_safe(self, known_worlds: World, path: Trajectory, problems: Problem) -> jax.Array:
-        """Robots [world] that arrive and meet no body where it was told to be."""
+    def _count_safe(self, reduced_worlds: World, path: Trajectory, problems: Problem) -> jax.Array:
+        """Count robots [world] that arrive and meet no body at its known position."""
         simulator = self._simulator
-        worlds = simulator.with_paths(known_worlds, path)
+        worlds = simulator.with_paths(reduced_worlds, path)
         state = simulator.reset(worlds)
         min_gap_m = jnp.full(path.found.shape, jnp.inf)
         step_s = simulator.steps_per_sample * simulator.spec.control_dt_s
@@ -101,7 +101,7 @@ def _select_team(k: int, leaf: jax.Array) -> jax.Array:
 def _compute_gaps(
     obstacles: ObstacleInformation, position_m: jax.Array, time: jax.Array
 ) -> jax.Array:
-    """Distances [world, time, robot] of samples [world, time, robot, 3] to what moves, m."""
+    """Return distances [world, time, robot] of samples [world, time, robot, 3] to bodies, m."""
 
     def of_world(obstacles: ObstacleInformation, position_m: jax.Array) -> jax.Array:
         if obstacles.radius_m.shape[0] == 0:

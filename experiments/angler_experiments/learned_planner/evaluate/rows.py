@@ -1,4 +1,4 @@
-"""Who is compared, and where: tables of planners, and seas."""
+"""Rows and columns of the comparison: tables of planners, and seas."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,14 +7,14 @@ from typing import Any
 import jax.numpy as jnp
 
 from angler_experiments.learned_planner import planner
-from angler_experiments.learned_planner.training import examples
+from angler_experiments.learned_planner.train import examples
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning.problem import Problem
-from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.scenario.scenario import Scenario
 
 SEED = 2_000_003
-"""Of worlds to be judged in."""
+"""Seed of the evaluated worlds."""
 POINTS = 32
 PLANNERS = ("straight", "drawn", "noise", "learned", "grid", "priority")
 _SAMPLING_ROWS: dict[str, dict[str, Any]] = {
@@ -24,19 +24,20 @@ _SAMPLING_ROWS: dict[str, dict[str, Any]] = {
     "noise": {"draw": "noise"},
     "learned": {},
 }
-"""Settings of rows that draw ways; those not pushed are checked and chosen, but moved by nobody."""
+"""Settings of rows that sample paths; without pushes these are checked and chosen, but not
+moved."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sea:
-    """Where planners are compared."""
+    """Conditions in which planners are compared."""
 
     label: str
     preset: str = "reef"
     robots: int = 8
     still: bool = True
     speed: float = 1.0
-    """The current as a multiple of that of `reef_fleet`."""
+    """Current as a multiple of that of `reef_fleet`."""
 
 
 SEAS = {
@@ -51,14 +52,14 @@ SEAS = {
         Sea(label="shifted", preset="dense", robots=16, still=False, speed=1.5),
     )
 }
-"""By their labels; ``shifted`` is dense rock, 16 robots and a stronger current at once."""
+"""Seas by their labels; ``shifted`` is dense rock, 16 robots and a stronger current at once."""
 
 
 class StraightRow:
-    """The straight line at cruise speed, whatever is in between."""
+    """Planner of straight lines at cruise speed, without collision checks."""
 
     def plan_batch(self, problems: Problem) -> Trajectory:
-        """Paths [world, robot]."""
+        """Return paths [world, robot]."""
         team = problems.team
         distance_m = jnp.sqrt(jnp.sum((team.goal_m - team.start_m) ** 2, axis=-1))
         end = distance_m / (0.999 * team.cruise_speed_mps)
@@ -74,16 +75,16 @@ class StraightRow:
 
 
 def planner_table(name: str, **settings: Any) -> dict[str, Any]:
-    """Table ``planner`` of a row.
+    """Return the table ``planner`` of a row.
 
     Planners of this package are named by their files, so that nothing needs to be installed.
 
     Args:
         name: one of `PLANNERS`, or of those not pushed.
-        settings: of the learned one, in the rows that take them.
+        settings: settings of the learned planner, in the rows that take them.
 
     Raises:
-        ConfigError: there is no such row.
+        ConfigError: the row does not exist.
     """
     if name in _SAMPLING_ROWS:
         class_path = f"{Path(planner.__file__).resolve()}:LearnedPlanner"
@@ -94,20 +95,20 @@ def planner_table(name: str, **settings: Any) -> dict[str, Any]:
 
 
 def samples_paths(name: str) -> bool:
-    """Whether a row draws ways."""
+    """Return whether a row samples paths."""
     return name in _SAMPLING_ROWS
 
 
 def uses_network(name: str) -> bool:
-    """Whether a row depends on the network."""
+    """Return whether a row depends on the network."""
     return samples_paths(name) and _SAMPLING_ROWS[name].get("draw") != "noise"
 
 
 def find_sea(label: str) -> Sea:
-    """By its label.
+    """Find a sea by its label.
 
     Raises:
-        ConfigError: there is no such sea.
+        ConfigError: the sea does not exist.
     """
     if label not in SEAS:
         raise ConfigError(f"sea {label!r}: there is {'; '.join(SEAS)}")
@@ -115,7 +116,7 @@ def find_sea(label: str) -> Sea:
 
 
 def build_scenario(sea: Sea, planner: dict[str, Any], worlds: int) -> Scenario:
-    """Of one row."""
+    """Build the scenario of one row."""
     return examples.build_scenario(
         preset=sea.preset,
         robots=sea.robots,

@@ -14,17 +14,12 @@ import pytest
 
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.learning.datasets import generation, index, manifest
+from angler_mjx.progress import Progress
 from angler_mjx.runs import multi_run, rollout
-from angler_mjx.runs.progress import SilentProgress
 from angler_mjx.runs.storage import folder, output_lock
 from angler_mjx.runs.storage.folder import Run
 
 from ...threads import together
-
-
-class Told(SilentProgress):
-    def part(self, number, of, name):
-        pass
 
 
 @pytest.fixture
@@ -46,9 +41,9 @@ def flown_before(made, monkeypatch):
 
 
 def test_parts_are_flown_together_and_one_writes_the_rest(file, made, flown_before, tmp_path):
-    asked, out = generation.read_request(file, 6), tmp_path / "out"
+    request, out = generation.read_request(file, 6), tmp_path / "out"
     ends, ours = together(
-        3, lambda one: generation.make_dataset(asked, out, progress=Told(), processes=one)
+        3, lambda one: generation.make_dataset(request, out, progress=Progress(), processes=one)
     )
     assert ends == [out] * 3
     assert len(flown_before) == 6
@@ -58,16 +53,16 @@ def test_parts_are_flown_together_and_one_writes_the_rest(file, made, flown_befo
 
 
 def test_a_part_that_is_whole_is_begun_by_nobody(file, made, flown_before, tmp_path):
-    asked, out = generation.read_request(file, 6), tmp_path / "out"
+    request, out = generation.read_request(file, 6), tmp_path / "out"
     claimed = output_lock.acquire(out, kind="dataset")
-    folder.write_json(claimed.building / multi_run.REQUEST_FILE, asked.resolved())
+    folder.write_json(claimed.building / multi_run.REQUEST_FILE, request.resolved())
     first = manifest.read_manifest(made).parts[0]
     shutil.copytree(made / first.path, claimed.building / first.path)
     claimed.release()
     ends, _ = together(
         2,
         lambda one: generation.make_dataset(
-            asked, out, progress=Told(), processes=one, resume=True
+            request, out, progress=Progress(), processes=one, resume=True
         ),
     )
     assert ends == [out] * 2
@@ -79,7 +74,7 @@ def test_what_one_cannot_do_ends_all(file, flown_before, tmp_path):
     ends, ours = together(
         2,
         lambda one: generation.make_dataset(
-            generation.read_request(file, 6), tmp_path / "out", progress=Told(), processes=one
+            generation.read_request(file, 6), tmp_path / "out", progress=Progress(), processes=one
         ),
     )
     assert isinstance(ends[0], ConfigError)
@@ -125,10 +120,10 @@ def test_two_processes_make_the_same_dataset_also_when_one_was_lost(file, made, 
             assert all(one.poll() is None for one in started)
             time.sleep(0.1)
         started[1].send_signal(signal.SIGKILL)
-        _, said = started[0].communicate(timeout=300)
+        _, output = started[0].communicate(timeout=300)
         assert started[0].returncode == 2
-        assert "process 1 is gone" in " ".join(said.split())
-        assert "--resume" in said
+        assert "process 1 is gone" in " ".join(output.split())
+        assert "--resume" in output
         assert building.is_dir()
         assert not (out / manifest.MANIFEST).exists()
     finally:

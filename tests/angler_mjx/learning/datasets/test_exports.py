@@ -46,10 +46,10 @@ def test_a_flight_is_what_its_episode_holds(data, every):
         assert episode.running[:steps, flight.robot].all()
         assert not episode.running[steps:, flight.robot].any()
         at = flights.STATE_COLUMNS.index
-        mine = {name: values[:steps, flight.robot] for name, values in episode.arrays.items()}
-        np.testing.assert_array_equal(flight.state[:, at("x_m") : at("z_m") + 1], mine["p_m"])
-        np.testing.assert_array_equal(flight.state[:, at("qw") : at("qz") + 1], mine["q"])
-        np.testing.assert_array_equal(flight.action, mine["target_m"])
+        recorded = {name: values[:steps, flight.robot] for name, values in episode.arrays.items()}
+        np.testing.assert_array_equal(flight.state[:, at("x_m") : at("z_m") + 1], recorded["p_m"])
+        np.testing.assert_array_equal(flight.state[:, at("qw") : at("qz") + 1], recorded["q"])
+        np.testing.assert_array_equal(flight.action, recorded["target_m"])
         goal = flight.state[:, at("goal_x_m") : at("goal_z_m") + 1]
         assert (goal == episode.goal_m[flight.robot]).all()
 
@@ -62,15 +62,15 @@ def test_others_are_seen_from_the_robot(data, every):
             assert not flight.others.any()
             continue
         other = 1 - flight.robot
-        place = episode.arrays["p_m"][: len(flight.time_s)]
+        position = episode.arrays["p_m"][: len(flight.time_s)]
         turn = [
-            Rotation.from_quat(episode.arrays["q"][: len(place), i][:, [1, 2, 3, 0]])
+            Rotation.from_quat(episode.arrays["q"][: len(position), i][:, [1, 2, 3, 0]])
             for i in range(2)
         ]
-        moving = [turn[i].apply(episode.arrays["nu"][: len(place), i, :3]) for i in range(2)]
+        moving = [turn[i].apply(episode.arrays["nu"][: len(position), i, :3]) for i in range(2)]
         assert (flight.others[:, 0, 0] == 1).all()
         np.testing.assert_allclose(
-            flight.others[:, 0, 1:4], place[:, other] - place[:, flight.robot], atol=1e-5
+            flight.others[:, 0, 1:4], position[:, other] - position[:, flight.robot], atol=1e-5
         )
         np.testing.assert_allclose(
             flight.others[:, 0, 4:7], moving[other] - moving[flight.robot], atol=1e-4
@@ -122,10 +122,12 @@ def test_lerobot_is_as_its_version_3_says(made, every, tmp_path, monkeypatch):
     for row in rows:
         low, high = next(r for r in ranges if r[0] <= row["episode_index"] < r[1])
         assert info["splits"][row["split"]] == f"{low}:{high}"
-        place = info["data_path"].format(
+        position = info["data_path"].format(
             chunk_index=row["data/chunk_index"], file_index=row["data/file_index"]
         )
-        table = pq.read_table(out / place, filters=[("episode_index", "=", row["episode_index"])])
+        table = pq.read_table(
+            out / position, filters=[("episode_index", "=", row["episode_index"])]
+        )
         assert row["dataset_from_index"] == frames
         assert table["index"].to_pylist() == list(range(frames, frames + row["length"]))
         assert table["timestamp"][1].as_py() == pytest.approx(1 / info["fps"])
@@ -246,15 +248,15 @@ def test_a_relative_folder_holds_what_an_absolute_one_does(made, tmp_path, monke
 
 
 @pytest.mark.parametrize(
-    ("how", "said"),
+    ("how", "message"),
     [
         ({"to": "rlds"}, "must be one of lerobot, minari, mpinets, parquet"),
         ({"to": "parquet", "action": "wish"}, "must be target or pwm"),
-        ({"to": "parquet", "split": "nobody's"}, "is none of"),
+        ({"to": "parquet", "split": "nobody's"}, "is not among"),
     ],
 )
-def test_what_cannot_be_written_leaves_nothing(made, tmp_path, how, said):
-    with pytest.raises(ConfigError, match=said):
+def test_what_cannot_be_written_leaves_nothing(made, tmp_path, how, message):
+    with pytest.raises(ConfigError, match=message):
         formats.export_dataset(made, tmp_path / "out", progress=silent, **how)
     assert not any(tmp_path.iterdir())
 

@@ -8,13 +8,13 @@ from angler_mjx.runs.storage.folder import Run
 
 
 @pytest.mark.parametrize(
-    ("ended", "said"),
+    ("ended", "rate"),
     [({"timeout": 2}, "0 %"), ({"reached": 3, "timeout": 1}, "75 %"), ({"reached": 2}, "100 %")],
 )
-def test_the_headline_says_how_many_robots_arrived(made, ended, said):
+def test_the_headline_says_how_many_robots_arrived(made, ended, rate):
     figure = figures.plot_counts(manifest.read_manifest(made), index.read_index(made), ended)
     texts = [text.get_text() for text in figure.texts]
-    assert f"small: 6 episodes, {said} of robots arrived" in texts
+    assert f"small: 6 episodes, {rate} of robots arrived" in texts
 
 
 def test_a_cross_marks_where_each_robot_failed(made):
@@ -33,5 +33,5 @@ def test_a_cross_marks_where_each_robot_failed(made):
             wanted.append({(row["failure_x_m"], row["failure_y_m"]) for row in failed})
     assert any(wanted)
     assert len(marks) == len(wanted)
-    for drawn, places in zip(marks, wanted, strict=True):
-        np.testing.assert_allclose(sorted(drawn), sorted(places), atol=1e-6)
+    for plotted, expected in zip(marks, wanted, strict=True):
+        np.testing.assert_allclose(sorted(plotted), sorted(expected), atol=1e-6)

@@ -11,14 +11,9 @@ import pytest
 from angler_mjx.cli import main
 from angler_mjx.errors import ConfigError
 from angler_mjx.learning.datasets import generation, index, manifest, parts
+from angler_mjx.progress import Progress
 from angler_mjx.runs import multi_run, rollout
-from angler_mjx.runs.progress import SilentProgress
 from angler_mjx.runs.storage.folder import Run
-
-
-class Told(SilentProgress):
-    def part(self, number, of, name):
-        pass
 
 
 def rewritten(file, name, *changes):
@@ -94,7 +89,7 @@ def test_shares_are_kept_to_one_episode(file):
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "message"),
     [
         ((("weight = 2.0", "weight = -1.0"),), "weight"),
         ((('name = "there"', 'name = "here"'),), "is there twice"),
@@ -104,16 +99,20 @@ def test_shares_are_kept_to_one_episode(file):
         ((("shifted = true", "set = { time = { record_hz = 1.0 } }"),), "recorded in one way"),
     ],
 )
-def test_what_cannot_be_made_is_refused(file, tmp_path, changes, said):
+def test_what_cannot_be_made_is_refused(file, tmp_path, changes, message):
     path = rewritten(file, "faulty.toml", *changes)
-    with pytest.raises(ConfigError, match=said):
-        generation.make_dataset(generation.read_request(path, 6), tmp_path / "out", progress=Told())
+    with pytest.raises(ConfigError, match=message):
+        generation.make_dataset(
+            generation.read_request(path, 6), tmp_path / "out", progress=Progress()
+        )
     assert not any(tmp_path.iterdir())
 
 
 def test_too_few_episodes_say_how_many_would_do(file, tmp_path):
     with pytest.raises(ConfigError, match=r"--episodes 1: .* give 2 or more"):
-        generation.make_dataset(generation.read_request(file, 1), tmp_path / "out", progress=Told())
+        generation.make_dataset(
+            generation.read_request(file, 1), tmp_path / "out", progress=Progress()
+        )
 
 
 def test_a_broken_off_making_goes_on_to_the_same_bytes(file, made, tmp_path, monkeypatch):
@@ -128,18 +127,24 @@ def test_a_broken_off_making_goes_on_to_the_same_bytes(file, made, tmp_path, mon
 
     monkeypatch.setattr(rollout, "rollout", broken)
     with pytest.raises(KeyboardInterrupt):
-        generation.make_dataset(generation.read_request(file, 6), out, progress=Told())
+        generation.make_dataset(generation.read_request(file, 6), out, progress=Progress())
     with pytest.raises(ConfigError, match="--resume"):
-        generation.make_dataset(generation.read_request(file, 6), out, progress=Told())
+        generation.make_dataset(generation.read_request(file, 6), out, progress=Progress())
     with pytest.raises(ConfigError, match="other episodes"):
-        generation.make_dataset(generation.read_request(file, 5), out, progress=Told(), resume=True)
+        generation.make_dataset(
+            generation.read_request(file, 5), out, progress=Progress(), resume=True
+        )
     monkeypatch.setattr(rollout, "rollout", whole)
     assert (
-        generation.make_dataset(generation.read_request(file, 6), out, progress=Told(), resume=True)
+        generation.make_dataset(
+            generation.read_request(file, 6), out, progress=Progress(), resume=True
+        )
         == out
     )
     with pytest.raises(ConfigError, match="complete"):
-        generation.make_dataset(generation.read_request(file, 6), out, progress=Told(), resume=True)
+        generation.make_dataset(
+            generation.read_request(file, 6), out, progress=Progress(), resume=True
+        )
     data = [p.relative_to(made) for p in made.rglob("trajectories.zarr/**/*") if p.is_file()]
     assert data
     for name in data:
@@ -158,14 +163,14 @@ def test_show_and_stray_folders(made, tmp_path, capsys):
 def test_manifests_are_not_believed(copy):
     path = copy / manifest.MANIFEST
     table = json.loads(path.read_text())
-    for change, said in (
+    for change, message in (
         ({"schema_version": 7}, "schema_version = 7"),
         ({"parts": [{**table["parts"][0], "path": "../elsewhere"}]}, "leaves the dataset's folder"),
         ({"parts": [{**table["parts"][0], "path": "/etc"}]}, "leaves the dataset's folder"),
         ({"episodes": 0}, "episodes"),
     ):
         path.write_text(json.dumps({**table, **change}))
-        with pytest.raises(ConfigError, match=said):
+        with pytest.raises(ConfigError, match=message):
             manifest.read_manifest(copy)
     path.write_text("{")
     with pytest.raises(ConfigError, match="not valid JSON"):

@@ -65,11 +65,11 @@ def test_other_columns_are_refused(tmp_path, first):
 
 
 def test_an_environment_is_in_one_split_of_every_dataset():
-    shares = SplitConfig(train=0.6, val=0.3, test=0.1)
+    fractions = SplitConfig(train=0.6, val=0.3, test=0.1)
     rng = np.random.default_rng(0)
     rocks = rng.random((3000, 3, 3, 2)) < 0.4
     digests = [index.hash_environment(rock, b"") for rock in rocks]
-    splits = np.array([index.assign_split(digest, shares) for digest in digests])
+    splits = np.array([index.assign_split(digest, fractions) for digest in digests])
     for name, fraction in (("train", 0.6), ("val", 0.3), ("test", 0.1)):
         # Four standard deviations of a binomial.
         deviation = np.sqrt(fraction * (1 - fraction) / 3000)

@@ -12,18 +12,18 @@ import pytest
 
 KILLS = 50
 EPISODES = 40
-TOLD_ANEW = (
+REWRITTEN = (
     *("summary.json", "run.log", "environment.json"),
     *("dataset.json", "sha256sums.txt", "README.md"),
 )
 """They hold times, and the command of the process that finished."""
 
 
-def bytes_of(place):
+def bytes_of(folder):
     return {
-        str(path.relative_to(place)): hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in sorted(place.rglob("*"))
-        if path.is_file() and path.name not in TOLD_ANEW
+        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file() and path.name not in REWRITTEN
     }
 
 
@@ -53,7 +53,7 @@ def test_fifty_kills_lose_nothing(file, tmp_path):
         while True:
             making = command(file, out, *more)
             try:
-                _, said = making.communicate(timeout=rng.uniform(0.0, longest))
+                _, output = making.communicate(timeout=rng.uniform(0.0, longest))
             except subprocess.TimeoutExpired:
                 making.send_signal(signal.SIGKILL)
                 making.communicate()
@@ -64,7 +64,7 @@ def test_fifty_kills_lose_nothing(file, tmp_path):
                 begun = out.exists() or (tmp_path / f".{out.name}.partial").exists()
                 more = ("--resume",) if begun else ()
             else:
-                assert making.returncode == 0, said.decode()
+                assert making.returncode == 0, output.decode()
                 break
         assert bytes_of(out) == wanted
         finished += 1

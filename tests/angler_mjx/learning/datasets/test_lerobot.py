@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from angler_mjx.learning.datasets.exports import formats, lerobot, lerobot_statistics
+from angler_mjx.learning.datasets.exports import formats, lerobot
 
 RECORDED = json.loads((Path(__file__).parent / "lerobot_writer.json").read_text())
 
@@ -28,7 +28,7 @@ def exported(made, tmp_path_factory):
 def of_recorded(feature, episode):
     """Statistics of one feature of a recorded episode, as LeRobot wrote them."""
     row = RECORDED["statistics"][episode]
-    return {name: np.array(row[f"stats/{feature}/{name}"]) for name in lerobot_statistics.NAMES}
+    return {name: np.array(row[f"stats/{feature}/{name}"]) for name in lerobot.STATISTIC_NAMES}
 
 
 def columns(path):
@@ -42,10 +42,12 @@ def as_ours(recorded, features):
 
     A feature of one number is a plain column; one of several is a list of fixed size.
     """
-    own = ("observation.state", "action")
-    expected = {n: kind for n, kind in recorded.items() if not any(one in n for one in own)}
+    feature_names = ("observation.state", "action")
+    expected = {
+        n: kind for n, kind in recorded.items() if not any(one in n for one in feature_names)
+    }
     for feature, width in features.items():
-        like = own[width == 1]
+        like = feature_names[width == 1]
         expected |= {
             name.replace(like, feature): kind.replace("[2]", f"[{width}]")
             for name, kind in recorded.items()
@@ -73,25 +75,25 @@ def test_files_have_the_columns_and_types_of_lerobots_writer(exported):
 @pytest.mark.parametrize("feature", ["observation.state", "action"])
 def test_statistics_are_those_of_lerobots_writer(feature):
     ours = [
-        lerobot_statistics.compute_statistics(np.array(frames[feature], np.float32))
+        lerobot.compute_statistics(np.array(frames[feature], np.float32))
         for frames in RECORDED["frames"]
     ]
     theirs = [of_recorded(feature, episode) for episode in range(2)]
-    ours.append(lerobot_statistics.aggregate_statistics(ours))
+    ours.append(lerobot.aggregate_statistics(ours))
     theirs.append({name: np.array(x) for name, x in RECORDED["aggregated"][feature].items()})
-    for mine, recorded in zip(ours, theirs, strict=True):
-        assert mine.keys() == recorded.keys()
+    for written, recorded in zip(ours, theirs, strict=True):
+        assert written.keys() == recorded.keys()
         width = recorded["max"] - recorded["min"]
-        for name, values in mine.items():
-            tolerance = 1.01 * BIN if name in lerobot_statistics.QUANTILES else 1e-6
+        for name, values in written.items():
+            tolerance = 1.01 * BIN if name in lerobot.QUANTILES else 1e-6
             assert (np.abs(values - recorded[name]) <= tolerance * width).all(), name
 
 
 def test_an_episode_of_one_sample_has_no_spread():
-    found = lerobot_statistics.compute_statistics(np.array([[3.0, -1.0]], np.float32))
+    found = lerobot.compute_statistics(np.array([[3.0, -1.0]], np.float32))
     assert found["count"].tolist() == [1]
     assert found["std"].tolist() == [0.0, 0.0]
-    for name in ("min", "max", "mean", *lerobot_statistics.QUANTILES):
+    for name in ("min", "max", "mean", *lerobot.QUANTILES):
         assert found[name].tolist() == [3.0, -1.0]
 
 
@@ -112,7 +114,7 @@ def test_every_episode_has_the_statistics_of_its_own_samples(made, tmp_path, mon
         rows = data.slice(row["dataset_from_index"], row["length"])
         for feature in ("observation.state", "action", "timestamp", "index"):
             values = np.array(rows[feature].to_pylist(), float).reshape(row["length"], -1)
-            of = {name: row[f"stats/{feature}/{name}"] for name in lerobot_statistics.NAMES}
+            of = {name: row[f"stats/{feature}/{name}"] for name in lerobot.STATISTIC_NAMES}
             assert of["count"] == [row["length"]]
             np.testing.assert_array_equal(of["min"], values.min(axis=0))
             np.testing.assert_array_equal(of["max"], values.max(axis=0))

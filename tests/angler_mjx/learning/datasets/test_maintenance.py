@@ -12,33 +12,33 @@ from angler_mjx.learning.datasets.maintenance import merge as joining
 from angler_mjx.learning.datasets.maintenance import repair as mending
 from angler_mjx.learning.datasets.maintenance import summary
 from angler_mjx.learning.datasets.verifying import integrity, verification
-from angler_mjx.runs.progress import SilentProgress
+from angler_mjx.progress import Progress
 
-from .test_generation import Told, rewritten
+from .test_generation import rewritten
 
 
 def test_what_was_damaged_is_flown_again_to_the_same_bytes(copy, made, capsys):
     part = manifest.read_manifest(copy).parts[0].path
-    place = copy / part / "trajectories.zarr"
-    shard = place / "p_m" / "c" / "1" / "0" / "0" / "0"
+    store = copy / part / "trajectories.zarr"
+    shard = store / "p_m" / "c" / "1" / "0" / "0" / "0"
     data = bytearray(shard.read_bytes())
     data[len(data) // 3] ^= 1
     shard.write_bytes(data)
-    (place / "q" / "c" / "0" / "0" / "0" / "0").unlink()
+    (store / "q" / "c" / "0" / "0" / "0" / "0").unlink()
     (copy / manifest.INDEX).write_bytes(b"none")
     (copy / part / "variants.json").unlink()
     (missing,) = integrity.check_parts(copy, manifest.read_manifest(copy)).findings
     assert "variants.json is 'none'" in missing.text
     main.main(["dataset", "repair", str(copy)])
-    said = capsys.readouterr().out
-    assert "4 files were damaged or lost" in said
-    assert f"flown again: {part}" in said
-    assert "other bytes" not in said
+    output = capsys.readouterr().out
+    assert "4 files were damaged or lost" in output
+    assert f"flown again: {part}" in output
+    assert "other bytes" not in output
     for name in checksums.list_files(made):
         if "trajectories.zarr" in name or name.endswith((".parquet", "variants.json")):
             assert (copy / name).read_bytes() == (made / name).read_bytes(), name
     assert verification.verify_dataset(copy, 0, lambda *_: None).agrees
-    assert mending.repair_dataset(copy, SilentProgress()).damaged == ()
+    assert mending.repair_dataset(copy, Progress()).damaged == ()
 
 
 @pytest.mark.parametrize("ended", [KeyboardInterrupt, ConfigError("no")])
@@ -63,18 +63,18 @@ def test_what_cannot_be_flown_again_is_said(copy):
     part = manifest.read_manifest(copy).parts[0].path
     text = (copy / part / "config.json").read_text()
     (copy / part / "config.json").write_text(text + " ")
-    with pytest.raises(ConfigError, match=r"config.json: says what was flown"):
-        mending.repair_dataset(copy, SilentProgress())
+    with pytest.raises(ConfigError, match=r"config.json: defines the flights"):
+        mending.repair_dataset(copy, Progress())
     (copy / part / "config.json").write_text(text)
     next((copy / part / "trajectories.zarr" / "nu").rglob("c/0/0/0/0")).unlink()
     table = json.loads((copy / manifest.MANIFEST).read_text())
     table["environment"]["device"] = "another"
     (copy / manifest.MANIFEST).write_text(json.dumps(table))
     with pytest.raises(ConfigError, match=r"made with another device.*--accept"):
-        mending.repair_dataset(copy, SilentProgress())
+        mending.repair_dataset(copy, Progress())
     (copy / manifest.SUMS).unlink()
-    with pytest.raises(ConfigError, match="nobody can tell what is damaged"):
-        mending.repair_dataset(copy, SilentProgress())
+    with pytest.raises(ConfigError, match="damage cannot be located"):
+        mending.repair_dataset(copy, Progress())
 
 
 @pytest.mark.nightly(
@@ -83,7 +83,7 @@ def test_what_cannot_be_flown_again_is_said(copy):
 def test_datasets_become_one(file, made, tmp_path):
     other = rewritten(file, "other.toml", ("seed = 4", "seed = 5"))
     second = generation.make_dataset(
-        generation.read_request(other, 3), tmp_path / "second", progress=Told()
+        generation.read_request(other, 3), tmp_path / "second", progress=Progress()
     )
     out = joining.merge_datasets([made, second], tmp_path / "both")
     assert verification.verify_dataset(out, 0, lambda *_: None).agrees
@@ -91,7 +91,7 @@ def test_datasets_become_one(file, made, tmp_path):
     assert (found.name, found.episodes, len(found.parts)) == ("both", 9, 4)
     assert table["episode"].to_pylist() == list(range(9))
     kept = ("world", "seed", "environment", "split", "energy_j")
-    before = [row for place in (made, second) for row in index.read_index(place).to_pylist()]
+    before = [row for store in (made, second) for row in index.read_index(store).to_pylist()]
     for row, old in zip(table.to_pylist(), before, strict=True):
         assert {name: row[name] for name in kept} == {name: old[name] for name in kept}
     with pytest.raises(ConfigError, match="in the same worlds as"):

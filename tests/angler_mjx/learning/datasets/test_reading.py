@@ -12,7 +12,7 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.learning import datasets
 from angler_mjx.learning.datasets import manifest
 from angler_mjx.learning.datasets.loaders import shuffling
-from angler_mjx.learning.datasets.reading.stored import StoredArray
+from angler_mjx.learning.datasets.stored import StoredArray
 from angler_mjx.runs.storage import trajectory_layout
 from angler_mjx.runs.storage.folder import Run
 
@@ -24,8 +24,8 @@ def data(made):
     return datasets.open(made)
 
 
-def runs(place):
-    return [place / part.path for part in manifest.read_manifest(place).parts]
+def runs(root):
+    return [root / part.path for part in manifest.read_manifest(root).parts]
 
 
 def test_every_value_is_that_of_zarr(made):
@@ -34,17 +34,17 @@ def test_every_value_is_that_of_zarr(made):
         group = zarr.open_group(run / "trajectories.zarr", mode="r")
         for name, array in group.members(max_depth=None):
             if name in trajectory_layout.ARRAYS:
-                mine = StoredArray(run / "trajectories.zarr" / name)
-                assert mine.shape == array.shape
-                looked_at.add((name, mine._form.per_unit is not None))
+                read_array = StoredArray(run / "trajectories.zarr" / name)
+                assert read_array.shape == array.shape
+                looked_at.add((name, read_array._form.per_unit is not None))
                 for world in range(array.shape[0]):
                     theirs = np.asarray(array[world])
-                    read = mine.read(world)
+                    read = read_array.read(world)
                     assert read.dtype == theirs.dtype
                     np.testing.assert_array_equal(read, theirs)
                     if name in TIMED:
                         some = slice(3, 12, 2)
-                        np.testing.assert_array_equal(mine.read(world, some), theirs[some])
+                        np.testing.assert_array_equal(read_array.read(world, some), theirs[some])
     assert {("p_m", True), ("nu", True), ("q", False), ("outcome", False)} <= looked_at
 
 
@@ -63,38 +63,38 @@ def test_worlds_that_were_never_written_are_missing(tmp_path, codecs):
         fill_value=np.nan,
         **(more if codecs == "stepped" else {"compressors": zarr.codecs.BloscCodec(cname="lz4")}),
     )[1] = 2.0
-    mine = StoredArray(tmp_path / "a")
-    assert np.isnan(mine.read(0)).all()
-    assert (mine.read(1) == 2.0).all()
+    read_array = StoredArray(tmp_path / "a")
+    assert np.isnan(read_array.read(0)).all()
+    assert (read_array.read(1) == 2.0).all()
     with pytest.raises(ConfigError, match="no such file"):
-        mine.read(2)
+        read_array.read(2)
     with pytest.raises(IndexError):
-        mine.read(4)
+        read_array.read(4)
 
 
 def test_arrays_of_others_are_left_to_zarr(tmp_path):
     values = np.arange(24.0).reshape(2, 4, 3)
     zarr.create_array(tmp_path / "a", data=values, chunks=(1, 2, 3))
-    mine = StoredArray(tmp_path / "a")
-    np.testing.assert_array_equal(mine.read(1), values[1])
-    np.testing.assert_array_equal(mine.read(1, slice(1, 3)), values[1, 1:3])
+    read_array = StoredArray(tmp_path / "a")
+    np.testing.assert_array_equal(read_array.read(1), values[1])
+    np.testing.assert_array_equal(read_array.read(1, slice(1, 3)), values[1, 1:3])
 
 
 def test_damaged_shards_are_named(copy):
-    place = runs(copy)[0] / "trajectories.zarr" / "p_m"
-    shard = place / "c" / "0" / "0" / "0" / "0"
+    root = runs(copy)[0] / "trajectories.zarr" / "p_m"
+    shard = root / "c" / "0" / "0" / "0" / "0"
     whole = shard.read_bytes()
-    for damaged, said in (
-        (whole[:-40], "its index is none"),
+    for damaged, message in (
+        (whole[:-40], "its index is wrong"),
         (b"", "cannot be read"),
     ):
         shard.write_bytes(damaged)
-        fresh = StoredArray(place)
-        with pytest.raises(ConfigError, match=said):
+        fresh = StoredArray(root)
+        with pytest.raises(ConfigError, match=message):
             fresh.read(0)
     shard.unlink()
     with pytest.raises(ConfigError, match="no such file"):
-        StoredArray(place).read(0)
+        StoredArray(root).read(0)
 
 
 def test_episodes_are_what_the_runs_hold(data, made):
@@ -118,9 +118,9 @@ def test_only_what_is_asked_for_is_opened(made):
     assert len(datasets.open(made, split="test_there")) == 2
     there = set(datasets.open(made).index["split"].to_pylist())
     assert sum(len(datasets.open(made, split=name)) for name in there) == 6
-    with pytest.raises(ConfigError, match="split: 'training' is none of"):
+    with pytest.raises(ConfigError, match="split: 'training' is not among"):
         datasets.open(made, split="training")
-    with pytest.raises(ConfigError, match="fields: 'speed' is none of"):
+    with pytest.raises(ConfigError, match="fields: 'speed' is not among"):
         datasets.open(made, fields=("speed",))
     arrived = set(datasets.open(made).index["success"].to_pylist())
     assert sum(len(datasets.open(made, success=one)) for one in arrived) == 6
@@ -190,14 +190,14 @@ def test_statistics_leave_padding_out_and_tell_vehicles_apart(copy):
         np.testing.assert_allclose(std[:width], [one.std() for one in wanted], rtol=2e-3)
         assert np.isnan(mean[width:]).all()
         assert len(mean) == 8
-    places = np.concatenate(
+    positions = np.concatenate(
         [np.asarray(group["obstacle_p_m"][i, :n, 0]) for i, n in enumerate(samples)]
     )
     np.testing.assert_allclose(
-        data.statistics()["obstacle_p_m"][0], places.mean(axis=0, dtype=float), rtol=1e-4
+        data.statistics()["obstacle_p_m"][0], positions.mean(axis=0, dtype=float), rtol=1e-4
     )
     assert all((window["obstacle_mask"] == [True, False]).all() for window in data.windows(4))
-    with pytest.raises(ConfigError, match="vehicle: 'boat' is none of bluerov2, bluerov2_heavy"):
+    with pytest.raises(ConfigError, match="vehicle: 'boat' is not among bluerov2, bluerov2_heavy"):
         data.statistics(vehicle="boat")
 
 

@@ -25,7 +25,7 @@ from angler_mjx.learning.datasets.sampling import DIFFICULTIES, SampleConfig
 SPLITS = ("train", "val", "test")
 
 
-def drawn(n, seed, trivial=0.35, failed=0.3):
+def sampled(n, seed, trivial=0.35, failed=0.3):
     """An index of n episodes of three splits and a shifted scene."""
     rng = np.random.default_rng(seed)
     rest = [(1.0 - trivial) / (len(DIFFICULTIES) - 1)] * (len(DIFFICULTIES) - 1)
@@ -40,7 +40,7 @@ def drawn(n, seed, trivial=0.35, failed=0.3):
     )
 
 
-def shares(table, keep):
+def fractions(table, keep):
     """Of each split's kept episodes, counted one by one."""
     found = {}
     for split in (*SPLITS, "test_far"):
@@ -55,10 +55,10 @@ def shares(table, keep):
 
 
 def test_every_split_has_the_shares_and_shifted_scenes_are_left_alone():
-    table = drawn(6000, 0)
+    table = sampled(6000, 0)
     wished = SampleConfig(at_most={"trivial": 0.2, "failed": 0.1}, at_least={"crossing": 0.27})
-    found = shares(table, sampling.select_episodes(table, wished, SPLITS))
-    before = shares(table, np.ones(6000, bool))
+    found = fractions(table, sampling.select_episodes(table, wished, SPLITS))
+    before = fractions(table, np.ones(6000, bool))
     for split in SPLITS:
         assert found[split]["trivial"] <= 0.2
         assert found[split]["failed"] <= 0.1
@@ -70,7 +70,7 @@ def test_every_split_has_the_shares_and_shifted_scenes_are_left_alone():
 
 
 def test_of_one_kind_no_more_is_taken_than_must_be():
-    table = drawn(4000, 1)
+    table = sampled(4000, 1)
     keep = sampling.select_episodes(table, SampleConfig(at_most={"trivial": 0.1}), SPLITS)
     trivial = np.array([d == "trivial" for d in table["difficulty"].to_pylist()])
     train = np.array([s == "train" for s in table["split"].to_pylist()])
@@ -104,7 +104,7 @@ def test_whatever_there_is_bounds_hold(counts, trivial, failed, crossing):
 
 
 def test_choice_is_of_the_episode_and_not_of_its_row():
-    table = drawn(900, 2)
+    table = sampled(900, 2)
     wished = SampleConfig(at_most={"trivial": 0.1})
     keep = sampling.select_episodes(table, wished, SPLITS)
     order = np.random.default_rng(3).permutation(900)
@@ -116,7 +116,7 @@ def test_choice_is_of_the_episode_and_not_of_its_row():
 
 
 @pytest.mark.parametrize(
-    ("table", "said"),
+    ("table", "message"),
     [
         ({"at_most": {"trivial": 1.2}}, r"at_most.trivial = 1.2: must be from 0 to 1"),
         (
@@ -128,16 +128,16 @@ def test_choice_is_of_the_episode_and_not_of_its_row():
         ({"at_most": {"easy": 0.2}}, "easy"),
     ],
 )
-def test_shares_that_cannot_be_are_refused(table, said):
-    with pytest.raises(ValidationError, match=said):
+def test_shares_that_cannot_be_are_refused(table, message):
+    with pytest.raises(ValidationError, match=message):
         SampleConfig(**table)
 
 
 def test_bounds_of_one_kind_may_lie_apart_or_together():
     for least, most in ((0.2, 0.5), (0.3, 0.3)):
         wished = SampleConfig(at_least={"blocked": least}, at_most={"blocked": most})
-        table = drawn(2000, 4)
-        found = shares(table, sampling.select_episodes(table, wished, SPLITS))
+        table = sampled(2000, 4)
+        found = fractions(table, sampling.select_episodes(table, wished, SPLITS))
         for split in SPLITS:
             assert least - 0.01 <= found[split]["blocked"] <= most + 1e-9
 
@@ -159,8 +159,12 @@ def test_readers_are_given_the_chosen_ones(copy, capsys):
     (copy / manifest.MANIFEST).write_text(json.dumps(table))
     found = index.build_index(copy, manifest.read_manifest(copy))
     index.write_index(copy, found)
-    drawn = [(row["split"], row["difficulty"]) for row in found.to_pylist()[:4]]
-    assert sorted(drawn) == [("train", "blocked"), *[("train", "trivial")] * 2, ("val", "trivial")]
+    sampled = [(row["split"], row["difficulty"]) for row in found.to_pylist()[:4]]
+    assert sorted(sampled) == [
+        ("train", "blocked"),
+        *[("train", "trivial")] * 2,
+        ("val", "trivial"),
+    ]
     # Of the two trivial ones of train one is too many, and of val the only one.
     assert len(datasets.open(copy, split="train")) == 2
     assert len(datasets.open(copy, split="train", chosen=False)) == 1
@@ -172,8 +176,8 @@ def test_readers_are_given_the_chosen_ones(copy, capsys):
     manifest.write_manifest(copy, whole)
     assert whole.chosen == {"test_there": 2, "train": 2}
     main.main(["dataset", "show", str(copy)])
-    said = " ".join(capsys.readouterr().out.split())
-    assert "chosen of test_there: 2 of 2, train: 2 of 3, val: 0 of 1" in said
+    message = " ".join(capsys.readouterr().out.split())
+    assert "chosen of test_there: 2 of 2, train: 2 of 3, val: 0 of 1" in message
     card.write_readme(copy, whole, found)
     text = (copy / card.README).read_text()
     assert "| trivial | at most 50 % | 75.0 | 50.0 |" in text

@@ -19,32 +19,32 @@ def silent(*_):
     pass
 
 
-def verdict(place, flights=0):
-    return verification.verify_dataset(place, flights, silent)
+def verdict(folder, flights=0):
+    return verification.verify_dataset(folder, flights, silent)
 
 
-def summed_anew(place):
+def with_new_sums(folder):
     """As somebody would leave it who changes data and hides it."""
-    table = json.loads((place / manifest.MANIFEST).read_text())
-    (place / manifest.MANIFEST).write_text(
-        json.dumps({**table, "sums": checksums.write_checksums(place)})
+    table = json.loads((folder / manifest.MANIFEST).read_text())
+    (folder / manifest.MANIFEST).write_text(
+        json.dumps({**table, "sums": checksums.write_checksums(folder)})
     )
 
 
 def test_a_sound_dataset_flies_again_to_the_last_bit(made, capsys):
     main.main(["dataset", "verify", str(made), "--again", "1"])
-    said = capsys.readouterr().out
-    assert "1 episodes, 1 the same to the last bit" in said
-    assert "0 wrong" not in said
-    assert said.count("nothing wrong") == 5
-    assert "5 episodes were not flown again" in said
+    output = capsys.readouterr().out
+    assert "1 episodes, 1 the same to the last bit" in output
+    assert "0 wrong" not in output
+    assert output.count("nothing wrong") == 5
+    assert "5 episodes were not flown again" in output
 
 
 def test_what_was_not_checked_is_said(made, capsys):
     main.main(["dataset", "verify", str(made)])
-    said = capsys.readouterr().out
-    assert said.count("nothing wrong") == 4
-    assert "flown again: not checked: --again N flies N episodes again" in said
+    output = capsys.readouterr().out
+    assert output.count("nothing wrong") == 4
+    assert "flown again: not checked: --again N flies N episodes again" in output
     main.main(["dataset", "verify", str(made), "--json"])
     checks = json.loads(capsys.readouterr().out)["checks"]
     assert checks["files"]["exact"] == len(checksums.list_files(made))
@@ -72,9 +72,9 @@ def test_robots_that_cannot_be_compared_are_not_counted_as_near(apart_m, alike, 
     check = DatasetCheck(name="flown again")
     replay._check_bounds(check, found, ["jax"])
     assert len(check.findings) == wrong
-    known = np.isfinite(np.array(apart_m))
-    near = int((np.array(apart_m)[known] <= 0.1).sum())
-    assert f"{near} of {known.sum()} within 0.1 m after 10 s" in check.looked_at
+    is_finite = np.isfinite(np.array(apart_m))
+    near = int((np.array(apart_m)[is_finite] <= 0.1).sum())
+    assert f"{near} of {is_finite.sum()} within 0.1 m after 10 s" in check.looked_at
 
 
 def test_a_robot_that_broke_down_is_no_fault(copy):
@@ -82,7 +82,7 @@ def test_a_robot_that_broke_down_is_no_fault(copy):
     array = zarr.open_group(copy / part / "trajectories.zarr", mode="r+")["outcome"]
     for number, faults in ((8, set()), (9, {"outcome"})):
         array[1, 15:, 1] = number
-        summed_anew(copy)
+        with_new_sums(copy)
         found = [one for one in verdict(copy).findings if one.what == "values"]
         assert {one.where.rpartition("/")[2] for one in found} == faults
 
@@ -107,7 +107,7 @@ def test_the_list_of_sums_is_guarded_too(copy):
     with (copy / manifest.SUMS).open("a") as file:
         file.write(f"{'0' * 64}  ../elsewhere\n")
     (one,) = verdict(copy).findings
-    assert "is not the file" in one.text
+    assert "SHA-256 differs" in one.text
     table = json.loads((copy / manifest.MANIFEST).read_text())
     digest = checksums.hash_file(copy / manifest.SUMS)
     (copy / manifest.MANIFEST).write_text(json.dumps({**table, "sums": digest}))
@@ -124,7 +124,7 @@ def test_values_that_cannot_be_are_found_with_their_place(copy):
     ):
         array = zarr.open_group(copy / part / "trajectories.zarr", mode="r+")[name]
         array[at] = value
-    summed_anew(copy)
+    with_new_sums(copy)
     found = {one.where.rpartition("/")[2]: one.text for one in verdict(copy).findings}
     assert found.keys() == {"pwm_us", "q", "outcome"}
     assert "world 1, sample 3, robot 0" in found["pwm_us"]
@@ -136,7 +136,7 @@ def test_an_index_that_was_edited_is_found(copy):
     split = ["train"] * len(table)
     at = table.schema.get_field_index("split")
     pq.write_table(table.set_column(at, table.schema.field(at), [split]), copy / manifest.INDEX)
-    summed_anew(copy)
+    with_new_sums(copy)
     assert {one.where for one in verdict(copy).findings} == {"index.parquet, split"}
 
 
@@ -157,7 +157,7 @@ def test_flights_that_come_out_otherwise_are_found(copy):
     whole = np.asarray(array[:])
     whole[:, 0, 0] = np.nextafter(whole[:, 0, 0], np.float32(np.inf))
     array[:] = whole
-    summed_anew(copy)
+    with_new_sums(copy)
     (first,) = verdict(copy, 1).findings
     assert first.where == f"{part.path}/trajectories.zarr/end/p_m"
     assert "when flown again" in first.text
@@ -200,6 +200,6 @@ def test_what_is_missing_is_said_in_one_line(copy, name, capsys):
     with pytest.raises(SystemExit) as ended:
         main.main(["dataset", "verify", str(copy)])
     assert ended.value.code == (2 if name == "dataset.json" else 1)
-    said = capsys.readouterr()
-    assert name in said.out + said.err
+    output = capsys.readouterr()
+    assert name in output.out + output.err
     shutil.rmtree(copy)

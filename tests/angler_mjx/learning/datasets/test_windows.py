@@ -7,7 +7,7 @@ import pytest
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.learning import datasets
-from angler_mjx.learning.datasets.reading.windows import Windows
+from angler_mjx.learning.datasets.windows import Windows
 
 
 @pytest.fixture(scope="module")

@@ -3,6 +3,7 @@
 Read in the horizontal plane of an open box of 16 x 16 x 4 cells; one program for all cases.
 """
 
+from dataclasses import replace
 from functools import partial
 
 import jax
@@ -14,17 +15,16 @@ from angler_experiments.currents.zermelo import shoot_min_time_s, uniform_min_ti
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning import build_problem
 from angler_mjx.planning.current.motion_cost import NO_PATH_COST, cost_and_speed, power_model
-from angler_mjx.planning.current.planner import CurrentConfig, CurrentSettings, plan_paths
-from angler_mjx.planning.online.device_replanners import _build_environment
+from angler_mjx.planning.current.planner import CurrentSettings, plan_paths
 from angler_mjx.planning.path_search.robot_search import PathSearchConfig, required_layers
-from angler_mjx.runs.simulator.device_planning import build_device_planner
+from angler_mjx.runs.simulator.world_preparation import check_planner
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.sim import fleet
 from angler_mjx.sim.fleet import Member, Variant
 from angler_mjx.sim.information import CurrentInformation
 from angler_mjx.world.currents import DoubleGyre, Rankine, Uniform
 
-from ..problems import no_obstacles, problem
+from ..problems import problem
 
 CRUISE = 0.5
 HEAVY = Variant(vehicle="bluerov2_heavy", parameter_set="wu2018", battery_v=16.0)
@@ -57,24 +57,14 @@ def flow(uniform=(0.0, 0.0, 0.0), circulation=0.0, stream=0.0):
     )
 
 
-CONFIG = CurrentConfig(
-    settings=CurrentSettings(least="time"),
-    horizon_s=200.0,
-    margin_m=0.1,
-    n_point=32,
-    observes_moving_obstacles=False,
-    search_config=PathSearchConfig(
-        horizon_s=200.0, n_point=32, n_layer=required_layers(200.0, CRUISE, 1.0)
-    ),
-)
+CONFIG = PathSearchConfig(horizon_s=200.0, n_point=32, n_layer=required_layers(200.0, CRUISE, 1.0))
 
 
 def alone(asked, current):
     """Paths [1, 2] of one problem."""
-    one = partial(jax.tree.map, lambda leaf: jnp.asarray(leaf)[None])
-    seeds = jnp.zeros(1, jnp.uint32)
-    around, obstacles = one(_build_environment(asked)), one(no_obstacles())
-    return plan_paths(around, one(asked.team), one(current), obstacles, seeds, CONFIG)
+    whole = replace(asked, current=current, seed=jnp.uint32(0), horizon_s=CONFIG.horizon_s)
+    problems = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], whole)
+    return plan_paths(problems, CurrentSettings(least="time"), CONFIG)
 
 
 @pytest.fixture(scope="module")
@@ -289,7 +279,7 @@ def test_powers_are_those_of_thrusters_against_drag():
 def test_too_few_points_are_refused():
     scenario = load_scenario("reef_fleet", worlds=1, planner={"name": "current", "points": 2})
     with pytest.raises(ConfigError, match=r"planner\.points = 2.*at least 4"):
-        build_device_planner(scenario, scenario.planner.planner_spec())
+        check_planner(scenario)
 
 
 @pytest.mark.parametrize(

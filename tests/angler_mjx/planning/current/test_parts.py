@@ -13,10 +13,8 @@ from angler_mjx.planning.current import planner, search, shaping
 from angler_mjx.planning.current.map import step_costs
 from angler_mjx.planning.current.motion_cost import NO_PATH_COST, cost_and_speed, power_model
 from angler_mjx.planning.current.timetable import schedule_departures
-from angler_mjx.planning.online.device_replanners import _build_environment
-from angler_mjx.planning.path_search.lattice import build_terrain
 from angler_mjx.planning.path_search.traffic import GridTraffic
-from angler_mjx.robot.control.trajectory import Trajectory, hold_position
+from angler_mjx.robot.control.commands.trajectory import Trajectory, hold_position
 
 from ...compiling import quickly
 from ..problems import problem
@@ -35,7 +33,7 @@ def robot(objective, effort=0.7):
 
 
 def land_of(**keys):
-    return jax.jit(build_terrain)(jax.tree.map(jnp.asarray, _build_environment(problem(**keys))))
+    return jax.jit(planner._problem_terrain)(problem(**keys))
 
 
 def test_steps_lead_to_all_26_neighbours():

@@ -5,7 +5,7 @@ import numpy as np
 
 from angler_mjx.planning.problem import Problem, Team
 from angler_mjx.sim.information import CurrentInformation, Information, ObstacleInformation
-from angler_mjx.world.grid import Grid
+from angler_mjx.world.rock.grid import Grid
 
 HULL_A = np.array([[-0.15, 0.12, -0.02], [-0.15, -0.12, -0.02], [0.0, 0.0, 0.1]])
 HULL_B = np.array([[0.15, 0.12, -0.02], [0.15, -0.12, -0.02], [0.0, 0.0, 0.1]])

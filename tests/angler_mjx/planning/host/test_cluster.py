@@ -9,9 +9,8 @@ import pytest
 
 from angler_mjx.errors import ConfigError, UnsupportedError
 from angler_mjx.planning import register
-from angler_mjx.planning.host.cluster import versions
-from angler_mjx.planning.host.cluster.ray_workers import RayWorkers
-from angler_mjx.planning.host.cluster.runner import _error_line
+from angler_mjx.planning.host.cluster import connection
+from angler_mjx.planning.host.cluster.ray_workers import RayWorkers, _error_line
 from angler_mjx.planning.register import PlannerSpec
 
 TEXT = "class Still:\n    def plan(self, problem):\n        return []\n"
@@ -33,18 +32,18 @@ def test_a_planner_of_a_file_is_made_where_the_file_is_not(spec):
 
 
 def test_other_versions_are_told_by_name():
-    here = versions.installed_versions()
-    assert versions.format_differences(here, here) == ""
+    here = connection.installed_versions()
+    assert connection.format_differences(here, here) == ""
     there = {**here, "numpy": "1.0"}
-    assert versions.format_differences(there, here) == f"numpy 1.0 there, {here['numpy']} here"
+    assert connection.format_differences(there, here) == f"numpy 1.0 there, {here['numpy']} here"
 
 
 def test_an_edited_checkout_is_another_version(tmp_path, monkeypatch):
-    monkeypatch.setattr(versions, "PACKAGE_FOLDER", tmp_path)
-    before = versions.installed_versions()["angler_mjx"]
-    assert versions.installed_versions()["angler_mjx"] == before
+    monkeypatch.setattr(connection, "PACKAGE_FOLDER", tmp_path)
+    before = connection.installed_versions()["angler_mjx"]
+    assert connection.installed_versions()["angler_mjx"] == before
     (tmp_path / "more.py").write_text("x = 1\n")
-    assert versions.installed_versions()["angler_mjx"] != before
+    assert connection.installed_versions()["angler_mjx"] != before
 
 
 def test_the_line_of_a_long_text_that_says_how_an_actor_died():

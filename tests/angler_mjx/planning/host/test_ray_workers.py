@@ -17,7 +17,7 @@ import pytest
 
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.planning import register
-from angler_mjx.planning.host.cluster import connection, versions
+from angler_mjx.planning.host.cluster import connection
 from angler_mjx.planning.host.cluster.ray_workers import RayWorkers
 from angler_mjx.planning.host.workers import Workers
 from angler_mjx.planning.register import PlannerSpec
@@ -187,7 +187,7 @@ def test_what_cannot_be_joined_is_said(address, monkeypatch):
             RayWorkers(wrong)
     with pytest.raises(ConfigError, match="2 processors; it cannot hold 3"):
         RayWorkers(address, 3)
-    monkeypatch.setattr(versions, "LIBRARIES", (*versions.LIBRARIES, "pytest"))
+    monkeypatch.setattr(connection, "LIBRARIES", (*connection.LIBRARIES, "pytest"))
     with pytest.raises(ConfigError, match=r"versions: pytest missing there, \d"):
         RayWorkers(address)
     monkeypatch.setattr(connection, "HEALTH_TIMEOUT_S", 3.0)

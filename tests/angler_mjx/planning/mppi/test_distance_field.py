@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from angler_mjx.planning.mppi import distance_field
-from angler_mjx.world.grid import Grid
+from angler_mjx.world.rock.grid import Grid
 
 CELL, ORIGIN, SHAPE = 1.5, np.array([-6.0, -6.0, -7.0]), (8, 8, 4)
 FLOOR = -6.8

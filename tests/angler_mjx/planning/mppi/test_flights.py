@@ -90,7 +90,7 @@ def test_two_that_meet_head_on_pass_and_hold_their_goals_in_a_current(load, outp
     state, robots, _ = fly(simulator, without_plans(worlds))
     assert np.all(np.asarray(state.tally.outcome) == Outcome.REACHED)
     assert np.asarray(state.tally.min_separation_m).min() > 0.05
-    radii = np.asarray(worlds.control.vehicle.radius_m)[0]
+    radii = np.asarray(simulator.add_parameters(worlds).control.vehicle.radius_m)[0]
     apart = np.linalg.norm(robots[:, :, 0] - robots[:, :, 1], axis=-1)
     assert apart.min() > radii.sum()
     goal = np.asarray(worlds.environment.goal_m)

@@ -14,7 +14,7 @@ from angler_mjx.robot.vehicles import library
 from angler_mjx.robot.vehicles.params import build_vehicle, stack_vehicles
 from angler_mjx.sim.policy import PolicyInput
 from angler_mjx.sim.record import Belief
-from angler_mjx.world.grid import Grid
+from angler_mjx.world.rock.grid import Grid
 
 from ...compiling import quickly
 

@@ -10,7 +10,7 @@ import pytest
 from angler_mjx.planning.mppi import distance_field
 from angler_mjx.planning.mppi.costs import CostBodies, Weights
 from angler_mjx.planning.mppi.sampling import RolloutScene, improve_mean, shift_knots
-from angler_mjx.world.grid import Grid
+from angler_mjx.world.rock.grid import Grid
 
 LIMIT, RADIUS, DT, STEPS, KNOTS, SAMPLES = 0.5, 0.32, 0.1, 30, 8, 128
 START, GOAL = np.array([-4.0, -3.0, -4.0]), np.array([4.0, -3.0, -4.0])

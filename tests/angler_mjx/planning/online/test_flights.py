@@ -8,7 +8,7 @@ import pytest
 
 import angler_mjx as angler
 from angler_mjx.errors import ConfigError
-from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.runs.session.batch_session import BatchSession
 from angler_mjx.runs.session.online_policy import OnlineFlyer, build_session_problem
 from angler_mjx.runs.simulator import scenario_policy
@@ -124,7 +124,7 @@ def test_robots_that_keep_their_order_do_not_meet(kept):
     state, robots, _ = fly(kept, worlds)
     assert outcomes(state) == [Outcome.REACHED] * 2
     assert np.asarray(state.tally.min_separation_m).min() > 0.1
-    radii = np.asarray(worlds.control.vehicle.radius_m)[0]
+    radii = np.asarray(kept.add_parameters(worlds).control.vehicle.radius_m)[0]
     assert gap(robots).min() > radii.sum()
     # The second one stood before the crossing, and came last.
     assert np.asarray(state.tally.end_time_s)[0, 1] > 8.6 / 0.5 + 1.0
@@ -153,7 +153,8 @@ def test_an_obstacle_that_drifts_into_a_plan_is_planned_around(replanned):
     worlds = blind(replanned)
     state, robots, bodies = fly(replanned, worlds)
     assert outcomes(state) == [Outcome.REACHED] * 2
-    radius = float(np.asarray(worlds.control.vehicle.radius_m)[0, 0])
+    vehicle = replanned.add_parameters(worlds).control.vehicle
+    radius = float(np.asarray(vehicle.radius_m)[0, 0])
     assert np.linalg.norm(robots[:, 0] - bodies[:, 0], axis=-1).min() > radius + 0.7
     # The plan that it was given leads through: at its times it comes nearer than the two may be.
     times = np.arange(len(bodies))[:, None] / 5.0
@@ -173,24 +174,21 @@ def test_what_a_robot_was_not_planned_for_is_counted_until_its_end(replanned):
     )
     state, _, _ = fly(replanned, worlds)
     assert outcomes(state) == [Outcome.RUNNING, Outcome.REACHED]
-    whole = np.asarray(device_to_host.select_end(state, recorded=False).failed_replans)
+    whole = np.asarray(device_to_host.select_end(state, recorded=False).columns["failed_replans"])
     np.testing.assert_array_equal(whole, [[29, 0]])  # at 1, 2, ... 29 s of 30
     ended = replace(
         state.tally,
         outcome=state.tally.outcome.at[0, 0].set(Outcome.COLLISION_DYNAMIC),
         end_time_s=state.tally.end_time_s.at[0, 0].set(10.3),
     )
-    early = device_to_host.select_end(replace(state, tally=ended), recorded=False).failed_replans
-    np.testing.assert_array_equal(early, [[10, 0]])
+    early = device_to_host.select_end(replace(state, tally=ended), recorded=False)
+    np.testing.assert_array_equal(early.columns["failed_replans"], [[10, 0]])
 
 
 def test_nothing_is_counted_where_nothing_is_planned_anew(kept):
     state = kept.reset(kept.worlds())
-    assert device_to_host.select_end(state, recorded=False).failed_replans is None
-    assert (
-        device_to_host.select_end(replace(state, policy=None), recorded=False).failed_replans
-        is None
-    )
+    for end in (state, replace(state, policy=None)):
+        assert device_to_host.select_end(end, recorded=False).columns == {}
 
 
 @pytest.mark.nightly(by="the flight around the obstacle, in the fused engine")
@@ -227,7 +225,7 @@ def test_a_session_flies_as_a_batch(load, replanned):
     [
         ({"planner": {"replan_hz": 40.0}}, r"planner\.replan_hz .*= 40: .* = 0\.5 must be a whole"),
         ({"planner": {"replan_hz": 3.0}}, r"planner\.replan_hz .*= 3: .*must be a whole number"),
-        ({"planner": {"delay_s": 1.0}}, r"planner\.delay_s .*= 1: nothing is planned anew"),
+        ({"planner": {"delay_s": 1.0}}, r"planner\.delay_s .*= 1: there is no replanning"),
         ({"planner": {"replan_hz": 1.0, "delay_s": 1.5}}, r"planner\.delay_s = 1\.5: longer than"),
         ({"planner": {"replan_hz": 1.0, "delay_s": 0.07}}, r"delay_s .*= 0\.07: .*whole number"),
         ({"execution": {"order": "any"}}, r"execution\.order"),

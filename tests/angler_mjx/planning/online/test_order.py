@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from angler_mjx.planning.online import order
-from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 
 from ...compiling import quickly
 

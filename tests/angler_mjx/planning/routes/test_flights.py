@@ -14,7 +14,7 @@ from angler_mjx.planning.routes import route_fields
 from angler_mjx.runs.simulator import scenario_policy
 from angler_mjx.sim.information import Information
 from angler_mjx.sim.state import Outcome
-from angler_mjx.sim.world_phases.context import GoalAssignment, WorldContext
+from angler_mjx.sim.world_context import GoalAssignment, WorldContext
 from angler_mjx.world import routes as reading
 
 from ...compiling import quickly
@@ -77,7 +77,7 @@ def fly(simulator, worlds):
     return state, np.concatenate(seen)
 
 
-def with_rock(worlds, cells, **places):
+def with_rock(simulator, worlds, cells, **places):
     """The same world with other rock and places, and routes to its goals."""
     environment = worlds.environment
     occupied = np.zeros(environment.grid.occupied.shape, bool)
@@ -85,7 +85,7 @@ def with_rock(worlds, cells, **places):
     grid = replace(environment.grid, occupied=jnp.asarray(occupied))
     moved = {name: jnp.asarray(at, jnp.float32)[None] for name, at in places.items()}
     environment = replace(environment, grid=grid, **moved)
-    clearance = jnp.max(worlds.control.vehicle.radius_m, axis=1) + 0.1
+    clearance = jnp.max(simulator.add_parameters(worlds).control.vehicle.radius_m, axis=1) + 0.1
     routes = jax.jit(jax.vmap(route_fields.compute_routes))(
         environment, environment.goal_m, clearance
     )
@@ -113,7 +113,7 @@ def around(simulator):
     rock = np.array(sorted({*back, *sides, *lids}))
     goals = [[3.75, 0.75, -5.75], [-5.25, -5.25, -3.5]]
     starts = [[-0.75, 0.75, -5.75], [5.25, 5.25, -3.5]]
-    return rock, with_rock(worlds, rock, start_m=starts, goal_m=goals)
+    return rock, with_rock(simulator, worlds, rock, start_m=starts, goal_m=goals)
 
 
 @pytest.fixture(scope="module")
@@ -129,9 +129,9 @@ def test_a_robot_leaves_a_pocket_that_its_goal_lies_behind(around, flown):
     assert np.asarray(state.tally.path_length_m)[0, 0] > 9.0
 
 
-def test_no_corner_is_cut_through_rock(around, flown):
+def test_no_corner_is_cut_through_rock(simulator, around, flown):
     rock, worlds = around
-    seen, radius = flown[1], float(worlds.control.vehicle.radius_m[0, 0])
+    seen, radius = flown[1], float(simulator.add_parameters(worlds).control.vehicle.radius_m[0, 0])
     low = np.asarray(worlds.environment.grid.origin_m)[0] + 1.5 * rock
     off = np.maximum(np.maximum(low - seen[..., None, :], seen[..., None, :] - low - 1.5), 0.0)
     assert np.min(np.linalg.norm(off, axis=-1)) > radius + 0.02
@@ -159,7 +159,7 @@ def test_who_has_no_way_stays_and_what_is_told_there_holds_it(simulator, around)
     worlds = around[1]
     shut = [(1, y, z) for y in range(1, 7) for z in range(4)]
     goals, starts = (np.asarray(getattr(worlds.environment, x)[0]) for x in ("goal_m", "start_m"))
-    closed = with_rock(worlds, [*around[0], *shut], goal_m=goals, start_m=starts)
+    closed = with_rock(simulator, worlds, [*around[0], *shut], goal_m=goals, start_m=starts)
     state, seen = fly(simulator, closed)
     assert np.asarray(state.tally.outcome).tolist() == [[Outcome.RUNNING, Outcome.REACHED]]
     assert np.max(np.linalg.norm(seen[:, 0] - starts[0], axis=-1)) < 0.1
@@ -174,7 +174,7 @@ def test_who_has_nowhere_to_go_makes_way_for_one_whose_place_it_stands_at(simula
         stands + np.array([0.1, 0.0, 0.0]),
         -6.0 + 1.5 * (middle + 0.5) + np.array([0.0, 0.0, -2.0]),
     ]
-    worlds = with_rock(simulator.worlds(), shell, start_m=starts, goal_m=goals)
+    worlds = with_rock(simulator, simulator.worlds(), shell, start_m=starts, goal_m=goals)
     state, seen = fly(simulator, worlds)
     assert np.asarray(state.tally.outcome).tolist() == [[Outcome.REACHED, Outcome.RUNNING]]
     assert float(np.min(np.asarray(state.tally.min_separation_m))) > 0.1
@@ -183,7 +183,8 @@ def test_who_has_nowhere_to_go_makes_way_for_one_whose_place_it_stands_at(simula
 
 
 def test_a_robot_that_is_sent_nowhere_stays_where_it_was_told_so(simulator):
-    policy, world = simulator.policy, jax.tree.map(lambda x: x[0], simulator.worlds())
+    worlds = simulator.add_parameters(simulator.worlds())
+    policy, world = simulator.policy, jax.tree.map(lambda x: x[0], worlds)
     state = jax.tree.map(lambda x: x[0], simulator.reset(simulator.worlds()))
     goals = world.environment.goal_m
 

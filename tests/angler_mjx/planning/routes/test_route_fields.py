@@ -12,8 +12,8 @@ from scipy.sparse.csgraph import dijkstra
 from angler_mjx.planning.routes import route_fields
 from angler_mjx.world import routes as reading
 from angler_mjx.world.environment import Environment
-from angler_mjx.world.grid import Grid
 from angler_mjx.world.obstacles import SPHERE, STATIC, Obstacles
+from angler_mjx.world.rock.grid import Grid
 
 from ...compiling import quickly
 

@@ -8,7 +8,7 @@ import pytest
 
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.report.interop import joint_trajectory_file as files
-from angler_mjx.robot.control.joint_goal import JointGoal, JointPoint
+from angler_mjx.robot.control.commands.joint_goal import JointGoal, JointPoint
 
 GOALS = {
     0: JointGoal(

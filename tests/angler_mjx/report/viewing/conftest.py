@@ -10,15 +10,15 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from angler_mjx.report.viewing.scene import ReplayScene, RobotTrack
+from angler_mjx.report.plotting.scene import ReplayScene, RobotTrack
 from angler_mjx.runs.storage.episode_columns import EPISODE_SCHEMA
 from angler_mjx.runs.storage.folder import Run
 from angler_mjx.runs.storage.recorder import Recorder, TrajectoryShape
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.world.currents import Uniform, Vortices
 from angler_mjx.world.environment import Environment
-from angler_mjx.world.grid import Grid
 from angler_mjx.world.obstacles import BOX, CAPSULE, DRIFT, SPHERE, STATIC, Obstacles
+from angler_mjx.world.rock.grid import Grid
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 

@@ -8,7 +8,7 @@ from matplotlib.colors import same_color
 from matplotlib.patches import Circle, Polygon, Rectangle
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.report.viewing import style
+from angler_mjx.report.plotting import style
 from angler_mjx.report.viewing.maps import comparison, comparison_map
 
 from .conftest import make_run, make_scene

@@ -13,7 +13,7 @@ import pytest
 
 from angler_mjx.errors import AnglerError, ConfigError
 from angler_mjx.report.interop import mcap
-from angler_mjx.report.viewing import scene
+from angler_mjx.report.plotting import scene
 from angler_mjx.report.viewing.world_selection import good_world, worst_world
 from angler_mjx.runs.storage import environments, folder, input_copies
 from angler_mjx.runs.storage.folder import Run

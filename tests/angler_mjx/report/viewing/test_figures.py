@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.report.viewing import figures, scene
+from angler_mjx.report.plotting import scene
+from angler_mjx.report.viewing import figures
 from angler_mjx.robot.control.plans import PIECES
 
 

@@ -7,7 +7,7 @@ import pytest
 from matplotlib.collections import PatchCollection
 from matplotlib.quiver import Quiver
 
-from angler_mjx.report.viewing import style
+from angler_mjx.report.plotting import style
 from angler_mjx.report.viewing.maps import world_map as maps
 
 

@@ -6,7 +6,8 @@ import pytest
 from matplotlib.patches import Rectangle
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.report.viewing import statistics, style
+from angler_mjx.report.plotting import style
+from angler_mjx.report.viewing import statistics
 from angler_mjx.runs.storage.confidence_intervals import clustered_rates
 from angler_mjx.runs.storage.results import OUTCOMES
 

@@ -12,7 +12,8 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from angler_mjx.report.interop import mcap
-from angler_mjx.report.viewing import replay, scene
+from angler_mjx.report.plotting import scene
+from angler_mjx.report.viewing import replay
 from angler_mjx.runs.rollout import rollout
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.testing import referee

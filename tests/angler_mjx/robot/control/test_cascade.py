@@ -15,8 +15,8 @@ import pytest
 from angler_kernels import quaternion, thruster
 from angler_mjx.robot.control import stack, stages
 from angler_mjx.robot.control.commands import Estimate
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.robot.control.laws import follow, model
-from angler_mjx.robot.control.trajectory import Trajectory
 from angler_mjx.robot.vehicles.thrusters import PWM_LOW_US, PWM_STEP_US
 from angler_mjx.sim import fleet
 from angler_mjx.sim.physics import step as physics

@@ -9,11 +9,16 @@ import pytest
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.robot.control import command_checks
-from angler_mjx.robot.control.commands import BodyTwist, BodyWrench, PoseTarget, ThrusterPwm
-from angler_mjx.robot.control.joint_trajectory import JointTrajectory
-from angler_mjx.robot.control.laws.targets import TrackingTarget
+from angler_mjx.robot.control.commands import (
+    BodyTwist,
+    BodyWrench,
+    PoseTarget,
+    ThrusterPwm,
+    TrackingTarget,
+)
+from angler_mjx.robot.control.commands.joint_trajectory import JointTrajectory
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.robot.control.mixed import MixedCommand
-from angler_mjx.robot.control.trajectory import Trajectory
 from angler_mjx.robot.vehicles import library, params
 from angler_mjx.sim.robot import thrust_and_power
 

@@ -1,4 +1,4 @@
-"""Gains that nobody sets are those that docs/control.md flew and lists."""
+"""Gains that nobody sets are those that docs/generated/control.md flew and lists."""
 
 import dataclasses
 import re
@@ -8,7 +8,7 @@ import pytest
 
 from angler_mjx.robot.control import stages
 
-PAGE = Path(__file__).parents[4] / "docs" / "control.md"
+PAGE = Path(__file__).parents[4] / "docs" / "generated" / "control.md"
 
 
 def listed(controller):

@@ -8,13 +8,13 @@ import pytest
 from angler_mjx.errors import ConfigError
 from angler_mjx.robot.control import mixed, plans, stack, stages
 from angler_mjx.robot.control.commands import BodyTwist, Estimate
-from angler_mjx.robot.control.joint_trajectory import (
+from angler_mjx.robot.control.commands.joint_trajectory import (
     VEHICLE_JOINTS,
     JointTrajectory,
     from_path,
 )
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.robot.control.mixed import MixedCommand
-from angler_mjx.robot.control.trajectory import Trajectory
 
 GOAL = np.array([0.0, 0.0, -8.0])
 TOLERANCE_M = 0.3

@@ -10,11 +10,18 @@ import pytest
 
 from angler_kernels import quaternion
 from angler_mjx.errors import ConfigError
-from angler_mjx.robot.control import joint_trajectory, mixed, stack, stages
-from angler_mjx.robot.control.commands import BodyTwist, BodyWrench, PoseTarget, ThrusterPwm
-from angler_mjx.robot.control.laws.targets import TrackingTarget, as_tracking
+from angler_mjx.robot.control import mixed, stack, stages
+from angler_mjx.robot.control.commands import (
+    BodyTwist,
+    BodyWrench,
+    PoseTarget,
+    ThrusterPwm,
+    TrackingTarget,
+    as_tracking,
+    joint_trajectory,
+)
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.robot.control.mixed import MixedCommand
-from angler_mjx.robot.control.trajectory import Trajectory
 
 from ...compiling import quickly
 

@@ -9,9 +9,13 @@ import pytest
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.robot.control import plans, stages
-from angler_mjx.robot.control.joint_goal import build_trajectory
-from angler_mjx.robot.control.joint_trajectory import VEHICLE_JOINTS, JointTrajectory, sample_state
-from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.robot.control.commands.joint_goal import build_trajectory
+from angler_mjx.robot.control.commands.joint_trajectory import (
+    VEHICLE_JOINTS,
+    JointTrajectory,
+    sample_state,
+)
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 
 from ...compiling import quickly
 

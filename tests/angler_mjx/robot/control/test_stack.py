@@ -10,19 +10,20 @@ import pytest
 
 from angler_kernels import quaternion
 from angler_mjx.errors import ConfigError
-from angler_mjx.robot.control import allocation, joint_trajectory, stack, stages
+from angler_mjx.robot.control import allocation, stack, stages
 from angler_mjx.robot.control.commands import (
     BodyTwist,
     BodyWrench,
     Estimate,
     PoseTarget,
     ThrusterPwm,
+    TrackingTarget,
+    joint_trajectory,
 )
-from angler_mjx.robot.control.joint_goal import JointGoal, JointPoint
-from angler_mjx.robot.control.joint_goal import build_trajectory as build_goal
+from angler_mjx.robot.control.commands.joint_goal import JointGoal, JointPoint
+from angler_mjx.robot.control.commands.joint_goal import build_trajectory as build_goal
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.robot.control.laws import follow
-from angler_mjx.robot.control.laws.targets import TrackingTarget
-from angler_mjx.robot.control.trajectory import Trajectory
 
 DT, DENSITY, GRAVITY = 0.05, 1000.0, 9.81
 PATH = Trajectory(

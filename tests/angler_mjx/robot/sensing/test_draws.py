@@ -14,7 +14,7 @@ from angler_mjx.robot.control.navigation import NavigationParams
 from angler_mjx.robot.sensing import instruments, params, suite
 from angler_mjx.robot.sensing.config import SensorsConfig
 from angler_mjx.robot.sensing.readings import Truth
-from angler_mjx.sim.world_phases.sensing import FILTER_STEP
+from angler_mjx.sim.sensing import FILTER_STEP
 
 from ...independence import assert_uncorrelated
 
@@ -118,8 +118,8 @@ def test_what_is_drawn_at_the_beginning_and_at_a_step_is_independent(sensors):
         carry = suite.reset(sensors, key, truth)
         estimate = Estimate(p=truth.p, q=truth.q, nu=truth.nu)
         start = navigation.reset(believes, estimate, jax.random.fold_in(key, FILTER_STEP))
-        drawn = suite.sample_noise(sensors, key, jnp.int32(0))
-        told = suite.disturb_truth(sensors, key, jnp.int32(0), truth)
+        sampled = suite.sample_noise(sensors, key, jnp.int32(0))
+        noisy = suite.disturb_truth(sensors, key, jnp.int32(0), truth)
         flow = suite.disturb_current(sensors, key, jnp.int32(0), jnp.zeros(3))
         groups = {
             "turn-on gyro": carry.gyro_turn_on,
@@ -129,10 +129,10 @@ def test_what_is_drawn_at_the_beginning_and_at_a_step_is_independent(sensors):
             "filter's position": start.p,
             "filter's velocity": start.v,
             "filter's attitude": turned(truth, start.q),
-            "noise of step 0": drawn,
-            "told position": told.p,
-            "told attitude": turned(truth, told.q),
-            "told velocity": told.nu,
+            "noise of step 0": sampled,
+            "told position": noisy.p,
+            "told attitude": turned(truth, noisy.q),
+            "told velocity": noisy.nu,
             "told current": flow,
         }
         return groups
@@ -150,12 +150,12 @@ def test_each_number_of_a_step_serves_one_purpose(sensors):
     carry = suite.reset(sensors, jax.random.key(0), truth)
     carry = suite.step(sensors, carry, jax.random.key(0), jnp.int32(0), truth)[0]
 
-    def said(normal):
+    def noise_of(normal):
         after, reading = suite.read_instruments(sensors, carry, normal, jnp.int32(1), truth)
         return jnp.concatenate([numbers(reading, truth), after.gyro_walk, after.accel_walk])
 
     zero = jnp.zeros(suite.N_NORMAL)
-    changed = np.asarray(jax.jit(jax.jacfwd(said))(zero)).T != 0
+    changed = np.asarray(jax.jit(jax.jacfwd(noise_of))(zero)).T != 0
     gyro, accelerometer, walks = np.arange(3), np.arange(3, 6), 18 + np.arange(6)
     expected = np.zeros((suite.N_NORMAL, 24), bool)
     expected[range(3), gyro] = expected[range(3, 6), accelerometer] = True

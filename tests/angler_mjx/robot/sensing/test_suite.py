@@ -63,13 +63,13 @@ watch_many = jax.jit(jax.vmap(one_robot, (None, None, 0)))
 
 def wander(n=N, seed=0):
     """A motion without any regularity."""
-    draw = np.random.default_rng(seed).normal
-    q = draw(size=(n, 4))
+    sample = np.random.default_rng(seed).normal
+    q = sample(size=(n, 4))
     q /= np.linalg.norm(q, axis=1, keepdims=True)
-    p = draw(size=(n, 3)) * 3.0 - np.array([0.0, 0.0, 2.0])
+    p = sample(size=(n, 3)) * 3.0 - np.array([0.0, 0.0, 2.0])
     return jax.tree.map(
         lambda x: jnp.asarray(x, float),
-        Truth(p=p, q=q, nu=draw(size=(n, 6)), altitude_m=np.full(n, 5.0)),
+        Truth(p=p, q=q, nu=sample(size=(n, 6)), altitude_m=np.full(n, 5.0)),
     )
 
 
@@ -132,9 +132,9 @@ def test_imu_in_a_circle_feels_the_centripetal_acceleration_of_its_own_place():
     rate, radius, arm = 0.8, 2.0, (0.3, -0.2, 0.1)
     angle = np.arange(N) * rate * DT
     zero = np.zeros(N)
-    place = radius * np.stack([np.sin(angle), -np.cos(angle), zero], axis=1) + DEEP
+    position = radius * np.stack([np.sin(angle), -np.cos(angle), zero], axis=1) + DEEP
     truths = Truth(
-        p=jnp.asarray(place, float),
+        p=jnp.asarray(position, float),
         q=jax.vmap(quaternion.from_yaw)(jnp.asarray(angle, float)),
         nu=jnp.tile(jnp.array([rate * radius, 0, 0, 0, 0, rate]), (N, 1)),
         altitude_m=jnp.full(N, 5.0),
@@ -196,13 +196,13 @@ def test_imu_noise_has_the_density_and_the_walk_of_its_data_sheet():
 
 def test_what_is_drawn_once_has_the_right_spread():
     sensors, keys = build(), jax.random.split(jax.random.key(4), 4000)
-    drawn = jax.vmap(suite.reset, (None, 0, None))(sensors, keys, truth())
+    sampled = jax.vmap(suite.reset, (None, 0, None))(sensors, keys, truth())
     for value, std in (
-        (drawn.gyro_turn_on, 0.0087),
-        (drawn.accel_turn_on, 0.196),
-        (drawn.surface_m, 0.02),
-        (drawn.heading_bias_rad, np.radians(0.5)),
-        (drawn.hard_iron, 0.01),
+        (sampled.gyro_turn_on, 0.0087),
+        (sampled.accel_turn_on, 0.196),
+        (sampled.surface_m, 0.02),
+        (sampled.heading_bias_rad, np.radians(0.5)),
+        (sampled.hard_iron, 0.01),
     ):
         # A standard deviation from 4,000 samples is known to 1 / sqrt(8000) = 1.1 %; four of those.
         np.testing.assert_allclose(np.std(value), std, rtol=0.045)

@@ -24,9 +24,9 @@ def write(path, thrusters, name="made_up", **changes):
     """A vehicle file with these thrusters; ``changes`` replace ``key = old`` lines of the file."""
     text = SHIPPED.read_text(encoding="utf-8")
     rows = ",\n".join(
-        f'  {{ name = "{label}", position_m = {list(place)}, direction = {list(way)}, '
+        f'  {{ name = "{label}", position_m = {list(position)}, direction = {list(direction)}, '
         f"spin = {spin} }}"
-        for label, place, way, spin in thrusters
+        for label, position, direction, spin in thrusters
     )
     text = re.sub(r"layout = \[\n.*?\n\]", f"layout = [\n{rows}\n]", text, count=1, flags=re.S)
     text = re.sub(r"\[ardusub\]\n.*?\n\n", "", text, count=1, flags=re.S)

@@ -69,7 +69,7 @@ ADDED = (*SET, "added_mass", "coefficients")
 
 
 @pytest.mark.parametrize(
-    ("path", "value", "says"),
+    ("path", "value", "message_part"),
     [
         ((*SET, "rigid_body", "mass_kg"), -11.5, "greater than 0"),
         ((*SET, "rigid_body", "mass_kg"), math.nan, "finite"),
@@ -95,10 +95,10 @@ ADDED = (*SET, "added_mass", "coefficients")
         (("hull", "height"), 0.254, "unknown key"),
     ],
 )
-def test_a_wrong_value_is_named(path, value, says):
+def test_a_wrong_value_is_named(path, value, message_part):
     message = complaint(changed(path, value))
     assert "some.toml: 1 fault" in message
-    assert says in message
+    assert message_part in message
     if path != ("default_set",):  # checked against the whole file, so named in the text
         assert str(path[-1]) in message or f"{path[0]}.{path[1]} =" in message
 
@@ -113,7 +113,7 @@ THIRD = ("rotor", "third_order")
 
 
 @pytest.mark.parametrize(
-    ("path", "value", "says"),
+    ("path", "value", "message_part"),
     [
         ((*THIRD, "denominator"), [1.0, 1.0, 9258.0, 108700.0], "would swing for ever"),
         ((*THIRD, "denominator"), [1.0, -89.0, 9258.0, 108700.0], "greater than 0"),
@@ -122,10 +122,10 @@ THIRD = ("rotor", "third_order")
         (("rotor", "response"), "second_order", "third_order"),
     ],
 )
-def test_a_wrong_rotor_is_refused(path, value, says):
+def test_a_wrong_rotor_is_refused(path, value, message_part):
     message = complaint(changed(path, value))
     assert "rotor" in message
-    assert says in message
+    assert message_part in message
 
 
 def test_third_order_needs_its_numbers():
@@ -176,7 +176,7 @@ def test_a_thruster_path_is_relative_to_the_vehicle_file(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("path", "value", "says"),
+    ("path", "value", "message_part"),
     [
         (("voltage_v",), [10, 12, 14, 16, 20, 18], "must increase"),
         (("thrust_n", 0), [1.0, 2.0], "rows of 6 values"),
@@ -184,5 +184,5 @@ def test_a_thruster_path_is_relative_to_the_vehicle_file(tmp_path):
         (("power_w", 0, 3), -5.0, "must not be negative"),
     ],
 )
-def test_a_wrong_thruster_table_is_refused(path, value, says):
-    assert says in complaint(changed(path, value, T200), ThrusterTable)
+def test_a_wrong_thruster_table_is_refused(path, value, message_part):
+    assert message_part in complaint(changed(path, value, T200), ThrusterTable)

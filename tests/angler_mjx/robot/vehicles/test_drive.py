@@ -14,9 +14,9 @@ D_L, D_Q = np.array([1.0, 2.0, 3.0]), np.array([10.0, 20.0, 30.0])
 
 def able(thrusters, forward_n=40.0, reverse_n=-30.0):
     """Of thrusters about the centre of mass: place and direction."""
-    place = np.array([x[0] for x in thrusters], float)
-    way = np.array([x[1] for x in thrusters], float)
-    wrench = np.concatenate([way, np.cross(place, way)], axis=1).T
+    position = np.array([x[0] for x in thrusters], float)
+    direction = np.array([x[1] for x in thrusters], float)
+    wrench = np.concatenate([direction, np.cross(position, direction)], axis=1).T
     return drive.compute_drive(wrench, reverse_n, forward_n, D_L, D_Q)
 
 

@@ -3,8 +3,8 @@
 import pytest
 
 from angler_mjx.errors import RunError
-from angler_mjx.robot.control.joint_tolerance import JointTolerance, build_tolerances
-from angler_mjx.robot.control.joint_trajectory import VEHICLE_JOINTS
+from angler_mjx.robot.control.commands.joint_tolerance import JointTolerance, build_tolerances
+from angler_mjx.robot.control.commands.joint_trajectory import VEHICLE_JOINTS
 from angler_mjx.runs.session.batch_session import BatchSession
 
 CALM = """

@@ -11,11 +11,16 @@ import numpy as np
 import pytest
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.robot.control.commands import BodyTwist, BodyWrench, PoseTarget, ThrusterPwm
-from angler_mjx.robot.control.joint_goal import JointGoal, JointPoint, build_trajectory
-from angler_mjx.robot.control.joint_trajectory import VEHICLE_JOINTS, from_path
-from angler_mjx.robot.control.laws.targets import as_tracking
-from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.robot.control.commands import (
+    BodyTwist,
+    BodyWrench,
+    PoseTarget,
+    ThrusterPwm,
+    as_tracking,
+)
+from angler_mjx.robot.control.commands.joint_goal import JointGoal, JointPoint, build_trajectory
+from angler_mjx.robot.control.commands.joint_trajectory import VEHICLE_JOINTS, from_path
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.runs.session.batch_session import BatchSession
 from angler_mjx.runs.session.state_view import apply_belief, belief_covariance, view_state
 from angler_mjx.sim.record import Belief
@@ -59,17 +64,17 @@ def test_nobody_told_anything_robots_fly_the_planners_paths(heavies):
     path = jax.tree.map(lambda leaf: np.asarray(leaf)[0], inside.worlds.path)
     start = np.asarray(inside.worlds.environment.start_m)[0]
     assert path.found.all()
-    told = {robot: jax.tree.map(lambda leaf, i=robot: leaf[i], path) for robot in (0, 1)}
+    sent = {robot: jax.tree.map(lambda leaf, i=robot: leaf[i], path) for robot in (0, 1)}
     alone = [now.estimate.p for now in run_steps(heavies, 2.0)]
     heavies.reset()
-    told = [now.estimate.p for now in run_steps(heavies, 2.0, told)]
-    np.testing.assert_array_equal(told, alone)
+    sent = [now.estimate.p for now in run_steps(heavies, 2.0, sent)]
+    np.testing.assert_array_equal(sent, alone)
     assert np.linalg.norm(alone[-1] - start, axis=1).min() > 0.3
     for points, corners in zip(np.moveaxis(alone, 1, 0), path.position_m, strict=True):
-        a, way = corners[:-1], np.diff(corners, axis=0)
-        along = np.sum((points[:, None] - a) * way, axis=-1)
-        share = np.clip(along / np.maximum(np.sum(way**2, axis=-1), 1e-9), 0.0, 1.0)
-        gap = np.linalg.norm(points[:, None] - a - share[..., None] * way, axis=-1)
+        a, legs = corners[:-1], np.diff(corners, axis=0)
+        along = np.sum((points[:, None] - a) * legs, axis=-1)
+        share = np.clip(along / np.maximum(np.sum(legs**2, axis=-1), 1e-9), 0.0, 1.0)
+        gap = np.linalg.norm(points[:, None] - a - share[..., None] * legs, axis=-1)
         # In still water, along a straight line.
         assert gap.min(axis=1).max() < 0.05
 
@@ -103,20 +108,20 @@ def test_no_command_compiles_anything(heavies, caplog):
             heavies.step()
             heavies.resume_plan(0)
             heavies.step()
-    said = [record.getMessage() for record in caplog.records]
-    assert not [text for text in said if "XLA compilation" in text]
+    messages = [record.getMessage() for record in caplog.records]
+    assert not [text for text in messages if "XLA compilation" in text]
 
 
 def test_each_robot_follows_its_own_kind(heavies):
     begin = heavies.reset()
-    place = position(begin, 1) + np.array([0.4, 0.0, -0.3])
-    end = run_steps(heavies, 8.0, {0: make_twist(0, 0, -0.1, 0, 0, 0), 1: make_pose(place, 0.5)})[
+    target = position(begin, 1) + np.array([0.4, 0.0, -0.3])
+    end = run_steps(heavies, 8.0, {0: make_twist(0, 0, -0.1, 0, 0, 0), 1: make_pose(target, 0.5)})[
         -1
     ]
     assert [status.command for status in end.status] == ["BodyTwist", "PoseTarget"]
     np.testing.assert_allclose(end.estimate.nu[0][2], -0.1, atol=0.02)
-    np.testing.assert_allclose(position(end, 1), place, atol=0.05)
-    np.testing.assert_allclose(end.target_m[1], place, atol=1e-5)
+    np.testing.assert_allclose(position(end, 1), target, atol=0.05)
+    np.testing.assert_allclose(end.target_m[1], target, atol=1e-5)
     # What was asked for is what the thrusters settle at: nothing saturates here.
     np.testing.assert_allclose(end.demanded.tau, end.realised.tau, atol=0.2)
 
@@ -131,9 +136,9 @@ def test_signals_have_no_demand_and_are_what_is_sent(heavies):
 
 
 def test_a_seed_draws_another_world_and_none_the_scenarios_own(heavies):
-    own, other, again = heavies.reset(), heavies.reset(seed=8), heavies.reset()
-    np.testing.assert_array_equal(own.estimate.p, again.estimate.p)
-    assert np.abs(own.estimate.p - other.estimate.p).max() > 1.0
+    initial, other, again = heavies.reset(), heavies.reset(seed=8), heavies.reset()
+    np.testing.assert_array_equal(initial.estimate.p, again.estimate.p)
+    assert np.abs(initial.estimate.p - other.estimate.p).max() > 1.0
 
 
 def goal_x(t, x, stamp_s=0.0):
@@ -164,8 +169,8 @@ def test_of_a_trajectory_of_before_the_rest_is_followed(heavies):
     # It ends 6 s after its stamp, that is 3 s from when it was given.
     assert end.status[0].note.startswith("SUCCESSFUL")
     old = JointGoal(joint_names=("x",), points=points, stamp_s=1e-3)
-    said = heavies.step({0: old}).status[0].refused
-    assert "OLD_HEADER_TIMESTAMP" in said
+    messages = heavies.step({0: old}).status[0].refused
+    assert "OLD_HEADER_TIMESTAMP" in messages
 
 
 def test_a_robot_that_leaves_its_trajectory_holds_where_it_is(heavies):
@@ -187,10 +192,10 @@ def test_a_refused_robot_holds_where_it_was_refused_first(heavies):
     bad = {0: make_twist(np.nan, 0, 0, 0, 0, 0)}
     first = heavies.step(bad)
     run_steps(heavies, 1.0, {0: make_twist(0.2, 0, 0, 0, 0, 0)})
-    place = position(heavies.step(bad), 0)
+    target = position(heavies.step(bad), 0)
     for _ in range(60):
         now = heavies.step(bad)
-    assert np.linalg.norm(now.target_m[0] - place) < 0.02
+    assert np.linalg.norm(now.target_m[0] - target) < 0.02
     assert first.status[0].refused == now.status[0].refused
 
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from angler_mjx.robot.control.joint_trajectory import CUBIC, JointTrajectory, from_path
+from angler_mjx.robot.control.commands.joint_trajectory import CUBIC, JointTrajectory, from_path
 from angler_mjx.runs.session.batch_session import BatchSession
 from angler_mjx.runs.session.recording import RecordedCourse, SessionRecording
 from angler_mjx.runs.simulator.simulator import Simulator
@@ -22,8 +22,8 @@ YAW, POINTS = 1.0, 300
 def cubics(path, yaw):
     """Way-points as cubics, slow at every point, with one heading from the first to the last."""
     made = from_path(path, yaw)
-    ways = jnp.diff(path.position_m, axis=0) / jnp.diff(path.time_s)[:, None]
-    rate = jnp.pad(jnp.where(jnp.isfinite(ways), ways, 0.0), ((0, 1), (0, 1)))
+    velocities = jnp.diff(path.position_m, axis=0) / jnp.diff(path.time_s)[:, None]
+    rate = jnp.pad(jnp.where(jnp.isfinite(velocities), velocities, 0.0), ((0, 1), (0, 1)))
     return replace(
         made,
         position=made.position.at[:, 3].set(YAW),
@@ -33,7 +33,7 @@ def cubics(path, yaw):
 
 
 @pytest.fixture(scope="module")
-def drawn(calm):
+def sampled(calm):
     """A session of two Heavies with such plans."""
     planned = Simulator.worlds
 
@@ -55,8 +55,8 @@ def drawn(calm):
 
 
 @pytest.mark.nightly(by="session/test_plan.py; engines/test_plans.py")
-def test_robots_fly_them_leave_them_and_take_them_up_again(drawn, tmp_path):
-    session, file = drawn
+def test_robots_fly_them_leave_them_and_take_them_up_again(sampled, tmp_path):
+    session, file = sampled
     begin = session.reset()
     path = session.inside().worlds.path
     assert isinstance(path, JointTrajectory)
@@ -91,9 +91,9 @@ def test_robots_fly_them_leave_them_and_take_them_up_again(drawn, tmp_path):
 
 
 @pytest.mark.nightly(by="session/test_plan.py")
-def test_a_joint_order_joins_the_plan_without_a_step(drawn):
+def test_a_joint_order_joins_the_plan_without_a_step(sampled):
     """A JointTrajectory that comes in mid-plan begins where the plan has the robot."""
-    session, _ = drawn
+    session, _ = sampled
     session.reset()
     before = run_steps(session, 6.0)[-1]
     p = position(before, 0)

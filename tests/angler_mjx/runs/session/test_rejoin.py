@@ -25,8 +25,10 @@ PLAN = RobotPlan(
 def water():
     """An open cube of 12^3 cells of 1.5 m: x and y from -9 to 9 m, z from -20 to -2 m."""
     recipe = resolve_world(WorldConfig(preset="open", shape=(12, 12, 12), placement="random"))
-    draw = quickly(lambda key: generate.generate_world(recipe, jnp.array([0.3]), key, 60.0, 1000.0))
-    return draw(jax.random.key(0))
+    sample_world = quickly(
+        lambda key: generate.generate_world(recipe, jnp.array([0.3]), key, 60.0, 1000.0)
+    )
+    return sample_world(jax.random.key(0))
 
 
 def with_rock(water, *blocks):
@@ -49,25 +51,25 @@ REST = np.zeros(3)
 
 
 def test_it_goes_straight_to_the_nearest_point_that_is_still_ahead(water):
-    ways = RejoinPaths(water)
+    rejoin_paths = RejoinPaths(water)
     p = np.array([-2.0, 1.0, -8.0])
-    back = ways.plan_rejoin(p, REST, PLAN, 4.0, CLEARANCE_M, SPEED_MPS)
+    back = rejoin_paths.plan_rejoin(p, REST, PLAN, 4.0, CLEARANCE_M, SPEED_MPS)
     np.testing.assert_allclose(back.position_m[0], p)
     np.testing.assert_allclose(back.position_m[-1], PLAN.position_m[-1])
     # Straight across to (-2, 4), which the plan passes at 6 s, then along: 64 looks in 32 s.
-    way = back.position_m[:, :2]
-    np.testing.assert_allclose(way[:, 0].min(), -2.0, atol=0.3)
+    points_m = back.position_m[:, :2]
+    np.testing.assert_allclose(points_m[:, 0].min(), -2.0, atol=0.3)
     assert back.time_s[-1] == pytest.approx(36.0 - 6.0 + 6.0 + 1.0, abs=0.7)
     # Once it has passed the nearest place, it does not go back to it.
-    later = ways.plan_rejoin(p, REST, PLAN, 12.0, CLEARANCE_M, SPEED_MPS)
+    later = rejoin_paths.plan_rejoin(p, REST, PLAN, 12.0, CLEARANCE_M, SPEED_MPS)
     assert np.all(np.diff(later.position_m[:, 0]) > -1e-6)
 
 
 def test_it_sets_out_evenly_from_rest_and_keeps_its_speed_otherwise(water):
-    ways = RejoinPaths(water)
+    rejoin_paths = RejoinPaths(water)
     p = np.array([-2.0, 1.0, -8.0])
     for velocity, first in ((REST, 0.0), (np.array([0.0, 0.5, 0.0]), 0.5)):
-        back = ways.plan_rejoin(p, velocity, PLAN, 6.0, CLEARANCE_M, SPEED_MPS)
+        back = rejoin_paths.plan_rejoin(p, velocity, PLAN, 6.0, CLEARANCE_M, SPEED_MPS)
         speed = np.linalg.norm(np.diff(back.position_m, axis=0), axis=1) / np.diff(back.time_s)
         assert np.all(np.diff(back.time_s) > 0)
         assert speed.max() <= SPEED_MPS + 1e-6

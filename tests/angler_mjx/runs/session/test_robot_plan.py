@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from angler_mjx.robot.control.joint_trajectory import VEHICLE_JOINTS, JointTrajectory
+from angler_mjx.robot.control.commands.joint_trajectory import VEHICLE_JOINTS, JointTrajectory
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.robot.control.plans import joints_at
-from angler_mjx.robot.control.trajectory import Trajectory
 from angler_mjx.runs.session.robot_plan import TURN_RADPS, RobotPlan
 
 TIME_S = np.array([0.0, 5.0, 9.0, 14.0, 20.0])
@@ -38,12 +38,12 @@ def padded(plan, more):
 
 
 def test_it_is_told_as_it_was_planned():
-    told = RobotPlan.of(padded(motion(), 3)).padded(12, np.float64)
+    padded_plan = RobotPlan.of(padded(motion(), 3)).padded(12, np.float64)
     want = padded(motion(), 7)
     for name in ("time_s", "position", "velocity", "acceleration", "degree", "commanded"):
-        np.testing.assert_array_equal(getattr(told, name), getattr(want, name))
-    assert told.joints == VEHICLE_JOINTS
-    assert told.found is None
+        np.testing.assert_array_equal(getattr(padded_plan, name), getattr(want, name))
+    assert padded_plan.joints == VEHICLE_JOINTS
+    assert padded_plan.found is None
 
 
 def test_a_robot_that_is_to_hold_has_a_plan_too():
@@ -57,9 +57,9 @@ def test_a_robot_that_is_to_hold_has_a_plan_too():
 def test_from_where_it_is_joined_it_is_the_same_motion(join_s):
     """Whatever polynomial the point lies on."""
     plan = RobotPlan.of(motion())
-    way = np.array([[3.0, 3.0, -3.0], [2.0, 1.0, -2.0], plan.at(join_s)])
-    whole = plan.after(way, np.array([0.0, 4.0, 9.0]), join_s, yaw_rad=0.5)
-    np.testing.assert_array_equal(whole.position_m[:2], way[:2])
+    detour = np.array([[3.0, 3.0, -3.0], [2.0, 1.0, -2.0], plan.at(join_s)])
+    whole = plan.after(detour, np.array([0.0, 4.0, 9.0]), join_s, yaw_rad=0.5)
+    np.testing.assert_array_equal(whole.position_m[:2], detour[:2])
     at = np.linspace(join_s, 20.5, 300)
     begins = whole.time_s[2]
     want, found = joints_at(motion(), at), joints_at(whole.motion, at - join_s + begins)
@@ -67,7 +67,7 @@ def test_from_where_it_is_joined_it_is_the_same_motion(join_s):
         np.testing.assert_allclose(getattr(found, name), getattr(want, name), atol=1e-9)
     # Straight on the way, and turning no faster than a robot does.
     middle = joints_at(whole.motion, [0.5 * (whole.time_s[0] + whole.time_s[1])])
-    np.testing.assert_allclose(middle.position[0, :3], 0.5 * (way[0] + way[1]), atol=1e-12)
+    np.testing.assert_allclose(middle.position[0, :3], 0.5 * (detour[0] + detour[1]), atol=1e-12)
     rate = np.abs(np.diff(whole.motion.position[:3, 3])) / np.diff(whole.time_s[:3])
     assert rate.max() <= TURN_RADPS + 1e-9
     first = whole.motion.position[0, 3] - 0.5
@@ -78,8 +78,8 @@ def test_a_short_way_takes_as_long_as_its_turn():
     plan = RobotPlan.of(motion())
     here = plan.at(3.0)
     yaw = joints_at(motion(), [3.0]).position[0, 3]
-    for way_s in (0.0, 0.2):
-        whole = plan.after(np.array([here, here]), np.array([0.0, way_s]), 3.0, yaw + 1.2)
+    for detour_s in (0.0, 0.2):
+        whole = plan.after(np.array([here, here]), np.array([0.0, detour_s]), 3.0, yaw + 1.2)
         assert whole.time_s[1] == pytest.approx(1.2 / TURN_RADPS)
 
 
@@ -105,6 +105,6 @@ def test_it_sets_out_evenly_along_the_same_curve(degree):
 def test_way_points_stay_way_points():
     time, point = np.array([0.0, 4.0, 4.0]), np.arange(9.0).reshape(3, 3)
     path = Trajectory(time_s=time, position_m=point, found=np.array(True))
-    told = RobotPlan.of(path).padded(3, np.float64)
-    assert isinstance(told, Trajectory)
-    np.testing.assert_array_equal(told.position_m, point[[0, 1, 1]])
+    padded_plan = RobotPlan.of(path).padded(3, np.float64)
+    assert isinstance(padded_plan, Trajectory)
+    np.testing.assert_array_equal(padded_plan.position_m, point[[0, 1, 1]])

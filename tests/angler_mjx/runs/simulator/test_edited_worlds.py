@@ -10,13 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from angler_kernels.clearance import cell_neighbours
 from angler_mjx.cli.main import main
 from angler_mjx.errors import ConfigError
 from angler_mjx.robot.control.commands import BodyTwist, ThrusterPwm
 from angler_mjx.runs.rollout import rollout
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import load_scenario
-from angler_mjx.sim.state import Outcome, Touched
+from angler_mjx.sim.state import Outcome, Touched, World
 
 SCENARIO = """
 schema_version = 1
@@ -85,9 +86,9 @@ def test_rock_that_is_put_into_a_world_is_met(simulator, worlds):
     lo, cell = np.asarray(grid.origin_m)[:, None], np.asarray(grid.cell_m)[:, None, None]
     # Every cell of a robot's way is rock but those around its start.
     share = np.linspace(0.0, 1.0, 200)[:, None, None, None]
-    way = start + share * (goal - start)
-    far = np.linalg.norm(way - start, axis=-1) > 4.0
-    index = np.floor((way - lo) / cell).astype(int)
+    line_m = start + share * (goal - start)
+    far = np.linalg.norm(line_m - start, axis=-1) > 4.0
+    index = np.floor((line_m - lo) / cell).astype(int)
     occupied = np.asarray(grid.occupied).copy()
     at = index[:, 0][far[:, 0]]
     occupied[(0, *at.T)] = True
@@ -139,34 +140,60 @@ def test_a_segment_may_begin_where_a_single_step_ended(simulator, worlds):
     np.testing.assert_allclose(before.vehicles.p, after.vehicles.p, rtol=0.0, atol=2e-5)
 
 
-def test_parameters_are_refused_by_all_that_take_a_world(simulator, worlds):
-    vehicle = worlds.control.vehicle
-    heavy = replace(vehicle, mass_kg=vehicle.mass_kg * 2)
-    other = replace(worlds, control=replace(worlds.control, vehicle=heavy))
+def test_variants_are_refused_by_all_that_take_a_world(simulator, worlds):
+    other = replace(worlds, variant=worlds.variant + 1)
     state = simulator.reset(worlds)
     for enter in (
         lambda: simulator.reset(other),
         lambda: simulator.step(other, state),
         lambda: simulator.segment(other, state),
         lambda: simulator.advance(other, state),
+        lambda: simulator.adopt(other),
+        lambda: simulator.add_parameters(other),
     ):
-        with pytest.raises(ConfigError, match=r"World\.control\.vehicle\.mass_kg of world 0"):
+        with pytest.raises(ConfigError, match=r"World\.variant of world 0, robot 0 is 1"):
             enter()
-    own = simulator.adopt(other)
-    np.testing.assert_array_equal(own.control.vehicle.mass_kg, vehicle.mass_kg)
-    assert own.control.vehicle.mass_kg.sharding == vehicle.mass_kg.sharding
-    simulator.reset(own)
+
+
+def test_parameters_are_those_of_the_fleet(simulator, worlds):
+    equipped = simulator.add_parameters(worlds)
+    mass = simulator.fleet.control.vehicle.mass_kg
+    np.testing.assert_array_equal(equipped.control.vehicle.mass_kg, mass[worlds.variant])
+    np.testing.assert_array_equal(equipped.control.cruise_speed_mps, worlds.cruise_speed_mps)
+    assert equipped.control.vehicle.mass_kg.sharding == worlds.variant.sharding
+    adopted = simulator.adopt(equipped)
+    assert type(adopted) is World
+    np.testing.assert_array_equal(
+        simulator.reset(adopted).vehicles.p, simulator.reset(worlds).vehicles.p
+    )
+
+
+def test_cells_are_packed_once_for_each_grid(simulator, worlds):
+    packed = simulator._pack_cells(worlds)
+    environment = worlds.environment
+    moved = replace(worlds, environment=replace(environment, goal_m=environment.goal_m + 1.0))
+    assert simulator._pack_cells(moved) is packed
+    grid = environment.grid
+    walls = replace(grid, occupied=grid.occupied.at[:, 5].set(True))
+    other = replace(worlds, environment=replace(environment, grid=walls))
+    expected = jax.vmap(cell_neighbours)(walls.occupied)
+    np.testing.assert_array_equal(simulator._pack_cells(other), expected)
+    # Arrays that can be written to are packed each time.
+    host = jax.tree.map(np.array, worlds)
+    simulator._pack_cells(host)
+    host.environment.grid.occupied[:] |= np.asarray(walls.occupied)
+    np.testing.assert_array_equal(simulator._pack_cells(host), expected)
 
 
 def test_commands_are_refused_before_they_enter(simulator, worlds):
     state = simulator.reset(worlds)
-    for bad, said in (
+    for bad, message in (
         (BodyTwist(nu=np.zeros((1, 2, 3))), r"nu has the shape \[1, 2, 3\]: must be \[1, 2, 6\]"),
         (ThrusterPwm(pwm_us=np.zeros((1, 2, 6))), r"\[1, 2, 6\]: must be \[1, 2, 8\]"),
         (ThrusterPwm(pwm_us=np.full((1, 2, 8), 1e9)), "thruster 0 is 1e\\+09 us: must be 1100"),
     ):
         for enter in (simulator.step, simulator.segment):
-            with pytest.raises(ConfigError, match=said):
+            with pytest.raises(ConfigError, match=message):
                 enter(worlds, state, bad)
 
 
@@ -185,5 +212,5 @@ def test_a_run_that_stores_no_trajectories_has_rows_and_figures(simulator, tmp_p
         _ = run.trajectories
     main(["figures", str(run.path)])
     assert "no maps and no replay" in capsys.readouterr().err
-    drawn = sorted(path.name for path in (run.path / "figures").iterdir())
-    assert drawn == ["distances.png", "outcomes.png", "time_to_goal.png"]
+    figures = sorted(path.name for path in (run.path / "figures").iterdir())
+    assert figures == ["distances.png", "outcomes.png", "time_to_goal.png"]

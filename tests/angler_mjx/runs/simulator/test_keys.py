@@ -39,6 +39,13 @@ class Hull:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
+class Sea:
+    key: jax.Array
+    start_m: jax.Array
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
 class Control:
     vehicle: Hull
     cruise_speed_mps: jax.Array
@@ -52,24 +59,23 @@ def keys(tmp_path, monkeypatch):
         file = tmp_path / "keys.toml"
         file.write_text(SCENARIO.format(count=count))
 
-        def draw(fleet, key):
+        def sample(fleet, key):
             each = jnp.ones(count)
-            control = Control(Hull(each), each)
-            return jnp.zeros(count, jnp.int32), control, jax.random.key_data(key)
+            control = Control(Hull(each), jax.random.key_data(key))
+            return jnp.zeros(count, jnp.int32), control
 
         def generate(recipe, radius, key, *rest):
-            return jax.random.key_data(key)
+            return Sea(jax.random.key_data(key), jnp.zeros((count, 3)))
 
-        monkeypatch.setattr(world_preparation.fleet, "sample_variants", draw)
+        monkeypatch.setattr(world_preparation.fleet, "sample_variants", sample)
         monkeypatch.setattr(world_preparation.fleet, "radius_bound", lambda _: jnp.ones(count))
         monkeypatch.setattr(world_preparation.generate, "generate_world", generate)
-        monkeypatch.setattr(world_preparation.grid_planner, "plan_grid", lambda *_: None)
         scenario = load_scenario(file)
-        make = world_preparation.build_preparer(
-            scenario, scenario.planner.planner_spec(), TILE, shape=PathShape(points=32)
-        )
+        make = world_preparation.build_preparer(scenario, None, TILE, shape=PathShape(points=32))
         worlds = make(None, jnp.uint32(seed), jnp.array([first], jnp.uint32))
-        return tuple(map(np.asarray, (worlds.body, worlds.environment, worlds.sensing_key)))
+        return tuple(
+            map(np.asarray, (worlds.cruise_speed_mps, worlds.environment.key, worlds.sensing_key))
+        )
 
     return run
 

@@ -109,10 +109,10 @@ def test_a_vehicle_file_that_was_edited_is_read_again(small, tmp_path):
     vehicle = tmp_path / "mine.toml"
     text = (files("angler_mjx.robot.vehicles") / "data" / "bluerov2.toml").read_text()
     vehicle.write_text(text)
-    mine = _edited(small, {"fleet": [{"vehicle": str(vehicle), "count": 1}]})
-    first = _programs(mine)
+    edited = _edited(small, {"fleet": [{"vehicle": str(vehicle), "count": 1}]})
+    first = _programs(edited)
     vehicle.write_text(re.sub(r"(?m)^mass_kg = .*", "mass_kg = 13.0", text))
-    again = _programs(mine)
+    again = _programs(edited)
     assert again is not first
     before, after = (jax.tree.leaves(one.fleet.control) for one in (first, again))
     assert any(np.any(old != new) for old, new in zip(before, after, strict=True))

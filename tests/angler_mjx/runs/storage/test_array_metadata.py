@@ -30,7 +30,7 @@ ENDS = {
     "_w": "W", "_kg": "kg", "_m3": "m^3", "_kgm2": "kg m^2", "_m2ps": "m^2/s", "_1ps": "1/s",
     "_us": "us", "_j": "J", "_n": "N", "_hz": "Hz", "_v": "V", "_db": "dB",
 }  # fmt: skip
-"""Units that the ends of names claim (docs/notation.md)."""
+"""Units that the ends of names claim (docs/reference/notation.md)."""
 
 
 def claimed(name):

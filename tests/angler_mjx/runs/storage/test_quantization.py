@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import zarr
 
-from angler_mjx.learning.datasets.reading.stored import StoredArray
+from angler_mjx.learning.datasets.stored import StoredArray
 from angler_mjx.runs.storage import shards, trajectory_layout
 from angler_mjx.runs.storage.quantization import build_quantization
 from angler_mjx.runs.storage.recorder import TrajectoryShape

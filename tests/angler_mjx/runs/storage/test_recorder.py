@@ -48,11 +48,9 @@ def make_tile(environment, first, kept, rng):
 
     constants = TileConstants(
         valid=None,
-        redraws=None,
         variant=None,
         planned=None,
-        plan_length_m=None,
-        plan_end_s=None,
+        columns={},
         environment=environment,
         plan={
             "plan_time_s": rng.normal(size=(TILE, ROBOTS, 5)).astype(np.float32),

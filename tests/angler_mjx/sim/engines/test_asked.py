@@ -103,7 +103,7 @@ def test_wrench_is_that_of_the_thrusts_of_the_state(scene, fused, flown):
     assert np.isnan(seen.wrench[1, :, 1]).all()
     np.testing.assert_array_equal(seen.wrench[0, 0], 0.0)
     _, following = fused(after)
-    vehicle = jax.device_get(scene.worlds.control.vehicle)
+    vehicle = jax.device_get(scene.equipped.control.vehicle)
     for robot in range(2):
         thrust = np.float64(after.vehicles.thrust[0, robot])
         thrust = thrust if thrust.ndim == 1 else thrust[0]
@@ -131,7 +131,8 @@ def hull_points(vehicle, p, q, count=400):
 
 def test_clearance_is_that_of_brute_force(scene, seen):
     """To all cells as boxes and the floor, capped; and between hulls, from points on their axes."""
-    environment, vehicles = jax.device_get((scene.worlds.environment, scene.worlds.control.vehicle))
+    worlds = jax.device_get(scene.equipped)
+    environment, vehicles = worlds.environment, worlds.control.vehicle
     for world in range(2):
         grid = environment.grid
         cell, origin = grid.cell_m[world], grid.origin_m[world]

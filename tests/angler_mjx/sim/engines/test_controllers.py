@@ -13,12 +13,17 @@ import pytest
 
 from angler_kernels import lanes
 from angler_mjx.errors import ConfigError
-from angler_mjx.robot.control import stack, stages
-from angler_mjx.robot.control.commands import BodyTwist, BodyWrench, PoseTarget, ThrusterPwm
-from angler_mjx.robot.control.joint_trajectory import from_path
-from angler_mjx.robot.control.laws.targets import as_tracking
-from angler_mjx.sim import robot, step
-from angler_mjx.sim.engines.lanes.engine import FusedEngine, GroupPhases
+from angler_mjx.robot.control import plans, stack, stages
+from angler_mjx.robot.control.commands import (
+    BodyTwist,
+    BodyWrench,
+    PoseTarget,
+    ThrusterPwm,
+    as_tracking,
+)
+from angler_mjx.robot.control.commands.joint_trajectory import from_path
+from angler_mjx.sim import fleet, robot, step
+from angler_mjx.sim.engines.lanes.engine import FusedEngine, SceneBatch
 from angler_mjx.sim.engines.lanes.layout import (
     broadcast_lanes,
     lane_state_of,
@@ -82,10 +87,19 @@ def on_lanes(spec, kinds, worlds, state):
     scene, moving = scene_of(kinds, worlds), lane_state_of(kinds, state)
     (given,), (robots,) = scene.groups, moving.groups
     t = time_of(spec, state)
-    here = GroupPhases(spec=spec, scene=scene, t=t, shape=scene.shape, constants=given)
-    done = step.decide_commands(here, {"estimate": robots.vehicle, "memory": robots.memory})
+    batch = SceneBatch(spec=spec, scene=scene, t=t, shape=scene.shape)
+    done = step.decide_commands(
+        batch,
+        step.DecideInput(
+            estimate=robots.vehicle,
+            memory=robots.memory,
+            flow=step.select_flow(batch, lambda: batch.current, robots.vehicle),
+            params=given.params,
+            command=plans.check_plan(spec.stages, given.path),
+        ),
+    )
     like = robots.vehicle.p[0]
-    given_back = (done.slots()["memory"], done.record()["pwm_us"])
+    given_back = (done.output().memory, done.record()["pwm_us"])
     return to_arrays(jax.tree.map(lambda leaf: broadcast_lanes(leaf, like), given_back), 2)
 
 
@@ -101,7 +115,7 @@ def mapped(spec, kinds, worlds, state):
         )
         return decided[0], decided[2].pwm_us
 
-    return jax.vmap(one)(worlds, state.vehicles, state.carry)
+    return jax.vmap(one)(fleet.add_parameters(kinds, worlds), state.vehicles, state.carry)
 
 
 def time_of(spec, state):
@@ -296,7 +310,7 @@ def test_lanes_take_every_kind_of_command(kind, scene, at_rest, told):
     with jax.enable_x64(True):
         state, decide = at_rest(scene.spec), partial(robot.run_controllers, scene.spec, flow=None)
         moving = state.carry, state.vehicles, told[kind]
-        expected = quickly(jax.vmap(jax.vmap(decide)))(scene.worlds.control, *moving)
+        expected = quickly(jax.vmap(jax.vmap(decide)))(scene.equipped.control, *moving)
         given = scene_of(scene.fleet, scene.worlds).groups[0].params
         found = to_arrays(lanes.apply(decide, given, *to_lanes(moving, 2)), 2)
     for x, y in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from angler_mjx.robot.control.joint_trajectory import from_path
+from angler_mjx.robot.control.commands.joint_trajectory import from_path
 from angler_mjx.sim.engines.triton.engine import TritonEngine
 from angler_mjx.sim.state import Outcome, Touched
 from angler_mjx.testing import referee

@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 
 from angler_mjx.robot.vehicles.load import Load
-from angler_mjx.sim import fleet
+from angler_mjx.sim import fleet, world_phases
 from angler_mjx.sim.engines.base import by_name
 from angler_mjx.sim.engines.lanes.engine import FusedEngine
 from angler_mjx.sim.engines.triton.engine import TritonEngine
-from angler_mjx.sim.phase import Phase, PhaseResult
 from angler_mjx.sim.record import ProgressRecord
 from angler_mjx.sim.state import Outcome
-from angler_mjx.sim.world_phases import phases, running
+from angler_mjx.sim.world_phases import TaskOutput
 from angler_mjx.world.tasks.spec import TaskSpec
 
 from ...compiling import quickly
@@ -48,19 +47,16 @@ BY = "lanes, and a control step of the kernels in test_kernels_do_the_same_in_on
 SLOW = [pytest.param(name, marks=pytest.mark.nightly(by=BY)) for name in ("mjx", "kernels")]
 
 
-def work(here, now):
+def work(context, state, modem, estimate):
     """A task that is done at a given time, and records when it was looked at."""
-    number = here.number // PERIOD * PERIOD
-    slots = {
-        "finished": number >= FINISHED_FROM,
-        "loaded": (number >= LOADED[:, 0]) & (number < LOADED[:, 1]),
-    }
+    number = context.number // PERIOD * PERIOD
     none = jnp.zeros(len(LOADED), jnp.int32)
     progress = ProgressRecord(fraction=number * 1.0, target=none, carrying=none, done=none + number)
-    return PhaseResult(slots=lambda: slots, record=lambda: {"task": progress})
-
-
-WORK = Phase(name="work", of="world", run=work, reads=(), gives=("finished", "loaded"))
+    return TaskOutput(
+        finished=number >= FINISHED_FROM,
+        loaded=(number >= LOADED[:, 0]) & (number < LOADED[:, 1]),
+        record=progress,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -73,12 +69,8 @@ def scene(scenes):
     four = members("bluerov2") * len(FINISHED_FROM)
     built = build(2, members=four, config=obstacles["none"])
     kinds, environment = fleet.build_fleet(four, load=LOAD), built.worlds.environment
-    control, body = fleet.select_parameters(kinds, built.worlds.variant)
-    cruise = built.worlds.control.cruise_speed_mps
     worlds = replace(
         built.worlds,
-        control=replace(control, cruise_speed_mps=cruise),
-        body=body,
         environment=replace(environment, goal_m=environment.start_m),
         fails_at_s=jnp.asarray(FAILS_AT_S, environment.start_m.dtype),
     )
@@ -102,7 +94,7 @@ def fly(scene):
         return jax.device_get(state), both
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(running, "PHASES", (phases.SENSE, WORK, phases.POLICY))
+        patch.setattr(world_phases, "advance_task", work)
         yield with_engine
 
 

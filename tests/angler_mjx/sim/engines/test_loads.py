@@ -11,12 +11,11 @@ import pytest
 from angler_mjx.robot.control.commands import ThrusterPwm
 from angler_mjx.robot.vehicles import library
 from angler_mjx.robot.vehicles.load import Load
-from angler_mjx.sim import fleet
+from angler_mjx.sim import fleet, world_phases
 from angler_mjx.sim.engines.lanes.engine import FusedEngine
 from angler_mjx.sim.fleet import Member, Variant
-from angler_mjx.sim.phase import Phase, PhaseResult
 from angler_mjx.sim.policy import Policy
-from angler_mjx.sim.world_phases import phases, running
+from angler_mjx.sim.world_phases import TaskOutput
 from angler_mjx.world.tasks.spec import TaskSpec
 
 from ...compiling import quickly
@@ -38,13 +37,10 @@ NEUTRAL_US = 1490.0
 """With the masses in kg added the thrusters stand still: their dead band is 1472 to 1528 us."""
 
 
-def work(here, now):
+def work(context, state, modem, estimate):
     """Robots take up and put down when they are to."""
-    loaded = (here.number >= TAKES_AT) & (here.number < PUTS_AT)
-    return PhaseResult(slots=lambda: {"loaded": loaded, "finished": jnp.zeros(len(SETS), bool)})
-
-
-WORK = Phase(name="work", of="world", run=work, reads=(), gives=("loaded", "finished"))
+    loaded = (context.number >= TAKES_AT) & (context.number < PUTS_AT)
+    return TaskOutput(loaded=loaded, finished=jnp.zeros(len(SETS), bool))
 
 
 @jax.tree_util.register_dataclass
@@ -85,7 +81,7 @@ def sunk(scenes):
     kinds = fleet.build_fleet(members(), multibody=False, load=LOAD)
     spec, policy = replace(scene.spec, task=TASK), SaysMass()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(running, "PHASES", (phases.SENSE, WORK, phases.POLICY))
+        patch.setattr(world_phases, "advance_task", work)
         engine = FusedEngine()
         start = quickly(partial(engine.reset, scene.spec, policy=policy))(kinds, worlds)
         run = partial(engine.segment, spec, n_sample=STEPS, steps_per_sample=1, policy=policy)

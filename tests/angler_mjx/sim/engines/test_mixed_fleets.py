@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import angler_mjx.robot.vehicles
-from angler_experiments.shared.driving import CASES, HOLD_S, sample_commands
+from angler_experiments.convergence import CASES, HOLD_S, sample_commands
 from angler_mjx import frames
 from angler_mjx.robot.control.commands import ThrusterPwm
 from angler_mjx.robot.vehicles import library
@@ -150,8 +150,7 @@ def flown(scene, kinds, signals, engines_by_name):
             for order in ORDERS:
                 made = build(kinds, order)
                 variant = jnp.tile(jnp.asarray(np.argsort(order), jnp.int32), (len(CASES), 1))
-                control, body = jax.tree.map(lambda x, v=variant: x[v], (made.control, made.body))
-                worlds = replace(scene.worlds, variant=variant, control=control, body=body)
+                worlds = replace(scene.worlds, variant=variant)
                 after, p = program(made, worlds, jnp.asarray(signals[0]))
                 assert np.all(after.tally.outcome == Outcome.RUNNING)
                 rows.append(np.moveaxis(np.asarray(p), 0, 2))
@@ -169,8 +168,8 @@ def test_every_vehicle_of_a_mixed_fleet_flies_as_the_textbook_says(
     # They go far and turn over: what is small below is small of that.
     assert np.linalg.norm(truth[:, :, -1] - START, axis=-1).min() > 3.0
     for case, bound_m in enumerate((1e-3, 5e-2)):
-        # The discretisation at 10 ms, as in docs/validation.md; found are 0.11 and 14 mm. A fleet
-        # that flies with the first one's diagonal is 51 and 1,157 mm off.
+        # The discretisation at 10 ms, as in docs/generated/validation.md; found are 0.11 and
+        # 14 mm. A fleet that flies with the first one's diagonal is 51 and 1,157 mm off.
         deviation(f"mixed.{CASES[case].name}", apart[:, case], bound_m, about=f"\n{apart[:, case]}")
 
 

@@ -13,9 +13,10 @@ import pytest
 
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.robot.control import stages
-from angler_mjx.robot.control.joint_trajectory import CUBIC, from_path
-from angler_mjx.sim import step
-from angler_mjx.sim.engines.lanes.engine import GroupPhases
+from angler_mjx.robot.control.commands.joint_trajectory import CUBIC, from_path
+from angler_mjx.robot.control.plans import check_plan
+from angler_mjx.sim import fleet, step
+from angler_mjx.sim.engines.lanes.engine import SceneBatch
 from angler_mjx.sim.engines.lanes.layout import (
     broadcast_lanes,
     lane_state_of,
@@ -98,10 +99,19 @@ def on_lanes(spec, kinds, worlds, state):
     """Memory, signals and aim of the controllers, as the fused engine has them decide."""
     scene, moving = scene_of(kinds, worlds), lane_state_of(kinds, state)
     (given,), (robots,) = scene.groups, moving.groups
-    here = GroupPhases(spec=spec, scene=scene, t=jnp.zeros(()), shape=scene.shape, constants=given)
-    done = step.decide_commands(here, {"estimate": robots.vehicle, "memory": robots.memory})
+    batch = SceneBatch(spec=spec, scene=scene, t=jnp.zeros(()), shape=scene.shape)
+    done = step.decide_commands(
+        batch,
+        step.DecideInput(
+            estimate=robots.vehicle,
+            memory=robots.memory,
+            flow=step.select_flow(batch, lambda: batch.current, robots.vehicle),
+            params=given.params,
+            command=check_plan(spec.stages, given.path),
+        ),
+    )
     like = robots.vehicle.p[0]
-    back = (done.slots()["memory"], done.record())
+    back = (done.output().memory, done.record())
     return to_arrays(jax.tree.map(lambda leaf: broadcast_lanes(leaf, like), back), 2)
 
 
@@ -109,11 +119,21 @@ def mapped(spec, kinds, worlds, state):
     """The same as the mjx engine has them decide."""
 
     def one(world, vehicles, carry):
-        here = SingleWorld(spec=spec, world=world, t=jnp.zeros(()))
-        done = step.decide_commands(here, {"estimate": vehicles, "memory": carry})
-        return done.slots()["memory"], done.record()
+        batch = SingleWorld(spec=spec, world=world, t=jnp.zeros(()))
+        current = world.environment.current
+        done = step.decide_commands(
+            batch,
+            step.DecideInput(
+                estimate=vehicles,
+                memory=carry,
+                flow=step.select_flow(batch, lambda: current, vehicles),
+                params=world.control,
+                command=check_plan(spec.stages, world.path),
+            ),
+        )
+        return done.output().memory, done.record()
 
-    return jax.vmap(one)(worlds, state.vehicles, state.carry)
+    return jax.vmap(one)(fleet.add_parameters(kinds, worlds), state.vehicles, state.carry)
 
 
 @pytest.fixture(scope="module")

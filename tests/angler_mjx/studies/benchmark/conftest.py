@@ -5,6 +5,7 @@ import json
 import pytest
 
 from angler_mjx.planning.host.workers import Workers
+from angler_mjx.progress import Progress
 from angler_mjx.studies.benchmark import running
 
 from ...sharing import alone, shared_folder
@@ -63,22 +64,22 @@ label = "lazy <one>"
 """
 
 
-class Interrupting:
+class Interrupting(Progress):
     """Ends a benchmark after so many runs."""
 
     def __init__(self, after):
         self.left = after
         self.texts = []
 
-    def start(self, runs):
-        self.total = runs
+    def start(self, total, done=0, unit="worlds"):
+        self.total = total
 
-    def at(self, text):
+    def describe(self, text):
         self.texts.append(text)
         if self.left == "before the tables" and text.startswith("tables"):
             raise KeyboardInterrupt
 
-    def advance(self, runs):
+    def advance(self, runs, vehicle_steps=0):
         if isinstance(self.left, int):
             self.left -= runs
             if self.left <= 0:

@@ -70,8 +70,8 @@ class Stopping(Interrupting):
         super().__init__(None)
         self.who = who
 
-    def at(self, text):
-        super().at(text)
+    def describe(self, text):
+        super().describe(text)
         if text.endswith(f"flying {self.who}"):
             raise KeyboardInterrupt
 

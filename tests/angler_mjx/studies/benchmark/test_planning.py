@@ -7,7 +7,7 @@ import pytest
 
 from angler_mjx.planning.answers import Answer
 from angler_mjx.planning.planner import NoPlan, joint_path, way_points
-from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.studies.benchmark import planning
 
 LINE = way_points([0, 2], [(0, 0, 0), (1, 0, 0)])

@@ -75,7 +75,10 @@ def test_a_wrong_file_is_one_message_that_names_file_key_and_value(tmp_path, mor
             '[[planner]]\nname = "grid"\nreplan_hz = 3.0',
             r"planner 'grid, 3 Hz'.*\n.*planner.replan_hz = 3: .*must be a whole number",
         ),
-        ('[[planner]]\nname = "grid"\ndelay_s = 1.0', "planner.delay_s = 1: nothing is planned"),
+        (
+            '[[planner]]\nname = "grid"\ndelay_s = 1.0',
+            "delay_s = 1: there is no replanning",
+        ),
         ('[[planner]]\nname = "grid"\norder = "keep"', r"planner\[1\].order = 'keep'"),
         ('[[planner]]\npolicy = "mpi"', r"policy.name = 'mpi': .*'mppi'"),
         ('[[planner]]\npolicy = "none"', r"policy = 'none': nobody flies by it"),

@@ -17,6 +17,7 @@ import pytest
 from angler_mjx.cli import main as cli
 from angler_mjx.cli.studies import fleet_size as command
 from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.progress import Progress
 from angler_mjx.studies.fleet_size import conditions, flying, folder, report, running
 from angler_mjx.studies.fleet_size.flying import compute_completion_s
 from angler_mjx.studies.fleet_size.simulators import Simulators
@@ -26,7 +27,7 @@ from ...threads import together
 
 PLANNER = '''
 import jax.numpy as jnp
-from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 
 
 class Straight:
@@ -81,20 +82,16 @@ set = { randomise = { current = [0.0, 0.0] }, breakdowns = { fraction = 1.0, lat
 """
 
 
-class Told:
+class Told(Progress):
     """Keeps what it is told; interrupts after some batches."""
 
     def __init__(self, batches=None):
         self.left, self.said = batches, []
 
-    def tell(self, text):
+    def report(self, text):
         self.said.append(text)
 
-    def begin(self, condition, size):
-        pass
-
-    def flown(self, condition, worlds, so_far):
-        self.said.append((condition, so_far))
+    def advance(self, amount, vehicle_steps=0):
         if self.left is not None:
             self.left -= 1
             if self.left == 0:
@@ -301,7 +298,7 @@ def test_no_batch_begins_after_the_time_is_over(source, tmp_path, simulators):
 
 
 class _Never(Told):
-    def begin(self, condition, size):
+    def describe(self, text):
         raise KeyboardInterrupt
 
 

@@ -16,7 +16,7 @@ from angler_mjx.runs.simulator.compilation import CompiledFunction, CompileTime,
 from angler_mjx.runs.simulator.simulator import default_tile
 from angler_mjx.scenario.scenario import load_scenario, shipped_scenarios
 from angler_mjx.sim.state import Outcome
-from angler_mjx.studies.speed import measuring, roofline
+from angler_mjx.studies.speed import roofline
 from angler_mjx.studies.speed import (
     rows as speed,
 )
@@ -24,6 +24,7 @@ from angler_mjx.studies.speed.measured import (
     compilation,
     free_motion,
     hull_clearance,
+    measuring,
     recording,
     simulation,
 )

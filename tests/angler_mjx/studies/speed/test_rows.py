@@ -8,10 +8,14 @@ import pytest
 from angler_mjx.errors import ConfigError
 from angler_mjx.studies.speed import chart
 from angler_mjx.studies.speed import rows as speed
+from angler_mjx.studies.speed.chart import with_bounds
 from angler_mjx.studies.speed.compare import compare_rows, select_latest
-from angler_mjx.studies.speed.report import compare_with_bound, describe_conditions
-from angler_mjx.studies.speed.roofline import DeviceSpeed, compute_bound
-from angler_mjx.studies.speed.roofline_bounds import with_bounds
+from angler_mjx.studies.speed.roofline import (
+    DeviceSpeed,
+    compare_with_bound,
+    compute_bound,
+    describe_conditions,
+)
 
 from .rows import make_row, write_rows
 

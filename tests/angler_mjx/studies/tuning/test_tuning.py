@@ -8,6 +8,7 @@ import pytest
 
 from angler_mjx.cli import main
 from angler_mjx.errors import ConfigError
+from angler_mjx.progress import Progress
 from angler_mjx.robot.control import stages
 from angler_mjx.robot.control.laws.ardusub.gains import ArduSubGains
 from angler_mjx.scenario.scenario import load_scenario, shipped_scenarios
@@ -165,14 +166,14 @@ def test_the_gradient_is_that_of_the_flights_and_evolution_goes_the_same_way(cas
     assert cosine > math.cos(math.radians(75))
 
 
-class Stop(tune.SilentTuningProgress):
+class Stop(Progress):
     """Interrupts after some generations."""
 
     def __init__(self, after):
         self.after = after
 
-    def generation(self, number, best):
-        if number == self.after:
+    def describe(self, text):
+        if text.startswith(f"generation {self.after},"):
             raise KeyboardInterrupt
 
 
@@ -215,8 +216,8 @@ def test_a_tuning_that_was_interrupted_leaves_its_best_and_ends_with_the_same_by
 
 
 def test_an_interrupt_before_anything_is_known_leaves_a_tuning_to_go_on_with(tmp_path):
-    class Now(tune.SilentTuningProgress):
-        def flown(self, flights):
+    class Now(Progress):
+        def advance(self, amount, vehicle_steps=0):
             raise KeyboardInterrupt
 
     wanted, out = settings(), tmp_path / "early"

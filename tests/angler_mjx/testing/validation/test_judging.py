@@ -96,7 +96,8 @@ def root(tmp_path):
     folder = tmp_path / "docs" / "validation"
     folder.mkdir(parents=True)
     (folder / "terms.toml").write_text(TERMS)
-    (tmp_path / "docs" / "validation.md").write_text(PAGE)
+    (tmp_path / page.PAGE_PATH).parent.mkdir()
+    (tmp_path / page.PAGE_PATH).write_text(PAGE)
     (tmp_path / "benchmarks").mkdir()
     shutil.copy(ROOT / "benchmarks" / "results.jsonl", tmp_path / "benchmarks")
     at = {"at_utc": ABOUT["at_utc"], "commit": "0123456789"}
@@ -208,7 +209,7 @@ def test_allowed_is_never_more_than_the_bound():
 
 def test_the_page_is_written_between_its_marks_alone(root):
     run(root, measured())
-    text = (root / "docs" / "validation.md").read_text()
+    text = (root / "docs" / "generated" / "validation.md").read_text()
     for name in (*page.TERM_PARTS, "study", "speed"):
         assert f"before {name}\n" in text
     assert "old" not in text
@@ -216,17 +217,17 @@ def test_the_page_is_written_between_its_marks_alone(root):
     assert "2026-01-02, A Processor, 2 cores, jax 1, commit abcdef012" in text
     # Twice is once.
     run(root, measured())
-    assert (root / "docs" / "validation.md").read_text() == text
+    assert (root / "docs" / "generated" / "validation.md").read_text() == text
     kept = read_model(ValidationResult, root / "docs" / "validation" / "validation.json")
     assert set(kept.tests) == {"a.rounding", "a.scheme"}
 
 
 def test_a_page_that_was_written_by_hand_is_caught(root):
     run(root, measured())
-    path = root / "docs" / "validation.md"
+    path = root / "docs" / "generated" / "validation.md"
     path.write_text(path.read_text().replace("| 1e-13 |", "| 1e-14 |"))
     (fault,) = run(root, measured(), check=True)
-    assert fault.key == "docs/validation.md"
+    assert fault.key == "docs/generated/validation.md"
     assert "--page" in fault.message
 
 
@@ -238,7 +239,7 @@ def test_check_writes_nothing(root):
 
 def test_out_leaves_the_checkout_alone(root, tmp_path):
     run(root, measured(), out=tmp_path / "other")
-    assert (root / "docs" / "validation.md").read_text() == PAGE
+    assert (root / "docs" / "generated" / "validation.md").read_text() == PAGE
     assert "1e-13" in (tmp_path / "other" / "validation.md").read_text()
     assert read_model(ValidationResult, tmp_path / "other" / "validation.json").tests
 
@@ -251,7 +252,7 @@ def test_rows_measured_at_another_time_say_so(root):
     terms_file.write_text(terms_file.read_text().replace('part = "energy"', 'part = "terms"'))
     del later["deviations"][1]
     run(root, later)
-    text = (root / "docs" / "validation.md").read_text()
+    text = (root / "docs" / "generated" / "validation.md").read_text()
     assert "Measured 2026-02-03" in text
     assert "| 0.1 (1) |" in text
     assert "\n(1) 2026-01-02" in text
@@ -266,7 +267,7 @@ def test_rows_measured_at_another_time_say_so(root):
     ],
 )
 def test_a_page_without_its_marks_is_refused(root, spoil, words):
-    path = root / "docs" / "validation.md"
+    path = root / "docs" / "generated" / "validation.md"
     path.write_text(spoil(PAGE))
     with pytest.raises(ConfigError, match=words):
         run(root, measured())

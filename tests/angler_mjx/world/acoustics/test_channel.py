@@ -12,7 +12,7 @@ from angler_mjx.world.acoustics import access, channel
 from angler_mjx.world.acoustics.channel import Channel, ChannelInput, Packet
 from angler_mjx.world.acoustics.link import LinkBudget, RangeLink
 from angler_mjx.world.acoustics.shadow import RockLoss
-from angler_mjx.world.grid import Grid
+from angler_mjx.world.rock.grid import Grid
 
 from ...compiling import quickly
 

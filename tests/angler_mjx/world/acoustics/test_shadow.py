@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from angler_mjx.world.acoustics.shadow import CUT_DB, RockLoss, rock_between_m
-from angler_mjx.world.grid import Grid
+from angler_mjx.world.rock.grid import Grid
 
 
 @pytest.fixture(scope="module")

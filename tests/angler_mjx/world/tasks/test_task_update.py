@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from angler_mjx.world.grid import Grid
+from angler_mjx.world.rock.grid import Grid
 from angler_mjx.world.tasks import bits, sampling, task_update, visibility
 from angler_mjx.world.tasks.sampling import GoalSampling
 from angler_mjx.world.tasks.spec import SurveySpec, TaskReport, TaskSpec, TaskState, TaskWorld

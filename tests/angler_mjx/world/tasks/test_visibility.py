@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from angler_kernels import bit_grid
-from angler_mjx.world.grid import Grid
+from angler_mjx.world.rock.grid import Grid
 from angler_mjx.world.tasks import visibility
 from angler_mjx.world.tasks.spec import SurveySpec
 

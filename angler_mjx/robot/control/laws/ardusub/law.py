@@ -17,8 +17,8 @@ velocity. The firmware runs at 400 Hz; the surrogate flies alike with control pe
 
 The thrusters' dead band is not compensated, as there. So in still water the position swings
 across it, by 12 cm from end to end for the BlueROV2 after a step of 2 m, which is what the real
-firmware does too (docs/sitl.md); heading keeps an error of up to 4 degrees. In a current that
-takes the thrusters out of their dead band, station is kept to centimetres.
+firmware does too (docs/how_to/spotcheck.md); heading keeps an error of up to 4 degrees. In a
+current that takes the thrusters out of their dead band, station is kept to centimetres.
 
 The parameters are those of `ardusub_gains`.
 """

@@ -6,21 +6,20 @@ function listed(planners, most = 3) {
 }
 
 function drawAnswer() {
-  const list = at("answer"), some = hit.some((x) => x);
+  const list = at("answer"), some = selected(-1, -1, -1).rates.some((rates) => rates && rates[0] > 0);
   list.replaceChildren();
   const say = (strong, rest) => list.append(html("li", {}, html("b", {}, strong), rest));
-  const won = winner(kept);
+  const won = winner(chosen());
   if (data.judged === "planned") say("Nothing has been flown yet", ": shares are of problems that were planned for every robot.");
   if (won.best !== undefined && some) {
     const { one } = won, alike = won.alike.length ? `; not told apart from it by paired comparison: ${listed(won.alike, 5)}` : won.all.length > 1 ? "; ahead of every other planner" : "";
-    say(names[won.best], ` ${JUDGED} most often: ${percent(one.success / one.runs)} (${between(wilson(one.success, one.runs))}) of ${one.runs} runs${alike}.`);
+    say(names[won.best], ` ${JUDGED} most often: ${percent(one.rate)} (${between(one.interval)}) of ${one.runs} runs${alike}.`);
   } else say("No run has succeeded", ".");
   for (const [cost, words] of [["planning_s", "plans fastest"], ["makespan_s", "arrives soonest"], ["energy_j", "needs least energy"]]) {
-    const found = profile(rows, state.planners, cost, COSTS[cost][0], kept);
-    if (found.lines.length < 2 || !found.problems) continue;
-    const best = (line) => line.ratios.filter((r) => r === 1).length;
-    const first = found.lines.reduce((a, b) => (best(b) > best(a) ? b : a));
-    say(names[first.planner], ` ${words} most often: best on ${percent(best(first) / found.problems)} of ${found.problems} common problems.${found.leftOut.length ? ` Nothing known of ${listed(found.leftOut, 4)}.` : ""}`);
+    const found = chosen().profiles[cost], lines = linesOf(found);
+    if (lines.length < 2 || !found.problems) continue;
+    const [planner, best] = lines.reduce((a, b) => (b[1] > a[1] ? b : a)), unknown = found.left_out.filter((p) => state.planners.includes(p));
+    say(names[planner], ` ${words} most often: best on ${percent(best / found.problems)} of ${found.problems} common problems.${unknown.length ? ` Nothing known of ${listed(unknown, 4)}.` : ""}`);
   }
 }
 
@@ -33,12 +32,12 @@ function drawWinners() {
   for (const scene of scenes()) {
     const row = html("tr", {}, html("th", { class: "text", scope: "row" }, data.scenes[scene]));
     for (const team of columns.length > 1 ? [null, ...columns] : columns) {
-      const won = winner((i) => kept(i) && rows.scene[i] === scene && (team === null || rows.team[i] === team));
+      const won = winner(selected(scene, team === null ? -1 : data.teams.indexOf(team), state.information));
       const cell = html("td");
       if (won.best === undefined) cell.append("–");
-      else if (!won.one.success) cell.append("none", html("small", {}, `${won.one.runs} runs each`));
+      else if (!won.one.rate) cell.append("none", html("small", {}, `${won.one.runs} runs each`));
       else {
-        const { one } = won, rate = one.success / one.runs;
+        const { one } = won, { rate } = one;
         const clear = won.alike.length === 0 || 2 * won.alike.length < won.all.length - 1;
         cell.style.background = `rgba(var(--good), ${(0.06 + 0.3 * rate).toFixed(2)})`;
         cell.append(html("b", {}, clear ? names[won.best] : "no clear winner"), `${clear ? "" : `${names[won.best]} `}${percent(rate)}${one.runs < data.few ? " *" : ""}`);
@@ -54,18 +53,16 @@ function drawWinners() {
 }
 
 function drawPair() {
-  const [a, b] = [state.first, state.second].map((p) => byProblem(rows, p, kept));
-  const [both, first, second, neither] = counts(hit, a, b), n = both + first + second + neither;
-  const difference = (first - second) / n, interval = newcombe(both, first, second, neither);
-  const points = (x) => `${x > 0 ? "+" : ""}${(100 * x).toFixed(1)}`, p = mcnemar(first, second);
-  const lines = [["problems of both", String(n)], [data.judged === "success" ? "both succeed" : "both plan for all robots", String(both)], [`only ${names[state.first]}`, String(first)], [`only ${names[state.second]}`, String(second)], ["neither", String(neither)]];
+  const pair = pairOf(chosen(), state.first, state.second), [x, y] = [names[state.first], names[state.second]];
+  const { both, first, second, neither, difference, interval, p, ratios } = pair || { both: 0, first: 0, second: 0, neither: 0, ratios: [] };
+  const n = both + first + second + neither, points = (value) => `${value > 0 ? "+" : ""}${(100 * value).toFixed(1)}`;
+  const lines = [["problems of both", String(n)], [data.judged === "success" ? "both succeed" : "both plan for all robots", String(both)], [`only ${x}`, String(first)], [`only ${y}`, String(second)], ["neither", String(neither)]];
   if (n) lines.push([`difference of share (${data.judged}), percentage points`, `${points(difference)} (${points(interval[0])} to ${points(interval[1])})`], ["McNemar's exact p", p < 1e-4 ? p.toExponential(1) : p.toFixed(4)]);
-  for (const [cost, needs] of Object.entries({ planning_s: "planned", makespan_s: "success", energy_j: "success" })) {
-    const found = ratioOf(rows, a, b, cost, needs), label = `${COSTS[cost][1].toLowerCase()}, median ratio first / second`;
+  ["planning_s", "makespan_s", "energy_j"].forEach((cost, i) => {
+    const found = ratios[i], label = `${COSTS[cost].toLowerCase()}, median ratio first / second`;
     lines.push([label, found ? `${short(found.median)} (${short(found.low)} to ${short(found.high)}), ${found.pairs} problems${found.pairs < data.few ? ": too few" : ""}` : "–"]);
-  }
+  });
   const few = n < data.few ? ` Only ${n} problems: too few to say much.` : "";
-  const [x, y] = [names[state.first], names[state.second]];
   at("pair-words").textContent = state.first === state.second ? "Choose two different planners." : n === 0 ? `${x} and ${y} have no problem in common here.` : interval[0] > 0 ? `${x} ${JUDGED} more often than ${y} on the same problems.${few}` : interval[1] < 0 ? `${y} ${JUDGED} more often than ${x} on the same problems.${few}` : `${data.judged === "success" ? "Success" : "Planning"} does not tell ${x} and ${y} apart here.${few}`;
   const body = html("tbody");
   for (const [label, value] of lines) body.append(html("tr", {}, html("th", { class: "text", scope: "row" }, label), html("td", {}, value)));

@@ -3,14 +3,14 @@
 const MEASURES = { planning_s: "planning\ns", first_s: "first\ns", best_s: "best\ns", makespan_s: "makespan\ns", flowtime_s: "flowtime\ns", energy_j: "energy\nJ", plan_turn_rad: "turn\nrad", min_clearance_m: "clearance\nm", min_separation_m: "separation\nm", density: "density\n", path_ratio: "way /\nstraight", free_lines: "free\nlines" };
 const COLUMNS = [
   ["planner", "planner\n", (c) => names[c.planner]], ["scene", "scene\n", (c) => data.scenes[c.scene]], ["preset", "preset\n", (c) => c.preset], ["team", "robots\n", (c) => c.team], ["information", "known of\nobst. / current", (c) => data.knowledge[c.information]],
-  ["asked", "asked\n", (c) => c.asked], ["closed", "not\nasked", (c) => c.closed], ["success", "success\n", (c) => c.success / c.asked], ["interval", "95 %\n", (c) => wilson(c.success, c.asked)[0]], ["planned", "planned\n", (c) => c.planned / c.asked], ["flown", "flown\n", (c) => c.flown / c.asked],
+  ["asked", "asked\n", (c) => c.asked], ["closed", "not\nasked", (c) => c.closed], ["success", "success\n", (c) => c.success], ["interval", "95 %\n", (c) => c.interval[0]], ["planned", "planned\n", (c) => c.planned], ["flown", "flown\n", (c) => c.flown],
   ...data.measures.map((name) => [name, MEASURES[name] || name, (c) => c[name]]),
 ];
 const SHARE = new Set(["success", "planned", "flown"]), TEXT = new Set(["planner", "scene", "preset", "information"]);
 
 function shown(key, value, cell) {
   if (SHARE.has(key)) return cell.asked ? percent(value) + (key === "success" && cell.asked < data.few ? " *" : "") : "–";
-  if (key === "interval") return cell.asked ? between(wilson(cell.success, cell.asked)) : "–";
+  if (key === "interval") return cell.asked ? between(cell.interval) : "–";
   return typeof value === "number" || value === null ? short(value) : value;
 }
 
@@ -49,7 +49,7 @@ function drawCells() {
 }
 
 function drawMade() {
-  const { about } = data, list = at("made"), sum = (x) => x.reduce((a, b) => a + b, 0), asked = sum(rows.asked), closed = sum(rows.counted) - asked, barred = rows.asked.length - sum(rows.counted);
+  const { about } = data, list = at("made"), { runs, asked, closed, no_room } = data.totals;
   const say = (name, text) => text && list.append(html("dt", {}, name), html("dd", {}, text));
   const pairs = (held) => (held && typeof held === "object" ? Object.entries(held).map(([k, v]) => `${k} ${typeof v === "object" ? JSON.stringify(v) : v}`).join(", ") : String(held ?? ""));
   say("command", about.command);
@@ -57,9 +57,9 @@ function drawMade() {
   say("host", pairs(about.host));
   say("versions", pairs(about.versions));
   say("deadline", about.deadline_s && `${about.deadline_s} s a problem`);
-  say("runs asked", `${asked} of ${rows.asked.length}`);
+  say("runs asked", `${asked} of ${runs}`);
   say("not asked", closed ? `${closed} runs: their cells were given up after the first ${about.close_after ?? ""} problems all failed. They are taken to fail everywhere but in the table of cells.` : "none");
-  if (barred) say("left out", `${barred} runs, whose worlds cannot hold the team`);
+  if (no_room) say("left out", `${no_room} runs, whose worlds cannot hold the team`);
   const given = data.cells.filter((c) => c.closed).map((c) => `${names[c.planner]} on ${data.scenes[c.scene]} with ${c.team} (${c.closed})`);
   say("cells given up", given.join("; "));
   for (const planner of about.planners || []) say(planner.label, `${planner.name ?? ""} ${JSON.stringify({ ...planner.settings, ...planner.online })}`);

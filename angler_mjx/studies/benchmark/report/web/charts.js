@@ -63,7 +63,7 @@ function frame(title, { xlabel, ylabel, xticks, yticks, x, y, width, height, lab
 
 const MARGIN = { left: 46, right: 10, top: 18, bottom: 38 };
 const SHARES = [0, 0.2, 0.4, 0.6, 0.8, 1].map((s) => [s, `${Math.round(100 * s)} %`]);
-const WIDTH = 420, HEIGHT = 270;
+const WIDTH = 420, HEIGHT = 270, AXIS = 364;
 const up = (share) => MARGIN.top + (1 - share) * (HEIGHT - MARGIN.top - MARGIN.bottom);
 
 // Success over classes that stand side by side. series: [{planner, points: [{at, rate, interval, words, hollow}]}].
@@ -95,10 +95,8 @@ function ratesChart(title, xlabel, ticks, series) {
 const RATIOS = [1, 1.02, 1.05, 1.1, 1.2, 1.5, 2, 3, 5, 10, 20, 50, 100, 1000, 1e4];
 
 // Steps of profiles over a logarithmic ratio.
-function profileChart(title, found, names) {
-  const finite = found.lines.flatMap((line) => line.ratios.slice(-1));
-  const ends = found.lines.flatMap((line) => (line.ratios.length ? [quantile(line.ratios, 0.99)] : []));
-  const most = Math.max(1.02, Math.min(Math.max(...ends, 1), Math.max(...finite, 1), 1e4));
+function profileChart(title, found, lines) {
+  const most = found.end;
   const across = WIDTH - MARGIN.left - MARGIN.right;
   const x = (ratio) => MARGIN.left + (across * Math.log(ratio)) / Math.log(most);
   let ticks = RATIOS.filter((r) => r <= most * 1.001);
@@ -114,19 +112,15 @@ function profileChart(title, found, names) {
     xlabel: "cost over that of the best planner", ylabel: "share of problems", xticks: ticks.map((r) => [r, String(r)]),
     yticks: SHARES, x, y: up, width: WIDTH, height: HEIGHT, label: title,
   });
-  for (const { planner, ratios } of found.lines) {
-    const { color, dash } = look(planner);
-    let path = "", last = 0;
-    ratios.forEach((ratio, i) => {
-      if (ratio > most) return;
-      last = (i + 1) / found.problems;
-      if (ratios[i + 1] === ratio) return;
-      path += path ? `H${x(ratio).toFixed(1)}V${up(last).toFixed(1)}` : ratio === 1 ? `M${x(1)} ${up(last).toFixed(1)}` : `M${x(1)} ${up(0)}H${x(ratio).toFixed(1)}V${up(last).toFixed(1)}`;
+  for (const [planner, best, solved, positions, heights] of lines) {
+    const { color, dash } = look(planner), share = (count) => count / found.problems;
+    let path = best ? "" : `M${x(1)} ${up(0)}`;
+    positions.forEach((position, i) => {
+      const at = MARGIN.left + (across * position) / AXIS, height = up(share(heights[i])).toFixed(1);
+      path += path ? `H${at.toFixed(1)}V${height}` : `M${x(1)} ${height}`;
     });
-    if (!path) path = `M${x(1)} ${up(0)}`;
-    const best = ratios.filter((r) => r === 1).length / found.problems, all = ratios.length / found.problems;
     const group = svg("g", { class: `series ${color}`, "data-planner": planner });
-    group.append(svg("title", {}, `${names[planner]}: best on ${percent(best)}, solves ${percent(all)}`));
+    group.append(svg("title", {}, `${names[planner]}: best on ${percent(share(best))}, solves ${percent(share(solved))}`));
     group.append(svg("path", { class: "way", d: `${path}H${WIDTH - MARGIN.right}`, "stroke-dasharray": dash }));
     drawn.append(group);
   }

@@ -1,11 +1,11 @@
 // What is chosen: it stands in the address behind #, and everything is drawn from it.
 
 const data = JSON.parse(document.getElementById("data").textContent);
-const rows = data.rows, names = data.planners;
+const names = data.planners;
 // Success, or whether all robots were planned for while nothing has been flown.
-const hit = rows[data.judged], JUDGED = data.judged === "success" ? "succeeds" : "plans for all robots";
+const JUDGED = data.judged === "success" ? "succeeds" : "plans for all robots";
 const at = (id) => document.getElementById(id);
-const COSTS = { planning_s: ["planned", "Planning time"], makespan_s: ["success", "Makespan flown"], energy_j: ["success", "Energy flown"], flowtime_s: ["success", "Flowtime flown"] };
+const COSTS = { planning_s: "Planning time", makespan_s: "Makespan flown", energy_j: "Energy flown", flowtime_s: "Flowtime flown" };
 const state = { planners: names.map((_, i) => i), scene: -1, team: -1, information: -1, first: 0, second: Math.min(1, names.length - 1), example: 0, drawn: "", sort: "", down: false };
 
 function readState() {
@@ -45,44 +45,46 @@ function options(id, texts, every) {
 }
 
 const keepsScene = (scene, team, information) => (state.scene < 0 || scene === state.scene) && (state.team < 0 || team === data.teams[state.team]) && (state.information < 0 || information === state.information);
-const kept = (i) => keepsScene(rows.scene[i], rows.team[i], rows.information[i]);
 const scenes = () => (state.scene < 0 ? data.scenes.map((_, i) => i) : [state.scene]);
 const teams = () => (state.team < 0 ? data.teams : [data.teams[state.team]]);
 
-// Runs that count, successes, and how many of them were given up, by planner and a key of rows.
-function tally(key, keep) {
-  const found = new Map();
-  for (let i = 0; i < rows.planner.length; i++) {
-    if (!keep(i)) continue;
-    const name = `${rows.planner[i]} ${key(i)}`;
-    let one = found.get(name);
-    if (!one) found.set(name, (one = { runs: 0, success: 0, closed: 0 }));
-    if (!rows.counted[i]) continue;
-    one.runs++;
-    one.success += hit[i];
-    one.closed += !rows.asked[i];
-  }
-  return found;
+// Statistics are computed beforehand; a choice of scene, team and information selects them.
+const NOTHING = { rates: [], ranking: [], bins: {}, profiles: {}, pairs: {} };
+
+function selected(scene, team, information) {
+  const index = (chosen, list) => (list.length > 1 ? chosen : -1);
+  return data.selections[`${index(scene, data.scenes)} ${index(team, data.teams)} ${index(information, data.knowledge)}`] || NOTHING;
+}
+
+const chosen = () => selected(state.scene, state.team, state.information);
+const rateOf = ([rate, low, high, runs, closed]) => ({ rate, interval: [low, high], runs, closed });
+
+// Two planners on the same problems, or null without a common one. A pair is stored once.
+function pairOf(selection, a, b) {
+  const stored = selection.pairs[a < b ? `${a} ${b}` : `${b} ${a}`];
+  if (!stored) return null;
+  const [both, first, second, neither, difference, low, high, p, ...ratios] = stored, turned = a > b;
+  const ratio = (held) => {
+    if (!held) return null;
+    const [median, least, most, pairs] = held;
+    return turned ? { median: 1 / median, low: 1 / most, high: 1 / least, pairs } : { median, low: least, high: most, pairs };
+  };
+  return {
+    both, neither, p, first: turned ? second : first, second: turned ? first : second, ratios: ratios.map(ratio),
+    difference: turned ? -difference : difference, interval: turned ? [-high, -low] : [low, high],
+  };
 }
 
 function point(at, planner, one, what) {
-  const interval = wilson(one.success, one.runs), rate = one.success / one.runs;
   const closed = one.closed ? `; ${one.closed} of them given up` : "";
-  return { at, rate, interval, hollow: one.runs < data.few, words: `${names[planner]}, ${what}: ${percent(rate)} (${between(interval)}) of ${one.runs} runs${closed}` };
+  return { at, rate: one.rate, interval: one.interval, hollow: one.runs < data.few, words: `${names[planner]}, ${what}: ${percent(one.rate)} (${between(one.interval)}) of ${one.runs} runs${closed}` };
 }
 
 // The planner with the highest rate, and those that paired intervals do not tell from it.
-function winner(keep) {
-  const total = tally(() => "", keep), of = (p) => total.get(`${p} `);
-  const all = state.planners.filter((p) => of(p)?.runs);
+function winner(selection) {
+  const all = selection.ranking.filter((p) => state.planners.includes(p));
   if (!all.length) return { all };
-  const best = all.reduce((a, b) => (of(b).success * of(a).runs > of(a).success * of(b).runs ? b : a));
-  const held = byProblem(rows, best, keep), alike = [];
-  if (of(best).success) {
-    for (const other of all) {
-      if (other === best) continue;
-      if (newcombe(...counts(hit, held, byProblem(rows, other, keep)))[0] <= 0) alike.push(other);
-    }
-  }
-  return { best, one: of(best), alike, all };
+  const [best, ...others] = all, one = rateOf(selection.rates[best]);
+  const apart = (other) => pairOf(selection, best, other)?.interval[0] > 0;
+  return { best, one, all, alike: one.rate ? others.filter((other) => !apart(other)).sort((a, b) => a - b) : [] };
 }

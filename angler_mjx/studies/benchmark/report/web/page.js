@@ -19,7 +19,7 @@ function light(planner) {
 function begin() {
   const { about } = data;
   at("name").textContent = about.name || "Benchmark";
-  at("description").textContent = `${(about.description || "").replace(/[^.!?]$/, "$&.")} ${names.length} planner${names.length === 1 ? "" : "s"}, ${data.scenes.length} scene${data.scenes.length === 1 ? "" : "s"}, ${new Set(rows.problem).size} problems, ${rows.asked.length} runs.`.trim();
+  at("description").textContent = `${(about.description || "").replace(/[^.!?]$/, "$&.")} ${names.length} planner${names.length === 1 ? "" : "s"}, ${data.scenes.length} scene${data.scenes.length === 1 ? "" : "s"}, ${data.totals.problems} problems, ${data.totals.runs} runs.`.trim();
   if (about.complete === false) {
     const pending = data.pending && data.judged === "success" ? ` ${data.pending} runs are planned and not flown yet; rates count them as failed.` : "";
     at("state").textContent = `These results are not complete.${pending}`;

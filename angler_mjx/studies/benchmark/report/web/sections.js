@@ -1,44 +1,41 @@
 // Charts and maps of what is chosen.
 
-function drawRates() {
-  const ticks = teams(), byTeam = tally((i) => `${rows.scene[i]} ${rows.team[i]}`, kept);
-  at("by-team").replaceChildren(...scenes().map((scene) => ratesChart(data.scenes[scene], "robots", ticks.map(String), state.planners.map((planner) => ({
+function series(selections, words) {
+  return state.planners.map((planner) => ({
     planner,
-    points: ticks.flatMap((team, i) => {
-      const one = byTeam.get(`${planner} ${scene} ${team}`);
-      return one && one.runs ? [point(i, planner, one, `${team} robots`)] : [];
-    }),
-  })))));
-  const byBin = tally((i) => rows.bin[i], kept), { centres } = data.bins;
-  const bins = centres.map((c, i) => i).filter((i) => state.planners.some((p) => byBin.has(`${p} ${i}`)));
-  at("by-density").replaceChildren(ratesChart(state.scene < 0 ? "All scenes" : data.scenes[state.scene], "share of cells that are rock", bins.map((i) => `${(100 * centres[i]).toFixed(1)} %`), state.planners.map((planner) => ({
-    planner,
-    points: bins.flatMap((bin, i) => {
-      const one = byBin.get(`${planner} ${bin}`);
-      return one && one.runs ? [point(i, planner, one, `density ${(100 * centres[bin]).toFixed(1)} %`)] : [];
-    }),
-  }))));
+    points: selections.flatMap((rates, i) => (rates?.[planner] ? [point(i, planner, rateOf(rates[planner]), words[i])] : [])),
+  }));
 }
 
+function drawRates() {
+  const shown = teams(), ofTeam = (scene) => shown.map((team) => selected(scene, data.teams.indexOf(team), state.information).rates);
+  at("by-team").replaceChildren(...scenes().map((scene) => ratesChart(data.scenes[scene], "robots", shown.map(String), series(ofTeam(scene), shown.map((team) => `${team} robots`)))));
+  const { bins } = chosen(), numbers = Object.keys(bins).filter((bin) => state.planners.some((p) => bins[bin][p]));
+  const centres = numbers.map((bin) => `${(100 * data.centres[bin]).toFixed(1)} %`);
+  at("by-density").replaceChildren(ratesChart(state.scene < 0 ? "All scenes" : data.scenes[state.scene], "share of cells that are rock", centres, series(numbers.map((bin) => bins[bin]), centres.map((text) => `density ${text}`))));
+}
+
+const linesOf = (found) => (found?.lines || []).filter(([planner]) => state.planners.includes(planner));
+
 function drawProfiles() {
-  at("profiles").replaceChildren(...Object.entries(COSTS).map(([cost, [needs, title]]) => {
-    const found = profile(rows, state.planners, cost, needs, kept);
-    if (!found.problems) return html("p", { class: "note" }, `${title}: no problem here is common to all chosen planners and has a known cost.`);
-    const figure = profileChart(`${title}: ${found.problems} common problems`, found, names);
-    if (found.leftOut.length) figure.append(html("p", { class: "note" }, `Nothing known of: ${listed(found.leftOut, 14)}.`));
+  at("profiles").replaceChildren(...Object.entries(COSTS).map(([cost, title]) => {
+    const found = chosen().profiles[cost], lines = linesOf(found);
+    if (!lines.length) return html("p", { class: "note" }, `${title}: no problem here is common to all planners and has a known cost.`);
+    const figure = profileChart(`${title}: ${found.problems} common problems`, found, lines), unknown = found.left_out.filter((p) => state.planners.includes(p));
+    if (unknown.length) figure.append(html("p", { class: "note" }, `Nothing known of: ${listed(unknown, 14)}.`));
     return figure;
   }));
 }
 
 function drawFailures() {
-  const held = data.failures, chosen = new Set(state.planners), seen = new Set();
+  const held = data.failures, planners = new Set(state.planners), seen = new Set();
   const limits = data.scenes.map(() => [Infinity, Infinity, -Infinity, -Infinity]);
   const picked = data.scenes.map(() => []);
-  held.row.forEach((row, i) => {
-    const scene = rows.scene[row], box = limits[scene];
+  held.cell.forEach((index, i) => {
+    const cell = data.cells[index], { scene } = cell, box = limits[scene];
     box[0] = Math.min(box[0], held.x[i]); box[1] = Math.min(box[1], held.y[i]);
     box[2] = Math.max(box[2], held.x[i]); box[3] = Math.max(box[3], held.y[i]);
-    if (!chosen.has(rows.planner[row]) || !kept(row)) return;
+    if (!planners.has(cell.planner) || !keepsScene(scene, cell.team, cell.information)) return;
     picked[scene].push(i);
     seen.add(held.outcomes[held.outcome[i]]);
   });

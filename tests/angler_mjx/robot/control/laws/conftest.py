@@ -17,8 +17,7 @@ import pytest
 
 from angler_kernels import quaternion, thruster
 from angler_mjx.robot.control import allocation
-from angler_mjx.robot.control.commands import BodyWrench, Estimate, PoseTarget
-from angler_mjx.robot.control.laws.targets import TrackingTarget
+from angler_mjx.robot.control.commands import BodyWrench, Estimate, PoseTarget, TrackingTarget
 from angler_mjx.robot.vehicles import library, params
 from angler_mjx.robot.vehicles.thrusters import PWM_LOW_US, PWM_STEP_US
 from angler_mjx.sim.physics import step as physics

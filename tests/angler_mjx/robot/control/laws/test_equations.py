@@ -7,7 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from angler_mjx.robot.control.commands import BodyTwist, BodyWrench, Estimate, PoseTarget
+from angler_mjx.robot.control.commands import (
+    BodyTwist,
+    BodyWrench,
+    Estimate,
+    PoseTarget,
+    TrackingTarget,
+)
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.robot.control.laws import (
     aitsm,
     computed_torque,
@@ -21,8 +28,6 @@ from angler_mjx.robot.control.laws import (
 )
 from angler_mjx.robot.control.laws.ardusub import law as ardusub
 from angler_mjx.robot.control.laws.ardusub.pid import PidCarry
-from angler_mjx.robot.control.laws.targets import TrackingTarget
-from angler_mjx.robot.control.trajectory import Trajectory
 from angler_mjx.robot.vehicles import library, params
 
 from ....compiling import quickly

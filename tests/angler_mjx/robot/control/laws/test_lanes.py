@@ -7,6 +7,7 @@ import pytest
 
 from angler_kernels import lanes
 from angler_mjx.robot.control.commands import BodyTwist, BodyWrench
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.robot.control.laws import (
     aitsm,
     computed_torque,
@@ -17,7 +18,6 @@ from angler_mjx.robot.control.laws import (
     tracking,
 )
 from angler_mjx.robot.control.laws.ardusub import law as ardusub
-from angler_mjx.robot.control.trajectory import Trajectory
 from angler_mjx.robot.vehicles import library, params
 
 from ....compiling import quickly

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from angler_mjx.robot.control.commands import Estimate
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.robot.control.laws import ismc, los
-from angler_mjx.robot.control.trajectory import Trajectory
 
 from ....compiling import quickly
 

@@ -4,8 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from angler_mjx.robot.control.commands import as_tracking
 from angler_mjx.robot.control.laws import model, tracking
-from angler_mjx.robot.control.laws.targets import as_tracking
 from angler_mjx.sim.physics import step as physics
 from angler_mjx.world.currents import Uniform
 

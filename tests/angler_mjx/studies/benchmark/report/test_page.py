@@ -32,20 +32,26 @@ def test_the_page_asks_nothing_of_any_network(made):
 def test_the_numbers_in_the_page_are_those_of_the_table(made):
     table = pq.read_table(made.parent / "runs.parquet").to_pylist()
     data = held(made)
-    rows = data["rows"]
-    assert {len(column) for column in rows.values()} == {len(table)}
-    for i, row in enumerate(table):
-        assert data["planners"][rows["planner"][i]] == row["planner"]
-        assert data["scenes"][rows["scene"][i]] == row["scene"]
-        assert rows["team"][i] == row["robots"]
-        assert rows["asked"][i] == (row["plan_status"] not in ("closed", "no room"))
-        assert rows["counted"][i] == (row["plan_status"] != "no room")
-        assert (rows["planned"][i], rows["success"][i]) == (row["planned"], row["success"])
+    asked = [row for row in table if row["plan_status"] not in ("closed", "no room")]
+    counted = [row for row in table if row["plan_status"] != "no room"]
+    assert data["totals"] == {
+        "problems": len({(r["scene"], r["robots"], r["problem_seed"], r["world"]) for r in table}),
+        "runs": len(table),
+        "asked": len(asked),
+        "closed": len(counted) - len(asked),
+        "no_room": len(table) - len(counted),
+    }
+    assert len(data["cells"]) == len({(r["planner"], r["scene"], r["robots"]) for r in table})
+    for cell in data["cells"]:
+        planner, scene = data["planners"][cell["planner"]], data["scenes"][cell["scene"]]
+        key = (planner, scene, cell["team"])
+        own = [r for r in asked if (r["planner"], r["scene"], r["robots"]) == key]
+        assert cell["asked"] == len(own)
+        for name in ("planned", "success", "flown"):
+            assert cell[name] == pytest.approx(np.mean([r[name] for r in own]), rel=5e-5)
         for name in ("planning_s", "makespan_s", "energy_j", "flowtime_s"):
-            if row[name] is None:
-                assert rows[name][i] is None
-            else:
-                assert rows[name][i] == pytest.approx(row[name], rel=5e-4)
+            known = [r[name] for r in own if r[name] is not None]
+            assert cell[name] == (pytest.approx(np.median(known), rel=5e-4) if known else None)
     robots = pq.read_table(made.parent / "robots.parquet").to_pylist()
     failed = [row for row in robots if row["outcome"] != "reached"]
     shown = data["failures"]
@@ -53,14 +59,17 @@ def test_the_numbers_in_the_page_are_those_of_the_table(made):
     assert shown["x"] == pytest.approx([row["failure_x_m"] for row in failed], abs=0.006)
 
 
-def test_problems_are_shared_by_planners_and_by_nothing_else(made):
-    rows, table = held(made)["rows"], pq.read_table(made.parent / "runs.parquet").to_pylist()
+def test_problems_are_shared_by_planners_and_by_nothing_else(made, results):
+    table = pq.read_table(made.parent / "runs.parquet").to_pylist()
     keys = [(r["scene"], r["robots"], r["problem_seed"], r["world"]) for r in table]
-    assert (
-        len(set(keys))
-        == len(set(rows["problem"]))
-        == len(set(zip(keys, rows["problem"], strict=True)))
-    )
+    problem = results.problem.tolist()
+    assert len(set(keys)) == len(set(problem)) == len(set(zip(keys, problem, strict=True)))
+
+
+def test_every_choice_of_scene_and_team_is_in_the_page(made):
+    data = held(made)
+    scenes, teams = range(-1, len(data["scenes"])), range(-1, len(data["teams"]))
+    assert set(data["selections"]) == {f"{scene} {team} -1" for scene in scenes for team in teams}
 
 
 def test_figures_are_written_and_have_something_on_them(made):
@@ -108,7 +117,7 @@ def test_results_that_are_not_complete_have_a_page(tmp_path, given):
     few = {"planners": ("grid", "PRM"), "presets": ("reef",), "teams": (1, 2), "worlds": 3}
     rows = synthetic.write(tmp_path, **(few | given))
     data = held(page.write_report(tmp_path))
-    assert len(data["rows"]["planner"]) == len(rows)
+    assert data["totals"]["runs"] == len(rows)
     json.dumps(data, allow_nan=False)
 
 

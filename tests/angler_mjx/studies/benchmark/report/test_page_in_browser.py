@@ -77,8 +77,7 @@ def test_everything_is_drawn_and_a_pair_is_compared_as_in_python(made, results, 
         (text,) = (v for k, v in values.items() if k.startswith(words[cost]) and "median" in k)
         numbers = [float(x) for x in re.findall(r"\d+(?:\.\d+)?(?:e-?\d+)?", text)]
         assert numbers[0] == pytest.approx(ratio.median, rel=6e-3)
-        # Two bootstraps with generators of their own.
-        assert numbers[1:3] == pytest.approx([ratio.low, ratio.high], rel=0.08)
+        assert numbers[1:3] == pytest.approx([ratio.low, ratio.high], rel=6e-3)
         assert numbers[3] == ratio.pairs
     found = compute_profiles(results.runs, results.problem, results.planners, "makespan_s")
     label = f"grid: best on {100 * found.at('grid', 1.0):.0f} %"

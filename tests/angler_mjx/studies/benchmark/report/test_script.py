@@ -1,84 +1,167 @@
-"""The page's script computes what the Python modules compute, and its captions state the rule."""
+"""The page's script selects and shows what Python computed, and its captions state the rule."""
 
-import csv
 import html
-import io
 import itertools
 import json
 import re
 import shutil
 import subprocess
 from importlib import resources
+from pathlib import Path
+from urllib.parse import urlencode
 
 import numpy as np
 import pytest
 
-from angler_mjx.studies.benchmark.report import curves, page_data, paired, rates, scene_maps
+from angler_mjx.studies.benchmark.report import curves, paired, rates, scene_maps
+from angler_mjx.studies.benchmark.report.profiles import compute_profiles
+from angler_mjx.studies.benchmark.report.reading import Runs
 
 NODE = shutil.which("node")
 WEB = resources.files("angler_mjx.studies.benchmark.report") / "web"
-COMPARE = """
-const { rows, pairs, costs, judged } = JSON.parse(require("fs").readFileSync(0, "utf8"));
-const all = () => true;
-console.log(JSON.stringify(pairs.map(([first, second]) => {
-  const [a, b] = [byProblem(rows, first, all), byProblem(rows, second, all)];
-  const found = counts(rows[judged], a, b);
-  return {
-    counts: found,
-    interval: newcombe(...found),
-    p: mcnemar(found[1], found[2]),
-    ratios: Object.entries(costs).map(([cost, needs]) => ratioOf(rows, a, b, cost, needs)),
-  };
-})));
-"""
+DOCUMENT = Path(__file__).with_name("document.js")
+SCENES = (None, "open_fleet", "dense_fleet")
+TEAMS = (None, 1, 8)
+PAIRS = list(itertools.permutations(("grid", "RRTConnect", "KPIECE1"), 2))
 
 
-@pytest.fixture(scope="module")
-def compared(results):
-    """Every pair of planners as the page's script compares them."""
+def show(page, **choices):
+    """Elements of the page, by id, after its script ran with choices behind #."""
     if NODE is None:
         pytest.skip("no node on PATH runs the page's script")
-    held = page_data.build_page_data(results)
-    pairs = list(itertools.combinations(range(len(held["planners"])), 2))
-    problem = {
-        "rows": held["rows"],
-        "pairs": pairs,
-        "costs": paired.RATIOS,
-        "judged": held["judged"],
+    given = {
+        "page": page.read_text(encoding="utf-8"),
+        "hash": urlencode(choices, doseq=True),
+        "ids": ["answer", "pair", "by-team", "by-density", "profiles", "cells"],
     }
     ran = subprocess.run(
-        [NODE, "-e", (WEB / "statistics.js").read_text(encoding="utf-8") + COMPARE],
-        input=json.dumps(problem),
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=60,
+        [NODE, DOCUMENT], input=json.dumps(given), capture_output=True, text=True, timeout=60
     )
-    names = held["planners"]
-    return dict(zip([(names[a], names[b]) for a, b in pairs], json.loads(ran.stdout), strict=True))
+    assert ran.returncode == 0, ran.stderr
+    return json.loads(ran.stdout)
 
 
-def test_the_page_and_the_table_show_the_same_intervals(compared, results):
-    table = list(csv.DictReader(io.StringIO(paired.format_pairs_csv(results))))
-    assert len(table) == len(compared) == 3
-    for row in table:
-        page = compared[row["first"], row["second"]]
-        assert page["counts"] == [
-            int(row[k]) for k in ("both", "only_first", "only_second", "neither")
-        ]
-        assert [f"{x:.4f}" for x in page["interval"]] == [row["low"], row["high"]]
-        assert page["p"] == pytest.approx(float(row["mcnemar_p"]), rel=5e-3)
-        for cost, ratio in zip(paired.RATIOS, page["ratios"], strict=True):
-            if row[f"{cost}_pairs"] == "0":
-                assert ratio is None
+def find_texts(element, name):
+    """Texts of all elements of that name, in order."""
+    if isinstance(element, str):
+        return []
+    found = [find_text(element)] if element["name"] == name else []
+    return found + [text for child in element["children"] for text in find_texts(child, name)]
+
+
+def find_text(element):
+    return element if isinstance(element, str) else "".join(map(find_text, element["children"]))
+
+
+def find_numbers(text):
+    return [float(x) for x in re.findall(r"[+-]?\d+(?:\.\d+)?(?:e[+-]?\d+)?", text)]
+
+
+def select(results, scene, team):
+    """Rows of a choice, counted apart from the page's code."""
+    runs = results.runs
+    rows = np.ones(len(runs), bool)
+    if scene is not None:
+        rows &= runs["scene"] == scene
+    if team is not None:
+        rows &= runs["robots"] == team
+    return rows
+
+
+def choose(scene, team, **others):
+    chosen = {"scene": scene, "team": team, **others}
+    return {key: value for key, value in chosen.items() if value is not None}
+
+
+@pytest.mark.parametrize("scene", SCENES)
+@pytest.mark.parametrize("team", TEAMS)
+def test_a_shown_pair_has_the_numbers_of_python(made, results, scene, team):
+    rows = select(results, scene, team)
+    runs = results.runs.where(rows)
+    for first, second in PAIRS[::2] if scene or team else PAIRS:
+        shown = show(made, **choose(scene, team, first=first, second=second))["pair"]
+        values = dict(zip(find_texts(shown, "th"), find_texts(shown, "td"), strict=True))
+        one = paired.compare_rows(
+            runs, results.problem[rows], results.world[rows], results.judged, (first, second)
+        )
+        assert int(values["problems of both"]) == one.pairs
+        assert int(values["both succeed"]) == one.both
+        assert int(values[f"only {first}"]) == one.only_first
+        assert int(values[f"only {second}"]) == one.only_second
+        assert find_numbers(values["difference of share (success), percentage points"]) == (
+            pytest.approx([100 * x for x in (one.difference, one.low, one.high)], abs=0.0501)
+        )
+        assert float(values["McNemar's exact p"]) == pytest.approx(one.p, rel=0.06, abs=6e-5)
+        ratios = [text for label, text in values.items() if "median ratio" in label]
+        for text, ratio in zip(ratios, one.ratios.values(), strict=True):
+            if not ratio.pairs:
+                assert text == "–"
                 continue
-            assert ratio["pairs"] == int(row[f"{cost}_pairs"]) > 0
-            for key, column in (("median", "ratio"), ("low", "ratio_low"), ("high", "ratio_high")):
-                # The table has four digits; the page's costs have seven.
-                assert ratio[key] == pytest.approx(float(row[f"{cost}_{column}"]), rel=6e-4)
+            *numbers, pairs = find_numbers(text)
+            assert numbers == pytest.approx([ratio.median, ratio.low, ratio.high], rel=5.1e-3)
+            assert pairs == ratio.pairs
 
 
-def test_both_sides_resample_by_mulberry32():
+@pytest.mark.parametrize("scene", SCENES)
+@pytest.mark.parametrize("team", TEAMS)
+def test_shown_rates_and_profiles_have_the_numbers_of_python(made, results, scene, team):
+    rows = select(results, scene, team)
+    runs: Runs = results.runs.where(rows)
+    shown = show(made, **choose(scene, team))
+    found = rates.compute_rates(
+        (runs["scene"], runs["planner"], runs["robots"]), runs[results.judged], runs.counted
+    )
+    expected = []
+    for name, planner, robots in found:
+        rate = found[name, planner, robots]
+        if rate.requested:
+            interval = f"{100 * rate.low:.0f} to {100 * rate.high:.0f} %"
+            expected.append(
+                f"{planner}, {robots} robots: {100 * rate.fraction:.0f} % ({interval})"
+                f" of {rate.requested} runs"
+            )
+    titles = [text.split(";")[0] for text in find_texts(shown["by-team"], "title")]
+    assert sorted(titles) == sorted(expected)
+    lines = []
+    for cost in ("planning_s", "makespan_s", "energy_j", "flowtime_s"):
+        profiles = compute_profiles(runs, results.problem[rows], results.planners, cost)
+        for planner, ratios in profiles.ratios.items():
+            solved = len(ratios) / profiles.problems
+            best = profiles.at(planner, 1.0)
+            lines.append(f"{planner}: best on {100 * best:.0f} %, solves {100 * solved:.0f} %")
+    assert find_texts(shown["profiles"], "title") == lines
+
+
+def test_a_planner_that_is_not_shown_stays_in_the_profiles(made):
+    every = find_texts(show(made)["profiles"], "title")
+    some = find_texts(show(made, planners=["RRTConnect", "KPIECE1"])["profiles"], "title")
+    assert some == [text for text in every if not text.startswith("grid")]
+
+
+def test_the_best_planner_of_a_choice_is_named_with_those_like_it(made, results):
+    runs = results.runs
+    for scene in ("open_fleet", "reef_fleet", "dense_fleet"):
+        rows = select(results, scene, None)
+        rate = {
+            name: np.mean(runs["success"][rows & (runs["planner"] == name) & runs.counted])
+            for name in results.planners
+        }
+        answer = find_texts(show(made, scene=scene)["answer"], "li")
+        assert answer[0].startswith(f"{max(rate, key=rate.get)} succeeds most often")
+
+
+def test_the_script_computes_no_statistics():
+    scripts = {path.name: path.read_text(encoding="utf-8") for path in WEB.iterdir()}
+    assert "statistics.js" not in scripts
+    for name, text in scripts.items():
+        if name.endswith(".js"):
+            banned = (
+                r"wilson|newcombe|mcnemar\(|quantile|bootstrap|Math\.(sqrt|exp|random)|1\.9[56]"
+            )
+            assert not re.search(banned, text), name
+
+
+def test_worlds_are_resampled_by_mulberry32():
     def sequence(seed, count):
         """mulberry32 in whole numbers, one after another."""
         word = 0xFFFFFFFF

@@ -1,1 +1,0 @@
-"""Datasets read: arrays of one world at a time, episodes, windows of them."""

@@ -1,0 +1,239 @@
+"""Arrays of trajectories, read a world at a time from shards of our own format.
+
+A chunk of these arrays is a world, and Zarr's own reader takes 2 ms of Python for each. Codecs
+other than those of `runs.storage.recorder` are left to Zarr.
+"""
+
+import json
+import mmap
+import threading
+from collections import OrderedDict
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import google_crc32c
+import numpy as np
+import zarr
+from numcodecs import blosc
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.runs.storage.read_errors import DEFAULT_ADVICE, wrap_read_errors
+from angler_mjx.runs.storage.shards import ABSENT
+
+MAX_SHARDS = 64
+"""Maximum number of open files of an array."""
+MAX_CHUNKS = 64
+"""Worlds of an array that each thread keeps decoded, some 30 MB of all arrays of four robots:
+windows of one episode are read in sequence, and so are those of a group (`loaders.shuffling`)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _ArrayFormat:
+    """Format of an array, from ``zarr.json``."""
+
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+    fill: float
+    shard: int
+    """Number of worlds in a file."""
+    stored: np.dtype[Any]
+    """Type of the compressed values."""
+    per_unit: np.float32 | None
+    """Number of steps in one unit; None where values are stored as they are."""
+    missing: int = 0
+    """Step that stands for NaN."""
+    endless: int | None = None
+    """Step that stands for inf; None where there is none."""
+
+
+class StoredArray:
+    """Array [world, time, ...], or [world, ...], of a run; threads may share it."""
+
+    def __init__(self, path: Path) -> None:
+        """Read the format of an array; its values are read later.
+
+        Args:
+            path: folder of the array.
+
+        Raises:
+            ConfigError: the folder is no array, or is damaged.
+        """
+        self.path = path
+        with wrap_read_errors(path / "zarr.json"):
+            metadata = json.loads((path / "zarr.json").read_text(encoding="utf-8"))
+            self._form = _parse_format(metadata)
+            self._zarr: Any = None
+            if self._form is None:
+                self._zarr = zarr.open_array(path, mode="r")
+        source = self._zarr if self._form is None else self._form
+        self.shape: tuple[int, ...] = tuple(source.shape)
+        self.dtype: np.dtype[Any] = np.dtype(source.dtype)
+        self._init_cache()
+
+    def _init_cache(self) -> None:
+        self._lock = threading.Lock()
+        self._files: OrderedDict[int, tuple[mmap.mmap, np.ndarray]] = OrderedDict()
+        self._thread_cache = threading.local()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the state for another process, where files are opened anew."""
+        left_out = ("_lock", "_files", "_thread_cache")
+        return {key: value for key, value in self.__dict__.items() if key not in left_out}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Restore the state in another process."""
+        self.__dict__.update(state)
+        self._init_cache()
+
+    def read(self, world: int, times: slice | None = None) -> np.ndarray:
+        """Read the values of a world.
+
+        Args:
+            world: index of the world.
+            times: range of the first axis after the worlds; all if None.
+
+        Returns:
+            [time, ...], equal to Zarr's; read-only.
+
+        Raises:
+            ConfigError: the file is damaged.
+            IndexError: the world does not exist.
+        """
+        if not 0 <= world < self.shape[0]:
+            raise IndexError(f"{self.path}: world {world} of {self.shape[0]}")
+        if self._form is None:
+            with wrap_read_errors(self.path):
+                whole: np.ndarray = np.asarray(self._zarr[world])
+                return whole if times is None else whole[times]
+        chunk = self._read_chunk(self._form, world)
+        form = self._form
+        if form.per_unit is None:
+            return chunk if times is None else chunk[times]
+        part = chunk if times is None else chunk[..., times]
+        # Time is last in the chunk, and first in the result.
+        steps = np.moveaxis(part, -1, 0)
+        values: np.ndarray = np.divide(steps, form.per_unit, dtype=np.float32)
+        is_missing = steps == form.missing
+        if is_missing.any():
+            values[is_missing] = np.nan
+        if form.endless is not None and (is_infinite := steps == form.endless).any():
+            values[is_infinite] = np.inf
+        return values
+
+    def _read_chunk(self, form: _ArrayFormat, world: int) -> np.ndarray:
+        """Return the stored chunk of a world: steps with time last, or values."""
+        chunks: OrderedDict[int, np.ndarray] | None = getattr(self._thread_cache, "chunks", None)
+        if chunks is None:
+            chunks = self._thread_cache.chunks = OrderedDict()
+        if world in chunks:
+            chunks.move_to_end(world)
+            return chunks[world]
+        tail = form.shape[1:]
+        data = self._read_bytes(form, world)
+        if data is None:
+            values = np.full(tail, form.fill, form.dtype)
+            if form.per_unit is not None:
+                values = np.full((*tail[1:], tail[0]), form.missing, form.stored)
+        else:
+            with wrap_read_errors(self.path):
+                values = np.frombuffer(blosc.decompress(data), form.stored)
+                values = values.reshape(tail if form.per_unit is None else (*tail[1:], tail[0]))
+        chunks[world] = values
+        if len(chunks) > MAX_CHUNKS:
+            chunks.popitem(last=False)
+        return values
+
+    def _read_bytes(self, form: _ArrayFormat, world: int) -> bytes | None:
+        """Return a compressed chunk; None where there is none."""
+        number, at = divmod(world, form.shard)
+        with self._lock:
+            shard = self._files.get(number)
+            if shard is None:
+                shard = self._open_shard(form, number)
+                self._files[number] = shard
+                if len(self._files) > MAX_SHARDS:
+                    self._files.popitem(last=False)
+            else:
+                self._files.move_to_end(number)
+        file, index = shard
+        offset, length = index[at]
+        if offset == ABSENT:
+            return None
+        return file[int(offset) : int(offset + length)]
+
+    def _open_shard(self, form: _ArrayFormat, number: int) -> tuple[mmap.mmap, np.ndarray]:
+        """Return a shard and its index.
+
+        Raises:
+            ConfigError: the shard is missing, truncated, or its index is damaged.
+        """
+        path = self.path / "c" / "/".join([str(number), *"0" * (len(form.shape) - 1)])
+        with wrap_read_errors(path):
+            with path.open("rb") as opened:
+                file = mmap.mmap(opened.fileno(), 0, access=mmap.ACCESS_READ)
+            tail = file[-(16 * form.shard + 4) :]
+            if len(tail) != 16 * form.shard + 4 or google_crc32c.value(tail[:-4]) != int.from_bytes(
+                tail[-4:], "little"
+            ):
+                raise ConfigError(
+                    f"{path}: was truncated or damaged (its index is wrong); {DEFAULT_ADVICE}"
+                )
+            index = np.frombuffer(tail[:-4], "<u8").reshape(form.shard, 2)
+            present = index[index[:, 0] != ABSENT]
+            if len(present) and int(present.sum(axis=1).max()) > len(file) - len(tail):
+                raise ConfigError(
+                    f"{path}: was cut or damaged (chunks lie beyond it); {DEFAULT_ADVICE}"
+                )
+        return file, index
+
+
+def _parse_format(metadata: dict[str, Any]) -> _ArrayFormat | None:
+    """Return the format of an array of our own recorder; None for any other."""
+    try:
+        (outer,) = metadata["codecs"]
+        inner = outer["configuration"]["codecs"]
+        names = [codec["name"] for codec in inner]
+        shape = tuple(metadata["shape"])
+        chunk = tuple(outer["configuration"]["chunk_shape"])
+        shards = tuple(metadata["chunk_grid"]["configuration"]["chunk_shape"])
+        is_native = (
+            outer["name"] == "sharding_indexed"
+            and outer["configuration"].get("index_location", "end") == "end"
+            and chunk == (1, *shape[1:])
+            and shards[1:] == shape[1:]
+            and metadata["chunk_key_encoding"]["configuration"]["separator"] == "/"
+            and names[-2:] == ["bytes", "blosc"]
+            and inner[-2].get("configuration", {}).get("endian", "little") == "little"
+        )
+        dtype = np.dtype(metadata["data_type"])
+        common: dict[str, Any] = {
+            "shape": shape,
+            "dtype": dtype,
+            "fill": float(metadata["fill_value"]),
+            "shard": int(shards[0]),
+        }
+        if is_native and len(names) == 2:
+            return _ArrayFormat(**common, stored=dtype, per_unit=None)
+        if not is_native or names[:3] != ["transpose", "scale_offset", "cast_value"]:
+            return None
+        order, scale, cast = (codec.get("configuration", {}) for codec in inner[:3])
+        stands_for = {value: steps for steps, value in cast["scalar_map"]["decode"]}
+        is_supported = (
+            tuple(order["order"]) == (0, *range(2, len(shape)), 1)
+            and scale.get("offset", 0) == 0
+            and dtype == np.float32
+            and "NaN" in stands_for
+            and stands_for.keys() <= {"NaN", "Infinity"}
+        )
+    except (KeyError, TypeError, ValueError):
+        return None
+    if not is_supported:
+        return None
+    return _ArrayFormat(
+        **common,
+        stored=np.dtype(cast["data_type"]),
+        per_unit=np.float32(scale.get("scale", 1)),
+        missing=int(stands_for["NaN"]),
+        endless=stands_for.get("Infinity"),
+    )

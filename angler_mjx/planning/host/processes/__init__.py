@@ -1,1 +1,0 @@
-"""Processes for planners: how one is begun, talked to and ended."""

@@ -1,0 +1,92 @@
+"""What can be told to a robot, from a pose down to the thrusters; each is for one robot."""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Estimate:
+    """Where a robot believes it is and how it moves."""
+
+    p: jax.Array
+    """[3] m in W."""
+    q: jax.Array
+    """[4] attitude, F to W."""
+    nu: jax.Array
+    """[6] velocity over ground, m/s and rad/s, in F."""
+    flow: jax.Array | None = None
+    """[3] velocity of the water there, m/s, in W; None where nobody asked for it."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class PoseTarget:
+    """A pose to be at, level, with the velocity that the target itself has."""
+
+    position_m: jax.Array
+    """[3] in W."""
+    velocity_mps: jax.Array
+    """[3] in W."""
+    yaw_rad: jax.Array
+    """[] heading about z up, 0 = east."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class TrackingTarget:
+    """A moving pose, level, with what it takes to feed its motion forward."""
+
+    position_m: jax.Array
+    """[3] in W."""
+    velocity_mps: jax.Array
+    """[3] in W."""
+    acceleration_mps2: jax.Array
+    """[3] in W."""
+    yaw_rad: jax.Array
+    """[] heading about z up, 0 = east."""
+    yaw_rate_radps: jax.Array
+    """[] about z up."""
+    yaw_acceleration_radps2: jax.Array
+    """[] about z up."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class BodyTwist:
+    """A velocity over ground to have: nu [6], m/s and rad/s, in F."""
+
+    nu: jax.Array
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class BodyWrench:
+    """A wrench for the thrusters to exert: tau [6], N and N m, at the centre of mass, in F."""
+
+    tau: jax.Array
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class ThrusterPwm:
+    """The signal of each thruster: pwm_us [n_thruster], 1100 to 1900, 1500 neutral."""
+
+    pwm_us: jax.Array
+
+
+def as_tracking(target: PoseTarget | TrackingTarget) -> TrackingTarget:
+    """The same target; a pose target moves on with its velocity and does not turn."""
+    if isinstance(target, TrackingTarget):
+        return target
+    still = jnp.zeros_like(target.yaw_rad)
+    return TrackingTarget(
+        position_m=target.position_m,
+        velocity_mps=target.velocity_mps,
+        acceleration_mps2=jnp.zeros_like(target.velocity_mps),
+        yaw_rad=target.yaw_rad,
+        yaw_rate_radps=still,
+        yaw_acceleration_radps2=still,
+    )

@@ -1,1 +1,0 @@
-"""What goes on aboard the robots of a world before their controllers act."""

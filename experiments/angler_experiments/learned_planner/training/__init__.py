@@ -1,1 +1,0 @@
-"""What the network learns from, and how."""

@@ -1,0 +1,1 @@
+"""Real autopilots in lock-step with one scene: start, boot, step, view."""
