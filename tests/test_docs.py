@@ -51,6 +51,19 @@ def test_links_lead_to_files_and_headings(page):
     assert list(_broken_links(page)) == []
 
 
+def test_code_names_pages_that_exist():
+    """Docstrings and messages name pages by their paths."""
+    packages = ("angler_mjx", "kernels", "sitl_bridge", "experiments", "tools")
+    missing = {
+        (str(source.relative_to(ROOT)), name)
+        for package in packages
+        for source in (ROOT / package).rglob("*.py")
+        for name in re.findall(r"docs/[a-z0-9_/]+\.md", source.read_text(encoding="utf-8"))
+        if not (ROOT / name).is_file()
+    }
+    assert not missing
+
+
 def test_pages_stand_in_the_folder_of_their_kind():
     """Programs write the pages of `generated`, and no others; the first line names the command."""
     for page in (ROOT / "docs").rglob("*.md"):

@@ -7,7 +7,7 @@ AUTO_PLANNERS = ("grid", "priority")
 """Planners of small and of large teams."""
 
 LARGE_TEAM = 8
-"""Smallest team that priority plans; measured in `docs/planners.md`."""
+"""Smallest team that priority plans; measured in `docs/reference/planners.md`."""
 
 
 def choose_planner(robots: int) -> str:

@@ -24,7 +24,7 @@ from angler_mjx.robot.control.commands.trajectory import Trajectory
 
 DEFAULT_ROOM_M = 0.8
 """Distance [m] between robots beyond the margin where a current carries slow robots, or drifting
-obstacles stop robots on the paths of others; `docs/planners.md` has its measurement."""
+obstacles stop robots on the paths of others; `docs/reference/planners.md` has its measurement."""
 
 MAX_SLOTS = 1024
 """Worlds that are searched side by side; paths do not depend on it."""

@@ -342,7 +342,7 @@ EPISODE_COLUMNS: tuple[EpisodeColumn, ...] = (
         "plan_status",
         _TEXT,
         "",
-        "how planning ended, see docs/planners.md",
+        "how planning ended, see docs/reference/planners.md",
         since=1,
         of_tile=_plan_status,
     ),
