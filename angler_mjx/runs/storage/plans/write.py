@@ -2,6 +2,7 @@
 
 from collections import deque
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ import numpy as np
 import zarr
 from zarr.codecs import BloscCodec
 
-from angler_mjx.errors import ConfigError, RunError, format_value
+from angler_mjx.errors import ConfigError, format_value
 from angler_mjx.planning.planner import PathShape
 from angler_mjx.robot.control import plans
 from angler_mjx.robot.control.commands.joint_trajectory import LINEAR, JointTrajectory
@@ -84,9 +85,13 @@ class PlanWriter:
         """Give the file its name: it is whole."""
         self._lock.publish()
 
-    def release(self) -> None:
-        """Release the file as it is, for a resumption."""
-        self._lock.release()
+    def keeping(self) -> AbstractContextManager[Path]:
+        """Write inside; the file is released as it is if that fails, for a resumption.
+
+        Raises:
+            RunError: the disk gave out.
+        """
+        return self._lock.keeping()
 
 
 def open_writer(
@@ -221,7 +226,7 @@ def plan_worlds(
     )
     tile, total = simulator.tile, scenario.worlds
     writer = open_writer(path, scenario, simulator.paths, resume=resume, tile=tile)
-    try:
+    with writer.keeping():
         remaining = writer.left()
         tiles = sorted({world - world % tile for world in remaining})
         done, planned = total - len(remaining), writer.planned()
@@ -242,15 +247,6 @@ def plan_worlds(
             planned += int(is_found.sum())
             advance(done, planned)
         writer.publish()
-    except OSError as error:
-        writer.release()
-        raise RunError(
-            f"{path}: cannot be written ({error.strerror or error}); make room and go on with "
-            "--resume"
-        ) from error
-    except BaseException:
-        writer.release()
-        raise
     return planned
 
 
