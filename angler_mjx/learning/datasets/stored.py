@@ -12,14 +12,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import google_crc32c
 import numpy as np
 import zarr
 from numcodecs import blosc
 
-from angler_mjx.errors import ConfigError
-from angler_mjx.runs.storage.read_errors import DEFAULT_ADVICE, wrap_read_errors
-from angler_mjx.runs.storage.shards import ABSENT
+from angler_mjx.runs.storage import shards
+from angler_mjx.runs.storage.read_errors import wrap_read_errors
 
 MAX_SHARDS = 64
 """Maximum number of open files of an array."""
@@ -158,7 +156,7 @@ class StoredArray:
                 self._files.move_to_end(number)
         file, index = shard
         offset, length = index[at]
-        if offset == ABSENT:
+        if offset == shards.ABSENT:
             return None
         return file[int(offset) : int(offset + length)]
 
@@ -168,23 +166,12 @@ class StoredArray:
         Raises:
             ConfigError: the shard is missing, truncated, or its index is damaged.
         """
-        path = self.path / "c" / "/".join([str(number), *"0" * (len(form.shape) - 1)])
+        path = shards.locate_shard(self.path, number, len(form.shape))
         with wrap_read_errors(path):
             with path.open("rb") as opened:
                 file = mmap.mmap(opened.fileno(), 0, access=mmap.ACCESS_READ)
-            tail = file[-(16 * form.shard + 4) :]
-            if len(tail) != 16 * form.shard + 4 or google_crc32c.value(tail[:-4]) != int.from_bytes(
-                tail[-4:], "little"
-            ):
-                raise ConfigError(
-                    f"{path}: was truncated or damaged (its index is wrong); {DEFAULT_ADVICE}"
-                )
-            index = np.frombuffer(tail[:-4], "<u8").reshape(form.shard, 2)
-            present = index[index[:, 0] != ABSENT]
-            if len(present) and int(present.sum(axis=1).max()) > len(file) - len(tail):
-                raise ConfigError(
-                    f"{path}: was cut or damaged (chunks lie beyond it); {DEFAULT_ADVICE}"
-                )
+            tail = file[-shards.index_bytes(form.shard) :]
+            index = shards.read_index(tail, shard=form.shard, file_bytes=len(file))
         return file, index
 
 

@@ -140,7 +140,7 @@ class Recorder:
         number = first_world // self._tile
         for name, array in {**self._arrays, **self._environment_arrays()}.items():
             if not shards.is_sound(
-                _shard_path(self._path / name, number, array.ndim),
+                shards.locate_shard(self._path / name, number, array.ndim),
                 shard=self._tile if name in self._arrays else None,
             ):
                 return name
@@ -154,7 +154,7 @@ class Recorder:
         """
         number = first_world // self._tile
         paths = [
-            _shard_path(self._path / name, number, array.ndim)
+            shards.locate_shard(self._path / name, number, array.ndim)
             for name, array in {**self._arrays, **self._environment_arrays()}.items()
         ]
         # Together: one after another, many small files would wait for the disk once each.
@@ -242,7 +242,7 @@ class Recorder:
             values = np.zeros(array.chunks, array.dtype)
             values[:count] = np.asarray(leaf)[:count]
             if values.size:
-                path = _shard_path(
+                path = shards.locate_shard(
                     self._path / trajectory_layout.ENVIRONMENT_GROUP / name, number, array.ndim
                 )
                 shards.write_file(path, [_ENCODER.encode(values)])
@@ -277,7 +277,7 @@ class Recorder:
             array = self._arrays[name]
             encode = partial(_encode_chunks, arrays[name], array.dtype, self._shape.stepped(name))
             blocks = self._encoders.map(encode, _split_blocks(array, count))
-            path = _shard_path(self._path / name, number, array.ndim)
+            path = shards.locate_shard(self._path / name, number, array.ndim)
             return shards.write_shard(path, blocks, shard=self._tile)
 
         environment_write = self._writers.submit(
@@ -289,11 +289,6 @@ class Recorder:
         wait([environment_write])
         environment_write.result()
         return sum(future.result() for future in written)
-
-
-def _shard_path(array: Path, shard: int, ndim: int) -> Path:
-    """Return the file of a shard; only the axis of worlds is divided."""
-    return array / "c" / "/".join([str(shard), *"0" * (ndim - 1)])
 
 
 def _split_blocks(array: Any, count: int) -> list[slice]:
