@@ -10,7 +10,7 @@ import re
 import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
@@ -21,6 +21,7 @@ from angler_mjx.files import FileModel, parse_model
 from angler_mjx.quantities import SchemaVersion
 from angler_mjx.robot.vehicles import library
 from angler_mjx.runs.storage import atomic_files
+from angler_mjx.runs.storage.checksums import hash_file, is_inside
 from angler_mjx.runs.storage.read_errors import read_table, wrap_read_errors
 from angler_mjx.world.config import WorldConfig
 
@@ -120,17 +121,15 @@ def read_inputs(run: Path) -> tuple[Input, ...]:
     source = folder / INDEX_FILE
     files = parse_model(_Index, read_table(source), source=str(source)).files
     for entry in files:
-        copy_path = PurePosixPath(entry.copy_path)
-        if copy_path.is_absolute() or ".." in copy_path.parts:
+        if not is_inside(entry.copy_path):
             raise ConfigError(f"{source}: copy_path = {entry.copy_path!r} leads out of the folder")
-        path = folder / copy_path
+        path = folder / entry.copy_path
         with wrap_read_errors(path):
-            digest = hashlib.sha256(path.read_bytes()).hexdigest()
+            digest = hash_file(path)
         if digest != entry.copy_sha256:
             raise ConfigError(
                 f"{path}: is not the copy that the run made of {entry.named} (sha256 "
-                f"{digest[:12]}, "
-                f"not {entry.copy_sha256[:12]}); put that file back"
+                f"{digest[:12]}, not {entry.copy_sha256[:12]}); put that file back"
             )
     return files
 
@@ -201,7 +200,7 @@ def replace_ocean_files(world: dict[str, Any], replacements: Mapping[str, str]) 
 def _is_edited(entry: Input) -> bool | None:
     """Return whether a file was edited; None if it is missing."""
     try:
-        return hashlib.sha256(Path(entry.source).read_bytes()).hexdigest() != entry.sha256
+        return hash_file(Path(entry.source)) != entry.sha256
     except OSError:
         return None
 

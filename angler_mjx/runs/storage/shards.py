@@ -1,4 +1,4 @@
-"""Files of a Zarr v3 array, each written at once and read by its index: a chunk, or a shard of many.
+"""Files of a Zarr v3 array, written at once and read by their index: a chunk, or a shard of many.
 
 A shard file holds the chunks one after another, then an index of uint64 pairs (offset, length) and
 the CRC-32C of the index (Zarr v3, codec ``sharding_indexed``). Zarr's own writer treats every chunk

@@ -15,6 +15,7 @@ from angler_mjx.learning.datasets.verifying import replay
 from angler_mjx.progress import Progress
 from angler_mjx.runs import rollout
 from angler_mjx.runs.storage import folder, output_lock
+from angler_mjx.runs.storage.checksums import compare_files
 
 _REQUIRED = (folder.CONFIG, "inputs/")
 """Files of a run that define its flights."""
@@ -52,9 +53,8 @@ def repair_dataset(root: Path, progress: Progress, *, accept: bool = False) -> R
     if output_lock.partial_path(root).exists():
         raise ConfigError(f"{root}: is being made; wait, or go on with it by --resume")
     digests = _read_checksums(root, dataset_manifest)
-    present = set(checksums.list_files(root))
-    current = dict(checksums.hash_files(root, sorted(present & digests.keys())))
-    damaged = sorted(name for name in digests if current.get(name) != digests[name])
+    differences = compare_files(root, digests, checksums.list_files(root))
+    damaged = sorted((*differences.missing, *differences.changed))
     if not damaged:
         return RepairResult(damaged=(), parts=(), other=())
     parts = [
@@ -75,10 +75,8 @@ def repair_dataset(root: Path, progress: Progress, *, accept: bool = False) -> R
         gc.collect()
     other = [
         name
-        for name, digest in checksums.hash_files(
-            root, sorted(digests.keys() & set(checksums.list_files(root)))
-        )
-        if digest != digests[name] and Path(name).name not in _RUN_REPORTS and "/" in name
+        for name in compare_files(root, digests, checksums.list_files(root)).changed
+        if Path(name).name not in _RUN_REPORTS and "/" in name
     ]
     if other and not accept:
         raise RunError(

@@ -17,6 +17,7 @@ from angler_mjx.learning.datasets.manifest import SPLITS, Manifest, PartEntry
 from angler_mjx.learning.datasets.stored import StoredArray
 from angler_mjx.learning.datasets.verifying.report import DatasetCheck
 from angler_mjx.runs.storage import folder
+from angler_mjx.runs.storage.checksums import compare_files
 from angler_mjx.runs.storage.folder import Run
 from angler_mjx.sim.state import Outcome
 
@@ -32,20 +33,18 @@ def check_files(root: Path, manifest: Manifest) -> DatasetCheck:
     """Check every file against its checksum."""
     check = DatasetCheck(name="files")
     digests = checksums.read_checksums(root, manifest.sums)
-    present = set(checksums.list_files(root))
-    for name in sorted(digests.keys() - present):
+    differences = compare_files(root, digests, checksums.list_files(root))
+    for name in differences.missing:
         check.add_finding(name, "is missing; copy it again, or mend it with angler dataset repair")
-    for name in sorted(present - digests.keys()):
+    for name in differences.foreign:
         check.add_finding(name, "is no file of the dataset; move it elsewhere")
-    names = sorted(present & digests.keys())
-    for name, digest in checksums.hash_files(root, names):
-        if digest != digests[name]:
-            check.add_finding(
-                name,
-                "was changed or damaged (its SHA-256 differs); copy it again, or mend the "
-                "dataset with angler dataset repair",
-            )
-    check.looked_at, check.exact = f"{len(names):,} files", len(names)
+    for name in differences.changed:
+        check.add_finding(
+            name,
+            "was changed or damaged (its SHA-256 differs); copy it again, or mend the "
+            "dataset with angler dataset repair",
+        )
+    check.looked_at, check.exact = f"{differences.compared:,} files", differences.compared
     return check
 
 

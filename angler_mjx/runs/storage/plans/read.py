@@ -17,7 +17,6 @@ World i of the arrays is world i of the seed. A number of points below 0 says th
 planned yet. ``docs/reference/plan_files.md`` has a writer of twenty lines.
 """
 
-import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,7 +37,7 @@ from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.robot.control.plans import Plan
 from angler_mjx.runs.simulator.host_planning import PlanNotes, planning_status
 from angler_mjx.runs.simulator.simulator import Simulator
-from angler_mjx.runs.storage import output_lock, planning_summary
+from angler_mjx.runs.storage import checksums, planning_summary
 from angler_mjx.runs.storage.read_errors import wrap_read_errors
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.state import World
@@ -133,13 +132,8 @@ class PlanFile:
 
     def sha256(self) -> str:
         """Return the SHA-256 of all bytes of the file, hexadecimal."""
-        digest = hashlib.sha256()
         with wrap_read_errors(self.path):
-            for path in sorted(self.path.rglob("*")):
-                if path.is_file() and path.name != output_lock.LOCK:
-                    digest.update(str(path.relative_to(self.path)).encode())
-                    digest.update(path.read_bytes())
-        return digest.hexdigest()
+            return checksums.hash_folder(self.path)
 
     def _read_rows(self, name: str, rows: np.ndarray) -> np.ndarray:
         array: Any = self.group[name]
