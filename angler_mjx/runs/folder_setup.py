@@ -14,6 +14,7 @@ from angler_mjx.runs import sizes
 from angler_mjx.runs.provenance import describe_environment, write_policy
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.runs.storage import folder, output_lock
+from angler_mjx.runs.storage.atomic_files import write_json
 from angler_mjx.runs.storage.output_lock import OutputLock
 from angler_mjx.runs.storage.plans.read import PlanFile, open_plans
 from angler_mjx.runs.storage.read_errors import read_table
@@ -43,7 +44,7 @@ def create_run_folder(
         extra_files = [("planner", file)] if (file := planner_file(simulator)) else []
         folder.write_start_files(building, resolved_scenario, describe_environment(), extra_files)
         if plans is not None:
-            folder.write_json(building / PLANS_FILE, _describe_plans(plans))
+            write_json(building / PLANS_FILE, _describe_plans(plans))
         write_policy(building, simulator.policy)
         if scenario.time.record_hz > 0:
             _create_trajectories(simulator, building / folder.TRAJECTORIES)

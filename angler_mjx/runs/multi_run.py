@@ -16,6 +16,7 @@ from angler_mjx.progress import Progress
 from angler_mjx.runs import rollout
 from angler_mjx.runs.processes import Processes, RunProcesses
 from angler_mjx.runs.storage import folder, output_lock, results_folder
+from angler_mjx.runs.storage.atomic_files import write_json
 from angler_mjx.runs.storage.output_lock import OutputLock
 from angler_mjx.scenario.scenario import Scenario
 
@@ -39,7 +40,7 @@ def create_folder(out: Path, kind: str, request: Mapping[str, Any]) -> OutputLoc
     """
     lock = output_lock.acquire(out, kind=kind)
     with lock.filling() as building:
-        folder.write_json(building / REQUEST_FILE, dict(request))
+        write_json(building / REQUEST_FILE, dict(request))
         (building / RUNS_FOLDER).mkdir()
     return lock
 

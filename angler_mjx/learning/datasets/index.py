@@ -305,8 +305,7 @@ def write_index(root: Path, table: pa.Table) -> None:
     Raises:
         OSError: writing failed.
     """
-    with atomic_files.write_atomically(root / INDEX) as writing:
-        pq.write_table(table, writing, compression="zstd", write_page_checksum=True)
+    atomic_files.write_parquet(root / INDEX, table, compression="zstd", page_checksums=True)
 
 
 def read_index(root: Path) -> pa.Table:

@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import FileModel, parse_model, read_json
 from angler_mjx.learning.datasets.sampling import SampleConfig
-from angler_mjx.runs.storage import folder
+from angler_mjx.runs.storage.atomic_files import write_json
 from angler_mjx.runs.storage.checksums import is_inside
 
 SCHEMA_VERSION = 1
@@ -133,4 +133,4 @@ def write_manifest(root: Path, manifest: Manifest) -> None:
     Raises:
         OSError: writing failed.
     """
-    folder.write_json(root / MANIFEST, manifest.model_dump(mode="json"))
+    write_json(root / MANIFEST, manifest.model_dump(mode="json"))

@@ -20,6 +20,7 @@ from angler_mjx.runs.session.batch_session import SessionInternals
 from angler_mjx.runs.session.interface import Floats, Observation
 from angler_mjx.runs.storage import device_to_host, folder, results
 from angler_mjx.runs.storage import input_copies as copies
+from angler_mjx.runs.storage.atomic_files import write_json
 from angler_mjx.runs.storage.device_to_host import FinishedTile
 from angler_mjx.runs.storage.output_lock import OutputLock
 from angler_mjx.runs.storage.recorder import Recorder, TrajectoryShape
@@ -175,8 +176,8 @@ class SessionRecording:
             internals = self._session.inside()
             tile = self._build_tile(internals)
             scenario = self._resolved_scenario(internals)
-            folder.write_json(building / folder.CONFIG, scenario.model_dump(mode="json"))
-            folder.write_json(building / folder.ENVIRONMENT, describe_environment())
+            write_json(building / folder.CONFIG, scenario.model_dump(mode="json"))
+            write_json(building / folder.ENVIRONMENT, describe_environment())
             self._write_trajectories(building, tile)
             episodes = results.episode_table(
                 device_to_host.build_tile_result(tile), internals.simulator.labels(), scenario.seed

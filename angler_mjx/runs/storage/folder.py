@@ -8,7 +8,6 @@ a run goes on, the folder is hidden (``.NAME.partial``) and ``parts/`` holds the
 finished tiles.
 """
 
-import json
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -32,6 +31,7 @@ from angler_mjx.runs.storage import (
     results_folder,
     trajectory_layout,
 )
+from angler_mjx.runs.storage.atomic_files import write_json
 from angler_mjx.runs.storage.output_lock import OutputLock, partial_path
 from angler_mjx.runs.storage.read_errors import read_table, wrap_read_errors
 from angler_mjx.scenario.scenario import Scenario
@@ -299,8 +299,7 @@ def write_part(building: Path, first_world: int, episodes: pa.Table) -> None:
 
 def write_episodes(path: Path, episodes: pa.Table) -> None:
     """Write rows with checksums, whole or not at all."""
-    with atomic_files.write_atomically(path) as writing:
-        pq.write_table(episodes, writing, write_page_checksum=True)
+    atomic_files.write_parquet(path, episodes, page_checksums=True)
 
 
 def holds_results(building: Path) -> bool:
@@ -321,11 +320,6 @@ def finish_folder(lock: OutputLock, episodes: pa.Table, summary: dict[str, Any])
     lock.publish()
     shutil.rmtree(lock.out / PARTS, ignore_errors=True)
     return Run(lock.out)
-
-
-def write_json(path: Path, table: dict[str, Any]) -> None:
-    """Write a table as indented JSON, whole or not at all."""
-    atomic_files.write_text(path, json.dumps(table, indent=2, allow_nan=False) + "\n")
 
 
 def require_space(out: Path, needed_bytes: int) -> None:

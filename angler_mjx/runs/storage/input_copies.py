@@ -105,7 +105,7 @@ def copy_inputs(
         current = _read_file(role, str(path), path)
         inputs.append(_write_copy(folder, current, current.data, names))
     index = _Index(files=tuple(inputs))
-    atomic_files.write_text(folder / INDEX_FILE, json.dumps(index.model_dump(), indent=2) + "\n")
+    atomic_files.write_json(folder / INDEX_FILE, index.model_dump())
     return index.files
 
 
@@ -280,8 +280,7 @@ def _write_copy(folder: Path, current: _CurrentFile, data: bytes, names: set[str
     name = next(entry for entry in candidates if entry not in names)
     names.add(name)
     (folder / name).parent.mkdir(exist_ok=True)
-    with atomic_files.write_atomically(folder / name) as writing:
-        writing.write_bytes(data)
+    atomic_files.write_bytes(folder / name, data)
     return Input(
         role=current.role,
         named=current.named,

@@ -4,13 +4,12 @@
 an interrupted spot check resumes with ``--resume`` after the last complete flight.
 """
 
-import json
 from pathlib import Path
 from typing import Any
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.runs.storage import output_lock, results_folder
-from angler_mjx.runs.storage.atomic_files import replace_file
+from angler_mjx.runs.storage.atomic_files import write_json
 from angler_mjx.runs.storage.output_lock import OutputLock
 from angler_mjx.runs.storage.read_errors import read_table, wrap_read_errors
 
@@ -100,13 +99,7 @@ def load_table(out: Path) -> dict[str, Any]:
 
 def save_table(out: Path, table: dict[str, Any]) -> None:
     """Write ``spotcheck.json`` atomically."""
-    save_text(out / TABLE, json.dumps(table, indent=1) + "\n")
-
-
-def save_text(path: Path, text: str) -> None:
-    """Write a file of the folder atomically."""
-    with replace_file(path, flag="--out", force=True) as writing:
-        writing.write_text(text, encoding="utf-8")
+    write_json(out / TABLE, table, indent=1)
 
 
 def flight_path(out: Path, world: int, name: str, robots: int) -> Path:

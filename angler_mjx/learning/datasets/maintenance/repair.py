@@ -15,6 +15,7 @@ from angler_mjx.learning.datasets.verifying import replay
 from angler_mjx.progress import Progress
 from angler_mjx.runs import rollout
 from angler_mjx.runs.storage import folder, output_lock
+from angler_mjx.runs.storage.atomic_files import write_json
 from angler_mjx.runs.storage.checksums import compare_files
 
 _REQUIRED = (folder.CONFIG, "inputs/")
@@ -122,7 +123,7 @@ def _refly_part(root: Path, damaged: Sequence[str], part: PartEntry, progress: P
         summary = root / folder.SUMMARY
         if summary.exists():
             table = json.loads(summary.read_text(encoding="utf-8"))
-            folder.write_json(summary, {**table, "complete": False})
+            write_json(summary, {**table, "complete": False})
     except (OSError, ValueError) as error:
         raise RunError(f"{root}: cannot be mended ({error})") from error
     run = rollout.resume(root, progress=progress, chunk=1)
