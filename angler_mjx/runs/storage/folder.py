@@ -9,7 +9,7 @@ finished tiles.
 """
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
@@ -95,9 +95,9 @@ class Run:
             raise ConfigError(f"{self.path}: this run stored no trajectories (record_hz = 0)")
         with wrap_read_errors(path):
             group = zarr.open_group(path, mode="r")
-            nodes = dict(group.members(max_depth=None))
+            arrays = environments.list_arrays(group)
             trajectory_layout.check_layout(
-                nodes,
+                arrays,
                 str(path),
                 worlds=scenario.worlds,
                 robots=len(scenario.members()),
@@ -107,7 +107,7 @@ class Run:
             )
             inside = f"{trajectory_layout.ENVIRONMENT_GROUP}/"
             environments.check_arrays(
-                {n.removeprefix(inside): node for n, node in nodes.items() if n.startswith(inside)},
+                {n.removeprefix(inside): x for n, x in arrays.items() if n.startswith(inside)},
                 path / trajectory_layout.ENVIRONMENT_GROUP,
             )
         return group
@@ -183,7 +183,7 @@ def create_folder(out: Path) -> OutputLock:
 def write_start_files(
     building: Path,
     scenario: Scenario,
-    environment: dict[str, Any],
+    environment: Mapping[str, object],
     extra_files: list[tuple[str, Path]] | None = None,
 ) -> None:
     """Write what is known before the first step.
@@ -308,7 +308,7 @@ def holds_results(building: Path) -> bool:
     return (building / EPISODES).exists() or (parts.is_dir() and any(parts.iterdir()))
 
 
-def finish_folder(lock: OutputLock, episodes: pa.Table, summary: dict[str, Any]) -> Run:
+def finish_folder(lock: OutputLock, episodes: pa.Table, summary: Mapping[str, object]) -> Run:
     """Close the run: results in place, the folder under its own name, parts gone.
 
     Raises:

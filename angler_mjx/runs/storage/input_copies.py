@@ -309,6 +309,6 @@ def _point_to_thruster(vehicle: _CurrentFile, model: str) -> bytes:
     )
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     """Return what had another name before 0.2."""
     return _renamed(__name__, name)

@@ -15,12 +15,12 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import zarr
 from numcodecs.blosc import SHUFFLE, Blosc
 from zarr.codecs import BloscCodec
+from zarr.types import ArrayV3
 
 from angler_mjx.runs.storage import atomic_files, shards, trajectory_layout
 from angler_mjx.runs.storage import environments as store
@@ -161,12 +161,12 @@ class Recorder:
         for done in [self._encoders.submit(atomic_files.sync_path, path) for path in paths]:
             done.result()
 
-    def _environment_arrays(self) -> dict[str, Any]:
+    def _environment_arrays(self) -> dict[str, ArrayV3]:
         """Return the environments' arrays that are not empty, by their names in the whole group."""
         return {
             f"{trajectory_layout.ENVIRONMENT_GROUP}/{name}": node
             for name, node in self._environment.items()
-            if isinstance(node, zarr.Array) and node.size
+            if node.size
         }
 
     @classmethod
@@ -248,15 +248,14 @@ class Recorder:
                 shards.write_file(path, [_ENCODER.encode(values)])
 
     @cached_property
-    def _environment(self) -> dict[str, Any]:
+    def _environment(self) -> dict[str, ArrayV3]:
         """Arrays of the environments by name, opened once."""
-        group: Any = self._group[trajectory_layout.ENVIRONMENT_GROUP]
-        return {name: node for name, node in group.members(max_depth=None)}
+        return store.list_arrays(self._group.get_group(trajectory_layout.ENVIRONMENT_GROUP))
 
     @cached_property
-    def _arrays(self) -> dict[str, Any]:
+    def _arrays(self) -> dict[str, ArrayV3]:
         """By name, opened once: opening costs as much as writing a small tile."""
-        return {name: self._group[name] for name in self._shape.names()}
+        return {name: self._group.get_array(name) for name in self._shape.names()}
 
     def write(self, first_world: int, arrays: TileArrays, environment: Environment) -> int:
         """Write one tile.
@@ -291,7 +290,7 @@ class Recorder:
         return sum(future.result() for future in written)
 
 
-def _split_blocks(array: Any, count: int) -> list[slice]:
+def _split_blocks(array: ArrayV3, count: int) -> list[slice]:
     """Split worlds [0, kept) into slices of about ``BLOCK_BYTES``."""
     world_bytes = array.nbytes // array.shape[0]
     step = max(1, BLOCK_BYTES // world_bytes)

@@ -66,12 +66,12 @@ def _add_missing_columns(table: pa.Table) -> pa.Table:
     return table
 
 
-def end_time_s(row: Mapping[str, Any]) -> float:
+def end_time_s(row: Mapping[str, float | str]) -> float:
     """Return the end of a robot's episode, s, from a row as ``to_pylist`` gives it."""
     return float(row["time_to_goal_s" if row["outcome"] == "reached" else "failure_time_s"])
 
 
-def outcome_rates(episodes: pa.Table) -> dict[str, Any]:
+def outcome_rates(episodes: pa.Table) -> dict[str, dict[str, float]]:
     """Return count, rate and 95 % interval of every outcome, clustered by world.
 
     Args:

@@ -90,7 +90,7 @@ def resume_folder[T](
 
 
 def require_same_request(
-    path: Path, request: Mapping[str, Any], models: Mapping[str, type[FileModel]] | None = None
+    path: Path, request: Mapping[str, object], models: Mapping[str, type[FileModel]] | None = None
 ) -> dict[str, Any]:
     """Return the stored request of a folder; refuse to resume it with a different one.
 

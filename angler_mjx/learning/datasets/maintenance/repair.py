@@ -54,8 +54,8 @@ def repair_dataset(root: Path, progress: Progress, *, accept: bool = False) -> R
     if output_lock.partial_path(root).exists():
         raise ConfigError(f"{root}: is being made; wait, or go on with it by --resume")
     digests = _read_checksums(root, dataset_manifest)
-    differences = compare_files(root, digests, checksums.list_files(root))
-    damaged = sorted((*differences.missing, *differences.changed))
+    compared = compare_files(root, digests, checksums.list_files(root))
+    damaged = sorted((*compared.missing, *compared.changed))
     if not damaged:
         return RepairResult(damaged=(), parts=(), other=())
     parts = [
