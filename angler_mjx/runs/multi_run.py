@@ -129,5 +129,5 @@ def run_status(path: Path) -> str:
     """Return the status of a run: whole, begun or none."""
     if (path / folder.SUMMARY).is_file() and folder.Run(path).summary.get("complete"):
         return "whole"
-    building = path if path.is_dir() and any(path.iterdir()) else output_lock.partial_path(path)
+    building = results_folder.locate_folder(path)
     return "begun" if (building / folder.CONFIG).is_file() else "none"

@@ -34,6 +34,7 @@ from angler_mjx.runs.storage import (
     results,
     results_folder,
 )
+from angler_mjx.runs.storage.atomic_files import wrap_write_errors
 from angler_mjx.runs.storage.device_to_host import FinishedTile
 from angler_mjx.runs.storage.output_lock import OutputLock
 from angler_mjx.runs.storage.plans.read import PlanFile, open_plans
@@ -408,13 +409,9 @@ class _Rollout:
             self._progress.write(line)
         self._progress.write(f"{done} of {self._scenario.worlds} worlds are finished")
         self._progress.close()
-        try:
+        advice = f"all finished worlds are in {self._building}; make room and go on with --resume"
+        with wrap_write_errors(f"--out {self._out}", advice):
             folder.finish_folder(self._lock, episodes, summary)
-        except OSError as error:
-            raise RunError(
-                f"--out {self._out}: cannot be written ({error.strerror or error}); all finished "
-                f"worlds are in {self._building}; make room and go on with --resume"
-            ) from error
 
 
 class _TileWriter:

@@ -13,6 +13,24 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 
+@contextmanager
+def wrap_write_errors(label: object, advice: str = "") -> Iterator[None]:
+    """Write files inside; a failure of the disk becomes one message.
+
+    Args:
+        label: what is written, for the message.
+        advice: what is kept, and what a person can do about it.
+
+    Raises:
+        RunError: an `OSError` was raised inside.
+    """
+    try:
+        yield
+    except OSError as error:
+        reason, remedy = error.strerror or error, f"; {advice}" if advice else ""
+        raise RunError(f"{label}: cannot be written ({reason}){remedy}") from error
+
+
 def require_free(path: Path, *, flag: str, force: bool = False) -> None:
     """Refuse a file that cannot take its name; see `replace_file`."""
     try:
@@ -70,11 +88,8 @@ def replace_file(path: Path, *, flag: str, force: bool = False) -> Iterator[Path
         path.with_name(f".unfinished.{path.name}").touch()
     except OSError as error:
         raise ConfigError(f"{flag} {path}: cannot be written ({error.strerror})") from error
-    try:
-        with write_atomically(path) as writing:
-            yield writing
-    except OSError as error:
-        raise RunError(f"{flag} {path}: cannot be written ({error.strerror or error})") from error
+    with wrap_write_errors(f"{flag} {path}"), write_atomically(path) as writing:
+        yield writing
 
 
 def write_text(path: Path, text: str) -> None:

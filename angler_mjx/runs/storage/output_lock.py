@@ -88,22 +88,18 @@ class OutputLock:
         """
         return self._writing(
             self.release,
-            f"; finished parts are in {self.building}: make room and go on with --resume",
+            f"finished parts are in {self.building}: make room and go on with --resume",
         )
 
     @contextmanager
     def _writing(self, give_up: Callable[[], None], advice: str = "") -> Iterator[Path]:
         """Work inside; any exception gives the folder up, and that of a disk becomes a message."""
         try:
-            yield self.building
-        except BaseException as error:
+            with atomic_files.wrap_write_errors(f"{self.flag} {self.out}", advice):
+                yield self.building
+        except BaseException:
             give_up()
-            if not isinstance(error, OSError):
-                raise
-            reason = error.strerror or error
-            raise RunError(
-                f"{self.flag} {self.out}: cannot be written ({reason}){advice}"
-            ) from error
+            raise
 
     def _unlock(self) -> None:
         if self.handle is not None:

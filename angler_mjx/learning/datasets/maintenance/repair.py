@@ -15,7 +15,7 @@ from angler_mjx.learning.datasets.verifying import replay
 from angler_mjx.progress import Progress
 from angler_mjx.runs import rollout
 from angler_mjx.runs.storage import folder, output_lock
-from angler_mjx.runs.storage.atomic_files import write_json
+from angler_mjx.runs.storage.atomic_files import wrap_write_errors, write_json
 from angler_mjx.runs.storage.checksums import compare_files
 
 _REQUIRED = (folder.CONFIG, "inputs/")
@@ -133,7 +133,7 @@ def _refly_part(root: Path, damaged: Sequence[str], part: PartEntry, progress: P
 
 def _finish_dataset(root: Path, dataset_manifest: Manifest, damaged: Sequence[str]) -> None:
     """Write index, card and checksums of the present files; a damaged spot check is dropped."""
-    try:
+    with wrap_write_errors(root):
         if gaps.SPOT_CHECK_FILE in damaged:
             (root / gaps.SPOT_CHECK_FILE).unlink(missing_ok=True)
         table = index.build_index(root, dataset_manifest)
@@ -142,5 +142,3 @@ def _finish_dataset(root: Path, dataset_manifest: Manifest, damaged: Sequence[st
         manifest.write_manifest(
             root, dataset_manifest.model_copy(update={"sums": checksums.write_checksums(root)})
         )
-    except OSError as error:
-        raise RunError(f"{root}: cannot be written ({error.strerror or error})") from error
