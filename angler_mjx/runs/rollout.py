@@ -388,6 +388,7 @@ class _Rollout:
             "vehicle_steps_per_s": steps / max(simulate_s, 1e-9),
         }
         interrupted = any(report["interrupted"] for report in reports)
+        episode_summary = results.summarise_episodes(episodes)
         summary = {
             "scenario": self._scenario.name,
             "engine": self._scenario.engine,
@@ -399,13 +400,13 @@ class _Rollout:
             "worlds": self._scenario.worlds,
             "worlds_done": done,
             "complete": done == self._scenario.worlds and not interrupted,
-            **results.summarise_episodes(episodes),
+            **episode_summary,
             "timing": timing,
             "peak_memory_bytes": peak_memory_bytes(),
             "run": str(self._out),
         }
-        early = planning_summary.early_lines(summary["passed_goal_early"])
-        for line in (*planning_summary.reason_lines(summary["planning"]), *early):
+        early = planning_summary.early_lines(episode_summary["passed_goal_early"])
+        for line in (*planning_summary.reason_lines(episode_summary["planning"]), *early):
             self._progress.write(line)
         self._progress.write(f"{done} of {self._scenario.worlds} worlds are finished")
         self._progress.close()

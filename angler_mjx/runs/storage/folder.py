@@ -32,7 +32,7 @@ from angler_mjx.runs.storage import (
     trajectory_layout,
 )
 from angler_mjx.runs.storage.atomic_files import write_json
-from angler_mjx.runs.storage.output_lock import OutputLock, partial_path
+from angler_mjx.runs.storage.output_lock import OutputLock
 from angler_mjx.runs.storage.read_errors import read_table, wrap_read_errors
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim import fleet
@@ -235,7 +235,7 @@ def reopen_folder(out: Path, report: Callable[[str], None]) -> OutputLock:
 
 def _is_complete(out: Path) -> bool:
     """Return whether a run is complete; refuse a scene that broke off, which cannot go on."""
-    if partial_path(out).exists() or not (out / SUMMARY).is_file():
+    if not (out / SUMMARY).is_file():
         return False
     summary = Run(out).summary
     if summary.get("complete") is not True and "interrupted" in summary:

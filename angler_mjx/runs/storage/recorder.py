@@ -137,12 +137,8 @@ class Recorder:
 
         Every file's own account of its length is compared, not every sample.
         """
-        number = first_world // self._tile
-        for name, array in {**self._arrays, **self._environment_arrays()}.items():
-            if not shards.is_sound(
-                shards.locate_shard(self._path / name, number, array.ndim),
-                shard=self._tile if name in self._arrays else None,
-            ):
+        for name, path in self._tile_files(first_world).items():
+            if not shards.is_sound(path, shard=self._tile if name in self._arrays else None):
                 return name
         return None
 
@@ -152,21 +148,20 @@ class Recorder:
         Raises:
             OSError: the disk gave out.
         """
-        number = first_world // self._tile
-        paths = [
-            shards.locate_shard(self._path / name, number, array.ndim)
-            for name, array in {**self._arrays, **self._environment_arrays()}.items()
-        ]
         # Together: one after another, many small files would wait for the disk once each.
-        for done in [self._encoders.submit(atomic_files.sync_path, path) for path in paths]:
-            done.result()
+        list(self._encoders.map(atomic_files.sync_path, self._tile_files(first_world).values()))
 
-    def _environment_arrays(self) -> dict[str, ArrayV3]:
-        """Return the environments' arrays that are not empty, by their names in the whole group."""
+    def _tile_files(self, first_world: int) -> dict[str, Path]:
+        """Return the files of a tile by the arrays' names; empty arrays have none."""
+        arrays = self._arrays | {
+            f"{trajectory_layout.ENVIRONMENT_GROUP}/{name}": array
+            for name, array in self._environment.items()
+            if array.size
+        }
+        number = first_world // self._tile
         return {
-            f"{trajectory_layout.ENVIRONMENT_GROUP}/{name}": node
-            for name, node in self._environment.items()
-            if node.size
+            name: shards.locate_shard(self._path / name, number, array.ndim)
+            for name, array in arrays.items()
         }
 
     @classmethod

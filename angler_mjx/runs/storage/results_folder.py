@@ -106,10 +106,26 @@ def require_same_request(
     for name, model in (models or {}).items():
         if isinstance(table := stored.get(name), dict):
             stored[name] = rename_keys(model, table, str(path))
+    require_same_keys(path, request, stored)
+    return stored
+
+
+def require_same_keys(
+    path: Path, request: Mapping[str, object], stored: Mapping[str, object]
+) -> None:
+    """Refuse to resume a folder whose stored request differs from the current one.
+
+    Args:
+        path: of what holds the stored request, for the message.
+        request: current one, in plain values.
+        stored: request with which the folder was begun.
+
+    Raises:
+        ConfigError: naming the first key that differs.
+    """
     difference = first_changed_key(request, stored)
     if difference is not None:
         raise ConfigError(
             f"--resume: was begun with another {difference} (see {path}); put the old value back, "
             "or begin anew with --out"
         )
-    return stored

@@ -46,38 +46,17 @@ def reopen_folder(out: Path, request: dict[str, Any]) -> tuple[OutputLock, dict[
 
     def check(building: Path) -> dict[str, Any]:
         table = load_table(building)
-        require_same_request(out, table, request)
+        results_folder.require_same_keys(building / TABLE, request, table["asked"])
         return table
 
     output_lock.require_name(out, flag="--resume")
-    existing = results_folder.locate_folder(out)
-    is_published = existing == out and (out / TABLE).is_file()
     return results_folder.resume_folder(
         out,
         kind=FOLDER_KIND,
         file=TABLE,
-        is_complete=is_published and load_table(out)["complete"],
+        is_complete=(out / TABLE).is_file() and load_table(out)["complete"],
         check=check,
     )
-
-
-def require_same_request(out: Path, table: dict[str, Any], request: dict[str, Any]) -> None:
-    """Refuse to resume a spot check with a different request.
-
-    Args:
-        out: its folder.
-        table: its table; see `load_table`.
-        request: current request.
-
-    Raises:
-        ConfigError: naming the difference.
-    """
-    for key, value in request.items():
-        if table["asked"].get(key) != value:
-            raise ConfigError(
-                f"--resume {out}: was begun with {key} = {table['asked'].get(key)}, not {value}; "
-                "give the same arguments"
-            )
 
 
 def load_table(out: Path) -> dict[str, Any]:

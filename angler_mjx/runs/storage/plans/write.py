@@ -12,7 +12,7 @@ import zarr
 from zarr.codecs import BloscCodec
 from zarr.types import JSON
 
-from angler_mjx.errors import ConfigError, format_value
+from angler_mjx.errors import ConfigError
 from angler_mjx.planning.planner import PathShape
 from angler_mjx.robot.control import plans
 from angler_mjx.robot.control.commands.joint_trajectory import LINEAR, JointTrajectory
@@ -143,13 +143,7 @@ def _require_same_plans(path: Path, scenario: Scenario, shape: PathShape, buildi
     with wrap_read_errors(building):
         group = zarr.open_group(building, mode="r")
         attributes, stored_shape = dict(group.attrs), group.get_array("time_s").shape
-    for key, value in _file_attributes(scenario).items():
-        if attributes.get(key) != value:
-            raise ConfigError(
-                f"--resume {path}: was begun with another {key} "
-                f"({format_value(attributes.get(key))}, not "
-                f"{format_value(value)}); begin a new file"
-            )
+    results_folder.require_same_keys(building, _file_attributes(scenario), attributes)
     if stored_shape != (scenario.worlds, len(scenario.members()), shape.points):
         raise ConfigError(f"--resume {path}: was begun with other worlds or points {stored_shape}")
 
