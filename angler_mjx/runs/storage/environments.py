@@ -228,8 +228,8 @@ def _load_field(group: zarr.Group, metadata: dict[str, str | None]) -> ocean.Oce
     """Load the field of the worlds' current, from the run's copy of its file or the file."""
     group_path, source = _group_path(group), str(metadata["file"])
     # Those of a run lie in its trajectories.
-    copies = input_copies.ocean_stand_ins(group_path.parent.parent) if group.path else {}
-    field = ocean.load_field(copies.get(source, source), metadata)
+    copies = input_copies.stand_ins(group_path.parent.parent) if group.path else {}
+    field = ocean.load_field(copies.get((input_copies.OCEAN, source), source), metadata)
     if field.digest != metadata["digest"]:
         raise ConfigError(
             f"{source}: is not the file that these worlds were made with; put that one back"

@@ -125,19 +125,8 @@ def read_scenario(path: Path) -> Scenario:
     """
     source = path / CONFIG
     table = read_table(source)
-    replacements = input_copies.vehicle_stand_ins(path)
     with wrap_read_errors(source):
-        for entry in table["fleet"]:
-            entry["vehicle"] = replacements.get(entry["vehicle"], entry["vehicle"])
-        input_copies.replace_ocean_files(table["world"], input_copies.ocean_stand_ins(path))
-        if "name" in table.get("planner", {}):
-            name = input_copies.class_stand_in(path, table["planner"]["name"])
-            table["planner"]["name"] = name
-        controller = table.get("controller", {})
-        if controller.get("stages"):
-            controller["stages"] = [
-                input_copies.class_stand_in(path, name) for name in controller["stages"]
-            ]
+        input_copies.use_stand_ins(table, path)
     return parse_model(Scenario, table, source=str(source))
 
 

@@ -142,59 +142,50 @@ def vehicle_copies(run: Path) -> dict[str, Path]:
     }
 
 
-def vehicle_stand_ins(run: Path) -> dict[str, str]:
-    """Return the copies of vehicles that are missing or edited since the run.
+def stand_ins(run: Path) -> dict[tuple[str, str], str]:
+    """Return the copies of vehicles, ocean models and classes that are missing or edited since.
 
     Returns:
-        Path of the copy by the name in the scenario.
+        Path of the copy by role and name in the scenario; of planners and control laws, by role and
+        resolved path of the file.
     """
-    used = {(entry.role, entry.named): entry.sha256 for entry in read_inputs(run)}
-    return {
-        named: str(path)
-        for named, path in vehicle_copies(run).items()
-        if _vehicle_state(named, used) != "same"
-    }
+    inputs, folder = read_inputs(run), (run / INPUTS_FOLDER).resolve()
+    used = {(entry.role, entry.named): entry.sha256 for entry in inputs}
+    copies = {}
+    for entry in inputs:
+        if entry.role == VEHICLE and _vehicle_state(entry.named, used) != "same":
+            copies[VEHICLE, entry.named] = str(folder / entry.copy_path)
+        elif entry.role in (OCEAN, PLANNER, LAW) and _is_edited(entry) is not False:
+            name = entry.named if entry.role == OCEAN else str(Path(entry.source).resolve())
+            copies[entry.role, name] = str(folder / entry.copy_path)
+    return copies
 
 
-def ocean_stand_ins(run: Path) -> dict[str, str]:
-    """Return the copies of missing or edited files of ocean models."""
-    folder = (run / INPUTS_FOLDER).resolve()
-    return {
-        entry.named: str(folder / entry.copy_path)
-        for entry in read_inputs(run)
-        if entry.role == OCEAN and _is_edited(entry) is not False
-    }
+def use_stand_ins(table: dict[str, Any], run: Path) -> None:
+    """Name the copies of `stand_ins` in the table of a run's scenario."""
+    copies = stand_ins(run)
 
+    def replace_class(role: str, name: str) -> str:
+        path, _, qualname = name.rpartition(":")
+        copy = copies.get((role, str(Path(path).resolve())))
+        return name if copy is None else f"{copy}:{qualname}"
 
-def class_stand_in(run: Path, name: str) -> str:
-    """Return the planner or control law of a run by a name that can be loaded as it was.
-
-    Args:
-        run: folder of the run.
-        name: in its scenario.
-
-    Returns:
-        The name; of FILE.py:CLASS whose file was edited or is gone, that of the run's copy.
-    """
-    path, _, qualname = name.rpartition(":")
-    for entry in read_inputs(run):
-        is_class = entry.role in (PLANNER, LAW)
-        is_file = is_class and Path(path).resolve() == Path(entry.source).resolve()
-        if is_file and _is_edited(entry) is not False:
-            return f"{(run / INPUTS_FOLDER).resolve() / entry.copy_path}:{qualname}"
-    return name
+    for entry in table["fleet"]:
+        entry["vehicle"] = copies.get((VEHICLE, entry["vehicle"]), entry["vehicle"])
+    world, planner = table["world"], table.get("planner", {})
+    for part in (*world.get("currents", ()), world.get("bathymetry") or {}):
+        if "file" in part:
+            part["file"] = copies.get((OCEAN, part["file"]), part["file"])
+    if "name" in planner:
+        planner["name"] = replace_class(PLANNER, planner["name"])
+    controller = table.get("controller", {})
+    if controller.get("stages"):
+        controller["stages"] = [replace_class(LAW, name) for name in controller["stages"]]
 
 
 def world_files(world: WorldConfig) -> list[tuple[str, Path]]:
     """Return role and file of each file of an ocean model that a world uses."""
     return [(OCEAN, Path(file)) for file in world.files]
-
-
-def replace_ocean_files(world: dict[str, Any], replacements: Mapping[str, str]) -> None:
-    """Name other files of ocean models in the table of a world."""
-    for table in (*world.get("currents", ()), world.get("bathymetry") or {}):
-        if "file" in table:
-            table["file"] = replacements.get(table["file"], table["file"])
 
 
 def _is_edited(entry: Input) -> bool | None:

@@ -93,11 +93,14 @@ def read_folder(folder: Path) -> Benchmark:
         for entry in stored_inputs
         if entry.role == input_copies.PLANNER
     }
-    replacements = input_copies.vehicle_stand_ins(folder)
+    copies = input_copies.stand_ins(folder)
     with wrap_read_errors(folder / RESOLVED):
         scenario: dict[str, Any] = dict(table["scenario"])
         scenario["fleet"] = [
-            {**entry, "vehicle": replacements.get(entry["vehicle"], entry["vehicle"])}
+            {
+                **entry,
+                "vehicle": copies.get((input_copies.VEHICLE, entry["vehicle"]), entry["vehicle"]),
+            }
             for entry in scenario["fleet"]
         ]
         config = table["benchmark"]
