@@ -26,7 +26,8 @@ from angler_mjx.runs.rollout import resume, rollout
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.runs.storage import folder, input_copies
 from angler_mjx.runs.storage.episode_columns import EPISODE_SCHEMA
-from angler_mjx.runs.storage.folder import Run, partial_path
+from angler_mjx.runs.storage.folder import Run
+from angler_mjx.runs.storage.output_lock import partial_path
 from angler_mjx.runs.storage.results import OUTCOMES
 from angler_mjx.sim.state import Outcome
 from angler_mjx.testing import referee
