@@ -184,10 +184,9 @@ class Dataset:
     def _goals(self) -> Mapping[int, np.ndarray]:
         goals = {}
         for part in sorted(set(self._rows["part"].tolist())):
-            array = self.run(part).trajectories.get_array(
-                f"{trajectory_layout.ENVIRONMENT_GROUP}/goal_m"
-            )
+            stored = self.run(part).trajectories
             with wrap_read_errors(self.parts[part]):
+                array = stored.get_array(f"{trajectory_layout.ENVIRONMENT_GROUP}/goal_m")
                 goals[part] = np.asarray(array[:])
         return goals
 

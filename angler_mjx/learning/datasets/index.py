@@ -148,13 +148,14 @@ def build_rows(
 
 def _read_environments(run: Run, worlds: int) -> Iterator[dict[str, np.ndarray]]:
     """Yield the environment arrays that the index needs, some worlds at a time."""
-    group = run.trajectories.get_group(trajectory_layout.ENVIRONMENT_GROUP)
-    names = ["grid/occupied", "floor_z_m", "start_m", "goal_m", "line_free", "density"]
-    names += ["path_ratio", *(n for n in ("obstacles/p0", "obstacles/size_m") if n in group)]
-    arrays = {name: group.get_array(name) for name in names}
-    step = arrays["density"].chunks[0]
-    for first in range(0, worlds, step):
-        with wrap_read_errors(run.path):
+    stored = run.trajectories
+    with wrap_read_errors(run.path):
+        group = stored.get_group(trajectory_layout.ENVIRONMENT_GROUP)
+        names = ["grid/occupied", "floor_z_m", "start_m", "goal_m", "line_free", "density"]
+        names += ["path_ratio", *(n for n in ("obstacles/p0", "obstacles/size_m") if n in group)]
+        arrays = {name: group.get_array(name) for name in names}
+        step = arrays["density"].chunks[0]
+        for first in range(0, worlds, step):
             batch = slice(first, min(first + step, worlds))
             yield {name: np.asarray(array[batch]) for name, array in arrays.items()}
 
