@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from angler_mjx.errors import ConfigError
+from angler_mjx.errors import ConfigError, format_value
 from angler_mjx.files import FileModel, rename_keys
 from angler_mjx.runs.storage import output_lock
 from angler_mjx.runs.storage.output_lock import OutputLock
@@ -124,8 +124,13 @@ def require_same_keys(
         ConfigError: naming the first key that differs.
     """
     difference = first_changed_key(request, stored)
-    if difference is not None:
-        raise ConfigError(
-            f"--resume: was begun with another {difference} (see {path}); put the old value back, "
-            "or begin anew with --out"
-        )
+    if difference is None:
+        return
+    values = ""
+    if difference in request:  # not inside a table, which would be long
+        before, now = stored.get(difference), request[difference]
+        values = f": {format_value(before)}, not {format_value(now)}"
+    raise ConfigError(
+        f"--resume: was begun with another {difference} (see {path}{values}); put the old value "
+        "back, or begin anew with --out"
+    )
