@@ -418,7 +418,7 @@ def test_what_was_interrupted_goes_on(run, flyers, settings, tmp_path, monkeypat
         runner.run_spot_check(run.path, settings, out, told)
     other = replace(settings, source="vicon")
     with pytest.raises(
-        ConfigError, match="begun with another source .see .*: 'vision', not 'vicon'"
+        ConfigError, match=r"begun with another source .see .*: 'vision', not 'vicon'"
     ):
         runner.run_spot_check(run.path, other, out, told, resume=True)
     flyers[0] = -1
