@@ -7,13 +7,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.errors import ConfigError
 from angler_mjx.progress import Progress
 from angler_mjx.robot.vehicles import library
 from angler_mjx.runs import sizes
 from angler_mjx.runs.provenance import describe_environment, write_policy
 from angler_mjx.runs.simulator.simulator import Simulator
-from angler_mjx.runs.storage import folder, output_lock
+from angler_mjx.runs.storage import folder, results_folder
+from angler_mjx.runs.storage.atomic_files import wrap_write_errors, write_json
 from angler_mjx.runs.storage.output_lock import OutputLock
 from angler_mjx.runs.storage.plans.read import PlanFile, open_plans
 from angler_mjx.runs.storage.read_errors import read_table
@@ -43,7 +44,7 @@ def create_run_folder(
         extra_files = [("planner", file)] if (file := planner_file(simulator)) else []
         folder.write_start_files(building, resolved_scenario, describe_environment(), extra_files)
         if plans is not None:
-            folder.write_json(building / PLANS_FILE, _describe_plans(plans))
+            write_json(building / PLANS_FILE, _describe_plans(plans))
         write_policy(building, simulator.policy)
         if scenario.time.record_hz > 0:
             _create_trajectories(simulator, building / folder.TRAJECTORIES)
@@ -111,8 +112,7 @@ def require_same_scenario(path: Path, scenario: Scenario) -> None:
 
     What a run may override stands in its folder, and is not compared.
     """
-    building = output_lock.partial_path(path)
-    existing = building if (building / folder.CONFIG).is_file() else path
+    existing = results_folder.locate_folder(path)
     if not (existing / folder.CONFIG).is_file():
         return  # and `folder.reopen_folder` says that there is no run
     stored = folder.read_scenario(existing)
@@ -160,14 +160,12 @@ def repair_trajectories(simulator: Simulator, building: Path, progress: Progress
     """Put back descriptions of arrays that are missing; their tiles are then found wanting."""
     fresh = building / ".described"
     shutil.rmtree(fresh, ignore_errors=True)
+    path = building / folder.TRAJECTORIES
     try:
-        _create_trajectories(simulator, fresh)
-        for name in _repair_metadata(building / folder.TRAJECTORIES, fresh):
-            progress.report(
-                f"{building / folder.TRAJECTORIES / name}: was missing or damaged, made again"
-            )
-    except OSError as error:
-        raise RunError(f"{building}: cannot be written ({error.strerror or error})") from error
+        with wrap_write_errors(building):
+            _create_trajectories(simulator, fresh)
+            for name in _repair_metadata(path, fresh):
+                progress.report(f"{path / name}: was missing or damaged, made again")
     finally:
         shutil.rmtree(fresh, ignore_errors=True)
 

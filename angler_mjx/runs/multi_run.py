@@ -16,6 +16,7 @@ from angler_mjx.progress import Progress
 from angler_mjx.runs import rollout
 from angler_mjx.runs.processes import Processes, RunProcesses
 from angler_mjx.runs.storage import folder, output_lock, results_folder
+from angler_mjx.runs.storage.atomic_files import write_json
 from angler_mjx.runs.storage.output_lock import OutputLock
 from angler_mjx.scenario.scenario import Scenario
 
@@ -39,7 +40,7 @@ def create_folder(out: Path, kind: str, request: Mapping[str, Any]) -> OutputLoc
     """
     lock = output_lock.acquire(out, kind=kind)
     with lock.filling() as building:
-        folder.write_json(building / REQUEST_FILE, dict(request))
+        write_json(building / REQUEST_FILE, dict(request))
         (building / RUNS_FOLDER).mkdir()
     return lock
 
@@ -128,5 +129,5 @@ def run_status(path: Path) -> str:
     """Return the status of a run: whole, begun or none."""
     if (path / folder.SUMMARY).is_file() and folder.Run(path).summary.get("complete"):
         return "whole"
-    building = path if path.is_dir() and any(path.iterdir()) else output_lock.partial_path(path)
+    building = results_folder.locate_folder(path)
     return "begun" if (building / folder.CONFIG).is_file() else "none"

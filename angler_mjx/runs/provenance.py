@@ -14,6 +14,7 @@ import jax
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.runs.storage import folder
+from angler_mjx.runs.storage.atomic_files import write_json
 from angler_mjx.runs.storage.read_errors import read_table
 from angler_mjx.sim import policy as policies
 from angler_mjx.sim.policy import Policy
@@ -94,7 +95,7 @@ def _read_commit() -> str | None:
 def write_policy(building: Path, policy: Policy | None) -> None:
     """Say in a new run which policy commands its robots, if one does."""
     if policy is not None:
-        folder.write_json(building / folder.POLICY, policies.describe_policy(policy))
+        write_json(building / folder.POLICY, policies.describe_policy(policy))
 
 
 def require_policy(building: Path, policy: Policy | None) -> None:

@@ -34,6 +34,7 @@ from angler_mjx.runs.storage import (
     results,
     results_folder,
 )
+from angler_mjx.runs.storage.atomic_files import wrap_write_errors
 from angler_mjx.runs.storage.device_to_host import FinishedTile
 from angler_mjx.runs.storage.output_lock import OutputLock
 from angler_mjx.runs.storage.plans.read import PlanFile, open_plans
@@ -387,6 +388,7 @@ class _Rollout:
             "vehicle_steps_per_s": steps / max(simulate_s, 1e-9),
         }
         interrupted = any(report["interrupted"] for report in reports)
+        episode_summary = results.summarise_episodes(episodes)
         summary = {
             "scenario": self._scenario.name,
             "engine": self._scenario.engine,
@@ -398,23 +400,19 @@ class _Rollout:
             "worlds": self._scenario.worlds,
             "worlds_done": done,
             "complete": done == self._scenario.worlds and not interrupted,
-            **results.summarise_episodes(episodes),
+            **episode_summary,
             "timing": timing,
             "peak_memory_bytes": peak_memory_bytes(),
             "run": str(self._out),
         }
-        early = planning_summary.early_lines(summary["passed_goal_early"])
-        for line in (*planning_summary.reason_lines(summary["planning"]), *early):
+        early = planning_summary.early_lines(episode_summary["passed_goal_early"])
+        for line in (*planning_summary.reason_lines(episode_summary["planning"]), *early):
             self._progress.write(line)
         self._progress.write(f"{done} of {self._scenario.worlds} worlds are finished")
         self._progress.close()
-        try:
+        advice = f"all finished worlds are in {self._building}; make room and go on with --resume"
+        with wrap_write_errors(f"--out {self._out}", advice):
             folder.finish_folder(self._lock, episodes, summary)
-        except OSError as error:
-            raise RunError(
-                f"--out {self._out}: cannot be written ({error.strerror or error}); all finished "
-                f"worlds are in {self._building}; make room and go on with --resume"
-            ) from error
 
 
 class _TileWriter:

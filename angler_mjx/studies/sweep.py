@@ -25,7 +25,8 @@ from angler_mjx.runs.processes import OneProcess, Processes, reporting_failure
 from angler_mjx.runs.provenance import describe_environment
 from angler_mjx.runs.rollout import NothingKeptError
 from angler_mjx.runs.simulator.world_preparation import check_planner
-from angler_mjx.runs.storage import folder, output_lock
+from angler_mjx.runs.storage import output_lock
+from angler_mjx.runs.storage.atomic_files import write_json
 from angler_mjx.runs.storage.folder import Run
 from angler_mjx.runs.storage.output_lock import OutputLock
 from angler_mjx.runs.storage.read_errors import read_table
@@ -271,7 +272,7 @@ def _write_results(request: SweepRequest, lock: OutputLock, *, complete: bool) -
     building = lock.building
     try:
         results = _gather_results(request, building, complete=complete)
-        folder.write_json(building / SWEEP, results)
+        write_json(building / SWEEP, results)
         tables.write_parquet(results, building / TABLE)
         tables.write_page(results, building / PAGE)
         style.save_figure(chart.plot_sweep(results), building / FIGURE, palette=128)

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from angler_mjx.report.viewing import markdown_tables as markdown
 from angler_mjx.runs.storage import atomic_files, planning_summary
@@ -46,8 +45,7 @@ def write_parquet(sweep: Mapping[str, Any], path: Path) -> None:
         sweep: as ``sweep.json`` holds it.
         path: of the file.
     """
-    with atomic_files.write_atomically(path) as writing:
-        pq.write_table(build_table(sweep), writing, compression="zstd")
+    atomic_files.write_parquet(path, build_table(sweep), compression="zstd")
 
 
 def build_table(sweep: Mapping[str, Any]) -> pa.Table:

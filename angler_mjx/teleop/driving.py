@@ -12,6 +12,7 @@ from angler_mjx.errors import ConfigError, RunError, format_value
 from angler_mjx.report.viewing import replay, viewer_window
 from angler_mjx.runs.session.recording import RecordedCourse, SessionRecording
 from angler_mjx.runs.storage import folder
+from angler_mjx.runs.storage.atomic_files import wrap_write_errors
 from angler_mjx.runs.storage.folder import Run
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.teleop import live_view, opening, script
@@ -43,12 +44,9 @@ class TeleopRecording(SessionRecording):
         """
         if not driven.steps:
             return None
-        try:
-            script.save_keys(self.building / KEYS_FILE, driven.keys)
-        except OSError as error:
-            raise RunError(
-                f"{self.building / KEYS_FILE}: cannot be written ({error.strerror or error})"
-            ) from error
+        path = self.building / KEYS_FILE
+        with wrap_write_errors(path):
+            script.save_keys(path, driven.keys)
         return self.close(
             RecordedCourse(
                 steps=driven.steps,

@@ -1,6 +1,5 @@
 """Scenarios of a command line: a file, and flags that replace its keys."""
 
-from collections.abc import Mapping
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any, get_args
 
@@ -8,6 +7,7 @@ from angler_mjx.errors import ConfigError, RunError, format_value
 from angler_mjx.files import format_path
 
 if TYPE_CHECKING:
+    from angler_mjx.runs.storage.planning_summary import PlanningSummary
     from angler_mjx.scenario.scenario import Scenario
 
 
@@ -113,11 +113,11 @@ def require_positive(key: str, value: int | None) -> int | None:
     return value
 
 
-def require_plans(planning: Mapping[str, Any] | None, source: str) -> None:
+def require_plans(planning: "PlanningSummary | None", source: str) -> None:
     """Refuse to end a command as successful when its planner raised in every world.
 
     Args:
-        planning: as `angler_mjx.runs.storage.planning_summary.summarise_planning` returns it.
+        planning: of all its worlds; None where robots have a task.
         source: name of the planned scenario or file, for the message.
 
     Raises:

@@ -14,6 +14,7 @@ from angler_mjx.learning.datasets.manifest import SPLITS, Manifest
 from angler_mjx.learning.datasets.sampling import DIFFICULTIES, FAILED, is_kind
 from angler_mjx.runs.multi_run import RUNS_FOLDER
 from angler_mjx.runs.storage import atomic_files, folder, results
+from angler_mjx.runs.storage.atomic_files import write_json
 
 README, CROISSANT = "README.md", "croissant.json"
 
@@ -33,7 +34,7 @@ def write_card(root: Path, manifest: Manifest, table: pa.Table) -> None:
     """
     figures.plot_figures(root, manifest, table)
     write_readme(root, manifest, table)
-    folder.write_json(root / CROISSANT, croissant.build_metadata(root, manifest))
+    write_json(root / CROISSANT, croissant.build_metadata(root, manifest))
 
 
 def write_readme(root: Path, manifest: Manifest, table: pa.Table) -> None:

@@ -1,41 +1,22 @@
 """Checksums of a dataset's files, in a format that ``sha256sum -c`` reads."""
 
-import hashlib
-import os
-from collections.abc import Iterable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.learning.datasets.manifest import MANIFEST, SUMS, require_inside
-from angler_mjx.runs.storage import atomic_files, output_lock
+from angler_mjx.runs.storage import atomic_files
+from angler_mjx.runs.storage.checksums import hash_file, hash_files
+from angler_mjx.runs.storage.checksums import list_files as list_all_files
 
-_EXCLUDED = {SUMS, MANIFEST, output_lock.LOCK}
+_EXCLUDED = {SUMS, MANIFEST}
 """Files of the dataset's own folder without a checksum: the manifest holds that of the checksum
 file."""
 
 
 def list_files(root: Path) -> list[str]:
     """List the files that have a checksum, by their paths below a dataset's folder, sorted."""
-    paths = (path for path in root.rglob("*") if path.is_file())
-    names = (path.relative_to(root).as_posix() for path in paths)
-    return sorted(name for name in names if name not in _EXCLUDED)
-
-
-def hash_file(path: Path) -> str:
-    """Return the SHA-256 of a file, hexadecimal.
-
-    Raises:
-        OSError: the file cannot be read.
-    """
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def hash_files(root: Path, names: list[str]) -> Iterator[tuple[str, str]]:
-    """Yield names and checksums of files, in order, computed by threads of all processors."""
-    with ThreadPoolExecutor(min(os.cpu_count() or 1, 16)) as pool:
-        yield from zip(names, pool.map(lambda name: hash_file(root / name), names), strict=True)
+    return [name for name in list_all_files(root) if name not in _EXCLUDED]
 
 
 def write_checksums(root: Path) -> str:
@@ -44,9 +25,7 @@ def write_checksums(root: Path) -> str:
     Raises:
         OSError: writing failed.
     """
-    lines = [f"{digest}  {name}\n" for name, digest in hash_files(root, list_files(root))]
-    atomic_files.write_text(root / SUMS, "".join(lines))
-    return hash_file(root / SUMS)
+    return _write_digests(root, dict(hash_files(root, list_files(root))))
 
 
 def update_checksums(root: Path, digests: Mapping[str, str], names: Iterable[str]) -> str:
@@ -63,8 +42,11 @@ def update_checksums(root: Path, digests: Mapping[str, str], names: Iterable[str
     Raises:
         OSError: reading or writing failed.
     """
-    updated = {**digests, **{name: hash_file(root / name) for name in names}}
-    lines = [f"{digest}  {name}\n" for name, digest in sorted(updated.items())]
+    return _write_digests(root, {**digests, **dict(hash_files(root, list(names)))})
+
+
+def _write_digests(root: Path, digests: Mapping[str, str]) -> str:
+    lines = [f"{digest}  {name}\n" for name, digest in sorted(digests.items())]
     atomic_files.write_text(root / SUMS, "".join(lines))
     return hash_file(root / SUMS)
 

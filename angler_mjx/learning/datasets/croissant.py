@@ -5,9 +5,9 @@ from typing import Any
 
 import pyarrow as pa
 
-from angler_mjx.learning.datasets import checksums
 from angler_mjx.learning.datasets.index import SCHEMA
 from angler_mjx.learning.datasets.manifest import INDEX, SUMS, Manifest
+from angler_mjx.runs.storage.checksums import hash_file
 
 _CONTEXT: dict[str, Any] = {
     "@language": "en",
@@ -85,7 +85,7 @@ def build_metadata(root: Path, manifest: Manifest) -> dict[str, Any]:
                 "description": "A row an episode.",
                 "contentUrl": INDEX,
                 "encodingFormat": "application/x-parquet",
-                "sha256": checksums.hash_file(root / INDEX),
+                "sha256": hash_file(root / INDEX),
             },
             {
                 "@type": "cr:FileSet",

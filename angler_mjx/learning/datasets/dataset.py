@@ -3,12 +3,11 @@
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import zarr
 
 from angler_mjx.errors import ConfigError, UnsupportedError, format_value
 from angler_mjx.learning.datasets import index, manifest
@@ -18,8 +17,11 @@ from angler_mjx.learning.datasets.statistics import Statistics, compute_statisti
 from angler_mjx.learning.datasets.stored import StoredArray
 from angler_mjx.learning.datasets.windows import Windows
 from angler_mjx.robot.vehicles import library
-from angler_mjx.runs.storage import folder, trajectory_layout
+from angler_mjx.runs.storage import environments, folder, trajectory_layout
 from angler_mjx.runs.storage.read_errors import wrap_read_errors
+
+if TYPE_CHECKING:
+    import xarray
 
 FIELDS = ("p_m", "q", "nu", "target_m", "current_mps", "pwm_us", "obstacle_p_m")
 """Arrays that are read by default."""
@@ -52,7 +54,7 @@ class Dataset:
             for name in ("part", "world", "samples", "robots")
         }
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __getstate__(self) -> dict[str, object]:
         """Return the state for another process; it opens runs anew."""
         return {**self.__dict__, "_runs": {}, "_environment_cache": ((-1, -1), {})}
 
@@ -162,12 +164,12 @@ class Dataset:
         first = world - world % tile
         if self._environment_cache[0] != (part, first):
             run = self.run(part)
-            group: Any = run.trajectories[trajectory_layout.ENVIRONMENT_GROUP]
+            group = run.trajectories.get_group(trajectory_layout.ENVIRONMENT_GROUP)
             with wrap_read_errors(run.path):
                 arrays = {
-                    name: np.asarray(node[first : first + tile])
-                    for name, node in group.members(max_depth=None)
-                    if isinstance(node, zarr.Array) and node.ndim
+                    name: np.asarray(array[first : first + tile])
+                    for name, array in environments.list_arrays(group).items()
+                    if array.ndim
                 }
             self._environment_cache = (part, first), arrays
         return {name: values[world - first] for name, values in self._environment_cache[1].items()}
@@ -182,9 +184,10 @@ class Dataset:
     def _goals(self) -> Mapping[int, np.ndarray]:
         goals = {}
         for part in sorted(set(self._rows["part"].tolist())):
-            group: Any = self.run(part).trajectories
+            stored = self.run(part).trajectories
             with wrap_read_errors(self.parts[part]):
-                goals[part] = np.asarray(group[f"{trajectory_layout.ENVIRONMENT_GROUP}/goal_m"][:])
+                array = stored.get_array(f"{trajectory_layout.ENVIRONMENT_GROUP}/goal_m")
+                goals[part] = np.asarray(array[:])
         return goals
 
     def windows(
@@ -252,7 +255,7 @@ class Dataset:
         """
         return compute_statistics(self, max_episodes, vehicle)
 
-    def xarray(self, part: int = 0) -> Any:
+    def xarray(self, part: int = 0) -> "xarray.Dataset":
         """Return trajectories of a part as an `xarray.Dataset`, read on access.
 
         Raises:
@@ -262,7 +265,9 @@ class Dataset:
             import xarray
         except ImportError as error:
             raise UnsupportedError("xarray is not installed: pip install xarray") from error
-        return xarray.open_zarr(self.parts[part] / folder.TRAJECTORIES, consolidated=False)
+        path = self.parts[part] / folder.TRAJECTORIES
+        opened: xarray.Dataset = xarray.open_zarr(path, consolidated=False)
+        return opened
 
 
 def open_dataset(

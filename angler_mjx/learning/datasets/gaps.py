@@ -7,7 +7,7 @@ from pydantic import Field
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import FileModel, parse_model, read_json
-from angler_mjx.runs.storage import folder
+from angler_mjx.runs.storage.atomic_files import write_json
 
 SPOT_CHECK_FILE = "spotcheck.json"
 
@@ -89,7 +89,7 @@ def write_spot_check(root: Path, spot_check: SpotCheck) -> None:
     Raises:
         OSError: writing failed.
     """
-    folder.write_json(root / SPOT_CHECK_FILE, spot_check.model_dump(mode="json"))
+    write_json(root / SPOT_CHECK_FILE, spot_check.model_dump(mode="json"))
 
 
 def format_spot_check(spot_check: SpotCheck | None) -> list[str]:

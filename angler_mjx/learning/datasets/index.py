@@ -3,7 +3,6 @@
 import hashlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -76,7 +75,7 @@ ROUNDING_M = 1e-3
 
 
 def build_rows(
-    root: Path, part: int, entry: Mapping[str, Any], fractions: SplitConfig, first: int
+    root: Path, part: int, entry: Mapping[str, str | None], fractions: SplitConfig, first: int
 ) -> pa.Table:
     """Return the rows of a part, all of them chosen.
 
@@ -104,7 +103,7 @@ def build_rows(
         by_world("outcome") == "reached", by_world("time_to_goal_s"), by_world("failure_time_s")
     ).max(axis=1)
     environments = [_describe_environments(batch) for batch in _read_environments(run, len(world))]
-    hashes = [digest for batch in environments for digest in batch["environment"]]
+    hashes = [str(digest) for batch in environments for digest in batch["environment"]]
     environment_columns = {
         name: np.concatenate([batch[name] for batch in environments])
         for name in ("density", "path_ratio", "free_lines", "crossings")
@@ -115,11 +114,10 @@ def build_rows(
     information = scenario.planner.information
     if policy.name != "none" and policy.information is not None:
         information = policy.information
-    stored: Any = run.trajectories
-    max_samples = stored["p_m"].shape[1]
+    max_samples = run.trajectories.get_array("p_m").shape[1]
     split = entry["split"]
     count = len(world)
-    columns: dict[str, Any] = {
+    columns = {
         "episode": np.arange(first, first + count),
         "part": np.full(count, part, np.int32),
         "world": world,
@@ -150,18 +148,19 @@ def build_rows(
 
 def _read_environments(run: Run, worlds: int) -> Iterator[dict[str, np.ndarray]]:
     """Yield the environment arrays that the index needs, some worlds at a time."""
-    group: Any = run.trajectories[trajectory_layout.ENVIRONMENT_GROUP]
-    names = ["grid/occupied", "floor_z_m", "start_m", "goal_m", "line_free", "density"]
-    names += ["path_ratio", *(n for n in ("obstacles/p0", "obstacles/size_m") if n in group)]
-    arrays = {name: group[name] for name in names}
-    step = arrays["density"].chunks[0]
-    for first in range(0, worlds, step):
-        with wrap_read_errors(run.path):
+    stored = run.trajectories
+    with wrap_read_errors(run.path):
+        group = stored.get_group(trajectory_layout.ENVIRONMENT_GROUP)
+        names = ["grid/occupied", "floor_z_m", "start_m", "goal_m", "line_free", "density"]
+        names += ["path_ratio", *(n for n in ("obstacles/p0", "obstacles/size_m") if n in group)]
+        arrays = {name: group.get_array(name) for name in names}
+        step = arrays["density"].chunks[0]
+        for first in range(0, worlds, step):
             batch = slice(first, min(first + step, worlds))
             yield {name: np.asarray(array[batch]) for name, array in arrays.items()}
 
 
-def _describe_environments(environments: Mapping[str, np.ndarray]) -> dict[str, Any]:
+def _describe_environments(environments: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Return the index columns of some worlds: hashes and difficulty."""
     rest = [
         environments[name] for name in sorted(environments) if name not in ("density", "path_ratio")
@@ -171,7 +170,7 @@ def _describe_environments(environments: Mapping[str, np.ndarray]) -> dict[str, 
         for i, rock in enumerate(environments["grid/occupied"])
     ]
     return {
-        "environment": hashes,
+        "environment": np.array(hashes),
         "density": environments["density"],
         "path_ratio": environments["path_ratio"].mean(axis=1),
         "free_lines": environments["line_free"].sum(axis=1),
@@ -305,8 +304,7 @@ def write_index(root: Path, table: pa.Table) -> None:
     Raises:
         OSError: writing failed.
     """
-    with atomic_files.write_atomically(root / INDEX) as writing:
-        pq.write_table(table, writing, compression="zstd", write_page_checksum=True)
+    atomic_files.write_parquet(root / INDEX, table, compression="zstd", page_checksums=True)
 
 
 def read_index(root: Path) -> pa.Table:

@@ -5,7 +5,7 @@ folders; ``sha256sums.txt``, which ``sha256sum -c`` reads; ``README.md`` and ``c
 made of these.
 """
 
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
@@ -13,7 +13,8 @@ from pydantic import Field, model_validator
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import FileModel, parse_model, read_json
 from angler_mjx.learning.datasets.sampling import SampleConfig
-from angler_mjx.runs.storage import folder
+from angler_mjx.runs.storage.atomic_files import write_json
+from angler_mjx.runs.storage.checksums import is_inside
 
 SCHEMA_VERSION = 1
 MANIFEST, INDEX, SUMS = "dataset.json", "index.parquet", "sha256sums.txt"
@@ -99,8 +100,7 @@ def require_inside(path: str) -> None:
     Raises:
         ValueError: the path leaves the folder.
     """
-    pure = PurePosixPath(path)
-    if pure.is_absolute() or ".." in pure.parts or not pure.parts or "\\" in path:
+    if not is_inside(path) or "\\" in path:
         raise ValueError(f"path {path!r} leaves the dataset's folder")
 
 
@@ -133,4 +133,4 @@ def write_manifest(root: Path, manifest: Manifest) -> None:
     Raises:
         OSError: writing failed.
     """
-    folder.write_json(root / MANIFEST, manifest.model_dump(mode="json"))
+    write_json(root / MANIFEST, manifest.model_dump(mode="json"))

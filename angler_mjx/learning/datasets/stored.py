@@ -8,18 +8,17 @@ import json
 import mmap
 import threading
 from collections import OrderedDict
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import google_crc32c
 import numpy as np
 import zarr
 from numcodecs import blosc
+from zarr.types import ArrayV3
 
-from angler_mjx.errors import ConfigError
-from angler_mjx.runs.storage.read_errors import DEFAULT_ADVICE, wrap_read_errors
-from angler_mjx.runs.storage.shards import ABSENT
+from angler_mjx.runs.storage import shards
+from angler_mjx.runs.storage.read_errors import wrap_read_errors
 
 MAX_SHARDS = 64
 """Maximum number of open files of an array."""
@@ -33,11 +32,11 @@ class _ArrayFormat:
     """Format of an array, from ``zarr.json``."""
 
     shape: tuple[int, ...]
-    dtype: np.dtype[Any]
+    dtype: np.dtype
     fill: float
     shard: int
     """Number of worlds in a file."""
-    stored: np.dtype[Any]
+    stored: np.dtype
     """Type of the compressed values."""
     per_unit: np.float32 | None
     """Number of steps in one unit; None where values are stored as they are."""
@@ -62,13 +61,11 @@ class StoredArray:
         self.path = path
         with wrap_read_errors(path / "zarr.json"):
             metadata = json.loads((path / "zarr.json").read_text(encoding="utf-8"))
-            self._form = _parse_format(metadata)
-            self._zarr: Any = None
-            if self._form is None:
-                self._zarr = zarr.open_array(path, mode="r")
-        source = self._zarr if self._form is None else self._form
-        self.shape: tuple[int, ...] = tuple(source.shape)
-        self.dtype: np.dtype[Any] = np.dtype(source.dtype)
+            self._form: _ArrayFormat | ArrayV3 = _parse_format(metadata) or zarr.open_array(
+                path, mode="r"
+            )
+        self.shape: tuple[int, ...] = tuple(self._form.shape)
+        self.dtype: np.dtype = np.dtype(self._form.dtype)
         self._init_cache()
 
     def _init_cache(self) -> None:
@@ -76,12 +73,12 @@ class StoredArray:
         self._files: OrderedDict[int, tuple[mmap.mmap, np.ndarray]] = OrderedDict()
         self._thread_cache = threading.local()
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __getstate__(self) -> dict[str, object]:
         """Return the state for another process, where files are opened anew."""
         left_out = ("_lock", "_files", "_thread_cache")
         return {key: value for key, value in self.__dict__.items() if key not in left_out}
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
+    def __setstate__(self, state: dict[str, object]) -> None:
         """Restore the state in another process."""
         self.__dict__.update(state)
         self._init_cache()
@@ -102,12 +99,12 @@ class StoredArray:
         """
         if not 0 <= world < self.shape[0]:
             raise IndexError(f"{self.path}: world {world} of {self.shape[0]}")
-        if self._form is None:
-            with wrap_read_errors(self.path):
-                whole: np.ndarray = np.asarray(self._zarr[world])
-                return whole if times is None else whole[times]
-        chunk = self._read_chunk(self._form, world)
         form = self._form
+        if isinstance(form, zarr.Array):
+            with wrap_read_errors(self.path):
+                whole: np.ndarray = np.asarray(form[world])
+                return whole if times is None else whole[times]
+        chunk = self._read_chunk(form, world)
         if form.per_unit is None:
             return chunk if times is None else chunk[times]
         part = chunk if times is None else chunk[..., times]
@@ -158,7 +155,7 @@ class StoredArray:
                 self._files.move_to_end(number)
         file, index = shard
         offset, length = index[at]
-        if offset == ABSENT:
+        if offset == shards.ABSENT:
             return None
         return file[int(offset) : int(offset + length)]
 
@@ -168,23 +165,12 @@ class StoredArray:
         Raises:
             ConfigError: the shard is missing, truncated, or its index is damaged.
         """
-        path = self.path / "c" / "/".join([str(number), *"0" * (len(form.shape) - 1)])
+        path = shards.locate_shard(self.path, number, len(form.shape))
         with wrap_read_errors(path):
             with path.open("rb") as opened:
                 file = mmap.mmap(opened.fileno(), 0, access=mmap.ACCESS_READ)
-            tail = file[-(16 * form.shard + 4) :]
-            if len(tail) != 16 * form.shard + 4 or google_crc32c.value(tail[:-4]) != int.from_bytes(
-                tail[-4:], "little"
-            ):
-                raise ConfigError(
-                    f"{path}: was truncated or damaged (its index is wrong); {DEFAULT_ADVICE}"
-                )
-            index = np.frombuffer(tail[:-4], "<u8").reshape(form.shard, 2)
-            present = index[index[:, 0] != ABSENT]
-            if len(present) and int(present.sum(axis=1).max()) > len(file) - len(tail):
-                raise ConfigError(
-                    f"{path}: was cut or damaged (chunks lie beyond it); {DEFAULT_ADVICE}"
-                )
+            tail = file[-shards.index_bytes(form.shard) :]
+            index = shards.read_index(tail, shard=form.shard, file_bytes=len(file))
         return file, index
 
 
@@ -196,25 +182,27 @@ def _parse_format(metadata: dict[str, Any]) -> _ArrayFormat | None:
         names = [codec["name"] for codec in inner]
         shape = tuple(metadata["shape"])
         chunk = tuple(outer["configuration"]["chunk_shape"])
-        shards = tuple(metadata["chunk_grid"]["configuration"]["chunk_shape"])
+        shard_shape = tuple(metadata["chunk_grid"]["configuration"]["chunk_shape"])
         is_native = (
             outer["name"] == "sharding_indexed"
             and outer["configuration"].get("index_location", "end") == "end"
             and chunk == (1, *shape[1:])
-            and shards[1:] == shape[1:]
+            and shard_shape[1:] == shape[1:]
             and metadata["chunk_key_encoding"]["configuration"]["separator"] == "/"
             and names[-2:] == ["bytes", "blosc"]
             and inner[-2].get("configuration", {}).get("endian", "little") == "little"
         )
         dtype = np.dtype(metadata["data_type"])
-        common: dict[str, Any] = {
-            "shape": shape,
-            "dtype": dtype,
-            "fill": float(metadata["fill_value"]),
-            "shard": int(shards[0]),
-        }
+        exact = _ArrayFormat(
+            shape=shape,
+            dtype=dtype,
+            fill=float(metadata["fill_value"]),
+            shard=int(shard_shape[0]),
+            stored=dtype,
+            per_unit=None,
+        )
         if is_native and len(names) == 2:
-            return _ArrayFormat(**common, stored=dtype, per_unit=None)
+            return exact
         if not is_native or names[:3] != ["transpose", "scale_offset", "cast_value"]:
             return None
         order, scale, cast = (codec.get("configuration", {}) for codec in inner[:3])
@@ -230,8 +218,8 @@ def _parse_format(metadata: dict[str, Any]) -> _ArrayFormat | None:
         return None
     if not is_supported:
         return None
-    return _ArrayFormat(
-        **common,
+    return replace(
+        exact,
         stored=np.dtype(cast["data_type"]),
         per_unit=np.float32(scale.get("scale", 1)),
         missing=int(stands_for["NaN"]),

@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from PIL import Image
 
-from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.errors import ConfigError
 from angler_mjx.files import format_path
-from angler_mjx.runs.storage.atomic_files import write_atomically
+from angler_mjx.runs.storage.atomic_files import wrap_write_errors, write_atomically
 
 INK, QUIET, FAINT, PAPER = "#1b2733", "#5d6b78", "#c9d1d8", "#ffffff"
 WATER = "#eef5f8"
@@ -150,13 +150,11 @@ def save_figure(figure: Figure, path: Path, *, palette: int | None = None) -> Pa
             f"{path}: a figure cannot be written as {path.suffix or 'a name without ending'}; "
             "give a name that ends in .png, .svg or .pdf"
         )
-    try:
+    with wrap_write_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         with write_atomically(path) as writing:
             figure.savefig(writing, dpi=160)
             if palette is not None:
                 with Image.open(writing) as image:
                     image.convert("RGB").quantize(palette).save(writing, optimize=True)
-    except OSError as error:
-        raise RunError(f"{path}: cannot be written ({error.strerror or error})") from error
     return path

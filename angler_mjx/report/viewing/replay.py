@@ -5,7 +5,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING
 
-from angler_mjx.errors import RunError, UnsupportedError
+from angler_mjx.errors import UnsupportedError
 from angler_mjx.report.plotting import scene
 from angler_mjx.report.viewing import viewer_window
 from angler_mjx.report.viewing.maps import world_map
@@ -45,15 +45,12 @@ def write_replay(run: Run, worlds: Sequence[int] | None = None, out: Path | None
     scenes = [scene.read_scene(run, world) for world in chosen]
     path = run.path / REPLAY if out is None else out
     recording = rr.RecordingStream("angler_mjx", recording_id=_recording_id(run))
-    try:
-        with replace_file(path, flag="--out", force=True) as writing:
-            recording.save(writing)
-            viewer_window.activate_blueprint(recording, _build_blueprint(scenes))
-            _log_scenes(recording, scenes)
-            recording.flush()
-            recording.disconnect()
-    except OSError as error:
-        raise RunError(f"{path}: cannot be written ({error.strerror or error})") from error
+    with replace_file(path, flag="--out", force=True) as writing:
+        recording.save(writing)
+        viewer_window.activate_blueprint(recording, _build_blueprint(scenes))
+        _log_scenes(recording, scenes)
+        recording.flush()
+        recording.disconnect()
     return path
 
 

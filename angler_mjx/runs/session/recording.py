@@ -20,6 +20,7 @@ from angler_mjx.runs.session.batch_session import SessionInternals
 from angler_mjx.runs.session.interface import Floats, Observation
 from angler_mjx.runs.storage import device_to_host, folder, results
 from angler_mjx.runs.storage import input_copies as copies
+from angler_mjx.runs.storage.atomic_files import wrap_write_errors, write_json
 from angler_mjx.runs.storage.device_to_host import FinishedTile
 from angler_mjx.runs.storage.output_lock import OutputLock
 from angler_mjx.runs.storage.recorder import Recorder, TrajectoryShape
@@ -170,29 +171,29 @@ class SessionRecording:
         if self._lock is None or not self._samples:
             return None
         lock, self._lock = self._lock, None
-        building = lock.building
+        advice = f"the unfinished recording is in {lock.building}"
         try:
-            internals = self._session.inside()
-            tile = self._build_tile(internals)
-            scenario = self._resolved_scenario(internals)
-            folder.write_json(building / folder.CONFIG, scenario.model_dump(mode="json"))
-            folder.write_json(building / folder.ENVIRONMENT, describe_environment())
-            self._write_trajectories(building, tile)
-            episodes = results.episode_table(
-                device_to_host.build_tile_result(tile), internals.simulator.labels(), scenario.seed
-            )
-            summary = {
-                **self._build_summary(scenario, course),
-                **results.summarise_episodes(episodes),
-            }
-            return folder.finish_folder(lock, episodes, summary)
-        except OSError as error:
-            raise RunError(
-                f"--out {self._out}: cannot be written ({error.strerror or error}); the "
-                f"unfinished recording is in {building}"
-            ) from error
+            with wrap_write_errors(f"--out {self._out}", advice):
+                return self._write_run(lock, course)
         finally:
             lock.release()
+
+    def _write_run(self, lock: OutputLock, course: RecordedCourse) -> folder.Run:
+        """Write the files of the run, and give its folder its name."""
+        building, internals = lock.building, self._session.inside()
+        tile = self._build_tile(internals)
+        scenario = self._resolved_scenario(internals)
+        write_json(building / folder.CONFIG, scenario.model_dump(mode="json"))
+        write_json(building / folder.ENVIRONMENT, describe_environment())
+        self._write_trajectories(building, tile)
+        episodes = results.episode_table(
+            device_to_host.build_tile_result(tile), internals.simulator.labels(), scenario.seed
+        )
+        summary = {
+            **self._build_summary(scenario, course),
+            **results.summarise_episodes(episodes),
+        }
+        return folder.finish_folder(lock, episodes, summary)
 
     def _build_tile(self, internals: SessionInternals) -> FinishedTile:
         """Build the world as the tile of a run, its samples joined to [1, n, ...]."""

@@ -6,7 +6,8 @@ meaning says otherwise.
 """
 
 from dataclasses import dataclass
-from typing import Any
+
+from zarr.types import JSON
 
 HALF_SIZE = (
     "sphere: radius, 0, 0; box: half edges along its own x, y, z; capsule: radius, half length of "
@@ -26,7 +27,7 @@ class ArrayMetadata:
     unit: str
     text: str
 
-    def attributes(self) -> dict[str, Any]:
+    def attributes(self) -> dict[str, JSON]:
         """Return the attributes as stored in the file."""
         return {"unit": self.unit, "description": self.text}
 

@@ -1,11 +1,34 @@
 """Files that are whole or absent, also after a power failure."""
 
+import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from angler_mjx.errors import ConfigError, RunError
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+
+@contextmanager
+def wrap_write_errors(label: object, advice: str = "") -> Iterator[None]:
+    """Write files inside; a failure of the disk becomes one message.
+
+    Args:
+        label: what is written, for the message.
+        advice: what is kept, and what a person can do about it.
+
+    Raises:
+        RunError: an `OSError` was raised inside.
+    """
+    try:
+        yield
+    except OSError as error:
+        reason, remedy = error.strerror or error, f"; {advice}" if advice else ""
+        raise RunError(f"{label}: cannot be written ({reason}){remedy}") from error
 
 
 def require_free(path: Path, *, flag: str, force: bool = False) -> None:
@@ -65,11 +88,8 @@ def replace_file(path: Path, *, flag: str, force: bool = False) -> Iterator[Path
         path.with_name(f".unfinished.{path.name}").touch()
     except OSError as error:
         raise ConfigError(f"{flag} {path}: cannot be written ({error.strerror})") from error
-    try:
-        with write_atomically(path) as writing:
-            yield writing
-    except OSError as error:
-        raise RunError(f"{flag} {path}: cannot be written ({error.strerror or error})") from error
+    with wrap_write_errors(f"{flag} {path}"), write_atomically(path) as writing:
+        yield writing
 
 
 def write_text(path: Path, text: str) -> None:
@@ -80,6 +100,46 @@ def write_text(path: Path, text: str) -> None:
     """
     with write_atomically(path) as writing:
         writing.write_text(text, encoding="utf-8")
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    """Write a file whole or not at all.
+
+    Raises:
+        OSError: the disk gave out.
+    """
+    with write_atomically(path) as writing:
+        writing.write_bytes(data)
+
+
+def write_json(path: Path, table: Mapping[str, object], *, indent: int = 2) -> None:
+    """Write a table as indented JSON, whole or not at all.
+
+    Raises:
+        OSError: the disk gave out.
+        ValueError: the table holds NaN or inf.
+    """
+    write_text(path, json.dumps(table, indent=indent, allow_nan=False) + "\n")
+
+
+def write_parquet(
+    path: Path, table: "pa.Table", *, compression: str = "snappy", page_checksums: bool = False
+) -> None:
+    """Write a table as Parquet, whole or not at all.
+
+    Args:
+        path: of the file.
+        table: its rows.
+        compression: codec of all columns.
+        page_checksums: whether readers can detect damaged pages.
+
+    Raises:
+        OSError: the disk gave out.
+    """
+    import pyarrow.parquet as pq  # takes 0.1 s, which commands without tables need not spend
+
+    with write_atomically(path) as writing:
+        pq.write_table(table, writing, compression=compression, write_page_checksum=page_checksums)
 
 
 def sync_path(path: Path) -> None:

@@ -3,10 +3,10 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
 
 import jax
 import numpy as np
+from numpy.typing import ArrayLike
 
 from angler_mjx.errors import RunError
 from angler_mjx.runs.simulator.host_planning import PlanNotes
@@ -132,9 +132,7 @@ def last_state_from(following: Sample, step: int) -> LastState:
         following: samples of the next segment; [tile, n] leads.
         step: control steps taken until its first one.
     """
-    first: dict[str, Any] = {
-        field.path[-1]: np.asarray(field.of(following))[:, 0] for field in STATE_FIELDS
-    }
+    first = {field.path[-1]: np.asarray(field.of(following))[:, 0] for field in STATE_FIELDS}
     return LastState(step=np.full(len(first["p"]), step, np.int32), **first)  # type: ignore[arg-type]
 
 
@@ -198,7 +196,7 @@ def _task_arrays(tile: FinishedTile) -> TileArrays:
     world, state = tile.constants.task, tile.end.task
     if world is None or state is None:
         return {}
-    task_arrays = {
+    task_arrays: dict[str, jax.Array | np.ndarray] = {
         "place_m": world.position_m,
         "exists": np.asarray(world.exists).astype(np.uint8),
         "by": np.asarray(state.by).astype(np.int16),
@@ -251,7 +249,7 @@ def _join_parts(parts: list[np.ndarray], samples: int, worlds: slice) -> np.ndar
     return joined
 
 
-def _select_rows(values: Any, worlds: slice) -> np.ndarray:
+def _select_rows(values: ArrayLike, worlds: slice) -> np.ndarray:
     return np.asarray(values)[worlds]
 
 

@@ -13,9 +13,12 @@ from typing import Any
 import jax
 import numpy as np
 import zarr
+from jax.tree_util import keystr
 from zarr.codecs import BloscCodec
+from zarr.types import ArrayV3
 
 from angler_mjx.errors import ConfigError
+from angler_mjx.planning.problem import Problem
 from angler_mjx.runs.storage import array_metadata, input_copies, results_folder
 from angler_mjx.runs.storage.read_errors import wrap_read_errors
 from angler_mjx.world import currents, ocean
@@ -125,7 +128,7 @@ def write_batch(group: zarr.Group, first: int, environment: Environment) -> None
         environment: batch of worlds.
     """
     for name, leaf in named_leaves(environment).items():
-        array: Any = group[name]
+        array = group.get_array(name)
         last = min(first + leaf.shape[0], array.shape[0])
         array[first:last] = np.asarray(leaf)[: last - first]
 
@@ -144,20 +147,24 @@ def read_environments(group: zarr.Group, index: int | slice) -> Environment:
         return _read_group(group, index)
 
 
-def check_arrays(nodes: Mapping[str, Any], path: Path) -> None:
+def list_arrays(group: zarr.Group) -> dict[str, ArrayV3]:
+    """Return the arrays of a group and of the groups in it, by name."""
+    nodes = group.members(max_depth=None)
+    return {name: node for name, node in nodes if isinstance(node, zarr.Array)}
+
+
+def check_arrays(arrays: Mapping[str, ArrayV3], path: Path) -> None:
     """Refuse a group whose arrays do not fit together, before anything of them is read.
 
     Args:
-        nodes: of the group, by their names.
+        arrays: of the group, by their names.
         path: it lies, for messages.
 
     Raises:
         ConfigError: naming the array.
     """
     sizes = {"xyz": 3, "wxyz": 4, "uvwpqr": 6}
-    for name, array in nodes.items():
-        if not isinstance(array, zarr.Array):
-            continue
+    for name, array in arrays.items():
         dims = ("world", *_array_dims(name, array.ndim - 1))
         # Other dimensions are an array's own.
         keys = [dim if dim in _SHARED else f"{name} {dim}" for dim in dims]
@@ -221,8 +228,8 @@ def _load_field(group: zarr.Group, metadata: dict[str, str | None]) -> ocean.Oce
     """Load the field of the worlds' current, from the run's copy of its file or the file."""
     group_path, source = _group_path(group), str(metadata["file"])
     # Those of a run lie in its trajectories.
-    copies = input_copies.ocean_stand_ins(group_path.parent.parent) if group.path else {}
-    field = ocean.load_field(copies.get(source, source), metadata)
+    copies = input_copies.stand_ins(group_path.parent.parent) if group.path else {}
+    field = ocean.load_field(copies.get((input_copies.OCEAN, source), source), metadata)
     if field.digest != metadata["digest"]:
         raise ConfigError(
             f"{source}: is not the file that these worlds were made with; put that one back"
@@ -289,20 +296,16 @@ def open_environments(path: Path) -> zarr.Group:
         path, "give a file of angler env make, or a run folder with trajectories"
     ):
         group = zarr.open_group(path, mode="r")
-        attributes: Any = dict(group.attrs)
+        attributes = dict(group.attrs)
     version = attributes.get("schema_version")
     if attributes.get("schema") != "angler_mjx environment" or version != SCHEMA_VERSION:
         raise ConfigError(f"{path}: holds no environments of schema version {SCHEMA_VERSION}")
     with wrap_read_errors(path):
-        check_arrays(dict(group.members(max_depth=None)), path)
+        check_arrays(list_arrays(group), path)
     return group
 
 
-def named_leaves(tree: Any) -> dict[str, Any]:
-    """Return the arrays of an environment, or another dataclass, by their names in a group."""
+def named_leaves(tree: Environment | Problem) -> dict[str, jax.Array]:
+    """Return the arrays of environments or problems by their names in a group."""
     named = jax.tree_util.tree_flatten_with_path(tree)[0]
-    return {"/".join(_key_name(step) for step in path): leaf for path, leaf in named}
-
-
-def _key_name(step: Any) -> str:
-    return str(step.idx) if isinstance(step, jax.tree_util.SequenceKey) else str(step.name)
+    return {keystr(path, simple=True, separator="/"): leaf for path, leaf in named}

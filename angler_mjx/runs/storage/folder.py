@@ -8,9 +8,8 @@ a run goes on, the folder is hidden (``.NAME.partial``) and ``parts/`` holds the
 finished tiles.
 """
 
-import json
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
@@ -32,7 +31,8 @@ from angler_mjx.runs.storage import (
     results_folder,
     trajectory_layout,
 )
-from angler_mjx.runs.storage.output_lock import OutputLock, partial_path
+from angler_mjx.runs.storage.atomic_files import write_json
+from angler_mjx.runs.storage.output_lock import OutputLock
 from angler_mjx.runs.storage.read_errors import read_table, wrap_read_errors
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim import fleet
@@ -95,9 +95,9 @@ class Run:
             raise ConfigError(f"{self.path}: this run stored no trajectories (record_hz = 0)")
         with wrap_read_errors(path):
             group = zarr.open_group(path, mode="r")
-            nodes = dict(group.members(max_depth=None))
+            arrays = environments.list_arrays(group)
             trajectory_layout.check_layout(
-                nodes,
+                arrays,
                 str(path),
                 worlds=scenario.worlds,
                 robots=len(scenario.members()),
@@ -107,7 +107,7 @@ class Run:
             )
             inside = f"{trajectory_layout.ENVIRONMENT_GROUP}/"
             environments.check_arrays(
-                {n.removeprefix(inside): node for n, node in nodes.items() if n.startswith(inside)},
+                {n.removeprefix(inside): x for n, x in arrays.items() if n.startswith(inside)},
                 path / trajectory_layout.ENVIRONMENT_GROUP,
             )
         return group
@@ -125,19 +125,8 @@ def read_scenario(path: Path) -> Scenario:
     """
     source = path / CONFIG
     table = read_table(source)
-    replacements = input_copies.vehicle_stand_ins(path)
     with wrap_read_errors(source):
-        for entry in table["fleet"]:
-            entry["vehicle"] = replacements.get(entry["vehicle"], entry["vehicle"])
-        input_copies.replace_ocean_files(table["world"], input_copies.ocean_stand_ins(path))
-        if "name" in table.get("planner", {}):
-            name = input_copies.class_stand_in(path, table["planner"]["name"])
-            table["planner"]["name"] = name
-        controller = table.get("controller", {})
-        if controller.get("stages"):
-            controller["stages"] = [
-                input_copies.class_stand_in(path, name) for name in controller["stages"]
-            ]
+        input_copies.use_stand_ins(table, path)
     return parse_model(Scenario, table, source=str(source))
 
 
@@ -183,7 +172,7 @@ def create_folder(out: Path) -> OutputLock:
 def write_start_files(
     building: Path,
     scenario: Scenario,
-    environment: dict[str, Any],
+    environment: Mapping[str, object],
     extra_files: list[tuple[str, Path]] | None = None,
 ) -> None:
     """Write what is known before the first step.
@@ -235,7 +224,7 @@ def reopen_folder(out: Path, report: Callable[[str], None]) -> OutputLock:
 
 def _is_complete(out: Path) -> bool:
     """Return whether a run is complete; refuse a scene that broke off, which cannot go on."""
-    if partial_path(out).exists() or not (out / SUMMARY).is_file():
+    if not (out / SUMMARY).is_file():
         return False
     summary = Run(out).summary
     if summary.get("complete") is not True and "interrupted" in summary:
@@ -299,8 +288,7 @@ def write_part(building: Path, first_world: int, episodes: pa.Table) -> None:
 
 def write_episodes(path: Path, episodes: pa.Table) -> None:
     """Write rows with checksums, whole or not at all."""
-    with atomic_files.write_atomically(path) as writing:
-        pq.write_table(episodes, writing, write_page_checksum=True)
+    atomic_files.write_parquet(path, episodes, page_checksums=True)
 
 
 def holds_results(building: Path) -> bool:
@@ -309,7 +297,7 @@ def holds_results(building: Path) -> bool:
     return (building / EPISODES).exists() or (parts.is_dir() and any(parts.iterdir()))
 
 
-def finish_folder(lock: OutputLock, episodes: pa.Table, summary: dict[str, Any]) -> Run:
+def finish_folder(lock: OutputLock, episodes: pa.Table, summary: Mapping[str, object]) -> Run:
     """Close the run: results in place, the folder under its own name, parts gone.
 
     Raises:
@@ -321,11 +309,6 @@ def finish_folder(lock: OutputLock, episodes: pa.Table, summary: dict[str, Any])
     lock.publish()
     shutil.rmtree(lock.out / PARTS, ignore_errors=True)
     return Run(lock.out)
-
-
-def write_json(path: Path, table: dict[str, Any]) -> None:
-    """Write a table as indented JSON, whole or not at all."""
-    atomic_files.write_text(path, json.dumps(table, indent=2, allow_nan=False) + "\n")
 
 
 def require_space(out: Path, needed_bytes: int) -> None:

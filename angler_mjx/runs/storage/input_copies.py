@@ -10,7 +10,7 @@ import re
 import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
@@ -21,6 +21,7 @@ from angler_mjx.files import FileModel, parse_model
 from angler_mjx.quantities import SchemaVersion
 from angler_mjx.robot.vehicles import library
 from angler_mjx.runs.storage import atomic_files
+from angler_mjx.runs.storage.checksums import hash_file, is_inside
 from angler_mjx.runs.storage.read_errors import read_table, wrap_read_errors
 from angler_mjx.world.config import WorldConfig
 
@@ -104,7 +105,7 @@ def copy_inputs(
         current = _read_file(role, str(path), path)
         inputs.append(_write_copy(folder, current, current.data, names))
     index = _Index(files=tuple(inputs))
-    atomic_files.write_text(folder / INDEX_FILE, json.dumps(index.model_dump(), indent=2) + "\n")
+    atomic_files.write_json(folder / INDEX_FILE, index.model_dump())
     return index.files
 
 
@@ -120,17 +121,15 @@ def read_inputs(run: Path) -> tuple[Input, ...]:
     source = folder / INDEX_FILE
     files = parse_model(_Index, read_table(source), source=str(source)).files
     for entry in files:
-        copy_path = PurePosixPath(entry.copy_path)
-        if copy_path.is_absolute() or ".." in copy_path.parts:
+        if not is_inside(entry.copy_path):
             raise ConfigError(f"{source}: copy_path = {entry.copy_path!r} leads out of the folder")
-        path = folder / copy_path
+        path = folder / entry.copy_path
         with wrap_read_errors(path):
-            digest = hashlib.sha256(path.read_bytes()).hexdigest()
+            digest = hash_file(path)
         if digest != entry.copy_sha256:
             raise ConfigError(
                 f"{path}: is not the copy that the run made of {entry.named} (sha256 "
-                f"{digest[:12]}, "
-                f"not {entry.copy_sha256[:12]}); put that file back"
+                f"{digest[:12]}, not {entry.copy_sha256[:12]}); put that file back"
             )
     return files
 
@@ -143,47 +142,45 @@ def vehicle_copies(run: Path) -> dict[str, Path]:
     }
 
 
-def vehicle_stand_ins(run: Path) -> dict[str, str]:
-    """Return the copies of vehicles that are missing or edited since the run.
+def stand_ins(run: Path) -> dict[tuple[str, str], str]:
+    """Return the copies of vehicles, ocean models and classes that are missing or edited since.
 
     Returns:
-        Path of the copy by the name in the scenario.
+        Path of the copy by role and name in the scenario; of planners and control laws, by role and
+        resolved path of the file.
     """
-    used = {(entry.role, entry.named): entry.sha256 for entry in read_inputs(run)}
-    return {
-        named: str(path)
-        for named, path in vehicle_copies(run).items()
-        if _vehicle_state(named, used) != "same"
-    }
+    inputs, folder = read_inputs(run), (run / INPUTS_FOLDER).resolve()
+    used = {(entry.role, entry.named): entry.sha256 for entry in inputs}
+    copies = {}
+    for entry in inputs:
+        if entry.role == VEHICLE and _vehicle_state(entry.named, used) != "same":
+            copies[VEHICLE, entry.named] = str(folder / entry.copy_path)
+        elif entry.role in (OCEAN, PLANNER, LAW) and _is_edited(entry) is not False:
+            name = entry.named if entry.role == OCEAN else str(Path(entry.source).resolve())
+            copies[entry.role, name] = str(folder / entry.copy_path)
+    return copies
 
 
-def ocean_stand_ins(run: Path) -> dict[str, str]:
-    """Return the copies of missing or edited files of ocean models."""
-    folder = (run / INPUTS_FOLDER).resolve()
-    return {
-        entry.named: str(folder / entry.copy_path)
-        for entry in read_inputs(run)
-        if entry.role == OCEAN and _is_edited(entry) is not False
-    }
+def use_stand_ins(table: dict[str, Any], run: Path) -> None:
+    """Name the copies of `stand_ins` in the table of a run's scenario."""
+    copies = stand_ins(run)
 
+    def replace_class(role: str, name: str) -> str:
+        path, _, qualname = name.rpartition(":")
+        copy = copies.get((role, str(Path(path).resolve())))
+        return name if copy is None else f"{copy}:{qualname}"
 
-def class_stand_in(run: Path, name: str) -> str:
-    """Return the planner or control law of a run by a name that can be loaded as it was.
-
-    Args:
-        run: folder of the run.
-        name: in its scenario.
-
-    Returns:
-        The name; of FILE.py:CLASS whose file was edited or is gone, that of the run's copy.
-    """
-    path, _, qualname = name.rpartition(":")
-    for entry in read_inputs(run):
-        is_class = entry.role in (PLANNER, LAW)
-        is_file = is_class and Path(path).resolve() == Path(entry.source).resolve()
-        if is_file and _is_edited(entry) is not False:
-            return f"{(run / INPUTS_FOLDER).resolve() / entry.copy_path}:{qualname}"
-    return name
+    for entry in table["fleet"]:
+        entry["vehicle"] = copies.get((VEHICLE, entry["vehicle"]), entry["vehicle"])
+    world, planner = table["world"], table.get("planner", {})
+    for part in (*world.get("currents", ()), world.get("bathymetry") or {}):
+        if "file" in part:
+            part["file"] = copies.get((OCEAN, part["file"]), part["file"])
+    if "name" in planner:
+        planner["name"] = replace_class(PLANNER, planner["name"])
+    controller = table.get("controller", {})
+    if controller.get("stages"):
+        controller["stages"] = [replace_class(LAW, name) for name in controller["stages"]]
 
 
 def world_files(world: WorldConfig) -> list[tuple[str, Path]]:
@@ -191,17 +188,10 @@ def world_files(world: WorldConfig) -> list[tuple[str, Path]]:
     return [(OCEAN, Path(file)) for file in world.files]
 
 
-def replace_ocean_files(world: dict[str, Any], replacements: Mapping[str, str]) -> None:
-    """Name other files of ocean models in the table of a world."""
-    for table in (*world.get("currents", ()), world.get("bathymetry") or {}):
-        if "file" in table:
-            table["file"] = replacements.get(table["file"], table["file"])
-
-
 def _is_edited(entry: Input) -> bool | None:
     """Return whether a file was edited; None if it is missing."""
     try:
-        return hashlib.sha256(Path(entry.source).read_bytes()).hexdigest() != entry.sha256
+        return hash_file(Path(entry.source)) != entry.sha256
     except OSError:
         return None
 
@@ -281,8 +271,7 @@ def _write_copy(folder: Path, current: _CurrentFile, data: bytes, names: set[str
     name = next(entry for entry in candidates if entry not in names)
     names.add(name)
     (folder / name).parent.mkdir(exist_ok=True)
-    with atomic_files.write_atomically(folder / name) as writing:
-        writing.write_bytes(data)
+    atomic_files.write_bytes(folder / name, data)
     return Input(
         role=current.role,
         named=current.named,
@@ -311,6 +300,6 @@ def _point_to_thruster(vehicle: _CurrentFile, model: str) -> bytes:
     )
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     """Return what had another name before 0.2."""
     return _renamed(__name__, name)

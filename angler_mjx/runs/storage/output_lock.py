@@ -12,10 +12,9 @@ import platform
 import shutil
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.runs.storage import atomic_files
@@ -73,41 +72,33 @@ class OutputLock:
         shutil.rmtree(self.building, ignore_errors=True)
         self.release()
 
-    @contextmanager
-    def filling(self) -> Iterator[Path]:
+    def filling(self) -> AbstractContextManager[Path]:
         """Write the first files of a new folder inside; it is withdrawn if that fails.
 
         Raises:
             RunError: the disk gave out.
         """
-        try:
-            yield self.building
-        except OSError as error:
-            self.withdraw()
-            raise RunError(
-                f"{self.flag} {self.out}: cannot be written ({error.strerror or error})"
-            ) from error
-        except BaseException:
-            self.withdraw()
-            raise
+        return self._writing(self.withdraw)
 
-    @contextmanager
-    def keeping(self) -> Iterator[Path]:
+    def keeping(self) -> AbstractContextManager[Path]:
         """Work inside on a folder that can be resumed; it is released if that fails.
 
         Raises:
             RunError: the disk gave out.
         """
+        return self._writing(
+            self.release,
+            f"finished parts are in {self.building}: make room and go on with --resume",
+        )
+
+    @contextmanager
+    def _writing(self, give_up: Callable[[], None], advice: str = "") -> Iterator[Path]:
+        """Work inside; any exception gives the folder up, and that of a disk becomes a message."""
         try:
-            yield self.building
-        except OSError as error:
-            self.release()
-            raise RunError(
-                f"{self.flag} {self.out}: cannot be written ({error.strerror or error}); finished "
-                f"parts are in {self.building}: make room and go on with --resume"
-            ) from error
+            with atomic_files.wrap_write_errors(f"{self.flag} {self.out}", advice):
+                yield self.building
         except BaseException:
-            self.release()
+            give_up()
             raise
 
     def _unlock(self) -> None:
@@ -127,11 +118,7 @@ def default_advice(building: Path) -> str | None:
 
 
 def acquire(
-    out: Path,
-    *,
-    flag: str = "--out",
-    kind: str = "run",
-    advise: Callable[[Path], str | None] = default_advice,
+    out: Path, *, kind: str = "run", advise: Callable[[Path], str | None] = default_advice
 ) -> OutputLock:
     """Take a name and make the hidden folder.
 
@@ -139,7 +126,6 @@ def acquire(
 
     Args:
         out: the folder to be.
-        flag: how a person named it.
         kind: is made, in a word.
         advise: what can be done about the hidden folder that a dead process left, for a message;
             None if nothing in it is worth keeping.
@@ -147,43 +133,37 @@ def acquire(
     Raises:
         ConfigError: the name is taken, by something unfinished perhaps, or cannot be had.
     """
-    require_name(out, flag=flag)
-    require_writable(out, flag=flag)
     building = partial_path(out)
-    try:
+    with _reporting_errors(f"--out {out}"):
+        require_none(out, kind=kind, advise=advise)
         out.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError(f"{flag} {out}: cannot be written ({error.strerror})") from error
-    try:
-        require_none(out, flag=flag, kind=kind, advise=advise)
         if building.is_dir():
-            _remove_leftover(out, building, f"{flag} {out}", kind)
+            _remove_leftover(out, building, kind)
         building.mkdir()
         try:
             out.mkdir()
-            handle = _lock_file(building / LOCK, f"{flag} {out}", kind)
+            handle = _lock_file(building / LOCK, f"--out {out}", kind)
         except BaseException:
             shutil.rmtree(building, ignore_errors=True)
             raise
+    return OutputLock(out=out, building=building.absolute(), flag="--out", handle=handle)
+
+
+@contextmanager
+def _reporting_errors(label: str) -> Iterator[None]:
+    """Convert the exceptions of a name that cannot be had to one message."""
+    try:
+        yield
     except FileExistsError as error:
-        if not out.parent.is_dir():
-            raise ConfigError(
-                f"{flag} {out}: cannot be written ({out.parent} is no folder)"
-            ) from error
         raise ConfigError(
-            f"{flag} {out}: exists since a moment ago; give another folder or remove it"
+            f"{label}: exists since a moment ago; give another folder or remove it"
         ) from error
     except OSError as error:
-        raise ConfigError(f"{flag} {out}: cannot be written ({error.strerror})") from error
-    return OutputLock(out=out, building=building.absolute(), flag=flag, handle=handle)
+        raise ConfigError(f"{label}: cannot be written ({error.strerror})") from error
 
 
 def require_none(
-    out: Path,
-    *,
-    flag: str = "--out",
-    kind: str = "run",
-    advise: Callable[[Path], str | None] = default_advice,
+    out: Path, *, kind: str = "run", advise: Callable[[Path], str | None] = default_advice
 ) -> None:
     """Refuse a name that is taken: by a link to nothing too, or by something unfinished of worth.
 
@@ -192,24 +172,24 @@ def require_none(
     Raises:
         ConfigError: it is.
     """
-    require_name(out, flag=flag)
-    require_writable(out, flag=flag)
+    require_name(out, flag="--out")
+    require_writable(out, flag="--out")
     building = partial_path(out)
     if building.is_dir():
         locked = (building / LOCK).exists()
-        os.close(_lock_file(building / LOCK, f"{flag} {out}", kind))
+        os.close(_lock_file(building / LOCK, f"--out {out}", kind))
         # Without a lock another process may be about to make one.
         advice = advise(building)
         if advice is None and locked and _is_bare(out):
             return
         paths_text = f"{out} and {building}" if os.path.lexists(out) else str(building)
         raise ConfigError(
-            f"{flag} {out}: an unfinished {kind} lies in {building}, and its process has ended; "
+            f"--out {out}: an unfinished {kind} lies in {building}, and its process has ended; "
             f"{advice or BROKEN_OFF} {paths_text}"
         )
     if os.path.lexists(out):
         link = "" if out.exists() else " as a link to nothing"
-        raise ConfigError(f"{flag} {out}: exists{link}; give another folder or remove it")
+        raise ConfigError(f"--out {out}: exists{link}; give another folder or remove it")
 
 
 def _is_bare(out: Path) -> bool:
@@ -219,9 +199,9 @@ def _is_bare(out: Path) -> bool:
     return out.is_dir() and not out.is_symlink() and not any(out.iterdir())
 
 
-def _remove_leftover(out: Path, building: Path, label: str, kind: str) -> None:
+def _remove_leftover(out: Path, building: Path, kind: str) -> None:
     """Take away what a dead process left, while nobody else can."""
-    handle = _lock_file(building / LOCK, label, kind)
+    handle = _lock_file(building / LOCK, f"--out {out}", kind)
     try:
         with suppress(FileNotFoundError):
             out.rmdir()
@@ -230,9 +210,7 @@ def _remove_leftover(out: Path, building: Path, label: str, kind: str) -> None:
         os.close(handle)
 
 
-def acquire_unfinished(
-    out: Path, *, flag: str = "--resume", kind: str = "run"
-) -> OutputLock | None:
+def acquire_unfinished(out: Path, *, kind: str = "run") -> OutputLock | None:
     """Take up the folder of a process that ended, or a folder that it had given its name.
 
     Returns:
@@ -241,21 +219,19 @@ def acquire_unfinished(
     Raises:
         ConfigError: its process still works on it, or it cannot be written.
     """
-    require_name(out, flag=flag)
-    building = partial_path(out)
-    try:
+    require_name(out, flag="--resume")
+    building, label = partial_path(out), f"--resume {out}"
+    with _reporting_errors(label):
         if building.is_dir():
-            handle = _lock_file(building / LOCK, f"{flag} {out}", kind)
+            handle = _lock_file(building / LOCK, label, kind)
         elif out.is_dir() and any(out.iterdir()):
-            handle = _lock_file(out / LOCK, f"{flag} {out}", kind)
+            handle = _lock_file(out / LOCK, label, kind)
             out.rename(building)
         else:
             return None
         if not os.path.lexists(out):
             out.mkdir()
-    except OSError as error:
-        raise ConfigError(f"{flag} {out}: cannot be written ({error.strerror})") from error
-    return OutputLock(out=out, building=building.absolute(), flag=flag, handle=handle)
+    return OutputLock(out=out, building=building.absolute(), flag="--resume", handle=handle)
 
 
 def require_name(out: Path, *, flag: str) -> None:
@@ -279,8 +255,7 @@ def require_name(out: Path, *, flag: str) -> None:
     if length > max_length - affix_length:
         raise ConfigError(
             f"{flag} {out.name[:40]}...: the name has {length} bytes, {max_length - affix_length} "
-            "are the most "
-            "here; give a shorter one"
+            "are the most here; give a shorter one"
         )
 
 
@@ -338,7 +313,7 @@ def _lock_file(path: Path, label: str, kind: str) -> int:
     return handle
 
 
-def _process_identity() -> dict[str, Any]:
+def _process_identity() -> dict[str, object]:
     return {
         "pid": os.getpid(),
         "host": platform.node(),
@@ -347,7 +322,7 @@ def _process_identity() -> dict[str, Any]:
     }
 
 
-def _read_owner(handle: int) -> dict[str, Any]:
+def _read_owner(handle: int) -> dict[str, object]:
     try:
         owner = json.loads(os.pread(handle, 4096, 0))
     except (OSError, ValueError, RecursionError):
@@ -355,7 +330,7 @@ def _read_owner(handle: int) -> dict[str, Any]:
     return owner if isinstance(owner, dict) else {}
 
 
-def _is_alive(owner: dict[str, Any]) -> bool:
+def _is_alive(owner: dict[str, object]) -> bool:
     """Return whether the process named in a lock may be running; on another host it may."""
     if not owner:
         return False
@@ -365,9 +340,11 @@ def _is_alive(owner: dict[str, Any]) -> bool:
     return started is not None and started == _process_start(owner.get("pid"))
 
 
-def _process_start(pid: Any) -> str | None:
+def _process_start(pid: object) -> str | None:
     """Return the start of a process of this host, ticks since boot; None if there is none."""
+    if not isinstance(pid, int):
+        return None
     try:
-        return Path(f"/proc/{int(pid)}/stat").read_text().rpartition(")")[2].split()[19]
-    except (OSError, ValueError, TypeError, IndexError):
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[19]
+    except (OSError, ValueError, IndexError):
         return None

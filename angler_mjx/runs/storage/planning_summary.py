@@ -2,9 +2,8 @@
 
 import re
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import TypedDict
 
 import numpy as np
 import pyarrow as pa
@@ -26,17 +25,42 @@ _NUMBER = re.compile(r"(?<![\w.:])[-+]?\d+(\.\d+)?(e[-+]?\d+)?(?![\w.])")
 """A measured number in a reason. Digits of names and of lines of files are none."""
 
 
-def summarise_planning(episodes: pa.Table) -> dict[str, Any] | None:
+class PlannedRobots(TypedDict):
+    """Robots with a plan: their number, fraction and its 95 % interval."""
+
+    count: int
+    rate: float
+    low: float
+    high: float
+
+
+class ReasonCount(TypedDict):
+    """Robots without a plan for one reason.
+
+    Reasons that differ in measured numbers alone are one, and the first of them stands for all.
+    """
+
+    reason: str
+    status: str
+    robots: int
+    worlds: int
+
+
+class PlanningSummary(TypedDict):
+    """Planning of the robots of some worlds."""
+
+    robots: PlannedRobots
+    worlds: dict[str, int]
+    """Number of worlds by planning status."""
+    reasons: list[ReasonCount]
+    """The commonest first."""
+
+
+def summarise_planning(episodes: pa.Table) -> PlanningSummary | None:
     """Return how the robots of some worlds were planned for; None where they have a task.
 
     Args:
         episodes: rows of ``EPISODE_SCHEMA``.
-
-    Returns:
-        ``robots``: count, rate, low and high of those with a plan; ``worlds``: number of worlds by
-        planning status; ``reasons``: ``reason``, ``status``, ``robots`` and ``worlds`` of those
-        without a plan, the commonest first. Reasons that differ in measured numbers alone are one,
-        and the first of them stands for all.
     """
     progress = episodes["task_progress"]
     if progress.null_count < len(progress):
@@ -54,7 +78,7 @@ def summarise_robots(
     planned: np.ndarray,
     statuses: Sequence[str | None],
     reasons: Sequence[str | None],
-) -> dict[str, Any]:
+) -> PlanningSummary:
     """Return the same of robots [n].
 
     Args:
@@ -68,7 +92,7 @@ def summarise_robots(
     rate = confidence_intervals.clustered_rates({"yes": planned, "no": ~planned}, world)["yes"]
     first = np.unique(world, return_index=True)[1]
     return {
-        "robots": {key: asdict(rate)[key] for key in ("count", "rate", "low", "high")},
+        "robots": {"count": rate.count, "rate": rate.rate, "low": rate.low, "high": rate.high},
         "worlds": dict(sorted(Counter(status[i] for i in first if status[i]).items())),
         "reasons": _count_reasons(world, np.flatnonzero(~planned), status, reason),
     }
@@ -76,11 +100,11 @@ def summarise_robots(
 
 def _count_reasons(
     world: np.ndarray, rows: np.ndarray, status: Sequence[str], reason: Sequence[str]
-) -> list[dict[str, Any]]:
+) -> list[ReasonCount]:
     kinds: dict[tuple[str, str], list[int]] = {}
     for row in rows.tolist():
         kinds.setdefault((status[row], _NUMBER.sub("#", reason[row])), []).append(row)
-    listed = [
+    listed: list[ReasonCount] = [
         {
             "reason": reason[members[0]],
             "status": kind,
@@ -89,10 +113,10 @@ def _count_reasons(
         }
         for (kind, _), members in kinds.items()
     ]
-    return sorted(listed, key=lambda entry: -int(entry["robots"]))
+    return sorted(listed, key=lambda entry: -entry["robots"])
 
 
-def reason_lines(planning: Mapping[str, Any] | None, noun: str = "robot") -> list[str]:
+def reason_lines(planning: PlanningSummary | None, noun: str = "robot") -> list[str]:
     """Return the commonest reasons of robots without a plan, a line each; none where planning is.
 
     Args:
@@ -112,12 +136,12 @@ def reason_lines(planning: Mapping[str, Any] | None, noun: str = "robot") -> lis
     return texts
 
 
-def format_percent(planning: Mapping[str, Any] | None) -> str:
+def format_percent(planning: PlanningSummary | None) -> str:
     """Return the fraction of robots with a plan for a table; a dash where nobody planned."""
     return "-" if planning is None else f"{100 * planning['robots']['rate']:.1f} %"
 
 
-def planner_fault(planning: Mapping[str, Any] | None) -> str | None:
+def planner_fault(planning: PlanningSummary | None) -> str | None:
     """Return why no world at all was planned, where the planner raised in each; else None."""
     if planning is None or planning["robots"]["count"]:
         return None

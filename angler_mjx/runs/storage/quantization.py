@@ -9,7 +9,6 @@ take 37, by a codec that only zarr-python knows.
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numcodecs.blosc import BITSHUFFLE, Blosc
@@ -32,7 +31,7 @@ class Quantization:
     """Whether 16 bits hold what may come; 32 otherwise."""
 
     @property
-    def dtype(self) -> np.dtype[Any]:
+    def dtype(self) -> np.dtype:
         """Type on disk."""
         return np.dtype(np.int16 if self.is_short else np.int32)
 
@@ -46,22 +45,21 @@ class Quantization:
         """Stands for inf where there are 32 bits: the greatest number; 16 bits are clamped."""
         return None if self.is_short else int(np.iinfo(self.dtype).max)
 
-    def filters(self, ndim: int) -> list[Any]:
+    def filters(self, ndim: int) -> list[TransposeCodec | ScaleOffset | CastValue]:
         """Return the codecs between the array and its bytes."""
         pairs: list[tuple[str, int]] = [("NaN", self.missing)]
         if self.endless is not None:
             pairs.append(("Infinity", self.endless))
-        between: Any = {
-            "encode": [[value, steps] for value, steps in pairs],
-            "decode": [[steps, value] for value, steps in pairs],
-        }
         return [
             TransposeCodec(order=(0, *range(2, ndim), 1)),
             ScaleOffset(scale=self.per_unit),
             CastValue(
                 data_type=str(self.dtype),
                 out_of_range="clamp",
-                scalar_map=between,
+                scalar_map={
+                    "encode": [(value, steps) for value, steps in pairs],
+                    "decode": [(steps, value) for value, steps in pairs],
+                },
             ),
         ]
 

@@ -15,12 +15,12 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import zarr
 from numcodecs.blosc import SHUFFLE, Blosc
 from zarr.codecs import BloscCodec
+from zarr.types import ArrayV3
 
 from angler_mjx.runs.storage import atomic_files, shards, trajectory_layout
 from angler_mjx.runs.storage import environments as store
@@ -137,12 +137,8 @@ class Recorder:
 
         Every file's own account of its length is compared, not every sample.
         """
-        number = first_world // self._tile
-        for name, array in {**self._arrays, **self._environment_arrays()}.items():
-            if not shards.is_sound(
-                _shard_path(self._path / name, number, array.ndim),
-                shard=self._tile if name in self._arrays else None,
-            ):
+        for name, path in self._tile_files(first_world).items():
+            if not shards.is_sound(path, shard=self._tile if name in self._arrays else None):
                 return name
         return None
 
@@ -152,21 +148,20 @@ class Recorder:
         Raises:
             OSError: the disk gave out.
         """
-        number = first_world // self._tile
-        paths = [
-            _shard_path(self._path / name, number, array.ndim)
-            for name, array in {**self._arrays, **self._environment_arrays()}.items()
-        ]
         # Together: one after another, many small files would wait for the disk once each.
-        for done in [self._encoders.submit(atomic_files.sync_path, path) for path in paths]:
-            done.result()
+        list(self._encoders.map(atomic_files.sync_path, self._tile_files(first_world).values()))
 
-    def _environment_arrays(self) -> dict[str, Any]:
-        """Return the environments' arrays that are not empty, by their names in the whole group."""
+    def _tile_files(self, first_world: int) -> dict[str, Path]:
+        """Return the files of a tile by the arrays' names; empty arrays have none."""
+        arrays = self._arrays | {
+            f"{trajectory_layout.ENVIRONMENT_GROUP}/{name}": array
+            for name, array in self._environment.items()
+            if array.size
+        }
+        number = first_world // self._tile
         return {
-            f"{trajectory_layout.ENVIRONMENT_GROUP}/{name}": node
-            for name, node in self._environment.items()
-            if isinstance(node, zarr.Array) and node.size
+            name: shards.locate_shard(self._path / name, number, array.ndim)
+            for name, array in arrays.items()
         }
 
     @classmethod
@@ -242,21 +237,20 @@ class Recorder:
             values = np.zeros(array.chunks, array.dtype)
             values[:count] = np.asarray(leaf)[:count]
             if values.size:
-                path = _shard_path(
+                path = shards.locate_shard(
                     self._path / trajectory_layout.ENVIRONMENT_GROUP / name, number, array.ndim
                 )
                 shards.write_file(path, [_ENCODER.encode(values)])
 
     @cached_property
-    def _environment(self) -> dict[str, Any]:
+    def _environment(self) -> dict[str, ArrayV3]:
         """Arrays of the environments by name, opened once."""
-        group: Any = self._group[trajectory_layout.ENVIRONMENT_GROUP]
-        return {name: node for name, node in group.members(max_depth=None)}
+        return store.list_arrays(self._group.get_group(trajectory_layout.ENVIRONMENT_GROUP))
 
     @cached_property
-    def _arrays(self) -> dict[str, Any]:
+    def _arrays(self) -> dict[str, ArrayV3]:
         """By name, opened once: opening costs as much as writing a small tile."""
-        return {name: self._group[name] for name in self._shape.names()}
+        return {name: self._group.get_array(name) for name in self._shape.names()}
 
     def write(self, first_world: int, arrays: TileArrays, environment: Environment) -> int:
         """Write one tile.
@@ -277,7 +271,7 @@ class Recorder:
             array = self._arrays[name]
             encode = partial(_encode_chunks, arrays[name], array.dtype, self._shape.stepped(name))
             blocks = self._encoders.map(encode, _split_blocks(array, count))
-            path = _shard_path(self._path / name, number, array.ndim)
+            path = shards.locate_shard(self._path / name, number, array.ndim)
             return shards.write_shard(path, blocks, shard=self._tile)
 
         environment_write = self._writers.submit(
@@ -291,12 +285,7 @@ class Recorder:
         return sum(future.result() for future in written)
 
 
-def _shard_path(array: Path, shard: int, ndim: int) -> Path:
-    """Return the file of a shard; only the axis of worlds is divided."""
-    return array / "c" / "/".join([str(shard), *"0" * (ndim - 1)])
-
-
-def _split_blocks(array: Any, count: int) -> list[slice]:
+def _split_blocks(array: ArrayV3, count: int) -> list[slice]:
     """Split worlds [0, kept) into slices of about ``BLOCK_BYTES``."""
     world_bytes = array.nbytes // array.shape[0]
     step = max(1, BLOCK_BYTES // world_bytes)

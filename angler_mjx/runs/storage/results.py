@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 import pyarrow as pa
@@ -11,10 +11,47 @@ import pyarrow.compute as pc
 from angler_mjx.runs.storage import confidence_intervals
 from angler_mjx.runs.storage import planning_summary as how_planned
 from angler_mjx.runs.storage.episode_columns import EPISODE_COLUMNS, EPISODE_SCHEMA, TileResult
+from angler_mjx.runs.storage.planning_summary import PlanningSummary
 from angler_mjx.sim.state import Outcome
 
 OUTCOMES = tuple(o.name.lower() for o in Outcome if o is not Outcome.RUNNING)
 """How an episode can end, in the order of every table and figure."""
+
+
+type Quantiles = dict[str, float | None]
+"""Quantiles p10, p50 and p90; None without values."""
+
+
+class TaskSummary(TypedDict):
+    """Tasks of some worlds."""
+
+    completed: dict[str, float]
+    """Number ``count`` and fraction ``rate`` of worlds that completed theirs, and the interval."""
+    completed_s: dict[str, float | list[float] | None]
+    """Mean time, its interval by Student, and quantiles, of the worlds that completed theirs."""
+    progress: float
+
+
+class _TaskPart(TypedDict, total=False):
+    task: TaskSummary
+
+
+class EpisodeSummary(_TaskPart):
+    """Summary of rows of episodes: outcomes, and quantiles of the main measures."""
+
+    robots: int
+    outcomes: dict[str, dict[str, float]]
+    planned_rate: float
+    planning: PlanningSummary | None
+    """None where robots have a task."""
+    passed_goal_early: int
+    """Number of robots."""
+    time_to_goal_s: Quantiles
+    path_length_m: Quantiles
+    energy_j: Quantiles
+    min_clearance_m: Quantiles
+    redraws: dict[str, int]
+    by_vehicle: dict[str, dict[str, int | dict[str, float]]]
 
 
 def episode_table(result: TileResult, variants: Sequence[tuple[str, str]], seed: int) -> pa.Table:
@@ -66,12 +103,12 @@ def _add_missing_columns(table: pa.Table) -> pa.Table:
     return table
 
 
-def end_time_s(row: Mapping[str, Any]) -> float:
+def end_time_s(row: Mapping[str, float | str]) -> float:
     """Return the end of a robot's episode, s, from a row as ``to_pylist`` gives it."""
     return float(row["time_to_goal_s" if row["outcome"] == "reached" else "failure_time_s"])
 
 
-def outcome_rates(episodes: pa.Table) -> dict[str, Any]:
+def outcome_rates(episodes: pa.Table) -> dict[str, dict[str, float]]:
     """Return count, rate and 95 % interval of every outcome, clustered by world.
 
     Args:
@@ -101,15 +138,8 @@ def completion_times(episodes: pa.Table) -> np.ndarray | None:
     return np.asarray(rows["task_completed_s"].to_numpy(), float)
 
 
-def summarise_episodes(episodes: pa.Table) -> dict[str, Any]:
-    """Summarise rows: outcomes, and quantiles of the main measures.
-
-    Returns:
-        Keys ``robots``, ``task`` (of runs with a task), ``outcomes``, ``planned_rate``,
-        ``planning`` (`runs.storage.planning_summary.summarise_planning`; None where robots have a
-        task), ``passed_goal_early`` (number of robots), ``time_to_goal_s``, ``path_length_m``,
-        ``energy_j``, ``min_clearance_m``, ``redraws``, ``by_vehicle``.
-    """
+def summarise_episodes(episodes: pa.Table) -> EpisodeSummary:
+    """Summarise rows; only runs with a task have the key ``task``."""
     world, redraws = episodes["world"].to_numpy(), episodes["redraws"].to_numpy()
     first_rows = np.unique(world, return_index=True)[1]
     kinds = sorted(
@@ -117,7 +147,7 @@ def summarise_episodes(episodes: pa.Table) -> dict[str, Any]:
             zip(episodes["vehicle"].to_pylist(), episodes["parameter_set"].to_pylist(), strict=True)
         )
     )
-    by_vehicle = {}
+    by_vehicle: dict[str, dict[str, int | dict[str, float]]] = {}
     for vehicle, parameter_set in kinds:
         selected = episodes.filter(
             (pc.field("vehicle") == vehicle) & (pc.field("parameter_set") == parameter_set)
@@ -144,11 +174,8 @@ def summarise_episodes(episodes: pa.Table) -> dict[str, Any]:
     }
 
 
-def _summarise_task(worlds: pa.Table) -> dict[str, Any]:
-    """Summarise tasks: fraction of worlds that completed theirs, and time; one row a world.
-
-    The interval of the mean time is Student's, of the worlds that completed theirs.
-    """
+def _summarise_task(worlds: pa.Table) -> _TaskPart:
+    """Summarise tasks, one row a world; empty where there are none."""
     progress = worlds["task_progress"].to_numpy()
     if not np.isfinite(progress).any():
         return {}
@@ -179,7 +206,7 @@ def _summarise_task(worlds: pa.Table) -> dict[str, Any]:
     }
 
 
-def _compute_quantiles(column: pa.ChunkedArray) -> dict[str, float | None]:
+def _compute_quantiles(column: pa.ChunkedArray) -> Quantiles:
     values = column.to_numpy()
     values = values[np.isfinite(values)]
     if values.size == 0:

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from angler_mjx.errors import ConfigError
+from angler_mjx.errors import ConfigError, format_value
 from angler_mjx.files import FileModel, rename_keys
 from angler_mjx.runs.storage import output_lock
 from angler_mjx.runs.storage.output_lock import OutputLock
@@ -90,7 +90,7 @@ def resume_folder[T](
 
 
 def require_same_request(
-    path: Path, request: Mapping[str, Any], models: Mapping[str, type[FileModel]] | None = None
+    path: Path, request: Mapping[str, object], models: Mapping[str, type[FileModel]] | None = None
 ) -> dict[str, Any]:
     """Return the stored request of a folder; refuse to resume it with a different one.
 
@@ -106,10 +106,31 @@ def require_same_request(
     for name, model in (models or {}).items():
         if isinstance(table := stored.get(name), dict):
             stored[name] = rename_keys(model, table, str(path))
-    difference = first_changed_key(request, stored)
-    if difference is not None:
-        raise ConfigError(
-            f"--resume: was begun with another {difference} (see {path}); put the old value back, "
-            "or begin anew with --out"
-        )
+    require_same_keys(path, request, stored)
     return stored
+
+
+def require_same_keys(
+    path: Path, request: Mapping[str, object], stored: Mapping[str, object]
+) -> None:
+    """Refuse to resume a folder whose stored request differs from the current one.
+
+    Args:
+        path: of what holds the stored request, for the message.
+        request: current one, in plain values.
+        stored: request with which the folder was begun.
+
+    Raises:
+        ConfigError: naming the first key that differs.
+    """
+    difference = first_changed_key(request, stored)
+    if difference is None:
+        return
+    values = ""
+    if difference in request:  # not inside a table, which would be long
+        before, now = stored.get(difference), request[difference]
+        values = f": {format_value(before)}, not {format_value(now)}"
+    raise ConfigError(
+        f"--resume: was begun with another {difference} (see {path}{values}); put the old value "
+        "back, or begin anew with --out"
+    )

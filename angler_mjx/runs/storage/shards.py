@@ -1,4 +1,4 @@
-"""Writing of one file of a Zarr v3 array at once: a chunk, or a shard of many.
+"""Files of a Zarr v3 array, written at once and read by their index: a chunk, or a shard of many.
 
 A shard file holds the chunks one after another, then an index of uint64 pairs (offset, length) and
 the CRC-32C of the index (Zarr v3, codec ``sharding_indexed``). Zarr's own writer treats every chunk
@@ -71,6 +71,37 @@ def write_file(path: Path, pieces: Iterable[bytes]) -> int:
     return written
 
 
+def locate_shard(array: Path, number: int, ndim: int) -> Path:
+    """Return the file of a shard, or of a chunk; only the first of an array's axes is divided."""
+    return array / "c" / "/".join([str(number), *"0" * (ndim - 1)])
+
+
+def read_index(tail: bytes, *, shard: int, file_bytes: int) -> np.ndarray:
+    """Return the index of a shard: offset and length of each chunk, uint64 [shard, 2], bytes.
+
+    Args:
+        tail: the last `index_bytes` of the file.
+        shard: chunks in a shard.
+        file_bytes: length of the file.
+
+    Raises:
+        ValueError: the file was cut, or its index is damaged.
+    """
+    if len(tail) != index_bytes(shard) or google_crc32c.value(tail[:-4]) != int.from_bytes(
+        tail[-4:], "little"
+    ):
+        raise ValueError("its index is wrong")
+    index = np.frombuffer(tail[:-4], "<u8").reshape(shard, 2)
+    if _data_bytes(index) > file_bytes - len(tail):
+        raise ValueError("chunks lie beyond its end")
+    return index
+
+
+def index_bytes(shard: int) -> int:
+    """Return the length of the index of a shard of so many chunks, bytes."""
+    return 16 * shard + 4
+
+
 def is_sound(path: Path, *, shard: int | None) -> bool:
     """Return whether a file is present with the length that its index gives.
 
@@ -84,16 +115,18 @@ def is_sound(path: Path, *, shard: int | None) -> bool:
             if shard is None:  # Blosc's header ends with the whole length
                 head = file.read(16)
                 return len(head) == 16 and int.from_bytes(head[12:], "little") == size
-            length = 16 * shard + 4
-            file.seek(size - length)
-            tail = file.read(length)
+            data_bytes = size - index_bytes(shard)
+            file.seek(data_bytes)
+            index = read_index(file.read(), shard=shard, file_bytes=size)
     except (OSError, ValueError):
         return False
-    if google_crc32c.value(tail[:-4]) != int.from_bytes(tail[-4:], "little"):
-        return False
-    index = np.frombuffer(tail[:-4], "<u8").reshape(shard, 2)
+    return _data_bytes(index) == data_bytes > 0
+
+
+def _data_bytes(index: np.ndarray) -> int:
+    """Return the end of the last chunk of a shard, bytes; 0 where there is none."""
     present = index[index[:, 0] != ABSENT]
-    return bool(len(present)) and int(present.sum(axis=1).max()) == size - length
+    return int(present.sum(axis=1).max(initial=0))
 
 
 def _build_index(lengths: list[int], shard: int) -> bytes:

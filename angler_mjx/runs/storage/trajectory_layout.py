@@ -5,10 +5,13 @@ What is recorded of a control step is declared in `angler_mjx.sim.record`; here 
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import cast
 
 import jax
 import numpy as np
+import zarr
+from numpy.typing import ArrayLike
+from zarr.types import ArrayV3
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.robot.control.commands.joint_trajectory import VEHICLE_JOINTS, JointTrajectory
@@ -37,7 +40,7 @@ class ArrayKind:
     """After ``world``."""
     unit: str
     text: str
-    dtype: Any = np.float32
+    dtype: np.dtype | type[np.generic] = np.float32
 
 
 _JOINT = {"joint": len(VEHICLE_JOINTS)}
@@ -173,7 +176,7 @@ def array_shape(kind: ArrayKind, sizes: Mapping[str, int]) -> tuple[int, ...]:
 
 
 def check_layout(
-    nodes: Mapping[str, Any],
+    arrays: Mapping[str, ArrayV3],
     source: str,
     *,
     worlds: int,
@@ -185,7 +188,7 @@ def check_layout(
     """Refuse trajectories that are not those of a run, before anything of them is read.
 
     Args:
-        nodes: of the Zarr group, by their names.
+        arrays: of the Zarr group, by their names.
         source: it lies, for messages.
         worlds: of the run.
         robots: of its fleet.
@@ -196,33 +199,33 @@ def check_layout(
     Raises:
         ConfigError: an array is missing, or has another shape or type.
     """
-    time = nodes[TIME_ARRAY]
+    time = arrays[TIME_ARRAY]
     if time.ndim != 1 or not 1 <= time.size <= MAX_SIZE or time.dtype.kind != "f":
         raise ConfigError(
             f"{source}/{TIME_ARRAY}: has the shape {time.shape} of {time.dtype}, not [time]"
         )
     sizes = {"time": time.size, "robot": robots}
     for name, dim in (("plan_time_s", "way_point"), ("pwm_us", "thruster")):
-        sizes[dim] = _dimension_size(nodes, name, -1, source)
+        sizes[dim] = _dimension_size(arrays, name, -1, source)
     sizes["obstacle"] = (
-        _dimension_size(nodes, "obstacle_p_m", -2, source) if "obstacle_p_m" in nodes else 0
+        _dimension_size(arrays, "obstacle_p_m", -2, source) if "obstacle_p_m" in arrays else 0
     )
     if tasked:
         sizes |= {
-            "place": _dimension_size(nodes, f"{TASK}/place_m", -2, source),
-            "job": _dimension_size(nodes, f"{TASK}/by", -1, source),
+            "place": _dimension_size(arrays, f"{TASK}/place_m", -2, source),
+            "job": _dimension_size(arrays, f"{TASK}/by", -1, source),
         }
-        if f"{TASK}/cells" in nodes:
+        if f"{TASK}/cells" in arrays:
             for axis, dim in enumerate("xyz"):
-                sizes[dim] = _dimension_size(nodes, f"{TASK}/cells", axis - 3, source)
-    has_end = any(name.startswith(f"{END_GROUP}/") for name in nodes)
-    has_joints = not MOTION_ARRAYS.keys().isdisjoint(nodes)
+                sizes[dim] = _dimension_size(arrays, f"{TASK}/cells", axis - 3, source)
+    has_end = any(name.startswith(f"{END_GROUP}/") for name in arrays)
+    has_joints = not MOTION_ARRAYS.keys().isdisjoint(arrays)
     for name in array_names(sizes, estimated=estimated, jointed=has_joints, also=also):
         if name.startswith(f"{END_GROUP}/") and not has_end:
             continue
-        if name not in nodes:
+        if name not in arrays:
             raise ConfigError(f"{source}/{name}: is missing; copy it again, or make the run anew")
-        array, kind = nodes[name], ARRAYS[name]
+        array, kind = arrays[name], ARRAYS[name]
         expected = (worlds, *array_shape(kind, sizes))
         has_dtype = array.dtype in (kind.dtype, EARLIER_DTYPES.get(name, kind.dtype))
         if array.shape != expected or not has_dtype or array.chunks != (1, *expected[1:]):
@@ -233,10 +236,10 @@ def check_layout(
             )
 
 
-def _dimension_size(nodes: Mapping[str, Any], name: str, axis: int, source: str) -> int:
-    if name not in nodes:
+def _dimension_size(arrays: Mapping[str, ArrayV3], name: str, axis: int, source: str) -> int:
+    if name not in arrays:
         raise ConfigError(f"{source}/{name}: is missing; copy it again, or make the run anew")
-    shape = nodes[name].shape
+    shape = arrays[name].shape
     size = int(shape[axis]) if len(shape) >= -axis else -1
     if not 1 <= size <= MAX_SIZE:
         raise ConfigError(f"{source}/{name}: has the shape {shape}; copy its zarr.json again")
@@ -256,44 +259,52 @@ def plan_arrays(plan: Plan) -> dict[str, jax.Array]:
     return arrays
 
 
-def plan_courses(stored: Mapping[str, Any], world: int) -> list[tuple[np.ndarray, np.ndarray]]:
+def plan_courses(stored: zarr.Group, world: int) -> list[tuple[np.ndarray, np.ndarray]]:
     """Return the course of each robot's plan in a world, for pictures (`robot.control.plans`)."""
-    robots = stored["plan_time_s"].shape[1]
+    robots = stored.get_array("plan_time_s").shape[1]
     plan = read_plan(stored, world, np.ones(robots, bool))
     return [trace_path(of_robot(plan, i)) for i in range(robots)]
 
 
-def read_plan(stored: Mapping[str, Any], world: int, is_found: Any) -> Plan:
+def read_plan(stored: zarr.Group, world: int, is_found: ArrayLike) -> Plan:
     """Read the plan of a world, the same numbers that were flown, in float32.
 
     Args:
-        stored: arrays of a run's trajectories by name.
+        stored: a run's trajectories.
         world: global index.
         is_found: bool [R] whether the planner found a way for each robot.
 
     Returns:
         Arrays of NumPy, [R] leading.
     """
-    fields: dict[str, Any] = {
-        "time_s": np.asarray(stored["plan_time_s"][world]),
-        "found": np.asarray(is_found, bool),
-    }
-    points: Any = np.asarray(stored["plan_m"][world])
+
+    def read_array(name: str, dtype: type[np.generic] | None = None) -> jax.Array:
+        return host_leaf(np.asarray(stored.get_array(name)[world], dtype))
+
+    time_s, points = read_array("plan_time_s"), read_array("plan_m")
+    found = host_leaf(np.asarray(is_found, bool))
     if "plan_degree" not in stored:
-        return Trajectory(position_m=points, **fields)
-    yaw = np.asarray(stored["plan_yaw_rad"][world])
-    position: Any = np.concatenate([points, yaw[..., None]], axis=-1)
-    fields |= {
-        "velocity": np.asarray(stored["plan_velocity"][world]),
-        "acceleration": np.asarray(stored["plan_acceleration"][world]),
-        "degree": np.asarray(stored["plan_degree"][world], np.int32),
-        "commanded": np.ones((len(points), len(VEHICLE_JOINTS)), bool),
-    }
-    return JointTrajectory(joints=VEHICLE_JOINTS, position=position, **fields)
+        return Trajectory(time_s=time_s, position_m=points, found=found)
+    yaw = np.asarray(read_array("plan_yaw_rad"))
+    return JointTrajectory(
+        joints=VEHICLE_JOINTS,
+        time_s=time_s,
+        position=host_leaf(np.concatenate([points, yaw[..., None]], axis=-1)),
+        velocity=read_array("plan_velocity"),
+        acceleration=read_array("plan_acceleration"),
+        degree=read_array("plan_degree", np.int32),
+        commanded=host_leaf(np.ones((len(points), len(VEHICLE_JOINTS)), bool)),
+        found=found,
+    )
+
+
+def host_leaf(values: np.ndarray) -> jax.Array:
+    """Return an array of the host by the type of the leaves of plans, which are of either kind."""
+    return cast(jax.Array, values)
 
 
 def read_task(
-    stored: Mapping[str, Any],
+    stored: zarr.Group,
     world: int,
     spec: TaskSpec,
     *,
@@ -304,7 +315,7 @@ def read_task(
     """Read the progress of a world's task over time.
 
     Args:
-        stored: arrays of a run's trajectories by name.
+        stored: a run's trajectories.
         world: global index.
         spec: settings of the task.
         samples: how many are wanted, from the first.
@@ -313,20 +324,20 @@ def read_task(
     """
 
     def read_array(name: str) -> np.ndarray:
-        return np.asarray(stored[f"{TASK}/{name}"][world])
+        return np.asarray(stored.get_array(f"{TASK}/{name}")[world])
 
-    def read_samples(name: str) -> np.ndarray:
-        return np.asarray(stored[f"{TASK}/{name}"][world, :samples], int)
+    def read_samples(name: str, dtype: type = int) -> np.ndarray:
+        return np.asarray(stored.get_array(f"{TASK}/{name}")[world, :samples], dtype)
 
     is_survey = f"{TASK}/cells" in stored
     return TaskHistory(
         spec=spec,
-        time_s=np.asarray(stored[TIME_ARRAY][:samples], float),
+        time_s=np.asarray(stored.get_array(TIME_ARRAY)[:samples], float),
         position_m=read_array("place_m"),
         exists=read_array("exists").astype(bool),
         by=read_array("by").astype(int),
         done_at_s=read_array("done_at_s"),
-        progress=np.asarray(stored[f"{TASK}/share"][world, :samples], float),
+        progress=read_samples("share", float),
         did=read_samples("done"),
         target=read_samples("target"),
         carrying=read_samples("carrying"),

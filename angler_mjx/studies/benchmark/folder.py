@@ -6,15 +6,15 @@ tables, ``examples/``, ``figures/`` and ``report.html``. While it is made, it is
 (``.NAME.partial``).
 """
 
-import json
 import shutil
 from pathlib import Path
 from typing import Any
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.runs.provenance import describe_environment
-from angler_mjx.runs.storage import atomic_files, input_copies, output_lock, results_folder
-from angler_mjx.runs.storage.folder import ENVIRONMENT, write_json
+from angler_mjx.runs.storage import input_copies, output_lock, results_folder
+from angler_mjx.runs.storage.atomic_files import write_json
+from angler_mjx.runs.storage.folder import ENVIRONMENT
 from angler_mjx.runs.storage.output_lock import OutputLock
 from angler_mjx.runs.storage.read_errors import read_table, wrap_read_errors
 from angler_mjx.scenario.scenario import Scenario
@@ -93,11 +93,14 @@ def read_folder(folder: Path) -> Benchmark:
         for entry in stored_inputs
         if entry.role == input_copies.PLANNER
     }
-    replacements = input_copies.vehicle_stand_ins(folder)
+    copies = input_copies.stand_ins(folder)
     with wrap_read_errors(folder / RESOLVED):
         scenario: dict[str, Any] = dict(table["scenario"])
         scenario["fleet"] = [
-            {**entry, "vehicle": replacements.get(entry["vehicle"], entry["vehicle"])}
+            {
+                **entry,
+                "vehicle": copies.get((input_copies.VEHICLE, entry["vehicle"]), entry["vehicle"]),
+            }
             for entry in scenario["fleet"]
         ]
         config = table["benchmark"]
@@ -132,4 +135,4 @@ def write_about(benchmark: Benchmark, building: Path, *, complete: bool) -> None
         "teams": sorted({setting.robots for setting in benchmark.settings}),
         "complete": complete,
     }
-    atomic_files.write_text(building / ABOUT, json.dumps(table, indent=2) + "\n")
+    write_json(building / ABOUT, table)

@@ -191,7 +191,7 @@ def find_planning_fault(results_folder: Path) -> str | None:
     return faults[0] if faults and all(faults) else None
 
 
-def _summarise_planning(store: BenchmarkStore) -> dict[str, dict[str, Any]]:
+def _summarise_planning(store: BenchmarkStore) -> dict[str, planning_summary.PlanningSummary]:
     """How planning ended, by the planner's name; a team that is planned for in part has no plan."""
     by_planner: dict[str, list[Any]] = {}
     for row in store.rows(

@@ -76,8 +76,7 @@ def write_examples(store: BenchmarkStore, folder: Path) -> int:
             planners=np.array(labels, np.str_),
             **arrays,
         )
-        with atomic_files.write_atomically(examples_folder / f"{number}.npz") as writing:
-            writing.write_bytes(data)
+        atomic_files.write_bytes(examples_folder / f"{number}.npz", data)
     return len(rows)
 
 

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from angler_mjx.runs.storage import atomic_files
 from angler_mjx.runs.storage.episode_columns import EPISODE_SCHEMA
@@ -79,5 +78,4 @@ def write_tables(store: BenchmarkStore, folder: Path) -> None:
         (ROBOTS, build_robots_table),
         (PROGRESS, build_progress_table),
     ):
-        with atomic_files.write_atomically(folder / name) as writing:
-            pq.write_table(build(store), writing, compression="zstd")
+        atomic_files.write_parquet(folder / name, build(store), compression="zstd")

@@ -13,7 +13,8 @@ from typing import Any
 from angler_mjx.errors import ConfigError
 from angler_mjx.runs.provenance import describe_environment
 from angler_mjx.runs.storage import output_lock, results_folder
-from angler_mjx.runs.storage.folder import ENVIRONMENT, write_json
+from angler_mjx.runs.storage.atomic_files import write_json
+from angler_mjx.runs.storage.folder import ENVIRONMENT
 from angler_mjx.runs.storage.output_lock import OutputLock
 from angler_mjx.runs.storage.read_errors import read_table, wrap_read_errors
 from angler_mjx.scenario.scenario import Scenario

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from angler_mjx.runs.storage import atomic_files
 from angler_mjx.studies.fleet_size import bernoulli, sequential_test, survival
@@ -159,8 +158,7 @@ def write_results(path: Path, study: FleetSizeStudy, batches: Sequence[Batch]) -
         ]
         for name in ("completed_s", "arrived", "lost", "energy_j", "path_m", "no_room"):
             columns[name] += getattr(batch, name)
-    with atomic_files.write_atomically(path) as writing:
-        pq.write_table(pa.table(columns, schema=SCHEMA), writing)
+    atomic_files.write_parquet(path, pa.table(columns, schema=SCHEMA))
 
 
 ENDING_TEXTS = {

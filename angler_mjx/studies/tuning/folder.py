@@ -53,12 +53,11 @@ def reopen_folder(
             require(checkpoint)
         return checkpoint
 
-    is_published = not output_lock.partial_path(out).exists() and (out / CHECKPOINT).is_file()
     return results_folder.resume_folder(
         out,
         kind=FOLDER_KIND,
         file=CHECKPOINT,
-        is_complete=is_published and _read_checkpoint(out)["complete"],
+        is_complete=(out / CHECKPOINT).is_file() and _read_checkpoint(out)["complete"],
         check=check,
     )
 

@@ -1,6 +1,5 @@
 """Trained networks in one file: arrays by names in an ``.npz``, with their sizes and origin."""
 
-import hashlib
 import json
 from dataclasses import dataclass
 from importlib import resources
@@ -15,6 +14,7 @@ from angler_experiments.learned_planner import network
 from angler_experiments.learned_planner.network import Params
 from angler_experiments.learned_planner.shapes import SCHEMA, NetworkSize
 from angler_mjx.errors import ConfigError, format_value
+from angler_mjx.runs.storage.checksums import hash_file
 
 SHIPPED_FILE = "weights.npz"
 """File of the shipped network, beside this module."""
@@ -67,10 +67,9 @@ def hash_checkpoint(path: Path | None = None) -> str:
         ConfigError: the file does not exist.
     """
     try:
-        data = (path or Path(__file__).with_name(SHIPPED_FILE)).read_bytes()
+        return hash_file(path or Path(__file__).with_name(SHIPPED_FILE))[:16]
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror or error})") from error
-    return hashlib.sha256(data).hexdigest()[:16]
 
 
 def _read_checkpoint(path: Path) -> Checkpoint:

@@ -19,7 +19,8 @@ from angler_mjx.progress import Progress
 from angler_mjx.report.plotting import style
 from angler_mjx.report.viewing import markdown_tables
 from angler_mjx.runs.simulator import compile_cache
-from angler_mjx.runs.storage import folder, output_lock
+from angler_mjx.runs.storage import output_lock
+from angler_mjx.runs.storage.atomic_files import write_json
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.studies import chart, sweep
 from angler_mjx.studies import tables as sweep_tables
@@ -133,7 +134,7 @@ def store_results(
         page: with marks ``<!-- NAME: begin -->`` and ``<!-- NAME: end -->``.
     """
     data.mkdir(parents=True, exist_ok=True)
-    folder.write_json(data / f"{name}.json", results)
+    write_json(data / f"{name}.json", results)
     figure = style.save_figure(
         chart.plot_sweep(results), images / f"scalability_{name}.png", palette=128
     )

@@ -1,6 +1,5 @@
 """Selection of the ArduSub program, and checks of its file against this machine."""
 
-import hashlib
 import os
 import platform
 import struct
@@ -9,6 +8,7 @@ from pathlib import Path
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import FileModel, parse_model, read_toml
+from angler_mjx.runs.storage.checksums import hash_file
 
 ENVIRONMENT_VARIABLE = "ANGLER_ARDUSUB"
 PROGRAM_NAME, RECORD_NAME = "ardusub", "ardusub.toml"
@@ -86,19 +86,13 @@ def load_installed(path: Path) -> Binary:
     check_program(path)
     record_path = path.with_name(RECORD_NAME)
     record = parse_model(BinaryRecord, read_toml(record_path), source=str(record_path))
-    checksum = compute_sha256(path)
+    checksum = hash_file(path)
     if checksum != record.sha256:
         raise ConfigError(
             f"{path}: its sha256 is {checksum}, but {record.sha256} was recorded when it was "
             f"installed; it was changed since. Install it anew with angler sitl install"
         )
     return Binary(path=path, version=record.version, sha256=checksum)
-
-
-def compute_sha256(path: Path) -> str:
-    """Return the checksum of a file, hexadecimal."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def check_program(path: Path, *, run_bit: bool = True) -> None:
@@ -131,7 +125,7 @@ def _load_named(path: Path, source: str) -> Binary:
             check_program(path)
     except ConfigError as error:
         raise ConfigError(f"{source}: {error}") from error
-    return Binary(path=path, version=UNKNOWN_VERSION, sha256=compute_sha256(path))
+    return Binary(path=path, version=UNKNOWN_VERSION, sha256=hash_file(path))
 
 
 def _is_script(path: Path) -> bool:

@@ -11,6 +11,7 @@ from pathlib import Path
 from angler_mjx.errors import AnglerError, ConfigError, RunError, UnsupportedError
 from angler_mjx.files import parse_model, read_toml
 from angler_mjx.runs.storage import atomic_files
+from angler_mjx.runs.storage.checksums import hash_file
 from angler_sitl.firmware import download, probe
 from angler_sitl.firmware.binary import (
     PROGRAM_NAME,
@@ -20,7 +21,6 @@ from angler_sitl.firmware.binary import (
     BinaryRecord,
     cache_folder,
     check_program,
-    compute_sha256,
 )
 
 DEFAULT_VERSION = "stable-4.5.3"
@@ -98,7 +98,7 @@ def install_from_file(path: Path, *, checksum: str | None = None) -> Binary:
 def _install(part: Path, *, wanted: str, source: str, checksum: str | None) -> Binary:
     """Check a file in the cache folder and put it in place, followed by its record."""
     check_program(part, run_bit=False)
-    digest = compute_sha256(part)
+    digest = hash_file(part)
     _check_checksum(part.with_name(RECORD_NAME), wanted, source, digest, checksum)
     part.chmod(0o755)
     findings = _probe_version(Binary(path=part, version=UNKNOWN_VERSION, sha256=digest), source)

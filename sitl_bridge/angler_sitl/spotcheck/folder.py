@@ -4,13 +4,12 @@
 an interrupted spot check resumes with ``--resume`` after the last complete flight.
 """
 
-import json
 from pathlib import Path
 from typing import Any
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.runs.storage import output_lock, results_folder
-from angler_mjx.runs.storage.atomic_files import replace_file
+from angler_mjx.runs.storage.atomic_files import write_json
 from angler_mjx.runs.storage.output_lock import OutputLock
 from angler_mjx.runs.storage.read_errors import read_table, wrap_read_errors
 
@@ -47,38 +46,17 @@ def reopen_folder(out: Path, request: dict[str, Any]) -> tuple[OutputLock, dict[
 
     def check(building: Path) -> dict[str, Any]:
         table = load_table(building)
-        require_same_request(out, table, request)
+        results_folder.require_same_keys(building / TABLE, request, table["asked"])
         return table
 
     output_lock.require_name(out, flag="--resume")
-    existing = results_folder.locate_folder(out)
-    is_published = existing == out and (out / TABLE).is_file()
     return results_folder.resume_folder(
         out,
         kind=FOLDER_KIND,
         file=TABLE,
-        is_complete=is_published and load_table(out)["complete"],
+        is_complete=(out / TABLE).is_file() and load_table(out)["complete"],
         check=check,
     )
-
-
-def require_same_request(out: Path, table: dict[str, Any], request: dict[str, Any]) -> None:
-    """Refuse to resume a spot check with a different request.
-
-    Args:
-        out: its folder.
-        table: its table; see `load_table`.
-        request: current request.
-
-    Raises:
-        ConfigError: naming the difference.
-    """
-    for key, value in request.items():
-        if table["asked"].get(key) != value:
-            raise ConfigError(
-                f"--resume {out}: was begun with {key} = {table['asked'].get(key)}, not {value}; "
-                "give the same arguments"
-            )
 
 
 def load_table(out: Path) -> dict[str, Any]:
@@ -100,13 +78,7 @@ def load_table(out: Path) -> dict[str, Any]:
 
 def save_table(out: Path, table: dict[str, Any]) -> None:
     """Write ``spotcheck.json`` atomically."""
-    save_text(out / TABLE, json.dumps(table, indent=1) + "\n")
-
-
-def save_text(path: Path, text: str) -> None:
-    """Write a file of the folder atomically."""
-    with replace_file(path, flag="--out", force=True) as writing:
-        writing.write_text(text, encoding="utf-8")
+    write_json(out / TABLE, table, indent=1)
 
 
 def flight_path(out: Path, world: int, name: str, robots: int) -> Path:

@@ -9,8 +9,9 @@ from typing import Any
 
 from angler_mjx.report.plotting.style import save_figure
 from angler_mjx.report.viewing.markdown_tables import format_table
+from angler_mjx.runs.storage.atomic_files import write_text
 from angler_mjx.runs.storage.results import OUTCOMES
-from angler_sitl.spotcheck import figures, folder, gaps
+from angler_sitl.spotcheck import figures, gaps
 from angler_sitl.spotcheck.flight import RECORDED
 from angler_sitl.spotcheck.gaps import GapSummary
 from angler_sitl.spotcheck.results import SpotcheckResult
@@ -39,7 +40,7 @@ def write_report(out: Path, result: SpotcheckResult) -> None:
     Raises:
         RunError: writing to the disk failed.
     """
-    folder.save_text(out / GAPS, _format_csv(result))
+    write_text(out / GAPS, _format_csv(result))
     pictures = []
     if any(name in _get_levels(result) for name, *_ in summarise_rows(result)):
         save_figure(figures.plot_summary(result), out / SUMMARY, palette=128)
@@ -52,7 +53,7 @@ def write_report(out: Path, result: SpotcheckResult) -> None:
                     figure = figures.plot_world(result, pick.world, count)
                     save_figure(figure, out / name, palette=128)
                     pictures.append((pick.world, count, name))
-    folder.save_text(out / REPORT, format_report(result, pictures))
+    write_text(out / REPORT, format_report(result, pictures))
 
 
 def summarise_rows(result: SpotcheckResult) -> list[tuple[str, int, str, GapSummary]]:

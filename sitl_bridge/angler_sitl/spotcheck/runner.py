@@ -14,6 +14,7 @@ from angler_mjx.progress import Progress
 from angler_mjx.robot.vehicles import library
 from angler_mjx.runs.provenance import describe_environment
 from angler_mjx.runs.simulator.simulator import Simulator
+from angler_mjx.runs.storage import results_folder
 from angler_mjx.runs.storage.folder import POLICY, Run
 from angler_mjx.sim.state import World
 from angler_sitl.firmware import binary as binaries
@@ -112,7 +113,7 @@ def load_result(run_path: Path, settings: SpotcheckSettings, out: Path) -> Spotc
     """
     result = plan_spot_check(run_path, settings)
     table = folder.load_table(out)
-    folder.require_same_request(out, table, _build_request(result))
+    results_folder.require_same_keys(out / folder.TABLE, _build_request(result), table["asked"])
     result = _restore_picks(result, table)
     return replace(result, flights=_load_flights(result, out), complete=table["complete"])
 

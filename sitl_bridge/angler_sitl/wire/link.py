@@ -17,7 +17,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from angler_mjx.errors import RunError
+from angler_mjx.runs.storage.atomic_files import wrap_write_errors
 
 type MavlinkMessage = Any
 """Message of the dialect; its package has no types."""
@@ -200,10 +200,8 @@ class TelemetryLog:
             RunError: it cannot be written.
         """
         self._path, self._began_us = path, time.time_ns() // 1000
-        try:
+        with wrap_write_errors(path):
             self._file = path.open("wb")
-        except OSError as error:
-            raise RunError(f"{path}: cannot be written ({error.strerror or error})") from error
 
     def log_packet(self, packet: bytes, time_s: float) -> None:
         """Write a packet at its scene time."""

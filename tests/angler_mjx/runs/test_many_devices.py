@@ -17,7 +17,8 @@ import numpy as np
 import pytest
 import zarr
 
-from angler_mjx.runs.storage.folder import Run, partial_path
+from angler_mjx.runs.storage.folder import Run
+from angler_mjx.runs.storage.output_lock import partial_path
 
 SCENARIO = """
 schema_version = 1

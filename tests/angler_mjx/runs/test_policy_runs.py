@@ -16,7 +16,8 @@ from angler_mjx.robot.control.commands import Estimate, ThrusterPwm
 from angler_mjx.runs.folder_setup import require_same_scenario
 from angler_mjx.runs.rollout import resume, rollout
 from angler_mjx.runs.simulator.simulator import Simulator
-from angler_mjx.runs.storage.folder import Run, partial_path
+from angler_mjx.runs.storage.folder import Run
+from angler_mjx.runs.storage.output_lock import partial_path
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.sim.policy import Policy
 

@@ -26,7 +26,8 @@ from angler_mjx.runs.rollout import resume, rollout
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.runs.storage import folder, input_copies
 from angler_mjx.runs.storage.episode_columns import EPISODE_SCHEMA
-from angler_mjx.runs.storage.folder import Run, partial_path
+from angler_mjx.runs.storage.folder import Run
+from angler_mjx.runs.storage.output_lock import partial_path
 from angler_mjx.runs.storage.results import OUTCOMES
 from angler_mjx.sim.state import Outcome
 from angler_mjx.testing import referee
@@ -553,10 +554,10 @@ def test_a_vehicle_of_ones_own_is_copied_and_an_edit_is_noticed(tmp_path, monkey
     (home / "props.toml").write_text(thruster)
     monkeypatch.chdir(home)
     input_copies.copy_inputs(run_path, ["own.toml"], [("plan", home / "props.toml")])
-    assert input_copies.vehicle_stand_ins(run_path) == {}
+    assert input_copies.stand_ins(run_path) == {}
     input_copies.require_unchanged(run_path, flag="--resume")
     monkeypatch.chdir(away)  # where no such file is
-    copy = input_copies.vehicle_stand_ins(run_path)["own.toml"]
+    copy = input_copies.stand_ins(run_path)[input_copies.VEHICLE, "own.toml"]
     assert library.load_vehicle(copy).name == "mine"
     assert input_copies.vehicle_file(run_path, "mine") == copy
     input_copies.require_unchanged(run_path, flag="--resume")

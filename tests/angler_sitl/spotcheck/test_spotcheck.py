@@ -417,7 +417,9 @@ def test_what_was_interrupted_goes_on(run, flyers, settings, tmp_path, monkeypat
     with pytest.raises(ConfigError, match="--resume"):
         runner.run_spot_check(run.path, settings, out, told)
     other = replace(settings, source="vicon")
-    with pytest.raises(ConfigError, match="begun with source = vision"):
+    with pytest.raises(
+        ConfigError, match=r"begun with another source .see .*: 'vision', not 'vicon'"
+    ):
         runner.run_spot_check(run.path, other, out, told, resume=True)
     flyers[0] = -1
     again = runner.run_spot_check(run.path, settings, out, told, resume=True)

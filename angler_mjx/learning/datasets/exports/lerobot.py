@@ -18,7 +18,7 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.learning.datasets.dataset import Dataset
 from angler_mjx.learning.datasets.exports import flights
 from angler_mjx.learning.datasets.exports.flights import ExportedFlight
-from angler_mjx.runs.storage import folder
+from angler_mjx.runs.storage.atomic_files import write_json
 
 FORMAT_VERSION = "v3.0"
 DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
@@ -159,14 +159,14 @@ class _LeRobotWriter:
         self._files.close()
         self._episodes.close()
         pq.write_table(_build_task_table(self._tasks), self.out / "meta" / "tasks.parquet")
-        folder.write_json(
+        write_json(
             self.out / "meta" / "stats.json",
             {
                 feature: {name: values.tolist() for name, values in statistics.items()}
                 for feature, statistics in self._statistics.items()
             },
         )
-        folder.write_json(self.out / "meta" / "info.json", self._build_info(hz))
+        write_json(self.out / "meta" / "info.json", self._build_info(hz))
 
     def _build_info(self, hz: int) -> dict[str, Any]:
         vectors = {

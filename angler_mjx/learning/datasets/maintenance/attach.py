@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from angler_mjx.errors import RunError
 from angler_mjx.learning.datasets import card, checksums, gaps, index, manifest
 from angler_mjx.learning.datasets.gaps import SpotCheck
+from angler_mjx.runs.storage.atomic_files import wrap_write_errors
 
 
 def attach_spot_check(root: Path, spot_check: SpotCheck) -> None:
@@ -21,12 +21,8 @@ def attach_spot_check(root: Path, spot_check: SpotCheck) -> None:
     dataset_manifest = manifest.read_manifest(root)
     table = index.read_index(root)
     digests = checksums.read_checksums(root, dataset_manifest.sums)
-    try:
+    with wrap_write_errors(root, "make room and write it again"):
         gaps.write_spot_check(root, spot_check)
         card.write_readme(root, dataset_manifest, table)
         digest = checksums.update_checksums(root, digests, (gaps.SPOT_CHECK_FILE, card.README))
         manifest.write_manifest(root, dataset_manifest.model_copy(update={"sums": digest}))
-    except OSError as error:
-        raise RunError(
-            f"{root}: cannot be written ({error.strerror or error}); make room and write it again"
-        ) from error

@@ -15,6 +15,8 @@ from angler_mjx.learning.datasets.verifying import replay
 from angler_mjx.progress import Progress
 from angler_mjx.runs import rollout
 from angler_mjx.runs.storage import folder, output_lock
+from angler_mjx.runs.storage.atomic_files import wrap_write_errors, write_json
+from angler_mjx.runs.storage.checksums import compare_files
 
 _REQUIRED = (folder.CONFIG, "inputs/")
 """Files of a run that define its flights."""
@@ -52,9 +54,8 @@ def repair_dataset(root: Path, progress: Progress, *, accept: bool = False) -> R
     if output_lock.partial_path(root).exists():
         raise ConfigError(f"{root}: is being made; wait, or go on with it by --resume")
     digests = _read_checksums(root, dataset_manifest)
-    present = set(checksums.list_files(root))
-    current = dict(checksums.hash_files(root, sorted(present & digests.keys())))
-    damaged = sorted(name for name in digests if current.get(name) != digests[name])
+    compared = compare_files(root, digests, checksums.list_files(root))
+    damaged = sorted((*compared.missing, *compared.changed))
     if not damaged:
         return RepairResult(damaged=(), parts=(), other=())
     parts = [
@@ -75,10 +76,8 @@ def repair_dataset(root: Path, progress: Progress, *, accept: bool = False) -> R
         gc.collect()
     other = [
         name
-        for name, digest in checksums.hash_files(
-            root, sorted(digests.keys() & set(checksums.list_files(root)))
-        )
-        if digest != digests[name] and Path(name).name not in _RUN_REPORTS and "/" in name
+        for name in compare_files(root, digests, checksums.list_files(root)).changed
+        if Path(name).name not in _RUN_REPORTS and "/" in name
     ]
     if other and not accept:
         raise RunError(
@@ -124,7 +123,7 @@ def _refly_part(root: Path, damaged: Sequence[str], part: PartEntry, progress: P
         summary = root / folder.SUMMARY
         if summary.exists():
             table = json.loads(summary.read_text(encoding="utf-8"))
-            folder.write_json(summary, {**table, "complete": False})
+            write_json(summary, {**table, "complete": False})
     except (OSError, ValueError) as error:
         raise RunError(f"{root}: cannot be mended ({error})") from error
     run = rollout.resume(root, progress=progress, chunk=1)
@@ -134,7 +133,7 @@ def _refly_part(root: Path, damaged: Sequence[str], part: PartEntry, progress: P
 
 def _finish_dataset(root: Path, dataset_manifest: Manifest, damaged: Sequence[str]) -> None:
     """Write index, card and checksums of the present files; a damaged spot check is dropped."""
-    try:
+    with wrap_write_errors(root):
         if gaps.SPOT_CHECK_FILE in damaged:
             (root / gaps.SPOT_CHECK_FILE).unlink(missing_ok=True)
         table = index.build_index(root, dataset_manifest)
@@ -143,5 +142,3 @@ def _finish_dataset(root: Path, dataset_manifest: Manifest, damaged: Sequence[st
         manifest.write_manifest(
             root, dataset_manifest.model_copy(update={"sums": checksums.write_checksums(root)})
         )
-    except OSError as error:
-        raise RunError(f"{root}: cannot be written ({error.strerror or error})") from error

@@ -6,7 +6,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -16,7 +15,8 @@ from angler_mjx.learning.datasets import checksums, index
 from angler_mjx.learning.datasets.manifest import SPLITS, Manifest, PartEntry
 from angler_mjx.learning.datasets.stored import StoredArray
 from angler_mjx.learning.datasets.verifying.report import DatasetCheck
-from angler_mjx.runs.storage import folder
+from angler_mjx.runs.storage import environments, folder
+from angler_mjx.runs.storage.checksums import compare_files
 from angler_mjx.runs.storage.folder import Run
 from angler_mjx.sim.state import Outcome
 
@@ -32,20 +32,18 @@ def check_files(root: Path, manifest: Manifest) -> DatasetCheck:
     """Check every file against its checksum."""
     check = DatasetCheck(name="files")
     digests = checksums.read_checksums(root, manifest.sums)
-    present = set(checksums.list_files(root))
-    for name in sorted(digests.keys() - present):
+    differences = compare_files(root, digests, checksums.list_files(root))
+    for name in differences.missing:
         check.add_finding(name, "is missing; copy it again, or mend it with angler dataset repair")
-    for name in sorted(present - digests.keys()):
+    for name in differences.foreign:
         check.add_finding(name, "is no file of the dataset; move it elsewhere")
-    names = sorted(present & digests.keys())
-    for name, digest in checksums.hash_files(root, names):
-        if digest != digests[name]:
-            check.add_finding(
-                name,
-                "was changed or damaged (its SHA-256 differs); copy it again, or mend the "
-                "dataset with angler dataset repair",
-            )
-    check.looked_at, check.exact = f"{len(names):,} files", len(names)
+    for name in differences.changed:
+        check.add_finding(
+            name,
+            "was changed or damaged (its SHA-256 differs); copy it again, or mend the "
+            "dataset with angler dataset repair",
+        )
+    check.looked_at, check.exact = f"{differences.compared:,} files", differences.compared
     return check
 
 
@@ -56,7 +54,7 @@ def check_parts(root: Path, manifest: Manifest) -> DatasetCheck:
         try:
             run = Run(root / part.path)
             scenario = run.scenario
-            stored: Any = run.trajectories  # the schema is checked by the models
+            stored = environments.list_arrays(run.trajectories)
             summary = run.summary
         except ConfigError as error:
             check.add_finding(part.path, str(error))
@@ -72,7 +70,7 @@ def check_parts(root: Path, manifest: Manifest) -> DatasetCheck:
                 "there" if scenario.randomise.changes_vehicles else "none",
                 "there" if (root / part.path / folder.VARIANTS).is_file() else "none",
             ),
-            "arrays": (set(), manifest.arrays.keys() - _list_arrays(stored)),
+            "arrays": (set(), manifest.arrays.keys() - stored.keys()),
         }
         for key, (expected_value, actual) in expected.items():
             if expected_value != actual:
@@ -81,10 +79,6 @@ def check_parts(root: Path, manifest: Manifest) -> DatasetCheck:
                 )
     check.looked_at, check.exact = f"{len(manifest.parts)} run folders", len(manifest.parts)
     return check
-
-
-def _list_arrays(stored: Any) -> set[str]:
-    return {name for name, _ in stored.members(max_depth=None)}
 
 
 def check_index(root: Path, manifest: Manifest, table: pa.Table) -> DatasetCheck:

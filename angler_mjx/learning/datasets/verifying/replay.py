@@ -4,7 +4,6 @@ import gc
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np
@@ -20,6 +19,7 @@ from angler_mjx.runs.simulator.host_planning import PlanNotes
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.runs.storage import device_to_host, trajectory_layout
 from angler_mjx.runs.storage.folder import Run
+from angler_mjx.runs.storage.quantization import Quantization
 from angler_mjx.sim.state import Outcome, World
 
 COMPARED_KEYS = ("backend", "device")
@@ -146,7 +146,7 @@ class _StoredRunPlans:
         """Return stored plans; see `device_batches.StoredPlans`."""
         robots = worlds.path.time_s.shape[1]
         planned = self.run.episodes["planned"].to_numpy(zero_copy_only=False).reshape(-1, robots)
-        stored: Any = self.run.trajectories
+        stored = self.run.trajectories
         last = len(planned) - 1
         rows = [min(first + i, last) for first in firsts for i in range(simulator.tile)]
         made = [trajectory_layout.read_plan(stored, row, planned[row]) for row in rows]
@@ -165,8 +165,9 @@ def _replay_part(
     """Fly the worlds' tile again and compare them."""
     run = Run(root / part.path)
     first = worlds[0] - worlds[0] % part.tile
-    stored: Any = run.trajectories
-    shape = PathShape(points=stored["plan_time_s"].shape[-1], joints="plan_degree" in stored)
+    stored = run.trajectories
+    points = stored.get_array("plan_time_s").shape[-1]
+    shape = PathShape(points=points, joints="plan_degree" in stored)
     simulator = Simulator(run.scenario, devices=1, tile=part.tile)
     plans = None
     if simulator.hosted:
@@ -189,11 +190,11 @@ def _replay_part(
     for world in worlds:
         row = slice(world - first, world - first + 1)
         flown = {name: _round_values(take(row), sized.stepped(name)) for name, take in made.items()}
-        recorded = {name: np.asarray(stored[name][world : world + 1]) for name in flown}
+        recorded = {name: np.asarray(stored.get_array(name)[world : world + 1]) for name in flown}
         _compare_world(comparison, check, part, world, flown, recorded, exact=exact)
 
 
-def _round_values(values: np.ndarray, steps: Any) -> np.ndarray:
+def _round_values(values: np.ndarray, steps: Quantization | None) -> np.ndarray:
     """Round values as a reader of the stored files gets them."""
     return values if steps is None else steps.round_values(values)
 

@@ -1,7 +1,6 @@
 """Checks of a dataset and their findings."""
 
 from dataclasses import asdict, dataclass, field
-from typing import Any
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +47,7 @@ class DatasetCheck:
         why = f" ({self.why})" if self.why else ""
         return f"{self.name}: {self.looked_at}: {len(self.findings) or 'nothing'} wrong{why}"
 
-    def table(self) -> dict[str, Any]:
+    def table(self) -> dict[str, object]:
         """Return everything but the findings, for JSON."""
         return {
             key: value for key, value in asdict(self).items() if key not in ("name", "findings")
@@ -72,7 +71,7 @@ class VerificationReport:
         """Return the findings of all checks, in their order."""
         return [finding for check in self.checks for finding in check.findings]
 
-    def table(self) -> dict[str, Any]:
+    def table(self) -> dict[str, object]:
         """Return the report in plain values."""
         return {
             "dataset": self.dataset,

@@ -8,7 +8,6 @@ to repeat: ``digest`` and ``seed``.
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np
@@ -49,7 +48,7 @@ def write_problems(
         group = zarr.open_group(building, mode="a")
         for first in range(0, total, tile):
             problems = simulator.problems(first, min(tile, total - first))
-            batch: Any = jax.tree.map(
+            batch = jax.tree.map(
                 lambda *rows: np.stack(rows), *(_without_name(problem) for problem in problems)
             )
             if first == 0:
@@ -57,7 +56,7 @@ def write_problems(
             for name, rows in _problem_arrays(batch).items():
                 # A chunk of nothing but zeros is a file too: a reader without Zarr expects it.
                 with zarr.config.set({"array.write_empty_chunks": raw}):
-                    array: Any = group[name]
+                    array = group.get_array(name)
                 array[first : first + len(rows)] = rows
             advance(first + len(problems))
 
@@ -67,13 +66,13 @@ def _without_name(problem: Problem) -> Problem:
     return replace(problem, name=None)
 
 
-def _problem_arrays(batch: Problem) -> dict[str, Any]:
+def _problem_arrays(batch: Problem) -> dict[str, np.ndarray]:
     """Return arrays by their names in the file; components of the current are ``current/i``.
 
     Python's fields have ``current/components/i``.
     """
     return {
-        name.replace("current/components/", "current/"): rows
+        name.replace("current/components/", "current/"): np.asarray(rows)
         for name, rows in named_leaves(batch).items()
     }
 

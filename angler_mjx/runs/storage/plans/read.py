@@ -17,11 +17,9 @@ World i of the arrays is world i of the seed. A number of points below 0 says th
 planned yet. ``docs/reference/plan_files.md`` has a writer of twenty lines.
 """
 
-import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import zarr
@@ -38,8 +36,9 @@ from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.robot.control.plans import Plan
 from angler_mjx.runs.simulator.host_planning import PlanNotes, planning_status
 from angler_mjx.runs.simulator.simulator import Simulator
-from angler_mjx.runs.storage import output_lock, planning_summary
+from angler_mjx.runs.storage import checksums, planning_summary
 from angler_mjx.runs.storage.read_errors import wrap_read_errors
+from angler_mjx.runs.storage.trajectory_layout import host_leaf
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.state import World
 
@@ -116,8 +115,8 @@ class PlanFile:
             ), notes
         time, position_m = _pad_paths(count, time, position_m, is_found, start)
         time, position_m = (_widen_paths(rows, self.shape.points) for rows in (time, position_m))
-        paths: Any = {"time_s": time, "position_m": position_m, "found": is_found}
-        return Trajectory(**paths), notes
+        paths = {"time_s": time, "position_m": position_m, "found": is_found}
+        return Trajectory(**{name: host_leaf(rows) for name, rows in paths.items()}), notes
 
     def _read_motion(self, rows: np.ndarray) -> dict[str, np.ndarray] | None:
         """Read headings, velocities, accelerations and degrees; None without headings."""
@@ -133,16 +132,11 @@ class PlanFile:
 
     def sha256(self) -> str:
         """Return the SHA-256 of all bytes of the file, hexadecimal."""
-        digest = hashlib.sha256()
         with wrap_read_errors(self.path):
-            for path in sorted(self.path.rglob("*")):
-                if path.is_file() and path.name != output_lock.LOCK:
-                    digest.update(str(path.relative_to(self.path)).encode())
-                    digest.update(path.read_bytes())
-        return digest.hexdigest()
+            return checksums.hash_folder(self.path)
 
     def _read_rows(self, name: str, rows: np.ndarray) -> np.ndarray:
-        array: Any = self.group[name]
+        array = self.group.get_array(name)
         low, high = int(rows.min()), int(rows.max()) + 1
         values: np.ndarray = np.asarray(array[low:high])[rows - low]
         return values
@@ -150,21 +144,27 @@ class PlanFile:
     def _read_texts(self, name: str, list_name: str, rows: np.ndarray) -> np.ndarray | None:
         if name not in self.group:
             return None
-        attributes: dict[str, Any] = dict(self.group.attrs)
-        table = np.array([*map(str, attributes.get(list_name, [])), ""], object)
+        table = np.array([*read_texts(self.group, list_name), ""], object)
         index = self._read_rows(name, rows)
         is_valid = (index >= 0) & (index < len(table))
         texts: np.ndarray = table[np.where(is_valid, index, -1)]
         return texts
 
 
-def summarise_plan_file(path: Path) -> dict[str, Any]:
+def read_texts(group: zarr.Group, name: str) -> list[str]:
+    """Return the texts that an array of a file of plans counts; see ``reasons``."""
+    texts = group.attrs.get(name, [])
+    if not isinstance(texts, list):
+        raise TypeError(f"{name} is no list")
+    return [str(text) for text in texts]
+
+
+def summarise_plan_file(path: Path) -> planning_summary.PlanningSummary:
     """Return how the planning of a file of plans ended; see `runs.storage.planning_summary`."""
     with wrap_read_errors(path):
         group = zarr.open_group(path, mode="r")
         plans = PlanFile(path=path, group=group, shape=PathShape(points=2))
-        count: Any = group["points"]
-        points = np.asarray(count[:])
+        points = np.asarray(group.get_array("points")[:])
         rows = np.arange(len(points))
         reason = plans._read_texts("reason", "reasons", rows)
         status = plans._read_texts("status", "statuses", rows)
@@ -187,7 +187,7 @@ def open_plans(path: Path, scenario: Scenario) -> PlanFile:
     """
     with wrap_read_errors(path, "give a file of angler plan; format: docs/reference/plan_files.md"):
         group = zarr.open_group(path, mode="r")
-        attributes: dict[str, Any] = dict(group.attrs)
+        attributes = dict(group.attrs)
         shapes = {name: np.shape(array) for name, array in group.arrays()}
     if attributes.get("schema") != SCHEMA or attributes.get("schema_version") != SCHEMA_VERSION:
         raise ConfigError(f"{path}: holds no plans of schema version {SCHEMA_VERSION}")
@@ -220,7 +220,7 @@ def open_plans(path: Path, scenario: Scenario) -> PlanFile:
 
 
 def _require_same_scenario(
-    path: Path, attributes: Mapping[str, Any], scenario: Scenario, worlds: int, robots: int
+    path: Path, attributes: Mapping[str, object], scenario: Scenario, worlds: int, robots: int
 ) -> None:
     members = len(scenario.members())
     if robots != members:
@@ -310,12 +310,13 @@ def _build_joint_paths(
     time, position = _pad_paths(count, time, joints, is_found, start)
     commanded = np.ones((*is_found.shape, len(VEHICLE_JOINTS)), bool)
     by_point = {"time_s": time, "position": position, **padded, "degree": degree}
-    arrays: Any = {
+    arrays = {
         **{name: _widen_paths(rows, points) for name, rows in by_point.items()},
         "commanded": commanded,
         "found": is_found,
     }
-    return JointTrajectory(joints=VEHICLE_JOINTS, **arrays)
+    leaves = {name: host_leaf(rows) for name, rows in arrays.items()}
+    return JointTrajectory(joints=VEHICLE_JOINTS, **leaves)
 
 
 def _path_faults(

@@ -2,16 +2,17 @@
 
 from collections import deque
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np
 import zarr
 from zarr.codecs import BloscCodec
+from zarr.types import JSON
 
-from angler_mjx.errors import ConfigError, RunError, format_value
+from angler_mjx.errors import ConfigError
 from angler_mjx.planning.planner import PathShape
 from angler_mjx.robot.control import plans
 from angler_mjx.robot.control.commands.joint_trajectory import LINEAR, JointTrajectory
@@ -20,7 +21,7 @@ from angler_mjx.runs.simulator.host_planning import PlanNotes, SampledBatch, pla
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.runs.storage import output_lock, results_folder
 from angler_mjx.runs.storage.output_lock import OutputLock
-from angler_mjx.runs.storage.plans.read import SCHEMA, SCHEMA_VERSION
+from angler_mjx.runs.storage.plans.read import SCHEMA, SCHEMA_VERSION, read_texts
 from angler_mjx.runs.storage.read_errors import wrap_read_errors
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.scenario.task_table import require_goal_task
@@ -34,21 +35,22 @@ class PlanWriter:
     def __init__(self, lock: OutputLock, group: zarr.Group) -> None:
         """Use `open_writer`."""
         self._lock, self._group = lock, group
-        attributes: dict[str, Any] = dict(group.attrs)
         self._texts: dict[str, dict[str, int]] = {
-            name: {str(text): i for i, text in enumerate(attributes.get(name, []))}
+            name: {text: i for i, text in enumerate(read_texts(group, name))}
             for name in ("reasons", "statuses")
         }
 
     def planned(self) -> int:
         """Number of robots that have a path."""
-        count: Any = self._group["points"]
-        return int(np.sum(np.asarray(count[:]) > 0))
+        return int(np.sum(self._point_counts() > 0))
 
     def left(self) -> list[int]:
         """Worlds that are not planned yet."""
-        count: Any = self._group["points"]
-        return [int(i) for i in np.flatnonzero(np.any(np.asarray(count[:]) < 0, axis=1))]
+        return [int(i) for i in np.flatnonzero(np.any(self._point_counts() < 0, axis=1))]
+
+    def _point_counts(self) -> np.ndarray:
+        """Return the number of points of each path, int [world, robot]."""
+        return np.asarray(self._group.get_array("points")[:])
 
     def write(self, first: int, path: Plan, notes: PlanNotes) -> None:
         """Write the plans of worlds first, first + 1 and on; the number of points last.
@@ -62,17 +64,17 @@ class PlanWriter:
         is_last = time[..., :-1] == time[..., -1:]
         n_points = np.argmax(np.concatenate([is_last, np.ones_like(is_last[..., :1])], -1), -1) + 1
         rows = slice(first, first + len(is_found))
-        group: Any = self._group
-        group["time_s"][rows] = time
-        group["position_m"][rows] = np.asarray(points_m(path))
+        arrays = {"time_s": time, "position_m": np.asarray(points_m(path))}
         if isinstance(path, JointTrajectory):
-            group["yaw_rad"][rows] = np.asarray(path.position)[..., 3]
+            arrays["yaw_rad"] = np.asarray(path.position)[..., 3]
             for name in ("velocity", "acceleration", "degree"):
-                group[name][rows] = np.asarray(getattr(path, name))
-        group["planning_s"][rows] = notes.planning_s.astype(np.float32)
-        group["reason"][rows] = self._text_indices("reasons", notes.reason)
-        group["status"][rows] = self._text_indices("statuses", notes.status)
-        group["points"][rows] = np.where(is_found, np.maximum(n_points, 2), 0).astype(np.int32)
+                arrays[name] = np.asarray(getattr(path, name))
+        arrays["planning_s"] = notes.planning_s.astype(np.float32)
+        arrays["reason"] = self._text_indices("reasons", notes.reason)
+        arrays["status"] = self._text_indices("statuses", notes.status)
+        arrays["points"] = np.where(is_found, np.maximum(n_points, 2), 0).astype(np.int32)
+        for name, values in arrays.items():
+            self._group.get_array(name)[rows] = values
 
     def _text_indices(self, name: str, texts: np.ndarray) -> np.ndarray:
         indices = self._texts[name]
@@ -84,9 +86,13 @@ class PlanWriter:
         """Give the file its name: it is whole."""
         self._lock.publish()
 
-    def release(self) -> None:
-        """Release the file as it is, for a resumption."""
-        self._lock.release()
+    def keeping(self) -> AbstractContextManager[Path]:
+        """Write inside; the file is released as it is if that fails, for a resumption.
+
+        Raises:
+            RunError: the disk gave out.
+        """
+        return self._lock.keeping()
 
 
 def open_writer(
@@ -136,20 +142,13 @@ def _require_same_plans(path: Path, scenario: Scenario, shape: PathShape, buildi
     """Refuse to resume a file of other problems or paths."""
     with wrap_read_errors(building):
         group = zarr.open_group(building, mode="r")
-        array: Any = group["time_s"]
-        attributes, stored_shape = dict(group.attrs), array.shape
-    for key, value in _file_attributes(scenario).items():
-        if attributes.get(key) != value:
-            raise ConfigError(
-                f"--resume {path}: was begun with another {key} "
-                f"({format_value(attributes.get(key))}, not "
-                f"{format_value(value)}); begin a new file"
-            )
+        attributes, stored_shape = dict(group.attrs), group.get_array("time_s").shape
+    results_folder.require_same_keys(building, _file_attributes(scenario), attributes)
     if stored_shape != (scenario.worlds, len(scenario.members()), shape.points):
         raise ConfigError(f"--resume {path}: was begun with other worlds or points {stored_shape}")
 
 
-def _file_attributes(scenario: Scenario) -> dict[str, Any]:
+def _file_attributes(scenario: Scenario) -> dict[str, JSON]:
     return {
         "scenario": scenario.name,
         "seed": scenario.seed,
@@ -221,7 +220,7 @@ def plan_worlds(
     )
     tile, total = simulator.tile, scenario.worlds
     writer = open_writer(path, scenario, simulator.paths, resume=resume, tile=tile)
-    try:
+    with writer.keeping():
         remaining = writer.left()
         tiles = sorted({world - world % tile for world in remaining})
         done, planned = total - len(remaining), writer.planned()
@@ -234,7 +233,7 @@ def plan_worlds(
                 sampled.append(simulator.begin([next_first], counts=[counts[next_first]]))
             worlds, notes = simulator.finish(sampled.popleft())
             count = counts[first]
-            paths: Any = jax.tree.map(lambda leaf, n=count: np.asarray(leaf)[:n], worlds.path)
+            paths = jax.tree.map(lambda leaf, n=count: np.asarray(leaf)[:n], worlds.path)
             is_found = np.asarray(plans.is_found(paths))
             notes = notes or _device_notes(is_found)
             writer.write(first, paths, notes.rows(slice(count)))
@@ -242,15 +241,6 @@ def plan_worlds(
             planned += int(is_found.sum())
             advance(done, planned)
         writer.publish()
-    except OSError as error:
-        writer.release()
-        raise RunError(
-            f"{path}: cannot be written ({error.strerror or error}); make room and go on with "
-            "--resume"
-        ) from error
-    except BaseException:
-        writer.release()
-        raise
     return planned
 
 

@@ -17,6 +17,7 @@ from angler_mjx.learning.datasets import generation, index, manifest
 from angler_mjx.progress import Progress
 from angler_mjx.runs import multi_run, rollout
 from angler_mjx.runs.storage import folder, output_lock
+from angler_mjx.runs.storage.atomic_files import write_json
 from angler_mjx.runs.storage.folder import Run
 
 from ...threads import together
@@ -55,7 +56,7 @@ def test_parts_are_flown_together_and_one_writes_the_rest(file, made, flown_befo
 def test_a_part_that_is_whole_is_begun_by_nobody(file, made, flown_before, tmp_path):
     request, out = generation.read_request(file, 6), tmp_path / "out"
     claimed = output_lock.acquire(out, kind="dataset")
-    folder.write_json(claimed.building / multi_run.REQUEST_FILE, request.resolved())
+    write_json(claimed.building / multi_run.REQUEST_FILE, request.resolved())
     first = manifest.read_manifest(made).parts[0]
     shutil.copytree(made / first.path, claimed.building / first.path)
     claimed.release()

@@ -13,6 +13,7 @@ from angler_mjx.cli import main
 from angler_mjx.learning.datasets import checksums, index, manifest
 from angler_mjx.learning.datasets.verifying import replay, verification
 from angler_mjx.learning.datasets.verifying.report import DatasetCheck
+from angler_mjx.runs.storage.checksums import hash_file
 
 
 def silent(*_):
@@ -109,7 +110,7 @@ def test_the_list_of_sums_is_guarded_too(copy):
     (one,) = verdict(copy).findings
     assert "SHA-256 differs" in one.text
     table = json.loads((copy / manifest.MANIFEST).read_text())
-    digest = checksums.hash_file(copy / manifest.SUMS)
+    digest = hash_file(copy / manifest.SUMS)
     (copy / manifest.MANIFEST).write_text(json.dumps({**table, "sums": digest}))
     (one,) = verdict(copy).findings
     assert "leaves the dataset's folder" in one.text

@@ -8,6 +8,8 @@ import sys
 
 import jax
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from angler_mjx.errors import ConfigError, RunError
@@ -193,3 +195,19 @@ def test_a_file_is_whole_or_as_it_was(tmp_path):
         writing.write_text("new")
     assert path.read_text() == "new"
     assert [one.name for one in tmp_path.iterdir()] == ["file.txt"]
+
+
+def test_tables_are_written_whole(tmp_path):
+    atomic_files.write_json(tmp_path / "table.json", {"a": 1})
+    with pytest.raises(ValueError, match="JSON compliant"):
+        atomic_files.write_json(tmp_path / "table.json", {"a": float("nan")})
+    assert (tmp_path / "table.json").read_text() == '{\n  "a": 1\n}\n'
+    rows = pa.table({"a": [1, 2]})
+    atomic_files.write_parquet(tmp_path / "rows.parquet", rows, page_checksums=True)
+    assert pq.read_table(tmp_path / "rows.parquet", page_checksum_verification=True) == rows
+    with (
+        pytest.raises(RunError, match=r"rows: cannot be written \(.*\); make room"),
+        atomic_files.wrap_write_errors("rows", "make room"),
+    ):
+        atomic_files.write_parquet(tmp_path / "missing" / "rows.parquet", rows)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["rows.parquet", "table.json"]
