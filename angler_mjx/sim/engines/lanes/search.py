@@ -6,7 +6,7 @@ distance so far is not looked at.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Protocol
 
 import jax
 import jax.numpy as jnp
@@ -20,25 +20,25 @@ type LaneIndex = jax.Array | np.ndarray | int | tuple[jax.Array | np.ndarray | s
 
 
 @dataclass(frozen=True, kw_only=True)
-class CandidateBody:
+class CandidateBody[Body]:
     """A shape that robots can meet, in every lane; what costs something is loaded when asked for.
 
-    ``details`` gives what it is (Obstacles or `judge.LaneHull`), its attitude q [4], and its
+    ``details`` gives its constants (Obstacles or `judge.LaneHull`), its attitude q [4], and its
     velocity [3] in W.
     """
 
     p: Lanes
     reach: jax.Array
     """Radius of its bounding sphere; -inf where there is none."""
-    details: Callable[[], tuple[Any, Lanes, Lanes]]
+    details: Callable[[], tuple[Body, Lanes, Lanes]]
 
 
 @dataclass(frozen=True, kw_only=True)
-class OtherBodies:
+class OtherBodies[Index, Body]:
     """Shapes that robots can meet, one after another."""
 
     count: int
-    load: Callable[[Any], CandidateBody]
+    load: Callable[[Index], CandidateBody[Body]]
     """Shape i of these, for every lane; a `SearchFunction` of another kind asks in another way."""
     first: int = 0
     """Number of shape 0 among all of its kind."""
@@ -63,13 +63,16 @@ class Seeker:
     limit_m: Lanes
     """[] distances from here on do not matter, unless something touches."""
 
-    def is_candidate(self, candidate: CandidateBody, is_other: jax.Array | bool) -> jax.Array:
+    def is_candidate(
+        self, candidate: CandidateBody[object], is_other: jax.Array | bool
+    ) -> jax.Array:
         """Whether a shape is near enough to matter."""
+        running: jax.Array = self.running.item()
+        radius_m: jax.Array = self.radius_m.item()
         square = sum((candidate.p[k] - self.p[k]) ** 2 for k in range(3))
-        within = jnp.maximum(self.limit_m[()], 0.0) + self.radius_m[()] + candidate.reach
-        near = (within >= 0.0) & (square <= within * within)
-        wanted: jax.Array = self.running[()] & is_other & near
-        return wanted
+        within = jnp.maximum(self.limit_m[()], 0.0) + radius_m + candidate.reach
+        near: jax.Array = (within >= 0.0) & (square <= within * within)
+        return running & is_other & near
 
 
 @jax.tree_util.register_dataclass
@@ -83,6 +86,9 @@ class NearestBody:
     v: tuple[jax.Array, ...]
 
 
+type _Slots = tuple[jax.Array, ...]
+"""Groups that each lane has noted, with the wanted shapes of each."""
+
 GROUP_SIZE = 8
 """Shapes that are asked for together where there are many: their loads wait together."""
 MAX_NOTED_GROUPS = 4
@@ -91,22 +97,33 @@ LIST_THRESHOLD = GROUP_SIZE + 1
 """Shapes from which on they are listed. The list of a single group costs large batches more than
 it saves."""
 
-type GapFunction = Callable[[Seeker, CandidateBody], tuple[Any, Any, Lanes]]
+type GapFunction[Body] = Callable[
+    [Seeker, CandidateBody[Body]], tuple[jax.Array, jax.Array | np.bool_, Lanes]
+]
 """The gap to a shape, whether it never moves, and its velocity [3]."""
 
-type SearchFunction = Callable[
-    [Seeker, OtherBodies, GapFunction, NearestBody, LaneIndex], NearestBody
-]
-"""The nearest of some shapes and of one found before, if nearer than the limit or touching.
 
-The last argument is the number of the shape that is the lane's own. The first of equals counts.
-"""
+class SearchFunction[Index](Protocol):
+    """The nearest of some shapes and of one found before, if nearer than the limit or touching."""
+
+    def __call__[Body](
+        self,
+        seeker: Seeker,
+        others: OtherBodies[Index, Body],
+        measure_gap: GapFunction[Body],
+        start: NearestBody,
+        self_index: LaneIndex,
+    ) -> NearestBody:
+        """Search; ``self_index`` is the number of the lane's own shape.
+
+        The first of equals counts.
+        """
 
 
-def search_in_turn(
+def search_in_turn[Body](
     seeker: Seeker,
-    others: OtherBodies,
-    measure_gap: GapFunction,
+    others: OtherBodies[jax.Array, Body],
+    measure_gap: GapFunction[Body],
     start: NearestBody,
     self_index: LaneIndex,
 ) -> NearestBody:
@@ -135,10 +152,10 @@ def search_in_turn(
     return nearest
 
 
-def search_in_groups(
+def search_in_groups[Body](
     seeker: Seeker,
-    others: OtherBodies,
-    measure_gap: GapFunction,
+    others: OtherBodies[jax.Array, Body],
+    measure_gap: GapFunction[Body],
     start: NearestBody,
     self_index: LaneIndex,
 ) -> NearestBody:
@@ -152,7 +169,9 @@ def search_in_groups(
     groups = -(-others.count // GROUP_SIZE)
     empty = jnp.zeros_like(start.index)
 
-    def note_group(carry: Any) -> Any:
+    def note_group(
+        carry: tuple[jax.Array, jax.Array, _Slots],
+    ) -> tuple[jax.Array, jax.Array, _Slots]:
         group, noted, slots = carry
         mask = empty
         for k in range(GROUP_SIZE):
@@ -168,7 +187,7 @@ def search_in_groups(
         )
         return group + 1, noted + jnp.where(note != 0, 1, 0), slots
 
-    def pop(carry: Any) -> Any:
+    def pop(carry: tuple[_Slots, NearestBody]) -> tuple[_Slots, NearestBody]:
         (head, *rest), best = carry
         bit = head & -head
         k = jax.lax.population_count((bit - 1) & (2**GROUP_SIZE - 1))
@@ -187,7 +206,9 @@ def search_in_groups(
         slots = tuple(jnp.where(done, x, y) for x, y in zip(moved, (left, *rest), strict=True))
         return slots, nearest
 
-    def search_groups(carry: Any) -> Any:
+    def search_groups(
+        carry: tuple[jax.Array, NearestBody],
+    ) -> tuple[jax.Array, NearestBody]:
         group, best = carry
         group, _, slots = jax.lax.while_loop(
             lambda x: (x[0] < groups) & ~lanes.any_lane(x[1] == MAX_NOTED_GROUPS),
@@ -198,14 +219,13 @@ def search_in_groups(
         return group, best
 
     _, nearest = jax.lax.while_loop(lambda x: x[0] < groups, search_groups, (jnp.int32(0), start))
-    result: NearestBody = nearest
-    return result
+    return nearest
 
 
-def search_lanes(
+def search_lanes[Body](
     seeker: Seeker,
-    others: OtherBodies,
-    measure_gap: GapFunction,
+    others: OtherBodies[jax.Array, Body],
+    measure_gap: GapFunction[Body],
     start: NearestBody,
     self_index: LaneIndex,
 ) -> NearestBody:
