@@ -20,9 +20,7 @@ from angler_mjx.robot.control import allocation, plans, stack
 from angler_mjx.robot.control.commands import (
     BodyWrench,
     Estimate,
-    PoseTarget,
     ThrusterPwm,
-    TrackingTarget,
 )
 from angler_mjx.robot.control.commands.joint_trajectory import JointTrajectory
 from angler_mjx.robot.control.commands.trajectory import Trajectory
@@ -119,7 +117,7 @@ def step(
             if entry_index == i
         ]
         for flag, command in entering:
-            aim = jnp.where(flag, _target_position(command, aim), aim)
+            aim = jnp.where(flag, stack.target_position(command, aim), aim)
             demanded = jnp.where(flag, _demanded_wrench(command, demanded), demanded)
         used = reduce(jnp.logical_or, (flag for flag, _ in entering), used)
         if below is None and not entering:
@@ -137,7 +135,7 @@ def step(
         )
         carry, below = _run_stage(stage, gains[i], before, inputs, below, entering)
         carries.append(_select(used, carry, memory.stages[i]))
-        aim = jnp.where(used, _target_position(below, aim), aim)
+        aim = jnp.where(used, stack.target_position(below, aim), aim)
         demanded = jnp.where(used, _demanded_wrench(below, demanded), demanded)
         realised_used = realised_used | used if stage.wants_realised else realised_used
     for flag, command, entry_index in zip(chosen, mixed.commands, entries, strict=True):
@@ -200,10 +198,6 @@ def _select_realised(stage: Stage, memory: ControlMemory, new: jax.Array) -> Bod
 def _select[T](flag: jax.Array, yes: T, no: T) -> T:
     selected: T = jax.tree.map(lambda a, b: jnp.where(flag, a, b), yes, no)
     return selected
-
-
-def _target_position(command: Command, before: jax.Array) -> jax.Array:
-    return command.position_m if isinstance(command, PoseTarget | TrackingTarget) else before
 
 
 def _demanded_wrench(command: Command, before: jax.Array) -> jax.Array:

@@ -244,7 +244,7 @@ def step(
     """
     first = find_entry(stages, type(command))
     carries = list(memory.stages)
-    aim, realised_used = _target_position(command, estimate.p), False
+    aim, realised_used = target_position(command, estimate.p), False
     demanded = command if isinstance(command, BodyWrench) else None
     for i in range(first, len(stages)):
         stage = stages[i]
@@ -257,7 +257,7 @@ def step(
             gravity=gravity,
         )
         carries[i], command = stage.step(gains[i], carries[i], inputs, command)
-        aim = _target_position(command, aim)
+        aim = target_position(command, aim)
         demanded = command if isinstance(command, BodyWrench) else demanded
         realised_used |= stage.wants_realised
     if not isinstance(command, ThrusterPwm):
@@ -282,6 +282,6 @@ def _demanded_or_nan(demanded: BodyWrench | None, estimate: Estimate) -> BodyWre
     return demanded or BodyWrench(tau=jnp.full_like(estimate.nu, jnp.nan))
 
 
-def _target_position(command: Command, before: jax.Array) -> jax.Array:
-    """Position [3] that a command aims at; ``before`` where it does not aim."""
+def target_position(command: Command, before: jax.Array) -> jax.Array:
+    """Return the position [3] that a command aims at; ``before`` where it aims at none."""
     return command.position_m if isinstance(command, PoseTarget | TrackingTarget) else before

@@ -124,11 +124,8 @@ def search_listed[Body](
         is_found = shape >= 0
         candidate = others.load((jnp.maximum(shape, 0), np.arange(shape.shape[1], dtype=np.int32)))
         of_shape, fixed, v = measure_gap(seeker, candidate)
-        return NearestBody(
-            gap=jnp.where(is_found, _attach_derivative(gap, of_shape), best.gap),
-            index=jnp.where(is_found, others.first + shape, best.index),
-            fixed=jnp.where(is_found, fixed, best.fixed),
-            v=tuple(jnp.where(is_found, x, y) for x, y in zip(v, best.v, strict=True)),
+        return best.replace_where(
+            is_found, _attach_derivative(gap, of_shape), others.first + shape, fixed, v
         )
 
     nearest: NearestBody = jax.lax.cond(lanes.any_lane(wanted), look, lambda best: best, start)

@@ -85,6 +85,22 @@ class NearestBody:
     fixed: jax.Array
     v: tuple[jax.Array, ...]
 
+    def replace_where(
+        self,
+        where: jax.Array,
+        gap: jax.Array,
+        index: jax.Array,
+        fixed: jax.Array | np.bool_,
+        v: Lanes,
+    ) -> "NearestBody":
+        """Return another body where a mask is true, else this one."""
+        return NearestBody(
+            gap=jnp.where(where, gap, self.gap),
+            index=jnp.where(where, index, self.index),
+            fixed=jnp.where(where, fixed, self.fixed),
+            v=tuple(jnp.where(where, x, y) for x, y in zip(v, self.v, strict=True)),
+        )
+
 
 type _Slots = tuple[jax.Array, ...]
 """Groups that each lane has noted, with the wanted shapes of each."""
@@ -138,12 +154,7 @@ def search_in_turn[Body](
         def look(best: NearestBody) -> NearestBody:
             gap, fixed, v = measure_gap(seeker, candidate)
             better = wanted & (gap < best.gap)
-            return NearestBody(
-                gap=jnp.where(better, gap, best.gap),
-                index=jnp.where(better, number, best.index),
-                fixed=jnp.where(better, fixed, best.fixed),
-                v=tuple(jnp.where(better, x, y) for x, y in zip(v, best.v, strict=True)),
-            )
+            return best.replace_where(better, gap, number, fixed, v)
 
         after: NearestBody = jax.lax.cond(lanes.any_lane(wanted), look, lambda best: best, best)
         return after
@@ -194,12 +205,7 @@ def search_in_groups[Body](
         i = jnp.where(head != 0, (head >> GROUP_SIZE) * GROUP_SIZE + k, 0)
         gap, fixed, v = measure_gap(seeker, others.load(i))
         better = (head != 0) & (gap < best.gap)
-        nearest = NearestBody(
-            gap=jnp.where(better, gap, best.gap),
-            index=jnp.where(better, others.first + i, best.index),
-            fixed=jnp.where(better, fixed, best.fixed),
-            v=tuple(jnp.where(better, x, y) for x, y in zip(v, best.v, strict=True)),
-        )
+        nearest = best.replace_where(better, gap, others.first + i, fixed, v)
         left = head ^ bit
         done = (left & (2**GROUP_SIZE - 1)) == 0
         moved = (*rest, empty)
