@@ -25,9 +25,6 @@ type StateCheck = Callable[[np.ndarray], bool]
 ANYTIME = ("AORRTC", "BITstar", "RRTstar", "InformedRRTstar", "SORRTstar")
 """Planners that improve until they are stopped, and report their best cost."""
 
-ROADMAPS = ("PRM", "PRMstar")
-"""Look for the solution in a thread of their own: no Python may say when they end."""
-
 SINGLE_BATCH = ("FMT", "BFMT")
 """Planners that draw all samples at once and end if these give no path."""
 
