@@ -8,7 +8,6 @@ from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
 from importlib.util import spec_from_loader
 from types import ModuleType
-from typing import Any
 
 MOVED = {
     "angler_mjx.acoustics": "angler_mjx.world.acoustics",
@@ -103,7 +102,7 @@ def moved(name: str) -> str | None:
     return MOVED[before] + name.removeprefix(before)
 
 
-def renamed(module: str, name: str) -> Any:
+def renamed(module: str, name: str) -> object:
     """Return an attribute of a module by its old name, with a DeprecationWarning.
 
     Args:
@@ -124,7 +123,7 @@ def renamed(module: str, name: str) -> Any:
     return getattr(sys.modules[module], today)
 
 
-def renamed_attribute(instance: object, name: str, names: Mapping[str, str]) -> Any:
+def renamed_attribute(instance: object, name: str, names: Mapping[str, str]) -> object:
     """Return an attribute of an object by its old name, with a DeprecationWarning.
 
     Args:

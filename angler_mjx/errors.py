@@ -10,7 +10,6 @@ import traceback
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 MAX_VALUE_CHARACTERS = 60
 """Max number of characters of a value in a message."""
@@ -121,7 +120,7 @@ def escape_control_characters(text: str, *, keep: str = "\n") -> str:
     )
 
 
-def format_value(value: Any, max_characters: int = MAX_VALUE_CHARACTERS) -> str:
+def format_value(value: object, max_characters: int = MAX_VALUE_CHARACTERS) -> str:
     """Return a value for a message, on one line, cut after ``max_characters`` characters."""
     text = "".join(_value_pieces(value, max_characters, _MAX_LEVELS))
     return text if len(text) <= max_characters else text[: max_characters - 3] + "..."
@@ -135,7 +134,7 @@ def format_bytes(n_byte: float) -> str:
     return f"{n_byte:.0f} bytes"
 
 
-def _value_pieces(value: Any, max_characters: int, levels: int) -> Iterator[str]:
+def _value_pieces(value: object, max_characters: int, levels: int) -> Iterator[str]:
     """Yield pieces of a value's text, little more than ``max_characters`` characters in total."""
     match value:
         case str():

@@ -11,12 +11,18 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, TypeAliasType, get_args
+from typing import TYPE_CHECKING, ClassVar, TypeAliasType, get_args
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, model_validator
+from pydantic_core import ErrorDetails
 
 from angler_mjx.errors import ConfigError, escape_control_characters, format_value
+
+type JsonValue = bool | int | float | str | list[JsonValue] | dict[str, JsonValue] | None
+"""A value of a JSON file, as read."""
+type JsonTable = dict[str, JsonValue]
+"""A table of a JSON file, as read."""
 
 MAX_TOML_BYTES, MAX_JSON_BYTES = 1 << 19, 1 << 24
 """Max file sizes, far above those of hand-written files and fleet plans."""
@@ -66,16 +72,17 @@ class FileModel(BaseModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _normalise_table(cls, data: Any, info: ValidationInfo) -> Any:
+    def _normalise_table(cls, data: object, info: ValidationInfo) -> object:
         """Return a table with tuples for lists and new keys, for callers in Python too."""
         if not isinstance(data, Mapping):
             return data
-        table = _normalise_value(data, 0)
-        return _rename_keys(cls, table, (info.context or {}).get(_SOURCE_CONTEXT, ""))
+        return _rename_keys(
+            cls, _normalise_mapping(data, 0), (info.context or {}).get(_SOURCE_CONTEXT, "")
+        )
 
     if not TYPE_CHECKING:  # hidden from type checkers, which would accept any attribute
 
-        def __getattr__(self, name: str) -> Any:
+        def __getattr__(self, name: str) -> object:
             """Return a field by its old name, with a `RenamedKeyWarning`."""
             today = type(self).renamed_keys.get(name)
             if today is None:
@@ -88,7 +95,9 @@ class FileModel(BaseModel):
             return getattr(self, today)
 
 
-def rename_keys(model: type[FileModel], table: Mapping[str, Any], source: str) -> dict[str, Any]:
+def rename_keys(
+    model: type[FileModel], table: Mapping[str, object], source: str
+) -> dict[str, object]:
     """Return a table with new keys, also in nested tables, before other tables are merged.
 
     Args:
@@ -115,7 +124,9 @@ def rename_keys(model: type[FileModel], table: Mapping[str, Any], source: str) -
     return renamed
 
 
-def _rename_keys(model: type[FileModel], table: dict[str, Any], source: str) -> dict[str, Any]:
+def _rename_keys(
+    model: type[FileModel], table: dict[str, object], source: str
+) -> dict[str, object]:
     for key in model.renamed_keys.keys() & table.keys():
         name = model.renamed_keys[key]
         if name in table:
@@ -131,23 +142,23 @@ def _rename_keys(model: type[FileModel], table: dict[str, Any], source: str) -> 
     return table
 
 
-def dump_for_digest(model: FileModel) -> dict[str, Any]:
+def dump_for_digest(model: FileModel) -> JsonTable:
     """Return the JSON table of a model with the original names of keys, so digests stay equal."""
-    table: dict[str, Any] = model.model_dump(mode="json")
+    table: JsonTable = model.model_dump(mode="json")
     for name in type(model).model_fields:
         value = getattr(model, name)
         if isinstance(value, FileModel):
             table[name] = dump_for_digest(value)
-        elif isinstance(value, tuple):
+        elif isinstance(value, tuple) and isinstance(dumped_values := table[name], list):
             table[name] = [
                 dump_for_digest(entry) if isinstance(entry, FileModel) else dumped
-                for entry, dumped in zip(value, table[name], strict=True)
+                for entry, dumped in zip(value, dumped_values, strict=True)
             ]
     old_names = {new: old for old, new in model.renamed_keys.items()}
     return {old_names.get(name, name): entry for name, entry in table.items()}
 
 
-def _file_models(annotation: Any) -> Iterator[type[FileModel]]:
+def _file_models(annotation: object) -> Iterator[type[FileModel]]:
     """Yield the models in a field's type."""
     if isinstance(annotation, TypeAliasType):
         annotation = annotation.__value__
@@ -212,7 +223,7 @@ def read_text(path: Path, max_bytes: int) -> str:
         raise ConfigError(f"{format_path(path)}: cannot be read ({error})") from error
 
 
-def read_toml(path: Path) -> dict[str, Any]:
+def read_toml(path: Path) -> JsonTable:
     """Read a TOML file.
 
     Raises:
@@ -221,7 +232,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     return parse_toml(read_text(path, MAX_TOML_BYTES), format_path(path))
 
 
-def parse_toml(text: str, source: str) -> dict[str, Any]:
+def parse_toml(text: str, source: str) -> JsonTable:
     """Parse a text in TOML.
 
     Raises:
@@ -231,11 +242,10 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
         raise ConfigError(
             f"{source}: a key has {_MAX_KEY_PARTS} parts or more; write shorter keys, in tables"
         )
-    table: dict[str, Any] = _parse_text(source, "TOML", lambda: tomllib.loads(text))
-    return table
+    return _parse_text(source, "TOML", lambda: tomllib.loads(text))
 
 
-def read_json(path: Path) -> Any:
+def read_json(path: Path) -> JsonValue:
     """Read a JSON file; a repeated key in an object is refused.
 
     Raises:
@@ -244,16 +254,19 @@ def read_json(path: Path) -> Any:
     return parse_json(read_text(path, MAX_JSON_BYTES), format_path(path))
 
 
-def parse_json(text: str, source: str) -> Any:
+def parse_json(text: str, source: str) -> JsonValue:
     """Parse a text in JSON; a repeated key in an object is refused.
 
     Raises:
         ConfigError: it is not JSON; ``source`` is its name in the message.
     """
-    return _parse_text(source, "JSON", lambda: json.loads(text, object_pairs_hook=_unique_keys))
+    value: JsonValue = _parse_text(
+        source, "JSON", lambda: json.loads(text, object_pairs_hook=_unique_keys)
+    )
+    return value
 
 
-def _parse_text(source: str, kind: str, parser: Callable[[], Any]) -> Any:
+def _parse_text[T](source: str, kind: str, parser: Callable[[], T]) -> T:
     try:
         return parser()
     except _DuplicateKeyError as error:
@@ -274,7 +287,7 @@ class _DuplicateKeyError(Exception):
     """A repeated key of an object."""
 
 
-def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def _unique_keys(pairs: list[tuple[str, JsonValue]]) -> JsonTable:
     table = dict(pairs)
     if len(table) < len(pairs):
         unique_keys = list(table)
@@ -289,7 +302,7 @@ def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def parse_model[M: FileModel](
-    model: type[M], data: Any, *, source: str, context: Mapping[str, Any] | None = None
+    model: type[M], data: object, *, source: str, context: Mapping[str, object] | None = None
 ) -> M:
     """Check ``data`` against ``model``.
 
@@ -309,7 +322,7 @@ def parse_model[M: FileModel](
 
 
 def validate_model[M: FileModel](
-    model: type[M], data: Any, context: Mapping[str, Any] | None = None
+    model: type[M], data: object, context: Mapping[str, object] | None = None
 ) -> M:
     """Check ``data`` as `parse_model` does, for callers that compose the message themselves.
 
@@ -327,7 +340,7 @@ def validate_model[M: FileModel](
         if error.error_count() > _MAX_FAULTS_READ:
             text = f"{error.error_count()} faults; this is another kind of file"
             raise FaultyError([Fault((), text)]) from error
-        entries = [dict(entry) for entry in error.errors(include_url=False)]
+        entries = error.errors(include_url=False)
         raise FaultyError(
             [_build_fault(entry) for entry in entries if not _is_consequent(entry)]
         ) from error
@@ -352,18 +365,23 @@ class _RejectedValue:
         return self.text
 
 
-def _normalise_value(value: Any, level: int) -> Any:
+def _normalise_mapping(table: Mapping[str, object], level: int) -> dict[str, object]:
+    """Return a table with the values of `_normalise_value`."""
+    return {
+        (
+            escape_control_characters(key, keep="") if isinstance(key, str) else key
+        ): _normalise_value(entry, level + 1)
+        for key, entry in table.items()
+    }
+
+
+def _normalise_value(value: object, level: int) -> object:
     """Return a value with tuples for lists, and `_RejectedValue` for values no model can take."""
     match value:
         case Mapping() | list() | tuple() if level > _MAX_LEVELS:
             return _RejectedValue("...", f"nested too deep; {_MAX_LEVELS} levels can be read")
         case Mapping():
-            return {
-                (
-                    escape_control_characters(key, keep="") if isinstance(key, str) else key
-                ): _normalise_value(entry, level + 1)
-                for key, entry in value.items()
-            }
+            return _normalise_mapping(value, level)
         case list() | tuple():
             return tuple(_normalise_value(entry, level + 1) for entry in value)
         case int() if value.bit_length() > 63:
@@ -377,14 +395,14 @@ def _normalise_value(value: Any, level: int) -> Any:
     return value
 
 
-def _is_consequent(entry: Mapping[str, Any]) -> bool:
+def _is_consequent(entry: ErrorDetails) -> bool:
     """Return whether an entry follows from others: pydantic drops faulty members of a tuple."""
     if entry["type"] != "too_short":
         return False
     return len(entry["input"]) >= int(entry["ctx"]["min_length"])
 
 
-def _build_fault(entry: dict[str, Any]) -> Fault:
+def _build_fault(entry: ErrorDetails) -> Fault:
     key = tuple(part for part in entry["loc"] if not str(part).startswith("function-"))
     path = "".join(
         f"[{part}]" if isinstance(part, int) else f".{escape_control_characters(part, keep='')}"

@@ -8,7 +8,6 @@ return the same kind and dtype.
 """
 
 import math
-from typing import Any
 
 import jax
 import numpy as np
@@ -73,6 +72,6 @@ def quaternion_ned_to_enu[A: (jax.Array, np.ndarray)](quaternion: A) -> A:
     return quaternion_enu_to_ned(quaternion)
 
 
-def _stack_components[A: (jax.Array, np.ndarray)](like: A, parts: list[Any]) -> A:
+def _stack_components[A: (jax.Array, np.ndarray)](like: A, parts: list[A]) -> A:
     joined: A = like.__array_namespace__().stack(parts, axis=-1)
     return joined

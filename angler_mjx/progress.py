@@ -1,7 +1,5 @@
 """Progress of long work: how much is done of how much, and lines for a person."""
 
-from typing import Any
-
 from angler_mjx._moved import renamed as _renamed
 
 
@@ -32,6 +30,6 @@ class Progress:
         """Show a line that stays, such as a repair, a warning or an intermediate result."""
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     """Return a class by its name of 0.1."""
     return _renamed(__name__, name)

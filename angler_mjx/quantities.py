@@ -1,6 +1,6 @@
 """Bounds of values in files: values beyond them indicate a wrong unit or a typing error."""
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field
 
@@ -28,7 +28,7 @@ def check_speed(value: float) -> float:
 type Speed = Annotated[float, AfterValidator(check_speed)]
 
 
-def _reject_bool(value: Any) -> Any:
+def _reject_bool[T](value: T) -> T:
     if isinstance(value, bool):
         raise ValueError("must be a number")
     return value

@@ -5,10 +5,9 @@ together, the program of `reef_fleet`'s worlds has nine loops and 54 kernels few
 and compiles faster. Each key gives the same numbers as alone.
 """
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
+from jax.typing import DTypeLike
 
 
 def fold_keys(key: jax.Array, count: int) -> jax.Array:
@@ -19,7 +18,7 @@ def fold_keys(key: jax.Array, count: int) -> jax.Array:
     return keys
 
 
-def uniform_rows(keys: jax.Array, count: int, dtype: Any = float) -> jax.Array:
+def uniform_rows(keys: jax.Array, count: int, dtype: DTypeLike = float) -> jax.Array:
     """Sample uniform rows [n_key, count]; row i is ``jax.random.uniform(keys[i], (count,))``.
 
     The first numbers of a row do not depend on its length.

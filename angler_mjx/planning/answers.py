@@ -6,7 +6,7 @@ paths of other robots remain. Collisions are not checked: the flight shows them.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal, cast
+from typing import Any, Literal
 
 import numpy as np
 
@@ -70,12 +70,12 @@ FAILED_STATUSES = ("error", "died", "timeout")
 
 
 def check_answer(
-    returned: Any,
+    returned: object,
     problem: Problem,
     planning_s: float,
-    extras: Any,
+    extras: object,
     max_points: int = MAX_POINTS,
-    progress: Any = None,
+    progress: object = None,
     *,
     any_speed: bool = False,
 ) -> Answer:
@@ -92,9 +92,9 @@ def check_answer(
         any_speed: paths may be faster over ground than the robot cruises, as those of planners are
             that count on a current.
     """
-    wrong = _malformed(returned, problem.robots)
-    if wrong is not None:
-        return failed_answer(problem.robots, "error", wrong, planning_s)
+    listed = _list_paths(returned, problem.robots)
+    if isinstance(listed, str):
+        return failed_answer(problem.robots, "error", listed, planning_s)
     paths = check_paths(returned, problem, max_points, any_speed=any_speed)
     missing = [(i, path.reason) for i, path in enumerate(paths) if isinstance(path, NoPlan)]
     reasons = {reason for _, reason in missing}
@@ -120,7 +120,7 @@ def failed_answer(robots: int, status: Status, reason: str, planning_s: float) -
 
 
 def check_paths(
-    returned: Any, problem: Problem, max_points: int = MAX_POINTS, *, any_speed: bool = False
+    returned: object, problem: Problem, max_points: int = MAX_POINTS, *, any_speed: bool = False
 ) -> list[Path | NoPlan]:
     """Return for each robot a flyable path or the reason for none.
 
@@ -130,23 +130,22 @@ def check_paths(
         max_points: of one path.
         any_speed: see `check_answer`.
     """
-    robots = problem.robots
-    wrong = _malformed(returned, robots)
-    if wrong is not None:
-        return [NoPlan(wrong)] * robots
+    listed = _list_paths(returned, problem.robots)
+    if isinstance(listed, str):
+        return [NoPlan(listed)] * problem.robots
     return [
         _check_path(path, problem, robot, max_points, any_speed)
-        for robot, path in enumerate(returned)
+        for robot, path in enumerate(listed)
     ]
 
 
-def _malformed(paths: Any, robots: int) -> str | None:
-    """Return why a planner's answer is no list of a path for each robot; None if it is one."""
-    if not isinstance(paths, Sequence) or isinstance(paths, str | bytes):
-        return f"gave no list of paths but {type(paths).__name__}"
-    if len(paths) != robots:
-        return f"gave {len(paths)} paths for {robots} robots"
-    return None
+def _list_paths(returned: object, robots: int) -> Sequence[object] | str:
+    """Return the paths of a planner's answer, or why it is no list of a path for each robot."""
+    if not isinstance(returned, Sequence) or isinstance(returned, str | bytes):
+        return f"gave no list of paths but {type(returned).__name__}"
+    if len(returned) != robots:
+        return f"gave {len(returned)} paths for {robots} robots"
+    return returned
 
 
 class _RefusedError(Exception):
@@ -154,7 +153,7 @@ class _RefusedError(Exception):
 
 
 def _check_path(
-    path: Any, problem: Problem, robot: int, max_points: int, any_speed: bool
+    path: object, problem: Problem, robot: int, max_points: int, any_speed: bool
 ) -> Path | NoPlan:
     try:
         match path:
@@ -177,7 +176,7 @@ def _check_trajectory(path: Trajectory, max_points: int) -> Trajectory:
     position = _check_array("points", path.position_m, (len(time), 3))
     if not bool(_check_array("found", path.found, (), bool)):
         raise _RefusedError("no way was found")
-    return Trajectory(time_s=time, position_m=position, found=cast(Any, np.asarray(True)))
+    return Trajectory(time_s=time, position_m=position, found=_check_array("found", True, (), bool))
 
 
 def _check_joint_trajectory(path: JointTrajectory, max_points: int) -> JointTrajectory:
@@ -201,7 +200,7 @@ def _check_joint_trajectory(path: JointTrajectory, max_points: int) -> JointTraj
     )
 
 
-def _check_times(values: Any, max_points: int) -> Any:
+def _check_times(values: object, max_points: int) -> Any:
     time = _check_array("times", values, None)
     if time.ndim != 1:
         raise _RefusedError(f"has times of shape {list(time.shape)}, not [n]")
@@ -221,7 +220,7 @@ def _check_times(values: Any, max_points: int) -> Any:
 
 
 def _check_array(
-    name: str, values: Any, shape: tuple[int, ...] | None, kind: Any = np.float32
+    name: str, values: object, shape: tuple[int, ...] | None, kind: type = np.float32
 ) -> Any:
     """Return values as NumPy's array of a shape (None: any) and type; all must be finite."""
     try:
@@ -297,7 +296,7 @@ def _reject_speed(speed: float, cruise: float, at: int, time: np.ndarray) -> Non
     )
 
 
-def _select_numbers(extras: Any) -> dict[str, float]:
+def _select_numbers(extras: object) -> dict[str, float]:
     if not isinstance(extras, dict):
         return {}
     return {
@@ -307,7 +306,7 @@ def _select_numbers(extras: Any) -> dict[str, float]:
     }
 
 
-def _select_progress(progress: Any) -> tuple[tuple[float, float], ...]:
+def _select_progress(progress: object) -> tuple[tuple[float, float], ...]:
     if not isinstance(progress, Sequence):
         return ()
     pairs: list[tuple[float, float]] = []

@@ -5,7 +5,6 @@ flight, with a problem that starts now.
 """
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -22,7 +21,7 @@ class DevicePlanner:
     """A planner with ``plan_batch``; hashable, static under jit."""
 
     reference: PlannerReference
-    settings: tuple[tuple[str, Any], ...]
+    settings: tuple[tuple[str, object], ...]
     planner: BatchPlanner = field(compare=False, repr=False)
     """Made of the reference and the settings."""
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from angler_mjx.planning.problem import Problem
 from angler_mjx.robot.control.commands.joint_trajectory import (
@@ -89,7 +90,7 @@ class PathShape:
     """Whether paths are `JointTrajectory`, not `Trajectory`."""
 
 
-def way_points(time_s: Any, position_m: Any) -> Trajectory:
+def way_points(time_s: ArrayLike, position_m: ArrayLike) -> Trajectory:
     """Return a path along lines.
 
     Args:
@@ -104,7 +105,10 @@ def way_points(time_s: Any, position_m: Any) -> Trajectory:
 
 
 def joint_path(
-    time_s: Any, position_m: Any, yaw_rad: Any, velocity: Any | None = None
+    time_s: ArrayLike,
+    position_m: ArrayLike,
+    yaw_rad: ArrayLike,
+    velocity: ArrayLike | None = None,
 ) -> JointTrajectory:
     """Return a path with headings: lines, or cubics if velocities are given.
 
@@ -117,7 +121,7 @@ def joint_path(
     time = _as_float32(time_s)
     position = np.concatenate([_as_float32(position_m), _as_float32(yaw_rad)[:, None]], axis=1)
     degree = LINEAR if velocity is None else CUBIC
-    zeros: Any = np.zeros_like(position)
+    zeros = _as_float32(np.zeros_like(position))
     return JointTrajectory(
         joints=VEHICLE_JOINTS,
         time_s=time,
@@ -130,5 +134,5 @@ def joint_path(
     )
 
 
-def _as_float32(values: Any) -> Any:
+def _as_float32(values: ArrayLike) -> Any:
     return np.asarray(values, np.float32)

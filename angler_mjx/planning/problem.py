@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 
 from angler_mjx._moved import renamed_attribute
 from angler_mjx.sim.information import CurrentInformation, Information, ObstacleInformation
@@ -41,28 +42,28 @@ class ProblemName:
 class Team:
     """Robots of one world: starts, goals and capabilities."""
 
-    start_m: Any
+    start_m: jax.Array
     """[R, 3] start of each robot's centre of mass."""
-    start_yaw_rad: Any
+    start_yaw_rad: jax.Array
     """[R] heading there, about z up, 0 = east."""
-    goal_m: Any
+    goal_m: jax.Array
     """[R, 3]."""
-    radius_m: Any
+    radius_m: jax.Array
     """[R] radius of the sphere about the centre of mass that holds the hull in every attitude."""
-    capsule_a_m: Any
+    capsule_a_m: jax.Array
     """[R, c, 3] one end of the axis of each capsule of the hull, from the centre of mass, in the
     body frame (x forward, y left, z up); padding repeats the last capsule."""
-    capsule_b_m: Any
+    capsule_b_m: jax.Array
     """[R, c, 3] the other end."""
-    capsule_r_m: Any
+    capsule_r_m: jax.Array
     """[R, c] radius of each capsule."""
-    cruise_speed_mps: Any
+    cruise_speed_mps: jax.Array
     """[R] speed limit along a path, m/s."""
-    terminal_speed_mps: Any
+    terminal_speed_mps: jax.Array
     """[R, 3] surge, sway, heave at full thrust in still water, m/s; 0 without thrust that way."""
-    acceleration_mps2: Any
+    acceleration_mps2: jax.Array
     """[R, 3] surge, sway, heave from rest at full thrust, added mass included."""
-    power_w: Any
+    power_w: jax.Array
     """[R, 3, n] electrical power at constant speed through the water along surge, sway, heave
     alone, level and without net weight; at speeds of 0 to the terminal one in equal steps."""
 
@@ -109,21 +110,21 @@ class Problem(ProblemSettings):
 
     grid: Grid
     """Rock; its cube bounds the world."""
-    floor_z_m: Any
+    floor_z_m: jax.Array
     """[] height of the sea floor, m."""
     team: Team
     obstacles: ObstacleInformation
     """Obstacles, as far as they are known."""
     current: CurrentInformation
     """Motion of the water, as far as it is known."""
-    seed: Any
+    seed: jax.Array
     """uint32 [] seed of random draws: equal seeds and problems have equal plans."""
     name: ProblemName | None = field(default=None, metadata=_STATIC)
     """Identity of the world; None in a batch."""
 
     if not TYPE_CHECKING:  # a checker would take every attribute for one
 
-        def __getattr__(self, name: str) -> Any:
+        def __getattr__(self, name: str) -> object:
             """Return a field by its name before 0.2, with a DeprecationWarning."""
             return renamed_attribute(self, name, {"knows": "information"})
 
@@ -133,17 +134,17 @@ class Problem(ProblemSettings):
         return int(np.shape(self.team.start_m)[-2])
 
     @property
-    def lower_m(self) -> Any:
+    def lower_m(self) -> jax.Array:
         """Lower corner [3] of the cube that robots have to stay in; the floor cuts it off."""
         return self.grid.origin_m
 
     @property
-    def upper_m(self) -> Any:
+    def upper_m(self) -> jax.Array:
         """Upper corner [3] of that cube."""
         cells = np.array(self.grid.occupied.shape[-3:], np.float32)
         return self.grid.origin_m + self.grid.cell_m[..., None] * cells
 
-    def current_mps(self, p: Any, t: Any) -> np.ndarray:
+    def current_mps(self, p: ArrayLike, t: ArrayLike) -> np.ndarray:
         """Return the known velocity of the water at points and times.
 
         Args:

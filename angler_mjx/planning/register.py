@@ -14,6 +14,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
 from importlib.metadata import entry_points
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from angler_mjx.errors import ConfigError, UnsupportedError, format_value
@@ -87,7 +88,7 @@ class PlannerSpec:
     """Class and settings of a planner, from which any process can make it."""
 
     reference: PlannerReference
-    settings: Mapping[str, Any] = field(default_factory=dict)
+    settings: Mapping[str, object] = field(default_factory=dict)
     """Settings that differ from their defaults, checked before."""
     max_points: int = MAX_POINTS
     """Limit of way-points of one path; longer paths are refused."""
@@ -190,7 +191,7 @@ def plans_joints(spec: PlannerSpec) -> bool:
     return bool(getattr(settings(**spec.settings), "joints", default))
 
 
-def _is_required(setting: "Field[Any]") -> bool:
+def _is_required(setting: "Field[object]") -> bool:
     return setting.default is MISSING and setting.default_factory is MISSING
 
 
@@ -207,7 +208,7 @@ def _installed_planners() -> dict[str, str]:
     return {point.name: point.value for point in entry_points(group=GROUP)}
 
 
-def _import_module(reference: PlannerReference) -> Any:
+def _import_module(reference: PlannerReference) -> ModuleType:
     try:
         return importlib.import_module(reference.module)
     except ModuleNotFoundError as error:
@@ -217,7 +218,7 @@ def _import_module(reference: PlannerReference) -> Any:
         ) from error
 
 
-def _class_names(module: Any) -> Iterator[str]:
+def _class_names(module: ModuleType) -> Iterator[str]:
     for name, value in vars(module).items():
         if inspect.isclass(value) and value.__module__ == module.__name__:
             yield name

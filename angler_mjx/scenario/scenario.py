@@ -14,6 +14,7 @@ from angler_mjx.files import (
     Fault,
     FaultyError,
     FileModel,
+    JsonTable,
     dump_for_digest,
     format_faults,
     format_path,
@@ -57,7 +58,7 @@ from angler_mjx.world import presets
 from angler_mjx.world.acoustics.channel import Channel
 from angler_mjx.world.acoustics.config import AcousticsConfig
 from angler_mjx.world.config import WorldConfig, resolve_world
-from angler_mjx.world.currents import GridConfig
+from angler_mjx.world.currents import CurrentConfig, GridConfig
 from angler_mjx.world.tasks.spec import TaskSpec
 
 
@@ -279,9 +280,7 @@ class Scenario(FileModel):
         same problems.
         """
         world = dump_for_digest(self.world)
-        for table, current in zip(world["currents"], self.world.currents, strict=True):
-            if isinstance(current, GridConfig):
-                table["file"] = current.field.digest
+        world["currents"] = [_current_table(current) for current in self.world.currents]
         if self.world.bathymetry is None:  # keeps digests from before bathymetry existed
             del world["bathymetry"]
         problem_table = {
@@ -318,6 +317,12 @@ class Scenario(FileModel):
             acoustics=self.channel(),
             task=self.task_spec(),
         )
+
+
+def _current_table(current: CurrentConfig) -> JsonTable:
+    """Return the table of a current for a digest: with that of its file instead of the path."""
+    table = dump_for_digest(current)
+    return table | {"file": current.field.digest} if isinstance(current, GridConfig) else table
 
 
 def _problem_table(entry: FleetEntry) -> dict[str, Any]:

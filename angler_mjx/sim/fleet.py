@@ -8,7 +8,6 @@ Where robots carry loads, each variant stands there once more, with the load.
 import itertools
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -119,13 +118,13 @@ def list_variants(members: Sequence[Member]) -> list[Variant]:
     return list(dict.fromkeys(v for member in members for v in member.variants))
 
 
-def describe_variants(members: Sequence[Member]) -> list[dict[str, Any]]:
+def describe_variants(members: Sequence[Member]) -> list[dict[str, object]]:
     """What each variant of a fleet is, by its number in ``World.variant``; for files."""
     labels = library.label_vehicles(kind.vehicle for kind in list_variants(members))
     rows = []
     for number, kind in enumerate(list_variants(members)):
         row = {"variant": number, **asdict(kind), "vehicle": labels[kind.vehicle]}
-        sampled = row.pop("variation") or {}
+        sampled: dict[str, object] = row.pop("variation") or {}
         volts = sampled.pop("battery_v", None)
         rows.append(
             {**row, "battery_v": kind.battery_v if volts is None else volts, "drawn": sampled}

@@ -6,7 +6,6 @@ holds beside place and velocity is said by the task and the policy, and told to 
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -58,7 +57,7 @@ def step(
     t: jax.Array,
     p_m: jax.Array,
     estimate: VehicleState | Belief,
-    make_payload: Callable[[], dict[str, Any]],
+    make_payload: Callable[[], dict[str, object]],
     every: int = 1,
 ) -> tuple[ModemState, jax.Array]:
     """One control step of one world.
@@ -111,9 +110,9 @@ def build_payload(
     policy: Policy | None,
     memory: PolicyMemory | None,
     task: TaskState | None,
-    before: dict[str, Any],
+    before: dict[str, object],
     running: jax.Array | None = None,
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """What robots say in a packet beside where they are, [R] leading, by who says it.
 
     Args:

@@ -9,7 +9,7 @@ start, that of a policy whenever it acts.
 
 import warnings
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
@@ -259,6 +259,6 @@ def _predict_motion(
     return jnp.arange(count + 1) * (every * dt_s), states
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     """Return what had another name before 0.2."""
     return _renamed(__name__, name)

@@ -26,7 +26,7 @@ from angler_mjx.periods import every_n_steps
 from angler_mjx.robot.control import command_checks, stack
 from angler_mjx.robot.control.mixed import MixedCommand
 from angler_mjx.robot.control.plans import Plan
-from angler_mjx.robot.control.stack import ControlParams, Stages
+from angler_mjx.robot.control.stack import Command, ControlParams, Stages
 from angler_mjx.sim.information import (
     CurrentInformation,
     Information,
@@ -82,7 +82,7 @@ class PolicyInput:
 
     if not TYPE_CHECKING:  # a checker would take every attribute for one
 
-        def __getattr__(self, name: str) -> Any:
+        def __getattr__(self, name: str) -> object:
             """Return a field by its name before 0.2, with a DeprecationWarning."""
             return renamed_attribute(self, name, {"place": "goal_index"})
 
@@ -113,7 +113,7 @@ class Policy(ABC):
     ahead_s: float = 0.0
     routes_margin_m: float | None = None
 
-    def __init_subclass__(cls, **arguments: Any) -> None:
+    def __init_subclass__(cls, **arguments: object) -> None:
         """Accept attributes and methods by their names before 0.2."""
         super().__init_subclass__(**arguments)
         members = {**inspect.get_annotations(cls), **cls.__dict__}
@@ -130,11 +130,11 @@ class Policy(ABC):
 
     if not TYPE_CHECKING:  # a checker would take every attribute for one
 
-        def __getattr__(self, name: str) -> Any:
+        def __getattr__(self, name: str) -> object:
             """Return an attribute by its name before 0.2, with a DeprecationWarning."""
             return renamed_attribute(self, name, type(self).renamed_attributes)
 
-    def reset(self, inputs: PolicyInput, key: jax.Array) -> Any:
+    def reset(self, inputs: PolicyInput, key: jax.Array) -> object:
         """Memory at t = 0: a pytree of arrays.
 
         Args:
@@ -143,7 +143,7 @@ class Policy(ABC):
         """
         return ()
 
-    def payload(self, carry: Any) -> Any:
+    def payload(self, carry: Any) -> object:
         """What robots put into their packets beside where they are, where they talk by acoustics.
 
         Args:
@@ -172,7 +172,7 @@ class Policy(ABC):
     @abstractmethod
     def act(
         self, carry: Any, inputs: PolicyInput, key: jax.Array, step: jax.Array
-    ) -> tuple[Any, Any]:
+    ) -> tuple[object, Command | MixedCommand]:
         """Command the robots.
 
         Args:
@@ -192,14 +192,14 @@ class Policy(ABC):
 class PolicyMemory:
     """What a world keeps of its policy."""
 
-    carry: Any
-    command: Any
+    carry: object
+    command: Command | MixedCommand | None
     """That holds until the next call; None for a policy that is called in every step."""
 
 
 def begin_policy(
     policy: Policy, stages: Stages, policy_key: jax.Array | None, inputs: PolicyInput
-) -> Any:
+) -> PolicyMemory:
     """Memory of a policy at t = 0.
 
     Args:
@@ -278,7 +278,9 @@ def _wrap_key(policy: Policy, policy_key: jax.Array | None) -> jax.Array:
     return key
 
 
-def _check_command(name: str, stages: Stages, command: Any, inputs: PolicyInput) -> None:
+def _check_command(
+    name: str, stages: Stages, command: Command | MixedCommand, inputs: PolicyInput
+) -> None:
     lead, thrusters = (1, inputs.goal_m.shape[0]), inputs.params.vehicle.B.shape[-1]
     command = jax.tree.map(lambda x: jax.ShapeDtypeStruct((1, *x.shape), x.dtype), command)
     try:
@@ -319,7 +321,7 @@ def describe_policy(policy: Policy) -> dict[str, str]:
     }
 
 
-def _list_shapes(tree: Any) -> Any:
+def _list_shapes(tree: object) -> tuple[list[str], jax.tree_util.PyTreeDef]:
     leaves, structure = jax.tree.flatten(tree)
     return [f"{jnp.result_type(leaf)}{list(jnp.shape(leaf))}" for leaf in leaves], structure
 
@@ -331,7 +333,7 @@ def step(
     inputs: Callable[[], PolicyInput],
     number: jax.Array,
     every: int = 1,
-) -> tuple[PolicyMemory, Any]:
+) -> tuple[PolicyMemory, Command | MixedCommand]:
     """One control step of one world.
 
     Args:
@@ -347,11 +349,10 @@ def step(
     """
     key = jax.random.fold_in(_wrap_key(policy, policy_key), number)
 
-    def act() -> tuple[Any, Any]:
-        acted: tuple[Any, Any] = policy.act(memory.carry, inputs(), key, number)
-        return acted
+    def act() -> tuple[object, Command | MixedCommand]:
+        return policy.act(memory.carry, inputs(), key, number)
 
-    if policy.period == 1:
+    if policy.period == 1 or memory.command is None:
         carry, command = act()
         return PolicyMemory(carry=carry, command=None), command
     before = memory.carry, memory.command
@@ -359,6 +360,6 @@ def step(
     return PolicyMemory(carry=carry, command=command), command
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     """Return what had another name before 0.2."""
     return _renamed(__name__, name)

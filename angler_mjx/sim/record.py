@@ -67,7 +67,7 @@ class FieldMetadata:
 
 def _field_metadata(
     phase: PhaseName, array: str, axes: str, unit: str, text: str, **more: Any
-) -> Any:
+) -> dict[str, FieldMetadata]:
     """Metadata of a field: what `FieldMetadata` says, the axes with blanks between."""
     names = tuple(axes.split())
     return {
@@ -413,7 +413,7 @@ class RecordedField:
         return self.about.option is None or self.about.option in also
 
     @property
-    def stored(self) -> np.dtype[Any]:
+    def stored(self) -> np.dtype:
         """Type on disk."""
         return np.dtype(self.about.stored)
 

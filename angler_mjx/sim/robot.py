@@ -3,7 +3,7 @@
 Every engine runs these, as they are or on lanes; what lies between them is the engine's.
 """
 
-from typing import Any
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +13,7 @@ from angler_kernels import rigid_body, thruster
 from angler_mjx.robot.control import mixed, stack
 from angler_mjx.robot.control.commands import Estimate, ThrusterPwm
 from angler_mjx.robot.control.mixed import MixedCommand
-from angler_mjx.robot.control.stack import ControlMemory, ControlParams
+from angler_mjx.robot.control.stack import Action, Command, ControlMemory, ControlParams
 from angler_mjx.robot.vehicles.params import VehicleParams
 from angler_mjx.robot.vehicles.thrusters import PWM_LOW_US, PWM_STEP_US
 from angler_mjx.sim.detection import Contact
@@ -35,7 +35,7 @@ def run_controllers(
     params: ControlParams,
     carry: ControlMemory,
     state: VehicleState | Belief,
-    command: Any,
+    command: Command | MixedCommand,
     flow: jax.Array | None,
 ) -> tuple[ControlMemory, jax.Array, ThrusterPwm]:
     """The controllers' part.
@@ -51,7 +51,7 @@ def run_controllers(
     Returns:
         Their new memory, the position [3] that they aim at, and the thruster signals.
     """
-    step = mixed.step if isinstance(command, MixedCommand) else stack.step
+    step: Callable[..., Action] = mixed.step if isinstance(command, MixedCommand) else stack.step
     action = step(
         spec.stages,
         spec.gains,
@@ -116,7 +116,10 @@ def hold_if_ended(
 
 
 def is_on_last_approach(
-    spec: SimSpec, memory: ControlMemory, command: Any, last_approach_s: jax.Array
+    spec: SimSpec,
+    memory: ControlMemory,
+    command: Command | MixedCommand,
+    last_approach_s: jax.Array,
 ) -> jax.Array:
     """Return whether a robot is on the last approach of its plan to its goal, bool [].
 
@@ -126,7 +129,9 @@ def is_on_last_approach(
         command: the plan, or a `MixedCommand` command that may hold one.
         last_approach_s: [] s, of `plans.last_approach_s`.
     """
-    progress_s = mixed.progress_s if isinstance(command, MixedCommand) else stack.progress_s
+    progress_s: Callable[..., jax.Array] = (
+        mixed.progress_s if isinstance(command, MixedCommand) else stack.progress_s
+    )
     return progress_s(spec.stages, memory, command) >= last_approach_s
 
 

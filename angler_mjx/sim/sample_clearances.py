@@ -47,5 +47,4 @@ def _compute_clearances(worlds: FleetWorld, poses: tuple[jax.Array, ...]) -> Cle
         )
         return Clearance(rock_m=rock, obstacle_m=obstacle, robot_m=robot)
 
-    clearances: Clearance = jax.vmap(world_clearance)(worlds, *poses)
-    return clearances
+    return jax.vmap(world_clearance)(worlds, *poses)

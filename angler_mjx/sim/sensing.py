@@ -134,7 +134,8 @@ def _noisy_sensors(params: NavigationParams, noise_factor: jax.Array | None) -> 
 
 def _select_robots(robots: InstrumentedRobots, tree: Any) -> Any:
     """The rows of some robots of arrays [R, ...]."""
-    return jax.tree.map(lambda leaf: leaf[robots.first : robots.first + robots.count], tree)
+    rows = slice(robots.first, robots.first + robots.count)
+    return jax.tree.map(lambda leaf: leaf[rows], tree)
 
 
 def _replace_robots(robots: InstrumentedRobots, whole: Belief, part: Belief) -> Belief:

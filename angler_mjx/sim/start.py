@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -24,8 +23,12 @@ from angler_mjx.world.tasks import task_update as tasks
 from angler_mjx.world.tasks.spec import TaskState
 
 
-def reset(
-    spec: SimSpec, engine: Multibody, bodies: Any, world: FleetWorld, policy: Policy | None = None
+def reset[Body](
+    spec: SimSpec,
+    engine: Multibody[Body],
+    bodies: Body,
+    world: FleetWorld,
+    policy: Policy | None = None,
 ) -> WorldState:
     """One world at t = 0.
 

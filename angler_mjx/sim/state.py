@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field, fields
 from enum import IntEnum
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import jax
 
@@ -20,6 +20,9 @@ from angler_mjx.world.environment import Environment
 from angler_mjx.world.obstacles import ObstacleState
 from angler_mjx.world.routes import Routes
 from angler_mjx.world.tasks.spec import TaskSpec, TaskState, TaskWorld
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 type EngineConstants = tuple[jax.Array, ...]
 """A bank's constants as an engine reads them; see `Engine.pack_constants`."""
@@ -76,7 +79,7 @@ class SimSpec:
     water: Water = field(default_factory=Water)
     stages: Stages = CASCADE
     """The controllers, from the highest down."""
-    gains: tuple[Any, ...] = tuple(stage.gains() for stage in CASCADE)
+    gains: tuple["DataclassInstance", ...] = tuple(stage.gains() for stage in CASCADE)
     """Of each stage: numbers in a run; a pytree, so that they can be differentiated
     (`angler_mjx.sim.engines.gradients`)."""
     instrumented: tuple[InstrumentedRobots, ...] = ()

@@ -1,8 +1,7 @@
 """Where phases of worlds are run: one world, and what its robots may know of it."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -62,10 +61,7 @@ class WorldContext:
         if self.policy is None and not stack.wants_flow(self.spec.stages):
             return None
         current = self.world.environment.current
-        flow: jax.Array = jax.vmap(currents.velocity, (None, 0, None))(
-            current, self.vehicles.p, self.t
-        )
-        return flow
+        return jax.vmap(currents.velocity, (None, 0, None))(current, self.vehicles.p, self.t)
 
     def build_policy_input(
         self,
@@ -81,7 +77,7 @@ class WorldContext:
             assignment: where the task sends them; None where each has a goal of its own.
         """
         goals = self._default_goals() if assignment is None else assignment
-        return PolicyInput(
+        inputs = PolicyInput(
             belief=sensing.truth_belief(self.vehicles, self.flow) if belief is None else belief,
             time_s=self.t,
             goal_m=goals.goal_m,
@@ -90,8 +86,8 @@ class WorldContext:
             others=others,
             routes=self.world.routes,
             goal_index=goals.goal_index,
-            **self._observe_scenery(),
         )
+        return self._add_scenery(inputs)
 
     def _default_goals(self) -> GoalAssignment:
         """Each robot to its goal, which is its place of the routes too."""
@@ -100,10 +96,10 @@ class WorldContext:
             goal_index = jnp.arange(self.world.variant.shape[0], dtype=jnp.int32)
         return GoalAssignment(goal_m=self.world.environment.goal_m, goal_index=goal_index)
 
-    def _observe_scenery(self) -> dict[str, Any]:
-        """What a policy that asks for it is told of the world about the robots."""
+    def _add_scenery(self, inputs: PolicyInput) -> PolicyInput:
+        """Return inputs with the world around the robots, for a policy that asks for it."""
         if self.policy is None or self.policy.information is None:
-            return {}
+            return inputs
         if self.obstacles is None:
             raise RuntimeError("an engine does not say where obstacles are to a policy that asks")
         policy, allowed = self.policy, self.policy.information
@@ -124,12 +120,13 @@ class WorldContext:
                 seen,
             )
 
-        return {
-            "grid": environment.grid,
-            "floor_z_m": environment.floor_z_m,
-            "obstacles": self._every_n_steps(look, policy.observation_period),
-            "current": information.current_information(environment, allowed.current, at_m, self.t),
-        }
+        return replace(
+            inputs,
+            grid=environment.grid,
+            floor_z_m=environment.floor_z_m,
+            obstacles=self._every_n_steps(look, policy.observation_period),
+            current=information.current_information(environment, allowed.current, at_m, self.t),
+        )
 
     def _every_n_steps[T](self, look: Callable[[], T], every: int) -> T:
         """What is seen in every n-th control step, and zeros of its shapes in the others."""

@@ -7,7 +7,6 @@ lanes have nothing to offer for. The fused engines run them between their own ph
 import math
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
-from typing import Any
 
 import jax
 
@@ -68,7 +67,7 @@ class WorldPhaseOutput:
     """[R] s, of `last_approaches_s` of a policy's command."""
     record: WorldRecord = field(default_factory=WorldRecord)
 
-    def to_slots(self) -> dict[str, Any]:
+    def to_slots(self) -> dict[str, object]:
         """Return what there is of it by field, without the record."""
         return {
             entry.name: getattr(self, entry.name)
@@ -220,7 +219,7 @@ def run_policy(
 
 
 def _find_approach(
-    context: WorldContext, policy: Policy, carry: Any, command: Command | MixedCommand
+    context: WorldContext, policy: Policy, carry: object, command: Command | MixedCommand
 ) -> tuple[jax.Array | None, jax.Array | None]:
     """Return whether robots are on their last approach, bool [R], or when that begins, [R] s."""
     executed = policy.executed_plans(carry, context.world.path)
@@ -231,7 +230,7 @@ def _find_approach(
     return None if begin_s is None else time_s >= begin_s, None
 
 
-def active_policy(policy: Policy | None, command: Any) -> Policy | None:
+def active_policy(policy: Policy | None, command: object) -> Policy | None:
     """The policy, where no command stands in for it; otherwise it keeps its memory."""
     return policy if command is None else None
 
@@ -342,7 +341,4 @@ def run_tile_phases(
     """As `run_world_phases` for worlds [W], all at step ``number`` [], or each at its own, [W]."""
     run_world = partial(run_world_phases, spec, policy, fleet=fleet, every=every)
     axes = (0, 0, 0 if number.ndim else None, 0, 0, 0)
-    after: tuple[WorldMemory, WorldPhaseOutput] = jax.vmap(run_world, axes)(
-        worlds, memory, number, vehicles, obstacles, outcome
-    )
-    return after
+    return jax.vmap(run_world, axes)(worlds, memory, number, vehicles, obstacles, outcome)

@@ -80,8 +80,7 @@ def shortest_paths(passable: jax.Array, nz: int, start: jax.Array, goal: jax.Arr
         to_the_end = groups.all_had_turn(turn, n_pair, size)
 
         def unsettled(state: _SearchState) -> jax.Array:
-            more: jax.Array = (state[0] == 0) | (~jnp.all(state[3]) & to_the_end)
-            return more
+            return (state[0] == 0) | (~jnp.all(state[3]) & to_the_end)
 
         def go_on(state: _SearchState) -> _SearchState:
             # Tied to a loop variable, the moves stay bits: XLA would hoist each bit's test out of
@@ -156,8 +155,7 @@ def _free_length(apart: Sequence[jax.Array]) -> jax.Array:
     longest = jnp.maximum(jnp.maximum(apart[0], apart[1]), apart[2])
     middle = apart[0] + apart[1] + apart[2] - shortest - longest
     longer, longest = middle - shortest, longest - middle
-    length: jax.Array = _COST[3] * shortest + _COST[2] * longer + _COST[1] * longest
-    return length
+    return _COST[3] * shortest + _COST[2] * longer + _COST[1] * longest
 
 
 def bit_of(move: Move) -> jax.Array:

@@ -6,9 +6,9 @@ bit, since all of them are whole numbers. A program's lanes are the cells of one
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -98,7 +98,7 @@ class _PathLengthKernel:
         lane = jnp.arange(program.lanes, dtype=jnp.int32)
         nowhere = jnp.full((program.lanes,), none, jnp.int32)
 
-        def empty(k: Any, unchanged: Any) -> Any:
+        def empty(k: jax.Array, unchanged: jax.Array) -> jax.Array:
             at = k * program.lanes + lane
             program.store(distance, at, nowhere, at < self.total)
             return unchanged
@@ -114,7 +114,7 @@ class _PathLengthKernel:
         # No path is shorter than this: most pairs need a sweep or two.
         bound = self._free_length([jnp.abs(a - b) for a, b in zip(start, goal, strict=True)])
 
-        def again(_: Any) -> Any:
+        def again(_: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
             for axis, b, c in _LAYERS:
                 sweeps = partial(self._sweep_axis, distance, moves, lane, axis, b, c)
                 program.when(distance[last] > bound, sweeps)
@@ -148,8 +148,12 @@ class _PathLengthKernel:
             begin = 0 if side == 1 else n - 1
 
             def advance(
-                k: Any, unchanged: Any, side: int = side, begin: int = begin, which: Any = which
-            ) -> Any:
+                k: jax.Array,
+                unchanged: jax.Array,
+                side: int = side,
+                begin: int = begin,
+                which: Sequence[_Move] = which,
+            ) -> jax.Array:
                 layer = begin + side * k
                 at = (layer + 1) * wide[axis] + in_layer
                 may = self.program.load(moves, layer * near[axis] + of_moves, real, 0)
@@ -161,12 +165,19 @@ class _PathLengthKernel:
 
             jax.lax.fori_loop(1, n, advance, jnp.int32(0))
 
-    def _relax_moves(self, distance: jax.Ref, at: Any, may: Any, real: Any, which: Any) -> Any:
+    def _relax_moves(
+        self,
+        distance: jax.Ref,
+        at: jax.Array,
+        may: jax.Array,
+        real: jax.Array,
+        which: Sequence[_Move],
+    ) -> jax.Array:
         """Return the min path length to each cell over paths that end with one of some moves."""
         none = jnp.int32(self.lengths.none)
-        best = none
+        best: jax.Array = none
         for count, cost in enumerate(self.lengths.of_axes, start=1):
-            nearest = none
+            nearest: jax.Array = none
             for move in which:
                 if sum(map(abs, move)) != count:
                     continue
@@ -178,7 +189,7 @@ class _PathLengthKernel:
             best = jnp.minimum(best, nearest + cost)
         return best
 
-    def _free_length(self, apart: list[jax.Array]) -> Any:
+    def _free_length(self, apart: list[jax.Array]) -> jax.Array:
         """Return the shortest path length between cells, by their offsets along each axis."""
         one, two, three = self.lengths.of_axes
         shortest = jnp.minimum(jnp.minimum(apart[0], apart[1]), apart[2])
@@ -187,8 +198,13 @@ class _PathLengthKernel:
         return three * shortest + two * (middle - shortest) + one * (longest - middle)
 
     def _can_improve(
-        self, distance: jax.Ref, moves: jax.Ref, lane: jax.Array, start: Any, shortest: Any
-    ) -> Any:
+        self,
+        distance: jax.Ref,
+        moves: jax.Ref,
+        lane: jax.Array,
+        start: Sequence[jax.Array],
+        shortest: jax.Array,
+    ) -> jax.Array:
         """Return whether a path through any improvable cell could be shorter; int32 []."""
         nx, ny, nz = self.shape
         real = lane < ny * nz
@@ -196,7 +212,7 @@ class _PathLengthKernel:
         across = jnp.abs(j - start[1]), jnp.abs(k - start[2])
         in_layer = (j + 1) * self.wide[1] + (k + 1) * self.wide[2]
 
-        def look(i: Any, seen: Any) -> Any:
+        def look(i: jax.Array, seen: jax.Array) -> jax.Array:
             at = (i + 1) * self.wide[0] + in_layer
             may = self.program.load(moves, i * self.strides[0] + lane, real, 0)
             current = self.program.load(distance, at, real, self.lengths.none)

@@ -8,7 +8,6 @@ so a robot that descends it arrives. `angler_mjx.planning.routes.route_fields` c
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -153,6 +152,6 @@ def is_clear(routes: Routes, x: jax.Array, y: jax.Array, z: jax.Array) -> jax.Ar
     return inside & (((word >> (at[2] & 31).astype(jnp.uint32)) & 1) == 1)
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     """Return what had another name before 0.2."""
     return _renamed(__name__, name)

@@ -189,8 +189,7 @@ def _resample_worlds(
 
     def unfinished(carry: tuple[jax.Array, _WorldAttempt]) -> jax.Array:
         turn, worlds = carry
-        more: jax.Array = ~groups.all_had_turn(turn, n_world, size) | jnp.any(unfit(worlds))
-        return more
+        return ~groups.all_had_turn(turn, n_world, size) | jnp.any(unfit(worlds))
 
     cells = jnp.zeros((*full_grid(recipe.shape).shape, n_world), jnp.uint32)
     positions = jnp.zeros((radius.shape[0], 3, n_world))

@@ -6,7 +6,6 @@ beyond it, so that single precision suffices far from the first knot.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -61,8 +60,8 @@ def locate_knot(
         is_inside = (steps >= low) & (steps <= high)
         return knot + lower.astype(jnp.int32), clamped - lower, jnp.where(is_inside, inverse, 0.0)
     if axis.knots:
-        positions: Any = np.asarray(axis.knots, rest.dtype)
-        lengths: Any = np.diff(positions)
+        positions = np.asarray(axis.knots, rest.dtype)
+        lengths = np.diff(positions)
         begin = take_row(positions, knot)
         lower = jnp.sum(positions[1:last] <= begin + rest, dtype=jnp.int32)
         before, length = take_row(positions, lower), take_row(lengths, lower)

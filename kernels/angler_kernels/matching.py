@@ -1,7 +1,7 @@
 """Pairs of rows and columns, shortest first."""
 
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Self
 
 import jax
 import jax.numpy as jnp
@@ -74,23 +74,23 @@ class MatchedPairs:
         return cls(rows, columns, padded_columns, program)
 
     @property
-    def lane(self) -> Any:
+    def lane(self) -> jax.Array:
         """Return the numbers of the lanes."""
         return jnp.arange(self.program.lanes, dtype=jnp.int32)
 
     @property
-    def lane_pairs(self) -> tuple[Any, Any, Any]:
+    def lane_pairs(self) -> tuple[jax.Array, jax.Array, jax.Array]:
         """Return row and column of each lane, and whether the pair exists."""
         row, column = self.lane // self.padded_columns, self.lane % self.padded_columns
         return row, column, (row < self.rows) & (column < self.columns)
 
-    def clear_matches(self, taken: Any) -> None:
+    def clear_matches(self, taken: jax.Ref) -> None:
         """Clear the columns of all rows."""
         none = jnp.full((self.program.lanes,), -1, jnp.int32)
         self.program.store(taken, self.lane, none, self.lane < self.rows)
         self.program.barrier()
 
-    def write_matches(self, lengths: Any, taken: Any) -> None:
+    def write_matches(self, lengths: jax.Array, taken: jax.Ref) -> None:
         """Write the column of each row that gets one.
 
         Args:
@@ -99,7 +99,7 @@ class MatchedPairs:
         """
         lane, (row, column, _) = self.lane, self.lane_pairs
 
-        def match_next(state: tuple[Any, Any]) -> tuple[Any, Any]:
+        def match_next(state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
             lengths, min_length = state
             first = jnp.min(jnp.where(lengths == min_length, lane, self.program.lanes))
             taken[first // self.padded_columns] = first % self.padded_columns
@@ -126,7 +126,7 @@ class _ShortestMatchingKernel:
         (taken,) = self.pairs.program.run(self, [lengths.reshape(-1)], [out])
         return taken
 
-    def __call__(self, lengths: Any, taken: Any) -> None:
+    def __call__(self, lengths: jax.Ref, taken: jax.Ref) -> None:
         pairs = self.pairs
         row, column, is_pair = pairs.lane_pairs
         at = jnp.where(is_pair, row * pairs.columns + column, 0)

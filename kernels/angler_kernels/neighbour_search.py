@@ -8,7 +8,7 @@ distance found. Nothing has a capacity: crowded cells take longer.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -46,11 +46,11 @@ class _Stretches(NamedTuple):
         return i + shift
 
 
-def find_nearest(
+def find_nearest[T](
     centre: jax.Array,
     radius: jax.Array,
-    bodies: Any,
-    distance: Callable[[Any, Any], jax.Array],
+    bodies: T,
+    distance: Callable[[T, T], jax.Array],
     limit_m: jax.Array | float,
 ) -> tuple[jax.Array, jax.Array]:
     """Return distance [n] of each body to its nearest neighbour and that one's index, int32 [n].
@@ -72,7 +72,7 @@ def find_nearest(
     constants = jax.lax.stop_gradient((centre, radius, bodies, jnp.asarray(limit_m, centre.dtype)))
     order, stretches = _sort_bodies(constants[0], 2.0 * jnp.max(constants[1]) + constants[3])
 
-    def gap(body: jax.Array, other: jax.Array, body_tree: Any) -> jax.Array:
+    def gap(body: jax.Array, other: jax.Array, body_tree: T) -> jax.Array:
         first, second = jnp.minimum(body, other), jnp.maximum(body, other)
         return distance(*(jax.tree.map(lambda x, i=i: x[i], body_tree) for i in (first, second)))
 

@@ -8,12 +8,12 @@ gets a program.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jax.experimental import pallas as pl
 from jax.experimental.pallas import triton as plt
+from jax.typing import ArrayLike
 
 MAX_LANES = 2048
 """Maximum number of lanes, two for each thread that a program can have; more would not fit its
@@ -65,11 +65,11 @@ class BlockProgram:
         )(*arrays)
         return filled
 
-    def load(self, ref: Any, at: Any, mask: Any, other: Any) -> Any:
+    def load(self, ref: jax.Ref, at: jax.Array, mask: jax.Array, other: ArrayLike) -> jax.Array:
         """Read values at the lanes' indices; ``other`` where the mask is false."""
         return plt.load(ref.at[at], mask=mask, other=other)
 
-    def store(self, ref: Any, at: Any, value: Any, mask: Any) -> None:
+    def store(self, ref: jax.Ref, at: jax.Array, value: jax.Array, mask: jax.Array) -> None:
         """Write at the lanes' indices where the mask is true."""
         if not self.interpret:
             plt.store(ref.at[at], value, mask=mask)
@@ -84,6 +84,6 @@ class BlockProgram:
         if not self.interpret:
             plt.debug_barrier()
 
-    def when(self, condition: Any, action: Callable[[], None]) -> None:
+    def when(self, condition: jax.Array, action: Callable[[], None]) -> None:
         """Run an action if a number of the whole program is true."""
         pl.when(condition)(action)

@@ -8,11 +8,12 @@ from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 type Predicate = Callable[[jax.Array], jax.Array]
 
 
-def take_row(table: jax.Array, i: jax.Array) -> jax.Array:
+def take_row(table: jax.Array | np.ndarray, i: jax.Array) -> jax.Array:
     """Return row ``i`` [] of ``table`` [n, ...]; i must lie within [0, n)."""
     row: jax.Array = jax.lax.dynamic_index_in_dim(table, i, keepdims=False)
     return row
@@ -48,8 +49,7 @@ def last_not_above(table: jax.Array, value: jax.Array, start_index: jax.Array) -
     def is_next(k: jax.Array) -> jax.Array:
         return (k < last) & (take_row(table, jnp.minimum(k + 1, last)) <= value)
 
-    index: jax.Array = jax.lax.while_loop(is_next, lambda k: k + 1, begin)
-    return index
+    return jax.lax.while_loop(is_next, lambda k: k + 1, begin)
 
 
 def _count_prefix(table: jax.Array, holds: Predicate) -> jax.Array:

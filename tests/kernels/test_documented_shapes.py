@@ -24,7 +24,6 @@ UNSTATED = {
     "bit_grid.count_cells",
     "current_field.lamb_oseen_circulation",
     "rigid_body.advance_velocity",
-    "table.take_row",
     "thruster.rotor_filter",
     "thruster.rotor_lag",
     # They give a tree, `Field`, whose fields say their shapes.

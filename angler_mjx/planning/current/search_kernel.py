@@ -5,7 +5,6 @@ same numbers in any order of the cells: those of `search`, to the last bit.
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -60,17 +59,17 @@ class _CostKernel:
         nx, ny, nz = self.shape
         return (nx + 2) * (ny + 2) * (nz + 2)
 
-    def padded_index(self, x: Any, y: Any, z: Any) -> Any:
+    def padded_index[N: (int, jax.Array)](self, x: N, y: N, z: N) -> N:
         """Return the index of a cell among those with one more at both ends."""
         _, ny, nz = self.shape
         return ((x + 1) * (ny + 2) + y + 1) * (nz + 2) + z + 1
 
-    def __call__(self, goal: Any, cost: Any, value: Any, padded: Any) -> None:
+    def __call__(self, goal: jax.Ref, cost: jax.Ref, value: jax.Ref, padded: jax.Ref) -> None:
         program = self.program
         lane = jnp.arange(program.lanes, dtype=jnp.int32)
         no_path = jnp.full((program.lanes,), NO_PATH_COST, jnp.float32)
 
-        def clear_values(k: Any, unchanged: Any) -> Any:
+        def clear_values(k: jax.Array, unchanged: jax.Array) -> jax.Array:
             at = k * program.lanes + lane
             program.store(padded, at, no_path, at < self.n_padded_cells)
             return unchanged
@@ -81,10 +80,10 @@ class _CostKernel:
         program.barrier()
         parts = -(-self.size // program.lanes)
 
-        def sweep(state: Any) -> Any:
+        def sweep(state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
             count, _ = state
 
-            def sweep_part(k: Any, has_changed: Any) -> Any:
+            def sweep_part(k: jax.Array, has_changed: jax.Array) -> jax.Array:
                 # One way and back again, so that what is found is carried along.
                 part = jnp.where(count % 2 == 0, k, parts - 1 - k)
                 cell, at, is_cell = self._cells_of_part(part, lane)
@@ -103,19 +102,21 @@ class _CostKernel:
             program.barrier()
             return count + 1, jnp.max(has_changed)
 
-        def is_changing(state: Any) -> Any:
+        def is_changing(state: tuple[jax.Array, jax.Array]) -> jax.Array:
             return (state[1] > 0) & (state[0] < max_sweeps(self.shape))
 
         jax.lax.while_loop(is_changing, sweep, (jnp.int32(0), jnp.int32(1)))
 
-        def write_values(k: Any, unchanged: Any) -> Any:
+        def write_values(k: jax.Array, unchanged: jax.Array) -> jax.Array:
             cell, at, is_cell = self._cells_of_part(k, lane)
             program.store(value, cell, program.load(padded, at, is_cell, NO_PATH_COST), is_cell)
             return unchanged
 
         jax.lax.fori_loop(0, parts, write_values, jnp.int32(0))
 
-    def _cells_of_part(self, part: Any, lane: Any) -> tuple[Any, Any, Any]:
+    def _cells_of_part(
+        self, part: jax.Array, lane: jax.Array
+    ) -> tuple[jax.Array, jax.Array, jax.Array]:
         """Return the padded indices of the cells of a part, and which of them exist.
 
         Those beyond the last are the last.
@@ -127,4 +128,4 @@ class _CostKernel:
         return cell, self.padded_index(cell // (ny * nz), cell // nz % ny, cell % nz), is_cell
 
     def _padded_offset(self, step: list[int]) -> int:
-        return int(self.padded_index(*step)) - int(self.padded_index(0, 0, 0))
+        return self.padded_index(*step) - self.padded_index(0, 0, 0)

@@ -5,7 +5,7 @@ A configuration q has for each robot x, y, z, heading, then its arm's joints, if
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple, Self
+from typing import NamedTuple, Self
 
 import coal
 import numpy as np
@@ -40,8 +40,8 @@ class TeamModel:
         geometry: its bodies; the robots' own first.
     """
 
-    model: Any
-    geometry: Any
+    model: pin.Model
+    geometry: pin.GeometryModel
 
     def __init__(self, robots: Sequence[PlannedRobot], problem: Problem) -> None:
         """Build the model.
@@ -208,7 +208,7 @@ class TeamModel:
         for number in range(self._count):
             self._set_placement(number, self._geometry_data.oMg[number])
 
-    def _set_placement(self, number: int, placement: Any) -> None:
+    def _set_placement(self, number: int, placement: pin.SE3) -> None:
         body = self._objects[number]
         self._turn[number], self._centre[number] = placement.rotation, placement.translation
         body.setTransform(coal.Transform3s(placement.rotation, placement.translation))
@@ -238,7 +238,7 @@ class TeamModel:
         return np.where(self._meets, np.where(bound > 0.0, bound, -np.inf), np.inf)
 
 
-def _distance_request() -> Any:
+def _distance_request() -> coal.DistanceRequest:
     """Return a request for signed distances with points, to 1e-5 m: coal stops at its square."""
     request = coal.DistanceRequest(True, True)
     request.gjk_tolerance = 1e-10

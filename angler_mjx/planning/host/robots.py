@@ -6,7 +6,7 @@ has: the capsules of its hull and, where it has one, an arm with joints of its o
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Self
 
 import coal
 import numpy as np
@@ -27,12 +27,14 @@ class PlannedRobot:
     """[c, 3] the other end."""
     capsule_r_m: np.ndarray
     """[c]."""
-    arm: tuple[Any, Any] | None = None
+    arm: tuple[pin.Model, pin.GeometryModel] | None = None
     """Model and geometry model of Pinocchio (from MJCF or URDF, fixed base), from the centre of
     mass, body frame."""
 
     @classmethod
-    def of(cls, vehicle: VehicleParams, arm: tuple[Any, Any] | None = None) -> Self:
+    def of(
+        cls, vehicle: VehicleParams, arm: tuple[pin.Model, pin.GeometryModel] | None = None
+    ) -> Self:
         """Build the hull of a vehicle file, with an arm or without."""
         return cls(
             capsule_a_m=np.asarray(vehicle.capsule_a_m, float),
@@ -65,7 +67,7 @@ def team_hulls(problem: Problem) -> list[PlannedRobot]:
     ]
 
 
-def build_model(robots: Sequence[PlannedRobot]) -> tuple[Any, Any, list[int]]:
+def build_model(robots: Sequence[PlannedRobot]) -> tuple[pin.Model, pin.GeometryModel, list[int]]:
     """Build model and geometry model of a team, and the offset of each robot in q.
 
     Bodies are named ``robot_N_capsule_M``, and those of arms ``robot_N_`` and their own name.
@@ -94,8 +96,12 @@ def owner_index(name: str) -> int:
 
 
 def _attach_arm(
-    model: Any, geometry: Any, name: str, joint: int, arm: tuple[Any, Any]
-) -> tuple[Any, Any]:
+    model: pin.Model,
+    geometry: pin.GeometryModel,
+    name: str,
+    joint: int,
+    arm: tuple[pin.Model, pin.GeometryModel],
+) -> tuple[pin.Model, pin.GeometryModel]:
     """Attach an arm below a robot's heading, to model and geometry model."""
     arm_model, bodies = (part.copy() for part in arm)
     for index in range(1, arm_model.njoints):
@@ -106,13 +112,15 @@ def _attach_arm(
         item.name = f"{name}_{item.name}"
     base = pin.Frame(f"{name}_base", joint, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME)
     at = model.addFrame(base)
-    combined: tuple[Any, Any] = pin.appendModel(
+    combined: tuple[pin.Model, pin.GeometryModel] = pin.appendModel(
         model, arm_model, geometry, bodies, at, pin.SE3.Identity()
     )
     return combined
 
 
-def _capsule_geometry(a: np.ndarray, b: np.ndarray, r: float) -> tuple[Any, Any]:
+def _capsule_geometry(
+    a: np.ndarray, b: np.ndarray, r: float
+) -> tuple[coal.CollisionGeometry, pin.SE3]:
     """Return geometry and placement of a capsule by the ends of its axis."""
     axis = b - a
     length = float(np.linalg.norm(axis))
@@ -122,6 +130,6 @@ def _capsule_geometry(a: np.ndarray, b: np.ndarray, r: float) -> tuple[Any, Any]
     return coal.Capsule(r, length), pin.SE3(rotation, 0.5 * (a + b))
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     """Return what had another name before 0.2."""
     return _renamed(__name__, name)

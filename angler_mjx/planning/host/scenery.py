@@ -1,7 +1,7 @@
 """Bodies of a problem that robots can touch, as named geometries of coal."""
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import coal
 import numpy as np
@@ -16,7 +16,7 @@ class SceneryBody(NamedTuple):
     """Something that is no robot."""
 
     name: str
-    shape: Any
+    shape: coal.CollisionGeometry
     """Geometry of coal about its own centre."""
     rotation: np.ndarray
     """[3, 3] its frame to W."""

@@ -16,8 +16,7 @@ def current_along(
     """Return the known velocity [H, 3] of the water in W along positions [H, 3] at times [H]."""
     if current is None:
         return jnp.zeros_like(path_m)
-    velocity_mps: jax.Array = jax.vmap(current.velocity)(path_m, ahead_s)
-    return velocity_mps
+    return jax.vmap(current.velocity)(path_m, ahead_s)
 
 
 def extrapolate_robots(

@@ -4,7 +4,7 @@ With acoustics each robot extrapolates the others from their last packets.
 """
 
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
@@ -93,7 +93,9 @@ class Mppi(Policy):
             time_s=inputs.time_s,
         )
 
-    def act(self, carry: MppiMemory, inputs: PolicyInput, key: jax.Array, step: jax.Array) -> Any:
+    def act(
+        self, carry: MppiMemory, inputs: PolicyInput, key: jax.Array, step: jax.Array
+    ) -> tuple[MppiMemory, BodyTwist | BodyWrench]:
         """See `Policy.act`."""
         elapsed_s, estimate = inputs.time_s - carry.time_s, inputs.belief
         others = jax.vmap(
@@ -179,7 +181,6 @@ class Mppi(Policy):
             )
 
         belief = inputs.belief
-        commands: BodyTwist | BodyWrench = jax.vmap(build_command)(
+        return jax.vmap(build_command)(
             inputs.params.vehicle_model, belief.p, belief.q, belief.nu, target_mps, flow, yaw
         )
-        return commands

@@ -6,7 +6,6 @@ so memory holds one step of them at a time.
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -122,7 +121,9 @@ def rollout_path(
 ) -> jax.Array:
     """Return the positions [H, 3] at the end of each step along knots [K, 3]."""
 
-    def step(carry: tuple[jax.Array, jax.Array], i: jax.Array) -> tuple[Any, jax.Array]:
+    def step(
+        carry: tuple[jax.Array, jax.Array], i: jax.Array
+    ) -> tuple[tuple[jax.Array, jax.Array], jax.Array]:
         p, v, _ = _step_samples(model, scene, *carry, knots[..., None], i, dt_s)
         return (p, v), p[:, 0]
 

@@ -26,7 +26,7 @@ class HostReplanner:
     """A planner with ``plan``; hashable, static under jit."""
 
     reference: PlannerReference
-    settings: tuple[tuple[str, Any], ...]
+    settings: tuple[tuple[str, object], ...]
     points: int
     """Rows of its plans; longer paths are refused."""
 

@@ -8,7 +8,6 @@ obstacles and of the others' new plans; otherwise it stops and holds.
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -73,7 +72,9 @@ def initial_plans(settings: Replanning, inputs: PolicyInput) -> FleetPlans:
         settings: of the replanning.
         inputs: at t = 0; its path is a Trajectory.
     """
-    path: Any = inputs.path
+    path = inputs.path
+    if not isinstance(path, Trajectory):
+        raise TypeError(f"a {type(path).__name__} cannot be replanned")
     points = settings.problem.points
     now = pad_plan(path, points + 1)
     rows = path.time_s.shape[0]
@@ -112,7 +113,12 @@ def replan(
         inputs: of this time.
         key: of this world and step.
     """
-    if inputs.grid is None or inputs.obstacles is None or inputs.current is None:
+    if (
+        inputs.grid is None
+        or inputs.floor_z_m is None
+        or inputs.obstacles is None
+        or inputs.current is None
+    ):
         raise RuntimeError("plans are made anew by a policy that is told of no scenery")
     soon_s = clocks.clock_s + settings.delay_s
     start, _ = jax.vmap(sample_reference)(plans.now, soon_s)

@@ -68,8 +68,7 @@ class GridPlanner:
 
     def plan_batch(self, problems: Problem) -> Trajectory:
         """Return the paths of all worlds; see `BatchPlanner`."""
-        paths: Trajectory = jax.vmap(self.plan_one)(problems)
-        return paths
+        return jax.vmap(self.plan_one)(problems)
 
 
 def plan_grid(problem: Problem, config: PathSearchConfig) -> Trajectory:

@@ -7,7 +7,6 @@ as soon as its own robot can arrive, whatever the others of the batch need.
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -145,8 +144,12 @@ def _pad_to_groups(balls: Balls) -> Balls:
     )
 
 
-type _Bits = Any
+type _Bits = jax.Array
 """uint32 [lanes]."""
+type _Line = tuple[_Bits, ...]
+"""Bits of one kind, layer after layer."""
+type _Lines = tuple[_Bits, tuple[_Line, ...], _Line, tuple[_Line, ...]]
+"""Reached cells; starts of steps over 1 to 3 axes; taken cells by axes; taken middles by axes."""
 
 
 @dataclass(frozen=True)
@@ -160,18 +163,18 @@ class _SearchKernel:
 
     def __call__(
         self,
-        numbers: Any,
-        may_stay: Any,
-        cells: Any,
-        edges: Any,
-        centres: Any,
-        half: Any,
-        centre_xy: Any,
-        square: Any,
-        span: Any,
-        history: Any,
-        arrival: Any,
-        scratch: Any,
+        numbers: jax.Ref,
+        may_stay: jax.Ref,
+        cells: jax.Ref,
+        edges: jax.Ref,
+        centres: jax.Ref,
+        half: jax.Ref,
+        centre_xy: jax.Ref,
+        square: jax.Ref,
+        span: jax.Ref,
+        history: jax.Ref,
+        arrival: jax.Ref,
+        scratch: jax.Ref,
     ) -> None:
         layout = self.layout
         lane = jnp.arange(self.program.lanes)
@@ -181,7 +184,7 @@ class _SearchKernel:
         at = inner + layout.guard_size
         zero = jnp.zeros((self.program.lanes,), jnp.uint32)
 
-        def load_bits(ref: Any, offset: Any) -> _Bits:
+        def load_bits(ref: jax.Ref, offset: int) -> _Bits:
             return self.program.load(ref, at + offset, is_column, 0)
 
         self._clear_scratch(scratch, lane)
@@ -196,7 +199,9 @@ class _SearchKernel:
             is_column & (at == start_at), jnp.uint32(1) << start_z.astype(jnp.uint32), zero
         )
 
-        def layer(state: Any) -> Any:
+        def layer(
+            state: tuple[jax.Array, jax.Array, _Lines],
+        ) -> tuple[jax.Array, jax.Array, _Lines]:
             n, arrived, lines = state
             for k in range(_LEAVING):
                 self.program.store(scratch, at + k * layout.total, lines[1][k][0], is_column)
@@ -214,10 +219,10 @@ class _SearchKernel:
             taken = self._mark_taken(now * self.n_ball, x, y, step, centre_xy, square, span)
             return n + 1, arrived, _shift_lines(lines, reached, taken)
 
-        def is_searching(state: Any) -> Any:
+        def is_searching(state: tuple[jax.Array, jax.Array, _Lines]) -> jax.Array:
             return (state[1] < 0) & (state[0] <= self.n_layer)
 
-        no_lines = (
+        no_lines: _Lines = (
             zero,
             tuple((zero,) * n for n in (2, 3, 4)),
             (zero,) * 4,
@@ -228,12 +233,12 @@ class _SearchKernel:
         )
         arrival[0] = arrived
 
-    def _clear_scratch(self, scratch: Any, lane: Any) -> None:
+    def _clear_scratch(self, scratch: jax.Ref, lane: jax.Array) -> None:
         """Clear the scratch memory; guards are never written again."""
         size = _SCRATCH * self.layout.total
         zero = jnp.zeros((self.program.lanes,), jnp.uint32)
 
-        def clear_part(k: Any, unchanged: Any) -> Any:
+        def clear_part(k: jax.Array, unchanged: jax.Array) -> jax.Array:
             at = k * self.program.lanes + lane
             self.program.store(scratch, at, zero, at < size)
             return unchanged
@@ -242,12 +247,17 @@ class _SearchKernel:
         self.program.barrier()
 
     def _advance_layer(
-        self, scratch: Any, at: Any, real: Any, lines: Any, open_edges: list[_Bits]
+        self,
+        scratch: jax.Ref,
+        at: jax.Array,
+        real: jax.Array,
+        lines: _Lines,
+        open_edges: list[_Bits],
     ) -> _Bits:
         """Return the cells reached one layer after the last of ``lines``, occupied ones too."""
         layout = self.layout
 
-        def scratch_index(line: int, x: int, y: int) -> Any:
+        def scratch_index(line: int, x: int, y: int) -> jax.Array:
             return at + (line * layout.total + x * layout.row + y)
 
         reached, leave, rest, middle = lines
@@ -274,20 +284,27 @@ class _SearchKernel:
         return after
 
     def _mark_taken(
-        self, row: Any, x: Any, y: Any, half: Any, centre_xy: Any, square: Any, span: Any
-    ) -> tuple[_Bits, ...]:
+        self,
+        row: jax.Array,
+        x: jax.Array,
+        y: jax.Array,
+        half: jax.Array,
+        centre_xy: jax.Ref,
+        square: jax.Ref,
+        span: jax.Ref,
+    ) -> _Line:
         """Mark cells taken by balls of a layer: waiting, steps over 1 to 3 axes, then middles."""
         zero = jnp.zeros((self.program.lanes,), jnp.uint32)
         kinds = ((0, 0, 0),) * 4 + BLOCKS
         grows = (0, 1, 2, 3, *(sum(block) for block in BLOCKS))
 
-        def mark(ball: Any, bits_by_block: tuple[_Bits, ...]) -> tuple[_Bits, ...]:
+        def mark(ball: jax.Array, bits_by_block: _Line) -> _Line:
             off_x, off_y = x - centre_xy[2 * ball], y - centre_xy[2 * ball + 1]
             x2 = (off_x**2, (off_x + half) ** 2)
             y2 = (off_y**2, (off_y + half) ** 2)
             wide = [square[4 * ball + axes] for axes in range(4)]
             bits = {key: span[len(_SPANS) * ball + i] for i, key in enumerate(_SPANS)}
-            inside: dict[tuple[int, int, int], Any] = {}
+            inside: dict[tuple[int, int, int], jax.Array] = {}
             out = []
             for line, block, axes in zip(bits_by_block, kinds, grows, strict=True):
                 key = (block[0], block[1], axes)
@@ -296,7 +313,7 @@ class _SearchKernel:
                 out.append(line | jnp.where(inside[key], bits[axes, block[2]], jnp.uint32(0)))
             return tuple(out)
 
-        def mark_some(group: Any, bits_by_block: tuple[_Bits, ...]) -> tuple[_Bits, ...]:
+        def mark_some(group: jax.Array | int, bits_by_block: _Line) -> _Line:
             for k in range(BALLS_PER_LOOP):
                 bits_by_block = mark(row + group * BALLS_PER_LOOP + k, bits_by_block)
             return bits_by_block
@@ -304,9 +321,7 @@ class _SearchKernel:
         no_bits = (zero,) * len(kinds)
         if self.n_ball == BALLS_PER_LOOP:
             return mark_some(0, no_bits)
-        marked: tuple[_Bits, ...] = jax.lax.fori_loop(
-            0, self.n_ball // BALLS_PER_LOOP, mark_some, no_bits
-        )
+        marked: _Line = jax.lax.fori_loop(0, self.n_ball // BALLS_PER_LOOP, mark_some, no_bits)
         return marked
 
 
@@ -317,7 +332,7 @@ def _shift_up(bits: _Bits, dz: int) -> _Bits:
     return bits << -dz if dz < 0 else bits
 
 
-def _blocked_blocks(middle: Any) -> dict[tuple[int, int, int], _Bits]:
+def _blocked_blocks(middle: tuple[_Line, ...]) -> dict[tuple[int, int, int], _Bits]:
     """Return the kinds of block whose middle is taken during a step over it."""
     blocked = {}
     for axes, count in ((1, 2), (2, 3), (3, 2)):
@@ -328,14 +343,14 @@ def _blocked_blocks(middle: Any) -> dict[tuple[int, int, int], _Bits]:
     return blocked
 
 
-def _bitwise_or(bits: Any) -> _Bits:
+def _bitwise_or(bits: _Line) -> _Bits:
     union = bits[0]
     for next_bits in bits[1:]:
         union = union | next_bits
     return union
 
 
-def _shift_lines(lines: Any, reached: _Bits, taken: tuple[_Bits, ...]) -> Any:
+def _shift_lines(lines: _Lines, reached: _Bits, taken: _Line) -> _Lines:
     """Return the lines one layer later: reached, leave per axes, rest, middles per axes."""
     _, leave, _, middle = lines
     rest, middles = taken[:4], dict(zip(BLOCKS, taken[4:], strict=True))
@@ -346,7 +361,7 @@ def _shift_lines(lines: Any, reached: _Bits, taken: tuple[_Bits, ...]) -> Any:
     for axes, old in zip((1, 2, 3), middle, strict=True):
         of_axes = [block for block in BLOCKS if sum(block) == axes]
         size = len(old) // len(of_axes)
-        rows: tuple[_Bits, ...] = ()
+        rows: _Line = ()
         for k, block in enumerate(of_axes):
             rows += (*old[k * size + 1 : (k + 1) * size], middles[block])
         shifted.append(rows)

@@ -137,7 +137,6 @@ def plan_teams(
         ended=lambda search: team.is_finished(search, budget),
         result=lambda search: search.best,
     )
-    paths: Trajectory = jax.vmap(
-        lambda team_task, plans: team.select_flyable_paths(team_task, plans, config)
-    )(tasks, best)
-    return paths
+    return jax.vmap(lambda team_task, plans: team.select_flyable_paths(team_task, plans, config))(
+        tasks, best
+    )

@@ -1,7 +1,6 @@
 """Policy that follows routes computed before the start: there is no search in flight."""
 
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -80,7 +79,9 @@ class AlongRoutes(Policy):
             held_up=jnp.zeros(goal_index.shape, inputs.belief.p.dtype),
         )
 
-    def act(self, carry: RoutesMemory, inputs: PolicyInput, key: jax.Array, step: jax.Array) -> Any:
+    def act(
+        self, carry: RoutesMemory, inputs: PolicyInput, key: jax.Array, step: jax.Array
+    ) -> tuple[RoutesMemory, PoseTarget]:
         """See `Policy.act`."""
         routes, goal_index = _routes_and_goals(inputs)
         p = inputs.belief.p

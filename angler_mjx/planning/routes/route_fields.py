@@ -8,7 +8,6 @@ field is exact, and the same on every device.
 
 import itertools
 from collections.abc import Sequence
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -109,8 +108,7 @@ def _initial_lengths(clear: jax.Array, cell: jax.Array) -> jax.Array:
     """Return lengths int32 [nx, ny, nz] before any step, of routes to a cell [3]."""
     nowhere = jnp.full(clear.shape, LENGTHS.none, jnp.int32)
     i, j, k = cell
-    lengths: jax.Array = nowhere.at[i, j, k].set(jnp.where(clear[i, j, k], 0, LENGTHS.none))
-    return lengths
+    return nowhere.at[i, j, k].set(jnp.where(clear[i, j, k], 0, LENGTHS.none))
 
 
 def _relax_until_settled(lengths: jax.Array, moves: jax.Array) -> jax.Array:
@@ -132,8 +130,7 @@ def _relax_until_settled(lengths: jax.Array, moves: jax.Array) -> jax.Array:
         after = jax.lax.fori_loop(0, _ROUNDS, relax, state[0])
         return after, jnp.where(jnp.any(after < state[0]), -1, 0)
 
-    settled: jax.Array = jax.lax.while_loop(is_changing, relax_several, (lengths, jnp.int32(-1)))[0]
-    return settled
+    return jax.lax.while_loop(is_changing, relax_several, (lengths, jnp.int32(-1)))[0]
 
 
 def _encode_cells(
@@ -254,6 +251,6 @@ def _distance_to_bodies(obstacles: Obstacles, at_m: jax.Array) -> jax.Array:
     return jax.lax.scan(nearest_distance, distance_m, rows)[0].reshape(at_m.shape[:-1])
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     """Return an attribute by its name before 0.2."""
     return _renamed(__name__, name)

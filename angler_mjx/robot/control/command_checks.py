@@ -1,7 +1,7 @@
 """What a batch of commands must look like before it enters a compiled step (host side)."""
 
 from dataclasses import fields
-from typing import Any
+from typing import TYPE_CHECKING
 
 import jax.numpy as jnp
 import numpy as np
@@ -17,6 +17,9 @@ from angler_mjx.robot.control.commands import (
 from angler_mjx.robot.control.commands.joint_trajectory import JointTrajectory
 from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.robot.vehicles.thrusters import PWM_HIGH_US, PWM_LOW_US
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 type Axes = tuple[int | str, ...]
 
@@ -49,7 +52,7 @@ AXES: dict[type, dict[str, Axes]] = {
 """Axes of each array of a command for one robot."""
 
 
-def check_arrays(command: Any, lead: tuple[int, ...], thrusters: int) -> None:
+def check_arrays(command: "DataclassInstance", lead: tuple[int, ...], thrusters: int) -> None:
     """Refuse arrays of other shapes than the command's.
 
     Args:
@@ -86,7 +89,7 @@ def check_arrays(command: Any, lead: tuple[int, ...], thrusters: int) -> None:
             )
 
 
-def check_choice(mixed: Any, lead: tuple[int, ...]) -> None:
+def check_choice(mixed: object, lead: tuple[int, ...]) -> None:
     """Refuse a `MixedCommand` that lacks a choice for any robot; as `check_arrays`."""
     for name in ("which", "fresh"):
         value = getattr(mixed, name)
@@ -97,7 +100,7 @@ def check_choice(mixed: Any, lead: tuple[int, ...]) -> None:
             )
 
 
-def check_pulses(command: Any) -> None:
+def check_pulses(command: object) -> None:
     """Refuse pulse widths in NumPy's arrays beyond the ends of the thrust table, and NaN.
 
     Those in arrays of a device are not looked at, which would wait for it: there the table's ends

@@ -9,7 +9,7 @@ is for scenes that are driven step by step; batches give one type to all.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
-from typing import Any
+from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +17,11 @@ import jax.numpy as jnp
 from angler_kernels import quaternion
 from angler_mjx._moved import renamed as _renamed
 from angler_mjx.robot.control import allocation, plans, stack
-from angler_mjx.robot.control.commands import BodyWrench, Estimate, PoseTarget, TrackingTarget
+from angler_mjx.robot.control.commands import (
+    BodyWrench,
+    Estimate,
+    ThrusterPwm,
+)
 from angler_mjx.robot.control.commands.joint_trajectory import JointTrajectory
 from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.robot.control.stack import (
@@ -30,6 +34,9 @@ from angler_mjx.robot.control.stack import (
     Stages,
 )
 
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +48,7 @@ class MixedCommand:
     fresh: jax.Array
     """int32 [] so many stages, counted from the top, begin this step with a new memory; 0: none.
     For stages that stood idle until now, and for the first one when a new path begins."""
-    commands: tuple[Any, ...]
+    commands: tuple[Command, ...]
     """Each of another type; those that do not count hold any numbers."""
 
 
@@ -57,7 +64,7 @@ def last_approach_s(mixed: MixedCommand, goal_m: jax.Array, tolerance_m: float) 
 
 def progress_s(stages: Stages, memory: ControlMemory, mixed: MixedCommand) -> jax.Array:
     """Return `stack.progress_s` [] s of one robot's command; zero unless it is a plan."""
-    progress: Any = 0.0
+    progress: jax.Array | float = 0.0
     for k, command in enumerate(mixed.commands):
         if isinstance(command, Trajectory | JointTrajectory):
             of_plan = stack.progress_s(stages, memory, command)
@@ -67,7 +74,7 @@ def progress_s(stages: Stages, memory: ControlMemory, mixed: MixedCommand) -> ja
 
 def step(
     stages: Stages,
-    gains: Sequence[Any],
+    gains: Sequence["DataclassInstance"],
     params: ControlParams,
     memory: ControlMemory,
     estimate: Estimate,
@@ -99,7 +106,7 @@ def step(
     entries = [stack.find_entry(stages, type(command)) for command in mixed.commands]
     chosen = [mixed.which == k for k in range(len(entries))]
     yaw = quaternion.yaw(estimate.q)
-    below: Any = None
+    below: Command | None = None
     used = realised_used = mixed.which < 0
     aim, demanded = estimate.p, jnp.full_like(estimate.nu, jnp.nan)
     carries = []
@@ -110,7 +117,7 @@ def step(
             if entry_index == i
         ]
         for flag, command in entering:
-            aim = jnp.where(flag, _target_position(command, aim), aim)
+            aim = jnp.where(flag, stack.target_position(command, aim), aim)
             demanded = jnp.where(flag, _demanded_wrench(command, demanded), demanded)
         used = reduce(jnp.logical_or, (flag for flag, _ in entering), used)
         if below is None and not entering:
@@ -128,13 +135,15 @@ def step(
         )
         carry, below = _run_stage(stage, gains[i], before, inputs, below, entering)
         carries.append(_select(used, carry, memory.stages[i]))
-        aim = jnp.where(used, _target_position(below, aim), aim)
+        aim = jnp.where(used, stack.target_position(below, aim), aim)
         demanded = jnp.where(used, _demanded_wrench(below, demanded), demanded)
         realised_used = realised_used | used if stage.wants_realised else realised_used
     for flag, command, entry_index in zip(chosen, mixed.commands, entries, strict=True):
         if entry_index == len(stages):
             below = command if below is None else _select(flag, command, below)
             demanded = jnp.where(flag, jnp.nan, demanded)
+    if not isinstance(below, ThrusterPwm):
+        raise TypeError(f"the last stage gives {type(below).__name__}, no thruster signals")
     return Action(
         memory=ControlMemory(
             stages=tuple(carries),
@@ -153,14 +162,16 @@ def step(
 
 def _run_stage(
     stage: Stage,
-    gains: Any,
-    carry: Any,
+    gains: "DataclassInstance",
+    carry: object,
     stage_input: StageInput,
-    above: Any,
-    entering: Sequence[tuple[jax.Array, Any]],
-) -> tuple[Any, Any]:
+    above: Command | None,
+    entering: Sequence[tuple[jax.Array, Command]],
+) -> tuple[object, Command]:
     """Memory and command of a stage: once for each type of command that it is given."""
-    inputs: dict[type, tuple[Any, Any]] = {} if above is None else {type(above): (None, above)}
+    inputs: dict[type, tuple[jax.Array | None, Command]] = {}
+    if above is not None:
+        inputs[type(above)] = (None, above)
     for flag, command in entering:
         kind = type(command)
         if kind in inputs:
@@ -171,9 +182,9 @@ def _run_stage(
         (flag, stage.step(gains, carry, stage_input, stage_command))
         for flag, stage_command in inputs.values()
     ]
-    chosen: tuple[Any, Any] = results[0][1]
-    for flag, result in results[1:]:
-        chosen = _select(flag, result, chosen)
+    chosen = results[0][1]
+    for mask, result in results[1:]:
+        chosen = result if mask is None else _select(mask, result, chosen)
     return chosen
 
 
@@ -189,18 +200,10 @@ def _select[T](flag: jax.Array, yes: T, no: T) -> T:
     return selected
 
 
-def _target_position(command: Command, before: jax.Array) -> jax.Array:
-    aims: jax.Array = (
-        command.position_m if isinstance(command, PoseTarget | TrackingTarget) else before
-    )
-    return aims
-
-
 def _demanded_wrench(command: Command, before: jax.Array) -> jax.Array:
-    demanded: jax.Array = command.tau if isinstance(command, BodyWrench) else before
-    return demanded
+    return command.tau if isinstance(command, BodyWrench) else before
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     """Return what had another name before 0.2."""
     return _renamed(__name__, name)

@@ -10,6 +10,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import ArrayLike
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.robot.control import stages
@@ -63,13 +64,13 @@ def between(plan: JointTrajectory) -> tuple[jax.Array, jax.Array, jax.Array]:
     fraction = jnp.arange(1, PIECES, dtype=time.dtype) / PIECES
     span = (time[..., 1:] - time[..., :-1])[..., None]
     times = time[..., :-1, None] + span * fraction
-    joints = (plan.position, plan.velocity, plan.acceleration)
-    ends: list[Any] = [
-        [leaf[..., rows, None, :3] for leaf in joints] for rows in (slice(None, -1), slice(1, None))
-    ]
     begin, end = (
-        JointState(position=position, velocity=velocity, acceleration=acceleration)
-        for position, velocity, acceleration in ends
+        JointState(
+            position=plan.position[..., rows, None, :3],
+            velocity=plan.velocity[..., rows, None, :3],
+            acceleration=plan.acceleration[..., rows, None, :3],
+        )
+        for rows in (slice(None, -1), slice(1, None))
     )
     whole = jnp.where(span > 0, span, 1.0)[..., None]
     positions_m = interpolate_segment(
@@ -223,7 +224,7 @@ def _joint_point(time_s: float, joints: JointState, i: int, uses: int) -> JointP
     )
 
 
-def joints_at(plan: JointTrajectory, time_s: Any) -> JointState:
+def joints_at(plan: JointTrajectory, time_s: ArrayLike) -> JointState:
     """Joints [n, n_joint] of one robot at times [n] from 0, in double precision (host side)."""
     t, time = np.asarray(time_s, float)[:, None], np.asarray(plan.time_s, float)
     k = np.clip(np.searchsorted(time, t[:, 0], side="right") - 1, 0, time.size - 2)
@@ -242,7 +243,7 @@ def joints_at(plan: JointTrajectory, time_s: Any) -> JointState:
     return JointState(**at)
 
 
-def _state_at_row(plan: JointTrajectory, k: Any) -> JointState:
+def _state_at_row(plan: JointTrajectory, k: np.ndarray) -> JointState:
     rows: Any = [
         np.asarray(leaf, float)[k] for leaf in (plan.position, plan.velocity, plan.acceleration)
     ]

@@ -10,7 +10,7 @@ above stays as it is until a command comes to them again.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
@@ -29,6 +29,9 @@ from angler_mjx.robot.control.commands import (
 from angler_mjx.robot.control.commands.joint_trajectory import JointTrajectory
 from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.robot.vehicles.params import VehicleParams
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 type Command = (
     Trajectory
@@ -93,19 +96,19 @@ class Stage:
     """Types of commands."""
     gives: type
     """Type of the command to the stage below."""
-    step: Callable[[Any, Any, StageInput, Any], tuple[Any, Any]]
+    step: Callable[..., tuple[object, Command]]
     """(gains, carry, given, command) -> (carry, command to the stage below); pure, of one robot."""
-    reset: Callable[[Estimate, jax.Array], Any]
+    reset: Callable[[Estimate, jax.Array], object]
     """(estimate, heading [] rad at the start) -> carry."""
-    gains: Callable[..., Any] = NoGains
+    gains: type = NoGains
     """Dataclass of its gains, all with defaults."""
-    check: Callable[[Any], None] | None = None
+    check: Callable[..., None] | None = None
     """Refuses gains that make no sense, with a ConfigError (host side)."""
     wants_flow: bool = False
     """Whether it is to be told the current."""
     wants_realised: bool = False
     """Whether it is to be told what became of the wrench of the step before."""
-    progress: Callable[[Any, Any], jax.Array] | None = None
+    progress: Callable[..., jax.Array] | None = None
     """(carry, plan) -> time [] s along the plan that the robot has come to; None for stages that
     take no plan."""
     wants_sway: bool = False
@@ -120,7 +123,7 @@ type Stages = tuple[Stage, ...]
 class ControlMemory:
     """Memory of a stack of one robot."""
 
-    stages: tuple[Any, ...]
+    stages: tuple[object, ...]
     """Carry of each stage."""
     realised: BodyWrench | None
     """For the stages that want it; None where none does."""
@@ -214,11 +217,11 @@ def reset(stages: Stages, estimate: Estimate, yaw_rad: jax.Array) -> ControlMemo
 
 def step(
     stages: Stages,
-    gains: Sequence[Any],
+    gains: Sequence["DataclassInstance"],
     params: ControlParams,
     memory: ControlMemory,
     estimate: Estimate,
-    command: Any,
+    command: Command,
     dt: float,
     density: float,
     gravity: float,
@@ -241,7 +244,7 @@ def step(
     """
     first = find_entry(stages, type(command))
     carries = list(memory.stages)
-    aim, realised_used = _target_position(command, estimate.p), False
+    aim, realised_used = target_position(command, estimate.p), False
     demanded = command if isinstance(command, BodyWrench) else None
     for i in range(first, len(stages)):
         stage = stages[i]
@@ -254,9 +257,11 @@ def step(
             gravity=gravity,
         )
         carries[i], command = stage.step(gains[i], carries[i], inputs, command)
-        aim = _target_position(command, aim)
+        aim = target_position(command, aim)
         demanded = command if isinstance(command, BodyWrench) else demanded
         realised_used |= stage.wants_realised
+    if not isinstance(command, ThrusterPwm):
+        raise TypeError(f"the last stage gives {type(command).__name__}, no thruster signals")
     return Action(
         memory=ControlMemory(
             stages=tuple(carries),
@@ -277,9 +282,6 @@ def _demanded_or_nan(demanded: BodyWrench | None, estimate: Estimate) -> BodyWre
     return demanded or BodyWrench(tau=jnp.full_like(estimate.nu, jnp.nan))
 
 
-def _target_position(command: Command, before: jax.Array) -> jax.Array:
-    """Position [3] that a command aims at; ``before`` where it does not aim."""
-    aims: jax.Array = (
-        command.position_m if isinstance(command, PoseTarget | TrackingTarget) else before
-    )
-    return aims
+def target_position(command: Command, before: jax.Array) -> jax.Array:
+    """Return the position [3] that a command aims at; ``before`` where it aims at none."""
+    return command.position_m if isinstance(command, PoseTarget | TrackingTarget) else before

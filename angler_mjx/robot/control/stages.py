@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from functools import cache
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax
 
@@ -34,8 +34,11 @@ from angler_mjx.robot.control.laws import (
     velocity,
 )
 from angler_mjx.robot.control.laws.ardusub import law as ardusub
-from angler_mjx.robot.control.stack import Stage, StageInput, Stages
+from angler_mjx.robot.control.stack import Command, Stage, StageInput, Stages
 from angler_mjx.user_classes import is_class_of_file, load_class
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 _PATHS = (Trajectory, JointTrajectory)
 _POSES = (PoseTarget, TrackingTarget)
@@ -51,17 +54,19 @@ def _of_law(
     flow: bool = False,
     realised: bool = False,
     sway: bool = False,
-    progress: Callable[[Any, Any], jax.Array] | None = None,
+    progress: Callable[..., jax.Array] | None = None,
 ) -> Stage:
     """A stage of a law that knows its vehicle and the water."""
 
-    def step(gains: Any, carry: Any, inputs: StageInput, command: Any) -> tuple[Any, Any]:
-        more: dict[str, Any] = {}
+    def step(
+        gains: "DataclassInstance", carry: object, inputs: StageInput, command: Command
+    ) -> tuple[object, Command]:
+        more: dict[str, object] = {}
         if flow:
             more["flow"] = inputs.estimate.flow
         if realised:
             more["realised"] = inputs.realised
-        after: tuple[Any, Any] = law.step(
+        after: tuple[object, Command] = law.step(
             gains,
             inputs.params.vehicle_model,
             carry,
@@ -74,7 +79,7 @@ def _of_law(
         )
         return after
 
-    def reset(estimate: Estimate, _: jax.Array) -> Any:
+    def reset(estimate: Estimate, _: jax.Array) -> object:
         return law.reset(estimate)
 
     return Stage(
@@ -97,19 +102,34 @@ def _no_memory(_: Estimate, __: jax.Array) -> tuple[()]:
     return ()
 
 
-def _step_follow(gains: Any, carry: Any, inputs: StageInput, command: Any) -> tuple[Any, Any]:
+def _step_follow(
+    gains: follow.FollowGains,
+    carry: follow.FollowCarry,
+    inputs: StageInput,
+    command: Trajectory | JointTrajectory,
+) -> tuple[follow.FollowCarry, PoseTarget]:
     return follow.step(gains, carry, inputs.estimate, command, inputs.dt)
 
 
-def _step_track(gains: Any, carry: Any, inputs: StageInput, command: Any) -> tuple[Any, Any]:
+def _step_track(
+    gains: follow.FollowGains,
+    carry: follow.FollowCarry,
+    inputs: StageInput,
+    command: Trajectory | JointTrajectory,
+) -> tuple[follow.FollowCarry, TrackingTarget]:
     return follow.track_target(gains, carry, inputs.estimate, command, inputs.dt)
 
 
-def _plan_clock(carry: follow.FollowCarry, _: Any) -> jax.Array:
+def _plan_clock(carry: follow.FollowCarry, _: object) -> jax.Array:
     return carry.clock_s
 
 
-def _step_pose(gains: Any, carry: Any, inputs: StageInput, command: Any) -> tuple[Any, Any]:
+def _step_pose(
+    gains: pose.PoseGains,
+    carry: tuple[()],
+    inputs: StageInput,
+    command: PoseTarget | TrackingTarget,
+) -> tuple[tuple[()], BodyTwist]:
     params = inputs.params
     return carry, pose.step(
         gains, params.vehicle_model, params.cruise_speed_mps, inputs.estimate, command
@@ -119,7 +139,9 @@ def _step_pose(gains: Any, carry: Any, inputs: StageInput, command: Any) -> tupl
 def _allocation_stage(name: str, allocate: Callable[..., ThrusterPwm]) -> Stage:
     """A stage that allocates a wrench."""
 
-    def step(_: Any, carry: Any, inputs: StageInput, command: Any) -> tuple[Any, Any]:
+    def step(
+        _: object, carry: tuple[()], inputs: StageInput, command: BodyWrench
+    ) -> tuple[tuple[()], ThrusterPwm]:
         return carry, allocate(inputs.params.allocation, command)
 
     return Stage(name=name, takes=(BodyWrench,), gives=ThrusterPwm, step=step, reset=_no_memory)
@@ -285,7 +307,7 @@ def describe_stages(stages: Stages) -> str:
 def build_stack(
     names: Sequence[str],
     gains: Mapping[str, Mapping[str, float]],
-) -> tuple[Stages, tuple[Any, ...]]:
+) -> tuple[Stages, tuple["DataclassInstance", ...]]:
     """A stack by the names of its stages, and the gains of each (host side).
 
     Args:

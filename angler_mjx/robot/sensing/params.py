@@ -3,13 +3,16 @@
 import math
 from dataclasses import dataclass, field, fields, replace
 from statistics import NormalDist
-from typing import Any
+from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.robot.sensing.config import ImuConfig, SensorsConfig, UsblConfig
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 
 @jax.tree_util.register_dataclass
@@ -144,7 +147,7 @@ def scale_noise(params: SensorParams, factor: jax.Array) -> SensorParams:
     and the steps of readings do not change.
     """
 
-    def scaled(part: Any) -> Any:
+    def scaled[T: "DataclassInstance"](part: T) -> T:
         names = [entry.name for entry in fields(part) if "std" in entry.name]
         return replace(part, **{name: factor * getattr(part, name) for name in names})
 

@@ -4,8 +4,6 @@ Each function raises ValueError with the reason and the remedy; the models turn 
 the file.
 """
 
-from typing import Any
-
 import numpy as np
 
 type Matrix = tuple[tuple[float, ...], ...]
@@ -20,7 +18,7 @@ PWM_LOW_US, PWM_HIGH_US = 1100, 1900
 _RELATIVE_TOLERANCE = 1e-6
 
 
-def _symmetric_matrix(value: Any, size: int) -> np.ndarray:
+def _symmetric_matrix(value: object, size: int) -> np.ndarray:
     """Turn a diagonal or a full matrix of a file into a symmetric array.
 
     Raise ValueError otherwise.
@@ -49,7 +47,7 @@ def _to_rows(matrix: np.ndarray) -> Matrix:
     return tuple(tuple(float(entry) for entry in row) for row in matrix)
 
 
-def check_inertia(value: Any) -> Matrix:
+def check_inertia(value: object) -> Matrix:
     """Check rotational inertia (3 diagonal values or 3 x 3) and return the full matrix."""
     matrix = _symmetric_matrix(value, 3)
     low, middle, high = np.linalg.eigvalsh(matrix)
@@ -65,7 +63,7 @@ def check_inertia(value: Any) -> Matrix:
     return _to_rows(matrix)
 
 
-def check_added_mass(value: Any) -> Matrix:
+def check_added_mass(value: object) -> Matrix:
     """Check added mass (6 diagonal values or 6 x 6) and return the full matrix."""
     matrix = _symmetric_matrix(value, 6)
     low, *_, high = np.linalg.eigvalsh(matrix)

@@ -111,8 +111,7 @@ def terminal_speed(force_n: FloatArray, D_l: FloatArray, D_q: FloatArray) -> Flo
     Returns:
         [k] m/s.
     """
-    speed: FloatArray = 2 * force_n / (D_l + np.sqrt(D_l**2 + 4 * D_q * force_n))
-    return speed
+    return 2 * force_n / (D_l + np.sqrt(D_l**2 + 4 * D_q * force_n))
 
 
 def wrench_matrix(config: VehicleConfig) -> FloatArray:

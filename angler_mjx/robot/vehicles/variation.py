@@ -7,7 +7,6 @@ varies with the root of the product of the factors of i and j.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -54,7 +53,7 @@ def apply_variation(
     body, water = parameters.rigid_body, parameters.buoyancy
     root = np.sqrt(np.asarray(variation.added_mass))
     added = np.asarray(parameters.added_mass.coefficients) * np.outer(root, root)
-    damping: dict[str, Any] = {
+    damping: dict[str, tuple[float, ...]] = {
         name: tuple((np.asarray(values) * np.asarray(variation.damping)).tolist())
         for name, values in (
             ("linear", parameters.damping.linear),
@@ -76,7 +75,7 @@ def apply_variation(
             "damping": parameters.damping.model_copy(update=damping),
         }
     )
-    sets: Mapping[str, Any] = {**config.parameter_sets, parameter_set: made}
+    sets: Mapping[str, object] = {**config.parameter_sets, parameter_set: made}
     return config.model_copy(update={"parameter_sets": sets})
 
 

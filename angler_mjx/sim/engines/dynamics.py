@@ -48,13 +48,11 @@ class Dynamics:
         if kernels == "xla":
             return plain(state, thrust_n)
         fast = triton.with_gradient_of(plain, partial(self._simulate_triton, n_steps=n_steps))
-        after: VehicleState = fast(state, thrust_n)
-        return after
+        return fast(state, thrust_n)
 
     def _simulate_jax(self, state: VehicleState, thrust_n: jax.Array, n_steps: int) -> VehicleState:
         after = self._run_steps(lanes.split(state), lanes.split(thrust_n), n_steps)
-        moved: VehicleState = lanes.join(after)
-        return moved
+        return lanes.join(after)
 
     def _simulate_triton(
         self, state: VehicleState, thrust_n: jax.Array, n_steps: int
@@ -62,7 +60,7 @@ class Dynamics:
         layout, order = PlaneLayout.of(state, 1), PlaneLayout.of(thrust_n, 1)
         dtype, count = state.p.dtype, state.p.shape[0]
 
-        def kernel(order_ref: jax.Array, _: jax.Array, state_ref: jax.Array) -> None:
+        def kernel(order_ref: jax.Ref, _: jax.Ref, state_ref: jax.Ref) -> None:
             lane, _row = triton.locate_lanes(LANES)
             now = layout.read_lanes(triton.make_loader(state_ref), lane)
             thrust = order.read_lanes(triton.make_loader(order_ref), lane)
@@ -74,20 +72,17 @@ class Dynamics:
         constant, changed = [order.pack(thrust_n, dtype)], [layout.pack(state, dtype)]
         program = triton.LaunchedProgram(lanes=LANES, warps=WARPS)
         (flat,) = triton.call_kernel(kernel, program, count, 1, constant, changed)
-        moved: VehicleState = layout.unpack(flat, (count,))
-        return moved
+        return layout.unpack(flat, (count,))
 
-    def _run_steps(self, state: VehicleState, thrust_n: np.ndarray, n_steps: int) -> VehicleState:
+    def _run_steps(self, state: VehicleState, thrust_n: jax.Array, n_steps: int) -> VehicleState:
         """The same on lanes."""
         zero = jnp.zeros((), state.p[0].dtype)
 
         def advance(_: jax.Array, now: VehicleState) -> VehicleState:
             step = partial(lane_steps.physics_step, self.physics_dt_s, self.water)
-            after: VehicleState = lanes.apply(step, self.vehicle, now, thrust_n, (), zero)
-            return after
+            return lanes.apply(step, self.vehicle, now, thrust_n, (), zero)
 
-        after: VehicleState = lanes.repeat(n_steps, advance, state)
-        return after
+        return lanes.repeat(n_steps, advance, state)
 
 
 LANES, WARPS = 128, 4
@@ -112,8 +107,7 @@ def build_dynamics(
 
     def hold(leaf: jax.Array) -> np.ndarray:
         value = np.asarray(leaf)
-        held: np.ndarray = lanes.pack([value[i] for i in np.ndindex(*value.shape)], value.shape)
-        return held
+        return lanes.pack([*value.ravel()], value.shape)
 
     return Dynamics(
         vehicle=jax.tree.map(hold, vehicle_params), water=Water(), physics_dt_s=physics_dt_s

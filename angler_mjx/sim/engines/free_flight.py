@@ -7,7 +7,6 @@ command to what came of it, in the closed form of the fused engine. Batches are 
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -80,7 +79,7 @@ def simulate_flight(
 
     def control_step(
         carry: tuple[VehicleState, ControlMemory], i: jax.Array
-    ) -> tuple[Any, FreeFlight]:
+    ) -> tuple[tuple[VehicleState, ControlMemory], FreeFlight]:
         state, memory = carry
         t = i.astype(state.p.dtype) * spec.control_dt_s
         flow = currents.velocity(current, state.p, t) if wants_flow else None

@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +18,7 @@ from angler_mjx.sim.fleet import Fleet, add_parameters, apply_loads
 from angler_mjx.sim.phase import run_phase
 from angler_mjx.sim.physics import mjx_engine
 from angler_mjx.sim.physics import step as physics
+from angler_mjx.sim.physics.mjx_engine import BodyInertia
 from angler_mjx.sim.physics.step import Multibody, VehicleState
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.record import Sample, build_sample
@@ -49,7 +49,7 @@ class SingleWorld:
     spec: SimSpec
     world: FleetWorld
     t: jax.Array
-    engine: Multibody | None = None
+    engine: Multibody[BodyInertia] | None = None
     """Of the fleet; None where the vehicles are moved by something else."""
     _flows: list[tuple[VehicleState, jax.Array]] = field(default_factory=list, init=False)
 
@@ -80,8 +80,7 @@ class SingleWorld:
         def step_once(now: T, i: jax.Array) -> tuple[T, None]:
             return body(i, now), None
 
-        after: T = jax.lax.scan(step_once, tree, jnp.arange(times))[0]
-        return after
+        return jax.lax.scan(step_once, tree, jnp.arange(times))[0]
 
     def physics_step(
         self,
@@ -94,7 +93,7 @@ class SingleWorld:
         """See `phase.BodyBatch`."""
         if self.engine is None:
             raise RuntimeError("these vehicles are moved by something else")
-        moved: VehicleState = jax.vmap(physics.step, (None, 0, 0, 0, 0, None, None, None, None))(
+        return jax.vmap(physics.step, (None, 0, 0, 0, 0, None, None, None, None))(
             self.engine,
             self.world.body,
             params.vehicle,
@@ -105,7 +104,6 @@ class SingleWorld:
             self.spec.physics_dt_s,
             self.spec.water,
         )
-        return moved
 
     def advance(self, obstacles: ObstacleState) -> ObstacleState:
         """See `phase.BodyBatch`."""
@@ -155,7 +153,7 @@ def judge_world(
 
 def control_step(
     spec: SimSpec,
-    engine: Multibody,
+    engine: Multibody[BodyInertia],
     world: FleetWorld,
     state: WorldState,
     command: Command | None = None,
@@ -234,7 +232,7 @@ def control_step(
 
 def segment(
     spec: SimSpec,
-    engine: Multibody,
+    engine: Multibody[BodyInertia],
     world: FleetWorld,
     state: WorldState,
     n_sample: int,
@@ -255,17 +253,21 @@ def segment(
     shapes = jax.eval_shape(fly, state)[1]
     empty_sample: Sample = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
 
-    def step_once(carry: Any, i: jax.Array) -> tuple[Any, None]:
+    def step_once(
+        carry: tuple[WorldState, jax.Array | None, Sample], i: jax.Array
+    ) -> tuple[tuple[WorldState, jax.Array | None, Sample], None]:
         state, number, kept = carry
         state, sample = fly(state, number=number)
         kept = jax.tree.map(lambda new, old: jnp.where(i == 0, new, old), sample, kept)
         return (state, None if number is None else number + 1, kept), None
 
-    def record_sample(now: Any, _: None) -> tuple[Any, Sample]:
-        (*now, kept), _ = jax.lax.scan(
+    def record_sample(
+        now: tuple[WorldState, jax.Array | None], _: None
+    ) -> tuple[tuple[WorldState, jax.Array | None], Sample]:
+        (after, count, kept), _ = jax.lax.scan(
             step_once, (*now, empty_sample), jnp.arange(steps_per_sample)
         )
-        return tuple(now), kept
+        return (after, count), kept
 
     (after, _), samples = jax.lax.scan(record_sample, (state, number), length=n_sample)
     return after, samples
@@ -280,8 +282,7 @@ class MjxEngine:
         """See `Engine.reset`."""
         reset_world = partial(start.reset, spec, _select_multibody(spec, fleet), policy=policy)
         equipped = add_parameters(fleet, worlds)
-        state: WorldState = jax.vmap(reset_world)(equipped.body, equipped)
-        return state
+        return jax.vmap(reset_world)(equipped.body, equipped)
 
     def pack_constants(self, fleet: Fleet, worlds: World) -> EngineConstants:
         """See `Engine.pack_constants`: nothing."""
@@ -337,18 +338,23 @@ class MjxEngine:
         """See `Engine.segment`."""
         del begins, cells
         engine, equipped = _select_multibody(spec, fleet), add_parameters(fleet, worlds)
-        count: dict[str, Any] = {"n_sample": n_sample, "steps_per_sample": steps_per_sample}
-        options: dict[str, Any] = {
-            "number": _shared_step_number(spec, state, policy),
-            "fleet": fleet,
-        }
-        fly: Any = partial(segment, spec, policy=policy, **options, **count)
+        number = _shared_step_number(spec, state, policy)
 
         def run_world(
             world: FleetWorld, state: WorldState, command: Command | None
         ) -> tuple[WorldState, Sample]:
-            flown: tuple[WorldState, Sample] = fly(engine, world, state, command=command)
-            return flown
+            return segment(
+                spec,
+                engine,
+                world,
+                state,
+                n_sample,
+                steps_per_sample,
+                command=command,
+                policy=policy,
+                number=number,
+                fleet=fleet,
+            )
 
         after: WorldState
         after, samples = jax.vmap(run_world)(equipped, state, command)

@@ -14,11 +14,13 @@ the body; ours is ``nu``, both in the body. The conversion happens here, once.
 """
 
 import contextlib
+import importlib
 import io
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cache
-from typing import Any
+from types import ModuleType
+from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
@@ -27,6 +29,10 @@ import numpy as np
 
 from angler_kernels import quaternion
 from angler_kernels.rigid_body import matrix_times
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+    from mujoco import mjx
 
 
 @jax.tree_util.register_dataclass
@@ -46,9 +52,9 @@ class BodyInertia:
 class MjxPhysics:
     """What all vehicles of a fleet share: one MJX model and an empty state to work on."""
 
-    model: Any
+    model: "mjx.Model"
     """mjx.Model of the first variant; the fields of `BodyInertia` are replaced for each robot."""
-    data: Any
+    data: "mjx.Data"
     """mjx.Data, the scratch of one evaluation."""
 
     def with_gravity(self, gravity_mps2: float) -> "MjxPhysics":
@@ -155,7 +161,7 @@ def _compile_general(spec: mujoco.MjSpec) -> mujoco.MjModel:
     return model
 
 
-def _differing_fields(models: Sequence[Any]) -> dict[str, np.ndarray]:
+def _differing_fields(models: Sequence["mjx.Model"]) -> dict[str, np.ndarray]:
     """Arrays [n_model, ...] of all fields of mjx.Models that are not the same in all.
 
     Raises:
@@ -177,11 +183,11 @@ def _differing_fields(models: Sequence[Any]) -> dict[str, np.ndarray]:
     return out
 
 
-def _list_fields(node: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
+def _list_fields(node: "DataclassInstance", prefix: str = "") -> Iterator[tuple[str, object]]:
     """All fields of a model, and of what it holds, by their names."""
     for field in fields(node):
         value = getattr(node, field.name)
-        if is_dataclass(value):
+        if is_dataclass(value) and not isinstance(value, type):
             yield from _list_fields(value, f"{prefix}{field.name}.")
         else:
             yield f"{prefix}{field.name}", value
@@ -193,11 +199,10 @@ def _is_same_array(a: np.ndarray, b: np.ndarray) -> bool:
 
 
 @cache
-def _import_mjx() -> Any:
+def _import_mjx() -> ModuleType:
     """MJX, loaded when it is first needed: that takes longer than to load JAX itself."""
     with contextlib.redirect_stdout(io.StringIO()):  # it prints that Warp is missing
-        from mujoco import mjx
-    return mjx
+        return importlib.import_module("mujoco.mjx")
 
 
 def _inertia_and_bias(

@@ -1,16 +1,15 @@
 """The rotors of one vehicle: how thrusts follow what their signals settle at."""
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
+from jax.typing import DTypeLike
 
 from angler_kernels import thruster
 from angler_mjx.robot.vehicles import rotor
 from angler_mjx.robot.vehicles.params import VehicleParams
 
 
-def at_rest(params: VehicleParams, dtype: Any) -> jax.Array:
+def at_rest(params: VehicleParams, dtype: DTypeLike) -> jax.Array:
     """States of still rotors: [n_thruster], or [3, n_thruster] where they are of third order."""
     n = params.B.shape[-1]
     return jnp.zeros(n if params.rotor is None else (rotor.ORDER, n), dtype)

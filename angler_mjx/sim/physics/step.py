@@ -17,7 +17,7 @@ treatment.
 """
 
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Protocol
 
 import jax
 import jax.numpy as jnp
@@ -30,11 +30,11 @@ from angler_mjx.world import currents
 from angler_mjx.world.currents import Current
 
 
-class Multibody(Protocol):
+class Multibody[Body](Protocol):
     """Where engines differ: the dry vehicle."""
 
     def inertia_and_force(
-        self, body: Any, p: jax.Array, q: jax.Array, nu: jax.Array
+        self, body: Body, p: jax.Array, q: jax.Array, nu: jax.Array
     ) -> tuple[jax.Array, jax.Array]:
         """M_RB [6, 6] and f [6] of M_RB nu' = f + (wrenches on the vehicle), in F.
 
@@ -73,9 +73,9 @@ class VehicleState:
     thrust first."""
 
 
-def smooth_force(
-    engine: Multibody,
-    body: Any,
+def smooth_force[Body](
+    engine: Multibody[Body],
+    body: Body,
     params: VehicleParams,
     state: VehicleState,
     current: Current,
@@ -111,9 +111,9 @@ def smooth_force(
     return M_RB + params.M_A, dry + wrench, nu_r
 
 
-def reset(
-    engine: Multibody,
-    body: Any,
+def reset[Body](
+    engine: Multibody[Body],
+    body: Body,
     params: VehicleParams,
     p: jax.Array,
     q: jax.Array,
@@ -127,9 +127,9 @@ def reset(
     return start_multistep(engine, body, params, state, current, jnp.zeros((), p.dtype), water)
 
 
-def start_multistep(
-    engine: Multibody,
-    body: Any,
+def start_multistep[Body](
+    engine: Multibody[Body],
+    body: Body,
     params: VehicleParams,
     state: VehicleState,
     current: Current,
@@ -141,9 +141,9 @@ def start_multistep(
     return replace(state, force_before=force)
 
 
-def step(
-    engine: Multibody,
-    body: Any,
+def step[Body](
+    engine: Multibody[Body],
+    body: Body,
     params: VehicleParams,
     state: VehicleState,
     thrust_command: jax.Array,

@@ -114,7 +114,7 @@ def _run_chains(n_link: int, x: jax.Array, a: jax.Array, b: jax.Array) -> jax.Ar
 def _run_chains_in_kernel(n_link: int, x: jax.Array, a: jax.Array, b: jax.Array) -> jax.Array:
     """The same in one kernel; in a loop, for straight code would wait for its instructions."""
 
-    def kernel(a: jax.Array, b: jax.Array, turns: jax.Array, _: jax.Array, out: jax.Array) -> None:
+    def kernel(a: jax.Ref, b: jax.Ref, turns: jax.Ref, _: jax.Ref, out: jax.Ref) -> None:
         at, _row = triton.locate_lanes(_PROGRAM.lanes)
         x = triton.make_loader(out)(at)
         factor, term = (jnp.broadcast_to(number[0], x.shape) for number in (a, b))

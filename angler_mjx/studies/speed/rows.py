@@ -285,13 +285,14 @@ def _parse_rows(text: str, path: Path) -> Iterator[dict[str, Any]]:
             continue
         where = f"{format_path(path)}, line {number}"
         fields = parse_json(line, where)
-        parse_model(StoredRow, fields, source=f"{where}: is no row of a benchmark")
-        yield (
-            absent
-            | {"device": None, "commit": None}
-            | fields
-            | _convert_first_version(fields["workload"])
-        )
+        row = parse_model(StoredRow, fields, source=f"{where}: is no row of a benchmark")
+        if isinstance(fields, dict):  # else it is no row
+            yield (
+                absent
+                | {"device": None, "commit": None}
+                | fields
+                | _convert_first_version(row.workload)
+            )
 
 
 def _convert_first_version(workload: str) -> dict[str, Any]:

@@ -120,7 +120,7 @@ class ModemState:
     """int32 [R] packets received by each robot."""
 
 
-def begin_channel(channel: Channel, p_m: jax.Array, payload: Any = None) -> ModemState:
+def begin_channel(channel: Channel, p_m: jax.Array, payload: object = None) -> ModemState:
     """Return the state of the channel before any packet.
 
     Args:
@@ -140,7 +140,7 @@ def begin_channel(channel: Channel, p_m: jax.Array, payload: Any = None) -> Mode
     return ModemState(in_flight=in_flight, heard=init_heard(p_m, payload), n_received=none)
 
 
-def init_heard(p_m: jax.Array, payload: Any = None) -> HeardRobots:
+def init_heard(p_m: jax.Array, payload: object = None) -> HeardRobots:
     """Return the initial information of robots that start at p_m [R, 3]."""
     n = p_m.shape[0]
 

@@ -2,6 +2,7 @@
 
 from typing import Literal, Self
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from angler_mjx.errors import ConfigError
@@ -111,7 +112,7 @@ class AcousticsConfig(FileModel):
         if self.model == "perfect":
             return None
         link = self.link()
-        if link.success(1.0, 0.0) < MIN_SUCCESS:
+        if link.success(np.array(1.0), 0.0) < MIN_SUCCESS:
             raise ValueError(self._unheard_message(link))
         packet_s, speed = self.bits / self.bit_rate_bps, self.speed_mps()
         across_s = sum(edge**2 for edge in size_m) ** 0.5 / speed

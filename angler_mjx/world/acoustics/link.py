@@ -5,13 +5,14 @@ Functions of distance for NumPy and JAX arrays: files are checked without a devi
 
 import math
 from dataclasses import dataclass
-from typing import Any, Literal
+from types import ModuleType
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
+import jax.scipy.special
 import numpy as np
 import scipy.special
-from jax.scipy.special import erfc
 
 type Modulation = Literal["bpsk", "fsk"]
 """Coherent binary phase shift keying, or noncoherent binary frequency shift keying."""
@@ -28,7 +29,7 @@ class RangeLink:
 
     range_m: float
 
-    def success(self, distance_m: Any, rock_db: Any) -> Any:
+    def success[A: (np.ndarray, jax.Array)](self, distance_m: A, rock_db: A | float) -> A:
         """Return the probability [...] that a packet is received, 0 or 1.
 
         Args:
@@ -37,7 +38,7 @@ class RangeLink:
         """
         return 1.0 * ((distance_m <= self.range_m) & (rock_db <= 0.0))
 
-    def loud(self, distance_m: Any, rock_db: Any) -> Any:
+    def loud[A: (np.ndarray, jax.Array)](self, distance_m: A, rock_db: A | float) -> A:
         """Return whether a packet interferes with others, bool [...]; arguments as in `success`."""
         return self.success(distance_m, rock_db) > 0.0
 
@@ -58,12 +59,12 @@ class LinkBudget:
     modulation: Modulation
     fading: Fading
 
-    def snr(self, distance_m: Any, rock_db: Any) -> Any:
+    def snr[A: (np.ndarray, jax.Array)](self, distance_m: A, rock_db: A | float) -> A:
         """Return the signal-to-noise ratio [...] at the receiver, dB; arguments as in `success`."""
         loss = transmission_loss_db(distance_m, self.spreading, self.absorption_db_per_m)
         return self.snr_db - loss - rock_db
 
-    def success(self, distance_m: Any, rock_db: Any) -> Any:
+    def success[A: (np.ndarray, jax.Array)](self, distance_m: A, rock_db: A | float) -> A:
         """Return the probability [...] that a packet is received.
 
         Args:
@@ -73,7 +74,7 @@ class LinkBudget:
         ratio = 10.0 ** (0.1 * (self.snr(distance_m, rock_db) + self.bit_db))
         return packet_success(bit_error(ratio, self.modulation, self.fading), self.bits)
 
-    def loud(self, distance_m: Any, rock_db: Any) -> Any:
+    def loud[A: (np.ndarray, jax.Array)](self, distance_m: A, rock_db: A | float) -> A:
         """Return whether a packet interferes with others, bool [...]: if it exceeds the noise."""
         return self.snr(distance_m, rock_db) > 0.0
 
@@ -81,7 +82,9 @@ class LinkBudget:
 type Link = RangeLink | LinkBudget
 
 
-def transmission_loss_db(distance_m: Any, spreading: float, absorption_db_per_m: float) -> Any:
+def transmission_loss_db[A: (np.ndarray, jax.Array)](
+    distance_m: A, spreading: float, absorption_db_per_m: float
+) -> A:
     """Return the transmission loss [...] from 1 m to a distance, dB: ``10 k log10(r) + a r``.
 
     Urick, Principles of Underwater Sound, 3rd ed., 1983, ch. 5; Stojanovic, On the relationship
@@ -94,10 +97,11 @@ def transmission_loss_db(distance_m: Any, spreading: float, absorption_db_per_m:
     """
     of = _array_module(distance_m)
     far = of.maximum(distance_m, NEAREST_M)
-    return 10.0 * spreading * of.log10(far) + absorption_db_per_m * far
+    loss: A = 10.0 * spreading * of.log10(far) + absorption_db_per_m * far
+    return loss
 
 
-def bit_error(ratio: Any, modulation: Modulation, fading: Fading) -> Any:
+def bit_error[A: (np.ndarray, jax.Array)](ratio: A, modulation: Modulation, fading: Fading) -> A:
     """Return the probability [...] of a bit error.
 
     Proakis, Salehi, Digital Communications, 5th ed., 2008: sections 4.3 and 4.5 in white noise,
@@ -109,22 +113,26 @@ def bit_error(ratio: Any, modulation: Modulation, fading: Fading) -> Any:
         fading: of the channel.
     """
     of = _array_module(ratio)
-    if modulation == "bpsk":
-        if fading == "none":
-            complement = erfc if of is jnp else scipy.special.erfc
-            return 0.5 * complement(of.sqrt(ratio))
+    error: A
+    if modulation == "bpsk" and fading == "none":
+        special: ModuleType = jax.scipy.special if of is jnp else scipy.special
+        error = 0.5 * special.erfc(of.sqrt(ratio))
+    elif modulation == "bpsk":
         # 1 - sqrt(g / (1 + g)) without cancellation.
         root = of.sqrt(ratio / (1.0 + ratio))
-        return 0.5 / ((1.0 + ratio) * (1.0 + root))
-    if fading == "none":
-        return 0.5 * of.exp(-0.5 * ratio)
-    return 1.0 / (2.0 + ratio)
+        error = 0.5 / ((1.0 + ratio) * (1.0 + root))
+    elif fading == "none":
+        error = 0.5 * of.exp(-0.5 * ratio)
+    else:
+        error = 1.0 / (2.0 + ratio)
+    return error
 
 
-def packet_success(error: Any, bits: int) -> Any:
+def packet_success[A: (np.ndarray, jax.Array)](error: A, bits: int) -> A:
     """Return the probability [...] that all bits are right, for bit errors ``error`` [...]."""
     of = _array_module(error)
-    return of.exp(bits * of.log1p(-error))
+    success: A = of.exp(bits * of.log1p(-error))
+    return success
 
 
 def to_decibels(ratio: float) -> float:
@@ -132,5 +140,5 @@ def to_decibels(ratio: float) -> float:
     return 10.0 * math.log10(ratio)
 
 
-def _array_module(values: Any) -> Any:
+def _array_module(values: np.ndarray | jax.Array) -> ModuleType:
     return jnp if isinstance(values, jax.Array) else np

@@ -8,13 +8,16 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from angler_mjx.errors import ConfigError, UnsupportedError, format_bytes, format_value
 from angler_mjx.files import format_path
 from angler_mjx.world.ocean.missing import find_missing
+
+if TYPE_CHECKING:
+    import xarray
 
 EXTRA = "pip install 'angler-mjx[ocean]'"
 
@@ -176,7 +179,7 @@ def read_variables(
     )
 
 
-def _open_file(path: Path) -> Any:
+def _open_file(path: Path) -> "xarray.Dataset":
     """Open the file as a dataset of stored values: packed, with fill values, times as numbers."""
     try:
         with path.open("rb") as file:
@@ -211,7 +214,7 @@ def _open_file(path: Path) -> Any:
         ) from error
 
 
-def _decode_dataset(path: Path, stored: Any) -> Any:
+def _decode_dataset(path: Path, stored: "xarray.Dataset") -> "xarray.Dataset":
     """Return a dataset with unpacked values, NaN for fill values; times stay numbers."""
     import xarray
 
@@ -225,7 +228,9 @@ def _decode_dataset(path: Path, stored: Any) -> Any:
         ) from error
 
 
-def _mask_missing(path: Path, stored: Any, array: Any) -> Any:
+def _mask_missing(
+    path: Path, stored: "xarray.DataArray", array: "xarray.DataArray"
+) -> "xarray.DataArray":
     """Return a variable with NaN for values that are missing by its attributes.
 
     Args:
@@ -245,7 +250,7 @@ def _format_reason(error: BaseException) -> str:
     return " ".join(str(error).split())[:_REASON] or type(error).__name__
 
 
-def _choose_variable(path: Path, data: Any, request: VariableRequest) -> str | None:
+def _choose_variable(path: Path, data: "xarray.Dataset", request: VariableRequest) -> str | None:
     """Return the name of the requested variable."""
     key, name = request.key, request.name
     about = {str(v): data[v].attrs.get("standard_name", "") for v in data.data_vars}
@@ -288,7 +293,7 @@ def _choose_variable(path: Path, data: Any, request: VariableRequest) -> str | N
 
 
 def _read_axes(
-    path: Path, stored: Any, data: Any, array: Any
+    path: Path, stored: "xarray.Dataset", data: "xarray.Dataset", array: "xarray.DataArray"
 ) -> dict[str, tuple[str, CoordinateAxis]]:
     """Return dimension and knots of each axis of a variable, by our name of the axis."""
     axes_by_kind: dict[str, tuple[str, CoordinateAxis]] = {}
@@ -339,7 +344,7 @@ def _read_axes(
     return axes_by_kind
 
 
-def _axis_kind(path: Path, dim: str, coordinate: Any) -> str | None:
+def _axis_kind(path: Path, dim: str, coordinate: "xarray.DataArray") -> str | None:
     """Return our name of an axis; None if nothing identifies it."""
     about = coordinate.attrs
     units = str(about.get("units", "")).lower()
@@ -355,7 +360,7 @@ def _axis_kind(path: Path, dim: str, coordinate: Any) -> str | None:
     return _LETTERS.get(str(about.get("axis", "")).upper(), _NAMES.get(dim.lower()))
 
 
-def _read_knots(path: Path, kind: str, dim: str, coordinate: Any) -> CoordinateAxis:
+def _read_knots(path: Path, kind: str, dim: str, coordinate: "xarray.DataArray") -> CoordinateAxis:
     """Return the knots of one axis in our units, increasing where they may be reversed."""
     if kind == "time":
         return _read_times(path, dim, coordinate)
@@ -383,7 +388,7 @@ def _read_knots(path: Path, kind: str, dim: str, coordinate: Any) -> CoordinateA
     return CoordinateAxis(knots=np.sort(values), degrees=degrees, turned=values[0] > values[-1])
 
 
-def _is_degrees(path: Path, kind: str, dim: str, coordinate: Any) -> bool:
+def _is_degrees(path: Path, kind: str, dim: str, coordinate: "xarray.DataArray") -> bool:
     """Return whether a horizontal axis is one of latitudes or longitudes.
 
     Raises:
@@ -405,7 +410,10 @@ def _is_degrees(path: Path, kind: str, dim: str, coordinate: Any) -> bool:
 
 
 def _require_frame(
-    path: Path, data: Any, array: Any, axes: Mapping[str, tuple[str, CoordinateAxis]]
+    path: Path,
+    data: "xarray.Dataset",
+    array: "xarray.DataArray",
+    axes: Mapping[str, tuple[str, CoordinateAxis]],
 ) -> None:
     """Require that a variable's axes and components are east and north, or both of one plane.
 
@@ -436,7 +444,9 @@ def _require_frame(
         )
 
 
-def _grid_mapping(path: Path, data: Any, array: Any, *, is_needed: bool) -> str | None:
+def _grid_mapping(
+    path: Path, data: "xarray.Dataset", array: "xarray.DataArray", *, is_needed: bool
+) -> str | None:
     """Return the grid_mapping_name of a variable; None if it has none.
 
     Args:
@@ -460,7 +470,7 @@ def _grid_mapping(path: Path, data: Any, array: Any, *, is_needed: bool) -> str 
     return None if mapping is None else str(mapping)
 
 
-def _is_upward(coordinate: Any, values: np.ndarray) -> bool:
+def _is_upward(coordinate: "xarray.DataArray", values: np.ndarray) -> bool:
     """Return whether a vertical axis counts upwards: by its attribute, else by its sign."""
     positive = str(coordinate.attrs.get("positive", "")).lower()
     if positive in ("up", "down"):
@@ -470,7 +480,7 @@ def _is_upward(coordinate: Any, values: np.ndarray) -> bool:
     return bool(np.all(values <= 0.0) and np.any(values < 0.0))
 
 
-def _read_times(path: Path, dim: str, coordinate: Any) -> CoordinateAxis:
+def _read_times(path: Path, dim: str, coordinate: "xarray.DataArray") -> CoordinateAxis:
     """Return the knots of a time axis, s after the first.
 
     Raises:
@@ -513,7 +523,9 @@ def _require_rising(path: Path, dim: str, knots: np.ndarray, *, either: bool) ->
         )
 
 
-def _order_axes(array: Any, axes: Mapping[str, tuple[str, CoordinateAxis]]) -> np.ndarray:
+def _order_axes(
+    array: "xarray.DataArray", axes: Mapping[str, tuple[str, CoordinateAxis]]
+) -> np.ndarray:
     """Return the values [y, x, depth, time] of a variable, with increasing axes."""
     kinds = [kind for kind in AXES if kind in axes]
     order = [axes[kind][0] for kind in kinds]
@@ -521,11 +533,10 @@ def _order_axes(array: Any, axes: Mapping[str, tuple[str, CoordinateAxis]]) -> n
     values: np.ndarray = np.asarray(array.isel(alone).transpose(*order).values, np.float64)
     turned = [slice(None, None, -1 if axes[kind][1].turned else 1) for kind in kinds]
     whole = [slice(None) if kind in axes else None for kind in AXES]
-    laid: np.ndarray = values[tuple(turned)][tuple(whole)]
-    return laid
+    return values[tuple(turned)][tuple(whole)]
 
 
-def _unit_factor(path: Path, array: Any, factors: Mapping[str, float]) -> float:
+def _unit_factor(path: Path, array: "xarray.DataArray", factors: Mapping[str, float]) -> float:
     units = " ".join(str(array.attrs.get("units", "")).lower().split())
     if units not in factors:
         some = "m s-1, cm s-1, km h-1 or knots" if factors is PER_SECOND else "m or km"
@@ -537,5 +548,5 @@ def _unit_factor(path: Path, array: Any, factors: Mapping[str, float]) -> float:
     return factors[units]
 
 
-def _format_axes(array: Any) -> str:
+def _format_axes(array: "xarray.DataArray") -> str:
     return ", ".join(f"{dim} ({n})" for dim, n in zip(array.dims, array.shape, strict=True))

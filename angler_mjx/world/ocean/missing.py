@@ -7,7 +7,6 @@ default fill value of its type where there is no ``_FillValue``, if it is NaN, o
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -28,7 +27,7 @@ _DEFAULT_FILL = {
 """``NC_FILL_SHORT`` and so on of netcdf.h, by NumPy's type."""
 
 
-def find_missing(stored: np.ndarray, attributes: Mapping[str, Any]) -> np.ndarray:
+def find_missing(stored: np.ndarray, attributes: Mapping[str, object]) -> np.ndarray:
     """Return whether each value of a variable is missing, bool of their shape.
 
     Args:
@@ -58,12 +57,12 @@ class _Bound:
     """One end of the valid range."""
 
     key: str
-    number: Any
+    number: np.number
     is_upper: bool
 
 
 def _apply_signedness(
-    numbers: np.ndarray, stored: np.dtype[Any], attributes: Mapping[str, Any]
+    numbers: np.ndarray, stored: np.dtype, attributes: Mapping[str, object]
 ) -> np.ndarray:
     """Return numbers of the stored integer type as signed or unsigned, by ``_Unsigned``."""
     kind = {"true": "u", "false": "i"}.get(str(attributes.get("_Unsigned", "")).lower())
@@ -76,7 +75,7 @@ def _apply_signedness(
 
 
 def _read_numbers(
-    key: str, count: int | None, stored: np.dtype[Any], attributes: Mapping[str, Any]
+    key: str, count: int | None, stored: np.dtype, attributes: Mapping[str, object]
 ) -> np.ndarray:
     """Return the numbers [n] of an attribute; ``count`` numbers, if that is not None."""
     numbers = np.ravel(np.asarray(attributes[key]))
@@ -87,14 +86,14 @@ def _read_numbers(
     return _apply_signedness(numbers, stored, attributes)
 
 
-def _format_attribute(attribute: Any) -> str:
+def _format_attribute(attribute: object) -> str:
     """Return an attribute in the form of messages."""
     return format_value(np.asarray(attribute).tolist())
 
 
 def _fill_values(
-    stored: np.dtype[Any], dtype: np.dtype[Any], attributes: Mapping[str, Any]
-) -> Iterator[Any]:
+    stored: np.dtype, dtype: np.dtype, attributes: Mapping[str, object]
+) -> Iterator[np.number]:
     """Yield the numbers that stand for missing values, in the variable's type."""
     for key, count in (("_FillValue", 1), ("missing_value", None)):
         if key not in attributes:
@@ -112,7 +111,7 @@ def _fill_values(
 
 
 def _valid_bounds(
-    stored: np.dtype[Any], dtype: np.dtype[Any], attributes: Mapping[str, Any]
+    stored: np.dtype, dtype: np.dtype, attributes: Mapping[str, object]
 ) -> Iterator[_Bound]:
     """Yield the ends of the valid range; those of floating-point variables in their type."""
     for key, uppers in (
@@ -142,7 +141,7 @@ def _require_packed(
     missing: np.ndarray,
     outside: np.ndarray,
     bounds: list[_Bound],
-    attributes: Mapping[str, Any],
+    attributes: Mapping[str, object],
 ) -> None:
     """Require that floating-point bounds of packed integers agree in either unit.
 

@@ -73,8 +73,7 @@ class TaskHistory:
     def _has_passed(self, at_s: np.ndarray) -> np.ndarray:
         """Return whether times [n] have passed at the samples, bool [T, n]; in float32."""
         now = self.time_s * (1.0 + 1e-6) + 1e-6
-        since: np.ndarray = at_s <= now[:, None]
-        return since
+        return at_s <= now[:, None]
 
     @cached_property
     def done(self) -> np.ndarray:
@@ -101,16 +100,14 @@ class TaskHistory:
     @cached_property
     def is_underway(self) -> np.ndarray:
         """Return whether each robot is on its way to a place, bool [T, R]."""
-        underway: np.ndarray = self.doing <= RobotActivity.RETURNS
-        return underway
+        return self.doing <= RobotActivity.RETURNS
 
     @cached_property
     def carrier(self) -> np.ndarray:
         """Return the robot that carries the goods of each job, int [T, M]; -1: none."""
         holds = self.carrying[..., None] == np.arange(self.spec.jobs)
         holds &= ~self._has_passed(self.ended_s)[..., None]
-        carrier_index: np.ndarray = np.where(holds.any(axis=1), np.argmax(holds, axis=1), -1)
-        return carrier_index
+        return np.where(holds.any(axis=1), np.argmax(holds, axis=1), -1)
 
     @cached_property
     def goods(self) -> np.ndarray:

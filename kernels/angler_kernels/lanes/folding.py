@@ -1,14 +1,17 @@
 """Operations on whole lanes, omitted where constants determine the result."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.extend.core import JaxprEqn, Primitive
+
+from angler_kernels.lanes.table import LaneValue
+from angler_kernels.lanes.trees import aval_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,12 +26,12 @@ class Instructions:
 
 @dataclass(frozen=True, kw_only=True)
 class _Product:
-    """Lanes that are ``sign * a * b``."""
+    """LaneValue that are ``sign * a * b``."""
 
     lanes: jax.Array
     """Kept, so that no other lanes get its identity."""
-    a: jax.Array
-    b: jax.Array
+    a: LaneValue
+    b: LaneValue
     sign: int
 
 
@@ -55,7 +58,7 @@ def use_instructions(instructions: Instructions) -> Iterator[None]:
         _target.reset(token)
 
 
-_CONSTANT: dict[str, Callable[..., Any]] = {
+_CONSTANT: dict[str, np.ufunc] = {
     "add": np.add,
     "sub": np.subtract,
     "mul": np.multiply,
@@ -74,7 +77,7 @@ _CONSTANT: dict[str, Callable[..., Any]] = {
 }
 
 
-def fold_operation(eqn: Any, operands: Sequence[Any]) -> Any:
+def fold_operation(eqn: JaxprEqn, operands: Sequence[LaneValue]) -> LaneValue:
     """Apply one operation to one element.
 
     Args:
@@ -82,7 +85,7 @@ def fold_operation(eqn: Any, operands: Sequence[Any]) -> Any:
         operands: lanes, or numpy numbers that are the same for all.
 
     Returns:
-        Lanes or a numpy number.
+        LaneValue or a numpy number.
     """
     name = eqn.primitive.name
     constant = [isinstance(x, np.generic) for x in operands]
@@ -94,35 +97,41 @@ def fold_operation(eqn: Any, operands: Sequence[Any]) -> Any:
     return _bind_operation(eqn.primitive, eqn.params, operands)
 
 
-def apply_binary(primitive: Any, a: Any, b: Any) -> Any:
+def apply_binary(primitive: Primitive, a: LaneValue, b: LaneValue) -> LaneValue:
     """Apply a binary operation that needs no parameter."""
     folded = _fold_constants(primitive.name, (a, b), [isinstance(x, np.generic) for x in (a, b)])
     if folded is not None:
         return folded
     if isinstance(a, np.generic) and isinstance(b, np.generic):
-        return _CONSTANT[primitive.name](a, b)
+        constant: LaneValue = _CONSTANT[primitive.name](a, b)
+        return constant
     return _bind_operation(primitive, {}, (a, b))
 
 
-def _evaluate_constants(eqn: Any, operands: Sequence[Any]) -> Any:
-    name, dtype = eqn.primitive.name, eqn.outvars[0].aval.dtype
+def _evaluate_constants(eqn: JaxprEqn, operands: Sequence[LaneValue]) -> LaneValue:
+    name, dtype = eqn.primitive.name, aval_of(eqn.outvars[0]).dtype
+    value: LaneValue
     if name in _CONSTANT:
-        return _CONSTANT[name](*operands).astype(dtype)
-    if name == "convert_element_type":
-        return operands[0].astype(dtype)
-    with jax.ensure_compile_time_eval():
-        value = eqn.primitive.bind(*(jnp.asarray(x) for x in operands), **eqn.params)
-        return np.asarray(value, dtype)[()]
+        value = _CONSTANT[name](*operands).astype(dtype)
+    elif name == "convert_element_type":
+        value = operands[0].astype(dtype)
+    else:
+        with jax.ensure_compile_time_eval():
+            result = eqn.primitive.bind(*(jnp.asarray(x) for x in operands), **eqn.params)
+            value = np.asarray(result, dtype).ravel()[0]
+    return value
 
 
-_NEUTRAL_CONSTANTS = {("add", 0), ("sub", 0), ("mul", 1), ("div", 1)}
+_NEUTRAL_CONSTANTS: set[tuple[str, object]] = {("add", 0), ("sub", 0), ("mul", 1), ("div", 1)}
 """Operations with a second constant whose result is their first operand."""
 
-_ABSORBING_CONSTANTS = {("mul", 0), ("div", 0)}
+_ABSORBING_CONSTANTS: set[tuple[str, object]] = {("mul", 0), ("div", 0)}
 """Operations with a first constant whose result is that constant."""
 
 
-def _fold_constants(name: str, x: Sequence[Any], constant: Sequence[bool]) -> Any:
+def _fold_constants(
+    name: str, x: Sequence[LaneValue], constant: Sequence[bool]
+) -> LaneValue | None:
     """Return the result that a constant operand alone determines; None if there is none."""
     if name == "select_n" and constant[0]:
         return x[1 + int(x[0])]
@@ -136,16 +145,27 @@ def _fold_constants(name: str, x: Sequence[Any], constant: Sequence[bool]) -> An
         return other
     if (name, c) in _ABSORBING_CONSTANTS and (constant[0] or commutes):
         return c
-    return -other if (name, c) == ("sub", 0) and constant[0] else None
+    if name == "sub" and c == 0 and constant[0]:
+        return _negate(other)
+    return None
 
 
-def _bind_operation(primitive: Any, params: dict[str, Any], operands: Sequence[Any]) -> Any:
+def _negate(x: LaneValue) -> LaneValue:
+    """Return ``-x`` of a number."""
+    if isinstance(x, np.bool_):
+        raise TypeError("a truth value has no sign")
+    return -x
+
+
+def _bind_operation(
+    primitive: Primitive, params: Mapping[str, object], operands: Sequence[LaneValue]
+) -> LaneValue:
     target = _target.get()
     if target is None or any(x.dtype != np.float32 for x in operands):
         return _bind_plain(primitive, params, operands)
     name = primitive.name
-    if name == "div" and np.shape(operands[1]) != ():
-        return _bind_quotient(target.instructions, *operands)
+    if name == "div" and isinstance(operands[1], jax.Array) and operands[1].shape != ():
+        return _bind_quotient(target.instructions, operands[0], operands[1])
     if name in ("add", "sub") and (fused := _fuse_product(target, name, *operands)) is not None:
         return fused
     result = _bind_plain(primitive, params, operands)
@@ -153,11 +173,14 @@ def _bind_operation(primitive: Any, params: dict[str, Any], operands: Sequence[A
     return result
 
 
-def _bind_plain(primitive: Any, params: dict[str, Any], operands: Sequence[Any]) -> Any:
-    return primitive.bind(*_broadcast_operands(*operands), **params)
+def _bind_plain(
+    primitive: Primitive, params: Mapping[str, object], operands: Sequence[LaneValue]
+) -> jax.Array:
+    result: jax.Array = primitive.bind(*_broadcast_operands(*operands), **params)
+    return result
 
 
-def _broadcast_operands(*operands: Any) -> list[jax.Array]:
+def _broadcast_operands(*operands: LaneValue) -> list[jax.Array]:
     """Broadcast all operands to the widest."""
     lanes = np.broadcast_shapes(*(np.shape(x) for x in operands))
     return [
@@ -166,7 +189,7 @@ def _broadcast_operands(*operands: Any) -> list[jax.Array]:
     ]
 
 
-def _bind_quotient(instructions: Instructions, a: Any, b: Any) -> Any:
+def _bind_quotient(instructions: Instructions, a: LaneValue, b: jax.Array) -> LaneValue:
     """Return ``a / b`` by a reciprocal."""
     inverse = instructions.reciprocal(b)
     return (
@@ -174,21 +197,25 @@ def _bind_quotient(instructions: Instructions, a: Any, b: Any) -> Any:
     )
 
 
-def _fuse_product(target: _Target, name: str, x: Any, y: Any) -> Any:
+def _fuse_product(target: _Target, name: str, x: LaneValue, y: LaneValue) -> jax.Array | None:
     """Return ``x + y`` or ``x - y`` where one of them is a product; None where none is."""
     flip = -1 if name == "sub" else 1
     if (product := target.products.get(id(y))) is not None:
         sign, rest = flip * product.sign, x
     elif (product := target.products.get(id(x))) is not None:
-        sign, rest = product.sign, (-y if flip < 0 else y)
+        sign, rest = product.sign, (_negate(y) if flip < 0 else y)
     else:
         return None
-    a, b, c = _broadcast_operands(product.a if sign > 0 else -product.a, product.b, rest)
+    a, b, c = _broadcast_operands(product.a if sign > 0 else _negate(product.a), product.b, rest)
     return target.instructions.multiply_add(a, b, c)
 
 
 def _record_product(
-    target: _Target, name: str, params: dict[str, Any], operands: Sequence[Any], result: Any
+    target: _Target,
+    name: str,
+    params: Mapping[str, object],
+    operands: Sequence[LaneValue],
+    result: jax.Array,
 ) -> None:
     """Record the factors of a product, in case it is added to something."""
     if np.shape(result) == ():

@@ -7,19 +7,21 @@ neighbouring elements.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
 
 from angler_kernels import lanes
+from angler_kernels.lanes.table import LoadFunction, MemoryIndex
+from angler_kernels.lanes.trees import Elements
 
 TABLE_MIN_ROWS = 16
 """Arrays of one body with more rows than this stay in memory and are read by the entry."""
 
-type LoadFunction = Callable[[Any], Any]
-"""Loads values at indices of a flat array."""
+type StoreFunction = Callable[[jax.Array, jax.Array], None]
+"""Stores values at indices of a flat array."""
 
 
 def is_table(tail: tuple[int, ...]) -> bool:
@@ -34,7 +36,7 @@ class LeafLayout:
     first: int
     """Number of its first plane."""
     shape: tuple[int, ...]
-    dtype: Any
+    dtype: np.dtype
 
     @property
     def size(self) -> int:
@@ -43,15 +45,15 @@ class LeafLayout:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlaneLayout:
+class PlaneLayout[T]:
     """Positions of the leaves of a tree."""
 
-    tree: Any
+    tree: jax.tree_util.PyTreeDef
     leaves: tuple[LeafLayout, ...]
     lanes: int
 
-    @classmethod
-    def of(cls, tree: Any, lead: int) -> "PlaneLayout":
+    @staticmethod
+    def of[S](tree: S, lead: int) -> "PlaneLayout[S]":
         """Build the layout of arrays [W, (n,) ...] with ``lead`` axes of lanes, or of shapes."""
         flat, structure = jax.tree.flatten(tree)
         leaves, first = [], 0
@@ -61,7 +63,7 @@ class PlaneLayout:
             )
             first += leaves[-1].size
         count = math.prod(flat[0].shape[:lead])
-        return cls(tree=structure, leaves=tuple(leaves), lanes=count)
+        return PlaneLayout(tree=structure, leaves=tuple(leaves), lanes=count)
 
     @property
     def planes(self) -> int:
@@ -73,7 +75,7 @@ class PlaneLayout:
         """Return the number of elements."""
         return self.planes * self.lanes
 
-    def pack(self, tree: Any, dtype: Any) -> jax.Array:
+    def pack(self, tree: object, dtype: DTypeLike) -> jax.Array:
         """Pack arrays [W, (n,) ...] into one flat array [planes * lanes].
 
         Whole numbers must be small.
@@ -85,7 +87,7 @@ class PlaneLayout:
             rows.append(worlds_last.reshape(self.lanes, leaf.size).T.astype(dtype))
         return jnp.concatenate(rows).reshape(-1)
 
-    def unpack(self, flat: jax.Array, lead: tuple[int, ...]) -> Any:
+    def unpack(self, flat: jax.Array, lead: tuple[int, ...]) -> T:
         """Return the arrays of a flat array: the inverse of `pack`.
 
         Args:
@@ -103,20 +105,24 @@ class PlaneLayout:
             part = jnp.moveaxis(part, len(front), -1)  # [..., (n,) W, planes]
             part = jnp.moveaxis(part, part.ndim - 2, 0)
             out.append(part.reshape(*part.shape[:-1], *leaf.shape).astype(leaf.dtype))
-        return jax.tree.unflatten(self.tree, out)
+        tree: T = jax.tree.unflatten(self.tree, out)
+        return tree
 
-    def read_lanes(
-        self, load: LoadFunction, lane: Any, only: Callable[[Any], Any] = lambda tree: tree
-    ) -> Any:
-        """Read the tree of lanes number ``lane``, or a part of it; long arrays as tables."""
+    def read_lanes(self, load: LoadFunction, lane: jax.Array) -> T:
+        """Read the tree of lanes number ``lane``; long arrays as tables."""
+        return self.read_part(load, lane, lambda tree: tree)
+
+    def read_part[P](self, load: LoadFunction, lane: jax.Array, only: Callable[[T], P]) -> P:
+        """Read a part of the tree of lanes number ``lane``; long arrays as tables."""
         selected = only(jax.tree.unflatten(self.tree, self.leaves))
-        return jax.tree.map(lambda leaf: self._read_leaf(leaf, load, lane), selected)
+        part: P = jax.tree.map(lambda leaf: self._read_leaf(leaf, load, lane), selected)
+        return part
 
-    def _read_leaf(self, leaf: LeafLayout, load: LoadFunction, lane: Any) -> Any:
+    def _read_leaf(self, leaf: LeafLayout, load: LoadFunction, lane: jax.Array) -> Elements:
         start = leaf.first * self.lanes
         if is_table(leaf.shape):
 
-            def entry(at: Any) -> Any:
+            def entry(at: MemoryIndex) -> jax.Array:
                 return cast_element(load(at), leaf.dtype)
 
             return lanes.LookupTable(
@@ -127,7 +133,7 @@ class PlaneLayout:
         ]
         return lanes.pack(rows, leaf.shape)
 
-    def write_lanes(self, store: Callable[[Any, Any], None], lane: Any, tree: Any) -> None:
+    def write_lanes(self, store: StoreFunction, lane: jax.Array, tree: object) -> None:
         """Store a tree of lanes."""
         for leaf, value in zip(self.leaves, jax.tree.leaves(tree), strict=True):
             for k, x in enumerate(value.ravel()):
@@ -135,13 +141,13 @@ class PlaneLayout:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SampleBuffer:
+class SampleBuffer[T]:
     """Samples of a tree in one flat array: for each leaf [samples, rows, elements, worlds].
 
     Every leaf is one block, so that a plain transposition gives its array.
     """
 
-    layout: PlaneLayout
+    layout: PlaneLayout[T]
     """Layout of one sample."""
     samples: int
     rows: int
@@ -153,7 +159,12 @@ class SampleBuffer:
         return self.samples * self.layout.planes * self.rows * self.worlds
 
     def write_lanes(
-        self, store: Callable[[Any, Any], None], sample: Any, row: Any, world: Any, tree: Any
+        self,
+        store: StoreFunction,
+        sample: jax.Array,
+        row: jax.Array,
+        world: jax.Array,
+        tree: object,
     ) -> None:
         """Store lanes of one row as a sample."""
         for leaf, value in zip(self.layout.leaves, jax.tree.leaves(tree), strict=True):
@@ -162,7 +173,7 @@ class SampleBuffer:
             for k, x in enumerate(value.ravel()):
                 store(block + (first + k) * self.worlds + world, x)
 
-    def unpack(self, flat: jax.Array) -> Any:
+    def unpack(self, flat: jax.Array) -> T:
         """Return arrays [worlds, samples, rows, ...]."""
         leaf_stride = self.samples * self.rows * self.worlds
         out = []
@@ -171,10 +182,11 @@ class SampleBuffer:
             by_world = block.reshape(-1, self.worlds).T
             shape = (self.worlds, self.samples, self.rows, *leaf.shape)
             out.append(by_world.reshape(shape).astype(leaf.dtype))
-        return jax.tree.unflatten(self.layout.tree, out)
+        tree: T = jax.tree.unflatten(self.layout.tree, out)
+        return tree
 
 
-def cast_element(value: Any, dtype: Any) -> Any:
+def cast_element(value: jax.Array, dtype: DTypeLike) -> jax.Array:
     """Cast a number read from an array of floats to its own type."""
     if value.dtype == dtype:
         return value

@@ -1,22 +1,23 @@
 """Rules for operations that move or combine elements: object arrays only."""
 
+import operator
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.extend.core import JaxprEqn
 
 from angler_kernels.lanes.folding import apply_binary
-from angler_kernels.lanes.table import LookupTable
-from angler_kernels.lanes.trees import Elements, UnsupportedOperationError
+from angler_kernels.lanes.table import LaneValue, LookupTable
+from angler_kernels.lanes.trees import Elements, UnsupportedOperationError, aval_of
 
-type PrimitiveRule = Callable[[Any, Sequence[Elements]], list[Elements]]
+type PrimitiveRule = Callable[[JaxprEqn, Sequence[Elements]], Sequence[Elements]]
 """Rule of a primitive: operands of an equation to its results."""
 
 
-def from_array(value: np.ndarray) -> Elements:
+def from_array(value: np.ndarray) -> np.ndarray:
     """Return a constant array as an object array of typed numbers."""
     out = np.empty(value.shape, object)
     for index in np.ndindex(*value.shape):
@@ -24,30 +25,34 @@ def from_array(value: np.ndarray) -> Elements:
     return out
 
 
-def _apply_broadcast(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
+def read_elements(x: Elements) -> np.ndarray:
+    """Return elements as an object array: of a table all entries."""
+    return x.read_all() if isinstance(x, LookupTable) else x
+
+
+def _apply_broadcast(eqn: JaxprEqn, operands: Sequence[Elements]) -> list[np.ndarray]:
     shape, axes = eqn.params["shape"], eqn.params["broadcast_dimensions"]
-    x = operands[0]
-    x = x.read_all() if isinstance(x, LookupTable) else x
+    x = read_elements(operands[0])
     expanded = np.ones(len(shape), int)
     expanded[list(axes)] = x.shape
     return [np.broadcast_to(x.reshape(expanded), shape)]
 
 
-def _apply_reshape(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
-    shape = eqn.outvars[0].aval.shape
-    return [operands[0].reshape(shape)]
+def _apply_reshape(eqn: JaxprEqn, operands: Sequence[Elements]) -> list[np.ndarray]:
+    shape = aval_of(eqn.outvars[0]).shape
+    return [read_elements(operands[0]).reshape(shape)]
 
 
-def _apply_slice(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
+def _apply_slice(eqn: JaxprEqn, operands: Sequence[Elements]) -> list[np.ndarray]:
     starts, limits = eqn.params["start_indices"], eqn.params["limit_indices"]
     steps = eqn.params["strides"] or (1,) * len(starts)
     window = tuple(slice(*edges) for edges in zip(starts, limits, steps, strict=True))
     return [operands[0][window]]
 
 
-def _apply_dynamic_slice(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
+def _apply_dynamic_slice(eqn: JaxprEqn, operands: Sequence[Elements]) -> list[np.ndarray]:
     """Return rows at a traced index: loaded from a table, or selected from lanes one by one."""
-    source, *starts = operands
+    source, starts = operands[0], map(read_elements, operands[1:])
     sizes = eqn.params["slice_sizes"]
     first = [start[()] for start in starts]
     out = np.empty(sizes, object)
@@ -61,10 +66,11 @@ def _apply_dynamic_slice(eqn: Any, operands: Sequence[Elements]) -> list[Element
     return [out]
 
 
-def _select_element(source: Elements, position: Sequence[Any]) -> Any:
+def _select_element(source: np.ndarray, position: Sequence[LaneValue]) -> LaneValue:
     """Return the element of a small array at a position whose indices may be traced."""
     if not position:
-        return source[()]
+        element: LaneValue = source.item()
+        return element
     at, *rest = position
     rows = [_select_element(_as_object_array(row), rest) for row in source]
     if isinstance(at, np.generic):
@@ -75,10 +81,10 @@ def _select_element(source: Elements, position: Sequence[Any]) -> Any:
     return chosen
 
 
-def _apply_gather(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
+def _apply_gather(eqn: JaxprEqn, operands: Sequence[Elements]) -> list[np.ndarray]:
     """Return entries of a table [n], one for each index: a look-up under ``vmap``."""
-    source, indices = operands
-    shape = eqn.outvars[0].aval.shape
+    source, indices = operands[0], read_elements(operands[1])
+    shape = aval_of(eqn.outvars[0]).shape
     if not isinstance(source, LookupTable) or eqn.params["slice_sizes"] != (1,):
         raise UnsupportedOperationError(eqn, "gather only looks up single entries of a Table")
     out = np.empty(indices.size, object)
@@ -87,20 +93,20 @@ def _apply_gather(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
     return [out.reshape(shape)]
 
 
-def _apply_concatenate(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
-    return [np.concatenate(operands, axis=eqn.params["dimension"])]
+def _apply_concatenate(eqn: JaxprEqn, operands: Sequence[Elements]) -> list[np.ndarray]:
+    return [np.concatenate([*map(read_elements, operands)], axis=eqn.params["dimension"])]
 
 
-def _apply_stack(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
-    return [np.stack(operands, axis=eqn.params["axis"])]
+def _apply_stack(eqn: JaxprEqn, operands: Sequence[Elements]) -> list[np.ndarray]:
+    return [np.stack([*map(read_elements, operands)], axis=eqn.params["axis"])]
 
 
-def _apply_unstack(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
-    x = np.moveaxis(operands[0], eqn.params["axis"], 0)
+def _apply_unstack(eqn: JaxprEqn, operands: Sequence[Elements]) -> list[np.ndarray]:
+    x = np.moveaxis(read_elements(operands[0]), eqn.params["axis"], 0)
     return [_as_object_array(row) for row in x]
 
 
-def _as_object_array(value: Any) -> Elements:
+def _as_object_array(value: np.ndarray | LaneValue) -> np.ndarray:
     """Return a row of an object array; numpy returns a bare element where no axes remain."""
     if isinstance(value, np.ndarray) and value.dtype == object:
         return value
@@ -109,16 +115,16 @@ def _as_object_array(value: Any) -> Elements:
     return out
 
 
-def _apply_split(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
+def _apply_split(eqn: JaxprEqn, operands: Sequence[Elements]) -> list[np.ndarray]:
     ends = np.cumsum(eqn.params["sizes"])[:-1]
-    return list(np.split(operands[0], ends, axis=eqn.params["axis"]))
+    return list(np.split(read_elements(operands[0]), ends, axis=eqn.params["axis"]))
 
 
-def _apply_transpose(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
-    return [np.transpose(operands[0], eqn.params["permutation"])]
+def _apply_transpose(eqn: JaxprEqn, operands: Sequence[Elements]) -> list[np.ndarray]:
+    return [np.transpose(read_elements(operands[0]), eqn.params["permutation"])]
 
 
-def _apply_iota(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
+def _apply_iota(eqn: JaxprEqn, operands: Sequence[Elements]) -> list[np.ndarray]:
     shape, axis = eqn.params["shape"], eqn.params["dimension"]
     count = np.arange(shape[axis], dtype=eqn.params["dtype"])
     spread = [1] * len(shape)
@@ -126,13 +132,10 @@ def _apply_iota(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
     return [from_array(np.broadcast_to(count.reshape(spread), shape))]
 
 
-def _build_reduction(
-    combine: Callable[[Any, Any], Any],
-) -> Callable[[Any, Sequence[Elements]], list[Any]]:
-    def rule(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
+def _build_reduction(combine: Callable[[LaneValue, LaneValue], LaneValue]) -> PrimitiveRule:
+    def rule(eqn: JaxprEqn, operands: Sequence[Elements]) -> list[np.ndarray]:
         axes = eqn.params["axes"]
-        x = operands[0].read_all() if isinstance(operands[0], LookupTable) else operands[0]
-        x = np.moveaxis(x, axes, range(len(axes)))
+        x = np.moveaxis(read_elements(operands[0]), axes, range(len(axes)))
         rows = x.reshape(-1, *x.shape[len(axes) :])
         out = np.empty(rows.shape[1:], object)
         for index in np.ndindex(*out.shape):
@@ -162,6 +165,6 @@ SHAPING: dict[str, PrimitiveRule] = {
     "reduce_sum": _build_reduction(partial(apply_binary, jax.lax.add_p)),
     "reduce_max": _build_reduction(partial(apply_binary, jax.lax.max_p)),
     "reduce_min": _build_reduction(partial(apply_binary, jax.lax.min_p)),
-    "reduce_and": _build_reduction(lambda a, b: a & b),
-    "reduce_or": _build_reduction(lambda a, b: a | b),
+    "reduce_and": _build_reduction(operator.and_),
+    "reduce_or": _build_reduction(operator.or_),
 }

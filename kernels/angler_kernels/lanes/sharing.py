@@ -10,12 +10,11 @@ does.
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import jax
-from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
+from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, Var
 
-from angler_kernels.lanes.trees import flatten
+from angler_kernels.lanes.trees import aval_of, flatten
 
 MEMORY_COST = 12
 """Cost of writing an array and beginning a loop for it, in operations on such an array."""
@@ -44,12 +43,12 @@ _N_PASSES = 3
 """Number of passes that thin out a choice: a held value makes those behind it cheaper."""
 
 
-def compute_shared(function: Callable[[], Any]) -> Any:
+def compute_shared[T](function: Callable[[], T]) -> T:
     """Wrap a function with a tree of object arrays as result to compute common values once.
 
     The values and their derivatives are the same, up to how a compiler rounds.
     """
-    rebuilds: list[Callable[[Sequence[jax.Array]], Any]] = []
+    rebuilds: list[Callable[[Sequence[jax.Array]], T]] = []
 
     def flatten_result() -> list[jax.Array]:
         row, rebuild = flatten(function())
@@ -60,14 +59,14 @@ def compute_shared(function: Callable[[], Any]) -> Any:
     return rebuilds[0](row)
 
 
-def _insert_barriers(closed: ClosedJaxpr) -> Callable[..., list[Any]]:
+def _insert_barriers(closed: ClosedJaxpr) -> Callable[..., list[jax.Array]]:
     """Return the same function with barriers."""
     plain = jax.make_jaxpr(lambda *x: _evaluate_jaxpr(closed, x, None))(*closed.in_avals)
     hold = _choose_held_variables(plain.jaxpr)
     return lambda *x: _evaluate_jaxpr(plain, x, hold)
 
 
-def _arrange_body(value: Any) -> Any:
+def _arrange_body(value: object) -> object:
     """Apply `_insert_barriers` to a parameter of a loop."""
     if isinstance(value, tuple):
         return tuple(map(_arrange_body, value))
@@ -76,14 +75,16 @@ def _arrange_body(value: Any) -> Any:
     return value
 
 
-def _evaluate_jaxpr(closed: ClosedJaxpr, args: Sequence[Any], hold: set[Any] | None) -> list[Any]:
+def _evaluate_jaxpr(
+    closed: ClosedJaxpr, args: Sequence[jax.Array], hold: set[Var] | None
+) -> list[jax.Array]:
     """Evaluate with barriers behind the variables to hold.
 
     Where the variables are not chosen yet (None), called functions are inlined and the bodies of
     loops arranged.
     """
     jaxpr = closed.jaxpr
-    values: dict[Any, Any] = dict(zip(jaxpr.constvars, closed.consts, strict=True))
+    values: dict[Var, jax.Array] = dict(zip(jaxpr.constvars, closed.consts, strict=True))
     values.update(zip(jaxpr.invars, args, strict=True))
     for eqn in jaxpr.eqns:
         operands = [x.val if isinstance(x, Literal) else values[x] for x in eqn.invars]
@@ -100,7 +101,7 @@ def _evaluate_jaxpr(closed: ClosedJaxpr, args: Sequence[Any], hold: set[Any] | N
     return [x.val if isinstance(x, Literal) else values[x] for x in jaxpr.outvars]
 
 
-def _choose_held_variables(jaxpr: Jaxpr) -> set[Any]:
+def _choose_held_variables(jaxpr: Jaxpr) -> set[Var]:
     """Choose the variables to hold in memory."""
     graph = _Graph(jaxpr)
     held = graph.choose_held(set(), set(range(len(graph.out))))
@@ -113,20 +114,19 @@ class _Graph:
     """The values of a jaxpr as numbers in their order; sets of them are bits of a whole number."""
 
     def __init__(self, jaxpr: Jaxpr) -> None:
-        index_of: dict[Any, int] = {}
-        self.out: list[Any] = []
+        index_of: dict[Var, int] = {}
+        self.out: list[Var] = []
         self._before: list[list[int]] = []
         self._after: list[list[int]] = []
         self._in_memory: set[int] = set()
         self._expensive = self._cheap = 0
         for eqn in jaxpr.eqns:
-            outvars: list[Any] = eqn.outvars
             name = eqn.primitive.name
             is_in_memory = name.startswith(_MEMORY_OPERATIONS)
             before = [
                 index_of[x] for x in eqn.invars if not isinstance(x, Literal) and x in index_of
             ]
-            for var in outvars:
+            for var in eqn.outvars:
                 i = index_of[var] = len(self.out)
                 self.out.append(var)
                 self._before.append([] if is_in_memory else before)
@@ -134,7 +134,7 @@ class _Graph:
                 for j in self._before[i]:
                     self._after[j].append(i)
                 self._in_memory.update([i, *before] if is_in_memory else ())
-                if var.aval.size > 1 and not is_in_memory and name not in _FREE:
+                if aval_of(var).size > 1 and not is_in_memory and name not in _FREE:
                     self._expensive |= (name in _EXPENSIVE) << i
                     self._cheap |= (name not in _EXPENSIVE) << i
         ends = [x for x in jaxpr.outvars if not isinstance(x, Literal)]
@@ -153,7 +153,7 @@ class _Graph:
                 i in candidates
                 and times > 1
                 and i not in self._in_memory
-                and self.out[i].aval.size > 1
+                and aval_of(self.out[i]).size > 1
             ):
                 expensive, cheap = leading[i] & self._expensive, leading[i] & self._cheap
                 cost = EXPENSIVE_COST * expensive.bit_count() + cheap.bit_count()

@@ -2,10 +2,20 @@
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
+
+type LaneValue = jax.Array | np.number | np.bool_
+"""An element of all bodies, or a number that is the same for all."""
+
+type MemoryIndex = jax.Array | np.integer | int
+"""Index in a flat array, of each lane or one for all."""
+
+type LoadFunction = Callable[[MemoryIndex], jax.Array]
+"""Loads values at indices of a flat array."""
 
 
 class LookupTable:
@@ -18,11 +28,11 @@ class LookupTable:
 
     def __init__(
         self,
-        load: Callable[[Any], Any],
+        load: LoadFunction,
         shape: tuple[int, ...],
-        dtype: Any,
+        dtype: DTypeLike,
         *,
-        base: Any = 0,
+        base: MemoryIndex = 0,
         step: int = 1,
     ) -> None:
         """Set the position of the entries.
@@ -40,14 +50,14 @@ class LookupTable:
         self._base = base
         self._step = step
 
-    def where(self, condition: Any, other: "LookupTable") -> "LookupTable":
+    def where(self, condition: jax.Array, other: "LookupTable") -> "LookupTable":
         """Return this table for lanes where a condition holds, another of same array for others."""
         base = jnp.where(condition, self._base, other._base)
         return LookupTable(self._load, self.shape, self.dtype, base=base, step=self._step)
 
-    def take(self, index: Sequence[Any]) -> Any:
+    def take(self, index: Sequence[LaneValue | int]) -> jax.Array:
         """Return the entry at ``index``, one number or lanes of them for each axis."""
-        offset: Any = 0
+        offset: MemoryIndex = 0
         for axis, at in enumerate(index):
             stride = self._step * math.prod(self.shape[axis + 1 :])
             constant = isinstance(at, int | np.integer)

@@ -12,28 +12,30 @@ arrays of lanes in place of its variables. A loop runs until all lanes are done.
 
 from collections.abc import Callable, Sequence
 from functools import cache, partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
+from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, Primitive, Var
+from jax.typing import ArrayLike
 
 from angler_kernels.lanes.folding import fold_operation
-from angler_kernels.lanes.shaping import SHAPING, PrimitiveRule, from_array
-from angler_kernels.lanes.table import LookupTable
+from angler_kernels.lanes.shaping import SHAPING, PrimitiveRule, from_array, read_elements
+from angler_kernels.lanes.table import LaneValue, LookupTable
 from angler_kernels.lanes.trees import (
     Elements,
     UnsupportedOperationError,
     any_lane,
+    aval_of,
     broadcast_like,
     flatten,
     naming_source,
-    split,
+    pack,
+    split_leaf,
 )
 
 
-def apply(function: Callable[..., Any], *args: Any) -> Any:
+def apply[T](function: Callable[..., T], *args: object) -> T:
     """Evaluate ``function`` of one body on lanes.
 
     Args:
@@ -48,10 +50,11 @@ def apply(function: Callable[..., Any], *args: Any) -> Any:
     elements = [leaf if isinstance(leaf, LookupTable) else _to_elements(leaf) for leaf in leaves]
     shapes = [jax.ShapeDtypeStruct(leaf.shape, _lane_dtype(leaf)) for leaf in elements]
     closed, out = jax.make_jaxpr(function, return_shape=True)(*jax.tree.unflatten(tree, shapes))
-    return jax.tree.unflatten(jax.tree.structure(out), _evaluate_closed(closed, elements))
+    result: T = jax.tree.unflatten(jax.tree.structure(out), _evaluate_closed(closed, elements))
+    return result
 
 
-def _to_elements(leaf: Any) -> Elements:
+def _to_elements(leaf: np.ndarray | ArrayLike) -> np.ndarray:
     """Return a leaf as an object array."""
     if isinstance(leaf, np.ndarray) and leaf.dtype == object:
         return leaf
@@ -60,16 +63,18 @@ def _to_elements(leaf: Any) -> Elements:
     return out
 
 
-def _typed_constant(value: Any) -> Any:
+def _typed_constant(value: ArrayLike) -> LaneValue:
     """Return a Python number with JAX's default type."""
-    return np.asarray(value, jnp.result_type(value))[()]
+    constant: LaneValue = np.asarray(value, jnp.result_type(value)).ravel()[0]
+    return constant
 
 
-def _lane_dtype(leaf: Elements) -> Any:
+def _lane_dtype(leaf: Elements) -> np.dtype:
     if isinstance(leaf, LookupTable):
         return leaf.dtype
     traced = [x.dtype for x in leaf.ravel() if not isinstance(x, np.generic)]
-    return traced[0] if traced else leaf.ravel()[0].dtype
+    dtype: np.dtype = traced[0] if traced else leaf.ravel()[0].dtype
+    return dtype
 
 
 def _evaluate_closed(closed: ClosedJaxpr, args: Sequence[Elements]) -> list[Elements]:
@@ -81,12 +86,11 @@ def _evaluate_closed(closed: ClosedJaxpr, args: Sequence[Elements]) -> list[Elem
 def _evaluate_jaxpr(
     jaxpr: Jaxpr, consts: Sequence[Elements], args: Sequence[Elements]
 ) -> list[Elements]:
-    values: dict[Any, Elements] = {}
+    values: dict[Var, Elements] = {}
 
-    def read(var: Any) -> Elements:
+    def read(var: Var | Literal) -> Elements:
         if isinstance(var, Literal):
-            aval: Any = var.aval
-            return from_array(np.asarray(var.val, aval.dtype))
+            return from_array(np.asarray(var.val, aval_of(var).dtype))
         return values[var]
 
     values.update(zip(jaxpr.constvars, consts, strict=True))
@@ -109,7 +113,7 @@ _NOT_ELEMENTWISE = {"axis", "axes", "dimension", "dimensions", "dimension_number
 """Parameters of operations that are none on numbers alone: they name an axis, or hold programs."""
 
 
-def _is_elementwise(eqn: Any) -> bool:
+def _is_elementwise(eqn: JaxprEqn) -> bool:
     """Return whether an equation is an elementwise operation on numbers, broadcast as by numpy.
 
     The shapes do not decide: a running sum has those of its operand. But it names an axis, and a
@@ -118,18 +122,20 @@ def _is_elementwise(eqn: Any) -> bool:
     if len(eqn.outvars) != 1 or not eqn.invars or _NOT_ELEMENTWISE & eqn.params.keys():
         return False
     try:
-        shape = np.broadcast_shapes(*(var.aval.shape for var in eqn.invars))
+        shape = np.broadcast_shapes(*(aval_of(var).shape for var in eqn.invars))
     except ValueError:
         return False
-    if shape != eqn.outvars[0].aval.shape:
+    if shape != aval_of(eqn.outvars[0]).shape:
         return False
     return shape == () or _takes_numbers(
-        eqn.primitive, tuple(var.aval.dtype for var in eqn.invars), tuple(eqn.params.items())
+        eqn.primitive, tuple(aval_of(var).dtype for var in eqn.invars), tuple(eqn.params.items())
     )
 
 
 @cache
-def _takes_numbers(primitive: Any, dtypes: tuple[Any, ...], params: tuple[Any, ...]) -> bool:
+def _takes_numbers(
+    primitive: Primitive, dtypes: tuple[np.dtype, ...], params: tuple[tuple[str, object], ...]
+) -> bool:
     """Return whether an operation is defined on numbers as well."""
     numbers = [jax.ShapeDtypeStruct((), dtype) for dtype in dtypes]
     try:
@@ -139,36 +145,35 @@ def _takes_numbers(primitive: Any, dtypes: tuple[Any, ...], params: tuple[Any, .
     return True
 
 
-def _constant_elements(value: Any) -> Elements:
+def _constant_elements(value: jax.Array | np.ndarray) -> np.ndarray:
     """Return the constants of a function: numbers, or arrays that are the same for all lanes."""
     if isinstance(value, jax.core.Tracer):
-        return split(value, 0)
+        return split_leaf(value, 0)
     return from_array(np.asarray(value))
 
 
-def _apply_elementwise(eqn: Any, operands: Sequence[Elements]) -> Elements:
+def _apply_elementwise(eqn: JaxprEqn, operands: Sequence[Elements]) -> np.ndarray:
     """Apply one operation to each element; operands are broadcast as by numpy."""
-    out = np.empty(eqn.outvars[0].aval.shape, object)
-    full_operands = (x.read_all() if isinstance(x, LookupTable) else x for x in operands)
-    operands = [np.broadcast_to(x, out.shape) for x in full_operands]
-    for index in np.ndindex(*out.shape):
-        out[index] = fold_operation(eqn, [operand[index] for operand in operands])
-    return out
+    shape = aval_of(eqn.outvars[0]).shape
+    rows = [np.broadcast_to(read_elements(x), shape).ravel() for x in operands]
+    return pack([fold_operation(eqn, row) for row in zip(*rows, strict=True)], shape)
 
 
-def _apply_call(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
+def _apply_call(eqn: JaxprEqn, operands: Sequence[Elements]) -> list[Elements]:
     inner = eqn.params.get("jaxpr") or eqn.params["call_jaxpr"]
     return _evaluate_closed(inner, operands)
 
 
-def _apply_while(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
+def _apply_while(eqn: JaxprEqn, operands: Sequence[Elements]) -> list[Elements]:
     """Repeat until the condition fails in every lane; finished lanes keep their values."""
     params = eqn.params
     n_cond, n_body = params["cond_nconsts"], params["body_nconsts"]
     of_cond, of_body = operands[:n_cond], operands[n_cond : n_cond + n_body]
 
-    def is_running(leaves: Sequence[Elements]) -> Any:
-        return _evaluate_closed(params["cond_jaxpr"], [*of_cond, *leaves])[0][()]
+    def is_running(leaves: Sequence[Elements]) -> jax.Array:
+        (running,) = _evaluate_closed(params["cond_jaxpr"], [*of_cond, *leaves])
+        lanes: jax.Array = read_elements(running).item()
+        return lanes
 
     def body(leaves: Sequence[Elements]) -> list[Elements]:
         running = is_running(leaves)
@@ -176,8 +181,7 @@ def _apply_while(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
         old, rebuild = flatten(list(leaves))
         new = flatten(after)[0]
         pairs = zip(new, old, strict=True)
-        masked: list[Elements] = rebuild([jnp.where(running, x, y) for x, y in pairs])
-        return masked
+        return rebuild([jnp.where(running, x, y) for x, y in pairs])
 
     row, rebuild = _broadcast_start(body, [*operands[n_cond + n_body :]])
     end = jax.lax.while_loop(
@@ -185,17 +189,18 @@ def _apply_while(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
         lambda row: _spread_row(flatten(body(rebuild(row)))[0], row),
         row,
     )
-    after: list[Elements] = rebuild(end)
-    return after
+    return rebuild(end)
 
 
-def _apply_scan(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
+def _apply_scan(eqn: JaxprEqn, operands: Sequence[Elements]) -> list[Elements]:
     """Apply a loop of fixed length that neither reads nor returns rows: ``fori_loop``."""
     params = eqn.params
     inner = params["jaxpr"].jaxpr
     outer_vars = [*eqn.invars, *eqn.outvars]
     inner_vars = [*inner.invars, *inner.outvars]
-    if any(x.aval.shape != y.aval.shape for x, y in zip(outer_vars, inner_vars, strict=True)):
+    if any(
+        aval_of(x).shape != aval_of(y).shape for x, y in zip(outer_vars, inner_vars, strict=True)
+    ):
         raise UnsupportedOperationError(eqn, "only loops without rows")
     n_const = len(eqn.invars) - len(eqn.outvars)
     const = operands[:n_const]
@@ -207,13 +212,12 @@ def _apply_scan(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
     end = jax.lax.fori_loop(
         0, params["length"], lambda _, row: _spread_row(flatten(body(rebuild(row)))[0], row), row
     )
-    after: list[Elements] = rebuild(end)
-    return after
+    return rebuild(end)
 
 
 def _broadcast_start(
     body: Callable[[Sequence[Elements]], list[Elements]], start: list[Elements]
-) -> tuple[list[jax.Array], Callable[[Sequence[jax.Array]], Any]]:
+) -> tuple[list[jax.Array], Callable[[Sequence[jax.Array]], list[Elements]]]:
     """Return start of a loop with lanes as wide as the loop makes them: one number or all lanes."""
     row, rebuild = flatten(start)
     row = [jnp.asarray(x) for x in row]
@@ -225,7 +229,7 @@ def _broadcast_start(
         row = [jnp.broadcast_to(x, shape) for x, shape in zip(row, shapes, strict=True)]
 
 
-def _spread_row(row: Sequence[Any], old: Sequence[jax.Array]) -> list[jax.Array]:
+def _spread_row(row: Sequence[jax.Array], old: Sequence[jax.Array]) -> list[jax.Array]:
     return [broadcast_like(x, y) for x, y in zip(row, old, strict=True)]
 
 

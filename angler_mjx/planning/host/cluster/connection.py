@@ -9,9 +9,13 @@ import sys
 import sysconfig
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
 
 from angler_mjx.errors import ConfigError, UnsupportedError, format_value
+
+if TYPE_CHECKING:
+    from ray.actor import ActorHandle
 
 HEALTH_TIMEOUT_S = 20.0
 """Time limit [s] of the answer of a head."""
@@ -37,7 +41,7 @@ class Cluster:
         processors: of all its machines that take work.
     """
 
-    ray: Any
+    ray: ModuleType
     processors: int
 
     def __init__(self, address: str) -> None:
@@ -72,7 +76,7 @@ class Cluster:
             self.ray.shutdown()
             self._log_worker_deaths(True)
 
-    def create_actor(self, actor_class: type, *arguments: Any) -> Any:
+    def create_actor(self, actor_class: type, *arguments: object) -> "ActorHandle":
         """Return an actor that will hold a processor, as soon as one is free.
 
         Args:

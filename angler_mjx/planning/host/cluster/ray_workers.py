@@ -7,7 +7,7 @@ import contextlib
 import os
 import pickle
 import time
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.planning.answers import Answer, failed_answer
@@ -16,6 +16,9 @@ from angler_mjx.planning.host.pool import CLOSED, TRIES, Job, Pool, Runner
 from angler_mjx.planning.host.process import START_S
 from angler_mjx.planning.host.workers import Workers
 from angler_mjx.planning.register import PlannerSpec
+
+if TYPE_CHECKING:
+    from ray.actor import ActorHandle
 
 POLL_S = 1.0
 """Time [s] between two checks whether the pool closes."""
@@ -133,7 +136,7 @@ class ActorRunner(Runner):
         """Keep the cluster; no actor is started yet."""
         super().__init__(pool)
         self._cluster = cluster
-        self._actor: Any = None
+        self._actor: ActorHandle | None = None
 
     def ready(self) -> None:
         """See `Runner.ready`; there is no time limit while other actors of the pool are up."""
@@ -183,7 +186,7 @@ class ActorRunner(Runner):
 
     def end(self) -> None:
         """See `Runner.end`."""
-        if self.pid is not None:
+        if self.pid is not None and self._actor is not None:
             with contextlib.suppress(self._cluster.ray.exceptions.RayError):
                 self._cluster.ray.get(self._actor.end.remote(), timeout=END_S)
         self._drop_actor()
@@ -202,7 +205,7 @@ class ActorRunner(Runner):
         self._cluster.check_versions(versions, "a machine")
         self.pid = pid
 
-    def _call_actor(self, method: str, *arguments: Any, since: float | None = None) -> Any:
+    def _call_actor(self, method: str, *arguments: object, since: float | None = None) -> Any:
         """Call a method of the actor and return its result.
 
         Args:

@@ -36,7 +36,7 @@ def _cache_folder() -> str:
 _CACHE_FOLDER = _cache_folder()
 
 
-def compile_function[F: Callable[..., Any]](function: F) -> F:
+def compile_function[F: Callable[..., object]](function: F) -> F:
     """Compile a function at its first call: no interpreter lock, arithmetic as NumPy's."""
     previous = _CONFIG.CACHE_DIR
     _CONFIG.CACHE_DIR = _CACHE_FOLDER

@@ -6,7 +6,7 @@ where it plans, in a worker process.
 
 from collections.abc import Callable, Sequence
 from importlib import import_module
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from angler_mjx.errors import UnsupportedError
 from angler_mjx.planning.host.ompl import settings as of
@@ -42,7 +42,7 @@ class OmplPlanner:
         self.settings = self.Settings() if settings is None else settings
         of.check_settings(self.NAME, self.settings)
         try:
-            planning: Any = import_module(_PLANNING)
+            planning = import_module(_PLANNING)
         except ModuleNotFoundError as error:
             raise UnsupportedError(
                 f"planner {self.NAME} needs {error.name}: pip install 'angler-mjx[plan]'"

@@ -11,7 +11,6 @@ import time
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 import ompl.base as ob
@@ -25,9 +24,6 @@ type StateCheck = Callable[[np.ndarray], bool]
 
 ANYTIME = ("AORRTC", "BITstar", "RRTstar", "InformedRRTstar", "SORRTstar")
 """Planners that improve until they are stopped, and report their best cost."""
-
-ROADMAPS = ("PRM", "PRMstar")
-"""Look for the solution in a thread of their own: no Python may say when they end."""
 
 SINGLE_BATCH = ("FMT", "BFMT")
 """Planners that draw all samples at once and end if these give no path."""
@@ -78,7 +74,7 @@ class PlanningOrder:
 
     planner: str
     """OMPL's name."""
-    parameters: dict[str, Any]
+    parameters: dict[str, int | float | str]
     """Setters and their values."""
     seed: tuple[int, ...]
     """Each other row of numbers is another search."""
@@ -92,7 +88,7 @@ class PlanningOrder:
 class _MotionValidator(ob.MotionValidator):
     """The compiled edge check as a motion validator of OMPL."""
 
-    def __init__(self, info: Any, space: SearchSpace) -> None:
+    def __init__(self, info: "ob.SpaceInformation", space: SearchSpace) -> None:
         super().__init__(info)
         self.count = 0
         self.end = math.inf
@@ -102,7 +98,7 @@ class _MotionValidator(ob.MotionValidator):
         self._a = np.zeros(len(space.checked_columns))
         self._b = np.zeros(len(space.checked_columns))
 
-    def checkMotion(self, a: Any, b: Any, *last: Any) -> bool:  # noqa: N802
+    def checkMotion(self, a: "ob.State", b: "ob.State", *last: object) -> bool:  # noqa: N802
         """Return whether the team can go from a to b, without its last valid state.
 
         After the search's end nothing is free: LBKPIECE1 asks on for a while before it looks at
@@ -119,13 +115,13 @@ class _MotionValidator(ob.MotionValidator):
 
 
 class _StateValidator(ob.StateValidityChecker):
-    def __init__(self, info: Any, space: SearchSpace) -> None:
+    def __init__(self, info: "ob.SpaceInformation", space: SearchSpace) -> None:
         super().__init__(info)
         self._state = space.state
         self._columns = space.checked_columns
         self._p = np.zeros(len(space.checked_columns))
 
-    def isValid(self, p: Any) -> bool:  # noqa: N802
+    def isValid(self, p: "ob.State") -> bool:  # noqa: N802
         """Return whether the team can be at a state."""
         self._p[:] = [p[i] for i in self._columns]
         return self._state(self._p)
@@ -164,7 +160,7 @@ class _OmplSetup:
         self.problem.setOptimizationObjective(self.objective)
         self.size = size
 
-    def path_states(self, path: Any) -> np.ndarray:
+    def path_states(self, path: "og.PathGeometric") -> np.ndarray:
         """Return the states [k, d] of a path."""
         return np.array([[state[i] for i in range(self.size)] for state in path.getStates()])
 
@@ -174,7 +170,9 @@ def silence_log() -> None:
     ou.setLogLevel(ou.LOG_NONE)
 
 
-def make_planner(planner: str, info: Any, parameters: dict[str, Any]) -> Any:
+def make_planner(
+    planner: str, info: "ob.SpaceInformation", parameters: dict[str, int | float | str]
+) -> "ob.Planner":
     """Return one of OMPL's planners with its parameters.
 
     Raises:

@@ -188,7 +188,7 @@ _BOUNDS = {
 }
 
 
-def ompl_parameters(settings: OmplSettings) -> dict[str, Any]:
+def ompl_parameters(settings: OmplSettings) -> dict[str, int | float | str]:
     """Return OMPL's setters and their values."""
     return {
         each.metadata["set"]: value

@@ -162,7 +162,7 @@ def build_trajectory(
 
 def _build_tables(
     goal: JointGoal, joints: Sequence[str], position: np.ndarray
-) -> tuple[list[Any], Any, Any]:
+) -> tuple[list[np.ndarray], np.ndarray, np.ndarray]:
     """Positions, velocities and accelerations [n, n_joint]; times and degrees [n]."""
     column = [list(joints).index(name) for name in goal.joint_names]
     p = np.tile(position, (len(goal.points), 1))

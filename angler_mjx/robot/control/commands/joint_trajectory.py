@@ -13,7 +13,6 @@ import jax
 import jax.numpy as jnp
 
 from angler_kernels.table import take_row
-from angler_mjx.robot.control.commands import PoseTarget
 from angler_mjx.robot.control.commands.trajectory import Trajectory, segment_at
 
 VEHICLE_JOINTS = ("x", "y", "z", "yaw")
@@ -245,25 +244,6 @@ def from_path(path: Trajectory, yaw_rad: jax.Array) -> JointTrajectory:
         degree=jnp.full(time.shape, LINEAR, jnp.int32),
         commanded=jnp.ones(len(VEHICLE_JOINTS), bool),
         found=path.found,
-    )
-
-
-def pose_target(trajectory: JointTrajectory, t: jax.Array) -> PoseTarget:
-    """Where the vehicle is to be at a time; its joints come first in the trajectory.
-
-    Args:
-        trajectory: of one robot.
-        t: [] s since its start.
-
-    Returns:
-        The pose, its heading within [-pi, pi].
-    """
-    now = sample_state(trajectory, t)
-    yaw = now.position[3]
-    return PoseTarget(
-        position_m=now.position[:3],
-        velocity_mps=now.velocity[:3],
-        yaw_rad=yaw - _whole_turns(yaw),
     )
 
 

@@ -3,12 +3,15 @@
 import dataclasses
 import math
 from collections.abc import Collection
-from typing import Any
+from typing import TYPE_CHECKING
 
 from angler_mjx.errors import ConfigError
 
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
-def check_gains(law: str, gains: Any, positive: Collection[str] = ()) -> None:
+
+def check_gains(law: str, gains: "DataclassInstance", positive: Collection[str] = ()) -> None:
     """Every gain must be a finite number, none negative, and some not zero.
 
     Args:

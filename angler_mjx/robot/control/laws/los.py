@@ -86,8 +86,7 @@ def reset(estimate: Estimate) -> LosCarry:
 
 def progress_s(carry: LosCarry, path: Trajectory) -> jax.Array:
     """Return the planned time [] s at the end of the segment that the robot is on."""
-    end: jax.Array = take_row(path.time_s, carry.segment + 1)
-    return end
+    return take_row(path.time_s, carry.segment + 1)
 
 
 def step(

@@ -5,9 +5,9 @@ rigid body in place of MJX. Lanes are [R, W] for robots, [n_obstacle, W] for obs
 worlds, so the worlds lie side by side in memory.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -46,7 +46,7 @@ from angler_mjx.sim.phase import Record, run_phase
 from angler_mjx.sim.physics.closed_form import ClosedForm
 from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.policy import Policy
-from angler_mjx.sim.record import Sample, build_sample
+from angler_mjx.sim.record import Sample, WorldRecord, build_sample
 from angler_mjx.sim.state import EngineConstants, SimSpec, World, WorldState
 from angler_mjx.sim.step import (
     JUDGE,
@@ -63,6 +63,9 @@ from angler_mjx.sim.world_phases import WorldMemory, WorldPhaseOutput
 from angler_mjx.world.currents import Current
 from angler_mjx.world.obstacles import Obstacles, ObstacleState
 
+type _SampleRow = tuple[list[jax.Array], WorldRecord]
+"""A sample: lanes of what robots and obstacles recorded, and the record of the phases of worlds."""
+
 
 class FusedEngine:
     """Closed-form rigid bodies on lanes, in plain JAX."""
@@ -74,8 +77,7 @@ class FusedEngine:
         engine = ClosedForm(gravity_mps2=spec.water.gravity_mps2)
         reset_world = partial(start.reset, spec, engine, policy=policy)
         equipped = add_parameters(fleet, worlds)
-        state: WorldState = jax.vmap(reset_world)(equipped.control.vehicle, equipped)
-        return state
+        return jax.vmap(reset_world)(equipped.control.vehicle, equipped)
 
     def pack_constants(self, fleet: Fleet, worlds: World) -> EngineConstants:
         """See `Engine.pack_constants`: the cells."""
@@ -160,7 +162,7 @@ class FusedEngine:
         scene, equipped = scene_of(fleet, worlds, cells=cells), add_parameters(fleet, worlds)
         policy = running.active_policy(policy, command)
         row, rebuild = lanes.flatten(lane_state_of(fleet, state))
-        rebuilds: list[Any] = []
+        rebuilds: list[Callable[[Sequence[jax.Array]], Record]] = []
         begin_s = None
         if policy is None:
             begin_s = jax.vmap(partial(last_approaches_s, spec))(worlds, command)
@@ -168,7 +170,7 @@ class FusedEngine:
         @jax.jit  # traced once, for the types of its results and for the loop
         def fly(
             row: list[jax.Array], memory: WorldMemory, number: jax.Array
-        ) -> tuple[Any, Any, Any]:
+        ) -> tuple[list[jax.Array], WorldMemory, _SampleRow]:
             moving, output = rebuild(row), WorldPhaseOutput()
             if running.has_world_phases(spec, policy):
                 vehicles = vehicles_of(moving)
@@ -189,13 +191,17 @@ class FusedEngine:
         template = jax.eval_shape(fly, row, initial_memory, state.step[0])[2]
         empty_sample = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), template)
 
-        def step_once(carry: Any, i: jax.Array) -> tuple[Any, None]:
+        def step_once(
+            carry: tuple[list[jax.Array], WorldMemory, _SampleRow, jax.Array], i: jax.Array
+        ) -> tuple[tuple[list[jax.Array], WorldMemory, _SampleRow, jax.Array], None]:
             row, memory, kept, number = carry
             row, memory, now = fly(row, memory, number)
             kept = jax.tree.map(lambda new, old: jnp.where(i == 0, new, old), now, kept)
             return (row, memory, kept, number + 1), None
 
-        def record_sample(carry: Any, _: None) -> tuple[Any, Any]:
+        def record_sample(
+            carry: tuple[list[jax.Array], WorldMemory, jax.Array], _: None
+        ) -> tuple[tuple[list[jax.Array], WorldMemory, jax.Array], _SampleRow]:
             row, memory, number = carry
             (row, memory, kept, number), _ = jax.lax.scan(
                 step_once, (row, memory, empty_sample, number), jnp.arange(steps_per_sample)
@@ -279,7 +285,7 @@ def _control_step(
     after = []
     for constants, now in zip(scene.groups, groups, strict=True):
         contact = lanes_of_group(met, constants.group)
-        judged: Judgement = lanes.compute_shared(
+        judged = lanes.compute_shared(
             partial(_judge_group, make(), constants, now, contact, driver, output, begin_s)
         )
         after.append(RobotState(vehicle=now.vehicle, memory=now.memory, tally=judged.tally))
@@ -287,10 +293,10 @@ def _control_step(
 
 
 def _select_driver(
-    spec: SimSpec, constants: GroupConstants, command: Any
+    spec: SimSpec, constants: GroupConstants, command: Command | MixedCommand | None
 ) -> Plan | Command | MixedCommand:
     """Return the command of the robots of a group as lanes, or else their paths."""
-    override: Command | MixedCommand | None = to_lanes(of_group(command, constants.group), 2)
+    override = to_lanes(of_group(command, constants.group), 2)
     return plans.check_plan(spec.stages, constants.path) if override is None else override
 
 
@@ -298,7 +304,7 @@ def _move_group(
     batch: SceneBatch,
     constants: GroupConstants,
     robots: RobotState,
-    command: Any,
+    command: Command | MixedCommand | None,
     output: WorldPhaseOutput,
 ) -> tuple[MovedRobots, Record]:
     """Move the robots of a group, each by itself.
@@ -329,7 +335,7 @@ def _judge_group(
     constants: GroupConstants,
     moved: MovedRobots,
     contact: Contact,
-    command: Any,
+    command: Command | MixedCommand | None,
     output: WorldPhaseOutput,
     begin_s: jax.Array | None,
 ) -> Judgement:
@@ -358,7 +364,4 @@ def _advance_obstacles(batch: SceneBatch, obstacles: ObstacleState) -> tuple[Obs
     """Return the obstacles after a step, and their record; rows of padding stay where they are."""
     if batch.scene.n_obstacle == 0:
         return obstacles, OBSTACLES.run(batch, obstacles).record()
-    after: tuple[ObstacleState, Record] = lanes.compute_shared(
-        partial(run_phase, OBSTACLES, batch, obstacles)
-    )
-    return after
+    return lanes.compute_shared(partial(run_phase, OBSTACLES, batch, obstacles))

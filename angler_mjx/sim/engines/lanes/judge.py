@@ -8,7 +8,6 @@ The tally that results is the same.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -25,7 +24,6 @@ from angler_mjx.sim.engines.lanes.search import (
     OtherBodies,
     SearchFunction,
     Seeker,
-    search_lanes,
 )
 from angler_mjx.sim.engines.lanes.steps import Cells, GridShape, Lanes
 from angler_mjx.sim.physics.step import VehicleState
@@ -39,10 +37,10 @@ from angler_mjx.world.obstacles.types import STATIC, bounding_radius
 class LaneHull:
     """What can touch of robots: the part of `VehicleParams` that is so called there, as lanes."""
 
-    capsule_a_m: Lanes
-    capsule_b_m: Lanes
-    capsule_r_m: Lanes
-    radius_m: Lanes
+    capsule_a_m: jax.Array
+    capsule_b_m: jax.Array
+    capsule_r_m: jax.Array
+    radius_m: jax.Array
 
 
 def hull_of(vehicle: VehicleParams) -> LaneHull:
@@ -55,16 +53,16 @@ def hull_of(vehicle: VehicleParams) -> LaneHull:
     )
 
 
-def find_contact(
+def find_contact[Index](
     shape: GridShape,
     hull: LaneHull,
     cells: Cells,
     tally: Tally,
     state: VehicleState,
-    obstacles: OtherBodies,
-    robots: Sequence[OtherBodies],
+    obstacles: OtherBodies[Index, Obstacles],
+    robots: Sequence[OtherBodies[Index, LaneHull]],
     row: LaneIndex,
-    search: SearchFunction | None = None,
+    search: SearchFunction[Index],
 ) -> Contact:
     """The nearest thing to each robot, as far as it can matter to its tally.
 
@@ -77,7 +75,7 @@ def find_contact(
         obstacles: of the same world, after the step.
         robots: all robots of the same world after the step; none if there is but one.
         row: which of its world's robots each lane is.
-        search: how the nearest shape is found; `search_lanes` if None.
+        search: how the nearest shape is found.
     """
     a, b = lanes.apply(_capsule_ends, hull, state.p, state.q)
     v = lanes.apply(_rotate_velocity, state.q, state.nu)
@@ -93,7 +91,7 @@ def find_contact(
         fixed=running & False,
         v=(zero, zero, zero),
     )
-    look, pack_lane = search or search_lanes, partial(lanes.pack, shape=())
+    pack_lane = partial(lanes.pack, shape=())
     seeker = Seeker(
         p=state.p,
         a=a,
@@ -103,26 +101,29 @@ def find_contact(
         running=pack_lane([running]),
         limit_m=tally.min_clearance_m,
     )
-    obstacle = look(seeker, obstacles, _to_obstacle, start, -1)
+    obstacle = search(seeker, obstacles, _to_obstacle, start, -1)
     other = start
     if robots:
         other = replace(start, gap=jnp.full_like(zero, SEPARATION_RADIUS_M))
     limit = jnp.minimum(tally.min_separation_m[()], SEPARATION_RADIUS_M)
     for bodies in robots:
-        other = look(replace(seeker, limit_m=pack_lane([limit])), bodies, _to_robot, other, row)
-    result: Contact = lanes.apply(
+        other = search(replace(seeker, limit_m=pack_lane([limit])), bodies, _to_robot, other, row)
+    return lanes.apply(
         _select_contact, to_cells, to_floor, *_pack_nearest(obstacle), *_pack_nearest(other), v
     )
-    return result
 
 
-def _to_obstacle(seeker: Seeker, candidate: CandidateBody) -> tuple[Any, Any, Lanes]:
+def _to_obstacle(
+    seeker: Seeker, candidate: CandidateBody[Obstacles]
+) -> tuple[jax.Array, jax.Array, Lanes]:
     body, q, body_v = candidate.details()
     gap = lanes.apply(_obstacle_gap, body, candidate.p, q, seeker.a, seeker.b, seeker.r)
     return gap[()], body.motion[()] == STATIC, body_v
 
 
-def _to_robot(seeker: Seeker, candidate: CandidateBody) -> tuple[Any, Any, Lanes]:
+def _to_robot(
+    seeker: Seeker, candidate: CandidateBody[LaneHull]
+) -> tuple[jax.Array, np.bool_, Lanes]:
     other, q, body_v = candidate.details()
     other_ends = lanes.apply(_capsule_ends, other, candidate.p, q)
     gap = lanes.apply(
@@ -131,7 +132,7 @@ def _to_robot(seeker: Seeker, candidate: CandidateBody) -> tuple[Any, Any, Lanes
     return gap[()], np.bool_(False), body_v
 
 
-def centre_velocity(q: Lanes, nu: Lanes) -> Lanes:
+def centre_velocity(q: Lanes, nu: Lanes) -> jax.Array:
     """Velocity [3] of centres, in W."""
     return lanes.apply(_rotate_velocity, q, nu)
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -76,7 +75,7 @@ def concatenate_groups[T](parts: Sequence[T], like: Sequence[jax.Array] = ()) ->
     if len(parts) == 1:
         return parts[0]
 
-    def concatenate_lanes(items: Sequence[Any]) -> Any:
+    def concatenate_lanes(items: Sequence[lanes.LaneValue]) -> lanes.LaneValue:
         if all(isinstance(x, np.generic) and x == items[0] for x in items):
             return items[0]
         if like:
@@ -84,10 +83,8 @@ def concatenate_groups[T](parts: Sequence[T], like: Sequence[jax.Array] = ()) ->
         return jnp.concatenate(items)
 
     def concatenate_leaf(*leaves: np.ndarray) -> np.ndarray:
-        out = np.empty_like(leaves[0])
-        for index in np.ndindex(*out.shape):
-            out[index] = concatenate_lanes([leaf[index] for leaf in leaves])
-        return out
+        rows = zip(*(leaf.ravel() for leaf in leaves), strict=True)
+        return lanes.pack([concatenate_lanes(row) for row in rows], leaves[0].shape)
 
     joined: T = jax.tree.map(concatenate_leaf, *parts)
     return joined
@@ -133,8 +130,7 @@ def to_lanes[T](tree: T, lead: int, rows: jax.Array | None = None) -> T:
         if is_table(tail):
             return _build_table(leaf, lead, rows)
         chosen = leaf if rows is None else leaf[rows]
-        elements: np.ndarray = lanes.split(jnp.swapaxes(chosen, 0, lead - 1), lead)
-        return elements
+        return lanes.split_leaf(jnp.swapaxes(chosen, 0, lead - 1), lead)
 
     converted: T = jax.tree.map(convert_leaf, tree)
     return converted
@@ -155,7 +151,7 @@ def _build_table(leaf: jax.Array, lead: int, rows: jax.Array | None = None) -> l
     base = jnp.asarray(body if rows is None else jnp.asarray(body)[rows]) * np.int32(size)
     base = jnp.swapaxes(base, 0, lead - 1)
 
-    def load(index: jax.Array) -> jax.Array:
+    def load(index: lanes.MemoryIndex) -> jax.Array:
         return flat.at[index].get(mode="promise_in_bounds")
 
     return lanes.LookupTable(load, tail, leaf.dtype, base=base)
@@ -172,8 +168,7 @@ def lane_state_of(fleet: Fleet, state: WorldState) -> LaneState:
 
     def convert_group(group: VehicleGroup) -> RobotState:
         robots = RobotState(vehicle=state.vehicles, memory=state.carry, tally=state.tally)
-        lanes_of: RobotState = to_lanes(of_group(robots, group), 2)
-        return lanes_of
+        return to_lanes(of_group(robots, group), 2)
 
     return LaneState(
         groups=tuple(map(convert_group, fleet.groups)), obstacles=to_lanes(state.obstacles, 2)
@@ -182,18 +177,12 @@ def lane_state_of(fleet: Fleet, state: WorldState) -> LaneState:
 
 def vehicles_of(moving: LaneState) -> VehicleState:
     """Where all robots are, as arrays [W, R, ...]."""
-    vehicles: VehicleState = to_arrays(
-        concatenate_groups([robots.vehicle for robots in moving.groups]), 2
-    )
-    return vehicles
+    return to_arrays(concatenate_groups([robots.vehicle for robots in moving.groups]), 2)
 
 
 def outcome_of(moving: LaneState) -> jax.Array:
     """How all robots ended so far, as an array int32 [W, R]."""
-    outcome: jax.Array = to_arrays(
-        concatenate_groups([robots.tally.outcome for robots in moving.groups]), 2
-    )
-    return outcome
+    return to_arrays(concatenate_groups([robots.tally.outcome for robots in moving.groups]), 2)
 
 
 def world_state(moving: LaneState, step: jax.Array, memory: WorldMemory) -> WorldState:
@@ -321,7 +310,7 @@ def _select_parameter(
     tail = leaf.shape[1:]
     flat = leaf.reshape(-1)
 
-    def load(index: jax.Array) -> jax.Array:
+    def load(index: lanes.MemoryIndex) -> jax.Array:
         return flat.at[index].get(mode="promise_in_bounds")
 
     if is_table(tail):
@@ -330,10 +319,10 @@ def _select_parameter(
             for robot_variant in variants
         ]
         return [lanes.LookupTable(load, tail, leaf.dtype, base=start) for start in bases]
-    same: list[Any] = [None] * len(letters)
+    same: dict[int, lanes.LaneValue] = {}
     for k, letter in enumerate(letters):
         if letter == "z":
-            same[k] = np.zeros((), leaf.dtype)[()]
+            same[k] = np.zeros(1, leaf.dtype)[0]
         elif letter == "s":
             same[k] = flat[common * len(letters) + k]
 
@@ -342,8 +331,7 @@ def _select_parameter(
             load(variant * np.int32(len(letters)) + k) if letter == "v" else same[k]
             for k, letter in enumerate(letters)
         ]
-        elements: np.ndarray = lanes.pack(items, tail)
-        return elements
+        return lanes.pack(items, tail)
 
     return [row(robot_variant) for robot_variant in variants]
 
@@ -351,10 +339,12 @@ def _select_parameter(
 def apply_load(loaded: jax.Array, laden: ControlParams, params: ControlParams) -> ControlParams:
     """Parameters of robots with their load where they have one; ``loaded`` is lanes [] of bool."""
 
-    def select_leaf(with_load: Any, without: Any) -> Any:
+    def select_leaf(with_load: lanes.Elements, without: lanes.Elements) -> lanes.Elements:
         if isinstance(without, lanes.LookupTable):
+            if not isinstance(with_load, lanes.LookupTable):
+                raise TypeError("a table with a load is an array without it")
             return with_load.where(loaded[()], without)
-        pairs = zip(with_load.ravel(), without.ravel(), strict=True)
+        pairs = zip(lanes.read_elements(with_load).ravel(), without.ravel(), strict=True)
         items = [y if x is y else jnp.where(loaded[()], x, y) for x, y in pairs]
         return lanes.pack(items, without.shape)
 

@@ -8,7 +8,6 @@ time. This is plain JAX's way. A kernel, whose lanes are few, does better with
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -37,7 +36,7 @@ CHUNK = 128
 def gather_lanes[T](tree: T, index: LaneIndex) -> T:
     """Lanes at an index of lanes [n, W]; what is the same for all, and tables, stay as they are."""
 
-    def gather_leaf(leaf: Any) -> Any:
+    def gather_leaf(leaf: lanes.Elements) -> lanes.Elements:
         if isinstance(leaf, lanes.LookupTable):
             return leaf
         whole = leaf.ravel()
@@ -50,7 +49,7 @@ def gather_lanes[T](tree: T, index: LaneIndex) -> T:
 
 def candidate_robot(
     hull: lane_judge.LaneHull, state: VehicleState, index: LaneIndex
-) -> CandidateBody:
+) -> CandidateBody[lane_judge.LaneHull]:
     """Robots at an index of lanes [n, W]."""
     theirs, now = gather_lanes((hull, state), index)
     return CandidateBody(
@@ -62,12 +61,12 @@ def candidate_robot(
 
 def candidate_obstacle(
     obstacles: Obstacles, reach: jax.Array, state: ObstacleState, index: LaneIndex
-) -> CandidateBody:
+) -> CandidateBody[Obstacles]:
     """Obstacles, at an index of lanes [n, W]."""
     body, radius, now = gather_lanes((obstacles, lanes.pack([reach], ()), state), index)
     return CandidateBody(
         p=now.p,
-        reach=radius[()],
+        reach=radius.item(),
         details=lambda: (body, now.q, lane_judge.centre_velocity(now.q, now.nu)),
     )
 
@@ -104,10 +103,10 @@ def find_contact(
     )
 
 
-def search_listed(
+def search_listed[Body](
     seeker: Seeker,
-    others: OtherBodies,
-    measure_gap: GapFunction,
+    others: OtherBodies[LaneIndex, Body],
+    measure_gap: GapFunction[Body],
     start: NearestBody,
     self_index: LaneIndex,
 ) -> NearestBody:
@@ -125,19 +124,20 @@ def search_listed(
         is_found = shape >= 0
         candidate = others.load((jnp.maximum(shape, 0), np.arange(shape.shape[1], dtype=np.int32)))
         of_shape, fixed, v = measure_gap(seeker, candidate)
-        return NearestBody(
-            gap=jnp.where(is_found, _attach_derivative(gap, of_shape), best.gap),
-            index=jnp.where(is_found, others.first + shape, best.index),
-            fixed=jnp.where(is_found, fixed, best.fixed),
-            v=tuple(jnp.where(is_found, x, y) for x, y in zip(v, best.v, strict=True)),
+        return best.replace_where(
+            is_found, _attach_derivative(gap, of_shape), others.first + shape, fixed, v
         )
 
     nearest: NearestBody = jax.lax.cond(lanes.any_lane(wanted), look, lambda best: best, start)
     return nearest
 
 
-def _find_min_gap(
-    wanted: jax.Array, seeker: Seeker, others: OtherBodies, measure_gap: GapFunction, gap: jax.Array
+def _find_min_gap[Body](
+    wanted: jax.Array,
+    seeker: Seeker,
+    others: OtherBodies[LaneIndex, Body],
+    measure_gap: GapFunction[Body],
+    gap: jax.Array,
 ) -> tuple[jax.Array, jax.Array]:
     """The least gap [R, W] of wanted pairs [n, R, W] below ``gap``, and its shape; -1 if none.
 
@@ -145,7 +145,9 @@ def _find_min_gap(
     """
     count = jnp.cumsum(wanted.reshape(-1), dtype=jnp.int32)
 
-    def body(carry: Any) -> Any:
+    def body(
+        carry: tuple[jax.Array, jax.Array, jax.Array],
+    ) -> tuple[jax.Array, jax.Array, jax.Array]:
         done, gap, shape = carry
         nth = done + 1 + np.arange(CHUNK, dtype=np.int32)
         pair_index = jnp.searchsorted(count, nth, method="scan_unrolled").astype(jnp.int32)
@@ -173,5 +175,7 @@ def _attach_derivative(value: jax.Array, same: jax.Array) -> jax.Array:
 
 
 @_attach_derivative.defjvp
-def _attach_derivative_jvp(primals: Any, tangents: Any) -> tuple[jax.Array, jax.Array]:
+def _attach_derivative_jvp(
+    primals: tuple[jax.Array, jax.Array], tangents: tuple[jax.Array, jax.Array]
+) -> tuple[jax.Array, jax.Array]:
     return _attach_derivative(*primals), tangents[1]

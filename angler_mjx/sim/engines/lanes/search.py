@@ -6,7 +6,7 @@ distance so far is not looked at.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Protocol
 
 import jax
 import jax.numpy as jnp
@@ -20,25 +20,25 @@ type LaneIndex = jax.Array | np.ndarray | int | tuple[jax.Array | np.ndarray | s
 
 
 @dataclass(frozen=True, kw_only=True)
-class CandidateBody:
+class CandidateBody[Body]:
     """A shape that robots can meet, in every lane; what costs something is loaded when asked for.
 
-    ``details`` gives what it is (Obstacles or `judge.LaneHull`), its attitude q [4], and its
+    ``details`` gives its constants (Obstacles or `judge.LaneHull`), its attitude q [4], and its
     velocity [3] in W.
     """
 
     p: Lanes
     reach: jax.Array
     """Radius of its bounding sphere; -inf where there is none."""
-    details: Callable[[], tuple[Any, Lanes, Lanes]]
+    details: Callable[[], tuple[Body, Lanes, Lanes]]
 
 
 @dataclass(frozen=True, kw_only=True)
-class OtherBodies:
+class OtherBodies[Index, Body]:
     """Shapes that robots can meet, one after another."""
 
     count: int
-    load: Callable[[Any], CandidateBody]
+    load: Callable[[Index], CandidateBody[Body]]
     """Shape i of these, for every lane; a `SearchFunction` of another kind asks in another way."""
     first: int = 0
     """Number of shape 0 among all of its kind."""
@@ -63,13 +63,16 @@ class Seeker:
     limit_m: Lanes
     """[] distances from here on do not matter, unless something touches."""
 
-    def is_candidate(self, candidate: CandidateBody, is_other: jax.Array | bool) -> jax.Array:
+    def is_candidate(
+        self, candidate: CandidateBody[object], is_other: jax.Array | bool
+    ) -> jax.Array:
         """Whether a shape is near enough to matter."""
+        running: jax.Array = self.running.item()
+        radius_m: jax.Array = self.radius_m.item()
         square = sum((candidate.p[k] - self.p[k]) ** 2 for k in range(3))
-        within = jnp.maximum(self.limit_m[()], 0.0) + self.radius_m[()] + candidate.reach
-        near = (within >= 0.0) & (square <= within * within)
-        wanted: jax.Array = self.running[()] & is_other & near
-        return wanted
+        within = jnp.maximum(self.limit_m[()], 0.0) + radius_m + candidate.reach
+        near: jax.Array = (within >= 0.0) & (square <= within * within)
+        return running & is_other & near
 
 
 @jax.tree_util.register_dataclass
@@ -82,6 +85,25 @@ class NearestBody:
     fixed: jax.Array
     v: tuple[jax.Array, ...]
 
+    def replace_where(
+        self,
+        where: jax.Array,
+        gap: jax.Array,
+        index: jax.Array,
+        fixed: jax.Array | np.bool_,
+        v: Lanes,
+    ) -> "NearestBody":
+        """Return another body where a mask is true, else this one."""
+        return NearestBody(
+            gap=jnp.where(where, gap, self.gap),
+            index=jnp.where(where, index, self.index),
+            fixed=jnp.where(where, fixed, self.fixed),
+            v=tuple(jnp.where(where, x, y) for x, y in zip(v, self.v, strict=True)),
+        )
+
+
+type _Slots = tuple[jax.Array, ...]
+"""Groups that each lane has noted, with the wanted shapes of each."""
 
 GROUP_SIZE = 8
 """Shapes that are asked for together where there are many: their loads wait together."""
@@ -91,22 +113,33 @@ LIST_THRESHOLD = GROUP_SIZE + 1
 """Shapes from which on they are listed. The list of a single group costs large batches more than
 it saves."""
 
-type GapFunction = Callable[[Seeker, CandidateBody], tuple[Any, Any, Lanes]]
+type GapFunction[Body] = Callable[
+    [Seeker, CandidateBody[Body]], tuple[jax.Array, jax.Array | np.bool_, Lanes]
+]
 """The gap to a shape, whether it never moves, and its velocity [3]."""
 
-type SearchFunction = Callable[
-    [Seeker, OtherBodies, GapFunction, NearestBody, LaneIndex], NearestBody
-]
-"""The nearest of some shapes and of one found before, if nearer than the limit or touching.
 
-The last argument is the number of the shape that is the lane's own. The first of equals counts.
-"""
+class SearchFunction[Index](Protocol):
+    """The nearest of some shapes and of one found before, if nearer than the limit or touching."""
+
+    def __call__[Body](
+        self,
+        seeker: Seeker,
+        others: OtherBodies[Index, Body],
+        measure_gap: GapFunction[Body],
+        start: NearestBody,
+        self_index: LaneIndex,
+    ) -> NearestBody:
+        """Search; ``self_index`` is the number of the lane's own shape.
+
+        The first of equals counts.
+        """
 
 
-def search_in_turn(
+def search_in_turn[Body](
     seeker: Seeker,
-    others: OtherBodies,
-    measure_gap: GapFunction,
+    others: OtherBodies[jax.Array, Body],
+    measure_gap: GapFunction[Body],
     start: NearestBody,
     self_index: LaneIndex,
 ) -> NearestBody:
@@ -121,12 +154,7 @@ def search_in_turn(
         def look(best: NearestBody) -> NearestBody:
             gap, fixed, v = measure_gap(seeker, candidate)
             better = wanted & (gap < best.gap)
-            return NearestBody(
-                gap=jnp.where(better, gap, best.gap),
-                index=jnp.where(better, number, best.index),
-                fixed=jnp.where(better, fixed, best.fixed),
-                v=tuple(jnp.where(better, x, y) for x, y in zip(v, best.v, strict=True)),
-            )
+            return best.replace_where(better, gap, number, fixed, v)
 
         after: NearestBody = jax.lax.cond(lanes.any_lane(wanted), look, lambda best: best, best)
         return after
@@ -135,10 +163,10 @@ def search_in_turn(
     return nearest
 
 
-def search_in_groups(
+def search_in_groups[Body](
     seeker: Seeker,
-    others: OtherBodies,
-    measure_gap: GapFunction,
+    others: OtherBodies[jax.Array, Body],
+    measure_gap: GapFunction[Body],
     start: NearestBody,
     self_index: LaneIndex,
 ) -> NearestBody:
@@ -152,7 +180,9 @@ def search_in_groups(
     groups = -(-others.count // GROUP_SIZE)
     empty = jnp.zeros_like(start.index)
 
-    def note_group(carry: Any) -> Any:
+    def note_group(
+        carry: tuple[jax.Array, jax.Array, _Slots],
+    ) -> tuple[jax.Array, jax.Array, _Slots]:
         group, noted, slots = carry
         mask = empty
         for k in range(GROUP_SIZE):
@@ -168,26 +198,23 @@ def search_in_groups(
         )
         return group + 1, noted + jnp.where(note != 0, 1, 0), slots
 
-    def pop(carry: Any) -> Any:
+    def pop(carry: tuple[_Slots, NearestBody]) -> tuple[_Slots, NearestBody]:
         (head, *rest), best = carry
         bit = head & -head
         k = jax.lax.population_count((bit - 1) & (2**GROUP_SIZE - 1))
         i = jnp.where(head != 0, (head >> GROUP_SIZE) * GROUP_SIZE + k, 0)
         gap, fixed, v = measure_gap(seeker, others.load(i))
         better = (head != 0) & (gap < best.gap)
-        nearest = NearestBody(
-            gap=jnp.where(better, gap, best.gap),
-            index=jnp.where(better, others.first + i, best.index),
-            fixed=jnp.where(better, fixed, best.fixed),
-            v=tuple(jnp.where(better, x, y) for x, y in zip(v, best.v, strict=True)),
-        )
+        nearest = best.replace_where(better, gap, others.first + i, fixed, v)
         left = head ^ bit
         done = (left & (2**GROUP_SIZE - 1)) == 0
         moved = (*rest, empty)
         slots = tuple(jnp.where(done, x, y) for x, y in zip(moved, (left, *rest), strict=True))
         return slots, nearest
 
-    def search_groups(carry: Any) -> Any:
+    def search_groups(
+        carry: tuple[jax.Array, NearestBody],
+    ) -> tuple[jax.Array, NearestBody]:
         group, best = carry
         group, _, slots = jax.lax.while_loop(
             lambda x: (x[0] < groups) & ~lanes.any_lane(x[1] == MAX_NOTED_GROUPS),
@@ -198,14 +225,13 @@ def search_in_groups(
         return group, best
 
     _, nearest = jax.lax.while_loop(lambda x: x[0] < groups, search_groups, (jnp.int32(0), start))
-    result: NearestBody = nearest
-    return result
+    return nearest
 
 
-def search_lanes(
+def search_lanes[Body](
     seeker: Seeker,
-    others: OtherBodies,
-    measure_gap: GapFunction,
+    others: OtherBodies[jax.Array, Body],
+    measure_gap: GapFunction[Body],
     start: NearestBody,
     self_index: LaneIndex,
 ) -> NearestBody:

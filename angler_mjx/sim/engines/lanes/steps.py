@@ -10,6 +10,7 @@ from functools import partial
 from typing import Any
 
 import jax
+import numpy as np
 
 from angler_kernels import clearance, lanes
 from angler_kernels.table import take_row
@@ -25,8 +26,9 @@ from angler_mjx.world.currents import Current
 from angler_mjx.world.obstacles import Obstacles, ObstacleState
 from angler_mjx.world.obstacles import motion as obstacle_motion
 
-type Lanes = Any
-"""A pytree whose leaves are object arrays of lanes, or tables."""
+type Lanes = jax.Array | np.ndarray
+"""An array of one body as an object array of lanes; fields of states and parameters, arrays by
+their type, hold these on lanes."""
 
 
 @jax.tree_util.register_dataclass
@@ -79,8 +81,7 @@ class LaneBatch:
 
     def flow(self, current: Current, vehicle: VehicleState) -> jax.Array:
         """See `phase.BodyBatch`."""
-        velocity: jax.Array = lanes.apply(currents.velocity, current, vehicle.p, self.t)
-        return velocity
+        return lanes.apply(currents.velocity, current, vehicle.p, self.t)
 
     def map_bodies[T](
         self, function: Callable[..., T], *bodies: object, shared: tuple[object, ...] = ()
@@ -91,7 +92,7 @@ class LaneBatch:
             ConfigError: the function uses an operation of JAX that lanes have no rule for.
         """
         try:
-            mapped: T = lanes.apply(function, *bodies, *shared)
+            return lanes.apply(function, *bodies, *shared)
         except lanes.UnsupportedOperationError as error:
             source = error.source or "a control law"
             raise ConfigError(
@@ -99,12 +100,10 @@ class LaneBatch:
                 '"mjx" (--engine mjx), or the operations that CONTRIBUTING.md lists for control '
                 "laws"
             ) from error
-        return mapped
 
     def repeat[T](self, times: int, body: Callable[[jax.Array, T], T], tree: T) -> T:
         """See `phase.BodyBatch`."""
-        after: T = lanes.repeat(times, body, tree)
-        return after
+        return lanes.repeat(times, body, tree)
 
     def physics_step(
         self,
@@ -116,8 +115,7 @@ class LaneBatch:
     ) -> VehicleState:
         """See `phase.BodyBatch`."""
         step = partial(physics_step, self.spec.physics_dt_s, self.spec.water)
-        after: VehicleState = lanes.apply(step, params.vehicle, vehicle, thrust_n, current, t)
-        return after
+        return lanes.apply(step, params.vehicle, vehicle, thrust_n, current, t)
 
     def advance(self, obstacles: ObstacleState) -> ObstacleState:
         """See `phase.BodyBatch`."""
@@ -177,8 +175,7 @@ def advance_obstacles(
             spec.water.gravity_mps2,
         )
 
-    after: ObstacleState = lanes.apply(advance_body, body, state, current, cells, t)
-    return after
+    return lanes.apply(advance_body, body, state, current, cells, t)
 
 
 def _nearest_cell(shape: GridShape, cells: Cells, p: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -1,8 +1,6 @@
 """The fleet's parameters in one flat array, as kernels read them."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -38,13 +36,13 @@ class ConstantBank:
         return bank, jnp.concatenate([leaf.reshape(-1).astype(dtype) for leaf in leaves])
 
     def read_lanes(
-        self, load: Callable[[Any], Any], group: VehicleGroup, variant: jax.Array
+        self, load: lanes.LoadFunction, group: VehicleGroup, variant: jax.Array
     ) -> ControlParams:
         """Parameters of lanes of robots of a group, by their variants.
 
         What all variants of the group share is a number of the program, not read at all.
         """
-        out = []
+        out: list[lanes.Elements] = []
         for shape, dtype, first, letters, shared in zip(
             self.shapes, self.dtypes, self.firsts, group.sameness, group.shared, strict=True
         ):
@@ -53,10 +51,10 @@ class ConstantBank:
                 base = first + (variant if "v" in letters else group.variant) * np.int32(size)
                 out.append(lanes.LookupTable(load, shape, dtype, base=base))
                 continue
-            row = [
+            row: list[lanes.LaneValue] = [
                 cast_element(load(first + variant * size + k), dtype)
                 if letter == "v"
-                else np.asarray(shared[k], dtype)[()]
+                else np.asarray(shared[k], dtype).ravel()[0]
                 for k, letter in enumerate(letters)
             ]
             out.append(lanes.pack(row, shape))

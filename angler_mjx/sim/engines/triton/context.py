@@ -4,26 +4,32 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import fields
 from functools import cached_property, partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax
 
 from angler_mjx.robot.control import plans
-from angler_mjx.robot.control.stack import ControlParams
+from angler_mjx.robot.control.mixed import MixedCommand
+from angler_mjx.robot.control.plans import Plan
+from angler_mjx.robot.control.stack import Command, ControlParams
 from angler_mjx.sim import step
 from angler_mjx.sim.detection import Contact
 from angler_mjx.sim.engines.lanes import judge as lane_judge
-from angler_mjx.sim.engines.lanes.search import CandidateBody, OtherBodies
-from angler_mjx.sim.engines.lanes.steps import Cells, LaneBatch
+from angler_mjx.sim.engines.lanes.search import CandidateBody, OtherBodies, search_lanes
+from angler_mjx.sim.engines.lanes.steps import Cells, LaneBatch, Lanes
 from angler_mjx.sim.engines.triton import launch as triton
 from angler_mjx.sim.engines.triton.segment import Segment
 from angler_mjx.sim.engines.triton.tile import Refs, RobotConstants, WorldConstants
 from angler_mjx.sim.fleet import VehicleGroup
 from angler_mjx.sim.phase import Phase
 from angler_mjx.sim.physics.step import VehicleState
+from angler_mjx.sim.record import Belief
 from angler_mjx.sim.state import SimSpec, Tally
 from angler_mjx.world.currents import Current
 from angler_mjx.world.obstacles import Obstacles
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 
 class KernelProgram(LaneBatch):
@@ -118,22 +124,22 @@ class KernelGroup(KernelProgram):
         self._group, self._slot_refs, self._count = group, slot_refs, count
         self.t = part.elapsed_s(first + count, spec)
 
-    def read_input(self, phase: Phase[Any, Any]) -> Any:
+    def read_input[Input: "DataclassInstance"](self, phase: Phase[Input, Any]) -> Input:
         """Read the input of a phase, field by field."""
-        inputs: dict[str, Any] = {}
+        inputs: dict[str, object] = {}
         for entry in fields(phase.takes):
             has_slot = self._part.has_slot(entry.name)
             read = self.read_slot if has_slot else partial(self._read_constant, inputs)
             inputs[entry.name] = read(entry.name)
         return phase.takes(**inputs)
 
-    def _read_constant(self, inputs: Mapping[str, Any], name: str) -> Any:
+    def _read_constant(self, inputs: Mapping[str, object], name: str) -> object:
         """Return a field of the input of a phase that is no slot of its own."""
-        if name == "flow":
-            estimate = inputs["estimate"]
-            return step.select_flow(self, lambda: self.current, estimate)
-        if name == "contact":
-            return self._find_contact(inputs["tally"], inputs["vehicle"])
+        match name, inputs:
+            case "flow", {"estimate": VehicleState() | Belief() as estimate}:
+                return step.select_flow(self, lambda: self.current, estimate)
+            case "contact", {"tally": Tally() as tally, "vehicle": VehicleState() as vehicle}:
+                return self._find_contact(tally, vehicle)
         return getattr(self, name)
 
     def read_slot(self, name: str) -> Any:
@@ -146,8 +152,7 @@ class KernelGroup(KernelProgram):
         return self._tile.read_robot(self._data, self._tile.body_of(self._row, self._world))
 
     def _read_optional(self, name: str) -> jax.Array | None:
-        value: jax.Array | None = self.read_slot(name) if name in self._slot_refs else None
-        return value
+        return self.read_slot(name) if name in self._slot_refs else None
 
     @cached_property
     def params(self) -> ControlParams:
@@ -156,10 +161,11 @@ class KernelGroup(KernelProgram):
         return self._tile.params(self._data, self._group, self._constants, loaded)
 
     @property
-    def command(self) -> Any:
+    def command(self) -> Plan | Command | MixedCommand:
         """See `step.DecideInput`."""
         if "command" in self._slot_refs:
-            return self.read_slot("command")
+            command: Command | MixedCommand = self.read_slot("command")
+            return command
         return plans.check_plan(self.spec.stages, self._constants.path)
 
     @property
@@ -202,19 +208,22 @@ class KernelGroup(KernelProgram):
             self._candidate_obstacles(slot_refs["track"]),
             others if tile.robots > 1 else [],
             self._row,
+            search_lanes,
         )
 
-    def _candidate_robots(self, robots: jax.Ref, other: VehicleGroup) -> OtherBodies:
+    def _candidate_robots(
+        self, robots: jax.Ref, other: VehicleGroup
+    ) -> OtherBodies[jax.Array, lane_judge.LaneHull]:
         """The robots of a group, as those of the same worlds meet them."""
         tile, data, at = self._tile, self._data, self._at
 
-        def load(i: jax.Array) -> CandidateBody:
+        def load(i: jax.Array) -> CandidateBody[lane_judge.LaneHull]:
             lane = (other.first + i) * tile.worlds + at
             constants_index = tile.body_of(other.first + i, self._world)
             layout = self._part.layouts["vehicle"]
-            state = partial(layout.read_lanes, triton.make_loader(robots), lane)
+            state = partial(layout.read_part, triton.make_loader(robots), lane)
 
-            def details() -> Any:
+            def details() -> tuple[lane_judge.LaneHull, Lanes, Lanes]:
                 q, nu = state(lambda x: (x.q, x.nu))
                 hull = lane_judge.hull_of(tile.params_at(data, other, constants_index).vehicle)
                 return hull, q, lane_judge.centre_velocity(q, nu)
@@ -224,19 +233,19 @@ class KernelGroup(KernelProgram):
 
         return OtherBodies(count=other.count, load=load, first=other.first)
 
-    def _candidate_obstacles(self, track: jax.Ref) -> OtherBodies:
+    def _candidate_obstacles(self, track: jax.Ref) -> OtherBodies[jax.Array, Obstacles]:
         """The obstacles after a control step, as robots of the same worlds meet them."""
         tile, data, at = self._tile, self._data, self._at
 
-        def load(i: jax.Array) -> CandidateBody:
+        def load(i: jax.Array) -> CandidateBody[Obstacles]:
             lane, constants_index = i * tile.worlds + at, tile.body_of(i, self._world)
             drift = partial(
-                self._part.track_layout.read_lanes,
+                self._part.track_layout.read_part,
                 triton.make_loader(track),
                 self._part.track_offset(self._count) + lane,
             )
 
-            def details() -> Any:
+            def details() -> tuple[Obstacles, Lanes, Lanes]:
                 return tile.read_body(data, constants_index, lambda x: x.obstacle), *drift(
                     lambda x: (x.q, x.v)
                 )

@@ -13,7 +13,6 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -120,14 +119,22 @@ class TritonEngine:
         cells: jax.Array | None = None,
     ) -> tuple[WorldState, Sample]:
         """See `Engine.segment`."""
-        count = {"n_sample": n_sample, "steps_per_sample": steps_per_sample}
 
         def plain(
             fleet: Fleet, worlds: World, state: WorldState, drivers: Drivers
         ) -> tuple[WorldState, Sample]:
             command, policy, cells = drivers
-            plan: dict[str, Any] = {**count, "command": command, "policy": policy, "cells": cells}
-            return FusedEngine().segment(spec, fleet, worlds, state, **plan)
+            return FusedEngine().segment(
+                spec,
+                fleet,
+                worlds,
+                state,
+                n_sample=n_sample,
+                steps_per_sample=steps_per_sample,
+                command=command,
+                policy=policy,
+                cells=cells,
+            )
 
         def fast(
             fleet: Fleet, worlds: World, state: WorldState, drivers: Drivers
@@ -147,8 +154,7 @@ class TritonEngine:
             )
 
         both = triton.with_gradient_of(plain, fast)
-        after: tuple[WorldState, Sample] = both(fleet, worlds, state, (command, policy, cells))
-        return after
+        return both(fleet, worlds, state, (command, policy, cells))
 
     def _run_segment(
         self,

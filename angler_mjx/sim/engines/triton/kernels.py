@@ -178,8 +178,7 @@ class Kernels:
                     p=after.p, q=after.q, v=lane_judge.centre_velocity(after.q, after.nu)
                 )
                 part.track_layout.write_lanes(store(track), part.track_offset(step) + lane, tracked)
-                kept: ObstacleState = lanes.select_lanes(is_left, after, now)
-                return kept
+                return lanes.select_lanes(is_left, after, now)
 
             start = part.bodies.read_lanes(triton.make_loader(state), lane)
             part.bodies.write_lanes(

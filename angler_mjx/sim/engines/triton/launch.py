@@ -2,14 +2,15 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jax.experimental import pallas as pl
 from jax.experimental.pallas import triton as plt
+from jax.typing import ArrayLike
 
 from angler_kernels import lanes
+from angler_kernels.lanes.planes import StoreFunction
 from angler_mjx.errors import RunError
 
 
@@ -58,7 +59,7 @@ def call_kernel(
         )
     first = len(constant)
 
-    def traced(*refs: Any) -> None:
+    def traced(*refs: jax.Ref) -> None:
         with lanes.use_instructions(_ORDINARY if program.interpret else _INSTRUCTIONS):
             kernel(*refs)
 
@@ -82,8 +83,7 @@ def _inline_instruction(text: str, *args: jax.Array) -> jax.Array:
         pack=1,
         result_shape_dtypes=[jax.ShapeDtypeStruct(args[0].shape, args[0].dtype)],
     )
-    result: jax.Array = output
-    return result
+    return output
 
 
 def multiply_add(a: jax.Array, b: jax.Array, c: jax.Array) -> jax.Array:
@@ -106,15 +106,15 @@ def locate_lanes(width: int) -> tuple[jax.Array, jax.Array]:
     return pl.program_id(0) * width + jnp.arange(width), pl.program_id(1)
 
 
-def make_loader(ref: Any) -> Callable[[Any], Any]:
+def make_loader(ref: jax.Ref) -> lanes.LoadFunction:
     """What reads a reference at places."""
     return lambda at: ref[at]
 
 
-def make_storer(ref: Any, like: jax.Array) -> Callable[[Any, Any], None]:
+def make_storer(ref: jax.Ref, like: jax.Array) -> StoreFunction:
     """What writes lanes, or one number for all of them, to a reference at places."""
 
-    def store(at: Any, value: Any) -> None:
+    def store(at: jax.Array, value: ArrayLike) -> None:
         ref[at] = jnp.broadcast_to(jnp.asarray(value, ref.dtype), like.shape)
 
     return store
@@ -125,18 +125,21 @@ def run_when(condition: jax.Array, do: Callable[[], None]) -> None:
     pl.when(condition)(do)
 
 
-def with_gradient_of(reference: Callable[..., Any], fast: Callable[..., Any]) -> Callable[..., Any]:
+def with_gradient_of[*Arrays, Result](
+    reference: Callable[[*Arrays], Result], fast: Callable[[*Arrays], Result]
+) -> Callable[[*Arrays], Result]:
     """``fast``, with the derivatives of ``reference``, a function of the same arrays."""
 
     @jax.custom_vjp
-    def run(*args: Any) -> Any:
+    def run(*args: *Arrays) -> Result:
         return fast(*args)
 
-    def forward(*args: Any) -> tuple[Any, Any]:
+    def forward(*args: *Arrays) -> tuple[Result, tuple[*Arrays]]:
         return fast(*args), args
 
-    def backward(args: Any, cotangent: Any) -> Any:
-        return jax.vjp(reference, *args)[1](cotangent)
+    def backward(args: tuple[*Arrays], cotangent: Result) -> tuple[*Arrays]:
+        gradient: tuple[*Arrays] = jax.vjp(reference, *args)[1](cotangent)
+        return gradient
 
     run.defvjp(forward, backward)
-    return run
+    return lambda *args: run(*args)

@@ -108,7 +108,9 @@ class Segment:
             slot_trees["last_approach_s"] = last_approach_s
         packed = {name: tile.pack(tree, 2) for name, tree in slot_trees.items()}
         self.bodies, bodies = tile.pack(state.obstacles, 2)
-        self.layouts = {name: layout for name, (layout, _) in packed.items()}
+        self.layouts: dict[str, PlaneLayout[Any]] = {
+            name: layout for name, (layout, _) in packed.items()
+        }
         self.layouts |= self._scratch_layouts(output)
         three, four = tile.shape(3), tile.shape(4)
         self.track_layout = tile.layout(TrackedObstacle(p=three, q=four, v=three), tile.obstacles)
@@ -139,7 +141,7 @@ class Segment:
         """Return whether a field of the input of a phase is a slot."""
         return name in (*_ALWAYS_SLOTS, *(entry.name for entry in fields(RobotState)))
 
-    def layout(self, slot: str) -> tuple[str, PlaneLayout]:
+    def layout(self, slot: str) -> tuple[str, PlaneLayout[Any]]:
         """The slot that one is read from, and its layout: what is known may be the truth."""
         name = "vehicle" if slot == "estimate" and slot not in self.layouts else slot
         return name, self.layouts[name]
@@ -151,8 +153,7 @@ class Segment:
 
     def elapsed_s(self, count: jax.Array, spec: SimSpec) -> jax.Array:
         """[] s when so many control steps were taken."""
-        t: jax.Array = count.astype(self.tile.dtype) * spec.control_dt_s
-        return t
+        return count.astype(self.tile.dtype) * spec.control_dt_s
 
     def track_offset(self, count: jax.Array) -> jax.Array:
         """Where in the track a control step begins, counted from the segment's first."""
@@ -185,17 +186,19 @@ class Segment:
             seen |= jax.tree.map(repeat_samples, step.record_obstacles(state.obstacles))
         return after, build_sample(worlds, seen)
 
-    def _scratch_layouts(self, output: WorldPhaseOutput | None) -> dict[str, PlaneLayout]:
+    def _scratch_layouts(self, output: WorldPhaseOutput | None) -> dict[str, PlaneLayout[Any]]:
         """Layouts of what is made anew in every step."""
         tile = self.tile
         thrusters = tile.shape(self._state.vehicles.thrust.shape[-1])
         shapes = step.scratch_shapes(tile.shape(), thrusters)
-        layouts = {name: tile.layout(shape, tile.robots) for name, shape in shapes.items()}
+        layouts: dict[str, PlaneLayout[Any]] = {
+            name: tile.layout(shape, tile.robots) for name, shape in shapes.items()
+        }
         if output is not None:
             layouts |= {name: PlaneLayout.of(tree, 2) for name, tree in output.to_slots().items()}
         return layouts
 
-    def _sample_buffer(self, phase: Phase[Any, Any]) -> SampleBuffer | None:
+    def _sample_buffer(self, phase: Phase[Any, Any]) -> SampleBuffer[Record] | None:
         """Room for what a phase records, if it records anything."""
         tile, fields = self.tile, record.of_phase(phase.name, self._also)
         if not fields or (phase.of == "obstacle" and not tile.some_obstacle):

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -150,7 +151,7 @@ class Tile:
         tables = [jnp.asarray(x, self.dtype) for field in self._fields for x in field.numbers]
         self.arrays = (*self.constants, which, *tables)
 
-    def pack(self, tree: object, lead: int) -> tuple[PlaneLayout, jax.Array]:
+    def pack[T](self, tree: T, lead: int) -> tuple[PlaneLayout[T], jax.Array]:
         """A tree of arrays [W, (n,) ...] flat, and where its parts lie."""
         layout = PlaneLayout.of(tree, lead)
         return layout, layout.pack(tree, self.dtype)
@@ -159,14 +160,14 @@ class Tile:
         """Shape of numbers of one body."""
         return jax.ShapeDtypeStruct(tail, self.dtype)
 
-    def layout(self, tree: object, rows: int) -> PlaneLayout:
+    def layout(self, tree: object, rows: int) -> PlaneLayout[Any]:
         """Layout of arrays [W, rows, ...], from shapes [...] of one body."""
         shapes = jax.tree.map(
             lambda leaf: jax.ShapeDtypeStruct((self.worlds, rows, *leaf.shape), leaf.dtype), tree
         )
         return PlaneLayout.of(shapes, 2)
 
-    def sample_buffer(self, layout: PlaneLayout, samples: int) -> SampleBuffer:
+    def sample_buffer[T](self, layout: PlaneLayout[T], samples: int) -> SampleBuffer[T]:
         """Room for samples of a layout."""
         return SampleBuffer(
             layout=layout, samples=samples, rows=layout.lanes // self.worlds, worlds=self.worlds
@@ -182,8 +183,7 @@ class Tile:
 
     def read_robot(self, refs: Refs, lane: jax.Array) -> RobotConstants:
         """Constants of robots number ``lane``; see `body_of`."""
-        constants: RobotConstants = self._robot.read_lanes(triton.make_loader(refs[1]), lane)
-        return constants
+        return self._robot.read_lanes(triton.make_loader(refs[1]), lane)
 
     def params(
         self,
@@ -194,7 +194,7 @@ class Tile:
     ) -> ControlParams:
         """Parameters of robots of a group; ``loaded`` says who carries something, if any can."""
         variant, cruise = constants.variant[()], constants.cruise_speed_mps
-        if loaded is not None:
+        if loaded is not None and constants.laden_cruise_mps is not None:
             variant = self._numbered(variant, loaded)
             cruise = lanes.select_lanes(loaded, constants.laden_cruise_mps, cruise)
         params = self._bank.read_lanes(triton.make_loader(refs[0]), group, variant)
@@ -202,13 +202,12 @@ class Tile:
 
     def params_at(self, refs: Refs, group: VehicleGroup, lane: jax.Array) -> ControlParams:
         """Parameters of robots number ``lane`` of a group, but for their cruise speeds."""
-        variant = self._robot.read_lanes(triton.make_loader(refs[1]), lane, lambda x: x.variant)
+        variant = self._robot.read_part(triton.make_loader(refs[1]), lane, lambda x: x.variant)
         return self._bank.read_lanes(triton.make_loader(refs[0]), group, variant[()])
 
     def read_water(self, refs: Refs, at: jax.Array) -> WorldConstants:
         """Constants of worlds number ``at``."""
-        constants: WorldConstants = self._world.read_lanes(triton.make_loader(refs[2]), at)
-        return constants
+        return self._world.read_lanes(triton.make_loader(refs[2]), at)
 
     def current(self, refs: Refs, water: WorldConstants) -> Current:
         """The current of worlds, and where it looks up what all of them share."""
@@ -227,8 +226,7 @@ class Tile:
 
     def read_body[T](self, refs: Refs, index: jax.Array, only: Callable[[BodyConstants], T]) -> T:
         """A part of the constants of obstacles number ``index``."""
-        part: T = self._body.read_lanes(triton.make_loader(refs[3]), index, only)
-        return part
+        return self._body.read_part(triton.make_loader(refs[3]), index, only)
 
     def read_cells(self, refs: Refs, water: WorldConstants, at: jax.Array) -> Cells:
         """Cells of worlds number ``at``."""
