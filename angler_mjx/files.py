@@ -18,6 +18,11 @@ from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, mod
 
 from angler_mjx.errors import ConfigError, escape_control_characters, format_value
 
+type JsonValue = bool | int | float | str | list[JsonValue] | dict[str, JsonValue] | None
+"""A value of a JSON file, as read."""
+type JsonTable = dict[str, JsonValue]
+"""A table of a JSON file, as read."""
+
 MAX_TOML_BYTES, MAX_JSON_BYTES = 1 << 19, 1 << 24
 """Max file sizes, far above those of hand-written files and fleet plans."""
 

@@ -53,7 +53,7 @@ def make_environments(
     from angler_mjx.runs.storage import environments as store
     from angler_mjx.world.config import WorldConfig
 
-    options: dict[str, Any] = {"preset": preset, "density": density, "placement": placement}
+    options = {"preset": preset, "density": density, "placement": placement}
     data = {key: value for key, value in options.items() if value is not None}
     config = parse_model(WorldConfig, data, source="flags of angler env make")
     columns = ("worlds", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())

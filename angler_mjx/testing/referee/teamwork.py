@@ -81,7 +81,7 @@ class TaskRecord:
     """[K, R] place assigned to each robot by each look; -1: it stays."""
     carrying: NDArray[np.int64]
     """[K, R] goods that each robot carries after it; -1: none."""
-    environment: Mapping[str, Any]
+    environment: Mapping[str, np.ndarray]
     """Static data, and task data that were stored once."""
     low_m: Floats
     band_m: float
