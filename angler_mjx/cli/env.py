@@ -1,7 +1,7 @@
 """`angler env`: generate environments into a file, and render one of them."""
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import tyro
 
@@ -81,14 +81,14 @@ def show_environment(
     from angler_mjx.report.plotting import style
     from angler_mjx.report.viewing import environment_figure
     from angler_mjx.runs.storage import environments as store
+    from angler_mjx.runs.stored_arrays import stored_array
 
     style.require_format(out)
     group = store.open_environments(file)
-    valid: Any = group["valid"]
-    count = valid.shape[0]
+    count = stored_array(group, "valid").shape[0]
     if not 0 <= index < count:
         raise ConfigError(f"--index {index}: {file} holds worlds 0 to {count - 1}")
-    config: Any = group.attrs.get("world_config")  # environments of a run have none
+    config = group.attrs.get("world_config")  # environments of a run have none
     name = str(config.get("preset", file.name)) if isinstance(config, dict) else file.name
     figure = environment_figure.plot_environment(
         store.read_environments(group, index), title=f"{name}, world {index}"

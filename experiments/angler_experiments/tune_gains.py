@@ -10,7 +10,6 @@ printed costs at the end are of worlds that the gains were not tuned on.
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -21,7 +20,8 @@ from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.sim.engines.gradients import tracking_cost
 from angler_mjx.sim.engines.lanes.engine import FusedEngine
-from angler_mjx.sim.state import SimSpec
+from angler_mjx.sim.fleet import Fleet
+from angler_mjx.sim.state import FleetWorld, SimSpec, WorldState
 
 TUNED = (
     ("pose", "position_per_s"),
@@ -76,14 +76,17 @@ def tune(
     steps = max(1, round(seconds / spec.control_dt_s))
 
     @jax.jit
-    def evaluate(theta: jax.Array, kinds: Any, worlds_state: Any, start: Any) -> Any:
+    def evaluate(
+        theta: jax.Array, kinds: Fleet, worlds_state: FleetWorld, start: WorldState
+    ) -> tuple[jax.Array, jax.Array]:
         def cost(theta: jax.Array) -> jax.Array:
             gains = replace_tuned_gains(spec, theta)
             return tracking_cost(
                 gains, engine, spec, kinds, worlds_state, start, control_steps=steps
             )
 
-        return jax.value_and_grad(cost)(theta)
+        value, gradient = jax.value_and_grad(cost)(theta)
+        return value, gradient
 
     before = {f"{stage}.{gain}": getattr(stage_gains(spec, stage), gain) for stage, gain in TUNED}
     theta = jnp.log(jnp.array(list(before.values())))
@@ -113,7 +116,7 @@ def tune(
     )
 
 
-def stage_gains(spec: SimSpec, stage: str) -> Any:
+def stage_gains(spec: SimSpec, stage: str) -> object:
     """Return the gains of a stage of the controllers.
 
     Raises:
@@ -128,9 +131,9 @@ def stage_gains(spec: SimSpec, stage: str) -> Any:
     return spec.gains[names.index(stage)]
 
 
-def replace_tuned_gains(spec: SimSpec, theta: jax.Array) -> tuple[Any, ...]:
+def replace_tuned_gains(spec: SimSpec, theta: jax.Array) -> tuple[object, ...]:
     """Return the gains of all stages, with those in `TUNED` replaced by exp(theta) [5]."""
-    tuned: dict[str, dict[str, Any]] = {}
+    tuned: dict[str, dict[str, jax.Array]] = {}
     for i, (stage, gain) in enumerate(TUNED):
         tuned.setdefault(stage, {})[gain] = jnp.exp(theta[i])
     return tuple(

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
@@ -20,6 +20,10 @@ from angler_mjx.learning.datasets.windows import Windows
 from angler_mjx.robot.vehicles import library
 from angler_mjx.runs.storage import folder, trajectory_layout
 from angler_mjx.runs.storage.read_errors import wrap_read_errors
+from angler_mjx.runs.stored_arrays import stored_array, stored_group
+
+if TYPE_CHECKING:
+    from xarray import Dataset as XarrayDataset
 
 FIELDS = ("p_m", "q", "nu", "target_m", "current_mps", "pwm_us", "obstacle_p_m")
 """Arrays that are read by default."""
@@ -52,7 +56,7 @@ class Dataset:
             for name in ("part", "world", "samples", "robots")
         }
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __getstate__(self) -> dict[str, object]:
         """Return the state for another process; it opens runs anew."""
         return {**self.__dict__, "_runs": {}, "_environment_cache": ((-1, -1), {})}
 
@@ -162,7 +166,7 @@ class Dataset:
         first = world - world % tile
         if self._environment_cache[0] != (part, first):
             run = self.run(part)
-            group: Any = run.trajectories[trajectory_layout.ENVIRONMENT_GROUP]
+            group = stored_group(run.trajectories, trajectory_layout.ENVIRONMENT_GROUP)
             with wrap_read_errors(run.path):
                 arrays = {
                     name: np.asarray(node[first : first + tile])
@@ -182,9 +186,10 @@ class Dataset:
     def _goals(self) -> Mapping[int, np.ndarray]:
         goals = {}
         for part in sorted(set(self._rows["part"].tolist())):
-            group: Any = self.run(part).trajectories
+            group = self.run(part).trajectories
             with wrap_read_errors(self.parts[part]):
-                goals[part] = np.asarray(group[f"{trajectory_layout.ENVIRONMENT_GROUP}/goal_m"][:])
+                goal_m = stored_array(group, f"{trajectory_layout.ENVIRONMENT_GROUP}/goal_m")
+                goals[part] = np.asarray(goal_m[:])
         return goals
 
     def windows(
@@ -252,7 +257,7 @@ class Dataset:
         """
         return compute_statistics(self, max_episodes, vehicle)
 
-    def xarray(self, part: int = 0) -> Any:
+    def xarray(self, part: int = 0) -> "XarrayDataset":
         """Return trajectories of a part as an `xarray.Dataset`, read on access.
 
         Raises:
@@ -262,7 +267,9 @@ class Dataset:
             import xarray
         except ImportError as error:
             raise UnsupportedError("xarray is not installed: pip install xarray") from error
-        return xarray.open_zarr(self.parts[part] / folder.TRAJECTORIES, consolidated=False)
+        path = self.parts[part] / folder.TRAJECTORIES
+        opened: XarrayDataset = xarray.open_zarr(path, consolidated=False)
+        return opened
 
 
 def open_dataset(

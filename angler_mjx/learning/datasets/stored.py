@@ -8,7 +8,7 @@ import json
 import mmap
 import threading
 from collections import OrderedDict
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -33,11 +33,11 @@ class _ArrayFormat:
     """Format of an array, from ``zarr.json``."""
 
     shape: tuple[int, ...]
-    dtype: np.dtype[Any]
+    dtype: np.dtype
     fill: float
     shard: int
     """Number of worlds in a file."""
-    stored: np.dtype[Any]
+    stored: np.dtype
     """Type of the compressed values."""
     per_unit: np.float32 | None
     """Number of steps in one unit; None where values are stored as they are."""
@@ -62,13 +62,9 @@ class StoredArray:
         self.path = path
         with wrap_read_errors(path / "zarr.json"):
             metadata = json.loads((path / "zarr.json").read_text(encoding="utf-8"))
-            self._form = _parse_format(metadata)
-            self._zarr: Any = None
-            if self._form is None:
-                self._zarr = zarr.open_array(path, mode="r")
-        source = self._zarr if self._form is None else self._form
-        self.shape: tuple[int, ...] = tuple(source.shape)
-        self.dtype: np.dtype[Any] = np.dtype(source.dtype)
+            self._source = _parse_format(metadata) or zarr.open_array(path, mode="r")
+        self.shape: tuple[int, ...] = tuple(self._source.shape)
+        self.dtype: np.dtype = np.dtype(self._source.dtype)
         self._init_cache()
 
     def _init_cache(self) -> None:
@@ -76,12 +72,12 @@ class StoredArray:
         self._files: OrderedDict[int, tuple[mmap.mmap, np.ndarray]] = OrderedDict()
         self._thread_cache = threading.local()
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __getstate__(self) -> dict[str, object]:
         """Return the state for another process, where files are opened anew."""
         left_out = ("_lock", "_files", "_thread_cache")
         return {key: value for key, value in self.__dict__.items() if key not in left_out}
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
+    def __setstate__(self, state: dict[str, object]) -> None:
         """Restore the state in another process."""
         self.__dict__.update(state)
         self._init_cache()
@@ -102,12 +98,12 @@ class StoredArray:
         """
         if not 0 <= world < self.shape[0]:
             raise IndexError(f"{self.path}: world {world} of {self.shape[0]}")
-        if self._form is None:
+        form = self._source
+        if not isinstance(form, _ArrayFormat):
             with wrap_read_errors(self.path):
-                whole: np.ndarray = np.asarray(self._zarr[world])
+                whole: np.ndarray = np.asarray(form[world])
                 return whole if times is None else whole[times]
-        chunk = self._read_chunk(self._form, world)
-        form = self._form
+        chunk = self._read_chunk(form, world)
         if form.per_unit is None:
             return chunk if times is None else chunk[times]
         part = chunk if times is None else chunk[..., times]
@@ -207,14 +203,16 @@ def _parse_format(metadata: dict[str, Any]) -> _ArrayFormat | None:
             and inner[-2].get("configuration", {}).get("endian", "little") == "little"
         )
         dtype = np.dtype(metadata["data_type"])
-        common: dict[str, Any] = {
-            "shape": shape,
-            "dtype": dtype,
-            "fill": float(metadata["fill_value"]),
-            "shard": int(shards[0]),
-        }
+        plain = _ArrayFormat(
+            shape=shape,
+            dtype=dtype,
+            fill=float(metadata["fill_value"]),
+            shard=int(shards[0]),
+            stored=dtype,
+            per_unit=None,
+        )
         if is_native and len(names) == 2:
-            return _ArrayFormat(**common, stored=dtype, per_unit=None)
+            return plain
         if not is_native or names[:3] != ["transpose", "scale_offset", "cast_value"]:
             return None
         order, scale, cast = (codec.get("configuration", {}) for codec in inner[:3])
@@ -230,8 +228,8 @@ def _parse_format(metadata: dict[str, Any]) -> _ArrayFormat | None:
         return None
     if not is_supported:
         return None
-    return _ArrayFormat(
-        **common,
+    return replace(
+        plain,
         stored=np.dtype(cast["data_type"]),
         per_unit=np.float32(scale.get("scale", 1)),
         missing=int(stands_for["NaN"]),

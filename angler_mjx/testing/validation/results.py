@@ -1,9 +1,9 @@
 """Results: deviations of the tests, results of studies, and their files."""
 
 import json
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 from pydantic import Field
 
@@ -107,7 +107,7 @@ def read_model_or_empty[M: FileModel](model: type[M], path: Path) -> M:
     return read_model(model, path) if path.exists() else model()
 
 
-def write_json(path: Path, data: dict[str, Any]) -> None:
+def write_json(path: Path, data: Mapping[str, object]) -> None:
     """Write a JSON file atomically."""
     text = json.dumps(data, indent=1, allow_nan=False, ensure_ascii=False, sort_keys=True)
     with replace_file(path, flag="--out", force=True) as writing:

@@ -88,7 +88,9 @@ def read_study(folders: Sequence[Path]) -> FleetsStudy:
             f"{repeated[2]} robots, "
             f"world {repeated[-1]} is there twice; give each results folder once"
         )
-    entries: list[Any] = [entry for part in parts for entry in part.about.get("planners", [])]
+    entries: list[dict[str, Any]] = [
+        entry for part in parts for entry in part.about.get("planners", [])
+    ]
     flight_modes = {entry["label"]: _flight_mode(entry) for entry in entries}
     scenes = list(dict.fromkeys(scene for part in parts for scene in part.scenes))
     about = {**parts[0].about, "planners": entries, "scenes": scenes}

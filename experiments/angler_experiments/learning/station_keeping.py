@@ -10,6 +10,7 @@ Both fly the same worlds, which are not in the training set. Needs the extra ``l
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -74,9 +75,14 @@ class OutOfTimeError(Exception):
     """Expired time of a training."""
 
 
-def train(
-    env: FleetEnv, size: TrainingSize, seed: int = 0
-) -> tuple[Callable[..., Any], int, float]:
+type ActionPolicy = Callable[[jax.Array, jax.Array], tuple[jax.Array, object]]
+"""Observation and key to an action, and further results."""
+
+type Flown = tuple[jax.Array, jax.Array, jax.Array]
+"""Distances to the aim, energies and ends by step."""
+
+
+def train(env: FleetEnv, size: TrainingSize, seed: int = 0) -> tuple[ActionPolicy, int, float]:
     """Return a policy (observation, key) -> action; and the steps and seconds of its training."""
     from brax.training.agents.ppo import networks as ppo_networks
     from brax.training.agents.ppo import train as ppo
@@ -84,20 +90,20 @@ def train(
     from angler_experiments.learning.brax_env import BraxFleet, patch_device_put
 
     start_s = time.perf_counter()
-    last: dict[str, Any] = {}
+    last: list[tuple[int, Callable[..., ActionPolicy], object]] = []
     steps_per_update = size.batch * size.minibatches * size.unroll
 
-    def on_progress(step: int, make_policy: Any, params: Any) -> None:
-        last.update(step=step, make=make_policy, params=params)
+    def on_progress(step: int, make_policy: Callable[..., ActionPolicy], params: object) -> None:
+        last[:] = [(step, make_policy, params)]
         if time.perf_counter() - start_s > 60.0 * size.minutes and step:
             raise OutOfTimeError
 
-    def networks(*args: Any, **kwargs: Any) -> Any:
-        hidden = (64, 64)
-        return ppo_networks.make_ppo_networks(
-            *args, policy_hidden_layer_sizes=hidden, value_hidden_layer_sizes=hidden, **kwargs
-        )
-
+    hidden = (64, 64)
+    networks = partial(
+        ppo_networks.make_ppo_networks,
+        policy_hidden_layer_sizes=hidden,
+        value_hidden_layer_sizes=hidden,
+    )
     try:
         with patch_device_put():
             ppo.train(
@@ -123,15 +129,18 @@ def train(
             )
     except OutOfTimeError:
         pass
-    params = jax.tree.map(lambda leaf: jnp.array(leaf), last["params"])
-    return last["make"](params, deterministic=True), last["step"], time.perf_counter() - start_s
+    step, make_policy, params = last[0]
+    copied = jax.tree.map(lambda leaf: jnp.array(leaf), params)
+    return make_policy(copied, deterministic=True), step, time.perf_counter() - start_s
 
 
 def evaluate_policy(env: FleetEnv, act: Callable[[jax.Array], jax.Array]) -> StationFlight:
     """Fly all worlds of an environment's bank once, by a function of observations [W, 1, size]."""
 
-    def fly(env: FleetEnv) -> Any:
-        def step_env(carry: tuple[EnvState, jax.Array], __: None) -> Any:
+    def fly(env: FleetEnv) -> Flown:
+        def step_env(
+            carry: tuple[EnvState, jax.Array], __: None
+        ) -> tuple[tuple[EnvState, jax.Array], Flown]:
             state, observation = carry
             state, observation, _, terminated, _, info = env.step(state, act(observation))
             return (state, observation), (
@@ -140,7 +149,8 @@ def evaluate_policy(env: FleetEnv, act: Callable[[jax.Array], jax.Array]) -> Sta
                 terminated,
             )
 
-        return jax.lax.scan(step_env, env.reset(), length=env.rules.horizon)[1]
+        flown: Flown = jax.lax.scan(step_env, env.reset(), length=env.rules.horizon)[1]
+        return flown
 
     distance_m, energy, terminated = map(np.asarray, jax.jit(fly)(env))
     is_ended = np.cumsum(terminated, axis=0) - terminated > 0  # of the world that replaced it

@@ -31,13 +31,13 @@ STEPS = 100
 """Physics steps of the reported time: a second of simulated time of ours."""
 MIN_SPAN = 5.0
 """Least ratio of an axis of costs, from its end to its beginning."""
-PUBLISHED = {
-    "source": "Crazyflow 0.4.0, table in its README: RTX 4090, first-principles dynamics, one "
-    "drone in each world",
-    "worlds": (64, 1024, 16_384, 65_536, 262_144),
-    "rate": (1.2e6, 18.7e6, 257e6, 678e6, 914e6),
-}
-"""Published rates of others: other machines, another vehicle."""
+PUBLISHED_WORLDS = (64, 1024, 16_384, 65_536, 262_144)
+"""Numbers of worlds of published rates: other machines, another vehicle.
+
+Crazyflow 0.4.0, table in its README: RTX 4090, first-principles dynamics, one drone in each world.
+"""
+PUBLISHED_RATES = (1.2e6, 18.7e6, 257e6, 678e6, 914e6)
+"""Published rates of these numbers of worlds, vehicle-steps/s."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -252,11 +252,9 @@ def _plot_panel(axes: Axes, plot_line: PlotLine, quantity: str, label: str, colo
 
 
 def _plot_published(axes: Axes) -> None:
-    worlds: Any = PUBLISHED["worlds"]
-    rate: Any = PUBLISHED["rate"]
     axes.plot(
-        worlds,
-        [1e3 * n * STEPS / each for n, each in zip(worlds, rate, strict=True)],
+        PUBLISHED_WORLDS,
+        [1e3 * n * STEPS / rate for n, rate in zip(PUBLISHED_WORLDS, PUBLISHED_RATES, strict=True)],
         marker="x",
         markersize=4.5,
         linewidth=0.8,

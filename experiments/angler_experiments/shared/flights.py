@@ -134,7 +134,7 @@ def load_flight(path: Path) -> StudyFlight:
 def _to_float64[T](tree: T) -> T:
     """Return the same numbers as float64; the caller must enable float64 in JAX."""
 
-    def to_float64(leaf: Any) -> Any:
+    def to_float64(leaf: jax.Array) -> jax.Array:
         return leaf.astype(np.float64) if np.issubdtype(leaf.dtype, np.floating) else leaf
 
     doubled: T = jax.tree.map(to_float64, tree)

@@ -10,7 +10,7 @@ threshold (contact, arrival, edge of the region) lay between them.
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any
+from typing import Any, SupportsInt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -204,5 +204,5 @@ def _threshold_divergence(a: StudyFlight, b: StudyFlight, w: int, r: int, last: 
     return _Divergence(cause=cause, step=last, gap=gap)
 
 
-def _outcome_name(outcome: Any) -> str:
+def _outcome_name(outcome: SupportsInt) -> str:
     return Outcome(int(outcome)).name.lower()

@@ -20,10 +20,11 @@ from angler_mjx.runs.storage.atomic_files import replace_file
 from angler_mjx.runs.storage.device_to_host import FinishedTile
 from angler_mjx.runs.storage.folder import TRAJECTORIES, Run
 from angler_mjx.runs.storage.read_errors import wrap_read_errors
+from angler_mjx.runs.stored_arrays import stored_array
 from angler_mjx.sim.record import Sample
 from angler_mjx.sim.state import World, WorldState
 
-type Floats = NDArray[np.floating[Any]]
+type Floats = NDArray[np.floating]
 
 RECORDED = "recorded"
 """Name of the recorded flight of the run itself."""
@@ -60,14 +61,15 @@ def load_recorded(run: Run, world: int, robots: int) -> SpotcheckFlight:
         ConfigError: the run stored no trajectories, or is damaged.
     """
     rows = run.episodes.filter(pc.field("world") == world).to_pylist()[:robots]
-    stored: Any = run.trajectories
+    stored = run.trajectories
     with wrap_read_errors(run.path / TRAJECTORIES):
-        p = np.asarray(stored["p_m"][world], float)[:, :robots]
+        p = np.asarray(stored_array(stored, "p_m")[world], float)[:, :robots]
+        pwm_us = np.asarray(stored_array(stored, "pwm_us")[world, :, :robots])
         is_recorded = np.isfinite(p).all(axis=(1, 2))
         return SpotcheckFlight(
-            time_s=np.asarray(stored["time_s"], float)[is_recorded],
+            time_s=np.asarray(stored_array(stored, "time_s")[:], float)[is_recorded],
             p_m=p[is_recorded],
-            pwm_us=np.rint(stored["pwm_us"][world, :, :robots][is_recorded]).astype(np.int64),
+            pwm_us=np.rint(pwm_us[is_recorded]).astype(np.int64),
             rows=tuple(rows),
         )
 

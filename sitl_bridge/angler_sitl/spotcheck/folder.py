@@ -6,9 +6,10 @@ an interrupted spot check resumes with ``--resume`` after the last complete flig
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import TypedDict
 
 from angler_mjx.errors import ConfigError
+from angler_mjx.files import JsonTable
 from angler_mjx.runs.storage import output_lock, results_folder
 from angler_mjx.runs.storage.atomic_files import replace_file
 from angler_mjx.runs.storage.output_lock import OutputLock
@@ -17,6 +18,25 @@ from angler_mjx.runs.storage.read_errors import read_table, wrap_read_errors
 ADVICE = "put back a copy of it, or begin a new spot check"
 TABLE, FLIGHTS = "spotcheck.json", "flights"
 FOLDER_KIND = "spot check"
+
+
+class PickEntry(TypedDict):
+    """Picked world, and the reason."""
+
+    world: int
+    why: str
+
+
+class SpotcheckTable(TypedDict):
+    """Content of ``spotcheck.json``."""
+
+    asked: JsonTable
+    """Request; see `require_same_request`."""
+    complete: bool
+    picks: list[PickEntry]
+    likeness: dict[str, str]
+    """Likeness of each rebuilt world, in words."""
+    provenance: JsonTable
 
 
 def create_folder(out: Path) -> OutputLock:
@@ -34,7 +54,7 @@ def create_folder(out: Path) -> OutputLock:
     return output_lock.acquire(out, kind=FOLDER_KIND, advise=results_folder.resumable_by(TABLE))
 
 
-def reopen_folder(out: Path, request: dict[str, Any]) -> tuple[OutputLock, dict[str, Any]]:
+def reopen_folder(out: Path, request: JsonTable) -> tuple[OutputLock, SpotcheckTable]:
     """Take up an interrupted spot check, and its table; see `results_folder.resume_folder`.
 
     Args:
@@ -45,7 +65,7 @@ def reopen_folder(out: Path, request: dict[str, Any]) -> tuple[OutputLock, dict[
         ConfigError: there is none, it is complete, or its request differs.
     """
 
-    def check(building: Path) -> dict[str, Any]:
+    def check(building: Path) -> SpotcheckTable:
         table = load_table(building)
         require_same_request(out, table, request)
         return table
@@ -62,7 +82,7 @@ def reopen_folder(out: Path, request: dict[str, Any]) -> tuple[OutputLock, dict[
     )
 
 
-def require_same_request(out: Path, table: dict[str, Any], request: dict[str, Any]) -> None:
+def require_same_request(out: Path, table: SpotcheckTable, request: JsonTable) -> None:
     """Refuse to resume a spot check with a different request.
 
     Args:
@@ -74,14 +94,15 @@ def require_same_request(out: Path, table: dict[str, Any], request: dict[str, An
         ConfigError: naming the difference.
     """
     for key, value in request.items():
-        if table["asked"].get(key) != value:
+        stored = table["asked"].get(key)
+        if stored != value:
             raise ConfigError(
-                f"--resume {out}: was begun with {key} = {table['asked'].get(key)}, not {value}; "
+                f"--resume {out}: was begun with {key} = {stored}, not {value}; "
                 "give the same arguments"
             )
 
 
-def load_table(out: Path) -> dict[str, Any]:
+def load_table(out: Path) -> SpotcheckTable:
     """Load ``spotcheck.json``.
 
     Raises:
@@ -95,10 +116,16 @@ def load_table(out: Path) -> dict[str, Any]:
         for pick in table["picks"]:
             if not isinstance(pick["world"], int) or not isinstance(pick["why"], str):
                 raise TypeError("picks holds something else than worlds")
-    return table
+        return SpotcheckTable(
+            asked=table["asked"],
+            complete=table["complete"],
+            picks=table["picks"],
+            likeness=table.get("likeness", {}),
+            provenance=table.get("provenance", {}),
+        )
 
 
-def save_table(out: Path, table: dict[str, Any]) -> None:
+def save_table(out: Path, table: SpotcheckTable) -> None:
     """Write ``spotcheck.json`` atomically."""
     save_text(out / TABLE, json.dumps(table, indent=1) + "\n")
 

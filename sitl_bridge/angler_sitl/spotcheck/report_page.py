@@ -5,7 +5,6 @@ import io
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from angler_mjx.report.plotting.style import save_figure
 from angler_mjx.report.viewing.markdown_tables import format_table
@@ -189,7 +188,9 @@ def format_outcome_table(result: SpotcheckResult) -> str:
     return format_table(["flown by", "robots", "with a plan", *occurring], body)
 
 
-def _format_counts(group_rows: Sequence[Mapping[str, Any]], occurring: Sequence[str]) -> list[str]:
+def _format_counts(
+    group_rows: Sequence[Mapping[str, object]], occurring: Sequence[str]
+) -> list[str]:
     """Return the number of robots with a plan, and the number with each outcome."""
     outcomes = [row["outcome"] for row in group_rows]
     numbers = (sum(bool(row["planned"]) for row in group_rows), *map(outcomes.count, occurring))

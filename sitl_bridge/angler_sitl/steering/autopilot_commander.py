@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -210,6 +209,6 @@ def mode_name(number: int | None) -> str:
 def _rotate_to_body(q: Floats, v: Floats) -> Floats:
     """Rotate vectors from W to F; [R] leads."""
     w, axis = q[:, :1], -q[:, 1:]
-    twice_cross: Any = 2.0 * np.cross(axis, v)
+    twice_cross = 2.0 * np.cross(axis, v)
     rotated: Floats = v + w * twice_cross + np.cross(axis, twice_cross)
     return rotated

@@ -6,7 +6,6 @@ noise to gyroscopes and accelerometers in either case, but none to external navi
 """
 
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,8 +14,9 @@ import numpy as np
 from angler_mjx.frames import quaternion_enu_to_ned, vector_enu_to_ned
 from angler_mjx.runs.session.interface import Floats
 from angler_mjx.sim import sensing
+from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.record import Belief
-from angler_mjx.sim.state import SensingMemory, SimSpec, World
+from angler_mjx.sim.state import FleetWorld, SensingMemory, SimSpec
 from angler_sitl.scene.scene import AutopilotScene
 from angler_sitl.steering.autopilot_commander import NavigationFix
 
@@ -87,13 +87,17 @@ def rotate_to_world(q: Floats, nu: Floats) -> Floats:
     return rotated
 
 
-def _reset_sensing(spec: SimSpec, worlds: World, vehicles: Any) -> InstrumentMemory:
+def _reset_sensing(spec: SimSpec, worlds: FleetWorld, vehicles: VehicleState) -> InstrumentMemory:
     world, now = jax.tree.map(lambda leaf: leaf[0], (worlds, vehicles))
     return sensing.reset(spec, world, now)
 
 
 def _step_sensing(
-    spec: SimSpec, worlds: World, memory: InstrumentMemory, number: jax.Array, vehicles: Any
+    spec: SimSpec,
+    worlds: FleetWorld,
+    memory: InstrumentMemory,
+    number: jax.Array,
+    vehicles: VehicleState,
 ) -> tuple[InstrumentMemory, Belief]:
     world, now = jax.tree.map(lambda leaf: leaf[0], (worlds, vehicles))
     flow = jnp.zeros_like(now.p)

@@ -12,6 +12,7 @@ import numpy as np
 from angler_experiments.learned_planner.evaluate.lookahead import LookaheadSimulator
 from angler_experiments.learned_planner.evaluate.rows import POINTS, Sea, build_scenario
 from angler_experiments.learned_planner.planner import LearnedPlanner, LearnedSettings
+from angler_mjx.files import JsonTable
 from angler_mjx.planning.device_planner import build_device_planner
 from angler_mjx.planning.planner import Path, PathShape
 from angler_mjx.planning.problem import Problem
@@ -68,7 +69,7 @@ class EvaluationCourse:
             "compiled"
         )
 
-    def fly_all(self, planners: Mapping[str, dict[str, Any]]) -> Iterator[tuple[str, CourseRow]]:
+    def fly_all(self, planners: Mapping[str, JsonTable]) -> Iterator[tuple[str, CourseRow]]:
         """Yield rows of planners; all are compiled in parallel before any is timed.
 
         Args:
@@ -85,7 +86,7 @@ class EvaluationCourse:
             plan, compile_s = program.result()
             yield name, self._make_row(plan, compile_s)
 
-    def _begin_compile(self, compiler: ParallelCompiler, planner: dict[str, Any]) -> PendingProgram:
+    def _begin_compile(self, compiler: ParallelCompiler, planner: JsonTable) -> PendingProgram:
         planner_scenario = build_scenario(self.sea, planner, self.worlds)
         spec = planner_scenario.planner.planner_spec()
         information = planner_scenario.planner.information.to_information()
