@@ -12,7 +12,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -179,21 +178,14 @@ def main(minutes: float = 10.0, worlds: int = 256, seed: int = 0, smoke: bool = 
             worlds=8, bank=8, evaluation_worlds=8, minutes=0.0, unroll=5, batch=8, minibatches=1
         )
     simulator = Simulator(load_scenario(SCENARIO), tile=size.evaluation_worlds)
-    common: dict[str, Any] = {"aim": "start", "observe": OBSERVATION, "reward": REWARD}
-    env = make_env(
-        simulator, worlds=size.worlds, bank=size.bank, action="twist", scale=SPEED_SCALE, **common
-    )
+    build_env = partial(make_env, simulator, aim="start", observe=OBSERVATION, reward=REWARD)
+    env = build_env(worlds=size.worlds, bank=size.bank, action="twist", scale=SPEED_SCALE)
     policy, steps, seconds = train(env, size, seed)
     print(f"trained on {steps:,} control steps in {seconds:.0f} s", flush=True)
-    evaluation_options: dict[str, Any] = {
-        "worlds": size.evaluation_worlds,
-        "bank": size.evaluation_worlds,
-        "seed": EVALUATION_SEED,
-        **common,
-    }
-    learner = make_env(simulator, action="twist", scale=SPEED_SCALE, **evaluation_options)
+    build_evaluation = partial(build_env, worlds=size.evaluation_worlds, seed=EVALUATION_SEED)
+    learner = build_evaluation(action="twist", scale=SPEED_SCALE, bank=size.evaluation_worlds)
     agent = evaluate_policy(learner, lambda observation: policy(observation, jax.random.key(0))[0])
-    cascade_env = make_env(simulator, action="pose", **{**evaluation_options, "bank": learner.bank})
+    cascade_env = build_evaluation(action="pose", bank=learner.bank)
     cascade = evaluate_policy(cascade_env, lambda observation: jnp.zeros(cascade_env.action_shape))
     print(agent.format_line("PPO"))
     print(cascade.format_line("cascade"))

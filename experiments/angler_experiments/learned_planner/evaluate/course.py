@@ -4,7 +4,6 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from typing import Any
 
 import jax
 import numpy as np
@@ -47,7 +46,7 @@ class CourseRow:
     ended: Mapping[str, float]
     """Fraction of robots by outcome."""
 
-    def table(self) -> dict[str, Any]:
+    def table(self) -> dict[str, object]:
         """Return the row as a table for a file."""
         return asdict(self)
 
@@ -94,7 +93,7 @@ class EvaluationCourse:
         return compiler.begin(CompiledFunction(device_planner.plan_batch), self.problems)
 
     def fly_ahead(
-        self, settings: dict[str, Any], teams: int, current_level: InformationLevel
+        self, settings: LearnedSettings, teams: int, current_level: InformationLevel
     ) -> CourseRow:
         """Return the row of the learned planner with several answers flown ahead.
 
@@ -109,7 +108,7 @@ class EvaluationCourse:
             grid_scenario.planner.information.to_information(), current=current_level
         )
         _, flight_problems = self.simulator.sample_problems(0, information=information)
-        planner = LearnedPlanner(LearnedSettings(points=POINTS, **settings))
+        planner = LearnedPlanner(replace(settings, points=POINTS))
         start_s = time.perf_counter()
         plan_function = CompiledFunction(partial(planner.plan_teams, teams=teams))
         program = plan_function.lower(self.problems).compile()
