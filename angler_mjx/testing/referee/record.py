@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 import zarr
@@ -152,6 +152,16 @@ _STEP_KEYS = ("position_mm", "velocity_mmps", "attitude_mrad", "force_mn", "pwm_
 """Keys of the scenario's ``[store]`` by which states are rounded."""
 
 
+class BreakdownsTable(TypedDict, total=False):
+    """Table ``breakdowns`` of ``config.json``."""
+
+    fraction: float
+    share: float
+    """Former name of ``fraction``."""
+    earliest_s: float
+    latest_s: float | None
+
+
 def open_run(path: Path) -> RefereeRun:
     """Open a run folder.
 
@@ -181,15 +191,9 @@ def open_run(path: Path) -> RefereeRun:
         copies = read_copies(path / "inputs")
         fleet = [(vehicles.read_robot(entry, copies), entry["count"]) for entry in config["fleet"]]
         robots = tuple(robot for robot, count in fleet for _ in range(count))
-        settings: dict[str, Any] = {
-            "control_dt_s": dt,
-            "every": round(1.0 / (hz * dt)),
-            "horizon_steps": round(float(timing["horizon_s"]) / dt),
-            "goal_tolerance_m": float(config["goal_tolerance_m"]),
-            "planned_worlds": int(config["worlds"]),
-            "task": teamwork.read_rules(config),
-            "breakdowns_s": _breakdowns_s(config.get("breakdowns", {}), float(timing["horizon_s"])),
-        }
+        horizon_s, goal_tolerance_m = float(timing["horizon_s"]), float(config["goal_tolerance_m"])
+        task, planned_worlds = teamwork.read_rules(config), int(config["worlds"])
+        breakdowns_s = _breakdowns_s(config.get("breakdowns", {}), horizon_s)
     variants: Sequence[StoredVariant] = ()
     randomisation = config.get("randomise", {})
     if randomisation.get("battery_v") or randomisation.get(
@@ -199,10 +203,7 @@ def open_run(path: Path) -> RefereeRun:
     with reporting_damage(path / "trajectories.zarr"):
         group = zarr.open_group(path / "trajectories.zarr", mode="r")
         whole = _require_array(group, "pwm_us").dtype.kind in "iu"
-    has_task, is_single_scene = (
-        settings["task"] is not None,
-        _is_single_scene(path / "summary.json"),
-    )
+    has_task, is_single_scene = task is not None, _is_single_scene(path / "summary.json")
     rows = read_rows(path / "episodes.parquet", len(robots), has_task=has_task)
     return RefereeRun(
         path=path,
@@ -211,23 +212,27 @@ def open_run(path: Path) -> RefereeRun:
         rows=rows,
         has_flown_plans="plan_time_s" in group
         and not (has_task or is_single_scene)
-        and _flies_stored_plans(path, config),
+        and not config.get("planner", {}).get("replan_hz", 0.0)
+        and _follows_plans(path / "policy.json"),
         is_single_scene=is_single_scene,
         whole_us=whole,
         group=group,
-        **settings,
+        control_dt_s=dt,
+        every=round(1.0 / (hz * dt)),
+        horizon_steps=round(horizon_s / dt),
+        goal_tolerance_m=goal_tolerance_m,
+        planned_worlds=planned_worlds,
+        task=task,
+        breakdowns_s=breakdowns_s,
     )
 
 
-def _flies_stored_plans(path: Path, config: Mapping[str, Any]) -> bool:
-    """Return whether the robots of a run fly the plans that are stored with it."""
-    if config.get("planner", {}).get("replan_hz", 0.0):
-        return False
-    policy = path / "policy.json"
+def _follows_plans(policy: Path) -> bool:
+    """Return whether the robots of a run follow plans, and no other policy."""
     return not policy.exists() or str(read_json(policy).get("class")).endswith(".Online")
 
 
-def _breakdowns_s(table: Mapping[str, Any], horizon_s: float) -> tuple[float, float] | None:
+def _breakdowns_s(table: BreakdownsTable, horizon_s: float) -> tuple[float, float] | None:
     if not table.get("fraction", table.get("share")):
         return None
     latest = table["latest_s"]

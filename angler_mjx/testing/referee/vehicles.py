@@ -4,7 +4,7 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any, NotRequired, TypedDict
 
 import numpy as np
 
@@ -40,6 +40,16 @@ class ThrusterPower:
     """[v]."""
     power_w: Floats
     """[n, v]; n as the signals."""
+
+
+class FleetTable(TypedDict):
+    """Entry of ``fleet`` in ``config.json``."""
+
+    vehicle: str
+    battery_v: float
+    thruster_health: NotRequired[Mapping[str, float] | None]
+    parameter_set: NotRequired[str | None]
+    parameter_mix: NotRequired[Mapping[str, float] | None]
 
 
 class StoredVariant(TypedDict):
@@ -96,7 +106,7 @@ class RefereeRobot:
         return low, high
 
 
-def read_robot(entry: Mapping[str, Any], copies: Mapping[str, Path]) -> RefereeRobot:
+def read_robot(entry: FleetTable, copies: Mapping[str, Path]) -> RefereeRobot:
     """Read the robot of an entry of ``fleet`` in a run's config.
 
     Args:

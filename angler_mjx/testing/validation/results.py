@@ -30,6 +30,19 @@ class MeasurementMetadata(FileModel):
     exit_status: int = 0
 
 
+def format_provenance(about: MeasurementMetadata) -> str:
+    """Return one sentence: place, date and commit of a measurement."""
+    where = about.device if about.backend != "cpu" else about.processor or "CPU"
+    cores = f", {about.cpu_count} cores" if about.backend == "cpu" else ""
+    commit = about.commit or "unknown"
+    changed = " and changes that were not committed" if commit.endswith("-changed") else ""
+    flags = f", `XLA_FLAGS={about.xla_flags}`" if about.xla_flags else ""
+    return (
+        f"{about.at_utc[:10]}, {where}{cores}, jax {about.versions.get('jax')}, "
+        f"commit {commit.removesuffix('-changed')[:9]}{changed}{flags}"
+    )
+
+
 class Deviation(FileModel):
     """Max value measured by the tests for one term."""
 
