@@ -166,30 +166,15 @@ def _descend(
     return costs, theta
 
 
-def main(
-    scenario: str = "reef_fleet",
-    worlds: int = 16,
-    seconds: float = 10.0,
-    iterations: int = 40,
-    rate: float = 0.1,
-) -> TuningResult:
-    """Tune the gains of a scenario's cascade, and print them before and after.
-
-    Args:
-        scenario: name of a shipped scenario, or path of a file.
-        worlds: number of worlds to tune on.
-        seconds: length of the rollouts.
-        iterations: iterations of Adam.
-        rate: greatest change of a gain's logarithm in an iteration.
-    """
-    result = tune(scenario, worlds, seconds, iterations, rate)
+def main() -> None:
+    """Tune the gains of a scenario, and print them before and after."""
+    result = tyro.cli(tune)
     print(f"compiled in {result.compile_s:.0f} s, tuned in {result.tune_s:.1f} s")
     for name, before in result.before.items():
         print(f"{name}: {before:.3g} -> {result.after[name]:.3g}")
     rms = [1e2 * cost**0.5 for cost in result.unseen_m2]
     print(f"root mean square tracking error, other worlds: {rms[0]:.2f} cm -> {rms[1]:.2f} cm")
-    return result
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    main()

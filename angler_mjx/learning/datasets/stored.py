@@ -10,7 +10,6 @@ import threading
 from collections import OrderedDict
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import google_crc32c
 import numpy as np
@@ -61,8 +60,8 @@ class StoredArray:
         """
         self.path = path
         with wrap_read_errors(path / "zarr.json"):
-            metadata = json.loads((path / "zarr.json").read_text(encoding="utf-8"))
-            self._source = _parse_format(metadata) or zarr.open_array(path, mode="r")
+            text = (path / "zarr.json").read_text(encoding="utf-8")
+            self._source = _parse_format(text) or zarr.open_array(path, mode="r")
         self.shape: tuple[int, ...] = tuple(self._source.shape)
         self.dtype: np.dtype = np.dtype(self._source.dtype)
         self._init_cache()
@@ -184,8 +183,13 @@ class StoredArray:
         return file, index
 
 
-def _parse_format(metadata: dict[str, Any]) -> _ArrayFormat | None:
-    """Return the format of an array of our own recorder; None for any other."""
+def _parse_format(text: str) -> _ArrayFormat | None:
+    """Return the format of an array of our own recorder by its ``zarr.json``; None for any other.
+
+    Raises:
+        ValueError: the text is not JSON.
+    """
+    metadata = json.loads(text)
     try:
         (outer,) = metadata["codecs"]
         inner = outer["configuration"]["codecs"]

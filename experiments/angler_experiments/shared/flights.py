@@ -7,11 +7,9 @@ and the outcome of each robot. It goes through a file, so that the two runs can 
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np
-from numpy.typing import NDArray
 
 from angler_mjx.robot.control import plans
 from angler_mjx.runs.simulator.simulator import Simulator
@@ -21,7 +19,7 @@ from angler_mjx.sim.fleet import Fleet
 from angler_mjx.sim.record import Sample
 from angler_mjx.sim.state import World, WorldState
 
-type Array = NDArray[Any]
+type Array = np.ndarray
 
 
 @dataclass(frozen=True, kw_only=True)

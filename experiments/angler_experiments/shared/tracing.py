@@ -10,15 +10,14 @@ threshold (contact, arrival, edge of the region) lay between them.
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any, SupportsInt
+from typing import SupportsInt
 
 import numpy as np
-from numpy.typing import NDArray
 
 from angler_experiments.shared.flights import StudyFlight
 from angler_mjx.sim.state import Outcome, Touched
 
-type Array = NDArray[Any]
+type Array = np.ndarray
 
 PLAN_M = 1e-3
 """Distance beyond which two plans differ: the planner has cells of metres."""

@@ -8,7 +8,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TypedDict
 
 import jax
 import numpy as np
@@ -30,6 +30,17 @@ RECORDED = "recorded"
 """Name of the recorded flight of the run itself."""
 
 
+class FlightRow(TypedDict):
+    """Row of a robot in ``episodes.parquet``; the columns that reports use."""
+
+    vehicle: str
+    parameter_set: str
+    planned: bool
+    outcome: str
+    failure_pair: str
+    min_clearance_m: float
+
+
 @dataclass(frozen=True, kw_only=True)
 class SpotcheckFlight:
     """One flight of one world; [T] samples and [R] robots lead."""
@@ -40,7 +51,7 @@ class SpotcheckFlight:
     """[T, R, 3] centres of mass in W."""
     pwm_us: NDArray[np.int64]
     """[T, R, n_thruster]; 1500 in padding columns."""
-    rows: tuple[dict[str, Any], ...]
+    rows: tuple[FlightRow, ...]
     """Row of each robot, as in ``episodes.parquet``."""
 
     @property

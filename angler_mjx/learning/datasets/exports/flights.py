@@ -154,7 +154,7 @@ def _build_flight(
         episode=number,
         robot=robot,
         outcome=episode.outcomes[robot],
-        split=about["split"],
+        split=str(about["split"]),
         task=f"reach the goal, {about['scene']}, {about['robots']} robots",
         time_s=episode.time_s[:steps].astype(np.float32),
         state=np.concatenate(state, axis=1).astype(np.float32),
