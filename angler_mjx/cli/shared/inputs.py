@@ -1,11 +1,10 @@
 """Scenarios of a command line: a file, and flags that replace its keys."""
 
-from collections.abc import Mapping
 from dataclasses import fields
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, get_args
 
 from angler_mjx.errors import ConfigError, RunError, format_value
-from angler_mjx.files import format_path
+from angler_mjx.files import JsonTable, format_path
 
 if TYPE_CHECKING:
     from angler_mjx.scenario.scenario import Scenario
@@ -113,7 +112,7 @@ def require_positive(key: str, value: int | None) -> int | None:
     return value
 
 
-def require_plans(planning: Mapping[str, Any] | None, source: str) -> None:
+def require_plans(planning: JsonTable | None, source: str) -> None:
     """Refuse to end a command as successful when its planner raised in every world.
 
     Args:

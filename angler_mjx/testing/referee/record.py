@@ -192,7 +192,9 @@ def open_run(path: Path) -> RefereeRun:
         fleet = [(vehicles.read_robot(entry, copies), entry["count"]) for entry in config["fleet"]]
         robots = tuple(robot for robot, count in fleet for _ in range(count))
         horizon_s, goal_tolerance_m = float(timing["horizon_s"]), float(config["goal_tolerance_m"])
-        task, planned_worlds = teamwork.read_rules(config), int(config["worlds"])
+        acoustics = config.get("acoustics", {}).get("model", "perfect")
+        task = teamwork.read_rules(config.get("task", {}), dt, acoustics)
+        planned_worlds = int(config["worlds"])
         breakdowns_s = _breakdowns_s(config.get("breakdowns", {}), horizon_s)
     variants: Sequence[StoredVariant] = ()
     randomisation = config.get("randomise", {})
