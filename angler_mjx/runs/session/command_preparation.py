@@ -29,7 +29,7 @@ from angler_mjx.runs.session.command_slots import CommandSlots
 from angler_mjx.runs.session.command_validation import CommandLimits
 from angler_mjx.runs.session.interface import Floats, SessionCommand
 from angler_mjx.runs.session.robot_plan import RobotPlan
-from angler_mjx.runs.session.state_view import StateView
+from angler_mjx.runs.session.state_view import StateView, rotate_vectors
 from angler_mjx.scenario.scenario import Scenario
 
 CLEARANCE_SLACK_M = 1e-3
@@ -193,11 +193,7 @@ def _current_joints(slots: CommandSlots, view: StateView, robot: int) -> tuple[F
 
 def ground_velocity(view: StateView, robot: int) -> Floats:
     """Return the velocity [3] in W."""
-    w, axis = float(view.q[robot, 0]), np.asarray(view.q[robot, 1:], float)
-    v = np.asarray(view.nu[robot, :3], float)
-    half_turn = 2.0 * np.cross(axis, v)
-    velocity: Floats = v + w * half_turn + np.cross(axis, half_turn)
-    return velocity
+    return rotate_vectors(np.asarray(view.q[robot], float), np.asarray(view.nu[robot, :3], float))
 
 
 def _straight_trajectory(

@@ -123,6 +123,14 @@ def _realised_wrench(vehicle: VehicleParams, pwm_us: jax.Array) -> jax.Array:
     return wrench
 
 
+def rotate_vectors(q: Floats, v: Floats) -> Floats:
+    """Rotate vectors [..., 3] from F to W on the host, at attitudes [..., 4]."""
+    w, axis = q[..., :1], q[..., 1:]
+    twice_cross = 2.0 * np.cross(axis, v)
+    rotated: Floats = v + w * twice_cross + np.cross(axis, twice_cross)
+    return rotated
+
+
 def apply_belief(view: StateView, belief: Belief | None) -> StateView:
     """Return the view with the controllers' estimate: the only source of the estimate.
 

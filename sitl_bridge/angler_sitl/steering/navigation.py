@@ -13,6 +13,7 @@ import numpy as np
 
 from angler_mjx.frames import quaternion_enu_to_ned, vector_enu_to_ned
 from angler_mjx.runs.session.interface import Floats
+from angler_mjx.runs.session.state_view import rotate_vectors
 from angler_mjx.sim import sensing
 from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.record import Belief
@@ -73,18 +74,10 @@ class Navigation:
         return (
             vector_enu_to_ned(np.asarray(belief.p, float)),
             quaternion_enu_to_ned(q),
-            vector_enu_to_ned(rotate_to_world(q, nu)),
+            vector_enu_to_ned(rotate_vectors(q, nu[..., :3])),
             # A standard deviation has no sign.
             *(np.abs(vector_enu_to_ned(np.asarray(spread, float))) for spread in spreads),
         )
-
-
-def rotate_to_world(q: Floats, nu: Floats) -> Floats:
-    """Return linear velocity [..., 3] in W of nu [..., 6] in F, at an attitude [..., 4]."""
-    w, axis, v = q[..., :1], q[..., 1:], nu[..., :3]
-    twice_cross = 2.0 * np.cross(axis, v)
-    rotated: Floats = v + w * twice_cross + np.cross(axis, twice_cross)
-    return rotated
 
 
 def _reset_sensing(spec: SimSpec, worlds: FleetWorld, vehicles: VehicleState) -> InstrumentMemory:
