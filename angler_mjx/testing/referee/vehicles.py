@@ -52,12 +52,10 @@ class FleetTable(TypedDict):
     parameter_mix: NotRequired[Mapping[str, float] | None]
 
 
-class StoredVariant(TypedDict):
-    """Row of ``variants.json``."""
-
-    battery_v: float
-    drawn: Mapping[str, Sequence[float]]
-    """Sampled values by name."""
+StoredVariant = TypedDict(  # noqa: UP013 - keys of files are no names
+    "StoredVariant", {"battery_v": float, "drawn": Mapping[str, Sequence[float]]}
+)
+"""Row of ``variants.json``: voltage, and sampled values by name."""
 
 
 @dataclass(frozen=True, kw_only=True)

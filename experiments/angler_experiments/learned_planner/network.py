@@ -46,24 +46,26 @@ class Block(TypedDict):
     back: Dense
 
 
-class Params(TypedDict):
-    """Numbers of the network."""
-
-    gap: Dense
-    gap_on: Dense
-    own: Dense
-    water: Dense
-    place: jax.Array
-    """[slices, units]."""
-    pair: Dense
-    pair_on: Dense
-    body: Dense
-    body_score: Dense
-    body_on: Dense
-    way: Dense
-    time: Dense
-    blocks: list[Block]
-    out: Dense
+Params = TypedDict(  # noqa: UP013 - keys of files are no names
+    "Params",
+    {
+        "gap": Dense,
+        "gap_on": Dense,
+        "own": Dense,
+        "water": Dense,
+        "place": jax.Array,
+        "pair": Dense,
+        "pair_on": Dense,
+        "body": Dense,
+        "body_score": Dense,
+        "body_on": Dense,
+        "way": Dense,
+        "time": Dense,
+        "blocks": list[Block],
+        "out": Dense,
+    },
+)
+"""Numbers of the network; ``place`` is [slices, units]."""
 
 
 _N_TIME_FREQUENCIES = 8

@@ -27,16 +27,17 @@ class PickEntry(TypedDict):
     why: str
 
 
-class SpotcheckTable(TypedDict):
-    """Content of ``spotcheck.json``."""
-
-    asked: JsonTable
-    """Request; see `require_same_request`."""
-    complete: bool
-    picks: list[PickEntry]
-    likeness: dict[str, str]
-    """Likeness of each rebuilt world, in words."""
-    provenance: JsonTable
+SpotcheckTable = TypedDict(  # noqa: UP013 - keys of files are no names
+    "SpotcheckTable",
+    {
+        "asked": JsonTable,
+        "complete": bool,
+        "picks": list[PickEntry],
+        "likeness": dict[str, str],
+        "provenance": JsonTable,
+    },
+)
+"""Content of ``spotcheck.json``: request, picked worlds, likeness of each rebuilt world."""
 
 
 def create_folder(out: Path) -> OutputLock:
@@ -116,13 +117,13 @@ def load_table(out: Path) -> SpotcheckTable:
         for pick in table["picks"]:
             if not isinstance(pick["world"], int) or not isinstance(pick["why"], str):
                 raise TypeError("picks holds something else than worlds")
-        return SpotcheckTable(
-            asked=table["asked"],
-            complete=table["complete"],
-            picks=table["picks"],
-            likeness=table.get("likeness", {}),
-            provenance=table.get("provenance", {}),
-        )
+        return {
+            "asked": table["asked"],
+            "complete": table["complete"],
+            "picks": table["picks"],
+            "likeness": table.get("likeness", {}),
+            "provenance": table.get("provenance", {}),
+        }
 
 
 def save_table(out: Path, table: SpotcheckTable) -> None:
