@@ -1,13 +1,18 @@
 """`angler bench`: speed of this machine, as a table and as JSON lines; comparison and charts."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from angler_mjx.cli.shared.device import Device, choose_device
 from angler_mjx.errors import ConfigError, RunError
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
+    from angler_mjx.studies.speed.compare import SpeedRatio
+    from angler_mjx.studies.speed.roofline import DeviceSpeed
     from angler_mjx.studies.speed.rows import SpeedRow
+    from angler_mjx.studies.speed.workloads import SpeedRequest, WorkloadCase
 
 RESULTS_PATH = Path("benchmarks/results.jsonl")
 CHART_PATH = Path("docs/images/performance.png")
@@ -84,7 +89,7 @@ def bench(
         _run_measurements(request, out or RESULTS_PATH)
 
 
-def _run_measurements(request: Any, out: Path) -> None:
+def _run_measurements(request: "SpeedRequest", out: Path) -> None:
     from rich.console import Console
 
     from angler_mjx.studies.speed import roofline, workloads
@@ -102,7 +107,7 @@ def _run_measurements(request: Any, out: Path) -> None:
     )
     machine = describe_conditions(device)
 
-    def report_case(case: Any) -> None:
+    def report_case(case: "WorkloadCase") -> None:
         console.print(f"{case.label}, {case.worlds} x {case.robots} ...", style="dim")
 
     rows = []
@@ -116,7 +121,7 @@ def _run_measurements(request: Any, out: Path) -> None:
         raise RunError(f"{len(refused)} of {len(rows)} rows were refused; the reasons stand above")
 
 
-def _print_rows(rows: "list[SpeedRow]", device: Any) -> None:
+def _print_rows(rows: "list[SpeedRow]", device: "DeviceSpeed") -> None:
     from rich.console import Console
 
     from angler_mjx.cli.shared.text_table import build_text_table as text_table
@@ -155,7 +160,7 @@ def _print_rows(rows: "list[SpeedRow]", device: Any) -> None:
         console.print(line, highlight=False)
 
 
-def _build_seconds_table(rows: "list[SpeedRow]") -> Any:
+def _build_seconds_table(rows: "list[SpeedRow]") -> "Table":
     """Return a table of the compile times, cold and cached side by side."""
     from angler_mjx.cli.shared.text_table import build_text_table as text_table
 
@@ -187,7 +192,7 @@ def _format_recording(row: "SpeedRow") -> str:
     )
 
 
-def _format_size(row: Any) -> str:
+def _format_size(row: "SpeedRow | SpeedRatio") -> str:
     """Return the worlds and robots of a row or a ratio."""
     size = f"{row.worlds:,} x {row.robots}"
     return size if row.devices == 1 else f"{row.devices} devices x {size}"
@@ -228,7 +233,7 @@ def _format_median(median: float, unit: str) -> str:
     return f"{median:.2f} s" if unit == "s" else f"{median:.2e} {unit}"
 
 
-def _format_interval(row: Any) -> str:
+def _format_interval(row: "SpeedRatio") -> str:
     """Return the min and max ratio over the repeats; empty for a single repeat."""
     if row.repeats == 1:
         return "measured once"

@@ -1,11 +1,15 @@
 """`angler control`: trials of the controllers, as tables, figures and seeds."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from angler_mjx.cli.shared.device import Device, choose_device
 from angler_mjx.errors import ConfigError
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 
 def control(
@@ -87,17 +91,12 @@ def _fly_trials(names: Sequence[str], n_samples: int, out: Path | None) -> None:
     print(out)
 
 
-def _progress_bar(console: Any, n_samples: int) -> Any:
-    """Return a progress bar of samples; it yields a function of the number just done."""
-    from contextlib import contextmanager
-
+@contextmanager
+def _progress_bar(console: "Console", n_samples: int) -> Iterator[Callable[[int], None]]:
+    """Show a progress bar of samples; yields a function of the number just done."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
-    @contextmanager
-    def bar() -> Any:
-        columns = (BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-        with Progress(*columns, console=console, transient=True) as display:
-            task = display.add_task("samples", total=n_samples, visible=n_samples > 0)
-            yield lambda count: display.advance(task, count)
-
-    return bar()
+    columns = (BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True) as display:
+        task = display.add_task("samples", total=n_samples, visible=n_samples > 0)
+        yield lambda count: display.advance(task, count)

@@ -1,7 +1,7 @@
 """`angler env`: generate environments into a file, and render one of them."""
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import tyro
 
@@ -53,7 +53,7 @@ def make_environments(
     from angler_mjx.runs.storage import environments as store
     from angler_mjx.world.config import WorldConfig
 
-    options: dict[str, Any] = {"preset": preset, "density": density, "placement": placement}
+    options = {"preset": preset, "density": density, "placement": placement}
     data = {key: value for key, value in options.items() if value is not None}
     config = parse_model(WorldConfig, data, source="flags of angler env make")
     columns = ("worlds", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
@@ -81,14 +81,14 @@ def show_environment(
     from angler_mjx.report.plotting import style
     from angler_mjx.report.viewing import environment_figure
     from angler_mjx.runs.storage import environments as store
+    from angler_mjx.runs.stored_arrays import stored_array
 
     style.require_format(out)
     group = store.open_environments(file)
-    valid: Any = group["valid"]
-    count = valid.shape[0]
+    count = stored_array(group, "valid").shape[0]
     if not 0 <= index < count:
         raise ConfigError(f"--index {index}: {file} holds worlds 0 to {count - 1}")
-    config: Any = group.attrs.get("world_config")  # environments of a run have none
+    config = group.attrs.get("world_config")  # environments of a run have none
     name = str(config.get("preset", file.name)) if isinstance(config, dict) else file.name
     figure = environment_figure.plot_environment(
         store.read_environments(group, index), title=f"{name}, world {index}"

@@ -5,7 +5,7 @@ import time
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -13,6 +13,9 @@ from angler_mjx.cli.shared.device import Device, choose_device, keep_all_program
 from angler_mjx.cli.sitl.run import CommandLevel, PositionSource, require_sitl
 from angler_mjx.cli.sitl.run import build_opener as real_autopilots
 from angler_mjx.errors import ConfigError, RunError
+
+if TYPE_CHECKING:
+    from angler_mjx.runs.session.interface import Observation
 
 _EXIT_INTERRUPTED = 130
 """Exit code of a shell command after Ctrl-C."""
@@ -122,7 +125,7 @@ def fly(
         flyer = OnlineFlyer(scene)
         compile_s = time.perf_counter() - start_s
 
-        def report_step(observation: Any) -> None:
+        def report_step(observation: "Observation") -> None:
             if recording is not None:
                 recording.after(observation)
             if round(observation.time_s / scene.dt_s) % round(10.0 / scene.dt_s) == 0:

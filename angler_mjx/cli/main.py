@@ -9,7 +9,7 @@ import signal
 import sys
 import warnings
 from collections.abc import Callable, Sequence
-from typing import Any, TextIO
+from typing import TextIO
 
 import tyro
 
@@ -50,7 +50,7 @@ From 2 minutes on, XLA logs every compilation as an error, "Very slow compile? I
 bug", and has no other switch. Its true errors reach Python as exceptions, and fatal ones are
 logged."""
 
-GROUPS: dict[str, dict[str, Callable[..., Any]]] = {
+GROUPS: dict[str, dict[str, Callable[..., None]]] = {
     "dataset": {
         "make": dataset.make_dataset,
         "show": dataset.show_dataset,
@@ -104,7 +104,7 @@ def _dataset_group() -> None:
     """Make datasets of flights for learning planners, verify and show them."""
 
 
-COMMANDS: dict[str, Callable[..., Any]] = {
+COMMANDS: dict[str, Callable[..., None]] = {
     "rollout": rollout.rollout,
     "plan": plan.plan,
     "problems": plan.write_problems,

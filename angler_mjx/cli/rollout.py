@@ -2,6 +2,7 @@
 
 import json
 import sys
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -115,35 +116,31 @@ def rollout(
     }
     if planner is not None and plans is not None:
         raise ConfigError("--planner and --plans: give one of them; plans are made already")
-    overrides: dict[str, Any] = {
+    overrides: dict[str, object] = {
         key: value for key, value in flag_values.items() if value is not None
     }
     if record_hz is not None:
         overrides["time"] = {"record_hz": record_hz}
     if resume and overrides:
-        tables = ("time", "planner", "execution", "policy")
         override_keys = [
             key if x == "name" else x
-            for key in overrides
-            for x in (overrides[key] if key in tables else [key])
+            for key, value in overrides.items()
+            for x in (value if isinstance(value, dict) else [key])
         ]
         flags = ", ".join(dict.fromkeys(map(format_flag, override_keys)))
         raise ConfigError(f"--resume takes everything from the run folder; leave out {flags}")
     loaded = build_scenario(scenario) if resume else build_flyable_scenario(scenario, **overrides)
     out_path = out or Path("runs") / loaded.name
     with ProgressBar(quiet=json or process_group.index > 0) as bar:
-        options: dict[str, Any] = {
-            "chunk": chunk,
-            "progress": bar,
-            "devices": devices,
-            "processes": process_group,
-            "workers": require_positive("workers", workers),
-            "plans": plans,
-        }
-        run = (
-            runs.resume(out_path, scenario=loaded, **options)
-            if resume
-            else runs.rollout(loaded, out=out_path, **options)
+        fly = partial(runs.resume if resume else runs.rollout, scenario=loaded)
+        run = fly(
+            out=out_path,
+            chunk=chunk,
+            progress=bar,
+            devices=devices,
+            processes=process_group,
+            workers=require_positive("workers", workers),
+            plans=plans,
         )
     process_group.leave()
     if process_group.index == 0:

@@ -1,6 +1,6 @@
 """`angler warm`: compile the programs of a run, and run nothing."""
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import tyro
 
@@ -40,7 +40,7 @@ def warm(
     from angler_mjx.runs.simulator.simulator import Simulator
 
     flags = {"worlds": worlds, "engine": engine, "kernels": kernels, "tile": tile}
-    overrides: dict[str, Any] = {key: value for key, value in flags.items() if value is not None}
+    overrides: dict[str, object] = {key: value for key, value in flags.items() if value is not None}
     if record_hz is not None:
         overrides["time"] = {"record_hz": record_hz}
     simulator = Simulator(build_scenario(scenario, **overrides), devices=devices)

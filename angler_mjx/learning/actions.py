@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +10,9 @@ import numpy as np
 from angler_kernels import quaternion
 from angler_mjx.errors import ConfigError
 from angler_mjx.robot.control.commands import BodyTwist, BodyWrench, PoseTarget, ThrusterPwm
+from angler_mjx.robot.control.stack import Command
 from angler_mjx.sim.physics.step import VehicleState
+from angler_mjx.sim.record import Belief
 
 POSE_RANGE = (2.0, 2.0, 2.0, 3.14159265)
 """Range of the offset along forward, left (level), up, m, and of the heading, rad."""
@@ -23,7 +24,9 @@ PWM_RANGE_US = (400.0,)
 """Range of each thruster, us from neutral."""
 NEUTRAL_US = 1500.0
 
-type MakeCommand = Callable[[jax.Array, VehicleState, jax.Array, jax.Array], Any]
+type RobotMotion = VehicleState | Belief
+"""Motion of the robots, true or estimated."""
+type MakeCommand = Callable[[jax.Array, RobotMotion, jax.Array, jax.Array], Command | None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +45,7 @@ class ActionSpace:
     R, 3] and heading [W, R] of the aim."""
 
 
-def _make_no_command(_: jax.Array, __: VehicleState, ___: jax.Array, ____: jax.Array) -> None:
+def _make_no_command(_: jax.Array, __: RobotMotion, ___: jax.Array, ____: jax.Array) -> None:
     return None
 
 
@@ -54,7 +57,7 @@ def _rotate_by_heading(yaw_rad: jax.Array, offset: jax.Array) -> jax.Array:
 
 
 def _make_relative_pose(
-    a: jax.Array, robots: VehicleState, _: jax.Array, __: jax.Array
+    a: jax.Array, robots: RobotMotion, _: jax.Array, __: jax.Array
 ) -> PoseTarget:
     yaw = jax.vmap(jax.vmap(quaternion.yaw))(robots.q)
     return PoseTarget(
@@ -65,7 +68,7 @@ def _make_relative_pose(
 
 
 def _make_aim_pose(
-    a: jax.Array, robots: VehicleState, aim_m: jax.Array, yaw_rad: jax.Array
+    a: jax.Array, robots: RobotMotion, aim_m: jax.Array, yaw_rad: jax.Array
 ) -> PoseTarget:
     return PoseTarget(
         position_m=aim_m + _rotate_by_heading(yaw_rad, a[..., :3]),
@@ -74,15 +77,15 @@ def _make_aim_pose(
     )
 
 
-def _make_twist(a: jax.Array, _: VehicleState, __: jax.Array, ___: jax.Array) -> BodyTwist:
+def _make_twist(a: jax.Array, _: RobotMotion, __: jax.Array, ___: jax.Array) -> BodyTwist:
     return BodyTwist(nu=a)
 
 
-def _make_wrench(a: jax.Array, _: VehicleState, __: jax.Array, ___: jax.Array) -> BodyWrench:
+def _make_wrench(a: jax.Array, _: RobotMotion, __: jax.Array, ___: jax.Array) -> BodyWrench:
     return BodyWrench(tau=a)
 
 
-def _make_pwm(a: jax.Array, _: VehicleState, __: jax.Array, ___: jax.Array) -> ThrusterPwm:
+def _make_pwm(a: jax.Array, _: RobotMotion, __: jax.Array, ___: jax.Array) -> ThrusterPwm:
     return ThrusterPwm(pwm_us=NEUTRAL_US + a)
 
 
@@ -130,7 +133,7 @@ def build_action_space(
     )
 
 
-def check_actions(action: Any, shape: tuple[int, ...]) -> None:
+def check_actions(action: jax.Array | np.ndarray, shape: tuple[int, ...]) -> None:
     """Refuse actions of another shape, and numbers that are not finite where values are concrete.
 
     Raises:

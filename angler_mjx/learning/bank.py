@@ -1,7 +1,6 @@
 """Bank of sampled worlds that replace ended episodes without compiling again."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -66,15 +65,17 @@ def build_bank(simulator: Simulator, worlds: World, initial_states: list[WorldSt
     return WorldBank(worlds=adopted, initial_state=_concatenate(initial_states, count), laid=laid)
 
 
-def to_default_device(tree: Any) -> Any:
+def to_default_device[T](tree: T) -> T:
     """Move arrays from the mesh of a simulator's devices to the default device."""
-    return jax.tree.map(jnp.asarray, jax.device_get(tree))
+    moved: T = jax.tree.map(jnp.asarray, jax.device_get(tree))
+    return moved
 
 
-def _concatenate(tiles: list[Any], count: int) -> Any:
+def _concatenate[T](tiles: list[T], count: int) -> T:
     """Return the first ``count`` worlds of tiles."""
 
     def join_leaves(*leaves: np.ndarray) -> jax.Array:
         return jnp.asarray(np.concatenate(leaves)[:count])
 
-    return jax.tree.map(join_leaves, *map(jax.device_get, tiles))
+    joined: T = jax.tree.map(join_leaves, *map(jax.device_get, tiles))
+    return joined

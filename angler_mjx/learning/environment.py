@@ -7,7 +7,7 @@ SAME_STEP): the observation is then that of the new world, ``info["final_obs"]``
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, Literal
+from typing import Literal, TypedDict
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +16,7 @@ from angler_mjx._moved import renamed as _renamed
 from angler_mjx.errors import ConfigError
 from angler_mjx.learning import actions, observations, rewards
 from angler_mjx.learning import bank as banks
-from angler_mjx.learning.actions import ActionSpace
+from angler_mjx.learning.actions import ActionSpace, RobotMotion
 from angler_mjx.learning.bank import WorldBank
 from angler_mjx.learning.observations import ObservationPart, ObservedState
 from angler_mjx.robot.control import stack
@@ -62,7 +62,30 @@ class EnvState:
     """Key of later worlds."""
 
 
-type StepResult = tuple[EnvState, jax.Array, jax.Array, jax.Array, jax.Array, dict[str, Any]]
+class StepInfo(TypedDict):
+    """Details of a step."""
+
+    final_obs: jax.Array
+    """[W, R, size] observation before ended worlds began anew."""
+    reward_terms: dict[str, jax.Array]
+    """[W, R] by name."""
+    outcome: jax.Array
+    """int32 [W, R], an `angler_mjx.sim.state.Outcome`."""
+    energy_j: jax.Array
+    """[W, R]."""
+    aim_distance_m: jax.Array
+    """[W, R]."""
+    time_s: jax.Array
+    """[W]."""
+    row: jax.Array
+    """int32 [W] index in the bank."""
+    clipped: jax.Array
+    """int32 [W, R] number of action values beyond -1 to 1."""
+    not_finite: jax.Array
+    """int32 [W, R] number of action values that are no finite numbers."""
+
+
+type StepResult = tuple[EnvState, jax.Array, jax.Array, jax.Array, jax.Array, StepInfo]
 
 
 @jax.tree_util.register_dataclass
@@ -174,7 +197,7 @@ class FleetEnv:
         next_state, observation = self._replace_ended(
             next_state, final_observation, terminated | truncated
         )
-        info = {
+        info: StepInfo = {
             "final_obs": final_observation,
             "reward_terms": terms,
             "outcome": after.tally.outcome,
@@ -236,7 +259,7 @@ class FleetEnv:
         aim_m = environment.goal_m if self.rules.aim == "goal" else environment.start_m
         return aim_m[rows], environment.start_yaw_rad[rows]
 
-    def _estimate_motion(self, state: WorldState, rows: jax.Array) -> tuple[Any, Any]:
+    def _estimate_motion(self, state: WorldState, rows: jax.Array) -> tuple[RobotMotion, jax.Array]:
         """Return the robots' own motion and the current [W, R, 3], m/s in W, at a state's time.
 
         Both are the truth, or readings of the instruments at that time: the values that the
@@ -249,6 +272,7 @@ class FleetEnv:
         worlds = jax.tree.map(lambda leaf: leaf[rows], self.bank.worlds)
         read = jax.vmap(partial(sensing.step, self.rules.spec))
         _, belief = read(worlds, state.senses, state.step, state.vehicles, flow)
+        assert belief.flow is not None  # given a current, the instruments estimate one
         return belief, belief.flow
 
     def _observe(self, state: WorldState, rows: jax.Array, action: jax.Array) -> jax.Array:
@@ -410,6 +434,6 @@ def _with_first_observations(env: FleetEnv) -> FleetEnv:
     )
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     """Return a name of 0.1, with a DeprecationWarning."""
     return _renamed(__name__, name)

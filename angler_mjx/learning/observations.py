@@ -3,7 +3,6 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +10,7 @@ import numpy as np
 
 from angler_kernels import quaternion
 from angler_mjx.errors import ConfigError
-from angler_mjx.sim.physics.step import VehicleState
+from angler_mjx.learning.actions import RobotMotion
 from angler_mjx.sim.state import World, WorldState
 from angler_mjx.world import currents
 from angler_mjx.world.obstacles import bounding_radius
@@ -36,7 +35,7 @@ class ObservedState:
     rows: jax.Array
     """int32 [W] index in the bank."""
     state: WorldState
-    estimate: VehicleState
+    estimate: RobotMotion
     """[W, R] estimated motion of the robots; ``p``, ``q`` and ``nu`` are used."""
     flow: jax.Array
     """[W, R, 3] estimated current, m/s, in W."""
@@ -233,7 +232,7 @@ def select_parts(names: Sequence[str], action_size: int) -> tuple[ObservationPar
     )
 
 
-def build_bounds(parts: Sequence[ObservationPart]) -> tuple[Any, Any]:
+def build_bounds(parts: Sequence[ObservationPart]) -> tuple[np.ndarray, np.ndarray]:
     """Return the lowest and highest numbers [size] of an observation of one robot."""
     low = np.concatenate([np.full(part.size, part.low, np.float32) for part in parts])
     high = np.concatenate([np.full(part.size, part.high, np.float32) for part in parts])

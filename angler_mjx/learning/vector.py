@@ -4,8 +4,6 @@ Needs the extra ``learn``. A sub-environment is a world with all its robots: obs
 size], actions [W, R, size], and the reward of a world is the sum over its robots.
 """
 
-from typing import Any
-
 import jax
 import numpy as np
 from gymnasium.spaces import Box
@@ -17,7 +15,8 @@ from angler_mjx.learning import observations
 from angler_mjx.learning.actions import check_actions
 from angler_mjx.learning.environment import EnvState, FleetEnv
 
-type Numbers = np.ndarray[Any, Any]
+type Numbers = np.ndarray
+type VectorInfo = dict[str, np.ndarray | VectorInfo]
 
 
 class FleetVectorEnv(VectorEnv[Numbers, Numbers, Numbers]):
@@ -51,8 +50,8 @@ class FleetVectorEnv(VectorEnv[Numbers, Numbers, Numbers]):
         self.spec, self.render_mode, self.closed = None, None, False
 
     def reset(
-        self, *, seed: Any = None, options: dict[str, Any] | None = None
-    ) -> tuple[Numbers, dict[str, Any]]:
+        self, *, seed: int | np.integer | None = None, options: dict[str, object] | None = None
+    ) -> tuple[Numbers, VectorInfo]:
         """Start all worlds at t = 0.
 
         Args:
@@ -73,7 +72,7 @@ class FleetVectorEnv(VectorEnv[Numbers, Numbers, Numbers]):
         self._state, observation = self._reset(self._env, key)
         return np.array(observation, np.float32), {}
 
-    def step(self, actions: Numbers) -> tuple[Numbers, Numbers, Numbers, Numbers, dict[str, Any]]:
+    def step(self, actions: Numbers) -> tuple[Numbers, Numbers, Numbers, Numbers, VectorInfo]:
         """Advance all worlds by one control step.
 
         Raises:
@@ -99,9 +98,9 @@ class FleetVectorEnv(VectorEnv[Numbers, Numbers, Numbers]):
         return np.array(observation, np.float32), total_reward, terminated, truncated, step_info
 
 
-def _add_masks(info: dict[str, Any], mask: Numbers) -> dict[str, Any]:
+def _add_masks(info: VectorInfo, mask: Numbers) -> VectorInfo:
     """Return info with a mask bool [W] beside each entry, also in nested dictionaries."""
-    masked: dict[str, Any] = {}
+    masked: VectorInfo = {}
     for name, value in info.items():
         masked[name] = _add_masks(value, mask) if isinstance(value, dict) else value
         masked[f"_{name}"] = mask.copy()

@@ -5,9 +5,9 @@ import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 from angler_mjx.errors import ConfigError
+from angler_mjx.files import JsonTable
 from angler_mjx.progress import Progress
 from angler_mjx.robot.vehicles import library
 from angler_mjx.runs import sizes
@@ -87,7 +87,7 @@ def reopen_plans(
     return plans
 
 
-def _describe_plans(plans: PlanFile) -> dict[str, Any]:
+def _describe_plans(plans: PlanFile) -> dict[str, object]:
     """Return the plans' path, the SHA-256 of all their bytes, and the planner that they name."""
     return {
         "path": str(plans.path.absolute()),
@@ -144,7 +144,7 @@ _FLAG_KEYS = (
 """Keys of tables that flags of a run change."""
 
 
-def _fixed_settings(scenario: Scenario) -> dict[str, Any]:
+def _fixed_settings(scenario: Scenario) -> dict[str, object]:
     """Return the settings that no flag of a run changes; vehicles by name."""
     table = scenario.model_dump(
         exclude={"worlds", "seed", "engine", "kernels", "tile", "description"}
@@ -201,7 +201,7 @@ def _repair_metadata(path: Path, fresh: Path) -> list[str]:
     return repaired
 
 
-def _read_essentials(path: Path) -> dict[str, Any] | None:
+def _read_essentials(path: Path) -> JsonTable | None:
     """Return the part of a description that fixes the array's bytes; None if unreadable."""
     try:
         table = json.loads(path.read_text(encoding="utf-8"))
@@ -226,6 +226,6 @@ def hold_lock(lock: OutputLock, *, is_new: bool) -> Iterator[None]:
         lock.release()
 
 
-def resolved_settings(simulator: Simulator) -> dict[str, Any]:
+def resolved_settings(simulator: Simulator) -> dict[str, object]:
     """Return the settings that the simulator chose for keys missing in the scenario."""
     return {"tile": simulator.tile, "kernels": simulator.kernels}

@@ -6,12 +6,12 @@ run of it that was broken off is resumed as any run is, so nothing but tiles in 
 
 import gc
 from collections.abc import Iterable, Mapping
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import jax
 
-from angler_mjx.files import FileModel
+from angler_mjx.files import FileModel, JsonTable
 from angler_mjx.progress import Progress
 from angler_mjx.runs import rollout
 from angler_mjx.runs.processes import Processes, RunProcesses
@@ -26,7 +26,7 @@ RUNS_FOLDER = "runs"
 """Folder of the runs."""
 
 
-def create_folder(out: Path, kind: str, request: Mapping[str, Any]) -> OutputLock:
+def create_folder(out: Path, kind: str, request: JsonTable) -> OutputLock:
     """Take the name of a folder of several runs.
 
     Args:
@@ -48,7 +48,7 @@ def create_folder(out: Path, kind: str, request: Mapping[str, Any]) -> OutputLoc
 def resume_folder(
     out: Path,
     kind: str,
-    request: Mapping[str, Any],
+    request: JsonTable,
     *,
     models: Mapping[str, type[FileModel]],
     is_complete: bool,
@@ -82,7 +82,7 @@ def fly_runs(
     building: Path,
     progress: Progress,
     processes: Processes,
-    options: Mapping[str, Any],
+    options: Mapping[str, int | None],
 ) -> bool:
     """Fly what is left of several runs; whether all are whole now.
 
@@ -91,7 +91,7 @@ def fly_runs(
         building: the folder.
         progress: of how far it is.
         processes: processes that share each run.
-        options: other arguments of `rollout.rollout`.
+        options: ``chunk``, ``devices`` and ``workers`` of `rollout.rollout`; None where missing.
     """
     parts = tuple(parts)
     for number, (path, scenario) in enumerate(parts):
@@ -111,17 +111,21 @@ def _fly_run(
     path: Path,
     progress: Progress,
     processes: Processes,
-    options: Mapping[str, Any],
+    options: Mapping[str, int | None],
 ) -> bool:
     """Fly a run, or what is left of it; whether it is whole now."""
     status = processes.meet("stands", run_status(path) if processes.index == 0 else None)[0]
     if status == "whole":
         return True
-    arguments: dict[str, Any] = {"progress": progress, "processes": processes, **options}
-    if status == "begun":
-        run = rollout.resume(path, **arguments)
-    else:
-        run = rollout.rollout(scenario, out=path, **arguments)
+    begin = rollout.resume if status == "begun" else partial(rollout.rollout, scenario)
+    run = begin(
+        out=path,
+        chunk=options.get("chunk"),
+        progress=progress,
+        devices=options.get("devices"),
+        processes=processes,
+        workers=options.get("workers"),
+    )
     return bool(run.summary["complete"])
 
 

@@ -9,9 +9,9 @@ import atexit
 import json
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, Protocol
+from typing import Protocol, overload
 
 import jax
 
@@ -44,8 +44,20 @@ class Processes(Protocol):
         """Raise RunError if another process failed or is gone."""
         ...
 
-    def meet(self, name: str, value: Any = None) -> list[Any]:
-        """Wait until every process is here; returns what each brought, in their order."""
+    @overload
+    def meet(self, name: str) -> list[None]: ...
+    @overload
+    def meet[T](self, name: str, value: T | None) -> list[T]: ...
+    def meet(self, name: str, value: object = None) -> Sequence[object]:
+        """Wait until every process is here.
+
+        Args:
+            name: name of the meeting.
+            value: value of this process, written as JSON.
+
+        Returns:
+            Values of the processes, in their order; None where a process brings none.
+        """
         ...
 
     def stop(self) -> None:
@@ -81,7 +93,11 @@ class RunProcesses:
         """See `Processes`."""
         self._all.check()
 
-    def meet(self, name: str, value: Any = None) -> list[Any]:
+    @overload
+    def meet(self, name: str) -> list[None]: ...
+    @overload
+    def meet[T](self, name: str, value: T | None) -> list[T]: ...
+    def meet(self, name: str, value: object = None) -> Sequence[object]:
         """See `Processes`."""
         return self._all.meet(f"{self._name}/{name}", value)
 
@@ -116,7 +132,11 @@ class OneProcess:
     def check(self) -> None:
         """See `Processes`."""
 
-    def meet(self, name: str, value: Any = None) -> list[Any]:
+    @overload
+    def meet(self, name: str) -> list[None]: ...
+    @overload
+    def meet[T](self, name: str, value: T | None) -> list[T]: ...
+    def meet(self, name: str, value: object = None) -> Sequence[object]:
         """See `Processes`."""
         return [value]
 
@@ -171,7 +191,19 @@ def join_processes(
     return ManyProcesses(_key_value_store(), gone_s)
 
 
-def _key_value_store() -> Any:
+class KeyValueStore(Protocol):
+    """Texts that the processes of a run share, by name."""
+
+    def key_value_set(self, key: str, value: str, allow_overwrite: bool = False) -> None:
+        """Store a text."""
+        ...
+
+    def key_value_dir_get(self, key: str) -> Sequence[tuple[str, str]]:
+        """Return names and texts below a name."""
+        ...
+
+
+def _key_value_store() -> KeyValueStore:
     """Return the key-value store of JAX's coordinator, after `jax.distributed.initialize`.
 
     JAX gives no public access to it, and no public function replaces it: those of
@@ -185,18 +217,21 @@ def _key_value_store() -> Any:
     try:
         from jax._src import distributed
 
-        return distributed.global_state.client
+        store: KeyValueStore | None = distributed.global_state.client
     except (ImportError, AttributeError) as error:
         raise RunError(
             f"--distributed: jax {jax.__version__} has no jax._src.distributed.global_state.client "
             "(install the version of constraints.txt)"
         ) from error
+    if store is None:
+        raise RunError("--distributed: jax.distributed.initialize was not called")
+    return store
 
 
 class ManyProcesses:
     """Several processes; see `Processes`."""
 
-    def __init__(self, store: Any, gone_s: float) -> None:
+    def __init__(self, store: KeyValueStore, gone_s: float) -> None:
         """Begin to show signs of life; see `join_processes`."""
         self.index: int = jax.process_index()
         self.count: int = jax.process_count()
@@ -227,7 +262,11 @@ class ManyProcesses:
                 "with --resume"
             )
 
-    def meet(self, name: str, value: Any = None) -> list[Any]:
+    @overload
+    def meet(self, name: str) -> list[None]: ...
+    @overload
+    def meet[T](self, name: str, value: T | None) -> list[T]: ...
+    def meet(self, name: str, value: object = None) -> Sequence[object]:
         """See `Processes`."""
         self._client.key_value_set(f"{KEY_ROOT}/{name}/{self.index}", json.dumps(value))
         while True:

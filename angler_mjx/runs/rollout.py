@@ -11,7 +11,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 
@@ -46,6 +46,16 @@ from angler_mjx.sim.policy import Policy
 
 class NothingKeptError(RunError):
     """A run was interrupted before its first tile was finished."""
+
+
+class _ProcessReport(TypedDict):
+    """Part of one process in a run."""
+
+    devices: int
+    interrupted: bool
+    simulate_s: float
+    disk_wait_s: float
+    vehicle_steps: int
 
 
 @dataclass(kw_only=True)
@@ -276,7 +286,7 @@ class _Rollout:
         # Nobody writes a tile before everybody has looked which ones there are.
         processes.meet("start")
         interrupted = self._simulate_tiles(tiles, clock)
-        statistics = {
+        statistics: _ProcessReport = {
             "devices": self._sim.devices,
             "interrupted": interrupted,
             "simulate_s": clock.simulate_s,
@@ -367,7 +377,7 @@ class _Rollout:
                 f"({error.strerror or error}); {advice}"
             ) from error
 
-    def _close_folder(self, clock: _RunTimer, reports: list[dict[str, Any]]) -> None:
+    def _close_folder(self, clock: _RunTimer, reports: list[_ProcessReport]) -> None:
         """Put the results together and give the folder its name."""
         episodes = folder.read_parts(self._building)
         if episodes is None or self._lock is None:

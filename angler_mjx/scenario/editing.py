@@ -14,7 +14,7 @@ from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.scenario.tables import PlannerConfig
 
 
-def _anchor_changes(table: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
+def _anchor_changes(table: dict[str, object], info: ValidationInfo) -> dict[str, object]:
     return resolve_paths(table, base_folder(info))
 
 
@@ -22,7 +22,7 @@ type Changes = Annotated[dict[str, Any], AfterValidator(_anchor_changes)]
 """Keys of a scenario in another file; their paths are relative to that file's folder."""
 
 
-def merge_tables(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+def merge_tables(table: Mapping[str, object], changes: Mapping[str, object]) -> dict[str, Any]:
     """Return a table with changed values; nested tables are merged, other values replaced."""
     result = dict(table)
     for key, value in changes.items():
@@ -34,7 +34,7 @@ def merge_tables(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[s
     return result
 
 
-def first_changed_key(current: Mapping[str, Any], stored: Mapping[str, Any]) -> str | None:
+def first_changed_key(current: Mapping[str, object], stored: Mapping[str, object]) -> str | None:
     """Return the dotted key of the first value that differs from a stored table.
 
     Args:
@@ -59,13 +59,14 @@ def scenario_table(scenario: Scenario) -> dict[str, Any]:
     return table
 
 
-def remove_horizon(table: dict[str, Any]) -> dict[str, Any]:
+def remove_horizon(table: dict[str, object]) -> dict[str, object]:
     """Return a table without its horizon, which then follows the preset of its new world."""
-    time = {key: value for key, value in table.get("time", {}).items() if key != "horizon_s"}
-    return {**table, "time": time}
+    time = table.get("time")
+    entries = time.items() if isinstance(time, dict) else ()
+    return {**table, "time": {key: value for key, value in entries if key != "horizon_s"}}
 
 
-def set_value(table: dict[str, Any], key: str, value: Any) -> dict[str, Any]:
+def set_value(table: dict[str, object], key: str, value: object) -> dict[str, object]:
     """Return a table in which one key has another value.
 
     Args:
@@ -86,26 +87,25 @@ def set_value(table: dict[str, Any], key: str, value: Any) -> dict[str, Any]:
     return changed
 
 
-def _set_value(container: Any, parts: list[str], i: int, value: Any) -> None:
+def _set_value(container: object, parts: list[str], i: int, value: object) -> None:
     """Put a value into a table or list, at the parts of the key from i on."""
     part, is_last = parts[i], i == len(parts) - 1
     key, parent_key = ".".join(parts), ".".join(parts[:i])
     if isinstance(container, list):
-        indices = range(len(container))
-        steps: list[Any] = [n for n in indices if part in ("*", str(n))]
-        if not steps:
+        indices = [n for n in range(len(container)) if part in ("*", str(n))]
+        if not indices:
             entries = f"entries 0 to {len(container) - 1}" if container else "no entries"
             raise ConfigError(f"{key}: {parent_key} is a list with {entries}; there is no {part}")
-    elif isinstance(container, dict):
-        steps = [part]
-        if not is_last:
-            container.setdefault(part, {})
-    else:
+        for index in indices:
+            if is_last:
+                container[index] = copy.deepcopy(value)
+            else:
+                _set_value(container[index], parts, i + 1, value)
+    elif not isinstance(container, dict):
         raise ConfigError(
             f"{key}: {parent_key} = {format_value(container)} is no table; no key can stand in it"
         )
-    for step in steps:
-        if is_last:
-            container[step] = copy.deepcopy(value)
-        else:
-            _set_value(container[step], parts, i + 1, value)
+    elif is_last:
+        container[part] = copy.deepcopy(value)
+    else:
+        _set_value(container.setdefault(part, {}), parts, i + 1, value)

@@ -1,8 +1,8 @@
 """The table of a scenario file on the robots of its fleet."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Annotated, Any, ClassVar, Self
+from typing import Annotated, ClassVar, Self
 
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator, model_validator
@@ -79,7 +79,7 @@ class FleetEntry(FileModel):
                     f"parameter set {format_value(name)} is not in vehicle {config.name!r}; "
                     f"there is {', '.join(sorted(config.parameter_sets))}"
                 )
-        checks: tuple[Any, ...] = (
+        checks: tuple[Callable[[], object], ...] = (
             lambda: config.find_health(self.thruster_health),
             lambda: config.find_response(self.rotor_response),
             self._require_flyable,

@@ -3,7 +3,7 @@
 import itertools
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
@@ -64,6 +64,10 @@ def _group_key(robot: tuple[Source, SensorsConfig]) -> tuple[Source, bool, bool]
 
 def _repeat_parameters(navigation: NavigationParams, count: int) -> NavigationParams:
     """Return the parameters with their numbers repeated for each robot."""
-    names = [name for name in vars(navigation) if name != "sensors"]
-    rows: dict[str, Any] = {name: jnp.full(count, getattr(navigation, name)) for name in names}
-    return replace(navigation, **rows)
+    return replace(
+        navigation,
+        initial_position_m=jnp.full(count, navigation.initial_position_m),
+        initial_velocity_mps=jnp.full(count, navigation.initial_velocity_mps),
+        initial_level_rad=jnp.full(count, navigation.initial_level_rad),
+        initial_heading_rad=jnp.full(count, navigation.initial_heading_rad),
+    )

@@ -1,9 +1,8 @@
 """Paths in scenarios: relative to the file's folder, absolute once it is read."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from angler_mjx.user_classes import make_name_absolute
 
@@ -26,20 +25,21 @@ PATH_KEYS: Mapping[tuple[str, ...], Callable[..., str]] = {
 """Keys that may hold paths, and the functions that make them absolute."""
 
 
-def resolve_paths(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+def resolve_paths(table: Mapping[str, object], folder: Path) -> dict[str, object]:
     """Return keys of a scenario with absolute paths.
 
     Args:
         table: whole, or some of its keys; not checked here.
         folder: that paths are relative to.
     """
-    resolved: Any = table
-    for key, resolve in PATH_KEYS.items():
-        resolved = _resolve_key(resolved, key, partial(resolve, folder=folder))
-    return dict(resolved)
+    resolved = dict(table)
+    for (name, *rest), resolve in PATH_KEYS.items():
+        if name in resolved:
+            resolved[name] = _resolve_key(resolved[name], rest, partial(resolve, folder=folder))
+    return resolved
 
 
-def _resolve_key(value: Any, key: tuple[str, ...], resolve: Callable[[str], str]) -> Any:
+def _resolve_key(value: object, key: Sequence[str], resolve: Callable[[str], str]) -> object:
     if not key:
         return resolve(value) if isinstance(value, str) else value
     if key[0] == "*" and isinstance(value, list | tuple):

@@ -9,9 +9,9 @@ import inspect
 import sys
 import textwrap
 import types
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, Literal, TypeAliasType, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, TypeAliasType, Union, get_args, get_origin
 
 from pydantic import AfterValidator, BeforeValidator
 from pydantic.fields import FieldInfo
@@ -61,11 +61,12 @@ _UNITS = (
 )  # fmt: skip
 """Unit by the suffix of a key."""
 
-_TYPE_NAMES: dict[Any, str] = {
+_TYPE_NAMES: dict[object, str] = {
     float: "float",
     int: "integer",
     str: "text",
     bool: "true or false",
+    object: "anything",
     Any: "anything",
 }
 _COMMON_MEANINGS = {
@@ -126,7 +127,7 @@ def _nested_tables(path: str, model: type[FileModel]) -> Iterator[tuple[str, typ
                 yield (heading if table is inner else inner_heading), table
 
 
-def _nested_models(annotation: Any, mark: str) -> Iterator[tuple[type[FileModel], str]]:
+def _nested_models(annotation: object, mark: str) -> Iterator[tuple[type[FileModel], str]]:
     """Yield the models in an annotation; the mark gives their container: [] list, {} by name."""
     annotation = _unwrap_annotation(annotation)[0]
     if inspect.isclass(annotation) and issubclass(annotation, FileModel):
@@ -138,20 +139,20 @@ def _nested_models(annotation: Any, mark: str) -> Iterator[tuple[type[FileModel]
         yield from _nested_models(inner, mark)
 
 
-def _unwrap_annotation(annotation: Any) -> tuple[Any, list[Any]]:
+def _unwrap_annotation(annotation: object) -> tuple[object, list[object]]:
     """Return an annotation without its aliases, and its metadata."""
-    metadata: list[Any] = []
+    metadata: list[object] = []
     while True:
         if isinstance(annotation, TypeAliasType):
             annotation = annotation.__value__
-        elif hasattr(annotation, "__metadata__"):
-            metadata += annotation.__metadata__
-            annotation = annotation.__origin__
+        elif get_origin(annotation) is Annotated:
+            annotation, *more = get_args(annotation)
+            metadata += more
         else:
             return annotation, metadata
 
 
-def _format_choices(annotation: Any) -> str:
+def _format_choices(annotation: object) -> str:
     annotation = _unwrap_annotation(annotation)[0]
     if get_origin(annotation) is not Literal:
         return ""
@@ -163,15 +164,12 @@ def _format_type(entry: FieldInfo) -> str:
     return _describe_type(entry.annotation, entry.metadata)
 
 
-def _describe_type(annotation: Any, metadata: list[Any]) -> str:
+def _describe_type(annotation: object, metadata: Sequence[object]) -> str:
     annotation, alias_metadata = _unwrap_annotation(annotation)
     metadata = [*alias_metadata, *metadata]
-    if any(isinstance(x, BeforeValidator) and x.func in _BEFORE_VALIDATOR_TYPES for x in metadata):
-        return next(
-            _BEFORE_VALIDATOR_TYPES[x.func]
-            for x in metadata
-            if getattr(x, "func", None) in _BEFORE_VALIDATOR_TYPES
-        )
+    for x in metadata:
+        if isinstance(x, BeforeValidator) and x.func in _BEFORE_VALIDATOR_TYPES:
+            return _BEFORE_VALIDATOR_TYPES[x.func]
     bounds = _format_bounds(metadata)
     if choices := _format_choices(annotation):
         return choices
@@ -196,7 +194,7 @@ _BEFORE_VALIDATOR_TYPES = {
 }
 
 
-def _format_bounds(metadata: list[Any]) -> str:
+def _format_bounds(metadata: Sequence[object]) -> str:
     bounds = []
     metadata = [
         x
@@ -208,18 +206,18 @@ def _format_bounds(metadata: list[Any]) -> str:
             bound = getattr(constraint, name, None)
             if bound is not None:
                 bounds.append(f"{sign}{_format_number(bound)}")
-        if getattr(constraint, "min_length", None):
-            bounds.append(f"{constraint.min_length} or more long")
-        if getattr(constraint, "max_length", None) is not None:
-            bounds.append(f"at most {constraint.max_length} long")
-        if getattr(constraint, "pattern", None):
-            bounds.append(f"like `{constraint.pattern}`")
+        if min_length := getattr(constraint, "min_length", None):
+            bounds.append(f"{min_length} or more long")
+        if (max_length := getattr(constraint, "max_length", None)) is not None:
+            bounds.append(f"at most {max_length} long")
+        if pattern := getattr(constraint, "pattern", None):
+            bounds.append(f"like `{pattern}`")
         if isinstance(constraint, AfterValidator):
             bounds += _AFTER_VALIDATOR_BOUNDS.get(constraint.func, [])
     return f", {', '.join(bounds)}" if bounds else ""
 
 
-_AFTER_VALIDATOR_BOUNDS: dict[Any, list[str]] = {
+_AFTER_VALIDATOR_BOUNDS: dict[object, list[str]] = {
     check_speed: [f"≤ {MAX_SPEED_MPS:g} either way"],
     checks.check_positive: [f"{checks.SMALLEST:g} to {checks.LARGEST:g}"],
     checks.check_damping: ["six of them, none negative"],

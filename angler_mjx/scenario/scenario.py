@@ -4,7 +4,7 @@ import hashlib
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -325,7 +325,7 @@ def _current_table(current: CurrentConfig) -> JsonTable:
     return table | {"file": current.field.digest} if isinstance(current, GridConfig) else table
 
 
-def _problem_table(entry: FleetEntry) -> dict[str, Any]:
+def _problem_table(entry: FleetEntry) -> dict[str, object]:
     """Return an entry of the fleet without flight-only keys, with its vehicle's current data."""
     table = entry.model_dump(mode="json", exclude={"estimate", "sensors", "fault_visible"})
     vehicle = library.load_vehicle(entry.vehicle)
@@ -338,7 +338,7 @@ def shipped_scenarios() -> dict[str, Path]:
     return list_shipped("angler_mjx.scenario")
 
 
-def load_scenario(name_or_path: str | Path, **overrides: Any) -> Scenario:
+def load_scenario(name_or_path: str | Path, **overrides: object) -> Scenario:
     """Read a scenario.
 
     Args:
@@ -366,7 +366,7 @@ def load_relative_scenario(name: str, folder: Path) -> Scenario:
 
 def read_scenario(
     name_or_path: str | Path,
-    overrides: Mapping[str, Any],
+    overrides: Mapping[str, object],
     blame: Callable[[str], str] = lambda key: f"{key} (given with the scenario)",
 ) -> Scenario:
     """Read a scenario as `load_scenario` does; ``blame`` names an override, e.g. ``--worlds``."""
@@ -402,12 +402,13 @@ def read_scenario(
     return scenario
 
 
-def _merge_value(before: Any, value: Any) -> Any:
-    are_tables = isinstance(value, dict) and isinstance(before, dict)
-    return {**before, **value} if are_tables else value
+def _merge_value(before: object, value: object) -> object:
+    if isinstance(value, dict) and isinstance(before, dict):
+        return {**before, **value}
+    return value
 
 
-def _file_faults(data: Mapping[str, Any], context: Mapping[str, Any]) -> set[str]:
+def _file_faults(data: Mapping[str, object], context: Mapping[str, object]) -> set[str]:
     """Return the faults of a file itself."""
     try:
         validate_model(Scenario, data, context)
@@ -417,7 +418,7 @@ def _file_faults(data: Mapping[str, Any], context: Mapping[str, Any]) -> set[str
 
 
 def _attribute_fault(
-    fault: Fault, overrides: Mapping[str, Any], blame: Callable[[str], str]
+    fault: Fault, overrides: Mapping[str, object], blame: Callable[[str], str]
 ) -> str:
     """Return a fault of an override, with the override's name from ``blame``."""
     overridden: list[tuple[str, ...]] = []

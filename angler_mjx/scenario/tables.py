@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self, get_type_hints
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self, get_type_hints
 
 from pydantic import (
     AfterValidator,
@@ -27,6 +27,9 @@ from angler_mjx.robot.control import stack, stages
 from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.sim.information import Information, InformationLevel
 from angler_mjx.user_classes import is_class_of_file, make_name_absolute
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 
 class WaterConfig(FileModel):
@@ -140,7 +143,7 @@ class ControllerConfig(FileModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _check_gains_by_stage(cls, data: Any) -> Any:
+    def _check_gains_by_stage(cls, data: object) -> object:
         gains = data.get("gains") if isinstance(data, dict) else None
         for name, value in (gains if isinstance(gains, dict) else {}).items():
             if not isinstance(value, dict):
@@ -168,7 +171,7 @@ class ControllerConfig(FileModel):
             )
         return self
 
-    def stack(self) -> tuple[stack.Stages, tuple[Any, ...]]:
+    def stack(self) -> tuple[stack.Stages, tuple["DataclassInstance", ...]]:
         """Return the stages and the gains of each.
 
         Raises:
@@ -224,12 +227,12 @@ class PlannerConfig(FileModel):
     delay_s: float = Field(default=0.0, ge=0.0, le=86400.0)
     """Delay from the state that a new plan starts from until it is flown: a whole number of control
     steps, at most one replanning period."""
-    settings: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    settings: dict[str, dict[str, object]] = Field(default_factory=dict)
     """The tables [planner.NAME] of planners, by name; that of the chosen planner is checked."""
 
     @model_validator(mode="before")
     @classmethod
-    def _collect_settings(cls, data: Any) -> Any:
+    def _collect_settings(cls, data: object) -> object:
         """Collect the planners' tables from the keys that are no fields of this model."""
         if not isinstance(data, Mapping):
             return data
@@ -367,7 +370,7 @@ _STRICT = ConfigDict(strict=True, allow_inf_nan=False)
 
 
 def _check_settings_table(
-    reference: PlannerReference, settings: Mapping[str, Any], table: str
+    reference: PlannerReference, settings: Mapping[str, object], table: str
 ) -> None:
     """Refuse settings that a planner does not have."""
     model = register.settings_class(reference.load())
@@ -377,7 +380,7 @@ def _check_settings_table(
         _check_settings(model, settings, table)
 
 
-def _check_settings(model: type, settings: Mapping[str, Any], table: str) -> None:
+def _check_settings(model: type, settings: Mapping[str, object], table: str) -> None:
     """Refuse settings that a planner does not have, and values that are not valid."""
     names = [setting.name for setting in fields(model)]
     unknown = [key for key in settings if key not in names]

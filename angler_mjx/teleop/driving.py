@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from angler_mjx.errors import ConfigError, RunError, format_value
+from angler_mjx.files import JsonTable
 from angler_mjx.report.viewing import replay, viewer_window
 from angler_mjx.runs.session.recording import RecordedCourse, SessionRecording
 from angler_mjx.runs.storage import folder
@@ -58,7 +58,7 @@ class TeleopRecording(SessionRecording):
         )
 
 
-def _build_summary(driven: DriveResult) -> dict[str, Any]:
+def _build_summary(driven: DriveResult) -> JsonTable:
     overruns = driven.overruns
     return {
         "steps": driven.steps,

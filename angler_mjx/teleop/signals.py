@@ -4,7 +4,6 @@ import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import Any
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -60,7 +59,7 @@ def break_on_signal() -> Iterator[BreakRequest]:
 
 
 @contextmanager
-def _install_handler(handler: Callable[[int, FrameType | None], Any]) -> Iterator[None]:
+def _install_handler(handler: Callable[[int, FrameType | None], object]) -> Iterator[None]:
     before = {number: signal.signal(number, handler) for number in _SIGNALS}
     try:
         yield

@@ -5,7 +5,7 @@ referee (`angler_mjx.testing.referee`) needs neither JAX nor the simulator.
 """
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from angler_mjx.testing.conformance import (
@@ -34,9 +34,10 @@ _HOME = {"Bounds": "driving", "check_planner": "planner_checks"}
 """Modules of the names that are not in `conformance`."""
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     """Load a public name from its module."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     home = _HOME.get(name, "conformance")
-    return getattr(import_module(f"angler_mjx.testing.{home}"), name)
+    value: object = getattr(import_module(f"angler_mjx.testing.{home}"), name)
+    return value

@@ -2,11 +2,11 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from angler_mjx.errors import ConfigError
+from angler_mjx.host_arrays import as_leaf
 from angler_mjx.robot.control.commands import BodyTwist, PoseTarget
 from angler_mjx.runs.session.interface import Floats, Observation, Session, SessionCommand
 
@@ -71,7 +71,7 @@ def run_steps(
     return [session.step(commands), *(session.step() for _ in range(steps - 1))]
 
 
-def refusal_reason(session: Session, robot: int, order: Any) -> str:
+def refusal_reason(session: Session, robot: int, order: SessionCommand) -> str:
     """Return the reason why `Session.check` refuses an order; empty if it does not."""
     try:
         session.check(robot, order)
@@ -105,12 +105,11 @@ def heading_difference(a: float, b: float) -> float:
 
 def make_twist(*parts: float) -> BodyTwist:
     """Return a twist of six numbers."""
-    nu: Any = np.array(parts)
-    return BodyTwist(nu=nu)
+    return BodyTwist(nu=as_leaf(np.array(parts)))
 
 
 def make_pose(p: Floats, yaw_rad: float) -> PoseTarget:
     """Return a pose at rest."""
-    position_m: Any = np.asarray(p)
-    yaw: Any = np.asarray(yaw_rad)
+    position_m = as_leaf(np.asarray(p))
+    yaw = as_leaf(np.asarray(yaw_rad))
     return PoseTarget(position_m=position_m, velocity_mps=0.0 * position_m, yaw_rad=yaw)

@@ -9,11 +9,11 @@ A planner on the host is created anew for each check, so that leftover state is 
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import fields, is_dataclass, replace
-from typing import Any
 
 import jax
 import numpy as np
 
+from angler_mjx.host_arrays import as_leaf
 from angler_mjx.planning.answers import check_paths
 from angler_mjx.planning.planner import NoPlan, Planner
 from angler_mjx.planning.problem import Problem
@@ -94,7 +94,7 @@ def _check_single_robot(planner: Planner, problem: Problem) -> list[str]:
 
 def _check_unreachable_goal(planner: Planner, problem: Problem) -> list[str]:
     """Check a goal inside of rock: no error, and no path for its robot."""
-    rock: Any = np.ones_like(problem.grid.occupied)
+    rock = as_leaf(np.ones_like(problem.grid.occupied))
     walled = replace(problem, grid=replace(problem.grid, occupied=rock))
     try:
         returned = planner.plan(walled)
@@ -105,7 +105,7 @@ def _check_unreachable_goal(planner: Planner, problem: Problem) -> list[str]:
     return []
 
 
-def _is_reported_failure(returned: Any, robot: int) -> bool:
+def _is_reported_failure(returned: Sequence[object], robot: int) -> bool:
     """Return whether the planner itself reported that there is no path."""
     try:
         return isinstance(returned[robot], NoPlan)
@@ -113,14 +113,14 @@ def _is_reported_failure(returned: Any, robot: int) -> bool:
         return False
 
 
-def _is_same_plan(a: Sequence[Any], b: Sequence[Any]) -> bool:
+def _is_same_plan(a: Sequence[object], b: Sequence[object]) -> bool:
     return len(a) == len(b) and all(_is_same_path(x, y) for x, y in zip(a, b, strict=True))
 
 
-def _is_same_path(a: Any, b: Any) -> bool:
+def _is_same_path(a: object, b: object) -> bool:
     if type(a) is not type(b):
         return False
-    if isinstance(a, NoPlan) or not is_dataclass(a):
+    if isinstance(a, NoPlan | type) or not is_dataclass(a):
         return bool(a == b)
     return all(
         np.array_equal(np.asarray(getattr(a, item.name)), np.asarray(getattr(b, item.name)))

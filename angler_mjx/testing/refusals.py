@@ -1,13 +1,12 @@
 """Checks of a session's refusals, and of its behaviour after them."""
 
-from typing import Any
-
 import numpy as np
 
 from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.host_arrays import as_leaf
 from angler_mjx.robot.control.commands import BodyTwist, PoseTarget, ThrusterPwm
 from angler_mjx.robot.control.commands.joint_goal import JointGoal, JointPoint
-from angler_mjx.runs.session.interface import Observation, Session
+from angler_mjx.runs.session.interface import Observation, Session, SessionCommand
 from angler_mjx.testing.driving import (
     Bounds,
     NonConformanceError,
@@ -42,14 +41,15 @@ def bad_commands_are_refused(session: Session, bounds: Bounds) -> None:
         require(not status.refused, f"after a good command it still says {status.refused!r}")
 
 
-def _bad_commands(session: Session, now: Observation, robot: int) -> list[tuple[str, Any, str]]:
+def _bad_commands(
+    session: Session, now: Observation, robot: int
+) -> list[tuple[str, SessionCommand, str]]:
     """Return labels, infeasible orders, and the texts that the refusal must name."""
     info, p, yaw = session.robots[robot], position(now, robot), heading(now, robot)
     count = len(info.thrusters)
-    short: Any = np.zeros(5)
-    signals: Any = np.full(count, 1500.0)
-    loud: Any = np.full(count, 2000.0)
-    hole: Any = np.where(np.arange(count) == 0, np.nan, signals)
+    short, loud = as_leaf(np.zeros(5)), as_leaf(np.full(count, 2000.0))
+    signals = np.full(count, 1500.0)
+    hole = as_leaf(np.where(np.arange(count) == 0, np.nan, signals))
     return [
         ("a twist of NaN", make_twist(0.1, np.nan, 0, 0, 0, 0), "nan"),
         ("a twist of five numbers", BodyTwist(nu=short), "(5,)"),
@@ -57,7 +57,7 @@ def _bad_commands(session: Session, now: Observation, robot: int) -> list[tuple[
         ("a pose of NaN", make_pose(p * np.nan, yaw), "nan"),
         ("a signal of 2000 us", ThrusterPwm(pwm_us=loud), "2000"),
         ("a signal of NaN", ThrusterPwm(pwm_us=hole), "nan"),
-        ("a signal too few", ThrusterPwm(pwm_us=signals[:-1]), f"({count - 1},)"),
+        ("a signal too few", ThrusterPwm(pwm_us=as_leaf(signals[:-1])), f"({count - 1},)"),
         ("an unknown joint", _make_joint_goal("elbow", (2.0, 0.0)), "elbow"),
         ("times that go back", _make_joint_goal("x", (2.0, p[0]), (1.0, p[0])), "points[1]"),
         ("a point of NaN", _make_joint_goal("x", (2.0, np.nan)), "nan"),

@@ -1,12 +1,12 @@
 """Checks of a session's time and of its response to valid commands; each drives one robot."""
 
 import itertools
-from typing import Any
 
 import jax
 import numpy as np
 
 from angler_mjx.errors import ConfigError
+from angler_mjx.host_arrays import as_leaf
 from angler_mjx.robot.control.commands import BodyTwist, BodyWrench, PoseTarget, ThrusterPwm
 from angler_mjx.robot.control.commands.joint_goal import JointGoal, JointPoint
 from angler_mjx.robot.control.commands.joint_tolerance import ResultCode
@@ -145,7 +145,7 @@ def wrenches_push(session: Session, bounds: Bounds) -> None:
     """Require that a wrench forward drives a robot forward."""
     require_accepts(session, bounds.robot, BodyWrench)
     session.reset()
-    tau: Any = np.array([15.0, 0, 0, 0, 0, 0])
+    tau = as_leaf(np.array([15.0, 0, 0, 0, 0, 0]))
     end = run_steps(session, 2.0, {bounds.robot: BodyWrench(tau=tau)})[-1]
     surge = velocity(end, bounds.robot)[0]
     require(surge > 0.1, f"2 s of 15 N forward leave it at a surge of {surge:.3g} m/s")
@@ -158,7 +158,7 @@ def neutral_signals_let_it_drift(session: Session, bounds: Bounds) -> None:
     robot = session.robots[bounds.robot]
     session.reset()
     fast = run_steps(session, 5.0, {bounds.robot: make_twist(bounds.speed_mps, 0, 0, 0, 0, 0)})[-1]
-    signals: Any = np.full(len(robot.thrusters), 1500.0)
+    signals = as_leaf(np.full(len(robot.thrusters), 1500.0))
     seen = run_steps(session, 5.0, {bounds.robot: ThrusterPwm(pwm_us=signals)})
     for now in seen:
         sent = np.asarray(now.pwm.pwm_us, float)[bounds.robot][: len(robot.thrusters)]

@@ -4,17 +4,18 @@ The same worlds each time: those of a shipped scenario on the fused engine. Prin
 docs/reference/sensors.md.
 """
 
-from typing import Any
-
 import jax
 import numpy as np
 import tyro
+from numpy.typing import ArrayLike
 
+from angler_mjx.files import JsonTable
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import Scenario, load_scenario
+from angler_mjx.sim.record import Sample
 from angler_mjx.sim.state import Outcome
 
-CASES: dict[str, dict[str, Any]] = {
+CASES: dict[str, JsonTable] = {
     "truth": {},
     "noisy": {"estimate": "noisy"},
     "ekf": {"estimate": "ekf"},
@@ -23,7 +24,7 @@ CASES: dict[str, dict[str, Any]] = {
 COLLISIONS = (Outcome.COLLISION_STATIC, Outcome.COLLISION_DYNAMIC, Outcome.COLLISION_ROBOT)
 
 
-def fly_worlds(scenario: Scenario) -> tuple[np.ndarray, Any]:
+def fly_worlds(scenario: Scenario) -> tuple[np.ndarray, Sample]:
     """Return outcomes [world, robot] and samples [world, sample, robot, ...] of a tile."""
     simulator = Simulator(scenario)
     worlds = simulator.worlds()
@@ -31,11 +32,11 @@ def fly_worlds(scenario: Scenario) -> tuple[np.ndarray, Any]:
     for _ in range(simulator.segments):
         state, sample = simulator.segment(worlds, state)
         parts.append(jax.device_get(sample))
-    samples = jax.tree.map(lambda *x: np.concatenate(x, axis=1), *parts)
+    samples: Sample = jax.tree.map(lambda *x: np.concatenate(x, axis=1), *parts)
     return np.asarray(state.tally.outcome), samples
 
 
-def format_row(name: str, outcome: np.ndarray, samples: Any) -> str:
+def format_row(name: str, outcome: np.ndarray, samples: Sample) -> str:
     """Format a line of the table; errors are root mean squares over samples of running robots."""
     is_running = samples.outcome == Outcome.RUNNING
     aim_error_m = np.linalg.norm(samples.p - samples.target_m, axis=-1)[is_running]
@@ -54,7 +55,7 @@ def format_row(name: str, outcome: np.ndarray, samples: Any) -> str:
     return f"| {' | '.join(cells)} |"
 
 
-def _rms(x: np.ndarray) -> float:
+def _rms(x: ArrayLike) -> float:
     return float(np.sqrt(np.mean(np.square(x, dtype=np.float64))))
 
 

@@ -13,7 +13,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -71,8 +70,6 @@ VARIANTS = (
 )
 STEPS_MS = (40, 20, 10, 5)
 BATTERY_V = 16.0
-QUICK: dict[str, Any] = {"cases": CASES[:1], "steps_ms": (10,), "names": ("ours",)}
-"""Cases of `--quick`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -218,7 +215,7 @@ def integrate_reference(setup: ConvergenceSetup, commands: Array) -> Array:
     y = np.tile(np.concatenate([start.p, start.q, start.nu, start.thrust]), n)
     states = []
     for command in commands.swapaxes(0, 1):
-        solved: Any = solve_ivp(
+        solved = solve_ivp(
             lambda _, y, command=command: np.asarray(rate(y, command)),
             (0, HOLD_S),
             y,
@@ -328,7 +325,11 @@ def main(
         seconds: Length of each run.
         quick: Only the adopted scheme, at its default step, in moderate manoeuvres.
     """
-    rows = run_study(seconds, **QUICK) if quick else run_study(seconds)
+    rows = (
+        run_study(seconds, cases=CASES[:1], steps_ms=(10,), names=("ours",))
+        if quick
+        else run_study(seconds)
+    )
     table = to_markdown(rows)
     print(table)
     if json is not None:

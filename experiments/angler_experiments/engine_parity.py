@@ -13,7 +13,6 @@ touched a step later, a thruster at the edge of its dead band.
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import tyro
@@ -106,7 +105,9 @@ def compare_engines(scenario: Scenario, tile: int = 125) -> EngineParity:
     )
 
 
-def _run_tile(engines: list[Simulator], first: int) -> tuple[Any, Any, Any]:
+def _run_tile(
+    engines: list[Simulator], first: int
+) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...], np.ndarray]:
     """Run one tile by mjx and by fused; return both and the variants, [n] robots leading."""
     worlds = engines[0].worlds(first)
     runs = []

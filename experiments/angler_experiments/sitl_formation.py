@@ -10,7 +10,7 @@ the start, for the square never shrinks.
 
 import math
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import tyro
@@ -56,8 +56,7 @@ def build_goals(start_m: np.ndarray) -> dict[int, JointGoal]:
     v[[0, -1]], a[[0, -1]] = 0.0, 0.0
 
     def row(table: np.ndarray, k: int, i: int) -> tuple[float, ...]:
-        numbers: Any = np.round(table[k, i], 9).tolist()
-        return tuple(numbers)
+        return tuple(np.round(table[k, i], 9).tolist())
 
     return {
         i: JointGoal(

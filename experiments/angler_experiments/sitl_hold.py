@@ -9,12 +9,13 @@ errors of the autopilot's own filter, if recorded.
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import tyro
 
 from angler_mjx.runs.storage.folder import Run
+from angler_mjx.runs.stored_arrays import stored_array
 from angler_mjx.sim.record import ESTIMATE
 
 
@@ -43,15 +44,17 @@ def measure_errors(run: Run, last_s: float) -> list[HoldingError]:
         run: run with trajectories.
         last_s: measured seconds at its end.
     """
-    stored: Any = run.trajectories
+    stored = run.trajectories
     world = int(run.episodes["world"].to_numpy()[-1])
-    time_s = np.asarray(stored["time_s"])
+    time_s = np.asarray(stored_array(stored, "time_s")[:])
     is_late = time_s >= time_s[-1] - last_s
-    p, target = (np.asarray(stored[name][world])[is_late] for name in ("p_m", "target_m"))
+    p, target = (
+        np.asarray(stored_array(stored, name)[world])[is_late] for name in ("p_m", "target_m")
+    )
     distance_m = np.linalg.norm(p - target, axis=-1)
     filtered = np.full_like(distance_m, np.nan)
     if ESTIMATE in stored:
-        estimated = np.asarray(stored[f"{ESTIMATE}/p_m"][world])[is_late]
+        estimated = np.asarray(stored_array(stored, f"{ESTIMATE}/p_m")[world])[is_late]
         filtered = np.linalg.norm(p - estimated, axis=-1)
     return [
         HoldingError(

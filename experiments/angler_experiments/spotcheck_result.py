@@ -11,7 +11,7 @@ import json as json_text
 import sys
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import tyro
@@ -91,7 +91,7 @@ def main(folder: Annotated[Path, tyro.conf.Positional], json: Path) -> None:
     """
     table = folder / "spotcheck.json"
     try:
-        spotcheck: dict[str, Any] = json_text.loads(table.read_text(encoding="utf-8"))
+        spotcheck = json_text.loads(table.read_text(encoding="utf-8"))
         origin, autopilot = spotcheck["provenance"], spotcheck["asked"]["ardusub"]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ConfigError(f"{table}: is no table of a spot check ({error})") from error

@@ -10,7 +10,7 @@ printed costs at the end are of worlds that the gains were not tuned on.
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
@@ -21,7 +21,11 @@ from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.sim.engines.gradients import tracking_cost
 from angler_mjx.sim.engines.lanes.engine import FusedEngine
-from angler_mjx.sim.state import SimSpec
+from angler_mjx.sim.fleet import Fleet
+from angler_mjx.sim.state import FleetWorld, SimSpec, WorldState
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 TUNED = (
     ("pose", "position_per_s"),
@@ -76,14 +80,17 @@ def tune(
     steps = max(1, round(seconds / spec.control_dt_s))
 
     @jax.jit
-    def evaluate(theta: jax.Array, kinds: Any, worlds_state: Any, start: Any) -> Any:
+    def evaluate(
+        theta: jax.Array, kinds: Fleet, worlds_state: FleetWorld, start: WorldState
+    ) -> tuple[jax.Array, jax.Array]:
         def cost(theta: jax.Array) -> jax.Array:
             gains = replace_tuned_gains(spec, theta)
             return tracking_cost(
                 gains, engine, spec, kinds, worlds_state, start, control_steps=steps
             )
 
-        return jax.value_and_grad(cost)(theta)
+        value, gradient = jax.value_and_grad(cost)(theta)
+        return value, gradient
 
     before = {f"{stage}.{gain}": getattr(stage_gains(spec, stage), gain) for stage, gain in TUNED}
     theta = jnp.log(jnp.array(list(before.values())))
@@ -113,7 +120,7 @@ def tune(
     )
 
 
-def stage_gains(spec: SimSpec, stage: str) -> Any:
+def stage_gains(spec: SimSpec, stage: str) -> object:
     """Return the gains of a stage of the controllers.
 
     Raises:
@@ -128,9 +135,9 @@ def stage_gains(spec: SimSpec, stage: str) -> Any:
     return spec.gains[names.index(stage)]
 
 
-def replace_tuned_gains(spec: SimSpec, theta: jax.Array) -> tuple[Any, ...]:
+def replace_tuned_gains(spec: SimSpec, theta: jax.Array) -> tuple["DataclassInstance", ...]:
     """Return the gains of all stages, with those in `TUNED` replaced by exp(theta) [5]."""
-    tuned: dict[str, dict[str, Any]] = {}
+    tuned: dict[str, dict[str, jax.Array]] = {}
     for i, (stage, gain) in enumerate(TUNED):
         tuned.setdefault(stage, {})[gain] = jnp.exp(theta[i])
     return tuple(
@@ -163,30 +170,15 @@ def _descend(
     return costs, theta
 
 
-def main(
-    scenario: str = "reef_fleet",
-    worlds: int = 16,
-    seconds: float = 10.0,
-    iterations: int = 40,
-    rate: float = 0.1,
-) -> TuningResult:
-    """Tune the gains of a scenario's cascade, and print them before and after.
-
-    Args:
-        scenario: name of a shipped scenario, or path of a file.
-        worlds: number of worlds to tune on.
-        seconds: length of the rollouts.
-        iterations: iterations of Adam.
-        rate: greatest change of a gain's logarithm in an iteration.
-    """
-    result = tune(scenario, worlds, seconds, iterations, rate)
+def main() -> None:
+    """Tune the gains of a scenario, and print them before and after."""
+    result = tyro.cli(tune)
     print(f"compiled in {result.compile_s:.0f} s, tuned in {result.tune_s:.1f} s")
     for name, before in result.before.items():
         print(f"{name}: {before:.3g} -> {result.after[name]:.3g}")
     rms = [1e2 * cost**0.5 for cost in result.unseen_m2]
     print(f"root mean square tracking error, other worlds: {rms[0]:.2f} cm -> {rms[1]:.2f} cm")
-    return result
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    main()

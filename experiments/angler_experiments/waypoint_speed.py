@@ -7,21 +7,22 @@ same times; rates are medians of five flights over the first third of the horizo
 """
 
 import time
-from typing import Any
 
 import jax
 import numpy as np
 import tyro
 
+from angler_mjx.host_arrays import as_leaf
 from angler_mjx.planning.planner import PathShape
 from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import load_scenario
+from angler_mjx.sim.state import World
 
 FLIGHTS = 5
 
 
-def resample_path(path: Any, points: int) -> Trajectory:
+def resample_path(path: Trajectory, points: int) -> Trajectory:
     """Resample paths to another number of way-points.
 
     Args:
@@ -32,16 +33,17 @@ def resample_path(path: Any, points: int) -> Trajectory:
     rows = np.linspace(0.0, time_s.shape[-1] - 1, points)
     low = np.minimum(rows.astype(int), time_s.shape[-1] - 2)
     fraction = (rows - low).astype(np.float32)
-    fields: Any = {
-        "time_s": time_s[..., low] * (1 - fraction) + time_s[..., low + 1] * fraction,
-        "position_m": position_m[..., low, :] * (1 - fraction)[:, None]
-        + position_m[..., low + 1, :] * fraction[:, None],
-        "found": np.asarray(path.found),
-    }
-    return Trajectory(**fields)
+    return Trajectory(
+        time_s=as_leaf(time_s[..., low] * (1 - fraction) + time_s[..., low + 1] * fraction),
+        position_m=as_leaf(
+            position_m[..., low, :] * (1 - fraction)[:, None]
+            + position_m[..., low + 1, :] * fraction[:, None]
+        ),
+        found=as_leaf(np.asarray(path.found)),
+    )
 
 
-def measure_rate(simulator: Simulator, worlds: Any) -> float:
+def measure_rate(simulator: Simulator, worlds: World) -> float:
     """Return vehicle-steps/s, the median of some flights; compiled before the first."""
     segments = max(1, simulator.segments // 3)
     robots = worlds.variant.size * simulator.spec.physics_steps * simulator.segment_steps

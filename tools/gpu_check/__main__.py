@@ -128,7 +128,7 @@ def _run_rates(
         report(running.run_rate(machine, name, medians.get(name.removeprefix("rate/"))))
 
 
-def _read_outcomes(results: Path, mark: list[Any]) -> dict[str, CheckOutcome]:
+def _read_outcomes(results: Path, mark: list[str | None]) -> dict[str, CheckOutcome]:
     """Return the last outcome of each check of this commit and device."""
     outcomes = {}
     lines = results.read_text().splitlines() if results.is_file() else []

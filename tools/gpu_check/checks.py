@@ -3,7 +3,6 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -60,7 +59,7 @@ def _kernel_checks() -> list[GpuCheck]:
 RECORDING = {"record_hz": 1.0}
 
 
-def _flight_check(name: str, scenario: str, covers: set[str], **changes: Any) -> GpuCheck:
+def _flight_check(name: str, scenario: str, covers: set[str], **changes: object) -> GpuCheck:
     """Build a check of a flight on the fused engine; changes may choose its kernels."""
     return GpuCheck(
         name=f"flight/{name}",
@@ -72,8 +71,8 @@ def _flight_check(name: str, scenario: str, covers: set[str], **changes: Any) ->
 
 def _flight_checks() -> list[GpuCheck]:
     """Build flights for every engine, device planner, policy, allocation and shipped scenario."""
-    reef: dict[str, Any] = {"worlds": 16, "time": RECORDING}
-    brief: dict[str, Any] = {"worlds": 8, "time": {**RECORDING, "horizon_s": 40.0}}
+    reef: dict[str, object] = {"worlds": 16, "time": RECORDING}
+    brief: dict[str, object] = {"worlds": 8, "time": {**RECORDING, "horizon_s": 40.0}}
     triton = {
         "engine:fused/xla",
         "engine:fused/triton",
@@ -81,7 +80,7 @@ def _flight_checks() -> list[GpuCheck]:
         "planner:grid",
         "kernel:angler_mjx.sim.engines.triton",
     }
-    replanning: dict[str, Any] = {"replan_hz": 0.5, "information": {"obstacles": "observed"}}
+    replanning: dict[str, object] = {"replan_hz": 0.5, "information": {"obstacles": "observed"}}
     planners = built_in_device_planners()
     few = {"samples": 64}
     nearest = {"task": {"allocation": "nearest"}}

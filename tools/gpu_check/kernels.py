@@ -4,8 +4,6 @@ The inputs are those of the tests, which compare both forms with plain Python, D
 a CPU. Each function returns arrays by name; the caller runs it on both devices and compares them.
 """
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -40,7 +38,13 @@ def run_reachable() -> Arrays:
     from angler_mjx.planning.path_search import robot_search
     from tests.angler_mjx.planning.test_search_kernel import LAYOUT, SHAPE, asked, land_at
 
-    def search(origin: Any, start: Any, first: Any, goal: Any, **options: Any) -> Any:
+    def search(
+        origin: jax.Array,
+        start: jax.Array,
+        first: jax.Array,
+        goal: jax.Array,
+        **options: jax.Array,
+    ) -> tuple[jax.Array, jax.Array, jax.Array]:
         land = land_at(origin)
         return robot_search._search_reachable(
             land, options["free"], options["balls"], (start, first), goal, options["may_stay"]

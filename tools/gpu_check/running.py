@@ -7,14 +7,14 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from angler_mjx.files import JsonTable
 from tools.gpu_check.checks import CHECKS, TESTS
 from tools.gpu_check.comparing import compare_arrays
 
@@ -35,7 +35,7 @@ class CheckOutcome:
     """passed, failed, slower, skipped, or unfinished at the deadline."""
     seconds: float
     reason: str = ""
-    row: dict[str, Any] = field(default_factory=dict)
+    row: JsonTable = field(default_factory=dict)
     """Row of a rate."""
 
 
@@ -189,7 +189,7 @@ def run_side_by_side(
     """
     waiting = list(names)
     with ThreadPoolExecutor(max(1, jobs // 2)) as pool:
-        running: set[Any] = set()
+        running: set[Future[CheckOutcome]] = set()
         while running or waiting:
             while waiting and len(running) < max(1, jobs // 2):
                 if time.monotonic() >= machine.deadline:
@@ -205,7 +205,7 @@ def run_side_by_side(
                 report(future.result())
 
 
-def run_rate(machine: Machine, name: str, reference: Mapping[str, Any] | None) -> CheckOutcome:
+def run_rate(machine: Machine, name: str, reference: JsonTable | None) -> CheckOutcome:
     """Measure the rate of a workload alone, and judge it by the stored row."""
     from tools.gpu_check.workloads import judge_rate
 

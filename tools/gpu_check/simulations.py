@@ -1,7 +1,5 @@
 """Flights of small worlds: samples, plans and trajectories as arrays to compare."""
 
-from typing import Any
-
 import jax
 import numpy as np
 
@@ -24,7 +22,7 @@ BOUNDS = {
 world's team is compared: which robot of a team waits for another can be a tie."""
 
 
-def fly_worlds(scenario: str, **changes: Any) -> dict[str, np.ndarray]:
+def fly_worlds(scenario: str, **changes: object) -> dict[str, np.ndarray]:
     """Simulate every world of a scenario to its horizon.
 
     Args:

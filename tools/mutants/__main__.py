@@ -6,7 +6,6 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import tyro
 
@@ -120,9 +119,10 @@ def _print_error(reason: str) -> int:
     return 2
 
 
-def _read_results(options: MutantOptions) -> dict[str, dict[str, Any]]:
+def _read_results(options: MutantOptions) -> dict[str, trials.TrialRow]:
     """Return the last result of each mutant."""
-    return {row["mutant"]: row for row in trials.read_rows(options.out / "results.jsonl")}
+    rows = trials.read_rows(options.out / "results.jsonl")
+    return {row["mutant"]: trials.TrialRow(**row) for row in rows}
 
 
 def _try_mutants(options: MutantOptions, mutants: Sequence[Mutant]) -> None:

@@ -11,7 +11,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TypedDict
 
 from tools.mutants.mutant import Mutant, build_mutant
 
@@ -60,7 +60,17 @@ def load_list(root: Path, file: Path, folders: Sequence[str] | None = None) -> M
     return MutantList(rooms=rooms, mutants=mutants, gone=gone)
 
 
-def _read_rows(file: Path) -> list[dict[str, Any]]:
+class ListedMutant(TypedDict):
+    """Row of a list."""
+
+    room: str
+    """Folder, by which lists are chosen."""
+    file: str
+    diff: str
+    operator: str
+
+
+def _read_rows(file: Path) -> list[ListedMutant]:
     """Return the rows of a list.
 
     Raises:
@@ -80,7 +90,7 @@ def _read_rows(file: Path) -> list[dict[str, Any]]:
     return rows
 
 
-def _apply_row(root: Path, row: dict[str, Any]) -> Mutant | None:
+def _apply_row(root: Path, row: ListedMutant) -> Mutant | None:
     """Return the mutant of a row, or None if its lines no longer stand in the file."""
     path = root / row["file"]
     if not path.is_file():

@@ -7,12 +7,12 @@ only raise the fraction.
 """
 
 from collections.abc import Iterator
-from typing import Any
 
 import parso
 from cosmic_ray.operators.operator import Example, Operator
 from cosmic_ray.plugins import get_operator
 from parso.python.tree import Name
+from parso.tree import BaseNode, NodeOrLeaf
 
 _ARITHMETIC = ("Add", "Sub", "Mul", "Div", "FloorDiv", "Mod", "Pow")
 _BITS = ("BitOr", "BitAnd", "BitXor")
@@ -38,12 +38,12 @@ type Position = tuple[tuple[int, int], tuple[int, int]]
 class SwapTwin(Operator):
     """``jnp.minimum`` becomes ``jnp.maximum``, and so on."""
 
-    def mutation_positions(self, node: Any) -> Iterator[Position]:
+    def mutation_positions(self, node: NodeOrLeaf) -> Iterator[Position]:
         """Yield the positions of such a function's name."""
         if isinstance(node, Name) and node.value in COUNTERPARTS and _is_numpy_attribute(node):
             yield node.start_pos, node.end_pos
 
-    def mutate(self, node: Any, index: int) -> Any:
+    def mutate(self, node: Name, index: int) -> Name:
         """Replace the name by the counterpart's."""
         node.value = COUNTERPARTS[node.value]
         return node
@@ -57,14 +57,14 @@ class SwapTwin(Operator):
 class SwapWhere(Operator):
     """``jnp.where(c, a, b)`` takes a where it took b."""
 
-    def mutation_positions(self, node: Any) -> Iterator[Position]:
+    def mutation_positions(self, node: NodeOrLeaf) -> Iterator[Position]:
         """Yield the positions of calls with three arguments."""
         if node.type == "arglist" and len(_positional_arguments(node)) == 3:
             name = node.get_previous_sibling().get_previous_leaf()
             if isinstance(name, Name) and name.value == "where" and _is_numpy_attribute(name):
                 yield name.start_pos, name.end_pos
 
-    def mutate(self, node: Any, index: int) -> Any:
+    def mutate(self, node: BaseNode, index: int) -> BaseNode:
         """Negate the condition."""
         condition = node.children[0].get_code().strip()
         node.children[0] = parso.parse(f"jnp.logical_not({condition})")
@@ -76,14 +76,14 @@ class SwapWhere(Operator):
         return (Example("jnp.where(c, a, b)", "jnp.where(jnp.logical_not(c), a, b)"),)
 
 
-def _is_numpy_attribute(name: Any) -> bool:
+def _is_numpy_attribute(name: Name) -> bool:
     dot = name.get_previous_leaf()
     if dot is None or dot.value != ".":
         return False
     return dot.get_previous_leaf().value in _MODULES
 
 
-def _positional_arguments(arguments: Any) -> list[Any]:
+def _positional_arguments(arguments: BaseNode) -> list[NodeOrLeaf]:
     """Return the positional arguments."""
     rows = [child for child in arguments.children if child.type not in ("operator", "argument")]
     return rows if len(rows) * 2 - 1 <= len(arguments.children) else []

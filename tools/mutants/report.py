@@ -4,7 +4,8 @@ import math
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+
+from tools.mutants.trials import TrialRow
 
 _TWO_SIDED_95 = 1.96
 
@@ -36,9 +37,15 @@ def _changed_lines(diff: str) -> str:
     )
 
 
+class JudgedRow(TrialRow):
+    """Row of a tried mutant, with the reason why it is equivalent, if it is."""
+
+    why: str | None
+
+
 def format_report(
     folders: Sequence[str],
-    rows: Sequence[dict[str, Any]],
+    rows: Sequence[TrialRow],
     missing: int,
     reasons: Mapping[tuple[str, str], str],
     gone: Sequence[str] = (),
@@ -55,10 +62,13 @@ def format_report(
     """
     kinds = ("caught", "stuck", "equivalent", "survived")
     lines = [f"| folder | mutants | {' | '.join(kinds)} | share (95 %) |", "|---|" + "---|" * 6]
-    rows = [row | {"why": reasons.get((row["file"], _changed_lines(row["diff"])))} for row in rows]
+    judged_rows = [
+        JudgedRow(**row, why=reasons.get((row["file"], _changed_lines(row["diff"]))))
+        for row in rows
+    ]
     for folder in [*folders, "all"]:
         folder_rows = [
-            row for row in rows if folder == "all" or row["file"].startswith(folder + "/")
+            row for row in judged_rows if folder == "all" or row["file"].startswith(folder + "/")
         ]
         count = dict.fromkeys(kinds, 0)
         for row in folder_rows:
@@ -73,17 +83,17 @@ def format_report(
         lines += ["", f"{missing} of the sample not tried yet."]
     if gone:
         lines += ["", f"{len(gone)} of the list gone, in no count: {', '.join(gone)}."]
-    for row in rows:
+    for row in judged_rows:
         if row["outcome"] == "survived" and not _is_equivalent(row):
             lines += _format_survivor(row)
     return "\n".join(lines)
 
 
-def _is_equivalent(row: dict[str, Any]) -> bool:
+def _is_equivalent(row: JudgedRow) -> bool:
     return row["outcome"] == "survived" and row["why"] is not None
 
 
-def _format_survivor(row: dict[str, Any]) -> list[str]:
+def _format_survivor(row: TrialRow) -> list[str]:
     not_run = f"; {row['left']} more had no time" if row["left"] else ""
     return [
         *["", f"### {row['mutant']} {row['file']}:{row['line']} ({row['operator']})", ""],

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypedDict
 
 from tools.mutants.mutant import Mutant
 from tools.mutants.trees import WorkerTree
@@ -46,6 +46,22 @@ class MutantResult:
     """Number of relevant test files that did not fit into the time."""
 
 
+class TrialRow(TypedDict):
+    """Result of a mutant."""
+
+    mutant: str
+    file: str
+    line: int
+    operator: str
+    diff: str
+    outcome: str
+    tried: list[str]
+    """Test files that were run."""
+    left: int
+    """Number of test files without time."""
+    seconds: float
+
+
 def read_rows(file: Path) -> list[dict[str, Any]]:
     """Read lines of JSON; a truncated last line is skipped."""
     if not file.exists():
@@ -67,7 +83,7 @@ class MutantLog:
         self._file, self._lock = file, threading.Lock()
         file.parent.mkdir(parents=True, exist_ok=True)
 
-    def write(self, row: Mapping[str, Any]) -> None:
+    def write(self, row: Mapping[str, object]) -> None:
         """Write a line; a line truncated by a crash is ended first."""
         with self._lock, self._file.open("ab+") as file:
             if file.tell():

@@ -259,11 +259,11 @@ def show_stats(
         f"{counts_by_name['robots']:,} robots, "
         f"{format_bytes(counts_by_name['bytes'])}"
     )
-    for column, values in counts_by_name["by"].items():
+    for column, groups in counts_by_name["by"].items():
         table = text_table(column, "episodes", "robots with a plan", "whole teams that arrive")
-        for name, value in values.items():
-            percents = (f"{100 * value[key]:.1f} %" for key in ("planned", "success"))
-            table.add_row(name, f"{value['episodes']:,}", *percents)
+        for name, group in groups.items():
+            percents = (f"{100 * x:.1f} %" for x in (group["planned"], group["success"]))
+            table.add_row(name, f"{group['episodes']:,}", *percents)
         console.print(table)
     table = text_table("robots that ended by", "number", "share")
     total = sum(counts_by_name["outcomes"].values())
@@ -271,15 +271,16 @@ def show_stats(
         table.add_row(name, f"{count:,}", f"{100 * count / total:.1f} %")
     console.print(table)
     table = text_table("of episodes", "10 %", "median", "90 %")
-    for name, value in counts_by_name["quantiles"].items():
-        table.add_row(name, *(f"{value[key]:.3g}" for key in ("p10", "p50", "p90")))
+    for name, quantiles in counts_by_name["quantiles"].items():
+        numbers = (quantiles["p10"], quantiles["p50"], quantiles["p90"])
+        table.add_row(name, *(f"{number:.3g}" for number in numbers))
     console.print(table)
     table = text_table("field", "mean", "standard deviation")
     rows = list(counts_by_name["fields"].items())
     for vehicle, fields in counts_by_name["fields_by_vehicle"].items():
         rows += [(f"{name} of {vehicle}", value) for name, value in fields.items()]
-    for name, value in rows:
-        table.add_row(name, *(_format_numbers(value[key]) for key in ("mean", "std")))
+    for name, moments in rows:
+        table.add_row(name, _format_numbers(moments["mean"]), _format_numbers(moments["std"]))
     console.print(table)
 
 

@@ -1,7 +1,7 @@
 """Scenarios of a command line: a file, and flags that replace its keys."""
 
 from dataclasses import fields
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, get_args
 
 from angler_mjx.errors import ConfigError, RunError, format_value
 from angler_mjx.files import format_path
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from angler_mjx.scenario.scenario import Scenario
 
 
-def build_scenario(name_or_path: str, **flags: Any) -> "Scenario":
+def build_scenario(name_or_path: str, **flags: object) -> "Scenario":
     """Read a scenario; errors in a flag's value name the flag.
 
     Args:
@@ -27,7 +27,7 @@ def build_scenario(name_or_path: str, **flags: Any) -> "Scenario":
     return read_scenario(name_or_path, overrides, blame=format_flag)
 
 
-def build_flyable_scenario(name_or_path: str, **flags: Any) -> "Scenario":
+def build_flyable_scenario(name_or_path: str, **flags: object) -> "Scenario":
     """Read a scenario to plan or fly, as `build_scenario` does.
 
     Raises:
@@ -75,7 +75,7 @@ def parse_information(text: str | None) -> dict[str, str] | None:
 
 def build_policy_table(
     name: str | None, information: dict[str, str] | None
-) -> dict[str, Any] | None:
+) -> dict[str, object] | None:
     """Return the scenario's table of a policy from flags.
 
     Args:
@@ -87,7 +87,7 @@ def build_policy_table(
     return {key: value for key, value in table.items() if value is not None} or None
 
 
-def build_planner_table(name: str | None, **keys: Any) -> dict[str, Any] | None:
+def build_planner_table(name: str | None, **keys: object) -> dict[str, object] | None:
     """Return the scenario's table of a planner from flags.
 
     The settings of the scenario's own planner are kept.
@@ -96,7 +96,7 @@ def build_planner_table(name: str | None, **keys: Any) -> dict[str, Any] | None:
         name: of the planner; the scenario's if None.
         **keys: other keys of its table; None keeps the file's value.
     """
-    table: dict[str, Any] = {key: value for key, value in keys.items() if value is not None}
+    table = {key: value for key, value in keys.items() if value is not None}
     if name is None:
         return table or None
     return {"name": name, **table}

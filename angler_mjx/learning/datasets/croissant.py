@@ -1,15 +1,15 @@
 """Metadata of a dataset in Croissant 1.1 of MLCommons (JSON-LD)."""
 
 from pathlib import Path
-from typing import Any
 
 import pyarrow as pa
 
+from angler_mjx.files import JsonTable
 from angler_mjx.learning.datasets.index import SCHEMA
 from angler_mjx.learning.datasets.manifest import INDEX, SUMS, Manifest
 from angler_mjx.runs.storage.checksums import hash_file
 
-_CONTEXT: dict[str, Any] = {
+_CONTEXT: JsonTable = {
     "@language": "en",
     "@vocab": "https://schema.org/",
     "citeAs": "cr:citeAs",
@@ -50,7 +50,7 @@ _CONTEXT: dict[str, Any] = {
 }
 
 
-def build_metadata(root: Path, manifest: Manifest) -> dict[str, Any]:
+def build_metadata(root: Path, manifest: Manifest) -> JsonTable:
     """Build the dataset's ``croissant.json``.
 
     Args:
@@ -119,7 +119,7 @@ def build_metadata(root: Path, manifest: Manifest) -> dict[str, Any]:
     }
 
 
-def _describe_field(field: pa.Field) -> dict[str, Any]:
+def _describe_field(field: pa.Field) -> JsonTable:
     metadata = {key.decode(): value.decode() for key, value in (field.metadata or {}).items()}
     unit = f" ({metadata['unit']})" if metadata.get("unit", "1") not in ("", "1") else ""
     return {

@@ -19,9 +19,10 @@ from angler_mjx.learning.datasets.windows import Windows
 from angler_mjx.robot.vehicles import library
 from angler_mjx.runs.storage import environments, folder, trajectory_layout
 from angler_mjx.runs.storage.read_errors import wrap_read_errors
+from angler_mjx.runs.stored_arrays import stored_array, stored_group
 
 if TYPE_CHECKING:
-    import xarray
+    from xarray import Dataset as XarrayDataset
 
 FIELDS = ("p_m", "q", "nu", "target_m", "current_mps", "pwm_us", "obstacle_p_m")
 """Arrays that are read by default."""
@@ -164,7 +165,7 @@ class Dataset:
         first = world - world % tile
         if self._environment_cache[0] != (part, first):
             run = self.run(part)
-            group = run.trajectories.get_group(trajectory_layout.ENVIRONMENT_GROUP)
+            group = stored_group(run.trajectories, trajectory_layout.ENVIRONMENT_GROUP)
             with wrap_read_errors(run.path):
                 arrays = {
                     name: np.asarray(array[first : first + tile])
@@ -184,10 +185,10 @@ class Dataset:
     def _goals(self) -> Mapping[int, np.ndarray]:
         goals = {}
         for part in sorted(set(self._rows["part"].tolist())):
-            stored = self.run(part).trajectories
+            group = self.run(part).trajectories
             with wrap_read_errors(self.parts[part]):
-                array = stored.get_array(f"{trajectory_layout.ENVIRONMENT_GROUP}/goal_m")
-                goals[part] = np.asarray(array[:])
+                goal_m = stored_array(group, f"{trajectory_layout.ENVIRONMENT_GROUP}/goal_m")
+                goals[part] = np.asarray(goal_m[:])
         return goals
 
     def windows(
@@ -255,7 +256,7 @@ class Dataset:
         """
         return compute_statistics(self, max_episodes, vehicle)
 
-    def xarray(self, part: int = 0) -> "xarray.Dataset":
+    def xarray(self, part: int = 0) -> "XarrayDataset":
         """Return trajectories of a part as an `xarray.Dataset`, read on access.
 
         Raises:
@@ -266,7 +267,7 @@ class Dataset:
         except ImportError as error:
             raise UnsupportedError("xarray is not installed: pip install xarray") from error
         path = self.parts[part] / folder.TRAJECTORIES
-        opened: xarray.Dataset = xarray.open_zarr(path, consolidated=False)
+        opened: XarrayDataset = xarray.open_zarr(path, consolidated=False)
         return opened
 
 

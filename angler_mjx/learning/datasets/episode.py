@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 import pyarrow as pa
@@ -14,7 +14,7 @@ from angler_mjx.learning.datasets.stored import StoredArray
 class Episode:
     """Flight until its last robot had ended."""
 
-    about: Mapping[str, Any]
+    about: Mapping[str, str | int | float | bool]
     """Row of the index."""
     time_s: np.ndarray
     """[t] time since the start."""

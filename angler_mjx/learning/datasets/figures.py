@@ -2,11 +2,11 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
@@ -231,7 +231,7 @@ def plot_flights(root: Path, manifest: Manifest, table: pa.Table) -> Figure:
                 f"{row['difficulty']}, {row['reached']} of {row['robots']} arrived",
                 fontsize=9.0,
             )
-        handles: list[Any] = [
+        handles: list[Artist] = [
             Patch(color=style.ROCK(0.75), label="rock; lighter is higher"),
             Line2D([], [], color=style.OBSTACLE_DYNAMIC, linestyle=":", label="moving obstacles"),
         ]

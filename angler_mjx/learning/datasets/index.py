@@ -1,7 +1,7 @@
 """Index of a dataset: a row per episode, computed from the parts' own files alone."""
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +15,7 @@ from angler_mjx.learning.datasets.sampling import select_episodes
 from angler_mjx.runs.storage import atomic_files, trajectory_layout
 from angler_mjx.runs.storage.folder import Run
 from angler_mjx.runs.storage.read_errors import wrap_read_errors
+from angler_mjx.runs.stored_arrays import stored_array, stored_group
 
 _COLUMNS: tuple[tuple[str, pa.DataType, str, str], ...] = (
     ("episode", pa.int64(), "1", "number of the row"),
@@ -75,7 +76,7 @@ ROUNDING_M = 1e-3
 
 
 def build_rows(
-    root: Path, part: int, entry: Mapping[str, str | None], fractions: SplitConfig, first: int
+    root: Path, part: int, entry: Mapping[str, object], fractions: SplitConfig, first: int
 ) -> pa.Table:
     """Return the rows of a part, all of them chosen.
 
@@ -103,9 +104,9 @@ def build_rows(
         by_world("outcome") == "reached", by_world("time_to_goal_s"), by_world("failure_time_s")
     ).max(axis=1)
     environments = [_describe_environments(batch) for batch in _read_environments(run, len(world))]
-    hashes = [str(digest) for batch in environments for digest in batch["environment"]]
+    hashes = [digest for digests, _ in environments for digest in digests]
     environment_columns = {
-        name: np.concatenate([batch[name] for batch in environments])
+        name: np.concatenate([columns[name] for _, columns in environments])
         for name in ("density", "path_ratio", "free_lines", "crossings")
     }
     free, crossings = environment_columns["free_lines"], environment_columns["crossings"]
@@ -114,10 +115,10 @@ def build_rows(
     information = scenario.planner.information
     if policy.name != "none" and policy.information is not None:
         information = policy.information
-    max_samples = run.trajectories.get_array("p_m").shape[1]
+    max_samples = stored_array(run.trajectories, "p_m").shape[1]
     split = entry["split"]
     count = len(world)
-    columns = {
+    columns: dict[str, Sequence[object] | np.ndarray] = {
         "episode": np.arange(first, first + count),
         "part": np.full(count, part, np.int32),
         "world": world,
@@ -148,20 +149,21 @@ def build_rows(
 
 def _read_environments(run: Run, worlds: int) -> Iterator[dict[str, np.ndarray]]:
     """Yield the environment arrays that the index needs, some worlds at a time."""
-    stored = run.trajectories
-    with wrap_read_errors(run.path):
-        group = stored.get_group(trajectory_layout.ENVIRONMENT_GROUP)
-        names = ["grid/occupied", "floor_z_m", "start_m", "goal_m", "line_free", "density"]
-        names += ["path_ratio", *(n for n in ("obstacles/p0", "obstacles/size_m") if n in group)]
-        arrays = {name: group.get_array(name) for name in names}
-        step = arrays["density"].chunks[0]
-        for first in range(0, worlds, step):
+    group = stored_group(run.trajectories, trajectory_layout.ENVIRONMENT_GROUP)
+    names = ["grid/occupied", "floor_z_m", "start_m", "goal_m", "line_free", "density"]
+    names += ["path_ratio", *(n for n in ("obstacles/p0", "obstacles/size_m") if n in group)]
+    arrays = {name: stored_array(group, name) for name in names}
+    step = arrays["density"].chunks[0]
+    for first in range(0, worlds, step):
+        with wrap_read_errors(run.path):
             batch = slice(first, min(first + step, worlds))
             yield {name: np.asarray(array[batch]) for name, array in arrays.items()}
 
 
-def _describe_environments(environments: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return the index columns of some worlds: hashes and difficulty."""
+def _describe_environments(
+    environments: Mapping[str, np.ndarray],
+) -> tuple[list[str], dict[str, np.ndarray]]:
+    """Return hashes of some worlds, and the index columns of their difficulty."""
     rest = [
         environments[name] for name in sorted(environments) if name not in ("density", "path_ratio")
     ]
@@ -169,8 +171,7 @@ def _describe_environments(environments: Mapping[str, np.ndarray]) -> dict[str, 
         hash_environment(rock, b"".join(array[i].tobytes() for array in rest))
         for i, rock in enumerate(environments["grid/occupied"])
     ]
-    return {
-        "environment": np.array(hashes),
+    return hashes, {
         "density": environments["density"],
         "path_ratio": environments["path_ratio"].mean(axis=1),
         "free_lines": environments["line_free"].sum(axis=1),

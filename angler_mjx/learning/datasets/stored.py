@@ -10,12 +10,10 @@ import threading
 from collections import OrderedDict
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import zarr
 from numcodecs import blosc
-from zarr.types import ArrayV3
 
 from angler_mjx.runs.storage import shards
 from angler_mjx.runs.storage.read_errors import wrap_read_errors
@@ -60,12 +58,10 @@ class StoredArray:
         """
         self.path = path
         with wrap_read_errors(path / "zarr.json"):
-            metadata = json.loads((path / "zarr.json").read_text(encoding="utf-8"))
-            self._form: _ArrayFormat | ArrayV3 = _parse_format(metadata) or zarr.open_array(
-                path, mode="r"
-            )
-        self.shape: tuple[int, ...] = tuple(self._form.shape)
-        self.dtype: np.dtype = np.dtype(self._form.dtype)
+            text = (path / "zarr.json").read_text(encoding="utf-8")
+            self._source = _parse_format(text) or zarr.open_array(path, mode="r")
+        self.shape: tuple[int, ...] = tuple(self._source.shape)
+        self.dtype: np.dtype = np.dtype(self._source.dtype)
         self._init_cache()
 
     def _init_cache(self) -> None:
@@ -99,8 +95,8 @@ class StoredArray:
         """
         if not 0 <= world < self.shape[0]:
             raise IndexError(f"{self.path}: world {world} of {self.shape[0]}")
-        form = self._form
-        if isinstance(form, zarr.Array):
+        form = self._source
+        if not isinstance(form, _ArrayFormat):
             with wrap_read_errors(self.path):
                 whole: np.ndarray = np.asarray(form[world])
                 return whole if times is None else whole[times]
@@ -174,8 +170,13 @@ class StoredArray:
         return file, index
 
 
-def _parse_format(metadata: dict[str, Any]) -> _ArrayFormat | None:
-    """Return the format of an array of our own recorder; None for any other."""
+def _parse_format(text: str) -> _ArrayFormat | None:
+    """Return the format of an array of our own recorder by its ``zarr.json``; None for any other.
+
+    Raises:
+        ValueError: the text is not JSON.
+    """
+    metadata = json.loads(text)
     try:
         (outer,) = metadata["codecs"]
         inner = outer["configuration"]["codecs"]
@@ -193,7 +194,7 @@ def _parse_format(metadata: dict[str, Any]) -> _ArrayFormat | None:
             and inner[-2].get("configuration", {}).get("endian", "little") == "little"
         )
         dtype = np.dtype(metadata["data_type"])
-        exact = _ArrayFormat(
+        plain = _ArrayFormat(
             shape=shape,
             dtype=dtype,
             fill=float(metadata["fill_value"]),
@@ -202,7 +203,7 @@ def _parse_format(metadata: dict[str, Any]) -> _ArrayFormat | None:
             per_unit=None,
         )
         if is_native and len(names) == 2:
-            return exact
+            return plain
         if not is_native or names[:3] != ["transpose", "scale_offset", "cast_value"]:
             return None
         order, scale, cast = (codec.get("configuration", {}) for codec in inner[:3])
@@ -219,7 +220,7 @@ def _parse_format(metadata: dict[str, Any]) -> _ArrayFormat | None:
     if not is_supported:
         return None
     return replace(
-        exact,
+        plain,
         stored=np.dtype(cast["data_type"]),
         per_unit=np.float32(scale.get("scale", 1)),
         missing=int(stands_for["NaN"]),

@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np
@@ -274,7 +273,7 @@ class BatchSession:
         self._initial_state: WorldState = replace(state, carry=carry)
         self._rejoin_paths = RejoinPaths(jax.tree.map(lambda leaf: leaf[0], worlds.environment))
 
-    def _view_state(self, pwm_us: Any) -> StateView:
+    def _view_state(self, pwm_us: np.ndarray) -> StateView:
         watched, slots = None, self._command_queue.slots
         if JointTrajectory in slots.kinds:
             watched = WatchedTrajectories(
@@ -295,7 +294,7 @@ def _resolve_scenario(
         resolved.task,
         'a session has no tasks; fly it with angler rollout, or take a scenario of type = "goal"',
     )
-    changes: dict[str, Any] = {"tile": 1, "kernels": "xla"}
+    changes: dict[str, object] = {"tile": 1, "kernels": "xla"}
     if engine not in (None, "mjx", "fused"):
         raise ConfigError(f"engine = {engine!r}: give mjx or fused")
     if engine is not None:

@@ -1,12 +1,12 @@
 """Preparation of orders for slots: joined JointTrajectories, padded paths, holds."""
 
 from dataclasses import replace
-from typing import Any
 
 import jax
 import numpy as np
 
 from angler_mjx.errors import ConfigError
+from angler_mjx.host_arrays import as_leaf
 from angler_mjx.robot.control.allocation import NEUTRAL_US
 from angler_mjx.robot.control.commands import PoseTarget, ThrusterPwm, joint_goal
 from angler_mjx.robot.control.commands.joint_goal import JointGoal, JointPoint
@@ -23,12 +23,13 @@ from angler_mjx.robot.control.commands.joint_trajectory import (
     sample_state,
 )
 from angler_mjx.robot.control.commands.trajectory import Trajectory
-from angler_mjx.robot.control.stack import Stages
+from angler_mjx.robot.control.plans import Plan
+from angler_mjx.robot.control.stack import Command, Stages
 from angler_mjx.runs.session.command_slots import CommandSlots
 from angler_mjx.runs.session.command_validation import CommandLimits
 from angler_mjx.runs.session.interface import Floats, SessionCommand
 from angler_mjx.runs.session.robot_plan import RobotPlan
-from angler_mjx.runs.session.state_view import StateView
+from angler_mjx.runs.session.state_view import StateView, rotate_vectors
 from angler_mjx.scenario.scenario import Scenario
 
 CLEARANCE_SLACK_M = 1e-3
@@ -77,22 +78,24 @@ def prepare_command(
     order: SessionCommand,
     limits: CommandLimits,
     now_s: float,
-) -> Any:
+) -> Command:
     """Turn a checked order into slot arrays of fixed shapes, joined to the present motion."""
     if isinstance(order, JointGoal):
         return join_trajectory(slots, view, robot, _drop_past_points(order, now_s))
-    order = jax.device_get(order)
-    if isinstance(order, JointTrajectory):
-        return join_trajectory(slots, view, robot, replace(order, found=None))
-    if isinstance(order, Trajectory):
-        plan = RobotPlan(time_s=np.asarray(order.time_s), position_m=np.asarray(order.position_m))
+    command: Command = jax.device_get(order)
+    if isinstance(command, JointTrajectory):
+        return join_trajectory(slots, view, robot, replace(command, found=None))
+    if isinstance(command, Trajectory):
+        plan = RobotPlan(
+            time_s=np.asarray(command.time_s), position_m=np.asarray(command.position_m)
+        )
         return plan.padded(limits.way_points, view.p.dtype)
-    if isinstance(order, ThrusterPwm):
-        pulses = np.asarray(order.pwm_us)
+    if isinstance(command, ThrusterPwm):
+        pulses = np.asarray(command.pwm_us)
         padding = view.pwm_us.shape[-1] - pulses.size
-        padded: Any = np.pad(pulses, (0, padding), constant_values=NEUTRAL_US)
-        return ThrusterPwm(pwm_us=padded)
-    return order
+        padded = np.pad(pulses, (0, padding), constant_values=NEUTRAL_US)
+        return ThrusterPwm(pwm_us=as_leaf(padded))
+    return command
 
 
 def join_trajectory(
@@ -130,7 +133,7 @@ _sample = jax.jit(sample_state)
 
 def hold_command(
     kinds: tuple[type, ...], view: StateView, robot: int, limits: CommandLimits
-) -> Any:
+) -> Plan | PoseTarget:
     """Return a command to hold position; every stack takes a path, not every one a pose."""
     p, yaw = view.p[robot], view.yaw_rad[robot]
     if PoseTarget in kinds:
@@ -190,22 +193,18 @@ def _current_joints(slots: CommandSlots, view: StateView, robot: int) -> tuple[F
 
 def ground_velocity(view: StateView, robot: int) -> Floats:
     """Return the velocity [3] in W."""
-    w, axis = float(view.q[robot, 0]), np.asarray(view.q[robot, 1:], float)
-    v = np.asarray(view.nu[robot, :3], float)
-    half_turn = 2.0 * np.cross(axis, v)
-    velocity: Floats = v + w * half_turn + np.cross(axis, half_turn)
-    return velocity
+    return rotate_vectors(np.asarray(view.q[robot], float), np.asarray(view.nu[robot, :3], float))
 
 
 def _straight_trajectory(
     like: JointTrajectory, joint_positions: Floats, joint_rates: Floats
 ) -> JointTrajectory:
     """Return a straight line through joints [4] with their rates, as large as ``like``."""
-    time: Any = np.minimum(np.arange(like.time_s.shape[0]), 1).astype(like.time_s.dtype)
-    table: Any = (joint_positions + time[:, None] * joint_rates).astype(like.position.dtype)
+    time = np.minimum(np.arange(like.time_s.shape[0]), 1).astype(like.time_s.dtype)
+    table = as_leaf((joint_positions + time[:, None] * joint_rates).astype(like.position.dtype))
     return replace(
         like,
-        time_s=time,
+        time_s=as_leaf(time),
         position=table,
         velocity=0.0 * table,
         acceleration=0.0 * table,
@@ -218,9 +217,15 @@ def _pad_trajectory(new: JointTrajectory, size: int) -> JointTrajectory:
     """Pad a trajectory to ``size`` rows."""
     more = size - np.shape(new.time_s)[0]
 
-    def edge(leaf: Any) -> Any:
+    def edge(leaf: jax.Array) -> jax.Array:
         value = np.asarray(leaf)
-        return np.pad(value, [(0, more)] + [(0, 0)] * (value.ndim - 1), mode="edge")
+        return as_leaf(np.pad(value, [(0, more)] + [(0, 0)] * (value.ndim - 1), mode="edge"))
 
-    rows = ("time_s", "position", "velocity", "acceleration", "degree")
-    return replace(new, **{name: edge(getattr(new, name)) for name in rows})
+    return replace(
+        new,
+        time_s=edge(new.time_s),
+        position=edge(new.position),
+        velocity=edge(new.velocity),
+        acceleration=edge(new.acceleration),
+        degree=edge(new.degree),
+    )

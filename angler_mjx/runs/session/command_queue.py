@@ -2,15 +2,15 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from angler_mjx.robot.control.commands.joint_goal import JointGoal
 from angler_mjx.robot.control.commands.joint_tolerance import ResultCode
 from angler_mjx.robot.control.commands.joint_trajectory import JointTrajectory
 from angler_mjx.robot.control.plans import check_plan
-from angler_mjx.robot.control.stack import Stages
+from angler_mjx.robot.control.stack import Command, Stages
 from angler_mjx.runs.session import command_preparation
 from angler_mjx.runs.session.command_slots import CommandSlots, SlotSizes
 from angler_mjx.runs.session.command_validation import CommandLimits
@@ -49,7 +49,7 @@ class CommandQueue:
     """
 
     def __init__(
-        self, stages: Stages, facts: FleetFacts, limits: CommandLimits, dtype: Any
+        self, stages: Stages, facts: FleetFacts, limits: CommandLimits, dtype: DTypeLike
     ) -> None:
         """Give every robot its plan.
 
@@ -81,7 +81,7 @@ class CommandQueue:
         """Return the results of JointTrajectories, int32 [R]."""
         return np.array([state.result for state in self._states], np.int32)
 
-    def status(self, outcomes: Sequence[Any]) -> tuple[RobotStatus, ...]:
+    def status(self, outcomes: Sequence[int]) -> tuple[RobotStatus, ...]:
         """Return the status of the robots, for an observation."""
         return tuple(
             RobotStatus(
@@ -147,7 +147,7 @@ class CommandQueue:
         command = command_preparation.hold_command(self.slots.kinds, view, robot, self._limits)
         self._put_command(robot, command, "hold", view)
 
-    def _put_command(self, robot: int, command: Any, name: str, view: StateView) -> None:
+    def _put_command(self, robot: int, command: Command, name: str, view: StateView) -> None:
         """Give a robot another command."""
         state = self._states[robot]
         plan_time_s = state.plan_time_s

@@ -5,12 +5,13 @@ for all commands.
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import DTypeLike
 
+from angler_mjx.host_arrays import as_leaf
 from angler_mjx.robot.control import stack
 from angler_mjx.robot.control.allocation import NEUTRAL_US
 from angler_mjx.robot.control.commands import (
@@ -27,7 +28,7 @@ from angler_mjx.robot.control.commands.joint_trajectory import (
 )
 from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.robot.control.mixed import MixedCommand
-from angler_mjx.robot.control.stack import Stages
+from angler_mjx.robot.control.stack import Command, Stages
 
 COMMAND_TYPES = (
     Trajectory,
@@ -76,7 +77,7 @@ class CommandSlots:
         self._fresh = np.zeros((1, sizes.robots), np.int32)
         self._step_commands: MixedCommand | None = None
 
-    def put(self, robot: int, command: Any) -> None:
+    def put(self, robot: int, command: Command) -> None:
         """Put the command of a robot; its arrays have the shapes of the slots.
 
         Stages that were idle are reset, and so is the first stage with a new path.
@@ -98,12 +99,13 @@ class CommandSlots:
         """Return the type of a robot's command."""
         return self.kinds[int(self._slot_index[0, robot])]
 
-    def slot(self, kind: type) -> Any:
+    def slot[C: Command](self, kind: type[C]) -> C:
         """Return arrays of a slot, [R] leading.
 
         Rows of robots with other commands are arbitrary.
         """
-        return jax.tree.map(lambda leaf: leaf[0], self._slots[self.kinds.index(kind)])
+        commands: C = jax.tree.map(lambda leaf: leaf[0], self._slots[self.kinds.index(kind)])
+        return commands
 
     def commands(self) -> MixedCommand:
         """Return the commands of one step; after it no stage is fresh any more."""
@@ -119,12 +121,12 @@ class CommandSlots:
         return result
 
 
-def _blank_commands(sizes: SlotSizes) -> dict[type, Any]:
+def _blank_commands(sizes: SlotSizes) -> dict[type, Command]:
     """Return an empty command of each type, [1, R] leading."""
     number = jnp.zeros(()).dtype
 
-    def zeros(*tail: int, like: Any = number) -> Any:
-        return np.zeros((1, sizes.robots, *tail), like)
+    def zeros(*tail: int, like: DTypeLike = number) -> jax.Array:
+        return as_leaf(np.zeros((1, sizes.robots, *tail), like))
 
     joints = len(VEHICLE_JOINTS)
     table = zeros(sizes.points, joints)

@@ -4,14 +4,13 @@ Every check raises a ConfigError that names the robot, the part of the command a
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import numpy as np
 
 from angler_mjx.errors import ConfigError
+from angler_mjx.host_arrays import as_leaf
 from angler_mjx.robot.control.commands import (
     BodyTwist,
     BodyWrench,
@@ -30,12 +29,13 @@ from angler_mjx.robot.control.commands.joint_trajectory import (
     is_continuous,
 )
 from angler_mjx.robot.control.commands.trajectory import Trajectory
+from angler_mjx.robot.control.stack import Command
 from angler_mjx.robot.vehicles.thrusters import PWM_HIGH_US, PWM_LOW_US
 from angler_mjx.runs.session.interface import Floats, RobotInfo
 
 LIMIT_MARGIN = 1.0 + 1e-6
 """Relative margin by which a command at the limit passes in spite of rounding."""
-SEGMENT_FRACTIONS: Any = np.linspace(0.0, 1.0, 9)
+SEGMENT_FRACTIONS = as_leaf(np.linspace(0.0, 1.0, 9))
 """Fractions of a segment at which its speed is checked."""
 
 
@@ -70,7 +70,7 @@ class CommandLimits:
 
 
 def check_command(
-    robot: RobotInfo, position: RobotPosition, limits: CommandLimits, command: Any, now_s: float
+    robot: RobotInfo, position: RobotPosition, limits: CommandLimits, command: object, now_s: float
 ) -> None:
     """Refuse a command that a robot cannot follow.
 
@@ -89,11 +89,11 @@ def check_command(
     if kind not in robot.accepts:
         names = ", ".join(accepted.__name__ for accepted in robot.accepts)
         raise ConfigError(f"{robot.name}: takes no {kind.__name__}; give one of {names}")
-    if kind is JointGoal:
+    if isinstance(command, JointGoal):
         _check_goal(robot, position, limits, command, now_s)
         return
     # Copied to the host unchanged: numpy would have JAX compile a change of their type.
-    faults = _FAULT_CHECKS[kind](robot, position, limits, jax.device_get(command))
+    faults = _command_faults(robot, position, limits, jax.device_get(command))
     if faults:
         head = f"{robot.name}: {kind.__name__} refused, {len(faults)} fault"
         raise ConfigError("\n  ".join([head + "s" * (len(faults) > 1), *faults]))
@@ -120,16 +120,32 @@ def _check_goal(
         )
 
 
-def _pose_faults(
-    robot: RobotInfo, _: RobotPosition, __: CommandLimits, command: PoseTarget
+def _command_faults(
+    robot: RobotInfo, position: RobotPosition, limits: CommandLimits, command: Command
 ) -> list[str]:
+    match command:
+        case Trajectory():
+            return _path_faults(robot, position, limits, command)
+        case JointTrajectory():
+            return _joint_faults(robot, position, limits, command)
+        case TrackingTarget():
+            return _tracking_faults(robot, command)
+        case PoseTarget():
+            return _pose_faults(robot, command)
+        case BodyTwist():
+            return _twist_faults(robot, command)
+        case BodyWrench():
+            return _array_faults(command, {"tau": (6,)})
+        case ThrusterPwm():
+            return _pwm_faults(robot, command)
+
+
+def _pose_faults(robot: RobotInfo, command: PoseTarget) -> list[str]:
     faults = _array_faults(command, {"position_m": (3,), "velocity_mps": (3,), "yaw_rad": ()})
     return faults or _velocity_faults(robot, "velocity_mps", command.velocity_mps)
 
 
-def _tracking_faults(
-    robot: RobotInfo, _: RobotPosition, __: CommandLimits, command: Any
-) -> list[str]:
+def _tracking_faults(robot: RobotInfo, command: TrackingTarget) -> list[str]:
     shapes = {"position_m": (3,), "velocity_mps": (3,), "acceleration_mps2": (3,), "yaw_rad": ()}
     faults = _array_faults(command, {**shapes, "yaw_rate_radps": (), "yaw_acceleration_radps2": ()})
     return faults or [
@@ -138,9 +154,7 @@ def _tracking_faults(
     ]
 
 
-def _twist_faults(
-    robot: RobotInfo, _: RobotPosition, __: CommandLimits, command: BodyTwist
-) -> list[str]:
+def _twist_faults(robot: RobotInfo, command: BodyTwist) -> list[str]:
     if faults := _array_faults(command, {"nu": (6,)}):
         return faults
     nu = np.asarray(command.nu, float)
@@ -154,15 +168,7 @@ def _twist_faults(
     return faults + _turn_faults(robot, "nu[3:]", float(np.linalg.norm(nu[3:])))
 
 
-def _wrench_faults(
-    _: RobotInfo, __: RobotPosition, ___: CommandLimits, command: BodyWrench
-) -> list[str]:
-    return _array_faults(command, {"tau": (6,)})
-
-
-def _pwm_faults(
-    robot: RobotInfo, _: RobotPosition, __: CommandLimits, command: ThrusterPwm
-) -> list[str]:
+def _pwm_faults(robot: RobotInfo, command: ThrusterPwm) -> list[str]:
     if faults := _array_faults(command, {"pwm_us": (len(robot.thrusters),)}):
         return faults
     return [
@@ -175,7 +181,7 @@ def _pwm_faults(
 
 
 def _path_faults(
-    robot: RobotInfo, position: RobotPosition, limits: CommandLimits, command: Any
+    robot: RobotInfo, position: RobotPosition, limits: CommandLimits, command: Trajectory
 ) -> list[str]:
     time, point = np.asarray(command.time_s, float), np.asarray(command.position_m, float)
     if time.ndim != 1 or time.size < 1 or point.shape != (time.size, 3):
@@ -198,7 +204,7 @@ def _path_faults(
 
 
 def _joint_faults(
-    robot: RobotInfo, position: RobotPosition, limits: CommandLimits, command: Any
+    robot: RobotInfo, position: RobotPosition, limits: CommandLimits, command: JointTrajectory
 ) -> list[str]:
     if command.joints != VEHICLE_JOINTS:
         return [f"joints = {command.joints}: must be {VEHICLE_JOINTS}; a JointGoal may name some"]
@@ -222,20 +228,20 @@ def _joint_faults(
 
 
 def _joint_speed_faults(robot: RobotInfo, command: JointTrajectory) -> list[str]:
-    time, degree = np.asarray(command.time_s, float), np.asarray(command.degree)
-    position: Any = np.asarray(command.position, float)
-    velocity: Any = np.asarray(command.velocity, float)
-    acceleration: Any = np.asarray(command.acceleration, float)
+    host: JointTrajectory = jax.tree.map(lambda leaf: np.asarray(leaf, float), command)
+    time, velocity, degree = host.time_s, host.velocity, host.degree
     surge, sway, heave = map(float, robot.max_speed_mps)
     limits = np.array([max(surge, sway), max(surge, sway), heave, robot.max_turn_radps])
     faults = []
     for k in np.flatnonzero(np.diff(time) > 0):
         begin, end = (
-            JointState(position=position[i], velocity=velocity[i], acceleration=acceleration[i])
+            JointState(
+                position=host.position[i], velocity=velocity[i], acceleration=host.acceleration[i]
+            )
             for i in (k, k + 1)
         )
         span = time[k + 1] - time[k]
-        velocities: Any = [
+        velocities = [
             interpolate_segment(begin, end, span, s, degree[k]).velocity for s in SEGMENT_FRACTIONS
         ]
         fastest = np.max(np.abs(velocities), axis=0)
@@ -250,7 +256,7 @@ def _joint_speed_faults(robot: RobotInfo, command: JointTrajectory) -> list[str]
     return faults
 
 
-def _array_faults(command: Any, shapes: dict[str, tuple[int, ...]]) -> list[str]:
+def _array_faults(command: Command, shapes: dict[str, tuple[int, ...]]) -> list[str]:
     """List arrays of a wrong shape, or with numbers that are not finite."""
     faults = []
     for name, shape in shapes.items():
@@ -303,14 +309,3 @@ def _turn_faults(robot: RobotInfo, name: str, rate: float) -> list[str]:
     return [
         f"{name}: {rate:.3g} rad/s; {max_rate_radps:.3g} rad/s is the most that this vehicle can do"
     ]
-
-
-_FAULT_CHECKS: dict[type, Callable[[RobotInfo, RobotPosition, CommandLimits, Any], list[str]]] = {
-    Trajectory: _path_faults,
-    JointTrajectory: _joint_faults,
-    TrackingTarget: _tracking_faults,
-    PoseTarget: _pose_faults,
-    BodyTwist: _twist_faults,
-    BodyWrench: _wrench_faults,
-    ThrusterPwm: _pwm_faults,
-}

@@ -1,7 +1,6 @@
 """Facts of a scene's robots and obstacles at the start."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import numpy as np
@@ -9,7 +8,7 @@ from numpy.typing import NDArray
 
 from angler_mjx.robot.control.commands.joint_goal import JointGoal
 from angler_mjx.robot.control.commands.joint_trajectory import JointTrajectory
-from angler_mjx.robot.control.plans import of_robot
+from angler_mjx.robot.control.plans import Plan, of_robot
 from angler_mjx.robot.vehicles import library
 from angler_mjx.robot.vehicles.drive import full_force, terminal_speed
 from angler_mjx.runs.session.command_slots import command_types
@@ -27,8 +26,8 @@ REJOIN_WAYPOINTS = 32
 class ObstacleRows:
     """Existing obstacles."""
 
-    which: NDArray[np.integer[Any]]
-    kind: NDArray[np.integer[Any]]
+    which: NDArray[np.integer]
+    kind: NDArray[np.integer]
     size_m: Floats
 
 
@@ -73,7 +72,7 @@ def gather_facts(simulator: Simulator, worlds: FleetWorld) -> FleetFacts:
         worlds: world, [1] leads.
     """
     count = worlds.variant.shape[1]
-    path: Any = jax.tree.map(lambda leaf: leaf[0], jax.device_get(worlds.path))
+    path: Plan = jax.tree.map(lambda leaf: leaf[0], jax.device_get(worlds.path))
     obstacles = worlds.environment.obstacles
     rows = np.flatnonzero(np.asarray(obstacles.exists)[0])
     robots = tuple(_robot_info(simulator, worlds, i) for i in range(count))

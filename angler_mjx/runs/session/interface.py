@@ -9,7 +9,7 @@ import math
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from angler_mjx.robot.control.stack import Command
 from angler_mjx.sim.information import rename_warning
 from angler_mjx.sim.state import Outcome
 
-type Floats = NDArray[np.floating[Any]]
+type Floats = NDArray[np.floating]
 
 type SessionCommand = Command | JointGoal
 """Command of one robot, or a JointTrajectory as a message."""
@@ -69,7 +69,7 @@ class SceneObstacles:
     """[n, 3] in W."""
     attitude: Floats
     """[n, 4] q."""
-    kind: NDArray[np.integer[Any]]
+    kind: NDArray[np.integer]
     """[n] kind, as in `angler_mjx.world.obstacles.types`."""
     half_size_m: Floats
     """[n, 3] as `angler_mjx.sim.information.ObstacleInformation.half_size_m`."""
@@ -109,7 +109,7 @@ class Observation:
     to a radius, and that radius beyond it."""
     obstacles: SceneObstacles | None
     status: tuple[RobotStatus, ...]
-    readings: Mapping[str, Any] = field(default_factory=dict)
+    readings: Mapping[str, object] = field(default_factory=dict)
     """Latest readings of the instruments by name, [R] leading; empty without instruments."""
 
 

@@ -8,17 +8,21 @@ it. A `Problem` of any time is built in the same way.
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any, Protocol
+from typing import Protocol
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import ArrayLike
 
 from angler_mjx._moved import renamed as _renamed
 from angler_mjx.errors import ConfigError
+from angler_mjx.host_arrays import as_leaf
 from angler_mjx.planning import build_problem
 from angler_mjx.planning.problem import Problem
 from angler_mjx.robot.control.commands import Estimate
+from angler_mjx.robot.control.mixed import MixedCommand
+from angler_mjx.robot.control.stack import Command
 from angler_mjx.runs.session.interface import Observation, Session, SessionCommand
 from angler_mjx.runs.session.recording import Recordable
 from angler_mjx.runs.simulator.world_preparation import problem_settings
@@ -32,6 +36,8 @@ from angler_mjx.sim.state import FleetWorld, Outcome
 from angler_mjx.sim.world_context import WorldContext
 from angler_mjx.world.acoustics.config import refuse_acoustics
 from angler_mjx.world.obstacles import ObstacleState
+
+type _Scene = tuple[FleetWorld, VehicleState, ObstacleState]
 
 ACTIVE_OUTCOMES = (Outcome.RUNNING, Outcome.REACHED)
 
@@ -71,7 +77,7 @@ class OnlineFlyer:
             world: FleetWorld,
             vehicles: VehicleState,
             obstacles: ObstacleState,
-            belief: Belief | None,
+            belief: Belief,
             number: jax.Array,
         ) -> PolicyInput:
             context = WorldContext(
@@ -84,23 +90,25 @@ class OnlineFlyer:
             )
             return context.build_policy_input(belief)
 
-        def begin_memory(scene: Any, *inputs: Any) -> PolicyMemory:
-            world, *moving = _single_world(scene)
+        def begin_memory(scene: _Scene, belief: Belief, number: jax.Array) -> PolicyMemory:
+            world, vehicles, obstacles = _single_world(scene)
+            inputs = build_inputs(world, vehicles, obstacles, belief, number)
             memory: PolicyMemory = policies.begin_policy(
-                active_policy, stages, world.policy_key, build_inputs(world, *moving, *inputs)
+                active_policy, stages, world.policy_key, inputs
             )
             return memory
 
-        def act(memory: PolicyMemory, scene: Any, *current: Any) -> tuple[PolicyMemory, Any]:
-            world, *moving = _single_world(scene)
-            inputs = partial(build_inputs, world, *moving, *current)
-            result: tuple[PolicyMemory, Any] = policies.step(
-                active_policy, world.policy_key, memory, inputs, current[-1]
-            )
-            return result
+        def act(
+            memory: PolicyMemory, scene: _Scene, belief: Belief, number: jax.Array
+        ) -> tuple[PolicyMemory, Command | MixedCommand]:
+            world, vehicles, obstacles = _single_world(scene)
+            inputs = partial(build_inputs, world, vehicles, obstacles, belief, number)
+            return policies.step(active_policy, world.policy_key, memory, inputs, number)
 
-        self._act: Callable[..., tuple[PolicyMemory, Any]] = jax.jit(act)
-        self._begin: Callable[..., PolicyMemory] = jax.jit(begin_memory)
+        self._act: Callable[
+            [PolicyMemory, _Scene, Belief, jax.Array], tuple[PolicyMemory, Command]
+        ] = jax.jit(act)
+        self._begin: Callable[[_Scene, Belief, jax.Array], PolicyMemory] = jax.jit(begin_memory)
         self.restart()
         # Compiled now, and not in the first step of a flight; the result is discarded.
         jax.block_until_ready(self._act(self._memory, *self._scene(session.observe())))
@@ -128,11 +136,11 @@ class OnlineFlyer:
                 commands[robot] = jax.tree.map(lambda leaf, robot=robot: leaf[robot], host)
         return commands
 
-    def _scene(self, observation: Observation) -> tuple[Any, ...]:
+    def _scene(self, observation: Observation) -> tuple[_Scene, Belief, jax.Array]:
         internals = self._session.inside()
         scene = (internals.worlds, internals.state.vehicles, internals.state.obstacles)
         number = np.int32(round(observation.time_s / self._session.dt_s))
-        return scene, _build_belief(observation.estimate), number
+        return scene, _build_belief(observation.estimate), as_leaf(number)
 
 
 def build_session_problem(session: OnlineScene, information: Information | None = None) -> Problem:
@@ -172,9 +180,10 @@ def build_session_problem(session: OnlineScene, information: Information | None 
     return host
 
 
-def _single_world(batch: Any) -> Any:
+def _single_world[T](batch: T) -> T:
     """Return the world of a batch of one."""
-    return jax.tree.map(lambda leaf: leaf[0], batch)
+    world: T = jax.tree.map(lambda leaf: leaf[0], batch)
+    return world
 
 
 def _build_belief(estimate: Estimate) -> Belief:
@@ -193,11 +202,11 @@ def _build_belief(estimate: Estimate) -> Belief:
     )
 
 
-def _to_float32(values: Any) -> Any:
+def _to_float32(values: ArrayLike) -> jax.Array:
     """Convert to float32 on the host, for a call that moves the values to the device."""
-    return np.asarray(values, np.float32)
+    return as_leaf(np.asarray(values, np.float32))
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     """Return a name of 0.1, with a DeprecationWarning."""
     return _renamed(__name__, name)

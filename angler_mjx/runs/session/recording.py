@@ -4,16 +4,17 @@ Samples are kept in memory and written at the end, because their number is unkno
 hour of four robots at 5 Hz takes 10 MB.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Protocol, Self
 
 import jax
 import numpy as np
 
 from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.files import JsonTable
 from angler_mjx.robot.control.commands.joint_trajectory import LINEAR
 from angler_mjx.runs.provenance import describe_environment, peak_memory_bytes
 from angler_mjx.runs.session.batch_session import SessionInternals
@@ -47,7 +48,7 @@ class FlownPath:
     yaw_rad: Floats
     """[n] unwrapped."""
 
-    def arrays(self, rows: int, *, joints: bool) -> dict[str, Any]:
+    def arrays(self, rows: int, *, joints: bool) -> dict[str, np.ndarray]:
         """Return arrays of a recorded plan, resampled to a number of rows by straight lines.
 
         Args:
@@ -57,7 +58,7 @@ class FlownPath:
         times = np.linspace(self.time_s[0], self.time_s[-1], rows)
         columns = np.column_stack([self.position_m, self.yaw_rad])
         sampled = np.column_stack([np.interp(times, self.time_s, column) for column in columns.T])
-        arrays = {"plan_time_s": times, "plan_m": sampled[:, :3]}
+        arrays: dict[str, np.ndarray] = {"plan_time_s": times, "plan_m": sampled[:, :3]}
         if joints:
             zeros = np.zeros_like(sampled)
             arrays |= {"plan_yaw_rad": sampled[:, 3], "plan_degree": np.full(rows, LINEAR)}
@@ -73,7 +74,7 @@ class RecordedCourse:
     """Control steps."""
     wall_s: float
     compile_s: float
-    more: Mapping[str, Any]
+    more: JsonTable
     """Further keys of the summary."""
     interrupted: str = ""
     """Cause of an interruption; empty after a complete session."""
@@ -217,7 +218,7 @@ class SessionRecording:
 
     def _resolved_scenario(self, internals: SessionInternals) -> Scenario:
         """Return the scenario as run. Its horizon is kept: samples in time depend on it."""
-        changes: dict[str, Any] = {
+        changes: dict[str, object] = {
             # As many worlds as this index needs; the others are not in the run.
             "worlds": self._world + 1,
             "tile": 1,
@@ -260,10 +261,12 @@ class SessionRecording:
         recorder.write(tile.first, device_to_host.recorded_arrays(tile, shape.samples), environment)
         recorder.sync(tile.first)
 
-    def _build_summary(self, scenario: Scenario, course: RecordedCourse) -> dict[str, Any]:
+    def _build_summary(self, scenario: Scenario, course: RecordedCourse) -> JsonTable:
         """Build the summary of a run, with the course of the session."""
         steps = course.steps * scenario.time.physics_steps * len(scenario.members())
-        interruption = {"interrupted": course.interrupted} if course.interrupted else {}
+        interruption: JsonTable = {}
+        if course.interrupted:
+            interruption["interrupted"] = course.interrupted
         return {
             "scenario": scenario.name,
             "engine": scenario.engine,

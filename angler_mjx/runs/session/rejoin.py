@@ -7,16 +7,18 @@ along the way, and takes up the plan's from there.
 """
 
 from functools import cached_property
-from typing import Any
 
 import jax
 import numpy as np
+from numpy.typing import NDArray
 
 from angler_mjx.planning.path_search import lattice
 from angler_mjx.planning.path_search.bodies import select_still
 from angler_mjx.runs.session.interface import Floats
 from angler_mjx.runs.session.robot_plan import RobotPlan
 from angler_mjx.world.environment import Environment
+
+type Ints = NDArray[np.integer]
 
 CHECKED_POINTS = 64
 """Points that are checked together; their number is fixed, so that nothing compiles anew."""
@@ -94,7 +96,7 @@ class RejoinPaths:
         min_gap_m: Floats = np.minimum(gap, np.asarray(self._terrain.cell_gap_m, float))
         return min_gap_m
 
-    def _reachable_points(self, a: Floats, points: Floats, clearance_m: float) -> Any:
+    def _reachable_points(self, a: Floats, points: Floats, clearance_m: float) -> NDArray[np.bool_]:
         """Return bool [n] whether straight lines to at most `CHECKED_POINTS` points are free."""
         n_missing = CHECKED_POINTS - len(points)
         padded = np.pad(points, ((0, n_missing), (0, 0)), mode="edge")
@@ -166,7 +168,7 @@ def _line_of_sight(
     return check_sight(terrain, a, points, clearance_m)
 
 
-def _count_steps(free: Any, goals: Any) -> Floats:
+def _count_steps(free: NDArray[np.bool_], goals: Ints) -> Floats:
     """Return steps [nx, ny, nz] between faces of free cells to the nearest goal cell.
 
     Inf where none.
@@ -191,7 +193,7 @@ def _count_steps(free: Any, goals: Any) -> Floats:
     return steps
 
 
-def _descend_steps(steps: Floats, cell: Any) -> Any:
+def _descend_steps(steps: Floats, cell: Ints) -> Ints:
     """Return cells [n, 3] from a cell to a goal, a step at a time."""
     chain = [cell]
     while steps[tuple(chain[-1])] > 0:
@@ -201,8 +203,8 @@ def _descend_steps(steps: Floats, cell: Any) -> Any:
     return np.array(chain)
 
 
-def _neighbour_cells(cell: Any, shape: tuple[int, ...]) -> Any:
+def _neighbour_cells(cell: Ints, shape: tuple[int, ...]) -> Ints:
     """Return the cell and its neighbours inside the grid, 27 at most, [n, 3]."""
     offsets = np.stack(np.meshgrid(*[(-1, 0, 1)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    near = cell + offsets
+    near: Ints = cell + offsets
     return near[np.all((near >= 0) & (near < shape), axis=1)]

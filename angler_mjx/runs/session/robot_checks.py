@@ -1,7 +1,9 @@
 """Checks that a robot of a scene exists and can be commanded."""
 
 from collections.abc import Sequence
-from typing import Any
+
+import jax
+import numpy as np
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.runs.session.interface import RobotInfo
@@ -18,7 +20,9 @@ def require_robot(robots: Sequence[RobotInfo], robot: int) -> None:
         raise ConfigError(f"robot {robot}: does not exist; this session has 0 to {len(robots) - 1}")
 
 
-def require_running(robots: Sequence[RobotInfo], robot: int, outcomes: Any) -> None:
+def require_running(
+    robots: Sequence[RobotInfo], robot: int, outcomes: jax.Array | np.ndarray
+) -> None:
     """Refuse to command a robot that failed.
 
     Args:

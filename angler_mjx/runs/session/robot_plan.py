@@ -1,10 +1,12 @@
 """Plan of one robot of a session on the host: as planned, or as rejoined."""
 
 from dataclasses import dataclass, replace
-from typing import Any
 
+import jax
 import numpy as np
+from numpy.typing import ArrayLike, DTypeLike
 
+from angler_mjx.host_arrays import as_leaf
 from angler_mjx.robot.control import plans
 from angler_mjx.robot.control.commands.joint_trajectory import (
     LINEAR,
@@ -44,11 +46,17 @@ class RobotPlan:
         if isinstance(plan, Trajectory):
             return cls(time_s=time[:rows], position_m=np.asarray(plan.position_m, float)[:rows])
         rows = max(rows, 2)
-        arrays: dict[str, Any] = {
-            name: np.asarray(getattr(plan, name), float)[:rows] for name in _ROWS[:-1]
-        }
-        degree: Any = np.asarray(plan.degree)[:rows]
-        return cls._from_motion(replace(plan, degree=degree, found=None, **arrays))
+        return cls._from_motion(
+            replace(
+                plan,
+                time_s=as_leaf(time[:rows]),
+                position=as_leaf(np.asarray(plan.position, float)[:rows]),
+                velocity=as_leaf(np.asarray(plan.velocity, float)[:rows]),
+                acceleration=as_leaf(np.asarray(plan.acceleration, float)[:rows]),
+                degree=as_leaf(np.asarray(plan.degree)[:rows]),
+                found=None,
+            )
+        )
 
     @classmethod
     def _from_motion(cls, motion: JointTrajectory) -> "RobotPlan":
@@ -60,7 +68,7 @@ class RobotPlan:
         """Return the type of the command."""
         return Trajectory if self.motion is None else JointTrajectory
 
-    def at(self, time_s: Any) -> Floats:
+    def at(self, time_s: ArrayLike) -> Floats:
         """Return positions [..., 3] at times [...]."""
         times = np.asarray(time_s, float)
         if self.motion is not None:
@@ -102,7 +110,9 @@ class RobotPlan:
             "position": table,
             "velocity": np.concatenate([zeros[:-1], join_state.velocity]),
             "acceleration": np.concatenate([zeros[:-1], join_state.acceleration]),
-            "degree": np.append(np.full(len(detour_m) - 1, LINEAR), self._degrees_at([join_s])),
+            "degree": np.append(
+                np.full(len(detour_m) - 1, LINEAR), self._degrees_at(self.motion, [join_s])
+            ),
         }
         later_rows = {name: np.asarray(getattr(self.motion, name))[is_later] for name in _ROWS}
         later_rows["time_s"] = later_rows["time_s"] - join_s + arrival_s[-1]
@@ -135,14 +145,16 @@ class RobotPlan:
             return RobotPlan(time_s=time, position_m=positions[first])
         sampled = plans.joints_at(self.motion, t)
 
-        def rows(name: str) -> Any:
+        def rows(name: str) -> np.ndarray:
             stored = np.asarray(getattr(self.motion, name))
             return np.concatenate([stored, getattr(sampled, name)])[first]
 
         rate = np.minimum(speed_fraction + rest * time / ramp, 1.0)[:, None]
         gain = np.where(time < ramp, rest / ramp, 0.0)[:, None]
         velocity = rows("velocity")
-        degree = np.concatenate([np.asarray(self.motion.degree), self._degrees_at(t)])[first]
+        degree = np.concatenate([np.asarray(self.motion.degree), self._degrees_at(self.motion, t)])[
+            first
+        ]
         return self._from_rows(
             {
                 "time_s": time,
@@ -153,36 +165,48 @@ class RobotPlan:
             }
         )
 
-    def padded(self, rows: int, dtype: Any) -> plans.Plan:
+    def padded(self, rows: int, dtype: DTypeLike) -> plans.Plan:
         """Return the plan for the controllers, with a number of rows; arrays of NumPy."""
         n_missing = rows - self.time_s.size
 
-        def edge(values: Any, like: Any) -> Any:
+        def edge(values: ArrayLike, like: DTypeLike = dtype) -> jax.Array:
             padding = [(0, n_missing)] + [(0, 0)] * (np.ndim(values) - 1)
-            return np.pad(values, padding, mode="edge").astype(like)
+            return as_leaf(np.pad(values, padding, mode="edge").astype(like))
 
         if self.motion is None:
-            is_found: Any = np.asarray(True)
             return Trajectory(
-                time_s=edge(self.time_s, dtype),
-                position_m=edge(self.position_m, dtype),
-                found=is_found,
+                time_s=edge(self.time_s),
+                position_m=edge(self.position_m),
+                found=as_leaf(np.asarray(True)),
             )
-        real: dict[str, Any] = {
-            name: edge(getattr(self.motion, name), dtype) for name in _ROWS[:-1]
-        }
-        return replace(self.motion, degree=edge(self.motion.degree, np.int32), **real)
+        return replace(
+            self.motion,
+            time_s=edge(self.motion.time_s),
+            position=edge(self.motion.position),
+            velocity=edge(self.motion.velocity),
+            acceleration=edge(self.motion.acceleration),
+            degree=edge(self.motion.degree, np.int32),
+        )
 
-    def _degrees_at(self, time_s: Any) -> Any:
-        """Return degrees of the segments [n] at times [n]."""
+    def _degrees_at(self, motion: JointTrajectory, time_s: ArrayLike) -> np.ndarray:
+        """Return degrees of the segments [n] of the plan's motion at times [n]."""
         k = np.searchsorted(self.time_s, np.asarray(time_s, float), side="right") - 1
-        motion: Any = self.motion
         return np.asarray(motion.degree)[np.clip(k, 0, self.time_s.size - 1)]
 
     @classmethod
-    def _from_rows(cls, rows: dict[str, Any]) -> "RobotPlan":
-        commanded: Any = np.ones(len(VEHICLE_JOINTS), bool)
-        return cls._from_motion(JointTrajectory(joints=VEHICLE_JOINTS, commanded=commanded, **rows))
+    def _from_rows(cls, rows: dict[str, np.ndarray]) -> "RobotPlan":
+        leaves = {name: as_leaf(values) for name, values in rows.items()}
+        return cls._from_motion(
+            JointTrajectory(
+                joints=VEHICLE_JOINTS,
+                time_s=leaves["time_s"],
+                position=leaves["position"],
+                velocity=leaves["velocity"],
+                acceleration=leaves["acceleration"],
+                degree=leaves["degree"],
+                commanded=as_leaf(np.ones(len(VEHICLE_JOINTS), bool)),
+            )
+        )
 
 
 def _stretch_times(arrive_s: Floats, min_duration_s: float) -> Floats:

@@ -3,7 +3,6 @@
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 from angler_mjx._moved import renamed as _renamed
 from angler_mjx.errors import RunError
@@ -75,6 +74,6 @@ def build_course(flight: SessionFlight, compile_s: float) -> RecordedCourse:
     )
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     """Return a name of 0.1, with a DeprecationWarning."""
     return _renamed(__name__, name)

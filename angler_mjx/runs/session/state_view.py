@@ -1,7 +1,6 @@
 """View of a simulated scene after each step: one compiled function of its state."""
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -9,6 +8,7 @@ import numpy as np
 
 from angler_kernels import quaternion
 from angler_kernels.rigid_body import matrix_times
+from angler_mjx.host_arrays import as_leaf
 from angler_mjx.robot.control.commands import BodyWrench, Estimate, ThrusterPwm, joint_tolerance
 from angler_mjx.robot.control.commands.joint_tolerance import Tolerances
 from angler_mjx.robot.control.commands.joint_trajectory import JointState, JointTrajectory
@@ -123,6 +123,14 @@ def _realised_wrench(vehicle: VehicleParams, pwm_us: jax.Array) -> jax.Array:
     return wrench
 
 
+def rotate_vectors(q: Floats, v: Floats) -> Floats:
+    """Rotate vectors [..., 3] from F to W on the host, at attitudes [..., 4]."""
+    w, axis = q[..., :1], q[..., 1:]
+    twice_cross = 2.0 * np.cross(axis, v)
+    rotated: Floats = v + w * twice_cross + np.cross(axis, twice_cross)
+    return rotated
+
+
 def apply_belief(view: StateView, belief: Belief | None) -> StateView:
     """Return the view with the controllers' estimate: the only source of the estimate.
 
@@ -134,9 +142,8 @@ def apply_belief(view: StateView, belief: Belief | None) -> StateView:
         return view
     p, q, nu = (np.asarray(part)[0] for part in (belief.p, belief.q, belief.nu))
     w, x, y, z = np.moveaxis(q, -1, 0)
-    yaw: Any = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-    estimate: dict[str, Any] = {"p": p, "q": q, "nu": nu, "yaw_rad": yaw}
-    return replace(view, **estimate)
+    yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    return replace(view, p=as_leaf(p), q=as_leaf(q), nu=as_leaf(nu), yaw_rad=as_leaf(yaw))
 
 
 def belief_covariance(belief: Belief | None) -> Floats | None:

@@ -11,10 +11,12 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from types import TracebackType
-from typing import Any, Self
+from typing import Protocol, Self
 
 import jax
+from jax.sharding import Sharding
 
 NO_AUTOTUNING = {"xla_gpu_autotune_level": 0}
 """Compiler option for all programs: XLA's search for a faster form of its kernels takes long on a
@@ -22,7 +24,23 @@ GPU, and its results are no faster. Sampling and planning (8 robots, 1,024 world
 291 s instead of 14 s, a segment of a delivery on an H100 22 s instead of 18 s."""
 
 
-class CompiledFunction:
+class Lowerable(Protocol):
+    """Jitted function, or a `CompiledFunction`."""
+
+    def lower(self, *example: object) -> jax.stages.Lowered:
+        """Return the program for arguments of these shapes."""
+        ...
+
+
+class _Shaped[R](Lowerable, Protocol):
+    """Jitted function, as JAX declares it too loosely."""
+
+    def eval_shape(self, *example: object) -> R:
+        """Return shapes and types of the results."""
+        ...
+
+
+class CompiledFunction[R]:
     """Function compiled as a program of its own, or traced as a part of another program.
 
     JAX accepts compiler options for a whole program only and refuses a jitted function with options
@@ -30,33 +48,44 @@ class CompiledFunction:
     options; calls with arrays run at once, also while another function is traced.
     """
 
-    def __init__(self, function: Callable[..., Any], **options: Any) -> None:
+    def __init__(
+        self,
+        function: Callable[..., R],
+        *,
+        out_shardings: Sharding | None = None,
+        donate_argnums: int | None = None,
+    ) -> None:
         """Jit a function twice; it is traced later.
 
         Args:
             function: function to compile.
-            **options: options of `jax.jit`, other than compiler options.
+            out_shardings: sharding of the results.
+            donate_argnums: number of the argument whose memory the results take.
         """
-        self._part = jax.jit(function, **options)
-        self._whole: Any = jax.jit(function, compiler_options=NO_AUTOTUNING, **options)
-        self._run: Callable[..., Any] = self._whole
+        # None would mean replicated results.
+        options = {} if out_shardings is None else {"out_shardings": out_shardings}
+        jit = partial(jax.jit, function, donate_argnums=donate_argnums, **options)
+        whole = jit(compiler_options=NO_AUTOTUNING)
+        self._part: Callable[..., R] = jit()
+        self._whole: _Shaped[R] = whole
+        self._run: Callable[..., R] = whole
 
-    def __call__(self, *arguments: Any) -> Any:
+    def __call__(self, *arguments: object) -> R:
         """Return the results of the function; tracers where an argument is one."""
         if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(arguments)):
             return self._part(*arguments)
         with jax.core.eval_context():
             return self._run(*arguments)
 
-    def lower(self, *example: Any) -> Any:
+    def lower(self, *example: object) -> jax.stages.Lowered:
         """Return the program for arguments of these shapes, to be compiled ahead of time."""
         return self._whole.lower(*example)
 
-    def shape(self, *example: Any) -> Any:
+    def shape(self, *example: object) -> R:
         """Return shapes and types of the results; the trace is the one that `lower` uses."""
         return self._whole.eval_shape(*example)
 
-    def keep(self, executable: Callable[..., Any]) -> None:
+    def keep(self, executable: jax.stages.Compiled) -> None:
         """Use an executable, made of `lower`, in calls with arrays from now on."""
         self._run = executable
 
@@ -84,9 +113,9 @@ class PendingProgram:
 
     lowering_s: float
     """Seconds of tracing and lowering."""
-    made: Future[tuple[Any, float]]
+    made: Future[tuple[jax.stages.Compiled, float]]
 
-    def result(self) -> tuple[Any, float]:
+    def result(self) -> tuple[jax.stages.Compiled, float]:
         """Return the compiled function, and the seconds from Python to machine code."""
         executable, compile_s = self.made.result()
         return executable, self.lowering_s + compile_s
@@ -112,7 +141,7 @@ class ParallelCompiler:
         """Wait for all programs; skip those that have not begun after a failure."""
         self._threads.shutdown(cancel_futures=error is not None)
 
-    def begin(self, function: Any, *example: Any) -> PendingProgram:
+    def begin(self, function: Lowerable, *example: object) -> PendingProgram:
         """Trace a jitted function for arguments of these shapes, and begin to compile it."""
         start = time.perf_counter()
         with _COLLECTION_PAUSE.paused():
@@ -153,7 +182,7 @@ class _CollectionPause:
 _COLLECTION_PAUSE = _CollectionPause()
 
 
-def _compile_timed(lowered: Any) -> tuple[Any, float]:
+def _compile_timed(lowered: jax.stages.Lowered) -> tuple[jax.stages.Compiled, float]:
     start = time.perf_counter()
     executable = lowered.compile()
     return executable, time.perf_counter() - start

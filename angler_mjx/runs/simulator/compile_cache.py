@@ -5,10 +5,9 @@ names a folder, or where ``ANGLER_COMPILE_CACHE=0`` disables it.
 """
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import jax
 from jax.experimental.compilation_cache import compilation_cache
@@ -54,7 +53,7 @@ def use_cache_folder(folder: Path) -> Iterator[None]:
         _apply_settings(before)
 
 
-def _apply_settings(settings: dict[str, Any]) -> None:
+def _apply_settings(settings: Mapping[str, object]) -> None:
     for name, value in settings.items():
         jax.config.update(name, value)
     compilation_cache.reset_cache()

@@ -6,7 +6,7 @@ Worlds are independent, so a device runs the program of one tile for any number 
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Protocol
 
 import jax
 import numpy as np
@@ -47,9 +47,7 @@ def build_mesh(devices: int | None) -> Mesh:
     )
 
 
-def shard_function(
-    mesh: Mesh, function: Callable[..., Any], *specs: PartitionSpec
-) -> Callable[..., Any]:
+def shard_function[F: Callable[..., object]](mesh: Mesh, function: F, *specs: PartitionSpec) -> F:
     """Return ``function`` of one tile as a function of one tile per device.
 
     Args:
@@ -61,15 +59,16 @@ def shard_function(
     return jax.shard_map(function, mesh=mesh, in_specs=specs, out_specs=SHARDED, check_vma=False)
 
 
-def with_sharding(tree: Any, mesh: Mesh, spec: PartitionSpec) -> Any:
+def with_sharding[T](tree: T, mesh: Mesh, spec: PartitionSpec) -> T:
     """Return shapes with their future sharding."""
     sharding = NamedSharding(mesh, spec)
-    return jax.tree.map(
+    shapes: T = jax.tree.map(
         lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=sharding), tree
     )
+    return shapes
 
 
-def split_shards(tree: Any, count: int) -> list[Any]:
+def split_shards[T](tree: T, count: int) -> list[T]:
     """Return the parts of a sharded tree on the first ``count`` devices, in the order of the mesh.
 
     The copies to the host have begun when this returns; ``np.asarray`` of a leaf waits for its own.
@@ -99,12 +98,25 @@ class DeviceMemory:
         return max(self.prepare, self.segment)
 
 
-def analyse_memory(prepare: Any, reset: Any, segment: Any) -> DeviceMemory | None:
+class _MemoryReport(Protocol):
+    """Memory of one program as XLA reports it, bytes."""
+
+    argument_size_in_bytes: int
+    output_size_in_bytes: int
+    temp_size_in_bytes: int
+    alias_size_in_bytes: int
+
+
+def analyse_memory(
+    prepare: jax.stages.Compiled, reset: jax.stages.Compiled, segment: jax.stages.Compiled
+) -> DeviceMemory | None:
     """Return the memory of the compiled functions as reported by XLA; None without a report."""
-    parts = [function.memory_analysis() for function in (prepare, reset, segment)]
-    if any(part is None for part in parts):
+    reports: list[_MemoryReport | None] = [
+        function.memory_analysis() for function in (prepare, reset, segment)
+    ]
+    prepare_stats, reset_stats, segment_stats = reports
+    if prepare_stats is None or reset_stats is None or segment_stats is None:
         return None
-    prepare_stats, reset_stats, segment_stats = parts
     worlds, state = prepare_stats.output_size_in_bytes, reset_stats.output_size_in_bytes
     sample = segment_stats.output_size_in_bytes - segment_stats.alias_size_in_bytes
     return DeviceMemory(
@@ -165,13 +177,13 @@ def is_out_of_memory(error: BaseException) -> bool:
     return isinstance(error, jax.errors.JaxRuntimeError) and "RESOURCE_EXHAUSTED" in str(error)
 
 
-def tree_bytes(tree: Any) -> int:
+def tree_bytes(tree: object) -> int:
     """Return the size of a tree of shapes."""
     return sum(
         int(np.prod(leaf.shape)) * np.dtype(leaf.dtype).itemsize for leaf in jax.tree.leaves(tree)
     )
 
 
-def _total_bytes(part: Any) -> int:
+def _total_bytes(part: _MemoryReport) -> int:
     whole = part.argument_size_in_bytes + part.output_size_in_bytes + part.temp_size_in_bytes
     return int(whole - part.alias_size_in_bytes)

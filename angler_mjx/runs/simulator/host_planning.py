@@ -7,7 +7,7 @@ import os
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import jax
 import numpy as np
@@ -205,7 +205,7 @@ def warn_of_failures(notes: PlanNotes | None, first: int) -> None:
         )
 
 
-def _fill_path(arrays: Any, index: tuple[int, int], path: Path) -> None:
+def _fill_path(arrays: Path, index: tuple[int, int], path: Path) -> None:
     """Write a path into the arrays of all paths; its last row is repeated."""
     n = path.time_s.shape[0]
     for path_field in fields(arrays):

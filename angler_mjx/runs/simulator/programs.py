@@ -12,7 +12,6 @@ from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +19,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from angler_mjx.planning.planner import PathShape
+from angler_mjx.planning.problem import Problem
 from angler_mjx.planning.register import PlannerSpec
 from angler_mjx.robot.control.stack import Command
 from angler_mjx.runs.simulator import devices as on_devices
@@ -89,7 +89,7 @@ class ProgramSetup:
         world = self.scenario.world
         if self.has_user_code or world.files:
             return None
-        excluded: dict[str, Any] = dict.fromkeys(UNTRACED_KEYS, True)
+        excluded: dict[str, bool | set[str]] = dict.fromkeys(UNTRACED_KEYS, True)
         if self.planner is None and not self.scenario.planner.replan_hz:
             excluded["planner"] = UNTRACED_PLANNER_KEYS
         numbers = [(leaf.shape, str(leaf.dtype)) for leaf in jax.tree.leaves(self.policy)]
@@ -144,7 +144,7 @@ class Programs:
         self.samples, self.steps_per_sample = _segment_size(scenario)
         self.engine = engines.by_name(scenario.engine, setup.kernels)
         self.memory: DeviceMemory | None = None
-        self._problems: dict[Information, CompiledFunction] = {}
+        self._problems: dict[Information, CompiledFunction[Problem]] = {}
         self._compiled, self._lock = False, threading.Lock()
         policy = setup.policy[0] if setup.policy else None
         sampling = build_preparer(
@@ -173,7 +173,7 @@ class Programs:
         self.add_parameters = self._shard(fleet.add_parameters, REPLICATED, SHARDED)
         self.pack_cells = self._shard(self.engine.pack_cells, SHARDED)
 
-    def problem(self, information: Information) -> CompiledFunction:
+    def problem(self, information: Information) -> CompiledFunction[Problem]:
         """Return the program that builds problems of worlds at an information level."""
         if information not in self._problems:
             build = partial(build_tile_problems, self._setup.scenario, information)
@@ -264,7 +264,7 @@ class Programs:
             segment = programs.begin(self.segment, kinds, worlds, state, cells, *policy_shapes)
         return worlds, state, [prepare, reset, segment]
 
-    def _seed_shapes(self) -> tuple[Fleet, Any, Any]:
+    def _seed_shapes(self) -> tuple[Fleet, jax.ShapeDtypeStruct, jax.ShapeDtypeStruct]:
         """Return the arguments of the preparing function: fleet, seed, first worlds."""
         mesh = self._setup.mesh
         number = jax.ShapeDtypeStruct((), jnp.uint32)
@@ -275,9 +275,12 @@ class Programs:
             with_sharding(firsts, mesh, SHARDED),
         )
 
-    def _shard(
-        self, function: Callable[..., Any], *specs: PartitionSpec, **options: Any
-    ) -> CompiledFunction:
+    def _shard[R](
+        self,
+        function: Callable[..., R],
+        *specs: PartitionSpec,
+        donate_argnums: int | None = None,
+    ) -> CompiledFunction[R]:
         """Return a compiled function that runs on each device, on its tile.
 
         Results carry their sharding by tiles: a function of them is then one program, whether it
@@ -286,7 +289,7 @@ class Programs:
         return CompiledFunction(
             on_devices.shard_function(self._setup.mesh, function, *specs),
             out_shardings=NamedSharding(self._setup.mesh, SHARDED),
-            **options,
+            donate_argnums=donate_argnums,
         )
 
     def _run_step(

@@ -4,7 +4,7 @@ import operator
 from collections.abc import Callable
 from dataclasses import fields, replace
 from functools import partial
-from typing import Any
+from typing import SupportsIndex
 
 import jax
 import jax.numpy as jnp
@@ -60,7 +60,7 @@ type PrepareWorlds = Callable[[fleet.Fleet, jax.Array, jax.Array], World]
 """Makes worlds [tile] of a fleet, from the seed [] and the first world's index [1], both uint32."""
 
 
-def check_key_number(name: str, value: Any) -> np.uint32:
+def check_key_number(name: str, value: SupportsIndex) -> np.uint32:
     """Return a seed or an index of a world as keys take it.
 
     Args:

@@ -103,9 +103,13 @@ def _add_missing_columns(table: pa.Table) -> pa.Table:
     return table
 
 
-def end_time_s(row: Mapping[str, float | str]) -> float:
+def end_time_s(row: Mapping[str, object]) -> float:
     """Return the end of a robot's episode, s, from a row as ``to_pylist`` gives it."""
-    return float(row["time_to_goal_s" if row["outcome"] == "reached" else "failure_time_s"])
+    column = "time_to_goal_s" if row["outcome"] == "reached" else "failure_time_s"
+    end_s = row[column]
+    if not isinstance(end_s, float):
+        raise TypeError(f"{column} is {end_s!r}")
+    return end_s
 
 
 def outcome_rates(episodes: pa.Table) -> dict[str, dict[str, float]]:

@@ -1,7 +1,5 @@
 """Comparison of one robot's stored results with the judged ones, finding by finding."""
 
-from typing import Any
-
 import numpy as np
 
 from angler_mjx.testing.referee.findings import (
@@ -35,7 +33,16 @@ class FindingCollector:
         self._scene, self._robot = scene, robot
 
     def _add_finding(
-        self, quantity: str, how: CheckMethod, result: FindingResult, **more: Any
+        self,
+        quantity: str,
+        how: CheckMethod,
+        result: FindingResult,
+        *,
+        stored: Value,
+        judged: Value,
+        deviation: float = 0.0,
+        tolerance: float = 0.0,
+        note: str = "",
     ) -> None:
         world = self._scene.world.index
         self.findings.append(
@@ -45,7 +52,11 @@ class FindingCollector:
                 quantity=quantity,
                 how=how,
                 result=result,
-                **more,
+                stored=stored,
+                judged=judged,
+                deviation=deviation,
+                tolerance=tolerance,
+                note=note,
             )
         )
 

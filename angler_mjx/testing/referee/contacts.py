@@ -6,7 +6,6 @@ touch; only those are computed, capsule by capsule.
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,7 +49,7 @@ class ContactPairs:
     gap_m: Floats
     """Distance of the hulls, or a lower bound of the distance."""
 
-    def take(self, chosen: Any) -> "ContactPairs":
+    def take(self, chosen: NDArray[np.bool_] | Ints) -> "ContactPairs":
         """Return a selection of the pairs."""
         return ContactPairs(
             state=self.state[chosen],
@@ -157,7 +156,7 @@ def _find_candidates(
     yield from _find_robots(world, reach, last)
 
 
-def _build_pairs(state: Ints, robot: Ints, kind: int, index: Any, gap_m: Floats) -> ContactPairs:
+def _build_pairs(state: Ints, robot: Ints, kind: int, index: Ints, gap_m: Floats) -> ContactPairs:
     kinds = np.full(state.size, kind, np.int64)
     return ContactPairs(
         state=state, robot=robot, kind=kinds, index=index.astype(np.int64), gap_m=gap_m

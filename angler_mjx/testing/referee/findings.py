@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
-from typing import Any, Literal
+from typing import Literal
 
 type Value = float | str | None
 type CheckMethod = Literal["exact", "bounded", "unchecked"]
@@ -79,7 +79,7 @@ class RefereeFinding:
         undecided = "undecided, " if self.result == "undecided" else ""
         return f"world {self.world} robot {self.robot} {self.quantity}: {undecided}{text}{note}"
 
-    def table(self) -> dict[str, Any]:
+    def table(self) -> dict[str, object]:
         """Return the finding for JSON: non-finite numbers are null."""
         return {name: _to_json_value(value) for name, value in asdict(self).items()}
 
@@ -88,11 +88,10 @@ def _format_value(value: Value) -> str:
     return f"{value:.9g}" if isinstance(value, float) else str(value)
 
 
-def _to_json_value(value: Any) -> Any:
-    is_not_finite = isinstance(value, float) and not math.isfinite(value)
-    return (
-        str(value) if is_not_finite and not math.isnan(value) else None if is_not_finite else value
-    )
+def _to_json_value(value: object) -> object:
+    if not isinstance(value, float) or math.isfinite(value):
+        return value
+    return None if math.isnan(value) else str(value)
 
 
 @dataclass(kw_only=True)
@@ -176,7 +175,7 @@ class RefereeVerdict:
             setattr(count, finding.result, getattr(count, finding.result) + 1)
             self.differences.append(finding)
 
-    def table(self) -> dict[str, Any]:
+    def table(self) -> dict[str, object]:
         """Return the verdict for JSON."""
         return {
             "run": self.run,

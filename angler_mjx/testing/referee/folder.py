@@ -2,11 +2,12 @@
 
 import hashlib
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
@@ -64,7 +65,7 @@ def read_rows(path: Path, robots: int, *, has_task: bool = False) -> dict[int, l
         optional = [name for name in OPTIONAL_COLUMNS if name in pq.read_schema(path).names]
         table = pq.read_table(path, columns=["world", "robot", *TEXT_COLUMNS, *numbers, *optional])
         table = table.sort_by([("world", "ascending"), ("robot", "ascending")])
-        columns: dict[str, Any] = {
+        columns: dict[str, Sequence[object] | np.ndarray] = {
             "world": table["world"].to_numpy(),
             "robot": table["robot"].to_numpy(),
             **{name: table[name].to_pylist() for name in TEXT_COLUMNS},
@@ -74,7 +75,7 @@ def read_rows(path: Path, robots: int, *, has_task: bool = False) -> dict[int, l
     columns.setdefault("passed_goal_early", [None] * table.num_rows)
     rows_by_world: dict[int, list[Row]] = {}
     for i in range(table.num_rows):
-        row = {name: values[i] for name, values in columns.items()}
+        row: Row = {name: values[i] for name, values in columns.items()}
         rows_by_world.setdefault(int(row["world"]), []).append(row)
     for world, rows in rows_by_world.items():
         if [int(row["robot"]) for row in rows] != list(range(robots)):
@@ -82,12 +83,13 @@ def read_rows(path: Path, robots: int, *, has_task: bool = False) -> dict[int, l
     return rows_by_world
 
 
-def _to_numbers(column: Any, name: str) -> Any:
+def _to_numbers(column: pa.ChunkedArray, name: str) -> np.ndarray:
     """Convert a column to numbers; a robot without others is infinitely far from them."""
     numbers = column.cast(pa.float64())
     if name == "min_separation_m":
         numbers = numbers.fill_null(float("inf"))
-    return numbers.to_numpy()
+    values: np.ndarray = numbers.to_numpy()
+    return values
 
 
 def read_copies(folder: Path) -> dict[str, Path]:
@@ -120,7 +122,7 @@ def read_json(path: Path) -> dict[str, Any]:
         ConfigError: the file is missing or holds no object.
     """
     with reporting_damage(path):
-        table: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        table = json.loads(path.read_text(encoding="utf-8"))
         if not isinstance(table, dict):
             raise ValueError("it is no JSON object")
         return table

@@ -3,11 +3,12 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 import zarr
 from numpy.typing import NDArray
+from zarr.types import AnyArray
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.testing.referee import teamwork, vehicles
@@ -19,7 +20,7 @@ from angler_mjx.testing.referee.folder import (
     reporting_damage,
 )
 from angler_mjx.testing.referee.geometry import Floats
-from angler_mjx.testing.referee.vehicles import RefereeRobot
+from angler_mjx.testing.referee.vehicles import RefereeRobot, StoredVariant
 
 BLOCK_BYTES = 2**27
 """Approximate size of a block of the record in memory."""
@@ -56,7 +57,7 @@ class RefereeRun:
     """Whether robots fly only the stored plans: no plans made in flight, and no commands of another
     policy or of a session."""
     robots: tuple[RefereeRobot, ...]
-    variants: Sequence[Mapping[str, Any]]
+    variants: Sequence[StoredVariant]
     """Variants of ``variants.json``, by number; empty where vehicles are as their files say."""
     rows: Mapping[int, Sequence[Row]]
     """Rows of each finished world, in the order of the robots."""
@@ -66,7 +67,7 @@ class RefereeRun:
     """Whether it may be a driven scene that was broken off before its horizon."""
     whole_us: bool
     """Whether commands were stored as whole microseconds, and not unrounded."""
-    group: Any
+    group: zarr.Group
 
     @property
     def by_task(self) -> bool:
@@ -106,7 +107,7 @@ class RefereeWorld:
     """[T, O, 4]."""
     pwm_us: Floats
     """[T, R, n] or [T - 1, R, n]: the last state may come after all commands."""
-    environment: Mapping[str, Any]
+    environment: Mapping[str, np.ndarray]
     """Static data: arrays of the world's environment by name, and of its task."""
     target: NDArray[np.int64]
     """[T, R] place of the task for each robot, or [T - 1, R] as ``pwm_us``; -1: the robot stays, or
@@ -151,6 +152,16 @@ _STEP_KEYS = ("position_mm", "velocity_mmps", "attitude_mrad", "force_mn", "pwm_
 """Keys of the scenario's ``[store]`` by which states are rounded."""
 
 
+class BreakdownsTable(TypedDict, total=False):
+    """Table ``breakdowns`` of ``config.json``."""
+
+    fraction: float
+    share: float
+    """Former name of ``fraction``."""
+    earliest_s: float
+    latest_s: float | None
+
+
 def open_run(path: Path) -> RefereeRun:
     """Open a run folder.
 
@@ -180,28 +191,21 @@ def open_run(path: Path) -> RefereeRun:
         copies = read_copies(path / "inputs")
         fleet = [(vehicles.read_robot(entry, copies), entry["count"]) for entry in config["fleet"]]
         robots = tuple(robot for robot, count in fleet for _ in range(count))
-        settings: dict[str, Any] = {
-            "control_dt_s": dt,
-            "every": round(1.0 / (hz * dt)),
-            "horizon_steps": round(float(timing["horizon_s"]) / dt),
-            "goal_tolerance_m": float(config["goal_tolerance_m"]),
-            "planned_worlds": int(config["worlds"]),
-            "task": teamwork.read_rules(config),
-            "breakdowns_s": _breakdowns_s(config.get("breakdowns", {}), float(timing["horizon_s"])),
-        }
-    variants: Sequence[Mapping[str, Any]] = ()
+        horizon_s, goal_tolerance_m = float(timing["horizon_s"]), float(config["goal_tolerance_m"])
+        acoustics = config.get("acoustics", {}).get("model", "perfect")
+        task = teamwork.read_rules(config.get("task", {}), dt, acoustics)
+        planned_worlds = int(config["worlds"])
+        breakdowns_s = _breakdowns_s(config.get("breakdowns", {}), horizon_s)
+    variants: Sequence[StoredVariant] = ()
     randomisation = config.get("randomise", {})
     if randomisation.get("battery_v") or randomisation.get(
         "fault_probability"
     ):  # they determine power
         variants = read_json(path / "variants.json")["variants"]
     with reporting_damage(path / "trajectories.zarr"):
-        group: Any = zarr.open_group(path / "trajectories.zarr", mode="r")
-        whole = group["pwm_us"].dtype.kind in "iu"
-    has_task, is_single_scene = (
-        settings["task"] is not None,
-        _is_single_scene(path / "summary.json"),
-    )
+        group = zarr.open_group(path / "trajectories.zarr", mode="r")
+        whole = _require_array(group, "pwm_us").dtype.kind in "iu"
+    has_task, is_single_scene = task is not None, _is_single_scene(path / "summary.json")
     rows = read_rows(path / "episodes.parquet", len(robots), has_task=has_task)
     return RefereeRun(
         path=path,
@@ -210,23 +214,27 @@ def open_run(path: Path) -> RefereeRun:
         rows=rows,
         has_flown_plans="plan_time_s" in group
         and not (has_task or is_single_scene)
-        and _flies_stored_plans(path, config),
+        and not config.get("planner", {}).get("replan_hz", 0.0)
+        and _follows_plans(path / "policy.json"),
         is_single_scene=is_single_scene,
         whole_us=whole,
         group=group,
-        **settings,
+        control_dt_s=dt,
+        every=round(1.0 / (hz * dt)),
+        horizon_steps=round(horizon_s / dt),
+        goal_tolerance_m=goal_tolerance_m,
+        planned_worlds=planned_worlds,
+        task=task,
+        breakdowns_s=breakdowns_s,
     )
 
 
-def _flies_stored_plans(path: Path, config: Mapping[str, Any]) -> bool:
-    """Return whether the robots of a run fly the plans that are stored with it."""
-    if config.get("planner", {}).get("replan_hz", 0.0):
-        return False
-    policy = path / "policy.json"
+def _follows_plans(policy: Path) -> bool:
+    """Return whether the robots of a run follow plans, and no other policy."""
     return not policy.exists() or str(read_json(policy).get("class")).endswith(".Online")
 
 
-def _breakdowns_s(table: Mapping[str, Any], horizon_s: float) -> tuple[float, float] | None:
+def _breakdowns_s(table: BreakdownsTable, horizon_s: float) -> tuple[float, float] | None:
     if not table.get("fraction", table.get("share")):
         return None
     latest = table["latest_s"]
@@ -248,7 +256,7 @@ def read_worlds(run: RefereeRun, chosen: Sequence[int]) -> Iterator[RefereeWorld
         per_world = sum(
             array.nbytes // max(array.shape[0], 1)
             for _, array in run.group.members()
-            if hasattr(array, "nbytes") and array.ndim > 1
+            if isinstance(array, zarr.Array) and array.ndim > 1
         )
     max_worlds = max(1, BLOCK_BYTES // max(per_world, 1))
     block: list[int] = []
@@ -266,8 +274,8 @@ def _read_block(run: RefereeRun, chosen: Sequence[int]) -> Iterator[RefereeWorld
     first, last = chosen[0], chosen[-1] + 1
     path = run.path / "trajectories.zarr"
 
-    def read(name: str) -> Any:
-        return run.group[name][first:last]
+    def read(name: str) -> np.ndarray:
+        return np.asarray(_require_array(run.group, name)[first:last])
 
     with reporting_damage(path):
         names = ["p_m", "q", "nu", "pwm_us", "outcome"]
@@ -297,8 +305,19 @@ def _read_block(run: RefereeRun, chosen: Sequence[int]) -> Iterator[RefereeWorld
             )
 
 
+def _require_array(group: zarr.Group, name: str) -> AnyArray:
+    array = group[name]
+    if not isinstance(array, zarr.Array):
+        raise TypeError(f"{name} is no array")
+    return array
+
+
 def _build_world(
-    run: RefereeRun, index: int, stored: Row, end: Row, environment: Mapping[str, Any]
+    run: RefereeRun,
+    index: int,
+    stored: Mapping[str, np.ndarray],
+    end: Mapping[str, np.ndarray],
+    environment: Mapping[str, np.ndarray],
 ) -> RefereeWorld:
     is_stored = np.isfinite(stored["p_m"]).all(axis=-1).any(axis=-1)
     count = int(np.flatnonzero(is_stored)[-1]) + 1 if is_stored.any() else 0

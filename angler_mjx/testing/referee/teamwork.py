@@ -8,7 +8,7 @@ as stored. docs/reference/tasks.md defines the rules.
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,16 +42,37 @@ class TaskRules:
     """Whether every robot knows at once which jobs are done."""
 
 
-def read_rules(config: Mapping[str, Any]) -> TaskRules | None:
-    """Return the rules of a run; None where each robot has a goal of its own."""
-    table = config.get("task", {})
+class TaskTable(TypedDict, total=False):
+    """Table ``task`` of ``config.json``."""
+
+    type: str
+    tolerance_m: float
+    look_s: float
+    shared: bool
+    ordered: bool
+    after: str
+    dropped: str
+    coverage: float
+    of: str
+    half_angle_deg: float
+    range_m: float
+
+
+def read_rules(table: TaskTable, control_dt_s: float, acoustics: str) -> TaskRules | None:
+    """Return the rules of a run; None where each robot has a goal of its own.
+
+    Args:
+        table: task of the run.
+        control_dt_s: control period of the run.
+        acoustics: model of the acoustics of the run.
+    """
     kind = table.get("type", "goal")
     if kind == "goal":
         return None
     return TaskRules(
         kind=kind,
         tolerance_m=float(table["tolerance_m"]),
-        period=round(float(table["look_s"]) / float(config["time"]["control_dt_s"])),
+        period=round(float(table["look_s"]) / control_dt_s),
         is_shared=bool(table.get("shared", True)),
         is_ordered=bool(table.get("ordered", False)),
         returns=table["after"] == "return",
@@ -60,7 +81,7 @@ def read_rules(config: Mapping[str, Any]) -> TaskRules | None:
         surface=str(table.get("of", "")),
         half_angle_rad=float(np.radians(table.get("half_angle_deg", 0.0))),
         range_m=float(table.get("range_m", 0.0)),
-        is_fully_informed=config.get("acoustics", {}).get("model", "perfect") == "perfect",
+        is_fully_informed=acoustics == "perfect",
     )
 
 
@@ -81,7 +102,7 @@ class TaskRecord:
     """[K, R] place assigned to each robot by each look; -1: it stays."""
     carrying: NDArray[np.int64]
     """[K, R] goods that each robot carries after it; -1: none."""
-    environment: Mapping[str, Any]
+    environment: Mapping[str, np.ndarray]
     """Static data, and task data that were stored once."""
     low_m: Floats
     band_m: float

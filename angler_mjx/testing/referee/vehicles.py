@@ -1,10 +1,10 @@
 """Reader of vehicle and thruster files for the referee: the hull, and the thrusters' power."""
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NotRequired, TypedDict
 
 import numpy as np
 
@@ -33,6 +33,32 @@ class RefereeHull:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ThrusterPower:
+    """Power of a thruster by its voltage."""
+
+    voltage_v: Floats
+    """[v]."""
+    power_w: Floats
+    """[n, v]; n as the signals."""
+
+
+class FleetTable(TypedDict):
+    """Entry of ``fleet`` in ``config.json``."""
+
+    vehicle: str
+    battery_v: float
+    thruster_health: NotRequired[Mapping[str, float] | None]
+    parameter_set: NotRequired[str | None]
+    parameter_mix: NotRequired[Mapping[str, float] | None]
+
+
+StoredVariant = TypedDict(  # noqa: UP013 - keys of files are no names
+    "StoredVariant", {"battery_v": float, "drawn": Mapping[str, Sequence[float]]}
+)
+"""Row of ``variants.json``: voltage, and sampled values by name."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class RefereeRobot:
     """One robot of the fleet."""
 
@@ -47,16 +73,15 @@ class RefereeRobot:
     """[n] at the robot's voltage."""
     alive: np.ndarray
     """bool [t] the thrusters that exist and are not dead: only they draw power."""
-    table: Mapping[str, Any]
-    """Table of its thruster's file."""
+    thruster: ThrusterPower
 
-    def with_variant(self, variant: Mapping[str, Any]) -> "RefereeRobot":
+    def with_variant(self, variant: StoredVariant) -> "RefereeRobot":
         """Return the robot with a row of ``variants.json``: hulls are never sampled."""
         alive = self.alive
         if variant["drawn"].get("thrust"):
             alive = alive & (np.asarray(variant["drawn"]["thrust"], float) > 0.0)
         return replace(
-            self, power_w=_power_at_voltage(self.table, float(variant["battery_v"])), alive=alive
+            self, power_w=_power_at_voltage(self.thruster, float(variant["battery_v"])), alive=alive
         )
 
     def power(self, pwm_us: Floats) -> Floats:
@@ -79,7 +104,7 @@ class RefereeRobot:
         return low, high
 
 
-def read_robot(entry: Mapping[str, Any], copies: Mapping[str, Path]) -> RefereeRobot:
+def read_robot(entry: FleetTable, copies: Mapping[str, Path]) -> RefereeRobot:
     """Read the robot of an entry of ``fleet`` in a run's config.
 
     Args:
@@ -96,6 +121,10 @@ def read_robot(entry: Mapping[str, Any], copies: Mapping[str, Path]) -> RefereeR
         table = _read_toml(
             path.parent / model if model.endswith(".toml") else _shipped_thruster(model)
         )
+        thruster = ThrusterPower(
+            voltage_v=np.asarray(table["voltage_v"], float),
+            power_w=np.asarray(table["power_w"], float),
+        )
         centre = np.asarray(file["base"]["center_of_mass_m"], float)
         capsules = file["hull"]["capsules"]
         health = entry.get("thruster_health") or {}
@@ -110,18 +139,18 @@ def read_robot(entry: Mapping[str, Any], copies: Mapping[str, Path]) -> RefereeR
                 r_m=np.array([item["radius_m"] for item in capsules], float),
             ),
             pwm_us=np.asarray(table["pwm_us"], float),
-            power_w=_power_at_voltage(table, float(entry["battery_v"])),
+            power_w=_power_at_voltage(thruster, float(entry["battery_v"])),
             alive=np.array([health.get(name, 1.0) > 0.0 for name in names]),
-            table=table,
+            thruster=thruster,
         )
     except (KeyError, TypeError, ValueError, IndexError) as error:
         message = f"{error} is missing" if isinstance(error, KeyError) else str(error)
         raise ConfigError(f"{path}: the referee cannot use it: {message}") from error
 
 
-def _power_at_voltage(table: Mapping[str, Any], voltage_v: float) -> Floats:
+def _power_at_voltage(thruster: ThrusterPower, voltage_v: float) -> Floats:
     """Return power [n] W at one voltage, interpolated linearly between the two nearest columns."""
-    volts, power = np.asarray(table["voltage_v"], float), np.asarray(table["power_w"], float)
+    volts, power = thruster.voltage_v, thruster.power_w
     if not volts[0] <= voltage_v <= volts[-1]:
         raise ValueError(f"battery_v = {voltage_v:g}: its thruster's table ends before")
     right = int(np.clip(np.searchsorted(volts, voltage_v), 1, volts.size - 1))

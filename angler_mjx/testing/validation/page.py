@@ -5,12 +5,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.testing.validation.host import format_provenance
 from angler_mjx.testing.validation.results import (
     Deviation,
     MeasurementMetadata,
     TermResult,
     ValidationResult,
+    format_provenance,
 )
 from angler_mjx.testing.validation.terms import PagePart, StoredTerm, StudyTerm, Term, Terms
 
@@ -101,7 +101,7 @@ def format_table(rows: Sequence[Term], result: ValidationResult) -> str:
     if newest is None:
         return f"{body}\n\n{_NOT_YET}"
     notes = "".join(f"\n{mark} {text}." for text, mark in older.items())
-    return f"{body}\n\nMeasured {format_provenance(newest.model_dump())}.{notes}"
+    return f"{body}\n\nMeasured {format_provenance(newest)}.{notes}"
 
 
 def format_number(value: float) -> str:
@@ -126,14 +126,14 @@ def _footnote_mark(
     """Return the number of a note where a row was measured earlier than the others."""
     if about is None or newest is None or about == newest:
         return ""
-    text = format_provenance(about.model_dump())
+    text = format_provenance(about)
     return " " + older.setdefault(text, f"({len(older) + 1})")
 
 
 def _format_result(result: TermResult | None, command: str) -> str:
     if result is None:
         return f"{_NOT_YET} {command}"
-    return f"{result.text}\n\n{command} Measured {format_provenance(result.about.model_dump())}."
+    return f"{result.text}\n\n{command} Measured {format_provenance(result.about)}."
 
 
 def _format_command(study: StudyTerm) -> str:

@@ -1,9 +1,9 @@
 """Results: deviations of the tests, results of studies, and their files."""
 
 import json
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 from pydantic import Field
 
@@ -28,6 +28,19 @@ class MeasurementMetadata(FileModel):
     ardusub: bool = False
     at_utc: str
     exit_status: int = 0
+
+
+def format_provenance(about: MeasurementMetadata) -> str:
+    """Return one sentence: place, date and commit of a measurement."""
+    where = about.device if about.backend != "cpu" else about.processor or "CPU"
+    cores = f", {about.cpu_count} cores" if about.backend == "cpu" else ""
+    commit = about.commit or "unknown"
+    changed = " and changes that were not committed" if commit.endswith("-changed") else ""
+    flags = f", `XLA_FLAGS={about.xla_flags}`" if about.xla_flags else ""
+    return (
+        f"{about.at_utc[:10]}, {where}{cores}, jax {about.versions.get('jax')}, "
+        f"commit {commit.removesuffix('-changed')[:9]}{changed}{flags}"
+    )
 
 
 class Deviation(FileModel):
@@ -107,7 +120,7 @@ def read_model_or_empty[M: FileModel](model: type[M], path: Path) -> M:
     return read_model(model, path) if path.exists() else model()
 
 
-def write_json(path: Path, data: dict[str, Any]) -> None:
+def write_json(path: Path, data: Mapping[str, object]) -> None:
     """Write a JSON file atomically."""
     text = json.dumps(data, indent=1, allow_nan=False, ensure_ascii=False, sort_keys=True)
     with replace_file(path, flag="--out", force=True) as writing:

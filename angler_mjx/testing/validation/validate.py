@@ -5,7 +5,6 @@ from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.runs.storage.atomic_files import replace_file
@@ -231,7 +230,7 @@ def _write_results(
     )
 
 
-def _current_results(checkout: Checkout, merged: ValidationResult) -> dict[str, Any]:
+def _current_results(checkout: Checkout, merged: ValidationResult) -> dict[str, object]:
     """Return the results to keep: all without those of removed terms."""
     keys = {term.key for term in checkout.terms.term}
     names = {study.name for study in checkout.terms.study}
@@ -243,7 +242,7 @@ def _current_results(checkout: Checkout, merged: ValidationResult) -> dict[str, 
     return kept.model_dump()
 
 
-def is_traceable(row: dict[str, Any]) -> bool:
+def is_traceable(row: Mapping[str, object]) -> bool:
     """Return whether a row names its commit, and the tree was unchanged."""
     return bool(row["commit"]) and not str(row["commit"]).endswith("-changed")
 
@@ -258,7 +257,7 @@ def build_speed_table(results: Path) -> str:
         ConfigError: the file cannot be read.
     """
     rows = select_latest([row for row in speed.read_rows(results) if is_traceable(row)])
-    rows_by_setup: dict[tuple[str, int, int], dict[str, dict[str, Any]]] = defaultdict(dict)
+    medians: dict[tuple[str, int, int], dict[str, str]] = defaultdict(dict)
     for row in rows:
         if row["workload"] == SPEED_SCENARIO:
             name = str(row["engine"])
@@ -266,21 +265,16 @@ def build_speed_table(results: Path) -> str:
             name = "preparation"
         else:
             continue
-        rows_by_setup[device_name(row), row["worlds"], row["robots"]][name] = row
+        text = f"{format_rate(row['median'])} ({row['commit'][:7]})"
+        medians[device_name(row), row["worlds"], row["robots"]][name] = text
     head = (
         "| device | worlds x robots | mjx, vehicle-steps/s | fused, vehicle-steps/s "
         "| drawing and planning, worlds/s |\n| --- | ---: | ---: | ---: | ---: |"
     )
     lines = [
         f"| {device} | {worlds:,} x {robots} | "
-        + " | ".join(
-            _format_cell(rows_by_engine.get(name)) for name in ("mjx", "fused", "preparation")
-        )
+        + " | ".join(by_engine.get(name, "-") for name in ("mjx", "fused", "preparation"))
         + " |"
-        for (device, worlds, robots), rows_by_engine in sorted(rows_by_setup.items())
+        for (device, worlds, robots), by_engine in sorted(medians.items())
     ]
     return "\n".join([head, *lines])
-
-
-def _format_cell(row: dict[str, Any] | None) -> str:
-    return "-" if row is None else f"{format_rate(row['median'])} ({row['commit'][:7]})"

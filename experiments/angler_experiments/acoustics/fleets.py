@@ -7,14 +7,14 @@ The study must hold two conditions that differ in communication alone. Its file 
 
 import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Literal, TypedDict
 
 import tyro
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.report.plotting import style
 
-MEASURES = (
+MEASURES: tuple[tuple[Literal["rate", "median_s", "lost_per_robot"], str, float], ...] = (
     ("rate", "met the deadline, %", 100.0),
     ("median_s", "median time until it is done, s", 1.0),
     ("lost_per_robot", "robots lost, %", 100.0),
@@ -22,7 +22,25 @@ MEASURES = (
 """Key of a size in a study's file, label of its axis, and the factor between the two."""
 
 
-def read_conditions(study: Path, names: tuple[str, str]) -> list[list[dict[str, Any]]]:
+class Estimated(TypedDict):
+    """Number with an interval; None where it is never reached."""
+
+    value: float | None
+
+
+type Measure = Estimated | float | None
+
+
+class TeamResults(TypedDict):
+    """Results of one size of a team."""
+
+    size: int
+    rate: Measure
+    median_s: Measure
+    lost_per_robot: Measure
+
+
+def read_conditions(study: Path, names: tuple[str, str]) -> list[list[TeamResults]]:
     """Return the flown sizes, smallest first, of two conditions of a study.
 
     Raises:
@@ -46,7 +64,7 @@ def read_conditions(study: Path, names: tuple[str, str]) -> list[list[dict[str, 
 
 
 def plot_conditions(
-    conditions_sizes: list[list[dict[str, Any]]], labels: tuple[str, str], out: Path
+    conditions_sizes: list[list[TeamResults]], labels: tuple[str, str], out: Path
 ) -> None:
     """Plot success, time and losses against the size of the team, of both conditions."""
     ticks = [1 << k for k in range(7)]
@@ -71,7 +89,7 @@ def plot_conditions(
         style.save_figure(chart, out, palette=64)
 
 
-def _scale_value(value: Any, factor: float) -> float | None:
+def _scale_value(value: Measure, factor: float) -> float | None:
     """Scale a number of a study, with an interval or without; None where it is never reached."""
     middle = value["value"] if isinstance(value, dict) else value
     return None if middle is None else factor * float(middle)

@@ -10,17 +10,18 @@ rollout; in turn they are compared with the closed form, and `--smoke` fails if 
 import csv
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TypedDict
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import tyro
 
+from angler_mjx.files import JsonTable
 from angler_mjx.report.plotting import style
 from angler_mjx.world.acoustics import channel
 from angler_mjx.world.acoustics.access import Tdma
-from angler_mjx.world.acoustics.channel import Channel, ChannelInput
+from angler_mjx.world.acoustics.channel import Channel, ChannelInput, ModemState
 from angler_mjx.world.acoustics.config import AcousticsConfig
 from angler_mjx.world.rock.grid import Grid
 
@@ -29,7 +30,7 @@ DT_S = 0.05
 TEAMS = (2, 4, 8, 16, 32)
 NOISY_DB = 90.0
 """Density of a receiver's own noise, dB re 1 uPa^2/Hz: 50 dB above the sea's."""
-LINKS: dict[str, dict[str, Any]] = {
+LINKS: dict[str, JsonTable] = {
     "BPSK, no fading": {"fading": "none"},
     "FSK, no fading": {"modulation": "fsk", "fading": "none"},
     "BPSK, Rayleigh": {},
@@ -70,6 +71,18 @@ def build_channel(access: str, robots: int) -> Channel:
     return channel_model
 
 
+class AgeRow(TypedDict):
+    """Mean age of information in teams of one size."""
+
+    access: str
+    robots: int
+    age_s: float
+
+
+type Carry = tuple[ModemState, jax.Array]
+"""States of the channels [world], and sums of the ages [world]."""
+
+
 def mean_age_s(acoustic_channel: Channel, robots: int, seconds: float, worlds: int) -> float:
     """Return the mean age [s] of a robot's information on another, after a fifth of the time."""
     steps = round(seconds / DT_S)
@@ -79,7 +92,9 @@ def mean_age_s(acoustic_channel: Channel, robots: int, seconds: float, worlds: i
     )
     other = ~jnp.eye(robots, dtype=bool)
 
-    def advance(number: jax.Array, key: jax.Array, p_m: jax.Array, memory: Any) -> Any:
+    def advance(
+        number: jax.Array, key: jax.Array, p_m: jax.Array, memory: ModemState
+    ) -> tuple[ModemState, jax.Array]:
         t = number * DT_S
         packet = channel.Packet(p_m=p_m, v_mps=jnp.zeros_like(p_m), time_s=jnp.full(robots, t))
         inputs = ChannelInput(
@@ -94,7 +109,7 @@ def mean_age_s(acoustic_channel: Channel, robots: int, seconds: float, worlds: i
         return memory, age
 
     def run(keys: jax.Array) -> jax.Array:
-        def step(carry: Any, number: jax.Array) -> tuple[Any, None]:
+        def step(carry: Carry, number: jax.Array) -> tuple[Carry, None]:
             memory, total = carry
             memory, age = jax.vmap(partial(advance, number))(keys, position_m, memory)
             return (memory, total + jnp.where(number >= steps // 5, age, 0.0)), None
@@ -117,7 +132,7 @@ def expected_age_s(acoustic_channel: Channel, robots: int) -> float:
     return slot_s + 0.5 * (robots * slot_s - DT_S)
 
 
-def plot_figure(out: Path, rows: list[dict[str, Any]]) -> None:
+def plot_figure(out: Path, rows: list[AgeRow]) -> None:
     """Plot both charts, side by side."""
     range_m = np.geomspace(10.0, 30_000.0, 300)
     with style.figure_style():
@@ -152,7 +167,7 @@ def main(out: Path = Path("docs/images"), seconds: float = 400.0, smoke: bool = 
         smoke: Two small teams and a minute, to see that it works.
     """
     teams, seconds = (TEAMS[:2], 60.0) if smoke else (TEAMS, seconds)
-    rows = []
+    rows: list[AgeRow] = []
     for access in ACCESS:
         for robots in teams:
             acoustic_channel = build_channel(access, robots)

@@ -8,7 +8,6 @@ reports how many provably have no plan at all (`planning.priority.proofs`).
 """
 
 import time
-from typing import Any
 
 import jax
 import numpy as np
@@ -18,6 +17,7 @@ from angler_mjx.planning.planner import PathShape
 from angler_mjx.planning.priority.proofs import prove_unsolvable
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import Scenario, load_scenario
+from angler_mjx.sim.state import World
 
 
 def build_scenario(
@@ -26,7 +26,7 @@ def build_scenario(
     """Build the scenario of teams of one size in worlds of one preset."""
     small = robots // 2
     heavy = load_scenario("reef_fleet").fleet[0].model_copy(update={"count": robots - small})
-    fleet: list[Any] = [heavy.model_dump(exclude_unset=True)]
+    fleet = [heavy.model_dump(exclude_unset=True)]
     if small:
         fleet.append({"vehicle": "bluerov2", "count": small, "parameter_set": "blue_gazebo"})
     return load_scenario(
@@ -40,7 +40,7 @@ def build_scenario(
     )
 
 
-def sample_timed(simulator: Simulator) -> tuple[Any, float]:
+def sample_timed(simulator: Simulator) -> tuple[World, float]:
     """Sample worlds; return them and the seconds of a second sampling."""
     jax.block_until_ready(simulator.worlds())
     start_s = time.perf_counter()

@@ -6,12 +6,13 @@ Files that were read before lie in memory: the measurement is of the reader, not
 """
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import tyro
+from numpy.typing import ArrayLike
 
 from angler_mjx.learning import datasets
 from angler_mjx.learning.datasets.windows import Windows
@@ -20,7 +21,7 @@ BATCH = 64
 """Number of windows that PyTorch's workers pass at once."""
 
 
-def measure_rate(items: Iterable[Any], seconds: float) -> tuple[float, float]:
+def measure_rate(items: Iterable[Mapping[str, ArrayLike]], seconds: float) -> tuple[float, float]:
     """Return items and bytes per second of some seconds of iteration, without the first items."""
     iterator = iter(items)
     for _ in range(20):
@@ -36,21 +37,24 @@ def measure_rate(items: Iterable[Any], seconds: float) -> tuple[float, float]:
 
 
 def print_rate(
-    label: str, make_items: Callable[[], Iterable[Any]], seconds: float, items_per_read: int = 1
+    label: str,
+    make_items: Callable[[], Iterable[Mapping[str, ArrayLike]]],
+    seconds: float,
+    items_per_read: int = 1,
 ) -> None:
     """Print a row: the best of three, for items of several reads each."""
     best = max(measure_rate(make_items(), seconds) for _ in range(3))
     print(f"| {label} | {items_per_read * best[0]:,.0f} | {best[1] / 1e9:.2f} |", flush=True)
 
 
-def build_torch_loader(windows: Windows, workers: int) -> Iterable[Any]:
+def build_torch_loader(windows: Windows, workers: int) -> Iterable[Mapping[str, ArrayLike]]:
     """Build a pass by PyTorch's workers, in batches: each costs as much to pass as one window."""
     from torch.utils.data import DataLoader
 
     from angler_mjx.learning.datasets.loaders.torch import WindowStream
 
     context = "forkserver" if workers else None
-    loader: Iterable[Any] = DataLoader(
+    loader: Iterable[Mapping[str, ArrayLike]] = DataLoader(
         WindowStream(windows),
         batch_size=BATCH,
         num_workers=workers,

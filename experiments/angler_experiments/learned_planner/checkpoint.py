@@ -1,10 +1,10 @@
 """Trained networks in one file: arrays by names in an ``.npz``, with their sizes and origin."""
 
 import json
+from collections.abc import Iterable
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -14,6 +14,7 @@ from angler_experiments.learned_planner import network
 from angler_experiments.learned_planner.network import Params
 from angler_experiments.learned_planner.shapes import SCHEMA, NetworkSize
 from angler_mjx.errors import ConfigError, format_value
+from angler_mjx.files import JsonTable
 from angler_mjx.runs.storage.checksums import hash_file
 
 SHIPPED_FILE = "weights.npz"
@@ -27,7 +28,7 @@ class Checkpoint:
 
     params: Params
     width: NetworkSize
-    about: dict[str, Any]
+    about: JsonTable
     """Origin: examples, steps, loss, seed."""
 
 
@@ -108,9 +109,9 @@ def _read_checkpoint(path: Path) -> Checkpoint:
     )
 
 
-def _name_leaves(params: Any) -> dict[str, Any]:
+def _name_leaves(params: Params) -> dict[str, jax.Array]:
     return {_leaf_name(path): leaf for path, leaf in jax.tree_util.tree_leaves_with_path(params)}
 
 
-def _leaf_name(path: Any) -> str:
+def _leaf_name(path: Iterable[object]) -> str:
     return "/".join(str(getattr(step, "key", getattr(step, "idx", step))) for step in path)

@@ -7,7 +7,7 @@ exist.
 """
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TypedDict
 
 import jax
 import jax.numpy as jnp
@@ -24,8 +24,49 @@ from angler_experiments.learned_planner.shapes import (
     NetworkSize,
 )
 
-type Params = dict[str, Any]
-"""Arrays by names; nested."""
+
+class Dense(TypedDict):
+    """Numbers of one layer."""
+
+    w: jax.Array
+    """[in, out]."""
+    b: jax.Array
+    """[out]."""
+
+
+class Block(TypedDict):
+    """Layers along a line, and of attention to the team."""
+
+    along_in: Dense
+    along_out: Dense
+    query: Dense
+    key: Dense
+    value: Dense
+    wide: Dense
+    back: Dense
+
+
+Params = TypedDict(  # noqa: UP013 - keys of files are no names
+    "Params",
+    {
+        "gap": Dense,
+        "gap_on": Dense,
+        "own": Dense,
+        "water": Dense,
+        "place": jax.Array,
+        "pair": Dense,
+        "pair_on": Dense,
+        "body": Dense,
+        "body_score": Dense,
+        "body_on": Dense,
+        "way": Dense,
+        "time": Dense,
+        "blocks": list[Block],
+        "out": Dense,
+    },
+)
+"""Numbers of the network; ``place`` is [slices, units]."""
+
 
 _N_TIME_FREQUENCIES = 8
 """Number of frequencies that encode the time of the flow."""
@@ -49,11 +90,11 @@ def init_params(key: jax.Array, width: NetworkSize) -> Params:
     d = width.units
     keys = iter(jax.random.split(key, 16 + 8 * width.blocks))
 
-    def dense(n_in: int, n_out: int, scale: float = 1.0) -> Params:
+    def dense(n_in: int, n_out: int, scale: float = 1.0) -> Dense:
         w = jax.random.normal(next(keys), (n_in, n_out)) * scale / n_in**0.5
         return {"w": w, "b": jnp.zeros((n_out,))}
 
-    def block() -> Params:
+    def block() -> Block:
         return {
             "along_in": dense(N_SLICES, 2 * N_SLICES),
             "along_out": dense(2 * N_SLICES, N_SLICES, 0.1),
@@ -120,7 +161,7 @@ def velocity(params: Params, context: EncodedScene, path: jax.Array, time: jax.A
     return _apply_dense(params["out"], _normalise(h)[:, 1:-1])
 
 
-def _attend_to_team(block: Params, context: EncodedScene, h: jax.Array) -> jax.Array:
+def _attend_to_team(block: Block, context: EncodedScene, h: jax.Array) -> jax.Array:
     """Return each robot's attention to the others, [R, units]; zeros where it is alone."""
     mean = jnp.mean(h, axis=1)
     query = _apply_dense(block["query"], mean)
@@ -151,9 +192,8 @@ def _masked_softmax(score: jax.Array, mask: jax.Array) -> jax.Array:
     return weight / jnp.where(total > 0.0, total, 1.0)
 
 
-def _apply_dense(layer: Params, x: jax.Array) -> jax.Array:
-    output: jax.Array = x @ layer["w"] + layer["b"]
-    return output
+def _apply_dense(layer: Dense, x: jax.Array) -> jax.Array:
+    return x @ layer["w"] + layer["b"]
 
 
 def _normalise(h: jax.Array) -> jax.Array:

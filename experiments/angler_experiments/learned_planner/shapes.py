@@ -1,7 +1,6 @@
 """Sizes that a checkpoint and the arrays of its examples share."""
 
 from dataclasses import asdict, dataclass
-from typing import Any
 
 SCHEMA = 1
 """Version of checkpoints and examples: input and output of the network."""
@@ -35,6 +34,6 @@ class NetworkSize:
     """Number of units of each token."""
     blocks: int = 3
 
-    def table(self) -> dict[str, Any]:
+    def table(self) -> dict[str, int]:
         """Return the size as a table for a file."""
         return asdict(self)

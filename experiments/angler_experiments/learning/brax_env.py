@@ -5,7 +5,6 @@ Brax must not wrap it: the environment replaces ended worlds, and episodes have 
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -18,11 +17,12 @@ from angler_mjx.learning.environment import FleetEnv
 def patch_device_put() -> Iterator[None]:
     """Restore, while Brax 0.14 trains, the one function that it calls and JAX 0.11 lacks."""
 
-    def device_put_replicated(tree: Any, devices: Sequence[jax.Device]) -> Any:
-        def replicate(leaf: Any) -> jax.Array:
+    def device_put_replicated[T](tree: T, devices: Sequence[jax.Device]) -> T:
+        def replicate(leaf: jax.Array) -> jax.Array:
             return jnp.broadcast_to(leaf, (len(devices), *jnp.shape(leaf)))
 
-        return jax.tree.map(replicate, tree)
+        replicated: T = jax.tree.map(replicate, tree)
+        return replicated
 
     if hasattr(jax, "device_put_replicated"):
         yield
@@ -85,6 +85,6 @@ class BraxFleet(Env):  # type: ignore[misc]
         """Return a name that is none of Brax's engines."""
         return "angler_mjx"
 
-    def unbatched(self, **_: Any) -> "BraxFleet":
+    def unbatched(self, **_: object) -> "BraxFleet":
         """Return the environment itself: wrappers are ignored."""
         return self

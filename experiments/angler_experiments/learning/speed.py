@@ -9,7 +9,7 @@ per second of both, the best of ``--repeats``, and their ratio.
 
 import time
 from collections.abc import Callable
-from typing import Any
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -21,7 +21,7 @@ from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import load_scenario
 
 
-def min_duration_s(run: Callable[[], Any], repeats: int) -> float:
+def min_duration_s(run: Callable[[], object], repeats: int) -> float:
     """Return the least time of a call, after an uncounted one."""
     jax.block_until_ready(run())
     durations = []
@@ -32,7 +32,9 @@ def min_duration_s(run: Callable[[], Any], repeats: int) -> float:
     return min(durations)
 
 
-def build_scan(steps: int) -> Any:
+def build_scan(
+    steps: int,
+) -> Callable[[FleetEnv, EnvState], tuple[EnvState, jax.Array]]:
     """Build a program of an environment and its state: a number of steps with actions of zeros."""
 
     def fly(env: FleetEnv, state: EnvState) -> tuple[EnvState, jax.Array]:
@@ -44,7 +46,8 @@ def build_scan(steps: int) -> Any:
 
         return jax.lax.scan(step_env, state, length=steps)
 
-    return jax.jit(fly)
+    program: Callable[[FleetEnv, EnvState], tuple[EnvState, jax.Array]] = jax.jit(fly)
+    return program
 
 
 def main(
@@ -66,7 +69,7 @@ def main(
         action_repeat: control steps that the environment holds an action for.
     """
     # Without a record `segment` keeps one sample of its steps.
-    changes: dict[str, Any] = {"engine": "fused", "time": {"record_hz": 0.0}}
+    changes: dict[str, object] = {"engine": "fused", "time": {"record_hz": 0.0}}
     if kernels:
         changes["kernels"] = kernels
     simulator = Simulator(load_scenario(scenario, **changes), tile=worlds)
@@ -76,12 +79,10 @@ def main(
     if action != "plan":
         command = BodyTwist(nu=jnp.zeros((worlds, robots, 6)))
 
-    def segment() -> Any:
+    def segment() -> object:
         return simulator.segment(worlds_state, simulator.reset(worlds_state), command)
 
-    def reset() -> Any:
-        return simulator.reset(worlds_state)
-
+    reset = partial(simulator.reset, worlds_state)
     segment_s = min_duration_s(segment, repeats) - min_duration_s(reset, repeats)
     env = make_env(simulator, worlds=worlds, action=action, action_repeat=action_repeat)
     program, (state, _) = build_scan(steps // action_repeat), env.reset()

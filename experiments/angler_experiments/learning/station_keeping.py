@@ -10,8 +10,8 @@ Both fly the same worlds, which are not in the training set. Needs the extra ``l
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -74,9 +74,14 @@ class OutOfTimeError(Exception):
     """Expired time of a training."""
 
 
-def train(
-    env: FleetEnv, size: TrainingSize, seed: int = 0
-) -> tuple[Callable[..., Any], int, float]:
+type ActionPolicy = Callable[[jax.Array, jax.Array], tuple[jax.Array, object]]
+"""Observation and key to an action, and further results."""
+
+type Flown = tuple[jax.Array, jax.Array, jax.Array]
+"""Distances to the aim, energies and ends by step."""
+
+
+def train(env: FleetEnv, size: TrainingSize, seed: int = 0) -> tuple[ActionPolicy, int, float]:
     """Return a policy (observation, key) -> action; and the steps and seconds of its training."""
     from brax.training.agents.ppo import networks as ppo_networks
     from brax.training.agents.ppo import train as ppo
@@ -84,20 +89,20 @@ def train(
     from angler_experiments.learning.brax_env import BraxFleet, patch_device_put
 
     start_s = time.perf_counter()
-    last: dict[str, Any] = {}
+    last: list[tuple[int, Callable[..., ActionPolicy], object]] = []
     steps_per_update = size.batch * size.minibatches * size.unroll
 
-    def on_progress(step: int, make_policy: Any, params: Any) -> None:
-        last.update(step=step, make=make_policy, params=params)
+    def on_progress(step: int, make_policy: Callable[..., ActionPolicy], params: object) -> None:
+        last[:] = [(step, make_policy, params)]
         if time.perf_counter() - start_s > 60.0 * size.minutes and step:
             raise OutOfTimeError
 
-    def networks(*args: Any, **kwargs: Any) -> Any:
-        hidden = (64, 64)
-        return ppo_networks.make_ppo_networks(
-            *args, policy_hidden_layer_sizes=hidden, value_hidden_layer_sizes=hidden, **kwargs
-        )
-
+    hidden = (64, 64)
+    networks = partial(
+        ppo_networks.make_ppo_networks,
+        policy_hidden_layer_sizes=hidden,
+        value_hidden_layer_sizes=hidden,
+    )
     try:
         with patch_device_put():
             ppo.train(
@@ -123,15 +128,18 @@ def train(
             )
     except OutOfTimeError:
         pass
-    params = jax.tree.map(lambda leaf: jnp.array(leaf), last["params"])
-    return last["make"](params, deterministic=True), last["step"], time.perf_counter() - start_s
+    step, make_policy, params = last[0]
+    copied = jax.tree.map(lambda leaf: jnp.array(leaf), params)
+    return make_policy(copied, deterministic=True), step, time.perf_counter() - start_s
 
 
 def evaluate_policy(env: FleetEnv, act: Callable[[jax.Array], jax.Array]) -> StationFlight:
     """Fly all worlds of an environment's bank once, by a function of observations [W, 1, size]."""
 
-    def fly(env: FleetEnv) -> Any:
-        def step_env(carry: tuple[EnvState, jax.Array], __: None) -> Any:
+    def fly(env: FleetEnv) -> Flown:
+        def step_env(
+            carry: tuple[EnvState, jax.Array], __: None
+        ) -> tuple[tuple[EnvState, jax.Array], Flown]:
             state, observation = carry
             state, observation, _, terminated, _, info = env.step(state, act(observation))
             return (state, observation), (
@@ -140,7 +148,8 @@ def evaluate_policy(env: FleetEnv, act: Callable[[jax.Array], jax.Array]) -> Sta
                 terminated,
             )
 
-        return jax.lax.scan(step_env, env.reset(), length=env.rules.horizon)[1]
+        flown: Flown = jax.lax.scan(step_env, env.reset(), length=env.rules.horizon)[1]
+        return flown
 
     distance_m, energy, terminated = map(np.asarray, jax.jit(fly)(env))
     is_ended = np.cumsum(terminated, axis=0) - terminated > 0  # of the world that replaced it
@@ -169,21 +178,14 @@ def main(minutes: float = 10.0, worlds: int = 256, seed: int = 0, smoke: bool = 
             worlds=8, bank=8, evaluation_worlds=8, minutes=0.0, unroll=5, batch=8, minibatches=1
         )
     simulator = Simulator(load_scenario(SCENARIO), tile=size.evaluation_worlds)
-    common: dict[str, Any] = {"aim": "start", "observe": OBSERVATION, "reward": REWARD}
-    env = make_env(
-        simulator, worlds=size.worlds, bank=size.bank, action="twist", scale=SPEED_SCALE, **common
-    )
+    build_env = partial(make_env, simulator, aim="start", observe=OBSERVATION, reward=REWARD)
+    env = build_env(worlds=size.worlds, bank=size.bank, action="twist", scale=SPEED_SCALE)
     policy, steps, seconds = train(env, size, seed)
     print(f"trained on {steps:,} control steps in {seconds:.0f} s", flush=True)
-    evaluation_options: dict[str, Any] = {
-        "worlds": size.evaluation_worlds,
-        "bank": size.evaluation_worlds,
-        "seed": EVALUATION_SEED,
-        **common,
-    }
-    learner = make_env(simulator, action="twist", scale=SPEED_SCALE, **evaluation_options)
+    build_evaluation = partial(build_env, worlds=size.evaluation_worlds, seed=EVALUATION_SEED)
+    learner = build_evaluation(action="twist", scale=SPEED_SCALE, bank=size.evaluation_worlds)
     agent = evaluate_policy(learner, lambda observation: policy(observation, jax.random.key(0))[0])
-    cascade_env = make_env(simulator, action="pose", **{**evaluation_options, "bank": learner.bank})
+    cascade_env = build_evaluation(action="pose", bank=learner.bank)
     cascade = evaluate_policy(cascade_env, lambda observation: jnp.zeros(cascade_env.action_shape))
     print(agent.format_line("PPO"))
     print(cascade.format_line("cascade"))

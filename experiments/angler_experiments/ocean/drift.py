@@ -15,7 +15,7 @@ expected values and needs neither Parcels nor a figure.
 import argparse
 import json
 from pathlib import Path
-from typing import Any
+from typing import NotRequired, TypedDict
 
 import jax
 import jax.numpy as jnp
@@ -29,6 +29,7 @@ from scipy.interpolate import RegularGridInterpolator
 from angler_experiments.ocean import headland
 from angler_mjx.world import currents
 from angler_mjx.world.currents import Current, GridConfig
+from angler_mjx.world.currents.gridded import Gridded
 
 DAY_S, STEP_S, STEPS_PER_SAMPLE = 86_400.0, 300.0, 12
 """Duration [s], step [s], and steps per sample of a track: one sample per hour."""
@@ -45,7 +46,35 @@ HOUR = 4
 type Array = np.ndarray
 
 
-def build_current(path: Path) -> Current:
+class DriftComparison(TypedDict):
+    """Distances between two sets of tracks."""
+
+    particles: int
+    median_m: float
+    p99_m: float
+    greatest_m: float
+    median_by_hour_m: list[float]
+    greatest_by_hour_m: list[float]
+
+
+class ParcelsComparison(DriftComparison):
+    """Distances to the tracks of Parcels."""
+
+    version: str
+
+
+class DriftResults(TypedDict):
+    """Content of ``drift.json``."""
+
+    particles: int
+    clear_of_land: int
+    path_m: dict[str, float]
+    mean_speed_mps: float
+    scipy: DriftComparison
+    parcels: NotRequired[ParcelsComparison]
+
+
+def build_current(path: Path) -> tuple[Gridded]:
     """Build the current of a world with its origin in the middle of the file, at its first time."""
     config = GridConfig(
         file=str(path),
@@ -54,10 +83,13 @@ def build_current(path: Path) -> Current:
         time=(headland.BEGIN, headland.BEGIN),
     )
     origin = jnp.zeros(3)
-    return currents.sample_current((config,), jax.random.key(0), origin, origin, DAY_S)
+    (current,) = currents.sample_current((config,), jax.random.key(0), origin, origin, DAY_S)
+    if not isinstance(current, Gridded):
+        raise TypeError(f"{path}: gives a {type(current).__name__}")
+    return (current,)
 
 
-def axes_m(current: Any) -> tuple[Array, Array]:
+def axes_m(current: Gridded) -> tuple[Array, Array]:
     """Return metres north and east of the origin at the knots of the field, in float64."""
     field = current.field
     at = [
@@ -67,7 +99,7 @@ def axes_m(current: Any) -> tuple[Array, Array]:
     return at[0], at[1]
 
 
-def sample_starts(current: Any, count: int) -> Array:
+def sample_starts(current: Gridded, count: int) -> Array:
     """Sample positions [count, 3] m in water over the whole file, 1 to 15 m below the surface."""
     y, x = axes_m(current)
     rng, positions = np.random.default_rng(0), np.zeros((0, 3))
@@ -79,7 +111,7 @@ def sample_starts(current: Any, count: int) -> Array:
     return positions[:count]
 
 
-def is_in_water(current: Any, p: Array) -> Array:
+def is_in_water(current: Gridded, p: Array) -> Array:
     """Return whether all eight knots around positions [n, 3] are water."""
     field = current.field
     y, x = axes_m(current)
@@ -120,7 +152,7 @@ def integrate_tracks(current: Current, begin: Array) -> Array:
     return np.concatenate([begin[None], np.asarray(tracks, np.float64)])
 
 
-def integrate_with_scipy(current: Any, begin: Array) -> Array:
+def integrate_with_scipy(current: Gridded, begin: Array) -> Array:
     """Return tracks as `integrate_tracks`, by SciPy in float64 with a maximum error of 1 mm."""
     field = current.field
     y, x = axes_m(current)
@@ -144,7 +176,7 @@ def integrate_with_scipy(current: Any, begin: Array) -> Array:
     return out
 
 
-def write_flat_field(current: Any, path: Path) -> None:
+def write_flat_field(current: Gridded, path: Path) -> None:
     """Write the field on the plane of our drift, extended into land, for programs without land."""
     field = current.field
     y, x = axes_m(current)
@@ -158,7 +190,7 @@ def write_flat_field(current: Any, path: Path) -> None:
     ).to_netcdf(path, engine="h5netcdf")
 
 
-def compare_tracks(ours: Array, theirs: Array, clear: Array) -> dict[str, Any]:
+def compare_tracks(ours: Array, theirs: Array, clear: Array) -> DriftComparison:
     """Return distances between two sets of tracks, of particles that stayed clear of land."""
     distance_m = np.linalg.norm((ours - theirs)[:, clear, :2], axis=-1)
     return {
@@ -171,7 +203,7 @@ def compare_tracks(ours: Array, theirs: Array, clear: Array) -> dict[str, Any]:
     }
 
 
-def run_study(out: Path, particles: int) -> dict[str, Any]:
+def run_study(out: Path, particles: int) -> DriftResults:
     """Make, compare and store the tracks; return the results."""
     out.mkdir(parents=True, exist_ok=True)
     current = build_current(headland.write_dataset(out / "headland.nc"))
@@ -187,7 +219,7 @@ def run_study(out: Path, particles: int) -> dict[str, Any]:
     theirs = integrate_with_scipy(current[0], begin[scipy_particles])
     np.savez(out / "tracks.npz", ours=ours, scipy=theirs, clear=clear, begin=begin)
     write_flat_field(current[0], out / "flat.nc")
-    results: dict[str, Any] = {
+    results: DriftResults = {
         "particles": particles,
         "clear_of_land": int(clear.sum()),
         "path_m": {"median": float(np.median(length)), "greatest": float(length.max())},

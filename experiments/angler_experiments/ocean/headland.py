@@ -11,7 +11,6 @@ always the same.
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import xarray
@@ -56,7 +55,7 @@ def stream_m2ps(x: np.ndarray, y: np.ndarray, depth_m: float, time_s: np.ndarray
     return psi
 
 
-def build_dataset(n: int = 24) -> Any:
+def build_dataset(n: int = 24) -> xarray.Dataset:
     """Build the field on ``n`` x ``n`` knots, in the packed form of published files."""
     x = SPACING_M * (np.arange(n) - 0.5 * (n - 1))
     y = SPACING_M * (np.arange(n) - 3.0)
@@ -80,7 +79,9 @@ def build_dataset(n: int = 24) -> Any:
     begin = np.datetime64(BEGIN)
     axes = ("time", "depth", "latitude", "longitude")
 
-    def velocity(values: np.ndarray, name: str) -> tuple[Any, ...]:
+    def velocity(
+        values: np.ndarray, name: str
+    ) -> tuple[tuple[str, ...], np.ndarray, dict[str, str]]:
         about = {"standard_name": f"{name}_sea_water_velocity", "units": "m s-1"}
         return axes, values, about
 

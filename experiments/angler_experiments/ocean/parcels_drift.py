@@ -18,7 +18,7 @@ import xarray
 
 STEP_S, STEPS_PER_SAMPLE, HOURS = 300.0, 12, 24
 
-parcels: Any = importlib.import_module("parcels")
+parcels = importlib.import_module("parcels")
 """Module of Parcels, not a dependency of this package."""
 
 

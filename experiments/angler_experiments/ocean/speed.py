@@ -10,19 +10,22 @@ import json
 import tempfile
 import time
 from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np
 
 from angler_experiments.ocean import headland
+from angler_mjx.files import JsonTable
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import load_scenario
+from angler_mjx.sim.state import World, WorldState
 
-VORTICES: dict[str, Any] = {"type": "vortices", "count": 3, "peak_speed_mps": [0.1, 0.3]}
+VORTICES: JsonTable = {"type": "vortices", "count": 3, "peak_speed_mps": [0.1, 0.3]}
 
 
-def build_simulation(name: str, current: dict[str, Any], worlds: int) -> tuple[Simulator, Any, Any]:
+def build_simulation(
+    name: str, current: JsonTable, worlds: int
+) -> tuple[Simulator, World, WorldState]:
     """Build a compiled simulator of `reef_fleet` in a current, with its worlds and their state."""
     world_table = load_scenario(name).world.model_dump(mode="json", exclude_none=True)
     table = {**world_table, "currents": [current]}
@@ -35,7 +38,9 @@ def build_simulation(name: str, current: dict[str, Any], worlds: int) -> tuple[S
     return simulator, sampled_worlds, simulator.reset(sampled_worlds)
 
 
-def time_segment(simulator: Simulator, worlds: Any, state: Any) -> tuple[float, Any]:
+def time_segment(
+    simulator: Simulator, worlds: World, state: WorldState
+) -> tuple[float, WorldState]:
     """Return the wall time of a segment, and the state after it."""
     start_s = time.perf_counter()
     next_state, _, running = simulator.advance(worlds, state)
@@ -43,11 +48,11 @@ def time_segment(simulator: Simulator, worlds: Any, state: Any) -> tuple[float, 
     return time.perf_counter() - start_s, next_state
 
 
-def compare_currents(name: str, worlds: int, repeats: int) -> dict[str, Any]:
+def compare_currents(name: str, worlds: int, repeats: int) -> dict[str, object]:
     """Return medians of both, measured by turns."""
     with tempfile.TemporaryDirectory() as folder:
         path = headland.write_dataset(Path(folder) / "headland.nc")
-        grid: dict[str, Any] = {"type": "grid", "file": str(path)}
+        grid: JsonTable = {"type": "grid", "file": str(path)}
         currents = {"vortices": VORTICES, "grid": grid}
         flights = {
             kind: build_simulation(name, current, worlds) for kind, current in currents.items()

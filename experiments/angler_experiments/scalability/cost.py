@@ -34,13 +34,13 @@ type Key = tuple[str, int, str, str]
 PREFIX = "scalability/"
 WORLDS = {"gpu": {"fused": 4096, "mjx": 256}, "cpu": {"fused": 16, "mjx": 4}}
 """Number of worlds where it is not varied."""
-SMOKE = (("dynamics", "fused"),)
+SMOKE: tuple[tuple[str, Engine], ...] = (("dynamics", "fused"),)
 SMOKE_SIZES = (16, 64, 256)
 
 
 def list_rungs(
     names: Sequence[str], engines: Sequence[Engine], backend: str
-) -> list[tuple[Any, ...]]:
+) -> list[tuple[Ladder, Engine, int]]:
     """Return ladder, engine and size of every row, the quick ones first.
 
     Args:
@@ -108,7 +108,7 @@ def measure_row(ladder: Ladder, engine: Engine, size: int, repeats: int, backend
 
 
 def measure_missing(
-    requested: Sequence[tuple[Any, ...]], out: Path, repeats: int, limit_s: float
+    requested: Sequence[tuple[Ladder, Engine, int]], out: Path, repeats: int, limit_s: float
 ) -> Iterator[tuple[SpeedRow, float]]:
     """Measure the rows that a file lacks; yield each with its total seconds.
 
@@ -156,7 +156,9 @@ def main(
     """
     compile_cache.enable_cache()
     if smoke:
-        requested = [(BY_NAME[x], engine, size) for x, engine in SMOKE for size in SMOKE_SIZES]
+        requested: list[tuple[Ladder, Engine, int]] = [
+            (BY_NAME[x], engine, size) for x, engine in SMOKE for size in SMOKE_SIZES
+        ]
     else:
         requested = list_rungs(ladders, engines, jax.default_backend())
     for row, took_s in measure_missing(requested, out, repeats, limit_s):

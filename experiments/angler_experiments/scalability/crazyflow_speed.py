@@ -16,13 +16,12 @@ import statistics
 import sys
 import time
 from pathlib import Path
-from typing import Any
 
 STEPS, REPEATS = 100, 10
 SIZES = {"gpu": (1024, 16_384, 262_144, 1_048_576), "cpu": (64, 256, 1024)}
 
 
-def measure_rate(worlds: int, steps: int, repeats: int) -> dict[str, Any]:
+def measure_rate(worlds: int, steps: int, repeats: int) -> dict[str, object]:
     """Measure one row.
 
     Args:

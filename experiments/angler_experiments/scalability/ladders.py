@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from angler_mjx.files import parse_model
 from angler_mjx.scenario.editing import scenario_table, set_value
@@ -28,7 +27,7 @@ class Ladder:
     mjx: tuple[int, ...] = ()
     """Sizes on a GPU by the mjx engine, which is much slower; on a CPU as ``cpu``."""
 
-    def scenario_value(self, size: int) -> Any:
+    def scenario_value(self, size: int) -> int | list[int]:
         """Return the value of the key."""
         return [size, size, HEIGHT] if self.name == "cells" else size
 

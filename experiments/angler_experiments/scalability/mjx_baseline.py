@@ -5,7 +5,6 @@ Cost of `mjx.step`, beside which the equations of motion of `angler_mjx.studies.
 
 import contextlib
 import io
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -44,14 +43,14 @@ def measure_mjx(*, vehicles: int, repeats: int) -> SpeedRow:
         from mujoco import mjx
     spec = mjcf.to_spec(library.load_vehicle(VEHICLE), PARAMETER_SET, shapes=False)
     spec.option.timestep = PHYSICS_DT_S
-    model: Any = mjx.put_model(spec.compile())
+    model = mjx.put_model(spec.compile())
     steps = max(1, steps_of(vehicles, jax.default_backend()) // STEP_DIVISOR)
 
-    def init_data(speed: jax.Array) -> Any:
+    def init_data(speed: jax.Array) -> mjx.Data:
         return mjx.make_data(model).replace(qvel=speed)
 
-    def step_many(data: Any) -> Any:
-        def step(data: Any, _: None) -> tuple[Any, None]:
+    def step_many(data: mjx.Data) -> mjx.Data:
+        def step(data: mjx.Data, _: None) -> tuple[mjx.Data, None]:
             return jax.vmap(mjx.step, in_axes=(None, 0))(model, data), None
 
         return jax.lax.scan(step, data, None, length=steps)[0]

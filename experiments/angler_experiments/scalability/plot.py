@@ -9,7 +9,7 @@ from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import tyro
@@ -31,13 +31,26 @@ STEPS = 100
 """Physics steps of the reported time: a second of simulated time of ours."""
 MIN_SPAN = 5.0
 """Least ratio of an axis of costs, from its end to its beginning."""
-PUBLISHED = {
-    "source": "Crazyflow 0.4.0, table in its README: RTX 4090, first-principles dynamics, one "
-    "drone in each world",
-    "worlds": (64, 1024, 16_384, 65_536, 262_144),
-    "rate": (1.2e6, 18.7e6, 257e6, 678e6, 914e6),
-}
-"""Published rates of others: other machines, another vehicle."""
+PUBLISHED_WORLDS = (64, 1024, 16_384, 65_536, 262_144)
+"""Numbers of worlds of published rates: other machines, another vehicle.
+
+Crazyflow 0.4.0, table in its README: RTX 4090, first-principles dynamics, one drone in each world.
+"""
+PUBLISHED_RATES = (1.2e6, 18.7e6, 257e6, 678e6, 914e6)
+"""Published rates of these numbers of worlds, vehicle-steps/s."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeasuredRow:
+    """Measured rates of one size."""
+
+    work: int
+    """Vehicle-steps of ``STEPS`` physics steps."""
+    median: float
+    """Vehicle-steps/s, as the next two."""
+    low: float
+    high: float
+    program_bytes: float | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,12 +91,18 @@ def read_lines(path: Path) -> list[PlotLine]:
     Raises:
         ConfigError: the file cannot be read, or holds no row of a ladder.
     """
-    rows_by_line: dict[tuple[str, str, str], dict[float, dict[str, Any]]] = defaultdict(dict)
+    rows_by_line: dict[tuple[str, str, str], dict[float, MeasuredRow]] = defaultdict(dict)
     for row in speed.read_rows(path):
         if row["workload"].startswith(PREFIX) and row["median"] is not None:
             name = row["workload"].removeprefix(PREFIX)
             key = (name, row["engine"], str(row["device"]))
-            rows_by_line[key][row["extra"]["size"]] = row
+            rows_by_line[key][row["extra"]["size"]] = MeasuredRow(
+                work=row["worlds"] * row["robots"] * STEPS,
+                median=row["median"],
+                low=row["low"],
+                high=row["high"],
+                program_bytes=row["program_bytes"],
+            )
     if not rows_by_line:
         raise ConfigError(f"{path}: holds no row of {PREFIX}*")
     order = {name: i for i, name in enumerate(BY_NAME)}
@@ -96,24 +115,19 @@ def read_lines(path: Path) -> list[PlotLine]:
 
 
 def _build_line(
-    ladder: str, engine: str, device: str, rows_by_size: dict[float, dict[str, Any]]
+    ladder: str, engine: str, device: str, rows_by_size: dict[float, MeasuredRow]
 ) -> PlotLine:
     size = tuple(sorted(rows_by_size))
     sorted_rows = [rows_by_size[x] for x in size]
-    work = [row["worlds"] * row["robots"] * STEPS for row in sorted_rows]
-
-    def seconds(key: str) -> tuple[float, ...]:
-        return tuple(steps / row[key] for steps, row in zip(work, sorted_rows, strict=True))
-
     return PlotLine(
         ladder=ladder,
         engine=engine,
         device=device,
         size=size,
-        seconds=seconds("median"),
-        low=seconds("high"),
-        high=seconds("low"),
-        bytes=tuple(row["program_bytes"] for row in sorted_rows),
+        seconds=tuple(row.work / row.median for row in sorted_rows),
+        low=tuple(row.work / row.high for row in sorted_rows),
+        high=tuple(row.work / row.low for row in sorted_rows),
+        bytes=tuple(row.program_bytes for row in sorted_rows),
     )
 
 
@@ -252,11 +266,9 @@ def _plot_panel(axes: Axes, plot_line: PlotLine, quantity: str, label: str, colo
 
 
 def _plot_published(axes: Axes) -> None:
-    worlds: Any = PUBLISHED["worlds"]
-    rate: Any = PUBLISHED["rate"]
     axes.plot(
-        worlds,
-        [1e3 * n * STEPS / each for n, each in zip(worlds, rate, strict=True)],
+        PUBLISHED_WORLDS,
+        [1e3 * n * STEPS / rate for n, rate in zip(PUBLISHED_WORLDS, PUBLISHED_RATES, strict=True)],
         marker="x",
         markersize=4.5,
         linewidth=0.8,

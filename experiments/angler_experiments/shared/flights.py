@@ -7,11 +7,9 @@ and the outcome of each robot. It goes through a file, so that the two runs can 
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np
-from numpy.typing import NDArray
 
 from angler_mjx.robot.control import plans
 from angler_mjx.runs.simulator.simulator import Simulator
@@ -21,7 +19,7 @@ from angler_mjx.sim.fleet import Fleet
 from angler_mjx.sim.record import Sample
 from angler_mjx.sim.state import World, WorldState
 
-type Array = NDArray[Any]
+type Array = np.ndarray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,7 +132,7 @@ def load_flight(path: Path) -> StudyFlight:
 def _to_float64[T](tree: T) -> T:
     """Return the same numbers as float64; the caller must enable float64 in JAX."""
 
-    def to_float64(leaf: Any) -> Any:
+    def to_float64(leaf: jax.Array) -> jax.Array:
         return leaf.astype(np.float64) if np.issubdtype(leaf.dtype, np.floating) else leaf
 
     doubled: T = jax.tree.map(to_float64, tree)

@@ -10,15 +10,14 @@ threshold (contact, arrival, edge of the region) lay between them.
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any
+from typing import SupportsInt
 
 import numpy as np
-from numpy.typing import NDArray
 
 from angler_experiments.shared.flights import StudyFlight
 from angler_mjx.sim.state import Outcome, Touched
 
-type Array = NDArray[Any]
+type Array = np.ndarray
 
 PLAN_M = 1e-3
 """Distance beyond which two plans differ: the planner has cells of metres."""
@@ -204,5 +203,5 @@ def _threshold_divergence(a: StudyFlight, b: StudyFlight, w: int, r: int, last: 
     return _Divergence(cause=cause, step=last, gap=gap)
 
 
-def _outcome_name(outcome: Any) -> str:
+def _outcome_name(outcome: SupportsInt) -> str:
     return Outcome(int(outcome)).name.lower()

@@ -2,12 +2,12 @@
 
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import jax
 import numpy as np
 from numpy.typing import NDArray
 
+from angler_mjx.host_arrays import as_leaf
 from angler_mjx.robot.control.allocation import NEUTRAL_US
 from angler_mjx.robot.control.commands.joint_tolerance import Tolerances
 from angler_mjx.robot.control.commands.joint_trajectory import JointTrajectory
@@ -23,7 +23,7 @@ from angler_mjx.runs.session.state_view import (
     view_state,
 )
 from angler_mjx.sim import step
-from angler_mjx.sim.record import Belief, Sample
+from angler_mjx.sim.record import Belief, Sample, WorldRecord, build_sample
 from angler_mjx.sim.state import FleetWorld, WorldState
 from angler_sitl.autopilots.autopilots import Autopilots
 from angler_sitl.scene.flat_arrays import Arrays, FlatLayout
@@ -61,7 +61,7 @@ class SessionView:
             tolerances,
             use_truth,
         )
-        self._layout: FlatLayout | None = None
+        self._layout: FlatLayout[StateView] | None = None
         self.sample: Sample | None = None
         self.view: StateView
         self.estimated_view: StateView
@@ -81,11 +81,10 @@ class SessionView:
         """Update the view from the current state."""
         scene, watched = self._scene, None
         if JointTrajectory in command_queue.slots.kinds:
-            previous_results: Any = command_queue.results
             watched = WatchedTrajectories(
                 trajectory=command_queue.slots.slot(JointTrajectory),
                 allowed=self._tolerances,
-                before=previous_results,
+                before=as_leaf(command_queue.results),
             )
         signals = self._thruster_pwm(autopilots.lockstep.pwm)
         view_inputs = (scene.worlds, scene.judged, command_sender.memory, signals, watched)
@@ -94,7 +93,7 @@ class SessionView:
                 jax.eval_shape(partial(_view_scene, scene.state_layout), *view_inputs)
             )
         arrays = _view_scene_flat(scene.state_layout, *view_inputs)
-        view: StateView = self._layout.unpack(tuple(map(np.asarray, arrays)))
+        view = self._layout.unpack(tuple(map(np.asarray, arrays)))
         vehicles = scene.state.vehicles
         self.belief = (
             belief_from_truth(vehicles)
@@ -112,11 +111,14 @@ class SessionView:
         """
         self.target_m = np.asarray(decision.target_m)[0]
         record = {
-            **step.record_decided(self._thruster_pwm(self._scene.pulses), decision.target_m),
+            **step.record_decided(
+                as_leaf(self._thruster_pwm(self._scene.pulses)), decision.target_m
+            ),
             **step.record_motion(before.vehicles, before.tally.outcome, decision.current_mps),
             **self._scene.record,
         }
-        self.sample = Sample(**record, belief=None if self._uses_truth else self.belief)
+        belief = None if self._uses_truth else self.belief
+        self.sample = build_sample(WorldRecord(belief=belief), record)
 
     def make_observation(self, time_s: float, status: tuple[RobotStatus, ...]) -> Observation:
         """Return the observation of the session.
@@ -135,7 +137,7 @@ class SessionView:
             status=status,
         )
 
-    def _thruster_pwm(self, pulses: NDArray[np.int32]) -> Any:
+    def _thruster_pwm(self, pulses: NDArray[np.int32]) -> np.ndarray:
         """Return [1, R, n_thruster] pulse widths of [R, 16], neutral where there is no pulse."""
         pwm = pulses[None, :, : self._facts.thrusters]
         is_pulse = (pwm >= MIN_PULSE_US) & (pwm <= MAX_PULSE_US)
@@ -143,7 +145,7 @@ class SessionView:
 
 
 def _view_scene(
-    layout: FlatLayout,
+    layout: FlatLayout[WorldState],
     worlds: FleetWorld,
     judged: Arrays,
     memory: ControlMemory,
@@ -156,6 +158,13 @@ def _view_scene(
 
 
 @partial(jax.jit, static_argnums=0)
-def _view_scene_flat(layout: FlatLayout, *view_inputs: Any) -> Arrays:
-    view = _view_scene(layout, *view_inputs)
+def _view_scene_flat(
+    layout: FlatLayout[WorldState],
+    worlds: FleetWorld,
+    judged: Arrays,
+    memory: ControlMemory,
+    pwm_us: jax.Array,
+    watched: WatchedTrajectories | None,
+) -> Arrays:
+    view = _view_scene(layout, worlds, judged, memory, pwm_us, watched)
     return FlatLayout.from_tree(view).pack(view)

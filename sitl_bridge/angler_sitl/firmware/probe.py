@@ -10,7 +10,6 @@ import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -75,7 +74,7 @@ class StationaryAutopilot:
     ports: Ports
     time_s: float = 0.0
     pwm: tuple[int, ...] = ()
-    version: Any = None
+    version: mavlink.MAVLink_message | None = None
     parameters: dict[str, float] = field(default_factory=dict)
     parameter_count: int = 0
     sysid: int = 0
@@ -101,7 +100,7 @@ class StationaryAutopilot:
             self._receive_messages()
         return True
 
-    def send(self, message: Any) -> None:
+    def send(self, message: mavlink.MAVLink_message) -> None:
         """Send a MAVLink message, if the autopilot's address is known."""
         if self._peer is not None:
             data = message.pack(self._mavlink)
@@ -133,7 +132,7 @@ class StationaryAutopilot:
             for message in self._mavlink.parse_buffer(data) or ():
                 self._handle_message(message)
 
-    def _handle_message(self, message: Any) -> None:
+    def _handle_message(self, message: mavlink.MAVLink_message) -> None:
         kind = message.get_type()
         if kind == "HEARTBEAT":
             self.sysid = message.get_srcSystem()
@@ -190,7 +189,7 @@ def query_autopilot(autopilot: StationaryAutopilot, *, parameters: bool = True) 
     )
 
 
-def read_version(message: Any) -> tuple[str, str]:
+def read_version(message: mavlink.MAVLink_message) -> tuple[str, str]:
     """Return version, as in "4.5.3" or "4.6.0-dev", and commit of an AUTOPILOT_VERSION message.
 
     ``flight_sw_version`` holds major, minor and patch number and ``FIRMWARE_VERSION_TYPE``, a byte

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
@@ -14,6 +14,7 @@ import numpy as np
 
 from angler_kernels import quaternion
 from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.files import JsonTable
 from angler_mjx.report.interop import joint_trajectory_file
 from angler_mjx.robot.control.commands import joint_goal
 from angler_mjx.robot.control.commands.joint_goal import JointGoal
@@ -224,7 +225,7 @@ def _summarise_run(
     plan: Sequence[str],
     flight: MissionFlight,
     goals: dict[int, JointGoal],
-) -> dict[str, Any]:
+) -> JsonTable:
     """Return the summary entries specific to a run on real autopilots."""
     names = [pilot.name for pilot in autopilots.pilots]
     return {

@@ -13,7 +13,6 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -79,7 +78,7 @@ class SceneMotion:
             np.concatenate([np.zeros((len(rows), _VEHICLE_COLUMN)), rows], axis=1)
         )
 
-    def extract_rows(self, rows: jax.Array) -> NDArray[Any]:
+    def extract_rows(self, rows: jax.Array) -> np.ndarray:
         """Return whether each vehicle has diverged, and the vehicle; [N, 1 + width].
 
         The type is JAX's default float type, as in the rest of the simulator.
@@ -91,25 +90,26 @@ class SceneMotion:
 class MotionRows:
     """Layout of a tree's fields in a row."""
 
-    tree: Any
+    tree: jax.tree_util.PyTreeDef
     shapes: tuple[tuple[int, ...], ...]
 
     @classmethod
-    def from_tree(cls, tree: Any) -> "MotionRows":
-        """Return the layout of rows of arrays [1, N, ...]."""
-        leaves, structure = jax.tree.flatten(tree)
+    def of_vehicles(cls, vehicles: VehicleState) -> "MotionRows":
+        """Return the layout of rows of vehicles [1, N, ...]."""
+        leaves, structure = jax.tree.flatten(vehicles)
         return cls(tree=structure, shapes=tuple(leaf.shape[2:] for leaf in leaves))
 
-    def pack(self, tree: Any) -> NDArray[np.float64]:
-        """Return arrays [1, N, ...] as rows [N, width]."""
-        leaves = [np.asarray(leaf, np.float64)[0] for leaf in jax.tree.leaves(tree)]
+    def pack(self, vehicles: VehicleState) -> NDArray[np.float64]:
+        """Return vehicles [1, N, ...] as rows [N, width]."""
+        leaves = [np.asarray(leaf, np.float64)[0] for leaf in jax.tree.leaves(vehicles)]
         return np.concatenate([leaf.reshape(len(leaf), -1) for leaf in leaves], axis=1)
 
-    def unpack_row(self, row: jax.Array) -> Any:
-        """Return one traced row as the tree of one vehicle."""
+    def unpack_row(self, row: jax.Array) -> VehicleState:
+        """Return one traced row as one vehicle."""
         ends = itertools.pairwise(np.cumsum([0, *map(math.prod, self.shapes)]))
         parts = [row[a:b].reshape(shape) for (a, b), shape in zip(ends, self.shapes, strict=True)]
-        return jax.tree.unflatten(self.tree, parts)
+        vehicle: VehicleState = jax.tree.unflatten(self.tree, parts)
+        return vehicle
 
 
 def compile_motion(
@@ -124,7 +124,7 @@ def compile_motion(
         vehicles: [1, N] lead.
     """
     constants_tree = (world.control.vehicle, world.environment.current)
-    rows = MotionRows.from_tree(vehicles)
+    rows = MotionRows.of_vehicles(vehicles)
     count = vehicles.p.shape[1]
 
     def step(constants: jax.Array, state_rows: jax.Array, inputs: jax.Array) -> jax.Array:
@@ -136,8 +136,9 @@ def compile_motion(
         )
         return after
 
-    def step_shared(*args: jax.Array) -> Any:
-        return lanes.compute_shared(lambda: lanes.pack([step(*args)], ()))[()]
+    def step_shared(*args: jax.Array) -> jax.Array:
+        (after,), _ = lanes.flatten(lanes.compute_shared(lambda: lanes.pack([step(*args)], ())))
+        return after
 
     with jax.enable_x64(True):
         argument_specs = (
@@ -163,7 +164,7 @@ def compute_inline() -> None:
     jax.config.update("jax_cpu_enable_async_dispatch", False)
 
 
-def to_thruster_pwm(pulses: jax.Array, dtype: Any) -> ThrusterPwm:
+def to_thruster_pwm(pulses: jax.Array, dtype: np.dtype) -> ThrusterPwm:
     """Convert pulse widths to thruster PWM; invalid pulses become neutral.
 
     Args:
@@ -209,7 +210,7 @@ def _step_vehicle(
     The acceleration is the step's own impulse over its length: with the gravity of the autopilot,
     summed over the steps, it gives exactly the velocities that are sent.
     """
-    before: VehicleState = rows.unpack_row(row[_VEHICLE_COLUMN:])
+    before = rows.unpack_row(row[_VEHICLE_COLUMN:])
     pwm = to_thruster_pwm(inputs[: params.B.shape[-1]], row.dtype)
     settled, _ = robot.thrust_and_power(params, pwm)
     moved = lane_steps.physics_step(dt_s, water, params, before, settled, current, t)
@@ -222,13 +223,13 @@ def _step_vehicle(
     return jnp.concatenate([_compute_sensor_state(after, velocity_change / dt_s), flag, *leaves])
 
 
-def _flatten(tree: Any) -> NDArray[np.float64]:
+def _flatten(tree: object) -> NDArray[np.float64]:
     """Return arrays [1, ...] as one flat array."""
     leaves = [np.asarray(leaf, np.float64).reshape(-1) for leaf in jax.tree.leaves(tree)]
     return np.concatenate(leaves)
 
 
-def _unflatten(like: Any, flat: jax.Array) -> Any:
+def _unflatten[T](like: T, flat: jax.Array) -> T:
     """Invert `_flatten`, without the leading axis."""
     leaves, tree = jax.tree.flatten(like)
     out, offset = [], 0
@@ -239,7 +240,8 @@ def _unflatten(like: Any, flat: jax.Array) -> Any:
         is_integer = not jnp.issubdtype(leaf.dtype, jnp.floating)
         out.append(part.astype(leaf.dtype) if is_integer else part)
         offset += size
-    return jax.tree.unflatten(tree, out)
+    unflattened: T = jax.tree.unflatten(tree, out)
+    return unflattened
 
 
 def _put_on_device(array: NDArray[np.float64]) -> jax.Array:

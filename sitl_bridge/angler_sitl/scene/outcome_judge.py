@@ -6,17 +6,17 @@ obstacles, and the judgement of each robot.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from angler_mjx.host_arrays import as_leaf
 from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.sim import robot
 from angler_mjx.sim.engines.mjx import SingleWorld, judge_world
-from angler_mjx.sim.phase import run_phase
+from angler_mjx.sim.phase import Record, run_phase
 from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.state import FleetWorld, SimSpec, WorldState
 from angler_mjx.sim.step import OBSTACLES, MovedRobots
@@ -34,15 +34,15 @@ class OutcomeJudge:
     """`judge_outcomes`, compiled for worlds of one shape, with few arrays in and out."""
 
     step: Callable[
-        [Arrays, Arrays, NDArray[Any], NDArray[np.int32], NDArray[np.bool_]], tuple[Arrays, Arrays]
+        [Arrays, Arrays, np.ndarray, NDArray[np.int32], NDArray[np.bool_]], tuple[Arrays, Arrays]
     ]
     """Compiled step.
 
     Constants, state, vehicles as `SceneMotion.extract_rows` gives them, inputs of the last step,
     and the mask of robots on their last approach, to state and record."""
-    world: FlatLayout
-    state: FlatLayout
-    record: FlatLayout
+    world: FlatLayout[FleetWorld]
+    state: FlatLayout[WorldState]
+    record: FlatLayout[Record]
     """Layout of the record of the phases, by field; [1] leads there."""
 
     def pack_constants(self, world: FleetWorld) -> Arrays:
@@ -55,8 +55,7 @@ class OutcomeJudge:
 
     def from_arrays(self, state: Arrays) -> WorldState:
         """Invert `to_arrays`, with NumPy arrays."""
-        unpacked: WorldState = self.state.unpack(tuple(map(np.asarray, state)))
-        return unpacked
+        return self.state.unpack(tuple(map(np.asarray, state)))
 
 
 def compile_judge(
@@ -77,7 +76,7 @@ def compile_judge(
     thrusters = world.control.vehicle.B.shape[-1]
     example_rows = motion.extract_rows(motion.to_arrays(state.vehicles))
 
-    records: list[FlatLayout] = []
+    records: list[FlatLayout[Record]] = []
 
     def step(
         world: Arrays,
@@ -105,8 +104,12 @@ def compile_judge(
     lowered = jax.jit(step).lower(
         world_layout.array_specs, state_layout.array_specs, example_rows, inputs, approaching
     )
-    compiled: Any = lowered.compile(SINGLE_THREAD_OPTIONS)
-    return OutcomeJudge(step=compiled, world=world_layout, state=state_layout, record=records[-1])
+    return OutcomeJudge(
+        step=lowered.compile(SINGLE_THREAD_OPTIONS),
+        world=world_layout,
+        state=state_layout,
+        record=records[-1],
+    )
 
 
 def _remove_plans(world: FleetWorld) -> FleetWorld:
@@ -115,12 +118,12 @@ def _remove_plans(world: FleetWorld) -> FleetWorld:
     The judgement needs only the mask of robots on the last approach.
     """
     robots, real = world.variant.shape, world.environment.start_m.dtype
-    empty: dict[str, Any] = {
-        "time_s": np.zeros((*robots, 0), real),
-        "position_m": np.zeros((*robots, 0, 3), real),
-        "found": np.zeros(robots, bool),
-    }
-    return replace(world, path=Trajectory(**empty))
+    empty = Trajectory(
+        time_s=as_leaf(np.zeros((*robots, 0), real)),
+        position_m=as_leaf(np.zeros((*robots, 0, 3), real)),
+        found=as_leaf(np.zeros(robots, bool)),
+    )
+    return replace(world, path=empty)
 
 
 def judge_outcomes(
@@ -131,7 +134,7 @@ def judge_outcomes(
     pulses: jax.Array,
     broken: jax.Array,
     approaching: jax.Array,
-) -> tuple[WorldState, dict[str, Any]]:
+) -> tuple[WorldState, Record]:
     """Judge one world at the end of a control period.
 
     Args:

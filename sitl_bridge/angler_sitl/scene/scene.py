@@ -6,7 +6,6 @@ times a second; the outcome is judged once a control period.
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +14,8 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.scenario.task_table import require_goal_task
-from angler_mjx.sim.state import FleetWorld, Outcome, World
+from angler_mjx.sim.phase import Record
+from angler_mjx.sim.state import FleetWorld, Outcome, World, WorldState
 from angler_mjx.world.acoustics.config import refuse_acoustics
 from angler_sitl.scene import motion, outcome_judge
 from angler_sitl.scene.flat_arrays import FlatLayout
@@ -135,7 +135,7 @@ class AutopilotScene:
         self._inputs = np.zeros((self._rows.shape[0], motion.N_INPUTS), np.int32)
         self._ticks, self._steps = 0, 0
         self.state, self.moored = self._start, True
-        self.record: dict[str, Any] = {}
+        self.record: Record = {}
         # Failed robots are held in place: so the state at rest of every robot is known.
         self._inputs[:, motion.OUTCOME_COLUMN] = Outcome.OUT_OF_BOUNDS
         at_rest = np.asarray(self._motion.step(self._motion_constants, self._rows, self._inputs))
@@ -144,7 +144,7 @@ class AutopilotScene:
         self.states = SensorStates(numbers=at_rest[:, :STATE_NUMBERS])
 
     @property
-    def state_layout(self) -> FlatLayout:
+    def state_layout(self) -> FlatLayout[WorldState]:
         """Layout of `judged`."""
         return self._judge.state
 

@@ -160,7 +160,7 @@ def _build_record(
     provenance, flying = done[0][1].provenance, {part.path for part, _ in done}
     return SpotCheck(
         autopilot=done[0][1].autopilot,
-        command=provenance["command"],
+        command=str(provenance["command"]),
         created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         seed=settings.seed,
         stratify=settings.stratify,

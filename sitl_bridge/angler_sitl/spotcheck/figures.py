@@ -4,7 +4,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import zarr
 from matplotlib import colors
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -13,6 +15,7 @@ from matplotlib.patches import Patch
 from angler_mjx.report.plotting import style
 from angler_mjx.runs.storage import trajectory_layout
 from angler_mjx.runs.storage.results import OUTCOMES
+from angler_mjx.runs.stored_arrays import stored_array
 from angler_sitl.spotcheck.flight import RECORDED, SpotcheckFlight
 from angler_sitl.spotcheck.gaps import FlightGap
 from angler_sitl.spotcheck.results import SpotcheckResult
@@ -71,7 +74,7 @@ def plot_world(result: SpotcheckResult, world: int, robots: int) -> Figure:
         for row in grid[:, 1:]:
             for panel in row:
                 panel.set_ylabel("")
-        handles: list[Any] = [
+        handles: list[Artist] = [
             Line2D([], [], color=COLORS[name], linewidth=2.0, label=name) for name in flights
         ]
         handles.append(Line2D([], [], color=style.FAINT, linewidth=5.0, label=path_label))
@@ -92,7 +95,7 @@ def _plot_robot(
     row = next(iter(flights.values())).rows[robot]
     panels[0].set_title(f"robot {robot}: {row['vehicle']},\n{row['parameter_set']}", fontsize=9.0)
     for panel, (plane, *labels) in zip(panels, _PLANES, strict=False):
-        _plot_rock(panel, stored["environment"], world, plane)
+        _plot_rock(panel, stored, world, plane)
         panel.plot(*path[:, plane].T, color=style.FAINT, linewidth=5.0, zorder=2)
         for name, flight in flights.items():
             _plot_track(panel, flight, robot, plane, name)
@@ -118,13 +121,15 @@ def _plot_track(
         panel.plot(*position, "x", color=COLORS[name], markersize=8, markeredgewidth=2.0, zorder=6)
 
 
-def _plot_rock(panel: Axes, environment: Any, world: int, plane: tuple[int, int]) -> None:
+def _plot_rock(panel: Axes, stored: zarr.Group, world: int, plane: tuple[int, int]) -> None:
     """Plot the rock at any height, or at any position north."""
-    occupied = np.asarray(environment["grid/occupied"][world])
-    low, cell = environment["grid/origin_m"][world], float(environment["grid/cell_m"][world])
+    occupied, low, cell = (
+        np.asarray(stored_array(stored, f"environment/grid/{name}")[world])
+        for name in ("occupied", "origin_m", "cell_m")
+    )
     (other,) = {0, 1, 2} - set(plane)
     is_rock = occupied.any(axis=other)
-    high = low + cell * np.asarray(occupied.shape)
+    high = low + float(cell) * np.asarray(occupied.shape)
     a, b = plane
     panel.imshow(
         np.where(is_rock, 1.0, np.nan).T,
@@ -137,7 +142,7 @@ def _plot_rock(panel: Axes, environment: Any, world: int, plane: tuple[int, int]
     )
 
 
-def _set_limits(panel: Axes, paths: Sequence[Any], plane: tuple[int, int]) -> None:
+def _set_limits(panel: Axes, paths: Sequence[np.ndarray], plane: tuple[int, int]) -> None:
     """Set square limits that hold all flights, with a margin of a metre."""
     points = np.concatenate(paths)[:, plane]
     low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
@@ -184,8 +189,7 @@ def plot_summary(result: SpotcheckResult) -> Figure:
             f"{len(result.picks)} worlds, {count} robots in each; line: median, band: from the "
             "10th to the 90th of 100",
         )
-        parts: Any = figure.subfigures(2, 1, height_ratios=[1.0, 0.9])
-        upper, lower = parts
+        upper, lower = figure.subfigures(2, 1, squeeze=False, height_ratios=[1.0, 0.9]).flat
         panels = upper.subplots(1, len(references), sharey=True, squeeze=False)[0]
         for panel, reference in zip(panels, references, strict=True):
             for level in levels:

@@ -8,7 +8,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TypedDict
 
 import jax
 import numpy as np
@@ -20,13 +20,25 @@ from angler_mjx.runs.storage.atomic_files import replace_file
 from angler_mjx.runs.storage.device_to_host import FinishedTile
 from angler_mjx.runs.storage.folder import TRAJECTORIES, Run
 from angler_mjx.runs.storage.read_errors import wrap_read_errors
+from angler_mjx.runs.stored_arrays import stored_array
 from angler_mjx.sim.record import Sample
 from angler_mjx.sim.state import World, WorldState
 
-type Floats = NDArray[np.floating[Any]]
+type Floats = NDArray[np.floating]
 
 RECORDED = "recorded"
 """Name of the recorded flight of the run itself."""
+
+
+class FlightRow(TypedDict):
+    """Row of a robot in ``episodes.parquet``; the columns that reports use."""
+
+    vehicle: str
+    parameter_set: str
+    planned: bool
+    outcome: str
+    failure_pair: str
+    min_clearance_m: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +51,7 @@ class SpotcheckFlight:
     """[T, R, 3] centres of mass in W."""
     pwm_us: NDArray[np.int64]
     """[T, R, n_thruster]; 1500 in padding columns."""
-    rows: tuple[dict[str, Any], ...]
+    rows: tuple[FlightRow, ...]
     """Row of each robot, as in ``episodes.parquet``."""
 
     @property
@@ -60,14 +72,15 @@ def load_recorded(run: Run, world: int, robots: int) -> SpotcheckFlight:
         ConfigError: the run stored no trajectories, or is damaged.
     """
     rows = run.episodes.filter(pc.field("world") == world).to_pylist()[:robots]
-    stored: Any = run.trajectories
+    stored = run.trajectories
     with wrap_read_errors(run.path / TRAJECTORIES):
-        p = np.asarray(stored["p_m"][world], float)[:, :robots]
+        p = np.asarray(stored_array(stored, "p_m")[world], float)[:, :robots]
+        pwm_us = np.asarray(stored_array(stored, "pwm_us")[world, :, :robots])
         is_recorded = np.isfinite(p).all(axis=(1, 2))
         return SpotcheckFlight(
-            time_s=np.asarray(stored["time_s"], float)[is_recorded],
+            time_s=np.asarray(stored_array(stored, "time_s")[:], float)[is_recorded],
             p_m=p[is_recorded],
-            pwm_us=np.rint(stored["pwm_us"][world, :, :robots][is_recorded]).astype(np.int64),
+            pwm_us=np.rint(pwm_us[is_recorded]).astype(np.int64),
             rows=tuple(rows),
         )
 

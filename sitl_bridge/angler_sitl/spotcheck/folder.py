@@ -5,9 +5,10 @@ an interrupted spot check resumes with ``--resume`` after the last complete flig
 """
 
 from pathlib import Path
-from typing import Any
+from typing import TypedDict
 
 from angler_mjx.errors import ConfigError
+from angler_mjx.files import JsonTable
 from angler_mjx.runs.storage import output_lock, results_folder
 from angler_mjx.runs.storage.atomic_files import write_json
 from angler_mjx.runs.storage.output_lock import OutputLock
@@ -16,6 +17,26 @@ from angler_mjx.runs.storage.read_errors import read_table, wrap_read_errors
 ADVICE = "put back a copy of it, or begin a new spot check"
 TABLE, FLIGHTS = "spotcheck.json", "flights"
 FOLDER_KIND = "spot check"
+
+
+class PickEntry(TypedDict):
+    """Picked world, and the reason."""
+
+    world: int
+    why: str
+
+
+SpotcheckTable = TypedDict(  # noqa: UP013 - keys of files are no names
+    "SpotcheckTable",
+    {
+        "asked": JsonTable,
+        "complete": bool,
+        "picks": list[PickEntry],
+        "likeness": dict[str, str],
+        "provenance": JsonTable,
+    },
+)
+"""Content of ``spotcheck.json``: request, picked worlds, likeness of each rebuilt world."""
 
 
 def create_folder(out: Path) -> OutputLock:
@@ -33,7 +54,7 @@ def create_folder(out: Path) -> OutputLock:
     return output_lock.acquire(out, kind=FOLDER_KIND, advise=results_folder.resumable_by(TABLE))
 
 
-def reopen_folder(out: Path, request: dict[str, Any]) -> tuple[OutputLock, dict[str, Any]]:
+def reopen_folder(out: Path, request: JsonTable) -> tuple[OutputLock, SpotcheckTable]:
     """Take up an interrupted spot check, and its table; see `results_folder.resume_folder`.
 
     Args:
@@ -44,7 +65,7 @@ def reopen_folder(out: Path, request: dict[str, Any]) -> tuple[OutputLock, dict[
         ConfigError: there is none, it is complete, or its request differs.
     """
 
-    def check(building: Path) -> dict[str, Any]:
+    def check(building: Path) -> SpotcheckTable:
         table = load_table(building)
         results_folder.require_same_keys(building / TABLE, request, table["asked"])
         return table
@@ -59,7 +80,7 @@ def reopen_folder(out: Path, request: dict[str, Any]) -> tuple[OutputLock, dict[
     )
 
 
-def load_table(out: Path) -> dict[str, Any]:
+def load_table(out: Path) -> SpotcheckTable:
     """Load ``spotcheck.json``.
 
     Raises:
@@ -73,10 +94,16 @@ def load_table(out: Path) -> dict[str, Any]:
         for pick in table["picks"]:
             if not isinstance(pick["world"], int) or not isinstance(pick["why"], str):
                 raise TypeError("picks holds something else than worlds")
-    return table
+        return {
+            "asked": table["asked"],
+            "complete": table["complete"],
+            "picks": table["picks"],
+            "likeness": table.get("likeness", {}),
+            "provenance": table.get("provenance", {}),
+        }
 
 
-def save_table(out: Path, table: dict[str, Any]) -> None:
+def save_table(out: Path, table: SpotcheckTable) -> None:
     """Write ``spotcheck.json`` atomically."""
     write_json(out / TABLE, table, indent=1)
 

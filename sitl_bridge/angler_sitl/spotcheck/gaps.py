@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -169,7 +168,7 @@ def summarise_gaps(gaps: Sequence[FlightGap]) -> GapSummary:
     )
 
 
-def _median_and_p90(values: Any) -> tuple[float, float]:
+def _median_and_p90(values: Sequence[float] | Floats) -> tuple[float, float]:
     """Return the median and 90th percentile of the numbers among values; NaN if there are none."""
     finite = np.asarray(values, float)
     finite = finite[np.isfinite(finite)]

@@ -12,11 +12,13 @@ import numpy as np
 import pyarrow.compute as pc
 
 from angler_mjx.errors import RunError
+from angler_mjx.robot.control.plans import Plan
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.runs.storage import environments as store
 from angler_mjx.runs.storage import trajectory_layout
 from angler_mjx.runs.storage.folder import TRAJECTORIES, Run
 from angler_mjx.runs.storage.read_errors import wrap_read_errors
+from angler_mjx.runs.stored_arrays import stored_array
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.state import World
 
@@ -79,7 +81,7 @@ def add_recorded_plans(run: Run, index: int, worlds: World) -> World:
         )
     # Same device as the other arrays: another device would compile the programs once more.
     sharding = getattr(worlds.variant, "sharding", None)
-    path: Any = jax.tree.map(lambda leaf: jax.device_put(leaf[None], sharding), plan)
+    path: Plan = jax.tree.map(lambda leaf: jax.device_put(leaf[None], sharding), plan)
     return replace(worlds, path=path)
 
 
@@ -100,7 +102,6 @@ def compare_world(run: Run, index: int, worlds: World) -> WorldLikeness:
 
 
 def _compare_arrays(run: Run, index: int, worlds: World) -> WorldLikeness:
-    stored: Any = run.trajectories
     arrays = {
         f"environment/{name}": leaf for name, leaf in store.named_leaves(worlds.environment).items()
     }
@@ -110,7 +111,7 @@ def _compare_arrays(run: Run, index: int, worlds: World) -> WorldLikeness:
         if rebuilt.size == 0:
             identical += 1
             continue
-        recorded = np.asarray(stored[name][index])
+        recorded = np.asarray(stored_array(run.trajectories, name)[index])
         if recorded.shape != rebuilt.shape:
             raise _make_mismatch_error(
                 run, index, f"{name} has the shape {rebuilt.shape}, not {recorded.shape}"

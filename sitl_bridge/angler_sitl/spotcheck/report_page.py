@@ -3,16 +3,15 @@
 import csv
 import io
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from angler_mjx.report.plotting.style import save_figure
 from angler_mjx.report.viewing.markdown_tables import format_table
 from angler_mjx.runs.storage.atomic_files import write_text
 from angler_mjx.runs.storage.results import OUTCOMES
 from angler_sitl.spotcheck import figures, gaps
-from angler_sitl.spotcheck.flight import RECORDED
+from angler_sitl.spotcheck.flight import RECORDED, FlightRow
 from angler_sitl.spotcheck.gaps import GapSummary
 from angler_sitl.spotcheck.results import SpotcheckResult
 
@@ -190,7 +189,7 @@ def format_outcome_table(result: SpotcheckResult) -> str:
     return format_table(["flown by", "robots", "with a plan", *occurring], body)
 
 
-def _format_counts(group_rows: Sequence[Mapping[str, Any]], occurring: Sequence[str]) -> list[str]:
+def _format_counts(group_rows: Sequence[FlightRow], occurring: Sequence[str]) -> list[str]:
     """Return the number of robots with a plan, and the number with each outcome."""
     outcomes = [row["outcome"] for row in group_rows]
     numbers = (sum(bool(row["planned"]) for row in group_rows), *map(outcomes.count, occurring))

@@ -3,8 +3,9 @@
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
+from angler_mjx.files import JsonTable
 from angler_mjx.runs.storage.folder import Run
 from angler_sitl.firmware.parameters import PositionSource
 from angler_sitl.spotcheck import gaps
@@ -33,7 +34,7 @@ class SpotcheckSettings:
     speed: Literal["max"] | float = "max"
     binary: Path | None = None
 
-    def to_request(self) -> dict[str, Any]:
+    def to_request(self) -> JsonTable:
         """Return the settings that determine the results, in JSON form."""
         chosen = {k: v for k, v in asdict(self).items() if k not in ("speed", "binary")}
         return {k: list(v) if isinstance(v, tuple) else v for k, v in chosen.items()}
@@ -57,7 +58,7 @@ class SpotcheckResult:
     """Likeness of each rebuilt world to the recorded one."""
     autopilot: str
     """Version and checksum of the ArduSub."""
-    provenance: Mapping[str, Any]
+    provenance: JsonTable
     flights: Mapping[FlightKey, SpotcheckFlight] = field(default_factory=dict)
     complete: bool = False
 

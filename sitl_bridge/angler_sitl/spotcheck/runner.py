@@ -7,9 +7,9 @@ resumes at the interruption.
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from angler_mjx.errors import ConfigError
+from angler_mjx.files import JsonTable
 from angler_mjx.progress import Progress
 from angler_mjx.robot.vehicles import library
 from angler_mjx.runs.provenance import describe_environment
@@ -162,19 +162,22 @@ def plan_spot_check(run_path: Path, settings: SpotcheckSettings) -> SpotcheckRes
     )
 
 
-def _build_request(result: SpotcheckResult) -> dict[str, Any]:
+def _build_request(result: SpotcheckResult) -> JsonTable:
     """Return everything that the results depend on; another ArduSub flies differently."""
-    request = {"run": str(result.run.path), "ardusub": result.autopilot}
-    return {**request, **result.settings.to_request()}
+    return {
+        "run": str(result.run.path),
+        "ardusub": result.autopilot,
+        **result.settings.to_request(),
+    }
 
 
-def _restore_picks(result: SpotcheckResult, table: dict[str, Any]) -> SpotcheckResult:
+def _restore_picks(result: SpotcheckResult, table: folder.SpotcheckTable) -> SpotcheckResult:
     """Restore the table of an interrupted spot check, with its picked worlds."""
     picks = tuple(WorldPick(**pick) for pick in table["picks"])
     return replace(result, picks=picks)
 
 
-def _build_table(result: SpotcheckResult) -> dict[str, Any]:
+def _build_table(result: SpotcheckResult) -> folder.SpotcheckTable:
     return {
         "asked": _build_request(result),
         "complete": result.complete,

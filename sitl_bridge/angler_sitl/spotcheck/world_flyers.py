@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal, Protocol, Self
+from typing import Literal, Protocol, Self
 
 import jax
 import numpy as np
@@ -150,7 +150,7 @@ class SitlFlyer:
         session, timing = self._session, self._scenario.time
         observed = session.reset(worlds=worlds)
         policy = self._prepare_policy()
-        samples = list[Any]()
+        samples = list[Sample]()
         for step in range(timing.control_steps):
             all_ended = all(status.outcome is not Outcome.RUNNING for status in observed.status)
             observed = session.step(None if policy is None else policy.commands(observed))

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -11,6 +10,7 @@ from angler_mjx.errors import RunError
 from angler_mjx.frames import body_frd_to_flu, quaternion_ned_to_enu, vector_ned_to_enu
 from angler_mjx.robot.control.allocation import NEUTRAL_US
 from angler_mjx.runs.session.interface import Floats
+from angler_mjx.runs.session.state_view import rotate_vectors
 from angler_sitl.wire import messages
 from angler_sitl.wire.link import MavlinkLink, PacketTap
 from angler_sitl.wire.ports import Ports
@@ -39,6 +39,9 @@ STREAM_RATES_HZ = {
 """Requested messages and their rates.
 
 Pose and velocity come more than once per control period, so they are at most 20 ms old."""
+
+_CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
+"""Signs of the inverse of an attitude."""
 
 _N_OUTPUTS = 8
 """Number of thrusters of the largest frame."""
@@ -197,7 +200,7 @@ def collect_motion(pilots: Sequence[AutopilotCommander], time_s: float) -> Estim
     p, v, q, omega = np.split(states, (3, 6, 10), axis=1)
     q = quaternion_ned_to_enu(q)
     q = q / np.linalg.norm(q, axis=1, keepdims=True)
-    velocity = _rotate_to_body(q, vector_ned_to_enu(v))
+    velocity = rotate_vectors(q * _CONJUGATE, vector_ned_to_enu(v))
     nu = np.concatenate([velocity, body_frd_to_flu(omega)], axis=1)
     return EstimatedMotion(p=vector_ned_to_enu(p), q=q, nu=nu)
 
@@ -205,11 +208,3 @@ def collect_motion(pilots: Sequence[AutopilotCommander], time_s: float) -> Estim
 def mode_name(number: int | None) -> str:
     """Return the name of a mode."""
     return "no mode" if number is None else MODE_NAMES.get(number, f"mode {number}")
-
-
-def _rotate_to_body(q: Floats, v: Floats) -> Floats:
-    """Rotate vectors from W to F; [R] leads."""
-    w, axis = q[:, :1], -q[:, 1:]
-    twice_cross: Any = 2.0 * np.cross(axis, v)
-    rotated: Floats = v + w * twice_cross + np.cross(axis, twice_cross)
-    return rotated

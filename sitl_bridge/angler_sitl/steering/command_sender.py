@@ -1,11 +1,13 @@
 """Conversion of robot commands to autopilot messages, once in a control period."""
 
 from collections.abc import Sequence
-from typing import Any
 
+import jax
 import numpy as np
 
+from angler_mjx.robot.control.commands import BodyTwist, PoseTarget, ThrusterPwm, TrackingTarget
 from angler_mjx.robot.control.mixed import MixedCommand
+from angler_mjx.robot.control.stack import Command
 from angler_mjx.runs.session.interface import RobotInfo
 from angler_mjx.sim.record import Belief
 from angler_mjx.sim.state import SimSpec
@@ -72,23 +74,24 @@ class CommandSender:
         return decision
 
     def _build_message(
-        self, i: int, pilot: AutopilotCommander, robot: RobotInfo, time_s: float, output: Any
+        self, i: int, pilot: AutopilotCommander, robot: RobotInfo, time_s: float, output: Command
     ) -> MavlinkMessage:
-        def select_robot(leaf: Any) -> Any:
-            return np.asarray(leaf)[0, i]
-
-        if self._level == "thrusters":
-            return messages.build_override(
-                pilot.sysid, select_robot(output.pwm_us)[: len(robot.thrusters)]
-            )
-        if self._level == "guided":
-            return messages.build_position_target(
-                pilot.sysid,
-                time_s,
-                select_robot(output.position_m),
-                select_robot(output.velocity_mps),
-                float(select_robot(output.yaw_rad)),
-            )
-        return messages.build_manual_control(
-            pilot.sysid, sticks.twist_to_sticks(self._level, robot, select_robot(output.nu))
-        )
+        command: Command = jax.tree.map(lambda leaf: np.asarray(leaf)[0, i], output)
+        match command:
+            case ThrusterPwm():
+                pulses = np.asarray(command.pwm_us)[: len(robot.thrusters)]
+                return messages.build_override(pilot.sysid, pulses)
+            case PoseTarget() | TrackingTarget():
+                return messages.build_position_target(
+                    pilot.sysid,
+                    time_s,
+                    np.asarray(command.position_m),
+                    np.asarray(command.velocity_mps),
+                    float(command.yaw_rad),
+                )
+            case BodyTwist():
+                twist = np.asarray(command.nu)
+                return messages.build_manual_control(
+                    pilot.sysid, sticks.twist_to_sticks(self._level, robot, twist)
+                )
+        raise TypeError(f"no message holds a {type(command).__name__}")

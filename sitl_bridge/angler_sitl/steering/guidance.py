@@ -2,16 +2,16 @@
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from angler_mjx.host_arrays import as_leaf
 from angler_mjx.robot.control import mixed, stack
 from angler_mjx.robot.control.commands import BodyWrench, ThrusterPwm
 from angler_mjx.robot.control.mixed import MixedCommand
-from angler_mjx.robot.control.stack import ControlMemory
+from angler_mjx.robot.control.stack import Command, ControlMemory
 from angler_mjx.sim import robot
 from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.record import Belief
@@ -28,7 +28,7 @@ class GuidanceDecision:
     memory: ControlMemory
     target_m: jax.Array
     """[1, R, 3] target position, in W."""
-    output: Any
+    output: Command
     """Command of the output type of the stack's last stage."""
     approaching: jax.Array
     """bool [1, R] whether a robot is on the last approach of its plan, or has none."""
@@ -106,7 +106,7 @@ def _run_controllers(
         world: FleetWorld,
         p: jax.Array,
         step: jax.Array,
-        memory: Any,
+        memory: ControlMemory,
         estimate: Belief,
         command: MixedCommand,
     ) -> GuidanceDecision:
@@ -134,7 +134,7 @@ def _run_controllers(
     return decision
 
 
-def belief_from_motion(motion: EstimatedMotion, like: Any) -> Belief:
+def belief_from_motion(motion: EstimatedMotion, like: jax.Array) -> Belief:
     """Convert the autopilots' estimates to the form of the controllers.
 
     Autopilots report no uncertainty: the spreads are NaN. They do not estimate a current: still
@@ -144,13 +144,13 @@ def belief_from_motion(motion: EstimatedMotion, like: Any) -> Belief:
         motion: of each robot.
         like: [1, R, 3] array of the type that the simulation computes with.
     """
-    fields: dict[str, Any] = {
-        name: getattr(motion, name)[None].astype(like.dtype) for name in ("p", "q", "nu")
-    }
-    unknown: Any = np.full_like(fields["p"], np.nan)
+    p, q, nu = (numbers[None].astype(like.dtype) for numbers in (motion.p, motion.q, motion.nu))
+    unknown = as_leaf(np.full_like(p, np.nan))
     return Belief(
-        **fields,
-        flow=np.zeros_like(fields["p"]),
+        p=as_leaf(p),
+        q=as_leaf(q),
+        nu=as_leaf(nu),
+        flow=as_leaf(np.zeros_like(p)),
         position_std_m=unknown,
         velocity_std_mps=unknown,
         attitude_std_rad=unknown,
@@ -159,10 +159,14 @@ def belief_from_motion(motion: EstimatedMotion, like: Any) -> Belief:
 
 def belief_from_truth(vehicles: VehicleState) -> Belief:
     """Return the truth in the same form, [1, R] leading; without a current either."""
-    fields: dict[str, Any] = {
-        name: np.asarray(getattr(vehicles, name)) for name in ("p", "q", "nu")
-    }
-    zeros: Any = np.zeros_like(fields["p"])
+    p, q, nu = (as_leaf(np.asarray(leaf)) for leaf in (vehicles.p, vehicles.q, vehicles.nu))
+    zeros = as_leaf(np.zeros_like(p))
     return Belief(
-        **fields, flow=zeros, position_std_m=zeros, velocity_std_mps=zeros, attitude_std_rad=zeros
+        p=p,
+        q=q,
+        nu=nu,
+        flow=zeros,
+        position_std_m=zeros,
+        velocity_std_mps=zeros,
+        attitude_std_rad=zeros,
     )

@@ -6,7 +6,6 @@ noise to gyroscopes and accelerometers in either case, but none to external navi
 """
 
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -14,9 +13,11 @@ import numpy as np
 
 from angler_mjx.frames import quaternion_enu_to_ned, vector_enu_to_ned
 from angler_mjx.runs.session.interface import Floats
+from angler_mjx.runs.session.state_view import rotate_vectors
 from angler_mjx.sim import sensing
+from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.record import Belief
-from angler_mjx.sim.state import SensingMemory, SimSpec, World
+from angler_mjx.sim.state import FleetWorld, SensingMemory, SimSpec
 from angler_sitl.scene.scene import AutopilotScene
 from angler_sitl.steering.autopilot_commander import NavigationFix
 
@@ -73,27 +74,23 @@ class Navigation:
         return (
             vector_enu_to_ned(np.asarray(belief.p, float)),
             quaternion_enu_to_ned(q),
-            vector_enu_to_ned(rotate_to_world(q, nu)),
+            vector_enu_to_ned(rotate_vectors(q, nu[..., :3])),
             # A standard deviation has no sign.
             *(np.abs(vector_enu_to_ned(np.asarray(spread, float))) for spread in spreads),
         )
 
 
-def rotate_to_world(q: Floats, nu: Floats) -> Floats:
-    """Return linear velocity [..., 3] in W of nu [..., 6] in F, at an attitude [..., 4]."""
-    w, axis, v = q[..., :1], q[..., 1:], nu[..., :3]
-    twice_cross = 2.0 * np.cross(axis, v)
-    rotated: Floats = v + w * twice_cross + np.cross(axis, twice_cross)
-    return rotated
-
-
-def _reset_sensing(spec: SimSpec, worlds: World, vehicles: Any) -> InstrumentMemory:
+def _reset_sensing(spec: SimSpec, worlds: FleetWorld, vehicles: VehicleState) -> InstrumentMemory:
     world, now = jax.tree.map(lambda leaf: leaf[0], (worlds, vehicles))
     return sensing.reset(spec, world, now)
 
 
 def _step_sensing(
-    spec: SimSpec, worlds: World, memory: InstrumentMemory, number: jax.Array, vehicles: Any
+    spec: SimSpec,
+    worlds: FleetWorld,
+    memory: InstrumentMemory,
+    number: jax.Array,
+    vehicles: VehicleState,
 ) -> tuple[InstrumentMemory, Belief]:
     world, now = jax.tree.map(lambda leaf: leaf[0], (worlds, vehicles))
     flow = jnp.zeros_like(now.p)

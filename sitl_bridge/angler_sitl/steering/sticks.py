@@ -7,8 +7,6 @@ vehicle's top speed is that fraction of the stick: half a stick gives less than 
 that the speed needs, or more; the pilot closes the loop by eye.
 """
 
-from typing import Any
-
 import numpy as np
 
 from angler_mjx.runs.session.interface import Floats, RobotInfo
@@ -54,7 +52,7 @@ def twist_to_sticks(level: CommandLevel, robot: RobotInfo, nu: Floats) -> Floats
         full_scale[3], zone[2:] = _FULL_TURN_RADPS, (_UP_ZONE, _TURN_ZONE)
     if level == "poshold":
         full_scale[:2], zone[:2] = max(x, y), _LEVEL_ZONE
-    fraction: Any = np.asarray(nu, float)[[0, 1, 2, 5]] / full_scale
+    fraction = np.asarray(nu, float)[[0, 1, 2, 5]] / full_scale
     end = np.where((zone == _UP_ZONE) & (fraction < 0.0), _MAX_DOWN, 1.0)
     deflection: Floats = np.sign(fraction) * (zone + (end - zone) * np.abs(fraction))
     return deflection

@@ -13,13 +13,12 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from angler_mjx.runs.storage.atomic_files import wrap_write_errors
 
-type MavlinkMessage = Any
+type MavlinkMessage = dialect.MAVLink_message
 """Message of the dialect; its package has no types."""
 type PacketTap = Callable[[bytes, float], None]
 """Receiver of each packet, in and out, with the scene's time, s."""

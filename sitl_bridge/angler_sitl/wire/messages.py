@@ -1,7 +1,6 @@
 """Commands in W and F as MAVLink messages in NED and FRD."""
 
 import math
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,7 +101,7 @@ def vision_speed(time_s: float, velocity_mps: Floats, std_mps: Floats) -> Mavlin
     )
 
 
-def quaternion_to_euler(q: NDArray[Any]) -> tuple[float, float, float]:
+def quaternion_to_euler(q: NDArray[np.floating]) -> tuple[float, float, float]:
     """Return roll, pitch, yaw, rad, of an attitude FRD to NED (Fossen 2021, eq. 2.28 to 2.30)."""
     w, x, y, z = map(float, q)
     pitch = math.asin(max(-1.0, min(1.0, 2 * (w * y - x * z))))

@@ -7,7 +7,6 @@ relative to the robot in W; missing robots are zeros with 0 in the mask.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -155,7 +154,7 @@ def _build_flight(
         episode=number,
         robot=robot,
         outcome=episode.outcomes[robot],
-        split=about["split"],
+        split=str(about["split"]),
         task=f"reach the goal, {about['scene']}, {about['robots']} robots",
         time_s=episode.time_s[:steps].astype(np.float32),
         state=np.concatenate(state, axis=1).astype(np.float32),
@@ -188,7 +187,7 @@ def _world_velocity(q: np.ndarray, nu: np.ndarray) -> np.ndarray:
     return rotated
 
 
-def describe_columns(data: Dataset, action: str) -> dict[str, Any]:
+def describe_columns(data: Dataset, action: str) -> dict[str, object]:
     """Describe the numbers for every format: names, units and frames."""
     names = {"state": STATE_COLUMNS, "others": OTHER_COLUMNS, "action": action_names(data, action)}
     return {

@@ -7,7 +7,6 @@ LeRobot; writing needs Parquet and JSON alone.
 import json
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -117,7 +116,7 @@ class _LeRobotWriter:
             "index": np.arange(self.frames, self.frames + steps),
             "task_index": np.full(steps, task),
         }
-        columns: dict[str, Any] = {}
+        columns: dict[str, pa.Array | np.ndarray] = {}
         statistics: dict[str, Statistics] = {}
         for name, parts in self._names.items():
             rows = np.ascontiguousarray(values[name], np.float32)
@@ -168,7 +167,7 @@ class _LeRobotWriter:
         )
         write_json(self.out / "meta" / "info.json", self._build_info(hz))
 
-    def _build_info(self, hz: int) -> dict[str, Any]:
+    def _build_info(self, hz: int) -> dict[str, object]:
         vectors = {
             name: {"dtype": "float32", "shape": [len(parts)], "names": parts}
             for name, parts in self._names.items()
@@ -200,11 +199,11 @@ class _DataFileWriter:
     def __init__(self, out: Path, pattern: str, schema: pa.Schema) -> None:
         self._out, self._pattern, self._schema = out, pattern, schema
         self._number, self._frames = -1, MAX_FRAMES
-        self._writer: Any = None
+        self._writer: pq.ParquetWriter | None = None
 
-    def write(self, columns: dict[str, Any], steps: int) -> tuple[int, int]:
+    def write(self, columns: Mapping[str, pa.Array | np.ndarray], steps: int) -> tuple[int, int]:
         """Write the rows of an episode; return its chunk and file."""
-        if self._frames + steps > MAX_FRAMES:
+        if self._writer is None or self._frames + steps > MAX_FRAMES:
             self.close()
             self._number, self._frames = self._number + 1, 0
             path = self._out / self._pattern.format(
@@ -227,11 +226,11 @@ class _EpisodeFileWriter:
 
     def __init__(self, out: Path) -> None:
         self._out = out
-        self._rows: list[dict[str, Any]] = []
+        self._rows: list[Mapping[str, object]] = []
         self._count = 0
-        self._writer: Any = None
+        self._writer: pq.ParquetWriter | None = None
 
-    def add(self, row: dict[str, Any]) -> None:
+    def add(self, row: Mapping[str, object]) -> None:
         """Add the row of an episode."""
         if self._count % EPISODES_PER_FILE == 0:
             self.close()
@@ -252,7 +251,7 @@ class _EpisodeFileWriter:
             return
         table = pa.Table.from_pylist(self._rows)
         if self._writer is None:
-            number = self._rows[0]["episode_index"] // EPISODES_PER_FILE
+            number = (self._count - 1) // EPISODES_PER_FILE
             path = self._out / EPISODES_PATH.format(
                 chunk_index=number // CHUNK_SIZE, file_index=number % CHUNK_SIZE
             )
@@ -334,7 +333,7 @@ def _ordered_values(statistics: Statistics) -> list[np.ndarray]:
     return [statistics[name] for name in STATISTIC_NAMES]
 
 
-def build_statistics_columns(features: Mapping[str, Statistics]) -> dict[str, Any]:
+def build_statistics_columns(features: Mapping[str, Statistics]) -> dict[str, list[float]]:
     """Return the columns of an episode's row: ``stats/FEATURE/NAME``, lists of numbers."""
     return {
         f"stats/{feature}/{name}": values.tolist()

@@ -7,9 +7,10 @@ import json
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from itertools import batched
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,6 +18,10 @@ from angler_mjx import __version__
 from angler_mjx.errors import UnsupportedError
 from angler_mjx.learning.datasets.dataset import Dataset
 from angler_mjx.learning.datasets.exports import flights
+
+if TYPE_CHECKING:
+    from minari import MinariDataset
+    from minari.data_collector import EpisodeBuffer
 
 FOLDER_VARIABLE = "MINARI_DATASETS_PATH"
 BUFFER_SIZE = 200
@@ -42,11 +47,11 @@ def write_dataset(data: Dataset, out: Path, action: str, progress: Callable[[int
     width = len(flights.action_names(data, action))
     others = int(data.robots.max()) - 1
     observation_size = len(flights.STATE_COLUMNS) + others * len(flights.OTHER_COLUMNS)
-    unbounded: dict[str, Any] = {"low": -np.inf, "high": np.inf, "dtype": np.float32}
+    unbounded = partial(spaces.Box, low=-np.inf, high=np.inf, dtype=np.float32)
     description = {
         "dataset_id": f"angler/{re.sub('[^a-z0-9]+', '-', data.root.name.lower())}-v0",
-        "observation_space": spaces.Box(shape=(observation_size,), **unbounded),
-        "action_space": spaces.Box(shape=(width,), **unbounded),
+        "observation_space": unbounded(shape=(observation_size,)),
+        "action_space": unbounded(shape=(width,)),
         "description": json.dumps(flights.describe_columns(data, action)),
         "algorithm_name": ", ".join(sorted(set(data.index["expert"].to_pylist()))),
         "requirements": [f"angler-mjx=={__version__}"],
@@ -54,7 +59,11 @@ def write_dataset(data: Dataset, out: Path, action: str, progress: Callable[[int
     before = os.environ.get(FOLDER_VARIABLE)
     os.environ[FOLDER_VARIABLE] = str(out)  # Minari has no other interface for it
     try:
-        _write_buffers(minari, _build_buffers(data, action, EpisodeBuffer, progress), description)
+        _write_buffers(
+            minari.create_dataset_from_buffers,
+            _build_buffers(data, action, EpisodeBuffer, progress),
+            description,
+        )
     finally:
         if before is None:
             del os.environ[FOLDER_VARIABLE]
@@ -62,18 +71,25 @@ def write_dataset(data: Dataset, out: Path, action: str, progress: Callable[[int
             os.environ[FOLDER_VARIABLE] = before
 
 
-def _write_buffers(minari: Any, episodes: Iterator[Any], description: Mapping[str, Any]) -> None:
+def _write_buffers(
+    create_dataset: "Callable[..., MinariDataset]",
+    episodes: "Iterator[EpisodeBuffer]",
+    description: Mapping[str, object],
+) -> None:
     dataset = None
     for group in batched(episodes, BUFFER_SIZE):
         if dataset is None:
-            dataset = minari.create_dataset_from_buffers(buffer=list(group), **description)
+            dataset = create_dataset(buffer=list(group), **description)
         else:
             dataset.update_dataset_from_buffer(list(group))
 
 
 def _build_buffers(
-    data: Dataset, action: str, buffer_class: Any, progress: Callable[[int], None]
-) -> Iterator[Any]:
+    data: Dataset,
+    action: str,
+    buffer_class: "type[EpisodeBuffer]",
+    progress: Callable[[int], None],
+) -> "Iterator[EpisodeBuffer]":
     """Yield flights as Minari's buffers.
 
     Flights of a single sample have no action and are left out.

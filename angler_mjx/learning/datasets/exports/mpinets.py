@@ -7,7 +7,7 @@ spheres, padded with zeros to the largest number.
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from angler_mjx.errors import UnsupportedError
 from angler_mjx.learning.datasets.dataset import Dataset
 from angler_mjx.learning.datasets.exports import flights
 from angler_mjx.world.obstacles.types import BOX, CAPSULE, SPHERE
+
+if TYPE_CHECKING:
+    import h5py
 
 SOLUTION_POINTS = 50
 """Number of points of a solution, as in the original data."""
@@ -112,7 +115,7 @@ def _max_shape_counts(data: Dataset) -> dict[str, int]:
     return max_counts
 
 
-def _create_arrays(file: Any, max_counts: Mapping[str, int], split: str) -> None:
+def _create_arrays(file: "h5py.File", max_counts: Mapping[str, int], split: str) -> None:
     file.attrs["split"] = split
     file.attrs["frames"] = "world x east, y north, z up, m; quaternions wxyz"
     array_shapes = {"global_solutions": (SOLUTION_POINTS, 4)}
@@ -127,7 +130,7 @@ def _create_arrays(file: Any, max_counts: Mapping[str, int], split: str) -> None
             array.attrs[key] = text
 
 
-def _append_rows(file: Any, rows: Mapping[str, np.ndarray]) -> None:
+def _append_rows(file: "h5py.File", rows: Mapping[str, np.ndarray]) -> None:
     for name, values in rows.items():
         stored = file[name]
         stored.resize(len(stored) + 1, axis=0)

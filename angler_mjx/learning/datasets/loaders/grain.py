@@ -4,8 +4,6 @@
 store their position (``get_state``) and resume from it.
 """
 
-from typing import Any
-
 from angler_mjx.errors import UnsupportedError
 from angler_mjx.learning.datasets.windows import Windows
 
@@ -15,6 +13,6 @@ except ImportError as error:
     raise UnsupportedError("Grain is not installed: pip install grain") from error
 
 
-def build_source(windows: Windows) -> Any:
+def build_source(windows: Windows) -> grain.MapDataset:
     """Return all windows, in order, as a `grain.MapDataset`."""
     return grain.MapDataset.source(windows)

@@ -4,7 +4,6 @@ JAX is imported in reading processes; give `DataLoader` ``multiprocessing_contex
 """
 
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 
@@ -30,7 +29,7 @@ class WindowDataset(Dataset):  # type: ignore[misc]
         """Return the number of windows."""
         return len(self.windows)
 
-    def __getitem__(self, number: int) -> dict[str, Any]:
+    def __getitem__(self, number: int) -> dict[str, torch.Tensor]:
         """Return a window of tensors."""
         return to_tensors(self.windows[number])
 
@@ -74,7 +73,7 @@ class WindowStream(IterableDataset):  # type: ignore[misc]
         """Return the number of windows of this rank in a whole pass."""
         return len(range(self.rank, len(self.windows), self.world_size))
 
-    def __iter__(self) -> Iterator[dict[str, Any]]:
+    def __iter__(self) -> Iterator[dict[str, torch.Tensor]]:
         """Yield the windows of this worker of this rank."""
         numbers = shuffling.shuffle_windows(self.windows, self.seed, self.epoch, self.group)
         info = get_worker_info()
@@ -96,6 +95,6 @@ class WindowStream(IterableDataset):  # type: ignore[misc]
         self.seed, self.epoch, self.seen = state["seed"], state["epoch"], state["seen"]
 
 
-def to_tensors(window: Window) -> dict[str, Any]:
+def to_tensors(window: Window) -> dict[str, torch.Tensor]:
     """Return a window whose arrays are tensors, in the same memory."""
     return {name: torch.from_numpy(np.asarray(value)) for name, value in window.items()}

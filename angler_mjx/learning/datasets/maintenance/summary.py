@@ -1,8 +1,7 @@
 """Summary of a dataset in numbers."""
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 import pyarrow as pa
@@ -15,7 +14,52 @@ MEASURES = ("duration_s", "energy_j", "density", "path_ratio", "samples")
 """Columns of the index with reported quantiles."""
 
 
-def compute_stats(root: Path, max_episodes: int = 1000) -> dict[str, Any]:
+class GroupStats(TypedDict):
+    """Episodes of a group."""
+
+    episodes: int
+    success: float
+    """Fraction of teams that arrive whole."""
+    planned: float
+    """Fraction of robots with a plan."""
+
+
+class Moments(TypedDict):
+    """Mean and standard deviation of each component; None where no robot has it."""
+
+    mean: list[float | None]
+    std: list[float | None]
+
+
+class Quantiles(TypedDict):
+    """Quantiles over episodes."""
+
+    p10: float
+    p50: float
+    p90: float
+
+
+class DatasetStats(TypedDict):
+    """Counts and statistics of a dataset."""
+
+    name: str
+    episodes: int
+    chosen: int
+    """Number of chosen episodes."""
+    robots: int
+    bytes: int
+    outcomes: dict[str, int]
+    """Robots by outcome."""
+    by: dict[str, dict[str, GroupStats]]
+    """Groups by column and value."""
+    quantiles: dict[str, Quantiles]
+    """By column of the index."""
+    fields: dict[str, Moments]
+    fields_by_vehicle: dict[str, dict[str, Moments]]
+    """Fields whose components are thrusters, where there are several vehicles."""
+
+
+def compute_stats(root: Path, max_episodes: int = 1000) -> DatasetStats:
     """Return counts by split, scene, expert and outcome, quantiles, and normalisation of fields.
 
     Fields of thrusters are grouped by vehicle, where several fly: a column is another thruster in
@@ -70,15 +114,15 @@ def _is_per_thruster(name: str) -> bool:
     return trajectory_layout.ARRAYS[name].dims[-1] == "thruster"
 
 
-def _to_plain_moments(mean: np.ndarray, std: np.ndarray) -> dict[str, list[float | None]]:
+def _to_plain_moments(mean: np.ndarray, std: np.ndarray) -> Moments:
     """Return both as plain numbers, None where no robot has the component."""
-    return {
-        name: [None if np.isnan(x) else float(x) for x in values]
-        for name, values in (("mean", mean), ("std", std))
-    }
+    plain_mean, plain_std = (
+        [None if np.isnan(x) else float(x) for x in values] for values in (mean, std)
+    )
+    return Moments(mean=plain_mean, std=plain_std)
 
 
-def _count_by(table: pa.Table, column: str) -> dict[str, dict[str, float]]:
+def _count_by(table: pa.Table, column: str) -> dict[str, GroupStats]:
     """Count episodes, arrived teams and planned robots, by a column's values."""
     names = np.array(table[column].to_pylist())
     success = table["success"].to_numpy(zero_copy_only=False)
@@ -93,6 +137,6 @@ def _count_by(table: pa.Table, column: str) -> dict[str, dict[str, float]]:
     }
 
 
-def _compute_quantiles(values: np.ndarray) -> Mapping[str, float]:
+def _compute_quantiles(values: np.ndarray) -> Quantiles:
     ten, half, ninety = np.quantile(values, [0.1, 0.5, 0.9])
     return {"p10": float(ten), "p50": float(half), "p90": float(ninety)}

@@ -1,17 +1,20 @@
 """Arrivals of each planner in each sea, and for each number of samples."""
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from angler_experiments.learned_planner import checkpoint as checkpoints
 from angler_experiments.learned_planner.evaluate import figure, rows
 from angler_experiments.learned_planner.evaluate.course import EvaluationCourse
 from angler_experiments.learned_planner.evaluate.evaluation_log import (
+    EvaluationKey,
     EvaluationLog,
     format_head,
     format_row,
 )
+from angler_experiments.learned_planner.planner import LearnedSettings
 from angler_experiments.learned_planner.progress import ProgressClock
+from angler_mjx.files import JsonTable
 
 
 def evaluate_arrivals(
@@ -40,17 +43,20 @@ def evaluate_arrivals(
     report = ProgressClock()
     log = EvaluationLog(out / "arrivals.json" if out else None)
     file = Path(checkpoint).expanduser().absolute() if checkpoint else None
-    network = {"checkpoint": checkpoints.hash_checkpoint(file)}
+    network = checkpoints.hash_checkpoint(file)
     overrides = {"checkpoint": str(file)} if file else {}
     shown_rows = []
     for label in seas:
-        keys: dict[str, dict[str, Any]] = {}
-        missing: dict[str, dict[str, Any]] = {}
+        keys: dict[str, EvaluationKey] = {}
+        missing: dict[str, JsonTable] = {}
         for name in planners:
             for count in samples if rows.samples_paths(name) else samples[:1]:
                 sample_settings = {"samples": count} if rows.samples_paths(name) else {}
-                key = {"sea": label, "planner": name, "worlds": worlds} | sample_settings
-                key |= network if rows.uses_network(name) else {}
+                key = EvaluationKey(sea=label, planner=name, worlds=worlds)
+                if rows.samples_paths(name):
+                    key["samples"] = count
+                if rows.uses_network(name):
+                    key["checkpoint"] = network
                 row_name = f"{name}, {count}"
                 keys[row_name] = key
                 if log.find(key) is None:
@@ -66,11 +72,15 @@ def evaluate_arrivals(
                 )
         for teams in ahead:
             name = f"learned, {teams} ahead, told {told}"
-            key = {"sea": label, "planner": name, "worlds": worlds, "samples": samples[-1]}
-            keys[name] = key | network
+            keys[name] = EvaluationKey(
+                sea=label, planner=name, worlds=worlds, samples=samples[-1], checkpoint=network
+            )
             if log.find(keys[name]) is None:
                 course = course or EvaluationCourse(rows.find_sea(label), worlds, report)
-                ahead_row = course.fly_ahead(overrides | {"samples": samples[-1]}, teams, told)
+                settings = LearnedSettings(
+                    samples=samples[-1], checkpoint=overrides.get("checkpoint", "")
+                )
+                ahead_row = course.fly_ahead(settings, teams, told)
                 report(format_row(log.add(keys[name], ahead_row.table())))
         shown_rows += [log.find(key) for key in keys.values()]
         if out:

@@ -4,7 +4,6 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from typing import Any
 
 import jax
 import numpy as np
@@ -12,6 +11,7 @@ import numpy as np
 from angler_experiments.learned_planner.evaluate.lookahead import LookaheadSimulator
 from angler_experiments.learned_planner.evaluate.rows import POINTS, Sea, build_scenario
 from angler_experiments.learned_planner.planner import LearnedPlanner, LearnedSettings
+from angler_mjx.files import JsonTable
 from angler_mjx.planning.device_planner import build_device_planner
 from angler_mjx.planning.planner import Path, PathShape
 from angler_mjx.planning.problem import Problem
@@ -46,7 +46,7 @@ class CourseRow:
     ended: Mapping[str, float]
     """Fraction of robots by outcome."""
 
-    def table(self) -> dict[str, Any]:
+    def table(self) -> dict[str, object]:
         """Return the row as a table for a file."""
         return asdict(self)
 
@@ -68,7 +68,7 @@ class EvaluationCourse:
             "compiled"
         )
 
-    def fly_all(self, planners: Mapping[str, dict[str, Any]]) -> Iterator[tuple[str, CourseRow]]:
+    def fly_all(self, planners: Mapping[str, JsonTable]) -> Iterator[tuple[str, CourseRow]]:
         """Yield rows of planners; all are compiled in parallel before any is timed.
 
         Args:
@@ -85,7 +85,7 @@ class EvaluationCourse:
             plan, compile_s = program.result()
             yield name, self._make_row(plan, compile_s)
 
-    def _begin_compile(self, compiler: ParallelCompiler, planner: dict[str, Any]) -> PendingProgram:
+    def _begin_compile(self, compiler: ParallelCompiler, planner: JsonTable) -> PendingProgram:
         planner_scenario = build_scenario(self.sea, planner, self.worlds)
         spec = planner_scenario.planner.planner_spec()
         information = planner_scenario.planner.information.to_information()
@@ -93,7 +93,7 @@ class EvaluationCourse:
         return compiler.begin(CompiledFunction(device_planner.plan_batch), self.problems)
 
     def fly_ahead(
-        self, settings: dict[str, Any], teams: int, current_level: InformationLevel
+        self, settings: LearnedSettings, teams: int, current_level: InformationLevel
     ) -> CourseRow:
         """Return the row of the learned planner with several answers flown ahead.
 
@@ -108,7 +108,7 @@ class EvaluationCourse:
             grid_scenario.planner.information.to_information(), current=current_level
         )
         _, flight_problems = self.simulator.sample_problems(0, information=information)
-        planner = LearnedPlanner(LearnedSettings(points=POINTS, **settings))
+        planner = LearnedPlanner(replace(settings, points=POINTS))
         start_s = time.perf_counter()
         plan_function = CompiledFunction(partial(planner.plan_teams, teams=teams))
         program = plan_function.lower(self.problems).compile()

@@ -3,12 +3,12 @@
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from angler_experiments.learned_planner import checkpoint
 from angler_experiments.learned_planner.evaluate import figure
 from angler_experiments.learned_planner.evaluate.course import EvaluationCourse
 from angler_experiments.learned_planner.evaluate.evaluation_log import (
+    EvaluationKey,
     EvaluationLog,
     format_head,
     format_row,
@@ -72,15 +72,21 @@ def evaluate_curve(
         )
     log, shown_rows = EvaluationLog(out / "curve.json"), []
     for label in seas:
-        keys: dict[str, dict[str, Any]] = {}
+        keys: dict[str, EvaluationKey] = {}
         missing, loss = {}, {}
         for size in sizes:
             file = (out / str(size) / loop.WEIGHTS).absolute()
             loss[size] = checkpoint.load_checkpoint(file).about["loss"]
             for name in planners:
-                settings = {"learned_from": size, "steps": train_config.steps, "samples": samples}
                 row_name = f"{name}, {size}"
-                keys[row_name] = {"sea": label, "planner": name, "worlds": worlds} | settings
+                keys[row_name] = EvaluationKey(
+                    sea=label,
+                    planner=name,
+                    worlds=worlds,
+                    learned_from=size,
+                    steps=train_config.steps,
+                    samples=samples,
+                )
                 if log.find(keys[row_name]) is None:
                     missing[row_name] = planner_table(name, checkpoint=str(file), samples=samples)
         if missing:

@@ -1,8 +1,9 @@
 """Log of rows in a JSON file: rows of the file are not flown again."""
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import NotRequired, TypedDict
 
 import jax
 
@@ -15,6 +16,42 @@ _HEAD = (
 )
 
 
+class EvaluationKey(TypedDict):
+    """Everything that a row depends on."""
+
+    sea: str
+    planner: str
+    worlds: int
+    samples: NotRequired[int]
+    checkpoint: NotRequired[str]
+    """Hash of the network."""
+    learned_from: NotRequired[int]
+    """Number of worlds of the training."""
+    steps: NotRequired[int]
+    """Steps of the training."""
+
+
+class EvaluatedRate(TypedDict):
+    """Rate with its 95 % interval."""
+
+    rate: float
+    low: float
+    high: float
+
+
+class EvaluationRow(TypedDict):
+    """Row of the log; the fields of a `CourseRow` that tables and figures use."""
+
+    key: EvaluationKey
+    found: EvaluatedRate
+    arrived: EvaluatedRate
+    planning_s: float
+    detour: float | None
+    planned_s: float | None
+    loss: NotRequired[float]
+    """Validation loss of the network."""
+
+
 class EvaluationLog:
     """File of rows, each with a key of all that it depends on."""
 
@@ -25,7 +62,7 @@ class EvaluationLog:
             ConfigError: the file has no rows.
         """
         self._file = file
-        self.rows: list[dict[str, Any]] = []
+        self.rows: list[EvaluationRow] = []
         if file is not None and file.exists():
             try:
                 self.rows = json.loads(file.read_text())["rows"]
@@ -34,14 +71,15 @@ class EvaluationLog:
                     f"{file}: holds no rows ({error}); remove it, or give another --out"
                 ) from error
 
-    def find(self, key: dict[str, Any]) -> dict[str, Any] | None:
+    def find(self, key: EvaluationKey) -> EvaluationRow | None:
         """Return the row of a key, if there is one."""
         return next((row for row in self.rows if row["key"] == key), None)
 
-    def add(self, key: dict[str, Any], row: dict[str, Any]) -> dict[str, Any]:
+    def add(self, key: EvaluationKey, row: Mapping[str, object]) -> EvaluationRow:
         """Append a row; it is on the disk when this returns."""
         device = jax.devices()[0].device_kind
-        entry = {"key": key, "device": device, **row}
+        text = json.dumps({"key": key, "device": device, **row})
+        entry: EvaluationRow = json.loads(text)
         self.rows.append(entry)
         if self._file is not None:
             self._file.parent.mkdir(parents=True, exist_ok=True)
@@ -50,7 +88,7 @@ class EvaluationLog:
         return entry
 
 
-def format_rate(rate: dict[str, Any]) -> str:
+def format_rate(rate: EvaluatedRate) -> str:
     """Format a rate with its interval, in per cent."""
     return f"{100 * rate['rate']:.1f} ({100 * rate['low']:.1f} to {100 * rate['high']:.1f})"
 
@@ -60,7 +98,7 @@ def format_head() -> str:
     return f"{_HEAD}\n{'|---' * (_HEAD.count('|') - 1)}|"
 
 
-def format_row(row: dict[str, Any]) -> str:
+def format_row(row: EvaluationRow) -> str:
     """Format a row of a table for people."""
     key = row["key"]
     samples_text = f"{key['samples']}" if "samples" in key else ""

@@ -1,16 +1,16 @@
 """Figures of rows."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from angler_experiments.learned_planner.evaluate.evaluation_log import EvaluationRow
 from angler_mjx.report.plotting import style
 
 _PERCENT = 100.0
 
 
-def plot_arrivals(rows: list[dict[str, Any]], file: Path) -> Path:
+def plot_arrivals(rows: list[EvaluationRow], file: Path) -> Path:
     """Plot bars of arrivals with their intervals, planners side by side in each sea."""
     seas = list(dict.fromkeys(row["key"]["sea"] for row in rows))
     names = list(dict.fromkeys(_row_name(row) for row in rows))
@@ -36,7 +36,7 @@ def plot_arrivals(rows: list[dict[str, Any]], file: Path) -> Path:
         return style.save_figure(figure, file, palette=128)
 
 
-def _row_colors(rows: list[dict[str, Any]]) -> dict[str, tuple[str, float]]:
+def _row_colors(rows: list[EvaluationRow]) -> dict[str, tuple[str, float]]:
     """Return colour of each name by its planner, and its depth by its samples: more are darker."""
     planners = list(dict.fromkeys(row["key"]["planner"] for row in rows))
     counts = sorted({row["key"]["samples"] for row in rows if "samples" in row["key"]})
@@ -50,12 +50,12 @@ def _row_colors(rows: list[dict[str, Any]]) -> dict[str, tuple[str, float]]:
     return row_colors
 
 
-def _row_name(row: dict[str, Any]) -> str:
+def _row_name(row: EvaluationRow) -> str:
     key = row["key"]
     return f"{key['planner']}, {key['samples']}" if "samples" in key else str(key["planner"])
 
 
-def plot_curve(rows: list[dict[str, Any]], file: Path) -> Path:
+def plot_curve(rows: list[EvaluationRow], file: Path) -> Path:
     """Plot arrivals and validation loss against the size of the training set."""
     names = list(dict.fromkeys(row["key"]["planner"] for row in rows))
     with style.figure_style():
@@ -80,10 +80,13 @@ def plot_curve(rows: list[dict[str, Any]], file: Path) -> Path:
         return style.save_figure(figure, file, palette=128)
 
 
-def _rates_with_interval(rows: list[dict[str, Any]]) -> tuple[np.ndarray, np.ndarray]:
+def _rates_with_interval(rows: list[EvaluationRow]) -> tuple[np.ndarray, np.ndarray]:
     """Return arrivals [n] in per cent, and the extents of their intervals down and up [2, n]."""
     arrived = [row["arrived"] for row in rows]
     rate, low, high = (
-        _PERCENT * np.array([entry[k] for entry in arrived]) for k in ("rate", "low", "high")
+        _PERCENT
+        * np.array([(entry["rate"], entry["low"], entry["high"]) for entry in arrived])
+        .reshape(-1, 3)
+        .T
     )
     return rate, np.maximum([rate - low, high - rate], 0.0)

@@ -2,13 +2,13 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import jax.numpy as jnp
 
 from angler_experiments.learned_planner import planner
 from angler_experiments.learned_planner.train import examples
 from angler_mjx.errors import ConfigError
+from angler_mjx.files import JsonTable, JsonValue
 from angler_mjx.planning.problem import Problem
 from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.scenario.scenario import Scenario
@@ -17,7 +17,7 @@ SEED = 2_000_003
 """Seed of the evaluated worlds."""
 POINTS = 32
 PLANNERS = ("straight", "drawn", "noise", "learned", "grid", "priority")
-_SAMPLING_ROWS: dict[str, dict[str, Any]] = {
+_SAMPLING_ROWS: dict[str, JsonTable] = {
     "drawn": {"repair": False},
     "noise, not pushed": {"draw": "noise", "pushes": 0},
     "learned, not pushed": {"pushes": 0},
@@ -74,7 +74,7 @@ class StraightRow:
         )
 
 
-def planner_table(name: str, **settings: Any) -> dict[str, Any]:
+def planner_table(name: str, **settings: JsonValue) -> JsonTable:
     """Return the table ``planner`` of a row.
 
     Planners of this package are named by their files, so that nothing needs to be installed.
@@ -115,7 +115,7 @@ def find_sea(label: str) -> Sea:
     return SEAS[label]
 
 
-def build_scenario(sea: Sea, planner: dict[str, Any], worlds: int) -> Scenario:
+def build_scenario(sea: Sea, planner: JsonTable, worlds: int) -> Scenario:
     """Build the scenario of one row."""
     return examples.build_scenario(
         preset=sea.preset,

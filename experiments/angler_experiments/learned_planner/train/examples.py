@@ -6,7 +6,6 @@ Worlds that a simulator samples and plans never leave the device; folders of run
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +15,7 @@ from angler_experiments.learned_planner import path_encoding
 from angler_experiments.learned_planner import scene as seen
 from angler_experiments.learned_planner.scene import Scene
 from angler_mjx.errors import ConfigError
+from angler_mjx.files import JsonTable
 from angler_mjx.planning.problem import Problem
 from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.runs.simulator.simulator import Simulator
@@ -47,7 +47,7 @@ def build_scenario(
     preset: str = "reef",
     robots: int = 8,
     worlds: int = 256,
-    planner: dict[str, Any] | None = None,
+    planner: JsonTable | None = None,
     still: bool = True,
     speed: float = 1.0,
     seed: int = 7,
@@ -66,10 +66,10 @@ def build_scenario(
     base = load_scenario("reef_fleet")
     small = robots // 2
     heavy = base.fleet[0].model_copy(update={"count": robots - small})
-    members: list[Any] = [heavy.model_dump(exclude_unset=True)]
+    members = [heavy.model_dump(exclude_unset=True)]
     if small:
         members.append({"vehicle": "bluerov2", "count": small, "parameter_set": "blue_gazebo"})
-    world: dict[str, Any] = {"preset": preset}
+    world: dict[str, object] = {"preset": preset}
     if still:
         world |= {"currents": [], "obstacles": {"dynamic": {"count": 0}}}
     elif speed != 1.0:

@@ -1,9 +1,9 @@
 """Examples of datasets and run folders, from their files alone."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,11 +15,13 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.learning import datasets
 from angler_mjx.learning.datasets import manifest
 from angler_mjx.planning.build_problem import build_team
-from angler_mjx.planning.problem import Problem
+from angler_mjx.planning.problem import Problem, Team
 from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.runs.storage import environments
 from angler_mjx.runs.storage.folder import Run
+from angler_mjx.runs.stored_arrays import stored_group
 from angler_mjx.sim import fleet, information
+from angler_mjx.world.environment import Environment
 
 
 def read_folder(path: Path, split: str, report: Callable[[str], None]) -> Iterator[Examples]:
@@ -88,12 +90,12 @@ def read_run(path: Path, tile: int = 64, worlds: np.ndarray | None = None) -> It
     )
     planned = np.array(labels["planned"], bool).reshape(-1, robots)
     variant = of_row.reshape(-1, robots)
-    stored_environments: Any = group["environment"]
+    stored_environments = stored_group(group, "environment")
     spec, levels = chosen.sim_spec(), chosen.planner.information.to_information()
 
     @jax.jit
-    def make(environment: Any, variant: jax.Array, path: Trajectory) -> Examples:
-        def make_problem(environment: Any, variant: jax.Array) -> Problem:
+    def make(environment: Environment, variant: jax.Array, path: Trajectory) -> Examples:
+        def make_problem(environment: Environment, variant: jax.Array) -> Problem:
             control, _ = fleet.select_parameters(kinds, variant)
             speed = kinds.cruise_mps[jnp.arange(robots), variant]
             team = build_team(
@@ -154,5 +156,5 @@ def _find_variant(variants: dict[tuple[str, str], int], vehicle: str, chosen: st
     raise ConfigError(f"vehicle {vehicle}, {chosen}: is not in the scenario of the run")
 
 
-def _set_cruise_speed(team: Any, speed: jax.Array) -> Any:
-    return type(team)(**{**vars(team), "cruise_speed_mps": speed})
+def _set_cruise_speed(team: Team, speed: jax.Array) -> Team:
+    return replace(team, cruise_speed_mps=speed)

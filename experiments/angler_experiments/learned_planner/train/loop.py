@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import cache, partial
 from pathlib import Path
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -16,10 +15,12 @@ import orbax.checkpoint as ocp
 
 from angler_experiments.learned_planner import checkpoint, flow, network
 from angler_experiments.learned_planner.checkpoint import Checkpoint
+from angler_experiments.learned_planner.network import Params
 from angler_experiments.learned_planner.shapes import NetworkSize
 from angler_experiments.learned_planner.train.examples import Examples, mirror_examples
 from angler_experiments.learned_planner.train.from_simulation import Source
 from angler_mjx.errors import ConfigError
+from angler_mjx.files import JsonTable
 from angler_mjx.runs.storage.atomic_files import write_atomically
 
 WEIGHTS = "weights.npz"
@@ -53,9 +54,9 @@ class TrainConfig:
 class TrainingState:
     """State of training."""
 
-    params: Any
-    optimiser: Any
-    mean: Any
+    params: Params
+    optimiser: optax.OptState
+    mean: Params
     """Moving average of the parameters; the shipped ones."""
     step: jax.Array
 
@@ -230,7 +231,12 @@ def train(
             manager.save(int(state.step), args=ocp.args.StandardSave(state))
         manager.wait_until_finished()
     if int(state.step) >= config.steps and not (out / WEIGHTS).exists():
-        about = {"worlds": count, "steps": config.steps, "seed": config.seed, "loss": value}
+        about: JsonTable = {
+            "worlds": count,
+            "steps": config.steps,
+            "seed": config.seed,
+            "loss": value,
+        }
         trained = Checkpoint(params=state.mean, width=config.width, about=about)
         checkpoint.save_checkpoint(out / WEIGHTS, trained)
         report(f"{out / WEIGHTS}: {(out / WEIGHTS).stat().st_size / 1e6:.2f} MB")

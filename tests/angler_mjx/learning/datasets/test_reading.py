@@ -36,7 +36,7 @@ def test_every_value_is_that_of_zarr(made):
             if name in trajectory_layout.ARRAYS:
                 read_array = StoredArray(run / "trajectories.zarr" / name)
                 assert read_array.shape == array.shape
-                looked_at.add((name, read_array._form.per_unit is not None))
+                looked_at.add((name, read_array._source.per_unit is not None))
                 for world in range(array.shape[0]):
                     theirs = np.asarray(array[world])
                     read = read_array.read(world)
