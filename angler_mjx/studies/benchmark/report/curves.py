@@ -189,12 +189,8 @@ def _plot_box(axes: Axes, at: float, seconds: np.ndarray, planner_index: int) ->
 
 
 def _plot_profiles(results: Results, costs: Sequence[str]) -> Figure | None:
-    by_cost = {
-        c: compute_profiles(results.runs, results.problem, results.planners, c) for c in costs
-    }
-    by_cost = {
-        cost: cost_profiles for cost, cost_profiles in by_cost.items() if cost_profiles.problems
-    }
+    all_profiles = {cost: compute_profiles(results, results.run_table, cost) for cost in costs}
+    by_cost = {cost: found for cost, found in all_profiles.items() if found.problems}
     if not by_cost:
         return None
     with plot_style.styled():

@@ -10,7 +10,7 @@ from angler_mjx.studies.benchmark.report import cells, scenes
 from angler_mjx.studies.benchmark.report.rates import FEW, build_density_bins
 from angler_mjx.studies.benchmark.report.reading import MEASURES, Results
 from angler_mjx.studies.benchmark.report.selections import (
-    build_page_selection,
+    build_page_selections,
     round_digits,
     select_rows,
 )
@@ -34,6 +34,7 @@ def build_page_data(results: Results) -> dict[str, Any]:
         _index_values(runs["robots"], teams),
         _index_values(runs.knowledge, knowledge),
     )
+    selections = list(select_rows(*choices))
     report_cells = cells.build_cells(runs)
     return {
         "about": results.about,
@@ -51,10 +52,13 @@ def build_page_data(results: Results) -> dict[str, Any]:
             "closed": int(np.sum(runs.counted & ~runs.requested)),
             "no_room": int(np.sum(~runs.counted)),
         },
-        "selections": {
-            selection.key: build_page_selection(results, selection.rows, bins)
-            for selection in select_rows(*choices)
-        },
+        "selections": dict(
+            zip(
+                (selection.key for selection in selections),
+                build_page_selections(results, selections, bins),
+                strict=True,
+            )
+        ),
         "centres": [round_digits(x) for x in bins.centres],
         "measures": MEASURES,
         "cells": [_build_cell(cell, results, knowledge) for cell in report_cells],

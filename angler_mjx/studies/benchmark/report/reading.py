@@ -140,9 +140,32 @@ class Results:
         return _order_names(announced, self.runs.planners)
 
     @cached_property
+    def planner(self) -> np.ndarray:
+        """Int [n]: index of the planner of each row."""
+        number = {name: i for i, name in enumerate(self.planners)}
+        return np.array([number[name] for name in self.runs["planner"].tolist()], int)
+
+    @cached_property
     def scenes(self) -> list[str]:
         """Scenes: those announced, then others that rows have."""
         return _order_names([str(name) for name in self.about.get("scenes", [])], self.runs.scenes)
+
+    @cached_property
+    def run_table(self) -> np.ndarray:
+        """Int [planner, problem]: row of the counted run, -1 without one."""
+        table = np.full((len(self.planners), int(self.problem.max()) + 1), -1)
+        rows = np.flatnonzero(self.runs.counted)[::-1]
+        table[self.planner[rows], self.problem[rows]] = rows
+        return table
+
+    def select_runs(self, rows: np.ndarray) -> np.ndarray:
+        """Return the part of `run_table` that holds selected rows.
+
+        Args:
+            rows: bool [n].
+        """
+        table = np.where(np.append(rows, False)[self.run_table], self.run_table, -1)
+        return table[:, np.any(table >= 0, axis=0)]
 
 
 def read_results(folder: Path) -> Results:

@@ -76,14 +76,12 @@ def choose(scene, team, **others):
 @pytest.mark.parametrize("scene", SCENES)
 @pytest.mark.parametrize("team", TEAMS)
 def test_a_shown_pair_has_the_numbers_of_python(made, results, scene, team):
-    rows = select(results, scene, team)
-    runs = results.runs.where(rows)
+    table = results.select_runs(select(results, scene, team))
     for first, second in PAIRS[::2] if scene or team else PAIRS:
         shown = show(made, **choose(scene, team, first=first, second=second))["pair"]
         values = dict(zip(find_texts(shown, "th"), find_texts(shown, "td"), strict=True))
-        one = paired.compare_rows(
-            runs, results.problem[rows], results.world[rows], results.judged, (first, second)
-        )
+        pair = (results.planners.index(first), results.planners.index(second))
+        one = paired.compare_pairs(results, [table], [pair])[0][0]
         assert int(values["problems of both"]) == one.pairs
         assert int(values["both succeed"]) == one.both
         assert int(values[f"only {first}"]) == one.only_first
@@ -124,7 +122,7 @@ def test_shown_rates_and_profiles_have_the_numbers_of_python(made, results, scen
     assert sorted(titles) == sorted(expected)
     lines = []
     for cost in ("planning_s", "makespan_s", "energy_j", "flowtime_s"):
-        profiles = compute_profiles(runs, results.problem[rows], results.planners, cost)
+        profiles = compute_profiles(results, results.select_runs(rows), cost)
         for planner, ratios in profiles.ratios.items():
             solved = len(ratios) / profiles.problems
             best = profiles.at(planner, 1.0)
