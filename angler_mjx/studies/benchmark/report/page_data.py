@@ -77,6 +77,8 @@ def _index_values(values: np.ndarray, names: list[Any]) -> list[int]:
 
 
 def _build_cell(cell: cells.ReportCell, results: Results, knowledge: list[str]) -> dict[str, Any]:
+    runs = results.runs
+    is_closed = runs.counted[cell.rows] & ~runs.requested[cell.rows]
     return {
         "planner": results.planners.index(cell.planner),
         "scene": results.scenes.index(cell.scene),
@@ -84,7 +86,7 @@ def _build_cell(cell: cells.ReportCell, results: Results, knowledge: list[str]) 
         "team": cell.robots,
         "information": knowledge.index(cell.knowledge),
         "asked": cell.success.requested,
-        "closed": cell.success.closed,
+        "closed": int(np.sum(is_closed)),
         "success": round_digits(cell.success.fraction),
         "interval": [round_digits(cell.success.low), round_digits(cell.success.high)],
         "planned": round_digits(cell.planned.fraction),

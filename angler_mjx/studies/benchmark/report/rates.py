@@ -27,8 +27,6 @@ class ReportRate:
 
     count: int
     requested: int
-    closed: int
-    """Runs of the same kind outside the mask."""
     low: float
     high: float
 
@@ -52,9 +50,7 @@ def compute_rate(hit: np.ndarray, requested: np.ndarray) -> ReportRate:
     """
     count, total = int(np.sum(hit & requested)), int(np.sum(requested))
     low, high = wilson_interval(count, total)
-    return ReportRate(
-        count=count, requested=total, closed=len(requested) - total, low=low, high=high
-    )
+    return ReportRate(count=count, requested=total, low=low, high=high)
 
 
 def compute_rates(

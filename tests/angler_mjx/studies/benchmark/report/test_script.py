@@ -13,9 +13,11 @@ from urllib.parse import urlencode
 import numpy as np
 import pytest
 
-from angler_mjx.studies.benchmark.report import curves, paired, rates, scene_maps
+from angler_mjx.studies.benchmark.report import curves, page, paired, rates, scene_maps
 from angler_mjx.studies.benchmark.report.profiles import compute_profiles
 from angler_mjx.studies.benchmark.report.reading import Runs
+
+from . import synthetic
 
 NODE = shutil.which("node")
 WEB = resources.files("angler_mjx.studies.benchmark.report") / "web"
@@ -25,14 +27,14 @@ TEAMS = (None, 1, 8)
 PAIRS = list(itertools.permutations(("grid", "RRTConnect", "KPIECE1"), 2))
 
 
-def show(page, **choices):
+def show(made, **choices):
     """Elements of the page, by id, after its script ran with choices behind #."""
     if NODE is None:
         pytest.skip("no node on PATH runs the page's script")
     given = {
-        "page": page.read_text(encoding="utf-8"),
+        "page": made.read_text(encoding="utf-8"),
         "hash": urlencode(choices, doseq=True),
-        "ids": ["answer", "pair", "by-team", "by-density", "profiles", "cells"],
+        "ids": ["answer", "pair", "by-team", "by-density", "profiles", "cells", "made"],
     }
     ran = subprocess.run(
         [NODE, DOCUMENT], input=json.dumps(given), capture_output=True, text=True, timeout=60
@@ -115,8 +117,8 @@ def test_shown_rates_and_profiles_have_the_numbers_of_python(made, results, scen
         if rate.requested:
             interval = f"{100 * rate.low:.0f} to {100 * rate.high:.0f} %"
             expected.append(
-                f"{planner}, {robots} robots: {100 * rate.fraction:.0f} % ({interval})"
-                f" of {rate.requested} runs"
+                f"{planner}, {robots} robot{'s' * (robots > 1)}: "
+                f"{100 * rate.fraction:.0f} % ({interval}) of {rate.requested} runs"
             )
     titles = [text.split(";")[0] for text in find_texts(shown["by-team"], "title")]
     assert sorted(titles) == sorted(expected)
@@ -146,6 +148,23 @@ def test_the_best_planner_of_a_choice_is_named_with_those_like_it(made, results)
         }
         answer = find_texts(show(made, scene=scene)["answer"], "li")
         assert answer[0].startswith(f"{max(rate, key=rate.get)} succeeds most often")
+
+
+def test_numbers_of_one_are_in_the_singular(tmp_path):
+    given = {"planners": ("grid", "PRM"), "presets": ("open",), "teams": (1,), "worlds": 2}
+    synthetic.write(tmp_path / "results", **given, examples=0)
+    shown = show(page.write_report(tmp_path / "results"))
+    texts = " ".join(find_text(element) for element in shown.values())
+    assert "of 1 run" in texts
+    assert "1 problem: too few" in texts
+    assert "1 common problem" in texts
+    assert not re.search(r"\b1 (common )?(runs|problems|robots)\b", texts)
+
+
+def test_only_cells_that_were_given_up_are_listed_as_such(made):
+    (made_from,) = re.findall(r"cells given up(.*?)grid", find_text(show(made)["made"]))
+    listed = re.findall(r"(\w+) on (\w+) with (\d+) \((\d+)\)", made_from)
+    assert listed == [("KPIECE1", "dense_fleet", "8", "7")]
 
 
 def test_the_script_computes_no_statistics():
