@@ -8,7 +8,7 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from angler_mjx.report.plotting import style
+from angler_mjx.report.plotting import series, style
 
 MAX_LINES = 16
 """Combinations of other settings that are drawn; the table holds all."""
@@ -16,7 +16,6 @@ LOG_SCALE_RATIO = 16.0
 """Ratio of the largest to the smallest value from which they are drawn by their logarithms."""
 MAX_TICK_LETTERS = 44
 """Letters of all names under an axis that stand beside each other; more are turned."""
-_MARKS = "osD^vPX*"
 
 type Panels = tuple[tuple[str, tuple[str, ...], float], ...]
 
@@ -50,16 +49,15 @@ def plot_sweep(sweep: Mapping[str, Any]) -> Figure:
         lines.setdefault(name, []).append(row)
     positions = _axis_positions(main_axis)
     panels = TASK_PANELS if all(row["task"] is not None for row in sweep["cells"]) else PANELS
-    with style.figure_style():
-        figure = style.new_figure(9.6, 7.6, headline_in=0.65)
-        left_out = len(lines) - MAX_LINES
-        more = f"; {left_out} more lines in the table" if left_out > 0 else ""
-        style.add_headline(
-            figure,
-            f"{sweep['scenario']}: {main_axis['key']}",
-            f"{sweep['worlds']:,} worlds a point, the same ones for all; "
-            f"bars are 95 % intervals clustered by world{more}",
-        )
+    left_out = len(lines) - MAX_LINES
+    more = f"; {left_out} more lines in the table" if left_out > 0 else ""
+    with style.titled_figure(
+        9.6,
+        7.6,
+        f"{sweep['scenario']}: {main_axis['key']}",
+        f"{sweep['worlds']:,} worlds a point, the same ones for all; "
+        f"bars are 95 % intervals clustered by world{more}",
+    ) as figure:
         for axes, (title, value_keys, scale) in zip(
             figure.subplots(2, 2).flat, panels, strict=True
         ):
@@ -136,7 +134,7 @@ def _plot_line(
         [scale * coordinate for coordinate in y],
         yerr=[[max(scale * coordinate, 0.0) for coordinate in side] for side in (down, up)],
         color=style.robot_color(number),
-        marker=_MARKS[number // len(style.ROBOTS) % len(_MARKS)],
+        marker=series.MARKERS[number // len(style.ROBOTS) % len(series.MARKERS)],
         markersize=4.5,
         linewidth=1.4,
         elinewidth=1.0,

@@ -190,15 +190,14 @@ def plot_comparison(comparison: Mapping[str, Any]) -> Figure:
         percent_scale = 100 / abs(shift["first"])
         ends = [None if shift[end] is None else percent_scale * shift[end] for end in _ENDS]
         costs.append((word, percent_scale * shift["difference"], ends))
-    with style.figure_style():
-        figure = style.new_figure(9.6, 3.6, headline_in=0.65)
+    with style.titled_figure(
+        9.6,
+        3.6,
+        "What changed from A to B",
+        f"{comparison['worlds']:,} worlds; bars are 95 % intervals by world. "
+        f"A: {comparison['first']}, B: {comparison['second']}",
+    ) as figure:
         left, right = figure.subplots(1, 2)
-        style.add_headline(
-            figure,
-            "What changed from A to B",
-            f"{comparison['worlds']:,} worlds; bars are 95 % intervals by world. "
-            f"A: {comparison['first']}, B: {comparison['second']}",
-        )
         _plot_forest(left, "rates, change in points", rates)
         _plot_forest(right, "means, change in % of A", costs)
     return figure

@@ -9,8 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch
 
-from angler_mjx.report.plotting import style
-from angler_mjx.studies.benchmark.report import plot_style
+from angler_mjx.report.plotting import series, style
 from angler_mjx.studies.benchmark.report.reading import Results
 from angler_mjx.studies.benchmark.report.scenes import Example, ScenePath
 
@@ -34,15 +33,15 @@ def plot_failures(results: Results) -> Figure | None:
     outcomes = sorted(set(all_failures.outcome.tolist()))
     n_columns = min(len(shown), 3)
     n_rows = -(-len(shown) // n_columns)
-    with plot_style.styled():
-        figure = style.new_figure(max(4.2 * n_columns, 7.0), 4.1 * n_rows + 1.2, headline_in=0.65)
-        style.add_headline(
-            figure,
-            f"{results.about.get('name', '')}: where robots failed",
-            "centres of robots that had a path when they failed, from above, of all planners",
-        )
+    with style.titled_figure(
+        max(4.2 * n_columns, 7.0),
+        4.1 * n_rows + 1.2,
+        f"{results.about.get('name', '')}: where robots failed",
+        "centres of robots that had a path when they failed, from above, of all planners",
+        parse_math=False,
+    ) as figure:
         for axes, name in zip(
-            plot_style.add_panels(figure, len(shown), n_columns, sharey=False), shown, strict=True
+            series.add_panels(figure, len(shown), n_columns, sharey=False), shown, strict=True
         ):
             in_scene = scene == name
             axes.set_title(f"{name}: {int(in_scene.sum()):,}")
@@ -83,13 +82,15 @@ def plot_example(scene: Example) -> Figure | None:
         return None
     n_columns = min(len(scene.paths), 4)
     n_rows = -(-len(scene.paths) // n_columns)
-    with plot_style.styled():
-        figure = style.new_figure(max(3.1 * n_columns, 7.5), 3.7 * n_rows + 1.1, headline_in=0.65)
-        style.add_headline(
-            figure, scene.title, "from above; a colour a robot; lighter rock is higher"
-        )
+    with style.titled_figure(
+        max(3.1 * n_columns, 7.5),
+        3.7 * n_rows + 1.1,
+        scene.title,
+        "from above; a colour a robot; lighter rock is higher",
+        parse_math=False,
+    ) as figure:
         for axes, scene_path in zip(
-            plot_style.add_panels(figure, len(scene.paths), n_columns), scene.paths, strict=True
+            series.add_panels(figure, len(scene.paths), n_columns), scene.paths, strict=True
         ):
             axes.set_title(scene_path.planner, fontsize=10.5)
             axes.set_xlabel(_format_outcome(scene_path), fontsize=8.5)
