@@ -63,7 +63,7 @@ def format_fraction_axis(axes: Axes) -> None:
 
 def percent_formatter() -> PercentFormatter:
     """Return the format of ticks of fractions: whole per cents."""
-    return PercentFormatter(1.0, decimals=0)
+    return PercentFormatter(1.0, decimals=0, symbol=" %")
 
 
 def label_rows(axes: Axes, labels: Sequence[str]) -> None:

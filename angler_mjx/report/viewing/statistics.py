@@ -1,7 +1,7 @@
 """Figures about all robots of a run: outcomes, min distances, and times."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Literal
 
 import numpy as np
 import pyarrow as pa
@@ -216,7 +216,7 @@ def plot_times(episodes: pa.Table, name: str, horizon_s: float) -> Figure:
             shown = np.r_[shown, done_s]
         for i, kind in enumerate(groups):
             rows = rows_of(episodes, kind)
-            line = ("-", "--", ":")[i // len(style.ROBOTS) % 3]
+            linestyles: tuple[Literal["-", "--", ":"], ...] = ("-", "--", ":")
             _plot_curve(
                 axes,
                 _finite_values(rows, "time_to_goal_s"),
@@ -225,7 +225,7 @@ def plot_times(episodes: pa.Table, name: str, horizon_s: float) -> Figure:
                 f"{kind[0]}, {kind[1]}",
                 never,
                 color=style.robot_color(i),
-                linestyle=line,
+                linestyle=linestyles[i // len(style.ROBOTS) % 3],
             )
         axes.set_xlim(*_time_window(shown, horizon_s))
         axes.set_ylim(0.0, 1.02)
@@ -255,7 +255,9 @@ def _plot_curve(
     horizon_s: float,
     name: str,
     never: str,
-    **line: Any,
+    *,
+    color: str,
+    linestyle: Literal["-", "--", ":"] = "-",
 ) -> None:
     """Plot the fraction of ``total`` that was done by each time, with its median."""
     ordered = np.sort(times_s)
@@ -267,7 +269,8 @@ def _plot_curve(
         where="post",
         linewidth=2.0,
         label=f"{name}: {median}",
-        **line,
+        color=color,
+        linestyle=linestyle,
     )
 
 

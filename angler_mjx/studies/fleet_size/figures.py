@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullFormatter, ScalarFormatter
 
-from angler_mjx.report.plotting import style
+from angler_mjx.report.plotting import series, style
 from angler_mjx.studies.fleet_size.report import StudyResults, format_level
 
 SUCCESS, TIME = "success.png", "time.png"
@@ -36,14 +36,14 @@ def plot_success(results: StudyResults) -> Figure:
         headline_in=0.75,
     ) as figure:
         above, below = figure.subplots(2, 1, sharex=True, height_ratios=[3.6, bars_in])
-        _plot_shares(above, results)
+        _plot_rates(above, results)
         _plot_answers(below, results)
         _format_size_axis(below, results)
         below.set_xlabel("robots")
     return figure
 
 
-def _plot_shares(axes: Axes, results: StudyResults) -> None:
+def _plot_rates(axes: Axes, results: StudyResults) -> None:
     """Share of worlds of each size and condition that met the deadline."""
     p, conditions = results["probability"], results["conditions"]
     axes.axhline(p, color=style.INK, linewidth=1.0, linestyle=(0, (4, 3)))
@@ -77,7 +77,7 @@ def _plot_shares(axes: Axes, results: StudyResults) -> None:
         )
     axes.set_ylim(-0.03, 1.03)
     axes.set_ylabel("worlds that met the deadline")
-    axes.yaxis.set_major_formatter(lambda value, _: f"{100 * value:.0f} %")
+    axes.yaxis.set_major_formatter(series.percent_formatter())
     axes.grid(axis="y")
     axes.legend(loc="lower right" if len(conditions) < 6 else "best")
 

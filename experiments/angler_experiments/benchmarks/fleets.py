@@ -91,7 +91,7 @@ def read_study(folders: Sequence[Path]) -> FleetsStudy:
     entries: list[Any] = [entry for part in parts for entry in part.about.get("planners", [])]
     flight_modes = {entry["label"]: _flight_mode(entry) for entry in entries}
     scenes = list(dict.fromkeys(scene for part in parts for scene in part.scenes))
-    about = {**parts[0].about, "planners": entries, "scenes": scenes}
+    about: reading.About = {**parts[0].about, "planners": entries, "scenes": scenes}
     all_results = replace(
         parts[0],
         about=about,

@@ -1,7 +1,7 @@
 """Data of a benchmark's page: rounded statistics of every selection, cells, failures, scenes."""
 
 import math
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -19,7 +19,7 @@ _MEDIAN_DIGITS = 4
 _MAX_FAILURES = 20_000
 
 
-def build_page_data(results: Results) -> dict[str, Any]:
+def build_page_data(results: Results) -> dict[str, object]:
     """Return everything that the page's script reads.
 
     Args:
@@ -71,12 +71,14 @@ def build_page_data(results: Results) -> dict[str, Any]:
     }
 
 
-def _index_values(values: np.ndarray, names: list[Any]) -> list[int]:
+def _index_values(values: np.ndarray, names: Sequence[object]) -> list[int]:
     number = {name: i for i, name in enumerate(names)}
     return [number[value] for value in values.tolist()]
 
 
-def _build_cell(cell: cells.ReportCell, results: Results, knowledge: list[str]) -> dict[str, Any]:
+def _build_cell(
+    cell: cells.ReportCell, results: Results, knowledge: list[str]
+) -> dict[str, object]:
     runs = results.runs
     is_closed = runs.counted[cell.rows] & ~runs.requested[cell.rows]
     return {
@@ -95,7 +97,7 @@ def _build_cell(cell: cells.ReportCell, results: Results, knowledge: list[str]) 
     }
 
 
-def _build_failures(results: Results, report_cells: list[cells.ReportCell]) -> dict[str, Any]:
+def _build_failures(results: Results, report_cells: list[cells.ReportCell]) -> dict[str, object]:
     """Return positions of failed robots by cell; of very many every n-th one."""
     failures, runs = results.failures, results.runs
     cell_of_run = {

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TypedDict, cast
 
 import numpy as np
 import pyarrow as pa
@@ -107,12 +107,27 @@ class ReportFailures:
     y_m: np.ndarray
 
 
+class AnnouncedPlanner(TypedDict):
+    """A planner of a benchmark, as its folder announces it."""
+
+    label: str
+
+
+class About(TypedDict, total=False):
+    """Contents of ``about.json`` that figures read; the page shows others too."""
+
+    name: str
+    deadline_s: float | None
+    planners: list[AnnouncedPlanner]
+    scenes: list[str]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Results:
     """All that a report is made of."""
 
     folder: Path
-    about: Mapping[str, Any]
+    about: About
     runs: Runs
     problem: np.ndarray
     """int [n] which problem a row is; see `index_problems`."""
@@ -190,7 +205,7 @@ def read_results(folder: Path) -> Results:
     problem = index_problems(runs)
     return Results(
         folder=folder,
-        about=about,
+        about=cast(About, about),
         runs=runs,
         problem=problem,
         world=index_worlds(runs),

@@ -1,6 +1,6 @@
 """Maps from above: where robots failed, and examples of what was planned and flown."""
 
-from typing import Any
+from typing import Literal, TypedDict
 
 import matplotlib.patheffects as effects
 import numpy as np
@@ -15,11 +15,21 @@ from angler_mjx.studies.benchmark.report.scenes import Example, ScenePath
 
 _HALO = [effects.withStroke(linewidth=2.4, foreground=style.PAPER)]
 _MANY_FAILURES = 400
-_PLANNED: dict[str, Any] = {"linewidth": 0.9, "linestyle": "--"}
-_FLOWN: dict[str, Any] = {"linewidth": 1.5}
-_GOAL: dict[str, Any] = {"marker": "*", "markersize": 9, "linestyle": ""}
-_FAILURE: dict[str, Any] = {"marker": "X", "markersize": 7, "linestyle": "", "color": style.INK}
-"""Of the lines and marks of an example, on its maps and in its legend."""
+
+
+class _Look(TypedDict, total=False):
+    """How a line or mark of an example looks, on its maps and in its legend."""
+
+    linewidth: float
+    linestyle: Literal["--", ""]
+    marker: str
+    markersize: float
+
+
+_PLANNED: _Look = {"linewidth": 0.9, "linestyle": "--"}
+_FLOWN: _Look = {"linewidth": 1.5}
+_GOAL: _Look = {"marker": "*", "markersize": 9, "linestyle": ""}
+_FAILURE: _Look = {"marker": "X", "markersize": 7, "linestyle": ""}
 
 
 def plot_failures(results: Results) -> Figure | None:
@@ -145,7 +155,7 @@ def _plot_robot(axes: Axes, scene: Example, scene_path: ScenePath, robot: int) -
     axes.plot(flown[:, 0], flown[:, 1], color=color, zorder=5, path_effects=_HALO, **_FLOWN)
     finite = flown[np.isfinite(flown).all(axis=1)]
     if scene_path.outcome[robot] != "reached" and len(finite):
-        axes.plot(*finite[-1, :2], mec=style.PAPER, zorder=7, **_FAILURE)
+        axes.plot(*finite[-1, :2], color=style.INK, mec=style.PAPER, zorder=7, **_FAILURE)
 
 
 def _build_legend(scene: Example) -> list[Line2D | Patch]:
@@ -154,7 +164,7 @@ def _build_legend(scene: Example) -> list[Line2D | Patch]:
         Line2D([], [], color=quiet, label="planned", **_PLANNED),
         Line2D([], [], color=quiet, label="flown", **_FLOWN),
         Line2D([], [], color=quiet, label="goal (disc: start)", **_GOAL),
-        Line2D([], [], label="failure", **_FAILURE),
+        Line2D([], [], color=style.INK, label="failure", **_FAILURE),
     ]
     if scene.obstacle_moves.any():
         handles.append(

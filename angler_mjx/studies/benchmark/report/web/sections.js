@@ -54,11 +54,11 @@ function drawExample() {
     box.replaceChildren(html("p", { class: "note" }, "No example was kept with these results."));
     return;
   }
-  const ways = example.ways, select = at("example-planner");
-  select.replaceChildren(html("option", { value: "" }, "the first four chosen"), ...ways.map((way) => html("option", { value: way.planner }, way.planner)));
-  select.value = ways.some((way) => way.planner === state.drawn) ? state.drawn : "";
+  const { paths } = example, select = at("example-planner");
+  select.replaceChildren(html("option", { value: "" }, "the first four chosen"), ...paths.map((way) => html("option", { value: way.planner }, way.planner)));
+  select.value = paths.some((way) => way.planner === state.drawn) ? state.drawn : "";
   const chosen = new Set(state.planners.map((p) => names[p]));
-  const shown = select.value ? ways.filter((way) => way.planner === select.value) : ways.filter((way) => chosen.has(way.planner)).slice(0, 4);
+  const shown = select.value ? paths.filter((way) => way.planner === select.value) : paths.filter((way) => chosen.has(way.planner)).slice(0, 4);
   const how = (way) => {
     const arrived = way.outcome.filter((o) => o === "reached").length;
     return way.flown.some((f) => f.length) ? `${arrived} of ${count(way.outcome.length, "robot")} arrived` : `not flown; a path for ${way.planned.filter((p) => p.length).length} of ${count(way.planned.length, "robot")}`;

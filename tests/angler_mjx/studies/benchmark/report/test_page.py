@@ -138,7 +138,7 @@ def test_examples_are_thinned_and_keep_their_ends(made):
     shown = held(made)["examples"][0]
     with np.load(path) as file:
         flown, occupied = file["flown_0"], file["occupied"]
-    ways = shown["ways"][0]["flown"]
+    ways = shown["paths"][0]["flown"]
     assert all(len(way) <= 80 for way in ways)
     np.testing.assert_allclose([way[-1] for way in ways], flown[-1, :, :2], atol=0.006)
     for i, j in np.ndindex(occupied.shape[:2]):
