@@ -15,6 +15,7 @@ import csv
 import io
 import itertools
 import math
+from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -268,11 +269,12 @@ def _resample_medians(samples: Sequence[Sample], counts: np.ndarray) -> np.ndarr
     ends = weights[world]
     for i in range(1, size):
         np.add(ends[i - 1], ends[i], out=ends[i])
-    total = ends[-1]
-    lower, upper = (
-        np.take_along_axis(ordered, np.sum(ends <= half, axis=0, dtype=kind), axis=1)
-        for half in ((total - 1) // 2, total // 2)
-    )
+    halves = (ends[-1] - 1) // 2, ends[-1] // 2
+    # Medians lie near the middle: before the first row no half is passed, from the last on all are.
+    first = bisect_left(range(size), True, key=lambda i: bool(np.any(ends[i] > halves[0])))
+    last = bisect_left(range(size), True, key=lambda i: bool(np.all(ends[i] > halves[1])))
+    passed = [np.sum(ends[first:last] <= half, axis=0, dtype=kind).astype(int) for half in halves]
+    lower, upper = (np.take_along_axis(ordered, first + count, axis=1) for count in passed)
     medians: np.ndarray = (lower + upper) / 2
     return medians
 
