@@ -72,6 +72,7 @@ RETIRED = frozenset(
 )
 
 KEPT = {
+    "asked": "a key of printed comparisons",
     "ask": "the ask-and-tell interface of optimisers",
     "tell": "the ask-and-tell interface of optimisers; Progress, which callers implement",
     "way_points": "angler_mjx.way_points, which callers import",

@@ -1,7 +1,7 @@
 """Two runs against each other: what of their scenarios differs, and what that changed, by world."""
 
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pyarrow as pa
@@ -13,9 +13,10 @@ from angler_mjx.runs.storage.folder import Run
 from angler_mjx.runs.storage.results import completion_times
 from angler_mjx.studies import paired
 from angler_mjx.studies.measures import arrived_of, read_numbers, to_plain, worlds_of
+from angler_mjx.studies.result_types import RunComparison
 
 
-def compare_runs(first: Run, second: Run) -> dict[str, Any]:
+def compare_runs(first: Run, second: Run) -> RunComparison:
     """What the second of two runs changed.
 
     Returns:
@@ -41,7 +42,7 @@ def compare_runs(first: Run, second: Run) -> dict[str, Any]:
     first_rows, second_rows = (
         rows.filter(np.isin(worlds_of(rows), common)) for rows in (first_rows, second_rows)
     )
-    return {
+    comparison = {
         "first": str(first.path),
         "second": str(second.path),
         "config": [
@@ -57,6 +58,7 @@ def compare_runs(first: Run, second: Run) -> dict[str, Any]:
         "outcomes": _count_outcomes(first_rows, second_rows),
         "changed": _list_changed_worlds(first_rows, second_rows),
     }
+    return cast(RunComparison, comparison)
 
 
 def _scenario_table(run: Run) -> dict[str, Any]:

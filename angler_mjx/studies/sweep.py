@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pyarrow as pa
 
@@ -40,6 +40,7 @@ from angler_mjx.studies.grid import (
     count_cells,
     iterate_cells,
 )
+from angler_mjx.studies.result_types import SweepResults
 
 SWEEP, TABLE, PAGE, FIGURE = "sweep.json", "sweep.parquet", "sweep.md", "sweep.png"
 
@@ -183,7 +184,7 @@ def run_sweep(
     devices: int | None = None,
     workers: int | None = None,
     processes: Processes | None = None,
-) -> dict[str, Any]:
+) -> SweepResults:
     """Make a sweep, or go on with one.
 
     Args:
@@ -229,7 +230,7 @@ def run_sweep(
     return read_sweep(out)
 
 
-def read_sweep(out: Path) -> dict[str, Any]:
+def read_sweep(out: Path) -> SweepResults:
     """What the ``sweep.json`` of a folder holds.
 
     Raises:
@@ -237,7 +238,7 @@ def read_sweep(out: Path) -> dict[str, Any]:
     """
     if not (out / SWEEP).is_file():
         raise ConfigError(f"{out}: not the folder of a sweep (no {SWEEP} in it)")
-    return read_table(out / SWEEP)
+    return cast(SweepResults, read_table(out / SWEEP))
 
 
 def _resume_sweep(request: SweepRequest, out: Path) -> OutputLock:
@@ -272,7 +273,7 @@ def _write_results(request: SweepRequest, lock: OutputLock, *, complete: bool) -
     building = lock.building
     try:
         results = _gather_results(request, building, complete=complete)
-        write_json(building / SWEEP, results)
+        write_json(building / SWEEP, dict(results))
         tables.write_parquet(results, building / TABLE)
         tables.write_page(results, building / PAGE)
         style.save_figure(chart.plot_sweep(results), building / FIGURE, palette=128)
@@ -286,7 +287,7 @@ def _write_results(request: SweepRequest, lock: OutputLock, *, complete: bool) -
     lock.publish()
 
 
-def _gather_results(request: SweepRequest, building: Path, *, complete: bool) -> dict[str, Any]:
+def _gather_results(request: SweepRequest, building: Path, *, complete: bool) -> SweepResults:
     """Everything that is known of the cells that are whole."""
     rows, episodes = [], {}
     for cell in request.cells:
@@ -303,7 +304,7 @@ def _gather_results(request: SweepRequest, building: Path, *, complete: bool) ->
             }
         )
     first = request.cells[0].scenario
-    return {
+    results = {
         "scenario": request.name,
         "worlds": first.worlds,
         "seed": first.seed,
@@ -315,6 +316,7 @@ def _gather_results(request: SweepRequest, building: Path, *, complete: bool) ->
         "pairs": _compare_pairs(request.axes, rows, episodes),
         "environment": describe_environment(),
     }
+    return cast(SweepResults, results)
 
 
 def _compare_pairs(

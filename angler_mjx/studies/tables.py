@@ -1,8 +1,7 @@
 """Tables of a sweep: Parquet for those who ask their own questions, Markdown for people."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import pyarrow as pa
 
@@ -10,6 +9,15 @@ from angler_mjx.report.viewing import markdown_tables as markdown
 from angler_mjx.runs.storage import atomic_files, planning_summary
 from angler_mjx.runs.storage.results import OUTCOMES
 from angler_mjx.studies.measures import COSTS
+from angler_mjx.studies.result_types import (
+    MeanEntry,
+    RateChangeEntry,
+    RateEntry,
+    ShiftEntry,
+    SweepPairEntry,
+    SweepResults,
+    TaskEntry,
+)
 
 type Table = tuple[list[str], list[list[str]]]
 """Head and rows."""
@@ -38,7 +46,7 @@ OTHER_PROBLEMS = (
 )
 
 
-def write_parquet(sweep: Mapping[str, Any], path: Path) -> None:
+def write_parquet(sweep: SweepResults, path: Path) -> None:
     """A row for each cell.
 
     Args:
@@ -48,54 +56,54 @@ def write_parquet(sweep: Mapping[str, Any], path: Path) -> None:
     atomic_files.write_parquet(path, build_table(sweep), compression="zstd")
 
 
-def build_table(sweep: Mapping[str, Any]) -> pa.Table:
+def build_table(sweep: SweepResults) -> pa.Table:
     """The rows; a column of settings holds numbers where all its values are."""
     cells = sweep["cells"]
-    columns: dict[str, Any] = {key: [row[key] for row in cells] for key in ("cell", "run")}
+    columns: dict[str, list[object]] = {key: _read_column(cells, key) for key in ("cell", "run")}
     for axis in sweep["axes"]:
         by_name = dict(zip(axis["names"], axis["values"], strict=True))
-        values = [by_name[row["set"][axis["key"]]] for row in cells]
-        numbers = all(type(value) in (int, float) for value in values)
         names = [row["set"][axis["key"]] for row in cells]
-        columns[axis["key"]] = [float(x) for x in values] if numbers else names
-    for key in ("worlds", "robots", "problems"):
-        columns[key] = [row[key] for row in cells]
-    for outcome in OUTCOMES:
-        for part in ("rate", "low", "high"):
-            columns[f"{outcome}_{part}"] = [row["outcomes"][outcome][part] for row in cells]
-    for name in ("planned", "team"):
-        for part in ("rate", "low", "high"):
-            columns[f"{name}_{part}"] = [row[name][part] for row in cells]
-    for name in COSTS:
-        for part in ("mean", "low", "high", "count"):
-            columns[f"{name}_{part}"] = [row[name][part] for row in cells]
+        values = [by_name[name] for name in names]
+        numbers = [float(x) for x in values if isinstance(x, int | float) and type(x) is not bool]
+        columns[axis["key"]] = [*numbers] if len(numbers) == len(values) else [*names]
+    columns |= {key: _read_column(cells, key) for key in ("worlds", "robots", "problems")}
+    rate, mean = ("rate", "low", "high"), ("mean", "low", "high", "count")
+    measures: list[tuple[str, tuple[str, ...], tuple[str, ...]]] = [
+        *((outcome, ("outcomes", outcome), rate) for outcome in OUTCOMES),
+        *((name, (name,), rate) for name in ("planned", "team")),
+        *((name, (name,), mean) for name in COSTS),
+    ]
     if has_tasks(sweep):
-        for measure, parts in (
-            ("completed", ("rate", "low", "high")),
-            ("completed_s", ("mean", "low", "high", "count")),
-        ):
-            for part in parts:
-                columns[f"task_{measure}_{part}"] = [
-                    None if row["task"] is None else row["task"][measure][part] for row in cells
-                ]
+        measures.append(("task_completed", ("task", "completed"), rate))
+        measures.append(("task_completed_s", ("task", "completed_s"), mean))
+    for name, path, parts in measures:
+        columns |= {f"{name}_{part}": _read_column(cells, *path, part) for part in parts}
     for key in ("vehicle_steps_per_s", "simulate_s", "compile_s"):
-        columns[key] = [row[key] for row in cells]
+        columns[key] = _read_column(cells, key)
     return pa.table(columns)
 
 
-def has_tasks(sweep: Mapping[str, Any]) -> bool:
+def _read_column(cells: Sequence[Mapping[str, object]], *path: str) -> list[object]:
+    """Return the value at a path of keys in each row; None where a part of it is not there."""
+    values: list[object] = list(cells)
+    for key in path:
+        values = [value[key] if isinstance(value, Mapping) else None for value in values]
+    return values
+
+
+def has_tasks(sweep: SweepResults) -> bool:
     """Whether any cell is of a scenario with a task."""
     return any(row["task"] is not None for row in sweep["cells"])
 
 
-def _outcome_labels(sweep: Mapping[str, Any]) -> tuple[str, str, str]:
+def _outcome_labels(sweep: SweepResults) -> tuple[str, str, str]:
     """Return what robots did, of whole teams too, and the time they took, as heads call it."""
     if sweep["cells"] and all(row["task"] is not None for row in sweep["cells"]):
         return "did their part", "whole teams did", "time of their part, s"
     return "arrived", "whole teams", "time to goal, s"
 
 
-def write_page(sweep: Mapping[str, Any], path: Path) -> None:
+def write_page(sweep: SweepResults, path: Path) -> None:
     """The tables as Markdown.
 
     Args:
@@ -105,7 +113,7 @@ def write_page(sweep: Mapping[str, Any], path: Path) -> None:
     atomic_files.write_text(path, format_page(sweep))
 
 
-def format_page(sweep: Mapping[str, Any]) -> str:
+def format_page(sweep: SweepResults) -> str:
     """The same as text."""
     about = sweep["environment"]
     lines = [f"# Sweep of {sweep['scenario']}", ""]
@@ -128,7 +136,7 @@ def format_page(sweep: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def without_plans(sweep: Mapping[str, Any]) -> list[str]:
+def without_plans(sweep: SweepResults) -> list[str]:
     """Return why robots of cells have no plan, a line for each reason; the cell is named."""
     return [
         f"{' '.join(f'{key}={x}' for key, x in row['set'].items())}: {line}"
@@ -137,7 +145,7 @@ def without_plans(sweep: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def cells_table(sweep: Mapping[str, Any]) -> Table:
+def cells_table(sweep: SweepResults) -> Table:
     """A row for each cell."""
     keys = [axis["key"] for axis in sweep["axes"]]
     tasks, (did, teams, time) = has_tasks(sweep), _outcome_labels(sweep)
@@ -169,13 +177,13 @@ def cells_table(sweep: Mapping[str, Any]) -> Table:
     return [*head, "clearance, m"], rows
 
 
-def _format_task(task: Mapping[str, Any] | None) -> tuple[str, str]:
+def _format_task(task: TaskEntry | None) -> tuple[str, str]:
     if task is None:
         return "-", "-"
     return format_rate(task["completed"]), format_mean(task["completed_s"], 1.0)
 
 
-def pairs_table(sweep: Mapping[str, Any]) -> Table:
+def pairs_table(sweep: SweepResults) -> Table:
     """A row for each pair of cells."""
     cells = {row["cell"]: row for row in sweep["cells"]}
     tasks, (did, _, time) = has_tasks(sweep), _outcome_labels(sweep)
@@ -204,7 +212,7 @@ def pairs_table(sweep: Mapping[str, Any]) -> Table:
     return [*head, "energy, kJ"], rows
 
 
-def _task_change(pair: Mapping[str, Any]) -> tuple[str, str, str]:
+def _task_change(pair: SweepPairEntry) -> tuple[str, str, str]:
     if pair["tasks"] is None:
         return "-", "-", "-"
     points = format_shift(pair["tasks"], 100.0, 1)
@@ -250,25 +258,27 @@ def format_grid(table: Table) -> list[str]:
     ).splitlines()
 
 
-def format_rate(rate: Mapping[str, float]) -> str:
+def format_rate(rate: RateEntry) -> str:
     """A rate with its interval, in %."""
     return f"{100 * rate['rate']:.1f} ({100 * rate['low']:.1f} to {100 * rate['high']:.1f})"
 
 
-def format_mean(mean: Mapping[str, Any], scale: float) -> str:
+def format_mean(mean: MeanEntry, scale: float) -> str:
     """A mean with its interval."""
-    if mean["mean"] is None:
+    value, low, high = mean["mean"], mean["low"], mean["high"]
+    if value is None:
         return "-"
-    if mean["low"] is None:
-        return f"{scale * mean['mean']:.4g}"
-    return f"{scale * mean['mean']:.4g} ({scale * mean['low']:.4g} to {scale * mean['high']:.4g})"
+    if low is None or high is None:
+        return f"{scale * value:.4g}"
+    return f"{scale * value:.4g} ({scale * low:.4g} to {scale * high:.4g})"
 
 
-def format_shift(change: Mapping[str, Any] | None, scale: float, digits: int) -> str:
+def format_shift(change: ShiftEntry | RateChangeEntry | None, scale: float, digits: int) -> str:
     """A difference with its interval."""
     if change is None or change["difference"] is None:
         return "-"
+    low, high = change["low"], change["high"]
     text = f"{scale * change['difference']:+.{digits}f}"
-    if change["low"] is None:
+    if low is None or high is None:
         return text
-    return f"{text} ({scale * change['low']:+.{digits}f} to {scale * change['high']:+.{digits}f})"
+    return f"{text} ({scale * low:+.{digits}f} to {scale * high:+.{digits}f})"

@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
@@ -15,7 +14,7 @@ from matplotlib.patches import Patch
 
 from angler_mjx.learning.datasets import manifest_building
 from angler_mjx.learning.datasets.manifest import Manifest
-from angler_mjx.report.plotting import scene, style
+from angler_mjx.report.plotting import scene, series, style
 from angler_mjx.report.viewing.maps import base_map
 from angler_mjx.runs.storage.folder import Run
 from angler_mjx.runs.storage.results import OUTCOMES
@@ -90,17 +89,16 @@ def plot_counts(manifest: Manifest, table: pa.Table, ended: Mapping[str, int]) -
     names = [name for name in OUTCOMES if name in ended]
     upper = max(len(names), len(bars[0][1]), len(bars[1][1]))
     lower = max(len(bars[2][1]), len(bars[3][1]), 2)
-    with style.figure_style():
-        figure = style.new_figure(10.4, 1.9 + 0.36 * (upper + lower), headline_in=0.65)
-        success_fraction = ended.get("reached", 0) / sum(ended.values())
-        style.add_headline(
-            figure,
-            f"{manifest.name}: {len(table):,} episodes, {100 * success_fraction:.0f} % of robots "
-            "arrived",
-            f"{len(chosen):,} episodes are chosen (dark)"
-            if manifest.sample.has_bounds
-            else f"{sum(ended.values()):,} robots",
-        )
+    success_fraction = ended.get("reached", 0) / sum(ended.values())
+    with style.titled_figure(
+        10.4,
+        1.9 + 0.36 * (upper + lower),
+        f"{manifest.name}: {len(table):,} episodes, {100 * success_fraction:.0f} % of robots "
+        "arrived",
+        f"{len(chosen):,} episodes are chosen (dark)"
+        if manifest.sample.has_bounds
+        else f"{sum(ended.values()):,} robots",
+    ) as figure:
         grid = figure.subplots(2, 3, height_ratios=[upper + 0.8, lower + 0.8])
         _plot_bars(
             grid[0, 0],
@@ -142,9 +140,7 @@ def _plot_bars(
     for i, (value, part) in enumerate(zip(values, dark or values, strict=True)):
         label = f"{value:,}" if part == value else f"{part:,} of {value:,}"
         panel.text(value + 0.02 * max_value, i, label, va="center", fontsize=8.5)
-    panel.set_yticks(positions, labels)
-    panel.tick_params(axis="y", length=0, labelcolor=style.INK)
-    panel.invert_yaxis()
+    series.label_rows(panel, labels)
     panel.set_xlim(0.0, 1.32 * max_value)
     panel.set_xticks([])
     panel.spines["bottom"].set_visible(False)
@@ -159,13 +155,12 @@ def plot_distributions(table: pa.Table, robots: pa.Table) -> Figure:
         robots: rows of all robots.
     """
     experts = sorted(manifest_building.count_values(table, "expert"))
-    with style.figure_style():
-        figure = style.new_figure(10.4, 6.2, headline_in=0.65)
-        style.add_headline(
-            figure,
-            "Duration, length, clearance",
-            "fraction of each expert's episodes or robots; outer bars include all values beyond",
-        )
+    with style.titled_figure(
+        10.4,
+        6.2,
+        "Duration, length, clearance",
+        "fraction of each expert's episodes or robots; outer bars include all values beyond",
+    ) as figure:
         panels = figure.subplots(2, 2).ravel()
         for panel, (name, label, of) in zip(panels, _MEASURES, strict=True):
             rows = table if of == "episodes" else robots
@@ -212,17 +207,14 @@ def plot_flights(root: Path, manifest: Manifest, table: pa.Table) -> Figure:
     selected = np.unique(
         np.linspace(0, len(rows) - 1, min(MAX_MAPS, len(rows))).round().astype(int)
     )
-    with style.figure_style():
-        figure = style.new_figure(10.4, 3.7 * -(-len(selected) // 3) + 0.95, headline_in=0.65)
-        style.add_headline(
-            figure,
-            "Some flights from above",
-            "line: way taken; dashes: plan; disc: start; star: goal; cross: failure",
-        )
-        panels = figure.subplots(-(-len(selected) // 3), 3, squeeze=False).ravel()
-        for panel in panels[len(selected) :]:
-            panel.set_axis_off()
-        for panel, index in zip(panels, selected, strict=False):
+    with style.titled_figure(
+        10.4,
+        3.7 * -(-len(selected) // 3) + 0.95,
+        "Some flights from above",
+        "line: way taken; dashes: plan; disc: start; star: goal; cross: failure",
+    ) as figure:
+        panels = series.add_panels(figure, len(selected), 3, sharey=False)
+        for panel, index in zip(panels, selected, strict=True):
             row = rows.slice(int(index), 1).to_pylist()[0]
             run = Run(root / manifest.parts[row["part"]].path)
             _plot_map(panel, scene.read_scene(run, row["world"]))
@@ -231,7 +223,7 @@ def plot_flights(root: Path, manifest: Manifest, table: pa.Table) -> Figure:
                 f"{row['difficulty']}, {row['reached']} of {row['robots']} arrived",
                 fontsize=9.0,
             )
-        handles: list[Artist] = [
+        handles: list[Line2D | Patch] = [
             Patch(color=style.ROCK(0.75), label="rock; lighter is higher"),
             Line2D([], [], color=style.OBSTACLE_DYNAMIC, linestyle=":", label="moving obstacles"),
         ]

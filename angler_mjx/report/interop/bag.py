@@ -1,9 +1,9 @@
 """Bag of ROS 2 messages in the MCAP format, complete for ROS 2 and Foxglove."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
 from mcap.well_known import SchemaEncoding
 from mcap.writer import Writer
@@ -27,8 +27,8 @@ class Bag:
         self._file = path.open("wb")
         self._writer = Writer(self._file)
         self._schemas: dict[str, int] = {}
-        self._encoders: dict[str, Callable[[Any], bytes]] = {}
-        self._channels: dict[str, tuple[int, Callable[[Any], bytes]]] = {}
+        self._encoders: dict[str, Callable[[Mapping[str, object]], bytes]] = {}
+        self._channels: dict[str, tuple[int, Callable[[Mapping[str, object]], bytes]]] = {}
         self._writer.start(profile="ros2", library="angler-mjx")
 
     def __enter__(self) -> Self:
@@ -70,7 +70,7 @@ class Bag:
         )
         self._channels[name] = channel, self._encoders[message]
 
-    def write(self, topic: str, time_ns: int, message: dict[str, Any]) -> None:
+    def write(self, topic: str, time_ns: int, message: Mapping[str, object]) -> None:
         """Write a message.
 
         Args:

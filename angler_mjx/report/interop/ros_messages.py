@@ -5,13 +5,12 @@ Nothing is rotated: ROS's world frame (REP 103: x east, y north, z up) is W, and
 """
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from angler_mjx.robot.control.commands.joint_goal import JointGoal
 
-type Message = dict[str, Any]
+type Message = dict[str, object]
 """Fields by name; missing fields are 0 or empty."""
 
 NANO = 1_000_000_000

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import matplotlib as mpl
 from matplotlib import colors
@@ -15,6 +15,9 @@ from PIL import Image
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import format_path
 from angler_mjx.runs.storage.atomic_files import wrap_write_errors, write_atomically
+
+if TYPE_CHECKING:
+    from matplotlib.typing import RcKeyType
 
 INK, QUIET, FAINT, PAPER = "#1b2733", "#5d6b78", "#c9d1d8", "#ffffff"
 WATER = "#eef5f8"
@@ -63,9 +66,13 @@ def robot_color(index: int) -> str:
 
 
 @contextmanager
-def figure_style() -> Iterator[None]:
-    """Apply the style of all figures, inside a ``with``; nothing global is changed."""
-    settings: Any = {
+def figure_style(*, parse_math: bool = True) -> Iterator[None]:
+    """Apply the style of all figures, inside a ``with``; nothing global is changed.
+
+    Args:
+        parse_math: read text between dollar signs as formulas; not for names that users give.
+    """
+    settings: dict[RcKeyType, object] = {
         "font.family": "DejaVu Sans",
         "font.size": 9.5,
         "axes.titlesize": 11.5,
@@ -88,6 +95,7 @@ def figure_style() -> Iterator[None]:
         "legend.fontsize": 8.5,
         "figure.facecolor": PAPER,
         "savefig.facecolor": PAPER,
+        "text.parse_math": parse_math,
     }
     with mpl.rc_context(settings):
         yield
@@ -107,6 +115,32 @@ def new_figure(width_in: float, height_in: float, *, headline_in: float = 0.0) -
     figure = Figure(figsize=(width_in, height_in), layout=engine)
     FigureCanvasAgg(figure)
     return figure
+
+
+@contextmanager
+def titled_figure(
+    width_in: float,
+    height_in: float,
+    title: str,
+    subtitle: str,
+    *,
+    headline_in: float = 0.65,
+    parse_math: bool = True,
+) -> Iterator[Figure]:
+    """Give an empty figure with a headline, inside a ``with`` that applies the style.
+
+    Args:
+        width_in: width, inch.
+        height_in: height, inch.
+        title: first line of the headline.
+        subtitle: quieter line below it.
+        headline_in: height of the headline, inch.
+        parse_math: as of `figure_style`.
+    """
+    with figure_style(parse_math=parse_math):
+        figure = new_figure(width_in, height_in, headline_in=headline_in)
+        add_headline(figure, title, subtitle)
+        yield figure
 
 
 def add_headline(figure: Figure, title: str, subtitle: str) -> None:

@@ -36,9 +36,9 @@ def plot_environment(environment: Environment, *, title: str) -> Figure:
         title: of the figure.
     """
     low, high = _grid_bounds(environment.grid)
-    with style.figure_style():
-        figure = style.new_figure(12.4, 6.5, headline_in=0.62)
-        style.add_headline(figure, title, _describe_difficulty(environment))
+    with style.titled_figure(
+        12.4, 6.5, title, _describe_difficulty(environment), headline_in=0.62
+    ) as figure:
         solid: Axes3D = figure.add_subplot(1, 2, 1, projection="3d", computed_zorder=False)
         above = figure.add_subplot(1, 2, 2)
         _plot_perspective(solid, environment, low, high)

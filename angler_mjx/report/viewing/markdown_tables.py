@@ -1,15 +1,24 @@
 """Tables in Markdown, placed between two marks of a document."""
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Container, Iterable, Sequence
 from pathlib import Path
 
 from angler_mjx.errors import ConfigError
 
 
-def format_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Return a table in Markdown; the first column is text, the others are numbers."""
-    lines = [head, ["---", *["---:"] * (len(head) - 1)], *rows]
+def format_table(
+    head: Sequence[str], rows: Iterable[Sequence[str]], *, text: Container[int] = (0,)
+) -> str:
+    """Return a table in Markdown.
+
+    Args:
+        head: name of each column.
+        rows: cells of each row.
+        text: columns of text; the others are numbers, to the right.
+    """
+    rule = ["---" if i in text else "---:" for i in range(len(head))]
+    lines = [head, rule, *rows]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 

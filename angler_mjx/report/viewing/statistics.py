@@ -1,16 +1,16 @@
 """Figures about all robots of a run: outcomes, min distances, and times."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Literal
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator, PercentFormatter
+from matplotlib.ticker import MaxNLocator
 
-from angler_mjx.report.plotting import style
+from angler_mjx.report.plotting import series, style
 from angler_mjx.runs.storage.results import OUTCOMES, completion_times, outcome_rates
 
 
@@ -34,20 +34,18 @@ def plot_outcomes(episodes: pa.Table, name: str) -> Figure:
         episodes: rows of the run.
         name: of the scenario, for the title.
     """
-    groups = robot_kinds(episodes)
-    with style.figure_style():
-        figure = style.new_figure(9.6, 5.4 + 0.46 * len(groups), headline_in=0.65)
+    groups, all_rates = robot_kinds(episodes), outcome_rates(episodes)
+    with style.titled_figure(
+        9.6,
+        5.4 + 0.46 * len(groups),
+        f"{name}: {_headline(episodes, all_rates['reached']['rate'])}",
+        f"{episodes.num_rows:,} robots in {len(set(episodes['world'].to_pylist())):,} worlds; "
+        "lines are 95 % intervals, clustered by world",
+    ) as figure:
         top, bottom = figure.subplots(
             2, 1, height_ratios=[len(OUTCOMES) + 0.5, 1.2 + 0.9 * len(groups)]
         )
-        all_rates = outcome_rates(episodes)
         _rate_bars(top, all_rates)
-        style.add_headline(
-            figure,
-            f"{name}: {_headline(episodes, all_rates['reached']['rate'])}",
-            f"{episodes.num_rows:,} robots in {len(set(episodes['world'].to_pylist())):,} worlds; "
-            "lines are 95 % intervals, clustered by world",
-        )
         top.set_title("All robots")
         _stacked_kinds(bottom, {kind: outcome_rates(rows_of(episodes, kind)) for kind in groups})
     return figure
@@ -75,12 +73,10 @@ def _rate_bars(axes: Axes, table: Mapping[str, Mapping[str, float]]) -> None:
             fontsize=8.8,
             color=style.INK if row["count"] else style.QUIET,
         )
-    axes.set_yticks(range(len(OUTCOMES)), [style.OUTCOME_TEXT[outcome] for outcome in OUTCOMES])
-    axes.tick_params(axis="y", length=0, labelcolor=style.INK)
-    axes.invert_yaxis()
+    series.label_rows(axes, [style.OUTCOME_TEXT[outcome] for outcome in OUTCOMES])
     max_rate = max(row["high"] for row in table.values())
     axes.set_xlim(0.0, min(1.16, max_rate + 0.16))
-    axes.xaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
+    axes.xaxis.set_major_formatter(series.percent_formatter())
     axes.set_xlabel("share of robots")
     axes.grid(axis="x")
     axes.spines["left"].set_visible(False)
@@ -121,11 +117,9 @@ def _stacked_kinds(
         f"{vehicle}\n{parameter_set} ({round(sum(row['count'] for row in table.values())):,})"
         for (vehicle, parameter_set), table in tables.items()
     ]
-    axes.set_yticks(range(len(labels)), labels)
-    axes.tick_params(axis="y", length=0, labelcolor=style.INK)
-    axes.invert_yaxis()
+    series.label_rows(axes, labels)
     axes.set_xlim(0.0, 1.0)
-    axes.xaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
+    axes.xaxis.set_major_formatter(series.percent_formatter())
     axes.set_title("By vehicle and parameter set")
     axes.set_xlabel("share of robots of the kind, colours as above; line: interval of arrival")
     axes.spines["left"].set_visible(False)
@@ -144,13 +138,12 @@ def plot_distances(episodes: pa.Table, name: str) -> Figure:
     ]
     shown = [(column, label) for column, label in names if _finite_values(episodes, column).size]
     arrived = _arrived_mask(episodes)
-    with style.figure_style():
-        figure = style.new_figure(5.2 * max(len(shown), 1), 4.6, headline_in=0.65)
-        style.add_headline(
-            figure,
-            f"{name}: {_describe_clearance(episodes)}",
-            "least distances of whole episodes; 0 is touch; the last bar holds all beyond",
-        )
+    with style.titled_figure(
+        5.2 * max(len(shown), 1),
+        4.6,
+        f"{name}: {_describe_clearance(episodes)}",
+        "least distances of whole episodes; 0 is touch; the last bar holds all beyond",
+    ) as figure:
         for axes, (column, label) in zip(
             figure.subplots(1, max(len(shown), 1), squeeze=False)[0], shown, strict=False
         ):
@@ -205,8 +198,15 @@ def plot_times(episodes: pa.Table, name: str, horizon_s: float) -> Figure:
     never, unit = "none arrived", "robots at their goal"
     if completed_s is not None:
         never, unit = "none did its part", "worlds with the task completed, robots done"
-    with style.figure_style():
-        figure = style.new_figure(9.6, 4.6 + 0.11 * len(groups), headline_in=0.65)
+    with style.titled_figure(
+        9.6,
+        4.6 + 0.11 * len(groups),
+        f"{name}: {_describe_time(episodes, completed_s)}",
+        "a curve levels off at the share of its robots that ever arrive"
+        if completed_s is None
+        else "a curve levels off at the share of worlds that complete the task, or of robots "
+        "that do their part",
+    ) as figure:
         axes = figure.subplots()
         shown = _finite_values(episodes, "time_to_goal_s")
         if completed_s is not None:
@@ -216,7 +216,7 @@ def plot_times(episodes: pa.Table, name: str, horizon_s: float) -> Figure:
             shown = np.r_[shown, done_s]
         for i, kind in enumerate(groups):
             rows = rows_of(episodes, kind)
-            line = ("-", "--", ":")[i // len(style.ROBOTS) % 3]
+            linestyles: tuple[Literal["-", "--", ":"], ...] = ("-", "--", ":")
             _plot_curve(
                 axes,
                 _finite_values(rows, "time_to_goal_s"),
@@ -225,19 +225,11 @@ def plot_times(episodes: pa.Table, name: str, horizon_s: float) -> Figure:
                 f"{kind[0]}, {kind[1]}",
                 never,
                 color=style.robot_color(i),
-                linestyle=line,
+                linestyle=linestyles[i // len(style.ROBOTS) % 3],
             )
-        style.add_headline(
-            figure,
-            f"{name}: {_describe_time(episodes, completed_s)}",
-            "a curve levels off at the share of its robots that ever arrive"
-            if completed_s is None
-            else "a curve levels off at the share of worlds that complete the task, or of robots "
-            "that do their part",
-        )
         axes.set_xlim(*_time_window(shown, horizon_s))
         axes.set_ylim(0.0, 1.02)
-        axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
+        axes.yaxis.set_major_formatter(series.percent_formatter())
         axes.set_xlabel("time since the start, s")
         axes.set_ylabel(unit)
         axes.grid()
@@ -263,7 +255,9 @@ def _plot_curve(
     horizon_s: float,
     name: str,
     never: str,
-    **line: Any,
+    *,
+    color: str,
+    linestyle: Literal["-", "--", ":"] = "-",
 ) -> None:
     """Plot the fraction of ``total`` that was done by each time, with its median."""
     ordered = np.sort(times_s)
@@ -275,7 +269,8 @@ def _plot_curve(
         where="post",
         linewidth=2.0,
         label=f"{name}: {median}",
-        **line,
+        color=color,
+        linestyle=linestyle,
     )
 
 

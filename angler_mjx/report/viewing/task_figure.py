@@ -36,14 +36,14 @@ def plot_task(run: Run, scene: ReplayScene) -> Figure:
     at_s, kind = completed[scene.world], run.scenario.task.type
     ended = "not completed" if at_s is None else f"completed after {at_s:.0f} s"
     last = next(row["task_progress"] for row in rows if row["world"] == scene.world)
-    with style.figure_style():
-        figure = style.new_figure(11.6, 6.6, headline_in=0.6)
-        style.add_headline(
-            figure,
-            f"World {scene.world}: {kind} {ended}, {100 * last:.0f} % done",
-            f"{run.scenario.name}, seed {run.scenario.seed}; all {len(completed)} worlds on the "
-            "right, this one black",
-        )
+    with style.titled_figure(
+        11.6,
+        6.6,
+        f"World {scene.world}: {kind} {ended}, {100 * last:.0f} % done",
+        f"{run.scenario.name}, seed {run.scenario.seed}; all {len(completed)} worlds on the "
+        "right, this one black",
+        headline_in=0.6,
+    ) as figure:
         above, over_time = figure.subplots(1, 2)
         _plot_map(above, scene, task_arrays)
         _plot_progress(over_time, time, progress, scene.world, completed)

@@ -1,7 +1,6 @@
 """Selection of notable worlds of a run."""
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
@@ -65,7 +64,9 @@ def _best_world(run: Run, score: Callable[[dict[str, np.ndarray]], tuple[float, 
         "task_progress",
         "task_completed_s",
     )
-    columns: dict[str, Any] = {name: table[name].to_numpy(zero_copy_only=False) for name in names}
+    columns: dict[str, np.ndarray] = {
+        name: table[name].to_numpy(zero_copy_only=False) for name in names
+    }
     world = table["world"].to_numpy()
     starts = np.flatnonzero(np.r_[True, world[1:] != world[:-1]])
     parts = zip(starts, np.r_[starts[1:], world.size], strict=True)

@@ -1,46 +1,53 @@
 """Figures of a study: success and time by size of the team, a colour for each condition."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullFormatter, ScalarFormatter
 
-from angler_mjx.report.plotting import style
-from angler_mjx.studies.fleet_size.report import format_level
+from angler_mjx.report.plotting import series, style
+from angler_mjx.studies.fleet_size.report import StudyResults, format_level
 
 SUCCESS, TIME = "success.png", "time.png"
 
 
-def plot_figures(results: Mapping[str, Any], folder: Path) -> list[Path]:
+def plot_figures(results: StudyResults, folder: Path) -> list[Path]:
     """Both figures of a study, into a folder."""
-    with style.figure_style():
-        return [
-            style.save_figure(plot_success(results), folder / SUCCESS, palette=128),
-            style.save_figure(plot_time(results), folder / TIME, palette=128),
-        ]
+    return [
+        style.save_figure(plot_success(results), folder / SUCCESS, palette=128),
+        style.save_figure(plot_time(results), folder / TIME, palette=128),
+    ]
 
 
-def plot_success(results: Mapping[str, Any]) -> Figure:
+def plot_success(results: StudyResults) -> Figure:
     """Share of worlds that met the deadline, and the answers below."""
     conditions = results["conditions"]
     bars_in = 0.5 + 0.24 * len(conditions)
-    figure = style.new_figure(8.0, 4.4 + bars_in, headline_in=0.75)
-    style.add_headline(
-        figure,
+    with style.titled_figure(
+        8.0,
+        4.4 + bars_in,
         f"{results['name']}: how many robots does it take?",
         f"done within {results['deadline_s']:g} s; {results['worlds']:,} worlds; bars are "
         f"{format_level(results, 'share')} intervals of a share, lines below "
-        f"{format_level(results, 'answer')} "
-        "intervals of the answer",
-    )
-    above, below = figure.subplots(2, 1, sharex=True, height_ratios=[3.6, bars_in])
-    p = results["probability"]
-    above.axhline(p, color=style.INK, linewidth=1.0, linestyle=(0, (4, 3)))
-    above.annotate(
+        f"{format_level(results, 'answer')} intervals of the answer",
+        headline_in=0.75,
+    ) as figure:
+        above, below = figure.subplots(2, 1, sharex=True, height_ratios=[3.6, bars_in])
+        _plot_rates(above, results)
+        _plot_answers(below, results)
+        _format_size_axis(below, results)
+        below.set_xlabel("robots")
+    return figure
+
+
+def _plot_rates(axes: Axes, results: StudyResults) -> None:
+    """Share of worlds of each size and condition that met the deadline."""
+    p, conditions = results["probability"], results["conditions"]
+    axes.axhline(p, color=style.INK, linewidth=1.0, linestyle=(0, (4, 3)))
+    axes.annotate(
         f"{100 * p:g} %",
         (1.0, p),
         xycoords=("axes fraction", "data"),
@@ -56,8 +63,8 @@ def plot_success(results: Mapping[str, Any]) -> Figure:
         x = _offset_sizes([row["size"] for row in rows], i, len(conditions))
         y = np.array([row["rate"] for row in rows])
         ends = np.array([[row["rate"] - row["low"], row["high"] - row["rate"]] for row in rows]).T
-        above.plot(x, y, color=color, linewidth=1.3, alpha=0.7)
-        above.errorbar(
+        axes.plot(x, y, color=color, linewidth=1.3, alpha=0.7)
+        axes.errorbar(
             x,
             y,
             np.maximum(ends, 0.0),
@@ -68,18 +75,14 @@ def plot_success(results: Mapping[str, Any]) -> Figure:
             linewidth=1.1,
             label=condition["name"],
         )
-    above.set_ylim(-0.03, 1.03)
-    above.set_ylabel("worlds that met the deadline")
-    above.yaxis.set_major_formatter(lambda value, _: f"{100 * value:.0f} %")
-    above.grid(axis="y")
-    above.legend(loc="lower right" if len(conditions) < 6 else "best")
-    _plot_answers(below, results)
-    _format_size_axis(below, results)
-    below.set_xlabel("robots")
-    return figure
+    axes.set_ylim(-0.03, 1.03)
+    axes.set_ylabel("worlds that met the deadline")
+    axes.yaxis.set_major_formatter(series.percent_formatter())
+    axes.grid(axis="y")
+    axes.legend(loc="lower right" if len(conditions) < 6 else "best")
 
 
-def _plot_answers(axes: Axes, results: Mapping[str, Any]) -> None:
+def _plot_answers(axes: Axes, results: StudyResults) -> None:
     """The interval of each condition's answer."""
     conditions, top = results["conditions"], results["sizes"][-1]
     for i, condition in enumerate(conditions):
@@ -108,18 +111,24 @@ def _plot_answers(axes: Axes, results: Mapping[str, Any]) -> None:
     axes.grid(axis="x")
 
 
-def plot_time(results: Mapping[str, Any]) -> Figure:
+def plot_time(results: StudyResults) -> Figure:
     """Median and 90 % quantile of the time that the task takes."""
-    conditions = results["conditions"]
-    figure = style.new_figure(8.0, 4.4, headline_in=0.75)
-    style.add_headline(
-        figure,
+    with style.titled_figure(
+        8.0,
+        4.4,
         f"{results['name']}: how long does it take?",
         f"median over all worlds, with its {format_level(results, 'quantile')} interval; dots: "
-        "nine "
-        "worlds in ten are done by then",
-    )
-    axes = figure.subplots()
+        "nine worlds in ten are done by then",
+        headline_in=0.75,
+    ) as figure:
+        axes = figure.subplots()
+        _plot_times(axes, results)
+        _format_size_axis(axes, results)
+    return figure
+
+
+def _plot_times(axes: Axes, results: StudyResults) -> None:
+    conditions = results["conditions"]
     axes.axhline(results["deadline_s"], color=style.INK, linewidth=1.0, linestyle=(0, (4, 3)))
     axes.annotate(
         "deadline",
@@ -160,11 +169,9 @@ def plot_time(results: Mapping[str, Any]) -> Figure:
     axes.set_xlabel("robots")
     axes.grid(axis="y")
     axes.legend(loc="best")
-    _format_size_axis(axes, results)
-    return figure
 
 
-def _format_size_axis(axes: Axes, results: Mapping[str, Any]) -> None:
+def _format_size_axis(axes: Axes, results: StudyResults) -> None:
     """Sizes along x, by their logarithm."""
     sizes = results["sizes"]
     flown = {row["size"] for condition in results["conditions"] for row in condition["sizes"]}

@@ -6,9 +6,9 @@ it is made, it is hidden (``.NAME.partial``).
 """
 
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import cast
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.runs.provenance import describe_environment
@@ -64,7 +64,7 @@ def reopen_folder(study: FleetSizeStudy, out: Path) -> tuple[OutputLock, int]:
     )
 
 
-def read_results(out: Path) -> dict[str, Any]:
+def read_results(out: Path) -> report.StudyResults:
     """Read the ``study.json`` of a folder.
 
     Raises:
@@ -72,11 +72,11 @@ def read_results(out: Path) -> dict[str, Any]:
     """
     if not (out / STUDY).is_file():
         raise ConfigError(f"{out}: is no folder of a fleet-size study (no {STUDY} in it)")
-    return read_table(out / STUDY)
+    return cast(report.StudyResults, read_table(out / STUDY))
 
 
 def publish_results(
-    lock: OutputLock, study: FleetSizeStudy, results: Mapping[str, Any], batches: Sequence[Batch]
+    lock: OutputLock, study: FleetSizeStudy, results: report.StudyResults, batches: Sequence[Batch]
 ) -> None:
     """Write tables, page and figures, and publish the folder.
 

@@ -2,21 +2,18 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import NotRequired, TypedDict
 
 import numpy as np
 import pyarrow as pa
 
+from angler_mjx.report.viewing.markdown_tables import format_table
 from angler_mjx.runs.storage import atomic_files
 from angler_mjx.studies.fleet_size import bernoulli, sequential_test, survival
 from angler_mjx.studies.fleet_size.conditions import Condition, FleetSizeStudy
 from angler_mjx.studies.fleet_size.sequential_test import SequentialRule
 from angler_mjx.studies.fleet_size.store import Batch
-
-QUANTILES = {"median": 0.5, "p90": 0.9}
-"""Quantiles of the time that a table shows, by name."""
 
 SCHEMA = pa.schema(
     [
@@ -36,9 +33,91 @@ SCHEMA = pa.schema(
 """Of ``results.parquet``."""
 
 
+class QuantileRow(TypedDict):
+    """A quantile of the time [s] with its interval; None: never."""
+
+    value: float | None
+    low: float | None
+    high: float | None
+
+
+class SizeRow(TypedDict):
+    """One size of the team in one condition."""
+
+    size: int
+    planned: float | None
+    """Fraction of robots with a plan; None without planning."""
+    worlds: int
+    met: int
+    """Worlds that were done by the deadline."""
+    rate: float
+    low: float
+    high: float
+    done: int
+    """Worlds that were done at all."""
+    horizon_s: float
+    mean_s: dict[str, float]
+    """Mean to the horizon, and the ends ``low`` and ``high`` of its interval."""
+    no_room: int
+    lost_per_robot: float
+    energy_j: float
+    path_m: float
+    median_s: QuantileRow
+    p90_s: QuantileRow
+
+
+class AnswerRow(TypedDict):
+    """The answer of a condition, as `sequential_test.SizeAnswer`, and in words."""
+
+    estimate: int | None
+    low: int | None
+    high: int | None
+    good: bool
+    worlds: int
+    largest: int
+    listed: list[int]
+    text: str
+
+
+class ConditionRow(TypedDict):
+    """One condition."""
+
+    name: str
+    values: dict[str, object]
+    answer: AnswerRow
+    sizes: list[SizeRow]
+
+
+class StudyResults(TypedDict):
+    """Contents of ``study.json``."""
+
+    name: str
+    description: str
+    scenario: str
+    deadline_s: float
+    probability: float
+    confidence: float
+    levels: dict[str, float]
+    within: float
+    sizes: list[int]
+    span: bool
+    size_key: str
+    seed: int
+    budget: dict[str, object]
+    ended: str
+    complete: bool
+    worlds: int
+    conditions: list[ConditionRow]
+    tile: NotRequired[int]
+    environment: NotRequired[Mapping[str, object]]
+    """Written with the file: command, commit, device."""
+    timing: NotRequired[Mapping[str, float]]
+    """Written with the file: seconds in all, programs compiled."""
+
+
 def gather_results(
     study: FleetSizeStudy, rule: SequentialRule, batches: Sequence[Batch], ended: str
-) -> dict[str, Any]:
+) -> StudyResults:
     """All numbers of a study.
 
     Args:
@@ -73,7 +152,7 @@ def gather_results(
 
 def _summarise_condition(
     study: FleetSizeStudy, rule: SequentialRule, condition: Condition, batches: Sequence[Batch]
-) -> dict[str, Any]:
+) -> ConditionRow:
     deadline_s = study.config.deadline_s
     by_size: dict[int, list[Batch]] = {}
     for batch in sorted(batches, key=lambda batch: (batch.size, batch.first)):
@@ -86,14 +165,19 @@ def _summarise_condition(
         )
         for size, size_batches in by_size.items()
     }
-    condition_answer = sequential_test.build_answer(rule, counts)
+    answer = sequential_test.build_answer(rule, counts)
     return {
         "name": condition.name,
         "values": dict(condition.values),
         "answer": {
-            **asdict(condition_answer),
-            "listed": list(condition_answer.listed),
-            "text": condition_answer.text(rule.confidence),
+            "estimate": answer.estimate,
+            "low": answer.low,
+            "high": answer.high,
+            "good": answer.good,
+            "worlds": answer.worlds,
+            "largest": answer.largest,
+            "listed": list(answer.listed),
+            "text": answer.text(rule.confidence),
         },
         "sizes": [
             _summarise_size(study, rule, condition, size_batches)
@@ -104,7 +188,7 @@ def _summarise_condition(
 
 def _summarise_size(
     study: FleetSizeStudy, rule: SequentialRule, condition: Condition, batches: Sequence[Batch]
-) -> dict[str, Any]:
+) -> SizeRow:
     """Success, times and costs of one size in one condition."""
     size = batches[0].size
     times = np.array(
@@ -116,7 +200,7 @@ def _summarise_size(
     curve = survival.estimate_curve(np.minimum(times, horizon_s), np.isfinite(times))
     alpha = 1.0 - rule.confidence
     planned = [x for batch in batches for x in batch.planned if x is not None]
-    row: dict[str, Any] = {
+    return {
         "size": size,
         "planned": sum(planned) / (size * len(planned)) if planned else None,
         "worlds": total,
@@ -133,21 +217,25 @@ def _summarise_size(
         "lost_per_robot": float(np.mean([x for batch in batches for x in batch.lost])) / size,
         "energy_j": float(np.mean([x for batch in batches for x in batch.energy_j])),
         "path_m": float(np.mean([x for batch in batches for x in batch.path_m])),
+        "median_s": _estimate_quantile(times, 0.5, alpha),
+        "p90_s": _estimate_quantile(times, 0.9, alpha),
     }
-    for name, fraction in QUANTILES.items():
-        values = bernoulli.estimate_quantile(times, fraction, alpha)
-        row[f"{name}_s"] = {
-            end: value if math.isfinite(value) else None
-            for end, value in zip(("value", "low", "high"), values, strict=True)
-        }
-    return row
+
+
+def _estimate_quantile(times_s: np.ndarray, fraction: float, alpha: float) -> QuantileRow:
+    """Return a quantile of times [n], and its interval of confidence 1 - alpha."""
+    value, low, high = (
+        end if math.isfinite(end) else None
+        for end in bernoulli.estimate_quantile(times_s, fraction, alpha)
+    )
+    return {"value": value, "low": low, "high": high}
 
 
 def write_results(path: Path, study: FleetSizeStudy, batches: Sequence[Batch]) -> None:
     """A row for each world, by condition, size and world."""
     order = {batch.name: i for i, batch in enumerate(study.conditions)}
     ordered = sorted(batches, key=lambda batch: (order[batch.condition], batch.size, batch.first))
-    columns: dict[str, list[Any]] = {name: [] for name in SCHEMA.names}
+    columns: dict[str, list[object]] = {name: [] for name in SCHEMA.names}
     for batch in ordered:
         columns["condition"] += [batch.condition] * batch.worlds
         columns["size"] += [batch.size] * batch.worlds
@@ -184,12 +272,12 @@ def confidence_levels(rule: SequentialRule) -> dict[str, float]:
     }
 
 
-def format_level(results: Mapping[str, Any], kind: str) -> str:
+def format_level(results: StudyResults, kind: str) -> str:
     """Confidence of a kind of interval of ``study.json``, in %."""
     return f"{100 * results['levels'][kind]:.4g} %"
 
 
-def answers_table(results: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
+def answers_table(results: StudyResults) -> tuple[list[str], list[list[str]]]:
     """Head and rows: the answer of each condition."""
     sure = format_level(results, "answer")
     head = ["condition", "smallest team", f"{sure} interval", "worlds", "answer"]
@@ -206,7 +294,7 @@ def answers_table(results: Mapping[str, Any]) -> tuple[list[str], list[list[str]
 
 
 def sizes_table(
-    results: Mapping[str, Any], condition: Mapping[str, Any]
+    results: StudyResults, condition: ConditionRow
 ) -> tuple[list[str], list[list[str]]]:
     """Head and rows: the sizes of a condition that were flown.
 
@@ -235,7 +323,7 @@ def sizes_table(
             decided = "enough"
         elif row["high"] < probability:
             decided = "too few"
-        mean = row["mean_s"]
+        mean, planned = row["mean_s"], row.get("planned")
         rows.append(
             [
                 str(row["size"]),
@@ -243,7 +331,7 @@ def sizes_table(
                 f"{100 * row['rate']:.2f} %",
                 f"{100 * row['low']:.2f} to {100 * row['high']:.2f} %",
                 decided,
-                "-" if row.get("planned") is None else f"{100 * row['planned']:.1f} %",
+                "-" if planned is None else f"{100 * planned:.1f} %",
                 _format_time(row["median_s"]),
                 _format_time(row["p90_s"]),
                 f"{mean['mean']:.1f} ({mean['low']:.1f} to {mean['high']:.1f})",
@@ -254,7 +342,7 @@ def sizes_table(
     return head, rows
 
 
-def _format_time(row: Mapping[str, float | None]) -> str:
+def _format_time(row: QuantileRow) -> str:
     def format_value(value: float | None) -> str:
         return "never" if value is None else f"{value:.1f}"
 
@@ -263,13 +351,11 @@ def _format_time(row: Mapping[str, float | None]) -> str:
     )
 
 
-def format_markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table for a page."""
-    lines = [head, ["---"] * len(head), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+def _format_text_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    return format_table(head, rows, text=range(len(head)))
 
 
-def write_page(path: Path, results: Mapping[str, Any]) -> None:
+def write_page(path: Path, results: StudyResults) -> None:
     """The page of a study."""
     p, level_text = f"{100 * results['probability']:g} %", format_level(results, "answer")
     none = sum(row["no_room"] for condition in results["conditions"] for row in condition["sizes"])
@@ -279,7 +365,7 @@ def write_page(path: Path, results: Mapping[str, Any]) -> None:
         f"Smallest team that is done within {results['deadline_s']:g} s with a probability of {p}, "
         f"in {results['worlds']:,} worlds of scenario {results['scenario']}. "
         f"{ENDING_TEXTS[results['ended']]}",
-        format_markdown_table(*answers_table(results)),
+        _format_text_table(*answers_table(results)),
         f"The interval holds the smallest such number of robots with {level_text}, for each "
         "condition "
         "by itself, however long was flown (docs/explanation/fleet_size.md). Of sizes that were "
@@ -299,7 +385,7 @@ def write_page(path: Path, results: Mapping[str, Any]) -> None:
     for condition in results["conditions"]:
         parts += [
             f"## {condition['name']}",
-            format_markdown_table(*sizes_table(results, condition)),
+            _format_text_table(*sizes_table(results, condition)),
         ]
     timing = results["timing"]
     environment = results["environment"]

@@ -11,7 +11,6 @@ import time
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import jax
 
@@ -106,7 +105,7 @@ def run_study(
     devices: int | None = None,
     simulators: Simulators | None = None,
     processes: Processes | None = None,
-) -> dict[str, Any]:
+) -> report.StudyResults:
     """Make a study, or go on with one.
 
     Args:
@@ -176,7 +175,7 @@ def _run_in_folder(
     simulators: Simulators,
     progress: Progress,
     together: Processes,
-) -> dict[str, Any] | None:
+) -> report.StudyResults | None:
     """What ``study.json`` holds; None of a process that does not keep the folder."""
     minutes = study.config.budget.max_minutes
     begun = time.monotonic()
@@ -211,7 +210,8 @@ def _run_in_folder(
         return None
     timing = {"total_s": time.monotonic() - begun, "compiled": simulators.compiled}
     results = report.gather_results(study, work.rule, store.batches, ended)
-    results |= {"timing": timing, "tile": simulators.tile, "environment": describe_environment()}
+    results["timing"], results["tile"] = timing, simulators.tile
+    results["environment"] = describe_environment()
     folder.publish_results(lock, study, results, store.batches)
     return results
 

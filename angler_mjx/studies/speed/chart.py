@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.report.plotting import style
+from angler_mjx.report.plotting import series, style
 from angler_mjx.report.viewing import markdown_tables
 from angler_mjx.runs.simulator.compilation import CompileTime
 from angler_mjx.studies.speed import rows as speed
@@ -23,7 +23,6 @@ COUNTED = ("loops as often as they run", "branches as the cheapest")
 """What rows say of operations that are counted by today's definition."""
 _FMA = "fma_flops_per_s"
 _UNIT = "vehicle-steps/s"
-_MARKS = "osD^vPX*"
 
 
 type Machine = tuple[Any, ...]
@@ -47,15 +46,14 @@ def plot_rows(path: Path) -> Figure:
     for row in sorted(rows, key=lambda row: row["worlds"]):
         lines[_series_key(row)].append(row)
     best = max(rows, key=lambda row: row["median"])
-    with style.figure_style():
-        figure = style.new_figure(9.6, 5.6 + 0.12 * len(lines), headline_in=0.65)
-        style.add_headline(
-            figure,
-            f"Up to {format_rate(best['median'])} vehicle-steps/s",
-            f"{best['workload']}, {_engine_name(best)}, {best['worlds']:,} worlds x "
-            f"{best['robots']} on "
-            f"{device_name(best)}; medians, bars from least to greatest",
-        )
+    with style.titled_figure(
+        9.6,
+        5.6 + 0.12 * len(lines),
+        f"Up to {format_rate(best['median'])} vehicle-steps/s",
+        f"{best['workload']}, {_engine_name(best)}, {best['worlds']:,} worlds x "
+        f"{best['robots']} on "
+        f"{device_name(best)}; medians, bars from least to greatest",
+    ) as figure:
         axes = figure.subplots()
         for index, (name, series_rows) in enumerate(sorted(lines.items())):
             _plot_line(axes, index, name, series_rows)
@@ -71,11 +69,8 @@ def format_table(path: Path) -> str:
     Args:
         path: file of rows.
     """
-    head = (
-        "| workload | engine | device | worlds x robots | median | spread | of the roofline "
-        "| flops; bytes | compile | commit |\n"
-        "| --- | --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | --- |"
-    )
+    head = ["workload", "engine", "device", "worlds x robots", "median", "spread"]
+    head += ["of the roofline", "flops; bytes", "compile", "commit"]
     rows = sorted(
         (
             row
@@ -84,7 +79,7 @@ def format_table(path: Path) -> str:
         ),
         key=lambda row: (*_series_key(row), row["worlds"]),
     )
-    return "\n".join([head, *map(_table_row, rows)])
+    return markdown_tables.format_table(head, map(_table_row, rows), text=(0, 1, 2, 9))
 
 
 def compile_table(path: Path) -> str:
@@ -145,7 +140,7 @@ def _series_key(row: dict[str, Any]) -> tuple[str, ...]:
 
 def _plot_line(axes: Axes, index: int, name: tuple[str, ...], rows: list[dict[str, Any]]) -> None:
     workload, engine, device, robots = name
-    color, is_repeated = style.robot_color(index), index // len(style.ROBOTS) % 2 == 1
+    look = series.line_style(index)
     worlds = [row["worlds"] for row in rows]
     median = [row["median"] for row in rows]
     below = [row["median"] - row["low"] for row in rows]
@@ -154,12 +149,11 @@ def _plot_line(axes: Axes, index: int, name: tuple[str, ...], rows: list[dict[st
         worlds,
         median,
         yerr=[below, above],
-        color=color,
-        marker=_MARKS[index % len(_MARKS)],
+        **look,
+        marker=series.MARKERS[index % len(series.MARKERS)],
         markersize=5.5,
         # Where colours repeat: single points have no line that could tell them apart.
-        markerfacecolor=style.PAPER if is_repeated else color,
-        linestyle="--" if is_repeated else "-",
+        markerfacecolor=style.PAPER if series.is_repeated(index) else look["color"],
         linewidth=1.8,
         capsize=2.5,
         label=f"{workload}, {_format_robots(int(robots))}, {engine}, {device}",
@@ -212,14 +206,14 @@ def _format_axes(axes: Axes) -> None:
     axes.grid()
 
 
-def _table_row(row: dict[str, Any]) -> str:
+def _table_row(row: dict[str, Any]) -> list[str]:
     spread = (row["high"] - row["low"]) / row["median"]
     bound_percent = _format_percent(100 * row["median"] / row["bound"]) if row.get("bound") else "-"
     counted = f"{row['flops']:,.0f}" if row["flops"] else "-"
     moved = f"{row['least_bytes']:.3g}" if row["least_bytes"] else "-"
     compiled = f"{row['compile_s']:.1f} s" if row["compile_s"] is not None else "-"
     compiled += " (cached)" if row["cached_programs"] else ""
-    cells = [
+    return [
         row["workload"],
         _engine_name(row),
         device_name(row),
@@ -231,7 +225,6 @@ def _table_row(row: dict[str, Any]) -> str:
         compiled,
         _short_commit(row),
     ]
-    return f"| {' | '.join(cells)} |"
 
 
 def _engine_name(row: dict[str, Any]) -> str:

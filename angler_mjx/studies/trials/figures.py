@@ -24,17 +24,17 @@ def plot_trial(trial: Trial) -> Figure:
     """Steps of all vehicles above, tracks of the figure of eight below."""
     vehicles = list(dict.fromkeys(step.kind for step in trial.flown.steps))
     axes_flown = list(dict.fromkeys(step.axis for step in trial.flown.steps))
-    with style.figure_style():
-        figure = style.new_figure(12.0, 7.4, headline_in=0.75)
-        style.add_headline(
-            figure,
-            f"{trial.controller}: steps of 2 m{' and 90 degrees' * ('yaw' in axes_flown)}, "
-            "figure of eight",
-            f"steps: full lines in still water, dashed in {steps.CURRENTS_MPS[1]:g} m/s from the "
-            f"side; figure of eight at {figure_of_eight.SPEED_MPS:g} m/s "
-            f"({', '.join(figure_of_eight.SLOW_SETS)} among vortices at "
-            f"{figure_of_eight.SLOW_MPS:g})",
-        )
+    with style.titled_figure(
+        12.0,
+        7.4,
+        f"{trial.controller}: steps of 2 m{' and 90 degrees' * ('yaw' in axes_flown)}, "
+        "figure of eight",
+        f"steps: full lines in still water, dashed in {steps.CURRENTS_MPS[1]:g} m/s from the "
+        f"side; figure of eight at {figure_of_eight.SPEED_MPS:g} m/s "
+        f"({', '.join(figure_of_eight.SLOW_SETS)} among vortices at "
+        f"{figure_of_eight.SLOW_MPS:g})",
+        headline_in=0.75,
+    ) as figure:
         grid = figure.add_gridspec(2, 1, height_ratios=[1.0, 1.1])
         upper, lower = figure.add_subfigure(grid[0]), figure.add_subfigure(grid[1])
         row = upper.subplots(1, len(axes_flown), sharey=True)

@@ -22,14 +22,14 @@ _MIN_ERROR_M = 1e-3
 def plot_search(outcome: TuningOutcome) -> Figure:
     """Costs of all candidates, and where each gain ended within its bounds."""
     settings = outcome.problem.settings
-    with style.figure_style():
-        figure = style.new_figure(11.0, 4.4, headline_in=0.75)
-        style.add_headline(
-            figure,
-            f"{settings.controller}: search for {settings.objective}",
-            f"{settings.method}, {settings.rollouts} flights a candidate; the gains it began with "
-            f"cost 1; held-out flights cost {outcome.held_out.cost:.3f} in the end",
-        )
+    with style.titled_figure(
+        11.0,
+        4.4,
+        f"{settings.controller}: search for {settings.objective}",
+        f"{settings.method}, {settings.rollouts} flights a candidate; the gains it began with "
+        f"cost 1; held-out flights cost {outcome.held_out.cost:.3f} in the end",
+        headline_in=0.75,
+    ) as figure:
         left, right = figure.subplots(1, 2, width_ratios=[1.0, 1.2])
         _plot_costs(left, outcome)
         _plot_gains(right, outcome)
@@ -84,13 +84,13 @@ def _plot_gains(panel: Axes, outcome: TuningOutcome) -> None:
 def plot_errors(outcome: TuningOutcome) -> Figure:
     """Errors of position over time on the held-out flights, by robot and course."""
     part, labels = outcome.held_out, outcome.problem.robots.labels
-    with style.figure_style():
-        figure = style.new_figure(3.4 * len(labels) + 0.6, 7.2, headline_in=0.75)
-        style.add_headline(
-            figure,
-            f"{outcome.problem.settings.controller}: error of position, before and after",
-            "held-out flights: median, and the band from the 10th to the 90th of 100",
-        )
+    with style.titled_figure(
+        3.4 * len(labels) + 0.6,
+        7.2,
+        f"{outcome.problem.settings.controller}: error of position, before and after",
+        "held-out flights: median, and the band from the 10th to the 90th of 100",
+        headline_in=0.75,
+    ) as figure:
         grid = figure.subplots(len(COURSES), len(labels), sharex=True, sharey=True, squeeze=False)
         for i, label in enumerate(labels):
             grid[0, i].set_title(label, fontsize=9.0)
@@ -126,13 +126,13 @@ def _position_errors(part: ObjectivePart, measures: FlightMeasures) -> FloatArra
 def plot_tracks(outcome: TuningOutcome) -> Figure:
     """The figure of eight from above: the held-out flight of each robot that erred most before."""
     part, labels = outcome.held_out, outcome.problem.robots.labels
-    with style.figure_style():
-        figure = style.new_figure(3.4 * len(labels) + 0.6, 3.4, headline_in=0.75)
-        style.add_headline(
-            figure,
-            f"{outcome.problem.settings.controller}: the figure of eight, before and after",
-            "of each robot the held-out flight with the worst error before",
-        )
+    with style.titled_figure(
+        3.4 * len(labels) + 0.6,
+        3.4,
+        f"{outcome.problem.settings.controller}: the figure of eight, before and after",
+        "of each robot the held-out flight with the worst error before",
+        headline_in=0.75,
+    ) as figure:
         grid = figure.subplots(1, len(labels), sharex=True, sharey=True, squeeze=False)[0]
         for i, (panel, label) in enumerate(zip(grid, labels, strict=True)):
             rows = np.flatnonzero(part.flights.group == i * len(COURSES) + COURSES.index("eight"))

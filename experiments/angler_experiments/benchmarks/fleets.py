@@ -10,7 +10,7 @@ Markdown, such as docs/generated/benchmark_fleets.md.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, NotRequired, TypedDict
+from typing import Annotated
 
 import numpy as np
 import tyro
@@ -66,21 +66,6 @@ class FleetsStudy:
         return sorted(set(self.results.runs["robots"].tolist()))
 
 
-class OnlineAbout(TypedDict, total=False):
-    """Replanning and order of a planner's flights."""
-
-    replan_hz: float
-    order: str
-
-
-class PlannerAbout(TypedDict):
-    """Planner of a results folder."""
-
-    label: str
-    name: str
-    online: NotRequired[OnlineAbout]
-
-
 def read_study(folders: Sequence[Path]) -> FleetsStudy:
     """Read results folders of one study; they need not be complete.
 
@@ -103,12 +88,12 @@ def read_study(folders: Sequence[Path]) -> FleetsStudy:
             f"{repeated[2]} robots, "
             f"world {repeated[-1]} is there twice; give each results folder once"
         )
-    entries: list[PlannerAbout] = [
+    entries: list[reading.AnnouncedPlanner] = [
         entry for part in parts for entry in part.about.get("planners", [])
     ]
     flight_modes = {entry["label"]: _flight_mode(entry) for entry in entries}
     scenes = list(dict.fromkeys(scene for part in parts for scene in part.scenes))
-    about = {**parts[0].about, "planners": entries, "scenes": scenes}
+    about: reading.About = {**parts[0].about, "planners": entries, "scenes": scenes}
     all_results = replace(
         parts[0],
         about=about,
@@ -126,7 +111,7 @@ def _is_unflown(runs: Runs) -> np.ndarray:
     return unflown
 
 
-def _flight_mode(entry: PlannerAbout) -> str:
+def _flight_mode(entry: reading.AnnouncedPlanner) -> str:
     online = entry.get("online", {})
     hz, order = online.get("replan_hz", 0.0), online.get("order", "free")
     return ", ".join(

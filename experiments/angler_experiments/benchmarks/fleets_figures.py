@@ -8,8 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from angler_experiments.benchmarks.fleets import LEVELS, FleetsStudy, arrival_rate
-from angler_mjx.report.plotting import style
-from angler_mjx.studies.benchmark.report import plot_style
+from angler_mjx.report.plotting import series, style
 from angler_mjx.studies.benchmark.report.rates import ReportRate
 
 
@@ -67,17 +66,14 @@ def _plot_panels(
 ) -> Figure:
     n_columns = min(len(panels), 2)
     n_rows = -(-len(panels) // n_columns)
-    with plot_style.styled():
-        extra_height = 0.95 + plot_style.legend_height_in(study.all_flight_modes)
-        figure = style.new_figure(
-            max(4.6 * n_columns, 7.5), 2.9 * n_rows + extra_height, headline_in=0.65
-        )
-        style.add_headline(figure, title, subtitle)
-        panel_axes = plot_style.add_panels(figure, len(panels), n_columns)
+    width_in = max(4.6 * n_columns, 7.5)
+    height_in = 2.9 * n_rows + 0.95 + series.legend_height_in(study.all_flight_modes)
+    with style.titled_figure(width_in, height_in, title, subtitle, parse_math=False) as figure:
+        panel_axes = series.add_panels(figure, len(panels), n_columns)
         for axes, (name, lines) in zip(panel_axes, panels.items(), strict=True):
             axes.set(title=name, xlabel=x_label)
             _plot_lines(axes, list(lines.values()), ticks)
-        plot_style.add_legend(figure, study.all_flight_modes)
+        series.add_legend(figure, study.all_flight_modes)
     return figure
 
 
@@ -87,11 +83,11 @@ def _plot_lines(axes: Axes, lines: Sequence[Sequence[ReportRate]], ticks: Sequen
         shift = 0.35 * (line_index - (len(lines) - 1) / 2) / max(len(lines), 3)
         x = np.array([i + shift for i, _ in rate_points])
         fraction = np.array([rate.fraction for _, rate in rate_points])
-        line_options = plot_style.line_style(line_index)
+        line_options = series.line_style(line_index)
         axes.plot(
             x,
             fraction,
-            plot_style.marker_style(line_index),
+            series.marker_style(line_index),
             **line_options,
             linewidth=1.5,
             markersize=4.5,
@@ -100,4 +96,4 @@ def _plot_lines(axes: Axes, lines: Sequence[Sequence[ReportRate]], ticks: Sequen
             axes.plot([at, at], [rate.low, rate.high], color=line_options["color"], alpha=0.5)
     axes.set_xticks(range(len(ticks)), ticks)
     axes.set_xlim(-0.5, len(ticks) - 0.5)
-    plot_style.format_fraction_axis(axes)
+    series.format_fraction_axis(axes)

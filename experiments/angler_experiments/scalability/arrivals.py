@@ -11,7 +11,7 @@ import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import tyro
 
@@ -24,6 +24,7 @@ from angler_mjx.runs.storage.atomic_files import write_json
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.studies import chart, sweep
 from angler_mjx.studies import tables as sweep_tables
+from angler_mjx.studies.result_types import SweepResults
 from angler_mjx.studies.sweep_axes import parse_axes
 
 
@@ -105,7 +106,7 @@ class ArrivalsProgress(Progress):
         print(f"  {text}", flush=True)
 
 
-def run_study(study: ArrivalsStudy, out: Path, **options: object) -> dict[str, Any]:
+def run_study(study: ArrivalsStudy, out: Path, **options: object) -> SweepResults:
     """Fly the remaining cells of a sweep; return its results.
 
     Args:
@@ -122,7 +123,7 @@ def run_study(study: ArrivalsStudy, out: Path, **options: object) -> dict[str, A
 
 
 def store_results(
-    results: dict[str, Any], name: str, data: Path, images: Path, page: Path | None
+    results: SweepResults, name: str, data: Path, images: Path, page: Path | None
 ) -> None:
     """Write the numbers of a sweep beside its figure, and its tables into a page.
 
@@ -134,7 +135,7 @@ def store_results(
         page: with marks ``<!-- NAME: begin -->`` and ``<!-- NAME: end -->``.
     """
     data.mkdir(parents=True, exist_ok=True)
-    write_json(data / f"{name}.json", results)
+    write_json(data / f"{name}.json", dict(results))
     figure = style.save_figure(
         chart.plot_sweep(results), images / f"scalability_{name}.png", palette=128
     )

@@ -33,13 +33,12 @@ _HALO = [effects.withStroke(linewidth=2.6, foreground=style.PAPER)]
 def plot_comparison(comparison: WorldComparison) -> Figure:
     """Plot a row for each run, a column for each time."""
     rows, columns = len(comparison.scenes), len(comparison.at_s)
-    with style.figure_style():
-        figure = style.new_figure(3.5 * columns + 0.4, 3.6 * rows + 1.5, headline_in=0.65)
-        style.add_headline(
-            figure,
-            f"Robot {comparison.robot} of world {comparison.scenes[0].world}",
-            "Slices from above, at the height of the robot; ways lead through other heights, too",
-        )
+    with style.titled_figure(
+        3.5 * columns + 0.4,
+        3.6 * rows + 1.5,
+        f"Robot {comparison.robot} of world {comparison.scenes[0].world}",
+        "Slices from above, at the height of the robot; ways lead through other heights, too",
+    ) as figure:
         panels = figure.subplots(rows, columns, squeeze=False)
         windows = [_view_window(comparison, t) for t in comparison.at_s]
         half_width = max(half for _, half in windows)

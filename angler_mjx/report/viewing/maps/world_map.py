@@ -27,11 +27,10 @@ def plot_world(scene: ReplayScene, *, title: str, subtitle: str) -> Figure:
     """
     low, high = scene.bounds_m
     size = high - low
-    with style.figure_style():
-        listed = min(len(scene.robots), legends.MAX_LISTED + 1)
-        panel = min(4.8 * float(max(size[1], size[2]) / size[0]), 9.0)
-        figure = style.new_figure(11.6, panel + 1.6 + 0.21 * max(listed, 4), headline_in=0.6)
-        style.add_headline(figure, title, subtitle)
+    listed = min(len(scene.robots), legends.MAX_LISTED + 1)
+    panel_in = min(4.8 * float(max(size[1], size[2]) / size[0]), 9.0)
+    height_in = panel_in + 1.6 + 0.21 * max(listed, 4)
+    with style.titled_figure(11.6, height_in, title, subtitle, headline_in=0.6) as figure:
         above, south = figure.subplots(1, 2)
         norm = Normalize(low[2], high[2])
         for axes, plane in ((above, base_map.ABOVE), (south, base_map.SOUTH)):

@@ -30,17 +30,16 @@ def build_cells(runs: Runs) -> list[ReportCell]:
     """All cells, in the order of their first runs."""
     keys = [runs[name].tolist() for name in ("planner", "scene", "preset", "robots")]
     report_cells = []
-    for key, rows in group_rows(*keys, runs.knowledge.tolist()).items():
+    for rows in group_rows(*keys, runs.knowledge.tolist()).values():
         cell_runs = runs.where(rows)
         requested = cell_runs.requested
-        planner, scene, preset, robots, knowledge = key
         report_cells.append(
             ReportCell(
-                planner=planner,
-                scene=scene,
-                preset=preset,
-                robots=robots,
-                knowledge=knowledge,
+                planner=str(cell_runs["planner"][0]),
+                scene=str(cell_runs["scene"][0]),
+                preset=str(cell_runs["preset"][0]),
+                robots=int(cell_runs["robots"][0]),
+                knowledge=str(cell_runs.knowledge[0]),
                 rows=rows,
                 success=compute_rate(cell_runs["success"], requested),
                 planned=compute_rate(cell_runs["planned"], requested),

@@ -1,14 +1,14 @@
 """Figures of rates and costs: success by team and density, profiles, planning time."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
-from angler_mjx.report.plotting import style
-from angler_mjx.studies.benchmark.report import plot_style
+from angler_mjx.report.plotting import series, style
 from angler_mjx.studies.benchmark.report.profiles import PerformanceProfiles, compute_profiles
 from angler_mjx.studies.benchmark.report.rates import (
     FEW,
@@ -36,15 +36,15 @@ def success_by_team(results: Results) -> Figure:
     rates = compute_rates(groups, runs[results.judged], runs.counted)
     n_columns = min(len(scenes), 3)
     n_rows = -(-len(scenes) // n_columns)
-    with plot_style.styled():
-        figure = _new_figure(results, max(4.3 * n_columns, 7.5), 3.3 * n_rows)
-        style.add_headline(
-            figure,
-            f"{results.about.get('name', '')}: {_RATE_LABELS[results.judged]} by team",
-            _describe_rates(results),
-        )
+    with _titled_figure(
+        results,
+        max(4.3 * n_columns, 7.5),
+        3.3 * n_rows,
+        f"{_RATE_LABELS[results.judged]} by team",
+        _describe_rates(results),
+    ) as figure:
         for axes, scene in zip(
-            plot_style.add_panels(figure, len(scenes), n_columns), scenes, strict=True
+            series.add_panels(figure, len(scenes), n_columns), scenes, strict=True
         ):
             axes.set(title=scene, xlabel="robots")
             _plot_rates(
@@ -55,7 +55,7 @@ def success_by_team(results: Results) -> Figure:
                     for name in results.planners
                 ],
             )
-        plot_style.add_legend(figure, results.planners)
+        series.add_legend(figure, results.planners)
     return figure
 
 
@@ -64,20 +64,15 @@ def success_by_density(results: Results) -> Figure:
     runs = results.runs
     bins = build_density_bins(runs, results.problem)
     rates = compute_rates((runs["planner"], bins.of), runs[results.judged], runs.counted)
-    with plot_style.styled():
-        figure = _new_figure(results, 9.6, 4.2)
-        style.add_headline(
-            figure,
-            f"{results.about.get('name', '')}: {_RATE_LABELS[results.judged]} by density",
-            _describe_rates(results),
-        )
+    title = f"{_RATE_LABELS[results.judged]} by density"
+    with _titled_figure(results, 9.6, 4.2, title, _describe_rates(results)) as figure:
         axes = figure.subplots()
         axes.set_xlabel("cells that are rock (mean of each bin; bins hold about as many problems)")
         lines = [
             {i: rates.get((name, i)) for i in range(len(bins.centres))} for name in results.planners
         ]
         _plot_rates(axes, [f"{100 * x:.1f} %" for x in bins.centres], lines)
-        plot_style.add_legend(figure, results.planners)
+        series.add_legend(figure, results.planners)
     return figure
 
 
@@ -99,14 +94,14 @@ def planning_time(results: Results) -> Figure | None:
         return None
     teams = sorted(set(runs["robots"].tolist()))
     shown = [i for i, name in enumerate(results.planners) if valid[runs["planner"] == name].any()]
-    with plot_style.styled():
-        figure = _new_figure(results, max(9.6, 2.2 * len(teams)), 4.2)
-        style.add_headline(
-            figure,
-            f"{results.about.get('name', '')}: planning time",
-            "of all runs that were asked, failures too; dot: median, thick: quartiles, "
-            "thin: 5th to 95th percentile" + _deadline_note(results),
-        )
+    with _titled_figure(
+        results,
+        max(9.6, 2.2 * len(teams)),
+        4.2,
+        "planning time",
+        "of all runs that were asked, failures too; dot: median, thick: quartiles, "
+        "thin: 5th to 95th percentile" + _deadline_note(results),
+    ) as figure:
         axes = figure.subplots()
         for slot, planner_index in enumerate(shown):
             rows = valid & (runs["planner"] == results.planners[planner_index])
@@ -122,13 +117,21 @@ def planning_time(results: Results) -> Figure | None:
         axes.set(xlabel="robots", ylabel="planning time, s")
         axes.yaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
         axes.grid(axis="y")
-        plot_style.add_legend(figure, results.planners)
+        series.add_legend(figure, results.planners)
     return figure
 
 
-def _new_figure(results: Results, width_in: float, height_in: float) -> Figure:
-    margin_in = 0.95 + plot_style.legend_height_in(results.planners)
-    return style.new_figure(width_in, height_in + margin_in, headline_in=0.65)
+def _titled_figure(
+    results: Results, width_in: float, height_in: float, title: str, subtitle: str
+) -> AbstractContextManager[Figure]:
+    """Return a context that gives a figure with a headline and room for the legend of planners."""
+    return style.titled_figure(
+        width_in,
+        height_in + 0.95 + series.legend_height_in(results.planners),
+        f"{results.about.get('name', '')}: {title}",
+        subtitle,
+        parse_math=False,
+    )
 
 
 def _describe_rates(results: Results) -> str:
@@ -150,7 +153,7 @@ def _plot_rates(
     axes: Axes, ticks: Sequence[str], lines: Sequence[Mapping[int, ReportRate | None]]
 ) -> None:
     for index, points in enumerate(lines):
-        shift, line_style = _bar_offset(index, len(lines)), plot_style.line_style(index)
+        shift, line_style = _bar_offset(index, len(lines)), series.line_style(index)
         requested_rates = {
             i: rate for i, rate in points.items() if rate is not None and rate.requested
         }
@@ -169,7 +172,7 @@ def _plot_rates(
             axes.plot(
                 at,
                 rate.fraction,
-                plot_style.marker_style(index),
+                series.marker_style(index),
                 color=color,
                 markersize=4.2,
                 markerfacecolor=style.PAPER if hollow else color,
@@ -177,7 +180,7 @@ def _plot_rates(
             )
     axes.set_xticks(range(len(ticks)), ticks)
     axes.set_xlim(-0.5, len(ticks) - 0.5)
-    plot_style.format_fraction_axis(axes)
+    series.format_fraction_axis(axes)
 
 
 def _plot_box(axes: Axes, at: float, seconds: np.ndarray, planner_index: int) -> None:
@@ -185,31 +188,27 @@ def _plot_box(axes: Axes, at: float, seconds: np.ndarray, planner_index: int) ->
     color = style.robot_color(planner_index)
     axes.plot([at, at], [low, high], color=color, linewidth=0.9)
     axes.plot([at, at], [first, third], color=color, linewidth=4.0, alpha=0.45)
-    axes.plot(at, half, plot_style.marker_style(planner_index), color=color, markersize=3.6)
+    axes.plot(at, half, series.marker_style(planner_index), color=color, markersize=3.6)
 
 
 def _plot_profiles(results: Results, costs: Sequence[str]) -> Figure | None:
-    by_cost = {
-        c: compute_profiles(results.runs, results.problem, results.planners, c) for c in costs
-    }
-    by_cost = {
-        cost: cost_profiles for cost, cost_profiles in by_cost.items() if cost_profiles.problems
-    }
+    all_profiles = {cost: compute_profiles(results, results.run_table, cost) for cost in costs}
+    by_cost = {cost: found for cost, found in all_profiles.items() if found.problems}
     if not by_cost:
         return None
-    with plot_style.styled():
-        figure = _new_figure(results, max(4.5 * len(by_cost), 9.0), 3.6)
-        style.add_headline(
-            figure,
-            f"{results.about.get('name', '')}: performance profiles",
-            "share of common problems solved within a ratio of the best; failures are infinite",
-        )
+    with _titled_figure(
+        results,
+        max(4.5 * len(by_cost), 9.0),
+        3.6,
+        "performance profiles",
+        "share of common problems solved within a ratio of the best; failures are infinite",
+    ) as figure:
         for axes, (cost, cost_profiles) in zip(
-            plot_style.add_panels(figure, len(by_cost), len(by_cost)), by_cost.items(), strict=True
+            series.add_panels(figure, len(by_cost), len(by_cost)), by_cost.items(), strict=True
         ):
             axes.set_title(f"{_COST_TEXT[cost].capitalize()}, {cost_profiles.problems:,} problems")
             _plot_profile(axes, cost_profiles, results.planners)
-        plot_style.add_legend(figure, results.planners)
+        series.add_legend(figure, results.planners)
     return figure
 
 
@@ -220,7 +219,7 @@ def _plot_profile(axes: Axes, cost_profiles: PerformanceProfiles, planners: Sequ
         fraction = np.arange(1, len(ratios) + 1) / cost_profiles.problems
         end = fraction[-1] if len(fraction) else 0.0
         x, y = np.r_[1.0, ratios, max(max_ratio, cost_profiles.largest)], np.r_[0.0, fraction, end]
-        axes.step(x, y, where="post", **plot_style.line_style(planners.index(name)), linewidth=1.6)
+        axes.step(x, y, where="post", **series.line_style(planners.index(name)), linewidth=1.6)
     axes.set_xscale("log")
     axes.set_xlim(1.0, max_ratio)
     ticks: list[float] = []
@@ -234,4 +233,4 @@ def _plot_profile(axes: Axes, cost_profiles: PerformanceProfiles, planners: Sequ
     if cost_profiles.left_out:
         text = f"nothing known of {', '.join(cost_profiles.left_out)}"
         axes.text(0.98, 0.04, text, transform=axes.transAxes, ha="right", color=style.QUIET)
-    plot_style.format_fraction_axis(axes)
+    series.format_fraction_axis(axes)

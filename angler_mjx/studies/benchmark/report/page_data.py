@@ -1,7 +1,7 @@
 """Data of a benchmark's page: rounded statistics of every selection, cells, failures, scenes."""
 
 import math
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from angler_mjx.studies.benchmark.report import cells, scenes
 from angler_mjx.studies.benchmark.report.rates import FEW, build_density_bins
 from angler_mjx.studies.benchmark.report.reading import MEASURES, Results
 from angler_mjx.studies.benchmark.report.selections import (
-    build_page_selection,
+    build_page_selections,
     round_digits,
     select_rows,
 )
@@ -19,7 +19,7 @@ _MEDIAN_DIGITS = 4
 _MAX_FAILURES = 20_000
 
 
-def build_page_data(results: Results) -> dict[str, Any]:
+def build_page_data(results: Results) -> dict[str, object]:
     """Return everything that the page's script reads.
 
     Args:
@@ -34,6 +34,7 @@ def build_page_data(results: Results) -> dict[str, Any]:
         _index_values(runs["robots"], teams),
         _index_values(runs.knowledge, knowledge),
     )
+    selections = list(select_rows(*choices))
     report_cells = cells.build_cells(runs)
     return {
         "about": results.about,
@@ -51,10 +52,13 @@ def build_page_data(results: Results) -> dict[str, Any]:
             "closed": int(np.sum(runs.counted & ~runs.requested)),
             "no_room": int(np.sum(~runs.counted)),
         },
-        "selections": {
-            selection.key: build_page_selection(results, selection.rows, bins)
-            for selection in select_rows(*choices)
-        },
+        "selections": dict(
+            zip(
+                (selection.key for selection in selections),
+                build_page_selections(results, selections, bins),
+                strict=True,
+            )
+        ),
         "centres": [round_digits(x) for x in bins.centres],
         "measures": MEASURES,
         "cells": [_build_cell(cell, results, knowledge) for cell in report_cells],
@@ -67,12 +71,16 @@ def build_page_data(results: Results) -> dict[str, Any]:
     }
 
 
-def _index_values(values: np.ndarray, names: list[Any]) -> list[int]:
+def _index_values(values: np.ndarray, names: Sequence[object]) -> list[int]:
     number = {name: i for i, name in enumerate(names)}
     return [number[value] for value in values.tolist()]
 
 
-def _build_cell(cell: cells.ReportCell, results: Results, knowledge: list[str]) -> dict[str, Any]:
+def _build_cell(
+    cell: cells.ReportCell, results: Results, knowledge: list[str]
+) -> dict[str, object]:
+    runs = results.runs
+    is_closed = runs.counted[cell.rows] & ~runs.requested[cell.rows]
     return {
         "planner": results.planners.index(cell.planner),
         "scene": results.scenes.index(cell.scene),
@@ -80,7 +88,7 @@ def _build_cell(cell: cells.ReportCell, results: Results, knowledge: list[str]) 
         "team": cell.robots,
         "information": knowledge.index(cell.knowledge),
         "asked": cell.success.requested,
-        "closed": cell.success.closed,
+        "closed": int(np.sum(is_closed)),
         "success": round_digits(cell.success.fraction),
         "interval": [round_digits(cell.success.low), round_digits(cell.success.high)],
         "planned": round_digits(cell.planned.fraction),
@@ -89,7 +97,7 @@ def _build_cell(cell: cells.ReportCell, results: Results, knowledge: list[str]) 
     }
 
 
-def _build_failures(results: Results, report_cells: list[cells.ReportCell]) -> dict[str, Any]:
+def _build_failures(results: Results, report_cells: list[cells.ReportCell]) -> dict[str, object]:
     """Return positions of failed robots by cell; of very many every n-th one."""
     failures, runs = results.failures, results.runs
     cell_of_run = {

@@ -5,12 +5,12 @@ tau times the least cost of any planner. Where it failed its ratio is infinite; 
 nobody solved count in the share.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from angler_mjx.studies.benchmark.report.reading import Runs
+from angler_mjx.studies.benchmark.report.reading import Results
 
 COSTS = {
     "planning_s": "planned",
@@ -29,7 +29,6 @@ class PerformanceProfiles:
     """By planner: finite ratios, sorted."""
     problems: int
     """That are common."""
-    all_problems: int
     left_out: tuple[str, ...]
     """Planners for which nothing of the cost is known."""
 
@@ -44,41 +43,31 @@ class PerformanceProfiles:
         return max((float(r[-1]) for r in self.ratios.values() if len(r)), default=1.0)
 
 
-def compute_profiles(
-    runs: Runs, problem: np.ndarray, planners: Sequence[str], cost: str
-) -> PerformanceProfiles:
+def compute_profiles(results: Results, table: np.ndarray, cost: str) -> PerformanceProfiles:
     """Profiles of one cost.
 
     Args:
-        runs: rows.
-        problem: int [n] which problem each row is.
-        planners: labels to compare.
+        results: of a benchmark.
+        table: int [planner, problem] rows, as `Results.run_table`.
         cost: one of `COSTS`.
     """
-    values = np.where(runs[COSTS[cost]], runs[cost], np.nan)
-    measured = [name for name in planners if np.any(np.isfinite(values[runs["planner"] == name]))]
-    planner_rows = {name: (runs["planner"] == name) & runs.counted for name in measured}
-    common = np.unique(problem)
-    for rows in planner_rows.values():
-        common = np.intersect1d(common, problem[rows])
-    if not measured:
-        common = common[:0]
-    table = np.full((len(measured), len(common)), np.inf)
-    for i, rows in enumerate(planner_rows.values()):
-        at = np.searchsorted(common, problem[rows])
-        is_common = np.isin(problem[rows], common)
-        costs = np.nan_to_num(values[rows][is_common], nan=np.inf)
-        table[i, at[is_common]] = costs
-    best = table.min(axis=0, initial=np.inf)
+    runs = results.runs
+    values = np.append(np.where(runs[COSTS[cost]], runs[cost], np.nan), np.nan)[table]
+    is_measured = np.isfinite(values).any(axis=1)
+    common = np.all(table[is_measured] >= 0, axis=0) & is_measured.any()
+    costs = np.nan_to_num(values[is_measured][:, common], nan=np.inf)
+    best = costs.min(axis=0, initial=np.inf)
     # A cost of 0 can be the best: it is within every ratio of itself, and others are beyond all.
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = np.where(table == best, 1.0, table / best)
-    ratio[~np.isfinite(table)] = np.inf
+        ratio = np.where(costs == best, 1.0, costs / best)
+    ratio[~np.isfinite(costs)] = np.inf
+    measured = [
+        name for name, has_cost in zip(results.planners, is_measured, strict=True) if has_cost
+    ]
     return PerformanceProfiles(
         ratios={
             name: np.sort(row[np.isfinite(row)]) for name, row in zip(measured, ratio, strict=True)
         },
-        problems=len(common),
-        all_problems=len(np.unique(problem)),
-        left_out=tuple(name for name in planners if name not in measured),
+        problems=int(common.sum()),
+        left_out=tuple(name for name in results.planners if name not in measured),
     )

@@ -8,7 +8,6 @@ is a world of its own, so runs of one planner and team are independent; Wilson's
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -27,8 +26,6 @@ class ReportRate:
 
     count: int
     requested: int
-    closed: int
-    """Runs of the same kind outside the mask."""
     low: float
     high: float
 
@@ -52,14 +49,12 @@ def compute_rate(hit: np.ndarray, requested: np.ndarray) -> ReportRate:
     """
     count, total = int(np.sum(hit & requested)), int(np.sum(requested))
     low, high = wilson_interval(count, total)
-    return ReportRate(
-        count=count, requested=total, closed=len(requested) - total, low=low, high=high
-    )
+    return ReportRate(count=count, requested=total, low=low, high=high)
 
 
 def compute_rates(
     groups: Sequence[np.ndarray], hit: np.ndarray, requested: np.ndarray
-) -> dict[tuple[Any, ...], ReportRate]:
+) -> dict[tuple[object, ...], ReportRate]:
     """Rates of groups of rows.
 
     Args:
@@ -73,9 +68,9 @@ def compute_rates(
     }
 
 
-def group_rows(*columns: Sequence[object]) -> dict[tuple[Any, ...], np.ndarray]:
+def group_rows(*columns: Sequence[object]) -> dict[tuple[object, ...], np.ndarray]:
     """Indices of the rows of each combination of values, in order of appearance."""
-    rows_by_key: dict[tuple[Any, ...], list[int]] = {}
+    rows_by_key: dict[tuple[object, ...], list[int]] = {}
     for i, key in enumerate(zip(*columns, strict=True)):
         rows_by_key.setdefault(key, []).append(i)
     return {key: np.array(rows) for key, rows in rows_by_key.items()}

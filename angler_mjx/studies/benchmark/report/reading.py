@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import NotRequired, TypedDict, cast
 
 import numpy as np
 import pyarrow as pa
@@ -107,12 +107,36 @@ class ReportFailures:
     y_m: np.ndarray
 
 
+class OnlineFlights(TypedDict, total=False):
+    """Replanning and order of a planner's flights."""
+
+    replan_hz: float
+    order: str
+
+
+class AnnouncedPlanner(TypedDict):
+    """A planner of a benchmark, as its folder announces it."""
+
+    label: str
+    name: str
+    online: NotRequired[OnlineFlights]
+
+
+class About(TypedDict, total=False):
+    """Contents of ``about.json`` that figures read; the page shows others too."""
+
+    name: str
+    deadline_s: float | None
+    planners: list[AnnouncedPlanner]
+    scenes: list[str]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Results:
     """All that a report is made of."""
 
     folder: Path
-    about: Mapping[str, Any]
+    about: About
     runs: Runs
     problem: np.ndarray
     """int [n] which problem a row is; see `index_problems`."""
@@ -140,9 +164,32 @@ class Results:
         return _order_names(announced, self.runs.planners)
 
     @cached_property
+    def planner(self) -> np.ndarray:
+        """Int [n]: index of the planner of each row."""
+        number = {name: i for i, name in enumerate(self.planners)}
+        return np.array([number[name] for name in self.runs["planner"].tolist()], int)
+
+    @cached_property
     def scenes(self) -> list[str]:
         """Scenes: those announced, then others that rows have."""
         return _order_names([str(name) for name in self.about.get("scenes", [])], self.runs.scenes)
+
+    @cached_property
+    def run_table(self) -> np.ndarray:
+        """Int [planner, problem]: row of the counted run, -1 without one."""
+        table = np.full((len(self.planners), int(self.problem.max()) + 1), -1)
+        rows = np.flatnonzero(self.runs.counted)[::-1]
+        table[self.planner[rows], self.problem[rows]] = rows
+        return table
+
+    def select_runs(self, rows: np.ndarray) -> np.ndarray:
+        """Return the part of `run_table` that holds selected rows.
+
+        Args:
+            rows: bool [n].
+        """
+        table = np.where(np.append(rows, False)[self.run_table], self.run_table, -1)
+        return table[:, np.any(table >= 0, axis=0)]
 
 
 def read_results(folder: Path) -> Results:
@@ -167,7 +214,7 @@ def read_results(folder: Path) -> Results:
     problem = index_problems(runs)
     return Results(
         folder=folder,
-        about=about,
+        about=cast(About, about),
         runs=runs,
         problem=problem,
         world=index_worlds(runs),

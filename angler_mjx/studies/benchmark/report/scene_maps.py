@@ -1,6 +1,6 @@
 """Maps from above: where robots failed, and examples of what was planned and flown."""
 
-from typing import Any
+from typing import Literal, TypedDict
 
 import matplotlib.patheffects as effects
 import numpy as np
@@ -9,18 +9,27 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch
 
-from angler_mjx.report.plotting import style
-from angler_mjx.studies.benchmark.report import plot_style
+from angler_mjx.report.plotting import series, style
 from angler_mjx.studies.benchmark.report.reading import Results
 from angler_mjx.studies.benchmark.report.scenes import Example, ScenePath
 
 _HALO = [effects.withStroke(linewidth=2.4, foreground=style.PAPER)]
 _MANY_FAILURES = 400
-_PLANNED: dict[str, Any] = {"linewidth": 0.9, "linestyle": "--"}
-_FLOWN: dict[str, Any] = {"linewidth": 1.5}
-_GOAL: dict[str, Any] = {"marker": "*", "markersize": 9, "linestyle": ""}
-_FAILURE: dict[str, Any] = {"marker": "X", "markersize": 7, "linestyle": "", "color": style.INK}
-"""Of the lines and marks of an example, on its maps and in its legend."""
+
+
+class _Look(TypedDict, total=False):
+    """How a line or mark of an example looks, on its maps and in its legend."""
+
+    linewidth: float
+    linestyle: Literal["--", ""]
+    marker: str
+    markersize: float
+
+
+_PLANNED: _Look = {"linewidth": 0.9, "linestyle": "--"}
+_FLOWN: _Look = {"linewidth": 1.5}
+_GOAL: _Look = {"marker": "*", "markersize": 9, "linestyle": ""}
+_FAILURE: _Look = {"marker": "X", "markersize": 7, "linestyle": ""}
 
 
 def plot_failures(results: Results) -> Figure | None:
@@ -34,15 +43,15 @@ def plot_failures(results: Results) -> Figure | None:
     outcomes = sorted(set(all_failures.outcome.tolist()))
     n_columns = min(len(shown), 3)
     n_rows = -(-len(shown) // n_columns)
-    with plot_style.styled():
-        figure = style.new_figure(max(4.2 * n_columns, 7.0), 4.1 * n_rows + 1.2, headline_in=0.65)
-        style.add_headline(
-            figure,
-            f"{results.about.get('name', '')}: where robots failed",
-            "centres of robots that had a path when they failed, from above, of all planners",
-        )
+    with style.titled_figure(
+        max(4.2 * n_columns, 7.0),
+        4.1 * n_rows + 1.2,
+        f"{results.about.get('name', '')}: where robots failed",
+        "centres of robots that had a path when they failed, from above, of all planners",
+        parse_math=False,
+    ) as figure:
         for axes, name in zip(
-            plot_style.add_panels(figure, len(shown), n_columns, sharey=False), shown, strict=True
+            series.add_panels(figure, len(shown), n_columns, sharey=False), shown, strict=True
         ):
             in_scene = scene == name
             axes.set_title(f"{name}: {int(in_scene.sum()):,}")
@@ -83,13 +92,15 @@ def plot_example(scene: Example) -> Figure | None:
         return None
     n_columns = min(len(scene.paths), 4)
     n_rows = -(-len(scene.paths) // n_columns)
-    with plot_style.styled():
-        figure = style.new_figure(max(3.1 * n_columns, 7.5), 3.7 * n_rows + 1.1, headline_in=0.65)
-        style.add_headline(
-            figure, scene.title, "from above; a colour a robot; lighter rock is higher"
-        )
+    with style.titled_figure(
+        max(3.1 * n_columns, 7.5),
+        3.7 * n_rows + 1.1,
+        scene.title,
+        "from above; a colour a robot; lighter rock is higher",
+        parse_math=False,
+    ) as figure:
         for axes, scene_path in zip(
-            plot_style.add_panels(figure, len(scene.paths), n_columns), scene.paths, strict=True
+            series.add_panels(figure, len(scene.paths), n_columns), scene.paths, strict=True
         ):
             axes.set_title(scene_path.planner, fontsize=10.5)
             axes.set_xlabel(_format_outcome(scene_path), fontsize=8.5)
@@ -144,7 +155,7 @@ def _plot_robot(axes: Axes, scene: Example, scene_path: ScenePath, robot: int) -
     axes.plot(flown[:, 0], flown[:, 1], color=color, zorder=5, path_effects=_HALO, **_FLOWN)
     finite = flown[np.isfinite(flown).all(axis=1)]
     if scene_path.outcome[robot] != "reached" and len(finite):
-        axes.plot(*finite[-1, :2], mec=style.PAPER, zorder=7, **_FAILURE)
+        axes.plot(*finite[-1, :2], color=style.INK, mec=style.PAPER, zorder=7, **_FAILURE)
 
 
 def _build_legend(scene: Example) -> list[Line2D | Patch]:
@@ -153,7 +164,7 @@ def _build_legend(scene: Example) -> list[Line2D | Patch]:
         Line2D([], [], color=quiet, label="planned", **_PLANNED),
         Line2D([], [], color=quiet, label="flown", **_FLOWN),
         Line2D([], [], color=quiet, label="goal (disc: start)", **_GOAL),
-        Line2D([], [], label="failure", **_FAILURE),
+        Line2D([], [], color=style.INK, label="failure", **_FAILURE),
     ]
     if scene.obstacle_moves.any():
         handles.append(

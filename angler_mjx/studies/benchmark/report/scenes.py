@@ -4,7 +4,7 @@ import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 
@@ -102,9 +102,38 @@ def _build_example(arrays: Mapping[str, np.ndarray]) -> Example:
     )
 
 
-def build_page_scenes(results: Results) -> list[dict[str, Any]]:
+type PagePoints = list[list[float]]
+"""East and north [m] of points."""
+
+
+class PagePath(TypedDict):
+    """How one planner fared, as the page reads it."""
+
+    planner: str
+    planned: list[PagePoints]
+    flown: list[PagePoints]
+    outcome: list[str]
+
+
+class PageScene(TypedDict):
+    """An example as the page reads it."""
+
+    title: str
+    top: list[list[int]]
+    """Cells up to the highest rock of each column."""
+    layers: int
+    origin: list[float]
+    cell: float
+    start: PagePoints
+    goal: PagePoints
+    obstacles: list[list[float]]
+    """East, north, radius [m], and 1 for one that moves."""
+    paths: list[PagePath]
+
+
+def build_page_scenes(results: Results) -> list[PageScene]:
     """Examples for the page, the first ones if all would be too much."""
-    shown: list[dict[str, Any]] = []
+    shown: list[PageScene] = []
     points_left = _MAX_POINTS
     for path in results.examples:
         example = read_example(path)
@@ -115,7 +144,7 @@ def build_page_scenes(results: Results) -> list[dict[str, Any]]:
     return shown
 
 
-def _build_page_scene(example: Example) -> dict[str, Any]:
+def _build_page_scene(example: Example) -> PageScene:
     return {
         "title": example.title,
         "top": example.top.tolist(),
@@ -133,7 +162,7 @@ def _build_page_scene(example: Example) -> dict[str, Any]:
                 strict=True,
             )
         ],
-        "ways": [
+        "paths": [
             {
                 "planner": scene_path.planner,
                 "planned": [
@@ -151,7 +180,7 @@ def _build_page_scene(example: Example) -> dict[str, Any]:
     }
 
 
-def _thin_points(path_m: np.ndarray, max_points: int | None = None) -> list[list[float]]:
+def _thin_points(path_m: np.ndarray, max_points: int | None = None) -> PagePoints:
     """East and north of the points that are there, evenly thinned, the last one kept."""
     finite = path_m[np.isfinite(path_m).all(axis=1)]
     if max_points is not None and len(finite) > max_points:

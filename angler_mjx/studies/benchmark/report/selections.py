@@ -9,18 +9,19 @@ import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 
+from angler_mjx.runs.storage.confidence_intervals import wilson_interval
 from angler_mjx.studies.benchmark.report.paired import (
     RATIOS,
     PairedComparison,
     PairedRatio,
-    compare_rows,
+    compare_pairs,
 )
 from angler_mjx.studies.benchmark.report.profiles import COSTS, compute_profiles
-from angler_mjx.studies.benchmark.report.rates import DensityBins, compute_rate
+from angler_mjx.studies.benchmark.report.rates import DensityBins
 from angler_mjx.studies.benchmark.report.reading import Results
 
 ALL = -1
@@ -33,6 +34,36 @@ _AXIS = 364
 """Positions on the axis of a profile: the width of its chart in pixels."""
 _MAX_STEPS = 30
 """Steps of a profile that the page draws, at most."""
+
+
+type Number = float | int | None
+"""A number of the page; None for what is no number."""
+type Ratio = list[Number] | int
+"""Median, ends of its interval and problems of a ratio; 0 without a problem."""
+
+
+class PageProfile(TypedDict):
+    """Performance profiles of one cost."""
+
+    problems: int
+    end: Number
+    """Largest ratio on the axis."""
+    lines: list[tuple[int, int, int, list[int], list[int]]]
+    """Planner, problems it is best on, problems solved, positions of steps, heights."""
+    left_out: list[int]
+    """Planners of which nothing is known."""
+
+
+class PageSelection(TypedDict):
+    """Statistics of one selection."""
+
+    rates: list[list[Number] | None]
+    ranking: list[int]
+    bins: dict[str, list[list[Number] | None]]
+    """Rates by density bin."""
+    profiles: dict[str, PageProfile]
+    pairs: dict[str, list[Number | Ratio]]
+    """Comparison of two planners, by their indices."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,26 +96,40 @@ def select_rows(*columns: Sequence[int]) -> Iterator[Selection]:
             yield Selection(key=" ".join(map(str, chosen)), rows=rows)
 
 
-def build_page_selection(results: Results, rows: np.ndarray, bins: DensityBins) -> dict[str, Any]:
-    """Return the statistics of selected rows as the page reads them.
+def build_page_selections(
+    results: Results, selections: Sequence[Selection], bins: DensityBins
+) -> list[PageSelection]:
+    """Return the statistics of each selection as the page reads them.
 
     Args:
         results: of a benchmark.
-        rows: bool [n] selected rows.
+        selections: any number of them.
         bins: density bins of all rows.
     """
-    return {
-        "rates": _build_rates(results, rows),
-        "ranking": _rank_planners(results, rows),
-        "bins": {
-            str(b): _build_rates(results, rows & (bins.of == b)) for b in np.unique(bins.of[rows])
-        },
-        "profiles": {cost: _build_profile(results, rows, cost) for cost in COSTS},
-        "pairs": _build_pairs(results, rows),
-    }
+    tables = [results.select_runs(selection.rows) for selection in selections]
+    pairs = list(itertools.combinations(range(len(results.planners)), 2))
+    return [
+        {
+            "rates": _build_rates(results, selection.rows),
+            "ranking": _rank_planners(results, selection.rows),
+            "bins": {
+                str(b): _build_rates(results, selection.rows & (bins.of == b))
+                for b in np.unique(bins.of[selection.rows])
+            },
+            "profiles": {cost: _build_profile(results, table, cost) for cost in COSTS},
+            "pairs": {
+                f"{i} {j}": _list_comparison(comparison)
+                for (i, j), comparison in zip(pairs, compared, strict=True)
+                if comparison.pairs
+            },
+        }
+        for selection, table, compared in zip(
+            selections, tables, compare_pairs(results, tables, pairs), strict=True
+        )
+    ]
 
 
-def round_digits(value: float, digits: int = _DIGITS) -> float | int | None:
+def round_digits(value: float, digits: int = _DIGITS) -> Number:
     """Return a number of so many significant digits for JSON; None for what is no number."""
     if not math.isfinite(value):
         return None
@@ -92,44 +137,44 @@ def round_digits(value: float, digits: int = _DIGITS) -> float | int | None:
     return int(short) if short.is_integer() else short
 
 
-def _build_rates(results: Results, rows: np.ndarray) -> list[list[float | int | None] | None]:
-    """Return fraction, ends of its interval, runs and given-up runs of each planner."""
+def _count_runs(results: Results, rows: np.ndarray) -> np.ndarray:
+    """Return counted runs, hits and given-up runs [3, planner] of selected rows."""
     runs = results.runs
-    rates: list[list[float | int | None] | None] = []
-    for name in results.planners:
-        of_planner = rows & (runs["planner"] == name) & runs.counted
-        if not of_planner.any():
-            rates.append(None)
-            continue
-        rate = compute_rate(runs[results.judged][of_planner], runs.counted[of_planner])
-        closed = int(np.sum(of_planner & ~runs.requested))
-        fractions = (round_digits(x, _RATE_DIGITS) for x in (rate.fraction, rate.low, rate.high))
-        rates.append([*fractions, rate.requested, closed])
+    counted = rows & runs.counted
+    return np.stack(
+        [
+            np.bincount(results.planner[kept], minlength=len(results.planners))
+            for kept in (counted, counted & runs[results.judged], counted & ~runs.requested)
+        ]
+    )
+
+
+def _build_rates(results: Results, rows: np.ndarray) -> list[list[Number] | None]:
+    """Return fraction, ends of its interval, runs and given-up runs of each planner."""
+    rates: list[list[Number] | None] = []
+    for total, count, closed in _count_runs(results, rows).T.tolist():
+        fractions = (count / total, *wilson_interval(count, total)) if total else ()
+        rounded = [round_digits(x, _RATE_DIGITS) for x in fractions]
+        rates.append([*rounded, total, closed] if total else None)
     return rates
 
 
 def _rank_planners(results: Results, rows: np.ndarray) -> list[int]:
     """Return indices of the planners with runs, from the highest rate to the lowest."""
-    runs = results.runs
-    fractions = {}
-    for index, name in enumerate(results.planners):
-        of_planner = rows & (runs["planner"] == name) & runs.counted
-        if of_planner.any():
-            fractions[index] = float(np.mean(runs[results.judged][of_planner]))
-    return sorted(fractions, key=lambda index: -fractions[index])
+    total, count, _ = _count_runs(results, rows).tolist()
+    present = [i for i, of_planner in enumerate(total) if of_planner]
+    return sorted(present, key=lambda i: -count[i] / total[i])
 
 
-def _build_profile(results: Results, rows: np.ndarray, cost: str) -> dict[str, Any]:
-    profiles = compute_profiles(
-        results.runs.where(rows), results.problem[rows], results.planners, cost
-    )
+def _build_profile(results: Results, table: np.ndarray, cost: str) -> PageProfile:
+    profiles = compute_profiles(results, table, cost)
     ends = [float(np.quantile(r, 0.99)) for r in profiles.ratios.values() if len(r)]
     end = max(1.02, min(max([1.0, *ends]), profiles.largest, 1e4))
     return {
         "problems": profiles.problems,
         "end": round_digits(end),
         "lines": [
-            [results.planners.index(name), *_build_steps(ratios, end)]
+            (results.planners.index(name), *_build_steps(ratios, end))
             for name, ratios in profiles.ratios.items()
             if profiles.problems
         ],
@@ -158,21 +203,7 @@ def _build_steps(ratios: np.ndarray, end: float) -> tuple[int, int, list[int], l
     return int(np.sum(ratios == 1.0)), len(ratios), position.tolist(), height.tolist()
 
 
-def _build_pairs(results: Results, rows: np.ndarray) -> dict[str, list[Any]]:
-    """Return the comparison of each pair of planners that share a problem, once."""
-    runs = results.runs.where(rows)
-    problem, world = results.problem[rows], results.world[rows]
-    present = set(runs["planner"][runs.counted].tolist())
-    pairs = {}
-    for (i, first), (j, second) in itertools.combinations(enumerate(results.planners), 2):
-        if first in present and second in present:
-            comparison = compare_rows(runs, problem, world, results.judged, (first, second))
-            if comparison.pairs:
-                pairs[f"{i} {j}"] = _list_comparison(comparison)
-    return pairs
-
-
-def _list_comparison(comparison: PairedComparison) -> list[Any]:
+def _list_comparison(comparison: PairedComparison) -> list[Number | Ratio]:
     """Return counts, difference with its interval, p, then the ratio of each cost."""
     return [
         *(comparison.both, comparison.only_first, comparison.only_second, comparison.neither),
@@ -182,7 +213,7 @@ def _list_comparison(comparison: PairedComparison) -> list[Any]:
     ]
 
 
-def _list_ratio(ratio: PairedRatio) -> list[float | int | None] | int:
+def _list_ratio(ratio: PairedRatio) -> Ratio:
     if not ratio.pairs:
         return 0
     return [*(round_digits(x) for x in (ratio.median, ratio.low, ratio.high)), ratio.pairs]

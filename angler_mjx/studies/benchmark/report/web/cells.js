@@ -51,15 +51,15 @@ function drawCells() {
 function drawMade() {
   const { about } = data, list = at("made"), { runs, asked, closed, no_room } = data.totals;
   const say = (name, text) => text && list.append(html("dt", {}, name), html("dd", {}, text));
-  const pairs = (held) => (held && typeof held === "object" ? Object.entries(held).map(([k, v]) => `${k} ${typeof v === "object" ? JSON.stringify(v) : v}`).join(", ") : String(held ?? ""));
+  const pairs = (held) => (held && typeof held === "object" ? Object.entries(held).filter(([, v]) => v !== null).map(([k, v]) => `${k} ${typeof v === "object" ? JSON.stringify(v) : v}`).join(", ") : String(held ?? ""));
   say("command", about.command);
   say("created", about.created);
   say("host", pairs(about.host));
   say("versions", pairs(about.versions));
   say("deadline", about.deadline_s && `${about.deadline_s} s a problem`);
   say("runs asked", `${asked} of ${runs}`);
-  say("not asked", closed ? `${closed} runs: their cells were given up after the first ${about.close_after ?? ""} problems all failed. They are taken to fail everywhere but in the table of cells.` : "none");
-  if (no_room) say("left out", `${no_room} runs, whose worlds cannot hold the team`);
+  say("not asked", closed ? `${count(closed, "run")}: their cells were given up after the first ${about.close_after ?? ""} problems all failed. They are taken to fail everywhere but in the table of cells.` : "none");
+  if (no_room) say("left out", `${count(no_room, "run")} in worlds that cannot hold the team`);
   const given = data.cells.filter((c) => c.closed).map((c) => `${names[c.planner]} on ${data.scenes[c.scene]} with ${c.team} (${c.closed})`);
   say("cells given up", given.join("; "));
   for (const planner of about.planners || []) say(planner.label, `${planner.name ?? ""} ${JSON.stringify({ ...planner.settings, ...planner.online })}`);

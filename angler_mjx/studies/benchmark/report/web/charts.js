@@ -23,6 +23,7 @@ function html(name, given = {}, ...inside) {
 
 const percent = (share) => `${(100 * share).toFixed(share > 0.995 && share < 1 ? 1 : 0)} %`;
 const between = ([low, high]) => `${(100 * low).toFixed(0)} to ${(100 * high).toFixed(0)} %`;
+const count = (n, noun) => `${n} ${noun}${n === 1 ? "" : "s"}`;
 const short = (x) => (x === null || x === undefined || Number.isNaN(x) ? "–" : String(Number(x.toPrecision(3))));
 
 // Colours repeat after eight planners: the others have dashes and open squares.
@@ -57,7 +58,7 @@ function frame(title, { xlabel, ylabel, xticks, yticks, x, y, width, height, lab
   }
   drawn.append(svg("path", { class: "axis", d: `M${left} ${top}V${height - bottom}H${width - right}` }));
   drawn.append(svg("text", { x: (left + width - right) / 2, y: height - 4, "text-anchor": "middle" }, xlabel));
-  drawn.append(svg("text", { x: 0, y: 10, "text-anchor": "start" }, ylabel));
+  drawn.append(svg("text", { x: 0, y: 6, "text-anchor": "start" }, ylabel));
   return [html("figure", {}, html("h3", {}, title), drawn), drawn];
 }
 

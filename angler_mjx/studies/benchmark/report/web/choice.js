@@ -77,7 +77,7 @@ function pairOf(selection, a, b) {
 
 function point(at, planner, one, what) {
   const closed = one.closed ? `; ${one.closed} of them given up` : "";
-  return { at, rate: one.rate, interval: one.interval, hollow: one.runs < data.few, words: `${names[planner]}, ${what}: ${percent(one.rate)} (${between(one.interval)}) of ${one.runs} runs${closed}` };
+  return { at, rate: one.rate, interval: one.interval, hollow: one.runs < data.few, words: `${names[planner]}, ${what}: ${percent(one.rate)} (${between(one.interval)}) of ${count(one.runs, "run")}${closed}` };
 }
 
 // The planner with the highest rate, and those that paired intervals do not tell from it.

@@ -31,7 +31,7 @@ function ground(title, [x0, y0, x1, y1], label) {
 
 // Dots of one outcome are one path: thousands of them cost nothing.
 function failureMap(data, title, picked, bounds) {
-  const { figure, drawn, x, y } = ground(title, bounds, `${title}: places of ${picked.length} robots that failed`);
+  const { figure, drawn, x, y } = ground(title, bounds, `${title}: places of ${count(picked.length, "robot")} that failed`);
   const held = data.failures, paths = new Map();
   for (const i of picked) {
     const name = held.outcomes[held.outcome[i]];

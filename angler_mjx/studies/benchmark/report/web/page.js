@@ -19,9 +19,9 @@ function light(planner) {
 function begin() {
   const { about } = data;
   at("name").textContent = about.name || "Benchmark";
-  at("description").textContent = `${(about.description || "").replace(/[^.!?]$/, "$&.")} ${names.length} planner${names.length === 1 ? "" : "s"}, ${data.scenes.length} scene${data.scenes.length === 1 ? "" : "s"}, ${data.totals.problems} problems, ${data.totals.runs} runs.`.trim();
+  at("description").textContent = `${(about.description || "").replace(/[^.!?]$/, "$&.")} ${count(names.length, "planner")}, ${count(data.scenes.length, "scene")}, ${count(data.totals.problems, "problem")}, ${count(data.totals.runs, "run")}.`.trim();
   if (about.complete === false) {
-    const pending = data.pending && data.judged === "success" ? ` ${data.pending} runs are planned and not flown yet; rates count them as failed.` : "";
+    const pending = data.pending && data.judged === "success" ? ` Planned and not flown yet: ${count(data.pending, "run")}; rates count them as failed.` : "";
     at("state").textContent = `These results are not complete.${pending}`;
     at("state").hidden = false;
   }

@@ -9,7 +9,7 @@ function series(selections, words) {
 
 function drawRates() {
   const shown = teams(), ofTeam = (scene) => shown.map((team) => selected(scene, data.teams.indexOf(team), state.information).rates);
-  at("by-team").replaceChildren(...scenes().map((scene) => ratesChart(data.scenes[scene], "robots", shown.map(String), series(ofTeam(scene), shown.map((team) => `${team} robots`)))));
+  at("by-team").replaceChildren(...scenes().map((scene) => ratesChart(data.scenes[scene], "robots", shown.map(String), series(ofTeam(scene), shown.map((team) => count(team, "robot"))))));
   const { bins } = chosen(), numbers = Object.keys(bins).filter((bin) => state.planners.some((p) => bins[bin][p]));
   const centres = numbers.map((bin) => `${(100 * data.centres[bin]).toFixed(1)} %`);
   at("by-density").replaceChildren(ratesChart(state.scene < 0 ? "All scenes" : data.scenes[state.scene], "share of cells that are rock", centres, series(numbers.map((bin) => bins[bin]), centres.map((text) => `density ${text}`))));
@@ -21,7 +21,7 @@ function drawProfiles() {
   at("profiles").replaceChildren(...Object.entries(COSTS).map(([cost, title]) => {
     const found = chosen().profiles[cost], lines = linesOf(found);
     if (!lines.length) return html("p", { class: "note" }, `${title}: no problem here is common to all planners and has a known cost.`);
-    const figure = profileChart(`${title}: ${found.problems} common problems`, found, lines), unknown = found.left_out.filter((p) => state.planners.includes(p));
+    const figure = profileChart(`${title}: ${count(found.problems, "common problem")}`, found, lines), unknown = found.left_out.filter((p) => state.planners.includes(p));
     if (unknown.length) figure.append(html("p", { class: "note" }, `Nothing known of: ${listed(unknown, 14)}.`));
     return figure;
   }));
@@ -44,7 +44,7 @@ function drawFailures() {
     return failureMap(data, `${data.scenes[s]}: ${picked[s].length}`, picked[s], [x - half, y - half, x + half, y + half]);
   });
   at("failures").replaceChildren(...panels);
-  const note = at("failure-note"), every = held.every > 1 ? ` Every ${held.every}th of ${held.total} failures is kept in this page.` : "";
+  const note = at("failure-note"), every = held.every > 1 ? ` One in ${held.every} of ${held.total} failures is kept in this page.` : "";
   note.replaceChildren(legend([...seen].sort().map((name) => [outcome(data, name).color, outcome(data, name).text])), panels.length ? `Centres of robots when they failed, from above.${every}` : "No failure in flight is known here.");
 }
 
@@ -54,14 +54,14 @@ function drawExample() {
     box.replaceChildren(html("p", { class: "note" }, "No example was kept with these results."));
     return;
   }
-  const ways = example.ways, select = at("example-planner");
-  select.replaceChildren(html("option", { value: "" }, "the first four chosen"), ...ways.map((way) => html("option", { value: way.planner }, way.planner)));
-  select.value = ways.some((way) => way.planner === state.drawn) ? state.drawn : "";
+  const { paths } = example, select = at("example-planner");
+  select.replaceChildren(html("option", { value: "" }, "the first four chosen"), ...paths.map((way) => html("option", { value: way.planner }, way.planner)));
+  select.value = paths.some((way) => way.planner === state.drawn) ? state.drawn : "";
   const chosen = new Set(state.planners.map((p) => names[p]));
-  const shown = select.value ? ways.filter((way) => way.planner === select.value) : ways.filter((way) => chosen.has(way.planner)).slice(0, 4);
+  const shown = select.value ? paths.filter((way) => way.planner === select.value) : paths.filter((way) => chosen.has(way.planner)).slice(0, 4);
   const how = (way) => {
     const arrived = way.outcome.filter((o) => o === "reached").length;
-    return way.flown.some((f) => f.length) ? `${arrived} of ${way.outcome.length} robots arrived` : `not flown; ${way.planned.filter((p) => p.length).length} of ${way.planned.length} robots have a path`;
+    return way.flown.some((f) => f.length) ? `${arrived} of ${count(way.outcome.length, "robot")} arrived` : `not flown; a path for ${way.planned.filter((p) => p.length).length} of ${count(way.planned.length, "robot")}`;
   };
   at("example-map").replaceChildren(...shown.map((way) => {
     const figure = exampleMap(example, way);

@@ -79,7 +79,7 @@ def test_everything_is_drawn_and_a_pair_is_compared_as_in_python(made, results, 
         assert numbers[0] == pytest.approx(ratio.median, rel=6e-3)
         assert numbers[1:3] == pytest.approx([ratio.low, ratio.high], rel=6e-3)
         assert numbers[3] == ratio.pairs
-    found = compute_profiles(results.runs, results.problem, results.planners, "makespan_s")
+    found = compute_profiles(results, results.run_table, "makespan_s")
     label = f"grid: best on {100 * found.at('grid', 1.0):.0f} %"
     assert label in html.unescape(within(document, "profiles"))
 

@@ -13,9 +13,11 @@ from urllib.parse import urlencode
 import numpy as np
 import pytest
 
-from angler_mjx.studies.benchmark.report import curves, paired, rates, scene_maps
+from angler_mjx.studies.benchmark.report import curves, page, paired, rates, scene_maps
 from angler_mjx.studies.benchmark.report.profiles import compute_profiles
 from angler_mjx.studies.benchmark.report.reading import Runs
+
+from . import synthetic
 
 NODE = shutil.which("node")
 WEB = resources.files("angler_mjx.studies.benchmark.report") / "web"
@@ -25,14 +27,14 @@ TEAMS = (None, 1, 8)
 PAIRS = list(itertools.permutations(("grid", "RRTConnect", "KPIECE1"), 2))
 
 
-def show(page, **choices):
+def show(made, **choices):
     """Elements of the page, by id, after its script ran with choices behind #."""
     if NODE is None:
         pytest.skip("no node on PATH runs the page's script")
     given = {
-        "page": page.read_text(encoding="utf-8"),
+        "page": made.read_text(encoding="utf-8"),
         "hash": urlencode(choices, doseq=True),
-        "ids": ["answer", "pair", "by-team", "by-density", "profiles", "cells"],
+        "ids": ["answer", "pair", "by-team", "by-density", "profiles", "cells", "made"],
     }
     ran = subprocess.run(
         [NODE, DOCUMENT], input=json.dumps(given), capture_output=True, text=True, timeout=60
@@ -76,14 +78,12 @@ def choose(scene, team, **others):
 @pytest.mark.parametrize("scene", SCENES)
 @pytest.mark.parametrize("team", TEAMS)
 def test_a_shown_pair_has_the_numbers_of_python(made, results, scene, team):
-    rows = select(results, scene, team)
-    runs = results.runs.where(rows)
+    table = results.select_runs(select(results, scene, team))
     for first, second in PAIRS[::2] if scene or team else PAIRS:
         shown = show(made, **choose(scene, team, first=first, second=second))["pair"]
         values = dict(zip(find_texts(shown, "th"), find_texts(shown, "td"), strict=True))
-        one = paired.compare_rows(
-            runs, results.problem[rows], results.world[rows], results.judged, (first, second)
-        )
+        pair = (results.planners.index(first), results.planners.index(second))
+        one = paired.compare_pairs(results, [table], [pair])[0][0]
         assert int(values["problems of both"]) == one.pairs
         assert int(values["both succeed"]) == one.both
         assert int(values[f"only {first}"]) == one.only_first
@@ -117,14 +117,14 @@ def test_shown_rates_and_profiles_have_the_numbers_of_python(made, results, scen
         if rate.requested:
             interval = f"{100 * rate.low:.0f} to {100 * rate.high:.0f} %"
             expected.append(
-                f"{planner}, {robots} robots: {100 * rate.fraction:.0f} % ({interval})"
-                f" of {rate.requested} runs"
+                f"{planner}, {robots} robot{'s' * (robots > 1)}: "
+                f"{100 * rate.fraction:.0f} % ({interval}) of {rate.requested} runs"
             )
     titles = [text.split(";")[0] for text in find_texts(shown["by-team"], "title")]
     assert sorted(titles) == sorted(expected)
     lines = []
     for cost in ("planning_s", "makespan_s", "energy_j", "flowtime_s"):
-        profiles = compute_profiles(runs, results.problem[rows], results.planners, cost)
+        profiles = compute_profiles(results, results.select_runs(rows), cost)
         for planner, ratios in profiles.ratios.items():
             solved = len(ratios) / profiles.problems
             best = profiles.at(planner, 1.0)
@@ -148,6 +148,23 @@ def test_the_best_planner_of_a_choice_is_named_with_those_like_it(made, results)
         }
         answer = find_texts(show(made, scene=scene)["answer"], "li")
         assert answer[0].startswith(f"{max(rate, key=rate.get)} succeeds most often")
+
+
+def test_numbers_of_one_are_in_the_singular(tmp_path):
+    given = {"planners": ("grid", "PRM"), "presets": ("open",), "teams": (1,), "worlds": 2}
+    synthetic.write(tmp_path / "results", **given, examples=0)
+    shown = show(page.write_report(tmp_path / "results"))
+    texts = " ".join(find_text(element) for element in shown.values())
+    assert "of 1 run" in texts
+    assert "1 problem: too few" in texts
+    assert "1 common problem" in texts
+    assert not re.search(r"\b1 (common )?(runs|problems|robots)\b", texts)
+
+
+def test_only_cells_that_were_given_up_are_listed_as_such(made):
+    (made_from,) = re.findall(r"cells given up(.*?)grid", find_text(show(made)["made"]))
+    listed = re.findall(r"(\w+) on (\w+) with (\d+) \((\d+)\)", made_from)
+    assert listed == [("KPIECE1", "dense_fleet", "8", "7")]
 
 
 def test_the_script_computes_no_statistics():
