@@ -1,19 +1,22 @@
 """Two runs of the same worlds: what the second changed, world by world.
 
 Worlds are independent, robots of a world are not. So tests and intervals are of worlds. Whole teams
-and completed tasks have the exact test of McNemar and Newcombe's interval
-(`angler_mjx.studies.benchmark.report.paired`). The share of a world's robots that arrive has
-Student's interval of the mean difference over worlds, and the exact sign test on the worlds that it
-differs in (Dixon and Mood, JASA 41, 1946: the same binomial as McNemar's). Costs are differences of
-robots that both runs have a value of, their mean with the interval of
-`angler_mjx.runs.storage.confidence_intervals.clustered_mean`.
+and completed tasks have the exact test of McNemar (two-sided binomial on the worlds that one of the
+two alone solved) and Newcombe's interval for paired data (Statistics in Medicine 17, 1998,
+2635-2650, method 10: Wilson's intervals of both rates, joined with the correlation of the pairs).
+The share of a world's robots that arrive has Student's interval of the mean difference over worlds,
+and the exact sign test on the worlds that it differs in (Dixon and Mood, JASA 41, 1946: the same
+binomial as McNemar's). Costs are differences of robots that both runs have a value of, their mean
+with the interval of `angler_mjx.runs.storage.confidence_intervals.clustered_mean`.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
+from scipy.special import bdtr
 
 from angler_mjx.runs.storage.confidence_intervals import (
     ClusteredMean,
@@ -21,7 +24,6 @@ from angler_mjx.runs.storage.confidence_intervals import (
     wilson_interval,
 )
 from angler_mjx.runs.storage.results import completion_times
-from angler_mjx.studies.benchmark.report.paired import mcnemar, newcombe
 from angler_mjx.studies.measures import COSTS, arrived_of, mean_by_world, read_numbers, worlds_of
 
 
@@ -111,6 +113,37 @@ def pair_runs(first: pa.Table, second: pa.Table) -> RunPairing:
         share_p=fraction_p,
         costs={name: _compare_cost(name, tables, arrived) for name in COSTS} if same_worlds else {},
     )
+
+
+def newcombe(both: int, only_first: int, only_second: int, neither: int) -> tuple[float, float]:
+    """95 % interval of the difference of two paired rates; (-1, 1) without a pair."""
+    n = both + only_first + only_second + neither
+    if n == 0:
+        return -1.0, 1.0
+    p1, p2 = (both + only_first) / n, (both + only_second) / n
+    (l1, u1), (l2, u2) = (
+        wilson_interval(both + only_first, n),
+        wilson_interval(both + only_second, n),
+    )
+    sides = (
+        (both + only_first)
+        * (only_second + neither)
+        * (both + only_second)
+        * (only_first + neither)
+    )
+    cross = float(both * neither - only_first * only_second)
+    if cross > 0:
+        cross = max(cross - n / 2, 0.0)
+    phi = cross / math.sqrt(sides) if sides else 0.0
+    down, up = (p1 - l1, u2 - p2), (u1 - p1, p2 - l2)
+    below, above = (math.sqrt(max(x * x - 2 * phi * x * y + y * y, 0.0)) for x, y in (down, up))
+    return p1 - p2 - below, p1 - p2 + above
+
+
+def mcnemar(only_first: int, only_second: int) -> float:
+    """Return the exact two-sided p that the two are equally likely to solve a problem alone."""
+    n = only_first + only_second
+    return min(1.0, 2.0 * float(bdtr(min(only_first, only_second), n, 0.5)))
 
 
 def sign_test(differences: np.ndarray) -> float:

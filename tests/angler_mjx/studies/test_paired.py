@@ -1,5 +1,7 @@
 """Paired statistics against SciPy and closed forms, on episodes that are made up."""
 
+import math
+
 import numpy as np
 import pyarrow as pa
 import pytest
@@ -7,7 +9,7 @@ from scipy import stats
 
 from angler_mjx.runs.storage.confidence_intervals import clustered_mean
 from angler_mjx.studies.measures import COSTS
-from angler_mjx.studies.paired import pair_runs, sign_test
+from angler_mjx.studies.paired import mcnemar, newcombe, pair_runs, sign_test
 
 
 def episodes(arrived, values, first_world=0, completed_s=None):
@@ -215,3 +217,38 @@ def test_only_worlds_of_both_runs_are_pairs():
     found = pair_runs(episodes(all_, all_ * 2.0), episodes(all_, all_ * 5.0, first_world=3))
     assert found.worlds == 1
     assert found.costs["energy_j"].difference == 3.0
+
+
+def test_newcombe_gives_the_published_interval():
+    # Newcombe 1998, table II, method 10: 36, 12, 2, 0 and 53, 0, 1, 0 (by symmetry of 0, 1).
+    np.testing.assert_allclose(newcombe(36, 12, 2, 0), (0.0569, 0.3404), atol=5e-5)
+
+
+def test_newcombe_without_correlation_joins_two_wilson_intervals():
+    # ad - bc < n / 2, so the corrected correlation is 0 and the plain square-and-add holds.
+    low, high = newcombe(10, 10, 10, 10)
+    interval = stats.binomtest(20, 40).proportion_ci(method="wilson")
+    half = math.hypot(0.5 - interval.low, interval.high - 0.5)
+    assert (low, high) == pytest.approx((-half, half))
+
+
+def test_newcombe_turns_round_with_the_planners():
+    for table in ((7, 3, 1, 9), (0, 5, 0, 5), (4, 0, 0, 4), (0, 6, 6, 0), (1, 0, 0, 0)):
+        low, high = newcombe(*table)
+        turned = newcombe(table[0], table[2], table[1], table[3])
+        assert (low, high) == pytest.approx((-turned[1], -turned[0]))
+        assert -1 <= low <= (table[1] - table[2]) / sum(table) <= high <= 1
+
+
+def test_newcombe_covers_the_truth_about_as_often_as_it_says():
+    random = np.random.default_rng(3)
+    chance = (0.5, 0.25, 0.1, 0.15)
+    tables = random.multinomial(60, chance, 1500)
+    hit = [low <= 0.15 <= high for low, high in (newcombe(*map(int, t)) for t in tables)]
+    assert 0.93 < np.mean(hit) < 0.98
+
+
+@pytest.mark.parametrize(("first", "second"), [(0, 0), (1, 0), (12, 2), (7, 7), (600, 560)])
+def test_mcnemar_is_the_exact_binomial_test(first, second):
+    wanted = stats.binomtest(first, first + second).pvalue if first + second else 1.0
+    assert mcnemar(first, second) == pytest.approx(wanted)
