@@ -1,11 +1,10 @@
 """Several runs in one folder, one after another, for datasets and sweeps.
 
-The folder is built like a run, hidden beside its place; what says that it is whole comes last. A
-run of it that was broken off is resumed as any run is, so nothing but tiles in flight is lost.
+An interrupted run of it is resumed as any run is, so nothing but tiles in flight is lost.
 """
 
 import gc
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +14,8 @@ from angler_mjx.files import FileModel
 from angler_mjx.progress import Progress
 from angler_mjx.runs import rollout
 from angler_mjx.runs.processes import Processes, RunProcesses
+from angler_mjx.runs.resumable_folder import ResumableFolder
 from angler_mjx.runs.storage import folder, output_lock, results_folder
-from angler_mjx.runs.storage.output_lock import OutputLock
 from angler_mjx.scenario.scenario import Scenario
 
 REQUEST_FILE = "making.json"
@@ -25,55 +24,36 @@ RUNS_FOLDER = "runs"
 """Folder of the runs."""
 
 
-def create_folder(out: Path, kind: str, request: Mapping[str, Any]) -> OutputLock:
-    """Take the name of a folder of several runs.
-
-    Args:
-        out: folder to be.
-        kind: it is, in a word.
-        request: all that is asked for, in plain values.
-
-    Raises:
-        ConfigError: the name is taken or cannot be had.
-        RunError: the disk gave out.
-    """
-    lock = output_lock.acquire(out, kind=kind)
-    with lock.filling() as building:
-        folder.write_json(building / REQUEST_FILE, dict(request))
-        (building / RUNS_FOLDER).mkdir()
-    return lock
-
-
-def resume_folder(
-    out: Path,
+def declare_folder(
     kind: str,
     request: Mapping[str, Any],
     *,
     models: Mapping[str, type[FileModel]],
-    is_complete: bool,
-) -> OutputLock:
-    """Take up an interrupted folder of several runs; see `results_folder.resume_folder`.
+    is_complete: Callable[[Path], bool],
+) -> ResumableFolder[None]:
+    """Declare a folder of several runs.
 
     Args:
-        out: folder to be.
-        kind: it is, in a word.
-        request: as of `create_folder`; must be the same.
+        kind: noun of the kind.
+        request: all that is asked for, in plain values.
         models: models of tables in it, whose keys may have been renamed since it was begun.
-        is_complete: whether nothing is left to do.
-
-    Raises:
-        ConfigError: there is none, it is complete, or its request differs.
+        is_complete: as of `ResumableFolder`.
     """
-    lock, _ = results_folder.resume_folder(
-        out,
+
+    def begin(building: Path) -> None:
+        folder.write_json(building / REQUEST_FILE, dict(request))
+        (building / RUNS_FOLDER).mkdir()
+
+    def resume(building: Path) -> None:
+        results_folder.require_same_request(building / REQUEST_FILE, request, models)
+
+    return ResumableFolder(
         kind=kind,
-        file=REQUEST_FILE,
+        request_file=REQUEST_FILE,
+        begin=begin,
+        resume=resume,
         is_complete=is_complete,
-        check=lambda building: results_folder.require_same_request(
-            building / REQUEST_FILE, request, models
-        ),
     )
-    return lock
 
 
 def fly_runs(

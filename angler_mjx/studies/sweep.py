@@ -8,26 +8,26 @@ figure. A sweep that is interrupted holds them for the cells that were finished.
 import itertools
 import re
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 
-from angler_mjx.errors import AnglerError, ConfigError, RunError
+from angler_mjx.errors import AnglerError, ConfigError
 from angler_mjx.files import FaultyError, format_faults, validate_model
 from angler_mjx.progress import Progress
 from angler_mjx.report.plotting import style
 from angler_mjx.runs import multi_run
 from angler_mjx.runs.multi_run import RUNS_FOLDER
-from angler_mjx.runs.processes import OneProcess, Processes, reporting_failure
+from angler_mjx.runs.processes import OneProcess, Processes
 from angler_mjx.runs.provenance import describe_environment
+from angler_mjx.runs.resumable_folder import open_folder
 from angler_mjx.runs.rollout import NothingKeptError
 from angler_mjx.runs.simulator.world_preparation import check_planner
-from angler_mjx.runs.storage import folder, output_lock
+from angler_mjx.runs.storage import folder
 from angler_mjx.runs.storage.folder import Run
-from angler_mjx.runs.storage.output_lock import OutputLock
 from angler_mjx.runs.storage.read_errors import read_table
 from angler_mjx.scenario.editing import remove_horizon, scenario_table
 from angler_mjx.scenario.horizon_check import check_reachable
@@ -203,29 +203,26 @@ def run_sweep(
             stand in the folder with their tables, as after an interruption.
     """
     together = processes or OneProcess()
-    with reporting_failure(together), ExitStack() as stack:
-        lock = None
-        if together.index == 0:
-            lock = (
-                _resume_sweep(request, out)
-                if resume
-                else multi_run.create_folder(out, "sweep", request.resolved())
-            )
-            stack.callback(lock.release)
-        together.meet("sweep")
-        building = output_lock.partial_path(out)
-        flights = [(cell.path, cell.scenario) for cell in request.cells]
-        options = {"devices": devices, "workers": workers}
+    declared = multi_run.declare_folder(
+        "sweep", request.resolved(), models={"scenario": Scenario}, is_complete=is_complete
+    )
+    flights = [(cell.path, cell.scenario) for cell in request.cells]
+    options = {"devices": devices, "workers": workers}
+    with open_folder(declared, out, resume=resume, processes=together) as opened:
+        building = opened.building
         try:
             complete = _fly_cells(flights, building, progress, together, options)
         except AnglerError:
-            if lock is not None and _has_whole_cell(flights, building):
-                _write_results(request, lock, complete=False)
+            if _has_whole_cell(flights, building):
+                opened.publish(partial(_write_results, request, complete=False))
             raise
-        if lock is not None:
-            _write_results(request, lock, complete=complete)
-        together.meet("closed")
+        opened.publish(partial(_write_results, request, complete=complete))
     return read_sweep(out)
+
+
+def is_complete(out: Path) -> bool:
+    """Return whether a folder holds a sweep with all its cells."""
+    return (out / SWEEP).is_file() and bool(read_sweep(out).get("complete"))
 
 
 def read_sweep(out: Path) -> dict[str, Any]:
@@ -237,13 +234,6 @@ def read_sweep(out: Path) -> dict[str, Any]:
     if not (out / SWEEP).is_file():
         raise ConfigError(f"{out}: not the folder of a sweep (no {SWEEP} in it)")
     return read_table(out / SWEEP)
-
-
-def _resume_sweep(request: SweepRequest, out: Path) -> OutputLock:
-    whole = (out / SWEEP).is_file() and bool(read_sweep(out).get("complete"))
-    return multi_run.resume_folder(
-        out, "sweep", request.resolved(), models={"scenario": Scenario}, is_complete=whole
-    )
 
 
 def _fly_cells(
@@ -266,23 +256,15 @@ def _has_whole_cell(flights: Sequence[tuple[str, Scenario]], building: Path) -> 
     return any(multi_run.run_status(building / path) == "whole" for path, _ in flights)
 
 
-def _write_results(request: SweepRequest, lock: OutputLock, *, complete: bool) -> None:
-    """Table, page and figure; then the folder gets its name."""
-    building = lock.building
-    try:
-        results = _gather_results(request, building, complete=complete)
-        folder.write_json(building / SWEEP, results)
-        tables.write_parquet(results, building / TABLE)
-        tables.write_page(results, building / PAGE)
-        style.save_figure(chart.plot_sweep(results), building / FIGURE, palette=128)
-        if complete:
-            (building / multi_run.REQUEST_FILE).unlink()
-    except OSError as error:
-        raise RunError(
-            f"--out {lock.out}: cannot be written ({error.strerror or error}); its flights are "
-            f"in {building}: make room and go on with --resume"
-        ) from error
-    lock.publish()
+def _write_results(request: SweepRequest, building: Path, *, complete: bool) -> None:
+    """Write table, page and figure."""
+    results = _gather_results(request, building, complete=complete)
+    folder.write_json(building / SWEEP, results)
+    tables.write_parquet(results, building / TABLE)
+    tables.write_page(results, building / PAGE)
+    style.save_figure(chart.plot_sweep(results), building / FIGURE, palette=128)
+    if complete:
+        (building / multi_run.REQUEST_FILE).unlink()
 
 
 def _gather_results(request: SweepRequest, building: Path, *, complete: bool) -> dict[str, Any]:
