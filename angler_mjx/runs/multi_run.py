@@ -3,18 +3,16 @@
 An interrupted run of it is resumed as any run is, so nothing but tiles in flight is lost.
 """
 
-import gc
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
-
-import jax
 
 from angler_mjx.files import FileModel
 from angler_mjx.progress import Progress
 from angler_mjx.runs import rollout
 from angler_mjx.runs.processes import Processes, RunProcesses
 from angler_mjx.runs.resumable_folder import ResumableFolder
+from angler_mjx.runs.simulator.programs import release_memory
 from angler_mjx.runs.storage import folder, output_lock, results_folder
 from angler_mjx.scenario.scenario import Scenario
 
@@ -79,9 +77,7 @@ def fly_runs(
             scenario, building / path, progress, RunProcesses(processes, path), options
         ):
             return False
-        # Programs of many runs together would use up the memory maps of a process.
-        jax.clear_caches()
-        gc.collect()
+        release_memory()
     return True
 
 

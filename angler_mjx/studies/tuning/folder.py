@@ -14,53 +14,49 @@ from typing import Any
 import numpy as np
 
 from angler_mjx.errors import RunError
+from angler_mjx.runs.resumable_folder import ResumableFolder
 from angler_mjx.runs.storage import atomic_files, output_lock, results_folder
-from angler_mjx.runs.storage.output_lock import OutputLock
 from angler_mjx.runs.storage.read_errors import read_table, wrap_read_errors
 from angler_mjx.studies.tuning.search import Generation, TuningHistory
 
 CHECKPOINT = "checkpoint.json"
-FOLDER_KIND = "tuning"
 ADVICE = "put back a copy of it, or begin a new tuning"
 
 
-def create_folder(out: Path) -> OutputLock:
-    """Take the name of a new tuning and make its hidden folder.
-
-    Raises:
-        ConfigError: it or ``out`` exists, or the parent cannot be written.
-    """
-    advise = results_folder.resumable_by(CHECKPOINT)
-    return output_lock.acquire(out, kind=FOLDER_KIND, advise=advise)
-
-
-def reopen_folder(
-    out: Path, require: Callable[[dict[str, Any]], None] = lambda checkpoint: None
-) -> tuple[OutputLock, dict[str, Any]]:
-    """Take up an interrupted tuning, and its checkpoint; see `results_folder.resume_folder`.
+def declare_folder(
+    table: dict[str, Any], require: Callable[[dict[str, Any]], None]
+) -> ResumableFolder[dict[str, Any]]:
+    """Declare the folder of a tuning; it is opened with its checkpoint.
 
     Args:
-        out: name of the tuning.
-        require: raises where the checkpoint must not be resumed.
-
-    Raises:
-        ConfigError: there is none, it is complete, it goes on, or its checkpoint is damaged.
+        table: settings and provenance of a new tuning.
+        require: raises where a checkpoint must not be resumed.
     """
 
-    def check(building: Path) -> dict[str, Any]:
+    def begin(building: Path) -> dict[str, Any]:
+        save_checkpoint(building, table, TuningHistory(), complete=False)
+        return {**table, "generations": []}
+
+    def resume(building: Path) -> dict[str, Any]:
         checkpoint = _read_checkpoint(building)
         with wrap_read_errors(building / CHECKPOINT, ADVICE):
             require(checkpoint)
         return checkpoint
 
-    is_published = not output_lock.partial_path(out).exists() and (out / CHECKPOINT).is_file()
-    return results_folder.resume_folder(
-        out,
-        kind=FOLDER_KIND,
-        file=CHECKPOINT,
-        is_complete=is_published and _read_checkpoint(out)["complete"],
-        check=check,
+    return ResumableFolder(
+        kind="tuning",
+        request_file=CHECKPOINT,
+        begin=begin,
+        resume=resume,
+        is_complete=_is_complete,
+        advise=results_folder.resumable_by(CHECKPOINT),
     )
+
+
+def _is_complete(out: Path) -> bool:
+    """Return whether a published tuning has all its generations."""
+    is_published = not output_lock.partial_path(out).exists() and (out / CHECKPOINT).is_file()
+    return is_published and bool(_read_checkpoint(out)["complete"])
 
 
 def _read_checkpoint(folder: Path) -> dict[str, Any]:

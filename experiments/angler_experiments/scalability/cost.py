@@ -8,7 +8,6 @@ was ended, or that reached --limit-s, resumes when it is repeated. They are rows
 with ``extra.size``: the number of varied things.
 """
 
-import gc
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -24,6 +23,7 @@ from angler_mjx.errors import AnglerError, ConfigError
 from angler_mjx.runs.provenance import describe_environment
 from angler_mjx.runs.simulator import compile_cache
 from angler_mjx.runs.simulator.devices import is_out_of_memory
+from angler_mjx.runs.simulator.programs import release_memory
 from angler_mjx.studies.speed import rows
 from angler_mjx.studies.speed.measured import free_motion, simulation
 from angler_mjx.studies.speed.rows import SpeedRow
@@ -131,8 +131,7 @@ def measure_missing(
         row = measure_row(ladder, engine, size, repeats, backend)
         rows.append_row(row, environment, out)
         yield row, time.perf_counter() - row_start_s
-        jax.clear_caches()
-        gc.collect()
+        release_memory()
 
 
 def main(

@@ -12,9 +12,14 @@ from angler_mjx.studies.tuning.search import Generation, TuningHistory
 VALUES = (None, True, -1, 10**30, "x", [], {}, [[]], [{"costs": 1}])
 
 
+def claim(out, *, resume, require=lambda checkpoint: None):
+    table = {"settings": {"seed": 1}, "provenance": {"commit": None}}
+    return folder.declare_folder(table, require).claim(out, resume=resume)
+
+
 @pytest.fixture
 def stored(tmp_path):
-    claimed = folder.create_folder(tmp_path / "tuned")
+    claimed, _ = claim(tmp_path / "tuned", resume=False)
     history = TuningHistory(
         generations=[Generation(costs=[1.0, 0.9], failed=[0, 1], gradients=None)]
     )
@@ -26,16 +31,16 @@ def stored(tmp_path):
 
 def test_a_whole_checkpoint_is_taken_up(stored):
     out, _ = stored
-    claimed, table = folder.reopen_folder(out)
+    claimed, table = claim(out, resume=True)
     assert folder.read_generations(table)[0].costs == [1.0, 0.9]
     with pytest.raises(ConfigError, match="another process makes this tuning"):
-        folder.reopen_folder(out)
+        claim(out, resume=True)
     claimed.release()
 
 
 def test_what_is_refused_keeps_its_name_and_settings_that_are_not_there_are_other_ones(tmp_path):
     out = tmp_path / "tuned"
-    claimed = folder.create_folder(out)
+    claimed, _ = claim(out, resume=False)
     folder.save_checkpoint(
         claimed.building, {"settings": {}, "provenance": {}}, TuningHistory(), complete=False
     )
@@ -45,7 +50,7 @@ def test_what_is_refused_keeps_its_name_and_settings_that_are_not_there_are_othe
         tune._require_same(known["settings"], {"seed": 1}, out)
 
     with pytest.raises(ConfigError, match=r"another seed \(None there, 1 here\)"):
-        folder.reopen_folder(out, require)
+        claim(out, resume=True, require=require)
     assert [path.name for path in tmp_path.rglob("*")] == ["tuned", folder.CHECKPOINT]
 
 
@@ -68,7 +73,7 @@ def test_damaged_checkpoints_end_in_our_errors_and_stay(stored):
         path.write_bytes(data)
         said = str(path)
         try:
-            claimed, found = folder.reopen_folder(out)
+            claimed, found = claim(out, resume=True)
         except AnglerError as error:
             said = str(error)
             refused += 1
