@@ -1,4 +1,4 @@
-"""Frame in which a results folder is made part by part: claimed or resumed, filled, published.
+"""Frame in which a results folder is made part by part: locked or resumed, filled, published.
 
 Sweeps, datasets, benchmarks, fleet-size studies and tunings are made in it. A preset declares a
 `ResumableFolder` and fills the folder inside `open_folder`; of several processes, process 0 alone
@@ -32,8 +32,8 @@ class ResumableFolder[T]:
     advise: Callable[[Path], str | None] = output_lock.default_advice
     """Advice on the unfinished folder of a dead process; see `output_lock.acquire`."""
 
-    def claim(self, out: Path, *, resume: bool) -> tuple[OutputLock, T]:
-        """Claim a new folder, or an interrupted one.
+    def acquire(self, out: Path, *, resume: bool) -> tuple[OutputLock, T]:
+        """Lock a new folder, or an interrupted one.
 
         Raises:
             ConfigError: the name is taken; or there is nothing to resume, or another request.
@@ -55,14 +55,14 @@ class ResumableFolder[T]:
 
 @dataclass(frozen=True, kw_only=True)
 class OpenFolder[T]:
-    """Claimed folder that is being filled."""
+    """Locked folder that is being filled."""
 
     building: Path
     """Path of the hidden folder."""
     start: T
     """Result of `ResumableFolder.begin` or ``resume``, in every process."""
     lock: OutputLock | None
-    """Claim of process 0; None in the others."""
+    """Lock of process 0; None in the others."""
 
     def publish(self, write: Callable[[Path], None]) -> None:
         """Write the last files into the folder, then give it its name; process 0 alone does.
@@ -93,12 +93,12 @@ def open_folder[T](
         processes: processes that fill it together; each calls this with the same arguments.
 
     Raises:
-        ConfigError, RunError: as `ResumableFolder.claim`; or another process failed.
+        ConfigError, RunError: as `ResumableFolder.acquire`; or another process failed.
     """
     with reporting_failure(processes), ExitStack() as stack:
         lock = start = None
         if processes.index == 0:
-            lock, start = folder.claim(out, resume=resume)
+            lock, start = folder.acquire(out, resume=resume)
             stack.callback(lock.release)
         start = processes.meet(folder.kind, start)[0]
         yield OpenFolder(building=output_lock.partial_path(out), start=start, lock=lock)

@@ -14,7 +14,7 @@ VALUES = (None, True, -1, 10**30, "x", [], {}, [[]], [{"costs": 1}])
 
 def claim(out, *, resume, require=lambda checkpoint: None):
     table = {"settings": {"seed": 1}, "provenance": {"commit": None}}
-    return folder.declare_folder(table, require).claim(out, resume=resume)
+    return folder.declare_folder(table, require).acquire(out, resume=resume)
 
 
 @pytest.fixture

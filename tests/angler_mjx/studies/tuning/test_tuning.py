@@ -229,7 +229,7 @@ def test_an_interrupt_before_anything_is_known_leaves_a_tuning_to_go_on_with(tmp
     with pytest.raises(ConfigError, match=r"another seed \(1 there, 2 here\)"):
         tune.tune(dataclasses.replace(wanted, seed=2), out, resume=True)
     declared = folder.declare_folder({}, lambda checkpoint: None)
-    claimed, table = declared.claim(out, resume=True)
+    claimed, table = declared.acquire(out, resume=True)
     assert table["generations"] == []
     assert claimed.building.name == ".early.partial"
     claimed.release()
