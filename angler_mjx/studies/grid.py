@@ -1,7 +1,8 @@
 """Grid of an experiment: a base scenario, axes of edits, and a cell for each combination of them.
 
-Every preset that varies a scenario builds its cells here: `angler_mjx.studies.sweep` sets single
-keys, `angler_mjx.studies.fleet_size` merges tables of changes.
+Presets that vary a scenario build their cells of it: `angler_mjx.studies.sweep` and the scalability
+study set single keys, `angler_mjx.studies.fleet_size` and `angler_mjx.studies.benchmark` merge
+tables of changes.
 """
 
 import itertools
@@ -47,6 +48,11 @@ class ChangesAxis(SettingAxis):
     def edit(self, table: Mapping[str, Any], value: Any) -> dict[str, Any]:
         """Return a table with the changes of one value merged into it."""
         return merge_tables(table, value)
+
+
+def build_changes_axis(key: str, changes: Mapping[str, Mapping[str, object]]) -> ChangesAxis:
+    """Return the axis of some tables of changes by their names."""
+    return ChangesAxis(key=key, names=tuple(changes), values=tuple(changes.values()))
 
 
 @dataclass(frozen=True, kw_only=True)

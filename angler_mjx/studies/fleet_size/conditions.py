@@ -12,7 +12,7 @@ from angler_mjx.scenario.editing import merge_tables, scenario_table, set_value
 from angler_mjx.scenario.horizon_check import check_reachable
 from angler_mjx.scenario.scenario import Scenario, load_relative_scenario
 from angler_mjx.studies.fleet_size.config import FleetSizeConfig
-from angler_mjx.studies.grid import ChangesAxis, iterate_cells
+from angler_mjx.studies.grid import build_changes_axis, iterate_cells
 
 DEFAULT_CONDITION = "as it is"
 """Name of the only condition of a study that names none."""
@@ -165,10 +165,10 @@ def _check_condition(study: FleetSizeStudy, condition: Condition, size: int) -> 
 
 def _build_conditions(config: FleetSizeConfig, base: Mapping[str, Any]) -> list[Condition]:
     """Build the condition of each cell of the grid; the last axis changes fastest."""
-    axes = [_build_axis(key, changes) for key, changes in config.axis.items()]
+    axes = [build_changes_axis(key, changes) for key, changes in config.axis.items()]
     if config.condition:
         named = {entry.name: entry.set for entry in config.condition}
-        axes.insert(0, _build_axis("condition", named))
+        axes.insert(0, build_changes_axis("condition", named))
     conditions = []
     for cell in iterate_cells(axes):
         table = cell.edit(base)
@@ -176,10 +176,6 @@ def _build_conditions(config: FleetSizeConfig, base: Mapping[str, Any]) -> list[
         name = cell.label or DEFAULT_CONDITION
         conditions.append(Condition(name=name, values=cell.names, table=table))
     return conditions
-
-
-def _build_axis(key: str, changes: Mapping[str, Mapping[str, Any]]) -> ChangesAxis:
-    return ChangesAxis(key=key, names=tuple(changes), values=tuple(changes.values()))
 
 
 def _select_conditions(
