@@ -1,7 +1,6 @@
 """What two runs against each other came to, as text and as a figure."""
 
 from collections.abc import Mapping
-from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -9,6 +8,7 @@ from matplotlib.figure import Figure
 from angler_mjx.errors import format_value
 from angler_mjx.report.plotting import style
 from angler_mjx.runs.storage import planning_summary
+from angler_mjx.studies.rows import PlanningRow, RateRow, RunComparison, ShiftRow
 
 MAX_LISTED = 10
 """Worlds, and pairs of outcomes, that are listed."""
@@ -40,7 +40,7 @@ TASK_COSTS = {**COSTS, "time_to_goal_s": ("time until a robot did its part", "s"
 """Words, unit and scale of each cost of robots in runs with a task."""
 
 
-def format_comparison(comparison: Mapping[str, Any]) -> str:
+def format_comparison(comparison: RunComparison) -> str:
     """For people.
 
     Args:
@@ -72,7 +72,7 @@ def format_comparison(comparison: Mapping[str, Any]) -> str:
     return "\n".join([*lines, "", *_format_worlds(comparison)])
 
 
-def _format_rates(comparison: Mapping[str, Any]) -> list[str]:
+def _format_rates(comparison: RunComparison) -> list[str]:
     of_requested = (
         "" if comparison["worlds"] == comparison["asked"] else f" of {comparison['asked']:,}"
     )
@@ -80,11 +80,8 @@ def _format_rates(comparison: Mapping[str, Any]) -> list[str]:
         f"{comparison['worlds']:,} worlds{of_requested}; changes are B minus A, with 95 % "
         "intervals by world:"
     ]
-    for name, label in (TASK_RATES if _has_tasks(comparison) else RATES).items():
-        rate = comparison[name]
-        if rate is None:
-            continue
-        total = sum(rate[key] for key in ("both", "only_first", "only_second", "neither"))
+    for label, rate in _select_rates(comparison):
+        total = rate["both"] + rate["only_first"] + rate["only_second"] + rate["neither"]
         was, now = rate["both"] + rate["only_first"], rate["both"] + rate["only_second"]
         lines.append(
             f"  {label}: {100 * was / total:.1f} % -> {100 * now / total:.1f} %, change "
@@ -96,7 +93,7 @@ def _format_rates(comparison: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def _format_planning(planning: Mapping[str, Any]) -> list[str]:
+def _format_planning(planning: Mapping[str, PlanningRow | None]) -> list[str]:
     """Fractions of robots with a plan in both runs, and why the others have none."""
     both = planning["first"], planning["second"]
     lines = [f"  robots with a plan: {' -> '.join(map(planning_summary.format_percent, both))}"]
@@ -105,48 +102,61 @@ def _format_planning(planning: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def _format_points(rate: Mapping[str, Any]) -> str:
-    low, high = ("?" if rate[end] is None else f"{100 * rate[end]:+.1f}" for end in ("low", "high"))
+def _select_rates(comparison: RunComparison) -> list[tuple[str, RateRow]]:
+    """Return words and pairs of all rates in the order in which they are shown."""
+    labels = TASK_RATES if _has_tasks(comparison) else RATES
+    rates = {
+        "tasks": comparison["tasks"],
+        "robots": comparison["robots"],
+        "teams": comparison["teams"],
+    }
+    return [(word, rate) for name, word in labels.items() if (rate := rates[name]) is not None]
+
+
+def _format_points(rate: RateRow) -> str:
+    low, high = ("?" if x is None else f"{100 * x:+.1f}" for x in (rate["low"], rate["high"]))
     return f"{100 * rate['difference']:+.1f} ({low} to {high})"
 
 
-def _has_tasks(comparison: Mapping[str, Any]) -> bool:
+def _has_tasks(comparison: RunComparison) -> bool:
     """Whether both runs are of scenarios with a task."""
     return comparison["tasks"] is not None
 
 
-type Cost = tuple[str, str, float, Mapping[str, Any], str]
+type Cost = tuple[str, str, float, ShiftRow, str]
 """Words, unit, scale, values, and what has one."""
 
 
-def _select_costs(comparison: Mapping[str, Any]) -> list[Cost]:
+def _select_costs(comparison: RunComparison) -> list[Cost]:
     """Return all costs in the order in which they are shown: completion of the task first."""
     has_tasks, costs = _has_tasks(comparison), comparison["costs"]
     labels = TASK_COSTS if has_tasks else COSTS
-    rows: list[Cost] = [(*COMPLETION, comparison["task_s"], "world")] if has_tasks else []
+    task_s = comparison["task_s"]
+    rows: list[Cost] = [] if task_s is None else [(*COMPLETION, task_s, "world")]
     return rows + [(*labels[name], costs[name], "robot") for name in labels if name in costs]
 
 
-def _format_costs(comparison: Mapping[str, Any]) -> list[str]:
+def _format_costs(comparison: RunComparison) -> list[str]:
     lines = []
     for word, unit, scale, shift, subject in _select_costs(comparison):
-        if shift["difference"] is None:
+        first, second, change = shift["first"], shift["second"], shift["difference"]
+        if first is None or second is None or change is None:
             lines.append(f"  {word}: no {subject} has one in both")
             continue
-        first, second, change = (scale * shift[key] for key in ("first", "second", "difference"))
+        low, high = shift["low"], shift["high"]
         interval = (
             "one world tells no interval"
-            if shift["low"] is None
-            else f"{scale * shift['low']:+.3g} to {scale * shift['high']:+.3g}"
+            if low is None or high is None
+            else f"{scale * low:+.3g} to {scale * high:+.3g}"
         )
         lines.append(
-            f"  {word}: {first:.4g} -> {second:.4g} {unit}, change {change:+.3g} ({interval}), of "
-            f"{shift['pairs']:,} {subject}s"
+            f"  {word}: {scale * first:.4g} -> {scale * second:.4g} {unit}, change "
+            f"{scale * change:+.3g} ({interval}), of {shift['pairs']:,} {subject}s"
         )
     return lines
 
 
-def _format_worlds(comparison: Mapping[str, Any]) -> list[str]:
+def _format_worlds(comparison: RunComparison) -> list[str]:
     changed = comparison["changed"]
     count = "1 world" if len(changed) == 1 else f"{len(changed):,} worlds"
     lines = [f"{count} changed" + (", these most:" if len(changed) > MAX_LISTED else "")]
@@ -171,24 +181,21 @@ def _format_task(task: Mapping[str, float | None]) -> str:
     return f"task: {first} -> {second}"
 
 
-def plot_comparison(comparison: Mapping[str, Any]) -> Figure:
+def plot_comparison(comparison: RunComparison) -> Figure:
     """Changes with their intervals.
 
     Args:
         comparison: by `angler_mjx.studies.compare.compare_runs`.
     """
-    labels = TASK_RATES if _has_tasks(comparison) else RATES
     rates = [
-        (word, 100 * x["difference"], [None if x[e] is None else 100 * x[e] for e in _ENDS])
-        for word, x in ((word, comparison[name]) for name, word in labels.items())
-        if x is not None
+        (word, 100 * x["difference"], _scale_ends(x, 100)) for word, x in _select_rates(comparison)
     ]
     costs = []
     for word, _, _, shift, _ in _select_costs(comparison):
         if shift["difference"] is None or not shift["first"]:
             continue
         percent_scale = 100 / abs(shift["first"])
-        ends = [None if shift[end] is None else percent_scale * shift[end] for end in _ENDS]
+        ends = _scale_ends(shift, percent_scale)
         costs.append((word, percent_scale * shift["difference"], ends))
     with style.figure_style():
         figure = style.new_figure(9.6, 3.6, headline_in=0.65)
@@ -204,7 +211,9 @@ def plot_comparison(comparison: Mapping[str, Any]) -> Figure:
     return figure
 
 
-_ENDS = ("low", "high")
+def _scale_ends(row: RateRow | ShiftRow, scale: float) -> list[float | None]:
+    """Return both ends of an interval; None for an end that is not defined."""
+    return [None if end is None else scale * end for end in (row["low"], row["high"])]
 
 
 def _plot_forest(axes: Axes, title: str, rows: list[tuple[str, float, list[float | None]]]) -> None:

@@ -11,8 +11,8 @@ with the interval of `angler_mjx.runs.storage.confidence_intervals.clustered_mea
 """
 
 import math
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import asdict, dataclass
+from typing import TypedDict, cast
 
 import numpy as np
 import pyarrow as pa
@@ -24,7 +24,15 @@ from angler_mjx.runs.storage.confidence_intervals import (
     wilson_interval,
 )
 from angler_mjx.runs.storage.results import completion_times
-from angler_mjx.studies.measures import COSTS, arrived_of, mean_by_world, read_numbers, worlds_of
+from angler_mjx.studies.measures import (
+    COSTS,
+    arrived_of,
+    mean_by_world,
+    read_numbers,
+    to_plain,
+    worlds_of,
+)
+from angler_mjx.studies.rows import PairingRow
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,6 +102,7 @@ def pair_runs(first: pa.Table, second: pa.Table) -> RunPairing:
     fraction_shift = _mean_shift(*fractions)
     fraction_p = sign_test(fractions[1] - fractions[0])
     same_worlds = np.array_equal(worlds[0], worlds[1])
+    tasks, task_s = _compare_tasks(*(completion_times(rows) for rows in tables))
     robots = None
     if same_worlds:
         counts = _count_pairs(*arrived)
@@ -107,7 +116,8 @@ def pair_runs(first: pa.Table, second: pa.Table) -> RunPairing:
     return RunPairing(
         worlds=len(common),
         teams=_compare_worlds(*(rows == 1.0 for rows in fractions)),
-        **_compare_tasks(*(completion_times(rows) for rows in tables)),
+        tasks=tasks,
+        task_s=task_s,
         robots=robots,
         share=fraction_shift,
         share_p=fraction_p,
@@ -146,12 +156,26 @@ def mcnemar(only_first: int, only_second: int) -> float:
     return min(1.0, 2.0 * float(bdtr(min(only_first, only_second), n, 0.5)))
 
 
+def plain_pairing(pairing: RunPairing) -> PairingRow:
+    """Return a pairing in plain values, null for NaN."""
+    return cast(PairingRow, to_plain(asdict(pairing)))
+
+
 def sign_test(differences: np.ndarray) -> float:
     """Exact two-sided p that differences are as likely up as down; those that are 0 say nothing."""
     return mcnemar(int(np.sum(differences > 0)), int(np.sum(differences < 0)))
 
 
-def _count_pairs(first: np.ndarray, second: np.ndarray) -> dict[str, Any]:
+class _PairCounts(TypedDict):
+    """Number of pairs by what became of both."""
+
+    both: int
+    only_first: int
+    only_second: int
+    neither: int
+
+
+def _count_pairs(first: np.ndarray, second: np.ndarray) -> _PairCounts:
     return {
         "both": int(np.sum(first & second)),
         "only_first": int(np.sum(first & ~second)),
@@ -160,17 +184,17 @@ def _count_pairs(first: np.ndarray, second: np.ndarray) -> dict[str, Any]:
     }
 
 
-def _compare_tasks(first: np.ndarray | None, second: np.ndarray | None) -> dict[str, Any]:
-    """What became of the tasks, from the times at which worlds completed them."""
+def _compare_tasks(
+    first: np.ndarray | None, second: np.ndarray | None
+) -> tuple[RateChange | None, MeanShift | None]:
+    """Return what became of the tasks, from the times at which worlds completed them."""
     if first is None or second is None:
-        return {"tasks": None, "task_s": None}
+        return None, None
     done = np.isfinite(first), np.isfinite(second)
     first, second = (times[done[0] & done[1]] for times in (first, second))
     mean_change = clustered_mean(second - first, np.arange(len(first)))
-    return {
-        "tasks": _compare_worlds(*done),
-        "task_s": _build_shift(mean_change, first, second, mean_change.low, mean_change.high),
-    }
+    task_s = _build_shift(mean_change, first, second, mean_change.low, mean_change.high)
+    return _compare_worlds(*done), task_s
 
 
 def _compare_worlds(first: np.ndarray, second: np.ndarray) -> RateChange:

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pyarrow as pa
 
@@ -39,6 +39,7 @@ from angler_mjx.studies.grid import (
     count_cells,
     iterate_cells,
 )
+from angler_mjx.studies.rows import CellRow, PairRow, SweepResults
 
 SWEEP, TABLE, PAGE, FIGURE = "sweep.json", "sweep.parquet", "sweep.md", "sweep.png"
 
@@ -55,7 +56,7 @@ class StudyCell:
     number: int
     names: Mapping[str, str]
     """Values by key, as they were written."""
-    values: Mapping[str, Any]
+    values: Mapping[str, object]
     """Values by key."""
     scenario: Scenario
 
@@ -78,7 +79,7 @@ class SweepRequest:
     axes: tuple[SettingAxis, ...]
     cells: tuple[StudyCell, ...]
 
-    def resolved(self) -> dict[str, Any]:
+    def resolved(self) -> dict[str, object]:
         """All of it in plain values."""
         return {
             "set": {axis.key: list(axis.names) for axis in self.axes},
@@ -182,7 +183,7 @@ def run_sweep(
     devices: int | None = None,
     workers: int | None = None,
     processes: Processes | None = None,
-) -> dict[str, Any]:
+) -> SweepResults:
     """Make a sweep, or go on with one.
 
     Args:
@@ -225,7 +226,7 @@ def is_complete(out: Path) -> bool:
     return (out / SWEEP).is_file() and bool(read_sweep(out).get("complete"))
 
 
-def read_sweep(out: Path) -> dict[str, Any]:
+def read_sweep(out: Path) -> SweepResults:
     """What the ``sweep.json`` of a folder holds.
 
     Raises:
@@ -233,7 +234,7 @@ def read_sweep(out: Path) -> dict[str, Any]:
     """
     if not (out / SWEEP).is_file():
         raise ConfigError(f"{out}: not the folder of a sweep (no {SWEEP} in it)")
-    return read_table(out / SWEEP)
+    return cast(SweepResults, read_table(out / SWEEP))
 
 
 def _fly_cells(
@@ -259,7 +260,7 @@ def _has_whole_cell(flights: Sequence[tuple[str, Scenario]], building: Path) -> 
 def _write_results(request: SweepRequest, building: Path, *, complete: bool) -> None:
     """Write table, page and figure."""
     results = _gather_results(request, building, complete=complete)
-    folder.write_json(building / SWEEP, results)
+    folder.write_json(building / SWEEP, dict(results))
     tables.write_parquet(results, building / TABLE)
     tables.write_page(results, building / PAGE)
     style.save_figure(chart.plot_sweep(results), building / FIGURE, palette=128)
@@ -267,9 +268,10 @@ def _write_results(request: SweepRequest, building: Path, *, complete: bool) -> 
         (building / multi_run.REQUEST_FILE).unlink()
 
 
-def _gather_results(request: SweepRequest, building: Path, *, complete: bool) -> dict[str, Any]:
+def _gather_results(request: SweepRequest, building: Path, *, complete: bool) -> SweepResults:
     """Everything that is known of the cells that are whole."""
-    rows, episodes = [], {}
+    rows: list[CellRow] = []
+    episodes: dict[int, pa.Table] = {}
     for cell in request.cells:
         if multi_run.run_status(building / cell.path) != "whole":
             continue
@@ -299,11 +301,11 @@ def _gather_results(request: SweepRequest, building: Path, *, complete: bool) ->
 
 
 def _compare_pairs(
-    axes: Sequence[SettingAxis], rows: Sequence[Mapping[str, Any]], episodes: Mapping[int, pa.Table]
-) -> list[dict[str, Any]]:
+    axes: Sequence[SettingAxis], rows: Sequence[CellRow], episodes: Mapping[int, pa.Table]
+) -> list[PairRow]:
     """Every value of an axis against its first, all other settings being the same."""
     held = {tuple(row["set"].values()): row for row in rows}
-    comparisons = []
+    comparisons: list[PairRow] = []
     for i, axis in enumerate(axes):
         others = [other.names for other in (*axes[:i], *axes[i + 1 :])]
         for fixed_names in itertools.product(*others):
@@ -319,7 +321,7 @@ def _compare_pairs(
                         "first": axis_rows[0]["cell"],
                         "second": second["cell"],
                         "same_problems": axis_rows[0]["problems"] == second["problems"],
-                        **measures.to_plain(pairing),
+                        **paired.plain_pairing(pairing),
                     }
                 )
     return comparisons

@@ -1,8 +1,7 @@
 """Tables of a sweep: Parquet for those who ask their own questions, Markdown for people."""
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -10,7 +9,16 @@ import pyarrow.parquet as pq
 from angler_mjx.report.viewing import markdown_tables as markdown
 from angler_mjx.runs.storage import atomic_files, planning_summary
 from angler_mjx.runs.storage.results import OUTCOMES
-from angler_mjx.studies.measures import COSTS
+from angler_mjx.studies.measures import COSTS, cost_means
+from angler_mjx.studies.rows import (
+    Mean,
+    PairRow,
+    Rate,
+    RateRow,
+    ShiftRow,
+    SweepResults,
+    TaskRow,
+)
 
 type Table = tuple[list[str], list[list[str]]]
 """Head and rows."""
@@ -39,7 +47,7 @@ OTHER_PROBLEMS = (
 )
 
 
-def write_parquet(sweep: Mapping[str, Any], path: Path) -> None:
+def write_parquet(sweep: SweepResults, path: Path) -> None:
     """A row for each cell.
 
     Args:
@@ -50,54 +58,65 @@ def write_parquet(sweep: Mapping[str, Any], path: Path) -> None:
         pq.write_table(build_table(sweep), writing, compression="zstd")
 
 
-def build_table(sweep: Mapping[str, Any]) -> pa.Table:
+def build_table(sweep: SweepResults) -> pa.Table:
     """The rows; a column of settings holds numbers where all its values are."""
     cells = sweep["cells"]
-    columns: dict[str, Any] = {key: [row[key] for row in cells] for key in ("cell", "run")}
+    columns: dict[str, Sequence[str | float | None]] = {
+        "cell": [row["cell"] for row in cells],
+        "run": [row["run"] for row in cells],
+    }
     for axis in sweep["axes"]:
         by_name = dict(zip(axis["names"], axis["values"], strict=True))
-        values = [by_name[row["set"][axis["key"]]] for row in cells]
-        numbers = all(type(value) in (int, float) for value in values)
         names = [row["set"][axis["key"]] for row in cells]
-        columns[axis["key"]] = [float(x) for x in values] if numbers else names
-    for key in ("worlds", "robots", "problems"):
-        columns[key] = [row[key] for row in cells]
+        values = [by_name[name] for name in names]
+        numbers = [
+            float(x) for x in values if isinstance(x, int | float) and not isinstance(x, bool)
+        ]
+        columns[axis["key"]] = numbers if len(numbers) == len(names) else names
+    columns["worlds"] = [row["worlds"] for row in cells]
+    columns["robots"] = [row["robots"] for row in cells]
+    columns["problems"] = [row["problems"] for row in cells]
     for outcome in OUTCOMES:
-        for part in ("rate", "low", "high"):
-            columns[f"{outcome}_{part}"] = [row["outcomes"][outcome][part] for row in cells]
-    for name in ("planned", "team"):
-        for part in ("rate", "low", "high"):
-            columns[f"{name}_{part}"] = [row[name][part] for row in cells]
+        columns |= _rate_columns(outcome, [row["outcomes"][outcome] for row in cells])
+    columns |= _rate_columns("planned", [row["planned"] for row in cells])
+    columns |= _rate_columns("team", [row["team"] for row in cells])
     for name in COSTS:
-        for part in ("mean", "low", "high", "count"):
-            columns[f"{name}_{part}"] = [row[name][part] for row in cells]
+        columns |= _mean_columns(name, [cost_means(row)[name] for row in cells])
     if has_tasks(sweep):
-        for measure, parts in (
-            ("completed", ("rate", "low", "high")),
-            ("completed_s", ("mean", "low", "high", "count")),
-        ):
-            for part in parts:
-                columns[f"task_{measure}_{part}"] = [
-                    None if row["task"] is None else row["task"][measure][part] for row in cells
-                ]
-    for key in ("vehicle_steps_per_s", "simulate_s", "compile_s"):
-        columns[key] = [row[key] for row in cells]
+        tasks = [row["task"] for row in cells]
+        columns |= _rate_columns("task_completed", [task and task["completed"] for task in tasks])
+        columns |= _mean_columns(
+            "task_completed_s", [task and task["completed_s"] for task in tasks]
+        )
+    columns["vehicle_steps_per_s"] = [row["vehicle_steps_per_s"] for row in cells]
+    columns["simulate_s"] = [row["simulate_s"] for row in cells]
+    columns["compile_s"] = [row["compile_s"] for row in cells]
     return pa.table(columns)
 
 
-def has_tasks(sweep: Mapping[str, Any]) -> bool:
+def _rate_columns(name: str, rates: Sequence[Rate | None]) -> dict[str, list[float | None]]:
+    parts = ("rate", "low", "high")
+    return {f"{name}_{part}": [None if x is None else x[part] for x in rates] for part in parts}
+
+
+def _mean_columns(name: str, means: Sequence[Mean | None]) -> dict[str, list[float | None]]:
+    parts = ("mean", "low", "high", "count")
+    return {f"{name}_{part}": [None if x is None else x[part] for x in means] for part in parts}
+
+
+def has_tasks(sweep: SweepResults) -> bool:
     """Whether any cell is of a scenario with a task."""
     return any(row["task"] is not None for row in sweep["cells"])
 
 
-def _outcome_labels(sweep: Mapping[str, Any]) -> tuple[str, str, str]:
+def _outcome_labels(sweep: SweepResults) -> tuple[str, str, str]:
     """Return what robots did, of whole teams too, and the time they took, as heads call it."""
     if sweep["cells"] and all(row["task"] is not None for row in sweep["cells"]):
         return "did their part", "whole teams did", "time of their part, s"
     return "arrived", "whole teams", "time to goal, s"
 
 
-def write_page(sweep: Mapping[str, Any], path: Path) -> None:
+def write_page(sweep: SweepResults, path: Path) -> None:
     """The tables as Markdown.
 
     Args:
@@ -107,7 +126,7 @@ def write_page(sweep: Mapping[str, Any], path: Path) -> None:
     atomic_files.write_text(path, format_page(sweep))
 
 
-def format_page(sweep: Mapping[str, Any]) -> str:
+def format_page(sweep: SweepResults) -> str:
     """The same as text."""
     about = sweep["environment"]
     lines = [f"# Sweep of {sweep['scenario']}", ""]
@@ -130,7 +149,7 @@ def format_page(sweep: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def without_plans(sweep: Mapping[str, Any]) -> list[str]:
+def without_plans(sweep: SweepResults) -> list[str]:
     """Return why robots of cells have no plan, a line for each reason; the cell is named."""
     return [
         f"{' '.join(f'{key}={x}' for key, x in row['set'].items())}: {line}"
@@ -139,7 +158,7 @@ def without_plans(sweep: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def cells_table(sweep: Mapping[str, Any]) -> Table:
+def cells_table(sweep: SweepResults) -> Table:
     """A row for each cell."""
     keys = [axis["key"] for axis in sweep["axes"]]
     tasks, (did, teams, time) = has_tasks(sweep), _outcome_labels(sweep)
@@ -171,13 +190,13 @@ def cells_table(sweep: Mapping[str, Any]) -> Table:
     return [*head, "clearance, m"], rows
 
 
-def _format_task(task: Mapping[str, Any] | None) -> tuple[str, str]:
+def _format_task(task: TaskRow | None) -> tuple[str, str]:
     if task is None:
         return "-", "-"
     return format_rate(task["completed"]), format_mean(task["completed_s"], 1.0)
 
 
-def pairs_table(sweep: Mapping[str, Any]) -> Table:
+def pairs_table(sweep: SweepResults) -> Table:
     """A row for each pair of cells."""
     cells = {row["cell"]: row for row in sweep["cells"]}
     tasks, (did, _, time) = has_tasks(sweep), _outcome_labels(sweep)
@@ -206,7 +225,7 @@ def pairs_table(sweep: Mapping[str, Any]) -> Table:
     return [*head, "energy, kJ"], rows
 
 
-def _task_change(pair: Mapping[str, Any]) -> tuple[str, str, str]:
+def _task_change(pair: PairRow) -> tuple[str, str, str]:
     if pair["tasks"] is None:
         return "-", "-", "-"
     points = format_shift(pair["tasks"], 100.0, 1)
@@ -252,25 +271,30 @@ def format_grid(table: Table) -> list[str]:
     ).splitlines()
 
 
-def format_rate(rate: Mapping[str, float]) -> str:
+def format_rate(rate: Rate) -> str:
     """A rate with its interval, in %."""
     return f"{100 * rate['rate']:.1f} ({100 * rate['low']:.1f} to {100 * rate['high']:.1f})"
 
 
-def format_mean(mean: Mapping[str, Any], scale: float) -> str:
+def format_mean(mean: Mean, scale: float) -> str:
     """A mean with its interval."""
-    if mean["mean"] is None:
-        return "-"
-    if mean["low"] is None:
-        return f"{scale * mean['mean']:.4g}"
-    return f"{scale * mean['mean']:.4g} ({scale * mean['low']:.4g} to {scale * mean['high']:.4g})"
+    return _format_interval(mean["mean"], mean["low"], mean["high"], scale, ".4g")
 
 
-def format_shift(change: Mapping[str, Any] | None, scale: float, digits: int) -> str:
+def format_shift(change: ShiftRow | RateRow | None, scale: float, digits: int) -> str:
     """A difference with its interval."""
-    if change is None or change["difference"] is None:
+    if change is None:
         return "-"
-    text = f"{scale * change['difference']:+.{digits}f}"
-    if change["low"] is None:
-        return text
-    return f"{text} ({scale * change['low']:+.{digits}f} to {scale * change['high']:+.{digits}f})"
+    ends = change["low"], change["high"]
+    return _format_interval(change["difference"], *ends, scale, f"+.{digits}f")
+
+
+def _format_interval(
+    value: float | None, low: float | None, high: float | None, scale: float, form: str
+) -> str:
+    """Return a number with its interval; a dash for a number that is not defined."""
+    if value is None:
+        return "-"
+    if low is None or high is None:
+        return f"{scale * value:{form}}"
+    return f"{scale * value:{form}} ({scale * low:{form}} to {scale * high:{form}})"

@@ -3,11 +3,14 @@
 import json as text
 import sys
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from angler_mjx.cli.shared.device import Device, choose_device, join_processes, keep_all_programs
+
+if TYPE_CHECKING:
+    from angler_mjx.studies.rows import SweepResults
 
 
 def sweep(
@@ -105,7 +108,7 @@ def sweep(
         require_plans(results["cells"][0]["planning"], "in every cell the planner")
 
 
-def _print_sweep(results: dict[str, Any], path: Path, *, as_json: bool) -> None:
+def _print_sweep(results: "SweepResults", path: Path, *, as_json: bool) -> None:
     """Print the end of a sweep: one JSON object, or the tables and the path of the folder."""
     if as_json:
         print(text.dumps({**results, "sweep": str(path)}))

@@ -151,14 +151,14 @@ def build_pilot_tables(
         pilot: planner or policy.
         information: table of its information level; left out if None.
     """
-    known = {} if information is None else {"information": dict(information)}
+    level = {} if information is None else {"information": dict(information)}
     name = pilot.name if pilot.policy is None else pilot.policy
     settings = {name.rpartition(":")[2]: dict(pilot.settings)} if pilot.settings else {}
     if pilot.policy is not None:
-        return {"policy": {"name": name, **known, **settings}}
+        return {"policy": {"name": name, **level, **settings}}
     online = {key: value for key, value in pilot.online.items() if key != "order"}
     order = pilot.online.get("order")
-    planner = {"name": name, **known, **online, "settings": settings}
+    planner = {"name": name, **level, **online, "settings": settings}
     return {"planner": planner, **({"execution": {"order": order}} if order else {})}
 
 
@@ -178,8 +178,8 @@ def build_flown_scenario(
     """
     if not planner.flies_itself:
         return scenario
-    known = {"obstacles": information.obstacles, "current": information.current}
-    table = merge_tables(scenario_table(scenario), build_pilot_tables(planner, known))
+    level = {"obstacles": information.obstacles, "current": information.current}
+    table = merge_tables(scenario_table(scenario), build_pilot_tables(planner, level))
     source = f"{about}, planner {format_value(planner.label)}"
     flown_scenario = parse_model(Scenario, table, source=source)
     try:

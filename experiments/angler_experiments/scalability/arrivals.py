@@ -23,6 +23,7 @@ from angler_mjx.runs.storage import folder, output_lock
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.studies import chart, sweep
 from angler_mjx.studies import tables as sweep_tables
+from angler_mjx.studies.rows import SweepResults
 from angler_mjx.studies.sweep_axes import parse_axes
 
 
@@ -104,7 +105,7 @@ class ArrivalsProgress(Progress):
         print(f"  {text}", flush=True)
 
 
-def run_study(study: ArrivalsStudy, out: Path, **options: Any) -> dict[str, Any]:
+def run_study(study: ArrivalsStudy, out: Path, **options: Any) -> SweepResults:
     """Fly the remaining cells of a sweep; return its results.
 
     Args:
@@ -121,7 +122,7 @@ def run_study(study: ArrivalsStudy, out: Path, **options: Any) -> dict[str, Any]
 
 
 def store_results(
-    results: dict[str, Any], name: str, data: Path, images: Path, page: Path | None
+    results: SweepResults, name: str, data: Path, images: Path, page: Path | None
 ) -> None:
     """Write the numbers of a sweep beside its figure, and its tables into a page.
 
@@ -133,7 +134,7 @@ def store_results(
         page: with marks ``<!-- NAME: begin -->`` and ``<!-- NAME: end -->``.
     """
     data.mkdir(parents=True, exist_ok=True)
-    folder.write_json(data / f"{name}.json", results)
+    folder.write_json(data / f"{name}.json", dict(results))
     figure = style.save_figure(
         chart.plot_sweep(results), images / f"scalability_{name}.png", palette=128
     )

@@ -30,18 +30,18 @@ from angler_mjx.studies.speed.rows import SpeedRow
 
 type Engine = Literal["fused", "mjx"]
 type Key = tuple[str, int, str, str]
+type Rung = tuple[Ladder, Engine, int]
+"""Ladder, engine and size of a row."""
 
 PREFIX = "scalability/"
 WORLDS = {"gpu": {"fused": 4096, "mjx": 256}, "cpu": {"fused": 16, "mjx": 4}}
 """Number of worlds where it is not varied."""
-SMOKE = (("dynamics", "fused"),)
+SMOKE: tuple[tuple[str, Engine], ...] = (("dynamics", "fused"),)
 SMOKE_SIZES = (16, 64, 256)
 
 
-def list_rungs(
-    names: Sequence[str], engines: Sequence[Engine], backend: str
-) -> list[tuple[Any, ...]]:
-    """Return ladder, engine and size of every row, the quick ones first.
+def list_rungs(names: Sequence[str], engines: Sequence[Engine], backend: str) -> list[Rung]:
+    """Return the rungs of every row, the quick ones first.
 
     Args:
         names: names of ladders; all if empty.
@@ -108,7 +108,7 @@ def measure_row(ladder: Ladder, engine: Engine, size: int, repeats: int, backend
 
 
 def measure_missing(
-    requested: Sequence[tuple[Any, ...]], out: Path, repeats: int, limit_s: float
+    requested: Sequence[Rung], out: Path, repeats: int, limit_s: float
 ) -> Iterator[tuple[SpeedRow, float]]:
     """Measure the rows that a file lacks; yield each with its total seconds.
 
