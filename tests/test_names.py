@@ -73,6 +73,7 @@ RETIRED = frozenset(
 
 KEPT = {
     "ask": "the ask-and-tell interface of optimisers",
+    "asked": "a key of stored comparisons",
     "tell": "the ask-and-tell interface of optimisers; Progress, which callers implement",
     "way_points": "angler_mjx.way_points, which callers import",
     "waves": "of the sea and of sound",

@@ -12,7 +12,7 @@ from angler_mjx.runs.storage import planning_summary
 from angler_mjx.runs.storage.folder import Run
 from angler_mjx.runs.storage.results import completion_times
 from angler_mjx.studies import paired
-from angler_mjx.studies.measures import arrived_of, read_numbers, worlds_of
+from angler_mjx.studies.measures import arrived_of, finite_or_none, read_numbers, worlds_of
 from angler_mjx.studies.rows import ChangedWorld, OutcomeChange, RobotChange, RunComparison
 
 
@@ -41,7 +41,7 @@ def compare_runs(first: Run, second: Run) -> RunComparison:
         ],
         "same_problems": first.scenario.digest() == second.scenario.digest(),
         "asked": first.scenario.worlds,
-        **paired.plain_pairing(paired.pair_runs(first_rows, second_rows)),
+        **paired.pair_runs(first_rows, second_rows),
         "planning": {
             "first": planning_summary.summarise_planning(first_rows),
             "second": planning_summary.summarise_planning(second_rows),
@@ -164,8 +164,7 @@ def _task_change(first_s: float | None, second_s: float | None) -> dict[str, flo
     """Return the times of completion of a world in both runs; None where a run has no task."""
     if first_s is None or second_s is None:
         return None
-    times = {"first_s": first_s, "second_s": second_s}
-    return {name: at_s if np.isfinite(at_s) else None for name, at_s in times.items()}
+    return {"first_s": finite_or_none(first_s), "second_s": finite_or_none(second_s)}
 
 
 def _sort_key(changed: ChangedWorld) -> tuple[float, ...]:

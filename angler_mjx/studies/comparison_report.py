@@ -114,8 +114,9 @@ def _select_rates(comparison: RunComparison) -> list[tuple[str, RateRow]]:
 
 
 def _format_points(rate: RateRow) -> str:
-    low, high = ("?" if x is None else f"{100 * x:+.1f}" for x in (rate["low"], rate["high"]))
-    return f"{100 * rate['difference']:+.1f} ({low} to {high})"
+    numbers = rate["difference"], rate["low"], rate["high"]
+    change, low, high = ("?" if x is None else f"{100 * x:+.1f}" for x in numbers)
+    return f"{change} ({low} to {high})"
 
 
 def _has_tasks(comparison: RunComparison) -> bool:
@@ -188,7 +189,9 @@ def plot_comparison(comparison: RunComparison) -> Figure:
         comparison: by `angler_mjx.studies.compare.compare_runs`.
     """
     rates = [
-        (word, 100 * x["difference"], _scale_ends(x, 100)) for word, x in _select_rates(comparison)
+        (word, 100 * x["difference"], _scale_ends(x, 100))
+        for word, x in _select_rates(comparison)
+        if x["difference"] is not None
     ]
     costs = []
     for word, _, _, shift, _ in _select_costs(comparison):

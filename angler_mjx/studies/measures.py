@@ -84,7 +84,7 @@ def _robot_rate(hit: np.ndarray, world: np.ndarray) -> Rate:
 
 
 def _plain_mean(mean: ClusteredMean) -> Mean:
-    return {name: _finite(value) for name, value in asdict(mean).items()}
+    return {name: finite_or_none(value) for name, value in asdict(mean).items()}
 
 
 def mean_cost(episodes: pa.Table, name: str) -> ClusteredMean:
@@ -117,16 +117,6 @@ def mean_by_world(values: np.ndarray, world: Sequence[int] | np.ndarray) -> np.n
     return means
 
 
-def to_plain(value: object) -> object:
-    """Return plain values with null for NaN.
-
-    Args:
-        value: tables of plain values.
-    """
-    if isinstance(value, dict):
-        return {key: to_plain(entry) for key, entry in value.items()}
-    return _finite(value) if isinstance(value, float) else value
-
-
-def _finite(value: float) -> float | None:
+def finite_or_none(value: float) -> float | None:
+    """Return a number; None for NaN and infinity."""
     return value if np.isfinite(value) else None

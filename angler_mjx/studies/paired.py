@@ -11,8 +11,6 @@ with the interval of `angler_mjx.runs.storage.confidence_intervals.clustered_mea
 """
 
 import math
-from dataclasses import asdict, dataclass
-from typing import TypedDict, cast
 
 import numpy as np
 import pyarrow as pa
@@ -27,67 +25,15 @@ from angler_mjx.runs.storage.results import completion_times
 from angler_mjx.studies.measures import (
     COSTS,
     arrived_of,
+    finite_or_none,
     mean_by_world,
     read_numbers,
-    to_plain,
     worlds_of,
 )
-from angler_mjx.studies.rows import PairingRow
+from angler_mjx.studies.rows import PairCounts, PairingRow, RateRow, ShiftRow
 
 
-@dataclass(frozen=True, kw_only=True)
-class RateChange:
-    """Pairs of yes and no, second run against first."""
-
-    both: int
-    only_first: int
-    only_second: int
-    neither: int
-    difference: float
-    """Rate of the second minus that of the first."""
-    low: float
-    high: float
-    p: float
-    """Exact, two-sided: that neither is likelier to have it alone."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class MeanShift:
-    """Pairs of numbers, second run minus first."""
-
-    pairs: int
-    first: float
-    """Mean of the first run, over the pairs."""
-    second: float
-    difference: float
-    low: float
-    high: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class RunPairing:
-    """What the second of two runs changed."""
-
-    worlds: int
-    """That both hold."""
-    teams: RateChange
-    """Worlds in which all robots arrived."""
-    tasks: RateChange | None
-    """Worlds that completed their task; None where a run has none."""
-    task_s: MeanShift | None
-    """When, of worlds that did in both."""
-    robots: RateChange | None
-    """Robots that arrived; counts are of robots, difference and p of worlds. None where the fleets
-    have different sizes."""
-    share: MeanShift
-    """Share of a world's robots that arrived."""
-    share_p: float
-    """Of the sign test on that share."""
-    costs: dict[str, MeanShift]
-    """By column; empty where the fleets have different sizes."""
-
-
-def pair_runs(first: pa.Table, second: pa.Table) -> RunPairing:
+def pair_runs(first: pa.Table, second: pa.Table) -> PairingRow:
     """Compare the episodes of two runs over the worlds that both hold.
 
     Args:
@@ -103,26 +49,27 @@ def pair_runs(first: pa.Table, second: pa.Table) -> RunPairing:
     fraction_p = sign_test(fractions[1] - fractions[0])
     same_worlds = np.array_equal(worlds[0], worlds[1])
     tasks, task_s = _compare_tasks(*(completion_times(rows) for rows in tables))
-    robots = None
+    robots: RateRow | None = None
     if same_worlds:
-        counts = _count_pairs(*arrived)
-        robots = RateChange(
-            **counts,
-            difference=fraction_shift.difference,
-            low=fraction_shift.low,
-            high=fraction_shift.high,
-            p=fraction_p,
-        )
-    return RunPairing(
-        worlds=len(common),
-        teams=_compare_worlds(*(rows == 1.0 for rows in fractions)),
-        tasks=tasks,
-        task_s=task_s,
-        robots=robots,
-        share=fraction_shift,
-        share_p=fraction_p,
-        costs={name: _compare_cost(name, tables, arrived) for name in COSTS} if same_worlds else {},
-    )
+        robots = {
+            **_count_pairs(*arrived),
+            "difference": fraction_shift["difference"],
+            "low": fraction_shift["low"],
+            "high": fraction_shift["high"],
+            "p": fraction_p,
+        }
+    return {
+        "worlds": len(common),
+        "teams": _compare_worlds(*(rows == 1.0 for rows in fractions)),
+        "tasks": tasks,
+        "task_s": task_s,
+        "robots": robots,
+        "share": fraction_shift,
+        "share_p": fraction_p,
+        "costs": {name: _compare_cost(name, tables, arrived) for name in COSTS}
+        if same_worlds
+        else {},
+    }
 
 
 def newcombe(both: int, only_first: int, only_second: int, neither: int) -> tuple[float, float]:
@@ -156,26 +103,12 @@ def mcnemar(only_first: int, only_second: int) -> float:
     return min(1.0, 2.0 * float(bdtr(min(only_first, only_second), n, 0.5)))
 
 
-def plain_pairing(pairing: RunPairing) -> PairingRow:
-    """Return a pairing in plain values, null for NaN."""
-    return cast(PairingRow, to_plain(asdict(pairing)))
-
-
 def sign_test(differences: np.ndarray) -> float:
     """Exact two-sided p that differences are as likely up as down; those that are 0 say nothing."""
     return mcnemar(int(np.sum(differences > 0)), int(np.sum(differences < 0)))
 
 
-class _PairCounts(TypedDict):
-    """Number of pairs by what became of both."""
-
-    both: int
-    only_first: int
-    only_second: int
-    neither: int
-
-
-def _count_pairs(first: np.ndarray, second: np.ndarray) -> _PairCounts:
+def _count_pairs(first: np.ndarray, second: np.ndarray) -> PairCounts:
     return {
         "both": int(np.sum(first & second)),
         "only_first": int(np.sum(first & ~second)),
@@ -186,7 +119,7 @@ def _count_pairs(first: np.ndarray, second: np.ndarray) -> _PairCounts:
 
 def _compare_tasks(
     first: np.ndarray | None, second: np.ndarray | None
-) -> tuple[RateChange | None, MeanShift | None]:
+) -> tuple[RateRow | None, ShiftRow | None]:
     """Return what became of the tasks, from the times at which worlds completed them."""
     if first is None or second is None:
         return None, None
@@ -197,20 +130,20 @@ def _compare_tasks(
     return _compare_worlds(*done), task_s
 
 
-def _compare_worlds(first: np.ndarray, second: np.ndarray) -> RateChange:
+def _compare_worlds(first: np.ndarray, second: np.ndarray) -> RateRow:
     counts = _count_pairs(first, second)
     lost, won = counts["only_first"], counts["only_second"]
     low, high = newcombe(counts["both"], won, lost, counts["neither"])
-    return RateChange(
+    return {
         **counts,
-        difference=(won - lost) / max(len(first), 1),
-        low=low,
-        high=high,
-        p=mcnemar(won, lost),
-    )
+        "difference": (won - lost) / max(len(first), 1),
+        "low": low,
+        "high": high,
+        "p": mcnemar(won, lost),
+    }
 
 
-def _mean_shift(first: np.ndarray, second: np.ndarray) -> MeanShift:
+def _mean_shift(first: np.ndarray, second: np.ndarray) -> ShiftRow:
     """Of shares of worlds."""
     change = second - first
     mean_change = clustered_mean(change, np.arange(len(change)))
@@ -223,7 +156,7 @@ def _mean_shift(first: np.ndarray, second: np.ndarray) -> MeanShift:
     return _build_shift(mean_change, first, second, max(low, -1.0), min(high, 1.0))
 
 
-def _compare_cost(name: str, tables: list[pa.Table], arrived: list[np.ndarray]) -> MeanShift:
+def _compare_cost(name: str, tables: list[pa.Table], arrived: list[np.ndarray]) -> ShiftRow:
     first, second = (read_numbers(table, name) for table in tables)
     used = np.isfinite(first) & np.isfinite(second)
     if COSTS[name] != "of all robots":
@@ -235,12 +168,12 @@ def _compare_cost(name: str, tables: list[pa.Table], arrived: list[np.ndarray]) 
 
 def _build_shift(
     mean_change: ClusteredMean, first: np.ndarray, second: np.ndarray, low: float, high: float
-) -> MeanShift:
-    return MeanShift(
-        pairs=mean_change.count,
-        first=float(np.mean(first)) if len(first) else float("nan"),
-        second=float(np.mean(second)) if len(second) else float("nan"),
-        difference=mean_change.mean,
-        low=low,
-        high=high,
-    )
+) -> ShiftRow:
+    return {
+        "pairs": mean_change.count,
+        "first": float(np.mean(first)) if len(first) else None,
+        "second": float(np.mean(second)) if len(second) else None,
+        "difference": finite_or_none(mean_change.mean),
+        "low": finite_or_none(low),
+        "high": finite_or_none(high),
+    }

@@ -55,24 +55,32 @@ class CellRow(RunRow):
     """Values by key, as they were written."""
 
 
-class RateRow(TypedDict):
-    """Fields of `studies.paired.RateChange`."""
+class PairCounts(TypedDict):
+    """Number of pairs of yes and no, by what became of both."""
 
     both: int
     only_first: int
     only_second: int
     neither: int
-    difference: float
+
+
+class RateRow(PairCounts):
+    """Change of a rate from a first run to a second one."""
+
+    difference: float | None
+    """Rate of the second minus that of the first."""
     low: float | None
     high: float | None
     p: float
+    """Exact, two-sided: that neither is likelier to have it alone."""
 
 
 class ShiftRow(TypedDict):
-    """Fields of `studies.paired.MeanShift`."""
+    """Change of a mean from a first run to a second one; None for what is not defined."""
 
     pairs: int
     first: float | None
+    """Mean of the first run, over the pairs."""
     second: float | None
     difference: float | None
     low: float | None
@@ -80,16 +88,25 @@ class ShiftRow(TypedDict):
 
 
 class PairingRow(TypedDict):
-    """Fields of `studies.paired.RunPairing`."""
+    """Change from a first run to a second one of the same worlds."""
 
     worlds: int
+    """Worlds that both runs hold."""
     teams: RateRow
+    """Worlds in which all robots arrived."""
     tasks: RateRow | None
+    """Worlds that completed their task; None where a run has none."""
     task_s: ShiftRow | None
+    """Time of completion, of worlds that completed their task in both runs."""
     robots: RateRow | None
+    """Robots that arrived; counts are of robots, difference and p of worlds. None where the fleets
+    have different sizes."""
     share: ShiftRow
+    """Fraction of a world's robots that arrived."""
     share_p: float
+    """p of the sign test on that fraction."""
     costs: Mapping[str, ShiftRow]
+    """By column; empty where the fleets have different sizes."""
 
 
 class PairRow(PairingRow):

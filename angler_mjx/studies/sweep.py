@@ -321,7 +321,7 @@ def _compare_pairs(
                         "first": axis_rows[0]["cell"],
                         "second": second["cell"],
                         "same_problems": axis_rows[0]["problems"] == second["problems"],
-                        **paired.plain_pairing(pairing),
+                        **pairing,
                     }
                 )
     return comparisons
