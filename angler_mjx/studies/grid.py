@@ -9,7 +9,6 @@ import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from angler_mjx.scenario.editing import merge_tables, set_value
 
@@ -20,12 +19,12 @@ class SettingAxis:
 
     key: str
     """Dotted."""
-    values: tuple[Any, ...]
+    values: tuple[object, ...]
     """Plain."""
     names: tuple[str, ...]
     """The values as they were written."""
 
-    def edit(self, table: Mapping[str, Any], value: Any) -> dict[str, Any]:
+    def edit(self, table: Mapping[str, object], value: object) -> dict[str, object]:
         """Return a table with one value of this axis.
 
         Args:
@@ -45,8 +44,10 @@ class ChangesAxis(SettingAxis):
     The key names the axis and is no key of the scenario.
     """
 
-    def edit(self, table: Mapping[str, Any], value: Any) -> dict[str, Any]:
+    def edit(self, table: Mapping[str, object], value: object) -> dict[str, object]:
         """Return a table with the changes of one value merged into it."""
+        if not isinstance(value, Mapping):
+            raise TypeError(f"{self.key}: changes are a table, not {value!r}")
         return merge_tables(table, value)
 
 
@@ -70,7 +71,7 @@ class GridCell:
         return {axis.key: axis.names[i] for axis, i in zip(self.axes, self.indices, strict=True)}
 
     @property
-    def values(self) -> dict[str, Any]:
+    def values(self) -> dict[str, object]:
         """Values by key."""
         return {axis.key: axis.values[i] for axis, i in zip(self.axes, self.indices, strict=True)}
 
@@ -79,7 +80,7 @@ class GridCell:
         """Names of the values in one text; empty without axes."""
         return ", ".join(axis.names[i] for axis, i in zip(self.axes, self.indices, strict=True))
 
-    def edit(self, table: Mapping[str, Any]) -> dict[str, Any]:
+    def edit(self, table: Mapping[str, object]) -> dict[str, object]:
         """Return a table with all edits of this cell, those of the first axis first.
 
         Raises:

@@ -3,13 +3,12 @@
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import numpy as np
 
 from angler_mjx.planning.answers import Answer
-from angler_mjx.planning.planner import NoPlan
+from angler_mjx.planning.planner import NoPlan, Path
 from angler_mjx.progress import Progress
 from angler_mjx.robot.control.plans import Plan
 from angler_mjx.runs import device_batches
@@ -37,7 +36,7 @@ class BenchmarkFlight:
     """Its number in the database."""
     runs: Mapping[int, int]
     """Numbers of the runs by world."""
-    plans: Mapping[int, list[Any]]
+    plans: Mapping[int, list[Path | None]]
     """Paths of each robot by world; None where there is none. Empty where a policy flies."""
 
 
@@ -126,7 +125,7 @@ class _TilePlans:
         return host_planning.gather_paths(answers, held)[0], None
 
 
-def _build_answer(paths: Sequence[Any]) -> Answer:
+def _build_answer(paths: Sequence[Path | None]) -> Answer:
     robot_paths = [NoPlan("no plan") if path is None else path for path in paths]
     return Answer(paths=robot_paths, status="planned", reason="", planning_s=0.0)
 

@@ -104,7 +104,7 @@ class Benchmark:
             for label in sorted(labels)
         ]
 
-    def resolved(self) -> dict[str, Any]:
+    def resolved(self) -> dict[str, object]:
         """All of it in plain values: the same table is the same benchmark."""
         return {
             "benchmark": self.config.model_dump(mode="json"),
@@ -116,7 +116,7 @@ class Benchmark:
         }
 
 
-def read_benchmark(path: Path, **overrides: Any) -> Benchmark:
+def read_benchmark(path: Path, **overrides: object) -> Benchmark:
     """A benchmark from its file.
 
     Args:
@@ -281,7 +281,7 @@ RESERVED_KEYS = {
 """Keys of a scenario that a benchmark file says by keys of its own."""
 
 
-def _refuse_reserved_keys(table: Mapping[str, Any], source: str) -> None:
+def _refuse_reserved_keys(table: Mapping[str, object], source: str) -> None:
     """Refuse changes of a scenario that a key of the benchmark stands for."""
     for key, replacement in RESERVED_KEYS.items():
         name, _, inner = key.partition(".")
@@ -291,7 +291,7 @@ def _refuse_reserved_keys(table: Mapping[str, Any], source: str) -> None:
 
 
 def with_team(
-    whole: Scenario, table: Mapping[str, Any], robots: int, source: str, scene_name: str
+    whole: Scenario, table: Mapping[str, object], robots: int, source: str, scene_name: str
 ) -> Scenario:
     """A scenario with another number of robots."""
     entries = scenario_table(whole)["fleet"]

@@ -4,12 +4,12 @@ Planners are asked one at a time on each core, while nothing else is computed: w
 then their own time. Each answer and each flight is in the database before the next is waited for.
 """
 
+import sqlite3
 import time
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -32,7 +32,7 @@ from angler_mjx.studies.benchmark.store import FILE, STATUS, BenchmarkStore
 from angler_mjx.studies.simulator_cache import SimulatorCache
 
 
-def read_benchmark(source: Path, **overrides: Any) -> Benchmark:
+def read_benchmark(source: Path, **overrides: object) -> Benchmark:
     """A benchmark from its file, or from the results folder of one that is to be made again.
 
     Args:
@@ -142,9 +142,9 @@ def find_planning_fault(results_folder: Path) -> str | None:
     return faults[0] if faults and all(faults) else None
 
 
-def _summarise_planning(store: BenchmarkStore) -> dict[str, dict[str, Any]]:
+def _summarise_planning(store: BenchmarkStore) -> dict[str, dict[str, object]]:
     """How planning ended, by the planner's name; a team that is planned for in part has no plan."""
-    by_planner: dict[str, list[Any]] = {}
+    by_planner: dict[str, list[sqlite3.Row]] = {}
     for row in store.rows(
         "SELECT name, runs.id AS run, solved, status, plan_reason FROM runs "
         "JOIN plannerConfigs ON plannerConfigs.id = plannerid "
@@ -277,7 +277,7 @@ def _is_done(
     return bool(done[0]["done"] >= setting.scenario.worlds * len(planners))
 
 
-def _experiment_columns() -> dict[str, Any]:
+def _experiment_columns() -> dict[str, object]:
     """OMPL's columns of an experiment that are the same for all."""
     environment = describe_environment()
     return {

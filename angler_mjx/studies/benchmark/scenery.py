@@ -1,6 +1,7 @@
 """Worlds that are drawn: what they look like, the plans in them, and the flights."""
 
 import io
+import sqlite3
 from pathlib import Path
 from typing import Any
 
@@ -81,7 +82,7 @@ def write_examples(store: BenchmarkStore, folder: Path) -> int:
     return len(rows)
 
 
-def _read_scenery(store: BenchmarkStore, experiment_ids: str, world: int) -> dict[str, Any]:
+def _read_scenery(store: BenchmarkStore, experiment_ids: str, world: int) -> dict[str, np.ndarray]:
     """What is known of a world by those who know most of it."""
     rows = store.rows(
         f"SELECT arrays FROM scenery WHERE experimentid IN ({experiment_ids}) AND world = ?",
@@ -90,7 +91,7 @@ def _read_scenery(store: BenchmarkStore, experiment_ids: str, world: int) -> dic
     return max((unpack_arrays(row["arrays"]) for row in rows), key=lambda x: len(x["obstacle_p_m"]))
 
 
-def _read_runs(store: BenchmarkStore, experiment_ids: str, world: int) -> list[Any]:
+def _read_runs(store: BenchmarkStore, experiment_ids: str, world: int) -> list[sqlite3.Row]:
     return store.rows(
         "SELECT runs.id, name, paths, track FROM runs "
         "JOIN plannerConfigs ON plannerConfigs.id = plannerid "
@@ -100,7 +101,7 @@ def _read_runs(store: BenchmarkStore, experiment_ids: str, world: int) -> list[A
     )
 
 
-def _read_run_arrays(store: BenchmarkStore, run: Any, robots: int) -> dict[str, np.ndarray]:
+def _read_run_arrays(store: BenchmarkStore, run: sqlite3.Row, robots: int) -> dict[str, np.ndarray]:
     paths = [None] * robots if run["paths"] is None else bytes_of.unpack_paths(run["paths"])
     max_points = max([2, *(len(path.time_s) for path in paths if path is not None)])
     planned = np.full((robots, max_points, 3), np.nan, np.float32)

@@ -25,7 +25,7 @@ class Condition:
     name: str
     values: Mapping[str, str]
     """Of each axis, by name."""
-    table: Mapping[str, Any]
+    table: Mapping[str, object]
     """Of its scenario."""
 
 
@@ -36,7 +36,7 @@ class FleetSizeStudy:
     config: FleetSizeConfig
     source: str
     """Of the file, for messages."""
-    table: Mapping[str, Any]
+    table: Mapping[str, object]
     """Of the scenario as its file says it."""
     conditions: tuple[Condition, ...]
     sizes: tuple[int, ...]
@@ -58,14 +58,15 @@ class FleetSizeStudy:
             f"{format_path(self.source)} ({condition.name}, {size} robot{'s' if size > 1 else ''})"
         )
         try:
-            table = set_value(_tuples_to_lists(condition.table), self.config.size.key, size)
+            table = {key: _tuples_to_lists(value) for key, value in condition.table.items()}
+            table = set_value(table, self.config.size.key, size)
         except ConfigError as error:
             raise ConfigError(f"{where}: size.key: {error}") from error
         scenario = parse_model(Scenario, table, source=where)
         check_planner(scenario)
         return scenario
 
-    def resolved(self) -> dict[str, Any]:
+    def resolved(self) -> dict[str, object]:
         """All of it in plain values: the same table is the same study."""
         config = self.config.model_dump(mode="json", by_alias=True)
         config["budget"].pop("max_minutes")
@@ -80,7 +81,7 @@ class FleetSizeStudy:
 
 
 def read_study(
-    path: Path, only: Sequence[str] = (), *, smoke: bool = False, **budget: Any
+    path: Path, only: Sequence[str] = (), *, smoke: bool = False, **budget: float | None
 ) -> FleetSizeStudy:
     """A study from its file.
 
@@ -111,7 +112,7 @@ def read_study(
 
 
 def build_study(
-    config: FleetSizeConfig, table: Mapping[str, Any], source: str, only: Sequence[str] = ()
+    config: FleetSizeConfig, table: Mapping[str, object], source: str, only: Sequence[str] = ()
 ) -> FleetSizeStudy:
     """A study from its table and that of its scenario.
 
@@ -171,8 +172,7 @@ def _build_conditions(config: FleetSizeConfig, base: Mapping[str, Any]) -> list[
         axes.insert(0, build_changes_axis("condition", named))
     conditions = []
     for cell in iterate_cells(axes):
-        table = cell.edit(base)
-        table["time"] = {**table.get("time", {}), "record_hz": 0.0}
+        table = merge_tables(cell.edit(base), {"time": {"record_hz": 0.0}})
         name = cell.label or DEFAULT_CONDITION
         conditions.append(Condition(name=name, values=cell.names, table=table))
     return conditions
@@ -191,7 +191,7 @@ def _select_conditions(
     return tuple(entry for entry in conditions if not only or entry.name in only)
 
 
-def _tuples_to_lists(value: Any) -> Any:
+def _tuples_to_lists(value: object) -> object:
     """The same with lists for tuples: a checked file holds tuples."""
     if isinstance(value, Mapping):
         return {key: _tuples_to_lists(entry) for key, entry in value.items()}

@@ -14,7 +14,6 @@ import json
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import jax
 import numpy as np
@@ -26,6 +25,7 @@ from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.state import World
 from angler_mjx.studies.fleet_size.conditions import Condition, FleetSizeStudy
 from angler_mjx.studies.simulator_cache import SimulatorCache
+from angler_mjx.world.currents import Current
 
 MAX_AHEAD = 4
 """Simulators that are compiled before they are needed."""
@@ -52,7 +52,9 @@ class Simulators:
         ]
         # Where some conditions have breakdowns, programs of all can have them.
         self._breakdowns = max(breakdowns, key=lambda entry: entry.fraction)
-        self._samplers: dict[tuple[str, int], Any] = {}
+        self._samplers: dict[
+            tuple[str, int], Callable[..., tuple[Current, jax.Array | np.ndarray | None]]
+        ] = {}
 
     @property
     def compiled(self) -> int:

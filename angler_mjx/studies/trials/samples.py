@@ -8,7 +8,6 @@ from 0 on, so any draw can be flown again alone.
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -134,7 +133,7 @@ def sample_trial(seed: int) -> TrialSample:
     )
 
 
-def gains_of(spec: SimSpec, factors: FloatArray) -> tuple[Any, ...]:
+def gains_of(spec: SimSpec, factors: FloatArray) -> tuple[object, ...]:
     """The gains of a stack for n robots, each scaled by its own share [n, 64].
 
     Settings that say what the vehicle is, not how hard to steer it, stay as they are: of ArduSub's

@@ -7,7 +7,7 @@ hidden (``.NAME.partial``).
 
 import json
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -17,27 +17,38 @@ from angler_mjx.errors import RunError
 from angler_mjx.runs.resumable_folder import ResumableFolder
 from angler_mjx.runs.storage import atomic_files, output_lock, results_folder
 from angler_mjx.runs.storage.read_errors import read_table, wrap_read_errors
-from angler_mjx.studies.tuning.search import Generation, TuningHistory
+from angler_mjx.studies.tuning.search import Generation
 
 CHECKPOINT = "checkpoint.json"
 ADVICE = "put back a copy of it, or begin a new tuning"
 
 
+@dataclass(frozen=True, kw_only=True)
+class Checkpoint:
+    """Content of ``checkpoint.json``."""
+
+    settings: dict[str, object]
+    provenance: dict[str, Any]
+    complete: bool = False
+    """Whether nothing is left to do."""
+    generations: list[Generation] = field(default_factory=list)
+
+
 def declare_folder(
-    table: dict[str, Any], require: Callable[[dict[str, Any]], None]
-) -> ResumableFolder[dict[str, Any]]:
+    start: Checkpoint, require: Callable[[Checkpoint], None]
+) -> ResumableFolder[Checkpoint]:
     """Declare the folder of a tuning; it is opened with its checkpoint.
 
     Args:
-        table: settings and provenance of a new tuning.
+        start: checkpoint of a new tuning.
         require: raises where a checkpoint must not be resumed.
     """
 
-    def begin(building: Path) -> dict[str, Any]:
-        save_checkpoint(building, table, TuningHistory(), complete=False)
-        return {**table, "generations": []}
+    def begin(building: Path) -> Checkpoint:
+        save_checkpoint(building, start)
+        return start
 
-    def resume(building: Path) -> dict[str, Any]:
+    def resume(building: Path) -> Checkpoint:
         checkpoint = _read_checkpoint(building)
         with wrap_read_errors(building / CHECKPOINT, ADVICE):
             require(checkpoint)
@@ -56,10 +67,10 @@ def declare_folder(
 def _is_complete(out: Path) -> bool:
     """Return whether a published tuning has all its generations."""
     is_published = not output_lock.partial_path(out).exists() and (out / CHECKPOINT).is_file()
-    return is_published and bool(_read_checkpoint(out)["complete"])
+    return is_published and _read_checkpoint(out).complete
 
 
-def _read_checkpoint(folder: Path) -> dict[str, Any]:
+def _read_checkpoint(folder: Path) -> Checkpoint:
     path = folder / CHECKPOINT
     table = read_table(path, ADVICE)
     with wrap_read_errors(path, ADVICE):
@@ -68,29 +79,17 @@ def _read_checkpoint(folder: Path) -> dict[str, Any]:
         for name in ("settings", "provenance"):
             if not isinstance(table[name], dict):
                 raise TypeError(f"{name} is no object")
-        read_generations(table)
-    return table
+        return Checkpoint(
+            settings=table["settings"],
+            provenance=table["provenance"],
+            complete=table["complete"],
+            generations=[_parse_generation(row) for row in table["generations"]],
+        )
 
 
-def save_checkpoint(
-    building: Path, table: dict[str, Any], history: TuningHistory, *, complete: bool
-) -> None:
-    """Keep what was found so far: the whole file, or the one before it.
-
-    Args:
-        building: the hidden folder.
-        table: settings and where they come from.
-        history: of the search.
-        complete: whether nothing is left to do.
-    """
-    rows = [asdict(generation) for generation in history.generations]
-    whole = json.dumps({**table, "complete": complete, "generations": rows}, indent=1)
-    write_file(building / CHECKPOINT, whole + "\n")
-
-
-def read_generations(table: dict[str, Any]) -> list[Generation]:
-    """Return the generations of a checkpoint."""
-    return [_parse_generation(row) for row in table["generations"]]
+def save_checkpoint(building: Path, checkpoint: Checkpoint) -> None:
+    """Keep what was found so far: the whole file, or the one before it."""
+    write_file(building / CHECKPOINT, json.dumps(asdict(checkpoint), indent=1) + "\n")
 
 
 def _parse_generation(fields: dict[str, Any]) -> Generation:

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -11,6 +11,9 @@ from angler_mjx.studies.tuning import knobs, samples
 from angler_mjx.studies.tuning.problem import TuningProblem
 from angler_mjx.studies.tuning.samples import FlightSet
 from angler_mjx.studies.tuning.search import TuningHistory
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 STIFFER = 1.5
 """What came out is also flown with every tuned gain times this: how far from trouble it is."""
@@ -48,7 +51,7 @@ class TuningOutcome:
         return len(self.history.generations) >= self.problem.settings.generations
 
     @property
-    def gains(self) -> tuple[Any, ...]:
+    def gains(self) -> tuple["DataclassInstance", ...]:
         """Of each stage, as they are written."""
         spec, changed = self.problem.spec, dict[str, dict[str, float]]()
         for knob, turn in zip(self.problem.knobs, self.turns, strict=True):

@@ -1,5 +1,6 @@
 """Tuning from settings to a folder: search, measure, write."""
 
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from angler_mjx.runs.resumable_folder import OpenFolder, open_folder
 from angler_mjx.runs.storage.read_errors import wrap_read_errors
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.studies.tuning import folder, outcome, report, search
+from angler_mjx.studies.tuning.folder import Checkpoint
 from angler_mjx.studies.tuning.optimisers import Adam, Cma, Optimiser
 from angler_mjx.studies.tuning.outcome import TuningOutcome
 from angler_mjx.studies.tuning.problem import TuningProblem, TuningSettings
@@ -48,26 +50,24 @@ def tune(
     optimiser = _build_optimiser(problem)
     wanted = settings.table()
     declared = folder.declare_folder(
-        {"settings": wanted, "provenance": _describe_provenance(settings)},
-        lambda checkpoint: _require_same(checkpoint["settings"], wanted, out),
+        Checkpoint(settings=wanted, provenance=_describe_provenance(settings)),
+        lambda checkpoint: _require_same(checkpoint.settings, wanted, out),
     )
     with open_folder(declared, out, resume=resume, processes=OneProcess()) as opened:
         with wrap_read_errors(opened.building / folder.CHECKPOINT, folder.ADVICE):
-            found = folder.read_generations(opened.start)
-            history = search.replay_history(optimiser, found)
+            history = search.replay_history(optimiser, opened.start.generations)
         return _search_and_write(problem, optimiser, opened, history, progress or Progress())
 
 
 def _search_and_write(
     problem: TuningProblem,
     optimiser: Optimiser,
-    opened: OpenFolder[dict[str, Any]],
+    opened: OpenFolder[Checkpoint],
     history: TuningHistory,
     progress: Progress,
 ) -> TuningOutcome:
     """Search on in a folder, and publish it."""
     settings = problem.settings
-    table = {name: opened.start[name] for name in ("settings", "provenance")}
     each = optimiser.population * settings.rollouts
     progress.start(settings.generations * each, len(history.generations) * each, "flights")
     progress.describe("compiling")
@@ -75,8 +75,12 @@ def _search_and_write(
     def evaluate(candidates: FloatArray, *, gradients: bool) -> Generation:
         return problem.evaluate(candidates, gradients=gradients, done=progress.advance)
 
+    def save(building: Path, *, complete: bool) -> None:
+        checkpoint = replace(opened.start, complete=complete, generations=history.generations)
+        folder.save_checkpoint(building, checkpoint)
+
     def keep(current: TuningHistory) -> None:
-        folder.save_checkpoint(opened.building, table, current, complete=False)
+        save(opened.building, complete=False)
         progress.describe(f"generation {len(current.generations)}, best {current.best()[0]:.4f}")
 
     try:
@@ -85,11 +89,11 @@ def _search_and_write(
         if not history.generations:
             raise
     progress.describe("measuring what was found")
-    tuning_outcome = outcome.measure_outcome(problem, history, table["provenance"])
+    tuning_outcome = outcome.measure_outcome(problem, history, opened.start.provenance)
 
     def write(building: Path) -> None:
         report.write_report(building, tuning_outcome)
-        folder.save_checkpoint(building, table, history, complete=tuning_outcome.complete)
+        save(building, complete=tuning_outcome.complete)
 
     opened.publish(write)
     return tuning_outcome
@@ -103,7 +107,7 @@ def _build_optimiser(problem: TuningProblem) -> Optimiser:
     return Cma(low, high, settings.seed)
 
 
-def _require_same(stored: dict[str, Any], wanted: dict[str, Any], out: Path) -> None:
+def _require_same(stored: dict[str, object], wanted: dict[str, object], out: Path) -> None:
     """Refuse to resume a tuning of other settings.
 
     Keys of its scenario may have been renamed since it was begun.

@@ -11,6 +11,7 @@ from typing import Any
 
 import jax
 import numpy as np
+from jax.stages import Compiled
 
 from angler_mjx.errors import RunError
 from angler_mjx.runs import device_batches
@@ -50,7 +51,7 @@ class TimedSimulation:
 
     simulator: Simulator
     worlds: World
-    program: Any
+    program: Compiled
     """Its segment: of fleet, worlds and state, whose memory is used up."""
     row: SpeedRow
 
@@ -198,7 +199,7 @@ def require_moving(after: WorldState, sample: Sample, max_s: float) -> float:
 
 
 def _time_turns(
-    simulator: Simulator, program: Any, worlds: World, repeats: int
+    simulator: Simulator, program: Compiled, worlds: World, repeats: int
 ) -> tuple[list[float], float]:
     """Rates of the timed turns, and the least share of robot time in them."""
     calls = _calls_per_turn(simulator)
@@ -224,7 +225,7 @@ def _calls_per_turn(simulator: Simulator) -> int:
 
 def _run_calls(
     simulator: Simulator,
-    program: Any,
+    program: Compiled,
     worlds: World,
     cells: jax.Array | None,
     state: WorldState,
@@ -242,7 +243,7 @@ def _run_calls(
     return state, sample
 
 
-def _compile_segment(simulator: Simulator, sampled: World) -> tuple[float, Any]:
+def _compile_segment(simulator: Simulator, sampled: World) -> tuple[float, Compiled]:
     """Seconds it took to compile a segment of repeated worlds, and the program.
 
     Raises:
@@ -261,7 +262,7 @@ def _compile_segment(simulator: Simulator, sampled: World) -> tuple[float, Any]:
     return compile_s, program
 
 
-def _require_room(tile: int, program: Any) -> None:
+def _require_room(tile: int, program: Compiled) -> None:
     """Refuse a program that by XLA's account needs more memory than a device has."""
     needed = read_program_costs(program).get("program_bytes")
     limit = on_devices.limit_bytes(jax.local_devices()[0])
@@ -269,7 +270,7 @@ def _require_room(tile: int, program: Any) -> None:
         raise on_devices.tile_too_large(tile, needed, limit, "before the first step")
 
 
-def _measure_needs(simulator: Simulator, program: Any) -> dict[str, Any]:
+def _measure_needs(simulator: Simulator, program: Compiled) -> dict[str, Any]:
     """What one physics step of one robot needs at least: operations and bytes."""
     counted, how = _flops_per_step(simulator)
     moved = moved_bytes(program)
