@@ -24,7 +24,7 @@ ADVICE = "put back a copy of it, or begin a new tuning"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Checkpoint:
+class TuningCheckpoint:
     """Content of ``checkpoint.json``."""
 
     settings: dict[str, object]
@@ -35,8 +35,8 @@ class Checkpoint:
 
 
 def declare_folder(
-    start: Checkpoint, require: Callable[[Checkpoint], None]
-) -> ResumableFolder[Checkpoint]:
+    start: TuningCheckpoint, require: Callable[[TuningCheckpoint], None]
+) -> ResumableFolder[TuningCheckpoint]:
     """Declare the folder of a tuning; it is opened with its checkpoint.
 
     Args:
@@ -44,11 +44,11 @@ def declare_folder(
         require: raises where a checkpoint must not be resumed.
     """
 
-    def begin(building: Path) -> Checkpoint:
+    def begin(building: Path) -> TuningCheckpoint:
         save_checkpoint(building, start)
         return start
 
-    def resume(building: Path) -> Checkpoint:
+    def resume(building: Path) -> TuningCheckpoint:
         checkpoint = _read_checkpoint(building)
         with wrap_read_errors(building / CHECKPOINT, ADVICE):
             require(checkpoint)
@@ -70,7 +70,7 @@ def _is_complete(out: Path) -> bool:
     return is_published and _read_checkpoint(out).complete
 
 
-def _read_checkpoint(folder: Path) -> Checkpoint:
+def _read_checkpoint(folder: Path) -> TuningCheckpoint:
     path = folder / CHECKPOINT
     table = read_table(path, ADVICE)
     with wrap_read_errors(path, ADVICE):
@@ -79,7 +79,7 @@ def _read_checkpoint(folder: Path) -> Checkpoint:
         for name in ("settings", "provenance"):
             if not isinstance(table[name], dict):
                 raise TypeError(f"{name} is no object")
-        return Checkpoint(
+        return TuningCheckpoint(
             settings=table["settings"],
             provenance=table["provenance"],
             complete=table["complete"],
@@ -87,7 +87,7 @@ def _read_checkpoint(folder: Path) -> Checkpoint:
         )
 
 
-def save_checkpoint(building: Path, checkpoint: Checkpoint) -> None:
+def save_checkpoint(building: Path, checkpoint: TuningCheckpoint) -> None:
     """Keep what was found so far: the whole file, or the one before it."""
     write_file(building / CHECKPOINT, json.dumps(asdict(checkpoint), indent=1) + "\n")
 

@@ -15,7 +15,7 @@ from angler_mjx.runs.resumable_folder import OpenFolder, open_folder
 from angler_mjx.runs.storage.read_errors import wrap_read_errors
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.studies.tuning import folder, outcome, report, search
-from angler_mjx.studies.tuning.folder import Checkpoint
+from angler_mjx.studies.tuning.folder import TuningCheckpoint
 from angler_mjx.studies.tuning.optimisers import Adam, Cma, Optimiser
 from angler_mjx.studies.tuning.outcome import TuningOutcome
 from angler_mjx.studies.tuning.problem import TuningProblem, TuningSettings
@@ -50,7 +50,7 @@ def tune(
     optimiser = _build_optimiser(problem)
     wanted = settings.table()
     declared = folder.declare_folder(
-        Checkpoint(settings=wanted, provenance=_describe_provenance(settings)),
+        TuningCheckpoint(settings=wanted, provenance=_describe_provenance(settings)),
         lambda checkpoint: _require_same(checkpoint.settings, wanted, out),
     )
     with open_folder(declared, out, resume=resume, processes=OneProcess()) as opened:
@@ -62,7 +62,7 @@ def tune(
 def _search_and_write(
     problem: TuningProblem,
     optimiser: Optimiser,
-    opened: OpenFolder[Checkpoint],
+    opened: OpenFolder[TuningCheckpoint],
     history: TuningHistory,
     progress: Progress,
 ) -> TuningOutcome:

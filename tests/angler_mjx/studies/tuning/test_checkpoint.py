@@ -10,7 +10,7 @@ from angler_mjx.errors import AnglerError, ConfigError
 from angler_mjx.studies.tuning import folder, tune
 from angler_mjx.studies.tuning.search import Generation
 
-START = folder.Checkpoint(settings={"seed": 1}, provenance={"commit": None})
+START = folder.TuningCheckpoint(settings={"seed": 1}, provenance={"commit": None})
 VALUES = (None, True, -1, 10**30, "x", [], {}, [[]], [{"costs": 1}])
 
 
@@ -39,7 +39,7 @@ def test_a_whole_checkpoint_is_taken_up(stored):
 def test_what_is_refused_keeps_its_name_and_settings_that_are_not_there_are_other_ones(tmp_path):
     out = tmp_path / "tuned"
     claimed, _ = claim(out, resume=False)
-    folder.save_checkpoint(claimed.building, folder.Checkpoint(settings={}, provenance={}))
+    folder.save_checkpoint(claimed.building, folder.TuningCheckpoint(settings={}, provenance={}))
     claimed.publish()
 
     def require(known):
