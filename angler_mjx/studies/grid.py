@@ -92,6 +92,21 @@ class GridCell:
         return edited
 
 
+def find_reserved_key(changes: Mapping[str, object], replacements: Mapping[str, str]) -> str | None:
+    """Return what to write instead of the first reserved key of some changes; None without any.
+
+    Args:
+        changes: keys of a scenario, in the file of a study.
+        replacements: keys of the file, by the scenario's keys that they stand for; one dot at most.
+    """
+    for key, replacement in replacements.items():
+        name, _, inner = key.partition(".")
+        value = changes.get(name)
+        if name in changes and (not inner or (isinstance(value, Mapping) and inner in value)):
+            return f"{key}: give {replacement} instead"
+    return None
+
+
 def count_cells(axes: Sequence[SettingAxis]) -> int:
     """Return the number of combinations of values."""
     return math.prod(len(axis.values) for axis in axes)

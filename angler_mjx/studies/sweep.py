@@ -50,14 +50,9 @@ _MAX_NAME_LENGTH = 80
 
 
 @dataclass(frozen=True, kw_only=True)
-class StudyCell:
-    """One combination of settings."""
+class StudyCell(GridCell):
+    """Cell of a sweep with its scenario."""
 
-    number: int
-    names: Mapping[str, str]
-    """Values by key, as they were written."""
-    values: Mapping[str, object]
-    """Values by key."""
     scenario: Scenario
 
     @property
@@ -128,18 +123,15 @@ def build_cells(
     study_cells: list[StudyCell] = []
     faults: dict[str, list[Mapping[str, str]]] = {}
     for cell in iterate_cells(axes):
-        names = cell.names
         try:
             scenario = _build_scenario(table, cell)
         except FaultyError as error:
             for fault in error.faults:
-                faults.setdefault(fault.text, []).append(names)
+                faults.setdefault(fault.text, []).append(cell.names)
         except ConfigError as error:
-            faults.setdefault(str(error), []).append(names)
+            faults.setdefault(str(error), []).append(cell.names)
         else:
-            study_cells.append(
-                StudyCell(number=cell.number, names=names, values=cell.values, scenario=scenario)
-            )
+            study_cells.append(StudyCell(**vars(cell), scenario=scenario))
     if faults:
         varied_keys = [axis.key for axis in axes if len(axis.values) > 1]
         raise ConfigError(

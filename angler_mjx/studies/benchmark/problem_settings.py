@@ -20,7 +20,26 @@ from angler_mjx.sim.information import Information
 from angler_mjx.studies.benchmark import compared_planners as compared
 from angler_mjx.studies.benchmark.compared_planners import ComparedPlanner
 from angler_mjx.studies.benchmark.config import BenchmarkConfig
-from angler_mjx.studies.grid import GridCell, build_changes_axis, iterate_cells
+from angler_mjx.studies.grid import (
+    GridCell,
+    build_changes_axis,
+    find_reserved_key,
+    iterate_cells,
+)
+
+RESERVED_KEYS = {
+    "worlds": "problems",
+    "seed": "seeds",
+    "planner.name": "[[planner]]",
+    "planner.settings": "settings in [[planner]]",
+    "planner.points": "points",
+    "planner.deadline_s": "deadline_s",
+    "planner.information": "[[information]]",
+    "planner.replan_hz": "replan_hz in [[planner]]",
+    "planner.delay_s": "delay_s in [[planner]]",
+    "policy.name": "policy in [[planner]]",
+}
+"""Keys of a scenario that a benchmark file says by keys of its own."""
 
 DEFAULT_SCENE = "as it is"
 """Name of the scene of a benchmark that names none."""
@@ -240,7 +259,8 @@ def _list_scenes(config: BenchmarkConfig) -> list[GridCell]:
 def _build_base_table(config: BenchmarkConfig, scenario: Scenario, source: str) -> dict[str, Any]:
     """Return the table of the scenario that scenes and teams are made of."""
     for table in (config.set, *(entry.set for entry in config.scene)):
-        _refuse_reserved_keys(table, source)
+        if fault := find_reserved_key(table, RESERVED_KEYS):
+            raise ConfigError(f"{format_path(source)}: set.{fault}")
     base = scenario_table(scenario)
     base["worlds"] = config.problems
     base["planner"] = {
@@ -264,30 +284,6 @@ def _list_information(
     planner_options = [entry.information for entry in planners]
     default = _default_information(config, scenario) if None in planner_options else []
     return list(dict.fromkeys([*default, *(x for x in planner_options if x is not None)]))
-
-
-RESERVED_KEYS = {
-    "worlds": "problems",
-    "seed": "seeds",
-    "planner.name": "[[planner]]",
-    "planner.settings": "settings in [[planner]]",
-    "planner.points": "points",
-    "planner.deadline_s": "deadline_s",
-    "planner.information": "[[information]]",
-    "planner.replan_hz": "replan_hz in [[planner]]",
-    "planner.delay_s": "delay_s in [[planner]]",
-    "policy.name": "policy in [[planner]]",
-}
-"""Keys of a scenario that a benchmark file says by keys of its own."""
-
-
-def _refuse_reserved_keys(table: Mapping[str, object], source: str) -> None:
-    """Refuse changes of a scenario that a key of the benchmark stands for."""
-    for key, replacement in RESERVED_KEYS.items():
-        name, _, inner = key.partition(".")
-        held = table.get(name)
-        if name in table and (not inner or (isinstance(held, Mapping) and inner in held)):
-            raise ConfigError(f"{format_path(source)}: set.{key}: give {replacement} instead")
 
 
 def with_team(
