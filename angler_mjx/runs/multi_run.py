@@ -5,7 +5,7 @@ An interrupted run of it is resumed as any run is, so nothing but tiles in fligh
 
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TypedDict
 
 from angler_mjx.files import FileModel
 from angler_mjx.progress import Progress
@@ -22,9 +22,17 @@ RUNS_FOLDER = "runs"
 """Folder of the runs."""
 
 
+class RunOptions(TypedDict, total=False):
+    """Options of every run, as of `rollout.rollout`."""
+
+    chunk: int
+    devices: int | None
+    workers: int | None
+
+
 def declare_folder(
     kind: str,
-    request: Mapping[str, Any],
+    request: Mapping[str, object],
     *,
     models: Mapping[str, type[FileModel]],
     is_complete: Callable[[Path], bool],
@@ -59,7 +67,7 @@ def fly_runs(
     building: Path,
     progress: Progress,
     processes: Processes,
-    options: Mapping[str, Any],
+    options: RunOptions,
 ) -> bool:
     """Fly what is left of several runs; whether all are whole now.
 
@@ -68,7 +76,7 @@ def fly_runs(
         building: the folder.
         progress: of how far it is.
         processes: processes that share each run.
-        options: other arguments of `rollout.rollout`.
+        options: options of every run.
     """
     parts = tuple(parts)
     for number, (path, scenario) in enumerate(parts):
@@ -86,17 +94,16 @@ def _fly_run(
     path: Path,
     progress: Progress,
     processes: Processes,
-    options: Mapping[str, Any],
+    options: RunOptions,
 ) -> bool:
     """Fly a run, or what is left of it; whether it is whole now."""
     status = processes.meet("stands", run_status(path) if processes.index == 0 else None)[0]
     if status == "whole":
         return True
-    arguments: dict[str, Any] = {"progress": progress, "processes": processes, **options}
     if status == "begun":
-        run = rollout.resume(path, **arguments)
+        run = rollout.resume(path, progress=progress, processes=processes, **options)
     else:
-        run = rollout.rollout(scenario, out=path, **arguments)
+        run = rollout.rollout(scenario, out=path, progress=progress, processes=processes, **options)
     return bool(run.summary["complete"])
 
 

@@ -20,7 +20,7 @@ from angler_mjx.files import FaultyError, format_faults, validate_model
 from angler_mjx.progress import Progress
 from angler_mjx.report.plotting import style
 from angler_mjx.runs import multi_run
-from angler_mjx.runs.multi_run import RUNS_FOLDER
+from angler_mjx.runs.multi_run import RUNS_FOLDER, RunOptions
 from angler_mjx.runs.processes import OneProcess, Processes
 from angler_mjx.runs.provenance import describe_environment
 from angler_mjx.runs.resumable_folder import open_folder
@@ -69,7 +69,7 @@ class SweepRequest:
 
     name: str
     """Of the scenario."""
-    table: Mapping[str, Any]
+    table: Mapping[str, object]
     """Of the scenario."""
     axes: tuple[SettingAxis, ...]
     cells: tuple[StudyCell, ...]
@@ -200,7 +200,7 @@ def run_sweep(
         "sweep", request.resolved(), models={"scenario": Scenario}, is_complete=is_complete
     )
     flights = [(cell.path, cell.scenario) for cell in request.cells]
-    options = {"devices": devices, "workers": workers}
+    options: RunOptions = {"devices": devices, "workers": workers}
     with open_folder(declared, out, resume=resume, processes=together) as opened:
         building = opened.building
         try:
@@ -234,7 +234,7 @@ def _fly_cells(
     building: Path,
     progress: Progress,
     together: Processes,
-    options: Mapping[str, Any],
+    options: RunOptions,
 ) -> bool:
     """Fly the cells; whether all are whole. An interruption keeps what was finished."""
     try:

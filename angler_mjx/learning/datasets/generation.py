@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.learning.datasets import card, checksums, index, manifest, manifest_building
@@ -18,6 +17,7 @@ from angler_mjx.learning.datasets.parts import DatasetPart
 from angler_mjx.learning.datasets.sampling import CROSSED
 from angler_mjx.progress import Progress
 from angler_mjx.runs import multi_run
+from angler_mjx.runs.multi_run import RunOptions
 from angler_mjx.runs.processes import OneProcess, Processes, reporting_failure
 from angler_mjx.runs.resumable_folder import open_folder
 from angler_mjx.runs.simulator.simulator import default_tile
@@ -35,7 +35,7 @@ class DatasetRequest:
     """Inputs of a dataset."""
 
     config: DatasetConfig
-    table: Mapping[str, Any]
+    table: Mapping[str, object]
     """Table of the scenario of all parts."""
     episodes: int
     source: str
@@ -45,7 +45,7 @@ class DatasetRequest:
         """Return the parts to fly; see `parts.build_parts`."""
         return flown.build_parts(self.config, self.table, self.episodes, self.source)
 
-    def resolved(self) -> dict[str, Any]:
+    def resolved(self) -> dict[str, object]:
         """Return all of it in plain values."""
         return {
             "episodes": self.episodes,
@@ -110,7 +110,7 @@ def make_dataset(
     flights = [
         (part.path, part.scenario.model_copy(update={"tile": choose_tile(part)})) for part in parts
     ]
-    options = {"chunk": 1, "devices": devices, "workers": workers}
+    options: RunOptions = {"chunk": 1, "devices": devices, "workers": workers}
     with open_folder(declared, out, resume=resume, processes=process_group) as opened:
         complete = multi_run.fly_runs(flights, opened.building, progress, process_group, options)
         if complete:

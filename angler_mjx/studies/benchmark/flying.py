@@ -19,7 +19,6 @@ from angler_mjx.runs.storage.device_to_host import FinishedTile
 from angler_mjx.runs.storage.read_errors import wrap_read_errors
 from angler_mjx.sim.state import World
 from angler_mjx.studies.benchmark import path_archive as bytes_of
-from angler_mjx.studies.benchmark import scenery
 from angler_mjx.studies.benchmark.measures import measure_flight
 from angler_mjx.studies.benchmark.problem_settings import Setting
 from angler_mjx.studies.benchmark.store import BenchmarkStore
@@ -158,7 +157,7 @@ def _store_flights(
             for world, run in runs.items()
         ],
         {
-            run: scenery.pack_arrays(p_m=_sample_track(tile, world - tile.first, hz))
+            run: bytes_of.pack_arrays(p_m=_sample_track(tile, world - tile.first, hz))
             for world, run in runs.items()
             if world < examples and tile.parts
         },

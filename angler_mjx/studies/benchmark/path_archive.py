@@ -14,6 +14,19 @@ from angler_mjx.robot.control.commands.trajectory import Trajectory
 _JOINTS = ("position", "velocity", "acceleration", "degree")
 
 
+def pack_arrays(**arrays: Any) -> bytes:
+    """Arrays as an NPZ archive."""
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **arrays)
+    return buffer.getvalue()
+
+
+def unpack_arrays(data: bytes) -> dict[str, np.ndarray]:
+    """Arrays of an NPZ archive."""
+    with np.load(io.BytesIO(data), allow_pickle=False) as archive:
+        return {name: archive[name] for name in archive.files}
+
+
 def pack_paths(paths: Sequence[Path | NoPlan]) -> bytes:
     """Paths of a team, without the reasons of those that are missing.
 
@@ -24,7 +37,7 @@ def pack_paths(paths: Sequence[Path | NoPlan]) -> bytes:
     """
     found_paths = [path for path in paths if not isinstance(path, NoPlan)]
     count = [0 if isinstance(path, NoPlan) else len(path.time_s) for path in paths]
-    arrays: dict[str, Any] = {"count": np.array(count, np.int32)}
+    arrays = {"count": np.array(count, np.int32)}
     arrays["time_s"] = _concatenate_rows([path.time_s for path in found_paths], ())
     if any(isinstance(path, JointTrajectory) for path in found_paths):
         joints = cast(list[JointTrajectory], found_paths)
@@ -33,9 +46,7 @@ def pack_paths(paths: Sequence[Path | NoPlan]) -> bytes:
     else:
         lines = cast(list[Trajectory], found_paths)
         arrays["position_m"] = _concatenate_rows([path.position_m for path in lines], (3,))
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, **arrays)
-    return buffer.getvalue()
+    return pack_arrays(**arrays)
 
 
 def unpack_paths(data: bytes) -> list[Path | None]:
@@ -44,8 +55,7 @@ def unpack_paths(data: bytes) -> list[Path | None]:
     Raises:
         ValueError: these are none.
     """
-    with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-        arrays = {name: archive[name] for name in archive.files}
+    arrays = unpack_arrays(data)
     count = arrays.pop("count")
     paths: list[Path | None] = []
     at = 0
@@ -69,10 +79,8 @@ def unpack_paths(data: bytes) -> list[Path | None]:
 
 def compute_digest(data: bytes) -> str:
     """Hexadecimal, of the numbers of plans that were packed: the same plans, the same digest."""
-    with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-        arrays = {name: archive[name] for name in sorted(archive.files)}
     hasher = hashlib.sha256()
-    for name, values in arrays.items():
+    for name, values in sorted(unpack_arrays(data).items()):
         hasher.update(f"{name} {values.dtype} {values.shape} ".encode())
         hasher.update(np.ascontiguousarray(values).tobytes())
     return hasher.hexdigest()

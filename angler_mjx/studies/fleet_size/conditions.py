@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from angler_mjx.errors import ConfigError, format_value
 from angler_mjx.files import FOLDER_CONTEXT, format_path, parse_model, read_toml
@@ -164,7 +163,7 @@ def _check_condition(study: FleetSizeStudy, condition: Condition, size: int) -> 
         )
 
 
-def _build_conditions(config: FleetSizeConfig, base: Mapping[str, Any]) -> list[Condition]:
+def _build_conditions(config: FleetSizeConfig, base: Mapping[str, object]) -> list[Condition]:
     """Build the condition of each cell of the grid; the last axis changes fastest."""
     axes = [build_changes_axis(key, changes) for key, changes in config.axis.items()]
     if config.condition:

@@ -6,9 +6,9 @@ it is made, it is hidden (``.NAME.partial``).
 """
 
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import cast
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.runs.provenance import describe_environment
@@ -20,6 +20,7 @@ from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.studies.fleet_size import figures, report
 from angler_mjx.studies.fleet_size.conditions import FleetSizeStudy
 from angler_mjx.studies.fleet_size.config import FleetSizeConfig
+from angler_mjx.studies.fleet_size.report import FleetSizeResults
 from angler_mjx.studies.fleet_size.store import FILE, Batch
 
 SOURCE, RESOLVED, STUDY = "study.toml", "resolved.json", "study.json"
@@ -66,7 +67,7 @@ def _is_complete(out: Path) -> bool:
     return (out / STUDY).is_file() and bool(read_results(out).get("complete"))
 
 
-def read_results(out: Path) -> dict[str, Any]:
+def read_results(out: Path) -> FleetSizeResults:
     """Read the ``study.json`` of a folder.
 
     Raises:
@@ -74,11 +75,11 @@ def read_results(out: Path) -> dict[str, Any]:
     """
     if not (out / STUDY).is_file():
         raise ConfigError(f"{out}: is no folder of a fleet-size study (no {STUDY} in it)")
-    return read_table(out / STUDY)
+    return cast(FleetSizeResults, read_table(out / STUDY))
 
 
 def write_results(
-    building: Path, study: FleetSizeStudy, results: Mapping[str, Any], batches: Sequence[Batch]
+    building: Path, study: FleetSizeStudy, results: FleetSizeResults, batches: Sequence[Batch]
 ) -> None:
     """Write tables, page and figures."""
     write_json(building / STUDY, dict(results))

@@ -2,9 +2,8 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, NotRequired, TypedDict
 
 import numpy as np
 import pyarrow as pa
@@ -15,9 +14,6 @@ from angler_mjx.studies.fleet_size import bernoulli, sequential_test, survival
 from angler_mjx.studies.fleet_size.conditions import Condition, FleetSizeStudy
 from angler_mjx.studies.fleet_size.sequential_test import SequentialRule
 from angler_mjx.studies.fleet_size.store import Batch
-
-QUANTILES = {"median": 0.5, "p90": 0.9}
-"""Quantiles of the time that a table shows, by name."""
 
 SCHEMA = pa.schema(
     [
@@ -37,9 +33,82 @@ SCHEMA = pa.schema(
 """Of ``results.parquet``."""
 
 
+class SizeRow(TypedDict):
+    """Success, times and costs of one size in one condition; means are over worlds."""
+
+    size: int
+    planned: float | None
+    """Fraction of robots with a plan; None of a task."""
+    worlds: int
+    met: int
+    """Worlds that met the deadline."""
+    rate: float
+    low: float
+    high: float
+    done: int
+    horizon_s: float
+    mean_s: Mapping[str, float]
+    """``mean``, ``low`` and ``high`` of the time, restricted to the horizon."""
+    no_room: int
+    lost_per_robot: float
+    energy_j: float
+    path_m: float
+    median_s: Mapping[str, float | None]
+    """``value``, ``low`` and ``high``; None: never."""
+    p90_s: Mapping[str, float | None]
+
+
+class AnswerRow(TypedDict):
+    """Fields of `sequential_test.SizeAnswer`, and its text."""
+
+    estimate: int | None
+    low: int | None
+    high: int | None
+    good: bool
+    worlds: int
+    largest: int
+    listed: list[int]
+    text: str
+
+
+class ConditionRow(TypedDict):
+    """Answer for a condition, and its sizes that were flown."""
+
+    name: str
+    values: Mapping[str, str]
+    answer: AnswerRow
+    sizes: list[SizeRow]
+
+
+class FleetSizeResults(TypedDict):
+    """Content of ``study.json``."""
+
+    name: str
+    description: str
+    scenario: str
+    deadline_s: float
+    probability: float
+    confidence: float
+    levels: Mapping[str, float]
+    """Confidence of each kind of interval; see `confidence_levels`."""
+    within: int
+    sizes: list[int]
+    span: bool
+    size_key: str
+    seed: int
+    budget: Mapping[str, object]
+    ended: str
+    complete: bool
+    worlds: int
+    conditions: list[ConditionRow]
+    timing: NotRequired[Mapping[str, float]]
+    tile: NotRequired[int]
+    environment: NotRequired[Mapping[str, object]]
+
+
 def gather_results(
     study: FleetSizeStudy, rule: SequentialRule, batches: Sequence[Batch], ended: str
-) -> dict[str, Any]:
+) -> FleetSizeResults:
     """All numbers of a study.
 
     Args:
@@ -74,7 +143,7 @@ def gather_results(
 
 def _summarise_condition(
     study: FleetSizeStudy, rule: SequentialRule, condition: Condition, batches: Sequence[Batch]
-) -> dict[str, Any]:
+) -> ConditionRow:
     deadline_s = study.config.deadline_s
     by_size: dict[int, list[Batch]] = {}
     for batch in sorted(batches, key=lambda batch: (batch.size, batch.first)):
@@ -87,14 +156,19 @@ def _summarise_condition(
         )
         for size, size_batches in by_size.items()
     }
-    condition_answer = sequential_test.build_answer(rule, counts)
+    found = sequential_test.build_answer(rule, counts)
     return {
         "name": condition.name,
         "values": dict(condition.values),
         "answer": {
-            **asdict(condition_answer),
-            "listed": list(condition_answer.listed),
-            "text": condition_answer.text(rule.confidence),
+            "estimate": found.estimate,
+            "low": found.low,
+            "high": found.high,
+            "good": found.good,
+            "worlds": found.worlds,
+            "largest": found.largest,
+            "listed": list(found.listed),
+            "text": found.text(rule.confidence),
         },
         "sizes": [
             _summarise_size(study, rule, condition, size_batches)
@@ -105,7 +179,7 @@ def _summarise_condition(
 
 def _summarise_size(
     study: FleetSizeStudy, rule: SequentialRule, condition: Condition, batches: Sequence[Batch]
-) -> dict[str, Any]:
+) -> SizeRow:
     """Success, times and costs of one size in one condition."""
     size = batches[0].size
     times = np.array(
@@ -117,7 +191,8 @@ def _summarise_size(
     curve = survival.estimate_curve(np.minimum(times, horizon_s), np.isfinite(times))
     alpha = 1.0 - rule.confidence
     planned = [x for batch in batches for x in batch.planned if x is not None]
-    row: dict[str, Any] = {
+    median, p90 = (_describe_quantile(times, fraction, alpha) for fraction in (0.5, 0.9))
+    return {
         "size": size,
         "planned": sum(planned) / (size * len(planned)) if planned else None,
         "worlds": total,
@@ -134,21 +209,25 @@ def _summarise_size(
         "lost_per_robot": float(np.mean([x for batch in batches for x in batch.lost])) / size,
         "energy_j": float(np.mean([x for batch in batches for x in batch.energy_j])),
         "path_m": float(np.mean([x for batch in batches for x in batch.path_m])),
+        "median_s": median,
+        "p90_s": p90,
     }
-    for name, fraction in QUANTILES.items():
-        values = bernoulli.estimate_quantile(times, fraction, alpha)
-        row[f"{name}_s"] = {
-            end: value if math.isfinite(value) else None
-            for end, value in zip(("value", "low", "high"), values, strict=True)
-        }
-    return row
+
+
+def _describe_quantile(times: np.ndarray, fraction: float, alpha: float) -> dict[str, float | None]:
+    """Return a quantile of times [n] with its interval; None for never."""
+    values = bernoulli.estimate_quantile(times, fraction, alpha)
+    return {
+        end: value if math.isfinite(value) else None
+        for end, value in zip(("value", "low", "high"), values, strict=True)
+    }
 
 
 def write_results(path: Path, study: FleetSizeStudy, batches: Sequence[Batch]) -> None:
     """A row for each world, by condition, size and world."""
     order = {batch.name: i for i, batch in enumerate(study.conditions)}
     ordered = sorted(batches, key=lambda batch: (order[batch.condition], batch.size, batch.first))
-    columns: dict[str, list[Any]] = {name: [] for name in SCHEMA.names}
+    columns: dict[str, list[object]] = {name: [] for name in SCHEMA.names}
     for batch in ordered:
         columns["condition"] += [batch.condition] * batch.worlds
         columns["size"] += [batch.size] * batch.worlds
@@ -191,7 +270,7 @@ def format_level(results: Mapping[str, Any], kind: str) -> str:
     return f"{100 * results['levels'][kind]:.4g} %"
 
 
-def answers_table(results: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
+def answers_table(results: FleetSizeResults) -> tuple[list[str], list[list[str]]]:
     """Head and rows: the answer of each condition."""
     sure = format_level(results, "answer")
     head = ["condition", "smallest team", f"{sure} interval", "worlds", "answer"]
@@ -208,7 +287,7 @@ def answers_table(results: Mapping[str, Any]) -> tuple[list[str], list[list[str]
 
 
 def sizes_table(
-    results: Mapping[str, Any], condition: Mapping[str, Any]
+    results: FleetSizeResults, condition: ConditionRow
 ) -> tuple[list[str], list[list[str]]]:
     """Head and rows: the sizes of a condition that were flown.
 
@@ -237,7 +316,7 @@ def sizes_table(
             decided = "enough"
         elif row["high"] < probability:
             decided = "too few"
-        mean = row["mean_s"]
+        mean, planned = row["mean_s"], row.get("planned")
         rows.append(
             [
                 str(row["size"]),
@@ -245,7 +324,7 @@ def sizes_table(
                 f"{100 * row['rate']:.2f} %",
                 f"{100 * row['low']:.2f} to {100 * row['high']:.2f} %",
                 decided,
-                "-" if row.get("planned") is None else f"{100 * row['planned']:.1f} %",
+                "-" if planned is None else f"{100 * planned:.1f} %",
                 _format_time(row["median_s"]),
                 _format_time(row["p90_s"]),
                 f"{mean['mean']:.1f} ({mean['low']:.1f} to {mean['high']:.1f})",
@@ -271,7 +350,7 @@ def format_markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) ->
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
-def write_page(path: Path, results: Mapping[str, Any]) -> None:
+def write_page(path: Path, results: FleetSizeResults) -> None:
     """The page of a study."""
     p, level_text = f"{100 * results['probability']:g} %", format_level(results, "answer")
     none = sum(row["no_room"] for condition in results["conditions"] for row in condition["sizes"])

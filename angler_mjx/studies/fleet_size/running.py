@@ -13,7 +13,6 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import jax
 
@@ -26,6 +25,7 @@ from angler_mjx.runs.simulator.simulator import default_tile
 from angler_mjx.runs.storage.planning_summary import PlanningFailures
 from angler_mjx.studies.fleet_size import flying, folder, report
 from angler_mjx.studies.fleet_size.conditions import Condition, FleetSizeStudy
+from angler_mjx.studies.fleet_size.report import FleetSizeResults
 from angler_mjx.studies.fleet_size.sequential_test import (
     SequentialRule,
     build_answer,
@@ -107,7 +107,7 @@ def run_study(
     devices: int | None = None,
     simulators: Simulators | None = None,
     processes: Processes | None = None,
-) -> dict[str, Any]:
+) -> FleetSizeResults:
     """Make a study, or go on with one.
 
     Args:
@@ -211,7 +211,8 @@ def _write_results(
 ) -> None:
     """Write the results of all batches, with how the study ended."""
     results = report.gather_results(work.study, work.rule, work.store.batches, ended)
-    results |= {"timing": dict(timing), "tile": tile, "environment": describe_environment()}
+    results["timing"], results["tile"] = dict(timing), tile
+    results["environment"] = describe_environment()
     folder.write_results(building, work.study, results, work.store.batches)
 
 
