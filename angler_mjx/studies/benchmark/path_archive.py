@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any, cast
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from angler_mjx.planning.planner import NoPlan, Path
 from angler_mjx.robot.control.commands.joint_trajectory import VEHICLE_JOINTS, JointTrajectory
@@ -95,7 +96,7 @@ def _found_flag() -> Any:
     return np.asarray(True)
 
 
-def _concatenate_rows(parts: list[Any], empty: tuple[int, ...]) -> np.ndarray:
+def _concatenate_rows(parts: Sequence[ArrayLike], empty: tuple[int, ...]) -> np.ndarray:
     if not parts:
         return np.zeros((0, *empty), np.float32)
     return np.concatenate([np.asarray(part) for part in parts])

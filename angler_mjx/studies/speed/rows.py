@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Self, TypedDict
 
 import jax
 import jax.numpy as jnp
@@ -177,7 +177,24 @@ def iterate_turns(repeats: int) -> Iterator[bool]:
         counted += warm
 
 
-def summarise_rates(rates: list[float]) -> dict[str, Any]:
+class RateFields(TypedDict):
+    """Fields of a row that come from the rates of its repeats."""
+
+    median: float
+    low: float
+    high: float
+    repeats: int
+
+
+class CostFields(TypedDict, total=False):
+    """Fields of a row that XLA gives for a compiled program."""
+
+    xla_flops: float | None
+    xla_bytes: float | None
+    program_bytes: int
+
+
+def summarise_rates(rates: list[float]) -> RateFields:
     """The fields of a row that come from the rates of its repeats."""
     return {
         "median": float(np.median(rates)),
@@ -187,15 +204,16 @@ def summarise_rates(rates: list[float]) -> dict[str, Any]:
     }
 
 
-def read_program_costs(program: Compiled) -> dict[str, Any]:
+def read_program_costs(program: Compiled) -> CostFields:
     """The fields of a row that XLA says of a compiled program; none where it says nothing.
 
     Args:
         program: compiled; one device's part of it is told of.
     """
-    fields: dict[str, Any] = {}
+    fields: CostFields = {}
     if cost := program.cost_analysis():
-        fields |= {"xla_flops": cost.get("flops"), "xla_bytes": cost.get("bytes accessed")}
+        fields["xla_flops"] = cost.get("flops")
+        fields["xla_bytes"] = cost.get("bytes accessed")
     if memory := program.memory_analysis():
         whole = memory.argument_size_in_bytes + memory.output_size_in_bytes
         whole += memory.temp_size_in_bytes - memory.alias_size_in_bytes
@@ -295,7 +313,7 @@ def _parse_rows(text: str, path: Path) -> Iterator[dict[str, Any]]:
         )
 
 
-def _convert_first_version(workload: str) -> dict[str, Any]:
+def _convert_first_version(workload: str) -> dict[str, str]:
     """Rows of the first version named the engine in the workload, and no kernels."""
     engine, _, rest = workload.partition("/")
     name, _, part = rest.partition("/")

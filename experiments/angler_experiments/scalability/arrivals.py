@@ -11,7 +11,7 @@ import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import tyro
 
@@ -37,7 +37,7 @@ class ArrivalsStudy:
     set: tuple[str, ...]
     """Values as for `angler sweep`."""
 
-    def build_request(self, **options: Any) -> sweep.SweepRequest:
+    def build_request(self, **options: str | int) -> sweep.SweepRequest:
         """Build the request of the sweep.
 
         Args:
@@ -105,7 +105,7 @@ class ArrivalsProgress(Progress):
         print(f"  {text}", flush=True)
 
 
-def run_study(study: ArrivalsStudy, out: Path, **options: Any) -> SweepResults:
+def run_study(study: ArrivalsStudy, out: Path, **options: str | int) -> SweepResults:
     """Fly the remaining cells of a sweep; return its results.
 
     Args:
@@ -174,7 +174,7 @@ def main(
         smoke: Fly only the study ``smoke``, in seconds.
     """
     compile_cache.enable_cache()
-    options: dict[str, Any] = {"engine": engine}
+    options: dict[str, str | int] = {"engine": engine}
     if worlds is not None:
         options["worlds"] = worlds
     for sweep_study in STUDIES["smoke" if smoke else study]:

@@ -7,7 +7,6 @@ physics steps that robots lived: one that has ended is not simulated for a livin
 from collections import deque
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from typing import Any
 
 import jax
 import numpy as np
@@ -85,8 +84,16 @@ def measure(
         ConfigError: too few repeats.
         RunError: a result is not finite, robots stand still, or memory does not suffice.
     """
-    sized: dict[str, Any] = {"worlds": worlds, "repeats": repeats, "devices": devices}
-    return time_simulation(scenario, label=label, **sized, prepared=prepared, counted=counted).row
+    timed = time_simulation(
+        scenario,
+        label=label,
+        worlds=worlds,
+        repeats=repeats,
+        devices=devices,
+        prepared=prepared,
+        counted=counted,
+    )
+    return timed.row
 
 
 def time_simulation(
@@ -107,6 +114,7 @@ def time_simulation(
     filled = repeated_worlds.repeat_worlds(sampled, worlds, devices)
     rates, active = _time_turns(simulator, program, filled, repeats)
     worlds_text = repeated_worlds.describe_worlds(sampled, devices * worlds)
+    needs = _measure_needs(simulator, program) if counted else _StepNeeds()
     row = SpeedRow(
         workload=label,
         inside=f"{_describe_region(simulator)}; {worlds_text}",
@@ -119,7 +127,9 @@ def time_simulation(
         engine=scenario.engine,
         kernels=simulator.kernels,
         controller=scenario.controller.title,
-        **(_measure_needs(simulator, program) if counted else {"flops_from": "not asked for"}),
+        flops=needs.flops,
+        flops_from=needs.flops_from,
+        least_bytes=needs.least_bytes,
         **read_program_costs(program),
         device_peak_bytes=peak_device_bytes(),
         active_share=active,
@@ -270,12 +280,21 @@ def _require_room(tile: int, program: Compiled) -> None:
         raise on_devices.tile_too_large(tile, needed, limit, "before the first step")
 
 
-def _measure_needs(simulator: Simulator, program: Compiled) -> dict[str, Any]:
+@dataclass(frozen=True, kw_only=True)
+class _StepNeeds:
+    """Least operations and bytes of one physics step of one robot."""
+
+    flops: float | None = None
+    flops_from: str = "not asked for"
+    least_bytes: float | None = None
+
+
+def _measure_needs(simulator: Simulator, program: Compiled) -> _StepNeeds:
     """What one physics step of one robot needs at least: operations and bytes."""
     counted, how = _flops_per_step(simulator)
     moved = moved_bytes(program)
     bytes_each = simulator.devices * moved / _max_steps(simulator) if moved else None
-    return {"flops": counted, "flops_from": how, "least_bytes": bytes_each}
+    return _StepNeeds(flops=counted, flops_from=how, least_bytes=bytes_each)
 
 
 def _max_steps(simulator: Simulator) -> int:
