@@ -24,7 +24,8 @@ class ResumableFolder[T]:
     request_file: str
     """Name of the file that says what was asked for; a folder without it has not begun."""
     begin: Callable[[Path], T]
-    """Writes the first files of a new folder; returns what the work depends on, in plain values."""
+    """Writes the first files of a new folder; returns what the work depends on, in plain values if
+    several processes fill the folder."""
     resume: Callable[[Path], T]
     """Returns the same of an interrupted folder; raises ConfigError if it is of another request."""
     is_complete: Callable[[Path], bool]
