@@ -72,8 +72,8 @@ RETIRED = frozenset(
 )
 
 KEPT = {
-    "asked": "a key of printed comparisons",
     "ask": "the ask-and-tell interface of optimisers",
+    "asked": "a key of stored comparisons",
     "tell": "the ask-and-tell interface of optimisers; Progress, which callers implement",
     "way_points": "angler_mjx.way_points, which callers import",
     "waves": "of the sea and of sound",

@@ -1,23 +1,20 @@
 """Several runs in one folder, one after another, for datasets and sweeps.
 
-The folder is built like a run, hidden beside its place; what says that it is whole comes last. A
-run of it that was broken off is resumed as any run is, so nothing but tiles in flight is lost.
+An interrupted run of it is resumed as any run is, so nothing but tiles in flight is lost.
 """
 
-import gc
-from collections.abc import Iterable, Mapping
-from functools import partial
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
+from typing import TypedDict
 
-import jax
-
-from angler_mjx.files import FileModel, JsonTable
+from angler_mjx.files import FileModel
 from angler_mjx.progress import Progress
 from angler_mjx.runs import rollout
 from angler_mjx.runs.processes import Processes, RunProcesses
-from angler_mjx.runs.storage import folder, output_lock, results_folder
+from angler_mjx.runs.resumable_folder import ResumableFolder
+from angler_mjx.runs.simulator.programs import release_memory
+from angler_mjx.runs.storage import folder, results_folder
 from angler_mjx.runs.storage.atomic_files import write_json
-from angler_mjx.runs.storage.output_lock import OutputLock
 from angler_mjx.scenario.scenario import Scenario
 
 REQUEST_FILE = "making.json"
@@ -26,55 +23,44 @@ RUNS_FOLDER = "runs"
 """Folder of the runs."""
 
 
-def create_folder(out: Path, kind: str, request: JsonTable) -> OutputLock:
-    """Take the name of a folder of several runs.
+class RunOptions(TypedDict, total=False):
+    """Options of every run, as of `rollout.rollout`."""
 
-    Args:
-        out: folder to be.
-        kind: it is, in a word.
-        request: all that is asked for, in plain values.
-
-    Raises:
-        ConfigError: the name is taken or cannot be had.
-        RunError: the disk gave out.
-    """
-    lock = output_lock.acquire(out, kind=kind)
-    with lock.filling() as building:
-        write_json(building / REQUEST_FILE, dict(request))
-        (building / RUNS_FOLDER).mkdir()
-    return lock
+    chunk: int
+    devices: int | None
+    workers: int | None
 
 
-def resume_folder(
-    out: Path,
+def declare_folder(
     kind: str,
-    request: JsonTable,
+    request: Mapping[str, object],
     *,
     models: Mapping[str, type[FileModel]],
-    is_complete: bool,
-) -> OutputLock:
-    """Take up an interrupted folder of several runs; see `results_folder.resume_folder`.
+    is_complete: Callable[[Path], bool],
+) -> ResumableFolder[None]:
+    """Declare a folder of several runs.
 
     Args:
-        out: folder to be.
-        kind: it is, in a word.
-        request: as of `create_folder`; must be the same.
+        kind: noun of the kind.
+        request: all that is asked for, in plain values.
         models: models of tables in it, whose keys may have been renamed since it was begun.
-        is_complete: whether nothing is left to do.
-
-    Raises:
-        ConfigError: there is none, it is complete, or its request differs.
+        is_complete: as of `ResumableFolder`.
     """
-    lock, _ = results_folder.resume_folder(
-        out,
+
+    def begin(building: Path) -> None:
+        write_json(building / REQUEST_FILE, dict(request))
+        (building / RUNS_FOLDER).mkdir()
+
+    def resume(building: Path) -> None:
+        results_folder.require_same_request(building / REQUEST_FILE, request, models)
+
+    return ResumableFolder(
         kind=kind,
-        file=REQUEST_FILE,
+        request_file=REQUEST_FILE,
+        begin=begin,
+        resume=resume,
         is_complete=is_complete,
-        check=lambda building: results_folder.require_same_request(
-            building / REQUEST_FILE, request, models
-        ),
     )
-    return lock
 
 
 def fly_runs(
@@ -82,7 +68,7 @@ def fly_runs(
     building: Path,
     progress: Progress,
     processes: Processes,
-    options: Mapping[str, int | None],
+    options: RunOptions,
 ) -> bool:
     """Fly what is left of several runs; whether all are whole now.
 
@@ -91,7 +77,7 @@ def fly_runs(
         building: the folder.
         progress: of how far it is.
         processes: processes that share each run.
-        options: ``chunk``, ``devices`` and ``workers`` of `rollout.rollout`; None where missing.
+        options: options of every run.
     """
     parts = tuple(parts)
     for number, (path, scenario) in enumerate(parts):
@@ -100,9 +86,7 @@ def fly_runs(
             scenario, building / path, progress, RunProcesses(processes, path), options
         ):
             return False
-        # Programs of many runs together would use up the memory maps of a process.
-        jax.clear_caches()
-        gc.collect()
+        release_memory()
     return True
 
 
@@ -111,21 +95,16 @@ def _fly_run(
     path: Path,
     progress: Progress,
     processes: Processes,
-    options: Mapping[str, int | None],
+    options: RunOptions,
 ) -> bool:
     """Fly a run, or what is left of it; whether it is whole now."""
     status = processes.meet("stands", run_status(path) if processes.index == 0 else None)[0]
     if status == "whole":
         return True
-    begin = rollout.resume if status == "begun" else partial(rollout.rollout, scenario)
-    run = begin(
-        out=path,
-        chunk=options.get("chunk"),
-        progress=progress,
-        devices=options.get("devices"),
-        processes=processes,
-        workers=options.get("workers"),
-    )
+    if status == "begun":
+        run = rollout.resume(path, progress=progress, processes=processes, **options)
+    else:
+        run = rollout.rollout(scenario, out=path, progress=progress, processes=processes, **options)
     return bool(run.summary["complete"])
 
 

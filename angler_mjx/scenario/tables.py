@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self, get_type_hints
+from typing import Annotated, ClassVar, Literal, Self, get_type_hints
 
 from pydantic import (
     AfterValidator,
@@ -27,9 +27,6 @@ from angler_mjx.robot.control import stack, stages
 from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.sim.information import Information, InformationLevel
 from angler_mjx.user_classes import is_class_of_file, make_name_absolute
-
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
 
 
 class WaterConfig(FileModel):
@@ -171,7 +168,7 @@ class ControllerConfig(FileModel):
             )
         return self
 
-    def stack(self) -> tuple[stack.Stages, tuple["DataclassInstance", ...]]:
+    def stack(self) -> tuple[stack.Stages, stack.StackGains]:
         """Return the stages and the gains of each.
 
         Raises:

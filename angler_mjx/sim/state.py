@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field, fields
 from enum import IntEnum
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import jax
 
@@ -10,7 +10,7 @@ from angler_mjx.robot.control import plans, stages
 from angler_mjx.robot.control.measurements import NavigationCarry
 from angler_mjx.robot.control.navigation import NavigationParams
 from angler_mjx.robot.control.plans import Plan
-from angler_mjx.robot.control.stack import ControlMemory, ControlParams, Stages
+from angler_mjx.robot.control.stack import ControlMemory, ControlParams, StackGains, Stages
 from angler_mjx.robot.sensing.readings import SensorCarry
 from angler_mjx.sim.physics.mjx_engine import BodyInertia
 from angler_mjx.sim.physics.step import VehicleState, Water
@@ -20,9 +20,6 @@ from angler_mjx.world.environment import Environment
 from angler_mjx.world.obstacles import ObstacleState
 from angler_mjx.world.routes import Routes
 from angler_mjx.world.tasks.spec import TaskSpec, TaskState, TaskWorld
-
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
 
 type EngineConstants = tuple[jax.Array, ...]
 """A bank's constants as an engine reads them; see `Engine.pack_constants`."""
@@ -79,7 +76,7 @@ class SimSpec:
     water: Water = field(default_factory=Water)
     stages: Stages = CASCADE
     """The controllers, from the highest down."""
-    gains: tuple["DataclassInstance", ...] = tuple(stage.gains() for stage in CASCADE)
+    gains: StackGains = tuple(stage.gains() for stage in CASCADE)
     """Of each stage: numbers in a run; a pytree, so that they can be differentiated
     (`angler_mjx.sim.engines.gradients`)."""
     instrumented: tuple[InstrumentedRobots, ...] = ()

@@ -8,11 +8,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from angler_mjx.report.plotting import series, style
-from angler_mjx.studies.result_types import (
-    MeanEntry,
-    RateEntry,
-    SweepAxisEntry,
-    SweepCellEntry,
+from angler_mjx.studies.rows import (
+    AxisRow,
+    CellRow,
+    Mean,
+    Rate,
     SweepResults,
 )
 
@@ -25,23 +25,23 @@ MAX_TICK_LETTERS = 44
 
 type Value = tuple[float | None, float | None, float | None]
 """A value, and the ends of its interval; None where there is none."""
-type ReadValue = Callable[[SweepCellEntry], Value]
+type ReadValue = Callable[[CellRow], Value]
 type Panels = tuple[tuple[str, ReadValue, float], ...]
 
 
-def _rate_value(rate: RateEntry) -> Value:
+def _rate_value(rate: Rate) -> Value:
     return rate["rate"], rate["low"], rate["high"]
 
 
-def _mean_value(mean: MeanEntry) -> Value:
+def _mean_value(mean: Mean) -> Value:
     return mean["mean"], mean["low"], mean["high"]
 
 
-def _task_completed(row: SweepCellEntry) -> Value:
+def _task_completed(row: CellRow) -> Value:
     return (None, None, None) if row["task"] is None else _rate_value(row["task"]["completed"])
 
 
-def _task_completed_s(row: SweepCellEntry) -> Value:
+def _task_completed_s(row: CellRow) -> Value:
     return (None, None, None) if row["task"] is None else _mean_value(row["task"]["completed_s"])
 
 
@@ -69,7 +69,7 @@ def plot_sweep(sweep: SweepResults) -> Figure:
     """
     main_axis = _select_main_axis(sweep["axes"])
     others = [x for x in sweep["axes"] if x is not main_axis and len(x["names"]) > 1]
-    lines: dict[str, list[SweepCellEntry]] = {}
+    lines: dict[str, list[CellRow]] = {}
     for row in sweep["cells"]:
         name = ", ".join(f"{_short_key(x['key'])} {row['set'][x['key']]}" for x in others)
         lines.setdefault(name, []).append(row)
@@ -101,16 +101,16 @@ def plot_sweep(sweep: SweepResults) -> Figure:
     return figure
 
 
-def _select_main_axis(axes: Sequence[SweepAxisEntry]) -> SweepAxisEntry:
+def _select_main_axis(axes: Sequence[AxisRow]) -> AxisRow:
     """The axis that lies to the right: the one with most values, numbers before words."""
     return max(axes, key=lambda x: (len(x["names"]) > 1, _is_numeric(x), len(x["names"])))
 
 
-def _is_numeric(axis: SweepAxisEntry) -> bool:
+def _is_numeric(axis: AxisRow) -> bool:
     return len(_list_numbers(axis)) == len(axis["values"])
 
 
-def _list_numbers(axis: SweepAxisEntry) -> list[float]:
+def _list_numbers(axis: AxisRow) -> list[float]:
     """Return the values that are numbers."""
     return [x for x in axis["values"] if isinstance(x, int | float) and type(x) is not bool]
 
@@ -119,7 +119,7 @@ def _short_key(key: str) -> str:
     return key.rpartition(".")[2]
 
 
-def _axis_positions(axis: SweepAxisEntry) -> dict[str, float]:
+def _axis_positions(axis: AxisRow) -> dict[str, float]:
     """Where each value lies, by its name: numbers that span much by their logarithms."""
     values = _list_numbers(axis) if _is_numeric(axis) else [*range(len(axis["names"]))]
     if _is_numeric(axis) and min(values) > 0 and max(values) >= LOG_SCALE_RATIO * min(values):
@@ -138,7 +138,7 @@ def _plot_line(
     axes: Axes,
     number: int,
     name: str,
-    rows: Sequence[SweepCellEntry],
+    rows: Sequence[CellRow],
     key: str,
     positions: Mapping[str, float],
     read_value: ReadValue,
@@ -171,7 +171,7 @@ def _plot_line(
     )
 
 
-def _set_ticks(axes: Axes, main_axis: SweepAxisEntry, positions: Mapping[str, float]) -> None:
+def _set_ticks(axes: Axes, main_axis: AxisRow, positions: Mapping[str, float]) -> None:
     axes.set_xlabel(main_axis["key"])
     names = [name if len(name) <= 18 else name[:15] + "..." for name in positions]
     axes.set_xticks(list(positions.values()), names)

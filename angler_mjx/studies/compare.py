@@ -1,7 +1,7 @@
 """Two runs against each other: what of their scenarios differs, and what that changed, by world."""
 
 from collections.abc import Iterator, Mapping
-from typing import Any, cast
+from typing import TypeGuard
 
 import numpy as np
 import pyarrow as pa
@@ -12,21 +12,12 @@ from angler_mjx.runs.storage import planning_summary
 from angler_mjx.runs.storage.folder import Run
 from angler_mjx.runs.storage.results import completion_times
 from angler_mjx.studies import paired
-from angler_mjx.studies.measures import arrived_of, read_numbers, to_plain, worlds_of
-from angler_mjx.studies.result_types import RunComparison
+from angler_mjx.studies.measures import arrived_of, finite_or_none, read_numbers, worlds_of
+from angler_mjx.studies.rows import ChangedWorld, OutcomeChange, RobotChange, RunComparison
 
 
 def compare_runs(first: Run, second: Run) -> RunComparison:
-    """What the second of two runs changed.
-
-    Returns:
-        ``first`` and ``second`` (paths), ``config``: keys that differ with both values,
-        ``same_problems``, what `paired.pair_runs` found, ``outcomes``: robots by outcome in the
-        first
-        and in the second, ``planning``: of both
-        (`runs.storage.planning_summary.summarise_planning`), and
-        ``changed``: worlds in which the task was completed, or any robot ended, otherwise or at
-        another time, those that changed most first.
+    """Return what the second of two runs changed, in the worlds that both hold.
 
     Raises:
         ConfigError: the runs are not of the same seed, worlds and robots; the key is named.
@@ -42,7 +33,7 @@ def compare_runs(first: Run, second: Run) -> RunComparison:
     first_rows, second_rows = (
         rows.filter(np.isin(worlds_of(rows), common)) for rows in (first_rows, second_rows)
     )
-    comparison = {
+    return {
         "first": str(first.path),
         "second": str(second.path),
         "config": [
@@ -50,7 +41,7 @@ def compare_runs(first: Run, second: Run) -> RunComparison:
         ],
         "same_problems": first.scenario.digest() == second.scenario.digest(),
         "asked": first.scenario.worlds,
-        **to_plain(paired.pair_runs(first_rows, second_rows)),
+        **paired.pair_runs(first_rows, second_rows),
         "planning": {
             "first": planning_summary.summarise_planning(first_rows),
             "second": planning_summary.summarise_planning(second_rows),
@@ -58,28 +49,24 @@ def compare_runs(first: Run, second: Run) -> RunComparison:
         "outcomes": _count_outcomes(first_rows, second_rows),
         "changed": _list_changed_worlds(first_rows, second_rows),
     }
-    return cast(RunComparison, comparison)
 
 
-def _scenario_table(run: Run) -> dict[str, Any]:
-    table: dict[str, Any] = run.scenario.model_dump(mode="json")
+def _scenario_table(run: Run) -> dict[str, object]:
+    table: dict[str, object] = run.scenario.model_dump(mode="json")
     return table
 
 
 def _require_pairs(first: Run, second: Run) -> None:
     """Refuse runs whose robots are no pairs."""
     a, b = first.scenario, second.scenario
-    pairs: list[tuple[str, Any, Any]] = [
+    pairs: list[tuple[str, object, object]] = [
         ("seed", a.seed, b.seed),
         ("worlds", a.worlds, b.worlds),
         ("fleet", len(a.fleet), len(b.fleet)),
     ]
     for i, (x, y) in enumerate(zip(a.fleet, b.fleet, strict=False)):
-        first_value, second_value = (library.load_vehicle(entry.vehicle).name for entry in (x, y))
-        pairs += [
-            (f"fleet[{i}].count", x.count, y.count),
-            (f"fleet[{i}].vehicle", first_value, second_value),
-        ]
+        vehicles = (library.load_vehicle(x.vehicle).name, library.load_vehicle(y.vehicle).name)
+        pairs += [(f"fleet[{i}].count", x.count, y.count), (f"fleet[{i}].vehicle", *vehicles)]
     for key, first_value, second_value in pairs:
         if first_value != second_value:
             raise ConfigError(
@@ -92,7 +79,9 @@ def _require_pairs(first: Run, second: Run) -> None:
             raise ConfigError(f"{run.path}: holds no episodes")
 
 
-def find_differences(first: Any, second: Any, key: str = "") -> dict[str, tuple[Any, Any]]:
+def find_differences(
+    first: object, second: object, key: str = ""
+) -> dict[str, tuple[object, object]]:
     """Values that differ, by dotted key; None stands for what is not there.
 
     Args:
@@ -100,7 +89,7 @@ def find_differences(first: Any, second: Any, key: str = "") -> dict[str, tuple[
         second: plain values.
         key: of both.
     """
-    changes: dict[str, tuple[Any, Any]] = {}
+    changes: dict[str, tuple[object, object]] = {}
     if first == second:
         return changes
     for name, a, b in _iterate_parts(first, second):
@@ -108,7 +97,7 @@ def find_differences(first: Any, second: Any, key: str = "") -> dict[str, tuple[
     return changes or {key: (first, second)}
 
 
-def _iterate_parts(first: Any, second: Any) -> Iterator[tuple[str, Any, Any]]:
+def _iterate_parts(first: object, second: object) -> Iterator[tuple[str, object, object]]:
     """Parts of two tables, or of two lists of tables; nothing of other values."""
     if isinstance(first, Mapping) and isinstance(second, Mapping):
         for name in sorted({*first, *second}):
@@ -118,11 +107,11 @@ def _iterate_parts(first: Any, second: Any) -> Iterator[tuple[str, Any, Any]]:
             yield str(i), a, b
 
 
-def _is_tables(value: Any) -> bool:
+def _is_tables(value: object) -> TypeGuard[list[Mapping[str, object]]]:
     return isinstance(value, list) and all(isinstance(entry, Mapping) for entry in value)
 
 
-def _count_outcomes(first: pa.Table, second: pa.Table) -> list[dict[str, Any]]:
+def _count_outcomes(first: pa.Table, second: pa.Table) -> list[OutcomeChange]:
     """Robots by their two outcomes, the most first."""
     pairs = list(zip(first["outcome"].to_pylist(), second["outcome"].to_pylist(), strict=True))
     counts = {pair: pairs.count(pair) for pair in dict.fromkeys(pairs)}
@@ -132,7 +121,7 @@ def _count_outcomes(first: pa.Table, second: pa.Table) -> list[dict[str, Any]]:
     ]
 
 
-def _list_changed_worlds(first: pa.Table, second: pa.Table) -> list[dict[str, Any]]:
+def _list_changed_worlds(first: pa.Table, second: pa.Table) -> list[ChangedWorld]:
     """Return worlds that changed, those that changed most first.
 
     Of runs with a task: worlds that completed it in one run alone, then by the change of the time
@@ -144,12 +133,12 @@ def _list_changed_worlds(first: pa.Table, second: pa.Table) -> list[dict[str, An
     late = read_numbers(second, "time_to_goal_s") - read_numbers(first, "time_to_goal_s")
     completed = [completion_times(rows) for rows in (first, second)]
     lost, won = arrived[0] & ~arrived[1], ~arrived[0] & arrived[1]
-    changed_worlds = []
+    changed_worlds: list[ChangedWorld] = []
     begins = np.flatnonzero(np.r_[True, np.diff(worlds) != 0])
     for number, (begin, end) in enumerate(zip(begins, [*begins[1:], len(worlds)], strict=True)):
         rows = range(begin, end)
         both = [float(late[i]) for i in rows if np.isfinite(late[i])]
-        robots = [
+        robots: list[RobotChange] = [
             {"robot": i - int(begin), "first": ended[0][i], "second": ended[1][i]}
             for i in rows
             if ended[0][i] != ended[1][i]
@@ -175,11 +164,10 @@ def _task_change(first_s: float | None, second_s: float | None) -> dict[str, flo
     """Return the times of completion of a world in both runs; None where a run has no task."""
     if first_s is None or second_s is None:
         return None
-    times: dict[str, float | None] = to_plain({"first_s": first_s, "second_s": second_s})
-    return times
+    return {"first_s": finite_or_none(first_s), "second_s": finite_or_none(second_s)}
 
 
-def _sort_key(changed: Mapping[str, Any]) -> tuple[float, ...]:
+def _sort_key(changed: ChangedWorld) -> tuple[float, ...]:
     """Return the sort key of a world that changed."""
     task: tuple[float, float] = 0.0, 0.0
     if changed["task"] is not None:

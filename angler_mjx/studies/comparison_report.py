@@ -1,18 +1,15 @@
 """What two runs against each other came to, as text and as a figure."""
 
+from collections.abc import Mapping
+
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from angler_mjx.errors import format_value
 from angler_mjx.report.plotting import style
 from angler_mjx.runs.storage import planning_summary
-from angler_mjx.studies.result_types import (
-    ComparedPlanning,
-    RateChangeEntry,
-    RunComparison,
-    ShiftEntry,
-    TaskTimes,
-)
+from angler_mjx.runs.storage.planning_summary import PlanningSummary
+from angler_mjx.studies.rows import RateRow, RunComparison, ShiftRow
 
 MAX_LISTED = 10
 """Worlds, and pairs of outcomes, that are listed."""
@@ -97,14 +94,7 @@ def _format_rates(comparison: RunComparison) -> list[str]:
     return lines
 
 
-def _select_rates(comparison: RunComparison) -> list[tuple[str, RateChangeEntry]]:
-    """Return the rates that both runs have, with their words."""
-    labels = TASK_RATES if _has_tasks(comparison) else RATES
-    rates = {name: comparison[name] for name in ("tasks", "robots", "teams")}
-    return [(labels[name], rate) for name, rate in rates.items() if rate is not None]
-
-
-def _format_planning(planning: ComparedPlanning) -> list[str]:
+def _format_planning(planning: Mapping[str, PlanningSummary | None]) -> list[str]:
     """Fractions of robots with a plan in both runs, and why the others have none."""
     both = planning["first"], planning["second"]
     lines = [f"  robots with a plan: {' -> '.join(map(planning_summary.format_percent, both))}"]
@@ -113,9 +103,21 @@ def _format_planning(planning: ComparedPlanning) -> list[str]:
     return lines
 
 
-def _format_points(rate: RateChangeEntry) -> str:
-    low, high = ("?" if end is None else f"{100 * end:+.1f}" for end in (rate["low"], rate["high"]))
-    return f"{100 * rate['difference']:+.1f} ({low} to {high})"
+def _select_rates(comparison: RunComparison) -> list[tuple[str, RateRow]]:
+    """Return words and pairs of all rates in the order in which they are shown."""
+    labels = TASK_RATES if _has_tasks(comparison) else RATES
+    rates = {
+        "tasks": comparison["tasks"],
+        "robots": comparison["robots"],
+        "teams": comparison["teams"],
+    }
+    return [(word, rate) for name, word in labels.items() if (rate := rates[name]) is not None]
+
+
+def _format_points(rate: RateRow) -> str:
+    numbers = rate["difference"], rate["low"], rate["high"]
+    change, low, high = ("?" if x is None else f"{100 * x:+.1f}" for x in numbers)
+    return f"{change} ({low} to {high})"
 
 
 def _has_tasks(comparison: RunComparison) -> bool:
@@ -123,7 +125,7 @@ def _has_tasks(comparison: RunComparison) -> bool:
     return comparison["tasks"] is not None
 
 
-type Cost = tuple[str, str, float, ShiftEntry, str]
+type Cost = tuple[str, str, float, ShiftRow, str]
 """Words, unit, scale, values, and what has one."""
 
 
@@ -173,7 +175,7 @@ def _format_worlds(comparison: RunComparison) -> list[str]:
     return lines
 
 
-def _format_task(task: TaskTimes) -> str:
+def _format_task(task: Mapping[str, float | None]) -> str:
     first, second = (
         "not completed" if at_s is None else f"{at_s:.1f} s"
         for at_s in (task["first_s"], task["second_s"])
@@ -188,8 +190,9 @@ def plot_comparison(comparison: RunComparison) -> Figure:
         comparison: by `angler_mjx.studies.compare.compare_runs`.
     """
     rates = [
-        (word, 100 * rate["difference"], _scale_ends(rate, 100.0))
-        for word, rate in _select_rates(comparison)
+        (word, 100 * x["difference"], _scale_ends(x, 100))
+        for word, x in _select_rates(comparison)
+        if x["difference"] is not None
     ]
     costs = []
     for word, _, _, shift, _ in _select_costs(comparison):
@@ -211,7 +214,7 @@ def plot_comparison(comparison: RunComparison) -> Figure:
     return figure
 
 
-def _scale_ends(change: RateChangeEntry | ShiftEntry, scale: float) -> list[float]:
+def _scale_ends(change: RateRow | ShiftRow, scale: float) -> list[float]:
     """Return both ends of an interval, or none where it is not known."""
     return [scale * end for end in (change["low"], change["high"]) if end is not None]
 

@@ -1,8 +1,7 @@
 """What the runs of a sweep come to: rates and means with 95 % intervals, clustered by world."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, is_dataclass
-from typing import Any
+from dataclasses import asdict
 
 import numpy as np
 import pyarrow as pa
@@ -16,6 +15,7 @@ from angler_mjx.runs.storage.confidence_intervals import (
 )
 from angler_mjx.runs.storage.folder import Run
 from angler_mjx.runs.storage.results import completion_times, outcome_rates
+from angler_mjx.studies.rows import Mean, Rate, RunRow, TaskRow
 
 COSTS = {
     "time_to_goal_s": "of robots that arrived",
@@ -26,16 +26,8 @@ COSTS = {
 """Columns of episodes whose means are taken, and of whom."""
 
 
-def measure_run(run: Run) -> dict[str, Any]:
-    """Measures of a run.
-
-    Returns:
-        ``worlds``, ``robots`` (of a world), ``problems`` (`Scenario.digest`), ``planned``: robots
-        that have a path, ``planning`` (`runs.storage.planning_summary.summarise_planning`),
-        ``outcomes`` (`runs.storage.results.outcome_rates`), ``team``: worlds in which all robots
-        arrived, with Wilson's interval; ``task``: of runs with a task, the worlds that completed it
-        (``completed``) and when (``completed_s``), else None; by cost its mean; and what it took.
-    """
+def measure_run(run: Run) -> RunRow:
+    """Return the measures of a run."""
     episodes = run.episodes
     world, arrived = worlds_of(episodes), arrived_of(episodes)
     each = mean_by_world(arrived, world)
@@ -51,31 +43,48 @@ def measure_run(run: Run) -> dict[str, Any]:
         "outcomes": outcome_rates(episodes),
         "team": _world_rate(each == 1.0),
         "task": _measure_task(episodes),
-        **{name: to_plain(mean_cost(episodes, name)) for name in COSTS},
+        "time_to_goal_s": _plain_mean(mean_cost(episodes, "time_to_goal_s")),
+        "energy_j": _plain_mean(mean_cost(episodes, "energy_j")),
+        "path_length_m": _plain_mean(mean_cost(episodes, "path_length_m")),
+        "min_clearance_m": _plain_mean(mean_cost(episodes, "min_clearance_m")),
         "vehicle_steps_per_s": timing["vehicle_steps_per_s"],
         "simulate_s": timing["simulate_s"],
         "compile_s": timing["compile_s"],
     }
 
 
-def _world_rate(hit: np.ndarray) -> dict[str, Any]:
+def cost_means(row: RunRow) -> dict[str, Mean]:
+    """Return the mean of each cost of `COSTS`."""
+    return {
+        "time_to_goal_s": row["time_to_goal_s"],
+        "energy_j": row["energy_j"],
+        "path_length_m": row["path_length_m"],
+        "min_clearance_m": row["min_clearance_m"],
+    }
+
+
+def _world_rate(hit: np.ndarray) -> Rate:
     """Share of worlds, with Wilson's interval."""
     count = int(np.sum(hit))
     low, high = wilson_interval(count, len(hit))
     return {"count": count, "rate": count / len(hit), "low": low, "high": high}
 
 
-def _measure_task(episodes: pa.Table) -> dict[str, Any] | None:
+def _measure_task(episodes: pa.Table) -> TaskRow | None:
     when = completion_times(episodes)
     if when is None:
         return None
     mean = clustered_mean(when, np.arange(len(when)))
-    return {"completed": _world_rate(np.isfinite(when)), "completed_s": to_plain(mean)}
+    return {"completed": _world_rate(np.isfinite(when)), "completed_s": _plain_mean(mean)}
 
 
-def _robot_rate(hit: np.ndarray, world: np.ndarray) -> dict[str, Any]:
+def _robot_rate(hit: np.ndarray, world: np.ndarray) -> Rate:
     """Share of robots, with its interval by world."""
     return asdict(clustered_rates({"yes": hit, "no": ~hit}, world)["yes"])
+
+
+def _plain_mean(mean: ClusteredMean) -> Mean:
+    return {name: finite_or_none(value) for name, value in asdict(mean).items()}
 
 
 def mean_cost(episodes: pa.Table, name: str) -> ClusteredMean:
@@ -108,9 +117,6 @@ def mean_by_world(values: np.ndarray, world: Sequence[int] | np.ndarray) -> np.n
     return means
 
 
-def to_plain(data: Any) -> Any:
-    """Dataclasses of numbers as tables, null for NaN."""
-    table = asdict(data) if is_dataclass(data) and not isinstance(data, type) else data
-    if isinstance(table, dict):
-        return {key: to_plain(value) for key, value in table.items()}
-    return None if isinstance(table, float) and not np.isfinite(table) else table
+def finite_or_none(value: float) -> float | None:
+    """Return a number; None for NaN and infinity."""
+    return value if np.isfinite(value) else None

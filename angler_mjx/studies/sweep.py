@@ -8,27 +8,26 @@ figure. A sweep that is interrupted holds them for the cells that were finished.
 import itertools
 import re
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
 import pyarrow as pa
 
-from angler_mjx.errors import AnglerError, ConfigError, RunError
+from angler_mjx.errors import AnglerError, ConfigError
 from angler_mjx.files import FaultyError, format_faults, validate_model
 from angler_mjx.progress import Progress
 from angler_mjx.report.plotting import style
 from angler_mjx.runs import multi_run
-from angler_mjx.runs.multi_run import RUNS_FOLDER
-from angler_mjx.runs.processes import OneProcess, Processes, reporting_failure
+from angler_mjx.runs.multi_run import RUNS_FOLDER, RunOptions
+from angler_mjx.runs.processes import OneProcess, Processes
 from angler_mjx.runs.provenance import describe_environment
+from angler_mjx.runs.resumable_folder import open_folder
 from angler_mjx.runs.rollout import NothingKeptError
 from angler_mjx.runs.simulator.world_preparation import check_planner
-from angler_mjx.runs.storage import output_lock
 from angler_mjx.runs.storage.atomic_files import write_json
 from angler_mjx.runs.storage.folder import Run
-from angler_mjx.runs.storage.output_lock import OutputLock
 from angler_mjx.runs.storage.read_errors import read_table
 from angler_mjx.scenario.editing import remove_horizon, scenario_table
 from angler_mjx.scenario.horizon_check import check_reachable
@@ -40,7 +39,7 @@ from angler_mjx.studies.grid import (
     count_cells,
     iterate_cells,
 )
-from angler_mjx.studies.result_types import SweepResults
+from angler_mjx.studies.rows import CellRow, PairRow, SweepResults
 
 SWEEP, TABLE, PAGE, FIGURE = "sweep.json", "sweep.parquet", "sweep.md", "sweep.png"
 
@@ -51,14 +50,9 @@ _MAX_NAME_LENGTH = 80
 
 
 @dataclass(frozen=True, kw_only=True)
-class StudyCell:
-    """One combination of settings."""
+class StudyCell(GridCell):
+    """Cell of a sweep with its scenario."""
 
-    number: int
-    names: Mapping[str, str]
-    """Values by key, as they were written."""
-    values: Mapping[str, Any]
-    """Values by key."""
     scenario: Scenario
 
     @property
@@ -75,12 +69,12 @@ class SweepRequest:
 
     name: str
     """Of the scenario."""
-    table: Mapping[str, Any]
+    table: Mapping[str, object]
     """Of the scenario."""
     axes: tuple[SettingAxis, ...]
     cells: tuple[StudyCell, ...]
 
-    def resolved(self) -> dict[str, Any]:
+    def resolved(self) -> dict[str, object]:
         """All of it in plain values."""
         return {
             "set": {axis.key: list(axis.names) for axis in self.axes},
@@ -129,18 +123,15 @@ def build_cells(
     study_cells: list[StudyCell] = []
     faults: dict[str, list[Mapping[str, str]]] = {}
     for cell in iterate_cells(axes):
-        names = cell.names
         try:
             scenario = _build_scenario(table, cell)
         except FaultyError as error:
             for fault in error.faults:
-                faults.setdefault(fault.text, []).append(names)
+                faults.setdefault(fault.text, []).append(cell.names)
         except ConfigError as error:
-            faults.setdefault(str(error), []).append(names)
+            faults.setdefault(str(error), []).append(cell.names)
         else:
-            study_cells.append(
-                StudyCell(number=cell.number, names=names, values=cell.values, scenario=scenario)
-            )
+            study_cells.append(StudyCell(**vars(cell), scenario=scenario))
     if faults:
         varied_keys = [axis.key for axis in axes if len(axis.values) > 1]
         raise ConfigError(
@@ -205,29 +196,26 @@ def run_sweep(
             stand in the folder with their tables, as after an interruption.
     """
     together = processes or OneProcess()
-    with reporting_failure(together), ExitStack() as stack:
-        lock = None
-        if together.index == 0:
-            lock = (
-                _resume_sweep(request, out)
-                if resume
-                else multi_run.create_folder(out, "sweep", request.resolved())
-            )
-            stack.callback(lock.release)
-        together.meet("sweep")
-        building = output_lock.partial_path(out)
-        flights = [(cell.path, cell.scenario) for cell in request.cells]
-        options = {"devices": devices, "workers": workers}
+    declared = multi_run.declare_folder(
+        "sweep", request.resolved(), models={"scenario": Scenario}, is_complete=is_complete
+    )
+    flights = [(cell.path, cell.scenario) for cell in request.cells]
+    options: RunOptions = {"devices": devices, "workers": workers}
+    with open_folder(declared, out, resume=resume, processes=together) as opened:
+        building = opened.building
         try:
             complete = _fly_cells(flights, building, progress, together, options)
         except AnglerError:
-            if lock is not None and _has_whole_cell(flights, building):
-                _write_results(request, lock, complete=False)
+            if _has_whole_cell(flights, building):
+                opened.publish(partial(_write_results, request, complete=False))
             raise
-        if lock is not None:
-            _write_results(request, lock, complete=complete)
-        together.meet("closed")
+        opened.publish(partial(_write_results, request, complete=complete))
     return read_sweep(out)
+
+
+def is_complete(out: Path) -> bool:
+    """Return whether a folder holds a sweep with all its cells."""
+    return (out / SWEEP).is_file() and bool(read_sweep(out).get("complete"))
 
 
 def read_sweep(out: Path) -> SweepResults:
@@ -241,19 +229,12 @@ def read_sweep(out: Path) -> SweepResults:
     return cast(SweepResults, read_table(out / SWEEP))
 
 
-def _resume_sweep(request: SweepRequest, out: Path) -> OutputLock:
-    whole = (out / SWEEP).is_file() and bool(read_sweep(out).get("complete"))
-    return multi_run.resume_folder(
-        out, "sweep", request.resolved(), models={"scenario": Scenario}, is_complete=whole
-    )
-
-
 def _fly_cells(
     flights: Sequence[tuple[str, Scenario]],
     building: Path,
     progress: Progress,
     together: Processes,
-    options: Mapping[str, Any],
+    options: RunOptions,
 ) -> bool:
     """Fly the cells; whether all are whole. An interruption keeps what was finished."""
     try:
@@ -268,28 +249,21 @@ def _has_whole_cell(flights: Sequence[tuple[str, Scenario]], building: Path) -> 
     return any(multi_run.run_status(building / path) == "whole" for path, _ in flights)
 
 
-def _write_results(request: SweepRequest, lock: OutputLock, *, complete: bool) -> None:
-    """Table, page and figure; then the folder gets its name."""
-    building = lock.building
-    try:
-        results = _gather_results(request, building, complete=complete)
-        write_json(building / SWEEP, dict(results))
-        tables.write_parquet(results, building / TABLE)
-        tables.write_page(results, building / PAGE)
-        style.save_figure(chart.plot_sweep(results), building / FIGURE, palette=128)
-        if complete:
-            (building / multi_run.REQUEST_FILE).unlink()
-    except OSError as error:
-        raise RunError(
-            f"--out {lock.out}: cannot be written ({error.strerror or error}); its flights are "
-            f"in {building}: make room and go on with --resume"
-        ) from error
-    lock.publish()
+def _write_results(request: SweepRequest, building: Path, *, complete: bool) -> None:
+    """Write table, page and figure."""
+    results = _gather_results(request, building, complete=complete)
+    write_json(building / SWEEP, dict(results))
+    tables.write_parquet(results, building / TABLE)
+    tables.write_page(results, building / PAGE)
+    style.save_figure(chart.plot_sweep(results), building / FIGURE, palette=128)
+    if complete:
+        (building / multi_run.REQUEST_FILE).unlink()
 
 
 def _gather_results(request: SweepRequest, building: Path, *, complete: bool) -> SweepResults:
     """Everything that is known of the cells that are whole."""
-    rows, episodes = [], {}
+    rows: list[CellRow] = []
+    episodes: dict[int, pa.Table] = {}
     for cell in request.cells:
         if multi_run.run_status(building / cell.path) != "whole":
             continue
@@ -320,11 +294,11 @@ def _gather_results(request: SweepRequest, building: Path, *, complete: bool) ->
 
 
 def _compare_pairs(
-    axes: Sequence[SettingAxis], rows: Sequence[Mapping[str, Any]], episodes: Mapping[int, pa.Table]
-) -> list[dict[str, Any]]:
+    axes: Sequence[SettingAxis], rows: Sequence[CellRow], episodes: Mapping[int, pa.Table]
+) -> list[PairRow]:
     """Every value of an axis against its first, all other settings being the same."""
     held = {tuple(row["set"].values()): row for row in rows}
-    comparisons = []
+    comparisons: list[PairRow] = []
     for i, axis in enumerate(axes):
         others = [other.names for other in (*axes[:i], *axes[i + 1 :])]
         for fixed_names in itertools.product(*others):
@@ -340,7 +314,7 @@ def _compare_pairs(
                         "first": axis_rows[0]["cell"],
                         "second": second["cell"],
                         "same_problems": axis_rows[0]["problems"] == second["problems"],
-                        **measures.to_plain(pairing),
+                        **pairing,
                     }
                 )
     return comparisons

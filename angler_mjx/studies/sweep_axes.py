@@ -9,7 +9,6 @@ belong to the value.
 import re
 import tomllib
 from collections.abc import Iterable, Iterator
-from typing import Any
 
 from angler_mjx.errors import ConfigError, format_value
 from angler_mjx.studies.grid import SettingAxis
@@ -105,7 +104,7 @@ def _split_values(rest: str, text: str) -> Iterator[str]:
     yield rest[begin:]
 
 
-def _parse_value(key: str, name: str) -> Any:
+def _parse_value(key: str, name: str) -> object:
     """A value from its text."""
     if not name:
         raise ConfigError(f"--set {key}: a value is missing; write one before and after each comma")
@@ -118,4 +117,5 @@ def _parse_value(key: str, name: str) -> Any:
             f"--set {key}: {format_value(name)} is no value; write it as in a scenario file: "
             '1.5, "text", [1, 2], { a = 1 }'
         ) from error
-    return table["value"]
+    value: object = table["value"]
+    return value

@@ -1,6 +1,6 @@
 """Tables of a sweep: Parquet for those who ask their own questions, Markdown for people."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import pyarrow as pa
@@ -8,15 +8,15 @@ import pyarrow as pa
 from angler_mjx.report.viewing import markdown_tables as markdown
 from angler_mjx.runs.storage import atomic_files, planning_summary
 from angler_mjx.runs.storage.results import OUTCOMES
-from angler_mjx.studies.measures import COSTS
-from angler_mjx.studies.result_types import (
-    MeanEntry,
-    RateChangeEntry,
-    RateEntry,
-    ShiftEntry,
-    SweepPairEntry,
+from angler_mjx.studies.measures import COSTS, cost_means
+from angler_mjx.studies.rows import (
+    Mean,
+    PairRow,
+    Rate,
+    RateRow,
+    ShiftRow,
     SweepResults,
-    TaskEntry,
+    TaskRow,
 )
 
 type Table = tuple[list[str], list[list[str]]]
@@ -59,36 +59,47 @@ def write_parquet(sweep: SweepResults, path: Path) -> None:
 def build_table(sweep: SweepResults) -> pa.Table:
     """The rows; a column of settings holds numbers where all its values are."""
     cells = sweep["cells"]
-    columns: dict[str, list[object]] = {key: _read_column(cells, key) for key in ("cell", "run")}
+    columns: dict[str, Sequence[str | float | None]] = {
+        "cell": [row["cell"] for row in cells],
+        "run": [row["run"] for row in cells],
+    }
     for axis in sweep["axes"]:
         by_name = dict(zip(axis["names"], axis["values"], strict=True))
         names = [row["set"][axis["key"]] for row in cells]
         values = [by_name[name] for name in names]
-        numbers = [float(x) for x in values if isinstance(x, int | float) and type(x) is not bool]
-        columns[axis["key"]] = [*numbers] if len(numbers) == len(values) else [*names]
-    columns |= {key: _read_column(cells, key) for key in ("worlds", "robots", "problems")}
-    rate, mean = ("rate", "low", "high"), ("mean", "low", "high", "count")
-    measures: list[tuple[str, tuple[str, ...], tuple[str, ...]]] = [
-        *((outcome, ("outcomes", outcome), rate) for outcome in OUTCOMES),
-        *((name, (name,), rate) for name in ("planned", "team")),
-        *((name, (name,), mean) for name in COSTS),
-    ]
+        numbers = [
+            float(x) for x in values if isinstance(x, int | float) and not isinstance(x, bool)
+        ]
+        columns[axis["key"]] = numbers if len(numbers) == len(names) else names
+    columns["worlds"] = [row["worlds"] for row in cells]
+    columns["robots"] = [row["robots"] for row in cells]
+    columns["problems"] = [row["problems"] for row in cells]
+    for outcome in OUTCOMES:
+        columns |= _rate_columns(outcome, [row["outcomes"][outcome] for row in cells])
+    columns |= _rate_columns("planned", [row["planned"] for row in cells])
+    columns |= _rate_columns("team", [row["team"] for row in cells])
+    for name in COSTS:
+        columns |= _mean_columns(name, [cost_means(row)[name] for row in cells])
     if has_tasks(sweep):
-        measures.append(("task_completed", ("task", "completed"), rate))
-        measures.append(("task_completed_s", ("task", "completed_s"), mean))
-    for name, path, parts in measures:
-        columns |= {f"{name}_{part}": _read_column(cells, *path, part) for part in parts}
-    for key in ("vehicle_steps_per_s", "simulate_s", "compile_s"):
-        columns[key] = _read_column(cells, key)
+        tasks = [row["task"] for row in cells]
+        columns |= _rate_columns("task_completed", [task and task["completed"] for task in tasks])
+        columns |= _mean_columns(
+            "task_completed_s", [task and task["completed_s"] for task in tasks]
+        )
+    columns["vehicle_steps_per_s"] = [row["vehicle_steps_per_s"] for row in cells]
+    columns["simulate_s"] = [row["simulate_s"] for row in cells]
+    columns["compile_s"] = [row["compile_s"] for row in cells]
     return pa.table(columns)
 
 
-def _read_column(cells: Sequence[Mapping[str, object]], *path: str) -> list[object]:
-    """Return the value at a path of keys in each row; None where a part of it is not there."""
-    values: list[object] = list(cells)
-    for key in path:
-        values = [value[key] if isinstance(value, Mapping) else None for value in values]
-    return values
+def _rate_columns(name: str, rates: Sequence[Rate | None]) -> dict[str, list[float | None]]:
+    parts = ("rate", "low", "high")
+    return {f"{name}_{part}": [None if x is None else x[part] for x in rates] for part in parts}
+
+
+def _mean_columns(name: str, means: Sequence[Mean | None]) -> dict[str, list[float | None]]:
+    parts = ("mean", "low", "high", "count")
+    return {f"{name}_{part}": [None if x is None else x[part] for x in means] for part in parts}
 
 
 def has_tasks(sweep: SweepResults) -> bool:
@@ -177,7 +188,7 @@ def cells_table(sweep: SweepResults) -> Table:
     return [*head, "clearance, m"], rows
 
 
-def _format_task(task: TaskEntry | None) -> tuple[str, str]:
+def _format_task(task: TaskRow | None) -> tuple[str, str]:
     if task is None:
         return "-", "-"
     return format_rate(task["completed"]), format_mean(task["completed_s"], 1.0)
@@ -212,7 +223,7 @@ def pairs_table(sweep: SweepResults) -> Table:
     return [*head, "energy, kJ"], rows
 
 
-def _task_change(pair: SweepPairEntry) -> tuple[str, str, str]:
+def _task_change(pair: PairRow) -> tuple[str, str, str]:
     if pair["tasks"] is None:
         return "-", "-", "-"
     points = format_shift(pair["tasks"], 100.0, 1)
@@ -258,27 +269,30 @@ def format_grid(table: Table) -> list[str]:
     ).splitlines()
 
 
-def format_rate(rate: RateEntry) -> str:
+def format_rate(rate: Rate) -> str:
     """A rate with its interval, in %."""
     return f"{100 * rate['rate']:.1f} ({100 * rate['low']:.1f} to {100 * rate['high']:.1f})"
 
 
-def format_mean(mean: MeanEntry, scale: float) -> str:
+def format_mean(mean: Mean, scale: float) -> str:
     """A mean with its interval."""
-    value, low, high = mean["mean"], mean["low"], mean["high"]
+    return _format_interval(mean["mean"], mean["low"], mean["high"], scale, ".4g")
+
+
+def format_shift(change: ShiftRow | RateRow | None, scale: float, digits: int) -> str:
+    """A difference with its interval."""
+    if change is None:
+        return "-"
+    ends = change["low"], change["high"]
+    return _format_interval(change["difference"], *ends, scale, f"+.{digits}f")
+
+
+def _format_interval(
+    value: float | None, low: float | None, high: float | None, scale: float, form: str
+) -> str:
+    """Return a number with its interval; a dash for a number that is not defined."""
     if value is None:
         return "-"
     if low is None or high is None:
-        return f"{scale * value:.4g}"
-    return f"{scale * value:.4g} ({scale * low:.4g} to {scale * high:.4g})"
-
-
-def format_shift(change: ShiftEntry | RateChangeEntry | None, scale: float, digits: int) -> str:
-    """A difference with its interval."""
-    if change is None or change["difference"] is None:
-        return "-"
-    low, high = change["low"], change["high"]
-    text = f"{scale * change['difference']:+.{digits}f}"
-    if low is None or high is None:
-        return text
-    return f"{text} ({scale * low:+.{digits}f} to {scale * high:+.{digits}f})"
+        return f"{scale * value:{form}}"
+    return f"{scale * value:{form}} ({scale * low:{form}} to {scale * high:{form}})"

@@ -10,22 +10,19 @@ printed costs at the end are of worlds that the gains were not tuned on.
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
 import tyro
 
 from angler_mjx.errors import ConfigError
+from angler_mjx.robot.control.stack import StackGains
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.sim.engines.gradients import tracking_cost
 from angler_mjx.sim.engines.lanes.engine import FusedEngine
 from angler_mjx.sim.fleet import Fleet
 from angler_mjx.sim.state import FleetWorld, SimSpec, WorldState
-
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
 
 TUNED = (
     ("pose", "position_per_s"),
@@ -135,7 +132,7 @@ def stage_gains(spec: SimSpec, stage: str) -> object:
     return spec.gains[names.index(stage)]
 
 
-def replace_tuned_gains(spec: SimSpec, theta: jax.Array) -> tuple["DataclassInstance", ...]:
+def replace_tuned_gains(spec: SimSpec, theta: jax.Array) -> StackGains:
     """Return the gains of all stages, with those in `TUNED` replaced by exp(theta) [5]."""
     tuned: dict[str, dict[str, jax.Array]] = {}
     for i, (stage, gain) in enumerate(TUNED):

@@ -11,7 +11,7 @@ from angler_mjx.cli.shared.device import Device, choose_device, join_processes, 
 from angler_mjx.cli.shared.progress import ProgressBar
 
 if TYPE_CHECKING:
-    from angler_mjx.studies.fleet_size.report import StudyResults
+    from angler_mjx.studies.fleet_size.report import FleetSizeResults
 
 
 def fleet_size(
@@ -99,7 +99,7 @@ def fleet_size(
         sys.exit(130)
 
 
-def _print_study(results: "StudyResults", path: Path, *, as_json: bool) -> None:
+def _print_study(results: "FleetSizeResults", path: Path, *, as_json: bool) -> None:
     """Print the end of a study: one JSON object, or the table and the path of the folder."""
     if as_json:
         print(text.dumps({**results, "study": str(path)}))

@@ -10,7 +10,7 @@ import tyro
 from angler_mjx.cli.shared.device import Device, choose_device, join_processes, keep_all_programs
 
 if TYPE_CHECKING:
-    from angler_mjx.studies.result_types import SweepResults
+    from angler_mjx.studies.rows import SweepResults
 
 
 def sweep(

@@ -10,8 +10,14 @@ from angler_mjx.learning.datasets.sampling import SampleConfig
 from angler_mjx.quantities import SchemaVersion
 from angler_mjx.scenario.editing import Changes
 from angler_mjx.studies.benchmark.config import PlannerEntry
+from angler_mjx.studies.grid import find_reserved_key
 
-RESERVED_KEYS = ("worlds", "seed", "policy", "execution")
+RESERVED_KEYS = {
+    "worlds": "--episodes",
+    "seed": "seed",
+    "policy": "[[expert]]",
+    "execution": "[[expert]]",
+}
 """Keys of a scenario that a dataset file replaces by keys of its own."""
 
 type DatasetName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$", max_length=60)]
@@ -101,8 +107,6 @@ class DatasetConfig(FileModel):
             ("set", self.set),
             *((f"scene {scene.name!r}, set", scene.set) for scene in self.scene),
         ):
-            reserved = next((key for key in RESERVED_KEYS if key in table), None)
-            if reserved is not None:
-                instead = {"worlds": "--episodes", "seed": "seed"}.get(reserved, "[[expert]]")
-                raise ValueError(f"{location}.{reserved}: give {instead} instead")
+            if fault := find_reserved_key(table, RESERVED_KEYS):
+                raise ValueError(f"{location}.{fault}")
         return self

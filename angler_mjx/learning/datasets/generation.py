@@ -5,12 +5,11 @@ interrupted part is resumed as any run is, so only tiles in flight are lost.
 """
 
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
 
-from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.errors import ConfigError
 from angler_mjx.learning.datasets import card, checksums, index, manifest, manifest_building
 from angler_mjx.learning.datasets import parts as flown
 from angler_mjx.learning.datasets.config import DatasetConfig
@@ -18,10 +17,10 @@ from angler_mjx.learning.datasets.parts import DatasetPart
 from angler_mjx.learning.datasets.sampling import CROSSED
 from angler_mjx.progress import Progress
 from angler_mjx.runs import multi_run
+from angler_mjx.runs.multi_run import RunOptions
 from angler_mjx.runs.processes import OneProcess, Processes, reporting_failure
+from angler_mjx.runs.resumable_folder import open_folder
 from angler_mjx.runs.simulator.simulator import default_tile
-from angler_mjx.runs.storage import output_lock
-from angler_mjx.runs.storage.output_lock import OutputLock
 from angler_mjx.runs.storage.recorder import TrajectoryShape
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.world.config import resolve_world
@@ -36,7 +35,7 @@ class DatasetRequest:
     """Inputs of a dataset."""
 
     config: DatasetConfig
-    table: Mapping[str, Any]
+    table: Mapping[str, object]
     """Table of the scenario of all parts."""
     episodes: int
     source: str
@@ -46,7 +45,7 @@ class DatasetRequest:
         """Return the parts to fly; see `parts.build_parts`."""
         return flown.build_parts(self.config, self.table, self.episodes, self.source)
 
-    def resolved(self) -> dict[str, Any]:
+    def resolved(self) -> dict[str, object]:
         """Return all of it in plain values."""
         return {
             "episodes": self.episodes,
@@ -99,52 +98,24 @@ def make_dataset(
     """
     process_group = processes or OneProcess()
     with reporting_failure(process_group):
-        return _make_parts(
-            request, out, progress, process_group, resume, {"devices": devices, "workers": workers}
-        )
-
-
-def _make_parts(
-    request: DatasetRequest,
-    out: Path,
-    progress: Progress,
-    process_group: Processes,
-    resume: bool,
-    options: Mapping[str, Any],
-) -> Path | None:
-    parts = request.parts
-    _require_same_recording(parts, request.source)
-    _require_crossings(request.config, parts, request.source)
-    building = output_lock.partial_path(out)
-    with ExitStack() as stack:
-        lock = None
-        if process_group.index == 0:
-            is_complete = (out / manifest.MANIFEST).is_file()
-            lock = (
-                multi_run.resume_folder(
-                    out,
-                    "dataset",
-                    request.resolved(),
-                    models={"dataset": DatasetConfig, "scenario": Scenario},
-                    is_complete=is_complete,
-                )
-                if resume
-                else multi_run.create_folder(out, "dataset", request.resolved())
-            )
-            stack.callback(lock.release)
-        process_group.meet("dataset")
-        flights = [
-            (part.path, part.scenario.model_copy(update={"tile": choose_tile(part)}))
-            for part in parts
-        ]
-        if not multi_run.fly_runs(
-            flights, building, progress, process_group, {"chunk": 1, **options}
-        ):
-            return None
-        if lock is not None:
-            _finish_dataset(request, parts, lock)
-        process_group.meet("whole")
-    return out
+        parts = request.parts
+        _require_same_recording(parts, request.source)
+        _require_crossings(request.config, parts, request.source)
+    declared = multi_run.declare_folder(
+        "dataset",
+        request.resolved(),
+        models={"dataset": DatasetConfig, "scenario": Scenario},
+        is_complete=lambda path: (path / manifest.MANIFEST).is_file(),
+    )
+    flights = [
+        (part.path, part.scenario.model_copy(update={"tile": choose_tile(part)})) for part in parts
+    ]
+    options: RunOptions = {"chunk": 1, "devices": devices, "workers": workers}
+    with open_folder(declared, out, resume=resume, processes=process_group) as opened:
+        complete = multi_run.fly_runs(flights, opened.building, progress, process_group, options)
+        if complete:
+            opened.publish(partial(_finish_dataset, request, parts))
+    return out if complete else None
 
 
 def _require_same_recording(parts: Sequence[DatasetPart], source: str) -> None:
@@ -195,24 +166,14 @@ def choose_tile(part: DatasetPart) -> int:
     return min(default_tile(scenario.worlds), 1 << (fits.bit_length() - 1))
 
 
-def _finish_dataset(
-    request: DatasetRequest, parts: Sequence[DatasetPart], lock: OutputLock
-) -> None:
-    """Write index, checksums, card and, last, the manifest; then rename the folder."""
-    root = lock.building
-    try:
-        dataset_manifest = manifest_building.build_manifest(request.config, parts, root)
-        table = index.build_index(root, dataset_manifest)
-        dataset_manifest = manifest_building.add_counts(dataset_manifest, table)
-        index.write_index(root, table)
-        card.write_card(root, dataset_manifest, table)
-        (root / multi_run.REQUEST_FILE).unlink()
-        manifest.write_manifest(
-            root, dataset_manifest.model_copy(update={"sums": checksums.write_checksums(root)})
-        )
-    except OSError as error:
-        raise RunError(
-            f"--out {lock.out}: cannot be written ({error.strerror or error}); its flights are "
-            f"whole in {root}: make room and go on with --resume"
-        ) from error
-    lock.publish()
+def _finish_dataset(request: DatasetRequest, parts: Sequence[DatasetPart], root: Path) -> None:
+    """Write index, checksums, card and, last, the manifest."""
+    dataset_manifest = manifest_building.build_manifest(request.config, parts, root)
+    table = index.build_index(root, dataset_manifest)
+    dataset_manifest = manifest_building.add_counts(dataset_manifest, table)
+    index.write_index(root, table)
+    card.write_card(root, dataset_manifest, table)
+    (root / multi_run.REQUEST_FILE).unlink()
+    manifest.write_manifest(
+        root, dataset_manifest.model_copy(update={"sums": checksums.write_checksums(root)})
+    )

@@ -14,6 +14,7 @@ from angler_mjx.runs.multi_run import RUNS_FOLDER
 from angler_mjx.scenario.editing import merge_tables, remove_horizon, scenario_table
 from angler_mjx.scenario.scenario import Scenario, load_relative_scenario
 from angler_mjx.scenario.task_table import require_goal_task
+from angler_mjx.studies.benchmark.compared_planners import build_pilot_tables
 from angler_mjx.studies.benchmark.problem_settings import with_team
 
 
@@ -144,26 +145,14 @@ def _build_part(
     )
 
 
-def _build_expert_tables(table: Mapping[str, Any], expert: Expert) -> dict[str, Any]:
+def _build_expert_tables(table: Mapping[str, Any], expert: Expert) -> dict[str, dict[str, object]]:
     """Return the scenario tables that an expert replaces."""
-    information = (
-        {} if expert.information is None else {"information": expert.information.model_dump()}
-    )
+    information = None if expert.information is None else expert.information.model_dump()
+    tables = build_pilot_tables(expert, information)
     if expert.policy is not None:
-        settings = {expert.policy: expert.settings} if expert.settings else {}
-        policy = {"name": expert.policy, **information, **settings}
-        return {"policy": merge_tables(table.get("policy", {}), policy)}
-    settings = {expert.name.rpartition(":")[2]: expert.settings} if expert.settings else {}
-    online = {key: x for key, x in expert.online.items() if key != "order"}
-    planner = {
-        **{key: x for key, x in table.get("planner", {}).items() if key in _PLANNER_KEYS},
-        "name": expert.name,
-        **information,
-        **online,
-        "settings": settings,
-    }
-    order = {"execution": {"order": expert.order}} if expert.order else {}
-    return {"planner": planner, **order}
+        return {"policy": merge_tables(table.get("policy", {}), tables["policy"])}
+    common = {key: x for key, x in table.get("planner", {}).items() if key in _PLANNER_KEYS}
+    return {**tables, "planner": {**common, **tables["planner"]}}
 
 
 _PLANNER_KEYS = ("margin_m", "points", "deadline_s", "information")

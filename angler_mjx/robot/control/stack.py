@@ -117,6 +117,9 @@ class Stage:
 
 type Stages = tuple[Stage, ...]
 
+type StackGains = tuple["DataclassInstance", ...]
+"""Gains of each stage."""
+
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)

@@ -34,7 +34,7 @@ from angler_mjx.robot.control.laws import (
     velocity,
 )
 from angler_mjx.robot.control.laws.ardusub import law as ardusub
-from angler_mjx.robot.control.stack import Command, Stage, StageInput, Stages
+from angler_mjx.robot.control.stack import Command, StackGains, Stage, StageInput, Stages
 from angler_mjx.user_classes import is_class_of_file, load_class
 
 if TYPE_CHECKING:
@@ -307,7 +307,7 @@ def describe_stages(stages: Stages) -> str:
 def build_stack(
     names: Sequence[str],
     gains: Mapping[str, Mapping[str, float]],
-) -> tuple[Stages, tuple["DataclassInstance", ...]]:
+) -> tuple[Stages, StackGains]:
     """A stack by the names of its stages, and the gains of each (host side).
 
     Args:

@@ -6,6 +6,7 @@ that was traced into them is equal. Programs that hold a planner or policy of a 
 files, are made anew for each simulator: their code and their files may have changed.
 """
 
+import gc
 import threading
 import time
 from collections import OrderedDict
@@ -363,6 +364,15 @@ def shared_programs(setup: ProgramSetup) -> Programs:
         while len(_shared) > MAX_SHARED:
             _shared.popitem(last=False)
     return stored
+
+
+def release_memory() -> None:
+    """Release the memory of programs that no simulator uses any more.
+
+    Programs of many runs together would use up the memory maps of a process.
+    """
+    jax.clear_caches()
+    gc.collect()
 
 
 def clear_shared() -> None:

@@ -7,22 +7,19 @@ state a control period. Decisions (a touch, an arrival, a robot that is held) ha
 """
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
 
 from angler_mjx.robot.control import plans
+from angler_mjx.robot.control.stack import StackGains
 from angler_mjx.sim.engines.base import Engine
 from angler_mjx.sim.fleet import Fleet
 from angler_mjx.sim.state import Outcome, SimSpec, World, WorldState
 
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
-
 
 def tracking_cost(
-    gains: tuple["DataclassInstance", ...],
+    gains: StackGains,
     engine: Engine,
     spec: SimSpec,
     fleet: Fleet,

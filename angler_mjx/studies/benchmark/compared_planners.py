@@ -3,14 +3,14 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Protocol
 
 from angler_mjx.errors import ConfigError, format_value
 from angler_mjx.files import parse_model
 from angler_mjx.planning import register
 from angler_mjx.planning.register import PlannerSpec
 from angler_mjx.runs.simulator import scenario_policy
-from angler_mjx.scenario.editing import merge_tables
+from angler_mjx.scenario.editing import merge_tables, scenario_table
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.scenario.tables import PlannerConfig
 from angler_mjx.sim.information import Information
@@ -32,9 +32,9 @@ class ComparedPlanner:
     """Whether it plans a batch at once."""
     policy: str | None = None
     """By its name in a scenario, where it is one."""
-    policy_settings: Mapping[str, Any] = field(default_factory=dict)
+    policy_settings: Mapping[str, object] = field(default_factory=dict)
     """That differ from the scenario's."""
-    online: Mapping[str, Any] = field(default_factory=dict)
+    online: Mapping[str, object] = field(default_factory=dict)
     """How its plans are looked after in flight, by the keys of a benchmark file; empty where they
     are flown as they are."""
 
@@ -60,7 +60,7 @@ class ComparedPlanner:
         return self.spec
 
     @property
-    def settings(self) -> dict[str, Any]:
+    def settings(self) -> dict[str, object]:
         """Its own."""
         return dict(self.policy_settings if self.spec is None else self.spec.settings)
 
@@ -118,6 +118,50 @@ def build_compared_planner(entry: PlannerEntry) -> ComparedPlanner:
     )
 
 
+class Pilot(Protocol):
+    """Planner or policy that robots fly by, as a file names it."""
+
+    @property
+    def policy(self) -> str | None:
+        """Name of the policy; None of a planner."""
+        ...
+
+    @property
+    def name(self) -> str:
+        """Name of the planner."""
+        ...
+
+    @property
+    def settings(self) -> Mapping[str, object]:
+        """Settings of the planner or policy."""
+        ...
+
+    @property
+    def online(self) -> Mapping[str, object]:
+        """Keys of replanning in flight, and of the order of robots."""
+        ...
+
+
+def build_pilot_tables(
+    pilot: Pilot, information: Mapping[str, object] | None
+) -> dict[str, dict[str, object]]:
+    """Return the scenario tables by which robots fly, without keys of other planners.
+
+    Args:
+        pilot: planner or policy.
+        information: table of its information level; left out if None.
+    """
+    level = {} if information is None else {"information": dict(information)}
+    name = pilot.name if pilot.policy is None else pilot.policy
+    settings = {name.rpartition(":")[2]: dict(pilot.settings)} if pilot.settings else {}
+    if pilot.policy is not None:
+        return {"policy": {"name": name, **level, **settings}}
+    online = {key: value for key, value in pilot.online.items() if key != "order"}
+    order = pilot.online.get("order")
+    planner = {"name": name, **level, **online, "settings": settings}
+    return {"planner": planner, **({"execution": {"order": order}} if order else {})}
+
+
 def build_flown_scenario(
     scenario: Scenario, information: Information, planner: ComparedPlanner, about: str
 ) -> Scenario:
@@ -134,22 +178,8 @@ def build_flown_scenario(
     """
     if not planner.flies_itself:
         return scenario
-    information_table = {"obstacles": information.obstacles, "current": information.current}
-    table = scenario.model_dump(mode="json", exclude_unset=True)
-    table["fleet"] = [entry.model_dump(mode="json", exclude_unset=True) for entry in scenario.fleet]
-    if planner.policy is None:
-        online = dict(planner.online)
-        order = online.pop("order", None)
-        named = {"name": planner.name, "information": information_table, **online}
-        settings = {planner.name.rpartition(":")[2]: planner.settings} if planner.settings else {}
-        table = merge_tables(table, {"planner": {**named, "settings": settings}})
-        table = merge_tables(table, {"execution": {"order": order}} if order else {})
-    else:
-        settings = {planner.policy: planner.settings} if planner.settings else {}
-        table = merge_tables(
-            table,
-            {"policy": {"name": planner.policy, "information": information_table, **settings}},
-        )
+    level = {"obstacles": information.obstacles, "current": information.current}
+    table = merge_tables(scenario_table(scenario), build_pilot_tables(planner, level))
     source = f"{about}, planner {format_value(planner.label)}"
     flown_scenario = parse_model(Scenario, table, source=source)
     try:

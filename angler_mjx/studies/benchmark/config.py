@@ -1,6 +1,6 @@
 """What a benchmark file says: planners, and the scenes whose problems all of them are asked."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 
 from pydantic import Field, field_validator, model_validator
@@ -77,7 +77,7 @@ class PlannerEntry(FileModel):
         return _check_presets(names)
 
     @property
-    def online(self) -> dict[str, Any]:
+    def online(self) -> dict[str, object]:
         """How its plans are looked after while they are flown; empty if they are not."""
         options = {key: getattr(self, key) for key in ("replan_hz", "delay_s", "order")}
         return {key: value for key, value in options.items() if value}
@@ -172,8 +172,8 @@ def _check_presets(names: tuple[str, ...]) -> tuple[str, ...]:
     return names
 
 
-def _require_unique(key: str, values: Any) -> None:
-    duplicates = [value for i, value in enumerate(values) if value in list(values)[:i]]
+def _require_unique(key: str, values: Sequence[object]) -> None:
+    duplicates = [value for i, value in enumerate(values) if value in values[:i]]
     if duplicates:
         raise ValueError(
             f"{key}: {format_value(duplicates[0])} is there twice; names tell them apart"

@@ -3,13 +3,12 @@
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import numpy as np
 
 from angler_mjx.planning.answers import Answer
-from angler_mjx.planning.planner import NoPlan
+from angler_mjx.planning.planner import NoPlan, Path
 from angler_mjx.progress import Progress
 from angler_mjx.robot.control.plans import Plan
 from angler_mjx.runs import device_batches
@@ -20,7 +19,6 @@ from angler_mjx.runs.storage.device_to_host import FinishedTile
 from angler_mjx.runs.storage.read_errors import wrap_read_errors
 from angler_mjx.sim.state import World
 from angler_mjx.studies.benchmark import path_archive as bytes_of
-from angler_mjx.studies.benchmark import scenery
 from angler_mjx.studies.benchmark.measures import measure_flight
 from angler_mjx.studies.benchmark.problem_settings import Setting
 from angler_mjx.studies.benchmark.store import BenchmarkStore
@@ -37,7 +35,7 @@ class BenchmarkFlight:
     """Its number in the database."""
     runs: Mapping[int, int]
     """Numbers of the runs by world."""
-    plans: Mapping[int, list[Any]]
+    plans: Mapping[int, list[Path | None]]
     """Paths of each robot by world; None where there is none. Empty where a policy flies."""
 
 
@@ -126,7 +124,7 @@ class _TilePlans:
         return host_planning.gather_paths(answers, held)[0], None
 
 
-def _build_answer(paths: Sequence[Any]) -> Answer:
+def _build_answer(paths: Sequence[Path | None]) -> Answer:
     robot_paths = [NoPlan("no plan") if path is None else path for path in paths]
     return Answer(paths=robot_paths, status="planned", reason="", planning_s=0.0)
 
@@ -159,7 +157,7 @@ def _store_flights(
             for world, run in runs.items()
         ],
         {
-            run: scenery.pack_arrays(p_m=_sample_track(tile, world - tile.first, hz))
+            run: bytes_of.pack_arrays(p_m=_sample_track(tile, world - tile.first, hz))
             for world, run in runs.items()
             if world < examples and tile.parts
         },

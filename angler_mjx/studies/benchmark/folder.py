@@ -7,15 +7,16 @@ tables, ``examples/``, ``figures/`` and ``report.html``. While it is made, it is
 """
 
 import shutil
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.runs.provenance import describe_environment
-from angler_mjx.runs.storage import input_copies, output_lock, results_folder
+from angler_mjx.runs.resumable_folder import ResumableFolder
+from angler_mjx.runs.storage import input_copies, results_folder
 from angler_mjx.runs.storage.atomic_files import write_json
 from angler_mjx.runs.storage.folder import ENVIRONMENT
-from angler_mjx.runs.storage.output_lock import OutputLock
 from angler_mjx.runs.storage.read_errors import read_table, wrap_read_errors
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.studies.benchmark import problem_settings
@@ -24,54 +25,47 @@ from angler_mjx.studies.benchmark.problem_settings import Benchmark
 from angler_mjx.studies.benchmark.store import FILE, BenchmarkStore
 
 SOURCE, RESOLVED, ABOUT = "benchmark.toml", "resolved.json", "about.json"
-FOLDER_KIND = "benchmark"
 
 
-def create_folder(benchmark: Benchmark, source: Path, out: Path) -> OutputLock:
-    """Create the folder, with all inputs of the benchmark.
+def declare_folder(benchmark: Benchmark, source: Path) -> ResumableFolder[None]:
+    """Declare the folder of a benchmark.
 
-    Raises:
-        ConfigError: the name is taken.
-        RunError: it cannot be written.
+    Args:
+        benchmark: the benchmark.
+        source: file or folder that it was read from.
     """
-    advise = results_folder.resumable_by(FILE)
-    lock = output_lock.acquire(out, kind=FOLDER_KIND, advise=advise)
-    with lock.filling() as building:
-        shutil.copyfile(source / SOURCE if source.is_dir() else source, building / SOURCE)
-        vehicles = [entry.vehicle for s in benchmark.settings for entry in s.scenario.fleet]
-        files = [entry.file for entry in benchmark.planners]
-        planners = [
-            (input_copies.PLANNER, file) for file in dict.fromkeys(files) if file is not None
-        ]
-        worlds = [input_copies.world_files(s.scenario.world) for s in benchmark.settings]
-        seas = list(dict.fromkeys(entry for files in worlds for entry in files))
-        input_copies.copy_inputs(building, vehicles, [*planners, *seas])
-        write_json(building / ENVIRONMENT, describe_environment())
-        write_json(building / RESOLVED, benchmark.resolved())
-        unfinished = building / f".unfinished.{FILE}"
-        BenchmarkStore(unfinished, new=True).close()
-        unfinished.replace(building / FILE)  # a process killed before it leaves nothing to resume
-    return lock
 
-
-def reopen_folder(benchmark: Benchmark, out: Path) -> OutputLock:
-    """Take up a folder that was interrupted; see `results_folder.resume_folder`.
-
-    Raises:
-        ConfigError: there is none, it is complete, or it is of another benchmark.
-    """
-    lock, _ = results_folder.resume_folder(
-        out,
-        kind=FOLDER_KIND,
-        file=RESOLVED,
-        is_complete=(out / ABOUT).is_file(),
-        check=lambda building: results_folder.require_same_request(
+    def resume(building: Path) -> None:
+        results_folder.require_same_request(
             building / RESOLVED,
             benchmark.resolved(),
             {"benchmark": BenchmarkConfig, "scenario": Scenario},
-        ),
+        )
+
+    return ResumableFolder(
+        kind="benchmark",
+        request_file=RESOLVED,
+        begin=partial(_write_inputs, benchmark, source),
+        resume=resume,
+        is_complete=lambda out: (out / ABOUT).is_file(),
+        advise=results_folder.resumable_by(FILE),
     )
-    return lock
+
+
+def _write_inputs(benchmark: Benchmark, source: Path, building: Path) -> None:
+    """Write all inputs of a benchmark, and an empty database."""
+    shutil.copyfile(source / SOURCE if source.is_dir() else source, building / SOURCE)
+    vehicles = [entry.vehicle for s in benchmark.settings for entry in s.scenario.fleet]
+    files = [entry.file for entry in benchmark.planners]
+    planners = [(input_copies.PLANNER, file) for file in dict.fromkeys(files) if file is not None]
+    worlds = [input_copies.world_files(s.scenario.world) for s in benchmark.settings]
+    seas = list(dict.fromkeys(entry for files in worlds for entry in files))
+    input_copies.copy_inputs(building, vehicles, [*planners, *seas])
+    write_json(building / ENVIRONMENT, describe_environment())
+    write_json(building / RESOLVED, benchmark.resolved())
+    unfinished = building / f".unfinished.{FILE}"
+    BenchmarkStore(unfinished, new=True).close()
+    unfinished.replace(building / FILE)  # a process killed before it leaves nothing to resume
 
 
 def read_folder(folder: Path) -> Benchmark:

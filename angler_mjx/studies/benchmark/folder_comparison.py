@@ -9,7 +9,6 @@ import json
 from collections import Counter, defaultdict
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -20,7 +19,21 @@ from angler_mjx.studies.benchmark.store import FILE, STATUS, BenchmarkStore
 
 COMPARISON = "comparison.json"
 
-type _Key = tuple[Any, ...]
+type _Key = tuple[str | int, ...]
+"""Label of the planner, and the problem."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _ComparedRun:
+    """What is compared of a run."""
+
+    status: str
+    plans: str | None = None
+    """Digest of its plans."""
+    outcomes: Counter[tuple[int, str]] = field(default_factory=Counter)
+    """Robots by their outcomes."""
+    time_s: float | None = None
+    """Of planning."""
 
 
 @dataclass(kw_only=True)
@@ -70,27 +83,27 @@ def compare_folders(first: Path, second: Path) -> FolderComparison:
     comparison = FolderComparison(first=str(first), second=str(second))
     ratios: dict[str, list[float]] = defaultdict(list)
     for key in dict.fromkeys([*first_runs, *second_runs]):
-        planner = comparison.planners.setdefault(key[0], PlannerComparison())
+        label = str(key[0])
+        planner = comparison.planners.setdefault(label, PlannerComparison())
         a, b = first_runs.get(key), second_runs.get(key)
         if a is None or b is None:
             planner.only_one += 1
             continue
         planner.runs += 1
-        plans = a["plans"] == b["plans"]
-        outcomes = a["outcomes"] == b["outcomes"]
+        plans, outcomes = a.plans == b.plans, a.outcomes == b.outcomes
         planner.same_plans += plans
-        planner.same_status += a["status"] == b["status"]
+        planner.same_status += a.status == b.status
         planner.same_outcomes += outcomes
         planner.same_plans_other_outcomes += plans and not outcomes
-        if a["time"] and b["time"]:
-            ratios[key[0]].append(b["time"] / a["time"])
+        if a.time_s and b.time_s:
+            ratios[label].append(b.time_s / a.time_s)
     for label, values in ratios.items():
         comparison.planners[label].slower = float(np.median(values))
     atomic_files.write_text(second / COMPARISON, json.dumps(asdict(comparison), indent=2) + "\n")
     return comparison
 
 
-def _read_runs(folder: Path) -> dict[_Key, dict[str, Any]]:
+def _read_runs(folder: Path) -> dict[_Key, _ComparedRun]:
     """What is compared of each run, by planner and problem; what was not asked counts too."""
     if not (folder / FILE).is_file():
         raise ConfigError(f"{folder}: is no results folder of a benchmark (no {FILE} in it)")
@@ -103,23 +116,23 @@ def _read_runs(folder: Path) -> dict[_Key, dict[str, Any]]:
             "JOIN experiments ON experiments.id = experimentid "
             "JOIN plannerConfigs ON plannerConfigs.id = plannerid"
         )
-        ended: dict[int, Counter[Any]] = defaultdict(Counter)
+        ended: dict[int, Counter[tuple[int, str]]] = defaultdict(Counter)
         for row in store.rows(
             "SELECT runid, robot, json_extract(episode, '$.outcome') AS outcome FROM robots"
         ):
             ended[row["runid"]][row["robot"], row["outcome"]] += 1
-        runs: dict[_Key, dict[str, Any]] = {}
+        runs: dict[_Key, _ComparedRun] = {}
         for row in store.rows(
             f"SELECT {which}, runs.id, status, time, paths FROM runs {joined} "
             "LEFT JOIN plans ON plans.runid = runs.id"
         ):
             plans = None if row["paths"] is None else bytes_of.compute_digest(row["paths"])
-            runs[tuple(row)[:7]] = {
-                "status": STATUS[row["status"]],
-                "plans": plans,
-                "outcomes": ended[row["id"]],
-                "time": row["time"],
-            }
+            runs[tuple(row)[:7]] = _ComparedRun(
+                status=STATUS[row["status"]],
+                plans=plans,
+                outcomes=ended[row["id"]],
+                time_s=row["time"],
+            )
         for row in store.rows(f"SELECT {which} FROM closed {joined}"):
-            runs[tuple(row)] = {"status": "closed", "plans": None, "outcomes": {}, "time": None}
+            runs[tuple(row)] = _ComparedRun(status="closed")
     return runs

@@ -10,7 +10,7 @@ from angler_mjx.planning.planner import NoPlan, Path
 from angler_mjx.robot.control.plans import trace_path
 from angler_mjx.runs.storage import results
 
-type Row = dict[str, Any]
+type Row = dict[str, object]
 
 MIN_LEG_M = 1e-3
 """A leg between points that are nearer turns nobody."""

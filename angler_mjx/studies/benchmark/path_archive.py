@@ -6,12 +6,26 @@ from collections.abc import Sequence
 from typing import Any, cast
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from angler_mjx.planning.planner import NoPlan, Path
 from angler_mjx.robot.control.commands.joint_trajectory import VEHICLE_JOINTS, JointTrajectory
 from angler_mjx.robot.control.commands.trajectory import Trajectory
 
 _JOINTS = ("position", "velocity", "acceleration", "degree")
+
+
+def pack_arrays(**arrays: Any) -> bytes:
+    """Arrays as an NPZ archive."""
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **arrays)
+    return buffer.getvalue()
+
+
+def unpack_arrays(data: bytes) -> dict[str, np.ndarray]:
+    """Arrays of an NPZ archive."""
+    with np.load(io.BytesIO(data), allow_pickle=False) as archive:
+        return {name: archive[name] for name in archive.files}
 
 
 def pack_paths(paths: Sequence[Path | NoPlan]) -> bytes:
@@ -24,7 +38,7 @@ def pack_paths(paths: Sequence[Path | NoPlan]) -> bytes:
     """
     found_paths = [path for path in paths if not isinstance(path, NoPlan)]
     count = [0 if isinstance(path, NoPlan) else len(path.time_s) for path in paths]
-    arrays: dict[str, Any] = {"count": np.array(count, np.int32)}
+    arrays = {"count": np.array(count, np.int32)}
     arrays["time_s"] = _concatenate_rows([path.time_s for path in found_paths], ())
     if any(isinstance(path, JointTrajectory) for path in found_paths):
         joints = cast(list[JointTrajectory], found_paths)
@@ -33,9 +47,7 @@ def pack_paths(paths: Sequence[Path | NoPlan]) -> bytes:
     else:
         lines = cast(list[Trajectory], found_paths)
         arrays["position_m"] = _concatenate_rows([path.position_m for path in lines], (3,))
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, **arrays)
-    return buffer.getvalue()
+    return pack_arrays(**arrays)
 
 
 def unpack_paths(data: bytes) -> list[Path | None]:
@@ -44,8 +56,7 @@ def unpack_paths(data: bytes) -> list[Path | None]:
     Raises:
         ValueError: these are none.
     """
-    with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-        arrays = {name: archive[name] for name in archive.files}
+    arrays = unpack_arrays(data)
     count = arrays.pop("count")
     paths: list[Path | None] = []
     at = 0
@@ -69,10 +80,8 @@ def unpack_paths(data: bytes) -> list[Path | None]:
 
 def compute_digest(data: bytes) -> str:
     """Hexadecimal, of the numbers of plans that were packed: the same plans, the same digest."""
-    with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-        arrays = {name: archive[name] for name in sorted(archive.files)}
     hasher = hashlib.sha256()
-    for name, values in arrays.items():
+    for name, values in sorted(unpack_arrays(data).items()):
         hasher.update(f"{name} {values.dtype} {values.shape} ".encode())
         hasher.update(np.ascontiguousarray(values).tobytes())
     return hasher.hexdigest()
@@ -87,7 +96,7 @@ def _found_flag() -> Any:
     return np.asarray(True)
 
 
-def _concatenate_rows(parts: list[Any], empty: tuple[int, ...]) -> np.ndarray:
+def _concatenate_rows(parts: Sequence[ArrayLike], empty: tuple[int, ...]) -> np.ndarray:
     if not parts:
         return np.zeros((0, *empty), np.float32)
     return np.concatenate([np.asarray(part) for part in parts])

@@ -4,10 +4,10 @@ import json
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import jax
 import numpy as np
+from jax.stages import Compiled
 
 from angler_mjx.planning.answers import Answer, check_answer, failed_answer
 from angler_mjx.planning.device_planner import build_device_planner
@@ -18,6 +18,7 @@ from angler_mjx.planning.problem import Problem
 from angler_mjx.robot.control import plans
 from angler_mjx.robot.control.commands.joint_trajectory import JointTrajectory
 from angler_mjx.robot.control.commands.trajectory import Trajectory
+from angler_mjx.robot.control.plans import Plan
 from angler_mjx.runs.simulator.compilation import CompiledFunction
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.runs.simulator.world_preparation import problem_settings, replace_paths
@@ -176,7 +177,7 @@ def _collect_answers(
     pool: Pool,
 ) -> Iterator[tuple[int, ComparedPlanner, int, Answer]]:
     """Planner, world and answer, as they come; nobody is asked while a device plans."""
-    compiled: dict[str, Any] = {}
+    compiled: dict[str, Compiled] = {}
     for number, planner, worlds in requests:
         if planner.on_device:
             for world, result in _plan_on_device(setting_problems, planner, worlds, compiled):
@@ -211,7 +212,7 @@ def _plan_on_device(
     setting_problems: SettingProblems,
     entry: ComparedPlanner,
     worlds: Sequence[int],
-    programs: dict[str, Any],
+    programs: dict[str, Compiled],
 ) -> Iterator[tuple[int, Answer]]:
     """Answers of a planner that plans a batch: each took its share of the batch's time.
 
@@ -271,9 +272,9 @@ def _plan_on_device(
             extras = {}
 
 
-def _extract_path(host: Any, world: int, robot: int) -> Path | NoPlan:
+def _extract_path(host: Plan, world: int, robot: int) -> Path | NoPlan:
     """The path of one robot out of a batch, without the rows that repeat its last."""
-    path: Any = jax.tree.map(lambda leaf: leaf[world, robot], host)
+    path: Plan = jax.tree.map(lambda leaf: leaf[world, robot], host)
     if not bool(plans.is_found(path)):
         return NoPlan("no way found")
     differing = np.flatnonzero(path.time_s != path.time_s[-1])
@@ -320,7 +321,7 @@ def _store_policy_run(
     store.add(setting_problems.experiment, planner, world, POLICY, row, None)
 
 
-def _unflown_columns(setting_problems: SettingProblems, world: int) -> dict[str, Any]:
+def _unflown_columns(setting_problems: SettingProblems, world: int) -> dict[str, object]:
     return {
         **dict.fromkeys(TEXT_COLUMNS),
         **setting_problems.difficulty[world],

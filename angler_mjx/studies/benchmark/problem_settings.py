@@ -20,6 +20,26 @@ from angler_mjx.sim.information import Information
 from angler_mjx.studies.benchmark import compared_planners as compared
 from angler_mjx.studies.benchmark.compared_planners import ComparedPlanner
 from angler_mjx.studies.benchmark.config import BenchmarkConfig
+from angler_mjx.studies.grid import (
+    GridCell,
+    build_changes_axis,
+    find_reserved_key,
+    iterate_cells,
+)
+
+RESERVED_KEYS = {
+    "worlds": "problems",
+    "seed": "seeds",
+    "planner.name": "[[planner]]",
+    "planner.settings": "settings in [[planner]]",
+    "planner.points": "points",
+    "planner.deadline_s": "deadline_s",
+    "planner.information": "[[information]]",
+    "planner.replan_hz": "replan_hz in [[planner]]",
+    "planner.delay_s": "delay_s in [[planner]]",
+    "policy.name": "policy in [[planner]]",
+}
+"""Keys of a scenario that a benchmark file says by keys of its own."""
 
 DEFAULT_SCENE = "as it is"
 """Name of the scene of a benchmark that names none."""
@@ -103,7 +123,7 @@ class Benchmark:
             for label in sorted(labels)
         ]
 
-    def resolved(self) -> dict[str, Any]:
+    def resolved(self) -> dict[str, object]:
         """All of it in plain values: the same table is the same benchmark."""
         return {
             "benchmark": self.config.model_dump(mode="json"),
@@ -115,7 +135,7 @@ class Benchmark:
         }
 
 
-def read_benchmark(path: Path, **overrides: Any) -> Benchmark:
+def read_benchmark(path: Path, **overrides: object) -> Benchmark:
     """A benchmark from its file.
 
     Args:
@@ -203,8 +223,44 @@ def _build_settings(
     planners: tuple[ComparedPlanner, ...],
     source: str,
 ) -> list[Setting]:
+    base = _build_base_table(config, scenario, source)
+    information_options = _list_information(config, scenario, planners)
+    settings = []
+    for cell in _list_scenes(config):
+        table = cell.edit(base)
+        scene = " ".join(reversed(cell.names.values())) or DEFAULT_SCENE
+        whole = parse_model(Scenario, table, source=f"{source} ({scene})")
+        for team in config.teams or (None,):
+            team_scenario = whole if team is None else with_team(whole, table, team, source, scene)
+            settings += [
+                Setting(
+                    scene=scene,
+                    robots=len(team_scenario.members()),
+                    information=information,
+                    scenario=team_scenario,
+                    seed=seed,
+                )
+                for seed in config.seeds or (team_scenario.seed,)
+                for information in information_options
+            ]
+    return settings
+
+
+def _list_scenes(config: BenchmarkConfig) -> list[GridCell]:
+    """Return the cells of scenes and presets; the scene changes fastest, the preset is set last."""
+    scenes = {entry.name: entry.set for entry in config.scene}
+    presets = {name: {"world": {"preset": name}} for name in config.presets}
+    axes = [
+        build_changes_axis(*axis) for axis in (("scene", scenes), ("preset", presets)) if axis[1]
+    ]
+    return sorted(iterate_cells(axes), key=lambda cell: cell.indices[::-1])
+
+
+def _build_base_table(config: BenchmarkConfig, scenario: Scenario, source: str) -> dict[str, Any]:
+    """Return the table of the scenario that scenes and teams are made of."""
     for table in (config.set, *(entry.set for entry in config.scene)):
-        _refuse_reserved_keys(table, source)
+        if fault := find_reserved_key(table, RESERVED_KEYS):
+            raise ConfigError(f"{format_path(source)}: set.{fault}")
     base = scenario_table(scenario)
     base["worlds"] = config.problems
     base["planner"] = {
@@ -218,68 +274,20 @@ def _build_settings(
         base["execution"] = {"order": "free"}
     if config.presets:  # The scenario's horizon is that of its own world.
         base = remove_horizon(base)
-    base = merge_tables(base, config.set)
-    information_options = (
-        []
-        if all(entry.information for entry in planners)
-        else _default_information(config, scenario)
-    )
-    information_options += [
-        entry.information for entry in planners if entry.information is not None
-    ]
-    settings = []
-    for preset in config.presets or (None,):
-        for scene in config.scene or (None,):
-            table = merge_tables(base, {} if scene is None else scene.set)
-            if preset is not None:
-                table = merge_tables(table, {"world": {"preset": preset}})
-            names = [text for text in (preset, None if scene is None else scene.name) if text]
-            scene_name = " ".join(names) or DEFAULT_SCENE
-            whole = parse_model(Scenario, table, source=f"{source} ({scene_name})")
-            for team in config.teams or (None,):
-                team_scenario = (
-                    whole if team is None else with_team(whole, table, team, source, scene_name)
-                )
-                settings += [
-                    Setting(
-                        scene=scene_name,
-                        robots=len(team_scenario.members()),
-                        information=information,
-                        scenario=team_scenario,
-                        seed=seed,
-                    )
-                    for seed in config.seeds or (team_scenario.seed,)
-                    for information in dict.fromkeys(information_options)
-                ]
-    return settings
+    return merge_tables(base, config.set)
 
 
-RESERVED_KEYS = {
-    "worlds": "problems",
-    "seed": "seeds",
-    "planner.name": "[[planner]]",
-    "planner.settings": "settings in [[planner]]",
-    "planner.points": "points",
-    "planner.deadline_s": "deadline_s",
-    "planner.information": "[[information]]",
-    "planner.replan_hz": "replan_hz in [[planner]]",
-    "planner.delay_s": "delay_s in [[planner]]",
-    "policy.name": "policy in [[planner]]",
-}
-"""Keys of a scenario that a benchmark file says by keys of its own."""
-
-
-def _refuse_reserved_keys(table: Mapping[str, Any], source: str) -> None:
-    """Refuse changes of a scenario that a key of the benchmark stands for."""
-    for key, replacement in RESERVED_KEYS.items():
-        name, _, inner = key.partition(".")
-        held = table.get(name)
-        if name in table and (not inner or (isinstance(held, Mapping) and inner in held)):
-            raise ConfigError(f"{format_path(source)}: set.{key}: give {replacement} instead")
+def _list_information(
+    config: BenchmarkConfig, scenario: Scenario, planners: Sequence[ComparedPlanner]
+) -> list[Information]:
+    """Return all levels that any planner is given, each once."""
+    planner_options = [entry.information for entry in planners]
+    default = _default_information(config, scenario) if None in planner_options else []
+    return list(dict.fromkeys([*default, *(x for x in planner_options if x is not None)]))
 
 
 def with_team(
-    whole: Scenario, table: Mapping[str, Any], robots: int, source: str, scene_name: str
+    whole: Scenario, table: Mapping[str, object], robots: int, source: str, scene_name: str
 ) -> Scenario:
     """A scenario with another number of robots."""
     entries = scenario_table(whole)["fleet"]

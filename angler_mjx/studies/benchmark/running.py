@@ -4,65 +4,35 @@ Planners are asked one at a time on each core, while nothing else is computed: w
 then their own time. Each answer and each flight is in the database before the next is waited for.
 """
 
-import gc
+import sqlite3
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from contextlib import closing
+from functools import partial
 from pathlib import Path
-from typing import Any
 
-import jax
 import numpy as np
 
-from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.errors import ConfigError
 from angler_mjx.planning.host.pool import Pool
 from angler_mjx.planning.planner import PathShape
 from angler_mjx.progress import Progress
+from angler_mjx.runs.processes import OneProcess
 from angler_mjx.runs.provenance import describe_environment
+from angler_mjx.runs.resumable_folder import open_folder
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.runs.storage import output_lock, planning_summary
 from angler_mjx.scenario.scenario import Scenario
-from angler_mjx.sim.information import Information
 from angler_mjx.studies.benchmark import flying, folder, planning, problem_settings, scenery, tables
 from angler_mjx.studies.benchmark.columns import POLICY
 from angler_mjx.studies.benchmark.compared_planners import ComparedPlanner
 from angler_mjx.studies.benchmark.problem_settings import Benchmark, Setting
 from angler_mjx.studies.benchmark.report import page
 from angler_mjx.studies.benchmark.store import FILE, STATUS, BenchmarkStore
+from angler_mjx.studies.simulator_cache import SimulatorCache
 
 
-@dataclass(kw_only=True)
-class _Simulators:
-    """Compiled simulators of the scenario that is worked on."""
-
-    scenario: Scenario | None = None
-    made: dict[tuple[bool, str, Information | None], Simulator] = field(default_factory=dict)
-
-    def of(
-        self, setting: Setting, joints: bool, planner: ComparedPlanner | None = None
-    ) -> Simulator:
-        """For paths of joints or not, flown as they are, or as a contestant flies."""
-        if self.scenario is not setting.scenario:
-            self.scenario, self.made = setting.scenario, {}
-            # Programs of hundreds of settings are more than a process may map into its memory.
-            gc.collect()
-            jax.clear_caches()
-        online_planner = None if planner is None or not planner.flies_itself else planner
-        key = (
-            joints,
-            "" if online_planner is None else online_planner.label,
-            None if online_planner is None else setting.information,
-        )
-        if key not in self.made:
-            shape = PathShape(points=setting.scenario.planner.points, joints=joints)
-            scenario = setting.scenario if online_planner is None else setting.flown(online_planner)
-            simulator = Simulator(scenario, paths=shape)
-            simulator.compile()
-            self.made[key] = simulator
-        return self.made[key]
-
-
-def read_benchmark(source: Path, **overrides: Any) -> Benchmark:
+def read_benchmark(source: Path, **overrides: object) -> Benchmark:
     """A benchmark from its file, or from the results folder of one that is to be made again.
 
     Args:
@@ -109,39 +79,20 @@ def run_benchmark(
         RunError: the disk is full, or no worker can be started.
         KeyboardInterrupt: interrupted; what was finished is kept.
     """
-    with workers() as pool:  # before anything is made: a cluster may not answer
-        _run_in_folder(benchmark, source, out, pool, resume, progress)
+    declared = folder.declare_folder(benchmark, source)
+    with (
+        workers() as pool,  # before anything is made: a cluster may not answer
+        open_folder(declared, out, resume=resume, processes=OneProcess()) as opened,
+    ):
+        opened.publish(partial(_fill_folder, benchmark, pool, progress))
 
 
-def _run_in_folder(
-    benchmark: Benchmark,
-    source: Path,
-    out: Path,
-    pool: Pool,
-    resume: bool,
-    progress: Progress,
-) -> None:
-    lock = (
-        folder.reopen_folder(benchmark, out)
-        if resume
-        else folder.create_folder(benchmark, source, out)
-    )
-    building = lock.building
-    try:
-        with BenchmarkStore(building / FILE) as store:
-            _run_settings(benchmark, store, pool, progress)
-            progress.describe("tables and page")
-            _write_results(benchmark, building, store, complete=True)
-        lock.publish()
-    except OSError as error:
-        lock.release()
-        raise RunError(
-            f"{out}: cannot be written ({error.strerror or error}); make room and go on with "
-            "--resume"
-        ) from error
-    except BaseException:
-        lock.release()
-        raise
+def _fill_folder(benchmark: Benchmark, pool: Pool, progress: Progress, building: Path) -> None:
+    """Plan and fly what is not in the database yet, and write tables and page."""
+    with BenchmarkStore(building / FILE) as store, closing(SimulatorCache()) as simulators:
+        _run_settings(benchmark, simulators, store, pool, progress)
+        progress.describe("tables and page")
+        _write_results(benchmark, building, store, complete=True)
 
 
 def rebuild_report(results_folder: Path) -> Path:
@@ -193,7 +144,7 @@ def find_planning_fault(results_folder: Path) -> str | None:
 
 def _summarise_planning(store: BenchmarkStore) -> dict[str, planning_summary.PlanningSummary]:
     """How planning ended, by the planner's name; a team that is planned for in part has no plan."""
-    by_planner: dict[str, list[Any]] = {}
+    by_planner: dict[str, list[sqlite3.Row]] = {}
     for row in store.rows(
         "SELECT name, runs.id AS run, solved, status, plan_reason FROM runs "
         "JOIN plannerConfigs ON plannerConfigs.id = plannerid "
@@ -222,15 +173,19 @@ def _write_results(
 
 
 def _run_settings(
-    benchmark: Benchmark, store: BenchmarkStore, pool: Pool, progress: Progress
+    benchmark: Benchmark,
+    simulators: SimulatorCache,
+    store: BenchmarkStore,
+    pool: Pool,
+    progress: Progress,
 ) -> None:
     total = sum(
         setting.scenario.worlds * len(benchmark.select_planners(setting))
         for setting in benchmark.settings
     )
     progress.start(total, unit="runs")
-    simulators = _Simulators()
     about = _experiment_columns()
+    scenario: Scenario | None = None
     for setting in benchmark.settings:
         begin = time.perf_counter()
         experiment = store.ensure_setting(setting, about)
@@ -241,8 +196,31 @@ def _run_settings(
         if _is_done(setting, experiment, planners, store):
             progress.advance(setting.scenario.worlds * len(planners))
             continue
+        if scenario is not setting.scenario:
+            simulators.clear()
+            scenario = setting.scenario
         _run_setting(benchmark, setting, experiment, planners, simulators, store, pool, progress)
         store.add_time(experiment, time.perf_counter() - begin)
+
+
+def _find_simulator(
+    simulators: SimulatorCache,
+    setting: Setting,
+    joints: bool,
+    planner: ComparedPlanner | None = None,
+) -> Simulator:
+    """Return the simulator of a setting's scenario, or of the flights of a planner.
+
+    Args:
+        simulators: those of the scenario alone.
+        setting: the setting.
+        joints: whether paths are trajectories of joints.
+        planner: planner or policy that flies otherwise than along the plans of the start.
+    """
+    scenario = setting.scenario if planner is None else setting.flown(planner)
+    shape = PathShape(points=setting.scenario.planner.points, joints=joints)
+    key = (joints, None) if planner is None else (joints, (planner.label, setting.information))
+    return simulators.of(key, partial(Simulator, scenario, paths=shape))
 
 
 def _run_setting(
@@ -250,7 +228,7 @@ def _run_setting(
     setting: Setting,
     experiment: int,
     planners: Sequence[tuple[int, ComparedPlanner]],
-    simulators: _Simulators,
+    simulators: SimulatorCache,
     store: BenchmarkStore,
     pool: Pool,
     progress: Progress,
@@ -258,7 +236,7 @@ def _run_setting(
     config = benchmark.config
     progress.describe(f"{setting}: compiling")
     joints = [planner.joints for _, planner in planners]
-    simulator = simulators.of(setting, all(joints))
+    simulator = _find_simulator(simulators, setting, all(joints))
     problems = planning.sample_problems(setting, simulator, experiment)
     examples = min(config.examples, setting.scenario.worlds)
     for world in range(examples):
@@ -272,14 +250,15 @@ def _run_setting(
         ]
         flights = flying.find_unflown_plans(experiment, numbers, store)
         if flights:
-            flying.fly_plans(setting, simulators.of(setting, kind), flights, examples, store)
+            simulator = _find_simulator(simulators, setting, kind)
+            flying.fly_plans(setting, simulator, flights, examples, store)
     for number, planner in planners:
         flights = (
             flying.find_unflown_plans(experiment, [number], store) if planner.flies_itself else []
         )
         if flights:
             progress.describe(f"{setting}: flying {planner.label}")
-            simulator = simulators.of(setting, planner.joints, planner)
+            simulator = _find_simulator(simulators, setting, planner.joints, planner)
             flying.fly_plans(setting, simulator, flights, examples, store)
 
 
@@ -298,7 +277,7 @@ def _is_done(
     return bool(done[0]["done"] >= setting.scenario.worlds * len(planners))
 
 
-def _experiment_columns() -> dict[str, Any]:
+def _experiment_columns() -> dict[str, object]:
     """OMPL's columns of an experiment that are the same for all."""
     environment = describe_environment()
     return {

@@ -1,8 +1,7 @@
 """Worlds that are drawn: what they look like, the plans in them, and the flights."""
 
-import io
+import sqlite3
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -17,24 +16,11 @@ NOT_FLOWN = "not flown"
 """Outcome of robots of a plan that was not flown."""
 
 
-def pack_arrays(**arrays: Any) -> bytes:
-    """Arrays as an NPZ archive."""
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, **arrays)
-    return buffer.getvalue()
-
-
-def unpack_arrays(data: bytes) -> dict[str, np.ndarray]:
-    """Arrays of an NPZ archive."""
-    with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-        return {name: archive[name] for name in archive.files}
-
-
 def pack_scenery(problem: Problem) -> bytes:
     """What the world of a problem looks like at t = 0, as far as the planner may know."""
     grid, obstacles = problem.grid, problem.obstacles
     exists = np.asarray(obstacles.exists)
-    return pack_arrays(
+    return bytes_of.pack_arrays(
         occupied=np.asarray(grid.occupied, bool),
         origin_m=np.asarray(grid.origin_m),
         cell_m=np.asarray(grid.cell_m),
@@ -69,7 +55,7 @@ def write_examples(store: BenchmarkStore, folder: Path) -> int:
             arrays |= {
                 f"{name}_{k}": x for name, x in _read_run_arrays(store, run, row["robots"]).items()
             }
-        data = pack_arrays(
+        data = bytes_of.pack_arrays(
             scene=row["name"],
             robots=row["robots"],
             world=row["world"],
@@ -80,16 +66,19 @@ def write_examples(store: BenchmarkStore, folder: Path) -> int:
     return len(rows)
 
 
-def _read_scenery(store: BenchmarkStore, experiment_ids: str, world: int) -> dict[str, Any]:
+def _read_scenery(store: BenchmarkStore, experiment_ids: str, world: int) -> dict[str, np.ndarray]:
     """What is known of a world by those who know most of it."""
     rows = store.rows(
         f"SELECT arrays FROM scenery WHERE experimentid IN ({experiment_ids}) AND world = ?",
         (world,),
     )
-    return max((unpack_arrays(row["arrays"]) for row in rows), key=lambda x: len(x["obstacle_p_m"]))
+    return max(
+        (bytes_of.unpack_arrays(row["arrays"]) for row in rows),
+        key=lambda x: len(x["obstacle_p_m"]),
+    )
 
 
-def _read_runs(store: BenchmarkStore, experiment_ids: str, world: int) -> list[Any]:
+def _read_runs(store: BenchmarkStore, experiment_ids: str, world: int) -> list[sqlite3.Row]:
     return store.rows(
         "SELECT runs.id, name, paths, track FROM runs "
         "JOIN plannerConfigs ON plannerConfigs.id = plannerid "
@@ -99,7 +88,7 @@ def _read_runs(store: BenchmarkStore, experiment_ids: str, world: int) -> list[A
     )
 
 
-def _read_run_arrays(store: BenchmarkStore, run: Any, robots: int) -> dict[str, np.ndarray]:
+def _read_run_arrays(store: BenchmarkStore, run: sqlite3.Row, robots: int) -> dict[str, np.ndarray]:
     paths = [None] * robots if run["paths"] is None else bytes_of.unpack_paths(run["paths"])
     max_points = max([2, *(len(path.time_s) for path in paths if path is not None)])
     planned = np.full((robots, max_points, 3), np.nan, np.float32)
@@ -118,6 +107,6 @@ def _read_run_arrays(store: BenchmarkStore, run: Any, robots: int) -> dict[str, 
     return {
         "planned": planned,
         "time": time,
-        "flown": flown if run["track"] is None else unpack_arrays(run["track"])["p_m"],
+        "flown": flown if run["track"] is None else bytes_of.unpack_arrays(run["track"])["p_m"],
         "outcome": np.array([row["outcome"] for row in ended] or [NOT_FLOWN] * robots, np.str_),
     }

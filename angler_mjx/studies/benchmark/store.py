@@ -13,7 +13,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from math import isfinite
 from pathlib import Path
-from typing import Any, Self
+from types import TracebackType
+from typing import Self
 
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.studies.benchmark.columns import NUMBER_COLUMNS, POLICY, TEXT_COLUMNS
@@ -119,7 +120,7 @@ class BenchmarkStore:
                 self._base.execute("PRAGMA journal_mode = DELETE")
         self._base.close()
 
-    def ensure_setting(self, setting: Setting, about: Mapping[str, Any]) -> int:
+    def ensure_setting(self, setting: Setting, about: Mapping[str, object]) -> int:
         """The number of a setting's experiment; makes it if there is none.
 
         Args:
@@ -164,7 +165,7 @@ class BenchmarkStore:
         planner: int,
         world: int,
         status: str,
-        measured: Mapping[str, Any],
+        measured: Mapping[str, object],
         paths: bytes | None,
         progress: Iterable[tuple[float, float]] = (),
     ) -> int:
@@ -205,7 +206,7 @@ class BenchmarkStore:
 
     def add_flights(
         self,
-        flights: Sequence[tuple[int, Mapping[str, Any], Sequence[Mapping[str, Any]]]],
+        flights: Sequence[tuple[int, Mapping[str, object], Sequence[Mapping[str, object]]]],
         tracks: Mapping[int, bytes],
     ) -> None:
         """Keep what became of some runs' plans; all or none of them.
@@ -242,7 +243,9 @@ class BenchmarkStore:
             [(seconds, experiment)],
         )
 
-    def rows(self, query: str, values: Any = ()) -> list[sqlite3.Row]:
+    def rows(
+        self, query: str, values: Mapping[str, object] | Sequence[object] = ()
+    ) -> list[sqlite3.Row]:
         """What a query finds.
 
         Raises:
@@ -253,17 +256,17 @@ class BenchmarkStore:
         except sqlite3.DatabaseError as error:
             raise self._name_error(error) from error
 
-    def _insert(self, table: str, row: Mapping[str, Any]) -> int:
+    def _insert(self, table: str, row: Mapping[str, object]) -> int:
         with self._transaction():
             return self._insert_one(table, row)
 
-    def _insert_one(self, table: str, row: Mapping[str, Any]) -> int:
+    def _insert_one(self, table: str, row: Mapping[str, object]) -> int:
         names = ", ".join(row)
         placeholders = ", ".join(f":{name}" for name in row)
         cursor = self._base.execute(f"INSERT INTO {table} ({names}) VALUES ({placeholders})", row)
         return int(cursor.lastrowid or 0)
 
-    def _write(self, query: str, rows: Sequence[Any]) -> None:
+    def _write(self, query: str, rows: Sequence[tuple[object, ...]]) -> None:
         with self._transaction():
             self._base.executemany(query, rows)
 
@@ -286,7 +289,12 @@ class _Transaction:
     def __enter__(self) -> None:
         self._base.__enter__()
 
-    def __exit__(self, kind: Any, error: Any, trace: Any) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         try:
             self._base.__exit__(kind, error, trace)
         except sqlite3.Error as failed:
@@ -295,7 +303,7 @@ class _Transaction:
             raise self._store._name_error(error) from error
 
 
-def _number_values(measured: Mapping[str, Any]) -> dict[str, Any]:
+def _number_values(measured: Mapping[str, object]) -> dict[str, object]:
     """By the database's names; what is not measured is left out."""
     values = {
         name: measured.get(column.name)
@@ -305,11 +313,11 @@ def _number_values(measured: Mapping[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in values.items() if value is not None}
 
 
-def _encode_json(row: Mapping[str, Any]) -> str:
+def _encode_json(row: Mapping[str, object]) -> str:
     """As JSON, which has no NaN."""
     finite = {k: None if isinstance(x, float) and not isfinite(x) else x for k, x in row.items()}
     return json.dumps(finite)
 
 
-def _text_values(measured: Mapping[str, Any]) -> dict[str, Any]:
+def _text_values(measured: Mapping[str, object]) -> dict[str, object]:
     return {name: measured.get(name) for name in TEXT_COLUMNS}

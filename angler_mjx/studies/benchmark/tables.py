@@ -2,7 +2,6 @@
 
 import json
 from pathlib import Path
-from typing import Any
 
 import pyarrow as pa
 
@@ -43,7 +42,7 @@ def build_runs_table(store: BenchmarkStore) -> pa.Table:
     return pa.table(columns, schema=RUN_SCHEMA)
 
 
-def _cell_value(field: pa.Field, row: dict[str, Any]) -> Any:
+def _cell_value(field: pa.Field, row: dict[str, object]) -> object:
     value = row.get(field.name)
     return bool(value) if pa.types.is_boolean(field.type) else value
 

@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from angler_mjx.errors import ConfigError, format_value
 from angler_mjx.files import FOLDER_CONTEXT, format_path, parse_model, read_toml
@@ -12,7 +11,7 @@ from angler_mjx.scenario.editing import merge_tables, scenario_table, set_value
 from angler_mjx.scenario.horizon_check import check_reachable
 from angler_mjx.scenario.scenario import Scenario, load_relative_scenario
 from angler_mjx.studies.fleet_size.config import FleetSizeConfig
-from angler_mjx.studies.grid import ChangesAxis, iterate_cells
+from angler_mjx.studies.grid import build_changes_axis, iterate_cells
 
 DEFAULT_CONDITION = "as it is"
 """Name of the only condition of a study that names none."""
@@ -25,7 +24,7 @@ class Condition:
     name: str
     values: Mapping[str, str]
     """Of each axis, by name."""
-    table: Mapping[str, Any]
+    table: Mapping[str, object]
     """Of its scenario."""
 
 
@@ -36,7 +35,7 @@ class FleetSizeStudy:
     config: FleetSizeConfig
     source: str
     """Of the file, for messages."""
-    table: Mapping[str, Any]
+    table: Mapping[str, object]
     """Of the scenario as its file says it."""
     conditions: tuple[Condition, ...]
     sizes: tuple[int, ...]
@@ -58,14 +57,15 @@ class FleetSizeStudy:
             f"{format_path(self.source)} ({condition.name}, {size} robot{'s' if size > 1 else ''})"
         )
         try:
-            table = set_value(_tuples_to_lists(condition.table), self.config.size.key, size)
+            table = {key: _tuples_to_lists(value) for key, value in condition.table.items()}
+            table = set_value(table, self.config.size.key, size)
         except ConfigError as error:
             raise ConfigError(f"{where}: size.key: {error}") from error
         scenario = parse_model(Scenario, table, source=where)
         check_planner(scenario)
         return scenario
 
-    def resolved(self) -> dict[str, Any]:
+    def resolved(self) -> dict[str, object]:
         """All of it in plain values: the same table is the same study."""
         config = self.config.model_dump(mode="json", by_alias=True)
         config["budget"].pop("max_minutes")
@@ -80,7 +80,7 @@ class FleetSizeStudy:
 
 
 def read_study(
-    path: Path, only: Sequence[str] = (), *, smoke: bool = False, **budget: Any
+    path: Path, only: Sequence[str] = (), *, smoke: bool = False, **budget: float | None
 ) -> FleetSizeStudy:
     """A study from its file.
 
@@ -111,7 +111,7 @@ def read_study(
 
 
 def build_study(
-    config: FleetSizeConfig, table: Mapping[str, Any], source: str, only: Sequence[str] = ()
+    config: FleetSizeConfig, table: Mapping[str, object], source: str, only: Sequence[str] = ()
 ) -> FleetSizeStudy:
     """A study from its table and that of its scenario.
 
@@ -163,23 +163,18 @@ def _check_condition(study: FleetSizeStudy, condition: Condition, size: int) -> 
         )
 
 
-def _build_conditions(config: FleetSizeConfig, base: Mapping[str, Any]) -> list[Condition]:
+def _build_conditions(config: FleetSizeConfig, base: Mapping[str, object]) -> list[Condition]:
     """Build the condition of each cell of the grid; the last axis changes fastest."""
-    axes = [_build_axis(key, changes) for key, changes in config.axis.items()]
+    axes = [build_changes_axis(key, changes) for key, changes in config.axis.items()]
     if config.condition:
         named = {entry.name: entry.set for entry in config.condition}
-        axes.insert(0, _build_axis("condition", named))
+        axes.insert(0, build_changes_axis("condition", named))
     conditions = []
     for cell in iterate_cells(axes):
-        table = cell.edit(base)
-        table["time"] = {**table.get("time", {}), "record_hz": 0.0}
+        table = merge_tables(cell.edit(base), {"time": {"record_hz": 0.0}})
         name = cell.label or DEFAULT_CONDITION
         conditions.append(Condition(name=name, values=cell.names, table=table))
     return conditions
-
-
-def _build_axis(key: str, changes: Mapping[str, Mapping[str, Any]]) -> ChangesAxis:
-    return ChangesAxis(key=key, names=tuple(changes), values=tuple(changes.values()))
 
 
 def _select_conditions(
@@ -195,7 +190,7 @@ def _select_conditions(
     return tuple(entry for entry in conditions if not only or entry.name in only)
 
 
-def _tuples_to_lists(value: Any) -> Any:
+def _tuples_to_lists(value: object) -> object:
     """The same with lists for tuples: a checked file holds tuples."""
     if isinstance(value, Mapping):
         return {key: _tuples_to_lists(entry) for key, entry in value.items()}

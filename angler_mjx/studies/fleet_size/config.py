@@ -11,6 +11,7 @@ from angler_mjx.errors import format_value
 from angler_mjx.files import FileModel
 from angler_mjx.quantities import SchemaVersion
 from angler_mjx.scenario.editing import Changes
+from angler_mjx.studies.grid import find_reserved_key
 
 MAX_CONDITIONS = 64
 MAX_WORLDS = 1_000_000
@@ -181,9 +182,8 @@ class FleetSizeConfig(FileModel):
             for name, table in values.items()
         ]
         for where, table in tables:
-            reserved = next((key for key in RESERVED_KEYS if key in table), None)
-            if reserved is not None:
-                raise ValueError(f"{where}.{reserved}: give {RESERVED_KEYS[reserved]} instead")
+            if fault := find_reserved_key(table, RESERVED_KEYS):
+                raise ValueError(f"{where}.{fault}")
         return self
 
     def all_sizes(self) -> tuple[int, ...]:

@@ -9,12 +9,12 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullFormatter, ScalarFormatter
 
 from angler_mjx.report.plotting import series, style
-from angler_mjx.studies.fleet_size.report import StudyResults, format_level
+from angler_mjx.studies.fleet_size.report import FleetSizeResults, format_level
 
 SUCCESS, TIME = "success.png", "time.png"
 
 
-def plot_figures(results: StudyResults, folder: Path) -> list[Path]:
+def plot_figures(results: FleetSizeResults, folder: Path) -> list[Path]:
     """Both figures of a study, into a folder."""
     return [
         style.save_figure(plot_success(results), folder / SUCCESS, palette=128),
@@ -22,7 +22,7 @@ def plot_figures(results: StudyResults, folder: Path) -> list[Path]:
     ]
 
 
-def plot_success(results: StudyResults) -> Figure:
+def plot_success(results: FleetSizeResults) -> Figure:
     """Share of worlds that met the deadline, and the answers below."""
     conditions = results["conditions"]
     bars_in = 0.5 + 0.24 * len(conditions)
@@ -43,7 +43,7 @@ def plot_success(results: StudyResults) -> Figure:
     return figure
 
 
-def _plot_rates(axes: Axes, results: StudyResults) -> None:
+def _plot_rates(axes: Axes, results: FleetSizeResults) -> None:
     """Share of worlds of each size and condition that met the deadline."""
     p, conditions = results["probability"], results["conditions"]
     axes.axhline(p, color=style.INK, linewidth=1.0, linestyle=(0, (4, 3)))
@@ -82,7 +82,7 @@ def _plot_rates(axes: Axes, results: StudyResults) -> None:
     axes.legend(loc="lower right" if len(conditions) < 6 else "best")
 
 
-def _plot_answers(axes: Axes, results: StudyResults) -> None:
+def _plot_answers(axes: Axes, results: FleetSizeResults) -> None:
     """The interval of each condition's answer."""
     conditions, top = results["conditions"], results["sizes"][-1]
     for i, condition in enumerate(conditions):
@@ -111,7 +111,7 @@ def _plot_answers(axes: Axes, results: StudyResults) -> None:
     axes.grid(axis="x")
 
 
-def plot_time(results: StudyResults) -> Figure:
+def plot_time(results: FleetSizeResults) -> Figure:
     """Median and 90 % quantile of the time that the task takes."""
     with style.titled_figure(
         8.0,
@@ -127,7 +127,7 @@ def plot_time(results: StudyResults) -> Figure:
     return figure
 
 
-def _plot_times(axes: Axes, results: StudyResults) -> None:
+def _plot_times(axes: Axes, results: FleetSizeResults) -> None:
     conditions = results["conditions"]
     axes.axhline(results["deadline_s"], color=style.INK, linewidth=1.0, linestyle=(0, (4, 3)))
     axes.annotate(
@@ -171,7 +171,7 @@ def _plot_times(axes: Axes, results: StudyResults) -> None:
     axes.legend(loc="best")
 
 
-def _format_size_axis(axes: Axes, results: StudyResults) -> None:
+def _format_size_axis(axes: Axes, results: FleetSizeResults) -> None:
     """Sizes along x, by their logarithm."""
     sizes = results["sizes"]
     flown = {row["size"] for condition in results["conditions"] for row in condition["sizes"]}

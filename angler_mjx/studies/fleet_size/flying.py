@@ -1,10 +1,9 @@
 """Flying a batch of worlds, and what became of each."""
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import fields
+from collections.abc import Sequence
 from functools import partial
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 
@@ -22,7 +21,26 @@ TIME_DIGITS = 4
 """Of a time in seconds: those of a sum of control steps in single precision."""
 
 
-type BatchPart = Mapping[str, Any]
+class TileValues(TypedDict):
+    """Values of the worlds of a tile; see `Batch`."""
+
+    completed_s: list[float | None]
+    arrived: list[int]
+    lost: list[int]
+    energy_j: list[float]
+    path_m: list[float]
+    no_room: list[bool]
+    planned: list[int | None]
+
+
+class BatchPart(TypedDict):
+    """Tiles of a batch, in plain values."""
+
+    first: list[int]
+    """First world of each tile."""
+    tiles: list[TileValues]
+
+
 """Some tiles of a batch: ``first`` of each, and by name the values of the worlds of each, plain."""
 
 
@@ -53,7 +71,7 @@ def fly_batch(
     simulator = simulators.of(condition, size)
     at, count = partition
     tiles = range(first, first + study.config.budget.batch, simulator.tile)[at::count]
-    parts: list[dict[str, list[Any]]] = []
+    parts: list[TileValues] = []
     for device_batch in device_batches.simulate_tiles(
         simulator,
         tiles,
@@ -83,16 +101,23 @@ def merge_parts(condition: Condition, size: int, first: int, parts: Sequence[Bat
             key=lambda pair: pair[0],
         )
     ]
-    values = {name: [x for tile in tiles for x in tile[name]] for name in _VALUES}
-    return Batch(condition=condition.name, size=size, first=first, **values)
-
-
-_VALUES = tuple(one.name for one in fields(Batch) if one.name not in ("condition", "size", "first"))
+    return Batch(
+        condition=condition.name,
+        size=size,
+        first=first,
+        completed_s=[x for tile in tiles for x in tile["completed_s"]],
+        arrived=[x for tile in tiles for x in tile["arrived"]],
+        lost=[x for tile in tiles for x in tile["lost"]],
+        energy_j=[x for tile in tiles for x in tile["energy_j"]],
+        path_m=[x for tile in tiles for x in tile["path_m"]],
+        no_room=[x for tile in tiles for x in tile["no_room"]],
+        planned=[x for tile in tiles for x in tile["planned"]],
+    )
 
 
 def _summarise_tile(
     study: FleetSizeStudy, tile: FinishedTile, failures: PlanningFailures | None
-) -> dict[str, list[Any]]:
+) -> TileValues:
     """Of each world of a tile."""
     result = device_to_host.build_tile_result(tile)
     if failures is not None:

@@ -88,7 +88,7 @@ class ConditionRow(TypedDict):
     sizes: list[SizeRow]
 
 
-class StudyResults(TypedDict):
+class FleetSizeResults(TypedDict):
     """Contents of ``study.json``."""
 
     name: str
@@ -117,7 +117,7 @@ class StudyResults(TypedDict):
 
 def gather_results(
     study: FleetSizeStudy, rule: SequentialRule, batches: Sequence[Batch], ended: str
-) -> StudyResults:
+) -> FleetSizeResults:
     """All numbers of a study.
 
     Args:
@@ -272,12 +272,12 @@ def confidence_levels(rule: SequentialRule) -> dict[str, float]:
     }
 
 
-def format_level(results: StudyResults, kind: str) -> str:
+def format_level(results: FleetSizeResults, kind: str) -> str:
     """Confidence of a kind of interval of ``study.json``, in %."""
     return f"{100 * results['levels'][kind]:.4g} %"
 
 
-def answers_table(results: StudyResults) -> tuple[list[str], list[list[str]]]:
+def answers_table(results: FleetSizeResults) -> tuple[list[str], list[list[str]]]:
     """Head and rows: the answer of each condition."""
     sure = format_level(results, "answer")
     head = ["condition", "smallest team", f"{sure} interval", "worlds", "answer"]
@@ -294,7 +294,7 @@ def answers_table(results: StudyResults) -> tuple[list[str], list[list[str]]]:
 
 
 def sizes_table(
-    results: StudyResults, condition: ConditionRow
+    results: FleetSizeResults, condition: ConditionRow
 ) -> tuple[list[str], list[list[str]]]:
     """Head and rows: the sizes of a condition that were flown.
 
@@ -355,7 +355,7 @@ def _format_text_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> st
     return format_table(head, rows, text=range(len(head)))
 
 
-def write_page(path: Path, results: StudyResults) -> None:
+def write_page(path: Path, results: FleetSizeResults) -> None:
     """The page of a study."""
     p, level_text = f"{100 * results['probability']:g} %", format_level(results, "answer")
     none = sum(row["no_room"] for condition in results["conditions"] for row in condition["sizes"])

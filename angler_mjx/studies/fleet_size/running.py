@@ -8,22 +8,24 @@ keeps the folder.
 """
 
 import time
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import jax
 
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.progress import Progress
-from angler_mjx.runs.processes import OneProcess, Processes, reporting_failure
+from angler_mjx.runs.processes import OneProcess, Processes
 from angler_mjx.runs.provenance import describe_environment
+from angler_mjx.runs.resumable_folder import OpenFolder, open_folder
 from angler_mjx.runs.simulator.simulator import default_tile
-from angler_mjx.runs.storage import output_lock
-from angler_mjx.runs.storage.output_lock import OutputLock
 from angler_mjx.runs.storage.planning_summary import PlanningFailures
 from angler_mjx.studies.fleet_size import flying, folder, report
 from angler_mjx.studies.fleet_size.conditions import Condition, FleetSizeStudy
+from angler_mjx.studies.fleet_size.report import FleetSizeResults
 from angler_mjx.studies.fleet_size.sequential_test import (
     SequentialRule,
     build_answer,
@@ -105,7 +107,7 @@ def run_study(
     devices: int | None = None,
     simulators: Simulators | None = None,
     processes: Processes | None = None,
-) -> report.StudyResults:
+) -> FleetSizeResults:
     """Make a study, or go on with one.
 
     Args:
@@ -128,25 +130,20 @@ def run_study(
         KeyboardInterrupt: before the first batch was whole.
     """
     together = processes or OneProcess()
-    with reporting_failure(together), ExitStack() as stack:
-        lock = tile = None
-        if together.index == 0:
-            if resume:
-                lock, tile = folder.reopen_folder(study, out)
-            else:
-                tile = tile_of(study) if simulators is None else simulators.tile
-                lock = folder.create_folder(study, source, out, tile)
-            stack.callback(lock.release)
-        tile = int(together.meet("study", tile)[0])
+    declared = folder.declare_folder(
+        study, source, lambda: tile_of(study) if simulators is None else simulators.tile
+    )
+    with (
+        open_folder(declared, out, resume=resume, processes=together) as opened,
+        ExitStack() as stack,
+    ):
         if simulators is None:
-            simulators = Simulators(study, tile=tile, devices=devices)
+            simulators = Simulators(study, tile=opened.start, devices=devices)
             stack.callback(simulators.close)
         if not resume:
-            _report_idle_devices(study, tile, devices, together, progress)
-        building = output_lock.partial_path(out)
-        results = _run_in_folder(study, lock, building, simulators, progress, together)
-        together.meet("closed")
-    return folder.read_results(out) if results is None else results
+            _report_idle_devices(study, opened.start, devices, together, progress)
+        _fill_folder(study, opened, simulators, progress, together)
+    return folder.read_results(out)
 
 
 def _report_idle_devices(
@@ -168,18 +165,17 @@ def _report_idle_devices(
         )
 
 
-def _run_in_folder(
+def _fill_folder(
     study: FleetSizeStudy,
-    lock: OutputLock | None,
-    building: Path,
+    opened: OpenFolder[int],
     simulators: Simulators,
     progress: Progress,
     together: Processes,
-) -> report.StudyResults | None:
-    """What ``study.json`` holds; None of a process that does not keep the folder."""
+) -> None:
+    """Fly until the study ends, then write and publish its results."""
     minutes = study.config.budget.max_minutes
     begun = time.monotonic()
-    store = StudyStore(building / FILE, writes=lock is not None)
+    store = StudyStore(opened.building / FILE, writes=opened.lock is not None)
     work = _Work(
         study=study,
         rule=rule_of(study),
@@ -206,14 +202,18 @@ def _run_in_folder(
             f"{study.source}: budget.max_minutes = {minutes:g}: was over before the first batch; "
             "give more"
         )
-    if lock is None:
-        return None
     timing = {"total_s": time.monotonic() - begun, "compiled": simulators.compiled}
-    results = report.gather_results(study, work.rule, store.batches, ended)
-    results["timing"], results["tile"] = timing, simulators.tile
+    opened.publish(partial(_write_results, work, ended, timing, simulators.tile))
+
+
+def _write_results(
+    work: _Work, ended: str, timing: Mapping[str, float], tile: int, building: Path
+) -> None:
+    """Write the results of all batches, with how the study ended."""
+    results = report.gather_results(work.study, work.rule, work.store.batches, ended)
+    results["timing"], results["tile"] = dict(timing), tile
     results["environment"] = describe_environment()
-    folder.publish_results(lock, study, results, store.batches)
-    return results
+    folder.write_results(building, work.study, results, work.store.batches)
 
 
 def _fly_rounds(work: _Work, simulators: Simulators) -> str:

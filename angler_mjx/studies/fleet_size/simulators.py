@@ -10,15 +10,10 @@ drawn with. Two things are needed for it:
 - that no planner knows of currents or of obstacles that drift with them.
 """
 
-import gc
 import json
-import os
-from collections import OrderedDict
-from collections.abc import Iterable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import jax
 import numpy as np
@@ -29,10 +24,8 @@ from angler_mjx.scenario.randomise_table import UNCHANGED
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.state import World
 from angler_mjx.studies.fleet_size.conditions import Condition, FleetSizeStudy
-
-MAX_SIMULATORS = 24
-"""Simulators that are held at a time: the programs of more would use up the memory maps that a
-process may have."""
+from angler_mjx.studies.simulator_cache import SimulatorCache
+from angler_mjx.world.currents import Current
 
 MAX_AHEAD = 4
 """Simulators that are compiled before they are needed."""
@@ -52,42 +45,35 @@ class Simulators:
         self._study, self._devices = study, devices
         self.tile = tile
         """Worlds of one device in one call."""
-        self._threads = ThreadPoolExecutor(
-            max(1, (os.cpu_count() or 1) // 4), thread_name_prefix="simulator"
-        )
+        self._cache = SimulatorCache()
         self._keys: dict[tuple[str, int], str] = {}
         breakdowns = [
             study.scenario(entry, study.sizes[0]).breakdowns for entry in study.conditions
         ]
         # Where some conditions have breakdowns, programs of all can have them.
         self._breakdowns = max(breakdowns, key=lambda entry: entry.fraction)
-        self._held: OrderedDict[str, Future[Simulator]] = OrderedDict()
-        self._samplers: dict[tuple[str, int], Any] = {}
-        self.compiled = 0
-        """How many were compiled, or begun with."""
+        self._samplers: dict[
+            tuple[str, int], Callable[..., tuple[Current, jax.Array | np.ndarray | None]]
+        ] = {}
+
+    @property
+    def compiled(self) -> int:
+        """Number of simulators whose compilation began."""
+        return self._cache.compiled
 
     def begin(self, cells: Iterable[tuple[Condition, int]]) -> None:
         """Begin to compile what the next cells need, a few programs ahead."""
-        ahead: set[int] = set()
+        ahead: set[str] = set()
         for condition, size in cells:
-            ahead.add(id(self._future(condition, size)))
+            key, build = self._entry(condition, size)
+            self._cache.begin(key, build)
+            ahead.add(key)
             if len(ahead) > MAX_AHEAD:
                 return
 
     def of(self, condition: Condition, size: int) -> Simulator:
-        """A compiled simulator.
-
-        Raises:
-            ConfigError, RunError: as of `Simulator` and its ``compile``.
-        """
-        made = self._future(condition, size).result()
-        while len(self._held) > MAX_SIMULATORS:
-            _, old = self._held.popitem(last=False)
-            if not old.cancel():
-                old.result().close()
-            del old
-            gc.collect()
-        return made
+        """Return a compiled simulator; errors as of `SimulatorCache.of`."""
+        return self._cache.of(*self._entry(condition, size))
 
     def change(
         self,
@@ -125,23 +111,16 @@ class Simulators:
         return replace(world, environment=environment, fails_at_s=fails_at_s)
 
     def close(self) -> None:
-        """End what plans on the host, and wait for what is being compiled."""
-        self._threads.shutdown(cancel_futures=True)
-        for future in self._held.values():
-            if not future.cancelled() and future.exception() is None:
-                future.result().close()
+        """Close all simulators."""
+        self._cache.close()
 
-    def _future(self, condition: Condition, size: int) -> Future[Simulator]:
-        scenario = self._study.scenario(condition, size)
+    def _entry(self, condition: Condition, size: int) -> tuple[str, Callable[[], Simulator]]:
+        """Return the key of a simulator, and what makes it."""
+        scenario = self._canonical(self._study.scenario(condition, size))
         key = self._keys.get((condition.name, size))
         if key is None:
-            scenario = self._canonical(scenario)
             key = self._keys[condition.name, size] = _program_key(scenario)
-        if key not in self._held:
-            self._held[key] = self._threads.submit(self._compile_simulator, scenario)
-            self.compiled += 1
-        self._held.move_to_end(key)
-        return self._held[key]
+        return key, partial(Simulator, scenario, tile=self.tile, devices=self._devices)
 
     def _canonical(self, scenario: Scenario) -> Scenario:
         """The scenario whose programs serve all that differ in current and breakdowns alone."""
@@ -150,11 +129,6 @@ class Simulators:
         randomise = scenario.randomise.model_copy(update={"current": UNCHANGED})
         update = {"randomise": randomise, "breakdowns": self._breakdowns}
         return scenario.model_copy(update=update)
-
-    def _compile_simulator(self, scenario: Scenario) -> Simulator:
-        simulator = Simulator(self._canonical(scenario), tile=self.tile, devices=self._devices)
-        simulator.compile()
-        return simulator
 
 
 def _can_replace_water(scenario: Scenario) -> bool:

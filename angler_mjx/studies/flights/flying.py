@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from angler_mjx.robot.control.stack import Command, ControlParams
+from angler_mjx.robot.control.stack import Command, ControlParams, StackGains
 from angler_mjx.robot.vehicles.params import VehicleParams
 from angler_mjx.robot.vehicles.thrusters import FloatArray
 from angler_mjx.sim.engines import free_flight
@@ -50,16 +50,16 @@ def fly_robot(spec: SimSpec, settings: FlightSettings, control_steps: int) -> Fr
 
 def build_program(
     spec: SimSpec, control_steps: int
-) -> Callable[[FlightSettings, tuple[Any, ...]], FreeFlight]:
+) -> Callable[[FlightSettings, StackGains], FreeFlight]:
     """The compiled flight of any number of robots, each with gains of its own.
 
     It compiles once for each number.
     """
 
-    def fly_one(settings: FlightSettings, gains: tuple[Any, ...]) -> FreeFlight:
+    def fly_one(settings: FlightSettings, gains: StackGains) -> FreeFlight:
         return fly_robot(replace(spec, gains=gains), settings, control_steps)
 
-    flown: Callable[[FlightSettings, tuple[Any, ...]], FreeFlight] = jax.jit(jax.vmap(fly_one))
+    flown: Callable[[FlightSettings, StackGains], FreeFlight] = jax.jit(jax.vmap(fly_one))
     return flown
 
 
@@ -68,7 +68,7 @@ def start_positions(n: int) -> FloatArray:
     return np.tile(START_M, (n, 1))
 
 
-def same_gains(spec: SimSpec, n: int) -> tuple[Any, ...]:
+def same_gains(spec: SimSpec, n: int) -> StackGains:
     """The gains of a stack for n robots."""
-    like: tuple[Any, ...] = jax.tree.map(lambda x: jnp.full(n, x, float), spec.gains)
+    like: StackGains = jax.tree.map(lambda x: jnp.full(n, x, float), spec.gains)
     return like

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -139,7 +138,8 @@ def build_command(spec: SimSpec, steps_m: FloatArray, yaw_rad: FloatArray) -> Co
     )
 
 
-def select_rows(tree: Any, rows: Sequence[int]) -> Any:
+def select_rows[T](tree: T, rows: Sequence[int]) -> T:
     """Rows of a pytree of arrays, by number."""
     index = np.asarray(rows)
-    return jax.tree.map(lambda leaf: leaf[index], tree)
+    chosen: T = jax.tree.map(lambda leaf: leaf[index], tree)
+    return chosen

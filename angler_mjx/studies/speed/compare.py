@@ -1,6 +1,6 @@
 """Two sets of rows side by side: ratios of their medians, with what the spread makes of them."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -8,7 +8,7 @@ from typing import Any
 from angler_mjx.errors import ConfigError
 from angler_mjx.studies.speed import rows as speed
 
-type Key = tuple[Any, ...]
+type Key = tuple[Hashable, ...]
 type Fields = dict[str, Any]
 """Of a row, as `rows.read_rows` gives them."""
 

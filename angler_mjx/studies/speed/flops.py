@@ -13,12 +13,12 @@ one, so the sum is then the least that there can be.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, Var
 
 _ARITHMETIC = frozenset(
     (
@@ -47,7 +47,7 @@ class _OpaqueError(Exception):
     """Something that cannot be looked into."""
 
 
-def count_operations(function: Callable[..., Any], *arguments: Any) -> OperationCount:
+def count_operations(function: Callable[..., object], *arguments: object) -> OperationCount:
     """Operations of one call; nothing is compiled or computed.
 
     Args:
@@ -73,18 +73,18 @@ class _OperationCounter:
     def __init__(self) -> None:
         self.is_lower_bound = False
         self._flops_by_id: dict[int, float] = {}
-        self._kept: list[Any] = []
+        self._kept: list[Jaxpr] = []
 
-    def flops(self, body: Any) -> float:
+    def flops(self, body: Jaxpr | ClosedJaxpr) -> float:
         """Operations of a jaxpr, closed or not."""
-        body = getattr(body, "jaxpr", body)
+        body = body.jaxpr if isinstance(body, ClosedJaxpr) else body
         if id(body) not in self._flops_by_id:
             # Kept alive: another one must not get its id.
             self._kept.append(body)
             self._flops_by_id[id(body)] = sum(map(self._count_calls, _needed_equations(body)))
         return self._flops_by_id[id(body)]
 
-    def _count_calls(self, equation: Any) -> float:
+    def _count_calls(self, equation: JaxprEqn) -> float:
         """Operations of one equation with all that it calls."""
         name, parameters = equation.primitive.name, equation.params
         if name in _OPAQUE:
@@ -104,12 +104,12 @@ class _OperationCounter:
         return _count_equation(equation)
 
 
-def _count_equation(equation: Any) -> float:
+def _count_equation(equation: JaxprEqn) -> float:
     """Operations of an equation that calls nothing."""
     name, out = equation.primitive.name, equation.outvars[0].aval
     if not jnp.issubdtype(getattr(out, "dtype", jnp.int32), jnp.floating):
         return 0.0
-    size: int = math.prod(out.shape)
+    size = math.prod(_shape(equation.outvars[0]))
     if name in _ARITHMETIC:
         return float(size)
     if name == "integer_pow":
@@ -120,20 +120,25 @@ def _count_equation(equation: Any) -> float:
     if name in _SCANS:
         return float(size)
     if name in _REDUCTIONS:
-        return float(math.prod(equation.invars[0].aval.shape) - size)
+        return float(math.prod(_shape(equation.invars[0])) - size)
     if name == "dot_general":
         (summed, _), _ = equation.params["dimension_numbers"]
-        left = equation.invars[0].aval.shape
+        left = _shape(equation.invars[0])
         return float(2 * size * math.prod(left[axis] for axis in summed))
     if name == "scatter-add":
-        return float(math.prod(equation.invars[2].aval.shape))
+        return float(math.prod(_shape(equation.invars[2])))
     return 0.0
 
 
-def _needed_equations(body: Any) -> list[Any]:
+def _shape(x: Var | Literal) -> tuple[int, ...]:
+    shape: tuple[int, ...] = getattr(x.aval, "shape", ())
+    return shape
+
+
+def _needed_equations(body: Jaxpr) -> list[JaxprEqn]:
     """Equations of a jaxpr that are used in the end, without those that say what one before did."""
-    same: dict[Any, Any] = {}
-    first: dict[Any, list[Any]] = {}
+    same: dict[Var, Var] = {}
+    first: dict[Hashable, list[Var]] = {}
     kept = []
     for equation in body.eqns:
         key = (
@@ -155,14 +160,14 @@ def _needed_equations(body: Any) -> list[Any]:
     return needed
 
 
-def _variable_key(x: Any, same: dict[Any, Any]) -> Any:
+def _variable_key(x: Var | Literal, same: dict[Var, Var]) -> Hashable:
     """What stands for a variable or a literal in comparisons."""
-    if hasattr(x, "val"):
+    if isinstance(x, Literal):
         return ("literal", str(x.aval), repr(x.val))
     return id(same.get(x, x))
 
 
-def _parameter_key(parameter: Any) -> str:
+def _parameter_key(parameter: object) -> str:
     """What stands for a parameter in comparisons; functions are the same only if they are one."""
     if isinstance(parameter, (int, float, str, bool, tuple, type(None))) and not _holds_equations(
         parameter
@@ -171,6 +176,6 @@ def _parameter_key(parameter: Any) -> str:
     return f"{type(parameter).__name__} {id(parameter)}"
 
 
-def _holds_equations(parameter: Any) -> bool:
+def _holds_equations(parameter: object) -> bool:
     """Whether there is a function in a tuple, whose text would be long."""
     return isinstance(parameter, tuple) and any(hasattr(part, "eqns") for part in parameter)

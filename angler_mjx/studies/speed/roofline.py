@@ -13,7 +13,6 @@ import subprocess
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -142,7 +141,7 @@ def _median_s(elements: int, function: jax.stages.Wrapped, repeats: int) -> floa
     return float(np.median([seconds for seconds, counts in taken if counts]))
 
 
-def describe_conditions(device: DeviceSpeed) -> dict[str, Any]:
+def describe_conditions(device: DeviceSpeed) -> dict[str, object]:
     """Return the device with its measured limits and driver, versions, machine, commit and command.
 
     Rows are for others to read: of absolute paths in the command the last name is kept.
@@ -153,7 +152,7 @@ def describe_conditions(device: DeviceSpeed) -> dict[str, Any]:
     return {**conditions, "command": shlex.join(names)}
 
 
-def compare_with_bound(row: SpeedRow, device: DeviceSpeed) -> dict[str, Any]:
+def compare_with_bound(row: SpeedRow, device: DeviceSpeed) -> dict[str, float | None]:
     """Return the roofline of a row in its own unit, and the fraction of it that was reached."""
     highest = compute_bound(row, device)
     reached = None if highest is None or row.median is None else row.median / highest

@@ -7,17 +7,18 @@ number can be judged without asking who measured it. A row without a number says
 import json
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Self, TypedDict
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import monitoring
+from jax.stages import Compiled
 from pydantic import ConfigDict, Field, model_validator
 
 from angler_mjx.errors import ConfigError
@@ -128,7 +129,7 @@ class StoredRow(FileModel):
     commit: Word | None = None
     repeats: Count | None = None
     refused: str | None = None
-    extra: dict[str, Any] = Field(default_factory=dict)
+    extra: dict[str, object] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _require_spread(self) -> Self:
@@ -156,10 +157,10 @@ def check_repeats(repeats: int) -> None:
         )
 
 
-def seconds_of(call: Callable[..., Any], *arguments: Any) -> tuple[float, Any]:
+def seconds_of[T](call: Callable[..., T], *arguments: object) -> tuple[float, T]:
     """Wall time until the result of a call is complete on the device, and the result."""
     begun = time.perf_counter()
-    result = jax.block_until_ready(call(*arguments))
+    result: T = jax.block_until_ready(call(*arguments))
     return time.perf_counter() - begun, result
 
 
@@ -176,7 +177,24 @@ def iterate_turns(repeats: int) -> Iterator[bool]:
         counted += warm
 
 
-def summarise_rates(rates: list[float]) -> dict[str, Any]:
+class RateFields(TypedDict):
+    """Fields of a row that come from the rates of its repeats."""
+
+    median: float
+    low: float
+    high: float
+    repeats: int
+
+
+class CostFields(TypedDict, total=False):
+    """Fields of a row that XLA gives for a compiled program."""
+
+    xla_flops: float | None
+    xla_bytes: float | None
+    program_bytes: int
+
+
+def summarise_rates(rates: list[float]) -> RateFields:
     """The fields of a row that come from the rates of its repeats."""
     return {
         "median": float(np.median(rates)),
@@ -186,15 +204,16 @@ def summarise_rates(rates: list[float]) -> dict[str, Any]:
     }
 
 
-def read_program_costs(program: Any) -> dict[str, Any]:
+def read_program_costs(program: Compiled) -> CostFields:
     """The fields of a row that XLA says of a compiled program; none where it says nothing.
 
     Args:
         program: compiled; one device's part of it is told of.
     """
-    fields: dict[str, Any] = {}
+    fields: CostFields = {}
     if cost := program.cost_analysis():
-        fields |= {"xla_flops": cost.get("flops"), "xla_bytes": cost.get("bytes accessed")}
+        fields["xla_flops"] = cost.get("flops")
+        fields["xla_bytes"] = cost.get("bytes accessed")
     if memory := program.memory_analysis():
         whole = memory.argument_size_in_bytes + memory.output_size_in_bytes
         whole += memory.temp_size_in_bytes - memory.alias_size_in_bytes
@@ -202,19 +221,19 @@ def read_program_costs(program: Any) -> dict[str, Any]:
     return fields
 
 
-def moved_bytes(program: Any) -> int | None:
+def moved_bytes(program: Compiled) -> int | None:
     """Arguments and results of a compiled program on one device; None where XLA does not say."""
     memory = program.memory_analysis()
     return memory.argument_size_in_bytes + memory.output_size_in_bytes if memory else None
 
 
 @jax.jit
-def _is_all_finite(tree: Any) -> jax.Array:
+def _is_all_finite(tree: object) -> jax.Array:
     leaves = [x for x in jax.tree.leaves(tree) if jnp.issubdtype(x.dtype, jnp.floating)]
     return jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in leaves]))
 
 
-def all_finite(tree: Any) -> bool:
+def all_finite(tree: object) -> bool:
     """Whether every float of a tree of device arrays is finite."""
     return bool(_is_all_finite(tree))
 
@@ -230,7 +249,7 @@ def cache_events() -> Counter[str]:
     """
     counts: Counter[str] = Counter()
 
-    def count(event: str, **ignored: Any) -> None:
+    def count(event: str, **ignored: str | int) -> None:
         folder, _, name = event.rpartition("/")
         if folder == "/jax/compilation_cache":
             counts[name] += 1
@@ -246,7 +265,7 @@ def peak_device_bytes() -> int | None:
     return None if peak is None else int(peak)
 
 
-def append_row(row: SpeedRow, conditions: dict[str, Any], out: Path) -> None:
+def append_row(row: SpeedRow, conditions: Mapping[str, object], out: Path) -> None:
     """Append a row to a JSON-lines file.
 
     Args:
@@ -295,7 +314,7 @@ def _parse_rows(text: str, path: Path) -> Iterator[dict[str, Any]]:
             )
 
 
-def _convert_first_version(workload: str) -> dict[str, Any]:
+def _convert_first_version(workload: str) -> dict[str, str]:
     """Rows of the first version named the engine in the workload, and no kernels."""
     engine, _, rest = workload.partition("/")
     name, _, part = rest.partition("/")

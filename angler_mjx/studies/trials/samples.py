@@ -8,14 +8,13 @@ from 0 on, so any draw can be flown again alone.
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from angler_mjx.robot.control.laws.ardusub.gains import ArduSubGains
-from angler_mjx.robot.control.stack import ControlParams
+from angler_mjx.robot.control.stack import ControlParams, StackGains
 from angler_mjx.robot.vehicles.thrusters import FloatArray
 from angler_mjx.sim.state import SimSpec
 from angler_mjx.studies.flights import courses, flying, kinds, samples, tracks
@@ -134,7 +133,7 @@ def sample_trial(seed: int) -> TrialSample:
     )
 
 
-def gains_of(spec: SimSpec, factors: FloatArray) -> tuple[Any, ...]:
+def gains_of(spec: SimSpec, factors: FloatArray) -> StackGains:
     """The gains of a stack for n robots, each scaled by its own share [n, 64].
 
     Settings that say what the vehicle is, not how hard to steer it, stay as they are: of ArduSub's

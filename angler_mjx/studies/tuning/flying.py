@@ -3,7 +3,6 @@
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import jax
 import numpy as np
@@ -25,6 +24,8 @@ GRADIENT_MEASURES = ("ise_m2s", "energy_jpm", "swing_m", "jitter_us")
 """Measures whose derivatives objectives ask for."""
 
 type Done = Callable[[int], None]
+type SlopedMeasures = tuple[tuple[jax.Array, ...], FlightMeasures]
+"""Derivatives of `GRADIENT_MEASURES`, and all measures."""
 
 
 class TuningFlyer:
@@ -40,9 +41,11 @@ class TuningFlyer:
         """
         self._chunk = chunk or CHUNK.get(jax.default_backend(), CHUNK_GPU)
         measure_one = partial(_measure_flight, spec, tuple(knobs))
-        self._program: Any = jax.jit(jax.vmap(measure_one))
+        self._program: Callable[..., FlightMeasures] = jax.jit(jax.vmap(measure_one))
         # Forward: there are few knobs and thousands of steps, of which nothing need be kept.
-        self._sloped: Any = jax.jit(jax.vmap(jax.jacfwd(_add_measures(measure_one), has_aux=True)))
+        self._sloped: Callable[..., SlopedMeasures] = jax.jit(
+            jax.vmap(jax.jacfwd(_add_measures(measure_one), has_aux=True))
+        )
 
     def fly(
         self, settings: FloatArray, flights: FlightSet, done: Done = lambda _: None
@@ -54,17 +57,23 @@ class TuningFlyer:
             flights: n of them.
             done: told the number of flights after each device call.
         """
-        result: FlightMeasures = self._chunks(self._program, settings, flights, done)
-        return result
+        return self._chunks(self._program, settings, flights, done)
 
     def slopes(
         self, settings: FloatArray, flights: FlightSet, done: Done = lambda _: None
     ) -> tuple[dict[str, FloatArray], FlightMeasures]:
         """Return measures [c, n], and derivatives [c, n, n_knob] of `GRADIENT_MEASURES` by name."""
         slopes, result = self._chunks(self._sloped, settings, flights, done)
-        return dict(zip(GRADIENT_MEASURES, slopes, strict=True)), result
+        arrays = map(np.asarray, slopes)
+        return dict(zip(GRADIENT_MEASURES, arrays, strict=True)), result
 
-    def _chunks(self, program: Any, settings: FloatArray, flights: FlightSet, done: Done) -> Any:
+    def _chunks[T](
+        self,
+        program: Callable[..., T],
+        settings: FloatArray,
+        flights: FlightSet,
+        done: Done,
+    ) -> T:
         n_candidate, n = len(settings), len(flights.group)
         total = n_candidate * n
         size = min(self._chunk, total)
@@ -77,10 +86,11 @@ class TuningFlyer:
             kept = min(size, total - first)
             parts.append(jax.tree.map(lambda leaf, kept=kept: leaf[:kept], part))
             done(kept)
-        return jax.tree.map(
+        whole: T = jax.tree.map(
             lambda *leaves: np.concatenate(leaves).reshape(n_candidate, n, *leaves[0].shape[1:]),
             *parts,
         )
+        return whole
 
 
 def _measure_flight(
@@ -96,12 +106,12 @@ def _measure_flight(
     return measures.measure_flight(flight, reference, flight_settings.plant, spec.control_dt_s)
 
 
-def _add_measures(measure: Callable[..., FlightMeasures]) -> Callable[..., Any]:
+def _add_measures(measure: Callable[..., FlightMeasures]) -> Callable[..., SlopedMeasures]:
     """The measures that have derivatives, and all of them beside."""
 
     def both(
         settings: jax.Array, flight_settings: FlightSettings, reference: ReferenceMotion
-    ) -> tuple[tuple[jax.Array, ...], FlightMeasures]:
+    ) -> SlopedMeasures:
         result = measure(settings, flight_settings, reference)
         return tuple(getattr(result, name) for name in GRADIENT_MEASURES), result
 

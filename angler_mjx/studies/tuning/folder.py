@@ -7,62 +7,70 @@ hidden (``.NAME.partial``).
 
 import json
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from angler_mjx.errors import RunError
+from angler_mjx.runs.resumable_folder import ResumableFolder
 from angler_mjx.runs.storage import atomic_files, output_lock, results_folder
-from angler_mjx.runs.storage.output_lock import OutputLock
 from angler_mjx.runs.storage.read_errors import read_table, wrap_read_errors
-from angler_mjx.studies.tuning.search import Generation, TuningHistory
+from angler_mjx.studies.tuning.search import Generation
 
 CHECKPOINT = "checkpoint.json"
-FOLDER_KIND = "tuning"
 ADVICE = "put back a copy of it, or begin a new tuning"
 
 
-def create_folder(out: Path) -> OutputLock:
-    """Take the name of a new tuning and make its hidden folder.
+@dataclass(frozen=True, kw_only=True)
+class TuningCheckpoint:
+    """Content of ``checkpoint.json``."""
 
-    Raises:
-        ConfigError: it or ``out`` exists, or the parent cannot be written.
-    """
-    advise = results_folder.resumable_by(CHECKPOINT)
-    return output_lock.acquire(out, kind=FOLDER_KIND, advise=advise)
+    settings: dict[str, object]
+    provenance: dict[str, Any]
+    complete: bool = False
+    """Whether nothing is left to do."""
+    generations: list[Generation] = field(default_factory=list)
 
 
-def reopen_folder(
-    out: Path, require: Callable[[dict[str, Any]], None] = lambda checkpoint: None
-) -> tuple[OutputLock, dict[str, Any]]:
-    """Take up an interrupted tuning, and its checkpoint; see `results_folder.resume_folder`.
+def declare_folder(
+    start: TuningCheckpoint, require: Callable[[TuningCheckpoint], None]
+) -> ResumableFolder[TuningCheckpoint]:
+    """Declare the folder of a tuning; it is opened with its checkpoint.
 
     Args:
-        out: name of the tuning.
-        require: raises where the checkpoint must not be resumed.
-
-    Raises:
-        ConfigError: there is none, it is complete, it goes on, or its checkpoint is damaged.
+        start: checkpoint of a new tuning.
+        require: raises where a checkpoint must not be resumed.
     """
 
-    def check(building: Path) -> dict[str, Any]:
+    def begin(building: Path) -> TuningCheckpoint:
+        save_checkpoint(building, start)
+        return start
+
+    def resume(building: Path) -> TuningCheckpoint:
         checkpoint = _read_checkpoint(building)
         with wrap_read_errors(building / CHECKPOINT, ADVICE):
             require(checkpoint)
         return checkpoint
 
-    return results_folder.resume_folder(
-        out,
-        kind=FOLDER_KIND,
-        file=CHECKPOINT,
-        is_complete=(out / CHECKPOINT).is_file() and _read_checkpoint(out)["complete"],
-        check=check,
+    return ResumableFolder(
+        kind="tuning",
+        request_file=CHECKPOINT,
+        begin=begin,
+        resume=resume,
+        is_complete=_is_complete,
+        advise=results_folder.resumable_by(CHECKPOINT),
     )
 
 
-def _read_checkpoint(folder: Path) -> dict[str, Any]:
+def _is_complete(out: Path) -> bool:
+    """Return whether a published tuning has all its generations."""
+    is_published = not output_lock.partial_path(out).exists() and (out / CHECKPOINT).is_file()
+    return is_published and _read_checkpoint(out).complete
+
+
+def _read_checkpoint(folder: Path) -> TuningCheckpoint:
     path = folder / CHECKPOINT
     table = read_table(path, ADVICE)
     with wrap_read_errors(path, ADVICE):
@@ -71,29 +79,17 @@ def _read_checkpoint(folder: Path) -> dict[str, Any]:
         for name in ("settings", "provenance"):
             if not isinstance(table[name], dict):
                 raise TypeError(f"{name} is no object")
-        read_generations(table)
-    return table
+        return TuningCheckpoint(
+            settings=table["settings"],
+            provenance=table["provenance"],
+            complete=table["complete"],
+            generations=[_parse_generation(row) for row in table["generations"]],
+        )
 
 
-def save_checkpoint(
-    building: Path, table: dict[str, Any], history: TuningHistory, *, complete: bool
-) -> None:
-    """Keep what was found so far: the whole file, or the one before it.
-
-    Args:
-        building: the hidden folder.
-        table: settings and where they come from.
-        history: of the search.
-        complete: whether nothing is left to do.
-    """
-    rows = [asdict(generation) for generation in history.generations]
-    whole = json.dumps({**table, "complete": complete, "generations": rows}, indent=1)
-    write_file(building / CHECKPOINT, whole + "\n")
-
-
-def read_generations(table: dict[str, Any]) -> list[Generation]:
-    """Return the generations of a checkpoint."""
-    return [_parse_generation(row) for row in table["generations"]]
+def save_checkpoint(building: Path, checkpoint: TuningCheckpoint) -> None:
+    """Keep what was found so far: the whole file, or the one before it."""
+    write_file(building / CHECKPOINT, json.dumps(asdict(checkpoint), indent=1) + "\n")
 
 
 def _parse_generation(fields: dict[str, Any]) -> Generation:

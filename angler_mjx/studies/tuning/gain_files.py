@@ -2,10 +2,13 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
-from typing import Any
+from typing import TYPE_CHECKING
 
 from angler_mjx.robot.control.laws.ardusub.gains import ArduSubGains
 from angler_mjx.robot.control.stack import Stages
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 FIRMWARE_DEFAULTS = ArduSubGains(WPNAV_SPEED=1000.0)
 """The firmware's own defaults: where the surrogate's are others, a file must say so."""
@@ -17,7 +20,7 @@ _MAVLINK_INT16, _MAVLINK_REAL32 = 4, 9
 
 
 def format_toml(
-    controller: str, stages: Stages, gains: Sequence[Any], comments: Sequence[str]
+    controller: str, stages: Stages, gains: Sequence["DataclassInstance"], comments: Sequence[str]
 ) -> str:
     """The ``[controller]`` table of a scenario: the name, and the gains that differ from a stage's.
 
@@ -37,13 +40,15 @@ def format_toml(
     return "\n".join(lines) + "\n"
 
 
-def find_changed_gains(gains: Any, default: Any) -> dict[str, float]:
+def find_changed_gains(
+    gains: "DataclassInstance", default: "DataclassInstance"
+) -> dict[str, float]:
     """Gains that differ from others of their kind, by name."""
     pairs = {f.name: (getattr(gains, f.name), getattr(default, f.name)) for f in fields(gains)}
     return {name: float(value) for name, (value, other) in pairs.items() if value != other}
 
 
-def find_ardusub_gains(gains: Sequence[Any]) -> ArduSubGains | None:
+def find_ardusub_gains(gains: Sequence[object]) -> ArduSubGains | None:
     """ArduSub's parameters among the gains of a stack, if it has any."""
     return next(
         (stage_gains for stage_gains in gains if isinstance(stage_gains, ArduSubGains)), None

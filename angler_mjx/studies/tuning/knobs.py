@@ -7,13 +7,13 @@ gain that the search began with. A factor is positive, so no gain can change its
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.robot.control.laws.ardusub.gains import ArduSubGains
+from angler_mjx.robot.control.stack import StackGains
 from angler_mjx.sim.state import SimSpec
 
 SPAN = 6.0
@@ -161,7 +161,7 @@ def _knob_bounds(ranged: Sequence[str], start: Sequence[float]) -> tuple[float, 
     return low, high
 
 
-def apply_settings(spec: SimSpec, knobs: Sequence[Knob], settings: jax.Array) -> tuple[Any, ...]:
+def apply_settings(spec: SimSpec, knobs: Sequence[Knob], settings: jax.Array) -> StackGains:
     """The gains of all stages at settings [n_knob] of the knobs; may be traced."""
     changed: dict[str, dict[str, jax.Array]] = {}
     for i, knob in enumerate(knobs):

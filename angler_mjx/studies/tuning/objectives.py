@@ -17,11 +17,12 @@ share; none counts more.
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Literal
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from angler_mjx.robot.vehicles.thrusters import FloatArray
 from angler_mjx.studies.flights.measures import FlightMeasures
@@ -39,7 +40,7 @@ class RelativeObjective:
     """An objective with what it is relative to."""
 
     objective: Objective
-    group: FloatArray
+    group: NDArray[np.int64]
     """int [n] of the flights."""
     ise_m2s: FloatArray
     """[n] mean of the group of each flight, with the gains that the search began with."""
@@ -77,7 +78,7 @@ class RelativeObjective:
 
 
 def build_objective(
-    objective: Objective, group: FloatArray, start: FlightMeasures
+    objective: Objective, group: NDArray[np.int64], start: FlightMeasures
 ) -> RelativeObjective:
     """An objective, relative to the measures [n] of the gains that the search begins with."""
     sound = ~np.asarray(start.failed)
@@ -108,7 +109,7 @@ def _gradient_measures(measures: FlightMeasures) -> dict[str, jax.Array]:
     }
 
 
-def _zero_failed(values: Any, failed: Any) -> FloatArray:
+def _zero_failed(values: ArrayLike, failed: ArrayLike) -> FloatArray:
     bad = np.asarray(failed).reshape(*np.shape(failed), *[1] * (np.ndim(values) - 2))
     return np.where(bad, 0.0, values)
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from angler_mjx.robot.control.stack import StackGains
 from angler_mjx.studies.flights.measures import FlightMeasures
 from angler_mjx.studies.tuning import knobs, samples
 from angler_mjx.studies.tuning.problem import TuningProblem
@@ -48,7 +49,7 @@ class TuningOutcome:
         return len(self.history.generations) >= self.problem.settings.generations
 
     @property
-    def gains(self) -> tuple[Any, ...]:
+    def gains(self) -> StackGains:
         """Of each stage, as they are written."""
         spec, changed = self.problem.spec, dict[str, dict[str, float]]()
         for knob, turn in zip(self.problem.knobs, self.turns, strict=True):

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Literal
+from typing import Literal
 
 import jax
 import numpy as np
@@ -39,7 +39,7 @@ class TuningSettings:
     generations: int
     seed: int
 
-    def table(self) -> dict[str, Any]:
+    def table(self) -> dict[str, object]:
         """As plain values."""
         return {**vars(self), "scenario": self.scenario.model_dump(mode="json")}
 

@@ -8,10 +8,10 @@ candidates fly the same ones.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import jax
 import numpy as np
+from numpy.typing import NDArray
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.robot.control.stack import ControlParams
@@ -68,7 +68,7 @@ class FlightSet:
 
     settings: FlightSettings
     reference: ReferenceMotion
-    group: Any
+    group: NDArray[np.int64]
     """int [n] of each flight: robot * 3 + course."""
 
 

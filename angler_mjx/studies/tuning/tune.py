@@ -1,5 +1,6 @@
 """Tuning from settings to a folder: search, measure, write."""
 
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -9,10 +10,12 @@ from angler_mjx.files import rename_keys
 from angler_mjx.progress import Progress
 from angler_mjx.robot.vehicles.thrusters import FloatArray
 from angler_mjx.runs import provenance
-from angler_mjx.runs.storage.output_lock import OutputLock
+from angler_mjx.runs.processes import OneProcess
+from angler_mjx.runs.resumable_folder import OpenFolder, open_folder
 from angler_mjx.runs.storage.read_errors import wrap_read_errors
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.studies.tuning import folder, outcome, report, search
+from angler_mjx.studies.tuning.folder import TuningCheckpoint
 from angler_mjx.studies.tuning.optimisers import Adam, Cma, Optimiser
 from angler_mjx.studies.tuning.outcome import TuningOutcome
 from angler_mjx.studies.tuning.problem import TuningProblem, TuningSettings
@@ -43,26 +46,28 @@ def tune(
         RunError: the disk gave out.
         KeyboardInterrupt: before anything was found.
     """
-    reporter = progress or Progress()
     problem = TuningProblem(settings)
     optimiser = _build_optimiser(problem)
-    lock, table, history = _open_folder(settings, out, optimiser, resume=resume)
-    try:
-        return _search_and_write(problem, optimiser, lock, table, history, reporter)
-    finally:
-        lock.release()
+    wanted = settings.table()
+    declared = folder.declare_folder(
+        TuningCheckpoint(settings=wanted, provenance=_describe_provenance(settings)),
+        lambda checkpoint: _require_same(checkpoint.settings, wanted, out),
+    )
+    with open_folder(declared, out, resume=resume, processes=OneProcess()) as opened:
+        with wrap_read_errors(opened.building / folder.CHECKPOINT, folder.ADVICE):
+            history = search.replay_history(optimiser, opened.start.generations)
+        return _search_and_write(problem, optimiser, opened, history, progress or Progress())
 
 
 def _search_and_write(
     problem: TuningProblem,
     optimiser: Optimiser,
-    lock: OutputLock,
-    table: dict[str, Any],
+    opened: OpenFolder[TuningCheckpoint],
     history: TuningHistory,
     progress: Progress,
 ) -> TuningOutcome:
-    """Search on in a folder, and close it."""
-    settings, building = problem.settings, lock.building
+    """Search on in a folder, and publish it."""
+    settings = problem.settings
     each = optimiser.population * settings.rollouts
     progress.start(settings.generations * each, len(history.generations) * each, "flights")
     progress.describe("compiling")
@@ -70,8 +75,12 @@ def _search_and_write(
     def evaluate(candidates: FloatArray, *, gradients: bool) -> Generation:
         return problem.evaluate(candidates, gradients=gradients, done=progress.advance)
 
+    def save(building: Path, *, complete: bool) -> None:
+        checkpoint = replace(opened.start, complete=complete, generations=history.generations)
+        folder.save_checkpoint(building, checkpoint)
+
     def keep(current: TuningHistory) -> None:
-        folder.save_checkpoint(building, table, current, complete=False)
+        save(opened.building, complete=False)
         progress.describe(f"generation {len(current.generations)}, best {current.best()[0]:.4f}")
 
     try:
@@ -80,10 +89,13 @@ def _search_and_write(
         if not history.generations:
             raise
     progress.describe("measuring what was found")
-    tuning_outcome = outcome.measure_outcome(problem, history, table["provenance"])
-    report.write_report(building, tuning_outcome)
-    folder.save_checkpoint(building, table, history, complete=tuning_outcome.complete)
-    lock.publish()
+    tuning_outcome = outcome.measure_outcome(problem, history, opened.start.provenance)
+
+    def write(building: Path) -> None:
+        report.write_report(building, tuning_outcome)
+        save(building, complete=tuning_outcome.complete)
+
+    opened.publish(write)
     return tuning_outcome
 
 
@@ -95,37 +107,7 @@ def _build_optimiser(problem: TuningProblem) -> Optimiser:
     return Cma(low, high, settings.seed)
 
 
-def _open_folder(
-    settings: TuningSettings, out: Path, optimiser: Optimiser, *, resume: bool
-) -> tuple[OutputLock, dict[str, Any], TuningHistory]:
-    """The claimed folder, what its checkpoint begins with, and what was found before."""
-    if not resume:
-        lock, history = folder.create_folder(out), TuningHistory()
-        table = {"settings": settings.table(), "provenance": _describe_provenance(settings)}
-        try:
-            folder.save_checkpoint(lock.building, table, history, complete=False)
-        except BaseException:
-            lock.withdraw()
-            raise
-        return lock, table, history
-    wanted = settings.table()
-    lock, checkpoint = folder.reopen_folder(
-        out, lambda checkpoint: _require_same(checkpoint["settings"], wanted, out)
-    )
-    try:
-        with wrap_read_errors(lock.building / folder.CHECKPOINT, folder.ADVICE):
-            table = {name: checkpoint[name] for name in ("settings", "provenance")}
-            return (
-                lock,
-                table,
-                search.replay_history(optimiser, folder.read_generations(checkpoint)),
-            )
-    except BaseException:
-        lock.release()
-        raise
-
-
-def _require_same(stored: dict[str, Any], wanted: dict[str, Any], out: Path) -> None:
+def _require_same(stored: dict[str, object], wanted: dict[str, object], out: Path) -> None:
     """Refuse to resume a tuning of other settings.
 
     Keys of its scenario may have been renamed since it was begun.

@@ -24,7 +24,7 @@ from angler_mjx.runs.storage.atomic_files import write_json
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.studies import chart, sweep
 from angler_mjx.studies import tables as sweep_tables
-from angler_mjx.studies.result_types import SweepResults
+from angler_mjx.studies.rows import SweepResults
 from angler_mjx.studies.sweep_axes import parse_axes
 
 
@@ -38,7 +38,7 @@ class ArrivalsStudy:
     set: tuple[str, ...]
     """Values as for `angler sweep`."""
 
-    def build_request(self, **options: object) -> sweep.SweepRequest:
+    def build_request(self, **options: str | int) -> sweep.SweepRequest:
         """Build the request of the sweep.
 
         Args:
@@ -106,7 +106,7 @@ class ArrivalsProgress(Progress):
         print(f"  {text}", flush=True)
 
 
-def run_study(study: ArrivalsStudy, out: Path, **options: object) -> SweepResults:
+def run_study(study: ArrivalsStudy, out: Path, **options: str | int) -> SweepResults:
     """Fly the remaining cells of a sweep; return its results.
 
     Args:
@@ -175,7 +175,7 @@ def main(
         smoke: Fly only the study ``smoke``, in seconds.
     """
     compile_cache.enable_cache()
-    options: dict[str, object] = {"engine": engine}
+    options: dict[str, str | int] = {"engine": engine}
     if worlds is not None:
         options["worlds"] = worlds
     for sweep_study in STUDIES["smoke" if smoke else study]:

@@ -8,7 +8,6 @@ was ended, or that reached --limit-s, resumes when it is repeated. They are rows
 with ``extra.size``: the number of varied things.
 """
 
-import gc
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -24,12 +23,15 @@ from angler_mjx.errors import AnglerError, ConfigError
 from angler_mjx.runs.provenance import describe_environment
 from angler_mjx.runs.simulator import compile_cache
 from angler_mjx.runs.simulator.devices import is_out_of_memory
+from angler_mjx.runs.simulator.programs import release_memory
 from angler_mjx.studies.speed import rows
 from angler_mjx.studies.speed.measured import free_motion, simulation
 from angler_mjx.studies.speed.rows import SpeedRow
 
 type Engine = Literal["fused", "mjx"]
 type Key = tuple[str, int, str, str]
+type Rung = tuple[Ladder, Engine, int]
+"""Ladder, engine and size of a row."""
 
 PREFIX = "scalability/"
 WORLDS = {"gpu": {"fused": 4096, "mjx": 256}, "cpu": {"fused": 16, "mjx": 4}}
@@ -38,10 +40,8 @@ SMOKE: tuple[tuple[str, Engine], ...] = (("dynamics", "fused"),)
 SMOKE_SIZES = (16, 64, 256)
 
 
-def list_rungs(
-    names: Sequence[str], engines: Sequence[Engine], backend: str
-) -> list[tuple[Ladder, Engine, int]]:
-    """Return ladder, engine and size of every row, the quick ones first.
+def list_rungs(names: Sequence[str], engines: Sequence[Engine], backend: str) -> list[Rung]:
+    """Return the rungs of every row, the quick ones first.
 
     Args:
         names: names of ladders; all if empty.
@@ -108,7 +108,7 @@ def measure_row(ladder: Ladder, engine: Engine, size: int, repeats: int, backend
 
 
 def measure_missing(
-    requested: Sequence[tuple[Ladder, Engine, int]], out: Path, repeats: int, limit_s: float
+    requested: Sequence[Rung], out: Path, repeats: int, limit_s: float
 ) -> Iterator[tuple[SpeedRow, float]]:
     """Measure the rows that a file lacks; yield each with its total seconds.
 
@@ -131,8 +131,7 @@ def measure_missing(
         row = measure_row(ladder, engine, size, repeats, backend)
         rows.append_row(row, environment, out)
         yield row, time.perf_counter() - row_start_s
-        jax.clear_caches()
-        gc.collect()
+        release_memory()
 
 
 def main(

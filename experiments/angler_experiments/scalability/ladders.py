@@ -4,8 +4,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from angler_mjx.files import parse_model
-from angler_mjx.scenario.editing import scenario_table, set_value
+from angler_mjx.scenario.editing import scenario_table
 from angler_mjx.scenario.scenario import Scenario, load_scenario
+from angler_mjx.studies.grid import SettingAxis, iterate_cells
 
 HEIGHT = 16
 """Number of cells vertically; the grid planner takes 32 at most, so worlds grow sideways."""
@@ -27,9 +28,12 @@ class Ladder:
     mjx: tuple[int, ...] = ()
     """Sizes on a GPU by the mjx engine, which is much slower; on a CPU as ``cpu``."""
 
-    def scenario_value(self, size: int) -> int | list[int]:
-        """Return the value of the key."""
-        return [size, size, HEIGHT] if self.name == "cells" else size
+    def axes(self, *sizes: int) -> tuple[SettingAxis, ...]:
+        """Return the axis of some sizes; none where no key of the scenario is varied."""
+        if self.key is None:
+            return ()
+        values = tuple([n, n, HEIGHT] if self.name == "cells" else n for n in sizes)
+        return (SettingAxis(key=self.key, values=values, names=tuple(map(str, sizes))),)
 
     def count(self, size: int) -> int:
         """Return the number of varied things."""
@@ -109,7 +113,6 @@ def build_scenario(ladder: Ladder, size: int, engine: str) -> Scenario:
         size: its value.
         engine: fused or mjx.
     """
-    table = scenario_table(load_scenario(SCENARIO, engine=engine))
-    if ladder.key is not None:
-        table = set_value(table, ladder.key, ladder.scenario_value(size))
+    (cell,) = iterate_cells(ladder.axes(size))
+    table = cell.edit(scenario_table(load_scenario(SCENARIO, engine=engine)))
     return parse_model(Scenario, table, source=f"{SCENARIO.name} ({ladder.name} {size})")

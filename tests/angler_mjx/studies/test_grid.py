@@ -3,7 +3,14 @@
 import pytest
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.studies.grid import ChangesAxis, SettingAxis, count_cells, iterate_cells
+from angler_mjx.studies.grid import (
+    ChangesAxis,
+    SettingAxis,
+    build_changes_axis,
+    count_cells,
+    find_reserved_key,
+    iterate_cells,
+)
 
 WATER = ChangesAxis(
     key="water",
@@ -42,3 +49,22 @@ def test_a_key_that_leads_nowhere_is_refused_when_its_cell_is_edited() -> None:
     (cell,) = iterate_cells([SettingAxis(key="world.seed.x", names=("1",), values=(1,))])
     with pytest.raises(ConfigError, match=r"world\.seed"):
         cell.edit(BASE)
+
+
+def test_an_axis_of_changes_holds_them_by_name() -> None:
+    changes = dict(zip(WATER.names, WATER.values, strict=True))
+    assert build_changes_axis("water", changes) == WATER
+
+
+@pytest.mark.parametrize(
+    ("changes", "fault"),
+    [
+        ({"seed": 1}, "seed: give seeds instead"),
+        ({"planner": {"name": "grid"}, "seed": 1}, "planner.name: give [[planner]] instead"),
+        ({"planner": {"margin_m": 1.0}, "planner.name": "grid"}, None),
+        ({"planner": 3}, None),
+    ],
+)
+def test_a_reserved_key_is_found_with_its_replacement(changes, fault) -> None:
+    reserved = {"planner.name": "[[planner]]", "seed": "seeds"}
+    assert find_reserved_key(changes, reserved) == fault

@@ -120,7 +120,10 @@ def test_a_whole_sweep_is_not_taken_up_again(file, asked, made, capsys):
 
 
 def test_a_sweep_of_other_settings_is_not_gone_on_with(file, asked, tmp_path):
-    multi_run.create_folder(tmp_path / "out", "sweep", asked.resolved()).release()
+    declared = multi_run.declare_folder(
+        "sweep", asked.resolved(), models={}, is_complete=sweep.is_complete
+    )
+    declared.acquire(tmp_path / "out", resume=False)[0].release()
     other = sweep.build_request(load_scenario(file), parse_axes([f"{KEY}=1.5,0.4"]), "short")
     with pytest.raises(ConfigError, match=rf"begun with another set\.{KEY} \(see .*making\.json"):
         sweep.run_sweep(other, tmp_path / "out", progress=Broken(None), resume=True)

@@ -1,11 +1,9 @@
 """Two planners on the same problems: who succeeds more often, and at what cost.
 
-The difference of two success rates has Newcombe's interval for paired data (Statistics in Medicine
-17, 1998, 2635-2650, method 10: Wilson's intervals of both rates, joined with the correlation of
-the pairs), and the exact p of McNemar's test: two-sided binomial on the problems that one of the
-two alone solved. Ratios of costs are medians over problems that both solved, those of planning time
-over problems that both planned, with percentiles of a bootstrap that resamples whole worlds (Efron
-and Tibshirani 1993), always with the same seed.
+The difference of two success rates has Newcombe's interval for paired data, and the exact p of
+McNemar's test (`angler_mjx.studies.paired`). Ratios of costs are medians over problems that both
+solved, those of planning time over problems that both planned, with percentiles of a bootstrap that
+resamples whole worlds (Efron and Tibshirani 1993), always with the same seed.
 
 The report's page holds these comparisons for every selection of its reader
 (`angler_mjx.studies.benchmark.report.selections`).
@@ -21,11 +19,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.special import bdtr
 
-from angler_mjx.runs.storage.confidence_intervals import wilson_interval
 from angler_mjx.studies.benchmark.report.rates import FEW
 from angler_mjx.studies.benchmark.report.reading import Results
+from angler_mjx.studies.paired import mcnemar, newcombe
 
 RATIOS = {"planning_s": "planned", "makespan_s": "success", "energy_j": "success"}
 """Costs whose ratios are taken, and what both must have done."""
@@ -185,37 +182,6 @@ def _build_comparison(
         p=mcnemar(only_first, only_second),
         ratios=ratios,
     )
-
-
-def newcombe(both: int, only_first: int, only_second: int, neither: int) -> tuple[float, float]:
-    """95 % interval of the difference of two paired rates; (-1, 1) without a pair."""
-    n = both + only_first + only_second + neither
-    if n == 0:
-        return -1.0, 1.0
-    p1, p2 = (both + only_first) / n, (both + only_second) / n
-    (l1, u1), (l2, u2) = (
-        wilson_interval(both + only_first, n),
-        wilson_interval(both + only_second, n),
-    )
-    sides = (
-        (both + only_first)
-        * (only_second + neither)
-        * (both + only_second)
-        * (only_first + neither)
-    )
-    cross = float(both * neither - only_first * only_second)
-    if cross > 0:
-        cross = max(cross - n / 2, 0.0)
-    phi = cross / math.sqrt(sides) if sides else 0.0
-    down, up = (p1 - l1, u2 - p2), (u1 - p1, p2 - l2)
-    below, above = (math.sqrt(max(x * x - 2 * phi * x * y + y * y, 0.0)) for x, y in (down, up))
-    return p1 - p2 - below, p1 - p2 + above
-
-
-def mcnemar(only_first: int, only_second: int) -> float:
-    """Return the exact two-sided p that the two are equally likely to solve a problem alone."""
-    n = only_first + only_second
-    return min(1.0, 2.0 * float(bdtr(min(only_first, only_second), n, 0.5)))
 
 
 def bootstrap_ratios(samples: Sequence[Sample]) -> list[PairedRatio]:

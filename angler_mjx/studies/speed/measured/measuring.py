@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Any
 
 import jax
 
@@ -85,12 +84,22 @@ def _measure_rate(case: WorkloadCase) -> SpeedRow:
             return free_motion.measure(vehicles=worlds, repeats=repeats, kernels=case.kernels)
     if case.scenario is None:
         raise ConfigError(f"workload {case.label}: needs a scenario")
-    sized: Any = {"label": case.label, "worlds": worlds, "repeats": repeats}
     if workload.kind == "preparation":
-        return simulation.measure_preparation(case.scenario, **sized)
+        return simulation.measure_preparation(
+            case.scenario, label=case.label, worlds=worlds, repeats=repeats
+        )
     if workload.kind == "recording":
-        return recording.measure(case.scenario, **sized, folder=case.folder)
-    return simulation.measure(case.scenario, **sized, devices=case.devices, prepared=case.prepared)
+        return recording.measure(
+            case.scenario, label=case.label, worlds=worlds, repeats=repeats, folder=case.folder
+        )
+    return simulation.measure(
+        case.scenario,
+        label=case.label,
+        worlds=worlds,
+        repeats=repeats,
+        devices=case.devices,
+        prepared=case.prepared,
+    )
 
 
 def _largest_that_fits(case: WorkloadCase) -> int:

@@ -15,7 +15,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np
@@ -162,8 +161,9 @@ def _simulate_to_horizon(timed: TimedSimulation) -> FinishedTile:
     )
 
 
-def _to_host(tree: Any) -> Any:
-    return jax.tree.map(np.asarray, tree)
+def _to_host[T](tree: T) -> T:
+    on_host: T = jax.tree.map(np.asarray, tree)
+    return on_host
 
 
 def _measure_turns(

@@ -7,10 +7,10 @@ physics steps that robots lived: one that has ended is not simulated for a livin
 from collections import deque
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from typing import Any
 
 import jax
 import numpy as np
+from jax.stages import Compiled
 
 from angler_mjx.errors import RunError
 from angler_mjx.runs import device_batches
@@ -50,7 +50,7 @@ class TimedSimulation:
 
     simulator: Simulator
     worlds: World
-    program: Any
+    program: Compiled
     """Its segment: of fleet, worlds and state, whose memory is used up."""
     row: SpeedRow
 
@@ -84,8 +84,16 @@ def measure(
         ConfigError: too few repeats.
         RunError: a result is not finite, robots stand still, or memory does not suffice.
     """
-    sized: dict[str, Any] = {"worlds": worlds, "repeats": repeats, "devices": devices}
-    return time_simulation(scenario, label=label, **sized, prepared=prepared, counted=counted).row
+    timed = time_simulation(
+        scenario,
+        label=label,
+        worlds=worlds,
+        repeats=repeats,
+        devices=devices,
+        prepared=prepared,
+        counted=counted,
+    )
+    return timed.row
 
 
 def time_simulation(
@@ -106,6 +114,7 @@ def time_simulation(
     filled = repeated_worlds.repeat_worlds(sampled, worlds, devices)
     rates, active = _time_turns(simulator, program, filled, repeats)
     worlds_text = repeated_worlds.describe_worlds(sampled, devices * worlds)
+    needs = _measure_needs(simulator, program) if counted else _StepNeeds()
     row = SpeedRow(
         workload=label,
         inside=f"{_describe_region(simulator)}; {worlds_text}",
@@ -118,7 +127,9 @@ def time_simulation(
         engine=scenario.engine,
         kernels=simulator.kernels,
         controller=scenario.controller.title,
-        **(_measure_needs(simulator, program) if counted else {"flops_from": "not asked for"}),
+        flops=needs.flops,
+        flops_from=needs.flops_from,
+        least_bytes=needs.least_bytes,
         **read_program_costs(program),
         device_peak_bytes=peak_device_bytes(),
         active_share=active,
@@ -198,7 +209,7 @@ def require_moving(after: WorldState, sample: Sample, max_s: float) -> float:
 
 
 def _time_turns(
-    simulator: Simulator, program: Any, worlds: World, repeats: int
+    simulator: Simulator, program: Compiled, worlds: World, repeats: int
 ) -> tuple[list[float], float]:
     """Rates of the timed turns, and the least share of robot time in them."""
     calls = _calls_per_turn(simulator)
@@ -224,7 +235,7 @@ def _calls_per_turn(simulator: Simulator) -> int:
 
 def _run_calls(
     simulator: Simulator,
-    program: Any,
+    program: Compiled,
     worlds: World,
     cells: jax.Array | None,
     state: WorldState,
@@ -242,7 +253,7 @@ def _run_calls(
     return state, sample
 
 
-def _compile_segment(simulator: Simulator, sampled: World) -> tuple[float, Any]:
+def _compile_segment(simulator: Simulator, sampled: World) -> tuple[float, Compiled]:
     """Seconds it took to compile a segment of repeated worlds, and the program.
 
     Raises:
@@ -261,7 +272,7 @@ def _compile_segment(simulator: Simulator, sampled: World) -> tuple[float, Any]:
     return compile_s, program
 
 
-def _require_room(tile: int, program: Any) -> None:
+def _require_room(tile: int, program: Compiled) -> None:
     """Refuse a program that by XLA's account needs more memory than a device has."""
     needed = read_program_costs(program).get("program_bytes")
     limit = on_devices.limit_bytes(jax.local_devices()[0])
@@ -269,12 +280,21 @@ def _require_room(tile: int, program: Any) -> None:
         raise on_devices.tile_too_large(tile, needed, limit, "before the first step")
 
 
-def _measure_needs(simulator: Simulator, program: Any) -> dict[str, Any]:
+@dataclass(frozen=True, kw_only=True)
+class _StepNeeds:
+    """Least operations and bytes of one physics step of one robot."""
+
+    flops: float | None = None
+    flops_from: str = "not asked for"
+    least_bytes: float | None = None
+
+
+def _measure_needs(simulator: Simulator, program: Compiled) -> _StepNeeds:
     """What one physics step of one robot needs at least: operations and bytes."""
     counted, how = _flops_per_step(simulator)
     moved = moved_bytes(program)
     bytes_each = simulator.devices * moved / _max_steps(simulator) if moved else None
-    return {"flops": counted, "flops_from": how, "least_bytes": bytes_each}
+    return _StepNeeds(flops=counted, flops_from=how, least_bytes=bytes_each)
 
 
 def _max_steps(simulator: Simulator) -> int:

@@ -228,8 +228,9 @@ def test_an_interrupt_before_anything_is_known_leaves_a_tuning_to_go_on_with(tmp
         tune.tune(wanted, out)
     with pytest.raises(ConfigError, match=r"another seed \(1 there, 2 here\)"):
         tune.tune(dataclasses.replace(wanted, seed=2), out, resume=True)
-    claimed, table = folder.reopen_folder(out)
-    assert table["generations"] == []
+    start = folder.TuningCheckpoint(settings={}, provenance={})
+    claimed, found = folder.declare_folder(start, lambda _: None).acquire(out, resume=True)
+    assert found.generations == []
     assert claimed.building.name == ".early.partial"
     claimed.release()
 

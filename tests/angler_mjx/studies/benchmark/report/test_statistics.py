@@ -86,41 +86,6 @@ def test_profiles_are_what_one_counts_by_hand(rows, results, cost):
             assert found.at(name, tau) == pytest.approx(np.mean(within))
 
 
-def test_newcombe_gives_the_published_interval():
-    # Newcombe 1998, table II, method 10: 36, 12, 2, 0 and 53, 0, 1, 0 (by symmetry of 0, 1).
-    np.testing.assert_allclose(paired.newcombe(36, 12, 2, 0), (0.0569, 0.3404), atol=5e-5)
-
-
-def test_newcombe_without_correlation_joins_two_wilson_intervals():
-    # ad - bc < n / 2, so the corrected correlation is 0 and the plain square-and-add holds.
-    low, high = paired.newcombe(10, 10, 10, 10)
-    interval = stats.binomtest(20, 40).proportion_ci(method="wilson")
-    half = math.hypot(0.5 - interval.low, interval.high - 0.5)
-    assert (low, high) == pytest.approx((-half, half))
-
-
-def test_newcombe_turns_round_with_the_planners():
-    for table in ((7, 3, 1, 9), (0, 5, 0, 5), (4, 0, 0, 4), (0, 6, 6, 0), (1, 0, 0, 0)):
-        low, high = paired.newcombe(*table)
-        turned = paired.newcombe(table[0], table[2], table[1], table[3])
-        assert (low, high) == pytest.approx((-turned[1], -turned[0]))
-        assert -1 <= low <= (table[1] - table[2]) / sum(table) <= high <= 1
-
-
-def test_newcombe_covers_the_truth_about_as_often_as_it_says():
-    random = np.random.default_rng(3)
-    chance = (0.5, 0.25, 0.1, 0.15)
-    tables = random.multinomial(60, chance, 1500)
-    hit = [low <= 0.15 <= high for low, high in (paired.newcombe(*map(int, t)) for t in tables)]
-    assert 0.93 < np.mean(hit) < 0.98
-
-
-@pytest.mark.parametrize(("first", "second"), [(0, 0), (1, 0), (12, 2), (7, 7), (600, 560)])
-def test_mcnemar_is_the_exact_binomial_test(first, second):
-    wanted = stats.binomtest(first, first + second).pvalue if first + second else 1.0
-    assert paired.mcnemar(first, second) == pytest.approx(wanted)
-
-
 def _sample(logs, world):
     order = np.argsort(logs)
     return logs[order], np.asarray(world)[order]
