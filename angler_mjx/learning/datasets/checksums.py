@@ -5,13 +5,14 @@ from pathlib import Path
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.learning.datasets.manifest import MANIFEST, SUMS, require_inside
+from angler_mjx.runs.multi_run import REQUEST_FILE
 from angler_mjx.runs.storage import atomic_files
 from angler_mjx.runs.storage.checksums import hash_file, hash_files
 from angler_mjx.runs.storage.checksums import list_files as list_all_files
 
-_EXCLUDED = {SUMS, MANIFEST}
+_EXCLUDED = {SUMS, MANIFEST, REQUEST_FILE}
 """Files of the dataset's own folder without a checksum: the manifest holds that of the checksum
-file."""
+file, and the request is deleted last."""
 
 
 def list_files(root: Path) -> list[str]:

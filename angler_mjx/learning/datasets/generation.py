@@ -167,13 +167,16 @@ def choose_tile(part: DatasetPart) -> int:
 
 
 def _finish_dataset(request: DatasetRequest, parts: Sequence[DatasetPart], root: Path) -> None:
-    """Write index, checksums, card and, last, the manifest."""
+    """Write index, card, checksums and manifest.
+
+    The request is deleted last: an interruption before leaves a folder that can be resumed.
+    """
     dataset_manifest = manifest_building.build_manifest(request.config, parts, root)
     table = index.build_index(root, dataset_manifest)
     dataset_manifest = manifest_building.add_counts(dataset_manifest, table)
     index.write_index(root, table)
     card.write_card(root, dataset_manifest, table)
-    (root / multi_run.REQUEST_FILE).unlink()
     manifest.write_manifest(
         root, dataset_manifest.model_copy(update={"sums": checksums.write_checksums(root)})
     )
+    (root / multi_run.REQUEST_FILE).unlink()

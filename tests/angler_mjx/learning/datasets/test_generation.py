@@ -152,6 +152,25 @@ def test_a_broken_off_making_goes_on_to_the_same_bytes(file, made, tmp_path, mon
     assert index.read_index(out).equals(index.read_index(made))
 
 
+@pytest.mark.parametrize("step", ["write_manifest", "write_index"])
+def test_a_making_broken_off_at_its_end_goes_on(file, made, tmp_path, monkeypatch, step):
+    out = tmp_path / "out"
+    module = {"write_manifest": generation.manifest, "write_index": index}[step]
+
+    def broken(*_):
+        raise KeyboardInterrupt
+
+    request = generation.read_request(file, 6)
+    with monkeypatch.context() as patch:
+        patch.setattr(module, step, broken)
+        with pytest.raises(KeyboardInterrupt):
+            generation.make_dataset(request, out, progress=Progress())
+    assert generation.make_dataset(request, out, progress=Progress(), resume=True) == out
+    assert index.read_index(out).equals(index.read_index(made))
+    assert not (out / "making.json").exists()
+    assert "making.json" not in (out / "sha256sums.txt").read_text()
+
+
 def test_show_and_stray_folders(made, tmp_path, capsys):
     main.main(["dataset", "show", str(made)])
     assert "test_there: 2" in capsys.readouterr().out
