@@ -102,7 +102,7 @@ def _foreign(distribution):
         for package in PACKAGES[distribution]
         for path in package.rglob("*.py")
         for name, late in _imported(path)
-        if name not in shipped and name not in sys.stdlib_module_names
+        if name not in {*shipped, *sys.stdlib_module_names, "_typeshed"}
     ]
 
 

@@ -37,8 +37,8 @@ def run_controllers(
     state: VehicleState | Belief,
     command: Command | MixedCommand,
     flow: jax.Array | None,
-) -> tuple[ControlMemory, jax.Array, ThrusterPwm]:
-    """The controllers' part.
+) -> tuple[ControlMemory, jax.Array, Command]:
+    """Run one control step of the controllers of one robot.
 
     Args:
         spec: settings.
@@ -49,7 +49,7 @@ def run_controllers(
         flow: [3] water velocity there, in W, if the controllers want to know it.
 
     Returns:
-        Their new memory, the position [3] that they aim at, and the thruster signals.
+        Their new memory, the position [3] that they aim at, and the command of the last stage.
     """
     step: Callable[..., Action] = mixed.step if isinstance(command, MixedCommand) else stack.step
     action = step(
@@ -63,7 +63,7 @@ def run_controllers(
         spec.water.density_kgpm3,
         spec.water.gravity_mps2,
     )
-    return action.memory, action.target_m, action.pwm
+    return action.memory, action.target_m, action.command
 
 
 def thrust_and_power(vehicle: VehicleParams, pwm: ThrusterPwm) -> tuple[jax.Array, jax.Array]:

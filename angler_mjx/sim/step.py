@@ -166,7 +166,7 @@ def select_flow(
 
 def decide_commands(batch: BodyBatch, inputs: DecideInput) -> PhaseResult[Decision]:
     """Run the controllers, and look up what the thrusters settle at."""
-    memory, target, pwm = batch.map_bodies(
+    memory, target, command = batch.map_bodies(
         partial(robot.run_controllers, batch.spec),
         inputs.params,
         inputs.memory,
@@ -174,6 +174,7 @@ def decide_commands(batch: BodyBatch, inputs: DecideInput) -> PhaseResult[Decisi
         inputs.command,
         inputs.flow,
     )
+    pwm = stack.require_signals(command)
     thrust, power = batch.map_bodies(robot.thrust_and_power, inputs.params.vehicle, pwm)
     return PhaseResult(
         output=lambda: Decision(memory=memory, thrust_n=thrust, power_w=power),

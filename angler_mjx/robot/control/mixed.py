@@ -20,7 +20,6 @@ from angler_mjx.robot.control import allocation, plans, stack
 from angler_mjx.robot.control.commands import (
     BodyWrench,
     Estimate,
-    ThrusterPwm,
 )
 from angler_mjx.robot.control.commands.joint_trajectory import JointTrajectory
 from angler_mjx.robot.control.commands.trajectory import Trajectory
@@ -142,20 +141,22 @@ def step(
         if entry_index == len(stages):
             below = command if below is None else _select(flag, command, below)
             demanded = jnp.where(flag, jnp.nan, demanded)
-    if not isinstance(below, ThrusterPwm):
-        raise TypeError(f"the last stage gives {type(below).__name__}, no thruster signals")
+    if below is None:
+        raise TypeError("neither stages nor commands give thruster signals")
     return Action(
         memory=ControlMemory(
             stages=tuple(carries),
             realised=None
             if memory.realised is None
             else _select(
-                realised_used, allocation.realised_wrench(params.allocation, below), memory.realised
+                realised_used,
+                allocation.realised_wrench(params.allocation, stack.require_signals(below)),
+                memory.realised,
             ),
             demanded=None if memory.demanded is None else BodyWrench(tau=demanded),
         ),
         target_m=aim,
-        pwm=below,
+        command=below,
         demanded=BodyWrench(tau=demanded),
     )
 

@@ -142,9 +142,26 @@ class Action:
     memory: ControlMemory
     target_m: jax.Array
     """[3] position that was aimed at, in W; where no stage aimed at one, the robot's own."""
-    pwm: ThrusterPwm
+    command: Command
+    """Of the last stage: thruster signals, or what an autopilot takes."""
     demanded: BodyWrench | None
     """The wrench that the thrusters were asked for; None where there was none above the signals."""
+
+    @property
+    def pwm(self) -> ThrusterPwm:
+        """Thruster signals; see `require_signals`."""
+        return require_signals(self.command)
+
+
+def require_signals(command: Command) -> ThrusterPwm:
+    """Return a command that is thruster signals.
+
+    Raises:
+        TypeError: it is another command.
+    """
+    if not isinstance(command, ThrusterPwm):
+        raise TypeError(f"the last stage gives {type(command).__name__}, no thruster signals")
+    return command
 
 
 def describe_inputs(stage: Stage) -> str:
@@ -263,19 +280,17 @@ def step(
         aim = target_position(command, aim)
         demanded = command if isinstance(command, BodyWrench) else demanded
         realised_used |= stage.wants_realised
-    if not isinstance(command, ThrusterPwm):
-        raise TypeError(f"the last stage gives {type(command).__name__}, no thruster signals")
     return Action(
         memory=ControlMemory(
             stages=tuple(carries),
             # Of a step in which those who want it had no say they would learn nothing.
-            realised=allocation.realised_wrench(params.allocation, command)
+            realised=allocation.realised_wrench(params.allocation, require_signals(command))
             if realised_used
             else memory.realised,
             demanded=None if memory.demanded is None else _demanded_or_nan(demanded, estimate),
         ),
         target_m=aim,
-        pwm=command,
+        command=command,
         demanded=demanded,
     )
 

@@ -41,7 +41,7 @@ def guided():
     def step(memory, known, command):
         # The vehicle's parameters are not looked at.
         action = stack.step(spec.stages, spec.gains, None, memory, known, command, DT, 1000.0, 9.81)
-        return action.memory, action.pwm
+        return action.memory, action.command
 
     known = estimate()
     return partial(stack.reset, spec.stages)(known, jnp.asarray(0.5)), step
@@ -93,7 +93,7 @@ def test_sticks_are_let_go_where_a_robot_is_to_stay():
 
     def output(command):
         step = partial(stack.step, spec.stages, spec.gains, None, memory, known)
-        return step(command, DT, 1000.0, 9.81).pwm
+        return step(command, DT, 1000.0, 9.81).command
 
     nu = jnp.array([0.1, 0.2, 0.3, 0, 0, 0.4])
     np.testing.assert_array_equal(output(BodyTwist(nu=nu)).nu, nu)

@@ -116,7 +116,7 @@ def test_lanes_that_look_up_give_the_same(found):
             p, t, values, SHAPE, axes, *numbers, jnp.asarray(FACTOR)
         )
 
-    operands = (lanes.split(jnp.asarray(p), 1), lanes.split(jnp.asarray(t), 1))
+    operands = (lanes.split(jnp.asarray(p)), lanes.split(jnp.asarray(t)))
     tables = (table(VALUES), table(KNOTS[1]), table(KNOTS[2]))
     for part, want in zip(lanes.join(lanes.apply(one, *operands, *tables)), found, strict=True):
         np.testing.assert_allclose(np.broadcast_to(part, want.shape), want, atol=1e-12)

@@ -83,7 +83,7 @@ def test_profile_on_lanes_is_that_of_one_body():
         flat = jnp.asarray(values.reshape(-1))
         return lanes.LookupTable(lambda at: flat[at], values.shape, values.dtype)
 
-    operands = (lanes.split(jnp.asarray(p), 1), table(depth), table(knots), table(slopes))
+    operands = (lanes.split(jnp.asarray(p)), table(depth), table(knots), table(slopes))
     v, _, J = lanes.join(lanes.apply(current_field.depth_profile, *operands))
     want = jax.vmap(current_field.depth_profile, (0, None, None, None))(p, depth, knots, slopes)
     np.testing.assert_allclose(v, want[0], atol=1e-14)
