@@ -24,7 +24,7 @@ def bench(
     worlds: tuple[int, ...] = (),
     robots: tuple[int, ...] = (),
     engine: Literal["mjx", "fused"] | None = None,
-    kernels: Literal["xla", "triton"] | None = None,
+    kernels: Literal["xla", "triton", "cuda"] | None = None,
     controller: tuple[str, ...] = (),
     profile: Literal["quick", "full", "paper"] = "quick",
     repeats: int = 10,

@@ -21,7 +21,7 @@ def rollout(
     seed: int | None = None,
     out: Path | None = None,
     engine: Literal["mjx", "fused"] | None = None,
-    kernels: Literal["xla", "triton"] | None = None,
+    kernels: Literal["xla", "triton", "cuda"] | None = None,
     device: Device | None = None,
     devices: int | None = None,
     tile: int | None = None,

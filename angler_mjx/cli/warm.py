@@ -11,7 +11,7 @@ def warm(
     scenario: Annotated[str, tyro.conf.Positional],
     worlds: int | None = None,
     engine: Literal["mjx", "fused"] | None = None,
-    kernels: Literal["xla", "triton"] | None = None,
+    kernels: Literal["xla", "triton", "cuda"] | None = None,
     device: Device | None = None,
     devices: int | None = None,
     tile: int | None = None,

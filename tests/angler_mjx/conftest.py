@@ -318,6 +318,7 @@ def as_if_on_an_h200(monkeypatch):
     It asks in a private way; a JAX that asks otherwise makes the tests fail here.
     """
     device = SimpleNamespace(compute_capability="9.0")
+    monkeypatch.setattr("angler_kernels.cuda.kernel_call._architecture", lambda: "compute_90")
     monkeypatch.setattr(
         "jax._src.pallas.triton.pallas_call_registration.gpu_info_lib",
         SimpleNamespace(get_gpu_info=lambda: device),

@@ -20,7 +20,7 @@ def sweep(
     worlds: int | None = None,
     seed: int | None = None,
     engine: Literal["mjx", "fused"] | None = None,
-    kernels: Literal["xla", "triton"] | None = None,
+    kernels: Literal["xla", "triton", "cuda"] | None = None,
     tile: int | None = None,
     record_hz: float = 0.0,
     resume: bool = False,

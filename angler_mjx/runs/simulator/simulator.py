@@ -107,9 +107,9 @@ class Simulator:
         self.kernels = scenario.kernels or engines.default_kernels(
             scenario.engine, jax.default_backend()
         )
-        if self.kernels == "triton" and jax.default_backend() != "gpu":
+        if self.kernels != "xla" and jax.default_backend() != "gpu":
             raise ConfigError(
-                'kernels = "triton": needs an NVIDIA GPU, and JAX computes on '
+                f'kernels = "{self.kernels}": needs an NVIDIA GPU, and JAX computes on '
                 f'{jax.default_backend()}; use kernels = "xla"'
             )
         by_task = scenario.task_spec() is not None

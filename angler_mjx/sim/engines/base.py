@@ -3,7 +3,7 @@
 Every function takes and gives pytrees of one world with a leading axis [tile] on every leaf.
 """
 
-from typing import Protocol
+from typing import Literal, Protocol
 
 import jax
 
@@ -106,9 +106,11 @@ def by_name(name: str, kernels: str) -> Engine:
     """The engine of a scenario, with the kernels it is to run on (see `default_kernels`)."""
     if name == "mjx":
         return MjxEngine()
-    return TritonEngine() if kernels == "triton" else FusedEngine()
+    if kernels == "xla":
+        return FusedEngine()
+    return TritonEngine(compiler="cuda" if kernels == "cuda" else "triton")
 
 
-def default_kernels(name: str, platform: str) -> str:
+def default_kernels(name: str, platform: str) -> Literal["xla", "triton"]:
     """What an engine runs on where nothing is said: ``xla``, or ``triton`` for fused on a GPU."""
     return "triton" if name == "fused" and platform in ("gpu", "cuda") else "xla"

@@ -6,6 +6,7 @@ physics can be.
 
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +21,9 @@ from angler_mjx.sim.engines.lanes import steps as lane_steps
 from angler_mjx.sim.engines.triton import launch as triton
 from angler_mjx.sim.physics.step import VehicleState, Water
 
+type Kernels = Literal["xla", "triton", "cuda"]
+"""Compiler of the equations of motion."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Dynamics:
@@ -31,7 +35,7 @@ class Dynamics:
     physics_dt_s: float
 
     def simulate(
-        self, state: VehicleState, thrust_n: jax.Array, n_steps: int, kernels: str = "xla"
+        self, state: VehicleState, thrust_n: jax.Array, n_steps: int, kernels: Kernels = "xla"
     ) -> VehicleState:
         """Physics steps of independent vehicles.
 
@@ -39,7 +43,7 @@ class Dynamics:
             state: [N] leads.
             thrust_n: [N, n_thruster] N, what the thrusters settle at.
             n_steps: physics steps.
-            kernels: ``xla``, or ``triton`` for one kernel that keeps the state in registers.
+            kernels: ``xla``, or the compiler of one kernel that keeps the state in registers.
 
         Returns:
             State at the end, [N] leads; derivatives are those of ``xla``.
@@ -47,30 +51,34 @@ class Dynamics:
         plain = partial(self._simulate_jax, n_steps=n_steps)
         if kernels == "xla":
             return plain(state, thrust_n)
-        fast = triton.with_gradient_of(plain, partial(self._simulate_triton, n_steps=n_steps))
+        run = partial(self._simulate_in_kernel, n_steps=n_steps, compiler=kernels)
+        fast = triton.with_gradient_of(plain, run)
         return fast(state, thrust_n)
 
     def _simulate_jax(self, state: VehicleState, thrust_n: jax.Array, n_steps: int) -> VehicleState:
         after = self._run_steps(lanes.split(state), lanes.split(thrust_n), n_steps)
         return lanes.join(after)
 
-    def _simulate_triton(
-        self, state: VehicleState, thrust_n: jax.Array, n_steps: int
+    def _simulate_in_kernel(
+        self,
+        state: VehicleState,
+        thrust_n: jax.Array,
+        n_steps: int,
+        compiler: Literal["triton", "cuda"],
     ) -> VehicleState:
         layout, order = PlaneLayout.of(state, 1), PlaneLayout.of(thrust_n, 1)
         dtype, count = state.p.dtype, state.p.shape[0]
 
-        def kernel(order_ref: jax.Ref, _: jax.Ref, state_ref: jax.Ref) -> None:
-            lane, _row = triton.locate_lanes(LANES)
+        def kernel(lane: jax.Array, _: jax.Array, order_ref: jax.Ref, state_ref: jax.Ref) -> None:
             now = layout.read_lanes(triton.make_loader(state_ref), lane)
             thrust = order.read_lanes(triton.make_loader(order_ref), lane)
             after = self._run_steps(now, thrust, n_steps)
             layout.write_lanes(triton.make_storer(state_ref, lane), lane, after)
 
         if count % LANES:
-            raise ConfigError(f"{count} vehicles: kernels = triton takes multiples of {LANES}")
+            raise ConfigError(f"{count} vehicles: kernels = {compiler} takes multiples of {LANES}")
         constant, changed = [order.pack(thrust_n, dtype)], [layout.pack(state, dtype)]
-        program = triton.LaunchedProgram(lanes=LANES, warps=WARPS)
+        program = triton.LaunchedProgram(lanes=LANES, warps=WARPS, compiler=compiler)
         (flat,) = triton.call_kernel(kernel, program, count, 1, constant, changed)
         return layout.unpack(flat, (count,))
 

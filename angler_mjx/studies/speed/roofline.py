@@ -113,8 +113,9 @@ def _run_chains(n_link: int, x: jax.Array, a: jax.Array, b: jax.Array) -> jax.Ar
 def _run_chains_in_kernel(n_link: int, x: jax.Array, a: jax.Array, b: jax.Array) -> jax.Array:
     """The same in one kernel; in a loop, for straight code would wait for its instructions."""
 
-    def kernel(a: jax.Ref, b: jax.Ref, turns: jax.Ref, _: jax.Ref, out: jax.Ref) -> None:
-        at, _row = triton.locate_lanes(_PROGRAM.lanes)
+    def kernel(
+        at: jax.Array, _: jax.Array, a: jax.Ref, b: jax.Ref, turns: jax.Ref, out: jax.Ref
+    ) -> None:
         x = triton.make_loader(out)(at)
         factor, term = (jnp.broadcast_to(number[0], x.shape) for number in (a, b))
 

@@ -24,7 +24,7 @@ type Kind = Literal[
     "compilation",
 ]
 type Engine = Literal["mjx", "fused"]
-type Kernels = Literal["xla", "triton"]
+type Kernels = Literal["xla", "triton", "cuda"]
 type Profile = Literal["quick", "full", "paper"]
 
 

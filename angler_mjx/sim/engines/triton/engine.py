@@ -1,4 +1,4 @@
-"""The fused engine as Pallas kernels, lowered by Triton: a control period in registers.
+"""The fused engine as kernels, by Triton or as CUDA C: a control period in registers.
 
 Four kernels make a control step: one for each phase of robots (controllers, physics steps,
 detection with the tally), and the obstacles. A program works on neighbouring worlds of one robot of
@@ -13,6 +13,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
@@ -46,17 +47,27 @@ type Drivers = tuple[Command | None, Policy | None, jax.Array | None]
 
 
 class TritonEngine:
-    """Closed-form rigid bodies in Pallas kernels."""
+    """Closed-form rigid bodies in kernels."""
 
-    def __init__(self, *, lanes: int = LANES, warps: int = 1, interpret: bool = False) -> None:
+    def __init__(
+        self,
+        *,
+        lanes: int = LANES,
+        warps: int = 1,
+        compiler: Literal["triton", "cuda"] = "triton",
+        interpret: bool = False,
+    ) -> None:
         """Choose the shape of a program.
 
         Args:
             lanes: robots in one program, a power of two.
             warps: warps in one program.
+            compiler: compiler of the kernels.
             interpret: run the kernels as ordinary JAX, on any device.
         """
-        self._program = triton.LaunchedProgram(lanes=lanes, warps=warps, interpret=interpret)
+        self._program = triton.LaunchedProgram(
+            lanes=lanes, warps=warps, compiler=compiler, interpret=interpret
+        )
 
     def reset(
         self, spec: SimSpec, fleet: Fleet, worlds: World, policy: Policy | None = None

@@ -111,11 +111,11 @@ class Kernels:
             changed["record"] = x.records[phase.name]
         head = [part.first, base, k, *tile.arrays]
 
-        def kernel(*refs: jax.Ref) -> None:
+        def kernel(at: jax.Array, row: jax.Array, *refs: jax.Ref) -> None:
             (first, base, k), data = refs[:3], refs[3 : len(head)]
             slot_refs = dict(zip(constant, refs[len(head) :], strict=False))
             slot_refs |= dict(zip(changed, refs[-len(changed) :], strict=True))
-            row, lane, at, store = self._locate_program(group.first)
+            row, lane, store = self._locate_lanes(at, row, group.first)
             count = base[0] + k[0]
             context = KernelGroup(
                 self._spec,
@@ -151,10 +151,10 @@ class Kernels:
         part, tile = self._part, self._tile
         head = [part.first, base, k, *tile.arrays]
 
-        def kernel(*refs: jax.Ref) -> None:
+        def kernel(at: jax.Array, row: jax.Array, *refs: jax.Ref) -> None:
             (first, base, k), data = refs[:3], refs[3 : len(head)]
             state, track, seen = refs[-3:]
-            row, lane, at, store = self._locate_program(0)
+            row, lane, store = self._locate_lanes(at, row, 0)
             count = base[0] + k[0]
             context = KernelBodies(self._spec, part, data, row, at)
             context.load_constants()
@@ -199,10 +199,9 @@ class Kernels:
         """Run a kernel on ``rows`` x worlds."""
         return triton.call_kernel(kernel, self._program, self._tile.worlds, rows, constant, changed)
 
-    def _locate_program(
-        self, first: int
-    ) -> tuple[jax.Array, jax.Array, jax.Array, Callable[[jax.Ref], Callable[..., None]]]:
-        """Row, lanes and worlds of this program, and how its lanes are stored."""
-        at, row = triton.locate_lanes(self._program.lanes)
+    def _locate_lanes(
+        self, at: jax.Array, row: jax.Array, first: int
+    ) -> tuple[jax.Array, jax.Array, Callable[[jax.Ref], Callable[..., None]]]:
+        """Return row and lanes of worlds ``at``, and how they are stored."""
         row = first + row
-        return row, row * self._tile.worlds + at, at, partial(triton.make_storer, like=at)
+        return row, row * self._tile.worlds + at, partial(triton.make_storer, like=at)

@@ -1,7 +1,11 @@
-"""Pallas kernels lowered by Triton: no other module knows which compiler stands behind them."""
+"""Launches of kernels: no other module knows which compiler stands behind them.
+
+Triton compiles them by Pallas; `angler_kernels.cuda` emits them as CUDA C for NVRTC.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
@@ -10,6 +14,7 @@ from jax.experimental.pallas import triton as plt
 from jax.typing import ArrayLike
 
 from angler_kernels import lanes
+from angler_kernels.cuda import kernel_call
 from angler_kernels.lanes.planes import StoreFunction
 from angler_mjx.errors import RunError
 
@@ -22,6 +27,8 @@ class LaunchedProgram:
     """Lanes of one, a power of two."""
     warps: int
     """Warps of one."""
+    compiler: Literal["triton", "cuda"] = "triton"
+    """Compiler of the kernels; with cuda, a lane is a thread and a program a block."""
     interpret: bool = False
     """Run the kernels as ordinary JAX, on any device."""
 
@@ -37,8 +44,8 @@ def call_kernel(
     """Run a kernel that changes some arrays in place.
 
     Args:
-        kernel: of references to the constant arrays and, twice, to the changed ones: they are read
-            and written under the second.
+        kernel: of lanes int32 [n], the row int32 [], and references to the constant arrays and to
+            the changed ones.
         program: shape of its programs.
         width: lanes of a row, a multiple of a program's.
         rows: number of rows.
@@ -54,14 +61,26 @@ def call_kernel(
     largest = max(x.size for x in (*constant, *changed))
     if largest >= 2**31:
         raise RunError(
-            f"the Triton kernels count places in 31 bits, and an array of this tile has {largest}: "
+            f"kernels count places in 31 bits, and an array of this tile has {largest}: "
             f"use a tile {-(-largest // 2**31)} times smaller, or more, or fewer samples a segment"
+        )
+    if program.compiler == "cuda":
+        return kernel_call.call_lanes(
+            kernel,
+            constant,
+            changed,
+            width=width,
+            rows=rows,
+            block=program.lanes,
+            interpret=program.interpret,
         )
     first = len(constant)
 
     def traced(*refs: jax.Ref) -> None:
+        at, row = _locate_lanes(program.lanes)
         with lanes.use_instructions(_ORDINARY if program.interpret else _INSTRUCTIONS):
-            kernel(*refs)
+            # Changed arrays are there twice: they are read and written under the second.
+            kernel(at, row, *refs[:first], *refs[-len(changed) :])
 
     after: Sequence[jax.Array] = pl.pallas_call(
         traced,
@@ -101,7 +120,7 @@ _ORDINARY = lanes.Instructions(reciprocal=lambda x: 1.0 / x, multiply_add=lambda
 """Where kernels run as ordinary JAX."""
 
 
-def locate_lanes(width: int) -> tuple[jax.Array, jax.Array]:
+def _locate_lanes(width: int) -> tuple[jax.Array, jax.Array]:
     """Lanes [width] of this program within its row, and the row."""
     return pl.program_id(0) * width + jnp.arange(width), pl.program_id(1)
 

@@ -44,13 +44,14 @@ COUNTED_SIZE = 8
 """Vehicles and steps in which operations are counted: for one step they do not depend on it."""
 
 
-def measure(*, vehicles: int, repeats: int, kernels: str | None = None) -> SpeedRow:
+def measure(*, vehicles: int, repeats: int, kernels: dynamics.Kernels | None = None) -> SpeedRow:
     """Time physics steps of independent vehicles.
 
     Args:
         vehicles: in one device call, one in each world.
         repeats: timed calls, after one that is not timed.
-        kernels: ``xla`` or ``triton``; the fused engine's own choice for the device if None.
+        kernels: ``xla``, ``triton`` or ``cuda``; if None, the fused engine's own choice for the
+            device.
 
     Returns:
         Rates in vehicle-steps/s.
@@ -62,11 +63,13 @@ def measure(*, vehicles: int, repeats: int, kernels: str | None = None) -> Speed
     check_repeats(repeats)
     backend = jax.default_backend()
     kernels = kernels or engines.default_kernels("fused", backend)
-    if kernels == "triton" and backend != "gpu":
-        raise ConfigError(f"--kernels triton: needs an NVIDIA GPU, and JAX computes on {backend}")
+    if kernels != "xla" and backend != "gpu":
+        raise ConfigError(
+            f"--kernels {kernels}: needs an NVIDIA GPU, and JAX computes on {backend}"
+        )
     n_steps = steps_of(vehicles, backend)
     # Kernels take whole programs of vehicles: the rest is simulated too, and not counted.
-    simulated = -(-vehicles // dynamics.LANES) * dynamics.LANES if kernels == "triton" else vehicles
+    simulated = -(-vehicles // dynamics.LANES) * dynamics.LANES if kernels != "xla" else vehicles
     model = dynamics.build_dynamics(VEHICLE, PARAMETER_SET, physics_dt_s=PHYSICS_DT_S)
     thrusters = model.vehicle.B.shape[-1]
     begin = jax.jit(sample_states, static_argnums=(1, 2))(jax.random.key(0), simulated, thrusters)

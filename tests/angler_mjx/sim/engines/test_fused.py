@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from angler_kernels.cuda import nvrtc
 from angler_mjx.robot.control.commands.joint_trajectory import from_path
 from angler_mjx.sim.engines.triton.engine import TritonEngine
 from angler_mjx.sim.state import Outcome, Touched
@@ -131,18 +132,30 @@ def test_reset_is_that_of_mjx(double, begun, deviation):
     assert_close(deviation, "fused.reset", begun(double, "fused"), begun(double, "mjx"))
 
 
+def needs_nvrtc():
+    try:
+        nvrtc.version()
+    except nvrtc.CudaCompilerError as error:
+        pytest.skip(str(error))
+
+
 @pytest.mark.usefixtures("as_if_on_an_h200")
-def test_kernels_lower_for_cuda(double, begun):
-    """Triton's part of the compiler knows every operation in them; no device is needed for that."""
+@pytest.mark.parametrize(("compiler", "target"), [("triton", "triton"), ("cuda", "ptx")])
+def test_kernels_lower_for_cuda(double, begun, compiler, target):
+    """Both compilers know every operation in them; no device is needed for that."""
+    if compiler == "cuda":
+        needs_nvrtc()
     given = double.fleet, double.worlds, begun(double, "fused")
     given = jax.tree.map(
         lambda x: np.asarray(x, np.float32) if jnp.issubdtype(x.dtype, jnp.floating) else x, given
     )
-    segment = partial(TritonEngine().segment, double.spec, n_sample=2, steps_per_sample=2)
+    segment = partial(
+        TritonEngine(compiler=compiler).segment, double.spec, n_sample=2, steps_per_sample=2
+    )
     traced = jax.jit(segment).trace(*given)
     text = traced.lower(lowering_platforms=("cuda",)).as_text()
     # Control, motion and judgement of each of two groups, and the obstacles; for all launches.
-    assert text.count("__gpu$xla.gpu.triton") == 7
+    assert text.count(f"__gpu$xla.gpu.{target}") == 7
     n_obstacle = double.worlds.environment.obstacles.kind.shape[-1]
     sizes = {"robot": 6, "thruster": 8, "obstacle": n_obstacle}
     declared.check(traced.out_info[1], (8, 2), sizes, dtype=jnp.float32)

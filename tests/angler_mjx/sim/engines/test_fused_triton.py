@@ -54,7 +54,8 @@ def test_segment_is_that_of_mjx(double, play, deviation):
     assert {Touched.CELL, Touched.OBSTACLE} <= set(np.unique(theirs.tally.touched))
 
 
-def test_control_step_takes_signals(scenes, deviation):
+@pytest.mark.parametrize("compiler", ["triton", "cuda"])
+def test_control_step_takes_signals(scenes, deviation, compiler):
     """One kind of robot, nothing to meet, float32, signals from outside."""
     build, members, obstacles = scenes
     scene = build(3, members=members("bluerov2"), config=obstacles["none"])
@@ -63,7 +64,10 @@ def test_control_step_takes_signals(scenes, deviation):
     # One for both: it is the same to rounding (test_fused). In numpy, as it is compiled once so.
     start = quickly(partial(FusedEngine().reset, scene.spec))(scene.fleet, scene.worlds)
     start, ends = jax.device_get(start), []
-    for engine in (TritonEngine(lanes=2, interpret=True), by_name("mjx", "xla")):
+    for engine in (
+        TritonEngine(lanes=2, compiler=compiler, interpret=True),
+        by_name("mjx", "xla"),
+    ):
         state, step = start, quickly(partial(engine.control_step, scene.spec))
         for row in signals:
             command = ThrusterPwm(pwm_us=jnp.asarray(row, jnp.float32))
@@ -102,6 +106,7 @@ def test_worlds_of_a_bank_at_their_own_times(scenes, deviation):
 
 def test_chosen_by_name():
     assert isinstance(by_name("fused", "triton"), TritonEngine)
+    assert isinstance(by_name("fused", "cuda"), TritonEngine)
     assert isinstance(by_name("fused", "xla"), FusedEngine)
     assert default_kernels("fused", "cpu") == "xla"
     assert default_kernels("fused", "gpu") == "triton"

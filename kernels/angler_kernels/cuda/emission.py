@@ -1,0 +1,534 @@
+"""CUDA C of a traced kernel: a local variable for each result, one for each lane of a thread.
+
+A kernel is traced with lanes [n] and with references to flat arrays. Numbers [] are the same in all
+lanes that work together; lanes are split among the threads of a block. All else of the kernel
+stays as it was traced: a compiler orders and removes what it likes.
+
+Two kinds of kernels differ in what a reduction over lanes is:
+
+    alone       Lanes are independent. Kernels reduce them only to skip or to end what no lane
+                needs, and mask what is left (`angler_kernels.lanes.any_lane`), so that each thread
+                decides for its own lane.
+    together    The lanes of a block work on one problem, and reductions are over all of them.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import jax
+import numpy as np
+from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, Var
+
+from angler_kernels.lanes.trees import UnsupportedOperationError, naming_source
+
+type Names = tuple[str, ...]
+"""Variables of a value: one, or one for each lane of a thread."""
+
+BARRIER = "barrier"
+"""Name of the array that a kernel writes to where its lanes wait for each other."""
+
+TYPES = {
+    np.dtype(np.float32): "float",
+    np.dtype(np.float64): "double",
+    np.dtype(np.float16): "half_",
+    np.dtype(np.int32): "int",
+    np.dtype(np.uint32): "unsigned",
+    np.dtype(np.int8): "signed char",
+    np.dtype(np.uint8): "unsigned char",
+    np.dtype(np.bool_): "bool",
+}
+"""C types of numbers."""
+
+PRELUDE = """\
+#define DEVICE __device__ __forceinline__
+DEVICE float max_(float a, float b) {
+  float c; asm("max.NaN.f32 %0, %1, %2;" : "=f"(c) : "f"(a), "f"(b)); return c; }
+DEVICE float min_(float a, float b) {
+  float c; asm("min.NaN.f32 %0, %1, %2;" : "=f"(c) : "f"(a), "f"(b)); return c; }
+DEVICE float reciprocal_(float a) {
+  float c; asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(c) : "f"(a)); return c; }
+struct half_ {
+  unsigned short bits;
+  DEVICE half_() {}
+  DEVICE explicit half_(float a) { asm("cvt.rn.f16.f32 %0, %1;" : "=h"(bits) : "f"(a)); }
+  DEVICE explicit operator float() const {
+    float c; asm("cvt.f32.f16 %0, %1;" : "=f"(c) : "h"(bits)); return c; }
+};
+DEVICE float multiply_add_(float a, float b, float c) { return __fmaf_rn(a, b, c); }
+template <class T> DEVICE T max_(T a, T b) { return a != a || a > b ? a : b; }
+template <class T> DEVICE T min_(T a, T b) { return a != a || a < b ? a : b; }
+template <class T> DEVICE T sign_(T a) { return a > 0 ? T(1) : a < 0 ? T(-1) : a; }
+template <class T> DEVICE T or_(T a, T b) { return a | b; }
+template <class T> DEVICE T and_(T a, T b) { return a & b; }
+template <class T> DEVICE T add_(T a, T b) { return a + b; }
+template <class T, class F> DEVICE T reduce_(T value, F combine) {
+  __shared__ T of_warps[32];
+  const int warps = (blockDim.x + 31) / 32;
+  for (int other = 16; other > 0; other /= 2)
+    value = combine(value, __shfl_xor_sync(0xffffffffu, value, other));
+  __syncthreads();
+  if (threadIdx.x % 32 == 0) of_warps[threadIdx.x / 32] = value;
+  __syncthreads();
+  value = of_warps[0];
+  for (int warp = 1; warp < warps; ++warp) value = combine(value, of_warps[warp]);
+  return value;
+}
+"""
+"""What every kernel's source begins with."""
+
+_OPERATORS = {
+    "add": "+",
+    "sub": "-",
+    "mul": "*",
+    "div": "/",
+    "and": "&",
+    "or": "|",
+    "xor": "^",
+    "lt": "<",
+    "le": "<=",
+    "gt": ">",
+    "ge": ">=",
+    "eq": "==",
+    "ne": "!=",
+    "shift_left": "<<",
+    "shift_right_arithmetic": ">>",
+}
+_FUNCTIONS = {
+    "max": "max_",
+    "min": "min_",
+    "sign": "sign_",
+    "abs": "abs",
+    "multiply_add": "multiply_add_",
+    "approximate_reciprocal": "reciprocal_",
+    "population_count": "__popc",
+    "clz": "__clz",
+} | {
+    name: name
+    for name in (
+        *("floor", "ceil", "sqrt", "rsqrt", "cbrt", "exp", "exp2", "log", "log1p", "expm1", "pow"),
+        *("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "erf"),
+    )
+}
+_REDUCTIONS = {
+    "reduce_max": "max_",
+    "reduce_min": "min_",
+    "reduce_or": "or_",
+    "reduce_and": "and_",
+    "reduce_sum": "add_",
+}
+_UNCHANGED = {
+    "broadcast_in_dim",
+    "reshape",
+    "squeeze",
+    "copy",
+    "copy_p",
+    "stop_gradient",
+    "optimization_barrier",
+    "new_ref",
+    "freeze",
+}
+_CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "custom_jvp_call": "call_jaxpr"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class KernelArray:
+    """Flat array of a kernel."""
+
+    name: str
+    """Of its pointer."""
+    dtype: np.dtype
+    size: int
+    is_written: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class KernelCode:
+    """Source of a kernel."""
+
+    text: str
+    operations: int
+    """Statements that compute something."""
+
+
+def emit_kernel(
+    name: str,
+    closed: ClosedJaxpr,
+    arrays: Sequence[KernelArray],
+    *,
+    lanes: int,
+    lanes_per_thread: int = 1,
+    together: bool = False,
+) -> KernelCode:
+    """Return CUDA C of a kernel whose grid has rows along y.
+
+    Pointers are the arrays', in their order; before those that are written, the same again as
+    operands of the call, which are the same memory.
+
+    Args:
+        name: of the function.
+        closed: jaxpr of the lanes' numbers [lanes], the row [], ``arrays``, and the barrier.
+        arrays: those of the kernel, written ones last.
+        lanes: of the traced kernel.
+        lanes_per_thread: of a thread.
+        together: whether the lanes of a block work on one problem, one for each row, whose arrays
+            stand one after another; otherwise each row has all lanes of the grid.
+
+    Raises:
+        UnsupportedOperationError: the kernel has an operation for which there is no rule.
+    """
+    emitter = _Emitter(
+        lanes=lanes, lanes_per_thread=lanes_per_thread, together=together, arrays=tuple(arrays)
+    )
+    emitter.emit("const int row = blockIdx.y;")
+    block = "threadIdx.x" if together else "blockIdx.x * blockDim.x + threadIdx.x"
+    lane = tuple(f"lane{k}" for k in range(lanes_per_thread))
+    for k, variable in enumerate(lane):
+        emitter.emit(f"const int {variable} = {block} + {k} * blockDim.x;")
+    if together:
+        for array in arrays:
+            emitter.emit(f"{array.name} += (long long)row * {array.size};")
+    emitter.run(closed, [lane, ("row",), *((x.name,) for x in arrays), (BARRIER,)])
+    constant = [x for x in arrays if not x.is_written]
+    written = [x for x in arrays if x.is_written]
+    pointers = [f"const {TYPES[x.dtype]}* __restrict__ {x.name}" for x in constant]
+    pointers += [f"const {TYPES[x.dtype]}* {x.name}_operand" for x in written]
+    pointers += [f"{TYPES[x.dtype]}* __restrict__ {x.name}" for x in written]
+    head = f'extern "C" __global__ void {name}(\n    ' + ",\n    ".join(pointers) + ") {"
+    text = "\n".join([PRELUDE + head, *emitter.lines, "}", ""])
+    return KernelCode(text=text, operations=emitter.operations)
+
+
+@dataclass(kw_only=True)
+class _Emitter:
+    """Statements of a kernel, in order."""
+
+    lanes: int
+    lanes_per_thread: int
+    together: bool
+    arrays: tuple[KernelArray, ...]
+    lines: list[str] = field(default_factory=list)
+    operations: int = 0
+    _n_names: int = 0
+    _depth: int = 1
+
+    def emit(self, text: str) -> None:
+        """Add a line."""
+        self.lines.append("  " * self._depth + text)
+
+    def run(self, closed: ClosedJaxpr, inputs: Sequence[Names]) -> list[Names]:
+        """Emit all of a jaxpr; return its results."""
+        values: dict[Var, Names] = dict(zip(closed.jaxpr.invars, inputs, strict=True))
+        for var, const in zip(closed.jaxpr.constvars, closed.consts, strict=True):
+            number = np.asarray(const)
+            if number.size != 1:
+                raise ValueError(f"a kernel uses a constant array {number.shape}: pass it instead")
+            values[var] = (write_number(number.reshape(())[()], number.dtype),)
+        return self._run_equations(closed.jaxpr, values)
+
+    def _run_equations(self, jaxpr: Jaxpr, values: dict[Var, Names]) -> list[Names]:
+        def read(x: Var | Literal) -> Names:
+            return (
+                (write_number(x.val, array_of(x).dtype),) if isinstance(x, Literal) else values[x]
+            )
+
+        for eqn in jaxpr.eqns:
+            with naming_source(eqn):
+                results = self._run_equation(eqn, [read(x) for x in eqn.invars])
+            values.update(zip(eqn.outvars, results, strict=True))
+        return [read(x) for x in jaxpr.outvars]
+
+    def _run_equation(self, eqn: JaxprEqn, operands: list[Names]) -> list[Names]:
+        name = eqn.primitive.name
+        if name in _UNCHANGED:
+            return [operands[0]]
+        if name in _CALLS:
+            inner = eqn.params[_CALLS[name]]
+            return self.run(
+                inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, []), operands
+            )
+        if name in _REDUCTIONS:
+            return [self._reduce(eqn, operands[0])]
+        structured = _STRUCTURED.get(name)
+        if structured is not None:
+            return structured(self, eqn, operands)
+        return [self._declare_elementwise(eqn, operands)]
+
+    def _declare_elementwise(self, eqn: JaxprEqn, operands: Sequence[Names]) -> Names:
+        """Declare the result of an operation on each lane by itself."""
+        name, out = eqn.primitive.name, eqn.outvars[0]
+        if name in _OPERATORS:
+            template: Callable[[JaxprEqn, Sequence[str]], str] = _write_operator
+        elif name in _FUNCTIONS:
+            template = _write_function
+        else:
+            expression = _EXPRESSIONS.get(name)
+            if expression is None:
+                raise UnsupportedOperationError(eqn, "no CUDA C for")
+            template = expression
+        count = self._count_variables(out)
+        return tuple(
+            self._declare(out, template(eqn, [_of_lane(x, k) for x in operands]))
+            for k in range(count)
+        )
+
+    def _count_variables(self, var: Var) -> int:
+        return self.lanes_per_thread if array_of(var).size == self.lanes > 1 else 1
+
+    def _declare(self, var: Var, value: str) -> str:
+        name = self._make_name()
+        self.operations += 1
+        self.emit(f"const {type_name(var)} {name} = {value};")
+        return name
+
+    def _make_name(self) -> str:
+        self._n_names += 1
+        return f"v{self._n_names}"
+
+    def _declare_variables(self, variables: Sequence[Var]) -> list[Names]:
+        """Declare variables that are assigned later."""
+        names = []
+        for var in variables:
+            names.append(tuple(self._make_name() for _ in range(self._count_variables(var))))
+            self.emit(f"{type_name(var)} {', '.join(names[-1])};")
+        return names
+
+    def _assign(self, names: Sequence[Names], values: Sequence[Names]) -> None:
+        """Assign to variables, all at once."""
+        pairs = [
+            (x, _of_lane(value, k))
+            for variable, value in zip(names, values, strict=True)
+            for k, x in enumerate(variable)
+        ]
+        targets = {target for target, _ in pairs}
+        held = []
+        for target, value in pairs:
+            if value in targets and value != target:
+                copy = self._make_name()
+                self.emit(f"const auto {copy} = {value};")
+                held.append((target, copy))
+            elif value != target:
+                held.append((target, value))
+        for target, value in held:
+            self.emit(f"{target} = {value};")
+
+    def _reduce(self, eqn: JaxprEqn, operand: Names) -> Names:
+        """Reduce lanes: all of a block's, or each thread's own; see the top of the module."""
+        if array_of(eqn.invars[0]).size != self.lanes:
+            raise UnsupportedOperationError(eqn, "kernels only reduce all lanes:")
+        out = eqn.outvars[0]
+        if not self.together:
+            return operand
+        function = f"{_REDUCTIONS[eqn.primitive.name]}<{_wide(type_name(out))}>"
+        total = operand[0]
+        for other in operand[1:]:
+            total = f"{function}({total}, {other})"
+        return (self._declare(out, f"reduce_(({_wide(type_name(out))})({total}), {function})"),)
+
+    def _load(self, eqn: JaxprEqn, x: list[Names]) -> list[Names]:
+        """Load; a number that lanes may write is read by all of them before any goes on."""
+        index, out, (array,) = _index(eqn, x, 1), eqn.outvars[0], x[0]
+        names = tuple(
+            self._declare(out, f"{array}[{_of_lane(index, k)}]")
+            for k in range(self._count_variables(out))
+        )
+        if self.together and array_of(out).shape == () and self._array(array).is_written:
+            self.emit("__syncthreads();")
+        return [names]
+
+    def _array(self, name: str) -> KernelArray:
+        return next(array for array in self.arrays if array.name == name)
+
+    def _store(self, eqn: JaxprEqn, x: list[Names]) -> list[Names]:
+        """Store; together, what lies behind the end of an array is dropped, as JAX does."""
+        index, (array,) = _index(eqn, x, 2), x[0]
+        if array == BARRIER:
+            self.emit("__syncthreads();")
+            return [("0",)]
+        size = self._array(array).size
+        for k in range(max(len(index), len(x[1]))):
+            at, value = _of_lane(index, k), _of_lane(x[1], k)
+            guard = f"if ((unsigned)({at}) < {size}u) " if self.together else ""
+            self.emit(f"{guard}{array}[{at}] = {value};")
+        return [("0",)]
+
+    def _branch(self, eqn: JaxprEqn, x: list[Names]) -> list[Names]:
+        branches = eqn.params["branches"]
+        names = self._declare_variables(eqn.outvars)
+        for k, branch in enumerate(branches):
+            test = f"if ({x[0][0]} {'<=' if k == 0 else '=='} {k}) "
+            is_last = k == len(branches) - 1
+            self.emit(("else " if k else "") + ("" if is_last and k else test) + "{")
+            self._depth += 1
+            self._assign(names, self.run(branch, x[1:]))
+            self._depth -= 1
+            self.emit("}")
+        return names
+
+    def _start_loop(self, eqn: JaxprEqn, start: Sequence[Names]) -> list[Names]:
+        names = self._declare_variables(eqn.outvars)
+        self._assign(names, start)
+        return names
+
+    def _loop_while(self, eqn: JaxprEqn, x: list[Names]) -> list[Names]:
+        n_cond, n_body = eqn.params["cond_nconsts"], eqn.params["body_nconsts"]
+        of_cond, of_body = x[:n_cond], x[n_cond : n_cond + n_body]
+        names = self._start_loop(eqn, x[n_cond + n_body :])
+        self.emit("while (true) {")
+        self._depth += 1
+        ((running,),) = self.run(eqn.params["cond_jaxpr"], [*of_cond, *names])
+        self.emit(f"if (!{running}) break;")
+        self._assign(names, self.run(eqn.params["body_jaxpr"], [*of_body, *names]))
+        self._depth -= 1
+        self.emit("}")
+        return names
+
+    def _loop_times(self, eqn: JaxprEqn, x: list[Names]) -> list[Names]:
+        """Repeat a fixed number of times, without rows that are read or returned."""
+        inner, n_const = eqn.params["jaxpr"], len(eqn.invars) - len(eqn.outvars)
+        pairs = zip(eqn.outvars, inner.jaxpr.outvars, strict=True)
+        if any(array_of(a).shape != array_of(b).shape for a, b in pairs):
+            raise UnsupportedOperationError(eqn, "only loops without rows")
+        names, count = self._start_loop(eqn, x[n_const:]), self._make_name()
+        self.emit(f"for (int {count} = 0; {count} < {eqn.params['length']}; ++{count}) {{")
+        self._depth += 1
+        self._assign(names, self.run(inner, [*x[:n_const], *names]))
+        self._depth -= 1
+        self.emit("}")
+        return names
+
+    def _number_lanes(self, eqn: JaxprEqn, x: list[Names]) -> list[Names]:
+        if eqn.params["shape"] != (self.lanes,) or not self.together:
+            raise UnsupportedOperationError(eqn, "kernels only number their lanes:")
+        dtype = TYPES[np.dtype(eqn.params["dtype"])]
+        return [tuple(f"({dtype})lane{k}" for k in range(self.lanes_per_thread))]
+
+    def _raise_to_integer(self, eqn: JaxprEqn, x: list[Names]) -> list[Names]:
+        """Multiply squares, as XLA does."""
+        power, out = int(eqn.params["y"]), eqn.outvars[0]
+        names = []
+        for base in x[0]:
+            value, left = "", abs(power)
+            while left:
+                if left & 1:
+                    value = self._declare(out, f"{value} * {base}") if value else base
+                left >>= 1
+                if left:
+                    base = self._declare(out, f"{base} * {base}")
+            value = value or write_number(1, array_of(out).dtype)
+            one = write_number(1, array_of(out).dtype)
+            names.append(self._declare(out, f"{one} / {value}") if power < 0 else value)
+        return [tuple(names)]
+
+
+_STRUCTURED: dict[str, Callable[[_Emitter, JaxprEqn, list[Names]], list[Names]]] = {
+    "get": _Emitter._load,
+    "swap": _Emitter._store,
+    "cond": _Emitter._branch,
+    "while": _Emitter._loop_while,
+    "scan": _Emitter._loop_times,
+    "iota": _Emitter._number_lanes,
+    "integer_pow": _Emitter._raise_to_integer,
+}
+
+
+def array_of(var: Var | Literal) -> jax.core.ShapedArray:
+    """Return shape and type of a variable."""
+    aval = var.aval
+    assert isinstance(aval, jax.core.ShapedArray)
+    return aval
+
+
+def type_name(var: Var | Literal) -> str:
+    """Return the C type of a variable."""
+    return TYPES[np.dtype(array_of(var).dtype)]
+
+
+def write_number(value: object, dtype: np.dtype) -> str:
+    """Return a number as C reads it back to the last bit."""
+    number = np.asarray(value, dtype)[()]
+    if dtype == np.bool_:
+        return "true" if number else "false"
+    if np.issubdtype(dtype, np.integer):
+        if number < 0:  # in C, a sign is an operation
+            return f"({int(number) + 1} - 1)"
+        return f"{int(number)}u" if dtype == np.uint32 else f"{int(number)}"
+    if dtype == np.float16:
+        return f"half_({write_number(number, np.dtype(np.float32))})"
+    if np.isfinite(number):
+        text = float(number).hex() + ("f" if dtype == np.float32 else "")
+        return f"({text})" if np.signbit(number) else text
+    if dtype == np.float32:
+        return f"__int_as_float({int(number.view(np.int32))})"
+    return f"__longlong_as_double({int(number.view(np.int64))}ll)"
+
+
+def _of_lane(names: Names, k: int) -> str:
+    return names[k] if len(names) > 1 else names[0]
+
+
+def _wide(name: str) -> str:
+    """Return the type that a value is exchanged as between threads."""
+    return "int" if name in ("bool", "signed char", "unsigned char") else name
+
+
+def _index(eqn: JaxprEqn, operands: Sequence[Names], first: int) -> Names:
+    """Return the index of a load or store: lanes or a number."""
+    (indexer,) = jax.tree.unflatten(eqn.params["tree"], [list(x) for x in operands[first:]])
+    (index,) = indexer.indices
+    return tuple(index) if isinstance(index, list) else (str(index),)
+
+
+def _write_operator(eqn: JaxprEqn, x: Sequence[str]) -> str:
+    return f"{x[0]} {_OPERATORS[eqn.primitive.name]} {x[1]}"
+
+
+def _write_function(eqn: JaxprEqn, x: Sequence[str]) -> str:
+    return f"{_FUNCTIONS[eqn.primitive.name]}({', '.join(x)})"
+
+
+def _write_select(_: JaxprEqn, x: Sequence[str]) -> str:
+    which, *cases = x
+    if len(cases) == 2:
+        return f"{which} ? {cases[1]} : {cases[0]}"
+    value = cases[-1]
+    for k in reversed(range(len(cases) - 1)):
+        value = f"{which} == {k} ? {cases[k]} : ({value})"
+    return value
+
+
+def _write_cast(eqn: JaxprEqn, x: Sequence[str]) -> str:
+    target = type_name(eqn.outvars[0])
+    return f"{x[0]} != 0" if target == "bool" else f"({target}){x[0]}"
+
+
+def _write_bits(eqn: JaxprEqn, x: Sequence[str]) -> str:
+    source, target = type_name(eqn.invars[0]), type_name(eqn.outvars[0])
+    if target == "float":
+        return f"__int_as_float((int){x[0]})"
+    return f"({target})__float_as_int({x[0]})" if source == "float" else f"({target}){x[0]}"
+
+
+def _write_remainder(eqn: JaxprEqn, x: Sequence[str]) -> str:
+    is_float = array_of(eqn.outvars[0]).dtype.kind == "f"
+    return f"fmod({x[0]}, {x[1]})" if is_float else f"{x[0]} % {x[1]}"
+
+
+def _write_rounding(eqn: JaxprEqn, x: Sequence[str]) -> str:
+    return f"{'rint' if int(eqn.params['rounding_method']) == 1 else 'round'}({x[0]})"
+
+
+_EXPRESSIONS: dict[str, Callable[[JaxprEqn, Sequence[str]], str]] = {
+    "neg": lambda _, x: f"-{x[0]}",
+    "not": lambda eqn, x: f"{'!' if type_name(eqn.outvars[0]) == 'bool' else '~'}{x[0]}",
+    "square": lambda _, x: f"{x[0]} * {x[0]}",
+    "is_finite": lambda _, x: f"{x[0]} - {x[0]} == 0",
+    "clamp": lambda _, x: f"min_(max_({x[1]}, {x[0]}), {x[2]})",
+    "select_n": _write_select,
+    "convert_element_type": _write_cast,
+    "bitcast_convert_type": _write_bits,
+    "rem": _write_remainder,
+    "round": _write_rounding,
+    "shift_right_logical": lambda eqn, x: (
+        f"({type_name(eqn.outvars[0])})((unsigned){x[0]} >> {x[1]})"
+    ),
+}

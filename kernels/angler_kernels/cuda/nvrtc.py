@@ -1,0 +1,161 @@
+"""CUDA C to PTX by NVRTC: side by side, once for each source, and kept in a folder by content.
+
+NVRTC comes with JAX's CUDA packages. PTX is compiled for the device by its driver, which keeps a
+cache of its own.
+"""
+
+import ctypes
+import hashlib
+import os
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from ctypes.util import find_library
+from functools import cache
+from importlib.util import find_spec
+from pathlib import Path
+from tempfile import NamedTemporaryFile
+
+OPTIONS = ("-fmad=false", "-default-device", "-w")
+"""Options of every compilation; products and sums are fused only where a kernel says so."""
+
+MAX_THREADS = 16
+"""Maximum number of sources that are compiled side by side."""
+
+_CHECKSUM_BYTES = 32
+_pool = ThreadPoolExecutor(min(MAX_THREADS, os.cpu_count() or 1), thread_name_prefix="nvrtc")
+_begun: dict[tuple[str, str], Future[str]] = {}
+_lock = threading.Lock()
+
+
+class CudaCompilerError(RuntimeError):
+    """NVRTC is not installed, or refuses a kernel."""
+
+
+def begin_compilation(source: str, architecture: str, folder: Path | None) -> Future[str]:
+    """Begin to compile a source, unless that was done before.
+
+    Args:
+        source: CUDA C.
+        architecture: of the device, like ``compute_90``.
+        folder: where PTX is kept and looked for; None to keep none.
+
+    Returns:
+        PTX to come, or a `CudaCompilerError`.
+    """
+    key = (source, architecture)
+    with _lock:
+        if key not in _begun:
+            _begun[key] = _pool.submit(load_or_compile, source, architecture, folder)
+        return _begun[key]
+
+
+def forget() -> None:
+    """Forget what was compiled in this process."""
+    with _lock:
+        _begun.clear()
+
+
+def load_or_compile(source: str, architecture: str, folder: Path | None) -> str:
+    """Return the PTX of a source, from a folder where it is there and whole.
+
+    A folder that cannot be read or written is none, and a damaged file is compiled again.
+
+    Raises:
+        CudaCompilerError: NVRTC is not installed, or refuses the source.
+    """
+    if folder is None:
+        return compile_source(source, architecture)
+    text = "\0".join([source, architecture, *OPTIONS, str(version())])
+    path = folder / f"{hashlib.sha256(text.encode()).hexdigest()}.ptx"
+    kept = _read_kept(path)
+    if kept is not None:
+        return kept
+    ptx = compile_source(source, architecture)
+    _keep(path, ptx)
+    return ptx
+
+
+def compile_source(source: str, architecture: str) -> str:
+    """Compile CUDA C to PTX.
+
+    Raises:
+        CudaCompilerError: NVRTC is not installed, or refuses the source; says its first line.
+    """
+    nvrtc, program = _library(), ctypes.c_void_p()
+    nvrtc.nvrtcCreateProgram(ctypes.byref(program), source.encode(), b"kernel.cu", 0, None, None)
+    try:
+        options = [f"--gpu-architecture={architecture}", *OPTIONS]
+        values = (ctypes.c_char_p * len(options))(*(option.encode() for option in options))
+        if nvrtc.nvrtcCompileProgram(program, len(options), values) != 0:
+            log = _read(nvrtc.nvrtcGetProgramLogSize, nvrtc.nvrtcGetProgramLog, program)
+            raise CudaCompilerError(f"NVRTC: {(log.strip() or 'no message').splitlines()[0]}")
+        return _read(nvrtc.nvrtcGetPTXSize, nvrtc.nvrtcGetPTX, program)
+    finally:
+        nvrtc.nvrtcDestroyProgram(ctypes.byref(program))
+
+
+def version() -> tuple[int, int]:
+    """Return the version of NVRTC.
+
+    Raises:
+        CudaCompilerError: it is not installed.
+    """
+    major, minor = ctypes.c_int(), ctypes.c_int()
+    _library().nvrtcVersion(ctypes.byref(major), ctypes.byref(minor))
+    return major.value, minor.value
+
+
+def _read_kept(path: Path) -> str | None:
+    """Return what `_keep` wrote; None where there is nothing, or not all of it."""
+    try:
+        content = path.read_bytes()
+    except OSError:
+        return None
+    checksum, ptx = content[:_CHECKSUM_BYTES], content[_CHECKSUM_BYTES:]
+    return ptx.decode() if hashlib.sha256(ptx).digest() == checksum else None
+
+
+def _keep(path: Path, ptx: str) -> None:
+    """Write a file whole, or not at all."""
+    content, temporary = ptx.encode(), None
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with NamedTemporaryFile(dir=path.parent, delete=False) as file:
+            temporary = Path(file.name)
+            file.write(hashlib.sha256(content).digest() + content)
+        temporary.replace(path)
+    except OSError:  # a full disk, or a folder of somebody else
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
+
+
+def _read(size_of: Callable[..., int], read: Callable[..., int], program: ctypes.c_void_p) -> str:
+    size = ctypes.c_size_t()
+    size_of(program, ctypes.byref(size))
+    buffer = ctypes.create_string_buffer(size.value)
+    read(program, buffer)
+    return buffer.value.decode(errors="replace")
+
+
+@cache
+def _library() -> ctypes.CDLL:
+    for path in _find_libraries():
+        try:
+            return ctypes.CDLL(path)
+        except OSError:
+            continue
+    raise CudaCompilerError("NVRTC is not installed; pip install 'jax[cuda13]' brings it")
+
+
+def _find_libraries() -> Iterator[str]:
+    """Yield paths of NVRTC: of Python packages, of a CUDA toolkit, of the system."""
+    packages = find_spec("nvidia")
+    roots = packages.submodule_search_locations if packages else None
+    for root in roots or ():
+        yield from sorted(str(path) for path in Path(root).glob("*/lib/libnvrtc.so.*"))
+    toolkit = Path(os.environ.get("CUDA_HOME") or "/usr/local/cuda")
+    yield from sorted(str(path) for path in toolkit.glob("lib64/libnvrtc.so.*"))
+    system = find_library("nvrtc")
+    if system:
+        yield system
