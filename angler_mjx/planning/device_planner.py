@@ -5,6 +5,7 @@ flight, with a problem that starts now.
 """
 
 from dataclasses import dataclass, field
+from typing import Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -14,6 +15,15 @@ from angler_mjx.planning.planner import BatchPlanner, Path
 from angler_mjx.planning.problem import Problem, ProblemSettings
 from angler_mjx.planning.register import PlannerReference, PlannerSpec
 from angler_mjx.robot.control.commands.trajectory import Trajectory
+
+
+@runtime_checkable
+class SingleProblemPlanner(Protocol):
+    """Planner with ``plan_one``, see `BatchPlanner`."""
+
+    def plan_one(self, problem: Problem) -> Path:
+        """Return paths [robot] of one world, traced."""
+        ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,7 +38,7 @@ class DevicePlanner:
     @property
     def plans_alone(self) -> bool:
         """Return whether the planner has ``plan_one``, see `BatchPlanner`."""
-        return callable(getattr(self.planner, "plan_one", None))
+        return isinstance(self.planner, SingleProblemPlanner)
 
     def plan_batch(self, problems: Problem) -> Path:
         """Return paths [world, robot] of a batch, traced.
@@ -45,14 +55,12 @@ class DevicePlanner:
         Raises:
             ConfigError: the planner's code raises.
         """
-        path: Path
-        if self.plans_alone:
+        if isinstance(self.planner, SingleProblemPlanner):
             name, file = self.reference.name, self.reference.file
             with report_user_errors(f"planner {name}: plan_one", file):
-                path = self.planner.plan_one(problem)  # type: ignore[attr-defined]
-            return path
+                return self.planner.plan_one(problem)
         paths = self.plan_batch(jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], problem))
-        path = jax.tree.map(lambda leaf: leaf[0], paths)
+        path: Path = jax.tree.map(lambda leaf: leaf[0], paths)
         return path
 
     def __call__(self, problem: Problem) -> Trajectory:

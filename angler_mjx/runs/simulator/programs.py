@@ -19,6 +19,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
+from angler_kernels.cuda.nvrtc import CudaCompilerError
+from angler_mjx.errors import RunError
 from angler_mjx.planning.planner import PathShape
 from angler_mjx.planning.problem import Problem
 from angler_mjx.planning.register import PlannerSpec
@@ -197,7 +199,8 @@ class Programs:
             Seconds of each program; zeros if it was done before.
 
         Raises:
-            RunError: the tile does not fit into device memory; names a tile that does.
+            RunError: the tile does not fit into device memory; names a tile that does. Or the
+                kernels do not compile; names other kernels.
         """
         with self._lock:
             if self._compiled:
@@ -225,6 +228,8 @@ class Programs:
         worlds, state, pending = self._start_compilation()
         try:
             results = [program.result() for program in pending]
+        except CudaCompilerError as error:
+            raise RunError(f'kernels = "cuda": {error}; use kernels = "triton" or "xla"') from error
         except jax.errors.JaxRuntimeError as error:
             # No report of the programs' memory is available: the size of their results is a lower
             # bound.

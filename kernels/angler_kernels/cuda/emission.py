@@ -1,15 +1,8 @@
-"""CUDA C of a traced kernel: a local variable for each result, one for each lane of a thread.
+"""CUDA C of a traced kernel: a thread for each lane, and a local variable for each result.
 
-A kernel is traced with lanes [n] and with references to flat arrays. Numbers [] are the same in all
-lanes that work together; lanes are split among the threads of a block. All else of the kernel
-stays as it was traced: a compiler orders and removes what it likes.
-
-Two kinds of kernels differ in what a reduction over lanes is:
-
-    alone       Lanes are independent. Kernels reduce them only to skip or to end what no lane
-                needs, and mask what is left (`angler_kernels.lanes.any_lane`), so that each thread
-                decides for its own lane.
-    together    The lanes of a block work on one problem, and reductions are over all of them.
+A kernel is traced with lanes [n] and with references to flat arrays. In C, lanes are numbers of one
+thread. Lanes are independent: kernels reduce them only to skip or to end what no lane needs, and
+mask what is left (`angler_kernels.lanes.any_lane`), so that each thread decides for its own lane.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,16 +14,9 @@ from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, Var
 
 from angler_kernels.lanes.trees import UnsupportedOperationError, naming_source
 
-type Names = tuple[str, ...]
-"""Variables of a value: one, or one for each lane of a thread."""
-
-BARRIER = "barrier"
-"""Name of the array that a kernel writes to where its lanes wait for each other."""
-
 TYPES = {
     np.dtype(np.float32): "float",
     np.dtype(np.float64): "double",
-    np.dtype(np.float16): "half_",
     np.dtype(np.int32): "int",
     np.dtype(np.uint32): "unsigned",
     np.dtype(np.int8): "signed char",
@@ -47,32 +33,10 @@ DEVICE float min_(float a, float b) {
   float c; asm("min.NaN.f32 %0, %1, %2;" : "=f"(c) : "f"(a), "f"(b)); return c; }
 DEVICE float reciprocal_(float a) {
   float c; asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(c) : "f"(a)); return c; }
-struct half_ {
-  unsigned short bits;
-  DEVICE half_() {}
-  DEVICE explicit half_(float a) { asm("cvt.rn.f16.f32 %0, %1;" : "=h"(bits) : "f"(a)); }
-  DEVICE explicit operator float() const {
-    float c; asm("cvt.f32.f16 %0, %1;" : "=f"(c) : "h"(bits)); return c; }
-};
 DEVICE float multiply_add_(float a, float b, float c) { return __fmaf_rn(a, b, c); }
 template <class T> DEVICE T max_(T a, T b) { return a != a || a > b ? a : b; }
 template <class T> DEVICE T min_(T a, T b) { return a != a || a < b ? a : b; }
 template <class T> DEVICE T sign_(T a) { return a > 0 ? T(1) : a < 0 ? T(-1) : a; }
-template <class T> DEVICE T or_(T a, T b) { return a | b; }
-template <class T> DEVICE T and_(T a, T b) { return a & b; }
-template <class T> DEVICE T add_(T a, T b) { return a + b; }
-template <class T, class F> DEVICE T reduce_(T value, F combine) {
-  __shared__ T of_warps[32];
-  const int warps = (blockDim.x + 31) / 32;
-  for (int other = 16; other > 0; other /= 2)
-    value = combine(value, __shfl_xor_sync(0xffffffffu, value, other));
-  __syncthreads();
-  if (threadIdx.x % 32 == 0) of_warps[threadIdx.x / 32] = value;
-  __syncthreads();
-  value = of_warps[0];
-  for (int warp = 1; warp < warps; ++warp) value = combine(value, of_warps[warp]);
-  return value;
-}
 """
 """What every kernel's source begins with."""
 
@@ -109,13 +73,7 @@ _FUNCTIONS = {
         *("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "erf"),
     )
 }
-_REDUCTIONS = {
-    "reduce_max": "max_",
-    "reduce_min": "min_",
-    "reduce_or": "or_",
-    "reduce_and": "and_",
-    "reduce_sum": "add_",
-}
+_REDUCTIONS = {"reduce_max", "reduce_min", "reduce_or", "reduce_and"}
 _UNCHANGED = {
     "broadcast_in_dim",
     "reshape",
@@ -156,8 +114,6 @@ def emit_kernel(
     arrays: Sequence[KernelArray],
     *,
     lanes: int,
-    lanes_per_thread: int = 1,
-    together: bool = False,
 ) -> KernelCode:
     """Return CUDA C of a kernel whose grid has rows along y.
 
@@ -166,28 +122,17 @@ def emit_kernel(
 
     Args:
         name: of the function.
-        closed: jaxpr of the lanes' numbers [lanes], the row [], ``arrays``, and the barrier.
+        closed: jaxpr of the lanes' numbers [lanes], the row [], and ``arrays``.
         arrays: those of the kernel, written ones last.
         lanes: of the traced kernel.
-        lanes_per_thread: of a thread.
-        together: whether the lanes of a block work on one problem, one for each row, whose arrays
-            stand one after another; otherwise each row has all lanes of the grid.
 
     Raises:
         UnsupportedOperationError: the kernel has an operation for which there is no rule.
     """
-    emitter = _Emitter(
-        lanes=lanes, lanes_per_thread=lanes_per_thread, together=together, arrays=tuple(arrays)
-    )
+    emitter = _Emitter(lanes=lanes)
+    emitter.emit("const int lane = blockIdx.x * blockDim.x + threadIdx.x;")
     emitter.emit("const int row = blockIdx.y;")
-    block = "threadIdx.x" if together else "blockIdx.x * blockDim.x + threadIdx.x"
-    lane = tuple(f"lane{k}" for k in range(lanes_per_thread))
-    for k, variable in enumerate(lane):
-        emitter.emit(f"const int {variable} = {block} + {k} * blockDim.x;")
-    if together:
-        for array in arrays:
-            emitter.emit(f"{array.name} += (long long)row * {array.size};")
-    emitter.run(closed, [lane, ("row",), *((x.name,) for x in arrays), (BARRIER,)])
+    emitter.run(closed, ["lane", "row", *(array.name for array in arrays)])
     constant = [x for x in arrays if not x.is_written]
     written = [x for x in arrays if x.is_written]
     pointers = [f"const {TYPES[x.dtype]}* __restrict__ {x.name}" for x in constant]
@@ -203,9 +148,6 @@ class _Emitter:
     """Statements of a kernel, in order."""
 
     lanes: int
-    lanes_per_thread: int
-    together: bool
-    arrays: tuple[KernelArray, ...]
     lines: list[str] = field(default_factory=list)
     operations: int = 0
     _n_names: int = 0
@@ -215,21 +157,19 @@ class _Emitter:
         """Add a line."""
         self.lines.append("  " * self._depth + text)
 
-    def run(self, closed: ClosedJaxpr, inputs: Sequence[Names]) -> list[Names]:
+    def run(self, closed: ClosedJaxpr, inputs: Sequence[str]) -> list[str]:
         """Emit all of a jaxpr; return its results."""
-        values: dict[Var, Names] = dict(zip(closed.jaxpr.invars, inputs, strict=True))
+        values: dict[Var, str] = dict(zip(closed.jaxpr.invars, inputs, strict=True))
         for var, const in zip(closed.jaxpr.constvars, closed.consts, strict=True):
             number = np.asarray(const)
             if number.size != 1:
                 raise ValueError(f"a kernel uses a constant array {number.shape}: pass it instead")
-            values[var] = (write_number(number.reshape(())[()], number.dtype),)
+            values[var] = write_number(number.reshape(())[()], number.dtype)
         return self._run_equations(closed.jaxpr, values)
 
-    def _run_equations(self, jaxpr: Jaxpr, values: dict[Var, Names]) -> list[Names]:
-        def read(x: Var | Literal) -> Names:
-            return (
-                (write_number(x.val, array_of(x).dtype),) if isinstance(x, Literal) else values[x]
-            )
+    def _run_equations(self, jaxpr: Jaxpr, values: dict[Var, str]) -> list[str]:
+        def read(x: Var | Literal) -> str:
+            return write_number(x.val, array_of(x).dtype) if isinstance(x, Literal) else values[x]
 
         for eqn in jaxpr.eqns:
             with naming_source(eqn):
@@ -237,7 +177,7 @@ class _Emitter:
             values.update(zip(eqn.outvars, results, strict=True))
         return [read(x) for x in jaxpr.outvars]
 
-    def _run_equation(self, eqn: JaxprEqn, operands: list[Names]) -> list[Names]:
+    def _run_equation(self, eqn: JaxprEqn, operands: list[str]) -> list[str]:
         name = eqn.primitive.name
         if name in _UNCHANGED:
             return [operands[0]]
@@ -253,7 +193,7 @@ class _Emitter:
             return structured(self, eqn, operands)
         return [self._declare_elementwise(eqn, operands)]
 
-    def _declare_elementwise(self, eqn: JaxprEqn, operands: Sequence[Names]) -> Names:
+    def _declare_elementwise(self, eqn: JaxprEqn, operands: Sequence[str]) -> str:
         """Declare the result of an operation on each lane by itself."""
         name, out = eqn.primitive.name, eqn.outvars[0]
         if name in _OPERATORS:
@@ -265,14 +205,7 @@ class _Emitter:
             if expression is None:
                 raise UnsupportedOperationError(eqn, "no CUDA C for")
             template = expression
-        count = self._count_variables(out)
-        return tuple(
-            self._declare(out, template(eqn, [_of_lane(x, k) for x in operands]))
-            for k in range(count)
-        )
-
-    def _count_variables(self, var: Var) -> int:
-        return self.lanes_per_thread if array_of(var).size == self.lanes > 1 else 1
+        return self._declare(out, template(eqn, operands))
 
     def _declare(self, var: Var, value: str) -> str:
         name = self._make_name()
@@ -284,78 +217,44 @@ class _Emitter:
         self._n_names += 1
         return f"v{self._n_names}"
 
-    def _declare_variables(self, variables: Sequence[Var]) -> list[Names]:
+    def _declare_variables(self, variables: Sequence[Var]) -> list[str]:
         """Declare variables that are assigned later."""
-        names = []
-        for var in variables:
-            names.append(tuple(self._make_name() for _ in range(self._count_variables(var))))
-            self.emit(f"{type_name(var)} {', '.join(names[-1])};")
+        names = [self._make_name() for _ in variables]
+        for var, name in zip(variables, names, strict=True):
+            self.emit(f"{type_name(var)} {name};")
         return names
 
-    def _assign(self, names: Sequence[Names], values: Sequence[Names]) -> None:
+    def _assign(self, names: Sequence[str], values: Sequence[str]) -> None:
         """Assign to variables, all at once."""
-        pairs = [
-            (x, _of_lane(value, k))
-            for variable, value in zip(names, values, strict=True)
-            for k, x in enumerate(variable)
-        ]
-        targets = {target for target, _ in pairs}
-        held = []
-        for target, value in pairs:
-            if value in targets and value != target:
+        assigned = []
+        for name, value in zip(names, values, strict=True):
+            if value in names and value != name:
                 copy = self._make_name()
                 self.emit(f"const auto {copy} = {value};")
-                held.append((target, copy))
-            elif value != target:
-                held.append((target, value))
-        for target, value in held:
-            self.emit(f"{target} = {value};")
+                assigned.append((name, copy))
+            elif value != name:
+                assigned.append((name, value))
+        for name, value in assigned:
+            self.emit(f"{name} = {value};")
 
-    def _reduce(self, eqn: JaxprEqn, operand: Names) -> Names:
-        """Reduce lanes: all of a block's, or each thread's own; see the top of the module."""
+    def _reduce(self, eqn: JaxprEqn, operand: str) -> str:
+        """Return the thread's own number of lanes that are reduced; see the top of the module."""
         if array_of(eqn.invars[0]).size != self.lanes:
             raise UnsupportedOperationError(eqn, "kernels only reduce all lanes:")
-        out = eqn.outvars[0]
-        if not self.together:
-            return operand
-        function = f"{_REDUCTIONS[eqn.primitive.name]}<{_wide(type_name(out))}>"
-        total = operand[0]
-        for other in operand[1:]:
-            total = f"{function}({total}, {other})"
-        return (self._declare(out, f"reduce_(({_wide(type_name(out))})({total}), {function})"),)
+        return operand
 
-    def _load(self, eqn: JaxprEqn, x: list[Names]) -> list[Names]:
-        """Load; a number that lanes may write is read by all of them before any goes on."""
-        index, out, (array,) = _index(eqn, x, 1), eqn.outvars[0], x[0]
-        names = tuple(
-            self._declare(out, f"{array}[{_of_lane(index, k)}]")
-            for k in range(self._count_variables(out))
-        )
-        if self.together and array_of(out).shape == () and self._array(array).is_written:
-            self.emit("__syncthreads();")
-        return [names]
+    def _load(self, eqn: JaxprEqn, x: list[str]) -> list[str]:
+        return [self._declare(eqn.outvars[0], f"{x[0]}[{_index(eqn, x, 1)}]")]
 
-    def _array(self, name: str) -> KernelArray:
-        return next(array for array in self.arrays if array.name == name)
+    def _store(self, eqn: JaxprEqn, x: list[str]) -> list[str]:
+        self.emit(f"{x[0]}[{_index(eqn, x, 2)}] = {x[1]};")
+        return ["0"]
 
-    def _store(self, eqn: JaxprEqn, x: list[Names]) -> list[Names]:
-        """Store; together, what lies behind the end of an array is dropped, as JAX does."""
-        index, (array,) = _index(eqn, x, 2), x[0]
-        if array == BARRIER:
-            self.emit("__syncthreads();")
-            return [("0",)]
-        size = self._array(array).size
-        for k in range(max(len(index), len(x[1]))):
-            at, value = _of_lane(index, k), _of_lane(x[1], k)
-            guard = f"if ((unsigned)({at}) < {size}u) " if self.together else ""
-            self.emit(f"{guard}{array}[{at}] = {value};")
-        return [("0",)]
-
-    def _branch(self, eqn: JaxprEqn, x: list[Names]) -> list[Names]:
+    def _branch(self, eqn: JaxprEqn, x: list[str]) -> list[str]:
         branches = eqn.params["branches"]
         names = self._declare_variables(eqn.outvars)
         for k, branch in enumerate(branches):
-            test = f"if ({x[0][0]} {'<=' if k == 0 else '=='} {k}) "
+            test = f"if ({x[0]} {'<=' if k == 0 else '=='} {k}) "
             is_last = k == len(branches) - 1
             self.emit(("else " if k else "") + ("" if is_last and k else test) + "{")
             self._depth += 1
@@ -364,25 +263,25 @@ class _Emitter:
             self.emit("}")
         return names
 
-    def _start_loop(self, eqn: JaxprEqn, start: Sequence[Names]) -> list[Names]:
+    def _start_loop(self, eqn: JaxprEqn, start: Sequence[str]) -> list[str]:
         names = self._declare_variables(eqn.outvars)
         self._assign(names, start)
         return names
 
-    def _loop_while(self, eqn: JaxprEqn, x: list[Names]) -> list[Names]:
+    def _loop_while(self, eqn: JaxprEqn, x: list[str]) -> list[str]:
         n_cond, n_body = eqn.params["cond_nconsts"], eqn.params["body_nconsts"]
         of_cond, of_body = x[:n_cond], x[n_cond : n_cond + n_body]
         names = self._start_loop(eqn, x[n_cond + n_body :])
         self.emit("while (true) {")
         self._depth += 1
-        ((running,),) = self.run(eqn.params["cond_jaxpr"], [*of_cond, *names])
+        (running,) = self.run(eqn.params["cond_jaxpr"], [*of_cond, *names])
         self.emit(f"if (!{running}) break;")
         self._assign(names, self.run(eqn.params["body_jaxpr"], [*of_body, *names]))
         self._depth -= 1
         self.emit("}")
         return names
 
-    def _loop_times(self, eqn: JaxprEqn, x: list[Names]) -> list[Names]:
+    def _loop_times(self, eqn: JaxprEqn, x: list[str]) -> list[str]:
         """Repeat a fixed number of times, without rows that are read or returned."""
         inner, n_const = eqn.params["jaxpr"], len(eqn.invars) - len(eqn.outvars)
         pairs = zip(eqn.outvars, inner.jaxpr.outvars, strict=True)
@@ -396,37 +295,27 @@ class _Emitter:
         self.emit("}")
         return names
 
-    def _number_lanes(self, eqn: JaxprEqn, x: list[Names]) -> list[Names]:
-        if eqn.params["shape"] != (self.lanes,) or not self.together:
-            raise UnsupportedOperationError(eqn, "kernels only number their lanes:")
-        dtype = TYPES[np.dtype(eqn.params["dtype"])]
-        return [tuple(f"({dtype})lane{k}" for k in range(self.lanes_per_thread))]
-
-    def _raise_to_integer(self, eqn: JaxprEqn, x: list[Names]) -> list[Names]:
+    def _raise_to_integer(self, eqn: JaxprEqn, x: list[str]) -> list[str]:
         """Multiply squares, as XLA does."""
         power, out = int(eqn.params["y"]), eqn.outvars[0]
-        names = []
-        for base in x[0]:
-            value, left = "", abs(power)
-            while left:
-                if left & 1:
-                    value = self._declare(out, f"{value} * {base}") if value else base
-                left >>= 1
-                if left:
-                    base = self._declare(out, f"{base} * {base}")
-            value = value or write_number(1, array_of(out).dtype)
-            one = write_number(1, array_of(out).dtype)
-            names.append(self._declare(out, f"{one} / {value}") if power < 0 else value)
-        return [tuple(names)]
+        base, value, left = x[0], "", abs(power)
+        one = write_number(1, array_of(out).dtype)
+        while left:
+            if left & 1:
+                value = self._declare(out, f"{value} * {base}") if value else base
+            left >>= 1
+            if left:
+                base = self._declare(out, f"{base} * {base}")
+        value = value or one
+        return [self._declare(out, f"{one} / {value}") if power < 0 else value]
 
 
-_STRUCTURED: dict[str, Callable[[_Emitter, JaxprEqn, list[Names]], list[Names]]] = {
+_STRUCTURED: dict[str, Callable[[_Emitter, JaxprEqn, list[str]], list[str]]] = {
     "get": _Emitter._load,
     "swap": _Emitter._store,
     "cond": _Emitter._branch,
     "while": _Emitter._loop_while,
     "scan": _Emitter._loop_times,
-    "iota": _Emitter._number_lanes,
     "integer_pow": _Emitter._raise_to_integer,
 }
 
@@ -452,8 +341,6 @@ def write_number(value: object, dtype: np.dtype) -> str:
         if number < 0:  # in C, a sign is an operation
             return f"({int(number) + 1} - 1)"
         return f"{int(number)}u" if dtype == np.uint32 else f"{int(number)}"
-    if dtype == np.float16:
-        return f"half_({write_number(number, np.dtype(np.float32))})"
     if np.isfinite(number):
         text = float(number).hex() + ("f" if dtype == np.float32 else "")
         return f"({text})" if np.signbit(number) else text
@@ -462,20 +349,11 @@ def write_number(value: object, dtype: np.dtype) -> str:
     return f"__longlong_as_double({int(number.view(np.int64))}ll)"
 
 
-def _of_lane(names: Names, k: int) -> str:
-    return names[k] if len(names) > 1 else names[0]
-
-
-def _wide(name: str) -> str:
-    """Return the type that a value is exchanged as between threads."""
-    return "int" if name in ("bool", "signed char", "unsigned char") else name
-
-
-def _index(eqn: JaxprEqn, operands: Sequence[Names], first: int) -> Names:
-    """Return the index of a load or store: lanes or a number."""
-    (indexer,) = jax.tree.unflatten(eqn.params["tree"], [list(x) for x in operands[first:]])
+def _index(eqn: JaxprEqn, operands: Sequence[str], first: int) -> str:
+    """Return the index of a load or store."""
+    (indexer,) = jax.tree.unflatten(eqn.params["tree"], operands[first:])
     (index,) = indexer.indices
-    return tuple(index) if isinstance(index, list) else (str(index),)
+    return str(index)
 
 
 def _write_operator(eqn: JaxprEqn, x: Sequence[str]) -> str:

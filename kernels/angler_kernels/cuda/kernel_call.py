@@ -6,9 +6,7 @@ it only when it is lowered itself. XLA calls PTX without a library of ours, so t
 program holds all it needs and can be kept in a cache.
 """
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from contextvars import ContextVar
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -17,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Primitive
-from jax.interpreters import batching, mlir
+from jax.interpreters import mlir
 
 from angler_kernels import lanes
 from angler_kernels.cuda import nvrtc
@@ -32,9 +30,6 @@ TARGET = "__gpu$xla.gpu.ptx"
 TRACED_LANES = 32
 """Number of lanes that kernels of independent lanes are traced with; any would do."""
 
-MAX_THREADS = 1024
-"""Maximum number of threads of a block."""
-
 _multiply_add_p = Primitive("multiply_add")
 _approximate_reciprocal_p = Primitive("approximate_reciprocal")
 for _primitive in (_multiply_add_p, _approximate_reciprocal_p):
@@ -48,9 +43,6 @@ rounded once."""
 
 ORDINARY = lanes.Instructions(reciprocal=lambda x: 1.0 / x, multiply_add=lambda a, b, c: a * b + c)
 """The same where kernels run as ordinary JAX."""
-
-_barrier: ContextVar[jax.Ref] = ContextVar("barrier")
-"""What a kernel that is being traced writes to where its lanes wait for each other."""
 
 _call_p = Primitive("cuda_kernel")
 _call_p.multiple_results = True
@@ -109,73 +101,15 @@ def call_lanes(
     )
 
 
-def call_block(
-    kernel: Kernel,
-    arrays: Sequence[jax.Array],
-    out: Sequence[jax.ShapeDtypeStruct],
-    *,
-    n_lanes: int,
-    lanes_per_thread: int,
-    interpret: bool = False,
-) -> Sequence[jax.Array]:
-    """Run a kernel whose lanes work together on one problem; under ``vmap``, a block for each.
-
-    What is stored behind the end of an array is dropped.
-
-    Args:
-        kernel: of references to the arrays and to those that it fills.
-        arrays: flat arrays that are read.
-        out: shapes of the flat arrays that are filled.
-        n_lanes: number of lanes, a multiple of 32 times ``lanes_per_thread``.
-        lanes_per_thread: of each thread; more where lanes wait for memory.
-        interpret: run as ordinary JAX, on any device.
-    """
-    changed = [jax.lax.empty(x.shape, x.dtype) for x in out]
-    if interpret:
-        run = partial(_interpret_problem, kernel, n_lanes, len(arrays))
-        filled: Sequence[jax.Array] = jax.custom_batching.sequential_vmap(run)(*arrays, *changed)
-        return filled
-    every = [*arrays, *changed]
-    closed = _trace(kernel, n_lanes, every)
-    code = emit_kernel(
-        "kernel",
-        closed,
-        _describe(every, len(arrays)),
-        lanes=n_lanes,
-        lanes_per_thread=lanes_per_thread,
-        together=True,
-    )
-    threads = n_lanes // lanes_per_thread
-    return _bind(
-        KernelLaunch(source=code.text, grid=(1, 1), block=threads, constants=len(arrays)), every
-    )
-
-
-def wait_for_lanes() -> None:
-    """Make what any lane of a block stored before visible to all of them, in a kernel."""
-    _barrier.get()[0] = jnp.int32(0)
-
-
 def _trace(kernel: Kernel, n_lanes: int, arrays: Sequence[jax.Array]) -> ClosedJaxpr:
     """Trace a kernel; its references are those of ``arrays``."""
 
     def run(lane: jax.Array, row: jax.Array, *values: jax.Array) -> None:
-        *refs, barrier = (jax.new_ref(value) for value in values)
-        with _use_barrier(barrier):
-            kernel(lane, row, *refs)
+        kernel(lane, row, *(jax.new_ref(value) for value in values))
 
     shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in arrays]
-    lane, one = (jax.ShapeDtypeStruct(shape, jnp.int32) for shape in ((n_lanes,), (1,)))
-    return jax.make_jaxpr(run)(lane, jax.ShapeDtypeStruct((), jnp.int32), *shapes, one)
-
-
-@contextmanager
-def _use_barrier(barrier: jax.Ref) -> Iterator[None]:
-    token = _barrier.set(barrier)
-    try:
-        yield
-    finally:
-        _barrier.reset(token)
+    lane = jax.ShapeDtypeStruct((n_lanes,), jnp.int32)
+    return jax.make_jaxpr(run)(lane, jax.ShapeDtypeStruct((), jnp.int32), *shapes)
 
 
 def _describe(arrays: Sequence[jax.Array], constants: int) -> list[KernelArray]:
@@ -197,15 +131,8 @@ def _interpret(
     """Run a kernel as ordinary JAX: all lanes of a row at once, rows one after another."""
     refs = [jax.new_ref(x) for x in (*constant, *changed)]
     lane = jnp.arange(width, dtype=jnp.int32)
-    with _use_barrier(jax.new_ref(jnp.zeros(1, jnp.int32))):
-        jax.lax.fori_loop(0, rows, lambda row, _: kernel(lane, row, *refs), None)
+    jax.lax.fori_loop(0, rows, lambda row, _: kernel(lane, row, *refs), None)
     return [jax.freeze(ref) for ref in refs[len(constant) :]]
-
-
-def _interpret_problem(
-    kernel: Kernel, n_lanes: int, constants: int, *arrays: jax.Array
-) -> list[jax.Array]:
-    return _interpret(kernel, n_lanes, 1, arrays[:constants], arrays[constants:])
 
 
 def _bind(launch: KernelLaunch, arrays: Sequence[jax.Array]) -> Sequence[jax.Array]:
@@ -253,30 +180,10 @@ def _call(*arrays: jax.Array, launch: KernelLaunch) -> Sequence[jax.Array]:
     return results
 
 
-def _batch(
-    arrays: Sequence[jax.Array], axes: Sequence[int | None], *, launch: KernelLaunch
-) -> tuple[Sequence[jax.Array], list[int]]:
-    """Add the problems of a batch as rows of the grid."""
-    count = next(x.shape[axis] for x, axis in zip(arrays, axes, strict=True) if axis is not None)
-    rows = [
-        jnp.broadcast_to(x, (count, *x.shape)) if axis is None else jnp.moveaxis(x, axis, 0)
-        for x, axis in zip(arrays, axes, strict=True)
-    ]
-    many = KernelLaunch(
-        source=launch.source,
-        grid=(launch.grid[0], launch.grid[1] * count),
-        block=launch.block,
-        constants=launch.constants,
-    )
-    results = _call_p.bind(*rows, launch=many)
-    return results, [0] * len(results)
-
-
 def _shapes(*arrays: jax.core.AbstractValue, launch: KernelLaunch) -> list[jax.core.AbstractValue]:
     return list(arrays[launch.constants :])
 
 
 _call_p.def_abstract_eval(_shapes)
 _call_p.def_impl(lambda *arrays, launch: jax.jit(partial(_call_p.bind, launch=launch))(*arrays))
-batching.primitive_batchers[_call_p] = _batch
 mlir.register_lowering(_call_p, mlir.lower_fun(_call, multiple_results=True), platform="cuda")

@@ -67,11 +67,11 @@ SEEDS = np.arange(4, dtype=np.uint32)
 def plans(worlds, seeds, slots, config=CONFIG, radius=RADIUS):
     @quickly
     def run(worlds, seeds):
-        def asked(world, seed):
+        def build_problem(world, seed):
             one = partial(world_problem, seed=seed, horizon_s=config.horizon_s)
             return one(world, jnp.asarray(radius), jnp.asarray(SPEED))
 
-        problems = jax.vmap(asked)(worlds, seeds)
+        problems = jax.vmap(build_problem)(worlds, seeds)
         return planner.plan_teams(problems, config, BUDGET, slots=slots)
 
     return run(worlds, seeds)

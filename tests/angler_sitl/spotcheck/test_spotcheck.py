@@ -322,7 +322,7 @@ def test_a_flight_is_read_as_it_was_written(run, tmp_path):
         flight.load_flight(tmp_path / "a" / "one.npz")
 
 
-class Told(Progress):
+class Reports(Progress):
     """A progress that remembers."""
 
     def __init__(self):
@@ -382,7 +382,7 @@ def settings(stand_in):
 
 
 def test_a_spot_check_reports_the_gaps(run, flyers, settings, tmp_path):
-    out, told = tmp_path / "check", Told()
+    out, told = tmp_path / "check", Reports()
     found = runner.run_spot_check(run.path, settings, out, told)
     assert found.complete
     assert (told.begun, told.flights) == ((4, 0), pytest.approx(4))
@@ -408,7 +408,7 @@ def test_what_was_interrupted_goes_on(run, flyers, settings, tmp_path, monkeypat
     # Drawn in the test above; here they would take most of the time.
     for name in ("plot_summary", "plot_world"):
         monkeypatch.setattr(figures, name, lambda *_: Figure(figsize=(1.0, 1.0)))
-    out, told = tmp_path / "check", Told()
+    out, told = tmp_path / "check", Reports()
     flyers[0] = 3
     found = runner.run_spot_check(run.path, settings, out, told)
     assert not found.complete
@@ -486,7 +486,7 @@ def test_a_run_that_planned_anew_is_checked_and_said_to_be_one(
 ):
     for name in ("plot_summary", "plot_world"):
         monkeypatch.setattr(figures, name, lambda *_: Figure(figsize=(1.0, 1.0)))
-    found = runner.run_spot_check(anew, settings, tmp_path / "check", Told())
+    found = runner.run_spot_check(anew, settings, tmp_path / "check", Reports())
     assert found.complete
     report = (tmp_path / "check" / "report.md").read_text()
     for said in ("at 2 Hz", "0.25 s later", "obstacles: observed", "in the order"):
@@ -579,7 +579,7 @@ def test_a_real_autopilot_flies_the_plan_of_a_run(ardusub, tmp_path):
     settings = SpotcheckSettings(
         episodes=1, against=("cascade",), levels=("thrusters",), binary=ardusub.path
     )
-    found = runner.run_spot_check(run.path, settings, tmp_path / "check", Told())
+    found = runner.run_spot_check(run.path, settings, tmp_path / "check", Reports())
     assert all("byte by byte" in text for text in found.likeness.values())
     for gap in found.list_gaps("thrusters", 2, "cascade"):
         # The same controllers on the same plan, by way of a real autopilot's filter and outputs,
@@ -596,7 +596,7 @@ def test_a_real_autopilot_is_planned_for_anew_as_in_a_run(ardusub, tmp_path):
     (tmp_path / "crossing.toml").write_text(CROSSING)
     run = rollout(load_scenario(tmp_path / "crossing.toml"), out=tmp_path / "run")
     settings = SpotcheckSettings(episodes=1, against=(), levels=("guided",), binary=ardusub.path)
-    found = runner.run_spot_check(run.path, settings, tmp_path / "check", Told())
+    found = runner.run_spot_check(run.path, settings, tmp_path / "check", Reports())
     rows = found.flights[0, "guided", 2].rows
     # Along its first plan it is hit: see the flights of planning/online, in the same scene.
     assert [row["outcome"] for row in rows] == ["reached", "reached"]

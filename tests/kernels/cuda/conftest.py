@@ -18,7 +18,6 @@ using namespace std;
 #define __restrict__
 struct Index { int x, y; };
 static Index blockIdx, blockDim, threadIdx;
-static void __syncthreads() {}
 static float __int_as_float(int a) { float b; memcpy(&b, &a, 4); return b; }
 static int __float_as_int(float a) { int b; memcpy(&b, &a, 4); return b; }
 static int __popc(unsigned a) { return __builtin_popcount(a); }
@@ -29,12 +28,8 @@ static float multiply_add_(float a, float b, float c) { return fmaf(a, b, c); }
 template <class T> T max_(T a, T b) { return a != a ? a : b != b ? b : a > b ? a : b; }
 template <class T> T min_(T a, T b) { return a != a ? a : b != b ? b : a < b ? a : b; }
 template <class T> T sign_(T a) { return a > 0 ? T(1) : a < 0 ? T(-1) : a; }
-template <class T> T or_(T a, T b) { return a | b; }
-template <class T> T and_(T a, T b) { return a & b; }
-template <class T> T add_(T a, T b) { return a + b; }
-template <class T, class F> T reduce_(T value, F) { return value; }
 """
-"""What CUDA C has and this machine does not. Blocks are of one thread that has all their lanes."""
+"""What CUDA C has and this machine does not."""
 
 MAIN = """
 extern "C" void launch(int blocks, int rows, int threads, void** arrays) {{

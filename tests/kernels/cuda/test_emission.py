@@ -7,18 +7,17 @@ import pytest
 
 from angler_kernels import lanes
 from angler_kernels.cuda import kernel_call
-from angler_kernels.cuda.emission import BARRIER, KernelArray, emit_kernel, write_number
+from angler_kernels.cuda.emission import emit_kernel, write_number
 
 N = 64
 
 
-def emit(kernel, arrays, constants, **options):
+def emit(kernel, arrays, constants):
     """Return the code of a kernel of NumPy arrays."""
-    n = options.get("lanes", kernel_call.TRACED_LANES)
+    n = kernel_call.TRACED_LANES
     with lanes.use_instructions(kernel_call.INSTRUCTIONS):
         closed = kernel_call._trace(kernel, n, arrays)
-    described = kernel_call._describe(arrays, constants)
-    return emit_kernel("kernel", closed, described, **{"lanes": n, **options})
+    return emit_kernel("kernel", closed, kernel_call._describe(arrays, constants), lanes=n)
 
 
 @pytest.fixture
@@ -169,30 +168,6 @@ def test_rows_and_stores_in_place(run_source):
     np.testing.assert_array_equal(target, expected)
 
 
-def test_lanes_of_a_block_work_together(run_source):
-    """Two problems, one block each: reductions, lanes by number, and stores that are dropped."""
-    n = 64
-    values = np.random.default_rng(2).normal(size=2 * n).astype(np.float32)
-    least, order = np.zeros(2, np.float32), np.full(2 * n, -1, np.int32)
-
-    def kernel(_, row, source, out_least, out_order):
-        lane = jnp.arange(n, dtype=jnp.int32)
-        value = source[lane]
-        out_least[0] = jnp.min(value)
-        kernel_call.wait_for_lanes()
-        smallest = out_least[0]
-        out_order[jnp.where(value > 0, lane, n)] = lane * 2 + (value == smallest).astype(jnp.int32)
-
-    arrays = [values[:n], least[:1], order[:n]]
-    code = emit(kernel, arrays, 1, lanes=n, lanes_per_thread=n, together=True)
-    assert code.text.count("__syncthreads") == 2 + 2, "two of the prelude, the barrier, the load"
-    run_source(code.text, [values, least, order], constants=1, rows=2)
-    np.testing.assert_array_equal(least, values.reshape(2, n).min(axis=1))
-    lane = np.tile(np.arange(n), 2)
-    smallest = values == np.repeat(least, n)
-    np.testing.assert_array_equal(order, np.where(values > 0, 2 * lane + smallest, -1))
-
-
 @pytest.mark.parametrize(
     ("function", "operation"),
     [(jnp.cumsum, "cumsum"), (jnp.sort, "sort"), (lambda x: jnp.flip(x), "rev")],
@@ -231,5 +206,3 @@ def test_operations_are_counted():
 
     code = emit(kernel, [np.zeros(N, np.float32)] * 2, 1)
     assert code.operations == 3, "a load, a product, a sum"
-    array = KernelArray(name="x", dtype=np.dtype(np.float32), size=N, is_written=False)
-    assert array.name != BARRIER

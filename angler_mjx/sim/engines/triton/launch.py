@@ -78,7 +78,7 @@ def call_kernel(
 
     def traced(*refs: jax.Ref) -> None:
         at, row = _locate_lanes(program.lanes)
-        with lanes.use_instructions(_ORDINARY if program.interpret else _INSTRUCTIONS):
+        with lanes.use_instructions(kernel_call.ORDINARY if program.interpret else _INSTRUCTIONS):
             # Changed arrays are there twice: they are read and written under the second.
             kernel(at, row, *refs[:first], *refs[-len(changed) :])
 
@@ -116,8 +116,6 @@ def _approximate_reciprocal(x: jax.Array) -> jax.Array:
 
 
 _INSTRUCTIONS = lanes.Instructions(reciprocal=_approximate_reciprocal, multiply_add=multiply_add)
-_ORDINARY = lanes.Instructions(reciprocal=lambda x: 1.0 / x, multiply_add=lambda a, b, c: a * b + c)
-"""Where kernels run as ordinary JAX."""
 
 
 def _locate_lanes(width: int) -> tuple[jax.Array, jax.Array]:

@@ -82,7 +82,7 @@ set = { randomise = { current = [0.0, 0.0] }, breakdowns = { fraction = 1.0, lat
 """
 
 
-class Told(Progress):
+class Reports(Progress):
     """Keeps what it is told; interrupts after some batches."""
 
     def __init__(self, batches=None):
@@ -121,7 +121,7 @@ def simulators(study):
 @pytest.fixture(scope="module")
 def whole(study, source, simulators, tmp_path_factory):
     out = tmp_path_factory.mktemp("whole") / "small"
-    found = running.run_study(study, source, out, progress=Told(), simulators=simulators)
+    found = running.run_study(study, source, out, progress=Reports(), simulators=simulators)
     return out, found
 
 
@@ -172,22 +172,24 @@ def test_worlds_get_the_current_that_they_would_be_drawn_with(study, simulators)
 
 def test_an_interrupted_study_goes_on_to_the_same_bytes(whole, study, source, simulators, tmp_path):
     out = tmp_path / "again"
-    begun = running.run_study(study, source, out, progress=Told(4), simulators=simulators)
+    begun = running.run_study(study, source, out, progress=Reports(4), simulators=simulators)
     assert (begun["ended"], begun["complete"]) == ("interrupted", False)
     assert (out / folder.PAGE).is_file()
     # As if the process had been killed in the middle of a line.
     with (out / "batches.jsonl").open("a") as file:
         file.write('{"condition":"ca')
     with pytest.raises(ConfigError, match="exists"):
-        running.run_study(study, source, out, progress=Told(), simulators=simulators)
-    told = Told()
+        running.run_study(study, source, out, progress=Reports(), simulators=simulators)
+    told = Reports()
     found = running.run_study(study, source, out, progress=told, resume=True, simulators=simulators)
     for name in ("batches.jsonl", folder.RESULTS):
         assert (out / name).read_bytes() == (whole[0] / name).read_bytes()
     same = ("conditions", "ended", "worlds", "complete")
     assert {key: found[key] for key in same} == {key: whole[1][key] for key in same}
     with pytest.raises(ConfigError, match="is complete"):
-        running.run_study(study, source, out, progress=Told(), resume=True, simulators=simulators)
+        running.run_study(
+            study, source, out, progress=Reports(), resume=True, simulators=simulators
+        )
 
 
 @pytest.fixture
@@ -215,7 +217,13 @@ def test_processes_that_share_batches_come_to_the_same_bytes(
 
     def run(one, resume=False):
         return running.run_study(
-            study, source, out, progress=Told(), simulators=simulators, processes=one, resume=resume
+            study,
+            source,
+            out,
+            progress=Reports(),
+            simulators=simulators,
+            processes=one,
+            resume=resume,
         )
 
     flights.stop = 6
@@ -261,12 +269,12 @@ def test_the_same_bytes_on_two_devices(whole, source, tmp_path):
 
 
 def test_a_batch_of_fewer_tiles_than_devices_is_told_of(study, source, simulators, tmp_path):
-    told = Told(1)
+    told = Reports(1)
     running.run_study(
         study, source, tmp_path / "a", progress=told, simulators=simulators, devices=1
     )
     assert not [text for text in map(str, told.said) if "devices have work" in text]
-    told = Told(1)
+    told = Reports(1)
     running.run_study(
         study, source, tmp_path / "b", progress=told, simulators=simulators, devices=3
     )
@@ -281,15 +289,17 @@ def test_another_study_does_not_go_on_with_it(whole, source, tmp_path):
     (out / folder.STUDY).write_text(json.dumps(table | {"complete": False}))
     other = conditions.read_study(source, batch=8)
     with pytest.raises(ConfigError, match=r"another study\.budget"):
-        running.run_study(other, source, out, progress=Told(), resume=True)
+        running.run_study(other, source, out, progress=Reports(), resume=True)
     with pytest.raises(ConfigError, match="no interrupted study"):
-        running.run_study(other, source, tmp_path / "nothing", progress=Told(), resume=True)
+        running.run_study(other, source, tmp_path / "nothing", progress=Reports(), resume=True)
 
 
 def test_no_batch_begins_after_the_time_is_over(source, tmp_path, simulators):
     study = conditions.read_study(source, max_minutes=1e-9)
     with pytest.raises(RunError, match=r"max_minutes.*over before the first batch"):
-        running.run_study(study, source, tmp_path / "late", progress=Told(), simulators=simulators)
+        running.run_study(
+            study, source, tmp_path / "late", progress=Reports(), simulators=simulators
+        )
     assert not (tmp_path / "late").exists()
     given = conditions.read_study(source)
     with pytest.raises(KeyboardInterrupt):
@@ -297,7 +307,7 @@ def test_no_batch_begins_after_the_time_is_over(source, tmp_path, simulators):
     assert not (tmp_path / "no").exists()
 
 
-class _Never(Told):
+class _Never(Reports):
     def describe(self, text):
         raise KeyboardInterrupt
 
