@@ -1,8 +1,11 @@
 """The order of test files, how often garbage is looked for, what tests measured and compiled."""
 
 import gc
+import os
 
 import pytest
+
+from angler_mjx.runs.simulator import stored_programs
 
 from . import compile_times, deviations
 
@@ -36,7 +39,12 @@ pytest_testnodedown = deviations.pytest_testnodedown
 pytest_sessionfinish = deviations.pytest_sessionfinish
 
 
+STORED = os.environ.get(stored_programs.SETTING, "1")
+"""Executables are stored and loaded in tests too, but for those that replace code."""
+
+
 def pytest_configure(config):
+    os.environ[stored_programs.SETTING] = STORED
     deviations.pytest_configure(config)
     config.pluginmanager.register(compile_times.CompileTimes())
 
@@ -70,3 +78,12 @@ def pytest_collection_modifyitems(config, items):
         return found[0] if found else len(LONG)
 
     items.sort(key=rank)
+
+
+@pytest.fixture(autouse=True)
+def _store_nothing_of_replaced_code(request):
+    """Store no executables in tests that replace code: their key is that of the code in files."""
+    if "monkeypatch" in request.fixturenames:
+        os.environ[stored_programs.SETTING] = "0"
+    yield
+    os.environ[stored_programs.SETTING] = STORED

@@ -14,7 +14,8 @@ type Device = Literal["cpu", "gpu"]
 def choose_device(device: Device | None, *, distributed: bool = False) -> None:
     """Make JAX compute on ``device``, or on its own choice if None, with a compile cache.
 
-    Compiled programs are kept: see `angler_mjx.runs.simulator.compile_cache`.
+    Compiled programs are kept: see `angler_mjx.runs.simulator.compile_cache` and
+    `angler_mjx.runs.simulator.stored_programs`.
 
     Args:
         device: device to compute on.
@@ -26,9 +27,10 @@ def choose_device(device: Device | None, *, distributed: bool = False) -> None:
     """
     import jax
 
-    from angler_mjx.runs.simulator import compile_cache
+    from angler_mjx.runs.simulator import compile_cache, stored_programs
 
     compile_cache.enable_cache()
+    stored_programs.enable_stored_programs()
     if device == "cpu":
         jax.config.update("jax_platforms", "cpu")
     if device == "gpu" and not distributed:

@@ -1,7 +1,7 @@
 """Parallel compilation of programs: while XLA compiles one, Python traces the next.
 
 XLA compiles without Python's lock, so one thread per program is enough. The programs are those that
-sequential compilation would give.
+sequential compilation would give. A program that is stored is neither traced nor compiled.
 """
 
 import gc
@@ -13,10 +13,16 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from types import TracebackType
-from typing import Protocol, Self
+from typing import Any, Protocol, Self, cast
 
 import jax
 from jax.sharding import Sharding
+
+from angler_mjx.runs.simulator.stored_programs import (
+    ProgramStore,
+    StoredProgram,
+    load_stored,
+)
 
 NO_AUTOTUNING = {"xla_gpu_autotune_level": 0}
 """Compiler option for all programs: XLA's search for a faster form of its kernels takes long on a
@@ -24,16 +30,16 @@ GPU, and its results are no faster. Sampling and planning (8 robots, 1,024 world
 291 s instead of 14 s, a segment of a delivery on an H100 22 s instead of 18 s."""
 
 
-class Lowerable(Protocol):
-    """Jitted function, or a `CompiledFunction`."""
+class _Jitted[R](Protocol):
+    """Jitted function, as JAX declares it too loosely."""
+
+    def __call__(self, *arguments: object) -> R:
+        """Return the results."""
+        ...
 
     def lower(self, *example: object) -> jax.stages.Lowered:
         """Return the program for arguments of these shapes."""
         ...
-
-
-class _Shaped[R](Lowerable, Protocol):
-    """Jitted function, as JAX declares it too loosely."""
 
     def eval_shape(self, *example: object) -> R:
         """Return shapes and types of the results."""
@@ -54,6 +60,8 @@ class CompiledFunction[R]:
         *,
         out_shardings: Sharding | None = None,
         donate_argnums: int | None = None,
+        name: str = "",
+        store: ProgramStore | None = None,
     ) -> None:
         """Jit a function twice; it is traced later.
 
@@ -61,14 +69,17 @@ class CompiledFunction[R]:
             function: function to compile.
             out_shardings: sharding of the results.
             donate_argnums: number of the argument whose memory the results take.
+            name: of the program within its store.
+            store: executables that were compiled before; None to compile each time.
         """
+        self._name, self._store = name, store
         # None would mean replicated results.
         options = {} if out_shardings is None else {"out_shardings": out_shardings}
         jit = partial(jax.jit, function, donate_argnums=donate_argnums, **options)
-        whole = jit(compiler_options=NO_AUTOTUNING)
+        whole: _Jitted[R] = jit(compiler_options=NO_AUTOTUNING)
         self._part: Callable[..., R] = jit()
-        self._whole: _Shaped[R] = whole
-        self._run: Callable[..., R] = whole
+        self._whole = whole
+        self._run: Callable[..., R] = whole if store is None else self._run_first
 
     def __call__(self, *arguments: object) -> R:
         """Return the results of the function; tracers where an argument is one."""
@@ -77,13 +88,42 @@ class CompiledFunction[R]:
         with jax.core.eval_context():
             return self._run(*arguments)
 
+    def _run_first(self, *arguments: object) -> R:
+        """Load or compile a program for the shapes of the first call; others are jitted."""
+        stored = self.find(*arguments)
+        executable, _ = (
+            _compile_timed(self, _lower_timed(self, *arguments)[0], *arguments)
+            if stored is None
+            else _load_timed(self, stored, *arguments)
+        )
+
+        def run(*arguments: object) -> R:
+            try:
+                return cast("R", executable(*arguments))
+            except (TypeError, ValueError):  # of other shapes, or elsewhere
+                return self._whole(*arguments)
+
+        self._run = run
+        return run(*arguments)
+
     def lower(self, *example: object) -> jax.stages.Lowered:
         """Return the program for arguments of these shapes, to be compiled ahead of time."""
         return self._whole.lower(*example)
 
     def shape(self, *example: object) -> R:
         """Return shapes and types of the results; the trace is the one that `lower` uses."""
-        return self._whole.eval_shape(*example)
+        stored = self.find(*example)
+        return self._whole.eval_shape(*example) if stored is None else cast("R", stored.result)
+
+    def find(self, *example: object) -> StoredProgram | None:
+        """Return the stored program for arguments of these shapes; None where there is none."""
+        return None if self._store is None else self._store.find(self._name, example)
+
+    def compile(self, lowered: jax.stages.Lowered, *example: object) -> jax.stages.Compiled:
+        """Compile what `lower` returned for arguments of these shapes, and store it."""
+        if self._store is None:
+            return lowered.compile()
+        return self._store.compile(self._name, lowered, example)
 
     def keep(self, executable: jax.stages.Compiled) -> None:
         """Use an executable, made of `lower`, in calls with arrays from now on."""
@@ -141,15 +181,18 @@ class ParallelCompiler:
         """Wait for all programs; skip those that have not begun after a failure."""
         self._threads.shutdown(cancel_futures=error is not None)
 
-    def begin(self, function: Lowerable, *example: object) -> PendingProgram:
-        """Trace a jitted function for arguments of these shapes, and begin to compile it."""
-        start = time.perf_counter()
-        with _COLLECTION_PAUSE.paused():
-            lowered = function.lower(*example)
-        written_s = time.perf_counter() - start
-        return PendingProgram(
-            lowering_s=written_s, made=self._threads.submit(_compile_timed, lowered)
-        )
+    def begin[R](self, function: CompiledFunction[R], *example: object) -> PendingProgram:
+        """Begin to load or compile a function for arguments of these shapes.
+
+        One that is not stored is traced and lowered before this returns.
+        """
+        stored = function.find(*example)
+        if stored is not None:
+            made = self._threads.submit(_load_timed, function, stored, *example)
+            return PendingProgram(lowering_s=0.0, made=made)
+        lowered, lowering_s = _lower_timed(function, *example)
+        made = self._threads.submit(_compile_timed, function, lowered, *example)
+        return PendingProgram(lowering_s=lowering_s, made=made)
 
 
 class _CollectionPause:
@@ -182,7 +225,30 @@ class _CollectionPause:
 _COLLECTION_PAUSE = _CollectionPause()
 
 
-def _compile_timed(lowered: jax.stages.Lowered) -> tuple[jax.stages.Compiled, float]:
+def _lower_timed(
+    function: CompiledFunction[Any], *example: object
+) -> tuple[jax.stages.Lowered, float]:
     start = time.perf_counter()
-    executable = lowered.compile()
+    with _COLLECTION_PAUSE.paused():
+        lowered = function.lower(*example)
+    return lowered, time.perf_counter() - start
+
+
+def _compile_timed(
+    function: CompiledFunction[Any], lowered: jax.stages.Lowered, *example: object
+) -> tuple[jax.stages.Compiled, float]:
+    start = time.perf_counter()
+    executable = function.compile(lowered, *example)
+    return executable, time.perf_counter() - start
+
+
+def _load_timed(
+    function: CompiledFunction[Any], stored: StoredProgram, *example: object
+) -> tuple[jax.stages.Compiled, float]:
+    """Load a stored program; compile it where its device refuses it."""
+    start = time.perf_counter()
+    executable = load_stored(stored)
+    if executable is None:
+        lowered, _ = _lower_timed(function, *example)
+        executable, _ = _compile_timed(function, lowered, *example)
     return executable, time.perf_counter() - start

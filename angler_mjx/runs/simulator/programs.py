@@ -41,6 +41,7 @@ from angler_mjx.runs.simulator.devices import (
     tree_bytes,
     with_sharding,
 )
+from angler_mjx.runs.simulator.stored_programs import open_store, trace_settings
 from angler_mjx.runs.simulator.world_preparation import build_preparer, build_tile_problems
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim import fleet
@@ -106,7 +107,7 @@ class ProgramSetup:
             repr(self.planner),
             jax.tree.structure(self.policy),
             tuple(numbers),
-            tuple(repr(getattr(jax.config, name, None)) for name in sorted(jax.config.values)),
+            trace_settings(),
         )
 
 
@@ -124,6 +125,7 @@ class Programs:
         segment: one segment of a run, from the end of the segment before.
         from_anywhere: one segment from any control step.
         commanded: one segment with a command in place of the paths.
+        store: executables on disk; None where none are stored.
         add_parameters: worlds with the parameters of the fleet's variants.
         pack_cells: cells of worlds as the engine reads them; None where it reads the grid itself.
     """
@@ -153,25 +155,37 @@ class Programs:
         sampling = build_preparer(
             scenario, setup.planner, setup.tile, shape=setup.paths, policy=policy
         )
-        self.prepare = self._shard(sampling, REPLICATED, REPLICATED, SHARDED)
+        self.store = open_store(setup.key(), setup.mesh)
+        self.prepare = self._shard(sampling, REPLICATED, REPLICATED, SHARDED, stored_name="prepare")
         # A policy is an argument of the programs: one with other numbers needs no compilation.
         policy_specs = (REPLICATED,) * len(setup.policy)
         reset = partial(self.engine.reset, self.spec)
-        self.reset = self._shard(reset, REPLICATED, SHARDED, *policy_specs)
+        self.reset = self._shard(reset, REPLICATED, SHARDED, *policy_specs, stored_name="reset")
         self.step = self._shard(
-            self._run_step, REPLICATED, SHARDED, SHARDED, SHARDED, SHARDED, *policy_specs
+            self._run_step,
+            *(REPLICATED, SHARDED, SHARDED, SHARDED, SHARDED, *policy_specs),
+            stored_name="step",
         )
         # Of runs, whose segments begin where the one before ended; and of any.
         steps = self.samples * self.steps_per_sample
         of_run, of_any = (partial(self._run_segment, n) for n in (steps, 1))
         self.segment = self._shard(
-            of_run, REPLICATED, SHARDED, SHARDED, SHARDED, *policy_specs, donate_argnums=2
+            of_run,
+            *(REPLICATED, SHARDED, SHARDED, SHARDED, *policy_specs),
+            donate_argnums=2,
+            stored_name="segment",
         )
         self.segment_any_step = self._shard(
-            of_any, REPLICATED, SHARDED, SHARDED, SHARDED, *policy_specs, donate_argnums=2
+            of_any,
+            *(REPLICATED, SHARDED, SHARDED, SHARDED, *policy_specs),
+            donate_argnums=2,
+            stored_name="segment_any_step",
         )
         self.commanded = self._shard(
-            self._run_commanded, REPLICATED, SHARDED, SHARDED, SHARDED, SHARDED, donate_argnums=2
+            self._run_commanded,
+            *(REPLICATED, SHARDED, SHARDED, SHARDED, SHARDED),
+            donate_argnums=2,
+            stored_name="commanded",
         )
         self.add_parameters = self._shard(fleet.add_parameters, REPLICATED, SHARDED)
         self.pack_cells = self._shard(self.engine.pack_cells, SHARDED)
@@ -181,7 +195,9 @@ class Programs:
         if information not in self._problems:
             build = partial(build_tile_problems, self._setup.scenario, information)
             self._problems[information] = self._shard(
-                build, REPLICATED, SHARDED, REPLICATED, SHARDED
+                build,
+                *(REPLICATED, SHARDED, REPLICATED, SHARDED),
+                stored_name=f"problem {information!r}",
             )
         return self._problems[information]
 
@@ -286,16 +302,25 @@ class Programs:
         function: Callable[..., R],
         *specs: PartitionSpec,
         donate_argnums: int | None = None,
+        stored_name: str = "",
     ) -> CompiledFunction[R]:
         """Return a compiled function that runs on each device, on its tile.
 
         Results carry their sharding by tiles: a function of them is then one program, whether it
         was compiled ahead of time or is called.
+
+        Args:
+            function: function of one device's tile.
+            specs: sharding of its arguments.
+            donate_argnums: number of the argument whose memory the results take.
+            stored_name: of its executable on disk; empty to store none.
         """
         return CompiledFunction(
             on_devices.shard_function(self._setup.mesh, function, *specs),
             out_shardings=NamedSharding(self._setup.mesh, SHARDED),
             donate_argnums=donate_argnums,
+            name=stored_name,
+            store=self.store if stored_name else None,
         )
 
     def _run_step(

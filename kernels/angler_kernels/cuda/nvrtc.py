@@ -14,7 +14,8 @@ from ctypes.util import find_library
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
-from tempfile import NamedTemporaryFile
+
+from angler_kernels.checked_file import read_checked, write_checked
 
 OPTIONS = ("-fmad=false", "-default-device", "-w")
 """Options of every compilation; products and sums are fused only where a kernel says so."""
@@ -22,7 +23,6 @@ OPTIONS = ("-fmad=false", "-default-device", "-w")
 MAX_THREADS = 16
 """Maximum number of sources that are compiled side by side."""
 
-_CHECKSUM_BYTES = 32
 _pool = ThreadPoolExecutor(min(MAX_THREADS, os.cpu_count() or 1), thread_name_prefix="nvrtc")
 _begun: dict[tuple[str, str], Future[str]] = {}
 _lock = threading.Lock()
@@ -68,11 +68,11 @@ def load_or_compile(source: str, architecture: str, folder: Path | None) -> str:
         return compile_source(source, architecture)
     text = "\0".join([source, architecture, *OPTIONS, str(version())])
     path = folder / f"{hashlib.sha256(text.encode()).hexdigest()}.ptx"
-    kept = _read_kept(path)
+    kept = read_checked(path)
     if kept is not None:
-        return kept
+        return kept.decode()
     ptx = compile_source(source, architecture)
-    _keep(path, ptx)
+    write_checked(path, ptx.encode())
     return ptx
 
 
@@ -104,30 +104,6 @@ def version() -> tuple[int, int]:
     major, minor = ctypes.c_int(), ctypes.c_int()
     _library().nvrtcVersion(ctypes.byref(major), ctypes.byref(minor))
     return major.value, minor.value
-
-
-def _read_kept(path: Path) -> str | None:
-    """Return what `_keep` wrote; None where there is nothing, or not all of it."""
-    try:
-        content = path.read_bytes()
-    except OSError:
-        return None
-    checksum, ptx = content[:_CHECKSUM_BYTES], content[_CHECKSUM_BYTES:]
-    return ptx.decode() if hashlib.sha256(ptx).digest() == checksum else None
-
-
-def _keep(path: Path, ptx: str) -> None:
-    """Write a file whole, or not at all."""
-    content, temporary = ptx.encode(), None
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with NamedTemporaryFile(dir=path.parent, delete=False) as file:
-            temporary = Path(file.name)
-            file.write(hashlib.sha256(content).digest() + content)
-        temporary.replace(path)
-    except OSError:  # a full disk, or a folder of somebody else
-        if temporary is not None:
-            temporary.unlink(missing_ok=True)
 
 
 def _read(size_of: Callable[..., int], read: Callable[..., int], program: ctypes.c_void_p) -> str:
