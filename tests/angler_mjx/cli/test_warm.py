@@ -6,6 +6,8 @@ import sys
 
 import pytest
 
+from angler_mjx.runs.simulator import stored_programs
+
 SCENARIO = """
 schema_version = 1
 name = "small"
@@ -31,11 +33,13 @@ PROGRAMS = ("prepare", "reset", "segment")
 
 
 def angler(tmp_path, *arguments):
-    """Output of a command that keeps its programs in ``tmp_path / "kept"``."""
+    """Output and log of a command that keeps its programs in ``tmp_path / "kept"``."""
     # A threshold above 0, as in the suite, would leave out what compiles fast.
     kept = {
         "JAX_COMPILATION_CACHE_DIR": str(tmp_path / "kept"),
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+        "JAX_LOG_COMPILES": "1",
+        stored_programs.SETTING: "",
     }
     done = subprocess.run(
         [sys.executable, "-m", "angler_mjx.cli.main", *arguments],
@@ -47,25 +51,31 @@ def angler(tmp_path, *arguments):
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    return done.stdout
+    return done.stdout, done.stderr
 
 
 def kept(tmp_path):
-    """Programs of the simulator in the cache."""
-    names = [path.name for path in (tmp_path / "kept").glob("*-cache")]
-    return sorted(name for name in names if any(part in name for part in PROGRAMS))
+    """Stored programs in the cache."""
+    return sorted(path.name for path in (tmp_path / "kept" / "programs").glob("*.program"))
 
 
-@pytest.mark.nightly(by="test_compiling.py")
-def test_a_run_after_it_compiles_nothing_of_its_own(tmp_path):
-    (tmp_path / "small.toml").write_text(SCENARIO)
-    told = angler(tmp_path, "warm", "small.toml", "--engine", "fused", "--device", "cpu")
+@pytest.mark.nightly(by="test_stored_programs.py")
+def test_a_run_after_it_traces_and_compiles_nothing_of_its_own(tmp_path):
+    for name in ("small", "wide"):
+        text = SCENARIO.replace('"small"', f'"{name}"').replace("[8, 8, 8]", f"[{len(name)}, 8, 8]")
+        (tmp_path / f"{name}.toml").write_text(text)
+    flags = ("--engine", "fused", "--device", "cpu")
+    told, log = angler(tmp_path, "warm", "small.toml", "wide.toml", *flags)
+    assert "Finished tracing sample_tile" in log
     warmed = kept(tmp_path)
-    assert len(warmed) == len(PROGRAMS)
-    assert all(part in told for part in (*PROGRAMS, "small", "fused", str(tmp_path / "kept")))
+    assert len(warmed) == 2 * len(PROGRAMS)
+    assert all(part in told for part in (*PROGRAMS, "small", "wide", "fused"))
+    assert told.splitlines()[-1] == str(tmp_path / "kept")
     assert not (tmp_path / "runs").exists()
-    angler(
-        tmp_path, "rollout", "small.toml", "--engine", "fused", "--device", "cpu", "--no-figures"
-    )
-    assert (tmp_path / "runs" / "small" / "summary.json").exists()
+    for name in ("small", "wide"):
+        _, log = angler(tmp_path, "rollout", f"{name}.toml", *flags, "--no-figures")
+        assert (tmp_path / "runs" / name / "summary.json").exists()
+        assert "Finished tracing" in log
+        assert "tracing sample_tile" not in log
+        assert "tracing _run_segment" not in log
     assert kept(tmp_path) == warmed

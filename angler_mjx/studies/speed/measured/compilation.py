@@ -1,8 +1,8 @@
 """Seconds from Python to machine code of each program of a scenario, without and with a cache.
 
 Cold: with an empty cache folder. Cached: a second time, from that folder, with nothing of the first
-left in memory; programs are still traced and lowered then. Each is measured once, since a cold
-start takes minutes.
+left in memory; a command loads its stored executables then, a Python caller traces and lowers
+again. Each is measured once, since a cold start takes minutes.
 """
 
 from collections import Counter
@@ -19,8 +19,8 @@ from angler_mjx.studies.speed.rows import DURATION, HITS, REQUESTS, SpeedRow, ca
 
 CACHED = "cached"
 INSIDE = (
-    "tracing, lowering and compiling with an empty cache folder, and once more with the programs "
-    "of that folder; programs side by side, all together by the clock on the wall"
+    "from Python to executables with an empty cache folder, and once more with the programs of "
+    "that folder; programs side by side, all together by the clock on the wall"
 )
 
 
