@@ -5,11 +5,9 @@ sequential compilation would give. A program that is stored is neither traced no
 """
 
 import gc
-import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from types import TracebackType
@@ -18,6 +16,7 @@ from typing import Any, Protocol, Self, cast
 import jax
 from jax.sharding import Sharding
 
+from angler_mjx.runs.simulator.shared_pause import SharedPause
 from angler_mjx.runs.simulator.stored_programs import (
     ProgramStore,
     StoredProgram,
@@ -195,41 +194,17 @@ class ParallelCompiler:
         return PendingProgram(lowering_s=lowering_s, made=made)
 
 
-class _CollectionPause:
-    """Pause of Python's cyclic garbage collection while any thread traces a program.
-
-    A trace makes millions of objects that live until it ends; visiting them repeatedly took 23 % of
-    the time to trace and lower the programs of `reef_fleet` (15.7 s instead of 12.1).
-    """
-
-    def __init__(self) -> None:
-        self._lock, self._inside, self._was_enabled = threading.Lock(), 0, False
-
-    @contextmanager
-    def paused(self) -> Iterator[None]:
-        """Pause until the last thread has left, then restore the caller's setting."""
-        with self._lock:
-            if self._inside == 0:
-                self._was_enabled = gc.isenabled()
-                gc.disable()
-            self._inside += 1
-        try:
-            yield
-        finally:
-            with self._lock:
-                self._inside -= 1
-                if self._inside == 0 and self._was_enabled:
-                    gc.enable()
-
-
-_COLLECTION_PAUSE = _CollectionPause()
+_COLLECTION = SharedPause(gc.isenabled, lambda on: gc.enable() if on else gc.disable())
+"""Python's cyclic garbage collection. A trace makes millions of objects that live until it ends;
+visiting them repeatedly took 23 % of the time to trace and lower the programs of `reef_fleet`
+(15.7 s instead of 12.1)."""
 
 
 def _lower_timed(
     function: CompiledFunction[Any], *example: object
 ) -> tuple[jax.stages.Lowered, float]:
     start = time.perf_counter()
-    with _COLLECTION_PAUSE.paused():
+    with _COLLECTION.paused():
         lowered = function.lower(*example)
     return lowered, time.perf_counter() - start
 

@@ -53,6 +53,11 @@ def use_cache_folder(folder: Path) -> Iterator[None]:
         _apply_settings(before)
 
 
+def switch_cache(is_on: bool) -> None:
+    """Turn JAX's cache on or off for what is compiled from now on, in all threads."""
+    _apply_settings({"jax_enable_compilation_cache": is_on})
+
+
 def _apply_settings(settings: Mapping[str, object]) -> None:
     for name, value in settings.items():
         jax.config.update(name, value)

@@ -12,7 +12,6 @@ import os
 import pickle
 import platform
 import re
-import threading
 from collections.abc import Hashable, Iterator
 from dataclasses import dataclass
 from functools import cache
@@ -21,11 +20,12 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import jax
-from jax import monitoring
 from jax.experimental import serialize_executable
 from jax.sharding import Mesh
 
 from angler_kernels.checked_file import read_checked, write_checked
+from angler_mjx.runs.simulator.compile_cache import switch_cache
+from angler_mjx.runs.simulator.shared_pause import SharedPause
 
 SETTING = "ANGLER_STORED_PROGRAMS"
 """Environment variable; "0" stores nothing, "1" stores programs of Python callers too."""
@@ -45,8 +45,8 @@ UNTRACED_SETTINGS = (
 )
 """Prefixes of JAX's settings that change no program."""
 
-CACHE_HIT = "/jax/compilation_cache/cache_hits"
-"""Event of JAX when it reads a program from its own cache."""
+_JAX_CACHE = SharedPause(lambda: bool(jax.config.jax_enable_compilation_cache), switch_cache)
+"""JAX's own cache. What is read from there cannot be serialised: for a CPU it lacks its kernels."""
 
 _enabled_by_command = False
 
@@ -120,8 +120,9 @@ class ProgramStore:
         stored = self._read(executable_name, result, arguments)
         executable = None if stored is None else load_stored(stored)
         if executable is None:
-            executable, is_new = _compile_noting_cache(lowered)
-            if not is_new or not self._write(executable_name, executable):
+            with _JAX_CACHE.paused():
+                executable = lowered.compile()
+            if not self._write(executable_name, executable):
                 return executable
         write_checked(self._path(name, arguments), pickle.dumps((result, executable_name)))
         remove_unused(self.folder, MAX_BYTES)
@@ -229,27 +230,6 @@ def _store_folder() -> Path | None:
     if not is_enabled or not folder or not jax.config.jax_enable_compilation_cache:
         return None
     return None if "://" in folder else Path(folder) / "programs"
-
-
-_compiling = threading.local()
-
-
-def _note_cache_hit(event: str, **_: object) -> None:
-    if event == CACHE_HIT:
-        _compiling.is_from_cache = True
-
-
-monitoring.register_event_listener(_note_cache_hit)
-
-
-def _compile_noting_cache(lowered: jax.stages.Lowered) -> tuple[jax.stages.Compiled, bool]:
-    """Compile; return too whether JAX did so instead of reading its own cache.
-
-    An executable that XLA has read for a CPU cannot be serialised again: it lacks its kernels.
-    """
-    _compiling.is_from_cache = False
-    executable = lowered.compile()
-    return executable, not _compiling.is_from_cache
 
 
 @cache
