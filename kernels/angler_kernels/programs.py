@@ -26,7 +26,8 @@ MAX_LANES = 2048
 """Maximum number of lanes, two for each thread that a program can have; more would not fit its
 registers."""
 
-_THREADS_PER_WARP = 32
+_THREADS_PER_WARP, _MAX_WARPS = 32, 32
+"""Threads of a warp, and maximum number of warps that a program can have."""
 
 _compiler = jax.make_user_context("triton")
 """Compiler of the programs that are traced; part of the keys under which JAX keeps traces."""
@@ -78,8 +79,8 @@ class BlockProgram:
 
     @property
     def warps(self) -> int:
-        """Return the number of warps, of 32 threads each."""
-        return max(1, self.lanes // self.lanes_per_warp)
+        """Return the number of warps; lanes beyond the last are further lanes of the threads."""
+        return min(max(1, self.lanes // self.lanes_per_warp), _MAX_WARPS)
 
     def run(
         self,

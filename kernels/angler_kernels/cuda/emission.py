@@ -129,6 +129,7 @@ _UNCHANGED = {
     "copy_p",
     "stop_gradient",
     "optimization_barrier",
+    "reshard",
     "new_ref",
     "freeze",
 }

@@ -28,6 +28,9 @@ type Kernel = Callable[..., None]
 """Kernel of references to its arrays, in which it stores results; before these, where lanes are
 independent, of lanes int32 [n] and the row int32 []."""
 
+type Shaped = jax.Array | jax.ShapeDtypeStruct
+"""Array, or its shape and type."""
+
 TARGET = "__gpu$xla.gpu.ptx"
 """XLA's name of a call of a kernel in PTX."""
 
@@ -97,11 +100,11 @@ class BlockLaunch:
 
 def _write_problem(batch: Sequence[int], shared: frozenset[int]) -> str:
     """Return the number of a block's problem among those with an array of their own, in C."""
-    terms, stride, own = ["0"], 1, 1
+    terms, stride, problems = ["0"], 1, 1
     for axis, count in enumerate(reversed(batch)):
         if axis not in shared:
-            terms.append(f"block / {stride} % {count} * {own}")
-            own *= count
+            terms.append(f"block / {stride} % {count} * {problems}")
+            problems *= count
         stride *= count
     return " + ".join(terms)
 
@@ -176,7 +179,7 @@ def call_block(
         run = jax.custom_batching.sequential_vmap(partial(_interpret_block, kernel, filled))
         results: Sequence[jax.Array] = run(*arrays)
         return results
-    every = [*arrays, *filled]
+    every: list[Shaped] = [*arrays, *filled]
     code = emit_block(
         "kernel",
         _trace_block(kernel, every),
@@ -199,9 +202,7 @@ def wait_for_lanes() -> None:
     _barrier.get()[0] = jnp.int32(0)
 
 
-def _trace(
-    kernel: Kernel, n_lanes: int, arrays: Sequence[jax.Array | jax.ShapeDtypeStruct]
-) -> ClosedJaxpr:
+def _trace(kernel: Kernel, n_lanes: int, arrays: Sequence[Shaped]) -> ClosedJaxpr:
     """Trace a kernel of independent lanes; its references are those of ``arrays``."""
 
     def run(lane: jax.Array, row: jax.Array, *values: jax.Array) -> None:
@@ -212,7 +213,7 @@ def _trace(
     return jax.make_jaxpr(run)(lane, jax.ShapeDtypeStruct((), jnp.int32), *shapes)
 
 
-def _trace_block(kernel: Kernel, arrays: Sequence[jax.Array | jax.ShapeDtypeStruct]) -> ClosedJaxpr:
+def _trace_block(kernel: Kernel, arrays: Sequence[Shaped]) -> ClosedJaxpr:
     """Trace a kernel of a block; the last reference is the barrier."""
 
     def run(*values: jax.Array) -> None:
@@ -237,9 +238,7 @@ def _array_name(k: int) -> str:
     return f"array{k}"
 
 
-def _describe(
-    arrays: Sequence[jax.Array | jax.ShapeDtypeStruct], constants: int
-) -> list[KernelArray]:
+def _describe(arrays: Sequence[Shaped], constants: int) -> list[KernelArray]:
     return [
         KernelArray(
             name=_array_name(k), dtype=np.dtype(x.dtype), size=x.size, is_written=k >= constants
