@@ -8,7 +8,7 @@ gets a program.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import wraps
+from functools import partial, wraps
 from typing import Literal
 
 import jax
@@ -46,6 +46,8 @@ def compiled_by[**P, R](compiler: Compiler, function: Callable[P, R]) -> Callabl
         with _compiler(compiler):
             return function(*args, **kwargs)
 
+    if isinstance(function, partial):
+        run.__name__ = function.func.__name__  # the name of its program
     return run
 
 
