@@ -7,7 +7,7 @@ import pytest
 
 from angler_mjx.runs.simulator import stored_programs
 
-from . import compile_times, deviations
+from . import compile_times, cuda_on_cpu, deviations
 
 # Tracing makes millions of objects that stay: that of a rollout takes 7.1 s instead of 8.4.
 gc.set_threshold(50_000, 20, 20)
@@ -34,6 +34,8 @@ TOGETHER = ("angler_mjx/learning/datasets/", "experiments/learned_planner/")
 """Folders whose files share what is made or compiled once in a process: one worker takes them."""
 
 deviation = deviations.deviation
+block_form = cuda_on_cpu.block_form
+compiled_sources = cuda_on_cpu.compiled_sources
 pytest_addoption = deviations.pytest_addoption
 pytest_testnodedown = deviations.pytest_testnodedown
 pytest_sessionfinish = deviations.pytest_sessionfinish

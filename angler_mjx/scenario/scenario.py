@@ -76,7 +76,8 @@ class Scenario(FileModel):
     vehicles."""
     kernels: Literal["xla", "triton", "cuda"] | None = None
     """Compiler of the engine; if left out, triton for fused on a GPU, else xla. cuda compiles in a
-    fifth of triton's time; experimental. Part of the result's bytes."""
+    fifth of triton's time, also kernels of planners and tasks; experimental. Part of the result's
+    bytes."""
     worlds: int = Field(default=256, ge=1, le=10**9)
     """Number of worlds, each with the whole fleet."""
     seed: int = Field(default=0, ge=0, lt=2**31)

@@ -1,4 +1,4 @@
-"""GPU programs, one for each problem of a batch, written in Pallas and lowered by Triton.
+"""GPU programs, one for each problem of a batch, compiled by Pallas's Triton or as CUDA C.
 
 For searches whose number of steps depends on the problem. A program has a lane for each cell of a
 layer, or each column, of a grid; lanes exchange values through scratch memory small enough to stay
@@ -8,6 +8,8 @@ gets a program.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial, wraps
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
@@ -15,9 +17,20 @@ from jax.experimental import pallas as pl
 from jax.experimental.pallas import triton as plt
 from jax.typing import ArrayLike
 
+from angler_kernels.cuda import kernel_call
+
+type Compiler = Literal["triton", "cuda"]
+"""Compiler of kernels."""
+
 MAX_LANES = 2048
 """Maximum number of lanes, two for each thread that a program can have; more would not fit its
 registers."""
+
+_THREADS_PER_WARP, _MAX_WARPS = 32, 32
+"""Threads of a warp, and maximum number of warps that a program can have."""
+
+_compiler = jax.make_user_context("triton")
+"""Compiler of the programs that are traced; part of the keys under which JAX keeps traces."""
 
 
 def on_gpu() -> bool:
@@ -25,27 +38,51 @@ def on_gpu() -> bool:
     return jax.default_backend() == "gpu"
 
 
+def compiled_by[**P, R](compiler: Compiler, function: Callable[P, R]) -> Callable[P, R]:
+    """Return a function whose programs are compiled by ``compiler``, wherever it is traced."""
+
+    @wraps(function)
+    def run(*args: P.args, **kwargs: P.kwargs) -> R:
+        with _compiler(compiler):
+            return function(*args, **kwargs)
+
+    if isinstance(function, partial):
+        run.__name__ = function.func.__name__  # the name of its program
+    return run
+
+
 @dataclass(frozen=True, kw_only=True)
 class BlockProgram:
     """Program of ``lanes`` or more lanes.
 
     Attributes:
-        lanes: a power of two on a GPU.
-        lanes_a_warp: two for each thread where lanes wait for memory.
+        lanes: a power of two on a GPU, at least 32.
+        lanes_per_warp: two for each thread where lanes wait for memory.
+        compiler: compiler of the program.
         interpret: run as ordinary JAX, on any device.
     """
 
     lanes: int
     lanes_per_warp: int = 64
+    compiler: Compiler = "triton"
     interpret: bool = False
 
     @classmethod
     def of(
         cls, min_lanes: int, *, lanes_per_warp: int = 64, interpret: bool = False
     ) -> "BlockProgram":
-        """Build a program with at least ``min_lanes`` lanes."""
-        lanes = max(32, 1 << (min_lanes - 1).bit_length())
-        return cls(lanes=lanes, lanes_per_warp=lanes_per_warp, interpret=interpret)
+        """Build a program with at least ``min_lanes`` lanes, for the compiler of `compiled_by`."""
+        return cls(
+            lanes=max(32, 1 << (min_lanes - 1).bit_length()),
+            lanes_per_warp=lanes_per_warp,
+            compiler=_compiler.value,
+            interpret=interpret,
+        )
+
+    @property
+    def warps(self) -> int:
+        """Return the number of warps; lanes beyond the last are further lanes of the threads."""
+        return min(max(1, self.lanes // self.lanes_per_warp), _MAX_WARPS)
 
     def run(
         self,
@@ -54,23 +91,36 @@ class BlockProgram:
         out: Sequence[jax.ShapeDtypeStruct],
     ) -> Sequence[jax.Array]:
         """Run a kernel on references to flat arrays and to the arrays that it fills."""
+        if self.compiler == "cuda":
+            return kernel_call.call_block(
+                kernel,
+                arrays,
+                out,
+                lanes=self.lanes,
+                threads=_THREADS_PER_WARP * self.warps,
+                interpret=self.interpret,
+            )
         filled: Sequence[jax.Array] = pl.pallas_call(
             kernel,
             out_shape=list(out),
             grid=(1,),
-            compiler_params=plt.CompilerParams(
-                num_warps=max(1, self.lanes // self.lanes_per_warp), num_stages=1
-            ),
+            compiler_params=plt.CompilerParams(num_warps=self.warps, num_stages=1),
             interpret=self.interpret,
         )(*arrays)
         return filled
 
     def load(self, ref: jax.Ref, at: jax.Array, mask: jax.Array, other: ArrayLike) -> jax.Array:
         """Read values at the lanes' indices; ``other`` where the mask is false."""
+        if self.compiler == "cuda":
+            return jnp.where(mask, ref[jnp.where(mask, at, 0)], jnp.asarray(other, ref.dtype))
         return plt.load(ref.at[at], mask=mask, other=other)
 
     def store(self, ref: jax.Ref, at: jax.Array, value: jax.Array, mask: jax.Array) -> None:
         """Write at the lanes' indices where the mask is true."""
+        if self.compiler == "cuda":
+            # Behind the end, nothing is written.
+            ref[jnp.where(mask, at, ref.shape[0])] = value
+            return
         if not self.interpret:
             plt.store(ref.at[at], value, mask=mask)
             return
@@ -81,9 +131,11 @@ class BlockProgram:
 
     def barrier(self) -> None:
         """Make all writes of any lane visible to all lanes."""
-        if not self.interpret:
+        if self.compiler == "cuda":
+            kernel_call.wait_for_lanes()
+        elif not self.interpret:
             plt.debug_barrier()
 
     def when(self, condition: jax.Array, action: Callable[[], None]) -> None:
         """Run an action if a number of the whole program is true."""
-        pl.when(condition)(action)
+        jax.lax.cond(condition, action, lambda: None)

@@ -1,5 +1,6 @@
 """Random worlds for the engines, without planner or file: every vehicle and set, every obstacle."""
 
+import re
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from types import SimpleNamespace
@@ -10,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from angler_kernels.programs import compiled_by
 from angler_mjx.robot.control.commands import ThrusterPwm
 from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.robot.vehicles import library
@@ -31,6 +33,7 @@ from angler_mjx.world.environment import Environment
 from angler_mjx.world.obstacles import ObstaclesConfig
 from angler_mjx.world.rock.grid import Grid
 
+from ..cuda_on_cpu import needs_nvrtc
 from .compiling import quickly
 from .small import scenario, scenario_file
 
@@ -323,3 +326,19 @@ def as_if_on_an_h200(monkeypatch):
         "jax._src.pallas.triton.pallas_call_registration.gpu_info_lib",
         SimpleNamespace(get_gpu_info=lambda: device),
     )
+
+
+@pytest.fixture(params=["triton", "cuda"])
+def lower_for_gpu(request, as_if_on_an_h200):
+    """A function that lowers a function of arrays for a GPU: it is one kernel of the compiler."""
+    compiler = request.param
+    if compiler == "cuda":
+        needs_nvrtc()
+
+    def lower(function: Any, *arrays: Any) -> None:
+        traced = jax.jit(compiled_by(compiler, function)).trace(*arrays)
+        text = traced.lower(lowering_platforms=("cuda",)).as_text()
+        kernels = re.findall(r"__gpu\$xla\.gpu\.(\w+)", text)
+        assert kernels == [{"cuda": "ptx"}.get(compiler, compiler)]
+
+    return lower

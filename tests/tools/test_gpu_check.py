@@ -66,6 +66,15 @@ def test_every_kernel_is_checked():
     assert not [m for m in modules if not any(m.startswith(name) for name in covered("kernel"))]
 
 
+def test_every_kernel_is_checked_by_each_compiler():
+    by_triton, by_cuda = (
+        {name.removeprefix(kind) for name in CHECKS if name.startswith(kind)}
+        for kind in ("kernel/", "kernel-cuda/")
+    )
+    assert by_triton == by_cuda
+    assert len(by_cuda) == 6
+
+
 @pytest.mark.parametrize(
     ("kind", "every"),
     [

@@ -27,7 +27,7 @@ def fly_worlds(scenario: str, **changes: object) -> dict[str, np.ndarray]:
 
     Args:
         scenario: name of a shipped scenario.
-        **changes: as of `load_scenario`; tables are merged.
+        **changes: as of `load_scenario`; tables are merged. Kernels of a GPU are left to a GPU.
 
     Returns:
         Cells, starts, goals, plans [world, robot, ...], positions after the first segment and
@@ -38,6 +38,8 @@ def fly_worlds(scenario: str, **changes: object) -> dict[str, np.ndarray]:
     from angler_mjx.runs.simulator.simulator import Simulator
     from angler_mjx.scenario.scenario import load_scenario
 
+    if jax.default_backend() != "gpu":
+        changes = {key: value for key, value in changes.items() if key != "kernels"}
     loaded = load_scenario(scenario, **{"time": {}, **changes})
     simulator = Simulator(loaded, tile=loaded.worlds)
     try:

@@ -20,6 +20,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from angler_kernels.cuda.nvrtc import CudaCompilerError
+from angler_kernels.programs import compiled_by
 from angler_mjx.errors import RunError
 from angler_mjx.planning.planner import PathShape
 from angler_mjx.planning.problem import Problem
@@ -315,8 +316,9 @@ class Programs:
             donate_argnums: number of the argument whose memory the results take.
             stored_name: of its executable on disk; empty to store none.
         """
+        compiler = engines.kernel_compiler(self._setup.kernels)
         return CompiledFunction(
-            on_devices.shard_function(self._setup.mesh, function, *specs),
+            on_devices.shard_function(self._setup.mesh, compiled_by(compiler, function), *specs),
             out_shardings=NamedSharding(self._setup.mesh, SHARDED),
             donate_argnums=donate_argnums,
             name=stored_name,

@@ -7,6 +7,7 @@ from typing import Literal, Protocol
 
 import jax
 
+from angler_kernels.programs import Compiler
 from angler_mjx.robot.control.stack import Command
 from angler_mjx.sim.engines.lanes.engine import FusedEngine
 from angler_mjx.sim.engines.mjx import MjxEngine
@@ -108,7 +109,15 @@ def by_name(name: str, kernels: str) -> Engine:
         return MjxEngine()
     if kernels == "xla":
         return FusedEngine()
-    return TritonEngine(compiler="cuda" if kernels == "cuda" else "triton")
+    return TritonEngine(compiler=kernel_compiler(kernels))
+
+
+def kernel_compiler(kernels: str) -> Compiler:
+    """Return the compiler of kernels, those of planners and tasks included, on a GPU.
+
+    With ``xla``, the engine itself has none.
+    """
+    return "cuda" if kernels == "cuda" else "triton"
 
 
 def default_kernels(name: str, platform: str) -> Literal["xla", "triton"]:

@@ -1,8 +1,13 @@
-"""CUDA C of a traced kernel: a thread for each lane, and a local variable for each result.
+"""CUDA C of a traced kernel: local variables of threads for its results.
 
-A kernel is traced with lanes [n] and with references to flat arrays. In C, lanes are numbers of one
-thread. Lanes are independent: kernels reduce them only to skip or to end what no lane needs, and
-mask what is left (`angler_kernels.lanes.any_lane`), so that each thread decides for its own lane.
+A kernel is traced with lanes [n] and with references to flat arrays. There are two kinds:
+
+    independent lanes   A thread for each lane. Kernels reduce lanes only to skip or to end what no
+                        lane needs, and mask what is left (`angler_kernels.lanes.any_lane`), so that
+                        each thread decides for its own lane.
+    a block             The lanes work on one problem; each thread has one or more of them, and a
+                        variable for each. Reductions are over all lanes, and numbers [] are equal
+                        in all threads.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,18 +19,26 @@ from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, Var
 
 from angler_kernels.lanes.trees import UnsupportedOperationError, naming_source
 
+type Names = tuple[str, ...]
+"""Variables of a value: one, or one for each lane of a thread."""
+
+BARRIER = "barrier"
+"""Name of the array that a kernel writes to where the lanes of a block wait for each other."""
+
 TYPES = {
     np.dtype(np.float32): "float",
     np.dtype(np.float64): "double",
+    np.dtype(np.float16): "half_",
     np.dtype(np.int32): "int",
     np.dtype(np.uint32): "unsigned",
     np.dtype(np.int8): "signed char",
     np.dtype(np.uint8): "unsigned char",
+    np.dtype(np.uint16): "unsigned short",
     np.dtype(np.bool_): "bool",
 }
 """C types of numbers."""
 
-PRELUDE = """\
+INSTRUCTIONS = """\
 #define DEVICE __device__ __forceinline__
 DEVICE float max_(float a, float b) {
   float c; asm("max.NaN.f32 %0, %1, %2;" : "=f"(c) : "f"(a), "f"(b)); return c; }
@@ -34,10 +47,39 @@ DEVICE float min_(float a, float b) {
 DEVICE float reciprocal_(float a) {
   float c; asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(c) : "f"(a)); return c; }
 DEVICE float multiply_add_(float a, float b, float c) { return __fmaf_rn(a, b, c); }
+struct half_ {
+  unsigned short bits;
+  DEVICE half_() {}
+  DEVICE explicit half_(float a) { asm("cvt.rn.f16.f32 %0, %1;" : "=h"(bits) : "f"(a)); }
+  DEVICE explicit operator float() const {
+    float c; asm("cvt.f32.f16 %0, %1;" : "=f"(c) : "h"(bits)); return c; }
+};
+"""
+"""Functions that are instructions of the device, and its numbers of 16 bits."""
+
+PRELUDE = (
+    INSTRUCTIONS
+    + """\
 template <class T> DEVICE T max_(T a, T b) { return a != a || a > b ? a : b; }
 template <class T> DEVICE T min_(T a, T b) { return a != a || a < b ? a : b; }
 template <class T> DEVICE T sign_(T a) { return a > 0 ? T(1) : a < 0 ? T(-1) : a; }
+struct Max_ { template <class T> DEVICE T operator()(T a, T b) const { return max_(a, b); } };
+struct Min_ { template <class T> DEVICE T operator()(T a, T b) const { return min_(a, b); } };
+struct Or_ { template <class T> DEVICE T operator()(T a, T b) const { return a | b; } };
+struct And_ { template <class T> DEVICE T operator()(T a, T b) const { return a & b; } };
+template <class T, class F> DEVICE T reduce_(T value, F combine) {
+  __shared__ T of_warps[32];
+  for (int other = 16; other > 0; other /= 2)
+    value = combine(value, __shfl_xor_sync(0xffffffffu, value, other));
+  __syncthreads();
+  if (threadIdx.x % 32 == 0) of_warps[threadIdx.x / 32] = value;
+  __syncthreads();
+  value = of_warps[0];
+  for (int warp = 1; warp < blockDim.x / 32; ++warp) value = combine(value, of_warps[warp]);
+  return value;
+}
 """
+)
 """What every kernel's source begins with."""
 
 _OPERATORS = {
@@ -73,7 +115,12 @@ _FUNCTIONS = {
         *("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "erf"),
     )
 }
-_REDUCTIONS = {"reduce_max", "reduce_min", "reduce_or", "reduce_and"}
+_REDUCTIONS = {
+    "reduce_max": "Max_",
+    "reduce_min": "Min_",
+    "reduce_or": "Or_",
+    "reduce_and": "And_",
+}
 _UNCHANGED = {
     "broadcast_in_dim",
     "reshape",
@@ -82,6 +129,7 @@ _UNCHANGED = {
     "copy_p",
     "stop_gradient",
     "optimization_barrier",
+    "reshard",
     "new_ref",
     "freeze",
 }
@@ -115,7 +163,7 @@ def emit_kernel(
     *,
     lanes: int,
 ) -> KernelCode:
-    """Return CUDA C of a kernel whose grid has rows along y.
+    """Return CUDA C of a kernel of independent lanes, whose grid has rows along y.
 
     Pointers are the arrays', in their order; before those that are written, the same again as
     operands of the call, which are the same memory.
@@ -132,44 +180,92 @@ def emit_kernel(
     emitter = _Emitter(lanes=lanes)
     emitter.emit("const int lane = blockIdx.x * blockDim.x + threadIdx.x;")
     emitter.emit("const int row = blockIdx.y;")
-    emitter.run(closed, ["lane", "row", *(array.name for array in arrays)])
-    constant = [x for x in arrays if not x.is_written]
+    emitter.run(closed, [("lane",), ("row",), *((x.name,) for x in arrays)])
     written = [x for x in arrays if x.is_written]
-    pointers = [f"const {TYPES[x.dtype]}* __restrict__ {x.name}" for x in constant]
+    pointers = [_pointer(x) for x in arrays if not x.is_written]
     pointers += [f"const {TYPES[x.dtype]}* {x.name}_operand" for x in written]
-    pointers += [f"{TYPES[x.dtype]}* __restrict__ {x.name}" for x in written]
-    head = f'extern "C" __global__ void {name}(\n    ' + ",\n    ".join(pointers) + ") {"
-    text = "\n".join([PRELUDE + head, *emitter.lines, "}", ""])
-    return KernelCode(text=text, operations=emitter.operations)
+    pointers += [_pointer(x) for x in written]
+    return emitter.finish(f"void {name}", pointers)
+
+
+def emit_block(
+    name: str,
+    closed: ClosedJaxpr,
+    arrays: Sequence[KernelArray],
+    *,
+    lanes: int,
+    threads: int,
+) -> KernelCode:
+    """Return CUDA C of a kernel whose lanes work together on a problem: a block for each.
+
+    Pointers are the arrays', in their order. The source still has to define ``PROBLEM_OF_`` and an
+    array's name for each array: which of the problems that stand one after another in the array is
+    that of ``block``, the number of the block.
+
+    Args:
+        name: of the function.
+        closed: jaxpr of ``arrays`` and the barrier.
+        arrays: those of a problem, written ones last; never both read from before and written.
+        lanes: number of lanes, a multiple of ``threads``.
+        threads: of a block, a multiple of 32.
+
+    Raises:
+        UnsupportedOperationError: the kernel has an operation for which there is no rule.
+    """
+    emitter = _BlockEmitter(
+        lanes=lanes, lanes_per_thread=lanes // threads, arrays={x.name: x for x in arrays}
+    )
+    for k, variable in enumerate(emitter.lane):
+        emitter.emit(f"const int {variable} = threadIdx.x + {k} * blockDim.x;")
+    emitter.emit("const int block = blockIdx.x;")
+    for array in arrays:
+        emitter.emit(f"{array.name} += (long long)(PROBLEM_OF_{array.name}) * {array.size};")
+    emitter.run(closed, [*((x.name,) for x in arrays), (BARRIER,)])
+    head = f"__launch_bounds__({threads}) void {name}"
+    return emitter.finish(head, [_pointer(x) for x in arrays])
+
+
+def _pointer(array: KernelArray) -> str:
+    kind = TYPES[array.dtype] if array.is_written else f"const {TYPES[array.dtype]}"
+    return f"{kind}* __restrict__ {array.name}"
 
 
 @dataclass(kw_only=True)
 class _Emitter:
-    """Statements of a kernel, in order."""
+    """Statements of a kernel of independent lanes, in order."""
 
     lanes: int
+    lanes_per_thread: int = 1
     lines: list[str] = field(default_factory=list)
     operations: int = 0
     _n_names: int = 0
     _depth: int = 1
 
+    def finish(self, head: str, pointers: Sequence[str]) -> KernelCode:
+        """Return the source, of the statements so far."""
+        head = f'extern "C" __global__ {head}(\n    ' + ",\n    ".join(pointers) + ") {"
+        text = "\n".join([PRELUDE + head, *self.lines, "}", ""])
+        return KernelCode(text=text, operations=self.operations)
+
     def emit(self, text: str) -> None:
         """Add a line."""
         self.lines.append("  " * self._depth + text)
 
-    def run(self, closed: ClosedJaxpr, inputs: Sequence[str]) -> list[str]:
+    def run(self, closed: ClosedJaxpr, inputs: Sequence[Names]) -> list[Names]:
         """Emit all of a jaxpr; return its results."""
-        values: dict[Var, str] = dict(zip(closed.jaxpr.invars, inputs, strict=True))
+        values: dict[Var, Names] = dict(zip(closed.jaxpr.invars, inputs, strict=True))
         for var, const in zip(closed.jaxpr.constvars, closed.consts, strict=True):
             number = np.asarray(const)
             if number.size != 1:
                 raise ValueError(f"a kernel uses a constant array {number.shape}: pass it instead")
-            values[var] = write_number(number.reshape(())[()], number.dtype)
+            values[var] = (write_number(number.reshape(())[()], number.dtype),)
         return self._run_equations(closed.jaxpr, values)
 
-    def _run_equations(self, jaxpr: Jaxpr, values: dict[Var, str]) -> list[str]:
-        def read(x: Var | Literal) -> str:
-            return write_number(x.val, array_of(x).dtype) if isinstance(x, Literal) else values[x]
+    def _run_equations(self, jaxpr: Jaxpr, values: dict[Var, Names]) -> list[Names]:
+        def read(x: Var | Literal) -> Names:
+            return (
+                (write_number(x.val, array_of(x).dtype),) if isinstance(x, Literal) else values[x]
+            )
 
         for eqn in jaxpr.eqns:
             with naming_source(eqn):
@@ -177,7 +273,7 @@ class _Emitter:
             values.update(zip(eqn.outvars, results, strict=True))
         return [read(x) for x in jaxpr.outvars]
 
-    def _run_equation(self, eqn: JaxprEqn, operands: list[str]) -> list[str]:
+    def _run_equation(self, eqn: JaxprEqn, operands: list[Names]) -> list[Names]:
         name = eqn.primitive.name
         if name in _UNCHANGED:
             return [operands[0]]
@@ -187,13 +283,13 @@ class _Emitter:
                 inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, []), operands
             )
         if name in _REDUCTIONS:
-            return [self._reduce(eqn, operands[0])]
+            return [self.reduce(eqn, operands[0])]
         structured = _STRUCTURED.get(name)
         if structured is not None:
             return structured(self, eqn, operands)
         return [self._declare_elementwise(eqn, operands)]
 
-    def _declare_elementwise(self, eqn: JaxprEqn, operands: Sequence[str]) -> str:
+    def _declare_elementwise(self, eqn: JaxprEqn, operands: Sequence[Names]) -> Names:
         """Declare the result of an operation on each lane by itself."""
         name, out = eqn.primitive.name, eqn.outvars[0]
         if name in _OPERATORS:
@@ -205,7 +301,14 @@ class _Emitter:
             if expression is None:
                 raise UnsupportedOperationError(eqn, "no CUDA C for")
             template = expression
-        return self._declare(out, template(eqn, operands))
+        count = self._count_variables(out)
+        return tuple(
+            self._declare(out, template(eqn, [_of_lane(x, k) for x in operands]))
+            for k in range(count)
+        )
+
+    def _count_variables(self, var: Var) -> int:
+        return self.lanes_per_thread if array_of(var).size == self.lanes > 1 else 1
 
     def _declare(self, var: Var, value: str) -> str:
         name = self._make_name()
@@ -217,44 +320,59 @@ class _Emitter:
         self._n_names += 1
         return f"v{self._n_names}"
 
-    def _declare_variables(self, variables: Sequence[Var]) -> list[str]:
+    def _declare_variables(self, variables: Sequence[Var]) -> list[Names]:
         """Declare variables that are assigned later."""
-        names = [self._make_name() for _ in variables]
-        for var, name in zip(variables, names, strict=True):
-            self.emit(f"{type_name(var)} {name};")
+        names = []
+        for var in variables:
+            names.append(tuple(self._make_name() for _ in range(self._count_variables(var))))
+            self.emit(f"{type_name(var)} {', '.join(names[-1])};")
         return names
 
-    def _assign(self, names: Sequence[str], values: Sequence[str]) -> None:
+    def _assign(self, names: Sequence[Names], values: Sequence[Names]) -> None:
         """Assign to variables, all at once."""
-        assigned = []
-        for name, value in zip(names, values, strict=True):
-            if value in names and value != name:
+        pairs = [
+            (x, _of_lane(value, k))
+            for variable, value in zip(names, values, strict=True)
+            for k, x in enumerate(variable)
+        ]
+        targets = {target for target, _ in pairs}
+        held = []
+        for target, value in pairs:
+            if value in targets and value != target:
                 copy = self._make_name()
                 self.emit(f"const auto {copy} = {value};")
-                assigned.append((name, copy))
-            elif value != name:
-                assigned.append((name, value))
-        for name, value in assigned:
-            self.emit(f"{name} = {value};")
+                held.append((target, copy))
+            elif value != target:
+                held.append((target, value))
+        for target, value in held:
+            self.emit(f"{target} = {value};")
 
-    def _reduce(self, eqn: JaxprEqn, operand: str) -> str:
+    def reduce(self, eqn: JaxprEqn, operand: Names) -> Names:
         """Return the thread's own number of lanes that are reduced; see the top of the module."""
         if array_of(eqn.invars[0]).size != self.lanes:
             raise UnsupportedOperationError(eqn, "kernels only reduce all lanes:")
         return operand
 
-    def _load(self, eqn: JaxprEqn, x: list[str]) -> list[str]:
-        return [self._declare(eqn.outvars[0], f"{x[0]}[{_index(eqn, x, 1)}]")]
+    def load(self, eqn: JaxprEqn, x: list[Names]) -> list[Names]:
+        """Load the numbers of the thread's lanes."""
+        index, out, (array,) = _index(eqn, x, 1), eqn.outvars[0], x[0]
+        count = self._count_variables(out)
+        return [tuple(self._declare(out, f"{array}[{_of_lane(index, k)}]") for k in range(count))]
 
-    def _store(self, eqn: JaxprEqn, x: list[str]) -> list[str]:
-        self.emit(f"{x[0]}[{_index(eqn, x, 2)}] = {x[1]};")
-        return ["0"]
+    def store(self, eqn: JaxprEqn, x: list[Names]) -> list[Names]:
+        """Store the numbers of the thread's lanes."""
+        self.emit(f"{x[0][0]}[{_index(eqn, x, 2)[0]}] = {x[1][0]};")
+        return [("0",)]
 
-    def _branch(self, eqn: JaxprEqn, x: list[str]) -> list[str]:
+    def number_lanes(self, eqn: JaxprEqn) -> Names:
+        """Return the numbers of the lanes of a block; independent lanes get theirs as input."""
+        raise UnsupportedOperationError(eqn, "no CUDA C for")
+
+    def _branch(self, eqn: JaxprEqn, x: list[Names]) -> list[Names]:
         branches = eqn.params["branches"]
         names = self._declare_variables(eqn.outvars)
         for k, branch in enumerate(branches):
-            test = f"if ({x[0]} {'<=' if k == 0 else '=='} {k}) "
+            test = f"if ({x[0][0]} {'<=' if k == 0 else '=='} {k}) "
             is_last = k == len(branches) - 1
             self.emit(("else " if k else "") + ("" if is_last and k else test) + "{")
             self._depth += 1
@@ -263,25 +381,25 @@ class _Emitter:
             self.emit("}")
         return names
 
-    def _start_loop(self, eqn: JaxprEqn, start: Sequence[str]) -> list[str]:
+    def _start_loop(self, eqn: JaxprEqn, start: Sequence[Names]) -> list[Names]:
         names = self._declare_variables(eqn.outvars)
         self._assign(names, start)
         return names
 
-    def _loop_while(self, eqn: JaxprEqn, x: list[str]) -> list[str]:
+    def _loop_while(self, eqn: JaxprEqn, x: list[Names]) -> list[Names]:
         n_cond, n_body = eqn.params["cond_nconsts"], eqn.params["body_nconsts"]
         of_cond, of_body = x[:n_cond], x[n_cond : n_cond + n_body]
         names = self._start_loop(eqn, x[n_cond + n_body :])
         self.emit("while (true) {")
         self._depth += 1
-        (running,) = self.run(eqn.params["cond_jaxpr"], [*of_cond, *names])
+        ((running,),) = self.run(eqn.params["cond_jaxpr"], [*of_cond, *names])
         self.emit(f"if (!{running}) break;")
         self._assign(names, self.run(eqn.params["body_jaxpr"], [*of_body, *names]))
         self._depth -= 1
         self.emit("}")
         return names
 
-    def _loop_times(self, eqn: JaxprEqn, x: list[str]) -> list[str]:
+    def _loop_times(self, eqn: JaxprEqn, x: list[Names]) -> list[Names]:
         """Repeat a fixed number of times, without rows that are read or returned."""
         inner, n_const = eqn.params["jaxpr"], len(eqn.invars) - len(eqn.outvars)
         pairs = zip(eqn.outvars, inner.jaxpr.outvars, strict=True)
@@ -295,27 +413,77 @@ class _Emitter:
         self.emit("}")
         return names
 
-    def _raise_to_integer(self, eqn: JaxprEqn, x: list[str]) -> list[str]:
+    def _raise_to_integer(self, eqn: JaxprEqn, x: list[Names]) -> list[Names]:
         """Multiply squares, as XLA does."""
         power, out = int(eqn.params["y"]), eqn.outvars[0]
-        base, value, left = x[0], "", abs(power)
-        one = write_number(1, array_of(out).dtype)
-        while left:
-            if left & 1:
-                value = self._declare(out, f"{value} * {base}") if value else base
-            left >>= 1
-            if left:
-                base = self._declare(out, f"{base} * {base}")
-        value = value or one
-        return [self._declare(out, f"{one} / {value}") if power < 0 else value]
+        one, names = write_number(1, array_of(out).dtype), []
+        for number in x[0]:
+            base, value, left = number, "", abs(power)
+            while left:
+                if left & 1:
+                    value = self._declare(out, f"{value} * {base}") if value else base
+                left >>= 1
+                if left:
+                    base = self._declare(out, f"{base} * {base}")
+            value = value or one
+            names.append(self._declare(out, f"{one} / {value}") if power < 0 else value)
+        return [tuple(names)]
 
 
-_STRUCTURED: dict[str, Callable[[_Emitter, JaxprEqn, list[str]], list[str]]] = {
-    "get": _Emitter._load,
-    "swap": _Emitter._store,
+@dataclass(kw_only=True)
+class _BlockEmitter(_Emitter):
+    """Statements of a kernel whose lanes work together."""
+
+    arrays: dict[str, KernelArray]
+
+    @property
+    def lane(self) -> Names:
+        """Return the numbers of the thread's lanes."""
+        return tuple(f"lane{k}" for k in range(self.lanes_per_thread))
+
+    def reduce(self, eqn: JaxprEqn, operand: Names) -> Names:
+        """Reduce all lanes of the block to a number that every thread gets."""
+        super().reduce(eqn, operand)
+        out, combine = eqn.outvars[0], f"{_REDUCTIONS[eqn.primitive.name]}()"
+        kind = "int" if type_name(out) == "bool" else type_name(out)
+        total = f"({kind}){operand[0]}"
+        for other in operand[1:]:
+            total = f"{combine}({total}, ({kind}){other})"
+        return (self._declare(out, f"reduce_({total}, {combine})"),)
+
+    def load(self, eqn: JaxprEqn, x: list[Names]) -> list[Names]:
+        """Load; a number that lanes may write is read by all of them before any goes on."""
+        values = super().load(eqn, x)
+        if array_of(eqn.outvars[0]).shape == () and self.arrays[x[0][0]].is_written:
+            self.emit("__syncthreads();")
+        return values
+
+    def store(self, eqn: JaxprEqn, x: list[Names]) -> list[Names]:
+        """Store; what lies behind the end of an array is dropped, as JAX does."""
+        index, value, (array,) = _index(eqn, x, 2), x[1], x[0]
+        if array == BARRIER:
+            self.emit("__syncthreads();")
+            return [("0",)]
+        size = self.arrays[array].size
+        for k in range(max(len(index), len(value))):
+            at = _of_lane(index, k)
+            self.emit(f"if ((unsigned)({at}) < {size}u) {array}[{at}] = {_of_lane(value, k)};")
+        return [("0",)]
+
+    def number_lanes(self, eqn: JaxprEqn) -> Names:
+        """Return the numbers of the lanes, in the type of the equation."""
+        if eqn.params["shape"] != (self.lanes,):
+            raise UnsupportedOperationError(eqn, "kernels only number their lanes:")
+        return tuple(f"({type_name(eqn.outvars[0])}){lane}" for lane in self.lane)
+
+
+_STRUCTURED: dict[str, Callable[[_Emitter, JaxprEqn, list[Names]], list[Names]]] = {
+    "get": lambda emitter, eqn, x: emitter.load(eqn, x),
+    "swap": lambda emitter, eqn, x: emitter.store(eqn, x),
     "cond": _Emitter._branch,
     "while": _Emitter._loop_while,
     "scan": _Emitter._loop_times,
+    "iota": lambda emitter, eqn, _: [emitter.number_lanes(eqn)],
     "integer_pow": _Emitter._raise_to_integer,
 }
 
@@ -341,6 +509,8 @@ def write_number(value: object, dtype: np.dtype) -> str:
         if number < 0:  # in C, a sign is an operation
             return f"({int(number) + 1} - 1)"
         return f"{int(number)}u" if dtype == np.uint32 else f"{int(number)}"
+    if dtype == np.float16:
+        return f"half_({write_number(number, np.dtype(np.float32))})"
     if np.isfinite(number):
         text = float(number).hex() + ("f" if dtype == np.float32 else "")
         return f"({text})" if np.signbit(number) else text
@@ -349,11 +519,15 @@ def write_number(value: object, dtype: np.dtype) -> str:
     return f"__longlong_as_double({int(number.view(np.int64))}ll)"
 
 
-def _index(eqn: JaxprEqn, operands: Sequence[str], first: int) -> str:
-    """Return the index of a load or store."""
-    (indexer,) = jax.tree.unflatten(eqn.params["tree"], operands[first:])
+def _of_lane(names: Names, k: int) -> str:
+    return names[k] if len(names) > 1 else names[0]
+
+
+def _index(eqn: JaxprEqn, operands: Sequence[Names], first: int) -> Names:
+    """Return the index of a load or store: lanes or a number."""
+    (indexer,) = jax.tree.unflatten(eqn.params["tree"], [list(x) for x in operands[first:]])
     (index,) = indexer.indices
-    return str(index)
+    return tuple(index) if isinstance(index, list) else (str(index),)
 
 
 def _write_operator(eqn: JaxprEqn, x: Sequence[str]) -> str:

@@ -1,6 +1,5 @@
 """The GPU's program for lengths of ways, interpreted, against Dijkstra's algorithm by scipy."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -23,9 +22,9 @@ def worlds():
     return free, *(np.stack(end).astype(np.int32) for end in ends)
 
 
-def test_lengths_are_those_of_dijkstra(worlds):
+def test_lengths_are_those_of_dijkstra(worlds, block_form):
     free, start, goal = worlds
-    length = by_kernel(pack_grid(jnp.array(free)), SHAPE[2], start, goal, interpret=True)
+    length = block_form(by_kernel)(pack_grid(jnp.array(free)), SHAPE[2], start, goal)
     cells = np.asarray(in_cells(length))
     expected = np.empty((N_PAIR, N_WORLD))
     for pair, world in np.ndindex(N_PAIR, N_WORLD):
@@ -35,11 +34,11 @@ def test_lengths_are_those_of_dijkstra(worlds):
     np.testing.assert_allclose(cells, expected, rtol=2e-6)
 
 
-@pytest.mark.usefixtures("as_if_on_an_h200")
-def test_lowers_for_cuda(worlds):
+def test_lowers_for_cuda(worlds, lower_for_gpu):
     free, start, goal = worlds
-    traced = jax.jit(lambda *given: by_kernel(given[0], SHAPE[2], *given[1:])).trace(
-        pack_grid(jnp.array(free)), start, goal
+    lower_for_gpu(
+        lambda *given: by_kernel(given[0], SHAPE[2], *given[1:]),
+        pack_grid(jnp.array(free)),
+        start,
+        goal,
     )
-    text = traced.lower(lowering_platforms=("cuda",)).as_text()
-    assert text.count("__gpu$xla.gpu.triton") == 1

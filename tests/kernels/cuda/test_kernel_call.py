@@ -4,27 +4,10 @@ import re
 
 import jax
 import numpy as np
-import pytest
 
-from angler_kernels.cuda import kernel_call, nvrtc
+from angler_kernels.cuda import kernel_call
 
 WIDTH, ROWS = 64, 3
-
-
-@pytest.fixture
-def sources(monkeypatch):
-    """Sources that are compiled for a device that is not here, without NVRTC."""
-    seen = []
-
-    def begin(source, architecture, folder):
-        seen.append(source)
-        done = nvrtc.Future()
-        done.set_result(f"// PTX {len(seen)}")
-        return done
-
-    monkeypatch.setattr(nvrtc, "begin_compilation", begin)
-    monkeypatch.setattr(kernel_call, "_architecture", lambda: "compute_90")
-    return seen
 
 
 def plain(lane, row, factor, values):
@@ -48,7 +31,7 @@ def test_interpreted_lanes_are_those_of_numpy():
     np.testing.assert_array_equal(after, VALUES * np.repeat(FACTOR, WIDTH) + 1)
 
 
-def test_a_call_is_lowered_with_its_ptx_grid_and_aliases(sources):
+def test_a_call_is_lowered_with_its_ptx_grid_and_aliases(compiled_sources):
     text = (
         jax.jit(lambda f, v: run(f, v))
         .trace(FACTOR, VALUES)
@@ -65,4 +48,4 @@ def test_a_call_is_lowered_with_its_ptx_grid_and_aliases(sources):
         "operand_index = 1",
     ):
         assert part in call
-    assert len(set(sources)) == 1
+    assert len(set(compiled_sources)) == 1

@@ -1,8 +1,11 @@
 """Pairs that are shortest first, against a plain search among all that are left."""
 
+from collections.abc import Callable
+
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from angler_kernels import matching
 
@@ -36,9 +39,14 @@ def test_the_shortest_is_taken_of_all_that_are_left() -> None:
     assert found.tolist() == [by_hand(distances) for distances in batch]
 
 
-def test_the_program_for_gpus_gives_the_same() -> None:
-    pairs = matching.MatchedPairs.of((ROWS, COLUMNS), lanes_per_warp=64, interpret=True)
-    kernel = matching._ShortestMatchingKernel(pairs)
+@pytest.mark.parametrize("lanes_per_warp", [64, 1024])
+def test_the_program_for_gpus_gives_the_same(block_form: Callable, lanes_per_warp: int) -> None:
+    def match(distances: jax.Array, interpret: bool) -> jax.Array:
+        pairs = matching.MatchedPairs.of(
+            distances.shape, lanes_per_warp=lanes_per_warp, interpret=interpret
+        )
+        return matching._ShortestMatchingKernel(pairs).run(distances)
+
     batch = lengths()
-    found = np.asarray(jax.jit(jax.vmap(kernel.run))(jnp.array(batch)))
+    found = np.asarray(jax.jit(jax.vmap(block_form(match)))(jnp.array(batch)))
     assert found.tolist() == [by_hand(distances) for distances in batch]

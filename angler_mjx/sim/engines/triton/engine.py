@@ -13,11 +13,11 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Literal
 
 import jax
 import jax.numpy as jnp
 
+from angler_kernels.programs import Compiler, compiled_by
 from angler_mjx.robot.control.stack import Command
 from angler_mjx.sim import sample_clearances
 from angler_mjx.sim import world_phases as running
@@ -54,7 +54,7 @@ class TritonEngine:
         *,
         lanes: int = LANES,
         warps: int = 1,
-        compiler: Literal["triton", "cuda"] = "triton",
+        compiler: Compiler = "triton",
         interpret: bool = False,
     ) -> None:
         """Choose the shape of a program.
@@ -73,7 +73,7 @@ class TritonEngine:
         self, spec: SimSpec, fleet: Fleet, worlds: World, policy: Policy | None = None
     ) -> WorldState:
         """See `Engine.reset`."""
-        return FusedEngine().reset(spec, fleet, worlds, policy)
+        return self._compile(FusedEngine().reset)(spec, fleet, worlds, policy)
 
     def pack_constants(self, fleet: Fleet, worlds: World) -> EngineConstants:
         """See `Engine.pack_constants`: constants in flat arrays."""
@@ -110,7 +110,7 @@ class TritonEngine:
                 cells=cells,
             )
             return repeat_steps(again, state, steps)
-        after, sample = self._run_segment(
+        after, sample = self._compile(self._run_segment)(
             spec, fleet, worlds, state, 1, steps, command, policy, cells, rows, constants
         )
         return after, jax.tree.map(lambda leaf: leaf[:, 0], sample)
@@ -164,8 +164,12 @@ class TritonEngine:
                 begins=begins,
             )
 
-        both = triton.with_gradient_of(plain, fast)
+        both = triton.with_gradient_of(self._compile(plain), self._compile(fast))
         return both(fleet, worlds, state, (command, policy, cells))
+
+    def _compile[**P, R](self, function: Callable[P, R]) -> Callable[P, R]:
+        """Return a function whose kernels of tasks and planners have the engine's compiler."""
+        return compiled_by(self._program.compiler, function)
 
     def _run_segment(
         self,

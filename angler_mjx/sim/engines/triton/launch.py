@@ -5,7 +5,6 @@ Triton compiles them by Pallas; `angler_kernels.cuda` emits them as CUDA C for N
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +15,7 @@ from jax.typing import ArrayLike
 from angler_kernels import lanes
 from angler_kernels.cuda import kernel_call
 from angler_kernels.lanes.planes import StoreFunction
+from angler_kernels.programs import Compiler
 from angler_mjx.errors import RunError
 
 
@@ -27,7 +27,7 @@ class LaunchedProgram:
     """Lanes of one, a power of two."""
     warps: int
     """Warps of one."""
-    compiler: Literal["triton", "cuda"] = "triton"
+    compiler: Compiler = "triton"
     """Compiler of the kernels; with cuda, a lane is a thread and a program a block."""
     interpret: bool = False
     """Run the kernels as ordinary JAX, on any device."""
@@ -139,7 +139,7 @@ def make_storer(ref: jax.Ref, like: jax.Array) -> StoreFunction:
 
 def run_when(condition: jax.Array, do: Callable[[], None]) -> None:
     """Do something in a kernel if a condition [] holds."""
-    pl.when(condition)(do)
+    jax.lax.cond(condition, do, lambda: None)
 
 
 def with_gradient_of[*Arrays, Result](

@@ -2,7 +2,8 @@
 
 import heapq
 import itertools
-from functools import partial
+from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -47,12 +48,12 @@ def by_dijkstra(cost: np.ndarray, goal: tuple[int, ...]) -> np.ndarray:
 
 @pytest.mark.parametrize("lanes", [64, 1024])
 def test_costs_are_those_of_dijkstra_and_of_the_sweeps_of_a_batch_to_the_last_bit(
-    lanes: int, monkeypatch: pytest.MonkeyPatch
+    lanes: int, monkeypatch: pytest.MonkeyPatch, block_form: Callable[..., Any]
 ) -> None:
     monkeypatch.setattr(search_kernel, "_MAX_LANES", lanes)
     cost = np.stack([costs_of_a_maze(seed) for seed in (1, 2, 3)])
     goals = [(0, 0, 0), (4, 3, 2), (8, 6, 4)]
-    at_once = jax.vmap(partial(search_kernel.costs_to_goal, interpret=True))
+    at_once = jax.vmap(block_form(search_kernel.costs_to_goal))
     value = np.asarray(at_once(jnp.array(cost), jnp.array(goals, jnp.int32)))
     swept = search.costs_to_goal(jnp.array(cost), jnp.array(goals, jnp.int32))
     assert np.array_equal(value, np.asarray(swept))
@@ -89,9 +90,7 @@ def test_cells_without_a_way_are_far() -> None:
     assert np.sum(np.asarray(value) >= search.NO_PATH_COST) == value.size - 1
 
 
-@pytest.mark.usefixtures("as_if_on_an_h200")
-def test_it_lowers_for_a_gpu() -> None:
+def test_it_lowers_for_a_gpu(lower_for_gpu: Callable[..., None]) -> None:
     cost = jax.ShapeDtypeStruct((8, 26, 16, 16, 16), jnp.float16)
     goal = jax.ShapeDtypeStruct((8, 3), jnp.int32)
-    lowered = jax.jit(jax.vmap(search_kernel.costs_to_goal)).trace(cost, goal)
-    assert "costs_to_goal" in lowered.lower(lowering_platforms=("cuda",)).as_text()
+    lower_for_gpu(jax.vmap(search_kernel.costs_to_goal), cost, goal)

@@ -12,12 +12,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from angler_kernels.cuda import nvrtc
 from angler_mjx.robot.control.commands.joint_trajectory import from_path
 from angler_mjx.sim.engines.triton.engine import TritonEngine
 from angler_mjx.sim.state import Outcome, Touched
 from angler_mjx.testing import referee
 
+from ....cuda_on_cpu import needs_nvrtc
 from ... import declared
 from ...compiling import quickly
 from .stored import store
@@ -130,13 +130,6 @@ def test_a_mixed_fleet_is_grouped_by_vehicle(double):
 
 def test_reset_is_that_of_mjx(double, begun, deviation):
     assert_close(deviation, "fused.reset", begun(double, "fused"), begun(double, "mjx"))
-
-
-def needs_nvrtc():
-    try:
-        nvrtc.version()
-    except nvrtc.CudaCompilerError as error:
-        pytest.skip(str(error))
 
 
 @pytest.mark.usefixtures("as_if_on_an_h200")

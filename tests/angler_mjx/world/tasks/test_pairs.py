@@ -6,7 +6,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
 
 from angler_kernels.matching import MatchedPairs
 from angler_mjx.world.routes import NO_PATH, Routes
@@ -71,13 +70,20 @@ def plain(words: Any, place_m: Any, p: Any, able: Any, open_: Any) -> Any:
     return pairs.shortest_first(travel, p, able, open_)
 
 
-def kernel(words: Any, place_m: Any, p: Any, able: Any, open_: Any) -> Any:
-    asking = MatchedPairs.of((ROBOTS, JOBS), lanes_per_warp=64, interpret=True)
+def kernel(words: Any, place_m: Any, p: Any, able: Any, open_: Any, interpret: bool) -> Any:
+    asking = MatchedPairs.of((ROBOTS, JOBS), lanes_per_warp=64, interpret=interpret)
     return pairs._MatchingKernel(asking, words.shape).run(routes(words, place_m), p, able, open_)
 
 
-@pytest.mark.parametrize("found", [plain, kernel])
-def test_the_shortest_way_of_those_left_is_taken(found: Callable[..., Any]) -> None:
+def test_the_shortest_way_of_those_left_is_taken() -> None:
+    check(plain)
+
+
+def test_the_program_for_gpus_takes_the_same(block_form: Callable[..., Any]) -> None:
+    check(block_form(kernel))
+
+
+def check(found: Callable[..., Any]) -> None:
     scenes = [scene(seed) for seed in range(40)]
     together = {name: jnp.array(np.stack([one[name] for one in scenes])) for name in scenes[0]}
     each = jax.jit(jax.vmap(lambda given: found(**given)))(together)
