@@ -107,7 +107,7 @@ class StoredArray:
         if form.per_unit is None:
             return chunk if times is None else chunk[times]
         part = chunk if times is None else chunk[..., times]
-        return _decode_steps(form, np.moveaxis(part, -1, 0))
+        return _decode_steps(form, form.per_unit, np.moveaxis(part, -1, 0))
 
     def read_worlds(self, first: int, last: int) -> np.ndarray:
         """Read the values of neighbouring worlds, without the cache of `read`.
@@ -132,7 +132,9 @@ class StoredArray:
         steps = np.empty((last - first, *_chunk_shape(form)), form.stored)
         for world in range(first, last):
             steps[world - first] = self._read_chunk(form, world)
-        return steps if form.per_unit is None else _decode_steps(form, np.moveaxis(steps, -1, 1))
+        if form.per_unit is None:
+            return steps
+        return _decode_steps(form, form.per_unit, np.moveaxis(steps, -1, 1))
 
     def _read_cached(self, form: _ArrayFormat, world: int) -> np.ndarray:
         """Return the stored chunk of a world, from the thread's cache if it is there."""
@@ -193,9 +195,9 @@ def _chunk_shape(form: _ArrayFormat) -> tuple[int, ...]:
     return tail if form.per_unit is None else (*tail[1:], tail[0])
 
 
-def _decode_steps(form: _ArrayFormat, steps: np.ndarray) -> np.ndarray:
+def _decode_steps(form: _ArrayFormat, per_unit: np.float32, steps: np.ndarray) -> np.ndarray:
     """Return the values float32 [...] of steps [...]."""
-    values: np.ndarray = np.divide(steps, form.per_unit, dtype=np.float32)
+    values: np.ndarray = np.divide(steps, per_unit, dtype=np.float32)
     is_missing = steps == form.missing
     if is_missing.any():
         values[is_missing] = np.nan
