@@ -1,8 +1,8 @@
 """Work on files by threads or processes: results in order, few of them in memory.
 
 Threads share Python's lock: they speed up calls that leave it for long, as hashing does. Arrays of
-a world are decoded by many short calls, for which sixteen threads take longer than one: they are
-read in processes.
+a world are decoded by many short calls, between which threads wait for each other: they are read in
+processes.
 """
 
 import multiprocessing
