@@ -15,6 +15,7 @@ import jax
 from angler_mjx.errors import ConfigError
 from angler_mjx.runs.storage import folder
 from angler_mjx.runs.storage.atomic_files import write_json
+from angler_mjx.runs.storage.parallel import cpu_count
 from angler_mjx.runs.storage.read_errors import read_table
 from angler_mjx.sim import policy as policies
 from angler_mjx.sim.policy import Policy
@@ -47,13 +48,6 @@ def processor_name() -> str:
     except OSError:
         return ""
     return lines[0].partition(":")[2].strip() if lines else ""
-
-
-def cpu_count() -> int:
-    """Return the number of processors that this process may use: XLA's threads are as many."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def peak_memory_bytes() -> int:

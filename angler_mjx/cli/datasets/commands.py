@@ -143,6 +143,7 @@ def _print_dataset(path: Path, dataset_manifest: "Manifest") -> str | None:
 def verify_dataset(
     dataset: Annotated[Path, tyro.conf.Positional],
     again: int = 0,
+    workers: int | None = None,
     device: Device | None = None,
     json: Annotated[bool, tyro.conf.arg(name="json")] = False,
 ) -> None:
@@ -155,28 +156,22 @@ def verify_dataset(
     Args:
         dataset: Dataset folder.
         again: Number of episodes to fly again, spread over its parts.
+        workers: Number of reading processes; if left out, one for each processor where there are
+            enough episodes. Changes nothing in the report.
         device: Device to compute on; JAX's choice if left out.
         json: Print one JSON object instead of the table.
     """
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
-
     if again < 0:
         raise ConfigError(f"--again {again}: must be 0 or more")
     choose_device(device, distributed=False)
     keep_all_programs()
+    from angler_mjx.cli.shared.inputs import require_positive
+    from angler_mjx.cli.shared.progress import ProgressBar
     from angler_mjx.learning.datasets.verifying import verification
 
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-    with Progress(*columns, console=Console(stderr=True, quiet=json)) as bar:
-        task = bar.add_task("files", total=None)
-        report = verification.verify_dataset(
-            dataset,
-            again,
-            lambda check_name, done, total: bar.update(
-                task, description=check_name, completed=done, total=total
-            ),
-        )
+    count = require_positive("workers", workers)
+    with ProgressBar(quiet=json) as bar:
+        report = verification.verify_dataset(dataset, again, bar, count)
     if json:
         print(text.dumps(report.table()))
     else:

@@ -49,6 +49,7 @@ class Dataset:
         self._names: dict[int, list[str]] = {}
         self._runs: dict[int, folder.Run] = {}
         self._thrusters: dict[tuple[int, str], int] = {}
+        self._obstacles_exist: dict[int, np.ndarray] = {}
         self._environment_cache: tuple[tuple[int, int], dict[str, np.ndarray]] = ((-1, -1), {})
         self._rows: dict[str, np.ndarray] = {
             name: table[name].to_numpy(zero_copy_only=False)
@@ -234,11 +235,21 @@ class Dataset:
 
     def obstacles_exist(self, episode: int) -> np.ndarray:
         """Return which rows of obstacle arrays are obstacles of this episode, bool [obstacle]."""
-        environment = self._environment(
-            int(self._rows["part"][episode]), int(self._rows["world"][episode])
-        )
-        exist: np.ndarray = np.asarray(environment.get("obstacles/exists", ()), bool)
+        part, world = int(self._rows["part"][episode]), int(self._rows["world"][episode])
+        stored = self._obstacles_exist.get(part)
+        if stored is None:
+            stored = self._obstacles_exist[part] = self._read_obstacles_exist(part)
+        exist: np.ndarray = stored[world]
         return exist
+
+    def _read_obstacles_exist(self, part: int) -> np.ndarray:
+        """Read which rows of obstacle arrays are obstacles, bool [world, obstacle]."""
+        run = self.run(part)
+        group = stored_group(run.trajectories, trajectory_layout.ENVIRONMENT_GROUP)
+        if "obstacles/exists" not in group:
+            return np.zeros((run.scenario.worlds, 0), bool)
+        with wrap_read_errors(run.path):
+            return np.asarray(stored_array(group, "obstacles/exists")[:], bool)
 
     def statistics(self, max_episodes: int = 1000, *, vehicle: str | None = None) -> Statistics:
         """Return mean and standard deviation of each field's components, float32 [component].

@@ -12,6 +12,7 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.learning.datasets.config import SplitConfig
 from angler_mjx.learning.datasets.manifest import INDEX, SPLITS, Manifest
 from angler_mjx.learning.datasets.sampling import select_episodes
+from angler_mjx.progress import Progress
 from angler_mjx.runs.storage import atomic_files, trajectory_layout
 from angler_mjx.runs.storage.folder import Run
 from angler_mjx.runs.storage.read_errors import wrap_read_errors
@@ -265,8 +266,13 @@ def segment_gap_m(p: np.ndarray, q: np.ndarray, r: np.ndarray, s: np.ndarray) ->
     return gap
 
 
-def build_index(root: Path, manifest: Manifest) -> pa.Table:
+def build_index(root: Path, manifest: Manifest, progress: Progress | None = None) -> pa.Table:
     """Build the index of all parts of a dataset.
+
+    Args:
+        root: folder of the dataset.
+        manifest: its manifest.
+        progress: receives the number of episodes; nothing does if left out.
 
     Raises:
         ConfigError: a run is damaged.
@@ -278,6 +284,8 @@ def build_index(root: Path, manifest: Manifest) -> pa.Table:
         entry = {"scene": part.scene, "expert": part.expert, "split": part.split}
         tables.append(build_rows(root / part.path, number, entry, fractions, first))
         first += len(tables[-1])
+        if progress is not None:
+            progress.advance(len(tables[-1]))
     whole = pa.concat_tables(tables)
     column = SCHEMA.get_field_index("chosen")
     return whole.set_column(

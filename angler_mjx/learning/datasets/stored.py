@@ -24,6 +24,9 @@ MAX_CHUNKS = 64
 """Worlds of an array that each thread keeps decoded, some 30 MB of all arrays of four robots:
 windows of one episode are read in sequence, and so are those of a group (`loaders.shuffling`)."""
 
+type _Shard = tuple[memoryview, list[list[int]]]
+"""Bytes of a file, and offset and length of each of its worlds."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class _ArrayFormat:
@@ -66,7 +69,7 @@ class StoredArray:
 
     def _init_cache(self) -> None:
         self._lock = threading.Lock()
-        self._files: OrderedDict[int, tuple[mmap.mmap, np.ndarray]] = OrderedDict()
+        self._files: OrderedDict[int, _Shard] = OrderedDict()
         self._thread_cache = threading.local()
 
     def __getstate__(self) -> dict[str, object]:
@@ -100,44 +103,62 @@ class StoredArray:
             with wrap_read_errors(self.path):
                 whole: np.ndarray = np.asarray(form[world])
                 return whole if times is None else whole[times]
-        chunk = self._read_chunk(form, world)
+        chunk = self._read_cached(form, world)
         if form.per_unit is None:
             return chunk if times is None else chunk[times]
         part = chunk if times is None else chunk[..., times]
-        # Time is last in the chunk, and first in the result.
-        steps = np.moveaxis(part, -1, 0)
-        values: np.ndarray = np.divide(steps, form.per_unit, dtype=np.float32)
-        is_missing = steps == form.missing
-        if is_missing.any():
-            values[is_missing] = np.nan
-        if form.endless is not None and (is_infinite := steps == form.endless).any():
-            values[is_infinite] = np.inf
-        return values
+        return _decode_steps(form, form.per_unit, np.moveaxis(part, -1, 0))
 
-    def _read_chunk(self, form: _ArrayFormat, world: int) -> np.ndarray:
-        """Return the stored chunk of a world: steps with time last, or values."""
+    def read_worlds(self, first: int, last: int) -> np.ndarray:
+        """Read the values of neighbouring worlds, without the cache of `read`.
+
+        Args:
+            first: index of the first world.
+            last: index behind the last world.
+
+        Returns:
+            [world, time, ...], equal to Zarr's.
+
+        Raises:
+            ConfigError: the file is damaged.
+            IndexError: a world does not exist.
+        """
+        if not 0 <= first < last <= self.shape[0]:
+            raise IndexError(f"{self.path}: worlds {first} to {last - 1} of {self.shape[0]}")
+        form = self._source
+        if not isinstance(form, _ArrayFormat):
+            with wrap_read_errors(self.path):
+                return np.asarray(form[first:last])
+        steps = np.empty((last - first, *_chunk_shape(form)), form.stored)
+        for world in range(first, last):
+            steps[world - first] = self._read_chunk(form, world)
+        if form.per_unit is None:
+            return steps
+        return _decode_steps(form, form.per_unit, np.moveaxis(steps, -1, 1))
+
+    def _read_cached(self, form: _ArrayFormat, world: int) -> np.ndarray:
+        """Return the stored chunk of a world, from the thread's cache if it is there."""
         chunks: OrderedDict[int, np.ndarray] | None = getattr(self._thread_cache, "chunks", None)
         if chunks is None:
             chunks = self._thread_cache.chunks = OrderedDict()
         if world in chunks:
             chunks.move_to_end(world)
             return chunks[world]
-        tail = form.shape[1:]
-        data = self._read_bytes(form, world)
-        if data is None:
-            values = np.full(tail, form.fill, form.dtype)
-            if form.per_unit is not None:
-                values = np.full((*tail[1:], tail[0]), form.missing, form.stored)
-        else:
-            with wrap_read_errors(self.path):
-                values = np.frombuffer(blosc.decompress(data), form.stored)
-                values = values.reshape(tail if form.per_unit is None else (*tail[1:], tail[0]))
-        chunks[world] = values
+        values = chunks[world] = self._read_chunk(form, world)
         if len(chunks) > MAX_CHUNKS:
             chunks.popitem(last=False)
         return values
 
-    def _read_bytes(self, form: _ArrayFormat, world: int) -> bytes | None:
+    def _read_chunk(self, form: _ArrayFormat, world: int) -> np.ndarray:
+        """Return the stored chunk of a world: steps with time last, or values."""
+        data = self._read_bytes(form, world)
+        if data is None:
+            fill = form.fill if form.per_unit is None else form.missing
+            return np.full(_chunk_shape(form), fill, form.stored)
+        with wrap_read_errors(self.path):
+            return np.frombuffer(blosc.decompress(data), form.stored).reshape(_chunk_shape(form))
+
+    def _read_bytes(self, form: _ArrayFormat, world: int) -> memoryview | None:
         """Return a compressed chunk; None where there is none."""
         number, at = divmod(world, form.shard)
         with self._lock:
@@ -151,12 +172,10 @@ class StoredArray:
                 self._files.move_to_end(number)
         file, index = shard
         offset, length = index[at]
-        if offset == shards.ABSENT:
-            return None
-        return file[int(offset) : int(offset + length)]
+        return None if offset == shards.ABSENT else file[offset : offset + length]
 
-    def _open_shard(self, form: _ArrayFormat, number: int) -> tuple[mmap.mmap, np.ndarray]:
-        """Return a shard and its index.
+    def _open_shard(self, form: _ArrayFormat, number: int) -> _Shard:
+        """Return the bytes of a shard, read from disk where they are decompressed, and its index.
 
         Raises:
             ConfigError: the shard is missing, truncated, or its index is damaged.
@@ -167,7 +186,24 @@ class StoredArray:
                 file = mmap.mmap(opened.fileno(), 0, access=mmap.ACCESS_READ)
             tail = file[-shards.index_bytes(form.shard) :]
             index = shards.read_index(tail, shard=form.shard, file_bytes=len(file))
-        return file, index
+        return memoryview(file), index.tolist()
+
+
+def _chunk_shape(form: _ArrayFormat) -> tuple[int, ...]:
+    """Return the shape of a stored chunk: steps have time last, values have it first."""
+    tail = form.shape[1:]
+    return tail if form.per_unit is None else (*tail[1:], tail[0])
+
+
+def _decode_steps(form: _ArrayFormat, per_unit: np.float32, steps: np.ndarray) -> np.ndarray:
+    """Return the values float32 [...] of steps [...]."""
+    values: np.ndarray = np.divide(steps, per_unit, dtype=np.float32)
+    is_missing = steps == form.missing
+    if is_missing.any():
+        values[is_missing] = np.nan
+    if form.endless is not None and (is_infinite := steps == form.endless).any():
+        values[is_infinite] = np.inf
+    return values
 
 
 def _parse_format(text: str) -> _ArrayFormat | None:

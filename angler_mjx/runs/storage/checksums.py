@@ -1,13 +1,17 @@
 """Checksums, SHA-256, by which files are recognised: inputs, plans, files of datasets, programs."""
 
 import hashlib
-import os
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
+from angler_mjx.progress import Progress
 from angler_mjx.runs.storage import output_lock
+from angler_mjx.runs.storage.parallel import cpu_count, map_in_order
+
+MAX_THREADS = 16
+"""Number of threads that hash files at most."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,8 +38,9 @@ def hash_file(path: Path) -> str:
 
 def hash_files(root: Path, names: list[str]) -> Iterator[tuple[str, str]]:
     """Yield names and checksums of files, in order, computed by threads of all processors."""
-    with ThreadPoolExecutor(min(os.cpu_count() or 1, 16)) as pool:
-        yield from zip(names, pool.map(lambda name: hash_file(root / name), names), strict=True)
+    with ThreadPoolExecutor(min(cpu_count(), MAX_THREADS)) as pool:
+        digests = map_in_order(lambda name: hash_file(root / name), names, pool)
+        yield from zip(names, digests, strict=True)
 
 
 def hash_folder(root: Path) -> str:
@@ -55,22 +60,31 @@ def list_files(root: Path) -> list[str]:
     return sorted(name for name in names if name != output_lock.LOCK)
 
 
-def compare_files(root: Path, digests: Mapping[str, str], names: list[str]) -> FileDifferences:
+def compare_files(
+    root: Path, digests: Mapping[str, str], names: list[str], progress: Progress | None = None
+) -> FileDifferences:
     """Compare the files of a folder with their checksums.
 
     Args:
         root: the folder.
         digests: checksum of each file.
         names: files that are there.
+        progress: receives the number of hashed files; nothing does if left out.
 
     Raises:
         OSError: a file cannot be read.
     """
     present = set(names)
     compared = sorted(present & digests.keys())
+    changed = []
+    for name, digest in hash_files(root, compared):
+        if digest != digests[name]:
+            changed.append(name)
+        if progress is not None:
+            progress.advance(1)
     return FileDifferences(
         missing=tuple(sorted(digests.keys() - present)),
-        changed=tuple(n for n, digest in hash_files(root, compared) if digest != digests[n]),
+        changed=tuple(changed),
         foreign=tuple(sorted(present - digests.keys())),
         compared=len(compared),
     )

@@ -1,9 +1,8 @@
 """Checks of files against their checksums, of parts against the manifest, and of values."""
 
-import os
 from collections.abc import Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from concurrent.futures import Executor
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
@@ -12,27 +11,35 @@ import pyarrow as pa
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.learning.datasets import checksums, index
-from angler_mjx.learning.datasets.manifest import SPLITS, Manifest, PartEntry
+from angler_mjx.learning.datasets.manifest import SPLITS, Manifest
 from angler_mjx.learning.datasets.stored import StoredArray
 from angler_mjx.learning.datasets.verifying.report import DatasetCheck
+from angler_mjx.progress import Progress
 from angler_mjx.runs.storage import environments, folder
 from angler_mjx.runs.storage.checksums import compare_files
 from angler_mjx.runs.storage.folder import Run
+from angler_mjx.runs.storage.parallel import cpu_count, map_in_order
 from angler_mjx.sim.state import Outcome
 
 MAX_SPEED_MPS, MAX_RATE_RADPS = 20.0, 50.0
 """Limits of a vehicle's motion; faster means divergence."""
 MAX_DISTANCE_M = 30_000.0
 PWM_US = (1100.0, 1900.0)
-WORLDS_PER_TASK = 16
-"""Number of worlds of a thread's task."""
+WORLDS_PER_FINDING = 16
+"""Number of worlds that are read at once; each of their arrays has one finding at most."""
+WORLDS_PER_TASK = 16 * WORLDS_PER_FINDING
+"""Number of worlds of a process' task."""
+MIN_TASKS_PER_PROCESS = 8
+"""Number of tasks below which a process takes longer to start than to work."""
 
 
-def check_files(root: Path, manifest: Manifest) -> DatasetCheck:
+def check_files(root: Path, manifest: Manifest, progress: Progress) -> DatasetCheck:
     """Check every file against its checksum."""
     check = DatasetCheck(name="files")
     digests = checksums.read_checksums(root, manifest.sums)
-    differences = compare_files(root, digests, checksums.list_files(root))
+    progress.start(len(digests), unit="files")
+    progress.describe("files")
+    differences = compare_files(root, digests, checksums.list_files(root), progress)
     for name in differences.missing:
         check.add_finding(name, "is missing; copy it again, or mend it with angler dataset repair")
     for name in differences.foreign:
@@ -47,10 +54,13 @@ def check_files(root: Path, manifest: Manifest) -> DatasetCheck:
     return check
 
 
-def check_parts(root: Path, manifest: Manifest) -> DatasetCheck:
+def check_parts(root: Path, manifest: Manifest, progress: Progress) -> DatasetCheck:
     """Check every part against the manifest."""
     check = DatasetCheck(name="parts")
+    progress.start(len(manifest.parts), unit="parts")
+    progress.describe("parts")
     for part in manifest.parts:
+        progress.advance(1)
         try:
             run = Run(root / part.path)
             scenario = run.scenario
@@ -81,11 +91,15 @@ def check_parts(root: Path, manifest: Manifest) -> DatasetCheck:
     return check
 
 
-def check_index(root: Path, manifest: Manifest, table: pa.Table) -> DatasetCheck:
+def check_index(
+    root: Path, manifest: Manifest, table: pa.Table, progress: Progress
+) -> DatasetCheck:
     """Check the index against one computed anew from the parts, and its splits."""
     check = DatasetCheck(name="index", looked_at=f"{len(table):,} episodes", exact=len(table))
+    progress.start(manifest.episodes, unit="episodes")
+    progress.describe("index")
     try:
-        rebuilt = index.build_index(root, manifest)
+        rebuilt = index.build_index(root, manifest, progress)
     except ConfigError as error:
         check.add_finding("runs", str(error))
         return check
@@ -95,7 +109,7 @@ def check_index(root: Path, manifest: Manifest, table: pa.Table) -> DatasetCheck
         )
         return check
     for name in rebuilt.schema.names:
-        if rebuilt[name].to_pylist() != table[name].to_pylist():
+        if not rebuilt[name].equals(table[name]):
             check.add_finding(
                 f"index.parquet, {name}",
                 "is not what the parts give; copy it again, or make the dataset again where an "
@@ -113,25 +127,49 @@ def check_index(root: Path, manifest: Manifest, table: pa.Table) -> DatasetCheck
     return check
 
 
-def check_values(root: Path, manifest: Manifest) -> DatasetCheck:
-    """Check every sample against its physical limits."""
+def count_processes(manifest: Manifest, workers: int | None) -> int:
+    """Return the number of processes that check the values of a dataset.
+
+    Args:
+        manifest: manifest of the dataset.
+        workers: requested number; if None, as many as the processors and the episodes are worth.
+    """
+    tasks = len(_split_tasks(manifest))
+    return min(tasks, workers or min(cpu_count(), tasks // MIN_TASKS_PER_PROCESS))
+
+
+def check_values(
+    root: Path, manifest: Manifest, pool: Executor | None, progress: Progress
+) -> DatasetCheck:
+    """Check every sample against its physical limits.
+
+    Args:
+        root: folder of the dataset.
+        manifest: its manifest.
+        pool: processes that read; None reads in this one.
+        progress: receives the number of episodes.
+
+    Raises:
+        RunError: a process was killed.
+    """
     check = DatasetCheck(name="values")
+    progress.start(manifest.episodes, unit="episodes")
+    progress.describe("values")
     worlds = samples = 0
-    with ThreadPoolExecutor(min(os.cpu_count() or 1, 16)) as pool:
-        for part in manifest.parts:
-            try:
-                stored = {
-                    name: StoredArray(root / part.path / folder.TRAJECTORIES / name)
-                    for name in _CHECKED_ARRAYS
-                }
-                check_from = partial(_check_worlds, stored, part, manifest)
-                for checked in pool.map(check_from, range(0, part.worlds, WORLDS_PER_TASK)):
-                    for name, fault in checked.faults:
-                        check.add_finding(f"{part.path}/{folder.TRAJECTORIES}/{name}", fault)
-                    worlds += checked.worlds
-                    samples += checked.samples
-            except ConfigError as error:
-                check.add_finding(part.path, str(error))
+    broken: set[str] = set()
+    tasks = _split_tasks(manifest)
+    check_task = partial(_check_task, root, manifest.arrays["q"].step or 0.0)
+    for (path, _), checked in zip(tasks, map_in_order(check_task, tasks, pool), strict=True):
+        progress.advance(checked.worlds)
+        if path in broken:
+            continue
+        for name, fault in checked.faults:
+            check.add_finding(f"{path}/{folder.TRAJECTORIES}/{name}", fault)
+        worlds += checked.worlds
+        samples += checked.samples
+        if checked.error:
+            check.add_finding(path, checked.error)
+            broken.add(path)
     check.looked_at = f"{samples:,} samples of robots in {worlds:,} worlds"
     check.bounded, check.why = samples, "each against the range that it can have"
     return check
@@ -140,36 +178,63 @@ def check_values(root: Path, manifest: Manifest) -> DatasetCheck:
 _CHECKED_ARRAYS = ("p_m", "q", "nu", "pwm_us", "outcome", "current_mps", "target_m")
 """Arrays with checked values."""
 
+type _Task = tuple[str, range]
+"""Path of a part, and neighbouring worlds of it."""
 
-@dataclass(frozen=True)
+
+def _split_tasks(manifest: Manifest) -> list[_Task]:
+    """Return the worlds of all parts, at most `WORLDS_PER_TASK` in each."""
+    return [
+        (part.path, range(first, min(first + WORLDS_PER_TASK, part.worlds)))
+        for part in manifest.parts
+        for first in range(0, part.worlds, WORLDS_PER_TASK)
+    ]
+
+
+@dataclass(kw_only=True)
 class _CheckedWorlds:
     """Results of some worlds."""
 
-    worlds: int
-    samples: int
-    faults: list[tuple[str, str]]
+    worlds: int = 0
+    samples: int = 0
+    faults: list[tuple[str, str]] = field(default_factory=list)
     """Name of an array, and the fault in it."""
+    error: str = ""
+    """Reason why the other worlds cannot be read; empty where all were."""
 
 
-def _check_worlds(
-    stored: Mapping[str, StoredArray], part: PartEntry, manifest: Manifest, first: int
-) -> _CheckedWorlds:
-    """Check worlds of a part from number ``first`` on, at most `WORLDS_PER_TASK`."""
-    worlds = range(first, min(first + WORLDS_PER_TASK, part.worlds))
-    arrays = {name: np.stack([array.read(i) for i in worlds]) for name, array in stored.items()}
-    return _CheckedWorlds(
-        len(worlds), arrays["p_m"].size // 3, list(_find_faults(first, arrays, manifest))
-    )
+def _check_task(root: Path, step: float, task: _Task) -> _CheckedWorlds:
+    """Check worlds of a part, `WORLDS_PER_FINDING` at a time, until some cannot be read.
+
+    Args:
+        root: folder of the dataset.
+        step: step of stored quaternions; 0 where they are stored exactly.
+        task: the worlds.
+    """
+    path, worlds = task
+    checked = _CheckedWorlds()
+    try:
+        stored = {
+            name: StoredArray(root / path / folder.TRAJECTORIES / name) for name in _CHECKED_ARRAYS
+        }
+        for first in worlds[::WORLDS_PER_FINDING]:
+            last = min(first + WORLDS_PER_FINDING, worlds.stop)
+            arrays = {name: array.read_worlds(first, last) for name, array in stored.items()}
+            checked.faults += _find_faults(first, arrays, step)
+            checked.worlds += last - first
+            checked.samples += arrays["p_m"].size // 3
+    except ConfigError as error:
+        checked.error = str(error)
+    return checked
 
 
 def _find_faults(
-    first: int, arrays: Mapping[str, np.ndarray], manifest: Manifest
+    first: int, arrays: Mapping[str, np.ndarray], step: float
 ) -> Iterator[tuple[str, str]]:
-    """Yield the faults of some worlds: [w, t, r, ...]."""
+    """Yield the faults of some worlds: [w, t, r, ...]; see `_check_task`."""
     outcome = arrays["outcome"].astype(int)
     is_finite = np.isfinite(arrays["p_m"]).all(-1)  # NaN after the tile had ended
     running = is_finite & (outcome == 0)
-    step = manifest.arrays["q"].step or 0.0
     pwm = arrays["pwm_us"]
     faults = {
         "p_m": running & (np.abs(arrays["p_m"]) > MAX_DISTANCE_M).any(-1),

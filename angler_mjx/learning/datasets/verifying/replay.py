@@ -1,7 +1,7 @@
 """Comparison of a dataset's episodes with flights repeated from its own description."""
 
 import gc
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -48,9 +48,7 @@ class _ReplayComparison:
     worlds: int = 0
 
 
-def replay_episodes(
-    root: Path, manifest: Manifest, count: int, progress: Callable[[int, int], None]
-) -> DatasetCheck:
+def replay_episodes(root: Path, manifest: Manifest, count: int, progress: Progress) -> DatasetCheck:
     """Fly episodes again, spread over the parts, whole tiles of them.
 
     Where device and versions are those that made the dataset, every byte must be the same; else
@@ -60,15 +58,17 @@ def replay_episodes(
         root: folder of the dataset.
         manifest: its manifest.
         count: number of episodes.
-        progress: called with the numbers of finished and of all episodes.
+        progress: receives the number of episodes.
     """
+    progress.start(count, unit="episodes")
+    progress.describe("flying again")
     check = DatasetCheck(name="flown again")
     differing = environment_differences(manifest)
     comparison = _ReplayComparison(at=round(COMPARE_AT_S * manifest.time["record_hz"]))
     selected = select_worlds(manifest.parts, count)
     for part, worlds in selected:
         _replay_part(root, part, worlds, comparison, check, exact=not differing)
-        progress(comparison.worlds, count)
+        progress.advance(len(worlds))
         jax.clear_caches()
         gc.collect()
     check.unchecked = manifest.episodes - comparison.worlds

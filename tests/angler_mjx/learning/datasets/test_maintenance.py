@@ -37,7 +37,7 @@ def test_what_was_damaged_is_flown_again_to_the_same_bytes(copy, made, capsys):
     for name in checksums.list_files(made):
         if "trajectories.zarr" in name or name.endswith((".parquet", "variants.json")):
             assert (copy / name).read_bytes() == (made / name).read_bytes(), name
-    assert verification.verify_dataset(copy, 0, lambda *_: None).agrees
+    assert verification.verify_dataset(copy, 0, Progress()).agrees
     assert mending.repair_dataset(copy, Progress()).damaged == ()
 
 
@@ -86,7 +86,7 @@ def test_datasets_become_one(file, made, tmp_path):
         generation.read_request(other, 3), tmp_path / "second", progress=Progress()
     )
     out = joining.merge_datasets([made, second], tmp_path / "both")
-    assert verification.verify_dataset(out, 0, lambda *_: None).agrees
+    assert verification.verify_dataset(out, 0, Progress()).agrees
     found, table = manifest.read_manifest(out), index.read_index(out)
     assert (found.name, found.episodes, len(found.parts)) == ("both", 9, 4)
     assert table["episode"].to_pylist() == list(range(9))

@@ -37,6 +37,8 @@ def test_every_value_is_that_of_zarr(made):
                 read_array = StoredArray(run / "trajectories.zarr" / name)
                 assert read_array.shape == array.shape
                 looked_at.add((name, read_array._source.per_unit is not None))
+                np.testing.assert_array_equal(read_array.read_worlds(0, 2), array[0:2])
+                np.testing.assert_array_equal(read_array.read_worlds(1, 2), array[1:2])
                 for world in range(array.shape[0]):
                     theirs = np.asarray(array[world])
                     read = read_array.read(world)
@@ -66,10 +68,13 @@ def test_worlds_that_were_never_written_are_missing(tmp_path, codecs):
     read_array = StoredArray(tmp_path / "a")
     assert np.isnan(read_array.read(0)).all()
     assert (read_array.read(1) == 2.0).all()
-    with pytest.raises(ConfigError, match="no such file"):
-        read_array.read(2)
-    with pytest.raises(IndexError):
-        read_array.read(4)
+    both = read_array.read_worlds(0, 2)
+    np.testing.assert_array_equal(both, np.stack([read_array.read(0), read_array.read(1)]))
+    for read in (read_array.read, lambda world: read_array.read_worlds(world - 1, world + 1)):
+        with pytest.raises(ConfigError, match="no such file"):
+            read(2)
+        with pytest.raises(IndexError):
+            read(4)
 
 
 def test_arrays_of_others_are_left_to_zarr(tmp_path):
@@ -78,6 +83,7 @@ def test_arrays_of_others_are_left_to_zarr(tmp_path):
     read_array = StoredArray(tmp_path / "a")
     np.testing.assert_array_equal(read_array.read(1), values[1])
     np.testing.assert_array_equal(read_array.read(1, slice(1, 3)), values[1, 1:3])
+    np.testing.assert_array_equal(read_array.read_worlds(0, 2), values)
 
 
 def test_damaged_shards_are_named(copy):

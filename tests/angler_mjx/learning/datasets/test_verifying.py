@@ -11,17 +11,14 @@ import zarr
 
 from angler_mjx.cli import main
 from angler_mjx.learning.datasets import checksums, index, manifest
-from angler_mjx.learning.datasets.verifying import replay, verification
+from angler_mjx.learning.datasets.verifying import integrity, replay, verification
 from angler_mjx.learning.datasets.verifying.report import DatasetCheck
+from angler_mjx.progress import Progress
 from angler_mjx.runs.storage.checksums import hash_file
 
 
-def silent(*_):
-    pass
-
-
-def verdict(folder, flights=0):
-    return verification.verify_dataset(folder, flights, silent)
+def verdict(folder, flights=0, workers=None):
+    return verification.verify_dataset(folder, flights, Progress(), workers)
 
 
 def with_new_sums(folder):
@@ -130,6 +127,85 @@ def test_values_that_cannot_be_are_found_with_their_place(copy):
     assert found.keys() == {"pwm_us", "q", "outcome"}
     assert "world 1, sample 3, robot 0" in found["pwm_us"]
     assert "world 0, sample 2, robot 1" in found["q"]
+
+
+@pytest.fixture
+def small_tasks(monkeypatch):
+    """A task and a finding for each world: six of them in the dataset."""
+    monkeypatch.setattr(integrity, "WORLDS_PER_TASK", 1)
+
+
+def test_any_number_of_processes_finds_the_same_in_the_same_order(copy, small_tasks):
+    first, second = manifest.read_manifest(copy).parts
+    trajectories = copy / first.path / "trajectories.zarr"
+    array = zarr.open_group(trajectories, mode="r+")["pwm_us"]
+    array[0, 3, 0, 2], array[1, 4, 1, 0] = 2500.0, 900.0
+    shard = trajectories / "p_m" / "c" / "1" / "0" / "0" / "0"
+    shard.write_bytes(b"0" * 20 + shard.read_bytes()[20:])
+    zarr.open_group(copy / second.path / "trajectories.zarr", mode="r+")["outcome"][1, 5, 0] = 11
+    with_new_sums(copy)
+    serial, parallel = (verdict(copy, workers=count) for count in (1, 2))
+    assert serial == parallel
+    values = [one for one in serial.findings if one.what == "values"]
+    assert [(one.where, one.text.partition(",")[0]) for one in values[:2]] == [
+        (f"{first.path}/trajectories.zarr/pwm_us", "world 0"),
+        (f"{first.path}/trajectories.zarr/pwm_us", "world 1"),
+    ]
+    assert [one.where for one in values[2:]] == [
+        first.path,
+        f"{second.path}/trajectories.zarr/outcome",
+    ]
+    assert "p_m: cannot be read, it is damaged" in values[2].text
+    assert "in 4 worlds" in serial.checks[3].looked_at
+
+
+class Interrupted(Progress):
+    """Ctrl-C after the values of one episode."""
+
+    def describe(self, text):
+        self.step = text
+
+    def advance(self, amount, vehicle_steps=0):
+        if self.step == "values":
+            raise KeyboardInterrupt
+
+
+def test_an_interruption_ends_the_checks(made, small_tasks):
+    with pytest.raises(KeyboardInterrupt):
+        verification.verify_dataset(made, 0, Interrupted())
+
+
+def test_progress_goes_from_nothing_to_all(made):
+    seen = {}
+
+    class Counted(Progress):
+        def start(self, total, done=0, unit="worlds"):
+            self.state = [total, done, unit]
+
+        def describe(self, text):
+            seen[text] = self.state
+
+        def advance(self, amount, vehicle_steps=0):
+            self.state[1] += amount
+
+    verification.verify_dataset(made, 0, Counted())
+    n_files = len(checksums.list_files(made))
+    assert seen == {
+        "files": [n_files, n_files, "files"],
+        "parts": [2, 2, "parts"],
+        "index": [6, 6, "episodes"],
+        "values": [6, 6, "episodes"],
+    }
+
+
+def test_processes_are_as_many_as_the_episodes_are_worth(made, monkeypatch):
+    monkeypatch.setattr(integrity, "cpu_count", lambda: 16)
+    small = manifest.read_manifest(made)
+    large = small.model_copy(
+        update={"parts": [part.model_copy(update={"worlds": 10_000}) for part in small.parts]}
+    )
+    assert [integrity.count_processes(small, count) for count in (None, 1, 8)] == [0, 1, 2]
+    assert [integrity.count_processes(large, count) for count in (None, 1, 32)] == [10, 1, 32]
 
 
 def test_an_index_that_was_edited_is_found(copy):
