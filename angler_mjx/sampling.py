@@ -5,9 +5,14 @@ together, the program of `reef_fleet`'s worlds has nine loops and 54 kernels few
 and compiles faster. Each key gives the same numbers as alone.
 """
 
+from dataclasses import dataclass
+from typing import Self
+
 import jax
 import jax.numpy as jnp
 from jax.typing import DTypeLike
+
+from angler_mjx.host_arrays import as_numbers
 
 
 def fold_keys(key: jax.Array, count: int) -> jax.Array:
@@ -27,6 +32,21 @@ def uniform_rows(keys: jax.Array, count: int, dtype: DTypeLike = float) -> jax.A
     return rows
 
 
-def scale_uniform(fraction: jax.Array, low: float, high: float) -> jax.Array:
-    """Scale fractions from 0 to 1 to ``low`` to ``high``, as `jax.random.uniform` does."""
-    return jnp.maximum(low, fraction * (high - low) + low)
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class UniformRange:
+    """Range of a uniformly sampled number; argument of programs."""
+
+    low: jax.Array
+    """[]."""
+    width: jax.Array
+    """[] difference of the ends, rounded once."""
+
+    @classmethod
+    def between(cls, low: float, high: float) -> Self:
+        """Return the range from ``low`` to ``high`` (host side)."""
+        return cls(low=as_numbers(low), width=as_numbers(high - low))
+
+    def scale(self, fraction: jax.Array) -> jax.Array:
+        """Scale fractions from 0 to 1 to the range, as `jax.random.uniform` does."""
+        return jnp.maximum(self.low, fraction * self.width + self.low)

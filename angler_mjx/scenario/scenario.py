@@ -288,7 +288,7 @@ class Scenario(FileModel):
             del world["bathymetry"]
         problem_table = {
             "world": world,
-            "fleet": [_problem_table(entry) for entry in self.fleet],
+            "fleet": self.fleet_tables(),
             "horizon_s": self.time.horizon_s,
             "control_dt_s": self.time.control_dt_s,
             "density_kgpm3": self.water.density_kgpm3,
@@ -300,6 +300,10 @@ class Scenario(FileModel):
             problem_table["randomise"] = dump_for_digest(self.randomise)
         text = json.dumps(problem_table, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
+
+    def fleet_tables(self) -> list[dict[str, object]]:
+        """Return the entries of the fleet, with the current data of their vehicles' files."""
+        return [_problem_table(entry) for entry in self.fleet]
 
     def sim_spec(self) -> SimSpec:
         """Return the simulator's settings."""

@@ -2,20 +2,30 @@
 
 `WorldConfig` is the user's table: a preset and changes to it. `resolve_world` fills in all other
 values from the preset and returns a `WorldRecipe`: complete, hashable, unique. `generate` takes the
-recipe as a static argument.
+recipe as a static argument, and `WorldNumbers` as an argument of the program.
 """
 
+from dataclasses import dataclass
 from typing import Annotated, Literal, Self
 
+import jax
+import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import FileModel
+from angler_mjx.host_arrays import as_leaf, as_numbers
 from angler_mjx.quantities import Coordinate, Length, PositiveLength
 from angler_mjx.world import calibration, presets
-from angler_mjx.world.currents import CurrentConfig, GridConfig, ground
+from angler_mjx.world.currents import (
+    CurrentConfig,
+    CurrentSampler,
+    GridConfig,
+    build_samplers,
+    ground,
+)
 from angler_mjx.world.currents.ground import BathymetryConfig
-from angler_mjx.world.obstacles import ObstaclesConfig
+from angler_mjx.world.obstacles import DriftingSampler, ObstaclesConfig
 from angler_mjx.world.rock.rules import AutomatonRule, OpenRule, Rule, WallsRule
 
 type Vector = tuple[Coordinate, Coordinate, Coordinate]
@@ -94,6 +104,29 @@ class WorldConfig(FileModel):
         return self
 
 
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class WorldNumbers:
+    """Numbers of a recipe that programs take as arguments; the recipe itself is static.
+
+    Worlds that differ in them alone are sampled by the same program.
+    """
+
+    fill: jax.Array
+    """[] fraction of walls before the rule."""
+    floor_z_m: jax.Array
+    """[] height of the sea floor, m, W."""
+    clearance_m: jax.Array
+    """[] free water between robots at their starts and goals."""
+    min_obstacles: jax.Array
+    """int32 [] min number of occupied cells."""
+    redraw_limit: jax.Array
+    """int32 [] max number of resamplings."""
+    currents: tuple[CurrentSampler, ...]
+    drifting: DriftingSampler | None
+    """None without sampled obstacles."""
+
+
 class WorldRecipe(FileModel):
     """A fully resolved world config. Lengths in metres, W."""
 
@@ -113,6 +146,22 @@ class WorldRecipe(FileModel):
     currents: tuple[CurrentConfig, ...]
     bathymetry: BathymetryConfig | None
     obstacles: ObstaclesConfig
+
+    def numbers(self, horizon_s: float) -> WorldNumbers:
+        """Return the arguments of programs (host side).
+
+        Args:
+            horizon_s: time that the current covers.
+        """
+        return WorldNumbers(
+            fill=as_numbers(self.fill),
+            floor_z_m=as_numbers(self.floor_z_m),
+            clearance_m=as_numbers(self.clearance_m),
+            min_obstacles=as_leaf(np.int32(self.min_obstacles)),
+            redraw_limit=as_leaf(np.int32(self.redraw_limit)),
+            currents=build_samplers(self.currents, horizon_s),
+            drifting=DriftingSampler.of(self.obstacles.dynamic),
+        )
 
     @property
     def has_ground(self) -> bool:

@@ -13,7 +13,7 @@ import numpy as np
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.world import currents, obstacles
-from angler_mjx.world.config import WorldConfig, WorldRecipe, resolve_world
+from angler_mjx.world.config import WorldConfig, WorldNumbers, WorldRecipe, resolve_world
 from angler_mjx.world.currents import ground
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.ocean.floor import CellCentres
@@ -28,9 +28,9 @@ uses."""
 
 def generate_world(
     recipe: WorldRecipe,
+    numbers: WorldNumbers,
     radius_m: jax.Array,
     key: jax.Array,
-    horizon_s: float = 120.0,
     water_density_kgm3: jax.Array | float = 1000.0,
 ) -> Environment:
     """Generate a world for a fleet.
@@ -40,32 +40,33 @@ def generate_world(
 
     Args:
         recipe: static.
+        numbers: of the recipe.
         radius_m: [n_robot] radius of each robot's bounding sphere; below 1.5 cells.
         key: random key of this world.
-        horizon_s: time that the current covers; static.
         water_density_kgm3: for the obstacles' mass and added mass.
     """
     cells_key, obstacles_key, current_key = jax.random.split(key, 3)
     current = None
     if recipe.has_ground:
-        current, rock = _sample_ground(recipe, key, current_key, horizon_s)
-        sample = sample_world(recipe, radius_m, cells_key, rock)
+        current, rock = _sample_ground(recipe, numbers, key, current_key)
+        sample = sample_world(recipe, numbers, radius_m, cells_key, rock)
     else:
-        sample = sample_world(recipe, radius_m, cells_key)
-    lo, hi = _region_corners(recipe)
+        sample = sample_world(recipe, numbers, radius_m, cells_key)
+    lo, hi = _region_corners(recipe, numbers)
     grid = Grid(
         occupied=sample.occupied,
         origin_m=jnp.array(recipe.origin_m, float),
         cell_m=jnp.array(recipe.cell_m, float),
     )
     keep_out = jnp.concatenate([sample.start, sample.goal])
-    keep_out_radius = jnp.tile(radius_m + recipe.clearance_m, 2)
+    keep_out_radius = jnp.tile(radius_m + numbers.clearance_m, 2)
     to_goal = sample.goal - sample.start
     return Environment(
         grid=grid,
-        floor_z_m=jnp.array(recipe.floor_z_m, float),
+        floor_z_m=numbers.floor_z_m,
         obstacles=obstacles.sample_obstacles(
-            recipe.obstacles,
+            recipe.obstacles.explicit,
+            numbers.drifting,
             obstacles_key,
             grid,
             lo,
@@ -75,7 +76,7 @@ def generate_world(
             water_density_kgm3,
         ),
         current=(
-            currents.sample_current(recipe.currents, current_key, lo, hi, horizon_s)
+            currents.sample_current(numbers.currents, current_key, lo, hi)
             if current is None
             else current
         ),
@@ -90,25 +91,25 @@ def generate_world(
     )
 
 
-def sample_current(recipe: WorldRecipe, key: jax.Array, horizon_s: float) -> currents.Current:
+def sample_current(recipe: WorldRecipe, numbers: WorldNumbers, key: jax.Array) -> currents.Current:
     """Sample only the current of the world of `generate_world`; arguments as there."""
-    lo, hi = _region_corners(recipe)
-    return currents.sample_current(recipe.currents, jax.random.split(key, 3)[2], lo, hi, horizon_s)
+    lo, hi = _region_corners(recipe, numbers)
+    return currents.sample_current(numbers.currents, jax.random.split(key, 3)[2], lo, hi)
 
 
-def _region_corners(recipe: WorldRecipe) -> tuple[jax.Array, jax.Array]:
+def _region_corners(recipe: WorldRecipe, numbers: WorldNumbers) -> tuple[jax.Array, jax.Array]:
     """Return the lower and upper corner [3] of the water of the grid, m, W."""
     lo = jnp.array(recipe.origin_m, float)
     hi = lo + jnp.array(recipe.size_m, float)
-    return lo.at[2].max(recipe.floor_z_m), hi
+    return lo.at[2].max(numbers.floor_z_m), hi
 
 
 def _sample_ground(
-    recipe: WorldRecipe, key: jax.Array, current_key: jax.Array, horizon_s: float
+    recipe: WorldRecipe, numbers: WorldNumbers, key: jax.Array, current_key: jax.Array
 ) -> tuple[currents.Current, jax.Array | None]:
     """Sample the current of a world, and return its rock from the file."""
-    lo, hi = _region_corners(recipe)
-    current = currents.sample_current(recipe.currents, current_key, lo, hi, horizon_s)
+    lo, hi = _region_corners(recipe, numbers)
+    current = currents.sample_current(numbers.currents, current_key, lo, hi)
     x, y, z = (
         jnp.array(low + recipe.cell_m * (np.arange(n) + 0.5), float)
         for low, n in zip(recipe.origin_m, recipe.shape, strict=True)
@@ -159,7 +160,7 @@ def generate_batch(
     check_fleet(recipe, radius)
     radii = jnp.broadcast_to(jnp.asarray(radius, float), (count, radius.shape[-1]))
     batch: Environment = _generate_batch(
-        recipe, radii, seed, first_index, horizon_s, water_density_kgm3
+        recipe, recipe.numbers(horizon_s), radii, seed, first_index, water_density_kgm3
     )
     return batch
 
@@ -211,13 +212,13 @@ def require_valid(environment: Environment, first_index: int = 0) -> None:
         )
 
 
-@partial(jax.jit, static_argnames=("recipe", "horizon_s"))
+@partial(jax.jit, static_argnames="recipe")
 def _generate_batch(
     recipe: WorldRecipe,
+    numbers: WorldNumbers,
     radius_m: jax.Array,
     seed: jax.Array,
     first_index: jax.Array,
-    horizon_s: float,
     water_density_kgm3: jax.Array,
 ) -> Environment:
     index = jnp.uint32(first_index) + jnp.arange(radius_m.shape[0], dtype=jnp.uint32)
@@ -225,6 +226,6 @@ def _generate_batch(
 
     def generate_one(i: jax.Array, radius: jax.Array) -> Environment:
         key = jax.random.fold_in(root, i)
-        return generate_world(recipe, radius, key, horizon_s, water_density_kgm3)
+        return generate_world(recipe, numbers, radius, key, water_density_kgm3)
 
     return jax.vmap(generate_one)(index, radius_m)

@@ -127,6 +127,7 @@ def check_positions(recipe: WorldRecipe, radius_m: np.ndarray) -> None:
 
 def choose_positions(
     recipe: WorldRecipe,
+    clearance_m: jax.Array | float,
     free: jax.Array,
     passable: jax.Array,
     start_gap: jax.Array,
@@ -140,6 +141,7 @@ def choose_positions(
 
     Args:
         recipe: static.
+        clearance_m: [] free water between robots at their starts and goals.
         free: packed cells, [nx, ny, words, n_world], all connected.
         passable: packed cells, those of ``free`` that the widest robot can pass.
         start_gap: [nx, ny, nz] distance from each centre to explicit obstacles at the start, also
@@ -175,7 +177,7 @@ def choose_positions(
     ) -> tuple[tuple[jax.Array, jax.Array], tuple[jax.Array, jax.Array, jax.Array]]:
         start_gap, goal_gap = gaps
         radius, turned, near_start, near_goal = robot
-        margin = radius + recipe.clearance_m
+        margin = radius + clearance_m
         may = open_cell & (start_gap >= margin)
         start, fits = _cheapest_cell(
             may, _cell_cost(recipe, point, near_start, noise[0], turned), point

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 
 from angler_kernels.bit_grid import count_cells, full_grid, pack_grid, unpack_grid
 from angler_mjx.world import groups
-from angler_mjx.world.config import WorldRecipe
+from angler_mjx.world.config import WorldNumbers, WorldRecipe
 from angler_mjx.world.difficulty import line_is_free, open_path_lengths, shortest_paths
 from angler_mjx.world.obstacles.explicit import explicit_rows
 from angler_mjx.world.placement import (
@@ -72,12 +72,17 @@ class _WorldAttempt:
 
 
 def sample_world(
-    recipe: WorldRecipe, radius_m: jax.Array, key: jax.Array, rock: jax.Array | None = None
+    recipe: WorldRecipe,
+    numbers: WorldNumbers,
+    radius_m: jax.Array,
+    key: jax.Array,
+    rock: jax.Array | None = None,
 ) -> WorldSample:
     """Sample cells and positions of a world until the fleet fits or the recipe's limit is reached.
 
     Args:
         recipe: static.
+        numbers: of the recipe; the same in all worlds of a batch.
         radius_m: [n_robot] radius of each robot's bounding sphere; below 1.5 cells.
         key: random key of this world's cells.
         rock: bool [nx, ny, nz] cells that are always occupied; none if left out.
@@ -85,43 +90,50 @@ def sample_world(
     inputs = (radius_m, key) if rock is None else (radius_m, key, rock)
 
     @jax.custom_batching.custom_vmap
-    def sample_one(*inputs: jax.Array) -> WorldSample:
+    def sample_one(numbers: WorldNumbers, *inputs: jax.Array) -> WorldSample:
         alone: WorldSample = jax.tree.map(
-            lambda leaf: leaf[0], _sample_tile(recipe, *(part[None] for part in inputs))
+            lambda leaf: leaf[0], _sample_tile(recipe, numbers, *(part[None] for part in inputs))
         )
         return alone
 
     @sample_one.def_vmap
     def _batch(
-        n_world: int, batched: list[bool], *inputs: jax.Array
+        n_world: int, batched: list[bool], numbers: WorldNumbers, *inputs: jax.Array
     ) -> tuple[WorldSample, WorldSample]:
         worlds = sample_worlds(
             recipe,
+            numbers,
             *(
                 part if is_one else jnp.broadcast_to(part, (n_world, *part.shape))
-                for part, is_one in zip(inputs, batched, strict=True)
+                for part, is_one in zip(inputs, batched[1:], strict=True)
             ),
         )
         return worlds, jax.tree.map(lambda _: True, worlds)
 
-    sample: WorldSample = sample_one(*inputs)
+    sample: WorldSample = sample_one(numbers, *inputs)
     return sample
 
 
 def sample_worlds(
-    recipe: WorldRecipe, radius_m: jax.Array, keys: jax.Array, rock: jax.Array | None = None
+    recipe: WorldRecipe,
+    numbers: WorldNumbers,
+    radius_m: jax.Array,
+    keys: jax.Array,
+    rock: jax.Array | None = None,
 ) -> WorldSample:
     """Sample worlds [n_world, n_robot] and [n_world] as `sample_world` does, tile by tile."""
     n_world, n_robot = radius_m.shape
     max_worlds = tile_size(recipe, n_robot)
     if n_world <= max_worlds:
-        return _sample_tile(recipe, radius_m, keys, rock)
+        return _sample_tile(recipe, numbers, radius_m, keys, rock)
     n_tile = -(-n_world // max_worlds)
     tile = -(-n_world // n_tile)
     # The last tile is padded with the first worlds; the copies are cut off again.
     index = jnp.arange(n_tile * tile).reshape(n_tile, tile) % n_world
     inputs = (radius_m, keys) if rock is None else (radius_m, keys, rock)
-    tiles = jax.lax.map(lambda i: _sample_tile(recipe, *(part[i] for part in inputs)), index)
+    tiles = jax.lax.map(
+        lambda i: _sample_tile(recipe, numbers, *(part[i] for part in inputs)), index
+    )
     worlds: WorldSample = jax.tree.map(
         lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:n_world], tiles
     )
@@ -136,12 +148,16 @@ def tile_size(recipe: WorldRecipe, n_robot: int) -> int:
 
 
 def _sample_tile(
-    recipe: WorldRecipe, radius_m: jax.Array, keys: jax.Array, rock: jax.Array | None = None
+    recipe: WorldRecipe,
+    numbers: WorldNumbers,
+    radius_m: jax.Array,
+    keys: jax.Array,
+    rock: jax.Array | None = None,
 ) -> WorldSample:
     """Sample worlds [n_world, n_robot], [n_world], all at once."""
     radius = radius_m.T
     packed = None if rock is None else pack_grid(jnp.moveaxis(rock, 0, -1))
-    made = _resample_worlds(recipe, radius, keys, packed)
+    made = _resample_worlds(recipe, numbers, radius, keys, packed)
     occupied = unpack_grid(made.occupied, recipe.shape[2])
     path_ratio, line_free = measure_difficulty(
         recipe, occupied, made.passable, made.start, made.goal
@@ -160,12 +176,17 @@ def _sample_tile(
 
 
 def _resample_worlds(
-    recipe: WorldRecipe, radius: jax.Array, keys: jax.Array, rock: jax.Array | None
+    recipe: WorldRecipe,
+    numbers: WorldNumbers,
+    radius: jax.Array,
+    keys: jax.Array,
+    rock: jax.Array | None,
 ) -> _WorldAttempt:
     """Sample worlds until each holds its fleet or reached the limit.
 
     Args:
         recipe: static.
+        numbers: of the recipe.
         radius: [n_robot, n_world].
         keys: [n_world].
         rock: packed cells that are always occupied; None for none.
@@ -174,14 +195,16 @@ def _resample_worlds(
     size = -(-n_world // _GROUP_DIVISOR)
 
     def unfit(worlds: _WorldAttempt) -> jax.Array:
-        return ~worlds.fits & (worlds.redraws < recipe.redraw_limit)
+        return ~worlds.fits & (worlds.redraws < numbers.redraw_limit)
 
     def sample_group(carry: tuple[jax.Array, _WorldAttempt]) -> tuple[jax.Array, _WorldAttempt]:
         turn, worlds = carry
         group = groups.choose_group(turn, unfit(worlds), size)
         read = group.read
         always = None if rock is None else rock[..., read]
-        new = attempt_worlds(recipe, radius[:, read], keys[read], worlds.redraws[read] + 1, always)
+        new = attempt_worlds(
+            recipe, numbers, radius[:, read], keys[read], worlds.redraws[read] + 1, always
+        )
         renewed: _WorldAttempt = jax.tree.map(
             lambda old, some: old.at[..., group.index].set(some, mode="drop"), worlds, new
         )
@@ -207,6 +230,7 @@ def _resample_worlds(
 
 def attempt_worlds(
     recipe: WorldRecipe,
+    numbers: WorldNumbers,
     radius: jax.Array,
     keys: jax.Array,
     redraws: jax.Array,
@@ -216,6 +240,7 @@ def attempt_worlds(
 
     Args:
         recipe: static.
+        numbers: of the recipe.
         radius: [n_robot, n_world].
         keys: [n_world].
         redraws: int32 [n_world] index of the attempt at its world.
@@ -226,19 +251,21 @@ def attempt_worlds(
         return jax.random.split(jax.random.fold_in(key, redraws))
 
     cells_keys, position_keys = jax.vmap(keys_of_try, out_axes=1)(keys, redraws)
-    occupied = sample_cells(recipe.rule, recipe.shape, recipe.fill, cells_keys)
+    occupied = sample_cells(recipe.rule, recipe.shape, numbers.fill, cells_keys)
     sampled = occupied
     occupied = sampled if rock is None else sampled | rock
     free = ~occupied & full_grid(recipe.shape)[..., None]
-    ground, start_gap = _obstacle_gaps(recipe)
+    ground, start_gap = _obstacle_gaps(recipe, numbers.floor_z_m)
     passable = passable_cells(free, ground, recipe.cell_m, jnp.max(radius, axis=0))
-    start, goal, fits = choose_positions(recipe, free, passable, start_gap, radius, position_keys)
+    start, goal, fits = choose_positions(
+        recipe, numbers.clearance_m, free, passable, start_gap, radius, position_keys
+    )
     return _WorldAttempt(
         occupied=occupied,
         passable=passable,
         start=start,
         goal=goal,
-        fits=fits & (count_cells(sampled) >= recipe.min_obstacles),
+        fits=fits & (count_cells(sampled) >= numbers.min_obstacles),
         redraws=redraws,
     )
 
@@ -272,14 +299,14 @@ def measure_difficulty(
     return jnp.maximum(ratio, 1.0), line_free
 
 
-def _obstacle_gaps(recipe: WorldRecipe) -> tuple[jax.Array, jax.Array]:
+def _obstacle_gaps(recipe: WorldRecipe, floor_z_m: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return the distances [nx, ny, nz] of the cells' centres to the unsampled obstacles, m.
 
     The first to floor and explicit static obstacles, the second to all explicit obstacles at the
     start.
     """
     centres = cell_centres(recipe)
-    ground = centres[..., 2] - recipe.floor_z_m
+    ground = centres[..., 2] - floor_z_m
     start_gap = jnp.full(recipe.shape, jnp.inf)
     if recipe.obstacles.explicit:
         rows = explicit_rows(recipe.obstacles.explicit, 1000.0)  # Density does not change shapes.

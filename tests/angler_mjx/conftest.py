@@ -157,13 +157,25 @@ def one_water(
         cell_m=jnp.asarray(CELL_M, float),
     )
     path = jax.vmap(_polyline)(points)
-    rows = obstacles.sample_obstacles(config, next(keys), grid, lo, hi, points[:, 0], 0.5, 1000.0)
+    rows = obstacles.sample_obstacles(
+        config.explicit,
+        obstacles.DriftingSampler.of(config.dynamic),
+        next(keys),
+        grid,
+        lo,
+        hi,
+        points[:, 0],
+        0.5,
+        1000.0,
+    )
     of_fleet = next(keys)
     environment = Environment(
         grid=grid,
         floor_z_m=lo[2],
         obstacles=rows,
-        current=currents.sample_current(CURRENT, next(keys), lo, hi, HORIZON_S),
+        current=currents.sample_current(
+            currents.build_samplers(CURRENT, HORIZON_S), next(keys), lo, hi
+        ),
         start_m=points[:, 0],
         start_yaw_rad=jax.random.uniform(next(keys), (n,), float, -3.0, 3.0),
         goal_m=points[:, -1],

@@ -2,11 +2,13 @@
 
 Tracing and compiling a scenario takes seconds to a minute, and a grid of cells, a notebook or a
 test needs the same programs many times. `shared_programs` returns earlier programs where everything
-that was traced into them is equal. Programs that hold a planner or policy of a caller, or fields of
-files, are made anew for each simulator: their code and their files may have changed.
+that was traced into them is equal; numbers that they take as arguments may differ. Programs that
+hold a planner or policy of a caller, or fields of files, are made anew for each simulator: their
+code and their files may have changed.
 """
 
 import gc
+import json
 import threading
 import time
 from collections import OrderedDict
@@ -41,6 +43,11 @@ from angler_mjx.runs.simulator.devices import (
     tile_too_large,
     tree_bytes,
     with_sharding,
+)
+from angler_mjx.runs.simulator.sampling_numbers import (
+    SamplingNumbers,
+    sampling_numbers,
+    static_table,
 )
 from angler_mjx.runs.simulator.stored_programs import open_store, trace_settings
 from angler_mjx.runs.simulator.world_preparation import build_preparer, build_tile_problems
@@ -91,25 +98,29 @@ class ProgramSetup:
 
     def key(self) -> Hashable | None:
         """Return a value equal for equal programs; None where they cannot be shared."""
-        world = self.scenario.world
-        if self.has_user_code or world.files:
+        if self.has_user_code or self.scenario.world.files:
             return None
-        excluded: dict[str, bool | set[str]] = dict.fromkeys(UNTRACED_KEYS, True)
-        if self.planner is None and not self.scenario.planner.replan_hz:
-            excluded["planner"] = UNTRACED_PLANNER_KEYS
-        numbers = [(leaf.shape, str(leaf.dtype)) for leaf in jax.tree.leaves(self.policy)]
+        arguments = (sampling_numbers(self.scenario), self.policy)
+        shapes = [(leaf.shape, str(leaf.dtype)) for leaf in jax.tree.leaves(arguments)]
         return (
-            self.scenario.digest(),
-            self.scenario.model_dump_json(exclude=excluded),
+            json.dumps(self._traced_table(), sort_keys=True),
             self.tile,
             self.mesh,
             self.kernels,
             self.paths,
             repr(self.planner),
-            jax.tree.structure(self.policy),
-            tuple(numbers),
+            jax.tree.structure(arguments),
+            tuple(shapes),
             trace_settings(),
         )
+
+    def _traced_table(self) -> dict[str, object]:
+        """Return the tables that are traced into the programs."""
+        excluded: dict[str, bool | set[str]] = dict.fromkeys(UNTRACED_KEYS, True)
+        if self.planner is None and not self.scenario.planner.replan_hz:
+            excluded["planner"] = UNTRACED_PLANNER_KEYS
+        table = static_table(self.scenario, excluded)
+        return {**table, "vehicles": self.scenario.fleet_tables()}
 
 
 class Programs:
@@ -120,7 +131,8 @@ class Programs:
         engine: engine that advances the worlds.
         samples: stored samples in one segment.
         steps_per_sample: control steps between samples.
-        prepare: worlds of the fleet, from the seed and the first world of each device.
+        prepare: worlds of the fleet, from the scenario's numbers, the seed and the first world of
+            each device.
         reset: states of the fleet's worlds at t = 0.
         step: one control step.
         segment: one segment of a run, from the end of the segment before.
@@ -157,7 +169,11 @@ class Programs:
             scenario, setup.planner, setup.tile, shape=setup.paths, policy=policy
         )
         self.store = open_store(setup.key(), setup.mesh)
-        self.prepare = self._shard(sampling, REPLICATED, REPLICATED, SHARDED, stored_name="prepare")
+        self.prepare = self._shard(
+            sampling,
+            *(REPLICATED, REPLICATED, REPLICATED, SHARDED),
+            stored_name="prepare",
+        )
         # A policy is an argument of the programs: one with other numbers needs no compilation.
         policy_specs = (REPLICATED,) * len(setup.policy)
         reset = partial(self.engine.reset, self.spec)
@@ -205,7 +221,7 @@ class Programs:
     @cached_property
     def batch_shape(self) -> World:
         """Return shapes, types and shardings of a device batch; tracing a planner takes long."""
-        shapes = self.prepare.shape(*self._seed_shapes())
+        shapes = self.prepare.shape(*self._prepare_shapes())
         worlds: World = with_sharding(shapes, self._setup.mesh, SHARDED)
         return worlds
 
@@ -275,11 +291,12 @@ class Programs:
     def _start_compilation(self) -> tuple[World, WorldState, list[PendingProgram]]:
         """Start compiling prepare, reset and segment; return shapes of worlds and states."""
         mesh = self._setup.mesh
-        kinds, number, firsts = self._seed_shapes()
+        prepare_shapes = self._prepare_shapes()
+        kinds = prepare_shapes[0]
         policy_shapes = with_sharding(self._setup.policy, mesh, REPLICATED)
         with ParallelCompiler(3) as programs:
             # Each is traced for the result shapes of the one before, known from its trace.
-            prepare = programs.begin(self.prepare, kinds, number, firsts)
+            prepare = programs.begin(self.prepare, *prepare_shapes)
             worlds = self.batch_shape
             reset = programs.begin(self.reset, kinds, worlds, *policy_shapes)
             state = with_sharding(self.reset.shape(kinds, worlds, *policy_shapes), mesh, SHARDED)
@@ -287,13 +304,16 @@ class Programs:
             segment = programs.begin(self.segment, kinds, worlds, state, cells, *policy_shapes)
         return worlds, state, [prepare, reset, segment]
 
-    def _seed_shapes(self) -> tuple[Fleet, jax.ShapeDtypeStruct, jax.ShapeDtypeStruct]:
-        """Return the arguments of the preparing function: fleet, seed, first worlds."""
+    def _prepare_shapes(
+        self,
+    ) -> tuple[Fleet, SamplingNumbers, jax.ShapeDtypeStruct, jax.ShapeDtypeStruct]:
+        """Return the arguments of the preparing function: fleet, numbers, seed, first worlds."""
         mesh = self._setup.mesh
         number = jax.ShapeDtypeStruct((), jnp.uint32)
         firsts = jax.ShapeDtypeStruct((mesh.size,), jnp.uint32)
         return (
             with_sharding(self.fleet, mesh, REPLICATED),
+            with_sharding(sampling_numbers(self._setup.scenario), mesh, REPLICATED),
             with_sharding(number, mesh, REPLICATED),
             with_sharding(firsts, mesh, SHARDED),
         )

@@ -28,6 +28,7 @@ from angler_mjx.runs.simulator.compilation import CompileTime
 from angler_mjx.runs.simulator.devices import REPLICATED, SHARDED
 from angler_mjx.runs.simulator.host_planning import PlanNotes, SampledBatch
 from angler_mjx.runs.simulator.programs import Programs, SegmentResult
+from angler_mjx.runs.simulator.sampling_numbers import sampling_numbers
 from angler_mjx.runs.simulator.world_preparation import (
     check_key_number,
     check_worlds,
@@ -133,6 +134,9 @@ class Simulator:
             has_user_code=has_policy or self._traces_planner() or bool(scenario.controller.files),
         )
         self._programs = programs.shared_programs(setup)
+        self._numbers = jax.device_put(
+            sampling_numbers(scenario), NamedSharding(self._mesh, REPLICATED)
+        )
         self.samples = self._programs.samples
         self.steps_per_sample = self._programs.steps_per_sample
         self._packed: tuple[jax.Array, jax.Array | None] | None = None
@@ -272,7 +276,7 @@ class Simulator:
             (number, np.asarray(indices, np.uint32)),
             (NamedSharding(self._mesh, REPLICATED), NamedSharding(self._mesh, SHARDED)),
         )
-        worlds: World = self._programs.prepare(self.fleet, *numbers)
+        worlds: World = self._programs.prepare(self.fleet, self._numbers, *numbers)
         if self._planners is None:
             return SampledBatch(worlds=worlds)
         names = [
@@ -326,7 +330,7 @@ class Simulator:
             (number, np.full(self.devices, index, np.uint32)),
             (NamedSharding(self._mesh, REPLICATED), NamedSharding(self._mesh, SHARDED)),
         )
-        worlds: World = self._programs.prepare(self.fleet, *numbers)
+        worlds: World = self._programs.prepare(self.fleet, self._numbers, *numbers)
         build = self._programs.problem(information or self._information)
         return worlds, build(self.fleet, worlds, *numbers)
 

@@ -21,8 +21,12 @@ from angler_mjx.robot.control.commands.joint_trajectory import JointTrajectory
 from angler_mjx.robot.control.commands.joint_trajectory import hold_position as hold_joints
 from angler_mjx.robot.control.commands.trajectory import hold_position
 from angler_mjx.robot.control.stack import ControlParams
-from angler_mjx.sampling import fold_keys, scale_uniform, uniform_rows
-from angler_mjx.scenario.randomise_table import RandomiseConfig
+from angler_mjx.runs.simulator.sampling_numbers import (
+    BreakdownNumbers,
+    FactorNumbers,
+    SamplingNumbers,
+)
+from angler_mjx.sampling import fold_keys, uniform_rows
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.scenario.task_table import task_positions
 from angler_mjx.sim import fleet
@@ -56,8 +60,9 @@ TASK_KEY = 0x5441534B
 TASK_MARGIN_M = 0.3
 """Distance [m] beyond the widest robot's radius at places of a task, unless a policy sets it."""
 
-type PrepareWorlds = Callable[[fleet.Fleet, jax.Array, jax.Array], World]
-"""Makes worlds [tile] of a fleet, from the seed [] and the first world's index [1], both uint32."""
+type PrepareWorlds = Callable[[fleet.Fleet, SamplingNumbers, jax.Array, jax.Array], World]
+"""Makes worlds [tile] of a fleet, from the scenario's numbers, the seed [] and the first world's
+index [1], both uint32."""
 
 
 def check_key_number(name: str, value: SupportsIndex) -> np.uint32:
@@ -105,16 +110,20 @@ def build_preparer(
     settings = problem_settings(scenario, scenario.planner.information.to_information())
     planner = None if spec is None else build_device_planner(spec, settings)
 
-    def prepare_one(kinds: fleet.Fleet, seed: jax.Array, index: jax.Array) -> World:
-        world = _prepare_world(scenario, recipe, shape, policy, kinds, seed, index)
+    def prepare_one(
+        kinds: fleet.Fleet, numbers: SamplingNumbers, seed: jax.Array, index: jax.Array
+    ) -> World:
+        world = _prepare_world(scenario, recipe, shape, policy, kinds, numbers, seed, index)
         if planner is None or not planner.plans_alone:
             return world
         equipped = fleet.add_parameters(kinds, world)
         problem = build_problem(equipped, _planner_seed(seed, index), scenario.sim_spec(), settings)
         return replace_paths(world, planner.plan_one(problem), planner.reference.name, shape)
 
-    def sample_tile(kinds: fleet.Fleet, seed: jax.Array, first: jax.Array) -> World:
-        prepare_world = partial(prepare_one, kinds, seed)
+    def sample_tile(
+        kinds: fleet.Fleet, numbers: SamplingNumbers, seed: jax.Array, first: jax.Array
+    ) -> World:
+        prepare_world = partial(prepare_one, kinds, numbers, seed)
         if tile == 1:  # batching a single world makes tracing and compiling take twice as long
             single: World = jax.tree.map(lambda leaf: leaf[None], prepare_world(first[0]))
             return single
@@ -136,11 +145,12 @@ def _sample_planned(
     shape: PathShape,
     sample_tile: PrepareWorlds,
     kinds: fleet.Fleet,
+    numbers: SamplingNumbers,
     seed: jax.Array,
     first: jax.Array,
 ) -> World:
     """Return a tile of worlds with the paths of a planner that plans the tile at once."""
-    worlds = sample_tile(kinds, seed, first)
+    worlds = sample_tile(kinds, numbers, seed, first)
     information = scenario.planner.information.to_information()
     problems = build_tile_problems(scenario, information, kinds, worlds, seed, first)
     return replace_paths(worlds, planner.plan_batch(problems), planner.reference.name, shape)
@@ -307,6 +317,7 @@ def _prepare_world(
     shape: PathShape,
     policy: Policy | None,
     kinds: fleet.Fleet,
+    numbers: SamplingNumbers,
     seed: jax.Array,
     index: jax.Array,
 ) -> World:
@@ -316,12 +327,12 @@ def _prepare_world(
     variant, control = fleet.sample_variants(kinds, of_fleet)
     environment = generate.generate_world(
         recipe,
+        numbers.world,
         fleet.radius_bound(kinds),
         of_world,
-        scenario.time.horizon_s,
-        scenario.water.density_kgpm3,
+        numbers.density_kgpm3,
     )
-    factors = _sample_factors(scenario.randomise, of_factors, variant.shape[0])
+    factors = _sample_factors(numbers.factors, of_factors, variant.shape[0])
     if factors is not None:
         environment = replace(
             environment, current=currents.scale_current(environment.current, factors.current)
@@ -347,12 +358,12 @@ def _prepare_world(
         factors=factors,
         routes=_build_routes(policy, environment, control, task),
         task=task,
-        fails_at_s=sample_breakdowns(scenario, key, variant.shape[0]),
+        fails_at_s=sample_breakdowns(numbers.breakdowns, key, variant.shape[0]),
     )
 
 
 def sample_water_and_breakdowns(
-    scenario: Scenario, seed: jax.Array, index: jax.Array
+    scenario: Scenario, numbers: SamplingNumbers, seed: jax.Array, index: jax.Array
 ) -> tuple[currents.Current, jax.Array | None]:
     """Sample the current of a world and its robots' breakdowns alone, equal to those of the world.
 
@@ -360,6 +371,7 @@ def sample_water_and_breakdowns(
 
     Args:
         scenario: of the world.
+        numbers: of the scenario.
         seed: [] of the run.
         index: [] of the world.
 
@@ -369,11 +381,11 @@ def sample_water_and_breakdowns(
     key = jax.random.fold_in(jax.random.key(seed), index)
     _, of_world, _, _, of_factors = fold_keys(key, 5)
     recipe = resolve_world(scenario.world)
-    current = generate.sample_current(recipe, of_world, scenario.time.horizon_s)
-    factors = _sample_factors(scenario.randomise, of_factors, 1)
+    current = generate.sample_current(recipe, numbers.world, of_world)
+    factors = _sample_factors(numbers.factors, of_factors, 1)
     if factors is not None:
         current = currents.scale_current(current, factors.current)
-    return current, sample_breakdowns(scenario, key, len(scenario.members()))
+    return current, sample_breakdowns(numbers.breakdowns, key, len(scenario.members()))
 
 
 def _build_routes(
@@ -416,32 +428,34 @@ def _sample_task(
     )
 
 
-def sample_breakdowns(scenario: Scenario, key: jax.Array, robots: int) -> jax.Array | None:
+def sample_breakdowns(
+    numbers: BreakdownNumbers | None, key: jax.Array, robots: int
+) -> jax.Array | None:
     """Sample the time at which each robot of a world breaks down.
 
     Args:
-        scenario: with breakdowns or none.
+        numbers: of the breakdowns; None without them.
         key: of the world.
         robots: of the fleet; one more changes nothing for those before it.
 
     Returns:
         [robots] s, inf for never; None without breakdowns.
     """
-    settings = scenario.breakdowns
-    if settings.fraction == 0.0:
+    if numbers is None:
         return None
     of_robot = fold_keys(jax.random.fold_in(key, BREAKDOWN_KEY), robots)
     chance, time_sample = uniform_rows(of_robot, 2).T
-    failure_s = scale_uniform(time_sample, *settings.span_s(scenario.time.horizon_s))
-    return jnp.where(chance < settings.fraction, failure_s, jnp.inf)
+    return jnp.where(chance < numbers.fraction, numbers.time_s.scale(time_sample), jnp.inf)
 
 
-def _sample_factors(config: RandomiseConfig, key: jax.Array, robots: int) -> WorldFactors | None:
+def _sample_factors(
+    numbers: FactorNumbers | None, key: jax.Array, robots: int
+) -> WorldFactors | None:
     """Sample the factors of one world; one more robot changes nothing for those before it."""
-    if not config.changes_worlds:
+    if numbers is None:
         return None
     of_current, of_noise = uniform_rows(fold_keys(key, 2), max(robots, 1))
     return WorldFactors(
-        current=scale_uniform(of_current[0], *config.current),
-        sensor_noise=scale_uniform(of_noise, *config.sensor_noise),
+        current=numbers.current.scale(of_current[0]),
+        sensor_noise=numbers.sensor_noise.scale(of_noise),
     )

@@ -18,6 +18,7 @@ from functools import partial
 import jax
 import numpy as np
 
+from angler_mjx.runs.simulator.sampling_numbers import sampling_numbers
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.runs.simulator.world_preparation import sample_water_and_breakdowns
 from angler_mjx.scenario.randomise_table import UNCHANGED
@@ -98,11 +99,13 @@ class Simulators:
         key = (condition.name, size)
         if key not in self._samplers:
             sample_water = partial(sample_water_and_breakdowns, scenario)
-            self._samplers[key] = jax.jit(jax.vmap(sample_water, in_axes=(None, 0)))
+            self._samplers[key] = jax.jit(jax.vmap(sample_water, in_axes=(None, None, 0)))
         index = np.concatenate(
             [np.arange(first, first + self.tile, dtype=np.uint32) for first in firsts]
         )
-        current, fails_at_s = self._samplers[key](np.uint32(scenario.seed), index)
+        current, fails_at_s = self._samplers[key](
+            sampling_numbers(scenario), np.uint32(scenario.seed), index
+        )
         if fails_at_s is None and world.fails_at_s is not None:
             fails_at_s = np.full(world.fails_at_s.shape, np.inf, world.fails_at_s.dtype)
         sharding = world.environment.start_m.sharding
@@ -148,6 +151,7 @@ def _program_key(scenario: Scenario) -> str:
     table = scenario.model_dump(mode="json", exclude={"name", "description"})
     if _can_replace_water(scenario):
         number = jax.ShapeDtypeStruct((), np.uint32)
-        form = jax.eval_shape(partial(sample_water_and_breakdowns, scenario), number, number)
+        sample_water = partial(sample_water_and_breakdowns, scenario)
+        form = jax.eval_shape(sample_water, sampling_numbers(scenario), number, number)
         table["world"]["currents"] = f"{jax.tree.structure(form)} {jax.tree.leaves(form)}"
     return json.dumps(table, sort_keys=True)

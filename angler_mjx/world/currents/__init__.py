@@ -2,7 +2,7 @@
 
 A current is the sum of its components; the material derivative is taken of the sum, because it is
 not additive. A new kind of current is one class with a ``flow`` method in `fields`, and one config
-with a ``sample`` method for files, in `tables`, `eddies`, `sea` or `gridded`.
+with a ``sampler`` method for files, in `tables`, `eddies`, `sea` or `gridded`.
 """
 
 from collections.abc import Sequence
@@ -17,6 +17,7 @@ from angler_mjx.world.currents.eddies import DoubleGyreConfig, RankineConfig
 from angler_mjx.world.currents.fields import (
     Component,
     Current,
+    CurrentSampler,
     DepthProfile,
     DoubleGyre,
     Flow,
@@ -37,6 +38,7 @@ __all__ = [
     "Component",
     "Current",
     "CurrentConfig",
+    "CurrentSampler",
     "DepthProfile",
     "DepthProfileConfig",
     "DoubleGyre",
@@ -55,6 +57,7 @@ __all__ = [
     "Vortices",
     "VorticesConfig",
     "bind_fields",
+    "build_samplers",
     "evaluate_current",
     "list_fields",
     "sample_current",
@@ -75,25 +78,33 @@ AnyConfig = (
 type CurrentConfig = Annotated[AnyConfig, Field(discriminator="type")]
 
 
+def build_samplers(configs: Sequence[AnyConfig], horizon_s: float) -> tuple[CurrentSampler, ...]:
+    """Return the samplers of a current (host side).
+
+    Args:
+        configs: one per component.
+        horizon_s: time that the current covers; it sets array sizes.
+    """
+    return tuple(config.sampler(horizon_s) for config in configs)
+
+
 def sample_current(
-    configs: Sequence[AnyConfig],
+    samplers: Sequence[CurrentSampler],
     key: jax.Array,
     region_lo: jax.Array,
     region_hi: jax.Array,
-    horizon_s: float,
 ) -> Current:
     """Sample the current of a world.
 
     Args:
-        configs: one per component.
+        samplers: one per component, of `build_samplers`.
         key: random key of this world's current.
         region_lo: [3] lower corner of the region of vortices, m, W.
         region_hi: [3] upper corner.
-        horizon_s: time that the current covers; a Python number, which sets array sizes.
     """
     lo, hi = jnp.asarray(region_lo, float), jnp.asarray(region_hi, float)
-    keys = fold_keys(key, len(configs)) if configs else ()
+    keys = fold_keys(key, len(samplers)) if samplers else ()
     return tuple(
-        config.sample(component_key, lo, hi, horizon_s)
-        for config, component_key in zip(configs, keys, strict=True)
+        sampler.sample(component_key, lo, hi)
+        for sampler, component_key in zip(samplers, keys, strict=True)
     )

@@ -1,6 +1,7 @@
 """Tables of files for Rankine vortices and the double gyre, with closed-form flows."""
 
 import math
+from dataclasses import dataclass, field
 from typing import Annotated, Literal, Self
 
 import jax
@@ -9,13 +10,43 @@ from pydantic import Field, model_validator
 
 from angler_kernels.current_field import double_gyre_stream
 from angler_mjx.files import FileModel
+from angler_mjx.host_arrays import as_numbers
 from angler_mjx.quantities import Speed
-from angler_mjx.sampling import fold_keys, scale_uniform, uniform_rows
+from angler_mjx.sampling import UniformRange, fold_keys, uniform_rows
 from angler_mjx.world.currents.fields import DoubleGyre, Rankine
 
 type PositionXY = tuple[
     Annotated[float, Field(ge=-1e6, le=1e6)], Annotated[float, Field(ge=-1e6, le=1e6)]
 ]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class RankineSampler:
+    """Numbers of a `RankineConfig`; see `CurrentSampler`."""
+
+    count: int = field(metadata={"static": True})
+    centre_m: jax.Array | None
+    """[count, 2] given positions; None for sampled ones."""
+    left_probability: jax.Array
+    """[] probability of an anticlockwise vortex."""
+    peak_speed_mps: UniformRange
+    core_radius_m: UniformRange
+
+    def sample(self, key: jax.Array, lo: jax.Array, hi: jax.Array) -> Rankine:
+        """Sample positions uniformly in the region seen from above, unless given."""
+        n = self.count
+        where, speed_u, radius_u, direction_u = uniform_rows(fold_keys(key, 4), 2 * n, lo.dtype)
+        peak = self.peak_speed_mps.scale(speed_u[:n])
+        core = self.core_radius_m.scale(radius_u[:n])
+        sign = jnp.where(direction_u[:n] < self.left_probability, 1.0, -1.0)
+        if self.centre_m is None:
+            centre = lo[:2] + where.reshape(n, 2) * (hi[:2] - lo[:2])
+        else:
+            centre = jnp.asarray(self.centre_m, lo.dtype)
+        return Rankine(
+            centre_m=centre, circulation_m2ps=sign * 2.0 * math.pi * core * peak, core_m=core
+        )
 
 
 class RankineConfig(FileModel):
@@ -53,20 +84,39 @@ class RankineConfig(FileModel):
             )
         return self
 
-    def sample(self, key: jax.Array, lo: jax.Array, hi: jax.Array, horizon_s: float) -> Rankine:
-        """Sample positions uniformly in the region seen from above, unless given."""
-        n = len(self.centre_m) if self.centre_m is not None else self.count or 0
-        where, speed_u, radius_u, direction_u = uniform_rows(fold_keys(key, 4), 2 * n, lo.dtype)
-        peak = scale_uniform(speed_u[:n], *self.peak_speed_mps)
-        core = scale_uniform(radius_u[:n], *self.core_radius_m)
+    def sampler(self, horizon_s: float) -> RankineSampler:
+        """Return the sampler of a run."""
         left = {"anticlockwise": 1.0, "clockwise": 0.0, "either": 0.5}[self.turning]
-        sign = jnp.where(direction_u[:n] < left, 1.0, -1.0)
-        if self.centre_m is None:
-            centre = lo[:2] + where.reshape(n, 2) * (hi[:2] - lo[:2])
-        else:
-            centre = jnp.array(self.centre_m, lo.dtype)
-        return Rankine(
-            centre_m=centre, circulation_m2ps=sign * 2.0 * math.pi * core * peak, core_m=core
+        return RankineSampler(
+            count=len(self.centre_m) if self.centre_m is not None else self.count or 0,
+            centre_m=None if self.centre_m is None else as_numbers(self.centre_m),
+            left_probability=as_numbers(left),
+            peak_speed_mps=UniformRange.between(*self.peak_speed_mps),
+            core_radius_m=UniformRange.between(*self.core_radius_m),
+        )
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class DoubleGyreSampler:
+    """Numbers of a `DoubleGyreConfig`; see `CurrentSampler`."""
+
+    peak_speed_mps: jax.Array
+    """[]."""
+    epsilon: jax.Array
+    """[]."""
+    period_s: jax.Array
+    """[]."""
+
+    def sample(self, key: jax.Array, lo: jax.Array, hi: jax.Array) -> DoubleGyre:
+        """Return the flow as configured, without sampling."""
+        extent = hi[:2] - lo[:2]
+        return DoubleGyre(
+            lo_m=lo[:2],
+            extent_m=extent,
+            stream_m2ps=double_gyre_stream(jnp.asarray(self.peak_speed_mps, lo.dtype), extent),
+            epsilon=jnp.asarray(self.epsilon, lo.dtype),
+            period_s=jnp.asarray(self.period_s, lo.dtype),
         )
 
 
@@ -84,13 +134,10 @@ class DoubleGyreConfig(FileModel):
     period_s: float = Field(default=60.0, ge=0.1, le=1e6)
     """Period of the sway."""
 
-    def sample(self, key: jax.Array, lo: jax.Array, hi: jax.Array, horizon_s: float) -> DoubleGyre:
-        """Return the flow as configured, without sampling."""
-        extent = hi[:2] - lo[:2]
-        return DoubleGyre(
-            lo_m=lo[:2],
-            extent_m=extent,
-            stream_m2ps=double_gyre_stream(jnp.array(self.peak_speed_mps, lo.dtype), extent),
-            epsilon=jnp.array(self.epsilon, lo.dtype),
-            period_s=jnp.array(self.period_s, lo.dtype),
+    def sampler(self, horizon_s: float) -> DoubleGyreSampler:
+        """Return the sampler of a run."""
+        return DoubleGyreSampler(
+            peak_speed_mps=as_numbers(self.peak_speed_mps),
+            epsilon=as_numbers(self.epsilon),
+            period_s=as_numbers(self.period_s),
         )

@@ -39,6 +39,23 @@ class Component(Protocol):
 type Current = tuple[Component, ...]
 
 
+class CurrentSampler(Protocol):
+    """Base of samplers of components: a pytree of the numbers of a file's table.
+
+    Programs take its leaves as arguments: another strength of a current needs no compilation.
+    """
+
+    def sample(self, key: jax.Array, lo: jax.Array, hi: jax.Array) -> Component:
+        """Sample the component of one world.
+
+        Args:
+            key: random key of this component.
+            lo: [3] lower corner of the region, m, W.
+            hi: [3] upper corner.
+        """
+        ...
+
+
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class Uniform:

@@ -106,6 +106,19 @@ class ScaleConfig(FileModel):
         return self.space / self.speed if self.speed else 1.0
 
 
+@jax.tree_util.register_static
+@dataclass(frozen=True, kw_only=True)
+class GridSampler:
+    """Sampler of a `GridConfig`; see `CurrentSampler`. Programs hold its numbers and its field."""
+
+    config: "GridConfig"
+    horizon_s: float
+
+    def sample(self, key: jax.Array, lo: jax.Array, hi: jax.Array) -> Gridded:
+        """Sample a position in water for the middle of the region, and a start time of its run."""
+        return self.config.sample(key, lo, hi, self.horizon_s)
+
+
 class GridConfig(FileModel):
     """The current of an ocean model's file; each world has its own position and time in it."""
 
@@ -211,6 +224,10 @@ class GridConfig(FileModel):
                 + (f", {horizon_s:g} s (time.horizon_s) before their end" if horizon_s else "")
             )
         return float(low), float(high)
+
+    def sampler(self, horizon_s: float) -> GridSampler:
+        """Return the sampler of a run."""
+        return GridSampler(config=self, horizon_s=horizon_s)
 
     def sample(self, key: jax.Array, lo: jax.Array, hi: jax.Array, horizon_s: float) -> Gridded:
         """Sample a position in water for the middle of the region, and a start time of its run."""

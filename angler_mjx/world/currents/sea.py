@@ -1,6 +1,7 @@
 """Tables of files for open-sea currents: depth profiles, and tidal constituents."""
 
 import math
+from dataclasses import dataclass
 from typing import Annotated, Literal, Self
 
 import jax
@@ -11,8 +12,9 @@ from pydantic import Field, model_validator
 from angler_kernels.current_field import monotone_slopes
 from angler_mjx.errors import format_value
 from angler_mjx.files import FileModel
+from angler_mjx.host_arrays import as_numbers
 from angler_mjx.quantities import Length, Speed
-from angler_mjx.sampling import fold_keys, scale_uniform, uniform_rows
+from angler_mjx.sampling import UniformRange, fold_keys, uniform_rows
 from angler_mjx.world.currents.fields import DepthProfile, Tide
 
 type Level = tuple[Speed, Speed]
@@ -54,6 +56,50 @@ FORTNIGHT_S = 1_275_721.0
 """Period of spring tides: 360 degrees over the difference of the speeds of S2 and M2."""
 
 
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class SampledKnots:
+    """Numbers of sampled knots of a depth profile."""
+
+    speed_mps: UniformRange
+    max_turn_rad: jax.Array
+    """[] max change of direction between neighbours."""
+
+    def sample(self, key: jax.Array, like: jax.Array) -> jax.Array:
+        """Sample east and north velocity [n, 2] of knots, from the surface down.
+
+        Args:
+            key: random key of the current.
+            like: [n], of the knots' number and type.
+        """
+        speed_u, heading_u = uniform_rows(fold_keys(key, 2), like.shape[0], like.dtype)
+        speed = self.speed_mps.scale(speed_u)
+        turn = self.max_turn_rad * (2.0 * heading_u - 1.0)
+        heading = jnp.cumsum(turn.at[0].set(2.0 * math.pi * heading_u[0]))
+        return speed[:, None] * jnp.stack([jnp.cos(heading), jnp.sin(heading)], axis=1)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class DepthProfileSampler:
+    """Numbers of a `DepthProfileConfig`; see `CurrentSampler`."""
+
+    depth_m: jax.Array
+    """[n]."""
+    knots: jax.Array | SampledKnots
+    """[n, 2] given velocities, or the numbers of sampled ones."""
+
+    def sample(self, key: jax.Array, lo: jax.Array, hi: jax.Array) -> DepthProfile:
+        """Return given knots, or sample them from the surface down."""
+        depth, knots = jnp.asarray(self.depth_m, lo.dtype), self.knots
+        if isinstance(knots, SampledKnots):
+            knots = knots.sample(key, depth)
+        knots = jnp.asarray(knots, lo.dtype)
+        return DepthProfile(
+            depth_m=depth, knots_mps=knots, slopes_1ps=monotone_slopes(depth, knots)
+        )
+
+
 class DepthProfileConfig(FileModel):
     """A horizontal velocity that depends on depth only: knots, and a smooth curve through them."""
 
@@ -89,23 +135,18 @@ class DepthProfileConfig(FileModel):
             raise ValueError(f"speed_mps = {list(self.speed_mps)}: needs 0 <= low <= high")
         return self
 
-    def sample(
-        self, key: jax.Array, lo: jax.Array, hi: jax.Array, horizon_s: float
-    ) -> DepthProfile:
-        """Return given knots, or sample them from the surface down."""
-        depth, n = jnp.array(self.depth_m, lo.dtype), len(self.depth_m)
+    def sampler(self, horizon_s: float) -> DepthProfileSampler:
+        """Return the sampler of a run."""
+        knots: jax.Array | SampledKnots
         if self.speed_mps is None:
-            knots = jnp.array(self.velocity_mps, lo.dtype)
+            knots = as_numbers(self.velocity_mps or ())
         else:
-            speed_u, heading_u = uniform_rows(fold_keys(key, 2), n, lo.dtype)
-            speed = scale_uniform(speed_u, *self.speed_mps)
-            max_turn = math.radians(30.0 if self.turn_deg is None else self.turn_deg)
-            turn = max_turn * (2.0 * heading_u - 1.0)
-            heading = jnp.cumsum(turn.at[0].set(2.0 * math.pi * heading_u[0]))
-            knots = speed[:, None] * jnp.stack([jnp.cos(heading), jnp.sin(heading)], axis=1)
-        return DepthProfile(
-            depth_m=depth, knots_mps=knots, slopes_1ps=monotone_slopes(depth, knots)
-        )
+            max_turn_deg = 30.0 if self.turn_deg is None else self.turn_deg
+            knots = SampledKnots(
+                speed_mps=UniformRange.between(*self.speed_mps),
+                max_turn_rad=as_numbers(math.radians(max_turn_deg)),
+            )
+        return DepthProfileSampler(depth_m=as_numbers(self.depth_m), knots=knots)
 
 
 class ConstituentConfig(FileModel):
@@ -137,6 +178,33 @@ class ConstituentConfig(FileModel):
         return self
 
 
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class TideSampler:
+    """Numbers of a `TideConfig`; see `CurrentSampler`. [n] constituents."""
+
+    speed_radps: jax.Array
+    """[n]."""
+    early_phase_rad: jax.Array
+    """[n] phase at the earliest start, without whole turns."""
+    phase_span_rad: jax.Array
+    """[n] phase from the earliest to the latest start."""
+    cosine_mps: jax.Array
+    """[n, 2] half axis."""
+    sine_mps: jax.Array
+    """[n, 2] half axis."""
+
+    def sample(self, key: jax.Array, lo: jax.Array, hi: jax.Array) -> Tide:
+        """Sample the start time of the flight, as phases at its start."""
+        elapsed_phase = jax.random.uniform(key, (), lo.dtype) * self.phase_span_rad
+        return Tide(
+            speed_radps=jnp.asarray(self.speed_radps, lo.dtype),
+            phase_rad=jnp.mod(self.early_phase_rad + elapsed_phase, 2.0 * math.pi),
+            cosine_mps=jnp.asarray(self.cosine_mps, lo.dtype),
+            sine_mps=jnp.asarray(self.sine_mps, lo.dtype),
+        )
+
+
 class TideConfig(FileModel):
     """Tidal constituents, uniform in a world; each world has its own start time."""
 
@@ -158,20 +226,18 @@ class TideConfig(FileModel):
             raise ValueError(f"start_s = {list(self.start_s)}: needs 0 <= low <= high <= 1e9")
         return self
 
-    def sample(self, key: jax.Array, lo: jax.Array, hi: jax.Array, horizon_s: float) -> Tide:
-        """Sample the start time of the flight, as phases at its start."""
+    def sampler(self, horizon_s: float) -> TideSampler:
+        """Return the sampler of a run."""
         speed, lag, cosine, sine = self.ellipses()
         low, high = self.start_s
         # Float32 has seven digits for the sampled fraction, none for a phase after years; so whole
         # turns up to the earliest start are removed first.
-        begun = np.mod(speed * low - lag, 2.0 * math.pi)
-        fraction = jax.random.uniform(key, (), lo.dtype)
-        elapsed_phase = fraction * jnp.asarray(speed * (high - low), lo.dtype)
-        phase = jnp.mod(jnp.asarray(begun, lo.dtype) + elapsed_phase, 2.0 * math.pi)
-        numbers = (jnp.asarray(array, lo.dtype) for array in (speed, cosine, sine))
-        speed_radps, cosine_mps, sine_mps = numbers
-        return Tide(
-            speed_radps=speed_radps, phase_rad=phase, cosine_mps=cosine_mps, sine_mps=sine_mps
+        return TideSampler(
+            speed_radps=as_numbers(speed),
+            early_phase_rad=as_numbers(np.mod(speed * low - lag, 2.0 * math.pi)),
+            phase_span_rad=as_numbers(speed * (high - low)),
+            cosine_mps=as_numbers(cosine),
+            sine_mps=as_numbers(sine),
         )
 
     def ellipses(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

@@ -1,7 +1,11 @@
-"""Tables of files for currents, and the sampling of their components for one world."""
+"""Tables of files for currents, and the sampling of their components for one world.
+
+A table returns a sampler: a pytree of its numbers, so that programs take them as arguments.
+"""
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Annotated, ClassVar, Literal, Self
 
 import jax
@@ -10,13 +14,27 @@ from pydantic import Field, model_validator
 
 from angler_kernels.current_field import lamb_oseen_circulation
 from angler_mjx.files import FileModel
+from angler_mjx.host_arrays import as_numbers
 from angler_mjx.quantities import Speed
-from angler_mjx.sampling import fold_keys, scale_uniform, uniform_rows
+from angler_mjx.sampling import UniformRange, fold_keys, uniform_rows
 from angler_mjx.world.currents.fields import GaussMarkov, Uniform, Vortices
 
 type Span = tuple[float, float]
 type SpeedSpan = tuple[Speed, Speed]
 type Vector = tuple[Speed, Speed, Speed]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class UniformSampler:
+    """Numbers of a `UniformConfig`; see `CurrentSampler`."""
+
+    velocity_mps: jax.Array
+    """[3] in W."""
+
+    def sample(self, key: jax.Array, lo: jax.Array, hi: jax.Array) -> Uniform:
+        """Return the current as configured, without sampling."""
+        return Uniform(velocity_mps=jnp.asarray(self.velocity_mps, lo.dtype))
 
 
 class UniformConfig(FileModel):
@@ -26,9 +44,44 @@ class UniformConfig(FileModel):
     velocity_mps: Vector
     """East, north, up."""
 
-    def sample(self, key: jax.Array, lo: jax.Array, hi: jax.Array, horizon_s: float) -> Uniform:
-        """Return the current as configured, without sampling."""
-        return Uniform(velocity_mps=jnp.array(self.velocity_mps, lo.dtype))
+    def sampler(self, horizon_s: float) -> UniformSampler:
+        """Return the sampler of a run."""
+        return UniformSampler(velocity_mps=as_numbers(self.velocity_mps))
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class GaussMarkovSampler:
+    """Numbers of a `GaussMarkovConfig`; see `CurrentSampler`."""
+
+    n_knot: int = field(metadata={"static": True})
+    """Number of knots, from t = 0 to past the horizon."""
+    knot_dt_s: jax.Array
+    """[]."""
+    std_mps: jax.Array
+    """[3] standard deviation before clipping."""
+    mean_mps: jax.Array
+    """[3]."""
+    max_speed_mps: jax.Array
+    """[]."""
+    memory: jax.Array
+    """[] factor of a knot on the next one."""
+    innovation: jax.Array
+    """[] factor of the noise between them."""
+
+    def sample(self, key: jax.Array, lo: jax.Array, hi: jax.Array) -> GaussMarkov:
+        """Sample the knots."""
+        noise = self.std_mps * jax.random.normal(key, (self.n_knot, 3), lo.dtype)
+
+        def advance(v: jax.Array, xi: jax.Array) -> tuple[jax.Array, jax.Array]:
+            v = self.memory * v + self.innovation * xi
+            return v, v
+
+        _, later = jax.lax.scan(advance, noise[0], noise[1:])
+        knots = self.mean_mps + jnp.concatenate([noise[:1], later])
+        speed = jnp.sqrt(jnp.sum(knots * knots, axis=1, keepdims=True))
+        knots = knots * (self.max_speed_mps / jnp.maximum(speed, self.max_speed_mps))
+        return GaussMarkov(knots_mps=knots, knot_dt_s=jnp.asarray(self.knot_dt_s, lo.dtype))
 
 
 class GaussMarkovConfig(FileModel):
@@ -63,23 +116,42 @@ class GaussMarkovConfig(FileModel):
             raise ValueError(f"mean_mps is faster than max_speed_mps = {self.max_speed_mps}")
         return self
 
-    def sample(self, key: jax.Array, lo: jax.Array, hi: jax.Array, horizon_s: float) -> GaussMarkov:
-        """Sample knots from t = 0 to past ``horizon_s``."""
-        n_knot = max(2, math.ceil(horizon_s / self.knot_dt_s) + 1)
+    def sampler(self, horizon_s: float) -> GaussMarkovSampler:
+        """Return the sampler of knots from t = 0 to past ``horizon_s``."""
         std = self.max_speed_mps / 2.5 if self.std_mps is None else self.std_mps
         rho = math.exp(-self.knot_dt_s / self.time_constant_s)
-        scale = jnp.array([std, std, std * self.vertical_fraction], lo.dtype)
-        noise = scale * jax.random.normal(key, (n_knot, 3), lo.dtype)
+        return GaussMarkovSampler(
+            n_knot=max(2, math.ceil(horizon_s / self.knot_dt_s) + 1),
+            knot_dt_s=as_numbers(self.knot_dt_s),
+            std_mps=as_numbers([std, std, std * self.vertical_fraction]),
+            mean_mps=as_numbers(self.mean_mps),
+            max_speed_mps=as_numbers(self.max_speed_mps),
+            memory=as_numbers(rho),
+            innovation=as_numbers(math.sqrt(1.0 - rho * rho)),
+        )
 
-        def advance(v: jax.Array, xi: jax.Array) -> tuple[jax.Array, jax.Array]:
-            v = rho * v + math.sqrt(1.0 - rho * rho) * xi
-            return v, v
 
-        _, later = jax.lax.scan(advance, noise[0], noise[1:])
-        knots = jnp.array(self.mean_mps, lo.dtype) + jnp.concatenate([noise[:1], later])
-        speed = jnp.sqrt(jnp.sum(knots * knots, axis=1, keepdims=True))
-        knots = knots * (self.max_speed_mps / jnp.maximum(speed, self.max_speed_mps))
-        return GaussMarkov(knots_mps=knots, knot_dt_s=jnp.array(self.knot_dt_s, lo.dtype))
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class VorticesSampler:
+    """Numbers of a `VorticesConfig`; see `CurrentSampler`."""
+
+    count: int = field(metadata={"static": True})
+    peak_speed_mps: UniformRange
+    core_radius_m: UniformRange
+
+    def sample(self, key: jax.Array, lo: jax.Array, hi: jax.Array) -> Vortices:
+        """Sample positions uniformly in the region seen from above."""
+        n = self.count
+        where, speed_u, radius_u, direction_u = uniform_rows(fold_keys(key, 4), 2 * n, lo.dtype)
+        peak = self.peak_speed_mps.scale(speed_u[:n])
+        core = self.core_radius_m.scale(radius_u[:n])
+        sign = jnp.where(direction_u[:n] < 0.5, 1.0, -1.0)
+        return Vortices(
+            centre_m=lo[:2] + where.reshape(n, 2) * (hi[:2] - lo[:2]),
+            circulation_m2ps=sign * lamb_oseen_circulation(peak, core),
+            core_m=core,
+        )
 
 
 class VorticesConfig(FileModel):
@@ -101,15 +173,10 @@ class VorticesConfig(FileModel):
             raise ValueError(f"core_radius_m = {self.core_radius_m}: needs 1 <= low <= high")
         return self
 
-    def sample(self, key: jax.Array, lo: jax.Array, hi: jax.Array, horizon_s: float) -> Vortices:
-        """Sample positions uniformly in the region seen from above."""
-        n = self.count
-        where, speed_u, radius_u, direction_u = uniform_rows(fold_keys(key, 4), 2 * n, lo.dtype)
-        peak = scale_uniform(speed_u[:n], *self.peak_speed_mps)
-        core = scale_uniform(radius_u[:n], *self.core_radius_m)
-        sign = jnp.where(direction_u[:n] < 0.5, 1.0, -1.0)
-        return Vortices(
-            centre_m=lo[:2] + where.reshape(n, 2) * (hi[:2] - lo[:2]),
-            circulation_m2ps=sign * lamb_oseen_circulation(peak, core),
-            core_m=core,
+    def sampler(self, horizon_s: float) -> VorticesSampler:
+        """Return the sampler of a run."""
+        return VorticesSampler(
+            count=self.count,
+            peak_speed_mps=UniformRange.between(*self.peak_speed_mps),
+            core_radius_m=UniformRange.between(*self.core_radius_m),
         )

@@ -6,7 +6,7 @@ motion (`motion`), their tables in files (`config`) and the sampling of one worl
 
 from angler_mjx.world.obstacles.config import ObstaclesConfig
 from angler_mjx.world.obstacles.motion import reset, step
-from angler_mjx.world.obstacles.sampling import sample_obstacles
+from angler_mjx.world.obstacles.sampling import DriftingSampler, sample_obstacles
 from angler_mjx.world.obstacles.types import (
     BOX,
     CAPSULE,
@@ -30,6 +30,7 @@ __all__ = [
     "SPHERE",
     "STATIC",
     "STRAIGHT",
+    "DriftingSampler",
     "ObstacleState",
     "Obstacles",
     "ObstaclesConfig",

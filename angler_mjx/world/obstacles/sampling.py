@@ -1,4 +1,4 @@
-"""Obstacles of one world from a config and a key: explicit rows first, then sampled ones.
+"""Obstacles of one world from tables and a key: explicit rows first, then sampled ones.
 
 Sampled obstacles are placed one after another. Each tries a fixed number of random positions and
 takes the first free one: clear of cells, of explicit obstacles, of the points to keep clear, and of
@@ -7,17 +7,20 @@ overlap is taken; if none is clear of the others, the row is left out (``exists 
 """
 
 import math
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import Self
 
 import jax
 import jax.numpy as jnp
 
 from angler_kernels.clearance import capsules_obstacle, point_grid
+from angler_mjx.host_arrays import as_numbers
 from angler_mjx.robot.vehicles.properties import GRAVITY_MPS2
-from angler_mjx.sampling import fold_keys, scale_uniform, uniform_rows
+from angler_mjx.sampling import UniformRange, fold_keys, uniform_rows
 from angler_mjx.world.obstacles import bodies
-from angler_mjx.world.obstacles.config import DynamicConfig, ObstaclesConfig
+from angler_mjx.world.obstacles.config import DynamicConfig, ExplicitConfig
 from angler_mjx.world.obstacles.explicit import explicit_rows
 from angler_mjx.world.obstacles.types import (
     BOX,
@@ -31,8 +34,46 @@ from angler_mjx.world.rock.grid import Grid
 _TRIES = 64
 
 
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class DriftingSampler:
+    """Numbers of a `DynamicConfig` with obstacles.
+
+    Programs take its leaves as arguments: other sizes or fractions need no compilation.
+    """
+
+    count: int = field(metadata={"static": True})
+    kinds: tuple[int, ...] = field(metadata={"static": True})
+    """Shapes that can occur."""
+    radius_m: UniformRange
+    cube_fraction: jax.Array
+    """[]."""
+    rise_fraction: jax.Array
+    """[]."""
+    moving_fraction: jax.Array
+    """[] of those that rise or sink."""
+    vertical_speed_mps: UniformRange
+
+    @classmethod
+    def of(cls, config: DynamicConfig) -> Self | None:
+        """Return the numbers of a table (host side); None without obstacles."""
+        if config.count == 0:
+            return None
+        possible = {SPHERE: config.cube_fraction < 1, BOX: config.cube_fraction > 0}
+        return cls(
+            count=config.count,
+            kinds=tuple(kind for kind, occurs in possible.items() if occurs),
+            radius_m=UniformRange.between(*config.radius_m),
+            cube_fraction=as_numbers(config.cube_fraction),
+            rise_fraction=as_numbers(config.rise_fraction),
+            moving_fraction=as_numbers(config.rise_fraction + config.sink_fraction),
+            vertical_speed_mps=UniformRange.between(*config.vertical_speed_mps),
+        )
+
+
 def sample_obstacles(
-    config: ObstaclesConfig,
+    listed: Sequence[ExplicitConfig],
+    drifting: DriftingSampler | None,
     key: jax.Array,
     grid: Grid,
     bounds_lo: jax.Array,
@@ -45,7 +86,8 @@ def sample_obstacles(
     """Sample the obstacles of one world: explicit ones first, then sampled ones; at least one row.
 
     Args:
-        config: table of obstacles.
+        listed: explicit obstacles of a file; static.
+        drifting: sampled obstacles; None without them.
         key: random key of this world's obstacles.
         grid: static cells; sampled obstacles must be smaller in radius than a cell.
         bounds_lo: [3] lower corner of the region that obstacles stay in, m, W.
@@ -55,13 +97,11 @@ def sample_obstacles(
         water_density: [] kg/m^3.
         gravity: [] m/s^2, converts rise and sink speeds into masses.
     """
-    explicit = explicit_rows(config.explicit, water_density) if config.explicit else None
-    if config.dynamic.count == 0 and explicit is not None:
-        return explicit
-    if config.dynamic.count == 0:
-        return _empty_row(water_density)
+    explicit = explicit_rows(listed, water_density) if listed else None
+    if drifting is None:
+        return _empty_row(water_density) if explicit is None else explicit
     bodies_key, position_key = fold_keys(key, 2)
-    sampled = _sample_drifting(config.dynamic, bodies_key, water_density, gravity)
+    sampled = _sample_drifting(drifting, bodies_key, water_density, gravity)
 
     def distances(p: jax.Array) -> jax.Array:
         away = jnp.sqrt(jnp.sum((keep_out_m - p) ** 2, axis=1)) - keep_out_radius_m
@@ -70,7 +110,7 @@ def sample_obstacles(
         return gap if explicit is None else jnp.minimum(gap, _gap_to(explicit, p))
 
     radius = jax.vmap(bounding_radius)(sampled.kind, sampled.size_m)
-    where = jax.random.uniform(position_key, (config.dynamic.count, _TRIES, 3))
+    where = jax.random.uniform(position_key, (drifting.count, _TRIES, 3))
     inset = radius[:, None, None]
     lo, hi = bounds_lo + inset, bounds_hi - inset
     tries = lo + where * jnp.maximum(hi - lo, 0.0)
@@ -82,25 +122,27 @@ def sample_obstacles(
 
 
 def _sample_drifting(
-    config: DynamicConfig, key: jax.Array, density: jax.Array | float, gravity: jax.Array | float
+    numbers: DriftingSampler,
+    key: jax.Array,
+    density: jax.Array | float,
+    gravity: jax.Array | float,
 ) -> Obstacles:
     """Sample rows of drifting spheres and cubes, all at the origin."""
-    n = config.count
+    n = numbers.count
     keys = fold_keys(key, 5)
     size, shape, tendency, speed = uniform_rows(keys[:4], n)
-    rises = tendency < config.rise_fraction
-    sinks = ~rises & (tendency < config.rise_fraction + config.sink_fraction)
+    rises = tendency < numbers.rise_fraction
+    sinks = ~rises & (tendency < numbers.moving_fraction)
     up = jnp.where(rises, 1.0, jnp.where(sinks, -1.0, 0.0))
     turn = jax.random.normal(keys[4], (n, 4))
-    possible = {SPHERE: config.cube_fraction < 1, BOX: config.cube_fraction > 0}
     return _build_bodies(
-        scale_uniform(size, *config.radius_m),
-        shape < config.cube_fraction,
-        up * scale_uniform(speed, *config.vertical_speed_mps),
+        numbers.radius_m.scale(size),
+        shape < numbers.cube_fraction,
+        up * numbers.vertical_speed_mps.scale(speed),
         turn / jnp.sqrt(jnp.sum(turn * turn, axis=1, keepdims=True)),
         density,
         gravity,
-        tuple(kind for kind, occurs in possible.items() if occurs),
+        numbers.kinds,
     )
 
 

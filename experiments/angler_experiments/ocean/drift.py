@@ -83,7 +83,9 @@ def build_current(path: Path) -> tuple[Gridded]:
         time=(headland.BEGIN, headland.BEGIN),
     )
     origin = jnp.zeros(3)
-    (current,) = currents.sample_current((config,), jax.random.key(0), origin, origin, DAY_S)
+    (current,) = currents.sample_current(
+        currents.build_samplers((config,), DAY_S), jax.random.key(0), origin, origin
+    )
     if not isinstance(current, Gridded):
         raise TypeError(f"{path}: gives a {type(current).__name__}")
     return (current,)

@@ -6,6 +6,7 @@ import pytest
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.runs.simulator import world_preparation
+from angler_mjx.runs.simulator.sampling_numbers import breakdown_numbers
 from angler_mjx.scenario.scenario import load_scenario
 
 WORLDS = 4000
@@ -18,8 +19,9 @@ def reef(**table):
 def drawn(scenario, robots):
     """[world, robot] s."""
     keys = jax.random.split(jax.random.key(4), WORLDS)
+    numbers = breakdown_numbers(scenario)
     return np.asarray(
-        jax.vmap(lambda key: world_preparation.sample_breakdowns(scenario, key, robots))(keys)
+        jax.vmap(lambda key: world_preparation.sample_breakdowns(numbers, key, robots))(keys)
     )
 
 
@@ -43,10 +45,8 @@ def test_a_robot_more_changes_nothing_for_those_before_it():
 
 
 def test_none_breaks_down_unless_asked():
-    assert (
-        world_preparation.sample_breakdowns(load_scenario("reef_fleet"), jax.random.key(0), 4)
-        is None
-    )
+    assert breakdown_numbers(load_scenario("reef_fleet")) is None
+    assert world_preparation.sample_breakdowns(None, jax.random.key(0), 4) is None
     assert (drawn(reef(fraction=1.0), 2) <= 100.0).all()
 
 

@@ -91,7 +91,7 @@ def open_water(environment):
     cells = np.full(count, 3.0, np.float32)
     uniform = UniformConfig(velocity_mps=(0.0, 0.15, 0.0))
     current = currents.sample_current(
-        (uniform,), jax.random.key(0), origin[0], -origin[0], HORIZON_S
+        currents.build_samplers((uniform,), HORIZON_S), jax.random.key(0), origin[0], -origin[0]
     )
     return replace(
         environment,

@@ -61,7 +61,9 @@ def drawn_knots(entry, n_world, horizon_s):
     config = configs(entry)
 
     def one(key):
-        return currents.sample_current(config, key, LO, HI, horizon_s)[0].knots_mps
+        return currents.sample_current(currents.build_samplers(config, horizon_s), key, LO, HI)[
+            0
+        ].knots_mps
 
     return np.asarray(quickly(jax.vmap(one))(jax.random.split(jax.random.key(1), n_world)))
 
@@ -102,7 +104,7 @@ def test_maximum_speed_is_never_exceeded():
     config = configs(entry)
 
     def one(key):
-        current = currents.sample_current(config, key, LO, HI, 120.0)
+        current = currents.sample_current(currents.build_samplers(config, 120.0), key, LO, HI)
         at = jax.vmap(lambda t: currents.velocity(current, jnp.zeros(3), t))
         return at(jnp.linspace(0.0, 130.0, 301))
 
@@ -126,7 +128,7 @@ def test_vortices_are_drawn_inside_their_spans():
     )
 
     def one(key):
-        return currents.sample_current(config, key, LO, HI, 120.0)[0]
+        return currents.sample_current(currents.build_samplers(config, 120.0), key, LO, HI)[0]
 
     drawn = quickly(jax.vmap(one))(jax.random.split(jax.random.key(3), 400))
     core, gamma = np.asarray(drawn.core_m), np.asarray(drawn.circulation_m2ps)
@@ -160,7 +162,9 @@ def test_rankine_vortices_stand_where_they_are_told_and_turn_as_told():
             "core_radius_m": [2.0, 2.0],
         }
     )
-    (vortex,) = currents.sample_current(config, jax.random.key(0), LO, HI, 120.0)
+    (vortex,) = currents.sample_current(
+        currents.build_samplers(config, 120.0), jax.random.key(0), LO, HI
+    )
     np.testing.assert_array_equal(vortex.centre_m, [[1.0, 2.0], [-3.0, 4.0]])
     alone = replace(vortex, **{k: v[:1] for k, v in vars(vortex).items()})
     v = currents.velocity((alone,), jnp.array([3.0, 2.0, -5.0]), jnp.zeros(()))
@@ -169,7 +173,9 @@ def test_rankine_vortices_stand_where_they_are_told_and_turn_as_told():
 
 def test_gyre_fills_the_region():
     config = configs({"type": "double_gyre", "peak_speed_mps": 0.2})
-    (gyre,) = currents.sample_current(config, jax.random.key(0), LO, HI, 120.0)
+    (gyre,) = currents.sample_current(
+        currents.build_samplers(config, 120.0), jax.random.key(0), LO, HI
+    )
     corner = jnp.array([-12.0, -12.0, -5.0])
     middle = jnp.array([0.0, 0.0, -5.0])
     still = currents.velocity((gyre,), corner, jnp.zeros(()))
@@ -186,7 +192,8 @@ def test_drawing_depends_only_on_the_key():
     )
     key = jax.random.key(4)
     a, b, c = (
-        currents.sample_current(config, k, LO, HI, 10.0) for k in (key, key, jax.random.key(5))
+        currents.sample_current(currents.build_samplers(config, 10.0), k, LO, HI)
+        for k in (key, key, jax.random.key(5))
     )
     assert np.array_equal(a[0].centre_m, b[0].centre_m)
     assert not np.array_equal(a[0].centre_m, c[0].centre_m)

@@ -114,7 +114,8 @@ def test_worlds_that_cannot_hold_the_fleet_are_drawn_again_up_to_the_limit(world
 @pytest.mark.nightly(by="world/test_draws.py")
 def test_a_batch_of_batches_is_the_same_too():
     walls = config(preset="corridor", shape=[5, 4, 4], rule={"type": "walls", "count": 1})
-    one = partial(sampling.sample_world, resolve_world(walls), jnp.array([0.4]))
+    recipe = resolve_world(walls)
+    one = partial(sampling.sample_world, recipe, recipe.numbers(0.0), jnp.array([0.4]))
     keys = jax.random.split(jax.random.key(1), 12)
     flat = jax.jit(jax.vmap(one))(keys)
     square = jax.jit(jax.vmap(jax.vmap(one)))(keys.reshape(3, 4))

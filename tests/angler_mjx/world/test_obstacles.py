@@ -221,7 +221,15 @@ def test_nothing_drifts_through_rock_and_all_stay_inside():
     cells = grid(occupied)
     body = quickly(
         lambda key: obstacles.sample_obstacles(
-            config, key, cells, jnp.asarray(LO), jnp.asarray(HI), jnp.zeros((0, 3)), 0.0, RHO
+            config.explicit,
+            obstacles.DriftingSampler.of(config.dynamic),
+            key,
+            cells,
+            jnp.asarray(LO),
+            jnp.asarray(HI),
+            jnp.zeros((0, 3)),
+            0.0,
+            RHO,
         )
     )(jax.random.key(0))
     storm = (
@@ -321,7 +329,8 @@ def draw_many(config, n_world, occupied, keep_out, keep_out_radius):
 
     def one(key):
         return obstacles.sample_obstacles(
-            config,
+            config.explicit,
+            obstacles.DriftingSampler.of(config.dynamic),
             key,
             cells,
             jnp.asarray(LO),

@@ -53,7 +53,7 @@ def placed(occupied, placement):
         free = pack_grid(~occupied)
         radius = jnp.broadcast_to(jnp.array(RADIUS)[:, None], (len(RADIUS), N_WORLD + 1))
         passable = passable_cells(free, far, CELL, radius.max(axis=0))
-        return choose_positions(recipe, free, passable, far, radius, keys)
+        return choose_positions(recipe, recipe.clearance_m, free, passable, far, radius, keys)
 
     keys = jax.random.split(jax.random.key(1), N_WORLD + 1)
     worlds = np.concatenate([occupied, crowded()])

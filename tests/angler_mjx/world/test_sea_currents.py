@@ -29,7 +29,7 @@ def drawn(entry, n_world):
     config = configs(entry)
 
     def one(key):
-        return currents.sample_current(config, key, LO, HI, 60.0)[0]
+        return currents.sample_current(currents.build_samplers(config, 60.0), key, LO, HI)[0]
 
     return quickly(jax.vmap(one))(jax.random.split(jax.random.key(1), n_world))
 
@@ -40,7 +40,9 @@ def test_given_profile_has_the_velocities_of_its_knots():
         "depth_m": [0, 5, 20],
         "velocity_mps": [[0.4, 0.0], [0.1, 0.2], [0.0, 0.1]],
     }
-    (profile,) = currents.sample_current(configs(entry), jax.random.key(0), LO, HI, 60.0)
+    (profile,) = currents.sample_current(
+        currents.build_samplers(configs(entry), 60.0), jax.random.key(0), LO, HI
+    )
     for depth, level in zip(entry["depth_m"], entry["velocity_mps"], strict=True):
         v = currents.velocity((profile,), jnp.array([3.0, 1.0, -depth]), jnp.zeros(()))
         np.testing.assert_allclose(v, [*level, 0.0], atol=1e-7)
@@ -73,7 +75,9 @@ def test_drawn_profile_keeps_its_spans():
 
 def test_tide_of_a_start_is_that_of_its_table():
     entry = {"type": "tide", "constituents": [M2, K1], "start_s": [3e8, 3e8]}
-    (tide,) = currents.sample_current(configs(entry), jax.random.key(0), LO, HI, 60.0)
+    (tide,) = currents.sample_current(
+        currents.build_samplers(configs(entry), 60.0), jax.random.key(0), LO, HI
+    )
     for t in (0.0, 7000.0, 40_000.0):
         v = currents.velocity((tide,), jnp.zeros(3), jnp.array(t))
         hours = (3e8 + t) / 3600

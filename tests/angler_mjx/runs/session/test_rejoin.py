@@ -26,7 +26,7 @@ def water():
     """An open cube of 12^3 cells of 1.5 m: x and y from -9 to 9 m, z from -20 to -2 m."""
     recipe = resolve_world(WorldConfig(preset="open", shape=(12, 12, 12), placement="random"))
     sample_world = quickly(
-        lambda key: generate.generate_world(recipe, jnp.array([0.3]), key, 60.0, 1000.0)
+        lambda key: generate.generate_world(recipe, recipe.numbers(60.0), jnp.array([0.3]), key)
     )
     return sample_world(jax.random.key(0))
 

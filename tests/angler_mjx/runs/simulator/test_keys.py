@@ -13,6 +13,7 @@ import pytest
 
 from angler_mjx.planning.planner import PathShape
 from angler_mjx.runs.simulator import world_preparation
+from angler_mjx.runs.simulator.sampling_numbers import sampling_numbers
 from angler_mjx.scenario.scenario import load_scenario
 
 SCENARIO = """
@@ -64,7 +65,7 @@ def keys(tmp_path, monkeypatch):
             control = Control(Hull(each), jax.random.key_data(key))
             return jnp.zeros(count, jnp.int32), control
 
-        def generate(recipe, radius, key, *rest):
+        def generate(recipe, numbers, radius, key, *rest):
             return Sea(jax.random.key_data(key), jnp.zeros((count, 3)))
 
         monkeypatch.setattr(world_preparation.fleet, "sample_variants", sample)
@@ -72,7 +73,8 @@ def keys(tmp_path, monkeypatch):
         monkeypatch.setattr(world_preparation.generate, "generate_world", generate)
         scenario = load_scenario(file)
         make = world_preparation.build_preparer(scenario, None, TILE, shape=PathShape(points=32))
-        worlds = make(None, jnp.uint32(seed), jnp.array([first], jnp.uint32))
+        numbers = sampling_numbers(scenario)
+        worlds = make(None, numbers, jnp.uint32(seed), jnp.array([first], jnp.uint32))
         return tuple(
             map(np.asarray, (worlds.cruise_speed_mps, worlds.environment.key, worlds.sensing_key))
         )

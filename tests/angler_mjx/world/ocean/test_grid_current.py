@@ -31,7 +31,7 @@ def configs(ocean_file, **keys):
 
 def drawn(config, n, horizon_s=120.0):
     def one(key):
-        return currents.sample_current(config, key, LO, HI, horizon_s)[0]
+        return currents.sample_current(currents.build_samplers(config, horizon_s), key, LO, HI)[0]
 
     return quickly(jax.vmap(one))(jax.random.split(jax.random.key(4), n))
 
@@ -136,7 +136,10 @@ def test_scale_shrinks_slows_and_keeps_the_pattern(ocean_file):
     place["time"] = ["2024-06-01T05:00", "2024-06-01T05:00"]
     whole, small = (
         currents.sample_current(
-            configs(ocean_file, **place, **keys), jax.random.key(0), -HI, HI, 10.0
+            currents.build_samplers(configs(ocean_file, **place, **keys), 10.0),
+            jax.random.key(0),
+            -HI,
+            HI,
         )[0]
         for keys in ({}, {"scale": {"space": 0.01, "depth": 0.01, "speed": 0.1}})
     )
@@ -176,8 +179,8 @@ def test_a_world_is_the_same_in_any_company(ocean_file, current):
         source="test",
     ).current
     key = jax.random.key(9)
-    first = currents.sample_current(beside[:1], key, LO, HI, 60.0)[0]
-    both = currents.sample_current(beside, key, LO, HI, 60.0)
+    first = currents.sample_current(currents.build_samplers(beside[:1], 60.0), key, LO, HI)[0]
+    both = currents.sample_current(currents.build_samplers(beside, 60.0), key, LO, HI)
     np.testing.assert_array_equal(first.centre_m, both[0].centre_m)
 
 
