@@ -40,7 +40,7 @@ def _flat_under_vmap(hash_words: _Hash) -> _Hash:
     @hash_flat.def_vmap
     def _batch(size: int, batched: Sequence[bool], *words: jax.Array) -> tuple[jax.Array, bool]:
         rows = [
-            word if is_one else jnp.broadcast_to(word, (size, *word.shape))
+            word if is_one else jnp.broadcast_to(word, (size, *jnp.shape(word)))
             for word, is_one in zip(words, batched, strict=True)
         ]
         return hash_flat(*(row.reshape(-1) for row in rows)).reshape(rows[0].shape), True
