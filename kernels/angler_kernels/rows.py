@@ -29,7 +29,8 @@ def _writer(axis: int) -> jax.custom_batching.custom_vmap:
     """Return the function that writes along an axis; a batch adds one before it."""
 
     def write(leaf: jax.Array, row: jax.Array, index: jax.Array) -> jax.Array:
-        return jax.lax.dynamic_update_index_in_dim(leaf, row, index, axis)
+        written: jax.Array = jax.lax.dynamic_update_index_in_dim(leaf, row, index, axis)
+        return written
 
     def write_batch(
         size: int, batched: Sequence[bool], leaf: jax.Array, row: jax.Array, index: jax.Array

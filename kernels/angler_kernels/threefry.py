@@ -45,7 +45,8 @@ def _flat_under_vmap(hash_words: _Hash) -> _Hash:
         ]
         return hash_flat(*(row.reshape(-1) for row in rows)).reshape(rows[0].shape), True
 
-    return hash_flat
+    flat: _Hash = hash_flat
+    return flat
 
 
 @_flat_under_vmap
@@ -53,14 +54,17 @@ def _hash_keys(
     key0: jax.Array, key1: jax.Array, count: jax.Array, is_second: jax.Array
 ) -> jax.Array:
     """Return the first or the second word of the keys of counts."""
-    return jnp.where(is_second, *_apply_rounds(key0, key1, count)[::-1])
+    first, second = _apply_rounds(key0, key1, count)
+    word: jax.Array = jnp.where(is_second, second, first)
+    return word
 
 
 @_flat_under_vmap
 def _hash_bits(key0: jax.Array, key1: jax.Array, count: jax.Array) -> jax.Array:
     """Return random bits, uint32."""
     first, second = _apply_rounds(key0, key1, count)
-    return first ^ second
+    bits: jax.Array = first ^ second
+    return bits
 
 
 @jax.jit
@@ -87,7 +91,7 @@ def _keys_of_counts(key: jax.Array, counts: jax.Array) -> jax.Array:
     return _hash_keys(key0, key1, jnp.broadcast_to(counts[..., None], shape), is_second)
 
 
-def _fold_in(key: jax.Array, data: jax.Array) -> jax.Array:
+def _fold_in(key: jax.Array, data: jax.Array | int) -> jax.Array:
     """Fold a number, uint32 [], into a key [2]."""
     return _keys_of_counts(key, jnp.asarray(data, jnp.uint32))
 
@@ -100,7 +104,8 @@ def _split(key: jax.Array, shape: tuple[int, ...]) -> jax.Array:
 def _sample_bits(key: jax.Array, width: int, shape: tuple[int, ...]) -> jax.Array:
     """Sample bits [*shape] of a key [2], in words of 32 bits."""
     if width != 32:
-        return threefry_prng_impl.random_bits(key, width, shape)
+        bits: jax.Array = threefry_prng_impl.random_bits(key, width, shape)
+        return bits
     key0, key1 = (jnp.broadcast_to(word, shape) for word in key)
     return _hash_bits(key0, key1, _counts(shape))
 
