@@ -2,8 +2,8 @@
 
 JAX writes the rounds of Threefry as a loop over arrays of the caller's shape. XLA compiles some ten
 kernels for each call, and unrolls those of short rows at length: for the worlds of `reef_fleet`
-that was half of the compile time. Here all numbers of a call are one flat row, under ``vmap`` too,
-and the rounds are one kernel. The numbers are JAX's.
+that was a third of the compile time. Here all numbers of a call are one flat row, under ``vmap``
+too, and the rounds are one kernel. The numbers are JAX's.
 """
 
 import math
