@@ -1,8 +1,8 @@
 """Random numbers of several keys in one operation.
 
-XLA compiles every sampling call to a loop of its own. With keys folded and numbers sampled
-together, the program of `reef_fleet`'s worlds has nine loops and 54 kernels fewer, of 49 and 813,
-and compiles faster. Each key gives the same numbers as alone.
+XLA compiles every sampling call to kernels of its own. With keys folded and numbers sampled
+together there are fewer, and the program of a world compiles faster. Each key gives the same
+numbers as alone.
 """
 
 from dataclasses import dataclass

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from angler_kernels.threefry import seed_key
 from angler_mjx.errors import ConfigError
 from angler_mjx.world import currents, obstacles
 from angler_mjx.world.config import WorldConfig, WorldNumbers, WorldRecipe, resolve_world
@@ -222,7 +223,7 @@ def _generate_batch(
     water_density_kgm3: jax.Array,
 ) -> Environment:
     index = jnp.uint32(first_index) + jnp.arange(radius_m.shape[0], dtype=jnp.uint32)
-    root = jax.random.key(jnp.uint32(seed))
+    root = seed_key(jnp.uint32(seed))
 
     def generate_one(i: jax.Array, radius: jax.Array) -> Environment:
         key = jax.random.fold_in(root, i)

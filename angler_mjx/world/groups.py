@@ -30,7 +30,9 @@ def choose_group(turn: jax.Array, left: jax.Array, size: int) -> WorldGroup:
         size: size of a group; static.
     """
     n = left.shape[0]
-    (again,) = jnp.nonzero(left, size=size, fill_value=n)
+    items = jnp.arange(n, dtype=jnp.int32)
+    slot = jnp.where(left, jnp.cumsum(left, dtype=jnp.int32) - 1, size)
+    again = jnp.full(size, n, jnp.int32).at[slot].set(items, mode="drop")
     index = jnp.where(all_had_turn(turn, n, size), again, turn * size + jnp.arange(size))
     return WorldGroup(index=index, read=jnp.minimum(index, n - 1))
 

@@ -166,7 +166,7 @@ def choose_positions(
         # One field serves all robots: the least remaining value is a sample without replacement.
         noise = jax.random.uniform(of_noise, (2, point.shape[1]), jnp.float32)
         mirror, rotation = uniform_rows(jnp.stack(others), max(3, n_robot), jnp.float32)
-        rotation = rotation[:n_robot].at[0].set(0.0)
+        rotation = jnp.where(jnp.arange(n_robot) > 0, rotation[:n_robot], 0.0)
         return noise, rotation, *_target_points(recipe, n_robot, mirror[:3] < 0.5)
 
     noise, rotation, *targets = jax.vmap(at_random, out_axes=-1)(keys)

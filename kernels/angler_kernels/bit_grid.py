@@ -8,6 +8,7 @@ read in one go. Bits above the grid's upper face are 0 in every result of `pack_
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 WORD = 32
 """Cells in a word."""
@@ -19,20 +20,20 @@ def pack_grid(cells: jax.Array) -> jax.Array:
     n_words = -(-nz // WORD)
     pad = [(0, 0), (0, 0), (0, n_words * WORD - nz)] + [(0, 0)] * len(batch)
     bits = jnp.pad(cells, pad).reshape(nx, ny, n_words, WORD, *batch)
-    bit = jnp.arange(WORD, dtype=jnp.uint32).reshape(WORD, *[1] * len(batch))
+    bit = np.arange(WORD, dtype=np.uint32).reshape(WORD, *[1] * len(batch))
     return jnp.sum(bits.astype(jnp.uint32) << bit, axis=3, dtype=jnp.uint32)
 
 
 def unpack_grid(grid: jax.Array, nz: int) -> jax.Array:
     """Return the boolean grid [nx, ny, nz, ...] of a packed grid [nx, ny, words, ...]."""
-    z = jnp.arange(nz)
-    bit = (z % WORD).astype(jnp.uint32).reshape(nz, *[1] * (grid.ndim - 3))
+    bit = (np.arange(nz) % WORD).astype(np.uint32).reshape(nz, *[1] * (grid.ndim - 3))
     return (jnp.repeat(grid, WORD, axis=2)[:, :, :nz] >> bit & 1).astype(bool)
 
 
 def full_grid(shape: tuple[int, int, int]) -> jax.Array:
     """Return a packed grid [nx, ny, words] with every cell set."""
-    return pack_grid(jnp.ones(shape, bool))
+    nx, ny, nz = shape
+    return jnp.asarray(np.broadcast_to(_full_words(nz), (nx, ny, -(-nz // WORD))))
 
 
 def count_cells(grid: jax.Array) -> jax.Array:
@@ -57,9 +58,13 @@ def shift_grid(grid: jax.Array, axis: int, step: int, nz: int) -> jax.Array:
     moved = grid << 1 | _shift_axis(grid, 2, 1) >> (WORD - 1)
     if nz % WORD == 0:
         return moved
-    top = [WORD] * (grid.shape[2] - 1) + [nz % WORD]
-    used = jnp.array([(1 << bits) - 1 for bits in top], jnp.uint32)
-    return moved & used.reshape(len(top), *[1] * (grid.ndim - 3))
+    return moved & _full_words(nz).reshape(-1, *[1] * (grid.ndim - 3))
+
+
+def _full_words(nz: int) -> np.ndarray:
+    """Return the words of a full column, uint32 [words]."""
+    bits = [min(WORD, nz - low) for low in range(0, nz, WORD)]
+    return np.array([(1 << n) - 1 for n in bits], np.uint32)
 
 
 def _shift_axis(grid: jax.Array, axis: int, step: int) -> jax.Array:

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import jax
 import jax.numpy as jnp
 
+from angler_kernels.rows import write_row
 from angler_mjx.planning.path_search.bodies import moving_traffic, still_obstacles
 from angler_mjx.planning.path_search.lattice import build_terrain
 from angler_mjx.planning.path_search.robot_search import (
@@ -88,14 +89,15 @@ def plan_grid(problem: Problem, config: PathSearchConfig) -> Trajectory:
     n_robot = radius_m.shape[0]
     hold_paths = hold_position(team.start_m, config.n_point)
     bodies = moving_traffic(problem)
+    rows, hold_s = jnp.arange(n_robot), config.start_hold_s
 
     def plan_next(plans: Trajectory, index: jax.Array) -> tuple[Trajectory, None]:
-        planned = jnp.arange(n_robot) < index
+        planned = rows < index
         traffic = GridTraffic(
             time_s=plans.time_s,
             position_m=plans.position_m,
             reach_m=radius_m + radius_m[index] + config.margin_m,
-            until_s=jnp.where(planned, jnp.inf, config.start_hold_s).at[index].set(-1.0),
+            until_s=jnp.where(rows == index, -1.0, jnp.where(planned, jnp.inf, hold_s)),
         )
         path = plan_robot(
             terrain_map,
@@ -108,7 +110,7 @@ def plan_grid(problem: Problem, config: PathSearchConfig) -> Trajectory:
             speed_mps[index],
             config,
         )
-        return jax.tree.map(lambda leaf, new_leaf: leaf.at[index].set(new_leaf), plans, path), None
+        return write_row(plans, path, index), None
 
     plans, _ = jax.lax.scan(plan_next, hold_paths, jnp.arange(n_robot))
     return _withdraw_conflicting(plans, hold_paths, radius_m, config)

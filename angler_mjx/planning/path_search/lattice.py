@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from angler_kernels.clearance import capsules_obstacle
 from angler_mjx.errors import UnsupportedError
@@ -106,7 +107,7 @@ class LatticeLayout:
 
     def column_centres(self, grid: Grid) -> tuple[jax.Array, jax.Array]:
         """Return x and y [total] of the centre of each word's column, m."""
-        n = jnp.arange(self.total) - self.guard_size
+        n = np.arange(self.total) - self.guard_size
         x = grid.origin_m[0] + (n // self.row + 0.5) * grid.cell_m
         y = grid.origin_m[1] + (n % self.row + 0.5) * grid.cell_m
         return x, y
@@ -122,7 +123,7 @@ def column_bits(cells: jax.Array) -> jax.Array:
         raise UnsupportedError(
             f"the grid planner takes at most {MAX_NZ} cells along z, this grid has {cells.shape[2]}"
         )
-    weight = jnp.uint32(1) << jnp.arange(cells.shape[2], dtype=jnp.uint32)
+    weight = np.uint32(1) << np.arange(cells.shape[2], dtype=np.uint32)
     return jnp.sum(jnp.where(cells, weight, jnp.uint32(0)), axis=2, dtype=jnp.uint32)
 
 
@@ -211,8 +212,9 @@ def free_space(land: Terrain, clearance_m: jax.Array) -> FreeSpace:
         free = layout.shift_to_neighbour(cells, 0, 0, 0)
         for corner in itertools.product(*(range(n + 1) for n in block)):
             free &= layout.shift_to_neighbour(cells, *corner)
-        blocks[block] = layout.pad(free)
-    edges = jnp.stack([blocks[edge.block] for edge in EDGES])
+        blocks[block] = free
+    inner = jnp.stack([blocks[edge.block] for edge in EDGES])
+    edges = jax.vmap(layout.pad)(inner)
     if land.edge_gap_m is not None:
         edges &= jax.vmap(layout.pack_cells)(land.edge_gap_m >= clearance_m)
     return FreeSpace(cells=cells, edges=edges)

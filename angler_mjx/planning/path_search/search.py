@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
+from angler_kernels.rows import write_row
 from angler_mjx.planning.path_search.batching import min_of_batch
 from angler_mjx.planning.path_search.lattice import (
     BLOCKS,
@@ -99,7 +100,7 @@ def search_reachable(
         return _SearchState(
             layer=n + 1,
             lines=_shift_lines(lines, reached, rest, middle),
-            history=state.history.at[n].set(inner),
+            history=write_row(state.history, inner, n),
             arrival=jnp.where(is_at_goal & may_stay[n] & (state.arrival < 0), n, state.arrival),
         )
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import jax
 import jax.numpy as jnp
 
+from angler_kernels.rows import write_row
 from angler_mjx.planning.path_search.batching import min_of_batch
 from angler_mjx.planning.path_search.bodies import GOAL_CLEAR_S
 from angler_mjx.planning.path_search.lattice import Terrain, line_of_sight
@@ -93,7 +94,7 @@ def pull_string(
     )
 
     # Bodies pass by a robot that has long arrived; other robots must not meet it for ever.
-    leave_to_bodies = route.leave_s.at[-1].set(route.arrive_s[-1] + GOAL_CLEAR_S)
+    leave_to_bodies = jnp.append(route.leave_s[:-1], route.arrive_s[-1] + GOAL_CLEAR_S)
 
     def lengthen(k: jax.Array, state: tuple[_String, _Knot]) -> tuple[_String, _Knot]:
         string, knots = state
@@ -104,14 +105,14 @@ def pull_string(
             leave_to_bodies_s=leave_to_bodies[k],
         )
         string, knot = _extend_string(land, others, clearance_m, speed_mps, string, row)
-        return string, jax.tree.map(lambda rows, new_row: rows.at[k - 1].set(new_row), knots, knot)
+        return string, write_row(knots, knot, k - 1)
 
     first = min_of_batch(jnp.maximum(route.begin, 1))
     string, knots = jax.lax.fori_loop(first, size, lengthen, (begin, empty))
     end = _Knot(
         keep=jnp.array(True), position_m=string.to_m, arrive_s=string.to_s, leave_s=string.to_s
     )
-    knots = jax.tree.map(lambda rows, new_row: rows.at[-1].set(new_row), knots, end)
+    knots = write_row(knots, end, size - 1)
     path = _collect_waypoints(route.position_m[0], knots, n_point)
     is_clear = is_path_clear(others.robots, path, route.leave_s[-1])
     if others.bodies is not None:

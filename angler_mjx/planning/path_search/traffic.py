@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from angler_mjx.robot.control.commands.trajectory import Trajectory
 
@@ -51,7 +52,7 @@ def build_balls(traffic: GridTraffic, layer_s: jax.Array, n_layer: int) -> Balls
     Within a layer a robot cannot be farther from where it is at the middle than the length of path
     between, whatever corners it takes.
     """
-    half = jnp.arange(2 * n_layer + 1) * (0.5 * layer_s)
+    half = np.arange(2 * n_layer + 1, dtype=np.int32) * (0.5 * layer_s)
     time, point = traffic.time_s, traffic.position_m
     leg = point[:, 1:] - point[:, :-1]
     span = time[:, 1:] - time[:, :-1]

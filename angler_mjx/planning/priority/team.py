@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import jax
 import jax.numpy as jnp
 
+from angler_kernels.threefry import seed_key
 from angler_mjx.planning.path_search.lattice import Terrain
 from angler_mjx.planning.path_search.robot_search import PathSearchConfig, grow_bodies, plan_robot
 from angler_mjx.planning.path_search.starts import meets_starts, select_flyable, select_paths
@@ -109,7 +110,7 @@ def search_next_robot(
     stages = _STAGES if config.room_m > 0.0 else 0
     chance = jnp.clip(_IGNORED_FRACTION * (tries - stages), 0.0, 1.0)
     room = config.room_m * jnp.clip(1.0 - tries / _STAGES, _MIN_ROOM_FRACTION, 1.0)
-    key = jax.random.fold_in(jax.random.key(task.seed), search.used)
+    key = jax.random.fold_in(seed_key(task.seed), search.used)
     is_seen = planned & (jax.random.uniform(key, planned.shape) >= chance)
     hold_paths = hold_position(task.start_m, config.n_point)
     reach = task.radius_m + task.radius_m[i] + config.margin_m + room

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from angler_kernels.threefry import seed_key
 from angler_mjx.errors import ConfigError, format_value
 from angler_mjx.planning.build_problem import build_problem
 from angler_mjx.planning.device_planner import DevicePlanner, build_device_planner
@@ -307,7 +308,7 @@ def _check_obstacles(obstacles: Obstacles) -> None:
 
 def _planner_seed(seed: jax.Array, index: jax.Array) -> jax.Array:
     """Return the seed of a planner in one world, independent of the samples of the world."""
-    key = jax.random.fold_in(jax.random.key(seed), index)
+    key = jax.random.fold_in(seed_key(seed), index)
     return jax.random.bits(jax.random.fold_in(key, PLANNING_KEY), dtype=jnp.uint32)
 
 
@@ -322,7 +323,7 @@ def _prepare_world(
     index: jax.Array,
 ) -> World:
     """Sample world ``index`` of a run; its key is the run's, folded with the global index."""
-    key = jax.random.fold_in(jax.random.key(seed), index)
+    key = jax.random.fold_in(seed_key(seed), index)
     of_fleet, of_world, of_senses, of_policy, of_factors = fold_keys(key, 5)
     variant, control = fleet.sample_variants(kinds, of_fleet)
     environment = generate.generate_world(
@@ -378,7 +379,7 @@ def sample_water_and_breakdowns(
     Returns:
         The current, and times as of `sample_breakdowns`.
     """
-    key = jax.random.fold_in(jax.random.key(seed), index)
+    key = jax.random.fold_in(seed_key(seed), index)
     _, of_world, _, _, of_factors = fold_keys(key, 5)
     recipe = resolve_world(scenario.world)
     current = generate.sample_current(recipe, numbers.world, of_world)

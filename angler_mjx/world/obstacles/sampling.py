@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 
 from angler_kernels.clearance import capsules_obstacle, point_grid
+from angler_kernels.rows import write_row
 from angler_mjx.host_arrays import as_numbers
 from angler_mjx.robot.vehicles.properties import GRAVITY_MPS2
 from angler_mjx.sampling import UniformRange, fold_keys, uniform_rows
@@ -236,7 +237,8 @@ def _choose_positions(
         best = jnp.argmax(score)
         chosen, free = tries[i, best], margin[i, best] >= 0.0
         # A left-out obstacle occupies no position.
-        return p.at[i].set(jnp.where(free, chosen, jnp.inf)), (chosen, free)
+        position_m = jnp.where(free, chosen, jnp.inf)
+        return write_row(p, position_m, i), (chosen, free)
 
     _, (positions, free) = jax.lax.scan(choose_one, jnp.zeros((n, 3), tries.dtype), jnp.arange(n))
     return positions, free
