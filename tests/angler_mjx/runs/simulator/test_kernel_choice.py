@@ -48,13 +48,13 @@ def kernels_of(program, *shapes):
 )
 def test_preparation_and_planners(scenario, planner, kernels, called):
     made = simulator(scenario, kernels, **{"planner.name": planner}).programs
-    assert kernels_of(made.prepare, *made._seed_shapes()) == {called}
+    assert kernels_of(made.prepare, *made._prepare_shapes()) == {called}
 
 
 def test_tasks_in_flight():
     delivery = load_scenario("corridor_delivery")
     made = simulator(delivery, "cuda", **{"task.allocation": "nearest"}).programs
-    fleet, worlds, policy = made._seed_shapes()[0], made.batch_shape, made._setup.policy
+    fleet, worlds, policy = made._prepare_shapes()[0], made.batch_shape, made._setup.policy
     state = made.reset.shape(fleet, worlds, *policy)
     cells = made.pack_cells.shape(worlds)
     called = kernels_of(made.segment, fleet, worlds, state, cells, *policy)
