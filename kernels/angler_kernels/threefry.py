@@ -24,7 +24,14 @@ type _Hash = Callable[..., jax.Array]
 
 
 def seed_key(seed: jax.Array) -> jax.Array:
-    """Return the key of a seed, uint32 []; its numbers are those of ``jax.random.key(seed)``."""
+    """Return the key of a seed; its numbers are those of ``jax.random.key(seed)``.
+
+    Args:
+        seed: [] integer.
+
+    Returns:
+        [] key.
+    """
     return jax.random.key(seed, impl="threefry2x32" if on_gpu() else _FLAT_THREEFRY)
 
 

@@ -122,7 +122,7 @@ SETTINGS = SpotcheckSettings(episodes=3, against=(), levels=("guided",))
 
 
 def files(place):
-    return integrity.check_files(place, manifest.read_manifest(place)).findings
+    return integrity.check_files(place, manifest.read_manifest(place), Progress()).findings
 
 
 def test_episodes_are_shared_out_to_all_parts():

@@ -27,7 +27,7 @@ def test_what_was_damaged_is_flown_again_to_the_same_bytes(copy, made, capsys):
     (store / "q" / "c" / "0" / "0" / "0" / "0").unlink()
     (copy / manifest.INDEX).write_bytes(b"none")
     (copy / part / "variants.json").unlink()
-    (missing,) = integrity.check_parts(copy, manifest.read_manifest(copy)).findings
+    (missing,) = integrity.check_parts(copy, manifest.read_manifest(copy), Progress()).findings
     assert "variants.json is 'none'" in missing.text
     main.main(["dataset", "repair", str(copy)])
     output = capsys.readouterr().out

@@ -36,7 +36,8 @@ def scene(scenes, tmp_path_factory):
         TideConfig(constituents=(ConstituentConfig(name="M2", major_mps=0.3, minor_mps=0.1),)),
     )
     lo, hi = region_corners(jax.tree.map(lambda leaf: leaf[0], made.worlds.environment))
-    draw = partial(currents.sample_current, configs, region_lo=lo, region_hi=hi, horizon_s=10.0)
+    samplers = currents.build_samplers(configs, 10.0)
+    draw = partial(currents.sample_current, samplers, region_lo=lo, region_hi=hi)
     current = quickly(jax.vmap(lambda key: draw(key=key)))(
         jax.random.split(jax.random.key(2), WORLDS)
     )
