@@ -167,7 +167,7 @@ def open_store(key: Hashable | None, mesh: Mesh) -> ProgramStore | None:
     """Return the store of a set of programs; None where none may be stored.
 
     Args:
-        key: equal for sets of programs with equal traces; None where that cannot be told.
+        key: equal for sets of programs with equal traces; None where that is unknown.
         mesh: devices of the programs.
     """
     folder, text = _store_folder(), repr(key)

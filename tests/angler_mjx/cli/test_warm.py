@@ -65,12 +65,12 @@ def test_a_run_after_it_traces_and_compiles_nothing_of_its_own(tmp_path):
         text = SCENARIO.replace('"small"', f'"{name}"').replace("[8, 8, 8]", f"[{len(name)}, 8, 8]")
         (tmp_path / f"{name}.toml").write_text(text)
     flags = ("--engine", "fused", "--device", "cpu")
-    told, log = angler(tmp_path, "warm", "small.toml", "wide.toml", *flags)
+    printed, log = angler(tmp_path, "warm", "small.toml", "wide.toml", *flags)
     assert "Finished tracing sample_tile" in log
     warmed = kept(tmp_path)
     assert len(warmed) == 2 * len(PROGRAMS)
-    assert all(part in told for part in (*PROGRAMS, "small", "wide", "fused"))
-    assert told.splitlines()[-1] == str(tmp_path / "kept")
+    assert all(part in printed for part in (*PROGRAMS, "small", "wide", "fused"))
+    assert printed.splitlines()[-1] == str(tmp_path / "kept")
     assert not (tmp_path / "runs").exists()
     for name in ("small", "wide"):
         _, log = angler(tmp_path, "rollout", f"{name}.toml", *flags, "--no-figures")

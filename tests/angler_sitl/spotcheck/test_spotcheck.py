@@ -382,10 +382,10 @@ def settings(stand_in):
 
 
 def test_a_spot_check_reports_the_gaps(run, flyers, settings, tmp_path):
-    out, told = tmp_path / "check", Reports()
-    found = runner.run_spot_check(run.path, settings, out, told)
+    out, reports = tmp_path / "check", Reports()
+    found = runner.run_spot_check(run.path, settings, out, reports)
     assert found.complete
-    assert (told.begun, told.flights) == ((4, 0), pytest.approx(4))
+    assert (reports.begun, reports.flights) == ((4, 0), pytest.approx(4))
     with (out / "gaps.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 2 * 3 * 4  # levels, references, robots
@@ -399,32 +399,32 @@ def test_a_spot_check_reports_the_gaps(run, flyers, settings, tmp_path):
         assert name in report
         assert (out / name).stat().st_size > 10_000
     with pytest.raises(ConfigError, match="exists"):
-        runner.run_spot_check(run.path, settings, out, told)
+        runner.run_spot_check(run.path, settings, out, reports)
     with pytest.raises(ConfigError, match="complete"):
-        runner.run_spot_check(run.path, settings, out, told, resume=True)
+        runner.run_spot_check(run.path, settings, out, reports, resume=True)
 
 
 def test_what_was_interrupted_goes_on(run, flyers, settings, tmp_path, monkeypatch):
     # Drawn in the test above; here they would take most of the time.
     for name in ("plot_summary", "plot_world"):
         monkeypatch.setattr(figures, name, lambda *_: Figure(figsize=(1.0, 1.0)))
-    out, told = tmp_path / "check", Reports()
+    out, reports = tmp_path / "check", Reports()
     flyers[0] = 3
-    found = runner.run_spot_check(run.path, settings, out, told)
+    found = runner.run_spot_check(run.path, settings, out, reports)
     assert not found.complete
     assert "Interrupted" in (out / "report.md").read_text()
     assert [key[1] for key in found.flights] == ["recorded", "surrogate", "cascade", "thrusters"]
     with pytest.raises(ConfigError, match="--resume"):
-        runner.run_spot_check(run.path, settings, out, told)
+        runner.run_spot_check(run.path, settings, out, reports)
     other = replace(settings, source="vicon")
     with pytest.raises(
         ConfigError, match=r"begun with another source .see .*: 'vision', not 'vicon'"
     ):
-        runner.run_spot_check(run.path, other, out, told, resume=True)
+        runner.run_spot_check(run.path, other, out, reports, resume=True)
     flyers[0] = -1
-    again = runner.run_spot_check(run.path, settings, out, told, resume=True)
+    again = runner.run_spot_check(run.path, settings, out, reports, resume=True)
     assert again.complete
-    assert told.begun == (4, 3)
+    assert reports.begun == (4, 3)
     assert "Interrupted" not in (out / "report.md").read_text()
 
 
@@ -499,17 +499,17 @@ def test_a_run_that_planned_anew_is_checked_and_said_to_be_one(
 
 
 class Booted:
-    """A session whose only robot flies on and on, and that remembers what it was told."""
+    """A session whose only robot flies on and on, and that remembers its commands."""
 
     def __init__(self, scenario, **_):
-        self.resets, self.told = 0, []
+        self.resets, self.reports = 0, []
 
     def reset(self, worlds):
         self.resets += 1
         return SimpleNamespace(status=(SimpleNamespace(outcome=Outcome.RUNNING),))
 
     def step(self, commands=None):
-        self.told.append(commands)
+        self.reports.append(commands)
         return SimpleNamespace(status=(SimpleNamespace(outcome=Outcome.RUNNING),))
 
     def inside(self):
@@ -549,10 +549,10 @@ def test_autopilots_are_told_what_the_policy_of_the_scenario_says(online, monkey
     session = flyer._session
     assert session.resets == 2
     if online:  # begun anew in the second world, and compiled for the first alone
-        assert session.told == [{0: 1}, {0: 2}, {0: 3}] * 2
+        assert session.reports == [{0: 1}, {0: 2}, {0: 3}] * 2
         assert Planning.made == 1
     else:
-        assert session.told == [None] * 6
+        assert session.reports == [None] * 6
 
 
 @pytest.mark.sitl

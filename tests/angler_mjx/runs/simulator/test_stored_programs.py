@@ -212,7 +212,7 @@ def test_keys_that_say_nothing_of_an_object_are_not_stored(folder):
     assert open_store(("key",)) is not None
 
 
-def test_only_commands_store_unless_it_is_asked_for(folder, monkeypatch, setting):
+def test_only_commands_store_unless_a_caller_enables_it(folder, monkeypatch, setting):
     monkeypatch.setattr(stored_programs, "_enabled_by_command", False)
     for value, by_caller, by_command in (("", False, True), ("0", False, False), ("1", True, True)):
         setting(value)

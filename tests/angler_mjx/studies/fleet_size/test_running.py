@@ -83,7 +83,7 @@ set = { randomise = { current = [0.0, 0.0] }, breakdowns = { fraction = 1.0, lat
 
 
 class Reports(Progress):
-    """Keeps what it is told; interrupts after some batches."""
+    """Keeps its reports; interrupts after some batches."""
 
     def __init__(self, batches=None):
         self.left, self.said = batches, []
@@ -180,8 +180,10 @@ def test_an_interrupted_study_goes_on_to_the_same_bytes(whole, study, source, si
         file.write('{"condition":"ca')
     with pytest.raises(ConfigError, match="exists"):
         running.run_study(study, source, out, progress=Reports(), simulators=simulators)
-    told = Reports()
-    found = running.run_study(study, source, out, progress=told, resume=True, simulators=simulators)
+    reports = Reports()
+    found = running.run_study(
+        study, source, out, progress=reports, resume=True, simulators=simulators
+    )
     for name in ("batches.jsonl", folder.RESULTS):
         assert (out / name).read_bytes() == (whole[0] / name).read_bytes()
     same = ("conditions", "ended", "worlds", "complete")
@@ -269,17 +271,17 @@ def test_the_same_bytes_on_two_devices(whole, source, tmp_path):
 
 
 def test_a_batch_of_fewer_tiles_than_devices_is_told_of(study, source, simulators, tmp_path):
-    told = Reports(1)
+    reports = Reports(1)
     running.run_study(
-        study, source, tmp_path / "a", progress=told, simulators=simulators, devices=1
+        study, source, tmp_path / "a", progress=reports, simulators=simulators, devices=1
     )
-    assert not [text for text in map(str, told.said) if "devices have work" in text]
-    told = Reports(1)
+    assert not [text for text in map(str, reports.said) if "devices have work" in text]
+    reports = Reports(1)
     running.run_study(
-        study, source, tmp_path / "b", progress=told, simulators=simulators, devices=3
+        study, source, tmp_path / "b", progress=reports, simulators=simulators, devices=3
     )
-    assert "2 of 3 devices have work" in told.said[0]
-    assert "tile = 1" in told.said[0]
+    assert "2 of 3 devices have work" in reports.said[0]
+    assert "tile = 1" in reports.said[0]
 
 
 def test_another_study_does_not_go_on_with_it(whole, source, tmp_path):
@@ -319,8 +321,8 @@ def test_the_command_tells_what_came_of_it(whole, source, capsys):
     assert left.value.code == cli.EXIT_FAULT
     assert "is complete; nothing is left to do" in capsys.readouterr().err
     command._print_study(found, out, as_json=True)
-    told = json.loads(capsys.readouterr().out)
-    assert told["conditions"] == json.loads(json.dumps(found["conditions"]))
+    reports = json.loads(capsys.readouterr().out)
+    assert reports["conditions"] == json.loads(json.dumps(found["conditions"]))
     command._print_study(found, out, as_json=False)
     text = capsys.readouterr().out
     for one in found["conditions"]:
