@@ -14,7 +14,7 @@ gc.set_threshold(50_000, 20, 20)
 
 LONG = (
     "commands/test_run.py",
-    "engines/test_fused_triton.py",
+    "engines/test_fused_cuda.py",
     "engines/test_fused.py",
     "runs/",
     "simulator/",

@@ -22,7 +22,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from angler_kernels.cuda.nvrtc import CudaCompilerError
-from angler_kernels.programs import compiled_by
+from angler_kernels.programs import without_kernels
 from angler_mjx.errors import RunError
 from angler_mjx.planning.planner import PathShape
 from angler_mjx.planning.problem import Problem
@@ -262,7 +262,9 @@ class Programs:
         try:
             results = [program.result() for program in pending]
         except CudaCompilerError as error:
-            raise RunError(f'kernels = "cuda": {error}; use kernels = "triton" or "xla"') from error
+            raise RunError(
+                f'kernels = "cuda": {error}; or use kernels = "xla", which needs no such compiler'
+            ) from error
         except jax.errors.JaxRuntimeError as error:
             # No report of the programs' memory is available: the size of their results is a lower
             # bound.
@@ -336,9 +338,11 @@ class Programs:
             donate_argnums: number of the argument whose memory the results take.
             stored_name: of its executable on disk; empty to store none.
         """
-        compiler = engines.kernel_compiler(self._setup.kernels)
+        # Where a scenario names xla, not only its engine does without kernels.
+        if self._setup.scenario.kernels == "xla":
+            function = without_kernels(function)
         return CompiledFunction(
-            on_devices.shard_function(self._setup.mesh, compiled_by(compiler, function), *specs),
+            on_devices.shard_function(self._setup.mesh, function, *specs),
             out_shardings=NamedSharding(self._setup.mesh, SHARDED),
             donate_argnums=donate_argnums,
             name=stored_name,

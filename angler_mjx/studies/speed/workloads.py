@@ -11,7 +11,7 @@ from angler_mjx.robot.control.stages import CONTROLLERS
 from angler_mjx.runs.simulator import devices
 from angler_mjx.runs.simulator.simulator import default_tile
 from angler_mjx.scenario.fleet_entry import FleetEntry
-from angler_mjx.scenario.scenario import Scenario, load_scenario, shipped_scenarios
+from angler_mjx.scenario.scenario import Kernels, Scenario, load_scenario, shipped_scenarios
 from angler_mjx.studies.speed.rows import check_repeats
 
 type Kind = Literal[
@@ -24,7 +24,6 @@ type Kind = Literal[
     "compilation",
 ]
 type Engine = Literal["mjx", "fused"]
-type Kernels = Literal["xla", "triton", "cuda"]
 type Profile = Literal["quick", "full", "paper"]
 
 

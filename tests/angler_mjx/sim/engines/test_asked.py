@@ -7,9 +7,9 @@ import jax
 import numpy as np
 import pytest
 
+from angler_mjx.sim.engines.cuda.engine import CudaEngine
 from angler_mjx.sim.engines.lanes.engine import FusedEngine
 from angler_mjx.sim.engines.mjx import MjxEngine
-from angler_mjx.sim.engines.triton.engine import TritonEngine
 from angler_mjx.sim.state import Outcome
 
 from ... import declared
@@ -84,10 +84,10 @@ def test_asked_fields_are_as_declared(scene, seen):
     [
         MjxEngine(),
         pytest.param(
-            TritonEngine(lanes=2, interpret=True), marks=pytest.mark.nightly(by="MjxEngine")
+            CudaEngine(block=2, interpret=True), marks=pytest.mark.nightly(by="MjxEngine")
         ),
     ],
-    ids=["mjx", "triton"],
+    ids=["mjx", "cuda"],
 )
 def test_engines_agree(scene, begun, seen, engine):
     _, theirs = program(scene, engine, ALSO)(begun)

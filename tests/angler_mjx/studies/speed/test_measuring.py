@@ -345,8 +345,8 @@ def test_engine_kernels_and_robots_are_passed_on():
     (case,) = ask(workloads=("reef_fleet",), worlds=(4,), robots=(16,), engine="mjx")
     assert case.scenario.engine == "mjx"
     assert [entry.count for entry in case.scenario.fleet] == [8, 8]
-    (case,) = ask(workloads=("reef_fleet",), worlds=(4,), robots=(1,), kernels="triton")
-    assert case.scenario.kernels == "triton"
+    (case,) = ask(workloads=("reef_fleet",), worlds=(4,), robots=(1,), kernels="cuda")
+    assert case.scenario.kernels == "cuda"
     assert [entry.count for entry in case.scenario.fleet] == [1]
 
 

@@ -11,7 +11,7 @@ from jax.typing import DTypeLike
 from angler_kernels.lanes.planes import PlaneLayout, SampleBuffer
 from angler_mjx.robot.control.stack import Command
 from angler_mjx.sim import record, step
-from angler_mjx.sim.engines.triton.tile import Tile
+from angler_mjx.sim.engines.cuda.tile import Tile
 from angler_mjx.sim.phase import Phase, Record
 from angler_mjx.sim.record import Sample, WorldRecord, build_sample
 from angler_mjx.sim.state import SimSpec, WorldState
