@@ -21,7 +21,7 @@ STEPS = 100
 @pytest.fixture(scope="module")
 def begun():
     """A program's worth of vehicles that drift and turn, and their thrusts."""
-    n = dynamics.LANES
+    n = dynamics.BLOCK
     keys = jax.random.split(jax.random.key(1), 2)
     state = VehicleState(
         p=jnp.zeros((n, 3)).at[:, 2].set(-20.0),
