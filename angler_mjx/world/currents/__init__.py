@@ -28,6 +28,7 @@ from angler_mjx.world.currents.fields import (
     Vortices,
     evaluate_current,
     scale_current,
+    velocities_at,
     velocity,
 )
 from angler_mjx.world.currents.gridded import GridConfig, Gridded, bind_fields, list_fields
@@ -62,6 +63,7 @@ __all__ = [
     "list_fields",
     "sample_current",
     "scale_current",
+    "velocities_at",
     "velocity",
 ]
 
