@@ -1,6 +1,6 @@
 """Emitted CUDA C as functions of this machine: the same C, compiled by its compiler.
 
-Threads of a block are threads here, which wait for each other at barriers. Calls of block kernels
+Threads of a block are threads here, which wait for each other at barriers. Calls of kernels
 within JAX programs run that way on the CPU, with results that hold junk before.
 """
 
@@ -131,14 +131,31 @@ def run_blocks(launch, *arrays):
     return filled
 
 
+def run_lanes(launch, *arrays):
+    """Return the arrays that a launch of independent lanes changes."""
+    read = [np.ascontiguousarray(x) for x in arrays[: launch.constants]]
+    changed = [np.array(x) for x in arrays[launch.constants :]]
+    library = compile_here(launch.source.text)
+    library.launch(*launch.grid, launch.block, addresses([*read, *changed, *changed]))
+    return changed
+
+
+def _call_lanes_here(*arrays, launch):
+    changed = arrays[launch.constants :]
+    shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in changed]
+    return jax.pure_callback(partial(run_lanes, launch), shapes, *arrays)
+
+
 def _call_here(*arrays, launch):
     shapes = [jax.ShapeDtypeStruct((*launch.batch, *x.shape), x.dtype) for x in launch.filled]
     return jax.pure_callback(partial(run_blocks, launch), shapes, *arrays)
 
 
-mlir.register_lowering(
-    kernel_call._call_block_p, mlir.lower_fun(_call_here, multiple_results=True), platform="cpu"
-)
+for _primitive, _call in (
+    (kernel_call._call_block_p, _call_here),
+    (kernel_call._call_p, _call_lanes_here),
+):
+    mlir.register_lowering(_primitive, mlir.lower_fun(_call, multiple_results=True), platform="cpu")
 
 
 @pytest.fixture

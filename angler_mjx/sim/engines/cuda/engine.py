@@ -220,6 +220,7 @@ class CudaEngine:
                 ahead=ahead,
                 also=also,
                 last_approach_s=begin_s,
+                packing=None if self._shape.interpret else self._shape,
             )
             return part, Kernels(self._shape, spec, part).build_launches()
 

@@ -141,8 +141,9 @@ def test_kernels_lower_for_cuda(double, begun):
     segment = partial(CudaEngine().segment, double.spec, n_sample=2, steps_per_sample=2)
     traced = jax.jit(segment).trace(*given)
     text = traced.lower(lowering_platforms=("cuda",)).as_text()
-    # Control, motion and judgement of each of two groups, and the obstacles; for all launches.
-    assert text.count("__gpu$xla.gpu.ptx") == 7
+    # Control, motion and judgement of each of two groups, and the obstacles, for all launches; to
+    # lay out robots and obstacles, and back.
+    assert text.count("__gpu$xla.gpu.ptx") == 7 + 4
     n_obstacle = double.worlds.environment.obstacles.kind.shape[-1]
     sizes = {"robot": 6, "thruster": 8, "obstacle": n_obstacle}
     declared.check(traced.out_info[1], (8, 2), sizes, dtype=jnp.float32)
