@@ -137,8 +137,8 @@ class Simulator:
         self._numbers = jax.device_put(
             sampling_numbers(scenario), NamedSharding(self._mesh, REPLICATED)
         )
-        self.samples = self._programs.samples
-        self.steps_per_sample = self._programs.steps_per_sample
+        self.samples = self._programs.flight.samples
+        self.steps_per_sample = self._programs.flight.steps_per_sample
         self._packed: tuple[jax.Array, jax.Array | None] | None = None
 
     def _traces_planner(self) -> bool:
@@ -183,12 +183,12 @@ class Simulator:
 
         Another fleet needs another simulator.
         """
-        return self._programs.fleet
+        return self._programs.flight.fleet
 
     @property
     def spec(self) -> SimSpec:
         """Return the settings of the simulation, constants of its programs."""
-        return self._programs.spec
+        return self._programs.flight.spec
 
     @property
     def thrusters(self) -> int:
@@ -434,7 +434,7 @@ class Simulator:
         Raises:
             ConfigError: as `adopt`.
         """
-        equipped: FleetWorld = self._programs.add_parameters(self.fleet, self.adopt(worlds))
+        equipped: FleetWorld = self._programs.flight.add_parameters(self.fleet, self.adopt(worlds))
         return equipped
 
     def _pack_cells(self, worlds: World) -> jax.Array | None:
@@ -442,7 +442,7 @@ class Simulator:
         occupied = worlds.environment.grid.occupied
         if self._packed is not None and self._packed[0] is occupied:
             return self._packed[1]
-        packed: jax.Array | None = self._programs.pack_cells(worlds)
+        packed: jax.Array | None = self._programs.flight.pack_cells(worlds)
         if isinstance(occupied, jax.Array) and not isinstance(occupied, jax.core.Tracer):
             self._packed = (occupied, packed)
         return packed
@@ -450,7 +450,7 @@ class Simulator:
     @property
     def engine(self) -> engines.Engine:
         """Return the engine, for programs of the user (`angler_mjx.learning`)."""
-        return self._programs.engine
+        return self._programs.flight.engine
 
     def world_shape(self) -> World:
         """Return shapes and types of one tile of worlds, without computing any."""
@@ -473,7 +473,7 @@ class Simulator:
                 what the policy commands, or it is made otherwise than the simulator's.
         """
         adopted, policy_arguments = self.adopt(worlds), self._policy_arguments(policy)
-        state: WorldState = self._programs.reset(self.fleet, adopted, *policy_arguments)
+        state: WorldState = self._programs.flight.reset(self.fleet, adopted, *policy_arguments)
         return state
 
     def step(
@@ -505,7 +505,7 @@ class Simulator:
         if command is not None:
             self._check(command, state)
         adopted, policy_arguments = self.adopt(worlds), self._policy_arguments(policy)
-        after, sample = self._programs.step(
+        after, sample = self._programs.flight.step(
             self.fleet, adopted, state, self._pack_cells(adopted), command, *policy_arguments
         )
         return after, sample
@@ -537,13 +537,13 @@ class Simulator:
                 after, sample, _ = self.advance(worlds, state, policy=policy)
                 return after, sample
             adopted, policy_arguments = self.adopt(worlds), self._policy_arguments(policy)
-            after, sample, _ = self._programs.segment_any_step(
+            after, sample, _ = self._programs.flight.segment_any_step(
                 self.fleet, adopted, state, self._pack_cells(adopted), *policy_arguments
             )
             return after, sample
         self._check(command, state)
         adopted = self.adopt(worlds)
-        after, sample, _ = self._programs.commanded(
+        after, sample, _ = self._programs.flight.commanded(
             self.fleet, adopted, state, self._pack_cells(adopted), command
         )
         return after, sample
@@ -557,7 +557,7 @@ class Simulator:
         can be read after the state was used up.
         """
         adopted, policy_arguments = self.adopt(worlds), self._policy_arguments(policy)
-        after, sample, running = self._programs.segment(
+        after, sample, running = self._programs.flight.segment(
             self.fleet, adopted, state, self._pack_cells(adopted), *policy_arguments
         )
         return after, sample, running
