@@ -98,6 +98,16 @@ class ProgramSetup:
     has_user_code: bool
     """Whether code of a caller is traced: a policy object, or a class with ``plan_batch``."""
 
+    def numbers(self) -> SamplingNumbers:
+        """Return the arguments of the sampling, with padded currents where programs are shared."""
+        numbers = sampling_numbers(self.scenario)
+        return numbers.padded() if self._is_shareable else numbers
+
+    @property
+    def _is_shareable(self) -> bool:
+        """Return whether no code or field of a caller is traced."""
+        return not (self.has_user_code or self.scenario.world.files)
+
     def key(self) -> Hashable | None:
         """Return a value equal for equal programs; None where they cannot be shared."""
         return self._key(self._traced_planner(), repr(self.planner))
@@ -113,9 +123,9 @@ class ProgramSetup:
 
     def _key(self, *planner: Hashable | JsonTable) -> Hashable | None:
         """Return a value of what is traced, with ``planner`` in place of the scenario's table."""
-        if self.has_user_code or self.scenario.world.files:
+        if not self._is_shareable:
             return None
-        arguments = (sampling_numbers(self.scenario), self.policy)
+        arguments = (self.numbers(), self.policy)
         shapes = [(leaf.shape, str(leaf.dtype)) for leaf in jax.tree.leaves(arguments)]
         return (
             json.dumps([self._traced_table(), *planner], sort_keys=True),
@@ -414,7 +424,7 @@ class Programs:
         firsts = jax.ShapeDtypeStruct((mesh.size,), jnp.uint32)
         return (
             with_sharding(self.flight.fleet, mesh, REPLICATED),
-            with_sharding(sampling_numbers(self._setup.scenario), mesh, REPLICATED),
+            with_sharding(self._setup.numbers(), mesh, REPLICATED),
             with_sharding(number, mesh, REPLICATED),
             with_sharding(firsts, mesh, SHARDED),
         )
