@@ -174,7 +174,7 @@ def _is_fast(part: DatasetPart) -> bool:
 def _choose_tile(parts: Sequence[DatasetPart]) -> int:
     """Return the tile that parts share: a power of two that holds the largest part, where it can.
 
-    A part that shares its tile with no other has no unused worlds.
+    The tile of a part that shares it with no other is at most the worlds of the part.
     """
     worlds = max(part.scenario.worlds for part in parts)
     shared = 1 << (worlds - 1).bit_length() if len(parts) > 1 else worlds
