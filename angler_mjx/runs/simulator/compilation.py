@@ -79,6 +79,8 @@ class CompiledFunction[R]:
         self._part: Callable[..., R] = jit()
         self._whole = whole
         self._run: Callable[..., R] = whole if store is None else self._run_first
+        self.kept: jax.stages.Compiled | None = None
+        """Executable of `keep`."""
 
     def __call__(self, *arguments: object) -> R:
         """Return the results of the function; tracers where an argument is one."""
@@ -126,7 +128,7 @@ class CompiledFunction[R]:
 
     def keep(self, executable: jax.stages.Compiled) -> None:
         """Use an executable, made of `lower`, in calls with arrays from now on."""
-        self._run = executable
+        self.kept = self._run = executable
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -183,8 +185,10 @@ class ParallelCompiler:
     def begin[R](self, function: CompiledFunction[R], *example: object) -> PendingProgram:
         """Begin to load or compile a function for arguments of these shapes.
 
-        One that is not stored is traced and lowered before this returns.
+        One that is neither kept nor stored is traced and lowered before this returns.
         """
+        if (executable := function.kept) is not None:
+            return PendingProgram(lowering_s=0.0, made=_completed((executable, 0.0)))
         stored = function.find(*example)
         if stored is not None:
             made = self._threads.submit(_load_timed, function, stored, *example)
@@ -192,6 +196,12 @@ class ParallelCompiler:
         lowered, lowering_s = _lower_timed(function, *example)
         made = self._threads.submit(_compile_timed, function, lowered, *example)
         return PendingProgram(lowering_s=lowering_s, made=made)
+
+
+def _completed[T](result: T) -> Future[T]:
+    future: Future[T] = Future()
+    future.set_result(result)
+    return future
 
 
 _COLLECTION = SharedPause(gc.isenabled, lambda on: gc.enable() if on else gc.disable())

@@ -55,7 +55,7 @@ def test_tasks_in_flight():
     delivery = load_scenario("corridor_delivery")
     made = simulator(delivery, "cuda", **{"task.allocation": "nearest"}).programs
     fleet, worlds, policy = made._prepare_shapes()[0], made.batch_shape, made._setup.policy
-    state = made.reset.shape(fleet, worlds, *policy)
-    cells = made.pack_cells.shape(worlds)
-    called = kernels_of(made.segment, fleet, worlds, state, cells, *policy)
+    state = made.flight.reset.shape(fleet, worlds, *policy)
+    cells = made.flight.pack_cells.shape(worlds)
+    called = kernels_of(made.flight.segment, fleet, worlds, state, cells, *policy)
     assert called == {"cuda_block", "cuda_kernel"}
