@@ -305,7 +305,7 @@ class Scenario(FileModel):
         text = json.dumps(problem_table, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
-    def fleet_tables(self) -> list[dict[str, object]]:
+    def fleet_tables(self) -> list[JsonTable]:
         """Return the entries of the fleet, with the current data of their vehicles' files."""
         return [_problem_table(entry) for entry in self.fleet]
 
@@ -336,7 +336,7 @@ def _current_table(current: CurrentConfig) -> JsonTable:
     return table | {"file": current.field.digest} if isinstance(current, GridConfig) else table
 
 
-def _problem_table(entry: FleetEntry) -> dict[str, object]:
+def _problem_table(entry: FleetEntry) -> JsonTable:
     """Return an entry of the fleet without flight-only keys, with its vehicle's current data."""
     table = entry.model_dump(mode="json", exclude={"estimate", "sensors", "fault_visible"})
     vehicle = library.load_vehicle(entry.vehicle)

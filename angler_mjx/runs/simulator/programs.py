@@ -141,7 +141,7 @@ class ProgramSetup:
     def _traced_table(self) -> JsonTable:
         """Return the tables that are traced into the programs, but that of the planner."""
         table = static_table(self.scenario, dict.fromkeys({*UNTRACED_KEYS, "planner"}, True))
-        return {**table, "vehicles": self.scenario.fleet_tables()}
+        return {**table, "vehicles": [*self.scenario.fleet_tables()]}
 
     def _traced_planner(self) -> JsonTable:
         """Return the keys of the planner that programs depend on."""

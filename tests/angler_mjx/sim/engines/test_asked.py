@@ -15,6 +15,8 @@ from angler_mjx.sim.state import Outcome
 from ... import declared
 from ...compiling import quickly
 
+pytestmark = pytest.mark.usefixtures("compiled_sources")  # kernels run here, as C
+
 ALSO = ("wrench", "clearance")
 COUNT = {"n_sample": 3, "steps_per_sample": 2}
 
@@ -83,9 +85,7 @@ def test_asked_fields_are_as_declared(scene, seen):
     "engine",
     [
         MjxEngine(),
-        pytest.param(
-            CudaEngine(block=2, interpret=True), marks=pytest.mark.nightly(by="MjxEngine")
-        ),
+        pytest.param(CudaEngine(block=2), marks=pytest.mark.nightly(by="MjxEngine")),
     ],
     ids=["mjx", "cuda"],
 )

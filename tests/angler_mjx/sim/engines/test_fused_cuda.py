@@ -54,6 +54,7 @@ def test_segment_is_that_of_mjx(double, play, deviation):
     assert {Touched.CELL, Touched.OBSTACLE} <= set(np.unique(theirs.tally.touched))
 
 
+@pytest.mark.usefixtures("compiled_sources")
 def test_control_step_takes_signals(scenes, deviation):
     """One kind of robot, nothing to meet, float32, signals from outside."""
     build, members, obstacles = scenes
@@ -63,7 +64,7 @@ def test_control_step_takes_signals(scenes, deviation):
     # One for both: it is the same to rounding (test_fused). In numpy, as it is compiled once so.
     start = quickly(partial(FusedEngine().reset, scene.spec))(scene.fleet, scene.worlds)
     start, ends = jax.device_get(start), []
-    for engine in (CudaEngine(block=2, interpret=True), by_name("mjx", "xla")):
+    for engine in (CudaEngine(block=2), by_name("mjx", "xla")):
         state, step = start, quickly(partial(engine.control_step, scene.spec))
         for row in signals:
             command = ThrusterPwm(pwm_us=jnp.asarray(row, jnp.float32))

@@ -21,6 +21,8 @@ from angler_mjx.world.acoustics.shadow import RockLoss
 
 from ...compiling import quickly
 
+pytestmark = pytest.mark.usefixtures("compiled_sources")  # kernels run here, as C
+
 ROBOTS, STEPS, EVERY = 3, 24, 4
 PACKET_S, DT_S = 0.12, 0.05
 SHARED = Channel(
@@ -43,7 +45,7 @@ SHARED = Channel(
 ENGINES = {
     "mjx": by_name("mjx", "xla"),
     "lanes": by_name("fused", "xla"),
-    "kernels": CudaEngine(block=2, interpret=True),
+    "kernels": CudaEngine(block=2),
 }
 
 

@@ -20,6 +20,8 @@ from angler_mjx.world.tasks.spec import TaskSpec
 
 from ...compiling import quickly
 
+pytestmark = pytest.mark.usefixtures("compiled_sources")  # kernels run here, as C
+
 STEPS = 6
 """Control steps of 0.05 s of a segment, all with a sample; two segments are flown."""
 PERIOD = 4
@@ -41,7 +43,7 @@ LOAD = Load(
 ENGINES = {
     "mjx": by_name("mjx", "xla"),
     "lanes": by_name("fused", "xla"),
-    "kernels": CudaEngine(block=2, interpret=True),
+    "kernels": CudaEngine(block=2),
 }
 BY = "lanes, and a control step of the kernels in test_kernels_do_the_same_in_one_step"
 SLOW = [pytest.param(name, marks=pytest.mark.nightly(by=BY)) for name in ("mjx", "kernels")]

@@ -20,6 +20,8 @@ from angler_mjx.world.environment import region_corners
 
 from ...compiling import quickly
 
+pytestmark = pytest.mark.usefixtures("compiled_sources")  # kernels run here, as C
+
 WORLDS, STEPS = 2, 2
 
 
@@ -70,7 +72,7 @@ def by_mjx(scene, begun):
 
 @pytest.mark.parametrize("kernels", ["xla", "cuda"])
 def test_the_engines_agree(scene, begun, by_mjx, kernels, deviation):
-    engine = FusedEngine() if kernels == "xla" else CudaEngine(block=2, interpret=True)
+    engine = FusedEngine() if kernels == "xla" else CudaEngine(block=2)
     state, sample = flown(scene, begun, engine)
     theirs, seen = by_mjx
     deviation.close(f"sea.{kernels}", sample.current_mps, seen.current_mps, rtol=0, atol=2e-6)

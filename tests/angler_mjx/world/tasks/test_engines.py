@@ -15,11 +15,13 @@ from angler_mjx.world.tasks.spec import TaskSpec, TaskWorld
 
 from ...compiling import quickly
 
+pytestmark = pytest.mark.usefixtures("compiled_sources")  # kernels run here, as C
+
 STEPS, EVERY, PERIOD = 8, 2, 3
 """Control steps, from one sample to the next, and from one look to the next."""
 ENGINES = {
     "lanes": by_name("fused", "xla"),
-    "kernels": CudaEngine(block=2, interpret=True),
+    "kernels": CudaEngine(block=2),
 }
 KERNELS = pytest.param(
     "kernels",
