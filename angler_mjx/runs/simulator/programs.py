@@ -22,9 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from angler_kernels.cuda.nvrtc import CudaCompilerError
 from angler_kernels.programs import without_kernels
-from angler_mjx.errors import RunError
 from angler_mjx.files import JsonTable
 from angler_mjx.planning.planner import PathShape
 from angler_mjx.planning.problem import Problem
@@ -380,10 +378,6 @@ class Programs:
         worlds, state, pending = self._start_compilation()
         try:
             results = [program.result() for program in pending]
-        except CudaCompilerError as error:
-            raise RunError(
-                f'kernels = "cuda": {error}; or use kernels = "xla", which needs no such compiler'
-            ) from error
         except jax.errors.JaxRuntimeError as error:
             # No report of the programs' memory is available: the size of their results is a lower
             # bound.

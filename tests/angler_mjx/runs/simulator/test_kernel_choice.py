@@ -3,6 +3,9 @@
 import jax
 import pytest
 
+from angler_kernels.cuda import nvrtc
+from angler_kernels.cuda.nvrtc import CudaCompilerError
+from angler_mjx.errors import RunError
 from angler_mjx.runs.simulator import programs
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.editing import scenario_table, set_value
@@ -59,3 +62,18 @@ def test_tasks_in_flight():
     cells = made.flight.pack_cells.shape(worlds)
     called = kernels_of(made.flight.segment, fleet, worlds, state, cells, *policy)
     assert called == {"cuda_block", "cuda_kernel"}
+
+
+def test_a_kernel_that_does_not_compile_names_the_line_and_what_to_use(scenario, monkeypatch):
+    """Of the engine or of a planner, ahead of time or in a call: one message."""
+    made = simulator(scenario, "cuda").programs
+
+    def refuse(source, architecture, folder):
+        raise CudaCompilerError("NVRTC: kernel.cu(1): error: x")
+
+    monkeypatch.setattr(nvrtc, "begin_compilation", refuse)
+    message = r'^kernels = "cuda": NVRTC: kernel\.cu\(1\): error: x; or use kernels = "xla"'
+    with pytest.raises(RunError, match=message):
+        made.compile()
+    with pytest.raises(RunError, match=message):
+        made.prepare(*made._prepare_shapes())

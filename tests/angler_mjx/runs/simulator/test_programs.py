@@ -8,8 +8,6 @@ import jax
 import numpy as np
 import pytest
 
-from angler_kernels.cuda.nvrtc import CudaCompilerError
-from angler_mjx.errors import RunError
 from angler_mjx.planning.planner import PathShape
 from angler_mjx.planning.routes.policy import AlongRoutes
 from angler_mjx.runs.simulator import programs
@@ -211,14 +209,3 @@ def test_threads_compile_once(small):
     with ThreadPoolExecutor(3) as threads:
         took = list(threads.map(lambda simulator: simulator.compile().total_s, simulators))
     assert sorted(seconds > 0 for seconds in took) == [False, False, True]
-
-
-def test_kernels_that_do_not_compile_name_the_line_and_others_to_use(small, monkeypatch):
-    class Refused:
-        def result(self):
-            raise CudaCompilerError("NVRTC: kernel.cu(1): error: x")
-
-    made = _programs(small)
-    monkeypatch.setattr(made, "_start_compilation", lambda: (None, None, [Refused()]))
-    with pytest.raises(RunError, match=r'error: x; or use kernels = "xla"'):
-        made.compile()
