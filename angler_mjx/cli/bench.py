@@ -41,7 +41,8 @@ def bench(
         workload: dynamics, closed_loop_8, reef_fleet, mjx, recording, preparation, env_generation,
             clearance, compile, or scenarios by name or path, one or several; the profile's if left
             out.
-        scenario: Scenarios of --workload compile, by name or path; all shipped ones if left out.
+        scenario: Scenarios of --workload compile, by name or path; if left out, all shipped ones,
+            or with --profile full and paper some teams and numbers of worlds.
         worlds: Worlds in one device call; one row for each number, as in --worlds 64 1024; the
             profile's if left out, for compile the worlds of a run of the scenario.
         robots: Robots in each world, as in --robots 1 4 16; the workload's own if left out, and
