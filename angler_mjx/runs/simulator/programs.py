@@ -115,8 +115,14 @@ class ProgramSetup:
         )
 
     def _traced_table(self) -> dict[str, object]:
-        """Return the tables that are traced into the programs."""
-        excluded: dict[str, bool | set[str]] = dict.fromkeys(UNTRACED_KEYS, True)
+        """Return the tables that are traced into the programs.
+
+        A name that was chosen by "auto" gives the program of the same name in the file.
+        """
+        excluded: dict[str, bool | set[str]] = {
+            **dict.fromkeys(UNTRACED_KEYS, True),
+            **dict.fromkeys(("planner", "execution"), {"requested"}),
+        }
         if self.planner is None and not self.scenario.planner.replan_hz:
             excluded["planner"] = UNTRACED_PLANNER_KEYS
         table = static_table(self.scenario, excluded)
