@@ -121,7 +121,8 @@ class ProgramSetup:
         """
         excluded: dict[str, bool | set[str]] = {
             **dict.fromkeys(UNTRACED_KEYS, True),
-            **dict.fromkeys(("planner", "execution"), {"requested"}),
+            "planner": {"requested"},
+            "execution": {"requested"},
         }
         if self.planner is None and not self.scenario.planner.replan_hz:
             excluded["planner"] = UNTRACED_PLANNER_KEYS
