@@ -14,24 +14,20 @@ gc.set_threshold(50_000, 20, 20)
 
 LONG = (
     "commands/test_run.py",
-    "engines/test_fused_cuda.py",
-    "engines/test_fused.py",
-    "runs/",
-    "simulator/",
-    "storage/",
+    "angler_mjx/runs/",
+    "sim/engines/",
     "speed/",
-    "benchmark/test_results.py",
+    "studies/benchmark/",
     "datasets/",
+    "angler_mjx/planning/",
+    "angler_mjx/learning/",
     "experiments/studies/test_smoke.py",
     "tests/test_readme.py",
 )
-"""Files that take long come first, so that no worker is left alone with one at the end.
+"""Folders that take long come first, so that no worker is left alone with one at the end."""
 
-So does the one that makes what a file beside it asks for too, lest a worker wait for the other.
-"""
-
-TOGETHER = ("angler_mjx/learning/datasets/", "experiments/learned_planner/")
-"""Folders whose files share what is made or compiled once in a process: one worker takes them."""
+TOGETHER = ("angler_mjx/runs/", "angler_mjx/sim/engines/", "angler_mjx/studies/benchmark/")
+"""Folders that one worker takes with all that is in them: they share scenarios and flights."""
 
 deviation = deviations.deviation
 block_form = cuda_on_cpu.block_form
@@ -53,16 +49,21 @@ def pytest_configure(config):
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config, log):
-    """File by file, as ``--dist loadfile``, but for the folders that stay together."""
+    """Folder by folder in place of ``--dist loadfile``.
+
+    The files of a folder use the same fixtures and programs: of two workers that take them, each
+    compiles and flies everything.
+    """
     if config.getoption("dist") != "loadfile":
         return None
     from xdist.scheduler import LoadFileScheduling
 
-    class ByWhatIsShared(LoadFileScheduling):
+    class ByFolder(LoadFileScheduling):
         def _split_scope(self, nodeid):
-            return next((one for one in TOGETHER if one in nodeid), super()._split_scope(nodeid))
+            folder = nodeid.partition("::")[0].rpartition("/")[0] + "/"
+            return next((name for name in TOGETHER if name in folder), folder)
 
-    return ByWhatIsShared(config, log)
+    return ByFolder(config, log)
 
 
 def pytest_collection_modifyitems(config, items):

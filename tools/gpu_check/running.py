@@ -23,7 +23,7 @@ REFERENCE_FLAGS = (
     "--xla_backend_extra_options=xla_cpu_disable_new_fusion_emitters "
     "--xla_backend_optimization_level=1"
 )
-"""XLA flags of the CPU's programs, as in `make test`: they compile in a third of the time."""
+"""XLA flags of the CPU's programs: they compile in a third of the time."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -137,15 +137,19 @@ class ProgramSetup:
         )
 
     def _traced_table(self) -> JsonTable:
-        """Return the tables that are traced into the programs, but that of the planner."""
-        table = static_table(self.scenario, dict.fromkeys({*UNTRACED_KEYS, "planner"}, True))
+        """Return the tables that are traced into the programs, but that of the planner.
+
+        A name that was chosen by "auto" gives the program of the same name in the file.
+        """
+        excluded: dict[str, bool | set[str]] = dict.fromkeys({*UNTRACED_KEYS, "planner"}, True)
+        table = static_table(self.scenario, {**excluded, "execution": {"requested"}})
         return {**table, "vehicles": [*self.scenario.fleet_tables()]}
 
     def _traced_planner(self) -> JsonTable:
         """Return the keys of the planner that programs depend on."""
         is_outside = self.planner is None and not self.scenario.planner.replan_hz
         return self.scenario.planner.model_dump(
-            mode="json", exclude=UNTRACED_PLANNER_KEYS if is_outside else None
+            mode="json", exclude=UNTRACED_PLANNER_KEYS if is_outside else {"requested"}
         )
 
 

@@ -16,7 +16,7 @@ from angler_mjx.testing.validation.terms import StudyTerm
 
 TEST_XLA_FLAGS = (
     "--xla_backend_extra_options=xla_cpu_disable_new_fusion_emitters "
-    "--xla_backend_optimization_level=1"
+    "--xla_backend_optimization_level=0"
 )
 """XLA flags of ``make test``: most of the tests' time is XLA's."""
 

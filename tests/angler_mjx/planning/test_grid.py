@@ -451,4 +451,4 @@ def test_starts_and_goals_off_the_centres_are_met_exactly():
 def test_too_high_a_grid_is_refused():
     world = make_world(np.zeros((2, 2, 33), bool), [[0, 0, 0]], [[1, 1, 32]])
     with pytest.raises(UnsupportedError, match="33"):
-        plan_world(world, jnp.asarray(RADIUS[:1]), jnp.asarray(SPEED[:1]), CONFIG)
+        jax.eval_shape(partial(plan_world, config=CONFIG), world, RADIUS[:1], SPEED[:1])

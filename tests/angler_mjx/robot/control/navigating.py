@@ -12,7 +12,7 @@ from angler_mjx.robot.sensing import config as sensing_config
 from angler_mjx.robot.sensing import instruments, params, suite
 from angler_mjx.robot.sensing.readings import Truth
 
-from ...compiling import quickly
+from ...compiling import quickly, thoroughly
 
 DT = 0.05
 GRAVITY = 9.81
@@ -109,7 +109,7 @@ def times(dtype, seconds):
 
 many = jax.vmap(follow, (None, None, 0))
 """Many runs of the same motion: leaves [run, second, ...]."""
-fleet = jax.jit(many)
+fleet = thoroughly(many)
 """The same for hundreds of runs, which take a quarter of the time so ..."""
 alone = quickly(many)
 """... and for one, of which most is compiling."""

@@ -104,12 +104,18 @@ def write(folder, law, engine="fused", gains=""):
     return file
 
 
+@pytest.fixture(scope="module")
+def worlds(folder):
+    """The same for all laws and engines: compiled once."""
+    return Simulator(load_scenario(write(folder, "velocity"))).worlds()
+
+
 @pytest.mark.parametrize("engine", ["fused", "mjx"])
-def test_a_law_that_copies_one_flies_as_it(folder, engine):
+def test_a_law_that_copies_one_flies_as_it(folder, worlds, engine):
     flown = []
     for law in ("velocity", "laws/mine.py:Copied"):
         simulator = Simulator(load_scenario(write(folder, law, engine)))
-        state, sample = simulator.segment(worlds := simulator.worlds(), simulator.reset(worlds))
+        state, sample = simulator.segment(worlds, simulator.reset(worlds))
         assert np.linalg.norm(state.vehicles.nu) > 0.05
         flown.append((state.vehicles, sample.pwm_us))
     jax.tree.map(np.testing.assert_array_equal, *flown)
@@ -156,14 +162,14 @@ def test_an_operation_that_the_fused_engine_has_no_rule_for_is_named(folder, law
     jax.eval_shape(lambda worlds: other.step(worlds, other.reset(worlds)), worlds)
 
 
-def test_the_law_of_contributing_flies(folder):
+def test_the_law_of_contributing_flies(folder, worlds):
     text = (Path(__file__).parents[4] / "CONTRIBUTING.md").read_text()
     code = text.partition("## Add a control law")[2].partition("```python\n")[2]
     (folder / "laws" / "damped.py").write_text(code.partition("```")[0])
     gains = "gains = { Damped = { slope_ns_per_m = 60.0 } }\n"
     assert gains in text
     simulator = Simulator(load_scenario(write(folder, "laws/damped.py:Damped", gains=gains)))
-    state, _ = simulator.step(worlds := simulator.worlds(), simulator.reset(worlds))
+    state, _ = simulator.step(worlds, simulator.reset(worlds))
     assert np.all(np.isfinite(state.carry.stages[2]))
     assert simulator.spec.gains[2].slope_ns_per_m == 60.0
 

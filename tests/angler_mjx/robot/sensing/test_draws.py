@@ -16,6 +16,7 @@ from angler_mjx.robot.sensing.config import SensorsConfig
 from angler_mjx.robot.sensing.readings import Truth
 from angler_mjx.sim.sensing import FILTER_STEP
 
+from ...compiling import thoroughly
 from ...independence import assert_uncorrelated
 
 DT, G = 0.05, 9.81
@@ -78,7 +79,7 @@ def numbers(reading, truth):
     )
 
 
-@jax.jit
+@thoroughly
 def _watch(sensors, keys):
     """Readings [robot, step, 18] at rest."""
     truth = at_rest()

@@ -14,7 +14,7 @@ from angler_mjx.robot.sensing import instruments, params, suite
 from angler_mjx.robot.sensing.config import SensorsConfig
 from angler_mjx.robot.sensing.readings import Truth
 
-from ...compiling import quickly
+from ...compiling import quickly, thoroughly
 
 DT = 0.05
 N = 200
@@ -58,7 +58,7 @@ def one_robot(sensors, truths, key):
 
 
 watch = quickly(one_robot)
-watch_many = jax.jit(jax.vmap(one_robot, (None, None, 0)))
+watch_many = thoroughly(jax.vmap(one_robot, (None, None, 0)))
 
 
 def wander(n=N, seed=0):

@@ -62,6 +62,16 @@ def test_a_scenario_of_another_name_and_seed_uses_the_programs_and_gives_its_own
         )
 
 
+def test_a_planner_and_an_order_that_auto_chose_share_the_programs_of_their_names(small):
+    assert small.planner.by_auto
+    assert small.execution.by_auto
+    edits = {"planner.name": small.planner.name, "execution.order": small.execution.order}
+    named = _edited(small, edits)
+    assert not named.planner.by_auto
+    assert not named.execution.by_auto
+    assert _programs(named) is _programs(small)
+
+
 def _flown(simulator):
     worlds = simulator.worlds(0)
     return jax.device_get((worlds, simulator.segment(worlds, simulator.reset(worlds))))
