@@ -30,7 +30,7 @@ demo: $(STAMP)  ## 256 fleets across generated reefs, into runs/demo (or demo-2,
 	while [ -e "runs/$$name" ] || [ -e "runs/.$$name.partial" ]; do \
 	  n=$$((n + 1)); name=demo-$$n; \
 	done; \
-	$(BIN)/angler rollout reef_fleet --out "runs/$$name"
+	$(BIN)/angler rollout reef_fleet --engine fused --out "runs/$$name"
 
 # Much of the tests' time is XLA's. Its older emitters take two thirds of it, and no optimisation by
 # LLVM three fifths of that (5.9 s instead of 9.9 for a small scenario, whose flights then take 12 ms

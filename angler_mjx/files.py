@@ -14,7 +14,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, TypeAliasType, get_args
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    ValidationError,
+    ValidationInfo,
+    model_validator,
+)
 from pydantic_core import ErrorDetails
 
 from angler_mjx.errors import ConfigError, escape_control_characters, format_value
@@ -58,9 +64,11 @@ class FileModel(BaseModel):
     Attributes:
         renamed_keys: old keys and the fields' new names, accepted until 1.0 with a
             `RenamedKeyWarning`; without a warning from JSON, which programs write.
+        renamed_values: for fields by name, old values and the new ones, accepted likewise.
     """
 
     renamed_keys: ClassVar[Mapping[str, str]] = {}
+    renamed_values: ClassVar[Mapping[str, Mapping[str, str]]] = {}
 
     model_config = ConfigDict(
         frozen=True,
@@ -131,15 +139,21 @@ def _rename_keys(
         name = model.renamed_keys[key]
         if name in table:
             raise ValueError(f"{key} is {name} since 0.2; give {name} alone")
-        if not source.endswith(".json"):
-            where = f"{format_path(source)}: " if source else ""
-            warnings.warn(
-                f"{where}key {key} is {name} since 0.2; the old name is read until 1.0",
-                RenamedKeyWarning,
-                stacklevel=3,
-            )
+        _warn_of_name(source, f"key {key} is {name} since 0.2")
         table = {name if entry == key else entry: value for entry, value in table.items()}
+    for key, names in model.renamed_values.items():
+        value = table.get(key)
+        if isinstance(value, str) and value in names:
+            _warn_of_name(source, f'{key} = "{value}" is "{names[value]}" since 0.3')
+            table = {**table, key: names[value]}
     return table
+
+
+def _warn_of_name(source: str, text: str) -> None:
+    """Warn of an old name in a file, unless it is JSON, which programs write."""
+    if not source.endswith(".json"):
+        where = f"{format_path(source)}: " if source else ""
+        warnings.warn(f"{where}{text}; the old name is read until 1.0", RenamedKeyWarning, 4)
 
 
 def dump_for_digest(model: FileModel) -> JsonTable:

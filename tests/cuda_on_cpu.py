@@ -1,6 +1,6 @@
 """Emitted CUDA C as functions of this machine: the same C, compiled by its compiler.
 
-Threads of a block are threads here, which wait for each other at barriers. Calls of block kernels
+Threads of a block are threads here, which wait for each other at barriers. Calls of kernels
 within JAX programs run that way on the CPU, with results that hold junk before.
 """
 
@@ -20,7 +20,6 @@ from jax.interpreters import mlir
 
 from angler_kernels.cuda import kernel_call, nvrtc
 from angler_kernels.cuda.emission import INSTRUCTIONS
-from angler_kernels.programs import compiled_by
 
 HOST = """\
 #include <cmath>
@@ -96,7 +95,7 @@ def compile_here(source):
     lines = head.split("(\n", 1)[1].split(",\n")
     types = [line.strip().removeprefix("const ").split("*")[0].strip() for line in lines]
     arguments = ", ".join(f"({kind}*)arrays[{k}]" for k, kind in enumerate(types))
-    is_block = "__launch_bounds__" in source
+    is_block = "#define PROBLEM_OF_" in source
     launch = (OF_BLOCKS if is_block else OF_LANES).format(arguments=arguments)
     more = ("-std=c++20", "-pthread") if is_block else ()
     return _compile((compiler, *OPTIONS, *more), source.replace(INSTRUCTIONS, HOST) + launch)
@@ -127,9 +126,24 @@ def run_blocks(launch, *arrays):
     filled = [np.empty((*launch.batch, *x.shape), x.dtype) for x in launch.filled]
     for x in filled:
         x.view(np.uint8)[...] = 0xA5
-    library = compile_here(launch.source)
+    library = compile_here(launch.source.text)
     library.launch(blocks, launch.threads, addresses([*read, *filled]))
     return filled
+
+
+def run_lanes(launch, *arrays):
+    """Return the arrays that a launch of independent lanes changes."""
+    read = [np.ascontiguousarray(x) for x in arrays[: launch.constants]]
+    changed = [np.array(x) for x in arrays[launch.constants :]]
+    library = compile_here(launch.source.text)
+    library.launch(*launch.grid, launch.block, addresses([*read, *changed, *changed]))
+    return changed
+
+
+def _call_lanes_here(*arrays, launch):
+    changed = arrays[launch.constants :]
+    shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in changed]
+    return jax.pure_callback(partial(run_lanes, launch), shapes, *arrays)
 
 
 def _call_here(*arrays, launch):
@@ -137,9 +151,11 @@ def _call_here(*arrays, launch):
     return jax.pure_callback(partial(run_blocks, launch), shapes, *arrays)
 
 
-mlir.register_lowering(
-    kernel_call._call_block_p, mlir.lower_fun(_call_here, multiple_results=True), platform="cpu"
-)
+for _primitive, _call in (
+    (kernel_call._call_block_p, _call_here),
+    (kernel_call._call_p, _call_lanes_here),
+):
+    mlir.register_lowering(_primitive, mlir.lower_fun(_call, multiple_results=True), platform="cpu")
 
 
 @pytest.fixture
@@ -148,7 +164,7 @@ def compiled_sources(monkeypatch):
     seen = []
 
     def begin(source, architecture, folder):
-        seen.append(source)
+        seen.append(source.text)
         done = nvrtc.Future()
         done.set_result(f"// PTX {len(seen)}")
         return done
@@ -162,21 +178,19 @@ def compiled_sources(monkeypatch):
 class BlockForm:
     """Form in which a block kernel runs here."""
 
-    compiler: str
     interpret: bool
 
     def __call__(self, function, **options):
-        """Return a function with ``interpret`` and options, for this form's compiler."""
-        return compiled_by(self.compiler, partial(function, interpret=self.interpret, **options))
+        """Return a function with ``interpret`` and options."""
+        return partial(function, interpret=self.interpret, **options)
 
 
-@pytest.fixture(params=["triton, interpreted", "cuda, interpreted", "cuda, as C"])
+@pytest.fixture(params=["interpreted", "as C"])
 def block_form(request):
-    """Forms of a block kernel: the two of its Python, and emitted C."""
-    compiler, _, how = request.param.partition(", ")
-    if how == "as C":
+    """Forms of a block kernel: its Python, and emitted C."""
+    if request.param == "as C":
         request.getfixturevalue("compiled_sources")
-    return BlockForm(compiler, how == "interpreted")
+    return BlockForm(request.param == "interpreted")
 
 
 def needs_nvrtc():

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from angler_mjx.cli.shared.device import Device, choose_device
+from angler_mjx.cli.shared.device import Device, Kernels, choose_device
 from angler_mjx.errors import ConfigError, RunError
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ def bench(
     worlds: tuple[int, ...] = (),
     robots: tuple[int, ...] = (),
     engine: Literal["mjx", "fused"] | None = None,
-    kernels: Literal["xla", "triton", "cuda"] | None = None,
+    kernels: Kernels | None = None,
     controller: tuple[str, ...] = (),
     profile: Literal["quick", "full", "paper"] = "quick",
     repeats: int = 10,
@@ -41,13 +41,14 @@ def bench(
         workload: dynamics, closed_loop_8, reef_fleet, mjx, recording, preparation, env_generation,
             clearance, compile, or scenarios by name or path, one or several; the profile's if left
             out.
-        scenario: Scenarios of --workload compile, by name or path; all shipped ones if left out.
+        scenario: Scenarios of --workload compile, by name or path; if left out, all shipped ones,
+            or with --profile full and paper some teams and numbers of worlds.
         worlds: Worlds in one device call; one row for each number, as in --worlds 64 1024; the
             profile's if left out, for compile the worlds of a run of the scenario.
         robots: Robots in each world, as in --robots 1 4 16; the workload's own if left out, and
             always one in dynamics.
         engine: Engine of the simulations; the workload's own if left out.
-        kernels: Compiler of the fused engine.
+        kernels: Compiler of the fused engine. triton means cuda, until 1.0.
         controller: Controllers of the simulations by name, one row for each, as in --controller
             cascade tracking; the scenario's own if left out.
         profile: Default workloads and sizes: quick takes minutes on a laptop, full and paper need a
@@ -80,7 +81,7 @@ def bench(
             worlds=worlds,
             robots=robots,
             engine=engine,
-            kernels=kernels,
+            kernels="cuda" if kernels == "triton" else kernels,
             controllers=controller,
             repeats=repeats,
             devices=devices,

@@ -8,7 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from angler_mjx.cli.shared.device import Device, choose_device, join_processes, keep_all_programs
+from angler_mjx.cli.shared.device import (
+    Device,
+    Kernels,
+    choose_device,
+    join_processes,
+    keep_all_programs,
+)
 from angler_mjx.errors import ConfigError, UnsupportedError
 
 if TYPE_CHECKING:
@@ -21,7 +27,7 @@ def rollout(
     seed: int | None = None,
     out: Path | None = None,
     engine: Literal["mjx", "fused"] | None = None,
-    kernels: Literal["xla", "triton", "cuda"] | None = None,
+    kernels: Kernels | None = None,
     device: Device | None = None,
     devices: int | None = None,
     tile: int | None = None,
@@ -50,7 +56,8 @@ def rollout(
         seed: Seed of the run; the scenario's if left out.
         out: Run folder to make; runs/NAME if left out.
         engine: Physics engine; the scenario's if left out. fused is faster, for rigid vehicles.
-        kernels: Compiler of the fused engine; if left out, triton on a GPU, else xla.
+        kernels: Compiler of the fused engine; if left out, cuda on a GPU, else xla. triton
+            means cuda, until 1.0.
         device: Device to compute on; JAX's choice if left out.
         devices: Number of devices to spread the worlds over; all available if left out. Changes no
             byte of the results.

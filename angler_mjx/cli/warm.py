@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from angler_mjx.cli.shared.device import Device, choose_device, keep_all_programs
+from angler_mjx.cli.shared.device import Device, Kernels, choose_device, keep_all_programs
 
 if TYPE_CHECKING:
     from angler_mjx.scenario.scenario import Scenario
@@ -14,7 +14,7 @@ def warm(
     scenarios: Annotated[tuple[str, ...], tyro.conf.Positional] = (),
     worlds: int | None = None,
     engine: Literal["mjx", "fused"] | None = None,
-    kernels: Literal["xla", "triton", "cuda"] | None = None,
+    kernels: Kernels | None = None,
     device: Device | None = None,
     devices: int | None = None,
     tile: int | None = None,
@@ -30,7 +30,8 @@ def warm(
             if left out.
         worlds: Number of worlds; the scenario's if left out. Used where the tile is left out.
         engine: Physics engine; the scenario's if left out.
-        kernels: Compiler of the fused engine; if left out, triton on a GPU, else xla.
+        kernels: Compiler of the fused engine; if left out, cuda on a GPU, else xla. triton
+            means cuda, until 1.0.
         device: Device to compute on; JAX's choice if left out.
         devices: Number of devices to spread the worlds over; all available if left out.
         tile: Worlds in one device call.

@@ -4,7 +4,7 @@ import hashlib
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Literal, Self
+from typing import ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -61,9 +61,14 @@ from angler_mjx.world.config import WorldConfig, resolve_world
 from angler_mjx.world.currents import CurrentConfig, GridConfig
 from angler_mjx.world.tasks.spec import TaskSpec
 
+type Kernels = Literal["xla", "cuda"]
+"""Compiler of an engine."""
+
 
 class Scenario(FileModel):
     """A whole scenario file."""
+
+    renamed_values: ClassVar[Mapping[str, Mapping[str, str]]] = {"kernels": {"triton": "cuda"}}
 
     schema_version: SchemaVersion = 1
     """Version of the file format."""
@@ -74,10 +79,9 @@ class Scenario(FileModel):
     engine: Literal["mjx", "fused"] = "mjx"
     """Physics engine of the vehicles: MuJoCo's MJX, or the faster fused engine for rigid
     vehicles."""
-    kernels: Literal["xla", "triton", "cuda"] | None = None
-    """Compiler of the engine; if left out, triton for fused on a GPU, else xla. cuda compiles in a
-    fifth of triton's time, also kernels of planners and tasks; experimental. Part of the result's
-    bytes."""
+    kernels: Kernels | None = None
+    """Compiler of the engine; if left out, cuda for fused on a GPU, else xla. With xla, planners
+    and tasks have no kernels either. Part of the result's bytes."""
     worlds: int = Field(default=256, ge=1, le=10**9)
     """Number of worlds, each with the whole fleet."""
     seed: int = Field(default=0, ge=0, lt=2**31)
@@ -301,7 +305,7 @@ class Scenario(FileModel):
         text = json.dumps(problem_table, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
-    def fleet_tables(self) -> list[dict[str, object]]:
+    def fleet_tables(self) -> list[JsonTable]:
         """Return the entries of the fleet, with the current data of their vehicles' files."""
         return [_problem_table(entry) for entry in self.fleet]
 
@@ -332,7 +336,7 @@ def _current_table(current: CurrentConfig) -> JsonTable:
     return table | {"file": current.field.digest} if isinstance(current, GridConfig) else table
 
 
-def _problem_table(entry: FleetEntry) -> dict[str, object]:
+def _problem_table(entry: FleetEntry) -> JsonTable:
     """Return an entry of the fleet without flight-only keys, with its vehicle's current data."""
     table = entry.model_dump(mode="json", exclude={"estimate", "sensors", "fault_visible"})
     vehicle = library.load_vehicle(entry.vehicle)

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 
 from angler_kernels.bit_grid import shift_grid, unpack_grid
-from angler_kernels.programs import MAX_LANES, on_gpu
+from angler_kernels.programs import MAX_LANES, use_kernels
 from angler_mjx.world import groups, path_length_kernel
 
 type Move = tuple[int, ...]
@@ -63,7 +63,7 @@ def shortest_paths(passable: jax.Array, nz: int, start: jax.Array, goal: jax.Arr
     """
     nx, ny = passable.shape[:2]
     _, n, n_world = start.shape
-    if on_gpu() and path_length_kernel.lanes_needed((nx, ny, nz)) <= MAX_LANES:
+    if use_kernels() and path_length_kernel.lanes_needed((nx, ny, nz)) <= MAX_LANES:
         return in_cells(by_kernel(passable, nz, start, goal))
     n_pair = n * n_world
     size = -(-n_pair // _GROUP_DIVISOR)

@@ -122,9 +122,7 @@ class _PathLengthKernel:
             more = jax.lax.cond(
                 shortest > bound,
                 lambda: self._can_improve(distance, moves, lane, start, shortest),
-                lambda: (
-                    0 * shortest
-                ),  # Triton does not accept a constant as the result of a branch.
+                lambda: jnp.int32(0),
             )
             return shortest, more
 

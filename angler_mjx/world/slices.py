@@ -3,8 +3,6 @@
 from dataclasses import dataclass
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from angler_mjx.world import currents
@@ -54,14 +52,11 @@ def _sample_slices(environment: Environment, time_s: np.ndarray, z_m: np.ndarray
     index = np.clip(index, 0, np.array(occupied.shape) - 1)
     wet = ~occupied[index[..., 0], index[..., 1], index[..., 2]]
     wet &= point[..., 2] > float(environment.floor_z_m)
-    flow = jax.vmap(currents.velocity, (None, 0, 0))
     times = np.repeat(time_s, len(level))
-    velocity = flow(
-        environment.current, jnp.asarray(point.reshape(-1, 3), float), jnp.asarray(times, float)
-    )
+    velocity = currents.velocities_at(environment.current, point.reshape(-1, 3), times)
     return {
         "point_m": point,
-        "velocity_mps": np.asarray(velocity).reshape(point.shape),
+        "velocity_mps": velocity.reshape(point.shape),
         "wet": wet,
         "spacing_m": spacing,
     }

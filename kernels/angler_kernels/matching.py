@@ -6,7 +6,7 @@ from typing import Self
 import jax
 import jax.numpy as jnp
 
-from angler_kernels.programs import BlockProgram, on_gpu
+from angler_kernels.programs import BlockProgram, use_kernels
 
 _LANES_PER_WARP = 1024
 """Lanes for each warp, 32 for each thread: nothing is read in the loop, so only registers count."""
@@ -25,7 +25,7 @@ def match_pairs(lengths: jax.Array) -> jax.Array:
         comes first, then that of the lower column.
     """
     kernel = _ShortestMatchingKernel(MatchedPairs.of(lengths.shape, lanes_per_warp=_LANES_PER_WARP))
-    if on_gpu() and kernel.pairs.program.lanes <= MAX_LANES:
+    if use_kernels() and kernel.pairs.program.lanes <= MAX_LANES:
         return kernel.run(lengths)
     return _match_sequentially(lengths)
 

@@ -1,4 +1,4 @@
-"""GPU programs, one for each problem of a batch, compiled by Pallas's Triton or as CUDA C.
+"""GPU programs, one for each problem of a batch, as CUDA C.
 
 For searches whose number of steps depends on the problem. A program has a lane for each cell of a
 layer, or each column, of a grid; lanes exchange values through scratch memory small enough to stay
@@ -9,18 +9,12 @@ gets a program.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial, wraps
-from typing import Literal
 
 import jax
 import jax.numpy as jnp
-from jax.experimental import pallas as pl
-from jax.experimental.pallas import triton as plt
 from jax.typing import ArrayLike
 
 from angler_kernels.cuda import kernel_call
-
-type Compiler = Literal["triton", "cuda"]
-"""Compiler of kernels."""
 
 MAX_LANES = 2048
 """Maximum number of lanes, two for each thread that a program can have; more would not fit its
@@ -29,21 +23,27 @@ registers."""
 _THREADS_PER_WARP, _MAX_WARPS = 32, 32
 """Threads of a warp, and maximum number of warps that a program can have."""
 
-_compiler = jax.make_user_context("triton")
-"""Compiler of the programs that are traced; part of the keys under which JAX keeps traces."""
+_are_allowed = jax.make_user_context(True)
+"""Whether programs that are traced may call kernels; part of the keys under which JAX keeps
+traces."""
 
 
 def on_gpu() -> bool:
-    """Return whether JAX's default device can run these programs."""
+    """Return whether JAX's default device is a GPU."""
     return jax.default_backend() == "gpu"
 
 
-def compiled_by[**P, R](compiler: Compiler, function: Callable[P, R]) -> Callable[P, R]:
-    """Return a function whose programs are compiled by ``compiler``, wherever it is traced."""
+def use_kernels() -> bool:
+    """Return whether JAX's default device can run these programs, and may: `without_kernels`."""
+    return on_gpu() and _are_allowed.value
+
+
+def without_kernels[**P, R](function: Callable[P, R]) -> Callable[P, R]:
+    """Return a function that is plain JAX wherever it is traced: it needs no CUDA compiler."""
 
     @wraps(function)
     def run(*args: P.args, **kwargs: P.kwargs) -> R:
-        with _compiler(compiler):
+        with _are_allowed(False):
             return function(*args, **kwargs)
 
     if isinstance(function, partial):
@@ -58,24 +58,21 @@ class BlockProgram:
     Attributes:
         lanes: a power of two on a GPU, at least 32.
         lanes_per_warp: two for each thread where lanes wait for memory.
-        compiler: compiler of the program.
         interpret: run as ordinary JAX, on any device.
     """
 
     lanes: int
     lanes_per_warp: int = 64
-    compiler: Compiler = "triton"
     interpret: bool = False
 
     @classmethod
     def of(
         cls, min_lanes: int, *, lanes_per_warp: int = 64, interpret: bool = False
     ) -> "BlockProgram":
-        """Build a program with at least ``min_lanes`` lanes, for the compiler of `compiled_by`."""
+        """Build a program with at least ``min_lanes`` lanes."""
         return cls(
             lanes=max(32, 1 << (min_lanes - 1).bit_length()),
             lanes_per_warp=lanes_per_warp,
-            compiler=_compiler.value,
             interpret=interpret,
         )
 
@@ -91,50 +88,27 @@ class BlockProgram:
         out: Sequence[jax.ShapeDtypeStruct],
     ) -> Sequence[jax.Array]:
         """Run a kernel on references to flat arrays and to the arrays that it fills."""
-        if self.compiler == "cuda":
-            return kernel_call.call_block(
-                kernel,
-                arrays,
-                out,
-                lanes=self.lanes,
-                threads=_THREADS_PER_WARP * self.warps,
-                interpret=self.interpret,
-            )
-        filled: Sequence[jax.Array] = pl.pallas_call(
+        return kernel_call.call_block(
             kernel,
-            out_shape=list(out),
-            grid=(1,),
-            compiler_params=plt.CompilerParams(num_warps=self.warps, num_stages=1),
+            arrays,
+            out,
+            lanes=self.lanes,
+            threads=_THREADS_PER_WARP * self.warps,
             interpret=self.interpret,
-        )(*arrays)
-        return filled
+        )
 
     def load(self, ref: jax.Ref, at: jax.Array, mask: jax.Array, other: ArrayLike) -> jax.Array:
         """Read values at the lanes' indices; ``other`` where the mask is false."""
-        if self.compiler == "cuda":
-            return jnp.where(mask, ref[jnp.where(mask, at, 0)], jnp.asarray(other, ref.dtype))
-        return plt.load(ref.at[at], mask=mask, other=other)
+        return jnp.where(mask, ref[jnp.where(mask, at, 0)], jnp.asarray(other, ref.dtype))
 
     def store(self, ref: jax.Ref, at: jax.Array, value: jax.Array, mask: jax.Array) -> None:
         """Write at the lanes' indices where the mask is true."""
-        if self.compiler == "cuda":
-            # Behind the end, nothing is written.
-            ref[jnp.where(mask, at, ref.shape[0])] = value
-            return
-        if not self.interpret:
-            plt.store(ref.at[at], value, mask=mask)
-            return
-        # Interpreted, a masked lane writes the value that it found, over one written by another
-        # lane.
-        values = ref[...]
-        ref[...] = values.at[jnp.where(mask, at, values.size)].set(value, mode="drop")
+        # Behind the end, nothing is written.
+        ref[jnp.where(mask, at, ref.shape[0])] = value
 
     def barrier(self) -> None:
         """Make all writes of any lane visible to all lanes."""
-        if self.compiler == "cuda":
-            kernel_call.wait_for_lanes()
-        elif not self.interpret:
-            plt.debug_barrier()
+        kernel_call.wait_for_lanes()
 
     def when(self, condition: jax.Array, action: Callable[[], None]) -> None:
         """Run an action if a number of the whole program is true."""

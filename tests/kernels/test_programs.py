@@ -1,11 +1,11 @@
-"""The choice of a program's compiler and of its threads."""
+"""The choice of kernels, and of the threads of a program."""
 
 from functools import partial
 
 import jax
 import pytest
 
-from angler_kernels.programs import BlockProgram, compiled_by
+from angler_kernels.programs import BlockProgram, use_kernels, without_kernels
 
 
 @pytest.mark.parametrize(
@@ -19,24 +19,27 @@ def test_a_program_has_no_more_threads_than_a_block_can_have(lanes, per_warp, wa
     assert program.lanes % (32 * program.warps) == 0
 
 
-def test_what_jax_keeps_of_one_compiler_is_not_used_for_another():
+def test_traces_with_kernels_are_not_used_without(monkeypatch):
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     seen = []
 
     @jax.jit
     def inner(x):
-        seen.append(BlockProgram.of(32).compiler)
+        seen.append(use_kernels())
         return x + 1
 
-    for compiler in ("triton", "cuda", "triton", "cuda"):
-        jax.jit(compiled_by(compiler, lambda x: inner(x)))(1)
-    inner(1)
-    assert seen == ["triton", "cuda"]
+    for _ in range(2):
+        jax.jit(lambda x: inner(x))(1)
+        jax.jit(without_kernels(lambda x: inner(x)))(1)
+    assert seen == [True, False]
+    monkeypatch.setattr(jax, "default_backend", lambda: "cpu")
+    assert not use_kernels()
 
 
 def test_a_function_with_inputs_keeps_its_name():
     def named(a, b):
         return a + b
 
-    assert compiled_by("cuda", partial(named, 1)).__name__ == "named"
-    assert compiled_by("cuda", named).__name__ == "named"
-    assert compiled_by("cuda", partial(named, 1))(b=2) == 3
+    assert without_kernels(partial(named, 1)).__name__ == "named"
+    assert without_kernels(named).__name__ == "named"
+    assert without_kernels(partial(named, 1))(b=2) == 3

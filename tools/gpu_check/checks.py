@@ -6,7 +6,6 @@ from functools import partial
 
 import numpy as np
 
-from angler_kernels.programs import Compiler, compiled_by
 from angler_mjx.planning.register import built_in_device_planners
 from angler_mjx.studies.speed.workloads import WORKLOADS
 from tools.gpu_check import kernels, simulations, workloads
@@ -32,35 +31,31 @@ class GpuCheck:
     """Packages without which the check is skipped."""
 
 
-COMPILERS: dict[Compiler, str] = {"triton": "", "cuda": "-cuda"}
-"""Compilers of kernels, and the endings of their checks' kind."""
 ROUNDING_REASON = "float32 rounds differently in each of 100 steps of numbers of order 10"
 
 
 def _kernel_checks() -> list[GpuCheck]:
-    """Build checks of each kernel by Triton and as CUDA C; searches agree to the last bit."""
+    """Build checks of each kernel; searches agree to the last bit."""
     bound = ErrorBound(atol=2e-4, why=ROUNDING_REASON)
-    searches: dict[str, Run] = {
-        "angler_kernels.matching": kernels.run_matching,
-        "angler_mjx.world.tasks.pairs": kernels.run_pairs,
-        "angler_mjx.planning.path_search.search_kernel": kernels.run_reachable,
-        "angler_mjx.planning.current.search_kernel": kernels.run_costs_to_goal,
-        "angler_mjx.world.path_length_kernel": kernels.run_shortest_paths,
+    cases: dict[str, tuple[Run, dict[str, ErrorBound]]] = {
+        "angler_kernels.matching": (kernels.run_matching, {}),
+        "angler_mjx.world.tasks.pairs": (kernels.run_pairs, {}),
+        "angler_mjx.planning.path_search.search_kernel": (kernels.run_reachable, {}),
+        "angler_mjx.planning.current.search_kernel": (kernels.run_costs_to_goal, {}),
+        "angler_mjx.world.path_length_kernel": (kernels.run_shortest_paths, {}),
+        "angler_mjx.sim.engines.dynamics": (
+            kernels.run_dynamics,
+            dict.fromkeys(("p", "q", "nu"), bound),
+        ),
     }
-    dynamics = "angler_mjx.sim.engines.dynamics"
-    cases: list[tuple[str, str, Run, dict[str, ErrorBound]]] = []
-    for compiler, ending in COMPILERS.items():
-        cases += [(x, ending, compiled_by(compiler, run), {}) for x, run in searches.items()]
-        run = partial(kernels.run_dynamics, compiler)
-        cases.append((dynamics, ending, run, dict.fromkeys(("p", "q", "nu"), bound)))
     return [
         GpuCheck(
-            name=f"kernel{ending}/{module}",
+            name=f"kernel/{module}",
             run=run,
             bounds=bounds,
             covers=frozenset({f"kernel:{module}"}),
         )
-        for module, ending, run, bounds in cases
+        for module, (run, bounds) in cases.items()
     ]
 
 
@@ -81,23 +76,20 @@ def _flight_checks() -> list[GpuCheck]:
     """Build flights for every engine, device planner, policy, allocation and shipped scenario."""
     reef: dict[str, object] = {"worlds": 16, "time": RECORDING}
     brief: dict[str, object] = {"worlds": 8, "time": {**RECORDING, "horizon_s": 40.0}}
-    triton = {
+    cuda = {
         "engine:fused/xla",
-        "engine:fused/triton",
+        "engine:fused/cuda",
         "policy:none",
         "planner:grid",
-        "kernel:angler_mjx.sim.engines.triton",
+        "kernel:angler_mjx.sim.engines.cuda",
     }
     replanning: dict[str, object] = {"replan_hz": 0.5, "information": {"obstacles": "observed"}}
     planners = built_in_device_planners()
     few = {"samples": 64}
     nearest = {"task": {"allocation": "nearest"}}
     return [
-        _flight_check("reef_fleet", "reef_fleet", triton, **reef),
+        _flight_check("reef_fleet", "reef_fleet", cuda, **reef),
         _flight_check("reef_fleet-xla", "reef_fleet", {"engine:fused/xla"}, kernels="xla", **reef),
-        _flight_check(
-            "reef_fleet-cuda", "reef_fleet", {"engine:fused/cuda"}, kernels="cuda", **reef
-        ),
         _flight_check("reef_fleet-mjx", "reef_fleet", {"engine:mjx/xla"}, engine="mjx", **reef),
         # 7 of 128 worlds of priority have plans of another duration, 2 of them among the first 16:
         # a fraction of 16 could not tell that from the bound.

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from angler_kernels.programs import Compiler, on_gpu
+from angler_kernels.programs import on_gpu
 
 type Arrays = dict[str, np.ndarray]
 
@@ -91,13 +91,13 @@ def run_shortest_paths() -> Arrays:
     return {"cells": np.asarray(search(pack_grid(jnp.array(free)), start, goal))}
 
 
-def run_dynamics(compiler: Compiler) -> Arrays:
+def run_dynamics() -> Arrays:
     """Return positions, attitudes and velocities after 100 steps of free vehicles [N]."""
     from angler_mjx.sim.engines import dynamics as alone
     from angler_mjx.studies.speed.measured.free_motion import sample_states
 
     model = alone.build_dynamics("bluerov2_heavy", "wu2018")
-    start = sample_states(jax.random.key(0), alone.LANES, model.vehicle.B.shape[-1])
-    kernels = compiler if on_gpu() else "xla"
+    start = sample_states(jax.random.key(0), alone.BLOCK, model.vehicle.B.shape[-1])
+    kernels: alone.Kernels = "cuda" if on_gpu() else "xla"
     after = jax.jit(lambda s, t: model.simulate(s, t, 100, kernels=kernels))(*start)
     return {name: np.asarray(getattr(after, name)) for name in ("p", "q", "nu")}

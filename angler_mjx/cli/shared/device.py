@@ -9,6 +9,8 @@ if TYPE_CHECKING:
     from angler_mjx.runs.processes import Processes
 
 type Device = Literal["cpu", "gpu"]
+type Kernels = Literal["xla", "cuda", "triton"]
+"""Values of ``--kernels``."""
 
 
 def choose_device(device: Device | None, *, distributed: bool = False) -> None:

@@ -7,7 +7,13 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from angler_mjx.cli.shared.device import Device, choose_device, join_processes, keep_all_programs
+from angler_mjx.cli.shared.device import (
+    Device,
+    Kernels,
+    choose_device,
+    join_processes,
+    keep_all_programs,
+)
 
 if TYPE_CHECKING:
     from angler_mjx.studies.rows import SweepResults
@@ -20,7 +26,7 @@ def sweep(
     worlds: int | None = None,
     seed: int | None = None,
     engine: Literal["mjx", "fused"] | None = None,
-    kernels: Literal["xla", "triton", "cuda"] | None = None,
+    kernels: Kernels | None = None,
     tile: int | None = None,
     record_hz: float = 0.0,
     resume: bool = False,
@@ -43,7 +49,8 @@ def sweep(
         worlds: Number of worlds of each cell; the scenario's if left out.
         seed: Seed of the worlds, of all cells; the scenario's if left out.
         engine: Physics engine; the scenario's if left out. fused is faster, for rigid vehicles.
-        kernels: Compiler of the fused engine; if left out, triton on a GPU, else xla.
+        kernels: Compiler of the fused engine; if left out, cuda on a GPU, else xla. triton
+            means cuda, until 1.0.
         tile: Worlds in one device call; part of the results' bytes.
         record_hz: Rate of the stored trajectories; none are stored if left out.
         resume: Continue an interrupted sweep; all other arguments must be the same.

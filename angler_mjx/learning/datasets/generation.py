@@ -108,7 +108,8 @@ def make_dataset(
         is_complete=lambda path: (path / manifest.MANIFEST).is_file(),
     )
     flights = [
-        (part.path, part.scenario.model_copy(update={"tile": choose_tile(part)})) for part in parts
+        (part.path, part.scenario.model_copy(update={"tile": tile}))
+        for part, tile in zip(parts, choose_tiles(parts), strict=True)
     ]
     options: RunOptions = {"chunk": 1, "devices": devices, "workers": workers}
     with open_folder(declared, out, resume=resume, processes=process_group) as opened:
@@ -147,11 +148,42 @@ def _require_crossings(config: DatasetConfig, parts: Sequence[DatasetPart], sour
             )
 
 
-def choose_tile(part: DatasetPart) -> int:
-    """Return the worlds of one device call: the file's, or as many as memory may hold."""
+def choose_tiles(parts: Sequence[DatasetPart]) -> list[int]:
+    """Return the worlds of one device call of each part: the file's, or as many as memory may hold.
+
+    Parts of one team size share a tile if the engine is fused and no policy commands the robots.
+    Their programs are then of one shape, and flying the unused worlds of a tile takes less time
+    than compiling programs of another tile.
+    """
+    return [
+        part.scenario.tile or _choose_tile([other for other in parts if _share_tile(part, other)])
+        for part in parts
+    ]
+
+
+def _share_tile(part: DatasetPart, other: DatasetPart) -> bool:
+    return part is other or (part.robots == other.robots and _is_fast(part) and _is_fast(other))
+
+
+def _is_fast(part: DatasetPart) -> bool:
+    """Return whether flying a tile takes less time than compiling its programs."""
     scenario = part.scenario
-    if scenario.tile is not None:
-        return scenario.tile
+    return scenario.tile is None and scenario.engine == "fused" and not scenario.flown
+
+
+def _choose_tile(parts: Sequence[DatasetPart]) -> int:
+    """Return the tile that parts share: a power of two that holds the largest part, where it can.
+
+    The tile of a part that shares it with no other is at most the worlds of the part.
+    """
+    worlds = max(part.scenario.worlds for part in parts)
+    shared = 1 << (worlds - 1).bit_length() if len(parts) > 1 else worlds
+    return min(default_tile(shared), *(_max_tile(part) for part in parts))
+
+
+def _max_tile(part: DatasetPart) -> int:
+    """Return the worlds of which memory may hold the samples, as a power of two."""
+    scenario = part.scenario
     obstacles = resolve_world(scenario.world).obstacles
     per_world = TrajectoryShape(
         worlds=1,
@@ -163,7 +195,7 @@ def choose_tile(part: DatasetPart) -> int:
         estimated=scenario.senses,
     ).bytes_per_world()
     fits = max(1, TILE_BYTES // per_world)
-    return min(default_tile(scenario.worlds), 1 << (fits.bit_length() - 1))
+    return 1 << (fits.bit_length() - 1)
 
 
 def _finish_dataset(request: DatasetRequest, parts: Sequence[DatasetPart], root: Path) -> None:

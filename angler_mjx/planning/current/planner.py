@@ -13,7 +13,7 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
-from angler_kernels.programs import on_gpu
+from angler_kernels.programs import use_kernels
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning.current import search, search_kernel
 from angler_mjx.planning.current.map import step_costs
@@ -218,7 +218,7 @@ def _power_models(team: Team, settings: CurrentSettings) -> PowerModel:
 
 def _costs_to_goal(cost: jax.Array, goal: jax.Array) -> jax.Array:
     """Return `search.costs_to_goal`, by a program for each robot on a GPU."""
-    if on_gpu():
+    if use_kernels():
         return jax.vmap(search_kernel.costs_to_goal)(cost, goal)
     return search.costs_to_goal(cost, goal)
 

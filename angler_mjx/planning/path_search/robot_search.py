@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import jax
 import jax.numpy as jnp
 
-from angler_kernels.programs import MAX_LANES, on_gpu
+from angler_kernels.programs import MAX_LANES, use_kernels
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning.path_search import search, search_kernel
 from angler_mjx.planning.path_search.bodies import GOAL_CLEAR_S
@@ -143,7 +143,7 @@ def _search_reachable(
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Run `search.search_reachable` from a cell [3] at a layer []; on a GPU by its kernel."""
     nx, ny, _ = land.layout.shape
-    if on_gpu() and nx * ny <= MAX_LANES:
+    if use_kernels() and nx * ny <= MAX_LANES:
         return search_kernel.search_reachable(land, free, around, start, goal, may_stay)
     return search.search_reachable(
         land, free, around, _cell_bit(land, start[0]), start[1], goal, may_stay

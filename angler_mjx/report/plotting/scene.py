@@ -3,8 +3,6 @@
 from dataclasses import dataclass
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pyarrow.compute as pc
 
@@ -95,10 +93,7 @@ class ReplayScene:
 
     def current_at(self, points_m: np.ndarray, time_s: float) -> np.ndarray:
         """Return the water velocity [n, 3] at points [n, 3] and a time, m/s in W."""
-        field = jax.vmap(currents.velocity, (None, 0, None))
-        points = jnp.asarray(points_m, float)
-        time = jnp.asarray(time_s, points.dtype)
-        return np.asarray(field(self.environment.current, points, time))
+        return currents.velocities_at(self.environment.current, points_m, time_s)
 
 
 def read_scene(run: Run, world: int) -> ReplayScene:

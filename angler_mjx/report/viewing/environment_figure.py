@@ -1,7 +1,5 @@
 """Figure of one initial environment: in perspective, and from above."""
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PatchCollection
@@ -207,10 +205,7 @@ def _plot_current(axes: Axes, environment: Environment, low: np.ndarray, high: n
         return
     x, y = (np.linspace(low[i], high[i], 15)[1::2] for i in (0, 1))
     point = np.stack([*np.meshgrid(x, y), np.full((7, 7), 0.5 * (low[2] + high[2]))], axis=-1)
-    at = jax.vmap(currents.velocity, in_axes=(None, 0, None))
-    v = np.asarray(
-        at(environment.current, jnp.asarray(point.reshape(-1, 3), float), jnp.array(0.0))
-    )
+    v = currents.velocities_at(environment.current, point.reshape(-1, 3), 0.0)
     fastest = float(np.max(np.hypot(v[:, 0], v[:, 1])))
     if fastest > 0:
         arrows = axes.quiver(

@@ -6,8 +6,9 @@ sequential compilation would give. A program that is stored is neither traced no
 
 import gc
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from types import TracebackType
@@ -16,6 +17,8 @@ from typing import Any, Protocol, Self, cast
 import jax
 from jax.sharding import Sharding
 
+from angler_kernels.cuda.nvrtc import CudaCompilerError
+from angler_mjx.errors import RunError
 from angler_mjx.runs.simulator.shared_pause import SharedPause
 from angler_mjx.runs.simulator.stored_programs import (
     ProgramStore,
@@ -79,12 +82,14 @@ class CompiledFunction[R]:
         self._part: Callable[..., R] = jit()
         self._whole = whole
         self._run: Callable[..., R] = whole if store is None else self._run_first
+        self.kept: jax.stages.Compiled | None = None
+        """Executable of `keep`."""
 
     def __call__(self, *arguments: object) -> R:
         """Return the results of the function; tracers where an argument is one."""
         if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(arguments)):
             return self._part(*arguments)
-        with jax.core.eval_context():
+        with jax.core.eval_context(), _reporting_kernels():
             return self._run(*arguments)
 
     def _run_first(self, *arguments: object) -> R:
@@ -106,8 +111,13 @@ class CompiledFunction[R]:
         return run(*arguments)
 
     def lower(self, *example: object) -> jax.stages.Lowered:
-        """Return the program for arguments of these shapes, to be compiled ahead of time."""
-        return self._whole.lower(*example)
+        """Return the program for arguments of these shapes, to be compiled ahead of time.
+
+        Raises:
+            RunError: a kernel does not compile; names the kernels to use instead.
+        """
+        with _reporting_kernels():
+            return self._whole.lower(*example)
 
     def shape(self, *example: object) -> R:
         """Return shapes and types of the results; the trace is the one that `lower` uses."""
@@ -126,7 +136,18 @@ class CompiledFunction[R]:
 
     def keep(self, executable: jax.stages.Compiled) -> None:
         """Use an executable, made of `lower`, in calls with arrays from now on."""
-        self._run = executable
+        self.kept = self._run = executable
+
+
+@contextmanager
+def _reporting_kernels() -> Iterator[None]:
+    """Turn the error of a kernel that does not compile into one of users."""
+    try:
+        yield
+    except CudaCompilerError as error:
+        raise RunError(
+            f'kernels = "cuda": {error}; or use kernels = "xla", which needs no such compiler'
+        ) from error
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -183,8 +204,10 @@ class ParallelCompiler:
     def begin[R](self, function: CompiledFunction[R], *example: object) -> PendingProgram:
         """Begin to load or compile a function for arguments of these shapes.
 
-        One that is not stored is traced and lowered before this returns.
+        One that is neither kept nor stored is traced and lowered before this returns.
         """
+        if (executable := function.kept) is not None:
+            return PendingProgram(lowering_s=0.0, made=_completed((executable, 0.0)))
         stored = function.find(*example)
         if stored is not None:
             made = self._threads.submit(_load_timed, function, stored, *example)
@@ -192,6 +215,12 @@ class ParallelCompiler:
         lowered, lowering_s = _lower_timed(function, *example)
         made = self._threads.submit(_compile_timed, function, lowered, *example)
         return PendingProgram(lowering_s=lowering_s, made=made)
+
+
+def _completed[T](result: T) -> Future[T]:
+    future: Future[T] = Future()
+    future.set_result(result)
+    return future
 
 
 _COLLECTION = SharedPause(gc.isenabled, lambda on: gc.enable() if on else gc.disable())

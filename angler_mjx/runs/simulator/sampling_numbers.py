@@ -5,7 +5,7 @@ of worlds, sizes and fractions of obstacles, ranges of factors, breakdowns, dens
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 
@@ -15,6 +15,7 @@ from angler_mjx.sampling import UniformRange
 from angler_mjx.scenario.randomise_table import RandomiseConfig
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.world.config import WorldNumbers, resolve_world
+from angler_mjx.world.currents import pad_samplers
 
 WORLD_NUMBERS: dict[str, bool | set[str]] = {
     **dict.fromkeys(("fill", "clearance_m", "min_obstacles", "redraw_limit", "currents"), True),
@@ -55,6 +56,11 @@ class SamplingNumbers:
     """None where worlds have no factors."""
     breakdowns: BreakdownNumbers | None
     """None without breakdowns."""
+
+    def padded(self) -> "SamplingNumbers":
+        """Return the numbers of worlds whose currents are padded; see `currents.padding`."""
+        currents = pad_samplers(self.world.currents)
+        return replace(self, world=replace(self.world, currents=currents))
 
 
 def sampling_numbers(scenario: Scenario) -> SamplingNumbers:

@@ -25,6 +25,7 @@ from angler_mjx.robot.vehicles import library
 from angler_mjx.runs.simulator import compile_cache, host_planning, programs, scenario_policy
 from angler_mjx.runs.simulator import devices as on_devices
 from angler_mjx.runs.simulator.compilation import CompileTime
+from angler_mjx.runs.simulator.current_padding import CurrentPadding
 from angler_mjx.runs.simulator.devices import REPLICATED, SHARDED
 from angler_mjx.runs.simulator.host_planning import PlanNotes, SampledBatch
 from angler_mjx.runs.simulator.programs import Programs, SegmentResult
@@ -134,11 +135,11 @@ class Simulator:
             has_user_code=has_policy or self._traces_planner() or bool(scenario.controller.files),
         )
         self._programs = programs.shared_programs(setup)
-        self._numbers = jax.device_put(
-            sampling_numbers(scenario), NamedSharding(self._mesh, REPLICATED)
-        )
-        self.samples = self._programs.samples
-        self.steps_per_sample = self._programs.steps_per_sample
+        numbers = setup.numbers()
+        self._numbers = jax.device_put(numbers, NamedSharding(self._mesh, REPLICATED))
+        self._currents = CurrentPadding(sampling_numbers(scenario), numbers, self._mesh)
+        self.samples = self._programs.flight.samples
+        self.steps_per_sample = self._programs.flight.steps_per_sample
         self._packed: tuple[jax.Array, jax.Array | None] | None = None
 
     def _traces_planner(self) -> bool:
@@ -183,12 +184,12 @@ class Simulator:
 
         Another fleet needs another simulator.
         """
-        return self._programs.fleet
+        return self._programs.flight.fleet
 
     @property
     def spec(self) -> SimSpec:
         """Return the settings of the simulation, constants of its programs."""
-        return self._programs.spec
+        return self._programs.flight.spec
 
     @property
     def thrusters(self) -> int:
@@ -276,7 +277,7 @@ class Simulator:
             (number, np.asarray(indices, np.uint32)),
             (NamedSharding(self._mesh, REPLICATED), NamedSharding(self._mesh, SHARDED)),
         )
-        worlds: World = self._programs.prepare(self.fleet, self._numbers, *numbers)
+        worlds = self._sample(numbers)
         if self._planners is None:
             return SampledBatch(worlds=worlds)
         names = [
@@ -292,6 +293,10 @@ class Simulator:
         return SampledBatch(
             worlds=worlds, tickets=self._planners.begin({i: problems[i] for i in rows})
         )
+
+    def _sample(self, numbers: tuple[jax.Array, jax.Array]) -> World:
+        """Sample worlds by a seed and the first world of each device, on their devices."""
+        return self._currents.cut(self._programs.prepare(self.fleet, self._numbers, *numbers))
 
     def finish(self, sampled: SampledBatch) -> tuple[World, PlanNotes | None]:
         """Return the planned worlds of a sampled device batch.
@@ -330,7 +335,7 @@ class Simulator:
             (number, np.full(self.devices, index, np.uint32)),
             (NamedSharding(self._mesh, REPLICATED), NamedSharding(self._mesh, SHARDED)),
         )
-        worlds: World = self._programs.prepare(self.fleet, self._numbers, *numbers)
+        worlds = self._sample(numbers)
         build = self._programs.problem(information or self._information)
         return worlds, build(self.fleet, worlds, *numbers)
 
@@ -434,15 +439,19 @@ class Simulator:
         Raises:
             ConfigError: as `adopt`.
         """
-        equipped: FleetWorld = self._programs.add_parameters(self.fleet, self.adopt(worlds))
+        equipped: FleetWorld = self._programs.flight.add_parameters(self.fleet, self.adopt(worlds))
         return equipped
+
+    def _flight_worlds(self, worlds: World) -> World:
+        """Return adopted worlds as the programs of flights take them."""
+        return self._currents.pad(self.adopt(worlds))
 
     def _pack_cells(self, worlds: World) -> jax.Array | None:
         """Cells as the engine looks them up; those of the grid of the call before are kept."""
         occupied = worlds.environment.grid.occupied
         if self._packed is not None and self._packed[0] is occupied:
             return self._packed[1]
-        packed: jax.Array | None = self._programs.pack_cells(worlds)
+        packed: jax.Array | None = self._programs.flight.pack_cells(worlds)
         if isinstance(occupied, jax.Array) and not isinstance(occupied, jax.core.Tracer):
             self._packed = (occupied, packed)
         return packed
@@ -450,7 +459,7 @@ class Simulator:
     @property
     def engine(self) -> engines.Engine:
         """Return the engine, for programs of the user (`angler_mjx.learning`)."""
-        return self._programs.engine
+        return self._programs.flight.engine
 
     def world_shape(self) -> World:
         """Return shapes and types of one tile of worlds, without computing any."""
@@ -458,7 +467,8 @@ class Simulator:
         def of_tile(leaf: jax.ShapeDtypeStruct) -> jax.ShapeDtypeStruct:
             return jax.ShapeDtypeStruct((self.tile, *leaf.shape[1:]), leaf.dtype)
 
-        shapes: World = jax.tree.map(of_tile, self._programs.batch_shape)
+        cut = jax.eval_shape(self._currents.cut, self._programs.batch_shape)
+        shapes: World = jax.tree.map(of_tile, cut)
         return shapes
 
     def reset(self, worlds: World, *, policy: Policy | None = None) -> WorldState:
@@ -472,8 +482,8 @@ class Simulator:
             ConfigError: as `adopt`, and in `step` and `segment`; no stage of the controllers takes
                 what the policy commands, or it is made otherwise than the simulator's.
         """
-        adopted, policy_arguments = self.adopt(worlds), self._policy_arguments(policy)
-        state: WorldState = self._programs.reset(self.fleet, adopted, *policy_arguments)
+        adopted, policy_arguments = self._flight_worlds(worlds), self._policy_arguments(policy)
+        state: WorldState = self._programs.flight.reset(self.fleet, adopted, *policy_arguments)
         return state
 
     def step(
@@ -504,8 +514,8 @@ class Simulator:
         """
         if command is not None:
             self._check(command, state)
-        adopted, policy_arguments = self.adopt(worlds), self._policy_arguments(policy)
-        after, sample = self._programs.step(
+        adopted, policy_arguments = self._flight_worlds(worlds), self._policy_arguments(policy)
+        after, sample = self._programs.flight.step(
             self.fleet, adopted, state, self._pack_cells(adopted), command, *policy_arguments
         )
         return after, sample
@@ -536,14 +546,14 @@ class Simulator:
             if int(state.step[0]) % self.segment_steps == 0:
                 after, sample, _ = self.advance(worlds, state, policy=policy)
                 return after, sample
-            adopted, policy_arguments = self.adopt(worlds), self._policy_arguments(policy)
-            after, sample, _ = self._programs.segment_any_step(
+            adopted, policy_arguments = self._flight_worlds(worlds), self._policy_arguments(policy)
+            after, sample, _ = self._programs.flight.segment_any_step(
                 self.fleet, adopted, state, self._pack_cells(adopted), *policy_arguments
             )
             return after, sample
         self._check(command, state)
-        adopted = self.adopt(worlds)
-        after, sample, _ = self._programs.commanded(
+        adopted = self._flight_worlds(worlds)
+        after, sample, _ = self._programs.flight.commanded(
             self.fleet, adopted, state, self._pack_cells(adopted), command
         )
         return after, sample
@@ -556,8 +566,8 @@ class Simulator:
         The state is that of `reset` or of the segment before. The count is an array of its own: it
         can be read after the state was used up.
         """
-        adopted, policy_arguments = self.adopt(worlds), self._policy_arguments(policy)
-        after, sample, running = self._programs.segment(
+        adopted, policy_arguments = self._flight_worlds(worlds), self._policy_arguments(policy)
+        after, sample, running = self._programs.flight.segment(
             self.fleet, adopted, state, self._pack_cells(adopted), *policy_arguments
         )
         return after, sample, running

@@ -7,11 +7,10 @@ from typing import Literal, Protocol
 
 import jax
 
-from angler_kernels.programs import Compiler
 from angler_mjx.robot.control.stack import Command
+from angler_mjx.sim.engines.cuda.engine import CudaEngine
 from angler_mjx.sim.engines.lanes.engine import FusedEngine
 from angler_mjx.sim.engines.mjx import MjxEngine
-from angler_mjx.sim.engines.triton.engine import TritonEngine
 from angler_mjx.sim.fleet import Fleet
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.record import Sample
@@ -109,17 +108,9 @@ def by_name(name: str, kernels: str) -> Engine:
         return MjxEngine()
     if kernels == "xla":
         return FusedEngine()
-    return TritonEngine(compiler=kernel_compiler(kernels))
+    return CudaEngine()
 
 
-def kernel_compiler(kernels: str) -> Compiler:
-    """Return the compiler of kernels, those of planners and tasks included, on a GPU.
-
-    With ``xla``, the engine itself has none.
-    """
-    return "cuda" if kernels == "cuda" else "triton"
-
-
-def default_kernels(name: str, platform: str) -> Literal["xla", "triton"]:
-    """What an engine runs on where nothing is said: ``xla``, or ``triton`` for fused on a GPU."""
-    return "triton" if name == "fused" and platform in ("gpu", "cuda") else "xla"
+def default_kernels(name: str, platform: str) -> Literal["xla", "cuda"]:
+    """Return the compiler of an engine's kernels where nothing is said: cuda for fused on a GPU."""
+    return "cuda" if name == "fused" and platform in ("gpu", "cuda") else "xla"

@@ -17,11 +17,11 @@ from angler_kernels.lanes.planes import PlaneLayout
 from angler_mjx.errors import ConfigError
 from angler_mjx.robot.vehicles import library, params
 from angler_mjx.robot.vehicles.params import VehicleParams
+from angler_mjx.sim.engines.cuda import launch
 from angler_mjx.sim.engines.lanes import steps as lane_steps
-from angler_mjx.sim.engines.triton import launch as triton
 from angler_mjx.sim.physics.step import VehicleState, Water
 
-type Kernels = Literal["xla", "triton", "cuda"]
+type Kernels = Literal["xla", "cuda"]
 """Compiler of the equations of motion."""
 
 
@@ -43,7 +43,7 @@ class Dynamics:
             state: [N] leads.
             thrust_n: [N, n_thruster] N, what the thrusters settle at.
             n_steps: physics steps.
-            kernels: ``xla``, or the compiler of one kernel that keeps the state in registers.
+            kernels: ``xla``, or ``cuda`` for one kernel that keeps the state in registers.
 
         Returns:
             State at the end, [N] leads; derivatives are those of ``xla``.
@@ -51,8 +51,8 @@ class Dynamics:
         plain = partial(self._simulate_jax, n_steps=n_steps)
         if kernels == "xla":
             return plain(state, thrust_n)
-        run = partial(self._simulate_in_kernel, n_steps=n_steps, compiler=kernels)
-        fast = triton.with_gradient_of(plain, run)
+        run = partial(self._simulate_in_kernel, n_steps=n_steps)
+        fast = launch.with_gradient_of(plain, run)
         return fast(state, thrust_n)
 
     def _simulate_jax(self, state: VehicleState, thrust_n: jax.Array, n_steps: int) -> VehicleState:
@@ -60,26 +60,22 @@ class Dynamics:
         return lanes.join(after)
 
     def _simulate_in_kernel(
-        self,
-        state: VehicleState,
-        thrust_n: jax.Array,
-        n_steps: int,
-        compiler: Literal["triton", "cuda"],
+        self, state: VehicleState, thrust_n: jax.Array, n_steps: int
     ) -> VehicleState:
         layout, order = PlaneLayout.of(state, 1), PlaneLayout.of(thrust_n, 1)
         dtype, count = state.p.dtype, state.p.shape[0]
 
         def kernel(lane: jax.Array, _: jax.Array, order_ref: jax.Ref, state_ref: jax.Ref) -> None:
-            now = layout.read_lanes(triton.make_loader(state_ref), lane)
-            thrust = order.read_lanes(triton.make_loader(order_ref), lane)
+            now = layout.read_lanes(launch.make_loader(state_ref), lane)
+            thrust = order.read_lanes(launch.make_loader(order_ref), lane)
             after = self._run_steps(now, thrust, n_steps)
-            layout.write_lanes(triton.make_storer(state_ref, lane), lane, after)
+            layout.write_lanes(launch.make_storer(state_ref, lane), lane, after)
 
-        if count % LANES:
-            raise ConfigError(f"{count} vehicles: kernels = {compiler} takes multiples of {LANES}")
+        if count % BLOCK:
+            raise ConfigError(f"{count} vehicles: kernels = cuda takes multiples of {BLOCK}")
         constant, changed = [order.pack(thrust_n, dtype)], [layout.pack(state, dtype)]
-        program = triton.LaunchedProgram(lanes=LANES, warps=WARPS, compiler=compiler)
-        (flat,) = triton.call_kernel(kernel, program, count, 1, constant, changed)
+        shape = launch.LaunchShape(block=BLOCK)
+        (flat,) = launch.call_kernel(kernel, shape, count, 1, constant, changed)
         return layout.unpack(flat, (count,))
 
     def _run_steps(self, state: VehicleState, thrust_n: jax.Array, n_steps: int) -> VehicleState:
@@ -93,8 +89,8 @@ class Dynamics:
         return lanes.repeat(n_steps, advance, state)
 
 
-LANES, WARPS = 128, 4
-"""Vehicles and warps of a program."""
+BLOCK = 128
+"""Vehicles of a block."""
 
 
 def build_dynamics(

@@ -9,7 +9,6 @@ import jax
 import numpy as np
 from jax.stages import Compiled
 
-from angler_kernels.programs import compiled_by
 from angler_mjx.planning.answers import Answer, check_answer, failed_answer
 from angler_mjx.planning.device_planner import build_device_planner
 from angler_mjx.planning.host.pool import Pool
@@ -23,7 +22,6 @@ from angler_mjx.robot.control.plans import Plan
 from angler_mjx.runs.simulator.compilation import CompiledFunction
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.runs.simulator.world_preparation import problem_settings, replace_paths
-from angler_mjx.sim.engines.base import kernel_compiler
 from angler_mjx.studies.benchmark import path_archive as bytes_of
 from angler_mjx.studies.benchmark.columns import CLOSED, NO_ROOM, POLICY, TEXT_COLUMNS
 from angler_mjx.studies.benchmark.compared_planners import ComparedPlanner
@@ -237,8 +235,7 @@ def _plan_on_device(
                 begin = time.perf_counter()
                 settings = problem_settings(setting.scenario, setting.information)
                 planner = build_device_planner(entry.planner, settings)
-                compiler = kernel_compiler(simulator.kernels)
-                program = CompiledFunction(compiled_by(compiler, planner.plan_batch))
+                program = CompiledFunction(planner.plan_batch)
                 programs[program_key] = program.lower(problems).compile()
                 jax.block_until_ready(programs[program_key](problems))
                 extras = {"warm_up_s": time.perf_counter() - begin}

@@ -1,7 +1,7 @@
 """Floating-point operations of a function, each value counted once, loops as often as they run.
 
 XLA's own cost analysis counts the body of a loop once, however often it runs, does not see into
-Pallas kernels, and counts a value again in every fusion that computes it anew. For a simulation of
+kernels, and counts a value again in every fusion that computes it anew. For a simulation of
 many steps the first makes it far too small, and the last would make a wasteful program look near
 to its device's limit. Here the function is read as it is written (its jaxpr): what nobody uses and
 what was computed before is left out, and a scan counts as often as it runs.
@@ -30,7 +30,9 @@ _ARITHMETIC = frozenset(
 )
 _REDUCTIONS = frozenset(("reduce_sum", "reduce_prod", "reduce_max", "reduce_min"))
 _SCANS = frozenset(("cumsum", "cumprod", "cummax", "cummin"))
-_OPAQUE = frozenset(("pallas_call", "triton_call", "ffi_call", "conv_general_dilated"))
+_OPAQUE = frozenset(
+    ("cuda_kernel", "cuda_block", "pallas_call", "ffi_call", "conv_general_dilated")
+)
 
 
 @dataclass(frozen=True)

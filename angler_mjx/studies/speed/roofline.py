@@ -2,8 +2,8 @@
 
 Memory: a large array is read and written once, element by element. Arithmetic: chains of fused
 multiply-adds of float32 in registers, eight of them side by side so that none waits for itself; on
-a GPU in a Triton kernel that names the instruction, because XLA keeps multiplication and addition
-apart there. A rate cannot be above either of ``copy / bytes`` and ``fma / flops``, with the bytes
+a GPU in a kernel that names the instruction, because XLA keeps multiplication and addition apart
+there. A rate cannot be above either of ``copy / bytes`` and ``fma / flops``, with the bytes
 and operations that one step needs: the lower of the two is its roofline (Williams, Waterman and
 Patterson, 2009).
 """
@@ -18,13 +18,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from angler_kernels.cuda.kernel_call import INSTRUCTIONS
 from angler_mjx.runs.provenance import describe_environment
-from angler_mjx.sim.engines.triton import launch as triton
+from angler_mjx.sim.engines.cuda import launch
 from angler_mjx.studies.speed.rows import SpeedRow, iterate_turns, seconds_of
 
 CHAINS = 8
 """Side by side in each element."""
-_PROGRAM = triton.LaunchedProgram(lanes=256, warps=8)
+_SHAPE = launch.LaunchShape(block=256)
 _IN_A_TURN = 16
 """Links of each chain in a turn of the kernel's loop: its own instructions are few beside them."""
 
@@ -112,25 +113,26 @@ def _run_chains(n_link: int, x: jax.Array, a: jax.Array, b: jax.Array) -> jax.Ar
 
 def _run_chains_in_kernel(n_link: int, x: jax.Array, a: jax.Array, b: jax.Array) -> jax.Array:
     """The same in one kernel; in a loop, for straight code would wait for its instructions."""
+    multiply_add = INSTRUCTIONS.multiply_add
 
     def kernel(
         at: jax.Array, _: jax.Array, a: jax.Ref, b: jax.Ref, turns: jax.Ref, out: jax.Ref
     ) -> None:
-        x = triton.make_loader(out)(at)
+        x = launch.make_loader(out)(at)
         factor, term = (jnp.broadcast_to(number[0], x.shape) for number in (a, b))
 
         def turn(_: jax.Array, links: list[jax.Array]) -> list[jax.Array]:
             for _link in range(_IN_A_TURN):
-                links = [triton.multiply_add(link, factor, term) for link in links]
+                links = [multiply_add(link, factor, term) for link in links]
             return links
 
         links = [x + k for k in range(CHAINS)]
         links = jax.lax.fori_loop(0, turns[0], turn, links)
-        triton.make_storer(out, at)(at, sum(links))
+        launch.make_storer(out, at)(at, sum(links))
 
     # Read, not known: else the compiler writes the loop out.
     inputs = [a.reshape(1), b.reshape(1), jnp.array([n_link // _IN_A_TURN], jnp.int32)]
-    (after,) = triton.call_kernel(kernel, _PROGRAM, x.size, 1, inputs, [x])
+    (after,) = launch.call_kernel(kernel, _SHAPE, x.size, 1, inputs, [x])
     return after
 
 

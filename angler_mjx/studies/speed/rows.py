@@ -77,7 +77,7 @@ class SpeedRow:
     """Device memory of the program by XLA's account: arguments, results and temporaries."""
     xla_flops: float | None = None
     """Operations of the whole timed program on one device by XLA's own cost analysis, which counts
-    the body of a loop once however often it runs, and nothing inside Pallas kernels."""
+    the body of a loop once however often it runs, and nothing inside kernels."""
     xla_bytes: float | None = None
     """Bytes that its operations touch, by the same account."""
     device_peak_bytes: int | None = None

@@ -11,7 +11,7 @@ from angler_mjx.robot.control.stages import CONTROLLERS
 from angler_mjx.runs.simulator import devices
 from angler_mjx.runs.simulator.simulator import default_tile
 from angler_mjx.scenario.fleet_entry import FleetEntry
-from angler_mjx.scenario.scenario import Scenario, load_scenario, shipped_scenarios
+from angler_mjx.scenario.scenario import Kernels, Scenario, load_scenario, shipped_scenarios
 from angler_mjx.studies.speed.rows import check_repeats
 
 type Kind = Literal[
@@ -24,7 +24,6 @@ type Kind = Literal[
     "compilation",
 ]
 type Engine = Literal["mjx", "fused"]
-type Kernels = Literal["xla", "triton", "cuda"]
 type Profile = Literal["quick", "full", "paper"]
 
 
@@ -44,6 +43,11 @@ class Workload:
     """Name in the rows; ``{robots}`` stands for their number."""
     record_hz: float | None = None
     """The scenario's own where None."""
+    policy: str | None = None
+    """The scenario's own where None, as the next."""
+    planner: str | None = None
+    worlds: int | None = None
+    """In one device call where no number is asked for; None for those of the profile."""
 
 
 WORKLOADS: dict[str, Workload] = {
@@ -114,6 +118,24 @@ WORKLOADS: dict[str, Workload] = {
         label="compile",
     ),
 }
+
+
+def _compiled(label: str, source: str = "reef_fleet", **changes: Any) -> Workload:
+    """Build a setting whose programs the workload ``compile`` compiles."""
+    return replace(WORKLOADS["compile"], label=f"compile/{label}", source=source, **changes)
+
+
+COMPILED_SETTINGS = (
+    _compiled("reef_fleet_fused", engine="fused", robots=4, worlds=128),
+    _compiled("reef_fleet_mjx", engine="mjx", robots=4, worlds=128),
+    _compiled("reef_fleet_fused_many", engine="fused", robots=4, worlds=16384),
+    _compiled("reef_fleet_mjx_many", engine="mjx", robots=4, worlds=16384),
+    _compiled("million", engine="fused", robots=4, worlds=65536),
+    _compiled("team_of_12", engine="fused", robots=12, worlds=32, planner="priority"),
+    _compiled("team_of_64", engine="fused", robots=64, worlds=256, planner="priority"),
+    _compiled("mppi", "dense_dynamic", engine="fused", robots=4, worlds=512, policy="mppi"),
+)
+"""Settings of the workload ``compile`` for the profiles full and paper."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -206,9 +228,12 @@ def build_cases(request: SpeedRequest) -> list[WorkloadCase]:
         if workload.kind == "dynamics" and request.engine == "mjx":
             raise ConfigError(f"--engine mjx: workload {name} is for the fused engine alone")
         # Programs are compiled for the tile of a run, whatever worlds a profile simulates.
-        profile_worlds = () if workload.kind == "compilation" else grid.worlds
-        sizes = request.worlds or profile_worlds
-        for robots in _robot_counts(workload, request.robots or grid.robots):
+        is_compiled = workload.kind == "compilation"
+        compiled_worlds = (workload.worlds,) if workload.worlds else ()
+        sizes = request.worlds or (compiled_worlds if is_compiled else grid.worlds)
+        for robots in _robot_counts(
+            workload, request.robots or (() if is_compiled else grid.robots)
+        ):
             for controller in _select_controllers(workload, request):
                 fleet_cases += _build_fleet_cases(workload, robots, request, sizes, controller)
     return fleet_cases
@@ -226,6 +251,9 @@ def _select_workloads(request: SpeedRequest, grid: WorkloadGrid) -> list[Workloa
             selected.append(workload)
             continue
         is_compiled = True
+        if not request.scenarios and request.profile != "quick":
+            selected += COMPILED_SETTINGS
+            continue
         for name in request.scenarios or tuple(shipped_scenarios()):
             simulation = _simulation_workload(name)
             label = f"{workload.label}/{simulation.label}"
@@ -322,6 +350,10 @@ def _build_scenario(
         changes["engine"] = engine
     if request.kernels is not None and engine != "mjx":
         changes["kernels"] = request.kernels
+    if workload.policy is not None:
+        changes["policy"] = {"name": workload.policy}
+    if workload.planner is not None:
+        changes["planner"] = {"name": workload.planner}
     if controller is not None:
         changes["controller"] = {"name": controller}
     if workload.record_hz is not None:
@@ -341,7 +373,7 @@ def _load_resized(name: str | Path, robots: int, changes: dict[str, Any]) -> Sce
     # Teams of all sizes are measured with one planner, or rates would compare two.
     planner = {"name": scenario.planner.name}
     fleet = _scale_fleet(scenario.fleet, robots)
-    return load_scenario(name, **changes, fleet=fleet, planner=planner)
+    return load_scenario(name, **{**changes, "fleet": fleet, "planner": planner})
 
 
 def _scale_fleet(entries: tuple[FleetEntry, ...], robots: int) -> list[dict[str, Any]]:

@@ -28,9 +28,16 @@ from angler_mjx.world.currents.fields import (
     Vortices,
     evaluate_current,
     scale_current,
+    velocities_at,
     velocity,
 )
 from angler_mjx.world.currents.gridded import GridConfig, Gridded, bind_fields, list_fields
+from angler_mjx.world.currents.padding import (
+    component_sizes,
+    cut_current,
+    pad_current,
+    pad_samplers,
+)
 from angler_mjx.world.currents.sea import DepthProfileConfig, TideConfig
 from angler_mjx.world.currents.tables import GaussMarkovConfig, UniformConfig, VorticesConfig
 
@@ -58,10 +65,15 @@ __all__ = [
     "VorticesConfig",
     "bind_fields",
     "build_samplers",
+    "component_sizes",
+    "cut_current",
     "evaluate_current",
     "list_fields",
+    "pad_current",
+    "pad_samplers",
     "sample_current",
     "scale_current",
+    "velocities_at",
     "velocity",
 ]
 

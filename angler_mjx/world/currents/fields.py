@@ -9,6 +9,7 @@ from typing import Protocol, Self
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from angler_kernels import current_field
 from angler_kernels.current_field import (
@@ -230,6 +231,24 @@ def evaluate_current(current: Current, p: jax.Array, t: jax.Array) -> tuple[jax.
 def velocity(current: Current, p: jax.Array, t: jax.Array) -> jax.Array:
     """Return the velocity [3] of the water at a point, m/s, W (see `evaluate_current`)."""
     return evaluate_current(current, p, t)[0]
+
+
+def velocities_at(current: Current, points_m: np.ndarray, time_s: np.ndarray | float) -> np.ndarray:
+    """Return velocities of the water [n, 3], m/s in W, on the host.
+
+    Args:
+        current: current of one world.
+        points_m: [n, 3] points, W.
+        time_s: [n] times, or one for all.
+    """
+    p = jnp.asarray(points_m, float)
+    t = jnp.asarray(np.broadcast_to(time_s, len(points_m)), p.dtype)
+    return np.asarray(_evaluate_velocities(current, p, t))
+
+
+@jax.jit  # one program instead of fifty
+def _evaluate_velocities(current: Current, p: jax.Array, t: jax.Array) -> jax.Array:
+    return jax.vmap(velocity, (None, 0, 0))(current, p, t)
 
 
 def scale_current(current: Current, factor: jax.Array) -> Current:

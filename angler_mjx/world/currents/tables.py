@@ -10,11 +10,12 @@ from typing import Annotated, ClassVar, Literal, Self
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from pydantic import Field, model_validator
 
 from angler_kernels.current_field import lamb_oseen_circulation
 from angler_mjx.files import FileModel
-from angler_mjx.host_arrays import as_numbers
+from angler_mjx.host_arrays import as_leaf, as_numbers
 from angler_mjx.quantities import Speed
 from angler_mjx.sampling import UniformRange, fold_keys, uniform_rows
 from angler_mjx.world.currents.fields import GaussMarkov, Uniform, Vortices
@@ -54,8 +55,10 @@ class UniformConfig(FileModel):
 class GaussMarkovSampler:
     """Numbers of a `GaussMarkovConfig`; see `CurrentSampler`."""
 
-    n_knot: int = field(metadata={"static": True})
-    """Number of knots, from t = 0 to past the horizon."""
+    capacity: int = field(metadata={"static": True})
+    """Knots in the array."""
+    count: jax.Array
+    """int32 [] sampled knots, from t = 0 to past the horizon; the others repeat the last one."""
     knot_dt_s: jax.Array
     """[]."""
     std_mps: jax.Array
@@ -71,7 +74,7 @@ class GaussMarkovSampler:
 
     def sample(self, key: jax.Array, lo: jax.Array, hi: jax.Array) -> GaussMarkov:
         """Sample the knots."""
-        noise = self.std_mps * jax.random.normal(key, (self.n_knot, 3), lo.dtype)
+        noise = self.std_mps * jax.random.normal(key, (self.capacity, 3), lo.dtype)
 
         def advance(v: jax.Array, xi: jax.Array) -> tuple[jax.Array, jax.Array]:
             v = self.memory * v + self.innovation * xi
@@ -81,6 +84,8 @@ class GaussMarkovSampler:
         knots = self.mean_mps + jnp.concatenate([noise[:1], later])
         speed = jnp.sqrt(jnp.sum(knots * knots, axis=1, keepdims=True))
         knots = knots * (self.max_speed_mps / jnp.maximum(speed, self.max_speed_mps))
+        is_sampled = jnp.arange(self.capacity)[:, None] < self.count
+        knots = jnp.where(is_sampled, knots, knots[self.count - 1])
         return GaussMarkov(knots_mps=knots, knot_dt_s=jnp.asarray(self.knot_dt_s, lo.dtype))
 
 
@@ -120,8 +125,10 @@ class GaussMarkovConfig(FileModel):
         """Return the sampler of knots from t = 0 to past ``horizon_s``."""
         std = self.max_speed_mps / 2.5 if self.std_mps is None else self.std_mps
         rho = math.exp(-self.knot_dt_s / self.time_constant_s)
+        n_knot = max(2, math.ceil(horizon_s / self.knot_dt_s) + 1)
         return GaussMarkovSampler(
-            n_knot=max(2, math.ceil(horizon_s / self.knot_dt_s) + 1),
+            capacity=n_knot,
+            count=as_leaf(np.int32(n_knot)),
             knot_dt_s=as_numbers(self.knot_dt_s),
             std_mps=as_numbers([std, std, std * self.vertical_fraction]),
             mean_mps=as_numbers(self.mean_mps),
@@ -136,21 +143,26 @@ class GaussMarkovConfig(FileModel):
 class VorticesSampler:
     """Numbers of a `VorticesConfig`; see `CurrentSampler`."""
 
-    count: int = field(metadata={"static": True})
+    capacity: int = field(metadata={"static": True})
+    """Vortices in the arrays."""
+    count: jax.Array
+    """int32 [] sampled vortices; the others are as `padding.pad_current` makes them."""
     peak_speed_mps: UniformRange
     core_radius_m: UniformRange
 
     def sample(self, key: jax.Array, lo: jax.Array, hi: jax.Array) -> Vortices:
         """Sample positions uniformly in the region seen from above."""
-        n = self.count
+        n = self.capacity
         where, speed_u, radius_u, direction_u = uniform_rows(fold_keys(key, 4), 2 * n, lo.dtype)
         peak = self.peak_speed_mps.scale(speed_u[:n])
         core = self.core_radius_m.scale(radius_u[:n])
         sign = jnp.where(direction_u[:n] < 0.5, 1.0, -1.0)
+        centre = lo[:2] + where.reshape(n, 2) * (hi[:2] - lo[:2])
+        is_sampled = jnp.arange(n) < self.count
         return Vortices(
-            centre_m=lo[:2] + where.reshape(n, 2) * (hi[:2] - lo[:2]),
-            circulation_m2ps=sign * lamb_oseen_circulation(peak, core),
-            core_m=core,
+            centre_m=jnp.where(is_sampled[:, None], centre, 0.0),
+            circulation_m2ps=jnp.where(is_sampled, sign * lamb_oseen_circulation(peak, core), 0.0),
+            core_m=jnp.where(is_sampled, core, 1.0),
         )
 
 
@@ -176,7 +188,8 @@ class VorticesConfig(FileModel):
     def sampler(self, horizon_s: float) -> VorticesSampler:
         """Return the sampler of a run."""
         return VorticesSampler(
-            count=self.count,
+            capacity=self.count,
+            count=as_leaf(np.int32(self.count)),
             peak_speed_mps=UniformRange.between(*self.peak_speed_mps),
             core_radius_m=UniformRange.between(*self.core_radius_m),
         )

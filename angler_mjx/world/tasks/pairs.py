@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from angler_kernels.matching import MAX_LANES, MatchedPairs, match_pairs
-from angler_kernels.programs import on_gpu
+from angler_kernels.programs import use_kernels
 from angler_mjx.world import routes
 from angler_mjx.world.routes import Routes
 from angler_mjx.world.tasks import travel
@@ -36,7 +36,7 @@ def shortest_first(travel: Travel, p: jax.Array, able: jax.Array, open_: jax.Arr
     """
     shape = able.shape[0], open_.shape[0]
     pairs = MatchedPairs.of(shape, lanes_per_warp=_LANES_A_WARP)
-    if on_gpu() and travel.routes is not None and pairs.program.lanes <= MAX_LANES:
+    if use_kernels() and travel.routes is not None and pairs.program.lanes <= MAX_LANES:
         return _MatchingKernel(pairs, travel.routes.words.shape).run(travel.routes, p, able, open_)
     length = travel.path_lengths_m(p, jnp.arange(shape[1], dtype=jnp.int32))
     return match_pairs(jnp.where(open_ & able[:, None], length, jnp.inf))

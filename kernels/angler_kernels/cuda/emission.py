@@ -162,6 +162,7 @@ def emit_kernel(
     arrays: Sequence[KernelArray],
     *,
     lanes: int,
+    threads: int,
 ) -> KernelCode:
     """Return CUDA C of a kernel of independent lanes, whose grid has rows along y.
 
@@ -173,6 +174,7 @@ def emit_kernel(
         closed: jaxpr of the lanes' numbers [lanes], the row [], and ``arrays``.
         arrays: those of the kernel, written ones last.
         lanes: of the traced kernel.
+        threads: of a block.
 
     Raises:
         UnsupportedOperationError: the kernel has an operation for which there is no rule.
@@ -185,7 +187,7 @@ def emit_kernel(
     pointers = [_pointer(x) for x in arrays if not x.is_written]
     pointers += [f"const {TYPES[x.dtype]}* {x.name}_operand" for x in written]
     pointers += [_pointer(x) for x in written]
-    return emitter.finish(f"void {name}", pointers)
+    return emitter.finish(name, threads, pointers)
 
 
 def emit_block(
@@ -221,8 +223,7 @@ def emit_block(
     for array in arrays:
         emitter.emit(f"{array.name} += (long long)(PROBLEM_OF_{array.name}) * {array.size};")
     emitter.run(closed, [*((x.name,) for x in arrays), (BARRIER,)])
-    head = f"__launch_bounds__({threads}) void {name}"
-    return emitter.finish(head, [_pointer(x) for x in arrays])
+    return emitter.finish(name, threads, [_pointer(x) for x in arrays])
 
 
 def _pointer(array: KernelArray) -> str:
@@ -241,9 +242,10 @@ class _Emitter:
     _n_names: int = 0
     _depth: int = 1
 
-    def finish(self, head: str, pointers: Sequence[str]) -> KernelCode:
-        """Return the source, of the statements so far."""
-        head = f'extern "C" __global__ {head}(\n    ' + ",\n    ".join(pointers) + ") {"
+    def finish(self, name: str, threads: int, pointers: Sequence[str]) -> KernelCode:
+        """Return the source of a function of the statements so far, for blocks of ``threads``."""
+        head = f'extern "C" __global__ __launch_bounds__({threads}) void {name}(\n    '
+        head += ",\n    ".join(pointers) + ") {"
         text = "\n".join([PRELUDE + head, *self.lines, "}", ""])
         return KernelCode(text=text, operations=self.operations)
 

@@ -23,6 +23,7 @@ from jax.interpreters import batching, mlir
 from angler_kernels import lanes
 from angler_kernels.cuda import nvrtc
 from angler_kernels.cuda.emission import KernelArray, emit_block, emit_kernel
+from angler_kernels.cuda.nvrtc import FAST_DIVISION, KernelSource
 
 type Kernel = Callable[..., None]
 """Kernel of references to its arrays, in which it stores results; before these, where lanes are
@@ -62,7 +63,7 @@ _call_p.multiple_results = _call_block_p.multiple_results = True
 class KernelLaunch:
     """Kernel of independent lanes, and the threads that run it."""
 
-    source: str
+    source: KernelSource
     grid: tuple[int, int]
     """Blocks along x, and rows."""
     block: int
@@ -88,14 +89,14 @@ class BlockLaunch:
     share it."""
 
     @property
-    def source(self) -> str:
+    def source(self) -> KernelSource:
         """Return the source, with the problem of each array for each block."""
         every = [*self.shared, *(frozenset[int]() for _ in self.filled)]
         lines = [
             f"#define PROBLEM_OF_{_array_name(k)} {_write_problem(self.batch, shared)}"
             for k, shared in enumerate(every)
         ]
-        return "\n".join([*lines, self.body])
+        return KernelSource("\n".join([*lines, self.body]))
 
 
 def _write_problem(batch: Sequence[int], shared: frozenset[int]) -> str:
@@ -122,8 +123,9 @@ def call_lanes(
     """Run a kernel of independent lanes, ``width`` of them in each row.
 
     Args:
-        kernel: of references to the constant arrays and the changed ones; divisions and sums of
-            products are instructions of the device, see `INSTRUCTIONS`.
+        kernel: of references to the constant arrays and the changed ones; divisions, square roots
+            and sums of products are instructions of the device, see `INSTRUCTIONS` and
+            `nvrtc.FAST_DIVISION`.
         constant: flat arrays that are read.
         changed: flat arrays that are read and written.
         width: lanes of a row, a multiple of ``block``.
@@ -140,10 +142,13 @@ def call_lanes(
     with lanes.use_instructions(INSTRUCTIONS):
         closed = _trace(kernel, TRACED_LANES, [*constant, *changed])
     described = _describe([*constant, *changed], len(constant))
-    code = emit_kernel("kernel", closed, described, lanes=TRACED_LANES)
+    code = emit_kernel("kernel", closed, described, lanes=TRACED_LANES, threads=block)
     return _bind(
         KernelLaunch(
-            source=code.text, grid=(width // block, rows), block=block, constants=len(constant)
+            source=KernelSource(code.text, options=FAST_DIVISION),
+            grid=(width // block, rows),
+            block=block,
+            constants=len(constant),
         ),
         [*constant, *changed],
     )
@@ -314,7 +319,7 @@ def _call_block(*arrays: jax.Array, launch: BlockLaunch) -> Sequence[jax.Array]:
 
 
 def _call_source(
-    source: str,
+    source: KernelSource,
     arrays: Sequence[jax.Array],
     results: Sequence[jax.ShapeDtypeStruct],
     *,

@@ -360,10 +360,10 @@ def test_an_existing_folder_is_refused_and_kept(scenario, tmp_path):
     assert not partial_path(tmp_path / "here").exists()
 
 
-def test_triton_kernels_without_a_gpu_are_refused(scenario):
+def test_cuda_kernels_without_a_gpu_are_refused(scenario):
     if jax.default_backend() == "gpu":
         pytest.skip("there is a GPU here")
-    fused = scenario.model_copy(update={"engine": "fused", "kernels": "triton"})
+    fused = scenario.model_copy(update={"engine": "fused", "kernels": "cuda"})
     with pytest.raises(ConfigError, match='use kernels = "xla"'):
         Simulator(fused)
 

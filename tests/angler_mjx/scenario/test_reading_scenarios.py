@@ -6,7 +6,9 @@ import pytest
 
 from angler_mjx.cli.shared.inputs import build_scenario
 from angler_mjx.errors import ConfigError
-from angler_mjx.scenario.scenario import load_scenario
+from angler_mjx.files import RenamedKeyWarning, parse_model
+from angler_mjx.scenario.editing import scenario_table
+from angler_mjx.scenario.scenario import Scenario, load_scenario
 
 from ..robot.vehicles import made_up
 
@@ -110,11 +112,24 @@ def test_one_fault_is_one_message_that_names_the_file(word, write):
     assert len(message) < 600
 
 
+def test_the_old_name_of_a_value_is_read_with_a_warning(write):
+    path = write(top='engine = "fused"\nkernels = "triton"')
+    with pytest.warns(RenamedKeyWarning, match=r'made_up\.toml: kernels = "triton" is "cuda"'):
+        assert load_scenario(path).kernels == "cuda"
+
+
+def test_programs_write_the_old_name_of_a_value_without_a_warning(recwarn):
+    table = scenario_table(load_scenario("reef_fleet"))
+    old = {**table, "engine": "fused", "kernels": "triton"}
+    assert parse_model(Scenario, old, source="run.json").kernels == "cuda"
+    assert not recwarn
+
+
 def test_what_is_wrong_with_a_flag_is_said_of_the_flag(write):
     path = write()
     for flags, word in (
         ({"worlds": 0}, "--worlds = 0"),
-        ({"engine": "mjx", "kernels": "triton"}, "--engine, --kernels: "),
+        ({"engine": "mjx", "kernels": "cuda"}, "--engine, --kernels: "),
         ({"time": {"record_hz": -1.0}}, "--record-hz = -1.0"),
         ({"time": {"record_hz": 3.0}}, "--record-hz: time: "),
         ({"seed": 10**30}, "--seed = "),

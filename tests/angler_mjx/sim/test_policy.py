@@ -24,9 +24,9 @@ from angler_mjx.robot.control.stack import ControlParams
 from angler_mjx.robot.vehicles import library, params
 from angler_mjx.sim import policy as policies
 from angler_mjx.sim import robot
+from angler_mjx.sim.engines.cuda.engine import CudaEngine
 from angler_mjx.sim.engines.lanes.engine import FusedEngine
 from angler_mjx.sim.engines.mjx import MjxEngine
-from angler_mjx.sim.engines.triton.engine import TritonEngine
 from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.policy import Policy, PolicyInput
 from angler_mjx.sim.world_context import WorldContext
@@ -37,7 +37,7 @@ from ..compiling import quickly
 WORLDS, SAMPLES, EVERY = 3, 4, 5
 MJX, FUSED = MjxEngine(), FusedEngine()
 KERNELS = pytest.param(
-    TritonEngine(lanes=2, interpret=True),
+    CudaEngine(block=2, interpret=True),
     marks=pytest.mark.nightly(by="the fused engine in plain JAX"),
 )
 FOLLOW = 0
@@ -206,7 +206,7 @@ def test_a_policy_that_is_the_first_stage_flies_as_the_stack(scene, guided):
 
 
 @pytest.mark.nightly(by="the fused engine here, and sim/test_senses.py, where mjx flies a policy")
-@pytest.mark.parametrize("engine", [MJX, TritonEngine(lanes=2, interpret=True)])
+@pytest.mark.parametrize("engine", [MJX, CudaEngine(block=2, interpret=True)])
 def test_every_engine_flies_it_alike(fly, guided, engine):
     for ours, theirs in zip(fly(engine, Guide(), SAMPLES * EVERY, 1), guided, strict=True):
         assert_close(ours, theirs, 1e-9)

@@ -14,9 +14,9 @@ from angler_mjx.robot.control.commands.joint_trajectory import from_path
 from angler_mjx.robot.sensing.config import SensorsConfig
 from angler_mjx.scenario import instrumented
 from angler_mjx.sim import sensing
+from angler_mjx.sim.engines.cuda.engine import CudaEngine
 from angler_mjx.sim.engines.lanes.engine import FusedEngine
 from angler_mjx.sim.engines.mjx import MjxEngine
-from angler_mjx.sim.engines.triton.engine import TritonEngine
 from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.state import SimSpec
@@ -130,7 +130,7 @@ def test_what_is_told_is_followed_and_has_the_declared_shapes(double):
 def test_kernels_tell_the_same(double):
     scene, start, (_, theirs) = double
     with jax.enable_x64(True):
-        _, ours = fly(TritonEngine(lanes=2, interpret=True), scene, start, 3, Pilot())
+        _, ours = fly(CudaEngine(block=2, interpret=True), scene, start, 3, Pilot())
     assert_close(ours, jax.tree.map(lambda x: x[:, :3], theirs), 1e-9)
 
 

@@ -13,9 +13,9 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.robot.control.commands import BodyTwist
 from angler_mjx.sim import information
 from angler_mjx.sim import policy as policies
+from angler_mjx.sim.engines.cuda.engine import CudaEngine
 from angler_mjx.sim.engines.lanes.engine import FusedEngine
 from angler_mjx.sim.engines.mjx import MjxEngine
-from angler_mjx.sim.engines.triton.engine import TritonEngine
 from angler_mjx.sim.information import Information
 from angler_mjx.sim.policy import Policy
 from angler_mjx.world import currents
@@ -72,7 +72,7 @@ def fly(engine, scene):
         FusedEngine(),
         pytest.param(MjxEngine(), marks=pytest.mark.nightly(by="the fused engine in plain JAX")),
         pytest.param(
-            TritonEngine(lanes=2, interpret=True),
+            CudaEngine(block=2, interpret=True),
             marks=pytest.mark.nightly(by="the fused engine in plain JAX"),
         ),
     ],

@@ -17,7 +17,9 @@ def emit(kernel, arrays, constants):
     n = kernel_call.TRACED_LANES
     with lanes.use_instructions(kernel_call.INSTRUCTIONS):
         closed = kernel_call._trace(kernel, n, arrays)
-    return emit_kernel("kernel", closed, kernel_call._describe(arrays, constants), lanes=n)
+    return emit_kernel(
+        "kernel", closed, kernel_call._describe(arrays, constants), lanes=n, threads=N
+    )
 
 
 @pytest.fixture

@@ -6,8 +6,10 @@ import threading
 import pytest
 
 from angler_kernels.cuda import nvrtc
+from angler_kernels.cuda.nvrtc import FAST_DIVISION, KernelSource
 
-SOURCE = 'extern "C" __global__ void kernel(float* x) { x[threadIdx.x] *= 2.0f; }\n'
+TEXT = 'extern "C" __global__ void kernel(float* x) { x[threadIdx.x] *= 2.0f; }\n'
+SOURCE = KernelSource(TEXT)
 
 
 def has_nvrtc():
@@ -28,7 +30,7 @@ def compiled(monkeypatch):
 
     def compile_source(source, architecture):
         sources.append(source)
-        return f"// {architecture}\n{source}"
+        return f"// {architecture}\n{source.text}"
 
     monkeypatch.setattr(nvrtc, "compile_source", compile_source)
     monkeypatch.setattr(nvrtc, "version", lambda: (13, 0))
@@ -47,16 +49,44 @@ def test_a_source_becomes_ptx_of_its_architecture():
 
 @needs_nvrtc
 def test_products_and_sums_are_not_fused():
-    source = SOURCE.replace("x[threadIdx.x] *= 2.0f", "x[0] = x[1] * x[2] + x[3]")
+    source = KernelSource(TEXT.replace("x[threadIdx.x] *= 2.0f", "x[0] = x[1] * x[2] + x[3]"))
     ptx = nvrtc.compile_source(source, "compute_90")
     assert "mul.f32" in ptx or "mul.rn.f32" in ptx
     assert "fma" not in ptx
 
 
 @needs_nvrtc
+def test_divisions_are_exact_unless_a_source_says_otherwise():
+    text = TEXT.replace("x[threadIdx.x] *= 2.0f", "x[0] = x[1] / x[2] + sqrtf(x[3])")
+    exact = nvrtc.compile_source(KernelSource(text), "compute_90")
+    fast = nvrtc.compile_source(KernelSource(text, FAST_DIVISION), "compute_90")
+    for name in ("div.rn.f32", "sqrt.rn.f32"):
+        assert name in exact
+    for name in ("div.full.ftz.f32", "sqrt.approx.ftz.f32"):
+        assert name in fast
+
+
+@pytest.mark.parametrize(
+    ("driver", "package"),
+    [((12, 8), "nvidia-cuda-nvrtc-cu12==12.8.*"), ((13, 0), "nvidia-cuda-nvrtc==13.0.*")],
+)
+def test_a_compiler_newer_than_the_driver_is_refused(monkeypatch, driver, package):
+    """Its PTX would not load, and the driver says so only when a program runs."""
+    monkeypatch.setattr(nvrtc, "version", lambda: (13, 1))
+    monkeypatch.setattr(nvrtc, "_driver_version", lambda: driver)
+    version = f"{driver[0]}.{driver[1]}"
+    with pytest.raises(nvrtc.CudaCompilerError, match=rf"13\.1 is newer .* {version} ") as error:
+        nvrtc.load_or_compile(SOURCE, "compute_90", None)
+    assert package in str(error.value)
+    for newest in ((13, 1), (13, 2), (14, 0), None):
+        monkeypatch.setattr(nvrtc, "_driver_version", lambda newest=newest: newest)
+        nvrtc.require_driver()
+
+
+@needs_nvrtc
 def test_a_source_that_is_no_c_is_refused_with_the_compilers_first_line():
     with pytest.raises(nvrtc.CudaCompilerError, match=r"^NVRTC: kernel\.cu\(1\): error: "):
-        nvrtc.compile_source("nonsense", "compute_90")
+        nvrtc.compile_source(KernelSource("nonsense"), "compute_90")
 
 
 def test_without_nvrtc_the_error_says_what_to_install(monkeypatch):
@@ -72,7 +102,7 @@ def test_without_nvrtc_the_error_says_what_to_install(monkeypatch):
 def test_a_source_is_compiled_once_for_each_architecture(compiled, tmp_path):
     first = [nvrtc.begin_compilation(SOURCE, "compute_90", tmp_path) for _ in range(3)]
     other = nvrtc.begin_compilation(SOURCE, "compute_80", tmp_path)
-    assert {x.result() for x in first} == {f"// compute_90\n{SOURCE}"}
+    assert {x.result() for x in first} == {f"// compute_90\n{TEXT}"}
     assert other.result().startswith("// compute_80")
     assert len(compiled) == 2
     nvrtc.forget()
@@ -83,7 +113,7 @@ def test_a_source_is_compiled_once_for_each_architecture(compiled, tmp_path):
 
 def test_another_source_or_compiler_is_compiled_anew(compiled, tmp_path, monkeypatch):
     nvrtc.load_or_compile(SOURCE, "compute_90", tmp_path)
-    nvrtc.load_or_compile(SOURCE + "\n", "compute_90", tmp_path)
+    nvrtc.load_or_compile(KernelSource(TEXT + "\n"), "compute_90", tmp_path)
     monkeypatch.setattr(nvrtc, "version", lambda: (13, 1))
     nvrtc.load_or_compile(SOURCE, "compute_90", tmp_path)
     assert len(compiled) == 3
@@ -105,8 +135,8 @@ def test_a_damaged_file_is_compiled_again_and_mended(compiled, tmp_path, damage)
 def test_a_folder_that_cannot_be_made_is_none(compiled, tmp_path):
     (tmp_path / "file").write_text("")
     folder = tmp_path / "file" / "ptx"
-    assert nvrtc.load_or_compile(SOURCE, "compute_90", folder).endswith(SOURCE)
-    assert nvrtc.load_or_compile(SOURCE, "compute_90", None).endswith(SOURCE)
+    assert nvrtc.load_or_compile(SOURCE, "compute_90", folder).endswith(TEXT)
+    assert nvrtc.load_or_compile(SOURCE, "compute_90", None).endswith(TEXT)
     assert len(compiled) == 2
 
 
@@ -115,7 +145,7 @@ def test_a_full_disk_leaves_nothing_half_written(compiled, tmp_path, monkeypatch
         raise OSError(28, os.strerror(28))
 
     monkeypatch.setattr("pathlib.Path.replace", fail)
-    assert nvrtc.load_or_compile(SOURCE, "compute_90", tmp_path).endswith(SOURCE)
+    assert nvrtc.load_or_compile(SOURCE, "compute_90", tmp_path).endswith(TEXT)
     assert not list(tmp_path.iterdir())
 
 

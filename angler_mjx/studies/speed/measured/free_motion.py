@@ -50,7 +50,7 @@ def measure(*, vehicles: int, repeats: int, kernels: dynamics.Kernels | None = N
     Args:
         vehicles: in one device call, one in each world.
         repeats: timed calls, after one that is not timed.
-        kernels: ``xla``, ``triton`` or ``cuda``; if None, the fused engine's own choice for the
+        kernels: ``xla`` or ``cuda``; if None, the fused engine's own choice for the
             device.
 
     Returns:
@@ -68,8 +68,8 @@ def measure(*, vehicles: int, repeats: int, kernels: dynamics.Kernels | None = N
             f"--kernels {kernels}: needs an NVIDIA GPU, and JAX computes on {backend}"
         )
     n_steps = steps_of(vehicles, backend)
-    # Kernels take whole programs of vehicles: the rest is simulated too, and not counted.
-    simulated = -(-vehicles // dynamics.LANES) * dynamics.LANES if kernels != "xla" else vehicles
+    # Kernels take whole blocks of vehicles: the rest is simulated too, and not counted.
+    simulated = -(-vehicles // dynamics.BLOCK) * dynamics.BLOCK if kernels != "xla" else vehicles
     model = dynamics.build_dynamics(VEHICLE, PARAMETER_SET, physics_dt_s=PHYSICS_DT_S)
     thrusters = model.vehicle.B.shape[-1]
     begin = jax.jit(sample_states, static_argnums=(1, 2))(jax.random.key(0), simulated, thrusters)

@@ -146,7 +146,7 @@ def _simulate_to_horizon(timed: TimedSimulation) -> FinishedTile:
     """Simulate the tile until its robots have ended."""
     simulator, worlds = timed.simulator, timed.worlds
     state, parts = simulator.reset(worlds), list[Sample]()
-    cells = simulator.programs.pack_cells(worlds)
+    cells = simulator.programs.flight.pack_cells(worlds)
     for _ in range(simulator.segments):
         state, sample, running = timed.program(simulator.fleet, worlds, state, cells)
         parts.append(_to_host(sample))

@@ -215,7 +215,9 @@ def _time_turns(
     calls = _calls_per_turn(simulator)
     seconds = calls * simulator.segment_steps * simulator.spec.control_dt_s
     rates, actives = [], []
-    fly = partial(_run_calls, simulator, program, worlds, simulator.programs.pack_cells(worlds))
+    fly = partial(
+        _run_calls, simulator, program, worlds, simulator.programs.flight.pack_cells(worlds)
+    )
     for counts in iterate_turns(repeats):
         state = jax.block_until_ready(simulator.reset(worlds))
         taken, (after, sample) = seconds_of(fly, state, calls)
@@ -262,11 +264,13 @@ def _compile_segment(simulator: Simulator, sampled: World) -> tuple[float, Compi
     shapes = repeated_worlds.repeated_shape(sampled, simulator.tile, simulator.devices)
     mesh = on_devices.build_mesh(simulator.devices)
     driver = on_devices.with_sharding(simulator._policy_numbers, mesh, on_devices.REPLICATED)
-    state = simulator.programs.reset.shape(simulator.fleet, shapes, *driver)
+    state = simulator.programs.flight.reset.shape(simulator.fleet, shapes, *driver)
     state = on_devices.with_sharding(state, mesh, on_devices.SHARDED)
-    cells = simulator.programs.pack_cells.shape(shapes)
+    cells = simulator.programs.flight.pack_cells.shape(shapes)
     cells = on_devices.with_sharding(cells, mesh, on_devices.SHARDED)
-    lowered = simulator.programs.segment.lower(simulator.fleet, shapes, state, cells, *driver)
+    lowered = simulator.programs.flight.segment.lower(
+        simulator.fleet, shapes, state, cells, *driver
+    )
     compile_s, program = seconds_of(lowered.compile)
     _require_room(simulator.tile, program)
     return compile_s, program

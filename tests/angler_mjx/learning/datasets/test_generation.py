@@ -13,7 +13,11 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.learning.datasets import generation, index, manifest, parts
 from angler_mjx.progress import Progress
 from angler_mjx.runs import multi_run, rollout
+from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.runs.storage.folder import Run
+from angler_mjx.scenario.policy_tables import PolicyConfig
+from angler_mjx.scenario.tables import PlannerConfig
+from angler_mjx.shipped import find_shipped
 
 
 def rewritten(file, name, *changes):
@@ -54,17 +58,73 @@ def test_what_is_made_is_whole(made):
 def test_a_tile_is_as_large_as_memory_is_to_hold(file):
     """Arrays of a world in float32, counted one by one, and no other number of worlds fits."""
     config, table = parts.read_config(file)
-    part = parts.build_parts(config, table, 6, "file")[0]
-    assert generation.choose_tile(part) == 2  # of the file
-    scenario = part.scenario
-    time = scenario.time.model_copy(update={"horizon_s": 3600.0, "record_hz": 20.0})
-    flown = scenario.model_copy(update={"tile": None, "worlds": 10**6, "time": time})
-    tile = generation.choose_tile(replace(part, scenario=flown))
+    made = parts.build_parts(config, table, 6, "file")
+    assert generation.choose_tiles(made) == [2, 2]  # of the file
+    time = made[0].scenario.time.model_copy(update={"horizon_s": 3600.0, "record_hz": 20.0})
+    (tile,) = generation.choose_tiles([edited(made[0], tile=None, worlds=10**6, time=time)])
     samples, robots, obstacles = 3600 * 20, 2, 2
     # p, q, nu, target, current, pwm of 8, for each robot; p and q of each obstacle.
     least = 4 * samples * (robots * (3 + 4 + 6 + 3 + 3 + 8) + obstacles * 7)
     assert tile & (tile - 1) == 0
     assert tile * least <= 2e9 <= 4 * tile * least
+
+
+def edited(part, **changes):
+    return replace(part, scenario=part.scenario.model_copy(update=changes))
+
+
+@pytest.mark.parametrize(
+    ("episodes", "tiles"),
+    [(64, [32] * 8 + [4] * 2), (1000, [128] * 10), (10**5, [128] * 10)],
+)
+def test_parts_of_one_team_size_share_a_tile(episodes, tiles):
+    """On a CPU, whose tiles have 128 worlds at most; see the numbers of the shipped file."""
+    found = reef_parts(episodes)
+    by_team = sorted(
+        zip((part.robots for part in found), generation.choose_tiles(found), strict=True)
+    )
+    assert [tile for _, tile in by_team] == tiles
+
+
+def reef_parts(episodes):
+    path = find_shipped("reef", "angler_mjx.learning.datasets", "dataset file")
+    config, table = parts.read_config(path)
+    return parts.build_parts(config, table, episodes, str(path))
+
+
+def test_memory_for_the_longest_part_bounds_a_shared_tile():
+    first, *others = reef_parts(1000)
+    time = first.scenario.time.model_copy(update={"horizon_s": 7200.0})
+    longest = edited(first, time=time)
+    (tile,) = generation.choose_tiles([longest])
+    assert tile < 128
+    for part, shared in zip(others, generation.choose_tiles([longest, *others])[1:], strict=True):
+        assert shared == (tile if part.robots == first.robots else 128)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"engine": "mjx"},
+        {"policy": PolicyConfig(name="mppi")},
+        {"planner": PlannerConfig(name="grid", replan_hz=1.0)},
+    ],
+    ids=lambda changes: next(iter(changes)),
+)
+def test_parts_that_fly_slowly_have_tiles_of_their_own(changes):
+    slow = [edited(part, **changes) for part in reef_parts(1000)]
+    worlds = [part.scenario.worlds for part in slow]
+    assert generation.choose_tiles(slow) == [min(128, n) for n in worlds]
+
+
+def test_parts_of_other_worlds_share_their_programs():
+    """Scene `denser` differs from `reef` in numbers of its worlds, and in their count."""
+    found = reef_parts(64)
+    tiles = generation.choose_tiles(found)
+    pair = [i for i, part in enumerate(found) if part.robots == 4 and part.expert == "grid"][:2]
+    assert [found[i].scene for i in pair] == ["reef", "denser"]
+    first, second = (Simulator(found[i].scenario, tile=tiles[i]) for i in pair)
+    assert first.programs is second.programs
 
 
 def test_shares_are_kept_to_one_episode(file):

@@ -19,6 +19,8 @@ class Lowered:
 
 
 class Jitted:
+    kept = None
+
     def __init__(self, name, compiling, lowering=lambda: None):
         self.name, self._compiling, self._lowering = name, compiling, lowering
 
@@ -110,6 +112,8 @@ def test_a_program_may_be_a_part_of_another(ahead):
 
 class _Traced:
     """Records whether Python collects garbage while it is traced."""
+
+    kept = None
 
     def __init__(self, error=None):
         self.enabled, self.error = [], error

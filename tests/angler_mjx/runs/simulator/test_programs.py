@@ -8,8 +8,6 @@ import jax
 import numpy as np
 import pytest
 
-from angler_kernels.cuda.nvrtc import CudaCompilerError
-from angler_mjx.errors import RunError
 from angler_mjx.planning.planner import PathShape
 from angler_mjx.planning.routes.policy import AlongRoutes
 from angler_mjx.runs.simulator import programs
@@ -126,7 +124,7 @@ def test_a_vehicle_file_that_was_edited_is_read_again(small, tmp_path):
     vehicle.write_text(re.sub(r"(?m)^mass_kg = .*", "mass_kg = 13.0", text))
     again = _programs(edited)
     assert again is not first
-    before, after = (jax.tree.leaves(one.fleet.control) for one in (first, again))
+    before, after = (jax.tree.leaves(one.flight.fleet.control) for one in (first, again))
     assert any(np.any(old != new) for old, new in zip(before, after, strict=True))
 
 
@@ -156,6 +154,57 @@ def test_planners_of_the_host_share_the_programs_that_draw_their_problems(small,
     assert _programs(first) is not _programs(small)
 
 
+PLANNERS = {"planner.name": "priority", "planner.margin_m": 0.2, "planner.deadline_s": 3.0}
+
+
+def test_flights_of_other_planners_are_the_same_programs(small):
+    fused = _edited(small, {"engine": "fused"})
+    first, other = (_programs(scenario) for scenario in (fused, _edited(fused, PLANNERS)))
+    assert other is not first
+    assert other.flight is first.flight
+    texts = []
+    for made in (first, other):
+        flight, worlds = programs.FlightPrograms(made._setup), made.batch_shape
+        state = flight.reset.shape(flight.fleet, worlds)
+        cells = flight.pack_cells.shape(worlds)
+        texts.append(flight.segment.lower(flight.fleet, worlds, state, cells).as_text())
+    assert texts[0] == texts[1]
+
+
+def test_flights_are_compiled_once_for_all_planners(small):
+    fused = _edited(small, {"engine": "fused"})
+    first, other = (Simulator(scenario) for scenario in (fused, _edited(fused, PLANNERS)))
+    assert first.compile().segment_s > 0
+    again = other.compile()
+    assert (again.reset_s, again.segment_s) == (0, 0)
+    assert again.prepare_s > 0
+    flown = _flown(other)
+    programs.clear_shared()
+    alone = Simulator(other.scenario)
+    assert alone.programs.flight is not first.programs.flight
+    jax.tree.map(np.testing.assert_array_equal, _flown(alone), flown)
+
+
+@pytest.mark.parametrize(
+    "edit",
+    [
+        {"planner.replan_hz": 1.0},
+        {"planner.points": 16},
+        {"time.physics_dt_s": 0.005},
+        {"policy.name": "mppi"},
+    ],
+    ids=lambda edit: next(iter(edit)),
+)
+def test_another_flight_has_other_programs(small, edit):
+    assert _programs(_edited(small, edit)).flight is not _programs(small).flight
+
+
+def test_the_planner_of_a_flight_is_part_of_its_programs(small):
+    online = _edited(small, {"planner.replan_hz": 1.0})
+    other = _edited(online, {"planner.margin_m": 0.2})
+    assert _programs(other).flight is not _programs(online).flight
+
+
 def test_the_least_recently_used_programs_are_dropped(small, monkeypatch):
     monkeypatch.setattr(programs, "MAX_SHARED", 2)
     one, two = _programs(small), _programs(small, tile=1)
@@ -170,14 +219,3 @@ def test_threads_compile_once(small):
     with ThreadPoolExecutor(3) as threads:
         took = list(threads.map(lambda simulator: simulator.compile().total_s, simulators))
     assert sorted(seconds > 0 for seconds in took) == [False, False, True]
-
-
-def test_kernels_that_do_not_compile_name_the_line_and_others_to_use(small, monkeypatch):
-    class Refused:
-        def result(self):
-            raise CudaCompilerError("NVRTC: kernel.cu(1): error: x")
-
-    made = _programs(small)
-    monkeypatch.setattr(made, "_start_compilation", lambda: (None, None, [Refused()]))
-    with pytest.raises(RunError, match=r'error: x; use kernels = "triton" or "xla"'):
-        made.compile()

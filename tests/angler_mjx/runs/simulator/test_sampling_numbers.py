@@ -1,13 +1,17 @@
 """Numbers of worlds are arguments of programs: scenarios that differ in them compile nothing."""
 
 from dataclasses import replace
+from functools import partial
 
 import jax
+import numpy as np
 import pytest
 
-from angler_mjx.runs.simulator.programs import Programs
+from angler_mjx.planning.planner import PathShape
+from angler_mjx.runs.simulator.programs import FlightPrograms, Programs
 from angler_mjx.runs.simulator.sampling_numbers import sampling_numbers
 from angler_mjx.runs.simulator.simulator import Simulator
+from angler_mjx.runs.simulator.world_preparation import sample_water_and_breakdowns
 from angler_mjx.scenario.editing import scenario_table, set_value
 from angler_mjx.scenario.scenario import Scenario, load_scenario
 
@@ -27,7 +31,8 @@ NUMBERS = {
     "world.currents.0.mean_mps": [0.1, 0.0, 0.0],
     "world.currents.0.time_constant_s": 50.0,
     "world.currents.0.vertical_fraction": 0.2,
-    "world.currents.0.knot_dt_s": 5.1,
+    "world.currents.0.knot_dt_s": 10.0,
+    "world.currents.1.count": 2,
     "world.currents.1.peak_speed_mps": [0.2, 0.7],
     "world.currents.1.core_radius_m": [1.5, 2.5],
     "randomise.current": [0.6, 1.4],
@@ -87,8 +92,8 @@ def test_scenarios_of_other_numbers_share_their_programs(reef, setup, key):
         *({key: value} for key, value in OF_ALL_PROGRAMS.items()),
         {"world.obstacles.dynamic.count": 11},
         {"world.obstacles.dynamic.cube_fraction": 1.0},
-        {"world.currents.0.knot_dt_s": 10.0},
-        {"world.currents.1.count": 2},
+        {"world.currents.0.knot_dt_s": 3.0},
+        {"world.currents.1.count": 5},
         {"breakdowns": {}},
         {"randomise": {}},
     ],
@@ -96,3 +101,35 @@ def test_scenarios_of_other_numbers_share_their_programs(reef, setup, key):
 )
 def test_scenarios_of_another_form_have_programs_of_their_own(reef, setup, edit):
     assert replace(setup, scenario=edited(reef, edit)).key() != setup.key()
+
+
+def test_worlds_have_the_vortices_and_knots_of_their_scenario(reef):
+    """Those of a simulator that shares its programs with one of other numbers."""
+    other = edited(reef, {"world.currents.0.knot_dt_s": 10.0, "world.currents.1.count": 2})
+    first, second = (Simulator(scenario, paths=PathShape(points=2)) for scenario in (reef, other))
+    assert second.programs is first.programs
+    for simulator, knots, vortices in ((first, 25, 3), (second, 13, 2)):
+        markov, eddies = simulator.world_shape().environment.current
+        assert markov.knots_mps.shape == (2, knots, 3)
+        assert eddies.core_m.shape == (2, vortices)
+    worlds = second.worlds()
+    markov, eddies = worlds.environment.current
+    assert (markov.knots_mps.shape, eddies.centre_m.shape) == ((2, 13, 3), (2, 2, 2))
+    current, _ = jax.vmap(partial(sample_water_and_breakdowns, other), (None, None, 0))(
+        sampling_numbers(other), np.uint32(other.seed), np.arange(2, dtype=np.uint32)
+    )
+    jax.tree.map(
+        partial(np.testing.assert_allclose, rtol=1e-5), worlds.environment.current, current
+    )
+
+
+def test_flights_in_currents_of_other_sizes_are_the_same_program(setup, reef):
+    other = edited(reef, {"world.currents.0.knot_dt_s": 10.0, "world.currents.1.count": 4})
+    assert flight_text(setup) == flight_text(replace(setup, scenario=other))
+
+
+def flight_text(setup):
+    compiled = Programs(replace(setup, planner=None))
+    flight, worlds = FlightPrograms(setup), compiled.batch_shape
+    state, cells = flight.reset.shape(flight.fleet, worlds), flight.pack_cells.shape(worlds)
+    return flight.segment.lower(flight.fleet, worlds, state, cells).as_text()

@@ -7,13 +7,15 @@ import jax
 import numpy as np
 import pytest
 
+from angler_mjx.sim.engines.cuda.engine import CudaEngine
 from angler_mjx.sim.engines.lanes.engine import FusedEngine
 from angler_mjx.sim.engines.mjx import MjxEngine
-from angler_mjx.sim.engines.triton.engine import TritonEngine
 from angler_mjx.sim.state import Outcome
 
 from ... import declared
 from ...compiling import quickly
+
+pytestmark = pytest.mark.usefixtures("compiled_sources")  # kernels run here, as C
 
 ALSO = ("wrench", "clearance")
 COUNT = {"n_sample": 3, "steps_per_sample": 2}
@@ -83,11 +85,9 @@ def test_asked_fields_are_as_declared(scene, seen):
     "engine",
     [
         MjxEngine(),
-        pytest.param(
-            TritonEngine(lanes=2, interpret=True), marks=pytest.mark.nightly(by="MjxEngine")
-        ),
+        pytest.param(CudaEngine(block=2), marks=pytest.mark.nightly(by="MjxEngine")),
     ],
-    ids=["mjx", "triton"],
+    ids=["mjx", "cuda"],
 )
 def test_engines_agree(scene, begun, seen, engine):
     _, theirs = program(scene, engine, ALSO)(begun)

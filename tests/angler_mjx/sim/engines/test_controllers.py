@@ -23,6 +23,10 @@ from angler_mjx.robot.control.commands import (
 )
 from angler_mjx.robot.control.commands.joint_trajectory import from_path
 from angler_mjx.sim import fleet, robot, step
+from angler_mjx.sim.engines.cuda.kernels import Kernels
+from angler_mjx.sim.engines.cuda.launch import LaunchShape
+from angler_mjx.sim.engines.cuda.segment import Segment
+from angler_mjx.sim.engines.cuda.tile import Tile
 from angler_mjx.sim.engines.lanes.engine import FusedEngine, SceneBatch
 from angler_mjx.sim.engines.lanes.layout import (
     broadcast_lanes,
@@ -31,10 +35,6 @@ from angler_mjx.sim.engines.lanes.layout import (
     to_arrays,
     to_lanes,
 )
-from angler_mjx.sim.engines.triton.kernels import Kernels
-from angler_mjx.sim.engines.triton.launch import LaunchedProgram
-from angler_mjx.sim.engines.triton.segment import Segment
-from angler_mjx.sim.engines.triton.tile import Tile
 from angler_mjx.sim.policy import Policy, PolicyMemory
 from angler_mjx.sim.state import Outcome
 from angler_mjx.sim.step import DECIDE
@@ -331,13 +331,13 @@ def test_the_kernel_of_every_controller_lowers_for_cuda(name, scene, at_rest, to
 
     def decide(worlds, state, command):
         part = Segment(Tile(jax.tree.map(single, scene.fleet), worlds), state, 1, 1, command, None)
-        kernels = Kernels(LaunchedProgram(lanes=1, warps=1, interpret=False), spec, part)
+        kernels = Kernels(LaunchShape(block=1), spec, part)
         start = np.zeros(1, np.int32)
         return kernels.run_phase(DECIDE, part.tile.groups[0], start, start, part.start)
 
     traced = jax.jit(decide).trace(worlds, state, command)
     text = traced.lower(lowering_platforms=("cuda",)).as_text()
-    assert text.count("__gpu$xla.gpu.triton") == 1
+    assert text.count("__gpu$xla.gpu.ptx") == 1
 
 
 def single(x):

@@ -10,7 +10,7 @@ import pytest
 from angler_mjx.errors import RunError
 from angler_mjx.robot.vehicles import library, params
 from angler_mjx.sim.engines import dynamics
-from angler_mjx.sim.engines.triton import launch as triton
+from angler_mjx.sim.engines.cuda import launch
 from angler_mjx.sim.physics import step as physics
 from angler_mjx.sim.physics.closed_form import ClosedForm
 from angler_mjx.sim.physics.step import VehicleState
@@ -21,7 +21,7 @@ STEPS = 100
 @pytest.fixture(scope="module")
 def begun():
     """A program's worth of vehicles that drift and turn, and their thrusts."""
-    n = dynamics.LANES
+    n = dynamics.BLOCK
     keys = jax.random.split(jax.random.key(1), 2)
     state = VehicleState(
         p=jnp.zeros((n, 3)).at[:, 2].set(-20.0),
@@ -66,8 +66,8 @@ def test_lanes_do_what_the_step_does(begun, ours, plain):
 
 
 def test_the_kernel_does_what_plain_jax_does(begun, ours, plain, monkeypatch):
-    monkeypatch.setattr(triton, "LaunchedProgram", partial(triton.LaunchedProgram, interpret=True))
-    assert_close(plain, jax.jit(partial(ours.simulate, n_steps=STEPS, kernels="triton"))(*begun))
+    monkeypatch.setattr(launch, "LaunchShape", partial(launch.LaunchShape, interpret=True))
+    assert_close(plain, jax.jit(partial(ours.simulate, n_steps=STEPS, kernels="cuda"))(*begun))
 
 
 def test_more_places_than_a_kernel_can_count_are_refused(ours):
@@ -78,4 +78,4 @@ def test_more_places_than_a_kernel_can_count_are_refused(ours):
         **{name: jax.ShapeDtypeStruct((n, k), jnp.float32) for name, k in small.items()}
     )
     with pytest.raises(RunError, match="tile 4 times smaller"):
-        jax.eval_shape(partial(ours.simulate, n_steps=1, kernels="triton"), state, huge)
+        jax.eval_shape(partial(ours.simulate, n_steps=1, kernels="cuda"), state, huge)

@@ -13,11 +13,10 @@ import numpy as np
 import pytest
 
 from angler_mjx.robot.control.commands.joint_trajectory import from_path
-from angler_mjx.sim.engines.triton.engine import TritonEngine
+from angler_mjx.sim.engines.cuda.engine import CudaEngine
 from angler_mjx.sim.state import Outcome, Touched
 from angler_mjx.testing import referee
 
-from ....cuda_on_cpu import needs_nvrtc
 from ... import declared
 from ...compiling import quickly
 from .stored import store
@@ -133,22 +132,18 @@ def test_reset_is_that_of_mjx(double, begun, deviation):
 
 
 @pytest.mark.usefixtures("as_if_on_an_h200")
-@pytest.mark.parametrize(("compiler", "target"), [("triton", "triton"), ("cuda", "ptx")])
-def test_kernels_lower_for_cuda(double, begun, compiler, target):
-    """Both compilers know every operation in them; no device is needed for that."""
-    if compiler == "cuda":
-        needs_nvrtc()
+def test_kernels_lower_for_cuda(double, begun):
+    """The compiler knows every operation in them; no device is needed for that."""
     given = double.fleet, double.worlds, begun(double, "fused")
     given = jax.tree.map(
         lambda x: np.asarray(x, np.float32) if jnp.issubdtype(x.dtype, jnp.floating) else x, given
     )
-    segment = partial(
-        TritonEngine(compiler=compiler).segment, double.spec, n_sample=2, steps_per_sample=2
-    )
+    segment = partial(CudaEngine().segment, double.spec, n_sample=2, steps_per_sample=2)
     traced = jax.jit(segment).trace(*given)
     text = traced.lower(lowering_platforms=("cuda",)).as_text()
-    # Control, motion and judgement of each of two groups, and the obstacles; for all launches.
-    assert text.count(f"__gpu$xla.gpu.{target}") == 7
+    # Control, motion and judgement of each of two groups, and the obstacles, for all launches; to
+    # lay out robots and obstacles, and back.
+    assert text.count("__gpu$xla.gpu.ptx") == 7 + 4
     n_obstacle = double.worlds.environment.obstacles.kind.shape[-1]
     sizes = {"robot": 6, "thruster": 8, "obstacle": n_obstacle}
     declared.check(traced.out_info[1], (8, 2), sizes, dtype=jnp.float32)

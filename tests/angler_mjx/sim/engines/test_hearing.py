@@ -12,7 +12,7 @@ import pytest
 from angler_mjx.errors import ConfigError
 from angler_mjx.robot.control.commands import PoseTarget
 from angler_mjx.sim.engines.base import by_name
-from angler_mjx.sim.engines.triton.engine import TritonEngine
+from angler_mjx.sim.engines.cuda.engine import CudaEngine
 from angler_mjx.sim.policy import Policy
 from angler_mjx.world.acoustics import access
 from angler_mjx.world.acoustics.channel import Channel
@@ -20,6 +20,8 @@ from angler_mjx.world.acoustics.link import LinkBudget
 from angler_mjx.world.acoustics.shadow import RockLoss
 
 from ...compiling import quickly
+
+pytestmark = pytest.mark.usefixtures("compiled_sources")  # kernels run here, as C
 
 ROBOTS, STEPS, EVERY = 3, 24, 4
 PACKET_S, DT_S = 0.12, 0.05
@@ -43,7 +45,7 @@ SHARED = Channel(
 ENGINES = {
     "mjx": by_name("mjx", "xla"),
     "lanes": by_name("fused", "xla"),
-    "kernels": TritonEngine(lanes=2, interpret=True),
+    "kernels": CudaEngine(block=2),
 }
 
 

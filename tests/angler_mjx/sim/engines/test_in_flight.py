@@ -11,14 +11,16 @@ import pytest
 from angler_mjx.robot.vehicles.load import Load
 from angler_mjx.sim import fleet, world_phases
 from angler_mjx.sim.engines.base import by_name
+from angler_mjx.sim.engines.cuda.engine import CudaEngine
 from angler_mjx.sim.engines.lanes.engine import FusedEngine
-from angler_mjx.sim.engines.triton.engine import TritonEngine
 from angler_mjx.sim.record import ProgressRecord
 from angler_mjx.sim.state import Outcome
 from angler_mjx.sim.world_phases import TaskOutput
 from angler_mjx.world.tasks.spec import TaskSpec
 
 from ...compiling import quickly
+
+pytestmark = pytest.mark.usefixtures("compiled_sources")  # kernels run here, as C
 
 STEPS = 6
 """Control steps of 0.05 s of a segment, all with a sample; two segments are flown."""
@@ -41,7 +43,7 @@ LOAD = Load(
 ENGINES = {
     "mjx": by_name("mjx", "xla"),
     "lanes": by_name("fused", "xla"),
-    "kernels": TritonEngine(lanes=2, interpret=True),
+    "kernels": CudaEngine(block=2),
 }
 BY = "lanes, and a control step of the kernels in test_kernels_do_the_same_in_one_step"
 SLOW = [pytest.param(name, marks=pytest.mark.nightly(by=BY)) for name in ("mjx", "kernels")]
@@ -172,11 +174,12 @@ def test_kernels_do_the_same_in_one_step(scene, fly, deviation):
 @pytest.mark.usefixtures("as_if_on_an_h200", "fly")
 def test_kernels_lower_for_cuda(scene):
     """The segment that is told once a period, and in every step where it begins between two."""
-    run = partial(TritonEngine().segment, scene.spec, n_sample=3, steps_per_sample=2)
+    run = partial(CudaEngine().segment, scene.spec, n_sample=3, steps_per_sample=2)
     traced = jax.jit(run).trace(scene.fleet, scene.worlds, begin(scene))
     text = traced.lower(lowering_platforms=("cuda",)).as_text()
-    # Control, motion and judgement, for all launches; there are no obstacles.
-    assert text.count("__gpu$xla.gpu.triton") == 3
+    # Control, motion and judgement, for all launches; there are no obstacles. Robots and padding
+    # are laid out by two kernels, and back by two in each branch.
+    assert text.count("__gpu$xla.gpu.ptx") == 3 + 2 + 4
     # Where it is known to begin with a look, it is not in the program what is done elsewhere.
     known = jax.jit(partial(run, begins=PERIOD)).trace(scene.fleet, scene.worlds, begin(scene))
     shorter = known.lower(lowering_platforms=("cuda",)).as_text()

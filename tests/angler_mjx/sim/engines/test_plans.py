@@ -16,6 +16,10 @@ from angler_mjx.robot.control import stages
 from angler_mjx.robot.control.commands.joint_trajectory import CUBIC, from_path
 from angler_mjx.robot.control.plans import check_plan
 from angler_mjx.sim import fleet, step
+from angler_mjx.sim.engines.cuda.kernels import Kernels
+from angler_mjx.sim.engines.cuda.launch import LaunchShape
+from angler_mjx.sim.engines.cuda.segment import Segment
+from angler_mjx.sim.engines.cuda.tile import Tile
 from angler_mjx.sim.engines.lanes.engine import SceneBatch
 from angler_mjx.sim.engines.lanes.layout import (
     broadcast_lanes,
@@ -25,10 +29,6 @@ from angler_mjx.sim.engines.lanes.layout import (
     to_lanes,
 )
 from angler_mjx.sim.engines.mjx import SingleWorld
-from angler_mjx.sim.engines.triton.kernels import Kernels
-from angler_mjx.sim.engines.triton.launch import LaunchedProgram
-from angler_mjx.sim.engines.triton.segment import Segment
-from angler_mjx.sim.engines.triton.tile import Tile
 from angler_mjx.sim.step import DECIDE
 
 from ...compiling import quickly
@@ -201,13 +201,13 @@ def test_the_kernel_reads_joints_of_many_points(scene, begun, plans):
 
     def decide(worlds, state):
         part = Segment(Tile(kinds, worlds), state, 1, 1, None, None)
-        kernels = Kernels(LaunchedProgram(lanes=1, warps=1, interpret=False), scene.spec, part)
+        kernels = Kernels(LaunchShape(block=1), scene.spec, part)
         begin = np.zeros(1, np.int32)
         return kernels.run_phase(DECIDE, part.tile.groups[0], begin, begin, part.start)
 
     traced = jax.jit(decide).trace(worlds, state)
     text = traced.lower(lowering_platforms=("cuda",)).as_text()
-    assert text.count("__gpu$xla.gpu.triton") == 1
+    assert text.count("__gpu$xla.gpu.ptx") == 1
 
 
 def single(x):

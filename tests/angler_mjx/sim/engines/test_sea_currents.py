@@ -11,14 +11,16 @@ import pytest
 from angler_experiments.ocean import headland
 from angler_mjx.robot.control.commands import ThrusterPwm
 from angler_mjx.sim.engines.base import by_name
+from angler_mjx.sim.engines.cuda.engine import CudaEngine
 from angler_mjx.sim.engines.lanes.engine import FusedEngine
-from angler_mjx.sim.engines.triton.engine import TritonEngine
 from angler_mjx.world import currents
 from angler_mjx.world.currents import DepthProfileConfig, GridConfig, TideConfig
 from angler_mjx.world.currents.sea import ConstituentConfig
 from angler_mjx.world.environment import region_corners
 
 from ...compiling import quickly
+
+pytestmark = pytest.mark.usefixtures("compiled_sources")  # kernels run here, as C
 
 WORLDS, STEPS = 2, 2
 
@@ -68,9 +70,9 @@ def by_mjx(scene, begun):
     return flown(scene, begun, by_name("mjx", "xla"))
 
 
-@pytest.mark.parametrize("kernels", ["xla", "triton"])
+@pytest.mark.parametrize("kernels", ["xla", "cuda"])
 def test_the_engines_agree(scene, begun, by_mjx, kernels, deviation):
-    engine = FusedEngine() if kernels == "xla" else TritonEngine(lanes=2, interpret=True)
+    engine = FusedEngine() if kernels == "xla" else CudaEngine(block=2)
     state, sample = flown(scene, begun, engine)
     theirs, seen = by_mjx
     deviation.close(f"sea.{kernels}", sample.current_mps, seen.current_mps, rtol=0, atol=2e-6)
@@ -95,10 +97,10 @@ def test_water_at_the_robots_is_that_of_the_components(scene, begun, by_mjx):
 
 
 @pytest.mark.usefixtures("as_if_on_an_h200")
-@pytest.mark.parametrize("kernels", ["xla", "triton"])
+@pytest.mark.parametrize("kernels", ["xla", "cuda"])
 def test_a_program_holds_the_field_once(scene, begun, kernels):
     """Not for every world; and the kernels that look it up lower for CUDA."""
-    engine = FusedEngine() if kernels == "xla" else TritonEngine()
+    engine = FusedEngine() if kernels == "xla" else CudaEngine()
     field = scene.worlds.environment.current[0].field
     run = partial(engine.segment, scene.spec, n_sample=1, steps_per_sample=2)
     platform = "cpu" if kernels == "xla" else "cuda"
@@ -108,4 +110,4 @@ def test_a_program_holds_the_field_once(scene, begun, kernels):
     lines = [line for line in text.splitlines() if line.endswith(name)]
     assert sum("stablehlo.constant dense" in line for line in lines) == 1
     assert f"x{field.numbers[0].size}xf32" not in text
-    assert text.count("__gpu$xla.gpu.triton") == (3 if kernels == "triton" else 0)
+    assert text.count("__gpu$xla.gpu.ptx") == (3 + 4 if kernels == "cuda" else 0)

@@ -79,4 +79,4 @@ def test_kernels_of_another_device_are_refused():
     if jax.default_backend() == "gpu":
         pytest.skip("there is a GPU here")
     with pytest.raises(ConfigError, match="needs an NVIDIA GPU"):
-        free_motion.measure(vehicles=128, repeats=10, kernels="triton")
+        free_motion.measure(vehicles=128, repeats=10, kernels="cuda")

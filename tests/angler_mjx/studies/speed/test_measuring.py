@@ -215,6 +215,23 @@ def cores():
     return int(subprocess.run(["nproc"], capture_output=True, text=True, check=True).stdout)
 
 
+@pytest.mark.parametrize("profile", ["full", "paper"])
+def test_profiles_compile_teams_and_numbers_of_worlds(profile):
+    found = {case.label: case for case in ask(workloads=("compile",), profile=profile)}
+    assert len(found) == 8
+    for case in found.values():
+        assert len(case.scenario.members()) == case.robots
+    million, team = found["compile/million"], found["compile/team_of_64"]
+    assert (million.worlds, million.robots, million.scenario.engine) == (65536, 4, "fused")
+    assert (team.worlds, team.robots) == (256, 64)
+    assert found["compile/team_of_12"].worlds == 32
+    assert found["compile/mppi"].scenario.policy.name == "mppi"
+    assert found["compile/mppi"].scenario.name == "dense_dynamic"
+    assert found["compile/reef_fleet_mjx"].scenario.engine == "mjx"
+    # A team that grows keeps the planner by which its rates are compared.
+    assert team.scenario.planner.name == "priority"
+
+
 def test_all_shipped_scenarios_are_compiled_for_the_tile_of_a_run():
     found = {case.label: case for case in ask(workloads=("compile",))}
     assert set(found) == {f"compile/{name}" for name in shipped_scenarios()}
@@ -345,8 +362,8 @@ def test_engine_kernels_and_robots_are_passed_on():
     (case,) = ask(workloads=("reef_fleet",), worlds=(4,), robots=(16,), engine="mjx")
     assert case.scenario.engine == "mjx"
     assert [entry.count for entry in case.scenario.fleet] == [8, 8]
-    (case,) = ask(workloads=("reef_fleet",), worlds=(4,), robots=(1,), kernels="triton")
-    assert case.scenario.kernels == "triton"
+    (case,) = ask(workloads=("reef_fleet",), worlds=(4,), robots=(1,), kernels="cuda")
+    assert case.scenario.kernels == "cuda"
     assert [entry.count for entry in case.scenario.fleet] == [1]
 
 

@@ -9,17 +9,19 @@ import numpy as np
 import pytest
 
 from angler_mjx.sim.engines.base import by_name
-from angler_mjx.sim.engines.triton.engine import TritonEngine
+from angler_mjx.sim.engines.cuda.engine import CudaEngine
 from angler_mjx.sim.state import Outcome
 from angler_mjx.world.tasks.spec import TaskSpec, TaskWorld
 
 from ...compiling import quickly
 
+pytestmark = pytest.mark.usefixtures("compiled_sources")  # kernels run here, as C
+
 STEPS, EVERY, PERIOD = 8, 2, 3
 """Control steps, from one sample to the next, and from one look to the next."""
 ENGINES = {
     "lanes": by_name("fused", "xla"),
-    "kernels": TritonEngine(lanes=2, interpret=True),
+    "kernels": CudaEngine(block=2),
 }
 KERNELS = pytest.param(
     "kernels",

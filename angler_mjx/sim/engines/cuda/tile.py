@@ -12,10 +12,10 @@ from angler_kernels import lanes
 from angler_kernels.lanes.planes import PlaneLayout, SampleBuffer
 from angler_mjx.robot.control.plans import Plan
 from angler_mjx.robot.control.stack import ControlParams
+from angler_mjx.sim.engines.cuda import launch
+from angler_mjx.sim.engines.cuda.bank import ConstantBank
 from angler_mjx.sim.engines.lanes.layout import grid_shape, pack_cells
 from angler_mjx.sim.engines.lanes.steps import Cells
-from angler_mjx.sim.engines.triton import launch as triton
-from angler_mjx.sim.engines.triton.bank import ConstantBank
 from angler_mjx.sim.fleet import Fleet, VehicleGroup, laden_cruise
 from angler_mjx.sim.state import EngineConstants, World
 from angler_mjx.world.currents import Current, bind_fields, list_fields
@@ -183,7 +183,7 @@ class Tile:
 
     def read_robot(self, refs: Refs, lane: jax.Array) -> RobotConstants:
         """Constants of robots number ``lane``; see `body_of`."""
-        return self._robot.read_lanes(triton.make_loader(refs[1]), lane)
+        return self._robot.read_lanes(launch.make_loader(refs[1]), lane)
 
     def params(
         self,
@@ -197,17 +197,17 @@ class Tile:
         if loaded is not None and constants.laden_cruise_mps is not None:
             variant = self._numbered(variant, loaded)
             cruise = lanes.select_lanes(loaded, constants.laden_cruise_mps, cruise)
-        params = self._bank.read_lanes(triton.make_loader(refs[0]), group, variant)
+        params = self._bank.read_lanes(launch.make_loader(refs[0]), group, variant)
         return replace(params, cruise_speed_mps=cruise)
 
     def params_at(self, refs: Refs, group: VehicleGroup, lane: jax.Array) -> ControlParams:
         """Parameters of robots number ``lane`` of a group, but for their cruise speeds."""
-        variant = self._robot.read_part(triton.make_loader(refs[1]), lane, lambda x: x.variant)
-        return self._bank.read_lanes(triton.make_loader(refs[0]), group, variant[()])
+        variant = self._robot.read_part(launch.make_loader(refs[1]), lane, lambda x: x.variant)
+        return self._bank.read_lanes(launch.make_loader(refs[0]), group, variant[()])
 
     def read_water(self, refs: Refs, at: jax.Array) -> WorldConstants:
         """Constants of worlds number ``at``."""
-        return self._world.read_lanes(triton.make_loader(refs[2]), at)
+        return self._world.read_lanes(launch.make_loader(refs[2]), at)
 
     def current(self, refs: Refs, water: WorldConstants) -> Current:
         """The current of worlds, and where it looks up what all of them share."""
@@ -219,19 +219,19 @@ class Tile:
         def where(field: OceanField) -> list[lanes.LookupTable]:
             both = zip(field_refs[field], field.numbers, strict=True)
             return [
-                lanes.LookupTable(triton.make_loader(ref), x.shape, self.dtype) for ref, x in both
+                lanes.LookupTable(launch.make_loader(ref), x.shape, self.dtype) for ref, x in both
             ]
 
         return bind_fields(water.current, where)
 
     def read_body[T](self, refs: Refs, index: jax.Array, only: Callable[[BodyConstants], T]) -> T:
         """A part of the constants of obstacles number ``index``."""
-        return self._body.read_part(triton.make_loader(refs[3]), index, only)
+        return self._body.read_part(launch.make_loader(refs[3]), index, only)
 
     def read_cells(self, refs: Refs, water: WorldConstants, at: jax.Array) -> Cells:
         """Cells of worlds number ``at``."""
         base = at * np.int32(self._cells)
-        load = triton.make_loader(refs[4])
+        load = launch.make_loader(refs[4])
         return Cells(
             neighbours=lanes.LookupTable(load, (self._cells,), np.int32, base=base),
             origin_m=water.origin_m,

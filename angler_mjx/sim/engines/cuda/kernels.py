@@ -8,10 +8,10 @@ from typing import Any
 import jax
 
 from angler_kernels import lanes
+from angler_mjx.sim.engines.cuda import launch
+from angler_mjx.sim.engines.cuda.context import KernelBodies, KernelGroup
+from angler_mjx.sim.engines.cuda.segment import Segment, SegmentArrays, TrackedObstacle
 from angler_mjx.sim.engines.lanes import judge as lane_judge
-from angler_mjx.sim.engines.triton import launch as triton
-from angler_mjx.sim.engines.triton.context import KernelBodies, KernelGroup
-from angler_mjx.sim.engines.triton.segment import Segment, SegmentArrays, TrackedObstacle
 from angler_mjx.sim.fleet import VehicleGroup
 from angler_mjx.sim.phase import Phase
 from angler_mjx.sim.state import SimSpec
@@ -45,9 +45,9 @@ class Kernels:
     Every launch is for control step ``base + k``, both int32 [1], counted from the segment's first.
     """
 
-    def __init__(self, program: triton.LaunchedProgram, spec: SimSpec, part: Segment) -> None:
+    def __init__(self, shape: launch.LaunchShape, spec: SimSpec, part: Segment) -> None:
         """Bind them to a segment."""
-        self._program, self._spec, self._part = program, spec, part
+        self._shape, self._spec, self._part = shape, spec, part
         self._tile = part.tile
 
     def build_launches(self) -> tuple[KernelLaunch, KernelLaunch]:
@@ -75,8 +75,8 @@ class Kernels:
             )
 
         def robots(base: jax.Array, at: jax.Array, x: SegmentArrays) -> SegmentArrays:
-            for phase, launch in (*alone, *meet):
-                changed = launch(base, at, x)
+            for phase, run in (*alone, *meet):
+                changed = run(base, at, x)
                 gives = [entry.name for entry in fields(phase.gives)]
                 changed_slots = dict(zip(gives, changed, strict=False))
                 records = {phase.name: changed[-1]} if phase.name in x.records else {}
@@ -136,7 +136,7 @@ class Kernels:
                     part.buffers[phase.name].write_lanes(keep, sample, row, at, done.record())
 
                 with context.discard_loads():
-                    triton.run_when(count % part.every == 0, write_record)
+                    launch.run_when(count % part.every == 0, write_record)
             after = done.output()
             for slot in gives:
                 part.layouts[slot].write_lanes(store(slot_refs[slot]), lane, getattr(after, slot))
@@ -172,7 +172,7 @@ class Kernels:
                     )
 
                 is_left = step < part.steps
-                triton.run_when(is_left & (step % part.every == 0), write_record)
+                launch.run_when(is_left & (step % part.every == 0), write_record)
                 after = done.output()
                 tracked = TrackedObstacle(
                     p=after.p, q=after.q, v=lane_judge.centre_velocity(after.q, after.nu)
@@ -180,7 +180,7 @@ class Kernels:
                 part.track_layout.write_lanes(store(track), part.track_offset(step) + lane, tracked)
                 return lanes.select_lanes(is_left, after, now)
 
-            start = part.bodies.read_lanes(triton.make_loader(state), lane)
+            start = part.bodies.read_lanes(launch.make_loader(state), lane)
             part.bodies.write_lanes(
                 store(state), lane, lanes.repeat(part.ahead, advance_step, start)
             )
@@ -197,11 +197,11 @@ class Kernels:
         changed: list[jax.Array],
     ) -> Sequence[jax.Array]:
         """Run a kernel on ``rows`` x worlds."""
-        return triton.call_kernel(kernel, self._program, self._tile.worlds, rows, constant, changed)
+        return launch.call_kernel(kernel, self._shape, self._tile.worlds, rows, constant, changed)
 
     def _locate_lanes(
         self, at: jax.Array, row: jax.Array, first: int
     ) -> tuple[jax.Array, jax.Array, Callable[[jax.Ref], Callable[..., None]]]:
         """Return row and lanes of worlds ``at``, and how they are stored."""
         row = first + row
-        return row, row * self._tile.worlds + at, partial(triton.make_storer, like=at)
+        return row, row * self._tile.worlds + at, partial(launch.make_storer, like=at)

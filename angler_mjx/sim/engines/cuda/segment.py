@@ -11,7 +11,9 @@ from jax.typing import DTypeLike
 from angler_kernels.lanes.planes import PlaneLayout, SampleBuffer
 from angler_mjx.robot.control.stack import Command
 from angler_mjx.sim import record, step
-from angler_mjx.sim.engines.triton.tile import Tile
+from angler_mjx.sim.engines.cuda.launch import LaunchShape
+from angler_mjx.sim.engines.cuda.packing import fits_kernel, pack_trees, unpack_trees
+from angler_mjx.sim.engines.cuda.tile import Tile
 from angler_mjx.sim.phase import Phase, Record
 from angler_mjx.sim.record import Sample, WorldRecord, build_sample
 from angler_mjx.sim.state import SimSpec, WorldState
@@ -82,6 +84,7 @@ class Segment:
         ahead: int = MAX_STEPS_AHEAD,
         also: tuple[str, ...] = (),
         last_approach_s: jax.Array | None = None,
+        packing: LaunchShape | None = None,
     ) -> None:
         """Lay everything out.
 
@@ -95,10 +98,11 @@ class Segment:
             ahead: control steps that obstacles are moved ahead of the robots.
             also: what is recorded because it is asked for.
             last_approach_s: [W, R], of `last_approaches_s`; None where no plans are flown.
+            packing: threads of the kernels that pack and unpack states; None to leave it to XLA.
         """
         self._also = also
         self.ahead = ahead
-        self.tile, self._state = tile, state
+        self.tile, self._state, self._packing = tile, state, packing
         self._samples, self.every, self.steps = n_sample, every, n_sample * every
         self.first = state.step if tile.some_rows else state.step[:1]
         slot_trees = {"vehicle": state.vehicles, "memory": state.carry, "tally": state.tally}
@@ -106,11 +110,11 @@ class Segment:
             slot_trees["command"] = command
         if last_approach_s is not None:
             slot_trees["last_approach_s"] = last_approach_s
-        packed = {name: tile.pack(tree, 2) for name, tree in slot_trees.items()}
-        self.bodies, bodies = tile.pack(state.obstacles, 2)
+        packed = self._pack(slot_trees)
         self.layouts: dict[str, PlaneLayout[Any]] = {
             name: layout for name, (layout, _) in packed.items()
         }
+        self.bodies, bodies = self._pack({"": state.obstacles})[""]
         self.layouts |= self._scratch_layouts(output)
         three, four = tile.shape(3), tile.shape(4)
         self.track_layout = tile.layout(TrackedObstacle(p=three, q=four, v=three), tile.obstacles)
@@ -163,16 +167,15 @@ class Segment:
         """The state after all steps, and the samples."""
         tile, state = self.tile, self._state
         of_robot, of_body = (tile.worlds, tile.robots), (tile.worlds, tile.obstacles)
-        kept = RobotState(
-            **{
-                entry.name: self.layouts[entry.name].unpack(end.slots[entry.name], of_robot)
-                for entry in fields(RobotState)
-            }
-        )
+        names = [entry.name for entry in fields(RobotState)]
+        layouts, flats = [self.layouts[name] for name in names], [end.slots[name] for name in names]
+        trees = unpack_trees(self._packing, layouts, flats, of_robot)
+        kept = RobotState(**dict(zip(names, trees, strict=True)))
+        (obstacles,) = unpack_trees(self._packing, [self.bodies], [end.bodies], of_body)
         after = WorldState(
             vehicles=kept.vehicle,
             carry=kept.memory,
-            obstacles=self.bodies.unpack(end.bodies, of_body),
+            obstacles=obstacles,
             tally=kept.tally,
             step=state.step + self.steps,
             **vars(end.memory),
@@ -185,6 +188,24 @@ class Segment:
             repeat_samples = partial(_repeat_samples, times=self._samples)
             seen |= jax.tree.map(repeat_samples, step.record_obstacles(state.obstacles))
         return after, build_sample(worlds, seen)
+
+    def _pack(self, trees: dict[str, Any]) -> dict[str, tuple[PlaneLayout[Any], jax.Array]]:
+        """Return layouts and flat arrays of trees of arrays [W, rows, ...] with the same rows."""
+        layouts = {name: PlaneLayout.of(tree, 2) for name, tree in trees.items()}
+        small = [name for name in trees if fits_kernel(layouts[name])]
+        flats = {
+            name: layout.pack(trees[name], self.tile.dtype)
+            for name, layout in layouts.items()
+            if name not in small
+        }
+        packed = pack_trees(
+            self._packing,
+            [layouts[name] for name in small],
+            [trees[name] for name in small],
+            self.tile.dtype,
+        )
+        flats |= dict(zip(small, packed, strict=True))
+        return {name: (layout, flats[name]) for name, layout in layouts.items()}
 
     def _scratch_layouts(self, output: WorldPhaseOutput | None) -> dict[str, PlaneLayout[Any]]:
         """Layouts of what is made anew in every step."""

@@ -14,12 +14,12 @@ from angler_mjx.robot.control.plans import Plan
 from angler_mjx.robot.control.stack import Command, ControlParams
 from angler_mjx.sim import step
 from angler_mjx.sim.detection import Contact
+from angler_mjx.sim.engines.cuda import launch
+from angler_mjx.sim.engines.cuda.segment import Segment
+from angler_mjx.sim.engines.cuda.tile import Refs, RobotConstants, WorldConstants
 from angler_mjx.sim.engines.lanes import judge as lane_judge
 from angler_mjx.sim.engines.lanes.search import CandidateBody, OtherBodies, search_lanes
 from angler_mjx.sim.engines.lanes.steps import Cells, LaneBatch, Lanes
-from angler_mjx.sim.engines.triton import launch as triton
-from angler_mjx.sim.engines.triton.segment import Segment
-from angler_mjx.sim.engines.triton.tile import Refs, RobotConstants, WorldConstants
 from angler_mjx.sim.fleet import VehicleGroup
 from angler_mjx.sim.phase import Phase
 from angler_mjx.sim.physics.step import VehicleState
@@ -145,7 +145,7 @@ class KernelGroup(KernelProgram):
     def read_slot(self, name: str) -> Any:
         """Return a slot of these robots."""
         slot_name, layout = self._part.layout(name)
-        return layout.read_lanes(triton.make_loader(self._slot_refs[slot_name]), self._lane)
+        return layout.read_lanes(launch.make_loader(self._slot_refs[slot_name]), self._lane)
 
     @cached_property
     def _constants(self) -> RobotConstants:
@@ -221,7 +221,7 @@ class KernelGroup(KernelProgram):
             lane = (other.first + i) * tile.worlds + at
             constants_index = tile.body_of(other.first + i, self._world)
             layout = self._part.layouts["vehicle"]
-            state = partial(layout.read_part, triton.make_loader(robots), lane)
+            state = partial(layout.read_part, launch.make_loader(robots), lane)
 
             def details() -> tuple[lane_judge.LaneHull, Lanes, Lanes]:
                 q, nu = state(lambda x: (x.q, x.nu))
@@ -241,7 +241,7 @@ class KernelGroup(KernelProgram):
             lane, constants_index = i * tile.worlds + at, tile.body_of(i, self._world)
             drift = partial(
                 self._part.track_layout.read_part,
-                triton.make_loader(track),
+                launch.make_loader(track),
                 self._part.track_offset(self._count) + lane,
             )
 

@@ -1,4 +1,4 @@
-"""The Pallas kernels against the other engines, interpreted here.
+"""The CUDA kernels against the other engines, interpreted here.
 
 That they lower for CUDA is asked in `test_fused`.
 """
@@ -13,8 +13,8 @@ import pytest
 
 from angler_mjx.robot.control.commands import ThrusterPwm
 from angler_mjx.sim.engines.base import by_name, default_kernels
+from angler_mjx.sim.engines.cuda.engine import CudaEngine
 from angler_mjx.sim.engines.lanes.engine import FusedEngine
-from angler_mjx.sim.engines.triton.engine import TritonEngine
 from angler_mjx.sim.state import Touched
 
 from ...compiling import quickly
@@ -37,7 +37,7 @@ def assert_close(deviation, key, ours, theirs, tolerance):
 @pytest.mark.nightly(by="a control step of these kernels is, in test_control_step_takes_signals")
 def test_segment_is_that_of_mjx(double, play, deviation):
     """A mixed fleet among obstacles; 6 worlds in programs of 4, so that two lanes are padding."""
-    n, engine = 6, TritonEngine(lanes=4, interpret=True)
+    n, engine = 6, CudaEngine(block=4, interpret=True)
     after, samples = play(double, "mjx", False)
     steps = samples.p.shape[0]
     theirs = jax.tree.map(lambda x: x[:n], after)
@@ -49,13 +49,13 @@ def test_segment_is_that_of_mjx(double, play, deviation):
         run = quickly(partial(engine.segment, double.spec, **count))
         ours, seen = run(double.fleet, worlds, start)
     # As for the fused engine: float64 leaves rounding no room; found is 1e-13.
-    assert_close(deviation, "triton.segment", ours, theirs, 1e-9)
-    assert_close(deviation, "triton.segment", seen, theirs_seen, 1e-9)
+    assert_close(deviation, "cuda.segment", ours, theirs, 1e-9)
+    assert_close(deviation, "cuda.segment", seen, theirs_seen, 1e-9)
     assert {Touched.CELL, Touched.OBSTACLE} <= set(np.unique(theirs.tally.touched))
 
 
-@pytest.mark.parametrize("compiler", ["triton", "cuda"])
-def test_control_step_takes_signals(scenes, deviation, compiler):
+@pytest.mark.usefixtures("compiled_sources")
+def test_control_step_takes_signals(scenes, deviation):
     """One kind of robot, nothing to meet, float32, signals from outside."""
     build, members, obstacles = scenes
     scene = build(3, members=members("bluerov2"), config=obstacles["none"])
@@ -64,10 +64,7 @@ def test_control_step_takes_signals(scenes, deviation, compiler):
     # One for both: it is the same to rounding (test_fused). In numpy, as it is compiled once so.
     start = quickly(partial(FusedEngine().reset, scene.spec))(scene.fleet, scene.worlds)
     start, ends = jax.device_get(start), []
-    for engine in (
-        TritonEngine(lanes=2, compiler=compiler, interpret=True),
-        by_name("mjx", "xla"),
-    ):
+    for engine in (CudaEngine(block=2), by_name("mjx", "xla")):
         state, step = start, quickly(partial(engine.control_step, scene.spec))
         for row in signals:
             command = ThrusterPwm(pwm_us=jnp.asarray(row, jnp.float32))
@@ -75,8 +72,8 @@ def test_control_step_takes_signals(scenes, deviation, compiler):
             state, sample = jax.device_get(after)
         ends.append((state.vehicles, state.step, sample))
     # Eight steps: an ulp or two of 12 m, and as much of forces of 120 N.
-    assert_close(deviation, "triton.single", ends[0][0].p, ends[1][0].p, 4e-6)
-    assert_close(deviation, "triton.single", ends[0][0].nu, ends[1][0].nu, 4e-6)
+    assert_close(deviation, "cuda.single", ends[0][0].p, ends[1][0].p, 4e-6)
+    assert_close(deviation, "cuda.single", ends[0][0].nu, ends[1][0].nu, 4e-6)
     np.testing.assert_array_equal(ends[0][1], ends[1][1])
     np.testing.assert_array_equal(ends[0][2].pwm_us, signals[-1].astype(np.float32))
     assert np.abs(ends[0][0].nu).max() > 0.1
@@ -92,11 +89,11 @@ def test_worlds_of_a_bank_at_their_own_times(scenes, deviation):
     state = jax.tree.map(lambda leaf: leaf[rows], start)
     state = replace(state, step=jnp.array([0, 7, 300, 41, 2], jnp.int32))
     ends = []
-    for engine in (TritonEngine(lanes=2, interpret=True), FusedEngine()):
+    for engine in (CudaEngine(block=2, interpret=True), FusedEngine()):
         step = quickly(partial(engine.control_step, scene.spec))
         after = step(scene.fleet, scene.worlds, state, None, None, rows)
         ends.append(jax.device_get(after))
-    assert_close(deviation, "triton.rows", *ends, 4e-6)
+    assert_close(deviation, "cuda.rows", *ends, 4e-6)
     # Time tells: the third world's obstacles drift in another current than at its beginning.
     plain = quickly(partial(FusedEngine().control_step, scene.spec))
     alone = plain(scene.fleet, scene.worlds, start, None)[0]
@@ -105,11 +102,10 @@ def test_worlds_of_a_bank_at_their_own_times(scenes, deviation):
 
 
 def test_chosen_by_name():
-    assert isinstance(by_name("fused", "triton"), TritonEngine)
-    assert isinstance(by_name("fused", "cuda"), TritonEngine)
+    assert isinstance(by_name("fused", "cuda"), CudaEngine)
     assert isinstance(by_name("fused", "xla"), FusedEngine)
     assert default_kernels("fused", "cpu") == "xla"
-    assert default_kernels("fused", "gpu") == "triton"
+    assert default_kernels("fused", "gpu") == "cuda"
     assert default_kernels("mjx", "gpu") == "xla"
 
 
@@ -119,7 +115,7 @@ def test_segment_on_the_device_is_that_of_xla(scenes):
     build, _, _ = scenes
     scene = build(100)
     ends = []
-    for engine in (TritonEngine(), FusedEngine()):
+    for engine in (CudaEngine(), FusedEngine()):
         state = jax.jit(partial(engine.reset, scene.spec))(scene.fleet, scene.worlds)
         run = jax.jit(partial(engine.segment, scene.spec, n_sample=2, steps_per_sample=5))
         ends.append(run(scene.fleet, scene.worlds, state))

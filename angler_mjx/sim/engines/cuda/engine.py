@@ -1,10 +1,10 @@
-"""The fused engine as kernels, by Triton or as CUDA C: a control period in registers.
+"""The fused engine as kernels in CUDA C: a control period in registers.
 
 Four kernels make a control step: one for each phase of robots (controllers, physics steps,
-detection with the tally), and the obstacles. A program works on neighbouring worlds of one robot of
-the fleet; its state stays in registers over all physics steps of the control period, and it writes
-the record itself. Other shapes are read from memory, so fleets of any size fit. Robots of one
-vehicle share a program.
+detection with the tally), and the obstacles. A block works on neighbouring worlds of one robot
+of the fleet; its state stays in registers over all physics steps of the control period, and it
+writes the record itself. Other shapes are read from memory, so fleets of any size fit. Robots of
+one vehicle share a kernel.
 Phases of worlds, where there are any (instruments and filters, policies), are plain JAX between
 the kernels.
 """
@@ -17,17 +17,16 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
-from angler_kernels.programs import Compiler, compiled_by
 from angler_mjx.robot.control.stack import Command
 from angler_mjx.sim import sample_clearances
 from angler_mjx.sim import world_phases as running
 from angler_mjx.sim.approach import last_approaches_s
+from angler_mjx.sim.engines.cuda import launch
+from angler_mjx.sim.engines.cuda.kernels import KernelLaunch, Kernels
+from angler_mjx.sim.engines.cuda.segment import MAX_STEPS_AHEAD, Segment, SegmentArrays
+from angler_mjx.sim.engines.cuda.tile import Tile
 from angler_mjx.sim.engines.lanes.engine import FusedEngine
 from angler_mjx.sim.engines.lanes.layout import pack_cells
-from angler_mjx.sim.engines.triton import launch as triton
-from angler_mjx.sim.engines.triton.kernels import KernelLaunch, Kernels
-from angler_mjx.sim.engines.triton.segment import MAX_STEPS_AHEAD, Segment, SegmentArrays
-from angler_mjx.sim.engines.triton.tile import Tile
 from angler_mjx.sim.fleet import Fleet, add_parameters
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.record import Sample
@@ -38,42 +37,36 @@ from angler_mjx.sim.world_phases import WorldMemory, WorldPhaseOutput
 UNROLLED_STEPS = 10
 """Control steps in the body of the loop; a multiple of `MAX_STEPS_AHEAD`."""
 
-LANES = 32
-"""Lanes of one program: one warp, so that a program skips what none of its lanes needs."""
+BLOCK = 32
+"""Lanes of a block: one warp, so that a block skips what none of its lanes needs."""
 
 
 type Drivers = tuple[Command | None, Policy | None, jax.Array | None]
 """Command, policy and packed cells of a segment."""
 
 
-class TritonEngine:
+class CudaEngine:
     """Closed-form rigid bodies in kernels."""
 
     def __init__(
         self,
         *,
-        lanes: int = LANES,
-        warps: int = 1,
-        compiler: Compiler = "triton",
+        block: int = BLOCK,
         interpret: bool = False,
     ) -> None:
-        """Choose the shape of a program.
+        """Choose how kernels are launched.
 
         Args:
-            lanes: robots in one program, a power of two.
-            warps: warps in one program.
-            compiler: compiler of the kernels.
+            block: robots of a block.
             interpret: run the kernels as ordinary JAX, on any device.
         """
-        self._program = triton.LaunchedProgram(
-            lanes=lanes, warps=warps, compiler=compiler, interpret=interpret
-        )
+        self._shape = launch.LaunchShape(block=block, interpret=interpret)
 
     def reset(
         self, spec: SimSpec, fleet: Fleet, worlds: World, policy: Policy | None = None
     ) -> WorldState:
         """See `Engine.reset`."""
-        return self._compile(FusedEngine().reset)(spec, fleet, worlds, policy)
+        return FusedEngine().reset(spec, fleet, worlds, policy)
 
     def pack_constants(self, fleet: Fleet, worlds: World) -> EngineConstants:
         """See `Engine.pack_constants`: constants in flat arrays."""
@@ -110,7 +103,7 @@ class TritonEngine:
                 cells=cells,
             )
             return repeat_steps(again, state, steps)
-        after, sample = self._compile(self._run_segment)(
+        after, sample = self._run_segment(
             spec, fleet, worlds, state, 1, steps, command, policy, cells, rows, constants
         )
         return after, jax.tree.map(lambda leaf: leaf[:, 0], sample)
@@ -164,12 +157,8 @@ class TritonEngine:
                 begins=begins,
             )
 
-        both = triton.with_gradient_of(self._compile(plain), self._compile(fast))
+        both = launch.with_gradient_of(plain, fast)
         return both(fleet, worlds, state, (command, policy, cells))
-
-    def _compile[**P, R](self, function: Callable[P, R]) -> Callable[P, R]:
-        """Return a function whose kernels of tasks and planners have the engine's compiler."""
-        return compiled_by(self._program.compiler, function)
 
     def _run_segment(
         self,
@@ -186,9 +175,9 @@ class TritonEngine:
         constants: EngineConstants = (),
         begins: int = 1,
     ) -> tuple[WorldState, Sample]:
-        """Whole programs: the last world is repeated until they are full, and cut off again."""
+        """Fill the last block with repetitions of the last world, which are cut off again."""
         count = state.step.shape[0]
-        extra = -count % self._program.lanes
+        extra = -count % self._shape.block
 
         def fill(leaf: jax.Array) -> jax.Array:
             return jnp.concatenate([leaf, jnp.repeat(leaf[-1:], extra, axis=0)]) if extra else leaf
@@ -231,8 +220,9 @@ class TritonEngine:
                 ahead=ahead,
                 also=also,
                 last_approach_s=begin_s,
+                packing=None if self._shape.interpret else self._shape,
             )
-            return part, Kernels(self._program, spec, part).build_launches()
+            return part, Kernels(self._shape, spec, part).build_launches()
 
         usual = laid_out(_steps_ahead(period, watched))
 
@@ -242,7 +232,7 @@ class TritonEngine:
             """With phases of worlds that act once a period, where the segment begins with one."""
             part, launches = prepared
             if output is None:
-                alone = _run_looped if self._program.interpret else _run_unrolled
+                alone = _run_looped if self._shape.interpret else _run_unrolled
                 return part.collect_result(alone(launches, part))
             run_period_phases = partial(run_phases, every=period)
             phase_launch = partial(

@@ -1,0 +1,60 @@
+"""Trees to planes and back, by emitted C, against the layouts themselves."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from angler_kernels.lanes.planes import PlaneLayout
+from angler_mjx.sim.engines.cuda.launch import LaunchShape
+from angler_mjx.sim.engines.cuda.packing import MAX_PLANES, pack_trees, unpack_trees
+
+WORLDS, ROWS = 8, 3
+
+
+def trees():
+    """Trees with leaves of all types and ranks of a state."""
+    random = np.random.default_rng(3)
+    lead = (WORLDS, ROWS)
+    return [
+        {
+            "p": jnp.asarray(random.normal(size=(*lead, 3)), jnp.float32),
+            "block": jnp.asarray(random.normal(size=(*lead, 2, 4)), jnp.float32),
+            "number": jnp.asarray(random.normal(size=lead), jnp.float32),
+        },
+        {
+            "outcome": jnp.asarray(random.integers(-1, 5, lead), jnp.int32),
+            "passed": jnp.asarray(random.random(lead) < 0.5),
+        },
+    ]
+
+
+@pytest.mark.usefixtures("compiled_sources")
+def test_kernels_lay_out_as_the_layouts_do():
+    given = trees()
+    layouts = [PlaneLayout.of(tree, 2) for tree in given]
+    expected = pack_trees(None, layouts, given, jnp.float32)
+
+    @jax.jit
+    def there_and_back(given):
+        shape = LaunchShape(block=4)
+        flats = pack_trees(shape, layouts, given, jnp.float32)
+        return flats, unpack_trees(shape, layouts, flats, (WORLDS, ROWS))
+
+    flats, back = there_and_back(given)
+    for ours, theirs in zip(flats, expected, strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+    assert len(set(np.asarray(flats[0]).tolist())) == WORLDS * ROWS * 12
+    for ours, theirs in zip(jax.tree.leaves(back), jax.tree.leaves(given), strict=True):
+        assert ours.dtype == theirs.dtype
+        np.testing.assert_array_equal(ours, theirs)
+
+
+@pytest.mark.parametrize("tail", [(MAX_PLANES + 1,), (0,)])
+def test_tables_and_empty_leaves_are_left_to_xla(tail):
+    tree = {"table": jnp.ones((WORLDS, ROWS, *tail)), "number": jnp.ones((WORLDS, ROWS))}
+    layout = PlaneLayout.of(tree, 2)
+    shape = LaunchShape(block=4)  # a kernel would need a GPU here
+    (flat,) = pack_trees(shape, [layout], [tree], jnp.float32)
+    (back,) = unpack_trees(shape, [layout], [flat], (WORLDS, ROWS))
+    assert back["table"].shape == (WORLDS, ROWS, *tail)
