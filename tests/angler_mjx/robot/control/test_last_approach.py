@@ -1,6 +1,5 @@
 """When a plan's last approach to its goal begins, and how far along a plan a robot is."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
