@@ -42,8 +42,9 @@ UNTRACED_SETTINGS = (
     "jax_persistent_cache",
     "jax_enable_compilation_cache",
     "jax_log_compiles",
+    "jax_platforms",
 )
-"""Prefixes of JAX's settings that change no program."""
+"""Prefixes of JAX's settings that change no program; keys hold the devices themselves."""
 
 _JAX_CACHE = SharedPause(lambda: bool(jax.config.jax_enable_compilation_cache), switch_cache)
 """JAX's own cache. What is read from there cannot be serialised: for a CPU it lacks its kernels."""

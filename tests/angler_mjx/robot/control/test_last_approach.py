@@ -1,6 +1,5 @@
 """When a plan's last approach to its goal begins, and how far along a plan a robot is."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -15,6 +14,8 @@ from angler_mjx.robot.control.commands.joint_trajectory import (
 )
 from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.robot.control.mixed import MixedCommand
+
+from ...compiling import quickly
 
 GOAL = np.array([0.0, 0.0, -8.0])
 TOLERANCE_M = 0.3
@@ -46,11 +47,13 @@ CASES = {
 @pytest.mark.parametrize("case", CASES)
 def test_the_last_approach_begins_where_the_plan_is_far_for_the_last_time(case):
     rows, begin = CASES[case]
-    last = jax.jit(plans.last_approach_s, static_argnums=2)
-    path = plan(rows)
-    assert float(last(path, GOAL, TOLERANCE_M)) == begin
-    joints = from_path(path, jnp.asarray(0.0))
-    assert float(last(joints, GOAL, TOLERANCE_M)) == begin
+
+    @quickly
+    def last(path, goal_m):
+        both = (path, from_path(path, jnp.asarray(0.0)))
+        return [plans.last_approach_s(x, goal_m, TOLERANCE_M) for x in both]
+
+    assert [float(time_s) for time_s in last(plan(rows), GOAL)] == [begin] * 2
 
 
 def test_a_plan_is_not_over_before_a_bulge_between_its_way_points():

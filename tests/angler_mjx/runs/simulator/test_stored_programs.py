@@ -313,3 +313,12 @@ def test_only_another_simulation_has_another_key(folder, scenario):
     assert len(keys) == 4
     with jax.enable_x64(True):
         assert key() not in keys
+
+
+def test_the_platforms_that_a_command_allows_are_no_part_of_a_key():
+    assert jax.config.jax_platforms in (None, "", "cpu")
+    before, platforms = stored_programs.trace_settings(), jax.config.jax_platforms
+    for other in (None, "cpu"):
+        jax.config.update("jax_platforms", other)
+        assert stored_programs.trace_settings() == before
+    jax.config.update("jax_platforms", platforms)
