@@ -222,16 +222,25 @@ class FleetEnv:
         def replace_worlds() -> tuple[EnvState, jax.Array]:
             key, row_key = jax.random.split(state.key)
             row = self._sample_rows(row_key)
-            of_world = ended[:, None, None]
-            after = EnvState(
-                world_state=self.rules.engine.replace_worlds(
-                    state.world_state, ended, self.bank.initial_state, row
-                ),
-                row=jnp.where(ended, row, state.row),
-                action=jnp.where(of_world, 0.0, state.action),
-                key=jnp.where(jnp.any(ended), key, state.key),
+            fresh = EnvState(
+                world_state=self.bank.select_initial_state(row),
+                row=row,
+                action=jnp.zeros_like(state.action),
+                key=key,
             )
-            return after, jnp.where(of_world, self.initial_observation[row], observation)
+
+            def select_new(new: jax.Array, old: jax.Array) -> jax.Array:
+                return jnp.where(ended.reshape(-1, *(1,) * (old.ndim - 1)), new, old)
+
+            kept = EnvState(
+                world_state=state.world_state, row=state.row, action=state.action, key=key
+            )
+            selected = jax.tree.map(select_new, _world_leaves(fresh), _world_leaves(kept))
+            after_key = jnp.where(jnp.any(ended), key, state.key)
+            after = EnvState(
+                world_state=selected[0], row=selected[1], action=selected[2], key=after_key
+            )
+            return after, select_new(self.initial_observation[row], observation)
 
         def replace_if_any() -> tuple[EnvState, jax.Array]:
             selected: tuple[EnvState, jax.Array] = jax.lax.cond(
@@ -303,6 +312,10 @@ def _reset(env: FleetEnv, key: jax.Array | None) -> tuple[EnvState, jax.Array]:
         world_state=env.bank.select_initial_state(row), row=row, action=action, key=key
     )
     return state, env.initial_observation[row]
+
+
+def _world_leaves(state: EnvState) -> tuple[WorldState, jax.Array, jax.Array]:
+    return state.world_state, state.row, state.action
 
 
 def make_env(

@@ -5,7 +5,6 @@ from enum import IntEnum
 from typing import Literal
 
 import jax
-import jax.numpy as jnp
 
 from angler_mjx.robot.control import plans, stages
 from angler_mjx.robot.control.measurements import NavigationCarry
@@ -221,20 +220,3 @@ class WorldState:
     """Of the channel that the robots share, if they share one."""
     task: TaskState | None = None
     """Of the task, where there is one."""
-
-
-def replace_worlds[State](state: State, ended: jax.Array, initial: State, rows: jax.Array) -> State:
-    """Return states [W] of which the ended ones are those of other worlds at t = 0.
-
-    Args:
-        state: `WorldState`, or leaves of some; [W] leads.
-        ended: bool [W].
-        initial: the same at t = 0, [B] leads.
-        rows: int32 [W] whose of them.
-    """
-
-    def select_rows(first: jax.Array, now: jax.Array) -> jax.Array:
-        return jnp.where(ended.reshape(-1, *(1,) * (now.ndim - 1)), first[rows], now)
-
-    replaced: State = jax.tree.map(select_rows, initial, state)
-    return replaced

@@ -44,12 +44,6 @@ class Engine(Protocol):
         """Cells of worlds as the engine looks them up; None where it reads the grid itself."""
         ...
 
-    def replace_worlds(
-        self, state: WorldState, ended: jax.Array, initial: WorldState, rows: jax.Array
-    ) -> WorldState:
-        """Return states of which the ended ones begin anew, as `state.replace_worlds`."""
-        ...
-
     def control_step(
         self,
         spec: SimSpec,

@@ -22,14 +22,7 @@ from angler_mjx.sim.physics.mjx_engine import BodyInertia
 from angler_mjx.sim.physics.step import Multibody, VehicleState
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.record import Sample, build_sample
-from angler_mjx.sim.state import (
-    EngineConstants,
-    FleetWorld,
-    SimSpec,
-    World,
-    WorldState,
-    replace_worlds,
-)
+from angler_mjx.sim.state import EngineConstants, FleetWorld, SimSpec, World, WorldState
 from angler_mjx.sim.step import (
     JUDGE,
     OBSTACLES,
@@ -299,12 +292,6 @@ class MjxEngine:
     def pack_cells(self, worlds: World) -> None:
         """See `Engine.pack_cells`: None."""
         del worlds
-
-    def replace_worlds(
-        self, state: WorldState, ended: jax.Array, initial: WorldState, rows: jax.Array
-    ) -> WorldState:
-        """See `Engine.replace_worlds`."""
-        return replace_worlds(state, ended, initial, rows)
 
     def control_step(
         self,

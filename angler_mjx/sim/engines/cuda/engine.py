@@ -21,7 +21,7 @@ from angler_mjx.robot.control.stack import Command
 from angler_mjx.sim import sample_clearances
 from angler_mjx.sim import world_phases as running
 from angler_mjx.sim.approach import last_approaches_s
-from angler_mjx.sim.engines.cuda import launch, packing
+from angler_mjx.sim.engines.cuda import launch
 from angler_mjx.sim.engines.cuda.kernels import KernelLaunch, Kernels
 from angler_mjx.sim.engines.cuda.segment import MAX_STEPS_AHEAD, Segment, SegmentArrays
 from angler_mjx.sim.engines.cuda.tile import Tile
@@ -75,13 +75,6 @@ class CudaEngine:
     def pack_cells(self, worlds: World) -> jax.Array:
         """See `Engine.pack_cells`."""
         return pack_cells(worlds)
-
-    def replace_worlds(
-        self, state: WorldState, ended: jax.Array, initial: WorldState, rows: jax.Array
-    ) -> WorldState:
-        """See `Engine.replace_worlds`: a kernel for robots, and one for obstacles."""
-        shape = None if self._shape.interpret else self._shape
-        return packing.replace_worlds(shape, state, ended, initial, rows)
 
     def control_step(
         self,

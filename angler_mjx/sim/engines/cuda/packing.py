@@ -1,21 +1,16 @@
-"""Trees of arrays as planes of lanes and back, and states of worlds that begin anew, by kernels.
+"""Trees of arrays as planes of lanes and back, a kernel each way.
 
 XLA takes a kernel for each leaf: a control step alone would take longer to lay out than to fly.
 """
 
-import math
-from collections import defaultdict
 from collections.abc import Sequence
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 from jax.typing import DTypeLike
 
 from angler_kernels.lanes.planes import LeafLayout, PlaneLayout, cast_element
 from angler_mjx.sim.engines.cuda import launch
-from angler_mjx.sim.state import WorldState
-from angler_mjx.sim.state import replace_worlds as in_jax
 
 MAX_PLANES = 128
 """Maximum number of planes of a tree; larger ones, with tables, are laid out by XLA."""
@@ -91,86 +86,6 @@ def unpack_trees(
         )
         for layout in layouts
     ]
-
-
-def replace_worlds(
-    shape: launch.LaunchShape | None,
-    state: WorldState,
-    ended: jax.Array,
-    initial: WorldState,
-    rows: jax.Array,
-) -> WorldState:
-    """Return states of which the ended ones begin anew, as `state.replace_worlds`.
-
-    Args:
-        shape: threads of the kernels; None to have it done by XLA.
-        state: [W] leads.
-        ended: bool [W].
-        initial: states at t = 0, [B] leads.
-        rows: int32 [W] whose of them.
-    """
-    if shape is None or len(ended) % shape.block:
-        return in_jax(state, ended, initial, rows)
-    leaves, structure = jax.tree.flatten(state)
-    pairs = list(zip(leaves, jax.tree.leaves(initial), strict=True))
-    numbers_by_rows: dict[int, list[int]] = defaultdict(list)
-    for number, leaf in enumerate(leaves):
-        numbers_by_rows[_count_kernel_rows(leaf)].append(number)
-    for count, numbers in numbers_by_rows.items():
-        now, first = ([pairs[number][side] for number in numbers] for side in (0, 1))
-        selected = (
-            _select_rows(shape, count, now, ended, first, rows)
-            if count
-            else jax.tree.leaves(in_jax(now, ended, first, rows))
-        )
-        for number, leaf in zip(numbers, selected, strict=True):
-            leaves[number] = leaf
-    replaced: WorldState = jax.tree.unflatten(structure, leaves)
-    return replaced
-
-
-def _count_kernel_rows(leaf: jax.Array) -> int:
-    """Return the rows of a leaf [W, rows, ...] that a kernel selects; 0 if XLA does."""
-    is_small = leaf.ndim > 1 and 0 < math.prod(leaf.shape[2:]) <= MAX_PLANES
-    return leaf.shape[1] if is_small and leaf.dtype in (jnp.float32, jnp.int32, jnp.bool_) else 0
-
-
-def _select_rows(
-    shape: launch.LaunchShape,
-    count: int,
-    now: Sequence[jax.Array],
-    ended: jax.Array,
-    first: Sequence[jax.Array],
-    rows: jax.Array,
-) -> list[jax.Array]:
-    """Return leaves [W, count, ...] as `replace_worlds`, by one kernel."""
-    sizes = [math.prod(leaf.shape[2:]) for leaf in now]
-
-    def kernel(world: jax.Array, row: jax.Array, *refs: jax.Ref) -> None:
-        is_ended, source = refs[0][world], refs[1][world]
-        firsts, nows, targets = (refs[2 + k * len(now) :][: len(now)] for k in range(3))
-        at = [(world * count + row) * size for size in sizes]
-
-        def load(refs: Sequence[jax.Ref], base: Sequence[jax.Array]) -> list[jax.Array]:
-            return [
-                ref[start + k]
-                for ref, start, size in zip(refs, base, sizes, strict=True)
-                for k in range(size)
-            ]
-
-        def load_new() -> list[jax.Array]:
-            new = load(firsts, [(source * count + row) * size for size in sizes])
-            return [jnp.where(is_ended, x, y) for x, y in zip(new, load(nows, at), strict=True)]
-
-        values = iter(jax.lax.cond(jnp.any(is_ended), load_new, lambda: load(nows, at)))
-        for target, start, size in zip(targets, at, sizes, strict=True):
-            for k in range(size):
-                target[start + k] = next(values)
-
-    changed = [jax.lax.empty((leaf.size,), leaf.dtype) for leaf in now]
-    constant = [ended, rows, *(leaf.reshape(-1) for leaf in (*first, *now))]
-    flat = launch.call_kernel(kernel, shape, len(ended), count, constant, changed)
-    return [x.reshape(leaf.shape) for x, leaf in zip(flat, now, strict=True)]
 
 
 def fits_kernel(layout: PlaneLayout[Any]) -> bool:

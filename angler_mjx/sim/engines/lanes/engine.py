@@ -47,7 +47,7 @@ from angler_mjx.sim.physics.closed_form import ClosedForm
 from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.record import Sample, WorldRecord, build_sample
-from angler_mjx.sim.state import EngineConstants, SimSpec, World, WorldState, replace_worlds
+from angler_mjx.sim.state import EngineConstants, SimSpec, World, WorldState
 from angler_mjx.sim.step import (
     JUDGE,
     OBSTACLES,
@@ -87,12 +87,6 @@ class FusedEngine:
     def pack_cells(self, worlds: World) -> jax.Array:
         """See `Engine.pack_cells`."""
         return pack_cells(worlds)
-
-    def replace_worlds(
-        self, state: WorldState, ended: jax.Array, initial: WorldState, rows: jax.Array
-    ) -> WorldState:
-        """See `Engine.replace_worlds`."""
-        return replace_worlds(state, ended, initial, rows)
 
     def control_step(
         self,

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 from angler_kernels.lanes.planes import PlaneLayout
-from angler_mjx.sim.engines.cuda.engine import CudaEngine
 from angler_mjx.sim.engines.cuda.launch import LaunchShape
 from angler_mjx.sim.engines.cuda.packing import MAX_PLANES, pack_trees, unpack_trees
-from angler_mjx.sim.engines.lanes.engine import FusedEngine
 
 WORLDS, ROWS = 8, 3
 
@@ -60,25 +58,3 @@ def test_tables_and_empty_leaves_are_left_to_xla(tail):
     (flat,) = pack_trees(shape, [layout], [tree], jnp.float32)
     (back,) = unpack_trees(shape, [layout], [flat], (WORLDS, ROWS))
     assert back["table"].shape == (WORLDS, ROWS, *tail)
-
-
-@pytest.mark.usefixtures("compiled_sources")
-@pytest.mark.parametrize("block", [4, 5])
-def test_ended_worlds_begin_anew(scenes, block):
-    """By kernels, and by XLA where blocks do not divide the worlds."""
-    scene = scenes[0](WORLDS)
-    begun = jax.device_get(FusedEngine().reset(scene.spec, scene.fleet, scene.worlds))
-    random = np.random.default_rng(5)
-
-    def change(leaf):
-        return jnp.asarray(random.integers(0, 90, leaf.shape).astype(leaf.dtype))
-
-    now, initial = jax.tree.map(change, begun), jax.tree.map(change, begun)
-    ended = jnp.asarray([True, False, False, True, False, False, True, False])
-    rows = jnp.asarray(random.integers(0, WORLDS, WORLDS), jnp.int32)
-    after = jax.jit(CudaEngine(block=block).replace_worlds)(now, ended, initial, rows)
-    for ours, old, new in zip(*map(jax.tree.leaves, (after, now, initial)), strict=True):
-        assert ours.dtype == old.dtype
-        for world in range(WORLDS):
-            expected = new[rows[world]] if ended[world] else old[world]
-            np.testing.assert_array_equal(ours[world], expected)
