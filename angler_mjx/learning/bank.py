@@ -8,7 +8,7 @@ import numpy as np
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.runs.simulator.simulator import Simulator
-from angler_mjx.sim.state import EngineConstants, World, WorldState
+from angler_mjx.sim.state import EngineConstants, EngineState, World, WorldState
 
 
 @jax.tree_util.register_dataclass
@@ -20,16 +20,13 @@ class WorldBank:
     initial_state: WorldState
     laid: EngineConstants
     """Constants as packed by `Engine.pack_constants`."""
+    packed_state: EngineState
+    """Initial states as packed by `Engine.pack_state`."""
 
     @property
     def count(self) -> int:
         """Return the number of worlds."""
         return int(self.initial_state.step.shape[0])
-
-    def select_initial_state(self, rows: jax.Array) -> WorldState:
-        """Return states at t = 0 of worlds ``rows`` int32 [W]."""
-        state: WorldState = jax.tree.map(lambda leaf: leaf[rows], self.initial_state)
-        return state
 
 
 def sample_worlds(
@@ -62,7 +59,11 @@ def build_bank(simulator: Simulator, worlds: World, initial_states: list[WorldSt
     adopted = to_default_device(simulator.adopt(worlds))
     lay_out = jax.jit(simulator.engine.pack_constants)
     laid = lay_out(to_default_device(simulator.fleet), adopted)
-    return WorldBank(worlds=adopted, initial_state=_concatenate(initial_states, count), laid=laid)
+    initial_state = _concatenate(initial_states, count)
+    packed_state = jax.jit(simulator.engine.pack_state)(initial_state)
+    return WorldBank(
+        worlds=adopted, initial_state=initial_state, laid=laid, packed_state=packed_state
+    )
 
 
 def to_default_device[T](tree: T) -> T:

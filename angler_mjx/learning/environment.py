@@ -24,7 +24,7 @@ from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.sim import sensing
 from angler_mjx.sim.engines.base import Engine
 from angler_mjx.sim.fleet import Fleet
-from angler_mjx.sim.state import Outcome, SimSpec, WorldState
+from angler_mjx.sim.state import EngineState, Outcome, SimSpec, WorldState
 
 type Aim = Literal["goal", "start"]
 """Target of robots: their goals, or the poses at the start."""
@@ -53,13 +53,24 @@ class EnvironmentRules:
 class EnvState:
     """State of an environment; [W] leads except for ``key``."""
 
-    world_state: WorldState
+    engine_state: EngineState
+    """Of `Engine.pack_state`."""
     row: jax.Array
     """int32 [W] index in the bank of each world."""
     action: jax.Array
     """[W, R, size] last action, from -1 to 1; zeros at the beginning of an episode."""
     key: jax.Array
     """Key of later worlds."""
+    engine: Engine = field(metadata={"static": True})
+
+    @property
+    def world_state(self) -> WorldState:
+        """Return the state of the worlds."""
+        return self.engine.unpack_state(self.engine_state)
+
+    def with_world_state(self, world_state: WorldState) -> "EnvState":
+        """Return the same with another state of the worlds."""
+        return replace(self, engine_state=self.engine.pack_state(world_state))
 
 
 class StepInfo(TypedDict):
@@ -156,7 +167,7 @@ class FleetEnv:
                 that is not finite.
         """
         actions.check_actions(action, self.action_shape)
-        rules, before = self.rules, state.world_state
+        rules, engine, before = self.rules, self.rules.engine, state.world_state
         raw = jnp.asarray(action, state.action.dtype)
         finite = jnp.isfinite(raw)
         clipped = jnp.where(finite, jnp.clip(raw, -1.0, 1.0), 0.0)
@@ -167,17 +178,18 @@ class FleetEnv:
         is_finite = jnp.all(finite, axis=-1, keepdims=True)
         scaled = jnp.where(is_finite, scaled, jnp.nan)
         command = rules.action.make_command(scaled, estimate, aim_m, yaw)
-        after, _ = rules.engine.control_step(
+        engine_state = engine.advance(
             rules.spec,
             self.fleet,
             self.bank.worlds,
-            before,
+            state.engine_state,
             command,
-            rows=state.row,
-            constants=self.bank.laid,
-            steps=rules.action_repeat,
+            state.row,
+            self.bank.laid,
+            rules.action_repeat,
         )
-        after = _with_finite_energy(after, before)
+        after = _with_finite_energy(engine.unpack_state(engine_state), before)
+        engine_state = engine.replace_energy(engine_state, after.tally.energy_j)
         reward, terms = rewards.compute_reward(
             rules.weights,
             rewards.RewardStep(
@@ -193,7 +205,7 @@ class FleetEnv:
         final_observation = self._observe(after, state.row, clipped)
         terminated = jnp.all(after.tally.outcome != Outcome.RUNNING, axis=1)
         truncated = (after.step >= rules.horizon) & ~terminated
-        next_state = EnvState(world_state=after, row=state.row, action=clipped, key=state.key)
+        next_state = replace(state, engine_state=engine_state, action=clipped)
         next_state, observation = self._replace_ended(
             next_state, final_observation, terminated | truncated
         )
@@ -222,25 +234,17 @@ class FleetEnv:
         def replace_worlds() -> tuple[EnvState, jax.Array]:
             key, row_key = jax.random.split(state.key)
             row = self._sample_rows(row_key)
-            fresh = EnvState(
-                world_state=self.bank.select_initial_state(row),
-                row=row,
-                action=jnp.zeros_like(state.action),
-                key=key,
+            of_world = ended[:, None, None]
+            after = replace(
+                state,
+                engine_state=self.rules.engine.replace_states(
+                    state.engine_state, ended, self.bank.packed_state, row
+                ),
+                row=jnp.where(ended, row, state.row),
+                action=jnp.where(of_world, 0.0, state.action),
+                key=jnp.where(jnp.any(ended), key, state.key),
             )
-
-            def select_new(new: jax.Array, old: jax.Array) -> jax.Array:
-                return jnp.where(ended.reshape(-1, *(1,) * (old.ndim - 1)), new, old)
-
-            kept = EnvState(
-                world_state=state.world_state, row=state.row, action=state.action, key=key
-            )
-            selected = jax.tree.map(select_new, _world_leaves(fresh), _world_leaves(kept))
-            after_key = jnp.where(jnp.any(ended), key, state.key)
-            after = EnvState(
-                world_state=selected[0], row=selected[1], action=selected[2], key=after_key
-            )
-            return after, select_new(self.initial_observation[row], observation)
+            return after, jnp.where(of_world, self.initial_observation[row], observation)
 
         def replace_if_any() -> tuple[EnvState, jax.Array]:
             selected: tuple[EnvState, jax.Array] = jax.lax.cond(
@@ -308,14 +312,15 @@ def _reset(env: FleetEnv, key: jax.Array | None) -> tuple[EnvState, jax.Array]:
         key, row_key = jax.random.split(key)
         row = env._sample_rows(row_key)
     action = jnp.zeros(env.action_shape, env.initial_observation.dtype)
+    engine = env.rules.engine
     state = EnvState(
-        world_state=env.bank.select_initial_state(row), row=row, action=action, key=key
+        engine_state=engine.select_states(env.bank.packed_state, row),
+        row=row,
+        action=action,
+        key=key,
+        engine=engine,
     )
     return state, env.initial_observation[row]
-
-
-def _world_leaves(state: EnvState) -> tuple[WorldState, jax.Array, jax.Array]:
-    return state.world_state, state.row, state.action
 
 
 def make_env(

@@ -5,6 +5,7 @@ from enum import IntEnum
 from typing import Literal
 
 import jax
+import jax.numpy as jnp
 
 from angler_mjx.robot.control import plans, stages
 from angler_mjx.robot.control.measurements import NavigationCarry
@@ -23,6 +24,10 @@ from angler_mjx.world.tasks.spec import TaskSpec, TaskState, TaskWorld
 
 type EngineConstants = tuple[jax.Array, ...]
 """A bank's constants as an engine reads them; see `Engine.pack_constants`."""
+
+
+type EngineState = object
+"""States of worlds as an engine keeps them from step to step; see `Engine.pack_state`."""
 
 
 class Outcome(IntEnum):
@@ -220,3 +225,22 @@ class WorldState:
     """Of the channel that the robots share, if they share one."""
     task: TaskState | None = None
     """Of the task, where there is one."""
+
+
+def replace_worlds(
+    state: WorldState, ended: jax.Array, initial: WorldState, rows: jax.Array
+) -> WorldState:
+    """Return states [W] whose ended worlds are worlds of other states.
+
+    Args:
+        state: [W] leads.
+        ended: bool [W].
+        initial: states that they are taken from, [B] leads.
+        rows: int32 [W] whose of them.
+    """
+
+    def replace_rows(other: jax.Array, now: jax.Array) -> jax.Array:
+        return jnp.where(ended.reshape(-1, *(1,) * (now.ndim - 1)), other[rows], now)
+
+    replaced: WorldState = jax.tree.map(replace_rows, initial, state)
+    return replaced

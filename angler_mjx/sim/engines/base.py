@@ -14,7 +14,7 @@ from angler_mjx.sim.engines.mjx import MjxEngine
 from angler_mjx.sim.fleet import Fleet
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.record import Sample
-from angler_mjx.sim.state import EngineConstants, SimSpec, World, WorldState
+from angler_mjx.sim.state import EngineConstants, EngineState, SimSpec, World, WorldState
 
 
 class Engine(Protocol):
@@ -77,6 +77,42 @@ class Engine(Protocol):
             The state so many control periods later, and the sample of the state before one of the
             steps; what it says that robots were told is of the last.
         """
+        ...
+
+    def pack_state(self, state: WorldState) -> EngineState:
+        """States as the engine keeps them from one call of `advance` to the next."""
+        ...
+
+    def unpack_state(self, packed: EngineState) -> WorldState:
+        """States of `pack_state`, or of any of the following."""
+        ...
+
+    def advance(
+        self,
+        spec: SimSpec,
+        fleet: Fleet,
+        worlds: World,
+        packed: EngineState,
+        command: Command | None,
+        rows: jax.Array,
+        constants: EngineConstants,
+        steps: int,
+    ) -> EngineState:
+        """States after control steps, without samples; arguments as of `control_step`."""
+        ...
+
+    def select_states(self, packed: EngineState, rows: jax.Array) -> EngineState:
+        """States of worlds ``rows`` int32 [W]."""
+        ...
+
+    def replace_states(
+        self, packed: EngineState, ended: jax.Array, initial: EngineState, rows: jax.Array
+    ) -> EngineState:
+        """States whose worlds ``ended`` bool [W] are worlds ``rows`` int32 [W] of others."""
+        ...
+
+    def replace_energy(self, packed: EngineState, energy_j: jax.Array) -> EngineState:
+        """States with other energies [W, R] in their tallies."""
         ...
 
     def segment(

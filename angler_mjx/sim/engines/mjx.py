@@ -14,6 +14,7 @@ from angler_mjx.sim import sample_clearances, start
 from angler_mjx.sim import world_phases as running
 from angler_mjx.sim.approach import last_approaches_s
 from angler_mjx.sim.detection import detect_contacts
+from angler_mjx.sim.engines.unpacked_state import UnpackedStates
 from angler_mjx.sim.fleet import Fleet, add_parameters, apply_loads
 from angler_mjx.sim.phase import run_phase
 from angler_mjx.sim.physics import mjx_engine
@@ -273,7 +274,7 @@ def segment(
     return after, samples
 
 
-class MjxEngine:
+class MjxEngine(UnpackedStates):
     """MuJoCo MJX on worlds [tile]."""
 
     def reset(

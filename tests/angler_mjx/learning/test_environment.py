@@ -20,6 +20,7 @@ from angler_mjx.robot.control.commands import BodyTwist, PoseTarget
 from angler_mjx.robot.control.stack import wants_flow
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import load_scenario
+from angler_mjx.sim.engines.cuda.engine import CudaEngine
 from angler_mjx.sim.state import Outcome
 
 WORLDS, STEPS = 4, 20
@@ -118,10 +119,39 @@ def test_an_action_that_is_held_is_as_many_steps_of_it(simulator, env, step):
         make_env(simulator, worlds=WORLDS, bank=env.bank, action_repeat=3)
 
 
+@pytest.mark.usefixtures("compiled_sources")
+def test_an_environment_on_kernels_steps_as_on_lanes(env, step):
+    """Kernels run here as C, in blocks that the worlds do not fill; a world ends, a robot too."""
+    engine = CudaEngine(block=3)
+    bank = replace(
+        env.bank,
+        laid=engine.pack_constants(env.fleet, env.bank.worlds),
+        packed_state=engine.pack_state(env.bank.initial_state),
+    )
+    on_kernels = replace(env, bank=bank, rules=replace(env.rules, engine=engine))
+    both = []
+    for each in (env, on_kernels):
+        state, _ = each.reset()
+        late = state.world_state.step.at[1].set(env.rules.horizon - 2)
+        state = state.with_world_state(replace(state.world_state, step=late))
+        fly = step if each is env else jax.jit(partial(FleetEnv.step, each))
+        for number in range(3):
+            action = np.full(env.action_shape, 0.3, np.float32)
+            action[2, 0] = np.nan if number == 1 else 0.3
+            results = fly(env, state, action) if each is env else fly(state, action)
+            state, *_ = results
+        both.append((state.world_state, state.row, state.action, *results[1:]))
+    lanes, kernels = both
+    assert lanes[0].step.tolist() == [3, 1, 3, 3]
+    assert np.isfinite(lanes[-1]["energy_j"]).all()
+    for ours, theirs in zip(jax.tree.leaves(kernels), jax.tree.leaves(lanes), strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-4, atol=1e-5)
+
+
 def test_only_ended_worlds_are_replaced_and_by_the_bank(env, step):
     state, _ = env.reset()
     late = state.world_state.step.at[1].set(env.rules.horizon - 1)
-    state = replace(state, world_state=replace(state.world_state, step=late))
+    state = state.with_world_state(replace(state.world_state, step=late))
     action = np.full(env.action_shape, 0.3, np.float32)
     after, seen, _, terminated, truncated, info = step(env, state, action)
     assert truncated.tolist() == [False, True, False, False]
@@ -143,7 +173,7 @@ def test_a_world_whose_robots_all_ended_terminates(env, step):
     state, _ = env.reset()
     outcome = state.world_state.tally.outcome.at[2].set(1)
     tally = replace(state.world_state.tally, outcome=outcome)
-    state = replace(state, world_state=replace(state.world_state, tally=tally))
+    state = state.with_world_state(replace(state.world_state, tally=tally))
     _, _, reward, terminated, truncated, _ = step(env, state, np.zeros(env.action_shape))
     assert terminated.tolist() == [False, False, True, False]
     assert not truncated.any()
@@ -346,7 +376,7 @@ def sight(env):
     cell, origin = np.asarray(grid.cell_m)[rows], np.asarray(grid.origin_m)[rows]
     p = origin[:, None] + (index + rng.uniform(0.3, 0.7, index.shape)) * cell[:, None, None]
     q = Rotation.random(2 * WORLDS, rng=1).as_quat()[:, [3, 0, 1, 2]].reshape(WORLDS, 2, 4)
-    begun = env.bank.select_initial_state(rows)
+    begun = jax.tree.map(lambda leaf: leaf[rows], env.bank.initial_state)
     vehicles = replace(begun.vehicles, p=jnp.asarray(p), q=jnp.asarray(q))
     return ObservedState(
         worlds=worlds,

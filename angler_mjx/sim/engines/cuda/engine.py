@@ -23,6 +23,7 @@ from angler_mjx.sim import world_phases as running
 from angler_mjx.sim.approach import last_approaches_s
 from angler_mjx.sim.engines.cuda import launch
 from angler_mjx.sim.engines.cuda.kernels import KernelLaunch, Kernels
+from angler_mjx.sim.engines.cuda.packed_state import PackedState, fill
 from angler_mjx.sim.engines.cuda.segment import MAX_STEPS_AHEAD, Segment, SegmentArrays
 from angler_mjx.sim.engines.cuda.tile import Tile
 from angler_mjx.sim.engines.lanes.engine import FusedEngine
@@ -30,7 +31,7 @@ from angler_mjx.sim.engines.lanes.layout import pack_cells
 from angler_mjx.sim.fleet import Fleet, add_parameters
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.record import Sample
-from angler_mjx.sim.state import EngineConstants, SimSpec, World, WorldState
+from angler_mjx.sim.state import EngineConstants, EngineState, SimSpec, World, WorldState
 from angler_mjx.sim.step_repetition import repeat_steps
 from angler_mjx.sim.world_phases import WorldMemory, WorldPhaseOutput
 
@@ -104,9 +105,67 @@ class CudaEngine:
             )
             return repeat_steps(again, state, steps)
         after, sample = self._run_segment(
-            spec, fleet, worlds, state, 1, steps, command, policy, cells, rows, constants
+            spec,
+            fleet,
+            worlds,
+            self.pack_state(state),
+            1,
+            steps,
+            command,
+            policy,
+            cells,
+            rows,
+            constants,
         )
-        return after, jax.tree.map(lambda leaf: leaf[:, 0], sample)
+        return after.unpack(), jax.tree.map(lambda leaf: leaf[:, 0], sample)
+
+    def pack_state(self, state: WorldState) -> PackedState:
+        """See `Engine.pack_state`: planes of lanes."""
+        packing = None if self._shape.interpret else self._shape
+        return PackedState.of(state, self._shape.block, packing)
+
+    def unpack_state(self, packed: EngineState) -> WorldState:
+        """See `Engine.unpack_state`."""
+        return _check_packed(packed).unpack()
+
+    def advance(
+        self,
+        spec: SimSpec,
+        fleet: Fleet,
+        worlds: World,
+        packed: EngineState,
+        command: Command | None,
+        rows: jax.Array,
+        constants: EngineConstants,
+        steps: int,
+    ) -> EngineState:
+        """See `Engine.advance`."""
+
+        def advance_once(packed: PackedState, steps: int) -> PackedState:
+            return self._run_segment(
+                spec, fleet, worlds, packed, 1, steps, command, None, None, rows, constants
+            )[0]
+
+        now = _check_packed(packed)
+        if not running.has_world_phases(spec, None):
+            return advance_once(now, steps)
+        return jax.lax.fori_loop(0, steps, lambda _, state: advance_once(state, 1), now)
+
+    def select_states(self, packed: EngineState, rows: jax.Array) -> EngineState:
+        """See `Engine.select_states`."""
+        states = _check_packed(packed)
+        extra = -len(rows) % self._shape.block
+        return replace(states.select(fill(rows, extra)), worlds=len(rows))
+
+    def replace_states(
+        self, packed: EngineState, ended: jax.Array, initial: EngineState, rows: jax.Array
+    ) -> EngineState:
+        """See `Engine.replace_states`."""
+        return _check_packed(packed).replace_worlds(ended, _check_packed(initial), rows)
+
+    def replace_energy(self, packed: EngineState, energy_j: jax.Array) -> EngineState:
+        """See `Engine.replace_energy`."""
+        return _check_packed(packed).replace_energy(energy_j)
 
     def segment(
         self,
@@ -144,11 +203,11 @@ class CudaEngine:
             fleet: Fleet, worlds: World, state: WorldState, drivers: Drivers
         ) -> tuple[WorldState, Sample]:
             command, policy, cells = drivers
-            return self._run_segment(
+            after, samples = self._run_segment(
                 spec,
                 fleet,
                 worlds,
-                state,
+                self.pack_state(state),
                 n_sample,
                 steps_per_sample,
                 command,
@@ -156,6 +215,7 @@ class CudaEngine:
                 cells,
                 begins=begins,
             )
+            return after.unpack(), samples
 
         both = launch.with_gradient_of(plain, fast)
         return both(fleet, worlds, state, (command, policy, cells))
@@ -165,7 +225,7 @@ class CudaEngine:
         spec: SimSpec,
         fleet: Fleet,
         worlds: World,
-        state: WorldState,
+        state: PackedState,
         n_sample: int,
         steps_per_sample: int,
         command: Command | None,
@@ -174,16 +234,11 @@ class CudaEngine:
         rows: jax.Array | None = None,
         constants: EngineConstants = (),
         begins: int = 1,
-    ) -> tuple[WorldState, Sample]:
-        """Fill the last block with repetitions of the last world, which are cut off again."""
-        count = state.step.shape[0]
-        extra = -count % self._shape.block
-
-        def fill(leaf: jax.Array) -> jax.Array:
-            return jnp.concatenate([leaf, jnp.repeat(leaf[-1:], extra, axis=0)]) if extra else leaf
-
+    ) -> tuple[PackedState, Sample]:
+        """Run whole blocks: the last world is repeated until they are full, and cut off again."""
+        extra = state.filled - state.worlds
         row_worlds = worlds if rows is None else jax.tree.map(lambda leaf: leaf[rows], worlds)
-        state, command, rows, flying = jax.tree.map(fill, (state, command, rows, row_worlds))
+        command, rows, flying = fill((command, rows, row_worlds), extra)
         equipped = add_parameters(fleet, flying)
         policy = running.active_policy(policy, command)
         watched = running.observes_obstacles(policy)
@@ -192,17 +247,18 @@ class CudaEngine:
             None,
         )
         if running.has_world_phases(spec, policy):
-            bodies = state.obstacles if watched else None
+            whole = jax.eval_shape(PackedState.unpack_filled, state)
+            bodies = whole.obstacles if watched else None
             number = state.step[0] if rows is None else state.step
-            ended = state.tally.outcome if spec.by_task else None
+            ended = whole.tally.outcome if spec.by_task else None
             _, output = jax.eval_shape(
-                run_phases, WorldMemory.of(state), number, state.vehicles, bodies, ended
+                run_phases, state.memory, number, whole.vehicles, bodies, ended
             )
         begin_s = None
         if policy is None:
             begin_s = jax.vmap(partial(last_approaches_s, spec))(flying, command)
         if rows is None:
-            tile = Tile(fleet, flying, None, constants, jax.tree.map(fill, cells))
+            tile = Tile(fleet, flying, None, constants, fill(cells, extra))
         else:
             tile = Tile(fleet, worlds, rows, constants, cells)
         steps = n_sample * steps_per_sample
@@ -228,7 +284,7 @@ class CudaEngine:
 
         def run_periods(
             period: int, prepared: tuple[Segment, tuple[KernelLaunch, KernelLaunch]]
-        ) -> tuple[WorldState, Sample]:
+        ) -> tuple[PackedState, Sample]:
             """With phases of worlds that act once a period, where the segment begins with one."""
             part, launches = prepared
             if output is None:
@@ -250,10 +306,18 @@ class CudaEngine:
             otherwise = partial(run_periods, 1, laid_out(1) if seen else usual)
             now = state.step[0] % period == 0
             end = jax.lax.cond(now, partial(run_periods, period, usual), otherwise)
-        after, samples = jax.tree.map(lambda leaf: leaf[:count], end)
+        after = end[0]
+        samples = jax.tree.map(lambda leaf: leaf[: state.worlds], end[1])
         return after, sample_clearances.add_all_clearances(
             spec, add_parameters(fleet, row_worlds), samples
         )
+
+
+def _check_packed(state: EngineState) -> PackedState:
+    """Return a state of this engine."""
+    if not isinstance(state, PackedState):
+        raise TypeError(f"{type(state).__name__} is no state of `CudaEngine.pack_state`")
+    return state
 
 
 def _steps_ahead(period: int, watched: bool) -> int:

@@ -4,7 +4,7 @@ The way back is XLA's: lanes that write leaves store to memory far apart, which 
 worlds of `reef_fleet` on an H200, XLA's 14 kernels 30.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax
@@ -34,7 +34,7 @@ def pack_trees(
     Returns:
         A flat array for each tree.
     """
-    if shape is None or not all(map(fits_kernel, layouts)):
+    if shape is None or not layouts or not all(map(fits_kernel, layouts)):
         return [layout.pack(tree, dtype) for layout, tree in zip(layouts, trees, strict=True)]
     leaves = [leaf for tree in trees for leaf in jax.tree.leaves(tree)]
     worlds, rows = leaves[0].shape[:2]
@@ -50,6 +50,24 @@ def pack_trees(
     changed = [jax.lax.empty((layout.size,), dtype) for layout in layouts]
     flat = [leaf.reshape(-1) for leaf in leaves]
     return list(launch.call_kernel(kernel, shape, worlds, rows, flat, changed))
+
+
+def pack_by_name(
+    shape: launch.LaunchShape | None, trees: Mapping[str, Any], dtype: DTypeLike
+) -> dict[str, tuple[PlaneLayout[Any], jax.Array]]:
+    """Return layouts and flat arrays of trees of arrays [W, R, ...]; those with tables by XLA."""
+    layouts = {name: PlaneLayout.of(tree, 2) for name, tree in trees.items()}
+    small = [name for name in trees if fits_kernel(layouts[name])]
+    flats = {
+        name: layout.pack(trees[name], dtype)
+        for name, layout in layouts.items()
+        if name not in small
+    }
+    packed = pack_trees(
+        shape, [layouts[name] for name in small], [trees[name] for name in small], dtype
+    )
+    flats |= dict(zip(small, packed, strict=True))
+    return {name: (layout, flats[name]) for name, layout in layouts.items()}
 
 
 def fits_kernel(layout: PlaneLayout[Any]) -> bool:

@@ -1,6 +1,6 @@
 """Where everything that changes in a segment lies for the kernels: states, scratch and records."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import Any
 
@@ -12,11 +12,12 @@ from angler_kernels.lanes.planes import PlaneLayout, SampleBuffer
 from angler_mjx.robot.control.stack import Command
 from angler_mjx.sim import record, step
 from angler_mjx.sim.engines.cuda.launch import LaunchShape
-from angler_mjx.sim.engines.cuda.packing import fits_kernel, pack_trees
+from angler_mjx.sim.engines.cuda.packed_state import BODIES, PackedState
+from angler_mjx.sim.engines.cuda.packing import pack_by_name
 from angler_mjx.sim.engines.cuda.tile import Tile
 from angler_mjx.sim.phase import Phase, Record
 from angler_mjx.sim.record import Sample, WorldRecord, build_sample
-from angler_mjx.sim.state import SimSpec, WorldState
+from angler_mjx.sim.state import SimSpec
 from angler_mjx.sim.step import DECIDE, JUDGE, MOVE, OBSTACLES, RobotState
 from angler_mjx.sim.world_phases import WorldMemory, WorldPhaseOutput
 
@@ -75,7 +76,7 @@ class Segment:
     def __init__(
         self,
         tile: Tile,
-        state: WorldState,
+        state: PackedState,
         n_sample: int,
         every: int,
         command: Command | None,
@@ -98,23 +99,24 @@ class Segment:
             ahead: control steps that obstacles are moved ahead of the robots.
             also: what is recorded because it is asked for.
             last_approach_s: [W, R], of `last_approaches_s`; None where no plans are flown.
-            packing: threads of the kernels that pack states; None to leave it to XLA.
+            packing: threads of the kernel that packs the command; None to leave it to XLA.
         """
         self._also = also
         self.ahead = ahead
-        self.tile, self._state, self._packing = tile, state, packing
+        self.tile, self._state = tile, state
         self._samples, self.every, self.steps = n_sample, every, n_sample * every
         self.first = state.step if tile.some_rows else state.step[:1]
-        slot_trees = {"vehicle": state.vehicles, "memory": state.carry, "tally": state.tally}
-        if command is not None:
-            slot_trees["command"] = command
-        if last_approach_s is not None:
-            slot_trees["last_approach_s"] = last_approach_s
-        packed = self._pack(slot_trees)
+        inputs = {"command": command, "last_approach_s": last_approach_s}
+        packed = pack_by_name(
+            packing, {name: x for name, x in inputs.items() if x is not None}, tile.dtype
+        )
+        flats = {name: flat for name, (_, flat) in packed.items()}
+        flats |= {name: flat for name, flat in state.planes.items() if name != BODIES}
+        self.bodies = state.layout(BODIES)
         self.layouts: dict[str, PlaneLayout[Any]] = {
-            name: layout for name, (layout, _) in packed.items()
+            **{name: layout for name, layout in state.layouts if name != BODIES},
+            **{name: layout for name, (layout, _) in packed.items()},
         }
-        self.bodies, bodies = self._pack({"": state.obstacles})[""]
         self.layouts |= self._scratch_layouts(output)
         three, four = tile.shape(3), tile.shape(4)
         self.track_layout = tile.layout(TrackedObstacle(p=three, q=four, v=three), tile.obstacles)
@@ -127,13 +129,13 @@ class Segment:
         allocate = partial(_allocate_array, dtype=tile.dtype)
         self.start = SegmentArrays(
             slots={
-                name: packed[name][1] if name in packed else allocate(layout.size)
+                name: flats[name] if name in flats else allocate(layout.size)
                 for name, layout in self.layouts.items()
             },
-            bodies=bodies,
+            bodies=state.planes[BODIES],
             track=allocate(ahead * self.track_layout.size if tile.some_obstacle else 1),
             records={name: allocate(buffer.size) for name, buffer in self.buffers.items()},
-            memory=WorldMemory.of(state),
+            memory=state.memory,
             phase_records=WorldRecord()
             if output is None
             else jax.tree.map(
@@ -163,23 +165,15 @@ class Segment:
         """Where in the track a control step begins, counted from the segment's first."""
         return count % self.ahead * self.track_layout.size
 
-    def collect_result(self, end: SegmentArrays) -> tuple[WorldState, Sample]:
-        """The state after all steps, and the samples."""
+    def collect_result(self, end: SegmentArrays) -> tuple[PackedState, Sample]:
+        """Return the state after all steps, and the samples."""
         tile, state = self.tile, self._state
-        of_robot, of_body = (tile.worlds, tile.robots), (tile.worlds, tile.obstacles)
-        kept = RobotState(
-            **{
-                entry.name: self.layouts[entry.name].unpack(end.slots[entry.name], of_robot)
-                for entry in fields(RobotState)
-            }
-        )
-        after = WorldState(
-            vehicles=kept.vehicle,
-            carry=kept.memory,
-            obstacles=self.bodies.unpack(end.bodies, of_body),
-            tally=kept.tally,
+        robots = {entry.name: end.slots[entry.name] for entry in fields(RobotState)}
+        after = replace(
+            state,
+            planes={**robots, BODIES: end.bodies},
+            memory=end.memory,
             step=state.step + self.steps,
-            **vars(end.memory),
         )
         worlds: WorldRecord = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, 1), end.phase_records)
         seen: Record = {}
@@ -187,31 +181,19 @@ class Segment:
             seen |= buffer.unpack(end.records[name])
         if not tile.some_obstacle:  # rows of padding stay where they are
             repeat_samples = partial(_repeat_samples, times=self._samples)
-            seen |= jax.tree.map(repeat_samples, step.record_obstacles(state.obstacles))
+            seen |= jax.tree.map(repeat_samples, step.record_obstacles(state.unpack_planes(BODIES)))
         return after, build_sample(worlds, seen)
 
-    def _pack(self, trees: dict[str, Any]) -> dict[str, tuple[PlaneLayout[Any], jax.Array]]:
-        """Return layouts and flat arrays of trees of arrays [W, rows, ...] with the same rows."""
-        layouts = {name: PlaneLayout.of(tree, 2) for name, tree in trees.items()}
-        small = [name for name in trees if fits_kernel(layouts[name])]
-        flats = {
-            name: layout.pack(trees[name], self.tile.dtype)
-            for name, layout in layouts.items()
-            if name not in small
-        }
-        packed = pack_trees(
-            self._packing,
-            [layouts[name] for name in small],
-            [trees[name] for name in small],
-            self.tile.dtype,
-        )
-        flats |= dict(zip(small, packed, strict=True))
-        return {name: (layout, flats[name]) for name, layout in layouts.items()}
+    @property
+    def _thrusters(self) -> tuple[int]:
+        """Return the number of thrusters of a robot, as a shape."""
+        (count,) = self._state.shapes("vehicle").thrust.shape
+        return (count,)
 
     def _scratch_layouts(self, output: WorldPhaseOutput | None) -> dict[str, PlaneLayout[Any]]:
         """Layouts of what is made anew in every step."""
         tile = self.tile
-        thrusters = tile.shape(self._state.vehicles.thrust.shape[-1])
+        thrusters = tile.shape(*self._thrusters)
         shapes = step.scratch_shapes(tile.shape(), thrusters)
         layouts: dict[str, PlaneLayout[Any]] = {
             name: tile.layout(shape, tile.robots) for name, shape in shapes.items()
@@ -226,7 +208,7 @@ class Segment:
         if not fields or (phase.of == "obstacle" and not tile.some_obstacle):
             return None
         rows = tile.obstacles if phase.of == "obstacle" else tile.robots
-        sizes = {"thruster": self._state.vehicles.thrust.shape[-1]}
+        sizes = {"thruster": self._thrusters[0]}
         shapes = {
             field.path[0]: jax.ShapeDtypeStruct(
                 field.element_shape(sizes), jnp.int32 if field.about.whole else tile.dtype

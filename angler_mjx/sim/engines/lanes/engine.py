@@ -41,6 +41,7 @@ from angler_mjx.sim.engines.lanes.layout import (
     world_state,
 )
 from angler_mjx.sim.engines.lanes.steps import Cells, GridShape, LaneBatch
+from angler_mjx.sim.engines.unpacked_state import UnpackedStates
 from angler_mjx.sim.fleet import Fleet, add_parameters
 from angler_mjx.sim.phase import Record, run_phase
 from angler_mjx.sim.physics.closed_form import ClosedForm
@@ -67,7 +68,7 @@ type _SampleRow = tuple[list[jax.Array], WorldRecord]
 """A sample: lanes of what robots and obstacles recorded, and the record of the phases of worlds."""
 
 
-class FusedEngine:
+class FusedEngine(UnpackedStates):
     """Closed-form rigid bodies on lanes, in plain JAX."""
 
     def reset(

@@ -25,6 +25,7 @@ from angler_mjx.robot.control.commands.joint_trajectory import from_path
 from angler_mjx.sim import fleet, robot, step
 from angler_mjx.sim.engines.cuda.kernels import Kernels
 from angler_mjx.sim.engines.cuda.launch import LaunchShape
+from angler_mjx.sim.engines.cuda.packed_state import PackedState
 from angler_mjx.sim.engines.cuda.segment import Segment
 from angler_mjx.sim.engines.cuda.tile import Tile
 from angler_mjx.sim.engines.lanes.engine import FusedEngine, SceneBatch
@@ -330,7 +331,14 @@ def test_the_kernel_of_every_controller_lowers_for_cuda(name, scene, at_rest, to
         worlds, state, command = jax.tree.map(single, given)
 
     def decide(worlds, state, command):
-        part = Segment(Tile(jax.tree.map(single, scene.fleet), worlds), state, 1, 1, command, None)
+        part = Segment(
+            Tile(jax.tree.map(single, scene.fleet), worlds),
+            PackedState.of(state, 1, None),
+            1,
+            1,
+            command,
+            None,
+        )
         kernels = Kernels(LaunchShape(block=1), spec, part)
         start = np.zeros(1, np.int32)
         return kernels.run_phase(DECIDE, part.tile.groups[0], start, start, part.start)

@@ -18,6 +18,7 @@ from angler_mjx.robot.control.plans import check_plan
 from angler_mjx.sim import fleet, step
 from angler_mjx.sim.engines.cuda.kernels import Kernels
 from angler_mjx.sim.engines.cuda.launch import LaunchShape
+from angler_mjx.sim.engines.cuda.packed_state import PackedState
 from angler_mjx.sim.engines.cuda.segment import Segment
 from angler_mjx.sim.engines.cuda.tile import Tile
 from angler_mjx.sim.engines.lanes.engine import SceneBatch
@@ -200,7 +201,7 @@ def test_the_kernel_reads_joints_of_many_points(scene, begun, plans):
     worlds, state, kinds = jax.tree.map(single, given)
 
     def decide(worlds, state):
-        part = Segment(Tile(kinds, worlds), state, 1, 1, None, None)
+        part = Segment(Tile(kinds, worlds), PackedState.of(state, 1, None), 1, 1, None, None)
         kernels = Kernels(LaunchShape(block=1), scene.spec, part)
         begin = np.zeros(1, np.int32)
         return kernels.run_phase(DECIDE, part.tile.groups[0], begin, begin, part.start)
