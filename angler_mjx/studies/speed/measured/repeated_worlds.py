@@ -14,7 +14,6 @@ from jax.sharding import NamedSharding
 
 from angler_mjx.errors import RunError
 from angler_mjx.runs.simulator import devices as on_devices
-from angler_mjx.runs.simulator.current_padding import pad_worlds
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.state import World
@@ -46,7 +45,7 @@ def _sample_cached(scenario: str, count: int) -> World:
     worlds: World = jax.block_until_ready(simulator.worlds(0))
     if not np.asarray(worlds.environment.valid).all():
         raise RunError("some worlds cannot hold the fleet: no number is given; take fewer robots")
-    return pad_worlds(worlds)
+    return worlds
 
 
 def repeat_worlds(sampled: World, tile: int, devices: int) -> World:

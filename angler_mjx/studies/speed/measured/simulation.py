@@ -15,6 +15,7 @@ from jax.stages import Compiled
 from angler_mjx.errors import RunError
 from angler_mjx.runs import device_batches
 from angler_mjx.runs.simulator import devices as on_devices
+from angler_mjx.runs.simulator.current_padding import pad_worlds
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.record import Sample
@@ -109,7 +110,7 @@ def time_simulation(
     """As `measure`, with what was compiled for it."""
     check_repeats(repeats)
     simulator = Simulator(scenario, tile=worlds, devices=devices)
-    sampled = repeated_worlds.sample_worlds(scenario, prepared or devices * worlds)
+    sampled = pad_worlds(repeated_worlds.sample_worlds(scenario, prepared or devices * worlds))
     compile_s, program = _compile_segment(simulator, sampled)
     filled = repeated_worlds.repeat_worlds(sampled, worlds, devices)
     rates, active = _time_turns(simulator, program, filled, repeats)
