@@ -156,12 +156,13 @@ def choose_tiles(parts: Sequence[DatasetPart]) -> list[int]:
     than compiling programs of another tile.
     """
     return [
-        part.scenario.tile or _choose_tile([other for other in parts if _share_tile(part, other)])
+        part.scenario.tile
+        or _choose_tile([other for other in parts if _use_same_tile(part, other)])
         for part in parts
     ]
 
 
-def _share_tile(part: DatasetPart, other: DatasetPart) -> bool:
+def _use_same_tile(part: DatasetPart, other: DatasetPart) -> bool:
     return part is other or (part.robots == other.robots and _is_fast(part) and _is_fast(other))
 
 

@@ -1,9 +1,10 @@
 """Currents of worlds in the sizes of programs, and in their true ones.
 
-Programs take padded currents (`angler_mjx.world.currents.padding`), so that worlds with another
-number of vortices or knots have the same ones. Worlds outside of programs have no padding.
+Programs sample and fly padded currents (`angler_mjx.world.currents.padding`), so that worlds with
+another number of vortices or knots have the same ones. Worlds outside of programs have no padding.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import jax
@@ -12,7 +13,7 @@ from jax.sharding import Mesh, NamedSharding
 from angler_mjx.runs.simulator.devices import SHARDED
 from angler_mjx.runs.simulator.sampling_numbers import SamplingNumbers
 from angler_mjx.sim.state import World
-from angler_mjx.world.currents import Current, component_sizes, cut_current, pad_current
+from angler_mjx.world.currents import Current, component_sizes, cut_current, pad_knots
 
 
 class CurrentPadding:
@@ -29,7 +30,7 @@ class CurrentPadding:
         self._sizes = component_sizes(true.world.currents)
         self._is_needed = self._sizes != component_sizes(padded.world.currents)
         sharding = NamedSharding(mesh, SHARDED)
-        self._pad = jax.jit(pad_current, out_shardings=sharding)
+        self._pad = jax.jit(pad_knots, out_shardings=sharding)
         self._cut = jax.jit(cut_current, static_argnames="sizes", out_shardings=sharding)
         self._last: tuple[list[jax.Array], Current] | None = None
 
@@ -40,7 +41,7 @@ class CurrentPadding:
         return _replace_current(worlds, self._cut(worlds.environment.current, sizes=self._sizes))
 
     def pad(self, worlds: World) -> World:
-        """Return worlds with currents as programs take them; those of the call before are kept."""
+        """Return worlds for programs of flights; the currents of the call before are kept."""
         if not self._is_needed:
             return worlds
         current = worlds.environment.current
@@ -53,9 +54,14 @@ class CurrentPadding:
         return _replace_current(worlds, padded)
 
 
+def cut_worlds(worlds: World, sizes: Sequence[int | None]) -> World:
+    """Return sampled worlds with currents of other sizes; see `currents.cut_current`."""
+    return _replace_current(worlds, cut_current(worlds.environment.current, sizes))
+
+
 def pad_worlds(worlds: World) -> World:
-    """Return worlds with padded currents."""
-    return _replace_current(worlds, pad_current(worlds.environment.current))
+    """Return worlds with currents as programs of flights take them."""
+    return _replace_current(worlds, pad_knots(worlds.environment.current))
 
 
 def _replace_current(worlds: World, current: Current) -> World:

@@ -35,6 +35,7 @@ from angler_mjx.runs.simulator.compilation import (
     ParallelCompiler,
     PendingProgram,
 )
+from angler_mjx.runs.simulator.current_padding import cut_worlds
 from angler_mjx.runs.simulator.devices import (
     REPLICATED,
     SHARDED,
@@ -61,6 +62,7 @@ from angler_mjx.sim.record import Sample
 from angler_mjx.sim.state import FleetWorld, Outcome, SimSpec, World, WorldState
 from angler_mjx.world import generate
 from angler_mjx.world.config import resolve_world
+from angler_mjx.world.currents import component_sizes, flight_sizes
 
 type SegmentResult = tuple[WorldState, Sample, jax.Array]
 """State after a segment, samples of it, and the number of running robots of each world."""
@@ -102,6 +104,12 @@ class ProgramSetup:
         return numbers.padded() if self._is_shareable else numbers
 
     @property
+    def current_sizes(self) -> tuple[int | None, ...]:
+        """Return the sizes of the currents that flights take; see `currents.flight_sizes`."""
+        samplers = sampling_numbers(self.scenario).world.currents
+        return flight_sizes(samplers) if self._is_shareable else component_sizes(samplers)
+
+    @property
     def _is_shareable(self) -> bool:
         """Return whether no code or field of a caller is traced."""
         return not (self.has_user_code or self.scenario.world.files)
@@ -131,6 +139,7 @@ class ProgramSetup:
             self.mesh,
             self.kernels,
             self.paths,
+            self.current_sizes,
             jax.tree.structure(arguments),
             tuple(shapes),
             trace_settings(),
@@ -341,8 +350,12 @@ class Programs:
 
     @cached_property
     def batch_shape(self) -> World:
-        """Return shapes, types and shardings of a device batch; tracing a planner takes long."""
-        shapes = self.prepare.shape(*self._prepare_shapes())
+        """Return shapes, types and shardings of a device batch, with currents of flights.
+
+        Tracing a planner takes long.
+        """
+        sampled = self.prepare.shape(*self._prepare_shapes())
+        shapes = jax.eval_shape(partial(cut_worlds, sizes=self._setup.current_sizes), sampled)
         worlds: World = with_sharding(shapes, self._setup.mesh, SHARDED)
         return worlds
 

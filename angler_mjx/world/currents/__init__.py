@@ -35,7 +35,8 @@ from angler_mjx.world.currents.gridded import GridConfig, Gridded, bind_fields, 
 from angler_mjx.world.currents.padding import (
     component_sizes,
     cut_current,
-    pad_current,
+    flight_sizes,
+    pad_knots,
     pad_samplers,
 )
 from angler_mjx.world.currents.sea import DepthProfileConfig, TideConfig
@@ -68,8 +69,9 @@ __all__ = [
     "component_sizes",
     "cut_current",
     "evaluate_current",
+    "flight_sizes",
     "list_fields",
-    "pad_current",
+    "pad_knots",
     "pad_samplers",
     "sample_current",
     "scale_current",

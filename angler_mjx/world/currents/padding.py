@@ -1,12 +1,12 @@
 """Currents in arrays of a few sizes: worlds with more vortices or knots have the same programs.
 
-Padding changes no flow: vortices without circulation, and knots that repeat the last one.
+Sampling programs take padded vortices and knots, programs of flights padded knots only: vortices
+without circulation change no flow, but with another number of them XLA rounds otherwise.
 """
 
 from collections.abc import Sequence
 from dataclasses import replace
 
-import jax
 import jax.numpy as jnp
 
 from angler_mjx.world.currents.fields import (
@@ -23,14 +23,8 @@ VORTEX_STEP, KNOT_STEP = 4, 32
 
 
 def pad_samplers(samplers: Sequence[CurrentSampler]) -> tuple[CurrentSampler, ...]:
-    """Return samplers of padded components; those that are sampled are the same."""
-    return tuple(
-        replace(sampler, capacity=_round_up(sampler.capacity, step))
-        if isinstance(sampler, VorticesSampler | GaussMarkovSampler)
-        and (step := VORTEX_STEP if isinstance(sampler, VorticesSampler) else KNOT_STEP)
-        else sampler
-        for sampler in samplers
-    )
+    """Return samplers of padded components; vortices and knots that exist are the same."""
+    return tuple(_pad_sampler(sampler) for sampler in samplers)
 
 
 def component_sizes(samplers: Sequence[CurrentSampler]) -> tuple[int | None, ...]:
@@ -41,17 +35,28 @@ def component_sizes(samplers: Sequence[CurrentSampler]) -> tuple[int | None, ...
     )
 
 
-def pad_current(current: Current) -> Current:
-    """Return padded currents, as `pad_samplers` sample them; any axes lead, the same in all."""
-    return tuple(_pad_component(component) for component in current)
+def flight_sizes(samplers: Sequence[CurrentSampler]) -> tuple[int | None, ...]:
+    """Return the sizes as of `component_sizes` that programs of flights take."""
+    return tuple(
+        size if size is None or isinstance(sampler, VorticesSampler) else _round_up(size, KNOT_STEP)
+        for sampler, size in zip(samplers, component_sizes(samplers), strict=True)
+    )
+
+
+def pad_knots(current: Current) -> Current:
+    """Return currents with padded knots, as programs of flights take them; any axes lead."""
+    return tuple(
+        _pad_markov(component) if isinstance(component, GaussMarkov) else component
+        for component in current
+    )
 
 
 def cut_current(current: Current, sizes: Sequence[int | None]) -> Current:
-    """Return currents without their padding.
+    """Return currents with less padding or none.
 
     Args:
-        current: of `pad_current`, or sampled by `pad_samplers`.
-        sizes: of `component_sizes`.
+        current: of `pad_knots`, or sampled by `pad_samplers`.
+        sizes: of `component_sizes` or `flight_sizes`.
     """
     return tuple(
         component if size is None else _cut_component(component, size)
@@ -59,21 +64,20 @@ def cut_current(current: Current, sizes: Sequence[int | None]) -> Current:
     )
 
 
-def _pad_component(component: Component) -> Component:
-    if isinstance(component, Vortices):
-        count = component.core_m.shape[-1]
-        extra = _round_up(count, VORTEX_STEP) - count
-        return Vortices(
-            centre_m=_append(component.centre_m, extra, axis=-2, value=0.0),
-            circulation_m2ps=_append(component.circulation_m2ps, extra, axis=-1, value=0.0),
-            core_m=_append(component.core_m, extra, axis=-1, value=1.0),
-        )
-    if isinstance(component, GaussMarkov):
-        knots = component.knots_mps
-        extra = _round_up(knots.shape[-2], KNOT_STEP) - knots.shape[-2]
-        last = jnp.repeat(knots[..., -1:, :], extra, axis=-2)
-        return replace(component, knots_mps=jnp.concatenate([knots, last], axis=-2))
-    return component
+def _pad_sampler(sampler: CurrentSampler) -> CurrentSampler:
+    if isinstance(sampler, VorticesSampler):
+        return replace(sampler, capacity=_round_up(sampler.capacity, VORTEX_STEP))
+    if isinstance(sampler, GaussMarkovSampler):
+        return replace(sampler, capacity=_round_up(sampler.capacity, KNOT_STEP))
+    return sampler
+
+
+def _pad_markov(component: GaussMarkov) -> GaussMarkov:
+    """Repeat the last knot."""
+    knots = component.knots_mps
+    extra = _round_up(knots.shape[-2], KNOT_STEP) - knots.shape[-2]
+    last = jnp.repeat(knots[..., -1:, :], extra, axis=-2)
+    return replace(component, knots_mps=jnp.concatenate([knots, last], axis=-2))
 
 
 def _cut_component(component: Component, size: int) -> Component:
@@ -86,13 +90,6 @@ def _cut_component(component: Component, size: int) -> Component:
     if isinstance(component, GaussMarkov):
         return replace(component, knots_mps=component.knots_mps[..., :size, :])
     return component
-
-
-def _append(values: jax.Array, extra: int, *, axis: int, value: float) -> jax.Array:
-    """Return values with ``extra`` more of one value at the end of an axis."""
-    widths = [(0, 0)] * values.ndim
-    widths[axis] = (0, extra)
-    return jnp.pad(values, widths, constant_values=value)
 
 
 def _round_up(count: int, step: int) -> int:

@@ -58,7 +58,7 @@ class GaussMarkovSampler:
     capacity: int = field(metadata={"static": True})
     """Knots in the array."""
     count: jax.Array
-    """int32 [] sampled knots, from t = 0 to past the horizon; the others repeat the last one."""
+    """int32 [] knots that exist, from t = 0 to past the horizon; the others repeat the last one."""
     knot_dt_s: jax.Array
     """[]."""
     std_mps: jax.Array
@@ -84,8 +84,8 @@ class GaussMarkovSampler:
         knots = self.mean_mps + jnp.concatenate([noise[:1], later])
         speed = jnp.sqrt(jnp.sum(knots * knots, axis=1, keepdims=True))
         knots = knots * (self.max_speed_mps / jnp.maximum(speed, self.max_speed_mps))
-        is_sampled = jnp.arange(self.capacity)[:, None] < self.count
-        knots = jnp.where(is_sampled, knots, knots[self.count - 1])
+        exists = jnp.arange(self.capacity)[:, None] < self.count
+        knots = jnp.where(exists, knots, knots[self.count - 1])
         return GaussMarkov(knots_mps=knots, knot_dt_s=jnp.asarray(self.knot_dt_s, lo.dtype))
 
 
@@ -146,7 +146,7 @@ class VorticesSampler:
     capacity: int = field(metadata={"static": True})
     """Vortices in the arrays."""
     count: jax.Array
-    """int32 [] sampled vortices; the others are as `padding.pad_current` makes them."""
+    """int32 [] vortices that exist; the others have no circulation."""
     peak_speed_mps: UniformRange
     core_radius_m: UniformRange
 
@@ -158,11 +158,11 @@ class VorticesSampler:
         core = self.core_radius_m.scale(radius_u[:n])
         sign = jnp.where(direction_u[:n] < 0.5, 1.0, -1.0)
         centre = lo[:2] + where.reshape(n, 2) * (hi[:2] - lo[:2])
-        is_sampled = jnp.arange(n) < self.count
+        exists = jnp.arange(n) < self.count
         return Vortices(
-            centre_m=jnp.where(is_sampled[:, None], centre, 0.0),
-            circulation_m2ps=jnp.where(is_sampled, sign * lamb_oseen_circulation(peak, core), 0.0),
-            core_m=jnp.where(is_sampled, core, 1.0),
+            centre_m=jnp.where(exists[:, None], centre, 0.0),
+            circulation_m2ps=jnp.where(exists, sign * lamb_oseen_circulation(peak, core), 0.0),
+            core_m=jnp.where(exists, core, 1.0),
         )
 
 

@@ -30,34 +30,35 @@ def sampled():
         return jax.vmap(lambda key: currents.sample_current(samplers, key, lo, hi))(keys)
 
     true = sample(samplers)
-    return true, sample(currents.pad_samplers(samplers)), currents.pad_current(true)
+    return true, sample(currents.pad_samplers(samplers)), currents.pad_knots(true)
 
 
 def test_sizes_are_those_of_the_config():
-    assert currents.component_sizes(currents.build_samplers(CONFIGS, HORIZON_S)) == SIZES
+    samplers = currents.build_samplers(CONFIGS, HORIZON_S)
+    assert currents.component_sizes(samplers) == SIZES
+    assert currents.flight_sizes(samplers) == (None, 32, 3)
+    assert currents.component_sizes(currents.pad_samplers(samplers)) == (None, 32, 4)
 
 
 def test_what_is_sampled_with_padding_begins_with_what_is_sampled_without(sampled):
-    true, padded, later = sampled
-    assert [leaf.shape for leaf in jax.tree.leaves(padded)] == [
-        leaf.shape for leaf in jax.tree.leaves(later)
-    ]
-    assert (padded[1].knots_mps.shape[1], padded[2].core_m.shape[1]) == (32, 4)
+    true, padded, flown = sampled
     close = partial(np.testing.assert_allclose, rtol=1e-6, atol=1e-7)
-    jax.tree.map(close, padded, later)
-    cut = currents.cut_current(later, SIZES)
-    jax.tree.map(np.testing.assert_array_equal, cut, true)
+    jax.tree.map(close, currents.cut_current(padded, SIZES), true)
+    jax.tree.map(close, currents.cut_current(padded, (None, 32, 3)), flown)
+    np.testing.assert_array_equal(padded[2].circulation_m2ps[:, 3], 0.0)
+    jax.tree.map(np.testing.assert_array_equal, currents.cut_current(flown, SIZES), true)
 
 
 def test_padding_again_changes_nothing(sampled):
-    _, _, padded = sampled
-    jax.tree.map(np.testing.assert_array_equal, currents.pad_current(padded), padded)
+    _, _, flown = sampled
+    jax.tree.map(np.testing.assert_array_equal, currents.pad_knots(flown), flown)
 
 
 def test_the_water_flows_as_without_padding(sampled):
-    true, _, padded = sampled
+    true, padded, flown = sampled
     p = jax.random.uniform(jax.random.key(5), (200, 3), minval=-8.0, maxval=8.0)
     t = jnp.linspace(0.0, HORIZON_S, 200, endpoint=False)
     flow = jax.jit(jax.vmap(jax.vmap(currents.evaluate_current, (None, 0, 0)), (0, None, None)))
-    for a, b in zip(flow(true, p, t), flow(padded, p, t), strict=True):
-        np.testing.assert_allclose(a, b, rtol=0, atol=1e-6)
+    for current in (padded, flown):
+        for a, b in zip(flow(true, p, t), flow(current, p, t), strict=True):
+            np.testing.assert_allclose(a, b, rtol=0, atol=1e-6)

@@ -12,7 +12,7 @@ from angler_kernels.lanes.planes import PlaneLayout, SampleBuffer
 from angler_mjx.robot.control.stack import Command
 from angler_mjx.sim import record, step
 from angler_mjx.sim.engines.cuda.launch import LaunchShape
-from angler_mjx.sim.engines.cuda.packing import fits_kernel, pack_trees, unpack_trees
+from angler_mjx.sim.engines.cuda.packing import fits_kernel, pack_trees
 from angler_mjx.sim.engines.cuda.tile import Tile
 from angler_mjx.sim.phase import Phase, Record
 from angler_mjx.sim.record import Sample, WorldRecord, build_sample
@@ -98,7 +98,7 @@ class Segment:
             ahead: control steps that obstacles are moved ahead of the robots.
             also: what is recorded because it is asked for.
             last_approach_s: [W, R], of `last_approaches_s`; None where no plans are flown.
-            packing: threads of the kernels that pack and unpack states; None to leave it to XLA.
+            packing: threads of the kernels that pack states; None to leave it to XLA.
         """
         self._also = also
         self.ahead = ahead
@@ -167,15 +167,16 @@ class Segment:
         """The state after all steps, and the samples."""
         tile, state = self.tile, self._state
         of_robot, of_body = (tile.worlds, tile.robots), (tile.worlds, tile.obstacles)
-        names = [entry.name for entry in fields(RobotState)]
-        layouts, flats = [self.layouts[name] for name in names], [end.slots[name] for name in names]
-        trees = unpack_trees(self._packing, layouts, flats, of_robot)
-        kept = RobotState(**dict(zip(names, trees, strict=True)))
-        (obstacles,) = unpack_trees(self._packing, [self.bodies], [end.bodies], of_body)
+        kept = RobotState(
+            **{
+                entry.name: self.layouts[entry.name].unpack(end.slots[entry.name], of_robot)
+                for entry in fields(RobotState)
+            }
+        )
         after = WorldState(
             vehicles=kept.vehicle,
             carry=kept.memory,
-            obstacles=obstacles,
+            obstacles=self.bodies.unpack(end.bodies, of_body),
             tally=kept.tally,
             step=state.step + self.steps,
             **vars(end.memory),

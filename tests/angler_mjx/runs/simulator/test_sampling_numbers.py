@@ -32,7 +32,6 @@ NUMBERS = {
     "world.currents.0.time_constant_s": 50.0,
     "world.currents.0.vertical_fraction": 0.2,
     "world.currents.0.knot_dt_s": 10.0,
-    "world.currents.1.count": 2,
     "world.currents.1.peak_speed_mps": [0.2, 0.7],
     "world.currents.1.core_radius_m": [1.5, 2.5],
     "randomise.current": [0.6, 1.4],
@@ -40,7 +39,11 @@ NUMBERS = {
     "breakdowns.earliest_s": 10.0,
 }
 """Of `reef_fleet` with factors and breakdowns."""
-OF_ALL_PROGRAMS = {"world.floor_depth_m": 40.0, "water.density_kgpm3": 1025.0}
+OF_ALL_PROGRAMS = {
+    "world.floor_depth_m": 40.0,
+    "water.density_kgpm3": 1025.0,
+    "world.currents.1.count": 2,
+}
 """Numbers that are arguments of the sampling, and constants of other programs."""
 
 
@@ -105,16 +108,16 @@ def test_scenarios_of_another_form_have_programs_of_their_own(reef, setup, edit)
 
 def test_worlds_have_the_vortices_and_knots_of_their_scenario(reef):
     """Those of a simulator that shares its programs with one of other numbers."""
-    other = edited(reef, {"world.currents.0.knot_dt_s": 10.0, "world.currents.1.count": 2})
+    other = edited(reef, {"world.currents.0.knot_dt_s": 10.0})
     first, second = (Simulator(scenario, paths=PathShape(points=2)) for scenario in (reef, other))
     assert second.programs is first.programs
-    for simulator, knots, vortices in ((first, 25, 3), (second, 13, 2)):
+    for simulator, knots, vortices in ((first, 25, 3), (second, 13, 3)):
         markov, eddies = simulator.world_shape().environment.current
         assert markov.knots_mps.shape == (2, knots, 3)
         assert eddies.core_m.shape == (2, vortices)
     worlds = second.worlds()
     markov, eddies = worlds.environment.current
-    assert (markov.knots_mps.shape, eddies.centre_m.shape) == ((2, 13, 3), (2, 2, 2))
+    assert (markov.knots_mps.shape, eddies.centre_m.shape) == ((2, 13, 3), (2, 3, 2))
     current, _ = jax.vmap(partial(sample_water_and_breakdowns, other), (None, None, 0))(
         sampling_numbers(other), np.uint32(other.seed), np.arange(2, dtype=np.uint32)
     )
@@ -123,9 +126,20 @@ def test_worlds_have_the_vortices_and_knots_of_their_scenario(reef):
     )
 
 
-def test_flights_in_currents_of_other_sizes_are_the_same_program(setup, reef):
-    other = edited(reef, {"world.currents.0.knot_dt_s": 10.0, "world.currents.1.count": 4})
+def test_flights_over_more_knots_are_the_same_program(setup, reef):
+    """Up to 32, of a longer horizon too."""
+    other = edited(reef, {"world.currents.0.knot_dt_s": 10.0, "time.horizon_s": 150.0})
     assert flight_text(setup) == flight_text(replace(setup, scenario=other))
+
+
+def test_worlds_of_other_numbers_of_vortices_are_sampled_by_one_program(setup, reef):
+    other = replace(setup, scenario=edited(reef, {"world.currents.1.count": 4}))
+    sampled = [Programs(replace(of, planner=None)) for of in (setup, other)]
+    assert [made.batch_shape.environment.current[1].core_m.shape for made in sampled] == [
+        (2, 3),
+        (2, 4),
+    ]
+    assert sampling_text(setup) == sampling_text(other)
 
 
 def flight_text(setup):

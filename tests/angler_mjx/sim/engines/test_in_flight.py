@@ -178,8 +178,8 @@ def test_kernels_lower_for_cuda(scene):
     traced = jax.jit(run).trace(scene.fleet, scene.worlds, begin(scene))
     text = traced.lower(lowering_platforms=("cuda",)).as_text()
     # Control, motion and judgement, for all launches; there are no obstacles. Robots and padding
-    # are laid out by two kernels, and back by two in each branch.
-    assert text.count("__gpu$xla.gpu.ptx") == 3 + 2 + 4
+    # are laid out by two kernels.
+    assert text.count("__gpu$xla.gpu.ptx") == 3 + 2
     # Where it is known to begin with a look, it is not in the program what is done elsewhere.
     known = jax.jit(partial(run, begins=PERIOD)).trace(scene.fleet, scene.worlds, begin(scene))
     shorter = known.lower(lowering_platforms=("cuda",)).as_text()
