@@ -1,7 +1,7 @@
 """Search over priorities: teams that one order cannot plan, judged by places sampled with NumPy."""
 
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 
 import jax
 import jax.numpy as jnp
@@ -64,17 +64,22 @@ WORLDS = stack([tube(), walled(), easy(), tube()])
 SEEDS = np.arange(4, dtype=np.uint32)
 
 
-def plans(worlds, seeds, slots, config=CONFIG, radius=RADIUS):
+@cache
+def program(slots, config):
     @quickly
-    def run(worlds, seeds):
+    def run(worlds, seeds, radius):
         def build_problem(world, seed):
             one = partial(world_problem, seed=seed, horizon_s=config.horizon_s)
-            return one(world, jnp.asarray(radius), jnp.asarray(SPEED))
+            return one(world, radius, jnp.asarray(SPEED))
 
         problems = jax.vmap(build_problem)(worlds, seeds)
         return planner.plan_teams(problems, config, BUDGET, slots=slots)
 
-    return run(worlds, seeds)
+    return run
+
+
+def plans(worlds, seeds, slots, config=CONFIG, radius=RADIUS):
+    return program(slots, config)(worlds, seeds, radius)
 
 
 @pytest.fixture(scope="module")

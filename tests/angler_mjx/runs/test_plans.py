@@ -24,6 +24,7 @@ from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.runs.storage.plans import problems
 from angler_mjx.runs.storage.plans import write as plan_writer
 from angler_mjx.runs.storage.plans.read import open_plans, summarise_plan_file
+from angler_mjx.sim.information import Information
 
 DOCS = Path(__file__).parents[3] / "docs"
 TEN_LINES, _, SCRIPT = (
@@ -139,9 +140,15 @@ def test_a_run_says_how_many_were_planned_and_why_others_were_not(flown, asked):
 def test_what_is_known_of_moving_obstacles(asked, flown):
     """Truth is where they went in the flight; less is known of the rest."""
     went = flown.trajectories["obstacle_p_m"][:]  # [world, sample, obstacle, xyz], at 2 Hz
+    # One program draws the worlds; the scenario's own level is the one that no argument names.
+    simulator = Simulator(with_knowledge(asked, "truth"), paths=PathShape(points=2))
     seen = {
-        level: Simulator(with_knowledge(asked, level), paths=PathShape(points=2)).problems(0, 2)
-        for level in ("nothing", "observed", "truth")
+        level: simulator.problems(0, 2, information=information)
+        for level, information in (
+            ("nothing", Information()),
+            ("observed", Information(obstacles="observed")),
+            ("truth", None),
+        )
     }
     for world in range(2):
         nothing, observed, truth = (seen[level][world].obstacles for level in seen)

@@ -24,6 +24,7 @@ from angler_mjx.sim.fleet import Member, Variant
 from angler_mjx.sim.information import CurrentInformation
 from angler_mjx.world.currents import DoubleGyre, Rankine, Uniform
 
+from ...compiling import thoroughly
 from ..problems import problem
 
 CRUISE = 0.5
@@ -71,7 +72,7 @@ def alone(asked, current):
 def planned():
     """A function of starts, goals [2, 3] and a current that gives the paths of two robots."""
 
-    run = jax.jit(alone)
+    run = thoroughly(alone)
 
     def of(starts, goals, current):
         asked = problem(starts, goals, cells=16)
@@ -168,7 +169,7 @@ def test_a_robot_that_knows_how_the_water_will_move_takes_the_least_time_in_it()
         epsilon=jnp.float32(0.25),
         period_s=jnp.float32(60.0),
     )
-    run = jax.jit(alone)
+    run = thoroughly(alone)
     draw, ratios = np.random.default_rng(5), []
     for _ in range(12):
         a, b = draw.uniform(2.0, 14.0, (2, 2))

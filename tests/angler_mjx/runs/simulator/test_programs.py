@@ -158,7 +158,8 @@ PLANNERS = {"planner.name": "priority", "planner.margin_m": 0.2, "planner.deadli
 
 
 def test_flights_of_other_planners_are_the_same_programs(small):
-    fused = _edited(small, {"engine": "fused"})
+    fleet = [{"vehicle": "bluerov2", "count": 2}]  # of one kind: traced in half the time
+    fused = _edited(small, {"engine": "fused", "fleet": fleet})
     first, other = (_programs(scenario) for scenario in (fused, _edited(fused, PLANNERS)))
     assert other is not first
     assert other.flight is first.flight
@@ -172,8 +173,7 @@ def test_flights_of_other_planners_are_the_same_programs(small):
 
 
 def test_flights_are_compiled_once_for_all_planners(small):
-    fused = _edited(small, {"engine": "fused"})
-    first, other = (Simulator(scenario) for scenario in (fused, _edited(fused, PLANNERS)))
+    first, other = (Simulator(_edited(small, edits)) for edits in ({}, PLANNERS))
     assert first.compile().segment_s > 0
     again = other.compile()
     assert (again.reset_s, again.segment_s) == (0, 0)
