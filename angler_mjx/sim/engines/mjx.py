@@ -14,7 +14,6 @@ from angler_mjx.sim import sample_clearances, start
 from angler_mjx.sim import world_phases as running
 from angler_mjx.sim.approach import last_approaches_s
 from angler_mjx.sim.detection import detect_contacts
-from angler_mjx.sim.engines.unpacked_state import UnpackedStates
 from angler_mjx.sim.fleet import Fleet, add_parameters, apply_loads
 from angler_mjx.sim.phase import run_phase
 from angler_mjx.sim.physics import mjx_engine
@@ -35,6 +34,7 @@ from angler_mjx.sim.step import (
     move_independently,
 )
 from angler_mjx.sim.step_repetition import repeat_steps
+from angler_mjx.sim.unpacked_states import UnpackedStates
 from angler_mjx.sim.world_phases import WorldMemory, WorldPhaseOutput
 from angler_mjx.world import currents
 from angler_mjx.world import obstacles as obstacle_motion

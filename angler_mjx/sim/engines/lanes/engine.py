@@ -41,7 +41,6 @@ from angler_mjx.sim.engines.lanes.layout import (
     world_state,
 )
 from angler_mjx.sim.engines.lanes.steps import Cells, GridShape, LaneBatch
-from angler_mjx.sim.engines.unpacked_state import UnpackedStates
 from angler_mjx.sim.fleet import Fleet, add_parameters
 from angler_mjx.sim.phase import Record, run_phase
 from angler_mjx.sim.physics.closed_form import ClosedForm
@@ -60,6 +59,7 @@ from angler_mjx.sim.step import (
     move_independently,
 )
 from angler_mjx.sim.step_repetition import repeat_steps
+from angler_mjx.sim.unpacked_states import UnpackedStates
 from angler_mjx.sim.world_phases import WorldMemory, WorldPhaseOutput
 from angler_mjx.world.currents import Current
 from angler_mjx.world.obstacles import Obstacles, ObstacleState

@@ -142,8 +142,8 @@ def test_kernels_lower_for_cuda(double, begun):
     traced = jax.jit(segment).trace(*given)
     text = traced.lower(lowering_platforms=("cuda",)).as_text()
     # Control, motion and judgement of each of two groups, and the obstacles, for all launches; to
-    # lay out robots and obstacles.
-    assert text.count("__gpu$xla.gpu.ptx") == 7 + 2
+    # lay out robots, obstacles and last approaches.
+    assert text.count("__gpu$xla.gpu.ptx") == 7 + 3
     n_obstacle = double.worlds.environment.obstacles.kind.shape[-1]
     sizes = {"robot": 6, "thruster": 8, "obstacle": n_obstacle}
     declared.check(traced.out_info[1], (8, 2), sizes, dtype=jnp.float32)

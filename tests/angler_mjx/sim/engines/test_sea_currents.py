@@ -110,4 +110,4 @@ def test_a_program_holds_the_field_once(scene, begun, kernels):
     lines = [line for line in text.splitlines() if line.endswith(name)]
     assert sum("stablehlo.constant dense" in line for line in lines) == 1
     assert f"x{field.numbers[0].size}xf32" not in text
-    assert text.count("__gpu$xla.gpu.ptx") == (3 + 2 if kernels == "cuda" else 0)
+    assert text.count("__gpu$xla.gpu.ptx") == (3 + 3 if kernels == "cuda" else 0)
