@@ -163,7 +163,7 @@ def _single():
         "validation, a run of 65,536": (
             "docs/explanation/validation.md",
             r"simulates (\S+) robots to the end of their episodes in (\d+) s after (\d+) s of\s"
-            r"compiling. Both were measured on (\S+);",
+            r"compiling \(([\d-]+)\);",
             (f"{run['robots']:,}", *seconds, large["date"]),
         ),
         "README, the demo": (
