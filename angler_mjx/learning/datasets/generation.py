@@ -167,7 +167,7 @@ def _use_same_tile(part: DatasetPart, other: DatasetPart) -> bool:
 
 
 def _is_fast(part: DatasetPart) -> bool:
-    """Return whether flying a tile takes less time than compiling its programs."""
+    """Return whether a part has no tile of its own, and flies faster than it compiles."""
     scenario = part.scenario
     return scenario.tile is None and scenario.engine == "fused" and not scenario.flown
 
