@@ -8,6 +8,7 @@ import ctypes
 import hashlib
 import shutil
 import subprocess
+import threading
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
@@ -98,7 +99,12 @@ def compile_here(source):
     is_block = "#define PROBLEM_OF_" in source
     launch = (OF_BLOCKS if is_block else OF_LANES).format(arguments=arguments)
     more = ("-std=c++20", "-pthread") if is_block else ()
-    return _compile((compiler, *OPTIONS, *more), source.replace(INSTRUCTIONS, HOST) + launch)
+    # Callbacks come from several threads, and the caches below would each be filled by two.
+    with _LOCK:
+        return _compile((compiler, *OPTIONS, *more), source.replace(INSTRUCTIONS, HOST) + launch)
+
+
+_LOCK = threading.Lock()
 
 
 @cache

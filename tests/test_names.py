@@ -72,6 +72,8 @@ RETIRED = frozenset(
 )
 
 KEPT = {
+    "Draw": "Pillow's name",
+    "ImageDraw": "Pillow's name",
     "ask": "the ask-and-tell interface of optimisers",
     "asked": "a key of stored comparisons",
     "tell": "the ask-and-tell interface of optimisers; Progress, which callers implement",

@@ -43,6 +43,7 @@ DISTRIBUTION = {
 """Where a module comes from, if not from what is called like it."""
 
 OF_EXTRAS = {
+    "av": "video",
     "brax": "ppo",
     "cmaes": "tune",
     "coal": "plan",

@@ -122,7 +122,7 @@ def fly(
         if recording is not None:
             recording.begin(scene)
         report("compiling what commands the robots")
-        flyer = OnlineFlyer(scene)
+        flyer = OnlineFlyer(scene, report=report)
         compile_s = time.perf_counter() - start_s
 
         def report_step(observation: "Observation") -> None:

@@ -1,4 +1,4 @@
-"""`angler rollout`, and figures and replay of its run folder."""
+"""`angler rollout`, and figures of its run folder."""
 
 import json
 import sys
@@ -195,32 +195,6 @@ def figures(
     pair = comparison.read_comparison([Run(run), Run(beside)], world, robot, at)
     name = f"beside_world_{pair.scenes[0].world}_robot_{pair.robot}.png"
     print(style.save_figure(pictures.plot_comparison(pair), run / FIGURES / name, palette=128))
-
-
-def replay(
-    run: Annotated[Path, tyro.conf.Positional],
-    world: int | None = None,
-    out: Path | None = None,
-) -> None:
-    """Open the Rerun viewer on a world of a run folder, or write that world to a file.
-
-    Args:
-        run: Run folder.
-        world: Index of the world; the worst one if left out.
-        out: Replay file (.rrd) to write instead of opening the viewer; an older one is replaced.
-    """
-    from angler_mjx.report.viewing import replay as viewer
-    from angler_mjx.runs.storage.folder import Run
-
-    loaded = Run(run)
-    world_index = viewer.worst_world(loaded) if world is None else world
-    finished = set(loaded.episodes["world"].to_pylist())
-    if world_index not in finished:
-        raise ConfigError(f"--world {world_index}: {run} holds worlds 0 to {max(finished)}")
-    if out is None:
-        viewer.show_world(loaded, world_index)
-        return
-    print(viewer.write_replay(loaded, [world_index], out))
 
 
 def _write_figures(run: "Run") -> None:

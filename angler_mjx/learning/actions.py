@@ -10,6 +10,7 @@ import numpy as np
 from angler_kernels import quaternion
 from angler_mjx.errors import ConfigError
 from angler_mjx.robot.control.commands import BodyTwist, BodyWrench, PoseTarget, ThrusterPwm
+from angler_mjx.robot.control.commands.whole_body import JointTarget, WholeBodyCommand
 from angler_mjx.robot.control.stack import Command
 from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.record import Belief
@@ -39,7 +40,7 @@ class ActionSpace:
     """Number of action values of each robot."""
     range: tuple[float, ...]
     command: type | None
-    """Command that the action becomes; None: the robots follow their plans."""
+    """Command to the base that the action becomes; None: the robots follow their plans."""
     make_command: MakeCommand
     """Builds the command from scaled numbers [W, R, size], the robots [W, R, ...], and position [W,
     R, 3] and heading [W, R] of the aim."""
@@ -100,23 +101,74 @@ KINDS: dict[str, tuple[str, tuple[float, ...], type | None, MakeCommand]] = {
 """Unit, range, command and constructor of each kind of action, by name."""
 
 
+WHOLE_BODY = "whole_body"
+"""Kind of action of vehicles with joints: a twist of the base, and a position of each joint."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointRanges:
+    """Limits of the joints of the arms of a fleet."""
+
+    lower: tuple[float, ...]
+    """[J] rad or m."""
+    upper: tuple[float, ...]
+    """[J]."""
+
+    @property
+    def middle(self) -> tuple[float, ...]:
+        """Return the middle [J] of the limits."""
+        return tuple(0.5 * (a + b) for a, b in zip(self.lower, self.upper, strict=True))
+
+    @property
+    def half(self) -> tuple[float, ...]:
+        """Return half of the span [J] of the limits."""
+        return tuple(0.5 * (b - a) for a, b in zip(self.lower, self.upper, strict=True))
+
+    def make_command(
+        self, a: jax.Array, _: RobotMotion, __: jax.Array, ___: jax.Array
+    ) -> WholeBodyCommand:
+        """Return the command of numbers [W, R, 6 + J]; see `ActionSpace.make_command`."""
+        position = a[..., len(TWIST_RANGE) :] + jnp.asarray(self.middle, a.dtype)
+        still = jnp.zeros_like(position)
+        return WholeBodyCommand(
+            base=BodyTwist(nu=a[..., : len(TWIST_RANGE)]),
+            joints=JointTarget(position=position, velocity=still, acceleration=still),
+        )
+
+
 def build_action_space(
-    name: str, thrusters: int, scale: tuple[float, ...] | None = None
+    name: str,
+    thrusters: int,
+    scale: tuple[float, ...] | None = None,
+    joints: JointRanges | None = None,
 ) -> ActionSpace:
     """Build an action space by its name.
 
     Args:
-        name: one of `KINDS`.
+        name: one of `KINDS`, or `WHOLE_BODY`.
         thrusters: number of thrusters of each robot, padding included.
         scale: other ranges than those of `KINDS`.
+        joints: of the arms of the fleet; None where no vehicle has joints.
 
     Raises:
         ConfigError: the name is unknown, the number of ranges differs from the action's size, a
-            range is not above 0, or pulse widths would leave the thrust table.
+            range is not above 0, pulse widths would leave the thrust table, or no vehicle has the
+            joints.
     """
-    if name not in KINDS:
-        raise ConfigError(f"action = {name!r}: available: {', '.join(KINDS)}")
-    unit, default, command, make = KINDS[name]
+    if name not in (*KINDS, WHOLE_BODY):
+        raise ConfigError(f"action = {name!r}: available: {', '.join((*KINDS, WHOLE_BODY))}")
+    command: type | None
+    make: MakeCommand
+    if name == WHOLE_BODY:
+        if joints is None:
+            raise ConfigError(
+                f"action = {name!r}: no vehicle of the fleet has joints; take 'twist'"
+            )
+        unit = "m/s, rad/s, in F; rad or m of each joint from the middle of its limits"
+        default: tuple[float, ...] = (*TWIST_RANGE, *joints.half)
+        command, make = BodyTwist, joints.make_command
+    else:
+        unit, default, command, make = KINDS[name]
     expected = default * thrusters if name == "pwm" else default
     chosen = expected if scale is None else tuple(scale)
     if len(chosen) != len(expected) or not all(0 < x < float("inf") for x in chosen):

@@ -11,12 +11,13 @@ from typing import Literal, TypedDict
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from angler_mjx._moved import renamed as _renamed
 from angler_mjx.errors import ConfigError
 from angler_mjx.learning import actions, observations, rewards
 from angler_mjx.learning import bank as banks
-from angler_mjx.learning.actions import ActionSpace, RobotMotion
+from angler_mjx.learning.actions import ActionSpace, JointRanges, RobotMotion
 from angler_mjx.learning.bank import WorldBank
 from angler_mjx.learning.observations import ObservationPart, ObservedState
 from angler_mjx.robot.control import stack
@@ -223,8 +224,11 @@ class FleetEnv:
         return next_state, observation, reward, terminated, truncated, info
 
     def _sample_rows(self, key: jax.Array) -> jax.Array:
-        row: jax.Array = jax.random.randint(key, (self.worlds,), 0, self.bank.count, jnp.int32)
-        return row
+        """Sample a world of the bank for each world: int32 [W]."""
+        row = jax.random.randint(key, (self.worlds,), 0, self.bank.count, jnp.int32)
+        # XLA would sample again for every number of a state: 30 us of 148 us a step on an H200.
+        sampled: jax.Array = jax.lax.optimization_barrier(row)
+        return sampled
 
     def _replace_ended(
         self, state: EnvState, observation: jax.Array, ended: jax.Array
@@ -323,6 +327,17 @@ def _reset(env: FleetEnv, key: jax.Array | None) -> tuple[EnvState, jax.Array]:
     return state, env.initial_observation[row]
 
 
+def _joint_ranges(simulator: Simulator) -> JointRanges | None:
+    """Return the limits of the joints of the fleet's arms; None where no vehicle has any."""
+    links = simulator.fleet.control.vehicle.links
+    if links is None:
+        return None
+    # Of the first vehicle with links; one without has some without mass.
+    first = int(np.argmax(np.asarray(links.mass_kg).sum(axis=-1) > 0.0))
+    lower, upper = (np.asarray(limits)[first].tolist() for limits in (links.lower, links.upper))
+    return JointRanges(lower=tuple(lower), upper=tuple(upper))
+
+
 def make_env(
     simulator: Simulator,
     *,
@@ -343,7 +358,7 @@ def make_env(
         simulator: with one device and without a policy.
         worlds: number of worlds in the batch.
         bank: number of worlds to sample, twice ``worlds`` if left out; or a bank of sampled worlds.
-        action: one of `actions.KINDS`.
+        action: one of `actions.KINDS`, or `actions.WHOLE_BODY` for vehicles with joints.
         scale: value of 1 in each number of the action.
         observe: parts of `observations.PARTS`.
         reward: weights of terms of `rewards.TERMS`; `rewards.DEFAULT_WEIGHTS` if left out.
@@ -390,10 +405,13 @@ def make_env(
             "number of these; give one that divides it, or another horizon"
         )
     thrusters = int(simulator.fleet.control.vehicle.B.shape[-1])
-    kind = actions.build_action_space(action, thrusters, scale)
+    joints = _joint_ranges(simulator)
+    kind = actions.build_action_space(action, thrusters, scale, joints)
     if kind.command is not None:
         stack.find_entry(simulator.spec.stages, kind.command)
-    parts = observations.select_parts(observe, kind.size)
+    parts = observations.select_parts(
+        observe, kind.size, 0 if joints is None else len(joints.lower)
+    )
     tells_current = not simulator.spec.instrumented or stack.wants_flow(simulator.spec.stages)
     if "current" in observe and not tells_current:
         raise ConfigError(

@@ -137,6 +137,16 @@ def observe_action(observed: ObservedState) -> jax.Array:
     return observed.action
 
 
+def observe_joints(observed: ObservedState) -> jax.Array:
+    """Return [2 J] true positions, rad or m, then speeds of the joints of the arm.
+
+    Those of a robot without an arm are 0.
+    """
+    joints = observed.state.vehicles.joints
+    assert joints is not None  # `select_parts` refuses the part without joints
+    return jnp.concatenate([joints.position, joints.velocity], axis=-1)
+
+
 def _select_nearest(
     observed: ObservedState, offset_m: jax.Array, is_visible: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
@@ -207,17 +217,32 @@ PARTS = {
         ObservationPart(
             name="action", observe=observe_action, size=0, unit="1", low=-1.0, high=1.0
         ),
+        ObservationPart(
+            name="joints",
+            observe=observe_joints,
+            size=0,
+            unit="rad, rad/s or m, m/s",
+            low=-10.0,
+            high=10.0,
+        ),
     )
 }
 """Parts by name; numbers are clipped to their bounds. ``observe_action`` has the size of the
-action."""
+action, ``observe_joints`` twice the number of joints."""
 
 
-def select_parts(names: Sequence[str], action_size: int) -> tuple[ObservationPart, ...]:
+def select_parts(
+    names: Sequence[str], action_size: int, joints: int = 0
+) -> tuple[ObservationPart, ...]:
     """Return parts by their names, in their order.
 
+    Args:
+        names: of `PARTS`.
+        action_size: number of values of an action.
+        joints: number of joints of the fleet's arms.
+
     Raises:
-        ConfigError: no name, a repeated name, or an unknown name.
+        ConfigError: no name, a repeated name, or an unknown name; joints, and no vehicle has any.
     """
     unknown = [name for name in names if name not in PARTS]
     if unknown or not names or len(set(names)) != len(names) or isinstance(names, str):
@@ -225,7 +250,9 @@ def select_parts(names: Sequence[str], action_size: int) -> tuple[ObservationPar
             f"observe = {list(names)}: give some of {', '.join(PARTS)}, each once"
             + (f"; there is no {unknown[0]!r}" if unknown else "")
         )
-    sized = {"action": action_size}
+    if "joints" in names and not joints:
+        raise ConfigError("observe: 'joints': no vehicle of the fleet has joints; leave it out")
+    sized = {"action": action_size, "joints": 2 * joints}
     return tuple(
         ObservationPart(**{**vars(PARTS[name]), "size": sized.get(name, PARTS[name].size)})
         for name in names

@@ -30,6 +30,9 @@ type Status = Literal["planned", "partial", "none", "timeout", "error", "died"]
 START_M = 0.01
 """How far from the robot's start a path may begin."""
 
+START_JOINT = 0.01
+"""How far, rad or m, from its start, or beyond its limits, a joint of an arm may be."""
+
 SPEED_TOLERANCE = 0.01
 """Fraction by which a path may exceed the robot's cruise speed, for rounding."""
 
@@ -162,7 +165,7 @@ def _check_path(
             case Trajectory():
                 checked: Path = _check_trajectory(path, max_points)
             case JointTrajectory():
-                checked = _check_joint_trajectory(path, max_points)
+                checked = _check_joint_trajectory(path, problem, max_points)
             case _:
                 raise _RefusedError(f"no path but {type(path).__name__}")
         _check_motion(checked, problem, robot, any_speed)
@@ -179,18 +182,22 @@ def _check_trajectory(path: Trajectory, max_points: int) -> Trajectory:
     return Trajectory(time_s=time, position_m=position, found=_check_array("found", True, (), bool))
 
 
-def _check_joint_trajectory(path: JointTrajectory, max_points: int) -> JointTrajectory:
-    if tuple(path.joints) != VEHICLE_JOINTS:
-        raise _RefusedError(
-            f"has the joints {format_value(path.joints)}, not {format_value(VEHICLE_JOINTS)}"
+def _check_joint_trajectory(
+    path: JointTrajectory, problem: Problem, max_points: int
+) -> JointTrajectory:
+    joints, with_arm = tuple(path.joints), (*VEHICLE_JOINTS, *problem.joint_names)
+    if joints not in (VEHICLE_JOINTS, with_arm):
+        expected = " or ".join(
+            format_value(names) for names in dict.fromkeys((VEHICLE_JOINTS, with_arm))
         )
+        raise _RefusedError(f"has the joints {format_value(path.joints)}, not {expected}")
     time = _check_times(path.time_s, max_points)
-    shape = (len(time), len(VEHICLE_JOINTS))
+    shape = (len(time), len(joints))
     degree = _check_array("degrees", path.degree, shape[:1])
     if not np.all(np.isin(degree, (LINEAR, CUBIC, QUINTIC))):
         raise _RefusedError("has segments of a degree that is not 1, 3 or 5")
     return JointTrajectory(
-        joints=VEHICLE_JOINTS,
+        joints=joints,
         time_s=time,
         position=_check_array("points", path.position, shape),
         velocity=_check_array("velocities", path.velocity, shape),
@@ -262,6 +269,31 @@ def _check_motion(path: Path, problem: Problem, robot: int, any_speed: bool) -> 
         _reject_speed(length_m[at] / span[at], cruise, at, time)
     if isinstance(path, JointTrajectory) and not any_speed:
         _check_curve_speeds(path, cruise, time)
+    if isinstance(path, JointTrajectory) and len(path.joints) > len(VEHICLE_JOINTS):
+        _check_arm(path, problem, robot)
+
+
+def _check_arm(path: JointTrajectory, problem: Problem, robot: int) -> None:
+    """Check start, limits and speeds of the joints of an arm at the points of a path."""
+    arms = problem.team.arms
+    assert arms is not None
+    links, first = arms.links, len(VEHICLE_JOINTS)
+    position = np.asarray(path.position, np.float64)[:, first:]
+    lower, upper, max_speed = (
+        np.asarray(values)[robot] for values in (links.lower, links.upper, links.max_speed)
+    )
+    outside = (position < lower - START_JOINT) | (position > upper + START_JOINT)
+    span = np.diff(np.asarray(path.time_s, np.float64))[:, None]
+    moved = np.abs(np.diff(position, axis=0))
+    too_fast = moved > (1.0 + SPEED_TOLERANCE) * max_speed * span + ROUNDING_M
+    off_start = np.abs(position[0] - np.asarray(arms.joint_position)[robot]) > START_JOINT
+    for bad, fault in (
+        (off_start, "begins elsewhere than it is"),
+        (outside.any(axis=0), "goes beyond its limits"),
+        (too_fast.any(axis=0), "moves faster than it can"),
+    ):
+        if bad.any():
+            raise _RefusedError(f"joint {problem.joint_names[int(np.argmax(bad))]} {fault}")
 
 
 def _check_curve_speeds(path: JointTrajectory, cruise: float, time: np.ndarray) -> None:

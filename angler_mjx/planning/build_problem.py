@@ -3,10 +3,12 @@
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.planning.problem import Problem, ProblemSettings, Team
+from angler_mjx.planning.problem import Problem, ProblemSettings, Team, TeamArms
 from angler_mjx.robot.control.stack import ControlParams
+from angler_mjx.robot.vehicles.params import VehicleParams
 from angler_mjx.sim import information
 from angler_mjx.sim.information import SceneObservation
+from angler_mjx.sim.posture import bounding_radii, hull_capsules
 from angler_mjx.sim.state import FleetWorld, SimSpec
 
 _N_POWER_SPEEDS = 9
@@ -20,6 +22,7 @@ def build_problem(
     settings: ProblemSettings,
     now: SceneObservation | None = None,
     yaw_rad: jax.Array | None = None,
+    joint_position: jax.Array | None = None,
 ) -> Problem:
     """Build the problem of one world, at its start or during the flight; ``vmap`` it for a batch.
 
@@ -30,6 +33,7 @@ def build_problem(
         settings: of the problem; its times are counted from ``now``.
         now: observation in flight, whose positions the robots start from; None at t = 0.
         yaw_rad: [R] headings at ``now``, rad.
+        joint_position: [R, J] joints of arms at ``now``, rad or m; those at home if left out.
     """
     environment, water, levels = world.environment, spec.water, settings.information
     start_m, start_yaw_rad = environment.start_m, environment.start_yaw_rad
@@ -42,7 +46,7 @@ def build_problem(
     return Problem(
         grid=environment.grid,
         floor_z_m=environment.floor_z_m,
-        team=build_team(world.control, start_m, start_yaw_rad, environment.goal_m),
+        team=build_team(world.control, start_m, start_yaw_rad, environment.goal_m, joint_position),
         obstacles=information.obstacle_information(
             environment,
             levels,
@@ -59,7 +63,11 @@ def build_problem(
 
 
 def build_team(
-    control: ControlParams, start_m: jax.Array, start_yaw_rad: jax.Array, goal_m: jax.Array
+    control: ControlParams,
+    start_m: jax.Array,
+    start_yaw_rad: jax.Array,
+    goal_m: jax.Array,
+    joint_position: jax.Array | None = None,
 ) -> Team:
     """Build the robots of a problem, from their starts to their goals.
 
@@ -68,9 +76,16 @@ def build_team(
         start_m: [R, 3] m, W.
         start_yaw_rad: [R] rad.
         goal_m: [R, 3] m, W.
+        joint_position: [R, J] joints of arms at the start, rad or m; hulls and radii are those of
+            this posture. Arms are at home if left out.
     """
     vehicle = control.vehicle_model
-    speed = vehicle.terminal_speed_mps
+    links, speed, radius_m = vehicle.links, vehicle.terminal_speed_mps, vehicle.radius_m
+    posture = links.home if links is not None and joint_position is None else joint_position
+    hulls = hull_capsules(vehicle, posture)
+    if joint_position is not None:
+        radius_m = bounding_radii(vehicle, hulls)
+    a_m, b_m, r_m = hulls
     added = jnp.diagonal(vehicle.M_A, axis1=-2, axis2=-1)[..., :3]
     # At terminal speed damping takes all the force there is; from rest the mass does.
     force = (vehicle.D_l[..., :3] + vehicle.D_q[..., :3] * speed) * speed
@@ -78,15 +93,23 @@ def build_team(
         start_m=start_m,
         start_yaw_rad=start_yaw_rad,
         goal_m=goal_m,
-        radius_m=vehicle.radius_m,
-        capsule_a_m=vehicle.capsule_a_m,
-        capsule_b_m=vehicle.capsule_b_m,
-        capsule_r_m=vehicle.capsule_r_m,
+        radius_m=radius_m,
+        capsule_a_m=a_m,
+        capsule_b_m=b_m,
+        capsule_r_m=r_m,
         cruise_speed_mps=control.cruise_speed_mps,
         terminal_speed_mps=speed,
         acceleration_mps2=force / (vehicle.mass_kg[..., None] + added),
         power_w=jax.vmap(_power_curves)(control),
+        arms=_build_arms(vehicle, posture),
     )
+
+
+def _build_arms(vehicle: VehicleParams, posture: jax.Array | None) -> TeamArms | None:
+    """Return the links of robots [R] that start in postures [R, J]; None without links."""
+    if vehicle.links is None or vehicle.link_capsules is None or posture is None:
+        return None
+    return TeamArms(links=vehicle.links, capsules=vehicle.link_capsules, joint_position=posture)
 
 
 def _power_curves(control: ControlParams) -> jax.Array:

@@ -5,7 +5,7 @@ written in JAX and plans a batch, on the device, within the program that samples
 may use is in the problem. `angler_mjx.planning.register` finds planners by name.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
@@ -43,7 +43,8 @@ class Planner(Protocol):
     """Plans one problem on the host.
 
     A class whose paths are `JointTrajectory` declares ``joints = True``, or its settings have an
-    attribute of that name. A class with settings has a frozen dataclass ``Settings`` with defaults;
+    attribute of that name; ``arm = True`` likewise if they move the joints of arms too. A class
+    with settings has a frozen dataclass ``Settings`` with defaults;
     its constructor takes one, and the scenario's table ``[planner.NAME]`` is checked against it.
     """
 
@@ -88,6 +89,8 @@ class PathShape:
     """Rows; shorter paths repeat their last."""
     joints: bool = False
     """Whether paths are `JointTrajectory`, not `Trajectory`."""
+    arm: tuple[str, ...] = ()
+    """Names of the joints of arms that the paths move beside the base; only with ``joints``."""
 
 
 def way_points(time_s: ArrayLike, position_m: ArrayLike) -> Trajectory:
@@ -109,6 +112,7 @@ def joint_path(
     position_m: ArrayLike,
     yaw_rad: ArrayLike,
     velocity: ArrayLike | None = None,
+    arm: Mapping[str, ArrayLike] | None = None,
 ) -> JointTrajectory:
     """Return a path with headings: lines, or cubics if velocities are given.
 
@@ -116,14 +120,18 @@ def joint_path(
         time_s: [n] increasing, from 0, s.
         position_m: [n, 3] m, W; the first is the robot's start.
         yaw_rad: [n] heading about z up, 0 = east; unwrapped.
-        velocity: [n, 4] of x, y, z in m/s and of the heading in rad/s; lines where left out.
+        velocity: [n, 4 + J] of x, y, z in m/s, of the heading in rad/s and of the joints of the
+            arm; lines where left out.
+        arm: positions [n] of all joints of the arm by name, in the order of
+            ``Problem.joint_names``, rad or m; left out, a path of the base alone.
     """
-    time = _as_float32(time_s)
-    position = np.concatenate([_as_float32(position_m), _as_float32(yaw_rad)[:, None]], axis=1)
+    time, columns = _as_float32(time_s), {} if arm is None else arm
+    rows = [_as_float32(values)[:, None] for values in (yaw_rad, *columns.values())]
+    position = np.concatenate([_as_float32(position_m), *rows], axis=1)
     degree = LINEAR if velocity is None else CUBIC
     zeros = _as_float32(np.zeros_like(position))
     return JointTrajectory(
-        joints=VEHICLE_JOINTS,
+        joints=(*VEHICLE_JOINTS, *columns),
         time_s=time,
         position=_as_float32(position),
         velocity=zeros if velocity is None else _as_float32(velocity),

@@ -15,6 +15,8 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from angler_mjx._moved import renamed_attribute
+from angler_mjx.robot.vehicles.link_hull import LinkCapsules
+from angler_mjx.robot.vehicles.link_params import LinkParams
 from angler_mjx.sim.information import CurrentInformation, Information, ObstacleInformation
 from angler_mjx.world.rock.grid import Grid
 
@@ -39,6 +41,23 @@ class ProblemName:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
+class TeamArms:
+    """Links of the robots of one world and the postures from which they start.
+
+    Those are the home postures before the flight, and the present ones when planning in flight. A
+    robot without links has some without mass.
+    """
+
+    links: LinkParams
+    """Links and joints, [R] leading."""
+    capsules: LinkCapsules
+    """Capsules of the links, [R] leading."""
+    joint_position: jax.Array
+    """[R, J] rad or m, in the order of ``Problem.joint_names``."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
 class Team:
     """Robots of one world: starts, goals and capabilities."""
 
@@ -49,10 +68,12 @@ class Team:
     goal_m: jax.Array
     """[R, 3]."""
     radius_m: jax.Array
-    """[R] radius of the sphere about the centre of mass that holds the hull in every attitude."""
+    """[R] radius of the sphere about the centre of mass that holds the hull in every attitude, an
+    arm in its posture at the start of the plan (see `TeamArms`)."""
     capsule_a_m: jax.Array
     """[R, c, 3] one end of the axis of each capsule of the hull, from the centre of mass, in the
-    body frame (x forward, y left, z up); padding repeats the last capsule."""
+    body frame (x forward, y left, z up), those of an arm in that posture behind the others;
+    padding repeats a capsule."""
     capsule_b_m: jax.Array
     """[R, c, 3] the other end."""
     capsule_r_m: jax.Array
@@ -66,6 +87,8 @@ class Team:
     power_w: jax.Array
     """[R, 3, n] electrical power at constant speed through the water along surge, sway, heave
     alone, level and without net weight; at speeds of 0 to the terminal one in equal steps."""
+    arms: TeamArms | None = None
+    """Links and joints; None where no robot has any."""
 
 
 _STATIC = {"static": True}
@@ -95,6 +118,10 @@ class ProblemSettings:
     time."""
     water_or_obstacles_move: bool = field(default=False, metadata=_STATIC)
     """Whether the worlds of the scenario have currents or moving obstacles, known or not."""
+    by_end_effector: bool = field(default=False, metadata=_STATIC)
+    """Whether end effectors have to come to the goals, not centres of mass."""
+    joint_names: tuple[str, ...] = field(default=(), metadata=_STATIC)
+    """[J] names of the joints of `Team.arms`."""
     is_replan: bool = field(default=False, metadata=_STATIC)
     """Whether robots are under way: starts are then positions on their present paths."""
 

@@ -183,12 +183,22 @@ def settings_class(planner: type) -> type | None:
 
 def plans_joints(spec: PlannerSpec) -> bool:
     """Return whether paths are `JointTrajectory`: ``joints`` of the settings or the class."""
+    return _read_flag(spec, "joints") or plans_arms(spec)
+
+
+def plans_arms(spec: PlannerSpec) -> bool:
+    """Return whether paths move the joints of arms too: ``arm`` of the settings or the class."""
+    return _read_flag(spec, "arm")
+
+
+def _read_flag(spec: PlannerSpec, name: str) -> bool:
+    """Return an attribute of the settings of a planner, else of its class; False without it."""
     planner_class = spec.reference.load()
     settings = settings_class(planner_class)
-    default = getattr(planner_class, "joints", False)
+    default = getattr(planner_class, name, False)
     if settings is None:
         return bool(default)
-    return bool(getattr(settings(**spec.settings), "joints", default))
+    return bool(getattr(settings(**spec.settings), name, default))
 
 
 def _is_required(setting: "Field[object]") -> bool:

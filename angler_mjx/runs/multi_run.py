@@ -1,9 +1,11 @@
 """Several runs in one folder, one after another, for datasets and sweeps.
 
-An interrupted run of it is resumed as any run is, so nothing but tiles in flight is lost.
+An interrupted run of it is resumed as any run is, so nothing but tiles in flight is lost. While one
+run flies, the programs of the next ones are compiled.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TypedDict
 
@@ -13,6 +15,8 @@ from angler_mjx.runs import rollout
 from angler_mjx.runs.processes import Processes, RunProcesses
 from angler_mjx.runs.resumable_folder import ResumableFolder
 from angler_mjx.runs.simulator.programs import release_memory
+from angler_mjx.runs.simulator.simulator import Simulator
+from angler_mjx.runs.simulator_cache import MAX_AHEAD, SimulatorCache
 from angler_mjx.runs.storage import folder, results_folder
 from angler_mjx.runs.storage.atomic_files import write_json
 from angler_mjx.scenario.scenario import Scenario
@@ -80,32 +84,50 @@ def fly_runs(
         options: options of every run.
     """
     parts = tuple(parts)
-    for number, (path, scenario) in enumerate(parts):
-        progress.report(f"run {number + 1} of {len(parts)}: {path}")
-        if not _fly_run(
-            scenario, building / path, progress, RunProcesses(processes, path), options
-        ):
-            return False
-        release_memory()
+    with SimulatorCache() as simulators:
+        for number, (path, scenario) in enumerate(parts):
+            progress.report(f"run {number + 1} of {len(parts)}: {path}")
+            group = RunProcesses(processes, path)
+            status = run_status(building / path) if processes.index == 0 else None
+            status = group.meet("stands", status)[0]
+            if status == "whole":
+                continue
+            _begin_compiling(parts[number:], building, simulators, options)
+            progress.describe("compiling")
+            simulator = simulators.of(path, _simulator_builder(scenario, building / path, options))
+            out = building / path
+            fly = partial(rollout.rollout, scenario, out=out)
+            if status == "begun":
+                fly = partial(rollout.resume, out)
+            chunk = options.get("chunk")
+            run = fly(simulator=simulator, chunk=chunk, progress=progress, processes=group)
+            if not run.summary["complete"]:
+                return False
+            simulators.drop(path)
+            release_memory()
     return True
 
 
-def _fly_run(
-    scenario: Scenario,
-    path: Path,
-    progress: Progress,
-    processes: Processes,
+def _begin_compiling(
+    parts: Sequence[tuple[str, Scenario]],
+    building: Path,
+    simulators: SimulatorCache,
     options: RunOptions,
-) -> bool:
-    """Fly a run, or what is left of it; whether it is whole now."""
-    status = processes.meet("stands", run_status(path) if processes.index == 0 else None)[0]
-    if status == "whole":
-        return True
-    if status == "begun":
-        run = rollout.resume(path, progress=progress, processes=processes, **options)
-    else:
-        run = rollout.rollout(scenario, out=path, progress=progress, processes=processes, **options)
-    return bool(run.summary["complete"])
+) -> None:
+    """Begin to compile the first run and those after it that are not whole."""
+    ahead = [part for part in parts if run_status(building / part[0]) != "whole"]
+    for path, scenario in ahead[: 1 + MAX_AHEAD]:
+        simulators.begin(path, _simulator_builder(scenario, building / path, options))
+
+
+def _simulator_builder(
+    scenario: Scenario, path: Path, options: RunOptions
+) -> Callable[[], Simulator]:
+    """Return the function that builds the simulator of a run; one that is begun keeps its tile."""
+    if run_status(path) == "begun":
+        scenario = folder.read_scenario(results_folder.locate_folder(path))
+    devices, workers = options.get("devices"), options.get("workers")
+    return partial(Simulator, scenario, devices=devices, workers=workers)
 
 
 def run_status(path: Path) -> str:

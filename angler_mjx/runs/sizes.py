@@ -4,10 +4,11 @@ import numpy as np
 import psutil
 
 from angler_mjx.errors import ConfigError, RunError, format_bytes
-from angler_mjx.robot.control.commands.joint_trajectory import JointTrajectory
+from angler_mjx.robot.control.commands.joint_trajectory import VEHICLE_JOINTS, JointTrajectory
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.runs.storage.device_to_host import task_sizes
 from angler_mjx.runs.storage.recorder import TrajectoryShape
+from angler_mjx.sim.fleet import label_joints
 
 
 def trajectory_shape(simulator: Simulator) -> TrajectoryShape:
@@ -22,10 +23,13 @@ def trajectory_shape(simulator: Simulator) -> TrajectoryShape:
         obstacles=world.environment.obstacles.kind.shape[-1],
         plan_points=world.path.time_s.shape[-1],
         jointed=isinstance(world.path, JointTrajectory),
+        armed=isinstance(world.path, JointTrajectory)
+        and len(world.path.joints) > len(VEHICLE_JOINTS),
         estimated=scenario.senses,
         store_config=scenario.store,
         also=scenario.store.also,
         task=task_sizes(world.task),
+        joints=label_joints(scenario.members()),
     )
 
 

@@ -152,7 +152,9 @@ class FleetEntry(FileModel):
             )
             bank = [variant]
             if randomise.changes_vehicles:
-                variations = randomise.sample_variations(number, name, len(config.thrusters.layout))
+                variations = randomise.sample_variations(
+                    number, name, len(config.thrusters.layout), config.find_set(name).uncertainty
+                )
                 is_variation_visible = randomise.visible
                 bank = [
                     replace(variant, variation=v, variation_known=is_variation_visible)

@@ -11,6 +11,7 @@ from angler_mjx.files import FileModel
 from angler_mjx.planning.mppi.costs import Weights
 from angler_mjx.planning.mppi.policy import Output
 from angler_mjx.robot.control.commands import BodyTwist, BodyWrench, PoseTarget
+from angler_mjx.robot.control.commands.whole_body import EndEffectorTarget
 from angler_mjx.robot.vehicles import library
 from angler_mjx.scenario.fleet_entry import FleetEntry
 from angler_mjx.scenario.tables import (
@@ -112,21 +113,30 @@ class RoutesConfig(FileModel):
         return _steps_per_period("policy.routes.hz", self.hz, time)
 
 
+class ReachConfig(FileModel):
+    """Placing of end effectors at the goals."""
+
+    begin_m: float = Field(default=1.2, gt=0.0, le=100.0)
+    """Distance of the base from its goal within which the end effector is brought there."""
+
+
 class PolicyConfig(FileModel):
     """Policy that commands the robots instead of plans; see `docs/reference/policies.md`."""
 
     renamed_keys: ClassVar[Mapping[str, str]] = {"knows": "information"}
 
-    name: Literal["none", "mppi", "routes"] = "none"
+    name: Literal["none", "mppi", "routes", "reach"] = "none"
     """none: robots fly their plans. mppi: each robot flies to its goal by path integral control,
     with or without a plan. routes: each robot flies along routes computed for every cell of the
-    world, and avoids moving obstacles and other robots."""
+    world, and avoids moving obstacles and other robots. reach: robots fly their plans, and bring
+    their end effectors to the goals when they are near."""
     information: InformationConfig | None = None
     """Information level on moving obstacles, whenever the policy acts. If left out:
     `planner.information` where the file gives that, else obstacles = "observed". Set explicitly to
     "nothing", the policy receives no obstacle, and commands print a notice."""
     mppi: MppiConfig = MppiConfig()
     routes: RoutesConfig = RoutesConfig()
+    reach: ReachConfig = ReachConfig()
 
 
 def default_information(policy: PolicyConfig, planner: PlannerConfig) -> InformationConfig:
@@ -149,6 +159,26 @@ def _steps_per_period(key: str, hz: float, time: TimeConfig) -> int:
     return round(1.0 / (hz * dt_s))
 
 
+def check_end_effectors(controller: ControllerConfig, fleet: Sequence[FleetEntry]) -> None:
+    """Refuse controllers and vehicles that take no targets of an end effector.
+
+    Raises:
+        ValueError: naming the key and its value.
+    """
+    if not any(EndEffectorTarget in stage.takes for stage in controller.stack()[0]):
+        raise ValueError(
+            f'policy.name = "reach": no stage of controller {controller.title!r} takes an '
+            'EndEffectorTarget; take controller = "arm", or one with the stage whole_body'
+        )
+    for i, entry in enumerate(fleet):
+        config = library.load_vehicle(entry.vehicle)
+        if config.end_effector is None:
+            raise ValueError(
+                f'policy.name = "reach": fleet[{i}], vehicle {config.name!r}, has no table '
+                "[end_effector]; fly vehicles with an arm"
+            )
+
+
 def check_policy(
     policy: PolicyConfig,
     time: TimeConfig,
@@ -160,6 +190,9 @@ def check_policy(
     Raises:
         ValueError: naming the key and its value.
     """
+    if policy.name == "reach":
+        check_end_effectors(controller, fleet)
+        return
     if policy.name == "routes":
         policy.routes.period(time)
         if not any(PoseTarget in stage.takes for stage in controller.stack()[0]):

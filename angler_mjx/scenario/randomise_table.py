@@ -7,6 +7,7 @@ programs therefore stay as small as the bank. Current and noise are numbers of e
 
 import itertools
 from collections.abc import Mapping, Sequence
+from statistics import NormalDist
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -15,6 +16,7 @@ from pydantic import AfterValidator, Field, model_validator
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import FileModel
 from angler_mjx.robot.vehicles.config import VehicleConfig
+from angler_mjx.robot.vehicles.uncertainty import Uncertainty
 from angler_mjx.robot.vehicles.variation import Variation, heave_forces
 
 
@@ -39,6 +41,8 @@ type ScaleRange = Annotated[tuple[Scale, Scale], AfterValidator(_check_ascending
 UNCHANGED = (1.0, 1.0)
 MAX_HEAVE_FRACTION = 0.5
 """Max fraction of the thrust in heave to hold the depth; the rest is for motion."""
+_MIN_TAIL = 1e-5
+"""Least probability of the tails of sampled normal numbers: 4.3 standard deviations."""
 
 
 class RandomiseConfig(FileModel):
@@ -76,6 +80,9 @@ class RandomiseConfig(FileModel):
     sensor_noise: ScaleRange = UNCHANGED
     """Factor on the noise of all instruments, sampled for each robot of each world; filters keep
     the values of the file."""
+    uncertainty: bool = False
+    """Whether parameter sets are sampled within the uncertainty that their vehicle file states;
+    factors apply to the sampled set."""
     visible: bool = False
     """Whether controllers and planners know the sampled vehicle; if not, they assume that of its
     files."""
@@ -94,6 +101,7 @@ class RandomiseConfig(FileModel):
             any(span != UNCHANGED for span in spans)
             or self.fault_probability > 0.0
             or self.battery_v is not None
+            or self.uncertainty
         )
 
     @property
@@ -102,9 +110,15 @@ class RandomiseConfig(FileModel):
         return self.current != UNCHANGED or self.sensor_noise != UNCHANGED
 
     def sample_variations(
-        self, entry: int, parameter_set: str, thrusters: int
+        self,
+        entry: int,
+        parameter_set: str,
+        thrusters: int,
+        uncertainty: Uncertainty | None = None,
     ) -> tuple[Variation, ...]:
         """Sample the variants of one parameter set of an entry of the fleet.
+
+        ``uncertainty`` is that of the parameter set; unused without the key `uncertainty`.
 
         Every quantity takes each n-th of its range once (a Latin hypercube: McKay, Beckman and
         Conover 1979), so few variants cover it too. Numbers are bits of Philox, which NumPy keeps
@@ -132,6 +146,10 @@ class RandomiseConfig(FileModel):
             sample(self.fault_health, thrusters),
             sample(self.battery_v or UNCHANGED, 1),
         )
+        deviations = np.zeros((n, 0))
+        if self.uncertainty and uncertainty is not None:
+            root = uncertainty.root
+            deviations = _normal_quantiles(sample((0.0, 1.0), len(root))) @ root.T
         thrust = np.where(faulty < self.fault_probability, health * healthy_gain, healthy_gain)
         return tuple(
             Variation(
@@ -142,6 +160,7 @@ class RandomiseConfig(FileModel):
                 added_mass=_six_floats(added_mass[i]),
                 thrust=tuple(map(float, thrust[i])),
                 battery_v=None if self.battery_v is None else float(battery_v[i, 0]),
+                deviations=tuple(map(float, deviations[i])),
             )
             for i in range(n)
         )
@@ -155,6 +174,8 @@ class RandomiseConfig(FileModel):
     ) -> None:
         """Refuse ranges with vehicles that cannot hold their depth, faults aside.
 
+        Also refuse sets without an uncertainty that is asked for.
+
         A vehicle that cannot hold its depth by its own file is not checked.
 
         Args:
@@ -167,8 +188,9 @@ class RandomiseConfig(FileModel):
             ConfigError: naming the ranges.
         """
         volts: Sequence[float | None] = self.battery_v or (None,)
-        corners = list(itertools.product(self.mass, self.buoyancy, volts))
         for name in parameter_sets:
+            volumes = self._buoyancy_range(config, name)
+            corners = list(itertools.product(self.mass, volumes, volts))
             lift_n, force_n = heave_forces(config, name, Variation(), battery_v, density_kgpm3)
             can_hold = abs(lift_n) <= MAX_HEAVE_FRACTION * force_n
             for mass, buoyancy, battery_or_none in corners:
@@ -191,6 +213,32 @@ class RandomiseConfig(FileModel):
                         f"{battery_or_none or battery_v:g} V; half "
                         "of that may go into holding depth: narrow the ranges"
                     )
+
+    def _buoyancy_range(self, config: VehicleConfig, name: str) -> tuple[float, float]:
+        """Return the factors [2] of the displaced volume, with three deviations if uncertain.
+
+        Raises:
+            ConfigError: the set has no uncertainty, which is asked for.
+        """
+        if not self.uncertainty:
+            return self.buoyancy
+        chosen = config.find_set(name)
+        if chosen.uncertainty is None:
+            stated = [key for key in config.parameter_sets if key not in config.published_sets]
+            raise ConfigError(
+                f"randomise.uncertainty: parameter set {name!r} of vehicle {config.name!r} has no "
+                f"table [uncertainty]; sets with one: {', '.join(stated) or 'none'}"
+            )
+        spread = 3.0 * (chosen.uncertainty.volume_m3 or 0.0) / chosen.buoyancy.volume_m3
+        low, high = self.buoyancy
+        return low * (1.0 - spread), high * (1.0 + spread)
+
+
+def _normal_quantiles(fractions: np.ndarray) -> np.ndarray:
+    """Return the standard normal numbers [n, k] below which fractions [n, k] lie."""
+    inverse = np.vectorize(NormalDist().inv_cdf, otypes=[float])
+    quantiles: np.ndarray = inverse(np.clip(fractions, _MIN_TAIL, 1.0 - _MIN_TAIL))
+    return quantiles
 
 
 def _six_floats(row: np.ndarray) -> tuple[float, float, float, float, float, float]:

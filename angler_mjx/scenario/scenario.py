@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import ClassVar, Literal, Self
 
@@ -25,12 +25,20 @@ from angler_mjx.files import (
 from angler_mjx.planning.planner_choice import LARGE_TEAM
 from angler_mjx.quantities import MAX_COORDINATE_M, SchemaVersion
 from angler_mjx.robot.vehicles import library
+from angler_mjx.robot.vehicles.config import VehicleConfig
+from angler_mjx.robot.vehicles.links import order_joints
 from angler_mjx.robot.vehicles.load import Load
 from angler_mjx.scenario import instrumented, table_checks
+from angler_mjx.scenario.contact_table import ContactConfig, check_bodies
 from angler_mjx.scenario.fleet_entry import FleetEntry
 from angler_mjx.scenario.load_table import check_load
 from angler_mjx.scenario.path_resolution import resolve_paths
-from angler_mjx.scenario.policy_tables import PolicyConfig, check_policy, default_information
+from angler_mjx.scenario.policy_tables import (
+    PolicyConfig,
+    check_end_effectors,
+    check_policy,
+    default_information,
+)
 from angler_mjx.scenario.randomise_table import RandomiseConfig
 from angler_mjx.scenario.store_table import StoreConfig
 from angler_mjx.scenario.tables import (
@@ -105,6 +113,10 @@ class Scenario(FileModel):
     task: TaskConfig = GoalTask()
     """Task of the robots of a world; see `docs/reference/tasks.md`."""
     breakdowns: BreakdownsConfig = BreakdownsConfig()
+    contacts: bool = False
+    """Whether bodies push each other, land and rest instead of ending an episode at the first
+    touch; on the mjx engine. See `docs/reference/contact.md`."""
+    contact: ContactConfig = ContactConfig()
 
     @model_validator(mode="after")
     def _set_horizon(self) -> Self:
@@ -124,9 +136,16 @@ class Scenario(FileModel):
 
     @model_validator(mode="after")
     def _set_policy(self) -> Self:
-        """Set the policy of a task with several jobs, where the file gives none."""
-        if not isinstance(self.task, GoalTask) and "name" not in self.policy.model_fields_set:
-            self.__dict__["policy"] = self.policy.model_copy(update={"name": "routes"})
+        """Set the policy of a task that plans alone do not do, where the file gives none."""
+        if "name" in self.policy.model_fields_set:
+            return self
+        name = "none"
+        if not isinstance(self.task, GoalTask):
+            name = "routes"
+        elif self.task.by_end_effector and not self.planner.plans_arms:
+            name = "reach"
+        if name != "none":
+            self.__dict__["policy"] = self.policy.model_copy(update={"name": name})
         return self
 
     @model_validator(mode="after")
@@ -167,11 +186,25 @@ class Scenario(FileModel):
     def _check_tables(self) -> Self:
         table_checks.check_instruments(self.fleet, self.time)
         table_checks.check_currents(self.world, self.time)
-        table_checks.check_fleet_fits(self.world, self.fleet)
+        table_checks.check_fleet_fits(self.world, self.fleet, by_end_effector=self.by_end_effector)
+        table_checks.check_arms_fit(self.world, self.fleet)
         table_checks.check_randomisation(self.randomise, self.fleet, self.world, self.water)
         table_checks.check_rotors(self.fleet)
+        table_checks.check_links(self.engine, self.fleet)
+        self._check_contact()
         table_checks.check_steering(self.controller, self.fleet)
         return self
+
+    def _check_contact(self) -> None:
+        if self.contacts and self.engine == "fused":
+            raise ValueError(
+                'contacts = true: engine = "fused" knows no contact; use engine = "mjx"'
+            )
+        if not self.contacts and self.contact != ContactConfig():
+            key = min(self.contact.model_fields_set)
+            raise ValueError(f"contact.{key}: there is no contact; set contacts = true")
+        if self.contacts:
+            check_bodies(self.world)
 
     @model_validator(mode="after")
     def _check_breakdowns(self) -> Self:
@@ -210,6 +243,8 @@ class Scenario(FileModel):
     @model_validator(mode="after")
     def _check_task(self) -> Self:
         check_task_policy(self.task, self.policy, online=self.online)
+        if self.by_end_effector:
+            check_end_effectors(self.controller, self.fleet)
         self.task_spec()
         if load := self.carried():
             check_load(load, self.fleet)
@@ -225,6 +260,11 @@ class Scenario(FileModel):
         """Return the compiled task; None where each robot has a goal of its own."""
         robots = sum(entry.count for entry in self.fleet)
         return build_task_spec(self.task, resolve_world(self.world), robots, self.time)
+
+    @property
+    def by_end_effector(self) -> bool:
+        """Return whether end effectors have to come to the goals."""
+        return isinstance(self.task, GoalTask) and self.task.by_end_effector
 
     @property
     def flown(self) -> bool:
@@ -280,6 +320,13 @@ class Scenario(FileModel):
             for _ in range(count)
         ]
 
+    def joint_names(self) -> tuple[str, ...]:
+        """Return the names of the joints of the fleet's arms, in the order of states."""
+        for entry in self.fleet:
+            if links := (config := library.load_vehicle(entry.vehicle)).find_links(None):
+                return tuple(joint.name for joint in order_joints(links, config.joints))
+        return ()
+
     def digest(self) -> str:
         """Return the hexadecimal digest of all settings that determine the problems of a seed.
 
@@ -298,10 +345,13 @@ class Scenario(FileModel):
             "density_kgpm3": self.water.density_kgpm3,
             "goal_tolerance_m": self.goal_tolerance_m,
         }
-        if not isinstance(self.task, GoalTask):
+        if not isinstance(self.task, GoalTask) or self.task.by_end_effector:
             problem_table["task"] = dump_for_digest(self.task)
         if self.randomise.changes_vehicles or self.randomise.changes_worlds:
-            problem_table["randomise"] = dump_for_digest(self.randomise)
+            randomise = dump_for_digest(self.randomise)
+            if not self.randomise.uncertainty:  # keeps digests from before it existed
+                del randomise["uncertainty"]
+            problem_table["randomise"] = randomise
         text = json.dumps(problem_table, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
@@ -318,6 +368,7 @@ class Scenario(FileModel):
             physics_dt_s=self.time.physics_dt_s,
             physics_steps=self.time.physics_steps,
             goal_tolerance_m=self.goal_tolerance_m,
+            by_end_effector=self.by_end_effector,
             water=water,
             stages=controllers,
             gains=gains,
@@ -327,6 +378,7 @@ class Scenario(FileModel):
             also=self.store.also,
             acoustics=self.channel(),
             task=self.task_spec(),
+            contact=self.contact.spec(self.time.physics_dt_s) if self.contacts else None,
         )
 
 
@@ -341,7 +393,26 @@ def _problem_table(entry: FleetEntry) -> JsonTable:
     table = entry.model_dump(mode="json", exclude={"estimate", "sensors", "fault_visible"})
     vehicle = library.load_vehicle(entry.vehicle)
     thruster = library.load_thruster(vehicle.rotor.model)
-    return {**table, "vehicle": [vehicle.model_dump(mode="json"), thruster.model_dump(mode="json")]}
+    vehicle_table = _vehicle_table(vehicle, entry.parameter_set_names())
+    return {**table, "vehicle": [vehicle_table, thruster.model_dump(mode="json")]}
+
+
+def _vehicle_table(vehicle: VehicleConfig, used_sets: Sequence[str]) -> JsonTable:
+    """Return a vehicle file for digests, which stay those from before links and uncertainty.
+
+    Left out are empty lists of links, absent uncertainties, and sets with one that are not used.
+    """
+    no_arm = {} if vehicle.links else dict.fromkeys(("links", "joints", "end_effector"), True)
+    table: JsonTable = vehicle.model_dump(mode="json", exclude={"parameter_sets": True, **no_arm})
+    table["parameter_sets"] = {
+        name: row.model_dump(
+            mode="json",
+            exclude={key for key in ("links", "uncertainty") if not getattr(row, key)},
+        )
+        for name, row in vehicle.parameter_sets.items()
+        if name in used_sets or name in vehicle.published_sets
+    }
+    return table
 
 
 def shipped_scenarios() -> dict[str, Path]:

@@ -9,8 +9,8 @@ from angler_mjx.sim.record import RecordOption
 class StoreConfig(FileModel):
     """Stored arrays of trajectories, and their resolution: exact, in float32, or in steps.
 
-    Steps take a sixth of the space; see `docs/how_to/datasets.md`. Plans and the last states are
-    always exact.
+    Steps take a sixth of the space; see `docs/how_to/datasets.md`. Plans, joints and the last
+    states are always exact.
     """
 
     also: tuple[RecordOption, ...] = ()

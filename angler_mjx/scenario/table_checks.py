@@ -8,6 +8,8 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.robot.control.commands import PoseTarget
 from angler_mjx.robot.sensing import params as instruments
 from angler_mjx.robot.vehicles import library
+from angler_mjx.robot.vehicles.link_hull import max_link_reach_m
+from angler_mjx.robot.vehicles.link_params import build_tree
 from angler_mjx.scenario import instrumented
 from angler_mjx.scenario.fleet_entry import FleetEntry
 from angler_mjx.scenario.randomise_table import UNCHANGED, RandomiseConfig
@@ -55,14 +57,30 @@ def check_currents(world: WorldConfig, time: TimeConfig) -> None:
             )
 
 
-def check_fleet_fits(world: WorldConfig, fleet: Sequence[FleetEntry]) -> None:
+def check_fleet_fits(
+    world: WorldConfig, fleet: Sequence[FleetEntry], *, by_end_effector: bool
+) -> None:
     """Refuse worlds that cannot hold the fleet."""
     reach_m = [library.reach_m(library.load_vehicle(entry.vehicle)) for entry in fleet]
     counts = [entry.count for entry in fleet]
     try:
-        check_fleet(resolve_world(world), np.repeat(reach_m, counts))
+        check_fleet(
+            resolve_world(world), np.repeat(reach_m, counts), by_end_effector=by_end_effector
+        )
     except ConfigError as error:
         raise ValueError(f"world, for the fleet: {error}") from error
+
+
+def check_arms_fit(world: WorldConfig, fleet: Sequence[FleetEntry]) -> None:
+    """Refuse cells that are smaller than an arm: contact is looked for one cell around."""
+    cell_m = resolve_world(world).cell_m
+    for i, entry in enumerate(fleet):
+        arm_m = max_link_reach_m(library.load_vehicle(entry.vehicle))
+        if arm_m >= cell_m:
+            raise ValueError(
+                f"world.cell_m = {cell_m:g}: the arm of fleet[{i}], vehicle {entry.vehicle!r}, "
+                f"reaches {arm_m:.3g} m from its centre of mass; take larger cells"
+            )
 
 
 def check_randomisation(
@@ -103,6 +121,27 @@ def check_rotors(fleet: Sequence[FleetEntry]) -> None:
             raise ValueError(
                 f"fleet[{i}]: the rotors of {config.name!r} answer otherwise than those of "
                 "fleet[0]; give all robots of a fleet the same rotor_response"
+            )
+
+
+def check_links(engine: str, fleet: Sequence[FleetEntry]) -> None:
+    """Refuse joints on the fused engine, and vehicles of one fleet with different arms."""
+    armed = [
+        (i, config, build_tree(config))
+        for i, entry in enumerate(fleet)
+        if (config := library.load_vehicle(entry.vehicle)).links
+    ]
+    for i, config, tree in armed:
+        if engine == "fused":
+            raise ValueError(
+                f'fleet[{i}]: vehicle {config.name!r} has joints; engine = "fused" flies '
+                'rigid vehicles only, use engine = "mjx"'
+            )
+        if tree != armed[0][2]:
+            first = armed[0]
+            raise ValueError(
+                f"fleet[{i}]: the links of {config.name!r} hang together otherwise than those of "
+                f"fleet[{first[0]}], vehicle {first[1].name!r}; fly them in runs of their own"
             )
 
 

@@ -278,6 +278,11 @@ class PlannerConfig(FileModel):
         """Return the name of the chosen planner's own table: for a class in a file, the class."""
         return self.name.rpartition(":")[2]
 
+    @property
+    def plans_arms(self) -> bool:
+        """Return whether the planner's own table asks for plans of the joints of arms."""
+        return self.settings.get(self.table, {}).get("arm") is True
+
     def planner_spec(self) -> PlannerSpec:
         """Return the planner with its settings.
 

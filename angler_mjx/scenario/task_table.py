@@ -42,6 +42,13 @@ class GoalTask(FileModel):
     """One goal for each robot, given by the world."""
 
     type: Literal["goal"] = "goal"
+    reached_by: Literal["center", "end_effector"] = "center"
+    """What has to come to the goal: the robot's centre of mass, or its end effector."""
+
+    @property
+    def by_end_effector(self) -> bool:
+        """Whether end effectors have to come to the goals."""
+        return self.reached_by == "end_effector"
 
 
 class _Task(FileModel):

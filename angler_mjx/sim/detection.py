@@ -1,7 +1,9 @@
 """Contact detection: exact distances from every hull to everything it can touch.
 
-Contact is detected, not resolved: the first touch ends the episode of the robot. All distances are
-those of the hull's capsules (docs/explanation/validation.md compares them with coal).
+The first touch ends the episode of a robot, unless the simulation has contact as physics
+(`angler_mjx.sim.contact_motion`), where distances are recorded alone. All distances are
+those of the hull's capsules, which docs/explanation/validation.md compares with coal. Links of arms
+belong to the hull, in their present posture; a robot's own links do not meet its hull.
 """
 
 from dataclasses import dataclass
@@ -13,6 +15,7 @@ import numpy as np
 from angler_kernels import clearance, neighbour_search, quaternion
 from angler_mjx.robot.vehicles.params import VehicleParams
 from angler_mjx.sim.physics.step import VehicleState
+from angler_mjx.sim.posture import bounding_radii, hull_capsules
 from angler_mjx.sim.state import Touched
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.obstacles import STATIC, ObstacleState
@@ -63,9 +66,10 @@ def detect_contacts(
         obstacles: now.
     """
     to_world = jax.vmap(jax.vmap(_transform_point, (None, None, 0)))
-    a = to_world(state.p, state.q, vehicles.capsule_a_m)
-    b = to_world(state.p, state.q, vehicles.capsule_b_m)
-    r = vehicles.capsule_r_m
+    joints = state.joints
+    hull = hull_capsules(vehicles, None if joints is None else joints.position)
+    radius, r = bounding_radii(vehicles, hull), hull[2]
+    a, b = to_world(state.p, state.q, hull[0]), to_world(state.p, state.q, hull[1])
     v = jax.vmap(quaternion.rotate)(state.q, state.nu[:, :3])
     grid = environment.grid
     to_cells = jax.vmap(clearance.capsules_grid, (0, 0, 0, 0, None, None, None))(
@@ -74,7 +78,7 @@ def detect_contacts(
     lowest = jnp.min(jnp.minimum(a[..., 2], b[..., 2]) - r, axis=1)
     to_floor = lowest - environment.floor_z_m
     to_obstacle, obstacle = _nearest_obstacle(environment, a, b, r, obstacles)
-    to_robot, robot = _nearest_robot(state.p, vehicles.radius_m, (a, b, r))
+    to_robot, robot = _nearest_robot(state.p, radius, (a, b, r))
 
     # A separation that only says that no robot is near must not pass for the nearest thing.
     to_named_robot = jnp.where(robot >= 0, to_robot, jnp.inf)
@@ -106,6 +110,7 @@ def compute_distances(
     p: jax.Array,
     q: jax.Array,
     obstacles: ObstacleState,
+    joint_position: jax.Array | None = None,
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Distances [R] of the hulls of one world to rock and floor, to obstacles, and to other hulls.
 
@@ -117,17 +122,18 @@ def compute_distances(
         p: [R, 3] m in W.
         q: [R, 4].
         obstacles: now.
+        joint_position: [R, J] rad or m; None where no robot has joints.
     """
     to_world = jax.vmap(jax.vmap(_transform_point, (None, None, 0)))
-    a, b = to_world(p, q, vehicles.capsule_a_m), to_world(p, q, vehicles.capsule_b_m)
-    r, grid = vehicles.capsule_r_m, environment.grid
+    hull, grid = hull_capsules(vehicles, joint_position), environment.grid
+    a, b, r = to_world(p, q, hull[0]), to_world(p, q, hull[1]), hull[2]
     to_cells = jax.vmap(clearance.capsules_grid, (0, 0, 0, 0, None, None, None))(
         a, b, r, p, grid.occupied, grid.origin_m, grid.cell_m
     )
     lowest = jnp.min(jnp.minimum(a[..., 2], b[..., 2]) - r, axis=1)
     to_rock = jnp.minimum(to_cells, lowest - environment.floor_z_m)
     to_obstacle, _ = _nearest_obstacle(environment, a, b, r, obstacles)
-    to_robot, _ = _nearest_robot(p, vehicles.radius_m, (a, b, r))
+    to_robot, _ = _nearest_robot(p, bounding_radii(vehicles, hull), (a, b, r))
     return to_rock, to_obstacle, to_robot
 
 

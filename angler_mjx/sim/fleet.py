@@ -19,6 +19,7 @@ from angler_mjx.robot.control import allocation
 from angler_mjx.robot.control.stack import ControlParams
 from angler_mjx.robot.vehicles import library, mjcf, params
 from angler_mjx.robot.vehicles.config import VehicleConfig
+from angler_mjx.robot.vehicles.link_params import LinkTree
 from angler_mjx.robot.vehicles.load import Load, add_load
 from angler_mjx.robot.vehicles.params import VehicleParams
 from angler_mjx.robot.vehicles.rotor_config import RotorResponse
@@ -126,10 +127,36 @@ def describe_variants(members: Sequence[Member]) -> list[dict[str, object]]:
         row = {"variant": number, **asdict(kind), "vehicle": labels[kind.vehicle]}
         sampled: dict[str, object] = row.pop("variation") or {}
         volts = sampled.pop("battery_v", None)
+        if not sampled.get("deviations"):
+            sampled.pop("deviations", None)
         rows.append(
             {**row, "battery_v": kind.battery_v if volts is None else volts, "drawn": sampled}
         )
     return rows
+
+
+@dataclass(frozen=True)
+class JointLabel:
+    """Name of a joint, as in its vehicle file, and unit of its position."""
+
+    name: str
+    unit: str
+
+
+def label_joints(members: Sequence[Member]) -> dict[str, tuple[JointLabel, ...]]:
+    """Return the joints of a fleet's vehicles that have any, by the vehicle's label; for files."""
+    labels = library.label_vehicles(kind.vehicle for kind in list_variants(members))
+    units = {"revolute": "rad", "prismatic": "m"}
+    return {
+        label: tuple(JointLabel(joint.name, units[joint.type]) for joint in joints)
+        for vehicle, label in labels.items()
+        if (joints := library.load_vehicle(vehicle).find_joints())
+    }
+
+
+def count_joints(members: Sequence[Member]) -> int:
+    """Return the number of joints of the vehicles of a fleet that have any; 0 if none has."""
+    return max(map(len, label_joints(members).values()), default=0)
 
 
 def build_fleet(
@@ -143,11 +170,13 @@ def build_fleet(
         load: that robots can carry; controllers know of it.
 
     Raises:
-        ConfigError: unknown vehicle, set or thruster, a file with faults, or rotors of more than
-            one kind.
+        ConfigError: unknown vehicle, set or thruster, a file with faults, or rotors or arms of
+            more than one kind.
     """
     kinds = list_variants(members)
-    _refuse_mixed_rotors(kinds, [_build_robot(kind) for kind in kinds])
+    robots = [_build_robot(kind) for kind in kinds]
+    _refuse_mixed_rotors(kinds, robots)
+    _refuse_mixed_links(kinds, robots)
     each: list[tuple[Variant, Load | None]] = [(kind, None) for kind in kinds]
     if load is not None:
         each += [(kind, load) for kind in kinds]
@@ -159,11 +188,11 @@ def build_fleet(
         )
     believed = stacked if nominal is None else nominal
     fault_mask = np.array([[kind.fault_known] for kind, _ in each])
+    configs = [_load_config(*variant_and_load) for variant_and_load in each]
+    armed = next((config for config in configs if config.links), None)
     specs = [
-        mjcf.to_spec(
-            _load_config(*variant_and_load), variant_and_load[0].parameter_set, shapes=False
-        )
-        for variant_and_load in each
+        mjcf.to_spec(config, kind.parameter_set, shapes=False, absent_links=armed)
+        for config, (kind, _) in zip(configs, each, strict=True)
     ]
     surge = CRUISE_FRACTION * np.asarray(believed.terminal_speed_mps)[:, 0]
     cruise = np.array([np.minimum(member.cruise_speed_mps, surge) for member in members])
@@ -228,6 +257,20 @@ def _refuse_mixed_rotors(kinds: Sequence[Variant], robots: Sequence[VehicleParam
             raise ConfigError(
                 f"fleet: the rotors of {kind.vehicle!r} answer otherwise than those of "
                 f"{kinds[0].vehicle!r}; give all robots of a fleet the same rotor_response"
+            )
+
+
+def _refuse_mixed_links(kinds: Sequence[Variant], robots: Sequence[VehicleParams]) -> None:
+    """Links that hang together in different ways take programs of their own."""
+    first: tuple[Variant, LinkTree] | None = None
+    for kind, robot in zip(kinds, robots, strict=True):
+        if robot.links is None:
+            continue
+        first = first or (kind, robot.links.tree)
+        if robot.links.tree != first[1]:
+            raise ConfigError(
+                f"fleet: the links of {kind.vehicle!r} hang together otherwise than those of "
+                f"{first[0].vehicle!r}; fly different arms in runs of their own"
             )
 
 

@@ -11,12 +11,14 @@ from typing import Literal, Protocol
 import jax
 
 from angler_mjx.robot.control.stack import ControlParams
+from angler_mjx.robot.vehicles.link_motion import JointMotion
 from angler_mjx.sim.physics.step import VehicleState
+from angler_mjx.sim.record import JointRecord
 from angler_mjx.sim.state import SimSpec
 from angler_mjx.world.currents import Current
 from angler_mjx.world.obstacles import ObstacleState
 
-type Record = dict[str, jax.Array]
+type Record = dict[str, jax.Array | JointRecord]
 """Fields that `angler_mjx.sim.record` declares for a phase."""
 
 
@@ -49,8 +51,12 @@ class BodyBatch(Protocol):
         thrust_n: jax.Array,
         current: Current,
         t: jax.Array,
+        joints: JointMotion | None,
     ) -> VehicleState:
-        """One physics step of all robots, for the thrusts that their signals settle at."""
+        """One physics step of all robots, for the thrusts that their signals settle at.
+
+        ``joints`` [J] is what the servos of joints hold; None where no robot has any.
+        """
 
     def advance(self, obstacles: ObstacleState) -> ObstacleState:
         """The obstacles one control period later."""

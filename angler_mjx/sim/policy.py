@@ -27,6 +27,7 @@ from angler_mjx.robot.control import command_checks, stack
 from angler_mjx.robot.control.mixed import MixedCommand
 from angler_mjx.robot.control.plans import Plan
 from angler_mjx.robot.control.stack import Command, ControlParams, Stages
+from angler_mjx.robot.vehicles.params import joint_names
 from angler_mjx.sim.information import (
     CurrentInformation,
     Information,
@@ -79,6 +80,9 @@ class PolicyInput:
     """Ways to places of the world, for a policy that asks by `Policy.routes_margin_m`."""
     goal_index: jax.Array | None = None
     """int32 [R] place of the routes to which each robot goes; -1: none, it stays."""
+    joint_position: jax.Array | None = None
+    """[R, J] positions of the joints of arms, rad or m, as encoders show them; without meaning for
+    a robot without an arm. None where no robot has one."""
 
     if not TYPE_CHECKING:  # a checker would take every attribute for one
 
@@ -281,13 +285,15 @@ def _wrap_key(policy: Policy, policy_key: jax.Array | None) -> jax.Array:
 def _check_command(
     name: str, stages: Stages, command: Command | MixedCommand, inputs: PolicyInput
 ) -> None:
-    lead, thrusters = (1, inputs.goal_m.shape[0]), inputs.params.vehicle.B.shape[-1]
+    vehicle = inputs.params.vehicle
+    lead, thrusters = (1, inputs.goal_m.shape[0]), vehicle.B.shape[-1]
+    joints = len(joint_names(vehicle))
     command = jax.tree.map(lambda x: jax.ShapeDtypeStruct((1, *x.shape), x.dtype), command)
     try:
         for part in command.commands if isinstance(command, MixedCommand) else [command]:
-            stack.check_command(stages, part, lead, thrusters)
+            stack.check_command(stages, part, lead, thrusters, joints)
         if isinstance(command, MixedCommand):
-            command_checks.check_choice(command, lead)
+            command_checks.check_choice(command, lead, joints)
     except ConfigError as error:
         raise ConfigError(f"policy {name}: {error}") from None
 

@@ -16,7 +16,11 @@ import jax
 import numpy as np
 
 SIZES = {"xyz": 3, "wxyz": 4, "uvwpqr": 6, "xyzkmn": 6}
-"""Axes that are as long in every run; those of robots, obstacles and thrusters are the run's."""
+"""Axes that are as long in every run; those of robots, obstacles, thrusters and joints of vehicles
+are the run's."""
+
+JOINT_AXIS = "vehicle_joint"
+"""Axis of the joints of vehicles; ``joint`` is that of plans."""
 
 ACOUSTICS = "acoustics"
 """Group of what robots heard of each other."""
@@ -48,8 +52,8 @@ class FieldMetadata:
     array: str
     """Its name on disk."""
     axes: tuple[str, ...]
-    """``robot`` or ``obstacle`` first, neither for what is of a world; then what `SIZES` names or
-    ``thruster``."""
+    """``robot`` or ``obstacle`` first, neither for what is of a world; then what `SIZES` names,
+    ``thruster`` or `JOINT_AXIS`."""
     unit: str
     text: str
     """What it is, with its frame; in the array's attributes."""
@@ -145,6 +149,36 @@ class Belief:
         )
     )
     """[R, 3] about the axes."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class JointRecord:
+    """Motion of the joints of the robots' arms; [R] leads."""
+
+    position: jax.Array = field(
+        metadata=_field_metadata(
+            "move",
+            "joint_position",
+            f"robot {JOINT_AXIS}",
+            "rad, m",
+            "position of each joint, in m of a prismatic one; names and units by vehicle are in "
+            "the attribute joints; NaN of a robot without joints",
+            state=True,
+        )
+    )
+    """[R, J] rad or m."""
+    velocity: jax.Array = field(
+        metadata=_field_metadata(
+            "move",
+            "joint_velocity",
+            f"robot {JOINT_AXIS}",
+            "rad/s, m/s",
+            "speed of each joint; as joint_position",
+            state=True,
+        )
+    )
+    """[R, J] rad/s or m/s."""
 
 
 @jax.tree_util.register_dataclass
@@ -342,7 +376,7 @@ class Sample:
             "robot",
             "1",
             "0 running, 1 reached, 2 collision_static, 3 collision_dynamic, "
-            "4 collision_robot, 5 out_of_bounds, 6 timeout, 7 diverged, 8 failed",
+            "4 collision_robot, 5 out_of_bounds, 6 timeout, 7 diverged, 8 failed, 9 damaged",
             whole=True,
             stored="uint8",
             state=True,
@@ -393,6 +427,8 @@ class Sample:
     """What was heard, where it is asked for."""
     task: ProgressRecord | None = field(default=None, metadata={"parts": ProgressRecord})
     """How far the task is; None where each robot has a goal of its own."""
+    joints: JointRecord | None = field(default=None, metadata={"parts": JointRecord})
+    """Motion of the joints; None where no vehicle of the fleet has any."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -422,7 +458,7 @@ class RecordedField:
         return reduce(lambda part, name: part and getattr(part, name), self.path, sample)
 
     def shape(self, sizes: Mapping[str, int]) -> tuple[int, ...]:
-        """Lengths of its axes, those of robots, obstacles and thrusters being given."""
+        """Lengths of its axes, those of robots, obstacles, thrusters and joints being given."""
         return tuple({**SIZES, **sizes}[axis] for axis in self.about.axes)
 
     def element_shape(self, sizes: Mapping[str, int]) -> tuple[int, ...]:
@@ -459,7 +495,7 @@ class WorldRecord:
     task: ProgressRecord | None = None
 
 
-def build_sample(worlds: WorldRecord, bodies: Mapping[str, jax.Array]) -> Sample:
+def build_sample(worlds: WorldRecord, bodies: Mapping[str, jax.Array | JointRecord]) -> Sample:
     """Return the sample of what phases of worlds, and of robots and obstacles, recorded."""
     recorded: dict[str, Any] = {**vars(worlds), **bodies}
     return Sample(**recorded)
@@ -481,7 +517,7 @@ def recorded_options(sample: Sample) -> tuple[RecordOption, ...]:
 
 
 def sizes_of(sample: Sample, lead: int) -> dict[str, int]:
-    """Numbers of robots, obstacles and thrusters of a sample with ``lead`` axes in front."""
+    """Numbers of robots, obstacles, thrusters and joints of a sample, ``lead`` axes in front."""
     sizes: dict[str, int] = {}
     for entry in FIELDS:
         if (value := entry.of(sample)) is not None:

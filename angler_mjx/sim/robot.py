@@ -4,21 +4,26 @@ Every engine runs these, as they are or on lanes; what lies between them is the 
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
 from jax.typing import DTypeLike
 
-from angler_kernels import rigid_body, thruster
+from angler_kernels import quaternion, rigid_body, thruster
 from angler_mjx.robot.control import mixed, stack
 from angler_mjx.robot.control.commands import Estimate, ThrusterPwm
 from angler_mjx.robot.control.mixed import MixedCommand
 from angler_mjx.robot.control.stack import Action, Command, ControlMemory, ControlParams
+from angler_mjx.robot.vehicles import link_motion
+from angler_mjx.robot.vehicles.link_motion import JointMotion
+from angler_mjx.robot.vehicles.link_params import LinkParams
 from angler_mjx.robot.vehicles.params import VehicleParams
 from angler_mjx.robot.vehicles.thrusters import PWM_LOW_US, PWM_STEP_US
 from angler_mjx.sim.detection import Contact
+from angler_mjx.sim.impacts import Impacts
 from angler_mjx.sim.physics.step import VehicleState
-from angler_mjx.sim.record import Belief
+from angler_mjx.sim.record import Belief, JointRecord
 from angler_mjx.sim.state import Outcome, SimSpec, Tally, Touched
 
 DIVERGED_SPEED_MPS = 50.0
@@ -27,7 +32,8 @@ DIVERGED_SPEED_MPS = 50.0
 
 def reset_controllers(spec: SimSpec, state: VehicleState, yaw_rad: jax.Array) -> ControlMemory:
     """The controllers' memory of a robot at its start, with its heading [] rad."""
-    return stack.reset(spec.stages, Estimate(p=state.p, q=state.q, nu=state.nu), yaw_rad)
+    estimate = Estimate(p=state.p, q=state.q, nu=state.nu, joints=state.joints)
+    return stack.reset(spec.stages, estimate, yaw_rad)
 
 
 def run_controllers(
@@ -37,6 +43,7 @@ def run_controllers(
     state: VehicleState | Belief,
     command: Command | MixedCommand,
     flow: jax.Array | None,
+    joints: JointMotion | None = None,
 ) -> tuple[ControlMemory, jax.Array, Command]:
     """Run one control step of the controllers of one robot.
 
@@ -47,6 +54,7 @@ def run_controllers(
         state: of the robot, or what is believed of it.
         command: to the controllers: its path, or what drives it instead.
         flow: [3] water velocity there, in W, if the controllers want to know it.
+        joints: [J] motion of the joints.
 
     Returns:
         Their new memory, the position [3] that they aim at, and the command of the last stage.
@@ -57,7 +65,7 @@ def run_controllers(
         spec.gains,
         params,
         carry,
-        Estimate(p=state.p, q=state.q, nu=state.nu, flow=flow),
+        Estimate(p=state.p, q=state.q, nu=state.nu, flow=flow, joints=joints),
         command,
         spec.control_dt_s,
         spec.water.density_kgpm3,
@@ -87,6 +95,15 @@ def thruster_wrench(vehicle: VehicleParams, outcome: jax.Array, thrust: jax.Arra
     return jnp.where(outcome == Outcome.DIVERGED, jnp.nan, body_wrench)
 
 
+def record_joints(links: LinkParams, joints: JointMotion) -> JointRecord:
+    """Return the record of the joints of a robot; NaN of joints that it does not have."""
+    is_absent = links.armature > 0
+    return JointRecord(
+        position=jnp.where(is_absent, jnp.nan, joints.position),
+        velocity=jnp.where(is_absent, jnp.nan, joints.velocity),
+    )
+
+
 def hold_if_ended(
     outcome: jax.Array, before: VehicleState, after: VehicleState
 ) -> tuple[VehicleState, jax.Array]:
@@ -103,6 +120,8 @@ def hold_if_ended(
     speed = jnp.sum(jnp.abs(after.nu))
     sound = jnp.isfinite(speed) & jnp.isfinite(jnp.sum(after.p)) & jnp.isfinite(jnp.sum(after.q))
     sound &= speed < DIVERGED_SPEED_MPS
+    if after.joints is not None:
+        sound &= jnp.isfinite(jnp.sum(after.joints.position) + jnp.sum(after.joints.velocity))
     alive = (outcome == Outcome.RUNNING) | (outcome == Outcome.REACHED)
     goes_on = alive & sound
     held = VehicleState(
@@ -111,8 +130,34 @@ def hold_if_ended(
         nu=jnp.where(goes_on, after.nu, 0.0),
         force_before=jnp.where(goes_on, after.force_before, 0.0),
         thrust=jnp.where(goes_on, after.thrust, 0.0),
+        joints=_hold_joints(goes_on, before.joints, after.joints),
+        change=None if after.change is None else jnp.where(goes_on, after.change, 0.0),
     )
     return held, alive & ~sound
+
+
+def _hold_joints(
+    goes_on: jax.Array, before: JointMotion | None, after: JointMotion | None
+) -> JointMotion | None:
+    """Return joints as they move on, or held where they were."""
+    if before is None or after is None:
+        return None
+    return JointMotion(
+        position=jnp.where(goes_on, after.position, before.position),
+        velocity=jnp.where(goes_on, after.velocity, 0.0),
+    )
+
+
+def end_effector_m(vehicle: VehicleParams, state: VehicleState) -> jax.Array:
+    """Return the position [3] of a robot's end effector, m, in W.
+
+    Raises:
+        ValueError: the vehicle has none.
+    """
+    if vehicle.links is None or state.joints is None:
+        raise ValueError("the vehicle has no end effector")
+    tip = link_motion.locate_end_effector(vehicle.links, state.joints.position)
+    return state.p + quaternion.rotate(state.q, tip.position)
 
 
 def is_on_last_approach(
@@ -135,12 +180,13 @@ def is_on_last_approach(
     return progress_s(spec.stages, memory, command) >= last_approach_s
 
 
-def begin_tally(contact: Contact, dtype: DTypeLike) -> Tally:
+def begin_tally(contact: Contact, dtype: DTypeLike, *, collides: bool = False) -> Tally:
     """Return the tally of running robots at their starts, [R] leading.
 
     Args:
         contact: of the start; [R] leads.
         dtype: of numbers that are accumulated.
+        collides: whether impacts are accounted for, because a touch is not the end.
     """
     n = contact.clearance_m.shape[0]
     return Tally(
@@ -154,6 +200,8 @@ def begin_tally(contact: Contact, dtype: DTypeLike) -> Tally:
         touched=jnp.zeros(n, jnp.int32),
         touched_index=jnp.full(n, -1, jnp.int32),
         impact_speed_mps=jnp.full(n, jnp.nan, dtype),
+        impact_energy_j=jnp.zeros(n, dtype) if collides else None,
+        contact_depth_m=jnp.zeros(n, dtype) if collides else None,
     )
 
 
@@ -172,6 +220,8 @@ def update_tally(
     finished: jax.Array | None = None,
     fails_at_s: jax.Array | None = None,
     approaching: jax.Array | None = None,
+    arriving_m: jax.Array | None = None,
+    impacts: Impacts | None = None,
 ) -> Tally:
     """Account for one control step of a robot, if it is still on its way.
 
@@ -192,24 +242,24 @@ def update_tally(
         fails_at_s: [] s when it breaks down, if robots can.
         approaching: bool [] whether it is on the last approach of its plan; without a plan its goal
             alone counts.
+        arriving_m: [3] what has to be at the goal, in W; its own position if left out.
+        impacts: what contact did to it in the step; None where the first touch is the end.
     """
     running = tally.outcome == Outcome.RUNNING
     dt = spec.control_dt_s
     passed_early = tally.passed_early
     if finished is None:
-        finished = jnp.sqrt(jnp.sum((after_m - goal_m) ** 2)) < spec.goal_tolerance_m
+        arriving_m = after_m if arriving_m is None else arriving_m
+        finished = jnp.sqrt(jnp.sum((arriving_m - goal_m) ** 2)) < spec.goal_tolerance_m
         if approaching is not None:
             passed_early = passed_early | (running & finished & ~approaching)
             finished = finished & approaching
     fails = None if fails_at_s is None else t + dt >= fails_at_s
+    collision = _judge_collision(contact) if impacts is None else _judge_damage(spec, impacts)
     outcome = jnp.where(
-        running, _judge_outcome(finished, fails, lo, hi, after_m, contact, broken), tally.outcome
+        running, _judge_outcome(finished, fails, lo, hi, after_m, collision, broken), tally.outcome
     )
-    hit = running & (
-        (outcome == Outcome.COLLISION_STATIC)
-        | (outcome == Outcome.COLLISION_DYNAMIC)
-        | (outcome == Outcome.COLLISION_ROBOT)
-    )
+    touch = _log_touch(tally, contact, impacts, running, outcome)
     moved = jnp.sqrt(jnp.sum((after_m - before_m) ** 2))
     clearance = jnp.minimum(tally.min_clearance_m, contact.clearance_m)
     separation = jnp.minimum(tally.min_separation_m, contact.separation_m)
@@ -221,10 +271,73 @@ def update_tally(
         energy_j=tally.energy_j + jnp.where(running, power * dt, 0.0),
         min_clearance_m=jnp.where(running, clearance, tally.min_clearance_m),
         min_separation_m=jnp.where(running, separation, tally.min_separation_m),
-        touched=jnp.where(hit, contact.nearest, tally.touched).astype(jnp.int32),
-        touched_index=jnp.where(hit, contact.nearest_index, tally.touched_index).astype(jnp.int32),
-        impact_speed_mps=jnp.where(hit, contact.closing_speed_mps, tally.impact_speed_mps),
+        touched=touch.touched,
+        touched_index=touch.touched_index,
+        impact_speed_mps=touch.impact_speed_mps,
+        impact_energy_j=touch.impact_energy_j,
+        contact_depth_m=touch.contact_depth_m,
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Touch:
+    """Fields of `Tally` of what a robot touched."""
+
+    touched: jax.Array
+    touched_index: jax.Array
+    impact_speed_mps: jax.Array
+    impact_energy_j: jax.Array | None = None
+    contact_depth_m: jax.Array | None = None
+
+
+def _log_touch(
+    tally: Tally,
+    contact: Contact,
+    impacts: Impacts | None,
+    running: jax.Array,
+    outcome: jax.Array,
+) -> _Touch:
+    """Return what a robot touched: what ended its episode or, with contact, its hardest impact."""
+    depth = tally.contact_depth_m
+    if impacts is None or tally.impact_energy_j is None or depth is None:
+        hit = running & (
+            (outcome == Outcome.COLLISION_STATIC)
+            | (outcome == Outcome.COLLISION_DYNAMIC)
+            | (outcome == Outcome.COLLISION_ROBOT)
+        )
+        kind, index = contact.nearest, contact.nearest_index
+        speed, energy = contact.closing_speed_mps, None
+    else:
+        hit = running & (impacts.touched != Touched.NOTHING)
+        hit &= (tally.touched == Touched.NOTHING) | (impacts.energy_j > tally.impact_energy_j)
+        kind, index = impacts.touched, impacts.touched_index
+        speed = impacts.closing_speed_mps
+        energy = jnp.where(hit, impacts.energy_j, tally.impact_energy_j)
+        depth = jnp.where(running, jnp.maximum(impacts.depth_m, depth), depth)
+    return _Touch(
+        touched=jnp.where(hit, kind, tally.touched).astype(jnp.int32),
+        touched_index=jnp.where(hit, index, tally.touched_index).astype(jnp.int32),
+        impact_speed_mps=jnp.where(hit, speed, tally.impact_speed_mps),
+        impact_energy_j=energy,
+        contact_depth_m=depth,
+    )
+
+
+def _judge_collision(contact: Contact) -> tuple[jax.Array, jax.Array]:
+    """Return bool [] whether a robot touches something, and int32 [] the outcome of that."""
+    outcome = jnp.where(
+        contact.nearest == Touched.ROBOT,
+        Outcome.COLLISION_ROBOT,
+        jnp.where(contact.nearest_is_static, Outcome.COLLISION_STATIC, Outcome.COLLISION_DYNAMIC),
+    )
+    return jnp.minimum(contact.clearance_m, contact.separation_m) <= 0.0, outcome
+
+
+def _judge_damage(spec: SimSpec, impacts: Impacts) -> tuple[jax.Array, jax.Array]:
+    """Return bool [] whether an impact damages a robot, and int32 [] the outcome of that."""
+    limit = None if spec.contact is None else spec.contact.damage_energy_j
+    damaged = impacts.energy_j > (jnp.inf if limit is None else limit)
+    return damaged, jnp.full((), Outcome.DAMAGED)
 
 
 def _judge_outcome(
@@ -233,20 +346,24 @@ def _judge_outcome(
     lo: jax.Array,
     hi: jax.Array,
     p: jax.Array,
-    contact: Contact,
+    collision: tuple[jax.Array, jax.Array],
     broken: jax.Array,
 ) -> jax.Array:
-    """int32 []: what the state means for a robot that is still on its way."""
+    """int32 []: what the state means for a robot that is still on its way.
+
+    Args:
+        finished: bool [] it has arrived, or done its part.
+        fails: bool [] it breaks down; None where none can.
+        lo: [3] lower corner of the region, m, in W.
+        hi: [3] upper corner.
+        p: [3] m in W.
+        collision: bool [] whether a touch ends the episode, and int32 [] with which outcome.
+        broken: bool [] it diverged.
+    """
     outside = jnp.any((p < lo) | (p > hi))
-    touching = jnp.minimum(contact.clearance_m, contact.separation_m) <= 0.0
-    collision = jnp.where(
-        contact.nearest == Touched.ROBOT,
-        Outcome.COLLISION_ROBOT,
-        jnp.where(contact.nearest_is_static, Outcome.COLLISION_STATIC, Outcome.COLLISION_DYNAMIC),
-    )
     outcome = jnp.where(finished, Outcome.REACHED, Outcome.RUNNING)
     if fails is not None:
         outcome = jnp.where(fails, Outcome.FAILED, outcome)
     outcome = jnp.where(outside, Outcome.OUT_OF_BOUNDS, outcome)
-    outcome = jnp.where(touching, collision, outcome)
+    outcome = jnp.where(collision[0], collision[1], outcome)
     return jnp.where(broken, Outcome.DIVERGED, outcome).astype(jnp.int32)

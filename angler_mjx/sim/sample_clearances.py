@@ -33,17 +33,23 @@ def add_all_clearances(spec: SimSpec, worlds: FleetWorld, samples: Sample) -> Sa
 
 
 def _extract_poses(sample: Sample) -> tuple[jax.Array, ...]:
-    return sample.p, sample.q, sample.obstacle_p, sample.obstacle_q
+    joints = () if sample.joints is None else (sample.joints.position,)
+    return sample.p, sample.q, sample.obstacle_p, sample.obstacle_q, *joints
 
 
 def _compute_clearances(worlds: FleetWorld, poses: tuple[jax.Array, ...]) -> Clearance:
     def world_clearance(
-        world: FleetWorld, p: jax.Array, q: jax.Array, body_p: jax.Array, body_q: jax.Array
+        world: FleetWorld,
+        p: jax.Array,
+        q: jax.Array,
+        body_p: jax.Array,
+        body_q: jax.Array,
+        joint_position: jax.Array | None = None,
     ) -> Clearance:
         still = jnp.zeros((*body_p.shape[:-1], 6), body_p.dtype)
         bodies = ObstacleState(p=body_p, q=body_q, nu=still, nu_dot=still)
         rock, obstacle, robot = compute_distances(
-            world.environment, world.control.vehicle, p, q, bodies
+            world.environment, world.control.vehicle, p, q, bodies, joint_position
         )
         return Clearance(rock_m=rock, obstacle_m=obstacle, robot_m=robot)
 

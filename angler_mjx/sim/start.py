@@ -61,7 +61,9 @@ def reset[Body](
         vehicles=vehicles,
         carry=jax.vmap(partial(robot.reset_controllers, spec))(vehicles, environment.start_yaw_rad),
         obstacles=moving,
-        tally=robot.begin_tally(contact, environment.start_m.dtype),
+        tally=robot.begin_tally(
+            contact, environment.start_m.dtype, collides=spec.contact is not None
+        ),
         step=jnp.zeros((), jnp.int32),
         senses=sensing.reset(spec, world, vehicles),
         task=_begin_task(spec, world),

@@ -13,6 +13,7 @@ from angler_mjx.robot.control.navigation import NavigationParams
 from angler_mjx.robot.control.plans import Plan
 from angler_mjx.robot.control.stack import ControlMemory, ControlParams, StackGains, Stages
 from angler_mjx.robot.sensing.readings import SensorCarry
+from angler_mjx.sim.physics.contact.resolve import ContactSpec
 from angler_mjx.sim.physics.mjx_engine import BodyInertia
 from angler_mjx.sim.physics.step import VehicleState, Water
 from angler_mjx.sim.policy import PolicyMemory
@@ -42,6 +43,7 @@ class Outcome(IntEnum):
     TIMEOUT = 6
     DIVERGED = 7
     FAILED = 8
+    DAMAGED = 9
 
 
 class Touched(IntEnum):
@@ -78,6 +80,8 @@ class SimSpec:
     """Physics steps in one control step; contact is looked for once a control step."""
     goal_tolerance_m: float = 0.3
     """A robot has arrived when its centre is this near to its goal."""
+    by_end_effector: bool = False
+    """Whether its end effector has to be that near, not its centre."""
     water: Water = field(default_factory=Water)
     stages: Stages = CASCADE
     """The controllers, from the highest down."""
@@ -92,6 +96,8 @@ class SimSpec:
     """That robots talk by; None: everybody knows everything at once."""
     task: TaskSpec | None = None
     """What the robots of a world have to do; None where each has a goal of its own."""
+    contact: ContactSpec | None = None
+    """How bodies push each other; None: the first touch ends a robot's episode."""
 
     @property
     def by_task(self) -> bool:
@@ -193,7 +199,12 @@ class Tally:
     touched_index: jax.Array
     """int32 [R] obstacle or robot; -1 otherwise."""
     impact_speed_mps: jax.Array
-    """[R] relative speed of the centres at the touch; NaN without one."""
+    """[R] relative speed of the centres at the touch; NaN without one. With contact, the speed of
+    the surfaces towards each other at the hardest impact."""
+    impact_energy_j: jax.Array | None = None
+    """[R] energy of the hardest impact; None where a touch ends an episode."""
+    contact_depth_m: jax.Array | None = None
+    """[R] greatest overlap with another body or the ground; None likewise."""
 
 
 @jax.tree_util.register_dataclass

@@ -23,11 +23,14 @@ import jax
 import jax.numpy as jnp
 
 from angler_mjx.robot.control import stack
+from angler_mjx.robot.control.commands.whole_body import JointTarget
 from angler_mjx.robot.control.mixed import MixedCommand
 from angler_mjx.robot.control.plans import Plan
 from angler_mjx.robot.control.stack import Command, ControlMemory, ControlParams
+from angler_mjx.robot.vehicles.link_motion import JointMotion
 from angler_mjx.sim import robot
 from angler_mjx.sim.detection import Contact
+from angler_mjx.sim.impacts import Impacts
 from angler_mjx.sim.phase import BodyBatch, Phase, PhaseResult, Record, run_phase
 from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.record import Belief
@@ -62,6 +65,8 @@ class DecideInput:
     params: ControlParams
     command: Plan | Command | MixedCommand
     """The robots' paths, or what drives them instead."""
+    joints: JointMotion | None = None
+    """[J] motion of the joints; None where no robot has any."""
 
 
 @jax.tree_util.register_dataclass
@@ -86,6 +91,8 @@ class MoveInput:
     """[n_thruster] N."""
     params: ControlParams
     current: Current
+    joints: JointTarget | None = None
+    """[J] motion that the servos of joints follow; None where no robot has any."""
 
 
 @jax.tree_util.register_dataclass
@@ -132,6 +139,10 @@ class JudgeInput:
     itself; None where the goal alone counts."""
     corners: tuple[jax.Array, jax.Array]
     """Lower and upper corner [3] of the region, m, in W."""
+    reaching: ControlParams | None = None
+    """Of the robots, where their end effectors have to come to the goals; else None."""
+    impacts: Impacts | None = None
+    """What contact did to the robots in the step; None where the first touch is the end."""
 
 
 @jax.tree_util.register_dataclass
@@ -173,6 +184,7 @@ def decide_commands(batch: BodyBatch, inputs: DecideInput) -> PhaseResult[Decisi
         inputs.estimate,
         inputs.command,
         inputs.flow,
+        inputs.joints,
     )
     pwm = stack.require_signals(command)
     thrust, power = batch.map_bodies(robot.thrust_and_power, inputs.params.vehicle, pwm)
@@ -193,23 +205,40 @@ def move_robots(batch: BodyBatch, inputs: MoveInput) -> PhaseResult[Motion]:
     params, current = inputs.params, inputs.current
 
     def physics_substep(i: jax.Array, vehicle: VehicleState) -> VehicleState:
-        t = batch.t + i.astype(batch.t.dtype) * batch.spec.physics_dt_s
-        return batch.physics_step(params, vehicle, inputs.thrust_n, current, t)
+        elapsed_s = i.astype(batch.t.dtype) * batch.spec.physics_dt_s
+        reference = None if inputs.joints is None else joint_reference(inputs.joints, elapsed_s)
+        t = batch.t + elapsed_s
+        return batch.physics_step(params, vehicle, inputs.thrust_n, current, t, reference)
 
     def output() -> Motion:
         moved = batch.repeat(batch.spec.physics_steps, physics_substep, before)
         after, broken = batch.map_bodies(robot.hold_if_ended, outcome, before, moved)
         return Motion(vehicle=after, before_m=before.p, broken=broken)
 
-    def record() -> Record:
-        seen = record_motion(before, outcome, batch.flow(current, before))
-        if "wrench" in batch.spec.also:
-            seen["wrench"] = batch.map_bodies(
-                robot.thruster_wrench, params.vehicle, outcome, before.thrust
-            )
-        return seen
+    return PhaseResult(output=output, record=partial(record_move, batch, inputs))
 
-    return PhaseResult(output=output, record=record)
+
+def record_move(batch: BodyBatch, inputs: MoveInput) -> Record:
+    """Return the record of `move_robots`."""
+    before, outcome, params = inputs.vehicle, inputs.tally.outcome, inputs.params
+    seen = record_motion(before, outcome, batch.flow(inputs.current, before))
+    if "wrench" in batch.spec.also:
+        seen["wrench"] = batch.map_bodies(
+            robot.thruster_wrench, params.vehicle, outcome, before.thrust
+        )
+    if before.joints is not None:
+        links = params.vehicle.links
+        seen["joints"] = batch.map_bodies(robot.record_joints, links, before.joints)
+    return seen
+
+
+def joint_reference(joints: JointTarget, elapsed_s: jax.Array | float) -> JointMotion:
+    """Return what servos hold so long after the beginning of a control period: [] s."""
+    change = elapsed_s * joints.acceleration
+    return JointMotion(
+        position=joints.position + elapsed_s * (joints.velocity + 0.5 * change),
+        velocity=joints.velocity + change,
+    )
 
 
 def record_motion(vehicle: VehicleState, outcome: jax.Array, flow: jax.Array) -> Record:
@@ -250,6 +279,13 @@ def is_approaching(batch: BodyBatch, inputs: JudgeInput) -> jax.Array | None:
     )
 
 
+def _arriving(batch: BodyBatch, inputs: JudgeInput) -> jax.Array | None:
+    """Return the positions [3] of what has to come to the goals; None: the robots' own."""
+    if inputs.reaching is None:
+        return None
+    return batch.map_bodies(robot.end_effector_m, inputs.reaching.vehicle, inputs.vehicle)
+
+
 def judge_robots(batch: BodyBatch, inputs: JudgeInput) -> PhaseResult[Judgement]:
     """Account for the step of each robot."""
 
@@ -264,6 +300,8 @@ def judge_robots(batch: BodyBatch, inputs: JudgeInput) -> PhaseResult[Judgement]
         finished: jax.Array | None,
         fails_at_s: jax.Array | None,
         approaching: jax.Array | None,
+        arriving_m: jax.Array | None,
+        impacts: Impacts | None,
         lo: jax.Array,
         hi: jax.Array,
         t: jax.Array,
@@ -283,6 +321,8 @@ def judge_robots(batch: BodyBatch, inputs: JudgeInput) -> PhaseResult[Judgement]
             finished,
             fails_at_s,
             approaching,
+            arriving_m,
+            impacts,
         )
 
     tally = batch.map_bodies(
@@ -297,6 +337,8 @@ def judge_robots(batch: BodyBatch, inputs: JudgeInput) -> PhaseResult[Judgement]
         inputs.finished,
         inputs.fails_at_s,
         is_approaching(batch, inputs),
+        _arriving(batch, inputs),
+        inputs.impacts,
         shared=(*inputs.corners, batch.t),
     )
     return PhaseResult(output=lambda: Judgement(tally=tally))
@@ -312,6 +354,29 @@ OBSTACLES = Phase(
     gives=ObstacleState,
 )
 JUDGE = Phase(name="judge", run=judge_robots, takes=JudgeInput, gives=Judgement, meets=True)
+
+
+def decide(
+    batch: BodyBatch,
+    robots: RobotState,
+    estimate: VehicleState | Belief,
+    params: ControlParams,
+    command: Plan | Command | MixedCommand,
+    current: Current,
+) -> tuple[Decision, Record]:
+    """Return the output of `DECIDE` and its record; arguments as of `move_independently`."""
+    return run_phase(
+        DECIDE,
+        batch,
+        DecideInput(
+            estimate=estimate,
+            memory=robots.memory,
+            flow=select_flow(batch, lambda: current, estimate),
+            params=params,
+            command=command,
+            joints=robots.vehicle.joints,
+        ),
+    )
 
 
 def move_independently(
@@ -332,17 +397,7 @@ def move_independently(
         command: their paths, or what drives them instead.
         current: of their worlds.
     """
-    decision, decided = run_phase(
-        DECIDE,
-        batch,
-        DecideInput(
-            estimate=estimate,
-            memory=robots.memory,
-            flow=select_flow(batch, lambda: current, estimate),
-            params=params,
-            command=command,
-        ),
-    )
+    decision, decided = decide(batch, robots, estimate, params, command, current)
     motion, moved = run_phase(
         MOVE,
         batch,
@@ -352,6 +407,7 @@ def move_independently(
             thrust_n=decision.thrust_n,
             params=params,
             current=current,
+            joints=decision.memory.joints,
         ),
     )
     after = MovedRobots(

@@ -77,6 +77,7 @@ class WorldContext:
             assignment: where the task sends them; None where each has a goal of its own.
         """
         goals = self._default_goals() if assignment is None else assignment
+        joints = self.vehicles.joints
         inputs = PolicyInput(
             belief=sensing.truth_belief(self.vehicles, self.flow) if belief is None else belief,
             time_s=self.t,
@@ -86,6 +87,7 @@ class WorldContext:
             others=others,
             routes=self.world.routes,
             goal_index=goals.goal_index,
+            joint_position=None if joints is None else joints.position,
         )
         return self._add_scenery(inputs)
 

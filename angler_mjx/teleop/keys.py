@@ -1,4 +1,4 @@
-"""Key bindings: those of ROS 2's teleop_twist_keyboard, and six more.
+"""Key bindings: those of ROS 2's teleop_twist_keyboard, and six more; `arm_jog` has those of arms.
 
 The tables hold the documented bindings of that program (ros2/teleop_twist_keyboard, README); its
 rule that any unknown key stops the robot holds here too.
@@ -95,6 +95,7 @@ HELP = (
     "   t / b      up / down              any other key stops",
     "   q / z      both speeds +- 10 %    w / x  linear     e / c  angular",
     "   tab        next robot             a          all of them at once",
+    "   1 to 9     joint of an arm        [ / ]      move it     g / v  open, close",
     "   p          back to the plan       h          hold position here",
     "   ?          this help              Q, Ctrl-C  end",
 )

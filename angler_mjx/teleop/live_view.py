@@ -19,8 +19,10 @@ from angler_mjx.report.plotting.scene import ReplayScene
 from angler_mjx.report.viewing import viewer_window
 from angler_mjx.robot.control import plans
 from angler_mjx.robot.vehicles import library
+from angler_mjx.robot.vehicles.link_params import LinkParams, build_links
 from angler_mjx.runs.session.batch_session import SessionInternals
 from angler_mjx.runs.session.interface import Floats, Observation, RobotStatus, Session
+from angler_mjx.sim.posture import trace_links
 from angler_mjx.sim.state import Outcome, World
 from angler_mjx.teleop.pilot import TeleopPilot, heading
 from angler_mjx.teleop.status import format_drive_mode
@@ -98,6 +100,7 @@ class LiveView:
         self._trail_period = self._pose_period * max(1, round(TRAIL_S / MOVE_S))
         self._trails: list[list[Floats]] = [[] for _ in self._robots]
         self._labels = ["" for _ in self._robots]
+        self._links: list[tuple[int, LinkParams, list[str]]] = []
         self._log_static()
 
     def after(self, observation: Observation) -> None:
@@ -126,14 +129,19 @@ class LiveView:
         entities.log_surroundings(recording, start, self._space)
         entities.log_obstacles(recording, start, f"{self._space}/obstacles")
         for i, robot in enumerate(self._robots):
+            config, space = library.load_vehicle(robot.vehicle), f"{self._space}/{robot.name}"
             entities.log_robot(
                 recording,
-                library.load_vehicle(robot.vehicle),
+                config,
                 i,
-                f"{self._space}/{robot.name}",
+                space,
                 goal_m=np.asarray(self._world.environment.goal_m[i]),
                 plan_m=plans.trace_path(plans.of_robot(path, i))[1],
             )
+            if (links := build_links(config, None)) is not None:
+                color, vehicle = entities.robot_rgba(i), f"{space}/vehicle"
+                paths = entities.log_links(recording, config, vehicle, color)
+                self._links.append((i, links, list(paths.values())))
         lens = rr.Pinhole(
             fov_y=1.0,
             aspect_ratio=1.2,
@@ -158,6 +166,18 @@ class LiveView:
         for path, (position_m, attitude) in moved.items():
             turn = rr.Quaternion(xyzw=entities.to_xyzw(attitude))
             self._recording.log(path, rr.Transform3D(translation=position_m, quaternion=turn))
+        self._log_links()
+
+    def _log_links(self) -> None:
+        """Log the poses of the links of arms; at home where the session has no joints."""
+        import rerun as rr
+
+        joints = self._session.inside().state.vehicles.joints
+        for i, links, paths in self._links:
+            position = links.home if joints is None else joints.position[0, i]
+            origin, rotation = trace_links(links, np.asarray(position)[None])
+            for path, position_m, turn in zip(paths, origin[0], rotation[0], strict=True):
+                self._recording.log(path, rr.Transform3D(translation=position_m, mat3x3=turn))
 
     def _log_labels(self, status: Sequence[RobotStatus]) -> None:
         """Log each robot's mode and outcome, where they change.

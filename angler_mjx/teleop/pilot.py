@@ -15,8 +15,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from angler_mjx.robot.control.commands import BodyTwist, Estimate, PoseTarget
-from angler_mjx.robot.control.stack import Command
-from angler_mjx.runs.session.interface import Observation, RobotInfo
+from angler_mjx.robot.control.commands.whole_body import JointTarget, WholeBodyCommand
+from angler_mjx.robot.vehicles import library
+from angler_mjx.runs.session.interface import Observation, RobotInfo, SessionCommand
+from angler_mjx.teleop.arm_jog import ARM_KEYS, ArmJog
 from angler_mjx.teleop.keys import ACTIONS, FACTORS, MOVES, STILL, Direction, KeyAction
 
 KEY_TIMEOUT_S = 0.8
@@ -66,7 +68,7 @@ class _RobotControl:
 class TeleopCommands:
     """Commands to a session before its next step."""
 
-    commands: dict[int, Command] = field(default_factory=dict)
+    commands: dict[int, SessionCommand] = field(default_factory=dict)
     resume: tuple[int, ...] = ()
     """Robots that resume their plans."""
 
@@ -102,6 +104,11 @@ class TeleopPilot:
         self.ended = False
         self._robots = robots
         self._controls = {i: _RobotControl() for i in self.driven}
+        self._arms = {
+            i: ArmJog(library.load_vehicle(robots[i].vehicle).find_joints())
+            for i in self.driven
+            if JointTarget in robots[i].accepts
+        }
 
     def mode(self, robot: int) -> DriveMode:
         """Return the drive mode of a robot; the plan, for a robot that is not driven from here."""
@@ -113,6 +120,10 @@ class TeleopPilot:
         control = self._controls.get(robot)
         return "" if control is None else control.remark
 
+    def arm(self, robot: int) -> ArmJog | None:
+        """Return the targets of a robot's joints; None without an arm that is driven from here."""
+        return self._arms.get(robot)
+
     def press(self, key: str, time_s: float) -> None:
         """Process a key.
 
@@ -122,7 +133,11 @@ class TeleopPilot:
         """
         for control in self._selected_controls():
             control.remark = ""
-        if key in MOVES and MOVES[key] != STILL:
+        arms = [self._arms[i] for i in self.selected if i in self._arms]
+        if key in ARM_KEYS and arms:
+            for arm in arms:
+                arm.press(key)
+        elif key in MOVES and MOVES[key] != STILL:
             for control in self._selected_controls():
                 control.mode, control.direction, control.since_s = (
                     DriveMode.TELEOP,
@@ -156,7 +171,7 @@ class TeleopPilot:
     def build_commands(self, observation: Observation) -> TeleopCommands:
         """Return the commands from the keys so far, for the next step."""
         time_s, estimate = observation.time_s, observation.estimate
-        commands: dict[int, Command] = {}
+        commands: dict[int, SessionCommand] = {}
         resume = []
         for robot, control in self._controls.items():
             q, nu = np.asarray(estimate.q)[robot], np.asarray(estimate.nu)[robot]
@@ -181,7 +196,21 @@ class TeleopPilot:
                 else:
                     commands[robot] = _stop_command()
             control.is_sent = True
+        self._add_joints(commands, estimate)
         return TeleopCommands(commands=commands, resume=tuple(resume))
+
+    def _add_joints(self, commands: dict[int, SessionCommand], estimate: Estimate) -> None:
+        """Add the motions of joints to the commands to the bases."""
+        if estimate.joints is None:
+            return
+        for robot, arm in self._arms.items():
+            target = arm.take_target(np.asarray(estimate.joints.position, float)[robot])
+            if target is None:
+                continue
+            base = commands.get(robot)
+            commands[robot] = target
+            if isinstance(base, BodyTwist | PoseTarget):
+                commands[robot] = WholeBodyCommand(base=base, joints=target)
 
     def _selected_controls(self) -> list[_RobotControl]:
         return [self._controls[i] for i in self.selected]

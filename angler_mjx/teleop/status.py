@@ -46,6 +46,7 @@ def format_screen(
         "",
     ]
     for i, (robot, status) in enumerate(zip(robots, observation.status, strict=True)):
+        rows += _format_arm(i, robot, observation, pilot)
         rows += _format_remarks(robot, status, pilot.remark(i))
     if pilot.is_help_shown:
         rows += ["", *HELP]
@@ -81,6 +82,17 @@ def _format_robot(i: int, robot: RobotInfo, observation: Observation, pilot: Tel
         " "
         f"{status.outcome.name.lower():<17}  {'refused' if status.refused else ''}"
     ).rstrip()
+
+
+def _format_arm(
+    i: int, robot: RobotInfo, observation: Observation, pilot: TeleopPilot
+) -> list[str]:
+    """Return the joints of a driven robot's arm, on lines of their own; none without an arm."""
+    arm, joints = pilot.arm(i), observation.estimate.joints
+    if arm is None or joints is None:
+        return []
+    text = f"{robot.name}: {arm.format_joints(np.asarray(joints.position)[i])}"
+    return textwrap.wrap(text, WIDTH, subsequent_indent="    ")
 
 
 def _format_remarks(robot: RobotInfo, status: RobotStatus, remark: str) -> list[str]:

@@ -166,12 +166,15 @@ def generate_batch(
     return batch
 
 
-def check_fleet(recipe: WorldRecipe, radius_m: np.ndarray | jax.Array) -> None:
+def check_fleet(
+    recipe: WorldRecipe, radius_m: np.ndarray | jax.Array, *, by_end_effector: bool = False
+) -> None:
     """Refuse a fleet that no sample of the recipe can hold, before compilation.
 
     Args:
         recipe: recipe of the world.
         radius_m: [..., n_robot] radius of each robot's bounding sphere.
+        by_end_effector: goals are those of end effectors, which need no room for a hull.
 
     Raises:
         ConfigError: no robot, more robots than cells, a robot too wide for the cells, or given
@@ -194,7 +197,8 @@ def check_fleet(recipe: WorldRecipe, radius_m: np.ndarray | jax.Array) -> None:
             f"(cell_m) is {recipe.cell_m} m"
         )
     if recipe.placement == "given":
-        check_positions(recipe, radius.reshape(-1, n_robot).max(axis=0))
+        largest_m = radius.reshape(-1, n_robot).max(axis=0)
+        check_positions(recipe, largest_m, by_end_effector=by_end_effector)
 
 
 def require_valid(environment: Environment, first_index: int = 0) -> None:

@@ -85,12 +85,15 @@ def _obstacle_gaps(obstacles: Obstacles, p: jax.Array) -> jax.Array:
     return jax.vmap(to_one)(obstacles.p0, obstacles.q0, obstacles.kind, obstacles.size_m)
 
 
-def check_positions(recipe: WorldRecipe, radius_m: np.ndarray) -> None:
+def check_positions(
+    recipe: WorldRecipe, radius_m: np.ndarray, *, by_end_effector: bool = False
+) -> None:
     """Refuse starts and goals of a file that lie outside the grid or touch an explicit obstacle.
 
     Args:
         recipe: recipe with placement "given".
         radius_m: [n_robot].
+        by_end_effector: goals are those of end effectors, which need no room for a hull.
 
     Raises:
         ConfigError: naming every such position.
@@ -106,6 +109,7 @@ def check_positions(recipe: WorldRecipe, radius_m: np.ndarray) -> None:
     explicit = recipe.obstacles.explicit
     faults = []
     for key, positions in (("start_m", recipe.start_m), ("goal_m", recipe.goal_m)):
+        room_m = np.zeros_like(radius_m) if by_end_effector and key == "goal_m" else radius_m
         for i, position_m in enumerate(positions):
             if np.any(position_m < low) or np.any(position_m > high):
                 faults.append(
@@ -119,7 +123,7 @@ def check_positions(recipe: WorldRecipe, radius_m: np.ndarray) -> None:
             faults += [
                 f"{key}[{i}] = {position_m}: {gaps[j]:.2f} m from obstacles.explicit[{j}]; "
                 f"the robot's radius is {radius_m[i]:.2f} m"
-                for j in np.flatnonzero(counts & (gaps < radius_m[i]))
+                for j in np.flatnonzero(counts & (gaps < room_m[i]))
             ]
     if faults:
         raise ConfigError("\n  ".join(["places that are not free", *faults]))

@@ -12,6 +12,8 @@ from angler_mjx.world.obstacles import ObstaclesConfig
 from angler_mjx.world.rock.rules import Rule
 
 _FOLDER = "data"
+_OTHER_FILES = ("materials.toml",)
+"""Files of the folder that are no presets."""
 
 
 class Preset(FileModel):
@@ -37,7 +39,7 @@ class Preset(FileModel):
 def list_presets() -> tuple[str, ...]:
     """Return the names of all presets, sorted."""
     folder = resources.files("angler_mjx.world") / _FOLDER
-    names = (entry.name for entry in folder.iterdir())
+    names = (entry.name for entry in folder.iterdir() if entry.name not in _OTHER_FILES)
     return tuple(sorted(n.removesuffix(".toml") for n in names if n.endswith(".toml")))
 
 

@@ -116,7 +116,12 @@ class SitlSession:
         )
         self._scene = AutopilotScene(self._scenario, world=world)
         self._simulator = self._scene.simulator
-        self._spec = levels.build_level_spec(level, self._simulator.spec)
+        vehicles = [library.load_vehicle(entry.vehicle) for entry in self._scenario.fleet]
+        self._spec = levels.build_level_spec(
+            level,
+            self._simulator.spec,
+            has_end_effector=any(vehicle.end_effector is not None for vehicle in vehicles),
+        )
         self._command_sender = CommandSender(level, self._spec)
         self._autopilots: Autopilots | None = None
         self._sampled_seed: int | None = None
@@ -156,10 +161,12 @@ class SitlSession:
     def inside(self) -> SessionInternals:
         """Return the internals of the scene, for recordings; read-only."""
         self._require_open()
+        state, memory = self._scene.state, self._command_sender.memory
+        carry = replace(state.carry, joints=memory.joints, joints_clipped=memory.joints_clipped)
         return SessionInternals(
             simulator=self._simulator,
             worlds=self._scene.worlds,
-            state=self._scene.state,
+            state=replace(state, carry=carry),
             sample=self._view.sample,
         )
 
@@ -233,8 +240,11 @@ class SitlSession:
         """Check a command as `Session.check`."""
         self._require_drivable(robot)
         info, view = self.robots[robot], self._view.estimated_view
+        arm = view.arm_position(robot)
         position = RobotPosition(
-            p=np.asarray(view.p[robot], float), yaw_rad=float(view.yaw_rad[robot])
+            p=np.asarray(view.p[robot], float),
+            yaw_rad=float(view.yaw_rad[robot]),
+            arm=() if arm is None else tuple(arm.tolist()),
         )
         command_validation.check_command(info, position, self._limits, command, self._time_s)
 
@@ -262,7 +272,14 @@ class SitlSession:
         )
         yaw = float(view.yaw_rad[robot])
         rejoin_path = self._rejoin_paths.plan_rejoin(
-            p, velocity, command_state.plan, command_state.plan_time_s, clearance, speed, yaw
+            p,
+            velocity,
+            command_state.plan,
+            command_state.plan_time_s,
+            clearance,
+            speed,
+            yaw,
+            view.arm_position(robot),
         )
         if rejoin_path is None or rejoin_path.time_s.size > self._limits.rows(rejoin_path.kind):
             raise ConfigError(

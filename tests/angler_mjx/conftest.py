@@ -32,10 +32,11 @@ from angler_mjx.world.obstacles import ObstaclesConfig
 from angler_mjx.world.rock.grid import Grid
 
 from ..cuda_on_cpu import needs_nvrtc
+from .armed import armed_run, armed_scenario
 from .compiling import quickly
 from .small import scenario, scenario_file
 
-__all__ = ["scenario", "scenario_file"]
+__all__ = ["armed_run", "armed_scenario", "scenario", "scenario_file"]
 
 CELLS, CELL_M = 6, 1.5
 ORIGIN_M = np.array([-4.5, -4.5, -12.0])
@@ -105,15 +106,17 @@ OTHERWISE = Variation(
 
 
 def every_variant() -> list[Member]:
-    """A robot for each parameter set of each shipped vehicle, and one that draws its set.
+    """A robot for each published set of each rigid shipped vehicle, and one that draws its set.
 
     The last is not what its file says, and its controllers do not know.
     """
     members = []
     for vehicle in reversed(library.list_vehicles()):
+        if library.load_vehicle(vehicle).links:
+            continue
         kinds = [
             Variant(vehicle=vehicle, parameter_set=chosen, battery_v=16.0)
-            for chosen in sorted(library.load_vehicle(vehicle).parameter_sets)
+            for chosen in sorted(library.load_vehicle(vehicle).published_sets)
         ]
         members += [
             Member(variants=(kind,), weights=(1.0,), cruise_speed_mps=0.5) for kind in kinds
@@ -229,7 +232,7 @@ def one_robot(vehicle: str) -> list[Member]:
     """A fleet of one that draws its parameter set."""
     kinds = tuple(
         Variant(vehicle=vehicle, parameter_set=chosen, battery_v=16.0)
-        for chosen in sorted(library.load_vehicle(vehicle).parameter_sets)
+        for chosen in sorted(library.load_vehicle(vehicle).published_sets)
     )
     return [Member(variants=kinds, weights=(1.0,) * len(kinds), cruise_speed_mps=0.5)]
 

@@ -31,8 +31,9 @@ DRIVERS = (
     ("paths", "aitsm"),
     ("paths", "ardusub"),
 )
-"""In turn: random signals of thrusters, or a controller on planned paths."""
-assert {name for _, name in DRIVERS} == set(CONTROLLERS)
+"""In turn: random signals of thrusters, or a controller on planned paths. That of arms is the
+cascade of the rigid vehicles here."""
+assert {name for _, name in DRIVERS} == set(CONTROLLERS) - {"arm"}
 
 CURRENTS = ("uniform", "gauss_markov", "vortices", "depth_profile", "tide")
 
@@ -168,10 +169,12 @@ def _randomise(rng: random.Random, scenario: dict[str, Any]) -> dict[str, Any]:
 
 def _fleet(rng: random.Random, *, rock: bool) -> tuple[list[dict[str, Any]], dict[str, str]]:
     entries, vehicles, rotor = [], {}, rng.choice(["first_order", "first_order", "third_order"])
+    # Both engines fly a case, and one flies no arms.
+    rigid = [name for name in library.list_vehicles() if not library.load_vehicle(name).links]
     for i in range(rng.choice([1, 1, 2, 2, 3])):
-        name = rng.choice(library.list_vehicles())
+        name = rng.choice(rigid)
         config = library.load_vehicle(name)
-        sets = list(config.parameter_sets)
+        sets = list(config.published_sets)
         entry: dict[str, Any] = {
             "vehicle": name,
             "count": rng.choice([1, 1, 2]),

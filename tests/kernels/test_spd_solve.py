@@ -48,3 +48,14 @@ def test_gradient():
         gradient = jax.grad(lambda b: spd_solve.solve(jax.numpy.asarray(matrix), b).sum())(right)
     # d(1^T A^-1 b) / db = A^-1 1, to rounding.
     np.testing.assert_allclose(gradient[:, 0], np.linalg.solve(matrix, np.ones(3)), rtol=1e-12)
+
+
+@pytest.mark.parametrize("k", [0, 1, 5])
+def test_eliminated_systems_share_all_but_a_diagonal(k):
+    matrix, right = systems(6 + k, 1, 1e3)
+    with jax.enable_x64(True):
+        eliminated = spd_solve.eliminate(jax.numpy.asarray(matrix), 6)
+        for diagonal in (np.zeros(k), np.geomspace(1, 1e6, k)):
+            x = eliminated.solve(jax.numpy.asarray(right[:, 0]), jax.numpy.asarray(diagonal))
+            theirs = np.linalg.solve(matrix + np.diag([0.0] * 6 + [*diagonal]), right[:, 0])
+            np.testing.assert_allclose(x, theirs, rtol=1e-11, atol=1e-12)

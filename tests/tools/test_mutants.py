@@ -354,12 +354,15 @@ def test_a_list_that_cannot_be_read_is_refused(tree, tmp_path, text, folders, me
         mutant_list.load_list(tree, path, folders)
 
 
-def test_the_stored_list_of_the_project_is_read_with_its_ten_rooms():
+@pytest.mark.parametrize(
+    ("name", "rooms", "count"), [("ten_rooms", 10, 200), ("arms_and_kernels", 11, 116)]
+)
+def test_the_stored_lists_of_the_project_are_read(name, rooms, count):
     root = Path(__file__).parents[2]
-    loaded = mutant_list.load_list(root, root / "tools/mutants/samples/ten_rooms.jsonl")
-    assert len(loaded.rooms) == 10
-    assert len(loaded.mutants) + len(loaded.gone) == 200
-    assert len(loaded.gone) < 100
+    loaded = mutant_list.load_list(root, root / f"tools/mutants/samples/{name}.jsonl")
+    assert len(loaded.rooms) == rooms
+    assert len(loaded.mutants) + len(loaded.gone) == count
+    assert len(loaded.gone) < count / 2
 
 
 TEST_SIZE = """

@@ -23,6 +23,7 @@ from angler_mjx.runs.resumable_folder import open_folder
 from angler_mjx.runs.simulator.simulator import default_tile
 from angler_mjx.runs.storage.recorder import TrajectoryShape
 from angler_mjx.scenario.scenario import Scenario
+from angler_mjx.sim.fleet import label_joints
 from angler_mjx.world.config import resolve_world
 
 TILE_BYTES = 2 * 10**9
@@ -194,6 +195,7 @@ def _max_tile(part: DatasetPart) -> int:
         obstacles=obstacles.dynamic.count + len(obstacles.explicit),
         plan_points=scenario.planner.points,
         estimated=scenario.senses,
+        joints=label_joints(scenario.members()),
     ).bytes_per_world()
     fits = max(1, TILE_BYTES // per_world)
     return 1 << (fits.bit_length() - 1)

@@ -13,7 +13,13 @@ import pinocchio as pin
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning.host import scenery
-from angler_mjx.planning.host.robots import PlannedRobot, build_model, owner_index, team_hulls
+from angler_mjx.planning.host.robots import (
+    PlannedRobot,
+    arm_reach_m,
+    build_model,
+    owner_index,
+    team_hulls,
+)
 from angler_mjx.planning.problem import Problem
 
 
@@ -85,6 +91,7 @@ class TeamModel:
         self._update_placements(pin.neutral(self.model))
         self._reach = np.zeros(len(robots))
         along = np.linalg.norm(self._centre[: self._count, :2], axis=1)
+        along = np.maximum(along, arm_reach_m(self.model, self.geometry, self._count))
         np.maximum.at(self._reach, owners, along + self._radius[: self._count])
         self.at(0.0)
 
@@ -93,11 +100,18 @@ class TeamModel:
         """Build the team of a problem in its world."""
         return cls(team_hulls(problem), problem)
 
-    def q(self, pose: np.ndarray) -> np.ndarray:
-        """Return the configuration of a team at x, y, z, heading [R, 4]; arms at neutral."""
+    def q(self, pose: np.ndarray, postures: Sequence[Sequence[float]] | None = None) -> np.ndarray:
+        """Return the configuration of a team.
+
+        Args:
+            pose: [R, 4] x, y, z, heading.
+            postures: [R] joints of each robot's arm, none of a robot without one; arms at neutral
+                if left out.
+        """
         configuration = np.array(pin.neutral(self.model))
-        for row, joint in zip(np.asarray(pose, float), self._joints, strict=True):
-            configuration[joint : joint + 4] = row
+        arms = [()] * len(self._joints) if postures is None else postures
+        for row, arm, joint in zip(np.asarray(pose, float), arms, self._joints, strict=True):
+            configuration[joint : joint + 4 + len(arm)] = [*row, *arm]
         return configuration
 
     def at(self, time_s: float) -> None:

@@ -126,7 +126,9 @@ def replan(
     problem = Problem(
         grid=inputs.grid,
         floor_z_m=inputs.floor_z_m,
-        team=build_problem.build_team(inputs.params, start, clocks.yaw_rad, inputs.goal_m),
+        team=build_problem.build_team(
+            inputs.params, start, clocks.yaw_rad, inputs.goal_m, inputs.joint_position
+        ),
         obstacles=obstacles,
         current=_advance_current(inputs.current, settings.delay_s),
         seed=jax.random.bits(jax.random.fold_in(key, RESET_STEP), dtype=jnp.uint32),

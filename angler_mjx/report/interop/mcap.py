@@ -2,7 +2,9 @@
 
 Times are simulated times from 0, published on ``/clock``. Each world has its own names: topics
 ``/world_3/...`` and frames ``world_3``, ``world_3/robot_0/base_link``; ``/tf_static`` attaches all
-worlds to the frame ``map``, so that a viewer with that fixed frame shows any of them.
+worlds to the frame ``map``, so that a viewer with that fixed frame shows any of them. Links of arms
+have frames of their names in the vehicle file, ``world_3/robot_0/wrist``, and their joints the
+topic ``/world_3/robot_0/joint_states``.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,12 +20,15 @@ from angler_mjx.report.interop import current_markers, task_markers
 from angler_mjx.report.interop import ros_messages as ros
 from angler_mjx.report.interop.bag import Bag
 from angler_mjx.robot.control.plans import Plan, of_robot, to_joint_goal, trace_path
+from angler_mjx.robot.vehicles import library
+from angler_mjx.robot.vehicles.link_params import build_links
 from angler_mjx.runs.storage import environments as store
 from angler_mjx.runs.storage import trajectory_layout
 from angler_mjx.runs.storage.atomic_files import replace_file, require_free
 from angler_mjx.runs.storage.folder import TRAJECTORIES, Run
 from angler_mjx.runs.storage.read_errors import wrap_read_errors
 from angler_mjx.runs.storage.results import end_time_s
+from angler_mjx.sim.posture import trace_links
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.obstacles import BOX, CAPSULE, SPHERE, STATIC
 from angler_mjx.world.slices import CurrentSlices, slice_flight
@@ -46,6 +51,26 @@ type SampleProgress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, kw_only=True)
+class _BagArm:
+    """Arm of one robot in one world."""
+
+    joints: list[str]
+    """[J] names in the vehicle file, as are those of links."""
+    links: list[str]
+    """[L] names."""
+    parents: list[str]
+    """[L] frame that carries each link, below the robot's: ``base_link`` or a link."""
+    position: np.ndarray
+    """[T, J] rad or m."""
+    velocity: np.ndarray
+    """[T, J] rad/s or m/s."""
+    origin_m: np.ndarray
+    """[T, L, 3] of each link in the frame that carries it."""
+    q: np.ndarray
+    """[T, L, 4] wxyz, likewise."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class _BagWorld:
     """One world of a run, on the host."""
 
@@ -63,6 +88,8 @@ class _BagWorld:
     """[T, robot, 6]."""
     pwm_us: np.ndarray
     """[T, robot, thruster]."""
+    arms: list[_BagArm | None]
+    """[robot] arms; None for a robot without joints, and where the run recorded none."""
     obstacle_p_m: np.ndarray
     """[T, n, 3]."""
     obstacle_q: np.ndarray
@@ -168,10 +195,62 @@ def _load_world(run: Run, world: int, rows: list[dict[str, Any]]) -> _BagWorld:
         else None,
         pwm_us=np.rint(stored["pwm_us"][world, :count]).astype(np.uint16),
         plan=trajectory_layout.read_plan(stored, world, np.array([row["planned"] for row in rows])),
+        arms=[_load_arm(run, row, stored, world, i, count) for i, row in enumerate(rows)],
         obstacle_p_m=stored["obstacle_p_m"][world, :count] if moving else np.zeros((count, 0, 3)),
         obstacle_q=stored["obstacle_q"][world, :count] if moving else np.zeros((count, 0, 4)),
         **sampled,
     )
+
+
+def _load_arm(
+    run: Run, row: dict[str, Any], stored: Any, world: int, robot: int, count: int
+) -> _BagArm | None:
+    """Return the arm of a robot in the first ``count`` samples."""
+    config = library.load_vehicle(run.vehicle_file(row["vehicle"]))
+    links = build_links(config, None)
+    if links is None or "joint_position" not in stored:
+        return None
+    names = [link.name for link in config.find_links(None)]
+    position = stored["joint_position"][world, :count, robot]
+    origin, rotation = trace_links(links, position)
+    origin, rotation = _relate_to_parents(links.tree.parents, origin, rotation)
+    return _BagArm(
+        joints=[joint.name for joint in config.find_joints()],
+        links=names,
+        parents=["base_link" if i < 0 else names[i] for i in links.tree.parents],
+        position=position,
+        velocity=stored["joint_velocity"][world, :count, robot],
+        origin_m=origin,
+        q=_to_quaternions(rotation),
+    )
+
+
+def _relate_to_parents(
+    parents: Sequence[int], origin: np.ndarray, rotation: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return poses of links, [T, L, 3] and [T, L, 3, 3], in the frames of their parents.
+
+    Args:
+        parents: [L] number of each link's parent; -1 for the base.
+        origin: [T, L, 3] in F.
+        rotation: [T, L, 3, 3] to F.
+    """
+    base = np.zeros_like(origin[:, :1]), np.broadcast_to(np.eye(3), rotation[:, :1].shape)
+    rows = np.array(parents) + 1
+    center = np.concatenate([base[0], origin], axis=1)[:, rows]
+    turn = np.concatenate([base[1], rotation], axis=1)[:, rows]
+    relative_m = np.einsum("tlji,tlj->tli", turn, origin - center)
+    return relative_m, np.einsum("tlji,tljk->tlik", turn, rotation)
+
+
+def _to_quaternions(rotation: np.ndarray) -> np.ndarray:
+    """Return quaternions [T, L, 4] wxyz of rotations [T, L, 3, 3]; NaN where these are."""
+    from scipy.spatial.transform import Rotation  # 1 s, for runs with arms only
+
+    q = np.full((*rotation.shape[:2], 4), np.nan)
+    is_finite = np.isfinite(rotation).all(axis=(2, 3))
+    q[is_finite] = Rotation.from_matrix(rotation[is_finite]).as_quat(scalar_first=True)
+    return q
 
 
 def _write_static(bag: Bag, worlds: Sequence[_BagWorld]) -> None:
@@ -198,6 +277,8 @@ def _write_static(bag: Bag, worlds: Sequence[_BagWorld]) -> None:
             bag.declare_topic(f"/{robot}/plan", "nav_msgs/Path", latched=True)
             bag.declare_topic(f"/{robot}/odometry", "nav_msgs/Odometry")
             bag.declare_topic(f"/{robot}/thruster_pwm_us", "std_msgs/UInt16MultiArray")
+            if world.arms[i] is not None:
+                bag.declare_topic(f"/{robot}/joint_states", "sensor_msgs/JointState")
             trajectory = ros.joint_trajectory(to_joint_goal(plan), world.name)
             bag.write(f"/{robot}/joint_trajectory", 0, trajectory)
             bag.write(f"/{robot}/plan", 0, ros.make_path(world.name, *trace_path(plan)))
@@ -230,6 +311,10 @@ def _write_sample(bag: Bag, world: _BagWorld, k: int) -> None:
             f"/{robot}/odometry", time_ns, ros.make_odometry(time, world.name, base, p, q, nu)
         )
         bag.write(f"/{robot}/thruster_pwm_us", time_ns, ros.thruster_pwm(world.pwm_us[k, i]))
+        if (arm := world.arms[i]) is not None:
+            frames += _link_frames(arm, robot, time, k)
+            state = ros.make_joint_state(time, arm.joints, arm.position[k], arm.velocity[k])
+            bag.write(f"/{robot}/joint_states", time_ns, state)
     if frames:
         bag.write("/tf", time_ns, {"transforms": frames})
     p, q = world.obstacle_p_m[k], world.obstacle_q[k]
@@ -252,6 +337,16 @@ def _write_sample(bag: Bag, world: _BagWorld, k: int) -> None:
         for row in np.flatnonzero(flow.sample == k).tolist():
             markers = current_markers.build_markers(flow, world.name, row)
             bag.write(f"/{world.name}/current", time_ns, {"markers": markers})
+
+
+def _link_frames(arm: _BagArm, robot: str, time_s: float, k: int) -> list[ros.Message]:
+    """Return the transforms of a robot's links at sample ``k``."""
+    return [
+        ros.make_transform(
+            time_s, f"{robot}/{parent}", f"{robot}/{link}", arm.origin_m[k, j], arm.q[k, j]
+        )
+        for j, (link, parent) in enumerate(zip(arm.links, arm.parents, strict=True))
+    ]
 
 
 def _scenery_markers(world: _BagWorld) -> list[ros.Message]:

@@ -43,6 +43,10 @@ FIELDS: dict[str, str] = {
         "std_msgs/Header header\nstring[] joint_names\n"
         "trajectory_msgs/JointTrajectoryPoint[] points"
     ),
+    "sensor_msgs/JointState": (
+        "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\n"
+        "float64[] effort"
+    ),
     "sensor_msgs/CompressedImage": "std_msgs/Header header\nstring format\nuint8[] data",
     "visualization_msgs/MeshFile": "string filename\nuint8[] data",
     "visualization_msgs/UVCoordinate": "float32 u\nfloat32 v",

@@ -85,6 +85,19 @@ def make_transform(
     }
 
 
+def make_joint_state(
+    time_s: float, names: Sequence[str], position: np.ndarray, velocity: np.ndarray
+) -> Message:
+    """Return positions [J] and speeds [J] of joints as ``sensor_msgs/JointState``."""
+    return {
+        "header": make_header(time_s, ""),
+        "name": list(names),
+        "position": position.tolist(),
+        "velocity": velocity.tolist(),
+        "effort": [],
+    }
+
+
 def make_path(frame: str, time_s: np.ndarray, points_m: np.ndarray) -> Message:
     """Return way-points [n, 3] at times [n] as ``nav_msgs/Path``."""
     poses = [

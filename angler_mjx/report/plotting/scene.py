@@ -46,6 +46,8 @@ class RobotTrack:
     """[3]."""
     goal_m: np.ndarray
     """[3]; NaN where a task has other places."""
+    joint_position: np.ndarray | None = None
+    """[T, J] rad or m; None where the run recorded no joints, NaN for a robot without any."""
 
     @property
     def arrived(self) -> bool:
@@ -120,7 +122,8 @@ def _load_scene(run: Run, world: int, rows: list[dict[str, Any]]) -> ReplayScene
     last = max(end_time_s(row) for row in rows)
     time = np.asarray(stored["time_s"])
     count = min(time.size, int(np.searchsorted(time, last)) + 1)
-    robots = {name: stored[name][world, :count] for name in ("p_m", "q", "current_mps")}
+    names = ("p_m", "q", "current_mps", "joint_position")
+    robots = {name: stored[name][world, :count] for name in names if name in stored}
     courses = trajectory_layout.plan_courses(stored, world)
     spec = run.scenario.task_spec()
     tracks = tuple(

@@ -39,6 +39,7 @@ OUTCOMES = {
     "timeout": "#E69F00",
     "diverged": "#333333",
     "failed": "#CC79A7",
+    "damaged": "#882255",
 }
 """One colour for each outcome."""
 
@@ -51,6 +52,7 @@ OUTCOME_TEXT = {
     "timeout": "ran out of time",
     "diverged": "diverged",
     "failed": "broke down",
+    "damaged": "hit too hard",
 }
 """Outcomes in words."""
 

@@ -12,6 +12,8 @@ from angler_mjx.report.viewing import entities
 from angler_mjx.report.viewing.entities import task as of_task
 from angler_mjx.report.viewing.entities.water import log_flow
 from angler_mjx.robot.vehicles import library
+from angler_mjx.robot.vehicles.link_params import build_links
+from angler_mjx.sim.posture import trace_links
 from angler_mjx.world.tasks.history import GoodsStatus, RobotActivity, TaskHistory
 
 _TRAIL_POINTS = 2_000_000
@@ -69,6 +71,7 @@ def _log_robot(
         times,
         rr.Transform3D.columns(translation=robot.p_m, quaternion=entities.to_xyzw(robot.q)),
     )
+    _log_links(recording, scene, robot, f"{space}/vehicle")
     _log_trail(recording, scene, robot, f"{space}/trail")
     _log_label(recording, scene, robot, f"{space}/vehicle/label")
     if not np.isfinite(robot.goal_m).all():
@@ -80,6 +83,24 @@ def _log_robot(
         series, rr.SeriesLines(colors=[color], names=[str(robot.index)], widths=[2]), static=True
     )
     recording.send_columns(series, times, rr.Scalars.columns(scalars=distance_m))
+
+
+def _log_links(
+    recording: rr.RecordingStream, scene: ReplayScene, robot: RobotTrack, path: str
+) -> None:
+    """Log a robot's links, moved by its recorded joints; at home where a run recorded none."""
+    config = library.load_vehicle(robot.vehicle_file)
+    links = build_links(config, None)
+    if links is None:
+        return
+    paths = entities.log_links(recording, config, path, entities.robot_rgba(robot.index))
+    position = robot.joint_position
+    if position is None:
+        position = np.tile(links.home, (len(scene.time_s), 1))
+    origin, rotation = trace_links(links, position)
+    for i, link_path in enumerate(paths.values()):
+        columns = rr.Transform3D.columns(translation=origin[:, i], mat3x3=rotation[:, i])
+        recording.send_columns(link_path, [entities.time_column(scene.time_s)], columns)
 
 
 def _log_trail(

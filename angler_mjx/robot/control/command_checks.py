@@ -16,6 +16,11 @@ from angler_mjx.robot.control.commands import (
 )
 from angler_mjx.robot.control.commands.joint_trajectory import JointTrajectory
 from angler_mjx.robot.control.commands.trajectory import Trajectory
+from angler_mjx.robot.control.commands.whole_body import (
+    EndEffectorTarget,
+    JointTarget,
+    WholeBodyCommand,
+)
 from angler_mjx.robot.vehicles.thrusters import PWM_HIGH_US, PWM_LOW_US
 
 if TYPE_CHECKING:
@@ -48,23 +53,38 @@ AXES: dict[type, dict[str, Axes]] = {
     BodyTwist: {"nu": (6,)},
     BodyWrench: {"tau": (6,)},
     ThrusterPwm: {"pwm_us": (THRUSTERS,)},
+    EndEffectorTarget: {
+        "position_m": (3,),
+        "q": (4,),
+        "velocity_mps": (3,),
+        "angular_velocity_radps": (3,),
+        "is_oriented": (),
+    },
+    JointTarget: {"position": (JOINTS,), "velocity": (JOINTS,), "acceleration": (JOINTS,)},
 }
 """Axes of each array of a command for one robot."""
 
 
-def check_arrays(command: "DataclassInstance", lead: tuple[int, ...], thrusters: int) -> None:
+def check_arrays(
+    command: "DataclassInstance", lead: tuple[int, ...], thrusters: int, joints: int = 0
+) -> None:
     """Refuse arrays of other shapes than the command's.
 
     Args:
         command: of any type that a stack takes, with all robots of all worlds.
         lead: sizes of the axes that all arrays begin with, [world, robot].
         thrusters: of a robot, padding included.
+        joints: of its links.
 
     Raises:
         ConfigError: names the command, the field, what it is and what it must be.
     """
+    if isinstance(command, WholeBodyCommand):
+        check_arrays(command.base, lead, thrusters, joints)
+        check_arrays(command.joints, lead, thrusters, joints)
+        return
     kind = type(command).__name__
-    sizes: dict[str, int] = {THRUSTERS: thrusters}
+    sizes: dict[str, int] = {THRUSTERS: thrusters, JOINTS: joints}
     if isinstance(command, JointTrajectory):
         sizes[JOINTS] = len(command.joints)
     axes = AXES[type(command)]
@@ -89,9 +109,14 @@ def check_arrays(command: "DataclassInstance", lead: tuple[int, ...], thrusters:
             )
 
 
-def check_choice(mixed: object, lead: tuple[int, ...]) -> None:
+def check_choice(mixed: object, lead: tuple[int, ...], joints: int = 0) -> None:
     """Refuse a `MixedCommand` that lacks a choice for any robot; as `check_arrays`."""
-    for name in ("which", "fresh"):
+    names = ["which", "fresh"]
+    target = getattr(mixed, "joints", None)
+    if target is not None:
+        check_arrays(target, lead, 0, joints)
+        names.append("has_joints")
+    for name in names:
         value = getattr(mixed, name)
         if getattr(value, "shape", None) != lead:
             raise ConfigError(

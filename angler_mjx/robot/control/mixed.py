@@ -23,6 +23,7 @@ from angler_mjx.robot.control.commands import (
 )
 from angler_mjx.robot.control.commands.joint_trajectory import JointTrajectory
 from angler_mjx.robot.control.commands.trajectory import Trajectory
+from angler_mjx.robot.control.commands.whole_body import JointTarget
 from angler_mjx.robot.control.stack import (
     Action,
     Command,
@@ -49,6 +50,10 @@ class MixedCommand:
     For stages that stood idle until now, and for the first one when a new path begins."""
     commands: tuple[Command, ...]
     """Each of another type; those that do not count hold any numbers."""
+    joints: JointTarget | None = None
+    """Motion of the joints beside the command that counts; None where no robot has joints."""
+    has_joints: jax.Array | None = None
+    """bool [] whether ``joints`` counts; None without ``joints``."""
 
 
 def last_approach_s(mixed: MixedCommand, goal_m: jax.Array, tolerance_m: float) -> jax.Array:
@@ -102,8 +107,15 @@ def step(
     Raises:
         ConfigError: no stage takes one of the commands.
     """
-    entries = [stack.find_entry(stages, type(command)) for command in mixed.commands]
-    chosen = [mixed.which == k for k in range(len(entries))]
+    chosen = [mixed.which == k for k in range(len(mixed.commands))]
+    joints, commands = stack.stop_joints(memory.joints), []
+    for flag, command in zip(chosen, mixed.commands, strict=True):
+        base, target = stack.split_joints(command, joints)
+        commands.append(base)
+        joints = _select(flag, target, joints)
+    if joints is not None and mixed.has_joints is not None:
+        joints = _select(mixed.has_joints, mixed.joints, joints)
+    entries = [stack.find_entry(stages, type(command)) for command in commands]
     yaw = quaternion.yaw(estimate.q)
     below: Command | None = None
     used = realised_used = mixed.which < 0
@@ -112,7 +124,7 @@ def step(
     for i, stage in enumerate(stages):
         entering = [
             (flag, command)
-            for flag, command, entry_index in zip(chosen, mixed.commands, entries, strict=True)
+            for flag, command, entry_index in zip(chosen, commands, entries, strict=True)
             if entry_index == i
         ]
         for flag, command in entering:
@@ -131,21 +143,30 @@ def step(
             dt=dt,
             density=density,
             gravity=gravity,
+            joints=joints,
         )
         carry, below = _run_stage(stage, gains[i], before, inputs, below, entering)
+        for flag, command in entering:
+            followed = stack.follow_joints(stage, before, carry, command, dt, joints)
+            joints = _select(flag, followed, joints)
+        below, target = stack.split_joints(below, joints)
+        joints = _select(used, target, joints)
         carries.append(_select(used, carry, memory.stages[i]))
         aim = jnp.where(used, stack.target_position(below, aim), aim)
         demanded = jnp.where(used, _demanded_wrench(below, demanded), demanded)
         realised_used = realised_used | used if stage.wants_realised else realised_used
-    for flag, command, entry_index in zip(chosen, mixed.commands, entries, strict=True):
+    for flag, command, entry_index in zip(chosen, commands, entries, strict=True):
         if entry_index == len(stages):
             below = command if below is None else _select(flag, command, below)
             demanded = jnp.where(flag, jnp.nan, demanded)
     if below is None:
         raise TypeError("neither stages nor commands give thruster signals")
+    joints, clipped = stack.limit_command(params, joints, memory)
     return Action(
         memory=ControlMemory(
             stages=tuple(carries),
+            joints=joints,
+            joints_clipped=clipped,
             realised=None
             if memory.realised is None
             else _select(

@@ -127,20 +127,23 @@ def position_at(plan: Plan, t: jax.Array) -> jax.Array:
     return joint_trajectory.sample_state(plan, t).position[:3]
 
 
-def check_plan[P](of: Stages, plan: P) -> P:
+def check_plan[P](of: Stages, plan: P, joints: tuple[str, ...] = ()) -> P:
     """A plan that controllers can fly.
 
     Args:
         of: the controllers, from the highest down.
         plan: of a fleet.
+        joints: names of the joints of the fleet's links; a plan has all of them or none.
 
     Raises:
         ConfigError: no stage takes plans of its type (names the controllers and the type), or it
             is of other joints than a vehicle's.
     """
     kind = type(plan)
-    if isinstance(plan, JointTrajectory) and plan.joints != VEHICLE_JOINTS:
-        raise ConfigError(f"World.path: joints = {plan.joints}: must be {VEHICLE_JOINTS}")
+    names = dict.fromkeys([VEHICLE_JOINTS, (*VEHICLE_JOINTS, *joints)])
+    if isinstance(plan, JointTrajectory) and plan.joints not in names:
+        expected = " or ".join(map(str, names))
+        raise ConfigError(f"World.path: joints = {plan.joints}: must be {expected}")
     if not any(kind in stage.takes for stage in of):
         kinds = (Trajectory, JointTrajectory)
         taken = [

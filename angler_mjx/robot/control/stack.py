@@ -9,7 +9,7 @@ above stays as it is until a command comes to them again.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import jax
@@ -26,8 +26,16 @@ from angler_mjx.robot.control.commands import (
     ThrusterPwm,
     TrackingTarget,
 )
-from angler_mjx.robot.control.commands.joint_trajectory import JointTrajectory
+from angler_mjx.robot.control.commands.joint_trajectory import VEHICLE_JOINTS, JointTrajectory
 from angler_mjx.robot.control.commands.trajectory import Trajectory
+from angler_mjx.robot.control.commands.whole_body import (
+    EndEffectorTarget,
+    JointTarget,
+    WholeBodyCommand,
+    hold_joints,
+    limit_joints,
+    sample_joints,
+)
 from angler_mjx.robot.vehicles.params import VehicleParams
 
 if TYPE_CHECKING:
@@ -41,6 +49,8 @@ type Command = (
     | BodyTwist
     | BodyWrench
     | ThrusterPwm
+    | WholeBodyCommand
+    | EndEffectorTarget
 )
 """What can be told to a robot."""
 
@@ -79,6 +89,8 @@ class StageInput:
     """Of the water, kg/m^3."""
     gravity: float
     """m/s^2."""
+    joints: JointTarget | None = None
+    """Motion that the joints shall follow; None of a vehicle without joints."""
 
 
 @jax.tree_util.register_dataclass
@@ -133,6 +145,11 @@ class ControlMemory:
     demanded: BodyWrench | None = None
     """What the thrusters were asked for in the step before, NaN where by signals alone: for those
     who watch. None where nobody does."""
+    joints: JointTarget | None = None
+    """Motion of the joints that was commanded last, within their limits; None of a vehicle without
+    joints."""
+    joints_clipped: jax.Array | None = None
+    """int32 [] control steps in which a command to the joints was beyond their limits."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -187,7 +204,9 @@ def find_entry(stages: Stages, command: type) -> int:
     )
 
 
-def check_command(stages: Stages, command: Command, lead: tuple[int, ...], thrusters: int) -> None:
+def check_command(
+    stages: Stages, command: Command, lead: tuple[int, ...], thrusters: int, joints: int = 0
+) -> None:
     """Refuse a batch of commands that a stack cannot be driven by (host side).
 
     Args:
@@ -195,12 +214,14 @@ def check_command(stages: Stages, command: Command, lead: tuple[int, ...], thrus
         command: of every robot.
         lead: sizes of the axes that all arrays begin with, [world, robot].
         thrusters: of a robot, padding included.
+        joints: of its links.
 
     Raises:
         ConfigError: no stage takes it, or an array of it has another shape than its robots want.
     """
-    find_entry(stages, type(command))
-    command_checks.check_arrays(command, lead, thrusters)
+    base = command.base if isinstance(command, WholeBodyCommand) else command
+    find_entry(stages, type(base))
+    command_checks.check_arrays(command, lead, thrusters, joints)
 
 
 def progress_s(stages: Stages, memory: ControlMemory, plan: Command) -> jax.Array:
@@ -232,6 +253,8 @@ def reset(stages: Stages, estimate: Estimate, yaw_rad: jax.Array) -> ControlMemo
     return ControlMemory(
         stages=tuple(stage.reset(estimate, yaw_rad) for stage in stages),
         realised=BodyWrench(tau=jnp.zeros_like(estimate.nu)) if wanted else None,
+        joints=None if estimate.joints is None else hold_joints(estimate.joints),
+        joints_clipped=None if estimate.joints is None else jnp.zeros((), jnp.int32),
     )
 
 
@@ -262,6 +285,7 @@ def step(
     Raises:
         ConfigError: no stage takes the command.
     """
+    command, joints = split_joints(command, stop_joints(memory.joints))
     first = find_entry(stages, type(command))
     carries = list(memory.stages)
     aim, realised_used = target_position(command, estimate.p), False
@@ -275,14 +299,21 @@ def step(
             dt=dt,
             density=density,
             gravity=gravity,
+            joints=joints,
         )
-        carries[i], command = stage.step(gains[i], carries[i], inputs, command)
+        before = carries[i]
+        carries[i], lower = stage.step(gains[i], before, inputs, command)
+        joints = follow_joints(stage, before, carries[i], command, dt, joints)
+        command, joints = split_joints(lower, joints)
         aim = target_position(command, aim)
         demanded = command if isinstance(command, BodyWrench) else demanded
         realised_used |= stage.wants_realised
+    joints, clipped = limit_command(params, joints, memory)
     return Action(
         memory=ControlMemory(
             stages=tuple(carries),
+            joints=joints,
+            joints_clipped=clipped,
             # Of a step in which those who want it had no say they would learn nothing.
             realised=allocation.realised_wrench(params.allocation, require_signals(command))
             if realised_used
@@ -293,6 +324,63 @@ def step(
         command=command,
         demanded=demanded,
     )
+
+
+def stop_joints(joints: JointTarget | None) -> JointTarget | None:
+    """Return what joints do that nothing is commanded to: stay at the target before."""
+    if joints is None:
+        return None
+    still = jnp.zeros_like(joints.position)
+    return replace(joints, velocity=still, acceleration=still)
+
+
+def split_joints(
+    command: Command, joints: JointTarget | None
+) -> tuple[Command, JointTarget | None]:
+    """Return the command to the base, and that to the joints: ``joints`` where it says nothing."""
+    if isinstance(command, WholeBodyCommand):
+        return command.base, joints if joints is None else command.joints
+    return command, joints
+
+
+def follow_joints(
+    stage: Stage,
+    before: object,
+    after: object,
+    command: Command,
+    dt: float,
+    joints: JointTarget | None,
+) -> JointTarget | None:
+    """Return the motion of the joints in a trajectory that a stage followed in this step.
+
+    Joints that the trajectory does not name keep ``joints``.
+    """
+    if joints is None or stage.progress is None or not isinstance(command, JointTrajectory):
+        return joints
+    if len(command.joints) == len(VEHICLE_JOINTS):
+        return joints
+    clock_s = stage.progress(before, command)
+    pace = (stage.progress(after, command) - clock_s) / dt
+    followed = sample_joints(command, clock_s, pace)
+    is_named = command.commanded[len(VEHICLE_JOINTS) :]
+    target: JointTarget = jax.tree.map(
+        lambda new, old: jnp.where(is_named, new, old), followed, joints
+    )
+    return target
+
+
+def limit_command(
+    params: ControlParams, joints: JointTarget | None, memory: ControlMemory
+) -> tuple[JointTarget | None, jax.Array | None]:
+    """Return a command to the joints within their limits, and how often one was beyond them."""
+    clipped = memory.joints_clipped
+    if joints is None or clipped is None:
+        return None, None
+    links = params.vehicle_model.links
+    if links is None:
+        return None, None
+    joints, is_beyond = limit_joints(links, joints)
+    return joints, clipped + is_beyond
 
 
 def _demanded_or_nan(demanded: BodyWrench | None, estimate: Estimate) -> BodyWrench:

@@ -21,17 +21,21 @@ from angler_mjx.robot.control.commands import (
 )
 from angler_mjx.robot.control.commands.joint_trajectory import JointTrajectory
 from angler_mjx.robot.control.commands.trajectory import Trajectory
+from angler_mjx.robot.control.commands.whole_body import EndEffectorTarget, WholeBodyCommand
 from angler_mjx.robot.control.laws import (
     aitsm,
     computed_torque,
     follow,
+    guided,
     ismc,
+    link_wrench,
     los,
     pid_pose,
     pid_velocity,
     pose,
     tracking,
     velocity,
+    whole_body,
 )
 from angler_mjx.robot.control.laws.ardusub import law as ardusub
 from angler_mjx.robot.control.stack import Command, StackGains, Stage, StageInput, Stages
@@ -147,6 +151,47 @@ def _allocation_stage(name: str, allocate: Callable[..., ThrusterPwm]) -> Stage:
     return Stage(name=name, takes=(BodyWrench,), gives=ThrusterPwm, step=step, reset=_no_memory)
 
 
+def _step_whole_body(
+    gains: whole_body.WholeBodyGains,
+    carry: whole_body.WholeBodyCarry,
+    inputs: StageInput,
+    command: EndEffectorTarget | BodyTwist,
+) -> tuple[whole_body.WholeBodyCarry, Command]:
+    if isinstance(command, BodyTwist):
+        if inputs.joints is None:
+            return carry, command
+        return carry, WholeBodyCommand(base=command, joints=inputs.joints)
+    links = inputs.params.vehicle_model.links
+    if links is None or inputs.joints is None:
+        raise ConfigError("command EndEffectorTarget: no robot of the fleet has links")
+    return whole_body.step(gains, links, carry, inputs.estimate, command, inputs.joints, inputs.dt)
+
+
+def _step_guided(
+    gains: whole_body.WholeBodyGains,
+    carry: guided.GuidedArmCarry,
+    inputs: StageInput,
+    command: PoseTarget | TrackingTarget | BodyTwist | EndEffectorTarget,
+) -> tuple[guided.GuidedArmCarry, Command]:
+    links = inputs.params.vehicle_model.links
+    return guided.step(gains, links, carry, inputs.estimate, command, inputs.joints, inputs.dt)
+
+
+def _step_link_wrench(
+    gains: link_wrench.LinkWrenchGains, carry: tuple[()], inputs: StageInput, command: BodyWrench
+) -> tuple[tuple[()], BodyWrench]:
+    return carry, link_wrench.step(
+        gains,
+        inputs.params.vehicle_model,
+        inputs.estimate,
+        inputs.joints,
+        command,
+        inputs.dt,
+        inputs.density,
+        inputs.gravity,
+    )
+
+
 _ALL = (
     Stage(
         name="follow",
@@ -178,7 +223,25 @@ _ALL = (
         gains=pose.PoseGains,
         check=pose.check,
     ),
+    Stage(
+        name="guided",
+        takes=(*_POSES, EndEffectorTarget, BodyTwist),
+        gives=TrackingTarget,
+        step=_step_guided,
+        reset=guided.reset,
+        gains=whole_body.WholeBodyGains,
+        check=whole_body.check,
+    ),
     _of_law("pid_pose", pid_pose, pid_pose.PidPoseGains, _POSES, BodyTwist),
+    Stage(
+        name="whole_body",
+        takes=(EndEffectorTarget, BodyTwist),
+        gives=BodyTwist,
+        step=_step_whole_body,
+        reset=lambda estimate, _: whole_body.reset(estimate),
+        gains=whole_body.WholeBodyGains,
+        check=whole_body.check,
+    ),
     _of_law("velocity", velocity, velocity.VelocityGains, (BodyTwist,), BodyWrench),
     _of_law(
         "pid_velocity",
@@ -207,6 +270,15 @@ _ALL = (
         BodyWrench,
         flow=True,
     ),
+    Stage(
+        name="link_wrench",
+        takes=(BodyWrench,),
+        gives=BodyWrench,
+        step=_step_link_wrench,
+        reset=_no_memory,
+        gains=link_wrench.LinkWrenchGains,
+        check=link_wrench.check,
+    ),
     _allocation_stage("pseudo_inverse", allocation.allocate),
     _allocation_stage("prioritized", allocation.allocate_to_limits),
     _of_law("ardusub", ardusub, ardusub.ArduSubGains, _POSES, ThrusterPwm, sway=True),
@@ -223,6 +295,7 @@ CONTROLLERS: dict[str, tuple[str, ...]] = {
     "computed_torque": ("reference", "computed_torque", "pseudo_inverse"),
     "ismc": ("follow", "pose", "ismc", "pseudo_inverse"),
     "aitsm": ("follow", "pose", "aitsm", "pseudo_inverse"),
+    "arm": ("follow", "pose", "whole_body", "velocity", "link_wrench", "pseudo_inverse"),
     "ardusub": ("follow", "ardusub"),
 }
 """The stages of each stack that has a name; all take a planner's `Trajectory`. The laws that feed a
@@ -255,7 +328,7 @@ def _user_stage(law_class: type) -> Stage:
         raise ConfigError(f"control law {name}: has no {' and no '.join(missing)}")
     law: Any = law_class()
     takes = tuple(law.takes)
-    commands = {*_PATHS, *_POSES, BodyTwist, BodyWrench}
+    commands = {*_PATHS, *_POSES, BodyTwist, BodyWrench, EndEffectorTarget}
     if unknown := [kind for kind in takes if kind not in commands]:
         raise ConfigError(f"control law {name}: takes {unknown[0]!r}, which is no command")
     if law.gives not in {*_POSES, BodyTwist, BodyWrench, ThrusterPwm}:

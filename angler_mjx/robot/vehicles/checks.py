@@ -4,6 +4,9 @@ Each function raises ValueError with the reason and the remedy; the models turn 
 the file.
 """
 
+import math
+from collections.abc import Sequence
+
 import numpy as np
 
 type Matrix = tuple[tuple[float, ...], ...]
@@ -86,6 +89,15 @@ def check_distinct_names(kind: str, names: list[str]) -> None:
     if len(set(names)) < len(names):
         twice = sorted({name for name in names if names.count(name) > 1})
         raise ValueError(f"{kind} names must differ; more than once: {', '.join(twice)}")
+
+
+def check_apart(from_m: Sequence[float], to_m: Sequence[float]) -> None:
+    """Check that the ends [3] of an axis are apart.
+
+    MuJoCo takes no capsule without a length; files give millimetres.
+    """
+    if math.dist(from_m, to_m) < 1e-3:
+        raise ValueError("from_m and to_m: must be at least 1 mm apart, also for a ball")
 
 
 def check_unit_vector(value: tuple[float, float, float]) -> tuple[float, float, float]:

@@ -5,7 +5,6 @@ Every group of numbers carries its ``source``. The base frame of a vehicle file 
 about the centre of mass.
 """
 
-import math
 from collections.abc import Mapping
 from typing import Annotated, Literal, Self
 
@@ -13,32 +12,23 @@ from pydantic import AfterValidator, BeforeValidator, Field, field_validator, mo
 
 from angler_mjx.errors import ConfigError, format_value
 from angler_mjx.files import FileModel
-from angler_mjx.quantities import Coordinate, Sign
+from angler_mjx.quantities import Sign
 from angler_mjx.robot.vehicles import checks
 from angler_mjx.robot.vehicles.checks import Matrix
+from angler_mjx.robot.vehicles.hull import Capsule, Name, Vector3
+from angler_mjx.robot.vehicles.links import (
+    EndEffector,
+    Joint,
+    Link,
+    LinkNumbers,
+    check_tree,
+    order_joints,
+    order_links,
+)
 from angler_mjx.robot.vehicles.rotor_config import Positive, Rotor, RotorResponse, Source
+from angler_mjx.robot.vehicles.uncertainty import Uncertainty
 
-type Vector3 = tuple[Coordinate, Coordinate, Coordinate]
-type Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_\-]+$", max_length=64)]
 type Fraction = Annotated[float, Field(ge=0, le=1)]
-
-
-class Capsule(FileModel):
-    """Cylinder with half-spheres at its ends, in the base frame."""
-
-    from_m: Vector3
-    """[3] one end of the axis, m."""
-    to_m: Vector3
-    """[3] other end of the axis, m."""
-    radius_m: Positive
-    """Radius of the cylinder and its ends, m."""
-
-    @model_validator(mode="after")
-    def _check_length(self) -> Self:
-        # MuJoCo takes no capsule without a length; files give millimetres.
-        if math.dist(self.from_m, self.to_m) < 1e-3:
-            raise ValueError("from_m and to_m: must be at least 1 mm apart, also for a ball")
-        return self
 
 
 class Base(FileModel):
@@ -211,6 +201,20 @@ class ParameterSet(FileModel):
     buoyancy: Buoyancy
     added_mass: AddedMass
     damping: Damping
+    links: dict[Name, LinkNumbers] = Field(default_factory=dict)
+    """Numbers of links that this set has otherwise, by name of the link."""
+    uncertainty: Uncertainty | None = None
+    """Spread of the set's numbers, of identified sets; None: nothing is known of it."""
+
+    @model_validator(mode="after")
+    def _check_volume(self) -> Self:
+        spread = self.uncertainty and self.uncertainty.volume_m3
+        if spread and 5.0 * spread >= self.buoyancy.volume_m3:
+            raise ValueError(
+                f"uncertainty.volume_m3 = {spread:g}: five standard deviations reach beyond "
+                f"buoyancy.volume_m3 = {self.buoyancy.volume_m3:g}"
+            )
+        return self
 
 
 class VehicleConfig(FileModel):
@@ -229,6 +233,12 @@ class VehicleConfig(FileModel):
     visual: Visual
     ardusub: ArduSub | None = None
     """ArduSub frame; None: real ArduSub cannot steer the vehicle."""
+    links: Annotated[tuple[Link, ...], Field(max_length=16)] = ()
+    """Links of an arm, in any order."""
+    joints: Annotated[tuple[Joint, ...], Field(max_length=6)] = ()
+    """Joints of the links, in any order."""
+    end_effector: EndEffector | None = None
+    """End effector; None: the vehicle takes no targets of one."""
     parameter_sets: Annotated[dict[Name, ParameterSet], Field(min_length=1)]
     """Parameter sets by name."""
 
@@ -240,6 +250,52 @@ class VehicleConfig(FileModel):
                 + ", ".join(self.parameter_sets)
             )
         return self
+
+    @model_validator(mode="after")
+    def _check_links(self) -> Self:
+        check_tree(self.links, self.joints)
+        names = [link.name for link in self.links]
+        if self.end_effector is not None and self.end_effector.link not in names:
+            raise ValueError(
+                f"end_effector.link = {format_value(self.end_effector.link)}: no such link; there "
+                "is " + (", ".join(names) or "none")
+            )
+        for label, chosen in self.parameter_sets.items():
+            masses = chosen.uncertainty.link_mass if chosen.uncertainty else {}
+            keys = [f"links.{name}" for name in chosen.links]
+            keys += [f"uncertainty.link_mass.{name}" for name in masses]
+            for key in keys:
+                if key.rpartition(".")[2] not in names:
+                    raise ValueError(
+                        f"parameter_sets.{label}.{key}: no such link; there is "
+                        + (", ".join(names) or "none")
+                    )
+        return self
+
+    @property
+    def published_sets(self) -> tuple[str, ...]:
+        """Return the names of the sets as published: those without a stated uncertainty."""
+        sets = self.parameter_sets.items()
+        return tuple(name for name, chosen in sets if chosen.uncertainty is None)
+
+    def find_links(self, name: str | None) -> list[Link]:
+        """Return the links in the simulator's order, with the numbers of a parameter set.
+
+        Args:
+            name: of the set; None for the default one.
+
+        Raises:
+            ConfigError: the vehicle has no set of that name.
+        """
+        changes = self.find_set(name).links
+        return [
+            link.model_copy(update=changes[link.name].groups()) if link.name in changes else link
+            for link in order_links(self.links)
+        ]
+
+    def find_joints(self) -> list[Joint]:
+        """Return the joints in the simulator's order."""
+        return order_joints(self.links, self.joints)
 
     def find_set(self, name: str | None) -> ParameterSet:
         """Return the named parameter set, or the default one for None.

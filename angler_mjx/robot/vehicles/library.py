@@ -9,6 +9,7 @@ import numpy as np
 from angler_mjx.errors import ConfigError, format_value
 from angler_mjx.files import MAX_TOML_BYTES, format_path, parse_model, parse_toml, read_text
 from angler_mjx.robot.vehicles.config import VehicleConfig
+from angler_mjx.robot.vehicles.link_hull import home_link_reach_m
 from angler_mjx.robot.vehicles.thruster_config import ThrusterTable
 
 _VEHICLES = Path(__file__).parent / "data"
@@ -87,13 +88,17 @@ def _parse_thruster(path: Path, text: str) -> ThrusterTable:
 
 
 def reach_m(config: VehicleConfig) -> float:
-    """Return the radius [m] of the smallest sphere about the centre of mass that holds the hull."""
+    """Return the radius [m] of the smallest sphere about the centre of mass that holds the hull.
+
+    Links lie in their home posture.
+    """
     center = np.asarray(config.base.center_of_mass_m)
-    return max(
+    hull_m = max(
         float(np.linalg.norm(np.asarray(end) - center)) + capsule.radius_m
         for capsule in config.hull.capsules
         for end in (capsule.from_m, capsule.to_m)
     )
+    return max(hull_m, home_link_reach_m(config))
 
 
 @lru_cache

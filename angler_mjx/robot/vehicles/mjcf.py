@@ -1,4 +1,4 @@
-"""MuJoCo model of a vehicle file: one free body with its mass, its inertia and a visible shape.
+"""MuJoCo model of a vehicle file: a free body and its links, with masses, inertias and shapes.
 
 The body's origin is the centre of mass. Water is not in the model: buoyancy, added mass, damping
 and thrust are the simulator's own terms, so no fluid attribute of MuJoCo is ever set (its fluid
@@ -6,11 +6,15 @@ models have no added-mass inertia, and MJX may compute another model than the re
 """
 
 import logging
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
 
 from angler_mjx.robot.vehicles.config import Box, Cylinder, Sphere, VehicleConfig
+from angler_mjx.robot.vehicles.hull import Capsule
+from angler_mjx.robot.vehicles.link_params import mount_m, rotation_matrix
+from angler_mjx.robot.vehicles.links import BASE, Joint, Link
 from angler_mjx.robot.vehicles.properties import GRAVITY_MPS2
 from angler_mjx.robot.vehicles.thrusters import FloatArray
 
@@ -20,6 +24,7 @@ _NOZZLE_HALF_LENGTH_M = 0.045
 # Thrusters are coloured by their sense of rotation, as the propellers of the kit are.
 _SPIN_RGBA = {1: (0.10, 0.65, 0.30, 0.9), -1: (0.90, 0.45, 0.10, 0.9)}
 _HULL_RGBA = (0.35, 0.65, 0.95, 0.12)
+_LINK_RGBA = (0.20, 0.20, 0.22, 1.0)
 # MuJoCo's viewers show geom groups 0 to 2 and hide 3 to 5 until they are switched on.
 _SHAPE_GROUP = 1
 _HULL_GROUP = 2
@@ -38,18 +43,26 @@ if mujoco.get_mju_user_warning() is None:
 
 
 def to_spec(
-    config: VehicleConfig, parameter_set: str | None, *, shapes: bool = True
+    config: VehicleConfig,
+    parameter_set: str | None,
+    *,
+    shapes: bool = True,
+    absent_links: VehicleConfig | None = None,
 ) -> mujoco.MjSpec:
     """Build the MuJoCo model of a vehicle.
 
     Body and joint carry the vehicle's name; each thruster is a geom and a site of its own name,
-    the site's z axis along positive thrust. Other geoms are ``hull/...`` and ``shape/...``: a name
-    in a file holds no slash, so they cannot meet a thruster's.
+    the site's z axis along positive thrust. Links are bodies, and joints joints, of the names
+    ``link/...`` and ``joint/...``. Other geoms are ``hull/...`` and ``shape/...``: a name in a file
+    holds no slash, so they cannot meet a thruster's.
 
     Args:
         config: Vehicle file.
         parameter_set: Name of one of its sets; None for its default.
         shapes: Whether to add light, geoms and sites; the physics needs none.
+        absent_links: Vehicle file with the links of other robots of the fleet, for a vehicle that
+            has none: they are added practically without mass, on joints with an inertia of their
+            own, so that one program fits all.
 
     Raises:
         ConfigError: the vehicle has no such set.
@@ -62,6 +75,8 @@ def to_spec(
         "Dry rigid body only: water and thrust are not in this file."
     )
     spec.option.gravity = [0.0, 0.0, -GRAVITY_MPS2]
+    if config.links or absent_links is not None:
+        spec.compiler.degree = False  # of the zeros of joints
     inertia = chosen.rigid_body.inertia_kgm2
     diagonal = [inertia[i][i] for i in range(3)]
     products = [inertia[0][1], inertia[0][2], inertia[1][2]]
@@ -73,10 +88,14 @@ def to_spec(
         explicitinertial=True,
     )
     body.add_freejoint(name=config.name)
+    center = np.asarray(config.base.center_of_mass_m)
+    if config.links or absent_links is None:
+        _add_links(body, config, config.find_links(parameter_set), shapes=shapes)
+    else:
+        _add_absent_links(body, absent_links)
     if not shapes:
         return spec
     _add_light(spec)
-    center = np.asarray(config.base.center_of_mass_m)
     _add_shapes(body, config, center)
     _add_thrusters(body, config, center)
     return spec
@@ -88,6 +107,74 @@ def to_xml(config: VehicleConfig, parameter_set: str | None) -> str:
     spec.compile()
     text: str = spec.to_xml()
     return text
+
+
+def _add_links(
+    base: mujoco.MjsBody,
+    config: VehicleConfig,
+    links: Sequence[Link],
+    *,
+    shapes: bool,
+) -> dict[str, mujoco.MjsJoint]:
+    """Add the bodies of links to that of the base, and return their joints by name."""
+    tables = {joint.name: joint for joint in config.joints}
+    bodies, joints = {BASE: base}, {}
+    for link in links:
+        inertia = link.rigid_body.inertia_kgm2
+        rotation = rotation_matrix(link.rpy_rad)
+        body = bodies[link.parent].add_body(
+            name=f"link/{link.name}",
+            pos=mount_m(config, link),
+            quat=_to_quaternion(rotation),
+            mass=link.rigid_body.mass_kg,
+            ipos=link.rigid_body.center_of_mass_m,
+            fullinertia=[*np.diag(inertia), inertia[0][1], inertia[0][2], inertia[1][2]],
+            explicitinertial=True,
+        )
+        bodies[link.name] = body
+        if link.joint is not None:
+            joints[link.joint] = _add_joint(body, tables[link.joint])
+        if shapes:
+            _add_capsules(body, f"hull/{link.name}", link.capsules, np.zeros(3), _LINK_RGBA)
+    return joints
+
+
+def _add_joint(body: mujoco.MjsBody, joint: Joint) -> mujoco.MjsJoint:
+    """Add a joint without limits, friction and springs: these are the simulator's own."""
+    kinds = {"revolute": mujoco.mjtJoint.mjJNT_HINGE, "prismatic": mujoco.mjtJoint.mjJNT_SLIDE}
+    return body.add_joint(
+        name=f"joint/{joint.name}", type=kinds[joint.type], axis=joint.axis, ref=joint.zero
+    )
+
+
+_ABSENT_KG = 1e-12
+"""Mass [kg] and inertia [kg m^2] of an absent link: MuJoCo takes nothing below 1e-15."""
+
+
+def _add_absent_links(base: mujoco.MjsBody, config: VehicleConfig) -> None:
+    links = [
+        link.model_copy(
+            update={
+                "rigid_body": link.rigid_body.model_copy(
+                    update={
+                        "mass_kg": _ABSENT_KG,
+                        "center_of_mass_m": (0.0, 0.0, 0.0),
+                        "inertia_kgm2": tuple(map(tuple, (_ABSENT_KG * np.eye(3)).tolist())),
+                    }
+                )
+            }
+        )
+        for link in config.find_links(None)
+    ]
+    for joint in _add_links(base, config, links, shapes=False).values():
+        joint.armature = 1.0
+
+
+def _to_quaternion(rotation: FloatArray) -> FloatArray:
+    """Return the quaternion wxyz of a rotation [3, 3]."""
+    quaternion = np.zeros(4)
+    mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(rotation).reshape(9))
+    return quaternion
 
 
 def _add_light(spec: mujoco.MjSpec) -> None:
@@ -105,17 +192,7 @@ def _add_light(spec: mujoco.MjSpec) -> None:
 
 
 def _add_shapes(body: mujoco.MjsBody, config: VehicleConfig, center: FloatArray) -> None:
-    for i, capsule in enumerate(config.hull.capsules):
-        body.add_geom(
-            name=f"hull/{i + 1}",
-            type=mujoco.mjtGeom.mjGEOM_CAPSULE,
-            fromto=[*(capsule.from_m - center), *(capsule.to_m - center)],
-            size=[capsule.radius_m, 0, 0],
-            rgba=_HULL_RGBA,
-            group=_HULL_GROUP,
-            contype=0,
-            conaffinity=0,
-        )
+    _add_capsules(body, "hull", config.hull.capsules, center, _HULL_RGBA)
     for shape in config.visual.shapes:
         match shape:
             case Box():
@@ -143,6 +220,26 @@ def _add_shapes(body: mujoco.MjsBody, config: VehicleConfig, center: FloatArray)
             contype=0,
             conaffinity=0,
             **geometry,
+        )
+
+
+def _add_capsules(
+    body: mujoco.MjsBody,
+    prefix: str,
+    capsules: Sequence[Capsule],
+    center: FloatArray,
+    rgba: tuple[float, ...],
+) -> None:
+    for i, capsule in enumerate(capsules):
+        body.add_geom(
+            name=f"{prefix}/{i + 1}",
+            type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+            fromto=[*(capsule.from_m - center), *(capsule.to_m - center)],
+            size=[capsule.radius_m, 0, 0],
+            rgba=rgba,
+            group=_HULL_GROUP,
+            contype=0,
+            conaffinity=0,
         )
 
 

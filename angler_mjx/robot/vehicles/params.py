@@ -16,6 +16,13 @@ from numpy.typing import ArrayLike
 from angler_mjx.robot.vehicles.config import VehicleConfig
 from angler_mjx.robot.vehicles.drive import compute_drive, wrench_matrix
 from angler_mjx.robot.vehicles.library import load_thruster
+from angler_mjx.robot.vehicles.link_hull import (
+    LinkCapsules,
+    build_link_capsules,
+    home_link_reach_m,
+    pad_link_capsules,
+)
+from angler_mjx.robot.vehicles.link_params import LinkParams, build_links, pad_links
 from angler_mjx.robot.vehicles.rotor import RotorFilter
 from angler_mjx.robot.vehicles.rotor_config import RotorResponse
 from angler_mjx.robot.vehicles.thrusters import tables_at
@@ -57,7 +64,8 @@ class VehicleParams:
     capsule_r_m: jax.Array
     """[c] radius of each capsule."""
     radius_m: jax.Array
-    """[] smallest sphere about the centre of mass that holds the hull."""
+    """[] smallest sphere about the centre of mass that holds the hull, links in their home
+    posture."""
     terminal_speed_mps: jax.Array
     """[3] surge, sway, heave at full thrust in still water; the slower of the two directions. 0 for
     an axis along which thrusters cannot push alone (see
@@ -66,6 +74,10 @@ class VehicleParams:
     """bool [n_t] whether the thruster draws power: False for padding and for dead thrusters."""
     thruster_health: jax.Array
     """[n_t] fraction of the table's thrust that each thruster gives: 1 as in the table, 0 dead."""
+    links: LinkParams | None = None
+    """Links and joints; None where no vehicle of the fleet has any."""
+    link_capsules: LinkCapsules | None = None
+    """Capsules of the links; the hull is these and the capsules of the base."""
     rotor: RotorFilter | None = field(default=None, metadata={"static": True})
     """Response of thrusts to their commands; None for a lag of first order."""
     steered: bool = field(default=False, metadata={"static": True})
@@ -127,10 +139,12 @@ def build_vehicle(
         capsule_a_m=_device_array(start),
         capsule_b_m=_device_array(end),
         capsule_r_m=_device_array(radius),
-        radius_m=_device_array(reach.max()),
+        radius_m=_device_array(max(reach.max(), home_link_reach_m(config))),
         terminal_speed_mps=_device_array(speed),
         thruster_exists=jnp.asarray(health > 0.0),
         thruster_health=_device_array(health),
+        links=build_links(config, parameter_set),
+        link_capsules=build_link_capsules(config),
         rotor=_build_rotor(config, rotor_response),
         steered=bool(speed[1] == 0),
     )
@@ -140,7 +154,8 @@ def stack_vehicles(variants: list[VehicleParams]) -> VehicleParams:
     """Stack robots of any kind, padded to common numbers of thrusters and capsules.
 
     Args:
-        variants: At least one robot; their rotors must be alike.
+        variants: At least one robot; their rotors must be alike, and the topology of their links
+            where they have any.
 
     Returns:
         The same fields with one more leading axis, the variant.
@@ -148,7 +163,20 @@ def stack_vehicles(variants: list[VehicleParams]) -> VehicleParams:
     n_t = max(variant.B.shape[1] for variant in variants)
     n_capsule = max(variant.capsule_r_m.shape[0] for variant in variants)
     steered = any(variant.steered for variant in variants)
-    padded = [replace(_pad_vehicle(robot, n_t, n_capsule), steered=steered) for robot in variants]
+    links = pad_links([v.links for v in variants])
+    link_capsules = pad_link_capsules(
+        [v.link_capsules for v in variants],
+        [(v.capsule_a_m[0], v.capsule_b_m[0], v.capsule_r_m[0]) for v in variants],
+    )
+    padded = [
+        replace(
+            _pad_vehicle(robot, n_t, n_capsule),
+            steered=steered,
+            links=robot_links,
+            link_capsules=capsules,
+        )
+        for robot, robot_links, capsules in zip(variants, links, link_capsules, strict=True)
+    ]
     stacked: VehicleParams = jax.device_put(jax.tree.map(lambda *rows: np.stack(rows), *padded))
     return stacked
 
@@ -181,3 +209,8 @@ def _pad_vehicle(params: VehicleParams, n_t: int, n_capsule: int) -> VehiclePara
         "capsule_r_m": np.pad(params.capsule_r_m, (0, more_c), mode="edge"),
     }
     return replace(params, **padded)
+
+
+def joint_names(params: VehicleParams) -> tuple[str, ...]:
+    """Return the names of the joints of a fleet's links, in the order of states; none without."""
+    return () if params.links is None else params.links.tree.joint_names

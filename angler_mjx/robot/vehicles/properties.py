@@ -22,6 +22,7 @@ class VehicleProperties:
 
     parameter_set: str
     mass_kg: float
+    """Dry mass, links included; so are weight and buoyancy."""
     weight_n: float
     buoyancy_n: float
     wrench_matrix: FloatArray
@@ -39,7 +40,7 @@ class VehicleProperties:
 def describe_vehicle(
     config: VehicleConfig, parameter_set: str | None, voltage_v: float
 ) -> VehicleProperties:
-    """Compute the properties of a vehicle.
+    """Compute the properties of a vehicle; speeds and periods are those of its base alone.
 
     Raises:
         ConfigError: unknown set or thruster, or a voltage outside the thruster's data.
@@ -52,12 +53,15 @@ def describe_vehicle(
     speed = compute_drive(B, thrust_n[0], thrust_n[-1], linear, quadratic).terminal_speed_mps
     slope = linear + 2 * quadratic * speed
     M_A = np.asarray(chosen.added_mass.coefficients)
+    links = config.find_links(parameter_set)
+    mass_kg = chosen.rigid_body.mass_kg + sum(link.rigid_body.mass_kg for link in links)
+    links_m3 = sum(link.buoyancy.volume_m3 for link in links)
     virtual_mass = chosen.rigid_body.mass_kg + np.diag(M_A)[:3]
     return VehicleProperties(
         parameter_set=config.default_set if parameter_set is None else parameter_set,
-        mass_kg=chosen.rigid_body.mass_kg,
-        weight_n=chosen.rigid_body.mass_kg * GRAVITY_MPS2,
-        buoyancy_n=_buoyancy_n(chosen),
+        mass_kg=mass_kg,
+        weight_n=mass_kg * GRAVITY_MPS2,
+        buoyancy_n=_buoyancy_n(chosen) + FRESH_WATER_KGPM3 * links_m3 * GRAVITY_MPS2,
         wrench_matrix=B,
         terminal_speed_mps=speed,
         speed_time_constant_s=np.divide(

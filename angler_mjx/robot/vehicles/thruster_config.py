@@ -7,7 +7,7 @@ from pydantic import Field, model_validator
 
 from angler_mjx.files import FileModel
 from angler_mjx.robot.vehicles import checks
-from angler_mjx.robot.vehicles.config import Name
+from angler_mjx.robot.vehicles.hull import Name
 from angler_mjx.robot.vehicles.rotor_config import Number, Positive, Source
 
 

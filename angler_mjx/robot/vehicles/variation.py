@@ -10,9 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from angler_mjx.robot.vehicles.config import VehicleConfig
+from angler_mjx.robot.vehicles.config import ParameterSet, VehicleConfig
 from angler_mjx.robot.vehicles.drive import full_force, wrench_matrix
 from angler_mjx.robot.vehicles.library import load_thruster
+from angler_mjx.robot.vehicles.links import Link, LinkNumbers
 from angler_mjx.robot.vehicles.properties import GRAVITY_MPS2
 from angler_mjx.robot.vehicles.thrusters import tables_at
 
@@ -39,6 +40,9 @@ class Variation:
     the file; 1 if left out."""
     battery_v: float | None = None
     """Battery voltage, V; the robot's own if left out."""
+    deviations: tuple[float, ...] = ()
+    """[k] deviations of the uncertain numbers of the parameter set, in the order of
+    `Uncertainty.labels`; empty for the numbers of the file."""
 
 
 def apply_variation(
@@ -49,7 +53,7 @@ def apply_variation(
     Raises:
         ConfigError: the vehicle has no such set.
     """
-    parameters = config.find_set(parameter_set)
+    parameters = _deviate(config, parameter_set, variation.deviations)
     body, water = parameters.rigid_body, parameters.buoyancy
     root = np.sqrt(np.asarray(variation.added_mass))
     added = np.asarray(parameters.added_mass.coefficients) * np.outer(root, root)
@@ -77,6 +81,74 @@ def apply_variation(
     )
     sets: Mapping[str, object] = {**config.parameter_sets, parameter_set: made}
     return config.model_copy(update={"parameter_sets": sets})
+
+
+def _deviate(
+    config: VehicleConfig, parameter_set: str, deviations: tuple[float, ...]
+) -> ParameterSet:
+    """Return a parameter set with deviations [k] of its uncertain numbers."""
+    chosen = config.find_set(parameter_set)
+    if not deviations or chosen.uncertainty is None:
+        return chosen
+    by_key = chosen.uncertainty.split(deviations)
+    water, damping = chosen.buoyancy, chosen.damping
+    center = np.asarray(water.center_of_buoyancy_m) + by_key.get("center_of_buoyancy_m", 0.0)
+    root = np.exp(0.5 * by_key.get("added_mass", np.zeros(6)))
+    added = np.asarray(chosen.added_mass.coefficients) * np.outer(root, root)
+    factors = {name: np.exp(by_key.get(f"{name}_damping", 0.0)) for name in ("linear", "quadratic")}
+    scaled: dict[str, tuple[float, ...]] = {
+        name: tuple((np.asarray(getattr(damping, name)) * factor).tolist())
+        for name, factor in factors.items()
+    }
+    return chosen.model_copy(
+        update={
+            "buoyancy": water.model_copy(
+                update={
+                    "volume_m3": water.volume_m3 + float(np.sum(by_key.get("volume_m3", 0.0))),
+                    "center_of_buoyancy_m": tuple(center.tolist()),
+                }
+            ),
+            "added_mass": chosen.added_mass.model_copy(update={"coefficients": _to_rows(added)}),
+            "damping": damping.model_copy(update=scaled),
+            "links": _deviate_links(config, parameter_set, by_key),
+        }
+    )
+
+
+def _deviate_links(
+    config: VehicleConfig, parameter_set: str, by_key: Mapping[str, np.ndarray]
+) -> dict[str, LinkNumbers]:
+    """Return the numbers of all links with deviations of masses, added mass and drag by key."""
+    uncertainty = config.find_set(parameter_set).uncertainty
+    names = uncertainty.link_mass if uncertainty else {}
+    mass = dict(zip(names, np.exp(by_key["link_mass"]).tolist(), strict=True))
+    added, drag = (
+        float(np.exp(np.sum(by_key.get(key, 0.0)))) for key in ("link_added_mass", "link_drag")
+    )
+    return {
+        link.name: _scale_link(link, mass.get(link.name, 1.0), added, drag)
+        for link in config.find_links(parameter_set)
+    }
+
+
+def _scale_link(link: Link, mass: float, added: float, drag: float) -> LinkNumbers:
+    """Return the numbers of a link with its mass, added mass and drag scaled."""
+    cylinders = tuple(
+        cylinder.model_copy(
+            update={
+                "added_mass": added * cylinder.added_mass,
+                "normal_drag": drag * cylinder.normal_drag,
+                "axial_drag": drag * cylinder.axial_drag,
+            }
+        )
+        for cylinder in link.water.cylinders
+    )
+    body = link.rigid_body
+    return LinkNumbers(
+        rigid_body=body.model_copy(update={"mass_kg": mass * body.mass_kg}),
+        buoyancy=link.buoyancy,
+        water=link.water.model_copy(update={"cylinders": cylinders}),
+    )
 
 
 def _to_rows(matrix: np.ndarray) -> tuple[tuple[float, ...], ...]:

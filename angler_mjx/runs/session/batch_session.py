@@ -83,8 +83,8 @@ class BatchSession:
             points: maximum number of points of a JointTrajectory.
             start_tolerance: maximum distance of a path's start from the robot, m and rad; 0 is any
                 distance.
-            tolerances: tolerances of JointTrajectories, for x, y, z and yaw; those of `paths` if
-                left out.
+            tolerances: tolerances of JointTrajectories, for x, y, z and yaw, or for the joints of
+                arms as well; defaults if left out.
 
         Raises:
             ConfigError: the scenario has faults, or the world, engine or tolerance does not exist.
@@ -190,7 +190,9 @@ class BatchSession:
         self._require_running(robot)
         info, view = self.robots[robot], self._estimated_view
         position = RobotPosition(
-            p=np.asarray(view.p[robot], float), yaw_rad=float(view.yaw_rad[robot])
+            p=np.asarray(view.p[robot], float),
+            yaw_rad=float(view.yaw_rad[robot]),
+            arm=() if (arm := view.arm_position(robot)) is None else tuple(arm.tolist()),
         )
         command_validation.check_command(info, position, self._limits, command, self._time_s)
 
@@ -217,7 +219,14 @@ class BatchSession:
         velocity = command_preparation.ground_velocity(self._estimated_view, robot)
         yaw = float(self._estimated_view.yaw_rad[robot])
         rejoin_plan = self._rejoin_paths.plan_rejoin(
-            p, velocity, command_state.plan, command_state.plan_time_s, clearance, speed, yaw
+            p,
+            velocity,
+            command_state.plan,
+            command_state.plan_time_s,
+            clearance,
+            speed,
+            yaw,
+            self._estimated_view.arm_position(robot),
         )
         if rejoin_plan is None or rejoin_plan.time_s.size > self._limits.rows(rejoin_plan.kind):
             raise ConfigError(

@@ -18,19 +18,23 @@ from angler_mjx.robot.control.commands.joint_tolerance import (
 from angler_mjx.robot.control.commands.joint_trajectory import (
     LINEAR,
     VEHICLE_JOINTS,
+    JointState,
     JointTrajectory,
     replace_at,
     sample_state,
 )
 from angler_mjx.robot.control.commands.trajectory import Trajectory
+from angler_mjx.robot.control.commands.whole_body import JointTarget, WholeBodyCommand
 from angler_mjx.robot.control.plans import Plan
 from angler_mjx.robot.control.stack import Command, Stages
-from angler_mjx.runs.session.command_slots import CommandSlots
+from angler_mjx.robot.vehicles import library
+from angler_mjx.runs.session.command_slots import CommandSlots, widen_trajectory
 from angler_mjx.runs.session.command_validation import CommandLimits
 from angler_mjx.runs.session.interface import Floats, SessionCommand
 from angler_mjx.runs.session.robot_plan import RobotPlan
 from angler_mjx.runs.session.state_view import StateView, rotate_vectors
 from angler_mjx.scenario.scenario import Scenario
+from angler_mjx.sim.fleet import list_variants
 
 CLEARANCE_SLACK_M = 1e-3
 """Slack by which a path that exactly fits may violate the clearance, for rounding."""
@@ -47,8 +51,9 @@ def stack_tolerances(requested: Tolerances | None, scenario: Scenario) -> Tolera
     Raises:
         ConfigError: a tolerance is of accelerations, which are not measured.
     """
+    joints = (*VEHICLE_JOINTS, *_arm_joints(scenario))
     resolved = requested or build_tolerances(
-        VEHICLE_JOINTS,
+        joints,
         default_path=PATH_TOLERANCE,
         default_goal=GOAL_TOLERANCE,
         default_goal_time_s=GOAL_TIME_S,
@@ -59,11 +64,33 @@ def stack_tolerances(requested: Tolerances | None, scenario: Scenario) -> Tolera
                 f"tolerances.{key}.acceleration = {np.asarray(limit.acceleration)}: accelerations "
                 "are not measured; leave it out"
             )
-    count = len(scenario.members())
+    resolved, count = _widen_tolerances(resolved, len(joints)), len(scenario.members())
     per_robot: Tolerances = jax.tree.map(
         lambda leaf: np.broadcast_to(np.asarray(leaf), (count, *np.shape(leaf))), resolved
     )
     return per_robot
+
+
+def _arm_joints(scenario: Scenario) -> tuple[str, ...]:
+    """Return the names of the joints of the arms of a fleet; none where no vehicle has one."""
+    for variant in list_variants(scenario.members()):
+        if joints := library.load_vehicle(variant.vehicle).find_joints():
+            return tuple(joint.name for joint in joints)
+    return ()
+
+
+def _widen_tolerances(tolerances: Tolerances, joints: int) -> Tolerances:
+    """Return tolerances of as many joints, without limit where there were only the vehicle's."""
+
+    def widen(limits: JointState) -> JointState:
+        missing = joints - len(limits.position)
+        if len(limits.position) != len(VEHICLE_JOINTS) or not missing:
+            return limits
+        unlimited = np.full(missing, np.inf)
+        wide: JointState = jax.tree.map(lambda leaf: np.append(leaf, unlimited), limits)
+        return wide
+
+    return replace(tolerances, path=widen(tolerances.path), goal=widen(tolerances.goal))
 
 
 def start_time_s(order: SessionCommand) -> float:
@@ -78,11 +105,16 @@ def prepare_command(
     order: SessionCommand,
     limits: CommandLimits,
     now_s: float,
-) -> Command:
+) -> Command | JointTarget:
     """Turn a checked order into slot arrays of fixed shapes, joined to the present motion."""
+    if isinstance(order, WholeBodyCommand):
+        base = prepare_command(slots, view, robot, order.base, limits, now_s)
+        if isinstance(base, WholeBodyCommand | JointTarget):
+            raise TypeError(f"a base takes no {type(base).__name__}")
+        return WholeBodyCommand(base=base, joints=jax.device_get(order.joints))
     if isinstance(order, JointGoal):
         return join_trajectory(slots, view, robot, _drop_past_points(order, now_s))
-    command: Command = jax.device_get(order)
+    command: Command | JointTarget = jax.device_get(order)
     if isinstance(command, JointTrajectory):
         return join_trajectory(slots, view, robot, replace(command, found=None))
     if isinstance(command, Trajectory):
@@ -105,15 +137,16 @@ def join_trajectory(
     slot = jax.tree.map(lambda leaf: leaf[robot], slots.slot(JointTrajectory))
     size = slot.time_s.shape[0]
     if slots.kind(robot) is JointTrajectory:
-        old, t = slot, view.clock_s[robot]
+        old, t = _refer_arm(slot, view, robot), view.clock_s[robot]
         joint_positions = np.asarray(_sample(old, t).position, float)
     else:
         joint_positions, joint_rates = _current_joints(slots, view, robot)
         old, t = _straight_trajectory(slot, joint_positions, joint_rates), 0.0 * view.clock_s[robot]
     if isinstance(new, JointGoal):
         new = joint_goal.build_trajectory(
-            new, joints=VEHICLE_JOINTS, position=joint_positions.tolist(), size=size
+            new, joints=slot.joints, position=joint_positions.tolist(), size=size
         )
+    new = widen_trajectory(new, slot.joints)
     cast = jax.tree.map(lambda x, like: np.asarray(x, like.dtype), _pad_trajectory(new, size), slot)
     joined: JointTrajectory = jax.device_get(_join(old, t, cast))
     return joined
@@ -155,10 +188,14 @@ def describe_farthest_joint(slots: CommandSlots, view: StateView, robot: int) ->
     """Name the joint that deviates most from its JointTrajectory, in words."""
     slot = jax.tree.map(lambda leaf: leaf[robot], slots.slot(JointTrajectory))
     reference = np.asarray(_sample(slot, view.clock_s[robot]).position, float)
-    errors = np.append(view.p[robot], view.yaw_rad[robot]) - reference
+    errors = np.append(view.p[robot], view.yaw_rad[robot]) - reference[: len(VEHICLE_JOINTS)]
     errors[3] = (errors[3] + np.pi) % (2 * np.pi) - np.pi
+    if view.joints is not None:
+        arm = np.asarray(view.joints.position[robot]) - reference[len(VEHICLE_JOINTS) :]
+        is_judged = np.asarray(slot.commanded)[len(VEHICLE_JOINTS) :]
+        errors = np.append(errors, np.where(is_judged, arm, 0.0))
     worst = int(np.argmax(np.abs(errors)))
-    return f"joint {VEHICLE_JOINTS[worst]!r} is off by {errors[worst]:.3g}"
+    return f"joint {slot.joints[worst]!r} is off by {errors[worst]:.3g}"
 
 
 def _drop_past_points(goal: JointGoal, now_s: float) -> JointGoal:
@@ -175,10 +212,19 @@ def _drop_past_points(goal: JointGoal, now_s: float) -> JointGoal:
 
 
 def _current_joints(slots: CommandSlots, view: StateView, robot: int) -> tuple[Floats, Floats]:
-    """Return joints [4] and their rates of reference.
+    """Return joints [4 + J] and their rates of reference.
 
-    The path's where there is one, else measured.
+    The path's where there is one, else measured; those of the arm are commanded ones.
     """
+    position, rate = _vehicle_joints(slots, view, robot)
+    if view.joint_target is None:
+        return position, rate
+    target = view.joint_target
+    return np.append(position, target.position[robot]), np.append(rate, target.velocity[robot])
+
+
+def _vehicle_joints(slots: CommandSlots, view: StateView, robot: int) -> tuple[Floats, Floats]:
+    """Return the vehicle's joints [4] and their rates of reference."""
     if slots.kind(robot) is Trajectory:
         path = jax.tree.map(lambda leaf: leaf[robot], slots.slot(Trajectory))
         plan, t = RobotPlan(time_s=path.time_s, position_m=path.position_m), view.clock_s[robot]
@@ -191,6 +237,21 @@ def _current_joints(slots: CommandSlots, view: StateView, robot: int) -> tuple[F
     )
 
 
+def _refer_arm(old: JointTrajectory, view: StateView, robot: int) -> JointTrajectory:
+    """Return a trajectory whose joints that it does not name rest where they were commanded."""
+    if view.joint_target is None:
+        return old
+    is_idle = ~np.asarray(old.commanded)
+    is_idle[: len(VEHICLE_JOINTS)] = False
+    target = np.append(np.zeros(len(VEHICLE_JOINTS)), view.joint_target.position[robot])
+    position = np.where(is_idle, target, old.position).astype(old.position.dtype)
+    velocity, acceleration = (
+        as_leaf(np.where(is_idle, 0.0, leaf).astype(position.dtype))
+        for leaf in (old.velocity, old.acceleration)
+    )
+    return replace(old, position=as_leaf(position), velocity=velocity, acceleration=acceleration)
+
+
 def ground_velocity(view: StateView, robot: int) -> Floats:
     """Return the velocity [3] in W."""
     return rotate_vectors(np.asarray(view.q[robot], float), np.asarray(view.nu[robot, :3], float))
@@ -199,7 +260,7 @@ def ground_velocity(view: StateView, robot: int) -> Floats:
 def _straight_trajectory(
     like: JointTrajectory, joint_positions: Floats, joint_rates: Floats
 ) -> JointTrajectory:
-    """Return a straight line through joints [4] with their rates, as large as ``like``."""
+    """Return a straight line through joints with their rates [4 + J], as large as ``like``."""
     time = np.minimum(np.arange(like.time_s.shape[0]), 1).astype(like.time_s.dtype)
     table = as_leaf((joint_positions + time[:, None] * joint_rates).astype(like.position.dtype))
     return replace(

@@ -9,6 +9,7 @@ from numpy.typing import DTypeLike
 from angler_mjx.robot.control.commands.joint_goal import JointGoal
 from angler_mjx.robot.control.commands.joint_tolerance import ResultCode
 from angler_mjx.robot.control.commands.joint_trajectory import JointTrajectory
+from angler_mjx.robot.control.commands.whole_body import JointTarget, WholeBodyCommand
 from angler_mjx.robot.control.plans import check_plan
 from angler_mjx.robot.control.stack import Command, Stages
 from angler_mjx.runs.session import command_preparation
@@ -64,8 +65,10 @@ class CommandQueue:
                 thrusters=facts.thrusters,
                 points=limits.points,
                 way_points=limits.way_points,
+                joints=facts.joints,
             ),
         )
+        self._joints = facts.joints
         self._states = [CommandState(plan=plan) for plan in facts.plans]
         for robot, plan in enumerate(facts.plans):
             self.resume(robot, plan)
@@ -113,8 +116,13 @@ class CommandQueue:
         command = command_preparation.prepare_command(
             self.slots, view, robot, order, self._limits, now_s
         )
+        if isinstance(command, JointTarget):
+            self.slots.put(robot, command)
+            self._states[robot].refused = ""
+            return
         self._put_command(robot, command, type(command).__name__, view)
-        if isinstance(command, JointTrajectory):
+        base = command.base if isinstance(command, WholeBodyCommand) else command
+        if isinstance(base, JointTrajectory):
             state = self._states[robot]
             state.result, state.note = ResultCode.ACTIVE, ResultCode.ACTIVE.name
 
@@ -128,7 +136,7 @@ class CommandQueue:
         """Let a robot follow its plan from the plan's beginning."""
         self._states[robot] = CommandState(plan=plan)
         padded_plan = plan.padded(self._limits.rows(plan.kind), self._dtype)
-        self.slots.put(robot, check_plan(self._stages, padded_plan))
+        self.slots.put(robot, check_plan(self._stages, padded_plan, self._joints))
 
     def report(self, view: StateView) -> None:
         """Update the results of JointTrajectories; a failed one ends at the robot's position."""

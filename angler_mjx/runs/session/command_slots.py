@@ -4,7 +4,7 @@ One slot for each type of command that the controllers take; the step is the sam
 for all commands.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -27,6 +27,11 @@ from angler_mjx.robot.control.commands.joint_trajectory import (
     JointTrajectory,
 )
 from angler_mjx.robot.control.commands.trajectory import Trajectory
+from angler_mjx.robot.control.commands.whole_body import (
+    EndEffectorTarget,
+    JointTarget,
+    WholeBodyCommand,
+)
 from angler_mjx.robot.control.mixed import MixedCommand
 from angler_mjx.robot.control.stack import Command, Stages
 
@@ -35,6 +40,7 @@ COMMAND_TYPES = (
     JointTrajectory,
     TrackingTarget,
     PoseTarget,
+    EndEffectorTarget,
     BodyTwist,
     BodyWrench,
     ThrusterPwm,
@@ -52,6 +58,32 @@ class SlotSizes:
     """Rows of a JointTrajectory."""
     way_points: int
     """Rows of a Trajectory."""
+    joints: tuple[str, ...] = ()
+    """Names of the joints of arms; empty where no robot has any."""
+
+
+def widen_trajectory(command: JointTrajectory, joints: tuple[str, ...]) -> JointTrajectory:
+    """Return a trajectory of the vehicle's joints as one of all joints, the others not named.
+
+    Args:
+        command: trajectory of one robot, [n_point, n_joint].
+        joints: names of all joints, those of ``command`` first.
+    """
+    missing = len(joints) - len(command.joints)
+    if not missing:
+        return command
+
+    def pad(leaf: jax.Array) -> jax.Array:
+        return as_leaf(np.pad(leaf, [(0, 0)] * (np.ndim(leaf) - 1) + [(0, missing)]))
+
+    return replace(
+        command,
+        joints=joints,
+        position=pad(command.position),
+        velocity=pad(command.velocity),
+        acceleration=pad(command.acceleration),
+        commanded=pad(command.commanded),
+    )
 
 
 def command_types(stages: Stages) -> tuple[type, ...]:
@@ -75,13 +107,41 @@ class CommandSlots:
         self._slots = [jax.tree.map(np.array, blank[kind]) for kind in self.kinds]
         self._slot_index = np.zeros((1, sizes.robots), np.int32)
         self._fresh = np.zeros((1, sizes.robots), np.int32)
+        self._joints = _blank_joints(sizes)
+        self._has_joints = np.zeros((1, sizes.robots), bool) if sizes.joints else None
         self._step_commands: MixedCommand | None = None
 
-    def put(self, robot: int, command: Command) -> None:
+    def put(self, robot: int, command: Command | JointTarget) -> None:
         """Put the command of a robot; its arrays have the shapes of the slots.
 
-        Stages that were idle are reset, and so is the first stage with a new path.
+        Stages that were idle are reset, and so is the first stage with a new path. A JointTarget
+        leaves the command to the base.
         """
+        if isinstance(command, JointTarget):
+            self._put_joints(robot, command)
+        elif isinstance(command, WholeBodyCommand):
+            self._put_base(robot, command.base)
+            self._put_joints(robot, command.joints)
+        else:
+            self._put_base(robot, command)
+
+    def _put_joints(self, robot: int, target: JointTarget) -> None:
+        """Put the motion of a robot's joints; a trajectory names them no more."""
+        if self._joints is None or self._has_joints is None:
+            raise TypeError("no robot has joints")
+        for stored, new in zip(jax.tree.leaves(self._joints), jax.tree.leaves(target), strict=True):
+            stored[0, robot] = new
+        self._has_joints[0, robot] = True
+        if JointTrajectory in self.kinds:
+            trajectory = self.slot(JointTrajectory)
+            np.asarray(trajectory.commanded)[robot, len(VEHICLE_JOINTS) :] = False
+        self._step_commands = None
+
+    def _put_base(self, robot: int, command: Command) -> None:
+        if isinstance(command, JointTrajectory):
+            command = widen_trajectory(command, self.slot(JointTrajectory).joints)
+        if self._has_joints is not None:
+            self._has_joints[0, robot] = False
         kind = type(command)
         slot = self.kinds.index(kind)
         old_entry = self._entry[self.kinds[self._slot_index[0, robot]]]
@@ -111,9 +171,14 @@ class CommandSlots:
         """Return the commands of one step; after it no stage is fresh any more."""
         if self._step_commands is None:
             # Copied: a device array may share the memory of the numpy array that it is made of.
-            copies = jax.tree.map(np.copy, (self._slot_index, self._fresh, tuple(self._slots)))
-            which, fresh, commands = jax.device_put(copies)
-            self._step_commands = MixedCommand(which=which, fresh=fresh, commands=commands)
+            command = MixedCommand(
+                which=as_leaf(self._slot_index),
+                fresh=as_leaf(self._fresh),
+                commands=tuple(self._slots),
+                joints=self._joints,
+                has_joints=None if self._has_joints is None else as_leaf(self._has_joints),
+            )
+            self._step_commands = jax.device_put(jax.tree.map(np.copy, command))
         result = self._step_commands
         if self._fresh.any():
             self._fresh[:] = 0
@@ -128,8 +193,8 @@ def _blank_commands(sizes: SlotSizes) -> dict[type, Command]:
     def zeros(*tail: int, like: DTypeLike = number) -> jax.Array:
         return as_leaf(np.zeros((1, sizes.robots, *tail), like))
 
-    joints = len(VEHICLE_JOINTS)
-    table = zeros(sizes.points, joints)
+    joints = (*VEHICLE_JOINTS, *sizes.joints)
+    table = zeros(sizes.points, len(joints))
     return {
         Trajectory: Trajectory(
             time_s=zeros(sizes.way_points),
@@ -137,13 +202,13 @@ def _blank_commands(sizes: SlotSizes) -> dict[type, Command]:
             found=zeros(like=bool) | True,
         ),
         JointTrajectory: JointTrajectory(
-            joints=VEHICLE_JOINTS,
+            joints=joints,
             time_s=zeros(sizes.points),
             position=table,
             velocity=table,
             acceleration=table,
             degree=zeros(sizes.points, like=np.int32) + LINEAR,
-            commanded=zeros(joints, like=bool) | True,
+            commanded=zeros(len(joints), like=bool) | True,
         ),
         TrackingTarget: TrackingTarget(
             position_m=zeros(3),
@@ -154,7 +219,23 @@ def _blank_commands(sizes: SlotSizes) -> dict[type, Command]:
             yaw_acceleration_radps2=zeros(),
         ),
         PoseTarget: PoseTarget(position_m=zeros(3), velocity_mps=zeros(3), yaw_rad=zeros()),
+        EndEffectorTarget: EndEffectorTarget(
+            position_m=zeros(3),
+            q=zeros(4),
+            velocity_mps=zeros(3),
+            angular_velocity_radps=zeros(3),
+            is_oriented=zeros(like=bool),
+        ),
         BodyTwist: BodyTwist(nu=zeros(6)),
         BodyWrench: BodyWrench(tau=zeros(6)),
         ThrusterPwm: ThrusterPwm(pwm_us=zeros(sizes.thrusters) + NEUTRAL_US),
     }
+
+
+def _blank_joints(sizes: SlotSizes) -> JointTarget | None:
+    """Return motions of joints at rest at 0, [1, R] leading; None where no robot has joints."""
+    if not sizes.joints:
+        return None
+    shape, dtype = (1, sizes.robots, len(sizes.joints)), jnp.zeros(()).dtype
+    position, velocity, acceleration = (as_leaf(np.zeros(shape, dtype)) for _ in range(3))
+    return JointTarget(position=position, velocity=velocity, acceleration=acceleration)

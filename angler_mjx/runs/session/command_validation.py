@@ -29,12 +29,20 @@ from angler_mjx.robot.control.commands.joint_trajectory import (
     is_continuous,
 )
 from angler_mjx.robot.control.commands.trajectory import Trajectory
+from angler_mjx.robot.control.commands.whole_body import (
+    EndEffectorTarget,
+    JointTarget,
+    WholeBodyCommand,
+)
 from angler_mjx.robot.control.stack import Command
 from angler_mjx.robot.vehicles.thrusters import PWM_HIGH_US, PWM_LOW_US
+from angler_mjx.runs.session.command_slots import COMMAND_TYPES
 from angler_mjx.runs.session.interface import Floats, RobotInfo
 
 LIMIT_MARGIN = 1.0 + 1e-6
 """Relative margin by which a command at the limit passes in spite of rounding."""
+UNIT_TOLERANCE = 1e-3
+"""Maximum difference of the length of a quaternion from 1."""
 SEGMENT_FRACTIONS = as_leaf(np.linspace(0.0, 1.0, 9))
 """Fractions of a segment at which its speed is checked."""
 
@@ -46,11 +54,13 @@ class RobotPosition:
     p: Floats
     """[3] m, in W."""
     yaw_rad: float
+    arm: tuple[float, ...] = ()
+    """Positions of the joints of its arm, rad or m."""
 
     @property
     def joints(self) -> tuple[float, ...]:
-        """Return the vehicle's joints x, y, z and yaw."""
-        return (*map(float, self.p), self.yaw_rad)
+        """Return the vehicle's joints x, y, z and yaw, then those of the arm."""
+        return (*map(float, self.p), self.yaw_rad, *self.arm)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,7 +98,9 @@ def check_command(
     kind = type(command)
     if kind not in robot.accepts:
         names = ", ".join(accepted.__name__ for accepted in robot.accepts)
-        raise ConfigError(f"{robot.name}: takes no {kind.__name__}; give one of {names}")
+        rigid = kind in (JointTarget, WholeBodyCommand) and not robot.joints
+        reason = f": {robot.vehicle} has no joints" if rigid else ""
+        raise ConfigError(f"{robot.name}: takes no {kind.__name__}{reason}; give one of {names}")
     if isinstance(command, JointGoal):
         _check_goal(robot, position, limits, command, now_s)
         return
@@ -107,7 +119,7 @@ def _check_goal(
     joint_goal.validate_goal(
         goal,
         robot=robot.name,
-        joints=VEHICLE_JOINTS,
+        joints=(*VEHICLE_JOINTS, *robot.joints),
         position=position.joints,
         start_tolerance=limits.start_tolerance,
         max_speed={"x": level, "y": level, "z": heave, "yaw": robot.max_turn_radps},
@@ -121,7 +133,10 @@ def _check_goal(
 
 
 def _command_faults(
-    robot: RobotInfo, position: RobotPosition, limits: CommandLimits, command: Command
+    robot: RobotInfo,
+    position: RobotPosition,
+    limits: CommandLimits,
+    command: Command | JointTarget,
 ) -> list[str]:
     match command:
         case Trajectory():
@@ -138,11 +153,54 @@ def _command_faults(
             return _array_faults(command, {"tau": (6,)})
         case ThrusterPwm():
             return _pwm_faults(robot, command)
+        case EndEffectorTarget():
+            return _end_effector_faults(command)
+        case WholeBodyCommand():
+            if type(command.base) not in robot.accepts or type(command.base) not in COMMAND_TYPES:
+                return [f"base: takes no {type(command.base).__name__}"]
+            return [
+                *_command_faults(robot, position, limits, command.base),
+                *_target_faults(robot, command.joints),
+            ]
+        case JointTarget():
+            return _target_faults(robot, command)
+
+
+def _target_faults(robot: RobotInfo, command: JointTarget) -> list[str]:
+    """List faults of a motion of joints; numbers beyond their limits are clipped in the step."""
+    size: tuple[int, ...] = (len(robot.joints),)
+    shapes = {"position": size, "velocity": size, "acceleration": size}
+    faults = _array_faults(command, shapes)
+    return faults and [*faults, f"joints of {robot.vehicle}: {', '.join(robot.joints)}"]
+
+
+def _name_faults(robot: RobotInfo, joints: tuple[str, ...]) -> list[str]:
+    """List joints that a trajectory has beside those of its robot, or lacks."""
+    expected = (*VEHICLE_JOINTS, *robot.joints)
+    if joints in (VEHICLE_JOINTS, expected):
+        return []
+    unknown = [
+        f"joints: {name!r} is no joint of this robot" for name in joints if name not in expected
+    ]
+    missing = [f"joints: {name!r} is missing" for name in expected if name not in joints]
+    others = unknown + missing or [f"joints = {joints}: have another order"]
+    choice = f"{VEHICLE_JOINTS} or {expected}" if robot.joints else f"{VEHICLE_JOINTS}"
+    return [*others, f"joints must be {choice}; a JointGoal may name some"]
 
 
 def _pose_faults(robot: RobotInfo, command: PoseTarget) -> list[str]:
     faults = _array_faults(command, {"position_m": (3,), "velocity_mps": (3,), "yaw_rad": ()})
     return faults or _velocity_faults(robot, "velocity_mps", command.velocity_mps)
+
+
+def _end_effector_faults(command: EndEffectorTarget) -> list[str]:
+    shapes = {"position_m": (3,), "q": (4,), "velocity_mps": (3,), "angular_velocity_radps": (3,)}
+    if faults := _array_faults(command, {**shapes, "is_oriented": ()}):
+        return faults
+    length = float(np.linalg.norm(np.asarray(command.q, float)))
+    if abs(length - 1.0) > UNIT_TOLERANCE:
+        return [f"q has the length {length:g}: must be a quaternion of length 1"]
+    return []
 
 
 def _tracking_faults(robot: RobotInfo, command: TrackingTarget) -> list[str]:
@@ -206,19 +264,19 @@ def _path_faults(
 def _joint_faults(
     robot: RobotInfo, position: RobotPosition, limits: CommandLimits, command: JointTrajectory
 ) -> list[str]:
-    if command.joints != VEHICLE_JOINTS:
-        return [f"joints = {command.joints}: must be {VEHICLE_JOINTS}; a JointGoal may name some"]
+    if faults := _name_faults(robot, command.joints):
+        return faults
     time = np.asarray(command.time_s, float)
     n = time.size
     if not 2 <= n <= limits.points:
         return [f"time_s: {n} points; this session takes 2 to {limits.points}"]
-    table = (n, len(VEHICLE_JOINTS))
+    table = (n, len(command.joints))
     shapes = {"time_s": (n,), "position": table, "velocity": table, "acceleration": table}
-    faults = _array_faults(command, {**shapes, "degree": (n,), "commanded": (4,)})
+    faults = _array_faults(command, {**shapes, "degree": (n,), "commanded": table[1:]})
     if faults := faults or _time_faults("time_s", time):
         return faults
     first, commanded = np.asarray(command.position, float)[0], np.asarray(command.commanded)
-    for i, joint in enumerate(VEHICLE_JOINTS):
+    for i, joint in enumerate(command.joints):
         away = float(first[i]) - position.joints[i]
         away = abs(math.remainder(away, math.tau) if is_continuous(joint) else away)
         if commanded[i]:
@@ -244,7 +302,8 @@ def _joint_speed_faults(robot: RobotInfo, command: JointTrajectory) -> list[str]
         velocities = [
             interpolate_segment(begin, end, span, s, degree[k]).velocity for s in SEGMENT_FRACTIONS
         ]
-        fastest = np.max(np.abs(velocities), axis=0)
+        # Joints of an arm are clipped at their limits in the step.
+        fastest = np.max(np.abs(velocities), axis=0)[: len(VEHICLE_JOINTS)]
         faults += [
             f"point {k + 1}, joint {joint!r}: needs {speed:.3g} per s on the way there, "
             f"{limit:.3g} is the most; give it more time"
@@ -256,7 +315,7 @@ def _joint_speed_faults(robot: RobotInfo, command: JointTrajectory) -> list[str]
     return faults
 
 
-def _array_faults(command: Command, shapes: dict[str, tuple[int, ...]]) -> list[str]:
+def _array_faults(command: Command | JointTarget, shapes: dict[str, tuple[int, ...]]) -> list[str]:
     """List arrays of a wrong shape, or with numbers that are not finite."""
     faults = []
     for name, shape in shapes.items():

@@ -8,9 +8,11 @@ from numpy.typing import NDArray
 
 from angler_mjx.robot.control.commands.joint_goal import JointGoal
 from angler_mjx.robot.control.commands.joint_trajectory import JointTrajectory
+from angler_mjx.robot.control.commands.whole_body import JointTarget, WholeBodyCommand
 from angler_mjx.robot.control.plans import Plan, of_robot
 from angler_mjx.robot.vehicles import library
 from angler_mjx.robot.vehicles.drive import full_force, terminal_speed
+from angler_mjx.robot.vehicles.params import joint_names
 from angler_mjx.runs.session.command_slots import command_types
 from angler_mjx.runs.session.command_validation import CommandLimits
 from angler_mjx.runs.session.interface import Floats, RobotInfo
@@ -47,6 +49,8 @@ class FleetFacts:
     """Number of way-points of the planner's paths."""
     jointed: bool
     """Whether these paths are trajectories of joints."""
+    joints: tuple[str, ...]
+    """Names of the joints of arms; empty where no robot has any."""
     obstacles: ObstacleRows
 
     def command_limits(self, points: int, start_tolerance: float) -> CommandLimits:
@@ -85,6 +89,7 @@ def gather_facts(simulator: Simulator, worlds: FleetWorld) -> FleetFacts:
         thrusters=worlds.control.vehicle.B.shape[-1],
         way_points=path.time_s.shape[-1],
         jointed=isinstance(path, JointTrajectory),
+        joints=joint_names(worlds.control.vehicle),
         obstacles=ObstacleRows(
             which=rows,
             kind=np.asarray(obstacles.kind)[0][rows],
@@ -96,7 +101,10 @@ def gather_facts(simulator: Simulator, worlds: FleetWorld) -> FleetFacts:
 def _robot_info(simulator: Simulator, worlds: FleetWorld, i: int) -> RobotInfo:
     vehicle, parameter_set = simulator.variants()[int(worlds.variant[0, i])]
     params = worlds.control.vehicle
+    config = library.load_vehicle(vehicle)
+    joints = tuple(joint.name for joint in config.find_joints())
     accepts = command_types(simulator.spec.stages)
+    messages = (JointGoal,) if JointTrajectory in accepts else ()
     wrench, table, linear, quadratic = (
         np.asarray(x, float)[0, i] for x in (params.B, params.thrust_n, params.D_l, params.D_q)
     )
@@ -109,8 +117,7 @@ def _robot_info(simulator: Simulator, worlds: FleetWorld, i: int) -> RobotInfo:
         cruise_speed_mps=float(worlds.control.cruise_speed_mps[0, i]),
         max_speed_mps=np.asarray(params.terminal_speed_mps, float)[0, i],
         max_turn_radps=float(terminal_speed(moment, linear[5:], quadratic[5:])[0]),
-        thrusters=tuple(
-            thruster.name for thruster in library.load_vehicle(vehicle).thrusters.layout
-        ),
-        accepts=(*accepts, JointGoal) if JointTrajectory in accepts else accepts,
+        thrusters=tuple(thruster.name for thruster in config.thrusters.layout),
+        accepts=(*accepts, *messages, *((JointTarget, WholeBodyCommand) if joints else ())),
+        joints=joints,
     )

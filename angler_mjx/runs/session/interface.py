@@ -16,14 +16,15 @@ from numpy.typing import NDArray
 
 from angler_mjx.robot.control.commands import BodyWrench, Estimate, ThrusterPwm
 from angler_mjx.robot.control.commands.joint_goal import JointGoal
+from angler_mjx.robot.control.commands.whole_body import JointTarget
 from angler_mjx.robot.control.stack import Command
 from angler_mjx.sim.information import rename_warning
 from angler_mjx.sim.state import Outcome
 
 type Floats = NDArray[np.floating]
 
-type SessionCommand = Command | JointGoal
-"""Command of one robot, or a JointTrajectory as a message."""
+type SessionCommand = Command | JointGoal | JointTarget
+"""Command of one robot, a JointTrajectory as a message, or a motion of its joints alone."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +44,10 @@ class RobotInfo:
     """Terminal rate of turning about z of F; infinite where unknown."""
     thrusters: tuple[str, ...]
     accepts: tuple[type, ...]
-    """Accepted types of commands; `JointGoal` among them if JointTrajectory is."""
+    """Accepted types of commands; `JointGoal` among them if JointTrajectory is, `JointTarget` if
+    the robot has joints."""
+    joints: tuple[str, ...] = ()
+    """Names of the joints of its arm, in the order of the vehicle file; empty without an arm."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,12 +92,13 @@ class Observation:
     time_s: float
     """Time since the reset, by the scene's own clock."""
     estimate: Estimate
-    """Estimate of the controllers: p [R, 3], q [R, 4], nu [R, 6]."""
+    """Estimate of the controllers: p [R, 3], q [R, 4], nu [R, 6], joints [R, J] with NaN of a robot
+    without an arm; None where no robot has one."""
     covariance: Floats | None
     """[R, 9, 9] covariance of position (W), attitude error and linear velocity (W), or its diagonal
     alone. None where the estimate is the truth."""
     truth: Estimate | None
-    """True state; None where unknown."""
+    """True state, with joints as in ``estimate``; None where unknown."""
     pwm: ThrusterPwm
     """[R, n_thruster] signals of the last step."""
     demanded: BodyWrench | None

@@ -5,6 +5,7 @@ the robots comes from the session's observation, information on the scenery from
 it. A `Problem` of any time is built in the same way.
 """
 
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -15,14 +16,18 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
+from angler_kernels import quaternion
 from angler_mjx._moved import renamed as _renamed
 from angler_mjx.errors import ConfigError
 from angler_mjx.host_arrays import as_leaf
 from angler_mjx.planning import build_problem
 from angler_mjx.planning.problem import Problem
-from angler_mjx.robot.control.commands import Estimate
+from angler_mjx.robot.control.commands import Estimate, PoseTarget
+from angler_mjx.robot.control.commands.joint_trajectory import JointTrajectory
+from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.robot.control.mixed import MixedCommand
 from angler_mjx.robot.control.stack import Command
+from angler_mjx.runs.session.command_queue import PLAN_COMMAND
 from angler_mjx.runs.session.interface import Observation, Session, SessionCommand
 from angler_mjx.runs.session.recording import Recordable
 from angler_mjx.runs.simulator.world_preparation import problem_settings
@@ -39,7 +44,17 @@ from angler_mjx.world.obstacles import ObstacleState
 
 type _Scene = tuple[FleetWorld, VehicleState, ObstacleState]
 
+PATHS = (Trajectory, JointTrajectory)
+"""Types of commands that sessions follow as a plan, given once."""
+
 ACTIVE_OUTCOMES = (Outcome.RUNNING, Outcome.REACHED)
+
+SEARCH_PERIOD_S = 1.0
+"""Time from one search for a way back to a plan to the next, for a robot that found none."""
+
+
+def _warn(text: str) -> None:
+    warnings.warn(text, RuntimeWarning, stacklevel=2)
 
 
 class OnlineScene(Session, Recordable, Protocol):
@@ -49,12 +64,19 @@ class OnlineScene(Session, Recordable, Protocol):
 class OnlineFlyer:
     """Policy that commands the robots of a session."""
 
-    def __init__(self, session: OnlineScene, policy: Policy | None = None) -> None:
+    def __init__(
+        self,
+        session: OnlineScene,
+        policy: Policy | None = None,
+        report: Callable[[str], None] = _warn,
+    ) -> None:
         """Compile the policy and start it; the session is at its reset.
 
         Args:
             session: session that the policy commands.
             policy: policy; the scenario's if left out.
+            report: receives one line on each robot that finds no way back to its plan; a
+                RuntimeWarning if left out.
 
         Raises:
             ConfigError: the scenario has no policy, or the session does not take its commands.
@@ -70,7 +92,7 @@ class OnlineFlyer:
             internals.simulator.scenario.acoustics,
             'in a session robots know everything of each other; take "perfect", or angler rollout',
         )
-        self._session, self._policy = session, active_policy
+        self._session, self._policy, self._report = session, active_policy, report
         spec, stages = internals.simulator.spec, internals.simulator.spec.stages
 
         def build_inputs(
@@ -116,6 +138,9 @@ class OnlineFlyer:
     def restart(self) -> None:
         """Restart the policy after a reset of the session; nothing is compiled again."""
         self._memory = self._begin(*self._scene(self._session.observe()))
+        self._search_due_s: dict[int, float] = {}
+        self._holding: set[int] = set()
+        self._reported: set[int] = set()
 
     @property
     def memory(self) -> PolicyMemory:
@@ -132,9 +157,59 @@ class OnlineFlyer:
         host = jax.device_get(command)
         commands: dict[int, SessionCommand] = {}
         for robot, status in enumerate(observation.status):
-            if status.outcome in ACTIVE_OUTCOMES:
-                commands[robot] = jax.tree.map(lambda leaf, robot=robot: leaf[robot], host)
+            if status.outcome not in ACTIVE_OUTCOMES:
+                continue
+            chosen = jax.tree.map(lambda leaf, robot=robot: leaf[robot], host)
+            if isinstance(chosen, MixedCommand):
+                is_fresh = bool(chosen.fresh)
+                chosen = chosen.commands[int(chosen.which)]
+                if isinstance(chosen, PATHS) and not is_fresh:
+                    hold = self._follow_path(robot, observation)
+                    if hold is not None:
+                        commands[robot] = hold
+                    continue
+            self._holding.discard(robot)
+            commands[robot] = chosen
         return commands
+
+    def _follow_path(self, robot: int, observation: Observation) -> SessionCommand | None:
+        """Have a robot go on along its path: given again, it would begin anew in the session.
+
+        A robot that was commanded otherwise is led back to its plan. One that finds no way back
+        holds its position, and searches again every `SEARCH_PERIOD_S`.
+
+        Returns:
+            Command to hold the position, once; None of a robot that follows its path or holds.
+        """
+        command = observation.status[robot].command
+        is_holding = robot in self._holding and command != PLAN_COMMAND
+        if not is_holding and command in (PLAN_COMMAND, *(kind.__name__ for kind in PATHS)):
+            self._holding.discard(robot)
+            return None
+        # Half a period: times are sums in floating point.
+        now_s = observation.time_s + 0.5 * self._session.dt_s
+        if now_s >= self._search_due_s.get(robot, 0.0):
+            try:
+                self._session.resume_plan(robot)
+            except ConfigError as error:
+                self._search_due_s[robot] = observation.time_s + SEARCH_PERIOD_S
+                self._report_once(robot, str(error))
+            else:
+                self._holding.discard(robot)
+                return None
+        if is_holding:
+            return None
+        self._holding.add(robot)
+        return _hold_position(self._session.robots[robot].accepts, observation, robot)
+
+    def _report_once(self, robot: int, reason: str) -> None:
+        """Report why a robot does not follow its plan, the first time in a flight."""
+        if robot not in self._reported:
+            self._reported.add(robot)
+            self._report(
+                f"{reason}. The policy wants it to follow its plan: it holds its position, and "
+                f"searches again every {SEARCH_PERIOD_S:g} s"
+            )
 
     def _scene(self, observation: Observation) -> tuple[_Scene, Belief, jax.Array]:
         internals = self._session.inside()
@@ -146,7 +221,7 @@ class OnlineFlyer:
 def build_session_problem(session: OnlineScene, information: Information | None = None) -> Problem:
     """Build the problem of a session at its present time, from which its times are counted.
 
-    Robots start at their estimated positions.
+    Robots start at their estimated positions, arms in their present postures.
 
     Args:
         session: a scene.
@@ -163,6 +238,9 @@ def build_session_problem(session: OnlineScene, information: Information | None 
         is_replan=True,
     )
     world, obstacles = _single_world((internals.worlds, internals.state.obstacles))
+    joints = observation.estimate.joints
+    # NaN of a robot without an arm; no number has a meaning there.
+    posture = None if joints is None else _to_float32(np.nan_to_num(np.asarray(joints.position)))
     w, x, y, z = np.moveaxis(np.asarray(observation.estimate.q, np.float32), -1, 0)
     problem = build_problem.build_problem(
         world,
@@ -175,9 +253,29 @@ def build_session_problem(session: OnlineScene, information: Information | None 
             at_m=jnp.asarray(observation.estimate.p, jnp.float32),
         ),
         jnp.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)),
+        posture,
     )
     host: Problem = jax.tree.map(np.asarray, problem)
     return host
+
+
+def _hold_position(
+    accepts: tuple[type, ...], observation: Observation, robot: int
+) -> PoseTarget | Trajectory:
+    """Return a command to stay where the robot is; every stack takes a path, not every a pose."""
+    position_m, q = (
+        np.asarray(part[robot], np.float32)
+        for part in (observation.estimate.p, observation.estimate.q)
+    )
+    if PoseTarget in accepts:
+        yaw_rad = as_leaf(np.asarray(quaternion.yaw(as_leaf(q)), np.float32))
+        still = as_leaf(np.zeros(3, np.float32))
+        return PoseTarget(position_m=as_leaf(position_m), velocity_mps=still, yaw_rad=yaw_rad)
+    return Trajectory(
+        time_s=as_leaf(np.zeros(1, np.float32)),
+        position_m=as_leaf(position_m[None]),
+        found=as_leaf(np.asarray(True)),
+    )
 
 
 def _single_world[T](batch: T) -> T:

@@ -26,6 +26,7 @@ from angler_mjx.runs.storage.device_to_host import FinishedTile
 from angler_mjx.runs.storage.output_lock import OutputLock
 from angler_mjx.runs.storage.recorder import Recorder, TrajectoryShape
 from angler_mjx.scenario.scenario import Scenario
+from angler_mjx.sim.fleet import label_joints
 from angler_mjx.sim.record import Sample, recorded_options, sizes_of
 
 
@@ -250,6 +251,7 @@ class SessionRecording:
             store_config=self._scenario.store,
             also=recorded_options(first),
             task=device_to_host.task_sizes(tile.constants.task),
+            joints={} if first.joints is None else label_joints(self._scenario.members()),
         )
         recorder = Recorder.create(
             building / folder.TRAJECTORIES,

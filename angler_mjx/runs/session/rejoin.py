@@ -44,6 +44,7 @@ class RejoinPaths:
         clearance_m: float,
         speed_mps: float,
         yaw_rad: float = 0.0,
+        arm: Floats | None = None,
     ) -> RobotPlan | None:
         """Return a plan from a point back to a plan and on along it; None where no path is found.
 
@@ -55,6 +56,7 @@ class RejoinPaths:
             clearance_m: clearance from static obstacles.
             speed_mps: speed on the way back.
             yaw_rad: heading of the robot, for plans with headings.
+            arm: [J] positions of the joints of its arm, for plans with joints; None without an arm.
         """
         end = float(plan.time_s[-1])
         times = np.linspace(min(left_s, end), end, CHECKED_POINTS)
@@ -71,7 +73,7 @@ class RejoinPaths:
         path_m = np.array([p, *corners, points[join]])
         legs = np.linalg.norm(np.diff(path_m, axis=0), axis=1) / speed_mps
         arrival_s = np.concatenate([[0.0], np.cumsum(legs)])
-        rejoined = plan.after(path_m, arrival_s, float(times[join]), yaw_rad)
+        rejoined = plan.after(path_m, arrival_s, float(times[join]), yaw_rad, arm)
         velocity_mps = (rejoined.at(0.1) - p) / 0.1
         speed_fraction = float(velocity @ velocity_mps) / max(
             float(velocity_mps @ velocity_mps), 1e-6

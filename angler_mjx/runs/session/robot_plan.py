@@ -80,7 +80,12 @@ class RobotPlan:
         return positions
 
     def after(
-        self, detour_m: Floats, arrive_s: Floats, join_s: float, yaw_rad: float
+        self,
+        detour_m: Floats,
+        arrive_s: Floats,
+        join_s: float,
+        yaw_rad: float,
+        arm: Floats | None = None,
     ) -> "RobotPlan":
         """Return a detour to the position of this plan at a time, followed by the plan from there.
 
@@ -90,6 +95,8 @@ class RobotPlan:
             join_s: the plan's time at the last corner.
             yaw_rad: heading of the robot at the beginning; a plan with headings is joined at its
                 heading, the detour lasting at least as long as the turn.
+            arm: [J] positions of the arm's joints at the beginning, rad or m; a plan with joints
+                is joined at its joints, which move evenly over the detour. None without an arm.
         """
         is_later = self.time_s > join_s + 1e-6
         if self.motion is None:
@@ -102,7 +109,10 @@ class RobotPlan:
         arrival_s = _stretch_times(arrive_s, abs(float(turn)) / TURN_RADPS)
         fraction = arrival_s / max(arrival_s[-1], 1e-9)
         heading = join_state.position[0, 3] - turn * (1.0 - fraction)
-        table = np.column_stack([detour_m, heading])
+        arm_end = join_state.position[0, len(VEHICLE_JOINTS) :]
+        arm_begin = arm_end if arm is None else arm
+        arm_rows = arm_end - (arm_end - arm_begin) * (1.0 - fraction)[:, None]
+        table = np.column_stack([detour_m, heading, arm_rows])
         table[-1] = join_state.position[0]
         zeros = np.zeros_like(table)
         detour_rows = {
@@ -117,7 +127,8 @@ class RobotPlan:
         later_rows = {name: np.asarray(getattr(self.motion, name))[is_later] for name in _ROWS}
         later_rows["time_s"] = later_rows["time_s"] - join_s + arrival_s[-1]
         return self._from_rows(
-            {name: np.concatenate([detour_rows[name], later_rows[name]]) for name in _ROWS}
+            self.motion,
+            {name: np.concatenate([detour_rows[name], later_rows[name]]) for name in _ROWS},
         )
 
     def eased(self, speed_fraction: float, speed_mps: float) -> "RobotPlan":
@@ -156,13 +167,14 @@ class RobotPlan:
             first
         ]
         return self._from_rows(
+            self.motion,
             {
                 "time_s": time,
                 "position": rows("position"),
                 "velocity": velocity * rate,
                 "acceleration": rows("acceleration") * rate**2 + velocity * gain,
                 "degree": degree,
-            }
+            },
         )
 
     def padded(self, rows: int, dtype: DTypeLike) -> plans.Plan:
@@ -194,17 +206,17 @@ class RobotPlan:
         return np.asarray(motion.degree)[np.clip(k, 0, self.time_s.size - 1)]
 
     @classmethod
-    def _from_rows(cls, rows: dict[str, np.ndarray]) -> "RobotPlan":
+    def _from_rows(cls, motion: JointTrajectory, rows: dict[str, np.ndarray]) -> "RobotPlan":
+        """Build a plan of the joints of a motion with other points."""
         leaves = {name: as_leaf(values) for name, values in rows.items()}
         return cls._from_motion(
-            JointTrajectory(
-                joints=VEHICLE_JOINTS,
+            replace(
+                motion,
                 time_s=leaves["time_s"],
                 position=leaves["position"],
                 velocity=leaves["velocity"],
                 acceleration=leaves["acceleration"],
                 degree=leaves["degree"],
-                commanded=as_leaf(np.ones(len(VEHICLE_JOINTS), bool)),
             )
         )
 

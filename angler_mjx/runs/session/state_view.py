@@ -11,8 +11,14 @@ from angler_kernels.rigid_body import matrix_times
 from angler_mjx.host_arrays import as_leaf
 from angler_mjx.robot.control.commands import BodyWrench, Estimate, ThrusterPwm, joint_tolerance
 from angler_mjx.robot.control.commands.joint_tolerance import Tolerances
-from angler_mjx.robot.control.commands.joint_trajectory import JointState, JointTrajectory
+from angler_mjx.robot.control.commands.joint_trajectory import (
+    VEHICLE_JOINTS,
+    JointState,
+    JointTrajectory,
+)
+from angler_mjx.robot.control.commands.whole_body import JointTarget
 from angler_mjx.robot.control.laws.follow import FollowCarry
+from angler_mjx.robot.vehicles.link_motion import JointMotion
 from angler_mjx.robot.vehicles.params import VehicleParams
 from angler_mjx.runs.session.fleet_facts import FleetFacts
 from angler_mjx.runs.session.interface import Floats, Observation, RobotStatus, SceneObstacles
@@ -57,6 +63,20 @@ class StateView:
     """[R] heading that the guidance demands; the robot's own where it keeps none."""
     result: jax.Array
     """int32 [R] result, a `joint_tolerance.ResultCode`."""
+    joints: JointMotion | None = None
+    """[R, J] motion of the joints, NaN of a robot without an arm; None where no robot has one."""
+    joint_target: JointTarget | None = None
+    """[R, J] motion that the joints were commanded in the step before."""
+
+    def arm_position(self, robot: int) -> Floats | None:
+        """Return the positions [J] of a robot's joints, rad or m; None of one without an arm.
+
+        Of a view on the host.
+        """
+        if self.joints is None:
+            return None
+        position = np.asarray(self.joints.position[robot], float)
+        return position if np.isfinite(position).all() else None
 
 
 @jax.jit
@@ -81,8 +101,9 @@ def view_state(
         clock, heading = first.clock_s, first.yaw_rad
         if watched is not None:
             measured = jax.vmap(_measure_joints)(vehicles, yaw)
+            allowed = jax.vmap(_lift_tolerances)(watched.trajectory, watched.allowed)
             result = jax.vmap(joint_tolerance.evaluate_goal)(
-                watched.trajectory, watched.allowed, clock, measured, watched.before
+                watched.trajectory, allowed, clock, measured, watched.before
             )
     contact = detect_contacts(world.environment, world.control.vehicle, vehicles, current.obstacles)
     demanded = current.carry.demanded
@@ -101,19 +122,40 @@ def view_state(
         clock_s=clock,
         heading_rad=heading,
         result=result,
+        joints=_view_joints(world.control.vehicle, vehicles),
+        joint_target=current.carry.joints,
+    )
+
+
+def _view_joints(vehicle: VehicleParams, vehicles: VehicleState) -> JointMotion | None:
+    """Return the motion [R, J] of the joints of robots; None where no robot has any."""
+    if vehicle.links is None or vehicles.joints is None:
+        return None
+    recorded = jax.vmap(robot.record_joints)(vehicle.links, vehicles.joints)
+    return JointMotion(position=recorded.position, velocity=recorded.velocity)
+
+
+def _lift_tolerances(trajectory: JointTrajectory, allowed: Tolerances) -> Tolerances:
+    """Return the tolerances of one robot without those of arm joints that are not commanded."""
+    is_judged = trajectory.commanded.at[: len(VEHICLE_JOINTS)].set(True)
+
+    def lift(limit: jax.Array) -> jax.Array:
+        return jnp.where(is_judged, limit, jnp.inf)
+
+    return replace(
+        allowed, path=jax.tree.map(lift, allowed.path), goal=jax.tree.map(lift, allowed.goal)
     )
 
 
 def _measure_joints(vehicle: VehicleState, yaw: jax.Array) -> JointState:
-    """Return a robot's joints x, y, z and yaw; accelerations are not measured."""
+    """Return a robot's joints x, y, z and yaw, then its arm's; accelerations are not measured."""
     velocity = quaternion.rotate(vehicle.q, vehicle.nu[:3])
     turn = quaternion.rotate(vehicle.q, vehicle.nu[3:])[2:]
-    joints = jnp.concatenate([vehicle.p, yaw[None]])
-    return JointState(
-        position=joints,
-        velocity=jnp.concatenate([velocity, turn]),
-        acceleration=jnp.zeros_like(joints),
-    )
+    joints, rates = jnp.concatenate([vehicle.p, yaw[None]]), jnp.concatenate([velocity, turn])
+    if vehicle.joints is not None:
+        joints = jnp.concatenate([joints, vehicle.joints.position])
+        rates = jnp.concatenate([rates, vehicle.joints.velocity])
+    return JointState(position=joints, velocity=rates, acceleration=jnp.zeros_like(joints))
 
 
 def _realised_wrench(vehicle: VehicleParams, pwm_us: jax.Array) -> jax.Array:
@@ -156,6 +198,10 @@ def belief_covariance(belief: Belief | None) -> Floats | None:
     return variance
 
 
+def _build_estimate(view: StateView) -> Estimate:
+    return Estimate(p=view.p, q=view.q, nu=view.nu, joints=view.joints)
+
+
 def build_observation(
     facts: FleetFacts,
     view: StateView,
@@ -180,9 +226,9 @@ def build_observation(
     rows = facts.obstacles
     return Observation(
         time_s=time_s,
-        estimate=Estimate(p=estimated.p, q=estimated.q, nu=estimated.nu),
+        estimate=_build_estimate(estimated),
         covariance=covariance,
-        truth=Estimate(p=view.p, q=view.q, nu=view.nu),
+        truth=_build_estimate(view),
         pwm=ThrusterPwm(pwm_us=view.pwm_us),
         demanded=None if view.demanded is None else BodyWrench(tau=view.demanded),
         realised=BodyWrench(tau=view.realised),

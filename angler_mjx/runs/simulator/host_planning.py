@@ -69,16 +69,32 @@ class SampledBatch:
     """Tickets of its problems on the host, by the world's index in the device batch."""
 
 
-def path_shape(spec: PlannerSpec | None, points: int) -> PathShape:
+def path_shape(
+    spec: PlannerSpec | None, points: int, joint_names: tuple[str, ...] = ()
+) -> PathShape:
     """Return the shape of a planner's paths.
 
     Args:
         spec: the planner; None without one.
         points: of the scenario.
+        joint_names: of the joints of the fleet's arms.
+
+    Raises:
+        ConfigError: the planner plans the joints of arms, and no vehicle has any.
     """
     if spec is None:
         return PathShape(points=points)
-    return PathShape(points=points, joints=register.plans_joints(spec))
+    is_with_arm = register.plans_arms(spec)
+    if is_with_arm and not joint_names:
+        raise ConfigError(
+            f"planner {spec.reference.name}: arm = true, and no vehicle of the fleet has joints; "
+            "leave arm out, or fly a vehicle with links, such as bluerov2_heavy_alpha5"
+        )
+    return PathShape(
+        points=points,
+        joints=register.plans_joints(spec),
+        arm=joint_names if is_with_arm else (),
+    )
 
 
 def start_planners(
@@ -178,6 +194,8 @@ def gather_paths(answers: Mapping[int, Answer], initial: Path) -> tuple[Path, Pl
                 reason[w, r] = (
                     f"returns {type(path).__name__}, but its class has joints = {is_wanted_joint}"
                 )
+            elif getattr(path, "joints", ()) != getattr(initial, "joints", ()):
+                reason[w, r] = "moves other joints than its class says (arm)"
             else:
                 _fill_path(result, (w, r), path)
                 has_path[w, r] = True

@@ -194,7 +194,9 @@ class FlightPrograms:
             NamedSharding(setup.mesh, REPLICATED),
         )
         radius = np.asarray(jax.jit(fleet.radius_bound)(self.fleet))
-        generate.check_fleet(resolve_world(scenario.world), radius)
+        generate.check_fleet(
+            resolve_world(scenario.world), radius, by_end_effector=scenario.by_end_effector
+        )
         self.samples, self.steps_per_sample = _segment_size(scenario)
         self.engine = engines.by_name(scenario.engine, setup.kernels)
         self._state: WorldState | None = None
@@ -322,6 +324,7 @@ class Programs:
         self.memory: DeviceMemory | None = None
         self._problems: dict[Information, CompiledFunction[Problem]] = {}
         self._compiled, self._lock = False, threading.Lock()
+        self._compile_time = CompileTime()
         policy = setup.policy[0] if setup.policy else None
         sampling = build_preparer(
             scenario, setup.planner, setup.tile, shape=setup.paths, policy=policy
@@ -363,18 +366,26 @@ class Programs:
         """Compile for the tile ahead of time; later calls use the compiled functions.
 
         Returns:
-            Seconds of each program; zeros if it was done before.
+            Seconds of each program; zeros if an earlier call returned them.
 
         Raises:
             RunError: the tile does not fit into device memory; names a tile that does. Or the
                 kernels do not compile; names other kernels.
         """
         with self._lock:
-            if self._compiled:
-                return CompileTime()
-            compile_time = self._compile()
+            self._compile_once()
+            compile_time, self._compile_time = self._compile_time, CompileTime()
+        return compile_time
+
+    def compile_ahead(self) -> None:
+        """Compile as `compile` does; its next call returns the seconds. Errors as of `compile`."""
+        with self._lock:
+            self._compile_once()
+
+    def _compile_once(self) -> None:
+        if not self._compiled:
+            self._compile_time = self._compile()
             self._compiled = True
-            return compile_time
 
     def explain(self, error: Exception) -> None:
         """Turn a device's out-of-memory error into one that names a fitting tile.

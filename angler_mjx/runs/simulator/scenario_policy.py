@@ -11,9 +11,12 @@ from angler_mjx.planning.online.host_replanner import HostReplanner
 from angler_mjx.planning.online.policy import Online
 from angler_mjx.planning.online.replanning import Replanning
 from angler_mjx.planning.problem import Problem, ProblemSettings
+from angler_mjx.planning.reach.policy import Reach
 from angler_mjx.planning.register import PlannerSpec, plans_joints
 from angler_mjx.planning.routes.policy import AlongRoutes
+from angler_mjx.robot.control import stack
 from angler_mjx.robot.control.commands.trajectory import Trajectory
+from angler_mjx.robot.control.commands.whole_body import EndEffectorTarget
 from angler_mjx.robot.control.laws.follow import FollowGains
 from angler_mjx.runs.simulator.world_preparation import problem_settings
 from angler_mjx.scenario.policy_tables import default_information
@@ -51,8 +54,16 @@ def resolve_policy(scenario: Scenario, policy: Policy | None) -> Policy | None:
         )
     if scenario.online:
         return build_online_policy(scenario)
-    return (
-        build_routes_policy(scenario) if scenario.policy.name == "routes" else build_mppi(scenario)
+    builders = {"routes": build_routes_policy, "reach": build_reach_policy, "mppi": build_mppi}
+    return builders[scenario.policy.name](scenario)
+
+
+def build_reach_policy(scenario: Scenario) -> Reach:
+    """Build the policy that places end effectors, with a scenario's settings."""
+    stages, _ = scenario.controller.stack()
+    return Reach(
+        begin_m=scenario.policy.reach.begin_m,
+        stages=stack.find_entry(stages, EndEffectorTarget) + 1,
     )
 
 

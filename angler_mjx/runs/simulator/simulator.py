@@ -22,6 +22,7 @@ from angler_mjx.robot.control import command_checks, stack
 from angler_mjx.robot.control.mixed import MixedCommand
 from angler_mjx.robot.control.stack import Command
 from angler_mjx.robot.vehicles import library
+from angler_mjx.robot.vehicles.params import joint_names
 from angler_mjx.runs.simulator import compile_cache, host_planning, programs, scenario_policy
 from angler_mjx.runs.simulator import devices as on_devices
 from angler_mjx.runs.simulator.compilation import CompileTime
@@ -119,7 +120,9 @@ class Simulator:
         is_unplanned = paths is not None or by_task
         self._planner_spec = None if is_unplanned else scenario.planner.planner_spec()
         points = MIN_POINTS if by_task else scenario.planner.points
-        self.paths = paths or host_planning.path_shape(self._planner_spec, points)
+        self.paths = paths or host_planning.path_shape(
+            self._planner_spec, points, scenario.joint_names()
+        )
         self._planners = host_planning.start_planners(self._planner_spec, self.paths, workers)
         self._policy_numbers: tuple[Policy, ...] = (
             () if policy is None else (self._replicate_policy(policy),)
@@ -575,10 +578,11 @@ class Simulator:
     def _check(self, command: Command | MixedCommand, state: WorldState) -> None:
         """Refuse commands that the controllers cannot take."""
         lead, thrusters = state.tally.outcome.shape, self.thrusters
+        joints = len(joint_names(self.fleet.control.vehicle))
         for part in command.commands if isinstance(command, MixedCommand) else [command]:
-            stack.check_command(self.spec.stages, part, lead, thrusters)
+            stack.check_command(self.spec.stages, part, lead, thrusters, joints)
         if isinstance(command, MixedCommand):  # unused elements of its commands hold any numbers
-            command_checks.check_choice(command, lead)
+            command_checks.check_choice(command, lead, joints)
         else:
             command_checks.check_pulses(command)
 
@@ -586,13 +590,17 @@ class Simulator:
         """Compile for this tile ahead of time; later calls use the compiled functions.
 
         Returns:
-            Seconds of each program; zeros if it was done before, also by another simulator that
-            needs the same programs.
+            Seconds of each program; zeros if they were returned before, also to another simulator
+            that needs the same programs.
 
         Raises:
             RunError: the tile does not fit into device memory; the message names one that does.
         """
         return self._programs.compile()
+
+    def compile_ahead(self) -> None:
+        """Compile as `compile` does; its next call returns the seconds. Errors as of `compile`."""
+        self._programs.compile_ahead()
 
     @property
     def programs(self) -> Programs:

@@ -12,6 +12,7 @@ import os
 import pickle
 import platform
 import re
+import threading
 from collections.abc import Hashable, Iterator
 from dataclasses import dataclass
 from functools import cache
@@ -20,6 +21,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 from jax.experimental import serialize_executable
 from jax.sharding import Mesh
 
@@ -58,6 +60,15 @@ def enable_stored_programs() -> None:
     _enabled_by_command = True
 
 
+@cache
+def _find_lapack() -> None:
+    """Have JAX look up LAPACK, which it does when it lowers the first program that calls it.
+
+    A loaded executable that factorises a matrix on a CPU calls a null pointer otherwise.
+    """
+    jax.jit(jnp.linalg.cholesky).lower(jax.ShapeDtypeStruct((1, 1), jnp.float32))
+
+
 @dataclass(frozen=True, kw_only=True)
 class StoredProgram:
     """Executable in a file."""
@@ -74,6 +85,8 @@ class StoredProgram:
         Raises:
             JaxRuntimeError: the device refuses it.
         """
+        if self.devices[0].platform == "cpu":
+            _find_lapack()
         executable: jax.stages.Compiled = serialize_executable.deserialize_and_load(
             self.payload,
             self.in_tree,
@@ -207,9 +220,17 @@ def remove_unused(folder: Path, max_bytes: int) -> None:
             path.unlink(missing_ok=True)
 
 
-@cache
 def code_digest() -> str:
     """Return the digest of the traced code, of its data, and of the versions below it."""
+    with _digest_lock:  # threads that begin together would each read all files
+        return _code_digest()
+
+
+_digest_lock = threading.Lock()
+
+
+@cache
+def _code_digest() -> str:
     digest = hashlib.sha256()
     for name in PACKAGES:
         spec = find_spec(name)

@@ -175,6 +175,8 @@ def problem_settings(scenario: Scenario, information: Information) -> ProblemSet
         max_cruise_speed_mps=max(entry.cruise_speed_mps for entry in scenario.fleet),
         cell_m=resolve_world(scenario.world).cell_m,
         water_or_obstacles_move=scenario.water_or_obstacles_move,
+        by_end_effector=scenario.by_end_effector,
+        joint_names=scenario.joint_names(),
     )
 
 
@@ -340,7 +342,14 @@ def _prepare_world(
         )
     path: Path
     if shape.joints:
-        path = hold_joints(environment.start_m, environment.start_yaw_rad, shape.points)
+        links = control.vehicle_model.links
+        path = hold_joints(
+            environment.start_m,
+            environment.start_yaw_rad,
+            shape.points,
+            shape.arm,
+            None if links is None or not shape.arm else links.home,
+        )
     else:
         path = hold_position(environment.start_m, shape.points)
     # Folded with the robot's number, so that a robot more changes nothing for those before it.

@@ -16,7 +16,15 @@ from angler_mjx.runs.storage.episode_columns import (
     select_world_columns,
 )
 from angler_mjx.runs.storage.trajectory_layout import END_GROUP, plan_arrays
-from angler_mjx.sim.record import FIELDS, STATE_FIELDS, TASK, RecordedField, Sample
+from angler_mjx.sim.record import (
+    FIELDS,
+    JOINT_AXIS,
+    STATE_FIELDS,
+    TASK,
+    JointRecord,
+    RecordedField,
+    Sample,
+)
 from angler_mjx.sim.state import Outcome, Tally, World, WorldState
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.tasks.spec import TaskState, TaskWorld
@@ -60,6 +68,8 @@ class LastState:
     outcome: jax.Array
     obstacle_p: jax.Array
     obstacle_q: jax.Array
+    joints: JointRecord | None = None
+    """None where no vehicle has joints."""
 
 
 @jax.tree_util.register_dataclass
@@ -115,6 +125,7 @@ def select_end(state: WorldState, *, recorded: bool) -> TileEnd:
         outcome=state.tally.outcome,
         obstacle_p=state.obstacles.p,
         obstacle_q=state.obstacles.q,
+        joints=_last_joints(state),
     )
     return TileEnd(
         tally=state.tally,
@@ -125,6 +136,13 @@ def select_end(state: WorldState, *, recorded: bool) -> TileEnd:
     )
 
 
+def _last_joints(state: WorldState) -> JointRecord | None:
+    joints = state.vehicles.joints
+    if joints is None:
+        return None
+    return JointRecord(position=joints.position, velocity=joints.velocity)
+
+
 def last_state_from(following: Sample, step: int) -> LastState:
     """Return the state after the last sample of a tile, from the samples that follow it.
 
@@ -132,7 +150,10 @@ def last_state_from(following: Sample, step: int) -> LastState:
         following: samples of the next segment; [tile, n] leads.
         step: control steps taken until its first one.
     """
-    first = {field.path[-1]: np.asarray(field.of(following))[:, 0] for field in STATE_FIELDS}
+    names = {field.path[0] for field in STATE_FIELDS}
+    first = jax.tree.map(
+        lambda leaf: np.asarray(leaf)[:, 0], {name: getattr(following, name) for name in names}
+    )
     return LastState(step=np.full(len(first["p"]), step, np.int32), **first)  # type: ignore[arg-type]
 
 
@@ -229,12 +250,22 @@ def recorded_arrays(tile: FinishedTile, samples: int) -> TileArrays:
     if tile.end.last is not None:
         result[f"{END_GROUP}/step"] = partial(_select_rows, tile.end.last.step)
         for field in STATE_FIELDS:
-            result[f"{END_GROUP}/{field.about.array}"] = partial(
-                _select_rows, field.of(tile.end.last)
-            )
+            values = field.of(tile.end.last)
+            if JOINT_AXIS in field.about.axes and values is not None:
+                values = _without_absent(values, field.of(tile.parts[0]))
+            if values is not None:
+                result[f"{END_GROUP}/{field.about.array}"] = partial(_select_rows, values)
     for name, values in (tile.constants.plan or {}).items():
         result[name] = partial(_select_rows, values)
     return result | _task_arrays(tile)
+
+
+def _without_absent(last: np.ndarray, samples: np.ndarray) -> np.ndarray:
+    """Return the joints [n, R, J] of the last state, NaN where samples [n, T, R, J] have none.
+
+    The state itself keeps joints at 0 for robots without any.
+    """
+    return np.where(np.isnan(samples[:, 0]), np.nan, last).astype(last.dtype)
 
 
 def _join_parts(parts: list[np.ndarray], samples: int, worlds: slice) -> np.ndarray:

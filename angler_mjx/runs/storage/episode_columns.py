@@ -312,14 +312,15 @@ EPISODE_COLUMNS: tuple[EpisodeColumn, ...] = (
         "failure_pair",
         _TEXT,
         "",
-        "body touched: cell, floor, obstacle:i, robot:i; or none",
+        "body touched (with contacts, in the hardest impact): cell, floor, obstacle:i, robot:i; "
+        "or none",
         of_tile=_failure_pair,
     ),
     EpisodeColumn(
         "impact_speed_mps",
         _FLOAT,
         "m/s",
-        "relative speed at the touch; null without one",
+        "relative speed at the touch, with contacts at the hardest impact; null without one",
         may_be_null=True,
         of_tile=lambda result: result.tally.impact_speed_mps,
     ),
@@ -459,6 +460,30 @@ EPISODE_COLUMNS: tuple[EpisodeColumn, ...] = (
         "whether it was at its goal before its plan's last approach; null in older runs",
         since=5,
         of_tile=lambda result: result.tally.passed_early,
+    ),
+    EpisodeColumn(
+        "joint_commands_clipped",
+        _INT,
+        "1",
+        "control steps in which a command to its joints was beyond their limits; null without arms",
+        since=6,
+        of_state=lambda state: state.carry.joints_clipped,
+    ),
+    EpisodeColumn(
+        "impact_energy_j",
+        _FLOAT,
+        "J",
+        "energy of the hardest impact; 0 without a touch, null without contacts",
+        since=7,
+        of_tile=lambda result: result.tally.impact_energy_j,
+    ),
+    EpisodeColumn(
+        "contact_depth_m",
+        _FLOAT,
+        "m",
+        "greatest overlap with another body or the ground; null without contacts",
+        since=7,
+        of_tile=lambda result: result.tally.contact_depth_m,
     ),
 )
 """All columns, in the order of the table; new ones at the end."""

@@ -104,6 +104,7 @@ class Run:
                 estimated=scenario.senses,
                 also=scenario.store.also,
                 tasked=scenario.task_spec() is not None,
+                joints=fleet.count_joints(scenario.members()),
             )
             inside = f"{trajectory_layout.ENVIRONMENT_GROUP}/"
             environments.check_arrays(

@@ -153,7 +153,7 @@ def stand_ins(run: Path) -> dict[tuple[str, str], str]:
     used = {(entry.role, entry.named): entry.sha256 for entry in inputs}
     copies = {}
     for entry in inputs:
-        if entry.role == VEHICLE and _vehicle_state(entry.named, used) != "same":
+        if entry.role == VEHICLE and _vehicle_state(entry, folder, used) != "same":
             copies[VEHICLE, entry.named] = str(folder / entry.copy_path)
         elif entry.role in (OCEAN, PLANNER, LAW) and _is_edited(entry) is not False:
             name = entry.named if entry.role == OCEAN else str(Path(entry.source).resolve())
@@ -213,7 +213,12 @@ def require_unchanged(run: Path, *, flag: str) -> None:
                 f"{flag}: {entry.source} was edited since the run began (what it was lies in "
                 f"{run / INPUTS_FOLDER}): put the old file back, or begin a new run"
             )
-    edited = [named for named in vehicle_copies(run) if _vehicle_state(named, used) == "edited"]
+    folder = run / INPUTS_FOLDER
+    edited = [
+        entry.named
+        for entry in inputs
+        if entry.role == VEHICLE and _vehicle_state(entry, folder, used) == "edited"
+    ]
     if edited:
         raise ConfigError(
             f"{flag}: {', '.join(edited)} or its thruster file was edited since the run began "
@@ -232,19 +237,41 @@ def vehicle_file(run: Path, label: str) -> str:
 
 
 def _vehicle_state(
-    named: str, used: Mapping[tuple[str, str], str]
+    entry: Input, folder: Path, used: Mapping[tuple[str, str], str]
 ) -> Literal["same", "edited", "gone"]:
-    """Compare a vehicle's files with those that were used."""
+    """Compare a vehicle's files with those that were used, of which copies lie in a folder."""
     try:
-        current = _vehicle_files(named)
+        vehicle, thruster = _vehicle_files(entry.named)
     except ConfigError:
         try:
-            exists = library.locate_vehicle(named).exists()
+            exists = library.locate_vehicle(entry.named).exists()
         except (ConfigError, OSError):
             exists = False
         return "edited" if exists else "gone"
-    is_same = all(used.get((entry.role, entry.named)) == entry.sha256 for entry in current)
-    return "same" if is_same else "edited"
+    if used.get((THRUSTER, thruster.named)) != thruster.sha256:
+        return "edited"
+    is_same = vehicle.sha256 == entry.sha256
+    return "same" if is_same or _only_gained_sets(folder / entry.copy_path, vehicle) else "edited"
+
+
+def _only_gained_sets(copy: Path, current: _CurrentFile) -> bool:
+    """Return whether a vehicle file differs from its copy by more sets with an uncertainty alone.
+
+    A run takes these by name only, so one that began before them goes on as it was.
+    """
+    try:
+        before = tomllib.loads(copy.read_text(encoding="utf-8-sig"))
+        now = tomllib.loads(current.data.decode("utf-8-sig"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError):
+        return False
+    before["rotor"]["model"] = now["rotor"]["model"]  # a copy names the copy of its thrusters
+    sets, old_sets = now["parameter_sets"], before["parameter_sets"]
+    gained = sets.keys() - old_sets.keys()
+    if not all("uncertainty" in sets[name] for name in gained):
+        return False
+    kept = {name: numbers for name, numbers in sets.items() if name not in gained}
+    same: bool = before == {**now, "parameter_sets": kept}
+    return same
 
 
 def _vehicle_files(named: str) -> tuple[_CurrentFile, _CurrentFile]:

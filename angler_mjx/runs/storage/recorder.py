@@ -10,7 +10,7 @@ even there, and doubles what a slower disk or more cores can record.
 
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
 from functools import cached_property, partial
@@ -20,7 +20,7 @@ import numpy as np
 import zarr
 from numcodecs.blosc import SHUFFLE, Blosc
 from zarr.codecs import BloscCodec
-from zarr.types import ArrayV3
+from zarr.types import JSON, ArrayV3
 
 from angler_mjx.runs.storage import atomic_files, shards, trajectory_layout
 from angler_mjx.runs.storage import environments as store
@@ -28,6 +28,8 @@ from angler_mjx.runs.storage.device_to_host import TileArrays
 from angler_mjx.runs.storage.quantization import Quantization, build_quantization
 from angler_mjx.runs.storage.read_errors import wrap_read_errors
 from angler_mjx.scenario.store_table import StoreConfig
+from angler_mjx.sim.fleet import JointLabel
+from angler_mjx.sim.record import JOINT_AXIS
 from angler_mjx.world.environment import Environment
 
 SCHEMA_VERSION = 1
@@ -58,12 +60,16 @@ class TrajectoryShape:
     """Whether any robot's controllers were told something other than the truth."""
     jointed: bool = False
     """Whether the plans are trajectories of joints, with headings and velocities."""
+    armed: bool = False
+    """Whether the plans move the joints of arms too."""
     store_config: StoreConfig = field(default_factory=StoreConfig)
     """How finely samples are stored."""
     also: tuple[str, ...] = ()
     """What the run asked for beside what all have."""
     task: dict[str, int] = field(default_factory=dict)
     """Of the dimensions of its task; empty where there is none."""
+    joints: Mapping[str, Sequence[JointLabel]] = field(default_factory=dict)
+    """Joints of the vehicles that have any, by the vehicle's label, in the order of the arrays."""
 
     @property
     def sizes(self) -> dict[str, int]:
@@ -75,12 +81,17 @@ class TrajectoryShape:
             "thruster": self.thrusters,
             "obstacle": self.obstacles,
             "way_point": self.plan_points,
+            JOINT_AXIS: max(map(len, self.joints.values()), default=0),
         }
 
     def names(self) -> list[str]:
         """Return the names of the run's arrays; see `trajectory_layout`."""
         return trajectory_layout.array_names(
-            self.sizes, estimated=self.estimated, jointed=self.jointed, also=self.also
+            self.sizes,
+            estimated=self.estimated,
+            jointed=self.jointed,
+            armed=self.armed,
+            also=self.also,
         )
 
     def stepped(self, name: str) -> Quantization | None:
@@ -226,9 +237,20 @@ class Recorder:
             compressors=steps.compressor()
             if steps
             else BloscCodec(cname="lz4", shuffle="shuffle", clevel=1),
-            attributes={"unit": kind.unit, "description": kind.text},
+            attributes=self._attributes(kind),
             dimension_names=["world", *kind.dims],
         )
+
+    def _attributes(self, kind: trajectory_layout.ArrayKind) -> dict[str, JSON]:
+        """Return the attributes of an array; joints have names and units of their own."""
+        attributes: dict[str, JSON] = {"unit": kind.unit, "description": kind.text}
+        if JOINT_AXIS in kind.dims:
+            rate = "/s" if kind.unit.endswith("/s") else ""
+            attributes["joints"] = {
+                vehicle: [{"name": joint.name, "unit": joint.unit + rate} for joint in joints]
+                for vehicle, joints in self._shape.joints.items()
+            }
+        return attributes
 
     def _write_environment(self, number: int, count: int, environment: Environment) -> None:
         """Write the chunks of a tile's environments as `environments.write_batch`, without Zarr."""

@@ -17,7 +17,7 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.robot.control.commands.joint_trajectory import VEHICLE_JOINTS, JointTrajectory
 from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.robot.control.plans import Plan, of_robot, points_m, trace_path
-from angler_mjx.sim.record import ESTIMATE, FIELDS, SIZES, STATE_FIELDS, TASK
+from angler_mjx.sim.record import ESTIMATE, FIELDS, JOINT_AXIS, SIZES, STATE_FIELDS, TASK
 from angler_mjx.world.tasks.history import TaskHistory
 from angler_mjx.world.tasks.spec import TaskSpec
 
@@ -27,6 +27,7 @@ ENVIRONMENT_GROUP = "environment"
 TIME_ARRAY = "time_s"
 
 YAW_INDEX = VEHICLE_JOINTS.index("yaw")
+_BASE = len(VEHICLE_JOINTS)
 
 MAX_SIZE = 10**7
 """Of a dimension of one world: what claims more is damaged."""
@@ -44,7 +45,7 @@ class ArrayKind:
 
 
 _JOINT = {"joint": len(VEHICLE_JOINTS)}
-_NO_TASK = dict.fromkeys(("place", "job", "x", "y", "z"), 0)
+_ABSENT = dict.fromkeys(("place", "job", "x", "y", "z", JOINT_AXIS), 0)
 _STEP = ArrayKind(
     dims=(),
     unit="1",
@@ -78,6 +79,19 @@ MOTION_ARRAYS = {
     ),
 }
 """Of plans that are trajectories of joints (`JointTrajectory`); way-points alone have none."""
+_ARM = ("robot", "way_point", JOINT_AXIS)
+ARM_PLAN_ARRAYS = {
+    "plan_joint_position": ArrayKind(
+        dims=_ARM, unit="rad or m", text="of the joints of arms at each way-point"
+    ),
+    "plan_joint_velocity": ArrayKind(
+        dims=_ARM, unit="rad/s or m/s", text="likewise; 0 where the segments do not use it"
+    ),
+    "plan_joint_acceleration": ArrayKind(
+        dims=_ARM, unit="rad/s^2 or m/s^2", text="likewise; 0 where the segments do not use it"
+    ),
+}
+"""Of plans that move the joints of arms beside the base."""
 
 TASK_ARRAYS = {
     f"{TASK}/place_m": ArrayKind(
@@ -132,6 +146,7 @@ ARRAYS: dict[str, ArrayKind] = {
     },
     **_PLAN,
     **MOTION_ARRAYS,
+    **ARM_PLAN_ARRAYS,
     **TASK_ARRAYS,
 }
 """Arrays [world, ...] by their names in the group, in the order in which they are made."""
@@ -149,6 +164,7 @@ def array_names(
     *,
     estimated: bool,
     jointed: bool = False,
+    armed: bool = False,
     also: Sequence[str] = (),
 ) -> list[str]:
     """Return the arrays of a run, without those that are always empty.
@@ -157,6 +173,7 @@ def array_names(
         sizes: of the dimensions that differ from run to run; those of a task where there is one.
         estimated: whether any robot's controllers were told something other than the truth.
         jointed: whether the plans are trajectories of joints.
+        armed: whether they move the joints of arms too.
         also: what the run asked for beside what all have.
     """
     return [
@@ -164,6 +181,7 @@ def array_names(
         for name, kind in ARRAYS.items()
         if (estimated or not name.startswith(f"{ESTIMATE}/"))
         and (jointed or name not in MOTION_ARRAYS)
+        and (armed or name not in ARM_PLAN_ARRAYS)
         and (name not in OPTIONAL_ARRAYS or OPTIONAL_ARRAYS[name] in also)
         and (sizes.get("job", 0) > 0 or not name.startswith(f"{TASK}/"))
         and 0 not in array_shape(kind, sizes)
@@ -172,7 +190,7 @@ def array_names(
 
 def array_shape(kind: ArrayKind, sizes: Mapping[str, int]) -> tuple[int, ...]:
     """Return the shape of a kind of array after the worlds."""
-    return tuple({**SIZES, **_JOINT, **_NO_TASK, **sizes}[dim] for dim in kind.dims)
+    return tuple({**SIZES, **_JOINT, **_ABSENT, **sizes}[dim] for dim in kind.dims)
 
 
 def check_layout(
@@ -184,6 +202,7 @@ def check_layout(
     estimated: bool,
     also: Sequence[str] = (),
     tasked: bool = False,
+    joints: int = 0,
 ) -> None:
     """Refuse trajectories that are not those of a run, before anything of them is read.
 
@@ -195,6 +214,7 @@ def check_layout(
         estimated: as in `array_names`.
         also: likewise.
         tasked: whether there is a task.
+        joints: of a vehicle of the fleet, at most; flights on real autopilots record none.
 
     Raises:
         ConfigError: an array is missing, or has another shape or type.
@@ -210,6 +230,8 @@ def check_layout(
     sizes["obstacle"] = (
         _dimension_size(arrays, "obstacle_p_m", -2, source) if "obstacle_p_m" in arrays else 0
     )
+    has_arm_plan = not ARM_PLAN_ARRAYS.keys().isdisjoint(arrays)
+    sizes[JOINT_AXIS] = joints if has_arm_plan or "joint_position" in arrays else 0
     if tasked:
         sizes |= {
             "place": _dimension_size(arrays, f"{TASK}/place_m", -2, source),
@@ -220,7 +242,9 @@ def check_layout(
                 sizes[dim] = _dimension_size(arrays, f"{TASK}/cells", axis - 3, source)
     has_end = any(name.startswith(f"{END_GROUP}/") for name in arrays)
     has_joints = not MOTION_ARRAYS.keys().isdisjoint(arrays)
-    for name in array_names(sizes, estimated=estimated, jointed=has_joints, also=also):
+    for name in array_names(
+        sizes, estimated=estimated, jointed=has_joints, armed=has_arm_plan, also=also
+    ):
         if name.startswith(f"{END_GROUP}/") and not has_end:
             continue
         if name not in arrays:
@@ -252,10 +276,16 @@ def plan_arrays(plan: Plan) -> dict[str, jax.Array]:
     if isinstance(plan, JointTrajectory):
         arrays |= {
             "plan_yaw_rad": plan.position[..., YAW_INDEX],
-            "plan_velocity": plan.velocity,
-            "plan_acceleration": plan.acceleration,
+            "plan_velocity": plan.velocity[..., :_BASE],
+            "plan_acceleration": plan.acceleration[..., :_BASE],
             "plan_degree": plan.degree,
         }
+        if len(plan.joints) > _BASE:
+            arrays |= {
+                "plan_joint_position": plan.position[..., _BASE:],
+                "plan_joint_velocity": plan.velocity[..., _BASE:],
+                "plan_joint_acceleration": plan.acceleration[..., _BASE:],
+            }
     return arrays
 
 
@@ -286,16 +316,36 @@ def read_plan(stored: zarr.Group, world: int, is_found: ArrayLike) -> Plan:
     if "plan_degree" not in stored:
         return Trajectory(time_s=time_s, position_m=points, found=found)
     yaw = np.asarray(read_array("plan_yaw_rad"))
+    columns = {
+        "position": np.concatenate([points, yaw[..., None]], axis=-1),
+        "velocity": read_array("plan_velocity"),
+        "acceleration": read_array("plan_acceleration"),
+    }
+    names = plan_joint_names(stored)
+    if names:
+        for name, base in columns.items():
+            columns[name] = np.concatenate([base, read_array(f"plan_joint_{name}")], axis=-1)
+    joints = (*VEHICLE_JOINTS, *names)
     return JointTrajectory(
-        joints=VEHICLE_JOINTS,
+        joints=joints,
         time_s=time_s,
-        position=host_leaf(np.concatenate([points, yaw[..., None]], axis=-1)),
-        velocity=read_array("plan_velocity"),
-        acceleration=read_array("plan_acceleration"),
+        **{name: host_leaf(np.asarray(values)) for name, values in columns.items()},
         degree=read_array("plan_degree", np.int32),
-        commanded=host_leaf(np.ones((len(points), len(VEHICLE_JOINTS)), bool)),
+        commanded=host_leaf(np.ones((len(points), len(joints)), bool)),
         found=found,
     )
+
+
+def plan_joint_names(stored: zarr.Group) -> tuple[str, ...]:
+    """Return the names of the joints of arms that the plans of a run move; none if they do not."""
+    if "plan_joint_position" not in stored:
+        return ()
+    vehicles = cast(
+        dict[str, list[dict[str, str]]],
+        stored.get_array("plan_joint_position").attrs["joints"],
+    )
+    longest = max(vehicles.values(), key=len)
+    return tuple(joint["name"] for joint in longest)
 
 
 def host_leaf(values: np.ndarray) -> jax.Array:

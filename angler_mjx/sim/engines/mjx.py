@@ -9,29 +9,47 @@ import jax.numpy as jnp
 
 from angler_mjx.errors import UnsupportedError
 from angler_mjx.robot.control import plans
+from angler_mjx.robot.control.mixed import MixedCommand
+from angler_mjx.robot.control.plans import Plan
 from angler_mjx.robot.control.stack import Command, ControlParams
-from angler_mjx.sim import sample_clearances, start
+from angler_mjx.robot.vehicles.link_motion import JointMotion
+from angler_mjx.robot.vehicles.params import joint_names
+from angler_mjx.sim import robot, sample_clearances, start
 from angler_mjx.sim import world_phases as running
 from angler_mjx.sim.approach import last_approaches_s
+from angler_mjx.sim.contact_motion import MovingWorld, find_layout, move_together
 from angler_mjx.sim.detection import detect_contacts
 from angler_mjx.sim.fleet import Fleet, add_parameters, apply_loads
-from angler_mjx.sim.phase import run_phase
+from angler_mjx.sim.impacts import Impacts
+from angler_mjx.sim.phase import Record, run_phase
 from angler_mjx.sim.physics import mjx_engine
 from angler_mjx.sim.physics import step as physics
+from angler_mjx.sim.physics.contact.candidates import Rock
 from angler_mjx.sim.physics.mjx_engine import BodyInertia
 from angler_mjx.sim.physics.step import Multibody, VehicleState
 from angler_mjx.sim.policy import Policy
-from angler_mjx.sim.record import Sample, build_sample
-from angler_mjx.sim.state import EngineConstants, FleetWorld, SimSpec, World, WorldState
+from angler_mjx.sim.record import Belief, Sample, build_sample
+from angler_mjx.sim.state import (
+    EngineConstants,
+    FleetWorld,
+    Outcome,
+    SimSpec,
+    World,
+    WorldState,
+)
 from angler_mjx.sim.step import (
     JUDGE,
     OBSTACLES,
     JudgeInput,
     Judgement,
     MovedRobots,
+    MoveInput,
     PlanApproach,
     RobotState,
+    decide,
     move_independently,
+    record_move,
+    record_obstacles,
 )
 from angler_mjx.sim.step_repetition import repeat_steps
 from angler_mjx.sim.unpacked_states import UnpackedStates
@@ -52,6 +70,8 @@ class SingleWorld:
     t: jax.Array
     engine: Multibody[BodyInertia] | None = None
     """Of the fleet; None where the vehicles are moved by something else."""
+    rock: Rock | None = None
+    """Of the world; None where nothing touches."""
     _flows: list[tuple[VehicleState, jax.Array]] = field(default_factory=list, init=False)
 
     @cached_property
@@ -90,11 +110,13 @@ class SingleWorld:
         thrust_n: jax.Array,
         current: Current,
         t: jax.Array,
+        joints: JointMotion | None,
     ) -> VehicleState:
         """See `phase.BodyBatch`."""
         if self.engine is None:
             raise RuntimeError("these vehicles are moved by something else")
-        return jax.vmap(physics.step, (None, 0, 0, 0, 0, None, None, None, None))(
+        axes = (None, 0, 0, 0, 0, None, None, None, None, 0)
+        return jax.vmap(physics.step, axes)(
             self.engine,
             self.world.body,
             params.vehicle,
@@ -104,6 +126,7 @@ class SingleWorld:
             t,
             self.spec.physics_dt_s,
             self.spec.water,
+            joints,
         )
 
     def advance(self, obstacles: ObstacleState) -> ObstacleState:
@@ -129,6 +152,7 @@ def judge_world(
     *,
     finished: jax.Array | None = None,
     approach: PlanApproach | jax.Array | None = None,
+    impacts: Impacts | None = None,
 ) -> Judgement:
     """Account for the step of one world when everything in it has moved.
 
@@ -138,6 +162,7 @@ def judge_world(
         obstacles: its obstacles.
         finished: as in `step.JudgeInput`.
         approach: as in `step.JudgeInput`.
+        impacts: as in `step.JudgeInput`.
     """
     environment = batch.world.environment
     inputs = JudgeInput(
@@ -148,8 +173,68 @@ def judge_world(
         fails_at_s=batch.world.fails_at_s,
         approach=approach,
         corners=batch.corners,
+        reaching=batch.world.control if batch.spec.by_end_effector else None,
+        impacts=impacts,
     )
     return run_phase(JUDGE, batch, inputs)[0]
+
+
+def move_in_contact(
+    batch: SingleWorld,
+    robots: RobotState,
+    obstacles: ObstacleState,
+    estimate: VehicleState | Belief,
+    params: ControlParams,
+    command: Plan | Command | MixedCommand,
+    current: Current,
+) -> tuple[MovedRobots, ObstacleState, Impacts, Record]:
+    """Return robots and obstacles of one world after a control period in which they may touch.
+
+    Arguments as of `step.move_independently`, and the obstacles. Contact is solved with the inertia
+    of ``params``, loads included.
+    """
+    spec, vehicles = batch.spec, robots.vehicle
+    if spec.contact is None or batch.engine is None or batch.rock is None:
+        raise RuntimeError("the simulation has no contact")
+    decision, record = decide(batch, robots, estimate, params, command, current)
+    inputs = MoveInput(
+        vehicle=vehicles,
+        tally=robots.tally,
+        thrust_n=decision.thrust_n,
+        params=params,
+        current=current,
+        joints=decision.memory.joints,
+    )
+    outcome = robots.tally.outcome
+    moving = MovingWorld(
+        contact=spec.contact,
+        layout=find_layout(batch.world.environment, params.vehicle, vehicles),
+        engine=batch.engine,
+        rock=batch.rock,
+        world=batch.world,
+        water=spec.water,
+        dt=spec.physics_dt_s,
+        thrust_n=decision.thrust_n,
+        alive=(outcome == Outcome.RUNNING) | (outcome == Outcome.REACHED),
+    )
+    moved, obstacles, impacts = move_together(
+        moving, vehicles, obstacles, batch.t, spec.physics_steps, inputs.joints
+    )
+    after, broken = batch.map_bodies(robot.hold_if_ended, outcome, vehicles, moved)
+    result = MovedRobots(
+        vehicle=after,
+        memory=decision.memory,
+        tally=robots.tally,
+        before_m=vehicles.p,
+        power_w=decision.power_w,
+        broken=broken,
+    )
+    return result, obstacles, impacts, record | record_move(batch, inputs)
+
+
+def prepare_rock(spec: SimSpec, world: World) -> Rock | None:
+    """Return the rock of one world for contact; None where nothing touches."""
+    return None if spec.contact is None else Rock.of(world.environment.grid)
 
 
 def control_step(
@@ -161,6 +246,7 @@ def control_step(
     policy: Policy | None = None,
     number: jax.Array | None = None,
     fleet: Fleet | None = None,
+    rock: Rock | None = None,
 ) -> tuple[WorldState, Sample]:
     """One control step of one world.
 
@@ -174,6 +260,7 @@ def control_step(
         number: ``state.step``, as one number for all worlds of a batch: a policy with a period is
             then called in its steps alone.
         fleet: whose robots may carry loads; if left out they do not.
+        rock: of the world, prepared once for many steps (`prepare_rock`).
 
     Returns:
         The state one control period later, and the sample of the state before with its command.
@@ -195,18 +282,22 @@ def control_step(
             fleet=fleet,
         )
     flown = apply_loads(fleet, world, output.loaded)
-    batch = SingleWorld(spec=spec, world=flown, t=t, engine=engine)
+    rock = prepare_rock(spec, world) if rock is None else rock
+    batch = SingleWorld(spec=spec, world=flown, t=t, engine=engine, rock=rock)
     override = output.command if command is None else command
-    driver = plans.check_plan(spec.stages, world.path) if override is None else override
-    moved, record = move_independently(
-        batch,
-        RobotState(vehicle=state.vehicles, memory=state.carry, tally=state.tally),
-        state.vehicles if output.estimate is None else output.estimate,
-        flown.control,
-        driver,
-        world.environment.current,
-    )
-    obstacles, seen = run_phase(OBSTACLES, batch, state.obstacles)
+    driver = override
+    if driver is None:
+        driver = plans.check_plan(spec.stages, world.path, joint_names(world.control.vehicle))
+    robots = RobotState(vehicle=state.vehicles, memory=state.carry, tally=state.tally)
+    estimate = state.vehicles if output.estimate is None else output.estimate
+    driven = estimate, flown.control, driver, world.environment.current
+    impacts = None
+    if spec.contact is None:
+        moved, record = move_independently(batch, robots, *driven)
+        obstacles, seen = run_phase(OBSTACLES, batch, state.obstacles)
+    else:
+        moved, obstacles, impacts, record = move_in_contact(batch, robots, state.obstacles, *driven)
+        seen = record_obstacles(state.obstacles)
     begin_s = output.last_approach_s
     if policy is None:
         begin_s = last_approaches_s(spec, world, command)
@@ -218,6 +309,7 @@ def control_step(
         approach=output.approaching
         if begin_s is None
         else PlanApproach(plan=driver, begin_s=begin_s),
+        impacts=impacts,
     )
     after = WorldState(
         vehicles=moved.vehicle,
@@ -250,7 +342,10 @@ def segment(
     """
     # One control step stands in the program, not one for recorded and one for other steps: it is
     # most of what there is to compile.
-    fly = partial(control_step, spec, engine, world, command=command, policy=policy, fleet=fleet)
+    rock = prepare_rock(spec, world)
+    fly = partial(
+        control_step, spec, engine, world, command=command, policy=policy, fleet=fleet, rock=rock
+    )
     shapes = jax.eval_shape(fly, state)[1]
     empty_sample: Sample = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
 

@@ -1,4 +1,8 @@
-"""One rigid body in closed form: what the fused engine takes where MJX takes a multibody model."""
+"""A vehicle in closed form: what the fused engine takes where MJX takes a multibody model.
+
+Also the base of a vehicle with links, whose links `angler_mjx.robot.vehicles.link_motion` adds.
+This form has derivatives by all parameters, which `VehicleParams` holds.
+"""
 
 from dataclasses import dataclass
 
@@ -11,9 +15,9 @@ from angler_mjx.robot.vehicles.params import VehicleParams
 
 @dataclass(frozen=True, kw_only=True)
 class ClosedForm:
-    """A single rigid body about its centre of mass; the body it takes is the `VehicleParams`."""
+    """A rigid body about its centre of mass; its body is the `VehicleParams`."""
 
-    gravity_mps2: float
+    gravity_mps2: jax.Array | float
 
     def inertia_and_force(
         self, body: VehicleParams, p: jax.Array, q: jax.Array, nu: jax.Array

@@ -11,6 +11,9 @@ simple.
 
 A free joint's velocity in MuJoCo is the linear velocity in the world and the angular velocity in
 the body; ours is ``nu``, both in the body. The conversion happens here, once.
+
+Vehicles with links take their dry terms from `angler_mjx.robot.vehicles.link_motion`; their model
+is compiled all the same, for what checks it.
 """
 
 import contextlib
@@ -80,7 +83,10 @@ class MjxPhysics:
         Returns:
             M_RB [6, 6] and f [6] of M_RB nu' = f + (wrenches on the vehicle, in F).
         """
-        M, bias = _inertia_and_bias(self, body, p, q, nu)
+        v_world = quaternion.rotate(q, nu[:3])
+        M, bias = _inertia_and_bias(
+            self, body, jnp.concatenate([p, q]), jnp.concatenate([v_world, nu[3:]])
+        )
         R = quaternion.to_matrix(q)
         zero = jnp.zeros_like(R)
         T = jnp.block([[R.T, zero], [zero, jnp.eye(3, dtype=R.dtype)]])
@@ -95,18 +101,19 @@ def build_engine(specs: Sequence[mujoco.MjSpec]) -> tuple[MjxPhysics, BodyInerti
     """The engine of a fleet, and in what its variants differ.
 
     Args:
-        specs: one a variant, each a single free body; names are of no account.
+        specs: one a variant, each a single free body, with or without links; names are of no
+            account.
 
     Returns:
         The engine, and the fields that differ, [n_variant] leading.
 
     Raises:
-        ValueError: a model is not one free body, or they differ in what MJX compiles in.
+        ValueError: a model is no free body with links, or they differ in what MJX compiles in.
     """
     # MJX itself takes the first device of all processes, which another process may own.
     device = jax.local_devices()[0]
-    models = [_import_mjx().put_model(model, device=device) for model in compile_models(specs)]
-    engine = MjxPhysics(model=models[0], data=_import_mjx().make_data(models[0], device=device))
+    models = [import_mjx().put_model(model, device=device) for model in compile_models(specs)]
+    engine = MjxPhysics(model=models[0], data=import_mjx().make_data(models[0], device=device))
     return engine, BodyInertia(fields=jax.device_put(_differing_fields(models)))
 
 
@@ -122,7 +129,7 @@ def compile_models(specs: Sequence[mujoco.MjSpec]) -> list[mujoco.MjModel]:
     Arguments as of `build_engine`.
 
     Raises:
-        ValueError: a model is not one free body.
+        ValueError: a model is no free body with links.
     """
     return [_compile_general(spec) for spec in specs]
 
@@ -134,8 +141,8 @@ _AXIS_CYCLE = np.full(4, 0.5)
 def _compile_general(spec: mujoco.MjSpec) -> mujoco.MjModel:
     """A model without names of its own, and without bodies that MuJoCo takes for simple ones.
 
-    A body is simple where the axes of its inertia are its own; the same inertia with its axes in
-    another order is not.
+    A body may be simple where the axes of its inertia are its own; the same inertia with its axes
+    in another order is not.
     """
     spec = spec.copy()
     spec.modelname = "vehicle"
@@ -143,22 +150,31 @@ def _compile_general(spec: mujoco.MjSpec) -> mujoco.MjModel:
         for i, element in enumerate(kind):
             element.name = f"{type(element).__name__}_{i}"
     model = spec.compile()
-    if (model.nq, model.nv, model.nbody) != (7, 6, 2):
+    is_free = model.njnt > 0 and model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE
+    if not is_free or model.nq != model.nv + 1 or (model.body_rootid[1:] != 1).any():
         raise ValueError(
-            "every vehicle must be one free body, (7, 6, 2) as nq, nv, nbody: "
+            "every vehicle must be one free body, (7, 6, 2) as nq, nv, nbody, and links on it: "
             f"{(model.nq, model.nv, model.nbody)}"
         )
-    if not model.body_simple[1:].any():
+    if not _is_special(model).any():
         return model
     for i, body in enumerate(spec.bodies[1:], 1):
+        if not _is_special(model)[i - 1]:
+            continue
         axes = np.zeros(4)
         mujoco.mju_mulQuat(axes, model.body_iquat[i], _AXIS_CYCLE)
         body.fullinertia = np.full(6, np.nan)  # as MuJoCo says: not given
         body.inertia, body.iquat = np.roll(model.body_inertia[i], -1), axes
     model = spec.compile()
-    if model.body_simple[1:].any():
+    if _is_special(model).any():
         raise ValueError("MuJoCo takes a vehicle for a simple body whatever axes its inertia has")
     return model
+
+
+def _is_special(model: mujoco.MjModel) -> np.ndarray:
+    """Return bool [n_body]: bodies that are simple, or whose inertia is along their own axes."""
+    special: np.ndarray = (model.body_simple[1:] != 0) | (model.body_sameframe[1:] != 0)
+    return special
 
 
 def _differing_fields(models: Sequence["mjx.Model"]) -> dict[str, np.ndarray]:
@@ -199,22 +215,19 @@ def _is_same_array(a: np.ndarray, b: np.ndarray) -> bool:
 
 
 @cache
-def _import_mjx() -> ModuleType:
+def import_mjx() -> ModuleType:
     """MJX, loaded when it is first needed: that takes longer than to load JAX itself."""
     with contextlib.redirect_stdout(io.StringIO()):  # it prints that Warp is missing
         return importlib.import_module("mujoco.mjx")
 
 
 def _inertia_and_bias(
-    engine: MjxPhysics, body: BodyInertia, p: jax.Array, q: jax.Array, nu: jax.Array
+    engine: MjxPhysics, body: BodyInertia, qpos: jax.Array, qvel: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """M [6, 6] and bias [6] of M v' + bias = 0 of the free vehicle, in MuJoCo's coordinates."""
-    mjx = _import_mjx()
-    v_world = quaternion.rotate(q, nu[:3])
+    """M [n, n] and bias [n] of M v' + bias = 0 of the free vehicle, in MuJoCo's coordinates."""
+    mjx = import_mjx()
     model = engine.model.tree_replace(body.fields)
-    data = engine.data.replace(
-        qpos=jnp.concatenate([p, q]), qvel=jnp.concatenate([v_world, nu[3:]])
-    )
+    data = engine.data.replace(qpos=qpos, qvel=qvel)
     data = mjx.kinematics(model, data)
     data = mjx.com_pos(model, data)
     data = mjx.crb(model, data)

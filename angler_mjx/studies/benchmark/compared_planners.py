@@ -106,6 +106,11 @@ def build_compared_planner(entry: PlannerEntry) -> ComparedPlanner:
         )
     table = {entry.name.rpartition(":")[2]: entry.settings} if entry.settings else {}
     spec = PlannerConfig(name=entry.name, settings=table).planner_spec()
+    if register.plans_arms(spec):
+        raise ConfigError(
+            f"planner {format_value(entry.title)}: arm = true; benchmarks store paths of bases "
+            "alone: leave arm out, or fly the scenario with angler rollout"
+        )
     return ComparedPlanner(
         label=entry.title,
         spec=spec,

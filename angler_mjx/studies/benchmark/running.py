@@ -21,6 +21,7 @@ from angler_mjx.runs.processes import OneProcess
 from angler_mjx.runs.provenance import describe_environment
 from angler_mjx.runs.resumable_folder import open_folder
 from angler_mjx.runs.simulator.simulator import Simulator
+from angler_mjx.runs.simulator_cache import SimulatorCache
 from angler_mjx.runs.storage import output_lock, planning_summary
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.studies.benchmark import flying, folder, planning, problem_settings, scenery, tables
@@ -29,7 +30,6 @@ from angler_mjx.studies.benchmark.compared_planners import ComparedPlanner
 from angler_mjx.studies.benchmark.problem_settings import Benchmark, Setting
 from angler_mjx.studies.benchmark.report import page
 from angler_mjx.studies.benchmark.store import FILE, STATUS, BenchmarkStore
-from angler_mjx.studies.simulator_cache import SimulatorCache
 
 
 def read_benchmark(source: Path, **overrides: object) -> Benchmark:

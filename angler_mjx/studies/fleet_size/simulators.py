@@ -21,15 +21,12 @@ import numpy as np
 from angler_mjx.runs.simulator.sampling_numbers import sampling_numbers
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.runs.simulator.world_preparation import sample_water_and_breakdowns
+from angler_mjx.runs.simulator_cache import MAX_AHEAD, SimulatorCache
 from angler_mjx.scenario.randomise_table import UNCHANGED
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.state import World
 from angler_mjx.studies.fleet_size.conditions import Condition, FleetSizeStudy
-from angler_mjx.studies.simulator_cache import SimulatorCache
 from angler_mjx.world.currents import Current
-
-MAX_AHEAD = 4
-"""Simulators that are compiled before they are needed."""
 
 
 class Simulators:

@@ -1,4 +1,4 @@
-"""The vehicles that are flown: every shipped file with every parameter set."""
+"""The vehicles that are flown: every shipped rigid one with every parameter set."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -41,11 +41,12 @@ class FlightKind:
 
 @cache
 def shipped_vehicles() -> tuple[FlightKind, ...]:
-    """Every vehicle file that is shipped, with each of its parameter sets."""
+    """Every rigid vehicle that is shipped, with each of its published parameter sets."""
     return tuple(
         FlightKind(vehicle=name, parameter_set=chosen)
         for name in library.list_vehicles()
-        for chosen in library.load_vehicle(name).parameter_sets
+        if not library.load_vehicle(name).links
+        for chosen in library.load_vehicle(name).published_sets
     )
 
 

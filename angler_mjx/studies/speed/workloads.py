@@ -16,6 +16,7 @@ from angler_mjx.studies.speed.rows import check_repeats
 
 type Kind = Literal[
     "dynamics",
+    "arm_dynamics",
     "simulation",
     "recording",
     "preparation",
@@ -57,6 +58,13 @@ WORKLOADS: dict[str, Workload] = {
         engine="fused",
         robots=1,
         label="dynamics",
+    ),
+    "dynamics_arm": Workload(
+        about="the same of one BlueROV2 Heavy with a Reach Alpha 5, its joints on the way",
+        kind="arm_dynamics",
+        engine="mjx",
+        robots=1,
+        label="dynamics_arm",
     ),
     "closed_loop_8": Workload(
         about="eight BlueROV2 Heavy, one parameter set, four vortices, 24 cells of rock",
@@ -227,6 +235,8 @@ def build_cases(request: SpeedRequest) -> list[WorkloadCase]:
         name = workload.label
         if workload.kind == "dynamics" and request.engine == "mjx":
             raise ConfigError(f"--engine mjx: workload {name} is for the fused engine alone")
+        if workload.kind == "arm_dynamics" and request.engine == "fused":
+            raise ConfigError(f"--engine fused: workload {name} is for the mjx engine alone")
         # Programs are compiled for the tile of a run, whatever worlds a profile simulates.
         is_compiled = workload.kind == "compilation"
         compiled_worlds = (workload.worlds,) if workload.worlds else ()
@@ -268,7 +278,8 @@ def _select_workloads(request: SpeedRequest, grid: WorkloadGrid) -> list[Workloa
 
 def _robot_counts(workload: Workload, robots: tuple[int, ...]) -> tuple[int, ...]:
     """Numbers of robots in a world that a workload is measured for."""
-    return robots if robots and workload.kind != "dynamics" else (workload.robots,)
+    is_alone = workload.kind in ("dynamics", "arm_dynamics")
+    return (workload.robots,) if is_alone or not robots else robots
 
 
 def _select_controllers(workload: Workload, request: SpeedRequest) -> tuple[str | None, ...]:

@@ -239,6 +239,9 @@ class FindingCollector:
         ):
             faults.append("it moves after its episode has failed")
         faults += self._early_faults(end)
+        arm, joints = self._scene.run.robots[robot].hull.arm, world.joints
+        if arm is not None and joints is not None and (excess := arm.find_excess(joints[:, robot])):
+            faults.append(excess)
         vehicle = self._scene.run.robots[robot]
         if self.row["vehicle"] not in vehicle.names:
             faults.append(f"it is called {self.row['vehicle']}, not {vehicle.names[0]}")

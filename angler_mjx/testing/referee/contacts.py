@@ -110,9 +110,10 @@ def find_nearby(
         last: [R] last relevant state of each.
         slack_m: pairs farther than the nearest by no more than this are kept as well.
     """
-    cap = float(world.environment["grid/cell_m"]) - np.array([hull.reach_m for hull in hulls])
-    candidates = ContactPairs.join(list(_find_candidates(world, hulls, last, cap)))
     narrow = _NarrowPhase(world, hulls)
+    reach = narrow.reach_m(last)
+    cap = float(world.environment["grid/cell_m"]) - reach
+    candidates = ContactPairs.join(list(_find_candidates(world, reach, last, cap)))
     robots = candidates.kind == ROBOT
     parts = []
     for pairs, limit in (
@@ -131,10 +132,9 @@ def find_nearby(
 
 
 def _find_candidates(
-    world: RefereeWorld, hulls: tuple[RefereeHull, ...], last: Ints, cap: Floats
+    world: RefereeWorld, reach: Floats, last: Ints, cap: Floats
 ) -> Iterator[ContactPairs]:
     """Yield the pairs whose bounding spheres are near enough to be known at all."""
-    reach = np.array([hull.reach_m for hull in hulls])
     is_judged = np.arange(len(world.step))[:, None] <= last[None, :]
     state, robot = (axis.astype(np.int64) for axis in np.nonzero(is_judged))
     for begin in range(0, state.size, _BATCH_SIZE):
@@ -228,12 +228,40 @@ class _NarrowPhase:
 
     def __init__(self, world: RefereeWorld, hulls: tuple[RefereeHull, ...]) -> None:
         self._world = world
-        # Hulls with fewer capsules repeat the last one.
-        max_capsules = max(hull.r_m.size for hull in hulls)
-        rows = [np.minimum(np.arange(max_capsules), hull.r_m.size - 1) for hull in hulls]
-        self._a = np.stack([hull.a_m[row] for hull, row in zip(hulls, rows, strict=True)])
-        self._b = np.stack([hull.b_m[row] for hull, row in zip(hulls, rows, strict=True)])
-        self._r = np.stack([hull.r_m[row] for hull, row in zip(hulls, rows, strict=True)])
+        joints = world.joints
+        capsules = [
+            hull.locate_capsules(None if joints is None else joints[:, robot])
+            for robot, hull in enumerate(hulls)
+        ]
+        # Hulls with fewer capsules repeat the last one; those without arms are the same in all
+        # states.
+        max_capsules = max(r.size for _, _, r in capsules)
+        rows = [np.minimum(np.arange(max_capsules), r.size - 1) for _, _, r in capsules]
+        self._states = max(len(a) for a, _, _ in capsules)
+        shape = (self._states, max_capsules, 3)
+        self._a, self._b = (
+            np.stack(
+                [
+                    np.broadcast_to(hull[end][:, row], shape)
+                    for hull, row in zip(capsules, rows, strict=True)
+                ],
+                axis=1,
+            )
+            for end in (0, 1)
+        )
+        self._r = np.stack([r[row] for (_, _, r), row in zip(capsules, rows, strict=True)])
+
+    def reach_m(self, last: Ints) -> Floats:
+        """Return the radius [R] of the sphere about each centre that holds the hull.
+
+        Args:
+            last: [R] last state that counts; the first one counts always.
+        """
+        ends = [np.linalg.norm(end, axis=3) for end in (self._a, self._b)]
+        reach = np.max(np.maximum(*ends) + self._r, axis=2)
+        states = np.arange(self._states)[:, None] <= np.maximum(last, 0)
+        largest: Floats = np.max(np.where(states, reach, 0.0), axis=0)
+        return largest
 
     def gaps(self, pairs: ContactPairs) -> ContactPairs:
         """Return the same pairs with their distances; negative where the shapes overlap."""
@@ -256,7 +284,8 @@ class _NarrowPhase:
     def _capsule_axes(self, state: Ints, robot: Ints) -> tuple[Floats, Floats, Floats]:
         """Return the ends [n, c, 3] of the capsules' axes in the world, and radii [n, c]."""
         p, q = self._world.p[state, robot], self._world.q[state, robot]
-        a, b = (p[:, None] + rotate(q[:, None], x[robot]) for x in (self._a, self._b))
+        row = np.minimum(state, self._states - 1)
+        a, b = (p[:, None] + rotate(q[:, None], x[row, robot]) for x in (self._a, self._b))
         return a, b, self._r[robot]
 
     def _to_cells(self, pairs: ContactPairs) -> Floats:

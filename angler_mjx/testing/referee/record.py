@@ -53,6 +53,8 @@ class RefereeRun:
     """Time limits of breakdowns; None without breakdowns."""
     task: teamwork.TaskRules | None
     """Rules of the task that decides arrival; None where the distance to a goal does."""
+    by_end_effector: bool
+    """Whether the distance of the end effector to the goal decides, and not that of the centre."""
     has_flown_plans: bool
     """Whether robots fly only the stored plans: no plans made in flight, and no commands of another
     policy or of a session."""
@@ -114,6 +116,8 @@ class RefereeWorld:
     there is no task."""
     carrying: NDArray[np.int64]
     """[T, R] goods carried by each robot, or [T - 1, R]; -1: none."""
+    joints: Floats | None = None
+    """[T, R, J] positions of joints, rad or m; NaN for robots without any; None if not recorded."""
 
     @property
     def low_m(self) -> Floats:
@@ -193,6 +197,11 @@ def open_run(path: Path) -> RefereeRun:
         robots = tuple(robot for robot, count in fleet for _ in range(count))
         horizon_s, goal_tolerance_m = float(timing["horizon_s"]), float(config["goal_tolerance_m"])
         acoustics = config.get("acoustics", {}).get("model", "perfect")
+        if config.get("contacts"):
+            raise ConfigError(
+                f"{path}: contacts = true: the referee knows no forces of contact; verify a run "
+                "without contacts"
+            )
         task = teamwork.read_rules(config.get("task", {}), dt, acoustics)
         planned_worlds = int(config["worlds"])
         breakdowns_s = _breakdowns_s(config.get("breakdowns", {}), horizon_s)
@@ -225,6 +234,7 @@ def open_run(path: Path) -> RefereeRun:
         goal_tolerance_m=goal_tolerance_m,
         planned_worlds=planned_worlds,
         task=task,
+        by_end_effector=config.get("task", {}).get("reached_by") == "end_effector",
         breakdowns_s=breakdowns_s,
     )
 
@@ -280,6 +290,7 @@ def _read_block(run: RefereeRun, chosen: Sequence[int]) -> Iterator[RefereeWorld
     with reporting_damage(path):
         names = ["p_m", "q", "nu", "pwm_us", "outcome"]
         moving = ["obstacle_p_m", "obstacle_q"] if "obstacle_p_m" in run.group else []
+        moving += ["joint_position"] if "joint_position" in run.group else []
         stored = {name: read(name) for name in [*names, *moving]}
         ends = {}
         if "end" in run.group:
@@ -350,4 +361,5 @@ def _build_world(
         environment=environment,
         target=states.get("target", nothing).astype(np.int64),
         carrying=states.get("carrying", nothing).astype(np.int64),
+        joints=states["joint_position"].astype(float) if "joint_position" in states else None,
     )

@@ -74,8 +74,21 @@ class RefereeScene:
                 finished = self.task.finished_step
             return np.where(self.world.step[:, None] >= finished, -np.inf, np.inf)
         goal = np.asarray(self.world.environment["goal_m"], float)
-        gap: Floats = np.linalg.norm(self.world.p - goal, axis=2) - self.run.goal_tolerance_m
+        arriving_m = self._end_effectors_m() if self.run.by_end_effector else self.world.p
+        gap: Floats = np.linalg.norm(arriving_m - goal, axis=2) - self.run.goal_tolerance_m
         return gap
+
+    def _end_effectors_m(self) -> Floats:
+        """Return the end effectors [T, R, 3] of the robots; NaN without joints or without one."""
+        position_m = np.full_like(self.world.p, np.nan)
+        joints = self.world.joints
+        for robot, (vehicle, _) in enumerate(zip(self.run.robots, self.rows, strict=True)):
+            arm = vehicle.hull.arm
+            if arm is None or joints is None or arm.end_link < 0:
+                continue
+            tip_m = arm.locate_end_effector(joints[:, robot])
+            position_m[:, robot] = self.world.p[:, robot] + rotate(self.world.q[:, robot], tip_m)
+        return position_m
 
     @cached_property
     def task(self) -> teamwork.JudgedTask | None:

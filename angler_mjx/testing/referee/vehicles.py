@@ -9,6 +9,7 @@ from typing import Any, NotRequired, TypedDict
 import numpy as np
 
 from angler_mjx.errors import ConfigError
+from angler_mjx.testing.referee.arms import RefereeArm, read_arm
 from angler_mjx.testing.referee.geometry import Floats
 
 SHIPPED_FOLDER = Path(__file__).parents[2] / "robot" / "vehicles" / "data"
@@ -24,12 +25,24 @@ class RefereeHull:
     """[c, 3] the other end."""
     r_m: Floats
     """[c]."""
+    arm: RefereeArm | None = None
+    """Links that belong to the hull as they lie; None for a vehicle without any."""
 
-    @property
-    def reach_m(self) -> float:
-        """Radius of the smallest enclosing sphere about the centre of mass."""
-        ends = np.maximum(np.linalg.norm(self.a_m, axis=1), np.linalg.norm(self.b_m, axis=1))
-        return float(np.max(ends + self.r_m))
+    def locate_capsules(self, joints: Floats | None) -> tuple[Floats, Floats, Floats]:
+        """Return the ends [S, c, 3] of all capsules' axes, and their radii [c].
+
+        Args:
+            joints: [S, J] of the record; None where there is none: S is 1, without the arm.
+        """
+        if self.arm is None or joints is None:
+            return self.a_m[None], self.b_m[None], self.r_m
+        shape = (len(joints), *self.a_m.shape)
+        a, b = self.arm.locate_capsules(joints)
+        return (
+            np.concatenate([np.broadcast_to(self.a_m, shape), a], axis=1),
+            np.concatenate([np.broadcast_to(self.b_m, shape), b], axis=1),
+            np.concatenate([self.r_m, self.arm.r_m]),
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,6 +150,7 @@ def read_robot(entry: FleetTable, copies: Mapping[str, Path]) -> RefereeRobot:
                 a_m=np.array([item["from_m"] for item in capsules], float) - centre,
                 b_m=np.array([item["to_m"] for item in capsules], float) - centre,
                 r_m=np.array([item["radius_m"] for item in capsules], float),
+                arm=read_arm(file),
             ),
             pwm_us=np.asarray(table["pwm_us"], float),
             power_w=_power_at_voltage(thruster, float(entry["battery_v"])),

@@ -15,7 +15,7 @@ from angler_mjx.testing.validation.results import (
 from angler_mjx.testing.validation.terms import PagePart, StoredTerm, StudyTerm, Term, Terms
 
 PAGE_PATH = Path("docs/generated/validation.md")
-TERM_PARTS: tuple[PagePart, ...] = ("terms", "energy", "control", "engines", "clearance")
+TERM_PARTS: tuple[PagePart, ...] = ("terms", "links", "energy", "control", "engines", "clearance")
 
 _NOT_YET = "*Not measured yet.*"
 

@@ -12,7 +12,7 @@ from angler_mjx.files import FileModel, parse_model, read_toml
 FOLDER = Path("docs/validation")
 TERMS_FILE, EXPECTED_FILE, RESULTS_FILE = "terms.toml", "expected.json", "validation.json"
 
-type PagePart = Literal["terms", "energy", "control", "engines", "clearance"]
+type PagePart = Literal["terms", "links", "energy", "control", "engines", "clearance"]
 
 
 class RegressionTolerance(FileModel):

@@ -113,7 +113,7 @@ def run_validation(request: ValidationRequest, root: Path, report: Report) -> li
     study_results = {} if request.quick else by_study
     merged = results.merge_results(checkout.result, measured, study_results)
     if request.check:
-        return all_faults + _check_page(checkout)
+        return all_faults + find_page_faults(checkout)
     _write_results(request, checkout, merged)
     if request.store:
         results.write_json(checkout.folder / EXPECTED_FILE, expected.model_dump())
@@ -209,7 +209,15 @@ def _build_page(checkout: Checkout, result: ValidationResult) -> tuple[str, str]
     return text, page.rewrite_page(text, bodies, str(path))
 
 
-def _check_page(checkout: Checkout) -> list[ValidationFault]:
+def find_page_faults(checkout: Checkout) -> list[ValidationFault]:
+    """Find out whether the page is what terms, results and rows of speed give.
+
+    Returns:
+        One fault, or none.
+
+    Raises:
+        ConfigError: the page or a file that it is made from cannot be read.
+    """
     text, expected = _build_page(checkout, checkout.result)
     if text == expected:
         return []

@@ -5,7 +5,13 @@ motion (`motion`), their tables in files (`config`) and the sampling of one worl
 """
 
 from angler_mjx.world.obstacles.config import ObstaclesConfig
-from angler_mjx.world.obstacles.motion import reset, step
+from angler_mjx.world.obstacles.motion import (
+    drift_freely,
+    follow_script,
+    keep_within,
+    reset,
+    step,
+)
 from angler_mjx.world.obstacles.sampling import DriftingSampler, sample_obstacles
 from angler_mjx.world.obstacles.types import (
     BOX,
@@ -35,6 +41,9 @@ __all__ = [
     "Obstacles",
     "ObstaclesConfig",
     "bounding_radius",
+    "drift_freely",
+    "follow_script",
+    "keep_within",
     "reset",
     "sample_obstacles",
     "step",

@@ -2,7 +2,8 @@
 
 Drifting bodies have added mass, quadratic drag, weight and buoyancy, and the force of the flow's
 own acceleration; the vortices exert no moment on them. Static cells and the bounds reflect them, as
-their bounding spheres and without loss. They do not touch each other, explicit obstacles or robots.
+their bounding spheres and without loss. They do not touch each other, explicit obstacles or robots,
+unless a simulation has contact (`angler_mjx.sim.contact_motion`).
 Scripted obstacles are never stopped.
 """
 
@@ -127,20 +128,47 @@ def advance_obstacle(
     gravity: jax.Array | float,
 ) -> ObstacleState:
     """Return the state of one obstacle at t + dt; arguments as in `step`, for one row."""
-    straight = partial(_straight_motion, bounds_lo=bounds_lo, bounds_hi=bounds_hi)
-    after = _move_scripted(body, now, t + dt, straight)
+    after = follow_script(body, now, t + dt, bounds_lo, bounds_hi)
     if DRIFT not in body.motions:
         return after
-    nu_dot = _compute_acceleration(body, now, current, t, density, gravity)
-    nu = advance_velocity(now.nu, nu_dot, now.nu_dot, dt)
+    nu, nu_dot = drift_freely(body, now, current, t, dt, density, gravity)
     p, q = advance_pose(now.p, now.q, now.nu, nu, dt)
     radius = bounding_radius(body.kind, body.size_m)
     v = rotate(q, nu[:3])
     p, v = _off_cells(p, v, radius, nearest_cell)
-    p, v = _off_bounds(p, v, bounds_lo + radius, bounds_hi - radius)
+    p, v = keep_within(p, v, bounds_lo + radius, bounds_hi - radius)
     nu = jnp.concatenate([rotate_inverse(q, v), nu[3:]])
     drifted = ObstacleState(p=p, q=q, nu=nu, nu_dot=nu_dot)
     return _select(body.motion == DRIFT, drifted, after)
+
+
+def drift_freely(
+    body: Obstacles,
+    now: ObstacleState,
+    current: Current,
+    t: jax.Array,
+    dt: jax.Array | float,
+    density: jax.Array | float,
+    gravity: jax.Array | float,
+) -> tuple[jax.Array, jax.Array]:
+    """Return the velocity [6] of one drifting body at t + dt where it touches nothing, and nu'.
+
+    Arguments as in `step`, for one row.
+    """
+    nu_dot = _compute_acceleration(body, now, current, t, density, gravity)
+    return advance_velocity(now.nu, nu_dot, now.nu_dot, dt), nu_dot
+
+
+def follow_script(
+    body: Obstacles,
+    now: ObstacleState,
+    t: jax.Array,
+    bounds_lo: jax.Array,
+    bounds_hi: jax.Array,
+) -> ObstacleState:
+    """Return the state of one scripted obstacle at t; any other unchanged; see `step`."""
+    straight = partial(_straight_motion, bounds_lo=bounds_lo, bounds_hi=bounds_hi)
+    return _move_scripted(body, now, t, straight)
 
 
 def _compute_acceleration(
@@ -196,10 +224,17 @@ def _off_cells(
     return p + inside * normal, v - jnp.where(inside > 0.0, 2.0 * inward, 0.0) * normal
 
 
-def _off_bounds(
+def keep_within(
     p: jax.Array, v: jax.Array, lo: jax.Array, hi: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Move a centre beyond a bound back onto it, and reverse the outward velocity component."""
+    """Move a centre beyond a bound back onto it, and reverse the outward velocity component.
+
+    Args:
+        p: [3] centre, m.
+        v: [3] m/s.
+        lo: [3] lower bounds.
+        hi: [3] upper bounds.
+    """
     leaving = ((p < lo) & (v < 0.0)) | ((p > hi) & (v > 0.0))
     return jnp.clip(p, lo, jnp.maximum(lo, hi)), jnp.where(leaving, -v, v)
 

@@ -19,6 +19,7 @@ from angler_kernels.clearance.shapes import (
     segment_point,
     segment_segment,
 )
+from angler_kernels.clearance.surface import point_surface, segment_surface
 
 __all__ = [
     "BOX",
@@ -33,8 +34,10 @@ __all__ = [
     "point_box",
     "point_grid",
     "point_neighbours",
+    "point_surface",
     "segment_box",
     "segment_oriented_box",
     "segment_point",
     "segment_segment",
+    "segment_surface",
 ]

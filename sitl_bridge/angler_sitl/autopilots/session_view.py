@@ -22,7 +22,7 @@ from angler_mjx.runs.session.state_view import (
     build_observation,
     view_state,
 )
-from angler_mjx.sim import step
+from angler_mjx.sim import robot, step
 from angler_mjx.sim.record import Belief, Sample, WorldRecord, build_sample
 from angler_mjx.sim.state import FleetWorld, WorldState
 from angler_sitl.autopilots.autopilots import Autopilots
@@ -117,6 +117,9 @@ class SessionView:
             **step.record_motion(before.vehicles, before.tally.outcome, decision.current_mps),
             **self._scene.record,
         }
+        links = self._scene.worlds.control.vehicle.links
+        if links is not None and before.vehicles.joints is not None:
+            record["joints"] = _record_joints(links, before.vehicles.joints)
         belief = None if self._uses_truth else self.belief
         self.sample = build_sample(WorldRecord(belief=belief), record)
 
@@ -142,6 +145,10 @@ class SessionView:
         pwm = pulses[None, :, : self._facts.thrusters]
         is_pulse = (pwm >= MIN_PULSE_US) & (pwm <= MAX_PULSE_US)
         return np.where(is_pulse, pwm, NEUTRAL_US).astype(self._scene.state.vehicles.p.dtype)
+
+
+_record_joints = jax.jit(jax.vmap(jax.vmap(robot.record_joints)))
+"""`robot.record_joints` of links and joints, [1, R] leading."""
 
 
 def _view_scene(

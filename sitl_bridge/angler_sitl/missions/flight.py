@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from angler_mjx.errors import RunError
 from angler_mjx.robot.control.commands.joint_goal import JointGoal
 from angler_mjx.robot.control.commands.joint_tolerance import ResultCode
-from angler_mjx.runs.session.interface import Observation, RobotStatus
+from angler_mjx.runs.session.interface import Observation, RobotStatus, SessionCommand
+from angler_mjx.runs.session.online_policy import OnlineFlyer
 from angler_mjx.sim.state import Outcome
 from angler_mjx.teleop.loop import Watcher
 from angler_mjx.teleop.signals import StopRequest
@@ -39,6 +40,7 @@ def fly_mission(
     duration_s: float,
     goals: Mapping[int, JointGoal] | None = None,
     whole: bool = False,
+    policy: OnlineFlyer | None = None,
     watchers: Sequence[Watcher] = (),
     stop: StopRequest | None = None,
 ) -> MissionFlight:
@@ -52,6 +54,8 @@ def fly_mission(
         duration_s: max time of the scene.
         goals: JointTrajectories by robot index; the other robots follow their plans.
         whole: fly to the end of that time, even if all robots have ended.
+        policy: commands robots without a JointTrajectory in each step; None: they follow their
+            plans.
         watchers: called after every step.
         stop: request to stop, set by a signal.
     """
@@ -66,7 +70,8 @@ def fly_mission(
         if not whole and steps and _all_ended(session, observation, goals or {}):
             break
         try:
-            observation = session.step(commands)
+            of_policy = _command_others(policy, observation, goals or {})
+            observation = session.step({**of_policy, **commands})
         except RunError as error:  # the flight so far is kept
             broken = str(error)
             break
@@ -82,6 +87,16 @@ def fly_mission(
         broken=broken,
         by_signal=stop is not None and stop.requested,
     )
+
+
+def _command_others(
+    policy: OnlineFlyer | None, observation: Observation, goals: Mapping[int, JointGoal]
+) -> dict[int, SessionCommand]:
+    """Return what a policy commands robots that have no JointTrajectory."""
+    if policy is None:
+        return {}
+    commands = policy.commands(observation)
+    return {robot: command for robot, command in commands.items() if robot not in goals}
 
 
 def _all_ended(

@@ -20,6 +20,7 @@ from angler_mjx.robot.control.commands import joint_goal
 from angler_mjx.robot.control.commands.joint_goal import JointGoal
 from angler_mjx.robot.control.commands.joint_trajectory import VEHICLE_JOINTS, sample_state
 from angler_mjx.runs.session.interface import Session
+from angler_mjx.runs.session.online_policy import OnlineFlyer
 from angler_mjx.runs.session.recording import FlownPath, RecordedCourse, SessionRecording
 from angler_mjx.runs.storage import folder
 from angler_mjx.runs.storage.folder import Run
@@ -129,6 +130,8 @@ def run_mission(
         session = stack.enter_context(
             _open_session(scenario, settings, firmware_parameters, recording.building)
         )
+        # Plans lead the base to the goal; the policy of such a task brings the end effector there.
+        policy = OnlineFlyer(session, report=report) if scenario.by_end_effector else None
         opened_s = time.perf_counter() - start_s
         interrupt.check()
         autopilots = session.autopilots  # a crash removes them from the session
@@ -148,6 +151,7 @@ def run_mission(
                 duration_s=settings.duration_s or scenario.time.horizon_s,
                 whole=settings.duration_s is not None,
                 goals=goals,
+                policy=policy,
                 watchers=[*watchers, display_watcher],
                 stop=stop,
             )

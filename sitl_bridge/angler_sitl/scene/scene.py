@@ -7,13 +7,16 @@ times a second; the outcome is judged once a control period.
 
 from dataclasses import dataclass
 
+import jax
 import numpy as np
 from numpy.typing import NDArray
 
 from angler_mjx.errors import ConfigError
+from angler_mjx.robot.control.commands.whole_body import JointTarget, hold_joints
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.scenario.task_table import require_goal_task
+from angler_mjx.sim.fleet import count_joints
 from angler_mjx.sim.phase import Record
 from angler_mjx.sim.state import FleetWorld, Outcome, World, WorldState
 from angler_mjx.world.acoustics.config import refuse_acoustics
@@ -96,8 +99,14 @@ class AutopilotScene:
             scenario.acoustics,
             'autopilots hear nothing of each other; take "perfect", or fly it with angler rollout',
         )
-        # The closed form is MJX's, to rounding, for one rigid body.
-        single_world = scenario.model_copy(update={"tile": 1, "engine": "fused", "kernels": "xla"})
+        if scenario.contacts:
+            raise ConfigError(
+                "contacts = true: beside autopilots the first touch ends a robot's episode; leave "
+                "contacts out, or fly it with angler rollout"
+            )
+        # The closed form is MJX's, to rounding, for one rigid body; links are the same code.
+        engine = "mjx" if count_joints(scenario.members()) else "fused"
+        single_world = scenario.model_copy(update={"tile": 1, "engine": engine, "kernels": "xla"})
         self.simulator, self.dt_s, self._index = Simulator(single_world), dt_s, world
         self._spec, self._seed = self.simulator.spec, single_world.seed
         self.steps_per_period = round(self._spec.control_dt_s / dt_s)
@@ -135,10 +144,13 @@ class AutopilotScene:
         self._inputs = np.zeros((self._rows.shape[0], motion.N_INPUTS), np.int32)
         self._ticks, self._steps = 0, 0
         self.state, self.moored = self._start, True
+        joints = self._start.vehicles.joints
+        self._targets: tuple[jax.Array, np.int32] | tuple[()] = ()
+        self.command_joints(None if joints is None else hold_joints(joints))
         self.record: Record = {}
         # Failed robots are held in place: so the state at rest of every robot is known.
         self._inputs[:, motion.OUTCOME_COLUMN] = Outcome.OUT_OF_BOUNDS
-        at_rest = np.asarray(self._motion.step(self._motion_constants, self._rows, self._inputs))
+        at_rest = np.asarray(self._step_motion())
         # Wait for the result: the step may read our array itself while we go on.
         self._inputs[:, motion.OUTCOME_COLUMN] = Outcome.RUNNING
         self.states = SensorStates(numbers=at_rest[:, :STATE_NUMBERS])
@@ -169,10 +181,20 @@ class AutopilotScene:
             return self.states
         self._inputs[:, : motion.N_PULSES] = pwm
         self._inputs[:, motion.STEPS_COLUMN] = self._steps
+        self._rows = self._step_motion()
         self._steps += 1
-        self._rows = self._motion.step(self._motion_constants, self._rows, self._inputs)
         self.states = SensorStates(numbers=np.asarray(self._rows)[:, :STATE_NUMBERS])
         return self.states
+
+    def command_joints(self, target: JointTarget | None) -> None:
+        """Set what the servos of joints follow from now on; autopilots know nothing of joints.
+
+        Args:
+            target: [1, N, J] at the present time; None of a fleet without joints. It moves on with
+                its speeds and accelerations until the next one.
+        """
+        if target is not None:
+            self._targets = (self._motion.pack_targets(target), np.int32(self._steps))
 
     def judge(self, approaching: NDArray[np.bool_] | None = None) -> None:
         """Close a control period: move obstacles, detect contact, update accounts.
@@ -193,6 +215,10 @@ class AutopilotScene:
         self.record = self._judge.record.unpack(tuple(map(np.asarray, record)))
         self.state = self._judge.from_arrays(self.judged)
         self._inputs[:, motion.OUTCOME_COLUMN] = self.state.tally.outcome[0]
+
+    def _step_motion(self) -> jax.Array:
+        """Return the vehicles after one step with the present inputs."""
+        return self._motion.step(self._motion_constants, self._rows, self._inputs, *self._targets)
 
     def _sample_world(self, seed: int) -> None:
         if seed != self._sampled_seed:

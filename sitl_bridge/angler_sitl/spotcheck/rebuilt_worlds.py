@@ -52,8 +52,9 @@ class WorldLikeness:
 
 
 def single_world_scenario(scenario: Scenario) -> Scenario:
-    """Return a scenario for one world at a time on any device: the closed form, plain XLA."""
-    return scenario.model_copy(update={"tile": 1, "engine": "fused", "kernels": "xla"})
+    """Return a scenario for one world at a time on any device: plain XLA, and no fused arms."""
+    engine = "mjx" if scenario.joint_names() else "fused"
+    return scenario.model_copy(update={"tile": 1, "engine": engine, "kernels": "xla"})
 
 
 def sample_worlds(scenario: Scenario, indices: Sequence[int]) -> dict[int, World]:

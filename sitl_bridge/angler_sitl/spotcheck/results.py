@@ -86,6 +86,9 @@ class SpotcheckResult:
             )
         if scenario.execution.order == "kept":
             parts.append("flown in the order of the plans")
+        if scenario.policy.name == "reach":
+            begin_m = scenario.policy.reach.begin_m
+            parts.append(f"left {begin_m:g} m from the goals for targets of the end effectors")
         return ", ".join(parts)
 
     def flight_names(self) -> tuple[str, ...]:

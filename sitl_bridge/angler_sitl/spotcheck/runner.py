@@ -119,8 +119,12 @@ def load_result(run_path: Path, settings: SpotcheckSettings, out: Path) -> Spotc
 
 
 def has_flown_plans(run: Run) -> bool:
-    """Return whether robots of a run flew plans, as autopilots can, and had no other commands."""
-    return run.scenario.online or not (run.path / POLICY).exists()
+    """Return whether robots of a run flew plans, as autopilots can, and had no other commands.
+
+    The policy ``reach`` is flown too: along plans, and from there by targets of end effectors.
+    """
+    scenario = run.scenario
+    return scenario.online or scenario.policy.name == "reach" or not (run.path / POLICY).exists()
 
 
 def plan_spot_check(run_path: Path, settings: SpotcheckSettings) -> SpotcheckResult:
@@ -134,7 +138,8 @@ def plan_spot_check(run_path: Path, settings: SpotcheckSettings) -> SpotcheckRes
     if not has_flown_plans(run):
         raise ConfigError(
             f"{run.path / POLICY}: a policy commanded the robots of this run, and autopilots fly "
-            "plans, not that; give a run of plans, flown as they are or made anew in flight"
+            "plans, not that; give a run of plans, flown as they are or made anew in flight, or of "
+            'policy.name = "reach"'
         )
     _ = run.trajectories
     fleet = len(scenario.members())

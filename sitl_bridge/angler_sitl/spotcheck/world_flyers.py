@@ -9,6 +9,7 @@ import jax
 import numpy as np
 
 from angler_mjx.errors import ConfigError
+from angler_mjx.robot.control.stages import CONTROLLERS
 from angler_mjx.runs.session import online_policy
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import Scenario
@@ -29,6 +30,11 @@ type ReferenceController = Literal["surrogate", "cascade"]
 
 CONTROLLER_STACKS: dict[ReferenceController, str] = {"surrogate": "ardusub", "cascade": "cascade"}
 """Controller stack of each."""
+ARM_STACKS: dict[ReferenceController, tuple[str, ...]] = {
+    "surrogate": ("follow", "guided", "ardusub"),
+    "cascade": CONTROLLERS["arm"],
+}
+"""Stages of each where end effectors are brought to the goals: the same with inverse kinematics."""
 
 type FlightProgress = Callable[[float], None]
 """Receiver of the flown fraction of the horizon."""
@@ -71,8 +77,12 @@ class BatchFlyer:
             scenario: of the run, with the robots that fly.
             against: reference controller.
         """
-        update = {"controller": ControllerConfig(name=CONTROLLER_STACKS[against])}
-        self._simulator = Simulator(single_world_scenario(scenario).model_copy(update=update))
+        controller = ControllerConfig(name=CONTROLLER_STACKS[against])
+        if scenario.by_end_effector:
+            controller = ControllerConfig(stages=ARM_STACKS[against])
+        self._simulator = Simulator(
+            single_world_scenario(scenario).model_copy(update={"controller": controller})
+        )
 
     def __enter__(self) -> Self:
         """Return the context manager itself."""
@@ -113,8 +123,9 @@ class BatchFlyer:
 class SitlFlyer:
     """Real autopilots at one level, started anew for each world.
 
-    Where the scenario updates its plans, its policy does so here too: from the autopilots'
-    estimates, with the keys of the world, and with the delay of the batch simulator.
+    Where a policy of the scenario updates plans or brings end effectors to the goals, it does so
+    here too: from the autopilots' estimates, with the keys of the world, and with the delay of the
+    batch simulator.
     """
 
     def __init__(
@@ -171,8 +182,8 @@ class SitlFlyer:
         )
 
     def _prepare_policy(self) -> online_policy.OnlineFlyer | None:
-        """Return the policy that updates the plans of the current world; compiled once for all."""
-        if not self._scenario.online:
+        """Return the policy of the scenario in the current world; compiled once for all."""
+        if not self._scenario.flown:
             return None
         if self._policy is None:
             self._policy = online_policy.OnlineFlyer(self._session)

@@ -47,7 +47,11 @@ class CommandSender:
         vehicles = scene.state.vehicles
         self.memory = self._guidance.initialise_memory(scene.worlds, vehicles)
         self._guidance.decide(
-            scene.worlds, scene.state, self.memory, belief_from_truth(vehicles), command
+            scene.worlds,
+            scene.state,
+            self.memory,
+            belief_from_truth(vehicles),
+            command,
         )
 
     def steer(
@@ -58,17 +62,18 @@ class CommandSender:
         estimate: Belief,
         command: MixedCommand,
     ) -> GuidanceDecision:
-        """Run one control step: decide, and send.
+        """Run one control step: decide, send to the autopilots, and set the servos of joints.
 
         Args:
             scene: for its constants and its clock.
             pilots: receivers of the output.
             robots: the robots that they steer.
             estimate: estimates of the robots' motion, [1, R] leading.
-            command: commands of the robots.
+            command: commands of the robots, and to their joints.
         """
         decision = self._guidance.decide(scene.worlds, scene.state, self.memory, estimate, command)
         self.memory = decision.memory
+        scene.command_joints(decision.memory.joints)
         for i, (pilot, robot) in enumerate(zip(pilots, robots, strict=True)):
             pilot.link.send(self._build_message(i, pilot, robot, scene.time_s, decision.output))
         return decision

@@ -1,6 +1,6 @@
 """Guidance above real autopilots: one compiled step of the controller stack of a level."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import jax
@@ -12,6 +12,7 @@ from angler_mjx.robot.control import mixed, stack
 from angler_mjx.robot.control.commands import BodyWrench, ThrusterPwm
 from angler_mjx.robot.control.mixed import MixedCommand
 from angler_mjx.robot.control.stack import Command, ControlMemory
+from angler_mjx.robot.vehicles.link_motion import JointMotion
 from angler_mjx.sim import robot
 from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.record import Belief
@@ -67,30 +68,34 @@ class Guidance:
 
         Args:
             worlds: [1] leads.
-            state: the truth, for the current alone.
+            state: the truth, for the current and the joints, which measure themselves.
             memory: of the stacks.
             estimate: estimates of the robots' motion, [1, R] leading.
             command: commands of the robots.
         """
         if not self._sends_pwm:
             # The last slot is for signals, which this level accepts from no robot.
-            command = MixedCommand(
-                which=command.which, fresh=command.fresh, commands=command.commands[:-1]
-            )
+            command = replace(command, commands=command.commands[:-1])
         decision: GuidanceDecision = self._decide(
-            worlds, state.vehicles.p, state.step, memory, estimate, command
+            worlds,
+            state.vehicles.p,
+            state.step,
+            memory,
+            estimate,
+            state.vehicles.joints,
+            command,
         )
         return decision
 
 
 def _reset_controllers(spec: SimSpec, worlds: FleetWorld, vehicles: VehicleState) -> ControlMemory:
-    memory = jax.vmap(jax.vmap(partial(robot.reset_controllers, spec)))(
+    memory: ControlMemory = jax.vmap(jax.vmap(partial(robot.reset_controllers, spec)))(
         vehicles, worlds.environment.start_yaw_rad
     )
     if spec.stages[-1].gives is not ThrusterPwm:
         return memory
     no_demand = BodyWrench(tau=jnp.full_like(vehicles.nu, jnp.nan))
-    return ControlMemory(stages=memory.stages, realised=memory.realised, demanded=no_demand)
+    return replace(memory, demanded=no_demand)
 
 
 def _run_controllers(
@@ -100,6 +105,7 @@ def _run_controllers(
     step: jax.Array,
     memory: ControlMemory,
     estimate: Belief,
+    joints: JointMotion | None,
     command: MixedCommand,
 ) -> GuidanceDecision:
     def decide_world(
@@ -108,6 +114,7 @@ def _run_controllers(
         step: jax.Array,
         memory: ControlMemory,
         estimate: Belief,
+        joints: JointMotion | None,
         command: MixedCommand,
     ) -> GuidanceDecision:
         t = step.astype(p.dtype) * spec.control_dt_s
@@ -118,6 +125,7 @@ def _run_controllers(
             estimate,
             command,
             estimate.flow if stack.wants_flow(spec.stages) else None,
+            joints,
         )
         begin_s = jax.vmap(partial(mixed.last_approach_s, tolerance_m=spec.goal_tolerance_m))(
             command, world.environment.goal_m
@@ -130,7 +138,9 @@ def _run_controllers(
             current_mps=flow,
         )
 
-    decision: GuidanceDecision = jax.vmap(decide_world)(worlds, p, step, memory, estimate, command)
+    decision: GuidanceDecision = jax.vmap(decide_world)(
+        worlds, p, step, memory, estimate, joints, command
+    )
     return decision
 
 

@@ -12,28 +12,36 @@ the autopilot: the output of the last stage is sent. Everything is in W and F he
 
 A twist at the level ``guided`` moves the target on evenly, and the target waits for a robot that
 is behind. The firmware has pure velocity targets too; a vehicle reached half of one after 5 s.
+
+An autopilot knows nothing of an arm: it gets the base's part of a command, and servos of the joints
+get theirs. At the level ``guided`` a target of the end effector is resolved into both.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-import jax
 import jax.numpy as jnp
 
-from angler_kernels import quaternion
 from angler_mjx.errors import ConfigError
 from angler_mjx.robot.control import stages
 from angler_mjx.robot.control.commands import (
     BodyTwist,
-    Estimate,
     PoseTarget,
     TrackingTarget,
-    as_tracking,
 )
 from angler_mjx.robot.control.commands.joint_goal import JointGoal
 from angler_mjx.robot.control.commands.joint_trajectory import JointTrajectory
 from angler_mjx.robot.control.commands.trajectory import Trajectory
-from angler_mjx.robot.control.laws.model import wrap_angle
+from angler_mjx.robot.control.commands.whole_body import (
+    EndEffectorTarget,
+    JointTarget,
+    WholeBodyCommand,
+)
+from angler_mjx.robot.control.laws import guided
+from angler_mjx.robot.control.laws.guided import GuidedCarry
+from angler_mjx.robot.control.laws.whole_body import WholeBodyGains
 from angler_mjx.robot.control.stack import NoGains, Stage, StageInput
+from angler_mjx.robot.vehicles import library
+from angler_mjx.robot.vehicles.config import VehicleConfig
 from angler_mjx.runs.session.fleet_facts import FleetFacts
 from angler_mjx.sim.state import SimSpec
 from angler_sitl.firmware.parameters import LEVELS, CommandLevel
@@ -49,29 +57,16 @@ LEVEL_MODES: dict[CommandLevel, int] = {
 
 STICK_LEVELS: tuple[CommandLevel, ...] = ("poshold", "althold", "manual")
 
-LEASH_M, LEASH_RAD = 0.5, 0.5
-"""Max lead of a twist's target over a robot that does not keep up."""
 
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, kw_only=True)
-class GuidedCarry:
-    """Memory of the level ``guided``."""
-
-    position_m: jax.Array
-    """[3] target of the previous step, in W."""
-    yaw_rad: jax.Array
-    """[] heading of the target."""
-    steered: jax.Array
-    """bool [] whether a twist moved the target."""
-
-
-def build_level_spec(level: CommandLevel, spec: SimSpec) -> SimSpec:
+def build_level_spec(
+    level: CommandLevel, spec: SimSpec, *, has_end_effector: bool = False
+) -> SimSpec:
     """Return the settings of the simulation with the controllers of a level.
 
     Args:
         level: where commands enter.
         spec: of the scenario.
+        has_end_effector: whether a vehicle of the fleet has an end effector.
 
     Raises:
         ConfigError: there is no such level.
@@ -80,15 +75,22 @@ def build_level_spec(level: CommandLevel, spec: SimSpec) -> SimSpec:
         raise ConfigError(f"level = {level!r}: there is {', '.join(LEVELS)}")
     if level == "thrusters":
         return spec
-    last = _GUIDED if level == "guided" else _STICKS
-    stack = (stages.STAGES["follow"], last)
-    return replace(spec, stages=stack, gains=tuple(stage.gains() for stage in stack))
+    targets = stages.STAGES["guided"] if has_end_effector else _GUIDED
+    stack = (stages.STAGES["follow"], targets if level == "guided" else _STICKS)
+    of_scenario = {type(gains): gains for gains in spec.gains}
+    gains = tuple(
+        of_scenario.get(WholeBodyGains, stage.gains())
+        if stage.gains is WholeBodyGains
+        else stage.gains()
+        for stage in stack
+    )
+    return replace(spec, stages=stack, gains=gains)
 
 
 def accepted_command_types(
     level: CommandLevel, scenario_types: tuple[type, ...]
 ) -> tuple[type, ...]:
-    """Return the command types that robots accept at a level.
+    """Return the command types that robots accept at a level, beside those to arms.
 
     Args:
         level: where commands enter.
@@ -101,9 +103,16 @@ def accepted_command_types(
     return (BodyTwist,)
 
 
-def _reset_guided(estimate: Estimate, yaw_rad: jax.Array) -> GuidedCarry:
-    steered = jnp.zeros(jnp.shape(yaw_rad), bool)
-    return GuidedCarry(position_m=estimate.p, yaw_rad=yaw_rad, steered=steered)
+def arm_command_types(level: CommandLevel, vehicle: VehicleConfig) -> tuple[type, ...]:
+    """Return the command types that a vehicle accepts at a level for its arm; none without joints.
+
+    At the level ``thrusters`` the scenario's own controllers take targets of the end effector.
+    """
+    if not vehicle.joints:
+        return ()
+    joints = (JointTarget, WholeBodyCommand)
+    is_resolved = level == "guided" and vehicle.end_effector is not None
+    return (EndEffectorTarget, *joints) if is_resolved else joints
 
 
 def _step_guided(
@@ -112,39 +121,7 @@ def _step_guided(
     inputs: StageInput,
     command: PoseTarget | TrackingTarget | BodyTwist,
 ) -> tuple[GuidedCarry, TrackingTarget]:
-    """Return the target of one control step."""
-    if isinstance(command, BodyTwist):
-        target = _advance_target(carry, inputs.estimate, command, inputs.dt)
-    else:
-        target = as_tracking(command)
-    after = GuidedCarry(
-        position_m=target.position_m,
-        yaw_rad=target.yaw_rad,
-        steered=jnp.full_like(carry.steered, isinstance(command, BodyTwist)),
-    )
-    return after, target
-
-
-def _advance_target(
-    carry: GuidedCarry, estimate: Estimate, command: BodyTwist, dt: float
-) -> TrackingTarget:
-    """Advance the target by a twist, starting at the robot after any other command."""
-    yaw = quaternion.yaw(estimate.q)
-    velocity = quaternion.rotate(quaternion.from_yaw(yaw), command.nu[:3])
-    lead = jnp.where(carry.steered, carry.position_m - estimate.p, 0.0)
-    ahead = jnp.where(carry.steered, wrap_angle(carry.yaw_rad - yaw), 0.0)
-    away = jnp.sqrt(jnp.sum(lead**2) + 1e-12)
-    lead = lead * jnp.minimum(1.0, LEASH_M / away) + velocity * dt
-    ahead = jnp.clip(ahead, -LEASH_RAD, LEASH_RAD) + command.nu[5] * dt
-    still = jnp.zeros_like(yaw)
-    return TrackingTarget(
-        position_m=estimate.p + lead,
-        velocity_mps=velocity,
-        acceleration_mps2=jnp.zeros_like(velocity),
-        yaw_rad=wrap_angle(yaw + ahead),
-        yaw_rate_radps=command.nu[5] + still,
-        yaw_acceleration_radps2=still,
-    )
+    return guided.step_base(carry, inputs.estimate, command, inputs.dt)
 
 
 def _step_sticks(
@@ -162,7 +139,7 @@ _GUIDED = Stage(
     takes=(PoseTarget, TrackingTarget, BodyTwist),
     gives=TrackingTarget,
     step=_step_guided,
-    reset=_reset_guided,
+    reset=guided.reset_base,
 )
 _STICKS = Stage(
     name="sticks",
@@ -176,7 +153,17 @@ _STICKS = Stage(
 def adapt_facts(level: CommandLevel, facts: FleetFacts) -> FleetFacts:
     """Return the facts of a scene's robots, with the command types of a level."""
     robots = tuple(
-        replace(robot, accepts=accepted_command_types(level, robot.accepts))
+        replace(
+            robot,
+            accepts=tuple(
+                dict.fromkeys(
+                    [
+                        *accepted_command_types(level, robot.accepts),
+                        *arm_command_types(level, library.load_vehicle(robot.vehicle)),
+                    ]
+                )
+            ),
+        )
         for robot in facts.robots
     )
     return replace(facts, robots=robots)

@@ -1,5 +1,7 @@
 """What is drawn of robots, water and instruments: banks, ranges, refusals, and what flies of it."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -166,6 +168,63 @@ def test_what_cannot_be_is_refused(table, said):
         drawn(**table)
     for words in said:
         assert words in str(error.value)
+
+
+IDENTIFIED = {"vehicle": "bluerov2_heavy", "parameter_set": "hinsdale2023_identified", "count": 2}
+
+
+def uncertain(entry=IDENTIFIED, **table):
+    table = {"variants": 1024, "uncertainty": True, **table}
+    return load_scenario("reef_fleet", fleet=[entry], randomise=table)
+
+
+@pytest.mark.parametrize("vehicle", ["bluerov2_heavy", "bluerov2_heavy_alpha5"])
+def test_uncertain_sets_are_sampled_with_their_spread(vehicle):
+    """Means and standard deviations of 1,024 strata, and correlations within four of theirs."""
+    scenario = uncertain({**IDENTIFIED, "vehicle": vehicle})
+    table = library.load_vehicle(vehicle).find_set(IDENTIFIED["parameter_set"]).uncertainty
+    sampled = np.array([one.deviations for one in variations(scenario)])
+    spread = table.standard_deviations
+    np.testing.assert_allclose(sampled.mean(axis=0) / spread, 0.0, atol=0.02)
+    np.testing.assert_allclose(sampled.std(axis=0) / spread, 1.0, atol=0.08)
+    np.testing.assert_allclose(np.corrcoef(sampled.T), table.correlation, atol=4.0 / 32.0)
+
+
+def test_other_samples_are_the_same_with_uncertainty():
+    plain, both = (
+        drawn(fault_probability=0.1, **SPANS),
+        uncertain(IDENTIFIED, variants=8, fault_probability=0.1, **SPANS),
+    )
+    same = load_scenario(
+        "reef_fleet",
+        fleet=[IDENTIFIED],
+        randomise={"variants": 8, "fault_probability": 0.1, **SPANS},
+    )
+    assert all(one.deviations for one in variations(both))
+    assert not any(one.deviations for one in variations(plain))
+    for one, other in zip(variations(both), variations(same), strict=True):
+        assert replace(one, deviations=()) == other
+    assert both.digest() != same.digest()
+
+
+def test_a_set_without_uncertainty_is_refused_by_name():
+    with pytest.raises(ConfigError) as error:
+        uncertain({**IDENTIFIED, "parameter_set": "wu2018"})
+    for words in ("fleet[0]", "randomise.uncertainty", "'wu2018'", "hinsdale2023_identified"):
+        assert words in str(error.value)
+    with pytest.raises(ConfigError, match="sets with one: none"):
+        uncertain({"vehicle": "bluerov2"})
+
+
+def test_variants_of_uncertain_sets_are_listed_and_built():
+    scenario = uncertain(variants=4)
+    rows = fleet.describe_variants(scenario.members())
+    labels = library.load_vehicle("bluerov2_heavy").find_set("hinsdale2023_identified")
+    assert {len(row["drawn"]["deviations"]) for row in rows} == {len(labels.uncertainty.labels)}
+    assert "deviations" not in fleet.describe_variants(drawn(**SPANS).members())[0]["drawn"]
+    vehicles = fleet.build_fleet(scenario.members(), multibody=False).control
+    for told, truth in ((vehicles.vehicle_model, 1), (vehicles.vehicle, 4)):
+        assert len(np.unique(np.asarray(told.volume_m3))) == truth
 
 
 def test_current_of_still_water_is_refused():

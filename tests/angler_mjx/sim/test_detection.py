@@ -8,15 +8,19 @@ import numpy as np
 import pytest
 
 from angler_mjx.robot.vehicles import library, params
+from angler_mjx.robot.vehicles.link_hull import max_link_reach_m
+from angler_mjx.robot.vehicles.link_motion import JointMotion
 from angler_mjx.sim import detection
 from angler_mjx.sim.detection import SEPARATION_RADIUS_M, detect_contacts
 from angler_mjx.sim.physics.step import VehicleState
+from angler_mjx.sim.posture import bounding_radii, hull_capsules
 from angler_mjx.sim.state import Touched
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.obstacles import BOX, DRIFT, SPHERE, STATIC, Obstacles, ObstacleState
 from angler_mjx.world.rock.grid import Grid
 
 from ..compiling import quickly
+from ..link_poses import locate_by_mujoco
 
 # Distances are sums and roots of numbers of some metres in float32: a few ulp of 16 m.
 TOLERANCE_M = 1e-5
@@ -201,3 +205,143 @@ def test_a_large_fleet_is_searched_with_the_same_result(heavy, monkeypatch):
         np.testing.assert_allclose(got[near], want[near], atol=1e-6, err_msg=field)
     np.testing.assert_array_equal(searched.clearance_m, every.clearance_m)
     assert np.all(np.asarray(searched.nearest)[~near] != Touched.ROBOT)
+
+
+@pytest.fixture(scope="module")
+def armed():
+    """The shipped arm, stacked with a vehicle without one."""
+    vehicles = [
+        params.build_vehicle(library.load_vehicle(name), "von_benzon2022", 16.0)
+        for name in ("bluerov2_heavy_alpha5", "bluerov2_heavy")
+    ]
+    return params.stack_vehicles(vehicles)
+
+
+POSTURES = ((3.1416, 0.01, 1.5708, 0.0, 0.0), (4.0, 1.5, 2.7, 0.5, 0.01), (1.0, 3.0, 0.2, 2.0, 0.0))
+
+
+def postured(armed, posture, p, q):
+    """Two robots of the same pose [3] and [4], with an arm in a posture and without."""
+    _, state = fleet_of(armed, [p, p])
+    joints = JointMotion(position=jnp.array([posture, [0.0] * 5]), velocity=jnp.zeros((2, 5)))
+    return dataclasses.replace(state, q=jnp.array([q, q]), joints=joints)
+
+
+def distance_to_links(config, p, q, posture, points):
+    """Least distance of points [n, 3] to the capsules of links, by MuJoCo's kinematics."""
+    gaps = []
+    poses = locate_by_mujoco(config, p, q, posture)
+    for link in config.links:
+        origin, turn = poses[link.name]
+        for capsule in link.capsules:
+            a, b = (origin + turn @ np.array(end) for end in (capsule.from_m, capsule.to_m))
+            along = np.clip((points - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0)
+            nearest = a + along[:, None] * (b - a)
+            gaps.append(np.linalg.norm(points - nearest, axis=1) - capsule.radius_m)
+    return np.min(gaps, axis=0)
+
+
+@pytest.mark.parametrize("posture", POSTURES)
+def test_an_arm_is_part_of_the_hull_as_it_lies(armed, posture):
+    config = library.load_vehicle("bluerov2_heavy_alpha5")
+    p, q = np.array([0.1, 0.2, -8.0]), np.array([0.9, 0.1, -0.2, 0.37])
+    q = q / np.linalg.norm(q)
+    state = postured(armed, posture, p, q)
+    tip = locate_by_mujoco(config, p, q, posture)["jaws"][0]
+    outward = p + 1.6 * (tip - p)
+    points = outward + np.array([[0.0, 0.0, 0.0], [0.05, 0.1, -0.1]])
+    for point in points:
+        world = environment([], [(SPHERE, [0.05, 0.0, 0.0], STATIC)], 2)
+        contact = quickly(detect_contacts)(world, armed, state, still([point]))
+        to_arm, to_hull = np.asarray(contact.clearance_m, float)
+        want = distance_to_links(config, p, q, posture, point[None])[0] - 0.05
+        assert want < to_hull  # The arm is nearer than the vehicle.
+        assert to_arm == pytest.approx(want, abs=TOLERANCE_M)
+        distances = quickly(detection.compute_distances)(
+            world, armed, state.p, state.q, still([point]), state.joints.position
+        )
+        assert float(distances[1][0]) == pytest.approx(want, abs=TOLERANCE_M)
+
+
+def test_an_arm_touches_rock_that_the_vehicle_does_not(armed):
+    # Cells begin 0.5 m ahead of the centres of mass; the hull reaches 0.23 m, the arm 0.6 m.
+    world = environment([(5, 4, 4), (5, 1, 4)], [], 2)
+    config = library.load_vehicle("bluerov2_heavy_alpha5")
+    home = [joint.home for joint in config.find_joints()]
+    state = postured(armed, home, [1.0, 0.85, -7.25], [1.0, 0.0, 0.0, 0.0])
+    state = dataclasses.replace(state, p=state.p.at[1, 1].set(-3.65))
+    contact = quickly(detect_contacts)(world, armed, state, still([]))
+    assert contact.clearance_m[0] < 0.0 < contact.clearance_m[1]
+    assert contact.nearest[0] == Touched.CELL
+    assert contact.nearest_is_static[0]
+
+
+def test_a_robot_without_arms_has_its_hull_alone(armed):
+    """Whatever its joints are said to be, in a fleet with arms."""
+    world = environment([], [(SPHERE, [0.1, 0.0, 0.0], STATIC)], 2)
+    p, point = [0.0, 0.0, -8.0], np.array([[0.8, 0.3, -8.2]])
+    alone = jax.tree.map(lambda leaf: leaf[1:], armed)
+    alone = dataclasses.replace(alone, links=None, link_capsules=None)
+    state = postured(armed, [np.nan] * 5, p, [1.0, 0.0, 0.0, 0.0])
+    joints = dataclasses.replace(state.joints, position=jnp.full((2, 5), jnp.nan))
+    contact = quickly(detect_contacts)(
+        world, armed, dataclasses.replace(state, joints=joints), still(point)
+    )
+    _, lone = fleet_of(alone, [p])
+    world = environment([], [(SPHERE, [0.1, 0.0, 0.0], STATIC)], 1)
+    want = quickly(detect_contacts)(world, alone, lone, still(point)).clearance_m[0]
+    assert contact.clearance_m[1] == want
+
+
+def test_arms_of_two_robots_meet(armed):
+    """Two robots face each other; their arms touch where their hulls are apart."""
+    config = library.load_vehicle("bluerov2_heavy_alpha5")
+    home = jnp.array([joint.home for joint in config.find_joints()])
+    vehicles = jax.tree.map(lambda leaf: leaf[jnp.array([0, 0])], armed)
+    _, state = fleet_of(vehicles, [[0.0, 0.0, -8.0], [1.05, -0.22, -8.0]])
+    facing = jnp.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+    joints = JointMotion(position=jnp.stack([home, home]), velocity=jnp.zeros((2, 5)))
+    state = dataclasses.replace(state, q=facing, joints=joints)
+    contact = quickly(detect_contacts)(environment([], [], 2), vehicles, state, still([]))
+    bare = quickly(detect_contacts)(
+        environment([], [], 2), vehicles, dataclasses.replace(state, joints=None), still([])
+    )
+    assert contact.separation_m[0] < 0.0 < bare.separation_m[0]
+    assert contact.nearest[0] == Touched.ROBOT
+
+
+def test_radii_hold_the_arm_at_home_and_as_it_lies(armed):
+    config = library.load_vehicle("bluerov2_heavy_alpha5")
+    home = np.array([joint.home for joint in config.find_joints()])
+    lower, upper = (
+        np.array([getattr(joint, end) for joint in config.find_joints()])
+        for end in ("lower", "upper")
+    )
+    positions = lower + (upper - lower) * np.random.default_rng(2).random((4000, 5))
+    positions[0] = home
+    vehicles = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf[0], (4000, *leaf.shape[1:])), armed)
+    hulls = quickly(hull_capsules)(vehicles, jnp.asarray(positions))
+    radii = np.asarray(bounding_radii(vehicles, hulls))
+    a, b, r = map(np.asarray, hulls)
+    ends = np.maximum(np.linalg.norm(a, axis=-1), np.linalg.norm(b, axis=-1))
+    np.testing.assert_allclose(radii, np.max(ends + r, axis=1), rtol=1e-6)
+    assert radii[0] == pytest.approx(float(armed.radius_m[0]), rel=1e-6)
+    assert radii[0] == pytest.approx(library.reach_m(config), rel=1e-6)
+    assert 0.9 * max_link_reach_m(config) < radii.max() <= max_link_reach_m(config)
+    heavy = library.load_vehicle("bluerov2_heavy")
+    assert float(armed.radius_m[1]) == pytest.approx(library.reach_m(heavy))
+
+
+def test_the_search_finds_arms_of_a_large_fleet(armed):
+    """Beyond `ALL_PAIRS_UP_TO` robots; arms drawn out meet a metre and more from the centres."""
+    n = detection.ALL_PAIRS_UP_TO + 2
+    vehicles = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf[0], (n, *leaf.shape[1:])), armed)
+    rng = np.random.default_rng(4)
+    _, state = fleet_of(vehicles, rng.uniform([-4, -4, -12], [4, 4, -4], (n, 3)))
+    position = jnp.asarray(np.tile([3.1416, 1.6, 2.9, 0.0, 0.0], (n, 1)))
+    joints = JointMotion(position=position, velocity=jnp.zeros((n, 5)))
+    state = dataclasses.replace(state, joints=joints)
+    found = quickly(detect_contacts)(environment([], [], n), vehicles, state, still([]))
+    a, b, r = hull_capsules(vehicles, position)
+    gap, _ = detection._nearest_of_all(a + state.p[:, None], b + state.p[:, None], r)
+    np.testing.assert_allclose(found.separation_m, gap, atol=TOLERANCE_M)

@@ -21,7 +21,7 @@ def test_phases_are_in_order_and_read_what_was_given_before():
     phases = (step.DECIDE, step.MOVE, step.OBSTACLES, step.JUDGE)
     assert tuple(phase.name for phase in phases) == step.PHASES[4:]
     constants = {"params", "command", "current", "flow", "goal_m", "contact", "finished"}
-    constants |= {"fails_at_s", "approach", "corners"}
+    constants |= {"fails_at_s", "approach", "corners", "joints", "reaching", "impacts"}
     there = {"estimate", *(one.name for one in fields(step.RobotState))}
     for phase in (step.DECIDE, step.MOVE, step.JUDGE):
         assert {one.name for one in fields(phase.takes)} - constants <= there, phase.name
@@ -30,7 +30,8 @@ def test_phases_are_in_order_and_read_what_was_given_before():
 
 def test_what_is_kept_once_more_after_the_last_sample_is_the_state():
     names = {one.about.array for one in record.STATE_FIELDS}
-    assert names == {"p_m", "q", "nu", "outcome", "obstacle_p_m", "obstacle_q"}
+    obstacles, joints = {"obstacle_p_m", "obstacle_q"}, {"joint_position", "joint_velocity"}
+    assert names == {"p_m", "q", "nu", "outcome"} | obstacles | joints
 
 
 def test_a_field_is_found_along_its_path():

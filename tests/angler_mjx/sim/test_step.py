@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import jax.numpy as jnp
 import numpy as np
 
+from angler_mjx.robot.control.commands.whole_body import JointTarget
 from angler_mjx.sim import step
 from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.state import Outcome
@@ -12,10 +13,11 @@ from angler_mjx.sim.state import Outcome
 
 def test_the_physics_steps_follow_each_other_in_time():
     """They begin when the control step begins, a physics step apart, each with the one before."""
-    seen = []
+    seen, held = [], []
 
-    def physics_step(params, vehicle, thrust_n, current, t):
+    def physics_step(params, vehicle, thrust_n, current, t, joints):
         seen.append((params, float(vehicle.p[0]), float(thrust_n), current, float(t)))
+        held.append((float(joints.position[0]), float(joints.velocity[0])))
         return VehicleState(**{**vars(vehicle), "p": vehicle.p + 1.0})
 
     def repeat(times, body, tree):
@@ -45,12 +47,18 @@ def test_the_physics_steps_follow_each_other_in_time():
         thrust_n=jnp.asarray(7.0),
         params="params",
         current="current",
+        joints=JointTarget(
+            position=jnp.array([1.0]), velocity=jnp.array([0.5]), acceleration=jnp.array([10.0])
+        ),
     )
     done = step.move_robots(batch, inputs)
     assert not seen, "nothing moves before it is asked for"
     motion, record = done.output(), done.record()
     np.testing.assert_allclose([row[4] for row in seen], [0.8, 0.82, 0.84, 0.86], atol=1e-6)
     assert [row[1] for row in seen] == [5.0, 6.0, 7.0, 8.0]
+    # Servos follow the target as it moves on: 1 + 0.5 t + 5 t^2, and 0.5 + 10 t.
+    expected = [(1.0, 0.5), (1.012, 0.7), (1.028, 0.9), (1.048, 1.1)]
+    np.testing.assert_allclose(held, expected, atol=1e-6)
     assert {(row[0], row[2], row[3]) for row in seen} == {("params", 7.0, "current")}
     np.testing.assert_array_equal(motion.vehicle.p, [9.0, 4.0, 1.0])
     np.testing.assert_array_equal(motion.before_m, vehicle.p)

@@ -38,7 +38,7 @@ ASIDE_M = {"000_near": 0.1, "001_far": 0.5}
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     """Two parts of two worlds of four robots, without figures; not to be changed."""
-    path = Path(__file__).parents[2] / "angler_mjx" / "report" / "viewing" / "conftest.py"
+    path = Path(__file__).parents[2] / "angler_mjx" / "report" / "conftest.py"
     spec = importlib.util.spec_from_file_location("runs_by_hand", path)
     made = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(made)

@@ -223,7 +223,7 @@ def test_sums_count_what_they_say():
 @pytest.fixture(scope="module")
 def made():
     """Makers of the runs that pictures are tested with: no simulation, a second's work."""
-    path = Path(__file__).parents[2] / "angler_mjx" / "report" / "viewing" / "conftest.py"
+    path = Path(__file__).parents[2] / "angler_mjx" / "report" / "conftest.py"
     spec = importlib.util.spec_from_file_location("runs_by_hand", path)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
@@ -534,21 +534,21 @@ class Planning:
         return {0: self.number}
 
 
-@pytest.mark.parametrize("online", [True, False])
-def test_autopilots_are_told_what_the_policy_of_the_scenario_says(online, monkeypatch):
+@pytest.mark.parametrize("flown", [True, False])
+def test_autopilots_get_the_commands_of_the_policy_of_the_scenario(flown, monkeypatch):
     monkeypatch.setattr(world_flyers, "SitlSession", Booted)
     monkeypatch.setattr(world_flyers.online_policy, "OnlineFlyer", Planning)
     monkeypatch.setattr(world_flyers.flight, "build_flight", lambda *_, **__: None)
     monkeypatch.setattr(Planning, "made", 0)
     time = SimpleNamespace(control_steps=3, steps_per_sample=1, control_dt_s=0.05)
     flyer = world_flyers.SitlFlyer(
-        SimpleNamespace(time=time, seed=1, online=online), "guided", "vision", "max", None
+        SimpleNamespace(time=time, seed=1, flown=flown), "guided", "vision", "max", None
     )
     for index in (4, 7):
         flyer.fly(index, None, lambda share: None)
     session = flyer._session
     assert session.resets == 2
-    if online:  # begun anew in the second world, and compiled for the first alone
+    if flown:  # begun anew in the second world, and compiled for the first alone
         assert session.reports == [{0: 1}, {0: 2}, {0: 3}] * 2
         assert Planning.made == 1
     else:

@@ -18,6 +18,7 @@ from angler_mjx.robot.control.commands import (
 )
 from angler_mjx.robot.control.commands.joint_goal import JointGoal
 from angler_mjx.robot.control.commands.trajectory import Trajectory
+from angler_mjx.robot.control.laws.guided import LEASH_M, LEASH_RAD
 from angler_mjx.runs.session.interface import RobotInfo
 from angler_mjx.sim.state import SimSpec
 from angler_sitl.firmware.parameters import LEVELS
@@ -69,8 +70,8 @@ def test_the_target_of_a_twist_waits_for_a_robot_that_is_behind(guided):
         memory, target = step(memory, estimate(), twist)
     lead = np.linalg.norm(np.asarray(target.position_m) - [0, 0, -3.0])
     # The leash, and one step beyond it.
-    assert lead == pytest.approx(levels.LEASH_M + DT, abs=1e-4)
-    assert float(target.yaw_rad) == pytest.approx(0.5 + levels.LEASH_RAD + DT, abs=1e-4)
+    assert lead == pytest.approx(LEASH_M + DT, abs=1e-4)
+    assert float(target.yaw_rad) == pytest.approx(0.5 + LEASH_RAD + DT, abs=1e-4)
 
 
 def test_a_twist_begins_where_the_robot_is_and_not_at_the_pose_before(guided):

@@ -202,6 +202,31 @@ def test_numbers_are_read_back_to_the_bit():
     assert write_number(2**32 - 1, np.dtype(np.uint32)) == "4294967295u"
 
 
+def test_lines_are_indented_by_their_depth():
+    """Of loops of both kinds and a branch."""
+
+    def kernel(lane, row, source, target):
+        def repeat(value):
+            return jax.lax.fori_loop(0, 3, lambda _, x: 2.0 * x, value)
+
+        def halve(value):
+            half = jax.lax.cond(row == 1, lambda v: v / 2, lambda v: v - 1.0, value)
+            return jnp.where(value > 1.0, half, value)
+
+        found = jax.lax.while_loop(lambda x: lanes.any_lane(x > 1.0), halve, source[lane])
+        target[lane] = repeat(found)
+
+    text = emit(kernel, [np.zeros(N, np.float32)] * 2, 1).text
+    body = text[text.index(") {", text.index("__launch_bounds__")) :].splitlines()[1:-1]
+    assert sum(line.endswith("{") for line in body) == 4
+    depth = 1
+    for line in body:
+        depth -= line.lstrip().startswith("}")
+        assert len(line) - len(line.lstrip()) == 2 * depth, line
+        depth += line.endswith("{")
+    assert depth == 1
+
+
 def test_operations_are_counted():
     def kernel(lane, row, source, target):
         target[lane] = source[lane] * 2.0 + 1.0

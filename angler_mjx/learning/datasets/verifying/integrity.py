@@ -13,12 +13,18 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.learning.datasets import checksums, index
 from angler_mjx.learning.datasets.manifest import SPLITS, Manifest
 from angler_mjx.learning.datasets.stored import StoredArray
+from angler_mjx.learning.datasets.verifying.joints import (
+    JointBounds,
+    find_bounds,
+    find_joint_faults,
+)
 from angler_mjx.learning.datasets.verifying.report import DatasetCheck
 from angler_mjx.progress import Progress
 from angler_mjx.runs.storage import environments, folder
 from angler_mjx.runs.storage.checksums import compare_files
 from angler_mjx.runs.storage.folder import Run
 from angler_mjx.runs.storage.parallel import cpu_count, map_in_order
+from angler_mjx.runs.storage.trajectory_layout import TIME_ARRAY
 from angler_mjx.sim.state import Outcome
 
 MAX_SPEED_MPS, MAX_RATE_RADPS = 20.0, 50.0
@@ -177,6 +183,8 @@ def check_values(
 
 _CHECKED_ARRAYS = ("p_m", "q", "nu", "pwm_us", "outcome", "current_mps", "target_m")
 """Arrays with checked values."""
+_JOINT_ARRAYS = ("joint_position", "joint_velocity")
+"""Likewise, of fleets with arms."""
 
 type _Task = tuple[str, range]
 """Path of a part, and neighbouring worlds of it."""
@@ -214,13 +222,15 @@ def _check_task(root: Path, step: float, task: _Task) -> _CheckedWorlds:
     path, worlds = task
     checked = _CheckedWorlds()
     try:
-        stored = {
-            name: StoredArray(root / path / folder.TRAJECTORIES / name) for name in _CHECKED_ARRAYS
-        }
+        part = root / path / folder.TRAJECTORIES
+        has_joints = (part / _JOINT_ARRAYS[0]).is_dir()
+        names = (*_CHECKED_ARRAYS, *(_JOINT_ARRAYS if has_joints else ()))
+        stored = {name: StoredArray(part / name) for name in names}
+        joints = _JointCheck.of(Run(root / path), stored) if has_joints else None
         for first in worlds[::WORLDS_PER_FINDING]:
             last = min(first + WORLDS_PER_FINDING, worlds.stop)
             arrays = {name: array.read_worlds(first, last) for name, array in stored.items()}
-            checked.faults += _find_faults(first, arrays, step)
+            checked.faults += _find_faults(first, arrays, step, joints)
             checked.worlds += last - first
             checked.samples += arrays["p_m"].size // 3
     except ConfigError as error:
@@ -228,8 +238,31 @@ def _check_task(root: Path, step: float, task: _Task) -> _CheckedWorlds:
     return checked
 
 
+@dataclass(frozen=True)
+class _JointCheck:
+    """What the joints of a part's worlds are checked against."""
+
+    bounds: JointBounds
+    time_s: np.ndarray
+    """[t] of the samples."""
+
+    @classmethod
+    def of(cls, run: Run, stored: Mapping[str, StoredArray]) -> "_JointCheck":
+        """Return the check of a part."""
+        joints = stored[_JOINT_ARRAYS[0]].shape[-1]
+        time_s = np.asarray(run.trajectories.get_array(TIME_ARRAY)[:], float)
+        return cls(find_bounds(run.scenario.members(), joints), time_s)
+
+    def find_faults(
+        self, arrays: Mapping[str, np.ndarray], running: np.ndarray
+    ) -> dict[str, np.ndarray]:
+        """Return the faulty samples of some worlds; see `find_joint_faults`."""
+        position, velocity = (arrays[name] for name in _JOINT_ARRAYS)
+        return find_joint_faults(self.bounds, self.time_s, position, velocity, running)
+
+
 def _find_faults(
-    first: int, arrays: Mapping[str, np.ndarray], step: float
+    first: int, arrays: Mapping[str, np.ndarray], step: float, joints: _JointCheck | None
 ) -> Iterator[tuple[str, str]]:
     """Yield the faults of some worlds: [w, t, r, ...]; see `_check_task`."""
     outcome = arrays["outcome"].astype(int)
@@ -252,6 +285,8 @@ def _find_faults(
         "current_mps": running & ~(np.abs(arrays["current_mps"]) <= MAX_SPEED_MPS).all(-1),
         "target_m": running & ~np.isfinite(arrays["target_m"]).all(-1),
     }
+    if joints is not None:
+        faults |= joints.find_faults(arrays, running)
     changed = np.diff(outcome, axis=1)
     faults["outcome"][:, 1:] |= (changed != 0) & (outcome[:, :-1] != 0)
     for name, fault in faults.items():

@@ -167,7 +167,11 @@ def _replay_part(
     first = worlds[0] - worlds[0] % part.tile
     stored = run.trajectories
     points = stored.get_array("plan_time_s").shape[-1]
-    shape = PathShape(points=points, joints="plan_degree" in stored)
+    shape = PathShape(
+        points=points,
+        joints="plan_degree" in stored,
+        arm=trajectory_layout.plan_joint_names(stored),
+    )
     simulator = Simulator(run.scenario, devices=1, tile=part.tile)
     plans = None
     if simulator.hosted:

@@ -32,7 +32,7 @@ def _capsule_axis(hull: np.ndarray, q: np.ndarray, robot: int, n: int, out: np.n
 
 
 @compile_function
-def _axis_gap(
+def axis_gap(
     world: PackedFields, cells: np.ndarray, v: np.ndarray, r: float, max_gap: float
 ) -> float:
     """Return the distance of a capsule, axis v [6], radius r, to rock, at most ``max_gap``."""
@@ -87,7 +87,7 @@ def _world_gap(
     axis, best = np.empty(6), radius_m
     for n in range(hull.shape[1]):
         _capsule_axis(hull, q, i, n, axis)
-        best = min(best, _axis_gap(world, cells, axis, hull[i, n, 6], best))
+        best = min(best, axis_gap(world, cells, axis, hull[i, n, 6], best))
     return best
 
 

@@ -7,6 +7,8 @@ import numpy as np
 
 from angler_mjx.planning.host.edges import EdgeChecker
 from angler_mjx.planning.host.ompl import problem_setup
+from angler_mjx.planning.host.ompl.arm_space import BASE_WIDTH
+from angler_mjx.planning.host.ompl.arm_team import plan_arm_motion
 from angler_mjx.planning.host.ompl.prioritised import plan_sequentially
 from angler_mjx.planning.host.ompl.search import silence_log
 from angler_mjx.planning.host.ompl.settings import OmplSettings
@@ -58,6 +60,9 @@ def planned(
 
 def warm_up(planner: str, settings: OmplSettings, problem: Problem) -> None:
     """Compile the functions that such problems need, and let OMPL check the parameters."""
+    if settings.arm:
+        planned(planner, replace(settings, first=True), problem)
+        return
     checks = EdgeChecker(problem)
     start = np.asarray(problem.team.start_m, float)
     flat = start.reshape(-1)
@@ -86,7 +91,10 @@ def warm_up(planner: str, settings: OmplSettings, problem: Problem) -> None:
 def _plan_together(problem: Problem, task: TeamTask) -> list[Path | NoPlan]:
     robots = list(range(problem.robots))
     try:
-        team_motion = plan_motion(problem, robots, task)
+        if task.settings.arm:
+            team_motion = plan_arm_motion(problem, task)
+        else:
+            team_motion = plan_motion(problem, robots, task)
     except problem_setup.BlockedRobotError as error:
         if error.robot is None:
             return [NoPlan(str(error))] * len(robots)
@@ -94,7 +102,15 @@ def _plan_together(problem: Problem, task: TeamTask) -> list[Path | NoPlan]:
         return [NoPlan(str(error) if robot == error.robot else other) for robot in robots]
     except NoPathError as error:
         return [NoPlan(str(error))] * len(robots)
+    if task.settings.arm:
+        return [_build_arm_path(team_motion, robot, problem.joint_names) for robot in robots]
     return [_build_path(team_motion, robot, task.settings) for robot in robots]
+
+
+def _build_arm_path(motion: TeamMotion, robot: int, names: tuple[str, ...]) -> Path:
+    time_s, path = robot_waypoints(motion.time_s, motion.path[:, robot], motion.delay_s)
+    arm = dict(zip(names, path.T[BASE_WIDTH:], strict=True))
+    return joint_path(time_s, path[:, :3], path[:, 3], arm=arm)
 
 
 def _build_path(answer: TeamMotion | str, robot: int, settings: OmplSettings) -> Path | NoPlan:

@@ -149,11 +149,18 @@ class _OmplSetup:
         self.info.setStateValidityChecker(self.states)
         self.info.setup()
         self.problem = ob.ProblemDefinition(self.info)
-        self.ends = [self.info.allocState(), self.info.allocState()]
-        for end, values in zip(self.ends, (start, goal), strict=True):
+        self.ends = [self.info.allocState() for _ in range(1 + len(np.atleast_2d(goal)))]
+        for end, values in zip(self.ends, (start, *np.atleast_2d(goal)), strict=True):
             for i in range(size):
                 end[i] = float(values[i])
-        self.problem.setStartAndGoalStates(*self.ends)
+        if goal.ndim == 1:
+            self.problem.setStartAndGoalStates(*self.ends)
+        else:
+            self.goals = ob.GoalStates(self.info)
+            for end in self.ends[1:]:
+                self.goals.addState(end)
+            self.problem.addStartState(self.ends[0])
+            self.problem.setGoal(self.goals)
         self.objective = ob.PathLengthOptimizationObjective(self.info)
         if first:
             self.objective.setCostThreshold(self.objective.infiniteCost())
@@ -197,7 +204,7 @@ def search_path(
     Args:
         space: where.
         start: [d].
-        goal: [d].
+        goal: [d], or [n, d] of which the path may end at any.
         order: how.
     """
     begin = time.perf_counter()

@@ -14,6 +14,10 @@ type Simplify = Literal["shortcut", "ompl", "none"]
 type Moving = Literal["timed", "still", "ignored"]
 
 
+ROADMAPS = ("PRM", "PRMstar")
+"""Planners that make a roadmap, and end by the clock alone."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class OmplSettings:
     """Settings that all planners share."""
@@ -31,6 +35,9 @@ class OmplSettings:
     """Whether planners that go on improving end with their first path."""
     heading: bool = False
     """Whether headings are planned too: four numbers a robot, from its heading back to it."""
+    arm: bool = False
+    """Whether the joints of arms are planned too, with headings: four numbers a robot and those of
+    its joints, from their start to any posture at the goal. In composite mode only."""
     margin_m: float = 0.05
     """Kept between the robots' spheres and anything else."""
     moving: Moving = "timed"
@@ -46,7 +53,7 @@ class OmplSettings:
     @property
     def joints(self) -> bool:
         """Return whether paths are trajectories of joints."""
-        return self.heading
+        return self.heading or self.arm
 
 
 def _number_field(setter: str, low: float, high: float = math.inf) -> Any:
@@ -214,7 +221,17 @@ def check_settings(planner: str, settings: OmplSettings) -> None:
                 f"planner.{planner}.{key} = {getattr(settings, key)!r}: give one of "
                 + ", ".join(names)
             )
-    if settings.edge_limit is not None and planner in ("PRM", "PRMstar"):
+    if settings.arm and settings.mode != "composite":
+        raise ConfigError(
+            f'planner.{planner}.mode = "{settings.mode}": joints of arms are planned for the whole '
+            'team at once; leave out arm, or give mode = "composite"'
+        )
+    if settings.arm and planner in ROADMAPS:
+        raise ConfigError(
+            f"planner.{planner}.arm: it runs on beyond its time limit where links are checked; "
+            "leave out arm, or take a planner such as RRTConnect"
+        )
+    if settings.edge_limit is not None and planner in ROADMAPS:
         raise ConfigError(
             f"planner.{planner}.edge_limit: it ends by the clock alone; give time_limit_s"
         )

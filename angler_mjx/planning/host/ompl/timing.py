@@ -29,6 +29,9 @@ from angler_mjx.planning.problem import Problem
 PIECE_M = 1.0
 """An edge is cut into pieces of this length where the current differs from place to place."""
 
+JOINT_SPEED_FRACTION = 0.8
+"""Fraction of the highest speeds of joints that may be used, so that they can catch up."""
+
 PASSES = 2
 """How often the current is looked up again, at the times that came out."""
 
@@ -79,7 +82,7 @@ def time_path(
     """Return the times of a path.
 
     Args:
-        path: [k, R, d] x, y, z (and heading) of the team at each point.
+        path: [k, R, d] x, y, z (heading, and joints of arms) of the team at each point.
         problem: its current is looked up, where one is known.
         robots: which of the team the path is of.
         settings: ``thrust_share``, ``turn_radps`` and ``points``, of which one less is given.
@@ -90,18 +93,21 @@ def time_path(
     Raises:
         CurrentTooStrongError: a robot cannot go where the path does.
     """
-    if not problem.current.components:
+    if not problem.current.components and path.shape[2] <= 4:
         speed = np.asarray(problem.team.cruise_speed_mps, float)[robots]
         return time_in_still_water(np.ascontiguousarray(path), speed, settings.turn_radps)
     bounds = timing_limits(problem, robots, settings.thrust_share, settings.turn_radps)
-    path = _subdivide(path, settings.points - 1)
+    if problem.current.components:
+        path = _subdivide(path, settings.points - 1)
     steps_m = np.diff(path, axis=0)
     length = np.linalg.norm(steps_m[..., :3], axis=-1)
     ahead = steps_m[..., :3] / np.maximum(length, 1e-12)[..., None]
     slowest = length.max(axis=1) / bounds.cruise_mps.min()
     time = np.concatenate([[0.0], np.cumsum(slowest)])
     for _ in range(PASSES):
-        water = [water_velocity(problem, path, time, fraction) for fraction in (0.0, 0.5, 1.0)]
+        water = [np.zeros_like(ahead)]
+        if problem.current.components:
+            water = [water_velocity(problem, path, time, fraction) for fraction in (0.0, 0.5, 1.0)]
         speed = np.min(
             [max_ground_speed(ahead, water_velocity_mps, bounds) for water_velocity_mps in water],
             axis=0,
@@ -120,9 +126,22 @@ def time_path(
         )
         if path.shape[2] == 4:
             leg_s = np.maximum(leg_s, np.abs(steps_m[..., 3]) / bounds.turn_radps)
+        elif path.shape[2] > 4:
+            rates = column_rates(problem, settings)[robots]
+            leg_s = np.maximum(leg_s, (np.abs(steps_m[..., 3:]) / rates).max(axis=-1))
         time = np.concatenate([[0.0], np.cumsum(leg_s.max(axis=1))])
     is_kept = np.concatenate([[True], np.diff(time) > 0.0])
     return time[is_kept], path[is_kept]
+
+
+def column_rates(problem: Problem, settings: OmplSettings) -> np.ndarray:
+    """Return the highest speeds [R, 1 + J] of headings and of the joints of arms, per s."""
+    arms = problem.team.arms
+    assert arms is not None
+    joints = JOINT_SPEED_FRACTION * np.asarray(arms.links.max_speed, float)
+    turns = np.full((len(joints), 1), settings.turn_radps)
+    # Joints that a robot does not have stay where they are, at any speed.
+    return np.concatenate([turns, np.where(joints > 0.0, joints, np.inf)], axis=1)
 
 
 def max_ground_speed(ahead: np.ndarray, water: np.ndarray, bounds: TimingLimits) -> np.ndarray:

@@ -5,7 +5,8 @@ the robots, and each robot under its name, with its goal, its plan, its vehicle'
 trail and its label.
 """
 
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, Literal
 
 import numpy as np
 import rerun as rr
@@ -15,6 +16,7 @@ from angler_mjx.report.plotting import style
 from angler_mjx.report.plotting.outlines import rotation_matrix
 from angler_mjx.report.plotting.scene import ReplayScene
 from angler_mjx.robot.vehicles.config import Box, Cylinder, Sphere, VehicleConfig
+from angler_mjx.robot.vehicles.hull import Capsule
 from angler_mjx.world.obstacles import BOX, CAPSULE, SPHERE, STATIC
 
 DOT, LARGE_DOT = -3.0, -6.0
@@ -134,6 +136,48 @@ def _group_by_shape(scene: ReplayScene) -> list[tuple[int, str, np.ndarray]]:
     return [group for group in groups if group[2].size > 0]
 
 
+def _to_entity_capsules(
+    capsules: Sequence[Capsule],
+    center_m: np.ndarray,
+    color: Rgba,
+    fill_mode: Literal["solid", "majorwireframe"],
+) -> rr.Capsules3D:
+    """Return capsules about a centre [3] of their frame."""
+    start = np.array([capsule.from_m for capsule in capsules]) - center_m
+    axis = np.array([capsule.to_m for capsule in capsules]) - center_m - start
+    return rr.Capsules3D(
+        translations=start,
+        lengths=np.linalg.norm(axis, axis=1),
+        radii=[capsule.radius_m for capsule in capsules],
+        quaternions=[_z_axis_rotation(a) for a in axis],
+        colors=[color] * len(capsules),
+        line_radii=[0.004] * len(capsules),
+        fill_mode=fill_mode,
+    )
+
+
+def log_links(
+    recording: rr.RecordingStream, config: VehicleConfig, path: str, color: Rgba
+) -> dict[str, str]:
+    """Log the shapes of a vehicle's links; their poses are logged in time.
+
+    Args:
+        recording: destination.
+        config: of the vehicle.
+        path: of the vehicle's entity.
+        color: of the links.
+
+    Returns:
+        Paths of the links by their names, in the simulator's order.
+    """
+    paths = {link.name: f"{path}/links/{link.name}" for link in config.find_links(None)}
+    for link in config.links:
+        if link.capsules:
+            shape = _to_entity_capsules(link.capsules, np.zeros(3), color, "solid")
+            recording.log(f"{paths[link.name]}/hull", shape, static=True)
+    return paths
+
+
 def _log_vehicle(
     recording: rr.RecordingStream, config: VehicleConfig, path: str, color: Rgba
 ) -> None:
@@ -167,22 +211,8 @@ def _log_vehicle(
                     fill_mode="solid",
                 )
         recording.log(f"{path}/{shape.name}", entity, static=True)
-    hull = config.hull.capsules
-    start = np.array([capsule.from_m for capsule in hull]) - center
-    axis = np.array([capsule.to_m for capsule in hull]) - center - start
-    recording.log(
-        f"{path}/hull",
-        rr.Capsules3D(
-            translations=start,
-            lengths=np.linalg.norm(axis, axis=1),
-            radii=[capsule.radius_m for capsule in hull],
-            quaternions=[_z_axis_rotation(a) for a in axis],
-            colors=[color] * len(hull),
-            line_radii=[0.004] * len(hull),
-            fill_mode="majorwireframe",
-        ),
-        static=True,
-    )
+    hull = _to_entity_capsules(config.hull.capsules, center, color, "majorwireframe")
+    recording.log(f"{path}/hull", hull, static=True)
 
 
 def log_robot(

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
+from angler_mjx.robot.vehicles.link_motion import JointMotion
+
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
@@ -19,6 +21,8 @@ class Estimate:
     """[6] velocity over ground, m/s and rad/s, in F."""
     flow: jax.Array | None = None
     """[3] velocity of the water there, m/s, in W; None where nobody asked for it."""
+    joints: JointMotion | None = None
+    """[J] motion of the joints, which their encoders measure; None of a vehicle without joints."""
 
 
 @jax.tree_util.register_dataclass

@@ -62,25 +62,34 @@ class JointTrajectory:
     its start. None where no planner was asked."""
 
 
-def hold_position(start_m: jax.Array, yaw_rad: jax.Array, n_point: int) -> JointTrajectory:
+def hold_position(
+    start_m: jax.Array,
+    yaw_rad: jax.Array,
+    n_point: int,
+    arm: tuple[str, ...] = (),
+    posture: jax.Array | None = None,
+) -> JointTrajectory:
     """Trajectories [R] that stay where robots start: no way was found, or none is known yet.
 
     Args:
         start_m: [R, 3].
         yaw_rad: [R].
         n_point: rows of each.
+        arm: names of the joints of arms that trajectories hold too.
+        posture: [R, J] their positions; left out without joints of arms.
     """
-    n_robot = start_m.shape[0]
-    pose = jnp.concatenate([start_m, yaw_rad[:, None].astype(start_m.dtype)], axis=1)
+    n_robot, joints = start_m.shape[0], (*VEHICLE_JOINTS, *arm)
+    rows = [start_m, yaw_rad[:, None], *([] if posture is None else [posture])]
+    pose = jnp.concatenate([row.astype(start_m.dtype) for row in rows], axis=1)
     position = jnp.repeat(pose[:, None], n_point, axis=1)
     return JointTrajectory(
-        joints=VEHICLE_JOINTS,
+        joints=joints,
         time_s=jnp.zeros((n_robot, n_point), start_m.dtype),
         position=position,
         velocity=jnp.zeros_like(position),
         acceleration=jnp.zeros_like(position),
         degree=jnp.full((n_robot, n_point), LINEAR, jnp.int32),
-        commanded=jnp.ones((n_robot, len(VEHICLE_JOINTS)), bool),
+        commanded=jnp.ones((n_robot, len(joints)), bool),
         found=jnp.zeros((n_robot,), bool),
     )
 

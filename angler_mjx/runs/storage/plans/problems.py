@@ -62,8 +62,11 @@ def write_problems(
 
 
 def _without_name(problem: Problem) -> Problem:
-    """Return a problem without its name, so that problems of a batch have one structure."""
-    return replace(problem, name=None)
+    """Return a problem without its name, so that problems of a batch have one structure.
+
+    Links of arms are left out too: files hold hulls in their home posture.
+    """
+    return replace(problem, name=None, team=replace(problem.team, arms=None))
 
 
 def _problem_arrays(batch: Problem) -> dict[str, np.ndarray]:

@@ -9,6 +9,9 @@
                     then the paths run along cubics
     acceleration    float32 [world, robot, point, 4]   with them, optional
     degree          int32 [world, robot, point]     of each segment, optional: 1, 3 or 5
+    joint_position  float32 [world, robot, point, J]   with headings, optional: joints of arms; the
+                    attribute ``joints`` has their names
+    joint_velocity, joint_acceleration   float32 [world, robot, point, J]   with it, optional
     planning_s      float32 [world]                 optional: the planner's time
     reason          int32 [world, robot]            optional: which of the attribute ``reasons``
     status          int32 [world]                   optional: which of the attribute ``statuses``
@@ -108,10 +111,12 @@ class PlanFile:
         )
         if motion is not None:
             yaw = np.asarray(worlds.environment.start_yaw_rad)
-            joints = np.concatenate([position_m, motion.pop("yaw_rad")[..., None]], axis=-1)
+            joints = np.concatenate([position_m, motion.pop("yaw_rad")], axis=-1)
             start = np.concatenate([start, yaw[..., None]], axis=-1)
+            if self.shape.arm and isinstance(worlds.path, JointTrajectory):
+                start = np.concatenate([start, np.asarray(worlds.path.position)[:, :, 0, 4:]], -1)
             return _build_joint_paths(
-                count, time, joints, motion, is_found, start, self.shape.points
+                count, time, joints, motion, is_found, start, self.shape
             ), notes
         time, position_m = _pad_paths(count, time, position_m, is_found, start)
         time, position_m = (_widen_paths(rows, self.shape.points) for rows in (time, position_m))
@@ -119,16 +124,30 @@ class PlanFile:
         return Trajectory(**{name: host_leaf(rows) for name, rows in paths.items()}), notes
 
     def _read_motion(self, rows: np.ndarray) -> dict[str, np.ndarray] | None:
-        """Read headings, velocities, accelerations and degrees; None without headings."""
+        """Read headings with joints, velocities, accelerations and degrees; None without headings.
+
+        Columns of joints of arms stand behind those of the base.
+        """
         if not self.shape.joints:
             return None
-        yaw = self._read_rows("yaw_rad", rows)
-        zeros = np.zeros((*yaw.shape, 4), np.float32)
+        yaw = self._read_rows("yaw_rad", rows)[..., None]
+        zeros = np.zeros((*yaw.shape[:-1], 4), np.float32)
         has_velocity = "velocity" in self.group
-        degrees = np.full(yaw.shape, CUBIC if has_velocity else LINEAR, np.int32)
+        degrees = np.full(yaw.shape[:-1], CUBIC if has_velocity else LINEAR, np.int32)
         defaults = {"velocity": zeros, "acceleration": zeros, "degree": degrees}
         stored = {name: self._read_rows(name, rows) for name in defaults if name in self.group}
-        return {"yaw_rad": yaw, **defaults, **stored}
+        motion = {"yaw_rad": yaw, **defaults, **stored}
+        if self.shape.arm:
+            still = np.zeros((*yaw.shape[:-1], len(self.shape.arm)), np.float32)
+            for name, base in (
+                ("position", "yaw_rad"),
+                ("velocity", "velocity"),
+                ("acceleration", "acceleration"),
+            ):
+                has_rows = f"joint_{name}" in self.group
+                joints = self._read_rows(f"joint_{name}", rows) if has_rows else still
+                motion[base] = np.concatenate([motion[base], joints], axis=-1)
+        return motion
 
     def sha256(self) -> str:
         """Return the SHA-256 of all bytes of the file, hexadecimal."""
@@ -215,8 +234,42 @@ def open_plans(path: Path, scenario: Scenario) -> PlanFile:
                 "must "
                 "be there too"
             )
+    arm = _arm_joints(path, attributes, shapes, scenario)
     width = _padded_width(points, scenario.planner.points)
-    return PlanFile(path=path, group=group, shape=PathShape(points=width, joints=joints))
+    shape = PathShape(points=width, joints=joints, arm=arm)
+    return PlanFile(path=path, group=group, shape=shape)
+
+
+def _arm_joints(
+    path: Path,
+    attributes: Mapping[str, object],
+    shapes: Mapping[str, tuple[int, ...]],
+    scenario: Scenario,
+) -> tuple[str, ...]:
+    """Return the names of the joints of arms that plans move; none if they do not.
+
+    Raises:
+        ConfigError: they are not all joints of the fleet, or an array has another shape.
+    """
+    names = ("joint_position", "joint_velocity", "joint_acceleration")
+    present = [name for name in names if name in shapes]
+    if not present:
+        return ()
+    expected = scenario.joint_names()
+    listed = attributes.get("joints")
+    if not expected or listed != list(expected):
+        raise ConfigError(
+            f"{path}: joints = {format_value(listed)}; the arms of {scenario.name} have "
+            f"{format_value(list(expected))}, all of them or none"
+        )
+    wanted = (*shapes["time_s"], len(expected))
+    for name in present:
+        if shapes[name] != wanted or "yaw_rad" not in shapes or "joint_position" not in shapes:
+            raise ConfigError(
+                f"{path}/{name}: has the shape {shapes[name]}; must be {wanted}, and yaw_rad and "
+                "joint_position must be there too"
+            )
+    return expected
 
 
 def _require_same_scenario(
@@ -298,9 +351,9 @@ def _build_joint_paths(
     motion: dict[str, np.ndarray],
     is_found: np.ndarray,
     start: np.ndarray,
-    points: int,
+    shape: PathShape,
 ) -> JointTrajectory:
-    """Build joint paths of a number of points from times and points of `_pad_paths`."""
+    """Build joint paths of a shape from times and points of `_pad_paths`."""
     zeros = np.zeros_like(start)
     padded = {
         name: _pad_paths(count, time, motion[name], is_found, zeros)[1]
@@ -308,15 +361,16 @@ def _build_joint_paths(
     }
     degree = np.where(is_found[..., None], motion["degree"], LINEAR).astype(np.int32)
     time, position = _pad_paths(count, time, joints, is_found, start)
-    commanded = np.ones((*is_found.shape, len(VEHICLE_JOINTS)), bool)
+    names = (*VEHICLE_JOINTS, *shape.arm)
+    commanded = np.ones((*is_found.shape, len(names)), bool)
     by_point = {"time_s": time, "position": position, **padded, "degree": degree}
     arrays = {
-        **{name: _widen_paths(rows, points) for name, rows in by_point.items()},
+        **{name: _widen_paths(rows, shape.points) for name, rows in by_point.items()},
         "commanded": commanded,
         "found": is_found,
     }
     leaves = {name: host_leaf(rows) for name, rows in arrays.items()}
-    return JointTrajectory(joints=VEHICLE_JOINTS, **leaves)
+    return JointTrajectory(joints=names, **leaves)
 
 
 def _path_faults(

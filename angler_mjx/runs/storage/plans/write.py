@@ -15,7 +15,11 @@ from zarr.types import JSON
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning.planner import PathShape
 from angler_mjx.robot.control import plans
-from angler_mjx.robot.control.commands.joint_trajectory import LINEAR, JointTrajectory
+from angler_mjx.robot.control.commands.joint_trajectory import (
+    LINEAR,
+    VEHICLE_JOINTS,
+    JointTrajectory,
+)
 from angler_mjx.robot.control.plans import Plan, points_m
 from angler_mjx.runs.simulator.host_planning import PlanNotes, SampledBatch, planning_status
 from angler_mjx.runs.simulator.simulator import Simulator
@@ -27,6 +31,18 @@ from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.scenario.task_table import require_goal_task
 
 _UNPLANNED = -1
+
+
+def _joint_arrays(path: JointTrajectory) -> dict[str, np.ndarray]:
+    """Return headings, velocities, accelerations and degrees, and what joints of arms do."""
+    base = len(VEHICLE_JOINTS)
+    arrays = {"yaw_rad": np.asarray(path.position)[..., 3], "degree": np.asarray(path.degree)}
+    for name in ("velocity", "acceleration"):
+        arrays[name] = np.asarray(getattr(path, name))[..., :base]
+    if len(path.joints) > base:
+        for name in ("position", "velocity", "acceleration"):
+            arrays[f"joint_{name}"] = np.asarray(getattr(path, name))[..., base:]
+    return arrays
 
 
 class PlanWriter:
@@ -66,9 +82,7 @@ class PlanWriter:
         rows = slice(first, first + len(is_found))
         arrays = {"time_s": time, "position_m": np.asarray(points_m(path))}
         if isinstance(path, JointTrajectory):
-            arrays["yaw_rad"] = np.asarray(path.position)[..., 3]
-            for name in ("velocity", "acceleration", "degree"):
-                arrays[name] = np.asarray(getattr(path, name))
+            arrays |= _joint_arrays(path)
         arrays["planning_s"] = notes.planning_s.astype(np.float32)
         arrays["reason"] = self._text_indices("reasons", notes.reason)
         arrays["status"] = self._text_indices("statuses", notes.status)
@@ -146,6 +160,8 @@ def _require_same_plans(path: Path, scenario: Scenario, shape: PathShape, buildi
     results_folder.require_same_keys(building, _file_attributes(scenario), attributes)
     if stored_shape != (scenario.worlds, len(scenario.members()), shape.points):
         raise ConfigError(f"--resume {path}: was begun with other worlds or points {stored_shape}")
+    if attributes.get("joints", []) != list(shape.arm):
+        raise ConfigError(f"--resume {path}: was begun with other joints of arms")
 
 
 def _file_attributes(scenario: Scenario) -> dict[str, JSON]:
@@ -176,6 +192,14 @@ def _create_arrays(
             ("velocity", (*rows, 4), "f4", 0.0, "m/s, rad/s"),
             ("acceleration", (*rows, 4), "f4", 0.0, "m/s^2, rad/s^2"),
             ("degree", rows, "i4", LINEAR, "1"),
+        ]
+    if shape.arm:
+        group.attrs["joints"] = list(shape.arm)
+        width = (*rows, len(shape.arm))
+        array_specs += [
+            ("joint_position", width, "f4", 0.0, "rad or m"),
+            ("joint_velocity", width, "f4", 0.0, "rad/s or m/s"),
+            ("joint_acceleration", width, "f4", 0.0, "rad/s^2 or m/s^2"),
         ]
     for name, size, kind, fill, unit in array_specs:
         names = ["world", "robot", "point", "xyz" if name == "position_m" else "joint"]

@@ -168,6 +168,9 @@ class KernelGroup(KernelProgram):
             return command
         return plans.check_plan(self.spec.stages, self._constants.path)
 
+    joints = reaching = impacts = None
+    """See `step.DecideInput`, `step.MoveInput`, `step.JudgeInput`: kernels fly rigid vehicles."""
+
     @property
     def goal_m(self) -> jax.Array:
         """See `step.JudgeInput`."""

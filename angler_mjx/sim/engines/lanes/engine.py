@@ -40,7 +40,7 @@ from angler_mjx.sim.engines.lanes.layout import (
     vehicles_of,
     world_state,
 )
-from angler_mjx.sim.engines.lanes.steps import Cells, GridShape, LaneBatch
+from angler_mjx.sim.engines.lanes.steps import Cells, GridShape, LaneBatch, refuse_joints
 from angler_mjx.sim.fleet import Fleet, add_parameters
 from angler_mjx.sim.phase import Record, run_phase
 from angler_mjx.sim.physics.closed_form import ClosedForm
@@ -74,7 +74,8 @@ class FusedEngine(UnpackedStates):
     def reset(
         self, spec: SimSpec, fleet: Fleet, worlds: World, policy: Policy | None = None
     ) -> WorldState:
-        """See `Engine.reset`."""
+        """See `Engine.reset`; rigid vehicles only."""
+        refuse_joints(fleet.control.vehicle)
         engine = ClosedForm(gravity_mps2=spec.water.gravity_mps2)
         reset_world = partial(start.reset, spec, engine, policy=policy)
         equipped = add_parameters(fleet, worlds)

@@ -14,8 +14,9 @@ import numpy as np
 
 from angler_kernels import clearance, lanes
 from angler_kernels.table import take_row
-from angler_mjx.errors import ConfigError
+from angler_mjx.errors import ConfigError, UnsupportedError
 from angler_mjx.robot.control.stack import ControlParams
+from angler_mjx.robot.vehicles.link_motion import JointMotion
 from angler_mjx.robot.vehicles.params import VehicleParams
 from angler_mjx.sim.physics import step as physics
 from angler_mjx.sim.physics.closed_form import ClosedForm
@@ -112,8 +113,10 @@ class LaneBatch:
         thrust_n: jax.Array,
         current: Current,
         t: jax.Array,
+        joints: JointMotion | None,
     ) -> VehicleState:
-        """See `phase.BodyBatch`."""
+        """See `phase.BodyBatch`; robots on lanes have no joints."""
+        del joints
         step = partial(physics_step, self.spec.physics_dt_s, self.spec.water)
         return lanes.apply(step, params.vehicle, vehicle, thrust_n, current, t)
 
@@ -133,9 +136,27 @@ def physics_step(
     current: Current,
     t: jax.Array,
 ) -> VehicleState:
-    """One physics step of one robot in closed form."""
+    """One physics step of one rigid robot in closed form.
+
+    Raises:
+        UnsupportedError: the robot has joints.
+    """
+    refuse_joints(vehicle)
     engine = ClosedForm(gravity_mps2=water.gravity_mps2)
     return physics.step(engine, vehicle, vehicle, state, settled, current, t, dt_s, water)
+
+
+def refuse_joints(vehicle: VehicleParams) -> None:
+    """Refuse vehicles with joints, which lanes do not fly.
+
+    Raises:
+        UnsupportedError: a vehicle has links or joints.
+    """
+    if vehicle.links is not None:
+        raise UnsupportedError(
+            'engine = "fused" flies rigid vehicles, and a vehicle of this fleet has joints; use '
+            'engine = "mjx"'
+        )
 
 
 def advance_obstacles(

@@ -8,6 +8,7 @@ import jax
 from angler_mjx.errors import AnglerError, ConfigError
 from angler_mjx.runs.simulator import devices
 from angler_mjx.studies.speed.measured import (
+    arm_motion,
     compilation,
     environments,
     free_motion,
@@ -82,6 +83,8 @@ def _measure_rate(case: WorkloadCase) -> SpeedRow:
             return hull_clearance.measure(worlds=worlds, robots=robots, repeats=repeats)
         case "dynamics":
             return free_motion.measure(vehicles=worlds, repeats=repeats, kernels=case.kernels)
+        case "arm_dynamics":
+            return arm_motion.measure(vehicles=worlds, repeats=repeats)
     if case.scenario is None:
         raise ConfigError(f"workload {case.label}: needs a scenario")
     if workload.kind == "preparation":

@@ -18,11 +18,12 @@ from angler_mjx.planning.host.collision import TeamModel
 from angler_mjx.planning.host.compiled.advancing import TOLERANCE_M
 from angler_mjx.planning.host.edges import EdgeChecker
 from angler_mjx.planning.host.hulls import HullChecker
-from angler_mjx.planning.host.robots import PlannedRobot
+from angler_mjx.planning.host.robots import PlannedRobot, build_arm
 from angler_mjx.robot.vehicles import library
 from angler_mjx.robot.vehicles.params import build_vehicle
 
 from ...compiling import quickly
+from ...link_poses import locate_by_mujoco
 from . import scenes
 
 
@@ -244,6 +245,70 @@ def test_an_arm_adds_its_joints_and_bodies_to_its_robot():
     assert model.nearest(q).name_a == "robot_0_capsule_0"
     q[3] = np.pi  # The robot turned about brings the arm back.
     assert model.nearest(q).name_a == "robot_0_link"
+
+
+def armed_team(posture, *, fixed):
+    """The shipped arm in a posture, by its joints or fixed, and a small robot far away."""
+    config = library.load_vehicle("bluerov2_heavy_alpha5")
+    vehicle = build_vehicle(config, None, 16.0)
+    robot = (
+        PlannedRobot.of(vehicle, joints=posture)
+        if fixed
+        else PlannedRobot.of(vehicle, arm=build_arm(config))
+    )
+    return config, [robot, PlannedRobot.from_radius(0.1)]
+
+
+@pytest.mark.parametrize("fixed", [True, False])
+@pytest.mark.parametrize("posture", [(3.1416, 0.01, 1.5708, 0.0, 0.0), (4.0, 1.5, 2.7, 0.5, 0.01)])
+def test_links_of_a_vehicle_file_are_bodies_in_their_posture(posture, fixed):
+    config, robots = armed_team(posture, fixed=fixed)
+    p, heading = np.array([5.0, 5.0, 5.0]), 0.7
+    turn = np.array([np.cos(heading / 2), 0.0, 0.0, np.sin(heading / 2)])
+    poses = locate_by_mujoco(config, p, turn, posture)
+    point = p + 1.7 * (poses["jaws"][0] - p)
+    ball = scenes.body("sphere", (0.05, 0.0, 0.0), point)
+    model = TeamModel(robots, scenes.problem(np.zeros((5, 5, 5)), cell_m=2.0, bodies=[ball]))
+    q = model.q([[*p, heading], [1.0, 1.0, 1.0, 0.0]], None if fixed else [posture, ()])
+    gaps = []
+    for link in config.links:
+        origin, rotation = poses[link.name]
+        for capsule in link.capsules:
+            a, b = (origin + rotation @ np.array(end) for end in (capsule.from_m, capsule.to_m))
+            along = np.clip((point - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0)
+            gaps.append(np.linalg.norm(point - a - along * (b - a)) - capsule.radius_m - 0.05)
+    nearest = model.nearest(q)
+    assert nearest.distance_m == pytest.approx(min(gaps), abs=1e-5)
+    assert nearest.name_b == "obstacle_0"
+    assert fixed or nearest.name_a.startswith("robot_0_link/")
+
+
+def test_the_turning_of_an_edge_counts_with_its_arm_drawn_out():
+    """The reach that edges are sampled by holds bodies in any posture, and no more than needed."""
+    _, robots = armed_team((), fixed=False)
+    team = TeamModel(robots, scenes.problem(np.zeros((5, 5, 5)), cell_m=2.0))
+    lower, upper = team.model.lowerPositionLimit[4:9], team.model.upperPositionLimit[4:9]
+    postures = np.random.default_rng(3).uniform(lower, upper, (2000, 5))
+    items = team.geometry.geometryObjects
+    data, placed = team.model.createData(), pin.GeometryData(team.geometry)
+    reach = []
+    for posture in postures:
+        q = team.q([[0.0, 0.0, 0.0, 0.0], [9.0, 9.0, 9.0, 0.0]], [posture, ()])
+        pin.updateGeometryPlacements(team.model, data, team.geometry, placed, q)
+        rows = [i for i, item in enumerate(items) if item.name.startswith("robot_0_")]
+        centres = np.array([placed.oMg[i].translation for i in rows])
+        reach.append(np.max(np.hypot(*centres[:, :2].T) + team._radius[rows]))
+    assert 0.85 * team._reach[0] < np.max(reach) <= team._reach[0]
+
+
+def test_joints_of_an_arm_have_the_limits_and_the_order_of_the_file():
+    config, robots = armed_team((), fixed=False)
+    model = TeamModel(robots, scenes.problem(np.zeros((5, 5, 5)), cell_m=2.0)).model
+    names = [f"robot_0_joint/{joint.name}" for joint in config.find_joints()]
+    assert list(model.names)[3:8] == names
+    lower, upper = model.lowerPositionLimit[4:9], model.upperPositionLimit[4:9]
+    np.testing.assert_allclose(lower, [joint.lower for joint in config.find_joints()])
+    np.testing.assert_allclose(upper, [joint.upper for joint in config.find_joints()])
 
 
 def test_a_team_without_robots_is_refused(world):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import zarr
 
-from ..viewing.conftest import make_motion, make_run, make_scene
+from ..conftest import make_motion, make_run, make_scene
 
 
 @pytest.fixture(scope="session")

@@ -11,7 +11,7 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.report.plotting import style
 from angler_mjx.report.viewing.maps import comparison, comparison_map
 
-from .conftest import make_run, make_scene
+from ..conftest import make_run, make_scene
 
 
 def otherwise(scene, **robot_1):

@@ -13,6 +13,7 @@ from rosbags.highlevel import AnyReader
 
 from angler_mjx.report.interop import mcap
 from angler_mjx.report.plotting import scene
+from angler_mjx.report.video import task_marks
 from angler_mjx.report.viewing import replay
 from angler_mjx.runs.rollout import rollout
 from angler_mjx.scenario.scenario import load_scenario
@@ -193,6 +194,24 @@ def test_replay_and_bag_show_what_is_seen_at_a_time(run, chunks, bag, t):
     assert not [one for one in bag["/world_0/scenery"][0][1].markers if one.ns == "goals"]
 
 
+@pytest.mark.parametrize("t", [0.0, 3.2, 7.5])
+def test_pictures_show_what_is_seen_at_a_time(run, t):
+    shown = scene.read_scene(run, 0)
+    marks = task_marks.build_marks(shown, np.array([11.0, t]))
+    low, cell = shown.bounds_m[0], float(shown.environment.grid.cell_m)
+    is_quad = marks.kind == task_marks.BOX
+    rgba = marks.palette[marks.tint[1]]
+    green = rgba[:, 1] > rgba[:, 0]
+    index = np.floor((marks.position_m[1] - low) / cell).astype(int)
+    assert np.sum(is_quad) == np.sum(np.asarray(run.trajectories["task/cells"]) > 0)
+    assert {tuple(one) for one in index[is_quad & green].tolist()} == seen_by(run, t)
+    np.testing.assert_allclose(np.sort(marks.size_m[is_quad])[:, 1:], 0.46 * cell)
+    # Viewpoints that were visited have their robot's colour, the others are white.
+    task = shown.task
+    done = task.done_at_s[task.exists] <= task.time_s[task.time_s <= t + 1e-6][-1] + 1e-6
+    np.testing.assert_array_equal((rgba[~is_quad] == 1.0).all(axis=1), ~done)
+
+
 def test_arrows_are_the_water_at_the_height_of_the_fleet(run, chunks, bag):
     """The double gyre of Shadden et al. (2005), from its formula."""
     shown = scene.read_scene(run, 0)
@@ -296,6 +315,24 @@ def test_goods_lie_travel_and_are_gone(delivery):
     np.testing.assert_allclose(at(first, times, 3.0), [[6.0, 7.0, 8.0]])
     np.testing.assert_allclose(at(second, later, 2.0), [robots[1][2] + below], atol=1e-5)
     assert at(second, later, 3.0) == []  # lost with its robot
+
+
+def test_pictures_show_goods_and_where_they_belong(delivery):
+    """Of both robots' goods: boxes where they are, then flat boxes below their destinations."""
+    made, _ = delivery
+    marks = task_marks.build_marks(made, np.array([0.0, 1.4, 3.0]))
+    below = [0.0, 0.0, -0.44]
+    robots = [robot.p_m for robot in made.robots]
+    first, second, end, _ = np.moveaxis(marks.position_m, 1, 0)
+    np.testing.assert_allclose(
+        first, [[0.0, 1.0, 2.0], robots[0][1] + below, [6.0, 7.0, 8.0]], atol=1e-5
+    )
+    np.testing.assert_allclose(second[1], robots[1][1] + below, atol=1e-5)
+    assert np.isnan(second[2]).all()  # lost with its robot
+    np.testing.assert_allclose(end, [[6.0, 7.0, 8.0 - 0.22]] * 3, atol=1e-5)
+    assert set(marks.kind) == {task_marks.BOX}
+    green = marks.palette[marks.tint][..., 1] > marks.palette[marks.tint][..., 0] + 0.2
+    assert green.tolist() == [[False] * 4, [False] * 4, [True, False, True, False]]
 
 
 def test_labels_and_table_say_what_robots_do(delivery):

@@ -1,5 +1,6 @@
 """Stages stacked: where commands enter, what is remembered, what is refused. One robot, float32."""
 
+import itertools
 from dataclasses import replace
 from functools import partial
 
@@ -78,14 +79,16 @@ def test_the_target_is_what_the_robot_aims_at(robot):
 
 
 def test_every_controller_takes_a_path_and_gives_signals(robot):
-    seen = []
+    seen = {}
     for name, names in stages.CONTROLLERS.items():
         before, action = run(robot, names, PATH)
         assert np.all((action.pwm.pwm_us >= 1100) & (action.pwm.pwm_us <= 1900)), name
         assert jax.tree.structure(before) == jax.tree.structure(action.memory), name
-        seen.append(np.asarray(action.pwm.pwm_us))
-    # No two of them are the same law.
-    apart = [np.abs(a - b).max() for i, a in enumerate(seen) for b in seen[:i]]
+        seen[name] = np.asarray(action.pwm.pwm_us)
+    # Without an arm, its controller is the cascade.
+    np.testing.assert_array_equal(seen.pop("arm"), seen["cascade"])
+    # No two others are the same law.
+    apart = [np.abs(a - b).max() for a, b in itertools.combinations(seen.values(), 2)]
     assert min(apart) > 0.1
 
 

@@ -36,12 +36,18 @@ def complaint(data, model=VehicleConfig):
 
 
 def test_shipped_vehicles_and_sets():
-    assert list_vehicles() == ["bluerov2", "bluerov2_heavy"]
+    assert list_vehicles() == ["bluerov2", "bluerov2_heavy", "bluerov2_heavy_alpha5"]
     assert set(load_vehicle("bluerov2_heavy").parameter_sets) == {
         "wu2018",
         "von_benzon2022",
         "blue_gazebo",
+        "hinsdale2023_identified",
     }
+    assert load_vehicle("bluerov2_heavy").published_sets == (
+        "blue_gazebo",
+        "von_benzon2022",
+        "wu2018",
+    )
     assert set(load_vehicle("bluerov2").parameter_sets) == {"blue_gazebo", "blue_ismc"}
 
 

@@ -1,6 +1,8 @@
 """Executables on disk: loaded where everything is equal, compiled anew where anything is not."""
 
 import os
+import subprocess
+import sys
 import threading
 import time
 from collections import Counter
@@ -322,3 +324,35 @@ def test_the_platforms_that_a_command_allows_are_no_part_of_a_key():
         jax.config.update("jax_platforms", other)
         assert stored_programs.trace_settings() == before
     jax.config.update("jax_platforms", platforms)
+
+
+def test_a_stored_program_factorises_in_a_process_that_lowered_none(folder):
+    """JAX looks LAPACK up when it lowers; another process loads and runs, and lowers nothing."""
+    code = """
+import jax
+import jax.numpy as jnp
+
+from angler_mjx.runs.simulator import stored_programs
+from angler_mjx.runs.simulator.compilation import CompiledFunction, ParallelCompiler
+from angler_mjx.runs.simulator.devices import build_mesh
+
+jax.config.update("jax_compilation_cache_dir", FOLDER)
+store = stored_programs.open_store(("factor",), build_mesh(1))
+program = CompiledFunction(jnp.linalg.cholesky, name="factor", store=store)
+with ParallelCompiler(1) as compiler:
+    program.keep(compiler.begin(program, jnp.eye(3) * 4.0).result()[0])
+print(float(program(jnp.eye(3) * 4.0)[2, 2]))
+"""
+    code = code.replace("FOLDER", repr(str(folder)))
+    environment = os.environ | {stored_programs.SETTING: "1"}
+    for _ in range(2):
+        done = subprocess.run(
+            [sys.executable, "-c", code],
+            capture_output=True,
+            text=True,
+            check=False,
+            env=environment,
+        )
+        assert done.returncode == 0, done.stderr[-2000:]
+        assert done.stdout.split()[-1] == "2.0"
+    assert len(files(folder)) == 1

@@ -12,7 +12,7 @@ from angler_mjx.sim.information import ObstacleInformation
 from angler_mjx.world import currents
 from angler_mjx.world.obstacles import BOX, bounding_radius
 
-from ...report.viewing.conftest import make_environment
+from ...report.conftest import make_environment
 
 COMPONENTS = (
     currents.Uniform,

@@ -16,7 +16,7 @@ from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.runs.storage import atomic_files, environments, folder, output_lock
 from angler_mjx.world.config import WorldConfig
 
-from ...report.viewing.conftest import make_environment
+from ...report.conftest import make_environment
 
 HOLD = """
 import sys, time

@@ -17,7 +17,7 @@ from angler_mjx.runs.storage.device_to_host import (
 from angler_mjx.runs.storage.recorder import Recorder, TrajectoryShape
 from angler_mjx.sim.record import FIELDS, Sample
 
-from ...report.viewing.conftest import make_environment
+from ...report.conftest import make_environment
 
 TILE, SAMPLES, ROBOTS, OBSTACLES = 4, 6, 2, 3
 SHAPE = TrajectoryShape(

@@ -160,7 +160,7 @@ def test_arrays_of_two_shapes_are_refused_by_name(plants, monkeypatch):
         put_model=lambda model, device: Uncounted(dof_damping=jnp.zeros(next(sizes))),
         make_data=lambda model, device: None,
     )
-    monkeypatch.setattr(mjx_engine, "_import_mjx", lambda: module)
+    monkeypatch.setattr(mjx_engine, "import_mjx", lambda: module)
     specs = [mjcf.to_spec(config, name, shapes=False) for config, name in plants.configs[:2]]
     with pytest.raises(ValueError, match=r"differ in MuJoCo's dof_damping.*fused"):
         mjx_engine.build_engine(specs)

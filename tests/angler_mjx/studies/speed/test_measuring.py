@@ -279,11 +279,17 @@ def test_nan_is_refused():
         require_moving(state(), sample, 1.25)
 
 
-def test_one_standing_robot_is_refused():
+def test_a_standing_robot_counts_as_one_that_ended_at_once():
     path = np.full((2, 3), 0.5)
     path[1, 2] = 0.0
-    with pytest.raises(RunError, match="1 of 6 robots stood still"):
+    with pytest.raises(RunError, match=r"only 83% .* 1 of 6 stood still"):
         require_moving(state(path_length_m=jnp.asarray(path)), SAMPLE, 1.25)
+    many = {
+        "path_length_m": jnp.full((4, 5), 0.5).at[0, 0].set(0.0),
+        "end_time_s": jnp.full((4, 5), 1.25),
+        "outcome": jnp.full((4, 5), int(Outcome.RUNNING)),
+    }
+    assert require_moving(state(**many), SAMPLE, 1.25) == pytest.approx(19 / 20)
 
 
 def test_only_the_steps_that_robots_lived_count():
@@ -336,6 +342,7 @@ def test_all_workloads_of_a_profile_load(profile):
     chosen = build_cases(SpeedRequest(profile=profile))
     assert {case.workload.kind for case in chosen} <= {
         "dynamics",
+        "arm_dynamics",
         "simulation",
         "preparation",
         "generation",
@@ -372,6 +379,10 @@ def test_the_dynamics_have_one_robot_in_each_world_and_one_engine():
     assert [(case.worlds, case.robots) for case in chosen] == [(1, 1), (64, 1)]
     with pytest.raises(ConfigError, match="fused engine alone"):
         ask(workloads=("dynamics",), worlds=(1,), engine="mjx")
+    chosen = ask(workloads=("dynamics_arm",), worlds=(1, 64), robots=(4, 16))
+    assert [(case.worlds, case.robots) for case in chosen] == [(1, 1), (64, 1)]
+    with pytest.raises(ConfigError, match="mjx engine alone"):
+        ask(workloads=("dynamics_arm",), worlds=(1,), engine="fused")
 
 
 def test_recording_is_the_demo_at_10_hz(tmp_path):

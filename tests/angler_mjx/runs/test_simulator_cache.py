@@ -3,15 +3,15 @@
 import pytest
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.studies import simulator_cache
-from angler_mjx.studies.simulator_cache import SimulatorCache
+from angler_mjx.runs import simulator_cache
+from angler_mjx.runs.simulator_cache import SimulatorCache
 
 
 class FakeSimulator:
     def __init__(self, events, name):
         self.events, self.name = events, name
 
-    def compile(self):
+    def compile_ahead(self):
         self.events.append(("compiled", self.name))
 
     def close(self):
@@ -42,6 +42,16 @@ def test_the_least_recently_used_one_is_closed(cache, monkeypatch):
     for name in ("a", "b", "a", "c"):
         cache.of(name, lambda name=name: FakeSimulator(events, name))
     assert [event for event in events if event[0] == "closed"] == [("closed", "b")]
+
+
+def test_a_dropped_one_is_closed_and_compiled_again(cache):
+    events = []
+    build = lambda: FakeSimulator(events, "a")  # noqa: E731
+    first = cache.of("a", build)
+    cache.drop("a")
+    cache.drop("a")
+    assert events == [("compiled", "a"), ("closed", "a")]
+    assert cache.of("a", build) is not first
 
 
 def test_what_cannot_be_compiled_says_so_to_who_needs_it(cache):

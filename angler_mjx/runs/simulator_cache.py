@@ -1,10 +1,12 @@
-"""Cache of the compiled simulators of a study, shared by cells that need the same programs."""
+"""Cache of compiled simulators, shared by cells that need the same programs, compiled ahead."""
 
 import gc
 import os
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from concurrent.futures import Future, ThreadPoolExecutor
+from types import TracebackType
+from typing import Self
 
 from angler_mjx.runs.simulator.programs import release_memory
 from angler_mjx.runs.simulator.simulator import Simulator
@@ -12,6 +14,8 @@ from angler_mjx.runs.simulator.simulator import Simulator
 MAX_SIMULATORS = 24
 """Simulators that are held at a time: the programs of more would use up the memory maps that a
 process may have."""
+MAX_AHEAD = 4
+"""Simulators that are compiled before they are needed."""
 
 
 class SimulatorCache:
@@ -51,10 +55,29 @@ class SimulatorCache:
             gc.collect()
         return simulator
 
+    def drop(self, key: Hashable) -> None:
+        """Close a simulator, if it is held."""
+        held = self._held.pop(key, None)
+        if held is not None:
+            _close(held)
+
     def clear(self) -> None:
         """Close all simulators, and release the memory of their programs."""
         self._close_all()
         release_memory()
+
+    def __enter__(self) -> Self:
+        """Compile simulators from now on."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close the cache; see `close`."""
+        self.close()
 
     def close(self) -> None:
         """Wait for what is being compiled, and close all simulators."""
@@ -69,7 +92,7 @@ class SimulatorCache:
 
 def _compile_simulator(build: Callable[[], Simulator]) -> Simulator:
     simulator = build()
-    simulator.compile()
+    simulator.compile_ahead()
     return simulator
 
 

@@ -1,0 +1,1 @@
+"""Policy that brings end effectors to the goals."""
