@@ -28,6 +28,7 @@ SUFFIXES = frozenset(
 )
 """Last parts of file names."""
 OTHERS = {
+    "contact.restitution": "a term of `angler validate`",
     "config.call": "an argument of the function",
     "fleet.0.count": "a key of scenario files",
     "grain.MapDataset": "a library",

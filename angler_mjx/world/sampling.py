@@ -294,7 +294,10 @@ def measure_difficulty(
     ratio = jnp.where(straight > 0, length / jnp.maximum(straight, 1.0), 1.0)
     origin = jnp.array(recipe.origin_m, float)
     in_cells = (jnp.moveaxis((p - origin) / recipe.cell_m, -1, 0) for p in (start, goal))
-    line_free = line_is_free(occupied[:, :, :, None], *in_cells)
+    # XLA 0.11.2 computes what follows wrongly for CPUs with AVX2 when it fuses this into it without
+    # optimisation by LLVM, as the tests compile.
+    ends = jax.lax.optimization_barrier(tuple(in_cells))
+    line_free = line_is_free(occupied[:, :, :, None], *ends)
     # A lattice path is never shorter than the line; 1 - 1e-7 would be rounding.
     return jnp.maximum(ratio, 1.0), line_free
 

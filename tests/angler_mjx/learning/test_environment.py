@@ -200,7 +200,7 @@ def test_gymnasium_sees_a_vector_env_that_compiles_once(env):
     assert vector.metadata["autoreset_mode"] == gymnasium.vector.AutoresetMode.SAME_STEP
     seen, _ = vector.reset(seed=1)
     assert seen in vector.observation_space
-    ends = 0
+    ends, compiled = 0, None
     for _ in range(3 * STEPS):
         action = vector.action_space.sample()
         seen, reward, terminated, truncated, info = vector.step(action)
@@ -208,8 +208,10 @@ def test_gymnasium_sees_a_vector_env_that_compiles_once(env):
         assert reward.shape == terminated.shape == truncated.shape == (WORLDS,)
         ends += bool(truncated.any())
         assert ("final_obs" in info) == bool((terminated | truncated).any())
+        # Other tests may have compiled the same function for other types of actions.
+        compiled = compiled or vector._step._cache_size()
     assert ends >= 3
-    assert vector._step._cache_size() == 1
+    assert vector._step._cache_size() == compiled
 
 
 @pytest.mark.parametrize(
