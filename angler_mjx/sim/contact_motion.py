@@ -21,6 +21,12 @@ from angler_mjx.sim.impacts import Impacts, add_impacts, no_impacts
 from angler_mjx.sim.physics import step as physics
 from angler_mjx.sim.physics.contact import candidates, mjx_contact
 from angler_mjx.sim.physics.contact.candidates import Rock
+from angler_mjx.sim.physics.contact.grips import (
+    Grips,
+    find_grip_rows,
+    let_go,
+    measure_forces,
+)
 from angler_mjx.sim.physics.contact.layout import BodyLayout
 from angler_mjx.sim.physics.contact.mjx_contact import Shapes
 from angler_mjx.sim.physics.contact.resolve import (
@@ -38,8 +44,8 @@ from angler_mjx.world import obstacles as obstacle_motion
 from angler_mjx.world.environment import Environment, region_corners
 from angler_mjx.world.obstacles import BOX, DRIFT, Obstacles, ObstacleState
 
-type Moved = tuple[VehicleState, ObstacleState, Impacts]
-"""Robots, obstacles and impacts after physics steps."""
+type Moved = tuple[VehicleState, ObstacleState, Grips | None, Impacts]
+"""Robots, obstacles, grips and impacts after physics steps."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,8 +91,9 @@ def move_together(
     t: jax.Array,
     steps: int,
     joints: JointTarget | None,
+    grips: Grips | None = None,
 ) -> Moved:
-    """Return robots, obstacles and impacts after the physics steps of a control period.
+    """Return robots, obstacles, grips and impacts after the physics steps of a control period.
 
     Args:
         moving: the world.
@@ -95,19 +102,20 @@ def move_together(
         t: [] s at the beginning.
         steps: how many.
         joints: [R, J] motion that the servos of joints follow; None where no robot has any.
+        grips: of the robots; None where they hold nothing.
     """
 
     def step_once(i: jax.Array, now: Moved) -> Moved:
         elapsed_s = i.astype(t.dtype) * moving.dt
         reference = None if joints is None else joint_reference(joints, elapsed_s)
-        vehicles, obstacles, impacts = now
-        vehicles, obstacles, new = step_together(
-            moving, vehicles, obstacles, t + elapsed_s, reference
+        vehicles, obstacles, grips, impacts = now
+        vehicles, obstacles, grips, new = step_together(
+            moving, vehicles, obstacles, t + elapsed_s, reference, grips
         )
-        return vehicles, obstacles, add_impacts(impacts, new)
+        return vehicles, obstacles, grips, add_impacts(impacts, new)
 
-    none = no_impacts(vehicles.p.shape[0], vehicles.p.dtype)
-    moved: Moved = jax.lax.fori_loop(0, steps, step_once, (vehicles, obstacles, none))
+    none = no_impacts(vehicles.p.shape[0], vehicles.p.dtype, holds=grips is not None)
+    moved: Moved = jax.lax.fori_loop(0, steps, step_once, (vehicles, obstacles, grips, none))
     return moved
 
 
@@ -117,8 +125,9 @@ def step_together(
     obstacles: ObstacleState,
     t: jax.Array,
     reference: JointMotion | None,
+    grips: Grips | None = None,
 ) -> Moved:
-    """Return robots, obstacles and impacts after one physics step.
+    """Return robots, obstacles, grips and impacts after one physics step.
 
     Args:
         moving: the world.
@@ -126,6 +135,7 @@ def step_together(
         obstacles: [O] leads.
         t: [] s.
         reference: [R, J] that the servos of joints hold; None where no robot has any.
+        grips: of the robots; None where they hold nothing.
     """
     environment, control = moving.world.environment, moving.world.control
     rows, current = environment.obstacles, environment.current
@@ -161,10 +171,19 @@ def step_together(
         )
     with jax.named_scope("contact"):
         bodies = _join_bodies(moving, vehicles, free, obstacles, drifted_nu, drifts)
-        forces = resolve_contact(moving.contact, moving.layout, bodies, touches, moving.dt)
+        holding = None
+        if grips is not None and moving.contact.grip is not None:
+            holding = find_grip_rows(
+                moving.contact.grip, moving.layout, grips, bodies.p, bodies.rotation
+            )
+        forces = resolve_contact(moving.contact, moving.layout, bodies, touches, moving.dt, holding)
     after = _settle_robots(moving, vehicles, free, forces)
     moved = _settle_obstacles(moving, obstacles, drifted_nu, nu_dot, drifts, forces, t + moving.dt)
-    return after, moved, _find_impacts(moving.layout, forces)
+    impacts = _find_impacts(moving.layout, forces)
+    if grips is not None and moving.contact.grip is not None and forces.grip_force_n is not None:
+        impacts = replace(impacts, grips=measure_forces(grips.held, forces.grip_force_n))
+        grips = let_go(moving.contact.grip, grips, impacts.grips, moving.alive)
+    return after, moved, grips, impacts
 
 
 def _locate(moving: MovingWorld, vehicles: VehicleState, obstacles: ObstacleState) -> Shapes:

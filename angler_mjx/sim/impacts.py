@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 from jax.typing import DTypeLike
 
+from angler_mjx.sim.physics.contact.grips import GripForces
 from angler_mjx.sim.state import Touched
 
 
@@ -26,10 +27,12 @@ class Impacts:
     """[R] greatest overlap, m."""
     force_n: jax.Array
     """[R] greatest normal force of a point of contact, N."""
+    grips: GripForces | None = None
+    """Greatest forces of the robots' grips; None where they hold nothing."""
 
 
-def no_impacts(robots: int, dtype: DTypeLike) -> Impacts:
-    """Return the impacts of robots that touched nothing."""
+def no_impacts(robots: int, dtype: DTypeLike, *, holds: bool = False) -> Impacts:
+    """Return the impacts of robots that touched nothing; ``holds``: whether they hold a body."""
     zero, none = jnp.zeros(robots, dtype), jnp.zeros(robots, jnp.int32)
     return Impacts(
         energy_j=zero,
@@ -38,6 +41,7 @@ def no_impacts(robots: int, dtype: DTypeLike) -> Impacts:
         touched_index=none - 1,
         depth_m=zero,
         force_n=zero,
+        grips=GripForces(force_n=zero, internal_n=zero) if holds else None,
     )
 
 
@@ -51,4 +55,5 @@ def add_impacts(so_far: Impacts, new: Impacts) -> Impacts:
         energy_j=jnp.maximum(new.energy_j, so_far.energy_j),
         depth_m=jnp.maximum(new.depth_m, so_far.depth_m),
         force_n=jnp.maximum(new.force_n, so_far.force_n),
+        grips=jax.tree.map(jnp.maximum, new.grips, so_far.grips),
     )

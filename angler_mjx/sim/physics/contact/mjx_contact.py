@@ -138,7 +138,7 @@ def _put_on_device(host: mujoco.MjModel) -> "tuple[mjx.Model, mjx.Data]":
 
 @dataclass(frozen=True, kw_only=True)
 class ContactProblem:
-    """Problem of the solver: [n] velocities, and [m] rows that push and do not pull."""
+    """Problem of the solver: [n] velocities, and [m] rows, most of which push and do not pull."""
 
     M: jax.Array
     """[n, n] inertia."""
@@ -150,12 +150,15 @@ class ContactProblem:
     """[m] accelerations that the rows ask for."""
     D: jax.Array
     """[m] weights of the rows; 1 over the regularisation."""
+    equalities: int = 0
+    """Number of the first rows, which push and pull."""
 
 
 def solve_contact(layout: BodyLayout, problem: ContactProblem) -> tuple[jax.Array, jax.Array]:
     """Return the accelerations [n] with contact, and the forces [m], by MuJoCo's solver.
 
-    They minimise 1/2 |a - acceleration|^2 in the metric of M and 1/2 D min(J a - reference, 0)^2.
+    They minimise 1/2 |a - acceleration|^2 in the metric of M and 1/2 D min(J a - reference, 0)^2,
+    of equalities without the minimum.
 
     Args:
         layout: of the world.
@@ -167,7 +170,7 @@ def solve_contact(layout: BodyLayout, problem: ContactProblem) -> tuple[jax.Arra
         model, data = _put_on_device(_build_model(layout))
     dtype, none = problem.M.dtype, jnp.zeros(m, problem.M.dtype)
     inner = data._impl.replace(
-        ne=0,
+        ne=problem.equalities,
         nf=0,
         nl=0,
         nefc=m,

@@ -12,6 +12,7 @@ in F and those of its joints; of each obstacle the first six.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +20,7 @@ import numpy as np
 
 from angler_kernels import spd_solve
 from angler_mjx.sim.physics.contact import mjx_contact
+from angler_mjx.sim.physics.contact.grips import GripRows, GripSpec
 from angler_mjx.sim.physics.contact.layout import BodyLayout
 from angler_mjx.sim.physics.contact.mjx_contact import ContactProblem, Touches
 
@@ -50,6 +52,8 @@ class ContactSpec:
     """omega: natural frequency of a point of contact."""
     damage_energy_j: float | None = None
     """Energy of an impact above which a robot is damaged; None for never."""
+    grip: GripSpec | None = None
+    """Grips of the robots on a body; None where they hold nothing."""
 
 
 ROBOT, OBSTACLE, ROCK, FLOOR = range(4)
@@ -95,7 +99,9 @@ class ContactForces:
     impact_energy_j: jax.Array
     """[k] half the effective mass times the closing speed squared; 0 where they part."""
     touched: jax.Array
-    """bool [B] whether contact changed the motion of the body."""
+    """bool [B] whether contact or a grip changed the motion of the body."""
+    grip_force_n: jax.Array | None = None
+    """[R, 3] force of each robot's grip on the body, in W; None where robots hold nothing."""
 
 
 def resolve_contact(
@@ -104,6 +110,7 @@ def resolve_contact(
     bodies: WorldBodies,
     touches: Touches,
     dt: jax.Array | float,
+    grips: GripRows | None = None,
 ) -> ContactForces:
     """Return the motion of the bodies of one world after a step with contact.
 
@@ -113,6 +120,7 @@ def resolve_contact(
         bodies: at the beginning of the step.
         touches: candidates; the deepest ``layout.points`` are solved for.
         dt: [] s.
+        grips: of the robots; None where they hold nothing.
     """
     touches = _deepest(touches, layout.points)
     active = touches.depth_m > 0.0
@@ -140,20 +148,36 @@ def resolve_contact(
     reference = (asked[:, None] + jnp.sum(sides * sliding[:, None], axis=2)) * acts[:, None]
     mass = jnp.where(acts, 1.0 / jnp.where(acts, inverse_mass, 1.0), 0.0)
     D = jnp.where(acts, mass / (4.0 * SOFTNESS), 1.0)
+    rows = _Rows(
+        J=jnp.reshape(rows, (4 * k, n)),
+        reference=jnp.reshape(reference, 4 * k),
+        D=jnp.repeat(D, 4),
+    )
+    equalities = 0
+    if grips is not None:
+        welds = _weld_rows(spec, layout, bodies, grips, pushed)
+        equalities = welds.D.shape[0]
+        rows = jax.tree.map(lambda *parts: jnp.concatenate(parts), welds, rows)
     with_contact, force = mjx_contact.solve_contact(
         layout,
         ContactProblem(
             M=_join_blocks(bodies),
             acceleration=(bodies.unconstrained - bodies.velocity) / dt,
-            J=jnp.reshape(rows, (4 * k, n)),
-            reference=jnp.reshape(reference, 4 * k),
-            D=jnp.repeat(D, 4),
+            J=rows.J,
+            reference=rows.reference,
+            D=rows.D,
+            equalities=equalities,
         ),
     )
-    normal = jnp.sum(jnp.reshape(force, (k, 4)), axis=1)
+    normal = jnp.sum(jnp.reshape(force[equalities:], (k, 4)), axis=1)
     hit = jnp.any(J != 0.0, axis=1) & (normal > 0.0)[:, None]  # [k, n]
     bodies_of = np.repeat(np.arange(layout.bodies), _dofs(layout))
     touched = jnp.zeros(layout.bodies, bool).at[bodies_of].max(jnp.any(hit, axis=0))
+    pull = None
+    if grips is not None and spec.grip is not None:
+        pull = jnp.reshape(force[:equalities], (layout.robots, 6))[:, :3]
+        touched = touched.at[: layout.robots].max(grips.held)
+        touched = touched.at[layout.robots + spec.grip.body].max(jnp.any(grips.held))
     closing = -relative[:, 0]
     return ContactForces(
         velocity=bodies.velocity + dt * with_contact,
@@ -162,7 +186,33 @@ def resolve_contact(
         closing_speed_mps=closing,
         impact_energy_j=0.5 * mass * jnp.square(jnp.maximum(closing, 0.0)),
         touched=touched,
+        grip_force_n=pull,
     )
+
+
+class _Rows(NamedTuple):
+    """Rows of `ContactProblem`."""
+
+    J: jax.Array
+    reference: jax.Array
+    D: jax.Array
+
+
+def _weld_rows(
+    spec: ContactSpec,
+    layout: BodyLayout,
+    bodies: WorldBodies,
+    grips: GripRows,
+    pushed: jax.Array,
+) -> _Rows:
+    """Return the rows of grips; ``pushed`` bool [n] is where bodies can be moved."""
+    J = jnp.reshape(grips.J * pushed, (6 * layout.robots, layout.velocities))
+    inverse_mass = _inverse_mass(layout, bodies, J)
+    acts = inverse_mass > 0.0
+    speed, error = J @ bodies.velocity, jnp.reshape(grips.error, -1)
+    asked = -spec.rate_radps * (spec.rate_radps * error + 2.0 * speed)
+    D = 1.0 / (SOFTNESS * jnp.where(acts, inverse_mass, 1.0))
+    return _Rows(J=J, reference=jnp.where(acts, asked, 0.0), D=jnp.where(acts, D, 1.0))
 
 
 def _dofs(layout: BodyLayout) -> np.ndarray:
