@@ -1,15 +1,19 @@
 """Build problems from sampled worlds."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.planning.problem import Problem, ProblemSettings, Team, TeamArms
+from angler_mjx.planning.problem import CargoProblem, Problem, ProblemSettings, Team, TeamArms
 from angler_mjx.robot.control.stack import ControlParams
 from angler_mjx.robot.vehicles.params import VehicleParams
 from angler_mjx.sim import information
 from angler_mjx.sim.information import SceneObservation
 from angler_mjx.sim.posture import bounding_radii, hull_capsules
 from angler_mjx.sim.state import FleetWorld, SimSpec
+from angler_mjx.world.environment import Environment
+from angler_mjx.world.obstacles import bounding_radius
 
 _N_POWER_SPEEDS = 9
 """Speeds at which a robot's power is given, 0 among them."""
@@ -37,6 +41,7 @@ def build_problem(
     """
     environment, water, levels = world.environment, spec.water, settings.information
     start_m, start_yaw_rad = environment.start_m, environment.start_yaw_rad
+    cargo, environment = _take_cargo(spec, environment)
     at_m = begin_s = None
     if now is not None:
         at_m, begin_s = now.at_m, now.time_s
@@ -58,8 +63,27 @@ def build_problem(
         ),
         current=information.current_information(environment, levels.current, at_m, begin_s),
         seed=seed,
+        cargo=cargo,
         **settings.static_fields(),
     )
+
+
+def _take_cargo(
+    spec: SimSpec, environment: Environment
+) -> tuple[CargoProblem | None, Environment]:
+    """Return what the team carries, and the environment without it."""
+    if spec.cargo is None:
+        return None, environment
+    body, rows = spec.cargo.body, environment.obstacles
+    start_m = rows.p0[body]
+    cargo = CargoProblem(
+        start_m=start_m,
+        goal_m=jnp.asarray(spec.cargo.goal_m, start_m.dtype),
+        turn_rad=jnp.asarray(spec.cargo.turn_rad, start_m.dtype),
+        radius_m=bounding_radius(rows.kind[body], rows.size_m[body]),
+    )
+    others = replace(rows, exists=rows.exists.at[body].set(False))
+    return cargo, replace(environment, obstacles=others)
 
 
 def build_team(

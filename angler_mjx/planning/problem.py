@@ -91,6 +91,24 @@ class Team:
     """Links and joints; None where no robot has any."""
 
 
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class CargoProblem:
+    """Body that the robots hold together; each keeps its pose in the body's frame.
+
+    Starts and goals of the team are those of robots that hold it.
+    """
+
+    start_m: jax.Array
+    """[3] its centre at the start, in W."""
+    goal_m: jax.Array
+    """[3] its centre at the goal."""
+    turn_rad: jax.Array
+    """[] its turn about z up from start to goal."""
+    radius_m: jax.Array
+    """[] radius of the sphere about its centre that holds it in every attitude."""
+
+
 _STATIC = {"static": True}
 """Metadata of fields that are compiled in."""
 
@@ -146,6 +164,8 @@ class Problem(ProblemSettings):
     """Motion of the water, as far as it is known."""
     seed: jax.Array
     """uint32 [] seed of random draws: equal seeds and problems have equal plans."""
+    cargo: CargoProblem | None = None
+    """Body that the team carries, which is not among the obstacles; None where it carries none."""
     name: ProblemName | None = field(default=None, metadata=_STATIC)
     """Identity of the world; None in a batch."""
 

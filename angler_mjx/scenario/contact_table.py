@@ -5,6 +5,7 @@ from numpy.typing import ArrayLike
 from pydantic import Field, field_validator
 
 from angler_mjx.files import FileModel
+from angler_mjx.sim.physics.contact.grips import GripSpec
 from angler_mjx.sim.physics.contact.overlap import find_overlaps
 from angler_mjx.sim.physics.contact.resolve import ContactSpec
 from angler_mjx.world.config import WorldConfig, resolve_world
@@ -49,11 +50,12 @@ class ContactConfig(FileModel):
         find_material(name)
         return name
 
-    def spec(self, physics_dt_s: float) -> ContactSpec:
+    def spec(self, physics_dt_s: float, grip: GripSpec | None = None) -> ContactSpec:
         """Return the settings of the simulator.
 
         Args:
             physics_dt_s: physics step, s.
+            grip: of the robots on a body that they carry; None where they carry nothing.
         """
         materials = [find_material(n) for n in (self.robot, self.obstacle, self.rock, self.floor)]
         friction = np.array([material.friction for material in materials])
@@ -64,6 +66,7 @@ class ContactConfig(FileModel):
             damping_ratio=_to_table(zeta),
             rate_radps=1.0 / (RATE_STEPS * physics_dt_s),
             damage_energy_j=self.damage_energy_j,
+            grip=grip,
         )
 
 

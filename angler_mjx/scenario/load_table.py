@@ -4,7 +4,9 @@ import math
 from collections.abc import Sequence
 from typing import Annotated
 
+import numpy as np
 from pydantic import Field
+from scipy.spatial.transform import Rotation
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import FileModel
@@ -13,6 +15,7 @@ from angler_mjx.robot.vehicles.load import Load, add_load
 from angler_mjx.robot.vehicles.variation import Variation, heave_forces
 from angler_mjx.scenario.fleet_entry import FleetEntry
 from angler_mjx.scenario.randomise_table import MAX_HEAVE_FRACTION
+from angler_mjx.world.obstacles import Obstacles
 
 SPHERE_CD = 0.47
 """Drag coefficient of a sphere below the drag crisis (Hoerner, Fluid-Dynamic Drag, 1965, ch. 3)."""
@@ -56,7 +59,37 @@ class LoadConfig(FileModel):
         )
 
 
-def check_load(load: Load, fleet: Sequence[FleetEntry]) -> None:
+def share_load(
+    bodies: Obstacles, body: int, headings: np.ndarray, density_kgpm3: float
+) -> Load:
+    """Return the share of each robot in a body that robots carry together.
+
+    Args:
+        bodies: explicit obstacles.
+        body: index of the carried one.
+        headings: [R, 3] directions in which the robots look, in W.
+        density_kgpm3: of the water.
+    """
+    robots = len(headings)
+    turn = Rotation.from_quat(np.asarray(bodies.q0[body], float), scalar_first=True).as_matrix()
+    yaw = np.arctan2(headings[:, 1], headings[:, 0])
+    views = Rotation.from_rotvec(np.outer(yaw, [0.0, 0.0, 1.0])).inv().as_matrix() @ turn  # [R, 3, 3] to robots' frames
+
+    def share(diagonal: np.ndarray) -> tuple[float, float, float]:
+        of_axes = np.mean(np.sum(views**2 * diagonal[:3], axis=2), axis=0)
+        x, y, z = (of_axes / robots).tolist()
+        return x, y, z
+
+    return Load(
+        mass_kg=float(bodies.mass_kg[body]) / robots,
+        volume_m3=float(bodies.volume_m3[body]) / robots,
+        drag_area_m2=share(np.asarray(bodies.D_q[body], float) / (0.5 * density_kgpm3)),
+        added_mass_kg=share(np.asarray(bodies.M_A[body], float)),
+        density_kgpm3=density_kgpm3,
+    )
+
+
+def check_load(load: Load, fleet: Sequence[FleetEntry], what: str = "task.load") -> None:
     """Refuse a load with which a vehicle cannot hold its depth.
 
     A vehicle that cannot hold its depth without the load is not checked.
@@ -64,6 +97,7 @@ def check_load(load: Load, fleet: Sequence[FleetEntry]) -> None:
     Args:
         load: of each robot that carries.
         fleet: entries of the scenario.
+        what: name of the load in messages.
 
     Raises:
         ValueError: naming the table and the vehicle.
@@ -79,7 +113,7 @@ def check_load(load: Load, fleet: Sequence[FleetEntry]) -> None:
                 raise ValueError(f"fleet[{i}]: {error}") from error
             if abs(unladen_n) <= MAX_HEAVE_FRACTION * force_n < abs(lift_n):
                 raise ValueError(
-                    f"task.load: {load.mass_kg:g} kg of {load.volume_m3:g} m3: with it fleet[{i}], "
+                    f"{what}: {load.mass_kg:g} kg of {load.volume_m3:g} m3: with it fleet[{i}], "
                     f"vehicle {config.name!r}, parameter set {name!r}, "
                     f"{'rises' if lift_n > 0 else 'sinks'} with {abs(lift_n):.1f} N, and its "
                     f"thrusters give {force_n:.1f} N in heave at {entry.battery_v:g} V; half of "

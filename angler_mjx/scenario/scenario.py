@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import ClassVar, Literal, Self
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from angler_mjx.errors import ConfigError
@@ -31,7 +32,7 @@ from angler_mjx.robot.vehicles.load import Load
 from angler_mjx.scenario import instrumented, table_checks
 from angler_mjx.scenario.contact_table import ContactConfig, check_bodies
 from angler_mjx.scenario.fleet_entry import FleetEntry
-from angler_mjx.scenario.load_table import check_load
+from angler_mjx.scenario.load_table import check_load, share_load
 from angler_mjx.scenario.path_resolution import resolve_paths
 from angler_mjx.scenario.policy_tables import (
     PolicyConfig,
@@ -52,6 +53,7 @@ from angler_mjx.scenario.tables import (
     check_replanning,
 )
 from angler_mjx.scenario.task_table import (
+    CarryTask,
     DeliverTask,
     GoalTask,
     TaskConfig,
@@ -67,6 +69,7 @@ from angler_mjx.world.acoustics.channel import Channel
 from angler_mjx.world.acoustics.config import AcousticsConfig
 from angler_mjx.world.config import WorldConfig, resolve_world
 from angler_mjx.world.currents import CurrentConfig, GridConfig
+from angler_mjx.world.obstacles.explicit import explicit_rows
 from angler_mjx.world.tasks.spec import TaskSpec
 
 type Kernels = Literal["xla", "cuda"]
@@ -127,11 +130,21 @@ class Scenario(FileModel):
         return self
 
     @model_validator(mode="after")
+    def _set_carriers(self) -> Self:
+        """Set starts and goals of robots that carry a body together."""
+        if isinstance(self.task, CarryTask):
+            if not self.contacts:
+                raise ValueError('task.type = "carry": bodies must push each other; set contacts = true')
+            robots = sum(entry.count for entry in self.fleet)
+            self.__dict__["world"] = self.task.position_robots(self.world, robots)
+        return self
+
+    @model_validator(mode="after")
     def _set_planner(self) -> Self:
-        """Replace auto by the planner of this team."""
-        self.__dict__["planner"] = self.planner.resolve_auto(
-            sum(entry.count for entry in self.fleet)
-        )
+        """Replace auto by the planner of this team, or of its cargo."""
+        robots = sum(entry.count for entry in self.fleet)
+        carries = isinstance(self.task, CarryTask)
+        self.__dict__["planner"] = self.planner.resolve_auto(robots, carries=carries)
         return self
 
     @model_validator(mode="after")
@@ -140,7 +153,7 @@ class Scenario(FileModel):
         if "name" in self.policy.model_fields_set:
             return self
         name = "none"
-        if not isinstance(self.task, GoalTask):
+        if not isinstance(self.task, GoalTask | CarryTask):
             name = "routes"
         elif self.task.by_end_effector and not self.planner.plans_arms:
             name = "reach"
@@ -248,6 +261,8 @@ class Scenario(FileModel):
         self.task_spec()
         if load := self.carried():
             check_load(load, self.fleet)
+        if share := self.cargo_share():
+            check_load(share, self.fleet, "a robot's share of task.body")
         return self
 
     def carried(self) -> Load | None:
@@ -255,6 +270,21 @@ class Scenario(FileModel):
         if not isinstance(self.task, DeliverTask) or self.task.load is None:
             return None
         return self.task.load.load(self.water.density_kgpm3)
+
+    def cargo_share(self) -> Load | None:
+        """Return what each robot bears of a body that the fleet carries; None where there is none.
+
+        Added mass and drag are those along the axes of the robots, on average.
+        """
+        if not isinstance(self.task, CarryTask):
+            return None
+        world, density = resolve_world(self.world), self.water.density_kgpm3
+        return share_load(
+            explicit_rows(world.obstacles.explicit, density),
+            self.task.body,
+            np.subtract(world.goal_m, world.start_m),
+            density,
+        )
 
     def task_spec(self) -> TaskSpec | None:
         """Return the compiled task; None where each robot has a goal of its own."""
@@ -363,6 +393,9 @@ class Scenario(FileModel):
         """Return the simulator's settings."""
         controllers, gains = self.controller.stack()
         water = Water(density_kgpm3=self.water.density_kgpm3)
+        cargo, grip = (
+            (self.task.cargo, self.task.grip) if isinstance(self.task, CarryTask) else (None, None)
+        )
         state_sources = [entry.state_source() for entry in self.fleet for _ in range(entry.count)]
         return SimSpec(
             physics_dt_s=self.time.physics_dt_s,
@@ -378,7 +411,8 @@ class Scenario(FileModel):
             also=self.store.also,
             acoustics=self.channel(),
             task=self.task_spec(),
-            contact=self.contact.spec(self.time.physics_dt_s) if self.contacts else None,
+            contact=self.contact.spec(self.time.physics_dt_s, grip) if self.contacts else None,
+            cargo=cargo,
         )
 
 

@@ -20,7 +20,7 @@ from angler_mjx.errors import ConfigError, format_value
 from angler_mjx.files import FileModel, base_folder
 from angler_mjx.planning import register
 from angler_mjx.planning.planner import MAX_POINTS
-from angler_mjx.planning.planner_choice import AUTO, AUTO_PLANNERS, choose_planner
+from angler_mjx.planning.planner_choice import AUTO, AUTO_PLANNERS, CARRY, choose_planner
 from angler_mjx.planning.register import PlannerReference, PlannerSpec
 from angler_mjx.quantities import Length
 from angler_mjx.robot.control import stack, stages
@@ -254,17 +254,19 @@ class PlannerConfig(FileModel):
     @property
     def by_auto(self) -> bool:
         """Return whether auto chose the planner; False if code replaced the name later."""
-        return self.requested is not None and self.name in AUTO_PLANNERS
+        return self.requested is not None and self.name in (*AUTO_PLANNERS, CARRY)
 
-    def resolve_auto(self, robots: int) -> Self:
+    def resolve_auto(self, robots: int, *, carries: bool = False) -> Self:
         """Return the table with the planner of a team of ``robots`` in place of auto.
+
+        Robots that carry a body together have a planner of their body.
 
         A table with another name is returned unchanged. The name counts as left out: a table
         rebuilt from the keys of the file, such as for another team, is resolved again.
         """
         if self.name != AUTO:
             return self
-        resolved = self.model_copy(update={"name": choose_planner(robots), "requested": AUTO})
+        resolved = self.model_copy(update={"name": choose_planner(robots, carries=carries), "requested": AUTO})
         resolved.model_fields_set.difference_update(("name", "requested"))
         return resolved
 
@@ -291,7 +293,7 @@ class PlannerConfig(FileModel):
             UnsupportedError: its libraries are not installed.
         """
         reference = register.find(self.name)
-        usable = AUTO_PLANNERS if self.by_auto else (self.table,)
+        usable = (*AUTO_PLANNERS, CARRY) if self.by_auto else (self.table,)
         unused = sorted(set(self.settings) - set(usable))
         if unused:
             raise ConfigError(

@@ -14,7 +14,9 @@ from angler_mjx.quantities import MAX_COORDINATE_M
 from angler_mjx.scenario.load_table import LoadConfig
 from angler_mjx.scenario.policy_tables import PolicyConfig
 from angler_mjx.scenario.tables import TimeConfig, check_whole_ratio
-from angler_mjx.world.config import Vector, WorldRecipe
+from angler_mjx.sim.cargo import CargoSpec
+from angler_mjx.sim.physics.contact.grips import GripSpec
+from angler_mjx.world.config import Vector, WorldConfig, WorldRecipe, resolve_world
 from angler_mjx.world.rock.rules import OpenRule
 from angler_mjx.world.tasks import allocation, visibility
 from angler_mjx.world.tasks.sampling import WHOLE, GoalSampling
@@ -49,6 +51,88 @@ class GoalTask(FileModel):
     def by_end_effector(self) -> bool:
         """Whether end effectors have to come to the goals."""
         return self.reached_by == "end_effector"
+
+
+class CarryTask(FileModel):
+    """One body, which the whole fleet carries to a pose; with ``contacts = true``.
+
+    Each robot holds the body from the start, at the pose that it starts at.
+    """
+
+    type: Literal["carry"]
+    body: int = Field(default=0, ge=0, le=4095)
+    """Index in world.obstacles.explicit of the body, which drifts."""
+    grips_m: tuple[Vector, ...] = Field(min_length=1, max_length=16)
+    """Start of each robot's centre of mass from the centre of the body; east, north, up."""
+    to_m: Vector
+    """Centre of the body at the goal, in W."""
+    turn_deg: float = Field(default=0.0, ge=-360.0, le=360.0)
+    """Turn of the body about z up, from the start to the goal."""
+    tolerance_m: float = Field(default=0.1, gt=0.0, le=MAX_COORDINATE_M)
+    """Distance of the body from its goal below which it has arrived."""
+    tolerance_deg: float = Field(default=5.0, gt=0.0, le=180.0)
+    """Angle from its attitude at the goal below which it has arrived."""
+    break_force_n: float | None = Field(default=None, gt=0.0, le=1e6)
+    """Force of a grip above which it breaks, and the robot's episode ends as `dropped`; it holds
+    any force if left out."""
+
+    by_end_effector: ClassVar[bool] = False
+    """As of `GoalTask`."""
+
+    @property
+    def cargo(self) -> CargoSpec:
+        """Return the settings of the simulator."""
+        return CargoSpec(
+            body=self.body,
+            goal_m=self.to_m,
+            turn_rad=math.radians(self.turn_deg),
+            tolerance_m=self.tolerance_m,
+            tolerance_rad=math.radians(self.tolerance_deg),
+        )
+
+    @property
+    def grip(self) -> GripSpec:
+        """Return the grips of the simulator."""
+        return GripSpec(body=self.body, break_force_n=self.break_force_n)
+
+    def position_robots(self, world: WorldConfig, robots: int) -> WorldConfig:
+        """Return the world with the starts and goals of the robots that hold the body.
+
+        Raises:
+            ValueError: there is no such body, or the world or the fleet does not fit it.
+        """
+        explicit = resolve_world(world).obstacles.explicit
+        if self.body >= len(explicit):
+            raise ValueError(
+                f"task.body = {self.body}: world.obstacles.explicit has {len(explicit)} bodies"
+            )
+        body = explicit[self.body]
+        if body.motion.type != "drift":
+            raise ValueError(
+                f"task.body = {self.body}: its motion is {body.motion.type!r}, and nobody can carry "
+                'it; give motion.type = "drift"'
+            )
+        if len(self.grips_m) != robots:
+            raise ValueError(
+                f"task.grips_m has {len(self.grips_m)} positions and the fleet {robots} robots: "
+                "give one for each"
+            )
+        offsets = np.array(self.grips_m)
+        c, s = (f(math.radians(self.turn_deg)) for f in (math.cos, math.sin))
+        turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        starts = (np.array(body.position_m) + offsets).round(9)
+        goals = (np.array(self.to_m) + offsets @ turn.T).round(9)
+        made = {
+            "placement": "given",
+            "start_m": tuple(tuple(row) for row in starts.tolist()),
+            "goal_m": tuple(tuple(row) for row in goals.tolist()),
+        }
+        for key, value in made.items():
+            if getattr(world, key) not in (None, (), value):
+                raise ValueError(
+                    f'world.{key}: task.type = "carry" says where robots start and go; leave it out'
+                )
+        return world.model_copy(update=made)
 
 
 class _Task(FileModel):
@@ -166,19 +250,19 @@ class DeliverTask(_Task):
 
 
 type TaskConfig = Annotated[
-    GoalTask | TourTask | SurveyTask | DeliverTask, Field(discriminator="type")
+    GoalTask | CarryTask | TourTask | SurveyTask | DeliverTask, Field(discriminator="type")
 ]
 
 
 def build_task_spec(
     task: TaskConfig, world: WorldRecipe, robots: int, time: TimeConfig
 ) -> TaskSpec | None:
-    """Compile a task; return None where each robot has a goal of its own.
+    """Compile a task of several jobs; return None of another.
 
     Raises:
         ValueError: it cannot be done in such worlds, or by that number of robots; names the key.
     """
-    if isinstance(task, GoalTask):
+    if isinstance(task, GoalTask | CarryTask):
         return None
     if robots > MAX_ROBOTS:
         raise ValueError(
@@ -296,6 +380,13 @@ def check_task_policy(task: TaskConfig, policy: PolicyConfig, *, online: bool) -
         ValueError: naming the keys.
     """
     if isinstance(task, GoalTask):
+        return
+    if isinstance(task, CarryTask):
+        if policy.name != "none" or online:
+            raise ValueError(
+                'task.type = "carry": robots that hold a body fly plans made before the flight; '
+                "leave out policy.name, planner.replan_hz and execution.order"
+            )
         return
     if policy.name == "mppi":
         raise ValueError(

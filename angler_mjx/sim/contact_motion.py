@@ -181,8 +181,8 @@ def step_together(
     moved = _settle_obstacles(moving, obstacles, drifted_nu, nu_dot, drifts, forces, t + moving.dt)
     impacts = _find_impacts(moving.layout, forces)
     if grips is not None and moving.contact.grip is not None and forces.grip_force_n is not None:
-        impacts = replace(impacts, grips=measure_forces(grips.held, forces.grip_force_n))
-        grips = let_go(moving.contact.grip, grips, impacts.grips, moving.alive)
+        pull = measure_forces(moving.contact.grip, grips.held, forces.grip_force_n)
+        impacts, grips = replace(impacts, grips=pull), let_go(grips, pull, moving.alive)
     return after, moved, grips, impacts
 
 

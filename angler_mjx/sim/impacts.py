@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 from jax.typing import DTypeLike
 
+from angler_mjx.sim.cargo import CargoError
 from angler_mjx.sim.physics.contact.grips import GripForces
 from angler_mjx.sim.state import Touched
 
@@ -29,6 +30,8 @@ class Impacts:
     """[R] greatest normal force of a point of contact, N."""
     grips: GripForces | None = None
     """Greatest forces of the robots' grips; None where they hold nothing."""
+    cargo: CargoError | None = None
+    """[R] error of what they carry at the end of the steps; None likewise."""
 
 
 def no_impacts(robots: int, dtype: DTypeLike, *, holds: bool = False) -> Impacts:
@@ -41,7 +44,7 @@ def no_impacts(robots: int, dtype: DTypeLike, *, holds: bool = False) -> Impacts
         touched_index=none - 1,
         depth_m=zero,
         force_n=zero,
-        grips=GripForces(force_n=zero, internal_n=zero) if holds else None,
+        grips=GripForces(force_n=zero, internal_n=zero, broke=none > 0) if holds else None,
     )
 
 

@@ -4,7 +4,7 @@ Every engine runs these, as they are or on lanes; what lies between them is the 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +20,7 @@ from angler_mjx.robot.vehicles.link_motion import JointMotion
 from angler_mjx.robot.vehicles.link_params import LinkParams
 from angler_mjx.robot.vehicles.params import VehicleParams
 from angler_mjx.robot.vehicles.thrusters import PWM_LOW_US, PWM_STEP_US
+from angler_mjx.sim.cargo import CargoError
 from angler_mjx.sim.detection import Contact
 from angler_mjx.sim.impacts import Impacts
 from angler_mjx.sim.physics.step import VehicleState
@@ -180,13 +181,20 @@ def is_on_last_approach(
     return progress_s(spec.stages, memory, command) >= last_approach_s
 
 
-def begin_tally(contact: Contact, dtype: DTypeLike, *, collides: bool = False) -> Tally:
+def begin_tally(
+    contact: Contact,
+    dtype: DTypeLike,
+    *,
+    collides: bool = False,
+    cargo: CargoError | None = None,
+) -> Tally:
     """Return the tally of running robots at their starts, [R] leading.
 
     Args:
         contact: of the start; [R] leads.
         dtype: of numbers that are accumulated.
         collides: whether impacts are accounted for, because a touch is not the end.
+        cargo: [R] error of what the robots carry; None where they carry nothing together.
     """
     n = contact.clearance_m.shape[0]
     return Tally(
@@ -202,6 +210,9 @@ def begin_tally(contact: Contact, dtype: DTypeLike, *, collides: bool = False) -
         impact_speed_mps=jnp.full(n, jnp.nan, dtype),
         impact_energy_j=jnp.zeros(n, dtype) if collides else None,
         contact_depth_m=jnp.zeros(n, dtype) if collides else None,
+        grip_force_n=None if cargo is None else jnp.zeros(n, dtype),
+        internal_force_n=None if cargo is None else jnp.zeros(n, dtype),
+        cargo_error=cargo,
     )
 
 
@@ -263,7 +274,7 @@ def update_tally(
     moved = jnp.sqrt(jnp.sum((after_m - before_m) ** 2))
     clearance = jnp.minimum(tally.min_clearance_m, contact.clearance_m)
     separation = jnp.minimum(tally.min_separation_m, contact.separation_m)
-    return Tally(
+    after = Tally(
         outcome=outcome,
         end_time_s=jnp.where(running, t + dt, tally.end_time_s),
         passed_early=passed_early,
@@ -276,7 +287,26 @@ def update_tally(
         impact_speed_mps=touch.impact_speed_mps,
         impact_energy_j=touch.impact_energy_j,
         contact_depth_m=touch.contact_depth_m,
+        grip_force_n=tally.grip_force_n,
+        internal_force_n=tally.internal_force_n,
+        cargo_error=tally.cargo_error,
     )
+    return _log_grip(after, impacts, running)
+
+
+def _log_grip(tally: Tally, impacts: Impacts | None, running: jax.Array) -> Tally:
+    """Return a tally with what a step did to a robot that carries something with others."""
+    if impacts is None or impacts.grips is None:
+        return tally
+    now = (impacts.grips.force_n, impacts.grips.internal_n)
+    most = [
+        None if old is None else jnp.where(running, jnp.maximum(old, new), old)
+        for old, new in zip((tally.grip_force_n, tally.internal_force_n), now, strict=True)
+    ]
+    error: CargoError | None = jax.tree.map(
+        lambda new, old: jnp.where(running, new, old), impacts.cargo, tally.cargo_error
+    )
+    return replace(tally, grip_force_n=most[0], internal_force_n=most[1], cargo_error=error)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -334,10 +364,14 @@ def _judge_collision(contact: Contact) -> tuple[jax.Array, jax.Array]:
 
 
 def _judge_damage(spec: SimSpec, impacts: Impacts) -> tuple[jax.Array, jax.Array]:
-    """Return bool [] whether an impact damages a robot, and int32 [] the outcome of that."""
+    """Return bool [] whether an impact damages a robot or its grip broke, and int32 [] the outcome.
+    """
     limit = None if spec.contact is None else spec.contact.damage_energy_j
     damaged = impacts.energy_j > (jnp.inf if limit is None else limit)
-    return damaged, jnp.full((), Outcome.DAMAGED)
+    if impacts.grips is None:
+        return damaged, jnp.full((), Outcome.DAMAGED)
+    dropped = impacts.grips.broke
+    return damaged | dropped, jnp.where(damaged, Outcome.DAMAGED, Outcome.DROPPED)
 
 
 def _judge_outcome(

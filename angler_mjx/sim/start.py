@@ -10,8 +10,10 @@ from angler_kernels import quaternion
 from angler_mjx.errors import ConfigError
 from angler_mjx.sim import hearing, robot, sensing
 from angler_mjx.sim import policy as policies
+from angler_mjx.sim.cargo import initial_error
 from angler_mjx.sim.detection import detect_contacts
 from angler_mjx.sim.physics import step as physics
+from angler_mjx.sim.physics.contact.grips import take_hold
 from angler_mjx.sim.physics.step import Multibody
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.state import FleetWorld, SimSpec, World, WorldState
@@ -57,16 +59,26 @@ def reset[Body](
         environment.obstacles, environment.current, water.density_kgpm3, water.gravity_mps2
     )
     contact = detect_contacts(environment, world.control.vehicle, vehicles, moving)
+    cargo = grips = None
+    if spec.cargo is not None and spec.contact is not None and spec.contact.grip is not None:
+        error = initial_error(spec.cargo, moving.p[spec.cargo.body])
+        robots = environment.start_m.shape[:1]
+        cargo = jax.tree.map(lambda x: jnp.broadcast_to(x, robots), error)
+        grips = take_hold(spec.contact.grip, vehicles.p, vehicles.q, moving.p, moving.q)
     state = WorldState(
         vehicles=vehicles,
         carry=jax.vmap(partial(robot.reset_controllers, spec))(vehicles, environment.start_yaw_rad),
         obstacles=moving,
         tally=robot.begin_tally(
-            contact, environment.start_m.dtype, collides=spec.contact is not None
+            contact,
+            environment.start_m.dtype,
+            collides=spec.contact is not None,
+            cargo=cargo,
         ),
         step=jnp.zeros((), jnp.int32),
         senses=sensing.reset(spec, world, vehicles),
         task=_begin_task(spec, world),
+        grips=grips,
     )
     if policy is not None:
         state = _begin_policy(spec, world, state, policy)

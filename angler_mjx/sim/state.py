@@ -13,6 +13,8 @@ from angler_mjx.robot.control.navigation import NavigationParams
 from angler_mjx.robot.control.plans import Plan
 from angler_mjx.robot.control.stack import ControlMemory, ControlParams, StackGains, Stages
 from angler_mjx.robot.sensing.readings import SensorCarry
+from angler_mjx.sim.cargo import CargoError, CargoSpec
+from angler_mjx.sim.physics.contact.grips import Grips
 from angler_mjx.sim.physics.contact.resolve import ContactSpec
 from angler_mjx.sim.physics.mjx_engine import BodyInertia
 from angler_mjx.sim.physics.step import VehicleState, Water
@@ -44,6 +46,7 @@ class Outcome(IntEnum):
     DIVERGED = 7
     FAILED = 8
     DAMAGED = 9
+    DROPPED = 10
 
 
 class Touched(IntEnum):
@@ -98,11 +101,13 @@ class SimSpec:
     """What the robots of a world have to do; None where each has a goal of its own."""
     contact: ContactSpec | None = None
     """How bodies push each other; None: the first touch ends a robot's episode."""
+    cargo: CargoSpec | None = None
+    """What the robots of a world carry together, and where to; None for nothing."""
 
     @property
     def by_task(self) -> bool:
-        """Whether a phase of the worlds says who has finished, not how near a goal is."""
-        return self.task is not None
+        """Whether a task of the world says who has finished, not how near a goal is."""
+        return self.task is not None or self.cargo is not None
 
     @property
     def control_dt_s(self) -> float:
@@ -205,6 +210,12 @@ class Tally:
     """[R] energy of the hardest impact; None where a touch ends an episode."""
     contact_depth_m: jax.Array | None = None
     """[R] greatest overlap with another body or the ground; None likewise."""
+    grip_force_n: jax.Array | None = None
+    """[R] greatest force of the robot's grip; None where robots hold nothing."""
+    internal_force_n: jax.Array | None = None
+    """[R] greatest force of the grip less the mean of all; None likewise."""
+    cargo_error: CargoError | None = None
+    """[R] error of what they carry, at the end; None likewise."""
 
 
 @jax.tree_util.register_dataclass
@@ -236,6 +247,8 @@ class WorldState:
     """Of the channel that the robots share, if they share one."""
     task: TaskState | None = None
     """Of the task, where there is one."""
+    grips: Grips | None = None
+    """Of the robots, where they carry something together."""
 
 
 def replace_worlds(

@@ -40,6 +40,7 @@ OUTCOMES = {
     "diverged": "#333333",
     "failed": "#CC79A7",
     "damaged": "#882255",
+    "dropped": "#44AA99",
 }
 """One colour for each outcome."""
 
@@ -53,6 +54,7 @@ OUTCOME_TEXT = {
     "diverged": "diverged",
     "failed": "broke down",
     "damaged": "hit too hard",
+    "dropped": "lost its grip",
 }
 """Outcomes in words."""
 

@@ -189,7 +189,10 @@ class FlightPrograms:
         self.spec: SimSpec = scenario.sim_spec()
         self.fleet: Fleet = jax.device_put(
             fleet.build_fleet(
-                scenario.members(), multibody=scenario.engine == "mjx", load=scenario.carried()
+                scenario.members(),
+                multibody=scenario.engine == "mjx",
+                load=scenario.carried(),
+                share=scenario.cargo_share(),
             ),
             NamedSharding(setup.mesh, REPLICATED),
         )

@@ -152,6 +152,11 @@ def _failure_position(result: TileResult, axis: int) -> np.ndarray:
     return np.where(result.is_reached, np.nan, result.p[..., axis])
 
 
+def _cargo_error(result: TileResult, name: str) -> ColumnValues:
+    error = result.tally.cargo_error
+    return None if error is None else getattr(error, name)
+
+
 def _failure_pair(result: TileResult) -> np.ndarray:
     touched, index = result.tally.touched, result.tally.touched_index
     pairs: np.ndarray = np.vectorize(_format_pair, otypes=[object])(touched, index)
@@ -484,6 +489,40 @@ EPISODE_COLUMNS: tuple[EpisodeColumn, ...] = (
         "greatest overlap with another body or the ground; null without contacts",
         since=7,
         of_tile=lambda result: result.tally.contact_depth_m,
+    ),
+    EpisodeColumn(
+        "grip_force_n",
+        _FLOAT,
+        "N",
+        "greatest force of the robot's grip on the body that it carries with others; null where "
+        "robots carry nothing together",
+        since=7,
+        of_tile=lambda result: result.tally.grip_force_n,
+    ),
+    EpisodeColumn(
+        "internal_force_n",
+        _FLOAT,
+        "N",
+        "greatest force of the grip less the mean of all grips, which moves nothing; null likewise",
+        since=7,
+        of_tile=lambda result: result.tally.internal_force_n,
+    ),
+    EpisodeColumn(
+        "cargo_distance_m",
+        _FLOAT,
+        "m",
+        "distance of the carried body from its goal at the end of the robot's episode; null "
+        "likewise",
+        since=7,
+        of_tile=partial(_cargo_error, name="distance_m"),
+    ),
+    EpisodeColumn(
+        "cargo_angle_rad",
+        _FLOAT,
+        "rad",
+        "angle of the carried body from its attitude at the goal, then; null likewise",
+        since=7,
+        of_tile=partial(_cargo_error, name="angle_rad"),
     ),
 )
 """All columns, in the order of the table; new ones at the end."""

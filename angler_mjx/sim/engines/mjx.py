@@ -1,7 +1,7 @@
 """MuJoCo MJX: multibody models, the phases of one world, and one ``vmap`` over worlds."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
 import jax
@@ -14,7 +14,7 @@ from angler_mjx.robot.control.plans import Plan
 from angler_mjx.robot.control.stack import Command, ControlParams
 from angler_mjx.robot.vehicles.link_motion import JointMotion
 from angler_mjx.robot.vehicles.params import joint_names
-from angler_mjx.sim import robot, sample_clearances, start
+from angler_mjx.sim import cargo, robot, sample_clearances, start
 from angler_mjx.sim import world_phases as running
 from angler_mjx.sim.approach import last_approaches_s
 from angler_mjx.sim.contact_motion import MovingWorld, find_layout, move_together
@@ -25,6 +25,7 @@ from angler_mjx.sim.phase import Record, run_phase
 from angler_mjx.sim.physics import mjx_engine
 from angler_mjx.sim.physics import step as physics
 from angler_mjx.sim.physics.contact.candidates import Rock
+from angler_mjx.sim.physics.contact.grips import Grips
 from angler_mjx.sim.physics.mjx_engine import BodyInertia
 from angler_mjx.sim.physics.step import Multibody, VehicleState
 from angler_mjx.sim.policy import Policy
@@ -187,10 +188,11 @@ def move_in_contact(
     params: ControlParams,
     command: Plan | Command | MixedCommand,
     current: Current,
-) -> tuple[MovedRobots, ObstacleState, Impacts, Record]:
+    grips: Grips | None = None,
+) -> tuple[MovedRobots, ObstacleState, Grips | None, Impacts, Record]:
     """Return robots and obstacles of one world after a control period in which they may touch.
 
-    Arguments as of `step.move_independently`, and the obstacles. Contact is solved with the inertia
+    Arguments as of `step.move_independently`, the obstacles, and the robots' grips. Contact is solved with the inertia
     of ``params``, loads included.
     """
     spec, vehicles = batch.spec, robots.vehicle
@@ -217,9 +219,13 @@ def move_in_contact(
         thrust_n=decision.thrust_n,
         alive=(outcome == Outcome.RUNNING) | (outcome == Outcome.REACHED),
     )
-    moved, obstacles, impacts = move_together(
-        moving, vehicles, obstacles, batch.t, spec.physics_steps, inputs.joints
+    moved, obstacles, grips, impacts = move_together(
+        moving, vehicles, obstacles, batch.t, spec.physics_steps, inputs.joints, grips
     )
+    if spec.cargo is not None:
+        error = cargo.find_error(spec.cargo, batch.world.environment, obstacles)
+        of_robots = jax.tree.map(lambda x: jnp.broadcast_to(x, outcome.shape), error)
+        impacts = replace(impacts, cargo=of_robots)
     after, broken = batch.map_bodies(robot.hold_if_ended, outcome, vehicles, moved)
     result = MovedRobots(
         vehicle=after,
@@ -229,7 +235,7 @@ def move_in_contact(
         power_w=decision.power_w,
         broken=broken,
     )
-    return result, obstacles, impacts, record | record_move(batch, inputs)
+    return result, obstacles, grips, impacts, record | record_move(batch, inputs)
 
 
 def prepare_rock(spec: SimSpec, world: World) -> Rock | None:
@@ -291,13 +297,17 @@ def control_step(
     robots = RobotState(vehicle=state.vehicles, memory=state.carry, tally=state.tally)
     estimate = state.vehicles if output.estimate is None else output.estimate
     driven = estimate, flown.control, driver, world.environment.current
-    impacts = None
+    impacts, grips, finished = None, state.grips, output.finished
     if spec.contact is None:
         moved, record = move_independently(batch, robots, *driven)
         obstacles, seen = run_phase(OBSTACLES, batch, state.obstacles)
     else:
-        moved, obstacles, impacts, record = move_in_contact(batch, robots, state.obstacles, *driven)
+        moved, obstacles, grips, impacts, record = move_in_contact(
+            batch, robots, state.obstacles, *driven, grips
+        )
         seen = record_obstacles(state.obstacles)
+        if spec.cargo is not None and impacts.cargo is not None and grips is not None:
+            finished = cargo.has_arrived(spec.cargo, impacts.cargo) & grips.held
     begin_s = output.last_approach_s
     if policy is None:
         begin_s = last_approaches_s(spec, world, command)
@@ -305,7 +315,7 @@ def control_step(
         batch,
         moved,
         obstacles,
-        finished=output.finished,
+        finished=finished,
         approach=output.approaching
         if begin_s is None
         else PlanApproach(plan=driver, begin_s=begin_s),
@@ -317,6 +327,7 @@ def control_step(
         obstacles=obstacles,
         tally=judgement.tally,
         step=state.step + 1,
+        grips=grips,
         **vars(memory),
     )
     record |= seen

@@ -46,6 +46,8 @@ class GripForces:
     """[R] norm of the force of a grip."""
     internal_n: jax.Array
     """[R] norm of that force less the mean of those of all grips: what moves nothing."""
+    broke: jax.Array
+    """bool [R] whether the grip broke."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,30 +132,32 @@ def _turn_between(first: jax.Array, second: jax.Array) -> jax.Array:
     return jnp.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], axis=1)
 
 
-def measure_forces(held: jax.Array, force_n: jax.Array) -> GripForces:
+def measure_forces(spec: GripSpec, held: jax.Array, force_n: jax.Array) -> GripForces:
     """Return the forces of a step.
 
     Args:
+        spec: settings.
         held: bool [R].
         force_n: [R, 3] of the grips on the body, N, in W.
     """
     force_n = jnp.where(held[:, None], force_n, 0.0)
     mean = jnp.sum(force_n, axis=0) / jnp.maximum(jnp.sum(held), 1)
     internal = jnp.where(held[:, None], force_n - mean, 0.0)
+    norm_n = jnp.sqrt(jnp.sum(force_n * force_n, axis=1))
+    limit = jnp.inf if spec.break_force_n is None else spec.break_force_n
     return GripForces(
-        force_n=jnp.sqrt(jnp.sum(force_n * force_n, axis=1)),
+        force_n=norm_n,
         internal_n=jnp.sqrt(jnp.sum(internal * internal, axis=1)),
+        broke=held & (norm_n > limit),
     )
 
 
-def let_go(spec: GripSpec, grips: Grips, forces: GripForces, alive: jax.Array) -> Grips:
+def let_go(grips: Grips, forces: GripForces, alive: jax.Array) -> Grips:
     """Return grips after a step: those broken by their force, and of robots that ended, are gone.
 
     Args:
-        spec: settings.
         grips: before.
         forces: of the step.
         alive: bool [R] robots whose episode goes on, or that have arrived.
     """
-    limit = jnp.inf if spec.break_force_n is None else spec.break_force_n
-    return replace(grips, held=grips.held & alive & (forces.force_n <= limit))
+    return replace(grips, held=grips.held & alive & ~forces.broke)

@@ -144,12 +144,12 @@ def resolve_contact(
     # Edges of a pyramid about the normal: normal plus and minus friction along either tangent.
     sides = jnp.asarray([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]], J.dtype)
     sides = sides * friction[:, None, None]  # [k, 4, 2]
-    rows = J[:, :1] + jnp.sum(sides[..., None] * J[:, None, 1:], axis=2)  # [k, 4, n]
+    edges = J[:, :1] + jnp.sum(sides[..., None] * J[:, None, 1:], axis=2)  # [k, 4, n]
     reference = (asked[:, None] + jnp.sum(sides * sliding[:, None], axis=2)) * acts[:, None]
     mass = jnp.where(acts, 1.0 / jnp.where(acts, inverse_mass, 1.0), 0.0)
     D = jnp.where(acts, mass / (4.0 * SOFTNESS), 1.0)
     rows = _Rows(
-        J=jnp.reshape(rows, (4 * k, n)),
+        J=jnp.reshape(edges, (4 * k, n)),
         reference=jnp.reshape(reference, 4 * k),
         D=jnp.repeat(D, 4),
     )

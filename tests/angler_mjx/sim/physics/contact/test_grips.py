@@ -190,9 +190,9 @@ def test_a_grip_breaks_above_its_force_and_stays_broken():
     def forces(*n):
         return GripForces(force_n=jnp.array(n), internal_n=jnp.zeros(2))
 
-    grips = let_go(spec, grips, forces(29.0, 30.5), alive)
+    grips = let_go(grips, forces(29.0, 30.5), alive)
     assert grips.held.tolist() == [True, False]
-    grips = let_go(spec, grips, forces(0.0, 0.0), alive)
+    grips = let_go(grips, forces(0.0, 0.0), alive)
     assert grips.held.tolist() == [True, False]
     assert let_go(spec, hold(), forces(0.0, 0.0), ~alive).held.tolist() == [False, False]
     assert let_go(GRIP, hold(), forces(1e9, 0.0), alive).held.all()

@@ -1,0 +1,1 @@
+"""Plans of robots that hold one body together."""

@@ -1,0 +1,65 @@
+"""Cargo: a body that the robots of a world hold together and bring to a pose."""
+
+import math
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+
+from angler_kernels import quaternion
+from angler_mjx.world.environment import Environment
+from angler_mjx.world.obstacles import ObstacleState
+
+
+@dataclass(frozen=True)
+class CargoSpec:
+    """Goal of the cargo; fixed while a program is compiled."""
+
+    body: int
+    """Index of the obstacle that is carried."""
+    goal_m: tuple[float, float, float]
+    """Position of its centre at the goal, m, in W."""
+    turn_rad: float
+    """Turn about z up from its attitude at the start to that at the goal."""
+    tolerance_m: float
+    """Distance from the goal below which it has arrived."""
+    tolerance_rad: float
+    """Angle from the attitude at the goal below which it has arrived."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class CargoError:
+    """Error of the cargo's pose at its goal; [R] the same for all robots, or []."""
+
+    distance_m: jax.Array
+    angle_rad: jax.Array
+
+
+def find_error(spec: CargoSpec, environment: Environment, obstacles: ObstacleState) -> CargoError:
+    """Return the error [] of the cargo of one world."""
+    dtype = obstacles.p.dtype
+    turn = quaternion.from_yaw(jnp.asarray(spec.turn_rad, dtype))
+    wanted = quaternion.multiply(turn, environment.obstacles.q0[spec.body])
+    apart = quaternion.multiply(quaternion.conjugate(wanted), obstacles.q[spec.body])
+    offset = obstacles.p[spec.body] - jnp.asarray(spec.goal_m, dtype)
+    return CargoError(
+        distance_m=jnp.sqrt(jnp.sum(offset * offset)),
+        angle_rad=2.0 * jnp.arctan2(jnp.sqrt(jnp.sum(apart[1:] ** 2)), jnp.abs(apart[0])),
+    )
+
+
+def has_arrived(spec: CargoSpec, error: CargoError) -> jax.Array:
+    """Return whether the cargo is at its goal, bool as the error."""
+    return (error.distance_m < spec.tolerance_m) & (error.angle_rad < spec.tolerance_rad)
+
+
+def initial_error(spec: CargoSpec, start_m: jax.Array) -> CargoError:
+    """Return the error [] of cargo whose centre starts at ``start_m`` [3]."""
+    offset = start_m - jnp.asarray(spec.goal_m, start_m.dtype)
+    turn = abs(math.remainder(spec.turn_rad, 2.0 * math.pi))
+    return CargoError(
+        distance_m=jnp.sqrt(jnp.sum(offset * offset)),
+        angle_rad=jnp.full((), turn, start_m.dtype),
+    )
+
