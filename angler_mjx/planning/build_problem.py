@@ -68,9 +68,7 @@ def build_problem(
     )
 
 
-def _take_cargo(
-    spec: SimSpec, environment: Environment
-) -> tuple[CargoProblem | None, Environment]:
+def _take_cargo(spec: SimSpec, environment: Environment) -> tuple[CargoProblem | None, Environment]:
     """Return what the team carries, and the environment without it."""
     if spec.cargo is None:
         return None, environment

@@ -59,9 +59,7 @@ class LoadConfig(FileModel):
         )
 
 
-def share_load(
-    bodies: Obstacles, body: int, headings: np.ndarray, density_kgpm3: float
-) -> Load:
+def share_load(bodies: Obstacles, body: int, headings: np.ndarray, density_kgpm3: float) -> Load:
     """Return the share of each robot in a body that robots carry together.
 
     Args:
@@ -73,7 +71,9 @@ def share_load(
     robots = len(headings)
     turn = Rotation.from_quat(np.asarray(bodies.q0[body], float), scalar_first=True).as_matrix()
     yaw = np.arctan2(headings[:, 1], headings[:, 0])
-    views = Rotation.from_rotvec(np.outer(yaw, [0.0, 0.0, 1.0])).inv().as_matrix() @ turn  # [R, 3, 3] to robots' frames
+    views = (
+        Rotation.from_rotvec(np.outer(yaw, [0.0, 0.0, 1.0])).inv().as_matrix() @ turn
+    )  # [R, 3, 3] to robots' frames
 
     def share(diagonal: np.ndarray) -> tuple[float, float, float]:
         of_axes = np.mean(np.sum(views**2 * diagonal[:3], axis=2), axis=0)

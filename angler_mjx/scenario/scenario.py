@@ -134,7 +134,9 @@ class Scenario(FileModel):
         """Set starts and goals of robots that carry a body together."""
         if isinstance(self.task, CarryTask):
             if not self.contacts:
-                raise ValueError('task.type = "carry": bodies must push each other; set contacts = true')
+                raise ValueError(
+                    'task.type = "carry": bodies must push each other; set contacts = true'
+                )
             robots = sum(entry.count for entry in self.fleet)
             self.__dict__["world"] = self.task.position_robots(self.world, robots)
         return self

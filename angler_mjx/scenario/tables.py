@@ -266,7 +266,9 @@ class PlannerConfig(FileModel):
         """
         if self.name != AUTO:
             return self
-        resolved = self.model_copy(update={"name": choose_planner(robots, carries=carries), "requested": AUTO})
+        resolved = self.model_copy(
+            update={"name": choose_planner(robots, carries=carries), "requested": AUTO}
+        )
         resolved.model_fields_set.difference_update(("name", "requested"))
         return resolved
 

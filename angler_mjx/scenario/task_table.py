@@ -17,6 +17,8 @@ from angler_mjx.scenario.tables import TimeConfig, check_whole_ratio
 from angler_mjx.sim.cargo import CargoSpec
 from angler_mjx.sim.physics.contact.grips import GripSpec
 from angler_mjx.world.config import Vector, WorldConfig, WorldRecipe, resolve_world
+from angler_mjx.world.obstacles.config import ExplicitConfig
+from angler_mjx.world.obstacles.explicit import longest_axis
 from angler_mjx.world.rock.rules import OpenRule
 from angler_mjx.world.tasks import allocation, visibility
 from angler_mjx.world.tasks.sampling import WHOLE, GoalSampling
@@ -33,6 +35,8 @@ MAX_ROBOTS = 64
 """Max number of robots of a fleet with a task."""
 DEFAULT_POSITIONS, DEFAULT_GOODS = 8, 4
 """Number of places and of goods of a task whose file gives none."""
+MAX_CARRIERS = 16
+"""Max number of robots that carry one body."""
 MAX_CELLS = 8192
 """Max number of cells that a robot sees at a time."""
 
@@ -62,8 +66,12 @@ class CarryTask(FileModel):
     type: Literal["carry"]
     body: int = Field(default=0, ge=0, le=4095)
     """Index in world.obstacles.explicit of the body, which drifts."""
-    grips_m: tuple[Vector, ...] = Field(min_length=1, max_length=16)
-    """Start of each robot's centre of mass from the centre of the body; east, north, up."""
+    grips_m: tuple[Vector, ...] = Field(default=(), max_length=MAX_CARRIERS)
+    """Start of each robot's centre of mass from the centre of the body; east, north, up. If left
+    out, robots stand side by side along the longest axis of the body, as far apart as it lets
+    them, at offset_m from it."""
+    offset_m: Vector = (0.0, 0.0, 0.6)
+    """Start of the robots' centres of mass from that axis; not with grips_m."""
     to_m: Vector
     """Centre of the body at the goal, in W."""
     turn_deg: float = Field(default=0.0, ge=-360.0, le=360.0)
@@ -95,6 +103,26 @@ class CarryTask(FileModel):
         """Return the grips of the simulator."""
         return GripSpec(body=self.body, break_force_n=self.break_force_n)
 
+    def _grip_offsets(self, body: ExplicitConfig, robots: int) -> np.ndarray:
+        """Return the starts [R, 3] of robots from the centre of the body, m, in W."""
+        if not self.grips_m:
+            if robots > MAX_CARRIERS:
+                raise ValueError(
+                    f'task.type = "carry": the fleet has {robots} robots; {MAX_CARRIERS} are the '
+                    "most that hold one body"
+                )
+            half_axis_m = longest_axis(body)
+            along = np.linspace(-1.0, 1.0, robots) if robots > 1 else np.zeros(1)
+            return along[:, None] * half_axis_m + self.offset_m
+        if "offset_m" in self.model_fields_set:
+            raise ValueError("task.offset_m and task.grips_m: give one of them, not both")
+        if len(self.grips_m) != robots:
+            raise ValueError(
+                f"task.grips_m has {len(self.grips_m)} positions and the fleet {robots} robots: "
+                "give one for each"
+            )
+        return np.array(self.grips_m)
+
     def position_robots(self, world: WorldConfig, robots: int) -> WorldConfig:
         """Return the world with the starts and goals of the robots that hold the body.
 
@@ -112,12 +140,7 @@ class CarryTask(FileModel):
                 f"task.body = {self.body}: its motion is {body.motion.type!r}, and nobody can carry "
                 'it; give motion.type = "drift"'
             )
-        if len(self.grips_m) != robots:
-            raise ValueError(
-                f"task.grips_m has {len(self.grips_m)} positions and the fleet {robots} robots: "
-                "give one for each"
-            )
-        offsets = np.array(self.grips_m)
+        offsets = self._grip_offsets(body, robots)
         c, s = (f(math.radians(self.turn_deg)) for f in (math.cos, math.sin))
         turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         starts = (np.array(body.position_m) + offsets).round(9)
@@ -132,7 +155,10 @@ class CarryTask(FileModel):
                 raise ValueError(
                     f'world.{key}: task.type = "carry" says where robots start and go; leave it out'
                 )
-        return world.model_copy(update=made)
+        positioned = world.model_copy(update=made)
+        # They count as left out: a file edited for another team computes them again.
+        positioned.model_fields_set.difference_update(made.keys() - world.model_fields_set)
+        return positioned
 
 
 class _Task(FileModel):

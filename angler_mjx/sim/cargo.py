@@ -62,4 +62,3 @@ def initial_error(spec: CargoSpec, start_m: jax.Array) -> CargoError:
         distance_m=jnp.sqrt(jnp.sum(offset * offset)),
         angle_rad=jnp.full((), turn, start_m.dtype),
     )
-

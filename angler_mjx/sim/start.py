@@ -61,7 +61,12 @@ def reset[Body](
     contact = detect_contacts(environment, world.control.vehicle, vehicles, moving)
     cargo = grips = None
     if spec.cargo is not None and spec.contact is not None and spec.contact.grip is not None:
-        error = initial_error(spec.cargo, moving.p[spec.cargo.body])
+        # It is held: at rest, as the robots are, and not on its way with the water.
+        body = spec.cargo.body
+        moving = replace(
+            moving, nu=moving.nu.at[body].set(0.0), nu_dot=moving.nu_dot.at[body].set(0.0)
+        )
+        error = initial_error(spec.cargo, moving.p[body])
         robots = environment.start_m.shape[:1]
         cargo = jax.tree.map(lambda x: jnp.broadcast_to(x, robots), error)
         grips = take_hold(spec.contact.grip, vehicles.p, vehicles.q, moving.p, moving.q)

@@ -72,9 +72,7 @@ def _plan_body(problem: Problem, team: Team, cargo: CargoProblem) -> Trajectory:
     return path
 
 
-def _follow_body(
-    team: Team, cargo: CargoProblem, path: Trajectory, points: int
-) -> JointTrajectory:
+def _follow_body(team: Team, cargo: CargoProblem, path: Trajectory, points: int) -> JointTrajectory:
     """Return the paths [R] of robots that hold a body on its way."""
     fraction = jnp.linspace(0.0, 1.0, points, dtype=path.time_s.dtype)
     eased = fraction**3 * (10.0 - 15.0 * fraction + 6.0 * fraction**2)

@@ -123,6 +123,16 @@ FILMS: tuple[Film, ...] = (
         view=View(camera="follow", robot=1),
         poster_s=81.0,
     ),
+    Film(
+        name="pipe",
+        title="Two robots carry a pipe",
+        text="Two robots hold a pipe and bring it to a pose three metres down, turned by a quarter. "
+        "The grips bear its weight, drag and inertia, and would break above 150 N.",
+        scenario="carry_pipe",
+        worlds=4,
+        view=View(camera="follow", robot=0),
+        poster_s=18.0,
+    ),
 )
 """All films, in the order of the page. A new film is a new entry, and a file in ``shipped`` if its
 scenario ships nowhere else."""

@@ -69,6 +69,20 @@ def explicit_rows(items: Sequence[ExplicitConfig], density: jax.Array | float) -
     )
 
 
+def longest_axis(item: ExplicitConfig) -> bodies.Floats:
+    """Return the vector [3] m, in W, from the centre of a body to the end of its longest axis.
+
+    Of a capsule without its caps; of a box to the middle of a face; zero of a sphere.
+    """
+    kind, size, _ = _body_shape(item)
+    half = {CAPSULE: (0.0, 0.0, size[1]), BOX: size, SPHERE: (0.0, 0.0, 0.0)}[kind]
+    axis = np.where(np.arange(3) == np.argmax(half), half, 0.0)
+    w, u = (q := _to_quaternion(item.rpy_deg))[0], q[1:]
+    turn = 2.0 * np.cross(u, axis)
+    rotated: bodies.Floats = axis + w * turn + np.cross(u, turn)
+    return rotated
+
+
 def _to_array(values: Sequence[object]) -> jax.Array:
     return jnp.asarray(np.array(values, float), float)
 
