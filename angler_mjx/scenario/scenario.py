@@ -378,7 +378,9 @@ class Scenario(FileModel):
             also=self.store.also,
             acoustics=self.channel(),
             task=self.task_spec(),
-            contact=self.contact.spec(self.time.physics_dt_s) if self.contacts else None,
+            contact=(
+                self.contact.spec(self.time.physics_dt_s, self.world) if self.contacts else None
+            ),
         )
 
 

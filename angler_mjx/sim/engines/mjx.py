@@ -208,7 +208,7 @@ def move_in_contact(
     outcome = robots.tally.outcome
     moving = MovingWorld(
         contact=spec.contact,
-        layout=find_layout(batch.world.environment, params.vehicle, vehicles),
+        layout=find_layout(spec.contact, batch.world.environment, params.vehicle, vehicles),
         engine=batch.engine,
         rock=batch.rock,
         world=batch.world,
