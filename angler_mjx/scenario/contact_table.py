@@ -1,5 +1,7 @@
 """The table of a scenario file on contact between bodies, and between bodies and the ground."""
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field, field_validator
@@ -15,7 +17,7 @@ from angler_mjx.world.materials import (
     pair_friction,
     pair_restitution,
 )
-from angler_mjx.world.obstacles.config import CapsuleConfig
+from angler_mjx.world.obstacles.config import BoxConfig, CapsuleConfig, DriftMotion
 from angler_mjx.world.obstacles.explicit import explicit_rows
 
 RATE_STEPS = 4.0
@@ -50,11 +52,14 @@ class ContactConfig(FileModel):
         find_material(name)
         return name
 
-    def spec(self, physics_dt_s: float, grip: GripSpec | None = None) -> ContactSpec:
+    def spec(
+        self, physics_dt_s: float, world: WorldConfig, grip: GripSpec | None = None
+    ) -> ContactSpec:
         """Return the settings of the simulator.
 
         Args:
             physics_dt_s: physics step, s.
+            world: of the scenario.
             grip: of the robots on a body that they carry; None where they carry nothing.
         """
         materials = [find_material(n) for n in (self.robot, self.obstacle, self.rock, self.floor)]
@@ -67,6 +72,7 @@ class ContactConfig(FileModel):
             rate_radps=1.0 / (RATE_STEPS * physics_dt_s),
             damage_energy_j=self.damage_energy_j,
             grip=grip,
+            axis_pieces=cut_axes(world),
         )
 
 
@@ -74,8 +80,34 @@ def _to_table(rows: ArrayLike) -> tuple[tuple[float, ...], ...]:
     return tuple(tuple(float(value) for value in row) for row in np.asarray(rows))
 
 
+def cut_axes(world: WorldConfig) -> tuple[int, ...]:
+    """Return `ContactSpec.axis_pieces` of the explicit obstacles of a world.
+
+    The nearest rock is found of a segment up to a cell long that reaches less than a cell from its
+    middle, radius included. Pieces of long axes are even in number, so that what carries a pipe on
+    either side of its centre touches different pieces.
+    """
+    resolved = resolve_world(world)
+    cell_m, pieces = resolved.cell_m, []
+    for item in resolved.obstacles.explicit:
+        if not isinstance(item, CapsuleConfig) or _reach(item) < cell_m:
+            pieces.append(1)
+        elif not isinstance(item.motion, DriftMotion):
+            pieces.append(0)
+        else:
+            within_m = 2.0 * (cell_m - item.radius_m)
+            count = max(math.ceil(item.length_m / cell_m), int(item.length_m / within_m) + 1)
+            pieces.append(count + count % 2)
+    return tuple(pieces) if any(count != 1 for count in pieces) else ()
+
+
+def _reach(item: CapsuleConfig) -> float:
+    """Return the distance of the ends of a capsule from its centre, m."""
+    return 0.5 * item.length_m + item.radius_m
+
+
 def check_bodies(world: WorldConfig) -> None:
-    """Refuse obstacles too long to be looked for among rock, and bodies that overlap at the start.
+    """Refuse bodies too large to meet rock or the region's sides, and those that overlap at t = 0.
 
     Raises:
         ValueError: naming all of them.
@@ -85,12 +117,24 @@ def check_bodies(world: WorldConfig) -> None:
     if not explicit:
         return
     for i, item in enumerate(explicit):
-        if isinstance(item, CapsuleConfig):
-            reach_m = 0.5 * item.length_m + item.radius_m
-            if reach_m >= resolved.cell_m:
+        if isinstance(item, BoxConfig) or not isinstance(item.motion, DriftMotion):
+            continue
+        name = f"world.obstacles.explicit[{i}]"
+        if item.radius_m >= resolved.cell_m:
+            faults.append(
+                f"{name}.radius_m = {item.radius_m:g}: a drifting {item.type} has to be smaller in "
+                f"radius than world.cell_m = {resolved.cell_m:g}; take larger cells"
+            )
+        elif isinstance(item, CapsuleConfig) and _reach(item) >= resolved.cell_m:
+            low = np.array(resolved.origin_m)
+            high = low + resolved.cell_m * np.array(resolved.shape)
+            position = np.array(item.position_m)
+            room_m = min(np.min((position - low)[:2]), np.min(high - position))
+            if room_m < _reach(item):
                 faults.append(
-                    f"world.obstacles.explicit[{i}]: a capsule that reaches {reach_m:g} m from its "
-                    f"centre is too long for world.cell_m = {resolved.cell_m:g}; take larger cells"
+                    f"{name}.position_m = {item.position_m}: a drifting capsule that reaches "
+                    f"{_reach(item):g} m from its centre has to begin as far from the sides and "
+                    f"the top of the region, and is {room_m:g} m from one; move or shorten it"
                 )
     for overlap in find_overlaps(explicit_rows(explicit, 1000.0), resolved.floor_z_m):
         names = [f"world.obstacles.explicit[{overlap.first}]", "the sea floor"]

@@ -413,7 +413,11 @@ class Scenario(FileModel):
             also=self.store.also,
             acoustics=self.channel(),
             task=self.task_spec(),
-            contact=self.contact.spec(self.time.physics_dt_s, grip) if self.contacts else None,
+            contact=(
+                self.contact.spec(self.time.physics_dt_s, self.world, grip)
+                if self.contacts
+                else None
+            ),
             cargo=cargo,
         )
 

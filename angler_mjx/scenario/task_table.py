@@ -137,7 +137,7 @@ class CarryTask(FileModel):
         body = explicit[self.body]
         if body.motion.type != "drift":
             raise ValueError(
-                f"task.body = {self.body}: its motion is {body.motion.type!r}, and nobody can carry "
+                f"task.body = {self.body}: its motion is {body.motion.type!r}, so nobody can carry "
                 'it; give motion.type = "drift"'
             )
         offsets = self._grip_offsets(body, robots)

@@ -67,9 +67,9 @@ class MovingWorld:
 
 
 def find_layout(
-    environment: Environment, vehicles: VehicleParams, state: VehicleState
+    contact: ContactSpec, environment: Environment, vehicles: VehicleParams, state: VehicleState
 ) -> BodyLayout:
-    """Return the numbers of bodies of one world, from the shapes of its arrays."""
+    """Return the numbers of bodies of one world, from the settings and the shapes of its arrays."""
     hull = jax.eval_shape(
         hull_capsules, vehicles, None if state.joints is None else state.joints.position
     )
@@ -81,6 +81,7 @@ def find_layout(
         obstacles=obstacles.kind.shape[0],
         has_capsules=any(kind != BOX for kind in obstacles.kinds),
         has_boxes=BOX in obstacles.kinds,
+        axis_pieces=contact.axis_pieces,
     )
 
 

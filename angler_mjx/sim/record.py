@@ -376,7 +376,8 @@ class Sample:
             "robot",
             "1",
             "0 running, 1 reached, 2 collision_static, 3 collision_dynamic, "
-            "4 collision_robot, 5 out_of_bounds, 6 timeout, 7 diverged, 8 failed, 9 damaged, 10 dropped",
+            "4 collision_robot, 5 out_of_bounds, 6 timeout, 7 diverged, 8 failed, 9 damaged, "
+            "10 dropped",
             whole=True,
             stored="uint8",
             state=True,

@@ -364,7 +364,7 @@ def _judge_collision(contact: Contact) -> tuple[jax.Array, jax.Array]:
 
 
 def _judge_damage(spec: SimSpec, impacts: Impacts) -> tuple[jax.Array, jax.Array]:
-    """Return bool [] whether an impact damages a robot or its grip broke, and int32 [] the outcome."""
+    """Return bool [] whether an impact damages a robot or its grip broke, and which outcome."""
     limit = None if spec.contact is None else spec.contact.damage_energy_j
     damaged = impacts.energy_j > (jnp.inf if limit is None else limit)
     if impacts.grips is None:

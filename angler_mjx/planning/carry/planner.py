@@ -4,8 +4,8 @@ The body with all who hold it is searched for as one ball on the lattice of plan
 (`path_search`): conservative, and right in every attitude. The body turns evenly along its path.
 Along the way it speeds up and slows down as a movement of minimum jerk does (Flash and Hogan, "The
 coordination of arm movements", Journal of Neuroscience 5, 1985), no robot faster than its cruise
-speed. Robots keep their poses in the body's frame: all positions and headings lie on the manifold of
-the grasp at every point, and cubics between points leave it by less than the grips give.
+speed. Robots keep their poses in the body's frame: positions and headings of all way-points lie on
+the manifold of the grasp; cubics between them leave it by millimetres.
 """
 
 from dataclasses import replace

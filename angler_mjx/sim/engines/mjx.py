@@ -192,8 +192,8 @@ def move_in_contact(
 ) -> tuple[MovedRobots, ObstacleState, Grips | None, Impacts, Record]:
     """Return robots and obstacles of one world after a control period in which they may touch.
 
-    Arguments as of `step.move_independently`, the obstacles, and the robots' grips. Contact is solved with the inertia
-    of ``params``, loads included.
+    Arguments as of `step.move_independently`, the obstacles, and the robots' grips. Contact is
+    solved with the inertia of ``params``, loads included.
     """
     spec, vehicles = batch.spec, robots.vehicle
     if spec.contact is None or batch.engine is None or batch.rock is None:
@@ -210,7 +210,7 @@ def move_in_contact(
     outcome = robots.tally.outcome
     moving = MovingWorld(
         contact=spec.contact,
-        layout=find_layout(batch.world.environment, params.vehicle, vehicles),
+        layout=find_layout(spec.contact, batch.world.environment, params.vehicle, vehicles),
         engine=batch.engine,
         rock=batch.rock,
         world=batch.world,

@@ -197,7 +197,7 @@ def test_a_share_is_what_the_robot_bears():
 
 def test_robots_are_spread_along_the_longest_axis():
     scenario = Scenario.model_validate(edit(fleet__0__count=3))
-    want = START + [[-1.0, 0.0, 0.55], [0.0, 0.0, 0.55], [1.0, 0.0, 0.55]]
+    want = START + np.array([[-1.0, 0.0, 0.55], [0.0, 0.0, 0.55], [1.0, 0.0, 0.55]])
     np.testing.assert_allclose(scenario.world.start_m, want, atol=1e-9)
     again = Scenario.model_validate(scenario.model_dump(mode="json"))
     assert again.world.start_m == scenario.world.start_m

@@ -16,7 +16,7 @@ from angler_mjx.sim.state import Outcome, Touched
 
 FREE, PUSHES, LANDS, PRESSES, RAMS = range(5)
 """Robots of the world."""
-BOX, PIPE = range(2)
+BOX, PIPE, LONG_PIPE = range(3)
 START = [[-8, -8, -10], [-6, 0, -10], [4, 6, -25.4], [-5.4, 6, -10], [-6.5, -4, -10]]
 GOAL = [[9, -8, -10], [4, 0, -10], [9, 9, -10], [9, 6, -10], [9, -4, -10]]
 END = [*GOAL[:2], [4, 6, -25.98], *GOAL[3:]]
@@ -24,6 +24,8 @@ END = [*GOAL[:2], [4, 6, -25.98], *GOAL[3:]]
 SPEED_MPS = [0.5, 0.5, 0.2, 0.3, 1.2]
 ROCK = [[-4.0, 6.0, -10.0], [-4.0, -4.0, -10.0]]
 """Points in the cells of rock that the last two robots meet."""
+BEAMS = [[-6.75, -6.75, -25.25], [-3.75, -6.75, -25.25]]
+"""Points in the cells of rock on which a pipe of 4.2 m lands, its middle between them."""
 RADIUS, LENGTH, DENSITY = 0.1, 1.0, 1200.0
 VOLUME = np.pi * RADIUS**2 * LENGTH + 4.0 / 3.0 * np.pi * RADIUS**3
 FLOOR_M = -26.0
@@ -63,6 +65,17 @@ WORLD = {
 }
 
 
+LONG = {
+    "type": "capsule",
+    "radius_m": RADIUS,
+    "length_m": 4.0,
+    "position_m": [-5.7, -6.75, -23.5],
+    "rpy_deg": [0.0, 90.0, 0.0],
+    "mass_kg": (np.pi * RADIUS**2 * 4.0 + 4.0 / 3.0 * np.pi * RADIUS**3) * DENSITY,
+    "motion": {"type": "drift"},
+}
+
+
 @dataclass(frozen=True)
 class Flight:
     """What a flight left."""
@@ -82,7 +95,7 @@ def fly(table):
     grid = world.environment.grid
     occupied = np.array(grid.occupied)
     origin, cell = np.asarray(grid.origin_m)[0], float(np.asarray(grid.cell_m)[0])
-    for point in ROCK:
+    for point in ROCK + BEAMS:
         occupied[(0, *np.floor((np.array(point) - origin) / cell).astype(int))] = True
     ends = np.stack([START, END], axis=1).astype(np.float32)
     seconds = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) / SPEED_MPS
@@ -109,7 +122,9 @@ def fly(table):
 
 @pytest.fixture(scope="module")
 def touching():
-    return fly(WORLD | {"contacts": True, "contact": {"damage_energy_j": 4.0}})
+    explicit = [*WORLD["world"]["obstacles"]["explicit"], LONG]
+    world = WORLD["world"] | {"obstacles": {"explicit": explicit}}
+    return fly(WORLD | {"contacts": True, "contact": {"damage_energy_j": 4.0}, "world": world})
 
 
 @pytest.fixture(scope="module")
@@ -206,6 +221,18 @@ def test_a_pipe_sinks_at_its_terminal_speed_and_comes_to_rest_on_the_floor(touch
     assert np.all(np.isfinite(touching.obstacle_p))
     _, x, y, _ = np.asarray(touching.end.obstacles.q)[0, PIPE]
     assert abs(1.0 - 2.0 * (x * x + y * y)) < 0.02
+
+
+def test_a_pipe_longer_than_a_cell_lands_across_two_rocks(touching):
+    p = touching.obstacle_p[:, LONG_PIPE]
+    cell = float(np.asarray(touching.world.environment.grid.cell_m)[0])
+    height = FLOOR_M + cell + RADIUS
+    assert p[:, 2].min() > height - 0.03  # of an impact at its terminal speed
+    assert abs(p[-1, 2] - height) < 3e-3
+    assert np.all(np.ptp(p[-10:], axis=0) < 1e-3)
+    assert np.all(np.abs(p[-1, :2] - LONG["position_m"][:2]) < 0.05)
+    _, x, y, _ = np.asarray(touching.end.obstacles.q)[0, LONG_PIPE]
+    assert abs(1.0 - 2.0 * (x * x + y * y)) < 1e-3
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from angler_kernels import quaternion
 from angler_kernels.clearance import cell_neighbours, point_surface, segment_surface
@@ -14,6 +15,10 @@ from angler_mjx.world.rock.grid import Grid
 
 FAR_M = 1e4
 """Distance at which shapes that do not exist stand, each that far from the next."""
+END_PART = 0.05
+"""Part of the axis of a capsule, beside each end, whose nearness to rock is that of the end."""
+CUT_END_PART = 1e-3
+"""The same of the pieces of a cut axis, where more would let edges of rock pass thin pipes."""
 _CORNERS = [[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)]
 
 
@@ -83,7 +88,8 @@ def touch_ground(layout: BodyLayout, shapes: Shapes, rock: Rock, floor_z_m: jax.
     """Return the points of shapes that can touch rock and floor.
 
     Of a capsule these are the spheres at both ends of its axis, and the one of the axis that is
-    nearest to rock; of a box its corners.
+    nearest to rock; of a box its corners. The axis of a long obstacle is cut into pieces: these are
+    then the spheres at the ends of all pieces, and the one of each piece that is nearest to rock.
 
     Args:
         layout: of the world.
@@ -94,10 +100,12 @@ def touch_ground(layout: BodyLayout, shapes: Shapes, rock: Rock, floor_z_m: jax.
     number = jnp.arange(layout.shapes, dtype=jnp.int32)
     boxes = layout.is_box()
     parts = []
-    round_ones = number[~boxes]
+    pieces = layout.capsule_pieces()
+    is_round = pieces > 0
+    round_ones = number[is_round]
     if round_ones.size:
-        size = shapes.size[~boxes]
-        center, reach = shapes.position[~boxes], size[:, 1:2] * shapes.rotation[~boxes][:, :, 2]
+        size = shapes.size[is_round]
+        center, reach = shapes.position[is_round], size[:, 1:2] * shapes.rotation[is_round][:, :, 2]
         a, b, r = center - reach, center + reach, size[:, 0]
         parts += [_off_rock(layout, round_ones, a, r, rock)]
         parts += [_off_floor(layout, round_ones, a, r, floor_z_m)]
@@ -107,7 +115,10 @@ def touch_ground(layout: BodyLayout, shapes: Shapes, rock: Rock, floor_z_m: jax.
             _off_floor(layout, round_ones, b, r, floor_z_m),
         ):
             parts += [_keep(touch, is_long)]
-        parts += [_middle_off_rock(layout, round_ones, a, b, r, rock)]
+        if layout.axis_pieces:
+            parts += _pieces_off_rock(layout, round_ones, a, b, r, rock, pieces[is_round])
+        else:
+            parts += [_middle_off_rock(layout, round_ones, a, b, r, rock, END_PART)]
     square_ones = number[boxes]
     if square_ones.size:
         corners = jnp.asarray(_CORNERS, shapes.size.dtype) * shapes.size[boxes][:, None]
@@ -131,15 +142,50 @@ def _off_rock(
 
 
 def _middle_off_rock(
-    layout: BodyLayout, shape: jax.Array, a: jax.Array, b: jax.Array, r: jax.Array, rock: Rock
+    layout: BodyLayout,
+    shape: jax.Array,
+    a: jax.Array,
+    b: jax.Array,
+    r: jax.Array,
+    rock: Rock,
+    end_part: jax.Array | float,
 ) -> Touches:
-    """Return candidates of capsules [k] against rock between the ends of their axes."""
+    """Return candidates of capsules [k] against rock between the ends of their axes.
+
+    Points in the part ``end_part`` [] or [k] of the axis beside an end are left to its sphere.
+    """
     t, distance, normal = jax.vmap(segment_surface, (0, 0, None, None, None))(
         a, b, rock.neighbours, rock.origin_m, rock.cell_m
     )
-    inner = (t > 0.05) & (t < 0.95)
+    inner = (t > end_part) & (t < 1.0 - end_part)
     touch = _sphere_touch(layout.shapes, shape, a + t[:, None] * (b - a), r, distance, normal)
     return _keep(touch, inner)
+
+
+def _pieces_off_rock(
+    layout: BodyLayout,
+    shape: jax.Array,
+    a: jax.Array,
+    b: jax.Array,
+    r: jax.Array,
+    rock: Rock,
+    pieces: np.ndarray,
+) -> list[Touches]:
+    """Return candidates against rock of capsules [k], whose axes are cut into pieces, int [k].
+
+    They are those of the spheres where two pieces meet, and those between the ends of each piece.
+    """
+    rows = np.repeat(np.arange(pieces.size), pieces)  # [m], of each piece
+    number = np.arange(rows.size) - (np.cumsum(pieces) - pieces)[rows]
+    start, end = (jnp.asarray(x / pieces[rows], a.dtype)[:, None] for x in (number, number + 1))
+    axis = (b - a)[rows]
+    first, last = a[rows] + start * axis, a[rows] + end * axis
+    end_part = jnp.asarray(np.where(pieces[rows] > 1, CUT_END_PART, END_PART), a.dtype)
+    joints = np.flatnonzero(number > 0)
+    return [
+        _off_rock(layout, shape[rows[joints]], first[joints], r[rows[joints]], rock),
+        _middle_off_rock(layout, shape[rows], first, last, r[rows], rock, end_part),
+    ]
 
 
 def _keep(touch: Touches, where: jax.Array) -> Touches:

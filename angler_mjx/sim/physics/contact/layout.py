@@ -30,6 +30,8 @@ class BodyLayout:
     """Whether obstacles can be spheres or capsules."""
     has_boxes: bool
     """Whether obstacles can be boxes."""
+    axis_pieces: tuple[int, ...] = ()
+    """`ContactSpec.axis_pieces`."""
 
     @property
     def bodies(self) -> int:
@@ -53,13 +55,30 @@ class BodyLayout:
 
     @property
     def points(self) -> int:
-        """Return the number of contact points that the solver takes."""
-        return min(MAX_POINTS, max(8, POINTS_PER_BODY * self.bodies))
+        """Return the number of contact points that the solver takes.
+
+        A long capsule can touch rock with both ends of each of its pieces, and between them.
+        """
+        along = 2 * sum(count for count in self.axis_pieces if count > 1)
+        return min(MAX_POINTS, max(8, POINTS_PER_BODY * self.bodies + along))
 
     @property
     def pairs(self) -> int:
-        """Return the number of pairs of shapes of one combination that are worked out."""
-        return max(MIN_PAIRS, 3 * self.bodies)
+        """Return the number of pairs of shapes of one combination that are worked out.
+
+        Those whose bounding spheres are nearest or overlap most are taken, which can be all pairs
+        with long capsules, touching or not: these count in addition.
+        """
+        long = sum(count != 1 for count in self.axis_pieces)
+        shapes = self.robots * self.capsules + self.obstacles
+        return max(MIN_PAIRS, 3 * self.bodies) + long * shapes
+
+    def capsule_pieces(self) -> np.ndarray:
+        """Return int [shapes]: pieces of the axis of each capsule, 0 for boxes."""
+        pieces = np.where(self.is_box(), 0, 1)
+        first = self.robots * self.capsules
+        pieces[first : first + len(self.axis_pieces)] = self.axis_pieces
+        return pieces
 
     def shape_bodies(self) -> np.ndarray:
         """Return int32 [shapes]: the body of each shape."""

@@ -54,6 +54,10 @@ class ContactSpec:
     """Energy of an impact above which a robot is damaged; None for never."""
     grip: GripSpec | None = None
     """Grips of the robots on a body; None where they hold nothing."""
+    axis_pieces: tuple[int, ...] = ()
+    """Number of pieces, in each of which the nearest rock is looked for, of the axes of the first
+    obstacles of a world. It is 0 for a long one that nothing moves, which looks for no ground, and
+    1 for all others that are not long, also those beyond the tuple. Empty where none is long."""
 
 
 ROBOT, OBSTACLE, ROCK, FLOOR = range(4)

@@ -18,10 +18,16 @@ SPEC = ContactSpec(
 NO_HULLS = np.zeros((0, 0, 3)), np.zeros((0, 0, 3)), np.zeros((0, 0))
 
 
-def lay_out(n, boxes=True):
+def lay_out(n, boxes=True, axis_pieces=()):
     """Return the layout of n loose bodies."""
     return BodyLayout(
-        robots=0, joints=0, capsules=0, obstacles=n, has_capsules=True, has_boxes=boxes
+        robots=0,
+        joints=0,
+        capsules=0,
+        obstacles=n,
+        has_capsules=True,
+        has_boxes=boxes,
+        axis_pieces=axis_pieces,
     )
 
 
@@ -59,7 +65,22 @@ def advance(layout, bodies, gravity, ground, now):
         ground: rock and height of the floor; None without.
         now: positions, attitudes, velocities (angular in the bodies' frames), greatest depth.
     """
-    p, q, v, deepest = now
+    *moved, forces = push(layout, bodies, gravity, ground, now[:3])
+    return *moved, jnp.maximum(now[3], jnp.max(forces.touches.depth_m))
+
+
+def push(layout, bodies, gravity, ground, now, free=None):
+    """Return positions, attitudes and velocities after a step, and its `ContactForces`.
+
+    Args:
+        layout: of the bodies.
+        bodies: their properties.
+        gravity: [3] m/s2, or [n, 3].
+        ground: rock and height of the floor; None without.
+        now: positions, attitudes, velocities (angular in the bodies' frames).
+        free: bool [n] which can be pushed; all if None.
+    """
+    p, q, v = now
     n, dtype = layout.obstacles, p.dtype
     hulls = tuple(jnp.asarray(part, dtype) for part in NO_HULLS)
     shapes = candidates.locate_shapes(layout, hulls, bodies, p, q)
@@ -69,14 +90,15 @@ def advance(layout, bodies, gravity, ground, now):
     masses = jnp.concatenate(
         [jnp.repeat(bodies.mass_kg[:, None], 3, axis=1), bodies.inertia_kgm2], axis=1
     )
-    pull = jnp.concatenate([gravity, jnp.zeros(3, dtype)])
+    gravity = jnp.broadcast_to(gravity, (n, 3))
+    pull = jnp.concatenate([gravity, jnp.zeros((n, 3), dtype)], axis=1)
     forces = resolve_contact(
         SPEC,
         layout,
         WorldBodies(
             p=p,
             rotation=jax.vmap(quaternion.to_matrix)(q),
-            free=jnp.ones(n, bool),
+            free=jnp.ones(n, bool) if free is None else free,
             velocity=jnp.ravel(v),
             unconstrained=jnp.ravel(v + DT * pull),
             M_robots=jnp.zeros((0, 6, 6), dtype),
@@ -89,8 +111,7 @@ def advance(layout, bodies, gravity, ground, now):
     turn = jax.vmap(quaternion.exp_small)(DT * v[:, 3:])
     q = jax.vmap(quaternion.multiply)(q, turn)
     q = q / jnp.sqrt(jnp.sum(q * q, axis=1, keepdims=True))
-    depth = jnp.max(forces.touches.depth_m)
-    return p + DT * v[:, :3], q, v, jnp.maximum(deepest, depth)
+    return p + DT * v[:, :3], q, v, forces
 
 
 def empty_grid():
