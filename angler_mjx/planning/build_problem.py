@@ -5,6 +5,7 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 
+from angler_kernels import quaternion
 from angler_mjx.planning.problem import CargoProblem, Problem, ProblemSettings, Team, TeamArms
 from angler_mjx.robot.control.stack import ControlParams
 from angler_mjx.robot.vehicles.params import VehicleParams
@@ -13,7 +14,7 @@ from angler_mjx.sim.information import SceneObservation
 from angler_mjx.sim.posture import bounding_radii, hull_capsules
 from angler_mjx.sim.state import FleetWorld, SimSpec
 from angler_mjx.world.environment import Environment
-from angler_mjx.world.obstacles import bounding_radius
+from angler_mjx.world.obstacles import BOX, bounding_radius
 
 _N_POWER_SPEEDS = 9
 """Speeds at which a robot's power is given, 0 among them."""
@@ -74,11 +75,18 @@ def _take_cargo(spec: SimSpec, environment: Environment) -> tuple[CargoProblem |
         return None, environment
     body, rows = spec.cargo.body, environment.obstacles
     start_m = rows.p0[body]
+    kind, size = rows.kind[body], rows.size_m[body]
+    # Along the longest edge of a box, as thick as its section's circumcircle.
+    longest = jnp.arange(3) == jnp.argmax(size)
+    axis = jnp.where(kind == BOX, jnp.where(longest, size, 0.0), jnp.zeros(3).at[2].set(size[1]))
+    section = jnp.sqrt(jnp.sum(jnp.where(longest, 0.0, size) ** 2))
     cargo = CargoProblem(
+        axis_m=quaternion.rotate(rows.q0[body], axis),
+        thickness_m=jnp.where(kind == BOX, section, size[0]),
         start_m=start_m,
         goal_m=jnp.asarray(spec.cargo.goal_m, start_m.dtype),
         turn_rad=jnp.asarray(spec.cargo.turn_rad, start_m.dtype),
-        radius_m=bounding_radius(rows.kind[body], rows.size_m[body]),
+        radius_m=bounding_radius(kind, size),
     )
     others = replace(rows, exists=rows.exists.at[body].set(False))
     return cargo, replace(environment, obstacles=others)

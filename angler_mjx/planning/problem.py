@@ -107,6 +107,10 @@ class CargoProblem:
     """[] its turn about z up from start to goal."""
     radius_m: jax.Array
     """[] radius of the sphere about its centre that holds it in every attitude."""
+    axis_m: jax.Array
+    """[3] from its centre to one end of the axis of a capsule that holds it, at the start, in W."""
+    thickness_m: jax.Array
+    """[] radius of that capsule."""
 
 
 _STATIC = {"static": True}

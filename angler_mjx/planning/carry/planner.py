@@ -2,10 +2,9 @@
 
 The body with all who hold it is searched for as one ball on the lattice of planner grid
 (`path_search`): conservative, and right in every attitude. The body turns evenly along its path.
-Along the way it speeds up and slows down as a movement of minimum jerk does (Flash and Hogan, "The
-coordination of arm movements", Journal of Neuroscience 5, 1985), no robot faster than its cruise
-speed. Robots keep their poses in the body's frame: positions and headings of all way-points lie on
-the manifold of the grasp; cubics between them leave it by millimetres.
+Along the way it speeds up and slows down as a movement of minimum jerk does, no robot faster than
+its cruise speed. Robots keep their poses in the body's frame: positions and headings of all
+way-points lie on the manifold of the grasp; cubics between them leave it by millimetres.
 """
 
 from dataclasses import replace
@@ -14,18 +13,12 @@ import jax
 import jax.numpy as jnp
 
 from angler_mjx.errors import ConfigError
+from angler_mjx.planning.carry.carriers import PEAK_SPEED, ease, follow_body
 from angler_mjx.planning.path_search.grid import plan_grid
 from angler_mjx.planning.path_search.robot_search import path_search_config, require_still_water
 from angler_mjx.planning.problem import CargoProblem, Problem, ProblemSettings, Team
-from angler_mjx.robot.control.commands.joint_trajectory import (
-    CUBIC,
-    JointTrajectory,
-    hold_position,
-)
+from angler_mjx.robot.control.commands.joint_trajectory import JointTrajectory, hold_position
 from angler_mjx.robot.control.commands.trajectory import Trajectory, sample_reference
-
-PEAK_SPEED = 1.875
-"""Greatest speed of a movement of minimum jerk over its mean."""
 
 
 class CarryPlanner:
@@ -74,51 +67,19 @@ def _plan_body(problem: Problem, team: Team, cargo: CargoProblem) -> Trajectory:
 
 def _follow_body(team: Team, cargo: CargoProblem, path: Trajectory, points: int) -> JointTrajectory:
     """Return the paths [R] of robots that hold a body on its way."""
-    fraction = jnp.linspace(0.0, 1.0, points, dtype=path.time_s.dtype)
-    eased = fraction**3 * (10.0 - 15.0 * fraction + 6.0 * fraction**2)
-    ease_rate = 30.0 * fraction**2 * (1.0 - fraction) ** 2
+    eased = ease(jnp.linspace(0.0, 1.0, points, dtype=path.time_s.dtype))
     straight_s = path.time_s[-1]
     at_m, _ = jax.vmap(sample_reference, (None, 0))(path, eased * straight_s)
-    cruise = jnp.min(team.cruise_speed_mps)
     offset = team.start_m - cargo.start_m
     reach_m = jnp.max(jnp.sqrt(jnp.sum(offset[:, :2] ** 2, axis=1)))
-    duration_s = PEAK_SPEED * (straight_s + reach_m * jnp.abs(cargo.turn_rad) / cruise)
-    duration_s = jnp.maximum(duration_s, 1e-3)
-    turn = eased * cargo.turn_rad
-    c, s, zero = jnp.cos(turn), jnp.sin(turn), jnp.zeros_like(turn)
-    rotation = jnp.stack(
-        [
-            jnp.stack([c, -s, zero], 1),
-            jnp.stack([s, c, zero], 1),
-            jnp.stack([zero, zero, zero + 1.0], 1),
-        ],
-        axis=1,
-    )
-    position_m = at_m + jnp.einsum("nij,rj->rni", rotation, offset)
-    yaw = team.start_yaw_rad[:, None] + turn
-    pose = jnp.concatenate([position_m, yaw[..., None]], axis=2)
-    velocity = _slopes(pose, fraction) / duration_s
-    turn_rate = ease_rate * cargo.turn_rad / duration_s
-    velocity = velocity.at[..., 3].set(turn_rate)
-    robots = team.start_m.shape[0]
-    moving = JointTrajectory(
-        joints=hold_position(team.start_m, team.start_yaw_rad, points).joints,
-        time_s=jnp.broadcast_to(fraction * duration_s, (robots, points)),
-        position=pose,
-        velocity=velocity,
-        acceleration=jnp.zeros_like(pose),
-        degree=jnp.full((robots, points), CUBIC, jnp.int32),
-        commanded=jnp.ones((robots, 4), bool),
-        found=jnp.broadcast_to(path.found, (robots,)),
-    )
+    turning_s = reach_m * jnp.abs(cargo.turn_rad) / jnp.min(team.cruise_speed_mps)
+    duration_s = jnp.maximum(PEAK_SPEED * (straight_s + turning_s), 1e-3)
+    moving = follow_body(team, cargo, at_m, eased * cargo.turn_rad, duration_s)
     held = hold_position(team.start_m, team.start_yaw_rad, points)
+    found = jnp.broadcast_to(path.found, moving.time_s.shape[:1])
     chosen: JointTrajectory = jax.tree.map(
-        lambda a, b: jnp.where(path.found, a, b), moving, replace(held, found=moving.found)
+        lambda a, b: jnp.where(path.found, a, b),
+        replace(moving, found=found),
+        replace(held, found=found),
     )
     return chosen
-
-
-def _slopes(values: jax.Array, at: jax.Array) -> jax.Array:
-    """Return central differences [R, n, k] of values by ``at`` [n]; zero at both ends."""
-    inner = (values[:, 2:] - values[:, :-2]) / (at[2:] - at[:-2])[:, None]
-    return jnp.pad(inner, ((0, 0), (1, 1), (0, 0)))

@@ -126,8 +126,8 @@ FILMS: tuple[Film, ...] = (
     Film(
         name="pipe",
         title="Two robots carry a pipe",
-        text="Two robots hold a pipe and bring it three metres down, turned by a quarter. The grips "
-        "bear its weight, drag and inertia, and would break above 150 N.",
+        text="Two robots hold a pipe and bring it three metres down, turned by a quarter. Their "
+        "grips bear its weight, drag and inertia, and would break above 150 N.",
         scenario="carry_pipe",
         worlds=4,
         view=View(camera="follow", robot=0),
