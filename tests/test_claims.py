@@ -65,6 +65,27 @@ def test_a_rate_is_that_of_its_row(rows, statement):
     assert found[0] == chart.format_rate(row["median"]), message
 
 
+def test_rates_of_arms_are_those_of_their_rows(rows):
+    text = (ROOT / "docs" / "reference" / "arms.md").read_text()
+    found = re.findall(r"^\| ([\d,]+) \| (\d\.\d\de\d) \| (\S+ s) \|$", text, re.MULTILINE)
+    measured = [
+        (
+            f"{row['worlds']:,}",
+            f"{row['median']:.2e}".replace("+0", ""),
+            f"{row['compile_s']:.1f} s",
+        )
+        for row in rows
+        if (row["workload"], row["device"]) == ("dynamics_arm", "NVIDIA H200")
+    ]
+    assert found == measured
+    rigid = {
+        row["worlds"]: chart.format_rate(row["median"])
+        for row in rows
+        if (row["workload"], row["device"]) == ("dynamics", "NVIDIA H200")
+    }
+    assert f"make {rigid[65536]} in 65,536 worlds" in text
+
+
 def test_several_devices_scale_as_said():
     """Four H200 did four times what one did, with the kernels of that day."""
     text = (ROOT / "README.md").read_text()

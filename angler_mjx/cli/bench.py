@@ -91,16 +91,15 @@ def bench(
 
 
 def _run_measurements(request: "SpeedRequest", out: Path) -> None:
-    from rich.console import Console
-
+    from angler_mjx.progress import ProgressLines
     from angler_mjx.studies.speed import roofline, workloads
     from angler_mjx.studies.speed.measured import measuring
     from angler_mjx.studies.speed.roofline import compare_with_bound, describe_conditions
     from angler_mjx.studies.speed.rows import append_row
 
     cases = workloads.build_cases(request)
-    console = Console(stderr=True)
-    console.print("the device itself ...", style="dim")
+    progress = ProgressLines()
+    progress.describe("the device itself")
     device = roofline.measure()
     print(
         f"device: copies {device.copy_bytes_per_s:.3g} bytes/s, "
@@ -109,10 +108,10 @@ def _run_measurements(request: "SpeedRequest", out: Path) -> None:
     machine = describe_conditions(device)
 
     def report_case(case: "WorkloadCase") -> None:
-        console.print(f"{case.label}, {case.worlds} x {case.robots} ...", style="dim")
+        progress.describe(f"{case.label}, {case.worlds} x {case.robots}")
 
     rows = []
-    for row in measuring.measure_cases(cases, report_case):
+    for row in measuring.measure_cases(cases, report_case, progress):
         append_row(row, {**machine, **compare_with_bound(row, device)}, out)
         rows.append(row)
     _print_rows(rows, device)

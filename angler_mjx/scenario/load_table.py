@@ -59,7 +59,7 @@ class LoadConfig(FileModel):
         )
 
 
-def share_load(bodies: Obstacles, body: int, headings: np.ndarray, density_kgpm3: float) -> Load:
+def split_load(bodies: Obstacles, body: int, headings: np.ndarray, density_kgpm3: float) -> Load:
     """Return the share of each robot in a body that robots carry together.
 
     Args:

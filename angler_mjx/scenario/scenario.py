@@ -32,7 +32,7 @@ from angler_mjx.robot.vehicles.load import Load
 from angler_mjx.scenario import instrumented, table_checks
 from angler_mjx.scenario.contact_table import ContactConfig, check_bodies
 from angler_mjx.scenario.fleet_entry import FleetEntry
-from angler_mjx.scenario.load_table import check_load, share_load
+from angler_mjx.scenario.load_table import check_load, split_load
 from angler_mjx.scenario.path_resolution import resolve_paths
 from angler_mjx.scenario.policy_tables import (
     PolicyConfig,
@@ -263,7 +263,7 @@ class Scenario(FileModel):
         self.task_spec()
         if load := self.carried():
             check_load(load, self.fleet)
-        if share := self.cargo_share():
+        if share := self.cargo_load():
             check_load(share, self.fleet, "a robot's share of task.body")
         return self
 
@@ -273,7 +273,7 @@ class Scenario(FileModel):
             return None
         return self.task.load.load(self.water.density_kgpm3)
 
-    def cargo_share(self) -> Load | None:
+    def cargo_load(self) -> Load | None:
         """Return what each robot bears of a body that the fleet carries; None where there is none.
 
         Added mass and drag are those along the axes of the robots, on average.
@@ -281,7 +281,7 @@ class Scenario(FileModel):
         if not isinstance(self.task, CarryTask):
             return None
         world, density = resolve_world(self.world), self.water.density_kgpm3
-        return share_load(
+        return split_load(
             explicit_rows(world.obstacles.explicit, density),
             self.task.body,
             np.subtract(world.goal_m, world.start_m),

@@ -164,7 +164,7 @@ def build_fleet(
     *,
     multibody: bool = True,
     load: Load | None = None,
-    share: Load | None = None,
+    cargo: Load | None = None,
 ) -> Fleet:
     """Compile a fleet (host side).
 
@@ -172,7 +172,7 @@ def build_fleet(
         members: the robots.
         multibody: keep MuJoCo's models, which only the mjx engine reads.
         load: that robots can carry; controllers know of it.
-        share: of each robot in a body that they carry together, for controllers alone.
+        cargo: part of each robot in a body that they carry together, for controllers alone.
 
     Raises:
         ConfigError: unknown vehicle, set or thruster, a file with faults, or rotors or arms of
@@ -187,9 +187,9 @@ def build_fleet(
         each += [(kind, load) for kind in kinds]
     stacked = params.stack_vehicles([_build_robot(*variant_and_load) for variant_and_load in each])
     nominal = None
-    if share or any(kind.variation and not kind.variation_known for kind in kinds):
+    if cargo or any(kind.variation and not kind.variation_known for kind in kinds):
         nominal = params.stack_vehicles(
-            [_build_robot(_nominal_variant(kind), share or carried) for kind, carried in each]
+            [_build_robot(_nominal_variant(kind), cargo or carried) for kind, carried in each]
         )
     believed = stacked if nominal is None else nominal
     fault_mask = np.array([[kind.fault_known] for kind, _ in each])

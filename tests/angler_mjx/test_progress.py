@@ -1,4 +1,4 @@
-"""Progress: silent by default, and shown by one bar."""
+"""Progress: silent by default, and shown by one bar or by lines."""
 
 import re
 
@@ -6,7 +6,7 @@ import pytest
 
 from angler_mjx import progress
 from angler_mjx.cli.shared.progress import ProgressBar
-from angler_mjx.progress import Progress
+from angler_mjx.progress import Progress, ProgressLines
 
 
 def work(receiver):
@@ -36,6 +36,27 @@ def test_a_quiet_bar_shows_nothing(capsys):
     with ProgressBar(quiet=True) as bar:
         work(bar)
     assert capsys.readouterr() == ("", "")
+
+
+def test_lines_have_seconds_and_amounts_not_more_than_once_a_second(capsys, monkeypatch):
+    now_s = [100.0]
+    monkeypatch.setattr(progress.time, "perf_counter", lambda: now_s[0])
+    lines = ProgressLines()
+    now_s[0] = 102.5
+    lines.describe("compiling")
+    lines.start(4, 1, "flights")
+    for after_s, amount in ((103.0, 0.5), (103.6, 0.5), (104.0, 1.0), (120.0, 0.5)):
+        now_s[0] = after_s
+        lines.advance(amount, 1000)
+    lines.report("done [not markup]")
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert shown.err.splitlines() == [
+        "[   2.5 s] compiling",
+        "[   3.6 s] 2 of 4 flights",
+        "[  20.0 s] 3.5 of 4 flights",
+        "[  20.0 s] done [not markup]",
+    ]
 
 
 def test_the_name_of_0_1_is_read():

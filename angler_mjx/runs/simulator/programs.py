@@ -192,7 +192,7 @@ class FlightPrograms:
                 scenario.members(),
                 multibody=scenario.engine == "mjx",
                 load=scenario.carried(),
-                share=scenario.cargo_share(),
+                cargo=scenario.cargo_load(),
             ),
             NamedSharding(setup.mesh, REPLICATED),
         )

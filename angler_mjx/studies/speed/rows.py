@@ -23,6 +23,7 @@ from pydantic import ConfigDict, Field, model_validator
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import FileModel, format_path, parse_json, parse_model, read_text
+from angler_mjx.progress import Progress
 from angler_mjx.runs.provenance import peak_memory_bytes
 
 MAX_BYTES = 1 << 26
@@ -164,17 +165,25 @@ def seconds_of[T](call: Callable[..., T], *arguments: object) -> tuple[float, T]
     return time.perf_counter() - begun, result
 
 
-def iterate_turns(repeats: int) -> Iterator[bool]:
+def iterate_turns(repeats: int, progress: Progress | None = None) -> Iterator[bool]:
     """Turns of a measurement, each with whether it counts: the first never, nor any in a second.
 
     A processor that was idle first has to raise its clock.
+
+    Args:
+        repeats: turns that count.
+        progress: receives each turn, outside its time.
     """
+    progress = progress or Progress()
+    progress.start(repeats, unit="turns")
     begun, counted = time.perf_counter(), 0
     yield False
+    progress.advance(0)
     while counted < repeats:
         warm = time.perf_counter() - begun >= WARM_S
         yield warm
         counted += warm
+        progress.advance(warm)
 
 
 class RateFields(TypedDict):

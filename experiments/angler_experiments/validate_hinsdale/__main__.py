@@ -3,13 +3,14 @@
     python -m angler_experiments.validate_hinsdale --data FOLDER --out runs/hinsdale
 
 Reads the campaign's files, scores predictions without simulation, published parameter sets and an
-identified set, and writes ``results.json`` and figures of all runs.
+identified set, and writes ``results.json`` and figures of all runs. Progress goes to stderr.
 """
 
 import argparse
 from pathlib import Path
 
 from angler_experiments.validate_hinsdale.study import StudySettings, run_study
+from angler_mjx.progress import ProgressLines
 
 
 def main() -> None:
@@ -28,7 +29,7 @@ def main() -> None:
         refits=arguments.refits,
         seed=arguments.seed,
     )
-    print(run_study(arguments.data, arguments.out, settings))
+    print(run_study(arguments.data, arguments.out, settings, ProgressLines()))
 
 
 if __name__ == "__main__":

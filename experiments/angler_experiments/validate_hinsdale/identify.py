@@ -6,6 +6,7 @@ bubble) are errors of one number per run, not of each frame. Errors about the me
 sample each `CORRELATION_S`.
 """
 
+from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
@@ -25,6 +26,8 @@ MEAN_SIGMA = (0.015, 0.015, 0.2, 0.03)
 ABOUT_SIGMA = (0.006, 0.006, 0.1, 0.03)
 """Standard deviation about that mean."""
 ITERATIONS = 12
+FIRST_DAMPING, DAMPING_DOWN, DAMPING_UP = 0.01, 0.2, 5.0
+"""Damping of the first step, and factors on it after a better and a worse step."""
 SAMPLES_AT_ONCE = 25
 """Bootstrap samples that are identified side by side; memory limits them."""
 
@@ -138,12 +141,16 @@ def identify(
         after = _Iterate(*evaluate(before.fit.vector - _damped_step(before)), before.damping)
         is_better = after.fit.cost < before.fit.cost
         kept: _Iterate = jax.tree.map(partial(jnp.where, is_better), after, before)
-        damping = before.damping * jnp.where(is_better, 0.2, 5.0)
+        damping = before.damping * jnp.where(is_better, DAMPING_DOWN, DAMPING_UP)
         return kept._replace(damping=damping), kept.fit.cost
 
-    damping = jnp.asarray(0.01, center.dtype)
-    begin = _Iterate(*evaluate(jnp.zeros_like(center)), damping)
-    return jax.lax.scan(iterate, begin, length=iterations)[0].fit
+    # The first pass evaluates at 0, as its slope is 0: `evaluate` before the loop would be traced
+    # and compiled twice.
+    k, dtype = center.shape[0], center.dtype
+    nothing = Fit(jnp.zeros_like(center), jnp.asarray(jnp.inf, dtype), jnp.zeros((k, k), dtype))
+    damping = jnp.asarray(FIRST_DAMPING / DAMPING_DOWN, dtype)
+    begin = _Iterate(nothing, jnp.zeros_like(center), damping)
+    return jax.lax.scan(iterate, begin, length=1 + iterations)[0].fit
 
 
 def _damped_step(before: _Iterate) -> jax.Array:
@@ -164,11 +171,22 @@ def sample_bootstrap(n_runs: int, n_samples: int, seed: int) -> BootstrapSample:
 
 
 def identify_samples(
-    vehicle: CampaignVehicle, batch: RunBatch, sample: BootstrapSample, iterations: int = ITERATIONS
+    vehicle: CampaignVehicle,
+    batch: RunBatch,
+    sample: BootstrapSample,
+    iterations: int = ITERATIONS,
+    progress: Callable[[int], object] = lambda _: None,
 ) -> np.ndarray:
     """Return parameters [sample, k] identified from each bootstrap sample.
 
     `SAMPLES_AT_ONCE` samples are identified side by side.
+
+    Args:
+        vehicle: published vehicle about which the priors stand.
+        batch: runs.
+        sample: runs and prior mean of each sample.
+        iterations: evaluations of the Jacobian in each fit.
+        progress: receives the number of samples after each part.
     """
 
     def identify_one(counts: jax.Array, center: jax.Array) -> jax.Array:
@@ -177,13 +195,13 @@ def identify_samples(
 
     run = jax.jit(jax.vmap(identify_one))
     n = len(sample.counts)
-    parts = [slice(i, i + SAMPLES_AT_ONCE) for i in range(0, n, SAMPLES_AT_ONCE)]
-    vectors: np.ndarray = np.concatenate(
-        [
-            np.asarray(run(*(jnp.asarray(x[part], float) for x in (sample.counts, sample.center))))
-            for part in parts
-        ]
-    )
+    parts = []
+    for first in range(0, n, SAMPLES_AT_ONCE):
+        part = slice(first, first + SAMPLES_AT_ONCE)
+        inputs = (jnp.asarray(x[part], float) for x in (sample.counts, sample.center))
+        parts.append(np.asarray(run(*inputs)))
+        progress(len(parts[-1]))
+    vectors: np.ndarray = np.concatenate(parts)
     return vectors
 
 

@@ -32,6 +32,7 @@ from angler_experiments.validate_hinsdale.vehicle import (
     build_campaign_vehicle,
 )
 from angler_mjx.files import JsonTable
+from angler_mjx.progress import Progress
 
 type Array = np.ndarray
 
@@ -69,21 +70,32 @@ class Identification:
     seconds: dict[str, float]
 
 
-def run_study(data: Path, out: Path, settings: StudySettings) -> str:
+def run_study(
+    data: Path, out: Path, settings: StudySettings, progress: Progress | None = None
+) -> str:
     """Run the study, write its files, and return a table of medians.
+
+    Args:
+        data: folder of the campaign's files.
+        out: folder of the results.
+        settings: size of the identification.
+        progress: receives the progress.
 
     Raises:
         ConfigError: see `campaign.read_campaign`.
     """
+    progress = progress or Progress()
+    progress.describe("reading the recordings")
     runs = read_campaign(data)
     tracks = [build_track(run) for run in runs if run.copy_of is None]
     training = set(training_stems([track.stem for track in tracks]))
     batch = build_batch(tracks)
-    predictions = predict_all(tracks, batch)
+    predictions = predict_all(tracks, batch, progress)
     vehicles = {name: build_campaign_vehicle(name) for name in PUBLISHED}
     identification = None
     if settings.samples:
-        identification = identify_runs(tracks, batch, training, settings)
+        identification = identify_runs(tracks, batch, training, settings, progress)
+        progress.describe("predictions of the identified set")
         vehicle = parameters.apply_parameters(
             build_campaign_vehicle(SOURCE_SET), jnp.asarray(identification.vector)
         )
@@ -99,6 +111,7 @@ def run_study(data: Path, out: Path, settings: StudySettings) -> str:
         }
         for name, of_runs in predictions.items()
     }
+    progress.describe("errors after a few steps")
     results: dict[str, Mapping[str, object]] = {
         "runs": describe_runs(runs, tracks, training),
         "medians": summarise(scores, training),
@@ -107,16 +120,21 @@ def run_study(data: Path, out: Path, settings: StudySettings) -> str:
         "horizons": _describe_horizons(runs, tracks, training, vehicles),
     }
     if identification is not None:
+        progress.describe("coverage of the bands")
         results["identification"] = describe(identification, tracks, training)
     out.mkdir(parents=True, exist_ok=True)
     (out / "results.json").write_text(format_results(results))
     paths = identification.paths if identification is not None else None
+    progress.describe("figures")
     figures.plot_overlays(out, tracks, predictions, paths, training)
     return format_medians(summarise(scores, training))
 
 
-def predict_all(tracks: Sequence[Track], batch: RunBatch) -> dict[str, list[Prediction]]:
+def predict_all(
+    tracks: Sequence[Track], batch: RunBatch, progress: Progress
+) -> dict[str, list[Prediction]]:
     """Return the predictions of references and published sets for each run."""
+    progress.describe(f"predictions without simulation of {len(tracks)} runs")
     source = build_campaign_vehicle(SOURCE_SET)
     of_track: dict[str, Callable[[Track], Prediction]] = {
         "constant": references.predict_constant,
@@ -128,6 +146,7 @@ def predict_all(tracks: Sequence[Track], batch: RunBatch) -> dict[str, list[Pred
     }
     made = {name: [predict(track) for track in tracks] for name, predict in of_track.items()}
     for name in PUBLISHED:
+        progress.describe(f"predictions of the set {name}")
         made[name] = predict_set(build_campaign_vehicle(name), tracks, batch)
     return made
 
@@ -142,26 +161,37 @@ def predict_set(
 
 
 def identify_runs(
-    tracks: Sequence[Track], batch: RunBatch, training: set[str], settings: StudySettings
+    tracks: Sequence[Track],
+    batch: RunBatch,
+    training: set[str],
+    settings: StudySettings,
+    progress: Progress,
 ) -> Identification:
     """Identify parameters from the training runs and their bootstrap samples; predict all runs."""
     vehicle = build_campaign_vehicle(SOURCE_SET)
     index = np.array([i for i, track in enumerate(tracks) if track.stem in training])
     train_batch: RunBatch = jax.tree.map(lambda x: x[index], batch)
     seconds = {}
+    progress.describe(f"fit of {len(index)} runs, {settings.iterations} iterations")
     begin = time.perf_counter()
     zero, ones = jnp.zeros(len(LABELS)), jnp.ones(len(index))
     fit = identify.identify(vehicle, train_batch, ones, zero, settings.iterations)
     vector, information = np.asarray(fit.vector), np.asarray(fit.information)
     seconds["fit_with_compiling"] = time.perf_counter() - begin
     sample = identify.sample_bootstrap(len(index), settings.samples, settings.seed)
+    how = "fitted anew" if settings.refits else "by one step from the fit"
+    progress.describe(f"{settings.samples} bootstrap samples, {how}")
+    progress.start(settings.samples, unit="bootstrap samples")
     begin = time.perf_counter()
-    vectors = (
-        identify.identify_samples(vehicle, train_batch, sample, settings.iterations)
-        if settings.refits
-        else identify.linearised_samples(fit, vehicle, train_batch, sample)
-    )
+    if settings.refits:
+        vectors = identify.identify_samples(
+            vehicle, train_batch, sample, settings.iterations, progress.advance
+        )
+    else:
+        vectors = identify.linearised_samples(fit, vehicle, train_batch, sample)
+        progress.advance(settings.samples)
     seconds["bootstrap_with_compiling"] = time.perf_counter() - begin
+    progress.describe(f"bands of {settings.samples} samples in {len(tracks)} runs")
     simulated = bands.coordinates_of(bands.simulate_samples(vehicle, jnp.asarray(vectors), batch))
     train_tracks = [tracks[i] for i in index]
     errors = bands.out_of_bag_errors(train_tracks, simulated[:, index], sample.counts)

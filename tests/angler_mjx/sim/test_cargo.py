@@ -183,13 +183,13 @@ def test_the_pipe_is_planned_around_rock_and_not_through_a_narrow_gap():
 
 def test_a_share_is_what_the_robot_bears():
     """A pipe along x, robots that look along it: surge is along the pipe, sway and heave across."""
-    along = Scenario.model_validate(edit(to_m=[1.0, -1.0, -6.0], turn_deg=0.0)).cargo_share()
+    along = Scenario.model_validate(edit(to_m=[1.0, -1.0, -6.0], turn_deg=0.0)).cargo_load()
     np.testing.assert_allclose([along.mass_kg, along.volume_m3], [MASS / 2, VOLUME / 2], rtol=1e-6)
     across = 1.17 * 2.0 * RADIUS * LENGTH / 2
     assert across < along.drag_area_m2[1] < 1.1 * across
     np.testing.assert_allclose(along.drag_area_m2[1], along.drag_area_m2[2], rtol=1e-5)
     assert along.drag_area_m2[0] < 0.1 * across
-    lateral = Scenario.model_validate(edit(to_m=[-1.0, 1.0, -6.0], turn_deg=0.0)).cargo_share()
+    lateral = Scenario.model_validate(edit(to_m=[-1.0, 1.0, -6.0], turn_deg=0.0)).cargo_load()
     np.testing.assert_allclose(
         np.array(lateral.added_mass_kg)[[1, 0, 2]], along.added_mass_kg, rtol=1e-5
     )

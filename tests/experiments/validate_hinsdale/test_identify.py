@@ -1,5 +1,6 @@
 """Identification finds what moved a simulated vehicle; bands hold what they say."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -44,6 +45,66 @@ def test_parameters_of_a_simulated_vehicle_are_found(tmp_path):
     assert float(fit.cost) < 0.05 * float(start.cost)
     for label, value in changed.items():
         assert float(fit.vector[LABELS.index(label)]) == pytest.approx(value, abs=0.25)
+
+
+def _curved(x):
+    """Return residuals [2] and Jacobian [2, 2] of Rosenbrock's valley, as a run."""
+    return (
+        np.array([10.0 * (x[1] - x[0] ** 2), 1.0 - x[0]]),
+        np.array([[-20.0 * x[0], 10.0], [-1.0, 0.0]]),
+    )
+
+
+@pytest.mark.parametrize("iterations", [0, 1, 2, 6, 12])
+def test_identification_is_the_method_of_levenberg_and_marquardt(monkeypatch, iterations):
+    """By the book in float64, of one run that counts three times, with a prior about (3, 0)."""
+    center, counts = np.array([3.0, 0.0]), 3.0
+
+    def equations(vector, *_):
+        def residuals(x):
+            return jnp.stack([10.0 * (x[1] - x[0] ** 2), 1.0 - x[0]])
+
+        residual, slopes = residuals(vector), jax.jacobian(residuals)(vector)
+        gradient, information = slopes.T @ residual, slopes.T @ slopes
+        return 0.5 * jnp.sum(residual**2)[None], gradient[None], information[None]
+
+    def cost(x):
+        return 0.5 * counts * np.sum(_curved(x)[0] ** 2) + 0.5 * np.sum((x - center) ** 2)
+
+    x, damping, n_rejected = np.zeros(2), 0.01, 0
+    for _ in range(iterations):
+        residual, slopes = _curved(x)
+        matrix = counts * slopes.T @ slopes + np.eye(2)
+        matrix += damping * np.diag(np.diag(matrix))
+        downhill = counts * slopes.T @ residual + x - center
+        tried = x - np.linalg.solve(matrix, downhill)
+        is_better = cost(tried) < cost(x)
+        x, damping = (tried, 0.2 * damping) if is_better else (x, 5.0 * damping)
+        n_rejected += not is_better
+    assert n_rejected > 0 or iterations < 6
+    monkeypatch.setattr(identify, "normal_equations", equations)
+    fit = identify.identify.__wrapped__(
+        None, None, jnp.array([counts]), jnp.asarray(center), iterations
+    )
+    np.testing.assert_allclose(fit.vector, x, rtol=1e-4, atol=1e-6)
+    assert float(fit.cost) == pytest.approx(cost(x), rel=1e-4)
+    slopes = _curved(x)[1]
+    np.testing.assert_allclose(fit.information, counts * slopes.T @ slopes, rtol=1e-4)
+
+
+def test_samples_are_fitted_in_parts_that_are_reported(monkeypatch):
+    """Each part of two is reported when it is done, and samples keep their order."""
+    sample = identify.BootstrapSample(np.eye(5), np.arange(15.0).reshape(5, 3))
+
+    def fit_one(vehicle, batch, counts, center, iterations):
+        return identify.Fit(center + jnp.argmax(counts), jnp.zeros(()), jnp.zeros((3, 3)))
+
+    monkeypatch.setattr(identify, "identify", fit_one)
+    monkeypatch.setattr(identify, "SAMPLES_AT_ONCE", 2)
+    amounts = []
+    vectors = identify.identify_samples(None, None, sample, 12, amounts.append)
+    assert amounts == [2, 2, 1]
+    np.testing.assert_array_equal(vectors, sample.center + np.arange(5.0)[:, None])
 
 
 def test_samples_of_the_posterior_spread_as_the_prior_without_data(monkeypatch):

@@ -6,19 +6,24 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from angler_experiments.validate_hinsdale import parameters, references
 from angler_experiments.validate_hinsdale.batch import build_batch, simulate_batch
 from angler_experiments.validate_hinsdale.campaign import read_campaign
+from angler_experiments.validate_hinsdale.motion import ArmMotion, BodyState, simulate
 from angler_experiments.validate_hinsdale.scores import median_scores, score_run
 from angler_experiments.validate_hinsdale.tracks import build_track
 from angler_experiments.validate_hinsdale.vehicle import (
     EXTRAS,
     FOLDED_RAD,
     SOURCE_SET,
+    WATER,
     build_campaign_vehicle,
     lift_moment,
 )
+from angler_mjx.robot.vehicles.link_motion import JointMotion
+from angler_mjx.sim.physics.prescribed import accelerate_base
 
 from . import recordings
 
@@ -100,6 +105,83 @@ def test_balance_explains_most_of_the_campaign():
     medians = median_scores(scores)
     assert medians["roll"] < 0.02
     assert medians["pitch"] < 0.016
+
+
+SWINGS_RAD = np.array([0.3, 0.5, 0.4, 0.6, 0.0])
+"""Amplitudes with which the joints swing at 3 rad/s, each at its phase."""
+
+
+def _swing(t):
+    """Return position, velocity and acceleration [..., 5] of the joints at times [...]."""
+    phase = 3.0 * np.asarray(t)[..., None] + np.arange(5.0)
+    rest = np.append(FOLDED_RAD, 0.0)
+    return (
+        rest + SWINGS_RAD * np.sin(phase),
+        3.0 * SWINGS_RAD * np.cos(phase),
+        -9.0 * SWINGS_RAD * np.sin(phase),
+    )
+
+
+def _integrate(vehicle, p, q, nu, flow, dt, n):
+    """Return states [n + 1, 13] by the classical Runge-Kutta method in float64, formula by formula.
+
+    Only the acceleration is the simulator's, in float32. The attitude is normalised after a step.
+    """
+
+    @jax.jit
+    def acceleration(q, nu, position, velocity, joint_acceleration):
+        return accelerate_base(
+            vehicle.params,
+            jnp.array([0.0, 0.0, -10.0]),
+            q,
+            nu,
+            JointMotion(position=position, velocity=velocity),
+            joint_acceleration,
+            v_c=jnp.asarray(flow),
+            water=WATER,
+        )
+
+    def slope(t, y):
+        q, nu = y[3:7], y[7:]
+        w, v = q[0], q[1:]
+        return np.concatenate(
+            [
+                # `Rotation` normalises; the quaternion within a step is not quite one.
+                (q @ q) * Rotation.from_quat(q, scalar_first=True).apply(nu[:3]),
+                [-0.5 * v @ nu[3:]],
+                0.5 * (w * nu[3:] + np.cross(v, nu[3:])),
+                np.asarray(acceleration(*map(jnp.asarray, (q, nu, *_swing(t)))), float),
+            ]
+        )
+
+    y = np.concatenate([p, q, nu])
+    states = [y]
+    for i in range(n):
+        t = i * dt
+        k1 = slope(t, y)
+        k2 = slope(t + dt / 2, y + dt / 2 * k1)
+        k3 = slope(t + dt / 2, y + dt / 2 * k2)
+        k4 = slope(t + dt, y + dt * k3)
+        y = y + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        y[3:7] /= np.linalg.norm(y[3:7])
+        states.append(y)
+    return np.stack(states)
+
+
+def test_steps_are_those_of_the_classical_runge_kutta_method():
+    """Steps of 0.1 s while the arm swings: each derivative at its time, each with its weight."""
+    vehicle = build_campaign_vehicle(SOURCE_SET)
+    dt, n = 0.1, 15
+    p, q = np.array([0.0, 0.0, 0.4]), Rotation.from_euler("ZYX", [1.8, 0.2, -0.3])
+    q, nu = q.as_quat(scalar_first=True), np.array([0.3, -0.2, 0.1, 0.4, -0.3, 0.5])
+    flow = np.array([0.1, -0.05, 0.0])
+    joints = ArmMotion(*map(jnp.asarray, _swing(0.5 * dt * np.arange(2 * n + 1))))
+    begin = BodyState(*map(jnp.asarray, (p, q, nu)))
+    states = jax.jit(simulate, static_argnums=4)(vehicle, begin, joints, jnp.asarray(flow), dt)
+    expected = _integrate(vehicle, p, q, nu, flow, dt, n)
+    assert np.ptp(expected[:, 10]) > 0.2
+    # Fifteen steps round some six times in float32, by 6e-8 of numbers up to 1.
+    np.testing.assert_allclose(np.hstack(states), expected, rtol=0.0, atol=5e-6)
 
 
 def test_parameters_at_zero_change_nothing():

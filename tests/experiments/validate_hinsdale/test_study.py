@@ -2,8 +2,14 @@
 
 import json
 import math
+from types import SimpleNamespace
 
-from angler_experiments.validate_hinsdale import study
+import numpy as np
+import pytest
+
+from angler_experiments.validate_hinsdale import identify, study
+from angler_experiments.validate_hinsdale.parameters import LABELS
+from angler_mjx.progress import Progress
 
 
 def _run(roll, heave):
@@ -28,3 +34,93 @@ def test_results_are_json_with_five_digits_and_none_for_no_number():
         "scores": {"b": [None]},
     }
     assert len(text.splitlines()) == 8
+
+
+class Recorder(Progress):
+    """Progress as a list, in which tests note the work too."""
+
+    def __init__(self):
+        self.events = []
+
+    def start(self, total, done=0, unit="worlds"):
+        self.events.append(f"{total} {unit}")
+
+    def describe(self, text):
+        self.events.append(text)
+
+    def advance(self, amount, vehicle_steps=0):
+        self.events.append(amount)
+
+    def note(self, name, result=None):
+        """Return a function that notes its name and returns a result."""
+
+        def work(*_):
+            self.events.append(f"<{name}>")
+            return result
+
+        return work
+
+
+@pytest.mark.parametrize("refits", [False, True])
+def test_stages_of_the_identification_are_said_before_their_work(monkeypatch, refits):
+    k, n = len(LABELS), 4
+    seen = Recorder()
+    fit = identify.Fit(np.zeros(k), np.zeros(()), np.eye(k))
+    monkeypatch.setattr(identify, "identify", seen.note("fit", fit))
+    monkeypatch.setattr(identify, "linearised_samples", seen.note("step", np.zeros((n, k))))
+
+    def refit(vehicle, batch, sample, iterations, progress):
+        for amount in (3, 1):
+            seen.events.append("<part>")
+            progress(amount)
+        return np.zeros((n, k))
+
+    monkeypatch.setattr(identify, "identify_samples", refit)
+    simulated = SimpleNamespace(angles_rad=np.zeros((n, 3, 5, 3)), p_m=np.zeros((n, 3, 5, 3)))
+    monkeypatch.setattr(study.bands, "simulate_samples", seen.note("bands", simulated))
+    monkeypatch.setattr(study.bands, "out_of_bag_errors", seen.note("errors", np.zeros((2, 5, 3))))
+    tracks = [SimpleNamespace(stem=stem) for stem in "abc"]
+    settings = study.StudySettings(samples=n, iterations=7, refits=refits)
+    study.identify_runs(tracks, np.zeros(3), {"a", "c"}, settings, seen)
+    how, work = (
+        ("fitted anew", ["<part>", 3, "<part>", 1])
+        if refits
+        else ("by one step from the fit", ["<step>", 4])
+    )
+    assert seen.events == [
+        "fit of 2 runs, 7 iterations",
+        "<fit>",
+        f"4 bootstrap samples, {how}",
+        "4 bootstrap samples",
+        *work,
+        "bands of 4 samples in 3 runs",
+        "<bands>",
+        "<errors>",
+    ]
+
+
+def test_the_study_says_what_it_reads_predicts_and_plots(tmp_path, monkeypatch):
+    seen = Recorder()
+    run = SimpleNamespace(stem="a", copy_of="b")
+    monkeypatch.setattr(study, "read_campaign", seen.note("read", [run]))
+    monkeypatch.setattr(study, "build_batch", lambda tracks: None)
+    monkeypatch.setattr(study, "build_campaign_vehicle", lambda name: name)
+    monkeypatch.setattr(study, "predict_set", lambda vehicle, *_: seen.events.append(vehicle) or [])
+    monkeypatch.setattr(study, "_describe_horizons", seen.note("horizons", {}))
+    monkeypatch.setattr(study.figures, "plot_overlays", seen.note("plot"))
+    monkeypatch.setattr(study, "summarise", lambda *_: {"test": {}})
+    table = study.run_study(tmp_path, tmp_path / "out", study.StudySettings(samples=0), seen)
+    assert table.startswith("median over test runs")
+    published = [
+        event for name in study.PUBLISHED for event in (f"predictions of the set {name}", name)
+    ]
+    assert seen.events == [
+        "reading the recordings",
+        "<read>",
+        "predictions without simulation of 0 runs",
+        *published,
+        "errors after a few steps",
+        "<horizons>",
+        "figures",
+        "<plot>",
+    ]

@@ -6,6 +6,7 @@ from dataclasses import replace
 import jax
 
 from angler_mjx.errors import AnglerError, ConfigError
+from angler_mjx.progress import Progress
 from angler_mjx.runs.simulator import devices
 from angler_mjx.studies.speed.measured import (
     arm_motion,
@@ -21,7 +22,9 @@ from angler_mjx.studies.speed.workloads import WorkloadCase
 
 
 def measure_cases(
-    chosen: list[WorkloadCase], begin: Callable[[WorkloadCase], None]
+    chosen: list[WorkloadCase],
+    begin: Callable[[WorkloadCase], None],
+    progress: Progress | None = None,
 ) -> Iterator[SpeedRow]:
     """Measure one case after the other.
 
@@ -31,14 +34,16 @@ def measure_cases(
     Args:
         chosen: from `cases`.
         begin: told of each case before it is measured.
+        progress: receives steps and turns of simulations, recording and preparation.
     """
+    progress = progress or Progress()
     full: set[tuple[str, int]] = set()
     for case in chosen:
         if (case.label, case.robots) in full:
             continue
         begin(case)
         before = cache_events()[HITS]
-        rows = _measure_or_refuse(case)
+        rows = _measure_or_refuse(case, progress)
         if case.workload.kind != "compilation":
             hits = cache_events()[HITS] - before
             rows = [replace(row, cached_programs=hits) for row in rows]
@@ -49,9 +54,9 @@ def measure_cases(
         jax.clear_caches()
 
 
-def _measure_or_refuse(case: WorkloadCase) -> list[SpeedRow]:
+def _measure_or_refuse(case: WorkloadCase, progress: Progress) -> list[SpeedRow]:
     try:
-        return _measure_case(case)
+        return _measure_case(case, progress)
     except AnglerError as error:
         return [
             _build_refused_row(case, str(error), devices.is_out_of_memory(error.__cause__ or error))
@@ -59,19 +64,19 @@ def _measure_or_refuse(case: WorkloadCase) -> list[SpeedRow]:
     except jax.errors.JaxRuntimeError as error:
         if not devices.is_out_of_memory(error):
             raise
-        fits = _largest_that_fits(case)
+        fits = _largest_that_fits(case, progress)
         return [
             _build_refused_row(case, f"out of device memory; {fits} worlds in one call fit", True)
         ]
 
 
-def _measure_case(case: WorkloadCase) -> list[SpeedRow]:
+def _measure_case(case: WorkloadCase, progress: Progress) -> list[SpeedRow]:
     if case.workload.kind == "compilation" and case.scenario is not None:
         return compilation.measure(case.scenario, label=case.label, worlds=case.worlds)
-    return [_measure_rate(case)]
+    return [_measure_rate(case, progress)]
 
 
-def _measure_rate(case: WorkloadCase) -> SpeedRow:
+def _measure_rate(case: WorkloadCase, progress: Progress) -> SpeedRow:
     workload, worlds, robots, repeats = case.workload, case.worlds, case.robots, case.repeats
     match workload.kind:
         case "generation":
@@ -89,11 +94,16 @@ def _measure_rate(case: WorkloadCase) -> SpeedRow:
         raise ConfigError(f"workload {case.label}: needs a scenario")
     if workload.kind == "preparation":
         return simulation.measure_preparation(
-            case.scenario, label=case.label, worlds=worlds, repeats=repeats
+            case.scenario, label=case.label, worlds=worlds, repeats=repeats, progress=progress
         )
     if workload.kind == "recording":
         return recording.measure(
-            case.scenario, label=case.label, worlds=worlds, repeats=repeats, folder=case.folder
+            case.scenario,
+            label=case.label,
+            worlds=worlds,
+            repeats=repeats,
+            folder=case.folder,
+            progress=progress,
         )
     return simulation.measure(
         case.scenario,
@@ -102,15 +112,17 @@ def _measure_rate(case: WorkloadCase) -> SpeedRow:
         repeats=repeats,
         devices=case.devices,
         prepared=case.prepared,
+        progress=progress,
     )
 
 
-def _largest_that_fits(case: WorkloadCase) -> int:
+def _largest_that_fits(case: WorkloadCase, progress: Progress) -> int:
     """Largest half, quarter, eighth ... of the worlds that can be measured; 0 if not even one."""
     worlds = case.worlds // 2
     while worlds >= 1:
         try:
-            _measure_case(replace(case, worlds=worlds))
+            progress.describe(f"out of device memory; trying {worlds} worlds")
+            _measure_case(replace(case, worlds=worlds), progress)
         except jax.errors.JaxRuntimeError as error:
             if not devices.is_out_of_memory(error):
                 raise

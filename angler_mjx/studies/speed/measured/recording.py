@@ -20,6 +20,7 @@ import jax
 import numpy as np
 
 from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.progress import Progress
 from angler_mjx.runs import sizes
 from angler_mjx.runs.storage import atomic_files, device_to_host, shards
 from angler_mjx.runs.storage.device_to_host import FinishedTile
@@ -44,6 +45,7 @@ def measure(
     repeats: int,
     folder: Path,
     min_bytes: int = MIN_BYTES,
+    progress: Progress | None = None,
 ) -> SpeedRow:
     """Measure simulation, recorder and disk.
 
@@ -54,6 +56,7 @@ def measure(
         repeats: turns, after one that does not count.
         folder: on the disk in question; what is written there is taken away again.
         min_bytes: written in one turn at least.
+        progress: receives steps and turns.
 
     Returns:
         Rates in MB/s of bytes that reached the disk. ``extra`` holds the disk's own rate
@@ -67,11 +70,17 @@ def measure(
         RunError: as in `simulation.measure`.
     """
     check_repeats(repeats)
+    progress = progress or Progress()
     if scenario.time.record_hz == 0:
         raise ConfigError("record_hz = 0: there is nothing to record; give a scenario that does")
     with _temporary_folder(folder) as temporary:
-        timed = simulation.time_simulation(scenario, label=label, worlds=worlds, repeats=repeats)
-        written = _measure_turns(timed, _simulate_to_horizon(timed), temporary, repeats, min_bytes)
+        timed = simulation.time_simulation(
+            scenario, label=label, worlds=worlds, repeats=repeats, progress=progress
+        )
+        progress.describe("simulating a tile to its end")
+        tile = _simulate_to_horizon(timed)
+        progress.describe("writing")
+        written = _measure_turns(timed, tile, temporary, repeats, min_bytes, progress)
     speed = timed.row.median or 0.0
     recorder = float(np.median(written.recorder_mbps))
     disk = float(np.median(written.disk_mbps))
@@ -167,7 +176,12 @@ def _to_host[T](tree: T) -> T:
 
 
 def _measure_turns(
-    timed: TimedSimulation, tile: FinishedTile, folder: Path, repeats: int, min_bytes: int
+    timed: TimedSimulation,
+    tile: FinishedTile,
+    folder: Path,
+    repeats: int,
+    min_bytes: int,
+    progress: Progress,
 ) -> _Written:
     simulator = timed.simulator
     shape = replace(sizes.trajectory_shape(simulator), worlds=simulator.tile)
@@ -179,6 +193,7 @@ def _measure_turns(
     _clear_folder(folder)
     tiles = -(-min_bytes // run_bytes)
     disk, recorder = [], []
+    progress.start(repeats, unit="turns")
     for turn in range(repeats + 1):
         run = begin(tiles)
         taken = _time_write(run.write, folder)
@@ -189,6 +204,7 @@ def _measure_turns(
         if turn > 0:
             recorder.append(size / taken / 1e6)
             disk.append(size / plain / 1e6)
+        progress.advance(int(turn > 0))
     return _Written(
         tiles=tiles,
         disk_mbps=disk,

@@ -5,6 +5,7 @@ physics steps that robots lived: one that has ended is not simulated for a livin
 """
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache, partial
 
@@ -13,6 +14,7 @@ import numpy as np
 from jax.stages import Compiled
 
 from angler_mjx.errors import RunError
+from angler_mjx.progress import Progress
 from angler_mjx.runs import device_batches
 from angler_mjx.runs.simulator import devices as on_devices
 from angler_mjx.runs.simulator.current_padding import pad_worlds
@@ -39,8 +41,10 @@ MOVED_M = 1e-3
 MIN_ACTIVE = 0.9
 """Least share of the steps that robots must have lived: else it is another workload."""
 CALLS = 4
-"""Device calls in a timed turn, one behind another as in a run; one on a CPU, where the time that a
-call takes to begin is nothing beside it."""
+"""Device calls in a timed turn, one behind another as in a run; one where the time that a call
+takes to begin is nothing beside it: on a CPU, and where it takes `LONG_CALL_S`."""
+LONG_CALL_S = 1.0
+"""Time of a call from which it is the only one of a turn."""
 PLAIN_WORLDS = 8
 """In which operations are counted: for one step they do not depend on it."""
 
@@ -65,6 +69,7 @@ def measure(
     devices: int = 1,
     prepared: int | None = None,
     counted: bool = True,
+    progress: Progress | None = None,
 ) -> SpeedRow:
     """Time the simulation of a scenario, one tile on each device.
 
@@ -77,6 +82,7 @@ def measure(
         prepared: different worlds to draw, of which the first are taken; as many as are needed
             if left out, ``repeated_worlds.MAX_DIFFERENT`` at most in both cases.
         counted: whether the operations of a step are counted, which traces the program once more.
+        progress: receives steps and turns.
 
     Returns:
         Rates in vehicle-steps/s: physics steps of all robots on their way.
@@ -93,6 +99,7 @@ def measure(
         devices=devices,
         prepared=prepared,
         counted=counted,
+        progress=progress,
     )
     return timed.row
 
@@ -106,23 +113,29 @@ def time_simulation(
     devices: int = 1,
     prepared: int | None = None,
     counted: bool = True,
+    progress: Progress | None = None,
 ) -> TimedSimulation:
     """As `measure`, with what was compiled for it."""
     check_repeats(repeats)
+    progress = progress or Progress()
+    progress.describe("sampling and planning worlds")
     simulator = Simulator(scenario, tile=worlds, devices=devices)
     sampled = pad_worlds(repeated_worlds.sample_worlds(scenario, prepared or devices * worlds))
+    progress.describe("compiling the simulation")
     compile_s, program = _compile_segment(simulator, sampled)
     filled = repeated_worlds.repeat_worlds(sampled, worlds, devices)
-    rates, active = _time_turns(simulator, program, filled, repeats)
+    turns = _time_turns(simulator, program, filled, repeats, progress)
     worlds_text = repeated_worlds.describe_worlds(sampled, devices * worlds)
+    if counted:
+        progress.describe("counting operations")
     needs = _measure_needs(simulator, program) if counted else _StepNeeds()
     row = SpeedRow(
         workload=label,
-        inside=f"{_describe_region(simulator)}; {worlds_text}",
+        inside=f"{_describe_region(simulator, turns.calls)}; {worlds_text}",
         worlds=worlds,
         robots=len(scenario.members()),
         unit="vehicle-steps/s",
-        **summarise_rates(rates),
+        **summarise_rates(turns.rates),
         compile_s=compile_s,
         devices=devices,
         engine=scenario.engine,
@@ -133,12 +146,19 @@ def time_simulation(
         least_bytes=needs.least_bytes,
         **read_program_costs(program),
         device_peak_bytes=peak_device_bytes(),
-        active_share=active,
+        active_share=turns.active_share,
     )
     return TimedSimulation(simulator=simulator, worlds=filled, program=program, row=row)
 
 
-def measure_preparation(scenario: Scenario, *, label: str, worlds: int, repeats: int) -> SpeedRow:
+def measure_preparation(
+    scenario: Scenario,
+    *,
+    label: str,
+    worlds: int,
+    repeats: int,
+    progress: Progress | None = None,
+) -> SpeedRow:
     """Time the drawing and planning of worlds; every repeat makes other worlds.
 
     Args:
@@ -146,15 +166,20 @@ def measure_preparation(scenario: Scenario, *, label: str, worlds: int, repeats:
         label: name of the workload.
         worlds: in one device call.
         repeats: timed calls, after one that is not timed.
+        progress: receives steps and calls.
 
     Raises:
         ConfigError: too few repeats.
         RunError: a path is not finite, or memory does not suffice.
     """
     check_repeats(repeats)
+    progress = progress or Progress()
+    progress.describe("compiling")
     simulator = Simulator(scenario, tile=worlds)
     compiled = simulator.compile()
     taken = []
+    progress.describe("sampling and planning worlds")
+    progress.start(repeats, unit="turns")
     for i in range(repeats + 1):
         try:
             seconds, sampled = seconds_of(simulator.worlds, i * worlds)
@@ -164,6 +189,7 @@ def measure_preparation(scenario: Scenario, *, label: str, worlds: int, repeats:
         if not all_finite(sampled.path):
             raise RunError("a path in the timed worlds is not finite: no number is given")
         taken.append(seconds)
+        progress.advance(int(i > 0))
     return SpeedRow(
         workload=label,
         inside="drawing cells, obstacles, currents, starts and goals; planning all robots",
@@ -206,17 +232,35 @@ def require_moving(after: WorldState, sample: Sample, max_s: float) -> float:
     return min(active, 1.0)
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Turns:
+    """Timed turns of a simulation."""
+
+    calls: int
+    """Device calls of a turn."""
+    rates: list[float]
+    """Vehicle-steps/s of each turn."""
+    active_share: float
+    """Least share of robot time in a turn."""
+
+
 def _time_turns(
-    simulator: Simulator, program: Compiled, worlds: World, repeats: int
-) -> tuple[list[float], float]:
-    """Rates of the timed turns, and the least share of robot time in them."""
-    calls = _calls_per_turn(simulator)
-    seconds = calls * simulator.segment_steps * simulator.spec.control_dt_s
-    rates, actives = [], []
+    simulator: Simulator, program: Compiled, worlds: World, repeats: int, progress: Progress
+) -> _Turns:
+    """Time turns, each from rest, with as many calls as `_choose_calls` says."""
     fly = partial(
         _run_calls, simulator, program, worlds, simulator.programs.flight.pack_cells(worlds)
     )
-    for counts in iterate_turns(repeats):
+
+    def time_call() -> float:
+        state = jax.block_until_ready(simulator.reset(worlds))
+        return seconds_of(fly, state, 1)[0]
+
+    progress.describe("timing")
+    calls = _choose_calls(_max_calls(simulator), time_call)
+    seconds = calls * simulator.segment_steps * simulator.spec.control_dt_s
+    rates, actives = [], []
+    for counts in iterate_turns(repeats, progress):
         state = jax.block_until_ready(simulator.reset(worlds))
         taken, (after, sample) = seconds_of(fly, state, calls)
         active = require_moving(after, sample, seconds)
@@ -225,12 +269,25 @@ def _time_turns(
         if counts:
             rates.append(active * calls * _max_steps(simulator) / taken)
             actives.append(active)
-    return rates, min(actives)
+    return _Turns(calls=calls, rates=rates, active_share=min(actives))
 
 
-def _calls_per_turn(simulator: Simulator) -> int:
-    """Device calls in one timed turn."""
+def _max_calls(simulator: Simulator) -> int:
+    """Return the device calls of a timed turn, if they are short."""
     return min(1 if jax.default_backend() == "cpu" else CALLS, simulator.segments)
+
+
+def _choose_calls(max_calls: int, time_call: Callable[[], float]) -> int:
+    """Return the device calls of a timed turn: one where a warm call takes `LONG_CALL_S`.
+
+    Args:
+        max_calls: of a turn with short calls.
+        time_call: runs one call from rest and returns its time, s. A second call decides where the
+            first is long, as the first may load the program.
+    """
+    if max_calls > 1 and all(time_call() >= LONG_CALL_S for _ in range(2)):
+        return 1
+    return max_calls
 
 
 def _run_calls(
@@ -328,10 +385,11 @@ def _count_scenario_flops(scenario: str) -> flops.OperationCount:
     return replace(counted, flops=counted.flops / _max_steps(plain))
 
 
-def _describe_region(simulator: Simulator) -> str:
-    calls = _calls_per_turn(simulator)
+def _describe_region(simulator: Simulator, calls: int) -> str:
     seconds = calls * simulator.segment_steps * simulator.spec.control_dt_s
     times = "one device call" if calls == 1 else f"{calls} device calls"
+    if calls < _max_calls(simulator):
+        times += f", as it takes {LONG_CALL_S:g} s or more"
     every = simulator.steps_per_sample * simulator.spec.physics_steps
     return (
         f"{seconds:g} s of simulated time from rest, in {times}: current, water, rigid "

@@ -11,6 +11,7 @@ import pytest
 
 from angler_mjx.cli.main import main
 from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.progress import Progress
 from angler_mjx.runs import provenance
 from angler_mjx.runs.simulator.compilation import CompiledFunction, CompileTime, ParallelCompiler
 from angler_mjx.runs.simulator.simulator import default_tile
@@ -451,6 +452,78 @@ def test_the_command_ends_with_a_row_of_every_workload(tmp_path, name):
         assert row["median"] > 0
 
 
+class Amounts(Progress):
+    """Progress as lists of steps and amounts."""
+
+    def __init__(self):
+        self.steps, self.amounts, self.units = [], [], []
+
+    def start(self, total, done=0, unit="worlds"):
+        self.units.append((total, unit))
+
+    def describe(self, text):
+        self.steps.append(text)
+
+    def advance(self, amount, vehicle_steps=0):
+        self.amounts.append(amount)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "calls", "timed"),
+    [
+        ([0.2], 4, 1),
+        # The first call loads the program.
+        ([3.0, 0.2], 4, 2),
+        ([9.0, 8.4], 1, 2),
+        ([1.0, 1.0], 1, 2),
+    ],
+)
+def test_a_turn_has_one_call_where_a_warm_call_is_long(seconds, calls, timed):
+    left = list(seconds)
+    assert simulation._choose_calls(4, lambda: left.pop(0)) == calls
+    assert len(seconds) - len(left) == timed
+
+
+def test_calls_are_not_timed_where_a_turn_has_one_anyway():
+    assert simulation._choose_calls(1, lambda: pytest.fail("a call was timed")) == 1
+
+
+@pytest.mark.parametrize(
+    ("long_s", "begin"),
+    [
+        (0.0, "5 s of simulated time from rest, in one device call, as it takes 0 s or more: cur"),
+        (1e9, "10 s of simulated time from rest, in 2 device calls: current"),
+    ],
+)
+def test_a_row_says_how_many_calls_a_turn_has(tmp_path, monkeypatch, long_s, begin):
+    """As on a GPU, where short calls are timed in turns of several."""
+    file = tmp_path / "tiny.toml"
+    file.write_text(TINY.replace("horizon_s = 2.0", "horizon_s = 60.0"))
+    monkeypatch.setattr(simulation, "LONG_CALL_S", long_s)
+    monkeypatch.setattr(simulation, "_max_calls", lambda simulator: 2)
+    seen = Amounts()
+    row = simulation.measure(
+        load_scenario(file), label="tiny", worlds=2, repeats=10, counted=False, progress=seen
+    )
+    assert row.inside.startswith(begin)
+    assert seen.steps == ["sampling and planning worlds", "compiling the simulation", "timing"]
+    assert seen.units == [(10, "turns")]
+    assert sum(seen.amounts) == 10
+
+
+def test_turns_are_reported_after_their_time(monkeypatch):
+    """Ten that count; the first never does, nor any within a second."""
+    now_s = [0.0]
+    monkeypatch.setattr(speed.time, "perf_counter", lambda: now_s[0])
+    seen, counts = Amounts(), []
+    for is_counted in speed.iterate_turns(3, seen):
+        assert len(seen.amounts) == len(counts)
+        counts.append(is_counted)
+        now_s[0] += 0.6
+    assert counts == seen.amounts == [False, False, True, True, True]
+    assert seen.units == [(3, "turns")]
+
+
 def test_a_scenario_in_which_a_policy_commands_is_measured(tmp_path):
     """Programs of a simulator with a policy have one more argument."""
     file = tmp_path / "tiny.toml"
@@ -496,7 +569,7 @@ def test_the_command_says_what_recording_found(tmp_path, monkeypatch, capsys):
         "break_even_hz": 0.48,
     }
 
-    def measure(scenario, *, label, worlds, repeats, folder):
+    def measure(scenario, *, label, worlds, repeats, folder, progress):
         return make_row(workload=label, worlds=worlds, unit="MB/s", extra=extra)
 
     monkeypatch.setattr(recording, "measure", measure)
