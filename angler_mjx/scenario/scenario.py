@@ -3,9 +3,11 @@
 import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar, Literal, Self
 
+import jax
 import numpy as np
 from pydantic import Field, model_validator
 
@@ -25,6 +27,8 @@ from angler_mjx.files import (
 )
 from angler_mjx.planning.planner_choice import LARGE_TEAM
 from angler_mjx.quantities import MAX_COORDINATE_M, SchemaVersion
+from angler_mjx.robot.control.laws.cargo_wrench import CargoWrenchGains
+from angler_mjx.robot.control.stack import StackGains, Stages
 from angler_mjx.robot.vehicles import library
 from angler_mjx.robot.vehicles.config import VehicleConfig
 from angler_mjx.robot.vehicles.links import order_joints
@@ -281,11 +285,35 @@ class Scenario(FileModel):
         if not isinstance(self.task, CarryTask):
             return None
         world, density = resolve_world(self.world), self.water.density_kgpm3
-        return split_load(
-            explicit_rows(world.obstacles.explicit, density),
-            self.task.body,
-            np.subtract(world.goal_m, world.start_m),
-            density,
+        with jax.ensure_compile_time_eval():  # also where it is asked for within a program
+            return split_load(
+                explicit_rows(world.obstacles.explicit, density),
+                self.task.body,
+                np.subtract(world.goal_m, world.start_m),
+                density,
+            )
+
+    def _fill_cargo_gains(self, controllers: Stages, gains: StackGains) -> StackGains:
+        """Return gains in which the stage cargo_wrench knows the part of each robot in its load."""
+        load = self.cargo_load()
+        if load is None or not isinstance(self.task, CarryTask):
+            return gains
+        drag = (0.5 * load.density_kgpm3 * area for area in load.drag_area_m2)
+        world = resolve_world(self.world)
+        below_m = np.mean([start[2] for start in world.start_m])
+        below_m -= world.obstacles.explicit[self.task.body].position_m[2]
+        values = {
+            "depth_m": max(0.0, float(below_m)),
+            "weight_n": max(0.0, load.mass_kg - load.density_kgpm3 * load.volume_m3)
+            * Water().gravity_mps2,
+            **dict(zip(("drag_x_n", "drag_y_n", "drag_z_n"), drag, strict=True)),
+        }
+        stated = self.controller.gains.get("cargo_wrench", {})
+        return tuple(
+            replace(numbers, **{key: stated.get(key, value) for key, value in values.items()})
+            if isinstance(numbers, CargoWrenchGains)
+            else numbers
+            for numbers in gains
         )
 
     def task_spec(self) -> TaskSpec | None:
@@ -394,6 +422,7 @@ class Scenario(FileModel):
     def sim_spec(self) -> SimSpec:
         """Return the simulator's settings."""
         controllers, gains = self.controller.stack()
+        gains = self._fill_cargo_gains(controllers, gains)
         water = Water(density_kgpm3=self.water.density_kgpm3)
         cargo, grip = (
             (self.task.cargo, self.task.grip) if isinstance(self.task, CarryTask) else (None, None)

@@ -24,6 +24,7 @@ from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.robot.control.commands.whole_body import EndEffectorTarget, WholeBodyCommand
 from angler_mjx.robot.control.laws import (
     aitsm,
+    cargo_wrench,
     computed_torque,
     follow,
     guided,
@@ -278,6 +279,14 @@ _ALL = (
         reset=_no_memory,
         gains=link_wrench.LinkWrenchGains,
         check=link_wrench.check,
+    ),
+    _of_law(
+        "cargo_wrench",
+        cargo_wrench,
+        cargo_wrench.CargoWrenchGains,
+        (BodyWrench,),
+        BodyWrench,
+        flow=True,
     ),
     _allocation_stage("pseudo_inverse", allocation.allocate),
     _allocation_stage("prioritized", allocation.allocate_to_limits),
