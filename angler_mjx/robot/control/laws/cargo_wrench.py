@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from angler_kernels import quaternion, rigid_body
+from angler_kernels import quaternion
 from angler_mjx.robot.control.commands import BodyWrench, Estimate
 from angler_mjx.robot.control.laws.checks import check_gains
 from angler_mjx.robot.vehicles.params import VehicleParams
@@ -81,7 +81,7 @@ def step(
     if flow is not None:
         through = through - quaternion.rotate_inverse(q, flow)
     drag = jnp.stack([jnp.asarray(x, nu.dtype) for x in _drag_n(gains)])
-    force = -gains.weight_n * rigid_body.world_up(q) - drag * jnp.abs(through) * through
+    force = -gains.weight_n * quaternion.world_up(q) - drag * jnp.abs(through) * through
     moment = jnp.cross(lever, force)
     return carry, BodyWrench(tau=command.tau - jnp.concatenate([jnp.zeros_like(moment), moment]))
 
