@@ -24,7 +24,7 @@ DAILY, NIGHTLY = (
 )
 """Commands of our own, which stand for a verb or hold flags that pages only name."""
 OUTPUTS = ("--out", "--mcap", "--figure")
-FILES = ("small.toml", "small_task.toml", "benchmark.toml", "dataset.toml")
+FILES = tuple(sorted(p.name for p in BESIDE.glob("*.toml") if p.name != "sizes.toml"))
 TRACKED = ("README.md", "docs", "benchmarks", "experiments")
 """Folders of the project that lines name files of."""
 LIMIT_S = 1800.0
