@@ -78,7 +78,7 @@ def test_robots_that_cannot_be_compared_are_not_counted_as_near(apart_m, alike, 
 def test_a_robot_that_broke_down_is_no_fault(copy):
     part = manifest.read_manifest(copy).parts[0].path
     array = zarr.open_group(copy / part / "trajectories.zarr", mode="r+")["outcome"]
-    for number, faults in ((8, set()), (9, set()), (10, {"outcome"})):
+    for number, faults in ((8, set()), (10, set()), (11, {"outcome"})):
         array[1, 15:, 1] = number
         with_new_sums(copy)
         found = [one for one in verdict(copy).findings if one.what == "values"]
