@@ -21,7 +21,7 @@ def scene(kind=CAPSULE, size=(0.05, 1.2, 0.0), cargo=1, outcome="reached", end_s
         )
         for x in (-0.9, 2.0)
     ]
-    poses = np.zeros((3, 2, 3)) + [0.0, 0.0, -5.0]
+    poses = np.full((3, 2, 3), [0.0, 0.0, -5.0])
     attitudes = np.array([[[1.0, 0.0, 0.0, 0.0], ALONG_X]] * 3)
     return SimpleNamespace(
         cargo=cargo,
