@@ -65,6 +65,7 @@ from angler_mjx.scenario.task_table import (
     check_task_policy,
 )
 from angler_mjx.shipped import find_shipped, list_shipped
+from angler_mjx.sim.cargo import CargoSpec
 from angler_mjx.sim.fleet import Member
 from angler_mjx.sim.physics.step import Water
 from angler_mjx.sim.state import SimSpec
@@ -277,6 +278,10 @@ class Scenario(FileModel):
             return None
         return self.task.load.load(self.water.density_kgpm3)
 
+    def cargo_spec(self) -> CargoSpec | None:
+        """Return what the fleet carries, and where to; None where it carries nothing together."""
+        return self.task.cargo if isinstance(self.task, CarryTask) else None
+
     def cargo_load(self) -> Load | None:
         """Return what each robot bears of a body that the fleet carries; None where there is none.
 
@@ -424,9 +429,7 @@ class Scenario(FileModel):
         controllers, gains = self.controller.stack()
         gains = self._fill_cargo_gains(controllers, gains)
         water = Water(density_kgpm3=self.water.density_kgpm3)
-        cargo, grip = (
-            (self.task.cargo, self.task.grip) if isinstance(self.task, CarryTask) else (None, None)
-        )
+        grip = self.task.grip if isinstance(self.task, CarryTask) else None
         state_sources = [entry.state_source() for entry in self.fleet for _ in range(entry.count)]
         return SimSpec(
             physics_dt_s=self.time.physics_dt_s,
@@ -447,7 +450,7 @@ class Scenario(FileModel):
                 if self.contacts
                 else None
             ),
-            cargo=cargo,
+            cargo=self.cargo_spec(),
         )
 
 

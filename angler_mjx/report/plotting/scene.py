@@ -73,6 +73,8 @@ class ReplayScene:
     """Rate of replanning in flight; the plans shown are the first ones."""
     task: TaskHistory | None = None
     """Task of the team with its progress; None: each robot has its goal."""
+    cargo: int | None = None
+    """Obstacle that all robots carry together; None where they carry nothing."""
 
     @property
     def bounds_m(self) -> tuple[np.ndarray, np.ndarray]:
@@ -152,6 +154,7 @@ def _load_scene(run: Run, world: int, rows: list[dict[str, Any]]) -> ReplayScene
         obstacle_p_m=stored["obstacle_p_m"][world, :count] if moving else np.zeros((count, 0, 3)),
         obstacle_q=stored["obstacle_q"][world, :count] if moving else np.zeros((count, 0, 4)),
         replan_hz=run.scenario.planner.replan_hz,
+        cargo=None if (cargo := run.scenario.cargo_spec()) is None else cargo.body,
         task=None
         if spec is None
         else trajectory_layout.read_task(

@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 
 from angler_mjx.report.plotting.scene import ReplayScene, RobotTrack
+from angler_mjx.report.video.grip_marks import locate_grips
 from angler_mjx.report.video.scene_model import list_obstacles
 from angler_mjx.report.video.task_marks import Marks, build_marks
 from angler_mjx.robot.vehicles import library
@@ -36,6 +37,8 @@ class Frames:
     """[N, R, 3] m in W."""
     arrow_m: np.ndarray
     """[N, R, 3] velocity of the water at the robots, times `ARROW_S`."""
+    grip_m: np.ndarray
+    """[N, R, 3] point of a carried body that each robot holds; NaN where it holds none."""
     trail_m: np.ndarray
     """[R, K, 3] path of each robot, with few points where it is straight; NaN behind its end."""
     trail_count: np.ndarray
@@ -100,8 +103,12 @@ def build_frames(
     for i, row in enumerate(rows):
         obstacle_m[i] = interpolate(scene.time_s, scene.obstacle_p_m[:, row], time_s)
         obstacle_q[i] = interpolate_attitude(scene.time_s, scene.obstacle_q[:, row], time_s)
+    every = (len(time_s), scene.obstacle_p_m.shape[1])
+    body_m, body_q = np.zeros((*every, 3)), np.tile([1.0, 0.0, 0.0, 0.0], (*every, 1))
+    body_m[:, rows], body_q[:, rows] = obstacle_m.swapaxes(0, 1), obstacle_q.swapaxes(0, 1)
     return Frames(
         qpos=qpos,
+        grip_m=locate_grips(scene, time_s, body_m, body_q),
         mocap_pos=obstacle_m.swapaxes(0, 1),
         mocap_quat=obstacle_q.swapaxes(0, 1),
         robot_m=_stack(scene, "p_m", time_s).swapaxes(0, 1),
@@ -123,6 +130,7 @@ def empty_frames() -> Frames:
         mocap_quat=np.zeros((1, 0, 4)),
         robot_m=zero,
         arrow_m=zero,
+        grip_m=zero,
         trail_m=np.zeros((0, 1, 3)),
         trail_count=np.zeros((1, 0), int),
         rgba=np.zeros((0, 4)),

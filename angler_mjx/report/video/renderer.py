@@ -18,6 +18,7 @@ _MARKER_FRACTION, _MIN_MARKER_M, _MARKER_ALPHA = 0.009, 0.25, 0.4
 """Radius of the ball about a robot, of the camera's distance, and the smallest that is added.
 
 So robots of half a metre are seen from afar, and bare from nearby."""
+_GRIP_RADIUS_M = 0.015
 _MAX_SCENE_GEOMS = 60_000
 _SHOWN_GROUPS = (0, 1, 2)
 _UPRIGHT = np.eye(3).reshape(-1)
@@ -51,6 +52,7 @@ def main(arguments: list[str]) -> int:
             renderer.update_scene(data, _build_camera(frames, i), option)
             _add_trails(renderer.scene, frames, i, line_px)
             _add_arrows(renderer.scene, frames, i)
+            _add_grips(renderer.scene, frames, i)
             _add_markers(renderer.scene, frames, i)
             _add_marks(renderer.scene, frames, i)
             sys.stdout.buffer.write(renderer.render().tobytes())
@@ -85,6 +87,13 @@ def _add_arrows(scene: mujoco.MjvScene, frames: dict[str, np.ndarray], i: int) -
         if np.linalg.norm(arrow) > 1e-3:
             kind, rgba = mujoco.mjtGeom.mjGEOM_ARROW, np.array(_ARROW_RGBA)
             _connect(scene, kind, _ARROW_RADIUS_M, start, end, rgba)
+
+
+def _add_grips(scene: mujoco.MjvScene, frames: dict[str, np.ndarray], i: int) -> None:
+    """Add a rod from each robot to the body that it holds."""
+    rows = zip(frames["robot_m"][i], frames["grip_m"][i], frames["rgba"], strict=True)
+    for robot_m, grip_m, rgba in rows:
+        _connect(scene, mujoco.mjtGeom.mjGEOM_CAPSULE, _GRIP_RADIUS_M, robot_m, grip_m, rgba)
 
 
 def _add_markers(scene: mujoco.MjvScene, frames: dict[str, np.ndarray], i: int) -> None:
