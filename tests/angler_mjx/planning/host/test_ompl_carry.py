@@ -1,5 +1,7 @@
 """OMPL on the manifold of a grasp: its constraint, and a gap that a pipe passes lengthwise."""
 
+from types import SimpleNamespace
+
 import jax
 import numpy as np
 import pytest
@@ -146,4 +148,5 @@ def test_without_a_body_it_is_refused():
     scenario["world"]["obstacles"] = {"explicit": []}
     with pytest.raises(ConfigError, match="carry"):
         Simulator(Scenario.model_validate(scenario | {"planner": {"name": "carry"}})).worlds()
-    assert OmplCarry.joints
+    with pytest.raises(ConfigError, match="carry_ompl"):
+        OmplCarry().plan(SimpleNamespace(cargo=None))
