@@ -28,7 +28,7 @@ from angler_mjx.files import (
 from angler_mjx.planning.planner_choice import LARGE_TEAM
 from angler_mjx.quantities import MAX_COORDINATE_M, SchemaVersion
 from angler_mjx.robot.control.laws.cargo_wrench import CargoWrenchGains
-from angler_mjx.robot.control.stack import StackGains, Stages
+from angler_mjx.robot.control.stack import StackGains
 from angler_mjx.robot.vehicles import library
 from angler_mjx.robot.vehicles.config import VehicleConfig
 from angler_mjx.robot.vehicles.links import order_joints
@@ -298,7 +298,7 @@ class Scenario(FileModel):
                 density,
             )
 
-    def _fill_cargo_gains(self, controllers: Stages, gains: StackGains) -> StackGains:
+    def _fill_cargo_gains(self, gains: StackGains) -> StackGains:
         """Return gains in which the stage cargo_wrench knows the part of each robot in its load."""
         load = self.cargo_load()
         if load is None or not isinstance(self.task, CarryTask):
@@ -427,7 +427,7 @@ class Scenario(FileModel):
     def sim_spec(self) -> SimSpec:
         """Return the simulator's settings."""
         controllers, gains = self.controller.stack()
-        gains = self._fill_cargo_gains(controllers, gains)
+        gains = self._fill_cargo_gains(gains)
         water = Water(density_kgpm3=self.water.density_kgpm3)
         grip = self.task.grip if isinstance(self.task, CarryTask) else None
         state_sources = [entry.state_source() for entry in self.fleet for _ in range(entry.count)]

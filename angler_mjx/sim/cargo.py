@@ -1,6 +1,5 @@
 """Cargo: a body that the robots of a world hold together and bring to a pose."""
 
-import math
 from dataclasses import dataclass
 
 import jax
@@ -52,13 +51,3 @@ def find_error(spec: CargoSpec, environment: Environment, obstacles: ObstacleSta
 def has_arrived(spec: CargoSpec, error: CargoError) -> jax.Array:
     """Return whether the cargo is at its goal, bool as the error."""
     return (error.distance_m < spec.tolerance_m) & (error.angle_rad < spec.tolerance_rad)
-
-
-def initial_error(spec: CargoSpec, start_m: jax.Array) -> CargoError:
-    """Return the error [] of cargo whose centre starts at ``start_m`` [3]."""
-    offset = start_m - jnp.asarray(spec.goal_m, start_m.dtype)
-    turn = abs(math.remainder(spec.turn_rad, 2.0 * math.pi))
-    return CargoError(
-        distance_m=jnp.sqrt(jnp.sum(offset * offset)),
-        angle_rad=jnp.full((), turn, start_m.dtype),
-    )

@@ -10,7 +10,7 @@ from angler_kernels import quaternion
 from angler_mjx.errors import ConfigError
 from angler_mjx.sim import hearing, robot, sensing
 from angler_mjx.sim import policy as policies
-from angler_mjx.sim.cargo import initial_error
+from angler_mjx.sim.cargo import find_error
 from angler_mjx.sim.detection import detect_contacts
 from angler_mjx.sim.physics import step as physics
 from angler_mjx.sim.physics.contact.grips import take_hold
@@ -66,7 +66,7 @@ def reset[Body](
         moving = replace(
             moving, nu=moving.nu.at[body].set(0.0), nu_dot=moving.nu_dot.at[body].set(0.0)
         )
-        error = initial_error(spec.cargo, moving.p[body])
+        error = find_error(spec.cargo, environment, moving)
         robots = environment.start_m.shape[:1]
         cargo = jax.tree.map(lambda x: jnp.broadcast_to(x, robots), error)
         grips = take_hold(spec.contact.grip, vehicles.p, vehicles.q, moving.p, moving.q)
