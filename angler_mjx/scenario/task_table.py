@@ -426,15 +426,18 @@ def check_task_policy(task: TaskConfig, policy: PolicyConfig, *, online: bool) -
         )
 
 
-def require_goal_task(task: TaskConfig, reason: str) -> None:
+def require_goal_task(
+    task: TaskConfig, reason: str, also: tuple[type[CarryTask], ...] = ()
+) -> None:
     """Refuse a task where each robot must have a goal of its own.
 
     Args:
         task: of a scenario.
         reason: text of the message: the limit, and an alternative.
+        also: other tasks that are accepted.
 
     Raises:
         ConfigError: it is another task.
     """
-    if not isinstance(task, GoalTask):
+    if not isinstance(task, (GoalTask, *also)):
         raise ConfigError(f"task.type = {task.type!r}: {reason}")

@@ -6,6 +6,7 @@ velocity at the end of the step (semi-implicit Euler), which keeps the energy of
 keeps what the free step gave, to the bit.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -19,6 +20,7 @@ from angler_mjx.robot.vehicles.link_motion import JointMotion, move_links
 from angler_mjx.robot.vehicles.params import VehicleParams
 from angler_mjx.sim.impacts import Impacts, add_impacts, no_impacts
 from angler_mjx.sim.physics import step as physics
+from angler_mjx.sim.physics.closed_form import ClosedForm
 from angler_mjx.sim.physics.contact import candidates, mjx_contact
 from angler_mjx.sim.physics.contact.candidates import Rock
 from angler_mjx.sim.physics.contact.grips import (
@@ -54,7 +56,9 @@ class MovingWorld:
 
     contact: ContactSpec
     layout: BodyLayout
-    engine: Multibody[BodyInertia]
+    engine: Multibody[BodyInertia] | ClosedForm
+    body: BodyInertia | VehicleParams
+    """[R] inertia of the robots, as the engine wants it."""
     world: FleetWorld
     water: Water
     dt: float
@@ -142,9 +146,10 @@ def step_together(
     rows, current = environment.obstacles, environment.current
     with jax.named_scope("free"):
         axes = (None, 0, 0, 0, 0, None, None, None, None, 0)
-        free: FreeStep = jax.vmap(physics.step_freely, axes)(
+        step_freely: Callable[..., FreeStep] = physics.step_freely
+        free = jax.vmap(step_freely, axes)(
             moving.engine,
-            moving.world.body,
+            moving.body,
             control.vehicle,
             vehicles,
             moving.thrust_n,

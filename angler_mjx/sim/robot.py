@@ -105,6 +105,11 @@ def record_joints(links: LinkParams, joints: JointMotion) -> JointRecord:
     )
 
 
+def is_moving(outcome: jax.Array) -> jax.Array:
+    """Return whether robots with these outcomes still move: a robot that failed is held."""
+    return (outcome == Outcome.RUNNING) | (outcome == Outcome.REACHED)
+
+
 def hold_if_ended(
     outcome: jax.Array, before: VehicleState, after: VehicleState
 ) -> tuple[VehicleState, jax.Array]:
@@ -123,8 +128,7 @@ def hold_if_ended(
     sound &= speed < DIVERGED_SPEED_MPS
     if after.joints is not None:
         sound &= jnp.isfinite(jnp.sum(after.joints.position) + jnp.sum(after.joints.velocity))
-    alive = (outcome == Outcome.RUNNING) | (outcome == Outcome.REACHED)
-    goes_on = alive & sound
+    goes_on = is_moving(outcome) & sound
     held = VehicleState(
         p=jnp.where(goes_on, after.p, before.p),
         q=jnp.where(goes_on, after.q, before.q),
@@ -134,7 +138,7 @@ def hold_if_ended(
         joints=_hold_joints(goes_on, before.joints, after.joints),
         change=None if after.change is None else jnp.where(goes_on, after.change, 0.0),
     )
-    return held, alive & ~sound
+    return held, is_moving(outcome) & ~sound
 
 
 def _hold_joints(

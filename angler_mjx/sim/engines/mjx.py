@@ -33,7 +33,6 @@ from angler_mjx.sim.record import Belief, Sample, build_sample
 from angler_mjx.sim.state import (
     EngineConstants,
     FleetWorld,
-    Outcome,
     SimSpec,
     World,
     WorldState,
@@ -212,20 +211,17 @@ def move_in_contact(
         contact=spec.contact,
         layout=find_layout(spec.contact, batch.world.environment, params.vehicle, vehicles),
         engine=batch.engine,
+        body=batch.world.body,
         rock=batch.rock,
         world=batch.world,
         water=spec.water,
         dt=spec.physics_dt_s,
         thrust_n=decision.thrust_n,
-        alive=(outcome == Outcome.RUNNING) | (outcome == Outcome.REACHED),
+        alive=robot.is_moving(outcome),
     )
     moved, obstacles, grips, impacts = move_together(
         moving, vehicles, obstacles, batch.t, spec.physics_steps, inputs.joints, grips
     )
-    if spec.cargo is not None:
-        error = cargo.find_error(spec.cargo, batch.world.environment, obstacles)
-        of_robots = jax.tree.map(lambda x: jnp.broadcast_to(x, outcome.shape), error)
-        impacts = replace(impacts, cargo=of_robots)
     after, broken = batch.map_bodies(robot.hold_if_ended, outcome, vehicles, moved)
     result = MovedRobots(
         vehicle=after,
@@ -236,6 +232,21 @@ def move_in_contact(
         broken=broken,
     )
     return result, obstacles, grips, impacts, record | record_move(batch, inputs)
+
+
+def measure_cargo(
+    batch: SingleWorld, obstacles: ObstacleState, grips: Grips | None, impacts: Impacts
+) -> tuple[Impacts, jax.Array | None]:
+    """Return impacts with the error of the cargo, and which robots have brought it, bool [R].
+
+    Where robots carry nothing: the impacts as they are, and None.
+    """
+    spec = batch.spec.cargo
+    if spec is None or grips is None:
+        return impacts, None
+    error = cargo.find_error(spec, batch.world.environment, obstacles)
+    of_robots = jax.tree.map(lambda x: jnp.broadcast_to(x, grips.held.shape), error)
+    return replace(impacts, cargo=of_robots), cargo.has_arrived(spec, of_robots) & grips.held
 
 
 def prepare_rock(spec: SimSpec, world: World) -> Rock | None:
@@ -306,8 +317,8 @@ def control_step(
             batch, robots, state.obstacles, *driven, grips
         )
         seen = record_obstacles(state.obstacles)
-        if spec.cargo is not None and impacts.cargo is not None and grips is not None:
-            finished = cargo.has_arrived(spec.cargo, impacts.cargo) & grips.held
+        impacts, brought = measure_cargo(batch, obstacles, grips, impacts)
+        finished = output.finished if brought is None else brought
     begin_s = output.last_approach_s
     if policy is None:
         begin_s = last_approaches_s(spec, world, command)

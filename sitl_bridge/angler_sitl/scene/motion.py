@@ -4,7 +4,8 @@ The equations are those of the simulator (`angler_mjx.sim.engines.lanes.steps.ph
 `angler_mjx.sim.physics.step` of vehicles with links), at the step of the lock-step. A call has
 three arrays: the constants of the world, the vehicles with their last sensor state, and integer
 inputs. Integers need no conversion, and keep the time exact. Where vehicles have joints, two more
-say what their servos follow, and since which step.
+say what their servos follow, and since which step. Where bodies touch, obstacles and grips move in
+the same steps (`angler_sitl.scene.contact_motion`) and are one array more.
 float64: at 400 steps a second a float32 position 20 m from the origin takes steps of 1.9 um, and
 a constant velocity is rounded the same way at each step, up to 0.4 mm/s beside the velocity that
 the autopilot receives.
@@ -30,12 +31,15 @@ from angler_mjx.robot.vehicles.link_motion import JointMotion
 from angler_mjx.robot.vehicles.params import VehicleParams
 from angler_mjx.sim import robot
 from angler_mjx.sim.engines.lanes import steps as lane_steps
+from angler_mjx.sim.impacts import Impacts, no_impacts
 from angler_mjx.sim.physics import step as physics
 from angler_mjx.sim.physics.closed_form import ClosedForm
+from angler_mjx.sim.physics.contact.grips import Grips
 from angler_mjx.sim.physics.step import VehicleState, Water
-from angler_mjx.sim.state import FleetWorld
+from angler_mjx.sim.state import FleetWorld, WorldState
 from angler_mjx.sim.step import joint_reference
 from angler_mjx.world.currents import Current
+from angler_mjx.world.obstacles import ObstacleState
 from angler_sitl.wire.packets import STATE_NUMBERS
 
 GRAVITY_MPS2 = 9.80665
@@ -51,7 +55,7 @@ N_INPUTS = N_PULSES + 2
 
 DIVERGED_COLUMN = STATE_NUMBERS
 """Output column behind the sensor state: whether the vehicle has diverged so far."""
-_VEHICLE_COLUMN = STATE_NUMBERS + 1
+VEHICLE_COLUMN = STATE_NUMBERS + 1
 """First column of the vehicle itself."""
 
 MIN_PULSE_US, MAX_PULSE_US = 900, 2100
@@ -62,8 +66,11 @@ SINGLE_THREAD_OPTIONS = {"xla_cpu_multi_thread_eigen": False}
 
 A change of thread takes longer than the work itself, and the autopilots need the other cores."""
 
-type MotionStep = Callable[..., jax.Array]
-"""Constants, vehicles [N, _], int32 inputs [N, INPUTS] to vehicles [N, _].
+type MotionArrays = tuple[jax.Array, ...]
+"""Vehicles [N, _] behind their sensor states; where bodies touch, the flat `ContactBodies` too."""
+
+type MotionStep = Callable[..., MotionArrays]
+"""Constants, what moves, int32 inputs [N, INPUTS] to what has moved.
 
 Vehicles with joints take two arrays more: a float64 array [N, 3, J] of `SceneMotion.pack_targets`,
 and the int32 number of the step since which their servos follow it."""
@@ -76,29 +83,68 @@ class SceneMotion:
     step: MotionStep
     vehicles: "MotionRows"
     """Layout of one vehicle, behind its sensor state."""
+    select_constants: Callable[[FleetWorld], object]
+    """Parts of a world that the step needs; [1] leads."""
+    bodies: "ContactBodies | None" = None
+    """Bodies of a world like the simulated ones, [1] leading; None where nothing touches."""
 
     def pack_constants(self, world: FleetWorld) -> jax.Array:
         """Return the constants of a world for the step; [1] leads there."""
-        return _put_on_device(_flatten((world.control.vehicle, world.environment.current)))
+        return put_on_device(flatten_tree(self.select_constants(world)))
 
-    def to_arrays(self, vehicles: VehicleState) -> jax.Array:
-        """Return vehicles [1, N] in the form of the step, without a sensor state."""
-        rows = self.vehicles.pack(vehicles)
-        return _put_on_device(
-            np.concatenate([np.zeros((len(rows), _VEHICLE_COLUMN)), rows], axis=1)
-        )
+    def to_arrays(self, state: WorldState) -> MotionArrays:
+        """Return what moves of a state [1] in the form of the step, without sensor states."""
+        rows = self.vehicles.pack(state.vehicles)
+        rows = np.concatenate([np.zeros((len(rows), VEHICLE_COLUMN)), rows], axis=1)
+        arrays = (put_on_device(rows),)
+        if self.bodies is None:
+            return arrays
+        return (*arrays, put_on_device(flatten_tree(ContactBodies.of_state(state))))
 
     def pack_targets(self, target: JointTarget) -> jax.Array:
         """Return [N, 3, J] positions, speeds and accelerations of a target [1, N, J]."""
         parts = (target.position, target.velocity, target.acceleration)
-        return _put_on_device(np.stack([np.asarray(part, np.float64)[0] for part in parts], axis=1))
+        return put_on_device(np.stack([np.asarray(part, np.float64)[0] for part in parts], axis=1))
 
-    def extract_rows(self, rows: jax.Array) -> np.ndarray:
+    def extract_rows(self, arrays: MotionArrays) -> np.ndarray:
         """Return whether each vehicle has diverged, and the vehicle; [N, 1 + width].
 
         The type is JAX's default float type, as in the rest of the simulator.
         """
-        return np.asarray(rows)[:, DIVERGED_COLUMN:].astype(jnp.result_type(float))
+        return np.asarray(arrays[0])[:, DIVERGED_COLUMN:].astype(jnp.result_type(float))
+
+    def extract_bodies(self, arrays: MotionArrays) -> np.ndarray:
+        """Return the flat `ContactBodies`, of that type too; empty where nothing touches."""
+        if self.bodies is None:
+            return np.zeros(0, jnp.result_type(float))
+        return np.asarray(arrays[1]).astype(jnp.result_type(float))
+
+    def unpack_bodies(self, flat: jax.Array) -> "ContactBodies | None":
+        """Return the bodies of one world from their traced flat form."""
+        return None if self.bodies is None else unflatten_tree(self.bodies, flat)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class ContactBodies:
+    """What moves with the vehicles of one world where bodies touch."""
+
+    obstacles: ObstacleState
+    grips: Grips | None
+    """None where robots hold nothing."""
+    impacts: Impacts
+    """Hardest of the robots since the last judgement."""
+
+    @classmethod
+    def of_state(cls, state: WorldState) -> "ContactBodies":
+        """Return the bodies of a state [1], before any impact."""
+        robots, dtype = state.vehicles.p.shape[1], state.vehicles.p.dtype
+        none = no_impacts(robots, dtype, holds=state.grips is not None)
+        return cls(
+            obstacles=state.obstacles,
+            grips=state.grips,
+            impacts=jax.tree.map(lambda x: x[None], none),
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,55 +184,97 @@ def compile_motion(
         world: [1] leads; another of the same scenario has the same shapes.
         vehicles: [1, N] lead.
     """
-    constants_tree = (world.control.vehicle, world.environment.current)
+    constants_tree = select_vehicle_constants(world)
     rows = MotionRows.of_vehicles(vehicles)
-    count = vehicles.p.shape[1]
 
     def step(
         constants: jax.Array,
-        state_rows: jax.Array,
+        arrays: MotionArrays,
         inputs: jax.Array,
         targets: jax.Array | None = None,
         begin: jax.Array | None = None,
-    ) -> jax.Array:
-        params, current = _unflatten(constants_tree, constants)
+    ) -> MotionArrays:
+        params, current = unflatten_tree(constants_tree, constants)
+        (state_rows,) = arrays
         t = inputs[0, STEPS_COLUMN].astype(state_rows.dtype) * dt_s
-        references = None
-        if targets is not None and begin is not None:
-            elapsed = (inputs[0, STEPS_COLUMN] - begin).astype(state_rows.dtype) * dt_s
-            position, velocity, acceleration = (targets[:, i] for i in range(3))
-            target = JointTarget(position=position, velocity=velocity, acceleration=acceleration)
-            references = joint_reference(target, elapsed)
+        references = find_joint_reference(inputs, targets, begin, dt_s)
         step_vehicle = partial(_step_vehicle, water, dt_s, rows)
         after: jax.Array = jax.vmap(step_vehicle, (0, None, 0, 0, None, 0))(
             params, current, state_rows, inputs, t, references
         )
-        return after
+        return (after,)
 
-    def step_shared(*args: jax.Array) -> jax.Array:
-        (after,), _ = lanes.flatten(lanes.compute_shared(lambda: lanes.pack([step(*args)], ())))
-        return after
+    def step_shared(constants: jax.Array, arrays: MotionArrays, inputs: jax.Array) -> MotionArrays:
+        packed, _ = lanes.flatten(
+            lanes.compute_shared(lambda: lanes.pack([*step(constants, arrays, inputs)], ()))
+        )
+        return tuple(packed)
 
+    program = step_shared if vehicles.joints is None else step  # lanes have no joints
+    moving = (rows.pack(vehicles).shape[1],)
+    compiled = compile_step(program, constants_tree, vehicles, moving)
+    return SceneMotion(step=compiled, vehicles=rows, select_constants=select_vehicle_constants)
+
+
+def select_vehicle_constants(world: FleetWorld) -> tuple[VehicleParams, Current]:
+    """Return what the steps of vehicles that touch nothing need; [1] leads."""
+    return world.control.vehicle, world.environment.current
+
+
+def find_joint_reference(
+    inputs: jax.Array, targets: jax.Array | None, begin: jax.Array | None, dt_s: float
+) -> JointMotion | None:
+    """Return what the servos [N, J] hold in a step; None where no vehicle has joints.
+
+    Args:
+        inputs: int32 [N, INPUTS] of the step.
+        targets: [N, 3, J] of `SceneMotion.pack_targets`.
+        begin: int32 [] step since which they are followed.
+        dt_s: the step.
+    """
+    if targets is None or begin is None:
+        return None
+    elapsed = (inputs[0, STEPS_COLUMN] - begin).astype(targets.dtype) * dt_s
+    position, velocity, acceleration = (targets[:, i] for i in range(3))
+    target = JointTarget(position=position, velocity=velocity, acceleration=acceleration)
+    return joint_reference(target, elapsed)
+
+
+def compile_step(
+    program: MotionStep,
+    constants: object,
+    vehicles: VehicleState,
+    widths: tuple[int, ...],
+) -> MotionStep:
+    """Compile a step in float64.
+
+    Args:
+        program: traceable step.
+        constants: tree of its constants, [1] leading.
+        vehicles: [1, N] lead.
+        widths: number of columns of a vehicle, and of numbers of the bodies where any touch.
+    """
+    count = vehicles.p.shape[1]
     with jax.enable_x64(True):
-        program: Callable[..., jax.Array] = step_shared
-        argument_specs: tuple[jax.ShapeDtypeStruct, ...] = (
-            jax.ShapeDtypeStruct(_flatten(constants_tree).shape, jnp.float64),
-            jax.ShapeDtypeStruct(
-                (count, _VEHICLE_COLUMN + rows.pack(vehicles).shape[1]), jnp.float64
-            ),
+        arrays = tuple(
+            jax.ShapeDtypeStruct(shape, jnp.float64)
+            for shape in ((count, VEHICLE_COLUMN + widths[0]), *((n,) for n in widths[1:]))
+        )
+        argument_specs: tuple[object, ...] = (
+            jax.ShapeDtypeStruct(flatten_tree(constants).shape, jnp.float64),
+            arrays,
             jax.ShapeDtypeStruct((count, N_INPUTS), jnp.int32),
         )
-        if vehicles.joints is not None:  # lanes have no joints
+        if vehicles.joints is not None:
             n_joints = vehicles.joints.position.shape[-1]
-            target_specs = (
+            argument_specs = (
+                *argument_specs,
                 jax.ShapeDtypeStruct((count, 3, n_joints), jnp.float64),
                 jax.ShapeDtypeStruct((), jnp.int32),
             )
-            program, argument_specs = step, (*argument_specs, *target_specs)
-        compiled: MotionStep = (
-            jax.jit(program).lower(*argument_specs).compile(SINGLE_THREAD_OPTIONS)
-        )
-    return SceneMotion(step=compiled, vehicles=rows)
+        lowered = jax.jit(program).lower(*argument_specs)
+        compiled: MotionStep = lowered.compile(SINGLE_THREAD_OPTIONS)
+    return compiled
 
 
 def compute_inline() -> None:
@@ -247,7 +335,7 @@ def _step_vehicle(
     summed over the steps, it gives exactly the velocities that are sent. It is the base's, with
     what its links do to it.
     """
-    before = rows.unpack_row(row[_VEHICLE_COLUMN:])
+    before = rows.unpack_row(row[VEHICLE_COLUMN:])
     pwm = to_thruster_pwm(inputs[: params.B.shape[-1]], row.dtype)
     settled, _ = robot.thrust_and_power(params, pwm)
     if reference is None:
@@ -258,22 +346,41 @@ def _step_vehicle(
             engine, params, params, before, settled, current, t, dt_s, water, reference
         )
     after, broken = robot.hold_if_ended(inputs[OUTCOME_COLUMN], before, moved)
+    return pack_row(before, after, row[DIVERGED_COLUMN], broken, dt_s)
+
+
+def pack_row(
+    before: VehicleState,
+    after: VehicleState,
+    diverged: jax.Array,
+    broken: jax.Array,
+    dt_s: float,
+) -> jax.Array:
+    """Return the row of one vehicle after a step.
+
+    Args:
+        before: vehicle before the step.
+        after: vehicle after it.
+        diverged: [] whether it had diverged before.
+        broken: bool [] whether it diverged in the step.
+        dt_s: the step.
+    """
     velocity_change = quaternion.rotate(after.q, after.nu[:3]) - quaternion.rotate(
         before.q, before.nu[:3]
     )
     leaves = [leaf.reshape(-1) for leaf in jax.tree.leaves(after)]
-    flag = jnp.maximum(row[DIVERGED_COLUMN], broken.astype(row.dtype))[None]
+    flag = jnp.maximum(diverged, broken.astype(diverged.dtype))[None]
     return jnp.concatenate([_compute_sensor_state(after, velocity_change / dt_s), flag, *leaves])
 
 
-def _flatten(tree: object) -> NDArray[np.float64]:
+def flatten_tree(tree: object) -> NDArray[np.float64]:
     """Return arrays [1, ...] as one flat array."""
     leaves = [np.asarray(leaf, np.float64).reshape(-1) for leaf in jax.tree.leaves(tree)]
     return np.concatenate(leaves)
 
 
-def _unflatten[T](like: T, flat: jax.Array) -> T:
-    """Invert `_flatten`, without the leading axis."""
+def unflatten_tree[T](like: T, flat: jax.Array) -> T:
+    """Invert `flatten_tree`, without the leading axis."""
     leaves, tree = jax.tree.flatten(like)
     out, offset = [], 0
     for leaf in leaves:
@@ -287,7 +394,8 @@ def _unflatten[T](like: T, flat: jax.Array) -> T:
     return unflattened
 
 
-def _put_on_device(array: NDArray[np.float64]) -> jax.Array:
+def put_on_device(array: NDArray[np.float64]) -> jax.Array:
+    """Return a float64 array on the device."""
     with jax.enable_x64(True):
         on_device: jax.Array = jax.device_put(array)
     return on_device

@@ -15,15 +15,16 @@ from numpy.typing import NDArray
 from angler_mjx.host_arrays import as_leaf
 from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.sim import robot
-from angler_mjx.sim.engines.mjx import SingleWorld, judge_world
+from angler_mjx.sim.engines.mjx import SingleWorld, judge_world, measure_cargo
 from angler_mjx.sim.phase import Record, run_phase
 from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.state import FleetWorld, SimSpec, WorldState
-from angler_mjx.sim.step import OBSTACLES, MovedRobots
+from angler_mjx.sim.step import OBSTACLES, MovedRobots, record_obstacles
 from angler_sitl.scene.flat_arrays import Arrays, FlatLayout
 from angler_sitl.scene.motion import (
     N_INPUTS,
     SINGLE_THREAD_OPTIONS,
+    ContactBodies,
     SceneMotion,
     to_thruster_pwm,
 )
@@ -34,12 +35,13 @@ class OutcomeJudge:
     """`judge_outcomes`, compiled for worlds of one shape, with few arrays in and out."""
 
     step: Callable[
-        [Arrays, Arrays, np.ndarray, NDArray[np.int32], NDArray[np.bool_]], tuple[Arrays, Arrays]
+        [Arrays, Arrays, np.ndarray, np.ndarray, NDArray[np.int32], NDArray[np.bool_]],
+        tuple[Arrays, Arrays],
     ]
     """Compiled step.
 
-    Constants, state, vehicles as `SceneMotion.extract_rows` gives them, inputs of the last step,
-    and the mask of robots on their last approach, to state and record."""
+    Constants, state, vehicles and bodies of `SceneMotion.extract_rows` and ``extract_bodies``,
+    inputs of the last step, and the mask of robots on their last approach, to state and record."""
     world: FlatLayout[FleetWorld]
     state: FlatLayout[WorldState]
     record: FlatLayout[Record]
@@ -74,7 +76,8 @@ def compile_judge(
         FlatLayout.from_tree(state),
     )
     thrusters = world.control.vehicle.B.shape[-1]
-    example_rows = motion.extract_rows(motion.to_arrays(state.vehicles))
+    at_start = motion.to_arrays(state)
+    example_rows, example_bodies = motion.extract_rows(at_start), motion.extract_bodies(at_start)
 
     records: list[FlatLayout[Record]] = []
 
@@ -82,6 +85,7 @@ def compile_judge(
         world: Arrays,
         state: Arrays,
         vehicle_rows: jax.Array,
+        flat_bodies: jax.Array,
         inputs: jax.Array,
         approaching: jax.Array,
     ) -> tuple[Arrays, Arrays]:
@@ -94,6 +98,7 @@ def compile_judge(
             inputs[:, :thrusters],
             vehicle_rows[:, 0] > 0,
             approaching,
+            motion.unpack_bodies(flat_bodies),
         )
         record = jax.tree.map(lambda x: x[None], record)
         records.append(FlatLayout.from_tree(record))
@@ -102,7 +107,12 @@ def compile_judge(
     inputs = jax.ShapeDtypeStruct((len(example_rows), N_INPUTS), jnp.int32)
     approaching = jax.ShapeDtypeStruct((len(example_rows),), jnp.bool_)
     lowered = jax.jit(step).lower(
-        world_layout.array_specs, state_layout.array_specs, example_rows, inputs, approaching
+        world_layout.array_specs,
+        state_layout.array_specs,
+        example_rows,
+        example_bodies,
+        inputs,
+        approaching,
     )
     return OutcomeJudge(
         step=lowered.compile(SINGLE_THREAD_OPTIONS),
@@ -134,6 +144,7 @@ def judge_outcomes(
     pulses: jax.Array,
     broken: jax.Array,
     approaching: jax.Array,
+    bodies: ContactBodies | None = None,
 ) -> tuple[WorldState, Record]:
     """Judge one world at the end of a control period.
 
@@ -145,6 +156,7 @@ def judge_outcomes(
         pulses: int32 [N, n_thruster] us, last pulses of the autopilots; for the energy.
         broken: bool [N] robots that diverged in the period.
         approaching: bool [N] robots on the last approach of their plans.
+        bodies: what moved with the vehicles; None where the first touch ends an episode.
 
     Returns:
         The state at the end of the period, and the record of the phases.
@@ -162,13 +174,22 @@ def judge_outcomes(
         power_w=power,
         broken=broken,
     )
-    obstacles, record = run_phase(OBSTACLES, batch, state.obstacles)
-    judgement = judge_world(batch, moved, obstacles, approach=approaching)
+    impacts, grips, finished = None, None, None
+    if bodies is None:
+        obstacles, record = run_phase(OBSTACLES, batch, state.obstacles)
+    else:
+        obstacles, record = bodies.obstacles, record_obstacles(state.obstacles)
+        grips = bodies.grips
+        impacts, finished = measure_cargo(batch, obstacles, grips, bodies.impacts)
+    judgement = judge_world(
+        batch, moved, obstacles, finished=finished, approach=approaching, impacts=impacts
+    )
     after = replace(
         state,
         vehicles=vehicles,
         obstacles=obstacles,
         tally=judgement.tally,
         step=state.step + 1,
+        grips=grips,
     )
     return after, record

@@ -15,12 +15,13 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.robot.control.commands.whole_body import JointTarget, hold_joints
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import Scenario
-from angler_mjx.scenario.task_table import require_goal_task
+from angler_mjx.scenario.task_table import CarryTask, require_goal_task
 from angler_mjx.sim.fleet import count_joints
 from angler_mjx.sim.phase import Record
 from angler_mjx.sim.state import FleetWorld, Outcome, World, WorldState
 from angler_mjx.world.acoustics.config import refuse_acoustics
 from angler_sitl.scene import motion, outcome_judge
+from angler_sitl.scene.contact_motion import compile_contact_motion
 from angler_sitl.scene.flat_arrays import FlatLayout
 from angler_sitl.wire.packets import STATE_NUMBERS
 
@@ -93,19 +94,16 @@ class AutopilotScene:
         require_goal_task(
             scenario.task,
             "autopilots are told of no task; fly it with angler rollout, or take a scenario of "
-            'type = "goal"',
+            'type = "goal" or "carry"',
+            also=(CarryTask,),
         )
         refuse_acoustics(
             scenario.acoustics,
             'autopilots hear nothing of each other; take "perfect", or fly it with angler rollout',
         )
-        if scenario.contacts:
-            raise ConfigError(
-                "contacts = true: beside autopilots the first touch ends a robot's episode; leave "
-                "contacts out, or fly it with angler rollout"
-            )
         # The closed form is MJX's, to rounding, for one rigid body; links are the same code.
-        engine = "mjx" if count_joints(scenario.members()) else "fused"
+        is_rigid = not (scenario.contacts or count_joints(scenario.members()))
+        engine = "fused" if is_rigid else "mjx"
         single_world = scenario.model_copy(update={"tile": 1, "engine": engine, "kernels": "xla"})
         self.simulator, self.dt_s, self._index = Simulator(single_world), dt_s, world
         self._spec, self._seed = self.simulator.spec, single_world.seed
@@ -117,9 +115,7 @@ class AutopilotScene:
             )
         self._sampled_seed: int | None = None
         self._sample_world(self._seed)
-        self._motion = motion.compile_motion(
-            self._spec.water, dt_s, self.worlds, self._start.vehicles
-        )
+        self._motion = self._compile_motion()
         self._judge = outcome_judge.compile_judge(
             self._spec, self._motion, self.worlds, self._start
         )
@@ -140,8 +136,8 @@ class AutopilotScene:
         self._motion_constants = self._motion.pack_constants(self.worlds)
         self._judge_constants = self._judge.pack_constants(self.worlds)
         self.judged = self._judge.to_arrays(self._start)
-        self._rows = self._motion.to_arrays(self._start.vehicles)
-        self._inputs = np.zeros((self._rows.shape[0], motion.N_INPUTS), np.int32)
+        self._moving = self._motion.to_arrays(self._start)
+        self._inputs = np.zeros((self._moving[0].shape[0], motion.N_INPUTS), np.int32)
         self._ticks, self._steps = 0, 0
         self.state, self.moored = self._start, True
         joints = self._start.vehicles.joints
@@ -150,7 +146,7 @@ class AutopilotScene:
         self.record: Record = {}
         # Failed robots are held in place: so the state at rest of every robot is known.
         self._inputs[:, motion.OUTCOME_COLUMN] = Outcome.OUT_OF_BOUNDS
-        at_rest = np.asarray(self._step_motion())
+        at_rest = np.asarray(self._step_motion()[0])
         # Wait for the result: the step may read our array itself while we go on.
         self._inputs[:, motion.OUTCOME_COLUMN] = Outcome.RUNNING
         self.states = SensorStates(numbers=at_rest[:, :STATE_NUMBERS])
@@ -181,9 +177,9 @@ class AutopilotScene:
             return self.states
         self._inputs[:, : motion.N_PULSES] = pwm
         self._inputs[:, motion.STEPS_COLUMN] = self._steps
-        self._rows = self._step_motion()
+        self._moving = self._step_motion()
         self._steps += 1
-        self.states = SensorStates(numbers=np.asarray(self._rows)[:, :STATE_NUMBERS])
+        self.states = SensorStates(numbers=np.asarray(self._moving[0])[:, :STATE_NUMBERS])
         return self.states
 
     def command_joints(self, target: JointTarget | None) -> None:
@@ -206,19 +202,32 @@ class AutopilotScene:
         A failed robot stands still from then on, as an obstacle to the others. Call this after
         every `period` steps, except those in which the vehicles were moored.
         """
-        rows = self._motion.extract_rows(self._rows)
+        rows = self._motion.extract_rows(self._moving)
         if approaching is None:
             approaching = np.ones(len(rows), bool)
         self.judged, record = self._judge.step(
-            self._judge_constants, self.judged, rows, self._inputs, approaching
+            self._judge_constants,
+            self.judged,
+            rows,
+            self._motion.extract_bodies(self._moving),
+            self._inputs,
+            approaching,
         )
         self.record = self._judge.record.unpack(tuple(map(np.asarray, record)))
         self.state = self._judge.from_arrays(self.judged)
         self._inputs[:, motion.OUTCOME_COLUMN] = self.state.tally.outcome[0]
 
-    def _step_motion(self) -> jax.Array:
-        """Return the vehicles after one step with the present inputs."""
-        return self._motion.step(self._motion_constants, self._rows, self._inputs, *self._targets)
+    def _compile_motion(self) -> motion.SceneMotion:
+        spec, worlds, start = self._spec, self.worlds, self._start
+        if spec.contact is None:
+            return motion.compile_motion(spec.water, self.dt_s, worlds, start.vehicles)
+        return compile_contact_motion(
+            spec.contact, spec.water, self.dt_s, self.steps_per_period, worlds, start
+        )
+
+    def _step_motion(self) -> motion.MotionArrays:
+        """Return what moves after one step with the present inputs."""
+        return self._motion.step(self._motion_constants, self._moving, self._inputs, *self._targets)
 
     def _sample_world(self, seed: int) -> None:
         if seed != self._sampled_seed:

@@ -22,6 +22,7 @@ CUT_END_PART = 1e-3
 _CORNERS = [[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)]
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class Rock:
     """Cells of one world, prepared for look-ups."""
