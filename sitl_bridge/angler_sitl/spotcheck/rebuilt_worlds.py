@@ -52,8 +52,8 @@ class WorldLikeness:
 
 
 def single_world_scenario(scenario: Scenario) -> Scenario:
-    """Return a scenario for one world at a time on any device: plain XLA, and no fused arms."""
-    engine = "mjx" if scenario.joint_names() else "fused"
+    """Return a scenario for one world at a time on any device: plain XLA, fused where it can be."""
+    engine = "mjx" if scenario.contacts or scenario.joint_names() else "fused"
     return scenario.model_copy(update={"tile": 1, "engine": engine, "kernels": "xla"})
 
 

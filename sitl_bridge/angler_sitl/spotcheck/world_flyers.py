@@ -14,6 +14,7 @@ from angler_mjx.runs.session import online_policy
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.scenario.tables import ControllerConfig
+from angler_mjx.scenario.task_table import CarryTask
 from angler_mjx.sim.record import Sample
 from angler_mjx.sim.state import Outcome, World
 from angler_sitl.firmware.parameters import PositionSource
@@ -35,6 +36,11 @@ ARM_STACKS: dict[ReferenceController, tuple[str, ...]] = {
     "cascade": CONTROLLERS["arm"],
 }
 """Stages of each where end effectors are brought to the goals: the same with inverse kinematics."""
+CARRY_STACKS: dict[ReferenceController, tuple[str, ...]] = {
+    "surrogate": CONTROLLERS["ardusub"],
+    "cascade": ("follow", "pose", "velocity", "cargo_wrench", "pseudo_inverse"),
+}
+"""Stages of each where robots carry something together: the cascade knows the cargo's moment."""
 
 type FlightProgress = Callable[[float], None]
 """Receiver of the flown fraction of the horizon."""
@@ -80,6 +86,8 @@ class BatchFlyer:
         controller = ControllerConfig(name=CONTROLLER_STACKS[against])
         if scenario.by_end_effector:
             controller = ControllerConfig(stages=ARM_STACKS[against])
+        elif isinstance(scenario.task, CarryTask):
+            controller = ControllerConfig(stages=CARRY_STACKS[against])
         self._simulator = Simulator(
             single_world_scenario(scenario).model_copy(update={"controller": controller})
         )
@@ -196,9 +204,14 @@ def select_fleet(scenario: Scenario, robots: int) -> Scenario:
     """Return the scenario of a run reduced to its first robots.
 
     Raises:
-        ConfigError: the scenario has fewer robots.
+        ConfigError: the scenario has fewer robots, or they carry something together.
     """
     fleet = len(scenario.members())
     if not 1 <= robots <= fleet:
         raise ConfigError(f"--robots {robots}: the run has {fleet} robots; give 1 to {fleet}")
+    if robots != fleet and isinstance(scenario.task, CarryTask):
+        raise ConfigError(
+            f"--robots {robots}: the {fleet} robots of the run carry something together; leave "
+            "--robots out"
+        )
     return scenario if robots == fleet else select_scenario(scenario, robots)

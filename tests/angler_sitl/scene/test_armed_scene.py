@@ -107,7 +107,7 @@ def matrix(q):
 
 def vehicle_now(scene):
     """Pose, velocity, and joints of the vehicle in float64."""
-    rows = np.asarray(scene._rows)[0, 17:]
+    rows = np.asarray(scene._moving[0])[0, 17:]
     with jax.enable_x64(True):
         vehicle = scene._motion.vehicles.unpack_row(rows)
     joints = vehicle.joints
