@@ -6,6 +6,8 @@ import jax
 import jax.numpy as jnp
 
 from angler_kernels import quaternion
+from angler_mjx.robot.control.commands import GripReading
+from angler_mjx.sim.physics.contact.grips import Grips
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.obstacles import ObstacleState
 
@@ -51,3 +53,9 @@ def find_error(spec: CargoSpec, environment: Environment, obstacles: ObstacleSta
 def has_arrived(spec: CargoSpec, error: CargoError) -> jax.Array:
     """Return whether the cargo is at its goal, bool as the error."""
     return (error.distance_m < spec.tolerance_m) & (error.angle_rad < spec.tolerance_rad)
+
+
+def read_grips(grips: Grips) -> GripReading:
+    """Return what the robots [R] of one world measure of the body that they hold."""
+    center_m = -jax.vmap(quaternion.rotate_inverse)(grips.q, grips.position_m)
+    return GripReading(wrench=grips.wrench, center_m=center_m)

@@ -198,7 +198,8 @@ def move_in_contact(
     spec, vehicles = batch.spec, robots.vehicle
     if spec.contact is None or batch.engine is None or batch.rock is None:
         raise RuntimeError("the simulation has no contact")
-    decision, record = decide(batch, robots, estimate, params, command, current)
+    measured = None if grips is None else cargo.read_grips(grips)
+    decision, record = decide(batch, robots, estimate, params, command, current, measured)
     inputs = MoveInput(
         vehicle=vehicles,
         tally=robots.tally,
@@ -286,8 +287,9 @@ def control_step(
             state.obstacles,
             state.tally.outcome,
             fleet=fleet,
+            grips=state.grips,
         )
-    flown = apply_loads(fleet, world, output.loaded)
+    flown = _mark_leader(spec, apply_loads(fleet, world, output.loaded))
     rock = prepare_rock(spec, world) if rock is None else rock
     batch = SingleWorld(spec=spec, world=flown, t=t, engine=engine, rock=rock)
     override = output.command if command is None else command
@@ -332,6 +334,14 @@ def control_step(
     )
     record |= seen
     return after, build_sample(output.record, record)
+
+
+def _mark_leader(spec: SimSpec, world: FleetWorld) -> FleetWorld:
+    """Return a world whose controllers know which robot leads, where one does."""
+    if spec.leader is None:
+        return world
+    is_leader = jnp.arange(world.variant.shape[0]) == spec.leader
+    return replace(world, control=replace(world.control, is_leader=is_leader))
 
 
 def segment(
