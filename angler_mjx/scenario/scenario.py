@@ -416,7 +416,11 @@ class Scenario(FileModel):
             "goal_tolerance_m": self.goal_tolerance_m,
         }
         if not isinstance(self.task, GoalTask) or self.task.by_end_effector:
-            problem_table["task"] = dump_for_digest(self.task)
+            problem_table["task"] = (
+                self.task.problem_table()
+                if isinstance(self.task, CarryTask)
+                else dump_for_digest(self.task)
+            )
         if self.randomise.changes_vehicles or self.randomise.changes_worlds:
             randomise = dump_for_digest(self.randomise)
             if not self.randomise.uncertainty:  # keeps digests from before it existed

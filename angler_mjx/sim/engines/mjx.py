@@ -309,7 +309,9 @@ def control_step(
         )
         seen = record_obstacles(state.obstacles)
         if spec.cargo is not None and impacts.cargo is not None and grips is not None:
-            finished = cargo.has_arrived(spec.cargo, impacts.cargo) & grips.held
+            grips, finished = cargo.finish_carrying(
+                spec.cargo, grips, impacts.cargo, spec.control_dt_s
+            )
     begin_s = output.last_approach_s
     if policy is None:
         begin_s = last_approaches_s(spec, world, command)

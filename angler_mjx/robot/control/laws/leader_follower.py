@@ -104,18 +104,21 @@ def step(
     """
     if is_leader is None:
         raise ConfigError("stage leader_follower: no robot leads; set controller.leader")
+    grip = require_grip("leader_follower", estimate)
+    # A follower whose grip is open stays where it is.
+    follows = (jnp.sum(jnp.abs(grip.wrench)) > 0.0).astype(estimate.p.dtype)
     excess = find_excess("leader_follower", gains, estimate)
     force = quaternion.rotate(estimate.q, excess[:3])
     up = quaternion.world_up(estimate.q)
     moment = jnp.sum(up * excess[3:])
     limit = model.speed_limit(vehicle)
-    center = require_grip("leader_follower", estimate).center_m
-    height = jnp.sum(up * center) - center[2]
+    height = follows * (jnp.sum(up * grip.center_m) - grip.center_m[2])
     zero = jnp.zeros_like(height)
     level = jnp.stack([zero, zero, gains.level_per_s * height])
     horizontal = jnp.stack([force[0], force[1], zero])
-    leading = model.limit_norm(carry.velocity_mps + (dt / gains.mass_kg) * horizontal, limit)
-    turning = carry.yaw_rate_radps + (dt / gains.inertia_kgm2) * moment
+    leading = follows * carry.velocity_mps + (dt / gains.mass_kg) * horizontal
+    leading = model.limit_norm(leading, limit)
+    turning = follows * carry.yaw_rate_radps + (dt / gains.inertia_kgm2) * moment
     velocity = model.limit_norm(leading + force / gains.damping_ns_per_m + level, limit)
     tilt = model.attitude_error(estimate.q, quaternion.yaw(estimate.q))
     turn = (turning + moment / gains.damping_nms_per_rad) * up

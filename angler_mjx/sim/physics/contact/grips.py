@@ -38,6 +38,8 @@ class Grips:
     wrench: jax.Array
     """[R, 6] wrench of the body on each robot at its centre of mass, N and N m, in F: its mean over
     the last control period, as a force-torque sensor in the wrist gives it; 0 at the start."""
+    at_goal_s: jax.Array
+    """[R] time for which the body has been at its goal."""
 
 
 @jax.tree_util.register_dataclass
@@ -84,6 +86,7 @@ def take_hold(
         position_m=jax.vmap(quaternion.rotate_inverse, (None, 0))(turned, p - at),
         q=jax.vmap(quaternion.multiply, (None, 0))(back, q),
         wrench=jnp.zeros((p.shape[0], 6), p.dtype),
+        at_goal_s=jnp.zeros(p.shape[0], p.dtype),
     )
 
 

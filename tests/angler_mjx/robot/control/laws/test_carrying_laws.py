@@ -142,6 +142,16 @@ def test_a_follower_goes_where_it_is_pulled():
     np.testing.assert_allclose(attitude.apply(nu[:3]), want, rtol=1e-4, atol=1e-6)
 
 
+def test_a_follower_whose_grip_has_opened_stops():
+    gains, attitude = LeaderFollowerGains(**PART), Rotation.from_euler("ZYX", [2.0, -0.1, 0.0])
+    carry = leader_follower.reset(believe(attitude, np.zeros(6)))
+    for _ in range(20):
+        carry, nu = step_follower(gains, carry, pull(attitude, [6.0, -3.0, 5.0], [0.0, 0.0, 2.0]))
+    assert np.linalg.norm(nu[:3]) > 0.05
+    carry, nu = step_follower(gains, carry, believe(attitude, np.zeros(6)))
+    np.testing.assert_allclose(nu, [0, 0, 0, 0, gains.attitude_per_s * 0.1, 0], atol=1e-3)
+
+
 def test_a_follower_is_bounded_and_does_not_wind_up():
     gains, level = LeaderFollowerGains(**PART), Rotation.identity()
     carry = leader_follower.reset(believe(level, np.zeros(6)))
