@@ -27,8 +27,8 @@ from angler_mjx.files import (
 )
 from angler_mjx.planning.planner_choice import LARGE_TEAM
 from angler_mjx.quantities import MAX_COORDINATE_M, SchemaVersion
-from angler_mjx.robot.control.laws.cargo_wrench import CargoWrenchGains
-from angler_mjx.robot.control.stack import StackGains
+from angler_mjx.robot.control.laws.cargo_part import CargoPartGains
+from angler_mjx.robot.control.stack import StackGains, Stages
 from angler_mjx.robot.vehicles import library
 from angler_mjx.robot.vehicles.config import VehicleConfig
 from angler_mjx.robot.vehicles.links import order_joints
@@ -213,6 +213,11 @@ class Scenario(FileModel):
         table_checks.check_links(self.engine, self.fleet)
         self._check_contact()
         table_checks.check_steering(self.controller, self.fleet)
+        table_checks.check_grips(
+            self.controller,
+            sum(entry.count for entry in self.fleet),
+            carries=isinstance(self.task, CarryTask),
+        )
         return self
 
     def _check_contact(self) -> None:
@@ -298,8 +303,8 @@ class Scenario(FileModel):
                 density,
             )
 
-    def _fill_cargo_gains(self, gains: StackGains) -> StackGains:
-        """Return gains in which the stage cargo_wrench knows the part of each robot in its load."""
+    def _fill_cargo_gains(self, controllers: Stages, gains: StackGains) -> StackGains:
+        """Return gains in which stages of carriers know the part of each robot in its load."""
         load = self.cargo_load()
         if load is None or not isinstance(self.task, CarryTask):
             return gains
@@ -313,12 +318,12 @@ class Scenario(FileModel):
             * Water().gravity_mps2,
             **dict(zip(("drag_x_n", "drag_y_n", "drag_z_n"), drag, strict=True)),
         }
-        stated = self.controller.gains.get("cargo_wrench", {})
+        stated = self.controller.gains
         return tuple(
-            replace(numbers, **{key: stated.get(key, value) for key, value in values.items()})
-            if isinstance(numbers, CargoWrenchGains)
+            replace(numbers, **(values | dict(stated.get(stage.name, {}))))
+            if isinstance(numbers, CargoPartGains)
             else numbers
-            for numbers in gains
+            for stage, numbers in zip(controllers, gains, strict=True)
         )
 
     def task_spec(self) -> TaskSpec | None:
@@ -411,7 +416,11 @@ class Scenario(FileModel):
             "goal_tolerance_m": self.goal_tolerance_m,
         }
         if not isinstance(self.task, GoalTask) or self.task.by_end_effector:
-            problem_table["task"] = dump_for_digest(self.task)
+            problem_table["task"] = (
+                self.task.problem_table()
+                if isinstance(self.task, CarryTask)
+                else dump_for_digest(self.task)
+            )
         if self.randomise.changes_vehicles or self.randomise.changes_worlds:
             randomise = dump_for_digest(self.randomise)
             if not self.randomise.uncertainty:  # keeps digests from before it existed
@@ -427,7 +436,7 @@ class Scenario(FileModel):
     def sim_spec(self) -> SimSpec:
         """Return the simulator's settings."""
         controllers, gains = self.controller.stack()
-        gains = self._fill_cargo_gains(gains)
+        gains = self._fill_cargo_gains(controllers, gains)
         water = Water(density_kgpm3=self.water.density_kgpm3)
         grip = self.task.grip if isinstance(self.task, CarryTask) else None
         state_sources = [entry.state_source() for entry in self.fleet for _ in range(entry.count)]
@@ -451,6 +460,7 @@ class Scenario(FileModel):
                 else None
             ),
             cargo=self.cargo_spec(),
+            leader=self.controller.find_leader(),
         )
 
 

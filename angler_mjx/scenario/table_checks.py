@@ -157,6 +157,28 @@ def check_steering(controller: ControllerConfig, fleet: Sequence[FleetEntry]) ->
             )
 
 
+def check_grips(controller: ControllerConfig, robots: int, *, carries: bool) -> None:
+    """Refuse controllers that measure the force of a grip where no robot holds anything.
+
+    Args:
+        controller: of all robots.
+        robots: number of robots of a world.
+        carries: whether they hold a body.
+
+    Raises:
+        ValueError: naming the stage, or a leader that is not there.
+    """
+    measuring = [stage.name for stage in controller.stack()[0] if stage.wants_grip]
+    if measuring and not carries:
+        raise ValueError(
+            f"controller.stages: {measuring[0]!r} takes the measured force of a grip, and no robot "
+            'holds anything; give task.type = "carry", or leave it out'
+        )
+    leader = controller.find_leader()
+    if leader is not None and leader >= robots:
+        raise ValueError(f"controller.leader = {leader}: the fleet has {robots} robots")
+
+
 def takes_poses(controller: ControllerConfig) -> bool:
     """Return whether a stage of the controller takes poses."""
     return any(PoseTarget in stage.takes for stage in controller.stack()[0])

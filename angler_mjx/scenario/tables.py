@@ -124,6 +124,9 @@ class ControllerConfig(FileModel):
     your own."""
     gains: dict[str, dict[str, float]] = Field(default_factory=dict)
     """Gains of each stage, by stage and gain; a law of FILE.py:CLASS has the name CLASS."""
+    leader: int | None = Field(default=None, ge=0, le=4095)
+    """Number of the robot that flies the plan while the others follow, with the stage
+    leader_follower; 0 if left out."""
 
     @property
     def title(self) -> str:
@@ -166,7 +169,17 @@ class ControllerConfig(FileModel):
                 f"stages: the first one, {first.name!r}, takes {stack.describe_inputs(first)}; the "
                 f"planner gives a Trajectory: begin with {' or '.join(names)}"
             )
+        if self.leader is not None and self.find_leader() is None:
+            raise ValueError(
+                f"leader = {self.leader}: no stage is 'leader_follower'; add it below pose, or "
+                "leave leader out"
+            )
         return self
+
+    def find_leader(self) -> int | None:
+        """Return the number of the robot that others follow; None where nobody follows."""
+        follows = any(stage.name == "leader_follower" for stage in self.stack()[0])
+        return (self.leader or 0) if follows else None
 
     def stack(self) -> tuple[stack.Stages, stack.StackGains]:
         """Return the stages and the gains of each.

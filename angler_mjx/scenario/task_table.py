@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.files import FileModel
+from angler_mjx.files import FileModel, JsonTable, dump_for_digest
 from angler_mjx.quantities import MAX_COORDINATE_M
 from angler_mjx.scenario.load_table import LoadConfig
 from angler_mjx.scenario.policy_tables import PolicyConfig
@@ -83,6 +83,10 @@ class CarryTask(FileModel):
     break_force_n: float | None = Field(default=None, gt=0.0, le=1e6)
     """Force of a grip above which it breaks, and the robot's episode ends as `dropped`; it holds
     any force if left out."""
+    hold_s: float = Field(default=0.0, ge=0.0, le=3600.0)
+    """Time without a break for which the body has to be at its goal to have arrived."""
+    release: bool = False
+    """Whether grips open when the body has arrived; it then sinks, rises or rests."""
 
     by_end_effector: ClassVar[bool] = False
     """As of `GoalTask`."""
@@ -96,7 +100,15 @@ class CarryTask(FileModel):
             turn_rad=math.radians(self.turn_deg),
             tolerance_m=self.tolerance_m,
             tolerance_rad=math.radians(self.tolerance_deg),
+            hold_s=self.hold_s,
+            release=self.release,
         )
+
+    def problem_table(self) -> JsonTable:
+        """Return the table for digests, which stay those from before release existed."""
+        table = dump_for_digest(self)
+        added = {"hold_s": self.hold_s, "release": self.release}
+        return {key: value for key, value in table.items() if added.get(key, True)}
 
     @property
     def grip(self) -> GripSpec:

@@ -1,11 +1,13 @@
 """Cargo: a body that the robots of a world hold together and bring to a pose."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
 
 from angler_kernels import quaternion
+from angler_mjx.robot.control.commands import GripReading
+from angler_mjx.sim.physics.contact.grips import Grips
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.obstacles import ObstacleState
 
@@ -24,6 +26,10 @@ class CargoSpec:
     """Distance from the goal below which it has arrived."""
     tolerance_rad: float
     """Angle from the attitude at the goal below which it has arrived."""
+    hold_s: float = 0.0
+    """Time without a break for which it has to be there."""
+    release: bool = False
+    """Whether grips open when it has arrived."""
 
 
 @jax.tree_util.register_dataclass
@@ -51,3 +57,30 @@ def find_error(spec: CargoSpec, environment: Environment, obstacles: ObstacleSta
 def has_arrived(spec: CargoSpec, error: CargoError) -> jax.Array:
     """Return whether the cargo is at its goal, bool as the error."""
     return (error.distance_m < spec.tolerance_m) & (error.angle_rad < spec.tolerance_rad)
+
+
+def finish_carrying(
+    spec: CargoSpec, grips: Grips, error: CargoError, dt: float
+) -> tuple[Grips, jax.Array]:
+    """Return grips after a control step of dt s, and whether robots are finished, bool [R].
+
+    Robots that hold the cargo are finished when it has been at its goal for `CargoSpec.hold_s`;
+    with `CargoSpec.release` their grips open then.
+
+    Args:
+        spec: settings.
+        grips: at the end of the step.
+        error: [R] of the cargo then.
+        dt: control period, s.
+    """
+    at_goal_s = jnp.where(has_arrived(spec, error), grips.at_goal_s + dt, 0.0)
+    # Half a step less, so that rounding of the sum makes no step more.
+    finished = grips.held & (at_goal_s > max(spec.hold_s - 0.5 * dt, 0.0))
+    held = grips.held & ~finished if spec.release else grips.held
+    return replace(grips, held=held, at_goal_s=at_goal_s), finished
+
+
+def read_grips(grips: Grips) -> GripReading:
+    """Return what the robots [R] of one world measure of the body that they hold."""
+    center_m = -jax.vmap(quaternion.rotate_inverse)(grips.q, grips.position_m)
+    return GripReading(wrench=grips.wrench, center_m=center_m)

@@ -28,6 +28,7 @@ from angler_mjx.sim.physics.contact.grips import (
     find_grip_rows,
     let_go,
     measure_forces,
+    measure_wrench,
 )
 from angler_mjx.sim.physics.contact.layout import BodyLayout
 from angler_mjx.sim.physics.contact.mjx_contact import Shapes
@@ -119,9 +120,14 @@ def move_together(
         )
         return vehicles, obstacles, grips, add_impacts(impacts, new)
 
+    if grips is not None:
+        grips = replace(grips, wrench=jnp.zeros_like(grips.wrench))
     none = no_impacts(vehicles.p.shape[0], vehicles.p.dtype, holds=grips is not None)
     moved: Moved = jax.lax.fori_loop(0, steps, step_once, (vehicles, obstacles, grips, none))
-    return moved
+    vehicles, obstacles, grips, impacts = moved
+    if grips is not None:
+        grips = replace(grips, wrench=grips.wrench / steps)
+    return vehicles, obstacles, grips, impacts
 
 
 def step_together(
@@ -133,6 +139,8 @@ def step_together(
     grips: Grips | None = None,
 ) -> Moved:
     """Return robots, obstacles, grips and impacts after one physics step.
+
+    The wrenches of the step are added to those of the grips.
 
     Args:
         moving: the world.
@@ -186,8 +194,14 @@ def step_together(
     after = _settle_robots(moving, vehicles, free, forces)
     moved = _settle_obstacles(moving, obstacles, drifted_nu, nu_dot, drifts, forces, t + moving.dt)
     impacts = _find_impacts(moving.layout, forces)
-    if grips is not None and moving.contact.grip is not None and forces.grip_force_n is not None:
-        pull = measure_forces(moving.contact.grip, grips.held, forces.grip_force_n)
+    force_n, moment_nm = forces.grip_force_n, forces.grip_moment_nm
+    if grips is not None and moving.contact.grip is not None and force_n is not None:
+        pull = measure_forces(moving.contact.grip, grips.held, force_n)
+        if moment_nm is not None:
+            wrench = jnp.concatenate([force_n, moment_nm], axis=1)
+            rotation = bodies.rotation[: moving.layout.robots]
+            now = measure_wrench(grips.held, wrench, rotation)
+            grips = replace(grips, wrench=grips.wrench + now)
         impacts, grips = replace(impacts, grips=pull), let_go(grips, pull, moving.alive)
     return after, moved, grips, impacts
 

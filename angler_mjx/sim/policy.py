@@ -24,6 +24,7 @@ from angler_mjx._moved import renamed_attribute
 from angler_mjx.errors import ConfigError
 from angler_mjx.periods import every_n_steps
 from angler_mjx.robot.control import command_checks, stack
+from angler_mjx.robot.control.commands import GripReading
 from angler_mjx.robot.control.mixed import MixedCommand
 from angler_mjx.robot.control.plans import Plan
 from angler_mjx.robot.control.stack import Command, ControlParams, Stages
@@ -83,6 +84,8 @@ class PolicyInput:
     joint_position: jax.Array | None = None
     """[R, J] positions of the joints of arms, rad or m, as encoders show them; without meaning for
     a robot without an arm. None where no robot has one."""
+    grip: GripReading | None = None
+    """[R] leads; measured by the grips of robots that hold a body, None where none do."""
 
     if not TYPE_CHECKING:  # a checker would take every attribute for one
 

@@ -12,7 +12,7 @@ from jax.typing import DTypeLike
 
 from angler_kernels import quaternion, rigid_body, thruster
 from angler_mjx.robot.control import mixed, stack
-from angler_mjx.robot.control.commands import Estimate, ThrusterPwm
+from angler_mjx.robot.control.commands import Estimate, GripReading, ThrusterPwm
 from angler_mjx.robot.control.mixed import MixedCommand
 from angler_mjx.robot.control.stack import Action, Command, ControlMemory, ControlParams
 from angler_mjx.robot.vehicles import link_motion
@@ -45,6 +45,7 @@ def run_controllers(
     command: Command | MixedCommand,
     flow: jax.Array | None,
     joints: JointMotion | None = None,
+    grip: GripReading | None = None,
 ) -> tuple[ControlMemory, jax.Array, Command]:
     """Run one control step of the controllers of one robot.
 
@@ -56,6 +57,7 @@ def run_controllers(
         command: to the controllers: its path, or what drives it instead.
         flow: [3] water velocity there, in W, if the controllers want to know it.
         joints: [J] motion of the joints.
+        grip: measured by its grip; None where robots hold nothing.
 
     Returns:
         Their new memory, the position [3] that they aim at, and the command of the last stage.
@@ -66,7 +68,7 @@ def run_controllers(
         spec.gains,
         params,
         carry,
-        Estimate(p=state.p, q=state.q, nu=state.nu, flow=flow, joints=joints),
+        Estimate(p=state.p, q=state.q, nu=state.nu, flow=flow, joints=joints, grip=grip),
         command,
         spec.control_dt_s,
         spec.water.density_kgpm3,

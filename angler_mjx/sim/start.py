@@ -117,6 +117,7 @@ def _begin_policy(
         vehicles=state.vehicles,
         obstacles=state.obstacles,
         outcome=state.tally.outcome,
+        grips=state.grips,
     )
     belief = sense_motion(context, state.senses)[1]
     others = None if spec.acoustics is None else channel.init_heard(world.environment.start_m)

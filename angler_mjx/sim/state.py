@@ -103,6 +103,8 @@ class SimSpec:
     """How bodies push each other; None: the first touch ends a robot's episode."""
     cargo: CargoSpec | None = None
     """What the robots of a world carry together, and where to; None for nothing."""
+    leader: int | None = None
+    """Robot that the others follow by the force of their grips; None where none leads."""
 
     @property
     def by_task(self) -> bool:

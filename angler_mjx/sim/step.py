@@ -23,6 +23,7 @@ import jax
 import jax.numpy as jnp
 
 from angler_mjx.robot.control import stack
+from angler_mjx.robot.control.commands import GripReading
 from angler_mjx.robot.control.commands.whole_body import JointTarget
 from angler_mjx.robot.control.mixed import MixedCommand
 from angler_mjx.robot.control.plans import Plan
@@ -67,6 +68,8 @@ class DecideInput:
     """The robots' paths, or what drives them instead."""
     joints: JointMotion | None = None
     """[J] motion of the joints; None where no robot has any."""
+    grip: GripReading | None = None
+    """Measured by the grips; None where robots hold nothing."""
 
 
 @jax.tree_util.register_dataclass
@@ -185,6 +188,7 @@ def decide_commands(batch: BodyBatch, inputs: DecideInput) -> PhaseResult[Decisi
         inputs.command,
         inputs.flow,
         inputs.joints,
+        inputs.grip,
     )
     pwm = stack.require_signals(command)
     thrust, power = batch.map_bodies(robot.thrust_and_power, inputs.params.vehicle, pwm)
@@ -363,8 +367,12 @@ def decide(
     params: ControlParams,
     command: Plan | Command | MixedCommand,
     current: Current,
+    grip: GripReading | None = None,
 ) -> tuple[Decision, Record]:
-    """Return the output of `DECIDE` and its record; arguments as of `move_independently`."""
+    """Return the output of `DECIDE` and its record.
+
+    Arguments as of `move_independently`, and what the grips of the robots measured.
+    """
     return run_phase(
         DECIDE,
         batch,
@@ -375,6 +383,7 @@ def decide(
             params=params,
             command=command,
             joints=robots.vehicle.joints,
+            grip=grip,
         ),
     )
 

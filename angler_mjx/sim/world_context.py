@@ -9,8 +9,10 @@ import jax.numpy as jnp
 from angler_mjx.periods import every_n_steps
 from angler_mjx.robot.control import stack
 from angler_mjx.sim import information, sensing
+from angler_mjx.sim.cargo import read_grips
 from angler_mjx.sim.fleet import Fleet
 from angler_mjx.sim.information import ObstacleInformation, SceneObservation
+from angler_mjx.sim.physics.contact.grips import Grips
 from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.policy import Policy, PolicyInput
 from angler_mjx.sim.record import Belief
@@ -47,6 +49,8 @@ class WorldContext:
     """int32 [R] of the robots so far; None where there is no task."""
     fleet: Fleet | None = None
     """None where robots carry nothing."""
+    grips: Grips | None = None
+    """Now; None where robots hold nothing together."""
     every: int = 1
     """The number is a multiple of it, as far as is known when the program is made."""
 
@@ -88,6 +92,7 @@ class WorldContext:
             routes=self.world.routes,
             goal_index=goals.goal_index,
             joint_position=None if joints is None else joints.position,
+            grip=None if self.grips is None else read_grips(self.grips),
         )
         return self._add_scenery(inputs)
 

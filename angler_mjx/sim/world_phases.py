@@ -17,6 +17,7 @@ from angler_mjx.sim import hearing, sensing
 from angler_mjx.sim import policy as policies
 from angler_mjx.sim.approach import last_approaches_s
 from angler_mjx.sim.fleet import Fleet, apply_loads
+from angler_mjx.sim.physics.contact.grips import Grips
 from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.policy import Policy, PolicyMemory
 from angler_mjx.sim.record import Belief, ProgressRecord, WorldRecord
@@ -275,6 +276,7 @@ def run_world_phases(
     outcome: jax.Array | None = None,
     *,
     fleet: Fleet | None = None,
+    grips: Grips | None = None,
     every: int = 1,
 ) -> tuple[WorldMemory, WorldPhaseOutput]:
     """The phases of one world.
@@ -289,6 +291,7 @@ def run_world_phases(
         obstacles: now, [n] leading, where a policy asks (`observes_obstacles`).
         outcome: int32 [R] of the robots so far, where there is a task.
         fleet: whose robots may carry loads; if left out they do not.
+        grips: of the robots now; None where they hold nothing together.
         every: ``number`` is a multiple of it.
     """
     context = WorldContext(
@@ -300,6 +303,7 @@ def run_world_phases(
         obstacles=obstacles,
         outcome=outcome,
         fleet=fleet,
+        grips=grips,
         every=every,
     )
     talk = None

@@ -67,6 +67,8 @@ class ControlParams:
     """[] speed along a planned path."""
     nominal: VehicleParams | None = None
     """What controllers and planners take the vehicle for; None: for what it is."""
+    is_leader: jax.Array | None = None
+    """bool [] whether it leads the robots that carry a body with it; None where none does."""
 
     @property
     def vehicle_model(self) -> VehicleParams:
@@ -123,6 +125,8 @@ class Stage:
     progress: Callable[..., jax.Array] | None = None
     """(carry, plan) -> time [] s along the plan that the robot has come to; None for stages that
     take no plan."""
+    wants_grip: bool = False
+    """Whether it takes the measured wrench of the robot's grip, and so cannot fly without one."""
     wants_sway: bool = False
     """Whether it cannot fly a vehicle that has no thrust to the side."""
 

@@ -23,12 +23,14 @@ from angler_mjx.robot.control.commands.joint_trajectory import JointTrajectory
 from angler_mjx.robot.control.commands.trajectory import Trajectory
 from angler_mjx.robot.control.commands.whole_body import EndEffectorTarget, WholeBodyCommand
 from angler_mjx.robot.control.laws import (
+    admittance,
     aitsm,
     cargo_wrench,
     computed_torque,
     follow,
     guided,
     ismc,
+    leader_follower,
     link_wrench,
     los,
     pid_pose,
@@ -58,6 +60,7 @@ def _of_law(
     *,
     flow: bool = False,
     realised: bool = False,
+    grip: bool = False,
     sway: bool = False,
     progress: Callable[..., jax.Array] | None = None,
 ) -> Stage:
@@ -97,6 +100,7 @@ def _of_law(
         check=law.check,
         wants_flow=flow,
         wants_realised=realised,
+        wants_grip=grip,
         wants_sway=sway,
         progress=progress,
     )
@@ -178,6 +182,18 @@ def _step_guided(
     return guided.step(gains, links, carry, inputs.estimate, command, inputs.joints, inputs.dt)
 
 
+def _step_leader_follower(
+    gains: leader_follower.LeaderFollowerGains,
+    carry: leader_follower.LeaderFollowerCarry,
+    inputs: StageInput,
+    command: BodyTwist,
+) -> tuple[leader_follower.LeaderFollowerCarry, BodyTwist]:
+    params = inputs.params
+    return leader_follower.step(
+        gains, params.vehicle_model, params.is_leader, carry, inputs.estimate, command, inputs.dt
+    )
+
+
 def _step_link_wrench(
     gains: link_wrench.LinkWrenchGains, carry: tuple[()], inputs: StageInput, command: BodyWrench
 ) -> tuple[tuple[()], BodyWrench]:
@@ -214,6 +230,15 @@ _ALL = (
         check=lambda gains: follow.check(gains, "reference"),
         progress=_plan_clock,
     ),
+    _of_law(
+        "admittance",
+        admittance,
+        admittance.AdmittanceGains,
+        _POSES,
+        PoseTarget,
+        flow=True,
+        grip=True,
+    ),
     _of_law("los", los, los.LosGains, (Trajectory,), BodyTwist, progress=los.progress_s),
     Stage(
         name="pose",
@@ -242,6 +267,17 @@ _ALL = (
         reset=lambda estimate, _: whole_body.reset(estimate),
         gains=whole_body.WholeBodyGains,
         check=whole_body.check,
+    ),
+    Stage(
+        name="leader_follower",
+        takes=(BodyTwist,),
+        gives=BodyTwist,
+        step=_step_leader_follower,
+        reset=lambda estimate, _: leader_follower.reset(estimate),
+        gains=leader_follower.LeaderFollowerGains,
+        check=leader_follower.check,
+        wants_flow=True,
+        wants_grip=True,
     ),
     _of_law("velocity", velocity, velocity.VelocityGains, (BodyTwist,), BodyWrench),
     _of_law(
@@ -354,6 +390,7 @@ def _user_stage(law_class: type) -> Stage:
         check=getattr(law, "check", None),
         wants_flow=getattr(law, "wants_flow", False),
         wants_realised=getattr(law, "wants_realised", False),
+        wants_grip=getattr(law, "wants_grip", False),
         wants_sway=getattr(law, "wants_sway", False),
         progress=getattr(law, "progress", None),
     )

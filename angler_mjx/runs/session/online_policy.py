@@ -34,6 +34,7 @@ from angler_mjx.runs.simulator.world_preparation import problem_settings
 from angler_mjx.sim import policy as policies
 from angler_mjx.sim.information import Information
 from angler_mjx.sim.information import SceneObservation as Seen
+from angler_mjx.sim.physics.contact.grips import Grips
 from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.policy import Policy, PolicyInput, PolicyMemory
 from angler_mjx.sim.record import Belief
@@ -42,7 +43,7 @@ from angler_mjx.sim.world_context import WorldContext
 from angler_mjx.world.acoustics.config import refuse_acoustics
 from angler_mjx.world.obstacles import ObstacleState
 
-type _Scene = tuple[FleetWorld, VehicleState, ObstacleState]
+type _Scene = tuple[FleetWorld, VehicleState, ObstacleState, Grips | None]
 
 PATHS = (Trajectory, JointTrajectory)
 """Types of commands that sessions follow as a plan, given once."""
@@ -99,6 +100,7 @@ class OnlineFlyer:
             world: FleetWorld,
             vehicles: VehicleState,
             obstacles: ObstacleState,
+            grips: Grips | None,
             belief: Belief,
             number: jax.Array,
         ) -> PolicyInput:
@@ -109,12 +111,13 @@ class OnlineFlyer:
                 number=number,
                 vehicles=vehicles,
                 obstacles=obstacles,
+                grips=grips,
             )
             return context.build_policy_input(belief)
 
         def begin_memory(scene: _Scene, belief: Belief, number: jax.Array) -> PolicyMemory:
-            world, vehicles, obstacles = _single_world(scene)
-            inputs = build_inputs(world, vehicles, obstacles, belief, number)
+            world, vehicles, obstacles, grips = _single_world(scene)
+            inputs = build_inputs(world, vehicles, obstacles, grips, belief, number)
             memory: PolicyMemory = policies.begin_policy(
                 active_policy, stages, world.policy_key, inputs
             )
@@ -123,8 +126,8 @@ class OnlineFlyer:
         def act(
             memory: PolicyMemory, scene: _Scene, belief: Belief, number: jax.Array
         ) -> tuple[PolicyMemory, Command | MixedCommand]:
-            world, vehicles, obstacles = _single_world(scene)
-            inputs = partial(build_inputs, world, vehicles, obstacles, belief, number)
+            world, vehicles, obstacles, grips = _single_world(scene)
+            inputs = partial(build_inputs, world, vehicles, obstacles, grips, belief, number)
             return policies.step(active_policy, world.policy_key, memory, inputs, number)
 
         self._act: Callable[
@@ -213,7 +216,8 @@ class OnlineFlyer:
 
     def _scene(self, observation: Observation) -> tuple[_Scene, Belief, jax.Array]:
         internals = self._session.inside()
-        scene = (internals.worlds, internals.state.vehicles, internals.state.obstacles)
+        state = internals.state
+        scene = (internals.worlds, state.vehicles, state.obstacles, state.grips)
         number = np.int32(round(observation.time_s / self._session.dt_s))
         return scene, _build_belief(observation.estimate), as_leaf(number)
 

@@ -197,7 +197,8 @@ def move_in_contact(
     spec, vehicles = batch.spec, robots.vehicle
     if spec.contact is None or batch.engine is None or batch.rock is None:
         raise RuntimeError("the simulation has no contact")
-    decision, record = decide(batch, robots, estimate, params, command, current)
+    measured = None if grips is None else cargo.read_grips(grips)
+    decision, record = decide(batch, robots, estimate, params, command, current, measured)
     inputs = MoveInput(
         vehicle=vehicles,
         tally=robots.tally,
@@ -236,17 +237,18 @@ def move_in_contact(
 
 def measure_cargo(
     batch: SingleWorld, obstacles: ObstacleState, grips: Grips | None, impacts: Impacts
-) -> tuple[Impacts, jax.Array | None]:
-    """Return impacts with the error of the cargo, and which robots have brought it, bool [R].
+) -> tuple[Impacts, Grips | None, jax.Array | None]:
+    """Return impacts with the cargo's error, grips, and which robots have brought it, bool [R].
 
-    Where robots carry nothing: the impacts as they are, and None.
+    Where robots carry nothing: impacts and grips as they are, and None.
     """
     spec = batch.spec.cargo
     if spec is None or grips is None:
-        return impacts, None
-    error = cargo.find_error(spec, batch.world.environment, obstacles)
-    of_robots = jax.tree.map(lambda x: jnp.broadcast_to(x, grips.held.shape), error)
-    return replace(impacts, cargo=of_robots), cargo.has_arrived(spec, of_robots) & grips.held
+        return impacts, grips, None
+    error, robots = cargo.find_error(spec, batch.world.environment, obstacles), grips.held.shape
+    of_robots = jax.tree.map(lambda x: jnp.broadcast_to(x, robots), error)
+    grips, finished = cargo.finish_carrying(spec, grips, of_robots, batch.spec.control_dt_s)
+    return replace(impacts, cargo=of_robots), grips, finished
 
 
 def prepare_rock(spec: SimSpec, world: World) -> Rock | None:
@@ -297,8 +299,9 @@ def control_step(
             state.obstacles,
             state.tally.outcome,
             fleet=fleet,
+            grips=state.grips,
         )
-    flown = apply_loads(fleet, world, output.loaded)
+    flown = mark_leader(spec, apply_loads(fleet, world, output.loaded))
     rock = prepare_rock(spec, world) if rock is None else rock
     batch = SingleWorld(spec=spec, world=flown, t=t, engine=engine, rock=rock)
     override = output.command if command is None else command
@@ -317,7 +320,7 @@ def control_step(
             batch, robots, state.obstacles, *driven, grips
         )
         seen = record_obstacles(state.obstacles)
-        impacts, brought = measure_cargo(batch, obstacles, grips, impacts)
+        impacts, grips, brought = measure_cargo(batch, obstacles, grips, impacts)
         finished = output.finished if brought is None else brought
     begin_s = output.last_approach_s
     if policy is None:
@@ -343,6 +346,14 @@ def control_step(
     )
     record |= seen
     return after, build_sample(output.record, record)
+
+
+def mark_leader(spec: SimSpec, world: FleetWorld) -> FleetWorld:
+    """Return a world whose controllers know which robot leads, where one does."""
+    if spec.leader is None:
+        return world
+    is_leader = jnp.arange(world.variant.shape[0]) == spec.leader
+    return replace(world, control=replace(world.control, is_leader=is_leader))
 
 
 def segment(

@@ -15,6 +15,7 @@ from angler_mjx.sim.contact_motion import MovingWorld, find_layout, step_togethe
 from angler_mjx.sim.impacts import add_impacts, no_impacts
 from angler_mjx.sim.physics.closed_form import ClosedForm
 from angler_mjx.sim.physics.contact.candidates import Rock
+from angler_mjx.sim.physics.contact.grips import Grips
 from angler_mjx.sim.physics.contact.resolve import ContactSpec
 from angler_mjx.sim.physics.step import Water
 from angler_mjx.sim.state import FleetWorld, WorldState
@@ -87,14 +88,16 @@ def compile_contact_motion(
             rock=rock,
             alive=robot.is_moving(outcome),
         )
+        taken = (number % steps_per_period).astype(state_rows.dtype)  # in this period
         moved, obstacles, grips, impacts = step_together(
             moving,
             before,
             bodies.obstacles,
             number.astype(state_rows.dtype) * dt_s,
             find_joint_reference(inputs, targets, begin, dt_s),
-            bodies.grips,
+            _scale_wrench(bodies.grips, taken),
         )
+        grips = _scale_wrench(grips, 1.0 / (taken + 1.0))
         after, broken = jax.vmap(robot.hold_if_ended)(outcome, before, moved)
         packed = jax.vmap(pack_row, (0, 0, 0, 0, None))(
             before, after, state_rows[:, DIVERGED_COLUMN], broken, dt_s
@@ -121,6 +124,11 @@ def select_contact_constants(world: FleetWorld) -> tuple[VehicleParams, Environm
     """Return what the steps of bodies that touch need; [1] leads."""
     environment = world.environment
     return world.control.vehicle, environment, jax.vmap(Rock.of)(environment.grid)
+
+
+def _scale_wrench(grips: Grips | None, factor: jax.Array) -> Grips | None:
+    """Return grips with this multiple of their wrench: a mean from a sum, or a sum from a mean."""
+    return None if grips is None else replace(grips, wrench=factor * grips.wrench)
 
 
 def _flown_world(worlds: FleetWorld, params: VehicleParams, environment: Environment) -> FleetWorld:

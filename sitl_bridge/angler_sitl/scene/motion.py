@@ -14,7 +14,7 @@ the autopilot receives.
 import itertools
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import jax
@@ -118,6 +118,14 @@ class SceneMotion:
         if self.bodies is None:
             return np.zeros(0, jnp.result_type(float))
         return np.asarray(arrays[1]).astype(jnp.result_type(float))
+
+    def replace_grips(self, arrays: MotionArrays, grips: Grips | None) -> MotionArrays:
+        """Return what moves with other grips, [1] leading; as it is where robots hold nothing."""
+        if self.bodies is None or grips is None:
+            return arrays
+        one: ContactBodies = unflatten_tree(self.bodies, np.asarray(arrays[1]))
+        bodies = jax.tree.map(lambda leaf: np.asarray(leaf)[None], replace(one, grips=None))
+        return arrays[0], put_on_device(flatten_tree(replace(bodies, grips=grips)))
 
     def unpack_bodies(self, flat: jax.Array) -> "ContactBodies | None":
         """Return the bodies of one world from their traced flat form."""
@@ -379,7 +387,7 @@ def flatten_tree(tree: object) -> NDArray[np.float64]:
     return np.concatenate(leaves)
 
 
-def unflatten_tree[T](like: T, flat: jax.Array) -> T:
+def unflatten_tree[T](like: T, flat: jax.Array | np.ndarray) -> T:
     """Invert `flatten_tree`, without the leading axis."""
     leaves, tree = jax.tree.flatten(like)
     out, offset = [], 0

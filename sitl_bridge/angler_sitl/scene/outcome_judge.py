@@ -179,8 +179,7 @@ def judge_outcomes(
         obstacles, record = run_phase(OBSTACLES, batch, state.obstacles)
     else:
         obstacles, record = bodies.obstacles, record_obstacles(state.obstacles)
-        grips = bodies.grips
-        impacts, finished = measure_cargo(batch, obstacles, grips, bodies.impacts)
+        impacts, grips, finished = measure_cargo(batch, obstacles, bodies.grips, bodies.impacts)
     judgement = judge_world(
         batch, moved, obstacles, finished=finished, approach=approaching, impacts=impacts
     )

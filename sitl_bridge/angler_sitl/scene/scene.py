@@ -215,6 +215,7 @@ class AutopilotScene:
         )
         self.record = self._judge.record.unpack(tuple(map(np.asarray, record)))
         self.state = self._judge.from_arrays(self.judged)
+        self._moving = self._motion.replace_grips(self._moving, self.state.grips)
         self._inputs[:, motion.OUTCOME_COLUMN] = self.state.tally.outcome[0]
 
     def _compile_motion(self) -> motion.SceneMotion:

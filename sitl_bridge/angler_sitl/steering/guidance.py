@@ -14,6 +14,9 @@ from angler_mjx.robot.control.mixed import MixedCommand
 from angler_mjx.robot.control.stack import Command, ControlMemory
 from angler_mjx.robot.vehicles.link_motion import JointMotion
 from angler_mjx.sim import robot
+from angler_mjx.sim.cargo import read_grips
+from angler_mjx.sim.engines.mjx import mark_leader
+from angler_mjx.sim.physics.contact.grips import Grips
 from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.record import Belief
 from angler_mjx.sim.state import FleetWorld, SimSpec, WorldState
@@ -68,7 +71,7 @@ class Guidance:
 
         Args:
             worlds: [1] leads.
-            state: the truth, for the current and the joints, which measure themselves.
+            state: the truth, for the current, and for joints and grips, which measure themselves.
             memory: of the stacks.
             estimate: estimates of the robots' motion, [1, R] leading.
             command: commands of the robots.
@@ -83,6 +86,7 @@ class Guidance:
             memory,
             estimate,
             state.vehicles.joints,
+            state.grips,
             command,
         )
         return decision
@@ -106,6 +110,7 @@ def _run_controllers(
     memory: ControlMemory,
     estimate: Belief,
     joints: JointMotion | None,
+    grips: Grips | None,
     command: MixedCommand,
 ) -> GuidanceDecision:
     def decide_world(
@@ -115,17 +120,19 @@ def _run_controllers(
         memory: ControlMemory,
         estimate: Belief,
         joints: JointMotion | None,
+        grips: Grips | None,
         command: MixedCommand,
     ) -> GuidanceDecision:
         t = step.astype(p.dtype) * spec.control_dt_s
         flow = jax.vmap(currents.velocity, (None, 0, None))(world.environment.current, p, t)
         after, target, output = jax.vmap(partial(robot.run_controllers, spec))(
-            world.control,
+            mark_leader(spec, world).control,
             memory,
             estimate,
             command,
             estimate.flow if stack.wants_flow(spec.stages) else None,
             joints,
+            None if grips is None else read_grips(grips),
         )
         begin_s = jax.vmap(partial(mixed.last_approach_s, tolerance_m=spec.goal_tolerance_m))(
             command, world.environment.goal_m
@@ -139,7 +146,7 @@ def _run_controllers(
         )
 
     decision: GuidanceDecision = jax.vmap(decide_world)(
-        worlds, p, step, memory, estimate, joints, command
+        worlds, p, step, memory, estimate, joints, grips, command
     )
     return decision
 

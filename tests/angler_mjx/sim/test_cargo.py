@@ -1,8 +1,10 @@
 """Robots that carry a pipe: whole flights, the grasp along plans, shares, and what is refused."""
 
 import copy
+from dataclasses import replace
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -11,6 +13,8 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.robot.control import plans
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import Scenario
+from angler_mjx.sim.cargo import CargoError, finish_carrying
+from angler_mjx.sim.physics.contact.grips import GripSpec, take_hold
 from angler_mjx.sim.state import Outcome
 
 G, WATER = 9.80665, 1000.0
@@ -86,6 +90,8 @@ class Flight:
             x[running] for x in (whole.p, whole.q, whole.obstacle_p[:, 0], whole.obstacle_q[:, 0])
         )
         self.after_p = whole.obstacle_p[~running, 0]
+        self.robots_after_p = whole.p[~running]
+        self.floor_z_m = float(np.asarray(self.world.environment.floor_z_m).ravel()[0])
         self.tally = jax.tree.map(lambda x: np.asarray(x)[0], state.tally)
         self.grips = jax.tree.map(lambda x: np.asarray(x)[0], state.grips)
 
@@ -134,6 +140,66 @@ def test_a_weak_grip_breaks_and_the_pipe_sinks():
     speed = np.sqrt((MASS - WATER * VOLUME) * G / drag)
     sunk = -np.diff(flight.after_p[-10:, 2]) / 0.2
     assert np.all((0.8 * speed < sunk) & (sunk < 1.05 * speed))
+
+
+@pytest.fixture(scope="module")
+def released():
+    return Flight(edit(release=True, hold_s=1.5))
+
+
+def test_a_released_pipe_sinks_at_its_terminal_speed_and_rests_on_the_floor(flight, released):
+    """Weight in water against the drag of a cylinder and its caps, broadside."""
+    assert released.tally.outcome.tolist() == [Outcome.REACHED] * 2
+    assert not released.grips.held.any()
+    assert flight.grips.held.all()
+    area = 1.17 * 2.0 * RADIUS * LENGTH + 0.47 * np.pi * RADIUS**2
+    speed = np.sqrt((MASS - WATER * VOLUME) * G / (0.5 * WATER * area))
+    height = released.after_p[:, 2] - released.floor_z_m
+    sinking = (height[1:] > 0.5) & (released.after_p[1:, 2] < GOAL[2] - 1.5)
+    assert np.sum(sinking) > 10
+    np.testing.assert_allclose(-np.diff(released.after_p[:, 2])[sinking] / 0.2, speed, rtol=0.03)
+    np.testing.assert_allclose(height[-10:], RADIUS, atol=2e-3)
+
+
+def test_robots_that_have_released_their_cargo_stay_where_they_are(released):
+    at_goal = released.world.environment.goal_m[0]
+    assert np.linalg.norm(released.robots_after_p - at_goal, axis=2).max() < 0.3
+    assert np.linalg.norm(released.robots_after_p[-25:] - at_goal, axis=2).max() < 0.05
+
+
+def test_a_cargo_that_has_to_stay_at_its_goal_arrives_so_much_later(flight, released):
+    later_s = released.tally.end_time_s - flight.tally.end_time_s
+    np.testing.assert_allclose(later_s, 1.45, atol=1e-4)  # the first step there counts
+
+
+def test_time_at_the_goal_counts_without_a_break():
+    spec = Scenario.model_validate(edit(hold_s=0.2, release=True)).cargo_spec()
+    grips = take_hold(
+        GripSpec(body=0), *(jnp.zeros((n, m)) for n, m in [(2, 3), (2, 4), (1, 3), (1, 4)])
+    )
+    grips = replace(grips, held=jnp.array([True, False]))
+    done = []
+    for distance_m in [0.09, 0.09, 0.09, 0.11, 0.09, 0.09, 0.09, 0.09, 0.09]:
+        error = CargoError(distance_m=jnp.full(2, distance_m), angle_rad=jnp.zeros(2))
+        before = grips
+        grips, finished = finish_carrying(spec, grips, error, 0.05)
+        done.append(finished.tolist())
+        assert grips.held.tolist() == (before.held & ~finished).tolist()
+    assert done == [[False, False]] * 7 + [[True, False]] + [[False, False]]
+    grips = replace(grips, held=jnp.array([True, True]))
+    kept, finished = finish_carrying(replace(spec, release=False), grips, error, 0.05)
+    assert finished.tolist() == kept.held.tolist() == [True, True]
+
+
+def test_digests_of_files_without_release_stay():
+    plain = Scenario.model_validate(TABLE)
+    assert not {"hold_s", "release"} & plain.task.problem_table().keys()
+    assert Scenario.model_validate(edit(release=False, hold_s=0.0)).digest() == plain.digest()
+    others = {
+        Scenario.model_validate(edit(**keys)).digest()
+        for keys in [{"release": True}, {"hold_s": 1.0}]
+    }
+    assert len(others | {plain.digest()}) == 3
 
 
 def plan(table):

@@ -119,6 +119,9 @@ def test_a_pipe_and_its_carriers_move_as_in_the_simulator(afloat):
     ours, theirs = fly_both(afloat, signals(60, 2))
     assert_moved_alike(ours, theirs)
     assert np.array_equal(ours.grips.held, theirs.grips.held)
+    # What wrists measure, the mean of a period: some 10 N and 1 N m.
+    np.testing.assert_allclose(ours.grips.wrench, theirs.grips.wrench, atol=0.05)
+    assert np.abs(np.asarray(ours.grips.wrench)).max() > 3.0
     for name in ("distance_m", "angle_rad"):
         np.testing.assert_allclose(
             getattr(ours.tally.cargo_error, name),
@@ -190,6 +193,18 @@ def test_a_grip_that_breaks_ends_the_episode_as_in_the_simulator():
     assert Outcome.DROPPED in np.asarray(ours.tally.outcome)
     assert np.array_equal(ours.grips.held, theirs.grips.held)
     assert not np.all(ours.grips.held)
+
+
+def test_a_pipe_is_released_at_its_goal_as_in_the_simulator():
+    scene = build(CARRIED, to_m=[-0.98, -1.0, -6.0], turn_deg=0.0, hold_s=0.5, release=True)
+    scene.moored = False
+    ours, theirs = fly_both(scene, np.full((60, 2, 16), 1500, np.int32))
+    assert not np.any(ours.grips.held)
+    assert np.array_equal(ours.grips.held, theirs.grips.held)
+    assert np.all(np.asarray(ours.tally.outcome) == Outcome.REACHED)
+    np.testing.assert_allclose(ours.tally.end_time_s, theirs.tally.end_time_s, atol=1e-4)
+    np.testing.assert_allclose(ours.obstacles.p, theirs.obstacles.p, atol=2e-3)
+    assert float(ours.obstacles.p[0, 0, 2]) < -6.5  # it sank
 
 
 def test_a_robot_pushes_a_box_as_in_the_simulator():

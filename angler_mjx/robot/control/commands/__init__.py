@@ -10,6 +10,18 @@ from angler_mjx.robot.vehicles.link_motion import JointMotion
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
+class GripReading:
+    """What a robot measures of the body that it holds."""
+
+    wrench: jax.Array
+    """[6] of the body on the robot at its centre of mass, N and N m, in F: what a force-torque
+    sensor measures, as mean of the control period before. 0 at the start and without a hold."""
+    center_m: jax.Array
+    """[3] centre of the body from the robot's centre of mass, m, in F, which the grip keeps."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
 class Estimate:
     """Where a robot believes it is and how it moves."""
 
@@ -23,6 +35,8 @@ class Estimate:
     """[3] velocity of the water there, m/s, in W; None where nobody asked for it."""
     joints: JointMotion | None = None
     """[J] motion of the joints, which their encoders measure; None of a vehicle without joints."""
+    grip: GripReading | None = None
+    """Measured by the robot's grip; None where robots hold nothing."""
 
 
 @jax.tree_util.register_dataclass

@@ -10,27 +10,17 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from angler_kernels import quaternion
 from angler_mjx.robot.control.commands import BodyWrench, Estimate
+from angler_mjx.robot.control.laws import cargo_part
+from angler_mjx.robot.control.laws.cargo_part import CargoPartGains
 from angler_mjx.robot.control.laws.checks import check_gains
 from angler_mjx.robot.vehicles.params import VehicleParams
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class CargoWrenchGains:
+class CargoWrenchGains(CargoPartGains):
     """The robot's part of the load; that of the task carry where the file gives none."""
-
-    depth_m: float = 0.0
-    """How far below the centre of mass the load is held."""
-    weight_n: float = 0.0
-    """Weight of the part in water; a load that rises has none."""
-    drag_x_n: float = 0.0
-    """Drag at 1 m/s in surge, quadratic."""
-    drag_y_n: float = 0.0
-    """The same in sway."""
-    drag_z_n: float = 0.0
-    """The same in heave."""
 
 
 def check(gains: CargoWrenchGains) -> None:
@@ -75,16 +65,5 @@ def step(
         flow: [3] velocity of the water, m/s, in W; None for still water.
     """
     del vehicle, dt, density, gravity
-    nu, q = estimate.nu, estimate.q
-    lever = jnp.zeros_like(nu[:3]).at[2].set(-gains.depth_m)
-    through = nu[:3] + jnp.cross(nu[3:], lever)
-    if flow is not None:
-        through = through - quaternion.rotate_inverse(q, flow)
-    drag = jnp.stack([jnp.asarray(x, nu.dtype) for x in _drag_n(gains)])
-    force = -gains.weight_n * quaternion.world_up(q) - drag * jnp.abs(through) * through
-    moment = jnp.cross(lever, force)
+    moment = cargo_part.find_wrench(gains, estimate, flow)[3:]
     return carry, BodyWrench(tau=command.tau - jnp.concatenate([jnp.zeros_like(moment), moment]))
-
-
-def _drag_n(gains: CargoWrenchGains) -> tuple[float, float, float]:
-    return gains.drag_x_n, gains.drag_y_n, gains.drag_z_n

@@ -168,7 +168,7 @@ class KernelGroup(KernelProgram):
             return command
         return plans.check_plan(self.spec.stages, self._constants.path)
 
-    joints = reaching = impacts = None
+    joints = grip = reaching = impacts = None
     """See `step.DecideInput`, `step.MoveInput`, `step.JudgeInput`: kernels fly rigid vehicles."""
 
     @property

@@ -35,6 +35,11 @@ class Grips:
     """[R, 3] centre of mass of each robot, m, in the frame of the body."""
     q: jax.Array
     """[R, 4] attitude of each robot in that frame."""
+    wrench: jax.Array
+    """[R, 6] wrench of the body on each robot at its centre of mass, N and N m, in F: its mean over
+    the last control period, as a force-torque sensor in the wrist gives it; 0 at the start."""
+    at_goal_s: jax.Array
+    """[R] time for which the body has been at its goal."""
 
 
 @jax.tree_util.register_dataclass
@@ -80,6 +85,8 @@ def take_hold(
         held=jnp.ones(p.shape[0], bool),
         position_m=jax.vmap(quaternion.rotate_inverse, (None, 0))(turned, p - at),
         q=jax.vmap(quaternion.multiply, (None, 0))(back, q),
+        wrench=jnp.zeros((p.shape[0], 6), p.dtype),
+        at_goal_s=jnp.zeros(p.shape[0], p.dtype),
     )
 
 
@@ -150,6 +157,19 @@ def measure_forces(spec: GripSpec, held: jax.Array, force_n: jax.Array) -> GripF
         internal_n=jnp.sqrt(jnp.sum(internal * internal, axis=1)),
         broke=held & (norm_n > limit),
     )
+
+
+def measure_wrench(held: jax.Array, wrench: jax.Array, rotation: jax.Array) -> jax.Array:
+    """Return the wrenches [R, 6] of the body on the robots in a step, N and N m, in F.
+
+    Args:
+        held: bool [R].
+        wrench: [R, 6] of the grips on the body at the robots' centres of mass, in W.
+        rotation: [R, 3, 3] attitudes of the robots, to W.
+    """
+    on_robot = -jnp.reshape(wrench, (-1, 2, 3))
+    in_body = jnp.sum(rotation[:, None] * on_robot[..., None], axis=2)
+    return jnp.where(held[:, None], jnp.reshape(in_body, (-1, 6)), 0.0)
 
 
 def let_go(grips: Grips, forces: GripForces, alive: jax.Array) -> Grips:

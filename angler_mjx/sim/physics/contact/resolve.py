@@ -106,6 +106,8 @@ class ContactForces:
     """bool [B] whether contact or a grip changed the motion of the body."""
     grip_force_n: jax.Array | None = None
     """[R, 3] force of each robot's grip on the body, in W; None where robots hold nothing."""
+    grip_moment_nm: jax.Array | None = None
+    """[R, 3] its moment on the body about the robot's centre of mass, in W; None likewise."""
 
 
 def resolve_contact(
@@ -177,9 +179,10 @@ def resolve_contact(
     hit = jnp.any(J != 0.0, axis=1) & (normal > 0.0)[:, None]  # [k, n]
     bodies_of = np.repeat(np.arange(layout.bodies), _dofs(layout))
     touched = jnp.zeros(layout.bodies, bool).at[bodies_of].max(jnp.any(hit, axis=0))
-    pull = None
+    pull = moment = None
     if grips is not None and spec.grip is not None:
-        pull = jnp.reshape(force[:equalities], (layout.robots, 6))[:, :3]
+        wrench = jnp.reshape(force[:equalities], (layout.robots, 6))
+        pull, moment = wrench[:, :3], wrench[:, 3:]
         touched = touched.at[: layout.robots].max(grips.held)
         touched = touched.at[layout.robots + spec.grip.body].max(jnp.any(grips.held))
     closing = -relative[:, 0]
@@ -191,6 +194,7 @@ def resolve_contact(
         impact_energy_j=0.5 * mass * jnp.square(jnp.maximum(closing, 0.0)),
         touched=touched,
         grip_force_n=pull,
+        grip_moment_nm=moment,
     )
 
 
