@@ -151,7 +151,9 @@ def test_a_released_pipe_sinks_at_its_terminal_speed_and_rests_on_the_floor(flig
     """Weight in water against the drag of a cylinder and its caps, broadside."""
     assert released.tally.outcome.tolist() == [Outcome.REACHED] * 2
     assert not released.grips.held.any()
+    np.testing.assert_array_equal(released.grips.wrench, 0.0)
     assert flight.grips.held.all()
+    assert np.all(flight.grips.wrench[:, 2] < -5.0)
     area = 1.17 * 2.0 * RADIUS * LENGTH + 0.47 * np.pi * RADIUS**2
     speed = np.sqrt((MASS - WATER * VOLUME) * G / (0.5 * WATER * area))
     height = released.after_p[:, 2] - released.floor_z_m
