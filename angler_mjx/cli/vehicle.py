@@ -100,7 +100,7 @@ def import_vehicle(
     packages: tuple[Path, ...] = (),
     xacro_args: tuple[str, ...] = (),
 ) -> None:
-    """Import a vehicle from URDF or xacro, and list what was dropped, assumed or converted.
+    """Import a vehicle from URDF, xacro or SDF, and list what was dropped, assumed or converted.
 
     Args:
         file: File of the vehicle.

@@ -6,13 +6,13 @@ from pathlib import Path
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import parse_model
-from angler_mjx.robot.importing import urdf, xacro
+from angler_mjx.robot.importing import sdf, urdf, xacro
 from angler_mjx.robot.importing.build_vehicle import Trim, build_vehicle
 from angler_mjx.robot.importing.foreign_vehicle import ForeignVehicle
 from angler_mjx.robot.importing.notes import Note, Notes
 from angler_mjx.robot.importing.packages import Packages, open_packages
 from angler_mjx.robot.importing.toml_text import format_tables
-from angler_mjx.robot.importing.xml_tree import Element, note_unread, read_xml
+from angler_mjx.robot.importing.xml_tree import note_unread, read_xml
 from angler_mjx.robot.vehicles.config import VehicleConfig
 from angler_mjx.robot.vehicles.library import load_thruster
 
@@ -37,7 +37,7 @@ def import_vehicle(
     packages: Sequence[Path] = (),
     arguments: Mapping[str, str] | None = None,
 ) -> ImportedVehicle:
-    """Import a vehicle from URDF or xacro.
+    """Import a vehicle from URDF, xacro or SDF.
 
     Args:
         path: file of the vehicle.
@@ -79,17 +79,15 @@ def _read(
     root.is_read = True
     if root.tag == "robot":
         vehicle = urdf.read_urdf(root, packages, notes)
+    elif root.tag == "sdf":
+        vehicle = sdf.read_sdf(root, packages, notes)
     else:
         raise ConfigError(
             f"{path}:{root.location.line}: <{root.tag}> is the root; a vehicle is described by "
-            "<robot> (URDF, xacro)"
+            "<robot> (URDF, xacro) or <sdf>"
         )
-    _note_rest(root, notes)
-    return vehicle
-
-
-def _note_rest(root: Element, notes: Notes) -> None:
     note_unread(root, notes)
+    return vehicle
 
 
 def _one_line(text: str) -> str:

@@ -438,7 +438,15 @@ def _add_thruster(mount: ThrusterMount, vehicle: ForeignVehicle, notes: Notes) -
 
 def _add_hydrodynamics(water: Hydrodynamics, vehicle: ForeignVehicle, notes: Notes) -> None:
     for other in vehicle.hydrodynamics:
-        if other.body == water.body:
+        if other.body == water.body and other.linear is other.quadratic is None:
+            # <fluid_added_mass>: the plugin has the damping.
+            if water.added_mass is not None and np.any(water.added_mass):
+                water.element.fail(
+                    f"states added mass of {format_value(water.body)}, and so does "
+                    f"{other.element.location}; remove one of them"
+                )
+            water.added_mass = None
+        elif other.body == water.body:
             pairs = (
                 (getattr(other, key), getattr(water, key))
                 for key in ("added_mass", "linear", "quadratic")
