@@ -99,6 +99,7 @@ def import_vehicle(
     out: Path | None = None,
     packages: tuple[Path, ...] = (),
     xacro_args: tuple[str, ...] = (),
+    yaml: tuple[Path, ...] = (),
 ) -> None:
     """Import a vehicle from URDF, xacro or SDF, and list what was dropped, assumed or converted.
 
@@ -109,6 +110,7 @@ def import_vehicle(
         out: Vehicle file to write; must not exist. NAME.toml here if left out.
         packages: Folders in which packages that the file names are looked for.
         xacro_args: Arguments of a xacro file, as NAME:=VALUE.
+        yaml: Files of UUV Simulator's thruster manager, compared with the thrusters.
     """
     from angler_mjx.errors import ConfigError, format_value
     from angler_mjx.robot.importing.import_vehicle import import_vehicle
@@ -134,6 +136,7 @@ def import_vehicle(
         density=density,
         packages=packages,
         arguments=arguments,
+        yaml=yaml,
     )
     target = Path(f"{result.name}.toml") if out is None else out
     _write_new(target, result.text)

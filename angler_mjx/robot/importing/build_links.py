@@ -33,6 +33,8 @@ _STIFFNESS, _DAMPING = {"revolute": 4.5, "prismatic": 2000.0}, {"revolute": 0.25
 """Stiffness of a servo over its effort, and damping over its stiffness: as those of the shipped
 arm."""
 _SPEED, _EFFORT = 0.5, 10.0
+MAX_EFFORT = 1e4
+"""Max effort of a joint, N m or N; files write 1e6 for none."""
 _GRIPPER = re.compile(r"grip|finger|jaw|claw", re.I)
 
 
@@ -187,6 +189,13 @@ def _build_joint(joint: JointLink, notes: Notes) -> dict[str, Any]:
         notes.add("assumed", f"speed of joints that state none: {_SPEED:g} rad/s or m/s", location)
     if effort <= 0:
         notes.add("assumed", f"effort of joints that state none: {_EFFORT:g} N m or N", location)
+    if effort > MAX_EFFORT:
+        notes.add(
+            "converted",
+            f"effort {effort:g} of joint {joint.name}: {MAX_EFFORT:g}, the most that is taken over",
+            location,
+        )
+        effort = MAX_EFFORT
     speed, effort = (speed if speed > 0 else _SPEED), (effort if effort > 0 else _EFFORT)
     stiffness = _STIFFNESS[joint.kind] * effort
     notes.add(

@@ -12,6 +12,7 @@ from angler_mjx.robot.importing.foreign_vehicle import ForeignVehicle
 from angler_mjx.robot.importing.notes import Note, Notes
 from angler_mjx.robot.importing.packages import Packages, open_packages
 from angler_mjx.robot.importing.toml_text import format_tables
+from angler_mjx.robot.importing.uuv_yaml import compare_yaml
 from angler_mjx.robot.importing.xml_tree import note_unread, read_xml
 from angler_mjx.robot.vehicles.config import VehicleConfig
 from angler_mjx.robot.vehicles.library import load_thruster
@@ -36,6 +37,7 @@ def import_vehicle(
     density: float | None = None,
     packages: Sequence[Path] = (),
     arguments: Mapping[str, str] | None = None,
+    yaml: Sequence[Path] = (),
 ) -> ImportedVehicle:
     """Import a vehicle from URDF, xacro or SDF.
 
@@ -46,6 +48,7 @@ def import_vehicle(
         density: of the water, kg/m^3; None: that of the file, or 1000.
         packages: folders in which packages are looked for.
         arguments: of a xacro file.
+        yaml: files of UUV Simulator's thruster manager, to be compared.
 
     Raises:
         ConfigError: a fault of a file; names file, line and element.
@@ -60,6 +63,8 @@ def import_vehicle(
     vehicle = _read(path, open_packages(path, packages), arguments or {}, notes)
     model = thruster if thruster_model is None else thruster_model
     tables, trim = build_vehicle(vehicle, model, table, density, notes)
+    for file in yaml:
+        compare_yaml(file, tables["thrusters"]["layout"], notes)
     config = parse_model(VehicleConfig, tables, source=f"{path} as a vehicle file")
     listed = tuple(notes)
     head = [f"# Imported from {path.name} ({vehicle.format}) by `angler vehicle import`."]

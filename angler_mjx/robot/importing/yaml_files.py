@@ -38,3 +38,16 @@ def read_yaml(path: Path) -> object:
         raise ConfigError(f"{path}:{line}: no YAML ({error.problem}); correct it") from error
     except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
         raise ConfigError(f"{path}: no YAML ({' '.join(str(error).split())[:80]})") from error
+
+
+def find_key_lines(path: Path) -> dict[str, int]:
+    """Return the lines of the keys of a YAML file and of tables in it; a name counts once."""
+    lines: dict[str, int] = {}
+    nodes = [yaml.compose(path.read_bytes(), _Loader)]
+    while nodes:
+        node = nodes.pop()
+        if isinstance(node, yaml.MappingNode):
+            for key, value in node.value:
+                lines.setdefault(str(key.value), key.start_mark.line + 1)
+                nodes.append(value)
+    return lines

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from angler_mjx.cli import main
 from angler_mjx.cli.vehicle import import_vehicle
 from angler_mjx.errors import ConfigError
 from angler_mjx.robot.vehicles import library
@@ -104,3 +105,16 @@ def test_a_thruster_file_is_named_from_the_vehicle_file(otter, tmp_path, monkeyp
     assert 'model = "../parts/strong.toml"' in Path("fleet/otter.toml").read_text()
     shown = describe_vehicle(load_vehicle("fleet/otter.toml"), None, 16.0)
     assert shown.terminal_speed_mps[0] > 1
+
+
+def test_flags_reach_the_import(tmp_path, monkeypatch):
+    """Packages, --xacro-args and --yaml, as typed."""
+    text = OTTER.read_text().replace('value="11.0"', 'value="$(arg mass)"')
+    (tmp_path / "otter.urdf.xacro").write_text(text)
+    (tmp_path / "T.yaml").write_text("thruster_manager: {max_thrust: 40}")
+    monkeypatch.chdir(tmp_path)
+    words = "vehicle import otter.urdf.xacro --thruster t200 --yaml T.yaml --packages ."
+    main.main([*words.split(), "--xacro-args", "mass:=11.1"])
+    written = (tmp_path / "otter.toml").read_text()
+    assert "mass_kg = 11.1\n" in written
+    assert "max_thrust = 40" in written
