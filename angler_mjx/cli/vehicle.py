@@ -101,7 +101,7 @@ def import_vehicle(
     xacro_args: tuple[str, ...] = (),
     yaml: tuple[Path, ...] = (),
 ) -> None:
-    """Import a vehicle from URDF, xacro or SDF, and list what was dropped, assumed or converted.
+    """Import a vehicle from URDF, xacro, SDF or MJCF; list what was dropped, assumed or converted.
 
     Args:
         file: File of the vehicle.

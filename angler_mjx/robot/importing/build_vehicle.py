@@ -569,10 +569,10 @@ def _note_uncontrolled(tables: dict[str, Any], notes: Notes) -> None:
         moment = np.cross(np.array(thruster["position_m"]) - center, force)
         columns.append(np.concatenate([force, moment]))
     matrix = np.array(columns).T
-    scale = np.array([1, 1, 1] + 3 * [max(np.max(np.abs(matrix[3:])), 1e-9)])
+    scale = np.array([1, 1, 1] + 3 * [max(np.max(np.abs(matrix[3:])), 1e-3)])
     reach = np.linalg.pinv(matrix / scale[:, None]) if matrix.size else np.zeros((1, 6))
     product = matrix / scale[:, None] @ reach
-    weak = [name for i, name in enumerate(_AXES) if product[i, i] < 0.5]
+    weak = [name for i, name in enumerate(_AXES) if product[i, i] < 0.2]
     if weak:
         notes.add(
             "assumed",

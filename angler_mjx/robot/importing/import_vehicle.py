@@ -6,7 +6,7 @@ from pathlib import Path
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import parse_model
-from angler_mjx.robot.importing import sdf, urdf, xacro
+from angler_mjx.robot.importing import mjcf, sdf, urdf, xacro
 from angler_mjx.robot.importing.build_vehicle import Trim, build_vehicle
 from angler_mjx.robot.importing.foreign_vehicle import ForeignVehicle
 from angler_mjx.robot.importing.notes import Note, Notes
@@ -39,7 +39,7 @@ def import_vehicle(
     arguments: Mapping[str, str] | None = None,
     yaml: Sequence[Path] = (),
 ) -> ImportedVehicle:
-    """Import a vehicle from URDF, xacro or SDF.
+    """Import a vehicle from URDF, xacro, SDF or MJCF.
 
     Args:
         path: file of the vehicle.
@@ -86,10 +86,12 @@ def _read(
         vehicle = urdf.read_urdf(root, packages, notes)
     elif root.tag == "sdf":
         vehicle = sdf.read_sdf(root, packages, notes)
+    elif root.tag == "mujoco":
+        vehicle = mjcf.read_mjcf(root, packages, notes)
     else:
         raise ConfigError(
             f"{path}:{root.location.line}: <{root.tag}> is the root; a vehicle is described by "
-            "<robot> (URDF, xacro) or <sdf>"
+            "<robot> (URDF, xacro), <sdf> or <mujoco>"
         )
     note_unread(root, notes)
     return vehicle

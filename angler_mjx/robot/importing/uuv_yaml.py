@@ -71,10 +71,11 @@ def _compare_matrix(
     ]
     difference = np.abs(stated - np.array(columns).T)
     i, j = np.unravel_index(int(np.argmax(difference)), difference.shape)
+    name, computed = layout[int(j)]["name"], columns[int(j)][i]
     if difference[i, j] > TOLERANCE:
         raise ConfigError(
-            f"{path}:{line}: tam[{i}][{j}] = {stated[i, j]:g}, but thruster {layout[j]['name']} gives "
-            f"{columns[j][i]:g} by its pose; correct one of them, or leave the file out"
+            f"{path}:{line}: tam[{i}][{j}] = {stated[i, j]:g}, but thruster {name} "
+            f"gives {computed:g} by its pose; correct one of them, or leave the file out"
         )
     notes.add(
         "converted",
