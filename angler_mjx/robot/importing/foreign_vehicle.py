@@ -93,6 +93,8 @@ class JointLink:
     velocity: float | None = None
     damping: float = 0.0
     friction: float = 0.0
+    mimicked: str | None = None
+    """Joint that it follows; None: it moves by itself."""
     file_kind: str = ""
     """Type as the file names it."""
 

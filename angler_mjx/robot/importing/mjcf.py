@@ -55,6 +55,7 @@ _READ: dict[str, set[str]] = {
 }  # fmt: skip
 """Tags and attributes that the compiled model carries into the vehicle; the rest is listed."""
 
+_TEXTS = {"name", "class", "childclass", "mesh", "material", "site", "joint", "file"}
 MIN_DENSITY_KGPM3 = 500.0
 """Fluids of less density are no water."""
 _MAX_INCLUDES = 20
@@ -97,6 +98,9 @@ def _mark_read(
         if each.tag in _READ:
             each.is_read = True
             each.read_attributes |= _READ[each.tag]
+        for name, value in each.attributes.items():
+            if name not in _TEXTS and "nan" in value.lower().split():
+                each.fail(f'{name} = "{value}": write finite numbers')
         if "file" in each.attributes:
             _check_file(each, packages, folders, names, roots, level)
         stack += each.children

@@ -305,10 +305,10 @@ def _read_uuv_link(link: Element, name: str, vehicle: ForeignVehicle, notes: Not
     if center is not None:
         body.center_of_buoyancy_m = np.array(center.numbers(3))
     if box is not None:
-        sizes = [_optional_number(box, tag) for tag in ("length", "width", "height")]
-        if None not in sizes:
-            vehicle.size_m = tuple(float(size or 0) for size in sizes)  # type: ignore[assignment]
-            vehicle.size_location = box.location
+        sizes = [_optional_number(box, tag) or 0.0 for tag in ("length", "width", "height")]
+        if min(sizes) <= 0:
+            box.fail("length, width and height must be positive; write all three")
+        vehicle.size_m, vehicle.size_location = (sizes[0], sizes[1], sizes[2]), box.location
     model = link.find("hydrodynamic_model")
     if model is None:
         return

@@ -175,6 +175,14 @@ def _is_free(joint: JointLink, vehicle: ForeignVehicle, moving: set[str], notes:
             location,
         )
         return False
+    if joint.mimicked is not None:
+        notes.add(
+            "dropped",
+            f"joint {joint.name} follows {joint.mimicked}: vehicle files hold no such joints; "
+            "fixed at 0",
+            location,
+        )
+        return False
     if joint.child in vehicle.fins:
         notes.add("converted", f"joint {joint.name} of a fin: fixed at 0", location)
         return False

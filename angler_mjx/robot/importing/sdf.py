@@ -314,6 +314,10 @@ class _Reader:
             turn = child[:3, :3].T
             self.notes.add("converted", "axes of joints in the frame of the model", axis.location)
         joint.axis = turn @ vector
+        mimic = axis.find("mimic")
+        if mimic is not None:
+            mimic.read()
+            joint.mimicked = mimic.attribute("joint")
         limit, dynamics = axis.find("limit"), axis.find("dynamics")
         for name in ("lower", "upper", "effort", "velocity"):
             entry = None if limit is None else limit.find(name)

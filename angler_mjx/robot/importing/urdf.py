@@ -187,6 +187,10 @@ def _read_joint(element: Element, vehicle: ForeignVehicle) -> JointLink:
         joint.upper = limit.attribute_number("upper", 0.0)
         joint.effort = limit.attribute_number("effort", 0.0)
         joint.velocity = limit.attribute_number("velocity", 0.0)
+    mimic = element.find("mimic")
+    if mimic is not None:
+        mimic.read()
+        joint.mimicked = mimic.attribute("joint")
     dynamics = element.find("dynamics")
     if dynamics is not None:
         joint.damping = dynamics.attribute_number("damping", 0.0)

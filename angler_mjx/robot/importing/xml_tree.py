@@ -156,6 +156,8 @@ def parse_xml(data: bytes, path: Path) -> Element:
             f"{path}:{error.lineno}: not well-formed XML ({reason}, column {error.offset + 1}); "
             "close or correct the element there"
         ) from error
+    except (LookupError, ValueError) as error:
+        raise ConfigError(f"{path}:1: not well-formed XML ({error}); write it in UTF-8") from error
     assert builder.root is not None  # expat refuses a file without elements
     return builder.root
 

@@ -118,6 +118,7 @@ def test_air_is_no_water(seal):
 
 FAULTS = {
     "syntax": (lambda t: t.replace('mass="12"', 'mass="twelve"'), "MuJoCo cannot compile"),
+    "nan": (lambda t: t.replace('mass="12"', 'mass="nan"'), "finite"),
     "no base": (lambda t: t.replace("<freejoint/>", ""), "0 bodies have a free joint"),
     "axis": (lambda t: t.replace("-1 0 0 0 0 0.01", "0 0 0 0 0 1"), "along no axis"),
     "site": (lambda t: t.replace('site="t1"', 'site="t9"'), "t9"),

@@ -193,9 +193,19 @@ def test_joints_with_limits_become_an_arm(bring):
     assert made.noted("assumed", "home of joint shoulder")
 
 
+def test_a_joint_that_follows_another_is_fixed(bring):
+    jaw = """<link name="jaw"/><joint name="jaw_joint" type="revolute"><parent link="base_link"/>
+      <child link="jaw"/><limit lower="0" upper="1" effort="1" velocity="1"/>
+      <mimic joint="other" multiplier="-1"/></joint>"""
+    made = bring(robot(jaw))
+    assert "joints" not in made.table
+    assert made.noted("dropped", "jaw_joint follows other")
+
+
 FAULTS = {
     "xml": (lambda t: t.replace("</robot>", "</robt>"), "not well-formed XML"),
     "doctype": (lambda t: t.replace("<robot", "<!DOCTYPE a>\n<robot", 1), "DOCTYPE"),
+    "encoding": (lambda t: t.replace('"1.0"', '"1.0" encoding="none"'), "unknown encoding"),
     "mass zero": (lambda t: t.replace('mass value="12.0"', 'mass value="0"'), "have no mass"),
     "mass negative": (lambda t: t.replace('mass value="12.0"', 'mass value="-3"'), "mass = -3"),
     "inertia": (lambda t: t.replace('izz="0.3"', 'izz="0.9"'), "0.2, 0.25, 0.9"),
