@@ -527,6 +527,7 @@ def _build_visual(vehicle: ForeignVehicle, base: Group, notes: Notes) -> dict[st
             table: dict[str, Any] = {"name": label, "shape": shape.kind}
             permuted = np.abs(pose[:3, :3])
             if min(shape.size) <= 0 or np.linalg.norm(shape.half_extents_m) < SMALLEST_SHAPE_M:
+                notes.add("dropped", "visual shapes below 1 mm", shape.element.location)
                 continue
             if shape.kind == "box" and np.any(np.abs(permuted.max(axis=0) - 1) > 1e-3):
                 notes.add(

@@ -4,7 +4,6 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.special import elliprd
 
 DRAG_COEFFICIENT = 1.0
 """Drag coefficient of a box by its frontal area; 0.8 to 1.05 are measured on boxy vehicles."""
@@ -20,6 +19,8 @@ def estimate_added_mass(size_m: Sequence[float], volume_m3: float, density: floa
         volume_m3: displaced volume.
         density: of the water, kg/m^3.
     """
+    from scipy.special import elliprd  # half a second
+
     half = np.asarray(size_m) / 2
     half = half * (volume_m3 / (4 / 3 * math.pi * np.prod(half))) ** (1 / 3)
     square, mass = half**2, density * volume_m3

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import parse_model
-from angler_mjx.robot.importing import mjcf, sdf, urdf, xacro
+from angler_mjx.robot.importing import sdf, urdf, xacro
 from angler_mjx.robot.importing.build_vehicle import Trim, build_vehicle
 from angler_mjx.robot.importing.foreign_vehicle import ForeignVehicle
 from angler_mjx.robot.importing.notes import Note, Notes
@@ -87,6 +87,8 @@ def _read(
     elif root.tag == "sdf":
         vehicle = sdf.read_sdf(root, packages, notes)
     elif root.tag == "mujoco":
+        from angler_mjx.robot.importing import mjcf  # brings MuJoCo
+
         vehicle = mjcf.read_mjcf(root, packages, notes)
     else:
         raise ConfigError(

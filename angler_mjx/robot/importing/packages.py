@@ -90,12 +90,7 @@ def _search(folder: Path, name: str, level: int) -> Path | None:
         return folder
     levels = [folder]
     for _ in range(_MAX_LEVELS - level):
-        levels = [
-            path
-            for base in levels
-            for path in sorted(base.iterdir())
-            if path.is_dir() and not path.is_symlink() and not path.name.startswith(".")
-        ]
+        levels = [path for base in levels for path in _list_folders(base)]
         for path in levels:
             if _package_name(path) == name or (
                 path.name == name and not (path / "package.xml").exists()
@@ -104,9 +99,25 @@ def _search(folder: Path, name: str, level: int) -> Path | None:
     return None
 
 
+def _list_folders(folder: Path) -> list[Path]:
+    """Return the folders in a folder, without hidden ones and links; none where not permitted."""
+    try:
+        entries = sorted(folder.iterdir())
+        return [
+            path
+            for path in entries
+            if path.is_dir() and not path.is_symlink() and not path.name.startswith(".")
+        ]
+    except OSError:
+        return []
+
+
 def _package_name(folder: Path) -> str | None:
     manifest = folder / "package.xml"
     if not manifest.is_file():
         return None
-    match = _PACKAGE_NAME.search(manifest.read_text(encoding="utf-8", errors="replace"))
+    try:
+        match = _PACKAGE_NAME.search(manifest.read_text(encoding="utf-8", errors="replace"))
+    except OSError:
+        return None
     return None if match is None else match[1]

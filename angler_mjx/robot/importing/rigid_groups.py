@@ -100,6 +100,11 @@ def join_bodies(vehicle: ForeignVehicle, notes: Notes) -> list[Group]:
             else:
                 group.poses[joint.child] = group.poses[name] @ joint.pose
                 rows.append((joint.child, group))
+    notes.add(
+        "assumed",
+        f"axes of {root}: x forward, y left, z up; its origin is that of the base frame",
+        vehicle.bodies[root].element.location,
+    )
     total = sum(body.mass_kg for body in vehicle.bodies.values())
     for body in vehicle.bodies.values():
         _check_body(body, total, notes)
@@ -160,6 +165,7 @@ def _is_free(joint: JointLink, vehicle: ForeignVehicle, moving: set[str], notes:
     """Return whether a joint moves a link of an arm; the others are fixed where they stand."""
     location = joint.element.location
     if joint.kind == "fixed":
+        notes.add("converted", "fixed joints: their links are part of what carries them", location)
         return False
     if joint.child in moving:
         notes.add(
@@ -216,6 +222,8 @@ def _check_body(body: ForeignBody, total_kg: float, notes: Notes) -> None:
                 "dropped", f"inertia of link {body.name}, which has no mass", element.location
             )
             body.inertia_kgm2 = np.zeros((3, 3))
+        else:
+            notes.add("converted", "links without mass: frames only", element.location)
         return
     low, middle, high = np.linalg.eigvalsh(body.inertia_kgm2)
     if low >= -_TOLERANCE * abs(high) and low + middle >= high * (1 - _TOLERANCE):
