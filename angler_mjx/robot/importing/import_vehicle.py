@@ -60,7 +60,12 @@ def import_vehicle(
             raise ConfigError(f"{folder}: is no folder; --packages names folders")
     table = load_thruster(thruster)
     notes = Notes()
-    vehicle = _read(path, open_packages(path, packages), arguments or {}, notes)
+    try:
+        vehicle = _read(path, open_packages(path, packages), arguments or {}, notes)
+    except RecursionError as error:
+        raise ConfigError(
+            f"{path}: macros, elements or expressions are nested too deep; flatten them"
+        ) from error
     model = thruster if thruster_model is None else thruster_model
     tables, trim = build_vehicle(vehicle, model, table, density, notes)
     for file in yaml:

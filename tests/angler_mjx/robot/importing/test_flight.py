@@ -61,6 +61,14 @@ def test_an_imported_vehicle_flies(otter):
     assert pushed == pytest.approx(DENSITY * 0.44 * 0.32 * 0.08 * 9.81 - 11 * 9.81, rel=0.1)
 
 
+def test_an_imported_vehicle_reaches_its_goal(otter):
+    path = otter.parent / "goal.toml"
+    text = SCENARIO.replace("horizon_s = 3.0", "horizon_s = 60.0").replace("count = 2\n", "")
+    path.write_text(text)
+    run = rollout(load_scenario(path), out=otter.parent / "goal")
+    assert run.episodes["outcome"].to_pylist() == ["reached"]
+
+
 def test_its_terminal_speed_is_that_of_its_file(otter):
     shown = describe_vehicle(load_vehicle(str(otter)), None, 16.0)
     # Forward, thrusters 3 and 4 push at their upper limit and 1 and 2 at their lower one.

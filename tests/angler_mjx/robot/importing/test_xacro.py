@@ -242,3 +242,18 @@ def test_the_list_of_a_xacro_names_lines_of_its_files(bring):
     assert made.trim.mass_kg == 14
     line = line_of(base, "<paint/>")
     assert made.noted("dropped", "<paint>", f"urdf/base.xacro:{line} (called at", "rov.xacro:3")
+
+
+@pytest.mark.parametrize(
+    "text", ["${" + "-" * 400 + "1}", "${" + "(" * 150 + "1" + ")" * 150 + "}"]
+)
+def test_deep_expressions_end_in_a_value_or_a_message(bring, text):
+    with pytest.raises(ConfigError):
+        bring(f'{HEAD}<link name="{text}"/></robot>', "rov.xacro")
+
+
+def test_deep_macros_are_one_message(bring):
+    body = '<xacro:macro name="m" params="k"><xacro:if value="${k > 0}">'
+    body += "<a>" * 60 + '<xacro:m k="${k - 1}"/>' + "</a>" * 60
+    with pytest.raises(ConfigError, match="rov.xacro"):
+        bring(f'{HEAD}{body}</xacro:if></xacro:macro><xacro:m k="30"/></robot>', "rov.xacro")
