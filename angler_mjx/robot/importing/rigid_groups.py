@@ -14,6 +14,7 @@ from angler_mjx.robot.importing.foreign_vehicle import (
     ThrusterMount,
 )
 from angler_mjx.robot.importing.notes import Notes
+from angler_mjx.robot.vehicles.checks import SMALLEST
 
 THRUSTER_NAME = re.compile(r"thruster|propell?er|(?:^|[_/])prop(?:$|[_0-9])", re.I)
 _LIGHT = 0.01
@@ -264,6 +265,12 @@ def _add_masses(group: Group, vehicle: ForeignVehicle) -> None:
         turned = pose[:3, :3] @ body.inertia_kgm2 @ pose[:3, :3].T
         group.inertia_kgm2 = (
             group.inertia_kgm2 + turned + body.mass_kg * (r @ r * np.eye(3) - np.outer(r, r))
+        )
+    if not np.linalg.eigvalsh(group.inertia_kgm2)[0] >= SMALLEST:
+        root = vehicle.bodies[group.root]
+        (root.inertial or root.element).fail(
+            f"link {format_value(group.root)} and what is fixed to it have an inertia of zero "
+            "about an axis; write positive ixx, iyy and izz"
         )
 
 

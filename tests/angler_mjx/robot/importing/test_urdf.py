@@ -209,6 +209,10 @@ FAULTS = {
     "mass zero": (lambda t: t.replace('mass value="12.0"', 'mass value="0"'), "have no mass"),
     "mass negative": (lambda t: t.replace('mass value="12.0"', 'mass value="-3"'), "mass = -3"),
     "inertia": (lambda t: t.replace('izz="0.3"', 'izz="0.9"'), "0.2, 0.25, 0.9"),
+    "inertia zero": (
+        lambda t: re.sub('i(..)="0.[0-9]+"', r'i\1="0"', t),
+        "inertia of zero",
+    ),
     "number": (lambda t: t.replace('ixx="0.2"', 'ixx="0,2x"'), "'0,2x'"),
     "nan": (lambda t: t.replace('ixx="0.2"', 'ixx="nan"'), "finite"),
     "axis": (lambda t: t.replace('axis xyz="1 0 0"', 'axis xyz="0 0 0"'), "length zero"),

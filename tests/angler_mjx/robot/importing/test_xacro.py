@@ -255,5 +255,5 @@ def test_deep_expressions_end_in_a_value_or_a_message(bring, text):
 def test_deep_macros_are_one_message(bring):
     body = '<xacro:macro name="m" params="k"><xacro:if value="${k > 0}">'
     body += "<a>" * 60 + '<xacro:m k="${k - 1}"/>' + "</a>" * 60
-    with pytest.raises(ConfigError, match="rov.xacro"):
+    with pytest.raises(ConfigError, match=r"rov\.xacro"):
         bring(f'{HEAD}{body}</xacro:if></xacro:macro><xacro:m k="30"/></robot>', "rov.xacro")
