@@ -39,6 +39,7 @@ DISTRIBUTION = {
     "pinocchio": "pin",
     "pydantic_core": "pydantic",
     "rerun": "rerun-sdk",
+    "yaml": "pyyaml",
 }
 """Where a module comes from, if not from what is called like it."""
 

@@ -74,6 +74,7 @@ GROUPS: dict[str, dict[str, Callable[..., None]]] = {
         "list": vehicle.list_vehicles,
         "show": vehicle.show_vehicle,
         "export": vehicle.export_mjcf,
+        "import": vehicle.import_vehicle,
     },
 }
 """Commands of two words."""
@@ -99,7 +100,7 @@ def _study_group() -> None:
 
 
 def _vehicle_group() -> None:
-    """List vehicles, show the performance of a vehicle, export its MuJoCo model."""
+    """List vehicles, show the performance of one, export its MuJoCo model, import others."""
 
 
 def _dataset_group() -> None:

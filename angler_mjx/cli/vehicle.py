@@ -1,5 +1,6 @@
-"""``angler vehicle``: the shipped vehicles, their performance, and their MuJoCo models."""
+"""``angler vehicle``: vehicles, their performance, their MuJoCo models, and import of others."""
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -84,11 +85,80 @@ def export_mjcf(
         out: File to write; must not exist.
         parameter_set: Parameter set; the vehicle's default if left out.
     """
-    from angler_mjx.errors import ConfigError
     from angler_mjx.robot.vehicles.library import load_vehicle
     from angler_mjx.robot.vehicles.mjcf import to_xml
 
-    text = to_xml(load_vehicle(name), parameter_set)
+    _write_new(out, to_xml(load_vehicle(name), parameter_set))
+    print(out)
+
+
+def import_vehicle(
+    file: Annotated[Path, tyro.conf.Positional],
+    thruster: str | None = None,
+    density: float | None = None,
+    out: Path | None = None,
+    packages: tuple[Path, ...] = (),
+    xacro_args: tuple[str, ...] = (),
+    yaml: tuple[Path, ...] = (),
+) -> None:
+    """Import a vehicle from URDF, xacro, SDF or MJCF; list what was dropped, assumed or converted.
+
+    Args:
+        file: File of the vehicle.
+        thruster: Name of a shipped thruster, or path of a thruster file.
+        density: Density of the water, kg/m^3; that of the file, or 1000, if left out.
+        out: Vehicle file to write; must not exist. NAME.toml here if left out.
+        packages: Folders in which packages that the file names are looked for.
+        xacro_args: Arguments of a xacro file, as NAME:=VALUE.
+        yaml: Files of UUV Simulator's thruster manager, compared with the thrusters.
+    """
+    from angler_mjx.errors import ConfigError, format_value
+    from angler_mjx.robot.importing.import_vehicle import import_vehicle
+
+    if thruster is None:
+        raise ConfigError(
+            f"{file}: files of other simulators do not state thrust and power by PWM; give "
+            "--thruster t200, or --thruster FILE.toml"
+        )
+    arguments = {}
+    for text in xacro_args:
+        name, sign, value = text.partition(":=")
+        if not sign:
+            raise ConfigError(f"--xacro-args {format_value(text)}: write NAME:=VALUE")
+        arguments[name] = value
+    model = None
+    if thruster.endswith(".toml"):
+        model = os.path.relpath(thruster, Path() if out is None else out.parent)
+    result = import_vehicle(
+        file,
+        thruster,
+        thruster_model=model,
+        density=density,
+        packages=packages,
+        arguments=arguments,
+        yaml=yaml,
+    )
+    target = Path(f"{result.name}.toml") if out is None else out
+    _write_new(target, result.text)
+    for note in result.notes:
+        print(note)
+    trim = result.trim
+    net_kg = trim.density_kgpm3 * trim.volume_m3 - trim.mass_kg
+    print(
+        f"mass {trim.mass_kg:.4g} kg, net buoyancy {net_kg:+.4g} kg in water of "
+        f"{trim.density_kgpm3:g} kg/m^3"
+    )
+    print(target)
+
+
+def _write_new(out: Path, text: str) -> None:
+    """Write a file that must not exist.
+
+    Raises:
+        ConfigError: it exists, or cannot be written.
+    """
+    from angler_mjx.errors import ConfigError
+
     try:
         file = out.open("x", encoding="utf-8")
     except FileExistsError as error:
@@ -101,7 +171,6 @@ def export_mjcf(
     except OSError as error:
         out.unlink()
         raise ConfigError(f"{out}: cannot be written ({error.strerror})") from error
-    print(out)
 
 
 _WRENCH_ROWS = ("x", "y", "z", "roll", "pitch", "yaw")

@@ -12,6 +12,7 @@ from typing import Any
 from angler_mjx.errors import AnglerError
 from angler_mjx.files import FaultyError, parse_model, validate_model
 from angler_mjx.report.interop import joint_trajectory_file
+from angler_mjx.robot.importing.import_vehicle import import_vehicle
 from angler_mjx.robot.vehicles import library, mjcf
 from angler_mjx.robot.vehicles.thrusters import tables_at
 from angler_mjx.scenario.fleet_entry import FleetEntry
@@ -114,6 +115,40 @@ TRAJECTORY = json.dumps(
     },
     indent=1,
 ).encode()
+XACRO = b"""<robot name="ray" xmlns:xacro="http://www.ros.org/wiki/xacro">
+<xacro:arg name="mass" default="10"/> <xacro:property name="r" value="${2 * pi / 8}"/>
+<xacro:macro name="thruster" params="id y:=0 *origin **more"><link name="thruster_${id}"/>
+<joint name="t_${id}" type="fixed"><parent link="base_link"/><child link="thruster_${id}"/>
+<xacro:insert_block name="origin"/></joint><xacro:insert_block name="more"/></xacro:macro>
+<link name="base_link"><inertial><mass value="$(arg mass)"/>
+<inertia ixx="1" ixy="0" ixz="0" iyy="${1 + len('a')}" iyz="0" izz="2"/></inertial></link>
+<xacro:if value="${1 &lt; 2}"><xacro:thruster id="1"><origin xyz="0 0.1 0" rpy="0 0 ${r}"/>
+<more/></xacro:thruster></xacro:if>
+<gazebo><plugin name="w" filename="libuuv_underwater_object_ros_plugin.so">
+<fluid_density>1028</fluid_density><link name="base_link"><volume>0.01</volume>
+<box><length>1</length><width>0.5</width><height>0.2</height></box><hydrodynamic_model>
+<type>fossen</type><added_mass>4 5 6 1 1 1</added_mass><linear_damping>-1 -2 -3 -1 -1 -1
+</linear_damping></hydrodynamic_model></link></plugin></gazebo></robot>
+"""
+SDF = b"""<sdf version="1.9"><model name="rov"><frame name="f">
+<pose degrees="true">0 0 1 0 0 90</pose></frame><link name="base_link"><inertial><mass>12</mass>
+<inertia><ixx>1</ixx><ixy>0</ixy>
+<ixz>0</ixz><iyy>1</iyy><iyz>0</iyz><izz>1</izz></inertia><fluid_added_mass><xx>5</xx>
+</fluid_added_mass></inertial><collision name="c"><geometry><box><size>0.4 0.3 0.1</size></box>
+</geometry></collision></link><link name="prop"><pose relative_to="f">0.1 0 0 0 0 0</pose>
+<inertial><mass>0.1</mass></inertial></link><joint name="j" type="revolute"><parent>base_link
+</parent><child>prop</child><axis><xyz expressed_in="f">1 0 0</xyz></axis></joint>
+<plugin filename="gz-sim-thruster-system" name="t"><joint_name>j</joint_name></plugin>
+<plugin filename="gz-sim-hydrodynamics-system" name="h"><link_name>base_link</link_name><xU>-4</xU>
+<yVabsV>-9</yVabsV><zWW>-3</zWW></plugin></model></sdf>
+"""
+MJCF = b"""<mujoco model="seal"><option density="1025"/><worldbody><body name="seal" gravcomp="1">
+<freejoint/><inertial pos="0 0 0" mass="12" diaginertia="0.2 0.25 0.3"/>
+<geom type="box" size="0.2 0.15 0.05"/><site name="t1" pos="0.1 0.1 0"/><body name="fore">
+<joint name="elbow" axis="0 1 0" range="-30 60"/><geom type="capsule" fromto="0 0 0 0.2 0 0"
+size="0.02"/></body></body></worldbody><actuator><general name="first" site="t1"
+gear="-1 0 0 0 0 0" ctrlrange="-1 2"/></actuator></mujoco>
+"""
 PULSES = range(1500, 1532)
 
 
@@ -141,6 +176,13 @@ def _vehicle(path):
     for name in config.parameter_sets:
         mjcf.to_spec(config, name, shapes=False).compile()
     mjcf.to_xml(config, None)
+
+
+def _foreign(path):
+    made = import_vehicle(path, "t200")
+    target = path.with_suffix(".toml")
+    target.write_text(made.text, encoding="utf-8")
+    _vehicle(target)
 
 
 def _thruster(path):
@@ -239,6 +281,12 @@ READERS = {
         Reader("benchmark", (BENCHMARK,), _benchmark),
         Reader("vehicle", _files(DATA), _vehicle),
         Reader("thruster", _files(DATA / "thrusters"), _thruster),
+        Reader(
+            "foreign vehicle",
+            (XACRO, SDF, MJCF, (ROOT / "docs/examples/otter.urdf").read_bytes()),
+            _foreign,
+            ".xml",
+        ),
         Reader("trajectory", (TRAJECTORY,), _trajectory, ".json"),
         Reader(
             "parameters", (PARAMETERS,), lambda path: parameters.read_parameters(path), ".param"

@@ -9,7 +9,6 @@ import numpy as np
 from angler_mjx.errors import ConfigError, format_value
 from angler_mjx.files import MAX_TOML_BYTES, format_path, parse_model, parse_toml, read_text
 from angler_mjx.robot.vehicles.config import VehicleConfig
-from angler_mjx.robot.vehicles.link_hull import home_link_reach_m
 from angler_mjx.robot.vehicles.thruster_config import ThrusterTable
 
 _VEHICLES = Path(__file__).parent / "data"
@@ -92,6 +91,9 @@ def reach_m(config: VehicleConfig) -> float:
 
     Links lie in their home posture.
     """
+    # Brings JAX, which commands that only read files do without.
+    from angler_mjx.robot.vehicles.link_hull import home_link_reach_m
+
     center = np.asarray(config.base.center_of_mass_m)
     hull_m = max(
         float(np.linalg.norm(np.asarray(end) - center)) + capsule.radius_m

@@ -127,7 +127,9 @@ class ProgramStore:
         self, name: str, lowered: jax.stages.Lowered, arguments: tuple[object, ...]
     ) -> jax.stages.Compiled:
         """Load the executable of an equal program, or compile it; store it under this name too."""
-        executable_name = f"{_digest(self.machine, lowered.as_text())}.executable"
+        # JAX leaves out arguments that a program does not use, but still checks their shapes.
+        digest = _digest(self.machine, lowered.as_text(), repr(_leaf_shapes(arguments)))
+        executable_name = f"{digest}.executable"
         result = jax.tree.map(
             lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype), lowered.out_info
         )
@@ -162,11 +164,15 @@ class ProgramStore:
         return write_checked(self.folder / executable_name, payload)
 
     def _path(self, name: str, arguments: tuple[object, ...]) -> Path:
-        leaves, structure = jax.tree.flatten(arguments)
-        shapes = [(leaf.shape, str(leaf.dtype)) for leaf in leaves]
+        structure, shapes = jax.tree.structure(arguments), _leaf_shapes(arguments)
         # What the tree holds beside its leaves follows from the key: MuJoCo's arrays of a fleet.
         text = re.sub(r" at 0x[0-9a-f]+", "", str(structure))
         return self.folder / f"{_digest(self.key, name, text, repr(shapes))}.program"
+
+
+def _leaf_shapes(arguments: tuple[object, ...]) -> list[tuple[tuple[int, ...], str]]:
+    """Return shape and type of each array of arguments."""
+    return [(leaf.shape, str(leaf.dtype)) for leaf in jax.tree.leaves(arguments)]
 
 
 def load_stored(stored: StoredProgram) -> jax.stages.Compiled | None:

@@ -175,6 +175,16 @@ def test_an_equal_program_of_another_key_is_not_compiled_again(folder):
     assert not compile_ahead(store=open_store(("key", "other")))[1]
 
 
+def test_an_equal_program_with_other_unused_arguments_is_compiled_anew(folder):
+    def double(used, unused):
+        return 2 * used
+
+    for length in (3, 4, 3):
+        program = CompiledFunction(double, name="double", store=open_store(("key", length)))
+        np.testing.assert_array_equal(program(X, jnp.ones(length)), 2 * X)
+    assert len(files(folder, "executable")) == 2
+
+
 def test_a_program_in_the_cache_of_jax_is_stored_all_the_same(folder):
     """XLA cannot serialise what it has read from there: its kernels would be missing."""
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)

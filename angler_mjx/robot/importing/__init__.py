@@ -1,0 +1,1 @@
+"""Vehicle files of other simulators, read into ours: URDF, xacro, SDF, MJCF."""
