@@ -2,11 +2,14 @@
 
 from typing import Literal
 
+import jax
 import numpy as np
 
 from angler_mjx.report.plotting.scene import ReplayScene, RobotTrack
 from angler_mjx.report.video.frames import CameraPath, interpolate
+from angler_mjx.report.video.scene_model import list_obstacles
 from angler_mjx.robot.vehicles import library
+from angler_mjx.world.obstacles import bounding_radius
 
 type CameraKind = Literal["fixed", "above", "follow"]
 
@@ -26,6 +29,8 @@ _NEAREST_M, _ROCK_MARGIN_M, _ROCK_STEP_M = 1.2, 0.25, 0.05
 It comes nearer where rock would hide the robot."""
 _APPROACH_FRAMES = 12
 """Number of frames before and after rock in which the camera comes nearer, and goes back."""
+_ROBOT_MARGIN_M = 0.5
+"""Distance from robots' centres to the edge of what fixed cameras show: a vehicle's length."""
 _FILLED, _FIT_ITERATIONS = 0.97, 20
 """Fraction of the picture that the fixed camera fills, and steps of the search for its place."""
 _SMOOTHING_S = 2.0
@@ -50,8 +55,8 @@ def build_camera_path(
     """
     if kind == "follow":
         return _follow(scene, robot, time_s)
-    low, high = scene.bounds_m
-    count = len(time_s)
+    points, count = find_shown_points(scene), len(time_s)
+    low, high = points.min(axis=0), points.max(axis=0)
     middle, size = 0.5 * (low + high), high - low
     half_view = np.tan(np.radians(VIEW_DEG) / 2)
     if kind == "above":
@@ -60,7 +65,7 @@ def build_camera_path(
         distance, azimuth, elevation = 1.05 * reach + 0.5 * size[2], 90.0, -90.0
     else:
         azimuth, elevation = _FIXED_AZIMUTH_DEG, _FIXED_ELEVATION_DEG
-        middle, distance = _fit(low, high, azimuth, elevation, aspect)
+        middle, distance = _fit(points, azimuth, elevation, aspect)
     return CameraPath(
         lookat_m=np.tile(middle, (count, 1)),
         distance_m=np.full(count, distance),
@@ -69,17 +74,51 @@ def build_camera_path(
     )
 
 
-def _fit(
-    low: np.ndarray, high: np.ndarray, azimuth_deg: float, elevation_deg: float, aspect: float
-) -> tuple[np.ndarray, float]:
-    """Return the point [3] and the distance from which a box fills the picture.
+def find_shown_points(scene: ReplayScene) -> np.ndarray:
+    """Return points [n, 3], m in W, that fixed cameras have to show.
 
-    The point is the middle of the box, moved along the picture's axes until the margins of
-    opposite sides are equal.
+    They surround the rock, all robots from their starts to their ends and goals, and the obstacles
+    as far as they stay in the region; with a task of many places, the whole region.
+    """
+    region = np.stack(scene.bounds_m)
+    if scene.task is not None:
+        return _surround(region.mean(axis=0)[None], 0.5 * (region[1] - region[0]))
+    robots = [scene.flown_path(robot) for robot in scene.robots]
+    robots += [np.stack([robot.start_m, robot.goal_m]) for robot in scene.robots]
+    cell_m = float(scene.environment.grid.cell_m)
+    cells = np.argwhere(np.asarray(scene.environment.grid.occupied)) + 0.5
+    shown = [
+        _surround(np.concatenate(robots), np.full(3, _ROBOT_MARGIN_M)),
+        _surround(region[0] + cell_m * cells, np.full(3, 0.5 * cell_m)),
+    ]
+    bodies, rows = scene.environment.obstacles, list_obstacles(scene)
+    radius = np.asarray(jax.vmap(bounding_radius)(bodies.kind, bodies.size_m))[rows]
+    for row, radius_m in zip(rows, radius, strict=True):
+        # Corners on the sphere around it.
+        around = _surround(scene.obstacle_p_m[:, row], np.full(3, radius_m / np.sqrt(3.0)))
+        shown.append(np.clip(around, *region))
+    points = np.concatenate(shown)
+    finite: np.ndarray = points[np.isfinite(points).all(axis=1)]
+    return finite
+
+
+def _surround(centers: np.ndarray, half: np.ndarray) -> np.ndarray:
+    """Return the corners [8 n, 3] of boxes of half the edges [3] about centres [n, 3]."""
+    signs = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
+    corners: np.ndarray = (centers[:, None] + half * signs).reshape(-1, 3)
+    return corners
+
+
+def _fit(
+    points: np.ndarray, azimuth_deg: float, elevation_deg: float, aspect: float
+) -> tuple[np.ndarray, float]:
+    """Return the point [3] and the distance from which points [n, 3] fill the picture.
+
+    The point is the middle of them, moved along the picture's axes until the margins of opposite
+    sides are equal.
 
     Args:
-        low: [3] m.
-        high: [3] m.
+        points: [n, 3] m in W.
         azimuth_deg: of the camera.
         elevation_deg: of the camera.
         aspect: width of the picture by its height.
@@ -94,18 +133,18 @@ def _fit(
     )
     right = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
     axes = np.stack([right, np.cross(right, forward)])
-    corners = np.stack(np.meshgrid(*zip(low, high, strict=True)), axis=-1).reshape(-1, 3)
+    low, high = points.min(axis=0), points.max(axis=0)
     half = np.tan(np.radians(VIEW_DEG) / 2) * np.array([aspect, 1.0]) * _FILLED
-    point, distance = 0.5 * (low + high), float(np.linalg.norm(high - low))
+    middle, distance = 0.5 * (low + high), float(np.linalg.norm(high - low))
     for _ in range(_FIT_ITERATIONS):
-        away = (corners - point) @ forward
-        # Distance at which each corner lies on the picture's edge; each side has its farthest.
-        sideways = (corners - point) @ axes.T
+        away = (points - middle) @ forward
+        # Distance at which each point lies on the picture's edge; each side has its farthest.
+        sideways = (points - middle) @ axes.T
         upper = np.max(sideways / half - away[:, None], axis=0)
         lower = np.max(-sideways / half - away[:, None], axis=0)
         distance = float(np.max([upper, lower]))
-        point = point + 0.5 * half * (upper - lower) @ axes
-    return point, distance
+        middle = middle + 0.5 * half * (upper - lower) @ axes
+    return middle, distance
 
 
 def _follow(scene: ReplayScene, robot: RobotTrack, time_s: np.ndarray) -> CameraPath:

@@ -31,6 +31,9 @@ _PICTURE_SUPERSAMPLING, _VIDEO_SUPERSAMPLING = 2, 1.5
 _LINE_PX = 3.0
 """Width of lines."""
 
+_HELD_S = 1.0
+"""Time for which a video shows its end, s."""
+
 MIN_SIDE_PX = 64
 """Min width and height."""
 
@@ -89,7 +92,7 @@ def write_picture(
     """
     view = View() if view is None else view
     scene = worlds.read_scene(run, world)
-    end_s = float(scene.time_s[-1])
+    end_s = _find_end_s(scene)
     if at_s is not None and not 0 <= at_s <= end_s:
         raise ConfigError(f"--at {at_s:g}: world {world} was recorded from 0 to {end_s:g} s")
     time_s = np.array([end_s if at_s is None else at_s])
@@ -128,9 +131,9 @@ def write_video(
     """
     view = View() if view is None else view
     scene = worlds.read_scene(run, world)
-    # The last frame is the end, where the last robot's outcome is.
-    count = ceil(scene.time_s[-1] / view.speed * view.fps) + 1
-    time_s = np.minimum(np.arange(count) * view.speed / view.fps, scene.time_s[-1])
+    end_s = _find_end_s(scene)
+    count = ceil(end_s / view.speed * view.fps) + 1 + round(_HELD_S * view.fps)
+    time_s = np.minimum(np.arange(count) * view.speed / view.fps, end_s)
 
     frames = _render(run, scene, time_s, view, _VIDEO_SUPERSAMPLING)
 
@@ -143,6 +146,11 @@ def write_video(
     with replace_file(path, flag="--video", force=True) as writing:
         encode_video(writing, pictures(), view.size_px, view.fps)
     return path
+
+
+def _find_end_s(scene: ReplayScene) -> float:
+    """Return the time of the last robot's outcome, or of the last sample if that is later."""
+    return max(float(scene.time_s[-1]), *(robot.end_time_s for robot in scene.robots))
 
 
 def _render(
