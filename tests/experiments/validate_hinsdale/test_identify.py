@@ -40,11 +40,14 @@ def test_parameters_of_a_simulated_vehicle_are_found(tmp_path):
         **{**vars(batch), "angles_rad": motion.angles_rad, "p_m": motion.p_m}
     )
     zero = jnp.zeros(len(LABELS))
-    fit = identify.identify(vehicle, recorded, jnp.ones(2), zero, 6)
-    start = identify.identify(vehicle, recorded, jnp.ones(2), zero, 0)
-    assert float(fit.cost) < 0.05 * float(start.cost)
-    for label, value in changed.items():
-        assert float(fit.vector[LABELS.index(label)]) == pytest.approx(value, abs=0.25)
+    fit = identify.identify(vehicle, recorded, jnp.ones(2), zero, 24)
+    # The truth leaves no residual and costs its prior, of unit spread, alone: the mode of the
+    # posterior costs no more.
+    assert float(fit.cost) <= 0.5 * np.sum(truth**2)
+    # Two runs with one motion of the arm leave the yaw of markers to the prior by half.
+    for label in ("center_of_buoyancy x", "center_of_buoyancy z"):
+        assert float(fit.vector[LABELS.index(label)]) == pytest.approx(changed[label], abs=0.1)
+    assert float(fit.vector[LABELS.index("marker_yaw yaw")]) < -0.2
 
 
 def _curved(x):
