@@ -138,7 +138,7 @@ def _imports():
 
 
 @pytest.mark.filterwarnings("error::DeprecationWarning")
-@pytest.mark.parametrize(("module", "name"), _imports())
+@pytest.mark.parametrize(("module", "name"), list(_imports()))
 def test_a_printed_import_leads_to_what_is_there_today(module, name):
     if module.endswith("torch"):
         pytest.importorskip("torch")

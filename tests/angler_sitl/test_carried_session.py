@@ -1,7 +1,5 @@
 """Two autopilots that carry one pipe: sessions and missions, down to the run folder."""
 
-from contextlib import contextmanager
-
 import pyarrow.compute as pc
 import pytest
 
@@ -13,6 +11,7 @@ from angler_sitl.missions.mission import MissionSettings
 from angler_sitl.session import SitlSession
 
 from .scene.test_contact_scene import CARRIED
+from .test_armed_session import Unwatched
 
 
 @pytest.fixture(scope="module")
@@ -34,17 +33,6 @@ def test_signals_of_our_controllers_carry_it(stand_in, scenario):
         error = session.inside().state.tally.cargo_error
     assert error.distance_m.max() < 0.1
     assert error.angle_rad.max() < 0.0873  # 5 degrees
-
-
-class Unwatched:
-    """Nobody watches."""
-
-    @contextmanager
-    def __call__(self, session):
-        yield self
-
-    def after(self, observation):
-        pass
 
 
 @pytest.mark.sitl
