@@ -9,14 +9,13 @@ from angler_mjx.errors import ConfigError
 MAX_YAML_BYTES = 1 << 20
 
 
-class _Loader(yaml.SafeLoader):  # type: ignore[misc]
-    """Safe loader that refuses aliases, by which a small file expands without bound."""
-
-    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
-        if self.check_event(yaml.AliasEvent):
-            mark = self.peek_event().start_mark
-            raise yaml.MarkedYAMLError(problem="aliases are not read", problem_mark=mark)
-        return super().compose_node(parent, index)
+def _refuse_aliases(data: bytes) -> None:
+    """Refuse aliases, by which a small file expands without bound."""
+    for event in yaml.parse(data, yaml.SafeLoader):
+        if isinstance(event, yaml.AliasEvent):
+            raise yaml.MarkedYAMLError(
+                problem="aliases are not read", problem_mark=event.start_mark
+            )
 
 
 def read_yaml(path: Path) -> object:
@@ -32,7 +31,8 @@ def read_yaml(path: Path) -> object:
     if len(data) > MAX_YAML_BYTES:
         raise ConfigError(f"{path}: {len(data)} bytes; {MAX_YAML_BYTES} at most are read")
     try:
-        return yaml.load(data, _Loader)
+        _refuse_aliases(data)
+        return yaml.safe_load(data)
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else 1
         raise ConfigError(f"{path}:{line}: no YAML ({error.problem}); correct it") from error
@@ -43,7 +43,9 @@ def read_yaml(path: Path) -> object:
 def find_key_lines(path: Path) -> dict[str, int]:
     """Return the lines of the keys of a YAML file and of tables in it; a name counts once."""
     lines: dict[str, int] = {}
-    nodes = [yaml.compose(path.read_bytes(), _Loader)]
+    data = path.read_bytes()
+    _refuse_aliases(data)
+    nodes = [yaml.compose(data, yaml.SafeLoader)]
     while nodes:
         node = nodes.pop()
         if isinstance(node, yaml.MappingNode):

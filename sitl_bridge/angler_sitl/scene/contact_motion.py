@@ -103,7 +103,7 @@ def compile_contact_motion(
             before, after, state_rows[:, DIVERGED_COLUMN], broken, dt_s
         )
         none = no_impacts(len(packed), state_rows.dtype, holds=grips is not None)
-        begins = number % steps_per_period == 0
+        begins = taken == 0
         so_far = jax.tree.map(lambda new, old: jnp.where(begins, new, old), none, bodies.impacts)
         after_bodies = ContactBodies(
             obstacles=obstacles, grips=grips, impacts=add_impacts(so_far, impacts)

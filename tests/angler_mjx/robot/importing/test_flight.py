@@ -91,7 +91,7 @@ def test_the_list_heads_the_file_and_is_printed(otter, tmp_path, capsys):
     assert printed[-1] == str(tmp_path / "again.toml")
 
 
-def test_a_file_is_not_replaced_and_a_thruster_is_asked_for(otter, tmp_path):
+def test_a_file_is_not_replaced_and_a_thruster_is_required(otter, tmp_path):
     with pytest.raises(ConfigError, match="exists"):
         import_vehicle(OTTER, thruster="t200", out=otter)
     with pytest.raises(ConfigError, match="--thruster t200"):
