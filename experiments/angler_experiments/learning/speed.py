@@ -3,8 +3,9 @@
     python -m angler_experiments.learning.speed --worlds 8192
 
 Both are commanded velocities of zero, or with ``--action plan`` fly their plans; the environment is
-scanned in one program, with observations, rewards and new worlds for ended ones. Prints robot steps
-per second of both, the best of ``--repeats``, and their ratio.
+scanned in one program, which keeps the last observations, as a policy reads them, sums rewards, and
+replaces ended worlds. Prints robot steps per second of both, the best of ``--repeats``, and their
+ratio.
 """
 
 import time
@@ -20,6 +21,8 @@ from angler_mjx.robot.control.commands import BodyTwist
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import load_scenario
 
+type ScanCarry = tuple[EnvState, jax.Array, jax.Array]
+
 
 def min_duration_s(run: Callable[[], object], repeats: int) -> float:
     """Return the least time of a call, after an uncounted one."""
@@ -32,21 +35,24 @@ def min_duration_s(run: Callable[[], object], repeats: int) -> float:
     return min(durations)
 
 
-def build_scan(
-    steps: int,
-) -> Callable[[FleetEnv, EnvState], tuple[EnvState, jax.Array]]:
-    """Build a program of an environment and its state: a number of steps with actions of zeros."""
+def build_scan(steps: int) -> Callable[[FleetEnv, EnvState, jax.Array], ScanCarry]:
+    """Build a program of a number of steps with actions of zeros.
 
-    def fly(env: FleetEnv, state: EnvState) -> tuple[EnvState, jax.Array]:
+    It takes an environment, its state and observations [W, R, size], and returns the state,
+    observations and summed rewards [W, R] after the steps.
+    """
+
+    def fly(env: FleetEnv, state: EnvState, observation: jax.Array) -> ScanCarry:
         action = jnp.zeros(env.action_shape)
 
-        def step_env(state: EnvState, _: None) -> tuple[EnvState, jax.Array]:
-            next_state, observation, reward = env.step(state, action)[:3]
-            return next_state, jnp.sum(reward) + jnp.sum(observation)
+        def step_env(carry: ScanCarry, _: None) -> tuple[ScanCarry, None]:
+            next_state, observation, reward = env.step(carry[0], action)[:3]
+            return (next_state, observation, carry[2] + reward), None
 
-        return jax.lax.scan(step_env, state, length=steps)
+        start = (state, observation, jnp.zeros(observation.shape[:2], observation.dtype))
+        return jax.lax.scan(step_env, start, length=steps)[0]
 
-    program: Callable[[FleetEnv, EnvState], tuple[EnvState, jax.Array]] = jax.jit(fly)
+    program: Callable[[FleetEnv, EnvState, jax.Array], ScanCarry] = jax.jit(fly)
     return program
 
 
@@ -85,8 +91,8 @@ def main(
     reset = partial(simulator.reset, worlds_state)
     segment_s = min_duration_s(segment, repeats) - min_duration_s(reset, repeats)
     env = make_env(simulator, worlds=worlds, action=action, action_repeat=action_repeat)
-    program, (state, _) = build_scan(steps // action_repeat), env.reset()
-    env_s = min_duration_s(lambda: program(env, state), repeats)
+    program, (state, observation) = build_scan(steps // action_repeat), env.reset()
+    env_s = min_duration_s(lambda: program(env, state, observation), repeats)
     total = worlds * robots * (steps // action_repeat * action_repeat)
     print(f"{jax.devices()[0].device_kind}: {scenario}, {worlds} worlds of {robots}, {action}")
     print(f"Simulator.segment ({simulator.kernels}): {total / segment_s:,.0f} robot steps/s")
