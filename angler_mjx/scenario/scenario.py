@@ -142,8 +142,12 @@ class Scenario(FileModel):
                 raise ValueError(
                     'task.type = "carry": bodies must push each other; set contacts = true'
                 )
-            robots = sum(entry.count for entry in self.fleet)
-            self.__dict__["world"] = self.task.position_robots(self.world, robots)
+            if self.task.hold == "end_effector":
+                table_checks.check_gripping(self.controller, self.fleet)
+                tips_m = table_checks.locate_tips(self.fleet)
+            else:
+                tips_m = np.zeros((sum(entry.count for entry in self.fleet), 3))
+            self.__dict__["world"] = self.task.position_robots(self.world, tips_m)
         return self
 
     @model_validator(mode="after")
@@ -206,7 +210,9 @@ class Scenario(FileModel):
     def _check_tables(self) -> Self:
         table_checks.check_instruments(self.fleet, self.time)
         table_checks.check_currents(self.world, self.time)
-        table_checks.check_fleet_fits(self.world, self.fleet, by_end_effector=self.by_end_effector)
+        table_checks.check_fleet_fits(
+            self.world, self.fleet, by_end_effector=self.by_end_effector, held=self.held_body
+        )
         table_checks.check_arms_fit(self.world, self.fleet)
         table_checks.check_randomisation(self.randomise, self.fleet, self.world, self.water)
         table_checks.check_rotors(self.fleet)
@@ -330,6 +336,13 @@ class Scenario(FileModel):
         """Return the compiled task; None where each robot has a goal of its own."""
         robots = sum(entry.count for entry in self.fleet)
         return build_task_spec(self.task, resolve_world(self.world), robots, self.time)
+
+    @property
+    def held_body(self) -> int:
+        """Return the explicit obstacle that the robots hold by their arms; -1 for none."""
+        if isinstance(self.task, CarryTask) and self.task.hold == "end_effector":
+            return self.task.body
+        return -1
 
     @property
     def by_end_effector(self) -> bool:

@@ -2,14 +2,17 @@
 
 from collections.abc import Sequence
 
+import jax
 import numpy as np
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.robot.control.commands import PoseTarget
+from angler_mjx.robot.control.laws.cargo_part import CargoPartGains
 from angler_mjx.robot.sensing import params as instruments
 from angler_mjx.robot.vehicles import library
 from angler_mjx.robot.vehicles.link_hull import max_link_reach_m
-from angler_mjx.robot.vehicles.link_params import build_tree
+from angler_mjx.robot.vehicles.link_motion import locate_end_effector
+from angler_mjx.robot.vehicles.link_params import build_links, build_tree
 from angler_mjx.scenario import instrumented
 from angler_mjx.scenario.fleet_entry import FleetEntry
 from angler_mjx.scenario.randomise_table import UNCHANGED, RandomiseConfig
@@ -58,14 +61,17 @@ def check_currents(world: WorldConfig, time: TimeConfig) -> None:
 
 
 def check_fleet_fits(
-    world: WorldConfig, fleet: Sequence[FleetEntry], *, by_end_effector: bool
+    world: WorldConfig, fleet: Sequence[FleetEntry], *, by_end_effector: bool, held: int
 ) -> None:
     """Refuse worlds that cannot hold the fleet."""
     reach_m = [library.reach_m(library.load_vehicle(entry.vehicle)) for entry in fleet]
     counts = [entry.count for entry in fleet]
     try:
         check_fleet(
-            resolve_world(world), np.repeat(reach_m, counts), by_end_effector=by_end_effector
+            resolve_world(world),
+            np.repeat(reach_m, counts),
+            by_end_effector=by_end_effector,
+            held=held,
         )
     except ConfigError as error:
         raise ValueError(f"world, for the fleet: {error}") from error
@@ -177,6 +183,40 @@ def check_grips(controller: ControllerConfig, robots: int, *, carries: bool) -> 
     leader = controller.find_leader()
     if leader is not None and leader >= robots:
         raise ValueError(f"controller.leader = {leader}: the fleet has {robots} robots")
+
+
+def check_gripping(controller: ControllerConfig, fleet: Sequence[FleetEntry]) -> None:
+    """Refuse fleets that cannot hold a body by end effectors, and laws that know no such lever.
+
+    Raises:
+        ValueError: naming the key and its value.
+    """
+    for i, entry in enumerate(fleet):
+        config = library.load_vehicle(entry.vehicle)
+        if config.end_effector is None:
+            raise ValueError(
+                f'task.hold = "end_effector": fleet[{i}], vehicle {config.name!r}, has no table '
+                '[end_effector]; fly vehicles with an arm, or give hold = "hull"'
+            )
+    stages, gains = controller.stack()
+    for stage, numbers in zip(stages, gains, strict=True):
+        if isinstance(numbers, CargoPartGains):
+            raise ValueError(
+                f"controller.stages: {stage.name!r} knows a load below the robot, and task.hold = "
+                '"end_effector" has it at the arm; take the stage grip_moment'
+            )
+
+
+def locate_tips(fleet: Sequence[FleetEntry]) -> np.ndarray:
+    """Return the end effectors [R, 3] m of all robots in F, with their joints at home."""
+    tips = []
+    with jax.ensure_compile_time_eval():
+        for entry in fleet:
+            links = build_links(library.load_vehicle(entry.vehicle), entry.parameter_set)
+            assert links is not None  # a vehicle file with an end effector has links
+            tip = np.asarray(locate_end_effector(links, links.home).position, float)
+            tips += [tip] * entry.count
+    return np.array(tips)
 
 
 def takes_poses(controller: ControllerConfig) -> bool:

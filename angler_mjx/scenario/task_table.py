@@ -18,7 +18,7 @@ from angler_mjx.sim.cargo import CargoSpec
 from angler_mjx.sim.physics.contact.grips import GripSpec
 from angler_mjx.world.config import Vector, WorldConfig, WorldRecipe, resolve_world
 from angler_mjx.world.obstacles.config import ExplicitConfig
-from angler_mjx.world.obstacles.explicit import longest_axis
+from angler_mjx.world.obstacles.explicit import find_gaps_m, longest_axis
 from angler_mjx.world.rock.rules import OpenRule
 from angler_mjx.world.tasks import allocation, visibility
 from angler_mjx.world.tasks.sampling import WHOLE, GoalSampling
@@ -71,7 +71,10 @@ class CarryTask(FileModel):
     out, robots stand side by side along the longest axis of the body, as far apart as it lets
     them, at offset_m from it."""
     offset_m: Vector = (0.0, 0.0, 0.6)
-    """Start of the robots' centres of mass from that axis; not with grips_m."""
+    """Start of the robots' centres of mass from that axis; not with grips_m. Where end effectors
+    hold the body it is that of theirs, and 0 if left out."""
+    hold: Literal["hull", "end_effector"] = "hull"
+    """Part of the robots that holds the body: the hull, or the end effector of the arm."""
     to_m: Vector
     """Centre of the body at the goal, in W."""
     turn_deg: float = Field(default=0.0, ge=-360.0, le=360.0)
@@ -91,6 +94,16 @@ class CarryTask(FileModel):
     by_end_effector: ClassVar[bool] = False
     """As of `GoalTask`."""
 
+    @model_validator(mode="before")
+    @classmethod
+    def _set_offset(cls, table: object) -> object:
+        """Set the offset of end effectors from the axis to 0, where the file gives none."""
+        if not isinstance(table, dict) or table.get("hold") != "end_effector":
+            return table
+        if table.get("grips_m") or "offset_m" in table:
+            return table
+        return {**table, "offset_m": (0.0, 0.0, 0.0)}
+
     @property
     def cargo(self) -> CargoSpec:
         """Return the settings of the simulator."""
@@ -107,13 +120,17 @@ class CarryTask(FileModel):
     def problem_table(self) -> JsonTable:
         """Return the table for digests, which stay those from before release existed."""
         table = dump_for_digest(self)
-        added = {"hold_s": self.hold_s, "release": self.release}
+        added = {"hold_s": self.hold_s, "release": self.release, "hold": self.hold != "hull"}
         return {key: value for key, value in table.items() if added.get(key, True)}
 
     @property
     def grip(self) -> GripSpec:
         """Return the grips of the simulator."""
-        return GripSpec(body=self.body, break_force_n=self.break_force_n)
+        return GripSpec(
+            body=self.body,
+            break_force_n=self.break_force_n,
+            by_end_effector=self.hold == "end_effector",
+        )
 
     def _grip_offsets(self, body: ExplicitConfig, robots: int) -> np.ndarray:
         """Return the starts [R, 3] of robots from the centre of the body, m, in W."""
@@ -135,8 +152,13 @@ class CarryTask(FileModel):
             )
         return np.array(self.grips_m)
 
-    def position_robots(self, world: WorldConfig, robots: int) -> WorldConfig:
+    def position_robots(self, world: WorldConfig, tips_m: np.ndarray) -> WorldConfig:
         """Return the world with the starts and goals of the robots that hold the body.
+
+        Args:
+            world: of the scenario.
+            tips_m: [R, 3] point of each robot that holds the body, from its centre of mass, m, in
+                F, at the start; 0 where hulls hold it.
 
         Raises:
             ValueError: there is no such body, or the world or the fleet does not fit it.
@@ -152,9 +174,12 @@ class CarryTask(FileModel):
                 f"task.body = {self.body}: its motion is {body.motion.type!r}, so nobody can carry "
                 'it; give motion.type = "drift"'
             )
-        offsets = self._grip_offsets(body, robots)
-        c, s = (f(math.radians(self.turn_deg)) for f in (math.cos, math.sin))
-        turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        grips = self._grip_offsets(body, len(tips_m))
+        if self.hold == "end_effector":
+            _check_reach(body, grips)
+        turn = _turn_about_z(math.radians(self.turn_deg))
+        travel_m = np.subtract(self.to_m, body.position_m)
+        offsets = grips - _aim_tips(grips, tips_m, turn, travel_m)
         starts = (np.array(body.position_m) + offsets).round(9)
         goals = (np.array(self.to_m) + offsets @ turn.T).round(9)
         made = {
@@ -171,6 +196,68 @@ class CarryTask(FileModel):
         # They count as left out: a file edited for another team computes them again.
         positioned.model_fields_set.difference_update(made.keys() - world.model_fields_set)
         return positioned
+
+
+MAX_GRIP_GAP_M = 0.02
+"""Greatest distance of an end effector from the surface of the body that it holds, m."""
+
+
+def _turn_about_z(angle_rad: float) -> np.ndarray:
+    """Return the matrix [3, 3] of a turn about z up."""
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _aim_tips(
+    grips: np.ndarray, tips_m: np.ndarray, turn: np.ndarray, travel_m: np.ndarray
+) -> np.ndarray:
+    """Return the tips [R, 3] in W at the start, where each robot heads for its goal.
+
+    The heading depends on start and goal, and these on the heading: it is found by iteration.
+
+    Args:
+        grips: [R, 3] points of the grips from the centre of the body, m, in W.
+        tips_m: [R, 3] the same from the centres of mass of the robots, in F.
+        turn: [3, 3] turn of the body from start to goal.
+        travel_m: [3] from the centre of the body at the start to that at the goal.
+
+    Raises:
+        ValueError: a robot has no heading that keeps to that.
+    """
+    tips = tips_m.copy()
+    if not tips_m.any():
+        return tips
+    for _ in range(100):
+        to_goal = travel_m + (grips - tips) @ (turn - np.eye(3)).T
+        headings = np.arctan2(to_goal[:, 1], to_goal[:, 0])
+        before, tips = (
+            tips,
+            np.stack([_turn_about_z(yaw) @ tip for yaw, tip in zip(headings, tips_m, strict=True)]),
+        )
+        if np.abs(tips - before).max() < 1e-12:
+            return tips
+    raise ValueError(
+        "task.to_m, task.turn_deg: no heading of the robots at the start leads them to their goals "
+        "with their end effectors at the body; take a longer way or a smaller turn"
+    )
+
+
+def _check_reach(body: ExplicitConfig, grips: np.ndarray) -> None:
+    """Refuse grips [R, 3], m from the centre of a body, that are not at its surface or in it.
+
+    Raises:
+        ValueError: naming them, with their distances.
+    """
+    faults = [
+        f"grip {i} is {gap:.3g} m from the surface of the body"
+        for i, gap in enumerate(find_gaps_m(body, grips))
+        if gap > MAX_GRIP_GAP_M
+    ]
+    if faults:
+        raise ValueError(
+            f"task.grips_m or task.offset_m: {'; '.join(faults)}, and end effectors hold at most "
+            f"{MAX_GRIP_GAP_M:g} m from it; give points of the body"
+        )
 
 
 class _Task(FileModel):

@@ -82,5 +82,4 @@ def finish_carrying(
 
 def read_grips(grips: Grips) -> GripReading:
     """Return what the robots [R] of one world measure of the body that they hold."""
-    center_m = -jax.vmap(quaternion.rotate_inverse)(grips.q, grips.position_m)
-    return GripReading(wrench=grips.wrench, center_m=center_m)
+    return GripReading(wrench=grips.wrench, center_m=grips.center_m, lever_m=grips.lever_m)

@@ -25,6 +25,7 @@ from angler_mjx.sim.physics.contact import candidates, mjx_contact
 from angler_mjx.sim.physics.contact.candidates import Rock
 from angler_mjx.sim.physics.contact.grips import (
     Grips,
+    find_grip_points,
     find_grip_rows,
     let_go,
     measure_forces,
@@ -40,7 +41,7 @@ from angler_mjx.sim.physics.contact.resolve import (
 )
 from angler_mjx.sim.physics.mjx_engine import BodyInertia
 from angler_mjx.sim.physics.step import FreeStep, Multibody, VehicleState, Water
-from angler_mjx.sim.posture import hull_capsules
+from angler_mjx.sim.posture import hull_capsules, locate_end_effectors
 from angler_mjx.sim.state import FleetWorld, Touched
 from angler_mjx.sim.step import joint_reference
 from angler_mjx.world import obstacles as obstacle_motion
@@ -78,7 +79,9 @@ def find_layout(
     hull = jax.eval_shape(
         hull_capsules, vehicles, None if state.joints is None else state.joints.position
     )
-    obstacles = environment.obstacles
+    obstacles, grip = environment.obstacles, contact.grip
+    capsules = vehicles.link_capsules
+    links = 0 if capsules is None else capsules.link.shape[-1]
     return BodyLayout(
         robots=state.p.shape[0],
         joints=0 if state.joints is None else state.joints.position.shape[1],
@@ -87,6 +90,8 @@ def find_layout(
         has_capsules=any(kind != BOX for kind in obstacles.kinds),
         has_boxes=BOX in obstacles.kinds,
         axis_pieces=contact.axis_pieces,
+        links=links if grip is not None and grip.by_end_effector else 0,
+        held=grip.body if grip is not None and grip.by_end_effector else -1,
     )
 
 
@@ -185,11 +190,14 @@ def step_together(
         )
     with jax.named_scope("contact"):
         bodies = _join_bodies(moving, vehicles, free, obstacles, drifted_nu, drifts)
-        holding = None
+        holding = tips = None
         if grips is not None and moving.contact.grip is not None:
-            holding = find_grip_rows(
-                moving.contact.grip, moving.layout, grips, bodies.p, bodies.rotation
-            )
+            grip, robots = moving.contact.grip, moving.layout.robots
+            if grip.by_end_effector:
+                joints = None if vehicles.joints is None else vehicles.joints.position
+                tips = locate_end_effectors(control.vehicle, joints)
+            hold = find_grip_points(grip, vehicles.p, bodies.rotation[:robots], tips)
+            holding = find_grip_rows(grip, moving.layout, grips, hold, bodies.p, bodies.rotation)
         forces = resolve_contact(moving.contact, moving.layout, bodies, touches, moving.dt, holding)
     after = _settle_robots(moving, vehicles, free, forces)
     moved = _settle_obstacles(moving, obstacles, drifted_nu, nu_dot, drifts, forces, t + moving.dt)
@@ -200,7 +208,13 @@ def step_together(
         if moment_nm is not None:
             wrench = jnp.concatenate([force_n, moment_nm], axis=1)
             rotation = bodies.rotation[: moving.layout.robots]
-            now = measure_wrench(grips.held, wrench, rotation)
+            if tips is not None:
+                body = moving.layout.robots + moving.contact.grip.body
+                offset_m = bodies.p[body] - vehicles.p
+                center_m = jax.vmap(quaternion.rotate_inverse)(vehicles.q, offset_m)
+                grips = replace(grips, center_m=center_m, lever_m=tips.position)
+            lever_m = None if tips is None else tips.position
+            now = measure_wrench(grips.held, wrench, rotation, lever_m)
             grips = replace(grips, wrench=grips.wrench + now)
         impacts, grips = replace(impacts, grips=pull), let_go(grips, pull, moving.alive)
     return after, moved, grips, impacts

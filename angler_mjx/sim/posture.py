@@ -7,7 +7,11 @@ from numpy.typing import ArrayLike
 
 from angler_kernels.rigid_body import matrix_times
 from angler_mjx.robot.vehicles.link_hull import LinkCapsules
-from angler_mjx.robot.vehicles.link_motion import locate_links
+from angler_mjx.robot.vehicles.link_motion import (
+    EndEffectorMotion,
+    locate_end_effector,
+    locate_links,
+)
 from angler_mjx.robot.vehicles.link_params import LinkParams
 from angler_mjx.robot.vehicles.params import VehicleParams
 
@@ -31,6 +35,23 @@ def hull_capsules(vehicles: VehicleParams, joint_position: jax.Array | None) -> 
     moved = a, b, capsules.r_m
     a, b, r = (jnp.concatenate(pair, axis=1) for pair in zip(base, moved, strict=True))
     return a, b, r
+
+
+def locate_end_effectors(
+    vehicles: VehicleParams, joint_position: jax.Array | None
+) -> EndEffectorMotion:
+    """Return the end effectors of robots [R] in F.
+
+    Args:
+        vehicles: [R] leads.
+        joint_position: [R, J] rad or m; None: no robot has joints.
+
+    Raises:
+        ValueError: the vehicles have no end effector.
+    """
+    if vehicles.links is None or joint_position is None:
+        raise ValueError("the vehicles have no end effector")
+    return jax.vmap(locate_end_effector)(vehicles.links, joint_position)
 
 
 def bounding_radii(vehicles: VehicleParams, hulls: Capsules) -> jax.Array:

@@ -16,6 +16,7 @@ from angler_mjx.sim.physics import step as physics
 from angler_mjx.sim.physics.contact.grips import take_hold
 from angler_mjx.sim.physics.step import Multibody
 from angler_mjx.sim.policy import Policy
+from angler_mjx.sim.posture import locate_end_effectors
 from angler_mjx.sim.state import FleetWorld, SimSpec, World, WorldState
 from angler_mjx.sim.world_context import GoalAssignment, WorldContext
 from angler_mjx.sim.world_phases import sense_motion
@@ -69,7 +70,11 @@ def reset[Body](
         error = find_error(spec.cargo, environment, moving)
         robots = environment.start_m.shape[:1]
         cargo = jax.tree.map(lambda x: jnp.broadcast_to(x, robots), error)
-        grips = take_hold(spec.contact.grip, vehicles.p, vehicles.q, moving.p, moving.q)
+        grip, tips = spec.contact.grip, None
+        if grip.by_end_effector:
+            assert vehicles.joints is not None  # the scenario refuses fleets without arms
+            tips = locate_end_effectors(world.control.vehicle, vehicles.joints.position)
+        grips = take_hold(grip, vehicles.p, vehicles.q, moving.p, moving.q, tips)
     state = WorldState(
         vehicles=vehicles,
         carry=jax.vmap(partial(robot.reset_controllers, spec))(vehicles, environment.start_yaw_rad),

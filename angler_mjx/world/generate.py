@@ -167,7 +167,11 @@ def generate_batch(
 
 
 def check_fleet(
-    recipe: WorldRecipe, radius_m: np.ndarray | jax.Array, *, by_end_effector: bool = False
+    recipe: WorldRecipe,
+    radius_m: np.ndarray | jax.Array,
+    *,
+    by_end_effector: bool = False,
+    held: int = -1,
 ) -> None:
     """Refuse a fleet that no sample of the recipe can hold, before compilation.
 
@@ -175,6 +179,7 @@ def check_fleet(
         recipe: recipe of the world.
         radius_m: [..., n_robot] radius of each robot's bounding sphere.
         by_end_effector: goals are those of end effectors, which need no room for a hull.
+        held: index of the explicit obstacle that the robots hold by their arms; -1 for none.
 
     Raises:
         ConfigError: no robot, more robots than cells, a robot too wide for the cells, or given
@@ -198,7 +203,7 @@ def check_fleet(
         )
     if recipe.placement == "given":
         largest_m = radius.reshape(-1, n_robot).max(axis=0)
-        check_positions(recipe, largest_m, by_end_effector=by_end_effector)
+        check_positions(recipe, largest_m, by_end_effector=by_end_effector, held=held)
 
 
 def require_valid(environment: Environment, first_index: int = 0) -> None:

@@ -86,7 +86,7 @@ def _obstacle_gaps(obstacles: Obstacles, p: jax.Array) -> jax.Array:
 
 
 def check_positions(
-    recipe: WorldRecipe, radius_m: np.ndarray, *, by_end_effector: bool = False
+    recipe: WorldRecipe, radius_m: np.ndarray, *, by_end_effector: bool = False, held: int = -1
 ) -> None:
     """Refuse starts and goals of a file that lie outside the grid or touch an explicit obstacle.
 
@@ -94,6 +94,7 @@ def check_positions(
         recipe: recipe with placement "given".
         radius_m: [n_robot].
         by_end_effector: goals are those of end effectors, which need no room for a hull.
+        held: index of the explicit obstacle that the robots hold by their arms; -1 for none.
 
     Raises:
         ConfigError: naming every such position.
@@ -119,6 +120,7 @@ def check_positions(
                 continue
             rows = explicit_rows(explicit, 1000.0)  # The water's density changes no shape.
             counts = (np.asarray(rows.motion) == STATIC) | (key == "start_m")
+            counts &= np.arange(len(counts)) != held
             gaps = np.asarray(_obstacle_gaps(rows, jnp.array(position_m, float)))
             faults += [
                 f"{key}[{i}] = {position_m}: {gaps[j]:.2f} m from obstacles.explicit[{j}]; "

@@ -128,6 +128,7 @@ def _flight_checks() -> list[GpuCheck]:
         _flight_check("reef_arms", "reef_arms", {"policy:reach"}, engine="mjx", **brief),
         _flight_check("reef_debris", "reef_debris", set(), engine="mjx", **brief),
         _flight_check("carry_pipe", "carry_pipe", {"planner:carry"}, engine="mjx", **brief),
+        _flight_check("carry_arms", "carry_arms", {"planner:carry"}, engine="mjx", **brief),
         _flight_check(
             "sitl_hold", "sitl_hold", set(), worlds=2, time={**RECORDING, "horizon_s": 40.0}
         ),

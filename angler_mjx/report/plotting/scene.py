@@ -74,7 +74,8 @@ class ReplayScene:
     task: TaskHistory | None = None
     """Task of the team with its progress; None: each robot has its goal."""
     cargo: int | None = None
-    """Obstacle that all robots carry together; None where they carry nothing."""
+    """Obstacle that all robots carry together by their hulls; None where they carry nothing, and
+    where their arms show that they hold it."""
 
     @property
     def bounds_m(self) -> tuple[np.ndarray, np.ndarray]:
@@ -145,7 +146,7 @@ def _load_scene(run: Run, world: int, rows: list[dict[str, Any]]) -> ReplayScene
         )
         for i, row in enumerate(rows)
     )
-    moving = "obstacle_p_m" in stored
+    moving, cargo = "obstacle_p_m" in stored, run.scenario.cargo_spec()
     return ReplayScene(
         world=world,
         time_s=time[:count],
@@ -154,7 +155,7 @@ def _load_scene(run: Run, world: int, rows: list[dict[str, Any]]) -> ReplayScene
         obstacle_p_m=stored["obstacle_p_m"][world, :count] if moving else np.zeros((count, 0, 3)),
         obstacle_q=stored["obstacle_q"][world, :count] if moving else np.zeros((count, 0, 4)),
         replan_hz=run.scenario.planner.replan_hz,
-        cargo=None if (cargo := run.scenario.cargo_spec()) is None else cargo.body,
+        cargo=None if cargo is None or run.scenario.held_body >= 0 else cargo.body,
         task=None
         if spec is None
         else trajectory_layout.read_task(

@@ -198,7 +198,10 @@ class FlightPrograms:
         )
         radius = np.asarray(jax.jit(fleet.radius_bound)(self.fleet))
         generate.check_fleet(
-            resolve_world(scenario.world), radius, by_end_effector=scenario.by_end_effector
+            resolve_world(scenario.world),
+            radius,
+            by_end_effector=scenario.by_end_effector,
+            held=scenario.held_body,
         )
         self.samples, self.steps_per_sample = _segment_size(scenario)
         self.engine = engines.by_name(scenario.engine, setup.kernels)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from angler_mjx.world.obstacles import bodies
 from angler_mjx.world.obstacles.config import (
@@ -81,6 +82,24 @@ def longest_axis(item: ExplicitConfig) -> bodies.Floats:
     turn = 2.0 * np.cross(u, axis)
     rotated: bodies.Floats = axis + w * turn + np.cross(u, turn)
     return rotated
+
+
+def find_gaps_m(item: ExplicitConfig, points: bodies.Floats) -> bodies.Floats:
+    """Return distances [n], m, of points from the surface of a body; 0 and below are in it.
+
+    Args:
+        item: the body.
+        points: [n, 3] from its centre, m, in W.
+    """
+    kind, size, _ = _body_shape(item)
+    turn = Rotation.from_quat(_to_quaternion(item.rpy_deg), scalar_first=True)
+    at = np.asarray(turn.inv().apply(points))
+    if kind == BOX:
+        outside: bodies.Floats = np.linalg.norm(np.maximum(np.abs(at) - size, 0.0), axis=1)
+        return outside
+    at[:, 2] -= np.clip(at[:, 2], -size[1], size[1])
+    gaps: bodies.Floats = np.linalg.norm(at, axis=1) - size[0]
+    return gaps
 
 
 def _to_array(values: Sequence[object]) -> jax.Array:

@@ -86,3 +86,25 @@ def test_a_follower_without_a_plan_carries_as_far_as_the_leader_goes(leader):
     assert np.all(tally.end_time_s < 50.0)
     assert np.all(tally.path_length_m > 4.0)
     assert np.all(tally.internal_force_n < 10.0)
+
+
+def test_a_measured_force_holds_the_pipe_level_in_a_current_that_no_controller_knows():
+    """At 0.5 m/s `cargo_wrench` arrives in 6 of 100 worlds, though it knows the current."""
+    simulator = Simulator(
+        load_scenario(
+            "carry_pipe",
+            worlds=1,
+            tile=1,
+            time={"horizon_s": 45.0, "record_hz": 1.0, "physics_dt_s": 0.01},
+            controller={"stages": ["follow", "pose", "velocity", "grip_moment", "pseudo_inverse"]},
+            world={"currents": [{"type": "uniform", "velocity_mps": [0.5, 0.0, 0.0]}]},
+        )
+    )
+    assert not any(stage.wants_flow for stage in simulator.spec.stages)
+    worlds = simulator.worlds()
+    state = simulator.reset(worlds)
+    for _ in range(simulator.segments):
+        state, _ = simulator.segment(worlds, state)
+    np.testing.assert_array_equal(state.tally.outcome, Outcome.REACHED)
+    tilt = Rotation.from_quat(np.asarray(state.vehicles.q[0]), scalar_first=True).apply([0, 0, 1])
+    assert tilt[:, 2].min() > np.cos(np.radians(12.0))

@@ -17,7 +17,10 @@ class GripReading:
     """[6] of the body on the robot at its centre of mass, N and N m, in F: what a force-torque
     sensor measures, as mean of the control period before. 0 at the start and without a hold."""
     center_m: jax.Array
-    """[3] centre of the body from the robot's centre of mass, m, in F, which the grip keeps."""
+    """[3] centre of the body from the robot's centre of mass, m, in F."""
+    lever_m: jax.Array
+    """[3] point of the grip from there, m, in F: the end effector, or, of a robot that holds the
+    body by its hull, the point below or above its centre at the height of the body."""
 
 
 @jax.tree_util.register_dataclass

@@ -1,5 +1,8 @@
 """Grips: robots hold a body at one pose in its frame, as rigidly as contact pushes.
 
+A robot holds it by its hull or by its end effector: the point of the grip is the centre of mass,
+with the attitude of the hull, or the frame of the end effector, which the joints move.
+
 A grip is MuJoCo's weld: six rows of equality, which pull the error of position and attitude to zero
 as a critically damped spring of the contact's natural frequency, and whose forces are part of the
 same solution as those of contact. A grip whose force exceeds a limit breaks, and stays broken.
@@ -9,8 +12,10 @@ from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
+from jax.scipy.spatial.transform import Rotation
 
 from angler_kernels import quaternion
+from angler_mjx.robot.vehicles.link_motion import EndEffectorMotion
 from angler_mjx.sim.physics.contact.layout import BodyLayout
 
 
@@ -22,6 +27,8 @@ class GripSpec:
     """Index of the held obstacle."""
     break_force_n: float | None = None
     """Force above which a grip breaks, N; None for never."""
+    by_end_effector: bool = False
+    """Whether robots hold the body by their end effectors instead of their hulls."""
 
 
 @jax.tree_util.register_dataclass
@@ -32,9 +39,13 @@ class Grips:
     held: jax.Array
     """bool [R]."""
     position_m: jax.Array
-    """[R, 3] centre of mass of each robot, m, in the frame of the body."""
+    """[R, 3] point of each grip, m, in the frame of the body."""
     q: jax.Array
-    """[R, 4] attitude of each robot in that frame."""
+    """[R, 4] attitude of each grip in that frame."""
+    center_m: jax.Array
+    """[R, 3] centre of the body from the robot's centre of mass, m, in F."""
+    lever_m: jax.Array
+    """[R, 3] point of the grip from there, m, in F; of a hull 0 but for the height of the body."""
     wrench: jax.Array
     """[R, 6] wrench of the body on each robot at its centre of mass, N and N m, in F: its mean over
     the last control period, as a force-torque sensor in the wrist gives it; 0 at the start."""
@@ -55,6 +66,20 @@ class GripForces:
     """bool [R] whether the grip broke."""
 
 
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class GripPoints:
+    """Points [R] by which the robots of a world hold a body."""
+
+    position_m: jax.Array
+    """[R, 3] m in W."""
+    rotation: jax.Array
+    """[R, 3, 3] attitude of the grip, to W."""
+    jacobian: jax.Array | None = None
+    """[R, 6, 6 + J] velocity and angular velocity, in W, by the velocities of the robot (linear in
+    W, angular in F, joints); None for the robot's centre of mass."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class GripRows:
     """Six rows for each robot: the first three of position, the others of attitude, in W."""
@@ -68,7 +93,12 @@ class GripRows:
 
 
 def take_hold(
-    spec: GripSpec, p: jax.Array, q: jax.Array, body_p: jax.Array, body_q: jax.Array
+    spec: GripSpec,
+    p: jax.Array,
+    q: jax.Array,
+    body_p: jax.Array,
+    body_q: jax.Array,
+    tips: EndEffectorMotion | None = None,
 ) -> Grips:
     """Return grips of all robots where they are.
 
@@ -78,13 +108,23 @@ def take_hold(
         q: [R, 4] their attitudes.
         body_p: [O, 3] centres of the obstacles, m, in W.
         body_q: [O, 4] their attitudes.
+        tips: [R] end effectors in F, where they hold the body.
     """
     at, turned = body_p[spec.body], body_q[spec.body]
     back = quaternion.conjugate(turned)
+    center_m = jax.vmap(quaternion.rotate_inverse)(q, at - p)
+    grip_p, grip_q, lever_m = p, q, center_m * jnp.asarray([0.0, 0.0, 1.0], p.dtype)
+    if tips is not None:
+        lever_m = tips.position
+        grip_p = p + jax.vmap(quaternion.rotate)(q, lever_m)
+        turned_tips = Rotation.from_matrix(tips.rotation).as_quat()[:, jnp.array([3, 0, 1, 2])]
+        grip_q = jax.vmap(quaternion.multiply)(q, turned_tips)
     return Grips(
         held=jnp.ones(p.shape[0], bool),
-        position_m=jax.vmap(quaternion.rotate_inverse, (None, 0))(turned, p - at),
-        q=jax.vmap(quaternion.multiply, (None, 0))(back, q),
+        position_m=jax.vmap(quaternion.rotate_inverse, (None, 0))(turned, grip_p - at),
+        q=jax.vmap(quaternion.multiply, (None, 0))(back, grip_q),
+        center_m=center_m,
+        lever_m=lever_m,
         wrench=jnp.zeros((p.shape[0], 6), p.dtype),
         at_goal_s=jnp.zeros(p.shape[0], p.dtype),
     )
@@ -94,6 +134,7 @@ def find_grip_rows(
     spec: GripSpec,
     layout: BodyLayout,
     grips: Grips,
+    points: GripPoints,
     p: jax.Array,
     rotation: jax.Array,
 ) -> GripRows:
@@ -103,6 +144,7 @@ def find_grip_rows(
         spec: settings.
         layout: of the world.
         grips: of its robots.
+        points: by which they hold the body.
         p: [B, 3] positions of all bodies, m, in W.
         rotation: [B, 3, 3] their attitudes, to W.
     """
@@ -121,10 +163,13 @@ def find_grip_rows(
     J = J.at[:, 3:, first + 3 : first + 6].set(rotation[body])
     for robot in range(robots):
         at = robot * layout.robot_velocities
+        if points.jacobian is not None:
+            J = J.at[robot, :, at : at + layout.robot_velocities].set(-points.jacobian[robot])
+            continue
         J = J.at[robot, :3, at : at + 3].set(-eye)
         J = J.at[robot, 3:, at + 3 : at + 6].set(-rotation[robot])
     error = jnp.concatenate(
-        [p[body] + arm - p[:robots], _turn_between(rotation[:robots], wanted)], axis=1
+        [p[body] + arm - points.position_m, _turn_between(points.rotation, wanted)], axis=1
     )
     held = grips.held
     return GripRows(
@@ -159,17 +204,53 @@ def measure_forces(spec: GripSpec, held: jax.Array, force_n: jax.Array) -> GripF
     )
 
 
-def measure_wrench(held: jax.Array, wrench: jax.Array, rotation: jax.Array) -> jax.Array:
+def measure_wrench(
+    held: jax.Array, wrench: jax.Array, rotation: jax.Array, lever_m: jax.Array | None = None
+) -> jax.Array:
     """Return the wrenches [R, 6] of the body on the robots in a step, N and N m, in F.
+
+    Moments are about the robots' centres of mass.
 
     Args:
         held: bool [R].
-        wrench: [R, 6] of the grips on the body at the robots' centres of mass, in W.
+        wrench: [R, 6] of the grips on the body at their points, in W.
         rotation: [R, 3, 3] attitudes of the robots, to W.
+        lever_m: [R, 3] points of the grips in F; None for the robots' centres of mass.
     """
     on_robot = -jnp.reshape(wrench, (-1, 2, 3))
     in_body = jnp.sum(rotation[:, None] * on_robot[..., None], axis=2)
+    if lever_m is not None:
+        in_body = in_body.at[:, 1].add(jnp.cross(lever_m, in_body[:, 0]))
     return jnp.where(held[:, None], jnp.reshape(in_body, (-1, 6)), 0.0)
+
+
+def find_grip_points(
+    spec: GripSpec, p: jax.Array, rotation: jax.Array, tips: EndEffectorMotion | None
+) -> GripPoints:
+    """Return where the robots [R] of one world hold a body.
+
+    Args:
+        spec: settings.
+        p: [R, 3] centres of mass of the robots, m, in W.
+        rotation: [R, 3, 3] their attitudes, to W.
+        tips: [R] end effectors in F; None where robots hold it by their hulls.
+
+    Raises:
+        ValueError: they hold it by end effectors that they do not have.
+    """
+    if not spec.by_end_effector:
+        return GripPoints(position_m=p, rotation=rotation)
+    if tips is None:
+        raise ValueError("robots hold a body by end effectors, and have none")
+    # Velocities of robots are linear in W here, and in F in the Jacobian of the end effector.
+    in_world = jnp.einsum("rij,rkjn->rkin", rotation, tips.jacobian.reshape(len(p), 2, 3, -1))
+    linear = jnp.einsum("rkin,rmn->rkim", in_world[..., :3], rotation)
+    jacobian = jnp.concatenate([linear, in_world[..., 3:]], axis=-1)
+    return GripPoints(
+        position_m=p + jnp.einsum("rij,rj->ri", rotation, tips.position),
+        rotation=jnp.einsum("rij,rjk->rik", rotation, tips.rotation),
+        jacobian=jacobian.reshape(len(p), 6, -1),
+    )
 
 
 def let_go(grips: Grips, forces: GripForces, alive: jax.Array) -> Grips:

@@ -32,6 +32,11 @@ class BodyLayout:
     """Whether obstacles can be boxes."""
     axis_pieces: tuple[int, ...] = ()
     """`ContactSpec.axis_pieces`."""
+    links: int = 0
+    """How many of the capsules of each robot, the last ones, are of its arm and do not meet the
+    body that it holds: a gripper is closed around it."""
+    held: int = -1
+    """That obstacle; -1 for none."""
 
     @property
     def bodies(self) -> int:
@@ -86,6 +91,17 @@ class BodyLayout:
         obstacles = np.arange(self.robots, self.bodies)
         kinds = [obstacles] * (self.has_capsules + self.has_boxes)
         return np.concatenate([robots, *kinds]).astype(np.int32)
+
+    def meets(self, first: int, second: int) -> bool:
+        """Return whether two shapes can touch: not of one body, nor a gripper and what it holds."""
+        owners = self.shape_bodies()
+        if owners[first] == owners[second]:
+            return False
+        arm, held = (first, second) if first < second else (second, first)
+        is_arm = arm < self.robots * self.capsules and (
+            arm % self.capsules >= self.capsules - self.links
+        )
+        return not (is_arm and self.held >= 0 and owners[held] == self.robots + self.held)
 
     def is_box(self) -> np.ndarray:
         """Return bool [shapes]."""

@@ -82,7 +82,7 @@ def _build_model(layout: BodyLayout) -> mujoco.MjModel:
             element.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1.0, 0.0, 0.0])
     for i in range(layout.shapes):
         for j in range(i + 1, layout.shapes):
-            if owners[i] != owners[j]:
+            if layout.meets(i, j):
                 spec.add_pair(geomname1=f"shape_{i}", geomname2=f"shape_{j}", condim=3)
     return spec.compile()
 

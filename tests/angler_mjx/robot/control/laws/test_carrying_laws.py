@@ -9,10 +9,17 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.robot.control.commands import BodyTwist, Estimate, GripReading, PoseTarget
-from angler_mjx.robot.control.laws import admittance, leader_follower
+from angler_mjx.robot.control.commands import (
+    BodyTwist,
+    BodyWrench,
+    Estimate,
+    GripReading,
+    PoseTarget,
+)
+from angler_mjx.robot.control.laws import admittance, grip_moment, leader_follower
 from angler_mjx.robot.control.laws.admittance import AdmittanceGains
 from angler_mjx.robot.control.laws.cargo_part import CargoPartGains, find_excess, find_wrench
+from angler_mjx.robot.control.laws.grip_moment import GripMomentGains
 from angler_mjx.robot.control.laws.leader_follower import LeaderFollowerGains
 from angler_mjx.robot.control.stages import build_stack
 from angler_mjx.scenario.scenario import load_scenario
@@ -20,6 +27,7 @@ from angler_mjx.scenario.scenario import load_scenario
 DT = 0.05
 PART = {"depth_m": 0.4, "weight_n": 8.0, "drag_x_n": 60.0, "drag_y_n": 10.0, "drag_z_n": 70.0}
 CENTER = np.array([1.2, 0.0, -0.4])
+LEVER = np.array([0.5, -0.1, -0.3])
 VEHICLE = SimpleNamespace(terminal_speed_mps=jnp.array([1.5, 1.2, 1.0]), steered=False)
 
 
@@ -31,7 +39,9 @@ def believe(attitude, wrench, nu=(0.0,) * 6, flow=None):
         nu=jnp.asarray(nu, jnp.float32),
         flow=None if flow is None else jnp.asarray(flow, jnp.float32),
         grip=GripReading(
-            wrench=jnp.asarray(wrench, jnp.float32), center_m=jnp.asarray(CENTER, jnp.float32)
+            wrench=jnp.asarray(wrench, jnp.float32),
+            center_m=jnp.asarray(CENTER, jnp.float32),
+            lever_m=jnp.asarray(LEVER, jnp.float32),
         ),
     )
 
@@ -113,6 +123,41 @@ def test_a_reference_gives_way_as_a_mass_on_damper_and_spring():
     assert np.abs(np.angle(apart)).max() < 0.01
     np.testing.assert_allclose(found[-1, :3] - command.position_m, force / 60.0, rtol=0.01)
     assert np.all(np.abs(found[:, 6]) <= np.pi + 1e-6)
+
+
+def test_the_measured_force_is_fed_forward_with_its_lever_and_not_its_moment():
+    """tau = tau_robot - [0; r x f], with f behind a filter of first order."""
+    gains, attitude = GripMomentGains(filter_s=0.4), Rotation.from_euler("ZYX", [1.0, 0.2, -0.1])
+    force, command = np.array([5.0, -3.0, -8.0]), np.array([1.0, 2.0, 3.0, 0.4, 0.5, 0.6])
+    now = believe(attitude, [*force, 7.0, -9.0, 11.0])
+    carry, out = grip_moment.reset(now), []
+    for _ in range(40):
+        carry, wrench = grip_moment.step(
+            gains, None, carry, now, BodyWrench(tau=jnp.asarray(command)), DT, 1000.0, 9.81
+        )
+        out.append(np.asarray(wrench.tau))
+    time = DT * np.arange(1, 41)
+    risen = 1.0 - np.exp(-time / 0.4)
+    want = command[3:] - risen[:, None] * np.cross(LEVER, force)
+    np.testing.assert_allclose(np.array(out)[:, 3:], want, atol=0.03 * np.abs(want).max())
+    np.testing.assert_allclose(out[-1][3:], want[-1], rtol=5e-3)
+    np.testing.assert_array_equal(np.array(out)[:, :3], np.broadcast_to(command[:3], (40, 3)))
+    open_grip = believe(attitude, np.zeros(6))
+    for _ in range(40):
+        carry, wrench = grip_moment.step(
+            gains, None, carry, open_grip, BodyWrench(tau=jnp.asarray(command)), DT, 1000.0, 9.81
+        )
+    np.testing.assert_allclose(wrench.tau, command, atol=0.05)
+
+
+def test_grip_moment_is_refused_where_nothing_is_held():
+    with pytest.raises(ConfigError, match="grip_moment"):
+        load_scenario(
+            "reef_fleet",
+            controller={"stages": ["follow", "pose", "velocity", "grip_moment", "pseudo_inverse"]},
+        )
+    with pytest.raises(ConfigError, match="gains of grip_moment: filter_s = -1"):
+        grip_moment.check(GripMomentGains(filter_s=-1.0))
 
 
 def step_follower(gains, carry, estimate, leads=False, command=(0.1, 0.2, 0.3, 0.01, 0.02, 0.03)):

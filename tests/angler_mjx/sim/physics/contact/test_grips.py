@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from angler_kernels import quaternion
 from angler_mjx.sim.physics.contact.grips import (
     GripSpec,
+    find_grip_points,
     find_grip_rows,
     let_go,
     measure_forces,
@@ -71,7 +72,8 @@ def solve(p, q, velocity, force, grips):
         M_robots=blocks[:2],
         M_obstacles=blocks[2:],
     )
-    rows = find_grip_rows(GRIP, LAYOUT, grips, bodies.p, bodies.rotation)
+    points = find_grip_points(GRIP, bodies.p[:2], bodies.rotation[:2], None)
+    rows = find_grip_rows(GRIP, LAYOUT, grips, points, bodies.p, bodies.rotation)
     return resolve_contact(SPEC, LAYOUT, bodies, no_touches(), DT, rows), bodies.unconstrained
 
 
