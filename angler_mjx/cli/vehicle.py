@@ -192,7 +192,18 @@ def _format_properties(properties: "VehicleProperties") -> list[tuple[str, str]]
         ("natural roll period", _format_period(properties.roll_period_s)),
         ("natural pitch period", _format_period(properties.pitch_period_s)),
         ("rotor time constant", f"{properties.rotor_time_constant_s:g} s"),
+        *_format_gain(properties.damping_gain_w),
     ]
+
+
+def _format_gain(power_w: float | None) -> list[tuple[str, str]]:
+    """Return the row on damping between axes; none of diagonal damping."""
+    if power_w is None:
+        return []
+    if power_w <= 0:
+        return [("damping between axes", "takes energy at all velocities ahead that were tried")]
+    text = f"gives up to {power_w:.3g} W at 1 m/s and rad/s: still water drives the vehicle"
+    return [("damping between axes", text)]
 
 
 def _format_speed(speed: float, lag: float) -> str:

@@ -121,8 +121,8 @@ class FleetEntry(FileModel):
                     wrench,
                     float(thrust_n[0]),
                     float(thrust_n[-1]),
-                    np.asarray(damping.linear[:3], float),
-                    np.asarray(damping.quadratic[:3], float),
+                    np.asarray(damping.linear_diagonal[:3], float),
+                    np.asarray(damping.quadratic_diagonal[:3], float),
                 )
             )
         return limits

@@ -18,7 +18,12 @@ from angler_mjx.robot.importing.cover import (
     cover_shape,
     cover_sphere,
 )
-from angler_mjx.robot.importing.foreign_vehicle import ForeignVehicle, Shape, ThrusterMount
+from angler_mjx.robot.importing.foreign_vehicle import (
+    ForeignVehicle,
+    Hydrodynamics,
+    Shape,
+    ThrusterMount,
+)
 from angler_mjx.robot.importing.notes import Location, Notes
 from angler_mjx.robot.importing.numbers import (
     SMALLEST_SHAPE_M,
@@ -282,15 +287,7 @@ def _build_water(
             if matrix is None:
                 continue
             locations["damping"].append(where)
-            for (table, i, j), label in water.names.items():
-                if table == name and i != j and matrix[i, j] != 0:
-                    notes.add(
-                        "dropped",
-                        f"{name} damping {label} = {matrix[i, j]:g}: vehicle "
-                        "files hold the diagonal",
-                        where,
-                    )
-            total += turn @ np.diag(np.diag(matrix)) @ turn.T
+            total += turn @ _coupled_damping(matrix, name, turn, water, notes) @ turn.T
         if np.linalg.norm(arm) > 1e-9:
             notes.add(
                 "assumed",
@@ -301,15 +298,39 @@ def _build_water(
         if not np.allclose(np.abs(turn).max(axis=0), 1.0, atol=1e-6):
             notes.add(
                 "assumed",
-                f"damping of {water.body}, which is turned: its part along the vehicle's axes",
+                f"quadratic damping of {water.body}, which is turned: its part along the vehicle's "
+                "axes",
                 where,
             )
     return {
         "added_mass": _build_added_mass(added, locations["added"], size_m, volume, density, notes),
-        "damping": _build_damping(
-            np.diag(linear), np.diag(quadratic), locations["damping"], size_m, density, notes
-        ),
+        "damping": _build_damping(linear, quadratic, locations["damping"], size_m, density, notes),
     }
+
+
+def _coupled_damping(
+    matrix: np.ndarray, name: str, turn: np.ndarray, water: Hydrodynamics, notes: Notes
+) -> np.ndarray:
+    """Return the part of a damping matrix [6, 6] that a vehicle file can hold.
+
+    Linear damping wholly, unless still water would drive the vehicle by it. Quadratic damping
+    between axes keeps its form in frames whose axes are along the vehicle's alone.
+    """
+    diagonal: np.ndarray = np.diag(np.diag(matrix))
+    is_aligned = np.allclose(np.abs(turn).max(axis=0), 1.0, atol=1e-6)
+    reason = None
+    if name == "quadratic" and not is_aligned:
+        reason = "the axes of its link are turned"
+    elif name == "linear" and np.linalg.eigvalsh(matrix + matrix.T)[0] < -1e-9:
+        reason = "with it still water would drive the vehicle"
+    for (table, i, j), label in water.names.items():
+        if table == name and i != j and matrix[i, j] != 0 and reason:
+            notes.add(
+                "dropped",
+                f"{name} damping {label} = {matrix[i, j]:g}: {reason}",
+                water.element.location,
+            )
+    return diagonal if reason else matrix
 
 
 def _symmetric_added_mass(added: np.ndarray, where: Location, notes: Notes) -> np.ndarray:
@@ -386,12 +407,12 @@ def _build_damping(
     density: float,
     notes: Notes,
 ) -> dict[str, Any]:
-    empty = [i for i in range(6) if linear[i] <= 0 and quadratic[i] <= 0]
+    empty = [i for i in range(6) if linear[i, i] <= 0 and quadratic[i, i] <= 0]
     source = ", ".join(dict.fromkeys(map(str, locations))) or "assumed"
     quadratic = np.array(quadratic)
     if empty:
         drag = estimates.estimate_quadratic_drag(size_m.tolist(), density)
-        quadratic[empty] = drag[empty]
+        quadratic[empty, empty] = drag[empty]
         names = ", ".join(_AXES[i] for i in empty)
         notes.add(
             "assumed",
@@ -401,10 +422,21 @@ def _build_damping(
         )
         source += f"; {names}: assumed, drag of the hull's box"
     return {
-        "linear": [round_number(max(x, 0.0)) for x in linear],
-        "quadratic": [round_number(max(x, 0.0)) for x in quadratic],
+        "linear": _damping_table(linear),
+        "quadratic": _damping_table(quadratic),
         "source": source,
     }
+
+
+def _damping_table(matrix: np.ndarray) -> list[float] | list[list[float]]:
+    """Return six values of a matrix that is diagonal, six rows of others."""
+    rows = [[round_number(x) for x in row] for row in matrix]
+    diagonal = [max(rows[i][i], 0.0) for i in range(6)]
+    if not np.any(matrix - np.diag(np.diag(matrix))):
+        return diagonal
+    for i in range(6):
+        rows[i][i] = diagonal[i]
+    return rows
 
 
 def _build_thrusters(

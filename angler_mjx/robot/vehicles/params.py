@@ -14,6 +14,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from angler_mjx.robot.vehicles.config import VehicleConfig
+from angler_mjx.robot.vehicles.damping import (
+    CrossDamping,
+    build_cross_damping,
+    pad_cross_damping,
+)
 from angler_mjx.robot.vehicles.drive import compute_drive, wrench_matrix
 from angler_mjx.robot.vehicles.library import load_thruster
 from angler_mjx.robot.vehicles.link_hull import (
@@ -74,6 +79,8 @@ class VehicleParams:
     """bool [n_t] whether the thruster draws power: False for padding and for dead thrusters."""
     thruster_health: jax.Array
     """[n_t] fraction of the table's thrust that each thruster gives: 1 as in the table, 0 dead."""
+    cross_damping: CrossDamping | None = None
+    """Damping between axes; None where no vehicle of the fleet has any."""
     links: LinkParams | None = None
     """Links and joints; None where no vehicle of the fleet has any."""
     link_capsules: LinkCapsules | None = None
@@ -114,8 +121,8 @@ def build_vehicle(
     health = health * np.asarray(thrust_gain) if len(thrust_gain) else health
     thrust_n, power_w = tables_at(load_thruster(config.rotor.model), voltage_v)
     B = wrench_matrix(config)
-    D_l = np.asarray(chosen.damping.linear, dtype=np.float64)
-    D_q = np.asarray(chosen.damping.quadratic, dtype=np.float64)
+    D_l = np.asarray(chosen.damping.linear_diagonal)
+    D_q = np.asarray(chosen.damping.quadratic_diagonal)
     speed = compute_drive(B, thrust_n[0], thrust_n[-1], D_l[:3], D_q[:3]).terminal_speed_mps
     center = np.asarray(config.base.center_of_mass_m)
     capsules = config.hull.capsules
@@ -143,6 +150,7 @@ def build_vehicle(
         terminal_speed_mps=_device_array(speed),
         thruster_exists=jnp.asarray(health > 0.0),
         thruster_health=_device_array(health),
+        cross_damping=build_cross_damping(chosen.damping),
         links=build_links(config, parameter_set),
         link_capsules=build_link_capsules(config),
         rotor=_build_rotor(config, rotor_response),
@@ -168,14 +176,18 @@ def stack_vehicles(variants: list[VehicleParams]) -> VehicleParams:
         [v.link_capsules for v in variants],
         [(v.capsule_a_m[0], v.capsule_b_m[0], v.capsule_r_m[0]) for v in variants],
     )
+    cross_damping = pad_cross_damping([v.cross_damping for v in variants])
     padded = [
         replace(
             _pad_vehicle(robot, n_t, n_capsule),
             steered=steered,
+            cross_damping=cross,
             links=robot_links,
             link_capsules=capsules,
         )
-        for robot, robot_links, capsules in zip(variants, links, link_capsules, strict=True)
+        for robot, cross, robot_links, capsules in zip(
+            variants, cross_damping, links, link_capsules, strict=True
+        )
     ]
     stacked: VehicleParams = jax.device_put(jax.tree.map(lambda *rows: np.stack(rows), *padded))
     return stacked

@@ -13,6 +13,7 @@ from angler_kernels import rigid_body
 from angler_kernels.rigid_body import matrix_times
 from angler_mjx.robot.control.commands import BodyTwist, BodyWrench, Estimate
 from angler_mjx.robot.control.laws.checks import check_gains
+from angler_mjx.robot.vehicles.damping import damping_wrench
 from angler_mjx.robot.vehicles.params import VehicleParams
 
 
@@ -100,7 +101,7 @@ def step(
         ]
     )
     lift = (density * vehicle.volume_m3 - vehicle.mass_kg) * gravity
-    drag = rigid_body.damping_wrench(vehicle.D_l, vehicle.D_q, command.nu)
+    drag = damping_wrench(vehicle, command.nu)
     munk = rigid_body.added_mass_coriolis(vehicle.M_A, command.nu)
     buoyancy = rigid_body.buoyancy_wrench(estimate.q, lift, jnp.zeros(3, error.dtype))
     tau = dry + matrix_times(vehicle.M_A, acceleration) + munk - drag - buoyancy
