@@ -1,5 +1,6 @@
 """``angler vehicle``: vehicles, their performance, their MuJoCo models, and import of others."""
 
+import math
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -58,6 +59,12 @@ def show_vehicle(
     )
     for label, value in _format_properties(properties):
         numbers.add_row(label, value)
+    for fin in config.fins.layout if config.fins else ():
+        numbers.add_row(
+            f"fin {fin.name}",
+            f"{1e4 * fin.area_m2:.3g} cm2, lift slope {fin.lift_slope:.3g} 1/rad, up to "
+            f"{math.degrees(fin.limit_rad):.3g} degrees",
+        )
     console.print(numbers)
     wrench = Table(
         title="Force (N) and moment (N m) at the centre of mass per newton of each thruster; "

@@ -157,6 +157,19 @@ def check_steering(controller: ControllerConfig, fleet: Sequence[FleetEntry]) ->
             )
 
 
+def check_fins(controller: ControllerConfig, fleet: Sequence[FleetEntry]) -> None:
+    """Refuse controllers that hover where a vehicle flies by its fins."""
+    if any(stage.flies_by_fins for stage in controller.stack()[0]):
+        return
+    for i, entry in enumerate(fleet):
+        if any(drive.flies_by_fins for drive in entry.drive_limits()):
+            raise ValueError(
+                f"controller: {controller.title!r} steers by thrust, and fleet[{i}], vehicle "
+                f"{library.load_vehicle(entry.vehicle).name!r}, turns and dives by its fins, with "
+                'way on; take controller.name = "los"'
+            )
+
+
 def check_grips(controller: ControllerConfig, robots: int, *, carries: bool) -> None:
     """Refuse controllers that measure the force of a grip where no robot holds anything.
 

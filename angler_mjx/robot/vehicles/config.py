@@ -16,7 +16,8 @@ from angler_mjx.files import FileModel
 from angler_mjx.quantities import Sign
 from angler_mjx.robot.vehicles import checks
 from angler_mjx.robot.vehicles.checks import Matrix
-from angler_mjx.robot.vehicles.damping import read_product
+from angler_mjx.robot.vehicles.derivatives import read_product
+from angler_mjx.robot.vehicles.fin_config import Fins
 from angler_mjx.robot.vehicles.hull import Capsule, Name, Vector3
 from angler_mjx.robot.vehicles.links import (
     EndEffector,
@@ -277,6 +278,8 @@ class VehicleConfig(FileModel):
     base: Base
     hull: HullTable
     thrusters: Thrusters
+    fins: Fins | None = None
+    """Fins and control surfaces."""
     rotor: Rotor
     visual: Visual
     ardusub: ArduSub | None = None
@@ -319,6 +322,17 @@ class VehicleConfig(FileModel):
                         + (", ".join(names) or "none")
                     )
         return self
+
+    @model_validator(mode="after")
+    def _check_actuators(self) -> Self:
+        checks.check_distinct_names("actuator", list(self.actuator_names))
+        return self
+
+    @property
+    def actuator_names(self) -> tuple[str, ...]:
+        """Return the names of thrusters and fins, in the order of their signals."""
+        fins = tuple(fin.name for fin in self.fins.layout) if self.fins else ()
+        return tuple(thruster.name for thruster in self.thrusters.layout) + fins
 
     @property
     def published_sets(self) -> tuple[str, ...]:

@@ -5,7 +5,7 @@ Vehicles whose file holds diagonals alone have no `CrossDamping`, and programs w
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import jax
 import jax.numpy as jnp
@@ -13,12 +13,8 @@ import numpy as np
 
 from angler_kernels import cross_damping, rigid_body
 from angler_kernels.cross_damping import PRODUCT_PAIRS
-
-if TYPE_CHECKING:
-    from angler_mjx.robot.vehicles.config import Damping
-    from angler_mjx.robot.vehicles.params import VehicleParams
-
-_FORCES, _VELOCITIES = "XYZKMN", "uvwpqr"
+from angler_mjx.robot.vehicles.config import Damping
+from angler_mjx.robot.vehicles.derivatives import read_product
 
 
 @jax.tree_util.register_dataclass
@@ -34,24 +30,23 @@ class CrossDamping:
     """[6, 21] wrench per product of two velocities, by `PRODUCT_PAIRS`."""
 
 
-def read_product(name: str) -> tuple[int, int]:
-    """Return row and column of a derivative such as ``Y_uv`` in ``CrossDamping.products``.
+class DampedBody(Protocol):
+    """Vehicle, as far as its damping goes."""
 
-    Raises:
-        ValueError: the name is none of a force and two velocities.
-    """
-    force, _, pair = name.partition("_")
-    is_force = len(force) == 1 and force in _FORCES
-    if not is_force or len(pair) != 2 or any(letter not in _VELOCITIES for letter in pair):
-        raise ValueError(
-            f"products.{name}: a derivative is a force of {_FORCES} and two velocities of "
-            f"{_VELOCITIES}, such as Y_uv"
-        )
-    j, k = sorted(_VELOCITIES.index(letter) for letter in pair)
-    return _FORCES.index(force), PRODUCT_PAIRS.index((j, k))
+    @property
+    def D_l(self) -> jax.Array:
+        """[6] linear damping."""
+
+    @property
+    def D_q(self) -> jax.Array:
+        """[6] quadratic damping."""
+
+    @property
+    def cross_damping(self) -> CrossDamping | None:
+        """Damping between axes."""
 
 
-def build_cross_damping(damping: "Damping") -> CrossDamping | None:
+def build_cross_damping(damping: Damping) -> CrossDamping | None:
     """Return what couples the axes of a vehicle; None where its damping is diagonal (host side)."""
     if not damping.couples_axes:
         return None
@@ -78,13 +73,13 @@ def pad_cross_damping(parts: Sequence[CrossDamping | None]) -> list[CrossDamping
     return [zero if part is None else part for part in parts]
 
 
-def damping_wrench(vehicle: "VehicleParams", nu_r: jax.Array) -> jax.Array:
+def damping_wrench(vehicle: DampedBody, nu_r: jax.Array) -> jax.Array:
     """Return the wrench [6] of damping at a velocity nu_r [6] through the water, in F."""
     wrench = rigid_body.damping_wrench(vehicle.D_l, vehicle.D_q, nu_r)
     return wrench if vehicle.cross_damping is None else wrench + cross_wrench(vehicle, nu_r)
 
 
-def cross_wrench(vehicle: "VehicleParams", nu_r: jax.Array) -> jax.Array:
+def cross_wrench(vehicle: DampedBody, nu_r: jax.Array) -> jax.Array:
     """Return the part [6] of `damping_wrench` that couples axes; zero without."""
     cross = vehicle.cross_damping
     if cross is None:
@@ -92,7 +87,7 @@ def cross_wrench(vehicle: "VehicleParams", nu_r: jax.Array) -> jax.Array:
     return cross_damping.cross_wrench(cross.linear, cross.quadratic, cross.products, nu_r)
 
 
-def damping_jacobian(vehicle: "VehicleParams", nu_r: jax.Array) -> jax.Array:
+def damping_jacobian(vehicle: DampedBody, nu_r: jax.Array) -> jax.Array:
     """Return minus the derivative [6, 6] of `damping_wrench` by nu_r [6]."""
     diagonal = rigid_body.damping_slope(vehicle.D_l, vehicle.D_q, nu_r)
     slope = diagonal[:, None] * jnp.eye(6, dtype=nu_r.dtype)
@@ -103,7 +98,7 @@ def damping_jacobian(vehicle: "VehicleParams", nu_r: jax.Array) -> jax.Array:
 
 
 def advance_coupled_velocity(
-    vehicle: "VehicleParams",
+    vehicle: DampedBody,
     nu: jax.Array,
     nu_r: jax.Array,
     M: jax.Array,
@@ -127,7 +122,7 @@ def advance_coupled_velocity(
     return nu + change, force + damping_wrench(vehicle, nu_r + change) - damping
 
 
-def largest_gain_w(damping: "Damping", count: int = 20_000) -> float:
+def largest_gain_w(damping: Damping, count: int = 20_000) -> float:
     """Return the largest power [W] that damping gives a vehicle in still water (host side).
 
     Of velocities [6] ahead (u >= 0) with m/s and rad/s on one sphere of radius 1, by samples: above

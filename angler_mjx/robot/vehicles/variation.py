@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from angler_mjx.robot.vehicles.checks import Matrix
 from angler_mjx.robot.vehicles.config import Damping, ParameterSet, VehicleConfig
-from angler_mjx.robot.vehicles.damping import read_product
+from angler_mjx.robot.vehicles.derivatives import read_product
 from angler_mjx.robot.vehicles.drive import full_force, wrench_matrix
 from angler_mjx.robot.vehicles.library import load_thruster
 from angler_mjx.robot.vehicles.links import Link, LinkNumbers

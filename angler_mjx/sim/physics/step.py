@@ -31,6 +31,7 @@ import jax.numpy as jnp
 from angler_kernels import quaternion, rigid_body, spd_solve
 from angler_mjx.robot.vehicles import damping
 from angler_mjx.robot.vehicles import link_motion as link_terms
+from angler_mjx.robot.vehicles.fins import fin_wrench
 from angler_mjx.robot.vehicles.link_motion import JointMotion, LinkMotion
 from angler_mjx.robot.vehicles.link_params import LinkParams
 from angler_mjx.robot.vehicles.params import VehicleParams
@@ -84,7 +85,7 @@ class VehicleState:
     a vehicle with links, those on its joints last, less M ``change`` / dt of that step."""
     thrust: jax.Array
     """[n_thruster] N, behind the rotor's lag; [3, n_thruster] states of rotors of third order, the
-    thrust first."""
+    thrust first; of a fin its deflection, rad."""
     joints: JointMotion | None = None
     """[J] motion of the joints; None of a vehicle without links."""
     change: jax.Array | None = None
@@ -110,6 +111,8 @@ def smooth_force[Body](
         wrench = base_wrench(params, state.p, state.q, state.nu, v_c, Dv_c, water)
         v_r = state.nu[:3] - quaternion.rotate_inverse(state.q, v_c)
         nu_r = jnp.concatenate([v_r, state.nu[3:]])
+        if params.fins is not None:
+            wrench = wrench + fin_wrench(params.fins, state.thrust, nu_r, water.density_kgpm3)
     with jax.named_scope("multibody"):
         M_RB, dry = engine.inertia_and_force(body, state.p, state.q, state.nu)
     return M_RB + params.M_A, dry + wrench, nu_r
@@ -294,7 +297,7 @@ def join_forces(
 
     Args:
         params: of the vehicle.
-        state: of the vehicle; its thrusts and ``force_before`` are not read.
+        state: of the vehicle; its ``force_before`` and the thrusts of rotors are not read.
         v_c: [3] flow at the base, m/s, in W.
         Dv_c: [3] its material derivative, m/s^2, in W.
         water: the medium.
@@ -306,6 +309,9 @@ def join_forces(
         body = ClosedForm(gravity_mps2=gravity)
         M_base, force = body.inertia_and_force(params, p, q, nu)
         force = force + base_wrench(params, p, q, nu, v_c, Dv_c, water)
+        nu_r = jnp.concatenate([nu[:3] - quaternion.rotate_inverse(q, v_c), nu[3:]])
+        if params.fins is not None:
+            force = force + fin_wrench(params.fins, state.thrust, nu_r, density)
     with jax.named_scope("links"):
         motion = link_terms.move_links(links, joints, nu)
         inertia, wrench = link_terms.inertia_and_wrench(
@@ -317,7 +323,7 @@ def join_forces(
     return JoinedForces(
         M=M + jnp.diag(jnp.concatenate([jnp.zeros_like(nu), links.armature])),
         force=link_terms.join_wrenches(motion, wrench) + _on_base(force, links),
-        nu_r=jnp.concatenate([nu[:3] - quaternion.rotate_inverse(q, v_c), nu[3:]]),
+        nu_r=nu_r,
         motion=motion,
         links_nu_r=links_nu_r,
     )

@@ -36,7 +36,12 @@ def complaint(data, model=VehicleConfig):
 
 
 def test_shipped_vehicles_and_sets():
-    assert list_vehicles() == ["bluerov2", "bluerov2_heavy", "bluerov2_heavy_alpha5"]
+    assert list_vehicles() == [
+        "bluerov2",
+        "bluerov2_heavy",
+        "bluerov2_heavy_alpha5",
+        "remus100",
+    ]
     assert set(load_vehicle("bluerov2_heavy").parameter_sets) == {
         "wu2018",
         "von_benzon2022",

@@ -38,7 +38,7 @@ def configs() -> list[tuple[VehicleConfig, str]]:
     """All shipped rigid vehicles with their published sets, and a Heavy whose matrices are full."""
     shipped = [
         (config, name)
-        for config in map(library.load_vehicle, library.list_vehicles())
+        for config in map(library.load_vehicle, library.list_rovs())
         if not config.links
         for name in sorted(config.published_sets)
     ]
