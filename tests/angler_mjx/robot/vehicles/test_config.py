@@ -41,6 +41,7 @@ def test_shipped_vehicles_and_sets():
         "bluerov2_heavy",
         "bluerov2_heavy_alpha5",
         "remus100",
+        "rexrov",
     ]
     assert set(load_vehicle("bluerov2_heavy").parameter_sets) == {
         "wu2018",
