@@ -45,6 +45,7 @@ _NEUTRAL = 0.25
 """Collision shapes are taken as the displaced volume if their buoyancy is that of the weight within
 this fraction."""
 _VOLTAGE_V = 16.0
+_STALL_RAD = 0.3
 _LAG_S = 0.02
 _AXES = ("surge", "sway", "heave", "roll", "pitch", "yaw")
 
@@ -121,6 +122,7 @@ def build_vehicle(
             "source": hull_source,
         },
         "thrusters": _build_thrusters(vehicle, base, thruster, notes),
+        **_build_fins(vehicle, base, water_density, notes),
         "rotor": _build_rotor(vehicle, thruster_model, notes),
         "visual": _build_visual(vehicle, base, notes),
         **arm,
@@ -484,6 +486,67 @@ def _build_thrusters(
         "layout": layout,
         "source": f"{vehicle.location.file.name}: poses of the thrusters' links and axes of their "
         "joints; spin as stated there",
+    }
+
+
+def _build_fins(
+    vehicle: ForeignVehicle, base: Group, density: float, notes: Notes
+) -> dict[str, Any]:
+    """Return the table of fins; none where the file has none."""
+    layout: list[dict[str, Any]] = []
+    for mount in vehicle.fin_mounts:
+        where, pose = mount.element.location, base.poses.get(mount.body)
+        if pose is None:
+            notes.add("dropped", f"fin {mount.body}: it is on a link of an arm", where)
+            continue
+        chord = mount.forward / np.linalg.norm(mount.forward)
+        span = np.cross(chord, mount.upward)
+        if np.linalg.norm(span) < 1e-6:
+            mount.element.fail("forward and upward of a fin are along each other; turn one")
+        span = span / np.linalg.norm(span)
+        joint = next((j for j in vehicle.joints if j.child == mount.body), None)
+        limit = 0.0
+        if joint is not None and joint.kind != "fixed" and joint.lower is not None:
+            limit = max(abs(joint.lower), abs(joint.upper or 0.0))
+            if joint.lower + (joint.upper or 0.0) != 0.0:
+                notes.add("converted", f"limits of fin {mount.body}: the larger, both ways", where)
+        stall = min(max(mount.stall_rad or _STALL_RAD, 0.01), 0.7)
+        drag = mount.drag_slope or 0.0
+        # The parabola of drag meets the line of the file at the stall.
+        induced = drag / (mount.lift_slope**2 * stall) if drag > 0 else 1.0 / (math.pi * 0.9 * 3.0)
+        layout.append(
+            {
+                "name": to_name(mount.body.rpartition("/")[2]),
+                "position_m": round_vector((pose @ np.append(mount.position_m, 1.0))[:3]),
+                "span": round_vector(pose[:3, :3] @ span, 16),
+                "chord": round_vector(pose[:3, :3] @ chord, 16),
+                "area_m2": round_number(mount.area_m2),
+                "aspect_ratio": round_number(1.0 / (math.pi * 0.9 * induced)),
+                "lift_slope_per_rad": round_number(mount.lift_slope),
+                "zero_lift_drag": 0.0,
+                "stall_rad": round_number(stall),
+                "limit_rad": round_number(limit),
+                "rate_radps": 1.0,
+                "time_constant_s": 0.1,
+            }
+        )
+        notes.add(
+            "converted",
+            f"fin {mount.body}: drag "
+            + (f"as the file's, {drag:g} per radian, at the stall" if drag > 0 else "assumed")
+            + f"; force in water of {density:g} kg/m^3",
+            where,
+        )
+    if not layout:
+        return {}
+    notes.add(
+        "assumed", "servos of fins: a lag of 0.1 s and at most 1 rad/s; the file states neither"
+    )
+    return {
+        "fins": {
+            "layout": layout,
+            "source": f"{vehicle.location.file.name}: lift and drag of its fins; servos assumed",
+        }
     }
 
 
