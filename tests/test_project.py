@@ -93,6 +93,7 @@ def test_scenarios_of_the_package_are_the_named_ones():
         "carry_pipe",
         "corridor_delivery",
         "dense_dynamic",
+        "harbour_surface",
         "heterogeneous",
         "open_water_current",
         "reef_arms",

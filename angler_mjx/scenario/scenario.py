@@ -214,6 +214,7 @@ class Scenario(FileModel):
         self._check_contact()
         table_checks.check_steering(self.controller, self.fleet)
         table_checks.check_fins(self.controller, self.fleet)
+        table_checks.check_planar(self.world, self.fleet, contacts=self.contacts)
         table_checks.check_grips(
             self.controller,
             sum(entry.count for entry in self.fleet),
@@ -486,7 +487,7 @@ def _vehicle_table(vehicle: VehicleConfig, used_sets: Sequence[str]) -> JsonTabl
     Left out are tables that it does not have, and sets with an uncertainty that are not used.
     """
     absent = () if vehicle.links else ("links", "joints", "end_effector")
-    absent = (*absent, *(key for key in ("fins",) if not getattr(vehicle, key)))
+    absent = (*absent, *(key for key in ("fins", "planar") if not getattr(vehicle, key)))
     table: JsonTable = vehicle.model_dump(mode="json", exclude={"parameter_sets", *absent})
     table["parameter_sets"] = {
         name: row.model_dump(

@@ -275,6 +275,9 @@ class VehicleConfig(FileModel):
     """Description for people."""
     default_set: str
     """Parameter set that is used where none is named."""
+    planar: bool = False
+    """Whether it moves in the plane of the surface: heave, roll and pitch are held, at the height
+    and level at which it starts."""
     base: Base
     hull: HullTable
     thrusters: Thrusters
@@ -326,6 +329,12 @@ class VehicleConfig(FileModel):
     @model_validator(mode="after")
     def _check_actuators(self) -> Self:
         checks.check_distinct_names("actuator", list(self.actuator_names))
+        return self
+
+    @model_validator(mode="after")
+    def _check_planar(self) -> Self:
+        if self.planar and (self.links or self.fins):
+            raise ValueError("planar = true: a vehicle that is held level has neither arm nor fins")
         return self
 
     @property

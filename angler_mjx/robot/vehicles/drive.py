@@ -4,7 +4,7 @@ A level vehicle has four axes: surge, sway, heave and yaw; righting moments hold
 axis can be driven if thrusters can push along it, in both directions, and along none of the other
 three. A path can be flown with surge, heave and yaw: where sway is missing, controllers turn the
 bow into the direction of travel. Fins that turn a vehicle in pitch and yaw stand in for heave and
-yaw, as long as it moves ahead.
+yaw, as long as it moves ahead; a planar vehicle needs no heave.
 """
 
 from dataclasses import dataclass
@@ -89,6 +89,8 @@ def require_flyable(config: VehicleConfig, able: Drive) -> None:
         ConfigError: the vehicle lacks an axis; the message names both.
     """
     spared = {"sway", "heave", "yaw"} if able.steers_by_fins else {"sway"}
+    if config.planar:
+        spared |= {"heave"}
     lacking = [axis for axis in able.missing_axes if axis not in spared]
     if lacking:
         raise ConfigError(

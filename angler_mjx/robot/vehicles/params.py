@@ -33,6 +33,8 @@ from angler_mjx.robot.vehicles.rotor import RotorFilter
 from angler_mjx.robot.vehicles.rotor_config import RotorResponse
 from angler_mjx.robot.vehicles.thrusters import tables_at
 
+_PLANAR_AXES = (1.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
@@ -84,6 +86,9 @@ class VehicleParams:
     """[n_t] fraction of the table's thrust that each thruster gives: 1 as in the table, 0 dead."""
     cross_damping: CrossDamping | None = None
     """Damping between axes; None where no vehicle of the fleet has any."""
+    free_axes: jax.Array | None = None
+    """[6] 1 for axes of nu that move, 0 for held ones; None where no vehicle of the fleet is
+    planar."""
     fins: FinParams | None = None
     """Fins, in rows behind the thrusters; None where no vehicle of the fleet has any."""
     links: LinkParams | None = None
@@ -159,6 +164,7 @@ def build_vehicle(
         thruster_exists=jnp.asarray(exists),
         thruster_health=_device_array(health),
         cross_damping=build_cross_damping(chosen.damping),
+        free_axes=_device_array(_PLANAR_AXES) if config.planar else None,
         fins=build_fins(config),
         links=build_links(config, parameter_set),
         link_capsules=build_link_capsules(config),
@@ -185,6 +191,7 @@ def stack_vehicles(variants: list[VehicleParams]) -> VehicleParams:
         [v.link_capsules for v in variants],
         [(v.capsule_a_m[0], v.capsule_b_m[0], v.capsule_r_m[0]) for v in variants],
     )
+    is_held = any(variant.free_axes is not None for variant in variants)
     fins = pad_fins([v.fins for v in variants], [v.B.shape[1] for v in variants], n_t)
     cross_damping = pad_cross_damping([v.cross_damping for v in variants])
     padded = [
@@ -192,6 +199,7 @@ def stack_vehicles(variants: list[VehicleParams]) -> VehicleParams:
             _pad_vehicle(robot, n_t, n_capsule),
             steered=steered,
             cross_damping=cross,
+            free_axes=_pad_axes(robot) if is_held else None,
             fins=robot_fins,
             links=robot_links,
             link_capsules=capsules,
@@ -218,6 +226,13 @@ def _device_array(value: ArrayLike) -> jax.Array:
     # Rounded by NumPy: for JAX each shape is a program to compile, and so for the padding below.
     array: jax.Array = jax.device_put(np.asarray(value, jnp.result_type(float)))
     return array
+
+
+def _pad_axes(params: VehicleParams) -> ArrayLike:
+    """Return the free axes [6] of a vehicle in a fleet of which some are held."""
+    if params.free_axes is not None:
+        return params.free_axes
+    return np.ones(6, params.mass_kg.dtype)
 
 
 def _pad_vehicle(params: VehicleParams, n_t: int, n_capsule: int) -> VehicleParams:

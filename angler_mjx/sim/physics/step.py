@@ -258,6 +258,8 @@ def step_freely[Body](
         thrust_wrench = rigid_body.matrix_times(params.B, mean_thrust)
     with jax.named_scope("integrate"):
         forces = force, state.force_before, thrust_wrench
+        if params.free_axes is not None:
+            M, forces = _hold_axes(params.free_axes, M, forces)
         if params.cross_damping is None:
             nu, force_before = rigid_body.advance_damped_velocity(
                 state.nu, nu_r, M, params.D_l, params.D_q, *forces, dt
@@ -266,9 +268,28 @@ def step_freely[Body](
             nu, force_before = damping.advance_coupled_velocity(
                 params, state.nu, nu_r, M, *forces, dt
             )
+        if params.free_axes is not None:
+            nu = params.free_axes * nu
         p, q = rigid_body.advance_pose(state.p, state.q, state.nu, nu, dt)
     after = VehicleState(p=p, q=q, nu=nu, force_before=force_before, thrust=thrust)
     return FreeStep(state=after, M=M, nu_r=nu_r)
+
+
+def _hold_axes(
+    free: jax.Array, M: jax.Array, forces: tuple[jax.Array, ...]
+) -> tuple[jax.Array, tuple[jax.Array, ...]]:
+    """Return inertia and forces of a vehicle that moves along its free axes alone.
+
+    What holds the others takes all force along them: M_ff d_f = f_f remains.
+
+    Args:
+        free: [6] 1 for free axes, 0 for held ones.
+        M: [6, 6] with added mass.
+        forces: [6] each.
+    """
+    kept = M * free[:, None] * free[None, :]
+    held = (1.0 - free)[:, None] * jnp.eye(6, dtype=M.dtype)
+    return kept + held, tuple(free * force for force in forces)
 
 
 @dataclass(frozen=True, kw_only=True)

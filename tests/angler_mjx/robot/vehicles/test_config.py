@@ -40,6 +40,7 @@ def test_shipped_vehicles_and_sets():
         "bluerov2",
         "bluerov2_heavy",
         "bluerov2_heavy_alpha5",
+        "otter",
         "remus100",
         "rexrov",
     ]
