@@ -286,7 +286,7 @@ def test_every_number_of_the_table_is_held():
 def test_sets_of_a_vehicle_differ_in_top_speed_as_said():
     (message,) = re.findall(r"differ by (\S+) in top speed", (ROOT / "README.md").read_text())
     ratios = []
-    for config in map(library.load_vehicle, library.list_vehicles()):
+    for config in map(library.load_vehicle, library.list_rovs()):
         tops = [
             properties.describe_vehicle(config, name, 16.0).terminal_speed_mps[0]
             for name in config.published_sets

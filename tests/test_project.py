@@ -90,9 +90,11 @@ def test_make_help_lists_the_two_commands():
 def test_scenarios_of_the_package_are_the_named_ones():
     assert set(shipped_scenarios()) == {
         "carry_arms",
+        "bay_torpedoes",
         "carry_pipe",
         "corridor_delivery",
         "dense_dynamic",
+        "harbour_surface",
         "heterogeneous",
         "open_water_current",
         "reef_arms",
@@ -101,6 +103,7 @@ def test_scenarios_of_the_package_are_the_named_ones():
         "reef_survey",
         "sitl_formation",
         "sitl_hold",
+        "work_class",
     }
 
 
@@ -127,7 +130,7 @@ def test_heterogeneous_holds_every_rigid_vehicle_with_every_published_set():
     }
     shipped_sets = {
         (name, chosen)
-        for name in library.list_vehicles()
+        for name in library.list_rovs()
         if not library.load_vehicle(name).links
         for chosen in library.load_vehicle(name).published_sets
     }

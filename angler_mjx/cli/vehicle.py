@@ -1,5 +1,6 @@
 """``angler vehicle``: vehicles, their performance, their MuJoCo models, and import of others."""
 
+import math
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -58,6 +59,12 @@ def show_vehicle(
     )
     for label, value in _format_properties(properties):
         numbers.add_row(label, value)
+    for fin in config.fins.layout if config.fins else ():
+        numbers.add_row(
+            f"fin {fin.name}",
+            f"{1e4 * fin.area_m2:.3g} cm2, lift slope {fin.lift_slope:.3g} 1/rad, up to "
+            f"{math.degrees(fin.limit_rad):.3g} degrees",
+        )
     console.print(numbers)
     wrench = Table(
         title="Force (N) and moment (N m) at the centre of mass per newton of each thruster; "
@@ -192,7 +199,18 @@ def _format_properties(properties: "VehicleProperties") -> list[tuple[str, str]]
         ("natural roll period", _format_period(properties.roll_period_s)),
         ("natural pitch period", _format_period(properties.pitch_period_s)),
         ("rotor time constant", f"{properties.rotor_time_constant_s:g} s"),
+        *_format_gain(properties.damping_gain_w),
     ]
+
+
+def _format_gain(power_w: float | None) -> list[tuple[str, str]]:
+    """Return the row on damping between axes; none of diagonal damping."""
+    if power_w is None:
+        return []
+    if power_w <= 0:
+        return [("damping between axes", "takes energy at all velocities ahead that were tried")]
+    text = f"gives up to {power_w:.3g} W at 1 m/s and rad/s: still water drives the vehicle"
+    return [("damping between axes", text)]
 
 
 def _format_speed(speed: float, lag: float) -> str:

@@ -1,5 +1,6 @@
 """Build problems from sampled worlds."""
 
+import math
 from dataclasses import replace
 
 import jax
@@ -8,6 +9,7 @@ import jax.numpy as jnp
 from angler_kernels import quaternion
 from angler_mjx.planning.problem import CargoProblem, Problem, ProblemSettings, Team, TeamArms
 from angler_mjx.robot.control.stack import ControlParams
+from angler_mjx.robot.vehicles.fins import flies_by_fins
 from angler_mjx.robot.vehicles.params import VehicleParams
 from angler_mjx.sim import information
 from angler_mjx.sim.information import SceneObservation
@@ -16,6 +18,8 @@ from angler_mjx.sim.state import FleetWorld, SimSpec
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.obstacles import BOX, bounding_radius
 
+CLIMB_RAD = 0.4
+"""Pitch at which vehicles that fly by their fins climb and dive in problems, as `los` does."""
 _N_POWER_SPEEDS = 9
 """Speeds at which a robot's power is given, 0 among them."""
 
@@ -119,6 +123,16 @@ def build_team(
     added = jnp.diagonal(vehicle.M_A, axis1=-2, axis2=-1)[..., :3]
     # At terminal speed damping takes all the force there is; from rest the mass does.
     force = (vehicle.D_l[..., :3] + vehicle.D_q[..., :3] * speed) * speed
+    power_w = jax.vmap(_power_curves)(control)
+    if vehicle.fins is not None:
+        # With its bow up a vehicle climbs by the power of its way ahead.
+        climbs = jax.vmap(flies_by_fins)(vehicle)
+        speed = speed.at[..., 2].set(
+            jnp.where(climbs, math.sin(CLIMB_RAD) * speed[..., 0], speed[..., 2])
+        )
+        power_w = power_w.at[..., 2, :].set(
+            jnp.where(climbs[..., None], power_w[..., 0, :], power_w[..., 2, :])
+        )
     return Team(
         start_m=start_m,
         start_yaw_rad=start_yaw_rad,
@@ -130,7 +144,7 @@ def build_team(
         cruise_speed_mps=control.cruise_speed_mps,
         terminal_speed_mps=speed,
         acceleration_mps2=force / (vehicle.mass_kg[..., None] + added),
-        power_w=jax.vmap(_power_curves)(control),
+        power_w=power_w,
         arms=_build_arms(vehicle, posture),
     )
 

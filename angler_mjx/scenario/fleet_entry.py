@@ -12,6 +12,7 @@ from angler_mjx.files import FileModel, absolute_path
 from angler_mjx.robot.sensing.config import SensorsConfig
 from angler_mjx.robot.vehicles import library
 from angler_mjx.robot.vehicles.drive import Drive, compute_drive, require_flyable, wrench_matrix
+from angler_mjx.robot.vehicles.fins import steers_by_fins
 from angler_mjx.robot.vehicles.rotor_config import RotorResponse
 from angler_mjx.robot.vehicles.thrusters import tables_at
 from angler_mjx.scenario import instrumented
@@ -121,8 +122,9 @@ class FleetEntry(FileModel):
                     wrench,
                     float(thrust_n[0]),
                     float(thrust_n[-1]),
-                    np.asarray(damping.linear[:3], float),
-                    np.asarray(damping.quadratic[:3], float),
+                    np.asarray(damping.linear_diagonal[:3], float),
+                    np.asarray(damping.quadratic_diagonal[:3], float),
+                    steers_by_fins(config),
                 )
             )
         return limits

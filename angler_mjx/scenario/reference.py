@@ -36,7 +36,9 @@ _PAGES: dict[str, tuple[str, str, tuple[tuple[str, type[FileModel]], ...]]] = {
         "number. Keys that are not here are refused. Paths begin at the folder of the file.\n\n"
         "A vehicle flies paths with thrust in surge, heave and yaw, each without the others; where "
         "it has no sway (less than a tenth of surge) controllers turn its bow to where it must go, "
-        "and the controller `ardusub` is refused. A vehicle that lacks more is refused by name.",
+        "and the controller `ardusub` is refused. Fins that turn it in pitch and yaw stand in for "
+        "heave and yaw, with the controller `los`. A planar vehicle needs no heave, and water one "
+        "cell high (`world.shape = [x, y, 1]`). A vehicle that lacks more is refused by name.",
         (("", Scenario),),
     ),
     "vehicle": (

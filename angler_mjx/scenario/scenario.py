@@ -219,6 +219,8 @@ class Scenario(FileModel):
         table_checks.check_links(self.engine, self.fleet)
         self._check_contact()
         table_checks.check_steering(self.controller, self.fleet)
+        table_checks.check_fins(self.controller, self.fleet)
+        table_checks.check_planar(self.world, self.fleet, contacts=self.contacts)
         table_checks.check_grips(
             self.controller,
             sum(entry.count for entry in self.fleet),
@@ -493,16 +495,20 @@ def _problem_table(entry: FleetEntry) -> JsonTable:
 
 
 def _vehicle_table(vehicle: VehicleConfig, used_sets: Sequence[str]) -> JsonTable:
-    """Return a vehicle file for digests, which stay those from before links and uncertainty.
+    """Return a vehicle file for digests, which stay those from before its newer tables.
 
-    Left out are empty lists of links, absent uncertainties, and sets with one that are not used.
+    Left out are tables that it does not have, and sets with an uncertainty that are not used.
     """
-    no_arm = {} if vehicle.links else dict.fromkeys(("links", "joints", "end_effector"), True)
-    table: JsonTable = vehicle.model_dump(mode="json", exclude={"parameter_sets": True, **no_arm})
+    absent = () if vehicle.links else ("links", "joints", "end_effector")
+    absent = (*absent, *(key for key in ("fins", "planar") if not getattr(vehicle, key)))
+    table: JsonTable = vehicle.model_dump(mode="json", exclude={"parameter_sets", *absent})
     table["parameter_sets"] = {
         name: row.model_dump(
             mode="json",
-            exclude={key for key in ("links", "uncertainty") if not getattr(row, key)},
+            exclude={
+                **{key: True for key in ("links", "uncertainty") if not getattr(row, key)},
+                **({} if row.damping.products else {"damping": {"products"}}),
+            },
         )
         for name, row in vehicle.parameter_sets.items()
         if name in used_sets or name in vehicle.published_sets

@@ -163,6 +163,38 @@ def check_steering(controller: ControllerConfig, fleet: Sequence[FleetEntry]) ->
             )
 
 
+def check_planar(world: WorldConfig, fleet: Sequence[FleetEntry], *, contacts: bool) -> None:
+    """Refuse worlds in which vehicles that are held level would have to climb, and contact."""
+    for i, entry in enumerate(fleet):
+        config = library.load_vehicle(entry.vehicle)
+        if not config.planar:
+            continue
+        height = resolve_world(world).shape[2]
+        if height != 1:
+            raise ValueError(
+                f"world.shape: fleet[{i}], vehicle {config.name!r}, moves in the plane of the "
+                f"surface, and the water is {height} cells high; give shape = [x, y, 1]"
+            )
+        if contacts:
+            raise ValueError(
+                f"contacts = true: fleet[{i}], vehicle {config.name!r}, is held level, and contact "
+                "would lift it; leave contacts out"
+            )
+
+
+def check_fins(controller: ControllerConfig, fleet: Sequence[FleetEntry]) -> None:
+    """Refuse controllers that hover where a vehicle flies by its fins."""
+    if any(stage.flies_by_fins for stage in controller.stack()[0]):
+        return
+    for i, entry in enumerate(fleet):
+        if any(drive.flies_by_fins for drive in entry.drive_limits()):
+            raise ValueError(
+                f"controller: {controller.title!r} steers by thrust, and fleet[{i}], vehicle "
+                f"{library.load_vehicle(entry.vehicle).name!r}, turns and dives by its fins, with "
+                'way on; take controller.name = "los"'
+            )
+
+
 def check_grips(controller: ControllerConfig, robots: int, *, carries: bool) -> None:
     """Refuse controllers that measure the force of a grip where no robot holds anything.
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from angler_kernels import quaternion, rigid_body
 from angler_mjx.robot.control.commands.whole_body import JointTarget
+from angler_mjx.robot.vehicles.damping import damping_wrench
 from angler_mjx.robot.vehicles.link_motion import JointMotion, move_links
 from angler_mjx.robot.vehicles.params import VehicleParams
 from angler_mjx.sim.impacts import Impacts, add_impacts, no_impacts
@@ -334,7 +335,7 @@ def _settle_robots(
         end, joints = free.state, free.state.joints
         force_before = end.force_before
         if free.nu_r is not None:
-            damping = partial(rigid_body.damping_wrench, params.D_l, params.D_q)
+            damping = partial(damping_wrench, params)
             through = free.nu_r - before.nu
             force_before = force_before + damping(through + nu) - damping(through + end.nu)
         if joints is not None and before.joints is not None:

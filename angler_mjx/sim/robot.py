@@ -16,6 +16,7 @@ from angler_mjx.robot.control.commands import Estimate, GripReading, ThrusterPwm
 from angler_mjx.robot.control.mixed import MixedCommand
 from angler_mjx.robot.control.stack import Action, Command, ControlMemory, ControlParams
 from angler_mjx.robot.vehicles import link_motion
+from angler_mjx.robot.vehicles.fins import settled_deflection
 from angler_mjx.robot.vehicles.link_motion import JointMotion
 from angler_mjx.robot.vehicles.link_params import LinkParams
 from angler_mjx.robot.vehicles.params import VehicleParams
@@ -78,9 +79,15 @@ def run_controllers(
 
 
 def thrust_and_power(vehicle: VehicleParams, pwm: ThrusterPwm) -> tuple[jax.Array, jax.Array]:
-    """Thrust [n_thruster] N that a signal settles at, and the power [] W of all thrusters."""
+    """Thrust [n_thruster] N that a signal settles at, and the power [] W of all thrusters.
+
+    Of fins the deflection, rad.
+    """
     pick = jax.vmap(thruster.lookup, (None, 0, None, None))
     thrust = pick(vehicle.thrust_n, pwm.pwm_us, PWM_LOW_US, PWM_STEP_US) * vehicle.thruster_health
+    if vehicle.fins is not None:
+        deflection = settled_deflection(vehicle.fins, pwm.pwm_us)
+        thrust = jnp.where(vehicle.fins.is_fin, deflection, thrust)
     power = pick(vehicle.power_w, pwm.pwm_us, PWM_LOW_US, PWM_STEP_US)
     return thrust, jnp.sum(jnp.where(vehicle.thruster_exists, power, 0.0))
 

@@ -31,6 +31,7 @@ from angler_mjx.world.rock.rules import AutomatonRule, OpenRule, Rule, WallsRule
 type Vector = tuple[Coordinate, Coordinate, Coordinate]
 type Placement = Literal["cross", "parallel", "random", "given"]
 Cells = Annotated[int, Field(ge=2, le=128)]
+Layers = Annotated[int, Field(ge=1, le=128)]
 Fraction = Annotated[float, Field(ge=0, lt=1)]
 
 
@@ -44,8 +45,8 @@ class WorldConfig(FileModel):
     """Fraction of occupied cells, on average over worlds."""
     fill: Fraction | None = None
     """Fraction of walls before the rule is applied, instead of density."""
-    shape: tuple[Cells, Cells, Cells] | None = None
-    """Number of cells along x, y, z."""
+    shape: tuple[Cells, Cells, Layers] | None = None
+    """Number of cells along x, y, z; one along z for vehicles in the plane."""
     cell_m: Annotated[float, Field(ge=0.01, le=1000)] | None = None
     """Edge length of a cell."""
     depth_m: Length | None = None

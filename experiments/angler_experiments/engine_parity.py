@@ -61,14 +61,14 @@ class EngineParity:
 
 
 def all_vehicles_scenario(scenario: Scenario) -> Scenario:
-    """Return the scenario with two robots of each shipped vehicle, which sample any of its sets."""
+    """Return the scenario with two robots of each shipped ROV, which sample any of its sets."""
     fleet = [
         {
             "vehicle": vehicle,
             "count": 2,
             "parameter_mix": dict.fromkeys(library.load_vehicle(vehicle).parameter_sets, 1.0),
         }
-        for vehicle in library.list_vehicles()
+        for vehicle in library.list_rovs()
     ]
     return Scenario.model_validate({**scenario.model_dump(), "fleet": fleet})
 

@@ -111,7 +111,7 @@ def every_variant() -> list[Member]:
     The last is not what its file says, and its controllers do not know.
     """
     members = []
-    for vehicle in reversed(library.list_vehicles()):
+    for vehicle in reversed(library.list_rovs()):
         if library.load_vehicle(vehicle).links:
             continue
         kinds = [

@@ -170,7 +170,7 @@ def _randomise(rng: random.Random, scenario: dict[str, Any]) -> dict[str, Any]:
 def _fleet(rng: random.Random, *, rock: bool) -> tuple[list[dict[str, Any]], dict[str, str]]:
     entries, vehicles, rotor = [], {}, rng.choice(["first_order", "first_order", "third_order"])
     # Both engines fly a case, and one flies no arms.
-    rigid = [name for name in library.list_vehicles() if not library.load_vehicle(name).links]
+    rigid = [name for name in library.list_rovs() if not library.load_vehicle(name).links]
     for i in range(rng.choice([1, 1, 2, 2, 3])):
         name = rng.choice(rigid)
         config = library.load_vehicle(name)

@@ -230,7 +230,7 @@ class Dataset:
         count = self._thrusters.get((part, label))
         if count is None:
             vehicle = library.load_vehicle(self.run(part).vehicle_file(label))
-            count = self._thrusters[part, label] = len(vehicle.thrusters.layout)
+            count = self._thrusters[part, label] = len(vehicle.actuator_names)
         return count
 
     def obstacles_exist(self, episode: int) -> np.ndarray:

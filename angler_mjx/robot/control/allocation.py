@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from angler_kernels import thruster
 from angler_kernels.rigid_body import matrix_times
 from angler_mjx.robot.control.commands import BodyWrench, ThrusterPwm
+from angler_mjx.robot.vehicles.fins import HALF_RANGE_US, lift_matrix
 from angler_mjx.robot.vehicles.params import VehicleParams
 from angler_mjx.robot.vehicles.thrusters import PWM_LOW_US, PWM_STEP_US, FloatArray
 
@@ -30,6 +31,8 @@ _GROUPS = ((0, 0, 0, 1, 1, 1), (0, 0, 1, 0, 0, 0), (1, 1, 0, 0, 0, 0))
 """Axes in the order of their importance."""
 _RELATIVE_RANK = 1e-2
 """Singular values below this share of the largest are the geometry's small offsets."""
+FIN_SPEED_MPS = 0.2
+"""Speed ahead below which fins are deflected less and less: their force is lost in the noise."""
 _STILL_N = 1e-4
 """A demand that changes a thrust by less does not bound the demand: it may be rounding."""
 
@@ -50,6 +53,22 @@ class AllocationParams:
     Thrusters of one number in ``mode_of`` must change together."""
     mode_of: jax.Array
     """[n_thruster] number of the mode that a thruster belongs to."""
+    fins: "FinAllocation | None" = None
+    """Fins; None where no vehicle of the fleet has any."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class FinAllocation:
+    """The fins of one vehicle, as the allocation sees them."""
+
+    inverse: jax.Array
+    """[n_thruster, 6] deflection times dynamic pressure per wrench, rad Pa per N m: pseudo-inverse
+    over the moments that fins make and thrusters do not."""
+    limit_rad: jax.Array
+    """[n_thruster] largest deflection; 0 for thrusters."""
+    is_fin: jax.Array
+    """bool [n_thruster]."""
 
 
 def build_allocation(vehicles: VehicleParams, health: ArrayLike | None = None) -> AllocationParams:
@@ -80,6 +99,28 @@ def build_allocation(vehicles: VehicleParams, health: ArrayLike | None = None) -
         B=jnp.asarray(matrices, vehicles.B.dtype),
         mode=jnp.asarray(np.stack(modes), vehicles.B.dtype),
         mode_of=jnp.asarray(np.stack(owners), jnp.int32),
+        fins=_build_fins(vehicles, matrices),
+    )
+
+
+def _build_fins(vehicles: VehicleParams, matrices: FloatArray) -> FinAllocation | None:
+    """Return the fins of vehicles whose thrusters have ``matrices`` [n_variant, 6, n_thruster]."""
+    fins = vehicles.fins
+    if fins is None:
+        return None
+    inverses = []
+    for turning, matrix in zip(lift_matrix(fins), matrices, strict=True):
+        commanded = np.diag(matrix @ np.linalg.pinv(matrix, rcond=_RELATIVE_RANK)) > 0.5
+        rows = turning * (~commanded & (np.arange(6) >= 3))[:, None]
+        if not np.any(rows):
+            inverses.append(np.zeros_like(turning.T))
+            continue
+        reached = np.diag(rows @ np.linalg.pinv(rows, rcond=_RELATIVE_RANK)) > 0.5
+        inverses.append(np.linalg.pinv(rows * reached[:, None], rcond=_RELATIVE_RANK))
+    return FinAllocation(
+        inverse=jnp.asarray(np.stack(inverses), vehicles.B.dtype),
+        limit_rad=fins.limit_rad,
+        is_fin=fins.is_fin,
     )
 
 
@@ -157,6 +198,32 @@ def allocate_to_limits(params: AllocationParams, command: BodyWrench) -> Thruste
     upper = jnp.min(jnp.where(same, upper, jnp.inf), axis=1)
     thrust = thrust + params.mode * jnp.minimum(jnp.maximum(0.0, lower), upper)
     return _to_pwm(params, jnp.clip(thrust, low, high))
+
+
+def deflect_fins(
+    fins: FinAllocation, command: BodyWrench, speed_mps: jax.Array, density: float, pwm: ThrusterPwm
+) -> ThrusterPwm:
+    """Return signals in which fins make the moments that a wrench asks of them.
+
+    The moment of a deflection goes with the dynamic pressure q = 1/2 rho u |u| of the flow ahead;
+    1 / q is taken as q / (q^2 + q_0^2), with q_0 at `FIN_SPEED_MPS`, so that fins stay near the
+    middle where they make no force, and are turned round astern.
+
+    Args:
+        fins: of one vehicle.
+        command: wrench [6] at the centre of mass, in F.
+        speed_mps: [] ahead, as far as the controller knows it.
+        density: of the water, kg/m^3.
+        pwm: signals of the thrusters.
+    """
+    pressure = 0.5 * density * speed_mps * jnp.abs(speed_mps)
+    still = 0.5 * density * FIN_SPEED_MPS**2
+    gain = pressure / (pressure**2 + still**2)
+    limit = jnp.where(fins.limit_rad > 0, fins.limit_rad, 1.0)
+    travel = jnp.clip(matrix_times(fins.inverse, command.tau) * gain / limit, -1.0, 1.0)
+    return ThrusterPwm(
+        pwm_us=jnp.where(fins.is_fin, NEUTRAL_US + HALF_RANGE_US * travel, pwm.pwm_us)
+    )
 
 
 def realised_wrench(params: AllocationParams, pwm: ThrusterPwm) -> BodyWrench:

@@ -129,6 +129,8 @@ class Stage:
     """Whether it takes the measured wrench of the robot's grip, and so cannot fly without one."""
     wants_sway: bool = False
     """Whether it cannot fly a vehicle that has no thrust to the side."""
+    flies_by_fins: bool = False
+    """Whether it can fly a vehicle without heave or yaw thrust, by its fins and with way on."""
 
 
 type Stages = tuple[Stage, ...]

@@ -63,6 +63,7 @@ def _of_law(
     realised: bool = False,
     grip: bool = False,
     sway: bool = False,
+    fins: bool = False,
     progress: Callable[..., jax.Array] | None = None,
 ) -> Stage:
     """A stage of a law that knows its vehicle and the water."""
@@ -103,6 +104,7 @@ def _of_law(
         wants_realised=realised,
         wants_grip=grip,
         wants_sway=sway,
+        flies_by_fins=fins,
         progress=progress,
     )
 
@@ -152,7 +154,12 @@ def _allocation_stage(name: str, allocate: Callable[..., ThrusterPwm]) -> Stage:
     def step(
         _: object, carry: tuple[()], inputs: StageInput, command: BodyWrench
     ) -> tuple[tuple[()], ThrusterPwm]:
-        return carry, allocate(inputs.params.allocation, command)
+        params = inputs.params.allocation
+        pwm = allocate(params, command)
+        if params.fins is None:
+            return carry, pwm
+        speed_mps = inputs.estimate.nu[0]
+        return carry, allocation.deflect_fins(params.fins, command, speed_mps, inputs.density, pwm)
 
     return Stage(name=name, takes=(BodyWrench,), gives=ThrusterPwm, step=step, reset=_no_memory)
 
@@ -240,7 +247,7 @@ _ALL = (
         flow=True,
         grip=True,
     ),
-    _of_law("los", los, los.LosGains, (Trajectory,), BodyTwist, progress=los.progress_s),
+    _of_law("los", los, los.LosGains, (Trajectory,), BodyTwist, fins=True, progress=los.progress_s),
     Stage(
         name="pose",
         takes=_POSES,
@@ -401,6 +408,7 @@ def _user_stage(law_class: type) -> Stage:
         wants_realised=getattr(law, "wants_realised", False),
         wants_grip=getattr(law, "wants_grip", False),
         wants_sway=getattr(law, "wants_sway", False),
+        flies_by_fins=getattr(law, "flies_by_fins", False),
         progress=getattr(law, "progress", None),
     )
 

@@ -18,7 +18,12 @@ from angler_mjx.robot.importing.cover import (
     cover_shape,
     cover_sphere,
 )
-from angler_mjx.robot.importing.foreign_vehicle import ForeignVehicle, Shape, ThrusterMount
+from angler_mjx.robot.importing.foreign_vehicle import (
+    ForeignVehicle,
+    Hydrodynamics,
+    Shape,
+    ThrusterMount,
+)
 from angler_mjx.robot.importing.notes import Location, Notes
 from angler_mjx.robot.importing.numbers import (
     SMALLEST_SHAPE_M,
@@ -40,6 +45,7 @@ _NEUTRAL = 0.25
 """Collision shapes are taken as the displaced volume if their buoyancy is that of the weight within
 this fraction."""
 _VOLTAGE_V = 16.0
+_STALL_RAD = 0.3
 _LAG_S = 0.02
 _AXES = ("surge", "sway", "heave", "roll", "pitch", "yaw")
 
@@ -116,6 +122,7 @@ def build_vehicle(
             "source": hull_source,
         },
         "thrusters": _build_thrusters(vehicle, base, thruster, notes),
+        **_build_fins(vehicle, base, water_density, notes),
         "rotor": _build_rotor(vehicle, thruster_model, notes),
         "visual": _build_visual(vehicle, base, notes),
         **arm,
@@ -282,15 +289,7 @@ def _build_water(
             if matrix is None:
                 continue
             locations["damping"].append(where)
-            for (table, i, j), label in water.names.items():
-                if table == name and i != j and matrix[i, j] != 0:
-                    notes.add(
-                        "dropped",
-                        f"{name} damping {label} = {matrix[i, j]:g}: vehicle "
-                        "files hold the diagonal",
-                        where,
-                    )
-            total += turn @ np.diag(np.diag(matrix)) @ turn.T
+            total += turn @ _coupled_damping(matrix, name, turn, water, notes) @ turn.T
         if np.linalg.norm(arm) > 1e-9:
             notes.add(
                 "assumed",
@@ -301,15 +300,39 @@ def _build_water(
         if not np.allclose(np.abs(turn).max(axis=0), 1.0, atol=1e-6):
             notes.add(
                 "assumed",
-                f"damping of {water.body}, which is turned: its part along the vehicle's axes",
+                f"quadratic damping of {water.body}, which is turned: its part along the vehicle's "
+                "axes",
                 where,
             )
     return {
         "added_mass": _build_added_mass(added, locations["added"], size_m, volume, density, notes),
-        "damping": _build_damping(
-            np.diag(linear), np.diag(quadratic), locations["damping"], size_m, density, notes
-        ),
+        "damping": _build_damping(linear, quadratic, locations["damping"], size_m, density, notes),
     }
+
+
+def _coupled_damping(
+    matrix: np.ndarray, name: str, turn: np.ndarray, water: Hydrodynamics, notes: Notes
+) -> np.ndarray:
+    """Return the part of a damping matrix [6, 6] that a vehicle file can hold.
+
+    Linear damping wholly, unless still water would drive the vehicle by it. Quadratic damping
+    between axes keeps its form in frames whose axes are along the vehicle's alone.
+    """
+    diagonal: np.ndarray = np.diag(np.diag(matrix))
+    is_aligned = np.allclose(np.abs(turn).max(axis=0), 1.0, atol=1e-6)
+    reason = None
+    if name == "quadratic" and not is_aligned:
+        reason = "the axes of its link are turned"
+    elif name == "linear" and np.linalg.eigvalsh(matrix + matrix.T)[0] < -1e-9:
+        reason = "with it still water would drive the vehicle"
+    for (table, i, j), label in water.names.items():
+        if table == name and i != j and matrix[i, j] != 0 and reason:
+            notes.add(
+                "dropped",
+                f"{name} damping {label} = {matrix[i, j]:g}: {reason}",
+                water.element.location,
+            )
+    return diagonal if reason else matrix
 
 
 def _symmetric_added_mass(added: np.ndarray, where: Location, notes: Notes) -> np.ndarray:
@@ -386,12 +409,12 @@ def _build_damping(
     density: float,
     notes: Notes,
 ) -> dict[str, Any]:
-    empty = [i for i in range(6) if linear[i] <= 0 and quadratic[i] <= 0]
+    empty = [i for i in range(6) if linear[i, i] <= 0 and quadratic[i, i] <= 0]
     source = ", ".join(dict.fromkeys(map(str, locations))) or "assumed"
     quadratic = np.array(quadratic)
     if empty:
         drag = estimates.estimate_quadratic_drag(size_m.tolist(), density)
-        quadratic[empty] = drag[empty]
+        quadratic[empty, empty] = drag[empty]
         names = ", ".join(_AXES[i] for i in empty)
         notes.add(
             "assumed",
@@ -401,10 +424,21 @@ def _build_damping(
         )
         source += f"; {names}: assumed, drag of the hull's box"
     return {
-        "linear": [round_number(max(x, 0.0)) for x in linear],
-        "quadratic": [round_number(max(x, 0.0)) for x in quadratic],
+        "linear": _damping_table(linear),
+        "quadratic": _damping_table(quadratic),
         "source": source,
     }
+
+
+def _damping_table(matrix: np.ndarray) -> list[float] | list[list[float]]:
+    """Return six values of a matrix that is diagonal, six rows of others."""
+    rows = [[round_number(x) for x in row] for row in matrix]
+    diagonal = [max(rows[i][i], 0.0) for i in range(6)]
+    if not np.any(matrix - np.diag(np.diag(matrix))):
+        return diagonal
+    for i in range(6):
+        rows[i][i] = diagonal[i]
+    return rows
 
 
 def _build_thrusters(
@@ -452,6 +486,67 @@ def _build_thrusters(
         "layout": layout,
         "source": f"{vehicle.location.file.name}: poses of the thrusters' links and axes of their "
         "joints; spin as stated there",
+    }
+
+
+def _build_fins(
+    vehicle: ForeignVehicle, base: Group, density: float, notes: Notes
+) -> dict[str, Any]:
+    """Return the table of fins; none where the file has none."""
+    layout: list[dict[str, Any]] = []
+    for mount in vehicle.fin_mounts:
+        where, pose = mount.element.location, base.poses.get(mount.body)
+        if pose is None:
+            notes.add("dropped", f"fin {mount.body}: it is on a link of an arm", where)
+            continue
+        chord = mount.forward / np.linalg.norm(mount.forward)
+        span = np.cross(chord, mount.upward)
+        if np.linalg.norm(span) < 1e-6:
+            mount.element.fail("forward and upward of a fin are along each other; turn one")
+        span = span / np.linalg.norm(span)
+        joint = next((j for j in vehicle.joints if j.child == mount.body), None)
+        limit = 0.0
+        if joint is not None and joint.kind != "fixed" and joint.lower is not None:
+            limit = max(abs(joint.lower), abs(joint.upper or 0.0))
+            if joint.lower + (joint.upper or 0.0) != 0.0:
+                notes.add("converted", f"limits of fin {mount.body}: the larger, both ways", where)
+        stall = min(max(mount.stall_rad or _STALL_RAD, 0.01), 0.7)
+        drag = mount.drag_slope or 0.0
+        # The parabola of drag meets the line of the file at the stall.
+        induced = drag / (mount.lift_slope**2 * stall) if drag > 0 else 1.0 / (math.pi * 0.9 * 3.0)
+        layout.append(
+            {
+                "name": to_name(mount.body.rpartition("/")[2]),
+                "position_m": round_vector((pose @ np.append(mount.position_m, 1.0))[:3]),
+                "span": round_vector(pose[:3, :3] @ span, 16),
+                "chord": round_vector(pose[:3, :3] @ chord, 16),
+                "area_m2": round_number(mount.area_m2),
+                "aspect_ratio": round_number(1.0 / (math.pi * 0.9 * induced)),
+                "lift_slope_per_rad": round_number(mount.lift_slope),
+                "zero_lift_drag": 0.0,
+                "stall_rad": round_number(stall),
+                "limit_rad": round_number(limit),
+                "rate_radps": 1.0,
+                "time_constant_s": 0.1,
+            }
+        )
+        notes.add(
+            "converted",
+            f"fin {mount.body}: drag "
+            + (f"as the file's, {drag:g} per radian, at the stall" if drag > 0 else "assumed")
+            + f"; force in water of {density:g} kg/m^3",
+            where,
+        )
+    if not layout:
+        return {}
+    notes.add(
+        "assumed", "servos of fins: a lag of 0.1 s and at most 1 rad/s; the file states neither"
+    )
+    return {
+        "fins": {
+            "layout": layout,
+            "source": f"{vehicle.location.file.name}: lift and drag of its fins; servos assumed",
+        }
     }
 
 

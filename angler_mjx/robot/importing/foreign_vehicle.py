@@ -121,6 +121,26 @@ class ThrusterMount:
 
 
 @dataclass(kw_only=True)
+class FinMount:
+    """Fin on a body: a foil with lift and drag."""
+
+    body: str
+    element: Element
+    position_m: np.ndarray
+    """[3] centre of pressure, in the body's frame."""
+    forward: np.ndarray
+    """[3] of the chord, any length."""
+    upward: np.ndarray
+    """[3] of the lift at positive angles of attack."""
+    area_m2: float
+    lift_slope: float
+    """1/rad."""
+    stall_rad: float | None = None
+    drag_slope: float | None = None
+    """Drag coefficient per radian of the angle of attack."""
+
+
+@dataclass(kw_only=True)
 class Hydrodynamics:
     """Added mass and damping at the origin of a body's frame, along its axes; positive numbers."""
 
@@ -152,6 +172,8 @@ class ForeignVehicle:
     density_location: Location | None = None
     fins: dict[str, Element] = field(default_factory=dict)
     """Bodies that plugins use as fins."""
+    fin_mounts: list[FinMount] = field(default_factory=list)
+    """Fins whose lift is read."""
     size_m: tuple[float, float, float] | None = None
     """Length, width and height that the file states; None: it states none."""
     size_location: Location | None = None

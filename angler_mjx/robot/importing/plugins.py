@@ -12,6 +12,7 @@ import numpy as np
 
 from angler_mjx.errors import format_value
 from angler_mjx.robot.importing.foreign_vehicle import (
+    FinMount,
     ForeignVehicle,
     Hydrodynamics,
     JointLink,
@@ -205,7 +206,46 @@ def _read_fin(plugin: Element, vehicle: ForeignVehicle, notes: Notes) -> None:
         element = plugin.find(tag)
         if element is not None:
             vehicle.fins[element.text.strip()] = plugin
-    notes.add("dropped", "lift and drag of a fin: vehicle files hold no fins", plugin.location)
+    link = plugin.find("link_name") or plugin.find("linkName")
+    slope, area = _optional_number(plugin, "cla"), _optional_number(plugin, "area")
+    if link is None or not slope or not area:
+        missing = "link_name" if link is None else "cla" if not slope else "area"
+        notes.add("dropped", f"lift and drag of a fin: it states no {missing}", plugin.location)
+        plugin.read()
+        return
+    zero = _optional_number(plugin, "a0")
+    if zero:
+        notes.add("dropped", f"a0 = {zero:g} of a fin: foils are symmetric", plugin.location)
+    body = _find_body(plugin, link.tag, vehicle)
+    vectors = {
+        tag: np.array(default if element is None else element.numbers(3), float)
+        for tag, default in (("cp", (0, 0, 0)), ("forward", (1, 0, 0)), ("upward", (0, 0, 1)))
+        for element in [plugin.find(tag)]
+    }
+    vehicle.fin_mounts.append(
+        FinMount(
+            body=body,
+            element=plugin,
+            position_m=vectors["cp"],
+            forward=vectors["forward"],
+            upward=vectors["upward"],
+            area_m2=area,
+            lift_slope=slope,
+            stall_rad=_optional_number(plugin, "alpha_stall"),
+            drag_slope=_optional_number(plugin, "cda"),
+        )
+    )
+    rest = [
+        f"{child.tag} = {child.text.strip()}"
+        for child in plugin.children
+        if child.tag in ("cla_stall", "cda_stall", "cma", "cma_stall", "cm_delta")
+    ]
+    if rest:
+        notes.add(
+            "dropped",
+            f"of a fin: {', '.join(rest)}; beyond the stall it is a plate",
+            plugin.location,
+        )
     plugin.read()
 
 

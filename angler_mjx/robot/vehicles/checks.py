@@ -84,6 +84,37 @@ def check_damping(value: tuple[float, ...]) -> tuple[float, ...]:
     return value
 
 
+def check_damping_table(value: object) -> tuple[float, ...] | Matrix:
+    """Check damping: six values of the diagonal, or six rows of six.
+
+    A matrix that is diagonal is returned as its diagonal.
+    """
+    rows = value if isinstance(value, tuple | list) else ()
+    if not any(isinstance(row, tuple | list) for row in rows):
+        if any(isinstance(x, bool) or not isinstance(x, int | float) for x in rows):
+            raise ValueError("every value must be a number; give six values or six rows of six")
+        return check_damping(tuple(float(x) for x in rows))
+    if len(rows) != 6 or any(not isinstance(row, tuple | list) or len(row) != 6 for row in rows):
+        raise ValueError("give six values for [u v w p q r], or six rows of six values")
+    if any(isinstance(x, bool) or not isinstance(x, int | float) for row in rows for x in row):
+        raise ValueError("every value must be a number; give six values or six rows of six")
+    matrix = np.asarray(value, dtype=np.float64)
+    if not np.all(np.abs(matrix) <= LARGEST):
+        raise ValueError(f"every value must be finite, {LARGEST:g} at most")
+    diagonal = check_damping(tuple(float(x) for x in np.diag(matrix)))
+    return diagonal if np.array_equal(matrix, np.diag(diagonal)) else _to_rows(matrix)
+
+
+def check_passive(matrix: np.ndarray) -> None:
+    """Check that linear damping [6, 6] takes energy at every velocity."""
+    low, *_, high = np.linalg.eigvalsh((matrix + matrix.T) / 2)
+    if low < -_RELATIVE_TOLERANCE * max(high, 0.0):
+        raise ValueError(
+            f"linear: its symmetric part has the eigenvalue {low:.4g}, so that still water would "
+            "drive the vehicle; correct the entries off the diagonal"
+        )
+
+
 def check_distinct_names(kind: str, names: list[str]) -> None:
     """Check that no name occurs twice."""
     if len(set(names)) < len(names):

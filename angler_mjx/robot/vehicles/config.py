@@ -8,6 +8,7 @@ about the centre of mass.
 from collections.abc import Mapping
 from typing import Annotated, Literal, Self
 
+import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 
 from angler_mjx.errors import ConfigError, format_value
@@ -15,6 +16,8 @@ from angler_mjx.files import FileModel
 from angler_mjx.quantities import Sign
 from angler_mjx.robot.vehicles import checks
 from angler_mjx.robot.vehicles.checks import Matrix
+from angler_mjx.robot.vehicles.derivatives import read_product
+from angler_mjx.robot.vehicles.fin_config import Fins
 from angler_mjx.robot.vehicles.hull import Capsule, Name, Vector3
 from angler_mjx.robot.vehicles.links import (
     EndEffector,
@@ -25,7 +28,7 @@ from angler_mjx.robot.vehicles.links import (
     order_joints,
     order_links,
 )
-from angler_mjx.robot.vehicles.rotor_config import Positive, Rotor, RotorResponse, Source
+from angler_mjx.robot.vehicles.rotor_config import Number, Positive, Rotor, RotorResponse, Source
 from angler_mjx.robot.vehicles.uncertainty import Uncertainty
 
 type Fraction = Annotated[float, Field(ge=0, le=1)]
@@ -160,28 +163,74 @@ class AddedMass(FileModel):
     source: Source
 
 
-class Damping(FileModel):
-    """Diagonal damping at the centre of mass, in F, as positive numbers."""
+type DampingTable = Annotated[
+    tuple[float, ...] | Matrix, BeforeValidator(checks.check_damping_table)
+]
 
-    linear: Annotated[tuple[float, ...], AfterValidator(checks.check_damping)]
-    """N s/m (first three), N m s/rad."""
-    quadratic: Annotated[tuple[float, ...], AfterValidator(checks.check_damping)]
-    """N s^2/m^2 (first three), N m s^2/rad^2."""
+
+class Damping(FileModel):
+    """Damping at the centre of mass, in F.
+
+    Wrench of the water: -(linear + quadratic |nu|) nu, with entry [i][j] of ``quadratic`` times
+    |nu_j| nu_j, and ``products``.
+    """
+
+    linear: DampingTable
+    """Six diagonal values or a full 6 x 6 matrix, positive on the diagonal; N s/m (first three),
+    N m s/rad."""
+    quadratic: DampingTable
+    """Six diagonal values or a full 6 x 6 matrix, of |nu_j| nu_j; N s^2/m^2 (first three),
+    N m s^2/rad^2."""
+    products: dict[str, Number] = Field(default_factory=dict)
+    """Derivatives of the wrench by products of two velocities, such as Y_uv of the lift of a hull:
+    force of X Y Z K M N, velocities of u v w p q r, in F; with the sign of the wrench. Without what
+    is in the added mass."""
     source: Source
 
     @model_validator(mode="after")
     def _check_damped(self) -> Self:
-        free = [
-            i
-            for i, pair in enumerate(zip(self.linear, self.quadratic, strict=True))
-            if pair == (0, 0)
-        ]
+        pairs = zip(self.linear_diagonal, self.quadratic_diagonal, strict=True)
+        free = [i for i, pair in enumerate(pairs) if pair == (0, 0)]
         if free:
             raise ValueError(
                 f"no damping at all on axis {free[0]} of [u v w p q r]; "
                 "give a linear or a quadratic coefficient above zero"
             )
+        for name in self.products:
+            read_product(name)
+        checks.check_passive(self.linear_matrix)
         return self
+
+    @property
+    def linear_matrix(self) -> np.ndarray:
+        """Return linear damping [6, 6]."""
+        return _to_matrix(self.linear)
+
+    @property
+    def quadratic_matrix(self) -> np.ndarray:
+        """Return quadratic damping [6, 6]."""
+        return _to_matrix(self.quadratic)
+
+    @property
+    def linear_diagonal(self) -> tuple[float, ...]:
+        """Return the diagonal [6] of linear damping."""
+        return tuple(np.diag(self.linear_matrix).tolist())
+
+    @property
+    def quadratic_diagonal(self) -> tuple[float, ...]:
+        """Return the diagonal [6] of quadratic damping."""
+        return tuple(np.diag(self.quadratic_matrix).tolist())
+
+    @property
+    def couples_axes(self) -> bool:
+        """Return whether damping of one axis depends on another."""
+        full = any(isinstance(table[0], tuple) for table in (self.linear, self.quadratic))
+        return full or any(value != 0.0 for value in self.products.values())
+
+
+def _to_matrix(table: tuple[float, ...] | Matrix) -> np.ndarray:
+    values = np.asarray(table, np.float64)
+    return np.diag(values) if values.ndim == 1 else values
 
 
 class ArduSub(FileModel):
@@ -226,9 +275,14 @@ class VehicleConfig(FileModel):
     """Description for people."""
     default_set: str
     """Parameter set that is used where none is named."""
+    planar: bool = False
+    """Whether it moves in the plane of the surface: heave, roll and pitch are held, at the height
+    and level at which it starts."""
     base: Base
     hull: HullTable
     thrusters: Thrusters
+    fins: Fins | None = None
+    """Fins and control surfaces."""
     rotor: Rotor
     visual: Visual
     ardusub: ArduSub | None = None
@@ -271,6 +325,23 @@ class VehicleConfig(FileModel):
                         + (", ".join(names) or "none")
                     )
         return self
+
+    @model_validator(mode="after")
+    def _check_actuators(self) -> Self:
+        checks.check_distinct_names("actuator", list(self.actuator_names))
+        return self
+
+    @model_validator(mode="after")
+    def _check_planar(self) -> Self:
+        if self.planar and (self.links or self.fins):
+            raise ValueError("planar = true: a vehicle that is held level has neither arm nor fins")
+        return self
+
+    @property
+    def actuator_names(self) -> tuple[str, ...]:
+        """Return the names of thrusters and fins, in the order of their signals."""
+        fins = tuple(fin.name for fin in self.fins.layout) if self.fins else ()
+        return tuple(thruster.name for thruster in self.thrusters.layout) + fins
 
     @property
     def published_sets(self) -> tuple[str, ...]:

@@ -3,7 +3,8 @@
 A level vehicle has four axes: surge, sway, heave and yaw; righting moments hold roll and pitch. An
 axis can be driven if thrusters can push along it, in both directions, and along none of the other
 three. A path can be flown with surge, heave and yaw: where sway is missing, controllers turn the
-bow into the direction of travel.
+bow into the direction of travel. Fins that turn a vehicle in pitch and yaw stand in for heave and
+yaw, as long as it moves ahead; a planar vehicle needs no heave.
 """
 
 from dataclasses import dataclass
@@ -34,6 +35,13 @@ class Drive:
     """[3] surge, sway, heave in still water, the slower direction; 0 for a missing axis."""
     yaw: bool
     """Whether the vehicle can turn about the vertical alone."""
+    steers_by_fins: bool = False
+    """Whether fins turn it in pitch and yaw when it moves ahead."""
+
+    @property
+    def flies_by_fins(self) -> bool:
+        """Return whether it climbs by pitch for lack of heave, or turns by way for lack of yaw."""
+        return self.steers_by_fins and not {"heave", "yaw"}.isdisjoint(self.missing_axes)
 
     @property
     def missing_axes(self) -> tuple[str, ...]:
@@ -45,7 +53,12 @@ class Drive:
 
 
 def compute_drive(
-    B: FloatArray, reverse_n: float, forward_n: float, D_l: FloatArray, D_q: FloatArray
+    B: FloatArray,
+    reverse_n: float,
+    forward_n: float,
+    D_l: FloatArray,
+    D_q: FloatArray,
+    steers_by_fins: bool = False,
 ) -> Drive:
     """Compute the abilities of a vehicle from its thrusters and damping.
 
@@ -55,6 +68,7 @@ def compute_drive(
         forward_n: thrust at the highest PWM, N.
         D_l: [3] linear damping of surge, sway, heave, N s/m.
         D_q: [3] quadratic damping, N s^2/m^2.
+        steers_by_fins: whether fins turn it in pitch and yaw.
     """
     level = B[list(_AXES.values())]
     reach = level @ np.linalg.pinv(level, rcond=_ALONE)
@@ -65,7 +79,7 @@ def compute_drive(
     speed[can] = terminal_speed(force[:3][can], D_l[can], D_q[can])
     if speed[1] < MIN_SWAY_FRACTION * speed[0]:
         speed[1] = 0.0
-    return Drive(terminal_speed_mps=speed, yaw=bool(available[3]))
+    return Drive(terminal_speed_mps=speed, yaw=bool(available[3]), steers_by_fins=steers_by_fins)
 
 
 def require_flyable(config: VehicleConfig, able: Drive) -> None:
@@ -74,12 +88,15 @@ def require_flyable(config: VehicleConfig, able: Drive) -> None:
     Raises:
         ConfigError: the vehicle lacks an axis; the message names both.
     """
-    lacking = [axis for axis in able.missing_axes if axis != "sway"]
+    spared = {"sway", "heave", "yaw"} if able.steers_by_fins else {"sway"}
+    if config.planar:
+        spared |= {"heave"}
+    lacking = [axis for axis in able.missing_axes if axis not in spared]
     if lacking:
         raise ConfigError(
             f"vehicle {config.name!r} cannot fly a path: no thrust in {' or '.join(lacking)} "
             "alone, both ways; a path takes surge, heave and yaw, each without the others: add "
-            "thrusters or turn those in [thrusters] layout"
+            "thrusters or turn those in [thrusters] layout, or give it fins for pitch and yaw"
         )
 
 

@@ -20,6 +20,12 @@ def list_vehicles() -> list[str]:
     return list(_list_names(_VEHICLES))
 
 
+@lru_cache
+def list_rovs() -> tuple[str, ...]:
+    """List the names of the shipped vehicles that ArduSub has a frame for, sorted."""
+    return tuple(name for name in list_vehicles() if load_vehicle(name).ardusub is not None)
+
+
 def load_vehicle(name_or_path: str) -> VehicleConfig:
     """Read a vehicle file.
 

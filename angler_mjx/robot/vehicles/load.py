@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from angler_mjx.robot.vehicles.checks import Matrix
 from angler_mjx.robot.vehicles.config import VehicleConfig
 
 type Three = tuple[float, float, float]
@@ -56,10 +57,18 @@ def add_load(config: VehicleConfig, parameter_set: str, load: Load) -> VehicleCo
                 update={"coefficients": tuple(map(tuple, added.tolist()))}
             ),
             "damping": damping.model_copy(
-                update={"quadratic": tuple((np.asarray(damping.quadratic) + drag).tolist())}
+                update={"quadratic": _add_diagonal(damping.quadratic, drag)}
             ),
         }
     )
     return config.model_copy(
         update={"parameter_sets": {**config.parameter_sets, parameter_set: made}}
     )
+
+
+def _add_diagonal(table: tuple[float, ...] | Matrix, diagonal: np.ndarray) -> tuple[object, ...]:
+    """Return six values of damping or six rows of them with a diagonal [6] added."""
+    values = np.asarray(table)
+    if values.ndim == 1:
+        return tuple((values + diagonal).tolist())
+    return tuple(map(tuple, (values + np.diag(diagonal)).tolist()))

@@ -14,7 +14,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from angler_mjx.robot.vehicles.config import VehicleConfig
+from angler_mjx.robot.vehicles.damping import (
+    CrossDamping,
+    build_cross_damping,
+    pad_cross_damping,
+)
 from angler_mjx.robot.vehicles.drive import compute_drive, wrench_matrix
+from angler_mjx.robot.vehicles.fins import FinParams, build_fins, pad_fins
 from angler_mjx.robot.vehicles.library import load_thruster
 from angler_mjx.robot.vehicles.link_hull import (
     LinkCapsules,
@@ -26,6 +32,8 @@ from angler_mjx.robot.vehicles.link_params import LinkParams, build_links, pad_l
 from angler_mjx.robot.vehicles.rotor import RotorFilter
 from angler_mjx.robot.vehicles.rotor_config import RotorResponse
 from angler_mjx.robot.vehicles.thrusters import tables_at
+
+_PLANAR_AXES = (1.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 
 
 @jax.tree_util.register_dataclass
@@ -50,7 +58,8 @@ class VehicleParams:
     hull_height_m: jax.Array
     """[] height over which buoyancy fades at the surface."""
     B: jax.Array
-    """[6, n_t] wrench per newton of thrust, reaction torque included; padding columns are zero."""
+    """[6, n_t] wrench per newton of thrust, reaction torque included; zero in columns of padding
+    and of fins, which stand behind the thrusters."""
     thrust_n: jax.Array
     """[201] thrust on the PWM grid 1100, 1104 ... 1900 us, at the robot's voltage."""
     power_w: jax.Array
@@ -71,9 +80,17 @@ class VehicleParams:
     an axis along which thrusters cannot push alone (see
     `angler_mjx.robot.vehicles.drive.compute_drive`)."""
     thruster_exists: jax.Array
-    """bool [n_t] whether the thruster draws power: False for padding and for dead thrusters."""
+    """bool [n_t] whether the thruster draws power: False for padding, fins and for dead
+    thrusters."""
     thruster_health: jax.Array
     """[n_t] fraction of the table's thrust that each thruster gives: 1 as in the table, 0 dead."""
+    cross_damping: CrossDamping | None = None
+    """Damping between axes; None where no vehicle of the fleet has any."""
+    free_axes: jax.Array | None = None
+    """[6] 1 for axes of nu that move, 0 for held ones; None where no vehicle of the fleet is
+    planar."""
+    fins: FinParams | None = None
+    """Fins, in rows behind the thrusters; None where no vehicle of the fleet has any."""
     links: LinkParams | None = None
     """Links and joints; None where no vehicle of the fleet has any."""
     link_capsules: LinkCapsules | None = None
@@ -114,8 +131,11 @@ def build_vehicle(
     health = health * np.asarray(thrust_gain) if len(thrust_gain) else health
     thrust_n, power_w = tables_at(load_thruster(config.rotor.model), voltage_v)
     B = wrench_matrix(config)
-    D_l = np.asarray(chosen.damping.linear, dtype=np.float64)
-    D_q = np.asarray(chosen.damping.quadratic, dtype=np.float64)
+    n_fin = len(config.fins.layout) if config.fins else 0
+    health = np.concatenate([health, np.ones(n_fin)]) if n_fin else health
+    exists = (health > 0.0) & (np.arange(len(health)) < B.shape[1])
+    D_l = np.asarray(chosen.damping.linear_diagonal)
+    D_q = np.asarray(chosen.damping.quadratic_diagonal)
     speed = compute_drive(B, thrust_n[0], thrust_n[-1], D_l[:3], D_q[:3]).terminal_speed_mps
     center = np.asarray(config.base.center_of_mass_m)
     capsules = config.hull.capsules
@@ -132,7 +152,7 @@ def build_vehicle(
         volume_m3=_device_array(chosen.buoyancy.volume_m3),
         p_cb_m=_device_array(chosen.buoyancy.center_of_buoyancy_m),
         hull_height_m=_device_array(config.hull.height_m),
-        B=_device_array(B),
+        B=_device_array(np.pad(B, ((0, 0), (0, n_fin)))),
         thrust_n=_device_array(thrust_n),
         power_w=_device_array(power_w),
         tau_s=_device_array(config.rotor.lag.time_constant_s),
@@ -141,8 +161,11 @@ def build_vehicle(
         capsule_r_m=_device_array(radius),
         radius_m=_device_array(max(reach.max(), home_link_reach_m(config))),
         terminal_speed_mps=_device_array(speed),
-        thruster_exists=jnp.asarray(health > 0.0),
+        thruster_exists=jnp.asarray(exists),
         thruster_health=_device_array(health),
+        cross_damping=build_cross_damping(chosen.damping),
+        free_axes=_device_array(_PLANAR_AXES) if config.planar else None,
+        fins=build_fins(config),
         links=build_links(config, parameter_set),
         link_capsules=build_link_capsules(config),
         rotor=_build_rotor(config, rotor_response),
@@ -168,14 +191,22 @@ def stack_vehicles(variants: list[VehicleParams]) -> VehicleParams:
         [v.link_capsules for v in variants],
         [(v.capsule_a_m[0], v.capsule_b_m[0], v.capsule_r_m[0]) for v in variants],
     )
+    is_held = any(variant.free_axes is not None for variant in variants)
+    fins = pad_fins([v.fins for v in variants], [v.B.shape[1] for v in variants], n_t)
+    cross_damping = pad_cross_damping([v.cross_damping for v in variants])
     padded = [
         replace(
             _pad_vehicle(robot, n_t, n_capsule),
             steered=steered,
+            cross_damping=cross,
+            free_axes=_pad_axes(robot) if is_held else None,
+            fins=robot_fins,
             links=robot_links,
             link_capsules=capsules,
         )
-        for robot, robot_links, capsules in zip(variants, links, link_capsules, strict=True)
+        for robot, cross, robot_fins, robot_links, capsules in zip(
+            variants, cross_damping, fins, links, link_capsules, strict=True
+        )
     ]
     stacked: VehicleParams = jax.device_put(jax.tree.map(lambda *rows: np.stack(rows), *padded))
     return stacked
@@ -195,6 +226,13 @@ def _device_array(value: ArrayLike) -> jax.Array:
     # Rounded by NumPy: for JAX each shape is a program to compile, and so for the padding below.
     array: jax.Array = jax.device_put(np.asarray(value, jnp.result_type(float)))
     return array
+
+
+def _pad_axes(params: VehicleParams) -> ArrayLike:
+    """Return the free axes [6] of a vehicle in a fleet of which some are held."""
+    if params.free_axes is not None:
+        return params.free_axes
+    return np.ones(6, params.mass_kg.dtype)
 
 
 def _pad_vehicle(params: VehicleParams, n_t: int, n_capsule: int) -> VehicleParams:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from angler_mjx.robot.vehicles.config import ParameterSet, VehicleConfig
+from angler_mjx.robot.vehicles.damping import largest_gain_w
 from angler_mjx.robot.vehicles.drive import compute_drive, wrench_matrix
 from angler_mjx.robot.vehicles.library import load_thruster
 from angler_mjx.robot.vehicles.thrusters import FloatArray, tables_at
@@ -35,6 +36,9 @@ class VehicleProperties:
     """Undamped period in roll; None without a righting moment."""
     pitch_period_s: float | None
     rotor_time_constant_s: float
+    damping_gain_w: float | None
+    """Largest power that damping between axes gives the vehicle in still water, see
+    `damping.largest_gain_w`; above zero the file is wrong somewhere. None of diagonal damping."""
 
 
 def describe_vehicle(
@@ -48,8 +52,8 @@ def describe_vehicle(
     chosen = config.find_set(parameter_set)
     thrust_n, _ = tables_at(load_thruster(config.rotor.model), voltage_v)
     B = wrench_matrix(config)
-    linear = np.asarray(chosen.damping.linear[:3])
-    quadratic = np.asarray(chosen.damping.quadratic[:3])
+    linear = np.asarray(chosen.damping.linear_diagonal[:3])
+    quadratic = np.asarray(chosen.damping.quadratic_diagonal[:3])
     speed = compute_drive(B, thrust_n[0], thrust_n[-1], linear, quadratic).terminal_speed_mps
     slope = linear + 2 * quadratic * speed
     M_A = np.asarray(chosen.added_mass.coefficients)
@@ -70,6 +74,7 @@ def describe_vehicle(
         roll_period_s=_period_s(chosen, 0),
         pitch_period_s=_period_s(chosen, 1),
         rotor_time_constant_s=config.rotor.lag.time_constant_s,
+        damping_gain_w=largest_gain_w(chosen.damping) if chosen.damping.couples_axes else None,
     )
 
 

@@ -9,8 +9,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from angler_mjx.robot.vehicles.config import ParameterSet, VehicleConfig
+from angler_mjx.robot.vehicles.checks import Matrix
+from angler_mjx.robot.vehicles.config import Damping, ParameterSet, VehicleConfig
+from angler_mjx.robot.vehicles.derivatives import read_product
 from angler_mjx.robot.vehicles.drive import full_force, wrench_matrix
 from angler_mjx.robot.vehicles.library import load_thruster
 from angler_mjx.robot.vehicles.links import Link, LinkNumbers
@@ -57,13 +60,7 @@ def apply_variation(
     body, water = parameters.rigid_body, parameters.buoyancy
     root = np.sqrt(np.asarray(variation.added_mass))
     added = np.asarray(parameters.added_mass.coefficients) * np.outer(root, root)
-    damping: dict[str, tuple[float, ...]] = {
-        name: tuple((np.asarray(values) * np.asarray(variation.damping)).tolist())
-        for name, values in (
-            ("linear", parameters.damping.linear),
-            ("quadratic", parameters.damping.quadratic),
-        )
-    }
+    damping = _scale_damping(parameters.damping, variation.damping, variation.damping)
     inertia = np.asarray(body.inertia_kgm2) * variation.mass
     made = parameters.model_copy(
         update={
@@ -76,7 +73,7 @@ def apply_variation(
             "added_mass": parameters.added_mass.model_copy(
                 update={"coefficients": _to_rows(added)}
             ),
-            "damping": parameters.damping.model_copy(update=damping),
+            "damping": damping,
         }
     )
     sets: Mapping[str, object] = {**config.parameter_sets, parameter_set: made}
@@ -95,11 +92,9 @@ def _deviate(
     center = np.asarray(water.center_of_buoyancy_m) + by_key.get("center_of_buoyancy_m", 0.0)
     root = np.exp(0.5 * by_key.get("added_mass", np.zeros(6)))
     added = np.asarray(chosen.added_mass.coefficients) * np.outer(root, root)
-    factors = {name: np.exp(by_key.get(f"{name}_damping", 0.0)) for name in ("linear", "quadratic")}
-    scaled: dict[str, tuple[float, ...]] = {
-        name: tuple((np.asarray(getattr(damping, name)) * factor).tolist())
-        for name, factor in factors.items()
-    }
+    linear, quadratic = (
+        np.exp(by_key.get(f"{name}_damping", np.zeros(6))) for name in ("linear", "quadratic")
+    )
     return chosen.model_copy(
         update={
             "buoyancy": water.model_copy(
@@ -109,10 +104,37 @@ def _deviate(
                 }
             ),
             "added_mass": chosen.added_mass.model_copy(update={"coefficients": _to_rows(added)}),
-            "damping": damping.model_copy(update=scaled),
+            "damping": _scale_damping(damping, linear, quadratic),
             "links": _deviate_links(config, parameter_set, by_key),
         }
     )
+
+
+def _scale_damping(damping: Damping, linear: ArrayLike, quadratic: ArrayLike) -> Damping:
+    """Return damping with factors [6] by axis; between axes the root of the product of two.
+
+    Derivatives by products of velocities take the factor of their force in ``quadratic``.
+    """
+    factors = np.asarray(quadratic, float)
+    return damping.model_copy(
+        update={
+            "linear": _scale_table(damping.linear, np.asarray(linear, float)),
+            "quadratic": _scale_table(damping.quadratic, factors),
+            "products": {
+                name: value * float(factors[read_product(name)[0]])
+                for name, value in damping.products.items()
+            },
+        }
+    )
+
+
+def _scale_table(
+    table: tuple[float, ...] | Matrix, factors: np.ndarray
+) -> tuple[float, ...] | Matrix:
+    values = np.asarray(table, float)
+    if values.ndim == 1:
+        return tuple((values * factors).tolist())
+    return _to_rows(values * np.sqrt(np.outer(factors, factors)))
 
 
 def _deviate_links(

@@ -117,7 +117,7 @@ def _robot_info(simulator: Simulator, worlds: FleetWorld, i: int) -> RobotInfo:
         cruise_speed_mps=float(worlds.control.cruise_speed_mps[0, i]),
         max_speed_mps=np.asarray(params.terminal_speed_mps, float)[0, i],
         max_turn_radps=float(terminal_speed(moment, linear[5:], quadratic[5:])[0]),
-        thrusters=tuple(thruster.name for thruster in config.thrusters.layout),
+        thrusters=config.actuator_names,
         accepts=(*accepts, *messages, *((JointTarget, WholeBodyCommand) if joints else ())),
         joints=joints,
     )

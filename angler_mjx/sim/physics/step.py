@@ -29,7 +29,9 @@ import jax
 import jax.numpy as jnp
 
 from angler_kernels import quaternion, rigid_body, spd_solve
+from angler_mjx.robot.vehicles import damping
 from angler_mjx.robot.vehicles import link_motion as link_terms
+from angler_mjx.robot.vehicles.fins import fin_wrench
 from angler_mjx.robot.vehicles.link_motion import JointMotion, LinkMotion
 from angler_mjx.robot.vehicles.link_params import LinkParams
 from angler_mjx.robot.vehicles.params import VehicleParams
@@ -83,7 +85,7 @@ class VehicleState:
     a vehicle with links, those on its joints last, less M ``change`` / dt of that step."""
     thrust: jax.Array
     """[n_thruster] N, behind the rotor's lag; [3, n_thruster] states of rotors of third order, the
-    thrust first."""
+    thrust first; of a fin its deflection, rad."""
     joints: JointMotion | None = None
     """[J] motion of the joints; None of a vehicle without links."""
     change: jax.Array | None = None
@@ -109,6 +111,8 @@ def smooth_force[Body](
         wrench = base_wrench(params, state.p, state.q, state.nu, v_c, Dv_c, water)
         v_r = state.nu[:3] - quaternion.rotate_inverse(state.q, v_c)
         nu_r = jnp.concatenate([v_r, state.nu[3:]])
+        if params.fins is not None:
+            wrench = wrench + fin_wrench(params.fins, state.thrust, nu_r, water.density_kgpm3)
     with jax.named_scope("multibody"):
         M_RB, dry = engine.inertia_and_force(body, state.p, state.q, state.nu)
     return M_RB + params.M_A, dry + wrench, nu_r
@@ -123,8 +127,11 @@ def base_wrench(
     Dv_c: jax.Array,
     water: Water,
 ) -> jax.Array:
-    """Wrench [6] of the water on the vehicle's own body; see `rigid_body.water_wrench`."""
-    return rigid_body.water_wrench(
+    """Wrench [6] of the water on the vehicle's own body; see `rigid_body.water_wrench`.
+
+    With damping between axes where the vehicle has any.
+    """
+    wrench = rigid_body.water_wrench(
         M_A=params.M_A,
         D_l=params.D_l,
         D_q=params.D_q,
@@ -139,6 +146,10 @@ def base_wrench(
         density=water.density_kgpm3,
         gravity=water.gravity_mps2,
     )
+    if params.cross_damping is None:
+        return wrench
+    v_r = nu[:3] - quaternion.rotate_inverse(q, v_c)
+    return wrench + damping.cross_wrench(params, jnp.concatenate([v_r, nu[3:]]))
 
 
 def reset[Body](
@@ -246,20 +257,39 @@ def step_freely[Body](
         thrust, mean_thrust = rotors.advance_rotors(params, state.thrust, thrust_command, dt)
         thrust_wrench = rigid_body.matrix_times(params.B, mean_thrust)
     with jax.named_scope("integrate"):
-        nu, force_before = rigid_body.advance_damped_velocity(
-            state.nu,
-            nu_r,
-            M,
-            params.D_l,
-            params.D_q,
-            force,
-            state.force_before,
-            thrust_wrench,
-            dt,
-        )
+        forces = force, state.force_before, thrust_wrench
+        if params.free_axes is not None:
+            M, forces = _hold_axes(params.free_axes, M, forces)
+        if params.cross_damping is None:
+            nu, force_before = rigid_body.advance_damped_velocity(
+                state.nu, nu_r, M, params.D_l, params.D_q, *forces, dt
+            )
+        else:
+            nu, force_before = damping.advance_coupled_velocity(
+                params, state.nu, nu_r, M, *forces, dt
+            )
+        if params.free_axes is not None:
+            nu = params.free_axes * nu
         p, q = rigid_body.advance_pose(state.p, state.q, state.nu, nu, dt)
     after = VehicleState(p=p, q=q, nu=nu, force_before=force_before, thrust=thrust)
     return FreeStep(state=after, M=M, nu_r=nu_r)
+
+
+def _hold_axes(
+    free: jax.Array, M: jax.Array, forces: tuple[jax.Array, ...]
+) -> tuple[jax.Array, tuple[jax.Array, ...]]:
+    """Return inertia and forces of a vehicle that moves along its free axes alone.
+
+    What holds the others takes all force along them: M_ff d_f = f_f remains.
+
+    Args:
+        free: [6] 1 for free axes, 0 for held ones.
+        M: [6, 6] with added mass.
+        forces: [6] each.
+    """
+    kept = M * free[:, None] * free[None, :]
+    held = (1.0 - free)[:, None] * jnp.eye(6, dtype=M.dtype)
+    return kept + held, tuple(free * force for force in forces)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -288,7 +318,7 @@ def join_forces(
 
     Args:
         params: of the vehicle.
-        state: of the vehicle; its thrusts and ``force_before`` are not read.
+        state: of the vehicle; its ``force_before`` and the thrusts of rotors are not read.
         v_c: [3] flow at the base, m/s, in W.
         Dv_c: [3] its material derivative, m/s^2, in W.
         water: the medium.
@@ -300,6 +330,9 @@ def join_forces(
         body = ClosedForm(gravity_mps2=gravity)
         M_base, force = body.inertia_and_force(params, p, q, nu)
         force = force + base_wrench(params, p, q, nu, v_c, Dv_c, water)
+        nu_r = jnp.concatenate([nu[:3] - quaternion.rotate_inverse(q, v_c), nu[3:]])
+        if params.fins is not None:
+            force = force + fin_wrench(params.fins, state.thrust, nu_r, density)
     with jax.named_scope("links"):
         motion = link_terms.move_links(links, joints, nu)
         inertia, wrench = link_terms.inertia_and_wrench(
@@ -311,7 +344,7 @@ def join_forces(
     return JoinedForces(
         M=M + jnp.diag(jnp.concatenate([jnp.zeros_like(nu), links.armature])),
         force=link_terms.join_wrenches(motion, wrench) + _on_base(force, links),
-        nu_r=jnp.concatenate([nu[:3] - quaternion.rotate_inverse(q, v_c), nu[3:]]),
+        nu_r=nu_r,
         motion=motion,
         links_nu_r=links_nu_r,
     )
@@ -367,14 +400,14 @@ def _step_links(
         impulse = impulse - 0.5 * rigid_body.matrix_times(forces.M, before)
         impulse = impulse + dt * _on_base(thrust_wrench, links)
         held = home(links) if reference is None else reference
-        change, damping, M = _solve_change(params, forces, joints, held, impulse, dt, water)
+        change, damped, M = _solve_change(params, forces, joints, held, impulse, dt, water)
         nu = state.nu + change[:6]
         p, q = rigid_body.advance_pose(state.p, state.q, state.nu, nu, dt)
     after = VehicleState(
         p=p,
         q=q,
         nu=nu,
-        force_before=forces.force + damping - rigid_body.matrix_times(forces.M, change) / dt,
+        force_before=forces.force + damped - rigid_body.matrix_times(forces.M, change) / dt,
         thrust=thrust,
         joints=joint_efforts.at_end(joints, change[6:], dt),
         change=change,
@@ -418,8 +451,8 @@ def _solve_change(
         return eliminated.solve(right, jnp.asarray(dt * by_change))
 
     def missed_damping(change: jax.Array) -> jax.Array:
-        damping = change_damping(params, forces, change, water)
-        return damping + rigid_body.matrix_times(slope, change)
+        damped = change_damping(params, forces, change, water)
+        return damped + rigid_body.matrix_times(slope, change)
 
     still = jnp.zeros_like(impulse)
     motor = motors.effort(still[6:], None)
@@ -448,7 +481,10 @@ def _solve_change(
 
 
 def damping_slope(params: VehicleParams, forces: JoinedForces, water: Water) -> jax.Array:
-    """Minus the derivative [n, n] of damping by xi, symmetric and never negative."""
+    """Minus the derivative [n, n] of damping by xi, symmetric and never negative.
+
+    Without damping between axes, which the iterations take as it is.
+    """
     links = require_links(params)
     slope = link_terms.drag_slope(links, forces.links_nu_r, water.density_kgpm3)
     base = rigid_body.damping_slope(params.D_l, params.D_q, forces.nu_r)
@@ -460,8 +496,8 @@ def change_damping(
 ) -> jax.Array:
     """Change of damping [n] where xi changes by ``change`` [n] in the present posture."""
     links, density = require_links(params), water.density_kgpm3
-    base = rigid_body.damping_wrench(params.D_l, params.D_q, forces.nu_r + change[:6])
-    base = base - rigid_body.damping_wrench(params.D_l, params.D_q, forces.nu_r)
+    base = damping.damping_wrench(params, forces.nu_r + change[:6])
+    base = base - damping.damping_wrench(params, forces.nu_r)
     links_nu_r = forces.links_nu_r + link_terms.link_velocities(forces.motion, change)
     drag = link_terms.drag_wrench(links, links_nu_r, density)
     drag = drag - link_terms.drag_wrench(links, forces.links_nu_r, density)

@@ -41,10 +41,10 @@ class FlightKind:
 
 @cache
 def shipped_vehicles() -> tuple[FlightKind, ...]:
-    """Every rigid vehicle that is shipped, with each of its published parameter sets."""
+    """Every rigid ROV that is shipped, with each of its published parameter sets."""
     return tuple(
         FlightKind(vehicle=name, parameter_set=chosen)
-        for name in library.list_vehicles()
+        for name in library.list_rovs()
         if not library.load_vehicle(name).links
         for chosen in library.load_vehicle(name).published_sets
     )

@@ -145,6 +145,7 @@ def gains_of(spec: SimSpec, factors: FloatArray) -> StackGains:
         for entry in fields(gains):
             value = getattr(gains, entry.name)
             changes = not isinstance(gains, ArduSubGains) or entry.name[-2:] in ("_P", "_I", "_D")
+            changes &= not entry.name.startswith("fin_")  # no robot of the study has fins
             factor = factors[:, at] if changes else np.ones(len(factors))
             scaled[entry.name] = jnp.asarray(value * factor, float)
             at += changes

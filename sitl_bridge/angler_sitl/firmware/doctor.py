@@ -50,7 +50,7 @@ def run_checks(ardusub: Path | None = None) -> Iterator[DoctorCheck]:
     size = binary.path.stat().st_size
     yield DoctorCheck(name="binary", good=True, text=f"{binary.path}, {size / 1e6:.1f} MB")
     yield DoctorCheck(name="sha256", good=True, text=binary.sha256)
-    for count, name in enumerate(library.list_vehicles()):
+    for count, name in enumerate(library.list_rovs()):
         rows = list(_check_vehicle(binary, name, first=count == 0))
         yield from rows
         if rows[0].name == "version" and not rows[0].good:

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from angler_mjx.cli.main import main
-from angler_mjx.robot.vehicles.library import list_vehicles
+from angler_mjx.robot.vehicles.library import list_rovs
 from angler_sitl.firmware import binary, sockets
 from angler_sitl.firmware.doctor import run_checks
 
@@ -23,7 +23,7 @@ def rows(path=None):
 def test_an_autopilot_that_is_well(stand_in):
     found = rows(stand_in.path)
     assert all(check.good for check in found.values()), found
-    assert {f"parameters, {name}" for name in list_vehicles()} <= set(found)
+    assert {f"parameters, {name}" for name in list_rovs()} <= set(found)
     assert found["version"].text == "4.6.0-dev (standin0)"
     assert found["open sockets"].text == "none but on loopback"
 
@@ -101,4 +101,4 @@ def test_the_real_one_is_well(ardusub, capsys):
     assert "fault" not in shown
     # The one socket that has no option; which number it has is the kernel's choice.
     assert shown.count("0.0.0.0:") == 1
-    assert all(f"parameters, {name}" in shown for name in list_vehicles())
+    assert all(f"parameters, {name}" in shown for name in list_rovs())

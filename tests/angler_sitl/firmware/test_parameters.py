@@ -8,7 +8,7 @@ import pytest
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.robot.vehicles.config import VehicleConfig
-from angler_mjx.robot.vehicles.library import list_vehicles, load_vehicle
+from angler_mjx.robot.vehicles.library import list_rovs, load_vehicle
 from angler_mjx.studies.tuning import gain_files
 from angler_sitl.firmware import parameters, probe
 from angler_sitl.firmware.airframe import MIXER_FACTORS, find_frame
@@ -30,7 +30,7 @@ def changed(change):
     return VehicleConfig.model_validate(data)
 
 
-@pytest.mark.parametrize("name", list_vehicles())
+@pytest.mark.parametrize("name", list_rovs())
 def test_shipped_vehicles_are_frames_of_the_firmware(name):
     frame = find_frame(load_vehicle(name))
     # By upstream's own names: SUB_FRAME_VECTORED 1, SUB_FRAME_VECTORED_6DOF 2.
@@ -116,7 +116,7 @@ def test_differences_are_told_and_nothing_else():
 
 
 @pytest.mark.sitl
-@pytest.mark.parametrize("name", list_vehicles())
+@pytest.mark.parametrize("name", list_rovs())
 @pytest.mark.parametrize("source", SOURCES)
 def test_the_real_one_takes_every_parameter(ardusub, tmp_path, name, source):
     vehicle = load_vehicle(name)

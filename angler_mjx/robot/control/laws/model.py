@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from angler_kernels import quaternion, rigid_body
 from angler_kernels.rigid_body import matrix_times
 from angler_mjx.robot.control.commands import Estimate, TrackingTarget
+from angler_mjx.robot.vehicles.damping import damping_wrench
 from angler_mjx.robot.vehicles.params import VehicleParams
 
 SPEED_FRACTION = 0.9
@@ -152,7 +153,7 @@ def motion_wrench(
         inertia_times(vehicle, nu_dot)
         + rigid_body.rigid_body_coriolis(vehicle.mass_kg, vehicle.inertia_kgm2, nu)
         + rigid_body.added_mass_coriolis(vehicle.M_A, nu - nu_c)
-        - rigid_body.damping_wrench(vehicle.D_l, vehicle.D_q, damped - nu_c)
+        - damping_wrench(vehicle, damped - nu_c)
         - rigid_body.flow_inertia_wrench(
             vehicle.M_A, jnp.zeros_like(vehicle.mass_kg), nu[3:], v_c, jnp.zeros_like(v_c)
         )

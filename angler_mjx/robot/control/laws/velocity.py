@@ -13,7 +13,12 @@ from angler_kernels import rigid_body
 from angler_kernels.rigid_body import matrix_times
 from angler_mjx.robot.control.commands import BodyTwist, BodyWrench, Estimate
 from angler_mjx.robot.control.laws.checks import check_gains
+from angler_mjx.robot.vehicles.damping import damping_wrench
+from angler_mjx.robot.vehicles.fins import flies_by_fins
 from angler_mjx.robot.vehicles.params import VehicleParams
+
+FIN_SPEED_ERROR_MPS = 0.15
+"""Error of speed up to which the integral of a vehicle that flies by its fins grows."""
 
 
 @jax.tree_util.register_dataclass
@@ -67,8 +72,8 @@ def step(
     """One control step.
 
     tau = (M_RB + M_A) (K_p e + z) + D(nu_cmd) nu_cmd + C_A(nu_cmd) nu_cmd + (W - B) up; z
-    integrates e and is bounded. C_A holds the Munk moment, which would pitch and roll a vehicle
-    that moves along two axes at once.
+    integrates e and is bounded; of a vehicle that flies by its fins, ahead alone. C_A holds the
+    Munk moment, which would pitch and roll a vehicle that moves along two axes at once.
 
     Args:
         gains: of the loop.
@@ -87,8 +92,15 @@ def step(
     proportional = error * jnp.array(
         [gains.velocity_per_s] * 3 + [gains.rate_per_s] * 3, error.dtype
     )
+    growth = error
+    if vehicle.fins is not None:
+        # Fins run to their ends, neither sway nor heave is there to be had, and while a single
+        # propeller brings it to speed there is nothing to learn.
+        steady = jnp.where(jnp.abs(error[0]) < FIN_SPEED_ERROR_MPS, error[0], 0.0)
+        ahead = jnp.concatenate([steady[None], jnp.zeros_like(error[1:])])
+        growth = jnp.where(flies_by_fins(vehicle), ahead, error)
     integral = jnp.clip(
-        carry.integral + gains.integral_per_s2 * dt * error,
+        carry.integral + gains.integral_per_s2 * dt * growth,
         -gains.integral_limit_mps2,
         gains.integral_limit_mps2,
     )
@@ -100,7 +112,7 @@ def step(
         ]
     )
     lift = (density * vehicle.volume_m3 - vehicle.mass_kg) * gravity
-    drag = rigid_body.damping_wrench(vehicle.D_l, vehicle.D_q, command.nu)
+    drag = damping_wrench(vehicle, command.nu)
     munk = rigid_body.added_mass_coriolis(vehicle.M_A, command.nu)
     buoyancy = rigid_body.buoyancy_wrench(estimate.q, lift, jnp.zeros(3, error.dtype))
     tau = dry + matrix_times(vehicle.M_A, acceleration) + munk - drag - buoyancy

@@ -160,8 +160,30 @@ def test_fins_are_listed(bring):
       <link_name>fin</link_name><area>0.02</area></plugin>"""
     made = bring(sdf(model(thruster(), fin)), "rov.sdf")
     assert "links" not in made.table
-    assert made.noted("dropped", "lift and drag of a fin")
+    assert made.noted("dropped", "lift and drag of a fin: it states no cla")
     assert made.noted("converted", "fin_joint")
+    assert "fins" not in made.table
+
+
+def test_fins_keep_lift_drag_and_limits(bring):
+    fin = f"""<link name="fin"><pose>-0.5 0 0.1 0 0 0</pose>{NOTHING}</link>
+      <joint name="fin_joint" type="revolute">
+      <parent>base_link</parent><child>fin</child><axis><xyz>0 0 1</xyz>
+      <limit><lower>-0.2</lower><upper>0.2</upper></limit></axis></joint>
+      <plugin filename="gz-sim-lift-drag-system" name="gz::sim::systems::LiftDrag">
+      <link_name>fin</link_name><area>0.02</area><a0>0</a0><cla>4.0</cla><cda>0.5</cda>
+      <alpha_stall>0.25</alpha_stall><cp>0 0 0.05</cp>
+      <forward>1 0 0</forward><upward>0 1 0</upward></plugin>"""
+    made = bring(sdf(model(thruster(), fin)), "rov.sdf")
+    (row,) = made.table["fins"]["layout"]
+    assert row["position_m"] == pytest.approx([-0.5, 0, 0.15])
+    # Lift at positive angles is to the left, so the foil turns right-handed about the way up.
+    assert row["span"] == pytest.approx([0, 0, 1])
+    assert (row["area_m2"], row["lift_slope_per_rad"]) == (0.02, 4.0)
+    assert (row["limit_rad"], row["stall_rad"]) == (0.2, 0.25)
+    # At the stall, C_L^2 / (pi e AR) is the file's 0.5 * 0.25.
+    drag = (4.0 * 0.25) ** 2 / (np.pi * 0.9 * row["aspect_ratio"])
+    assert drag == pytest.approx(0.125, rel=1e-5)
     assert made.noted("assumed", "do not push in sway, heave")
 
 

@@ -100,6 +100,44 @@ def test_damping_is_negated_and_volume_and_density_are_those_of_the_file(ray):
     assert fresh.noted("converted", "+2.800 kg there, +0.000 kg at 1000")
 
 
+def full_damping(coupling):
+    """Change the linear damping to a matrix with surge by heave, and quadratic sway by yaw."""
+    linear, quadratic = (
+        np.diag([-70.0, -75, -80, -20, -25, -30]),
+        np.diag([-700.0, -750, -800, -200, -250, -300]),
+    )
+    linear[0, 2] = coupling
+    quadratic[1, 5] = -40.0
+
+    def change(text):
+        for before, matrix in (
+            ("-70 -75 -80 -20 -25 -30", linear),
+            ("-700 -750 -800 -200 -250 -300", quadratic),
+        ):
+            assert before in text
+            text = text.replace(before, "\n".join(" ".join(map(str, row)) for row in matrix))
+        return text
+
+    return change
+
+
+def test_damping_between_axes_is_turned_and_kept(ray):
+    damping = ray(full_damping(-10.0)).numbers["damping"]
+    linear, quadratic = np.array(damping["linear"]), np.array(damping["quadratic"])
+    # In x forward, y right, z down -10 w pushes back along x; up, w has the other sign.
+    assert linear[0, 2] == -10.0
+    assert linear[2, 0] == 0.0
+    assert np.diag(linear).tolist() == [70, 75, 80, 20, 25, 30]
+    # Sway and yaw both change their sign.
+    assert quadratic[1, 5] == 40.0
+
+
+def test_linear_damping_that_drives_is_dropped(ray):
+    made = ray(full_damping(-1000.0))
+    assert made.numbers["damping"]["linear"] == [70, 75, 80, 20, 25, 30]
+    assert made.noted("dropped", "still water would drive")
+
+
 def test_thrusters_are_in_the_order_of_their_numbers(ray):
     made = ray()
     first, second = made.table["thrusters"]["layout"]

@@ -36,7 +36,14 @@ def complaint(data, model=VehicleConfig):
 
 
 def test_shipped_vehicles_and_sets():
-    assert list_vehicles() == ["bluerov2", "bluerov2_heavy", "bluerov2_heavy_alpha5"]
+    assert list_vehicles() == [
+        "bluerov2",
+        "bluerov2_heavy",
+        "bluerov2_heavy_alpha5",
+        "otter",
+        "remus100",
+        "rexrov",
+    ]
     assert set(load_vehicle("bluerov2_heavy").parameter_sets) == {
         "wu2018",
         "von_benzon2022",

@@ -59,7 +59,7 @@ def test_a_sway_of_canted_thrusters_is_not_counted():
     assert able([*canted, ((0, 0, 0), Z)]).missing_axes == ("sway",)
 
 
-@pytest.mark.parametrize("name", library.list_vehicles())
+@pytest.mark.parametrize("name", library.list_rovs())
 def test_shipped_vehicles_go_every_way(name):
     config = library.load_vehicle(name)
     for chosen in config.parameter_sets:

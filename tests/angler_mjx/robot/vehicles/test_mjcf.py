@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from angler_mjx.robot.vehicles.drive import wrench_matrix
-from angler_mjx.robot.vehicles.library import list_vehicles, load_vehicle
+from angler_mjx.robot.vehicles.library import list_rovs, load_vehicle
 from angler_mjx.robot.vehicles.mjcf import to_spec, to_xml
 
 
-@pytest.fixture(scope="module", params=list_vehicles())
+@pytest.fixture(scope="module", params=list_rovs())
 def vehicle(request):
     config = load_vehicle(request.param)
     return config, mujoco.MjModel.from_xml_string(to_xml(config, "blue_gazebo"))

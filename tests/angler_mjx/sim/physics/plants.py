@@ -38,7 +38,7 @@ def configs() -> list[tuple[VehicleConfig, str]]:
     """All shipped rigid vehicles with their published sets, and a Heavy whose matrices are full."""
     shipped = [
         (config, name)
-        for config in map(library.load_vehicle, library.list_vehicles())
+        for config in map(library.load_vehicle, library.list_rovs())
         if not config.links
         for name in sorted(config.published_sets)
     ]
@@ -59,6 +59,22 @@ def skewed() -> VehicleConfig:
     chosen["added_mass"]["coefficients"] = (0.5 * (added + added.T)).tolist()
     chosen["buoyancy"]["center_of_buoyancy_m"] = [0.01, -0.02, 0.03]
     data["name"] = "skewed"
+    return VehicleConfig.model_validate(data)
+
+
+def coupled() -> VehicleConfig:
+    """The skewed Heavy with full damping and the lift of a hull."""
+    data = skewed().model_dump()
+    damping = data["parameter_sets"]["wu2018"]["damping"]
+    rng, size = np.random.default_rng(6), np.sqrt([4.0, 6.2, 5.2, 0.07, 0.07, 0.07])
+    half = 0.4 * rng.normal(size=(6, 6)) * size
+    turn = rng.normal(size=(6, 6)) * np.outer(size, size)
+    damping["linear"] = (np.diag(size**2) + half.T @ half + 0.3 * (turn - turn.T)).tolist()
+    root = np.sqrt(damping["quadratic"])
+    mixed = 0.2 * rng.normal(size=(6, 6)) * np.outer(root, root)
+    damping["quadratic"] = (np.diag(root**2) + mixed - np.diag(np.diag(mixed))).tolist()
+    damping["products"] = {"Y_uv": -9.0, "Z_uw": -8.0, "M_wu": 2.0, "N_uv": -3.0, "K_pp": 0.02}
+    data["name"] = "coupled"
     return VehicleConfig.model_validate(data)
 
 

@@ -71,8 +71,15 @@ class Vehicle:
         I = FLIP @ np.array(chosen.rigid_body.inertia_kgm2) @ FLIP  # noqa: E741
         self.M_RB = np.block([[m * np.eye(3), np.zeros((3, 3))], [np.zeros((3, 3)), I]])
         self.M_A = FLIP6 @ np.array(chosen.added_mass.coefficients) @ FLIP6
-        self.D = np.array(chosen.damping.linear)
-        self.D_n = np.array(chosen.damping.quadratic)
+        self.D, self.D_n = (
+            FLIP6 @ (np.diag(table) if np.ndim(table) == 1 else np.array(table)) @ FLIP6
+            for table in (chosen.damping.linear, chosen.damping.quadratic)
+        )
+        self.products = [
+            (row, *pair, value * np.prod(np.diag(FLIP6)[[row, *pair]]))
+            for name, value in chosen.damping.products.items()
+            for row, pair in [("XYZKMN".index(name[0]), ["uvwpqr".index(x) for x in name[2:]])]
+        ]
         self.r_b = FLIP @ np.array(chosen.buoyancy.center_of_buoyancy_m)
         self.W, self.volume = m * G, chosen.buoyancy.volume_m3
         self.buoyancy = RHO * G * self.volume
@@ -91,6 +98,13 @@ class Vehicle:
         weight, lift = R.T @ [0, 0, self.W], R.T @ [0, 0, -self.buoyancy]
         return -np.concatenate([weight + lift, S(self.r_b) @ lift])
 
+    def lift(self, nu_r):
+        """Wrench of derivatives by products of velocities."""
+        wrench = np.zeros(6)
+        for row, j, k, value in self.products:
+            wrench[row] += value * nu_r[j] * nu_r[k]
+        return wrench
+
     def acceleration(self, p, q, nu, thrust):
         R = rotation(q)
         v_c = self.flow(p)
@@ -105,7 +119,8 @@ class Vehicle:
             + self.M_A @ nu_c_dot
             - m2c(self.M_RB, nu) @ nu
             - m2c(self.M_A, nu_r) @ nu_r
-            - np.diag(self.D + self.D_n * np.abs(nu_r)) @ nu_r
+            - (self.D + self.D_n @ np.diag(np.abs(nu_r))) @ nu_r
+            + self.lift(nu_r)
             - self.g(R)
         )
         return np.linalg.solve(self.M_RB + self.M_A, right)

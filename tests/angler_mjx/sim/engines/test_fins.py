@@ -1,0 +1,78 @@
+"""Torpedoes that `los` flies beside ROVs in one fleet, in both engines, in float64."""
+
+from dataclasses import replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from angler_mjx.robot.control import stages
+from angler_mjx.sim.fleet import Member, Variant
+
+from ...compiling import quickly
+
+STEPS = 60
+"""Three seconds."""
+
+
+@pytest.fixture(scope="module")
+def scene(scenes):
+    build, _, obstacles = scenes
+    kinds = [
+        Variant(vehicle=vehicle, parameter_set=chosen, battery_v=16.0)
+        for vehicle, chosen in (
+            ("remus100", "prestero2001"),
+            ("bluerov2_heavy", "wu2018"),
+            ("remus100", "prestero2001"),
+        )
+    ]
+    members = [Member(variants=(kind,), weights=(1.0,), cruise_speed_mps=1.5) for kind in kinds]
+    with jax.enable_x64(True):
+        made = build(2, members=members, config=obstacles["none"])
+        environment = made.worlds.environment
+        grid = replace(environment.grid, occupied=jnp.zeros_like(environment.grid.occupied))
+        worlds = replace(made.worlds, environment=replace(environment, grid=grid))
+        stack, gains = stages.build_stack(stages.CONTROLLERS["los"], {})
+        spec = replace(made.spec, stages=stack, gains=gains)
+    return replace(made, worlds=worlds, spec=spec)
+
+
+@pytest.fixture(scope="module")
+def ends(scene, engines_by_name):
+    made = {}
+    for name, engine in engines_by_name.items():
+        with jax.enable_x64(True):
+            start = quickly(partial(engine.reset, scene.spec))(scene.fleet, scene.worlds)
+            start = jax.device_get(start)
+
+            @quickly
+            def some(kinds, worlds, state, engine=engine):
+                def one(state, _):
+                    after, sample = engine.control_step(scene.spec, kinds, worlds, state, None)
+                    return after, sample.pwm_us
+
+                return jax.lax.scan(one, state, length=STEPS)
+
+            made[name] = jax.device_get(some(scene.fleet, scene.worlds, start))
+    return made
+
+
+def test_both_engines_fly_the_same(ends):
+    (ours, pwm), (theirs, other_pwm) = ends["fused"], ends["mjx"]
+    np.testing.assert_allclose(pwm, other_pwm, rtol=1e-9, atol=1e-7)
+    for name in ("p", "q", "nu", "thrust"):
+        np.testing.assert_allclose(
+            getattr(ours.vehicles, name), getattr(theirs.vehicles, name), rtol=1e-9, atol=1e-9
+        )
+
+
+def test_fins_move_within_their_limits_and_rovs_have_none(ends):
+    state, pwm = ends["mjx"]
+    # A fleet's rows are those of the Heavy, eight; torpedoes have a propeller and two fins.
+    deflection = np.asarray(state.vehicles.thrust)[:, [0, 2], 1:3]
+    assert np.all(np.abs(deflection) <= 0.26)
+    assert np.ptp(np.asarray(pwm)[:, :, [0, 2], 1:3]) > 100.0
+    np.testing.assert_array_equal(np.asarray(pwm)[:, :, [0, 2], 3:], 1500.0)
+    assert np.all(np.asarray(state.vehicles.nu)[:, [0, 2], 0] > 0.3)
