@@ -21,6 +21,7 @@ from angler_mjx.cli import (
     export,
     fly,
     gallery,
+    mission,
     replay,
     rollout,
     scenarios,
@@ -63,6 +64,7 @@ GROUPS: dict[str, dict[str, Callable[..., None]]] = {
         "stats": dataset.show_stats,
     },
     "env": {"make": env.make_environments, "show": env.show_environment},
+    "mission": {"import": mission.import_mission, "export": mission.export_mission},
     "sitl": {"install": sitl.install_ardusub, "doctor": sitl.run_doctor, "run": sitl_run.run},
     "scenarios": {
         "list": scenarios.list_scenarios,
@@ -85,6 +87,10 @@ DEFAULT_SUBCOMMANDS = {"scenarios": "list"}
 
 def _env_group() -> None:
     """Generate environments into a file, and render one of them."""
+
+
+def _mission_group() -> None:
+    """Import missions of ground stations as scenarios and plans, export plans as missions."""
 
 
 def _sitl_group() -> None:
@@ -125,6 +131,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "fly": fly.fly,
     "env": _env_group,
     "dataset": _dataset_group,
+    "mission": _mission_group,
     "sitl": _sitl_group,
     "spotcheck": spotcheck.spotcheck,
     "vehicle": _vehicle_group,
