@@ -55,7 +55,8 @@ _MIN_CELL_M, _CELLS, _MAX_CELLS = 1.0, 40, 120
 """Cells along the longest horizontal edge; more only where cells are as small as they get."""
 _MARGIN_M = 5.0
 """Free water around the mission."""
-_HORIZON_FACTOR, _HORIZON_MARGIN_S, _MAX_HORIZON_S = 1.25, 30.0, 86_400.0
+_HORIZON_FACTOR, _HORIZON_MARGIN_S, _MAX_HORIZON_S = 2.0, 60.0, 86_400.0
+"""Horizon of the scenario beyond the plan: ArduSub waits for a vehicle that lags behind."""
 _HOME_TOLERANCE_M = 1.0
 
 
@@ -132,8 +133,9 @@ def import_mission(
     """
     notes = Notes()
     mission = read_mission(path, notes)
-    located = _locate(mission, origin, notes)
-    capable = _limit_speed(limits or VehicleLimits(), vehicle, notes)
+    located = locate_world(mission, origin, notes)
+    entry = parse_model(FleetEntry, {"vehicle": vehicle}, source="--vehicle")
+    capable = limit_speed(limits or VehicleLimits(), entry, notes)
     start = _start(mission, located)
     notes.add(
         "assumed",
@@ -212,7 +214,14 @@ def write_plans(path: Path, imported: ImportedMission) -> None:
         writer.publish()
 
 
-def _locate(mission: Mission, origin: GeodeticOrigin | None, notes: Notes) -> GeodeticOrigin:
+def locate_world(
+    mission: Mission, origin: GeodeticOrigin | None, notes: Notes
+) -> GeodeticOrigin:
+    """Return the position of W: the origin, or the mission's home.
+
+    Raises:
+        ConfigError: there is neither.
+    """
     home = mission.home
     if origin is None:
         if home is None:
@@ -237,9 +246,14 @@ def _start(mission: Mission, origin: GeodeticOrigin) -> Position:
     return round(x, 6), round(y, 6), TOP_M
 
 
-def _limit_speed(limits: VehicleLimits, vehicle: str, notes: Notes) -> VehicleLimits:
-    """Return the limits with the fastest cruise of the vehicle."""
-    entry = parse_model(FleetEntry, {"vehicle": vehicle}, source="--vehicle")
+def limit_speed(limits: VehicleLimits, entry: FleetEntry, notes: Notes) -> VehicleLimits:
+    """Return the limits with the fastest cruise of a vehicle.
+
+    Args:
+        limits: of the firmware.
+        entry: robots of a fleet.
+        notes: receives a note where the vehicle is slower.
+    """
     drives = entry.drive_limits()
     surge, _, heave = (
         CRUISE_FRACTION * min(float(drive.terminal_speed_mps[i]) for drive in drives)
@@ -290,8 +304,6 @@ def _build_tables(
     cell = max(_MIN_CELL_M, float(extent.max()) * 2.0 / _CELLS, depth / _MAX_CELLS)
     shape = [max(4, 2 * math.ceil(edge / cell)) for edge in extent]
     horizon = math.ceil(_HORIZON_FACTOR * planned.duration_s + _HORIZON_MARGIN_S)
-    if kind == "tour":
-        horizon *= 2
     if horizon > _MAX_HORIZON_S:
         raise ConfigError(
             f"{format_path(mission.file)}: takes {planned.duration_s:.0f} s; a scenario has "

@@ -115,7 +115,7 @@ def build_route(
     """
     state = _State(position_m=start_m, speed_mps=min(limits.speed_mps, limits.max_speed_mps))
     builder = _RouteBuilder(mission, origin, limits, notes, top_m)
-    for item in _unroll_jumps(mission):
+    for item in unroll_jumps(mission):
         builder.add(item, state)
         if state.stops and math.isinf(state.stops[-1].hold_s):
             later = [other for other in mission.items if other.number > item.number]
@@ -302,7 +302,7 @@ class _RouteBuilder:
         return x, y, min(altitude, self._top_m)
 
 
-def _unroll_jumps(mission: Mission) -> list[MissionItem]:
+def unroll_jumps(mission: Mission) -> list[MissionItem]:
     """Return the items in the order in which they act, jumps repeated as often as they say.
 
     Raises:
