@@ -159,5 +159,10 @@ def _geodetic_to_ecef(
 def _ecef_to_enu_rotation(origin: GeodeticOrigin) -> np.ndarray:
     """Return the rotation [3, 3] from ECEF to east, north, up at a position."""
     latitude, longitude = math.radians(origin.latitude_deg), math.radians(origin.longitude_deg)
-    sp, cp, sl, cl = math.sin(latitude), math.cos(latitude), math.sin(longitude), math.cos(longitude)
+    sp, cp, sl, cl = (
+        math.sin(latitude),
+        math.cos(latitude),
+        math.sin(longitude),
+        math.cos(longitude),
+    )
     return np.array([[-sl, cl, 0.0], [-sp * cl, -sp * sl, cp], [cp * cl, cp * sl, sp]])

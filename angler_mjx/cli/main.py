@@ -65,7 +65,12 @@ GROUPS: dict[str, dict[str, Callable[..., None]]] = {
     },
     "env": {"make": env.make_environments, "show": env.show_environment},
     "mission": {"import": mission.import_mission, "export": mission.export_mission},
-    "sitl": {"install": sitl.install_ardusub, "doctor": sitl.run_doctor, "run": sitl_run.run},
+    "sitl": {
+        "install": sitl.install_ardusub,
+        "doctor": sitl.run_doctor,
+        "run": sitl_run.run,
+        "parameters": sitl.write_parameters,
+    },
     "scenarios": {
         "list": scenarios.list_scenarios,
         "show": scenarios.show_scenario,
@@ -94,7 +99,7 @@ def _mission_group() -> None:
 
 
 def _sitl_group() -> None:
-    """Install ArduSub, check whether it runs here, fly scenarios on it."""
+    """Install ArduSub, check whether it runs here, fly scenarios on it, write its parameters."""
 
 
 def _scenarios_group() -> None:

@@ -19,6 +19,7 @@ def import_mission(
     parameters: Path | None = None,
     worlds: int = 1,
     out: Path | None = None,
+    plans: Path | None = None,
 ) -> None:
     """Import a mission of QGroundControl, Mission Planner or MAVProxy; list what differs from it.
 
@@ -32,8 +33,8 @@ def import_mission(
         parameters: File with the vehicle's parameters (.param or .params), for WPNAV_SPEED and the
             like; ArduSub's defaults if left out.
         worlds: Number of worlds of the scenario.
-        out: Scenario file to write; must not exist. NAME.toml here if left out. The plan has the
-            same name with .zarr.
+        out: Scenario file to write; must not exist. NAME.toml here if left out.
+        plans: File of plans to write, for angler rollout --plans; as --out with .zarr if left out.
     """
     from angler_mjx.cli.shared.inputs import require_positive
     from angler_mjx.report.interop.mission_files import import_mission as importing
@@ -55,7 +56,9 @@ def import_mission(
         limits=limits,
     )
     target = Path(f"{imported.scenario.name}.toml") if out is None else out
-    plan_file = target.with_suffix(".zarr")
+    plan_file = plans or target.with_suffix(".zarr")
+    if kind == "tour" and plans is not None:
+        raise ConfigError(f"--plans {plans}: a tour has none; leave it out, or give --kind plan")
     require_free(target, flag="--out")
     if kind == "plan":
         importing.write_plans(plan_file, imported)

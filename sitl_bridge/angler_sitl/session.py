@@ -39,7 +39,7 @@ from angler_mjx.runs.session.interface import (
 from angler_mjx.runs.session.rejoin import RejoinPaths
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.state import World
-from angler_sitl.autopilots.autopilots import Autopilots, AutopilotSettings
+from angler_sitl.autopilots.autopilots import DEFAULT_HOME, Autopilots, AutopilotSettings
 from angler_sitl.autopilots.boot import WorldOrigin
 from angler_sitl.autopilots.session_view import SessionView
 from angler_sitl.firmware import binary as binaries
@@ -121,7 +121,7 @@ class SitlSession:
             parameters=dict(parameters or {}),
             on_crash=on_crash,
             missions=missions,
-            **({} if home is None else {"home": home}),
+            home=home or DEFAULT_HOME,
         )
         self._scene = AutopilotScene(self._scenario, world=world)
         self._simulator = self._scene.simulator

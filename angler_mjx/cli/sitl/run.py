@@ -8,14 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from angler_mjx.cli.shared.device import Device, choose_device, keep_all_programs
+from angler_mjx.cli.sitl.commands import CommandLevel, PositionSource, require_pymavlink
 from angler_mjx.errors import ConfigError
 
 if TYPE_CHECKING:
     from angler_mjx.teleop.opening import SessionOpener
     from angler_sitl.missions.flight import MissionFlight
-
-type CommandLevel = Literal["thrusters", "guided", "poshold", "althold", "manual"]
-type PositionSource = Literal["vision", "vicon", "gps"]
 
 _EXIT_INTERRUPTED = 130
 
@@ -71,8 +69,8 @@ def run(
     require_sitl(isolate=isolate, gcs=gcs)
     choose_device(device)
     keep_all_programs()
-    from angler_mjx.cli.shared.inputs import build_scenario
     from angler_mjx.cli.mission import parse_origin
+    from angler_mjx.cli.shared.inputs import build_scenario
     from angler_mjx.cli.sitl.status_table import status_table
     from angler_sitl.missions import mission as missions
     from angler_sitl.scene import motion
@@ -115,8 +113,6 @@ def require_sitl(*, isolate: bool, gcs: str | None) -> None:
         ConfigError: a ground station is to connect to an isolated network.
         UnsupportedError: pymavlink is not installed, or the system gives no network namespace.
     """
-    from angler_mjx.cli.sitl.commands import require_pymavlink
-
     require_pymavlink()
     if not isolate:
         return

@@ -45,6 +45,9 @@ The firmware assumes this delay: half a step of its filter, plus the transmissio
 Without the delay its position runs 24 ms ahead of the truth. With it the position is within 10 ms
 of the truth, a step of its filter."""
 
+DEFAULT_HOME = WorldOrigin(lat_deg=HOME_LAT_DEG, lon_deg=HOME_LON_DEG)
+"""Position of W's origin where none is named."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class AutopilotSettings:
@@ -69,7 +72,7 @@ class AutopilotSettings:
     folder: Path | None = None
     parameters: Mapping[str, float] = field(default_factory=dict)
     on_crash: Literal["end", "hold"] = "end"
-    home: WorldOrigin = WorldOrigin(lat_deg=HOME_LAT_DEG, lon_deg=HOME_LON_DEG)
+    home: WorldOrigin = DEFAULT_HOME
     missions: Sequence[Sequence[UploadItem]] = ()
 
 

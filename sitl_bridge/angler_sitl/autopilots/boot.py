@@ -162,7 +162,7 @@ def _set_home(pilot: AutopilotCommander, clock: _Clock, home: WorldOrigin) -> It
     command = dialect.MAV_CMD_DO_SET_HOME
 
     def is_set() -> bool:
-        return pilot.link.acks.get(command) == dialect.MAV_RESULT_ACCEPTED
+        return bool(pilot.link.acks.get(command) == dialect.MAV_RESULT_ACCEPTED)
 
     def send() -> None:
         pilot.link.send(messages.build_home(pilot.sysid, home.lat_deg, home.lon_deg))

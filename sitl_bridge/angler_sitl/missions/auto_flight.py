@@ -101,7 +101,7 @@ class AutoFlight:
             report: receives a line for each robot.
         """
         batch = fly_batch(scenario, world, self.goals, duration_s=duration_s, points=MAX_POINTS)
-        gaps = []
+        gaps: list[JsonValue] = []
         for i, (route, planned) in enumerate(self._plans):
             ends = not any(math.isinf(stop.hold_s) for stop in route)
             gap = compute_gap(

@@ -70,9 +70,7 @@ def fly_mission(
         if stop is not None and stop.requested:
             broken = "interrupted by a signal"
             break
-        if not whole and steps and _all_ended(
-            session, observation, goals or {}, has_completed
-        ):
+        if not whole and steps and _all_ended(session, observation, goals or {}, has_completed):
             break
         try:
             of_policy = _command_others(policy, observation, goals or {})

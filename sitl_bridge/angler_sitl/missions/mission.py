@@ -99,7 +99,9 @@ class MissionSettings:
             raise ConfigError(f"--world {self.world}: give an index from 0 on")
         if self.missions and (list(self.plan) != [GRID] or self.level != "guided"):
             flag = "--plan" if list(self.plan) != [GRID] else f"--level {self.level}"
-            raise ConfigError(f"{flag}: --mission is flown by ArduSub in AUTO; leave out one of them")
+            raise ConfigError(
+                f"{flag}: --mission is flown by ArduSub in AUTO; leave out one of them"
+            )
         if self.origin is not None and not self.missions:
             raise ConfigError("--origin: is of missions; give --mission, or leave it out")
         if self.level in STICK_LEVELS:
@@ -135,14 +137,12 @@ def run_mission(
     firmware_parameters = (
         {} if settings.parameters is None else firmware.read_parameters(settings.parameters)
     )
-    missions = ()
+    missions: tuple[FirmwareMission, ...] = ()
     if settings.missions:
         entries = [entry for entry in scenario.fleet for _ in range(entry.count)]
-        missions = load_missions(
-            settings.missions, entries, settings.origin, firmware_parameters
-        )
-        for note in missions[0].notes if len(missions) == 1 else ():
-            report(str(note))
+        missions = load_missions(settings.missions, entries, settings.origin, firmware_parameters)
+        for note in dict.fromkeys(str(note) for mission in missions for note in mission.notes):
+            report(note)
         # What the user sets counts; all robots fly with the parameters of the slowest.
         firmware_parameters = {**merge_parameters(missions), **firmware_parameters}
     binaries.find_binary(settings.binary)

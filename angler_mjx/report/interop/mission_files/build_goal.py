@@ -136,9 +136,7 @@ def _plan_leg(
     """Return the profile along a leg: neither its horizontal nor its vertical part is too fast."""
     level, height = float(np.hypot(*offset[:2])) / length, float(offset[2]) / length
     vertical_mps = limits.speed_up_mps if height > 0 else limits.speed_down_mps
-    speed = min(
-        _along(level, speed_mps), _along(abs(height), vertical_mps), limits.max_speed_mps
-    )
+    speed = min(_along(level, speed_mps), _along(abs(height), vertical_mps), limits.max_speed_mps)
     acceleration = min(
         _along(level, limits.acceleration_mps2), _along(abs(height), limits.acceleration_z_mps2)
     )
@@ -201,9 +199,7 @@ def _build_points(
         times |= {turn.begin_s, turn.begin_s + turn.duration_s}
     ordered = sorted(times)
     distinct = [
-        time
-        for time, later in pairwise([*ordered, math.inf])
-        if later - time > _MIN_SEGMENT_S
+        time for time, later in pairwise([*ordered, math.inf]) if later - time > _MIN_SEGMENT_S
     ]
     distinct[0] = 0.0
     points = []

@@ -3,6 +3,7 @@
 import json
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Literal
 
@@ -111,21 +112,25 @@ def build_waypoints(time_s: np.ndarray, position_m: np.ndarray) -> list[Waypoint
     stays = [run for run in runs if time_s[run[1]] - time_s[run[0]] >= MIN_HOLD_S]
     edges = sorted({0, len(time_s) - 1, *(i for run in stays for i in run)})
     kept = {0, len(time_s) - 1}
-    for begin, end in zip(edges[:-1], edges[1:], strict=True):
+    for begin, end in pairwise(edges):
         if (begin, end) not in stays:
             kept |= _simplify(position_m, begin, end)
     indices = sorted(kept)
     holds = {run[0]: float(time_s[run[1]] - time_s[run[0]]) for run in stays}
-    ends = {run[1] for run in stays}
+    stay_ends = dict(stays)
+    ends = set(stay_ends.values())
     waypoints: list[Waypoint] = []
     before = 0
     for i in indices:
         if i in ends and i not in holds:
             before = i
             continue
+        # A stay begins and ends in slow motion: its middle is where the vehicle is at rest.
+        middle = (i + stay_ends[i]) // 2 if i in holds else i
+        x, y, z = position_m[middle].tolist()
         waypoints.append(
             Waypoint(
-                position_m=tuple(position_m[i].tolist()),
+                position_m=(x, y, z),
                 speed_mps=_level_speed(time_s, position_m, before, i),
                 hold_s=round(holds.get(i, 0.0)),
             )
@@ -293,9 +298,7 @@ def _read_run(run: Run, world: int, robot: int) -> Plan:
 
 def _require_index(name: str, index: int, count: int, source: Path) -> None:
     if not 0 <= index < count:
-        raise ConfigError(
-            f"--{name} {index}: {format_path(source)} has {name}s 0 to {count - 1}"
-        )
+        raise ConfigError(f"--{name} {index}: {format_path(source)} has {name}s 0 to {count - 1}")
 
 
 def _find_runs(flags: np.ndarray) -> list[tuple[int, int]]:
@@ -315,7 +318,9 @@ def _simplify(position_m: np.ndarray, begin: int, end: int) -> set[int]:
         line = position_m[last] - position_m[first]
         offset = position_m[first + 1 : last] - position_m[first]
         length = float(line @ line)
-        fraction = np.clip(offset @ line / length, 0.0, 1.0) if length > 0 else np.zeros(len(offset))
+        fraction = (
+            np.clip(offset @ line / length, 0.0, 1.0) if length > 0 else np.zeros(len(offset))
+        )
         distance = np.linalg.norm(offset - fraction[:, None] * line, axis=1)
         worst = int(np.argmax(distance))
         if distance[worst] > DEVIATION_M:
@@ -325,9 +330,7 @@ def _simplify(position_m: np.ndarray, begin: int, end: int) -> set[int]:
     return kept
 
 
-def _level_speed(
-    time_s: np.ndarray, position_m: np.ndarray, begin: int, end: int
-) -> float | None:
+def _level_speed(time_s: np.ndarray, position_m: np.ndarray, begin: int, end: int) -> float | None:
     """Return the max horizontal speed between two points; None on a vertical leg."""
     if end <= begin:
         return None

@@ -1,4 +1,4 @@
-"""Import of a mission file: the scenario and the plan that it leads to, and a list of differences."""
+"""Import of a mission file: its scenario and its plan, and a list of differences."""
 
 import math
 from collections.abc import Sequence
@@ -214,9 +214,7 @@ def write_plans(path: Path, imported: ImportedMission) -> None:
         writer.publish()
 
 
-def locate_world(
-    mission: Mission, origin: GeodeticOrigin | None, notes: Notes
-) -> GeodeticOrigin:
+def locate_world(mission: Mission, origin: GeodeticOrigin | None, notes: Notes) -> GeodeticOrigin:
     """Return the position of W: the origin, or the mission's home.
 
     Raises:

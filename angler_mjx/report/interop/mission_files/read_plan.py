@@ -5,7 +5,7 @@ read. Other complex items hold only what QGroundControl computes items from.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -52,7 +52,7 @@ class _Node:
 
     file: Path
     key: str
-    table: dict[str, object]
+    table: Mapping[str, object]
     read: set[str] = field(default_factory=set)
 
     def get(self, name: str) -> object:
@@ -213,9 +213,7 @@ def _expand(node: _Node, notes: Notes) -> Iterator[_Node]:
     yield from simple
 
 
-def _read_item(
-    node: _Node, number: int, jump_ids: dict[int, int], notes: Notes
-) -> MissionItem:
+def _read_item(node: _Node, number: int, jump_ids: dict[int, int], notes: Notes) -> MissionItem:
     command, frame = node.integer("command"), node.integer("frame")
     numbers = node.numbers("params")
     if node.table.get("coordinate") is not None:  # of versions before 2017
@@ -239,9 +237,7 @@ def _read_item(
     )
 
 
-def _resolve_jumps(
-    items: list[MissionItem], jump_ids: dict[int, int]
-) -> tuple[MissionItem, ...]:
+def _resolve_jumps(items: list[MissionItem], jump_ids: dict[int, int]) -> tuple[MissionItem, ...]:
     """Return the items with jumps to sequence numbers, as they are uploaded."""
     resolved = []
     for item in items:

@@ -1,13 +1,12 @@
 """Meaning of mission items: positions to go to, speeds, holds and headings, as ArduSub takes them.
 
-Depth is negative altitude: ArduSub's home is at the surface. An altitude of 0 keeps the depth, and a
-latitude and longitude of 0 keep the position. Commands between two way-points act when the first
+Depth is negative altitude: ArduSub's home is at the surface. An altitude of 0 keeps the depth, and
+a latitude and longitude of 0 keep the position. Commands between two way-points act when the first
 one is reached.
 """
 
 import math
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -234,9 +233,7 @@ class _RouteBuilder:
         edge = center[:2] + radius * direction
         self._go(item, state, (float(edge[0]), float(edge[1]), center[2]))
         clockwise = signed_radius >= 0
-        circle = Circle(
-            center_m=center, radius_m=radius, turns=turns if clockwise else -turns
-        )
+        circle = Circle(center_m=center, radius_m=radius, turns=turns if clockwise else -turns)
         state.stops[-1] = replace(state.stops[-1], circle=circle)
 
     def _change_speed(self, item: MissionItem, state: _State) -> None:
@@ -265,9 +262,7 @@ class _RouteBuilder:
         check_position(item)
         if not item.has_position:
             return state.position_m[:2]
-        return geodetic_to_local(
-            self._origin, item.latitude_deg or 0.0, item.longitude_deg or 0.0
-        )
+        return geodetic_to_local(self._origin, item.latitude_deg or 0.0, item.longitude_deg or 0.0)
 
     def _position(self, item: MissionItem, state: _State) -> Position:
         x, y = self._level_position(item, state)

@@ -72,7 +72,7 @@ def plan_speed(
 
 def _max_reached_speed(length_m: float, a: float, j: float) -> float:
     """Return the highest speed that accelerating and braking over a length can reach."""
-    speed = (0.25 * length_m * length_m * j) ** (1.0 / 3.0)  # v * 2 sqrt(v / j) = L
+    speed = math.cbrt(0.25 * length_m * length_m * j)  # v * 2 sqrt(v / j) = L
     if speed * j <= a * a:
         return speed
     # v (v / a + a / j) = L
