@@ -57,6 +57,8 @@ _MARGIN_M = 5.0
 """Free water around the mission."""
 _HORIZON_FACTOR, _HORIZON_MARGIN_S, _MAX_HORIZON_S = 2.0, 60.0, 86_400.0
 """Horizon of the scenario beyond the plan: ArduSub waits for a vehicle that lags behind."""
+_MIN_LIMIT = 1e-3
+"""Smallest limit of speed, acceleration, jerk, radius or rate, in SI units."""
 _HOME_TOLERANCE_M = 1.0
 
 
@@ -102,9 +104,10 @@ def read_limits(parameters: dict[str, float], limits: VehicleLimits) -> VehicleL
     values = {}
     for name, (field, scale) in _PARAMETERS.items():
         if name in parameters:
-            value = parameters[name] * scale
-            if value < 0 or (value == 0 and name != "CIRCLE_RATE"):
-                raise ConfigError(f"{name} = {parameters[name]:g}: must be above 0")
+            # The sign of CIRCLE_RATE is a direction, which the item decides.
+            value = (abs(parameters[name]) if name == "CIRCLE_RATE" else parameters[name]) * scale
+            if value < _MIN_LIMIT:
+                raise ConfigError(f"{name} = {parameters[name]:g}: too small to fly by")
             values[field] = value
     return replace(limits, **values)
 

@@ -44,6 +44,8 @@ _MISSION_KEYS = {
 _N_PARAMETERS = 7
 _PLAN_VERSIONS = (1,)
 _MAX_ITEMS = 20_000
+_MAX_NUMBER = 1e12
+"""Numbers of items are degrees, metres, seconds and flags."""
 
 
 @dataclass
@@ -125,7 +127,7 @@ class _Node:
         numbers: list[float | None] = []
         for i, value in enumerate(values):
             number = _to_number(value)
-            if number is None and value is not None:
+            if (number is None and value is not None) or abs(number or 0.0) > _MAX_NUMBER:
                 raise self.locate(f"{name}[{i}]").fault(
                     f" = {format_value(value)}: must be a number or null"
                 )
@@ -254,4 +256,10 @@ def _note_unread(node: _Node, without_effect: set[str], notes: Notes) -> None:
 
 
 def _to_number(value: object) -> float | None:
-    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
+    """Return a number; None for another type, and for numbers beyond float64."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return None
+    try:
+        return float(value)
+    except OverflowError:
+        return None

@@ -35,6 +35,8 @@ _COLUMNS = (
     "altitude",
     "autocontinue",
 )
+_MAX_NUMBER = 1e12
+"""Numbers of items are degrees, metres, seconds and flags."""
 _WHOLE = ("number", "current", "frame", "command", "autocontinue")
 
 
@@ -91,6 +93,8 @@ def _read_line(columns: list[str], location: ItemLocation) -> MissionItem:
             raise location.fault(f": {name} = {format_value(text)}: must be a number") from None
         if name in _WHOLE and not (math.isfinite(number) and number == int(number)):
             raise location.fault(f": {name} = {text}: must be a whole number")
+        if abs(number) > _MAX_NUMBER:
+            raise location.fault(f": {name} = {text}: must be a finite number")
         numbers[name] = None if math.isnan(number) else number
     return MissionItem(
         number=int(numbers["number"] or 0),

@@ -19,9 +19,12 @@ from angler_mjx.robot.importing.notes import NoteKind, Notes
 
 type Position = tuple[float, float, float]
 
-MAX_STOPS = 4096
+MAX_STOPS = 1024
 """Max number of positions of a mission, jumps and circles unrolled."""
-_MAX_CIRCLE_TURNS = 255
+MAX_DISTANCE_M = 5_000.0
+"""Max distance of a position from W's origin, where a tangent plane is true to 1e-6."""
+_MIN_SPEED_MPS = 0.01
+_MAX_CIRCLE_TURNS, _MIN_RADIUS_M = 40, 0.1
 _GROUND_SPEEDS = (0, 1)
 """Types of DO_CHANGE_SPEED that set the horizontal speed; 2 and 3 are of climbing and diving."""
 
@@ -223,6 +226,10 @@ class _RouteBuilder:
                 f": {item.name} with {turns:g} turns; give 1 to {_MAX_CIRCLE_TURNS}"
             )
         radius = abs(signed_radius) or self._limits.circle_radius_m
+        if radius < _MIN_RADIUS_M:
+            raise item.location.fault(
+                f": {item.name} with a radius of {radius:g} m; give {_MIN_RADIUS_M:g} m or more"
+            )
         if not signed_radius:
             self._note("assumed", item, f"radius {radius:g} m (CIRCLE_RADIUS)")
         center = self._position(item, state)
@@ -244,6 +251,10 @@ class _RouteBuilder:
         if speed <= 0:
             self._note("dropped", item, f"{speed:g} m/s: no change")
             return
+        if speed < _MIN_SPEED_MPS:
+            raise item.location.fault(
+                f": {item.name} to {speed:g} m/s; give {_MIN_SPEED_MPS:g} m/s or more"
+            )
         if item.parameter(3) > 0:
             self._note("dropped", item, f"throttle {item.parameter(3):g} %")
         limit = self._limits.max_speed_mps
@@ -262,7 +273,13 @@ class _RouteBuilder:
         check_position(item)
         if not item.has_position:
             return state.position_m[:2]
-        return geodetic_to_local(self._origin, item.latitude_deg or 0.0, item.longitude_deg or 0.0)
+        x, y = geodetic_to_local(self._origin, item.latitude_deg or 0.0, item.longitude_deg or 0.0)
+        if (distance := math.hypot(x, y)) > MAX_DISTANCE_M:
+            raise item.location.fault(
+                f": {item.name} is {distance / 1e3:.1f} km from the origin of the world; "
+                f"{MAX_DISTANCE_M / 1e3:g} km are the most: set home in the plan, or give --origin"
+            )
+        return x, y
 
     def _position(self, item: MissionItem, state: _State) -> Position:
         x, y = self._level_position(item, state)

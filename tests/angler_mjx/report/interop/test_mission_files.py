@@ -328,7 +328,7 @@ BAD_PLANS = {
     "empty": (lambda i, c: c["mission"].update(items=[speed(1.0)]), ("NAV_WAYPOINT",)),
     "turns": (
         lambda i, c: i.update(command=18, params=[0, 0, 5, 0, *HOME, -4]),
-        ("items[1]", "0 turns", "1 to 255"),
+        ("items[1]", "0 turns", "1 to 40"),
     ),
 }
 
