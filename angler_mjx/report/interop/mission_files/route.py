@@ -221,7 +221,7 @@ class _RouteBuilder:
 
     def _circle(self, item: MissionItem, state: _State) -> None:
         turns, signed_radius = item.parameter(1), item.parameter(3)
-        if not 0 < turns <= _MAX_CIRCLE_TURNS:
+        if not 1 <= turns <= _MAX_CIRCLE_TURNS:
             raise item.location.fault(
                 f": {item.name} with {turns:g} turns; give 1 to {_MAX_CIRCLE_TURNS}"
             )
