@@ -5,14 +5,24 @@ Inside the simulator all quantities are in ENU, east-north-up (world), and FLU, 
 tables, the controllers of other projects. Every map here is its own inverse; both names exist so
 that a call states its direction. Functions take NumPy or JAX arrays with any leading axes and
 return the same kind and dtype.
+
+Files of ground stations state latitudes and longitudes: `GeodeticOrigin` puts W on the WGS84
+ellipsoid.
 """
 
 import math
+from dataclasses import dataclass
 
 import jax
 import numpy as np
 
 _HALF_SQRT = math.sqrt(0.5)
+
+_WGS84_A_M, _WGS84_E2 = 6_378_137.0, 6.694379990141317e-3
+"""Semi-major axis and squared first eccentricity of the WGS84 ellipsoid."""
+_MAX_NEWTON_STEPS, _NEWTON_TOLERANCE_M = 20, 1e-6
+
+type Pair = tuple[float, float]
 
 
 def vector_enu_to_ned[A: (jax.Array, np.ndarray)](vector: A) -> A:
@@ -75,3 +85,84 @@ def quaternion_ned_to_enu[A: (jax.Array, np.ndarray)](quaternion: A) -> A:
 def _stack_components[A: (jax.Array, np.ndarray)](like: A, parts: list[A]) -> A:
     joined: A = like.__array_namespace__().stack(parts, axis=-1)
     return joined
+
+
+@dataclass(frozen=True, kw_only=True)
+class GeodeticOrigin:
+    """Position of W's origin on the WGS84 ellipsoid.
+
+    x and y are those of the tangent plane at the origin (east, north); z is the height above the
+    surface of the water, which is at `altitude_m` everywhere.
+    """
+
+    latitude_deg: float
+    longitude_deg: float
+    altitude_m: float = 0.0
+    """Altitude of the surface of the water, in the datum of the file that states it."""
+
+
+def geodetic_to_local(origin: GeodeticOrigin, latitude_deg: float, longitude_deg: float) -> Pair:
+    """Return x, y [m] in W of a position on the surface of the water.
+
+    Args:
+        origin: of W.
+        latitude_deg: of the position.
+        longitude_deg: of the position.
+    """
+    offset = np.subtract(
+        _geodetic_to_ecef(latitude_deg, longitude_deg, origin.altitude_m),
+        _geodetic_to_ecef(origin.latitude_deg, origin.longitude_deg, origin.altitude_m),
+    )
+    east, north, _ = _ecef_to_enu_rotation(origin) @ offset
+    return float(east), float(north)
+
+
+def local_to_geodetic(origin: GeodeticOrigin, x_m: float, y_m: float) -> Pair:
+    """Return latitude and longitude [deg] of a position on the surface of the water.
+
+    The inverse of `geodetic_to_local`, by Newton steps with the radii of curvature at the origin.
+
+    Args:
+        origin: of W.
+        x_m: east of it.
+        y_m: north of it.
+    """
+    sine = math.sin(math.radians(origin.latitude_deg))
+    w2 = 1.0 - _WGS84_E2 * sine * sine
+    meridian_m = _WGS84_A_M * (1.0 - _WGS84_E2) / w2**1.5
+    parallel_m = _WGS84_A_M / math.sqrt(w2) * math.cos(math.radians(origin.latitude_deg))
+    latitude, longitude = origin.latitude_deg, origin.longitude_deg
+    for _ in range(_MAX_NEWTON_STEPS):
+        x, y = geodetic_to_local(origin, latitude, longitude)
+        if math.hypot(x_m - x, y_m - y) < _NEWTON_TOLERANCE_M:
+            break
+        latitude += math.degrees((y_m - y) / meridian_m)
+        longitude += math.degrees((x_m - x) / parallel_m)
+    return latitude, longitude
+
+
+def _geodetic_to_ecef(
+    latitude_deg: float, longitude_deg: float, height_m: float
+) -> tuple[float, float, float]:
+    """Return Earth-centred, Earth-fixed coordinates [m] on WGS84."""
+    latitude, longitude = math.radians(latitude_deg), math.radians(longitude_deg)
+    sine, cosine = math.sin(latitude), math.cos(latitude)
+    normal_m = _WGS84_A_M / math.sqrt(1.0 - _WGS84_E2 * sine * sine)
+    level_m = (normal_m + height_m) * cosine
+    return (
+        level_m * math.cos(longitude),
+        level_m * math.sin(longitude),
+        (normal_m * (1.0 - _WGS84_E2) + height_m) * sine,
+    )
+
+
+def _ecef_to_enu_rotation(origin: GeodeticOrigin) -> np.ndarray:
+    """Return the rotation [3, 3] from ECEF to east, north, up at a position."""
+    latitude, longitude = math.radians(origin.latitude_deg), math.radians(origin.longitude_deg)
+    sp, cp, sl, cl = (
+        math.sin(latitude),
+        math.cos(latitude),
+        math.sin(longitude),
+        math.cos(longitude),
+    )
+    return np.array([[-sl, cl, 0.0], [-sp * cl, -sp * sl, cp], [cp * cl, cp * sl, sp]])

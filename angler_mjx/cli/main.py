@@ -21,6 +21,7 @@ from angler_mjx.cli import (
     export,
     fly,
     gallery,
+    mission,
     replay,
     rollout,
     scenarios,
@@ -63,7 +64,13 @@ GROUPS: dict[str, dict[str, Callable[..., None]]] = {
         "stats": dataset.show_stats,
     },
     "env": {"make": env.make_environments, "show": env.show_environment},
-    "sitl": {"install": sitl.install_ardusub, "doctor": sitl.run_doctor, "run": sitl_run.run},
+    "mission": {"import": mission.import_mission, "export": mission.export_mission},
+    "sitl": {
+        "install": sitl.install_ardusub,
+        "doctor": sitl.run_doctor,
+        "run": sitl_run.run,
+        "parameters": sitl.write_parameters,
+    },
     "scenarios": {
         "list": scenarios.list_scenarios,
         "show": scenarios.show_scenario,
@@ -87,8 +94,12 @@ def _env_group() -> None:
     """Generate environments into a file, and render one of them."""
 
 
+def _mission_group() -> None:
+    """Import missions of ground stations as scenarios and plans, export plans as missions."""
+
+
 def _sitl_group() -> None:
-    """Install ArduSub, check whether it runs here, fly scenarios on it."""
+    """Install ArduSub, check whether it runs here, fly scenarios on it, write its parameters."""
 
 
 def _scenarios_group() -> None:
@@ -125,6 +136,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "fly": fly.fly,
     "env": _env_group,
     "dataset": _dataset_group,
+    "mission": _mission_group,
     "sitl": _sitl_group,
     "spotcheck": spotcheck.spotcheck,
     "vehicle": _vehicle_group,

@@ -4,7 +4,7 @@ The world of the scenario, its water and its vehicles are the simulator's. The v
 by N firmware processes, stepped together with the water at 400 Hz.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
@@ -39,7 +39,8 @@ from angler_mjx.runs.session.interface import (
 from angler_mjx.runs.session.rejoin import RejoinPaths
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.state import World
-from angler_sitl.autopilots.autopilots import Autopilots, AutopilotSettings
+from angler_sitl.autopilots.autopilots import DEFAULT_HOME, Autopilots, AutopilotSettings
+from angler_sitl.autopilots.boot import WorldOrigin
 from angler_sitl.autopilots.session_view import SessionView
 from angler_sitl.firmware import binary as binaries
 from angler_sitl.firmware import parameters as firmware
@@ -47,8 +48,10 @@ from angler_sitl.firmware.parameters import CommandLevel, PositionSource
 from angler_sitl.scene.scenario_options import parse_speed, select_scenario
 from angler_sitl.scene.scene import AutopilotScene
 from angler_sitl.steering import levels
+from angler_sitl.steering.autopilot_commander import AUTO_MODE
 from angler_sitl.steering.command_sender import CommandSender
 from angler_sitl.steering.levels import STICK_LEVELS
+from angler_sitl.wire.mission_upload import UploadItem
 
 
 class SitlSession:
@@ -71,6 +74,8 @@ class SitlSession:
         points: int = DEFAULT_POINTS,
         start_tolerance: float = DEFAULT_START_TOLERANCE,
         tolerances: Tolerances | None = None,
+        home: WorldOrigin | None = None,
+        missions: Sequence[Sequence[UploadItem]] = (),
     ) -> None:
         """Compile the scene, start the autopilots and bring them up.
 
@@ -92,6 +97,8 @@ class SitlSession:
             start_tolerance: max distance from a robot to the start of a path, m and rad; 0 is any
                 distance.
             tolerances: of JointTrajectories, for x, y, z and yaw; those of `paths` if left out.
+            home: position of W's origin on the globe; one in the sea if left out.
+            missions: mission items of each robot, home first, for `start_missions`.
 
         Raises:
             ConfigError: no such world, level, source or ArduSub, or a vehicle without its frame.
@@ -113,6 +120,8 @@ class SitlSession:
             folder=folder,
             parameters=dict(parameters or {}),
             on_crash=on_crash,
+            missions=missions,
+            home=home or DEFAULT_HOME,
         )
         self._scene = AutopilotScene(self._scenario, world=world)
         self._simulator = self._scene.simulator
@@ -123,6 +132,7 @@ class SitlSession:
             has_end_effector=any(vehicle.end_effector is not None for vehicle in vehicles),
         )
         self._command_sender = CommandSender(level, self._spec)
+        self._is_on_last_leg: Callable[[int], bool] = lambda _: False
         self._autopilots: Autopilots | None = None
         self._sampled_seed: int | None = None
         self.reset()
@@ -288,6 +298,26 @@ class SitlSession:
             )
         self._command_queue.resume(robot, rejoin_path)
 
+    def start_missions(self, is_on_last_leg: Callable[[int], bool]) -> None:
+        """Switch all robots to AUTO, in which the firmware flies its mission.
+
+        From then on they receive no commands; `step` advances them as before.
+
+        Args:
+            is_on_last_leg: whether a robot, by its index, flies the last leg of its mission: only
+                there it can arrive at its goal.
+
+        Raises:
+            RunError: there are no missions.
+        """
+        if not self.settings.missions:
+            raise RunError("no missions were uploaded; open the session with missions")
+        pilots = self.autopilots.pilots
+        self._command_sender.silent = frozenset(range(len(pilots)))
+        self._is_on_last_leg = is_on_last_leg
+        for pilot in pilots:
+            pilot.set_mode(AUTO_MODE)
+
     def close(self) -> None:
         """Close as `Session.close`: no autopilot is left running."""
         self._require_open()
@@ -314,7 +344,10 @@ class SitlSession:
             self._command_queue.slots.commands(),
         )
         autopilots.advance()
-        scene.judge(np.asarray(decision.approaching)[0])
+        approaching = np.array(decision.approaching)[0]
+        for robot in self._command_sender.silent:
+            approaching[robot] = self._is_on_last_leg(robot)
+        scene.judge(approaching)
         self._steps += 1
         self._view.record_step(before, decision)
 

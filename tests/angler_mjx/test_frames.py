@@ -87,3 +87,38 @@ def test_kind_and_dtype_are_kept(namespace):
         got = function(given)
         assert type(got) is type(given)
         assert got.dtype == given.dtype
+
+
+DEGREE_KM = {0: (110.574, 111.320), 15: (110.649, 107.551), 30: (110.852, 96.486)} | {
+    45: (111.132, 78.847),
+    60: (111.412, 55.800),
+    75: (111.618, 28.902),
+}
+"""Lengths of a degree of latitude and of longitude on WGS84 by latitude, km, as published (National
+Geospatial-Intelligence Agency, "Length of a degree of latitude and longitude")."""
+
+
+@pytest.mark.parametrize(("latitude", "lengths"), DEGREE_KM.items())
+@pytest.mark.parametrize("longitude", [-122.3, 0.0, 179.999])
+def test_a_small_angle_is_the_published_part_of_a_degree(latitude, lengths, longitude):
+    origin = frames.GeodeticOrigin(latitude_deg=latitude, longitude_deg=longitude)
+    x, y = frames.geodetic_to_local(origin, latitude, longitude + 0.001)
+    assert x == pytest.approx(lengths[1], abs=1e-3)  # metres of a thousandth
+    assert abs(y) < 1e-3
+    x, y = frames.geodetic_to_local(origin, latitude + 0.001, longitude)
+    assert y == pytest.approx(lengths[0], abs=1e-3)
+    assert abs(x) < 1e-9
+
+
+def test_ecef_is_the_published_position():
+    """Values of the tests of pymap3d (geodetic2ecef), which are those of MATLAB."""
+    x, y, z = frames._geodetic_to_ecef(42.0, -82.0, 200.0)
+    assert (x, y, z) == pytest.approx((660675.2518247, -4700948.68316, 4245737.66222), abs=1e-3)
+
+
+@pytest.mark.parametrize("latitude", [-65.0, 0.0, 47.6, 85.0])
+@pytest.mark.parametrize(("x", "y"), [(0.0, 0.0), (123.4, -56.7), (-9000.0, 9000.0)])
+def test_local_positions_come_back(latitude, x, y):
+    origin = frames.GeodeticOrigin(latitude_deg=latitude, longitude_deg=179.9, altitude_m=300.0)
+    there = frames.local_to_geodetic(origin, x, y)
+    assert frames.geodetic_to_local(origin, *there) == pytest.approx((x, y), abs=1e-5)

@@ -7,6 +7,7 @@ import socket
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 ARMABLE_S, ORIGIN_S, POSITION_S = 2.1, 3.0, 4.8
+AUTO = 3
 NEEDS_POSITION = (3, 4, 7, 9, 16)
 STREAMS = (
     "EKF_STATUS_REPORT",
@@ -63,6 +64,7 @@ class Talk:
         self.parameters, (self.serial0, self.serial1), self.reboot = parameters, lines, reboot
         self.armed, self.mode, self.origin, self.saw_vision_s = False, 19, None, None
         self.override, self.asked, self.due, self.to_send = [0] * 18, {}, {}, []
+        self.mission, self.mission_count, self.home, self.reached = [], 0, None, 0
         self.age_s = self.time_s = 0.0
         self.state = {}
         self.out = mav.MAVLink(None, srcSystem=int(parameters["SYSID_THISMAV"]), srcComponent=1)
@@ -77,6 +79,8 @@ class Talk:
         self._every("HEARTBEAT", 1.0, self._heartbeat)
         for name, interval_s in list(self.asked.items()):
             self._every(name, interval_s, lambda name=name: self._stream(name))
+        if self.mode == AUTO and 0 < self.reached < len(self.mission):
+            self._every("MISSION", 1.0, self._reach)
         for _ in range(min(20, len(self.to_send))):
             self._send(self.to_send.pop(0))
         # The second line says where it is to be found, as ArduSub's does.
@@ -139,6 +143,19 @@ class Talk:
             self.to_send.append(self._parameter(list(self.parameters).index(message.param_id)))
         elif kind == "COMMAND_LONG":
             self._send(mav.MAVLink_command_ack_message(message.command, self._command(message)))
+        elif kind == "COMMAND_INT" and message.command == mav.MAV_CMD_DO_SET_HOME:
+            self.home = (message.x, message.y, message.z)
+            self._send(mav.MAVLink_command_ack_message(message.command, 0))
+        elif kind == "MISSION_COUNT":
+            self.mission, self.mission_count, self.reached = [], message.count, 1
+            self._send(mav.MAVLink_mission_request_int_message(255, 190, 0))
+        elif kind == "MISSION_ITEM_INT" and message.seq == len(self.mission):
+            self.mission.append(message)
+            if len(self.mission) < self.mission_count:
+                next_request = mav.MAVLink_mission_request_int_message(255, 190, len(self.mission))
+                self._send(next_request)
+            else:
+                self._send(mav.MAVLink_mission_ack_message(255, 190, 0))
         elif kind == "SET_GPS_GLOBAL_ORIGIN" and self.age_s >= ORIGIN_S and self.origin is None:
             self.origin = (message.latitude, message.longitude, message.altitude)
             self._send(mav.MAVLink_gps_global_origin_message(*self.origin))
@@ -146,6 +163,10 @@ class Talk:
             self.saw_vision_s = self.age_s
         elif kind == "RC_CHANNELS_OVERRIDE" and message.get_srcSystem() == 255:
             self.override = [getattr(message, f"chan{n}_raw") for n in range(1, 19)]
+
+    def _reach(self):
+        self._send(mav.MAVLink_mission_item_reached_message(self.reached))
+        self.reached += 1
 
     def _parameter(self, index):
         name, value = list(self.parameters.items())[index]

@@ -12,6 +12,7 @@ from typing import Any
 from angler_mjx.errors import AnglerError
 from angler_mjx.files import FaultyError, parse_model, validate_model
 from angler_mjx.report.interop import joint_trajectory_file
+from angler_mjx.report.interop.mission_files.import_mission import import_mission
 from angler_mjx.robot.importing.import_vehicle import import_vehicle
 from angler_mjx.robot.vehicles import library, mjcf
 from angler_mjx.robot.vehicles.thrusters import tables_at
@@ -268,6 +269,15 @@ class Reader:
     allowed: tuple[type[Exception], ...] = (AnglerError,)
 
 
+WAYPOINTS = b"""QGC WPL 110
+0\t1\t0\t16\t0\t0\t0\t0\t47.6\t-122.3\t0\t1
+1\t0\t2\t178\t1\t0.3\t-1\t0\t0\t0\t0\t1
+2\t0\t3\t18\t1\t0\t5\t0\t47.6001\t-122.3\t-5\t1
+3\t0\t3\t16\t0\t0\t0\t0\t47.6001\t-122.2999\t-5\t1
+4\t0\t2\t177\t2\t1\t0\t0\t0\t0\t0\t1
+"""
+
+
 def _files(folder, end=".toml"):
     return tuple(path.read_bytes() for path in sorted(folder.glob(f"*{end}")))
 
@@ -288,6 +298,12 @@ READERS = {
             ".xml",
         ),
         Reader("trajectory", (TRAJECTORY,), _trajectory, ".json"),
+        Reader(
+            "mission",
+            ((ROOT / "docs/examples/dive.plan").read_bytes(), WAYPOINTS),
+            lambda path: import_mission(path),
+            ".plan",
+        ),
         Reader(
             "parameters", (PARAMETERS,), lambda path: parameters.read_parameters(path), ".param"
         ),

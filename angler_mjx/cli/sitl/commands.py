@@ -3,11 +3,14 @@
 import sys
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
 from angler_mjx.errors import ConfigError, UnsupportedError
+
+type CommandLevel = Literal["thrusters", "guided", "poshold", "althold", "manual"]
+type PositionSource = Literal["vision", "vicon", "gps"]
 
 
 def install_ardusub(
@@ -72,6 +75,58 @@ def run_doctor(ardusub: Path | None = None, isolate: bool = False) -> None:
     Console().print(table)
     if faults:
         raise ConfigError(f"at fault: {', '.join(faults)}; see the table")
+
+
+def write_parameters(
+    out: Path,
+    vehicle: str = "bluerov2_heavy",
+    parameters: Path | None = None,
+    level: CommandLevel = "guided",
+    source: PositionSource = "vision",
+    ardusub: Path | None = None,
+    force: bool = False,
+) -> None:
+    """Boot an ArduSub with the parameters of a vehicle, and write all of its parameters.
+
+    Args:
+        out: File to write: .params for QGroundControl, else as Mission Planner and MAVProxy load it
+            (.param, .parm).
+        vehicle: Name of a shipped vehicle, or path of a vehicle file.
+        parameters: File with further parameters, of any of these programs.
+        level: Command level, as for angler sitl run.
+        source: Source of ArduSub's position.
+        ardusub: ArduSub binary; if left out, that of ANGLER_ARDUSUB, else the installed one.
+        force: Replace an older file.
+    """
+    require_pymavlink()
+    import tempfile
+
+    from angler_mjx.robot.vehicles.library import load_vehicle
+    from angler_mjx.runs.storage.atomic_files import replace_file
+    from angler_sitl.firmware import binary, probe
+    from angler_sitl.firmware import parameters as firmware
+
+    wanted = firmware.for_vehicle(load_vehicle(vehicle), level, source)
+    if parameters is not None:
+        wanted |= firmware.read_parameters(parameters)
+    with replace_file(out, flag="--out", force=force) as writing:
+        with (
+            tempfile.TemporaryDirectory(prefix="angler_sitl_") as folder,
+            probe.start_stationary(binary.find_binary(ardusub), Path(folder), wanted) as autopilot,
+        ):
+            result = probe.query_autopilot(autopilot)
+        for difference in firmware.find_differences(wanted, result.parameters):
+            print(difference, file=sys.stderr)
+        text = firmware.format_parameters(
+            result.parameters,
+            "params" if out.suffix == ".params" else "param",
+            types=result.parameter_types,
+            sysid=result.sysid,
+            version=result.version,
+        )
+        writing.write_text(text, encoding="utf-8")
+    print(f"{len(result.parameters)} parameters of ArduSub {result.version}", file=sys.stderr)
+    print(out)
 
 
 def require_pymavlink() -> None:

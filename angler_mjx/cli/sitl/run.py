@@ -8,14 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from angler_mjx.cli.shared.device import Device, choose_device, keep_all_programs
+from angler_mjx.cli.sitl.commands import CommandLevel, PositionSource, require_pymavlink
 from angler_mjx.errors import ConfigError
 
 if TYPE_CHECKING:
     from angler_mjx.teleop.opening import SessionOpener
     from angler_sitl.missions.flight import MissionFlight
-
-type CommandLevel = Literal["thrusters", "guided", "poshold", "althold", "manual"]
-type PositionSource = Literal["vision", "vicon", "gps"]
 
 _EXIT_INTERRUPTED = 130
 
@@ -36,6 +34,8 @@ def run(
     isolate: bool = False,
     ardusub: Path | None = None,
     parameters: Path | None = None,
+    mission: tuple[Path, ...] = (),
+    origin: str | None = None,
     device: Device = "cpu",
 ) -> None:
     """Fly a world of a scenario on real ArduSub processes, and write a run folder.
@@ -58,23 +58,28 @@ def run(
         gcs: Ground station that may connect, as in udp:127.0.0.1:14550.
         isolate: Run in a network namespace, where no socket can be reached from outside.
         ardusub: ArduSub binary; if left out, that of ANGLER_ARDUSUB, else the installed one.
-        parameters: File with parameters of ArduSub, as angler tune and MAVProxy write them, for all
-            robots.
+        parameters: File with parameters of ArduSub, as angler tune, MAVProxy, Mission Planner and
+            QGroundControl write them, for all robots.
+        mission: Mission files, one for each robot, that ArduSub flies in AUTO; the batch simulator
+            flies their plans, and the gap is printed.
+        origin: Latitude and longitude of the origin of the world for missions; their home if left
+            out.
         device: Device to compute on.
     """
     require_sitl(isolate=isolate, gcs=gcs)
     choose_device(device)
     keep_all_programs()
+    from angler_mjx.cli.mission import parse_origin
     from angler_mjx.cli.shared.inputs import build_scenario
     from angler_mjx.cli.sitl.status_table import status_table
-    from angler_sitl.missions import mission
+    from angler_sitl.missions import mission as missions
     from angler_sitl.scene import motion
     from angler_sitl.scene.scenario_options import select_scenario
 
     motion.compute_inline()
     loaded = build_scenario(scenario, seed=seed)
     selected = select_scenario(loaded, robots)
-    settings = mission.MissionSettings(
+    settings = missions.MissionSettings(
         out=out or Path("runs") / f"{selected.name}-sitl",
         world=world,
         level=level,
@@ -86,8 +91,10 @@ def run(
         gcs=gcs,
         binary=ardusub,
         parameters=parameters,
+        missions=mission,
+        origin=None if origin is None else parse_origin(origin),
     )
-    flight, run_folder = mission.run_mission(
+    flight, run_folder = missions.run_mission(
         selected, settings, partial(print, file=sys.stderr), status_table
     )
     _print_flight(flight)
@@ -106,8 +113,6 @@ def require_sitl(*, isolate: bool, gcs: str | None) -> None:
         ConfigError: a ground station is to connect to an isolated network.
         UnsupportedError: pymavlink is not installed, or the system gives no network namespace.
     """
-    from angler_mjx.cli.sitl.commands import require_pymavlink
-
     require_pymavlink()
     if not isolate:
         return

@@ -36,12 +36,12 @@ class Location:
 
 @dataclass(frozen=True, kw_only=True)
 class Note:
-    """Difference between a foreign file and the imported vehicle."""
+    """Difference between a foreign file and what was imported."""
 
     kind: NoteKind
     text: str
-    locations: tuple[Location, ...]
-    """Lines that it came from; empty for what no line states."""
+    locations: tuple[object, ...]
+    """Lines or keys that it came from; empty for what no line states."""
 
     def __str__(self) -> str:
         """Return the note on one line, with at most `MAX_LINES` locations."""
@@ -56,10 +56,10 @@ class Note:
 class Notes:
     """Notes of an import, in order; notes of equal text are joined."""
 
-    _entries: dict[tuple[NoteKind, str], list[Location]] = field(default_factory=dict)
+    _entries: dict[tuple[NoteKind, str], list[object]] = field(default_factory=dict)
 
-    def add(self, kind: NoteKind, text: str, *locations: Location | None) -> None:
-        """Add a note on these lines."""
+    def add(self, kind: NoteKind, text: str, *locations: object) -> None:
+        """Add a note on these lines: of `Location`, or of another class that prints as one."""
         entry = self._entries.setdefault((kind, text), [])
         entry.extend(location for location in locations if location is not None)
 

@@ -3,7 +3,7 @@
 import shutil
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -36,6 +36,7 @@ from angler_sitl.steering.levels import LEVEL_MODES
 from angler_sitl.steering.navigation import Navigation
 from angler_sitl.wire import ports as sockets
 from angler_sitl.wire.link import TLOG_NAME, TelemetryLog
+from angler_sitl.wire.mission_upload import UploadItem
 
 FIX_AGE_S = 0.03
 """Delay [s] of external navigation when it is sent.
@@ -43,6 +44,9 @@ FIX_AGE_S = 0.03
 The firmware assumes this delay: half a step of its filter, plus the transmission time on a wire.
 Without the delay its position runs 24 ms ahead of the truth. With it the position is within 10 ms
 of the truth, a step of its filter."""
+
+DEFAULT_HOME = WorldOrigin(lat_deg=HOME_LAT_DEG, lon_deg=HOME_LON_DEG)
+"""Position of W's origin where none is named."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,6 +61,8 @@ class AutopilotSettings:
         folder: folder of their logs; None for no logs.
         parameters: firmware parameters that extend or override the defaults.
         on_crash: whether the loss of one autopilot ends the scene, or the others go on.
+        home: position of W's origin on the globe.
+        missions: mission items of each robot, home first; no missions if empty.
     """
 
     binary: Binary
@@ -66,6 +72,8 @@ class AutopilotSettings:
     folder: Path | None = None
     parameters: Mapping[str, float] = field(default_factory=dict)
     on_crash: Literal["end", "hold"] = "end"
+    home: WorldOrigin = DEFAULT_HOME
+    missions: Sequence[Sequence[UploadItem]] = ()
 
 
 class Autopilots:
@@ -98,7 +106,8 @@ class Autopilots:
                 self._advance_boot,
                 mode=LEVEL_MODES[settings.level],
                 source=settings.source,
-                home=WorldOrigin(lat_deg=HOME_LAT_DEG, lon_deg=HOME_LON_DEG),
+                home=settings.home,
+                missions=settings.missions,
             )
             self._lockstep.set_speed(settings.speed)
             self.ready = BootTimes(sim_s=ready.sim_s, wall_s=time.perf_counter() - start_s)
@@ -188,6 +197,7 @@ class Autopilots:
                 sysid=i + 1,
                 ports=all_ports[i],
                 parameters=self._parameter_sets[i],
+                home_deg=(settings.home.lat_deg, settings.home.lon_deg),
             )
             for i, robot in enumerate(robots)
         ]

@@ -16,6 +16,8 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from angler_mjx.errors import RunError
 from angler_sitl.firmware.parameters import PositionSource
 from angler_sitl.steering.autopilot_commander import STREAM_RATES_HZ, AutopilotCommander, mode_name
+from angler_sitl.wire import messages
+from angler_sitl.wire.mission_upload import MissionUpload, UploadItem
 
 HEARTBEAT_TIMEOUT_S = 15.0
 POSITION_TIMEOUT_S: dict[PositionSource, float] = {"vision": 40.0, "vicon": 40.0, "gps": 120.0}
@@ -23,6 +25,7 @@ POSITION_TIMEOUT_S: dict[PositionSource, float] = {"vision": 40.0, "vicon": 40.0
 PARAMETERS_TIMEOUT_S = 20.0
 MODE_TIMEOUT_S = 10.0
 ARM_TIMEOUT_S = 20.0
+HOME_TIMEOUT_S = 10.0
 SPOOL_S = 1.0
 """Time after the last was armed: its motors are held back for 0.4 s, and it would drift."""
 _RETRY_PERIOD_S = 1.0
@@ -61,6 +64,7 @@ def boot_autopilots(
     mode: int,
     source: PositionSource,
     home: WorldOrigin,
+    missions: Sequence[Sequence[UploadItem]] = (),
 ) -> BootTimes:
     """Bring up autopilots that were just started.
 
@@ -71,13 +75,17 @@ def boot_autopilots(
         mode: the firmware's number.
         source: position source of their filters.
         home: of the scene.
+        missions: items that each autopilot receives, home first; no mission if left out.
 
     Raises:
         RunError: an autopilot does not come up, with its name and the reason.
     """
     began, now = time.perf_counter(), advance()
     first, clock = now, _Clock(now)
-    pending = [_boot_steps(pilot, clock, mode, source, home) for pilot in pilots]
+    pending = [
+        _boot_steps(pilot, clock, mode, source, home, mission)
+        for pilot, mission in zip(pilots, missions or [()] * len(pilots), strict=True)
+    ]
     while pending:
         pending = [steps for steps in pending if next(steps, _DONE) is not _DONE]
         if pending:
@@ -97,7 +105,12 @@ class _Clock:
 
 
 def _boot_steps(
-    pilot: AutopilotCommander, clock: _Clock, mode: int, source: PositionSource, home: WorldOrigin
+    pilot: AutopilotCommander,
+    clock: _Clock,
+    mode: int,
+    source: PositionSource,
+    home: WorldOrigin,
+    mission: Sequence[UploadItem],
 ) -> Iterator[None]:
     """Run the steps of one autopilot; it yields whenever time has to advance."""
     link = pilot.link
@@ -128,11 +141,34 @@ def _boot_steps(
         "does not give its parameters",
         _missing_requester(pilot),
     )
+    if mission:
+        yield from _set_home(pilot, clock, home)
+        upload = MissionUpload(link, mission)
+        while not upload.advance(clock.time_s):
+            yield
     yield from _send_until_followed(
         pilot, clock, MODE_TIMEOUT_S, dialect.MAV_CMD_DO_SET_MODE, (1, mode), mode
     )
     yield from _send_until_followed(
         pilot, clock, ARM_TIMEOUT_S, dialect.MAV_CMD_COMPONENT_ARM_DISARM, (1,), mode
+    )
+
+
+def _set_home(pilot: AutopilotCommander, clock: _Clock, home: WorldOrigin) -> Iterator[None]:
+    """Set home at the surface above W's origin: depths of a mission count from it.
+
+    The firmware's own home has the height of the barometer's zero, which is where it was started.
+    """
+    command = dialect.MAV_CMD_DO_SET_HOME
+
+    def is_set() -> bool:
+        return bool(pilot.link.acks.get(command) == dialect.MAV_RESULT_ACCEPTED)
+
+    def send() -> None:
+        pilot.link.send(messages.build_home(pilot.sysid, home.lat_deg, home.lon_deg))
+
+    yield from _wait_until(
+        is_set, pilot, clock, HOME_TIMEOUT_S, "does not take its home", send, command
     )
 
 

@@ -19,6 +19,9 @@ type CommandLevel = Literal["thrusters", "guided", "poshold", "althold", "manual
 type PositionSource = Literal["vision", "vicon", "gps"]
 """Position source of the filter: external navigation, SITL's own Vicon, or SITL's own GPS."""
 
+type ParameterFormat = Literal["param", "params"]
+"""File format of parameters: of Mission Planner and MAVProxy, or of QGroundControl."""
+
 LEVELS: tuple[CommandLevel, ...] = get_args(CommandLevel.__value__)
 SOURCES: tuple[PositionSource, ...] = get_args(PositionSource.__value__)
 
@@ -33,6 +36,8 @@ MAX_NAME_LENGTH = 16
 _MAX_BYTES = 1 << 20
 _QGROUNDCONTROL_FIELDS, _AUTOPILOT = 5, "1"
 """Fields of a QGroundControl line, and MAV_COMP_ID_AUTOPILOT1 in its second field."""
+_REAL32 = 9
+"""MAV_PARAM_TYPE of float32; below it are whole numbers."""
 
 _STREAMS = ("RAW_SENS", "EXT_STAT", "RC_CHAN", "POSITION", "EXTRA1", "EXTRA2", "EXTRA3")
 
@@ -150,6 +155,41 @@ def read_parameters(path: Path) -> dict[str, float]:
             )
         values[name] = value
     return values
+
+
+def format_parameters(
+    parameters: Mapping[str, float],
+    format_: ParameterFormat,
+    *,
+    types: Mapping[str, int] | None = None,
+    sysid: int = 1,
+    version: str = "",
+) -> str:
+    """Return the text of a parameter file that a ground station loads, sorted by name.
+
+    Args:
+        parameters: Values by name.
+        format_: ``param`` of Mission Planner and MAVProxy, or ``params`` of QGroundControl.
+        types: MAV_PARAM_TYPE of each parameter, for ``params``; REAL32 where left out.
+        sysid: MAVLink system number of the vehicle, for ``params``.
+        version: Of the firmware, for ``params``.
+    """
+    if format_ == "param":
+        return "".join(f"{name},{value:.9g}\n" for name, value in sorted(parameters.items()))
+    lines = [
+        f"# Onboard parameters for Vehicle {sysid}",
+        "#",
+        "# Stack: ArduPilot",
+        "# Vehicle: Sub",
+        f"# Version: {version}".rstrip(),
+        "#",
+        "# Vehicle-Id Component-Id Name Value Type",
+    ]
+    for name, value in sorted(parameters.items()):
+        kind = (types or {}).get(name, _REAL32)
+        number = f"{value:.18f}" if kind >= _REAL32 else f"{value:.0f}"
+        lines.append("\t".join([str(sysid), _AUTOPILOT, name, number, str(kind)]))
+    return "\n".join(lines) + "\n"
 
 
 def find_differences(expected: Mapping[str, float], actual: Mapping[str, float]) -> list[str]:

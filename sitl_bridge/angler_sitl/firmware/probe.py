@@ -46,12 +46,14 @@ class ProbeResult:
         version: As in "4.6.0-dev".
         git: First characters of the commit it was built from.
         parameters: All of them, by name.
+        parameter_types: MAV_PARAM_TYPE of each, by name.
         sysid: Its MAVLink system number.
     """
 
     version: str
     git: str
     parameters: Mapping[str, float]
+    parameter_types: Mapping[str, int]
     sysid: int
 
 
@@ -66,6 +68,7 @@ class StationaryAutopilot:
         pwm: Values of the last servo packet.
         version: AUTOPILOT_VERSION, if received.
         parameters: Received parameters, by name.
+        parameter_types: MAV_PARAM_TYPE of each.
         expected: Number of parameters; 0 while unknown.
         sysid: System number of the heartbeats; 0 while unknown.
     """
@@ -76,6 +79,7 @@ class StationaryAutopilot:
     pwm: tuple[int, ...] = ()
     version: mavlink.MAVLink_message | None = None
     parameters: dict[str, float] = field(default_factory=dict)
+    parameter_types: dict[str, int] = field(default_factory=dict)
     parameter_count: int = 0
     sysid: int = 0
 
@@ -140,6 +144,7 @@ class StationaryAutopilot:
             self.version = message
         elif kind == "PARAM_VALUE":
             self.parameters[message.param_id] = message.param_value
+            self.parameter_types[message.param_id] = int(message.param_type)
             self.parameter_count = message.param_count
 
 
@@ -185,7 +190,11 @@ def query_autopilot(autopilot: StationaryAutopilot, *, parameters: bool = True) 
         )
     version, git = read_version(autopilot.version)
     return ProbeResult(
-        version=version, git=git, parameters=dict(autopilot.parameters), sysid=autopilot.sysid
+        version=version,
+        git=git,
+        parameters=dict(autopilot.parameters),
+        parameter_types=dict(autopilot.parameter_types),
+        sysid=autopilot.sysid,
     )
 
 

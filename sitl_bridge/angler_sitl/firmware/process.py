@@ -69,6 +69,7 @@ class LaunchSpec:
         sysid: MAVLink system number, 1 to 254.
         ports: Sockets of `ports.allocate_ports`.
         parameters: Values by firmware name, as of `parameters.for_vehicle`.
+        home_deg: Latitude and longitude of W's origin, where its GPS starts.
     """
 
     binary: Binary
@@ -77,6 +78,7 @@ class LaunchSpec:
     sysid: int
     ports: Ports
     parameters: Mapping[str, float]
+    home_deg: tuple[float, float] = (HOME_LAT_DEG, HOME_LON_DEG)
 
     def command_line(self) -> list[str]:
         """Return the command line, the program's path first.
@@ -92,7 +94,7 @@ class LaunchSpec:
             str(self.binary.path.resolve()),
             *("--model", f"JSON:{LOOPBACK}"),
             *("--sysid", str(self.sysid)),
-            *("--home", f"{HOME_LAT_DEG},{HOME_LON_DEG},0,0"),
+            *("--home", f"{self.home_deg[0]:.9g},{self.home_deg[1]:.9g},0,0"),
             *("--defaults", PARAMETERS_NAME),
             "--wipe",
             *("--serial0", f"udpclient:{LOOPBACK}:{port_number(ports.mavlink)}"),

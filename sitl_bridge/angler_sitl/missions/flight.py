@@ -1,7 +1,7 @@
 """Flight of armed robots along their plans until all have ended, or the time is up."""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from angler_mjx.errors import RunError
@@ -41,6 +41,7 @@ def fly_mission(
     goals: Mapping[int, JointGoal] | None = None,
     whole: bool = False,
     policy: OnlineFlyer | None = None,
+    has_completed: Callable[[int], bool] | None = None,
     watchers: Sequence[Watcher] = (),
     stop: StopRequest | None = None,
 ) -> MissionFlight:
@@ -56,6 +57,8 @@ def fly_mission(
         whole: fly to the end of that time, even if all robots have ended.
         policy: commands robots without a JointTrajectory in each step; None: they follow their
             plans.
+        has_completed: whether a robot, by its index, has completed the mission that its firmware
+            flies; None: the firmware flies none.
         watchers: called after every step.
         stop: request to stop, set by a signal.
     """
@@ -67,7 +70,7 @@ def fly_mission(
         if stop is not None and stop.requested:
             broken = "interrupted by a signal"
             break
-        if not whole and steps and _all_ended(session, observation, goals or {}):
+        if not whole and steps and _all_ended(session, observation, goals or {}, has_completed):
             break
         try:
             of_policy = _command_others(policy, observation, goals or {})
@@ -100,17 +103,29 @@ def _command_others(
 
 
 def _all_ended(
-    session: SitlSession, observation: Observation, goals: Mapping[int, JointGoal]
+    session: SitlSession,
+    observation: Observation,
+    goals: Mapping[int, JointGoal],
+    has_completed: Callable[[int], bool] | None,
 ) -> bool:
     lost = session.autopilots.lockstep.lost
     return all(
-        i in lost or _has_ended(status, has_goal=i in goals)
+        i in lost
+        or (
+            _has_ended(status, has_goal=i in goals)
+            if has_completed is None
+            else has_completed(i) or _has_failed(status)
+        )
         for i, status in enumerate(observation.status)
     )
 
 
+def _has_failed(status: RobotStatus) -> bool:
+    return status.outcome not in (Outcome.RUNNING, Outcome.REACHED)
+
+
 def _has_ended(status: RobotStatus, *, has_goal: bool) -> bool:
-    if status.outcome not in (Outcome.RUNNING, Outcome.REACHED):
+    if _has_failed(status):
         return True
     if not has_goal:
         return status.outcome is Outcome.REACHED

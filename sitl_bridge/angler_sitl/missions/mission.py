@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +15,8 @@ import numpy as np
 from angler_kernels import quaternion
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.files import JsonTable
+from angler_mjx.frames import GeodeticOrigin
+from angler_mjx.planning.planner import MAX_POINTS
 from angler_mjx.report.interop import joint_trajectory_file
 from angler_mjx.robot.control.commands import joint_goal
 from angler_mjx.robot.control.commands.joint_goal import JointGoal
@@ -33,8 +35,16 @@ from angler_sitl.firmware import binary as binaries
 from angler_sitl.firmware import parameters as firmware
 from angler_sitl.firmware.parameters import CommandLevel, PositionSource
 from angler_sitl.firmware.probe import read_version
+from angler_sitl.missions.auto_flight import AutoFlight
+from angler_sitl.missions.firmware_mission import (
+    FirmwareMission,
+    build_upload,
+    load_missions,
+    merge_parameters,
+)
 from angler_sitl.missions.flight import MissionFlight, fly_mission
 from angler_sitl.missions.ground_station import GroundStation
+from angler_sitl.missions.mission_gap import lift_tolerances
 from angler_sitl.session import SitlSession
 from angler_sitl.steering.levels import STICK_LEVELS
 from angler_sitl.wire.ports import MAX_VEHICLES
@@ -70,6 +80,10 @@ class MissionSettings:
     binary: Path | None = None
     parameters: Path | None = None
     """File of firmware parameters that extend or override the defaults."""
+    missions: Sequence[Path] = ()
+    """Mission files, one for each robot, that the firmware flies in AUTO; none if empty."""
+    origin: GeodeticOrigin | None = None
+    """Position of W's origin for missions; their home if left out."""
 
     def __post_init__(self) -> None:
         """Refuse settings that cannot be flown.
@@ -83,6 +97,13 @@ class MissionSettings:
             raise ConfigError(f"--speed {self.speed:g}: give a number above 0, or max")
         if self.world < 0:
             raise ConfigError(f"--world {self.world}: give an index from 0 on")
+        if self.missions and (list(self.plan) != [GRID] or self.level != "guided"):
+            flag = "--plan" if list(self.plan) != [GRID] else f"--level {self.level}"
+            raise ConfigError(
+                f"{flag}: --mission is flown by ArduSub in AUTO; leave out one of them"
+            )
+        if self.origin is not None and not self.missions:
+            raise ConfigError("--origin: is of missions; give --mission, or leave it out")
         if self.level in STICK_LEVELS:
             raise ConfigError(
                 f"--level {self.level}: robots are driven by hand there; "
@@ -116,6 +137,14 @@ def run_mission(
     firmware_parameters = (
         {} if settings.parameters is None else firmware.read_parameters(settings.parameters)
     )
+    missions: tuple[FirmwareMission, ...] = ()
+    if settings.missions:
+        entries = [entry for entry in scenario.fleet for _ in range(entry.count)]
+        missions = load_missions(settings.missions, entries, settings.origin, firmware_parameters)
+        for note in dict.fromkeys(str(note) for mission in missions for note in mission.notes):
+            report(note)
+        # What the user sets counts; all robots fly with the parameters of the slowest.
+        firmware_parameters = {**merge_parameters(missions), **firmware_parameters}
     binaries.find_binary(settings.binary)
     with ExitStack() as stack:
         interrupt = stack.enter_context(break_on_signal())
@@ -128,7 +157,7 @@ def run_mission(
         report(f"{scenario.name}: world {settings.world}, compiling, then booting {count} ArduSub")
         start_s = time.perf_counter()
         session = stack.enter_context(
-            _open_session(scenario, settings, firmware_parameters, recording.building)
+            _open_session(scenario, settings, firmware_parameters, recording.building, missions)
         )
         # Plans lead the base to the goal; the policy of such a task brings the end effector there.
         policy = OnlineFlyer(session, report=report) if scenario.by_end_effector else None
@@ -136,6 +165,10 @@ def run_mission(
         interrupt.check()
         autopilots = session.autopilots  # a crash removes them from the session
         _report_ready(autopilots, report)
+        auto = None
+        if missions:
+            auto = AutoFlight(session, missions)
+            goals = auto.goals
         check_goals(session, goals)
         watchers: list[Watcher] = [recording]
         recording.begin(session)
@@ -144,6 +177,9 @@ def run_mission(
         if station is not None:
             station.join(session)
             watchers.append(station)
+        if auto is not None:
+            watchers.append(auto)
+            auto.begin()
         stop = stack.enter_context(stop_on_signal())
         with display(session) as display_watcher:
             flight = fly_mission(
@@ -152,19 +188,27 @@ def run_mission(
                 whole=settings.duration_s is not None,
                 goals=goals,
                 policy=policy,
+                has_completed=None if auto is None else auto.has_completed,
                 watchers=[*watchers, display_watcher],
                 stop=stop,
             )
         stop.closing = True
+        gaps: JsonTable = {}
+        if auto is not None and not flight.broken:
+            report("the batch simulator flies the plan of the mission")
+            gaps = {"mission": auto.measure_gaps(scenario, settings.world, flight.scene_s, report)}
         stored_run = recording.close(
             RecordedCourse(
                 steps=flight.steps,
                 wall_s=flight.wall_s,
                 compile_s=opened_s - autopilots.ready.wall_s,
                 more={
-                    "sitl": _summarise_run(
-                        autopilots, session.settings, settings.plan, flight, goals
-                    )
+                    "sitl": {
+                        **_summarise_run(
+                            autopilots, session.settings, settings.plan, flight, goals
+                        ),
+                        **gaps,
+                    }
                 },
                 interrupted=flight.broken,
             )
@@ -175,6 +219,7 @@ def run_mission(
 def _list_inputs(settings: MissionSettings) -> list[tuple[str, Path]]:
     """Return the input files of a flight beside those of its scenario."""
     files = [("plan", Path(name)) for name in settings.plan if name != GRID]
+    files += [("mission", path) for path in settings.missions]
     if settings.parameters is not None:
         files.append(("parameters", settings.parameters))
     return files
@@ -185,7 +230,17 @@ def _open_session(
     settings: MissionSettings,
     firmware_parameters: Mapping[str, float],
     building: Path,
+    missions: Sequence[FirmwareMission] = (),
 ) -> SitlSession:
+    of_missions: dict[str, Any] = {}
+    if missions:
+        of_missions = {
+            "home": missions[0].home,
+            "missions": [build_upload(mission) for mission in missions],
+            "points": MAX_POINTS,
+            "tolerances": lift_tolerances(),
+            "start_tolerance": 0.0,
+        }
     return SitlSession(
         scenario,
         world=settings.world,
@@ -196,6 +251,7 @@ def _open_session(
         folder=building / folder.ROBOTS,
         on_crash=settings.on_crash,
         parameters=firmware_parameters,
+        **of_missions,
     )
 
 

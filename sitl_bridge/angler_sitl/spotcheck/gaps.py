@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from angler_mjx.robot.control.allocation import NEUTRAL_US
 from angler_mjx.runs.storage.confidence_intervals import clustered_rates
+from angler_sitl.scene.path_distance import distance_to_path
 from angler_sitl.spotcheck.flight import Floats, SpotcheckFlight
 
 
@@ -108,7 +109,7 @@ def _compute_gap(
         apart_m=apart,
         track_rms_m=_rms(apart),
         track_end_m=float(np.linalg.norm(last_positions[0] - last_positions[1])),
-        path_rms_m=_rms(_distance_to_path(path, other_flown)),
+        path_rms_m=_rms(distance_to_path(path, other_flown)),
         endpoint_m=float(np.linalg.norm(end_positions[0] - end_positions[1])),
         arrival_s=ends[0] - ends[1] if arrived else float("nan"),
         clearance_m=float(row["min_clearance_m"] - other_row["min_clearance_m"]),
@@ -126,19 +127,6 @@ def _compute_effort(pwm_us: NDArray[np.int64]) -> float:
     deviation = np.where(pwm_us == 0, 0.0, pwm_us - NEUTRAL_US)
     used = np.any(deviation != 0.0, axis=0)
     return _rms(deviation[:, used]) if used.any() else 0.0
-
-
-def _distance_to_path(points: Floats, path: Floats) -> Floats:
-    """Return the distance [n] of points [n, 3] to a path [m, 3] of straight segments."""
-    if len(path) < 2:
-        distances: Floats = np.linalg.norm(points - path[0], axis=1)
-        return distances
-    begin, piece = path[:-1], np.diff(path, axis=0)
-    length = np.maximum(np.sum(piece**2, axis=1), 1e-12)
-    offsets = points[:, None] - begin
-    fractions = np.clip(np.sum(offsets * piece, axis=2) / length, 0.0, 1.0)
-    nearest: Floats = np.min(np.linalg.norm(offsets - fractions[..., None] * piece, axis=2), axis=1)
-    return nearest
 
 
 def summarise_gaps(gaps: Sequence[FlightGap]) -> GapSummary:

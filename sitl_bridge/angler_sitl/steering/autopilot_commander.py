@@ -29,6 +29,9 @@ MODE_NAMES = {
     21: "SURFTRAK",
 }
 
+AUTO_MODE = 3
+"""Number of the mode in which the firmware flies its mission."""
+
 STREAM_RATES_HZ = {
     dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 50.0,
     dialect.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 50.0,
@@ -109,6 +112,10 @@ class AutopilotCommander:
     def send_neutral(self) -> None:
         """Set all passed-through outputs to neutral."""
         self.link.send(messages.build_override(self.sysid, np.full(_N_OUTPUTS, NEUTRAL_US)))
+
+    def set_mode(self, mode: int) -> None:
+        """Request a mode by the firmware's number; the heartbeat shows whether it is followed."""
+        self.link.command(dialect.MAV_CMD_DO_SET_MODE, 1, mode)
 
     @property
     def armed(self) -> bool:

@@ -25,6 +25,7 @@ class CommandSender:
 
     Attributes:
         memory: of the controllers, [1, R] leading.
+        silent: indices of robots that fly on their own, in AUTO: they receive no commands.
     """
 
     def __init__(self, level: CommandLevel, spec: SimSpec) -> None:
@@ -35,6 +36,7 @@ class CommandSender:
             spec: of that level, see `angler_sitl.steering.levels.build_level_spec`.
         """
         self._level, self._guidance = level, Guidance(spec)
+        self.silent: frozenset[int] = frozenset()
 
     def reset(self, scene: AutopilotScene, command: MixedCommand) -> None:
         """Reset the controllers, with the vehicles at their starts.
@@ -44,7 +46,7 @@ class CommandSender:
             command: any valid command; one decision is made and discarded, so that no later
                 decision waits for a compiler.
         """
-        vehicles = scene.state.vehicles
+        vehicles, self.silent = scene.state.vehicles, frozenset()
         self.memory = self._guidance.initialise_memory(scene.worlds, vehicles)
         self._guidance.decide(
             scene.worlds,
@@ -75,7 +77,8 @@ class CommandSender:
         self.memory = decision.memory
         scene.command_joints(decision.memory.joints)
         for i, (pilot, robot) in enumerate(zip(pilots, robots, strict=True)):
-            pilot.link.send(self._build_message(i, pilot, robot, scene.time_s, decision.output))
+            if i not in self.silent:
+                pilot.link.send(self._build_message(i, pilot, robot, scene.time_s, decision.output))
         return decision
 
     def _build_message(

@@ -57,6 +57,7 @@ class MavlinkLink:
         parameters: received values by name.
         parameter_count: number of its parameters; 0 until reported.
         parameter_indices: numbers of the received parameters.
+        reached: numbers of mission items that it completed, in order, each with the scene's time.
         acks: result of the latest acknowledgement of each command, by the command's number.
         listeners: receivers of each packet of its autopilot.
     """
@@ -77,6 +78,7 @@ class MavlinkLink:
         self.parameters: dict[str, float] = {}
         self.parameter_count = 0
         self.parameter_indices: set[int] = set()
+        self.reached: list[tuple[int, float]] = []
         self.acks: dict[int, int] = {}
         self.listeners: list[Callable[[bytes], None]] = []
 
@@ -180,6 +182,8 @@ class MavlinkLink:
                 time_s=self._time_s, severity=message.severity, text=message.text
             )
             self.texts.append(status_text)
+        elif kind == "MISSION_ITEM_REACHED":
+            self.reached.append((int(message.seq), self._time_s))
         elif kind == "COMMAND_ACK":
             self.acks[message.command] = message.result
 

@@ -62,6 +62,21 @@ def build_position_target(
     )
 
 
+def build_home(sysid: int, latitude_deg: float, longitude_deg: float) -> MavlinkMessage:
+    """Build the command that puts home at the surface, at altitude 0."""
+    return dialect.MAVLink_command_int_message(
+        sysid,
+        1,
+        dialect.MAV_FRAME_GLOBAL,
+        dialect.MAV_CMD_DO_SET_HOME,
+        *(0, 0),
+        *(0.0, 0.0, 0.0, 0.0),
+        round(latitude_deg * 1e7),
+        round(longitude_deg * 1e7),
+        0.0,
+    )
+
+
 def build_manual_control(sysid: int, deflection: Floats) -> MavlinkMessage:
     """Build the message of a pilot's sticks.
 

@@ -237,3 +237,42 @@ def test_a_line_that_is_not_understood_is_refused_by_number(tmp_path, line, mess
     file.write_text("# comment\n" + line + "\n")
     with pytest.raises(ConfigError, match=r"vehicle\.params:2: .*" + re.escape(message)):
         parameters.read_parameters(file)
+
+
+def test_files_of_both_ground_stations_come_back(tmp_path):
+    values = {"WPNAV_SPEED": 30.0, "SYSID_THISMAV": 4.0, "PSC_VELXY_P": 0.1}
+    types = {"SYSID_THISMAV": 4, "WPNAV_SPEED": 9, "PSC_VELXY_P": 9}
+    plain = parameters.format_parameters(values, "param")
+    assert plain == "PSC_VELXY_P,0.1\nSYSID_THISMAV,4\nWPNAV_SPEED,30\n"
+    text = parameters.format_parameters(values, "params", types=types, sysid=4, version="4.6.0")
+    lines = [line for line in text.splitlines() if not line.startswith("#")]
+    assert lines[1] == "4\t1\tSYSID_THISMAV\t4\t4"
+    assert lines[2] == "4\t1\tWPNAV_SPEED\t30.000000000000000000\t9"
+    for name, content in (("a.param", plain), ("a.params", text)):
+        (tmp_path / name).write_text(content)
+        assert parameters.read_parameters(tmp_path / name) == values
+
+
+def test_mavproxy_reads_what_is_written(tmp_path):
+    """With pymavlink's reader of parameter files."""
+    mavparm = pytest.importorskip("pymavlink.mavparm")
+    values = {"WPNAV_SPEED": 30.0, "PSC_VELXY_P": 0.1}
+    path = tmp_path / "a.param"
+    path.write_text(parameters.format_parameters(values, "param"))
+    read = mavparm.MAVParmDict()
+    assert read.load(str(path), check=False, mav=None)
+    assert dict(read) == pytest.approx(values)
+
+
+@pytest.mark.sitl
+def test_a_real_autopilot_takes_the_parameters_and_gives_all(ardusub, tmp_path):
+    from angler_mjx.cli.main import main
+
+    (tmp_path / "mine.param").write_text("WPNAV_SPEED,30\n")
+    out = tmp_path / "all.params"
+    extra = ["--parameters", str(tmp_path / "mine.param"), "--ardusub", str(ardusub.path)]
+    main(["sitl", "parameters", "--out", str(out), *extra])
+    read = parameters.read_parameters(out)
+    assert len(read) > 1000
+    assert read["WPNAV_SPEED"] == 30.0
+    assert read["FRAME_CONFIG"] == 2.0

@@ -25,6 +25,7 @@ from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.teleop import driving, opening
 from angler_mjx.testing import referee
 from angler_sitl.missions import mission
+from angler_sitl.missions.firmware_mission import build_upload
 from angler_sitl.missions.mission import MissionSettings
 from angler_sitl.session import SitlSession
 
@@ -78,12 +79,14 @@ def session(compiled, request, monkeypatch):
     before = compiled.settings
     compiled.settings = replace(before, binary=request.getfixturevalue(program))
 
-    def opened(scenario, settings, given, building):
+    def opened(scenario, settings, given, building, missions=()):
         compiled.settings = replace(
             compiled.settings,
             on_crash=settings.on_crash,
             folder=building / "robots",
             parameters=dict(given),
+            missions=[build_upload(mission) for mission in missions],
+            **({"home": missions[0].home} if missions else {}),
         )
         compiled.reset()
         return compiled
