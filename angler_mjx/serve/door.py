@@ -110,10 +110,7 @@ class Door:
             density_kgpm3=spec.water.density_kgpm3,
             gravity_mps2=spec.water.gravity_mps2,
         )
-        has_actions = [
-            {topics.ACTION, "unique_identifier_msgs/UUID"}.isdisjoint(backend.missing)
-            for backend in backends
-        ]
+        has_actions = [topics.ACTION not in backend.missing for backend in backends]
         published = topics.list_published(session.robots)
         if any(has_actions):
             published += [
