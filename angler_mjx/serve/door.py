@@ -270,6 +270,7 @@ class Door:
         except ConfigError as error:
             reply(services.encode_trigger(False, str(error)))
             return
+        self._publisher.flush()
         reply(services.encode_trigger(True, "paused" if self._paused else "running"))
 
     def _step(self, _: bytes, reply: Reply) -> None:

@@ -1,7 +1,7 @@
 """Readings of the robots' instruments, as the scenario's ``[fleet.sensors]`` describe them.
 
-Robots whose controllers use a filter publish the readings that the filter takes. The others have
-the same instruments, with random numbers of the session's seed.
+Robots whose controllers use a filter publish the readings that the filter takes. Those of robots
+whose controllers use the truth are exact.
 """
 
 from collections.abc import Sequence

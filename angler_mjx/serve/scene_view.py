@@ -33,12 +33,16 @@ class SceneView:
 
 
 def list_facts(scenario: Scenario) -> tuple[RobotFacts, ...]:
-    """Return the facts of a scenario's robots, in order."""
-    return tuple(
-        RobotFacts(battery_v=float(entry.battery_v), sensors=entry.state_source()[1])
-        for entry in scenario.fleet
-        for _ in range(entry.count)
-    )
+    """Return the facts of a scenario's robots, in order.
+
+    Instruments of robots whose controllers use the truth are exact.
+    """
+    facts = []
+    for entry in scenario.fleet:
+        source, sensors = entry.state_source()
+        sensors = SensorsConfig(noise=False) if source == "truth" else sensors
+        facts += [RobotFacts(battery_v=float(entry.battery_v), sensors=sensors)] * entry.count
+    return tuple(facts)
 
 
 def view_scene(session: Drivable, observation: Observation) -> SceneView:

@@ -1,5 +1,6 @@
 """Messages as bytes of CDR and back: the only encoder, of bags and of live topics."""
 
+import re
 from collections.abc import Callable, Mapping
 from functools import cache
 from typing import Any
@@ -8,6 +9,21 @@ from mcap_ros2._dynamic import generate_dynamic, serialize_dynamic
 
 from angler_mjx.report.interop.ros_definitions import message_definition
 from angler_mjx.report.interop.ros_types import ALL_FIELDS
+
+def _join_words(name: str) -> str:
+    """Return the name of a part of a service or action as that of a message, as in ``A_Request``.
+
+    The library takes names of messages alone, which have no underscores.
+    """
+    package, _, short = name.partition("/")
+    return f"{package}/{short.replace('_', '')}"
+
+
+_FIELDS = {
+    _join_words(name): re.sub(r"\w+/\w+", lambda match: _join_words(match[0]), text)
+    for name, text in ALL_FIELDS.items()
+}
+"""Fields by names without underscores."""
 
 type Encoder = Callable[[Mapping[str, object]], bytes]
 type Decoder = Callable[[bytes], Any]
@@ -20,8 +36,9 @@ def find_encoder(name: str) -> Encoder:
     Args:
         name: package/Name, one of `ros_types.ALL_FIELDS`.
     """
-    full = name.replace("/", "/msg/")
-    encode: Encoder = serialize_dynamic(full, message_definition(name, ALL_FIELDS))[full]
+    joined = _join_words(name)
+    full = joined.replace("/", "/msg/")
+    encode: Encoder = serialize_dynamic(full, message_definition(joined, _FIELDS))[full]
     return encode
 
 
@@ -34,6 +51,7 @@ def find_decoder(name: str) -> Decoder:
     Args:
         name: package/Name, one of `ros_types.ALL_FIELDS`.
     """
-    full = name.replace("/", "/msg/")
-    decode: Decoder = generate_dynamic(full, message_definition(name, ALL_FIELDS))[full]
+    joined = _join_words(name)
+    full = joined.replace("/", "/msg/")
+    decode: Decoder = generate_dynamic(full, message_definition(joined, _FIELDS))[full]
     return decode
