@@ -129,5 +129,3 @@ class CommandInbox:
             return False
         self.put(robot, topic, command)
         return True
-
-

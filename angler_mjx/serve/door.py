@@ -225,9 +225,7 @@ class Door:
             for i, info in enumerate(self._session.robots):
                 self._open_action(backend, i, topics.action_services(info))
 
-    def _open_action(
-        self, backend: Backend, robot: int, served: dict[str, topics.Service]
-    ) -> None:
+    def _open_action(self, backend: Backend, robot: int, served: dict[str, topics.Service]) -> None:
         goals, put = self._goals[robot], self._events.put
         backend.serve(
             served["send_goal"],

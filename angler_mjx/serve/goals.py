@@ -84,9 +84,7 @@ class _Goal:
 class GoalServer:
     """Goals of one robot."""
 
-    def __init__(
-        self, session: Session, robot: int, inbox: CommandInbox, publish: Publish
-    ) -> None:
+    def __init__(self, session: Session, robot: int, inbox: CommandInbox, publish: Publish) -> None:
         """Compile the reference of goals.
 
         Args:
@@ -354,9 +352,7 @@ class GoalServer:
     def _list_active(self) -> list[_Goal]:
         return [goal for goal in self._goals if goal.is_active]
 
-    def _finish(
-        self, goal: _Goal, status: int, code: ResultCode, text: str, time_s: float
-    ) -> None:
+    def _finish(self, goal: _Goal, status: int, code: ResultCode, text: str, time_s: float) -> None:
         goal.status, goal.code, goal.text = status, code, text
         self.finished += 1
         waiting, goal.waiting = goal.waiting, []

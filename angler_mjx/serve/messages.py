@@ -28,7 +28,9 @@ _LIPO, _DISCHARGING = 3, 2
 _DVL_MIN_M, _DVL_MAX_M = 0.05, 50.0
 
 
-def measure_joints(info: RobotInfo, state: Estimate, robot: int) -> tuple[list[str], Floats, Floats]:
+def measure_joints(
+    info: RobotInfo, state: Estimate, robot: int
+) -> tuple[list[str], Floats, Floats]:
     """Return names, positions and speeds of a robot's joints: of the vehicle, then of the arm.
 
     Args:
@@ -80,7 +82,9 @@ class SceneMessages:
         self._instruments.reset(internals.worlds, seed, _truth(view))
         self._energy_j = view.energy_j
         environment, path = jax.device_get(
-            jax.tree.map(lambda leaf: leaf[0], (internals.worlds.environment, internals.worlds.path))
+            jax.tree.map(
+                lambda leaf: leaf[0], (internals.worlds.environment, internals.worlds.path)
+            )
         )
         self._environment, self._path = environment, path
 
@@ -99,7 +103,9 @@ class SceneMessages:
                 lambda i=i: ros.make_path(MAP_FRAME, *trace_path(of_robot(self._path, i))),
             )
 
-    def build_step(self, view: SceneView, notes: Sequence[dict[str, str]]) -> Iterator[tuple[str, Build]]:
+    def build_step(
+        self, view: SceneView, notes: Sequence[dict[str, str]]
+    ) -> Iterator[tuple[str, Build]]:
         """Return the names and builders of the messages of a step, the most urgent first.
 
         Call once in each step, and iterate to the end: the instruments have memory.
@@ -271,9 +277,7 @@ class SceneMessages:
 
     def _diagnostics(self, view: SceneView, notes: Sequence[dict[str, str]]) -> ros.Message:
         statuses = []
-        for info, status, note in zip(
-            self._robots, view.observation.status, notes, strict=True
-        ):
+        for info, status, note in zip(self._robots, view.observation.status, notes, strict=True):
             is_running = status.outcome is Outcome.RUNNING
             level = _ERROR if not is_running else _WARN if status.refused else _OK
             if status.outcome is Outcome.REACHED:

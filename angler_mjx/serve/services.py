@@ -32,7 +32,9 @@ def decode_pause(data: bytes) -> bool:
 
 def encode_trigger(success: bool, message: str) -> bytes:
     """Return the answer of a ``std_srvs/Trigger`` or ``SetBool``."""
-    return bytes(find_encoder("std_srvs/Trigger_Response")({"success": success, "message": message}))
+    return bytes(
+        find_encoder("std_srvs/Trigger_Response")({"success": success, "message": message})
+    )
 
 
 def answer_parameters(data: bytes) -> SeedAnswer:

@@ -121,7 +121,5 @@ def action_topics(robot: RobotInfo) -> dict[str, Topic]:
     root = f"{action_name(robot)}/_action"
     return {
         "feedback": Topic(name=f"{root}/feedback", message=f"{ACTION}_FeedbackMessage"),
-        "status": Topic(
-            name=f"{root}/status", message="action_msgs/GoalStatusArray", latched=True
-        ),
+        "status": Topic(name=f"{root}/status", message="action_msgs/GoalStatusArray", latched=True),
     }

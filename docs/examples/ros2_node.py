@@ -21,7 +21,9 @@ class CircleFleet(Node):
         for i in range(robots):
             root = f"/robot_{i}"
             self.velocity.append(self.create_publisher(Twist, f"{root}/cmd_vel", 10))
-            self.create_subscription(Odometry, f"{root}/odometry", lambda m, i=i: self.see(i, m), 10)
+            self.create_subscription(
+                Odometry, f"{root}/odometry", lambda m, i=i: self.see(i, m), 10
+            )
         self.create_timer(PERIOD_S, self.command)
 
     def see(self, i, odometry):

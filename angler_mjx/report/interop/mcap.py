@@ -105,7 +105,6 @@ class _BagWorld:
         return [f"{self.name}/robot_{i}" for i in range(self.p_m.shape[1])]
 
 
-
 def export_bag(
     run: Run,
     out: Path,

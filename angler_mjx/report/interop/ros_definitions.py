@@ -98,9 +98,7 @@ FIELDS: dict[str, str] = {
         "trajectory_msgs/MultiDOFJointTrajectoryPoint[] points"
     ),
     "unique_identifier_msgs/UUID": "uint8[16] uuid",
-    "action_msgs/GoalInfo": (
-        "unique_identifier_msgs/UUID goal_id\nbuiltin_interfaces/Time stamp"
-    ),
+    "action_msgs/GoalInfo": ("unique_identifier_msgs/UUID goal_id\nbuiltin_interfaces/Time stamp"),
     "action_msgs/GoalStatus": (
         "int8 STATUS_UNKNOWN=0\nint8 STATUS_ACCEPTED=1\nint8 STATUS_EXECUTING=2\n"
         "int8 STATUS_CANCELING=3\nint8 STATUS_SUCCEEDED=4\nint8 STATUS_CANCELED=5\n"

@@ -10,6 +10,7 @@ from mcap_ros2._dynamic import generate_dynamic, serialize_dynamic
 from angler_mjx.report.interop.ros_definitions import message_definition
 from angler_mjx.report.interop.ros_types import ALL_FIELDS
 
+
 def _join_words(name: str) -> str:
     """Return the name of a part of a service or action as that of a message, as in ``A_Request``.
 

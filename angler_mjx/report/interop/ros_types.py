@@ -87,8 +87,7 @@ MORE_FIELDS: dict[str, str] = {
         "trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_error"
     ),
     "control_msgs/FollowJointTrajectory_FeedbackMessage": (
-        "unique_identifier_msgs/UUID goal_id\n"
-        "control_msgs/FollowJointTrajectory_Feedback feedback"
+        "unique_identifier_msgs/UUID goal_id\ncontrol_msgs/FollowJointTrajectory_Feedback feedback"
     ),
 }
 """Fields of what services and actions consist of, and of ``Range`` as it is since ROS 2 Iron."""
@@ -133,7 +132,7 @@ def full_name(name: str) -> str:
     package, _, short = name.partition("/")
     if "FollowJointTrajectory" in short:
         kind = "action"
-    elif name in SERVICES or short.rpartition("_")[0] and f"{package}/{_stem(short)}" in SERVICES:
+    elif name in SERVICES or (short.rpartition("_")[0] and f"{package}/{_stem(short)}" in SERVICES):
         kind = "srv"
     else:
         kind = "msg"
@@ -208,7 +207,9 @@ def _describe_named(name: str) -> tuple[dict[str, object], list[str]]:
     return described, [full for full in nested if full]
 
 
-def _describe(name: str, fields: list[tuple[str, str]]) -> dict[str, list[dict[str, dict[str, str]]]]:
+def _describe(
+    name: str, fields: list[tuple[str, str]]
+) -> dict[str, list[dict[str, dict[str, str]]]]:
     described = [{"name": field, "type": _field_type(kind)} for field, kind in fields]
     return {"type_name": full_name(name), "fields": described}  # type: ignore[dict-item]
 

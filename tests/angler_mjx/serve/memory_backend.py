@@ -36,9 +36,7 @@ control_msgs/JointComponentTolerance[] component_goal_tolerance
 builtin_interfaces/Duration goal_time_tolerance""",
     "control_msgs/msg/SendResponse": "bool accepted\nbuiltin_interfaces/Time stamp",
     "control_msgs/msg/ResultResponse": "int8 status\nint32 error_code\nstring error_string",
-    "control_msgs/msg/CancelResponse": (
-        "int8 return_code\naction_msgs/GoalInfo[] goals_canceling"
-    ),
+    "control_msgs/msg/CancelResponse": ("int8 return_code\naction_msgs/GoalInfo[] goals_canceling"),
     "control_msgs/msg/Feedback": """
 unique_identifier_msgs/UUID goal_id
 std_msgs/Header header

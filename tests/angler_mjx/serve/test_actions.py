@@ -201,5 +201,3 @@ def test_a_reset_and_the_end_answer_those_who_wait(session, scene):
         backend.step()
     assert ended.wait(10)
     assert read_result(last).status == ABORTED
-
-

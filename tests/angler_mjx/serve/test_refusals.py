@@ -147,7 +147,12 @@ def test_a_duration_ends_it(session, scene):
 
 
 def test_pace_is_a_word_or_a_number():
-    assert [parse_pace(word) for word in ("real", "max", "step", "2.5")] == [1.0, "max", "step", 2.5]
+    assert [parse_pace(word) for word in ("real", "max", "step", "2.5")] == [
+        1.0,
+        "max",
+        "step",
+        2.5,
+    ]
     for word in ("fast", "0", "-1", "nan", "inf"):
         with pytest.raises(ConfigError, match="--pace"):
             parse_pace(word)
