@@ -44,6 +44,7 @@ class RclpyBackend:
             os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         try:
             import rclpy
+            from rclpy.callback_groups import ReentrantCallbackGroup
             from rclpy.executors import SingleThreadedExecutor
         except ImportError as error:
             raise UnsupportedError(
@@ -57,6 +58,8 @@ class RclpyBackend:
         )
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
+        # Requests that wait, such as that of a result, hold up no other.
+        self._group = ReentrantCallbackGroup()
         self._publishers: dict[str, Any] = {}
         self.missing: tuple[str, ...] = self._list_missing()
         self._require_alone()
@@ -107,10 +110,15 @@ class RclpyBackend:
 
         async def handle(request: Any, _: Any) -> Any:
             answered = Future(executor=self._executor)
-            answer(serialize_message(request), answered.set_result)
+
+            def reply(data: bytes) -> None:
+                answered.set_result(data)
+                self._executor.wake()
+
+            answer(serialize_message(request), reply)
             return deserialize_message(await answered, kind.Response)
 
-        self._node.create_service(kind, service.name, handle)
+        self._node.create_service(kind, service.name, handle, callback_group=self._group)
 
     def close(self) -> None:
         """See `Backend.close`."""
