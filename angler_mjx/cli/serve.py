@@ -51,9 +51,10 @@ def serve(
         backend: rclpy: a node of ROS 2; zenoh: a router of Zenoh with the keys of rmw_zenoh_cpp;
             auto: rclpy where it can be imported, else zenoh; none: only --foxglove.
         foxglove: Serve a WebSocket for Foxglove too.
-        pace: real, a multiple of real time as in 2.5, max, or step: clients call the service /step.
-        control_dt_s: Control period, and so that of messages; the scenario's if left out. 0.02 gives
-            50 Hz.
+        pace: real, a multiple of real time as in 2.5, max, or step: clients call the service
+            /step.
+        control_dt_s: Control period, and so that of messages; the scenario's if left out. 0.02
+            gives 50 Hz.
         address: Address to listen at. Any other than that of loopback can be reached from outside,
             and everybody there can command the robots.
         port: Port of Zenoh.
@@ -150,7 +151,8 @@ def _print_result(result: "DoorResult") -> None:
     """Print the result, in a line for all and a line for each robot."""
     pace = "" if result.overruns is None else f", {result.overruns}"
     print(
-        f"{result.scene_s:.2f} s of the scene in {result.wall_s:.2f} s, {result.steps} steps{pace}; "
+        f"{result.scene_s:.2f} s of the scene in {result.wall_s:.2f} s, "
+        f"{result.steps} steps{pace}\n"
         f"{result.sent} messages sent, {result.received} received, {result.refused} refused"
     )
     for i, status in enumerate(result.last.status):

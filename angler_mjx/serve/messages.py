@@ -1,6 +1,7 @@
 """Messages of a session after each step, as tables of their fields."""
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 
 import jax
 import numpy as np
@@ -97,11 +98,8 @@ class SceneMessages:
             },
         )
         for i, info in enumerate(self._robots):
-            yield f"/{info.name}/goal", lambda i=i: self._goal(i)
-            yield (
-                f"/{info.name}/plan",
-                lambda i=i: ros.make_path(MAP_FRAME, *trace_path(of_robot(self._path, i))),
-            )
+            yield f"/{info.name}/goal", partial(self._goal, i)
+            yield f"/{info.name}/plan", partial(self._plan, i)
 
     def build_step(
         self, view: SceneView, notes: Sequence[dict[str, str]]
@@ -119,28 +117,31 @@ class SceneMessages:
         spent_j, self._energy_j = view.energy_j - self._energy_j, view.energy_j
         yield "/clock", lambda: {"clock": ros.make_stamp(time_s)}
         for i, info in enumerate(self._robots):
-            yield f"/{info.name}/odometry", lambda i=i: self._odometry(view, i, estimated=False)
-            yield f"/{info.name}/imu/data", lambda i=i: self._imu(view, readings, i)
+            yield f"/{info.name}/odometry", partial(self._odometry, view, i, estimated=False)
+            yield f"/{info.name}/imu/data", partial(self._imu, view, readings, i)
         yield "/tf", lambda: self._frames(view)
         for i, info in enumerate(self._robots):
             root = f"/{info.name}"
             yield (
                 f"{root}/local_position/odom",
-                lambda i=i: self._odometry(view, i, estimated=True),
+                partial(self._odometry, view, i, estimated=True),
             )
-            yield f"{root}/imu/static_pressure", lambda i=i: self._pressure(view, readings, i)
-            yield f"{root}/dvl/twist", lambda i=i: self._dvl(view, readings, i)
-            yield f"{root}/dvl/range", lambda i=i: self._altitude(view, readings, i)
-            yield f"{root}/battery", lambda i=i: self._battery(view, float(spent_j[i]), i)
-            yield f"{root}/joint_states", lambda i=i: self._joints(view, i)
-            yield f"{root}/thruster_pwm_us", lambda i=i: self._signals(view, i)
-            yield f"{root}/clearance", lambda i=i: self._clearance(view, i)
-            yield f"{root}/current", lambda i=i: self._current(view, i)
+            yield f"{root}/imu/static_pressure", partial(self._pressure, view, readings, i)
+            yield f"{root}/dvl/twist", partial(self._dvl, view, readings, i)
+            yield f"{root}/dvl/range", partial(self._altitude, view, readings, i)
+            yield f"{root}/battery", partial(self._battery, view, float(spent_j[i]), i)
+            yield f"{root}/joint_states", partial(self._joints, view, i)
+            yield f"{root}/thruster_pwm_us", partial(self._signals, view, i)
+            yield f"{root}/clearance", partial(self._clearance, view, i)
+            yield f"{root}/current", partial(self._current, view, i)
         yield "/obstacles", lambda: self._obstacles(view)
         yield "/diagnostics", lambda: self._diagnostics(view, notes)
 
     def _base(self, robot: int) -> str:
         return f"{self._robots[robot].name}/base_link"
+
+    def _plan(self, robot: int) -> ros.Message:
+        return ros.make_path(MAP_FRAME, *trace_path(of_robot(self._path, robot)))
 
     def _goal(self, robot: int) -> ros.Message:
         goal = np.asarray(self._environment.goal_m[robot], float)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from angler_mjx.errors import ConfigError, RunError, format_value
+from angler_mjx.files import JsonTable
 from angler_mjx.runs.session.recording import RecordedCourse, SessionRecording
 from angler_mjx.runs.storage import folder
 from angler_mjx.runs.storage.folder import Run
@@ -149,7 +150,7 @@ def serve_session(
     return result, recorded
 
 
-def _build_summary(result: DoorResult) -> dict[str, object]:
+def _build_summary(result: DoorResult) -> JsonTable:
     overruns = result.overruns
     return {
         "steps": result.steps,

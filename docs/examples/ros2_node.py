@@ -2,6 +2,7 @@
 
 import math
 import sys
+from functools import partial
 
 import rclpy
 from geometry_msgs.msg import Twist
@@ -14,24 +15,22 @@ ROBOTS, SPEED_MPS, TURN_RADPS, PERIOD_S = 8, 0.3, 0.25, 0.05
 class CircleFleet(Node):
     """Node that reads the odometry of each robot and sends its velocity."""
 
-    def __init__(self, robots):
+    def __init__(self, robots: int) -> None:
         super().__init__("circle_fleet")
         self.depths, self.z = {}, {}
         self.velocity = []
         for i in range(robots):
             root = f"/robot_{i}"
             self.velocity.append(self.create_publisher(Twist, f"{root}/cmd_vel", 10))
-            self.create_subscription(
-                Odometry, f"{root}/odometry", lambda m, i=i: self.see(i, m), 10
-            )
+            self.create_subscription(Odometry, f"{root}/odometry", partial(self.see, i), 10)
         self.create_timer(PERIOD_S, self.command)
 
-    def see(self, i, odometry):
+    def see(self, i: int, odometry: Odometry) -> None:
         """Keep the height of a robot; the first one is where it stays."""
         self.z[i] = odometry.pose.pose.position.z
         self.depths.setdefault(i, self.z[i])
 
-    def command(self):
+    def command(self) -> None:
         """Send a velocity to each robot that was seen: forward, round, and back to its depth."""
         for i, z in self.z.items():
             twist = Twist()

@@ -8,6 +8,7 @@ import hashlib
 import json
 import re
 from functools import cache
+from typing import Any
 
 from angler_mjx.report.interop.ros_definitions import FIELDS
 
@@ -153,7 +154,7 @@ def type_hash(name: str) -> str:
         pending = [field["type"]["nested_type_name"] for field in top["fields"]]
     else:
         top, pending = _describe_named(name)
-    referenced: dict[str, dict[str, object]] = {}
+    referenced: dict[str, dict[str, Any]] = {}
     while pending:
         nested = pending.pop()
         if nested not in referenced:
@@ -200,18 +201,16 @@ def _message_fields(name: str) -> list[tuple[str, str]]:
     return [(field, kind) for kind, field in rows]
 
 
-def _describe_named(name: str) -> tuple[dict[str, object], list[str]]:
+def _describe_named(name: str) -> tuple[dict[str, Any], list[str]]:
     """Return the description of a type, and the full names of the types in it."""
     described = _describe(name, _message_fields(name))
     nested = [field["type"]["nested_type_name"] for field in described["fields"]]
     return described, [full for full in nested if full]
 
 
-def _describe(
-    name: str, fields: list[tuple[str, str]]
-) -> dict[str, list[dict[str, dict[str, str]]]]:
+def _describe(name: str, fields: list[tuple[str, str]]) -> dict[str, Any]:
     described = [{"name": field, "type": _field_type(kind)} for field, kind in fields]
-    return {"type_name": full_name(name), "fields": described}  # type: ignore[dict-item]
+    return {"type_name": full_name(name), "fields": described}
 
 
 def _field_type(kind: str) -> dict[str, object]:

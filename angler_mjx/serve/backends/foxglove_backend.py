@@ -4,7 +4,7 @@ import json
 import threading
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 from angler_mjx.errors import ConfigError, UnsupportedError
 from angler_mjx.report.interop.ros_definitions import message_definition
@@ -51,7 +51,7 @@ class FoxgloveBackend:
                     foxglove.Capability.Services,
                     foxglove.Capability.Time,
                 ],
-                server_listener=self._listener,
+                server_listener=cast(Any, self._listener),  # without parameters and graphs
                 supported_encodings=["cdr", "json"],
                 context=self._context,
             )

@@ -157,13 +157,17 @@ def test_a_second_door_is_refused_and_only_loopback_is_open(session, scene):
 
 
 VANISH = """
-import os, sys, zenoh
+import os, sys, time, zenoh
+
+def die(sample):
+    print("seen", flush=True)
+    os.kill(os.getpid(), 9)
+
 config = zenoh.Config()
 config.insert_json5("mode", '"client"')
 config.insert_json5("connect/endpoints", f'["tcp/127.0.0.1:{sys.argv[1]}"]')
 client = zenoh.open(config)
-subscriber = client.declare_subscriber("0/**", lambda sample: (print("seen", flush=True), os.kill(os.getpid(), 9)))
-import time
+subscriber = client.declare_subscriber("0/**", die)
 time.sleep(60)
 """
 
