@@ -4,7 +4,7 @@
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
-EXTRAS := view,video,plan,sitl,tune,learn,export,ocean,dev
+EXTRAS := view,video,plan,sitl,live,tune,learn,export,ocean,dev
 CODE := angler_mjx kernels sitl_bridge experiments tests tools
 
 # Compiled programs survive the process and the checkout, in the folder that `angler` uses too.

@@ -32,6 +32,7 @@ DISTRIBUTION = {
     "angler_kernels": "angler-mjx",
     "angler_mjx": "angler-mjx",
     "angler_sitl": "angler-mjx",
+    "foxglove": "foxglove-sdk",
     "google_crc32c": "google-crc32c",
     "mcap_ros2": "mcap-ros2-support",
     "mpl_toolkits": "matplotlib",
@@ -40,6 +41,7 @@ DISTRIBUTION = {
     "pydantic_core": "pydantic",
     "rerun": "rerun-sdk",
     "yaml": "pyyaml",
+    "zenoh": "eclipse-zenoh",
 }
 """Where a module comes from, if not from what is called like it."""
 
@@ -50,6 +52,8 @@ OF_EXTRAS = {
     "coal": "plan",
     "grain": "learn",
     "gymnasium": "learn",
+    "eclipse-zenoh": "live",
+    "foxglove-sdk": "live",
     "h5netcdf": "ocean",
     "cftime": "ocean",
     "h5py": "export",
@@ -68,6 +72,10 @@ OF_EXTRAS = {
 """Distributions that the package does without, and who brings them."""
 OF_EXPERIMENTS = OF_EXTRAS | {"xarray": "ocean"}
 """The same of the experiments, which need no extra of the package."""
+
+
+OF_ROS = {"rclpy"}
+"""Modules that come with an installation of ROS 2, which no extra can bring."""
 
 
 def _names(requirements):
@@ -117,7 +125,7 @@ def test_what_is_imported_is_declared(distribution):
     missing = [
         (name, str(path))
         for name, path, _ in _foreign(distribution)
-        if name not in declared and name not in _names(extras.get(of_extras.get(name), ()))
+        if name not in OF_ROS | declared and name not in _names(extras.get(of_extras.get(name), ()))
     ]
     assert missing == []
 

@@ -1,6 +1,6 @@
 """Bag of ROS 2 messages in the MCAP format, complete for ROS 2 and Foxglove."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -8,10 +8,8 @@ from typing import Self
 from mcap.well_known import SchemaEncoding
 from mcap.writer import Writer
 
-# The package's own writer cannot mark topics as latched for late listeners.
-from mcap_ros2._dynamic import serialize_dynamic
-
 from angler_mjx.report.interop.ros_definitions import message_definition
+from angler_mjx.report.interop.ros_encoding import Encoder, find_encoder
 
 _KEEP_LAST, _RELIABLE, _TRANSIENT_LOCAL, _VOLATILE, _AUTOMATIC = 1, 1, 1, 2, 1
 """Values of ``rmw_qos_profile_t``; as numbers every ROS 2 since Humble reads them."""
@@ -20,15 +18,17 @@ _FOREVER = "{sec: 9223372036, nsec: 854775807}"
 
 
 class Bag:
-    """Writer of messages, each a table of its fields; missing fields are 0 or empty."""
+    """Writer of messages, each a table of its fields; missing fields are 0 or empty.
+
+    The writer of ``mcap-ros2-support`` cannot mark topics as latched for late listeners.
+    """
 
     def __init__(self, path: Path) -> None:
         """Open a new file; an existing one is overwritten."""
         self._file = path.open("wb")
         self._writer = Writer(self._file)
         self._schemas: dict[str, int] = {}
-        self._encoders: dict[str, Callable[[Mapping[str, object]], bytes]] = {}
-        self._channels: dict[str, tuple[int, Callable[[Mapping[str, object]], bytes]]] = {}
+        self._channels: dict[str, tuple[int, Encoder]] = {}
         self._writer.start(profile="ros2", library="angler-mjx")
 
     def __enter__(self) -> Self:
@@ -61,14 +61,13 @@ class Bag:
             self._schemas[message] = self._writer.register_schema(
                 full, SchemaEncoding.ROS2, text.encode()
             )
-            self._encoders[message] = serialize_dynamic(full, text)[full]
         channel = self._writer.register_channel(
             topic=name,
             message_encoding="cdr",
             schema_id=self._schemas[message],
             metadata={"offered_qos_profiles": _qos_profile(latched=latched)},
         )
-        self._channels[name] = channel, self._encoders[message]
+        self._channels[name] = channel, find_encoder(message)
 
     def write(self, topic: str, time_ns: int, message: Mapping[str, object]) -> None:
         """Write a message.

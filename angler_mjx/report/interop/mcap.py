@@ -16,7 +16,7 @@ import numpy as np
 import pyarrow.compute as pc
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.report.interop import current_markers, task_markers
+from angler_mjx.report.interop import current_markers, task_markers, world_markers
 from angler_mjx.report.interop import ros_messages as ros
 from angler_mjx.report.interop.bag import Bag
 from angler_mjx.robot.control.plans import Plan, of_robot, to_joint_goal, trace_path
@@ -30,21 +30,12 @@ from angler_mjx.runs.storage.read_errors import wrap_read_errors
 from angler_mjx.runs.storage.results import end_time_s
 from angler_mjx.sim.posture import trace_links
 from angler_mjx.world.environment import Environment
-from angler_mjx.world.obstacles import BOX, CAPSULE, SPHERE, STATIC
 from angler_mjx.world.slices import CurrentSlices, slice_flight
 from angler_mjx.world.tasks.history import TaskHistory
 from angler_mjx.world.tasks.surface_quads import SurfaceQuads, survey_surface
 
 MAP_FRAME = "map"
 """Root frame of all worlds."""
-
-_ROCK, _STILL, _MOVING, _GOAL = (
-    (0.55, 0.50, 0.42, 1.0),
-    (0.62, 0.62, 0.62, 1.0),
-    (0.70, 0.60, 0.84, 1.0),
-    (0.31, 0.84, 0.65, 1.0),
-)
-"""Marker colours, RGBA."""
 
 type SampleProgress = Callable[[int, int], None]
 """Receiver of the number of written samples and of the total."""
@@ -112,15 +103,6 @@ class _BagWorld:
     def robots(self) -> list[str]:
         """Root of each robot's frames and topics."""
         return [f"{self.name}/robot_{i}" for i in range(self.p_m.shape[1])]
-
-    def obstacles(self, *, still: bool) -> list[int]:
-        """Return the rows of the still obstacles, or of the moving ones."""
-        all_obstacles = self.environment.obstacles
-        is_listed = np.asarray(all_obstacles.exists) & (
-            (np.asarray(all_obstacles.motion) == STATIC) == still
-        )
-        rows: list[int] = np.flatnonzero(is_listed).tolist()
-        return rows
 
 
 def export_bag(
@@ -264,7 +246,10 @@ def _write_static(bag: Bag, worlds: Sequence[_BagWorld]) -> None:
     for world in worlds:
         bag.declare_topic(f"/{world.name}/scenery", "visualization_msgs/MarkerArray", latched=True)
         bag.declare_topic(f"/{world.name}/obstacles", "visualization_msgs/MarkerArray")
-        bag.write(f"/{world.name}/scenery", 0, {"markers": _scenery_markers(world)})
+        scenery = world_markers.build_scenery(
+            world.environment, world.name, has_goals=world.task is None
+        )
+        bag.write(f"/{world.name}/scenery", 0, {"markers": scenery})
         if world.task is not None:
             bag.declare_topic(f"/{world.name}/task", "visualization_msgs/MarkerArray")
         if world.flow is not None:
@@ -318,11 +303,8 @@ def _write_sample(bag: Bag, world: _BagWorld, k: int) -> None:
     if frames:
         bag.write("/tf", time_ns, {"transforms": frames})
     p, q = world.obstacle_p_m[k], world.obstacle_q[k]
-    rows = [row for row in world.obstacles(still=False) if np.isfinite(p[row]).all()]
-    if rows:
-        markers = [
-            marker for row in rows for marker in _obstacle_markers(world, time, row, p[row], q[row])
-        ]
+    markers = world_markers.build_moving(world.environment.obstacles, world.name, time, p, q)
+    if markers:
         bag.write(f"/{world.name}/obstacles", time_ns, {"markers": markers})
     if (task := world.task) is not None:
         markers = task_markers.build_markers(
@@ -347,48 +329,3 @@ def _link_frames(arm: _BagArm, robot: str, time_s: float, k: int) -> list[ros.Me
         )
         for j, (link, parent) in enumerate(zip(arm.links, arm.parents, strict=True))
     ]
-
-
-def _scenery_markers(world: _BagWorld) -> list[ros.Message]:
-    """Return the markers of static objects: cells, still obstacles, goals."""
-    head = ros.make_header(0.0, world.name)
-    grid, obstacles = world.environment.grid, world.environment.obstacles
-    cell = float(grid.cell_m)
-    centers = np.asarray(grid.origin_m) + cell * (np.argwhere(np.asarray(grid.occupied)) + 0.5)
-    origin = ros.make_pose(np.zeros(3))
-    markers = []
-    if len(centers):
-        markers.append(
-            ros.make_marker(head, "cells", 0, ros.CUBE_LIST, origin, [cell] * 3, _ROCK, centers)
-        )
-    p, q = np.asarray(obstacles.p0), np.asarray(obstacles.q0)
-    for row in world.obstacles(still=True):
-        markers += _obstacle_markers(world, 0.0, row, p[row], q[row])
-    goals = np.asarray(world.environment.goal_m)[: None if world.task is None else 0]
-    markers += [
-        ros.make_marker(head, "goals", i, ros.SPHERE, ros.make_pose(goal), [0.5] * 3, _GOAL)
-        for i, goal in enumerate(goals)
-    ]
-    return markers
-
-
-def _obstacle_markers(
-    world: _BagWorld, time_s: float, row: int, p: np.ndarray, q: np.ndarray
-) -> list[ros.Message]:
-    """Return the markers of one obstacle: one, and two ends for a capsule."""
-    obstacles = world.environment.obstacles
-    kind, (a, b, c) = int(obstacles.kind[row]), np.asarray(obstacles.size_m[row]).tolist()
-    color = _STILL if int(obstacles.motion[row]) == STATIC else _MOVING
-    head, pose = ros.make_header(time_s, world.name), ros.make_pose(p, q)
-    shape, scale = {
-        SPHERE: (ros.SPHERE, [2 * a] * 3),
-        BOX: (ros.CUBE, [2 * a, 2 * b, 2 * c]),
-        CAPSULE: (ros.CYLINDER, [2 * a, 2 * a, 2 * b]),
-    }[kind]
-    markers = [ros.make_marker(head, "obstacles", row, shape, pose, scale, color)]
-    if kind == CAPSULE:
-        ends, ball = np.array([[0.0, 0.0, b], [0.0, 0.0, -b]]), [2 * a] * 3
-        markers.append(
-            ros.make_marker(head, "capsule_ends", row, ros.SPHERE_LIST, pose, ball, color, ends)
-        )
-    return markers

@@ -1,0 +1,1 @@
+"""Transports of live topics, each an adapter of one library."""
