@@ -89,8 +89,8 @@ def test_make_help_lists_the_two_commands():
 
 def test_scenarios_of_the_package_are_the_named_ones():
     assert set(shipped_scenarios()) == {
-        "carry_arms",
         "bay_torpedoes",
+        "carry_arms",
         "carry_pipe",
         "corridor_delivery",
         "dense_dynamic",
