@@ -52,6 +52,11 @@ class ContactConfig(FileModel):
         find_material(name)
         return name
 
+    def grip_friction(self) -> float:
+        """Return Coulomb's coefficient of robots on obstacles."""
+        robot, obstacle = find_material(self.robot), find_material(self.obstacle)
+        return float(pair_friction(robot.friction, obstacle.friction))
+
     def spec(
         self, physics_dt_s: float, world: WorldConfig, grip: GripSpec | None = None
     ) -> ContactSpec:

@@ -453,7 +453,9 @@ class Scenario(FileModel):
         controllers, gains = self.controller.stack()
         gains = self._fill_cargo_gains(controllers, gains)
         water = Water(density_kgpm3=self.water.density_kgpm3)
-        grip = self.task.grip if isinstance(self.task, CarryTask) else None
+        grip = None
+        if isinstance(self.task, CarryTask):
+            grip = self.task.grip(self.contact.grip_friction())
         state_sources = [entry.state_source() for entry in self.fleet for _ in range(entry.count)]
         return SimSpec(
             physics_dt_s=self.time.physics_dt_s,

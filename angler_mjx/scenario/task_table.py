@@ -15,7 +15,7 @@ from angler_mjx.scenario.load_table import LoadConfig
 from angler_mjx.scenario.policy_tables import PolicyConfig
 from angler_mjx.scenario.tables import TimeConfig, check_whole_ratio
 from angler_mjx.sim.cargo import CargoSpec
-from angler_mjx.sim.physics.contact.grips import GripSpec
+from angler_mjx.sim.physics.contact.grips import GripSpec, friction_limits
 from angler_mjx.world.config import Vector, WorldConfig, WorldRecipe, resolve_world
 from angler_mjx.world.obstacles.config import ExplicitConfig
 from angler_mjx.world.obstacles.explicit import find_gaps_m, longest_axis
@@ -86,6 +86,14 @@ class CarryTask(FileModel):
     break_force_n: float | None = Field(default=None, gt=0.0, le=1e6)
     """Force of a grip above which it breaks, and the robot's episode ends as `dropped`; it holds
     any force if left out."""
+    closing_force_n: float | None = Field(default=None, gt=0.0, le=1e5)
+    """Force with which the jaws of end effectors close, along y of the end effector: the body slips
+    in them where it pulls harder than friction (of the materials of robot and obstacle) holds. The
+    grip is a weld if left out."""
+    jaw_m: float = Field(default=0.015, gt=0.0, le=1.0)
+    """Radius of the patch of a jaw on the body; with closing_force_n."""
+    max_slip_m: float = Field(default=0.05, gt=0.0, le=MAX_COORDINATE_M)
+    """Slip beyond which jaws have lost the body, and the robot's episode ends as `dropped`."""
     hold_s: float = Field(default=0.0, ge=0.0, le=3600.0)
     """Time without a break for which the body has to be at its goal to have arrived."""
     release: bool = False
@@ -120,16 +128,44 @@ class CarryTask(FileModel):
     def problem_table(self) -> JsonTable:
         """Return the table for digests, which stay those from before release existed."""
         table = dump_for_digest(self)
+        jaws = self.closing_force_n is not None
         added = {"hold_s": self.hold_s, "release": self.release, "hold": self.hold != "hull"}
+        added |= dict.fromkeys(("closing_force_n", "jaw_m", "max_slip_m"), jaws)
         return {key: value for key, value in table.items() if added.get(key, True)}
 
-    @property
-    def grip(self) -> GripSpec:
-        """Return the grips of the simulator."""
+    @model_validator(mode="after")
+    def _check_jaws(self) -> Self:
+        if self.closing_force_n is None:
+            fields = type(self).model_fields
+            for key in ("jaw_m", "max_slip_m"):
+                if getattr(self, key) != fields[key].default:
+                    raise ValueError(f"task.{key}: of jaws; give task.closing_force_n too")
+        elif self.hold != "end_effector":
+            raise ValueError(
+                "task.closing_force_n: jaws are those of end effectors; give task.hold = "
+                '"end_effector"'
+            )
+        elif self.break_force_n is not None:
+            raise ValueError(
+                "task.break_force_n, task.closing_force_n: a weld breaks and jaws slip; give one"
+            )
+        return self
+
+    def grip(self, friction: float) -> GripSpec:
+        """Return the grips of the simulator.
+
+        Args:
+            friction: Coulomb's coefficient of robots on obstacles.
+        """
+        limits = None
+        if self.closing_force_n is not None:
+            limits = friction_limits(self.closing_force_n, friction, self.jaw_m)
         return GripSpec(
             body=self.body,
             break_force_n=self.break_force_n,
             by_end_effector=self.hold == "end_effector",
+            friction_limits=limits,
+            max_slip_m=self.max_slip_m,
         )
 
     def _grip_offsets(self, body: ExplicitConfig, robots: int) -> np.ndarray:

@@ -93,6 +93,7 @@ def find_layout(
         axis_pieces=contact.axis_pieces,
         links=links if grip is not None and grip.by_end_effector else 0,
         held=grip.body if grip is not None and grip.by_end_effector else -1,
+        slips=grip is not None and grip.friction_limits is not None,
     )
 
 
@@ -205,7 +206,10 @@ def step_together(
     impacts = _find_impacts(moving.layout, forces)
     force_n, moment_nm = forces.grip_force_n, forces.grip_moment_nm
     if grips is not None and moving.contact.grip is not None and force_n is not None:
-        pull = measure_forces(moving.contact.grip, grips.held, force_n)
+        slip_m = None
+        if holding is not None and moving.contact.grip.friction_limits is not None:
+            slip_m = jnp.linalg.norm(holding.error[:, :3], axis=1)
+        pull = measure_forces(moving.contact.grip, grips.held, force_n, slip_m)
         if moment_nm is not None:
             wrench = jnp.concatenate([force_n, moment_nm], axis=1)
             rotation = bodies.rotation[: moving.layout.robots]

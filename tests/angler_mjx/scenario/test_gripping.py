@@ -6,6 +6,7 @@ import pytest
 from angler_mjx.errors import ConfigError
 from angler_mjx.robot.vehicles.library import load_vehicle
 from angler_mjx.scenario.scenario import load_scenario
+from angler_mjx.world.materials import find_material
 
 from ..link_poses import locate_by_mujoco
 
@@ -63,6 +64,16 @@ def test_robots_start_and_end_with_their_end_effectors_at_the_body(turn_deg):
             },
             "no heading of the robots",
         ),
+        (
+            {"task": {"closing_force_n": 9.0}},
+            "task.break_force_n, task.closing_force_n: a weld breaks and jaws slip",
+        ),
+        ({"task": {"jaw_m": 0.1}}, "task.jaw_m: of jaws; give task.closing_force_n"),
+        ({"task": {"max_slip_m": 0.1}}, "task.max_slip_m: of jaws; give task.closing_force_n"),
+        (
+            {"task": {"closing_force_n": 9.0, "hold": "hull", "break_force_n": None}},
+            'closing_force_n: jaws are those of end effectors; give task.hold = "end_effector"',
+        ),
     ],
 )
 def test_what_end_effectors_cannot_hold_is_refused(changes, message):
@@ -93,3 +104,18 @@ def test_the_digest_of_hulls_is_that_from_before():
     assert "hold" not in scenario.task.problem_table()
     assert load_scenario("carry_pipe", task={"hold": "hull"}).digest() == scenario.digest()
     assert load_scenario("carry_arms").task.problem_table()["hold"] == "end_effector"
+
+
+def test_jaws_hold_by_the_friction_of_the_materials():
+    """HDPE and PVC, the geometric mean of their coefficients."""
+    task = {"closing_force_n": 40.0, "jaw_m": 0.03, "max_slip_m": 0.2, "break_force_n": None}
+    scenario = load_scenario("carry_arms", task=task)
+    grip = scenario.sim_spec().contact.grip
+    friction = np.sqrt(find_material("hdpe").friction * find_material("pvc").friction)
+    np.testing.assert_allclose(
+        grip.friction_limits,
+        [2 * friction * 40, 40.0, 2 * friction * 40, 1.2, 2 * friction * 40 * 0.02, 1.2],
+    )
+    assert grip.max_slip_m == 0.2
+    assert "jaw_m" in scenario.task.problem_table()
+    assert not {"jaw_m", "max_slip_m"} & load_scenario("carry_arms").task.problem_table().keys()

@@ -1,7 +1,11 @@
 """Grips: robots hold a body at one pose in its frame, as rigidly as contact pushes.
 
 A robot holds it by its hull or by its end effector: the point of the grip is the centre of mass,
-with the attitude of the hull, or the frame of the end effector, which the joints move.
+with the attitude of the hull, or the frame of the end effector, which the joints move. Jaws that
+close with a force hold by dry friction instead: the six rows are bounded in the frame of the grip,
+and ask for no velocity instead of no error, so that the body slips where a bound is met (soft
+fingers: Howe and Cutkosky 1996, International Journal of Robotics Research 15; bounds axis by axis
+instead of their ellipsoid). A grip that has slipped too far is lost.
 
 A grip is MuJoCo's weld: six rows of equality, which pull the error of position and attitude to zero
 as a critically damped spring of the contact's natural frequency, and whose forces are part of the
@@ -29,6 +33,11 @@ class GripSpec:
     """Force above which a grip breaks, N; None for never."""
     by_end_effector: bool = False
     """Whether robots hold the body by their end effectors instead of their hulls."""
+    friction_limits: tuple[float, ...] | None = None
+    """Greatest forces [3], N, and moments [3], N m, of jaws along the axes of the end effector;
+    None where the grip is a weld."""
+    max_slip_m: float = 0.05
+    """Slip beyond which jaws have lost the body, m."""
 
 
 @jax.tree_util.register_dataclass
@@ -80,9 +89,29 @@ class GripPoints:
     W, angular in F, joints); None for the robot's centre of mass."""
 
 
+def friction_limits(closing_force_n: float, friction: float, jaw_m: float) -> tuple[float, ...]:
+    """Return the greatest forces, N, and moments, N m, of two jaws in the frame of the grip.
+
+    Jaws close along y, each presses with the closing force on a round patch: along y they hold as
+    much as closes them, along x and z twice the friction of one; about y the friction of two
+    patches of even pressure, 2 mu N 2/3 r; about x and z N r, at which one edge of a patch lifts.
+
+    Args:
+        closing_force_n: N.
+        friction: mu, Coulomb's coefficient.
+        jaw_m: r, radius of the patch, m.
+    """
+    slip_n = 2.0 * friction * closing_force_n
+    tilt_nm = closing_force_n * jaw_m
+    return slip_n, closing_force_n, slip_n, tilt_nm, slip_n * jaw_m * 2.0 / 3.0, tilt_nm
+
+
 @dataclass(frozen=True, kw_only=True)
 class GripRows:
-    """Six rows for each robot: the first three of position, the others of attitude, in W."""
+    """Six rows for each robot: the first three of position, the others of attitude, in W.
+
+    Those of jaws that hold by friction are along the axes of the grip.
+    """
 
     J: jax.Array
     """[R, 6, n] velocity of the body at the grip against the robot's; 0 where nothing is held."""
@@ -90,6 +119,8 @@ class GripRows:
     """[R, 6] m and rad."""
     held: jax.Array
     """bool [R]."""
+    axes: jax.Array | None = None
+    """[R, 3, 3] axes of the rows, to W; None for those of W."""
 
 
 def take_hold(
@@ -171,9 +202,15 @@ def find_grip_rows(
     error = jnp.concatenate(
         [p[body] + arm - points.position_m, _turn_between(points.rotation, wanted)], axis=1
     )
-    held = grips.held
+    held, axes = grips.held, None
+    if spec.friction_limits is not None:
+        axes = points.rotation
+        J = jnp.einsum("rij,rkin->rkjn", axes, J.reshape(robots, 2, 3, n)).reshape(robots, 6, n)
     return GripRows(
-        J=J * held[:, None, None], error=jnp.where(held[:, None], error, 0.0), held=held
+        J=J * held[:, None, None],
+        error=jnp.where(held[:, None], error, 0.0),
+        held=held,
+        axes=axes,
     )
 
 
@@ -184,13 +221,16 @@ def _turn_between(first: jax.Array, second: jax.Array) -> jax.Array:
     return jnp.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], axis=1)
 
 
-def measure_forces(spec: GripSpec, held: jax.Array, force_n: jax.Array) -> GripForces:
+def measure_forces(
+    spec: GripSpec, held: jax.Array, force_n: jax.Array, slip_m: jax.Array | None = None
+) -> GripForces:
     """Return the forces of a step.
 
     Args:
         spec: settings.
         held: bool [R].
         force_n: [R, 3] of the grips on the body, N, in W.
+        slip_m: [R] distance of the points of the grips from where they took hold; None of welds.
     """
     force_n = jnp.where(held[:, None], force_n, 0.0)
     mean = jnp.sum(force_n, axis=0) / jnp.maximum(jnp.sum(held), 1)
@@ -200,7 +240,7 @@ def measure_forces(spec: GripSpec, held: jax.Array, force_n: jax.Array) -> GripF
     return GripForces(
         force_n=norm_n,
         internal_n=jnp.sqrt(jnp.sum(internal * internal, axis=1)),
-        broke=held & (norm_n > limit),
+        broke=held & (norm_n > limit if slip_m is None else slip_m > spec.max_slip_m),
     )
 
 

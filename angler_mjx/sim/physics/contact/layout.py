@@ -37,6 +37,8 @@ class BodyLayout:
     body that it holds: a gripper is closed around it."""
     held: int = -1
     """That obstacle; -1 for none."""
+    slips: bool = False
+    """Whether the grips of robots hold by friction."""
 
     @property
     def bodies(self) -> int:

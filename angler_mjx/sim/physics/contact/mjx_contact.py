@@ -84,7 +84,10 @@ def _build_model(layout: BodyLayout) -> mujoco.MjModel:
         for j in range(i + 1, layout.shapes):
             if layout.meets(i, j):
                 spec.add_pair(geomname1=f"shape_{i}", geomname2=f"shape_{j}", condim=3)
-    return spec.compile()
+    model = spec.compile()
+    # MJX looks at bounds of friction only in models that have any.
+    model.dof_frictionloss[:] = float(layout.slips)
+    return model
 
 
 def _add_unit_body(parent: mujoco.MjsBody) -> mujoco.MjsBody:
@@ -152,13 +155,15 @@ class ContactProblem:
     """[m] weights of the rows; 1 over the regularisation."""
     equalities: int = 0
     """Number of the first rows, which push and pull."""
+    friction_limits: jax.Array | None = None
+    """[k] greatest forces of the rows that come first instead, of dry friction, N or N m."""
 
 
 def solve_contact(layout: BodyLayout, problem: ContactProblem) -> tuple[jax.Array, jax.Array]:
     """Return the accelerations [n] with contact, and the forces [m], by MuJoCo's solver.
 
     They minimise 1/2 |a - acceleration|^2 in the metric of M and 1/2 D min(J a - reference, 0)^2,
-    of equalities without the minimum.
+    of equalities without the minimum, of dry friction with forces up to their limits.
 
     Args:
         layout: of the world.
@@ -169,16 +174,20 @@ def solve_contact(layout: BodyLayout, problem: ContactProblem) -> tuple[jax.Arra
     with jax.ensure_compile_time_eval():
         model, data = _put_on_device(_build_model(layout))
     dtype, none = problem.M.dtype, jnp.zeros(m, problem.M.dtype)
+    limits, bounded = none, 0
+    if problem.friction_limits is not None:
+        bounded = problem.friction_limits.shape[0]
+        limits = limits.at[:bounded].set(problem.friction_limits)
     inner = data._impl.replace(
         ne=problem.equalities,
-        nf=0,
+        nf=bounded,
         nl=0,
         nefc=m,
         M=problem.M,
         efc_J=problem.J,
         efc_D=problem.D,
         efc_aref=problem.reference,
-        efc_frictionloss=none,
+        efc_frictionloss=limits,
         efc_pos=none,
         efc_margin=none,
         efc_force=none,

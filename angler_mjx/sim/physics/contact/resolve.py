@@ -159,11 +159,13 @@ def resolve_contact(
         reference=jnp.reshape(reference, 4 * k),
         D=jnp.repeat(D, 4),
     )
-    equalities = 0
+    gripping, limits = 0, None
     if grips is not None:
-        welds = _weld_rows(spec, layout, bodies, grips, pushed)
-        equalities = welds.D.shape[0]
-        rows = jax.tree.map(lambda *parts: jnp.concatenate(parts), welds, rows)
+        by_grips = _grip_rows(spec, layout, bodies, grips, pushed, dt)
+        gripping = by_grips.D.shape[0]
+        rows = jax.tree.map(lambda *parts: jnp.concatenate(parts), by_grips, rows)
+        if spec.grip is not None and spec.grip.friction_limits is not None:
+            limits = jnp.tile(jnp.asarray(spec.grip.friction_limits, J.dtype), layout.robots)
     with_contact, force = mjx_contact.solve_contact(
         layout,
         ContactProblem(
@@ -172,17 +174,20 @@ def resolve_contact(
             J=rows.J,
             reference=rows.reference,
             D=rows.D,
-            equalities=equalities,
+            equalities=gripping if limits is None else 0,
+            friction_limits=limits,
         ),
     )
-    normal = jnp.sum(jnp.reshape(force[equalities:], (k, 4)), axis=1)
+    normal = jnp.sum(jnp.reshape(force[gripping:], (k, 4)), axis=1)
     hit = jnp.any(J != 0.0, axis=1) & (normal > 0.0)[:, None]  # [k, n]
     bodies_of = np.repeat(np.arange(layout.bodies), _dofs(layout))
     touched = jnp.zeros(layout.bodies, bool).at[bodies_of].max(jnp.any(hit, axis=0))
     pull = moment = None
     if grips is not None and spec.grip is not None:
-        wrench = jnp.reshape(force[:equalities], (layout.robots, 6))
-        pull, moment = wrench[:, :3], wrench[:, 3:]
+        wrench = jnp.reshape(force[:gripping], (layout.robots, 2, 3))
+        if grips.axes is not None:
+            wrench = jnp.einsum("rij,rkj->rki", grips.axes, wrench)
+        pull, moment = wrench[:, 0], wrench[:, 1]
         touched = touched.at[: layout.robots].max(grips.held)
         touched = touched.at[layout.robots + spec.grip.body].max(jnp.any(grips.held))
     closing = -relative[:, 0]
@@ -206,19 +211,25 @@ class _Rows(NamedTuple):
     D: jax.Array
 
 
-def _weld_rows(
+def _grip_rows(
     spec: ContactSpec,
     layout: BodyLayout,
     bodies: WorldBodies,
     grips: GripRows,
     pushed: jax.Array,
+    dt: jax.Array | float,
 ) -> _Rows:
-    """Return the rows of grips; ``pushed`` bool [n] is where bodies can be moved."""
+    """Return the rows of grips; ``pushed`` bool [n] is where bodies can be moved.
+
+    Welds draw errors back; friction asks for no velocity, as that of contact does.
+    """
     J = jnp.reshape(grips.J * pushed, (6 * layout.robots, layout.velocities))
     inverse_mass = _inverse_mass(layout, bodies, J)
     acts = inverse_mass > 0.0
     speed, error = J @ bodies.velocity, jnp.reshape(grips.error, -1)
     asked = -spec.rate_radps * (spec.rate_radps * error + 2.0 * speed)
+    if spec.grip is not None and spec.grip.friction_limits is not None:
+        asked = -speed / (2.0 * dt)
     D = 1.0 / (SOFTNESS * jnp.where(acts, inverse_mass, 1.0))
     return _Rows(J=J, reference=jnp.where(acts, asked, 0.0), D=jnp.where(acts, D, 1.0))
 
