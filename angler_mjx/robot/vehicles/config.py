@@ -64,7 +64,7 @@ class Thruster(FileModel):
     spin: Sign
     """+1 if the rotor turns right-handed about ``direction`` at positive thrust."""
     time_constant_s: Positive | None = None
-    """Lag of first order of its thrust; that of ``rotor.lag`` if left out."""
+    """Lag of first order of its thrust; that of all rotors if left out."""
 
 
 class Thrusters(FileModel):
