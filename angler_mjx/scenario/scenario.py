@@ -5,7 +5,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
 import jax
 import numpy as np
@@ -503,7 +503,10 @@ def _vehicle_table(vehicle: VehicleConfig, used_sets: Sequence[str]) -> JsonTabl
     """
     absent = () if vehicle.links else ("links", "joints", "end_effector")
     absent = (*absent, *(key for key in ("fins", "planar") if not getattr(vehicle, key)))
-    table: JsonTable = vehicle.model_dump(mode="json", exclude={"parameter_sets", *absent})
+    table: dict[str, Any] = vehicle.model_dump(mode="json", exclude={"parameter_sets", *absent})
+    for row in table["thrusters"]["layout"]:
+        if row["time_constant_s"] is None:
+            del row["time_constant_s"]
     table["parameter_sets"] = {
         name: row.model_dump(
             mode="json",

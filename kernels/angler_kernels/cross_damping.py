@@ -19,13 +19,16 @@ PRODUCT_PAIRS = tuple((j, k) for j in range(6) for k in range(j, 6))
 
 
 def cross_wrench(L: jax.Array, Q: jax.Array, P: jax.Array, nu_r: jax.Array) -> jax.Array:
-    """Return the wrench [6] of damping between axes.
+    """Compute the wrench of damping between axes.
 
     Args:
         L: [6, 6] linear damping, N s/m and so on.
         Q: [6, 6] quadratic damping, by column times |nu_j| nu_j.
         P: [6, 21] wrench per product of two velocities, by `PRODUCT_PAIRS`.
         nu_r: [6] velocity through the water.
+
+    Returns:
+        Wrench [6].
     """
     products = jnp.stack([nu_r[j] * nu_r[k] for j, k in PRODUCT_PAIRS])
     drag = matrix_times(L, nu_r) + matrix_times(Q, jnp.abs(nu_r) * nu_r)
@@ -33,7 +36,17 @@ def cross_wrench(L: jax.Array, Q: jax.Array, P: jax.Array, nu_r: jax.Array) -> j
 
 
 def cross_slope(L: jax.Array, Q: jax.Array, P: jax.Array, nu_r: jax.Array) -> jax.Array:
-    """Return minus the derivative [6, 6] of `cross_wrench` by nu_r; not symmetric."""
+    """Compute minus the derivative of `cross_wrench` by nu_r, which is not symmetric.
+
+    Args:
+        L: [6, 6] linear damping.
+        Q: [6, 6] quadratic damping.
+        P: [6, 21] wrench per product of two velocities.
+        nu_r: [6] velocity through the water.
+
+    Returns:
+        Slope [6, 6].
+    """
     by_product = [jnp.zeros_like(nu_r)] * 6
     for column, (j, k) in enumerate(PRODUCT_PAIRS):
         by_product[j] = by_product[j] + P[:, column] * nu_r[k]

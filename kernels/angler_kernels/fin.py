@@ -40,7 +40,7 @@ def fin_wrench(
     nu_r: jax.Array,
     density: jax.Array | float,
 ) -> jax.Array:
-    """Return the wrench [6] of fins at the origin, in the body frame.
+    """Compute the wrench of fins at the origin, in the body frame.
 
     Args:
         chord: [n, 6] [c; r x c] of each fin at r: its product with a velocity is V_c.
@@ -53,7 +53,10 @@ def fin_wrench(
         stall: [n] angle of attack of the stall, below pi / 4, rad.
         deflection: [n] delta, right-handed about the span, rad.
         nu_r: [6] velocity of the body through the water.
-        density: of the water, kg/m^3.
+        density: [] of the water, kg/m^3.
+
+    Returns:
+        Wrench [6], N and N m.
     """
     V_c, V_n = matrix_times(chord, nu_r), matrix_times(normal, nu_r)
     square = V_c * V_c + V_n * V_n
@@ -81,14 +84,17 @@ def turn_fins(
     rate: jax.Array,
     dt: jax.Array | float,
 ) -> jax.Array:
-    """Return the deflections [n] rad a step later: a lag of first order with a limit of rate.
+    """Turn fins for a step: a lag of first order with a limit of rate.
 
     Args:
         angle: [n] rad, at the beginning.
         command: [n] rad, held over the step.
         time_constant: [n] s.
         rate: [n] rad/s.
-        dt: s.
+        dt: [] s.
+
+    Returns:
+        Deflections [n] at the end of the step, rad.
     """
     change = (command - angle) * (1.0 - jnp.exp(-dt / time_constant))
     return angle + jnp.clip(change, -rate * dt, rate * dt)

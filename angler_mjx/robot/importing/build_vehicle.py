@@ -448,6 +448,7 @@ def _build_thrusters(
     if all(mount.order is not None for mount in mounts):
         mounts = sorted(mounts, key=lambda mount: mount.order or 0)
     layout, names = [], dict[str, str]()
+    differ = len({mount.lag_s for mount in mounts if mount.lag_s}) > 1
     for mount in mounts:
         pose = base.poses.get(mount.body)
         if pose is None:
@@ -465,6 +466,7 @@ def _build_thrusters(
                 "position_m": round_vector((pose @ np.append(mount.position_m, 1.0))[:3]),
                 "direction": _snap_direction(pose[:3, :3] @ mount.direction, mount, notes),
                 "spin": mount.spin or 1,
+                **({"time_constant_s": mount.lag_s} if differ and mount.lag_s else {}),
             }
         )
         if mount.spin is None:
@@ -596,10 +598,6 @@ def _build_rotor(vehicle: ForeignVehicle, model: str, notes: Notes) -> dict[str,
     lag, source = _LAG_S, "assumed: as the T200 of the shipped vehicles"
     if lags:
         lag, source = float(np.mean(lags)), f"{vehicle.location.file.name}: first-order dynamics"
-        if max(lags) - min(lags) > 1e-9:
-            notes.add(
-                "converted", f"lags of thrusters, {min(lags):g} to {max(lags):g} s: their mean"
-            )
     else:
         notes.add("assumed", f"lag of thrusters: {lag:g} s; the file states none")
     notes.add(

@@ -63,6 +63,8 @@ class Thruster(FileModel):
     """Unit vector of the force on the vehicle at positive thrust (PWM above neutral)."""
     spin: Sign
     """+1 if the rotor turns right-handed about ``direction`` at positive thrust."""
+    time_constant_s: Positive | None = None
+    """Lag of first order of its thrust; that of all rotors if left out."""
 
 
 class Thrusters(FileModel):

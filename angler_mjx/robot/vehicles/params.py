@@ -65,7 +65,8 @@ class VehicleParams:
     power_w: jax.Array
     """[201] electrical power on the same grid."""
     tau_s: jax.Array
-    """[] time constant of the rotors; for rotors of first order."""
+    """[] time constant of the rotors, of first order; [n_t] where those of one vehicle of the fleet
+    differ."""
     capsule_a_m: jax.Array
     """[c, 3] first end of each hull capsule's axis; padding repeats the last capsule."""
     capsule_b_m: jax.Array
@@ -155,7 +156,7 @@ def build_vehicle(
         B=_device_array(np.pad(B, ((0, 0), (0, n_fin)))),
         thrust_n=_device_array(thrust_n),
         power_w=_device_array(power_w),
-        tau_s=_device_array(config.rotor.lag.time_constant_s),
+        tau_s=_device_array(_find_lags(config, n_fin)),
         capsule_a_m=_device_array(start),
         capsule_b_m=_device_array(end),
         capsule_r_m=_device_array(radius),
@@ -191,6 +192,7 @@ def stack_vehicles(variants: list[VehicleParams]) -> VehicleParams:
         [v.link_capsules for v in variants],
         [(v.capsule_a_m[0], v.capsule_b_m[0], v.capsule_r_m[0]) for v in variants],
     )
+    has_lags = any(variant.tau_s.ndim for variant in variants)
     is_held = any(variant.free_axes is not None for variant in variants)
     fins = pad_fins([v.fins for v in variants], [v.B.shape[1] for v in variants], n_t)
     cross_damping = pad_cross_damping([v.cross_damping for v in variants])
@@ -200,6 +202,7 @@ def stack_vehicles(variants: list[VehicleParams]) -> VehicleParams:
             steered=steered,
             cross_damping=cross,
             free_axes=_pad_axes(robot) if is_held else None,
+            tau_s=_pad_lags(robot, n_t) if has_lags else robot.tau_s,
             fins=robot_fins,
             links=robot_links,
             link_capsules=capsules,
@@ -210,6 +213,23 @@ def stack_vehicles(variants: list[VehicleParams]) -> VehicleParams:
     ]
     stacked: VehicleParams = jax.device_put(jax.tree.map(lambda *rows: np.stack(rows), *padded))
     return stacked
+
+
+def _find_lags(config: VehicleConfig, n_fin: int) -> ArrayLike:
+    """Return the time constant [] of all rotors, s; [n_t] where they differ."""
+    common = config.rotor.lag.time_constant_s
+    lags = [thruster.time_constant_s or common for thruster in config.thrusters.layout]
+    if all(lag == common for lag in lags):
+        return common
+    return np.array([*lags, *[common] * n_fin])
+
+
+def _pad_lags(params: VehicleParams, n_t: int) -> Any:
+    """Return the time constants [n_t] of a vehicle in a fleet of which one has different ones."""
+    lags = np.asarray(params.tau_s)
+    if lags.ndim == 0:
+        return np.full(n_t, lags)
+    return np.pad(lags, (0, n_t - lags.size), mode="edge")
 
 
 def _build_rotor(config: VehicleConfig, response: RotorResponse | None) -> RotorFilter | None:
@@ -228,7 +248,7 @@ def _device_array(value: ArrayLike) -> jax.Array:
     return array
 
 
-def _pad_axes(params: VehicleParams) -> ArrayLike:
+def _pad_axes(params: VehicleParams) -> Any:
     """Return the free axes [6] of a vehicle in a fleet of which some are held."""
     if params.free_axes is not None:
         return params.free_axes

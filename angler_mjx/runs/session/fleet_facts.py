@@ -12,6 +12,7 @@ from angler_mjx.robot.control.commands.whole_body import JointTarget, WholeBodyC
 from angler_mjx.robot.control.plans import Plan, of_robot
 from angler_mjx.robot.vehicles import library
 from angler_mjx.robot.vehicles.drive import full_force, terminal_speed
+from angler_mjx.robot.vehicles.fins import lift_matrix
 from angler_mjx.robot.vehicles.params import joint_names
 from angler_mjx.runs.session.command_slots import command_types
 from angler_mjx.runs.session.command_validation import CommandLimits
@@ -109,6 +110,11 @@ def _robot_info(simulator: Simulator, worlds: FleetWorld, i: int) -> RobotInfo:
         np.asarray(x, float)[0, i] for x in (params.B, params.thrust_n, params.D_l, params.D_q)
     )
     moment = full_force(wrench[5:], float(table[0]), float(table[-1]))
+    if params.fins is not None:
+        fins = jax.tree.map(lambda leaf: np.asarray(leaf)[0, i], params.fins)
+        speed_mps = float(params.terminal_speed_mps[0, i, 0])
+        pressure_pa = 0.5 * simulator.spec.water.density_kgpm3 * speed_mps**2
+        moment = moment + pressure_pa * np.abs(lift_matrix(fins)[5:]) @ fins.limit_rad
     return RobotInfo(
         name=f"robot_{i}",
         vehicle=vehicle,

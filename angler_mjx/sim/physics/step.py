@@ -259,7 +259,7 @@ def step_freely[Body](
     with jax.named_scope("integrate"):
         forces = force, state.force_before, thrust_wrench
         if params.free_axes is not None:
-            M, forces = _hold_axes(params.free_axes, M, forces)
+            M, forces = _hold_axes(params.free_axes, M, *forces)
         if params.cross_damping is None:
             nu, force_before = rigid_body.advance_damped_velocity(
                 state.nu, nu_r, M, params.D_l, params.D_q, *forces, dt
@@ -276,8 +276,8 @@ def step_freely[Body](
 
 
 def _hold_axes(
-    free: jax.Array, M: jax.Array, forces: tuple[jax.Array, ...]
-) -> tuple[jax.Array, tuple[jax.Array, ...]]:
+    free: jax.Array, M: jax.Array, force: jax.Array, force_before: jax.Array, thrust: jax.Array
+) -> tuple[jax.Array, tuple[jax.Array, jax.Array, jax.Array]]:
     """Return inertia and forces of a vehicle that moves along its free axes alone.
 
     What holds the others takes all force along them: M_ff d_f = f_f remains.
@@ -285,11 +285,13 @@ def _hold_axes(
     Args:
         free: [6] 1 for free axes, 0 for held ones.
         M: [6, 6] with added mass.
-        forces: [6] each.
+        force: [6] smooth forces.
+        force_before: [6] those of the step before.
+        thrust: [6] of thrusters.
     """
     kept = M * free[:, None] * free[None, :]
     held = (1.0 - free)[:, None] * jnp.eye(6, dtype=M.dtype)
-    return kept + held, tuple(free * force for force in forces)
+    return kept + held, (free * force, free * force_before, free * thrust)
 
 
 @dataclass(frozen=True, kw_only=True)

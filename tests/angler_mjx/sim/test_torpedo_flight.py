@@ -8,6 +8,7 @@ from pydantic import ValidationError
 from angler_mjx.robot.control import allocation
 from angler_mjx.robot.control.commands import BodyWrench, ThrusterPwm
 from angler_mjx.robot.vehicles import library, params
+from angler_mjx.runs.session.batch_session import BatchSession
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.state import Outcome
@@ -106,3 +107,11 @@ def test_fins_are_deflected_by_moment_over_dynamic_pressure():
     assert rudder_us(-2.0) == pytest.approx(-rudder_us(2.0), rel=1e-5)
     assert rudder_us(0.0) == 0.0
     assert abs(rudder_us(0.02)) < abs(rudder_us(0.2))
+
+
+def test_a_session_names_fins_behind_thrusters_and_knows_their_turn():
+    info = BatchSession(Scenario.model_validate(FLIGHT)).robots[0]
+    assert info.thrusters == ("propeller", "rudder", "stern_plane")
+    # Full rudder at 2.57 m/s against N_rr alone.
+    moment = 0.638 * 9.64 * 2.57**2 * 0.26
+    assert info.max_turn_radps == pytest.approx(np.sqrt(moment / 94.0), rel=0.01)

@@ -11,6 +11,7 @@ from angler_mjx.robot.vehicles.config import VehicleConfig
 from angler_mjx.robot.vehicles.drive import full_force, terminal_speed, wrench_matrix
 from angler_mjx.robot.vehicles.library import load_vehicle
 from angler_mjx.robot.vehicles.params import build_vehicle, stack_vehicles
+from angler_mjx.sim.physics.rotors import advance_rotors
 
 # Wrench of one newton of each thruster of the Heavy that blue's own geometry gives: x forward,
 # y starboard, z down, moments about the centre of mass. As published: rounded.
@@ -145,3 +146,20 @@ def test_stack_pads_without_changing_a_robot(heavy, light):
         np.testing.assert_array_equal(
             getattr(second, field.name), getattr(robots[1], field.name), err_msg=field.name
         )
+
+
+def test_lags_of_single_thrusters():
+    data = load_vehicle("bluerov2_heavy").model_dump()
+    data["thrusters"]["layout"][3]["time_constant_s"] = 0.3
+    config = VehicleConfig.model_validate(data)
+    params = build_vehicle(config, None, 16.0)
+    expected = [0.02, 0.02, 0.02, 0.3, 0.02, 0.02, 0.02, 0.02]
+    np.testing.assert_allclose(params.tau_s, expected, rtol=1e-6)
+    assert build_vehicle(load_vehicle("bluerov2"), None, 16.0).tau_s.shape == ()
+    fleet = stack_vehicles([params, build_vehicle(load_vehicle("bluerov2"), None, 16.0)])
+    np.testing.assert_allclose(fleet.tau_s, [expected, [0.02] * 8], rtol=1e-6)
+    thrust, mean = advance_rotors(params, np.zeros(8, np.float32), np.ones(8, np.float32), 0.1)
+    np.testing.assert_allclose(thrust[3], 1 - np.exp(-1 / 3), rtol=1e-5)
+    np.testing.assert_allclose(thrust[2], 1 - np.exp(-5), rtol=1e-5)
+    # The mean of 1 - exp(-t / tau) over the step.
+    np.testing.assert_allclose(mean[3], 1 - 3 * (1 - np.exp(-1 / 3)), rtol=1e-4)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from angler_mjx.robot.control import stages
+from angler_mjx.sim.engines.cuda.engine import CudaEngine
 from angler_mjx.sim.fleet import Member, Variant
 
 from ...compiling import quickly
@@ -76,3 +77,22 @@ def test_fins_move_within_their_limits_and_rovs_have_none(ends):
     assert np.ptp(np.asarray(pwm)[:, :, [0, 2], 1:3]) > 100.0
     np.testing.assert_array_equal(np.asarray(pwm)[:, :, [0, 2], 3:], 1500.0)
     assert np.all(np.asarray(state.vehicles.nu)[:, [0, 2], 0] > 0.3)
+
+
+def test_the_kernels_of_a_gpu_fly_the_same(scene, engines_by_name):
+    """One control step with way on, of kernels that are interpreted."""
+    with jax.enable_x64(True):
+        fused = engines_by_name["fused"]
+        start = quickly(partial(fused.reset, scene.spec))(scene.fleet, scene.worlds)
+        vehicles = replace(start.vehicles, nu=start.vehicles.nu.at[..., 0].set(1.2))
+        start = jax.device_get(replace(start, vehicles=vehicles))
+        ends = []
+        for engine in (CudaEngine(block=2, interpret=True), fused):
+            step = quickly(partial(engine.control_step, scene.spec))
+            after, sample = jax.device_get(step(scene.fleet, scene.worlds, start, None))
+            ends.append((after.vehicles, sample.pwm_us))
+    np.testing.assert_allclose(ends[0][1], ends[1][1], rtol=1e-9)
+    for name in ("p", "q", "nu", "thrust"):
+        ours, theirs = (getattr(end[0], name) for end in ends)
+        np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-10)
+    assert np.abs(ends[0][0].thrust[:, [0, 2], 1:3]).max() > 1e-3
