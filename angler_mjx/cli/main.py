@@ -81,6 +81,7 @@ GROUPS: dict[str, dict[str, Callable[..., None]]] = {
     "vehicle": {
         "list": vehicle.list_vehicles,
         "show": vehicle.show_vehicle,
+        "check": vehicle.check_vehicle,
         "export": vehicle.export_mjcf,
         "import": vehicle.import_vehicle,
     },
@@ -112,7 +113,7 @@ def _study_group() -> None:
 
 
 def _vehicle_group() -> None:
-    """List vehicles, show the performance of one, export its MuJoCo model, import others."""
+    """List, show and check vehicles, export the MuJoCo model of one, import others."""
 
 
 def _dataset_group() -> None:

@@ -1,14 +1,11 @@
 """``angler mission``: missions of ground stations as scenarios and plans, and back."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import tyro
 
 from angler_mjx.errors import ConfigError
-
-if TYPE_CHECKING:
-    from angler_mjx.frames import GeodeticOrigin
 
 
 def import_mission(
@@ -37,6 +34,7 @@ def import_mission(
         plans: File of plans to write, for angler rollout --plans; as --out with .zarr if left out.
     """
     from angler_mjx.cli.shared.inputs import require_positive
+    from angler_mjx.cli.shared.origin import parse_origin
     from angler_mjx.report.interop.mission_files import import_mission as importing
     from angler_mjx.report.interop.mission_files.route import VehicleLimits
     from angler_mjx.runs.storage.atomic_files import replace_file, require_free
@@ -95,6 +93,7 @@ def export_mission(
         robot: Index of the robot.
         force: Replace an older file.
     """
+    from angler_mjx.cli.shared.origin import parse_origin
     from angler_mjx.report.interop.mission_files import export_mission as exporting
     from angler_mjx.runs.storage.atomic_files import replace_file
 
@@ -107,26 +106,3 @@ def export_mission(
         writing.write_text(format_items(items, home), encoding="utf-8")
     print(f"{len(items)} items; ArduSub stops at each way-point and heads along the legs")
     print(out)
-
-
-def parse_origin(text: str) -> "GeodeticOrigin":
-    """Parse latitude and longitude, and an altitude if there is one.
-
-    Raises:
-        ConfigError: the text has another form, or is not on the globe.
-    """
-    from angler_mjx.errors import format_value
-    from angler_mjx.frames import GeodeticOrigin
-
-    advice = "write LATITUDE,LONGITUDE or LATITUDE,LONGITUDE,ALTITUDE, as in 47.6,-122.3"
-    try:
-        numbers = [float(part) for part in text.split(",")]
-    except ValueError:
-        numbers = []
-    if len(numbers) not in (2, 3):
-        raise ConfigError(f"--origin {format_value(text)}: {advice}")
-    latitude, longitude, *rest = numbers
-    altitude = rest[0] if rest else 0.0
-    if not (abs(latitude) < 90 and abs(longitude) <= 180 and abs(altitude) <= 1e4):
-        raise ConfigError(f"--origin {format_value(text)}: is not on the globe; {advice}")
-    return GeodeticOrigin(latitude_deg=latitude, longitude_deg=longitude, altitude_m=altitude)

@@ -80,6 +80,62 @@ def show_vehicle(
     console.print(wrench)
 
 
+def check_vehicle(
+    name: Annotated[str, tyro.conf.Positional],
+    parameter_set: Annotated[str | None, tyro.conf.arg(name="set")] = None,
+    voltage_v: Annotated[float, tyro.conf.arg(name="voltage")] = 16.0,
+    approach: float = 0.5,
+    steer: float = 0.2,
+    density: float = 1000.0,
+    only: tuple[str, ...] = (),
+    out: Path | None = None,
+) -> None:
+    """Do sea trials of a vehicle with open-loop commands: turning, zig-zag, spiral, stops, decay.
+
+    Args:
+        name: Name of a shipped vehicle, or path of a vehicle file.
+        parameter_set: Parameter set; the vehicle's default if left out.
+        voltage_v: Battery voltage, V.
+        approach: Surge thrust of the approach, as a fraction of the greatest.
+        steer: Steering of circle, zig-zag and spiral, as a fraction of the greatest.
+        density: Density of the water, kg/m^3.
+        only: Beginnings of the names of trials, as in turning zig-zag; all if left out.
+        out: Folder to make, for table.csv and figure.png.
+    """
+    from rich.console import Console
+
+    from angler_mjx.cli.shared.text_table import build_text_table as text_table
+    from angler_mjx.errors import ConfigError
+    from angler_mjx.report.plotting import style
+    from angler_mjx.robot.vehicles.library import load_vehicle
+    from angler_mjx.studies.sea_trials import report
+    from angler_mjx.studies.sea_trials.check_vehicle import TrialSettings
+    from angler_mjx.studies.sea_trials.check_vehicle import check_vehicle as do_trials
+
+    settings = TrialSettings(approach=approach, steer=steer, density_kgpm3=density)
+    config = load_vehicle(name)
+    if out is not None and out.exists():
+        raise ConfigError(f"--out {out}: exists; remove it or choose another name")
+    check = do_trials(
+        config, parameter_set=parameter_set, voltage_v=voltage_v, settings=settings, only=only
+    )
+    if out is not None:
+        try:
+            out.mkdir(parents=True)
+        except OSError as error:
+            raise ConfigError(f"--out {out}: cannot be made ({error.strerror})") from error
+        report.write_table(check, out / report.TABLE)
+        style.save_figure(report.plot_check(check), out / report.FIGURE)
+    table = text_table("trial", "quantity", "value", "note")
+    last = ""
+    for trial, *row in report.list_rows(check):
+        table.add_row("" if trial == last else trial, *row)
+        last = trial
+    Console().print(table)
+    if out is not None:
+        print(out)
+
+
 def export_mjcf(
     name: Annotated[str, tyro.conf.Positional],
     out: Annotated[Path, tyro.conf.Positional],

@@ -69,8 +69,8 @@ def run(
     require_sitl(isolate=isolate, gcs=gcs)
     choose_device(device)
     keep_all_programs()
-    from angler_mjx.cli.mission import parse_origin
     from angler_mjx.cli.shared.inputs import build_scenario
+    from angler_mjx.cli.shared.origin import parse_origin
     from angler_mjx.cli.sitl.status_table import status_table
     from angler_sitl.missions import mission as missions
     from angler_sitl.scene import motion

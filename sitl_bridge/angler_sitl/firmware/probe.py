@@ -46,15 +46,15 @@ class ProbeResult:
         version: As in "4.6.0-dev".
         git: First characters of the commit it was built from.
         parameters: All of them, by name.
-        parameter_types: MAV_PARAM_TYPE of each, by name.
         sysid: Its MAVLink system number.
+        parameter_types: MAV_PARAM_TYPE of each parameter, by name.
     """
 
     version: str
     git: str
     parameters: Mapping[str, float]
-    parameter_types: Mapping[str, int]
     sysid: int
+    parameter_types: Mapping[str, int] = field(default_factory=dict)
 
 
 @dataclass

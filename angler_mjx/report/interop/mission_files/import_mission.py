@@ -53,6 +53,8 @@ _PARAMETERS: dict[str, tuple[str, float]] = {
 """Firmware parameters that a mission depends on, with their units in ours."""
 _MIN_CELL_M, _CELLS, _MAX_CELLS = 1.0, 40, 120
 """Cells along the longest horizontal edge; more only where cells are as small as they get."""
+_TOUR_TOP_CELLS = 1.5
+"""Depth of the highest position of a tour, in cells: planners keep out of the cells at the top."""
 _MARGIN_M = 5.0
 """Free water around the mission."""
 _HORIZON_FACTOR, _HORIZON_MARGIN_S, _MAX_HORIZON_S = 2.0, 60.0, 86_400.0
@@ -139,13 +141,19 @@ def import_mission(
     located = locate_world(mission, origin, notes)
     entry = parse_model(FleetEntry, {"vehicle": vehicle}, source="--vehicle")
     capable = limit_speed(limits or VehicleLimits(), entry, notes)
-    start = _start(mission, located)
+    top_m = TOP_M
+    if kind == "tour":
+        start = _start(mission, located, TOP_M)
+        stops = build_route(mission, located, capable, Notes(), start_m=start, top_m=TOP_M)
+        cell = _choose_cell(np.array([start, *(stop.position_m for stop in stops)]))
+        top_m = -_TOUR_TOP_CELLS * cell
+    start = _start(mission, located, top_m)
     notes.add(
         "assumed",
         f"the vehicle starts at rest at ({start[0]:.1f}, {start[1]:.1f}, {start[2]:.1f}) m"
         + ("" if mission.home is None else ", below home"),
     )
-    route = build_route(mission, located, capable, notes, start_m=start, top_m=TOP_M)
+    route = build_route(mission, located, capable, notes, start_m=start, top_m=top_m)
     goal = route[-1].position_m
     planned = build_goal(
         route,
@@ -241,10 +249,10 @@ def locate_world(mission: Mission, origin: GeodeticOrigin | None, notes: Notes) 
     return origin
 
 
-def _start(mission: Mission, origin: GeodeticOrigin) -> Position:
+def _start(mission: Mission, origin: GeodeticOrigin, top_m: float) -> Position:
     home = mission.home or origin
     x, y = geodetic_to_local(origin, home.latitude_deg, home.longitude_deg)
-    return round(x, 6), round(y, 6), TOP_M
+    return round(x, 6), round(y, 6), top_m
 
 
 def limit_speed(limits: VehicleLimits, entry: FleetEntry, notes: Notes) -> VehicleLimits:
@@ -300,9 +308,8 @@ def _build_tables(
     start: Position,
 ) -> dict[str, Any]:
     points = np.array([start, *(p.positions[:3] for p in planned.goal.points)])
-    extent = np.abs(points[:, :2]).max(axis=0) + _MARGIN_M
-    depth = -float(points[:, 2].min()) + _MARGIN_M
-    cell = max(_MIN_CELL_M, float(extent.max()) * 2.0 / _CELLS, depth / _MAX_CELLS)
+    cell = _choose_cell(points)
+    extent, depth = _measure_extent(points)
     shape = [max(4, 2 * math.ceil(edge / cell)) for edge in extent]
     horizon = math.ceil(_HORIZON_FACTOR * planned.duration_s + _HORIZON_MARGIN_S)
     if horizon > _MAX_HORIZON_S:
@@ -344,6 +351,18 @@ def _build_tables(
             "tolerance_m": limits.radius_m,
         }
     return tables
+
+
+def _measure_extent(points: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return half the edges [2] of the water around points [n, 3], and its depth, m."""
+    extent: np.ndarray = np.abs(points[:, :2]).max(axis=0) + _MARGIN_M
+    return extent, -float(points[:, 2].min()) + _MARGIN_M
+
+
+def _choose_cell(points: np.ndarray) -> float:
+    """Return the edge length of the cells of a grid around points [n, 3], m."""
+    extent, depth = _measure_extent(points)
+    return max(_MIN_CELL_M, float(extent.max()) * 2.0 / _CELLS, depth / _MAX_CELLS)
 
 
 def _name(file: Path) -> str:

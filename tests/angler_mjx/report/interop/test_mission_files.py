@@ -464,6 +464,7 @@ def test_a_tour_visits_the_stops_in_order(write, tmp_path):
     task = load_scenario(tmp_path / "tour.toml").task
     assert (task.type, task.shared, task.ordered) == ("tour", False, True)
     assert len(task.positions_m) == 2
+    assert load_scenario(tmp_path / "tour.toml").world.start_m[0][2] == -1.5  # a cell and a half
     assert "dropped: NAV_WAYPOINT: tours do not wait" in (tmp_path / "tour.toml").read_text()
     assert not (tmp_path / "tour.zarr").exists()
 

@@ -1,0 +1,1 @@
+"""Sea trials of a vehicle in still water: speeds, turning, zig-zag, spiral, stopping, decay."""
