@@ -1,6 +1,7 @@
 """Publication of a session's messages in a thread of its own, beside the steps of the scene."""
 
 import queue
+import sys
 import threading
 import time
 from collections.abc import Iterator, Sequence
@@ -15,6 +16,9 @@ from angler_mjx.serve.messages import Build, SceneMessages
 from angler_mjx.serve.scene_view import SceneView
 from angler_mjx.serve.topics import Topic
 
+SWITCH_S = 5e-4
+"""Time after which a thread of Python lets another run; by default it is ten times as long, which
+messages would wait for."""
 BACKLOG = 4
 """Number of steps that may wait for their publication; the next one waits."""
 
@@ -58,6 +62,7 @@ class Publisher:
         self._queue: queue.Queue[_Reset | _Step | None] = queue.Queue(BACKLOG)
         self._fault: BaseException | None = None
         self.busy_s, self.sent = 0.0, 0
+        sys.setswitchinterval(SWITCH_S)
         self._thread = threading.Thread(target=self._work, name="publisher", daemon=True)
         self._thread.start()
 
