@@ -37,10 +37,9 @@ from angler_mjx.robot.control.commands.joint_trajectory import (
 )
 from angler_mjx.runs.session.interface import Floats, Observation, Session
 from angler_mjx.serve import decoding
-from angler_mjx.serve.backends.interface import Reply
+from angler_mjx.serve.backends.interface import ACTION, Reply
 from angler_mjx.serve.commands import CommandInbox
 from angler_mjx.serve.messages import measure_joints
-from angler_mjx.serve.topics import ACTION
 from angler_mjx.sim.state import Outcome
 
 ACCEPTED, EXECUTING, SUCCEEDED, CANCELED, ABORTED = 1, 2, 4, 5, 6

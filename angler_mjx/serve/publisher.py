@@ -11,10 +11,9 @@ from angler_mjx.errors import RunError
 from angler_mjx.report.interop import ros_messages as ros
 from angler_mjx.report.interop.ros_encoding import find_encoder
 from angler_mjx.runs.session.batch_session import SessionInternals
-from angler_mjx.serve.backends.interface import Backend
+from angler_mjx.serve.backends.interface import Backend, Topic
 from angler_mjx.serve.messages import Build, SceneMessages
 from angler_mjx.serve.scene_view import SceneView
-from angler_mjx.serve.topics import Topic
 
 SWITCH_S = 5e-4
 """Time after which a thread of Python lets another run; by default it is ten times as long, which

@@ -12,8 +12,7 @@ from typing import Any
 
 from angler_mjx.errors import ConfigError, UnsupportedError
 from angler_mjx.report.interop.ros_types import full_name
-from angler_mjx.serve.backends.interface import Answer, Receive
-from angler_mjx.serve.topics import ACTION, NODE, SERVICES, Service, Topic
+from angler_mjx.serve.backends.interface import ACTION, NODE, Answer, Receive, Service, Topic
 
 _DISCOVERY_S = 1.0
 """Wall time to find another door."""
@@ -22,6 +21,10 @@ _OPTIONAL = (
     "visualization_msgs/MarkerArray",
     "diagnostic_msgs/DiagnosticArray",
     "sensor_msgs/Range",
+    "std_srvs/Trigger",
+    "std_srvs/SetBool",
+    "rcl_interfaces/SetParameters",
+    f"{ACTION}_SendGoal",
 )
 """Types that some installations lack."""
 
@@ -136,8 +139,7 @@ class RclpyBackend:
             return
 
     def _list_missing(self) -> tuple[str, ...]:
-        kinds = (*_OPTIONAL, *(service.kind for service in SERVICES), f"{ACTION}_SendGoal")
-        missing = [kind for kind in kinds if _find_class(kind) is None]
+        missing = [kind for kind in _OPTIONAL if _find_class(kind) is None]
         return tuple(ACTION if kind == f"{ACTION}_SendGoal" else kind for kind in missing)
 
     def _require_alone(self) -> None:

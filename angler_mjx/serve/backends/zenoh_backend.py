@@ -12,8 +12,7 @@ from typing import Any
 
 from angler_mjx.errors import ConfigError, UnsupportedError
 from angler_mjx.report.interop.ros_types import dds_name, type_hash
-from angler_mjx.serve.backends.interface import Answer, Receive, Reply
-from angler_mjx.serve.topics import NODE, Service, Topic
+from angler_mjx.serve.backends.interface import NODE, Answer, Receive, Reply, Service, Topic
 
 DEFAULT_PORT = 7447
 """Port at which ``rmw_zenoh_cpp`` expects its router."""
