@@ -51,6 +51,8 @@ MAX_FINISHED = 32
 MAX_POINTS = 256
 """Rows of a reference; longer goals have feedback without a reference."""
 TOPIC = "follow_joint_trajectory"
+TRAJECTORY = JointTrajectory.__name__
+"""Command of a robot that follows a goal, as in its status."""
 
 type Publish = Callable[[str, ros.Message], None]
 """Publisher of ``feedback`` or ``status``."""
@@ -192,7 +194,10 @@ class GoalServer:
         if status.refused:
             self._finish(goal, ABORTED, ResultCode.INVALID_GOAL, status.refused, time_s)
             return
-        if status.command not in ("JointTrajectory", "JointGoal"):
+        # Half a period: times are sums in floating point.
+        if time_s < goal.start_s + 0.5 * self._session.dt_s and status.command != TRAJECTORY:
+            return  # it has not begun
+        if status.command != TRAJECTORY:
             text = f"replaced by {status.command}"
             self._finish(goal, CANCELED, ResultCode.SUCCESSFUL, text, time_s)
             return
