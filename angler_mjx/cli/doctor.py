@@ -46,6 +46,8 @@ def run_doctor() -> None:
     for entry in sockets:
         mark = "[green]good" if entry.is_loopback else "[yellow]note"
         reach = "this machine alone" if entry.is_loopback else "reachable from outside"
+        if ip_address(entry.address).is_multicast:
+            reach = "a multicast group"
         where = f"{entry.protocol} {entry.address}:{entry.port}"
         table.add_row(mark, f"socket of process {entry.pid}", f"{where}, {reach}")
     if not sockets:
