@@ -17,6 +17,7 @@ from angler_mjx import __version__
 from angler_mjx.cli import (
     bench,
     control,
+    doctor,
     env,
     export,
     fly,
@@ -136,6 +137,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "export": export.export,
     "teleop": teleop.teleop,
     "serve": serve.serve,
+    "doctor": doctor.run_doctor,
     "fly": fly.fly,
     "env": _env_group,
     "dataset": _dataset_group,

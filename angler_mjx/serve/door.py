@@ -12,7 +12,7 @@ from angler_mjx.report.interop import ros_messages as ros
 from angler_mjx.runs.session.interface import Observation
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.serve import services, topics
-from angler_mjx.serve.backends.interface import Backend, Reply
+from angler_mjx.serve.backends.interface import ACTION, Backend, Reply, Service
 from angler_mjx.serve.commands import CommandInbox, Report
 from angler_mjx.serve.goals import GoalServer
 from angler_mjx.serve.messages import SceneMessages
@@ -110,7 +110,7 @@ class Door:
             density_kgpm3=spec.water.density_kgpm3,
             gravity_mps2=spec.water.gravity_mps2,
         )
-        has_actions = [topics.ACTION not in backend.missing for backend in backends]
+        has_actions = [ACTION not in backend.missing for backend in backends]
         published = topics.list_published(session.robots)
         if any(has_actions):
             published += [
@@ -225,7 +225,7 @@ class Door:
             for i, info in enumerate(self._session.robots):
                 self._open_action(backend, i, topics.action_services(info))
 
-    def _open_action(self, backend: Backend, robot: int, served: dict[str, topics.Service]) -> None:
+    def _open_action(self, backend: Backend, robot: int, served: dict[str, Service]) -> None:
         goals, put = self._goals[robot], self._events.put
         backend.serve(
             served["send_goal"],

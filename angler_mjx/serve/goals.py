@@ -37,10 +37,9 @@ from angler_mjx.robot.control.commands.joint_trajectory import (
 )
 from angler_mjx.runs.session.interface import Floats, Observation, Session
 from angler_mjx.serve import decoding
-from angler_mjx.serve.backends.interface import Reply
+from angler_mjx.serve.backends.interface import ACTION, Reply
 from angler_mjx.serve.commands import CommandInbox
 from angler_mjx.serve.messages import measure_joints
-from angler_mjx.serve.topics import ACTION
 from angler_mjx.sim.state import Outcome
 
 ACCEPTED, EXECUTING, SUCCEEDED, CANCELED, ABORTED = 1, 2, 4, 5, 6
@@ -52,6 +51,8 @@ MAX_FINISHED = 32
 MAX_POINTS = 256
 """Rows of a reference; longer goals have feedback without a reference."""
 TOPIC = "follow_joint_trajectory"
+TRAJECTORY = JointTrajectory.__name__
+"""Command of a robot that follows a goal, as in its status."""
 
 type Publish = Callable[[str, ros.Message], None]
 """Publisher of ``feedback`` or ``status``."""
@@ -193,7 +194,10 @@ class GoalServer:
         if status.refused:
             self._finish(goal, ABORTED, ResultCode.INVALID_GOAL, status.refused, time_s)
             return
-        if status.command not in ("JointTrajectory", "JointGoal"):
+        # Half a period: times are sums in floating point.
+        if time_s < goal.start_s + 0.5 * self._session.dt_s and status.command != TRAJECTORY:
+            return  # it has not begun
+        if status.command != TRAJECTORY:
             text = f"replaced by {status.command}"
             self._finish(goal, CANCELED, ResultCode.SUCCESSFUL, text, time_s)
             return

@@ -19,6 +19,9 @@ from angler_mjx.robot.sensing.readings import Reading, SensorCarry, Truth
 from angler_mjx.sim.state import FleetWorld
 from angler_mjx.world.rock.grid import Grid, height_above_bottom
 
+type Motion = tuple[np.ndarray | jax.Array, np.ndarray | jax.Array, np.ndarray | jax.Array]
+"""Positions [R, 3], attitudes [R, 4] and velocities [R, 6], as of `Estimate`."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class FleetReading:
@@ -75,11 +78,12 @@ class FleetInstruments:
             keys = jnp.stack(
                 [jax.random.key_data(jax.random.fold_in(base, i)) for i in range(self._count)]
             )
-        self._keys, self._step = keys, 0
-        seen = _expose(self._grid, self._floor_z_m, truth)
+        self._step = 0
+        seen = _expose(self._grid, self._floor_z_m, _motion(truth))
+        self._keys = [keys[np.array(rows)] for rows, _ in self._groups]
         self._memory = [
-            jax.vmap(suite.reset)(params, keys[np.array(rows)], _rows(seen, rows))
-            for rows, params in self._groups
+            jax.vmap(suite.reset)(params, group_keys, _rows(seen, rows))
+            for (rows, params), group_keys in zip(self._groups, self._keys, strict=True)
         ]
 
     def read(self, truth: Estimate) -> FleetReading:
@@ -88,24 +92,30 @@ class FleetInstruments:
         Args:
             truth: true motion now.
         """
-        parts = []
+        parts, step = [], np.int32(self._step)
+        seen = _motion(truth)
         for i, (rows, params) in enumerate(self._groups):
-            self._memory[i], reading, altitude = _read_group(
+            motion = seen if len(self._groups) == 1 else _rows(seen, rows)
+            self._memory[i], *read = _read_group(
                 params,
                 self._memory[i],
-                self._keys[np.array(rows)],
-                self._step,
+                self._keys[i],
+                step,
                 self._grid,
                 self._floor_z_m,
-                _rows(truth, rows),
+                motion,
             )
-            parts.append((reading, altitude))
+            parts.append(jax.device_get(tuple(read)))
         self._step += 1
+        if len(parts) == 1:
+            return FleetReading(reading=parts[0][0], altitude_m=parts[0][1])
         order = np.argsort(np.concatenate([rows for rows, _ in self._groups]))
-        reading, altitude = jax.tree.map(
-            lambda *leaves: np.concatenate([np.asarray(leaf) for leaf in leaves])[order], *parts
-        )
+        reading, altitude = jax.tree.map(lambda *leaves: np.concatenate(leaves)[order], *parts)
         return FleetReading(reading=reading, altitude_m=altitude)
+
+
+def _motion(truth: Estimate) -> Motion:
+    return np.asarray(truth.p), np.asarray(truth.q), np.asarray(truth.nu)
 
 
 def _rows[T](tree: T, rows: list[int]) -> T:
@@ -113,9 +123,9 @@ def _rows[T](tree: T, rows: list[int]) -> T:
     return selected
 
 
-def _expose(grid: Grid, floor_z_m: jax.Array, truth: Estimate) -> Truth:
+def _expose(grid: Grid, floor_z_m: jax.Array, motion: Motion) -> Truth:
     """Return what instruments are exposed to, [R] leading. Obstacles are no bottom."""
-    p, q, nu = (jnp.asarray(part) for part in (truth.p, truth.q, truth.nu))
+    p, q, nu = map(jnp.asarray, motion)
     altitude = jax.vmap(height_above_bottom, (None, None, 0))(grid, floor_z_m, p)
     return Truth(p=p, q=q, nu=nu, altitude_m=altitude)
 
@@ -128,9 +138,9 @@ def _read_group(
     step: jax.Array,
     grid: Grid,
     floor_z_m: jax.Array,
-    truth: Estimate,
+    motion: Motion,
 ) -> tuple[SensorCarry, Reading, jax.Array]:
-    seen = _expose(grid, floor_z_m, truth)
+    seen = _expose(grid, floor_z_m, motion)
     read = jax.vmap(suite.step, (0, 0, 0, None, 0))
     memory, reading = read(params, memory, keys, step, seen)
     return memory, reading, seen.altitude_m

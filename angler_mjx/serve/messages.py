@@ -113,11 +113,12 @@ class SceneMessages:
             notes: remarks on each robot, for the diagnostics.
         """
         time_s = view.observation.time_s
-        readings = self._instruments.read(_truth(view))
         spent_j, self._energy_j = view.energy_j - self._energy_j, view.energy_j
         yield "/clock", lambda: {"clock": ros.make_stamp(time_s)}
         for i, info in enumerate(self._robots):
             yield f"/{info.name}/odometry", partial(self._odometry, view, i, estimated=False)
+        readings = self._instruments.read(_truth(view))
+        for i, info in enumerate(self._robots):
             yield f"/{info.name}/imu/data", partial(self._imu, view, readings, i)
         yield "/tf", lambda: self._frames(view)
         for i, info in enumerate(self._robots):

@@ -1,6 +1,7 @@
 """Publication of a session's messages in a thread of its own, beside the steps of the scene."""
 
 import queue
+import sys
 import threading
 import time
 from collections.abc import Iterator, Sequence
@@ -10,11 +11,13 @@ from angler_mjx.errors import RunError
 from angler_mjx.report.interop import ros_messages as ros
 from angler_mjx.report.interop.ros_encoding import find_encoder
 from angler_mjx.runs.session.batch_session import SessionInternals
-from angler_mjx.serve.backends.interface import Backend
+from angler_mjx.serve.backends.interface import Backend, Topic
 from angler_mjx.serve.messages import Build, SceneMessages
 from angler_mjx.serve.scene_view import SceneView
-from angler_mjx.serve.topics import Topic
 
+SWITCH_S = 5e-4
+"""Time after which a thread of Python lets another run; by default it is ten times as long, which
+messages would wait for."""
 BACKLOG = 4
 """Number of steps that may wait for their publication; the next one waits."""
 
@@ -58,6 +61,7 @@ class Publisher:
         self._queue: queue.Queue[_Reset | _Step | None] = queue.Queue(BACKLOG)
         self._fault: BaseException | None = None
         self.busy_s, self.sent = 0.0, 0
+        sys.setswitchinterval(SWITCH_S)
         self._thread = threading.Thread(target=self._work, name="publisher", daemon=True)
         self._thread.start()
 

@@ -5,35 +5,12 @@ its name, ``/robot_0``.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from angler_mjx.runs.session.interface import RobotInfo
+from angler_mjx.serve.backends.interface import ACTION, NODE, Service, Topic
 
 MAP_FRAME = "map"
-NODE = "angler"
-"""Name of the node."""
 TRAJECTORY_CONTROLLER = "joint_trajectory_controller"
-ACTION = "control_msgs/FollowJointTrajectory"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Topic:
-    """Topic of one type."""
-
-    name: str
-    message: str
-    """package/Name."""
-    latched: bool = False
-    """Whether late listeners receive the last message."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Service:
-    """Service of one type."""
-
-    name: str
-    kind: str
-    """package/Name."""
 
 
 _WORLD = (

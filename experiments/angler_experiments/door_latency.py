@@ -46,7 +46,7 @@ class Watched:
     steps_per_s: float
 
 
-def main(scenario: tyro.conf.Positional[Path], seconds: float = 60.0, rounds: int = 3) -> None:
+def main(scenario: tyro.conf.Positional[Path], seconds: float = 60.0, rounds: int = 7) -> None:
     """Print rates, losses, latencies, CPU and speed.
 
     Args:
@@ -74,7 +74,10 @@ def main(scenario: tyro.conf.Positional[Path], seconds: float = 60.0, rounds: in
             alone = watch(port, process, 5.0, ())
             heard = watch(port, process, 5.0, TOPICS)
             ratios.append(heard.steps_per_s / alone.steps_per_s)
-    print(f"speed with listeners over that without: {np.round(ratios, 3).tolist()}")
+    print(
+        f"speed with listeners over that without: median {np.median(ratios):.3f} of "
+        f"{np.round(np.sort(ratios), 3).tolist()}"
+    )
 
 
 @contextmanager

@@ -10,8 +10,7 @@ from angler_mjx.errors import ConfigError, UnsupportedError
 from angler_mjx.report.interop.ros_definitions import message_definition
 from angler_mjx.report.interop.ros_encoding import find_encoder
 from angler_mjx.report.interop.ros_types import ALL_FIELDS, full_name
-from angler_mjx.serve.backends.interface import Answer, Receive
-from angler_mjx.serve.topics import ACTION, Service, Topic
+from angler_mjx.serve.backends.interface import ACTION, Answer, Receive, Service, Topic
 
 _ANSWER_S = 60.0
 """Maximum wall time of a service."""

@@ -1,9 +1,34 @@
 """Interface of transports: bytes of topics and services, whatever carries them."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Protocol
 
-from angler_mjx.serve.topics import Service, Topic
+NODE = "angler"
+"""Name of the node."""
+ACTION = "control_msgs/FollowJointTrajectory"
+"""Type of the robots' action."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Topic:
+    """Topic of one type."""
+
+    name: str
+    message: str
+    """package/Name."""
+    latched: bool = False
+    """Whether late listeners receive the last message."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Service:
+    """Service of one type."""
+
+    name: str
+    kind: str
+    """package/Name."""
+
 
 type Receive = Callable[[bytes], None]
 """Receiver of a message's bytes, called in a thread of the transport."""

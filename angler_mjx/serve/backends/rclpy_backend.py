@@ -4,24 +4,31 @@ Messages travel as the bytes of the project's encoder. Types that the installati
 left out.
 """
 
+import fcntl
 import os
+import tempfile
 import threading
 import time
 from importlib import import_module
-from typing import Any
+from pathlib import Path
+from typing import Any, TextIO
 
 from angler_mjx.errors import ConfigError, UnsupportedError
 from angler_mjx.report.interop.ros_types import full_name
-from angler_mjx.serve.backends.interface import Answer, Receive
-from angler_mjx.serve.topics import ACTION, NODE, SERVICES, Service, Topic
+from angler_mjx.serve.backends.interface import ACTION, NODE, Answer, Receive, Service, Topic
 
+PROFILE = "FASTDDS_DEFAULT_PROFILES_FILE"
 _DISCOVERY_S = 1.0
-"""Wall time to find another door."""
+"""Wall time to find a door on another machine; one on this machine holds the lock."""
 _OPTIONAL = (
     "tf2_msgs/TFMessage",
     "visualization_msgs/MarkerArray",
     "diagnostic_msgs/DiagnosticArray",
     "sensor_msgs/Range",
+    "std_srvs/Trigger",
+    "std_srvs/SetBool",
+    "rcl_interfaces/SetParameters",
+    f"{ACTION}_SendGoal",
 )
 """Types that some installations lack."""
 
@@ -33,15 +40,12 @@ class RclpyBackend:
         """Start the node.
 
         Args:
-            is_local: whether only nodes of this machine can find it, unless the environment has
-                another ``ROS_AUTOMATIC_DISCOVERY_RANGE``.
+            is_local: whether only nodes of this machine can find it.
 
         Raises:
             ConfigError: there is such a node already.
             UnsupportedError: rclpy cannot be imported.
         """
-        if is_local:
-            os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         try:
             import rclpy
             from rclpy.callback_groups import ReentrantCallbackGroup
@@ -50,7 +54,11 @@ class RclpyBackend:
             raise UnsupportedError(
                 f"--backend rclpy needs an installation of ROS 2 in this Python: {error}"
             ) from error
-        self._rclpy = rclpy
+        middleware = rclpy.get_rmw_implementation_identifier()
+        if is_local:
+            _keep_local(middleware)
+        self._domain = os.environ.get("ROS_DOMAIN_ID") or "0"
+        self._lock = _lock_domain(self._domain)
         self._context = rclpy.Context()
         self._context.init()
         self._node: Any = rclpy.create_node(
@@ -63,11 +71,8 @@ class RclpyBackend:
         self._publishers: dict[str, Any] = {}
         self.missing: tuple[str, ...] = self._list_missing()
         self._require_alone()
-        domain = os.environ.get("ROS_DOMAIN_ID") or "0"
-        self.address = (
-            f"ROS 2 node /{NODE}, domain {domain}, {rclpy.get_rmw_implementation_identifier()}, "
-            f"{os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE', 'SUBNET').lower()}"
-        )
+        reach = "this machine alone" if is_local else "the network"
+        self.address = f"ROS 2 node /{NODE}, domain {self._domain}, {middleware}, {reach}"
         self._thread = threading.Thread(target=self._spin, name="rclpy", daemon=True)
         self._thread.start()
 
@@ -126,6 +131,7 @@ class RclpyBackend:
         self._node.destroy_node()
         self._context.try_shutdown()
         self._thread.join(timeout=2.0)
+        self._lock.close()
 
     def _spin(self) -> None:
         from rclpy.executors import ExternalShutdownException
@@ -136,8 +142,7 @@ class RclpyBackend:
             return
 
     def _list_missing(self) -> tuple[str, ...]:
-        kinds = (*_OPTIONAL, *(service.kind for service in SERVICES), f"{ACTION}_SendGoal")
-        missing = [kind for kind in kinds if _find_class(kind) is None]
+        missing = [kind for kind in _OPTIONAL if _find_class(kind) is None]
         return tuple(ACTION if kind == f"{ACTION}_SendGoal" else kind for kind in missing)
 
     def _require_alone(self) -> None:
@@ -146,16 +151,14 @@ class RclpyBackend:
         while time.monotonic() < end_s:
             if self._node.get_node_names().count(NODE) > 1:
                 self._close_node()
-                raise ConfigError(
-                    f"there is a ROS 2 node /{NODE} in this domain already: end it, or set another "
-                    "ROS_DOMAIN_ID"
-                )
+                raise _build_fault(self._domain)
             time.sleep(0.05)
 
     def _close_node(self) -> None:
         """Close a node that does not spin."""
         self._node.destroy_node()
         self._context.try_shutdown()
+        self._lock.close()
 
     def _latched_durability(self) -> Any:
         from rclpy.qos import DurabilityPolicy
@@ -168,6 +171,41 @@ class RclpyBackend:
         if latched:
             return QoSProfile(depth=1, durability=self._latched_durability())
         return QoSProfile(depth=10)
+
+
+def _lock_domain(domain: str) -> TextIO:
+    """Return a file that is locked until it is closed: discovery may take seconds.
+
+    Raises:
+        ConfigError: another door holds it.
+    """
+    path = Path(tempfile.gettempdir()) / f"angler-serve-{os.getuid()}-{domain}.lock"
+    file = path.open("w")
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        file.close()
+        raise _build_fault(domain) from error
+    return file
+
+
+def _build_fault(domain: str) -> ConfigError:
+    return ConfigError(
+        f"there is a ROS 2 node /{NODE} in domain {domain} already: end that door, or set another "
+        "ROS_DOMAIN_ID"
+    )
+
+
+def _keep_local(middleware: str) -> None:
+    """Let only nodes of this machine find ours, unless the environment says otherwise.
+
+    The discovery range ``LOCALHOST`` leaves sockets of Fast DDS at all interfaces; a profile does
+    not.
+    """
+    ours = str(Path(__file__).parent / "profiles" / "loopback.xml")
+    is_fast = middleware.startswith("rmw_fastrtps")
+    if not is_fast or os.environ.setdefault(PROFILE, ours) != ours:
+        os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 
 def _find_class(name: str) -> Any:

@@ -12,8 +12,7 @@ from typing import Any
 
 from angler_mjx.errors import ConfigError, UnsupportedError
 from angler_mjx.report.interop.ros_types import dds_name, type_hash
-from angler_mjx.serve.backends.interface import Answer, Receive, Reply
-from angler_mjx.serve.topics import NODE, Service, Topic
+from angler_mjx.serve.backends.interface import NODE, Answer, Receive, Reply, Service, Topic
 
 DEFAULT_PORT = 7447
 """Port at which ``rmw_zenoh_cpp`` expects its router."""
@@ -21,6 +20,9 @@ DEFAULT_PORT = 7447
 _QOS, _LATCHED_QOS = "::,10:,:,:,,", ":1:,1:,:,:,,"
 """Quality of service in liveliness tokens: keep the last 10, or the last for late listeners."""
 _NODE_ID = 0
+_BATCHES = 16
+"""Batches of 64 KiB that wait for a listener, the most that Zenoh allows: two seconds of odometry
+and IMU of eight robots at 50 Hz. What comes when they are full is lost."""
 
 
 class ZenohBackend:
@@ -50,6 +52,7 @@ class ZenohBackend:
         config.insert_json5("mode", '"router"')
         config.insert_json5("listen/endpoints", f'["{self.address}"]')
         config.insert_json5("scouting/multicast/enabled", "false")
+        config.insert_json5("transport/link/tx/queue/size/data", str(_BATCHES))
         try:
             self._session: Any = zenoh.open(config)
         except zenoh.ZError as error:

@@ -17,14 +17,14 @@ def uuid(number):
     return bytes([number] * 16)
 
 
-def send(backend, number, rows, times, *, names=NAMES, goal=(), path=(), goal_time_s=0):
+def send(backend, number, rows, times, *, names=NAMES, goal=(), path=(), goal_time_s=0, stamp_s=0):
     """Send a goal; returns whether it is accepted."""
     make = TYPES.types
     tolerance = make["control_msgs/msg/JointTolerance"]
     header = make["std_msgs/msg/Header"](make["builtin_interfaces/msg/Time"](0, 0), "")
     request = make["control_msgs/msg/SendRequest"](
         goal_id=make["unique_identifier_msgs/msg/UUID"](np.frombuffer(uuid(number), "u1")),
-        trajectory=trajectory(names, rows, times=times),
+        trajectory=trajectory(names, rows, times=times, stamp_s=stamp_s),
         multi_dof_trajectory=make["trajectory_msgs/msg/MultiDOFJointTrajectory"](header, [], []),
         path_tolerance=[tolerance(name, value, 0.0, 0.0) for name, value in path],
         component_path_tolerance=[],
@@ -142,6 +142,19 @@ def test_a_new_goal_replaces_the_last_and_a_velocity_any(session, scene):
             CANCELED,
             True,
         )
+
+
+def test_a_goal_of_the_future_waits_for_its_time(session, scene):
+    with served(session, scene) as door:
+        backend = door.backend
+        backend.call("/step")
+        assert send(backend, 1, [(-2.0, *START[1:])], [4.0], stamp_s=1)
+        box, event = begin_result(backend, 1)
+        backend.step(18)
+        assert (backend.diagnostics()["command"], event.is_set()) == ("plan", False)
+        step_until(backend, event)
+        assert read_result(box).status == SUCCEEDED, read_result(box).error_string
+        assert backend.read("/clock")[-1].clock.sec >= 5
 
 
 def test_what_cannot_be_followed_is_rejected(session, scene):

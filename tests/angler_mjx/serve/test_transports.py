@@ -276,7 +276,6 @@ def test_the_layout_names_topics_that_there_are():
 
 @needs_rclpy
 def test_a_node_of_ros_reads_drives_and_steps(session, scene):
-    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     os.environ["ROS_DOMAIN_ID"] = str(100 + os.getpid() % 100)
     import rclpy
     from geometry_msgs.msg import Twist
@@ -289,11 +288,18 @@ def test_a_node_of_ros_reads_drives_and_steps(session, scene):
 
     backend = RclpyBackend()
     context = rclpy.Context()
-    context.init()
     try:
         with served(session, scene, backends=[backend]):
             with pytest.raises(ConfigError, match="already"):
                 RclpyBackend()
+            bound = {
+                entry.laddr.ip
+                for entry in psutil.Process().net_connections("inet")
+                if entry.type == socket.SOCK_DGRAM
+            }
+            # The last is a group of multicast on the interface of loopback.
+            assert bound <= {"127.0.0.1", "239.255.0.1"}
+            context.init()
             node = rclpy.create_node("driver", context=context)
             executor = rclpy.executors.SingleThreadedExecutor(context=context)
             executor.add_node(node)
