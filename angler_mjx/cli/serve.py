@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from angler_mjx.cli.shared.device import Device, choose_device, keep_all_programs
-from angler_mjx.cli.sitl.run import CommandLevel, PositionSource, require_sitl
+from angler_mjx.cli.sitl.commands import CommandLevel, PositionSource
 from angler_mjx.cli.sitl.run import build_opener as real_autopilots
+from angler_mjx.cli.sitl.run import require_sitl
 from angler_mjx.errors import ConfigError
 
 if TYPE_CHECKING:
