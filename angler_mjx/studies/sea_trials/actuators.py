@@ -1,8 +1,7 @@
 """Commands of a vehicle's actuators: pushes along one axis, and steering.
 
-A command holds a number for each actuator: thrusts in N, then deflections of control surfaces in
-rad, whose columns of `Actuators.effect` are the wrench per rad at the speed of the approach. No
-vehicle file has control surfaces yet; `build_actuators` and `advance` are where they enter.
+A command holds a number for each actuator: thrusts in N, then deflections of fins in rad, whose
+columns of `Actuators.effect` are the wrench per rad at the terminal speed ahead.
 """
 
 from dataclasses import dataclass
@@ -14,8 +13,10 @@ import numpy as np
 
 from angler_mjx.robot.vehicles.config import VehicleConfig
 from angler_mjx.robot.vehicles.drive import wrench_matrix
+from angler_mjx.robot.vehicles.fins import build_fins, fin_matrix
 from angler_mjx.robot.vehicles.library import load_thruster
 from angler_mjx.robot.vehicles.params import VehicleParams
+from angler_mjx.robot.vehicles.properties import describe_vehicle
 from angler_mjx.robot.vehicles.thrusters import FloatArray, tables_at
 from angler_mjx.sim.physics import step as physics
 from angler_mjx.sim.physics.closed_form import ClosedForm
@@ -45,6 +46,8 @@ class Actuators:
     """[n] least command."""
     upper: Command
     """[n] greatest command."""
+    fins: int = 0
+    """Number of fins, the last of the actuators: they push with way on, and not from rest."""
 
     def push(self, axis: Axis, sign: int) -> Command | None:
         """Return the command of the greatest push along an axis; None where there is none.
@@ -58,14 +61,16 @@ class Actuators:
             axis: of F.
             sign: 1 or -1; forward, left, up and turning left are positive.
         """
-        push = sign * self.effect[_ROWS[axis]]
+        can_push = np.arange(self.effect.shape[1]) < self.effect.shape[1] - self.fins
+        all_effect = np.where(can_push, self.effect, 0.0)
+        push = sign * all_effect[_ROWS[axis]]
         if not np.any(np.abs(push) > _NONE):
             return None
         full = np.where(push > 0, self.upper, self.lower)
         full = np.where(np.abs(push) > _NONE, full, 0.0)
         other = np.abs(push) <= _NONE
         for used, rows in product((other, np.full(other.shape, True)), (_ALL_ROWS, _LEVEL_ROWS)):
-            effect = self.effect[rows]
+            effect = all_effect[rows]
             along = np.zeros(len(rows))
             along[rows.index(_ROWS[axis])] = sign
             aside = effect @ full - (along @ effect @ full) * along
@@ -111,11 +116,15 @@ def build_actuators(config: VehicleConfig, voltage_v: float) -> Actuators:
     thrust_n, _ = tables_at(load_thruster(config.rotor.model), voltage_v)
     effect = wrench_matrix(config)
     count = effect.shape[1]
-    return Actuators(
-        effect=effect,
-        lower=np.full(count, float(thrust_n[0])),
-        upper=np.full(count, float(thrust_n[-1])),
-    )
+    lower, upper = (np.full(count, float(thrust_n[end])) for end in (0, -1))
+    fins = build_fins(config)
+    if fins is not None:
+        speed_mps = float(describe_vehicle(config, None, voltage_v).terminal_speed_mps[0])
+        by_fins = 0.5 * Water().density_kgpm3 * speed_mps**2 * fin_matrix(config)[:, count:]
+        limit = np.asarray(fins.limit_rad, float)[count:]
+        effect = np.concatenate([effect, by_fins], axis=1)
+        lower, upper = np.concatenate([lower, -limit]), np.concatenate([upper, limit])
+    return Actuators(effect=effect, lower=lower, upper=upper, fins=effect.shape[1] - count)
 
 
 def advance(

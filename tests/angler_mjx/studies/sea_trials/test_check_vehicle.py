@@ -431,3 +431,29 @@ def test_the_command_writes_table_and_figure(tmp_path, capsys):
     with pytest.raises(SystemExit):
         main(["vehicle", "check", "bluerov2", "--out", str(out)])
     assert "exists" in capsys.readouterr().err
+
+
+def test_a_torpedo_with_fins_steers_by_its_rudder_and_does_not_hover():
+    """The published coefficients of REMUS make it unstable on a straight line, by Fossen's C."""
+    result = check_vehicle(
+        load_vehicle("remus100"),
+        settings=TrialSettings(approach=1.0, steer=1.0, density_kgpm3=1030.0),
+        only=["heave", "turning", "sway", "spiral"],
+    )
+    assert result.left_out == {
+        "sway to port": "no actuator pushes in sway alone",
+        "heave up": "no actuator pushes in heave alone",
+        "heave down": "no actuator pushes in heave alone",
+        "turning on the spot": "no actuator pushes in yaw alone",
+    }
+    values = {(row.trial, row.quantity): row for row in result.measures}
+    for side, sign in (("port", 1.0), ("starboard", -1.0)):
+        rate = values["spiral", f"yaw rate, steered to {side}"].value
+        assert 15.0 < sign * rate < 30.0
+        diameter = values[f"turning circle to {side}", "steady diameter"].value
+        speed = values[f"turning circle to {side}", "steady speed"].value
+        assert diameter == pytest.approx(2.0 * speed / np.radians(abs(rate)), rel=0.02)
+    # Sums of body, fins and Munk's moment, in the frame of the thesis: x forward, y right.
+    Y_v, Y_r, N_v, N_r, mass = -28.6, 5.22, -24.0, -2.0, 30.48
+    assert Y_v * N_r - N_v * (Y_r - mass) < 0.0
+    assert values["spiral", "height of the loop, unsteered"].note == "turns by itself"
