@@ -91,7 +91,7 @@ class CarryTask(FileModel):
     in them where it pulls harder than friction (of the materials of robot and obstacle) holds. The
     grip is a weld if left out."""
     jaw_m: float = Field(default=0.015, gt=0.0, le=1.0)
-    """Radius of the patch of a jaw on the body; with closing_force_n."""
+    """Radius of the patch of a jaw on the body; with closing_force_n. The default is our choice."""
     max_slip_m: float = Field(default=0.05, gt=0.0, le=MAX_COORDINATE_M)
     """Slip beyond which jaws have lost the body, and the robot's episode ends as `dropped`."""
     hold_s: float = Field(default=0.0, ge=0.0, le=3600.0)
@@ -235,7 +235,8 @@ class CarryTask(FileModel):
 
 
 MAX_GRIP_GAP_M = 0.02
-"""Greatest distance of an end effector from the surface of the body that it holds, m."""
+"""Greatest distance of an end effector from the surface of the body that it holds, m: our choice,
+somewhat more than the opening of the shipped gripper, 15 mm."""
 
 
 def _turn_about_z(angle_rad: float) -> np.ndarray:

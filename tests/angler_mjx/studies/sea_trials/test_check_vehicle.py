@@ -438,7 +438,7 @@ def test_a_torpedo_with_fins_steers_by_its_rudder_and_does_not_hover():
     result = check_vehicle(
         load_vehicle("remus100"),
         settings=TrialSettings(approach=1.0, steer=1.0, density_kgpm3=1030.0),
-        only=["heave", "turning", "sway", "spiral"],
+        only=["heave", "turning", "sway", "spiral from port +0", "spiral from starboard +0"],
     )
     assert result.left_out == {
         "sway to port": "no actuator pushes in sway alone",
@@ -448,11 +448,12 @@ def test_a_torpedo_with_fins_steers_by_its_rudder_and_does_not_hover():
     }
     values = {(row.trial, row.quantity): row for row in result.measures}
     for side, sign in (("port", 1.0), ("starboard", -1.0)):
-        rate = values["spiral", f"yaw rate, steered to {side}"].value
-        assert 15.0 < sign * rate < 30.0
-        diameter = values[f"turning circle to {side}", "steady diameter"].value
-        speed = values[f"turning circle to {side}", "steady speed"].value
-        assert diameter == pytest.approx(2.0 * speed / np.radians(abs(rate)), rel=0.02)
+        circle = f"turning circle to {side}"
+        rate = np.radians(values[circle, "steady yaw rate"].value)
+        diameter = 2.0 * values[circle, "steady speed"].value / rate
+        assert values[circle, "steady diameter"].value == pytest.approx(diameter, rel=0.02)
+        heading = result.motions[circle].yaw_rad
+        assert sign * (heading[-1] - heading[result.execute_index]) > 2.0 * np.pi
     # Sums of body, fins and Munk's moment, in the frame of the thesis: x forward, y right.
     Y_v, Y_r, N_v, N_r, mass = -28.6, 5.22, -24.0, -2.0, 30.48
     assert Y_v * N_r - N_v * (Y_r - mass) < 0.0
